@@ -184,19 +184,22 @@ class StaticDrift:
     temp_c: FloatArray  # (n,), nodes, degC, increasing
     gyro_offset: FloatArray | None = None  # (n, 3), reading at zero input, raw unit
     accel_offset: FloatArray | None = None
-    gyro_uncertainty: FloatArray | None = None  # (n, 3), standard uncertainty of each node, raw unit
+    gyro_uncertainty: FloatArray | None = None  # (n, 3), standard uncertainty of each node for a visit to come, raw unit
     accel_uncertainty: FloatArray | None = None
     gyro_extrapolated: BoolArray | None = None  # (n,), true where no data were near the node
     accel_extrapolated: BoolArray | None = None
     # (3,), half-width: offset while cooling minus offset while warming, over two, raw unit; the table holds the mean
     gyro_hysteresis: FloatArray | None = None
+    # (3,), what one visit to a temperature adds and the next does not: standard deviation, raw unit; part of the uncertainty
+    gyro_visit: FloatArray | None = None
+    accel_visit: FloatArray | None = None
     warm_up: WarmUp | None = None
 
     def __post_init__(self) -> None:
         _freeze_nodes(self, "static drift", "temp_c")
         n = len(self.temp_c)
         _freeze(self, (n, 3), "gyro_offset", "accel_offset", "gyro_uncertainty", "accel_uncertainty")
-        _freeze(self, (3,), "gyro_hysteresis")
+        _freeze(self, (3,), "gyro_hysteresis", "gyro_visit", "accel_visit")
         _freeze_marks(self, (n,), "gyro_extrapolated", "accel_extrapolated")
 
 

@@ -38,7 +38,7 @@ def errors(seeds, **changes):
         for seed in range(seeds)
     ]
     value = np.array([fit.table.gyro_offset[::2] for fit in fits])
-    return value - (POINTS[:, None] - 40.0) * SLOPE, np.array([fit.table.gyro_uncertainty[::2] for fit in fits])
+    return value - (POINTS[:, None] - 40.0) * SLOPE, np.array([fit.gyro.curve_uncertainty[::2] for fit in fits])
 
 
 @pytest.mark.parametrize(
@@ -58,7 +58,7 @@ def test_the_table_s_intervals_hold_when_poses_or_rests_disagree(poses, by_pose,
 
 def test_more_samples_of_a_rest_do_not_lessen_what_poses_make():
     few, many = (
-        fit_static(soaks(np.random.default_rng(3), visits=visits, by_pose=0.05), nodes=POINTS).table.gyro_uncertainty
+        fit_static(soaks(np.random.default_rng(3), visits=visits, by_pose=0.05), nodes=POINTS).gyro.curve_uncertainty
         for visits in (2, 8)
     )
     np.testing.assert_allclose(many, few, rtol=0.1)
@@ -80,12 +80,11 @@ def test_a_jump_to_the_next_set_point_is_no_instability():
     assert (np.sqrt(scatter) < 5.0 * NOISE).all()  # eight triples; 4 units where the jumps count
 
 
-def test_three_set_points_are_uncertain_between_and_not_at_the_soaks():
+def test_three_set_points_are_certain_at_the_soaks_and_a_finding_says_what_they_cannot_show():
     rng, points = np.random.default_rng(4), np.array([20.0, 30.0, 40.0])
     fit = fit_static(soaks(rng, points=points, visits=4), nodes=np.arange(20.0, 40.5, 1.0))
     stated = fit.table.gyro_uncertainty
     assert (stated[[0, 10, 20]] < 3.0 * NOISE).all()  # twelve blocks each, that scatter by NOISE
-    assert (stated[5] > 2.0 * stated[10]).all()
     (few,) = set_points_verdict(fit, soaks(rng, points=points), device(unit="rad/s")).findings
     assert few.code == "drift.few_set_points"
     assert few.text.startswith("3 set-points cannot exclude higher-order curvature: 20.0, 30.0, 40.0 degC; ")

@@ -286,7 +286,12 @@ def correct_planned(
     before, missing = carry.last_time, np.zeros(len(record), dtype=bool)
     if has_tables(plans) and np.isnan(temp_c.min()):  # a least value is NaN where any is
         missing = np.isnan(temp_c)
-    outside = coverage.find_outside(record, temp_c, plans, allowed=policy != "raise", before=before)
+    drift = calibration.drift
+    static, lagged = (None, False) if drift is None else (drift.static, drift.lag_s > 0.0)
+    allowed = policy != "raise"
+    outside = coverage.find_outside(
+        record, temp_c, plans, allowed=allowed, static=static, lagged=lagged, before=before
+    )
     outputs = _buffers(len(record), plans, out)
 
     def evaluate(start: int, stop: int) -> coverage.Span:

@@ -3,7 +3,7 @@
 ::
 
     missing        no temperature was recorded, and a table needs one
-    outside        the temperature lies beyond a table
+    outside        the temperature lies beyond a table; under policy raise also 3 degC beyond what was seen
     extrapolated   it lies inside, at nodes that no data were near
     departure      constant offsets are used far from the temperature at which they were found
     turn rate      beyond the dynamic table
@@ -21,7 +21,7 @@ from undrift.arrays import BoolArray, FloatArray
 from undrift.correction.plan import Kind, MarkedTable, Plans, flat, has_tables, in_pieces
 from undrift.errors import DriftRangeError
 from undrift.findings import Finding, finding
-from undrift.model import Calibration, TriadModel
+from undrift.model import Calibration, StaticDrift, TriadModel
 from undrift.record import Record
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, Quantity, si_factor
 
@@ -29,6 +29,7 @@ Span = tuple[float, float]  # least and greatest
 NOWHERE: Span = (np.inf, -np.inf)
 KINDS: tuple[Kind, ...] = ("rate", "accel", "scale")
 TICKS_PER_S = 2.0**30
+BEYOND_C = 3.0  # as far as tables reach beyond what was seen without being asked (drift/fit.py), degC
 MARGIN = 0.1  # of the larger end of valid_range: noise alone carries a device that lies on a face past +-1 g
 
 
@@ -73,13 +74,24 @@ def seconds_of(mask: BoolArray, time: FloatArray, before: float | None) -> float
 
 
 def find_outside(
-    record: Record, temp_c: FloatArray, plans: Plans, *, allowed: bool, before: float | None = None
+    record: Record,
+    temp_c: FloatArray,
+    plans: Plans,
+    *,
+    allowed: bool,
+    static: StaticDrift | None = None,
+    lagged: bool = False,
+    before: float | None = None,
 ) -> BoolArray:
-    """Find the samples whose temperature lies beyond a tuning table."""
+    """Find the samples whose temperature lies beyond a tuning table; where that is refused, also beyond what the table saw."""
     ranges = [plan.temp_range for plan in plans if plan is not None and plan.tables is not None]
     if not ranges:
         return np.zeros(len(record), dtype=bool)
     low, high = max(r[0] for r in ranges), min(r[1] for r in ranges)
+    if static is not None and not allowed:
+        seen = _seen(static)
+        beyond = BEYOND_C * (2.0 if lagged else 1.0)  # subtracting a lag makes a thermometer noisier
+        low, high = max(low, seen[0] - beyond), min(high, seen[1] + beyond)
     least, greatest = _extremes(temp_c)
     if least >= low and greatest <= high:
         return np.zeros(len(record), dtype=bool)
@@ -95,6 +107,13 @@ def find_outside(
             greatest=greatest,
         )
     return mask
+
+
+def _seen(static: StaticDrift) -> Span:
+    """Return the first and last node that data were near; without marks, all; offsets of gyroscopes where there are some."""
+    marks = static.gyro_extrapolated if static.gyro_extrapolated is not None else static.accel_extrapolated
+    nodes = static.temp_c if marks is None or marks.all() else static.temp_c[~marks]
+    return float(nodes[0]), float(nodes[-1])
 
 
 def find_extrapolated(

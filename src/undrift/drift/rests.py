@@ -15,7 +15,13 @@ of equal variance with time constants tau_j half a decade apart::
 
     rho(t) = mean over j of exp(-t / tau_j)        C = mean of rho over the pairs of blocks of two cells, 0 across sessions
 
-Its size s2 comes from second differences of neighbouring blocks, which no smooth ramp moves, where the temperature is smooth too::
+Visits: a cell that the device left by 2 degC and came back to is two. Cells that follow each other without a step of temperature
+are one leg, a soak or a ramp. What one leg adds and the next does not (stress, moisture, bias instability over hours) does not
+average out with its rows: it has the variance s_v2, found by restricted likelihood over all legs (fit/smooth.py), and the correlation
+of C between legs, halved. Within a leg, P the subtraction of its mean, the instability is known: s2 P C P. A visit to come differs
+by s_v2 and by r2, below.
+
+The size s2 of the instability comes from second differences of neighbouring blocks, which no smooth ramp moves, where the temperature is smooth too::
 
     mean (y_(k+1) - 2 y_k + y_(k-1))^2 = 6 v + s2 (6 - 8 rho(h) + 2 rho(2 h))
 
@@ -59,7 +65,7 @@ from undrift.drift.observe import RestBlocks
 from undrift.errors import Implausible, InputError, NotObservable
 from undrift.findings import Finding, finding
 from undrift.fit.least_squares import excess_variance
-from undrift.fit.smooth import Scatter, SmoothSettings, fit_smooth, widening_of
+from undrift.fit.smooth import Scatter, fit_smooth, widening_of
 from undrift.model import G_NAMES, Calibration, Verdict
 from undrift.units import EARTH_RATE, RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical, si_factor
 
@@ -74,7 +80,8 @@ _LEAST_JUDGED = 5  # blocks of a cell and pose: fewer do not show which one is w
 _SMOOTH_C = 0.5  # second difference of the temperature: above, a new set-point lies between blocks
 _STEP_PER_ERROR = 12.0**0.5  # step of a converter over the error that it leaves without noise
 _LEAST_WIDTH_C = 0.5  # narrowest cell
-_MOST_CELLS = 100  # cells are widened until there are about as many; the fit takes the cube of their number
+_MOST_CELLS = 60  # cells are widened until there are about as many; the fit takes the cube of their number
+_LEFT_C = 2.0  # a cell that was left by this much and come back to is two visits; a step by as much begins another leg
 _MOST_GROUPS = 20  # groups of neighbouring cells that are left out in turn
 _APART_S = 60.0  # in one cell and pose: a later block belongs to another rest
 _NONE = 1e-6  # singular value of shares: poses that no cell compares
@@ -204,11 +211,12 @@ class Cells:
     value: FloatArray  # (n, 3), mean, raw unit
     variance: FloatArray  # (n, 3), of it, from the noise inside the blocks, raw unit squared
     regressors: FloatArray  # (n, p), means of what was given for each block
-    correlation: FloatArray  # (n, n), C
+    visits: FloatArray  # (n, n), correlation of what legs add; 1 within one
+    within: FloatArray  # (3, n, n), covariance by the instability within legs, raw unit squared
     groups: IntArray  # (n,), neighbours in temperature
-    # (3,), s2, raw unit squared; None where too few blocks follow each other or share a cell and a pose
-    instability: FloatArray | None
-    pairs: int = 0  # blocks of one cell and pose that s2 comes from; 0 where blocks follow each other, or it is None
+    # (3,), standard deviation that bias instability gives a leg, raw unit; 0 where too few blocks follow each other or share a cell
+    # and a pose
+    expected: FloatArray
     between: RestScatter | None = None  # part of variance; None where no cell has two rests
 
 
@@ -231,11 +239,10 @@ def gather(
     key = np.unique(labels, axis=0, return_inverse=True)[1].reshape(-1)
     parts = [np.flatnonzero(key == k) for k in range(key.max() + 1)]
     width = max(_LEAST_WIDTH_C, sum(float(np.ptp(blocks.temp_c[rows])) for rows in parts) / _MOST_CELLS)
-    members: list[IntArray] = []
-    for rows in parts:
-        rows = rows[np.argsort(blocks.temp_c[rows], kind="stable")]
-        bins = bins_of(blocks.temp_c[rows], width)
-        members.extend(rows[bins == b] for b in range(bins.max() + 1))
+    members = _visits(blocks, parts, width)
+    if len(members) > 1.5 * _MOST_CELLS:
+        width *= len(members) / _MOST_CELLS
+        members = _visits(blocks, parts, width)
     members = [rows[_good(value[rows], blocks.pose[rows])] for rows in members]
     temp_c = np.array([blocks.temp_c[rows].mean() for rows in members])
     order = np.argsort(temp_c, kind="stable")
@@ -248,9 +255,11 @@ def gather(
     x = temp_c - temp_c.mean()  # the usual slope within a cell is subtracted; 0 for one temperature
     level = value - np.asarray(x @ middle / max(float(x @ x), 1e-9)) * blocks.temp_c[:, None]
     rests, labels = _rests_of(blocks, members)
-    instability, pairs = instability_of(blocks, value, variance), 0
+    instability = instability_of(blocks, value, variance)
     if instability is None:
-        instability, pairs = _from_pairs(blocks, rests, labels, level, variance)
+        instability = _from_pairs(blocks, rests, labels, level, variance)
+    visits, within, usual = _legs(blocks, members)
+    known = np.zeros(3) if instability is None else instability
     between = _rest_scatter(blocks, rests, labels, level, variance, instability)
     return Cells(
         session=np.array([blocks.session[rows[0]] for rows in members], np.int64),
@@ -258,10 +267,10 @@ def gather(
         value=middle,
         variance=found if between is None else found + between.own,
         regressors=np.array([regressors[rows].mean(axis=0) for rows in members]),
-        correlation=_correlation(blocks, members),
+        visits=visits,
+        within=known[:, None, None] * within,
         groups=groups,
-        instability=instability,
-        pairs=pairs,
+        expected=np.sqrt(known * usual),
         between=between,
     )
 
@@ -275,6 +284,40 @@ def bins_of(temp_c: FloatArray, width: float) -> IntArray:
         begin = temp_c[k] if new else begin
         bins[k] = bins[k - 1] + new
     return bins
+
+
+def _visits(blocks: RestBlocks, parts: list[IntArray], width: float) -> list[IntArray]:
+    """Return the blocks of each visit to each bin of each part, in the order of temperature."""
+    order = np.lexsort((blocks.time, blocks.session))
+    place, temp_c = np.argsort(order), blocks.temp_c[order]
+    visits: list[IntArray] = []
+    for rows in parts:
+        rows = rows[np.argsort(blocks.temp_c[rows], kind="stable")]
+        bins = bins_of(blocks.temp_c[rows], width)
+        for inside in np.split(rows, np.flatnonzero(np.diff(bins)) + 1):
+            inside = inside[np.argsort(place[inside])]
+            away = np.cumsum(np.abs(temp_c - blocks.temp_c[inside].mean()) > _LEFT_C + width)[place[inside]]
+            visits += np.split(inside, np.flatnonzero(np.diff(away)) + 1)
+    return visits
+
+
+def _legs(blocks: RestBlocks, members: list[IntArray]) -> tuple[FloatArray, FloatArray, float]:
+    """Return correlation of what legs add, P C P, both (n, n), and the mean of C within legs."""
+    order = np.lexsort((blocks.time, blocks.session))
+    step = (np.abs(np.diff(blocks.temp_c[order])) > _LEFT_C) | (np.diff(blocks.session[order]) != 0)
+    number = np.empty(len(blocks), np.int64)
+    number[order] = np.concatenate(([0], np.cumsum(step)))
+    leg = number[[rows[0] for rows in members]]
+    of_leg = (leg[:, None] == np.unique(leg)).astype(float)
+    mean, correlation = of_leg / of_leg.sum(axis=0), _correlation(blocks, members)
+    if of_leg.shape[1] == 1:  # what it adds is a constant: the size of the instability within it is found instead
+        usual = float(np.mean(np.diag(correlation)))
+        return correlation / usual, np.zeros_like(correlation), usual
+    of_legs = mean.T @ correlation @ mean
+    size = np.sqrt(np.diag(of_legs))
+    between = of_legs / np.outer(size, size) * (0.5 + 0.5 * np.eye(len(size)))
+    centred = np.eye(len(leg)) - of_leg @ mean.T
+    return of_leg @ between @ of_leg.T, centred @ correlation @ centred.T, float(np.mean(size**2))
 
 
 def instability_of(blocks: RestBlocks, value: FloatArray, variance: FloatArray) -> FloatArray | None:
@@ -297,19 +340,19 @@ def instability_of(blocks: RestBlocks, value: FloatArray, variance: FloatArray) 
 
 def _from_pairs(
     blocks: RestBlocks, rests: list[IntArray], labels: IntArray, level: FloatArray, variance: FloatArray
-) -> tuple[FloatArray | None, int]:
-    """Return s2 from neighbouring blocks of one cell and pose, and how many pairs there are."""
+) -> FloatArray | None:
+    """Return s2 from neighbouring blocks of one cell and pose."""
     rows, rest = np.concatenate(rests), np.repeat(np.arange(len(rests)), [len(rows) for rows in rests])
     pairs = np.flatnonzero(np.diff(rest) == 0)
     if len(pairs) < _LEAST_PAIRS:  # then what differs from rest to rest counts as instability
         pairs = np.flatnonzero((np.diff(labels[rest], axis=0) == 0).all(axis=1))
     if len(pairs) < _LEAST_PAIRS:
-        return None, 0
+        return None
     one, two = rows[pairs], rows[pairs + 1]
     noise = (variance[one] + variance[two]).mean(axis=0)
     square = ((level[two] - level[one]) ** 2).mean(axis=0) - noise
     share = 2.0 * float(np.mean(1.0 - _rho(np.abs(blocks.time[two] - blocks.time[one]))))
-    return np.asarray(np.maximum(square, noise * np.sqrt(2.0 / len(one))) / share), len(one)
+    return np.asarray(np.maximum(square, noise * np.sqrt(2.0 / len(one))) / share)
 
 
 def _variance(value: FloatArray, variance: FloatArray, step_error: FloatArray | None) -> FloatArray:
@@ -447,7 +490,7 @@ class TurnOn:
     bounded: BoolArray = field(default_factory=lambda: np.zeros(3, bool))
 
 
-def between_sessions(cells: Cells, settings: SmoothSettings) -> TurnOn:
+def between_sessions(cells: Cells) -> TurnOn:
     """Find how much the offset moves between sessions."""
     numbers = np.unique(cells.session)
     shifts = _shifts(cells, numbers)
@@ -462,8 +505,7 @@ def between_sessions(cells: Cells, settings: SmoothSettings) -> TurnOn:
             cells.variance,
             regressors=np.column_stack(((cells.session[:, None] == numbers) @ shifts, cells.regressors)),
             groups=cells.groups,
-            scatter=Scatter(correlation=cells.correlation, variance=cells.instability),
-            settings=settings,
+            scatter=Scatter(correlation=cells.visits, expected=cells.expected, shared=cells.within),
         )
     except NotObservable:
         return unknown

@@ -38,7 +38,7 @@ from undrift.drift.rests import (
 )
 from undrift.errors import NotObservable
 from undrift.findings import Finding, finding
-from undrift.fit.smooth import NodeValues, Scatter, SmoothSettings, SmoothSpline, fit_smooth, not_a_knot
+from undrift.fit.smooth import NodeValues, Scatter, SmoothSpline, fit_smooth, not_a_knot
 from undrift.model import AXES, Calibration, StaticDrift, TriadModel, Verdict, WarmUp
 
 _EDGE_C = 0.5  # a node this far outside the temperatures seen is extrapolated
@@ -86,11 +86,17 @@ class OffsetCurve:
     turn_on: TurnOn | None  # None for one session
     findings: tuple[Finding, ...]
 
+    @property
+    def visit_variance(self) -> FloatArray:
+        """What a visit to come adds, (3,), raw unit squared: legs, and rests of one leg that disagree."""
+        rest = 0.0 if self.cells.between is None else self.cells.between.rest**2
+        return np.asarray(self.spline.visit_deviation**2 + rest)
+
     def through_set_points(self, nodes: FloatArray) -> NodeValues:
         """Return the note's curve: not-a-knot through the means of the set-points, effects subtracted."""
         cells = self.cells
         left = cells.value - cells.regressors @ self.spline.coefficient
-        own = cells.variance + self.spline.scatter_deviation**2 * np.diag(cells.correlation)[:, None]
+        own = cells.variance + self.spline.visit_deviation**2
         order = np.argsort(cells.temp_c, kind="stable")
         joined = np.empty(len(order), np.int64)
         joined[order] = bins_of(cells.temp_c[order], 1.0)
@@ -112,7 +118,8 @@ class TriadDrift:
     """Offset over temperature of one triad, n nodes, raw unit."""
 
     offset: FloatArray | None  # (n, 3), absolute; None where only the change is known
-    uncertainty: FloatArray  # (n, 3), standard uncertainty of each node
+    uncertainty: FloatArray  # (n, 3), standard uncertainty of each node, for a visit to come
+    visit: FloatArray  # (3,), standard deviation of what one visit adds; part of ``uncertainty``
     extrapolated: BoolArray  # (n,), true where no data were near
     slope: FloatArray  # (3,), mean over the temperatures of the blocks, raw unit per K
     slope_uncertainty: FloatArray  # (3,)
@@ -121,6 +128,11 @@ class TriadDrift:
     offsets: Offsets  # what it was fitted to
     # (n, 3), the part of ``uncertainty`` for a change of scale; None where gravity is not in the readings
     unknown_scale: FloatArray | None = None
+
+    @property
+    def curve_uncertainty(self) -> FloatArray:
+        """Standard uncertainty of the curve itself, the mean over visits, shape (n, 3)."""
+        return np.asarray(np.sqrt(np.maximum(self.uncertainty**2 - self.visit**2, 0.0)))
 
     @property
     def mostly_unknown_scale(self) -> bool:
@@ -170,7 +182,7 @@ def fit_static(
         f"{sensor}_{name}": getattr(triad, name)
         for sensor, triad in (("gyro", gyro), ("accel", accel))
         if triad is not None and triad.offset is not None
-        for name in ("offset", "uncertainty", "extrapolated")
+        for name in ("offset", "uncertainty", "extrapolated", "visit")
     }
     loop = gyro.curve.loop if gyro is not None and gyro.curve.kept_loop else None
     table = StaticDrift(
@@ -198,6 +210,7 @@ def _triad(
         own = own + every[-1] - 2.0 * found.covariance[:, :n, -1].T + np.diag(model.covariance)[9:12]
     # Beside that of the middle curve: the session to come, the hysteresis half-width
     extra = offsets.common_variance + (0.0 if curve.turn_on is None else curve.turn_on.variance_to_come)
+    visit = curve.visit_variance
     if curve.kept_loop and curve.loop is not None:
         extra = extra + curve.loop.half**2
     temps, rows = found.temp_c[n : n + _SLOPE_POINTS], slice(n, n + _SLOPE_POINTS)
@@ -205,7 +218,8 @@ def _triad(
     slope_variance = np.einsum("i,kij,j->k", weight, found.covariance[:, rows, rows], weight)
     return TriadDrift(
         offset=value,
-        uncertainty=np.sqrt(np.maximum(own, 0.0) + extra),
+        uncertainty=np.sqrt(np.maximum(own, 0.0) + extra + visit),
+        visit=np.sqrt(visit),
         extrapolated=~near_data(nodes, temp_c, gap_c=_GAP_C),
         slope=np.asarray(weight @ found.value[rows]),
         slope_uncertainty=np.sqrt(np.maximum(slope_variance, 0.0)),
@@ -316,21 +330,18 @@ def _fitted(offsets: Offsets, state: FloatArray | None, tau: float | None) -> tu
         step_error=offsets.step_error,
         chunk_s=np.inf if tau is None else _CHUNK_S,
     )
-    smooth, turn_on, shared = SmoothSettings(), None, None if cells.between is None else cells.between.shared
-    if cells.pairs:  # few pairs know the scatter less well than hundreds of blocks
-        smooth = SmoothSettings(scatter_spread=float(np.hypot(smooth.scatter_spread, np.sqrt(2.0 / cells.pairs))))
+    turn_on, shared = None, cells.within if cells.between is None else cells.within + cells.between.shared
     if len(np.unique(cells.session)) > 1:
-        turn_on = between_sessions(cells, smooth)
+        turn_on = between_sessions(cells)
         of_sessions = np.nan_to_num(turn_on.variance)[:, None, None] * (cells.session[:, None] == cells.session)
-        shared = of_sessions if shared is None else of_sessions + shared
+        shared = of_sessions + shared
     spline = fit_smooth(
         cells.temp_c,
         cells.value,
         cells.variance,
         regressors=cells.regressors if columns else None,
         groups=cells.groups,
-        scatter=Scatter(correlation=cells.correlation, variance=cells.instability, shared=shared),
-        settings=smooth,
+        scatter=Scatter(correlation=cells.visits, expected=cells.expected, shared=shared),
     )
     return cells, spline, turn_on
 

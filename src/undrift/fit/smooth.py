@@ -5,9 +5,10 @@
     u: what one visit to a temperature adds and the next does not, variance s2, correlation C;  e: known covariance
 
 a, b, c have no prior; g, the bow, a wide one about 0, as drift curves are parabolas first of all: its slope changes by as much as
-the mean slope over 50 K. What only the rows can show is taken to be beforehand (Gelman 2006): every size of sqrt(s2) as likely, up
-to twice what is expected, or 0.1 % of the range of the values, plus twice the residuals about a parabola; sqrt(q) half of Student's
-t with 3 degrees of freedom, of a scale that makes a curve over 50 K depart from its parabola by 0.1 % of the range, root-mean-square.
+its mean over 10 K. Of the two sizes that only the rows can show every one is as likely beforehand, as a standard deviation
+(Gelman 2006), up to a limit: sqrt(s2) up to twice what is expected, or 0.1 % of the range of the values; sqrt(q) up to bends by
+which a curve over 50 K departs from its parabola by 0.2 % of the range, root-mean-square; both further by what the residuals about
+a parabola leave open, which three points do not have.
 
 Restricted likelihood (Harville 1977): with A orthonormal, A' (1, x, Z) = 0, the contrasts A'y know nothing of a, b and c. For each
 s2, one eigendecomposition makes A' K A = q W^-T diag(l) W^-1 + W^-T W^-1, so that every q costs n products::
@@ -29,12 +30,12 @@ from undrift.errors import InputError, NotObservable
 
 _JITTER = 1e-11  # of the variance of the values: keeps a curve through exact values solvable
 _ENDS = np.array([-0.5, -0.4, 0.4, 0.5])  # scaled temperature: where the slope at either end of the data is taken
-_BEND_SPAN_C = 50.0  # of the bow: the slope changes by as much as the mean slope over this span
-_DEPARTURE = 1e-3  # of the range of the values over that span: scale of the departure of a curve from its parabola
+_BOW_SPAN_C = 10.0  # of the bow: the slope changes by as much as the mean slope over this span
+_BEND_SPAN_C = 50.0
+_DEPARTURE = 2e-3  # of the range of the values over a span of 50 K: most by which a curve departs from its parabola where nothing shows it
 _PER_BEND = 0.0202  # that departure, root-mean-square, for q = 1
-_TAIL = 3.0  # degrees of freedom of its prior
 _VISITS = 1e-3  # of the range: scatter of visits that is expected at least
-_MOST = (2.0, 3.0)  # times what is expected of visits and of bends, and as often the residuals: none is larger
+_MOST = 2.0  # times what is expected of visits, and rms residuals about the parabola: no size is larger
 _LEAST = 0.03  # of what is expected: the least
 _LEVELS, _BENDS = 8, 24  # of the grid over s2, in each of two rounds, and over q
 _NEGLIGIBLE = 1e-4  # weight
@@ -150,10 +151,11 @@ def fit_smooth(
     groups = neighbours(temp_c, _GROUPS) if groups is None else groups
     correlation = np.eye(len(x)) if scatter.correlation is None else scatter.correlation
     columns, effects, left_out = [], [], []
+    usual = float(np.sqrt(np.mean(np.ptp(value, axis=0) ** 2)))  # columns of one fit are alike
     for k in range(value.shape[1]):
         known = np.diag(variance[:, k]) + (0.0 if scatter.shared is None else scatter.shared[k])
         expected = 0.0 if scatter.expected is None else float(scatter.expected[k])
-        columns.append(_weighed(x, value[:, k], basis, known, correlation, span, expected))
+        columns.append(_weighed(x, value[:, k], basis, known, correlation, span, expected, usual))
         mean, covariance = predicted(columns[-1], np.zeros(0))
         effects.append((mean, np.sqrt(np.maximum(np.diag(covariance), 0.0))))
         left_out.append(leave_out(columns[-1], groups))
@@ -234,25 +236,28 @@ def _weighed(
     correlation: FloatArray,
     span: float,
     expected: float,
+    size: float,
 ) -> Column:
-    """Return a column with its hyperparameters; expected: sqrt(s2) before the data, 0 where nothing is known."""
+    """Return a column with its hyperparameters; expected: sqrt(s2) before the data, 0 where nothing is known; size: usual range."""
     noise = float(np.sqrt(np.median(np.diag(known))))
-    size = max(float(np.ptp(y)), 2.0 * noise, 1e-150)
+    size = max(float(np.ptp(y)), size, 2.0 * noise, 1e-150)
     known = known + np.eye(len(y)) * _JITTER * max(float(np.var(y)), 1e-300)
-    bow = (span / (8.0 * _BEND_SPAN_C) * size) ** 2
+    bow = (span / (8.0 * _BOW_SPAN_C) * size) ** 2
     bent = np.column_stack((basis, parabola(x)))
     left = y - bent @ np.linalg.lstsq(bent, y, rcond=None)[0]
     rms = float(np.sqrt(left @ left / max(len(y) - bent.shape[1], 1)))
     expected = max(expected, _VISITS * size)
     usual = _DEPARTURE * size * np.sqrt(span / _BEND_SPAN_C) / _PER_BEND
-    most = _MOST[0] * (expected + rms), _MOST[1] * (usual + rms / _PER_BEND)
+    # rows of one visit, which share u, show it by the mean of their residuals
+    shown = max(float(left @ correlation @ left), 0.0) * len(y) / max(float(left @ left), 1e-300) / (correlation**2).sum()
+    beyond = float(np.sqrt(max((_MOST * rms) ** 2 * shown - noise**2, 0.0)))  # with what is known, no more than twice the residuals
+    most = _MOST * expected + beyond, usual + _MOST * rms / _PER_BEND
     levels, roots = np.geomspace(_LEAST * expected, most[0], _LEVELS), np.geomspace(_LEAST * usual, most[1], _BENDS)
     parts = contrasts(x, basis)
     fixed = known + bow * np.outer(parabola(x), parabola(x))
     for last in (False, True):
         size, turn, log = likelihood(parts, y, x, fixed, correlation, roots**2, levels**2)
-        # per logarithm of each root
-        prior = np.log(levels)[:, None] + np.log(roots) - 0.5 * (_TAIL + 1.0) * np.log1p((roots / usual) ** 2 / _TAIL)
+        prior = np.log(levels)[:, None] + np.log(roots)  # of the logarithms
         weight = np.exp(log + prior - (log + prior).max())
         if not last:
             levels, roots = _finer(levels, weight.sum(axis=1)), _finer(roots, weight.sum(axis=0))

@@ -96,6 +96,8 @@ class StaticFile(BaseModel, strict=True, extra="forbid", frozen=True):
     gyro_extrapolated: list[bool] | None = None
     accel_extrapolated: list[bool] | None = None
     gyro_hysteresis: Vector | None = None
+    gyro_visit: Vector | None = None
+    accel_visit: Vector | None = None
     warm_up: WarmUpFile | None = None
 
 
@@ -208,7 +210,7 @@ class CalibrationFile(BaseModel, strict=True, extra="forbid", frozen=True):
 ADC_KEYS = ("gyro_lsb", "gyro_rounding", "accel_lsb", "accel_rounding")
 LATER_KEYS = (
     "gyro_uncertainty", "accel_uncertainty", "gyro_extrapolated", "accel_extrapolated", "gyro_hysteresis", "warm_up",
-    "uncertainty", "extrapolated",
+    "gyro_visit", "accel_visit", "uncertainty", "extrapolated",
 )  # fmt: skip
 
 
