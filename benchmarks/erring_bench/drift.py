@@ -26,7 +26,7 @@ _HOLD_S, _RAMP_S = 120, 600  # before the rest of a soak, and between two
 
 
 def rows(devices: int, seed: int) -> Iterator[Row]:
-    """Yield a row for each scatter, length of soak and number of visits; hysteresis, converter and noise of the preset are on."""
+    """Yield a row for each scatter, length of soak and number of visits; hysteresis, converter, filter and noise are on."""
     for visits in (1, 2):
         for length_s in SOAK_S:
             for scatter_dps in SCATTER_DPS:
@@ -68,10 +68,7 @@ def _soaks(
     rng: np.random.Generator, device: DeviceModel, length_s: int, visits: int, scatter_dps: float
 ) -> tuple[RestBlocks, Calibration]:
     """Return the rests of a device that goes up through all set-points, and down again for two visits."""
-    gyro = replace(device.gyro, low_pass=None, warm_up=None)
-    if visits == 1:  # one way a loop is a change with temperature: nobody can tell
-        gyro = replace(gyro, hysteresis=None)
-    device = replace(device, gyro=gyro, accel=replace(device.accel, low_pass=None, lever_arm=None))
+    device = replace(device, gyro=replace(device.gyro, warm_up=None), accel=replace(device.accel, lever_arm=None))
     calibration = true_calibration(device)
     way = POINTS if visits == 1 else np.concatenate((POINTS, POINTS[-2::-1]))
     temp, stills, shift = list[FloatArray](), list[Still](), list[FloatArray]()

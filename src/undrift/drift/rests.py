@@ -16,10 +16,10 @@ of equal variance with time constants tau_j half a decade apart::
     rho(t) = mean over j of exp(-t / tau_j)        C = mean of rho over the pairs of blocks of two cells, 0 across sessions
 
 Visits: a cell that the device left by 2 degC and came back to is two. Cells that follow each other without a step of temperature
-are one leg, a soak or a ramp. What one leg adds and the next does not (stress, moisture, bias instability over hours) does not
-average out with its rows: it has the variance s_v2, found by restricted likelihood over all legs (fit/smooth.py), and the correlation
-of C between legs, halved. Within a leg, P the subtraction of its mean, the instability is known: s2 P C P. A visit to come differs
-by s_v2 and by r2, below.
+are one leg, a soak or a ramp. What one leg adds and the next does not (stress, moisture, what the law of the instability lacks over
+hours) does not average out with its rows: it has the variance s_v2, found by restricted likelihood over all legs (fit/smooth.py).
+The instability s2 C is known beside it where s2 is larger than twice its uncertainty. One leg alone, a ramp, shows no s_v2; then s2
+is found by restricted likelihood, and what it makes in one visit stands for s_v2.
 
 The size s2 of the instability comes from second differences of neighbouring blocks, which no smooth ramp moves, where the temperature is smooth too::
 
@@ -80,7 +80,8 @@ _LEAST_JUDGED = 5  # blocks of a cell and pose: fewer do not show which one is w
 _SMOOTH_C = 0.5  # second difference of the temperature: above, a new set-point lies between blocks
 _STEP_PER_ERROR = 12.0**0.5  # step of a converter over the error that it leaves without noise
 _LEAST_WIDTH_C = 0.5  # narrowest cell
-_MOST_CELLS = 60  # cells are widened until there are about as many; the fit takes the cube of their number
+_MOST_CELLS = 100  # cells are widened until there are about as many; the fit takes the cube of their number
+_SURE = 2.0  # standard uncertainties of s2, from which it is taken as known
 _LEFT_C = 2.0  # a cell that was left by this much and come back to is two visits; a step by as much begins another leg
 _MOST_GROUPS = 20  # groups of neighbouring cells that are left out in turn
 _APART_S = 60.0  # in one cell and pose: a later block belongs to another rest
@@ -212,7 +213,7 @@ class Cells:
     variance: FloatArray  # (n, 3), of it, from the noise inside the blocks, raw unit squared
     regressors: FloatArray  # (n, p), means of what was given for each block
     visits: FloatArray  # (n, n), correlation of what legs add; 1 within one
-    within: FloatArray  # (3, n, n), covariance by the instability within legs, raw unit squared
+    wander: FloatArray  # (3, n, n), covariance by the bias instability where it is significant, raw unit squared
     groups: IntArray  # (n,), neighbours in temperature
     # (3,), standard deviation that bias instability gives a leg, raw unit; 0 where too few blocks follow each other or share a cell
     # and a pose
@@ -255,11 +256,13 @@ def gather(
     x = temp_c - temp_c.mean()  # the usual slope within a cell is subtracted; 0 for one temperature
     level = value - np.asarray(x @ middle / max(float(x @ x), 1e-9)) * blocks.temp_c[:, None]
     rests, labels = _rests_of(blocks, members)
-    instability = instability_of(blocks, value, variance)
+    seen = _second_differences(blocks, value, variance)
+    instability = None if seen is None else np.maximum(*seen)
     if instability is None:
         instability = _from_pairs(blocks, rests, labels, level, variance)
     visits, within, usual = _legs(blocks, members)
     known = np.zeros(3) if instability is None else instability
+    sure = np.zeros(3) if seen is None else np.where(seen[0] > _SURE * seen[1], seen[0], 0.0)
     between = _rest_scatter(blocks, rests, labels, level, variance, instability)
     return Cells(
         session=np.array([blocks.session[rows[0]] for rows in members], np.int64),
@@ -268,7 +271,7 @@ def gather(
         variance=found if between is None else found + between.own,
         regressors=np.array([regressors[rows].mean(axis=0) for rows in members]),
         visits=visits,
-        within=known[:, None, None] * within,
+        wander=sure[:, None, None] * within,
         groups=groups,
         expected=np.sqrt(known * usual),
         between=between,
@@ -302,25 +305,27 @@ def _visits(blocks: RestBlocks, parts: list[IntArray], width: float) -> list[Int
 
 
 def _legs(blocks: RestBlocks, members: list[IntArray]) -> tuple[FloatArray, FloatArray, float]:
-    """Return correlation of what legs add, P C P, both (n, n), and the mean of C within legs."""
+    """Return the correlation of what legs add, and C, both (n, n), and the mean of C's diagonal; without legs, C for both."""
     order = np.lexsort((blocks.time, blocks.session))
     step = (np.abs(np.diff(blocks.temp_c[order])) > _LEFT_C) | (np.diff(blocks.session[order]) != 0)
     number = np.empty(len(blocks), np.int64)
     number[order] = np.concatenate(([0], np.cumsum(step)))
-    leg = number[[rows[0] for rows in members]]
-    of_leg = (leg[:, None] == np.unique(leg)).astype(float)
-    mean, correlation = of_leg / of_leg.sum(axis=0), _correlation(blocks, members)
-    if of_leg.shape[1] == 1:  # what it adds is a constant: the size of the instability within it is found instead
-        usual = float(np.mean(np.diag(correlation)))
+    leg, correlation = number[[rows[0] for rows in members]], _correlation(blocks, members)
+    usual = float(np.mean(np.diag(correlation)))
+    if (leg == leg[0]).all():  # what one leg adds is a constant: the size of the instability within it is found instead
         return correlation / usual, np.zeros_like(correlation), usual
-    of_legs = mean.T @ correlation @ mean
-    size = np.sqrt(np.diag(of_legs))
-    between = of_legs / np.outer(size, size) * (0.5 + 0.5 * np.eye(len(size)))
-    centred = np.eye(len(leg)) - of_leg @ mean.T
-    return of_leg @ between @ of_leg.T, centred @ correlation @ centred.T, float(np.mean(size**2))
+    return (leg[:, None] == leg).astype(float), correlation, usual
 
 
 def instability_of(blocks: RestBlocks, value: FloatArray, variance: FloatArray) -> FloatArray | None:
+    """Return s2, (3,), no less than its own uncertainty; None where too few blocks follow each other."""
+    found = _second_differences(blocks, value, variance)
+    return None if found is None else np.maximum(*found)
+
+
+def _second_differences(
+    blocks: RestBlocks, value: FloatArray, variance: FloatArray
+) -> tuple[FloatArray, FloatArray] | None:
     """Return s2, (3,): the variance of the bias instability from block to block, as flicker noise has it."""
     step = np.diff(blocks.time)
     usual = float(np.median(step)) if len(step) else 0.0
@@ -335,7 +340,7 @@ def instability_of(blocks: RestBlocks, value: FloatArray, variance: FloatArray) 
     noise = 6.0 * variance[middle].mean(axis=0)
     error = noise * np.sqrt(4.0 / len(middle))  # neighbouring differences share blocks
     share = 6.0 - 8.0 * _rho(np.array(usual)) + 2.0 * _rho(np.array(2.0 * usual))
-    return np.asarray(np.maximum(second.mean(axis=0) - noise, error) / share)
+    return (second.mean(axis=0) - noise) / share, error / share
 
 
 def _from_pairs(
@@ -505,7 +510,7 @@ def between_sessions(cells: Cells) -> TurnOn:
             cells.variance,
             regressors=np.column_stack(((cells.session[:, None] == numbers) @ shifts, cells.regressors)),
             groups=cells.groups,
-            scatter=Scatter(correlation=cells.visits, expected=cells.expected, shared=cells.within),
+            scatter=Scatter(correlation=cells.visits, expected=cells.expected, shared=cells.wander),
         )
     except NotObservable:
         return unknown

@@ -35,7 +35,7 @@ _BEND_SPAN_C = 50.0
 _DEPARTURE = 2e-3  # of the range of the values over a span of 50 K: most by which a curve departs from its parabola where nothing shows it
 _PER_BEND = 0.0202  # that departure, root-mean-square, for q = 1
 _VISITS = 1e-3  # of the range: scatter of visits that is expected at least
-_MOST = 2.0  # times what is expected of visits, and rms residuals about the parabola: no size is larger
+_MOST = 2.0  # times what is expected of visits, and rms residuals about the parabola: what visits add is not larger
 _LEAST = 0.03  # of what is expected: the least
 _LEVELS, _BENDS = 8, 24  # of the grid over s2, in each of two rounds, and over q
 _NEGLIGIBLE = 1e-4  # weight
@@ -250,8 +250,9 @@ def _weighed(
     usual = _DEPARTURE * size * np.sqrt(span / _BEND_SPAN_C) / _PER_BEND
     # rows of one visit, which share u, show it by the mean of their residuals
     shown = max(float(left @ correlation @ left), 0.0) * len(y) / max(float(left @ left), 1e-300) / (correlation**2).sum()
-    beyond = float(np.sqrt(max((_MOST * rms) ** 2 * shown - noise**2, 0.0)))  # with what is known, no more than twice the residuals
-    most = _MOST * expected + beyond, usual + _MOST * rms / _PER_BEND
+    # with what is known, visits make no more than twice the residuals, bends no more than these
+    visits, bends = (float(np.sqrt(max(rms**2 * part - noise**2, 0.0))) for part in (_MOST**2 * shown, 1.0))
+    most = _MOST * expected + visits, usual + bends / _PER_BEND
     levels, roots = np.geomspace(_LEAST * expected, most[0], _LEVELS), np.geomspace(_LEAST * usual, most[1], _BENDS)
     parts = contrasts(x, basis)
     fixed = known + bow * np.outer(parabola(x), parabola(x))
