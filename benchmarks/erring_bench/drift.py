@@ -84,9 +84,7 @@ def _soaks(
     record = simulate_device(device, _lying(len(course)), rng=rng, temp_c=course, power_on_s=7200.0).record
     gain = np.eye(3) if calibration.gyro is None else calibration.gyro.forward_matrix
     record = replace(record, gyro=record.gyro + np.radians(np.concatenate(shift)) @ gain.T)
-    session = Session(
-        kind="thermal", serial="", gravity_m_s2=STANDARD_GRAVITY, records=(record,), stills=tuple(stills)
-    )
+    session = Session(kind="thermal", serial="", gravity_m_s2=STANDARD_GRAVITY, records=(record,), stills=tuple(stills))
     return observe_rests([session], temperatures=[[_known(record)]]), calibration
 
 

@@ -123,7 +123,9 @@ def one_way(seed, temps, *, scatter_dps=0.0):
     steps = steps.taken(steps.rate_b.sum(axis=1) > 0.0)
     resting = computed(made, temps, rng, rates=np.radians([1e-9]), noise_dps=0.004)
     resting = resting.taken(resting.rate_b.sum(axis=1) > 0.0)
-    visit = scatter_dps * np.radians(rng.normal(size=(len(temps), 3))) * made.gyro.gain  # turns and rests of a soak share it
+    visit = (
+        scatter_dps * np.radians(rng.normal(size=(len(temps), 3))) * made.gyro.gain
+    )  # turns and rests of a soak share it
     steps, resting = (replace(rows, gyro=rows.gyro + visit[rows.soak]) for rows in (steps, resting))
     n = len(resting)
     rests = RestBlocks(
@@ -147,7 +149,9 @@ def test_one_rate_one_way_round_chooses_the_scale_by_the_rest_of_its_soak_and_re
         drift = choice.scale_drift
         error = np.diagonal(drift.gyro_matrix - true, axis1=1, axis2=2)
         inside.append((np.abs(error) <= 1.96 * np.diagonal(drift.gyro_uncertainty, axis1=1, axis2=2)).mean())
-        assert np.abs(error / np.diagonal(true, axis1=1, axis2=2)).max() < 6e-4  # 0.004 of 50 deg/s twice, and extrapolated
+        assert (
+            np.abs(error / np.diagonal(true, axis1=1, axis2=2)).max() < 6e-4
+        )  # 0.004 of 50 deg/s twice, and extrapolated
     assert np.mean(inside) >= 0.85  # eighteen curves; 0.95 but for three of them
 
 

@@ -289,9 +289,7 @@ def correct_planned(
     drift = calibration.drift
     static, lagged = (None, False) if drift is None else (drift.static, drift.lag_s > 0.0)
     allowed = policy != "raise"
-    outside = coverage.find_outside(
-        record, temp_c, plans, allowed=allowed, static=static, lagged=lagged, before=before
-    )
+    outside = coverage.find_outside(record, temp_c, plans, allowed=allowed, static=static, lagged=lagged, before=before)
     outputs = _buffers(len(record), plans, out)
 
     def evaluate(start: int, stop: int) -> coverage.Span:

@@ -311,7 +311,10 @@ def _whole_range(seen_c: FloatArray, step: float) -> tuple[float, float]:
     """Return the range where none was asked for: what was seen, and the note's ends where they are near."""
     least, greatest = float(np.nanmin(seen_c)), float(np.nanmax(seen_c))
     outward = (float(np.floor(least / step) * step), float(np.ceil(greatest / step) * step))
-    low, high = (end if 0.0 < sign * (end - seen) <= MARGIN_C else seen for end, seen, sign in zip(RANGE_C, outward, (-1, 1), strict=True))
+    low, high = (
+        end if 0.0 < sign * (end - seen) <= MARGIN_C else seen
+        for end, seen, sign in zip(RANGE_C, outward, (-1, 1), strict=True)
+    )
     return low, high
 
 

@@ -249,7 +249,9 @@ def _weighed(
     expected = max(expected, _VISITS * size)
     usual = _DEPARTURE * size * np.sqrt(span / _BEND_SPAN_C) / _PER_BEND
     # rows of one visit, which share u, show it by the mean of their residuals
-    shown = max(float(left @ correlation @ left), 0.0) * len(y) / max(float(left @ left), 1e-300) / (correlation**2).sum()
+    shown = (
+        max(float(left @ correlation @ left), 0.0) * len(y) / max(float(left @ left), 1e-300) / (correlation**2).sum()
+    )
     # with what is known, visits make no more than twice the residuals, bends no more than these
     visits, bends = (float(np.sqrt(max(rms**2 * part - noise**2, 0.0))) for part in (_MOST**2 * shown, 1.0))
     most = _MOST * expected + visits, usual + bends / _PER_BEND
