@@ -259,7 +259,7 @@ def _weighed(
     parts = contrasts(x, basis)
     fixed = known + bow * np.outer(parabola(x), parabola(x))
     for last in (False, True):
-        size, turn, log = likelihood(parts, y, x, fixed, correlation, roots**2, levels**2)
+        eigen, turn, log = likelihood(parts, y, x, fixed, correlation, roots**2, levels**2)
         prior = np.log(levels)[:, None] + np.log(roots)  # of the logarithms
         weight = np.exp(log + prior - (log + prior).max())
         if not last:
@@ -275,7 +275,7 @@ def _weighed(
         bend=roots**2,
         scatter=levels[kept] ** 2,
         weight=weight[kept] / weight[kept].sum(),
-        size=size[kept],
+        size=eigen[kept],
         turn=turn[kept],
     )
 
@@ -285,7 +285,7 @@ def _finer(root: FloatArray, weight: FloatArray) -> FloatArray:
     log, share = np.log(root), weight / weight.sum()
     inside = np.flatnonzero(np.cumsum(share) > 1e-3)[0], np.flatnonzero(np.cumsum(share[::-1]) > 1e-3)[0]
     low, high = max(inside[0] - 1, 0), min(len(log) - inside[1], len(log) - 1)
-    return np.exp(np.linspace(log[low], log[high], len(log)))
+    return np.asarray(np.exp(np.linspace(log[low], log[high], len(log))))
 
 
 def contrasts(x: FloatArray, basis: FloatArray) -> FloatArray:
