@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from testkit.data import show
+from undrift.correction.rest import mean_variance
 from undrift.errors import InputError
 from undrift.frames import rotate
 from undrift.model import MATRIX_NAMES, OFFSET_NAMES, TriadModel
-from undrift.orientation import heading_of, inclination_of, initial_tilt, mean_variance, shortest_rotation_up
+from undrift.orientation import heading_of, inclination_of, initial_tilt, shortest_rotation_up
 from undrift.record import Record, Still
 
 G = 9.81

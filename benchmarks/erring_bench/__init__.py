@@ -5,15 +5,19 @@ temperature creep, coloured noise, 10-16 bit, jitter) with the simulator's own f
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from undrift.arrays import FloatArray
-from undrift.model import Verdict
+from undrift.model import TriadModel, Verdict
+from undrift.sim.device.effects import Adc, BiasInstability, SensorChain, ThermalScale
 
 NORMAL_95 = 1.959963984540054
 LOW, HIGH = 90.0, 98.0  # percent of intervals that may hold
+ACROSS = ~np.eye(3, dtype=bool)
+SCALE_PER_K = 2e-4  # standard deviation of the drawn slopes
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -36,6 +40,25 @@ class Row:
         return LOW <= self.inside_percent <= HIGH or (self.good_percent == 0.0 and bool(self.reasons))
 
 
+def chain_that_errs(
+    chain: SensorChain, *, bits: int | None, span: float, flicker: float | None, **others: Any
+) -> SensorChain:
+    """Return a chain with a converter over +-span and flicker, both in SI units; None for none."""
+    adc = None if bits is None else Adc(bits=bits, reference=span * chain.gain, codes=False)
+    instability = None if flicker is None else BiasInstability(instability=np.full(3, flicker))
+    return replace(chain, adc=adc, instability=instability, **others)
+
+
+def drawn_slope(rng: np.random.Generator) -> ThermalScale:
+    """Draw how the scale of each axis follows temperature."""
+    return ThermalScale(per_k=rng.normal(0.0, SCALE_PER_K, (1, 3)))
+
+
+def even_rise(rise_c: float, samples: int) -> FloatArray:
+    """Return temperatures that rise evenly about 25 degC."""
+    return np.linspace(25.0 - 0.5 * rise_c, 25.0 + 0.5 * rise_c, samples)
+
+
 class Tally:
     """Errors and stated standard deviations of one fit on one bench, device by device."""
 
@@ -51,6 +74,19 @@ class Tally:
         for group, (error, sigma) in groups.items():
             self._error.setdefault(group, []).append(np.ravel(error))
             self._sigma.setdefault(group, []).append(np.ravel(sigma))
+
+    def add_model(
+        self, verdict: Verdict, model: TriadModel, matrix: FloatArray, offset: FloatArray, seen: FloatArray = ACROSS
+    ) -> None:
+        """Add a fitted model beside the true matrix (3, 3) and offset (3,), in its units; ``seen`` cross-axis terms count."""
+        away, sigma, size = model.matrix - matrix, model.standard_uncertainty, float(np.diag(matrix).mean())
+        stated, own = sigma[:9].reshape(3, 3), np.eye(3, dtype=bool)
+        self.add(
+            verdict,
+            scale=(away[own] / size, stated[own] / size),
+            cross_axis=(away[seen] / size, stated[seen] / size),
+            offset=((model.offset - offset) * size, sigma[9:12] * size),
+        )
 
     def rows(self) -> Iterator[Row]:
         """Yield one row a group."""

@@ -18,7 +18,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from undrift.arrays import BoolArray, FloatArray, frozen
+from undrift.arrays import BoolArray, FloatArray, IntArray, frozen
 from undrift.errors import InputError
 from undrift.findings import Finding, Level, most_consequential_first
 from undrift.record import Axis, FileMap
@@ -145,7 +145,11 @@ class TriadModel:
 
     @property
     def scale_factor(self) -> FloatArray:
-        """Sensitivity of each sensor along its own axis, unit_in per unit_out, shape (3,): the row lengths of K."""
+        """Sensitivity of each sensor along its own axis, unit_in per unit_out, shape (3,): the row lengths of K.
+
+        A maker's certificate may state one over the diagonal of ``matrix``, which differs by the lean of the axes: 0.14 % for
+        3 deg.
+        """
         return np.asarray(np.linalg.norm(self.forward_matrix, axis=1))
 
     @property
@@ -240,6 +244,31 @@ class DynamicDrift:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Learnt:
+    """Rests of daily use behind a static table, n of them, and the tables before: all that is needed to learn more."""
+
+    temp_c: FloatArray  # (n,), mean temperature, degC
+    gyro_offset: FloatArray  # (n, 3), reading at rest, raw unit
+    gyro_variance: FloatArray  # (n, 3), of it, raw unit squared
+    recording: IntArray  # (n,), which of ``recordings``
+    recordings: tuple[tuple[str, str], ...]  # sha256 of the readings and date (ISO 8601, UTC) of each
+    since: str  # date of the tables before, ISO 8601, UTC
+    before: "DriftTables | None" = None  # None for constant offsets
+
+    def __post_init__(self) -> None:
+        n = len(self.temp_c)
+        _freeze(self, (n,), "temp_c")
+        _freeze(self, (n, 3), "gyro_offset", "gyro_variance")
+        rows = np.array(self.recording, dtype=np.int64)
+        if rows.shape != (n,) or (n and not 0 <= rows.min() <= rows.max() < len(self.recordings)):
+            raise InputError(
+                f"learnt rests: wanted {n} numbers of {len(self.recordings)} recordings, got others; write the file anew"
+            )
+        rows.flags.writeable = False
+        object.__setattr__(self, "recording", rows)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class DriftTables:
     """The tuning tables of one device.
 
@@ -255,6 +284,8 @@ class DriftTables:
         Time constant by which the thermometer lags the sensors, s; the tables are over the temperature without it.
     lag_smooth_s : float
         Time constant of the smoothing that removing the lag needs, s; above 0 where there is a lag.
+    learnt : Learnt or None
+        Rests of daily use that the static table was updated from; None where there are none.
     """
 
     static: StaticDrift | None = None
@@ -262,6 +293,7 @@ class DriftTables:
     dynamic: DynamicDrift | None = None
     lag_s: float = 0.0
     lag_smooth_s: float = 0.0
+    learnt: Learnt | None = None
 
     def __post_init__(self) -> None:
         lag, smooth = self.lag_s, self.lag_smooth_s

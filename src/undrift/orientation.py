@@ -33,6 +33,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray, frozen
+from undrift.correction.rest import FEWEST, mean_variance, no_rest
 from undrift.errors import InputError
 from undrift.findings import Finding, finding
 from undrift.frames import quaternion_conjugate, quaternion_product, rotate
@@ -48,7 +49,6 @@ if TYPE_CHECKING:
 # ---- Initial tilt
 
 GRAVITY_WITHIN = 0.2  # of standard gravity: beyond it the readings are no specific force at rest in m/s2
-FEWEST = 10  # samples: below it their scatter says nothing
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -99,26 +99,6 @@ def shortest_rotation_up(force: FloatArray) -> FloatArray:
     else:
         q = np.array([0.0, 1.0, 0.0, 0.0])
     return np.asarray(q / np.linalg.norm(q))
-
-
-def mean_variance(x: FloatArray) -> float:
-    """Estimate the variance of the mean of correlated samples.
-
-    The autocovariances c_k are summed up to the first negative pair c_(2k) + c_(2k+1), which for a reversible process is
-    noise [1]_: var = (c_0 + 2 sum c_k) / n.
-
-    References
-    ----------
-    .. [1] C. J. Geyer, "Practical Markov chain Monte Carlo", Statistical Science 7 (1992), section 3.3.
-    """
-    n = len(x)
-    spectrum = np.fft.rfft(x - x.mean(), 2 * n)
-    covariance = np.fft.irfft(np.abs(spectrum) ** 2)[:n] / n
-    pairs = covariance[: n - n % 2].reshape(-1, 2).sum(axis=1)
-    negative = np.flatnonzero(pairs <= 0.0)
-    kept = pairs[: negative[0]] if negative.size else pairs
-    total = 2.0 * float(kept.sum()) - float(covariance[0])
-    return max(total, float(covariance[0])) / (n - 1)
 
 
 def _readings_at_rest(record: Record, still: Still) -> FloatArray:
@@ -455,11 +435,7 @@ def _rests(record: Record, named: Still | None, *, every: bool) -> tuple[Still, 
     if named is not None:
         return tuple(sorted((*stills, named), key=lambda one: one.start))
     if not stills:
-        reason = found.reason.removeprefix("no still phase: ")
-        raise InputError(
-            f"orient: wanted a still phase, got none: {reason}; name a stretch at rest (--still-start-s, --still-stop-s), or "
-            "record with a pause"
-        )
+        raise no_rest("orient", found.reason)
     return tuple(stills)
 
 

@@ -7,7 +7,7 @@ Ranges are sample numbers, half-open [start, stop). A face names the sensor axis
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -447,7 +447,8 @@ def _converted(values: FloatArray | None, unit: str, wanted: str, quantity: Quan
 
 Face = Literal["+x", "-x", "+y", "-y", "+z", "-z"]
 Axis = Literal["x", "y", "z"]
-Kind = Literal["calibration", "thermal", "static"]
+Kind = Literal["calibration", "thermal", "static", "set-points"]
+Mounting = Literal["each", "one"]
 GravitySource = Literal["stated", "latitude and height", "standard"]
 FACES: tuple[Face, ...] = ("+x", "-x", "+y", "-y", "+z", "-z")
 
@@ -529,6 +530,68 @@ class FileMap:
     text: str  # One JSON object
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TemperatureSensitivity:
+    """How far a device may follow temperature: standard deviations of its sensitivities, from data sheets.
+
+    The defaults are those of consumer parts: MPU-6050, ICM-20948 and BMI160 state +-0.05 deg/s/K and +-0.8 to 1 mg/K of offset,
+    and +-0.02 to 0.05 %/K of sensitivity; of accelerometers and scale factors the bound counts as two standard deviations.
+    """
+
+    gyro_offset_dps_per_k: float = 0.05  # Of the zero-rate output, deg/s/K
+    accel_offset_mg_per_k: float = 0.5  # Of the zero-g offset, mg/K
+    gyro_scale_percent_per_k: float = 0.02  # Of the gyroscopes' scale factor, %/K
+    accel_scale_percent_per_k: float = 0.02  # Of the accelerometers' scale factor, %/K
+    # Change of temperature in a session that records none, nor rests in deg/s that would show it, K
+    unrecorded_span_k: float = 1.0
+    span_limit_k: float = 2.0  # A larger change within a session is a finding, K
+
+    def __post_init__(self) -> None:
+        for item in fields(self):
+            value = getattr(self, item.name)
+            if not 0.0 <= value <= 100.0:
+                raise InputError(f"temperature: wanted {item.name} from 0 to 100, got {value:g}; correct it")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RateTable:
+    """Standard uncertainties of a rate table and of the mounting on it; an axis that gravity shows is measured instead."""
+
+    table_level_deg: float = 0.1  # Of the table's axis against the vertical, about each horizontal axis, deg
+    mount_tilt_deg: float = 0.1  # Of the device against the table's axis, about each axis across it, deg
+    rate_uncertainty: float = 1e-4  # Of all stated rates in common, relative: a crystal and a gear
+    wobble_deg: float = 0.01  # Of the table's axis from dwell to dwell, about each axis across it, deg
+
+    def __post_init__(self) -> None:
+        for name in ("table_level_deg", "mount_tilt_deg", "rate_uncertainty", "wobble_deg"):
+            value, most = getattr(self, name), 0.1 if name == "rate_uncertainty" else 10.0
+            if not 0.0 <= value <= most:
+                raise InputError(f"rate table: wanted {name} from 0 to {most:g}, got {value:g}; correct it")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SetPointMeans:
+    """What a table of means states beside its readings: a row is the mean over a set-point, not a sample; N rows."""
+
+    count: FloatArray  # (N,), readings in each mean; NaN where not stated
+    rate_b: FloatArray  # (N, 3), imposed rate, rad/s; 0 at rest
+    gyro_uncertainty: FloatArray  # (N, 3), standard uncertainty of the mean, in ``gyro_unit``; NaN where not stated
+    accel_uncertainty: FloatArray  # (N, 3), likewise
+    gyro_unit: str
+    accel_unit: str
+    from_spread: bool = False  # Whether uncertainties are spread over the root of the count: noise taken as white
+
+    def __post_init__(self) -> None:
+        shapes: tuple[tuple[str, tuple[int | None, ...]], ...] = (
+            ("count", (None,)),
+            ("rate_b", (len(self.count), 3)),
+            ("gyro_uncertainty", (len(self.count), 3)),
+            ("accel_uncertainty", (len(self.count), 3)),
+        )
+        for name, shape in shapes:
+            object.__setattr__(self, name, frozen(getattr(self, name), shape, f"SetPointMeans.{name}"))
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Session:
     """The recordings of one device and what was done to it.
@@ -536,7 +599,7 @@ class Session:
     Parameters
     ----------
     kind : str
-        calibration, thermal or static.
+        calibration, thermal or static; set-points where each row of the records is a mean over a set-point.
     serial : str
         Device serial number.
     gravity_m_s2 : float
@@ -553,6 +616,15 @@ class Session:
         How its files are read, where one map serves all of them; None where they need none.
     gravity_source : str
         "stated", "latitude and height" (WGS 84), or "standard": standard gravity, assumed.
+    sensitivity : TemperatureSensitivity
+        How far the device may follow temperature.
+    rate_table : RateTable
+        How good the rate table and the mounting are.
+    mounting : str or None
+        Of a fit to references: "one" states that device and reference body were mounted once for all recordings, "each" that a
+        small rotation is fitted for each; None where it is not stated.
+    means : tuple of SetPointMeans
+        Of a session of set-points: what the rows of each record state; else empty.
 
     Examples
     --------
@@ -573,10 +645,19 @@ class Session:
     inputs: tuple[tuple[str, str], ...] = ()
     file_map: FileMap | None = None
     gravity_source: GravitySource = "stated"
+    sensitivity: TemperatureSensitivity = TemperatureSensitivity()
+    rate_table: RateTable = RateTable()
+    mounting: Mounting | None = None
+    means: tuple[SetPointMeans, ...] = ()
 
     def __post_init__(self) -> None:
         if not self.records:
             raise InputError("session: wanted one recording or more, got none; add a [[recording]] to session.toml")
+        if (self.kind == "set-points") != bool(self.means) or (self.means and len(self.means) != len(self.records)):
+            raise InputError(
+                f"session: wanted a table of means for each recording of kind set-points, and none for others, got kind "
+                f"{self.kind} with {len(self.means)} for {len(self.records)}; state set_points in the map"
+            )
         if not 9.7 < self.gravity_m_s2 < 9.9:
             raise InputError(
                 f"session: wanted local gravity between 9.7 and 9.9 m/s2, got {self.gravity_m_s2:g}; "

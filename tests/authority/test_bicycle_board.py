@@ -51,9 +51,9 @@ def test_cross_axis_terms_that_the_poses_do_not_show_take_the_prior_and_the_othe
     prior = only(found.verdict.findings, "multi_position.cross_axis_prior")
     assert (prior.values["terms"], prior.values["prior_percent"]) == ("cross-axis terms xy and xz", 1.0)
     share = found.accel.standard_uncertainty[:9].reshape(3, 3) / found.accel.matrix[0, 0]
-    show("bicycle board uncertainty of xy, xz, yz, %", np.round(100.0 * share[[0, 0, 1], [1, 2, 2]], 2), "1, 1, 0.06")
+    show("bicycle board uncertainty of xy, xz, yz, %", np.round(100.0 * share[[0, 0, 1], [1, 2, 2]], 2), "1, 1, 0.16")
     np.testing.assert_allclose(share[0, 1:], 0.01, rtol=0.05)  # the poses add next to nothing
-    assert share[1, 2] < 0.001
+    assert share[1, 2] < 0.0006 + 0.0005 * 2.0  # its poses alone, and 0.5 mg/K over the 2 K between its recordings
     assert (np.diag(share) < 0.001).all()
     assert found.accel.rank == 7  # of nine parameters
     assert only(found.verdict.findings, "session.fit_failed").values["triad"] == "gyroscope"  # no moves in single poses

@@ -1,11 +1,11 @@
 """BROAD (Laidig et al., Data 2021): twins of three real devices, each judged on recordings that it has not seen.
 
-Limits on residuals, lever arm and delays: an earlier implementation's figures for the same trials. The aim for the largest
-pitch difference within 5 s is 0.15 deg, the figure of the technical note for a sit-to-stand; it is printed, and it is not
-reached. Differences at the end of a window (0.07-0.18 deg an axis) are those of an earlier prototype; the largest within one
-is 0.35-0.47 deg. Most of it no parameter of the model explains: a twin of the very recording has it too, slow and fast motion
-and three devices have it alike. Poses that err by about 0.1 deg an axis in motion would make it; that the gyroscopes hold an
-effect that the model lacks cannot be excluded from these recordings.
+Limits on residuals, lever arm and delays: an earlier implementation's figures for the same trials. The largest
+pitch difference within 5 s has no aim: these optics err by 0.04 to 0.06 deg of tilt from 0.4 to 3 Hz, which alone makes 0.13 to
+0.18 deg (docs/twin.md). Differences at the end of a window (0.07-0.18 deg an axis) are those of an earlier prototype; the largest
+within one is 0.35-0.47 deg. Most of it no parameter of the model explains: a twin of the very recording has it too, slow and fast
+motion and three devices have it alike. Poses that err by about 0.1 deg an axis in motion would make it; that the gyroscopes hold
+an effect that the model lacks cannot be excluded from these recordings.
 """
 
 from functools import cache
@@ -17,6 +17,7 @@ from testkit.broad_trials import DEVICES, trial
 from testkit.data import show
 from undrift.twin.fit import Prepared, Twin, TwinSettings, fit_prepared, prepare_twin
 from undrift.twin.heldout import compare_held_out, contributions, end_errors
+from undrift.twin.witness import Split, split_twin
 
 pytestmark = pytest.mark.usefixtures("computed_once")
 
@@ -36,7 +37,8 @@ def fitted(device: str) -> Twin:
 
 def test_residuals_against_the_optics_stay_below_the_prototype():
     # Second order forward and back, 6 dB down at the cut-off, as the prototype's figures come back trial by trial. A fourth-order
-    # low-pass leaves 2.86 deg/s (6 dB down) or 3.12 deg/s (3 dB down): the limit stands with the convention.
+    # low-pass leaves 2.86 deg/s (6 dB down) or 3.12 deg/s (3 dB down): the limit stands with the convention, which was chosen with
+    # the figures in view. It guards agreement with the prototype, not a property of the devices.
     gyro = np.degrees(np.concatenate([fitted(d).gyro_residual_rms for d in DEVICES]))
     signal = np.degrees(np.concatenate([fitted(d).gyro_signal_rms for d in DEVICES]))
     accel = np.concatenate([fitted(d).accel.residual_rms for d in DEVICES])
@@ -89,15 +91,12 @@ def test_held_out_windows_differ_by_what_the_poses_are_worth():
             if t.window_s == 5.0:
                 medians.append(np.degrees(np.nanmedian(t.errors.pitch)))
                 ends.append(at_end)
-    show(
-        "5 s windows, largest pitch difference, median over trials, deg", f"{np.median(medians):.2f}", "0.45; aim 0.15"
-    )
+    show("5 s windows, largest pitch difference, median over trials, deg", f"{np.median(medians):.2f}", 0.45)
     show(
         "5 s windows, difference at the end, median per axis, deg", np.round(np.median(ends, axis=0), 3).tolist(), 0.15
     )
-    assert (
-        np.median(medians) < 0.45
-    )  # what is found, with a little room: it guards against getting worse, the aim is 0.15
+    # Set with the figures in view (0.36 and 0.47): these guard against getting worse, for pitch within 60 deg of the plane only.
+    assert np.median(medians) < 0.45
     assert max(medians) < 0.55
     assert np.median(ends, axis=0).max() < 0.15
 
@@ -128,3 +127,16 @@ def test_simulated_end_errors_cover_the_real_ones():
             total += 2
     show("real end errors within 95 % of 40 simulated devices", f"{covered} of {total}", 28)
     assert covered >= 28  # 95 % of 32 is 30.4; fewer than 28 is below 1 in 25 even with figures of a trial akin
+
+
+@pytest.mark.parametrize("device", DEVICES)
+def test_accelerometers_lay_most_of_the_difference_to_the_optics(device):
+    split = split_twin(prepared(device), fitted(device))
+    assert isinstance(split, Split)
+    show(f"device {device}", split.text)
+    low, high = split.interval
+    # Poses at rest err by 0.02 deg an axis, in motion by no less; the 0.1 deg that would explain all of the windows is the ceiling.
+    # The limits on the interval guard that it excludes no share of the optics, and that it is of use.
+    assert 0.02 < np.degrees(split.optics) < 0.1
+    assert low > 0.1
+    assert 0.0 < high - low < 0.7

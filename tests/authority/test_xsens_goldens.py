@@ -47,10 +47,35 @@ def ours() -> MultiPositionFit:
     return fit_multi_position(session(), gravity=GRAVITY)
 
 
+DEFINITION = "1 / diagonal of the correction matrix"  # of the certificate's scale, as K in a = T K (u - b)
+
+
 def parts(model: TriadModel) -> tuple[np.ndarray, np.ndarray]:
-    """Scale (counts per unit) and T."""
+    """Scale (counts per unit) by the certificate's definition, and T."""
     scale = np.diag(model.matrix)
     return 1.0 / scale, model.matrix / scale
+
+
+def test_the_certificate_is_compared_by_its_own_definition_of_scale() -> None:
+    """Three definitions of a scale factor differ by more than the limit of the comparison where axes lean; one is compared."""
+    gyro = published().gyro
+    assert gyro is not None
+    forward = np.linalg.inv(gyro.model.matrix)
+    by = {
+        DEFINITION: parts(gyro.model)[0],
+        "length of a row of the forward matrix (scale_factor)": np.linalg.norm(forward, axis=1),
+        "1 / length of a column of the correction matrix": 1.0 / np.linalg.norm(gyro.model.matrix, axis=0),
+        "diagonal of the forward matrix": np.diag(forward),
+    }
+    for name, scale in by.items():
+        show(f"scale against the certificate by {name}, %", np.round(100.0 * (scale / FACTORY_GYRO - 1.0), 3))
+    np.testing.assert_allclose(gyro.model.scale_factor, np.linalg.norm(forward, axis=1), rtol=1e-12)
+    # T of the goldens: z of the rates leans by 0.0536 to y and 0.0011 to x, half of which squared is the row's excess in length.
+    row, diagonal = gyro.model.scale_factor, np.diag(forward)
+    t = parts(gyro.model)[1]
+    lean = 0.5 * (t**2).sum(axis=1) - 0.5
+    np.testing.assert_allclose(row / diagonal - 1.0, lean, atol=0.25 * lean.max())
+    assert np.abs(row / by[DEFINITION] - 1.0).max() > 1e-3  # 0.1 %: not the same figure
 
 
 def test_the_opening_rest_has_the_published_variance() -> None:
@@ -116,8 +141,8 @@ def test_both_rules_agree_with_the_factory_certificate_within_a_quarter_per_cent
             100.0 * (parts(m)[0] / f - 1.0)
             for m, f in ((fit.accel.model, FACTORY_ACCEL), (fit.gyro.model, FACTORY_GYRO))
         )
-        show(f"{name}: scale against the certificate, %, accel", np.round(accel, 3), 0.25)
-        show(f"{name}: scale against the certificate, %, gyro", np.round(gyro, 3), 0.25)
+        show(f"{name}: scale ({DEFINITION}) against the certificate, %, accel", np.round(accel, 3), 0.25)
+        show(f"{name}: scale ({DEFINITION}) against the certificate, %, gyro", np.round(gyro, 3), 0.25)
         assert np.abs(accel).max() < 0.25
         assert np.abs(gyro).max() < 0.25
         offset = fit.accel.model.offset - [33123.0, 33276.0, 32360.0]
@@ -135,9 +160,11 @@ def test_the_whole_procedure_gives_the_gyroscope_of_the_coverage_rule() -> None:
     scale = parts(made.gyro)[0]
     off = 100.0 * (scale / FACTORY_GYRO - 1.0)
     rows = 100.0 * (made.gyro.scale_factor / FACTORY_GYRO - 1.0)
-    show("calibrate: scale against the certificate, %, gyro", np.round(off, 3), 0.12)
+    show(f"calibrate: scale ({DEFINITION}) against the certificate, %, gyro", np.round(off, 3), 0.12)
     show("calibrate: the same by rows of the forward matrix, %", np.round(rows, 3), "another figure")
-    np.testing.assert_allclose(scale, parts(gyro.model)[0], rtol=1e-12)
+    np.testing.assert_allclose(
+        scale, parts(gyro.model)[0], rtol=1e-4
+    )  # stated: 7e-4; creep weighs the moves a little otherwise
     assert np.abs(off).max() < 0.12  # 0.107 measured, 1.5 standard uncertainties
 
 

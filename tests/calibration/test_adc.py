@@ -1,5 +1,7 @@
 """ADC: step and rounding from the codes; correct by construction, and never guessed."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -8,11 +10,17 @@ from undrift.calibration.adc import (
     AdcFinding,
     adc_model,
     code_grid,
+    code_variance,
     identify_adc,
     identify_record_adc,
     without_truncation,
 )
+from undrift.calibration.calibrate import calibrate
+from undrift.calibration.observe import CalibrateSettings
 from undrift.record import Record
+from undrift.sim.device.effects import Adc
+from undrift.sim.device.presets import random_device
+from undrift.sim.sessions import simulate_session
 
 LSB = 0.061
 ROUNDINGS = {"nearest": np.round, "floor": np.floor, "toward_zero": np.trunc}
@@ -118,3 +126,40 @@ def test_code_zero_stays_zero_under_the_dust_that_a_change_of_axes_leaves() -> N
     given_back = without_truncation(codes, lsb, "toward_zero")
     assert np.array_equal(given_back[0], codes[0])
     assert given_back[1] == pytest.approx([0.0915, -0.0915, 0.1525], abs=1e-15)
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.1, 0.2, 0.3, 0.5])
+def test_the_variance_that_codes_leave_in_a_mean_is_that_of_rounded_noise(noise: float) -> None:
+    # 4,000 places between two codes, 4,000 readings each: squares of means scatter by 2.2 %, the readings by 1 in 4,000
+    rng = np.random.default_rng(4)
+    place = rng.uniform(-0.5, 0.5, 4000)
+    codes = np.round(place[:, None] + noise * rng.standard_normal((4000, 4000)))
+    square = float(((codes.mean(axis=1) - place) ** 2).mean())
+    scatter = float(codes.var(axis=1, ddof=1).mean())
+    left = code_variance(np.array([3.0, np.nan, 0.0]), 9.0 * np.full(3, scatter))
+    np.testing.assert_array_equal(left[1:], 0.0)  # a step that is not known, and none
+    assert left[0] / 9.0 == pytest.approx(square - scatter / 4000, rel=0.1, abs=3e-5)
+
+
+@pytest.mark.parametrize(
+    ("kind", "methods", "triads"),
+    [
+        ("bench", {}, {"gyroscope", "accelerometer"}),
+        ("multi_position", {"accel": "multi-position", "gyro": "multi-position"}, {"gyroscope"}),
+        ("ferraris", {}, {"gyroscope", "accelerometer"}),
+    ],
+)
+def test_every_fit_to_rests_of_a_coarse_converter_names_its_steps(kind, methods, triads):
+    found = {}
+    for bits in (10, 16):
+        device = random_device(np.random.default_rng(5))
+        gyro, accel = (
+            replace(chain, adc=Adc(bits=bits, reference=span * chain.gain, codes=False))
+            for chain, span in ((device.gyro, np.radians(500.0)), (device.accel, 19.6))
+        )
+        session = simulate_session(kind, replace(device, gyro=gyro, accel=accel), rng=np.random.default_rng(6))
+        made = calibrate(session, settings=CalibrateSettings(identify_adc=False), **methods)
+        found[bits] = [item.values["triad"] for item in made.verdict.findings if item.code == "session.rounding"]
+    named = {word for text in found[10] for word in text.split(" and ")}
+    assert named == triads
+    assert found[16] == []

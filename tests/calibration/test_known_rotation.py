@@ -200,7 +200,7 @@ def test_a_rest_in_two_parts_counts_as_the_whole():
             whole.rest,
             reading=np.vstack((reading, whole.rest.reading[1:])),
             faces=(FACES[0], *FACES),
-            noise=np.vstack((whole.rest.noise[:1], whole.rest.noise)),
+            noise=0.3 / np.sqrt([first, second, *SAMPLES[1:]])[:, None] * np.ones(3),
         ),
         rest_samples=np.concatenate(([first, second], SAMPLES[1:])),
     )
@@ -288,3 +288,70 @@ def test_a_wrong_angle_of_each_turn_goes_into_the_parameters_as_far_as_it_moves_
     scale = np.sqrt(np.diag(expected) + np.diag(sure.covariance))
     added = (unsure.covariance - sure.covariance) / np.outer(scale, scale)
     np.testing.assert_allclose(added, expected / np.outer(scale, scale), rtol=0, atol=1e-6)
+
+
+def test_the_axis_uncertainty_goes_into_the_cross_axis_terms_alone_and_does_not_average_over_turns():
+    sigma = np.radians(0.5)
+    sure, unsure = (fit_known_rotation(data(), gravity=G, axis_uncertainty=u).model for u in (0.0, sigma))
+    added = np.sqrt(np.diag(unsure.covariance - sure.covariance)[:9].clip(0.0)).reshape(3, 3)
+    gain = np.diag(sure.matrix)
+    for row, column in ((0, 1), (0, 2), (1, 0), (1, 2), (2, 0), (2, 1)):
+        assert added[row, column] == pytest.approx(sigma * gain[column], rel=0.05)  # axes are askew by up to 3 %
+    assert (np.diag(added) < 0.1 * sigma * gain).all()
+    once, twice = (
+        data(),
+        data(
+            angle=np.tile(ANGLE, 2),
+            axis=("x", "y", "z") * 2,
+            reading=np.tile(data().reading, (2, 1)),
+            force=np.tile(FORCE, (2, 1)),
+            duration=np.full(6, 4.0),
+            noise=np.full((6, 3), 0.05),
+        ),
+    )
+    one, two = (fit_known_rotation(made, gravity=G, axis_uncertainty=sigma).model for made in (once, twice))
+    assert two.covariance[1, 1] == pytest.approx(one.covariance[1, 1], rel=1e-3)
+
+
+def test_a_move_that_reaches_into_a_rest_counts_as_part_of_its_turn():
+    rng, time = np.random.default_rng(5), np.arange(3000) / 100.0
+    gyro = 0.01 * rng.standard_normal((3000, 3))
+    gyro[1000:1430, 2] += 2.0  # the turn is stated to end at 1400
+    record = Record(time=time, gyro=gyro, accel=np.tile([0.0, 0.0, 9.81], (3000, 1)))
+    stills = [Still(start=0, stop=1000, face="+z"), Still(start=1400, stop=2400)]
+    turn = Turn(start=1000, stop=1400, axis="z", angle=8.6)
+    sums = rotation_data([record], stills, [turn], matrix=np.eye(3), offset=np.zeros(3))
+    assert sums.reading[0, 2] == pytest.approx(8.6, abs=0.01)
+    np.testing.assert_allclose(sums.duration, 4.3)
+    assert sums.free is not None
+    np.testing.assert_allclose(sums.free.reading, 0.0, atol=5.0 * 0.01 / np.sqrt(970))  # five standard deviations
+
+
+def test_stamps_that_jitter_are_an_uncertainty_of_the_turned_axis():
+    rng, found = np.random.default_rng(8), []
+    even = np.arange(1600) / 50.0
+    rate = np.where((even >= 14.0) & (even < 18.0), 2.0 * np.pi / 2.0 * np.sin(np.pi * (even - 14.0) / 4.0) ** 2, 0.0)
+    for _ in range(200):
+        record = Record(
+            time=even + 2e-3 * rng.standard_normal(1600),
+            gyro=np.column_stack((rate, 0.0 * rate, 0.0 * rate)) + 1e-5 * rng.standard_normal((1600, 3)),
+            accel=np.tile([9.81, 0.0, 0.0], (1600, 1)),
+        )
+        turn = Turn(start=700, stop=901, axis="x", angle=2.0 * np.pi)
+        sums = rotation_data(
+            [record], [Still(start=0, stop=690, face="+x")], [turn], matrix=np.eye(3), offset=np.zeros(3)
+        )
+        found.append((float(sums.reading[0, 0]), float(sums.slip[0])))
+    scatter, stated = np.std([one[0] for one in found]), np.mean([one[1] for one in found])
+    assert stated == pytest.approx(scatter, rel=0.2)  # 200 draws know a standard deviation to 5 %: four of them
+
+
+def test_one_code_at_rest_leaves_its_rounding_in_the_offset_and_is_a_finding():
+    coarse = data(rounding=np.full(3, 3.0), rest=replace(data().rest, noise=np.full((6, 3), 1e-3)))
+    fit = fit_known_rotation(coarse, gravity=G)
+    assert (fit.model.standard_uncertainty[9:12] > 3.0).all()  # all rests may err alike: no average over six
+    item = only(fit.verdict.findings, "session.rounding")
+    assert item.level == "warn"
+    assert item.values["uncertainty"] == 3.0
+    fine = fit_known_rotation(replace(coarse, rounding=np.full(3, 1e-5)), gravity=G)
+    assert "session.rounding" not in codes(fine.verdict.findings)

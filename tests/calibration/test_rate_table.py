@@ -7,17 +7,9 @@ import pytest
 
 from testkit.findings import only
 from undrift.calibration.checks import axis_vectors, check_scale_factor
-from undrift.calibration.rate_table import (
-    DwellMeans,
-    RestMeans,
-    dwell_means,
-    fit_rate_axis,
-    fit_rate_table,
-    fit_with_rests,
-    imposed_rates,
-    linearity,
-    spline_filter,
-)
+from undrift.calibration.dwells import DwellMeans, dwell_means, imposed_rates, linearity, spline_filter
+from undrift.calibration.rate_table import RestMeans, fit_rate_table, fit_with_rests
+from undrift.calibration.rate_table_axes import fit_rate_axis
 from undrift.errors import Implausible, InputError, NotObservable
 from undrift.fit.least_squares import block_size, noise_of_means
 from undrift.record import Record, Turn
@@ -46,6 +38,16 @@ def test_affine_gives_back_the_device_and_its_table():
     assert [line.axis for line in fit.linearity] == ["x", "y", "z"]
     assert all(line.scale_factor_nonlinearity < 1e-12 for line in fit.linearity)
     assert all(abs(line.scale_factor_asymmetry) < 1e-12 for line in fit.linearity)
+
+
+def test_codes_that_dwells_share_are_in_the_offsets_uncertainty_in_full():
+    # 2 of 3 dwells read a sensor at its offset, so at one code, with one error; one by one they would leave 1 / sqrt(102)
+    made, step = dwells(noise=1e-3, k=np.diag([941.0, 953.0, 929.0])), 0.7
+    codes = np.full(3, step**2 / 12.0)
+    coarse = replace(made, step=np.full(3, step), codes=codes, noise=np.hypot(made.noise, np.sqrt(codes)))
+    sigma = fit_with_rests(fit_rate_table(coarse), coarse, None).model.standard_uncertainty
+    np.testing.assert_array_less(0.6 * np.sqrt(codes), sigma[9:12])
+    np.testing.assert_array_less(sigma[9:12], np.sqrt(codes))
 
 
 def test_mode_paper_is_equation_six_to_the_last_digit():

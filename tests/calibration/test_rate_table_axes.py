@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from testkit.findings import only
-from undrift.calibration.rate_table import DwellMeans, axis_finding, fit_rate_axes, fit_turned_axes, scale_verdict
+from undrift.calibration.dwells import DwellMeans
+from undrift.calibration.rate_table import scale_verdict
+from undrift.calibration.rate_table_axes import axis_finding, fit_rate_axes, fit_turned_axes
 from undrift.errors import Implausible, NotObservable
 
 DPS = np.pi / 180.0

@@ -7,14 +7,8 @@ import pytest
 
 from testkit.findings import only
 from undrift.calibration.checks import nearest_signed_permutation
-from undrift.calibration.rate_table import (
-    DwellMeans,
-    RestMeans,
-    check_dwells,
-    fit_rate_table,
-    fit_with_rests,
-    imposed_rates,
-)
+from undrift.calibration.dwells import DwellMeans, imposed_rates
+from undrift.calibration.rate_table import RestMeans, check_dwells, fit_rate_table, fit_with_rests
 from undrift.errors import Implausible
 
 DPS = np.pi / 180.0

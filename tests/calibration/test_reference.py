@@ -8,7 +8,13 @@ from scipy.spatial.transform import Rotation
 
 from testkit.findings import only
 from testkit.hand_turns import Device, hidden, later, make_recording
-from undrift.calibration.reference import ReferenceSettings, fit_reference, leave_one_out, restored
+from undrift.calibration.adc import restored_gyro
+from undrift.calibration.reference import (
+    ReferenceSettings,
+    cross_validated_adc,
+    fit_reference,
+    leave_one_out,
+)
 from undrift.errors import AlignmentError, Implausible, InputError, NotObservable
 from undrift.model import AdcModel
 from undrift.record import Record, Reference
@@ -84,8 +90,9 @@ def test_parameters_scatter_by_their_stated_uncertainty():
 
 
 def test_longer_windows_make_pose_noise_matter_less(noisy):
-    short = fit_reference(*noisy, settings=ReferenceSettings(longest_window_s=2.0))
-    long = fit_reference(*noisy)
+    # One mounting: a rotation for each recording of one minute takes a quarter of the few windows of 16 s.
+    short = fit_reference(*noisy, settings=ReferenceSettings(longest_window_s=2.0, mounting="one"))
+    long = fit_reference(*noisy, settings=ReferenceSettings(mounting="one"))
     error = [np.abs(f.triad.model.matrix - np.linalg.inv(FORWARD)).max() for f in (short, long)]
     assert max(error) < 1e-3
     assert long.window_s == 16.0
@@ -192,10 +199,10 @@ def test_a_faster_recording_is_called_extrapolated():
 def test_rounding_is_undone_before_the_fit():
     adc = AdcModel(gyro_lsb=np.full(3, 0.1), gyro_rounding="toward_zero")
     u = np.array([[0.3, -0.2, 0.0], [1e-17, -1e-17, 0.1]])
-    assert np.allclose(restored(u, adc), [[0.35, -0.25, 0.0], [0.0, 0.0, 0.15]])
-    assert np.allclose(restored(u, replace(adc, gyro_rounding="floor")), u + 0.05)
-    assert restored(u, replace(adc, gyro_rounding="nearest")) is u
-    assert restored(u, None) is u
+    assert np.allclose(restored_gyro(u, adc), [[0.35, -0.25, 0.0], [0.0, 0.0, 0.15]])
+    assert np.allclose(restored_gyro(u, replace(adc, gyro_rounding="floor")), u + 0.05)
+    assert restored_gyro(u, replace(adc, gyro_rounding="nearest")) is u
+    assert restored_gyro(u, None) is u
     lsb = 2e-3
     record, reference = make_recording(np.random.default_rng(5), Device(forward=FORWARD, offset=REST, noise=2e-3))
     codes = replace(record, gyro=np.trunc(record.gyro / lsb) * lsb)
@@ -260,7 +267,68 @@ def test_another_mounting_in_one_recording_is_an_alignment_error(exact):
     turn = Rotation.from_euler("z", 20.0, degrees=True)
     turned = replace(records[1], gyro=turn.apply(np.array(records[1].gyro)))
     with pytest.raises(AlignmentError, match="wanted one mounting for all recordings, got matrices that differ by"):
-        fit_reference([records[0], turned], references)
+        fit_reference([records[0], turned], references, settings=ReferenceSettings(mounting="one"))
+    device = Device(forward=FORWARD, offset=REST, motion_offset=CHANGE, lag_s=0.0041)
+    other = recordings((2,), device, mounting=turn)
+    fit = fit_reference([records[0], *other[0]], [references[0], *other[1]])  # in the body of the first, but for noise
+    assert np.abs(fit.triad.model.matrix - np.linalg.inv(FORWARD)).max() < 2e-4
+    assert fit.mountings[1] == pytest.approx(np.radians((0.0, 0.0, 20.0)), abs=2e-4)
+    scaled = replace(records[1], gyro=1.2 * np.array(records[1].gyro))
+    with pytest.raises(AlignmentError, match=r"wanted one device for all recordings, got .* apart from"):
+        fit_reference([records[0], scaled], references)
+
+
+@pytest.fixture(scope="module")
+def two_mountings():
+    """Four recordings of one device, the last two with the markers put on anew, 3 deg off."""
+    device = Device(forward=FORWARD, offset=REST, motion_offset=CHANGE, noise=1e-3)
+    records, references = recordings((71, 72), device, optics_noise=1e-3)
+    again = recordings((73, 74), device, optics_noise=1e-3, mounting=Rotation.from_rotvec(np.radians((0.0, 3.0, 0.0))))
+    return [*records, *again[0]], [*references, *again[1]]
+
+
+def test_two_mountings_are_each_fitted_and_pooling_them_is_worse(two_mountings):
+    # The device apart from its rotation: lengths and angles of the columns of M, the same in every mounting.
+    true = np.linalg.inv(FORWARD)
+    each, one = (fit_reference(*two_mountings, settings=ReferenceSettings(mounting=m)) for m in ("each", "one"))
+    shape = [np.abs(f.triad.model.matrix.T @ f.triad.model.matrix - true.T @ true).max() for f in (each, one)]
+    turned = np.degrees(each.mountings)
+    assert turned[2:].mean(axis=0) - turned[:2].mean(axis=0) == pytest.approx([0.0, 3.0, 0.0], abs=0.05)
+    assert np.abs(turned.sum(axis=0)).max() < 0.02  # the mean mounting, to second order
+    assert (one.mountings == 0.0).all()
+    # Poses of 1e-3 rad over 16 s windows show an element to some 1e-4; offsets, to 1e-5 rad/s or so.
+    assert shape[0] < 1e-3
+    assert np.abs(each.motion_offset - CHANGE).max() < 2e-4
+    assert (
+        shape[1] > 2.0 * shape[0]
+        or np.abs(one.motion_offset - CHANGE).max() > 5.0 * np.abs(each.motion_offset - CHANGE).max()
+    )
+    assert one.window_rms > 3.0 * each.window_rms
+
+
+def rounded(pairs, lsb, how):
+    return [replace(r, gyro=how(np.array(r.gyro) / lsb) * lsb) for r in pairs[0]], pairs[1]
+
+
+@pytest.mark.parametrize(("how", "kept"), [(np.trunc, True), (np.round, False)])
+def test_a_correction_of_the_adc_is_kept_where_it_helps_other_recordings(how, kept):
+    lsb = 8e-3
+    device = Device(forward=FORWARD, offset=REST, noise=2e-3)
+    pairs = rounded(recordings((81, 82, 83), device, sample_rate_hz=100.0, turn_s=40.0), lsb, how)
+    adc = AdcModel(gyro_lsb=np.full(3, lsb), gyro_rounding="toward_zero")
+    chosen, why = cross_validated_adc(*pairs, adc)
+    assert (chosen is adc) is kept
+    assert why.values["choice"] == ("kept" if kept else "left out")
+    assert (why.values["with_deg"] <= why.values["without_deg"]) is kept
+    held = leave_one_out(*pairs, adc=adc)
+    assert [h.adc is adc for h in held] == [kept] * 3
+
+
+def test_with_two_recordings_the_codes_alone_say(exact):
+    adc = AdcModel(gyro_lsb=np.full(3, 1e-3), gyro_rounding="toward_zero")
+    assert cross_validated_adc(*exact, adc) == (adc, None)
+    assert cross_validated_adc(exact[0][:1], exact[1][:1], adc) == (adc, None)
+    assert cross_validated_adc(*exact, None) == (None, None)
 
 
 def test_recordings_of_other_motions_do_not_fit(exact):

@@ -373,3 +373,20 @@ def test_the_scatter_of_an_affine_fit_is_over_the_spare_equations():
     crooked = replace(faces(), reading=faces().reading + left)
     ratio = only(fit_six_face(crooked, gravity=G, mode="affine").verdict.findings, "six_face.scatter").values["ratio"]
     assert ratio == pytest.approx(np.sqrt(4.0 * 10.0**2 / 6.0), rel=1e-9)  # 4 of 10 sigma over 18 equations less 12
+
+
+def test_columns_in_another_order_have_their_uncertainty_in_that_order():
+    # A cyclic exchange is not its own inverse: a covariance carried back the wrong way ends at another sensor.
+    rng, order = np.random.default_rng(12), [1, 2, 0]
+    noise = np.tile([0.001, 0.004, 0.016], (6, 1))
+    crooked = np.where(UP == 0.0, G * np.radians(0.5) * rng.standard_normal((6, 3)), 0.0)
+    reading = (UP + crooked) @ FORWARD.T + OFFSET + noise * rng.standard_normal((6, 3))
+    one, other = (
+        fit_tilted(UP, reading[:, k], noise[:, k], fit_forward(UP, reading[:, k], noise[:, k]))
+        for k in ([0, 1, 2], order)
+    )
+    assert one[1] == pytest.approx(other[1], rel=1e-9)
+    assert one[1] > 0.0
+    sigma, moved = (np.sqrt(np.diag(fit.covariance)) for fit, _ in (one, other))
+    np.testing.assert_allclose(moved[:9].reshape(3, 3), sigma[:9].reshape(3, 3)[order], rtol=1e-9)
+    np.testing.assert_allclose(moved[9:], sigma[9:][order], rtol=1e-9)

@@ -1,6 +1,7 @@
 """undrift calibrate: real sessions written as session.toml, and the simulated bench."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,7 +11,11 @@ from testkit.data import data_path, show
 from testkit.stepper_jig import turned
 from undrift.io.session import write_session
 from undrift.io.store import read_calibration
-from undrift.record import Session
+from undrift.record import RateTable, Session, TemperatureSensitivity
+from undrift.sim.device.presets import random_device
+from undrift.sim.motion.bench import BenchSettings
+from undrift.sim.sessions import simulate_session
+from undrift.units import RADIAN_PER_DEGREE as DEG
 
 KEYS = {
     "kind",
@@ -215,11 +220,11 @@ def test_settings_of_the_fit_are_options(undrift, bench, tmp_path):
     def made(*words):
         return undrift.good("calibrate", bench / "session", *words, "--json").json()
 
-    words = ["--window-s", "4", "--settle-s", "0.5", "--angle-uncertainty-deg", "2"]
+    words = ["--window-s", "4", "--settle-s", "0.5", "--angle-uncertainty-deg", "2", "--axis-uncertainty-deg", "1"]
     plain, chosen = made(), made(*words)
-    names = ("window_s", "settle_s", "angle_uncertainty_deg")
-    assert [dict(plain["provenance"]["settings"])[name] for name in names] == ["6", "0.3", "1"]
-    assert [dict(chosen["provenance"]["settings"])[name] for name in names] == ["4", "0.5", "2"]
+    names = ("window_s", "settle_s", "angle_uncertainty_deg", "axis_uncertainty_deg")
+    assert [dict(plain["provenance"]["settings"])[name] for name in names] == ["6", "0.3", "1", "0.5"]
+    assert [dict(chosen["provenance"]["settings"])[name] for name in names] == ["4", "0.5", "2", "1"]
     assert plain["accel"]["offset"] != chosen["accel"]["offset"]
     assert plain["gyro"]["offset"] != chosen["gyro"]["offset"]
 
@@ -255,6 +260,65 @@ def test_a_report_page_shows_matrices_and_verdict(undrift, bench, tmp_path):
 @pytest.mark.parametrize("word", ["session", "session/session.toml"])
 def test_a_session_is_named_by_its_folder_or_its_file(undrift, bench, word):
     assert undrift.good("calibrate", bench / word, "--json").json()["verdict"]["status"] == "good"
+
+
+def test_the_command_overrules_the_rate_table_of_the_session(undrift, tmp_path):
+    rng = np.random.default_rng(7)
+    session = simulate_session("rate_table", random_device(rng), rng=rng, settings=BenchSettings(turn_rates=(0.5, 1.5)))
+    folder = tmp_path / "s"
+    write_session(replace(session, rate_table=RateTable(mount_tilt_deg=0.5, rate_uncertainty=0.004)), folder)
+    stated = undrift.good("calibrate", folder, "--json").json()
+    words = (
+        "--mount-tilt-deg",
+        "0.2",
+        "--rate-uncertainty",
+        "0.002",
+        "--table-level-deg",
+        "0.3",
+        "--wobble-deg",
+        "0.04",
+    )
+    asked = undrift.good("calibrate", folder, *words, "--json").json()
+    relative = []
+    for answer in (stated, asked):
+        gyro = answer["gyro"]
+        sigma = np.sqrt(np.diag(gyro["covariance"])[:9]).reshape(3, 3) / np.diag(gyro["matrix"])
+        relative.append((sigma[0, 1], sigma[0, 0]))
+    # of a gyroscope's cross-axis term without accelerometers' faces, and of its scale: what is stated, the rest is noise
+    np.testing.assert_allclose(relative, [(0.5 * DEG, 0.004), (0.2 * DEG, 0.002)], rtol=0.1)
+    names = ("table_level_deg", "mount_tilt_deg", "rate_uncertainty", "wobble_deg")
+    held = [dict(answer["provenance"]["settings"]) for answer in (stated, asked)]
+    assert [held[0][name] for name in names] == ["0.1", "0.5", "0.004", "0.01"]
+    assert [held[1][name] for name in names] == ["0.3", "0.2", "0.002", "0.04"]
+    assert "wanted mount_tilt_deg from 0 to 10, got -1" in undrift.refused(
+        "calibrate", folder, "--mount-tilt-deg", "-1"
+    )
+
+
+def test_the_command_overrules_the_temperature_sensitivities_of_the_session(undrift, tmp_path):
+    rng = np.random.default_rng(7)
+    device = random_device(rng)
+    session = simulate_session(
+        "six_face", device, rng=rng, settings=BenchSettings(tilt_sd=0.3 * DEG), temp_c=(22.0, 28.0)
+    )
+    folder = tmp_path / "s"
+    write_session(replace(session, sensitivity=TemperatureSensitivity(accel_offset_mg_per_k=1.0)), folder)
+    stated = undrift.good("calibrate", folder, "--json").json()
+    words = ("--accel-offset-mg-per-k", "0.25", "--span-limit-k", "8", "--accel-scale-percent-per-k", "0.03")
+    words += ("--gyro-offset-dps-per-k", "0.04", "--gyro-scale-percent-per-k", "0.01", "--unrecorded-span-k", "2")
+    asked = undrift.good("calibrate", folder, *words, "--json").json()
+    at = stated["accel"]["parameters"].index("offset_x")
+    sigma = [np.sqrt(answer["accel"]["covariance"][at][at]) for answer in (stated, asked)]
+    assert 2.0 < sigma[0] / sigma[1] < 4.0  # four times the prior; faces off level by 0.3 deg hardly narrow it
+    codes = [{item["code"] for item in answer["verdict"]["findings"]} for answer in (stated, asked)]
+    assert ["session.temperature_creep" in found for found in codes] == [True, False]
+    held = [dict(answer["provenance"]["settings"]) for answer in (stated, asked)]
+    assert (held[0]["accel_offset_mg_per_k"], held[0]["span_limit_k"]) == ("1", "2")
+    names = ("accel_offset_mg_per_k", "span_limit_k", "accel_scale_percent_per_k", "gyro_offset_dps_per_k")
+    names += ("gyro_scale_percent_per_k", "unrecorded_span_k")
+    assert [held[1][name] for name in names] == ["0.25", "8", "0.03", "0.04", "0.01", "2"]
+    refused = undrift.refused("calibrate", folder, "--accel-offset-mg-per-k", "-1")
+    assert "wanted accel_offset_mg_per_k from 0 to 100, got -1" in refused
 
 
 @pytest.mark.parametrize(("sensor", "code"), [("bno", 0), ("lsm", 1)])

@@ -146,6 +146,15 @@ def test_time_outside_and_at_extrapolated_nodes_is_told_in_text_and_json(undrift
     assert rows[0]["warnings"] == rows[1]["warnings"], "streamed and at once"
 
 
+def test_signs_of_another_unit_or_column_stand_among_the_findings(undrift, tuned, tmp_path):
+    write_record(replace(tuned, gyro=None), tmp_path / "accel.parquet")
+    words = ["--calibration", tmp_path / "tuned.json", "--policy", "hold", "-o", tmp_path / "o.parquet", "--json"]
+    told = undrift.good("correct", tmp_path / "accel.parquet", *words).json()
+    (found,) = told["findings"]
+    assert (found["code"], found["values"]["sensor"]) == ("correct.no_sensor", "gyroscope")
+    assert told["recordings"][0]["warnings"][0] == found["text"]
+
+
 def test_time_without_temperature_is_told_under_every_policy_in_text_and_json(undrift, tuned, tmp_path):
     temp = np.full(len(tuned), 27.0)
     temp[100:300] = np.nan
@@ -334,3 +343,48 @@ def test_a_triad_in_counts_without_a_model_is_left_out_and_said_so(undrift, benc
         np.testing.assert_array_equal(
             getattr(done, other), getattr(correct(replace(record, **{triad: None}), model), other)
         )
+
+
+def test_the_offset_at_a_rest_is_subtracted_the_same_from_a_stream_and_at_once_and_stated(undrift, bench, tmp_path):
+    raw, known = read_record(bench / "trial.parquet"), read_record(bench / "corrected.parquet")
+    write_record(raw, tmp_path / "raw.csv")
+    words, rows = ("--calibration", bench / "calibration.json", "--offset", "rest"), []
+    for record, name in ((bench / "trial.parquet", "a.parquet"), (tmp_path / "raw.csv", "a.csv")):
+        told = undrift.good("correct", record, *words, "-o", tmp_path / name, "--json").json()
+        rows.append(told["recordings"][0])
+        made = read_record(tmp_path / name)
+        left = np.radians(rows[-1]["rest"]["offset_dps"])
+        np.testing.assert_allclose(known.gyro - made.gyro, np.tile(left, (len(raw), 1)), atol=1e-9)
+    start_s, stop_s = rows[0]["rest"]["rest_s"]
+    inside = (known.time >= start_s) & (known.time <= stop_s)
+    np.testing.assert_allclose(rows[0]["rest"]["offset_dps"], np.degrees(known.gyro[inside].mean(axis=0)), atol=1e-12)
+    assert rows[1]["rest"]["rest_s"] == pytest.approx(rows[0]["rest"]["rest_s"], abs=1e-6)
+    assert rows[1]["rest"]["offset_dps"] == pytest.approx(rows[0]["rest"]["offset_dps"], abs=1e-9)
+    assert 0.0 < rows[0]["rest"]["offset_uncertainty_dps"] < 0.1
+    assert any("Offset re-zeroed at a rest" in note for note in rows[0]["notes"])
+    stated = json.loads((tmp_path / "a.csv.json").read_text())
+    assert stated["provenance"]["settings"]["offset"] == "rest"
+    corrected = ("orient", bench / "corrected.parquet", "--offset", "rest", "-o", tmp_path / "o.csv", "--json")
+    same = undrift.good(*corrected).json()  # orient's own option takes the same rest and the same rate
+    assert same["offset_dps"] == pytest.approx(rows[0]["rest"]["offset_dps"], abs=1e-12)
+    assert same["still"] == pytest.approx(rows[0]["rest"]["rest_s"])
+
+
+def test_a_rest_is_named_by_its_times_and_refused_where_there_is_none(undrift, bench, tmp_path):
+    words = ("--calibration", bench / "calibration.json", "-o", tmp_path / "a.parquet")
+    named = ("--still-start-s", 0.5, "--still-stop-s", 1.5)
+    told = undrift.good("correct", bench / "trial.parquet", *words, "--offset", "rest", *named, "--json").json()
+    assert told["recordings"][0]["rest"]["rest_s"] == pytest.approx([0.5, 1.49], abs=0.011)
+    (tmp_path / "a.parquet").unlink()
+    assert "wanted --offset rest beside them, got none" in undrift.refused(
+        "correct", bench / "trial.parquet", *words, *named
+    )
+    raw = read_record(bench / "trial.parquet")
+    rng = np.random.default_rng(1)
+    shaken = replace(raw, gyro=raw.gyro + 300.0 * rng.normal(size=raw.gyro.shape))
+    write_record(shaken, tmp_path / "shaken.parquet")
+    before = contents(tmp_path)
+    both = (bench / "trial.parquet", tmp_path / "shaken.parquet")
+    line = undrift.refused("correct", *both, *words[:2], "-o", tmp_path / "out", "--offset", "rest")
+    assert "shaken.parquet: correct: wanted a still phase, got none" in line
+    assert contents(tmp_path) == before

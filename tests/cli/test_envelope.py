@@ -26,6 +26,7 @@ GOOD = {  # a call of each command, and the kind of its answer
     "calibrate": ("calibrate {bench}/session", "undrift.calibration"),
     "session new": ("session new {here}/bare.parquet -o {here}/made", "undrift.session"),
     "drift": ("drift {warm} --map {here}/warm.toml", "undrift.calibration"),
+    "learn": ("learn {bench}/trial.parquet --calibration {bench}/calibration.json", "undrift.learn"),
     "correct": (
         "correct {bench}/trial.parquet --calibration {bench}/calibration.json -o {here}/c.csv",
         "undrift.correction",
@@ -50,6 +51,7 @@ BAD = {  # a call that is refused, and the kind that a good answer would have
     **{name: (f"{name} nowhere.csv", f"undrift.{name}") for name in ("info", "noise")},
     **{name: (f"{name} nowhere.csv", "undrift.calibration") for name in ("calibrate", "drift")},
     "session new": ("session new nowhere.csv -o {here}/made", "undrift.session"),
+    "learn": ("learn nowhere.csv --calibration nowhere.json", "undrift.learn"),
     "correct": ("correct a.csv --calibration nowhere.json -o {here}/c.csv", "undrift.correction"),
     "orient": ("orient nowhere.csv -o {here}/o.csv", "undrift.orientation"),
     "validate": ("validate nowhere.csv --reference nowhere.csv", "undrift.validation"),

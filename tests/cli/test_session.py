@@ -76,6 +76,22 @@ def test_a_map_that_is_not_complete_says_what_to_put_and_a_file_that_needs_none_
     assert contents(tmp_path) == before
 
 
+@pytest.mark.parametrize(
+    ("words", "wanted"),
+    [
+        (("--gyro-unit", "dps"), "--gyro-unit: wanted --write-map beside it, got none"),
+        (("--accel-unit", "g"), "--accel-unit: wanted --write-map beside it, got none"),
+        (("--gyro-gain", 0.061), "--gyro-gain: wanted --write-map beside it, got none"),
+        (("--accel-gain", 0.061), "--accel-gain: wanted --write-map beside it, got none"),
+        (("--write-map", "m.toml", "--figure", "f.svg"), "--figure: wanted it without --write-map, got both"),
+    ],
+)
+def test_an_option_that_would_do_nothing_is_refused(undrift, tmp_path, words, wanted):
+    placed = [tmp_path / word if str(word).endswith((".toml", ".svg")) else word for word in words]
+    assert wanted in undrift.refused("info", data_path(*LOG), "--sample-rate-hz", 100, *placed)
+    assert not list(tmp_path.iterdir())
+
+
 def test_a_session_that_was_written_calibrates_as_the_bare_recording_does(undrift, board):
     words = (data_path(*LOG), "--map", board / "map.toml", "--serial", "imu0")
     told = undrift.good("session", "new", *words, "-o", board / "s", "--json").json()

@@ -12,6 +12,7 @@ import pytest
 from testkit.command_line import contents
 from testkit.data import data_path
 from undrift.study import outcome as outcome_module
+from undrift.study.figure3 import COMPARED, DrawnRow
 from undrift.study.rivals import compare_rivals
 
 pytestmark = pytest.mark.usefixtures("computed_once")
@@ -78,6 +79,8 @@ def test_a_plan_comes_to_a_surface_a_summary_and_a_page(undrift, plan, tmp_path)
         "none_max_deg",
         "static_max_deg",
         "full_max_deg",
+        "rest_max_deg",
+        "full_and_rest_max_deg",
         "decrease_deg",
         "simulated_actual_max_deg",
     }
@@ -254,7 +257,16 @@ def test_rivals_are_compared_unless_told_otherwise_and_come_to_the_summary(undri
         return compare_rivals(**words | {"units": 1, "methods": ("data_sheet", "rate_table", "mocap")})
 
     monkeypatch.setattr(outcome_module, "compare_rivals", few)
+
+    def drawn(kind, **words):
+        assert (kind, words["seed"], words["excursion_k"]) == ("enc03j_3031", 0, 12.5)
+        return tuple(
+            DrawnRow(correction=name, units=2, lower_deg=0.1, median_deg=0.2, upper_deg=0.3) for name in COMPARED
+        )
+
+    monkeypatch.setattr(outcome_module, "drawn_cohort", drawn)  # drawn_cohort itself: study/test_figure3.py
     told = done(undrift, "study", plan, "-o", tmp_path / "out", "--workers", "1", "--json").json()
+    assert [row["correction"] for row in told["figure3_drawn"]] == told["figure3"]["compared"]
     assert asked == [{"kind": "enc03j_3031", "seed": 0, "tasks": ("sit_to_stand",)}]
     assert [row["method"] for row in told["rivals"]] == ["data_sheet", "rate_table", "mocap"]
     assert told["rivals"][1]["error_rms_deg"]["median"] < told["rivals"][2]["error_rms_deg"]["median"]
@@ -266,6 +278,8 @@ def test_rivals_are_compared_unless_told_otherwise_and_come_to_the_summary(undri
     assert "Discussion as an experiment: other ways to calibrate" in page
     assert "optics see orientation, not specific force" in page
     assert "Figure 3: simulated against actual, effect by effect" in page
+    assert "Largest error of 2 units drawn from the kind" in page
+    assert "slope over temperature was inferred from the note" in page
     done(undrift, "study", plan, "-o", tmp_path / "quick", "--workers", "1", "--quick")
     assert len(asked) == 1
 

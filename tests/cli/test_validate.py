@@ -5,14 +5,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from testkit.command_line import beyond_the_table, contents, warm_between
 from testkit.data import data_path, show
+from testkit.hand_turns import Device, make_recording
 from testkit.trc_text import trc
 from undrift.correction.correct import correct
 from undrift.io.formats import read_reference, write_record
 from undrift.io.reference import write_reference
+from undrift.io.session import read_session, write_session
 from undrift.io.store import read_calibration
+from undrift.record import Session
 from undrift.sim.device.presets import random_device
 from undrift.sim.device.truth import true_calibration
 from undrift.sim.sessions import simulate_trial
@@ -112,6 +116,54 @@ def test_each_recording_judged_by_the_others_and_what_is_written(undrift, tmp_pa
     assert all(f"<td>{name}</td><td>the same file</td>" in page for name in B)
     assert told["calibration"] == "reference"
     assert answer.json()["result"] == told
+
+
+def test_expected_errors_stand_beside_the_observed_ones(undrift, tmp_path):
+    words = ["--calibrate-from", "reference", "--leave-one-out", "-o", tmp_path / "out"]
+    files = broad("32_disturbed_attached_magnet_1cm.hdf5", "35_disturbed_attached_magnet_4cm.hdf5")
+    answer = undrift.good("validate", *files, *words)
+    assert "observed and expected errors in deg" in answer.out
+    assert (
+        "inside the expected 95 %: end error 2 of 2 (0 above), total error over the motion 2 of 2 (0 above)"
+        in answer.out
+    )
+    told = json.loads((tmp_path / "out" / "validation.json").read_text())
+    assert told["expected_inside"] == {
+        "trials": 2, "rmse_inside": 2, "rmse_above": 0, "ends": 2, "end_inside": 2, "end_above": 0,
+    }  # fmt: skip
+    for trial in told["trials"]:
+        low, high = trial["expected"]["end_interval_deg"]
+        assert low < trial["expected"]["end_total_deg"] < high
+        assert low <= trial["end_total_deg"] <= high
+    assert "Observed and expected errors" in (tmp_path / "out" / "report.html").read_text()
+    raw = undrift.good("validate", files[0], "--json").json()
+    assert raw["expected_inside"] is None
+    assert raw["trials"][0]["expected"] is None
+
+
+def test_one_mounting_is_stated_by_an_option_or_in_the_session(undrift, tmp_path):
+    rng = np.random.default_rng(4)
+    pairs = [make_recording(rng, Device(noise=1e-3), turn_s=25.0, sample_rate_hz=100.0) for _ in range(2)]
+    session = Session(kind="calibration", serial="A", gravity_m_s2=9.81, records=[p[0] for p in pairs], mounting="one")
+    write_session(session, tmp_path / "session")
+    assert read_session(tmp_path / "session").mounting == "one"
+    poses = []
+    for number, (_, reference) in enumerate(pairs):
+        # the second is turned by 20 deg against the first: one mounting is refused, each its own is not
+        turn = Rotation.from_euler("z", 20.0 * number, degrees=True)
+        q = (Rotation.from_quat(reference.q_nb, scalar_first=True) * turn).as_quat(scalar_first=True)
+        write_reference(replace(reference, q_nb=q), tmp_path / f"poses_{number}.parquet")
+        poses += ["--reference", tmp_path / f"poses_{number}.parquet"]
+    words = ["validate", tmp_path / "session", *poses, "--json", "--calibrate-from", "reference"]
+    assert "wanted one mounting for all recordings" in undrift.refused(*words)
+    told = undrift.good(*words, "--mounting", "each").json()
+    assert [trial["recording"] for trial in told["trials"]] == ["recording_0", "recording_1"]
+    assert "--mounting wants --calibrate-from reference" in undrift.refused(*words[:-2], "--mounting", "one")
+    state = tmp_path / "session" / "session.toml"
+    state.write_text(state.read_text().replace('mounting = "one"\n', ""))
+    assert read_session(tmp_path / "session").mounting is None
+    assert undrift.good(*words).json()["mean"] == told["mean"]
+    assert "wanted one mounting for all recordings" in undrift.refused(*words, "--mounting", "one")
 
 
 def test_a_fit_judged_on_its_own_recordings_says_so(undrift):

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from testkit.data import show
 from testkit.rate_steps import GRAVITY, GRID, SOAKS, computed, reading
 from undrift.drift.dynamic import fit_dynamic
 from undrift.drift.observe import RestBlocks
@@ -160,3 +161,19 @@ def test_the_measured_rate_is_the_table_offset_and_the_matrix():
     table = true_tables(made, TEMPS[:2], np.radians([-90.0, 90.0]))
     w = measured_rate(steps.gyro, steps.temp_c, true_calibration(made), static=table.static, scale=table.scale)
     assert np.abs(w - steps.rate_b).max() < 1e-9
+
+
+def test_the_noise_of_another_sensor_enters_by_the_row_of_the_matrix():
+    # Sensor x leans 30 deg to z, so that the rate about x takes tan 30 deg of z's reading and that about z takes none of x's.
+    lean = np.radians(30.0)
+    axes = np.array([[np.cos(lean), 0.0, np.sin(lean)], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
+    made = device()
+    made = replace(made, gyro=replace(made.gyro, scale=replace(made.gyro.scale, axes=axes)))
+    steps = computed(made, TEMPS, np.random.default_rng(1), rates=FEW, noise_dps=1e-6)
+    gain = true_calibration(made).gyro.scale_factor
+    own = np.array([1e-6, 1e-6, 1e-2])  # rad/s, stated for the readings
+    fit = fitted(made, steps=replace(steps, gyro_variance=np.tile((own * gain) ** 2, (len(steps), 1))))
+    x, _, z = np.moveaxis(fit.drift.uncertainty[~fit.drift.extrapolated], -1, 0)
+    show("uncertainty of x over that of z", f"{np.median(x / z):.2f}", "tan 30 deg = 0.58")
+    # The same rates and soaks about both axes; each surface finds its own softness, which is worth less than a factor of 1.5.
+    assert np.tan(lean) / 1.5 < np.median(x / z) < np.tan(lean) * 1.5

@@ -1,5 +1,6 @@
 """From thermal sessions to tuning tables: every way a session may come, what is said of it, what is refused."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -12,8 +13,10 @@ from undrift.drift.checks import static_verdict, verdict_before
 from undrift.drift.fit import DriftSettings, fit_drift
 from undrift.drift.static import StaticSettings
 from undrift.errors import InputError, NotObservable
+from undrift.export.autopilots import export_ardupilot, export_px4
 from undrift.findings import finding
 from undrift.model import Verdict
+from undrift.report.drift import drift_lead, write_drift_report
 from undrift.sim.device.presets import preset
 from undrift.sim.device.truth import true_calibration
 from undrift.sim.motion.bench import BenchSettings
@@ -224,10 +227,32 @@ def test_without_a_calibration_physical_units_keep_their_scale():
     assert found.calibration.gyro.method == "nominal"
     assert "calibration.nominal" in {item.code for item in found.verdict.findings}
     assert "drift.no_turns" in {item.code for item in found.verdict.findings}
+    low, high = found.gyro_summary.seen_c
+    assert found.calibration.reference_temp_c == pytest.approx(np.clip(25.0, low, high), abs=0.5)  # a node
+    assert low - 0.5 <= found.calibration.reference_temp_c <= high + 0.5
     with pytest.raises(
         NotObservable, match="wanted a calibration, or gyroscope readings in a physical unit, got count"
     ):
         fit_drift([session])
+
+
+def test_tables_without_a_calibration_can_be_exported_where_matrix_and_offset_are_over_temperature(session):
+    rate = session.records[0].gyro * np.degrees(np.diag(CALIBRATION.gyro.matrix))
+    alone = with_record(session, gyro=rate, gyro_unit="dps", accel=None)
+    found = fit_drift([alone], settings=DriftSettings(tables="scale")).calibration
+    assert found.reference_temp_c == pytest.approx(25.0)
+    for write in (export_px4, export_ardupilot):  # both read the matrix at the reference temperature
+        assert write(found).text
+
+
+def test_the_page_opens_with_before_and_after_over_a_stated_motion_and_the_answer(fit, tmp_path):
+    write_drift_report(fit, tmp_path / "a.html")
+    lead = drift_lead(fit)
+    assert lead.replace("'", "&#39;") in (tmp_path / "a.html").read_text()
+    before, rest, after, both = (float(text) for text in re.findall(r"(\d+\.\d\d) deg", lead)[:4])
+    assert both < after < rest < before  # the note's device: rest takes the offset, tables scale and dynamic drift too
+    assert "a lean of 45 deg and back in 4 s at 37.5 degC, 12.5 K above the reference" in lead
+    assert "Use the tables, and correct --offset rest." in lead
 
 
 def test_the_nodes_are_those_asked_for_or_what_was_seen(session):

@@ -212,6 +212,8 @@ def test_two_sessions_that_agree_state_a_bound_instead_of_no_scatter():
     known = 1e-3 / 240.0**0.5  # of half the difference of two means of 120 blocks, white noise alone
     assert (np.sqrt(turn_on.variance) > known).all()
     assert (np.sqrt(turn_on.variance_to_come) > 6.0 * known).all()  # Student's 12.7 over 1.96
+    # 97.5 % points by the tables: Student's with one degree of freedom 12.706, normal 1.960
+    np.testing.assert_allclose(np.sqrt(turn_on.variance_to_come / turn_on.variance), 12.706 / 1.960, rtol=1e-3)
     assert (fit.table.gyro_uncertainty >= np.sqrt(turn_on.variance_to_come)).all()
     assert any(
         item.code == "drift.turn_on_bound" and item.values == {"sessions": 2, "axes": ("x", "y", "z")}

@@ -18,28 +18,34 @@ from undrift.io.store import read_calibration, write_calibration
 from undrift.model import NoiseModel
 
 DEG = np.pi / 180.0
-# what Fusion declares, in a few lines of our own
+# what Fusion declares, in a few lines of our own: the matrix as present headers have it, and as older ones had it
+ELEMENT = "struct { float xx; float xy; float xz; float yx; float yy; float yz; float zx; float zy; float zz; } element"
 FUSION = """
-typedef union { float array[3][3]; } FusionMatrix;
-typedef union { float array[3]; } FusionVector;
+typedef union {{ float array{shape}; {element}; }} FusionMatrix;
+typedef union {{ float array[3]; }} FusionVector;
+static FusionVector FusionModelInertial(FusionVector u, FusionMatrix m, FusionVector s, FusionVector b)
+{{
+    FusionVector w;
+    const float x = s.array[0] * (u.array[0] - b.array[0]), y = s.array[1] * (u.array[1] - b.array[1]);
+    const float z = s.array[2] * (u.array[2] - b.array[2]);
+    w.array[0] = m.element.xx * x + m.element.xy * y + m.element.xz * z;
+    w.array[1] = m.element.yx * x + m.element.yy * y + m.element.yz * z;
+    w.array[2] = m.element.zx * x + m.element.zy * y + m.element.zz * z;
+    return w;
+}}
 """
 MAIN = """
 #include <stdio.h>
 #include "calibration.h"
-static void show(FusionMatrix m, FusionVector s, FusionVector b, const float u[3])
+static void show(FusionVector w)
 {
-    int i, j;
-    for (i = 0; i < 3; i++) {
-        float sum = 0.0f;
-        for (j = 0; j < 3; j++) { sum += m.array[i][j] * (s.array[j] * (u[j] - b.array[j])); }
-        printf("%.9g\\n", (double)sum);
-    }
+    printf("%.9g\\n%.9g\\n%.9g\\n", (double)w.array[0], (double)w.array[1], (double)w.array[2]);
 }
 int main(void)
 {
-    const float u[3] = {100.0f, -200.0f, 300.0f};
-    show(gyroscopeMisalignment, gyroscopeSensitivity, gyroscopeOffset, u);
-    show(accelerometerMisalignment, accelerometerSensitivity, accelerometerOffset, u);
+    const FusionVector u = {{100.0f, -200.0f, 300.0f}};
+    show(FusionModelInertial(u, gyroscopeMisalignment, gyroscopeSensitivity, gyroscopeOffset));
+    show(FusionModelInertial(u, accelerometerMisalignment, accelerometerSensitivity, accelerometerOffset));
     return 0;
 }
 """
@@ -54,10 +60,11 @@ def at_40(calibration):
     return done.gyro[0], done.accel[0]
 
 
-def test_fusion_evaluates_the_same_as_the_corrector(tmp_path):
+@pytest.mark.parametrize("shape", ["[9]", "[3][3]"])
+def test_fusion_evaluates_the_same_as_the_corrector(shape, tmp_path):
     made = device(drift=tables(scale=STEPS[::2]))
     exported = export_fusion(made, temp_c=40.0)
-    (tmp_path / "Fusion.h").write_text(FUSION)
+    (tmp_path / "Fusion.h").write_text(FUSION.format(shape=shape, element=ELEMENT))
     (tmp_path / "calibration.h").write_text(exported.text)
     (tmp_path / "main.c").write_text(MAIN)
     subprocess.run(["gcc", *STRICT, "-I", tmp_path, tmp_path / "main.c", "-o", tmp_path / "run"], check=True)

@@ -10,7 +10,7 @@ from undrift.errors import FileFormatError, InputError
 from undrift.files import sha256_of
 from undrift.io.session import read_session, write_session
 from undrift.io.text import write_csv
-from undrift.record import Record, Session, Still, Turn
+from undrift.record import RateTable, Record, Session, Still, TemperatureSensitivity, Turn
 from undrift.units import gravity_at
 
 HEAD = '[session]\nkind = "calibration"\nserial = "MTi-1"\ngravity_m_s2 = 9.81\n'
@@ -59,6 +59,20 @@ def test_the_session_of_the_design_reads_as_it_says(tmp_path):
     assert known.angle == pytest.approx(-2 * np.pi)
     assert session.inputs == tuple((name, sha256_of(tmp_path / name)) for name in ("session.toml", "session.csv"))
     assert_same(read_session(tmp_path / "session.toml").records[0], session.records[0])
+
+
+def test_a_rate_table_is_as_good_as_the_session_states_and_else_as_usual(tmp_path):
+    assert read_session(folder(tmp_path)).rate_table == RateTable()
+    stated = "[rate_table]\nmount_tilt_deg = 0.25\nwobble_deg = 0\n[[recording]]"
+    held = read_session(folder(tmp_path, FULL.replace("[[recording]]", stated, 1))).rate_table
+    assert held == RateTable(mount_tilt_deg=0.25, wobble_deg=0.0)
+
+
+def test_a_device_follows_temperature_as_the_session_states_and_else_as_consumer_parts(tmp_path):
+    assert read_session(folder(tmp_path)).sensitivity == TemperatureSensitivity()
+    stated = "[temperature]\naccel_offset_mg_per_k = 0.1\nspan_limit_k = 3\n[[recording]]"
+    held = read_session(folder(tmp_path, FULL.replace("[[recording]]", stated, 1))).sensitivity
+    assert held == TemperatureSensitivity(accel_offset_mg_per_k=0.1, span_limit_k=3.0)
 
 
 def test_gravity_comes_from_latitude_and_height(tmp_path):
@@ -152,7 +166,7 @@ def test_native_files_need_no_columns_and_files_side_by_side_are_joined(tmp_path
         (
             'kind = "calibration" ',
             'kind = "party"',
-            r"line 2: \[session\], kind: wanted 'calibration', 'thermal' or 'static'",
+            r"line 2: \[session\], kind: wanted 'calibration', 'thermal', 'static' or 'set-points'",
         ),
         (
             "gravity_m_s2 = 9.80665\n",
@@ -177,6 +191,17 @@ def test_native_files_need_no_columns_and_files_side_by_side_are_joined(tmp_path
             "wanted one table of columns for each file, got 1 for 2 files",
         ),
         ('"session.csv"', "[]", "wanted one table of columns for each file, got 1 for 0"),
+        (
+            "[[recording]]",
+            "[rate_table]\nwobble_deg = 11\n[[recording]]",
+            r"line 5: rate_table: .*wanted wobble_deg from 0 to 10, got 11",
+        ),
+        ("[[recording]]", "[rate_table]\ntilt_deg = 1\n[[recording]]", "rate_table.*wanted a known key"),
+        (
+            "[[recording]]",
+            "[temperature]\nspan_limit_k = -1\n[[recording]]",
+            r"line 5: temperature: .*wanted span_limit_k from 0 to 100, got -1",
+        ),
         ("[session]", "[session", "wanted TOML, got a line that is not: .*line 1"),
         ("[[recording]]", "[[recordings]]", "recordings.*: wanted a known key"),
     ],
@@ -253,11 +278,29 @@ def test_a_session_comes_back_as_it_was_written(tmp_path_factory, data, serial, 
         records=held,
         stills=tuple(piece(Still) for _ in range(data.draw(st.integers(0, 3)))),
         turns=tuple(piece(Turn) for _ in range(data.draw(st.integers(0, 3)))),
+        rate_table=data.draw(
+            st.builds(
+                RateTable,
+                table_level_deg=st.floats(0.0, 10.0),
+                mount_tilt_deg=st.floats(0.0, 10.0),
+                rate_uncertainty=st.floats(0.0, 0.1),
+                wobble_deg=st.floats(0.0, 10.0),
+            )
+            | st.just(RateTable())
+        ),
+        sensitivity=data.draw(
+            st.builds(
+                TemperatureSensitivity, gyro_offset_dps_per_k=st.floats(0.0, 1.0), span_limit_k=st.floats(0.0, 9.0)
+            )
+            | st.just(TemperatureSensitivity())
+        ),
     )
     path = tmp_path_factory.mktemp("session") / "run"
     write_session(session, path)
     back = read_session(path)
     assert (back.kind, back.serial, back.gravity_m_s2) == (session.kind, session.serial, session.gravity_m_s2)
+    assert back.rate_table == session.rate_table
+    assert back.sensitivity == session.sensitivity
     assert back.stills == session.stills
     for a, b in zip(back.turns, session.turns, strict=True):
         assert (a.start, a.stop, a.axis, a.recording, a.temp_c) == (b.start, b.stop, b.axis, b.recording, b.temp_c)

@@ -32,8 +32,13 @@ from undrift.sim.sessions import simulate_session
 NODES = np.arange(18.0, 75.01, 0.5)
 BOTH_WAYS = np.concatenate((-GRID[::-1], [0.0], GRID))
 LIMIT = 1.2  # of the true tables' error: the promise
-# deg/s, beside it without noise: each soak holds one draw of the offset's wander, 0.007, up to twice that on the worst device
-QUIET_FLOOR = 0.015
+
+
+def quiet_floor(device: DeviceModel) -> float:
+    """Return two standard deviations of the offset's flicker, deg/s: each soak holds one draw of it, and no table can know it."""
+    flicker = device.gyro.instability
+    processes = len(flicker.time_constants_s)
+    return 2.0 * float(np.degrees(flicker.instability.max()) * np.sqrt(processes * np.log(10.0**0.5) / np.pi))
 
 
 def note_device(seed: int) -> DeviceModel:
@@ -112,9 +117,9 @@ def test_the_compensated_rate_error_is_near_that_of_the_true_tables() -> None:
                     f"device {seed}, {temp_c:g} degC, {name}, readings without noise, deg/s rms",
                     "all tables {:.4f}, true tables {:.4f}".format(*quiet_left)
                     + f", ratio {quiet_left[0] / quiet_left[1]:.2f}",
-                    f"hypot of {QUIET_FLOOR} and {LIMIT} x the last",
+                    f"hypot of {quiet_floor(device):.4f} and {LIMIT} x the last",
                 )
-                assert quiet_left[0] < np.hypot(QUIET_FLOOR, LIMIT * quiet_left[1])
+                assert quiet_left[0] < np.hypot(quiet_floor(device), LIMIT * quiet_left[1])
                 assert left[2] < LIMIT * left[3]
                 assert left[2] < left[1] < left[0]
 

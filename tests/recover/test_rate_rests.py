@@ -24,15 +24,9 @@ from testkit.cramer_rao import (
 from testkit.data import show
 from testkit.findings import codes, only
 from undrift.calibration.calibrate import calibrate
-from undrift.calibration.rate_table import (
-    DwellMeans,
-    RateTableFit,
-    RestMeans,
-    dwell_means,
-    fit_rate_table,
-    fit_with_rests,
-    middles,
-)
+from undrift.calibration.dwells import DwellMeans, dwell_means
+from undrift.calibration.observe import middles
+from undrift.calibration.rate_table import RateTableFit, RestMeans, fit_rate_table, fit_with_rests
 from undrift.sim.device.effects import RandomWalk
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.simulate import simulate_device

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from testkit.cramer_rao import COHORTS, Array, Tally, carried, information, inverse_model, jacobian, white_device
-from undrift.calibration.rate_table import DwellMeans, RateTableMode, dwell_means, fit_rate_table
+from undrift.calibration.dwells import DwellMeans, dwell_means
+from undrift.calibration.rate_table import RateTableMode, fit_rate_table
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.simulate import simulate_device
 from undrift.sim.motion.bench import BenchSettings, bench_motion

@@ -127,7 +127,7 @@ DRAWN = {
         DynamicDrift(
             temp_c=np.array([20.0, 30.0]),
             turn_rate=np.array([-1.0, 0.0, 1.0]),
-            error=np.zeros((2, 3, 3)),
+            error=np.where(np.arange(3) == 1, 0.0, np.full((2, 3, 3), 0.01)),
             extrapolated=np.array([[True, False, True], [False] * 3]),
         )
     ),
@@ -137,7 +137,7 @@ WORDS = {
     "offsets": ("offset less the constant offset", "x (deg/s)", "extrapolated", "warming", "cooling branch", "95 %"),
     "offsets without blocks": (">offset<", "uncertainty of the table", "a pose has no single offset"),
     "change alone": ("x (count)", "the same less the fit"),
-    "scale": ("scale factor against", "y (%)", "soaks, 95 %"),
+    "scale": ("scale factor against", "z (%)", "soaks, 95 %"),
     "dynamic": ("measured rate (deg/s)", "20 degC", "correction (deg/s)"),
     "choice": ("scale (chosen)", "scale + dynamic"),
 }
@@ -149,6 +149,12 @@ def test_every_picture_names_what_it_shows_and_is_the_same_twice(name):
     for word in WORDS[name]:
         assert word in text, word
     assert text == svg_of(DRAWN[name]())
+
+
+def test_an_axis_that_was_not_turned_is_not_drawn():
+    assert "y (%)" not in svg_of(draw_scale(scales()))
+    titles = [axes.get_title(loc="left") for axes in DRAWN["dynamic"]().axes]
+    assert titles == ["x", "z"]
 
 
 def test_the_legend_s_soaks_have_the_colour_of_those_in_every_panel():

@@ -67,11 +67,10 @@ def rows() -> tuple[Row, ...]:
     for device in DEVICES:
         pairs, names = of_device(device)
         records, references = zip(*pairs, strict=True)
-        adc = device_adc(records)
-        held = leave_one_out(records, references, adc=adc)
+        held = leave_one_out(records, references, adc=device_adc(records))
         for name, (record, reference), fit in zip(names, pairs, held, strict=True):
             model = Calibration(
-                device=device, reference_temp_c=np.nan, gravity_m_s2=STANDARD_GRAVITY, gyro=fit.model, adc=adc
+                device=device, reference_temp_c=np.nan, gravity_m_s2=STANDARD_GRAVITY, gyro=fit.model, adc=fit.adc
             )
             done = correct(record, model)
             tracks = {

@@ -10,7 +10,9 @@ Nearest and floor differ by half a step everywhere, which an offset takes up: co
 not. Only samples that sweep through zero are counted: at rest the density near code 0 is anything but level.
 """
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
@@ -19,6 +21,7 @@ from undrift.findings import Finding, finding
 from undrift.model import AdcModel, Rounding
 from undrift.record import Record
 
+_LEAST_CODES = 4  # distinct readings that show a grid
 _MOST_CODES = 200_000  # distinct readings looked at when the step is sought
 _GRID_MISS = 0.15  # of a step: how far readings may be off the grid; files round to a tenth of a step
 _DUST = 4.0 * float(np.finfo(np.float32).eps)  # of the largest reading: float rounding, not a step
@@ -74,11 +77,11 @@ def adc_model(gyro: AdcFinding | None, accel: AdcFinding | None) -> AdcModel | N
 def code_grid(column: FloatArray) -> tuple[float, float]:
     """Return the step between neighbouring codes of one axis (N,), and the phase of the grid."""
     distinct = np.unique(column[np.isfinite(column)])
-    if not 4 <= len(distinct) <= _MOST_CODES:
+    if not _LEAST_CODES <= len(distinct) <= _MOST_CODES:
         return float("nan"), float("nan")
     largest = float(np.abs(distinct).max())
     nodes = distinct[np.concatenate(([True], np.diff(distinct) > _DUST * largest))]
-    if len(nodes) < 4:
+    if len(nodes) < _LEAST_CODES:
         return float("nan"), float("nan")
     gaps = np.diff(nodes)
     step = float(np.median(gaps[gaps < 1.5 * gaps.min()]))
@@ -98,6 +101,57 @@ def code_grid(column: FloatArray) -> tuple[float, float]:
         codes = np.round(nodes / step)
         step = float(nodes @ codes / (codes @ codes))
     return float(step), phase
+
+
+def code_steps(records: Sequence[Record], *, rate: bool) -> FloatArray:
+    """Return the step between neighbouring codes of each gyroscope or accelerometer (3,), NaN where readings lie on no grid."""
+    parts = [values for record in records if (values := record.gyro if rate else record.accel) is not None]
+    return _steps(parts) if parts else np.full(3, np.nan)
+
+
+def _steps(values: Sequence[FloatArray]) -> FloatArray:
+    steps = []
+    for column in np.concatenate(values).T:
+        distinct = np.unique(column[np.isfinite(column)])
+        few = 1 < len(distinct) < _LEAST_CODES  # too few for a grid: the nearest two are a step apart
+        steps.append(float(np.diff(distinct).min()) if few else code_grid(column)[0])
+    return np.array(steps)
+
+
+# ---- what rounding to codes leaves in a mean reading
+#
+# A reading x + n, n normal of variance s^2, that is rounded to steps q has a mean off x by sum_k q/(pi k) sin(2 pi k x / q)
+# exp(-2 pi^2 k^2 s^2 / q^2), whose variance over all places x between two codes is Q; the readings themselves scatter by S:
+#
+#     Q = sum_k q^2 / (2 pi^2 k^2) exp(-4 pi^2 k^2 s^2 / q^2)       q^2 / 12 without noise
+#     S = s^2 + q^2 / 12 - Q
+
+_NOISES = np.linspace(0.0, 1.0, 201)  # s / q
+_HARMONICS = np.arange(1, 200)[:, None]
+_MOST_OF = 0.5
+
+
+def code_variance(step: FloatArray, scatter: FloatArray) -> FloatArray:
+    """Return Q for steps q and variances S of single readings (3,); 0 where the step is not known."""
+    left = (np.exp(-((2.0 * np.pi * _HARMONICS * _NOISES) ** 2)) / (2.0 * np.pi**2 * _HARMONICS**2)).sum(axis=0)
+    shown = _NOISES**2 + 1.0 / 12.0 - left
+    square = np.where(step > 0.0, step, np.inf) ** 2
+    return np.asarray(np.where(step > 0.0, step, 0.0) ** 2 * np.interp(scatter / square, shown, left))
+
+
+def mean_rounding(values: Sequence[FloatArray], rests: Sequence[FloatArray]) -> FloatArray:
+    """Return the standard deviation (3,) that rounding leaves in a mean at rest: all readings and those at rest, (N, 3) each."""
+    within = np.mean([rest.var(axis=0) for rest in rests], axis=0)
+    return np.sqrt(code_variance(_steps(values), within))
+
+
+def limited_by_codes(
+    triad: Literal["gyroscope", "accelerometer"], codes: FloatArray, variance: FloatArray, unit: str
+) -> Iterator[Finding]:
+    """Report where rounding, of variance ``codes`` (3,), is most of a variance (3,): its error is no normal one."""
+    if (codes > _MOST_OF * np.maximum(variance, 1e-300)).any():
+        uncertainty = float(np.sqrt(codes.max()))
+        yield finding("session.rounding", "warn", triad=triad, uncertainty=uncertainty, unit=unit)
 
 
 def _sweeping(column: FloatArray, step: float) -> FloatArray:
@@ -142,13 +196,18 @@ def without_truncation(values: FloatArray, lsb: FloatArray, rounding: Rounding) 
     return np.asarray(values + 0.5 * lsb * direction)
 
 
+def restored_gyro(gyro: FloatArray, adc: AdcModel | None) -> FloatArray:
+    """Return gyroscope readings (N, 3) corrected for the half steps that the rounding took."""
+    if adc is None or adc.gyro_lsb is None:
+        return gyro
+    return without_truncation(gyro, adc.gyro_lsb, adc.gyro_rounding)
+
+
 def restored(record: Record, adc: AdcModel | None) -> Record:
     """Return a record corrected for the half steps that the rounding took."""
     if adc is None:
         return record
-    gyro, accel = record.gyro, record.accel
-    if gyro is not None and adc.gyro_lsb is not None:
-        gyro = without_truncation(gyro, adc.gyro_lsb, adc.gyro_rounding)
+    accel, gyro = record.accel, None if record.gyro is None else restored_gyro(record.gyro, adc)
     if accel is not None and adc.accel_lsb is not None:
         accel = without_truncation(accel, adc.accel_lsb, adc.accel_rounding)
     return replace(record, gyro=gyro, accel=accel)

@@ -13,7 +13,7 @@ recording that would show it; so is what a kind of session never shows, however 
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from datetime import UTC, datetime
 from typing import Any, Literal, NamedTuple
 
@@ -21,12 +21,16 @@ import numpy as np
 
 from undrift.calibration.adc import identify_record_adc, restored
 from undrift.calibration.checks import missing_faces
+from undrift.calibration.creep import creep_of
 from undrift.calibration.known_rotation import calibrate_turns
 from undrift.calibration.multi_position import FEWEST_POSES, calibrate_moves, calibrate_poses
 from undrift.calibration.observe import CalibrateSettings, Observed, Outcome, at_one_temperature, in_one_unit, observe
+from undrift.calibration.offset_drift import offset_drift
 from undrift.calibration.rate_table import calibrate_rates, scale_verdict
-from undrift.calibration.reference import ReferenceFit, ReferenceSettings, fit_reference
+from undrift.calibration.reference import ReferenceFit, ReferenceSettings, cross_validated_adc, fit_reference
+from undrift.calibration.reference_accel import fit_reference_accel
 from undrift.calibration.six_face import calibrate_faces
+from undrift.calibration.unused_stills import check_accel
 from undrift.errors import CalibrationError, InputError, NotObservable, PoorFit
 from undrift.findings import Finding, finding
 from undrift.fit.least_squares import TriadFit, triad_fit
@@ -47,13 +51,15 @@ _LEAST_POSES = 9  # free poses of a multi-position fit
 
 def calibrate_rest(seen: Observed, mode: str | None, accel: TriadFit | None) -> Outcome:
     """Take the offset of the gyroscopes from rests; the scale is the unit's own. An entry of FITS."""
-    offset, variance = seen.rest_rate()
     unit = seen.session.records[0].gyro_unit
-    if np.isnan(offset).any() or not is_physical(unit):
+    if not is_physical(unit):
+        return Outcome(findings=(finding("gyro.not_observable", "warn"),))
+    factor, creep = si_factor(unit, "rate"), creep_of(seen, seen.stills, "gyro")
+    offset, variance = seen.rest_rate(creep.columns(np.zeros(len(seen.stills)), 1.0 / factor)[:, 0])
+    if np.isnan(offset).any():
         return Outcome(findings=(finding("gyro.not_observable", "warn"),))
     covariance = np.zeros((12, 12))
     covariance[9:, 9:] = np.diag(variance)
-    factor = si_factor(unit, "rate")
     residuals = (seen.rest_means() - offset) * factor
     fit = triad_fit(
         residuals,
@@ -68,7 +74,7 @@ def calibrate_rest(seen: Observed, mode: str | None, accel: TriadFit | None) -> 
         condition=1.0,
         valid_range=(0.0, 0.0),
     )
-    return Outcome(fit=fit, method="rest")
+    return Outcome(fit=fit, method="rest", findings=creep.findings())
 
 
 class FitMethod(NamedTuple):
@@ -168,12 +174,16 @@ def calibrate(
     session, other_temperatures = at_one_temperature(in_one_unit(session))
     adc, seen = _observed(session, settings)
     of_accel = _calibrate_accel(seen, accel, mode)
+    if of_accel.fit is not None:
+        of_accel = of_accel.after(*check_accel(seen, of_accel.fit.model, of_accel.used))
     of_gyro = _calibrate_gyro(seen, gyro, mode, of_accel)
     triads: tuple[tuple[Triad, Outcome], ...] = (("accelerometer", of_accel), ("gyroscope", of_gyro))
     unused = tuple(item for triad, outcome in triads for item in _mode_not_used(mode, triad, outcome))
     if session.gravity_source == "standard" and of_accel.fit is not None:
         other_temperatures += (finding("session.gravity_assumed", "info", gravity_m_s2=session.gravity_m_s2),)
-    found = each_once((*other_temperatures, *seen.findings, *of_accel.findings, *of_gyro.findings, *unused))
+    drifted = () if of_gyro.fit is None else offset_drift(seen, float(np.linalg.norm(of_gyro.fit.model.matrix, 2)))
+    of_session = (*other_temperatures, *seen.findings, *drifted)
+    found = each_once((*of_session, *of_accel.findings, *of_gyro.findings, *unused))
     if of_accel.fit is None and of_gyro.fit is None:
         reasons = "; ".join(item.text for item in found)
         raise NotObservable(f"calibrate: wanted poses or turns to fit, got none that can be used: {reasons}")
@@ -343,13 +353,20 @@ def _provenance(session: Session, seen: Observed, accel: str, gyro: str, mode: M
     settings, turns = seen.settings, seen.session.turns
     if gyro == "known-rotation" and not turns:
         turns = seen.full_turns()
-    names = ("window_s", "polynomial_degree", "settle_s", "spline_cutoff_hz", "latitude_deg", "angle_uncertainty_deg")
+    names = (
+        "window_s", "polynomial_degree", "settle_s", "spline_cutoff_hz", "latitude_deg", "angle_uncertainty_deg",
+        "axis_uncertainty_deg",
+    )  # fmt: skip
     numbers = ((name, getattr(settings, name)) for name in names)
+    table = settings.rate_table(session.rate_table)
+    of_table = tuple((item.name, f"{getattr(table, item.name):g}") for item in fields(table) if gyro == "rate-table")
+    sensitivity = settings.sensitivity(session.sensitivity)
+    of_creep = tuple((item.name, f"{getattr(sensitivity, item.name):g}") for item in fields(sensitivity))
     shown = ((name, "none" if value is None else f"{value:g}") for name, value in numbers)
     return Provenance(
         inputs=session.inputs,
         settings=(
-            *(("accel", accel), ("gyro", gyro), ("mode", mode or "default"), *shown),
+            *(("accel", accel), ("gyro", gyro), ("mode", mode or "default"), *shown, *of_table, *of_creep),
             ("gravity", session.gravity_source),
             ("stills", f"{len(seen.stills)} {'found' if seen.found else 'stated'}"),
             ("faces", ", ".join(face for face in FACES if face in {still.face for still in seen.faced}) or "none"),
@@ -372,16 +389,19 @@ def calibrate_to_references(
     settings: ReferenceSettings = ReferenceSettings(),
     lag_settings: LagSettings = LagSettings(),
 ) -> Calibration:
-    """Calibrate the gyroscopes of one device from recordings with an orientation reference.
+    """Calibrate one device from recordings with an orientation reference.
+
+    Accelerometers need rests in several poses, or a reference that gives the position too.
 
     Parameters
     ----------
     records : sequence of Record
-        Raw recordings of one device in one mounting; each begins with a rest.
+        Raw recordings of one device; each begins with a rest.
     references : sequence of Reference
         One for each record.
     adc : str
-        "auto" corrects the ADC's rounding where it is identified; "none" leaves the codes.
+        "auto" corrects the ADC's rounding where it is identified and, from three recordings on, where that lowers the
+        cross-validated error; "none" leaves the codes.
     method : str
         reference, or a fit that another package adds.
     settings : ReferenceSettings
@@ -392,7 +412,7 @@ def calibrate_to_references(
     Returns
     -------
     Calibration
-        Gyroscopes only: a reference of orientation does not measure specific force.
+        Gyroscopes, and accelerometers where all recordings have them; the verdict names what neither rests nor motion show.
 
     Raises
     ------
@@ -400,16 +420,44 @@ def calibrate_to_references(
         All that ``fit_reference`` raises.
     """
     rounding = device_adc(records) if adc == "auto" else None
+    rounding, why = cross_validated_adc(records, references, rounding, settings=settings, lag_settings=lag_settings)
     fit = find_fit(method, "reference")(records, references, settings=settings, adc=rounding, lag_settings=lag_settings)
+    accel, more = _accel_of(records, references, rounding, fit, lag_settings)
+    more += () if why is None else (why,)
     temps = [float(np.nanmean(record.temp_c)) for record in records if record.temp_c is not None]
     return Calibration(
         device=records[0].device,
         reference_temp_c=float(np.mean(temps)) if temps else float("nan"),
         gravity_m_s2=STANDARD_GRAVITY,
         gyro=fit.triad.model,
+        accel=None if accel is None else accel.model,
         adc=rounding,
-        verdict=fit.triad.verdict,
+        verdict=fit.triad.verdict.also(Verdict.of(*more) if accel is None else Verdict.of(*more).also(accel.verdict)),
     )
+
+
+def _accel_of(
+    records: Sequence[Record],
+    references: Sequence[Reference],
+    adc: AdcModel | None,
+    fit: ReferenceFit,
+    lag_settings: LagSettings,
+) -> tuple[TriadFit | None, tuple[Finding, ...]]:
+    """Return the accelerometers' fit to the references, or why there is none."""
+    if any(record.accel is None for record in records):
+        return None, ()
+    try:
+        made = fit_reference_accel(
+            [restored(record, adc) for record in records],
+            references,
+            fit.triad.model,
+            mountings=fit.mountings,
+            gravity_m_s2=STANDARD_GRAVITY,
+            lag_settings=lag_settings,
+        )
+        return made, ()
+    except (CalibrationError, InputError) as error:
+        return None, (finding("reference.accel_failed", "info", reason=str(error)),)
 
 
 def device_adc(records: Sequence[Record]) -> AdcModel | None:

@@ -6,20 +6,24 @@ At rest on face p the mean reading is b + G a_p. Over the turn about axis j by t
 b T + G A_j, T its duration and A_j the integral of the calibrated specific force.
 
     paper      G from half the difference of opposite faces, b from the mean of all samples at rest, K from the turns [1]_
-    affine     G and b by least squares over the faces, weighted by their samples: free of bias for windows of unequal length
+    affine     K, b and G by weighted least squares over faces, turns and the other rests, whose specific force is measured
+
+What moves more than sample noise is in the weights and in the covariance: noise of block means, temperature creep, flicker, what
+rounding leaves, the angle of each turn, jitter of the clock, and the axis of the turns against the case.
 
 .. [1] F. Ferraris, U. Grimaldi, M. Parvis, "Procedure for effortless in-field calibration of three-axial rate gyros and
    accelerometers", Sensors and Materials 7(5), 1995.
 """
 
 import itertools
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Literal
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal, NamedTuple
 
 import numpy as np
 
 from undrift.arrays import FloatArray
+from undrift.calibration.adc import limited_by_codes, mean_rounding
 from undrift.calibration.checks import (
     axis_vectors,
     cause_by_gravity,
@@ -31,12 +35,21 @@ from undrift.calibration.checks import (
     nearest_signed_permutation,
     order_text,
 )
+from undrift.calibration.creep import Creep, creep_of
 from undrift.calibration.multi_position_gyro import Moves, cut_moves, gravity_directions, turned_in
 from undrift.calibration.observe import Observed, Outcome
 from undrift.calibration.six_face import FaceMeans
 from undrift.errors import Implausible, InputError, NotObservable
 from undrift.findings import Finding, finding
-from undrift.fit.least_squares import TriadFit, inverse_jacobian, scaled_condition, triad_fit
+from undrift.fit.least_squares import (
+    TriadFit,
+    averaged,
+    block_size,
+    inverse_jacobian,
+    noise_of_means,
+    scaled_condition,
+    triad_fit,
+)
 from undrift.model import AXES, G_NAMES, MATRIX_NAMES, OFFSET_NAMES, TriadModel, Verdict
 from undrift.record import Axis, Record, Still, Turn
 from undrift.units import RADIAN_PER_DEGREE
@@ -85,7 +98,7 @@ def _miss_deg(moves: Moves, n: FloatArray, matrix: FloatArray, offset: FloatArra
     return float(np.sqrt(np.mean(np.arccos(cosine) ** 2))) / RADIAN_PER_DEGREE
 
 
-# ---- sums over faces and turns
+# ---- sums over rests and turns
 
 KnownRotationMode = Literal["paper", "affine"]
 
@@ -102,6 +115,324 @@ class RotationData:
     force: FloatArray  # (R, 3), integral of the calibrated specific force over each turn, m/s
     duration: FloatArray  # (R,), s
     noise: FloatArray | None = None  # (R, 3), standard deviation of ``reading`` from sample noise alone
+    slip: FloatArray | None = None  # (R,), what jitter of the clock adds to ``reading`` of the turned axis, unit * s
+    free: FaceMeans | None = None  # Means of rests off the faces, with no faces
+    rest_force: FloatArray | None = None  # (P + F, 3), specific force on the faces, then in the free rests, m/s2
+    span: FloatArray | None = None  # (P + F + R, 2), start and stop of faces, free rests and turns on one clock, s
+    rounding: FloatArray | None = None  # (3,), what rounding leaves in a mean at rest, unit
+    pieces: tuple[Still | Turn, ...] = ()  # Faces, free rests and turns, in this order
+
+    @property
+    def means(self) -> FloatArray:
+        """Means of all rests, shape (P + F, 3)."""
+        return self.rest.reading if self.free is None else np.vstack((self.rest.reading, self.free.reading))
+
+
+def rotation_data(
+    records: Sequence[Record], stills: Sequence[Still], turns: Sequence[Turn], *, matrix: FloatArray, offset: FloatArray
+) -> RotationData:
+    """Sum the readings of a session over its rests and its turns; matrix and offset are the accelerometer's."""
+    used = [t for t in turns if t.axis is not None and t.angle is not None]
+    rests = [*(s for s in stills if s.face is not None), *(s for s in stills if s.face is None)]
+    rests, used = _moved_apart(records, rests, used)
+    faces = [s.face for s in rests if s.face is not None]
+    gyro, force = [], []
+    for still in rests:
+        readings = np.hstack([values[still.start : still.stop] for values in _both(records[still.recording])])
+        readings = readings[~np.isnan(readings).any(axis=1)]
+        gyro.append(readings[:, :3])
+        force.append((readings[:, 3:].mean(axis=0) - offset) @ matrix.T if len(readings) else np.full(3, np.nan))
+        if still.face is not None and len(readings) < 2:
+            raise InputError(
+                f"known rotation: wanted readings at rest on face {still.face}, got {len(readings)}; choose another stretch"
+            )
+    kept = [k for k, window in enumerate(gyro) if len(window) > 1]
+    windows, rests = [gyro[k] for k in kept], [rests[k] for k in kept]
+    count = np.array([len(w) for w in windows], float)
+    sizes = [block_size(records[s.recording].sample_rate_hz) for s in rests]
+    white, block = _sample_noise(windows, sizes)
+    rest_noise = np.maximum(white, block * np.array(sizes)[:, None] ** 0.5) / count[:, None] ** 0.5
+    sums = [_turn_sums(records[t.recording], t, (white, block), matrix, offset) for t in used]
+    size, number = len(faces), len(rests)
+    unit = records[0].gyro_unit
+    means = np.array([w.mean(axis=0) for w in windows]).reshape(-1, 3)
+    noise = np.array([one.noise for one in sums]).reshape(-1, 3)
+    return RotationData(
+        rest=FaceMeans(
+            reading=means[:size], faces=tuple(faces), noise=rest_noise[:size] if number else None, unit=unit
+        ),
+        rest_samples=count[:size],
+        angle=np.array([t.angle for t in used], float),
+        axis=tuple(t.axis for t in used if t.axis is not None),
+        reading=np.array([one.reading for one in sums]).reshape(-1, 3),
+        force=np.array([one.force for one in sums]).reshape(-1, 3),
+        duration=np.array([one.duration for one in sums]),
+        noise=noise,
+        slip=np.array([one.slip for one in sums]),
+        free=FaceMeans(reading=means[size:], faces=(), noise=rest_noise[size:], unit=unit) if number > size else None,
+        rest_force=np.array(force)[kept].reshape(-1, 3),
+        span=_spans(records, [*rests, *used]),
+        rounding=mean_rounding([_both(records[k])[0] for k in {s.recording for s in rests}], windows)
+        if number
+        else None,
+        pieces=(*rests, *used),
+    )
+
+
+def _sample_noise(windows: Sequence[FloatArray], sizes: Sequence[int]) -> tuple[FloatArray, FloatArray]:
+    """Return the standard deviation of a sample at rest, and that of a block mean; 0 where there are too few blocks."""
+    if not windows:
+        return np.zeros(3), np.zeros(3)
+    square = np.sum([((w - w.mean(axis=0)) ** 2).sum(axis=0) for w in windows], axis=0)
+    spare = sum(len(w) - 1 for w in windows)
+    blocks = noise_of_means(windows, sizes)
+    block = np.zeros(3) if blocks is None else blocks[0] * np.sqrt(len(windows[0]) / sizes[0])
+    return np.sqrt(square / max(1, spare)), block
+
+
+class _TurnSums(NamedTuple):
+    """Sums over one turn."""
+
+    reading: FloatArray  # (3,), unit * s
+    force: FloatArray  # (3,), m/s
+    duration: float  # s
+    noise: FloatArray  # (3,), unit * s
+    slip: float  # unit * s
+
+
+def _turn_sums(
+    record: Record, turn: Turn, noise: tuple[FloatArray, FloatArray], matrix: FloatArray, offset: FloatArray
+) -> _TurnSums:
+    gyro, accel = (values[turn.start : turn.stop] for values in _both(record))
+    if np.isnan(gyro).any() or np.isnan(accel).any():
+        raise InputError(f"known rotation: wanted the turn about {turn.axis} without gaps, got some; record it again")
+    check_range([gyro], f"gyroscope in the turn about {turn.axis}")
+    steps = np.diff(record.time)
+    step = np.concatenate((steps[:1], steps))[turn.start : turn.stop]
+    white, block = noise
+    sample = np.maximum(white, block * block_size(record.sample_rate_hz) ** 0.5)
+    # A stamp off by d moves the sum by d times the change of the reading there: jitter of the steps has twice its variance.
+    even = steps[steps < _GAP * np.median(steps)]
+    axis = AXES.index(turn.axis) if turn.axis is not None else 0
+    change = float((np.diff(gyro[:, axis]) ** 2).sum()) - 2.0 * (len(gyro) - 1) * float(white[axis]) ** 2
+    return _TurnSums(
+        reading=step @ gyro,
+        force=step @ ((accel - offset) @ matrix.T),
+        duration=float(step.sum()),
+        noise=sample * np.sqrt(step @ step),
+        slip=float(np.sqrt(0.5 * even.var() * max(change, 0.0))),
+    )
+
+
+def _spans(records: Sequence[Record], pieces: Sequence[Still | Turn]) -> FloatArray:
+    begins = np.concatenate(([0.0], np.cumsum([record.duration_s for record in records])))
+    spans = [
+        [
+            begins[p.recording] + records[p.recording].time[at] - records[p.recording].time[0]
+            for at in (p.start, p.stop - 1)
+        ]
+        for p in pieces
+    ]
+    return np.array(spans).reshape(-1, 2)
+
+
+# A low-pass delays what the sensor reads: the end of a move then lies in the rest behind it. Where the first or last tenths of a
+# second of a rest differ from its middle, they count as part of the turn beside it.
+
+_GAP = 1.5  # median steps: a longer one is a gap, not jitter
+_CHUNK_S, _MOST_CHUNKS = 0.1, 5
+_MOVES = 5.0  # standard deviations of a chunk's mean within the rest
+_BESIDE = 3  # samples between a rest and its turn
+
+
+def _moved_apart(
+    records: Sequence[Record], stills: Sequence[Still], turns: Sequence[Turn]
+) -> tuple[list[Still], list[Turn]]:
+    rests, moved = [], list(turns)
+    for still in stills:
+        record = records[still.recording]
+        chunk = max(1, round(_CHUNK_S * record.sample_rate_hz))
+        rest = _quiet(still, _both(record)[0][still.start : still.stop], chunk)
+        for k, turn in enumerate(moved):
+            if (
+                turn.recording == still.recording
+                and 0 <= still.start - turn.stop <= _BESIDE
+                and rest.start > still.start
+            ):
+                moved[k] = replace(moved[k], stop=rest.start)
+            if turn.recording == still.recording and 0 <= turn.start - still.stop <= _BESIDE and rest.stop < still.stop:
+                moved[k] = replace(moved[k], start=rest.stop)
+        rests.append(rest)
+    return rests, moved
+
+
+def _quiet(still: Still, readings: FloatArray, chunk: int) -> Still:
+    count = len(readings) // chunk
+    if count < 4 * _MOST_CHUNKS:
+        return still
+    from_start = readings[: count * chunk].reshape(count, chunk, 3).mean(axis=1)
+    from_stop = readings[len(readings) - count * chunk :].reshape(count, chunk, 3).mean(axis=1)[::-1]
+    middle = from_start[_MOST_CHUNKS:-_MOST_CHUNKS]
+    limit = _MOVES * np.nanstd(middle, axis=0)
+    cut = []
+    for means in (from_start, from_stop):
+        apart = (np.abs(means[:_MOST_CHUNKS] - np.nanmean(middle, axis=0)) > limit).any(axis=1)
+        cut.append(chunk * (int(np.flatnonzero(apart).max()) + 1 if apart.any() else 0))
+    return replace(still, start=still.start + cut[0], stop=still.stop - cut[1])
+
+
+def _both(record: Record) -> tuple[FloatArray, FloatArray]:
+    if record.gyro is None or record.accel is None:
+        raise InputError("known rotation: wanted gyroscope and accelerometer, got one of them; map the missing columns")
+    return record.gyro, record.accel
+
+
+# ---- fit
+#
+# One sensor i has the equations  y = X theta + e,  theta = K_i, b_i, G_i:  a rest (0, 1, f), a turn (u t, T, A).
+#
+#     V_i(q) = diag(noise^2) + creep + rounding + q^2 F + sum_m c_mi c_mi'
+#
+# F is flicker: exponential correlations with time constants from 1 s to 10^4 s, averaged over each rest and turn; its size q is the
+# same for three sensors. q is not known: the parameters are averaged over all by their likelihood, as offsets that drift are
+# (fit/least_squares.py). c_m are errors that three sensors share: the angle of a turn, and its axis.
+
+_TIMES_S = np.geomspace(1.0, 1e4, 9)
+_SIZES = np.concatenate(([0.0], np.geomspace(0.05, 300.0, 60)))  # q in units of the median noise of a rest
+_SMALL_SIZE, _LARGE_SIZE = 0.1, 0.5  # E1 takes 1 / (q + 0.1), and both 1 / (1 + (q / 0.5)^2): a mild prior
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Errors:
+    """Covariances of the equations, E rests and turns."""
+
+    own: FloatArray  # (3, E, E), of one sensor alone: noise, creep, rounding
+    shared: FloatArray  # (3, E, M), what three sensors share: one standard deviation each
+    flicker: FloatArray  # (E, E), for a size of 1
+    size: float  # median noise of a rest, unit
+
+    def total(self, square: float) -> FloatArray:
+        """Return V (3, E, E) without the shared errors, for a flicker of q^2."""
+        return np.asarray(self.own + square * self.flicker)
+
+    def carried(self, solvers: FloatArray, square: float) -> FloatArray:
+        """Return the covariance (21, 21) of K row by row, b, G row by row: solvers (3, 7, E)."""
+        made = np.zeros((3, 7, 3, 7))
+        common = solvers @ self.shared
+        for i, total in enumerate(self.total(square)):
+            made[i, :, i] = solvers[i] @ total @ solvers[i].T
+        made += np.einsum("iam,kbm->iakb", common, common)
+        return np.asarray(made.reshape(21, 21)[np.ix_(_ORDER, _ORDER)])
+
+
+_ROUNDING = 1e-12  # of the largest reading: no mean is known better than its arithmetic
+_ORDER = np.array(
+    [*(7 * i + k for i in range(3) for k in range(3)), 3, 10, 17, *(7 * i + 4 + k for i in range(3) for k in range(3))]
+)
+
+
+def _errors(data: RotationData, forward: FloatArray, sigma: tuple[float, float], creep: Creep | None) -> _Errors:
+    """Return what is known of the errors: forward (3, 3), sigma of angle and axis, rad."""
+    rests, turns = len(data.means), len(data.angle)
+    extent = np.concatenate((np.ones(rests), data.duration))  # of an offset in each equation
+    if data.rest.noise is None or data.noise is None:
+        samples = data.rest_samples.mean() / data.rest_samples
+        noise = np.sqrt(np.concatenate((samples, np.ones(rests - len(samples)), data.duration)))[:, None] * np.ones(3)
+    else:
+        of_rests = (
+            data.rest.noise
+            if data.free is None or data.free.noise is None
+            else np.vstack((data.rest.noise, data.free.noise))
+        )
+        noise = np.maximum(np.vstack((of_rests, data.noise)), _ROUNDING * np.abs(data.means).max() * extent[:, None])
+    own = np.stack([np.diag(column**2) for column in noise.T])
+    if data.rounding is not None:
+        # One code for all rests errs alike in all; a turn's slow parts err by themselves.
+        alike = np.zeros((rests + turns, rests + turns))
+        alike[:rests, :rests] = 1.0
+        own += (data.rounding**2)[:, None, None] * (alike + np.diag(extent**2))
+    gain = np.linalg.norm(forward, axis=1)
+    vectors = axis_vectors(data.axis) * data.angle[:, None]
+    if creep is not None:
+        for row in range(3):
+            along = np.concatenate((np.zeros(rests), vectors @ (forward[row] / gain[row])))
+            own[row] += creep.covariance(along, float(gain[row]), extent)
+    shared = _shared(data, forward, sigma, rests)
+    own += 1e-12 * np.stack([np.diag((part**2).sum(axis=1)) for part in shared])  # so that V stays invertible
+    flicker = np.zeros((rests + turns, rests + turns))
+    if data.span is not None:
+        flicker = np.outer(extent, extent) * _flicker(data.span)
+        length = np.diff(data.span, axis=1)[:, 0]
+        apart = (
+            np.eye(len(extent)) - np.outer(extent, length / extent) / length.sum()
+        )  # the offset is the mean of the session
+        flicker = apart @ flicker @ apart.T
+    return _Errors(own=own, shared=shared, flicker=flicker, size=float(np.median(noise[:rests])))
+
+
+def _shared(data: RotationData, forward: FloatArray, sigma: tuple[float, float], rests: int) -> FloatArray:
+    columns = []
+    slip = np.zeros(len(data.angle)) if data.slip is None else data.slip
+    for turn, axis in enumerate(data.axis):
+        own = AXES.index(axis)
+        column = np.zeros((3, rests + len(data.angle)))
+        column[:, rests + turn] = forward[:, own] * np.hypot(sigma[0], slip[turn] / forward[own, own])
+        columns.append(column)
+    for own, name in enumerate(AXES):  # all turns about one axis lean alike, as a fixture or an edge does
+        along = np.where(np.array(data.axis) == name, data.angle, 0.0)
+        for across in {0, 1, 2} - {own}:
+            column = np.zeros((3, rests + len(data.angle)))
+            column[:, rests:] = sigma[1] * np.outer(forward[:, across], along)
+            columns.append(column)
+    return np.stack(columns, axis=-1)
+
+
+def _flicker(span: FloatArray) -> FloatArray:
+    """Return the covariance (E, E) of means over stretches (E, 2), s, of exponential correlations with many time constants."""
+    length = np.maximum(np.diff(span, axis=1)[:, 0], 1e-3)
+    first, later = np.minimum(span[:, None, 1], span[None, :, 1]), np.maximum(span[:, None, 0], span[None, :, 0])
+    gap, total = np.maximum(later - first, 0.0), np.zeros((len(span), len(span)))
+    for time_s in _TIMES_S:
+        ratio = length / time_s
+        decay = -np.expm1(-ratio) / ratio
+        part = np.outer(decay, decay) * np.exp(-gap / time_s)
+        np.fill_diagonal(part, 2.0 * (1.0 - decay) / ratio)
+        total += part / len(_TIMES_S)
+    return total
+
+
+def _averaged(
+    design: FloatArray, reading: FloatArray, start: FloatArray, errors: _Errors
+) -> tuple[FloatArray, FloatArray, float]:
+    """Return theta (3, 7), its covariance and the mean q^2 over all sizes of flicker: start (3, 7) is near the solution."""
+    left = reading - design @ start.T
+    sizes = _SIZES if errors.flicker.any() else _SIZES[:1]
+    thetas, covariances = np.zeros((len(sizes), 21)), np.zeros((len(sizes), 21, 21))
+    likelihood = np.zeros(len(sizes))
+    common = errors.shared @ errors.shared.transpose(0, 2, 1)
+    for at, size in enumerate(sizes):
+        square, solvers = (size * errors.size) ** 2, np.zeros((3, 7, len(design)))
+        for row, total in enumerate(errors.total(square) + common):
+            root = np.linalg.cholesky(total)
+            x, y = np.linalg.solve(root, design), np.linalg.solve(root, left[:, row])
+            length = np.linalg.norm(x, axis=0)
+            basis, upper = np.linalg.qr(x / length)
+            solvers[row] = np.linalg.solve(upper, np.linalg.solve(root.T, basis).T) / length[:, None]
+            likelihood[at] -= np.log(np.diag(root)).sum() + np.log(np.abs(np.diag(upper))).sum() + np.log(length).sum()
+            likelihood[at] -= 0.5 * float(y @ y - (basis.T @ y) @ (basis.T @ y))
+        step = np.einsum("iae,ei->ia", solvers, left)
+        thetas[at] = (start + step).reshape(-1)[_ORDER]
+        covariances[at] = errors.carried(solvers, square)
+    if len(sizes) == 1:
+        theta, covariance, square = thetas[0], covariances[0], 0.0
+    else:
+        wide = 1.0 + (sizes / _LARGE_SIZE) ** 2
+        theta, covariance = averaged(sizes, likelihood, thetas, covariances, (wide, wide * (sizes + _SMALL_SIZE)))
+        share = np.exp(likelihood - likelihood.max()) * np.gradient(sizes) / wide
+        square = float(share @ (sizes * errors.size) ** 2 / share.sum())
+    unordered = np.empty(21)
+    unordered[_ORDER] = theta
+    return unordered.reshape(3, 7), covariance, square
 
 
 def fit_known_rotation(
@@ -110,100 +441,83 @@ def fit_known_rotation(
     gravity: float,
     mode: KnownRotationMode = "affine",
     angle_uncertainty: float = 0.0,
+    axis_uncertainty: float = 0.0,
     scale_tolerance: float = 0.25,
+    creep: Creep | None = None,
 ) -> TriadFit:
-    """Fit gyroscopes, with their g-sensitivity, to six faces and turns by angles with a standard uncertainty, rad."""
+    """Fit gyroscopes, with their g-sensitivity, to rests and turns; angle and axis have standard uncertainties, rad."""
     _check_complete(data)
-    up, samples = face_vectors(data.rest.faces), data.rest_samples
-    design = np.column_stack((np.ones(len(up)), gravity * up))
-    # to_rest (4, P): b and the row of G from the means of one sensor
-    if mode == "paper":  # half differences, repeated faces averaged
-        to_rest = np.vstack((samples / samples.sum(), (up / np.abs(up).sum(axis=0) / gravity).T))
-    else:
-        weighted = design * samples[:, None]
-        to_rest = np.linalg.solve(weighted.T @ design, weighted.T)
-    rest = to_rest @ data.rest.reading
-    turned = data.reading - data.duration[:, None] * rest[0] - data.force @ rest[1:]
+    up = face_vectors(data.rest.faces)
+    force = gravity * up if data.rest_force is None else data.rest_force
     turns = axis_vectors(data.axis) * data.angle[:, None]
-    forward = (np.linalg.pinv(turns) @ turned).T
-    _check_turns(forward, data, scale_tolerance)
-    matrix = np.linalg.inv(forward)
-    at_rest = data.rest.reading - (rest[0] + gravity * up @ rest[1:])
-    residuals = np.concatenate((at_rest, turned - turns @ forward.T)) @ matrix.T
+    leak = np.column_stack((data.duration, data.force))
+    rests = np.column_stack((np.ones(len(force)), force))
+    design = np.block([[np.zeros((len(rests), 3)), rests], [turns, leak]])
+    reading = np.vstack((data.means, data.reading))
+    closed = _closed_form(data, up, gravity, turns, leak, mode)
+    theta = (closed @ reading).T
+    _check_turns(theta[:, :3], data, scale_tolerance)
+    errors = _errors(data, theta[:, :3], (angle_uncertainty, axis_uncertainty), creep)
+    fitted, covariance, square = _averaged(design, reading, theta, errors)
+    if mode == "paper":
+        covariance = errors.carried(np.stack((closed, closed, closed)), square)
+    else:
+        theta = fitted
+    matrix = np.linalg.inv(theta[:, :3])
     rank, condition = scaled_condition(np.column_stack((np.ones(len(up)), up)))
     fastest = float(np.abs(data.angle / data.duration).max())
-    found = [finding("known_rotation.no_spare_equations", "info")]
-    if angle_uncertainty == 0.0:
-        found.append(finding("known_rotation.angles_exact", "info"))
+    known = data.rest.noise is not None and data.noise is not None
     return triad_fit(
-        residuals,
-        Verdict.of(*found),
+        ((reading - design @ theta.T) @ matrix.T),
+        Verdict.of(*_judged(data, angle_uncertainty, creep, np.diag(covariance)[9:12])),
         method=f"known-rotation/{mode}",
         unit_in=data.rest.unit,
         unit_out="rad/s",
         matrix=matrix,
-        offset=rest[0],
-        g_sensitivity=matrix @ rest[1:].T,
+        offset=theta[:, 3],
+        g_sensitivity=matrix @ theta[:, 4:],
         parameters=(*MATRIX_NAMES, *OFFSET_NAMES, *G_NAMES),
-        covariance=_covariance(data, to_rest, turns, forward, rest[1:].T, angle_uncertainty),
+        covariance=_of_inverse(covariance, matrix, theta[:, 4:]) if known else np.full((21, 21), np.nan),
         rank=3 * rank + 9,
         condition=condition,
         valid_range=(-fastest, fastest),
     )
 
 
-def rotation_data(
-    records: Sequence[Record], stills: Sequence[Still], turns: Sequence[Turn], *, matrix: FloatArray, offset: FloatArray
-) -> RotationData:
-    """Sum the readings of a session over its labelled faces and its turns; matrix and offset are the accelerometer's."""
-    faced, windows = [s for s in stills if s.face is not None], []
-    for still in faced:
-        gyro, _ = _both(records[still.recording])
-        window = gyro[still.start : still.stop]
-        windows.append(window[~np.isnan(window).any(axis=1)])
-        if len(windows[-1]) < 2:
-            raise InputError(
-                f"known rotation: wanted readings at rest on face {still.face}, got {len(windows[-1])}; choose another stretch"
-            )
-    square = sum((((w - w.mean(axis=0)) ** 2).sum(axis=0) for w in windows), np.zeros(3))
-    count = np.array([len(w) for w in windows], float)
-    sigma = np.sqrt(square / max(1, int(count.sum()) - len(count)))
-    used = [t for t in turns if t.axis is not None and t.angle is not None]
-    sums, duration, noise = [], [], []
-    for turn in used:
-        gyro, accel = (values[turn.start : turn.stop] for values in _both(records[turn.recording]))
-        if np.isnan(gyro).any() or np.isnan(accel).any():
-            raise InputError(
-                f"known rotation: wanted the turn about {turn.axis} without gaps, got some; record it again"
-            )
-        check_range([gyro], f"gyroscope in the turn about {turn.axis}")
-        steps = np.diff(records[turn.recording].time)
-        step = np.concatenate((steps[:1], steps))[turn.start : turn.stop]
-        sums.append((step @ gyro, step @ ((accel - offset) @ matrix.T)))
-        duration.append(step.sum())
-        noise.append(sigma * np.sqrt(step @ step))
-    reading, force = np.array(sums).reshape(-1, 2, 3).swapaxes(0, 1)
-    return RotationData(
-        rest=FaceMeans(
-            reading=np.array([w.mean(axis=0) for w in windows]).reshape(-1, 3),
-            faces=tuple(s.face for s in faced if s.face is not None),
-            noise=sigma / np.sqrt(count)[:, None] if len(count) else None,
-            unit=records[0].gyro_unit,
-        ),
-        rest_samples=count,
-        angle=np.array([t.angle for t in used], float),
-        axis=tuple(t.axis for t in used if t.axis is not None),
-        reading=reading,
-        force=force,
-        duration=np.array(duration),
-        noise=np.array(noise).reshape(-1, 3),
-    )
+def _closed_form(
+    data: RotationData, up: FloatArray, gravity: float, turns: FloatArray, leak: FloatArray, mode: KnownRotationMode
+) -> FloatArray:
+    """Return (7, E): K, b and G of one sensor from its means and sums, b and G from the faces alone."""
+    samples, count = data.rest_samples, len(data.rest.faces)
+    if mode == "paper":  # half differences, repeated faces averaged
+        to_rest = np.vstack((samples / samples.sum(), (up / np.abs(up).sum(axis=0) / gravity).T))
+    else:
+        design = np.column_stack((np.ones(len(up)), gravity * up))
+        weighted = design * samples[:, None]
+        to_rest = np.linalg.solve(weighted.T @ design, weighted.T)
+    per_turn, made = np.linalg.pinv(turns), np.zeros((7, len(data.means) + len(turns)))
+    made[:3, :count], made[:3, len(data.means) :] = -per_turn @ leak @ to_rest, per_turn
+    made[3:, :count] = to_rest
+    return made
 
 
-def _both(record: Record) -> tuple[FloatArray, FloatArray]:
-    if record.gyro is None or record.accel is None:
-        raise InputError("known rotation: wanted gyroscope and accelerometer, got one of them; map the missing columns")
-    return record.gyro, record.accel
+def _judged(data: RotationData, angle: float, creep: Creep | None, variance: FloatArray) -> Iterator[Finding]:
+    yield finding("known_rotation.no_spare_equations", "info")
+    if angle == 0.0:
+        yield finding("known_rotation.angles_exact", "info")
+    if creep is not None:
+        yield from creep.findings()
+    if data.rounding is not None:
+        yield from limited_by_codes("gyroscope", data.rounding**2, variance, data.rest.unit)
+
+
+def _of_inverse(covariance: FloatArray, matrix: FloatArray, g_forward: FloatArray) -> FloatArray:
+    """Return the covariance of M, b and M G from that of K, b and G, (21, 21) each."""
+    jacobian = np.eye(21)
+    jacobian[:9, :9] = inverse_jacobian(matrix)
+    jacobian[12:, :9] = np.kron(np.eye(3), g_forward.T) @ jacobian[:9, :9]
+    jacobian[12:, 12:] = np.kron(matrix, np.eye(3))
+    return np.asarray(jacobian @ covariance @ jacobian.T)
 
 
 def _check_complete(data: RotationData) -> None:
@@ -235,39 +549,6 @@ def _check_turns(forward: FloatArray, data: RotationData, tolerance: float) -> N
     check_own_scale(scale, data.rest.unit, "rate", tolerance, "gyroscope turned by hand")
 
 
-def _covariance(
-    data: RotationData,
-    to_rest: FloatArray,
-    turns: FloatArray,
-    forward: FloatArray,
-    g_forward: FloatArray,
-    angle_uncertainty: float,
-) -> FloatArray:
-    # Linear propagation, one sensor (row) at a time: means at rest -> b, G; sums over the turns less b T + G A -> K.
-    total = np.zeros((21, 21))
-    per_turn = np.linalg.pinv(turns)
-    leak = np.column_stack((data.duration, data.force))
-    if data.rest.noise is None or data.noise is None:
-        return np.full((21, 21), np.nan)
-    for row in range(3):
-        rest = to_rest @ np.diag(data.rest.noise[:, row] ** 2) @ to_rest.T
-        k = np.arange(3 * row, 3 * row + 3)
-        bg = np.array([9 + row, 12 + 3 * row, 13 + 3 * row, 14 + 3 * row])
-        total[np.ix_(k, k)] = per_turn @ (np.diag(data.noise[:, row] ** 2) + leak @ rest @ leak.T) @ per_turn.T
-        total[np.ix_(bg, bg)] = rest
-        total[np.ix_(k, bg)] = -per_turn @ leak @ rest
-        total[np.ix_(bg, k)] = total[np.ix_(k, bg)].T
-    for turn, axis in enumerate(data.axis):  # one wrong angle moves a whole column
-        shift = np.outer(forward[:, AXES.index(axis)], per_turn[:, turn]).reshape(-1)
-        total[:9, :9] += angle_uncertainty**2 * np.outer(shift, shift)
-    matrix = np.linalg.inv(forward)
-    jacobian = np.eye(21)
-    jacobian[:9, :9] = inverse_jacobian(matrix)
-    jacobian[12:, :9] = np.kron(np.eye(3), g_forward.T) @ jacobian[:9, :9]
-    jacobian[12:, 12:] = np.kron(matrix, np.eye(3))
-    return np.asarray(jacobian @ total @ jacobian.T)
-
-
 # ---- from a session
 
 
@@ -291,6 +572,8 @@ def calibrate_turns(seen: Observed, mode: str | None, accel: TriadFit | None) ->
         gravity=seen.session.gravity_m_s2,
         mode="paper" if mode == "paper" else "affine",
         angle_uncertainty=seen.settings.angle_uncertainty_deg * RADIAN_PER_DEGREE,
+        axis_uncertainty=seen.settings.axis_uncertainty_deg * RADIAN_PER_DEGREE,
+        creep=creep_of(seen, data.pieces, "gyro"),
         scale_tolerance=seen.settings.scale_tolerance,
     )
     check_turns_gravity(seen.session.records, seen.stills, accel.model, fit.model)

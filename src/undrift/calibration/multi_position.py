@@ -10,20 +10,22 @@ leaves a corrected reading least uncertain: a low threshold loses poses, a high 
 smallest summed cost over the first second of each still, which may keep few poses.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
-from typing import Literal
+from dataclasses import dataclass, field, replace
+from typing import Literal, NamedTuple
 
 import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray, IntArray
+from undrift.calibration.adc import code_steps, code_variance
 from undrift.calibration.checks import check_gravity, check_own_scale, check_range
+from undrift.calibration.creep import Creep, Kind, creep_of
 from undrift.calibration.multi_position_gyro import fit_gyro_between_stills
 from undrift.calibration.observe import Observed, Outcome
 from undrift.errors import InputError, NotObservable, PoorFit
 from undrift.findings import Finding, finding
-from undrift.fit.least_squares import TriadFit, excess_variance, parameter_names, scaled_condition, triad_fit
+from undrift.fit.least_squares import TriadFit, excess_variance, parameter_names, scaled_condition, triad_fit, whitened
 from undrift.model import AXES, TriadModel, Verdict, level_of
 from undrift.record import Record, Still
 from undrift.segments import runs, sphere_of
@@ -38,7 +40,8 @@ from undrift.units import STANDARD_GRAVITY, canonical_unit, is_physical, si_fact
 #
 # Levenberg-Marquardt on the normal equations with analytic Jacobian: with n the direction of M' (v - o'),
 # dr/dm'_ij = n_i (v - o')_j and dr/do' = -M'^T n. Each pose weighs by the variance of its length, n^T M S_k M^T n + s2, S_k the
-# variances of the mean and s2 the excess (fit/least_squares.py): the profile likelihood over unknown directions.
+# variances of the mean and s2 the excess (fit/least_squares.py): the profile likelihood over unknown directions. Temperature creep
+# moves lengths by N z, z ~ N(0, 1), a column of N (K, 6) for the offset and the scale of each sensor: W = (diag + N N')^-1.
 #
 # Poses on the faces alone do not show cross-axis terms. With a prior, each combination c of m'_xy, m'_xz, m'_yz that the poses do
 # not show gets one equation more, c . m' = 0 +- sd; what they show gets none, and a session that shows all is fitted as without.
@@ -97,21 +100,22 @@ def fit_norm(
     variances: FloatArray | None = None,
     cross_axis: bool = True,
     prior_sd: float | None = None,
+    creep: Creep | None = None,
 ) -> NormFit:
     """Solve the norm equations of readings (K, 3) with variances of the mean (K, 3); weights and excess settle together."""
     center, radius = sphere_of(reading)
     scale = gravity / radius
     v = np.ascontiguousarray(scale * (reading - center))
-    stated_raw = np.zeros_like(v) if variances is None else variances * scale**2
+    stated = _Stated(np.zeros_like(v) if variances is None else variances * scale**2, creep)
     free = np.arange(9) if cross_axis else np.array([0, 3, 5, 6, 7, 8])
     rounds = 1 if variances is None and prior_sd is None else 6
     prior: FloatArray = np.zeros((0, 9))
-    found, p, variance = _settled(v, stated_raw, gravity, free, prior, rounds)
+    found, p, variance = _settled(v, stated, gravity, free, prior, rounds)
     if prior_sd is not None:
         for at in (_START, p):  # the solution itself may have run away along what nothing shows
             prior = _unseen_cross_axis(_linearised(v, at, gravity)[0], gravity)
             if len(prior):
-                found, p, variance = _settled(v, stated_raw, gravity, free, prior / prior_sd, rounds)
+                found, p, variance = _settled(v, stated, gravity, free, prior / prior_sd, rounds)
                 break
     design, residuals = _linearised(v, p, gravity)
     size = np.array([gravity] * 6 + [1.0] * 3)
@@ -127,7 +131,7 @@ def fit_norm(
             poses=len(v),
         )
     covariance = np.zeros((9, 9))
-    weighted = design[:, free] / np.sqrt(variance)[:, None]
+    weighted = whitened(design[:, free], np.sqrt(variance), stated.shared(v, p, design))
     covariance[np.ix_(free, free)] = _inverse(_with(weighted, prior[:, free] / (prior_sd or 1.0)))
     return NormFit(
         center=center,
@@ -150,17 +154,34 @@ def _with(design: FloatArray, prior: FloatArray) -> FloatArray:
     )  # without a prior the memory stays, and so does rounding
 
 
+class _Stated(NamedTuple):
+    """What is stated of readings v (K, 3): variances (K, 3), (m/s2)^2, and how far they creep."""
+
+    variances: FloatArray
+    creep: Creep | None
+
+    def shared(self, v: FloatArray, p: FloatArray, design: FloatArray) -> FloatArray | None:
+        """Return N (K, 6), m/s2, at p and its design (K, 9); None without creep."""
+        if self.creep is None or self.creep.none:
+            return None
+        by_reading, columns = -design[:, 6:], [self.creep.columns(column) for column in (v - p[6:]).T]
+        return np.hstack([by_reading[:, [j]] * columns[j] for j in range(3)])
+
+
 def _settled(
-    v: FloatArray, stated_raw: FloatArray, gravity: float, free: IntArray, prior: FloatArray, rounds: int
+    v: FloatArray, stated: _Stated, gravity: float, free: IntArray, prior: FloatArray, rounds: int
 ) -> tuple[bool, FloatArray, FloatArray]:
     """Return whether there is a minimum, p, and the variance of each length (K,); prior (R, 9) in standard deviations."""
     found, p, variance = True, _START, np.ones(len(v))
     for _ in range(rounds):
         before, least = p, variance.min()
-        p, found = _descend(v, least / variance, p, gravity, free, prior * np.sqrt(least))
+        shared = stated.shared(v, p, _linearised(v, p, gravity)[0])
+        weight = _Weight(least / variance, None if shared is None else shared / np.sqrt(least))
+        p, found = _descend(v, weight, p, gravity, free, prior * np.sqrt(least))
         design, residuals = _linearised(v, p, gravity)
-        stated = (design[:, 6:] ** 2 * stated_raw).sum(axis=1)  # d length / d reading = M'^T n
-        variance = stated + excess_variance(residuals, stated, len(v) - len(free) + len(prior))
+        moved, spent = weight.creep(residuals)
+        own = (design[:, 6:] ** 2 * stated.variances).sum(axis=1)  # d length / d reading = M'^T n
+        variance = own + excess_variance(residuals - moved, own, len(v) - len(free) + len(prior) - spent)
         variance = np.maximum(variance, (1e-12 * gravity) ** 2)
         if not found or float(np.abs(p - before).max()) < 1e-12 * gravity:
             break
@@ -187,8 +208,30 @@ def _upper(p: FloatArray) -> FloatArray:
     return matrix
 
 
+class _Weight(NamedTuple):
+    """W = (diag(1 / each) + N N')^-1 of K lengths."""
+
+    each: FloatArray  # (K,)
+    shared: FloatArray | None  # N (K, c)
+
+    def of(self, rows: FloatArray) -> FloatArray:
+        """Return rows (P, K) W."""
+        weighted = rows * self.each
+        if self.shared is None:
+            return weighted
+        inner = np.eye(self.shared.shape[1]) + (self.shared.T * self.each) @ self.shared
+        return np.asarray(weighted - np.linalg.solve(inner, self.shared.T @ weighted.T).T @ (self.shared.T * self.each))
+
+    def creep(self, residuals: FloatArray) -> tuple[FloatArray, float]:
+        """Return the most likely N z in residuals (K,), and the degrees of freedom that it takes."""
+        if self.shared is None:
+            return np.zeros(len(residuals)), 0.0
+        taken = self.of(self.shared.T) @ self.shared  # 1 - (1 + N' diag N)^-1
+        return self.shared @ (self.shared.T @ self.of(residuals[None])[0]), float(np.trace(taken))
+
+
 def _descend(
-    v: FloatArray, weight: FloatArray, start: FloatArray, gravity: float, free: IntArray, prior: FloatArray
+    v: FloatArray, weight: _Weight, start: FloatArray, gravity: float, free: IntArray, prior: FloatArray
 ) -> tuple[FloatArray, bool]:
     """Return the minimum and whether there is one; the start again where the steps run away."""
     known = prior[:, free]
@@ -197,8 +240,9 @@ def _descend(
     def equations(p: FloatArray) -> tuple[float, FloatArray, FloatArray]:
         design, residuals = _linearised(v, p, gravity)
         rows = design.T[free]
-        weighted = rows * weight
-        cost, normal, gradient = float(weight @ residuals**2), weighted @ rows.T, weighted @ residuals
+        weighted = weight.of(rows)
+        cost = float(weight.each @ residuals**2 if weight.shared is None else weight.of(residuals[None])[0] @ residuals)
+        normal, gradient = weighted @ rows.T, weighted @ residuals
         if not len(known):
             return cost, normal, gradient
         away = prior @ p
@@ -351,6 +395,7 @@ class StillVariance:
     at_rest: float  # Value of ``level`` at rest, raw unit squared
     sums: FloatArray  # (2, N + 1, 3), running sums of the readings less ``centre``, and of their squares
     centre: FloatArray  # (3,), raw unit
+    step: FloatArray = field(default_factory=lambda: np.zeros(3))  # (3,), of the codes, raw unit; 0 or NaN for none
 
     def below(self, threshold: float, least: int) -> list[tuple[int, int]]:
         """Return the stretches [start, stop) below a threshold."""
@@ -455,6 +500,9 @@ class MultiPositionFit:
 _Attempt = tuple[ThresholdTrial, tuple[Still, ...], FloatArray, NormFit | None]  # the third: readings that were fitted
 
 
+_NO_LENGTH = "multi-position: wanted poses of one length, got none that a linear sensor could give; check the columns"
+
+
 def fit_multi_position(
     recorded: Record | Sequence[Record],
     *,
@@ -462,10 +510,12 @@ def fit_multi_position(
     stills: Sequence[Still] | None = None,
     settings: MultiPositionSettings = MultiPositionSettings(),
     axes: TriadModel | None = None,
+    creep: Callable[[Sequence[Still], Kind], Creep] | None = None,
 ) -> MultiPositionFit:
     """Calibrate from recordings of free poses and turns between them, all together; a recording may be a single pose.
 
-    ``axes`` is an accelerometer's model from elsewhere, to which the gyroscopes are fitted where the poses do not show its axes.
+    ``axes`` is an accelerometer's model from elsewhere, to which the gyroscopes are fitted where the poses do not show its axes;
+    ``creep`` tells how far the temperature moves the readings of stills or moves of one triad.
     """
     records = (recorded,) if isinstance(recorded, Record) else tuple(recorded)
     if any(r.accel is None for r in records) or len({r.accel_unit for r in records}) > 1:
@@ -474,6 +524,8 @@ def fit_multi_position(
             "map the accelerometer columns and their unit"
         )
     levels = [still_variance(r, window_s=settings.window_s, rest_s=settings.rest_s) for r in records]
+    step = code_steps(records, rate=False)
+    levels = [replace(level, step=step) for level in levels]
     shortest = [max(2, round(settings.min_still_s * r.sample_rate_hz)) for r in records]
     stated = {} if stills is None else {np.nan: tuple(stills)}
     tried = stated or {m: _stills(levels, m, shortest) for m in settings.multiples}
@@ -487,20 +539,21 @@ def fit_multi_position(
             attempts, (trial, used, reading, fit) = known, better
     if fit is None:
         check_count(reading, 9 if settings.cross_axis else 6, known_noise=True)
-        raise PoorFit(
-            "multi-position: wanted poses of one length, got none that a linear sensor could give; check the columns"
-        )
+        raise PoorFit(_NO_LENGTH)
+    if creep is not None and settings.rule != "published" and not (moved := creep(used, "accel")).none:
+        held = settings if len(fit.prior) else plain
+        trial, used, reading, fit = _attempt(levels, used, trial.multiple, gravity, held, shortest, moved)
+        if fit is None:
+            raise PoorFit(_NO_LENGTH)
     check_range([levels[s.recording].values[s.start : s.stop] for s in used], "accelerometer in still poses")
     accel = judged(fit, reading, records[0].accel_unit)
     gyro: TriadFit | None = None
     missing: tuple[Finding, ...] = ()
     if settings.gyro and all(r.gyro is not None for r in records):
-        published = settings.rule == "published"
-        cores = used if published or stills is not None else _cores(levels, used, shortest)
-        rest_s = settings.rest_s if published else None
+        cores = used if settings.rule == "published" or stills is not None else _cores(levels, used, shortest)
         try:
             model = axes if axes is not None and len(fit.prior) else accel.model
-            gyro = fit_gyro_between_stills(records, used, model, cores=cores, equal=published, rest_s=rest_s)
+            gyro = _fit_gyro(records, used, cores, model, settings, creep)
         except NotObservable as error:
             missing = (finding("session.fit_failed", "warn", triad="gyroscope", reason=str(error)),)
     verdict = accel.verdict if gyro is None else accel.verdict.also(gyro.verdict)
@@ -513,6 +566,21 @@ def fit_multi_position(
         verdict=verdict.also(Verdict.of(*missing)),
         missing=missing,
     )
+
+
+def _fit_gyro(
+    records: Sequence[Record],
+    used: Sequence[Still],
+    cores: Sequence[Still],
+    model: TriadModel,
+    settings: MultiPositionSettings,
+    creep: Callable[[Sequence[Still], Kind], Creep] | None,
+) -> TriadFit:
+    if settings.rule == "published":
+        return fit_gyro_between_stills(records, used, model, cores=cores, equal=True, rest_s=settings.rest_s)
+    ordered = sorted(used, key=lambda still: (still.recording, still.start))
+    both = None if creep is None else (creep(ordered, "accel"), creep(ordered, "gyro"))
+    return fit_gyro_between_stills(records, used, model, cores=cores, creep=both)
 
 
 def _stills(levels: list[StillVariance], multiple: float, shortest: list[int]) -> tuple[Still, ...]:
@@ -546,6 +614,7 @@ def _attempt(
     gravity: float,
     settings: MultiPositionSettings,
     shortest: list[int],
+    creep: Creep | None = None,
 ) -> _Attempt:
     means, variances = _poses(levels, stills)
     published = settings.rule == "published"
@@ -561,7 +630,12 @@ def _attempt(
         with suppress(PoorFit):
             weights = None if published else variances
             fit = fit_norm(
-                reading, gravity=gravity, variances=weights, cross_axis=settings.cross_axis, prior_sd=prior_sd
+                reading,
+                gravity=gravity,
+                variances=weights,
+                cross_axis=settings.cross_axis,
+                prior_sd=prior_sd,
+                creep=creep,
             )
     trial = ThresholdTrial(
         multiple=multiple,
@@ -582,7 +656,8 @@ def _poses(levels: list[StillVariance], stills: tuple[Still, ...]) -> tuple[Floa
         count = (stop - start)[:, None].astype(float)
         sums, squares = level.sums[:, stop] - level.sums[:, start]
         within = (squares - sums**2 / count).sum(axis=0) / max(1.0, float(count.sum()) - len(rows))
-        means[rows], variances[rows] = sums / count + level.centre, np.maximum(within, 0.0) / count
+        within = np.maximum(within, 0.0)
+        means[rows], variances[rows] = sums / count + level.centre, within / count + code_variance(level.step, within)
     return means, variances
 
 
@@ -616,13 +691,20 @@ def _of_session(seen: Observed, axes: TriadFit | None = None) -> MultiPositionFi
     settings = MultiPositionSettings(cross_axis_prior=seen.settings.cross_axis_prior)
     model = None if axes is None or axes.model.method.startswith("multi-position") else axes.model
     return fit_multi_position(
-        session.records, gravity=session.gravity_m_s2, stills=stills, settings=settings, axes=model
+        session.records,
+        gravity=session.gravity_m_s2,
+        stills=stills,
+        settings=settings,
+        axes=model,
+        creep=lambda pieces, kind: creep_of(seen, pieces, kind),
     )
 
 
 def calibrate_poses(seen: Observed, mode: str | None, accel: TriadFit | None = None) -> Outcome:
     """Fit the accelerometer of a session to its free poses; an entry of FITS."""
-    return Outcome(fit=_of_session(seen).accel, method="multi-position")
+    made = _of_session(seen)
+    found = creep_of(seen, made.stills, "accel").findings()
+    return Outcome(fit=made.accel, method="multi-position", findings=found, used=made.stills)
 
 
 def calibrate_moves(seen: Observed, mode: str | None, accel: TriadFit | None) -> Outcome:
@@ -631,4 +713,6 @@ def calibrate_moves(seen: Observed, mode: str | None, accel: TriadFit | None) ->
         fit = _of_session(seen, accel)
     except NotObservable as error:
         return Outcome(findings=(finding("session.fit_failed", "warn", triad="gyroscope", reason=str(error)),))
-    return Outcome(findings=fit.missing) if fit.gyro is None else Outcome(fit=fit.gyro, method="multi-position")
+    if fit.gyro is None:
+        return Outcome(findings=fit.missing)
+    return Outcome(fit=fit.gyro, method="multi-position", findings=creep_of(seen, fit.stills, "gyro").findings())

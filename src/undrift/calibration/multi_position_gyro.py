@@ -4,10 +4,10 @@
                                    integrated from w = M (u - o); n_j direction of gravity in still j, from the accelerometer
 
 M is a full matrix in the accelerometer's axes. A turn shows two angles; the one about the vertical is not observable. Turns
-weigh by the covariance of the missed angles: noise of both stills (a still between two turns ties them together), uncertainty
-of the accelerometer's calibration, white noise over the turn, drift of the offset between stills, and an excess that the
-residuals show; the stills' readings are observations of the offset. With ``equal``, as published, every turn counts alike and
-the offset is the mean of the opening rest.
+weigh by the covariance of the missed angles: noise of both stills (a still between two turns ties them together), uncertainty of
+the accelerometer's calibration, white noise over the turn, drift of the offset between stills, temperature creep (creep.py), and an
+excess that the residuals show; the stills' readings are observations of the offset. With ``equal``, as published, every turn counts
+alike and the offset is the mean of the opening rest.
 """
 
 from collections.abc import Iterator, Sequence
@@ -16,13 +16,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from undrift.arrays import FloatArray, IntArray
+from undrift.calibration.adc import code_steps, code_variance, limited_by_codes
 from undrift.calibration.checks import check_axis_order, check_own_scale, check_range
+from undrift.calibration.creep import Creep
 from undrift.errors import InputError, NotObservable, PoorFit
 from undrift.findings import Finding, finding
 from undrift.fit.least_squares import TriadFit, excess_variance, parameter_names, scaled_condition, triad_fit
 from undrift.model import MATRIX_NAMES, TriadModel, Verdict, level_of
 from undrift.record import Record, Still
-from undrift.units import RADIAN_PER_DEGREE
+from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
 # ---- moves between stills; direction of gravity and offset in the stills
 #
@@ -243,6 +245,8 @@ class _Problem:
     prior: OffsetPrior
     unit: float
     free: int
+    codes: FloatArray  # (3,), variance that rounding leaves in the mean offset, raw unit squared
+    creep: tuple[Creep, Creep] | None = None  # Of accelerometers and gyroscopes in the stills
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -263,8 +267,9 @@ def fit_gyro_between_stills(
     cores: Sequence[Still] | None = None,
     equal: bool = False,
     rest_s: float | None = None,
+    creep: tuple[Creep, Creep] | None = None,
 ) -> TriadFit:
-    """Fit gyroscopes to the moves between still poses."""
+    """Fit gyroscopes to the moves between still poses; creep of accelerometers and gyroscopes in these, in order of time."""
     moves = cut_moves(records, stills, stills if cores is None else cores)
     if len(moves.first) < 5:
         raise NotObservable(
@@ -276,6 +281,8 @@ def fit_gyro_between_stills(
     within = [moves.gyro[a : b + 1] for a, b in zip(moves.first, moves.last, strict=True)]
     check_range(within, "gyroscope in moves between poses")
     prior = offset_prior(moves)
+    codes = code_variance(code_steps(records, rate=True), prior.noise)  # rests lie at one place between two codes
+    prior = replace(prior, variance=prior.variance + codes, noise=prior.noise + codes)  # in motion it is noise again
     if equal:
         start = records[0].time[0]
         rest = None if rest_s is None else records[0].between(start, start + rest_s).gyro
@@ -289,6 +296,8 @@ def fit_gyro_between_stills(
         prior=prior,
         unit=unit,
         free=9 if equal else 12,
+        creep=creep,
+        codes=codes,
     )
     start = np.concatenate((rough_matrix(moves, accel, prior.mean).reshape(-1) * unit, np.zeros(3)))
     p, covariance, missed = _solve(problem, start)
@@ -397,9 +406,33 @@ def _covariance_of_angles(problem: _Problem, missed: _Missed, p: FloatArray) -> 
     by_offset = missed.jacobian[:, 9:] / problem.unit
     for column, drift in zip(by_offset.T, prior.drift_covariance, strict=True):
         total += np.outer(column, column) * np.kron(drift, np.ones((2, 2)))
+    if problem.creep is not None:
+        shared = np.hstack(
+            (_by_accel_creep(problem, problem.creep[0], by_still), _by_gyro_creep(problem, problem.creep[1], missed, p))
+        )
+        total += shared @ shared.T
     matrix = p[:9].reshape(3, 3) / problem.unit
     noise = float((matrix**2 @ prior.noise).mean())  # (rad/s)^2 of one sample, mean of the axes
     return np.asarray(total + np.diag(np.repeat(noise * moves.duration_s**2 / (moves.last - moves.first), 2)))
+
+
+def _by_accel_creep(problem: _Problem, creep: Creep, by_still: FloatArray) -> FloatArray:
+    """Return how offset and scale of each accelerometer turn the angles (2 J, 6): by_still (J, 2, K, 3) their derivative by n."""
+    unit, jacobian, _ = problem.directions
+    columns = [creep.columns(STANDARD_GRAVITY * unit[:, j], float(problem.accel.scale_factor[j])) for j in range(3)]
+    moved = np.stack([-jacobian[:, :, 9 + j, None] * columns[j][:, None, :] for j in range(3)], axis=2)  # (K, 3, 3, 2)
+    return np.asarray(np.einsum("jeka,kabc->jebc", by_still, moved).reshape(2 * len(by_still), 6))
+
+
+def _by_gyro_creep(problem: _Problem, creep: Creep, missed: _Missed, p: FloatArray) -> FloatArray:
+    """Return how the scale of each gyroscope turns the angles (2 J, 3); the stills themselves show how its offset moves."""
+    warmth = _warmth_of_moves(problem, creep)
+    by_scale = (missed.jacobian[:, :9] * p[:9]).reshape(-1, 3, 3).sum(axis=1)
+    return np.asarray(creep.scale_per_k * np.repeat(warmth, 2)[:, None] * by_scale)
+
+
+def _warmth_of_moves(problem: _Problem, creep: Creep) -> FloatArray:
+    return np.asarray(0.5 * (creep.warmth[problem.moves.before] + creep.warmth[problem.moves.before + 1]))
 
 
 def _tangent(n: FloatArray) -> FloatArray:
@@ -441,7 +474,13 @@ def _as_triad(problem: _Problem, p: FloatArray, covariance: FloatArray, missed: 
     matrix, offset = p[:9].reshape(3, 3) / problem.unit, problem.prior.mean + p[9:] * problem.unit
     carry = np.array([1.0 / problem.unit] * 9 + [problem.unit] * 3)
     total = covariance * np.outer(carry, carry)
-    total[9:, 9:] += np.diag((problem.prior.drift**2).mean(axis=0))  # one offset stands for all of the session
+    left, known = problem.prior.drift, np.zeros(3)
+    if problem.creep is not None and not problem.creep[1].none:  # the offset is that at the reference temperature
+        warmth = _warmth_of_moves(problem, problem.creep[1])[:, None]
+        left = left - warmth @ np.linalg.pinv(warmth) @ left
+        known = np.diagonal(problem.prior.drift_covariance, axis1=1, axis2=2).mean(axis=1)
+    # one offset stands for all of the session
+    total[9:, 9:] += np.diag(np.maximum((left**2).mean(axis=0) - known, 0.0))
     inside = [moves.gyro[a + 1 : b + 1] for a, b in zip(moves.first, moves.last, strict=True)]
     rate = (np.concatenate(inside) - offset) @ matrix.T
     residuals = missed.angle.reshape(-1, 2) / moves.duration_s[:, None]
@@ -451,7 +490,10 @@ def _as_triad(problem: _Problem, p: FloatArray, covariance: FloatArray, missed: 
     drift = float(np.abs(np.ptp(problem.prior.drift @ matrix.T, axis=0)).max()) / RADIAN_PER_DEGREE
     fit = triad_fit(
         residuals,
-        Verdict.of(*_judged(rms_angle, uncertain, drift)),
+        Verdict.of(
+            *_judged(rms_angle, uncertain, drift),
+            *limited_by_codes("gyroscope", problem.codes, np.diag(total)[9:], unit_in),
+        ),
         method="multi-position",
         unit_in=unit_in,
         unit_out="rad/s",

@@ -6,20 +6,17 @@ N angle (velocity) random walk, B bias instability, K rate (acceleration) random
 octaves of tau are fitted by generalised least squares, linear in Q^2, N^2, B^2, K^2 >= 0: variances from the equivalent degrees of
 freedom, correlations from the spectrum of the model itself (neighbouring octaves share half their samples). A term that is not two
 standard deviations above zero is not observable and gets an upper limit: a short record does not show the rise at long tau.
-
-.. [1] C. A. Greenhall and W. J. Riley, "Uncertainty of stability variances based on finite differences", PTTI 2003.
-.. [2] W. J. Riley, "Handbook of frequency stability analysis", NIST SP 1065, 2008, sections 5.2-5.5.
+Intervals of B and K are those of the profile likelihood, with every other term free.
 """
 
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Literal, get_args
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from undrift.arrays import FloatArray, IntArray, frozen
+from undrift.arrays import FloatArray, IntArray
+from undrift.calibration.allan import AllanDeviation, allan_deviation, averages_of
 from undrift.errors import InputError
 from undrift.findings import Finding, Level, finding
 from undrift.model import AXES, NoiseModel, Verdict
@@ -27,237 +24,6 @@ from undrift.record import Record
 from undrift.segments import BENCH_ACCEL_LIMIT, BENCH_RATE_LIMIT
 from undrift.units import SI_UNIT, Quantity, is_physical, si_factor
 from undrift.views import Shown
-
-# ---- Allan deviation and its relatives
-#
-# With phase x_k = sum of the first k readings times the sample period, tau = m periods, D2 and D3 the second and third difference
-# over m samples, and S the running sum of x:
-#
-#     ADEV^2  = mean D2(x)^2 / (2 tau^2)        every m-th k;  OADEV: every k
-#     HDEV^2  = mean D3(x)^2 / (6 tau^2)        every m-th k;  OHDEV: every k
-#     MDEV^2  = mean D3(S)^2 / (2 m^2 tau^2)    every k
-#     TOTDEV^2 = mean D2(x*)^2 / (2 tau^2)      x* the phase continued by point reflection at both ends
-#
-# Where samples are missing, only terms whose samples are all there count: the mean runs over them, averaging times go up to those
-# of which two windows' worth of terms are left, the kind of noise comes from neighbouring whole averages, and the degrees of
-# freedom are those of a record without gaps with as many terms. Overlapping and plain ADEV and HDEV can do so.
-#
-# The estimate of a variance is distributed as chi-square with ``edf`` equivalent degrees of freedom [1]_, which depend on the kind
-# of noise; the kind is found at each tau from the lag-1 autocorrelation of the averaged readings [2]_.
-
-Estimator = Literal["adev", "oadev", "mdev", "hdev", "ohdev", "totdev"]
-_SPAN = {"adev": 2, "oadev": 2, "mdev": 3, "hdev": 3, "ohdev": 3, "totdev": 1}  # samples needed, in units of m
-_ORDER = {"adev": 2, "oadev": 2, "mdev": 2, "hdev": 3, "ohdev": 3, "totdev": 2}
-_TOTAL_EDF = {0: (1.5, 0.0), -1: (1.16832, 0.222), -2: (0.9285, 0.358)}  # SP 1065 table 7: edf = b T / tau - c
-_LEAST_AVERAGES = 30  # of a length, to tell the kind of noise
-_STRIDES = 64  # overlaps finer than this carry no more information
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class AllanDeviation:
-    """Deviation over averaging time, with confidence."""
-
-    taus_s: FloatArray  # (M,), averaging times, s
-    deviation: FloatArray  # (M,), unit of the readings
-    lower: FloatArray  # (M,), confidence limits, unit of the readings
-    upper: FloatArray
-    edf: FloatArray  # (M,), equivalent degrees of freedom
-    noise: IntArray  # (M,), power of frequency: 2 white phase, 1 flicker phase, 0 white, -1 flicker, -2 random walk
-
-
-Taus = Literal["octave", "decade", "all"] | Sequence[float] | FloatArray
-
-
-def allan_deviation(
-    x: ArrayLike,
-    sample_rate_hz: float,
-    *,
-    taus: Taus = "octave",
-    estimator: Estimator = "oadev",
-    confidence: float = 0.95,
-) -> AllanDeviation:
-    """Return the Allan deviation of one channel (N,), or a relative of it."""
-    y = frozen(x, (None,), "x")
-    able = estimator in get_args(Estimator) and sample_rate_hz > 0.0 and 0.0 < confidence < 1.0
-    gap = np.isnan(y)
-    if not able or (gap.any() and estimator not in _GAPPED):
-        raise InputError(
-            f"allan_deviation: wanted readings (without gaps for mdev and totdev), a sample rate, a confidence within (0, 1) and "
-            f"one of {', '.join(get_args(Estimator))}, got {int(gap.sum())} gaps, {sample_rate_hz:g} Hz, {confidence:g} and "
-            f"'{estimator}'; cut the record at its gaps, or use oadev"
-        )
-    if gap.any():
-        return _with_gaps(y, sample_rate_hz, taus, estimator, confidence)
-    m = _averages(taus, len(y), sample_rate_hz, estimator)
-    phase = np.concatenate(([0.0], np.cumsum(y - y.mean())))
-    deviation = _deviations(phase, m, estimator)
-    noise = _kinds(phase, m, _ORDER[estimator])
-    edf = np.array([_edf(int(mk), int(a), len(phase), estimator) for mk, a in zip(m, noise, strict=True)])
-    lower, upper = _limits(deviation, edf, confidence)
-    taus_s = m / sample_rate_hz
-    return AllanDeviation(taus_s=taus_s, deviation=deviation, lower=lower, upper=upper, edf=edf, noise=noise)
-
-
-_GAPPED = ("adev", "oadev", "hdev", "ohdev")
-
-
-def _with_gaps(y: FloatArray, rate: float, taus: Taus, estimator: Estimator, confidence: float) -> AllanDeviation:
-    """Return the deviation of readings (N,) with gaps, NaN, by the terms that are whole."""
-    gap, order, span = np.isnan(y), _ORDER[estimator], _SPAN[estimator]
-    centred = np.where(gap, 0.0, y - np.nanmean(y))
-    phase = np.concatenate(([0.0], np.cumsum(centred)))
-    lost = np.concatenate(([0], np.cumsum(gap)))
-    weights = {2: (1.0, -2.0, 1.0), 3: (-1.0, 3.0, -3.0, 1.0)}[order]
-    kept, squares, phases, kinds, kind = list[int](), list[float](), list[int](), list[int](), 0
-    for m in _averages(taus, int((~gap).sum()), rate, estimator).tolist():
-        count = len(phase) - order * m
-        first = np.arange(0, count, m if estimator in ("adev", "hdev") else 1)
-        first = first[lost[first + order * m] == lost[first]]
-        whole = len(first) * (m if estimator in ("adev", "hdev") else 1)
-        if whole < span * m:
-            continue
-        difference = sum(weight * phase[first + k * m] for k, weight in enumerate(weights))
-        average = np.diff(phase[::m])
-        average[np.diff(lost[::m]) > 0] = np.nan
-        if np.isfinite(average).sum() >= _LEAST_AVERAGES:
-            kind = int(np.clip(_power(average), -2 if order == 2 else -4, 2))
-        kept.append(m)
-        kinds.append(kind)
-        phases.append(whole + order * m)
-        squares.append(float(np.mean(difference**2)) / (2.0 if order == 2 else 6.0))
-    if not kept:
-        raise InputError(
-            "allan_deviation: wanted averaging times of which whole windows are left, got none between "
-            f"{int(gap.sum())} gaps; record longer without gaps"
-        )
-    averages, noise = np.array(kept, np.int64), np.array(kinds, np.int64)
-    deviation = np.sqrt(np.array(squares)) / averages
-    edf = np.array([_edf(m, a, n, estimator) for m, a, n in zip(kept, kinds, phases, strict=True)])
-    lower, upper = _limits(deviation, edf, confidence)
-    return AllanDeviation(taus_s=averages / rate, deviation=deviation, lower=lower, upper=upper, edf=edf, noise=noise)
-
-
-def _averages(taus: Taus, count: int, rate: float, estimator: Estimator) -> IntArray:
-    """Return the averaging times in samples."""
-    longest = count // 4
-    if isinstance(taus, str):
-        grids = {
-            "octave": 2.0 ** np.arange(40),
-            "decade": np.outer(10.0 ** np.arange(12), (1, 2, 4)).reshape(-1),
-            "all": np.arange(1, longest + 1),
-        }
-        if taus not in grids or longest < 1:
-            raise InputError(
-                f"allan_deviation: wanted octave, decade, all or averaging times, and 4 samples or more, got '{taus}' and {count} "
-                "samples; record longer"
-            )
-        return grids[taus][grids[taus] <= longest].astype(np.int64)
-    wanted = np.asarray(taus, float)
-    m: IntArray = np.unique(np.rint(wanted * rate).astype(np.int64))
-    if not len(m) or m[0] < 1 or m[-1] * _SPAN[estimator] >= count + (estimator != "mdev"):
-        raise InputError(
-            f"allan_deviation: wanted averaging times from {1.0 / rate:g} s to under {count / _SPAN[estimator] / rate:g} s, got "
-            f"{wanted.min() if len(wanted) else np.nan:g} to {wanted.max() if len(wanted) else np.nan:g} s; record longer or ask "
-            "for less"
-        )
-    return m
-
-
-def _deviations(phase: FloatArray, m: IntArray, estimator: Estimator) -> FloatArray:
-    """Return deviations in the unit of the readings; the phase counts in readings, so tau is m."""
-    from undrift.kernels.calibrate import second_difference, third_difference
-
-    if estimator in ("hdev", "ohdev"):
-        square = [third_difference(phase, int(k), int(k) if estimator == "hdev" else 1) / 3.0 for k in m]
-    elif estimator == "mdev":
-        sums = np.concatenate(([0.0], np.cumsum(phase - phase.mean())))
-        square = [third_difference(sums, int(k), 1) / float(k) ** 2 for k in m]
-    elif estimator == "totdev":
-        inner = len(phase) - 2
-        left, right = 2.0 * phase[0] - phase[inner:0:-1], 2.0 * phase[-1] - phase[-2 : -2 - inner : -1]
-        longer = np.concatenate((left, phase, right))  # differences are centred at the inner points of the phase
-        square = [second_difference(longer[inner + 1 - int(k) : 2 * inner + 1 + int(k)], int(k), 1) for k in m]
-    else:
-        square = [second_difference(phase, int(k), int(k) if estimator == "adev" else 1) for k in m]
-    return np.asarray(np.sqrt(np.array(square) / 2.0) / m.astype(float))
-
-
-def _kinds(phase: FloatArray, m: IntArray, order: int) -> IntArray:
-    """Return the power of frequency at each averaging time, from the lag-1 autocorrelation (SP 1065, 5.5.6)."""
-    kinds, kind = [], 0
-    for k in m:
-        z = np.diff(phase[:: int(k)])
-        if len(z) >= _LEAST_AVERAGES:
-            kind = int(np.clip(_power(z), -2 if order == 2 else -4, 2))
-        kinds.append(kind)
-    return np.array(kinds, np.int64)
-
-
-def _power(z: FloatArray) -> int:
-    differences = 0
-    while True:
-        away, gap = z - (z.mean() if not np.isnan(z).any() else np.nanmean(z)), np.isnan(z)
-        away = np.where(gap, 0.0, away) if gap.any() else away
-        square = float(away @ away)
-        lag = float(away[1:] @ away[:-1]) / square if square > 0.0 else 0.0
-        if gap.any():  # pairs are fewer than averages
-            lag *= (len(z) - gap.sum()) / max(1, int((~gap[1:] & ~gap[:-1]).sum()))
-        delta = lag / (1.0 + lag)
-        if delta < 0.25 or differences == 3:
-            return -2 * differences - round(2.0 * delta)
-        z, differences = np.diff(z), differences + 1
-
-
-def _edf(m: int, alpha: int, phases: int, estimator: Estimator) -> float:
-    """Return the equivalent degrees of freedom [1]; of totdev by SP 1065, at short tau those of oadev."""
-    if estimator == "totdev" and m >= 8:
-        b, c = _TOTAL_EDF[max(-2, min(0, alpha))]
-        return max(b * (phases - 1) / m - c, 1.0)
-    order = _ORDER[estimator]
-    strides = 1 if estimator in ("adev", "hdev") else min(m, _STRIDES)
-    filtered = 1 if estimator == "mdev" else min(m, 1000)
-    length = m / filtered + m * order if estimator != "mdev" else m * (order + 1)
-    terms = max(1, 1 + int(strides * (phases - length) / m))
-    j = np.arange(1, min(terms, (order + 1) * strides) + 1)
-    zero = float(_autocovariance(np.zeros(1), filtered, alpha, order)[0])
-    later = _autocovariance(j / strides, filtered, alpha, order)
-    weight = 2.0 * (1.0 - j / terms)
-    weight[-1] /= 2.0
-    total = zero**2 + float(weight @ later**2)
-    return max(terms * zero**2 / total, 1.0)
-
-
-def _autocovariance(t: FloatArray, filtered: int, alpha: int, order: int) -> FloatArray:
-    """Return the generalised autocovariance of the differenced phase at shifts t (in units of m)."""
-    f = float(filtered)
-
-    def power(t: FloatArray) -> FloatArray:
-        size, exponent = np.abs(t), 3 - alpha
-        value: FloatArray = size**exponent
-        if exponent % 2 == 0:
-            value = value * np.log(np.where(size > 0.0, size, 1.0))
-        return value if alpha in (0, 1, -3, -4) else -value
-
-    def averaged(t: FloatArray) -> FloatArray:
-        return np.asarray(f * f * (2.0 * power(t) - power(t - 1.0 / f) - power(t + 1.0 / f)))
-
-    first, *rows = {2: (6.0, -4.0, 1.0), 3: (20.0, -15.0, 6.0, -1.0)}[order]
-    total = first * averaged(t)
-    for shift, weight in enumerate(rows, start=1):
-        total = total + weight * (averaged(t - shift) + averaged(t + shift))
-    return total
-
-
-def _limits(deviation: FloatArray, edf: FloatArray, confidence: float) -> tuple[FloatArray, FloatArray]:
-    """Return sqrt(edf / chi-square quantile) either way."""
-    from scipy.special import gammaincinv
-
-    tail = 0.5 * (1.0 - confidence)
-    high, low = 2.0 * gammaincinv(0.5 * edf, 1.0 - tail), 2.0 * gammaincinv(0.5 * edf, tail)
-    return deviation * np.sqrt(edf / high), deviation * np.sqrt(edf / np.maximum(low, 1e-300))
-
-
-# ---- coefficients
 
 FLICKER = 2.0 * np.log(2.0) / np.pi
 _NAMES = ("angle_random_walk", "bias_instability", "rate_random_walk")
@@ -453,7 +219,7 @@ def _triad(
     what = "gyro" if quantity == "rate" else "accel"
     values, unit = getattr(record, what), getattr(record, f"{what}_unit")
     if values is None:
-        taus_s = _averages("octave", len(record), record.sample_rate_hz, "oadev") / record.sample_rate_hz
+        taus_s = averages_of("octave", len(record), record.sample_rate_hz, "oadev") / record.sample_rate_hz
         return (), SI_UNIT[quantity], np.empty((3, len(taus_s), 0)), taus_s
     factor = si_factor(unit, quantity) if is_physical(unit) else None
     whole = np.isfinite(values).all(axis=1)
@@ -520,8 +286,9 @@ def _axis(curve: AllanDeviation, axis: str, unit: str, record: Record, confidenc
 
     tau = curve.taus_s
     design = np.column_stack((3.0 / tau**2, 1.0 / tau, np.full(len(tau), FLICKER), tau / 3.0))
-    kept, squares, errors, misfit = _fit(curve, design, record)
+    kept, squares, errors, departures, misfit = _fit(curve, design, record)
     wide = float(ndtri(0.5 + 0.5 * confidence))
+    likelihood = _Likelihood.of(curve, design, departures, wide)
     rows: tuple[tuple[int, str, str, Finding], ...] = (
         (0, "quantization", f"{unit} s", finding("noise.no_quantization", "info")),
         (1, "angle_random_walk", f"{unit}/sqrt(Hz)", finding("noise.no_random_walk", "info")),
@@ -530,21 +297,26 @@ def _axis(curve: AllanDeviation, axis: str, unit: str, record: Record, confidenc
     )
     found: dict[str, NoiseCoefficient] = {}
     for term, name, of, why in rows:
-        if term in kept:
-            value = float(np.sqrt(squares[term]))
-            relative = 0.5 * wide * errors[term] / squares[term]  # of the root; limits by the logarithm stay positive
-            interval = (value * float(np.exp(-relative)), value * float(np.exp(relative)))
-            found[name] = NoiseCoefficient(value=value, interval=interval, unit=of)
+        if term in _LONG:
+            low, high = likelihood.interval(term)
+        elif term in kept:  # limits by the logarithm stay positive
+            low, high = np.sqrt(squares[term]) * np.exp(np.array([-0.5, 0.5]) * wide * errors[term] / squares[term])
         else:
             high = float(np.sqrt(max(squares[term], 0.0) + wide * errors[term]))
+        if term in kept:
+            value = float(np.sqrt(squares[term]))
+            found[name] = NoiseCoefficient(
+                value=value, interval=(min(float(low), value), max(float(high), value)), unit=of
+            )
+        else:
             found[name] = NoiseCoefficient(value=np.nan, interval=(0.0, high), unit=of, finding=why)
     return AxisNoise(axis=axis, model_error=misfit, **found)
 
 
 def _fit(
     curve: AllanDeviation, design: FloatArray, record: Record
-) -> tuple[tuple[int, ...], FloatArray, FloatArray, float]:
-    """Return the terms kept, the squares of the coefficients, their standard errors, and the model error."""
+) -> tuple[tuple[int, ...], FloatArray, FloatArray, FloatArray, float]:
+    """Return the terms kept, squares of the coefficients, their standard errors, relative covariance (M, M), and model error."""
     measured = curve.deviation**2
     spectra, squared_gain = _spectra(curve.taus_s, record)
     covariance: FloatArray = np.diag(2.0 * measured**2 / curve.edf)
@@ -561,7 +333,99 @@ def _fit(
         errors[term] = float(np.sqrt(cov[at, at]))
         if term not in kept:
             squares[term] = float(value[at])
-    return kept, squares, errors, misfit
+    return kept, squares, errors, total / np.outer(model, model), misfit
+
+
+# ---- intervals of what long averaging times show
+#
+# Flicker and random walk explain the same few points, each of few degrees of freedom. The logarithm of an Allan variance s2 with
+# edf of them about its expectation m is taken as normal with the limits of chi-square at the confidence asked, whatever m is, and
+# with the correlations of the fit. With r the departures,
+#
+#     c(q) = r' C^-1 r,    q = Q^2, N^2, B^2, K^2 >= 0
+#
+# and the interval of a coefficient holds those values at which the least c over the other three exceeds the least of all by no more
+# than the square of the normal's quantile: a rise that another term may explain as well widens it.
+
+_LONG = (2, 3)
+_STEPS = 30
+_SETTLED = 1e-3  # of c
+_LEAST_SHARE = 1e-12  # of the measured variance
+_WIDEST = 1e6  # of the coefficient's square: the search for a limit ends there
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Likelihood:
+    """Departures of logarithmic Allan variances, M averaging times."""
+
+    white: FloatArray  # (M, M), inverse root of their covariance
+    value: FloatArray  # (M,), middle of log m less log s2
+    design: FloatArray  # (M, 4), over s2, columns scaled to one
+    unit: FloatArray  # (4,), those scales
+    wide: float  # quantile of the normal
+
+    @classmethod
+    def of(cls, curve: AllanDeviation, design: FloatArray, relative: FloatArray, wide: float) -> "_Likelihood":
+        """Take the fit's covariance relative to the model, (M, M), with the spread of the logarithm of chi-square."""
+        from scipy.special import chdtri, ndtr
+
+        ends = np.log(curve.edf / chdtri(curve.edf, ndtr(np.array([[-wide], [wide]]))))
+        spread = (ends[1] - ends[0]) / (2.0 * wide) / np.sqrt(2.0 / curve.edf)
+        white = np.linalg.inv(np.linalg.cholesky(relative * np.outer(spread, spread)))
+        scaled = design / curve.deviation[:, None] ** 2
+        unit = scaled.max(axis=0)
+        return cls(white=white, value=0.5 * (ends[0] + ends[1]), design=scaled / unit, unit=unit, wide=wide)
+
+    def interval(self, term: int) -> tuple[float, float]:
+        """Return the limits of one coefficient."""
+        from scipy.optimize import brentq
+
+        every = np.arange(4)
+        best, least = self._least(every, np.full(4, 0.1))
+        others, limit = every[every != term], least + self.wide**2
+
+        def over(log_square: float) -> float:
+            q = best.copy()
+            q[term] = np.exp(log_square)
+            return self._least(others, q)[1] - limit
+
+        middle = float(np.log(max(best[term], 1e-9)))
+        end, far = middle, float(np.log(_WIDEST))
+        while end < far and over(end) < 0.0:
+            end += 1.0
+        high = float(brentq(over, end - 1.0, end, xtol=0.01)) if middle < end < far else end
+        low = -np.inf
+        if best[term] > 0.0 and over(-far) > 0.0:
+            low = float(brentq(over, -far, middle, xtol=0.01))
+        lower, upper = np.sqrt(np.exp((low, high)) / self.unit[term])
+        return float(lower), float(upper)
+
+    def _least(self, free: IntArray, q: FloatArray) -> tuple[FloatArray, float]:
+        """Return the free ones of q (4,) at the least c, the others as given, and c: Gauss-Newton steps that stay positive."""
+        from scipy.optimize import nnls
+
+        fixed = np.setdiff1d(np.arange(4), free)
+        q, (cost, model) = np.array(q), self._cost(q)
+        for _ in range(_STEPS):
+            target = self.value - np.log(model) + 1.0 - (self.design[:, fixed] @ q[fixed]) / model
+            wanted, step = q.copy(), 1.0
+            wanted[free] = nnls(self.white @ (self.design[:, free] / model[:, None]), self.white @ target)[0]
+            for step in 0.5 ** np.arange(10):
+                trial = q + step * (wanted - q)
+                new, changed = self._cost(trial)
+                if new < cost:
+                    break
+            else:
+                return q, cost
+            q, model, gain, cost = trial, changed, cost - new, new
+            if gain < _SETTLED:
+                break
+        return q, cost
+
+    def _cost(self, q: FloatArray) -> tuple[float, FloatArray]:
+        model: FloatArray = np.maximum(self.design @ q, _LEAST_SHARE)
+        departure = self.white @ (self.value - np.log(model))
+        return float(departure @ departure), model
 
 
 def _stretched(

@@ -6,19 +6,20 @@ reading counts twice. ``at_one_temperature`` keeps the pieces of one set-point: 
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from itertools import combinations, pairwise
 
 import numpy as np
 
 from undrift.arrays import FloatArray
+from undrift.calibration.adc import code_steps, code_variance
 from undrift.calibration.checks import check_gravity
 from undrift.errors import Implausible, InputError
 from undrift.findings import Finding, finding
 from undrift.fit.least_squares import TriadFit, block_size, excess_variance, noise_of_means
 from undrift.fit.smooth import widening_of
 from undrift.model import AXES, Verdict, level_of
-from undrift.record import FACES, Record, Session, Still, Turn
+from undrift.record import FACES, RateTable, Record, Session, Still, TemperatureSensitivity, Turn
 from undrift.segments import (
     BENCH_ACCEL_LIMIT,
     BENCH_RATE_LIMIT,
@@ -214,6 +215,8 @@ def _sways(session: Session, stills: tuple[Still, ...], rate: bool) -> _Figure:
         limit = (BENCH_RATE_LIMIT if rate else BENCH_ACCEL_LIMIT) / si_factor(unit, "rate" if rate else "accel")
     elif len(seen) > 2:
         limit = max(_OTHERS * float(np.median(seen)), 1e-300)
+        if (seen > limit).any():  # a reading at rest may toggle between two codes
+            limit = max(limit, float(np.nan_to_num(code_steps(session.records, rate=rate)).max()))
     return spreads, limit, unit
 
 
@@ -272,13 +275,17 @@ def _unit(session: Session, rate: bool) -> str:
 # by one do not (flicker, a filter), blocks of an eighth of a rest show slow drift. s2 is the scatter between rests beyond that
 # (Paule and Mandel): each switch-on has an offset of its own. Few rests know their own scatter badly, so that s2 counts k times,
 # k = (t / z)^2 with t and z the 97.5 % points of Student's distribution, for one rest less than there are, and of the normal.
+# Where offsets creep with temperature (calibration/creep.py), m_p - m = c_p z + noise with z ~ N(0, 1): the shares are those of
+# V = diag(v + s2) + c c', and s2 is the scatter about the most likely c z.
 
 _LONG_BLOCKS = 8  # of one rest
 _ROUNDS = 50
 
 
-def mean_of_rests(windows: Sequence[FloatArray], sizes: Sequence[int]) -> tuple[FloatArray, FloatArray]:
-    """Return the mean reading over rests and its variance: windows (N, 3), block sizes -> (3,), (3,)."""
+def mean_of_rests(
+    windows: Sequence[FloatArray], sizes: Sequence[int], creep: FloatArray | None = None
+) -> tuple[FloatArray, FloatArray]:
+    """Return the mean reading over rests and its variance: windows (N, 3), block sizes, c (P,) -> (3,), (3,)."""
     means = np.array([w.mean(axis=0) for w in windows])
     variances = np.array([w.var(axis=0) / max(1, len(w) - 1) for w in windows])
     long = [max(size, len(w) // _LONG_BLOCKS) for w, size in zip(windows, sizes, strict=True)]
@@ -286,21 +293,29 @@ def mean_of_rests(windows: Sequence[FloatArray], sizes: Sequence[int]) -> tuple[
         noise = noise_of_means(windows, lengths)
         if noise is not None:
             variances = np.maximum(variances, noise**2)
+    c = np.zeros(len(means)) if creep is None else creep
     if len(means) == 1:
-        return means[0], variances[0]
+        return means[0], variances[0] + c[0] ** 2
     factor, mean, variance = widening_of(len(means) - 1), np.zeros(3), np.zeros(3)
     for axis in range(3):
         value, own = means[:, axis], variances[:, axis]
-        excess, middle = 0.0, float(value.mean())
+        excess, middle, spent = 0.0, float(value.mean()), 0.0
+        moved: FloatArray = np.zeros(len(value))
         for _ in range(_ROUNDS):
-            before, excess = excess, excess_variance(value - middle, own, len(value) - 1)
+            before, excess = excess, excess_variance(value - middle - moved, own, len(value) - 1 - spent)
             total = own + excess
-            weight = 1.0 / total if (total > 0.0).all() else np.ones(len(value))
-            middle = float(weight @ value / weight.sum())
+            known = (total > 0.0).all()
+            weight = 1.0 / total if known else np.ones(len(value))
+            seen = float(weight @ c**2) if known else np.inf
+            spent = seen / (1.0 + seen) if np.isfinite(seen) else float(c.any())
+            slope = weight * c / (weight @ c**2) if c.any() else c
+            share = weight - spent * slope * float(weight @ c)  # V^-1 1
+            share /= share.sum()
+            middle = float(share @ value)
+            moved = spent * float(slope @ (value - middle)) * c
             if abs(excess - before) <= 1e-6 * excess:
                 break
-        share = weight / weight.sum()
-        mean[axis], variance[axis] = middle, float(share**2 @ (own + factor * excess))
+        mean[axis], variance[axis] = middle, float(share**2 @ (own + factor * excess)) + float(share @ c) ** 2
     return mean, variance
 
 
@@ -354,6 +369,15 @@ def piece_temperatures(session: Session, pieces: Sequence[Still | Turn]) -> Floa
     return np.array(temps)
 
 
+def middles(records: Sequence[Record], pieces: Sequence[Still | Turn]) -> FloatArray:
+    """Return the middle of each stretch (P,), s, on one clock on which the recordings follow each other."""
+    begins = np.concatenate(([0.0], np.cumsum([record.duration_s for record in records])))
+    clocks = [record.time - record.time[0] for record in records]
+    return np.array(
+        [begins[p.recording] + 0.5 * (clocks[p.recording][p.start] + clocks[p.recording][p.stop - 1]) for p in pieces]
+    )
+
+
 # ---- settings, and what a session shows
 
 _FULL_TURN = 2.0 * np.pi  # rad
@@ -383,6 +407,9 @@ class CalibrateSettings:
         For the Earth's rate on a rate table, deg; None leaves it out.
     angle_uncertainty_deg : float
         Standard uncertainty of a turn by a known angle, deg.
+    axis_uncertainty_deg : float
+        Standard uncertainty of the axis of such turns against the case, about each axis across it, deg; the same for all turns
+        about one axis, as a fixture or a straight edge errs.
     turn_angle_deg : float or None
         Angle of the turns between rests of a session that states none, deg; None takes three full turns, where there are.
     scale_tolerance : float
@@ -393,6 +420,24 @@ class CalibrateSettings:
         Look for the step and rounding of the codes.
     cross_axis_prior : float
         Standard deviation of a cross-axis term that a session does not show, relative to the scale factor.
+    gyro_offset_dps_per_k, accel_offset_mg_per_k : float or None
+        Standard deviation of the sensitivity of offsets to temperature, deg/s/K and mg/K; None takes the session's, 0.05 and 0.5 by
+        default.
+    gyro_scale_percent_per_k, accel_scale_percent_per_k : float or None
+        The same of scale factors, %/K; None likewise, 0.02.
+    unrecorded_span_k : float or None
+        Change of temperature in a session that records none, nor rests in deg/s that would show it, K; None likewise, 1.
+    span_limit_k : float or None
+        Largest change of temperature within a session without a finding, K; None likewise, 2.
+    table_level_deg : float or None
+        Standard uncertainty of a rate table's axis against the vertical, deg; None takes the session's, 0.1 by default.
+    mount_tilt_deg : float or None
+        Standard uncertainty of the device's mounting on it about each axis, deg; None likewise, 0.1. It stays in the
+        covariance in full where accelerometers do not show the table's axis.
+    rate_uncertainty : float or None
+        Standard uncertainty of all its stated rates in common, relative; None likewise, 0.0001.
+    wobble_deg : float or None
+        Standard uncertainty of its axis from dwell to dwell, deg; None likewise, 0.01. Scatter that shows more counts instead.
 
     Examples
     --------
@@ -408,11 +453,22 @@ class CalibrateSettings:
     spline_cutoff_hz: float | None = None
     latitude_deg: float | None = None
     angle_uncertainty_deg: float = 1.0
+    axis_uncertainty_deg: float = 0.5
     turn_angle_deg: float | None = None
     scale_tolerance: float = 0.25
     remove_offset: bool = True
     identify_adc: bool = True
     cross_axis_prior: float = 0.01
+    gyro_offset_dps_per_k: float | None = None
+    accel_offset_mg_per_k: float | None = None
+    gyro_scale_percent_per_k: float | None = None
+    accel_scale_percent_per_k: float | None = None
+    unrecorded_span_k: float | None = None
+    span_limit_k: float | None = None
+    table_level_deg: float | None = None
+    mount_tilt_deg: float | None = None
+    rate_uncertainty: float | None = None
+    wobble_deg: float | None = None
 
     def __post_init__(self) -> None:
         latitude, cutoff, angle = self.latitude_deg, self.spline_cutoff_hz, self.turn_angle_deg
@@ -429,11 +485,28 @@ class CalibrateSettings:
             raise InputError(
                 f"calibrate: wanted spline_cutoff_hz above 0 Hz, got {cutoff:g}; None leaves the filter out"
             )
+        for name in ("angle_uncertainty_deg", "axis_uncertainty_deg"):
+            value = getattr(self, name)
+            if not 0.0 <= value <= 90.0:
+                raise InputError(f"calibrate: wanted {name} from 0 to 90, got {value:g}; 0 for exact turns")
         if not 0.0 < self.cross_axis_prior <= 0.2:
             raise InputError(
                 f"calibrate: wanted cross_axis_prior above 0 and up to 0.2 of the scale factor, got {self.cross_axis_prior:g}; "
                 "0.01 is 1 %"
             )
+        self.sensitivity(TemperatureSensitivity())
+        self.rate_table(RateTable())
+
+    def sensitivity(self, stated: TemperatureSensitivity) -> TemperatureSensitivity:
+        """Return how the device follows temperature: as the session states it, save for what these settings state."""
+        names = [item.name for item in fields(TemperatureSensitivity)]
+        return replace(stated, **{name: getattr(self, name) for name in names if getattr(self, name) is not None})
+
+    def rate_table(self, stated: RateTable) -> RateTable:
+        """Return how good the rate table is: as the session states it, save for what these settings state."""
+        names = ("table_level_deg", "mount_tilt_deg", "rate_uncertainty", "wobble_deg")
+        chosen = {name: getattr(self, name) for name in names if getattr(self, name) is not None}
+        return replace(stated, **chosen)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -462,17 +535,24 @@ class Observed:
         own = [(r.gyro, [s for s in self.stills if s.recording == k]) for k, r in enumerate(self.session.records)]
         return np.concatenate([still_means(gyro, stills) for gyro, stills in own if gyro is not None])
 
-    def rest_rate(self) -> tuple[FloatArray, FloatArray]:
-        """Return the mean rate reading over all rests and its variance, (3,) each."""
-        windows, sizes = [], []
-        for still in self.stills:
+    def rest_rate(self, creep: FloatArray | None = None) -> tuple[FloatArray, FloatArray]:
+        """Return the mean rate reading over all rests and its variance, (3,) each; creep (P,) of each rest, unit of the reading."""
+        windows, sizes, rows = [], [], []
+        for row, still in enumerate(self.stills):
             record = self.session.records[still.recording]
             if record.gyro is not None:
                 window = record.gyro[still.start : still.stop]
-                windows.append(window[~np.isnan(window).any(axis=1)])
-                sizes.append(block_size(record.sample_rate_hz))
-        pairs = [(window, size) for window, size in zip(windows, sizes, strict=True) if len(window)]
-        return mean_of_rests(*zip(*pairs, strict=True)) if pairs else (np.full(3, np.nan), np.full(3, np.nan))
+                window = window[~np.isnan(window).any(axis=1)]
+                if len(window):
+                    windows.append(window)
+                    sizes.append(block_size(record.sample_rate_hz))
+                    rows.append(row)
+        if not windows:
+            return np.full(3, np.nan), np.full(3, np.nan)
+        mean, variance = mean_of_rests(windows, sizes, None if creep is None else creep[rows])
+        # All rests lie at one place between two codes
+        scatter = np.mean([window.var(axis=0) for window in windows], axis=0)
+        return mean, variance + code_variance(code_steps(self.session.records, rate=True), scatter)
 
     def mean_temperature(self) -> float:
         """Return the mean temperature over stills and turns."""
@@ -658,6 +738,7 @@ class Outcome:
     fit: TriadFit | None = None
     method: str = "none"
     findings: tuple[Finding, ...] = ()
+    used: tuple[Still, ...] = ()  # stills behind the fit, for an accelerometer
 
     def after(self, *findings: Finding) -> "Outcome":
         """Return the same outcome with findings put before its own."""

@@ -9,19 +9,31 @@ Earth's rotation adds its vertical part, Omega sin(latitude), to the axis that p
 over whole turns. Which rates: rig/programme.py.
 """
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
-from typing import Any, Literal
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
 from undrift.arrays import FloatArray
-from undrift.calibration.checks import axis_vectors, check_axis_order, check_own_scale, check_saturation
-from undrift.calibration.observe import Observed, Outcome, with_offset
-from undrift.errors import Implausible, InputError, NotObservable
+from undrift.calibration.adc import limited_by_codes
+from undrift.calibration.checks import check_axis_order, check_own_scale
+from undrift.calibration.creep import Creep, creep_of
+from undrift.calibration.dwells import (
+    SHOWS,
+    DwellMeans,
+    Linearity,
+    dwell_means,
+    imposed_rates,
+    linearity,
+    with_table_errors,
+)
+from undrift.calibration.observe import Observed, Outcome, middles, with_offset
+from undrift.calibration.rate_table_axes import fit_turned_axes
+from undrift.calibration.table_axis import Dwells, mountings, table_axes, table_findings
+from undrift.errors import Implausible, NotObservable
 from undrift.findings import Finding, finding
 from undrift.fit.least_squares import (
-    ForwardFit,
     TriadFit,
     WalkFit,
     block_size,
@@ -32,166 +44,10 @@ from undrift.fit.least_squares import (
     noise_of_means,
     offset_verdict,
     scaled_condition,
-    student_variance,
     triad_from_forward,
 )
 from undrift.model import AXES, G_NAMES, MATRIX_NAMES, OFFSET_NAMES, TriadModel, Verdict, level_of
-from undrift.record import Axis, Record, Still, Turn
-from undrift.units import EARTH_RATE, RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical, si_factor
-
-# ---- dwells: the steady stretches, filtered and averaged
-
-_LEAST_SAMPLES = 8
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class DwellMeans:
-    """Mean readings at steady rates."""
-
-    reading: FloatArray  # (N, 3), mean of each dwell, ``unit``
-    turn_rate: FloatArray  # (N,), achieved rate about +axis, rad/s
-    axis: tuple[Axis, ...]  # Axis of each dwell
-    noise: FloatArray | None = None  # (N, 3), standard deviation of each mean; None when it is not known
-    # (N,), 1 where +axis points up, -1 where it points down, 0 where it is not vertical; all 1 by default
-    up: FloatArray = field(default_factory=lambda: np.ones(1))
-    unit: str = "rad/s"  # Unit of the readings
-    # (N,), middle of each dwell on one clock, s: recordings follow each other. None when it is not known
-    time: FloatArray | None = None
-
-    def __post_init__(self) -> None:
-        n = len(self.axis)
-        if self.reading.shape != (n, 3) or self.turn_rate.shape != (n,):
-            raise InputError(
-                f"dwells: wanted readings (N, 3) and rates (N,) for {n} axes, got {self.reading.shape} and {self.turn_rate.shape}"
-            )
-
-
-def dwell_means(
-    records: Sequence[Record], turns: Sequence[Turn], *, settle_s: float = 0.3, cutoff_hz: float | None = None
-) -> DwellMeans:
-    """Average the steady turns of a session.
-
-    The first ``settle_s`` of each dwell are discarded: a second-order filter at 11 Hz settles to 0.1 % in 0.15 s. The note's
-    smoothing spline halves the signal at ``cutoff_hz``; None leaves it out, which changes no mean.
-    """
-    used = [t for t in turns if t.axis is not None and t.turn_rate is not None]
-    unit = records[used[0].recording].gyro_unit if used else "rad/s"
-    blocks = {k: block_size(records[k].sample_rate_hz) for k in {t.recording for t in used}}
-    parts = [_settled(records[t.recording], t, unit, settle_s) for t in used]
-    windows = [np.asarray(part.gyro) for part in parts]
-    smooth = [
-        w if cutoff_hz is None else spline_filter(part.time, w, cutoff_hz)
-        for part, w in zip(parts, windows, strict=True)
-    ]
-    return DwellMeans(
-        reading=np.array([w.mean(axis=0) for w in smooth]).reshape(-1, 3),
-        turn_rate=np.array([t.turn_rate for t in used], float),
-        axis=tuple(t.axis for t in used if t.axis is not None),
-        noise=noise_of_means(windows, [blocks[t.recording] for t in used]),
-        up=np.array([_points_up(part, AXES.index(t.axis or "x")) for part, t in zip(parts, used, strict=True)]),
-        unit=unit,
-        time=middles(records, used),
-    )
-
-
-def middles(records: Sequence[Record], pieces: Sequence[Still | Turn]) -> FloatArray:
-    """Return the middle of each stretch (P,), s, on one clock on which the recordings follow each other."""
-    begins = np.concatenate(([0.0], np.cumsum([record.duration_s for record in records])))
-    clocks = [record.time - record.time[0] for record in records]
-    return np.array(
-        [begins[p.recording] + 0.5 * (clocks[p.recording][p.start] + clocks[p.recording][p.stop - 1]) for p in pieces]
-    )
-
-
-def spline_filter(time: FloatArray, values: FloatArray, cutoff_hz: float) -> FloatArray:
-    """Smooth each column of values (N, 3) with the note's cubic smoothing spline.
-
-    It minimises sum (y - f)^2 + lambda integral f''^2: a low-pass of fourth order that halves the signal at the frequency w with
-    lambda dt w^4 = 1. It keeps straight lines, so the mean over its samples is the mean of the readings, to rounding.
-    """
-    from scipy.interpolate import make_smoothing_spline
-
-    step = float(np.median(np.diff(time)))
-    stiffness = 1.0 / (step * (2.0 * np.pi * cutoff_hz) ** 4)
-    own = time - time[0]
-    return np.column_stack([make_smoothing_spline(own, column, lam=stiffness)(own) for column in values.T])
-
-
-def _settled(record: Record, turn: Turn, unit: str, settle_s: float) -> Record:
-    if record.gyro is None or record.gyro_unit != unit:
-        raise InputError(
-            f"rate table: wanted gyroscope readings in {unit} in every recording, got "
-            f"{'none' if record.gyro is None else record.gyro_unit} in recording {turn.recording}; map the columns alike"
-        )
-    part = record.part(turn.start, turn.stop)
-    part = part.part(int(np.searchsorted(part.time, part.time[0] + settle_s)), len(part))
-    if len(part) < _LEAST_SAMPLES:
-        raise InputError(
-            f"dwell [{turn.start}, {turn.stop}): wanted {_LEAST_SAMPLES} samples or more after {settle_s:g} s of settling, got "
-            f"{len(part)}; dwell longer"
-        )
-    values = np.asarray(part.gyro)
-    gaps = int(np.isnan(values).any(axis=1).sum())
-    if gaps:
-        raise InputError(f"dwell [{turn.start}, {turn.stop}): wanted readings without gaps, got {gaps}; shorten it")
-    check_saturation(values, f"gyroscope at {turn.turn_rate:.4g} rad/s about {turn.axis}")
-    return part
-
-
-def _points_up(part: Record, axis: int) -> float:
-    if part.accel is None or part.accel_unit in ("count", "v"):
-        return 1.0
-    mean = np.nanmean(part.accel, axis=0)
-    share = float(mean[axis] / np.linalg.norm(mean)) if np.linalg.norm(mean) > 0.0 else 0.0
-    return float(np.sign(share)) if abs(share) > 0.9 else 0.0
-
-
-# ---- linearity of one axis (IEEE Std 1431, clause 12 terms)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Linearity:
-    """Table of one axis: imposed rate, and how far the reading is from the line."""
-
-    axis: Axis  # x, y or z
-    turn_rate: FloatArray  # (N,), imposed, rad/s, increasing
-    error: FloatArray  # (N,), reading less line, in rad/s of input
-    scale_factor: float  # Slope of the line, reading per rad/s
-    offset: float  # Reading of the line at zero rate
-    scale_factor_nonlinearity: float  # Largest departure from the line, rad/s
-    scale_factor_nonlinearity_percent: float  # The same in per cent of the largest imposed rate
-    scale_factor_asymmetry: (
-        float  # 2 (S+ - S-) / (S+ + S-) of reading = o + S+ max(w, 0) + S- min(w, 0); NaN for one sign
-    )
-
-
-def linearity(reading: FloatArray, turn_rate: FloatArray, axis: Axis) -> Linearity:
-    """Compare readings (N,) of one axis at rates (N,) with their least-squares line, reading = o + S w."""
-    if len(np.unique(turn_rate)) < 2:
-        raise NotObservable(
-            f"rate axis {axis}: wanted dwells at two different rates or more, got {len(np.unique(turn_rate))}; "
-            "record both signs of several rates"
-        )
-    order = np.argsort(turn_rate)
-    rate, value = turn_rate[order], reading[order]
-    offset, slope = np.linalg.lstsq(np.column_stack((np.ones_like(rate), rate)), value, rcond=None)[0]
-    error = (value - offset - slope * rate) / slope
-    worst, asymmetry = float(np.abs(error).max()), float("nan")
-    if len(np.unique(rate)) > 2 and rate[0] < 0.0 < rate[-1]:
-        bent = np.column_stack((np.ones_like(rate), np.maximum(rate, 0.0), np.minimum(rate, 0.0)))
-        _, plus, minus = np.linalg.lstsq(bent, value, rcond=None)[0]
-        asymmetry = float(2.0 * (plus - minus) / (plus + minus))
-    return Linearity(
-        axis=axis,
-        turn_rate=rate,
-        error=error,
-        scale_factor=float(slope),
-        offset=float(offset),
-        scale_factor_nonlinearity=worst,
-        scale_factor_nonlinearity_percent=100.0 * worst / float(np.abs(rate).max()),
-        scale_factor_asymmetry=asymmetry,
-    )
-
+from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical, si_factor
 
 # ---- fit of the dwells
 
@@ -207,26 +63,6 @@ class RateTableFit(TriadFit):
 
     turn_rate: FloatArray  # (N,), achieved rate of each dwell, rad/s
     linearity: tuple[Linearity, ...]  # Own-axis table, nonlinearity and asymmetry of each axis
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class RateAxisFit:
-    """What turns about one axis alone determine: one column of the forward matrix, and the offsets."""
-
-    axis: Axis  # Axis of the turns
-    # (3,), reading of each sensor per rad/s about the axis: scale factor on the axis, cross-axis sensitivity off it
-    column: FloatArray
-    offset: FloatArray  # (3,), reading of each sensor at zero rate
-    covariance: FloatArray  # (6, 6), of column, then offset
-    residuals: FloatArray  # (N, 3), reading less model
-    linearity: Linearity  # Own-axis table
-    unit_in: str  # Unit of the readings
-    verdict: Verdict
-
-    @property
-    def scale_factor(self) -> float:
-        """Reading of the axis' own sensor per rad/s."""
-        return float(self.column[AXES.index(self.axis)])
 
 
 def fit_rate_table(
@@ -247,7 +83,7 @@ def fit_rate_table(
     rates = imposed_rates(dwells, latitude_deg)
     verdict, names = Verdict(), {"method": f"rate-table/{mode}", "unit_in": dwells.unit, "unit_out": "rad/s"}
     if mode == "paper":
-        fit = fit_paper(rates, dwells.reading, dwells.noise, **names)
+        fit = fit_paper(rates, dwells.reading, dwells.noise, None, **names)
         verdict = offset_verdict(fit, rates, dwells.reading, dwells.noise)
     else:
         span = (float(rates.min()), float(rates.max()))
@@ -256,157 +92,11 @@ def fit_rate_table(
     check_own_scale(fit.model.scale_factor, dwells.unit, "rate", scale_tolerance, "gyroscope")
     rows = [np.array(dwells.axis) == axis for axis in AXES]
     return RateTableFit(
-        model=fit.model,
+        model=with_table_errors(fit.model, dwells),
         residuals=fit.residuals,
         verdict=verdict,
         turn_rate=dwells.turn_rate,
         linearity=tuple(linearity(dwells.reading[rows[k], k], dwells.turn_rate[rows[k]], AXES[k]) for k in range(3)),
-    )
-
-
-# ---- turns about one or two axes: their columns of K are fitted, the others keep the nominal scale
-#
-#     s = K_t w_t + b          K_t the columns of the turned axes, with their covariance
-#     K_j = S e_j              S the unit's own scale, +- 3 %; of counts the mean scale of the turned axes, +- 20 %
-#
-# Cross-axis terms of the other columns are 0 +- the stated prior, of the scale.
-
-NOMINAL_SD = {
-    True: 0.03,
-    False: 0.2,
-}  # of a scale that was not measured: physical unit (trimmed in the factory), counts
-_MORE = 2  # dwells beyond the parameters of a sensor, for a scatter of their own
-
-
-def fit_turned_axes(
-    dwells: DwellMeans,
-    *,
-    latitude_deg: float | None = None,
-    scale_tolerance: float = 0.25,
-    cross_axis_prior: float = 0.01,
-) -> TriadFit:
-    """Fit the gyroscopes to turns about one or two axes; what these do not show keeps its nominal value, with its uncertainty."""
-    shown = fit_rate_axes(dwells, latitude_deg=latitude_deg, scale_tolerance=scale_tolerance)
-    axes = tuple(fit.axis for fit in shown)
-    turned = [AXES.index(axis) for axis in axes]
-    dwells = _only(dwells, [k for k, axis in enumerate(dwells.axis) if axis in axes])
-    rates = imposed_rates(dwells, latitude_deg)
-    design = np.column_stack((rates[:, turned], np.ones(len(rates))))
-    if not shown:
-        raise NotObservable(
-            "rate table: wanted dwells at two different rates about an axis, got one; record both signs"
-        )
-    theta = np.linalg.lstsq(design, dwells.reading, rcond=None)[0]
-    residuals = dwells.reading - design @ theta
-    inverse, spare = np.linalg.inv(design.T @ design), len(design) - design.shape[1]
-    variance = np.full(3, np.nan) if dwells.noise is None else (dwells.noise**2).mean(axis=0)
-    if spare > _MORE:
-        variance = np.fmax(variance, [student_variance(column, spare) for column in residuals.T])
-    physical = is_physical(dwells.unit)
-    nominal = 1.0 / si_factor(dwells.unit, "rate") if physical else float(np.mean([fit.scale_factor for fit in shown]))
-    forward, covariance = nominal * np.eye(3), np.zeros((12, 12))
-    forward[:, turned] = theta[:-1].T
-    for row in range(3):
-        places = [3 * row + axis for axis in turned] + [9 + row]
-        covariance[np.ix_(places, places)] = variance[row] * inverse
-        for axis in {0, 1, 2} - set(turned):
-            share = NOMINAL_SD[physical] if axis == row else cross_axis_prior
-            covariance[3 * row + axis, 3 * row + axis] = (nominal * share) ** 2
-    rank, condition = scaled_condition(design)
-    kept = [axis for k, axis in enumerate(AXES) if k not in turned]
-    prior = finding(
-        "rate_table.nominal_kept",
-        "warn",
-        axes=kept,
-        source="the unit's own" if physical else "that of the turned axes",
-        scale_percent=100.0 * NOMINAL_SD[physical],
-        cross_percent=100.0 * cross_axis_prior,
-    )
-    fit = triad_from_forward(
-        ForwardFit(
-            matrix=forward,
-            offset=theta[-1],
-            covariance=covariance,
-            residuals=residuals,
-            rank=3 * rank,
-            condition=condition,
-        ),
-        valid_range=(float(rates.min()), float(rates.max())),
-        method="rate-table/affine",
-        unit_in=dwells.unit,
-        unit_out="rad/s",
-    )
-    return replace(fit, verdict=Verdict.of(_axes_missing(axes), prior, *map(axis_finding, shown)))
-
-
-def fit_rate_axis(
-    dwells: DwellMeans, *, latitude_deg: float | None = None, scale_tolerance: float = 0.25
-) -> RateAxisFit:
-    """Fit what turns about a single axis show: scale factor, cross-axis column and offsets."""
-    axes = sorted(set(dwells.axis))
-    if len(axes) != 1:
-        raise InputError(f"rate axis: wanted turns about one axis, got {', '.join(axes) or 'none'}; use fit_rate_table")
-    axis, own = dwells.axis[0], AXES.index(dwells.axis[0])
-    table = linearity(dwells.reading[:, own], dwells.turn_rate, axis)
-    rate = imposed_rates(dwells, latitude_deg)[:, own]
-    design = np.column_stack((rate, np.ones_like(rate)))
-    theta = np.linalg.lstsq(design, dwells.reading, rcond=None)[0]
-    residuals = dwells.reading - design @ theta
-    variance = [student_variance(column, len(rate) - 2) for column in residuals.T]
-    most = int(np.abs(theta[0]).argmax())
-    if most != own or theta[0, own] < 0.0:
-        reads = f"{'-' if theta[0, most] < 0.0 else '+'}{AXES[most]}"
-        raise Implausible(
-            f"turns about {axis}: wanted the {axis} gyroscope to read + for turns about +{axis}, got column {AXES[most]} "
-            f"that reads them as {reads}; correct the sign or axis of the turns, or the order or sign of the columns",
-            reads=reads,
-        )
-    check_own_scale(float(theta[0, own]), dwells.unit, "rate", scale_tolerance, f"gyroscope {axis}")
-    return RateAxisFit(
-        axis=axis,
-        column=theta[0],
-        offset=theta[1],
-        covariance=np.kron(np.linalg.inv(design.T @ design), np.diag(variance)),
-        residuals=residuals,
-        linearity=table,
-        unit_in=dwells.unit,
-        verdict=Verdict.of(_axes_missing((axis,))),
-    )
-
-
-def _axes_missing(turned: tuple[Axis, ...]) -> Finding:
-    missing = tuple(axis for axis in AXES if axis not in turned)
-    return finding("rate_table.axes_missing", "warn", turned=turned, missing=missing)
-
-
-def fit_rate_axes(
-    dwells: DwellMeans, *, latitude_deg: float | None = None, scale_tolerance: float = 0.25
-) -> tuple[RateAxisFit, ...]:
-    """Fit each axis that was turned, alone."""
-    fits = []
-    for axis in AXES:
-        rows = [k for k, name in enumerate(dwells.axis) if name == axis]
-        if len(np.unique(dwells.turn_rate[rows])) > 1:
-            own = _only(dwells, rows)
-            fits.append(fit_rate_axis(own, latitude_deg=latitude_deg, scale_tolerance=scale_tolerance))
-    return tuple(fits)
-
-
-def axis_finding(fit: RateAxisFit) -> Finding:
-    """Return what the turns about one axis show: scale, its uncertainty, linearity."""
-    line, own = fit.linearity, AXES.index(fit.axis)
-    sigma = float(np.sqrt(fit.covariance[own, own])) / abs(fit.scale_factor)
-    unit = si_factor(fit.unit_in, "rate") if is_physical(fit.unit_in) else RADIAN_PER_DEGREE
-    return finding(
-        "rate_table.axis",
-        "info",
-        axis=fit.axis,
-        scale=fit.scale_factor * unit,
-        unit="of the nominal scale" if is_physical(fit.unit_in) else f"{fit.unit_in} per deg/s",
-        uncertainty_percent=100.0 * sigma,
-        nonlinearity_dps=line.scale_factor_nonlinearity / RADIAN_PER_DEGREE,
-        nonlinearity_percent=line.scale_factor_nonlinearity_percent,
-        asymmetry_percent=100.0 * line.scale_factor_asymmetry,
     )
 
 
@@ -421,19 +111,6 @@ def scale_verdict(scale_factor: FloatArray, unit: str, axes: str = "xyz") -> Ver
         return Verdict()
     level = level_of(abs(off), (OWN_SCALE, 2.0 * OWN_SCALE))
     return Verdict.of(finding("gyro.scale_factor", level, axis=axes[worst], off_percent=100.0 * off))
-
-
-def imposed_rates(dwells: DwellMeans, latitude_deg: float | None) -> FloatArray:
-    """Return the true rate of each dwell in b (N, 3), rad/s: L of eq. 4, transposed."""
-    earth = 0.0 if latitude_deg is None else EARTH_RATE * np.sin(latitude_deg * RADIAN_PER_DEGREE)
-    return np.asarray(axis_vectors(dwells.axis) * (dwells.turn_rate + earth * dwells.up)[:, None])
-
-
-def _only(dwells: DwellMeans, rows: list[int]) -> DwellMeans:
-    whole = {name: getattr(dwells, name) for name in ("reading", "turn_rate", "noise", "time")}
-    cut: dict[str, Any] = {name: None if values is None else values[rows] for name, values in whole.items()}
-    axis, up = tuple(dwells.axis[k] for k in rows), np.broadcast_to(dwells.up, len(dwells.axis))[rows]
-    return replace(dwells, axis=axis, up=up, **cut)
 
 
 # ---- dwells and rests together: offsets that drift during the session, and g-sensitivity
@@ -475,8 +152,9 @@ def fit_with_rests(
     """Refine an affine fit: let its offset drift, and add a g-sensitivity where dwells and rests show one."""
     if dwells.noise is None:
         return fit
-    plain, full, readings = _equations(dwells, imposed_rates(dwells, latitude_deg), rests)
-    sigma, time = np.broadcast_to(dwells.noise, dwells.reading.shape), dwells.time
+    rates = imposed_rates(dwells, latitude_deg)
+    plain, full, readings = _equations(dwells, rates, rests)
+    sigma, time = _with_scatter(dwells, rates), dwells.time
     if rests is not None:
         sigma = np.vstack((sigma, rests.noise))
         time = None if time is None else np.concatenate((time, rests.time))
@@ -485,11 +163,73 @@ def fit_with_rests(
         found = _walks(full, readings, sigma, time)
         size = sum(float(f.theta[3:6] @ np.linalg.solve(f.covariance[3:6, 3:6], f.theta[3:6])) for f in found)
         if size > _chance(9) * _excess(found, readings.size - 21):
-            return _refined(fit, full, readings, found)
+            return _refined(fit, dwells, full, readings, _with_codes(dwells, full, sigma, found))
     found, by_axis = _walks(plain, readings, sigma, time), None
     if rests is None and time is not None and any(one.walk > 0.0 for one in found):
         by_axis = _by_axis(dwells, plain[:, :3], sigma, time)
-    return _refined(fit, plain, readings, found, by_axis)
+    return _refined(fit, dwells, plain, readings, _with_codes(dwells, plain, sigma, found), by_axis)
+
+
+def _with_codes(dwells: DwellMeans, design: FloatArray, sigma: FloatArray, found: list[WalkFit]) -> list[WalkFit]:
+    """Return fits whose covariance also holds what the codes leave in common: means at one place between two codes err alike.
+
+    Apart by a share d of a step, d in [0, 1), errors of rounding correlate by 1 - 6 d + 6 d^2.
+    """
+    made = []
+    for k, one in enumerate(found):
+        if dwells.codes[k] > 0.0:
+            place = design @ one.theta / dwells.step[k]
+            apart = (place[:, None] - place[None, :]) % 1.0
+            shared = dwells.codes[k] * (1.0 - 6.0 * apart * (1.0 - apart))
+            np.fill_diagonal(shared, 0.0)  # that is in sigma
+            gain = np.linalg.pinv(design / sigma[:, k, None]) / sigma[:, k]
+            one = replace(one, covariance=one.covariance + gain @ shared @ gain.T)
+        made.append(one)
+    return made
+
+
+def _with_scatter(dwells: DwellMeans, rates: FloatArray) -> FloatArray:
+    """Return the standard deviation (N, 3) of each mean: noise, and what grows with the rate, wobble or uneven rates.
+
+    A wobble of the axis moves what sensors across it read by (K_kk w)^2 omega^2, an uneven rate its own sensor by (K_kk w)^2 rho^2.
+    Both come from the residuals of a fit with an offset for each axis, where they show; wobble is never less than stated.
+    """
+    noise = np.broadcast_to(np.asarray(dwells.noise), dwells.reading.shape)
+    if dwells.axes is None:
+        return noise
+    own = np.array(dwells.axis)[:, None] == np.array(AXES)[None, :]
+    design = np.column_stack((rates, own))
+    theta = np.linalg.lstsq(design, dwells.reading, rcond=None)[0]
+    square = (dwells.reading - design @ theta) ** 2
+    drive = (np.abs(np.diag(theta[:3])) * np.abs(dwells.turn_rate)[:, None]) ** 2  # (N, 3), (K_kk w)^2
+    variance = noise**2
+    for which, stated in ((own, 0.0), (~own, dwells.wobble**2)):
+        share = max(stated, _share(drive[which], square[which], square[~which]))
+        variance = variance + np.where(which, drive * share, 0.0)
+    return np.asarray(np.sqrt(variance))
+
+
+def _share(drive: FloatArray, square: FloatArray, others: FloatArray) -> float:
+    """Return the share of ``drive`` in squared residuals (E,), 0 where it does not show.
+
+    It shows where they grow with it, or where they exceed those of the other sensors, which the same drift of offsets moves.
+    The squares of normal residuals scatter by root two of their mean.
+    """
+    root_two, found = 2.0**0.5, [0.0]
+    more = float(square.mean() - others.mean())
+    error = root_two * np.hypot(square.mean() / len(square) ** 0.5, others.mean() / len(others) ** 0.5)
+    if more > SHOWS * error:
+        found.append(more / float(drive.mean()))
+    design = np.column_stack((drive, np.ones_like(drive)))
+    if scaled_condition(design)[0] == 2:
+        mean = np.full_like(square, square.mean())
+        for _ in range(3):  # the weights follow the fitted mean
+            weighted = design / mean[:, None]
+            slope, floor = np.linalg.lstsq(weighted, square / mean, rcond=None)[0]
+            spread = root_two * float(np.linalg.inv(weighted.T @ weighted)[0, 0]) ** 0.5
+            mean = np.maximum(slope * drive + floor, 0.1 * square.mean())
+        found.append(float(slope) if slope > SHOWS * spread else 0.0)
+    return max(found)
 
 
 def _equations(
@@ -530,6 +270,7 @@ def _excess(found: list[WalkFit], spare: int) -> float:
 
 def _refined(
     fit: RateTableFit,
+    dwells: DwellMeans,
     design: FloatArray,
     readings: FloatArray,
     found: list[WalkFit],
@@ -539,20 +280,26 @@ def _refined(
     residuals = (readings - design @ theta.T) @ np.linalg.inv(theta[:, :3]).T
     rank, condition = scaled_condition(design)
     widen = _excess(found, readings.size - theta.size)
+    model = _model(fit.model, theta, [one.covariance * widen for one in found])
     model = replace(
-        _model(fit.model, theta, [one.covariance * widen for one in found]),
+        with_table_errors(model, dwells),
         rms_residual=float(np.sqrt((residuals**2).mean())),
         count=readings.size,
         rank=3 * rank,
         condition=condition,
     )
     residual = 100.0 * model.rms_residual / float(np.abs(fit.turn_rate).max())
-    verdict = fit.verdict.also(Verdict.of(*_judged(model, found, by_axis, widen, residual)))
+    verdict = fit.verdict.also(Verdict.of(*_judged(dwells, model, found, by_axis, widen, residual)))
     return replace(fit, model=model, residuals=residuals, verdict=verdict)
 
 
 def _judged(
-    model: TriadModel, found: list[WalkFit], by_axis: list[WalkFit] | None, widen: float, residual: float
+    dwells: DwellMeans,
+    model: TriadModel,
+    found: list[WalkFit],
+    by_axis: list[WalkFit] | None,
+    widen: float,
+    residual: float,
 ) -> Iterator[Finding]:
     if model.g_sensitivity is not None:
         size = float(np.abs(model.g_sensitivity).max()) * STANDARD_GRAVITY / RADIAN_PER_DEGREE
@@ -569,7 +316,10 @@ def _judged(
     if widen > 1.0 or residual > RESIDUAL_PERCENT[0]:
         level, wanted = level_of(residual, RESIDUAL_PERCENT), RESIDUAL_PERCENT[0]
         yield finding("rate_table.scatter", level, ratio=widen**0.5, residual_percent=residual, wanted=wanted)
+    yield from limited_by_codes("gyroscope", dwells.codes, np.diag(model.covariance)[9:12], dwells.unit)
     uncertain = 100.0 * model.relative_uncertainty
+    if dwells.axes is not None:
+        yield from table_findings(dwells.axes, dwells.mount_tilt)
     if uncertain > UNCERTAIN_PERCENT[0]:
         level = level_of(uncertain, UNCERTAIN_PERCENT)
         yield finding("rate_table.uncertainty", level, uncertainty_percent=uncertain, wanted=UNCERTAIN_PERCENT[0])
@@ -632,15 +382,19 @@ def check_dwells(
     away = (reading - design @ theta.T) @ np.linalg.inv(theta[:, :3]).T
     error = np.linalg.norm(away, axis=1)
     typical = float(np.median(np.sort(error)[design.shape[1] :]))
-    limit = max(SCATTERS * typical, SHARE * float(np.abs(rates).max()))
-    wrong = np.flatnonzero(error[: len(rates)] > limit)
+    size = np.linalg.norm(rates, axis=1)
+    with_rate = (
+        np.median(error[: len(rates)] / np.maximum(size, 1e-300)) * size
+    )  # a table that wobbles errs with its rate
+    limits = np.maximum(SCATTERS * np.maximum(typical, with_rate), SHARE * float(np.abs(rates).max()))
+    wrong = np.flatnonzero(error[: len(rates)] > limits)
     if len(wrong):
         numbers = tuple(range(1, len(rates) + 1)) if numbers is None else numbers
         named = "; ".join(_named(dwells, rates[k] + away[k], k, numbers[k]) for k in wrong[:3])
         more = f"; and {len(wrong) - 3} more" if len(wrong) > 3 else ""
         raise Implausible(
-            f"rate table: wanted dwells that agree within {limit / RADIAN_PER_DEGREE:.2g} deg/s, got {named}{more}; check its "
-            "sign, value, axis and times, or leave it out",
+            f"rate table: wanted dwells that agree within {limits[wrong[0]] / RADIAN_PER_DEGREE:.2g} deg/s, "
+            f"got {named}{more}; check its sign, value, axis and times, or leave it out",
             turns=tuple(numbers[k] for k in wrong),
         )
 
@@ -676,14 +430,17 @@ def calibrate_rates(seen: Observed, mode: str | None, accel: TriadFit | None) ->
     turned = tuple(sorted(set(dwells.axis)))
     if 0 < len(turned) < 3:
         prior = own.cross_axis_prior
+        dwells, found = _on_table(seen, dwells, None)
         part = fit_turned_axes(dwells, latitude_deg=latitude, scale_tolerance=tolerance, cross_axis_prior=prior)
-        return Outcome(fit=part, method="rate-table")
-    rests = None if accel is None else _rest_means(seen, accel.model)
+        return Outcome(fit=part, method="rate-table", findings=found)
+    dwells, found = _on_table(seen, dwells, None if accel is None else accel.model)
+    rests = None if accel is None else _rest_means(seen, accel.model, dwells.codes)
     numbers = tuple(k for k, t in enumerate(session.turns, 1) if t.axis is not None and t.turn_rate is not None)
     check_dwells(dwells, imposed_rates(dwells, latitude), rests=rests, numbers=numbers)
     if mode != "paper":
         fit = fit_rate_table(dwells, latitude_deg=latitude, scale_tolerance=tolerance)
-        return Outcome(fit=fit_with_rests(fit, dwells, rests, latitude_deg=latitude), method="rate-table")
+        fit = fit_with_rests(fit, dwells, rests, latitude_deg=latitude)
+        return Outcome(fit=fit, method="rate-table", findings=found)
     offset = None
     if own.remove_offset:
         offset, variance = seen.rest_rate()
@@ -692,10 +449,37 @@ def calibrate_rates(seen: Observed, mode: str | None, accel: TriadFit | None) ->
             variance = np.full(3, np.nan) if dwells.noise is None else (dwells.noise**2).mean(axis=0) / len(dwells.axis)
         dwells = replace(dwells, reading=dwells.reading - offset)
     paper: TriadFit = fit_rate_table(dwells, mode="paper", latitude_deg=latitude, scale_tolerance=tolerance)
-    return Outcome(fit=paper if offset is None else with_offset(paper, offset, variance), method="rate-table")
+    paper = paper if offset is None else with_offset(paper, offset, variance)
+    return Outcome(fit=paper, method="rate-table", findings=found)
 
 
-def _rest_means(seen: Observed, accel: TriadModel) -> RestMeans | None:
+def _on_table(seen: Observed, dwells: DwellMeans, accel: TriadModel | None) -> tuple[DwellMeans, tuple[Finding, ...]]:
+    """Return dwells with the axes about which the table turned the case, and what the temperature did."""
+    session, table = seen.session, seen.settings.rate_table(seen.session.rate_table)
+    turns = [t for t in session.turns if t.axis is not None and t.turn_rate is not None]
+    held = Dwells(
+        records=session.records,
+        turns=turns,
+        mounting=mountings([*turns, *seen.stills])[: len(turns)],
+        reading=dwells.reading,
+        up=np.array(dwells.up),
+        settle_s=seen.settings.settle_s,
+    )
+    axes = table_axes(held, table, accel, session.gravity_m_s2)
+    creep = creep_of(seen, turns, "gyro")
+    axes = replace(axes, covariance=axes.covariance + _scale_creep(dwells, creep))
+    wobble, tilt = table.wobble_deg * RADIAN_PER_DEGREE, table.mount_tilt_deg * RADIAN_PER_DEGREE
+    return replace(dwells, axes=axes, wobble=wobble, mount_tilt=tilt), creep.findings()
+
+
+def _scale_creep(dwells: DwellMeans, creep: Creep) -> FloatArray:
+    """Return the covariance (9, 9) of what creep of the scale multiplies rates by: its slope by the mean warmth of an axis."""
+    square = np.where(np.array(dwells.axis)[:, None] == np.array(AXES), dwells.turn_rate[:, None] ** 2, 0.0)
+    warmth = creep.warmth @ square / np.maximum(square.sum(axis=0), 1e-300)
+    return np.diag(np.diag(creep.scale_per_k * warmth).reshape(9) ** 2)
+
+
+def _rest_means(seen: Observed, accel: TriadModel, codes: FloatArray) -> RestMeans | None:
     """Return readings at rest and specific forces, None where a recording lacks a triad or there is no rest."""
     records, rests = seen.session.records, sorted(seen.stills, key=lambda still: still.recording)
     parts = [records[s.recording].part(s.start, s.stop) for s in rests]
@@ -715,6 +499,6 @@ def _rest_means(seen: Observed, accel: TriadModel) -> RestMeans | None:
         dwell_force=dwell_force,
         reading=np.array([window.mean(axis=0) for window in windows]),
         force=force,
-        noise=noise,
+        noise=np.hypot(noise, np.sqrt(codes)),
         time=middles(records, rests),
     )

@@ -7,7 +7,8 @@ rotation that an error of M or o causes does. Recordings of one device are poole
 drift with the pose; where pose and reading noise are white, ``weights="noise"`` reaches the least error that the poses allow, a
 quarter less. Offsets at rest and in motion differ (rounding, vibration, g-sensitivity: 0.01 to 0.05 deg/s), so a recording's
 offset is its own mean at rest plus a change to motion that all recordings share, fitted with M: a new recording needs its own
-rest alone.
+rest alone. Each recording has a small rotation R of its own between device and body, w = R (M (u - o) - G a), whose mean over the
+recordings is none: markers are put on anew, and clusters are defined anew. Where one mounting is stated it is the same for all.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -17,14 +18,23 @@ from typing import Literal
 import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray, IntArray
-from undrift.calibration.adc import without_truncation
+from undrift.calibration.adc import restored_gyro
+from undrift.calibration.reference_windows import (
+    Recording,
+    Solution,
+    Windows,
+    independent_windows,
+    solve,
+    solve_chain,
+    window_equations,
+)
 from undrift.errors import AlignmentError, Implausible, InputError, NotObservable
 from undrift.findings import Finding, finding
-from undrift.fit.least_squares import TriadFit, scaled_condition
-from undrift.frames import quaternion_conjugate, quaternion_product, rotate, rotation_vector
+from undrift.fit.least_squares import TriadFit
+from undrift.frames import quaternion_of, rotate
 from undrift.model import G_NAMES, MATRIX_NAMES, OFFSET_NAMES, AdcModel, TriadModel, Verdict
-from undrift.record import Record, Reference
-from undrift.sync import LONGEST_STEP, Lag, LagSettings, Motion, box_sums, find_lag, find_motion, native_poses
+from undrift.record import Mounting, Record, Reference
+from undrift.sync import LONGEST_STEP, LagSettings, Motion, find_lag, find_motion, native_poses
 
 # ---- settings and results
 
@@ -47,6 +57,8 @@ class ReferenceSettings:
     # "windows": long windows, each alike. "noise": after the first windows, neighbouring poses as one chain weighed
     # by the white noise of poses and readings
     weights: Weights = "windows"
+    # "each": device and reference body are turned against each other anew in each recording. "one": by the matrix alone
+    mounting: Mounting = "each"
 
     def __post_init__(self) -> None:
         if not 0.0 < self.stride_s <= self.window_s <= self.longest_window_s:
@@ -72,6 +84,7 @@ class ReferenceFit:
     window_s: float  # Length of the longest windows that the recordings were long enough for, s
     window_rms: float  # Robust standard deviation of the residual rotation of the longest windows, rad
     offset_mode: Offset  # As in the settings
+    mountings: FloatArray  # (R, 3), rotation vector of each recording from the mean mounting to its own body, rad
 
     def model_at_rest_offset(self, rest_offset: FloatArray) -> TriadModel:
         """Return the model for a recording that reads ``rest_offset`` (3,) at rest."""
@@ -92,45 +105,13 @@ class HeldOut:
     before: float  # with the rest offset alone
     after: float  # with the model
     extrapolation: Finding | None  # Where the held-out rates exceed what the others saw
+    adc: AdcModel | None  # What the readings were corrected for
+    rounding: Finding | None  # Why that was chosen, where the others could be cross-validated
 
 
-# ---- window equations: rotation of the gyroscope against rotation of the reference
-#
-# Over a window from pose i to pose j, with M, offset and d at their present values:
-#
-#     w  = M (u - offset) - d - G a                         readings u, specific force a
-#     R_w = exp(w dt) ... exp(w dt)                         product over the window's samples
-#     y  = log(R_w^T R_i^T R_j)                             what is left, rad, in the body at j
-#     y  = J (dM, dd, dG) + pose noise                      J from one running sum of R regressor dt along the recording
-#
-# Poses are taken at their own times; the integration is read off there, the lag added. So no pose is ever interpolated.
+# ---- recordings
 
 _MARGIN_S = 0.5  # of rest that belongs to the motion on either side
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Recording:
-    """One recording prepared for the fit."""
-
-    time: FloatArray  # (N,), s, record clock
-    gyro: FloatArray  # (N, 3), readings, raw unit, after ADC correction; gaps are zero
-    accel: FloatArray | None  # (N, 3), m/s2, where a g-sensitivity is wanted
-    gaps: IntArray  # (N,), gaps counted from the start: a window without one has the same count at both ends
-    lag: Lag  # Of the record against the reference
-    moving: BoolArray  # (N,), between the first and the last rest
-    rest_offset: FloatArray  # (3,), mean reading at rest before the motion, raw unit
-    rest_uncertainty: FloatArray  # (3,), standard uncertainty of that mean, raw unit, from blocks of one second
-    at: FloatArray  # (L,), times of the poses at which windows start and end, s, record clock
-    q_nb: FloatArray  # (L, 4), those poses; NaN rows are gaps
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Windows:
-    """Equations of one recording."""
-
-    turn: FloatArray  # (n, 3), y, rad
-    design: FloatArray  # (n, 3, P), J: matrix row by row, then d, then G where accel readings are given
-    first: IntArray  # (n,), number of the pose at which each window starts
 
 
 def prepare(
@@ -141,7 +122,7 @@ def prepare(
     lag = find_lag(record, poses, lag_settings)
     if record.gyro is None or (settings.g_sensitivity and record.accel is None):
         raise InputError("reference: wanted gyro and accel for a g-sensitivity, got one only; map the other's columns")
-    gyro, time = restored(record.gyro, adc), record.time
+    gyro, time = restored_gyro(record.gyro, adc), record.time
     motion = find_motion(record, poses, lag_s=lag.seconds)
     gap: BoolArray = np.asarray(np.isnan(gyro).any(axis=1))
     step = np.diff(time)
@@ -165,57 +146,6 @@ def prepare(
     )
 
 
-def restored(gyro: FloatArray, adc: AdcModel | None) -> FloatArray:
-    """Return readings (N, 3) corrected for the mean loss of the ADC's rounding."""
-    if adc is None or adc.gyro_lsb is None:
-        return gyro
-    return without_truncation(gyro, adc.gyro_lsb, adc.gyro_rounding)
-
-
-def window_equations(recording: Recording, guess: FloatArray, offset: FloatArray, reach: int) -> Windows:
-    """Return the equations of all windows that span ``reach`` strides, at M row by row, d and, with accel readings, G."""
-    from undrift.kernels.rotation import accumulate
-
-    u = recording.gyro - offset
-    rate = u @ guess[:9].reshape(3, 3).T - guess[9:12]
-    columns: list[FloatArray] = [u, np.ones((len(u), 1))]
-    if recording.accel is not None:
-        columns.append(np.nan_to_num(recording.accel))
-        rate = rate - columns[2] @ guess[12:].reshape(3, 3).T
-    regressors = np.concatenate(columns, axis=1)
-    points, channels = len(recording.at), regressors.shape[1]
-    q, total = np.empty((points, 4)), np.zeros((points, 3, 3, channels))
-    accumulate(
-        np.ascontiguousarray(rate).reshape(-1),
-        np.ascontiguousarray(regressors).reshape(-1),
-        np.ascontiguousarray(recording.time),
-        recording.at,
-        q.reshape(-1),
-        total.reshape(-1),
-    )
-    first = np.flatnonzero(_whole(recording, reach))
-    last = first + reach
-    turned = quaternion_product(quaternion_conjugate(q[first]), q[last])
-    seen = quaternion_product(quaternion_conjugate(recording.q_nb[first]), recording.q_nb[last])
-    turn = rotation_vector(quaternion_product(quaternion_conjugate(turned), seen))
-    gain = total[last] - total[first]
-    back = quaternion_conjugate(q[last])[:, None, None, :]
-    design = np.moveaxis(rotate(back, np.moveaxis(gain, 1, -1)), -1, 1)  # (n, 3 residual, 3 row, C regressor)
-    n = len(first)
-    blocks = (design[..., :3].reshape(n, 3, 9), -design[..., 3], -design[..., 4:].reshape(n, 3, -1))
-    return Windows(turn=turn, design=np.concatenate(blocks, axis=2), first=first)
-
-
-def _whole(recording: Recording, reach: int) -> BoolArray:
-    if len(recording.at) <= reach:
-        return np.zeros(0, bool)
-    seen = np.isfinite(recording.q_nb[:, 0])
-    sample = np.clip(np.searchsorted(recording.time, recording.at), 0, len(recording.time) - 1)
-    count = recording.gaps[sample]
-    whole: BoolArray = seen[:-reach] & seen[reach:] & (count[:-reach] == count[reach:])
-    return whole
-
-
 def _rest(time: FloatArray, gyro: FloatArray, motion: Motion) -> tuple[FloatArray, FloatArray]:
     at_rest = (time < motion.start_s - _MARGIN_S) & np.isfinite(gyro).all(axis=1)
     readings, second = gyro[at_rest], np.floor(time[at_rest] - time[0]).astype(np.int64)
@@ -226,182 +156,6 @@ def _rest(time: FloatArray, gyro: FloatArray, motion: Motion) -> tuple[FloatArra
     blocks = np.flatnonzero(np.concatenate(([True], np.diff(second) > 0)))
     means = np.add.reduceat(readings, blocks) / np.diff(np.append(blocks, len(readings)))[:, None]
     return readings.mean(axis=0), means.std(axis=0, ddof=1) / np.sqrt(len(means))
-
-
-# ---- robust least squares of overlapping windows
-#
-# Huber's estimate by reweighting: an equation whose residual r exceeds k s counts k s / |r|, s from the median. Neighbouring
-# windows share readings and pose errors, so the covariance is the sandwich N^-1 S N^-1 with S the long-run covariance of the
-# scores g = J^T w r, lags up to the window length and beyond under Bartlett's triangle (Newey and West 1987). The triangle is what
-# the squares of all sliding sums of B neighbours give, which is how it is computed here.
-
-_REWEIGHTINGS = 15
-_HUBER = 1.345  # k
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Solution:
-    """One linear solution."""
-
-    step: FloatArray  # (P,), change of the parameters that were kept
-    covariance: FloatArray  # (P, P), sandwich
-    residuals: FloatArray  # (n, 3), rad, all windows
-    scale: float  # Robust standard deviation of the residuals, rad
-    condition: float  # Of the design with columns scaled to one
-
-
-def independent_windows(windows: Sequence[Windows], reach: int) -> int:
-    """Return how many windows that do not overlap the recordings hold."""
-    return sum(-(-len(w.first) // reach) for w in windows)
-
-
-def solve(windows: Sequence[Windows], *, kept: IntArray, reach: int) -> Solution:
-    """Solve the window equations of several recordings for the parameters ``kept``, by number."""
-    a = np.concatenate([w.design for w in windows])[:, :, kept]
-    y = np.concatenate([w.turn for w in windows])
-    independent = independent_windows(windows, reach)
-    if 3 * independent <= len(kept):
-        raise NotObservable(
-            f"reference: wanted more than {len(kept) // 3} windows that do not overlap, got {independent}; "
-            "record longer motion, or ask for shorter windows",
-            windows=independent,
-        )
-    rows = a.reshape(-1, len(kept))
-    condition = _full_rank(rows)
-    x, weight, scale = _huber(rows, y.reshape(-1))
-    residual = y - a @ x
-    bread = np.linalg.inv((rows.T * weight) @ rows)
-    scores = np.einsum("nap,na->np", a, weight.reshape(-1, 3) * residual)
-    meat = _long_run(scores, windows, 2 * reach)
-    # Residuals are short of errors by their leverage, P / n on average; HC3's square of it, not HC1's first power
-    # (MacKinnon and White 1985).
-    covariance = bread @ meat @ bread * (3 * independent / (3 * independent - len(kept))) ** 2
-    return Solution(step=x, covariance=covariance, residuals=residual, scale=scale, condition=condition)
-
-
-def _full_rank(design: FloatArray) -> float:
-    rank, condition = scaled_condition(design)
-    if rank < design.shape[1]:
-        raise NotObservable(
-            f"reference: wanted motion about all three axes, got a design of rank {rank} for {design.shape[1]} parameters; "
-            "turn the device about every axis",
-            rank=rank,
-        )
-    return condition
-
-
-def _huber(a: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray, float]:
-    """Return parameters, weights and robust scale (Huber, "Robust estimation of a location parameter", 1964)."""
-    length = np.linalg.norm(a, axis=0)
-    scaled = a / length
-    weight = np.ones(len(y))
-    x, scale = np.zeros(a.shape[1]), 0.0
-    for _ in range(_REWEIGHTINGS):
-        previous = x
-        x = np.linalg.solve((scaled.T * weight) @ scaled, scaled.T @ (weight * y))
-        size = np.abs(y - scaled @ x)
-        scale = 1.4826 * float(np.median(size))
-        weight = np.minimum(1.0, _HUBER * scale / np.maximum(size, 1e-15)) if scale > 0.0 else weight
-        if np.abs(x - previous).max() <= 1e-9 * max(float(np.abs(x).max()), 1e-12):
-            break
-    return x / length, weight, scale
-
-
-def _long_run(scores: FloatArray, windows: Sequence[Windows], width: int) -> FloatArray:
-    size = scores.shape[1]
-    meat, ends = np.zeros((size, size)), np.cumsum([len(w.first) for w in windows])
-    for w, own in zip(windows, np.split(scores, ends[:-1]), strict=True):
-        if len(own):
-            line = np.zeros((int(w.first[-1] - w.first[0]) + 2 * width - 1, size))
-            line[w.first - w.first[0] + width - 1] = own
-            sums = box_sums(line, width)
-            meat += sums.T @ sums / width
-    return meat
-
-
-# ---- all poses in one chain: as efficient as white noise allows
-#
-# From pose i to the next pose j the reference turns by what the gyroscope integrated, but for the noise of both poses and that of
-# the readings in between. In n, with e the noise of a pose and h that of one step:
-#
-#     y_j = A_j x + e_j - e_i + h_j        var e = s^2 (1 - kappa),  var h = s^2 kappa,  per axis
-#
-# Neighbouring equations share a pose, so their covariance is tridiagonal. kappa maximises the restricted likelihood: near 0 the
-# poses are noisier and the chain acts like one long window, near 1 the readings are and it acts like many short ones. Each
-# equation is whitened by the Cholesky factor; a whitened residual beyond k standard deviations counts k / |r|.
-
-_SEARCH = 24  # steps of golden section: kappa's logit to 1e-3
-_GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
-
-
-def solve_chain(recordings: Sequence[Recording], steps: Sequence[Windows], *, kept: IntArray) -> Solution:
-    """Solve the chains of several recordings for the parameters ``kept``, by number."""
-    tables = [_in_level(r, w, kept) for r, w in zip(recordings, steps, strict=True)]
-    links = [np.diff(w.first) == 1 for w in steps]
-    rows = 3 * sum(len(t) for t in tables)
-    if rows <= 2 * len(kept):
-        raise NotObservable(
-            f"reference: wanted more than {2 * len(kept) // 3} steps between poses, got {rows // 3}; record longer motion",
-            steps=rows // 3,
-        )
-    condition = _full_rank(np.concatenate([t[:, :, 1:].reshape(-1, len(kept)) for t in tables]))
-    white = _whitened(tables, links, _most_likely(tables, links))
-    y, a = white[:, 0], white[:, 1:]
-    x, weight, scale = _huber(a, y)
-    length = np.linalg.norm(a, axis=0)
-    scaled = a / length
-    residual = y - scaled @ (x * length)
-    # Covariance of Huber's estimate for normal noise.
-    fully = float(np.mean(weight == 1.0))
-    variance = float(((weight * residual) ** 2).sum()) / (len(y) - len(x)) / max(fully, 0.1) ** 2
-    covariance = np.linalg.inv(scaled.T @ scaled) * variance / np.outer(length, length)
-    residual = residual.reshape(-1, 3)
-    return Solution(step=x, covariance=covariance, residuals=residual, scale=scale, condition=condition)
-
-
-def _in_level(recording: Recording, steps: Windows, kept: IntArray) -> FloatArray:
-    """Return y and A side by side, (n, 3, 1 + P), turned from the body at the later pose into n."""
-    q = recording.q_nb[steps.first + 1][:, None, :]
-    table = np.concatenate((steps.turn[:, :, None], steps.design[:, :, kept]), axis=2)
-    return np.moveaxis(rotate(q, np.moveaxis(table, 1, 2)), 2, 1)
-
-
-def _most_likely(tables: Sequence[FloatArray], links: Sequence[BoolArray]) -> float:
-    """Return kappa by golden section over its logit; sine waves diagonalise the covariance of an unbroken run."""
-    from scipy.fft import dst
-
-    runs = [run for t, linked in zip(tables, links, strict=True) for run in np.split(t, np.flatnonzero(~linked) + 1)]
-    waves = np.concatenate([dst(run, type=1, axis=0, norm="ortho").reshape(-1, run.shape[2]) for run in runs])
-    value = np.concatenate([2.0 - 2.0 * np.cos(np.pi * np.arange(1, len(r) + 1) / (len(r) + 1)) for r in runs])
-    y, a = waves[:, 0], waves[:, 1:]
-
-    def cost(logit: float) -> float:
-        kappa = 1.0 / (1.0 + np.exp(-logit))
-        variance = np.repeat((1.0 - kappa) * value + kappa, 3)
-        weighted = a / variance[:, None]
-        normal = weighted.T @ a
-        residual = y - a @ np.linalg.solve(normal, weighted.T @ y)
-        square = max(float((residual**2 / variance).sum()), 1e-300)
-        return float((len(y) - a.shape[1]) * np.log(square) + np.log(variance).sum() + np.linalg.slogdet(normal)[1])
-
-    low, high = -12.0, 12.0
-    for _ in range(_SEARCH):
-        inner, outer = high - _GOLDEN * (high - low), low + _GOLDEN * (high - low)
-        low, high = (low, outer) if cost(inner) < cost(outer) else (inner, high)
-    return float(1.0 / (1.0 + np.exp(-0.5 * (low + high))))
-
-
-def _whitened(tables: Sequence[FloatArray], links: Sequence[BoolArray], kappa: float) -> FloatArray:
-    """Return rows (3 n, 1 + P) with covariance s^2 I, each of them local in time, so that one bad pose stays few rows."""
-    from scipy.linalg import cholesky_banded, solve_banded
-
-    blocks = []
-    for table, linked in zip(tables, links, strict=True):
-        if len(table):
-            band = np.vstack((np.full(len(table), 2.0 - kappa), np.append((kappa - 1.0) * linked, 0.0)))
-            white = solve_banded((1, 0), cholesky_banded(band, lower=True), table.reshape(len(table), -1))
-            blocks.append(white.reshape(-1, table.shape[2]))
-    return np.concatenate(blocks)
 
 
 # ---- fit
@@ -431,18 +185,80 @@ def leave_one_out(
     lag_settings: LagSettings = LagSettings(),
     progress: Callable[[str, float], None] = lambda what, share: None,
 ) -> tuple[HeldOut, ...]:
-    """Fit each recording's model to all others of the device, and evaluate it there; progress takes what is done, and 0 to 1."""
+    """Fit each recording's model to all others of the device, and evaluate it there; progress takes what is done, and 0 to 1.
+
+    Whether the readings are corrected for ``adc`` is cross-validated among the others each time.
+    """
     if len(records) < 2:
         raise InputError(
             f"leave one out: wanted two recordings of a device or more, got {len(records)}; add recordings"
         )
-    prepared = prepare_all(records, references, settings, adc, lag_settings)
+    plain = corrected = prepare_all(records, references, settings, None, lag_settings)
+    errors = None
+    if adc is not None:
+        progress("cross-validating the correction of the ADC", 0.0)
+        corrected = prepare_all(records, references, settings, adc, lag_settings)
+        errors = _adc_errors((plain, corrected), settings, records[0].gyro_unit)
     unit, held = records[0].gyro_unit, list[HeldOut]()
-    for i in range(len(prepared)):
-        progress(f"fit without recording {i + 1} of {len(prepared)}", i / len(prepared))
+    for i in range(len(records)):
+        progress(f"fit without recording {i + 1} of {len(records)}", i / len(records))
+        keep, why = _adc_choice(errors, without=i)
+        prepared = corrected if keep else plain
         fit = _fit([*prepared[:i], *prepared[i + 1 :]], settings, unit)
-        held.append(_held_out(i, prepared[i], fit, settings))
+        held.append(_held_out(i, prepared[i], fit, settings, (adc if keep else None, why)))
     return tuple(held)
+
+
+def cross_validated_adc(
+    records: Sequence[Record],
+    references: Sequence[Reference],
+    adc: AdcModel | None,
+    *,
+    settings: ReferenceSettings = ReferenceSettings(),
+    lag_settings: LagSettings = LagSettings(),
+) -> tuple[AdcModel | None, Finding | None]:
+    """Return the ADC model where correcting for it lowers the error on recordings that a fit has not seen, and the evidence."""
+    if adc is None or len(records) < 2:
+        return adc, None
+    both = [prepare_all(records, references, settings, one, lag_settings) for one in (None, adc)]
+    keep, why = _adc_choice(_adc_errors((both[0], both[1]), settings, records[0].gyro_unit), without=None)
+    return adc if keep else None, why
+
+
+def _adc_errors(
+    variants: tuple[list[Recording], list[Recording]], settings: ReferenceSettings, unit: str
+) -> FloatArray | None:
+    """Return the rms rotation, rad, that a fit to recording i alone leaves in j, (2, R, R), codes as they are and corrected.
+
+    None where single recordings are too short for a fit.
+    """
+    count = len(variants[0])
+    errors = np.full((2, count, count), np.nan)
+    for which, prepared in enumerate(variants):
+        mounted = _first_mountings(prepared, settings)
+        for i in range(count if count > 2 else 0):
+            try:
+                fit = _fit([prepared[i]], settings, unit)
+            except NotObservable:
+                return None
+            for j in range(count):
+                if i != j:
+                    model = fit.model_at_rest_offset(prepared[j].rest_offset)
+                    errors[which, i, j] = _left(prepared[j], model, mounted[j] @ mounted[i].T, fit.window_s, settings)
+    return errors
+
+
+def _adc_choice(errors: FloatArray | None, *, without: int | None) -> tuple[bool, Finding | None]:
+    """Return whether to correct, by the recordings other than one; where they are fewer than two, as the codes say."""
+    if errors is None:
+        return True, None
+    seen = errors if without is None else np.delete(np.delete(errors, without, axis=1), without, axis=2)
+    if seen.shape[1] < 2 or np.isnan(seen).all():
+        return True, None
+    plain, corrected = np.sqrt(np.nanmean(seen**2, axis=(1, 2)))
+    degrees = {"with_deg": float(np.degrees(corrected)), "without_deg": float(np.degrees(plain))}
+    keep = bool(corrected <= plain)
+    return keep, finding("reference.adc", "info", choice="kept" if keep else "left out", **degrees)
 
 
 def prepare_all(
@@ -467,29 +283,81 @@ def prepare_all(
 
 def _fit(prepared: Sequence[Recording], settings: ReferenceSettings, unit: str) -> ReferenceFit:
     offsets = [np.zeros(3) if settings.offset == "common" else p.rest_offset for p in prepared]
-    guess = _first_guess(prepared, settings)
-    kept = np.arange(21 if settings.g_sensitivity else 12)
+    mounted = _first_mountings(prepared, settings)
+    guess = _first_guess(prepared, mounted, settings)
+    count = len(prepared) if settings.mounting == "each" else 1
+    own = 3 * (count - 1)
+    kept = np.arange(len(guess) + own)
     if settings.offset == "rest":
         kept = np.delete(kept, np.s_[9:12])
     solution, used = None, settings.window_s
+
+    def equations(reach: int) -> list[Windows]:
+        each = zip(prepared, mounted, offsets, strict=True)
+        return [_of_device(p, guess, r, o, reach, (i, count)) for i, (p, r, o) in enumerate(each)]
+
+    def step(found: Solution) -> None:
+        moved = np.zeros(len(guess) + own)
+        moved[kept] = found.step
+        guess[:] += moved[: len(guess)]
+        turns = moved[len(guess) :].reshape(-1, 3)
+        for i, turn in enumerate((*turns, -turns.sum(axis=0)) if own else ()):
+            mounted[i] = rotate(quaternion_of(turn), mounted[i].T).T
+
     for length in _lengths(settings):
         reach = max(1, round(length / settings.stride_s))
-        windows = [window_equations(p, guess, o, reach) for p, o in zip(prepared, offsets, strict=True)]
+        windows = equations(reach)
         if solution is not None and independent_windows(windows, reach) <= len(kept) / 3.0:
             break  # too short for longer windows: stay with the last ones
         solution, used = solve(windows, kept=kept, reach=reach), length
-        guess[kept] += solution.step
+        step(solution)
     for _ in range(_REFINEMENTS if settings.weights == "noise" else 0):
-        windows = [window_equations(p, guess, o, 1) for p, o in zip(prepared, offsets, strict=True)]
-        solution, used = solve_chain(prepared, windows, kept=kept), settings.stride_s
-        guess[kept] += solution.step
+        solution, used = solve_chain(prepared, equations(1), kept=kept), settings.stride_s
+        step(solution)
     determinant = np.linalg.det(guess[:9].reshape(3, 3))
     if solution is None or determinant <= 0.0:
         raise Implausible(
             f"reference: wanted a right-handed matrix, got a determinant of {determinant:.3g}; "
             "one axis of the readings or of the reference is reversed"
         )
-    return _result(prepared, settings, unit, guess, kept, solution, used)
+    size = len(kept) - own
+    common = replace(solution, covariance=solution.covariance[:size, :size])
+    return _result(prepared, mounted, settings, unit, guess, kept[:size], common, used)
+
+
+def _of_device(
+    recording: Recording, guess: FloatArray, mounted: FloatArray, offset: FloatArray, reach: int, place: tuple[int, int]
+) -> Windows:
+    """Return a recording's equations in the device's parameters and, after them, in the turns of all recordings but the last.
+
+    ``place`` is the number of the recording, and how many there are that turn; the last turns back what the others do.
+    """
+    (number, count), size = place, len(guess)
+    to_body = np.stack([_turned(unit, mounted) for unit in np.eye(size)], axis=1)
+    made = window_equations(recording, to_body @ guess, offset, reach)
+    if count < 2:
+        return replace(made, design=made.design @ to_body)
+    cross = [np.cross(axis, np.eye(3)).T for axis in np.eye(3)]
+    turns = np.stack([_turned(to_body @ guess, each) for each in cross], axis=1)  # (P, 3): by a rotation of the body
+    columns = np.zeros((size, size + 3 * (count - 1)))
+    columns[:, :size] = to_body
+    if number < count - 1:
+        columns[:, size + 3 * number : size + 3 * number + 3] = turns
+    else:
+        columns[:, size:] = np.tile(-turns, count - 1)
+    return replace(made, design=made.design @ columns)
+
+
+def _rotation_vectors(matrices: FloatArray) -> FloatArray:
+    from scipy.spatial.transform import Rotation
+
+    return np.asarray(Rotation.from_matrix(matrices).as_rotvec())
+
+
+def _turned(parameters: FloatArray, rotation: FloatArray) -> FloatArray:
+    """Return M, d and G, one after the other, turned by a matrix (3, 3)."""
+    parts = parameters[:9], parameters[9:12], parameters[12:]
+    return np.concatenate([(rotation @ part.reshape(3, -1)).reshape(-1) for part in parts])
 
 
 def _lengths(settings: ReferenceSettings) -> list[float]:
@@ -501,23 +369,40 @@ def _lengths(settings: ReferenceSettings) -> list[float]:
     return lengths + [lengths[-1]] * _REFINEMENTS
 
 
-def _first_guess(prepared: Sequence[Recording], settings: ReferenceSettings) -> FloatArray:
-    # The lag search has fitted rate = A u + c for every recording; no errors-in-variables care is needed for a start.
+def _first_mountings(prepared: Sequence[Recording], settings: ReferenceSettings) -> FloatArray:
+    """Return the rotation from the first recording's body to each one's, (R, 3, 3), where single fits show one; else none."""
+    none = np.tile(np.eye(3), (len(prepared), 1, 1))
     matrices = np.array([p.lag.matrix for p in prepared])
-    matrix = matrices.mean(axis=0)
-    size = float(np.linalg.norm(matrix, 2))
-    worst = float(np.abs(matrices - matrix).max()) / size
+    if settings.mounting == "one" or _difference(matrices) <= _MOUNTING:
+        return none
+    left, _, right = np.linalg.svd(matrices @ np.linalg.pinv(matrices[0]))
+    turned = left @ right
+    return turned if (np.linalg.det(turned) > 0.0).all() else none
+
+
+def _difference(matrices: FloatArray) -> float:
+    """Return how far matrices (R, 3, 3) are from their mean, as a share of its size."""
+    mean = matrices.mean(axis=0)
+    return float(np.abs(matrices - mean).max()) / float(np.linalg.norm(mean, 2))
+
+
+def _first_guess(prepared: Sequence[Recording], mounted: FloatArray, settings: ReferenceSettings) -> FloatArray:
+    # The lag search has fitted rate = A u + c for every recording; no errors-in-variables care is needed for a start.
+    back = np.swapaxes(mounted, 1, 2)
+    matrices = back @ np.array([p.lag.matrix for p in prepared])
+    matrix, worst = matrices.mean(axis=0), _difference(matrices)
     if worst > _MOUNTING:
         raise AlignmentError(
-            f"reference: wanted one mounting for all recordings, got matrices that differ by {worst:.0%}; fit recordings with "
-            "other marker clusters or other sensors apart",
+            f"reference: wanted one {'mounting' if settings.mounting == 'one' else 'device'} for all recordings, got matrices that "
+            f"differ by {worst:.0%}{'' if settings.mounting == 'one' else ' apart from a rotation'}; fit recordings with other "
+            "marker clusters (--mounting one) or other sensors apart",
             difference=worst,
         )
     constants = [
         np.zeros(3)
         if settings.offset == "rest"
-        else -p.lag.constant - matrix @ p.rest_offset * (settings.offset == "motion")
-        for p in prepared
+        else -r @ p.lag.constant - matrix @ p.rest_offset * (settings.offset == "motion")
+        for p, r in zip(prepared, back, strict=True)
     ]
     g = np.zeros(9 if settings.g_sensitivity else 0)
     return np.concatenate((matrix.reshape(-1), np.mean(constants, axis=0), g))
@@ -525,6 +410,7 @@ def _first_guess(prepared: Sequence[Recording], settings: ReferenceSettings) -> 
 
 def _result(
     prepared: Sequence[Recording],
+    mounted: FloatArray,
     settings: ReferenceSettings,
     unit: str,
     guess: FloatArray,
@@ -572,6 +458,7 @@ def _result(
         window_s=window_s,
         window_rms=solution.scale,
         offset_mode=settings.offset,
+        mountings=_rotation_vectors(mounted),
     )
 
 
@@ -588,16 +475,26 @@ def _judged(model: TriadModel, rest: FloatArray, settings: ReferenceSettings) ->
         yield finding("reference.g_sensitivity", "warn")
 
 
-def _held_out(number: int, recording: Recording, fit: ReferenceFit, settings: ReferenceSettings) -> HeldOut:
-    model = fit.model_at_rest_offset(recording.rest_offset)
-    reach = max(1, round(settings.window_s / settings.stride_s))
+def _left(
+    recording: Recording, model: TriadModel, turn: FloatArray, window_s: float, settings: ReferenceSettings
+) -> float:
+    """Return the rms rotation that a model leaves over the windows of a recording, rad; ``turn`` leads from the model's body."""
     g = np.zeros(0) if model.g_sensitivity is None else model.g_sensitivity.reshape(-1)
-    plain = np.concatenate((_rigid(model.matrix).reshape(-1), np.zeros(3), 0.0 * g))
-    fitted = np.concatenate((model.matrix.reshape(-1), np.zeros(3), g))
-    before, after = (
-        float(np.sqrt((window_equations(recording, guess, offset, reach).turn ** 2).sum(axis=1).mean()))
-        for guess, offset in ((plain, recording.rest_offset), (fitted, model.offset))
-    )
+    parameters = _turned(np.concatenate((model.matrix.reshape(-1), np.zeros(3), g)), turn)
+    windows = window_equations(recording, parameters, model.offset, max(1, round(window_s / settings.stride_s)))
+    return float(np.sqrt((windows.turn**2).sum(axis=1).mean()))
+
+
+def _held_out(
+    number: int,
+    recording: Recording,
+    fit: ReferenceFit,
+    settings: ReferenceSettings,
+    adc: tuple[AdcModel | None, Finding | None],
+) -> HeldOut:
+    model = fit.model_at_rest_offset(recording.rest_offset)
+    plain = replace(model, matrix=_rigid(model.matrix), offset=recording.rest_offset)
+    before, after = (_left(recording, one, np.eye(3), settings.window_s, settings) for one in (plain, model))
     rate = np.abs((recording.gyro[recording.moving] - model.offset) @ model.matrix.T)
     limit = max(abs(model.valid_range[0]), abs(model.valid_range[1]))
     beyond = float((rate > limit).any(axis=1).mean())
@@ -608,7 +505,16 @@ def _held_out(number: int, recording: Recording, fit: ReferenceFit, settings: Re
         names = ("most_dps", "rms_dps", "seen_dps", "seen_rms_dps")
         rates = zip(names, np.degrees((rate.max(), rms, limit, most)), strict=True)
         extrapolation = finding("validate.extrapolated", "warn", **dict(rates))
-    return HeldOut(recording=number, fit=fit, model=model, before=before, after=after, extrapolation=extrapolation)
+    return HeldOut(
+        recording=number,
+        fit=fit,
+        model=model,
+        before=before,
+        after=after,
+        extrapolation=extrapolation,
+        adc=adc[0],
+        rounding=adc[1],
+    )
 
 
 def _rigid(matrix: FloatArray) -> FloatArray:

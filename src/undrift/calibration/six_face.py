@@ -18,6 +18,7 @@ from typing import Literal
 import numpy as np
 
 from undrift.arrays import FloatArray
+from undrift.calibration.adc import limited_by_codes, mean_rounding
 from undrift.calibration.checks import (
     check_faces,
     check_gravity,
@@ -27,7 +28,9 @@ from undrift.calibration.checks import (
     face_vectors,
     missing_faces,
 )
+from undrift.calibration.creep import Creep, creep_of
 from undrift.calibration.observe import Observed, Outcome, with_offset
+from undrift.calibration.table_axis import mountings
 from undrift.errors import InputError, NotObservable
 from undrift.findings import Finding, finding
 from undrift.fit.least_squares import (
@@ -41,6 +44,7 @@ from undrift.fit.least_squares import (
     noise_of_means,
     offset_verdict,
     triad_from_forward,
+    whitened,
 )
 from undrift.model import Verdict
 from undrift.record import Face, Record, Still
@@ -72,19 +76,36 @@ _GRID = 120
 _SMALL_TILT = 0.1  # of noise / g: the tilt that E1 takes as none
 
 
-def fit_tilted(up: FloatArray, reading: FloatArray, noise: FloatArray, plain: ForwardFit) -> tuple[ForwardFit, float]:
-    """Fit faces whose tilt is not known: up (P, 3) m/s2, reading and noise (P, 3) in one unit; return the tilt too, rad."""
+def fit_tilted(
+    up: FloatArray,
+    reading: FloatArray,
+    noise: FloatArray,
+    plain: ForwardFit,
+    stated: FloatArray | None = None,
+    shared: FloatArray | None = None,
+) -> tuple[ForwardFit, float]:
+    """Fit faces whose tilt is not known: up (P, 3) m/s2, reading and noise (P, 3) in one unit; return the tilt too, rad.
+
+    A pose has its stated tilt (P,), rad, beside that of all. ``shared`` (3, P, c) are errors that readings of one sensor have in
+    common, in their unit.
+    """
+    stated = np.zeros(len(up)) if stated is None else stated
     inverse = np.linalg.inv(plain.matrix)
     level = (reading - plain.offset) @ inverse.T
     sigma = np.sqrt(noise**2 @ (inverse**2).T)
     gravity = float(np.linalg.norm(up, axis=1).max())
-    tilts, thetas, covariances, likelihood = _solved(up, level, sigma, gravity)
+    along = np.zeros((3, len(up), 0))
+    if shared is not None:
+        along = np.concatenate([inverse[:, j, None, None] * shared[j] for j in range(3)], axis=2)
+    tilts, thetas, covariances, likelihood = _solved(up, level, sigma, gravity, stated, along)
     best = int(np.argmax(likelihood))
-    if reading.size <= 12 or best == 0:
+    if reading.size <= 12 or (best == 0 and not stated.any()):
         return plain, 0.0
     small = float(np.median(sigma)) / gravity
     over = (tilts + small, tilts + _SMALL_TILT * small)
-    theta, covariance = averaged(tilts, likelihood, thetas, covariances, over)
+    theta, covariance = thetas[0], covariances[0]
+    if best > 0:
+        theta, covariance = averaged(tilts, likelihood, thetas, covariances, over)
     jacobian = np.zeros((12, 12))
     jacobian[:9, :9], jacobian[9:, 9:] = np.kron(plain.matrix, np.eye(3)), plain.matrix
     matrix = plain.matrix @ theta[:9].reshape(3, 3)
@@ -97,32 +118,38 @@ def fit_tilted(up: FloatArray, reading: FloatArray, noise: FloatArray, plain: Fo
     return fit, geometric_peak(tilts, likelihood, best) if shows else 0.0
 
 
-def tilted_sigma(up: FloatArray, noise: FloatArray, gain: float, tilt: float) -> FloatArray:
-    """Return the standard deviation (P, 3) of every equation for faces with a tilt, rad: up and noise (P, 3), gain per g."""
+def tilted_sigma(up: FloatArray, noise: FloatArray, gain: float, tilt: float | FloatArray) -> FloatArray:
+    """Return the standard deviation (P, 3) of every equation for faces with a tilt, rad, of all or of each (P, 1).
+
+    up and noise (P, 3), gain per g.
+    """
     return np.asarray(np.hypot(noise, gain * np.where(up != 0.0, tilt * tilt, tilt)))
 
 
 def _solved(
-    up: FloatArray, reading: FloatArray, noise: FloatArray, length: float
+    up: FloatArray, reading: FloatArray, noise: FloatArray, length: float, stated: FloatArray, shared: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Return a grid of tilts (T,), and for each K row by row then b (T, 12), its covariance (T, 12, 12), and log L (T,)."""
     smallest = 0.02 * float(np.median(noise)) / length
     tilts = np.concatenate(([0.0], np.geomspace(max(smallest, 1e-9), _LARGEST, _GRID)))
     design = np.column_stack((up / length, np.ones(len(up))))
     unit = np.array([length, length, length, 1.0])
-    sigma = np.stack([tilted_sigma(up, noise, length, float(t)) for t in tilts])
+    sigma = np.stack([tilted_sigma(up, noise, length, np.hypot(t, stated)[:, None]) for t in tilts])
     theta, covariance, likelihood = np.zeros((len(tilts), 12)), np.zeros((len(tilts), 12, 12)), np.zeros(len(tilts))
     for row in range(3):
-        weight = 1.0 / sigma[:, :, row] ** 2
-        normal = (design.T * weight[:, None, :]) @ design
+        in_sigma = shared[row] / sigma[:, :, row, None]
+        inner = np.eye(shared.shape[2]) + in_sigma.transpose(0, 2, 1) @ in_sigma
+        left = np.eye(len(up)) - in_sigma @ np.linalg.solve(inner, in_sigma.transpose(0, 2, 1))  # Woodbury
+        weight = left / sigma[:, :, row, None] / sigma[:, None, :, row]
+        normal = design.T @ weight @ design
         inverse = np.linalg.inv(normal)
-        own = np.einsum("tij,tj->ti", inverse, (weight * reading[:, row]) @ design)
+        own = np.einsum("tij,tj->ti", inverse, (weight @ reading[:, row]) @ design)
         residual = reading[:, row] - own @ design.T
         places = np.array([3 * row, 3 * row + 1, 3 * row + 2, 9 + row])
         theta[:, places] = own / unit
         covariance[:, places[:, None], places] = inverse / np.outer(unit, unit)
-        likelihood -= 0.5 * ((weight * residual**2).sum(axis=1) - np.log(weight).sum(axis=1))
-        likelihood -= 0.5 * np.linalg.slogdet(normal)[1]
+        likelihood -= 0.5 * np.einsum("ti,tij,tj->t", residual, weight, residual) + np.log(sigma[:, :, row]).sum(axis=1)
+        likelihood -= 0.5 * (np.linalg.slogdet(inner)[1] + np.linalg.slogdet(normal)[1])
     return tilts, theta, covariance, likelihood
 
 
@@ -141,7 +168,20 @@ class FaceMeans:
     reading: FloatArray  # (P, 3), mean of each pose, ``unit``
     faces: tuple[Face, ...]  # Axis that points up in each
     noise: FloatArray | None = None  # (P, 3), standard deviation of each mean, ``unit``; None when it is not known
+    rounding: FloatArray | None = None  # (3,), what the codes leave in each mean, in ``noise`` too, ``unit``
     unit: str = "m/s2"  # Unit of the readings
+    # (P,), stated standard uncertainty of the tilt of each beside what the readings show, rad; levelled mode alone uses it
+    tilt: FloatArray | None = None
+    creep: Creep | None = None  # Of the session's temperature
+
+    def shared(self, gravity: float) -> FloatArray | None:
+        """Return the errors that the readings of one sensor have in common by creep (3, P, 2), ``unit``."""
+        if self.creep is None or self.creep.none:
+            return None
+        up = gravity * face_vectors(self.faces)
+        design = np.column_stack((up, np.ones(len(up))))
+        gain = np.diag(np.linalg.lstsq(design, self.reading, rcond=None)[0][:3])
+        return np.stack([self.creep.columns(up[:, j], float(gain[j])) for j in range(3)])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -158,13 +198,14 @@ def fit_six_face(poses: FaceMeans, *, gravity: float, mode: SixFaceMode = "level
     up, reading, noise = gravity * face_vectors(poses.faces), poses.reading, poses.noise
     names = {"method": f"six-face/{mode}", "unit_in": poses.unit, "unit_out": "m/s2"}
     known = None if noise is None else np.maximum(noise, _ROUNDING * np.abs(reading).max())
-    plain, tilt = fit_forward(up, reading, known), float("nan")
+    shared = poses.shared(gravity)
+    plain, tilt = fit_forward(up, reading, known, shared), float("nan")
     forward = plain
     if known is not None and mode != "affine":
-        forward, tilt = fit_tilted(up, reading, known, plain)
-    found = Verdict.of(*_judged(poses, plain, known, tilt, mode))
+        forward, tilt = fit_tilted(up, reading, known, plain, poses.tilt, shared)
+    found = Verdict.of(*_judged(poses, plain, known, tilt, mode, shared))
     if mode == "paper":
-        fit, tilt = fit_paper(up, reading, noise, **names), float("nan")
+        fit, tilt = fit_paper(up, reading, noise, shared, **names), float("nan")
         found = offset_verdict(fit, up, reading, noise).also(found)
     else:
         fit = triad_from_forward(forward, valid_range=(-gravity, gravity), **names)
@@ -173,8 +214,15 @@ def fit_six_face(poses: FaceMeans, *, gravity: float, mode: SixFaceMode = "level
 
 
 def _judged(
-    poses: FaceMeans, plain: ForwardFit, noise: FloatArray | None, tilt: float, mode: SixFaceMode
+    poses: FaceMeans,
+    plain: ForwardFit,
+    noise: FloatArray | None,
+    tilt: float,
+    mode: SixFaceMode,
+    shared: FloatArray | None,
 ) -> Iterator[Finding]:
+    if poses.rounding is not None and poses.noise is not None:
+        yield from limited_by_codes("accelerometer", poses.rounding**2, (poses.noise**2).mean(axis=0), poses.unit)
     tilt_deg, spare = tilt / RADIAN_PER_DEGREE, plain.residuals.size - 12
     if mode == "paper":  # the closed form assumes level faces, and so does its covariance
         if tilt > 0.0:
@@ -187,7 +235,9 @@ def _judged(
     elif tilt > 0.0:
         yield finding("six_face.tilt_small", "info", tilt_deg=tilt_deg)
     if mode == "affine" and noise is not None and spare > 0:
-        ratio = float(np.sqrt(((plain.residuals / noise) ** 2).sum() / spare))
+        rows = (None, None, None) if shared is None else shared
+        left = [whitened(plain.residuals[:, [j]], noise[:, j], rows[j]) for j in range(3)]
+        ratio = float(np.sqrt((np.square(left)).sum() / spare))
         if ratio >= 3.0:
             yield finding("six_face.scatter", "warn", ratio=ratio)
 
@@ -201,10 +251,17 @@ def face_means(
     windows = [_window(records[s.recording], s, unit, window_s, polynomial_degree) for s in used]
     filtered = [polynomial_filter(window, polynomial_degree) for window in windows]
     sizes = [block_size(records[s.recording].sample_rate_hz) for s in used]
+    noise = noise_of_means([rest for _, rest in filtered], sizes, removed=polynomial_degree + 1)
+    rounding = None
+    if noise is not None:
+        every = [np.asarray(records[k].accel) for k in {s.recording for s in used}]
+        rounding = mean_rounding(every, [rest for _, rest in filtered])
+        noise = np.hypot(noise, rounding)
     return FaceMeans(
         reading=np.array([smooth.mean(axis=0) for smooth, _ in filtered]).reshape(-1, 3),
         faces=tuple(s.face for s in used if s.face is not None),
-        noise=noise_of_means([rest for _, rest in filtered], sizes, removed=polynomial_degree + 1),
+        noise=noise,
+        rounding=rounding,
         unit=unit,
     )
 
@@ -269,18 +326,48 @@ def calibrate_faces(seen: Observed, mode: str | None, accel: TriadFit | None = N
     poses = face_means(
         seen.session.records, seen.stills, window_s=own.window_s, polynomial_degree=own.polynomial_degree
     )
-    found: tuple[Finding, ...] = ()
+    creep = creep_of(seen, seen.faced, "accel")
+    poses, found = replace(poses, creep=creep), creep.findings()
     if used == "levelled" and poses.noise is None:
-        used, found = "affine", (finding("six_face.short_faces", "warn"),)
+        used, found = "affine", (*found, finding("six_face.short_faces", "warn"))
+    if used == "levelled":
+        poses = _by_mounting(seen, poses)
     offset = None
     if used == "paper" and own.remove_offset:
         # Opposite faces cancel: the mean over the six, each counted once, is an estimate of the offset.
-        faces = np.array(poses.faces)
-        offset = np.mean([poses.reading[faces == face].mean(axis=0) for face in sorted(set(poses.faces))], axis=0)
+        faces, shared = np.array(poses.faces), poses.shared(seen.session.gravity_m_s2)
+        share = np.array([1.0 / (faces == face).sum() for face in faces]) / len(set(poses.faces))
+        offset = share @ poses.reading
         poses = replace(poses, reading=poses.reading - offset)
     fit: TriadFit = fit_six_face(poses, gravity=seen.session.gravity_m_s2, mode=used)  # type: ignore[arg-type]
     check_own_scale(fit.model.scale_factor, poses.unit, "accel", own.scale_tolerance, "accelerometer")
     if offset is not None:
         variance = np.full(3, np.nan) if poses.noise is None else (poses.noise**2).mean(axis=0) / len(poses.faces)
+        variance = variance + (0.0 if shared is None else ((share @ shared) ** 2).sum(axis=1))
         fit = with_offset(fit, offset, variance)
-    return Outcome(fit=fit, method="six-face", findings=found)
+    return Outcome(fit=fit, method="six-face", findings=found, used=seen.faced)
+
+
+def _by_mounting(seen: Observed, poses: FaceMeans) -> FaceMeans:
+    """Return poses in which the rests of one mounting on a rate table are one.
+
+    Where the other rests show all six faces by themselves, a mounting is off level as stated; else all show alike how far they are.
+    """
+    turns = [turn for turn in seen.session.turns if turn.turn_rate is not None]
+    of_rest = mountings([*seen.faced, *turns])[: len(poses.faces)]
+    if poses.noise is None or not (of_rest >= 0).any():
+        return poses
+    table = seen.settings.rate_table(seen.session.rate_table)
+    groups = [[n] for n in np.flatnonzero(of_rest < 0)]
+    groups += [list(np.flatnonzero(of_rest == mounting)) for mounting in np.unique(of_rest[of_rest >= 0])]
+    weight = 1.0 / np.maximum(poses.noise, 1e-300) ** 2
+    alone = not missing_faces([face for face, mounting in zip(poses.faces, of_rest, strict=True) if mounting < 0])
+    tilt = float(alone) * np.hypot(table.mount_tilt_deg, table.table_level_deg) * RADIAN_PER_DEGREE
+    return replace(
+        poses,
+        reading=np.array([np.average(poses.reading[rows], axis=0, weights=weight[rows]) for rows in groups]),
+        faces=tuple(poses.faces[rows[0]] for rows in groups),
+        noise=np.array([weight[rows].sum(axis=0) ** -0.5 for rows in groups]),
+        tilt=np.array([tilt if of_rest[rows[0]] >= 0 else 0.0 for rows in groups]),
+        creep=poses.creep and poses.creep.averaged(groups, weight.mean(axis=1)),
+    )

@@ -26,6 +26,7 @@ COMMANDS = {  # one line of 80 columns each
     "calibrate": "Fit what a session allows, with verdict and findings.",
     "session": "Write a session.toml of what bare recordings hold; --json.",
     "drift": "Tuning tables over temperature, from soaks, ramps or a warm-up.",
+    "learn": "Update the tables by the rests of daily recordings; no chamber.",
     "correct": "Turn raw recordings into rad/s and m/s2.",
     "orient": "Orientation by strapdown or a filter: inclination, pitch.",
     "validate": "Compare with an optical reference, in degrees.",

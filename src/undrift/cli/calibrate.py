@@ -1,7 +1,10 @@
 """``undrift calibrate``: fit what a session, or bare recordings, allow."""
 
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
+
+from cyclopts import Parameter
 
 from undrift.cli.common import (
     Details,
@@ -12,6 +15,7 @@ from undrift.cli.common import (
     OptionalOutput,
     Place,
     Rests,
+    Sensitivity,
     check_figure,
     check_output,
     name_of,
@@ -31,6 +35,64 @@ if TYPE_CHECKING:
     from undrift.record import Session
 
 
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class Table:
+    """How good the rate table of a session is, in place of what the session states.
+
+    Parameters
+    ----------
+    table_level_deg : float or None
+        Standard uncertainty of the rate table's axis against the vertical, deg; as the session states, else 0.1.
+    mount_tilt_deg : float or None
+        Standard uncertainty of the mounting on the table about each axis, deg; as the session states, else 0.1.
+    rate_uncertainty : float or None
+        Standard uncertainty of the stated rates in common, relative; as the session states, else 0.0001.
+    wobble_deg : float or None
+        Standard uncertainty of the table's axis from dwell to dwell, deg; as the session states, else 0.01.
+    """
+
+    table_level_deg: float | None = None
+    mount_tilt_deg: float | None = None
+    rate_uncertainty: float | None = None
+    wobble_deg: float | None = None
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class Fitting:
+    """How readings are averaged and fitted.
+
+    Parameters
+    ----------
+    window_s : float
+        Longest stretch of each face that is averaged, s.
+    settle_s : float
+        Start of each dwell at a known rate that is left out, s.
+    angle_uncertainty_deg : float
+        Standard uncertainty of a turn by a known angle, deg.
+    axis_uncertainty_deg : float
+        Standard uncertainty of the axis of such turns against the case, about each axis across it, deg.
+    scale_tolerance : float
+        Largest relative difference of a scale factor from the stated unit; physical units only.
+    polynomial_degree : int
+        Degree of the polynomial in time that filters each face before it is averaged.
+    spline_cutoff_hz : float or None
+        Low-pass each dwell at a known rate by a spline with this cut-off, Hz; no filter by default.
+    cross_axis_prior : float
+        Standard deviation of a cross-axis term that the session does not show, relative to the scale; 0.01 is 1 %.
+    """
+
+    window_s: float = 6.0
+    settle_s: float = 0.3
+    angle_uncertainty_deg: float = 1.0
+    axis_uncertainty_deg: float = 0.5
+    scale_tolerance: float = 0.25
+    polynomial_degree: int = 1
+    spline_cutoff_hz: float | None = None
+    cross_axis_prior: float = 0.01
+
+
 def calibrate(
     *files: Files,
     place: Place = Place(),
@@ -43,13 +105,9 @@ def calibrate(
     mode: Literal["paper", "affine", "levelled"] | None = None,
     keep_offset: Flag = False,
     adc: Literal["auto", "none"] = "auto",
-    window_s: float = 6.0,
-    settle_s: float = 0.3,
-    angle_uncertainty_deg: float = 1.0,
-    scale_tolerance: float = 0.25,
-    polynomial_degree: int = 1,
-    spline_cutoff_hz: float | None = None,
-    cross_axis_prior: float = 0.01,
+    fitting: Fitting = Fitting(),
+    table: Table = Table(),
+    sensitivity: Sensitivity = Sensitivity(),
     rests: Rests = Rests(),
     figure: Path | None = None,
     details: Details = False,
@@ -81,20 +139,12 @@ def calibrate(
         Mode paper, whose matrix has no offset column: the readings are free of it, remove none.
     adc : str
         "auto" looks for the step and rounding of the codes; "none" leaves them.
-    window_s : float
-        Longest stretch of each face that is averaged, s.
-    settle_s : float
-        Start of each dwell at a known rate that is left out, s.
-    angle_uncertainty_deg : float
-        Standard uncertainty of a turn by a known angle, deg.
-    scale_tolerance : float
-        Largest relative difference of a scale factor from the stated unit; physical units only.
-    polynomial_degree : int
-        Degree of the polynomial in time that filters each face before it is averaged.
-    spline_cutoff_hz : float or None
-        Low-pass each dwell at a known rate by a spline with this cut-off, Hz; no filter by default.
-    cross_axis_prior : float
-        Standard deviation of a cross-axis term that the session does not show, relative to the scale; 0.01 is 1 %.
+    fitting : Fitting
+        How readings are averaged and fitted.
+    table : Table
+        How good the rate table is.
+    sensitivity : Sensitivity
+        How far the device may follow its temperature.
     rests : Rests
         How stretches at rest are found where the session states none.
     figure : Path or None
@@ -107,32 +157,26 @@ def calibrate(
     """
     from undrift.calibration.calibrate import calibrate as fit
     from undrift.calibration.observe import CalibrateSettings
-    from undrift.io.store import calibration_json, write_calibration
+    from undrift.io.store import calibration_json
 
     check_output(output, endings=(".json",), reads=(*files, opening.column_map))
     check_output(report, endings=(".html",))
     check_figure(figure, reads=files)
     settings = CalibrateSettings(
         still=rests.settings(),
-        window_s=window_s,
-        settle_s=settle_s,
         latitude_deg=place.latitude_deg,
-        angle_uncertainty_deg=angle_uncertainty_deg,
         turn_angle_deg=turn_deg,
-        scale_tolerance=scale_tolerance,
-        polynomial_degree=polynomial_degree,
-        spline_cutoff_hz=spline_cutoff_hz,
         remove_offset=not keep_offset,
         identify_adc=adc == "auto",
-        cross_axis_prior=cross_axis_prior,
+        **asdict(fitting),
+        **asdict(table),
+        **asdict(sensitivity),
     )
     with waiting("reading and fitting"):
         held = session_of(files, place, opening)
         made = fit(held, accel=accel, gyro=gyro, mode=mode, settings=settings)
-    if output is not None:
-        write_calibration(made, output)
+    _keep(made, output, report)
     _draw(held, settings, made, f"{name_of(files[0])}: used", figure)
-    _report(made, report)
     if json:
         write_json(calibration_json(made), "calibrate")
     else:
@@ -151,13 +195,19 @@ def _say_next(files: tuple[Path, ...], output: Path | None, pictures: tuple[Path
         say_next("correct", recording, "--calibration", output, "-o", "corrected.parquet")
 
 
-def _report(made: "Calibration", path: Path | None) -> None:
-    if path is None:
-        return
-    from undrift.report.page import calibration_sections, write_page
+def _keep(made: "Calibration", path: Path | None, report: Path | None) -> None:
+    """Write a calibration and its page, where they are wanted."""
+    if path is not None:
+        from undrift.io.store import write_calibration
 
-    title, sections = f"Calibration of {made.device or 'a device'}", calibration_sections(made)
-    write_page(path, title=title, lead=f"{_heading(made)}; {_pieces(made)}", sections=sections, verdict=made.verdict)
+        write_calibration(made, path)
+    if report is not None:
+        from undrift.report.page import calibration_sections, write_page
+
+        title, sections = f"Calibration of {made.device or 'a device'}", calibration_sections(made)
+        write_page(
+            report, title=title, lead=f"{_heading(made)}; {_pieces(made)}", sections=sections, verdict=made.verdict
+        )
 
 
 def _draw(held: "Session", settings: "CalibrateSettings", made: "Calibration", title: str, path: Path | None) -> None:

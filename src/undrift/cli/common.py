@@ -247,6 +247,35 @@ class Place:
     serial: str = ""
 
 
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class Sensitivity:
+    """How far the device may follow its temperature within a session; a session.toml states it under [temperature].
+
+    Parameters
+    ----------
+    gyro_offset_dps_per_k : float or None
+        Standard deviation of the gyroscopes' offset drift, deg/s per K; as the session states, else 0.05.
+    accel_offset_mg_per_k : float or None
+        Standard deviation of the accelerometers' offset drift, mg per K; as the session states, else 0.5.
+    gyro_scale_percent_per_k : float or None
+        Standard deviation of the gyroscopes' change of scale, % per K; as the session states, else 0.02.
+    accel_scale_percent_per_k : float or None
+        Standard deviation of the accelerometers' change of scale, % per K; as the session states, else 0.02.
+    unrecorded_span_k : float or None
+        Change of temperature where nothing shows it, neither a temperature column nor rests in deg/s, K; else 1.
+    span_limit_k : float or None
+        Largest change of temperature within a session without a finding, K; as the session states, else 2.
+    """
+
+    gyro_offset_dps_per_k: float | None = None
+    accel_offset_mg_per_k: float | None = None
+    gyro_scale_percent_per_k: float | None = None
+    accel_scale_percent_per_k: float | None = None
+    unrecorded_span_k: float | None = None
+    span_limit_k: float | None = None
+
+
 def session_of(files: tuple[Path, ...], place: Place, opening: Opening, *, kind: "Kind" = "calibration") -> "Session":
     """Read a session folder, or make a session of bare recordings."""
     from undrift.io.session import NAME, read_session, session_from_files
@@ -256,7 +285,7 @@ def session_of(files: tuple[Path, ...], place: Place, opening: Opening, *, kind:
         bare = [file for file in files if file.is_dir() and not _is_recording(file)]
         if bare:  # says what a folder must hold
             read_session(bare[0])
-        return session_from_files(files, opening.file_map(), kind=kind, **asdict(place))
+        return _recorded(session_from_files(files, opening.file_map(), kind=kind, **asdict(place)), files[0])
     if len(files) > 1:
         raise InputError(
             f"{stated[0]}: wanted one session, or recordings, got a session and {len(files) - 1} more; name the session alone, "
@@ -274,7 +303,14 @@ def session_of(files: tuple[Path, ...], place: Place, opening: Opening, *, kind:
         raise InputError(
             f"{stated[0]}: wanted none of {', '.join(used)} beside a session, got {len(used)}; its session.toml states them"
         )
-    return read_session(stated[0], clock=opening.clock)
+    return _recorded(read_session(stated[0], clock=opening.clock), stated[0])
+
+
+def _recorded(session: "Session", path: Path) -> "Session":
+    """Refuse means of set-points where samples are wanted."""
+    if session.means:
+        raise InputError(f"{path}: wanted recordings, got a table of set-points; it is for undrift drift")
+    return session
 
 
 def _is_recording(folder: Path) -> bool:
@@ -297,6 +333,19 @@ def recording_of(files: tuple[Path, ...]) -> Path | None:
         return files[0]
     first = read_toml(folder / NAME, SessionFile).recording[0].file
     return folder / first if isinstance(first, str) else None
+
+
+def recordings_of(files: tuple[Path, ...], opening: Opening) -> "tuple[tuple[Path, ...], Session | None]":
+    """Return the recordings that are named, or those of the session that is named, and that session."""
+    from undrift.files import read_toml
+    from undrift.io.session import NAME, SessionFile
+
+    folder = files[0] if files[0].is_dir() else files[0].parent
+    if files[0].name != NAME and not (files[0] / NAME).is_file():
+        return files, None
+    held = session_of(files, Place(), opening)
+    stated = (entry.file for entry in read_toml(folder / NAME, SessionFile).recording)
+    return tuple(folder / (file if isinstance(file, str) else file[0]) for file in stated), held
 
 
 def say_next(*words: object) -> None:
@@ -370,8 +419,10 @@ class Optics:
     markers: str | None = None
     reference_up: Up = None
 
-    def pairs(self, records: tuple[Path, ...], opening: Opening, *, command: str) -> list[tuple["Record", "Reference"]]:
-        """Read recordings and the reference of each."""
+    def pairs(
+        self, records: tuple[Path, ...], opening: Opening, *, command: str, session: "Session | None" = None
+    ) -> list[tuple["Record", "Reference"]]:
+        """Read recordings, unless a session holds them, and the reference of each."""
         from undrift.io.formats import detect
 
         paths = self.reference
@@ -383,7 +434,8 @@ class Optics:
                 "say --reference once for each, in the same order"
             )
         labels, up = labels_of(self.markers), self.reference_up
-        return [(opening.read(record), _poses(path, labels, up)) for record, path in zip(records, paths, strict=True)]
+        read = [opening.read(record) for record in records] if session is None else session.records
+        return [(record, _poses(path, labels, up)) for record, path in zip(read, paths, strict=True)]
 
 
 def _poses(path: Path, labels: tuple[str, ...] | None, up: Up) -> "Reference":

@@ -1,11 +1,12 @@
 """``undrift correct``: many recordings, any size, constant memory."""
 
+import math
 import tempfile
 from contextlib import nullcontext
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from undrift.cli.common import (
     Files,
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
     from rich.progress import Progress
 
     from undrift.correction.coverage import Beyond
+    from undrift.correction.rest import RestOffset, Stretch
     from undrift.correction.stream import Corrector, CorrectorState
     from undrift.findings import Finding
     from undrift.model import Calibration
@@ -44,6 +46,9 @@ def correct(
     output: Output,
     policy: Policy = "raise",
     power_on_s: float | None = None,
+    offset: Literal["none", "rest"] = "none",
+    still_start_s: float | None = None,
+    still_stop_s: float | None = None,
     opening: Opening = Opening(),
     scheduler: str | None = None,
     json: Json = False,
@@ -64,6 +69,13 @@ def correct(
         temperature was recorded the result is a gap under each, and a warning says for how long.
     power_on_s : float
         Time since power-on at the first sample of each recording, s; without it no warm-up is subtracted.
+    offset : str
+        "rest" also subtracts the mean rate that is left at the first still phase (or the named one), as --offset of orient
+        does: best with tables, for what they cannot know.
+    still_start_s : float or None
+        Start of a stretch at rest, s on the recording's own clock; without it the first still phase is found.
+    still_stop_s : float or None
+        End of that stretch.
     opening : Opening
         How to read a foreign recording.
     scheduler : str or None
@@ -72,6 +84,9 @@ def correct(
     from undrift.correction.stream import Corrector
     from undrift.io.store import read_calibration
 
+    stretch = (still_start_s, still_stop_s)
+    if offset == "none" and stretch != (None, None):
+        raise InputError("--still-start-s, --still-stop-s: wanted --offset rest beside them, got none; add it")
     model = read_calibration(calibration)
     targets = _targets(records, output, (calibration, opening.column_map))
     folder = targets[0].parent
@@ -79,8 +94,11 @@ def correct(
     made = not folder.exists()
     folder.mkdir(exist_ok=True)
     corrector = partial(Corrector, model, policy, power_on_s=power_on_s)
-    made_by = partial(_provenance, calibration=calibration, model=model, policy=policy, power_on_s=power_on_s)
+    settings: dict[str, object] = {"policy": policy, "power_on_s": power_on_s, "offset": offset}
+    made_by = partial(_provenance, calibration=calibration, model=model, settings=settings)
     corrected = partial(_correct_one, corrector=corrector, model=model, opening=opening, made_by=made_by)
+    if offset == "rest":
+        corrected = partial(corrected, stretch=stretch)
     try:
         results = _correct_all(records, targets, corrected, scheduler)
     except BaseException:
@@ -102,6 +120,8 @@ def correct(
 
 def _row(record: Path, target: Path, state: "CorrectorState", remarks: "Remarks") -> dict[str, object]:
     """Return a recording as --json has it."""
+    from undrift.io.store import findings_json
+
     outside = {f"samples_{kind}": getattr(state, f"samples_{kind}") for kind in NOT_COVERED}
     outside |= {f"seconds_{kind}": getattr(state.reach, f"seconds_{kind}") for kind in NOT_COVERED}
     return {
@@ -115,8 +135,15 @@ def _row(record: Path, target: Path, state: "CorrectorState", remarks: "Remarks"
             for one in remarks.beyond
             if one.samples
         ],
+        "rest": remarks.rest
+        and {
+            "rest_s": (remarks.rest.start_s, remarks.rest.stop_s),
+            "offset_dps": remarks.rest.rate * (180.0 / math.pi),
+            "offset_uncertainty_dps": math.degrees(remarks.rest.uncertainty),
+        },
         "warnings": remarks.warnings,
         "notes": remarks.notes,
+        "findings": findings_json(remarks.findings),
     }
 
 
@@ -194,17 +221,20 @@ class Remarks:
 
     warnings: list[str]  # Where the calibration did not cover it, and signs that it was not read rightly
     notes: list[str]
+    findings: "tuple[Finding, ...]"  # Signs of other columns or another unit; in the warnings too
     beyond: "tuple[Beyond, ...]"  # Readings beyond the range of the fits; in the warnings too
+    rest: "RestOffset | None" = None  # What was subtracted because it was left at a rest; in the notes too
 
 
 def _correct_one(
     record: Path,
     part: Path,
     *,
-    corrector: "Callable[[], Corrector]",
+    corrector: "Callable[..., Corrector]",
     model: "Calibration",
     opening: Opening,
     made_by: "Callable[[Path], dict[str, object]]",
+    stretch: "Stretch | None" = None,
     advance: "Callable[[float], None]",
 ) -> tuple["CorrectorState", Remarks]:
     from undrift.correction.coverage import find_beyond
@@ -212,7 +242,10 @@ def _correct_one(
     from undrift.io.parquet import ParquetWriter
     from undrift.io.write import write_record_as
 
-    stream, notes = corrector(), dict[str, None]()
+    stream, notes, rest = corrector(), dict[str, None](), None
+    if stretch is not None:
+        rest = _rest_offset(record, model, opening, corrector(), stretch)
+        stream, notes = corrector(offset=rest), {rest.finding.text: None}
     suspicions: tuple[Finding, ...] = ()
     beyond: tuple[Beyond, ...] = ()
     whole = not part.name.endswith(".parquet")
@@ -232,11 +265,24 @@ def _correct_one(
             beyond = tuple(a.joined(b) for a, b in zip(beyond, found, strict=True)) if beyond else found
             advance(len(chunk))
     warnings = [*(one.text for one in suspicions), *stream.warnings, *(one.text for one in beyond if one.text)]
-    return stream.state, Remarks(warnings=warnings, notes=[*notes], beyond=beyond)
+    return stream.state, Remarks(warnings=warnings, notes=[*notes], findings=suspicions, beyond=beyond, rest=rest)
+
+
+def _rest_offset(
+    record: Path, model: "Calibration", opening: Opening, corrector: "Corrector", stretch: "Stretch"
+) -> "RestOffset":
+    """Return what the calibration leaves at a rest of a recording, of which no more is read than needed."""
+    from undrift.correction.rest import find_rest_offset_in
+
+    try:
+        parts = (calibrated_part(read, model)[0] for read in opening.chunks(record))
+        return find_rest_offset_in((corrector.push_checked(part).record for part in parts), stretch)
+    except InputError as error:
+        raise InputError(f"{record}: {error}", **error.numbers) from error
 
 
 def _provenance(
-    record: Path, *, calibration: Path, model: "Calibration", policy: Policy, power_on_s: float | None
+    record: Path, *, calibration: Path, model: "Calibration", settings: dict[str, object]
 ) -> dict[str, object]:
     """Return what a corrected recording was made from and by, for the files that state it."""
     from undrift import __version__
@@ -246,7 +292,7 @@ def _provenance(
     return {
         "inputs": inputs,
         "calibration": {"created": model.provenance.created, "verdict": model.verdict.status},
-        "settings": {"policy": policy, "power_on_s": power_on_s},
+        "settings": settings,
         "versions": {"undrift": __version__},
     }
 

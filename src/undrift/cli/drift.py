@@ -50,9 +50,9 @@ def drift(
     Parameters
     ----------
     sessions : Path
-        One or more thermal sessions of the device: folders with session.toml, or recordings at rest while the temperature
-        changes. Several are combined; how far they differ counts as uncertainty. Recordings whose clock runs on within 60 s
-        are one session.
+        One or more thermal sessions of the device: folders with session.toml, recordings at rest while the temperature
+        changes, or tables of set-points (a map with set_points). Several are combined; how far they differ counts as
+        uncertainty. Recordings whose clock runs on within 60 s are one session.
     calibration : Path or None
         calibration.json of the device. Without it physical units keep their nominal scale, and counts are refused.
     output : Path or None
@@ -103,7 +103,7 @@ def drift(
     check_output(report, endings=(".html",), reads=(*read, calibration))
     check_output(figure, endings=PICTURES, reads=(*read, calibration))
     model = None if calibration is None else read_calibration(calibration)
-    fit, seen = _fit(sessions, opening.like(model, calibration), model, settings)
+    fit, seen, of_samples = _fit(sessions, opening.like(model, calibration), model, settings)
     if figure is not None:
         if fit.gyro_summary is None:
             raise InputError(f"{figure}: wanted gyroscopes to draw, got none; leave out --figure")
@@ -119,14 +119,14 @@ def drift(
         show_verdict(fit.verdict, details=details)
         if model is not None:
             say(f"calibration given: {calibration}, with {len(verdict_before(model).reasons)} findings of its own")
-        _say_next(fit, output, (figure, report), (recording_of(sessions), seen))
+        _say_next(fit, output, (figure, report), (recording_of(sessions) if of_samples else None, seen))
     return 1 if fit.calibration.verdict.status == "bad" else 0
 
 
 def _fit(
     sessions: tuple[Path, ...], opening: Opening, model: "Calibration | None", settings: "DriftSettings"
-) -> "tuple[DriftFit, tuple[float, float] | None]":
-    """Read the sessions and fit their tables, with a bar; return the fit and the temperatures of the first recording, degC."""
+) -> "tuple[DriftFit, tuple[float, float] | None, bool]":
+    """Read the sessions and fit, with a bar; return the fit, the first one's temperatures, degC, and whether it holds samples."""
     import numpy as np
 
     from undrift.drift.fit import fit_drift
@@ -138,7 +138,8 @@ def _fit(
         held = []
         for k, path in enumerate(sessions):
             shown.update(task, description=f"reading {path.name}", completed=0.4 * k / len(sessions))
-            held.append((_read(path, opening, model), detect(path) == "session"))
+            session = read_thermal(path, opening, model)
+            held.append((session, detect(path) == "session" or bool(session.means)))
         check_once([session for session, _ in held])
         bare = [session for session, stated in held if not stated]
         temps = held[0][0].records[0].temp_c
@@ -153,7 +154,7 @@ def _fit(
             settings=settings,
             progress=lambda what, share: shown.update(task, description=what, completed=0.4 + 0.6 * share),
         )
-        return fit, seen
+        return fit, seen, not held[0][0].means
 
 
 def _range(text: str) -> tuple[float, float]:
@@ -167,16 +168,22 @@ def _range(text: str) -> tuple[float, float]:
     return ends
 
 
-def _read(path: Path, opening: Opening, model: "Calibration | None") -> "Session":
+def read_thermal(path: Path, opening: Opening, model: "Calibration | None") -> "Session":
     """Read a session; a recording by itself is a session of one."""
+    from dataclasses import replace
+
     from undrift.files import sha256_of
     from undrift.io.formats import detect
-    from undrift.io.session import read_session
+    from undrift.io.session import entry_of, read_session, session_from_files
     from undrift.record import Session
     from undrift.units import STANDARD_GRAVITY
 
     if detect(path) == "session":
         return read_session(path)
+    if (file_map := opening.file_map()) is not None and entry_of(file_map).set_points is not None:
+        return replace(
+            session_from_files([path], file_map), gravity_m_s2=STANDARD_GRAVITY if model is None else model.gravity_m_s2
+        )
     record = opening.record(path)
     return Session(
         kind="thermal",

@@ -28,6 +28,10 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "undrift drift soak/ --calibration calibration.json -o calibration.json",
         "undrift drift warm_up.csv --map map.toml --warm-up --report drift.html",
     ),
+    "learn": (
+        "undrift learn 2026-03-*.csv --calibration c.json -o c2.json",
+        "undrift learn a.csv --date 2026-03-01 --calibration c.json --json",
+    ),
     "correct": (
         "undrift correct walk.csv --calibration calibration.json -o walk.parquet",
         "undrift correct *.csv --calibration calibration.json -o corrected/",

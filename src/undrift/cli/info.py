@@ -1,9 +1,12 @@
 """``undrift info``: what a file or folder holds: rates, units, spans, gaps, stills, problems, and the map it needs."""
 
 from collections import Counter
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+from cyclopts import Parameter
 
 from undrift.cli.common import (
     Details,
@@ -32,6 +35,49 @@ _KEYS = (
     *("kind", "format", "rows", "sample_rate_hz", "usual_rate_hz", "duration_s"),
     *("columns", "gaps", "temp_c", "problems", "summary"),
 )
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Proposal:
+    """The map to write for a table with foreign columns.
+
+    Parameters
+    ----------
+    write_map : Path or None
+        Map to write for a table with foreign columns, each unit with its reason: .toml.
+    gyro_unit : str or None
+        With --write-map: unit of the gyroscopes where nothing shows it: rad/s, dps, count or v.
+    accel_unit : str or None
+        With --write-map: unit of the accelerometers: m/s2, g, mg, count or v.
+    gyro_gain : float or None
+        With --write-map: unit of the gyroscopes per number of the file, by the data sheet: 0.061 with --gyro-unit dps.
+    accel_gain : float or None
+        With --write-map: the same of the accelerometers.
+    """
+
+    write_map: Path | None = None
+    gyro_unit: str | None = None
+    accel_unit: str | None = None
+    gyro_gain: float | None = None
+    accel_gain: float | None = None
+
+    def check(self, figure: Path | None, *, reads: Sequence[Path | None]) -> None:
+        """Raise where a unit or gain has no map to stand in, or a figure is asked for beside one."""
+        check_output(self.write_map, endings=(".toml",), reads=reads)
+        if self.write_map is None:
+            for name in ("gyro_unit", "accel_unit", "gyro_gain", "accel_gain"):
+                if getattr(self, name) is not None:
+                    option = f"--{name.replace('_', '-')}"
+                    raise InputError(
+                        f"{option}: wanted --write-map beside it, got none; add --write-map map.toml, or leave it out"
+                    )
+        elif figure is not None:
+            raise InputError(
+                "--figure: wanted it without --write-map, got both; write the map first, then draw with --map"
+            )
+
+
 POSES = 9  # still phases of a recording that may calibrate a device
 
 
@@ -41,11 +87,7 @@ def info(
     *,
     opening: Opening = Opening(),
     reference_up: Up = None,
-    write_map: Path | None = None,
-    gyro_unit: str | None = None,
-    accel_unit: str | None = None,
-    gyro_gain: float | None = None,
-    accel_gain: float | None = None,
+    proposal: Proposal = Proposal(),
     rests: Rests = Rests(),
     figure: Path | None = None,
     details: Details = False,
@@ -61,16 +103,8 @@ def info(
         How to read a foreign recording.
     reference_up : str or None
         Laboratory axis that points up, for markers in TRC or C3D.
-    write_map : Path or None
-        Map to write for a table with foreign columns, each unit with its reason: .toml.
-    gyro_unit : str or None
-        With --write-map: unit of the gyroscopes where nothing shows it: rad/s, dps, count or v.
-    accel_unit : str or None
-        With --write-map: unit of the accelerometers: m/s2, g, mg, count or v.
-    gyro_gain : float or None
-        With --write-map: unit of the gyroscopes per number of the file, by the data sheet: 0.061 with --gyro-unit dps.
-    accel_gain : float or None
-        With --write-map: the same of the accelerometers.
+    proposal : Proposal
+        The map to write for a table with foreign columns.
     rests : Rests
         How stretches at rest are found.
     figure : Path or None
@@ -85,10 +119,10 @@ def info(
             raise InputError(f"--figure: wanted a recording or a session, got the folder {file}; name one of its files")
         _show_folder(file, json=json)
         return 0
-    check_output(write_map, endings=(".toml",), reads=(file, opening.column_map))
+    proposal.check(figure, reads=(file, opening.column_map))
     found = describe(file, opening.columns(), settings=opening.settings(), up=reference_up)
-    if write_map is not None:
-        return _write_map(found, write_map, opening, (gyro_unit, accel_unit), (gyro_gain, accel_gain), json=json)
+    if proposal.write_map is not None:
+        return _write_map(found, proposal.write_map, proposal, opening, json=json)
     held = _session(file, found, opening)
     stills, reason = _stills(held, rests)
     _draw(held, found, rests, figure)
@@ -121,28 +155,21 @@ def info(
     return 0
 
 
-def _write_map(
-    found: "Description",
-    path: Path,
-    opening: Opening,
-    units: tuple[str | None, str | None],
-    gains: tuple[float | None, float | None],
-    *,
-    json: bool,
-) -> int:
-    """Write the map that a table seems to need, each unit with its reason; units and gains of gyro and accel."""
+def _write_map(found: "Description", path: Path, proposal: Proposal, opening: Opening, *, json: bool) -> int:
+    """Write the map that a table seems to need, each unit with its reason."""
     from undrift.files import write_whole
     from undrift.io.proposal import map_of
 
+    stated = {"gyro": proposal.gyro_unit, "accel": proposal.accel_unit}
+    gains = {"gyro": proposal.gyro_gain, "accel": proposal.accel_gain}
+    given = {name: gain for name, gain in gains.items() if gain is not None}
+    if missing := [name for name in given if stated[name] is None]:
+        raise InputError(f"--{missing[0]}-gain: wanted the unit that it leads to, got none; add --{missing[0]}-unit")
     if opening.drop_bad_rows:
         found = replace(found, example=(*found.example, "drop_bad_rows = true"))
-    given = {name: gain for name, gain in zip(("gyro", "accel"), gains, strict=True) if gain is not None}
     if given:
         scale = ", ".join(f"{name} = {{ gain = {gain!r} }}" for name, gain in given.items())
         found = replace(found, example=(*found.example, f"scale = {{ {scale} }}"))
-    stated = dict(zip(("gyro", "accel"), units, strict=True))
-    if missing := [name for name in given if stated[name] is None]:
-        raise InputError(f"--{missing[0]}-gain: wanted the unit that it leads to, got none; add --{missing[0]}-unit")
     text = map_of(found, sample_rate_hz=opening.sample_rate_hz, units=stated)
     write_whole(path, text)
     complete = '"?"' not in text

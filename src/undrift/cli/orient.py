@@ -5,12 +5,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from undrift.cli.common import Json, Opening, Output, Policy, Side, check_output, check_physical, say, write_json
-from undrift.errors import InputError
 
 if TYPE_CHECKING:
     from undrift.arrays import FloatArray
     from undrift.orientation import Orientation
-    from undrift.record import Record, Still
+    from undrift.record import Still
 
 
 def orient(
@@ -71,6 +70,7 @@ def orient(
     """
     from undrift.correction.correct import correct_checked
     from undrift.correction.coverage import find_beyond
+    from undrift.correction.rest import named_rest
     from undrift.io.store import read_calibration
     from undrift.io.write import ORIENTATION_WRITERS, files_of, write_orientation
     from undrift.orientation import OrientSettings
@@ -88,7 +88,7 @@ def orient(
         readings, notes = done.record, (*done.warnings, *beyond, *done.notes)
         models = {"accel_model": held.accel, "gyro_model": held.gyro}
     settings = OrientSettings(method=method, offset=offset, heading=math.radians(heading_deg), forward=forward, up=up)
-    found = find(readings, _still(readings, still_start_s, still_stop_s), settings, **models)
+    found = find(readings, named_rest(readings, (still_start_s, still_stop_s)), settings, **models)
     angles = (found.inclination, found.heading, found.pitch)
     write_orientation(found.time, found.q_nb, angles, output, body=body)
     made = _as_json(found) | {"method": method}
@@ -127,23 +127,6 @@ def _as_json(found: "Orientation") -> dict[str, Any]:
         "pitch_deg": _span(found.pitch),
         "findings": findings_json(found.findings),
     }
-
-
-def _still(record: "Record", start_s: float | None, stop_s: float | None) -> "Still | None":
-    """Return the stretch at rest that was named, None where none was."""
-    from undrift.record import Still
-
-    if start_s is None and stop_s is None:
-        return None
-    first, last = float(record.time[0]), float(record.time[-1])
-    if start_s is None or stop_s is None or not first <= start_s < stop_s <= last:
-        got = " and ".join("none" if value is None else f"{value:g}" for value in (start_s, stop_s))
-        raise InputError(
-            f"--still-start-s, --still-stop-s: wanted both, within the recording's {first:.6g} to {last:.6g} s and in that order, "
-            f"got {got}; name a stretch at rest by its start and end"
-        )
-    start, stop = record.time.searchsorted((start_s, stop_s))
-    return Still(start=int(start), stop=max(int(stop), int(start) + 1))
 
 
 def _span(angle: "FloatArray") -> tuple[float, float]:

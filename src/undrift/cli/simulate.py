@@ -1,4 +1,4 @@
-"""``undrift simulate``: simulated sensor output for recorded poses, for a task, or for a thermal session."""
+"""``undrift simulate``: simulated sensor output for recorded poses, a task, a thermal session, or days of use."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, cast, get_args
@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from undrift.sim.thermal import ThermalKind
 
 THERMAL = "thermal_"  # before the kind of a thermal session
+DAILY = "daily_use"
 
 
 def simulate(
@@ -50,6 +51,7 @@ def simulate(
     truth: Path | None = None,
     save_device: Path | None = None,
     stamps: Literal["device", "host"] = "device",
+    days: int | None = None,
     seed: int = 0,
     json: Json = False,
 ) -> int:
@@ -59,15 +61,15 @@ def simulate(
     ----------
     motion : str
         A file of poses or markers, or a task: sit_to_stand, step, posturography, free; or a thermal session: thermal_soak,
-        thermal_ramp, thermal_warm_up, thermal_multi_position.
+        thermal_ramp, thermal_warm_up, thermal_multi_position; or daily_use: a recording a day, on a table and worn.
     device : str
         A preset (enc03j_3031, mpu6050, icm20948, bmi160, bmi270, bmi088, lsm6dso, xsens_mti1, shimmer3) or a device.json.
     output : Path
-        Recording to write: .parquet, .csv or .csv.gz; a folder for a thermal session.
+        Recording to write: .parquet, .csv or .csv.gz; a folder for a thermal session and for daily_use.
     draw : bool
         Draw a unit of the preset within its tolerances; the typical one otherwise.
     sample_rate_hz : float
-        Samples per second; 100 where not given, 50 in a thermal session.
+        Samples per second; 100 where not given, 50 in a thermal session, 25 in daily_use.
     temp_c : float or None
         Temperature of the board, degC; the device's reference temperature where not given.
     power_on_s : float
@@ -89,6 +91,8 @@ def simulate(
     stamps : str
         "host" writes the time at which a host would have received each sample, in bursts and with drop-outs: a task to try
         --clock regular on.
+    days : int or None
+        Of daily_use; 10 where not given.
     seed : int
         Seed of every random draw: the same seed gives the same file.
     """
@@ -104,11 +108,10 @@ def simulate(
         raise InputError(f"sample rate: wanted more than 0 Hz, got {sample_rate_hz:g}; give the rate of the device")
     rng, simulated = np.random.default_rng(seed), None
     model = device_at(device, rng, draw=draw)
-    if motion.startswith(THERMAL):
-        kind = _thermal_kind(
-            motion, stamps, temp_c=temp_c, markers=markers, reference_up=reference_up, cutoff_hz=cutoff_hz, truth=truth
-        )
-        made, lines = _thermal(kind, model, output, (sample_rate_hz, power_on_s, gravity_m_s2), rng)
+    if days is not None or motion == DAILY or motion.startswith(THERMAL):
+        unused = {"temp_c": temp_c, "markers": markers, "reference_up": reference_up, "cutoff_hz": cutoff_hz}
+        given = sample_rate_hz, power_on_s, gravity_m_s2
+        made, lines = _session(motion, stamps, model, output, days, given, unused | {"truth": truth}, rng)
     else:
         with waiting(f"simulating {motion}"):
             moved, where, chosen = _motion(
@@ -192,6 +195,52 @@ def _thermal(
         "{stills} stills, {turns} turns"
     )
     return made, [line.format(f"{THERMAL}{kind}", output, **made)]
+
+
+def _session(
+    motion: str,
+    stamps: str,
+    model: "DeviceModel",
+    output: Path,
+    days: int | None,
+    given: tuple[float | None, float | None, float],
+    unused: dict[str, object],
+    rng: "np.random.Generator",
+) -> tuple[dict[str, Any], list[str]]:
+    """Write a thermal session or days of use, and return what they hold, for JSON and in a line."""
+    if motion != DAILY and days is not None:
+        raise InputError(f"{motion}: wanted no --days; only {DAILY} goes over days")
+    if motion != DAILY:
+        return _thermal(_thermal_kind(motion, stamps, **unused), model, output, given, rng)
+    if stamps != "device" or given[1] is not None or any(value is not None for value in unused.values()):
+        raise InputError(
+            f"{DAILY}: wanted --device, --days, --sample-rate-hz, --draw, --seed alone; leave the others out"
+        )
+    return _daily(model, output, 10 if days is None else days, given[0], rng)
+
+
+def _daily(
+    model: "DeviceModel", output: Path, days: int, sample_rate_hz: float | None, rng: "np.random.Generator"
+) -> tuple[dict[str, Any], list[str]]:
+    """Write a recording for each day, named by its date, and return what they hold, for JSON and in a line."""
+    from datetime import date, timedelta
+
+    from undrift.io.formats import write_record
+    from undrift.sim.daily_use import DailyUseSettings, simulate_daily_use
+
+    check_folder(output)
+    settings = DailyUseSettings(days=days, sample_rate_hz=sample_rate_hz or DailyUseSettings().sample_rate_hz)
+    spans = list[float]()
+    with waiting(f"simulating {DAILY}"):
+        for day in simulate_daily_use(model, rng=rng, settings=settings):
+            record = day.session.records[0]
+            output.mkdir(exist_ok=True)
+            write_record(record, output / f"{date(2026, 1, 1) + timedelta(days=day.number)}.parquet")
+            temp_c = record.temp_c
+            spans += [] if temp_c is None else [float(temp_c.min()), float(temp_c.max())]
+    made = _held(model, record) | {"days": days, "temp_c": [min(spans), max(spans)]}
+    line = f"{DAILY} -> {output}: {days} recordings from 2026-01-01 on, {min(spans):.1f} to {max(spans):.1f} degC"
+    return made, [line]
 
 
 def _held(model: "DeviceModel", record: "Record") -> dict[str, object]:
@@ -279,7 +328,7 @@ def _figures(made: "Simulated", model: "DeviceModel") -> dict[str, object]:
 
 
 def _show(model: "DeviceModel", simulated: "Simulated | None", made: dict[str, Any]) -> None:
-    """Show the size of each effect, saturation and gaps; nothing of a thermal session."""
+    """Show the size of each effect, saturation and gaps; nothing of a session."""
     if simulated is None:
         return
     rows, lines = [], []

@@ -74,7 +74,7 @@ def study(
         Address of a Dask scheduler, as in tcp://host:8786, to work on its workers.
     no_rivals : bool
         Leave out the other ways to calibrate, which the note's Discussion names, about 20 s, and Figure 3 effect by effect, about
-        15 s. --quick implies it.
+        15 s, and its 30 drawn units, 6 s each on one processor. --quick implies it.
     real : Path or None
         real.toml: real recordings to judge too. See docs/study.md.
     """
@@ -210,8 +210,13 @@ def duration(seconds: float) -> str:
 # ---- summary.json
 
 
+FIGURE3_KEYS = ("none_max_deg", "static_max_deg", "full_max_deg", "rest_max_deg", "full_and_rest_max_deg")
+
+
 def study_summary(outcome: "StudyOutcome") -> dict[str, object]:
     """Return the JSON of a study."""
+    from undrift.study.figure3 import COMPARED
+
     held, figure = outcome.study, outcome.figure3
     return {
         **{key: getattr(held, key) for key in ("name", "device", "subjects", "seed", "objective", "search", "level")},
@@ -230,13 +235,16 @@ def study_summary(outcome: "StudyOutcome") -> dict[str, object]:
         ],
         "figure3": figure
         and {
-            **dict(zip(("none_max_deg", "static_max_deg", "full_max_deg"), figure.actual_max_deg, strict=True)),
+            **dict(zip(FIGURE3_KEYS, figure.actual_max_deg, strict=True)),
             "decrease_deg": figure.decrease_deg,
             "simulated_actual_max_deg": figure.simulated_actual_max_deg[2],
+            "compared": COMPARED,
+            "actual_max_deg": figure.actual_max_deg,
             "simulated_max_deg": figure.simulated_max_deg,
             "simulated_actual_by_level_deg": figure.simulated_actual_max_deg,
         },
         "figure3_missing": outcome.figure3_missing and outcome.figure3_missing.detail,
+        "figure3_drawn": [asdict(row) for row in outcome.figure3_drawn] or None,
         "figure3_effects": [asdict(row) for row in outcome.figure3_effects] or None,
         "designs": [asdict(row) for row in outcome.designs],
         "rivals": [
@@ -412,10 +420,10 @@ def _show(outcome: "StudyOutcome", output: Path) -> None:
             *([f"  {more} more in {output / 'report.html'}"] if more > 0 else []),
         )
     if outcome.figure3 is not None:
-        none, static, full = outcome.figure3.actual_max_deg
+        none, static, full, rest, both = outcome.figure3.actual_max_deg
         say(
             f"Figure 3, largest error: {none:.2f} deg without compensation, {static:.2f} deg static, {full:.2f} deg static and "
-            "dynamic"
+            f"dynamic; {rest:.2f} deg re-zeroed at a rest, {both:.2f} deg with tables and rest"
         )
     say(
         *(() if outcome.real is None else real_lines(outcome.real)), f"Wrote {output}: look at {output / 'report.html'}"

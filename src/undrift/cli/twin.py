@@ -4,12 +4,14 @@ from itertools import chain
 from typing import TYPE_CHECKING
 
 from undrift.cli.common import Files, Json, Opening, Optics, OptionalOutput, Steps, say, show_table, write_json
+from undrift.findings import Finding
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
 if TYPE_CHECKING:
     from undrift.arrays import FloatArray
     from undrift.twin.fit import Twin
     from undrift.twin.heldout import Ending, HeldOutTrial, Part
+    from undrift.twin.witness import Split
 
 HELD_OUT, END_ERRORS = (0.34, 0.55), (0.55, 0.85)  # shares of the time, of three recordings of two minutes
 
@@ -48,6 +50,7 @@ def twin(
     from undrift.sim.device.model import write_device
     from undrift.twin.fit import TwinSettings, fit_prepared, prepare_twin
     from undrift.twin.heldout import compare_held_out, contributions, device_of, end_errors
+    from undrift.twin.witness import split_twin
 
     settings = TwinSettings(gravity_m_s2=gravity_m_s2)
     rng = np.random.default_rng(seed)
@@ -61,6 +64,7 @@ def twin(
         prepared = prepare_twin([p[0] for p in pairs], [p[1] for p in pairs], settings=settings, names=names)
         shown("fitting", 0.13)
         fitted = fit_prepared(prepared, settings=settings)
+        split = split_twin(prepared, fitted)
         if len(records) > 1:
             held = compare_held_out(prepared, rng=rng, progress=shown.part(*HELD_OUT))
             endings = end_errors(prepared, rng=rng, progress=shown.part(*END_ERRORS))
@@ -71,16 +75,20 @@ def twin(
         device = device_of(fitted, sample_rate_hz=record.sample_rate_hz, serial=record.device)
         write_device(device, output)
     if json:
-        write_json(_twin_json(fitted, held, endings, parts), "twin")
+        write_json(_twin_json(fitted, held, endings, parts, split), "twin")
     else:
-        _show(fitted, names, held, endings, parts)
+        _show(fitted, names, held, endings, parts, split)
         if output is not None:
             say(f"Wrote {output}")
     return 0
 
 
 def _twin_json(
-    fitted: "Twin", held: "tuple[HeldOutTrial, ...]", endings: "tuple[Ending, ...]", parts: "tuple[Part, ...]"
+    fitted: "Twin",
+    held: "tuple[HeldOutTrial, ...]",
+    endings: "tuple[Ending, ...]",
+    parts: "tuple[Part, ...]",
+    split: "Split | Finding",
 ) -> dict[str, object]:
     deg = 1.0 / RADIAN_PER_DEGREE
     accel = fitted.accel
@@ -95,6 +103,13 @@ def _twin_json(
                 "max_abs_pitch_difference_deg": _spread(h.errors.pitch * deg),
                 "max_tilt_difference_deg": _spread(h.errors.tilt * deg),
                 "end_difference_deg": [_spread(axis * deg) for axis in h.errors.end.T],
+                "excitation": {
+                    "beyond_training": h.excitation.beyond,
+                    "leverage": h.excitation.leverage,
+                    "predicted_deg": h.excitation.predicted * deg,
+                    "trained_deg": h.excitation.trained * deg,
+                    "axis_share": h.excitation.axis_share,
+                },
             }
             for h in held
         ],
@@ -110,6 +125,7 @@ def _twin_json(
             | {"real_deg": e.real * deg, "simulated_95_deg": e.interval * deg}
             for e in endings
         ],
+        "split": {"finding": split.text} if isinstance(split, Finding) else split.row(),
         "contributions": [
             {"name": p.name, "pitch_median_deg": p.pitch * deg, "tilt_median_deg": p.tilt * deg} for p in parts
         ],
@@ -132,6 +148,7 @@ def _show(
     held: "tuple[HeldOutTrial, ...]",
     endings: "tuple[Ending, ...]",
     parts: "tuple[Part, ...]",
+    split: "Split | Finding",
 ) -> None:
     deg = 1.0 / RADIAN_PER_DEGREE
     rows, reasons = [], dict[str, list[str]]()
@@ -150,6 +167,7 @@ def _show(
     heads = ("recording", "gyro dps", "of", "accel m/s2", "of")
     show_table("residual against the reference, and signal, rms per axis", heads, residuals)
     say(f"low-pass: gyro {fitted.settings.gyro_cutoff_hz:g} Hz, accel {fitted.settings.accel_cutoff_hz:g} Hz")
+    say(split.text)
     if not held:
         say("one recording: none could be held out; add a second one to see how well the twin predicts")
         return
@@ -164,6 +182,7 @@ def _show(
     ]
     title = "held out: largest pitch difference between simulated and real device in a window, deg"
     show_table(title, ("recording", "window s", "windows", "median", "95 %", "max"), windows)
+    say(*{h.recording: found.text for h in held if (found := h.excitation.finding(h.recording)) is not None}.values())
     limits = [(p.name, f"{p.pitch * deg:.3f}", f"{p.tilt * deg:.3f}") for p in parts]
     show_table(f"its contributions, {names[0]}, 5 s windows, median", ("part", "pitch deg", "tilt deg"), limits)
     ends = []

@@ -1,7 +1,7 @@
 """``undrift validate``: what a calibration is worth in degrees, against an orientation reference."""
 
 import math
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -20,6 +20,7 @@ from undrift.cli.common import (
     check_output,
     check_physical,
     name_of,
+    recordings_of,
     save_json,
     say,
     show_table,
@@ -30,6 +31,7 @@ from undrift.errors import InputError
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from undrift.calibration.reference import ReferenceSettings
     from undrift.model import Calibration
     from undrift.record import Record, Reference
     from undrift.report.validation import Method
@@ -55,6 +57,7 @@ def validate(
     calibration: Path | None = None,
     calibrate_from: Literal["reference"] | None = None,
     leave_one_out: Flag = False,
+    mounting: Literal["each", "one"] | None = None,
     offset: Literal["none", "rest"] | None = None,
     adc: Literal["auto", "none"] = "auto",
     forward: Side = "+x",
@@ -72,7 +75,7 @@ def validate(
     Parameters
     ----------
     records : Path
-        One or more recordings.
+        One or more recordings, or one folder with session.toml.
     optics : Optics
         The reference of each recording.
     calibration : Path or None
@@ -81,10 +84,14 @@ def validate(
         "reference" fits the gyroscopes to the references of these recordings, which must be of one device.
     leave_one_out : bool
         With --calibrate-from: each recording is judged by a fit to the others.
+    mounting : str or None
+        With --calibrate-from: "each" fits a small rotation between device and reference body for each recording, "one" states that
+        they were mounted once. Without it: as session.toml says, or each.
     offset : str or None
         "rest" subtracts the mean rate of the rest before the motion, "none" does not. Without a calibration: rest.
     adc : str
-        "auto" corrects the quantisation of the codes where it shows; "none" leaves them.
+        "auto" corrects the quantisation of the codes where it shows and, with --calibrate-from and three recordings or more, where
+        that lowers the cross-validated error; "none" leaves them.
     forward : str
         Body axis that points forward on the upright segment: with --up it defines the pitch.
     up : str
@@ -103,16 +110,12 @@ def validate(
     opening : Opening
         How to read foreign recordings.
     """
+    from undrift.calibration.reference import ReferenceSettings
     from undrift.io.store import read_calibration
     from undrift.sync import LagSettings
     from undrift.validation.trial import TrialSettings
 
-    if leave_one_out and calibrate_from is None:
-        raise InputError("validate: --leave-one-out wants --calibrate-from reference; say both, or neither")
-    if calibrate_from is not None and calibration is not None:
-        raise InputError("validate: wanted --calibration or --calibrate-from, got both; choose one")
-    if not 0.0 < max_lag_s < math.inf:
-        raise InputError(f"--max-lag-s: wanted more than 0 s, got {max_lag_s:g}; say how far the clocks may differ")
+    _check_asked(leave_one_out, mounting, calibrate_from, calibration, max_lag_s)
     check_folder(output)
     check_output(report, endings=(".html",), reads=(*records, *optics.reference, calibration))
     chosen = offset or ("none" if calibration or calibrate_from else "rest")
@@ -127,23 +130,38 @@ def validate(
     )
     with Steps("validate") as shown:
         model = None if calibration is None else read_calibration(calibration)
-        pairs = optics.pairs(records, opening.like(model, calibration), command="validate")
+        records, held = recordings_of(records, opening)
+        pairs = optics.pairs(records, opening.like(model, calibration), command="validate", session=held)
+        fit = ReferenceSettings(mounting=mounting or (held and held.mounting) or "each") if calibrate_from else None
         shown("aligning and integrating", 0.02)
-        paths, progress = (records, optics.reference), shown.part(ALL_FITTED, 1.0) if leave_one_out else None
-        result, method = _judged(pairs, paths, (calibration, model), settings, progress, fit=bool(calibrate_from))
-    source = calibration.name if calibration else calibrate_from
-    asked = {"calibration": source, "offset": chosen, "adc": adc, "leave_one_out": leave_one_out}
-    made = _validation_json(result) | asked
+        progress = shown.part(ALL_FITTED, 1.0) if leave_one_out else None
+        result, method = _judged(pairs, (records, optics.reference), (calibration, model), settings, progress, fit)
+    made = _validation_json(result) | {"calibration": calibration.name if calibration else calibrate_from}
+    made |= {"offset": chosen, "adc": adc, "leave_one_out": leave_one_out}
     _write(output, report, result, made, method)
     if json:
         write_json(made, "validate")
-        return 0
-    _show(result, chosen, in_sample=calibrate_from is not None and not leave_one_out)
-    say(
-        *([] if report is None else [f"Wrote {report}"]),
-        *([] if output is None else [f"Wrote {output}: look at report.html"]),
-    )
+    else:
+        _show(result, chosen, in_sample=calibrate_from is not None and not leave_one_out)
+        say(*_written(output, report))
     return 0
+
+
+def _check_asked(
+    leave_one_out: bool, mounting: str | None, calibrate_from: str | None, calibration: Path | None, max_lag_s: float
+) -> None:
+    if calibrate_from is None and (leave_one_out or mounting):
+        name = "--leave-one-out" if leave_one_out else "--mounting"
+        raise InputError(f"validate: {name} wants --calibrate-from reference; say both, or neither")
+    if calibrate_from is not None and calibration is not None:
+        raise InputError("validate: wanted --calibration or --calibrate-from, got both; choose one")
+    if not 0.0 < max_lag_s < math.inf:
+        raise InputError(f"--max-lag-s: wanted more than 0 s, got {max_lag_s:g}; say how far the clocks may differ")
+
+
+def _written(folder: Path | None, page: Path | None) -> list[str]:
+    named = [] if page is None else [f"Wrote {page}"]
+    return named if folder is None else [*named, f"Wrote {folder}: look at report.html"]
 
 
 def _write(
@@ -182,6 +200,7 @@ def _validation_json(result: "Validation") -> dict[str, object]:
     trials = [
         {"recording": t.recording}
         | asdict(t.figures)
+        | {"expected": None if t.expected is None else asdict(t.expected)}
         | {"notes": [item.text for item in t.findings], "findings": findings_json(t.findings)}
         for t in result.trials
     ]
@@ -190,6 +209,7 @@ def _validation_json(result: "Validation") -> dict[str, object]:
         "mean": asdict(result.mean),
         "median": asdict(result.median),
         "agreement": agreement,
+        "expected_inside": None if result.coverage is None else asdict(result.coverage),
     }
 
 
@@ -211,30 +231,31 @@ def _judged(
     read: "tuple[Path | None, Calibration | None]",
     settings: "TrialSettings",
     leave_one_out: "Callable[[str, float], None] | None",
-    *,
-    fit: bool,
+    fit: "ReferenceSettings | None",
 ) -> tuple["Validation", "Method"]:
     """Return the validation, and how it was made: by the calibration that was read or fitted to all recordings, or none."""
     from undrift.calibration.calibrate import calibrate_to_references
     from undrift.model import Verdict
     from undrift.report.validation import Method
-    from undrift.validation.agreement import validate_leave_one_out, validate_trials
+    from undrift.validation.agreement import MOUNTING_ABOVE, validate_leave_one_out, validate_trials
 
     (paths, references), (calibration, model) = named, read
     records, held, names = [pair[0] for pair in pairs], [pair[1] for pair in pairs], [name_of(path) for path in paths]
-    if calibration is None and not fit:
+    if calibration is None and fit is None:
         for readings, path in zip(records, paths, strict=True):
             check_physical(readings, path)
             check_gravity(readings, path)
-    fitted = calibrate_to_references(records, held, adc=settings.adc, lag_settings=settings.lag) if fit else None
-    model = fitted if model is None else model
+    if fit is not None:
+        model = calibrate_to_references(records, held, adc=settings.adc, settings=fit, lag_settings=settings.lag)
     result = (
-        validate_leave_one_out(pairs, settings=settings, names=names, progress=leave_one_out)
-        if leave_one_out is not None
+        validate_leave_one_out(pairs, settings=settings, fit_settings=fit, names=names, progress=leave_one_out)
+        if leave_one_out is not None and fit is not None
         else validate_trials(pairs, calibrations=(model,), settings=settings, names=names)
     )
     for trial in result.trials:
         _check_scale(trial)
+    if result.held_out and fit is not None and fit.mounting == "each":
+        settings = replace(settings, align_above=min(settings.align_above, MOUNTING_ABOVE))
     verdict = Verdict() if model is None or result.held_out else model.verdict
     for left_out in result.held_out:
         verdict = verdict.also(left_out.fit.triad.verdict)
@@ -250,7 +271,7 @@ def _judged(
 
 
 def _show(result: "Validation", offset: str, *, in_sample: bool) -> None:
-    from undrift.report.validation import OPTICS_SEEN, PITCH_DEFINED
+    from undrift.report.validation import OPTICS_SEEN, PITCH_DEFINED, coverage_text, expected_rows
 
     figures_of = [(trial.recording, trial.figures) for trial in result.trials]
     if len(figures_of) > 1:
@@ -266,6 +287,10 @@ def _show(result: "Validation", offset: str, *, in_sample: bool) -> None:
     title = f"error against the reference in deg: rmse over the motion, largest, median after it (offset: {offset})"
     show_table(title, ("recording", *SHOWN.values(), "pitch %", "optics %"), rows)
     lines = []
+    if result.coverage is not None:
+        columns = ("recording", "end total", "expected", "95 %", "total", "expected", "95 %")
+        show_table("observed and expected errors in deg", columns, expected_rows(result.trials))
+        lines.append(coverage_text(result.coverage))
     if result.agreement is not None:
         limits, icc = result.agreement.limits, result.agreement.absolute
         lines.append(

@@ -8,6 +8,7 @@ For a reading u (3,) at temperature T, in this order::
     3  w  = M(T) u2               matrix, constant or over temperature
     4  w  = w - G a               g-sensitivity, gyroscopes only, a the corrected specific force
     5  w  = w - e(w, T)           dynamic drift over the measured rate, bilinear, gyroscopes only
+    6  w  = w - r                 on request: the mean of w at a rest, which takes what steps 1 to 5 leave there (rest.py)
 
 A table takes the place of its constant, it is never added to one. T is the temperature of the sensors, with the thermometer's lag
 subtracted where the calibration knows it. Tables are held at their ends; a temperature beyond them is an error, is held, or becomes
@@ -19,7 +20,7 @@ finds what it does not cover, and stream.py does the same chunk by chunk.
 
 import copy
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, TypeAlias
 
 import numpy as np
@@ -38,6 +39,7 @@ from undrift.correction.plan import (
     in_pieces,
     plan_record,
 )
+from undrift.correction.rest import RestOffset, find_rest_offset
 from undrift.errors import InputError
 from undrift.findings import Finding
 from undrift.model import Calibration
@@ -45,6 +47,7 @@ from undrift.record import Record
 
 Buffers: TypeAlias = tuple[FloatArray, FloatArray]  # rate, rad/s, and specific force, m/s2, (N, 3)
 Policy = Literal["raise", "hold", "nan"]
+Offset: TypeAlias = Literal["none", "rest"] | RestOffset
 
 REFERENCE_SPAN_C = 5.0  # how far from the reference temperature constant offsets are taken to hold
 
@@ -114,6 +117,8 @@ class Corrected:
         How far temperature and rate went, where the calibration cares.
     carry : Carry
         What the next chunk of a stream needs.
+    rest : RestOffset or None
+        What was subtracted because it was left at a rest, with its uncertainty.
     """
 
     record: Record
@@ -123,6 +128,7 @@ class Corrected:
     findings: tuple[Finding, ...]
     reach: coverage.Reach
     carry: Carry
+    rest: RestOffset | None = None
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -157,6 +163,7 @@ def correct(
     policy: Policy = "raise",
     out: Buffers | None = None,
     power_on_s: float | None = None,
+    offset: Offset = "none",
 ) -> Record:
     """Turn a device's readings into rate and specific force.
 
@@ -174,6 +181,9 @@ def correct(
     power_on_s : float, optional
         Time since power-on at the first sample, s; without it no warm-up is subtracted, and a note of ``correct_checked`` says
         how large it is.
+    offset : str or RestOffset
+        "rest" subtracts the mean rate that is left at the first still phase, and with it any true slow turn; a RestOffset
+        subtracts one that was found before. A note of ``correct_checked`` states it with its uncertainty.
 
     Returns
     -------
@@ -184,7 +194,7 @@ def correct(
     ------
     InputError
         Readings corrected already, in a unit that the calibration does not know, or without the temperatures it needs; a
-        negative power_on_s.
+        negative power_on_s; no rest where one is asked for.
     DriftRangeError
         Temperatures outside a table under policy "raise".
 
@@ -199,7 +209,7 @@ def correct(
     >>> corrected.gyro_unit, corrected.accel_unit, corrected.frame
     ('rad/s', 'm/s2', 'b')
     """
-    corrected = correct_checked(record, calibration, policy=policy, out=out, power_on_s=power_on_s)
+    corrected = correct_checked(record, calibration, policy=policy, out=out, power_on_s=power_on_s, offset=offset)
     for text in corrected.warnings:
         warnings.warn(text, DriftRangeWarning, stacklevel=2)
     return corrected.record
@@ -214,6 +224,7 @@ def correct_checked(
     reference_span_c: float = REFERENCE_SPAN_C,
     threads: int | None = None,
     power_on_s: float | None = None,
+    offset: Offset = "none",
 ) -> Corrected:
     """Correct a record and say where the calibration did not cover it.
 
@@ -233,6 +244,8 @@ def correct_checked(
         Default: all processors for long records, one for short ones. The bits of the result do not depend on it.
     power_on_s : float, optional
         As for ``correct``, s.
+    offset : str or RestOffset
+        As for ``correct``.
 
     Returns
     -------
@@ -258,7 +271,7 @@ def correct_checked(
     (0, 0)
     """
     plans, carry = plan_record(record, calibration), carry_at_start(float(record.time[0]), power_on_s)
-    return correct_planned(
+    done = correct_planned(
         record,
         calibration,
         plans,
@@ -268,6 +281,23 @@ def correct_checked(
         threads=threads,
         carry=carry,
     )
+    return re_zeroed(done, offset, threads)
+
+
+def re_zeroed(done: Corrected, offset: Offset, threads: int | None = None) -> Corrected:
+    """Subtract what is left at a rest from a record that was just corrected, in its own buffer: step 6."""
+    rate = done.record.gyro
+    rest = find_rest_offset(done.record) if offset == "rest" else offset if isinstance(offset, RestOffset) else None
+    if rest is None or rate is None:
+        return done
+
+    def subtract(start: int, stop: int) -> None:
+        rate[start:stop] -= rest.rate
+
+    rate.flags.writeable = True
+    in_pieces(subtract, len(rate), threads)
+    rate.flags.writeable = False
+    return replace(done, rest=rest, findings=(*done.findings, rest.finding))
 
 
 def correct_planned(

@@ -10,9 +10,17 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 
-from undrift.correction.correct import REFERENCE_SPAN_C, Corrected, DriftRangeWarning, Policy, correct_planned
+from undrift.correction.correct import (
+    REFERENCE_SPAN_C,
+    Corrected,
+    DriftRangeWarning,
+    Policy,
+    correct_planned,
+    re_zeroed,
+)
 from undrift.correction.coverage import Reach, coverage_findings
 from undrift.correction.plan import Carry, Plans, carry_at_start, plan_record
+from undrift.correction.rest import RestOffset
 from undrift.errors import InputError
 from undrift.model import Calibration
 from undrift.record import Record
@@ -43,6 +51,8 @@ class Corrector:
         As for ``correct_checked``, degC.
     power_on_s : float, optional
         Time since power-on at the first sample of the stream, s, as for ``correct``.
+    offset : RestOffset, optional
+        What is left at a rest, to subtract from every chunk: ``find_rest_offset_in`` finds it in the first corrected chunks.
 
     Examples
     --------
@@ -65,10 +75,11 @@ class Corrector:
         *,
         reference_span_c: float = REFERENCE_SPAN_C,
         power_on_s: float | None = None,
+        offset: RestOffset | None = None,
     ) -> None:
         carry_at_start(0.0, power_on_s)  # refused now rather than at the first chunk
         self._calibration, self._policy, self._span = calibration, policy, reference_span_c
-        self._power_on_s = power_on_s
+        self._power_on_s, self._offset = power_on_s, offset
         self._plans: dict[tuple[str, str, bool, bool, bool], Plans] = {}
         self.state = CorrectorState()  # may be saved, and put back by assignment
 
@@ -140,6 +151,7 @@ class Corrector:
             reference_span_c=self._span,
             carry=self.state.carry if begun else carry_at_start(float(chunk.time[0]), self._power_on_s),
         )
+        done = done if self._offset is None else re_zeroed(done, self._offset)
         self.state = CorrectorState(
             samples=self.state.samples + len(chunk),
             samples_outside=self.state.samples_outside + int(done.outside.sum()),

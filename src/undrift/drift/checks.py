@@ -18,6 +18,7 @@ unknown), many nodes without data, a temperature that looks wrong or is a set-po
 that cannot be gravity, accelerometers of one pose whose unknown change of scale is most of the uncertainty.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -34,6 +35,7 @@ from undrift.drift.thermometer_lag import LagFit
 from undrift.errors import CalibrationError, Implausible
 from undrift.findings import Finding, finding
 from undrift.model import AXES, Calibration, Status, TriadModel, Verdict, level_of
+from undrift.record import Session
 from undrift.units import RADIAN_PER_DEGREE, Quantity, is_physical, si_factor
 
 # ---- Summary of a thermal fit in SI units, per sensor: y = (u - offset) / scale_factor
@@ -499,3 +501,24 @@ def _dps_per_raw(model: TriadModel) -> FloatArray:
 
 def _figures(values: FloatArray) -> str:
     return ", ".join(f"{value:.3g}" for value in values)
+
+
+def set_point_verdict(sessions: Sequence[Session]) -> Verdict:
+    """Return what tables of set-points do not state."""
+    found: list[Finding] = []
+    for session in sessions:
+        for record, means in zip(session.records, session.means, strict=bool(session.means)):
+            for name, values, stated in (
+                ("gyroscope", record.gyro, means.gyro_uncertainty),
+                ("accelerometer", record.accel, means.accel_uncertainty),
+            ):
+                missing = int(np.isnan(stated).any(axis=1).sum())
+                if values is not None and missing:
+                    found.append(
+                        finding("drift.rows_without_uncertainty", "warn", sensor=name, rows=missing, of=len(record))
+                    )
+            if np.isnan(means.count).any() and not means.from_spread and np.isfinite(means.gyro_uncertainty).any():
+                found.append(finding("drift.rows_without_count", "info"))
+            if means.from_spread:
+                found.append(finding("drift.rows_by_spread", "info"))
+    return Verdict.of(*found) if found else Verdict()

@@ -20,7 +20,7 @@ from typing import Literal
 import numpy as np
 
 from undrift.arrays import FloatArray
-from undrift.calibration.observe import in_one_unit
+from undrift.calibration.observe import ROOM_C, in_one_unit
 from undrift.drift import checks
 from undrift.drift.accel import AccelDriftFit, fit_accel_drift, with_accel
 from undrift.drift.observe import ObserveSettings, RateSteps, RestBlocks, observe_rests, observe_steps
@@ -220,9 +220,8 @@ def fit_drift(
     gyro = checks.summarise_gyro(static, device)
     of_offsets = checks.with_set_points(checks.static_verdict(static, accel), wide, rests, device)
     of_sweep = checks.single_sweep_verdict(gyro, rests, warm_up_fitted=static.table.warm_up is not None)
-    of_accel = checks.poses_verdict(accel, device).also(
-        Verdict() if accel is None else checks.without_figures(accel.verdict)
-    )
+    of_accel = checks.poses_verdict(accel, device).also(checks.without_figures(accel.verdict) if accel else Verdict())
+    of_sweep = of_sweep.also(checks.set_point_verdict(sessions))
     verdict = agrees.also(checks.temperature_verdict(together)).also(of_choice).also(of_offsets).also(g_estimated)
     verdict = verdict.also(of_sweep).also(of_accel).also(checks.lag_verdict(lag, lags_s[0]))
     return DriftFit(
@@ -395,4 +394,20 @@ def _calibrated(
         versions=held.versions or tuple((name, version(name)) for name in ("undrift", "numpy", "scipy")),
         created=datetime.now(UTC).isoformat(timespec="seconds"),
     )
-    return replace(device, drift=tables, verdict=device.verdict.also(verdict), provenance=provenance)
+    return replace(
+        device,
+        reference_temp_c=_reference_of(device, tables),
+        drift=tables,
+        verdict=device.verdict.also(verdict),
+        provenance=provenance,
+    )
+
+
+def _reference_of(device: Calibration, tables: DriftTables) -> float:
+    """Return the reference temperature: the device's own, or where none is known the one seen that is nearest to a room's, degC."""
+    static = tables.static
+    if np.isfinite(device.reference_temp_c) or static is None:
+        return device.reference_temp_c
+    far = static.gyro_extrapolated
+    seen = static.temp_c if far is None or far.all() else static.temp_c[~far]
+    return float(np.clip(ROOM_C, seen[0], seen[-1]))

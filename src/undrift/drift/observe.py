@@ -16,12 +16,12 @@ from typing import Any, Self
 import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray, IntArray
-from undrift.calibration.rate_table import dwell_means
+from undrift.calibration.dwells import dwell_means
 from undrift.errors import InputError, NotObservable
 from undrift.fit.least_squares import block_size
-from undrift.record import Record, Session, Still, Turn
+from undrift.record import Record, Session, SetPointMeans, Still, Turn
 from undrift.segments import StillSettings, find_still
-from undrift.units import RADIAN_PER_DEGREE
+from undrift.units import RADIAN_PER_DEGREE, Quantity, is_physical, si_factor
 
 Temperatures = Sequence[Sequence[FloatArray]]  # per session, per recording: (N,), degC, lag subtracted
 
@@ -100,9 +100,13 @@ def observe_rests(
     poses = 0
     for number, (session, temps) in enumerate(zip(sessions, temperatures, strict=True)):
         _check_lengths(session, temps)
+        if session.means:
+            parts.append(set_point_rests(session, temps, number=number, first_pose=poses))
+            poses = int(parts[-1].pose.max(initial=poses - 1)) + 1
+            continue
         begins = np.concatenate(([0.0], np.cumsum([record.duration_s for record in session.records])))
         steps = [(_record_step(record.gyro), _record_step(record.accel)) for record in session.records]
-        stills = _rests(session)
+        stills = find_rests(session)
         numbers = poses + _poses(session, stills)
         poses = int(numbers.max()) + 1
         for still, pose in zip(stills, numbers.tolist(), strict=True):
@@ -133,6 +137,10 @@ def observe_steps(
     soaks = 0
     for number, (session, temps) in enumerate(zip(sessions, temperatures, strict=True)):
         _check_lengths(session, temps)
+        if session.means:
+            parts.append(set_point_steps(session, temps, number=number, first_soak=soaks, soak_c=settings.soak_c))
+            soaks = int(parts[-1].soak.max(initial=soaks - 1)) + 1
+            continue
         turns = [t for t in session.turns if t.axis is not None and t.turn_rate is not None]
         if turns:
             turns.sort(key=lambda t: (t.recording, t.start))
@@ -152,7 +160,8 @@ def _check_lengths(session: Session, temps: Sequence[FloatArray]) -> None:
 # ---- rests and their poses
 
 
-def _rests(session: Session) -> tuple[Still, ...]:
+def find_rests(session: Session) -> tuple[Still, ...]:
+    """Return the rests that a session states, else those found in it, in order of time."""
     if session.stills:
         return tuple(sorted(session.stills, key=lambda s: (s.recording, s.start)))
     turning = [(t.recording, t.start, t.stop) for t in session.turns]
@@ -383,11 +392,12 @@ def _steps(
         values = session.records[turn.recording].accel
         if values is not None and np.isfinite(values[turn.start : turn.stop]).any():
             accel[k] = np.nanmean(values[turn.start : turn.stop], axis=0)
+    stated = np.array([np.nan if turn.temp_c is None else turn.temp_c for turn in turns])
     imposed = np.zeros((count, 3))
     imposed[np.arange(count), ["xyz".index(axis) for axis in dwells.axis]] = dwells.turn_rate
     return RateSteps(
         session=np.full(count, session_number, np.int64),
-        soak=first_soak + _soaks(turns, temp, settings.soak_c),
+        soak=first_soak + _soaks(temp, settings.soak_c, stated),
         time=dwells.time if dwells.time is not None else np.zeros(count),
         temp_c=temp,
         rate_b=imposed,
@@ -397,14 +407,114 @@ def _steps(
     )
 
 
-def _soaks(turns: list[Turn], temp_c: FloatArray, apart_c: float) -> IntArray:
+def _soaks(temp_c: FloatArray, apart_c: float, stated_c: FloatArray | None = None) -> IntArray:
     """Return which soak each dwell belongs to: by the temperature that is stated where one is, else by the thermometer."""
-    numbers = np.zeros(len(turns), np.int64)
-    first = 0
-    for k in range(1, len(turns)):
-        here, there = turns[k].temp_c, turns[first].temp_c
+    numbers, first = np.zeros(len(temp_c), np.int64), 0
+    for k in range(1, len(temp_c)):
         apart = abs(temp_c[k] - temp_c[first]) - apart_c
-        another = bool((apart if here is None or there is None else abs(here - there) - _STATED_C) > 0.0)
+        stated = np.nan if stated_c is None else abs(stated_c[k] - stated_c[first]) - _STATED_C
+        another = bool((apart if np.isnan(stated) else stated) > 0.0)
         first = k if another else first
         numbers[k] = numbers[k - 1] + another
     return numbers
+
+
+# ---- tables of set-points: rows that are means already, as chamber software writes them
+#
+# A row at rest becomes a block of rest, a row with an imposed rate a dwell. What a row states counts as its uncertainty; where it
+# states none, the usual one of the others does, and where no row does, the resolution of the readings, q / sqrt(12): what
+# differs from row to row beyond that is found by the fits from the scatter about the curves.
+
+
+def set_point_rests(session: Session, temps: Sequence[FloatArray], *, number: int, first_pose: int) -> RestBlocks:
+    """Return the rows at rest of a session of set-points."""
+    parts, shown, begin_s = list[RestBlocks](), list[FloatArray | None](), 0.0
+    for record, means, temp_c in zip(session.records, session.means, temps, strict=True):
+        rows = np.flatnonzero((means.rate_b == 0.0).all(axis=1) & np.isfinite(temp_c))
+        gyro, gyro_variance = _readings(record, means, "rate")
+        accel, accel_variance = _readings(record, means, "accel")
+        count = len(rows)
+        parts.append(
+            RestBlocks(
+                session=np.full(count, number, np.int64),
+                pose=np.array([first_pose + _pose_among(shown, own) for own in accel[rows]], np.int64),
+                time=record.time[rows] - record.time[0] + begin_s,
+                power_on_s=record.time[rows] - record.time[0],
+                temp_c=temp_c[rows],
+                ramp_c_per_min=np.zeros(count),
+                gyro=gyro[rows],
+                accel=accel[rows],
+                gyro_variance=gyro_variance[rows],
+                accel_variance=accel_variance[rows],
+                gyro_step_error=np.zeros((count, 3)),
+                accel_step_error=np.zeros((count, 3)),
+            )
+        )
+        begin_s += record.duration_s
+    return parts[0].followed_by(parts[1:])
+
+
+def set_point_steps(
+    session: Session, temps: Sequence[FloatArray], *, number: int, first_soak: int, soak_c: float
+) -> RateSteps:
+    """Return the rows with an imposed rate of a session of set-points."""
+    parts, begin_s = list[RateSteps](), 0.0
+    for record, means, temp_c in zip(session.records, session.means, temps, strict=True):
+        known = np.flatnonzero(np.isfinite(temp_c))
+        soak, turning = _soaks(temp_c[known], soak_c), (means.rate_b[known] != 0.0).any(axis=1)
+        rows = known[turning]
+        gyro, variance = _readings(record, means, "rate")
+        parts.append(
+            RateSteps(
+                session=np.full(len(rows), number, np.int64),
+                soak=first_soak + soak[turning],
+                time=record.time[rows] - record.time[0] + begin_s,
+                temp_c=temp_c[rows],
+                rate_b=means.rate_b[rows],
+                gyro=gyro[rows],
+                accel=_readings(record, means, "accel")[0][rows],
+                gyro_variance=variance[rows],
+            )
+        )
+        first_soak, begin_s = first_soak + int(soak.max(initial=-1)) + 1, begin_s + record.duration_s
+    return parts[0].followed_by(parts[1:])
+
+
+def _readings(record: Record, means: SetPointMeans, quantity: Quantity) -> tuple[FloatArray, FloatArray]:
+    """Return the means of one triad and their variance, (N, 3), in the record's unit; NaN where the table has no such triad."""
+    gyro = quantity == "rate"
+    values, unit = (record.gyro, record.gyro_unit) if gyro else (record.accel, record.accel_unit)
+    if values is None:
+        nothing = np.full((len(record), 3), np.nan)
+        return nothing, nothing
+    stated, own = (means.gyro_uncertainty, means.gyro_unit) if gyro else (means.accel_uncertainty, means.accel_unit)
+    factor = 1.0 if own == unit or not is_physical(own) else si_factor(own, quantity) / si_factor(unit, quantity)
+    known = (stated * factor) ** 2
+    usual = [
+        float(np.median(v[np.isfinite(v)])) if np.isfinite(v).any() else _resolution(x)
+        for v, x in zip(known.T, values.T, strict=True)
+    ]
+    return values, np.where(np.isfinite(known), known, np.array(usual))
+
+
+def _resolution(values: FloatArray) -> float:
+    """Return the variance of one step of the readings, uniform over it: the largest that divides all their differences.
+
+    The least difference is no step: rows of a steep offset lie far apart.
+    """
+    known = np.unique(values[np.isfinite(values)])
+    nothing, step = 1e-9 * float(np.abs(known).max(initial=0.0)), 0.0
+    for rest in np.diff(known).tolist():  # Euclid's algorithm
+        while rest > nothing:
+            step, rest = rest, step % rest
+    return step**2 / 12.0
+
+
+def _pose_among(shown: list[FloatArray | None], accel: FloatArray) -> int:
+    """Return which of the poses shown so far a mean specific force (3,) is, a new one where it is none of them."""
+    own = accel if np.isfinite(accel).all() else None
+    for number, other in enumerate(shown):
+        if _lie_alike(other, own):
+            return number
+    shown.append(own)
+    return len(shown) - 1

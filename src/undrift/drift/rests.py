@@ -250,7 +250,10 @@ def gather(
     groups = np.empty(len(members), np.int64)
     groups[order] = bins_of(temp_c[order], max(1.5 * width, float(np.ptp(temp_c)) / _MOST_GROUPS))
     found = np.array(
-        [_variance(value[rows], variance[rows], None if step_error is None else step_error[rows]) for rows in members]
+        [
+            variance_of_mean(value[rows], variance[rows], None if step_error is None else step_error[rows])
+            for rows in members
+        ]
     )
     middle = np.array([value[rows].mean(axis=0) for rows in members])
     x = temp_c - temp_c.mean()  # the usual slope within a cell is subtracted; 0 for one temperature
@@ -360,7 +363,8 @@ def _from_pairs(
     return np.asarray(np.maximum(square, noise * np.sqrt(2.0 / len(one))) / share)
 
 
-def _variance(value: FloatArray, variance: FloatArray, step_error: FloatArray | None) -> FloatArray:
+def variance_of_mean(value: FloatArray, variance: FloatArray, step_error: FloatArray | None) -> FloatArray:
+    """Return the variance of a mean over blocks, (3,), by their noise and by what a converter's steps leave."""
     noise: FloatArray = variance.mean(axis=0) / len(value)
     if step_error is None:
         return noise

@@ -96,7 +96,7 @@ CARRIED_FUSION: frozenset[Part] = frozenset(("gain", "cross", "accel gain", "acc
 
 
 def export_fusion(calibration: Calibration, *, temp_c: float | None = None) -> Exported:
-    """Return the constants that FusionCalibrationInertial takes, as a C header.
+    """Return the constants that FusionModelInertial takes, as a C header.
 
     Parameters
     ----------
@@ -117,7 +117,7 @@ def export_fusion(calibration: Calibration, *, temp_c: float | None = None) -> E
     """
     pair = constants_of(calibration, temp_c)
     lines = [
-        "/* calibrated = misalignment * (sensitivity .* (reading - offset)): gyroscope deg/s, accelerometer g. */",
+        "/* FusionModelInertial(reading, misalignment, sensitivity, offset): gyroscope deg/s, accelerometer g. */",
         "#include <Fusion.h>",
         "",
     ]
@@ -131,9 +131,8 @@ def export_fusion(calibration: Calibration, *, temp_c: float | None = None) -> E
             continue
         misalignment, sensitivity = decompose(triad.matrix / unit)
         notes.append(finding("export.readings", "info", triad=name, unit=triad.unit_in))
-        rows = ", ".join("{" + _floats(row) + "}" for row in misalignment)
-        lines += [
-            f"static const FusionMatrix {name}Misalignment = {{.array = {{{rows}}}}};",
+        lines += [  # elements by name: the array is [3][3] in older headers and [9] in present ones
+            f"static const FusionMatrix {name}Misalignment = {{.element = {{{_floats(misalignment.ravel())}}}}};",
             f"static const FusionVector {name}Sensitivity = {{.array = {{{_floats(sensitivity)}}}}};",
             f"static const FusionVector {name}Offset = {{.array = {{{_floats(triad.offset)}}}}};",
             "",

@@ -55,7 +55,7 @@ def scaled_condition(design: FloatArray) -> tuple[int, float]:
 # ---- excess variance: what the residuals show beyond the stated noise
 
 
-def excess_variance(residuals: FloatArray, variances: FloatArray, freedom: int) -> float:
+def excess_variance(residuals: FloatArray, variances: FloatArray, freedom: float) -> float:
     """Return s2 >= 0 such that sum r_k^2 / (v_k + s2) = degrees of freedom, for residuals r and variances v (E,).
 
     The stated variances know the noise within a rest. A hand that sways, a table that is not quite still or a nonlinearity
@@ -232,8 +232,22 @@ class ForwardFit:
     condition: float
 
 
-def fit_forward(inputs: FloatArray, readings: FloatArray, sigma: FloatArray | None) -> ForwardFit:
-    """Fit K and b to readings (E, 3) of known inputs (E, 3) with standard deviations sigma (E, 3), where known."""
+def whitened(values: FloatArray, sigma: FloatArray, shared: FloatArray | None) -> FloatArray:
+    """Return values (E, k) in standard deviations: noise sigma (E,), and errors in common, columns (E, c) of one deviation each."""
+    scaled = values / sigma[:, None]
+    if shared is None:
+        return scaled
+    in_sigma = shared / sigma[:, None]
+    return np.linalg.solve(np.linalg.cholesky(np.eye(len(scaled)) + in_sigma @ in_sigma.T), scaled)
+
+
+def fit_forward(
+    inputs: FloatArray, readings: FloatArray, sigma: FloatArray | None, shared: FloatArray | None = None
+) -> ForwardFit:
+    """Fit K and b to readings (E, 3) of known inputs (E, 3) with standard deviations sigma (E, 3), where known.
+
+    ``shared`` (3, E, c) are errors that the readings of one sensor have in common, columns of one standard deviation each.
+    """
     if inputs.shape != readings.shape or inputs.ndim != 2 or inputs.shape[1] != 3:
         raise InputError(f"fit: wanted inputs and readings (E, 3), got {inputs.shape} and {readings.shape}")
     design = np.column_stack((inputs, np.ones(len(inputs))))
@@ -249,12 +263,17 @@ def fit_forward(inputs: FloatArray, readings: FloatArray, sigma: FloatArray | No
     theta = np.empty((3, 4))
     covariance = np.zeros((12, 12))
     for row in range(3):
-        weighted = design / spread[:, row, None]
-        theta[row] = np.linalg.lstsq(weighted, readings[:, row] / spread[:, row], rcond=None)[0]
+        in_common = None if shared is None or sigma is None else shared[row]
+        both = whitened(np.column_stack((design, readings[:, row])), spread[:, row], in_common)
+        weighted = both[:, :4]
+        theta[row] = np.linalg.lstsq(weighted, both[:, 4], rcond=None)[0]
         covariance[_block(row)] = np.linalg.inv(weighted.T @ weighted)
     residuals = readings - design @ theta.T
     for row in range(3) if sigma is None else ():
         covariance[_block(row)] *= student_variance(residuals[:, row], len(inputs) - 4)
+        if shared is not None:
+            moved = np.linalg.pinv(design) @ shared[row]
+            covariance[_block(row)] += moved @ moved.T
     return ForwardFit(
         matrix=theta[:, :3],
         offset=theta[:, 3],
@@ -287,7 +306,13 @@ def triad_from_forward(forward: ForwardFit, *, valid_range: tuple[float, float],
     )
 
 
-def fit_paper(inputs: FloatArray, readings: FloatArray, sigma: FloatArray | None, **names: Any) -> TriadFit:
+def fit_paper(
+    inputs: FloatArray,
+    readings: FloatArray,
+    sigma: FloatArray | None,
+    shared: FloatArray | None = None,
+    **names: Any,
+) -> TriadFit:
     """Fit the note's calibration matrix, which has no offset column, to inputs and readings (N, 3).
 
     C = L S^T (S S^T)^-1 with L (3, N) the imposed and S (3, N) the measured quantities (note, eqs. 3 and 6). To first order in
@@ -308,6 +333,9 @@ def fit_paper(inputs: FloatArray, readings: FloatArray, sigma: FloatArray | None
         noise = matrix @ np.diag((np.broadcast_to(sigma, readings.shape) ** 2).mean(axis=0)) @ matrix.T
     covariance = np.zeros((12, 12))
     covariance[:9, :9] = np.kron(noise, gram)
+    for column, errors in zip(matrix.T, () if shared is None else shared, strict=False):
+        moved = np.kron(column[:, None], (readings @ gram).T @ errors)  # dC = -C dS (S^T) (S S^T)^-1, row by row
+        covariance[:9, :9] += moved @ moved.T
     return triad_fit(
         residuals,
         matrix=matrix,

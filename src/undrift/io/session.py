@@ -4,6 +4,19 @@
 kind = "calibration"                # calibration | thermal | static
 serial = "MTi-1"
 gravity_m_s2 = 9.81                 # or latitude_deg and height_m
+mounting = "one"                    # of a fit to references: one mounting for all recordings; each its own without it
+[rate_table]                        # standard uncertainties; may be left out, and so may each key: the defaults
+table_level_deg = 0.1               # axis of the table against the vertical
+mount_tilt_deg = 0.1                # device against that axis, about each axis across
+rate_uncertainty = 0.0001           # of all rates in common, relative
+wobble_deg = 0.01                   # axis of the table from dwell to dwell
+[temperature]                       # how far the device may follow it, standard deviations; the defaults, of consumer parts
+gyro_offset_dps_per_k = 0.05
+accel_offset_mg_per_k = 0.5
+gyro_scale_percent_per_k = 0.02
+accel_scale_percent_per_k = 0.02
+unrecorded_span_k = 1.0             # change of temperature where neither a column nor rests in deg/s show it
+span_limit_k = 2.0                  # a larger change within the session is a finding
 [[recording]]
 file = "session.csv"                # and the keys of a map; none for undrift's own names and known formats
 [[recording]]                       # files side by side, one time base: as many tables of columns as files
@@ -22,6 +35,7 @@ scale = { temp = { gain = 0.00294117647, offset = 36.53 } }     # value = gain *
 temp_trim = { reads_c = 26.1, true_c = 25.0 }     # of an LM335, units.temp = "lm335_v"
 delimiter = ","      # " " for any number of blanks          header = true     skip_rows = 0     decimal = "."
 gaps = "raise"       # or "keep"         repair_time = false     drop_bad_rows = false     frame = "s"     device = ""
+set_points = { count = "n", gyro_sd = ["sx", "sy", "sz"], rate = "rate", axis = "z", rate_unit = "dps" }   # each row is a mean
 temp_file = { file = "thermometer.csv", time = "t", temp = "T", time_unit = "s", temp_unit = "degC", shift_s = 0.0 }   # of its own
 clock = "file"       # or "regular" for stamps of a host; columns.counter names the device's own counter of samples
 """
@@ -29,7 +43,7 @@ clock = "file"       # or "regular" for stamps of a host; columns.counter names 
 import json
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -42,8 +56,24 @@ from undrift.files import Entry, checked_file, entry_name, line_of, read_toml, s
 from undrift.io.columns import Clock, ColumnMap, Gaps, ReadSettings, Scale, TempFile, TextLayout, Trim
 from undrift.io.formats import read_record
 from undrift.io.parquet import write_parquet
-from undrift.record import Axis, Face, FileMap, GravitySource, Kind, Record, Session, Still, Turn
-from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, gravity_at
+from undrift.io.text import open_text, parse_text
+from undrift.model import AXES
+from undrift.record import (
+    Axis,
+    Face,
+    FileMap,
+    GravitySource,
+    Kind,
+    Mounting,
+    RateTable,
+    Record,
+    Session,
+    SetPointMeans,
+    Still,
+    TemperatureSensitivity,
+    Turn,
+)
+from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, canonical_unit, gravity_at, si_factor
 
 # ---- column maps
 
@@ -57,6 +87,7 @@ NATIVE_KEYS = {
     "temp_file",
 }  # for undrift's own names
 _OF_ONE_FILE = ("file", "temp_file")  # keys that no other recording of the device shares
+ROW_S = 60.0  # from row to row of a table of set-points without times
 _LAYOUT = {"delimiter", "header", "skip_rows", "decimal"}
 
 
@@ -119,6 +150,21 @@ class TempFileEntry(Entry):
     decimal: str = "."  # "." or ","
 
 
+class SetPointsEntry(Entry):
+    """Columns of a table in which each row is the mean over a set-point, as chamber software writes it."""
+
+    count: str | int | None = None  # Readings in each mean
+    gyro_sd: list[str | int] | None = None  # Standard deviation of those readings, x, y, z, in the unit of the means
+    accel_sd: list[str | int] | None = None
+    gyro_uncertainty: list[str | int] | None = (
+        None  # Standard uncertainty of the means themselves, in place of the former
+    )
+    accel_uncertainty: list[str | int] | None = None
+    rate: list[str | int] | str | int | None = None  # Imposed rate: x, y, z, or one column about ``axis``
+    axis: Axis | None = None
+    rate_unit: str = "dps"  # Any spelling of :mod:`undrift.units`
+
+
 class MapEntry(Entry):
     """All that a reader needs to know about a foreign file; each key as in :class:`undrift.io.columns.ColumnMap`."""
 
@@ -138,6 +184,7 @@ class MapEntry(Entry):
     frame: Literal["s", "b"] = "s"  # "s" or "b"
     device: str = ""  # Serial number or name
     temp_file: TempFileEntry | None = None  # A thermometer in a file of its own
+    set_points: SetPointsEntry | None = None  # Where each row is a mean, not a sample
 
     def thermometer(self, folder: Path) -> TempFile | None:
         """Return the thermometer of its own file."""
@@ -155,6 +202,8 @@ class MapEntry(Entry):
         shared |= {
             key: getattr(self, key) for key in ("sample_rate_hz", "gaps", "repair_time", "clock", "frame", "device")
         }
+        if self.set_points is not None and self.sample_rate_hz is None and all(table.time is None for table in tables):
+            shared["sample_rate_hz"] = 1.0 / ROW_S
         shared["temp_trim"] = None if self.temp_trim is None else Trim(**dict(self.temp_trim))
         keys = ("delimiter", "header", "skip_rows", "decimal", "drop_bad_rows")
         shared["layout"] = TextLayout(**{key: getattr(self, key) for key in keys})
@@ -277,11 +326,32 @@ _SLACK = 1e-3  # of a sample: a time written with fewer digits still finds its s
 class HeadEntry(Entry):
     """[session]."""
 
-    kind: Kind  # calibration, thermal or static
+    kind: Kind  # calibration, thermal, static or set-points
     serial: str  # Device serial number
     gravity_m_s2: Finite | None = None  # Local gravity, m/s2; or the next two
     latitude_deg: Finite | None = None  # Where it was recorded
     height_m: Finite | None = None
+    mounting: Mounting | None = None  # Of a fit to references: "one" for all recordings, or "each" its own
+
+
+class RateTableEntry(Entry):
+    """[rate_table]: standard uncertainties of table and mounting."""
+
+    table_level_deg: Finite = RateTable().table_level_deg  # Of the table's axis against the vertical, deg
+    mount_tilt_deg: Finite = RateTable().mount_tilt_deg  # Of the device against that axis, about each axis across, deg
+    rate_uncertainty: Finite = RateTable().rate_uncertainty  # Of all stated rates in common, relative
+    wobble_deg: Finite = RateTable().wobble_deg  # Of the table's axis from dwell to dwell, deg
+
+
+class TemperatureEntry(Entry):
+    """[temperature]: how far the device may follow it, standard deviations; the defaults are those of consumer parts."""
+
+    gyro_offset_dps_per_k: Finite = TemperatureSensitivity().gyro_offset_dps_per_k  # deg/s/K
+    accel_offset_mg_per_k: Finite = TemperatureSensitivity().accel_offset_mg_per_k  # mg/K
+    gyro_scale_percent_per_k: Finite = TemperatureSensitivity().gyro_scale_percent_per_k  # %/K
+    accel_scale_percent_per_k: Finite = TemperatureSensitivity().accel_scale_percent_per_k  # %/K
+    unrecorded_span_k: Finite = TemperatureSensitivity().unrecorded_span_k  # Where nothing shows the temperature, K
+    span_limit_k: Finite = TemperatureSensitivity().span_limit_k  # A larger change within the session is a finding, K
 
 
 class RecordingEntry(KeptEntry):
@@ -317,6 +387,8 @@ class SessionFile(Entry):
     """The whole file."""
 
     session: HeadEntry  # Of which device, and where
+    rate_table: RateTableEntry = Field(default_factory=RateTableEntry)  # May be left out
+    temperature: TemperatureEntry = Field(default_factory=TemperatureEntry)
     recording: list[RecordingEntry] = Field(min_length=1)  # One or more
     still: list[StillEntry] = Field(default_factory=list)  # May be left out
     turn: list[TurnEntry] = Field(default_factory=list)
@@ -360,9 +432,10 @@ def read_session(folder: str | Path, *, clock: Clock | None = None) -> Session:
     held = read_toml(path, SessionFile)
     text = path.read_text(encoding="utf-8")
     inputs = [(path.name, sha256_of(path))]
-    records, stills, turns = list[Record](), list[Still](), list[Turn]()
+    records, stills, turns, files = list[Record](), list[Still](), list[Turn](), list[list[str]]()
     for number, entry in enumerate(held.recording):
         names = [entry.file] if isinstance(entry.file, str) else entry.file
+        files.append(names)
         with _at(path, text, "recording", number):
             records.append(_read_recording(path.parent, names, entry, clock))
         inputs += [(name, sha256_of(path.parent / name)) for name in names if (path.parent / name).is_file()]
@@ -373,6 +446,10 @@ def read_session(folder: str | Path, *, clock: Clock | None = None) -> Session:
     for number, turn in enumerate(held.turn):
         with _at(path, text, "turn", number):
             turns.append(_turn(turn, clocks))
+    with _at(path, text, "rate_table"):
+        table = RateTable(**held.rate_table.model_dump())
+    with _at(path, text, "temperature"):
+        sensitivity = TemperatureSensitivity(**held.temperature.model_dump())
     with _at(path, text, "session"):
         return Session(
             kind=held.session.kind,
@@ -382,8 +459,12 @@ def read_session(folder: str | Path, *, clock: Clock | None = None) -> Session:
             stills=tuple(stills),
             turns=tuple(turns),
             inputs=tuple(inputs),
-            file_map=shared_map(held.recording),
+            file_map=None if held.session.kind == "set-points" else shared_map(held.recording),
+            means=_all_means(path.parent, held.recording, files, records),
             gravity_source="stated" if held.session.gravity_m_s2 is not None else "latitude and height",
+            rate_table=table,
+            sensitivity=sensitivity,
+            mounting=held.session.mounting,
         )
 
 
@@ -406,21 +487,24 @@ def session_from_files(
     if not files or len(files) % width:
         wanted = "one recording or more" if width == 1 else f"{width} files for each recording, as the map has tables"
         raise InputError(f"session: wanted {wanted}, got {len(files)}; name them")
-    records, inputs = [], []
+    records, inputs, groups = [], [], list[list[str]]()
     for start in range(0, len(files), width):
         names = [str(file) for file in files[start : start + width]]
+        groups.append(names)
         records.append(_read_recording(Path(), names, RecordingEntry(file=names, **dict(_given(entry))), None))
         inputs += [(Path(name).name, sha256_of(name)) for name in names if Path(name).is_file()]
     head = HeadEntry(kind=kind, serial=serial, gravity_m_s2=gravity_m_s2, latitude_deg=latitude_deg, height_m=height_m)
     source: GravitySource = "stated" if gravity_m_s2 is not None else "latitude and height"
     assumed = (gravity_m_s2, latitude_deg, height_m) == (None, None, None)
+    means = _all_means(Path(), [entry] * len(groups), groups, records)
     return Session(
-        kind=kind,
+        kind="set-points" if means else kind,
         serial=serial or records[0].device,
         gravity_m_s2=STANDARD_GRAVITY if assumed else _gravity(head),
         records=tuple(records),
         inputs=tuple(inputs),
-        file_map=shared_map([entry]),
+        file_map=None if means else shared_map([entry]),
+        means=means,
         gravity_source="standard" if assumed else source,
     )
 
@@ -455,10 +539,17 @@ def write_session(session: Session, folder: str | Path) -> None:
     InputError
         The folder cannot be written.
     """
+    if session.means:
+        raise InputError("session: wanted recordings to write, got means of set-points; keep their table and its map")
     folder = Path(folder)
     quoted = json.dumps(session.serial, ensure_ascii=False).replace("\x7f", "\\u007f")
     lines = ["[session]", f'kind = "{session.kind}"', f"serial = {quoted}"]
     lines += [f"gravity_m_s2 = {float(session.gravity_m_s2)!r}"]
+    lines += [] if session.mounting is None else [f'mounting = "{session.mounting}"']
+    for name, stated in (("rate_table", session.rate_table), ("temperature", session.sensitivity)):
+        if stated != type(stated)():
+            lines += ["", f"[{name}]"]
+            lines += [f"{item.name} = {float(getattr(stated, item.name))!r}" for item in fields(stated)]
     try:
         folder.mkdir(parents=True, exist_ok=True)
         for number, record in enumerate(session.records):
@@ -473,6 +564,78 @@ def write_session(session: Session, folder: str | Path) -> None:
         raise InputError(
             f"{folder}: cannot be written: {error.strerror or error}; check the folder and its rights"
         ) from error
+
+
+def _means(path: Path, entry: KeptEntry, rows: int) -> SetPointMeans:
+    """Return what the rows of a table of set-points state beside their means."""
+    stated, (table_map,) = entry.set_points or SetPointsEntry(), entry.maps()
+    if stated.gyro_sd is not None and stated.count is None and stated.gyro_uncertainty is None:
+        raise InputError("set_points: wanted count beside gyro_sd, got none; name the column, or gyro_uncertainty")
+    rate: list[str | int] = (
+        stated.rate if isinstance(stated.rate, list) else [] if stated.rate is None else [stated.rate]
+    )
+    if len(rate) not in (0, 3) and stated.axis is None:
+        raise InputError(f'set_points: wanted three columns of rate, or one and axis, got {len(rate)}; add axis = "z"')
+    triples = {name: getattr(stated, name) for name in ("gyro_sd", "accel_sd", "gyro_uncertainty", "accel_uncertainty")}
+    wrong = [name for name, of in triples.items() if of is not None and len(of) != 3]
+    if wrong:
+        raise InputError(f"set_points.{wrong[0]}: wanted three columns x, y, z, got {len(triples[wrong[0]])}")
+    wanted = [
+        *([] if stated.count is None else [stated.count]),
+        *rate,
+        *(c for of in triples.values() for c in of or ()),
+    ]
+    table = parse_text(open_text(path, table_map.layout), tuple(wanted))
+    if wanted and len(table.numbers(wanted[0])) != rows:
+        raise InputError(
+            f"{path}: wanted {rows} rows as of the readings, got {len(table.numbers(wanted[0]))}; repair the table"
+        )
+
+    def numbers(of: Sequence[str | int] | None) -> FloatArray:
+        return np.full((rows, 3), np.nan) if of is None else np.stack([table.numbers(column) for column in of], axis=1)
+
+    count = np.full(rows, np.nan) if stated.count is None else table.numbers(stated.count)
+    if (count < 1.0).any():
+        raise InputError(f"{path}: wanted one reading or more in each mean, got a count of {np.nanmin(count):g}")
+    imposed: FloatArray = np.zeros((rows, 3))
+    if len(rate) == 3:
+        imposed = numbers(rate)
+    elif rate:
+        imposed[:, AXES.index(stated.axis or "x")] = table.numbers(rate[0])
+    if not np.isfinite(imposed).all():
+        raise InputError(
+            f"{path}: wanted a rate in each row, 0 at rest, got {int(np.isnan(imposed).any(axis=1).sum())} gaps"
+        )
+    found: dict[str, FloatArray] = {}
+    for name, scale in (("gyro", table_map.gyro_scale), ("accel", table_map.accel_scale)):
+        own, sd = numbers(triples[f"{name}_uncertainty"]), numbers(triples[f"{name}_sd"])
+        stated_u = np.where(np.isfinite(own), own, sd / np.sqrt(count)[:, None])
+        found[name] = np.where(stated_u >= 0.0, stated_u, np.nan) * np.abs(1.0 if scale is None else scale.gain)
+    return SetPointMeans(
+        count=count,
+        rate_b=imposed * si_factor(stated.rate_unit, "rate"),
+        gyro_uncertainty=found["gyro"],
+        accel_uncertainty=found["accel"],
+        gyro_unit=canonical_unit(table_map.gyro_unit, "rate") if table_map.gyro else "rad/s",
+        accel_unit=canonical_unit(table_map.accel_unit, "accel") if table_map.accel else "m/s2",
+        from_spread=stated.gyro_uncertainty is None and stated.gyro_sd is not None,
+    )
+
+
+def _all_means(
+    folder: Path, entries: Sequence[KeptEntry], names: Sequence[list[str]], records: Sequence[Record]
+) -> tuple[SetPointMeans, ...]:
+    """Return what the rows state; nothing where no map has set_points."""
+    tables = [entry.set_points is not None for entry in entries]
+    if not any(tables):
+        return ()
+    if not all(tables):
+        raise InputError("set_points: wanted it in the map of every recording or of none, got both; keep two sessions")
+    if any(len(own) != 1 or len(entry.maps()) != 1 for own, entry in zip(names, entries, strict=True)):
+        raise InputError("set_points: wanted one file with one table of columns, got several; put them into one table")
+    return tuple(
+        _means(folder / own[0], entry, len(record)) for own, entry, record in zip(names, entries, records, strict=True)
+    )
 
 
 def _read_recording(folder: Path, names: list[str], entry: RecordingEntry, clock: Clock | None) -> Record:

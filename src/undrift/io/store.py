@@ -25,6 +25,7 @@ from undrift.model import (
     Calibration,
     DriftTables,
     DynamicDrift,
+    Learnt,
     NoiseModel,
     Provenance,
     Rounding,
@@ -123,6 +124,25 @@ class DynamicFile(BaseModel, strict=True, extra="forbid", frozen=True):
     extrapolated: list[list[bool]] | None = None
 
 
+class LearntRecordingFile(BaseModel, strict=True, extra="forbid", frozen=True):
+    """A recording of daily use: sha256 of its readings, date as ISO 8601, UTC."""
+
+    sha256: str
+    date: str
+
+
+class LearntFile(BaseModel, strict=True, extra="forbid", frozen=True):
+    """Rests of daily use, raw unit and its square, the recording of each from 0, and the tables before them."""
+
+    temp_c: list[Finite]
+    gyro_offset: list[Vector]
+    gyro_variance: list[Vector]
+    recording: list[Annotated[int, Field(ge=0)]]
+    recordings: list[LearntRecordingFile]
+    since: str
+    before: "DriftFile | None" = None
+
+
 class DriftFile(BaseModel, strict=True, extra="forbid", frozen=True):
     """Tuning tables, null where there is none, over the temperature that the thermometer shows lag_s late (s)."""
 
@@ -131,6 +151,7 @@ class DriftFile(BaseModel, strict=True, extra="forbid", frozen=True):
     dynamic: DynamicFile | None = None
     lag_s: Annotated[Finite, Field(ge=0.0)] = 0.0
     lag_smooth_s: Annotated[Finite, Field(ge=0.0)] = 0.0
+    learnt: LearntFile | None = None
 
 
 class AdcFile(BaseModel, strict=True, extra="forbid", frozen=True):
@@ -378,11 +399,15 @@ def _drift_json(drift: DriftTables | None) -> dict[str, Any] | None:
     """The tables, without later keys that state nothing: an older reader reads the rest."""
     if drift is None:
         return None
-    content = {name: _plain(getattr(drift, name)) for name in drift.__slots__}
+    content = {name: _plain(getattr(drift, name)) for name in drift.__slots__ if name != "learnt"}
     for table in (content["static"], content["scale"], content["dynamic"]):
         for name in LATER_KEYS:
             if table is not None and table.get(name, 0) is None:
                 del table[name]
+    if drift.learnt is not None:
+        held = {name: _plain(getattr(drift.learnt, name)) for name in drift.learnt.__slots__ if name != "before"}
+        held["recordings"] = [{"sha256": digest, "date": date} for digest, date in drift.learnt.recordings]
+        content["learnt"] = held | {"before": _drift_json(drift.learnt.before)}
     return {name: value for name, value in content.items() if not (name.startswith("lag_") and value == 0.0)}
 
 
@@ -438,20 +463,33 @@ def _triad(file: TriadFile | None) -> TriadModel | None:
     )
 
 
+def _drift(file: DriftFile | None) -> DriftTables | None:
+    if file is None:
+        return None
+    static, learnt, made = file.static, file.learnt, None
+    if learnt is not None:
+        recordings = tuple((one.sha256, one.date) for one in learnt.recordings)
+        rows = np.array(learnt.recording, np.int64)
+        made = _made(Learnt, learnt, recordings=recordings, recording=rows, before=_drift(learnt.before))
+    return _made(
+        DriftTables,
+        file,
+        static=_made(StaticDrift, static, warm_up=_made(WarmUp, None if static is None else static.warm_up)),
+        scale=_made(ScaleDrift, file.scale),
+        dynamic=_made(DynamicDrift, file.dynamic),
+        learnt=made,
+    )
+
+
 def _value(file: CalibrationFile) -> Calibration:
-    p, tables = file.provenance, dict[str, Any]()
-    if file.drift is not None:
-        static, warm_up = file.drift.static, None if file.drift.static is None else file.drift.static.warm_up
-        tables["static"] = _made(StaticDrift, static, warm_up=_made(WarmUp, warm_up))
-        tables["scale"] = _made(ScaleDrift, file.drift.scale)
-        tables["dynamic"] = _made(DynamicDrift, file.drift.dynamic)
+    p = file.provenance
     return Calibration(
         device=file.device,
         reference_temp_c=_scalar(file.reference_temp_c),
         gravity_m_s2=file.gravity_m_s2,
         gyro=_triad(file.gyro),
         accel=_triad(file.accel),
-        drift=_made(DriftTables, file.drift, **tables),
+        drift=_drift(file.drift),
         adc=_made(lambda lsb, rounding, **accel: AdcModel(gyro_lsb=lsb, gyro_rounding=rounding, **accel), file.adc),
         noise=_made(NoiseModel, file.noise),
         verdict=_verdict(file.verdict),

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from undrift.arrays import BoolArray, FloatArray
     from undrift.drift.checks import ScaleSummary, TriadSummary
     from undrift.drift.fit import DriftFit
+    from undrift.drift.learn import LearnFit
     from undrift.drift.select import Alternatives
     from undrift.model import DynamicDrift
 
@@ -127,10 +128,71 @@ def _shade(axes: "Axes", temp_c: "FloatArray", extrapolated: "BoolArray") -> Non
         axes.axvspan(float(low), float(high), label="extrapolated" if k == 0 else None, **hatched)
 
 
-def draw_scale(summary: "ScaleSummary") -> "Figure":
-    """Draw scale factors over temperature: soaks with 95 % bars, table with its band, what is extrapolated."""
-    figure, panels = new_figure(3, height=1.8)
+def draw_learnt(fit: "LearnFit") -> "Figure":
+    """Draw the offsets before and now with the 95 % band of a switch-on to come, and the rests with theirs; less the axis' mean."""
+    figure, panels = new_figure(3, height=2.0)
     for k, (axes, axis) in enumerate(zip(panels, AXES, strict=True)):
+        level = float(fit.after[:, k].mean())
+        before, after, rests = ((v[:, k] - level) / RADIAN_PER_DEGREE for v in (fit.before, fit.after, fit.rest_offset))
+        doubt = NORMAL_95 * fit.after_uncertainty[:, k] / RADIAN_PER_DEGREE
+        _shade(axes, fit.temp_c, fit.extrapolated)
+        axes.fill_between(
+            fit.temp_c, after - doubt, after + doubt, color=LIMIT, alpha=0.3, linewidth=0.0, label="now, 95 %"
+        )
+        axes.plot(fit.temp_c, before, color=LIMIT, linestyle="--", linewidth=0.9, label="before")
+        axes.plot(fit.temp_c, after, color="black", linewidth=0.9, label="now")
+        kept, bars = fit.rest_kept, NORMAL_95 * fit.rest_uncertainty[:, k] / RADIAN_PER_DEGREE
+        style: Any = {"fmt": ".", "markersize": 4.5, "color": DEVICE, "linewidth": 0.6, "alpha": 0.7}
+        axes.errorbar(fit.rest_temp_c[kept], rests[kept], yerr=bars[kept], label="rests, 95 %", **style)
+        if not kept.all():
+            marked: Any = {"marker": "x", "s": 16.0, "linewidths": 0.9, "color": ERROR}
+            axes.scatter(fit.rest_temp_c[~kept], rests[~kept], label="left out", **marked)
+        near = ~fit.extrapolated if not fit.extrapolated.all() else fit.extrapolated
+        every = np.concatenate(((after - doubt)[near], (after + doubt)[near], rests[kept]))
+        margin = 0.08 * max(float(np.ptp(every)), 1e-12)
+        axes.set_ylim(float(every.min()) - margin, float(every.max()) + margin)
+        axes.set_xlim(float(fit.temp_c[0]), float(fit.temp_c[-1]))
+        axes.set_ylabel(f"{axis} (deg/s)")
+    panels[-1].set_xlabel("temperature (degC)")
+    panels[0].set_title("gyroscope offset less the mean of the table", loc="left", fontsize=10)
+    _legend_below(figure, panels[0])
+    return figure
+
+
+LEARN_HEADS = (
+    "temperature (degC)",
+    "offset (deg/s)",
+    "change (deg/s)",
+    "uncertainty before (deg/s)",
+    "uncertainty (deg/s)",
+)
+
+
+def learn_rows(fit: "LearnFit", most: int = 9) -> tuple[tuple[str, ...], ...]:
+    """Return one row of cells for some of the nodes: x, y and z in each."""
+    chosen = np.unique(np.linspace(0, len(fit.temp_c) - 1, min(most, len(fit.temp_c))).round().astype(int))
+
+    def cells(value: "FloatArray", form: str) -> str:
+        return " ".join(format(x, form) for x in value / RADIAN_PER_DEGREE)
+
+    return tuple(
+        (
+            f"{fit.temp_c[k]:g}{' extrapolated' if fit.extrapolated[k] else ''}",
+            cells(fit.after[k], "+.3f"),
+            cells(fit.after[k] - fit.before[k], "+.3f"),
+            cells(fit.before_uncertainty[k], ".3f"),
+            cells(fit.after_uncertainty[k], ".3f"),
+        )
+        for k in chosen
+    )
+
+
+def draw_scale(summary: "ScaleSummary") -> "Figure":
+    """Draw scale factors over temperature: soaks with 95 % bars, table with its band, what is extrapolated; axes that turned."""
+    turned = [k for k in range(3) if np.isfinite(summary.soak_percent[:, k]).any()]
+    figure, panels = new_figure(len(turned), height=1.8)
+    for k, axes in zip(turned, panels, strict=True):
+        axis = AXES[k]
         value, doubt = summary.percent[:, k], NORMAL_95 * summary.uncertainty[:, k]
         _shade(axes, summary.temp_c, summary.extrapolated)
         temp = summary.temp_c
@@ -150,18 +212,20 @@ def draw_scale(summary: "ScaleSummary") -> "Figure":
 
 
 def draw_dynamic(drift: "DynamicDrift") -> "Figure":
-    """Draw dynamic drift over the measured rate for a few temperatures."""
-    figure, panels = new_figure(1, height=3.0, columns=3)
+    """Draw dynamic drift over the measured rate for a few temperatures; axes that turned."""
+    turned = [k for k in range(3) if drift.error[:, :, k].any()]
+    figure, panels = new_figure(1, height=3.0, columns=len(turned))
     chosen = np.unique(np.linspace(0, len(drift.temp_c) - 1, min(_CURVES, len(drift.temp_c))).round().astype(int))
     rate = drift.turn_rate / RADIAN_PER_DEGREE
-    for k, (axes, axis) in enumerate(zip(panels, AXES, strict=True)):
+    for k, axes in zip(turned, panels, strict=True):
+        axis = AXES[k]
         for place, row in enumerate(chosen):
             share = place / max(len(chosen) - 1, 1)
             colour = (0.17 + 0.59 * share, 0.38 - 0.15 * share, 0.70 - 0.47 * share)
             error = drift.error[row, :, k] / RADIAN_PER_DEGREE
             axes.plot(rate, error, color=colour, linestyle=":", linewidth=1.0)
             near = error if drift.extrapolated is None else np.where(drift.extrapolated[row], np.nan, error)
-            name = f"{drift.temp_c[row]:.0f} degC" if k == 0 else None
+            name = f"{drift.temp_c[row]:.0f} degC" if k == turned[0] else None
             axes.plot(rate, near, color=colour, marker=".", markersize=3.0, label=name)
         axes.set_title(axis, loc="left", fontsize=10)
         axes.set_xlabel("measured rate (deg/s)")
@@ -271,10 +335,28 @@ def write_drift_report(fit: "DriftFit", path: Path) -> None:
     write_page(
         path,
         title=f"Thermal drift of {device}",
-        lead=f"{len(fit.rests)} blocks of rest, {len(fit.steps)} dwells at known rates.",
+        lead=drift_lead(fit),
         sections=drift_sections(fit),
         verdict=fit.verdict,
     )
+
+
+def drift_lead(fit: "DriftFit") -> str:
+    """Return before and after in degrees over a stated motion, and the answer."""
+    from undrift.validation.table_worth import expected_errors
+
+    data = f"{len(fit.rests)} blocks of rest, {len(fit.steps)} dwells at known rates."
+    known = np.isfinite(fit.rests.gyro_variance).all(axis=1)
+    variance = np.median(fit.rests.gyro_variance[known], axis=0) if known.any() else np.zeros(3)
+    found = expected_errors(fit.calibration, rest_variance=variance)
+    if found is None:
+        return data
+    before = f"{found.constant_deg:.2f} deg with constants"
+    after = f"{found.tables_deg:.2f} deg with these tables"
+    if found.turned:
+        before += f", {found.rest_deg:.2f} deg re-zeroed at a rest before the motion"
+        after += f", {found.both_deg:.2f} deg with both"
+    return f"Before: {before}. After: {after} (95 %, as stated). Largest error of {found.motion}. {found.answer}. Fitted to {data}"
 
 
 def drift_sections(fit: "DriftFit") -> tuple[Section, ...]:
@@ -290,16 +372,17 @@ def drift_sections(fit: "DriftFit") -> tuple[Section, ...]:
         for name, summary in (("Gyroscopes", fit.gyro_summary), ("Accelerometers", fit.accel_summary))
         if summary is not None
     ]
-    if fit.scale_summary is not None:
+    if fit.scale_summary is not None and np.isfinite(fit.scale_summary.soak_percent).any():
         drawn, rows = svg_of(draw_scale(fit.scale_summary)), scale_rows(fit)
         sections.append(Section(title="Scale over temperature", columns=SCALE_HEADS, rows=rows, pictures=(drawn,)))
     drift = fit.calibration.drift
-    if drift is not None and drift.dynamic is not None:
+    if drift is not None and drift.dynamic is not None and drift.dynamic.error.any():
         sections.append(Section(title="Dynamic drift", pictures=(svg_of(draw_dynamic(drift.dynamic)),)))
     if fit.choice is not None:
         held = fit.choice.alternatives
-        drawn, rows = svg_of(draw_alternatives(held)), choice_rows(held)
+        judged = int(np.isfinite(held.left_out_rms_dps).sum()) > 1  # one mark compares nothing
+        pictures, rows = (svg_of(draw_alternatives(held)),) if judged else (), choice_rows(held)
         sections.append(
-            Section(title="Which tables", text=(held.reason,), columns=CHOICE_HEADS, rows=rows, pictures=(drawn,))
+            Section(title="Which tables", text=(held.reason,), columns=CHOICE_HEADS, rows=rows, pictures=pictures)
         )
     return tuple(sections)

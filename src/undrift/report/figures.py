@@ -428,6 +428,8 @@ LEAST_P = 1e-4  # a smaller p value is shown as a bound
 LEAST_CONTRAST = 2.0  # of the ends of the colours: small differences are to look small
 LEVEL_NAMES = ("no compensation", "static", "static and dynamic")
 LEVEL_COLOURS = (LIMIT, ERROR, DEVICE)
+COMPARED_NAMES = (*LEVEL_NAMES, "offset re-zeroed at a rest", "static and dynamic, re-zeroed at a rest")
+COMPARED_COLOURS = (*LEVEL_COLOURS, "#c98a1b", "#3f8f4f")
 
 
 def p_text(p: float) -> str:
@@ -526,13 +528,13 @@ def draw_figure3(found: "Figure3") -> "Figure":
     pitch.plot(found.time, found.reference_pitch, color=OPTICS)
     pitch.set_ylabel("pitch (deg)")
     pitch.set_title("sit-to-stand by the optics", loc="left", fontsize=9)
-    for k, (name, colour) in enumerate(zip(LEVEL_NAMES, LEVEL_COLOURS, strict=True)):
+    for k, (name, colour) in enumerate(zip(COMPARED_NAMES, COMPARED_COLOURS, strict=True)):
         error.plot(found.time, found.actual[k], color=colour, label=f"{name}, actual")
         error.plot(found.time, found.simulated[k], color=colour, linestyle="--", label=f"{name}, simulated")
         apart.plot(found.time, found.actual[k] - found.simulated[k], color=colour, label=name)
     error.set_ylabel("error (deg)")
     error.set_title("error of the pitch: actual device full, simulated dashed", loc="left", fontsize=9)
-    error.legend(loc="best", fontsize=7.5, frameon=False, ncols=3)
+    error.legend(loc="best", fontsize=6.5, frameon=False, ncols=2)
     for limit in (-0.15, 0.15):
         apart.axhline(limit, color=OPTICS, linewidth=0.7, linestyle=":")
     apart.set(xlabel="time (s)", ylabel="difference (deg)")

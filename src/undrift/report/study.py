@@ -48,6 +48,7 @@ def study_sections(outcome: "StudyOutcome") -> tuple[Section, ...]:
         *(section for task in outcome.tasks for section in _task_sections(outcome, task)),
         _tests(outcome),
         _figure3(outcome.figure3, outcome.figure3_missing),
+        _figure3_drawn(outcome),
         _figure3_effects(outcome),
         *design_sections(outcome.designs),
         *rival_sections(outcome),
@@ -331,6 +332,11 @@ def _test_row(effect: "ParameterEffect") -> dict[str, str]:
 
 # ---- Figure 3
 
+SLOPE_OF_THE_NOTE = (
+    "The preset's slope over temperature was inferred from the note's own Figure 3: the size of the error without compensation "
+    "confirms nothing, only what each compensation leaves of it."
+)
+
 
 def _figure3(found: "Figure3 | None", missing: "Finding | None") -> Section:
     title = "Figure 3: sit-to-stand, simulated and actual device"
@@ -351,11 +357,33 @@ def _figure3(found: "Figure3 | None", missing: "Finding | None") -> Section:
             f"{found.simulated_actual_max_deg[2]:.2f} deg (the note: 0.15).",
             "The actual device is the simulated one with hysteresis, thermometer lag, integral non-linearity of the converter and "
             "g-sensitivity, which the study's model lacks.",
+            "A rest before the motion re-zeroes the offset without a chamber and leaves "
+            f"{found.actual_max_deg[3]:.2f} deg of the actual device's {found.actual_max_deg[0]:.2f}: scale and dynamic drift, "
+            f"which no rest shows. Both tables leave {found.actual_max_deg[2]:.2f} deg, with the rest "
+            f"{found.actual_max_deg[4]:.2f} deg. "
+            "Recommended: tables, and undrift correct --offset rest.",
         ),
         columns=("compensation", *columns),
-        rows=tuple((name, *(f"{v[k]:.2f}" for v in columns.values())) for k, name in enumerate(figures.LEVEL_NAMES)),
+        rows=tuple((name, *(f"{v[k]:.2f}" for v in columns.values())) for k, name in enumerate(figures.COMPARED_NAMES)),
         pictures=(svg_of(figures.draw_figure3(found)),),
     )
+
+
+def _figure3_drawn(outcome: "StudyOutcome") -> Section:
+    rows = [
+        {"compensation": name}
+        | {
+            "median (deg)": f"{row.median_deg:.2f}",
+            "quartiles (deg)": f"{row.lower_deg:.2f} to {row.upper_deg:.2f}",
+        }
+        for name, row in zip(figures.COMPARED_NAMES, outcome.figure3_drawn, strict=bool(outcome.figure3_drawn))
+    ]
+    units = outcome.figure3_drawn[0].units if rows else 0
+    text = (
+        f"Largest error of {units} units drawn from the kind's spread, actual devices, each calibrated and worn by a person of its "
+        f"own. {SLOPE_OF_THE_NOTE}",
+    )
+    return rows_section("Figure 3: drawn units", rows, text=text)
 
 
 def _figure3_effects(outcome: "StudyOutcome") -> Section:
@@ -363,7 +391,7 @@ def _figure3_effects(outcome: "StudyOutcome") -> Section:
         {"effect": plain_words(row.effect)}
         | {
             f"{name} (deg)": f"{v:.2f}"
-            for name, v in zip(figures.LEVEL_NAMES, row.simulated_actual_max_deg, strict=True)
+            for name, v in zip(figures.COMPARED_NAMES, row.simulated_actual_max_deg, strict=True)
         }
         | {"largest error, both tables (deg)": f"{row.full_max_deg:.2f}"}
         for row in outcome.figure3_effects

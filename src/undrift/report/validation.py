@@ -17,13 +17,14 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from undrift.model import Calibration
-    from undrift.validation.agreement import Validation
+    from undrift.validation.agreement import Coverage, Validation
     from undrift.validation.trial import Figures, Trial, TrialSettings
 
 # ---- method
 
 _ALIGNED = {
-    "auto": "the rotation between the device's case and the reference's body, from their rates, is removed where it exceeds 5 deg",
+    "auto": "the rotation between the device's case and the reference's body, from their rates, is removed where it exceeds "
+    "{above_deg:g} deg",
     "rates": "the rotation between the device's case and the reference's body, from their rates, is removed",
     "none": "the device's case is assumed to be the reference's body",
 }
@@ -57,7 +58,7 @@ def method_section(method: Method) -> Section:
         "pitch": f"in the body's plane of {settings.forward} (forward) and {settings.up} (up)",
         "lag": f"searched up to {settings.lag.longest_lag_s:g} s either way; one up to {settings.undo_lag_above_s * 1e3:g} ms is "
         "the sensor's own and stays in the figures, a longer one is removed",
-        "mounting": _ALIGNED[settings.align],
+        "mounting": _ALIGNED[settings.align].format(above_deg=settings.align_above / RADIAN_PER_DEGREE),
     }
     return Section(
         title="Method",
@@ -163,6 +164,7 @@ def validation_sections(result: "Validation", method: Method) -> tuple[Section, 
     rows = [("mean", result.mean), ("median", result.median)] if len(result.trials) > 1 else []
     return (
         trials_section(result.trials, rows),
+        *_expected(result),
         method_section(method),
         recordings_section(method, result.trials),
         *_agreement(result),
@@ -183,6 +185,41 @@ def trials_section(trials: "Sequence[Trial]", more: "Sequence[tuple[str, Figures
         f"{OPTICS_SEEN} rests and ends of the file do not count in it.",
     )
     return rows_section("Errors", rows, text=text)
+
+
+def expected_rows(trials: "Sequence[Trial]") -> list[tuple[str, ...]]:
+    """Return observed and expected errors, deg, one row a trial: end total, then total over the motion."""
+    rows = list[tuple[str, ...]]()
+    for trial in trials:
+        made, figures = trial.expected, trial.figures
+        if made is not None:
+            end = (figures.end_total_deg, made.end_total_deg, made.end_interval_deg)
+            rmse = (figures.rmse_total_deg, made.rmse_total_deg, made.rmse_interval_deg)
+            cells = [
+                (f"{seen:.2f}", f"{root:.2f}", "{:.2f} to {:.2f}".format(*span)) for seen, root, span in (end, rmse)
+            ]
+            rows.append((trial.recording, *cells[0], *cells[1]))
+    return rows
+
+
+def coverage_text(coverage: "Coverage") -> str:
+    """Return how many of the expected intervals hold what was observed."""
+    return (
+        f"inside the expected 95 %: end error {coverage.end_inside} of {coverage.ends} ({coverage.end_above} above), total error "
+        f"over the motion {coverage.rmse_inside} of {coverage.trials} ({coverage.rmse_above} above)"
+    )
+
+
+def _expected(result: "Validation") -> tuple[Section, ...]:
+    if result.coverage is None:
+        return ()
+    heads = ("recording", "end total (deg)", "expected", "95 %", "total rmse (deg)", "expected rmse", "rmse 95 %")
+    rows = [dict(zip(heads, row, strict=True)) for row in expected_rows(result.trials)]
+    text = (
+        "Expected: root mean square of the errors that follow from the calibration's covariance and from what changes between "
+        f"recordings of a device. {coverage_text(result.coverage).capitalize()}.",
+    )
+    return (rows_section("Observed and expected errors", rows, text=text),)
 
 
 def trial_section(trial: "Trial") -> Section:

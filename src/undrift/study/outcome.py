@@ -20,7 +20,7 @@ from undrift.findings import Finding, finding
 from undrift.sim.motion.tasks import TaskName
 from undrift.study import judge, run
 from undrift.study.case import Unit, run_unit, seeded, typical_unit, units_of
-from undrift.study.figure3 import EffectRow, Figure3, effect_table, figure3
+from undrift.study.figure3 import DRAWN_UNITS, DrawnRow, EffectRow, Figure3, drawn_cohort, effect_table, figure3
 from undrift.study.plan import DEVICE, TABLE_1, TURN_RATES, Study, StudyTask, Untried
 from undrift.study.real import RealData, RealOutcome, judge_real, tried
 from undrift.study.rivals import TASKS, DesignRow, RivalRow, compare_rivals, design_rows
@@ -35,13 +35,15 @@ StageName = Literal[
     "rates to dwell at",
     "Figure 3",
     "Figure 3, effect by effect",
+    "Figure 3, drawn units",
     "rival methods",
     "real recordings",
 ]
 POOL_S = 3.0  # workers start
 DESIGNS_S = 0.4  # a task
-FIGURE3_S = 4.0
-EFFECTS_S = 15.0
+FIGURE3_S = 5.0
+EFFECTS_S = 18.0
+DRAWN_S = 6.0  # a unit of the drawn cohort: its thermal fit
 RIVALS_S = 20.0  # units are calibrated by every method once, for all tasks
 TRIAL_S, WORN_S, ROWS_S = 2.5, 3.5, 0.3  # a real trial; the device worn in captures; a capture or stance
 
@@ -79,6 +81,7 @@ def forecast(study: Study, folder: Path, *, workers: int, rivals: bool, real: Re
         Stage("rates to dwell at", DESIGNS_S * len(study.tasks)),
         Stage("Figure 3", FIGURE3_S if figured else 0.0),
         Stage("Figure 3, effect by effect", EFFECTS_S if figured and rivals else 0.0),
+        Stage("Figure 3, drawn units", DRAWN_UNITS * DRAWN_S / workers if figured and rivals else 0.0),
         Stage("rival methods", RIVALS_S if rivals else 0.0),
         Stage("real recordings", real_s),
     )
@@ -146,6 +149,8 @@ class StudyOutcome:
     figure3_missing: Finding | None  # Why there is none
     # Differences of its two devices, effect by effect; empty where the rivals were not asked for either
     figure3_effects: tuple[EffectRow, ...] = ()
+    # Largest errors of drawn units, one row for each compensation; empty where the rivals were not asked for
+    figure3_drawn: tuple[DrawnRow, ...] = ()
     designs: tuple[DesignRow, ...] = ()  # D- and I-optimal rates and the uniform grid, by task
     rivals: tuple[RivalRow, ...] = ()  # Other ways to calibrate; empty where they were not asked for
     rivals_missing: Finding | None = None  # Why there are none
@@ -186,12 +191,11 @@ def judge_study(
     missing: Finding | None = finding("study.no_sit_to_stand", "info")
     if _has_figure3(study):
         figure, missing = tried("Figure 3", lambda: figure3(unit, seed=study.seed, excursion_k=warmer))
-    effects: tuple[EffectRow, ...] | None = None
+    effects, drawn = tuple[EffectRow, ...](), tuple[DrawnRow, ...]()
     rows: tuple[RivalRow, ...] | None = None
     rivals_missing: Finding | None = finding("study.rivals_not_asked", "info")
     if rivals and figure is not None:
-        begin("Figure 3, effect by effect")
-        effects, _ = tried("Figure 3", lambda: effect_table(unit, seed=study.seed, excursion_k=warmer, back=False))
+        effects, drawn = _beside_figure3(study, warmer, executor, begin)
     if rivals:
         begin("rival methods")
         rows, rivals_missing = tried("Other ways to calibrate", lambda: _rivals(study))
@@ -204,7 +208,8 @@ def judge_study(
         cohorts=(judge.cohort_of(study), judge.cohort_of(judge.other_study(study))),
         figure3=figure,
         figure3_missing=missing,
-        figure3_effects=effects or (),
+        figure3_effects=effects,
+        figure3_drawn=drawn,
         designs=designs,
         rivals=rows or (),
         rivals_missing=rivals_missing,
@@ -216,6 +221,19 @@ def _designs(study: Study, task: StudyTask, surface: run.TaskSurface, optimum: j
     dps = {name: round(float(getattr(surface, f"{name}_dps")[optimum.best]), 9) for name in TURN_RATES}
     rates: dict[str, Any] = {name: rate * RADIAN_PER_DEGREE for name, rate in dps.items()}
     return design_rows(study, task, replace(task.base, **rates))
+
+
+def _beside_figure3(
+    study: Study, excursion_k: float, executor: run.Executor, begin: Callable[[StageName], None]
+) -> tuple[tuple[EffectRow, ...], tuple[DrawnRow, ...]]:
+    """Return the figure effect by effect, and over units of the study's kind, or of the note's where all wear one device."""
+    unit, kind = typical_unit(study), DEVICE if study.worn else study.device
+    words: Any = {"seed": study.seed, "excursion_k": excursion_k}
+    begin("Figure 3, effect by effect")
+    effects, _ = tried("Figure 3", lambda: effect_table(unit, back=False, **words))
+    begin("Figure 3, drawn units")
+    drawn, _ = tried("Figure 3", lambda: drawn_cohort(kind, executor=executor, **words))
+    return effects or (), drawn or ()
 
 
 def _rivals(study: Study) -> tuple[RivalRow, ...]:

@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray, IntArray
-from undrift.calibration.reference import restored
+from undrift.calibration.adc import restored_gyro
 from undrift.errors import AlignmentError, InputError, NotObservable
 from undrift.fit.least_squares import scaled_condition
 from undrift.frames import rotation
@@ -80,7 +80,7 @@ def match(record: Record, reference: Reference, *, adc: AdcModel | None = None, 
     frames = native_poses(reference)
     lag = find_lag(done, frames, LagSettings())
     span = find_motion(done, frames, lag_s=lag.seconds)
-    gyro = restored(done.gyro, adc)
+    gyro = restored_gyro(done.gyro, adc)
     at_rest = gyro[done.time < span.start_s - _LEAD_S]
     at_rest = at_rest[np.isfinite(at_rest).all(axis=1)]
     if not len(at_rest):
@@ -170,22 +170,28 @@ def accel_rows(match: Match, *, delay_s: float, matrix: FloatArray, gravity_m_s2
     motion, rate = match.at(delay_s, gravity_m_s2), match.record.sample_rate_hz
     lever, tables, times = lever_matrix(motion), [], []
     for rows in stretches(match, motion, readings):
-        u, r_nb = readings[rows], rotation(motion.q_nb[rows]).as_matrix()
-        slope = np.gradient(u, axis=0) * rate @ matrix.T
-        turned = [
-            (r_nb[:, :, :, None] * u[:, None, None, :]).reshape(len(u), 3, 9),
-            -r_nb,
-            -(r_nb @ lever[rows]),
-            np.einsum("nij,nj->ni", r_nb, slope)[:, :, None],
-            np.einsum("nij,nj->ni", r_nb, motion.force_b[rows])[:, :, None],
-        ]
-        done, kept = smoothed(np.concatenate(turned, axis=2).reshape(len(u), -1), cutoff_hz, rate)
+        slope = np.gradient(readings[rows], axis=0) * rate @ matrix.T
+        columns = force_columns(readings[rows], motion, lever, rows, slope)
+        done, kept = smoothed(columns.reshape(len(columns), -1), cutoff_hz, rate)
         tables.append(done.reshape(len(kept), 3, 17))
         times.append(match.record.time[rows][kept])
     if not tables:
         raise NotObservable("accel fit: wanted a second of motion with known poses, got none; record longer motion")
     table, block = np.concatenate(tables), np.floor(np.concatenate(times) / BLOCK_S).astype(np.int64)
     return AccelRows(design=table[:, :, :16], force=table[:, :, 16], block=block)
+
+
+def force_columns(u: FloatArray, motion: Motion, lever: FloatArray, rows: slice, slope: FloatArray) -> FloatArray:
+    """Return columns of matrix row by row, c, lever arm, delay, and p'' + g z of a stretch, frame n, (K, 3, 17), of u and slope."""
+    r_nb = rotation(motion.q_nb[rows]).as_matrix()
+    turned = [
+        (r_nb[:, :, :, None] * u[:, None, None, :]).reshape(len(u), 3, 9),
+        -r_nb,
+        -(r_nb @ lever[rows]),
+        np.einsum("nij,nj->ni", r_nb, slope)[:, :, None],
+        np.einsum("nij,nj->ni", r_nb, motion.force_b[rows])[:, :, None],
+    ]
+    return np.concatenate(turned, axis=2)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

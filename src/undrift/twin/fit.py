@@ -363,7 +363,7 @@ def fit_prepared(
     number = list(range(len(prepared.records)) if chosen is None else chosen)
     records, references = [prepared.records[k] for k in number], [prepared.references[k] for k in number]
     matches = [prepared.matches[k] for k in number]
-    gyro = fit_reference(records, references, settings=ReferenceSettings(), adc=prepared.adc)
+    gyro = fit_reference(records, references, settings=ReferenceSettings(mounting="one"), adc=prepared.adc)
     rests, codes = [m.rest for m in matches], prepared.accel_codes
     twin = Twin(
         gyro=gyro,
@@ -427,7 +427,7 @@ def _g_sensitivity(
     if any(record.accel is None for record in records):
         return [unknown("gyro_g_sensitivity", _PER_FORCE, finding("twin.no_accelerometer", "info"))]
     try:
-        settings = ReferenceSettings(g_sensitivity=True)
+        settings = ReferenceSettings(g_sensitivity=True, mounting="one")
         model = fit_reference(records, references, settings=settings, adc=prepared.adc).triad.model
     except CalibrationError as error:
         return [unknown("gyro_g_sensitivity", _PER_FORCE, finding("twin.not_fitted", "warn", error=str(error)))]

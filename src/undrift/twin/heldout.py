@@ -27,7 +27,7 @@ from typing import Literal
 import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray, IntArray
-from undrift.calibration.reference import restored
+from undrift.calibration.adc import restored_gyro
 from undrift.errors import InputError
 from undrift.frames import quaternion_conjugate, quaternion_of, quaternion_product, rotate, rotation_vector
 from undrift.orientation import integrate_strapdown, sagittal_pitch
@@ -38,6 +38,7 @@ from undrift.sim.device.simulate import simulate_device
 from undrift.sim.motion.motion import Motion
 from undrift.sim.motion.poses import PoseSettings, fit_pose_spline
 from undrift.twin.accel import Match
+from undrift.twin.excitation import Excitation, excitation, motion_windows
 from undrift.twin.fit import Prepared, RestNoise, Twin, fit_prepared, spread_of
 from undrift.units import RADIAN_PER_DEGREE
 from undrift.validation.trial import TrialSettings, compare_orientations, validate_trial, wrapped
@@ -121,6 +122,7 @@ class HeldOutTrial:
     recording: str
     window_s: float  # Length of the windows
     errors: WindowErrors
+    excitation: Excitation  # Of the recording, against those that the twin was fitted to
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -142,7 +144,7 @@ class HeldOutMotion:
     def simulated(self, device: DeviceModel, rng: np.random.Generator) -> FloatArray:
         """Return a device's readings of the motion, (N, 3) rad/s, corrected as the real readings are."""
         adc = self.twin.adc if device.gyro.adc is not None else None
-        return self.corrected(restored(_read(device, self.motion, rng), adc), self.twin.gyro.triad.model.offset)
+        return self.corrected(restored_gyro(_read(device, self.motion, rng), adc), self.twin.gyro.triad.model.offset)
 
     def found(self, rng: np.random.Generator, length_s: float) -> WindowErrors:
         """Compare the real readings with simulated ones over every window of the motion."""
@@ -180,15 +182,18 @@ def compare_held_out(
     progress: Callable[[str, float], None] = lambda what, share: None,
 ) -> tuple[HeldOutTrial, ...]:
     """Hold every recording out in turn and compare the twin of the others with it; progress takes what is done, and 0 to 1."""
-    found = []
+    found, windows = [], [motion_windows(match) for match in prepared.matches]
     for number in range(len(prepared.records)):
         progress(f"held out: recording {number + 1} of {len(prepared.records)}", number / len(prepared.records))
         held = hold_out(prepared, number)
+        excited = excitation(windows[number], [*windows[:number], *windows[number + 1 :]], held.twin.gyro.triad.model)
         real, simulated = held.corrected(held.match.gyro, held.offset), held.simulated(held.device, rng)
         for length in lengths_s:
             errors = window_errors(held, real, simulated, length)
             if len(errors.pitch):
-                found.append(HeldOutTrial(recording=held.match.name, window_s=length, errors=errors))
+                found.append(
+                    HeldOutTrial(recording=held.match.name, window_s=length, errors=errors, excitation=excited)
+                )
     return tuple(found)
 
 

@@ -32,6 +32,7 @@ from undrift.findings import Finding, finding
 from undrift.model import Calibration
 from undrift.record import Record, Reference
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
+from undrift.validation.expected import OffsetSource
 from undrift.validation.trial import TRIAL_SETTINGS, Figures, Trial, TrialSettings, of_known, rows_of, validate_trial
 from undrift.views import Shown
 
@@ -164,6 +165,7 @@ def _consistency_interval(n: int, k: int, rows: float, rest: float) -> Interval:
 
 LEAST_FOR_AGREEMENT = 3
 ONE_DEVICE_DPS = 0.1  # BROAD: one warm device repeats its reading at rest within 0.01-0.02 deg/s over a session
+MOUNTING_ABOVE = 1.0 * RADIAN_PER_DEGREE  # a recording in a mounting of its own is turned back from here on, rad
 REFERENCE_SETTINGS = ReferenceSettings()
 
 Pair = tuple[Record, Reference]
@@ -178,6 +180,18 @@ class Agreement:
     consistency: IntraclassCorrelation  # ICC(3,1)
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Coverage:
+    """How many of the expected 95 % intervals hold what was observed."""
+
+    trials: int  # With an expectation
+    rmse_inside: int
+    rmse_above: int  # Larger than expected; what is neither is smaller
+    ends: int  # Of those, with an end error
+    end_inside: int
+    end_above: int
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Validation(Shown):
     """Recordings compared with their references."""
@@ -187,6 +201,25 @@ class Validation(Shown):
     median: Figures
     agreement: Agreement | None  # None with fewer than three trials
     held_out: tuple[HeldOut, ...] = ()  # The fit that corrected each recording, in leave-one-out
+
+    @property
+    def coverage(self) -> Coverage | None:
+        """Observed errors against the expected ones; None where nothing was expected."""
+        pairs = [(t.expected, t.figures) for t in self.trials if t.expected is not None]
+        if not pairs:
+            return None
+        ends = [(made.end_interval_deg, seen.end_total_deg) for made, seen in pairs if np.isfinite(seen.end_total_deg)]
+        totals = [(made.rmse_interval_deg, seen.rmse_total_deg) for made, seen in pairs]
+        inside = [sum(low <= seen <= high for (low, high), seen in each) for each in (ends, totals)]
+        above = [sum(seen > high for (_, high), seen in each) for each in (ends, totals)]
+        return Coverage(
+            trials=len(pairs),
+            rmse_inside=inside[1],
+            rmse_above=above[1],
+            ends=len(ends),
+            end_inside=inside[0],
+            end_above=above[0],
+        )
 
     def _rows(self) -> dict[str, str]:
         each = {trial.recording: f"total {trial.figures.rmse_total_deg:.2f} deg rms" for trial in self.trials}
@@ -267,7 +300,7 @@ def validate_leave_one_out(
     Parameters
     ----------
     pairs : sequence of (Record, Reference)
-        Two or more recordings of one device in one mounting.
+        Two or more recordings of one device.
     settings : TrialSettings
         Of ``validate_trial``; its ``offset`` is not used: the fit brings the offset.
     fit_settings : ReferenceSettings
@@ -305,18 +338,24 @@ def validate_leave_one_out(
             reference_temp_c=float("nan"),
             gravity_m_s2=STANDARD_GRAVITY,
             gyro=h.model,
-            adc=adc,
+            adc=h.adc,
             verdict=h.fit.triad.verdict,
         )
         for record, h in zip(records, held, strict=True)
     ]
-    made = validate_trials(pairs, calibrations=calibrations, settings=replace(settings, offset="none"), names=names)
-    apart = _told_apart(held)
-    trials = tuple(
-        replace(trial, findings=(*trial.findings, *(item for item in (h.extrapolation, apart) if item)))
-        for trial, h in zip(made.trials, held, strict=True)
+    of_each = replace(settings, offset="none")
+    if fit_settings.mounting == "each":
+        of_each = replace(of_each, align_above=min(settings.align_above, MOUNTING_ABOVE))
+    in_motion, called = fit_settings.offset != "rest", list(names) or [""] * len(pairs)
+    source = OffsetSource(
+        rest="other" if fit_settings.offset == "common" else "own", in_motion=in_motion, recordings=len(pairs) - 1
     )
-    return replace(made, trials=trials, held_out=held)
+    apart, trials = _told_apart(held), list[Trial]()
+    for (record, reference), made, h, name in zip(pairs, calibrations, held, called, strict=True):
+        trial = validate_trial(record, reference, calibration=made, settings=of_each, name=name, source=source)
+        more = (item for item in (h.extrapolation, h.rounding, apart) if item)
+        trials.append(replace(trial, findings=(*trial.findings, *more)))
+    return replace(summed(tuple(trials)), held_out=held)
 
 
 def _check_different(records: Sequence[Record]) -> None:

@@ -19,6 +19,7 @@ References
    6(7), 72, 2021.
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, Literal
@@ -29,6 +30,7 @@ from undrift.arrays import BoolArray, FloatArray, frozen
 from undrift.calibration.adc import identify_record_adc
 from undrift.correction.correct import Policy, correct_checked
 from undrift.correction.coverage import find_beyond
+from undrift.correction.rest import mean_variance
 from undrift.drift.sessions import nominal_triad
 from undrift.errors import AlignmentError, InputError
 from undrift.findings import Finding, finding
@@ -38,13 +40,15 @@ from undrift.orientation import (
     check_gaps,
     heading_of,
     inclination_of,
+    initial_tilt,
     integrate_strapdown,
     sagittal_pitch,
     shortest_rotation_up,
 )
-from undrift.record import Face, Record, Reference
+from undrift.record import Face, Record, Reference, Still
 from undrift.sync import Lag, LagSettings, Motion, RunningIntegral, find_lag, find_motion, native_poses, pose_rates
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
+from undrift.validation.expected import ERROR_PRIOR, Course, ErrorPrior, Expected, OffsetSource, expected_errors
 from undrift.views import Shown
 
 # ---- track: orientation from the readings alone, started from rest
@@ -292,7 +296,7 @@ class TrialSettings:
         "none" leaves the codes as they are.
     align : str
         Rotation between device case and the reference's body, from rates: "rates" always, "none" never, "auto" where it
-        exceeds 5 deg.
+        exceeds ``align_above``.
     rest_s : float
         Rest before the motion that gives tilt and heading, s.
     lead_s : float
@@ -310,6 +314,10 @@ class TrialSettings:
         Temperatures outside a tuning table: "raise", "hold" its end, or "nan", as ``correct`` has it.
     lag : LagSettings
         Of the lag search.
+    align_above : float
+        Rotation above which "auto" removes it, rad.
+    prior : ErrorPrior
+        What the error to expect of a calibration takes from other recordings and devices.
     """
 
     offset: RestOffset = "none"
@@ -324,9 +332,10 @@ class TrialSettings:
     power_on_s: float | None = None
     policy: Policy = "raise"
     lag: LagSettings = LAG_SETTINGS
+    align_above: float = 5.0 * RADIAN_PER_DEGREE
+    prior: ErrorPrior = ERROR_PRIOR
 
 
-ALIGN_ABOVE = 5.0 * RADIAN_PER_DEGREE  # rad
 TRIAL_SETTINGS = TrialSettings()
 
 
@@ -375,6 +384,8 @@ class Trial(Shown):
         Sagittal pitch, rad.
     moving : array, shape (N,)
         1 within the motion.
+    expected : Expected or None
+        Errors to expect by the calibration's uncertainty; None without a calibration of the gyroscopes.
     """
 
     recording: str
@@ -390,6 +401,7 @@ class Trial(Shown):
     sensor_pitch: FloatArray
     reference_pitch: FloatArray
     moving: FloatArray
+    expected: Expected | None = None
 
     def __post_init__(self) -> None:
         n = len(self.time)
@@ -407,6 +419,7 @@ def validate_trial(
     calibration: Calibration | None = None,
     settings: TrialSettings = TRIAL_SETTINGS,
     name: str = "",
+    source: OffsetSource | None = None,
 ) -> Trial:
     """Judge one recording against its reference.
 
@@ -422,6 +435,8 @@ def validate_trial(
         Offset, ADC, alignment, protocol.
     name : str
         What to call it; the reference's name where empty.
+    source : OffsetSource or None
+        Where the calibration's offset comes from, for the error to expect; None reads it off the settings and the model.
 
     Returns
     -------
@@ -452,11 +467,8 @@ def validate_trial(
     gaps, poses = _gaps(done), native_poses(reference)
     lag = _lag(done, poses, gaps, settings)
     motion = find_motion(done, reference, lag_s=lag.seconds)
-    before = gaps[done.time < motion.start_s - settings.lead_s]  # after the rest, a gap is refused
-    if before.any():
-        findings += (finding("validate.gaps_before", "warn", gaps=int(before.sum()), samples=len(before)),)
-    if settings.offset == "rest":
-        done = _without_rest_mean(done, motion, settings)
+    findings += _gaps_before(gaps[done.time < motion.start_s - settings.lead_s])
+    done = _without_rest_mean(done, motion, settings) if settings.offset == "rest" else done
     done, mounting = _aligned(done, poses, lag, settings)
     held = 0.5 / done.sample_rate_hz  # strapdown holds each reading over the step before its stamp
     track = track_from_rest(
@@ -481,7 +493,6 @@ def validate_trial(
         motion_s=motion.stop_s - motion.start_s,
         turn_rate_rms_dps=degrees(float(np.sqrt(np.nanmean((rates**2).sum(axis=1))))),
     )
-    tilts = [of_known(np.mean, inclination_of(q[both])) for q in (sensor, reference.q_nb)]
     return Trial(
         recording=name or reference.name,
         figures=figures,
@@ -489,14 +500,75 @@ def validate_trial(
         lag_undone=undone,
         motion=motion,
         mounting=mounting,
-        mean_inclination=(tilts[0], tilts[1]),
+        mean_inclination=_mean_inclinations(sensor[both], reference.q_nb[both]),
         findings=findings,
         time=reference.time,
         error=error,
         sensor_pitch=pitches[0],
         reference_pitch=pitches[1],
         moving=moving.astype(float),
+        expected=_expected(
+            done, track, motion, (lag.seconds - held) * (not undone), mounting, calibration, settings, source
+        ),
     )
+
+
+def _mean_inclinations(sensor: FloatArray, reference: FloatArray) -> tuple[float, float]:
+    return of_known(np.mean, inclination_of(sensor)), of_known(np.mean, inclination_of(reference))
+
+
+def _gaps_before(gaps: BoolArray) -> tuple[Finding, ...]:
+    """Return a finding where samples of the rest are gaps; after the rest, a gap is refused."""
+    if not gaps.any():
+        return ()
+    return (finding("validate.gaps_before", "warn", gaps=int(gaps.sum()), samples=len(gaps)),)
+
+
+def _expected(
+    done: Record,
+    track: tuple[FloatArray, FloatArray],
+    motion: Motion,
+    delay_s: float,
+    mounting: Mounting | None,
+    calibration: Calibration | None,
+    settings: TrialSettings,
+    source: OffsetSource | None,
+) -> Expected | None:
+    """Return the errors to expect of a corrected recording; None where no covariance of the gyroscopes is known."""
+    model = None if calibration is None else calibration.gyro
+    if calibration is None or model is None or not model.covariance[:9, :9].any():
+        return None
+    if source is None:
+        subtracted = settings.offset == "rest"
+        in_motion = model.method in ("reference/motion", "reference/common") and not subtracted
+        source = OffsetSource(rest="subtracted" if subtracted else "other", in_motion=in_motion)
+    rest = done.between(done.time[0], motion.start_s - settings.lead_s)
+    still = np.asarray(rest.gyro)[np.isfinite(np.asarray(rest.gyro)).all(axis=1)]
+    variance = np.array([mean_variance(axis) for axis in still.T]) if len(still) > 1 else np.zeros(3)
+    applied = np.eye(3) if mounting is None or not mounting.applied else mounting.alignment.rotation
+    left_in = 0.0 if mounting is None or mounting.applied else mounting.alignment.angle
+    course = Course(
+        record=done.part(len(done) - len(track[0]), len(done)),
+        q_nb=track[1],
+        stop_s=motion.stop_s,
+        delay_s=delay_s,
+        turned=applied,
+        rest_variance=variance,
+        noise_density=float(np.sqrt(variance.mean() * rest.duration_s)),
+        tilt=_start_uncertainty(rest, calibration, settings),
+        mounting=left_in / np.sqrt(3.0),
+    )
+    return expected_errors(course, model, source, settings.prior)
+
+
+def _start_uncertainty(rest: Record, calibration: Calibration, settings: TrialSettings) -> float:
+    """Return the standard uncertainty of the tilt before the motion against the reference, each level axis, rad."""
+    if rest.accel is None:
+        return settings.prior.pose
+    if calibration.accel is None or np.isnan(rest.accel).any():
+        return settings.prior.tilt
+    tilt = initial_tilt(rest, Still(start=0, stop=len(rest)), accel_model=calibration.accel)
+    return math.hypot(tilt.inclination_uncertainty / math.sqrt(2.0), settings.prior.pose)
 
 
 def _lag(record: Record, poses: Reference, gaps: BoolArray, settings: TrialSettings) -> Lag:
@@ -603,7 +675,7 @@ def _aligned(record: Record, poses: Reference, lag: Lag, settings: TrialSettings
         if settings.align == "rates":
             raise
         return record, None  # turning about one axis alone does not show the mounting; it is taken as stated
-    if settings.align == "auto" and found.angle <= ALIGN_ABOVE:
+    if settings.align == "auto" and found.angle <= settings.align_above:
         return record, Mounting(alignment=found, applied=False)
     gyro, accel = (x if x is None else x @ found.rotation.T for x in (record.gyro, record.accel))
     turned = replace(record, gyro=gyro, accel=accel)

@@ -138,7 +138,23 @@ def _robot_arm(settings: RivalSettings, streams: Streams) -> Motion:
 
 BenchKind = Literal["six_face", "rate_table", "bench", "ferraris", "multi_position"]
 AXES: tuple[Axis, ...] = ("x", "y", "z")
+UPS: tuple[Face, ...] = ("+x", "+y", "+z")
 SIT_TO_STAND_RATES = tuple(rate * RADIAN_PER_DEGREE for rate in range(10, 91, 5))  # the note's list, one way round
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TableErrors:
+    """Standard deviations of what a rate table and its operator do wrong; each mounting draws anew."""
+
+    mount_tilt_sd: float = 0.0  # Of the device against the table, about each axis across, rad
+    level_sd: float = (
+        0.0  # Of the table's axis against the vertical, about each horizontal axis, rad; one table, one draw
+    )
+    wobble_sd: float = 0.0  # Of the turning axis from dwell to dwell, about each axis across, rad
+    rate_sd: float = 0.0  # Of the true rate against the stated one, relative; one table, one draw
+    ripple_sd: float = 0.0  # Of the rate once a turn, amplitude, relative
+    excess_sd: float = 0.0  # Of the rate at the start of a dwell, relative; a transient
+    settle_s: float = 0.5  # Time constant of that, s
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -156,6 +172,7 @@ class BenchSettings:
     turn_rates: tuple[float, ...] = SIT_TO_STAND_RATES
     ramp_s: float = 0.5  # Run-up and steady part of each table rate, s
     dwell_s: float = 3.0
+    table: "TableErrors | None" = None  # What mounting and table do wrong; None is an ideal table
     hand_angle: float = 2.0 * math.pi  # Angle of a hand turn, rad
     hand_tilt_sd: float = 0.0  # Error of a hand turn's axis about each axis across it, rad
     lever_arm_b: tuple[float, float, float] = (0.0, 0.0, 0.0)  # Accelerometers from the turning axis, m
@@ -174,7 +191,7 @@ def bench_motion(kind: BenchKind, *, rng: np.random.Generator, settings: BenchSe
     if kind in ("six_face", "bench", "ferraris"):
         rest_on_faces(script, chosen, FACES, streams.of("tilt"))
     if kind in ("rate_table", "bench"):
-        steady_rates(script, chosen)
+        steady_rates(script, chosen, streams)
     if kind == "ferraris":
         _hand_turns(script, chosen, streams)
     return script_motion(script, chosen)
@@ -207,14 +224,54 @@ def rest_on_faces(
         script.still(settings.still_s, face)
 
 
-def steady_rates(script: Script, settings: BenchSettings) -> None:
+_RESEAT_S = 0.5  # after two dwells about axes of their own the bearing is back in its seat
+
+
+def steady_rates(script: Script, settings: BenchSettings, streams: Streams | None = None) -> None:
     """Put each axis up in turn: a rest, then the steady rates both ways."""
-    ups: tuple[Face, ...] = ("+x", "+y", "+z")
-    for axis, face in zip(AXES, ups, strict=True):
+    if settings.table is not None and streams is not None:
+        _erring_rates(script, settings, settings.table, streams)
+        return
+    for axis, face in zip(AXES, UPS, strict=True):
         rest_on_faces(script, settings, (face,))
         for turn_rate in settings.turn_rates:
             for signed in (turn_rate, -turn_rate):  # the way round changes, so that drift cannot pass for scale
                 script.spin(axis, signed, settings.ramp_s, settings.dwell_s)
+
+
+def _erring_rates(script: Script, settings: BenchSettings, table: TableErrors, streams: Streams) -> None:
+    mount, bearing, motor = (streams.of(name) for name in ("mount", "bearing", "motor"))
+    level_n = np.array([*bearing.normal(0.0, table.level_sd, 2), 0.0])
+    gain = 1.0 + float(motor.normal(0.0, table.rate_sd))
+    for axis, face in zip(AXES, UPS, strict=True):
+        unit = unit_vector(axis)
+        turned = _off(unit, mount.normal(0.0, table.mount_tilt_sd, 3))
+        level = facing(script.q, turned)  # the table's axis upright in n, then off level
+        tilt, size = np.cross(level_n, [0.0, 0.0, 1.0]), float(np.linalg.norm(level_n))
+        if size > 0.0:
+            level = quaternion_product(turn_quaternion(tilt / size, np.array(size)), level)
+        script.lay(level, settings.move_s)
+        script.still(settings.still_s, face)
+        seat, azimuth = script.q, float(motor.uniform(-math.pi, math.pi))
+        ripple, excess = float(motor.normal(0.0, table.ripple_sd)), float(motor.normal(0.0, table.excess_sd))
+        for stated in settings.turn_rates:
+            for signed in (stated, -stated):
+                true = signed * gain
+                azimuth += 0.5 * true * settings.ramp_s
+                uneven = (ripple, azimuth, excess, table.settle_s)
+                wobbling = _off(turned, bearing.normal(0.0, table.wobble_sd, 3))
+                script.spin(
+                    axis, true, settings.ramp_s, settings.dwell_s, axis_b=wobbling, stated_rate=signed, uneven=uneven
+                )
+                azimuth += true * (settings.dwell_s + 0.5 * settings.ramp_s)
+            if table.wobble_sd > 0.0:
+                script.lay(seat, _RESEAT_S)
+
+
+def _off(axis_b: FloatArray, tilt: FloatArray) -> FloatArray:
+    """Return a unit vector turned by a small random rotation, (3,)."""
+    off = axis_b + np.cross(tilt, axis_b)
+    return np.asarray(off / np.linalg.norm(off))
 
 
 def _hand_turns(script: Script, settings: BenchSettings, streams: Streams) -> None:

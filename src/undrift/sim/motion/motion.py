@@ -241,6 +241,42 @@ UNEVEN = Polynomial.fromroots([0, 0, 0, 0.5, 1, 1, 1]) * 40.0  # a hand that hes
 Path = tuple[Course, Course, Course]
 
 
+@dataclass(frozen=True, slots=True)
+class UnevenAngle:
+    """The angle of a dwell whose rate ripples once a turn and settles late.
+
+    Its rate is w (1 + a sin(p + w t) + c exp(-t / T)), t = s times the duration.
+    """
+
+    turn_rate: float  # w, rad/s
+    duration_s: float  # Of the dwell, s
+    ripple: float  # a, relative
+    azimuth: float  # p, azimuth of the table at the start of the dwell against the ripple's zero, rad
+    excess: float  # c, relative, at the start of the dwell
+    settle_s: float  # T, s
+    order: int = 0  # Of the derivative with respect to s
+
+    def __call__(self, s: FloatArray) -> FloatArray:
+        """Return the angle, or the derivative, at s."""
+        w, late = self.turn_rate, np.exp(-np.asarray(s) * self.duration_s / self.settle_s)
+        turned = w * self.duration_s * np.asarray(s)
+        wave_at = self.azimuth + turned
+        if self.order == 0:
+            ripple = self.ripple * (math.cos(self.azimuth) - np.cos(wave_at))
+            return np.asarray(turned + ripple + w * self.excess * self.settle_s * (1.0 - late))
+        if self.order == 1:
+            return np.asarray(w * self.duration_s * (1.0 + self.ripple * np.sin(wave_at) + self.excess * late))
+        slope = self.ripple * w * np.cos(wave_at) - self.excess / self.settle_s * late
+        return np.asarray(w * self.duration_s**2 * slope)
+
+    def deriv(self, order: int) -> "UnevenAngle":
+        """Return the first or second derivative with respect to s."""
+        return replace(self, order=self.order + order)
+
+
+Angle = Polynomial | UnevenAngle  # over local time s in [0, 1], rad
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Piece:
     """Samples [start, stop): a turn about one axis."""
@@ -249,7 +285,7 @@ class Piece:
     stop: int  # Samples
     q: FloatArray  # (4,), orientation at its first instant
     axis_b: FloatArray  # (3,), unit vector
-    angle: Polynomial  # Angle over s in [0, 1), rad
+    angle: Angle  # Angle over s in [0, 1), rad
     path: Path = ((), (), ())  # Displacement along x, y, z of n over the time since its first instant, m
 
 
@@ -293,13 +329,28 @@ class Script:
         start, stop = self._turn(duration_s, axis_b, (SMOOTH + UNEVEN) * angle)
         self.turns.append(Turn(start=start + 1, stop=stop + 1, axis=axis, angle=angle))
 
-    def spin(self, axis: Axis, turn_rate: float, ramp_s: float, dwell_s: float) -> None:
-        """Ramp up, hold a steady rate, ramp down; the dwell is labelled."""
-        unit = unit_vector(axis)
+    def spin(
+        self,
+        axis: Axis,
+        turn_rate: float,
+        ramp_s: float,
+        dwell_s: float,
+        *,
+        axis_b: FloatArray | None = None,
+        stated_rate: float | None = None,
+        uneven: tuple[float, float, float, float] | None = None,
+    ) -> None:
+        """Ramp up, hold a rate, ramp down; the dwell is labelled with axis and rate as they are stated.
+
+        The case turns about axis_b (3,) where that is not the stated axis; uneven is ripple, azimuth, excess, settle_s.
+        """
+        unit = unit_vector(axis) if axis_b is None else axis_b
         ramp, dwell = self._whole(ramp_s), self._whole(dwell_s)
+        steady = Polynomial([0.0, turn_rate * dwell]) if uneven is None else UnevenAngle(turn_rate, dwell, *uneven)
         self._turn(ramp_s, unit, RAMP * (turn_rate * ramp))
-        start, stop = self._turn(dwell_s, unit, Polynomial([0.0, turn_rate * dwell]))
-        self.turns.append(Turn(start=start + 1, stop=stop, axis=axis, turn_rate=turn_rate))
+        start, stop = self._turn(dwell_s, unit, steady)
+        stated = turn_rate if stated_rate is None else stated_rate
+        self.turns.append(Turn(start=start + 1, stop=stop, axis=axis, turn_rate=stated))
         self._turn(ramp_s, unit, (Polynomial([0.0, 1.0]) - RAMP) * (turn_rate * ramp))
 
     def slide(self, path: Path, duration_s: float) -> None:
@@ -344,12 +395,12 @@ class Script:
             moving=moving,
         )
 
-    def _turn(self, duration_s: float, axis_b: FloatArray, angle: Polynomial) -> tuple[int, int]:
+    def _turn(self, duration_s: float, axis_b: FloatArray, angle: Angle) -> tuple[int, int]:
         start = self.samples
         stop = start + round(duration_s * self.sample_rate_hz)
         self.pieces.append(Piece(start, stop, self.q, axis_b, angle))
         if angle is not REST:
-            self.q = quaternion_product(self.q, turn_quaternion(axis_b, np.array(angle(1.0))))
+            self.q = quaternion_product(self.q, turn_quaternion(axis_b, np.asarray(angle(np.array(1.0)))))
             self.q = self.q / np.linalg.norm(self.q)
         return start, stop
 

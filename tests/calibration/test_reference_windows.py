@@ -5,7 +5,7 @@ from typing import cast
 import numpy as np
 import pytest
 
-from undrift.calibration.reference import Recording, Windows, _whitened, solve_chain
+from undrift.calibration.reference_windows import Recording, Windows, _whitened, solve_chain
 from undrift.errors import NotObservable
 
 

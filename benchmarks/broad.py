@@ -1,0 +1,281 @@
+"""BROAD trials at hand: what each step of the correction leaves, what was expected, and what devices of a model share.
+
+``python -m benchmarks.broad`` prints three tables (some minutes), or those that are named: steps, expected, nested.
+
+1. End error and root-mean-square error of each device, raw to calibrated on the *other* trials of the device.
+2. Expected against observed errors, over every fit to a part of a device's trials that is judged on another trial. Its prior
+   (spread of matrix and in-motion offset between recordings) is learnt from the other devices.
+3. A hierarchical prior, nested: all that is chosen for a held-out trial comes from other trials (docs/decisions, 2026-11-22).
+
+D. Laidig, M. Caruso, A. Cereatti, T. Seel, "BROAD - A benchmark for robust inertial orientation estimation", Data 2021, CC BY 4.0.
+"""
+
+import os
+import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from functools import cache
+from itertools import combinations
+from pathlib import Path
+
+import numpy as np
+
+from undrift.arrays import FloatArray
+from undrift.calibration.calibrate import device_adc
+from undrift.calibration.reference import ReferenceFit, fit_reference
+from undrift.io.mocap import read_broad
+from undrift.model import AdcModel, Calibration
+from undrift.record import Record, Reference
+from undrift.units import STANDARD_GRAVITY
+from undrift.validation.agreement import Validation, summed, validate_leave_one_out, validate_trials
+from undrift.validation.expected import ERROR_PRIOR, ErrorPrior
+from undrift.validation.trial import Figures, TrialSettings, validate_trial
+
+DEVICES = {"B": ("02", "05", "07", "09"), "C": ("03", "24"), "D": ("32", "35")}  # by their offsets: no id in the data
+
+
+@cache
+def trial(number: str) -> tuple[Record, Reference]:
+    """Return record and reference of a trial."""
+    folder = Path(os.environ.get("UNDRIFT_DATA", "../shared/data")) / "broad"
+    return read_broad(next(folder.glob(f"{number}_*.hdf5")))
+
+
+def pairs(numbers: Sequence[str]) -> list[tuple[Record, Reference]]:
+    """Return several trials."""
+    return [trial(number) for number in numbers]
+
+
+# ---- 1. what each step leaves
+
+
+def steps(numbers: tuple[str, ...]) -> Iterator[tuple[str, Validation]]:
+    """Yield the trials of a device after each step of the correction."""
+    held = pairs(numbers)
+    for name, settings in (
+        ("raw", TrialSettings(adc="none")),
+        ("rest offset", TrialSettings(adc="none", offset="rest")),
+        ("rest offset and quantisation", TrialSettings(offset="rest")),
+    ):
+        yield name, validate_trials(held, settings=settings, names=numbers)
+    for name, settings in (("calibrated", TrialSettings(adc="none")), ("and quantisation", TrialSettings())):
+        yield name, validate_leave_one_out(held, settings=settings, names=numbers)
+
+
+def floor(numbers: tuple[str, ...]) -> Validation:
+    """Return the trials, each by a fit to itself."""
+    adc = device_adc([trial(n)[0] for n in numbers])
+    return summed(
+        tuple(validate_trial(*trial(n), calibration=_calibration(single(n, adc), adc), name=n) for n in numbers)
+    )
+
+
+@cache
+def single(number: str, adc: AdcModel | None) -> ReferenceFit:
+    """Return the fit to one trial."""
+    return fit_reference([trial(number)[0]], [trial(number)[1]], adc=adc)
+
+
+def _calibration(fit: ReferenceFit, adc: AdcModel | None) -> Calibration:
+    return Calibration(
+        device="",
+        reference_temp_c=float("nan"),
+        gravity_m_s2=STANDARD_GRAVITY,
+        gyro=fit.triad.model,
+        adc=adc,
+        verdict=fit.triad.verdict,
+    )
+
+
+# ---- 2. expected and observed
+
+
+@cache
+def adc_of(device: str) -> AdcModel | None:
+    """Return how the codes of a device were rounded."""
+    return device_adc([trial(n)[0] for n in DEVICES[device]])
+
+
+def estimates(devices: Sequence[str]) -> list[list[tuple[FloatArray, FloatArray]]]:
+    """Return what each trial of each device gives by itself: matrix and change to motion (12,), and their covariance."""
+    each = []
+    for device in devices:
+        adc = adc_of(device)
+        fits = [single(n, adc) for n in DEVICES[device]]
+        each.append(
+            [(np.append(f.triad.model.matrix.ravel(), f.motion_offset), f.triad.model.covariance) for f in fits]
+        )
+    return each
+
+
+def learnt(devices: Sequence[str]) -> ErrorPrior:
+    """Return the spread between recordings of one device by restricted maximum likelihood, on these devices."""
+    from scipy.optimize import minimize
+
+    groups = estimates(devices)
+
+    def cost(logs: FloatArray) -> float:
+        spread = np.diag(np.repeat(np.exp(2.0 * logs), (9, 3)))
+        return sum(_restricted(group, spread) for group in groups)
+
+    found = min(
+        (minimize(cost, start, method="Nelder-Mead") for start in ((-8.0, -9.0), (-7.0, -8.0))), key=lambda r: r.fun
+    )
+    matrix, offset = np.exp(found.x)
+    offsets = np.concatenate([[x[9:] for x, _ in group] for group in groups])
+    rests = [np.array([trial(n)[0].between(0.0, 20.0).gyro.mean(axis=0) for n in DEVICES[d]]) for d in devices]
+    spare = sum(len(r) - 1 for r in rests)
+    day = np.sqrt(sum(((r - r.mean(axis=0)) ** 2).sum() for r in rests) / (3 * spare))
+    return replace(
+        ERROR_PRIOR,
+        matrix=float(matrix),
+        motion_offset=float(offset),
+        rest_to_motion=float(np.sqrt((offsets**2).mean())),
+        day_to_day=float(day),
+    )
+
+
+def _restricted(group: list[tuple[FloatArray, FloatArray]], spread: FloatArray) -> float:
+    """Return -2 log of the restricted likelihood of recordings about their device's unknown mean."""
+    variances = [covariance + spread for _, covariance in group]
+    weights = [np.linalg.inv(v) for v in variances]
+    normal = sum(weights)
+    mean = np.linalg.solve(normal, sum(w @ x for w, (x, _) in zip(weights, group, strict=True)))
+    total = float(np.linalg.slogdet(normal)[1])
+    for (x, _), v, w in zip(group, variances, weights, strict=True):
+        total += float(np.linalg.slogdet(v)[1] + (x - mean) @ w @ (x - mean))
+    return total
+
+
+def expected(device: str, prior: ErrorPrior) -> Iterator[tuple[int, Validation]]:
+    """Yield leave-one-out over every two trials or more of a device."""
+    for count in range(2, len(DEVICES[device]) + 1):
+        for numbers in combinations(DEVICES[device], count):
+            yield count, validate_leave_one_out(pairs(numbers), settings=TrialSettings(prior=prior), names=numbers)
+
+
+# ---- 3. hierarchical prior: x of a recording = x of the device + N(0, within); x of the device = common + N(0, between)
+
+VARIANTS = ("pooled", "recordings weighed", "and devices shared")
+
+
+def held_out(variant: str, device: str, number: str, others: Sequence[str]) -> Figures:
+    """Return the errors of a trial by its device's other trials, and for the prior by other devices alone."""
+    numbers, adc = DEVICES[device], adc_of(device)
+    left = [n for n in numbers if n != number]
+    if variant == "pooled":
+        fit = _pooled(tuple(left), device)
+        model = fit.model_at_rest_offset(single(number, adc).rest_offsets[0])
+    else:
+        parts = [e for n, e in zip(numbers, estimates([device])[0], strict=True) if n != number]
+        x = _posterior(parts, others, shared=variant == VARIANTS[2])
+        model = single(left[0], adc).triad.model
+        offset = single(number, adc).rest_offsets[0] + x[9:]  # the rest alone is taken from the held-out trial
+        model = replace(model, matrix=x[:9].reshape(3, 3), offset=offset)
+    made = Calibration(device="", reference_temp_c=float("nan"), gravity_m_s2=STANDARD_GRAVITY, gyro=model, adc=adc)
+    return validate_trial(*trial(number), calibration=made).figures
+
+
+@cache
+def _pooled(numbers: tuple[str, ...], device: str) -> ReferenceFit:
+    held, adc = pairs(numbers), adc_of(device)
+    return fit_reference([p[0] for p in held], [p[1] for p in held], adc=adc)
+
+
+def _posterior(parts: list[tuple[FloatArray, FloatArray]], others: Sequence[str], *, shared: bool) -> FloatArray:
+    prior = learnt(others)
+    within = np.diag(np.repeat((prior.matrix**2, prior.motion_offset**2), (9, 3)))
+    weights = [np.linalg.inv(covariance + within) for _, covariance in parts]
+    normal, total = sum(weights), sum(w @ x for w, (x, _) in zip(weights, parts, strict=True))
+    if shared:
+        means = np.array([np.mean([x for x, _ in group], axis=0) for group in estimates(others)])
+        nominal = np.append(np.eye(3).ravel(), means[:, 9:].mean(axis=0))
+        apart = means - nominal
+        between = np.repeat((np.mean(apart[:, :9] ** 2), np.mean(means[:, 9:] ** 2)), (9, 3))
+        normal, total = normal + np.diag(1.0 / between), total + nominal / between
+    return np.linalg.solve(normal, total)
+
+
+def nested() -> Iterator[tuple[str, dict[str, list[Figures]], str]]:
+    """Yield each device with the errors of its trials by each variant, and the variant that the other devices choose."""
+    for device, numbers in DEVICES.items():
+        others = [d for d in DEVICES if d != device]
+        inner = {
+            variant: np.mean(
+                [
+                    held_out(variant, d, n, [e for e in others if e != d]).end_total_deg
+                    for d in others
+                    for n in DEVICES[d]
+                ]
+            )
+            for variant in VARIANTS
+        }
+        outer = {variant: [held_out(variant, device, n, others) for n in numbers] for variant in VARIANTS}
+        yield device, outer, min(inner, key=lambda name: inner[name])
+
+
+# ---- tables
+
+
+def _row(name: str, figures: Sequence[Figures]) -> str:
+    ends = [f.end_total_deg for f in figures]
+    rmse = [f.rmse_total_deg for f in figures]
+    return f"  {name:30} end {np.mean(ends):6.2f} ({' '.join(f'{e:.2f}' for e in ends)})   rmse {np.mean(rmse):6.2f}"
+
+
+def main() -> None:
+    """Print the tables."""
+    for part in sys.argv[1:] or ("steps", "expected", "nested"):
+        {"steps": print_steps, "expected": print_expected, "nested": print_nested}[part]()
+
+
+def print_nested() -> None:
+    """Print the hierarchical prior against the pooled fit, all choices made on other devices."""
+    chosen, every = [], {variant: [] for variant in VARIANTS}
+    for device, outer, best in nested():
+        for variant, figures in outer.items():
+            print(_row(f"{device}, {variant}" + " (chosen)" * (variant == best), figures), flush=True)
+            every[variant] += figures
+        chosen += outer[best]
+    for variant, figures in (*every.items(), ("chosen by the other devices", chosen)):
+        print(_row(f"all, {variant}", figures))
+
+
+def print_steps() -> None:
+    """Print what each step leaves."""
+    for device, numbers in DEVICES.items():
+        print(f"device {device}: {' '.join(numbers)}")
+        for name, result in (*steps(numbers), ("each fitted on itself", floor(numbers))):
+            print(_row(name, [t.figures for t in result.trials]), flush=True)
+
+
+def print_expected() -> None:
+    """Print expected against observed errors, and how many lie inside 95 %."""
+    inside, seen = np.zeros(2, int), np.zeros(2, int)
+    for device in DEVICES:
+        prior = learnt([other for other in DEVICES if other != device])
+        print(
+            f"device {device}, prior by the others: matrix {prior.matrix:.1e}, in-motion offset "
+            f"{np.degrees(prior.motion_offset):.4f}, rest to motion {np.degrees(prior.rest_to_motion):.4f}, day to day "
+            f"{np.degrees(prior.day_to_day):.4f} deg/s"
+        )
+        for count, result in expected(device, prior):
+            held = result.coverage
+            assert held is not None
+            inside += (held.end_inside, held.rmse_inside)
+            seen += (held.ends, held.trials)
+            for t in result.trials:
+                made = t.expected
+                assert made is not None
+                print(
+                    f"  {count - 1} to fit, {t.recording}: end {t.figures.end_total_deg:.2f}, expected {made.end_total_deg:.2f} "
+                    "[{:.2f}, {:.2f}]; ".format(*made.end_interval_deg)
+                    + f"rmse {t.figures.rmse_total_deg:.2f}, expected {made.rmse_total_deg:.2f} "
+                    "[{:.2f}, {:.2f}]".format(*made.rmse_interval_deg),
+                    flush=True,
+                )
+    print(f"inside 95 %: end {inside[0]} of {seen[0]}, rmse {inside[1]} of {seen[1]}")
+
+
+if __name__ == "__main__":
+    main()

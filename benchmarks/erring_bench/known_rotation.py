@@ -1,0 +1,122 @@
+"""Known rotation: temperature creep, low-pass, 10 bit, flicker, clock, angle and axis by hand, each alone and all together.
+
+Gyroscopes drift by 0.05 deg/s/K and 0.02 %/K at one standard deviation; they flicker by 8 deg/h as a data sheet states it, and
+their offset is then that of the whole session. 10 bits span +-500 deg/s. Angle and axis are stated as the hand errs, 0 where
+it does not.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from benchmarks.erring_bench import Row, Tally, chain_that_errs, drawn_slope, even_rise
+from undrift.calibration.known_rotation import calibrate_turns
+from undrift.calibration.observe import CalibrateSettings, observe
+from undrift.calibration.six_face import calibrate_faces
+from undrift.model import Verdict
+from undrift.record import Session, Still, Turn
+from undrift.sim.device.effects import LowPass
+from undrift.sim.device.presets import FLOOR, random_device
+from undrift.sim.device.simulate import simulate_device
+from undrift.sim.device.truth import true_calibration
+from undrift.sim.motion.bench import BenchSettings, bench_motion
+from undrift.units import RADIAN_PER_DEGREE as DEG
+
+FLICKER = 8.0 * DEG / 3600.0 / FLOOR  # rad/s
+RANGE = 500.0 * DEG  # of 10 bits, rad/s
+ANGLE_DEG, AXIS_DEG = 1.0, 0.5
+
+
+@dataclass(frozen=True)
+class Case:
+    """One bench."""
+
+    creep_c: float = 0.0  # Even rise over the session
+    thermometer: bool = True
+    cutoff_hz: float | None = None
+    bits: int | None = None
+    flicker: bool = False
+    jitter_s: float = 0.0  # Of the time stamps
+    by_hand: bool = False
+    level: float = 0.0  # Of each face about each horizontal axis, rad
+    whole_walk: bool = False  # Rate random walk of a consumer part
+
+
+CASES = {
+    "ideal": Case(),
+    "creep 1 degC": Case(creep_c=1.0),
+    "creep 1 degC, no thermometer": Case(creep_c=1.0, thermometer=False),
+    "low-pass 4 Hz, sampled at 50 Hz": Case(cutoff_hz=4.0),
+    "10 bit": Case(bits=10),
+    "flicker 8 deg/h": Case(flicker=True),
+    "time stamps jitter 2 ms": Case(jitter_s=2e-3),
+    "angle 1 deg, axis 0.5 deg": Case(by_hand=True),
+    "level 0.2 deg": Case(level=0.2 * DEG),
+    "all but 10 bit": Case(
+        creep_c=1.0, cutoff_hz=4.0, flicker=True, jitter_s=2e-3, by_hand=True, level=0.2 * DEG, whole_walk=True
+    ),
+    "all together": Case(
+        creep_c=1.0, cutoff_hz=4.0, flicker=True, jitter_s=2e-3, by_hand=True, level=0.2 * DEG, whole_walk=True, bits=10
+    ),
+}  # fmt: skip
+
+
+def rows(devices: int, seed: int) -> Iterator[Row]:
+    """Yield three groups a case."""
+    for name in CASES:
+        yield from rows_of(name, devices, seed)
+
+
+def rows_of(name: str, devices: int, seed: int) -> Iterator[Row]:
+    """Yield the rows of one case."""
+    case, rng, tally = CASES[name], np.random.default_rng(seed), Tally("known rotation", name)
+    settings = CalibrateSettings(
+        identify_adc=False,
+        angle_uncertainty_deg=ANGLE_DEG * case.by_hand,
+        axis_uncertainty_deg=AXIS_DEG * case.by_hand,
+    )
+    for _ in range(devices):
+        session, matrix, offset = drawn(case, rng)
+        seen = observe(session, settings)
+        accel = calibrate_faces(seen, None)
+        made = calibrate_turns(seen, None, accel.fit)
+        assert made.fit is not None
+        verdict = Verdict.of(*seen.findings, *made.findings).also(made.fit.verdict)
+        tally.add_model(verdict, made.fit.model, matrix, offset)
+    yield from tally.rows()
+
+
+def drawn(case: Case, rng: np.random.Generator) -> tuple[Session, np.ndarray, np.ndarray]:
+    """Return the session of a device, and its matrix and offset at the mean temperature of its rests and turns."""
+    device = random_device(rng)
+    slope, flicker = drawn_slope(rng), FLICKER if case.flicker else None
+    low_pass = None if case.cutoff_hz is None else LowPass(cutoff_hz=np.full(3, case.cutoff_hz))
+    walk = device.gyro.random_walk if case.whole_walk else None
+    more = {"random_walk": walk, "thermal_scale": slope, "low_pass": low_pass}
+    gyro = chain_that_errs(device.gyro, bits=case.bits, span=RANGE, flicker=flicker, **more)
+    accel = replace(device.accel, adc=None, random_walk=None, low_pass=low_pass)
+    device = replace(device, gyro=gyro, accel=accel)
+    bench = BenchSettings(sample_rate_hz=50.0, tilt_sd=case.level, hand_tilt_sd=AXIS_DEG * DEG if case.by_hand else 0.0)
+    motion = bench_motion("ferraris", rng=rng, settings=bench)
+    temp_c = even_rise(case.creep_c, len(motion))
+    shown = simulate_device(device, motion, rng=rng, temp_c=temp_c)
+    record = shown.record if case.thermometer else replace(shown.record, temp_c=None)
+    record = replace(record, time=record.time + case.jitter_s * rng.standard_normal(len(record)))
+    off = ANGLE_DEG * DEG * rng.standard_normal(len(motion.turns)) * case.by_hand
+    session = Session(
+        kind="calibration",
+        serial=device.serial,
+        gravity_m_s2=motion.gravity_m_s2,
+        records=(record,),
+        stills=motion.stills,
+        turns=tuple(replace(t, angle=(t.angle or 0.0) + float(d)) for t, d in zip(motion.turns, off, strict=True)),
+    )
+    pieces: tuple[Still | Turn, ...] = (*motion.stills, *motion.turns)
+    mean_c = float(np.mean([temp_c[piece.start : piece.stop].mean() for piece in pieces]))
+    truth = true_calibration(device, temp_c=mean_c).gyro
+    assert truth is not None
+    drift = np.zeros(3)
+    for name, on in (("instability", case.flicker), ("random_walk", case.whole_walk)):
+        drift = drift + (device.gyro.gain * shown.gyro.of(name).mean(axis=0) if on else 0.0)
+    return session, truth.matrix, truth.offset + drift

@@ -1,0 +1,106 @@
+"""Free poses and hand moves between them: temperature creep, 10 bit, flicker, each alone and all together.
+
+Slopes of offset and scale over temperature are drawn as the fit states them: 0.5 mg/K, 0.05 deg/s/K and 0.02 %/K at one standard
+deviation. The axes are those of the fit: z of the accelerometers is the case's, y lies in the case's y-z plane.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from benchmarks.erring_bench import ACROSS, Row, Tally, chain_that_errs, drawn_slope, even_rise
+from undrift.calibration.calibrate import calibrate
+from undrift.calibration.observe import CalibrateSettings
+from undrift.record import Session
+from undrift.sim.device.presets import random_device
+from undrift.sim.device.simulate import simulate_device
+from undrift.sim.device.truth import true_calibration
+from undrift.sim.motion.bench import BenchSettings, bench_motion
+from undrift.units import RADIAN_PER_DEGREE as DEG
+from undrift.units import STANDARD_GRAVITY as G
+
+FLICKER = (8.0 * DEG / 3600.0, 5e-5 * G)
+RANGE = (500.0 * DEG, 2.0 * G)  # of 10 bits
+COUNTS_PER_DPS = 16.4
+SETTINGS = CalibrateSettings(identify_adc=False)
+
+
+@dataclass(frozen=True)
+class Case:
+    """One bench."""
+
+    creep_c: float = 0.0
+    bits: int | None = None
+    flicker: bool = False
+    thermometer: bool = True
+
+
+CASES = {
+    "ideal": Case(),
+    "creep 1 degC": Case(creep_c=1.0),
+    "creep 1 degC, no thermometer": Case(creep_c=1.0, thermometer=False),
+    "creep 4 degC": Case(creep_c=4.0),
+    "10 bit": Case(bits=10),
+    "flicker 8 deg/h, 0.05 mg": Case(flicker=True),
+    "creep 1 degC, 12 bit, flicker": Case(creep_c=1.0, bits=12, flicker=True),
+}
+
+
+def rows(devices: int, seed: int) -> Iterator[Row]:
+    """Yield two triads a case, three groups each."""
+    for name in CASES:
+        yield from rows_of(name, devices, seed)
+
+
+def rows_of(name: str, devices: int, seed: int) -> Iterator[Row]:
+    """Yield the rows of one case."""
+    case, rng = CASES[name], np.random.default_rng(seed)
+    tallies = Tally("poses, accelerometers", name), Tally("poses, gyroscopes", name)
+    for _ in range(devices):
+        session, truth = drawn(case, rng)
+        made = calibrate(session, accel="multi-position", gyro="multi-position", settings=SETTINGS)
+        for tally, model, (matrix, offset) in zip(tallies, (made.accel, made.gyro), truth, strict=True):
+            assert model is not None
+            seen = ACROSS if model is made.gyro else np.triu(ACROSS)
+            tally.add_model(made.verdict, model, matrix, offset, seen)
+    for tally in tallies:
+        yield from tally.rows()
+
+
+def drawn(case: Case, rng: np.random.Generator) -> tuple[Session, list[tuple[np.ndarray, np.ndarray]]]:
+    """Return the session of a device, and matrix and offset of accelerometers and gyroscopes at its mean temperature."""
+    device = random_device(rng)
+    flicker = FLICKER if case.flicker else (None, None)
+    gyro, accel = (
+        chain_that_errs(
+            chain, bits=case.bits, span=RANGE[k], flicker=flicker[k], random_walk=None, thermal_scale=drawn_slope(rng)
+        )
+        for k, chain in enumerate((device.gyro, device.accel))
+    )
+    device = replace(device, gyro=replace(gyro, g_sensitivity=None), accel=accel)
+    bench = BenchSettings(sample_rate_hz=50.0, poses=18, still_s=4.0, first_still_s=10.0)
+    motion = bench_motion("multi_position", rng=rng, settings=bench)
+    temp_c = even_rise(case.creep_c, len(motion))
+    shown = simulate_device(device, motion, rng=rng, temp_c=temp_c)
+    assert shown.record.gyro is not None
+    record = replace(shown.record, gyro=shown.record.gyro / COUNTS_PER_DPS, gyro_unit="dps")
+    record = record if case.thermometer else replace(record, temp_c=None)
+    session = Session(
+        kind="calibration",
+        serial=device.serial,
+        gravity_m_s2=motion.gravity_m_s2,
+        records=(record,),
+        stills=motion.stills,
+    )
+    truth = true_calibration(device, temp_c=float(np.mean([temp_c[s.start : s.stop].mean() for s in motion.stills])))
+    assert truth.gyro is not None
+    assert truth.accel is not None
+    turned, upper = np.linalg.qr(truth.accel.matrix)
+    sign = np.sign(np.diag(upper))
+    offsets = [
+        model.offset + chain.gain * (made.of("instability").mean(axis=0) if case.flicker else 0.0)
+        for model, chain, made in ((truth.accel, device.accel, shown.accel), (truth.gyro, device.gyro, shown.gyro))
+    ]
+    upper, in_accel = sign[:, None] * upper, (turned * sign).T @ truth.gyro.matrix * COUNTS_PER_DPS
+    return session, [(upper, offsets[0]), (in_accel, offsets[1] / COUNTS_PER_DPS)]

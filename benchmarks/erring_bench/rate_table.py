@@ -1,0 +1,111 @@
+"""Rate table: mounting, wobble, ripple and settling, 10 bit, flicker, each alone and all together, with and without accelerometers.
+
+Every row but the ideal one draws what a fit takes as usual unless stated otherwise: 0.1 deg of mounting about each axis, 0.1 deg
+of level, 0.01 deg of wobble, rates wrong by 1e-4 in common. Ripple, settling, codes, flicker and a larger wobble are not stated. A
+consumer gyroscope's offset walks in every row. Every device is calibrated twice: with its accelerometers, by six faces on a level
+plate, and without. The true offset is that of the middle of the session, without accelerometers that of the middle of its turns;
+flicker counts by its mean.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from benchmarks.erring_bench import Row, Tally, chain_that_errs
+from undrift.arrays import FloatArray
+from undrift.calibration.calibrate import calibrate
+from undrift.calibration.observe import CalibrateSettings
+from undrift.record import Session, Still, Turn
+from undrift.sim.device.model import DeviceModel
+from undrift.sim.device.presets import random_device
+from undrift.sim.device.simulate import simulate_device
+from undrift.sim.motion.bench import BenchSettings, TableErrors, bench_motion
+from undrift.units import RADIAN_PER_DEGREE as DEG
+from undrift.units import STANDARD_GRAVITY as G
+
+RATES = tuple(rate * DEG for rate in (20.0, 45.0, 70.0, 90.0))
+ARM_M = (0.02, 0.01, -0.015)
+USUAL = TableErrors(mount_tilt_sd=0.1 * DEG, level_sd=0.1 * DEG, rate_sd=1e-4, wobble_sd=0.01 * DEG)
+FLICKER = (8.0 * DEG / 3600.0, 5e-4)  # rad/s, m/s2
+RANGE = (300.0 * DEG, 3.0 * G)  # of 10 bits
+
+
+@dataclass(frozen=True)
+class Case:
+    """One bench: what the table does wrong, and the device."""
+
+    table: TableErrors
+    bits: int | None = None
+    flicker: bool = False
+    g_sensitivity: bool = False
+    tilt_sd: float = 0.0  # Of the faces on the plate about each horizontal axis, rad
+    settings: CalibrateSettings = field(default_factory=lambda: CalibrateSettings(identify_adc=False))
+
+
+EXACT = CalibrateSettings(
+    identify_adc=False, table_level_deg=0.0, mount_tilt_deg=0.0, rate_uncertainty=0.0, wobble_deg=0.0
+)
+WORST = replace(USUAL, wobble_sd=0.1 * DEG, ripple_sd=3e-3, excess_sd=3e-3)
+CASES = {
+    "ideal table, stated as such": Case(TableErrors(), settings=EXACT),
+    "mounted 0.1 deg off per axis": Case(USUAL),
+    "the same, faces off level by 0.05 deg": Case(USUAL, tilt_sd=0.05 * DEG),
+    "wobble 0.1 deg": Case(replace(USUAL, wobble_sd=0.1 * DEG)),
+    "rate ripples and settles late, 0.3 %": Case(replace(USUAL, ripple_sd=3e-3, excess_sd=3e-3)),
+    "10 bit": Case(USUAL, bits=10),
+    "flicker 8 deg/h": Case(USUAL, flicker=True),
+    "all together, 12 bit, g-sensitivity": Case(WORST, bits=12, flicker=True, g_sensitivity=True),
+}
+
+
+def rows(devices: int, seed: int) -> Iterator[Row]:
+    """Yield two fits a case, three groups each."""
+    for name in CASES:
+        yield from rows_of(name, devices, seed)
+
+
+def rows_of(name: str, devices: int, seed: int) -> Iterator[Row]:
+    """Yield the rows of one case."""
+    case, rng = CASES[name], np.random.default_rng(seed)
+    tallies = Tally("rate table, six faces", name), Tally("rate table alone", name)
+    for _ in range(devices):
+        device, session, offsets = drawn(case, rng)
+        for tally, given, offset in zip(tallies, (session, _without_accel(session)), offsets, strict=True):
+            made = calibrate(given, settings=case.settings)
+            assert made.gyro is not None
+            tally.add_model(made.verdict, made.gyro, np.linalg.inv(device.gyro.forward_matrix), offset)
+    for tally in tallies:
+        yield from tally.rows()
+
+
+def drawn(case: Case, rng: np.random.Generator) -> tuple[DeviceModel, Session, list[FloatArray]]:
+    """Return a device, its session, and the raw offset of its gyroscopes in all of it and in its turns."""
+    device = random_device(rng)
+    flicker = FLICKER if case.flicker else (None, None)
+    gyro, accel = (
+        chain_that_errs(chain, bits=case.bits, span=RANGE[k], flicker=flicker[k])
+        for k, chain in enumerate((device.gyro, device.accel))
+    )
+    gyro = gyro if case.g_sensitivity else replace(gyro, g_sensitivity=None)
+    device = replace(device, gyro=gyro, accel=accel)
+    bench = BenchSettings(
+        sample_rate_hz=50.0, turn_rates=RATES, table=case.table, lever_arm_b=ARM_M, tilt_sd=case.tilt_sd
+    )
+    motion = bench_motion("bench", rng=rng, settings=bench)
+    shown = simulate_device(device, motion, rng=rng)
+    session = Session(
+        kind="calibration", serial=device.serial, gravity_m_s2=motion.gravity_m_s2, records=(shown.record,),
+        stills=motion.stills, turns=motion.turns,
+    )  # fmt: skip
+    walk, offsets = shown.gyro.of("random_walk"), []
+    dwells: list[Still | Turn] = [*motion.turns]
+    for pieces in ([*dwells, *motion.stills], dwells):  # rests count where accelerometers do
+        middle = (min(p.start for p in pieces) + max(p.stop for p in pieces)) // 2
+        moved = shown.gyro.of("instability").mean(axis=0) + walk[middle]
+        offsets.append(device.gyro.raw_offset + device.gyro.gain * moved)
+    return device, session, offsets
+
+
+def _without_accel(session: Session) -> Session:
+    return replace(session, records=tuple(replace(record, accel=None) for record in session.records))

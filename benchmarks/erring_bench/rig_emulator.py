@@ -1,0 +1,66 @@
+"""A rig run on the emulator: `undrift rig run` over sockets, the operator mounts each face and axis 0.1 deg off about every axis.
+
+One run for each thirty devices that are asked for: a run takes some ten seconds.
+"""
+
+import contextlib
+import io
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.erring_bench import Row, Tally
+from undrift.calibration.calibrate import calibrate
+from undrift.cli.app import run
+from undrift.io.session import read_session
+from undrift.model import Calibration
+from undrift.rig.programme import Protocol, write_protocol
+from undrift.sim.device.model import DeviceModel
+from undrift.sim.device.truth import true_calibration
+from undrift.sim.rig.emulator import EmulatedBenchSettings, EmulatorSettings, start_bench
+from undrift.sim.rig.stream import StreamSettings
+from undrift.units import RADIAN_PER_DEGREE as DEG
+
+SPEED = 25.0
+RUNS = 30  # devices for each run
+PROTOCOL = Protocol(
+    name="mounted askew", turn_rate_min=30.0 * DEG, turn_rate_max=90.0 * DEG, turn_rate_step=30.0 * DEG, dwell_s=3.0
+)
+
+
+def rows(devices: int, seed: int) -> Iterator[Row]:
+    """Yield one row a group."""
+    tally = Tally("rig run, emulator", "mounted 0.1 deg off per axis")
+    for number in range(max(1, devices // RUNS)):
+        device, made = run_of(seed + number, 0.1)
+        true = true_calibration(device)
+        assert made.gyro is not None
+        assert true.gyro is not None
+        away = made.gyro.matrix @ np.linalg.inv(true.gyro.matrix) - np.eye(3)
+        sigma, own = made.gyro.standard_uncertainty, np.eye(3, dtype=bool)
+        stated = sigma[:9].reshape(3, 3) / np.diag(true.gyro.matrix)
+        size = float(np.diag(true.gyro.matrix).mean())
+        tally.add(
+            made.verdict,
+            scale=(away[own], stated[own]),
+            cross_axis=(away[~own], stated[~own]),
+            offset=((made.gyro.offset - true.gyro.offset) * size, sigma[9:12] * size),
+        )
+    yield from tally.rows()
+
+
+def run_of(seed: int, mount_tilt_deg: float) -> tuple[DeviceModel, Calibration]:
+    """Return the emulated device and what a run calibrates it to."""
+    stream = StreamSettings(mount_tilt_sd=mount_tilt_deg * DEG, seed=seed)
+    settings = EmulatedBenchSettings(rig=EmulatorSettings(speed=SPEED), stream=stream)
+    with tempfile.TemporaryDirectory() as held, start_bench(settings) as bench:
+        folder = Path(held)
+        write_protocol(PROTOCOL, folder / "protocol.toml")
+        addresses = ["--rig", bench.rig_address, "--device", bench.device_address, "--operator", bench.hands_address]
+        with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
+            code = run(["rig", "run", str(folder / "protocol.toml"), *addresses, "-o", str(folder / "run"), "--yes"])
+        if code != 0:
+            raise RuntimeError(f"rig run: exit {code}")
+        return bench.device, calibrate(read_session(folder / "run"))

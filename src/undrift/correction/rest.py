@@ -1,0 +1,199 @@
+"""Re-zero a gyroscope at a rest: what the calibration leaves there is subtracted from the whole recording.
+
+::
+
+    w'(t) = w(t) - r        r = mean of w over the rest        var r = var of the mean, with the correlation between samples
+
+It removes the offset of that moment, whatever its cause (turn-on, ageing, hysteresis), and with it any true slow turn. It removes
+no scale or rate-dependent error, and no offset that changes afterwards. The rest is the first still phase of the corrected
+readings, or a named stretch. It is looked for in the first ten minutes, and in twice as much until one ends there: a stream that
+is read in chunks finds the one that the whole recording shows.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from undrift.arrays import FloatArray, frozen
+from undrift.errors import InputError
+from undrift.findings import Finding, finding
+from undrift.record import Record, Still
+from undrift.segments import StillSettings, find_still
+from undrift.units import RADIAN_PER_DEGREE
+
+Stretch = tuple[float | None, float | None]  # named start and end, s, on the recording's clock; both None: to be found
+NAMED_NONE: Stretch = (None, None)
+FOUND_IN_S = 600.0
+FEWEST = 10  # samples: below it their scatter says nothing
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RestOffset:
+    """The rate that a calibration leaves at a rest."""
+
+    start_s: float  # First sample of the rest, on the recording's clock
+    stop_s: float  # Last sample of it
+    rate: FloatArray  # (3,), mean, rad/s, frame b
+    covariance: FloatArray  # (3, 3), of the mean by the scatter of the readings, (rad/s)^2
+
+    def __post_init__(self) -> None:
+        for name, shape in (("rate", (3,)), ("covariance", (3, 3))):
+            object.__setattr__(self, name, frozen(getattr(self, name), shape, f"RestOffset.{name}"))
+
+    @property
+    def uncertainty(self) -> float:
+        """Standard uncertainty, all axes together, rad/s."""
+        return float(np.sqrt(np.trace(self.covariance)))
+
+    @property
+    def finding(self) -> Finding:
+        """What was subtracted."""
+        return finding(
+            "correct.rest_offset",
+            "info",
+            start_s=self.start_s,
+            stop_s=self.stop_s,
+            offset_dps=self.rate / RADIAN_PER_DEGREE,
+            uncertainty_dps=self.uncertainty / RADIAN_PER_DEGREE,
+        )
+
+
+def mean_variance(x: FloatArray) -> float:
+    """Estimate the variance of the mean of correlated samples.
+
+    The autocovariances c_k are summed up to the first negative pair c_(2k) + c_(2k+1), which for a reversible process is
+    noise [1]_: var = (c_0 + 2 sum c_k) / n.
+
+    References
+    ----------
+    .. [1] C. J. Geyer, "Practical Markov chain Monte Carlo", Statistical Science 7 (1992), section 3.3.
+    """
+    n = len(x)
+    spectrum = np.fft.rfft(x - x.mean(), 2 * n)
+    covariance = np.fft.irfft(np.abs(spectrum) ** 2)[:n] / n
+    pairs = covariance[: n - n % 2].reshape(-1, 2).sum(axis=1)
+    negative = np.flatnonzero(pairs <= 0.0)
+    kept = pairs[: negative[0]] if negative.size else pairs
+    total = 2.0 * float(kept.sum()) - float(covariance[0])
+    return max(total, float(covariance[0])) / (n - 1)
+
+
+def rest_offset(record: Record, still: Still) -> RestOffset:
+    """Return the mean rate of a corrected record at a rest."""
+    rates = np.empty((0, 3)) if record.gyro is None else record.gyro[still.start : still.stop]
+    if len(rates) < FEWEST or np.isnan(rates).any():
+        got = f"{len(rates)} samples" if len(rates) < FEWEST else f"{int(np.isnan(rates).any(axis=1).sum())} gaps (NaN)"
+        raise InputError(
+            f"rest: wanted {FEWEST} samples at rest or more, without gaps, got {got}; name another stretch"
+        )
+    return RestOffset(
+        start_s=float(record.time[still.start]),
+        stop_s=float(record.time[still.stop - 1]),
+        rate=rates.mean(axis=0),
+        covariance=np.diag([mean_variance(axis) for axis in rates.T]),
+    )
+
+
+def named_rest(record: Record, stretch: Stretch) -> Still | None:
+    """Return the stretch at rest that was named, None where none was."""
+    start_s, stop_s = stretch
+    if start_s is None and stop_s is None:
+        return None
+    first, last = float(record.time[0]), float(record.time[-1])
+    if start_s is None or stop_s is None or not first <= start_s < stop_s <= last:
+        got = " and ".join("none" if value is None else f"{value:g}" for value in (start_s, stop_s))
+        raise InputError(
+            f"--still-start-s, --still-stop-s: wanted both, within the recording's {first:.6g} to {last:.6g} s and in that order, "
+            f"got {got}; name a stretch at rest by its start and end"
+        )
+    start, stop = record.time.searchsorted((start_s, stop_s))
+    return Still(start=int(start), stop=max(int(stop), int(start) + 1))
+
+
+def no_rest(what: str, reason: str) -> InputError:
+    """Return the refusal of a recording that never rests."""
+    return InputError(
+        f"{what}: wanted a still phase, got none: {reason.removeprefix('no still phase: ')}; name a stretch at rest "
+        "(--still-start-s, --still-stop-s), or record with a pause"
+    )
+
+
+def find_rest_offset(record: Record, stretch: Stretch = NAMED_NONE) -> RestOffset:
+    """Return what a calibration leaves at the first rest of a corrected record, or at a named stretch."""
+    return _found(lambda span_s: (_head(record, span_s), len(record)), stretch)
+
+
+def find_rest_offset_in(chunks: Iterator[Record], stretch: Stretch = NAMED_NONE) -> RestOffset:
+    """Return the same from corrected chunks, reading no more of them than needed."""
+    held: list[Record] = []
+
+    def extended(span_s: float) -> tuple[Record, int]:
+        while not held or held[-1].time[-1] < held[0].time[0] + span_s:
+            following = next(chunks, None)
+            if following is None:
+                break
+            held.append(following)
+        if not held:
+            raise InputError("rest: wanted a recording, got no samples; check the file")
+        held[:] = [_joined(held)]
+        return _head(held[0], span_s), len(held[0])
+
+    return _found(extended, stretch)
+
+
+def _found(extended: Callable[[float], tuple[Record, int]], stretch: Stretch) -> RestOffset:
+    """Look in a head of the recording, and in longer ones; ``extended`` gives a head and how many samples are known of."""
+    start_s, stop_s = stretch
+    if start_s is not None and stop_s is not None and start_s < stop_s:
+        head, _ = extended(FOUND_IN_S)
+        head = _rotating(extended(max(stop_s - float(head.time[0]) + 1.0, FOUND_IN_S))[0])
+    else:
+        head = _rotating(extended(FOUND_IN_S if stretch == NAMED_NONE else np.inf)[0])
+    if (still := named_rest(head, stretch)) is not None:
+        return rest_offset(head, still)
+    span_s = FOUND_IN_S
+    while True:
+        head, known = extended(span_s)
+        whole = len(head) == known  # nothing comes after it
+        found = find_still(head, StillSettings())
+        if found.stills and (whole or found.stills[0].stop < len(head)):
+            return rest_offset(head, found.stills[0])
+        if whole:
+            raise no_rest("correct", found.reason)
+        span_s *= 2.0
+
+
+def _rotating(record: Record) -> Record:
+    if record.gyro is None:
+        raise InputError("rest: wanted gyroscope readings and their calibration, got none; leave out --offset rest")
+    return record
+
+
+def _head(record: Record, span_s: float) -> Record:
+    """Return what begins less than a span after the first sample."""
+    first = float(record.time[0])
+    return record if record.time[-1] < first + span_s else record.between(first, first + span_s)
+
+
+def _joined(parts: list[Record]) -> Record:
+    """Return chunks that follow each other as one record, without what a search for rests does not need."""
+    if len(parts) == 1:
+        return parts[0]
+    first = parts[0]
+
+    def column(name: Literal["gyro", "accel"]) -> FloatArray | None:
+        values = [getattr(part, name) for part in parts]
+        return None if any(value is None for value in values) else np.concatenate(values)
+
+    return Record(
+        time=np.concatenate([part.time for part in parts]),
+        gyro=column("gyro"),
+        accel=column("accel"),
+        gyro_unit=first.gyro_unit,
+        accel_unit=first.accel_unit,
+        frame=first.frame,
+        state=first.state,
+        device=first.device,
+    )

@@ -1,0 +1,175 @@
+"""What end error and root-mean-square error a calibration's uncertainty lets one expect of a recording.
+
+To first order a strapdown orientation errs, in earth axes, by the start's error and the integral of the rate's error::
+
+    e(t) = e0 + int R_nb (dM (u - o) - M do - dG a) dt + h(t)              R_nb from the integration itself
+         = A(t) x + h(t)        x: errors of M, o, G; change of the offset; start; mounting; noise; pose.   h: lag left in
+
+    end    |e|^2 at the end of the motion      rms    mean of |e|^2 over the motion
+
+Both are quadratic forms x' D x + 2 b' x + c of normal x: their first two moments are exact, and their distribution is taken for
+that of a scaled chi-square [1]_. The covariance of x has two parts: the fit's own, and a stated prior, ``ErrorPrior``, of what no
+covariance of one recording can know: how much the matrix, the offset in motion, start and mounting differ from one recording of a
+device to the next, and the poses of the reference themselves.
+
+.. [1] F. E. Satterthwaite, "An approximate distribution of estimates of variance components", Biometrics 2, 110-114, 1946.
+"""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from undrift.arrays import FloatArray
+from undrift.frames import rotate
+from undrift.model import TriadModel
+from undrift.record import Record
+from undrift.units import RADIAN_PER_DEGREE, si_factor
+
+_STEP_S = 0.25  # the error's course is taken at this interval
+_TAILS = (0.025, 0.975)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ErrorPrior:
+    """What a fit's covariance cannot know: standard deviations of what changes from one recording of a device to the next.
+
+    The values are those of the eight BROAD trials at hand (three devices of one model), 2026-11-22, rounded up;
+    ``python -m benchmarks.broad`` learns them anew from the other devices for each device that it judges.
+    """
+
+    matrix: float = 5e-4  # Element of the matrix, relative to the scale: nonlinearity, speed of the motion
+    motion_offset: float = 0.008 * RADIAN_PER_DEGREE  # Offset in motion less that at rest, about its mean, rad/s
+    rest_to_motion: float = 0.03 * RADIAN_PER_DEGREE  # The same of a device whose change to motion nobody fitted, rad/s
+    day_to_day: float = 0.01 * RADIAN_PER_DEGREE  # Offset at rest, where the recording's own rest is not used, rad/s
+    tilt: float = (
+        0.15 * RADIAN_PER_DEGREE
+    )  # Start from an uncalibrated accelerometer against the reference, each axis, rad
+    mounting: float = 0.1 * RADIAN_PER_DEGREE  # Device against the reference's body, each axis, rad
+    pose: float = 0.1 * RADIAN_PER_DEGREE  # Pose of the reference, each axis, rad
+
+
+ERROR_PRIOR = ErrorPrior()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Expected:
+    """Errors that a calibration's uncertainty lets one expect, deg, with 95 % intervals."""
+
+    end_total_deg: float  # Root mean square of what the end error may be
+    end_interval_deg: tuple[float, float]
+    rmse_total_deg: float  # Likewise of the root-mean-square error over the motion
+    rmse_interval_deg: tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OffsetSource:
+    """Where the offset of a recording comes from."""
+
+    # "other": the model's, of another recording. "own": that of the recording's own rest plus the model's change to motion.
+    # "subtracted": the mean of its own rest is subtracted after the correction, and the model's offset with it
+    rest: Literal["other", "own", "subtracted"]
+    in_motion: bool  # The change from rest to motion was fitted
+    recordings: int = 1  # That the fit pooled
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Course:
+    """A recording on its way through the motion, as it was integrated."""
+
+    record: Record  # Corrected, rad/s and m/s2, from the start of the integration on
+    q_nb: FloatArray  # (N, 4), its orientation
+    stop_s: float  # End of the motion, s, the record's clock
+    delay_s: float  # By which the orientation lags the reference in the figures, s
+    turned: FloatArray  # (3, 3), from the model's frame to the one that was integrated
+    rest_variance: FloatArray  # (3,), of the mean rate at rest, (rad/s)^2
+    noise_density: float  # Of the rate, rad/sqrt(s)
+    tilt: float  # Standard uncertainty of the start, each level axis, rad
+    mounting: float  # Of the device against the reference's body, each axis, rad
+
+
+def expected_errors(course: Course, model: TriadModel, source: OffsetSource, prior: ErrorPrior) -> Expected:
+    """Return the end error and the root-mean-square error to expect of a recording."""
+    at, gain, rate = _sensitivity(course, model, source)
+    covariance = _covariance(course, model, source, prior)
+    size, means = gain.shape[2], np.zeros_like(covariance)
+    ends = np.concatenate((gain[-1], np.sqrt(at[-1] - at[0]) * np.eye(3), np.eye(3)), axis=1)
+    means[:size, :size] = np.einsum("kap,kaq->pq", gain, gain) / len(gain)
+    means[size:, size:] = np.diag(np.repeat((float((at - at[0]).mean()), 1.0), 3))
+    late = course.delay_s * rate  # (K, 3), rad, in earth axes
+    linear = np.zeros(len(covariance))
+    linear[:size] = np.einsum("kap,ka->p", gain, late) / len(late)
+    end, end_interval = _root(covariance, ends.T @ ends, 0.0 * linear, 0.0)
+    rmse, rmse_interval = _root(covariance, means, linear, float((late**2).sum(axis=1).mean()))
+    return Expected(
+        end_total_deg=end, end_interval_deg=end_interval, rmse_total_deg=rmse, rmse_interval_deg=rmse_interval
+    )
+
+
+def _sensitivity(course: Course, model: TriadModel, source: OffsetSource) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return times (K,), A (K, 3, P) without noise and pose, and the rate in earth axes (K, 3), through the motion."""
+    from undrift.kernels.rotation import accumulate
+
+    gyro, time, q = np.asarray(course.record.gyro), course.record.time, course.q_nb
+    turned = si_factor(model.unit_out, "rate") * course.turned
+    matrix = turned @ model.matrix
+    force = np.zeros_like(gyro) if course.record.accel is None else np.nan_to_num(course.record.accel)
+    regressors = np.concatenate(
+        (gyro @ np.linalg.inv(matrix).T, np.ones((len(gyro), 1)), force @ course.turned), axis=1
+    )
+    width = max(1, round(_STEP_S * course.record.sample_rate_hz))
+    last = max(1, int(np.searchsorted(time, course.stop_s, side="right")) - 1)
+    kept = np.append(np.arange(0, last, width), last)
+    total, relative = np.zeros((len(kept), 3, 3, regressors.shape[1])), np.empty((len(kept), 4))
+    flat = (np.ascontiguousarray(gyro).reshape(-1), np.ascontiguousarray(regressors).reshape(-1))
+    accumulate(
+        *flat, np.ascontiguousarray(time), np.ascontiguousarray(time[kept]), relative.reshape(-1), total.reshape(-1)
+    )
+    axes = np.stack([rotate(q[kept], axis[None]) for axis in np.eye(3)], axis=2)  # (K, 3, 3), R_nb
+    sums = np.einsum("ab,kbcd->kacd", axes[0], total)
+    columns = []
+    for name in model.parameters:
+        kind, _, where = name.partition("_")
+        row, last = "xyz".index(where[0]), "xyz".index(where[-1])
+        if kind == "offset":
+            columns.append(-sums[..., 3] @ matrix[:, row] * (source.rest != "subtracted"))
+        else:
+            columns.append(sums[..., last] @ turned[:, row] if kind == "m" else -sums[..., 4 + last] @ turned[:, row])
+    moved = axes - axes[0]
+    start = np.broadcast_to(np.eye(3), moved.shape)
+    gain = np.concatenate((np.stack(columns, axis=2), sums[..., 3], start, moved), axis=2)
+    return time[kept], gain, rotate(q[kept], gyro[kept])
+
+
+def _covariance(course: Course, model: TriadModel, source: OffsetSource, prior: ErrorPrior) -> FloatArray:
+    """Return the covariance of model, change of the offset, start, mounting, noise and pose, in this order."""
+    more = 1.0 + 1.0 / source.recordings if source.in_motion else 1.0
+    change = more * (prior.motion_offset if source.in_motion else prior.rest_to_motion) ** 2
+    day = np.full(3, prior.day_to_day**2) if source.rest == "other" else course.rest_variance
+    extra = (
+        change + day,
+        np.array([course.tilt**2, course.tilt**2, prior.pose**2]),
+        np.full(3, course.mounting**2 + prior.mounting**2),
+        np.full(3, course.noise_density**2),
+        np.full(3, prior.pose**2),
+    )
+    size = len(model.parameters)
+    covariance = np.diag(np.concatenate((np.zeros(size), *extra)))
+    covariance[:size, :size] = model.covariance
+    matrix = [i for i, name in enumerate(model.parameters) if name.startswith("m_")]
+    covariance[matrix, matrix] += more * (prior.matrix * float(np.linalg.norm(model.matrix, 2))) ** 2
+    return covariance
+
+
+def _root(
+    covariance: FloatArray, square: FloatArray, linear: FloatArray, constant: float
+) -> tuple[float, tuple[float, float]]:
+    """Return root mean and 95 % interval of the root of x' D x + 2 b' x + c for normal x of mean zero, deg."""
+    from scipy.special import gammaincinv
+
+    spread = square @ covariance
+    mean = float(np.trace(spread)) + constant
+    variance = 2.0 * float(np.trace(spread @ spread)) + 4.0 * float(linear @ covariance @ linear)
+    shape = mean**2 / max(variance, 1e-300)  # half the degrees of freedom
+    low, high = (float(np.sqrt(gammaincinv(shape, tail) * mean / shape)) / RADIAN_PER_DEGREE for tail in _TAILS)
+    return float(np.sqrt(mean)) / RADIAN_PER_DEGREE, (low, high)

@@ -1,0 +1,265 @@
+"""The axis of a rate table as gravity shows it: exact without noise, and what stays unknown is stated."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from testkit.cramer_rao import white_device
+from testkit.findings import codes, only
+from undrift.calibration.calibrate import calibrate
+from undrift.calibration.observe import CalibrateSettings
+from undrift.calibration.table_axis import Dwells, mountings, rate_unevenness, table_axes, table_term
+from undrift.errors import InputError
+from undrift.record import RateTable, Record, Still, Turn
+from undrift.sim.motion.bench import BenchSettings, TableErrors
+from undrift.sim.motion.motion import unit_vector
+from undrift.sim.sessions import simulate_session
+
+DEG = np.pi / 180.0
+G = 9.80665
+QUIET = TableErrors(mount_tilt_sd=0.5 * DEG, level_sd=0.2 * DEG)
+
+
+def turned(kind="rate_table", table=QUIET, seed=3, **settings):
+    rng = np.random.default_rng(seed)
+    device = white_device(rng).without_noise()
+    bench = BenchSettings(
+        sample_rate_hz=50.0,
+        turn_rates=tuple(rate * DEG for rate in (20.0, 50.0, 90.0)),
+        table=table,
+        lever_arm_b=(0.03, -0.02, 0.04),
+        **settings,
+    )
+    return device, simulate_session(kind, device, rng=rng, settings=bench)
+
+
+def dwells_of(session, device):
+    record = session.records[0]
+    parts = [record.gyro[t.start + 20 : t.stop].mean(axis=0) for t in session.turns]
+    return Dwells(
+        records=session.records,
+        turns=session.turns,
+        mounting=mountings(session.turns),
+        reading=np.array(parts),
+        up=np.ones(len(parts)),
+        settle_s=0.3,
+    )
+
+
+def true_accel(device):
+    """Return the accelerometers as they are, with no uncertainty: a level table's six faces give them."""
+    rng = np.random.default_rng(5)
+    made = calibrate(simulate_session("six_face", device, rng=rng), settings=CalibrateSettings(identify_adc=False))
+    assert made.accel is not None
+    return made.accel
+
+
+def test_the_axis_is_found_through_a_table_off_level_and_an_arm_in_dwells_of_less_than_a_turn():
+    device, session = turned()
+    found = table_axes(
+        dwells_of(session, device), RateTable(mount_tilt_deg=5.0, table_level_deg=0.2), true_accel(device), G
+    )
+    true = np.array([turn_axis(session, turn) for turn in session.turns])
+    nominal = np.array([unit_vector(turn.axis) for turn in session.turns])
+    assert np.abs(true - nominal).max() > 0.2 * DEG
+    # What is left is of second order, 0.5 deg of mounting by 0.2 deg of level, and the prior of the arm.
+    assert np.abs(found.axis_b - true).max() < 0.01 * DEG
+    assert found.off.max() > 0.2 * DEG
+
+
+def turn_axis(session, turn):
+    """Return the axis about which the case turned, from the truth of the same seed: a noise-free gyroscope's reading."""
+    device, _ = turned()
+    record = session.records[0]
+    reading = record.gyro[turn.start + 20 : turn.stop].mean(axis=0)
+    rate = np.linalg.solve(device.gyro.forward_matrix, reading - device.gyro.raw_offset)
+    return rate / np.linalg.norm(rate) * np.sign(turn.turn_rate)
+
+
+def pieces_of(*words):
+    """Return pieces one after the other: rests by their face, "?" in any pose; turns by axis, or axis and "by" an angle."""
+    made = []
+    for n, word in enumerate(words):
+        span = {"start": 10 * n, "stop": 10 * n + 9}
+        if word == "?" or word[0] in "+-":
+            made.append(Still(face=None if word == "?" else word, **span))
+        else:
+            made.append(Turn(axis=word[0], **({"angle": 6.0} if "by" in word else {"turn_rate": 1.0}), **span))
+    return made
+
+
+@pytest.mark.parametrize(
+    ("words", "numbers"),
+    [
+        ("-x +x x x ? +x", [-1, 0, 0, 0, -1, 0]),  # the rest before on the other face is a mounting of its own
+        ("+x x +y y y +x x", [0, 0, 1, 1, 1, 2, 2]),
+        ("+x x -x x", [0, 0, 1, 1]),
+        ("+x -x +y", [-1, -1, -1]),  # six faces on a plate
+        ("+x xby +x x", [-1, -1, 0, 0]),
+        ("x y", [0, 1]),
+    ],
+)
+def test_rests_and_turns_that_follow_each_other_with_one_axis_up_are_one_mounting(words, numbers):
+    found = mountings(pieces_of(*words.split()))
+    assert (found < 0).tolist() == [number < 0 for number in numbers]
+    on = found >= 0
+    alike = np.array(numbers)[:, None] == np.array(numbers)[None, :]
+    np.testing.assert_array_equal((found[:, None] == found[None, :])[np.ix_(on, on)], alike[np.ix_(on, on)])
+
+
+def test_dwells_in_recordings_of_their_own_are_one_mounting_too():
+    """A rig run writes a recording for each dwell: the azimuth is then known within each alone."""
+    device, session = turned()
+    dwells = dwells_of(session, device)
+    record = session.records[0]
+    parts = tuple(record.part(turn.start, turn.stop) for turn in session.turns)
+    turns = tuple(
+        replace(turn, recording=n, start=0, stop=turn.stop - turn.start) for n, turn in enumerate(session.turns)
+    )
+    apart = replace(dwells, records=parts, turns=turns, mounting=mountings(turns))
+    table = RateTable(mount_tilt_deg=0.5, table_level_deg=0.2)
+    lone = table_axes(apart, table, None, G)
+    off = [place for place in range(9) if place % 4]
+    np.testing.assert_allclose(np.sqrt(np.diag(lone.covariance)[off]), 0.5 * DEG, rtol=1e-9)
+    whole, found = (table_axes(one, table, true_accel(device), G) for one in (dwells, apart))
+    true = np.array([turn_axis(session, turn) for turn in session.turns])
+    error = np.abs(found.axis_b - true).max()
+    sigma = np.sqrt(np.diag(found.covariance)[off]).max()
+    # The level, 0.2 deg, is an unknown of each of six dwells; those of 20 deg/s turn by a sixth.
+    assert error < 3.0 * sigma
+    assert sigma < 0.2 * DEG
+    assert sigma > 1.5 * np.sqrt(np.diag(whole.covariance)[off]).max()
+
+
+def test_codes_of_an_accelerometer_are_an_error_that_all_dwells_of_a_mounting_share():
+    device, session = turned(table=TableErrors(), dwell_s=6.0)
+    record = session.records[0]
+    accel = true_accel(device)
+    step = 0.1 / accel.matrix[0, 0]  # 0.1 m/s2, 10 bits of 5 g
+    coarse = replace(record, accel=np.round(record.accel / step) * step)
+    table = RateTable(mount_tilt_deg=5.0, table_level_deg=0.0, wobble_deg=0.0)
+    found = [
+        table_axes(replace(dwells_of(session, device), records=(one,)), table, accel, G) for one in (record, coarse)
+    ]
+    off = [place for place in range(9) if place % 4]
+    more = np.diag(found[1].covariance - found[0].covariance)[off]
+    assert np.all(more > 0.9 * 0.1**2 / 12.0 / G**2)  # the sensors' scales differ by some per cent
+
+
+def test_rests_on_a_table_are_no_level_faces_where_a_plate_shows_all_six():
+    device, session = turned("bench", TableErrors(mount_tilt_sd=0.5 * DEG), still_s=3.0)
+    stated = CalibrateSettings(identify_adc=False, mount_tilt_deg=0.5)
+    made = calibrate(session, settings=stated).accel
+    assert made is not None
+    away = made.matrix @ device.accel.forward_matrix - np.eye(3)
+    # The plate is level. A rest on the table taken for a face of its own has a third of 0.5 deg in it.
+    assert np.abs(away).max() < 0.02 * DEG
+
+
+def test_without_accelerometers_the_mounting_stays_in_the_covariance_in_full():
+    device, session = turned()
+    found = table_axes(dwells_of(session, device), RateTable(mount_tilt_deg=0.3, rate_uncertainty=2e-4), None, G)
+    np.testing.assert_array_equal(found.axis_b, [unit_vector(turn.axis) for turn in session.turns])
+    off = [place for place in range(9) if place % 4]
+    np.testing.assert_allclose(np.sqrt(np.diag(found.covariance)[off]), 0.3 * DEG, rtol=1e-9)
+    assert np.isnan(found.off).all()
+    scales = found.covariance[np.ix_([0, 4, 8], [0, 4, 8])]
+    np.testing.assert_allclose(scales - np.diag(found.uneven**2), np.full((3, 3), 4e-8), rtol=1e-6)
+
+
+def test_a_gap_in_the_gyroscope_leaves_a_block_unmeasured():
+    device, session = turned()
+    dwells = dwells_of(session, device)
+    record = session.records[0]
+    gyro = np.array(record.gyro)
+    first = session.turns[0]
+    gyro[first.stop + 3] = np.nan  # in the ramp, between two dwells about x
+    gap = Record(time=record.time, gyro=gyro, accel=record.accel, gyro_unit="count", accel_unit="count")
+    held = replace(dwells, records=(gap,))
+    found = table_axes(held, RateTable(), true_accel(device), G)
+    about_x = np.array([turn.axis == "x" for turn in session.turns])
+    assert np.isnan(found.off[about_x]).all()
+    assert np.isfinite(found.off[~about_x]).all()
+
+
+def rippled(theta, ripple=0.004, late=0.0, phase=0.7, n=600):
+    """Return dwells about x, y, z that turn by theta (rad) in 6 s, with a ripple once a turn."""
+    time = np.arange(n) / 100.0
+    w = theta / 6.0
+    rate = w * (1.0 + ripple * np.sin(phase + w * time) + late * (time < 3.0))
+    pieces, turns = [], []
+    for k, axis in enumerate("xyz"):
+        for sign in (1.0, -1.0):
+            gyro = np.zeros((n, 3))
+            gyro[:, k] = sign * rate
+            turns.append(Turn(start=len(pieces) * n, stop=(len(pieces) + 1) * n, axis=axis, turn_rate=sign * w))
+            pieces.append(gyro)
+    record = Record(time=np.arange(n * 6) / 100.0, gyro=np.vstack(pieces))
+    reading = np.array([piece.mean(axis=0) for piece in pieces])
+    mounting = np.repeat([0, 1, 2], 2)
+    return Dwells(records=(record,), turns=turns, mounting=mounting, reading=reading, up=np.ones(6), settle_s=0.0)
+
+
+def test_a_ripple_leaves_less_over_whole_turns_than_over_a_part():
+    part = rate_unevenness(rippled(0.7 * 2 * np.pi), np.ones(3))
+    whole = rate_unevenness(rippled(2.0 * 2 * np.pi), np.ones(3))
+    # A = 0.004^2 / 2, b of 0.7 turns = sin(2.2) / 2.2 = 0.37: 0.00104 for a random phase. One phase within a factor of three:
+    # the half of its first half less its second counts too, up to 0.0024.
+    assert np.all((part > 0.00104 / 3.0) & (part < 0.00104 * 3.0))
+    assert np.all(whole < 0.3 * part)
+    assert np.all(rate_unevenness(rippled(2.0 * np.pi, ripple=0.0), np.ones(3)) < 1e-9)
+
+
+def test_a_rate_that_settles_late_counts_half_of_the_first_half_less_the_second():
+    late = rate_unevenness(rippled(4 * np.pi, ripple=0.0, late=0.002), np.ones(3))
+    np.testing.assert_allclose(late, 0.001, rtol=0.05)
+
+
+def test_a_mounting_far_off_the_stated_one_is_said_and_one_within_it_is_not_a_doubt():
+    _, session = turned("bench", TableErrors(mount_tilt_sd=1.0 * DEG))
+    stills = tuple(replace(still, face=still.face if n < 6 else None) for n, still in enumerate(session.stills))
+    session = replace(session, stills=stills)  # the rests on the table lie askew: no faces for the accelerometers
+    wide, narrow = (
+        calibrate(session, settings=CalibrateSettings(identify_adc=False, mount_tilt_deg=tilt)) for tilt in (1.0, 0.05)
+    )
+    assert only(wide.verdict.findings, "rate_table.mounting").level == "info"
+    assert only(narrow.verdict.findings, "rate_table.mounting").level == "warn"
+    assert narrow.verdict.status != "good"
+
+
+def test_two_axes_keep_the_mountings_uncertainty_too():
+    _, session = turned()
+    about = [turn for turn in session.turns if turn.axis != "z"]
+    part = replace(session, turns=tuple(about), stills=())
+    narrow, wide = (
+        calibrate(part, gyro="rate-table", settings=CalibrateSettings(mount_tilt_deg=tilt)).gyro for tilt in (0.0, 1.0)
+    )
+    sigma = wide.standard_uncertainty / wide.matrix[0, 0]
+    assert sigma[1] == pytest.approx(1.0 * DEG, rel=0.1)  # of m_xy
+    assert narrow.standard_uncertainty[1] < 0.1 * wide.standard_uncertainty[1]
+
+
+@pytest.mark.parametrize("name", ["table_level_deg", "mount_tilt_deg", "rate_uncertainty", "wobble_deg"])
+def test_what_no_table_can_be_is_refused(name):
+    with pytest.raises(InputError, match=f"rate table: wanted {name} from 0 to"):
+        CalibrateSettings(**{name: -0.1})
+    with pytest.raises(InputError, match="got nan"):
+        RateTable(**{name: float("nan")})
+
+
+def test_settings_overrule_the_session():
+    held = CalibrateSettings(wobble_deg=0.3).rate_table(RateTable(mount_tilt_deg=0.7))
+    assert held == RateTable(mount_tilt_deg=0.7, wobble_deg=0.3)
+    assert "rate_table.mounting" in codes(
+        calibrate(turned("bench")[1], settings=CalibrateSettings(identify_adc=False)).verdict.findings
+    )
+
+
+def test_what_multiplies_every_rate_multiplies_the_matrix_from_the_left():
+    rng = np.random.default_rng(2)
+    matrix, D = rng.normal(size=(2, 3, 3))
+    model = replace(true_accel(turned()[0]), matrix=matrix)
+    made = (D @ matrix).ravel()
+    term = table_term(model, np.outer(D.ravel(), D.ravel()))
+    np.testing.assert_allclose(term[:9, :9], np.outer(made, made), rtol=1e-12)

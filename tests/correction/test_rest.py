@@ -1,0 +1,151 @@
+"""The offset at a rest: what is subtracted, how well it is known, the same in a stream, refused where nothing rests."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from testkit.data import show
+from testkit.plain_triad import plain_triad
+from undrift.correction import rest as rest_module
+from undrift.correction.correct import correct, correct_checked
+from undrift.correction.rest import find_rest_offset, find_rest_offset_in
+from undrift.correction.stream import Corrector
+from undrift.errors import InputError
+from undrift.model import Calibration
+from undrift.orientation import OrientSettings, orient
+from undrift.record import Record
+
+FS = 100.0
+LEFT = np.array([0.02, -0.01, 0.005])  # rad/s
+
+
+CALIBRATION = Calibration(
+    device="a",
+    reference_temp_c=25.0,
+    gravity_m_s2=9.81,
+    gyro=plain_triad("rad/s", "rad/s"),
+    accel=plain_triad("m/s2", "m/s2", "accel"),
+)
+
+
+def worn(seed=1, *, rest_s=20.0, motion_s=20.0, noise=1e-3, walk=0.0):
+    """A rest, then turning about y and back; an offset that no calibration knows."""
+    rng = np.random.default_rng(seed)
+    n, still = int((rest_s + motion_s) * FS), int(rest_s * FS)
+    time = np.arange(n) / FS
+    turn = np.where(time < rest_s, 0.0, 1.2 * np.sin(2.0 * np.pi * 0.5 * (time - rest_s)))
+    angle = np.cumsum(turn) / FS
+    white = noise * rng.standard_normal((n, 3))
+    coloured = np.zeros((n, 3))
+    steps = walk * rng.standard_normal((n, 3))
+    for k in range(1, n):  # first order, 1 s: a mean over it knows less than its samples
+        coloured[k] = 0.99 * coloured[k - 1] + steps[k]
+    gyro = LEFT + white + coloured
+    gyro[:, 1] += turn
+    force = 9.81 * np.stack([-np.sin(angle), np.zeros(n), np.cos(angle)], axis=1)
+    return Record(
+        time=time, gyro=gyro, accel=force + 0.01 * rng.standard_normal((n, 3)), temp_c=np.full(n, 25.0)
+    ), still
+
+
+def test_what_is_left_at_the_first_rest_is_subtracted_from_every_sample_and_stated():
+    record, still = worn()
+    plain, done = correct(record, CALIBRATION), correct_checked(record, CALIBRATION, offset="rest")
+    assert done.rest is not None
+    assert done.rest.stop_s < still / FS
+    np.testing.assert_allclose(plain.gyro - done.record.gyro, np.tile(done.rest.rate, (len(record), 1)), atol=1e-15)
+    np.testing.assert_array_equal(done.record.accel, plain.accel)
+    np.testing.assert_allclose(done.rest.rate, LEFT, atol=5.0 * 1e-3 / np.sqrt(15.0 * FS))
+    (note,) = (item for item in done.findings if item.code == "correct.rest_offset")
+    assert note.level == "info"
+    assert note.values["offset_dps"] == pytest.approx(np.degrees(done.rest.rate))
+    assert "left by the calibration" in note.text
+    assert np.isfinite(done.rest.covariance).all()
+
+
+def test_corrected_with_the_rest_and_oriented_is_oriented_with_the_rest():
+    record, _ = worn(2)
+    named = orient(correct(record, CALIBRATION), settings=OrientSettings(offset="rest"))
+    done = correct_checked(record, CALIBRATION, offset="rest")
+    other = orient(done.record)
+    np.testing.assert_allclose(other.q_nb, named.q_nb, atol=1e-12)
+    assert (named.time[named.still.start], named.time[named.still.stop - 1]) == (done.rest.start_s, done.rest.stop_s)
+    np.testing.assert_allclose(named.offset, done.rest.rate, atol=1e-15)
+
+
+@pytest.mark.parametrize("walk", [0.0, 2e-4], ids=["white", "coloured"])
+def test_the_stated_uncertainty_holds_for_white_and_for_coloured_noise(walk):
+    # chi square of 3 axes over 40 records: 120 degrees of freedom, 99.9 % of it lies within 0.64 and 1.45 of its mean; noise of
+    # 1 s over rests of 18 s leaves few independent values, so that their variance is known to a third: 2.2 at most
+    square = 0.0
+    for seed in range(40):
+        found = find_rest_offset(worn(seed, walk=walk)[0])
+        square += float((((found.rate - LEFT) ** 2) / np.diag(found.covariance)).sum())
+    show(
+        f"rest offset, {'coloured' if walk else 'white'} noise: chi square over its degrees",
+        f"{square / 120.0:.2f}",
+        "0.5-2.2",
+    )
+    assert 0.5 < square / 120.0 < (2.2 if walk else 1.45)
+
+
+@pytest.mark.parametrize("length", [1, 7, 333, 4000])
+def test_a_stream_finds_the_rest_of_the_whole_record_and_gives_its_bits(length, monkeypatch):
+    monkeypatch.setattr(
+        rest_module, "FOUND_IN_S", 5.0
+    )  # heads of 5, 10, 20 and 40 s: the rest does not end in the first
+    record, _ = worn(3)
+    whole = correct_checked(record, CALIBRATION, offset="rest")
+    size = max(length, 50)
+    parts = [record.part(a, min(a + size, len(record))) for a in range(0, len(record), size)]
+    before = Corrector(CALIBRATION)
+    found = find_rest_offset_in(before.push(part) for part in parts)
+    assert (found.start_s, found.stop_s) == (whole.rest.start_s, whole.rest.stop_s)
+    np.testing.assert_array_equal(found.rate, whole.rest.rate)
+    stream = Corrector(CALIBRATION, offset=found)
+    gyro = np.concatenate([stream.push(part).gyro for part in parts])
+    np.testing.assert_array_equal(gyro, whole.record.gyro)
+    read = before.state.samples
+    assert read <= len(record)
+
+
+def test_no_more_of_a_stream_is_read_than_the_search_needs(monkeypatch):
+    monkeypatch.setattr(rest_module, "FOUND_IN_S", 25.0)
+    record, _ = worn(3, motion_s=60.0)
+    stream = Corrector(CALIBRATION)
+    find_rest_offset_in(stream.push(record.part(a, a + 100)) for a in range(0, 8000, 100))
+    assert stream.state.samples < 2800
+
+
+def test_a_rest_longer_than_what_is_searched_at_first_is_taken_to_its_end(monkeypatch):
+    monkeypatch.setattr(rest_module, "FOUND_IN_S", 5.0)
+    assert find_rest_offset(worn(4)[0]).stop_s > 17.0
+
+
+def test_a_named_stretch_is_taken_and_refused_outside_the_recording():
+    record, _ = worn(5)
+    found = find_rest_offset(record, (2.0, 6.0))
+    assert (found.start_s, found.stop_s) == (2.0, 5.99)
+    for stretch in ((1.0, None), (3.0, 2.0), (2.0, 1e6)):
+        for find in (find_rest_offset, lambda r, s: find_rest_offset_in(iter([r]), s)):
+            with pytest.raises(InputError, match=r"wanted both, within the recording's 0 to 39\.99 s"):
+                find(record, stretch)
+    with pytest.raises(InputError, match=r"rest: wanted 10 samples at rest or more, without gaps, got 5 samples"):
+        find_rest_offset(record, (2.0, 2.05))
+    holed = replace(record, gyro=np.where(np.arange(len(record))[:, None] == 300, np.nan, record.gyro))
+    with pytest.raises(InputError, match=r"got 1 gaps \(NaN\)"):
+        find_rest_offset(holed, (2.0, 6.0))
+
+
+def test_a_recording_without_a_rest_or_without_gyroscopes_is_refused_in_one_line():
+    rng = np.random.default_rng(6)
+    shaken = Record(time=np.arange(3000) / FS, gyro=rng.normal(size=(3000, 3)), accel=9.8 + rng.normal(size=(3000, 3)))
+    with pytest.raises(InputError, match=r"correct: wanted a still phase, got none: .* record with a pause") as raised:
+        correct(shaken, CALIBRATION, offset="rest")
+    assert "\n" not in str(raised.value)
+    only = Record(time=np.arange(300) / FS, accel=np.tile([0.0, 0.0, 9.8], (300, 1)))
+    with pytest.raises(InputError, match="rest: wanted gyroscope readings and their calibration, got none"):
+        correct(only, CALIBRATION, offset="rest")
+    with pytest.raises(InputError, match="rest: wanted a recording, got no samples"):
+        find_rest_offset_in(iter(()))
