@@ -188,7 +188,9 @@ class StaticDrift:
     temp_c: FloatArray  # (n,), nodes, degC, increasing
     gyro_offset: FloatArray | None = None  # (n, 3), reading at zero input, raw unit
     accel_offset: FloatArray | None = None
-    gyro_uncertainty: FloatArray | None = None  # (n, 3), standard uncertainty of each node for a visit to come, raw unit
+    gyro_uncertainty: FloatArray | None = (
+        None  # (n, 3), standard uncertainty of each node for a visit to come, raw unit
+    )
     accel_uncertainty: FloatArray | None = None
     gyro_extrapolated: BoolArray | None = None  # (n,), true where no data were near the node
     accel_extrapolated: BoolArray | None = None

@@ -119,6 +119,49 @@ def test_two_set_points_are_a_line_and_many_or_a_sweep_give_no_finding():
     assert len(set_points_of(np.linspace(20.0, 40.0, 100))) == 0
 
 
+def courses(rng, *, jagged=0.0, visit=0.0, stated=NOISE):
+    """Twelve set-points in random order, six times each: a step from one block to the next."""
+    points = np.linspace(18.0, 75.0, 12)
+    own = jagged * rng.normal(size=(12, 3))
+    order = np.concatenate([rng.permutation(12) for _ in range(6)])
+    gyro = (points[order, None] - 40.0) * SLOPE + own[order] + np.hypot(visit, NOISE) * rng.normal(size=(72, 3))
+    return blocks(points[order], gyro, noise=stated, time=600.0 * np.arange(72.0))
+
+
+def test_soaks_left_out_that_disagree_with_the_stated_uncertainty_are_a_finding():
+    def of(**changes):
+        fit = fit_static(courses(np.random.default_rng(6), **changes), nodes=np.arange(20.0, 75.0, 5.0))
+        return [item for item in fit.verdict.findings if item.code.startswith("drift.left_out")], fit.gyro.curve.spline
+
+    # what visits add is found, and stated; a curve of random steps is not smooth, and six visits to each step share it
+    assert of(visit=0.02)[0] == []
+    (above,), spline = of(jagged=0.02)
+    assert (above.code, above.level, above.values["groups"]) == ("drift.left_out_above", "warn", 12)
+    assert above.values["ratio"] == pytest.approx(spline.leave_out_ratio)
+    assert above.text.startswith("Soaks left out in turn are missed by ")
+    # the rows' noise stated thirty times too large: chance makes them agree as well once in a million
+    (below,), _ = of(stated=30.0 * NOISE)
+    assert (below.code, below.level) == ("drift.left_out_below", "info")
+
+
+def test_a_log_through_soaks_and_ramps_shows_what_soaks_add():
+    # Twelve soaks of an hour and ramps of half an hour in one log; what a soak adds goes over to the next along the ramp.
+    inside = []
+    for seed in range(12):
+        rng, points = np.random.default_rng(seed), np.linspace(18.0, 75.0, 12)
+        own = np.repeat(0.02 * rng.normal(size=(12, 3)), 2, axis=0)
+        knots = (5400.0 * np.arange(12)[:, None] + [0.0, 3600.0]).ravel()
+        time = np.arange(0.0, knots[-1], 10.0)
+        temp = np.interp(time, knots, np.repeat(points, 2))
+        add = np.column_stack([np.interp(time, knots, column) for column in own.T])
+        gyro = (temp[:, None] - 40.0) * SLOPE + add + NOISE * rng.normal(size=add.shape)
+        fit = fit_static(blocks(temp, gyro, noise=NOISE, time=time), nodes=points)
+        to_come = (points[:, None] - 40.0) * SLOPE + 0.02 * rng.normal(size=(12, 3))
+        inside.append(np.abs(fit.table.gyro_offset - to_come) <= 1.96 * fit.table.gyro_uncertainty)
+    show("visits to come inside what a log through soaks states", f"{np.mean(inside):.3f}", "0.88-1")
+    assert np.mean(inside) >= 0.88  # 36 curves of twelve soaks: 0.95 +- 0.03; 0.16 where the log counts as one ramp
+
+
 def test_poses_that_disagree_are_reported_with_their_size_and_the_likely_reason():
     model = replace(device(unit="rad/s"), accel=None)
     model = replace(model, gyro=replace(model.gyro, g_sensitivity=None))

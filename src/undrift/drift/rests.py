@@ -83,6 +83,8 @@ _LEAST_WIDTH_C = 0.5  # narrowest cell
 _MOST_CELLS = 100  # cells are widened until there are about as many; the fit takes the cube of their number
 _SURE = 2.0  # standard uncertainties of s2, from which it is taken as known
 _LEFT_C = 2.0  # a cell that was left by this much and come back to is two visits; a step by as much begins another leg
+_HELD_C = 0.5  # a soak stays within this of its mean
+_LONG, _LEAST_SOAKS = 3.0, 5  # times as long as a stretch of a ramp; temperatures from which a log is one of soaks
 _MOST_GROUPS = 20  # groups of neighbouring cells that are left out in turn
 _APART_S = 60.0  # in one cell and pose: a later block belongs to another rest
 _NONE = 1e-6  # singular value of shares: poses that no cell compares
@@ -238,7 +240,8 @@ def gather(
     chunk = np.floor(np.log2(np.maximum(blocks.power_on_s / chunk_s, 0.5)))
     labels = np.column_stack((blocks.session, np.round(direction), chunk)).astype(np.int64)
     key = np.unique(labels, axis=0, return_inverse=True)[1].reshape(-1)
-    parts = [np.flatnonzero(key == k) for k in range(key.max() + 1)]
+    leg = _legs(blocks)
+    parts = [np.flatnonzero((key == k) & (leg >= 0)) for k in np.unique(key[leg >= 0])]
     width = max(_LEAST_WIDTH_C, sum(float(np.ptp(blocks.temp_c[rows])) for rows in parts) / _MOST_CELLS)
     members = _visits(blocks, parts, width)
     if len(members) > 1.5 * _MOST_CELLS:
@@ -263,7 +266,11 @@ def gather(
     instability = None if seen is None else np.maximum(*seen)
     if instability is None:
         instability = _from_pairs(blocks, rests, labels, level, variance)
-    visits, within, usual = _legs(blocks, members)
+    visits = (leg[[rows[0] for rows in members]][:, None] == leg[[rows[0] for rows in members]]).astype(float)
+    within = _correlation(blocks, members)
+    usual = float(np.mean(np.diag(within)))
+    if visits.all():  # what one leg adds is a constant: the size of the instability within it is found instead
+        visits, within = within / usual, np.zeros_like(within)
     known = np.zeros(3) if instability is None else instability
     sure = np.zeros(3) if seen is None else np.where(seen[0] > _SURE * seen[1], seen[0], 0.0)
     between = _rest_scatter(blocks, rests, labels, level, variance, instability)
@@ -307,17 +314,38 @@ def _visits(blocks: RestBlocks, parts: list[IntArray], width: float) -> list[Int
     return visits
 
 
-def _legs(blocks: RestBlocks, members: list[IntArray]) -> tuple[FloatArray, FloatArray, float]:
-    """Return the correlation of what legs add, and C, both (n, n), and the mean of C's diagonal; without legs, C for both."""
+def _legs(blocks: RestBlocks) -> IntArray:
+    """Return which leg each block belongs to, (n,); -1 for ramps between the soaks of a log that has many."""
     order = np.lexsort((blocks.time, blocks.session))
     step = (np.abs(np.diff(blocks.temp_c[order])) > _LEFT_C) | (np.diff(blocks.session[order]) != 0)
-    number = np.empty(len(blocks), np.int64)
-    number[order] = np.concatenate(([0], np.cumsum(step)))
-    leg, correlation = number[[rows[0] for rows in members]], _correlation(blocks, members)
-    usual = float(np.mean(np.diag(correlation)))
-    if (leg == leg[0]).all():  # what one leg adds is a constant: the size of the instability within it is found instead
-        return correlation / usual, np.zeros_like(correlation), usual
-    return (leg[:, None] == leg).astype(float), correlation, usual
+    number, count = np.empty(len(blocks), np.int64), 0
+    for rows in np.split(order, np.flatnonzero(step) + 1):
+        own = _soaks_of(blocks.time[rows], blocks.temp_c[rows])
+        number[rows] = np.where(own < 0, -1, own + count)
+        count += int(own.max()) + 1
+    return number
+
+
+def _soaks_of(time: FloatArray, temp_c: FloatArray) -> IntArray:
+    """Return which soak each block of one log belongs to, (n,) in order of time, -1 between two; all 0 where they are few.
+
+    A soak stays near its mean for three times as long as usual stretches do.
+    """
+    ends, total = [0], 0.0
+    for k, temp in enumerate(temp_c.tolist()):
+        if k > ends[-1] and abs(temp - total / (k - ends[-1])) > _HELD_C:
+            ends.append(k)
+            total = 0.0
+        total += temp
+    stretch = np.repeat(np.arange(len(ends)), np.diff([*ends, len(time)]))
+    length = np.bincount(stretch, np.gradient(time)) if len(time) > 1 else np.zeros(1)
+    middle = np.array([np.median(part) for part in np.split(temp_c, ends[1:])])
+    held = length >= _LONG * np.quantile(length, 0.25)
+    if np.count_nonzero(np.diff(np.sort(middle[held])) > _LEFT_C) < _LEAST_SOAKS - 1:
+        return np.zeros(len(time), np.int64)
+    new = held & ~np.append(False, held[:-1] & (np.abs(np.diff(middle)) <= _LEFT_C))
+    soak = np.where(held, np.cumsum(new) - 1, -1)[stretch]
+    return np.where(np.abs(temp_c - middle[stretch]) <= 0.5 * _HELD_C, soak, -1)
 
 
 def instability_of(blocks: RestBlocks, value: FloatArray, variance: FloatArray) -> FloatArray | None:
@@ -333,6 +361,7 @@ def _second_differences(
     step = np.diff(blocks.time)
     usual = float(np.median(step)) if len(step) else 0.0
     follows = (np.abs(step - usual) < 0.2 * usual) & (np.diff(blocks.session) == 0) & (np.diff(blocks.pose) == 0)
+    follows &= np.abs(np.diff(blocks.temp_c)) < _LEFT_C  # soaks of one row each follow each other by steps
     smooth = np.abs(np.diff(blocks.temp_c, 2)) < _SMOOTH_C if len(blocks) > 2 else np.zeros(0, bool)
     middle = np.flatnonzero(follows[1:] & follows[:-1] & smooth) + 1
     if len(middle) < _LEAST_TRIPLES:

@@ -51,6 +51,8 @@ _SLOPE_POINTS = 60
 _CHUNK_S = 120.0  # cells are cut there and at its doubles where a warm-up is fitted
 _SIGNIFICANT = 3.0  # standard uncertainties, on one axis or more
 _LEAST_OWN = 0.05  # of the variance of exp(-t / tau) that temperature does not explain
+_CHANCE = 1e-3  # of soaks that are missed by as much although the stated uncertainty is right
+_LEAST_LEFT_OUT, _FAR_BELOW = 5, 1.0 / 3.0  # soaks that are judged by; error over stated, on all axes
 _KNOTS = 6
 _NODES = 13
 _SPAN = 5.0  # time constants that a table covers
@@ -304,6 +306,7 @@ def fit_curve(offsets: Offsets, *, warm_up: bool) -> OffsetCurve:
     elif turn_on.bounded.any():
         axes = tuple(axis for axis, held in zip(AXES, turn_on.bounded, strict=True) if held)
         found.append(finding("drift.turn_on_bound", "info", sessions=turn_on.sessions, axes=axes))
+    found += _left_out_findings(spline)
     return OffsetCurve(
         spline=spline,
         cells=cells,
@@ -344,6 +347,19 @@ def _fitted(offsets: Offsets, state: FloatArray | None, tau: float | None) -> tu
         scatter=Scatter(correlation=cells.visits, expected=cells.expected, shared=shared),
     )
     return cells, spline, turn_on
+
+
+def _left_out_findings(spline: SmoothSpline) -> list[Finding]:
+    """Return the finding that soaks, left out in turn, are missed by more or by far less than is stated."""
+    from scipy.special import chdtri
+
+    count, ratio = spline.groups_left_out, spline.leave_out_ratio
+    if count < _LEAST_LEFT_OUT or np.isnan(ratio).any():
+        return []
+    size = {"ratio": ratio, "groups": count}
+    if ratio.max() > np.sqrt(chdtri(count, _CHANCE / len(ratio)) / count):
+        return [finding("drift.left_out_above", "warn", **size)]
+    return [finding("drift.left_out_below", "info", **size)] if ratio.max() < _FAR_BELOW else []
 
 
 def _no_loop(blocks: RestBlocks, state: FloatArray) -> Finding:

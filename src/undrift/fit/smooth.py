@@ -5,10 +5,10 @@
     u: what one visit to a temperature adds and the next does not, variance s2, correlation C;  e: known covariance
 
 a, b, c have no prior; g, the bow, a wide one about 0, as drift curves are parabolas first of all: its slope changes by as much as
-its mean over 10 K. Of the two sizes that only the rows can show every one is as likely beforehand, as a standard deviation
-(Gelman 2006), up to a limit: sqrt(s2) up to twice what is expected, or 0.1 % of the range of the values; sqrt(q) up to bends by
-which a curve over 50 K departs from its parabola by 0.2 % of the range, root-mean-square; both further by what the residuals about
-a parabola leave open, which three points do not have.
+its mean over 10 K. The two sizes that only the rows can show have half-t priors of three degrees of freedom (Gelman 2006). Scale of
+sqrt(s2): three times what is expected, which is 0.1 % of the range of the values and 0.8 times the noise of a row at least; of
+sqrt(q): bends by which a curve over 50 K departs from its parabola by 0.25 % of the range, root-mean-square. Neither is larger than
+the residuals about a parabola leave open.
 
 Restricted likelihood (Harville 1977): with A orthonormal, A' (1, x, Z) = 0, the contrasts A'y know nothing of a, b and c. For each
 s2, one eigendecomposition makes A' K A = q W^-T diag(l) W^-1 + W^-T W^-1, so that every q costs n products::
@@ -32,10 +32,13 @@ _JITTER = 1e-11  # of the variance of the values: keeps a curve through exact va
 _ENDS = np.array([-0.5, -0.4, 0.4, 0.5])  # scaled temperature: where the slope at either end of the data is taken
 _BOW_SPAN_C = 10.0  # of the bow: the slope changes by as much as the mean slope over this span
 _BEND_SPAN_C = 50.0
-_DEPARTURE = 2e-3  # of the range of the values over a span of 50 K: most by which a curve departs from its parabola where nothing shows it
+_DEPARTURE = (
+    2.5e-3  # of the range of the values over a span of 50 K: by which a curve usually departs from its parabola
+)
 _PER_BEND = 0.0202  # that departure, root-mean-square, for q = 1
-_VISITS = 1e-3  # of the range: scatter of visits that is expected at least
-_MOST = 2.0  # times what is expected of visits, and rms residuals about the parabola: what visits add is not larger
+_VISITS, _OF_NOISE = 1e-3, 0.8  # of the range, and of the noise of a row: scatter of visits that is expected at least
+_USUAL = 3.0  # times what is expected of visits: the scale of their prior
+_MOST = 1.5  # times what is expected of visits, and rms residuals about the parabola: what visits add is not larger
 _LEAST = 0.03  # of what is expected: the least
 _LEVELS, _BENDS = 8, 24  # of the grid over s2, in each of two rounds, and over q
 _NEGLIGIBLE = 1e-4  # weight
@@ -102,7 +105,9 @@ class SmoothSpline:
     coefficient_uncertainty: FloatArray  # (p, k), standard uncertainty of each
     visit_deviation: FloatArray  # (k,), root of the mean s2: what a visit to come adds, unit of the values
     leave_out_rms: FloatArray  # (k,), error of groups left out between others, unit of the values; NaN without any
-    leave_out_ratio: FloatArray  # (k,), rms of the errors of all groups left out, each over its stated deviation
+    leave_out_ratio: (
+        FloatArray  # (k,), rms of the errors of the means of all groups left out, each over its stated deviation
+    )
     groups_left_out: int  # how many groups that ratio comes from
 
     def at(self, temp_c: FloatArray) -> NodeValues:
@@ -246,21 +251,21 @@ def _weighed(
     bent = np.column_stack((basis, parabola(x)))
     left = y - bent @ np.linalg.lstsq(bent, y, rcond=None)[0]
     rms = float(np.sqrt(left @ left / max(len(y) - bent.shape[1], 1)))
-    expected = max(expected, _VISITS * size)
+    expected = max(expected, _VISITS * size, _OF_NOISE * noise)
     usual = _DEPARTURE * size * np.sqrt(span / _BEND_SPAN_C) / _PER_BEND
     # rows of one visit, which share u, show it by the mean of their residuals
     shown = (
         max(float(left @ correlation @ left), 0.0) * len(y) / max(float(left @ left), 1e-300) / (correlation**2).sum()
     )
-    # with what is known, visits make no more than twice the residuals, bends no more than these
+    # with what is known, visits make no more than 1.5 times the residuals, bends no more than these
     visits, bends = (float(np.sqrt(max(rms**2 * part - noise**2, 0.0))) for part in (_MOST**2 * shown, 1.0))
-    most = _MOST * expected + visits, usual + bends / _PER_BEND
-    levels, roots = np.geomspace(_LEAST * expected, most[0], _LEVELS), np.geomspace(_LEAST * usual, most[1], _BENDS)
+    levels: FloatArray = np.geomspace(_LEAST * expected, _MOST * expected + visits, _LEVELS)
+    roots: FloatArray = np.geomspace(_LEAST * usual, usual + bends / _PER_BEND, _BENDS)
     parts = contrasts(x, basis)
     fixed = known + bow * np.outer(parabola(x), parabola(x))
     for last in (False, True):
         eigen, turn, log = likelihood(parts, y, x, fixed, correlation, roots**2, levels**2)
-        prior = np.log(levels)[:, None] + np.log(roots)  # of the logarithms
+        prior = _half_t(levels, _USUAL * expected)[:, None] + _half_t(roots, usual)
         weight = np.exp(log + prior - (log + prior).max())
         if not last:
             levels, roots = _finer(levels, weight.sum(axis=1)), _finer(roots, weight.sum(axis=0))
@@ -278,6 +283,11 @@ def _weighed(
         size=eigen[kept],
         turn=turn[kept],
     )
+
+
+def _half_t(root: FloatArray, scale: float) -> FloatArray:
+    """Return the logarithm of the half-t density of three degrees of freedom, of log(root)."""
+    return np.asarray(np.log(root) - 2.0 * np.log1p((root / scale) ** 2 / 3.0))
 
 
 def _finer(root: FloatArray, weight: FloatArray) -> FloatArray:
@@ -365,7 +375,7 @@ def _sum_of_products(one: FloatArray, two: FloatArray) -> FloatArray:
 
 
 def leave_out(column: Column, groups: IntArray) -> tuple[float, float]:
-    """Return the rms error of groups that are left out between others, and the rms of all errors over their deviations.
+    """Return the rms error of groups left out between others, and the rms of the errors of all groups' means over their deviations.
 
     NaN where no group can be left out: the others do not determine a line and the regressors.
     """
@@ -378,9 +388,9 @@ def leave_out(column: Column, groups: IntArray) -> tuple[float, float]:
         others = column.basis[groups != number]
         if len(others) < others.shape[1] or np.linalg.matrix_rank(others) < others.shape[1]:
             continue
-        precision, own = p[np.ix_(inside, inside)], p[inside] @ column.y
-        error = np.linalg.solve(precision, own)
-        scaled.append(float(own @ error) / len(inside))
+        stated = np.linalg.inv(p[np.ix_(inside, inside)])
+        error = stated @ p[inside] @ column.y
+        scaled.append(float(error.mean() ** 2 / stated.mean()))
         between += [] if number in ends else (error**2).tolist()
     nothing = float("nan")
     return tuple(float(np.sqrt(np.mean(each))) if each else nothing for each in (between, scaled))  # type: ignore[return-value]
