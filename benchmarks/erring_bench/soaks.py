@@ -32,7 +32,7 @@ _HOLD_S, _RAMP_S = 400, 600  # before the rest of a soak, and between two
 
 
 def rows(devices: int, seed: int) -> Iterator[Row]:
-    """Yield a row for each number of visits, effects, length of soak and scatter; one draw of devices serves all rows of a course."""
+    """Yield a row for each course, length of soak and scatter; one draw of devices serves all rows of a course."""
     for visits, course in ((1, POINTS), (2, np.concatenate((POINTS, POINTS[-2::-1])))):
         for effects in (False, True):
             name = ("once" if visits == 1 else "twice") + (", loop, ADC, filter" if effects else "")

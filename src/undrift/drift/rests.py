@@ -16,12 +16,14 @@ of equal variance with time constants tau_j half a decade apart::
     rho(t) = mean over j of exp(-t / tau_j)        C = mean of rho over the pairs of blocks of two cells, 0 across sessions
 
 Visits: a cell that the device left by 2 degC and came back to is two. Cells that follow each other without a step of temperature
-are one leg, a soak or a ramp. What one leg adds and the next does not (stress, moisture, what the law of the instability lacks over
-hours) does not average out with its rows: it has the variance s_v2, found by restricted likelihood over all legs (fit/smooth.py).
-The instability s2 C is known beside it where s2 is larger than twice its uncertainty. One leg alone, a ramp, shows no s_v2; then s2
-is found by restricted likelihood, and what it makes in one visit stands for s_v2.
+are one leg, a soak or a ramp; a log through five soaks or more counts by its soaks, and the ramps between are left out. What one
+leg adds and the next does not (stress, moisture, what the law of the instability lacks over hours) does not average out with its
+rows: it has the variance s_v2, found by restricted likelihood over all legs (fit/smooth.py). The instability s2 C is known beside
+it where s2 is larger than twice its uncertainty. One leg alone, a ramp, shows no s_v2; then s2 is found by restricted likelihood,
+and what it makes in one visit stands for s_v2.
 
-The size s2 of the instability comes from second differences of neighbouring blocks, which no smooth ramp moves, where the temperature is smooth too::
+The size s2 of the instability comes from second differences of neighbouring blocks where the temperature is smooth: a ramp moves
+none of them::
 
     mean (y_(k+1) - 2 y_k + y_(k-1))^2 = 6 v + s2 (6 - 8 rho(h) + 2 rho(2 h))
 
@@ -266,12 +268,12 @@ def gather(
     instability = None if seen is None else np.maximum(*seen)
     if instability is None:
         instability = _from_pairs(blocks, rests, labels, level, variance)
-    visits = (leg[[rows[0] for rows in members]][:, None] == leg[[rows[0] for rows in members]]).astype(float)
+    leg = leg[[rows[0] for rows in members]]
+    visits = (leg[:, None] == leg).astype(float)
     within = _correlation(blocks, members)
     usual = float(np.mean(np.diag(within)))
     if visits.all():  # what one leg adds is a constant: the size of the instability within it is found instead
         visits, within = within / usual, np.zeros_like(within)
-    known = np.zeros(3) if instability is None else instability
     sure = np.zeros(3) if seen is None else np.where(seen[0] > _SURE * seen[1], seen[0], 0.0)
     between = _rest_scatter(blocks, rests, labels, level, variance, instability)
     return Cells(
@@ -283,7 +285,7 @@ def gather(
         visits=visits,
         wander=sure[:, None, None] * within,
         groups=groups,
-        expected=np.sqrt(known * usual),
+        expected=np.sqrt((np.zeros(3) if instability is None else instability) * usual),
         between=between,
     )
 
