@@ -38,7 +38,7 @@ _DEPARTURE = (
 _PER_BEND = 0.0202  # that departure, root-mean-square, for q = 1
 _VISITS, _OF_NOISE = 1e-3, 0.8  # of the range, and of the noise of a row: scatter of visits that is expected at least
 _USUAL = 3.0  # times what is expected of visits: the scale of their prior
-_MOST = 1.5  # times what is expected of visits, and rms residuals about the parabola: what visits add is not larger
+_MOST = 1.5  # times the rms residuals about the parabola: visits add no more, beside what is expected
 _LEAST = 0.03  # of what is expected: the least
 _LEVELS, _BENDS = 8, 24  # of the grid over s2, in each of two rounds, and over q
 _NEGLIGIBLE = 1e-4  # weight
@@ -259,7 +259,7 @@ def _weighed(
     )
     # with what is known, visits make no more than 1.5 times the residuals, bends no more than these
     visits, bends = (float(np.sqrt(max(rms**2 * part - noise**2, 0.0))) for part in (_MOST**2 * shown, 1.0))
-    levels: FloatArray = np.geomspace(_LEAST * expected, _MOST * expected + visits, _LEVELS)
+    levels: FloatArray = np.geomspace(_LEAST * expected, expected + visits, _LEVELS)
     roots: FloatArray = np.geomspace(_LEAST * usual, usual + bends / _PER_BEND, _BENDS)
     parts = contrasts(x, basis)
     fixed = known + bow * np.outer(parabola(x), parabola(x))
