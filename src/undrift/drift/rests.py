@@ -217,7 +217,7 @@ class Cells:
     variance: FloatArray  # (n, 3), of it, from the noise inside the blocks, raw unit squared
     regressors: FloatArray  # (n, p), means of what was given for each block
     visits: FloatArray  # (n, n), correlation of what legs add; 1 within one
-    wander: FloatArray  # (3, n, n), covariance by the bias instability where it is significant, raw unit squared
+    instability: FloatArray  # (3, n, n), covariance by the bias instability where it is significant, raw unit squared
     groups: IntArray  # (n,), neighbours in temperature
     # (3,), standard deviation that bias instability gives a leg, raw unit; 0 where too few blocks follow each other or share a cell
     # and a pose
@@ -283,7 +283,7 @@ def gather(
         variance=found if between is None else found + between.own,
         regressors=np.array([regressors[rows].mean(axis=0) for rows in members]),
         visits=visits,
-        wander=sure[:, None, None] * within,
+        instability=sure[:, None, None] * within,
         groups=groups,
         expected=np.sqrt((np.zeros(3) if instability is None else instability) * usual),
         between=between,
@@ -545,7 +545,7 @@ def between_sessions(cells: Cells) -> TurnOn:
             cells.variance,
             regressors=np.column_stack(((cells.session[:, None] == numbers) @ shifts, cells.regressors)),
             groups=cells.groups,
-            scatter=Scatter(correlation=cells.visits, expected=cells.expected, shared=cells.wander),
+            scatter=Scatter(correlation=cells.visits, expected=cells.expected, shared=cells.instability),
         )
     except NotObservable:
         return unknown

@@ -333,7 +333,7 @@ def _fitted(offsets: Offsets, state: FloatArray | None, tau: float | None) -> tu
         step_error=offsets.step_error,
         chunk_s=np.inf if tau is None else _CHUNK_S,
     )
-    turn_on, shared = None, cells.wander if cells.between is None else cells.wander + cells.between.shared
+    turn_on, shared = None, cells.instability if cells.between is None else cells.instability + cells.between.shared
     if len(np.unique(cells.session)) > 1:
         turn_on = between_sessions(cells)
         of_sessions = np.nan_to_num(turn_on.variance)[:, None, None] * (cells.session[:, None] == cells.session)

@@ -6,8 +6,8 @@
 
 a, b, c have no prior; g, the bow, a wide one about 0, as drift curves are parabolas first of all: its slope changes by as much as
 its mean over 10 K. The two sizes that only the rows can show have half-t priors of three degrees of freedom (Gelman 2006). Scale of
-sqrt(s2): three times what is expected, which is 0.1 % of the range of the values and 0.8 times the noise of a row at least; of
-sqrt(q): bends by which a curve over 50 K departs from its parabola by 0.25 % of the range, root-mean-square. Neither is larger than
+sqrt(s2): 3.1 times what is expected, which is 0.1 % of the range of the values and 0.78 times the noise of a row at least; of
+sqrt(q): bends by which a curve over 50 K departs from its parabola by 0.247 % of the range, rms. Neither is larger than
 the residuals about a parabola leave open.
 
 Restricted likelihood (Harville 1977): with A orthonormal, A' (1, x, Z) = 0, the contrasts A'y know nothing of a, b and c. For each
@@ -32,13 +32,14 @@ _JITTER = 1e-11  # of the variance of the values: keeps a curve through exact va
 _ENDS = np.array([-0.5, -0.4, 0.4, 0.5])  # scaled temperature: where the slope at either end of the data is taken
 _BOW_SPAN_C = 10.0  # of the bow: the slope changes by as much as the mean slope over this span
 _BEND_SPAN_C = 50.0
-_DEPARTURE = (
-    2.5e-3  # of the range of the values over a span of 50 K: by which a curve usually departs from its parabola
-)
+_DEPARTURE = 2.47e-3  # of the range of the values over 50 K: by which a curve usually departs from its parabola
 _PER_BEND = 0.0202  # that departure, root-mean-square, for q = 1
-_VISITS, _OF_NOISE = 1e-3, 0.8  # of the range, and of the noise of a row: scatter of visits that is expected at least
-_USUAL = 3.0  # times what is expected of visits: the scale of their prior
-_MOST = 1.5  # times the rms residuals about the parabola: visits add no more, beside what is expected
+_VISITS, _OF_NOISE = 1e-3, 0.78  # of the range, and of the noise of a row: scatter of visits that is expected at least
+_USUAL = 3.1  # times what is expected of visits: the scale of their prior
+_MOST, _BESIDE = (
+    1.5,
+    1.29,
+)  # times the rms residuals about the parabola, and times what is expected: visits add no more than both
 _LEAST = 0.03  # of what is expected: the least
 _LEVELS, _BENDS = 8, 24  # of the grid over s2, in each of two rounds, and over q
 _NEGLIGIBLE = 1e-4  # weight
@@ -259,7 +260,7 @@ def _weighed(
     )
     # with what is known, visits make no more than 1.5 times the residuals, bends no more than these
     visits, bends = (float(np.sqrt(max(rms**2 * part - noise**2, 0.0))) for part in (_MOST**2 * shown, 1.0))
-    levels: FloatArray = np.geomspace(_LEAST * expected, expected + visits, _LEVELS)
+    levels: FloatArray = np.geomspace(_LEAST * expected, _BESIDE * expected + visits, _LEVELS)
     roots: FloatArray = np.geomspace(_LEAST * usual, usual + bends / _PER_BEND, _BENDS)
     parts = contrasts(x, basis)
     fixed = known + bow * np.outer(parabola(x), parabola(x))
