@@ -312,7 +312,7 @@ def _one_rate(along: FloatArray) -> bool:
 
 
 def of_one_rate(steps: Steps) -> BoolArray:
-    """Tell which rows are of a mounting that turned at one rate, one way round: they do not show their own zero."""
+    """Tell which rows belong to a mounting that turned at one rate, one way round: they do not show their own zero."""
     alone = [m for m in np.unique(steps.mounting) if _one_rate(steps.along[steps.mounting == m])]
     return np.isin(steps.mounting, alone)
 
