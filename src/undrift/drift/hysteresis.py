@@ -14,8 +14,8 @@ stands still.
 
 Estimate: w on a grid, with h a regressor beside the spline; n log(residuals), n the groups of neighbouring temperatures, gives each
 w its weight; mean and spread of log w are the estimate and its uncertainty. Set-points further apart than w cannot tell it.
-Three models are compared by the errors of set-points left out: the middle of the loop, a constant h, and an h that changes with
-temperature, as a thermometer that lags leaves one. A model with more parameters has to be better by 2 %.
+Three models are compared by their errors in bands of temperature left out: the middle of the loop, a constant h, and an h that
+changes with temperature, as a thermometer that lags leaves one. A model with more parameters has to be better by 2 %.
 """
 
 import math
@@ -25,7 +25,7 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 
-from undrift.arrays import FloatArray
+from undrift.arrays import BoolArray, FloatArray
 from undrift.drift.observe import RestBlocks
 from undrift.drift.rests import Cells, TurnOn
 from undrift.errors import InputError, NotObservable
@@ -34,11 +34,14 @@ from undrift.model import Hysteresis
 
 TempHistory: TypeAlias = Literal["warming", "cooling"] | Sequence[float]
 Fitted: TypeAlias = tuple[Cells, SmoothSpline, TurnOn | None]
+# Fits the rows (n,) of the blocks with regressors (n, p) or none; blocks of different positions (n,) are not averaged
+Fit: TypeAlias = Callable[[BoolArray, FloatArray | None, FloatArray], Fitted]
 
 SETTLE_S = 1.0  # readings whose mean begins the course of the temperature
 SMOOTH_S = 30.0
-_CROSSINGS_K = 2.0 ** np.arange(0.0, 4.1, 0.5)
+_CROSSINGS_K = 2.0 ** np.arange(0.0, 4.1)
 _BETTER = 0.98  # times the error of a model with fewer parameters
+_BANDS = 12  # of temperature, left out by thirds
 _PLACES = 200  # of the curve, between which it is taken as straight
 
 
@@ -121,28 +124,24 @@ class LoopChoice:
     left_out_middle: FloatArray  # (3,), and of the middle of the loop
 
 
-def choose_loop(
-    blocks: RestBlocks, value: FloatArray, fitted: Callable[[FloatArray | None], Fitted]
-) -> LoopChoice | None:
+def choose_loop(blocks: RestBlocks, value: FloatArray, fitted: Fit) -> LoopChoice | None:
     """Choose among the middle of the loop, a constant and a changing half-width; None where none can be left out.
 
-    value (n, 3) of the blocks, raw unit; fitted takes regressors, (n, p) of the blocks, the first of them the position.
+    value (n, 3) of the blocks, raw unit.
     """
     low_c, high_c = float(blocks.temp_c.min()), float(blocks.temp_c.max())
     scaled = (2.0 * blocks.temp_c - low_c - high_c) / (high_c - low_c)
     try:
-        middle = fitted(None)
         crossing, doubt = _crossing(blocks, value, fitted)
         position = in_loop(blocks, crossing)
-        one, two = fitted(position[:, None]), fitted(np.column_stack((position, position * scaled)))
+        models = (None, position[:, None], np.column_stack((position, position * scaled)))
+        errors = [_left_out(blocks, value, fitted, model, position) for model in models]
+        best = 0
+        for k in (1, 2):
+            best = k if np.log(errors[k] / errors[best]).mean() < math.log(_BETTER) else best
+        chosen = fitted(np.ones(len(blocks), bool), models[best], position)
     except NotObservable:
         return None
-    errors = [np.exp(np.log(made[1].leave_out_rms).mean()) for made in (middle, one, two)]
-    if not np.isfinite(errors).all():
-        return None
-    best = 1 if errors[1] < _BETTER * errors[0] else 0
-    best = 2 if errors[2] < _BETTER * errors[best] else best
-    chosen = (middle, one, two)[best]
     hysteresis = None
     if best:
         half, own = (x[:best] for x in (chosen[1].coefficient, chosen[1].coefficient_uncertainty))
@@ -154,12 +153,33 @@ def choose_loop(
             gyro_half_width=ends @ half,
             gyro_uncertainty=np.sqrt(ends**2 @ own**2),
         )
-    return LoopChoice(
-        fitted=chosen,
-        hysteresis=hysteresis,
-        left_out=chosen[1].leave_out_rms,
-        left_out_middle=middle[1].leave_out_rms,
-    )
+    return LoopChoice(fitted=chosen, hysteresis=hysteresis, left_out=errors[best], left_out_middle=errors[0])
+
+
+def _left_out(
+    blocks: RestBlocks, value: FloatArray, fitted: Fit, columns: FloatArray | None, position: FloatArray
+) -> FloatArray:
+    """Return the rms error, (3,), of means of a band of temperature and a side of the loop, every third band left out in turn."""
+    low, span = blocks.temp_c.min(), np.ptp(blocks.temp_c)
+    band = np.minimum((blocks.temp_c - low) * (_BANDS / span), _BANDS - 1).astype(np.int64)
+    means = []
+    for turn in range(3):
+        held = (band % 3 == turn) & (band > 0) & (band < _BANDS - 1)  # the ends are not extrapolated
+        if not held.any():
+            continue
+        error = _residual(blocks, value, fitted(~held, columns, position)[1], columns)
+        parts = 2 * band + (position > 0.0)
+        means += [error[held & (parts == part)].mean(axis=0) for part in np.unique(parts[held])]
+    if not means:
+        raise NotObservable("hysteresis: wanted temperatures between the ends, got none; record more set-points")
+    return np.asarray(np.sqrt(np.mean(np.square(means), axis=0)))
+
+
+def _residual(blocks: RestBlocks, value: FloatArray, spline: SmoothSpline, columns: FloatArray | None) -> FloatArray:
+    places = np.linspace(blocks.temp_c.min(), blocks.temp_c.max(), _PLACES)
+    middle = [np.interp(blocks.temp_c, places, curve) for curve in spline.at(places).value.T]
+    loop = 0.0 if columns is None else columns @ spline.coefficient[: columns.shape[1]]
+    return np.asarray(value - np.column_stack(middle) - loop)
 
 
 def in_loop(blocks: RestBlocks, crossing_k: float) -> FloatArray:
@@ -172,17 +192,13 @@ def in_loop(blocks: RestBlocks, crossing_k: float) -> FloatArray:
     return position
 
 
-def _crossing(
-    blocks: RestBlocks, value: FloatArray, fitted: Callable[[FloatArray | None], Fitted]
-) -> tuple[float, float]:
+def _crossing(blocks: RestBlocks, value: FloatArray, fitted: Fit) -> tuple[float, float]:
     """Return w and its standard uncertainty, K."""
-    score, places = np.empty(len(_CROSSINGS_K)), np.linspace(blocks.temp_c.min(), blocks.temp_c.max(), _PLACES)
+    score, every = np.empty(len(_CROSSINGS_K)), np.ones(len(blocks), bool)
     for k, crossing in enumerate(_CROSSINGS_K.tolist()):
         position = in_loop(blocks, crossing)
-        cells, spline, _ = fitted(position[:, None])
-        curve = spline.at(places).value
-        middle = np.column_stack([np.interp(blocks.temp_c, places, column) for column in curve.T])
-        left = value - middle - position[:, None] * spline.coefficient[0]
+        cells, spline, _ = fitted(every, position[:, None], position)
+        left = _residual(blocks, value, spline, position[:, None])
         score[k] = -0.5 * len(np.unique(cells.groups)) * np.log((left**2).mean(axis=0)).sum()
     weight = np.exp(score - score.max())
     weight, log = weight / weight.sum(), np.log(_CROSSINGS_K)

@@ -294,12 +294,12 @@ def fit_curve(offsets: Offsets, *, warm_up: bool, correct_loop: bool = False) ->
             found.append(finding("drift.warm_up_not_observable", "info", percent=100.0 * (1.0 - own)))  # type: ignore[operator]
     loop, choice = None, None
     if seen:
-        full = _fitted(offsets, state[:, None], tau)
+        full = _fitted(offsets, state[:, None], tau, state)
         loop = Loop(half=full[1].coefficient[0], uncertainty=full[1].coefficient_uncertainty[0])
     kept = loop is not None and bool((np.abs(loop.half) > _SIGNIFICANT * loop.uncertainty).any())
     if kept and correct_loop:
         settling = 0.0 if tau is None else np.exp(-blocks.power_on_s / tau)[:, None] * full[1].coefficient[-1]
-        choice = choose_loop(blocks, offsets.value - settling, lambda columns: _fitted(offsets, columns, tau))
+        choice = choose_loop(blocks, offsets.value - settling, lambda *given: _fitted_to(offsets, tau, *given))
     if choice is not None and choice.hysteresis is not None:
         full = choice.fitted
         loop = Loop(half=full[1].coefficient[0], uncertainty=full[1].coefficient_uncertainty[0])
@@ -323,7 +323,24 @@ def fit_curve(offsets: Offsets, *, warm_up: bool, correct_loop: bool = False) ->
     )
 
 
-def _fitted(offsets: Offsets, state: FloatArray | None, tau: float | None) -> tuple[Cells, SmoothSpline, TurnOn | None]:
+def _fitted_to(
+    offsets: Offsets, tau: float | None, rows: BoolArray, state: FloatArray | None, direction: FloatArray
+) -> tuple[Cells, SmoothSpline, TurnOn | None]:
+    """Fit some of the blocks, as ``choose_loop`` asks."""
+    step = offsets.step_error
+    taken = replace(
+        offsets,
+        blocks=offsets.blocks.taken(rows),
+        value=offsets.value[rows],
+        variance=offsets.variance[rows],
+        step_error=None if step is None else step[rows],
+    )
+    return _fitted(taken, None if state is None else state[rows], tau, direction[rows])
+
+
+def _fitted(
+    offsets: Offsets, state: FloatArray | None, tau: float | None, direction: FloatArray | None = None
+) -> tuple[Cells, SmoothSpline, TurnOn | None]:
     """Fit the curve, with a loop where regressors of it are given, (n, p), and with a warm-up where its time constant is."""
     blocks = offsets.blocks
     columns = [] if state is None else list(state.T)
@@ -333,7 +350,7 @@ def _fitted(offsets: Offsets, state: FloatArray | None, tau: float | None) -> tu
         blocks,
         offsets.value,
         offsets.variance,
-        direction=np.zeros(len(blocks)) if state is None else state[:, 0],
+        direction=np.zeros(len(blocks)) if direction is None else direction,
         regressors=np.array(columns).reshape(-1, len(blocks)).T,
         step_error=offsets.step_error,
         chunk_s=np.inf if tau is None else _CHUNK_S,
