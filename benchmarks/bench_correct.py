@@ -184,7 +184,7 @@ def _tables(record: Record) -> list[Figure]:
         Figure("W2 two threads give the bits of one (1 is yes)", float(w.tobytes() == one), "", ">= 1"),
     ]
     if library:
-        figures.append(Figure("W2 correct, one thread, over C", s["one"] / s["c"], "x", "<= 1.4"))
+        figures.append(Figure("W2 correct, one thread, over C", s["one"] / s["c"], "x", "<= 1.3"))
     return figures
 
 

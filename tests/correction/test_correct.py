@@ -39,6 +39,19 @@ def test_every_step_agrees_with_the_plain_twin(drift, g, adc):
     assert not got.gyro.flags.writeable
 
 
+@pytest.mark.parametrize("n", [255, 256, 257, 700], ids=str)
+def test_records_of_more_than_one_block_agree_with_the_twin_to_their_last_sample(n):
+    r, c = record(n), device(g=True, drift=tables(scale=WILD), adc=ROUNDINGS[1])
+    got = correct_checked(r, c, policy="hold", threads=1)
+    w, a = twins.corrected(c, r.gyro, r.accel, r.temp_c)
+    np.testing.assert_allclose(got.record.gyro, w, rtol=0, atol=CLOSE)
+    np.testing.assert_allclose(got.record.accel, a, rtol=0, atol=CLOSE)
+    before_error = twins.corrected(
+        device(g=True, drift=tables(scale=WILD, dynamic=None), adc=ROUNDINGS[1]), r.gyro, r.accel, r.temp_c
+    )[0]
+    np.testing.assert_allclose(got.reach.turn_rate, (before_error.min(), before_error.max()), rtol=0, atol=CLOSE)
+
+
 def test_a_corrected_device_gives_back_the_motion_that_a_forward_model_fed_it():
     c = device(g=True)
     rng = np.random.default_rng(5)
