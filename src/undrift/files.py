@@ -237,8 +237,8 @@ def write_whole(path: Path | str, content: bytes | str) -> None:
 
 def errno_of(error: OSError) -> int | None:
     """Return the number of an error, which Arrow states in its text alone."""
-    said = re.search(r"\[errno (\d+)\]", str(error))
-    return int(said[1]) if said and error.errno is None else error.errno
+    stated = re.search(r"\[errno (\d+)\]", str(error))
+    return int(stated[1]) if stated and error.errno is None else error.errno
 
 
 def unwritten(path: Path, error: OSError, size: int) -> InputError:

@@ -105,9 +105,7 @@ def run(
         _forecast(programme, folder.done, yes)
         stack.enter_context(stopping_on_signals())
         guard = None
-        if (
-            chamber is not None or not by_hand
-        ):  # guarded before they are opened, so that they are closed before the guard goes
+        if chamber is not None or not by_hand:  # before they are opened, so that they are closed before it goes
             guard = stack.enter_context(Guard("" if by_hand else rig, chamber or ""))
         watch = Watch(StopWatch(rig), guard, programme)
         bench, called = _bench(stack, (rig, device, chamber, operator), settings, programme)

@@ -22,7 +22,7 @@ finds what it does not cover, and stream.py does the same chunk by chunk.
 import copy
 import warnings
 from dataclasses import dataclass, replace
-from typing import Literal, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
@@ -217,9 +217,7 @@ def correct(
     >>> corrected.gyro_unit, corrected.accel_unit, corrected.frame
     ('rad/s', 'm/s2', 'b')
     """
-    corrected = correct_checked(
-        record, calibration, policy=policy, out=out, power_on_s=power_on_s, offset=offset, temp_history=temp_history
-    )
+    corrected = correct_whole(record, calibration, (power_on_s, temp_history), offset, policy=policy, out=out)
     for text in corrected.warnings:
         warnings.warn(text, DriftRangeWarning, stacklevel=2)
     return corrected.record
@@ -230,7 +228,6 @@ def correct_checked(
     calibration: Calibration,
     *,
     policy: Policy = "raise",
-    out: Buffers | None = None,
     reference_span_c: float = REFERENCE_SPAN_C,
     threads: int | None = None,
     power_on_s: float | None = None,
@@ -247,8 +244,6 @@ def correct_checked(
         The device's model.
     policy : str
         "raise", "hold" or "nan".
-    out : tuple of two arrays, shape (N, 3), optional
-        Where to write rate and specific force.
     reference_span_c : float
         Without a table, warn where the temperature departs from the reference by more than this, degC.
     threads : int, optional
@@ -283,19 +278,22 @@ def correct_checked(
     >>> len(done.findings), int(done.outside.sum())
     (0, 0)
     """
-    plans = plan_record(record, calibration)
-    carry = carry_at_start(float(record.time[0]), power_on_s, calibration, temp_history)
-    done = correct_planned(
-        record,
-        calibration,
-        plans,
-        policy=policy,
-        out=out,
-        reference_span_c=reference_span_c,
-        threads=threads,
-        carry=carry,
-    )
-    return re_zeroed(done, offset, threads)
+    start = (power_on_s, temp_history)
+    how = {"policy": policy, "reference_span_c": reference_span_c, "threads": threads}
+    return correct_whole(record, calibration, start, offset, **how)
+
+
+def correct_whole(
+    record: Record,
+    calibration: Calibration,
+    start: tuple[float | None, TempHistory | None] = (None, None),
+    offset: Offset = "none",
+    **how: Any,
+) -> Corrected:
+    """Correct a record from its start, where power_on_s and temp_history are known or None; `how` is for correct_planned."""
+    carry = carry_at_start(float(record.time[0]), start[0], calibration, start[1])
+    done = correct_planned(record, calibration, plan_record(record, calibration), carry=carry, **how)
+    return re_zeroed(done, offset, how.get("threads"))
 
 
 def re_zeroed(done: Corrected, offset: Offset, threads: int | None = None) -> Corrected:

@@ -81,8 +81,8 @@ class Corrector:
         *,
         reference_span_c: float = REFERENCE_SPAN_C,
         power_on_s: float | None = None,
-        offset: RestOffset | None = None,
         temp_history: TempHistory | None = None,
+        offset: RestOffset | None = None,
     ) -> None:
         carry_at_start(0.0, power_on_s, calibration, temp_history)  # refused now rather than at the first chunk
         self._calibration, self._policy, self._span = calibration, policy, reference_span_c

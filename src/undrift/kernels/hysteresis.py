@@ -16,7 +16,7 @@ from undrift.kernels.correct import ONE, SIX, THREE, TWO, Grid, cell
 def follow(
     temp: FloatArray, time: FloatArray, crossing: float, settle: float, smooth: float, state: FloatArray, out: FloatArray
 ) -> None:  # fmt: skip
-    # state: first and last time, readings so far, their mean, where low and high were last moved, low, high. The mean is of all
+    # state: first and last time, readings so far, their mean, where low and high were last moved, low, high. The mean takes all
     # readings until settle, then exponential; low and high are moved from settle on, and before that only for the output.
     first, last, count, mean, at, low, high = state
     for k in range(temp.size):

@@ -42,7 +42,7 @@ def place_of(address: str) -> str:
 
 @contextmanager
 def one_run(address: str, what: str) -> Iterator[None]:
-    """Hold the lock of a table; a second run is refused before anything is sent. `what` is said to it."""
+    """Hold the lock of a table; a second run is refused before anything is sent, with `what` this one is."""
     if parse_address(address)[0] == "manual" or os.name != "posix":  # on Windows the controller alone is asked
         yield
         return
