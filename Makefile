@@ -4,7 +4,7 @@ VENV ?= .venv
 BIN = $(VENV)/bin
 INSTALLED = $(VENV)/.installed
 
-.PHONY: demo test test-long test-all check mutants benchmark clean
+.PHONY: demo test test-long test-all check mutants fuzz benchmark clean
 
 demo: $(VENV)/.base
 	$(BIN)/undrift demo --out demo
@@ -31,6 +31,10 @@ check: $(INSTALLED)
 # Faults planted in a copy of the source, one at a time: prints those that the nearest tests do not notice. WORDS="six_face lag" selects.
 mutants: $(INSTALLED)
 	$(BIN)/python -m tests.mutants $(WORDS)
+
+# Damaged files, settings and lines for the emulated machines, in workers with limits: prints what crashes, hangs or is no clear line.
+fuzz: $(INSTALLED)
+	$(BIN)/python -m tests.fuzz $(WORDS)
 
 benchmark: $(INSTALLED)
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks

@@ -89,6 +89,9 @@ def _calibration(fit: ReferenceFit, adc: AdcModel | None) -> Calibration:
 
 # ---- 2. expected and observed
 
+MATRIX_GRID = np.linspace(0.0, 2e-3, 41)  # relative
+OFFSET_GRID = np.radians(np.linspace(0.0, 0.04, 41))  # rad/s
+
 
 @cache
 def adc_of(device: str) -> AdcModel | None:
@@ -109,19 +112,15 @@ def estimates(devices: Sequence[str]) -> list[list[tuple[FloatArray, FloatArray]
 
 
 def learnt(devices: Sequence[str]) -> ErrorPrior:
-    """Return the spread between recordings of one device by restricted maximum likelihood, on these devices."""
-    from scipy.optimize import minimize
+    """Return the spread between recordings of one device on these devices: root of its mean square by the restricted likelihood.
 
+    Few recordings cannot exclude a spread of zero, nor a large one: their likelihood is averaged, each size as probable before.
+    """
     groups = estimates(devices)
-
-    def cost(logs: FloatArray) -> float:
-        spread = np.diag(np.repeat(np.exp(2.0 * logs), (9, 3)))
-        return sum(_restricted(group, spread) for group in groups)
-
-    found = min(
-        (minimize(cost, start, method="Nelder-Mead") for start in ((-8.0, -9.0), (-7.0, -8.0))), key=lambda r: r.fun
-    )
-    matrix, offset = np.exp(found.x)
+    grid = np.array([(matrix, offset) for matrix in MATRIX_GRID for offset in OFFSET_GRID])
+    cost = [sum(_restricted(g, np.diag(np.repeat(sizes**2, (9, 3)))) for g in groups) for sizes in grid]
+    weight = np.exp(-0.5 * (np.array(cost) - min(cost)))
+    matrix, offset = np.sqrt((weight @ grid**2) / weight.sum())
     offsets = np.concatenate([[x[9:] for x, _ in group] for group in groups])
     rests = [np.array([trial(n)[0].between(0.0, 20.0).gyro.mean(axis=0) for n in DEVICES[d]]) for d in devices]
     spare = sum(len(r) - 1 for r in rests)

@@ -41,6 +41,7 @@ class Case:
     by_hand: bool = False
     level: float = 0.0  # Of each face about each horizontal axis, rad
     whole_walk: bool = False  # Rate random walk of a consumer part
+    faces_alone: bool = False  # No rest beside the turns is stated
 
 
 CASES = {
@@ -50,6 +51,8 @@ CASES = {
     "low-pass 4 Hz, sampled at 50 Hz": Case(cutoff_hz=4.0),
     "10 bit": Case(bits=10),
     "flicker 8 deg/h": Case(flicker=True),
+    "rests on faces alone": Case(faces_alone=True),
+    "rests on faces alone, flicker 8 deg/h": Case(faces_alone=True, flicker=True),
     "time stamps jitter 2 ms": Case(jitter_s=2e-3),
     "angle 1 deg, axis 0.5 deg": Case(by_hand=True),
     "level 0.2 deg": Case(level=0.2 * DEG),
@@ -109,7 +112,7 @@ def drawn(case: Case, rng: np.random.Generator) -> tuple[Session, np.ndarray, np
         serial=device.serial,
         gravity_m_s2=motion.gravity_m_s2,
         records=(record,),
-        stills=motion.stills,
+        stills=tuple(still for still in motion.stills if still.face is not None or not case.faces_alone),
         turns=tuple(replace(t, angle=(t.angle or 0.0) + float(d)) for t, d in zip(motion.turns, off, strict=True)),
     )
     pieces: tuple[Still | Turn, ...] = (*motion.stills, *motion.turns)

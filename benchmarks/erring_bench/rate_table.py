@@ -3,8 +3,7 @@
 Every row but the ideal one draws what a fit takes as usual unless stated otherwise: 0.1 deg of mounting about each axis, 0.1 deg
 of level, 0.01 deg of wobble, rates wrong by 1e-4 in common. Ripple, settling, codes, flicker and a larger wobble are not stated. A
 consumer gyroscope's offset walks in every row. Every device is calibrated twice: with its accelerometers, by six faces on a level
-plate, and without. The true offset is that of the middle of the session, without accelerometers that of the middle of its turns;
-flicker counts by its mean.
+plate, and without. The true offset is that of the middle of turns and rests; flicker counts by its mean.
 """
 
 from collections.abc import Iterator
@@ -70,8 +69,8 @@ def rows_of(name: str, devices: int, seed: int) -> Iterator[Row]:
     case, rng = CASES[name], np.random.default_rng(seed)
     tallies = Tally("rate table, six faces", name), Tally("rate table alone", name)
     for _ in range(devices):
-        device, session, offsets = drawn(case, rng)
-        for tally, given, offset in zip(tallies, (session, _without_accel(session)), offsets, strict=True):
+        device, session, offset = drawn(case, rng)
+        for tally, given in zip(tallies, (session, _without_accel(session)), strict=True):
             made = calibrate(given, settings=case.settings)
             assert made.gyro is not None
             tally.add_model(made.verdict, made.gyro, np.linalg.inv(device.gyro.forward_matrix), offset)
@@ -79,8 +78,8 @@ def rows_of(name: str, devices: int, seed: int) -> Iterator[Row]:
         yield from tally.rows()
 
 
-def drawn(case: Case, rng: np.random.Generator) -> tuple[DeviceModel, Session, list[FloatArray]]:
-    """Return a device, its session, and the raw offset of its gyroscopes in all of it and in its turns."""
+def drawn(case: Case, rng: np.random.Generator) -> tuple[DeviceModel, Session, FloatArray]:
+    """Return a device, its session, and the raw offset of its gyroscopes in the middle of it."""
     device = random_device(rng)
     flicker = FLICKER if case.flicker else (None, None)
     gyro, accel = (
@@ -98,13 +97,10 @@ def drawn(case: Case, rng: np.random.Generator) -> tuple[DeviceModel, Session, l
         kind="calibration", serial=device.serial, gravity_m_s2=motion.gravity_m_s2, records=(shown.record,),
         stills=motion.stills, turns=motion.turns,
     )  # fmt: skip
-    walk, offsets = shown.gyro.of("random_walk"), []
-    dwells: list[Still | Turn] = [*motion.turns]
-    for pieces in ([*dwells, *motion.stills], dwells):  # rests count where accelerometers do
-        middle = (min(p.start for p in pieces) + max(p.stop for p in pieces)) // 2
-        moved = shown.gyro.of("instability").mean(axis=0) + walk[middle]
-        offsets.append(device.gyro.raw_offset + device.gyro.gain * moved)
-    return device, session, offsets
+    pieces: list[Still | Turn] = [*motion.turns, *motion.stills]
+    middle = (min(p.start for p in pieces) + max(p.stop for p in pieces)) // 2
+    moved = shown.gyro.of("instability").mean(axis=0) + shown.gyro.of("random_walk")[middle]
+    return device, session, device.gyro.raw_offset + device.gyro.gain * moved
 
 
 def _without_accel(session: Session) -> Session:

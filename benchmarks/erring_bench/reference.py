@@ -1,4 +1,4 @@
-"""Fit to references on a bench that errs: markers put on anew, cameras with noise, consumer parts with all their effects.
+"""Fit to references on a bench that errs: markers put on anew, cameras with noise and slow errors, parts with all their effects.
 
 The mounting of each recording is drawn and not known, so scale and cross-axis terms are compared as M'M, which no rotation changes.
 The gyroscopes' offset is that of these recordings in motion, with g-sensitivity and what the offset did on that day: no constant of
@@ -6,38 +6,58 @@ the device, and not compared. What it adds to an error in degrees is judged by `
 """
 
 from collections.abc import Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from benchmarks.erring_bench import Row, Tally
+from benchmarks.erring_bench import Row, Tally, chain_that_errs, drawn_slope, even_rise
 from undrift.arrays import FloatArray
 from undrift.calibration.reference import ReferenceSettings, fit_reference
 from undrift.calibration.reference_accel import fit_reference_accel
 from undrift.fit.least_squares import TriadFit
+from undrift.frames import quaternion_of, quaternion_product
 from undrift.model import TriadModel
+from undrift.record import Record, Reference
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.presets import GradeName, random_device
 from undrift.sim.device.simulate import simulate_device
 from undrift.sim.device.truth import true_calibration
 from undrift.sim.motion.poses import OpticsSettings, see
 from undrift.sim.motion.tasks import draw_task
-from undrift.units import STANDARD_GRAVITY
+from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
 RATE_HZ = 100.0
-CASES: dict[str, tuple[GradeName, OpticsSettings]] = {
-    "industrial part, cameras 0.02 deg": ("industrial", OpticsSettings()),
-    "consumer part, 0.06 deg, mounting 0.5 deg": ("consumer", OpticsSettings(angle_sd=1e-3, mount_sd=9e-3)),
+RANGE = {"gyro": 500.0 * RADIAN_PER_DEGREE, "accel": 4.0 * STANDARD_GRAVITY}
+FLICKER = {"gyro": 8.0 / 3600.0 * RADIAN_PER_DEGREE, "accel": 5e-5 * STANDARD_GRAVITY}
+SLOW_SD, SLOW_S = 0.05 * RADIAN_PER_DEGREE, 5.0  # poses: error about each axis, rad, and how long it lasts, s
+CREEP_C, JITTER_S = 1.0, 1e-3
+
+
+@dataclass(frozen=True)
+class Case:
+    """One bench."""
+
+    grade: GradeName
+    optics: OpticsSettings
+    errs: bool = False  # 12 bit, flicker, creep, time stamps that jitter, slow errors of the poses
+
+
+CASES = {
+    "industrial part, cameras 0.02 deg": Case("industrial", OpticsSettings()),
+    "consumer part, 0.06 deg, mounting 0.5 deg": Case("consumer", OpticsSettings(angle_sd=1e-3, mount_sd=9e-3)),
+    "the same with all errors": Case("consumer", OpticsSettings(angle_sd=1e-3, mount_sd=9e-3), errs=True),
 }
 
 
 def rows(devices: int, seed: int) -> Iterator[Row]:
     """Yield the rows of the gyroscopes and of the accelerometers."""
-    for case, (grade, optics) in CASES.items():
+    for name, case in CASES.items():
         rng = np.random.default_rng(seed)
-        gyro, accel = (Tally(f"reference, {triad}", case) for triad in ("gyroscope", "accelerometer"))
+        gyro, accel = (Tally(f"reference, {triad}", name) for triad in ("gyroscope", "accelerometer"))
         for _ in range(devices):
-            device = random_device(rng, grade=grade)
-            fits = _fits(device, rng, optics)
+            device = random_device(rng, grade=case.grade)
+            device = _erring(device, rng) if case.errs else device
+            fits = _fits(device, rng, case)
             truth = true_calibration(device)
             for tally, fit, true in zip((gyro, accel), fits, (truth.gyro, truth.accel), strict=True):
                 if true is not None:
@@ -49,16 +69,44 @@ def rows(devices: int, seed: int) -> Iterator[Row]:
         yield from accel.rows()
 
 
-def _fits(device: DeviceModel, rng: np.random.Generator, optics: OpticsSettings) -> tuple[TriadFit, TriadFit]:
-    records, references = [], []
-    for _ in range(3):
-        task = draw_task("free", rng=rng)
-        motion = task.at(np.arange(round(task.duration_s * RATE_HZ)) / RATE_HZ, STANDARD_GRAVITY)
-        records.append(simulate_device(device, motion, rng=rng).record)
-        references.append(see(task, rng=rng, settings=optics))
+def _erring(device: DeviceModel, rng: np.random.Generator) -> DeviceModel:
+    gyro, accel = (
+        chain_that_errs(chain, bits=12, span=RANGE[kind], flicker=FLICKER[kind], thermal_scale=drawn_slope(rng))
+        for kind, chain in (("gyro", device.gyro), ("accel", device.accel))
+    )
+    return replace(device, gyro=gyro, accel=accel)
+
+
+def _seen(device: DeviceModel, rng: np.random.Generator, case: Case) -> tuple[Record, Reference]:
+    """Return a recording and what the cameras saw."""
+    from scipy.signal import lfilter
+
+    task = draw_task("free", rng=rng)
+    motion = task.at(np.arange(round(task.duration_s * RATE_HZ)) / RATE_HZ, STANDARD_GRAVITY)
+    temp_c = even_rise(CREEP_C * case.errs, len(motion))
+    record = simulate_device(device, motion, rng=rng, temp_c=temp_c).record
+    reference = see(task, rng=rng, settings=case.optics)
+    if not case.errs:
+        return record, reference
+    kept = np.exp(-1.0 / (SLOW_S * case.optics.sample_rate_hz))
+    drawn = SLOW_SD * rng.standard_normal((len(reference), 3))
+    drawn[1:] *= np.sqrt(1.0 - kept**2)
+    off = lfilter([1.0], [1.0, -kept], drawn, axis=0)
+    record = replace(record, time=record.time + JITTER_S * rng.standard_normal(len(record)))
+    return record, replace(reference, q_nb=quaternion_product(reference.q_nb, quaternion_of(off)))
+
+
+def _fits(device: DeviceModel, rng: np.random.Generator, case: Case) -> tuple[TriadFit, TriadFit]:
+    pairs = [_seen(device, rng, case) for _ in range(3)]
+    records, references = [p[0] for p in pairs], [p[1] for p in pairs]
     fit = fit_reference(records, references, settings=ReferenceSettings())
     known = fit_reference_accel(
-        records, references, fit.triad.model, mountings=fit.mountings, gravity_m_s2=STANDARD_GRAVITY
+        records,
+        references,
+        fit.triad.model,
+        mountings=fit.mountings,
+        gravity_m_s2=STANDARD_GRAVITY,
+        lags_s=fit.lags_s,
     )
     return fit.triad, known
 

@@ -3,13 +3,19 @@
 A file is written beside its place, then moved into it. Errors in TOML name the line and the entry.
 """
 
+import errno
 import gzip
 import hashlib
 import os
 import re
+import shutil
 import tempfile
+import time
 import tomllib
 import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -17,8 +23,34 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from undrift.errors import FileFormatError, InputError
 
+GIGABYTE = 10**9
+_HIDDEN, _LOCK = ".undrift-", ".lock"
 _GZIP = b"\x1f\x8b"
+_RATIO, _SMALL = (
+    200,
+    10**8,
+)  # A gzip that unpacks to more than so many times its size, and to more bytes than these, is no recording
 _BLOCK = 1 << 20
+
+
+@dataclass(slots=True)
+class Limits:
+    """What reading one file may take; one object, ``LIMITS``, for the whole process."""
+
+    memory_gb: float = 2.0  # Of its parser, and of the file unpacked
+    trust: bool = False  # No limits; parsers run in the caller's own process
+    start_s: float = 60.0  # Processor time of a parser for a file of any size ...
+    megabyte_s: float = 1.0  # ... and for each megabyte of it
+
+    def over(self, path: Path) -> str:
+        """Say that a file takes more memory than this."""
+        return (
+            f"{path}: wanted a file that reads within {self.memory_gb:g} GB of memory, got one that takes more; it is damaged, or "
+            f"read it with --memory-limit-gb {2.0 * self.memory_gb:g}"
+        )
+
+
+LIMITS = Limits()
 
 
 def checked_file(path: str | Path) -> Path:
@@ -50,7 +82,7 @@ def read_bytes(path: str | Path, limit: int = -1) -> bytes:
             with path.open("rb") as handle:
                 return handle.read(limit)
         with gzip.open(path, "rb") as packed:
-            content = packed.read(limit)
+            content = packed.read(limit) if limit >= 0 or LIMITS.trust else _unpacked(packed, path)
     except EOFError as error:
         raise FileFormatError(f"{path}: wanted a whole gzip file, got one that is cut off; copy it again") from error
     except (gzip.BadGzipFile, zlib.error) as error:
@@ -62,6 +94,21 @@ def read_bytes(path: str | Path, limit: int = -1) -> bytes:
     if not content:
         raise FileFormatError(f"{path}: wanted a recording, got an empty file inside the gzip; record or copy it again")
     return content
+
+
+def _unpacked(packed: gzip.GzipFile, path: Path) -> bytes:
+    """Return what a gzip file holds, unless it is far more than a recording would unpack to."""
+    content, size = bytearray(), path.stat().st_size
+    while block := packed.read(_BLOCK):
+        content += block
+        if len(content) > LIMITS.memory_gb * GIGABYTE:
+            raise FileFormatError(LIMITS.over(path))
+        if len(content) > max(_RATIO * size, _SMALL):
+            raise FileFormatError(
+                f"{path}: wanted a packed recording, got a file that unpacks to more than {_RATIO} times its size; it is no "
+                "recording, or read it with --trust"
+            )
+    return bytes(content)
 
 
 def first_line(error: BaseException) -> str:
@@ -183,7 +230,80 @@ def write_whole(path: Path | str, content: bytes | str) -> None:
         part.chmod(0o644)
         part.replace(path)
     except OSError as error:
+        raise unwritten(path, error, len(data)) from error
+    finally:
         part.unlink(missing_ok=True)
-        raise InputError(
-            f"{path}: wanted to write the file, got {error.strerror}; free the name or the disk"
-        ) from error
+
+
+def errno_of(error: OSError) -> int | None:
+    """Return the number of an error, which Arrow states in its text alone."""
+    stated = re.search(r"\[errno (\d+)\]", str(error))
+    return int(stated[1]) if stated and error.errno is None else error.errno
+
+
+def unwritten(path: Path, error: OSError, size: int) -> InputError:
+    """Return what to say when `size` bytes more of a file could not be written."""
+    number = errno_of(error)
+    if number not in (errno.ENOSPC, errno.EDQUOT):
+        return InputError(
+            f"{path}: cannot be written: {os.strerror(number) if number else error}; check the name, the folder and its rights"
+        )
+    free = shutil.disk_usage(path.parent).free
+    lacks = f"{size - free} are missing" if size > free else "a quota is spent"
+    return InputError(
+        f"{path}: wanted room for {size} bytes more on the disk, got {free}: {lacks}; make room and run it again",
+        missing=max(size - free, 0),
+    )
+
+
+@contextmanager
+def hidden_folder(beside: Path) -> Iterator[Path]:
+    """Make a folder for files that appear together when they are whole; those that a killed run left there are deleted."""
+    for stale in beside.glob(f"{_HIDDEN}*"):
+        if _is_left(stale):
+            shutil.rmtree(stale, ignore_errors=True)
+    with tempfile.TemporaryDirectory(dir=beside, prefix=_HIDDEN) as name, _claimed(Path(name)):
+        yield Path(name)
+
+
+@contextmanager
+def _claimed(folder: Path) -> Iterator[None]:
+    """Hold a lock beside a folder as long as this process works in it; the system frees it when the process dies."""
+    with folder.with_name(folder.name + _LOCK).open("wb") as lock:
+        with suppress(ImportError):  # Windows: nothing is swept there
+            take_lock(lock.fileno())
+        try:
+            yield
+        finally:
+            Path(lock.name).unlink(missing_ok=True)
+
+
+def take_lock(handle: int, wait_s: float = 2.0) -> None:
+    """Lock an open file for this process (POSIX); OSError where another holds it.
+
+    A process that was forked a moment ago, to become another program or a box, holds the locks of its parent until it has closed
+    them: that is waited for.
+    """
+    import fcntl
+
+    last = time.monotonic() + wait_s
+    while True:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            return
+        except OSError:
+            if time.monotonic() > last:
+                raise
+            time.sleep(0.02)
+
+
+def _is_left(folder: Path) -> bool:
+    """Tell a hidden folder whose process has died from one that is at work; the lock of the former is deleted."""
+    lock = folder.with_name(folder.name + _LOCK)
+    try:
+        with lock.open("rb") as held:
+            take_lock(held.fileno(), 0.0)
+            lock.unlink()
+    except (ImportError, OSError):
+        return False
+    return True

@@ -182,6 +182,23 @@ class WarmUp:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Hysteresis:
+    """Loop of the offset over temperature about the static table: drift/hysteresis.py has the model."""
+
+    crossing_k: float  # change of temperature that crosses the loop, K
+    crossing_uncertainty_k: float  # standard uncertainty, K
+    temp_c: FloatArray  # (n,), degC, increasing; between them the half-width is straight, beyond them it is held
+    gyro_half_width: FloatArray  # (n, 3), offset while cooling minus offset while warming, over two, raw unit
+    gyro_uncertainty: FloatArray  # (n, 3), standard uncertainty, raw unit
+
+    def __post_init__(self) -> None:
+        _freeze_nodes(self, "hysteresis", "temp_c")
+        _freeze(self, (len(self.temp_c), 3), "gyro_half_width", "gyro_uncertainty")
+        if not 0.0 < self.crossing_k < np.inf:
+            raise InputError(f"hysteresis: wanted crossing_k above 0 K, got {self.crossing_k:g}; leave the loop out")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class StaticDrift:
     """Tuning table of absolute offsets over temperature, linear between nodes."""
 
@@ -199,6 +216,7 @@ class StaticDrift:
     # (3,), what one visit to a temperature adds and the next does not: standard deviation, raw unit; part of the uncertainty
     gyro_visit: FloatArray | None = None
     accel_visit: FloatArray | None = None
+    hysteresis: Hysteresis | None = None  # where it can be corrected: its half-width is the one above
     warm_up: WarmUp | None = None
 
     def __post_init__(self) -> None:

@@ -7,10 +7,14 @@ import pytest
 
 from testkit.findings import codes, only
 from undrift.calibration.checks import axis_vectors, face_vectors
-from undrift.calibration.known_rotation import RotationData, fit_known_rotation, rotation_data
-from undrift.calibration.six_face import FaceMeans
+from undrift.calibration.flicker import blocks_within
+from undrift.calibration.known_rotation import RotationData, calibrate_turns, fit_known_rotation, rotation_data
+from undrift.calibration.observe import CalibrateSettings, observe
+from undrift.calibration.six_face import FaceMeans, calibrate_faces
 from undrift.errors import Implausible, InputError, NotObservable
 from undrift.record import FACES, Record, Still, Turn
+from undrift.sim.device.presets import random_device
+from undrift.sim.sessions import simulate_session
 
 G = 9.81
 K = np.array([[16.4, 0.1, -0.2], [0.05, 16.0, 0.3], [-0.1, 0.2, 16.7]]) * 180.0 / np.pi  # counts per rad/s
@@ -355,3 +359,30 @@ def test_one_code_at_rest_leaves_its_rounding_in_the_offset_and_is_a_finding():
     assert item.values["uncertainty"] == 3.0
     fine = fit_known_rotation(replace(coarse, rounding=np.full(3, 1e-5)), gravity=G)
     assert "session.rounding" not in codes(fine.verdict.findings)
+
+
+def test_rests_beside_the_turns_count_though_the_session_states_none():
+    rng = np.random.default_rng(12)
+    stated = simulate_session("ferraris", random_device(rng), rng=rng)
+    faces = replace(stated, stills=tuple(still for still in stated.stills if still.face is not None))
+    both, alone = (observe(session, CalibrateSettings(identify_adc=False)) for session in (stated, faces))
+    accel = calibrate_faces(both, None).fit
+    every, found = (calibrate_turns(seen, None, accel) for seen in (both, alone))
+    assert only(found.findings, "known_rotation.rests_found").values["rests"] == 6
+    assert "known_rotation.rests_found" not in codes(every.findings)
+    # the search loses half a second at each end of a rest of six: a tenth of its weight
+    sigma = found.fit.model.standard_uncertainty[9:12] / every.fit.model.standard_uncertainty[9:12]
+    np.testing.assert_allclose(sigma, 1.0, atol=0.15)
+
+
+def test_block_means_within_the_rests_show_flicker():
+    rng, length = np.random.default_rng(13), 30
+    span = np.column_stack((40.0 * np.arange(9), 40.0 * np.arange(9) + [*np.full(6, 30.0), *np.full(3, 4.0)]))
+    white = [rng.standard_normal((100 * length, 3)) for _ in FACES]
+    slow = [one + 2.0 * np.sin(np.linspace(0.0, 2.0 * np.pi, len(one)))[:, None] for one in white]
+    sigma = []
+    for windows in (white, slow):
+        blocks = blocks_within(windows, [100.0] * 6)
+        model = fit_known_rotation(data(span=span, blocks=blocks), gravity=G).model
+        sigma.append(model.standard_uncertainty[9:12])
+    assert (sigma[1] > 1.5 * sigma[0]).all()

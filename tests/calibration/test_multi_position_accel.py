@@ -5,7 +5,8 @@ import pytest
 
 from testkit.findings import codes, only
 from testkit.poses import fit_poses
-from undrift.calibration.multi_position import NormFit, _linearised, fit_norm, still_variance
+from undrift.calibration.multi_position import still_variance
+from undrift.calibration.norm_equations import NormFit, _linearised, fit_norm
 from undrift.errors import Implausible, NotObservable, PoorFit
 from undrift.fit.least_squares import excess_variance
 from undrift.record import Record

@@ -16,6 +16,7 @@ from undrift.calibration.reference_accel import fit_reference_accel
 from undrift.errors import NotObservable
 from undrift.model import TriadModel
 from undrift.record import Record, Reference
+from undrift.sync import find_lag
 
 G = 9.80665
 MATRIX = np.array([[0.985, 0.006, -0.004], [-0.005, 1.012, 0.007], [0.003, -0.006, 0.996]])  # M, readings to force
@@ -70,10 +71,11 @@ def recording(rng, *, poses=6, shake=20.0, noise=0.0, optics=(0.0, 0.0), late_s=
     return Record(time=t, gyro=gyro, accel=accel), reference
 
 
-def fitted(pairs, **more):
+def fitted(pairs):
     records, references = [p[0] for p in pairs], [p[1] for p in pairs]
     none = np.zeros((len(pairs), 3))
-    return fit_reference_accel(records, references, GYRO, mountings=none, gravity_m_s2=G, **more)
+    lags_s = np.array([find_lag(*pair).seconds for pair in pairs])
+    return fit_reference_accel(records, references, GYRO, mountings=none, gravity_m_s2=G, lags_s=lags_s)
 
 
 def error_of(fit):

@@ -9,8 +9,10 @@ from testkit.cramer_rao import COHORTS
 from testkit.data import show
 from testkit.findings import codes, only
 from undrift.calibration.checks import check_scale_factor, face_vectors
+from undrift.calibration.observe import CalibrateSettings, observe
 from undrift.calibration.six_face import (
     FaceMeans,
+    _by_mounting,
     face_means,
     fit_six_face,
     fit_tilted,
@@ -20,6 +22,8 @@ from undrift.calibration.six_face import (
 from undrift.errors import Implausible, InputError, NotObservable
 from undrift.fit.least_squares import fit_forward, noise_of_means
 from undrift.record import FACES, Record, Still
+from undrift.sim.device.presets import random_device
+from undrift.sim.sessions import simulate_session
 
 G = 9.81
 FORWARD = np.array([[1.02, 0.01, -0.008], [0.004, 0.97, 0.012], [-0.006, 0.009, 1.01]])
@@ -165,6 +169,36 @@ def test_windows_of_six_seconds_are_averaged_with_their_noise():
     np.testing.assert_allclose(poses.reading[0], middle.mean(axis=0), rtol=1e-12)
     # 60 spare blocks tell the noise of a mean, 0.03 / sqrt(600), to 9 %; 27 % is three sigma
     np.testing.assert_allclose(poses.noise, 0.03 / np.sqrt(600.0), rtol=0.27)
+
+
+def test_rests_that_flicker_widen_scale_factors_and_offsets():
+    record, stills = session()
+    rng = np.random.default_rng(9)
+    walk = np.cumsum(rng.standard_normal((len(record), 3)), axis=0) / np.sqrt(
+        len(record)
+    )  # slower than any noise within
+    both = [replace(record, accel=record.accel + size * walk) for size in (0.0, 0.05)]
+    steady, moving = (face_means([one], stills) for one in both)
+    assert (np.linalg.norm(moving.flicker, axis=1) > 2.0 * np.linalg.norm(steady.flicker, axis=1)).all()
+    for mode in ("paper", "affine", "levelled"):
+        model = fit_six_face(moving, gravity=G, mode=mode).model
+        without = fit_six_face(replace(moving, flicker=None), gravity=G, mode=mode).model
+        assert (model.standard_uncertainty[[0, 4, 8]] > 1.05 * without.standard_uncertainty[[0, 4, 8]]).all(), mode
+
+
+def test_a_mounting_has_the_mean_flicker_of_its_rests():
+    rng = np.random.default_rng(10)
+    stated = simulate_session("bench", random_device(rng), rng=rng)
+    *others, last = stated.stills  # the last is on the rate table: two rests of one mounting
+    half = (last.start + last.stop) // 2
+    seen = observe(
+        replace(stated, stills=(*others, replace(last, stop=half), replace(last, start=half))), CalibrateSettings()
+    )
+    poses = face_means(seen.session.records, seen.stills)
+    poses = replace(poses, noise=np.ones_like(poses.noise), flicker=np.eye(len(poses.faces)))
+    merged = _by_mounting(seen, poses)
+    assert len(merged.faces) == len(poses.faces) - 1
+    np.testing.assert_allclose(merged.flicker[-1], [*np.zeros(len(others)), 0.5, 0.5])
 
 
 def test_face_means_need_one_accelerometer_unit():

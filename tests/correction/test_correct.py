@@ -7,7 +7,7 @@ import pytest
 
 from testkit import twins
 from testkit.full_calibration import GAP, ROUNDINGS, STEPS, WILD, N, device, record, tables
-from undrift.correction.correct import DriftRangeWarning, correct, correct_checked
+from undrift.correction.correct import DriftRangeWarning, correct, correct_checked, correct_whole
 from undrift.errors import DriftRangeError, InputError
 from undrift.model import AdcModel
 
@@ -37,6 +37,19 @@ def test_every_step_agrees_with_the_plain_twin(drift, g, adc):
     np.testing.assert_allclose(got.accel, a, rtol=0, atol=CLOSE)
     assert (got.state, got.frame, got.gyro_unit, got.accel_unit) == ("corrected", "b", "rad/s", "m/s2")
     assert not got.gyro.flags.writeable
+
+
+@pytest.mark.parametrize("n", [255, 256, 257, 700], ids=str)
+def test_records_of_more_than_one_block_agree_with_the_twin_to_their_last_sample(n):
+    r, c = record(n), device(g=True, drift=tables(scale=WILD), adc=ROUNDINGS[1])
+    got = correct_checked(r, c, policy="hold", threads=1)
+    w, a = twins.corrected(c, r.gyro, r.accel, r.temp_c)
+    np.testing.assert_allclose(got.record.gyro, w, rtol=0, atol=CLOSE)
+    np.testing.assert_allclose(got.record.accel, a, rtol=0, atol=CLOSE)
+    before_error = twins.corrected(
+        device(g=True, drift=tables(scale=WILD, dynamic=None), adc=ROUNDINGS[1]), r.gyro, r.accel, r.temp_c
+    )[0]
+    np.testing.assert_allclose(got.reach.turn_rate, (before_error.min(), before_error.max()), rtol=0, atol=CLOSE)
 
 
 def test_a_corrected_device_gives_back_the_motion_that_a_forward_model_fed_it():
@@ -224,7 +237,7 @@ def test_threads_and_buffers_change_no_bit(drift, adc, g):
     r, c = record(), device(drift=drift, adc=adc, g=g)
     buffers = (np.empty((N, 3)), np.empty((N, 3)))
     one = correct_checked(r, c, policy="hold", threads=1).record
-    two = correct_checked(r, c, policy="hold", threads=2, out=buffers).record
+    two = correct_whole(r, c, policy="hold", threads=2, out=buffers).record
     assert one.gyro.tobytes() == two.gyro.tobytes() == buffers[0].tobytes()
     assert one.accel.tobytes() == two.accel.tobytes() == buffers[1].tobytes()
 

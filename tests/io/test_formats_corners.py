@@ -6,6 +6,7 @@ import h5py
 import numpy as np
 import pytest
 
+from testkit.data import data_path
 from testkit.strategies import one_line
 from undrift.errors import FileFormatError, InputError
 from undrift.files import read_bytes
@@ -106,7 +107,7 @@ def test_a_file_without_rights_is_one_line(tmp_path, monkeypatch):
         read_bytes(tmp_path / "r.csv")
 
 
-def test_a_c3d_file_without_a_frame_rate_is_refused(tmp_path, monkeypatch):
+def test_a_c3d_file_without_a_frame_rate_is_refused(monkeypatch):
     held = {
         "parameters": {"POINT": {}},
         "data": {"points": np.ones((4, 1, 3)), "meta_points": {"residuals": np.zeros((1, 1, 3))}},
@@ -114,7 +115,7 @@ def test_a_c3d_file_without_a_frame_rate_is_refused(tmp_path, monkeypatch):
     }
     monkeypatch.setattr(c3d_module, "_load", lambda path: held)
     with pytest.raises(FileFormatError, match="wanted a frame rate above 0, got 0 Hz"):
-        read_c3d(tmp_path / "m.c3d")
+        read_c3d(data_path("c3d", "dec_int.c3d"))
 
 
 def test_a_single_slow_block_is_a_drop_out_and_not_a_second_rate():

@@ -94,16 +94,14 @@ def test_a_wobble_that_nobody_stated_shows_in_the_residuals() -> None:
     check("cross-axis, wobble", ratio[:, CROSS] / 1.25)
 
 
-def test_a_rate_that_ripples_and_settles_late_is_in_the_scale_factors_uncertainty_and_named() -> None:
+def test_a_rate_that_ripples_and_settles_late_is_corrected_by_the_readings_within_the_dwells() -> None:
     ratio, error, made = errors("rate_table", TableErrors(ripple_sd=0.003, excess_sd=0.003))
-    # The error of a ripple is a sinusoid of its phase, without the tails of a normal one; with six dwells an axis its scatter may
-    # pass for an offset that drifts, which widens a sensor's other terms.
-    check("scale, ripple", ratio[:, SCALES], bounded=True)
-    check("cross-axis, ripple", ratio[:, CROSS], bounded=True)
-    wrong = np.abs(error[:, SCALES]).max(axis=1) > 0.005
-    named = np.array(["rate_table.uneven_rate" in codes(one.verdict.findings) for one in made])
-    assert named[wrong].all()
-    assert named.mean() > 0.5
+    check("scale, ripple", ratio[:, SCALES])
+    check("cross-axis, ripple", ratio[:, CROSS])
+    # Dwells of 54 to 243 deg keep 0.96 to 0.4 of a ripple: 1.2e-3 of the scale where it stays. A tenth of 0.3 % may be left.
+    assert float(np.sqrt((error[:, SCALES] ** 2).mean())) < 3e-4
+    assert all("rate_table.ripple" in codes(one.verdict.findings) for one in made)
+    assert all("rate_table.uneven_rate" not in codes(one.verdict.findings) for one in made)
 
 
 def test_intervals_hold_where_a_table_errs_in_every_way() -> None:

@@ -288,6 +288,27 @@ def test_the_offset_of_a_simulated_recording_is_that_of_the_middle_of_its_sessio
     assert off > 3.0
 
 
+def test_rests_on_stated_faces_give_the_offset_without_accelerometers_whatever_the_g_sensitivity() -> None:
+    """Dwells have +x, +y and +z up: their mean offset holds a third of three g-sensitivities, which the faces below cancel."""
+    errors, named = [], []
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        device = white_device(rng, g_sensitivity=True)
+        session = simulate_session("bench", device, rng=rng, settings=SHORT)
+        gyros = replace(session, records=tuple(replace(record, accel=None) for record in session.records))
+        made = calibrate(gyros)
+        assert made.gyro is not None
+        assert made.gyro.g_sensitivity is None
+        errors.append((made.gyro.offset - device.gyro.raw_offset) / made.gyro.standard_uncertainty[9:12])
+        named.append("rate_table.axis_offset" in codes(made.verdict.findings))
+        lone = calibrate(replace(gyros, stills=tuple(replace(still, face=None) for still in gyros.stills))).gyro
+        assert lone is not None
+        assert np.all(made.gyro.standard_uncertainty[9:12] < lone.standard_uncertainty[9:12])
+    # 18 squares of mean 1: chi-square, passed by chance once in a thousand times
+    assert float(np.mean(np.square(errors))) < 2.35
+    assert all(named)
+
+
 def fitted_recording(device: DeviceModel, record, motion: Motion) -> tuple[RateTableFit, float]:  # type: ignore[no-untyped-def]
     """Return the fit to the means of a recording, and the middle of its session."""
     dwells = dwell_means((record,), motion.turns)

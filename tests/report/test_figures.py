@@ -97,3 +97,13 @@ def test_another_ending_is_refused_and_nothing_is_written(tmp_path):
 def test_a_folder_that_is_not_there_is_named(tmp_path):
     with pytest.raises(InputError, match=r"none/a\.svg: wanted a folder to write to, got No such file"):
         save_figure(agreement(), tmp_path / "none" / "a.svg")
+
+
+@pytest.mark.parametrize("name", ["we$ird_$x$", r"a$\frac{$"])
+def test_a_dollar_in_a_name_stays_one_and_powers_of_ten_stay_powers(name):
+    figure, (axes,) = new_figure(1)
+    axes.loglog([1.0, 1e4], [1.0, 1e3])
+    axes.set_title(name)
+    text = svg_of(figure)
+    assert name in text
+    assert "mathdefault" not in re.sub("<!--.*?-->", "", text)

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from undrift.errors import InputError, RigFault
+from undrift.rig.judge import RunSettings, check_rate, link_hides
 from undrift.rig.rig import Position, achieved_turn_rate
-from undrift.rig.run import RunSettings, check_rate, link_hides
 from undrift.units import RADIAN_PER_DEGREE as DPS
 
 

@@ -13,8 +13,8 @@ from undrift.io.session import read_session
 from undrift.live.recorder import DwellReadings, Recorder, RecorderSettings
 from undrift.live.transports import source_at
 from undrift.rig.folder import read_journal
+from undrift.rig.judge import RunSettings
 from undrift.rig.programme import Protocol
-from undrift.rig.run import RunSettings
 from undrift.units import RADIAN_PER_DEGREE as DPS
 
 SPEED = 50.0

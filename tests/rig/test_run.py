@@ -11,9 +11,9 @@ from testkit.rig_bench import GAIN, SHORT, Device, Hands, Oven, at_rest, emulate
 from undrift.errors import InputError, RigFault, RigTimeout
 from undrift.io.session import read_session
 from undrift.rig.galil import read_status
+from undrift.rig.judge import RunSettings
 from undrift.rig.manual import AskedOperator
 from undrift.rig.programme import Protocol
-from undrift.rig.run import RunSettings
 from undrift.units import RADIAN_PER_DEGREE as DPS
 
 

@@ -3,7 +3,8 @@
 import numpy as np
 from numpy.typing import ArrayLike
 
-from undrift.calibration.multi_position import check_count, fit_norm, judged
+from undrift.calibration.multi_position import check_count, judged
+from undrift.calibration.norm_equations import fit_norm
 from undrift.fit.least_squares import TriadFit
 
 

@@ -10,10 +10,11 @@ from testkit.emulated_axis import axis_rate
 from undrift.record import Record
 from undrift.rig.chamber import SoakSettings
 from undrift.rig.folder import RunFolder
+from undrift.rig.judge import RunSettings
 from undrift.rig.link import Clock
 from undrift.rig.programme import Protocol, programme_of
 from undrift.rig.rig import Limits, RigSettings, open_rig
-from undrift.rig.run import Bench, RunSettings, run_programme
+from undrift.rig.run import Bench, run_programme
 from undrift.sim.device.effects import Offset, Scale, SensorChain, WhiteNoise
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.rig.emulator import Emulator, EmulatorSettings

@@ -422,7 +422,7 @@ def calibrate_to_references(
     rounding = device_adc(records) if adc == "auto" else None
     rounding, why = cross_validated_adc(records, references, rounding, settings=settings, lag_settings=lag_settings)
     fit = find_fit(method, "reference")(records, references, settings=settings, adc=rounding, lag_settings=lag_settings)
-    accel, more = _accel_of(records, references, rounding, fit, lag_settings)
+    accel, more = _accel_of(records, references, rounding, fit)
     more += () if why is None else (why,)
     temps = [float(np.nanmean(record.temp_c)) for record in records if record.temp_c is not None]
     return Calibration(
@@ -441,7 +441,6 @@ def _accel_of(
     references: Sequence[Reference],
     adc: AdcModel | None,
     fit: ReferenceFit,
-    lag_settings: LagSettings,
 ) -> tuple[TriadFit | None, tuple[Finding, ...]]:
     """Return the accelerometers' fit to the references, or why there is none."""
     if any(record.accel is None for record in records):
@@ -453,7 +452,7 @@ def _accel_of(
             fit.triad.model,
             mountings=fit.mountings,
             gravity_m_s2=STANDARD_GRAVITY,
-            lag_settings=lag_settings,
+            lags_s=fit.lags_s,
         )
         return made, ()
     except (CalibrationError, InputError) as error:

@@ -10,6 +10,7 @@ from undrift.calibration.adc import code_steps, code_variance
 from undrift.calibration.checks import axis_vectors, check_saturation
 from undrift.calibration.observe import middles
 from undrift.calibration.table_axis import TableAxes, table_term
+from undrift.calibration.table_rate import SHOWS
 from undrift.errors import InputError, NotObservable
 from undrift.fit.least_squares import block_size, noise_of_means
 from undrift.model import AXES, TriadModel
@@ -17,7 +18,6 @@ from undrift.record import Axis, Record, Turn
 from undrift.units import EARTH_RATE, RADIAN_PER_DEGREE
 
 _LEAST_SAMPLES = 8
-SHOWS = 3.0  # standard errors of a scatter that exceeds another, for it to count
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -37,9 +37,7 @@ class DwellMeans:
     step: FloatArray = field(default_factory=lambda: np.zeros(3))
     codes: FloatArray = field(default_factory=lambda: np.zeros(3))
     axes: TableAxes | None = None  # About which axes the table turned the case; None takes ``axis`` as true
-    # Standard uncertainties of the table's axis from dwell to dwell and of the mounting, rad; used with ``axes`` alone
-    wobble: float = 0.0
-    mount_tilt: float = 0.0
+    mount_tilt: float = 0.0  # Standard uncertainty of the mounting, rad; used with ``axes`` alone
 
     def __post_init__(self) -> None:
         n = len(self.axis)
@@ -147,11 +145,17 @@ def imposed_rates(dwells: DwellMeans, latitude_deg: float | None) -> FloatArray:
     return np.asarray(axis_b * (dwells.turn_rate + earth * dwells.up)[:, None])
 
 
-def with_table_errors(model: TriadModel, dwells: DwellMeans) -> TriadModel:
-    """Return a model whose covariance also holds what the scatter of the readings does not show: table, mounting, creep."""
+def with_table_errors(model: TriadModel, dwells: DwellMeans, sigma: FloatArray | None = None) -> TriadModel:
+    """Return a model whose covariance also holds what the scatter of the readings does not show: table, mounting, creep.
+
+    sigma (N, 3) are the standard deviations that weighed the dwells, with the errors that each has on its own; None without.
+    """
     if dwells.axes is None:
         return model
-    return replace(model, covariance=model.covariance + table_term(model, dwells.axes.covariance))
+    weight = np.ones((len(dwells.axis), 3)) if sigma is None else sigma**-2
+    own = np.array([AXES.index(axis) for axis in dwells.axis])
+    of_rates = dwells.axes.of_rates(own, weight * dwells.turn_rate[:, None] ** 2, alone=sigma is None)
+    return replace(model, covariance=model.covariance + table_term(model, of_rates))
 
 
 # ---- linearity of one axis (IEEE Std 1431, clause 12 terms)

@@ -36,14 +36,24 @@ from undrift.calibration.checks import (
     order_text,
 )
 from undrift.calibration.creep import Creep, creep_of
+from undrift.calibration.flicker import (
+    SIZES,
+    Blocks,
+    averaged_sizes,
+    blocks_within,
+    flicker_about_mean,
+    mean_square_size,
+    size_unit,
+    spans_of,
+)
 from undrift.calibration.multi_position_gyro import Moves, cut_moves, gravity_directions, turned_in
 from undrift.calibration.observe import Observed, Outcome
 from undrift.calibration.six_face import FaceMeans
+from undrift.calibration.unused_stills import unused_stills
 from undrift.errors import Implausible, InputError, NotObservable
 from undrift.findings import Finding, finding
 from undrift.fit.least_squares import (
     TriadFit,
-    averaged,
     block_size,
     inverse_jacobian,
     noise_of_means,
@@ -120,6 +130,7 @@ class RotationData:
     rest_force: FloatArray | None = None  # (P + F, 3), specific force on the faces, then in the free rests, m/s2
     span: FloatArray | None = None  # (P + F + R, 2), start and stop of faces, free rests and turns on one clock, s
     rounding: FloatArray | None = None  # (3,), what rounding leaves in a mean at rest, unit
+    blocks: Blocks | None = None  # Of the readings within all rests
     pieces: tuple[Still | Turn, ...] = ()  # Faces, free rests and turns, in this order
 
     @property
@@ -171,7 +182,8 @@ def rotation_data(
         slip=np.array([one.slip for one in sums]),
         free=FaceMeans(reading=means[size:], faces=(), noise=rest_noise[size:], unit=unit) if number > size else None,
         rest_force=np.array(force)[kept].reshape(-1, 3),
-        span=_spans(records, [*rests, *used]),
+        span=spans_of(records, [*rests, *used]),
+        blocks=blocks_within(windows, [records[s.recording].sample_rate_hz for s in rests]),
         rounding=mean_rounding([_both(records[k])[0] for k in {s.recording for s in rests}], windows)
         if number
         else None,
@@ -222,18 +234,6 @@ def _turn_sums(
         noise=sample * np.sqrt(step @ step),
         slip=float(np.sqrt(0.5 * even.var() * max(change, 0.0))),
     )
-
-
-def _spans(records: Sequence[Record], pieces: Sequence[Still | Turn]) -> FloatArray:
-    begins = np.concatenate(([0.0], np.cumsum([record.duration_s for record in records])))
-    spans = [
-        [
-            begins[p.recording] + records[p.recording].time[at] - records[p.recording].time[0]
-            for at in (p.start, p.stop - 1)
-        ]
-        for p in pieces
-    ]
-    return np.array(spans).reshape(-1, 2)
 
 
 # A low-pass delays what the sensor reads: the end of a move then lies in the rest behind it. Where the first or last tenths of a
@@ -293,13 +293,8 @@ def _both(record: Record) -> tuple[FloatArray, FloatArray]:
 #
 #     V_i(q) = diag(noise^2) + creep + rounding + q^2 F + sum_m c_mi c_mi'
 #
-# F is flicker: exponential correlations with time constants from 1 s to 10^4 s, averaged over each rest and turn; its size q is the
-# same for three sensors. q is not known: the parameters are averaged over all by their likelihood, as offsets that drift are
-# (fit/least_squares.py). c_m are errors that three sensors share: the angle of a turn, and its axis.
-
-_TIMES_S = np.geomspace(1.0, 1e4, 9)
-_SIZES = np.concatenate(([0.0], np.geomspace(0.05, 300.0, 60)))  # q in units of the median noise of a rest
-_SMALL_SIZE, _LARGE_SIZE = 0.1, 0.5  # E1 takes 1 / (q + 0.1), and both 1 / (1 + (q / 0.5)^2): a mild prior
+# F is flicker (flicker.py), over whose size q the parameters are averaged: rests and turns show it, and block means within the
+# rests. c_m are errors that three sensors share: the angle of a turn, and its axis.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -309,7 +304,7 @@ class _Errors:
     own: FloatArray  # (3, E, E), of one sensor alone: noise, creep, rounding
     shared: FloatArray  # (3, E, M), what three sensors share: one standard deviation each
     flicker: FloatArray  # (E, E), for a size of 1
-    size: float  # median noise of a rest, unit
+    size: float  # unit of the sizes of flicker, unit of the readings
 
     def total(self, square: float) -> FloatArray:
         """Return V (3, E, E) without the shared errors, for a flicker of q^2."""
@@ -359,15 +354,12 @@ def _errors(data: RotationData, forward: FloatArray, sigma: tuple[float, float],
             own[row] += creep.covariance(along, float(gain[row]), extent)
     shared = _shared(data, forward, sigma, rests)
     own += 1e-12 * np.stack([np.diag((part**2).sum(axis=1)) for part in shared])  # so that V stays invertible
-    flicker = np.zeros((rests + turns, rests + turns))
+    flicker: FloatArray = np.zeros((rests + turns, rests + turns))
+    size = 0.0
     if data.span is not None:
-        flicker = np.outer(extent, extent) * _flicker(data.span)
-        length = np.diff(data.span, axis=1)[:, 0]
-        apart = (
-            np.eye(len(extent)) - np.outer(extent, length / extent) / length.sum()
-        )  # the offset is the mean of the session
-        flicker = apart @ flicker @ apart.T
-    return _Errors(own=own, shared=shared, flicker=flicker, size=float(np.median(noise[:rests])))
+        size = size_unit(noise[:rests], data.span[:rests])
+        flicker = flicker_about_mean(data.span, extent)  # the offset is the mean of the session
+    return _Errors(own=own, shared=shared, flicker=flicker, size=size)
 
 
 def _shared(data: RotationData, forward: FloatArray, sigma: tuple[float, float], rests: int) -> FloatArray:
@@ -387,26 +379,12 @@ def _shared(data: RotationData, forward: FloatArray, sigma: tuple[float, float],
     return np.stack(columns, axis=-1)
 
 
-def _flicker(span: FloatArray) -> FloatArray:
-    """Return the covariance (E, E) of means over stretches (E, 2), s, of exponential correlations with many time constants."""
-    length = np.maximum(np.diff(span, axis=1)[:, 0], 1e-3)
-    first, later = np.minimum(span[:, None, 1], span[None, :, 1]), np.maximum(span[:, None, 0], span[None, :, 0])
-    gap, total = np.maximum(later - first, 0.0), np.zeros((len(span), len(span)))
-    for time_s in _TIMES_S:
-        ratio = length / time_s
-        decay = -np.expm1(-ratio) / ratio
-        part = np.outer(decay, decay) * np.exp(-gap / time_s)
-        np.fill_diagonal(part, 2.0 * (1.0 - decay) / ratio)
-        total += part / len(_TIMES_S)
-    return total
-
-
 def _averaged(
-    design: FloatArray, reading: FloatArray, start: FloatArray, errors: _Errors
+    design: FloatArray, reading: FloatArray, start: FloatArray, errors: _Errors, blocks: Blocks | None
 ) -> tuple[FloatArray, FloatArray, float]:
     """Return theta (3, 7), its covariance and the mean q^2 over all sizes of flicker: start (3, 7) is near the solution."""
     left = reading - design @ start.T
-    sizes = _SIZES if errors.flicker.any() else _SIZES[:1]
+    sizes = SIZES if errors.flicker.any() else SIZES[:1]
     thetas, covariances = np.zeros((len(sizes), 21)), np.zeros((len(sizes), 21, 21))
     likelihood = np.zeros(len(sizes))
     common = errors.shared @ errors.shared.transpose(0, 2, 1)
@@ -426,10 +404,9 @@ def _averaged(
     if len(sizes) == 1:
         theta, covariance, square = thetas[0], covariances[0], 0.0
     else:
-        wide = 1.0 + (sizes / _LARGE_SIZE) ** 2
-        theta, covariance = averaged(sizes, likelihood, thetas, covariances, (wide, wide * (sizes + _SMALL_SIZE)))
-        share = np.exp(likelihood - likelihood.max()) * np.gradient(sizes) / wide
-        square = float(share @ (sizes * errors.size) ** 2 / share.sum())
+        likelihood += 0.0 if blocks is None else blocks.likelihood(errors.size)
+        theta, covariance = averaged_sizes(likelihood, thetas, covariances)
+        square = mean_square_size(likelihood) * errors.size**2
     unordered = np.empty(21)
     unordered[_ORDER] = theta
     return unordered.reshape(3, 7), covariance, square
@@ -458,7 +435,7 @@ def fit_known_rotation(
     theta = (closed @ reading).T
     _check_turns(theta[:, :3], data, scale_tolerance)
     errors = _errors(data, theta[:, :3], (angle_uncertainty, axis_uncertainty), creep)
-    fitted, covariance, square = _averaged(design, reading, theta, errors)
+    fitted, covariance, square = _averaged(design, reading, theta, errors, data.blocks)
     if mode == "paper":
         covariance = errors.carried(np.stack((closed, closed, closed)), square)
     else:
@@ -566,7 +543,12 @@ def calibrate_turns(seen: Observed, mode: str | None, accel: TriadFit | None) ->
             return Outcome(findings=(finding("known_rotation.needs_turns", "warn"),))
         taken = tuple(f"{t.axis} {(t.angle or 0.0) / RADIAN_PER_DEGREE:+.0f} deg" for t in turns)
         found = (finding("known_rotation.turns_found", "warn", turns=taken),)
-    data = rotation_data(seen.session.records, seen.stills, turns, matrix=accel.model.matrix, offset=accel.model.offset)
+    rests = seen.stills
+    if all(rest.face is not None for rest in rests):
+        rests = (*rests, *unused_stills(seen, (*rests, *turns)))
+        if len(rests) > len(seen.stills):
+            found = (*found, finding("known_rotation.rests_found", "info", rests=len(rests) - len(seen.stills)))
+    data = rotation_data(seen.session.records, rests, turns, matrix=accel.model.matrix, offset=accel.model.offset)
     fit = fit_known_rotation(
         data,
         gravity=seen.session.gravity_m_s2,

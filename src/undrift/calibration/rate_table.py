@@ -9,7 +9,7 @@ Earth's rotation adds its vertical part, Omega sin(latitude), to the axis that p
 over whole turns. Which rates: rig/programme.py.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -17,10 +17,9 @@ import numpy as np
 
 from undrift.arrays import FloatArray
 from undrift.calibration.adc import limited_by_codes
-from undrift.calibration.checks import check_axis_order, check_own_scale
+from undrift.calibration.checks import axis_vectors, check_axis_order, check_own_scale
 from undrift.calibration.creep import Creep, creep_of
 from undrift.calibration.dwells import (
-    SHOWS,
     DwellMeans,
     Linearity,
     dwell_means,
@@ -30,7 +29,8 @@ from undrift.calibration.dwells import (
 )
 from undrift.calibration.observe import Observed, Outcome, middles, with_offset
 from undrift.calibration.rate_table_axes import fit_turned_axes
-from undrift.calibration.table_axis import Dwells, mountings, table_axes, table_findings
+from undrift.calibration.table_axis import mountings, table_axes, table_findings
+from undrift.calibration.table_rate import SHOWS, Dwells
 from undrift.errors import Implausible, NotObservable
 from undrift.findings import Finding, finding
 from undrift.fit.least_squares import (
@@ -47,6 +47,7 @@ from undrift.fit.least_squares import (
     triad_from_forward,
 )
 from undrift.model import AXES, G_NAMES, MATRIX_NAMES, OFFSET_NAMES, TriadModel, Verdict, level_of
+from undrift.record import Still, Turn
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical, si_factor
 
 # ---- fit of the dwells
@@ -137,13 +138,14 @@ _ROUNDING = 1e-9  # of the largest reading: a mean is not known better than the 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RestMeans:
-    """Readings at rest, and the specific force of rests and dwells."""
+    """Readings at rest, and the specific force of rests and dwells, by accelerometers or along the stated faces."""
 
     dwell_force: FloatArray  # (N, 3), mean corrected specific force of each dwell, m/s2, frame b
     reading: FloatArray  # (P, 3), mean gyroscope reading of each rest, unit of the dwells
     force: FloatArray  # (P, 3), mean corrected specific force of each rest, m/s2
     noise: FloatArray  # (P, 3), standard deviation of each mean reading
     time: FloatArray  # (P,), middle of each rest, s, on the clock of the dwells
+    felt: bool = True  # False without accelerometers: a g-sensitivity is then fitted, but cannot be corrected
 
 
 def fit_with_rests(
@@ -163,11 +165,12 @@ def fit_with_rests(
         found = _walks(full, readings, sigma, time)
         size = sum(float(f.theta[3:6] @ np.linalg.solve(f.covariance[3:6, 3:6], f.theta[3:6])) for f in found)
         if size > _chance(9) * _excess(found, readings.size - 21):
-            return _refined(fit, dwells, full, readings, _with_codes(dwells, full, sigma, found))
+            made = _refined(fit, dwells, full, readings, _with_codes(dwells, full, sigma, found), sigma)
+            return made if rests is None or rests.felt else _without_g(made)
     found, by_axis = _walks(plain, readings, sigma, time), None
-    if rests is None and time is not None and any(one.walk > 0.0 for one in found):
-        by_axis = _by_axis(dwells, plain[:, :3], sigma, time)
-    return _refined(fit, dwells, plain, readings, _with_codes(dwells, plain, sigma, found), by_axis)
+    if full is None and (rests is None or not rests.felt) and any(one.walk > 0.0 for one in found):
+        by_axis = _by_axis(dwells, rates, sigma[: len(rates)])
+    return _refined(fit, dwells, plain, readings, _with_codes(dwells, plain, sigma, found), sigma, by_axis)
 
 
 def _with_codes(dwells: DwellMeans, design: FloatArray, sigma: FloatArray, found: list[WalkFit]) -> list[WalkFit]:
@@ -192,7 +195,7 @@ def _with_scatter(dwells: DwellMeans, rates: FloatArray) -> FloatArray:
     """Return the standard deviation (N, 3) of each mean: noise, and what grows with the rate, wobble or uneven rates.
 
     A wobble of the axis moves what sensors across it read by (K_kk w)^2 omega^2, an uneven rate its own sensor by (K_kk w)^2 rho^2.
-    Both come from the residuals of a fit with an offset for each axis, where they show; wobble is never less than stated.
+    Both come from the residuals of a fit with an offset for each axis, where they show, and are not less than known of a dwell.
     """
     noise = np.broadcast_to(np.asarray(dwells.noise), dwells.reading.shape)
     if dwells.axes is None:
@@ -203,8 +206,8 @@ def _with_scatter(dwells: DwellMeans, rates: FloatArray) -> FloatArray:
     square = (dwells.reading - design @ theta) ** 2
     drive = (np.abs(np.diag(theta[:3])) * np.abs(dwells.turn_rate)[:, None]) ** 2  # (N, 3), (K_kk w)^2
     variance = noise**2
-    for which, stated in ((own, 0.0), (~own, dwells.wobble**2)):
-        share = max(stated, _share(drive[which], square[which], square[~which]))
+    for which in (own, ~own):
+        share = np.maximum(dwells.axes.apart, _share(drive[which], square[which], square[~which]))
         variance = variance + np.where(which, drive * share, 0.0)
     return np.asarray(np.sqrt(variance))
 
@@ -249,8 +252,22 @@ def _walks(design: FloatArray, readings: FloatArray, sigma: FloatArray, time: Fl
     return [fit_with_walk(design, readings[:, k], sigma[:, k], time) for k in range(3)]
 
 
-def _by_axis(dwells: DwellMeans, rates: FloatArray, sigma: FloatArray, time: FloatArray) -> list[WalkFit] | None:
+def _without_g(fit: RateTableFit) -> RateTableFit:
+    """Return a fit without its g-sensitivity, which moves the offset from pose to pose where no accelerometer corrects it."""
+    model = fit.model
+    g = np.zeros((3, 3)) if model.g_sensitivity is None else model.g_sensitivity
+    apart = float(np.ptp(g, axis=1).max()) * STANDARD_GRAVITY / RADIAN_PER_DEGREE
+    kept = [one for one in fit.verdict.findings if one.code != "rate_table.g_sensitivity"]
+    moved = finding("rate_table.axis_offset", level_of(apart, DRIFT_DPS), offset_dps=apart, wanted=DRIFT_DPS[0])
+    plain = replace(model, g_sensitivity=None, parameters=model.parameters[:12], covariance=model.covariance[:12, :12])
+    return replace(fit, model=plain, verdict=Verdict.of(*kept, moved))
+
+
+def _by_axis(dwells: DwellMeans, rates: FloatArray, sigma: FloatArray) -> list[WalkFit] | None:
     """Fit an offset for each axis of the table, parameters 4 to 6, and a trend; None where time explains the offsets."""
+    if dwells.time is None:
+        return None
+    time = dwells.time
     own = (np.array(dwells.axis)[:, None] == np.array(AXES)[None, :]).astype(float)
     away = time - time.mean()
     design = np.column_stack((rates, own, away))
@@ -274,6 +291,7 @@ def _refined(
     design: FloatArray,
     readings: FloatArray,
     found: list[WalkFit],
+    sigma: FloatArray,
     by_axis: list[WalkFit] | None = None,
 ) -> RateTableFit:
     theta = np.array([one.theta for one in found])
@@ -282,7 +300,7 @@ def _refined(
     widen = _excess(found, readings.size - theta.size)
     model = _model(fit.model, theta, [one.covariance * widen for one in found])
     model = replace(
-        with_table_errors(model, dwells),
+        with_table_errors(model, dwells, sigma[: len(dwells.axis)]),
         rms_residual=float(np.sqrt((residuals**2).mean())),
         count=readings.size,
         rank=3 * rank,
@@ -434,7 +452,7 @@ def calibrate_rates(seen: Observed, mode: str | None, accel: TriadFit | None) ->
         part = fit_turned_axes(dwells, latitude_deg=latitude, scale_tolerance=tolerance, cross_axis_prior=prior)
         return Outcome(fit=part, method="rate-table", findings=found)
     dwells, found = _on_table(seen, dwells, None if accel is None else accel.model)
-    rests = None if accel is None else _rest_means(seen, accel.model, dwells.codes)
+    rests = _rest_means(seen, dwells, None if accel is None else accel.model)
     numbers = tuple(k for k, t in enumerate(session.turns, 1) if t.axis is not None and t.turn_rate is not None)
     check_dwells(dwells, imposed_rates(dwells, latitude), rests=rests, numbers=numbers)
     if mode != "paper":
@@ -468,8 +486,7 @@ def _on_table(seen: Observed, dwells: DwellMeans, accel: TriadModel | None) -> t
     axes = table_axes(held, table, accel, session.gravity_m_s2)
     creep = creep_of(seen, turns, "gyro")
     axes = replace(axes, covariance=axes.covariance + _scale_creep(dwells, creep))
-    wobble, tilt = table.wobble_deg * RADIAN_PER_DEGREE, table.mount_tilt_deg * RADIAN_PER_DEGREE
-    return replace(dwells, axes=axes, wobble=wobble, mount_tilt=tilt), creep.findings()
+    return replace(dwells, axes=axes, mount_tilt=table.mount_tilt_deg * RADIAN_PER_DEGREE), creep.findings()
 
 
 def _scale_creep(dwells: DwellMeans, creep: Creep) -> FloatArray:
@@ -479,26 +496,46 @@ def _scale_creep(dwells: DwellMeans, creep: Creep) -> FloatArray:
     return np.diag(np.diag(creep.scale_per_k * warmth).reshape(9) ** 2)
 
 
-def _rest_means(seen: Observed, accel: TriadModel, codes: FloatArray) -> RestMeans | None:
-    """Return readings at rest and specific forces, None where a recording lacks a triad or there is no rest."""
+def _rest_means(seen: Observed, dwells: DwellMeans, accel: TriadModel | None) -> RestMeans | None:
+    """Return readings at rest and specific forces; None where a recording lacks a triad or there is no rest.
+
+    Without accelerometers rests on stated faces count, and gravity is along the face.
+    """
     records, rests = seen.session.records, sorted(seen.stills, key=lambda still: still.recording)
+    turning = [t for t in seen.session.turns if t.axis is not None and t.turn_rate is not None]
+    if accel is None:
+        rests = [rest for rest in rests if rest.face is not None]
     parts = [records[s.recording].part(s.start, s.stop) for s in rests]
-    if not rests or any(r.accel is None or r.gyro is None or np.isnan(r.gyro).any() for r in parts):
+    if not parts or not turning or any(r.gyro is None or np.isnan(r.gyro).any() for r in parts):
         return None
     windows = [part.gyro for part in parts if part.gyro is not None]
     noise = noise_of_means(windows, [block_size(part.sample_rate_hz) for part in parts])
-    turning = [t for t in seen.session.turns if t.axis is not None and t.turn_rate is not None]
-    turns = [records[t.recording].part(t.start, t.stop) for t in turning]
-    if noise is None or not turns or any(turn.accel is None for turn in turns):
+    if noise is None:
         return None
-    dwell_force, force = (
-        (np.array([np.nanmean(part.accel, axis=0) for part in group]) - accel.offset) @ accel.matrix.T  # type: ignore[arg-type]
-        for group in (turns, parts)
-    )
+    if accel is None:
+        force = _stated_force(rests, turning, dwells) * seen.session.gravity_m_s2
+    else:
+        turns = [records[t.recording].part(t.start, t.stop).accel for t in turning]
+        felt = [values for values in (*turns, *(part.accel for part in parts)) if values is not None]
+        if len(felt) < len(turns) + len(parts):
+            return None
+        force = (np.array([np.nanmean(values, axis=0) for values in felt]) - accel.offset) @ accel.matrix.T
     return RestMeans(
-        dwell_force=dwell_force,
+        dwell_force=force[: len(turning)],
         reading=np.array([window.mean(axis=0) for window in windows]),
-        force=force,
-        noise=np.hypot(noise, np.sqrt(codes)),
+        force=force[len(turning) :],
+        noise=np.hypot(noise, np.sqrt(dwells.codes)),
         time=middles(records, rests),
+        felt=accel is not None,
     )
+
+
+def _stated_force(rests: Sequence[Still], turning: Sequence[Turn], dwells: DwellMeans) -> FloatArray:
+    """Return the direction that points up (N + P, 3) in dwells, by the rests of their mounting, and in rests on faces."""
+    faces = [f"{'-' if up < 0.0 else '+'}{axis}" for up, axis in zip(dwells.up, dwells.axis, strict=True)]
+    numbers = mountings([*turning, *rests]).tolist()
+    shown = {number: rest.face for number, rest in zip(numbers[len(turning) :], rests, strict=True) if rest.face}
+    faces = [shown.get(number, face) for number, face in zip(numbers[: len(turning)], faces, strict=True)]
+    faces += [rest.face for rest in rests if rest.face]
+    sign = np.array([-1.0 if face[0] == "-" else 1.0 for face in faces])
+    return np.asarray(axis_vectors([face[1] for face in faces]) * sign[:, None])

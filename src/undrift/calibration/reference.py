@@ -106,7 +106,7 @@ class HeldOut:
     after: float  # with the model
     extrapolation: Finding | None  # Where the held-out rates exceed what the others saw
     adc: AdcModel | None  # What the readings were corrected for
-    rounding: Finding | None  # Why that was chosen, where the others could be cross-validated
+    rounding: Finding | None  # Why that was chosen, where there was something to correct
 
 
 # ---- recordings
@@ -198,11 +198,12 @@ def leave_one_out(
     if adc is not None:
         progress("cross-validating the correction of the ADC", 0.0)
         corrected = prepare_all(records, references, settings, adc, lag_settings)
-        errors = _adc_errors((plain, corrected), settings, records[0].gyro_unit)
+        if len(records) > 2:
+            errors = _adc_errors((plain, corrected), settings, records[0].gyro_unit)
     unit, held = records[0].gyro_unit, list[HeldOut]()
     for i in range(len(records)):
         progress(f"fit without recording {i + 1} of {len(records)}", i / len(records))
-        keep, why = _adc_choice(errors, without=i)
+        keep, why = (True, None) if adc is None else _adc_choice(errors, without=i)
         prepared = corrected if keep else plain
         fit = _fit([*prepared[:i], *prepared[i + 1 :]], settings, unit)
         held.append(_held_out(i, prepared[i], fit, settings, (adc if keep else None, why)))
@@ -218,10 +219,13 @@ def cross_validated_adc(
     lag_settings: LagSettings = LagSettings(),
 ) -> tuple[AdcModel | None, Finding | None]:
     """Return the ADC model where correcting for it lowers the error on recordings that a fit has not seen, and the evidence."""
-    if adc is None or len(records) < 2:
-        return adc, None
-    both = [prepare_all(records, references, settings, one, lag_settings) for one in (None, adc)]
-    keep, why = _adc_choice(_adc_errors((both[0], both[1]), settings, records[0].gyro_unit), without=None)
+    if adc is None:
+        return None, None
+    errors = None
+    if len(records) > 1:
+        both = [prepare_all(records, references, settings, one, lag_settings) for one in (None, adc)]
+        errors = _adc_errors((both[0], both[1]), settings, records[0].gyro_unit)
+    keep, why = _adc_choice(errors, without=None)
     return adc if keep else None, why
 
 
@@ -236,7 +240,7 @@ def _adc_errors(
     errors = np.full((2, count, count), np.nan)
     for which, prepared in enumerate(variants):
         mounted = _first_mountings(prepared, settings)
-        for i in range(count if count > 2 else 0):
+        for i in range(count):
             try:
                 fit = _fit([prepared[i]], settings, unit)
             except NotObservable:
@@ -248,13 +252,11 @@ def _adc_errors(
     return errors
 
 
-def _adc_choice(errors: FloatArray | None, *, without: int | None) -> tuple[bool, Finding | None]:
-    """Return whether to correct, by the recordings other than one; where they are fewer than two, as the codes say."""
+def _adc_choice(errors: FloatArray | None, *, without: int | None) -> tuple[bool, Finding]:
+    """Return whether to correct, by two recordings or more other than one; where there are no errors, as the codes say."""
     if errors is None:
-        return True, None
+        return True, finding("reference.adc_not_validated", "info")
     seen = errors if without is None else np.delete(np.delete(errors, without, axis=1), without, axis=2)
-    if seen.shape[1] < 2 or np.isnan(seen).all():
-        return True, None
     plain, corrected = np.sqrt(np.nanmean(seen**2, axis=(1, 2)))
     degrees = {"with_deg": float(np.degrees(corrected)), "without_deg": float(np.degrees(plain))}
     keep = bool(corrected <= plain)
@@ -309,7 +311,7 @@ def _fit(prepared: Sequence[Recording], settings: ReferenceSettings, unit: str) 
         windows = equations(reach)
         if solution is not None and independent_windows(windows, reach) <= len(kept) / 3.0:
             break  # too short for longer windows: stay with the last ones
-        solution, used = solve(windows, kept=kept, reach=reach), length
+        solution, used = solve(prepared, windows, kept=kept, reach=reach), length
         step(solution)
     for _ in range(_REFINEMENTS if settings.weights == "noise" else 0):
         solution, used = solve_chain(prepared, equations(1), kept=kept), settings.stride_s
@@ -320,9 +322,7 @@ def _fit(prepared: Sequence[Recording], settings: ReferenceSettings, unit: str) 
             f"reference: wanted a right-handed matrix, got a determinant of {determinant:.3g}; "
             "one axis of the readings or of the reference is reversed"
         )
-    size = len(kept) - own
-    common = replace(solution, covariance=solution.covariance[:size, :size])
-    return _result(prepared, mounted, settings, unit, guess, kept[:size], common, used)
+    return _result(prepared, mounted, settings, unit, guess, kept[: len(kept) - own], solution, used)
 
 
 def _of_device(
@@ -427,7 +427,7 @@ def _result(
     jacobian = np.eye(len(guess))
     jacobian[9:12, 9:12], jacobian[9:12, :9] = inverse, -np.kron(inverse, motion_offset)
     covariance = np.zeros((len(guess), len(guess)))
-    covariance[np.ix_(kept, kept)] = solution.covariance
+    covariance[np.ix_(kept, kept)] = solution.covariance()[: len(kept), : len(kept)]
     covariance = jacobian @ covariance @ jacobian.T
     if settings.offset != "common":
         spread = np.array([p.rest_uncertainty for p in prepared])

@@ -2,18 +2,19 @@
 
 With R = R_nb the poses, p the position of the reference body's origin and r the sensor in it, the readings a follow::
 
-    R (M (a + d a') - c) = p'' + (R r)'' + g z            c = M o,   d the delay of the accelerometer against the poses
+    R (M (a + d a' + d^2/2 a'') - c) = p'' + (R r)'' + g z     c = M o,   d the delay of the accelerometer against the poses
 
 No pose is ever differentiated: each side is weighed by a bump h(t) of one second whose first three derivatives are zero at its
 ends, and the derivatives are moved to it (integration by parts)::
 
-    int h R (M a - c + d M a') dt - int h'' R dt r = int h'' p dt + g z int h dt
+    int h R (M a - c + d M a' + d^2/2 M a'') dt - int h'' R dt r = int h'' p dt + g z int h dt
 
-A rest is one such equation without p and r, from means. M, c, r and d are linear, but for d M. A rest errs by the pose's tilt, the
-same throughout, and the level of the reference is a parameter. Windows are weighed by Huber's rule; their covariance is the
-jackknife's over blocks of 8 s. What the recordings do not show takes a stated prior: the matrix 5 % about the mounting that the
-gyroscopes found, the offset 0.5 m/s2. A rest without a valid pose enters no equation: there the length of the corrected force is
-compared with gravity.
+Readings are means over the step T of the poses, of straight lines between samples a step t apart, which lose
+(T^2 / 24 + t^2 / 12) a'': that is added. A rest is one such equation without p and r, from means. M, c, r and d are linear, but
+for d M. A rest errs by the pose's tilt, the same throughout, and the level of the reference is a parameter. Windows are weighed by
+Huber's rule; their covariance is the jackknife's over blocks of 8 s. What the recordings do not show takes a stated prior: the
+matrix 5 % about the mounting that the gyroscopes found, the offset 0.5 m/s2. A rest without a valid pose enters no equation: there
+the length of the corrected force is compared with gravity.
 """
 
 from collections.abc import Iterator, Sequence
@@ -30,14 +31,12 @@ from undrift.frames import rotation
 from undrift.model import MATRIX_NAMES, OFFSET_NAMES, TriadModel, Verdict
 from undrift.record import Record, Reference, Session, Still
 from undrift.segments import StillSettings, find_still
-from undrift.sync import LagSettings, RunningIntegral, find_lag, native_poses
+from undrift.sync import RunningIntegral, native_poses
 from undrift.units import is_physical, si_factor
 
 _WINDOW_S, _STRIDE_S = 1.0, 0.5
 _POSE_SD = 2e-3  # rad: tilt of the reference at a rest
 _LEAST_SD = 1e-3  # m/s2: no window is better than this
-# Relative, m/s2: poses and readings joined by straight lines lose (2 pi 1.4 Hz 5 ms)^2 / 24 = 8e-5 of the motion
-_FLOOR_MATRIX, _FLOOR_OFFSET = 1e-4, 1e-3
 _PRIOR_MATRIX, _PRIOR_OFFSET = 0.05, 0.5  # relative; m/s2
 _HUBER, _PASSES = 1.345, 8
 _HELD = 0.5  # of the prior: a parameter that keeps more of it was not observed
@@ -50,7 +49,7 @@ class _Rows:
     """Equations of one recording: A x = y."""
 
     design: FloatArray  # (n, 3, 15): M row by row, c, r
-    delayed: FloatArray  # (n, 3, 9), for d: times M row by row
+    delayed: FloatArray  # (n, 3, 18), for d and d^2 / 2: each times M row by row
     wanted: FloatArray  # (n, 3), m/s2
     first: IntArray  # (n,), number of each window; -1 of a rest
     forces: FloatArray  # (n, 3), mean readings
@@ -63,16 +62,19 @@ def fit_reference_accel(
     *,
     mountings: FloatArray,
     gravity_m_s2: float,
-    lag_settings: LagSettings = LagSettings(),
+    lags_s: FloatArray,
 ) -> TriadFit:
-    """Fit scale, cross-axis terms and offset of the accelerometers of one device, in the frame of its gyroscopes' fit."""
+    """Fit scale, cross-axis terms and offset of the accelerometers of one device, in the frame of its gyroscopes' fit.
+
+    ``mountings`` (R, 3), rad, and ``lags_s`` (R,) are those that the gyroscopes' fit found.
+    """
     unit = records[0].accel_unit
     if any(r.accel is None or r.accel_unit != unit for r in records):
         raise InputError("reference: wanted accelerometers in one unit in all recordings, got none in some; map them")
     left, _, right = np.linalg.svd(gyro.matrix)
     rows, unused = list[_Rows](), list[Still]()
-    for number, (record, reference, own) in enumerate(zip(records, references, mountings, strict=True)):
-        made, without_pose = _equations(record, native_poses(reference), own, gravity_m_s2, lag_settings)
+    for number, (record, reference, own, lag_s) in enumerate(zip(records, references, mountings, lags_s, strict=True)):
+        made, without_pose = _equations(record, native_poses(reference), own, float(lag_s), gravity_m_s2)
         rows.append(made)
         unused += [replace(still, recording=number) for still in without_pose]
     factor = _nominal_factor(rows, unit, gravity_m_s2)
@@ -95,15 +97,16 @@ def _nominal_factor(rows: Sequence[_Rows], unit: str, gravity: float) -> float:
 
 
 def _equations(
-    record: Record, poses: Reference, mounting: FloatArray, gravity: float, lag_settings: LagSettings
+    record: Record, poses: Reference, mounting: FloatArray, lag_s: float, gravity: float
 ) -> tuple[_Rows, list[Still]]:
     """Return the equations of a recording, and its rests without a valid pose."""
     from scipy.spatial.transform import Rotation
 
-    lag_s = find_lag(record, poses, lag_settings).seconds
     step = float(np.median(np.diff(poses.time)))
     at = poses.time + lag_s
     a, inside = RunningIntegral(record.time, np.asarray(record.accel)).mean(at - 0.5 * step, at + 0.5 * step)
+    lost = 1.0 / 24.0 + (float(np.median(np.diff(record.time))) / step) ** 2 / 12.0
+    a[1:-1] -= lost * np.where((inside[2:] & inside[1:-1] & inside[:-2])[:, None], np.diff(a, 2, axis=0), 0.0)
     valid = inside & np.isfinite(a).all(axis=1) & np.isfinite(poses.q_nb).all(axis=1)
     turned = np.zeros((len(at), 3, 3))
     turned[valid] = (rotation(poses.q_nb[valid]) * Rotation.from_rotvec(mounting)).as_matrix()
@@ -143,7 +146,7 @@ def _rests(posed: Sequence[BoolArray], force: FloatArray, turned: FloatArray, gr
     wanted = np.tile((0.0, 0.0, gravity), (count, 1))
     return _Rows(
         design=design,
-        delayed=np.zeros((count, 3, 9)),
+        delayed=np.zeros((count, 3, 18)),
         wanted=wanted,
         first=np.full(count, -1),
         forces=forces,
@@ -161,9 +164,11 @@ def _windows(
     h, second = bump * step / size, bend * step / size
     first = np.arange(0, max(0, len(seen) - width + 1), stride)
     first = first[[bool(seen[k : k + width].all()) for k in first]]
-    change = np.gradient(force, step, axis=0)
-    moments = np.concatenate((_columns(turned, force), _columns(turned, change)[:, :, :9]), axis=2)
-    design, delayed, wanted = (np.zeros((len(first), 3, n)) for n in (15, 9, 1))
+    bent = np.zeros_like(force)
+    bent[1:-1] = np.diff(force, 2, axis=0) / step**2
+    late = [_columns(turned, part)[:, :, :9] for part in (np.gradient(force, step, axis=0), bent)]
+    moments = np.concatenate((_columns(turned, force), *late), axis=2)
+    design, delayed, wanted = (np.zeros((len(first), 3, n)) for n in (15, 18, 1))
     for i, k in enumerate(first):
         part = slice(k, k + width)
         design[i, :, :12] = np.tensordot(h, moments[part, :, :12], axes=1)
@@ -226,12 +231,15 @@ def _solve(rows: Sequence[_Rows], nominal: FloatArray, factor: float, gravity: f
     residual = wanted - a @ x
     bread, rests = np.linalg.inv(normal), a[rest].reshape(-1, size) / rest_sd
     covariance = bread @ (np.diag(sd**-2.0) + rests.T @ rests) @ bread
-    covariance[range(_OWN), range(_OWN)] += np.repeat((_FLOOR_MATRIX * factor, _FLOOR_OFFSET), (9, 3)) ** 2
     # Windows: the jackknife over blocks, x without block less x, whose few rests and turns would make a sandwich too narrow.
+    # A residual beyond Huber's bound does not move x: normal equations of the others say how x follows the scores.
+    moving = np.where(rest[:, None], weight, (np.abs(residual) <= _HUBER * scale) / scale**2)
+    normal = (a.reshape(-1, size).T * moving.reshape(-1)) @ a.reshape(-1, size) + np.diag(sd**-2.0)
     block = np.concatenate([np.where(r.first < 0, -1, 100_000 * i + r.first // _BLOCK) for i, r in enumerate(rows)])
     for number in np.unique(block[~rest]):
-        own, w = a[block == number].reshape(-1, size), weight[block == number].reshape(-1)
-        moved = np.linalg.solve(normal - (own.T * w) @ own, own.T @ (w * residual[block == number].reshape(-1)))
+        chosen = block == number
+        own, score = a[chosen].reshape(-1, size), (weight * residual)[chosen].reshape(-1)
+        moved = np.linalg.solve(normal - (own.T * moving[chosen].reshape(-1)) @ own, own.T @ score)
         covariance += np.outer(moved, moved)
     seen = a.reshape(-1, size)[:, :_OWN]
     return _Solved(
@@ -248,7 +256,7 @@ def _design(rows: Sequence[_Rows], x: FloatArray, gravity: float) -> FloatArray:
     for i, r in enumerate(rows):
         own = np.zeros((len(r.wanted), 3, _OWN + _OTHERS + 3 * count))
         own[:, :, :_OWN] = r.design[:, :, :_OWN]
-        own[:, :, _OWN] = r.delayed @ x[:9]
+        own[:, :, _OWN] = (r.delayed[..., :9] + 0.5 * x[_OWN] * r.delayed[..., 9:]) @ x[:9]
         own[:, 0, _OWN + 1] = own[:, 1, _OWN + 2] = -gravity
         own[:, :, _OWN + _OTHERS + 3 * i : _OWN + _OTHERS + 3 * i + 3] = r.design[:, :, 12:]
         parts.append(own)

@@ -10,7 +10,7 @@ Over a window from pose i to pose j, with M, offset and d at their present value
 Poses are taken at their own times; the integration is read off there, the lag added. So no pose is ever interpolated.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,8 +18,9 @@ import numpy as np
 from undrift.arrays import BoolArray, FloatArray, IntArray
 from undrift.errors import NotObservable
 from undrift.fit.least_squares import scaled_condition
+from undrift.fit.smooth import widening_of
 from undrift.frames import quaternion_conjugate, quaternion_product, rotate, rotation_vector
-from undrift.sync import Lag, box_sums
+from undrift.sync import Lag
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -94,10 +95,20 @@ def _whole(recording: Recording, reach: int) -> BoolArray:
 
 # ---- robust least squares of overlapping windows
 #
-# Huber's estimate by reweighting: an equation whose residual r exceeds k s counts k s / |r|, s from the median. Neighbouring
-# windows share readings and pose errors, so the covariance is the sandwich N^-1 S N^-1 with S the long-run covariance of the
-# scores g = J^T w r, lags up to the window length and beyond under Bartlett's triangle (Newey and West 1987). The triangle is what
-# the squares of all sliding sums of B neighbours give, which is how it is computed here.
+# Huber's estimate by reweighting: an equation whose residual r exceeds k s counts k s / |r|, s from the median. To first order it
+# errs by x = (A^T D A)^-1 A^T p, with p = w r the bounded residuals and D = 0 where the bound holds, else 1.
+#
+# Neighbouring windows share readings and pose errors. In n a window's residual is e_j - e_i, with e the error of orientation along
+# the recording, of three shapes alike for all axes and recordings of a device:
+#
+#     poses       e white                              cov e = I
+#     readings    e a random walk                      min(s, t)
+#     offset      e the integral of a random walk      min(s, t)^2 (3 max(s, t) - min(s, t)) / 6
+#
+# Their sizes, none negative, are those whose sums of products p_i . p_(i + lag) are nearest to the ones seen, less what the fit
+# took of them. The residuals' sum of squares is like a chi-square's of 3 tr(V)^2 / tr(V^2) degrees of freedom for a covariance V
+# (Satterthwaite 1946), but at least three times the windows that do not overlap, less the parameters. Intervals are Student's of as
+# many. Scores by themselves (Newey and West 1987) would say too little: some ten windows that do not overlap hold 18 parameters.
 
 _REWEIGHTINGS = 15
 _HUBER = 1.345  # k
@@ -108,7 +119,7 @@ class Solution:
     """One linear solution."""
 
     step: FloatArray  # (P,), change of the parameters that were kept
-    covariance: FloatArray  # (P, P), sandwich
+    covariance: Callable[[], FloatArray]  # (P, P), of the kept parameters; computed when called
     residuals: FloatArray  # (n, 3), rad, all windows
     scale: float  # Robust standard deviation of the residuals, rad
     condition: float  # Of the design with columns scaled to one
@@ -119,7 +130,7 @@ def independent_windows(windows: Sequence[Windows], reach: int) -> int:
     return sum(-(-len(w.first) // reach) for w in windows)
 
 
-def solve(windows: Sequence[Windows], *, kept: IntArray, reach: int) -> Solution:
+def solve(recordings: Sequence[Recording], windows: Sequence[Windows], *, kept: IntArray, reach: int) -> Solution:
     """Solve the window equations of several recordings for the parameters ``kept``, by number."""
     a = np.concatenate([w.design for w in windows])[:, :, kept]
     y = np.concatenate([w.turn for w in windows])
@@ -134,12 +145,12 @@ def solve(windows: Sequence[Windows], *, kept: IntArray, reach: int) -> Solution
     condition = _full_rank(rows)
     x, weight, scale = _huber(rows, y.reshape(-1))
     residual = y - a @ x
-    bread = np.linalg.inv((rows.T * weight) @ rows)
-    scores = np.einsum("nap,na->np", a, weight.reshape(-1, 3) * residual)
-    meat = _long_run(scores, windows, 2 * reach)
-    # Residuals are short of errors by their leverage, P / n on average; HC3's square of it, not HC1's first power
-    # (MacKinnon and White 1985).
-    covariance = bread @ meat @ bread * (3 * independent / (3 * independent - len(kept))) ** 2
+    weight = weight.reshape(-1, 3)
+
+    def covariance() -> FloatArray:
+        made, freedom = _covariance(recordings, windows, (a, weight * residual, weight == 1.0), reach)
+        return made * widening_of(max(freedom, 3.0 * independent) - len(kept))
+
     return Solution(step=x, covariance=covariance, residuals=residual, scale=scale, condition=condition)
 
 
@@ -171,16 +182,71 @@ def _huber(a: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray, float]
     return x / length, weight, scale
 
 
-def _long_run(scores: FloatArray, windows: Sequence[Windows], width: int) -> FloatArray:
-    size = scores.shape[1]
-    meat, ends = np.zeros((size, size)), np.cumsum([len(w.first) for w in windows])
-    for w, own in zip(windows, np.split(scores, ends[:-1]), strict=True):
-        if len(own):
-            line = np.zeros((int(w.first[-1] - w.first[0]) + 2 * width - 1, size))
-            line[w.first - w.first[0] + width - 1] = own
-            sums = box_sums(line, width)
-            meat += sums.T @ sums / width
-    return meat
+# Lags, in windows: from neighbours to windows that have nothing in common
+_LAGS = np.array((0.0, 1 / 32, 1 / 16, 1 / 8, 1 / 4, 1 / 2, 3 / 4, 1.0, 5 / 4, 3 / 2, 2.0))
+_STRETCH = 1200  # strides, 10 min: longer recordings are taken stretch by stretch, as if these were apart
+
+
+def _covariance(
+    recordings: Sequence[Recording],
+    windows: Sequence[Windows],
+    equations: tuple[FloatArray, FloatArray, BoolArray],  # A (n, 3, P), p (n, 3), D (n, 3), in the body
+    reach: int,
+) -> tuple[FloatArray, float]:
+    """Return the covariance of the solution, (P, P), and the degrees of freedom of the residuals before the fit."""
+    from scipy.optimize import nnls
+
+    a, bounded, free = equations
+    size, lags = a.shape[2], np.unique(np.rint(reach * _LAGS).astype(np.int64))
+    gain = a @ np.linalg.inv(np.einsum("nap,naq->pq", a, free[:, :, None] * a))
+    table = np.concatenate((gain, free[:, :, None] * a, bounded[:, :, None]), axis=2)
+    ends = np.cumsum([len(w.first) for w in windows])[:-1]
+    seen, taken = np.zeros(len(lags)), np.zeros((len(lags), size, size))
+    made, carried, products = np.zeros((len(lags), 3)), np.zeros((3, size, size)), np.zeros((3, 3))
+    traces = np.zeros(3)
+    for recording, w, own in zip(recordings, windows, np.split(table, ends), strict=True):
+        whole = _level(recording.q_nb[w.first + reach], own)
+        cuts = np.flatnonzero(np.diff(w.first // _STRETCH)) + 1
+        for first, part in zip(np.split(w.first, cuts), np.split(whole, cuts), strict=True):
+            c, held, p = part[:, :, :size], part[:, :, size:-1], part[:, :, -1]
+            shapes = _shapes(first - first[:1], reach)
+            moved = [np.tensordot(shape, c, axes=1) for shape in shapes]  # cov(residuals) C^T, (n, 3, P)
+            carried += [np.einsum("nap,naq->pq", c, m) for m in moved]
+            products += [[(s * t).sum() for t in shapes] for s in shapes]
+            traces += [np.trace(s) for s in shapes]
+            for k, lag in enumerate(lags):
+                i, j = _apart(first, int(lag))
+                shifted = np.zeros_like(held)
+                shifted[i] += 0.5 * held[j]
+                shifted[j] += 0.5 * held[i]
+                seen[k] += (p[i] * p[j]).sum()
+                taken[k] += np.einsum("nap,naq->pq", held, shifted)
+                made[k] += [3.0 * s[i, j].sum() - 2.0 * (shifted * m).sum() for s, m in zip(shapes, moved, strict=True)]
+    made += np.einsum("lpq,kqp->lk", taken, carried)
+    length = np.maximum(np.linalg.norm(made, axis=0), 1e-300)
+    sizes = nnls(made / length, seen)[0] / length
+    freedom = 3.0 * float(traces @ sizes) ** 2 / max(float(sizes @ products @ sizes), 1e-300)
+    return np.tensordot(sizes, carried, axes=1), freedom
+
+
+def _shapes(first: IntArray, reach: int) -> list[FloatArray]:
+    """Return the covariances (n, n) of e_j - e_i over windows from ``first`` (n,) that span ``reach``, of unit size each."""
+    t = np.concatenate((first, first + reach)).astype(np.float64)
+    low, high = np.minimum(t[:, None], t), np.maximum(t[:, None], t)
+    errors, n = ((low == high).astype(np.float64), low, low**2 * (3.0 * high - low) / 6.0), len(first)
+    return [of[n:, n:] - of[n:, :n] - of[:n, n:] + of[:n, :n] for of in errors]
+
+
+def _apart(first: IntArray, lag: int) -> tuple[IntArray, IntArray]:
+    """Return the numbers of the windows that have another one ``lag`` strides later, and of those."""
+    later = np.searchsorted(first, first + lag)
+    there = np.flatnonzero(first[np.minimum(later, len(first) - 1)] == first + lag) if len(first) else later
+    return there, later[there]
+
+
+def _level(q: FloatArray, table: FloatArray) -> FloatArray:
+    """Return columns (n, 3, C), turned from the bodies q_nb (n, 4) into n."""
+    return np.moveaxis(rotate(q[:, None, :], np.moveaxis(table, 1, 2)), 2, 1)
 
 
 # ---- all poses in one chain: as efficient as white noise allows
@@ -220,14 +286,14 @@ def solve_chain(recordings: Sequence[Recording], steps: Sequence[Windows], *, ke
     variance = float(((weight * residual) ** 2).sum()) / (len(y) - len(x)) / max(fully, 0.1) ** 2
     covariance = np.linalg.inv(scaled.T @ scaled) * variance / np.outer(length, length)
     residual = residual.reshape(-1, 3)
-    return Solution(step=x, covariance=covariance, residuals=residual, scale=scale, condition=condition)
+    return Solution(step=x, covariance=lambda: covariance, residuals=residual, scale=scale, condition=condition)
 
 
 def _in_level(recording: Recording, steps: Windows, kept: IntArray) -> FloatArray:
     """Return y and A side by side, (n, 3, 1 + P), turned from the body at the later pose into n."""
-    q = recording.q_nb[steps.first + 1][:, None, :]
-    table = np.concatenate((steps.turn[:, :, None], steps.design[:, :, kept]), axis=2)
-    return np.moveaxis(rotate(q, np.moveaxis(table, 1, 2)), 2, 1)
+    return _level(
+        recording.q_nb[steps.first + 1], np.concatenate((steps.turn[:, :, None], steps.design[:, :, kept]), axis=2)
+    )
 
 
 def _most_likely(tables: Sequence[FloatArray], links: Sequence[BoolArray]) -> float:

@@ -29,6 +29,7 @@ from undrift.calibration.checks import (
     missing_faces,
 )
 from undrift.calibration.creep import Creep, creep_of
+from undrift.calibration.flicker import blocks_within, flicker_about_mean, mean_square_size, size_unit, spans_of
 from undrift.calibration.observe import Observed, Outcome, with_offset
 from undrift.calibration.table_axis import mountings
 from undrift.errors import InputError, NotObservable
@@ -173,15 +174,17 @@ class FaceMeans:
     # (P,), stated standard uncertainty of the tilt of each beside what the readings show, rad; levelled mode alone uses it
     tilt: FloatArray | None = None
     creep: Creep | None = None  # Of the session's temperature
+    flicker: FloatArray | None = None  # (P, c), of the offset: errors of one standard deviation each, ``unit``
 
     def shared(self, gravity: float) -> FloatArray | None:
-        """Return the errors that the readings of one sensor have in common by creep (3, P, 2), ``unit``."""
-        if self.creep is None or self.creep.none:
-            return None
-        up = gravity * face_vectors(self.faces)
-        design = np.column_stack((up, np.ones(len(up))))
-        gain = np.diag(np.linalg.lstsq(design, self.reading, rcond=None)[0][:3])
-        return np.stack([self.creep.columns(up[:, j], float(gain[j])) for j in range(3)])
+        """Return the errors that the readings of one sensor have in common by creep and flicker (3, P, c), ``unit``."""
+        parts = [] if self.flicker is None else [np.stack((self.flicker, self.flicker, self.flicker))]
+        if self.creep is not None and not self.creep.none:
+            up = gravity * face_vectors(self.faces)
+            design = np.column_stack((up, np.ones(len(up))))
+            gain = np.diag(np.linalg.lstsq(design, self.reading, rcond=None)[0][:3])
+            parts.append(np.stack([self.creep.columns(up[:, j], float(gain[j])) for j in range(3)]))
+        return np.concatenate(parts, axis=2) if parts else None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -248,12 +251,14 @@ def face_means(
     """Filter and average the middle ``window_s`` of each labelled still phase by a polynomial in time."""
     used = [s for s in stills if s.face is not None]
     unit = records[stills[0].recording].accel_unit if stills else "m/s2"
-    windows = [_window(records[s.recording], s, unit, window_s, polynomial_degree) for s in used]
+    cut = [_middle(records[s.recording], s, window_s) for s in used]
+    windows = [_window(records[s.recording], s, unit, polynomial_degree) for s in cut]
     filtered = [polynomial_filter(window, polynomial_degree) for window in windows]
     sizes = [block_size(records[s.recording].sample_rate_hz) for s in used]
     noise = noise_of_means([rest for _, rest in filtered], sizes, removed=polynomial_degree + 1)
-    rounding = None
+    rounding = flicker = None
     if noise is not None:
+        flicker = _flicker(records, cut, windows, noise, polynomial_degree + 1)
         every = [np.asarray(records[k].accel) for k in {s.recording for s in used}]
         rounding = mean_rounding(every, [rest for _, rest in filtered])
         noise = np.hypot(noise, rounding)
@@ -263,19 +268,34 @@ def face_means(
         noise=noise,
         rounding=rounding,
         unit=unit,
+        flicker=flicker,
     )
 
 
-def _window(record: Record, still: Still, unit: str, window_s: float, degree: int) -> FloatArray:
+def _flicker(
+    records: Sequence[Record], rests: Sequence[Still], windows: Sequence[FloatArray], noise: FloatArray, removed: int
+) -> FloatArray:
+    """Return flicker of a likely size in means of rests (P, P), columns of one standard deviation."""
+    span = spans_of(records, rests)
+    blocks = blocks_within(windows, [records[s.recording].sample_rate_hz for s in rests], removed)
+    size = size_unit(noise, span)
+    values, vectors = np.linalg.eigh(mean_square_size(blocks.likelihood(size)) * flicker_about_mean(span))
+    return np.asarray(size * vectors * np.sqrt(values.clip(0.0)))
+
+
+def _middle(record: Record, still: Still, window_s: float) -> Still:
+    wanted = max(2, round(window_s * record.sample_rate_hz))
+    start = still.start + max(0, (still.stop - still.start - wanted) // 2)
+    return replace(still, start=start, stop=min(still.stop, start + wanted))
+
+
+def _window(record: Record, still: Still, unit: str, degree: int) -> FloatArray:
     if record.accel is None or record.accel_unit != unit:
         raise InputError(
             f"six faces: wanted accelerometer readings in {unit} in every recording, got "
             f"{'none' if record.accel is None else record.accel_unit} in recording {still.recording}; map the columns alike"
         )
     window = record.accel[still.start : still.stop]
-    wanted = max(2, round(window_s * record.sample_rate_hz))
-    skip = max(0, (len(window) - wanted) // 2)
-    window = window[skip : skip + wanted]
     window = window[~np.isnan(window).any(axis=1)]
     if len(window) <= degree + 1:
         raise InputError(
@@ -370,4 +390,7 @@ def _by_mounting(seen: Observed, poses: FaceMeans) -> FaceMeans:
         noise=np.array([weight[rows].sum(axis=0) ** -0.5 for rows in groups]),
         tilt=np.array([tilt if of_rest[rows[0]] >= 0 else 0.0 for rows in groups]),
         creep=poses.creep and poses.creep.averaged(groups, weight.mean(axis=1)),
+        flicker=None
+        if poses.flicker is None
+        else np.array([np.average(poses.flicker[rows], axis=0, weights=weight[rows].mean(axis=1)) for rows in groups]),
     )

@@ -1,91 +1,79 @@
 """Table axis: about which axis of the case a rate table really turned, by the gravity felt, and what stays unknown.
 
-In one mounting, axis k of the case along the table's, the device turns about u = k + d, d small and across k. The table's axis is
-off the vertical by l, and the accelerometers are off it by an arm r. Dwell i at rate w_i and azimuth psi feels, across k::
+In one mounting, axis k of the case along the table's, dwell i turns the device about u_i = k + d + e_i, d and e small and across k,
+e the wobble from dwell to dwell. The table's axis is off the vertical by l + h_i, the accelerometers off it by an arm r. The dwell,
+at rate w_i and azimuth psi, feels across k::
 
-    mean f_i / g = d + mean R_k(-psi) l - r w_i^2 / g          d, l, r two components each, l anew for each recording
+    mean f_i / g = d + e_i + mean R_k(-psi) (l + h_i) - r w_i^2 / g          two components each, l anew for each recording
 
-    minimise  sum |residual|^2 / s^2 + |l|^2 / level^2 + |r|^2 / arm^2
+    minimise  sum |residual|^2 / s^2 + |l|^2 / level^2 + |r|^2 / arm^2 + (|e|^2 + |h|^2) / wobble^2
 
-psi is the integral of the gyroscope of the axis within a recording, so dwells need no whole turns. All mountings share the
-accelerometers' errors; d of all is the mean of what is felt and of 0 +- mount, by their covariances, and without accelerometers
-0 +- mount. The errors that are left multiply every rate: w_true = (I + D) w, so that
+wobble is the stated one, or the larger one that the likelihood shows. psi is the integral of the gyroscope of the axis within a
+recording, so dwells need no whole turns. All mountings share the accelerometers' errors; the mean axis of each is that felt and
+k +- mount, by their covariances, and without accelerometers k +- mount. The mean rate is w_i (1 + rho_i) (table_rate.py). Errors
+of axis and rate that are left are those of dwells, weighed as the fit weighs them, and multiply every rate: w_true = (I + D) w::
 
-    dM = D M        dG = D G        D = [d_x, d_y, d_z] + diag(relative error of the rate)
-
-Rate: a dwell whose rate ripples once a turn, at a phase unknown, and settles late, by the gyroscope itself. Of block means within
-a dwell that turns by theta, with b = sin(theta/2) / (theta/2), ripple of mean square A makes the variance A (1 - b^2) within, and
-A b^2 in the mean: none over whole turns. The first half less the second, h, shows a rate that settles: h / 2.
+    dM = D M        dG = D G        D = sum_i c_i du_i k_i' + diag(relative error of the rate)
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from undrift.arrays import FloatArray, IntArray
-from undrift.calibration.adc import code_steps, code_variance
+from undrift.calibration.table_rate import Dwells, azimuths, block_means, uneven_rate
 from undrift.findings import Finding, finding
-from undrift.fit.least_squares import block_size
+from undrift.fit.least_squares import fit_components
 from undrift.model import AXES, TriadModel, level_of
-from undrift.record import Axis, Face, RateTable, Record, Still, Turn
+from undrift.record import Axis, Face, RateTable, Still, Turn
 from undrift.units import RADIAN_PER_DEGREE
 
 ARM_SD_M = 0.1  # m, of the accelerometers from the table's axis: half the plate of a small table
 UNEVEN_PERCENT = (0.1, 2.0)  # of the scale factor, 1 sigma: marginal above the first, bad above the second
 _MOUNTED = 4.0  # standard uncertainties: 6 components beyond it: once in 2,600 sessions
 _SMALL_ANGLE = 1e-3  # rad: what every case lies off by, however well it is mounted
-_LEAST_BLOCKS = 4  # in a dwell, for its unevenness
+_FIRST = 1e-6  # variance of the wobble to begin with: 0.06 deg
+_PASSES = 4  # of fit and noise
+_LEAST_NOISE = 1e-12  # variance of block means of the direction of gravity, rad2: 1 ug, and sound arithmetic
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TableAxes:
-    """The axes of the dwells, and the covariance of what multiplies their rates."""
+    """The rates of the dwells over the stated ones, and what stays unknown of them."""
 
-    axis_b: FloatArray  # (N, 3), unit vectors
-    covariance: FloatArray  # (9, 9), of D row by row
+    axis_b: FloatArray  # (N, 3), mean rate over the stated one: the axis, of length 1 + rho
+    spread: FloatArray  # (3N, 3N), its covariance, dwell by dwell
+    apart: FloatArray  # (N, 3), variance that each dwell has on its own, on the diagonal of ``spread``
+    covariance: FloatArray  # (9, 9), of D row by row, without ``spread``
     off: FloatArray  # (N,), measured angle between case axis and table axis, rad; NaN where gravity did not show it
     beyond: float  # Largest d as felt, in standard deviations of mounting and measurement; 0 where nothing is felt
     uneven: FloatArray  # (3,), standard uncertainty of the mean rate about x, y, z by ripple and settling, relative
+    size: (
+        FloatArray  # (3,), rms of ripple once a turn, twice a turn and of settling, relative; 0 where they do not show
+    )
 
+    def of_rates(self, own: IntArray, square: FloatArray, *, alone: bool) -> FloatArray:
+        """Return the covariance (9, 9) of D where dwells (N,) about axes ``own`` weigh by ``square`` (N, 3).
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Dwells:
-    """The dwells of a session as its recordings hold them."""
-
-    records: Sequence[Record]
-    turns: Sequence[Turn]  # Those with an axis and a rate
-    mounting: IntArray  # (N,), number of the mounting of each
-    reading: FloatArray  # (N, 3), mean gyroscope reading of each
-    up: FloatArray  # (N,), 1 where +axis points up, -1 down, 0 where it is not vertical
-    settle_s: float  # Start of each that is left out, s
-
-    def settled(self, k: int) -> slice:
-        """Return the settled samples of a dwell."""
-        turn = self.turns[k]
-        time = self.records[turn.recording].time[turn.start : turn.stop]
-        return slice(turn.start + int(np.searchsorted(time, time[0] + self.settle_s)), turn.stop)
-
-    @property
-    def own(self) -> FloatArray:
-        """Number of the axis of each dwell, (N,)."""
-        return np.array([AXES.index(turn.axis or "x") for turn in self.turns], int)
-
-    @property
-    def turn_rate(self) -> FloatArray:
-        """Stated rate of each dwell, (N,), rad/s."""
-        return np.array([turn.turn_rate for turn in self.turns], float)
+        ``alone`` counts also what each dwell has on its own; a fit whose noise holds that leaves it out.
+        """
+        share, rows = np.zeros((9, 3 * len(own))), np.arange(len(own))
+        for a in range(3):
+            total = np.bincount(own, square[:, a], minlength=3)
+            share[3 * a + own, 3 * rows + a] = square[:, a] / np.maximum(total, 1e-300)[own]
+        spread = self.spread - (0.0 if alone else np.diag(self.apart.ravel()))
+        return self.covariance + share @ spread @ share.T
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Mounted:
     """One mounting as gravity shows it."""
 
-    rows: list[int]  # Its dwells
-    tilt: FloatArray  # (2,), d as felt
-    covariance: FloatArray  # (2, 2), without that of the accelerometers
+    rows: list[int]  # Its n dwells
+    tilt: FloatArray  # (2n,), d + e of each as felt
+    covariance: FloatArray  # (2n, 2n), without that of the accelerometers
     of_accel: FloatArray  # (2, 12), what errors of the accelerometers' matrix and offset make of d
-    places: FloatArray  # (9, 2), what d makes of D
 
 
 def mountings(pieces: Sequence[Still | Turn]) -> IntArray:
@@ -117,81 +105,98 @@ def mountings(pieces: Sequence[Still | Turn]) -> IntArray:
 
 
 def table_axes(dwells: Dwells, table: RateTable, accel: TriadModel | None, gravity_m_s2: float) -> TableAxes:
-    """Return the axes about which the dwells turned the case."""
-    own, rates = dwells.own, dwells.turn_rate
-    slope = np.array([_line(rates[own == k], dwells.reading[own == k, k]) for k in range(3)])
-    axis_b, off, covariance = np.eye(3)[own], np.full(len(own), np.nan), np.zeros((9, 9))
-    beyond = 0.0
-    total = np.array([max(float((rates[own == k] ** 2).sum()), 1e-300) for k in range(3)])
-    codes = np.zeros(3) if accel is None else _accel_codes(dwells)
+    """Return the axes about which the dwells turned the case, and at what part of the stated rates."""
+    own, lines, count = dwells.own, dwells.lines, len(dwells.own)
+    axis_b, off, spread = np.eye(3)[own], np.full(count, np.nan), np.zeros((3 * count, 3 * count))
+    apart, beyond = np.zeros((count, 3)), 0.0
+    wobble, mount = (np.square(deg * RADIAN_PER_DEGREE) for deg in (table.wobble_deg, table.mount_tilt_deg))
+    codes = np.zeros(3) if accel is None else dwells.codes(rate=False)
     seen: list[_Mounted] = []
     blocks: dict[tuple[int, int, float], list[int]] = {}
-    for n in sorted(range(len(own)), key=lambda n: dwells.turns[n].recording):
+    for n in sorted(range(count), key=lambda n: dwells.turns[n].recording):
         blocks.setdefault((int(dwells.mounting[n]), int(own[n]), float(dwells.up[n])), []).append(n)
     for (_, k, up), rows in blocks.items():
         across = [(k + 1) % 3, (k + 2) % 3]
-        # D[:, k] of one mounting, as its part in all dwells about k
-        places = np.zeros((9, 2))
-        places[[3 * across[0] + k, 3 * across[1] + k], [0, 1]] = float((rates[rows] ** 2).sum()) / total[k]
-        felt = None if accel is None or up == 0.0 else _felt(dwells, rows, slope[k], table, accel, gravity_m_s2)
+        felt = None if accel is None or up == 0.0 else _felt(dwells, rows, lines[k], table, accel, gravity_m_s2)
         if felt is None or accel is None:
-            covariance += (table.mount_tilt_deg * RADIAN_PER_DEGREE) ** 2 * places @ places.T
+            for a in across:
+                spread[np.ix_(*[[3 * n + a for n in rows]] * 2)] = mount + wobble * np.eye(len(rows))
+                apart[rows, a] = wobble
             continue
         # df = dM s - M do, s = M^-1 g k: what an error of the accelerometers makes of the axis
         at_rest = np.linalg.solve(accel.matrix, np.eye(3)[k])
         jacobian = np.hstack((np.kron(np.eye(3), at_rest), -up / gravity_m_s2 * accel.matrix))[across]
         # all dwells feel the same gravity, and so read the same codes
         rounding = accel.matrix[across] / gravity_m_s2
-        spread = felt[1] + (rounding * codes) @ rounding.T
-        seen.append(_Mounted(rows=rows, tilt=felt[0], covariance=spread, of_accel=jacobian, places=places))
+        whole = felt[1] + np.kron(np.ones((len(rows), len(rows))), (rounding * codes) @ rounding.T)
+        seen.append(_Mounted(rows=rows, tilt=felt[0], covariance=whole, of_accel=jacobian))
     if seen and accel is not None:
-        tilts, spread, beyond = _with_prior(seen, accel, table)
-        for one, tilt in zip(seen, tilts, strict=True):
-            k = int(own[one.rows[0]])
-            axis_b[np.ix_(one.rows, [(k + 1) % 3, (k + 2) % 3])] = tilt
-            off[one.rows] = np.hypot(*one.tilt)
-        every = np.hstack([one.places for one in seen])
-        covariance += every @ spread @ every.T
-    uneven = rate_unevenness(dwells, slope[:, 0])
-    diagonal = np.ix_([0, 4, 8], [0, 4, 8])
-    covariance[diagonal] += table.rate_uncertainty**2 + np.diag(uneven**2)
-    length = np.linalg.norm(axis_b, axis=1)[:, None]
-    return TableAxes(axis_b=axis_b / length, covariance=covariance, off=off, beyond=beyond, uneven=uneven)
+        tilts, found, beyond = _with_prior(seen, accel, mount)
+        axes = [np.array([3 * n + (own[n] + c) % 3 for n in one.rows for c in (1, 2)]) for one in seen]
+        places = np.concatenate(axes)
+        axis_b.reshape(-1)[places] = tilts
+        spread[np.ix_(places, places)] = found
+        for one, place in zip(seen, axes, strict=True):
+            off[one.rows] = np.hypot(*one.tilt.reshape(-1, 2).mean(axis=0))
+            for c in (0, 1):
+                apart.reshape(-1)[place[c::2]] = _alone(spread[np.ix_(place[c::2], place[c::2])])
+    axis_b /= np.linalg.norm(axis_b, axis=1)[:, None]
+    rate = uneven_rate(dwells)
+    along = 3 * np.arange(count) + own
+    spread[np.ix_(along, along)] = rate.covariance
+    for k in range(3):
+        apart.reshape(-1)[along[own == k]] = _alone(rate.covariance[np.ix_(own == k, own == k)])
+    share = np.where(own == np.arange(3)[:, None], dwells.turn_rate**2, 0.0)
+    share /= np.maximum(share.sum(axis=1), 1e-300)[:, None]
+    return TableAxes(
+        axis_b=axis_b * (1.0 + rate.ratio)[:, None],
+        spread=spread,
+        apart=apart,
+        covariance=_scales(np.full((3, 3), table.rate_uncertainty**2)),
+        off=off,
+        beyond=beyond,
+        uneven=np.sqrt(np.diag(share @ rate.covariance @ share.T)),
+        size=rate.size,
+    )
 
 
-def _accel_codes(dwells: Dwells) -> FloatArray:
-    """Return the variance that rounding to codes leaves in a mean of each accelerometer (3,), its unit squared."""
-    windows = [dwells.records[turn.recording].accel for turn in dwells.turns]
-    parts = [np.asarray(values)[dwells.settled(n)] for n, values in enumerate(windows) if values is not None]
-    scatter = np.nanmedian([np.nanvar(part, axis=0) for part in parts], axis=0) if parts else np.zeros(3)
-    return code_variance(code_steps(dwells.records, rate=False), scatter)
+def _scales(covariance: FloatArray) -> FloatArray:
+    """Return the covariance (9, 9) of D of relative errors of the rates about x, y, z (3, 3)."""
+    made = np.zeros((9, 9))
+    made[np.ix_([0, 4, 8], [0, 4, 8])] = covariance
+    return made
 
 
-def _with_prior(seen: list[_Mounted], accel: TriadModel, table: RateTable) -> tuple[FloatArray, FloatArray, float]:
-    """Return d of each mounting (B, 2), the covariance of all (2B, 2B), and the largest as felt in its standard deviations."""
+def _alone(covariance: FloatArray) -> FloatArray:
+    """Return the variance (n,) of each of n errors beyond what all have in common."""
+    count, variance = len(covariance), np.diag(covariance)
+    if count < 2:
+        return np.zeros(count)
+    common = (covariance.sum() - variance.sum()) / (count * (count - 1))
+    return np.asarray(variance - np.clip(common, 0.0, variance))
+
+
+def _with_prior(seen: list[_Mounted], accel: TriadModel, mount: float) -> tuple[FloatArray, FloatArray, float]:
+    """Return the axes across k of all dwells (2N,), their covariance, and the largest mean as felt in its standard deviations."""
     felt = np.concatenate([one.tilt for one in seen])
-    jacobian = np.vstack([one.of_accel for one in seen])
+    jacobian = np.vstack([np.tile(one.of_accel, (len(one.rows), 1)) for one in seen])
     spread = jacobian @ accel.covariance[:12, :12] @ jacobian.T
+    mean, start = np.zeros((2 * len(seen), len(felt))), 0
     for number, one in enumerate(seen):
-        own = slice(2 * number, 2 * number + 2)
+        own = slice(start, start + len(one.tilt))
         spread[own, own] += one.covariance
-    mounted = (table.mount_tilt_deg * RADIAN_PER_DEGREE) ** 2 * np.eye(len(felt))
-    gain = np.linalg.solve(spread + mounted, mounted).T
-    beyond = float((np.abs(felt) / np.sqrt(np.diag(spread + mounted))).max())
-    return (gain @ felt).reshape(-1, 2), mounted - gain @ mounted, beyond
-
-
-def _line(rate: FloatArray, reading: FloatArray) -> FloatArray:
-    """Return scale factor and offset of one sensor, NaN where its dwells do not show them."""
-    if len(np.unique(rate)) < 2:
-        return np.full(2, np.nan)
-    return np.asarray(np.linalg.lstsq(np.column_stack((rate, np.ones_like(rate))), reading, rcond=None)[0])
+        mean[2 * number : 2 * number + 2, own] = np.tile(np.eye(2), len(one.rows)) / len(one.rows)
+        start = own.stop
+    total = mean @ spread @ mean.T + mount * np.eye(len(mean))
+    gain = np.linalg.solve(total, mean @ spread).T
+    beyond = float((np.abs(mean @ felt) / np.sqrt(np.diag(total))).max())
+    return felt - gain @ (mean @ felt), spread - gain @ mean @ spread, beyond
 
 
 def _felt(
     dwells: Dwells, rows: list[int], line: FloatArray, table: RateTable, accel: TriadModel, gravity_m_s2: float
 ) -> tuple[FloatArray, FloatArray] | None:
-    """Return d (2,) of one mounting and its covariance (2, 2), without that of the accelerometers; None where it is not seen."""
+    """Return d + e (2n,) of the dwells of one mounting and its covariance, without that of the accelerometers; None unseen."""
     up = float(dwells.up[rows[0]])
     recordings = sorted({dwells.turns[n].recording for n in rows})
     parts: list[FloatArray] = []  # of each dwell, its block means: cos psi, sin psi, the two components felt
@@ -200,20 +205,28 @@ def _felt(
         parts += _across(dwells, own, line, accel, up / gravity_m_s2) or [np.empty((0, 4))]
     if any(len(part) == 0 for part in parts):
         return None
-    designs, across, dwell = [], [], []
+    designs, across, wobbles = [], [], 4 + 2 * len(recordings)
     for number, (n, part) in enumerate(zip(rows, parts, strict=True)):
-        square, place = dwells.turn_rate[n] ** 2 / gravity_m_s2, 2 * recordings.index(dwells.turns[n].recording)
-        design = np.zeros((len(part), 2, 4 + 2 * len(recordings)))
+        square, place = dwells.turn_rate[n] ** 2 / gravity_m_s2, 4 + 2 * recordings.index(dwells.turns[n].recording)
+        design = np.zeros((len(part), 2, wobbles + 4 * len(rows)))
         design[:, [0, 1], [0, 1]], design[:, [0, 1], [2, 3]] = 1.0, square
-        design[:, [0, 1], [4 + place, 5 + place]] = part[:, :1]
-        design[:, 0, 5 + place], design[:, 1, 4 + place] = part[:, 1], -part[:, 1]
+        e = wobbles + 4 * number
+        design[:, [0, 1], [e, e + 1]] = 1.0
+        for level in (place, e + 2):
+            design[:, [0, 1], [level, level + 1]] = part[:, :1]
+            design[:, 0, level + 1], design[:, 1, level] = part[:, 1], -part[:, 1]
         designs.append(design.reshape(-1, design.shape[2]))
         across.append(part[:, 2:].ravel())
-        dwell += [number] * 2 * len(part)
-    level = max(table.table_level_deg * RADIAN_PER_DEGREE, 1e-9)
-    precision = np.array([0.0, 0.0, ARM_SD_M**-2, ARM_SD_M**-2] + [level**-2] * 2 * len(recordings))
-    wobble = table.wobble_deg * RADIAN_PER_DEGREE
-    return _posterior(np.vstack(designs), np.concatenate(across), np.array(dwell), wobble, precision)
+    off_level = max(table.table_level_deg * RADIAN_PER_DEGREE, 1e-9)
+    precision = np.zeros(wobbles + 4 * len(rows))
+    precision[2:wobbles] = [ARM_SD_M**-2] * 2 + [off_level**-2] * 2 * len(recordings)
+    stated = (table.wobble_deg * RADIAN_PER_DEGREE) ** 2
+    theta, covariance = _posterior(np.vstack(designs), np.concatenate(across), precision, wobbles, stated)
+    tilt = np.zeros((2 * len(rows), len(theta)))
+    for number in range(len(rows)):
+        for c in (0, 1):
+            tilt[2 * number + c, [c, wobbles + 4 * number + c]] = 1.0
+    return tilt @ theta, tilt @ covariance @ tilt.T
 
 
 def _across(
@@ -221,81 +234,33 @@ def _across(
 ) -> list[FloatArray] | None:
     """Return block means (E, 4) of the dwells of one recording: cosine and sine of the azimuth, what is felt across the axis."""
     k, record = int(dwells.own[rows[0]]), dwells.records[dwells.turns[rows[0]].recording]
-    begin, end = min(dwells.turns[n].start for n in rows), max(dwells.turns[n].stop for n in rows)
-    if record.accel is None or record.gyro is None or np.isnan(line).any() or np.isnan(record.gyro[begin:end]).any():
+    angles = azimuths(dwells, rows, line)
+    if record.accel is None or angles is None:
         return None
-    rate = (record.gyro[begin:end, k] - line[1]) / line[0]
-    step = 0.5 * (rate[1:] + rate[:-1]) * np.diff(record.time[begin:end])
-    azimuth = np.concatenate(([0.0], np.cumsum(step)))
-    size, found = block_size(record.sample_rate_hz), []
-    for n in rows:
-        window = dwells.settled(n)
-        force = gain * (np.asarray(record.accel[window]) - accel.offset) @ accel.matrix.T
-        angle = azimuth[window.start - begin : window.stop - begin]
+    found, sizes = [], dwells.sizes
+    for n, angle in zip(rows, angles, strict=True):
+        force = gain * (np.asarray(record.accel[dwells.settled(n)]) - accel.offset) @ accel.matrix.T
         parts = np.column_stack((np.cos(angle), np.sin(angle), force[:, [(k + 1) % 3, (k + 2) % 3]]))
-        count = len(parts) // size
-        means = parts[: count * size].reshape(count, size, 4).mean(axis=1)
+        means = block_means(parts, sizes[n])
         found.append(means[~np.isnan(means).any(axis=1)])
     return found
 
 
 def _posterior(
-    design: FloatArray, reading: FloatArray, dwell: IntArray, wobble: float, precision: FloatArray
+    design: FloatArray, reading: FloatArray, precision: FloatArray, wobbles: int, stated: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the first two parameters and their covariance: block means (E,) of dwells, which wobble moves as wholes."""
-    dwells, square = int(dwell[-1]) + 1, design.T @ design
-    each = len(reading) / (2.0 * dwells)  # block means of one component in a dwell
-    variance = 1.0
-    for _ in range(4):
-        inverse = np.linalg.inv(square / variance + np.diag(precision))
-        theta = inverse @ design.T @ reading / variance
-        left = reading - design @ theta
-        fitted = float(np.trace(inverse @ square)) / variance  # parameters that the readings determine
-        within = float(left @ left) / max(len(reading) - fitted - 2.0, 1.0)
-        whole = np.concatenate([np.bincount(dwell[c::2], left[c::2]) for c in (0, 1)])  # sums over each dwell
-        between = float(whole @ whole) / each / max(2.0 * dwells - fitted, 1.0)
-        variance = max(within + each * wobble**2, between, 1e-18)
-    return theta[:2], inverse[:2, :2]
-
-
-def rate_unevenness(dwells: Dwells, scale: FloatArray) -> FloatArray:
-    """Return how uncertain ripple and settling leave the mean rate about each axis, relative, 1 sigma, (3,)."""
-    own, rates = dwells.own, dwells.turn_rate
-    sample_rates = {turn.recording: dwells.records[turn.recording].sample_rate_hz for turn in dwells.turns}
-    means = [_block_means(dwells, n, sample_rates) for n in range(len(own))]
-    uneven = np.zeros(3)
-    for k in range(3):
-        rows = [int(n) for n in np.flatnonzero(own == k) if len(means[n]) >= _LEAST_BLOCKS and rates[n] != 0.0]
-        others = [means[int(n)][:, k] for n in np.flatnonzero(own != k) if len(means[n]) > 1]
-        if not rows or not np.isfinite(scale[k]):
-            continue
-        spare = sum(len(part) - 1 for part in others)
-        noise = sum(float(((part - part.mean()) ** 2).sum()) for part in others) / spare if spare else 0.0
-        w = rates[rows] * scale[k]
-        parts = [means[n][:, k] for n in rows]
-        halves = np.array([p[: len(p) // 2].mean() - p[-(len(p) // 2) :].mean() for p in parts])
-        settle = float(w @ halves / (w @ w))
-        of_noise = noise * float(w**2 @ [2.0 / (len(p) // 2) for p in parts]) / float(w @ w) ** 2
-        late = max(0.0, settle**2 - of_noise) / 4.0
-        half = 0.5 * np.abs(rates[rows]) * [_duration(dwells, n, sample_rates) for n in rows]
-        kept = np.sin(half) / half  # b
-        excess = np.array([p.var(ddof=1) for p in parts]) - noise - late * w**2
-        ripple = max(0.0, float(w**2 @ excess) / max(float(w**4 @ (1.0 - kept**2)), 1e-300))
-        uneven[k] = np.sqrt(late + ripple * (float(w**2 @ kept) / float(w @ w)) ** 2)
-    return uneven
-
-
-def _duration(dwells: Dwells, n: int, sample_rates: Mapping[int, float]) -> float:
-    window = dwells.settled(n)
-    return float(window.stop - window.start) / sample_rates[dwells.turns[n].recording]
-
-
-def _block_means(dwells: Dwells, n: int, sample_rates: Mapping[int, float]) -> FloatArray:
-    recording = dwells.turns[n].recording
-    values = np.asarray(dwells.records[recording].gyro)[dwells.settled(n)]
-    size = block_size(sample_rates[recording])
-    count = len(values) // size
-    return np.asarray(values[: count * size].reshape(count, size, 3).mean(axis=1))
+    """Return parameters and covariance: block means (E,) whose noise is not known, wobble from a place on."""
+    square, product = design.T @ design, design.T @ reading
+    group = np.arange(wobbles, design.shape[1])
+    plain = design[:, :wobbles]
+    left = reading - plain @ np.linalg.lstsq(plain, reading, rcond=None)[0]
+    noise = max(float(left @ left) / max(len(left) - wobbles, 1), _LEAST_NOISE)
+    for _ in range(_PASSES):
+        found = fit_components(square / noise, product / noise, precision, [group], np.array([stated]), _FIRST)
+        left = reading - design @ found.theta
+        fitted = float((square * found.covariance).sum()) / noise  # parameters that the readings determine
+        noise = max(float(left @ left) / max(len(left) - fitted, 1.0), _LEAST_NOISE)
+    return found.theta, found.covariance
 
 
 def table_findings(axes: TableAxes, mount_tilt: float) -> Iterator[Finding]:
@@ -305,6 +270,9 @@ def table_findings(axes: TableAxes, mount_tilt: float) -> Iterator[Finding]:
         beyond = axes.beyond > _MOUNTED and off > _SMALL_ANGLE
         degrees, stated = off / RADIAN_PER_DEGREE, mount_tilt / RADIAN_PER_DEGREE
         yield finding("rate_table.mounting", "warn" if beyond else "info", angle_deg=degrees, stated_deg=stated)
+    if axes.size.any():
+        ripple, settle = 100.0 * float(np.hypot(*axes.size[:2])), 100.0 * float(axes.size[2])
+        yield finding("rate_table.ripple", "info", ripple_percent=ripple, settle_percent=settle)
     worst = 100.0 * float(axes.uneven.max())
     if worst > UNEVEN_PERCENT[0]:
         axis, wanted = AXES[int(axes.uneven.argmax())], UNEVEN_PERCENT[0]

@@ -44,8 +44,8 @@ def check_accel(seen: Observed, model: TriadModel, used: Sequence[Still]) -> Ite
         yield from check_gravity_length(seen.session, stills, model)
 
 
-def unused_stills(seen: Observed, used: Sequence[Still]) -> tuple[Still, ...]:
-    """Return the stills of a session, stated or found, that share nothing with those that a fit used, at its temperature."""
+def unused_stills(seen: Observed, used: Sequence[Still | Turn]) -> tuple[Still, ...]:
+    """Return the stills of a session, stated or found, that share nothing with what a fit used, at its temperature."""
     session, found = seen.session, list(seen.stills)
     if not seen.found:
         for number, record in enumerate(session.records):

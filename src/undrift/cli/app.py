@@ -5,6 +5,7 @@ failed. An unforeseen error is one line too, with code 2; UNDRIFT_TRACEBACK=1 in
 ``undrift --help`` is written without cyclopts and rich, and a command is imported only when it is called.
 """
 
+import errno
 import os
 import signal
 import sys
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     from cyclopts import App
 
 INTERRUPTED = 130
+STOPS = ("SIGINT", "SIGTERM", "SIGHUP")
 ABOUT = "Calibrate a wearable inertial sensor, compensate its drift, and prove what that is worth in degrees."
 COMMANDS = {  # one line of 80 columns each
     "info": "What a recording, session, calibration, reference or device holds.",
@@ -50,13 +52,29 @@ EARLIER_NAMES = {  # options renamed since a release; both spellings work, help 
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line and exit with its code."""
+    _stop_on_signals()
     try:
         code = run(sys.argv[1:] if arguments is None else arguments)
     except KeyboardInterrupt:  # a second one, while the first was reported
         code = INTERRUPTED
     if code == INTERRUPTED:
-        signal.signal(signal.SIGINT, signal.SIG_IGN)  # one more would change the exit code
+        for name in STOPS:
+            with suppress(AttributeError, ValueError):
+                signal.signal(getattr(signal, name), signal.SIG_IGN)  # one more would change the exit code
     sys.exit(code)
+
+
+def _stop_on_signals() -> None:
+    """Let SIGTERM and SIGHUP end a command as Ctrl-C does, with all that it cleans up; what is ignored stays so (nohup)."""
+
+    def stop(number: int, _: object) -> None:
+        signal.signal(number, signal.SIG_IGN)  # one is enough
+        raise KeyboardInterrupt(f"stopped by {signal.Signals(number).name}")
+
+    for name in STOPS[1:]:
+        with suppress(AttributeError, ValueError):  # a system without it; not the main thread
+            if signal.getsignal(getattr(signal, name)) == signal.SIG_DFL:
+                signal.signal(getattr(signal, name), stop)
 
 
 def run(arguments: Sequence[str]) -> int:
@@ -68,7 +86,7 @@ def run(arguments: Sequence[str]) -> int:
         if list(arguments) in (["--version"], ["-V"]):
             sys.stdout.write(__version__ + "\n")
             return 0
-        code = app(_standard(arguments))
+        code = app(_standard(_with_limits(arguments)))
     except UndriftError as error:
         return _refuse(arguments, error, str(error), code=3 if isinstance(error, RigError) else 2)
     except BrokenPipeError:  # the reader of stdout, such as head, has seen enough
@@ -76,8 +94,9 @@ def run(arguments: Sequence[str]) -> int:
             sys.stdout.close()
         return 0
     except OSError as error:
-        text = f"{error.filename or 'file'}: {error.strerror or error}; check the path and its permissions"
-        return _refuse(arguments, error, text, code=2)
+        text = f"{error.filename or 'file'}: {error.strerror or error}; "
+        full = error.errno in (errno.ENOSPC, errno.EDQUOT)
+        return _refuse(arguments, error, text + ("make room" if full else "check the path and its permissions"), code=2)
     except KeyboardInterrupt as error:
         return _refuse(arguments, error, "stopped; nothing was left half written", code=INTERRUPTED)
     except Exception as error:
@@ -144,8 +163,33 @@ def complain(message: str, *, code: int) -> int:
 def _help() -> str:
     rows = [*COMMANDS.items(), ("--version", "Show the version; -V does too.")]
     lines = "\n".join(f"  {name:11}{text}" for name, text in rows)
-    end = "undrift COMMAND --help explains its options.\nundrift --install-completion completes them in your shell."
+    end = (
+        "undrift COMMAND --help explains its options.\n"
+        "Every command also takes --memory-limit-gb G (2 by default, for reading one file) and --trust (no limits).\n"
+        "undrift --install-completion completes them in your shell."
+    )
     return f"Usage: undrift COMMAND\n\n{ABOUT}\n\n{lines}\n\n{end}\n\n{examples('')}\n"
+
+
+def _with_limits(arguments: Sequence[str]) -> list[str]:
+    """Take from the arguments what reading a file may cost: --trust and --memory-limit-gb, of every command."""
+    from undrift.files import LIMITS
+
+    left, given = [word for word in arguments if word != "--trust"], ""
+    LIMITS.trust = len(left) < len(arguments)
+    for k, word in enumerate(left):
+        option, _, given = word.partition("=")
+        if option == "--memory-limit-gb":
+            given = given or " ".join(left[k + 1 : k + 2])
+            del left[k : k + 1 + ("=" not in word)]
+            break
+    else:
+        return left
+    with suppress(ValueError):
+        LIMITS.memory_gb = float(given)
+        if LIMITS.memory_gb > 0.0:
+            return left
+    raise InputError(f"--memory-limit-gb: wanted gigabytes above 0, got {given!r}; write it as --memory-limit-gb 4")
 
 
 def _standard(arguments: Sequence[str]) -> list[str]:

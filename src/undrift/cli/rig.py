@@ -85,9 +85,11 @@ def run(
     """
     from undrift.rig.folder import RunFolder
     from undrift.rig.guard import Guard, StopWatch, stopping_on_signals
+    from undrift.rig.judge import RunSettings
+    from undrift.rig.lock import one_run
     from undrift.rig.programme import ProgrammeSettings, programme_of, read_protocol
     from undrift.rig.rig import RigSettings, check_programme, parse_address
-    from undrift.rig.run import RunSettings, Watch, run_programme
+    from undrift.rig.run import Watch, run_programme
 
     asked = read_protocol(protocol)
     limits = _limits(highest_turn_rate_dps, highest_acceleration_dps2, travel_deg)
@@ -97,14 +99,13 @@ def run(
     if not resume:
         check_programme(programme, limits, by_hand=by_hand)  # before there is a folder
     with ExitStack() as stack:
+        stack.enter_context(one_run(rig, f"undrift rig run into {output}"))
         folder = stack.enter_context(RunFolder(output, asked, resume=resume))
         check_programme(programme, limits, folder.done, by_hand=by_hand)
         _forecast(programme, folder.done, yes)
         stack.enter_context(stopping_on_signals())
         guard = None
-        if (
-            chamber is not None or not by_hand
-        ):  # guarded before they are opened, so that they are closed before the guard goes
+        if chamber is not None or not by_hand:  # before they are opened, so that they are closed before it goes
             guard = stack.enter_context(Guard("" if by_hand else rig, chamber or ""))
         watch = Watch(StopWatch(rig), guard, programme)
         bench, called = _bench(stack, (rig, device, chamber, operator), settings, programme)
@@ -278,6 +279,7 @@ def check(
     from undrift.rig.check import CheckSettings, check_rig
     from undrift.rig.guard import Guard, StopWatch, stopping_on_signals
     from undrift.rig.link import Clock
+    from undrift.rig.lock import check_free, one_run
     from undrift.rig.rig import RigSettings, open_rig, parse_address
 
     limits = _limits(turn_rate_dps, acceleration_dps2, travel_deg)
@@ -291,6 +293,7 @@ def check(
     if parse_address(rig)[0] == "manual":
         raise InputError("rig check: wanted a table with a motor, got manual:; name the address of a table")
     with ExitStack() as stack:
+        stack.enter_context(one_run(rig, "undrift rig check"))
         stack.enter_context(stopping_on_signals())
         stops, guard = StopWatch(rig), stack.enter_context(Guard(rig))
 
@@ -301,6 +304,7 @@ def check(
             if sys.stderr.isatty():
                 sys.stderr.write(f"\r\x1b[K{line}")
 
+        check_free(rig, motor_on=True)
         table = open_rig(rig, RigSettings(limits=limits))
         stack.callback(table.close)
         guard.arm()
@@ -328,6 +332,7 @@ def _bench(
     from undrift.live.transports import source_at
     from undrift.rig.chamber import ChamberSettings, SoakSettings, open_chamber
     from undrift.rig.link import Clock
+    from undrift.rig.lock import check_free
     from undrift.rig.manual import AskedOperator
     from undrift.rig.programme import Soak
     from undrift.rig.rig import open_rig, parse_address
@@ -349,6 +354,7 @@ def _bench(
         oven = open_chamber(chamber, ChamberSettings(soak=soak, clock_speed=clock.speed))
         stack.callback(oven.close)
     mounting = AskedOperator(_asked) if operator is None else BenchHands(operator)
+    check_free(rig)
     table = open_rig(rig, settings)
     stack.callback(table.close)
     made = Bench(rig=table, readings=readings, mounting=mounting, chamber=oven, clock=clock)

@@ -90,8 +90,8 @@ def validate(
     offset : str or None
         "rest" subtracts the mean rate of the rest before the motion, "none" does not. Without a calibration: rest.
     adc : str
-        "auto" corrects the quantisation of the codes where it shows and, with --calibrate-from and three recordings or more, where
-        that lowers the cross-validated error; "none" leaves them.
+        "auto" corrects the quantisation of the codes where it shows and, with --calibrate-from, where that lowers the error on
+        recordings that a fit has not seen: by two recordings or more, the held-out one apart. "none" leaves them.
     forward : str
         Body axis that points forward on the upright segment: with --up it defines the pitch.
     up : str

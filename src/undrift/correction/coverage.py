@@ -18,7 +18,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray
-from undrift.correction.plan import Kind, MarkedTable, Plans, flat, has_tables, in_pieces
+from undrift.correction.plan import Carry, Kind, MarkedTable, Plans, flat, has_tables, in_pieces
 from undrift.errors import DriftRangeError
 from undrift.findings import Finding, finding
 from undrift.model import Calibration, StaticDrift, TriadModel
@@ -30,6 +30,7 @@ NOWHERE: Span = (np.inf, -np.inf)
 KINDS: tuple[Kind, ...] = ("rate", "accel", "scale")
 TICKS_PER_S = 2.0**30
 BEYOND_C = 3.0  # as far as tables reach beyond what was seen without being asked (drift/fit.py), degC
+UNKNOWN_LOOP = 0.5  # of the half-width: above, the correction is mostly the middle of the loop
 MARGIN = 0.1  # of the larger end of valid_range: noise alone carries a device that lies on a face past +-1 g
 
 
@@ -213,7 +214,7 @@ def _extrapolated(reach: Reach) -> Finding:
     return finding("correct.extrapolated", "warn", seconds=reach.seconds_extrapolated, uncertainty=met)
 
 
-def model_findings(record: Record, calibration: Calibration, *, power_on_known: bool) -> tuple[Finding, ...]:
+def model_findings(record: Record, calibration: Calibration, carry: Carry) -> tuple[Finding, ...]:
     """Return what a reader of the corrected record may not expect."""
     found = [
         finding("correct.no_model", "info", sensor=name)
@@ -226,12 +227,23 @@ def model_findings(record: Record, calibration: Calibration, *, power_on_known: 
     if record.gyro is None or gyro is None or static is None:
         return tuple(found)
     if static.gyro_hysteresis is not None and static.gyro_offset is not None:
-        half_width = _largest_dps(gyro, static.gyro_hysteresis)
-        found.append(finding("correct.hysteresis", "info", half_width_dps=half_width))
-    if static.warm_up is not None and not power_on_known:
+        found.append(_loop_finding(gyro, static, static.gyro_hysteresis, carry))
+    if static.warm_up is not None and carry.power_on_time is None:
         largest, end = _largest_dps(gyro, static.warm_up.gyro_offset), static.warm_up.power_on_s[-1]
         found.append(finding("correct.warm_up", "info", largest_dps=largest, end_s=end))
     return tuple(found)
+
+
+def _loop_finding(gyro: TriadModel, static: StaticDrift, half: FloatArray, carry: Carry) -> Finding:
+    """Say whether hysteresis was corrected: after the temperature has moved, or by a stated history, it was."""
+    model, widest = static.hysteresis, _largest_dps(gyro, half)
+    if model is None or carry.loop is None:
+        return finding("correct.hysteresis", "info", half_width_dps=widest)
+    widest = _largest_dps(gyro, model.gyro_half_width)
+    if carry.loop.unknown > UNKNOWN_LOOP:
+        return finding("correct.hysteresis_unknown", "info", half_width_dps=widest, crossing_k=model.crossing_k)
+    left = widest * carry.loop.unknown
+    return finding("correct.hysteresis_corrected", "info", half_width_dps=widest, left_dps=left)
 
 
 def _largest_dps(model: TriadModel, offset: FloatArray) -> float:

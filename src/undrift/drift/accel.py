@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray, IntArray
-from undrift.calibration.multi_position import WEAKEST, NormFit, fit_norm
+from undrift.calibration.norm_equations import WEAKEST, NormFit, fit_norm
 from undrift.drift.observe import RestBlocks
 from undrift.drift.rests import bins_of
 from undrift.drift.scale import MATRIX_GAP_C

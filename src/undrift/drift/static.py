@@ -24,6 +24,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray
+from undrift.drift.hysteresis import LoopChoice, choose_loop
 from undrift.drift.observe import RestBlocks
 from undrift.drift.rests import (
     UNKNOWN_SCALE_PER_K,
@@ -84,6 +85,7 @@ class OffsetCurve:
     cells: Cells  # what it was fitted to
     loop: Loop | None  # hysteresis, significant or not; None where it does not show
     kept_loop: bool  # whether the loop is part of the model
+    choice: LoopChoice | None  # how it is corrected, gyroscopes; None where that was not tried
     warm_up: WarmUp | None  # where it was asked for and observable
     turn_on: TurnOn | None  # None for one session
     findings: tuple[Finding, ...]
@@ -167,7 +169,7 @@ def fit_static(
     found, gyro, accel = list[Finding](), None, None
     rates = gyro_offsets(blocks, calibration, settings.latitude_deg)
     if rates is not None:
-        gyro = _triad(rates, nodes, settings)
+        gyro = _triad(rates, nodes, settings, correct_loop=True)
         found += [*rates.findings, *gyro.curve.findings, *_triad_findings("gyroscope", gyro)]
     forces = accel_offsets(blocks, calibration, settings.accel_unit)
     if isinstance(forces, Finding):
@@ -191,16 +193,23 @@ def fit_static(
         temp_c=nodes,
         **columns,
         gyro_hysteresis=None if loop is None else loop.half,
+        hysteresis=None if gyro is None or gyro.curve.choice is None else gyro.curve.choice.hysteresis,
         warm_up=None if gyro is None else gyro.curve.warm_up,
     )
     return StaticFit(table=table, gyro=gyro, accel=accel, verdict=Verdict.of(*found))
 
 
 def _triad(
-    offsets: Offsets, nodes: FloatArray, settings: StaticSettings, reference: tuple[float, TriadModel] | None = None
+    offsets: Offsets,
+    nodes: FloatArray,
+    settings: StaticSettings,
+    reference: tuple[float, TriadModel] | None = None,
+    *,
+    correct_loop: bool = False,
 ) -> TriadDrift:
     """Fit one triad; with a reference the table is its offset plus the change since its temperature."""
-    curve, temp_c, n = fit_curve(offsets, warm_up=settings.warm_up), offsets.blocks.temp_c, len(nodes)
+    curve = fit_curve(offsets, warm_up=settings.warm_up, correct_loop=correct_loop)
+    temp_c, n = offsets.blocks.temp_c, len(nodes)
     inside = np.quantile(temp_c, np.linspace(0.0, 1.0, _SLOPE_POINTS))
     at = np.concatenate((nodes, inside, [nodes[0] if reference is None else reference[0]]))
     found = curve.through_set_points(at) if settings.not_a_knot else curve.spline.at(at)
@@ -273,14 +282,20 @@ def _triad_findings(sensor: str, found: TriadDrift) -> list[Finding]:
     if loop is None:
         return far_from_data(sensor, found)
     size = {"half_width": loop.half, "uncertainty": loop.uncertainty}
-    seen = finding("drift.hysteresis" if kept else "drift.no_hysteresis", "info", sensor=sensor, **size)
+    choice = found.curve.choice
+    if choice is not None and choice.hysteresis is not None:
+        errors = {"left_out": choice.left_out, "left_out_middle": choice.left_out_middle}
+        crossing = {"crossing_k": choice.hysteresis.crossing_k, "doubt_k": choice.hysteresis.crossing_uncertainty_k}
+        seen = finding("drift.hysteresis_corrected", "info", sensor=sensor, **size, **crossing, **errors)
+    else:
+        seen = finding("drift.hysteresis" if kept else "drift.no_hysteresis", "info", sensor=sensor, **size)
     return [*far_from_data(sensor, found), seen]
 
 
 # ---- one triad: the curve with hysteresis, warm-up and sessions
 
 
-def fit_curve(offsets: Offsets, *, warm_up: bool) -> OffsetCurve:
+def fit_curve(offsets: Offsets, *, warm_up: bool, correct_loop: bool = False) -> OffsetCurve:
     """Fit offset over temperature and what goes beside it."""
     blocks, found, state = offsets.blocks, list[Finding](), cooling(offsets.blocks)
     seen = both_ways(blocks, state)
@@ -293,11 +308,17 @@ def fit_curve(offsets: Offsets, *, warm_up: bool) -> OffsetCurve:
         except NotObservable as error:
             own = error.numbers["share"]
             found.append(finding("drift.warm_up_not_observable", "info", percent=100.0 * (1.0 - own)))  # type: ignore[operator]
-    loop = None
+    loop, choice = None, None
     if seen:
-        full = _fitted(offsets, state, tau)
+        full = _fitted(offsets, state[:, None], tau, state)
         loop = Loop(half=full[1].coefficient[0], uncertainty=full[1].coefficient_uncertainty[0])
     kept = loop is not None and bool((np.abs(loop.half) > _SIGNIFICANT * loop.uncertainty).any())
+    if kept and correct_loop:
+        settling = 0.0 if tau is None else np.exp(-blocks.power_on_s / tau)[:, None] * full[1].coefficient[-1]
+        choice = choose_loop(blocks, offsets.value - settling, lambda *given: _fitted_to(offsets, tau, *given))
+    if choice is not None and choice.hysteresis is not None:
+        full = choice.fitted
+        loop = Loop(half=full[1].coefficient[0], uncertainty=full[1].coefficient_uncertainty[0])
     cells, spline, turn_on = full if kept else _fitted(offsets, None, tau)
     if turn_on is None:
         found.append(finding("drift.one_session", "info"))
@@ -312,23 +333,41 @@ def fit_curve(offsets: Offsets, *, warm_up: bool) -> OffsetCurve:
         cells=cells,
         loop=loop,
         kept_loop=kept,
+        choice=choice,
         warm_up=None if tau is None else warm_up_table(tau, spline.coefficient[-1]),
         turn_on=turn_on,
         findings=tuple(found),
     )
 
 
-def _fitted(offsets: Offsets, state: FloatArray | None, tau: float | None) -> tuple[Cells, SmoothSpline, TurnOn | None]:
-    """Fit the curve, with a loop where the state in it is given, and with a warm-up where its time constant is."""
+def _fitted_to(
+    offsets: Offsets, tau: float | None, rows: BoolArray, state: FloatArray | None, direction: FloatArray
+) -> tuple[Cells, SmoothSpline, TurnOn | None]:
+    """Fit some of the blocks, as ``choose_loop`` asks."""
+    step = offsets.step_error
+    taken = replace(
+        offsets,
+        blocks=offsets.blocks.taken(rows),
+        value=offsets.value[rows],
+        variance=offsets.variance[rows],
+        step_error=None if step is None else step[rows],
+    )
+    return _fitted(taken, None if state is None else state[rows], tau, direction[rows])
+
+
+def _fitted(
+    offsets: Offsets, state: FloatArray | None, tau: float | None, direction: FloatArray | None = None
+) -> tuple[Cells, SmoothSpline, TurnOn | None]:
+    """Fit the curve, with a loop where regressors of it are given, (n, p), and with a warm-up where its time constant is."""
     blocks = offsets.blocks
-    columns = [] if state is None else [state]
+    columns = [] if state is None else list(state.T)
     if tau is not None:
         columns.append(np.exp(-blocks.power_on_s / tau))
     cells = gather(
         blocks,
         offsets.value,
         offsets.variance,
-        direction=np.zeros(len(blocks)) if state is None else state,
+        direction=np.zeros(len(blocks)) if direction is None else direction,
         regressors=np.array(columns).reshape(-1, len(blocks)).T,
         step_error=offsets.step_error,
         chunk_s=np.inf if tau is None else _CHUNK_S,

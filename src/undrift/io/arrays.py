@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from undrift.arrays import FloatArray
 from undrift.errors import FileFormatError, InputError
 from undrift.files import checked_file, first_line, read_bytes
+from undrift.io.box import boxed
 from undrift.io.columns import (
     READ_SETTINGS,
     Column,
@@ -50,6 +51,13 @@ def open_hdf5(path: str | Path) -> Iterator[Any]:
         yield handle
 
 
+@boxed("h5py")
+def hdf5_names(path: str | Path) -> dict[str, bool]:
+    """Return the names in an HDF5 file, and whether MATLAB wrote each."""
+    with open_hdf5(path) as held:
+        return {name: "MATLAB_class" in held[name].attrs for name in held}
+
+
 def read_array(handle: Any, name: str, path: Path) -> FloatArray:
     """Return one dataset as float64."""
     if name not in handle:
@@ -67,11 +75,13 @@ Arrays = tuple[tuple[str, NDArray[Any]], ...]
 _ROWS = 16  # fewer columns than these are no recording
 
 
+@boxed()
 def read_npz(path: str | Path, columns: ColumnMap | None = None, settings: ReadSettings = READ_SETTINGS) -> ReadResult:
     """Read a record from a numpy .npz file."""
     return _record(npz_arrays(path), path, columns, settings)
 
 
+@boxed("pymatreader")
 def read_mat(path: str | Path, columns: ColumnMap | None = None, settings: ReadSettings = READ_SETTINGS) -> ReadResult:
     """Read a record from a MATLAB .mat file, version 5 to 7.3; one that undrift wrote states frame, state and device."""
     held = _load_mat(checked_file(path))
@@ -91,6 +101,7 @@ def _record(arrays: Arrays, path: str | Path, columns: ColumnMap | None, setting
     return build_record(table_of_arrays(arrays, path, columns.wanted()), columns)
 
 
+@boxed()
 def npz_arrays(path: str | Path) -> Arrays:
     """Return the arrays of an npz file."""
     path = checked_file(path)
@@ -104,6 +115,7 @@ def npz_arrays(path: str | Path) -> Arrays:
     raise FileFormatError(f"{path}: wanted an npz file of named arrays, got a single array; save with np.savez")
 
 
+@boxed("pymatreader")
 def mat_arrays(path: str | Path) -> Arrays:
     """Return the numeric arrays of a MAT file, structs laid flat."""
     return tuple(_flat("", _load_mat(checked_file(path))))
@@ -122,14 +134,14 @@ def _load_mat(path: Path) -> dict[str, Any]:
         ) from error
 
 
+@boxed("scipy.io")
 def mat_names(path: str | Path) -> set[str]:
     """Return the names of the arrays of a MAT file; none where it is damaged."""
     from scipy.io import whosmat
 
     try:
         if read_bytes(path, 10) == b"MATLAB 7.3":
-            with open_hdf5(path) as held:
-                return set(held)
+            return set(hdf5_names(path))
         return {name for name, _, _ in whosmat(str(path))}
     except Exception:  # noqa: BLE001 - what reads the file says what is wrong with it
         return set()

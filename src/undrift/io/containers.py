@@ -37,6 +37,7 @@ from undrift.arrays import BoolArray, FloatArray, IntArray
 from undrift.errors import FileFormatError, InputError
 from undrift.files import first_line, read_bytes
 from undrift.io.arrays import mat_arrays
+from undrift.io.box import boxed
 from undrift.io.columns import AXES, ColumnMap, ReadResult, ReadSettings, Table, build_record
 from undrift.io.labelled import EPOCH_S
 from undrift.units import canonical_unit
@@ -158,6 +159,7 @@ def _has_numbers(stream: Any) -> bool:
     return isinstance(stream["time_series"], np.ndarray) and len(stream["time_stamps"]) > 0
 
 
+@boxed("pyxdf")
 def read_xdf(path: Path, columns: Columns, settings: ReadSettings) -> ReadResult:
     """Read one stream; without a map, by its channels' labels (or types) and units."""
     streams = _xdf(path)
@@ -221,6 +223,7 @@ def _bag(path: Path) -> Iterator[Any]:
         yield held
 
 
+@boxed("rosbags.highlevel")
 def read_ros(path: Path, _: Columns, settings: ReadSettings) -> ReadResult:
     """Read one topic of sensor_msgs/Imu; a Temperature topic of the same parent goes with it."""
     with _bag(path) as bag:
@@ -295,6 +298,7 @@ def _check_messages(content: bytes) -> None:
         raise ValueError("the last message is cut; drop_bad_rows = true in a map reads what is whole")
 
 
+@boxed("pyulog")
 def read_ulog(path: Path, _: Columns, settings: ReadSettings) -> ReadResult:
     """Read one IMU of a PX4 log (sensor "0", "1", ...) or the autopilot's own choice (sensor "sensor_combined")."""
     topics, log = _ulog(path, settings)
@@ -371,6 +375,7 @@ def is_nilspod(head: bytes) -> bool:
     return bool(_YEAR_2014 < start <= end < start + 100 * 86_400 and end < _YEAR_2040 and rows > 0)
 
 
+@boxed("nilspodlib")
 def read_nilspod(path: Path, _: Columns, settings: ReadSettings) -> ReadResult:
     """Read a NilsPod file with the factory's scale applied; gaps of the counter stay gaps in time."""
     content = read_bytes(path)
@@ -424,6 +429,7 @@ def _mobilised(path: Path) -> tuple[dict[str, str], dict[str, Any]]:
     }, arrays
 
 
+@boxed("pymatreader")
 def read_mobilised(path: Path, _: Columns, settings: ReadSettings) -> ReadResult:
     """Read one sensor of a Mobilise-D file: accel in g and gyro in deg/s, as Mobilise-D defines them."""
     paths, arrays = _mobilised(path)
@@ -489,6 +495,7 @@ _SECTOR = np.dtype(
 )  # type: ignore[call-overload]
 
 
+@boxed()
 def read_cwa(path: Path, _: Columns, settings: ReadSettings) -> ReadResult:
     """Read an Axivity AX3 or AX6 file."""
     content = read_bytes(path)
@@ -578,6 +585,7 @@ def _cwa_readings(
 _PAGE = "Recorded Data"
 
 
+@boxed()
 def read_geneactiv(path: Path, _: Columns, settings: ReadSettings) -> ReadResult:
     """Read a GENEActiv file."""
     head, *texts = read_bytes(path).decode("latin-1").replace("\r\n", "\n").split(_PAGE + "\n")
@@ -679,6 +687,7 @@ def _unzipped(path: Path) -> tuple[dict[str, str], str, bytes]:
     return info, name, content
 
 
+@boxed()
 def read_gt3x(path: Path, _: Columns, settings: ReadSettings) -> ReadResult:
     """Read an ActiGraph .gt3x file: sensor "accelerometer" (the primary one), or "imu" of a GT9X Link."""
     info, name, content = _unzipped(path)

@@ -19,7 +19,7 @@ from pathlib import Path
 
 from undrift.errors import FileFormatError, InputError
 from undrift.files import checked_file, read_bytes
-from undrift.io.arrays import mat_arrays, mat_names, npz_arrays, open_hdf5, read_mat, read_npz
+from undrift.io.arrays import hdf5_names, mat_arrays, mat_names, npz_arrays, read_mat, read_npz
 from undrift.io.clock import regular
 from undrift.io.columns import READ_SETTINGS, ColumnMap, ReadResult, ReadSettings, is_date, is_native, is_number
 from undrift.io.containers import (
@@ -123,15 +123,13 @@ def _is_broad(path: Path, head: bytes) -> bool:
         return {"imu_gyr", "opt_quat"} <= mat_names(path)
     if not head.startswith(_HDF5):
         return False
-    with open_hdf5(path) as held:
-        return "imu_gyr" in held and "opt_quat" in held
+    return {"imu_gyr", "opt_quat"} <= hdf5_names(path).keys()
 
 
 def _is_mat(path: Path, head: bytes) -> bool:
     if not head.startswith(_HDF5):
         return head.startswith(b"MATLAB")
-    with open_hdf5(path) as held:
-        return any("MATLAB_class" in held[name].attrs for name in held)
+    return any(hdf5_names(path).values())
 
 
 def _is_xio(folder: str, first: str) -> Callable[[Path, bytes], bool]:

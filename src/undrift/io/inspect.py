@@ -312,8 +312,8 @@ def example_map(names: tuple[str, ...], text: Text | None, arrays: Arrays) -> tu
 def _by_name(names: tuple[str, ...], text: Text | None, arrays: Arrays) -> dict[str, str]:
     """Return the columns of each channel, as a map writes them."""
     keys: dict[str, str] = {}
-    triples = {triple[0]: json.dumps(triple, ensure_ascii=False) for triple in triples_of(names)}
-    threes = {name: f'"{name}"' for name, array in arrays if array.ndim == 2 and array.shape[1] == 3}
+    triples = {triple[0]: _quoted(triple) for triple in triples_of(names)}
+    threes = {name: _quoted(name) for name, array in arrays if array.ndim == 2 and array.shape[1] == 3}
     quoted = threes or triples
     labels = {name: label_of(name) for name in quoted}
     bare = [name for name, label in labels.items() if label is None and not _NO_SENSOR.search(name)] * (not threes)
@@ -326,8 +326,12 @@ def _by_name(names: tuple[str, ...], text: Text | None, arrays: Arrays) -> dict[
     for channel, pattern in (("time", r"^(time|t|timestamp)([ _\[(].*)?$"), ("temp", r"^(board |die )?temp")):
         name = next((n for n in names if re.match(pattern, n.strip().rpartition(".")[2], re.IGNORECASE)), None)
         if name is not None:
-            keys = {channel: f'"{name}"', **keys} if channel == "time" else {**keys, channel: f'"{name}"'}
+            keys = {channel: _quoted(name), **keys} if channel == "time" else {**keys, channel: _quoted(name)}
     return keys or {"gyro": '["gx", "gy", "gz"]', "accel": '["ax", "ay", "az"]'}
+
+
+def _quoted(columns: object) -> str:
+    return json.dumps(columns, ensure_ascii=False)
 
 
 def _listed(value: str) -> list[Column]:
@@ -410,7 +414,7 @@ def _unit_of(channel: str, names: str) -> str:
 def _by_position(text: Text) -> list[dict[str, str]]:
     """Return what a table without names may hold: a growing first column is time, another odd one temperature."""
     width = len(text.names)
-    lines = text.head.decode("utf-8", "replace").splitlines()[text.skip :][:8]
+    lines = [line for line in text.head.decode("utf-8", "replace").splitlines()[text.skip :] if line.strip()][:8]
     first = [_cells(line, text.layout.delimiter, text.layout.decimal)[0] for line in lines]
     numbers = [float(cell) for cell in first if cell and is_number(cell, empty=True)]
     grows = (all(b > a for a, b in pairwise(numbers)) and len(numbers) > 1) or all(map(is_date, first))

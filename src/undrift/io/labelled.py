@@ -90,6 +90,17 @@ class Sheet:
         text = Text(path=self.path, content=self.rows, head=head, names=self.names, layout=layout, skip=0, mark="")
         return parse_text(text, positions)
 
+    def counted(self, table: Table) -> tuple[FloatArray, tuple[str, ...]]:
+        """Return the time that the counters of a parsed table state, s, and what the clock notes."""
+        counts = [table.numbers(k) for k in self.counters]
+        for k, held in zip(self.counters, counts, strict=True):
+            if not np.isfinite(held).all():
+                raise FileFormatError(
+                    f"{self.path}: column {self.names[k]!r}: wanted a count in every row, got none in data row "
+                    f"{int(np.isfinite(held).argmin()) + 1}; repair the file"
+                )
+        return (np.empty(0), ()) if self.clock is None else self.clock(*counts)
+
     def array(self, positions: tuple[int, ...] | list[int]) -> FloatArray:
         """Return columns as numbers, (N, K)."""
         table = self.columns(*positions)
@@ -449,7 +460,7 @@ def _time(
     more = sheet.counters if sheet.clock else () if bare or at is None else (at,)
     table = sheet.columns(*positions, *more, drop_bad_rows=settings.drop_bad_rows)
     if sheet.clock is not None:
-        time, notes = sheet.clock(*(table.numbers(k) for k in sheet.counters))
+        time, notes = sheet.counted(table)
         return time, table, notes
     if at is None:
         return None, table, ()

@@ -791,6 +791,5 @@ def _xsens(sheet: Sheet) -> Reference:
         turn = Rotation.from_matrix(values[seen].reshape(-1, 3, 3)) if len(held) == 9 else None
         turn = turn or Rotation.from_euler("ZYX", values[seen], degrees=True)
         q_nb[seen] = turn.as_quat(scalar_first=True)
-    table = sheet.columns(*sheet.counters)
-    time, notes = sheet.clock(*(table.numbers(k) for k in sheet.counters))
+    time, notes = sheet.counted(sheet.columns(*sheet.counters))
     return _reference(sheet.path, time, q_nb, up=None, name=", ".join(notes))

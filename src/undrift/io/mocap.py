@@ -20,6 +20,7 @@ from undrift.arrays import BoolArray, FloatArray, frozen
 from undrift.errors import FileFormatError, InputError
 from undrift.files import checked_file, is_gzip, read_bytes
 from undrift.io.arrays import mat_arrays, open_hdf5, read_array
+from undrift.io.box import boxed
 from undrift.record import Record, Reference, check_time, sample_rate_of
 from undrift.units import si_factor
 
@@ -185,6 +186,7 @@ def _continuous_quaternions(turn: FloatArray) -> FloatArray:
 _MAGIC = 0x50
 
 
+@boxed("ezc3d")
 def read_c3d(path: str | Path, up: Up | None = None) -> Markers:
     """Read marker trajectories from a C3D file."""
     path = Path(path)
@@ -342,6 +344,7 @@ def _rows(lines: list[str], width: int, path: Path) -> tuple[FloatArray, FloatAr
 WIDTHS = (("imu_gyr", 3), ("imu_acc", 3), ("imu_mag", 3), ("opt_quat", 4), ("opt_pos", 3))
 
 
+@boxed("h5py")
 def read_broad(path: str | Path) -> tuple[Record, Reference]:
     """Read one trial of the BROAD data set (D. Laidig et al., Data 6(7), 72, 2021)."""
     path = Path(path)

@@ -6,14 +6,15 @@ The schema metadata holds one key, ``undrift``: ``{"kind": "undrift.record", "fo
 
 import json
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
 from undrift.errors import FileFormatError, InputError
-from undrift.files import checked_file, first_line
+from undrift.files import checked_file, first_line, unwritten
+from undrift.io.box import boxed, boxed_parts
 from undrift.io.columns import (
     READ_SETTINGS,
     ColumnMap,
@@ -33,6 +34,7 @@ _KEY = b"undrift"
 _BUFFER = 1 << 20
 
 
+@boxed("pyarrow.parquet")
 def read_parquet(
     path: str | Path, columns: ColumnMap | None = None, settings: ReadSettings = READ_SETTINGS
 ) -> ReadResult:
@@ -42,6 +44,13 @@ def read_parquet(
         return build_record(_table(path, _whole(path, handle)), columns)
 
 
+def read_own_parquet(path: Path) -> Record:
+    """Read a record that undrift wrote and knows by its SHA-256: without a box."""
+    with _open(path) as handle:
+        return build_record(_table(path, _whole(path, handle)), _native_map(path, handle, READ_SETTINGS)).record
+
+
+@boxed_parts("pyarrow.parquet")
 def iter_parquet(
     path: str | Path,
     columns: ColumnMap | None = None,
@@ -89,11 +98,13 @@ class ParquetWriter:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if self._writer is not None:
-            self._writer.close()
-        if kind is None and self._writer is not None:
-            self._part.replace(self.path)
-        else:
+        try:
+            if self._writer is not None:
+                with _room(self.path, 0) if kind is None else suppress(OSError):
+                    self._writer.close()
+            if kind is None and self._writer is not None:
+                self._part.replace(self.path)
+        finally:
             self._part.unlink(missing_ok=True)
 
     def write(self, record: Record) -> None:
@@ -109,10 +120,8 @@ class ParquetWriter:
         metadata = {_KEY: json.dumps(held, sort_keys=True).encode()}
         schema = pa.schema([(name, pa.float64()) for name in names], metadata=metadata)
         if self._writer is None:
-            try:
+            with _room(self.path, 0):
                 self._writer = pq.ParquetWriter(self._part, schema, use_dictionary=False)
-            except OSError as error:
-                raise InputError(f"{self.path}: cannot be written: {error}; check the folder and its rights") from error
             self._schema = schema
         if not schema.equals(self._schema, check_metadata=True):
             raise InputError(
@@ -124,25 +133,38 @@ class ParquetWriter:
                 f"{self.path}: wanted chunks in order of time, got {record.time[0]:.9g} s after {self._last:.9g} s"
             )
         self._last = float(record.time[-1])
-        self._writer.write_table(pa.Table.from_arrays([pa.array(column) for column in columns], schema=schema))
+        table = pa.Table.from_arrays([pa.array(column) for column in columns], schema=schema)
+        with _room(self.path, table.nbytes):
+            self._writer.write_table(table)
 
 
+@boxed("pyarrow.parquet")
 def parquet_rows(path: str | Path) -> int:
     """Return the number of rows without reading them."""
     with _open(path) as handle:
         return int(handle.metadata.num_rows)
 
 
+@boxed("pyarrow.parquet")
 def parquet_names(path: str | Path) -> tuple[str, ...]:
     """Return the column names."""
     with _open(path) as handle:
         return tuple(handle.schema_arrow.names)
 
 
+@boxed("pyarrow.parquet")
 def read_parquet_table(path: str | Path) -> Table:
     """Return the columns of a Parquet file as they are."""
     with _open(path) as handle:
         return _table(path, _whole(path, handle))
+
+
+@contextmanager
+def _room(path: Path, size: int) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise unwritten(path, error, size) from error
 
 
 def _open(path: str | Path, *, stream: bool = False) -> Any:

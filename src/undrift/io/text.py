@@ -20,7 +20,7 @@ import numpy as np
 
 from undrift.arrays import FloatArray
 from undrift.errors import FileFormatError, InputError
-from undrift.files import checked_file, is_gzip, read_bytes, write_whole
+from undrift.files import checked_file, is_gzip, read_bytes, unwritten, write_whole
 from undrift.io.columns import (
     READ_SETTINGS,
     Column,
@@ -137,8 +137,9 @@ def write_rows(path: Path, names: Sequence[str], columns: Sequence[FloatArray]) 
                 sink.close()
         part.replace(path)
     except OSError as error:
+        raise unwritten(path, error, table.nbytes) from error
+    finally:
         part.unlink(missing_ok=True)
-        raise InputError(f"{path}: cannot be written: {error}; check the folder and its rights") from error
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -114,7 +114,12 @@ def save_figure(figure: "Figure", path: Path) -> None:
 
 def _saved(figure: "Figure", **how: Any) -> bytes:
     import matplotlib as mpl
+    from matplotlib.text import Text
 
+    axes = [axis for panel in figure.axes for axis in (panel.xaxis, panel.yaxis) if axis.get_scale() == "log"]
+    powers = {id(label) for axis in axes for label in axis.findobj(Text)}
+    for text in figure.findobj(Text):
+        text.set_parse_math(id(text) in powers)  # a dollar in the name of a file is a dollar
     buffer = io.BytesIO()
     with mpl.rc_context(_STYLE):
         figure.savefig(buffer, **how)

@@ -26,7 +26,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from undrift.errors import FileFormatError, InputError
-from undrift.files import write_whole
+from undrift.files import errno_of, take_lock, write_whole
 from undrift.io.parquet import write_parquet
 from undrift.record import Axis, Face, Kind, Record
 from undrift.rig.guard import uninterrupted
@@ -94,9 +94,7 @@ def locked(path: Path) -> BinaryIO:
             file.seek(1 << 40)  # a byte far behind the end, so that the lines can still be read
             msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
         else:
-            import fcntl
-
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            take_lock(file.fileno())
     except OSError as error:
         file.close()
         raise InputError(
@@ -181,12 +179,20 @@ def room(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        full = error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+        full = errno_of(error) in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
         what = "make room on the disk" if full else "mend the disk"
         raise InputError(
             f"{path}: wanted to write a dwell, got '{error.strerror or error}'; all dwells before it are kept: "
             f"{what} and continue with --resume"
         ) from error
+
+
+def _write(record: Record, path: Path) -> None:
+    """Write readings; the error of the disk is left to `room` to put into words."""
+    try:
+        write_parquet(record, path)
+    except InputError as error:
+        raise (error.__cause__ if isinstance(error.__cause__, OSError) else error) from None
 
 
 # ---- folder
@@ -292,7 +298,7 @@ class RunFolder:
         with uninterrupted():  # Ctrl-C waits: readings, line and session belong together
             with room(self.path):
                 claim(path)
-                write_parquet(record, path)
+                _write(record, path)
                 synchronise(path)
                 kept = replace(piece, sha256=hashlib.sha256(path.read_bytes()).hexdigest())
                 self._journal.append({"entry": "dwell", **asdict(kept)})

@@ -29,7 +29,8 @@ from typing import TextIO
 
 from undrift.errors import RigError, RigFault
 from undrift.rig.chamber import open_chamber
-from undrift.rig.rig import RigSettings, open_rig, parse_address
+from undrift.rig.lock import place_of
+from undrift.rig.rig import RigSettings, open_rig
 
 # ---- Marks that ``undrift rig stop`` leaves on this computer, so that a run that mounts or soaks does not switch the motor
 # on again.
@@ -67,9 +68,8 @@ class StopWatch:
 
 
 def _mark(address: str) -> Path:
-    """Return the mark's path: the options of an address do not change which rig it is."""
-    kind, url, _ = parse_address(address)
-    name = hashlib.sha256(f"{kind}:{url}".encode()).hexdigest()[:24]
+    """Return the mark's path: the spelling and the options of an address do not change which rig it is."""
+    name = hashlib.sha256(place_of(address).encode()).hexdigest()[:24]
     return Path(tempfile.gettempdir()) / f"undrift-stops-{getpass.getuser()}" / name
 
 

@@ -1,14 +1,8 @@
 """Run: a programme on a rig, dwell by dwell to the disk; whatever ends it, the table is at rest and its motor off.
 
-For each dwell: turn, wait for the ramp, let the device settle, read while positions are polled, stop, and write. The rate that goes
-with the readings is the one that the encoder shows over that dwell. With rate w, dwell T, time d in which a position may have been
-taken (the link's delay, or a tick) and a = angle_tolerance, a dwell is refused unless
-
-    |slope - w|           <= tolerance |w| + (a + 2 |w| d) / T
-    |between ends - w|    <= tolerance |w| + 2 (a + |w| d) / T
-    misfit                <= a                                    no stop, no jump: rig/rig.py
-    2 d / T               <= link_tolerance, where w is not 0     else the link hides what the table does: read once more
-    finite readings, air and board: at least least_part of them, and steady (check_readings, check_board, _look_at_air)
+For each dwell: turn, wait for the ramp, let the device settle, read while positions are polled, stop, judge (rig/judge.py), and
+write. The rate that goes with the readings is the one that the encoder shows over that dwell. A rest that someone disturbed, or a
+face that was not mounted, is taken again.
 """
 
 import logging
@@ -19,104 +13,16 @@ from typing import Any, Literal
 import numpy as np
 
 from undrift.errors import InputError, RigError, RigFault, RigTimeout
+from undrift.io.parquet import read_own_parquet
 from undrift.record import Kind, Record
 from undrift.rig.chamber import Board, Mounting, Readings, ScpiChamber, mean_temp
 from undrift.rig.folder import Head, Piece, RunFolder
 from undrift.rig.guard import Guard, StopWatch, uninterrupted
+from undrift.rig.judge import Disturbed, Rests, RunSettings, check_board, check_rate, check_readings, link_hides
 from undrift.rig.link import Clock
 from undrift.rig.manual import ManualRig
 from undrift.rig.programme import TURN_S, Dwell, Mount, Programme, Soak, Step
 from undrift.rig.rig import Achieved, Position, Rig, achieved_turn_rate, check_programme
-from undrift.units import RADIAN_PER_DEGREE
-
-# ---- Whether a dwell may be kept: the table turned steadily, the device spoke, air and board kept their temperature.
-
-PARTS = 8  # of a dwell, for the board
-COARSEST_C = 1.0  # step of a thermometer, K: more is a jump
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RunSettings:
-    """When a run gives up."""
-
-    turn_rate_tolerance: float = 0.03  # Achieved against set rate, 1
-    # A few counts: on top of it, over a dwell, and farthest from a steady turn, rad
-    angle_tolerance: float = 0.05 * RADIAN_PER_DEGREE
-    link_tolerance: float = 0.1  # Part of a rate that the link's delays may hide, 1
-    least_part: float = 0.8  # Part of a dwell's readings that must come, 1
-    soak_timeout_s: float = 6.0 * 3600.0  # Longest soak, table s
-    # Time constant with which a device without thermometer follows the air, s; five of them are waited for
-    device_lag_s: float = 120.0
-
-    def __post_init__(self) -> None:
-        if not self.device_lag_s >= 0.0:
-            raise InputError(
-                f"run: wanted a device lag of 0 s or more, got {self.device_lag_s}; state how late it follows the air"
-            )
-
-
-def link_hides(achieved: Achieved, settings: RunSettings) -> bool:
-    """Tell whether the positions came too late to say how fast the table turned."""
-    return 2.0 * achieved.delay_s > settings.link_tolerance * achieved.span_s
-
-
-def check_rate(achieved: Achieved, held: float, settings: RunSettings, where: str) -> None:
-    """Refuse a dwell in which the table did not hold its rate all the time."""
-    off = settings.turn_rate_tolerance * abs(held)
-    slip = settings.angle_tolerance / achieved.span_s
-    late = 2.0 * abs(held) * achieved.delay_s / achieved.span_s
-    found = ((achieved.turn_rate, off + slip + late), (achieved.between_ends, off + 2.0 * slip + late))
-    for rate, allowed in found:
-        if not abs(rate - held) <= allowed:
-            raise RigFault(
-                f"rig: wanted {held:.6g} rad/s held within {allowed:.2g} in {where}, got {rate:.6g}; look at the table, its "
-                "amplifier and its encoder",
-                turn_rate=rate,
-            )
-    if not achieved.misfit <= settings.angle_tolerance:
-        raise RigFault(
-            f"rig: wanted a steady turn within {settings.angle_tolerance / RADIAN_PER_DEGREE:.2g} deg in {where}, got "
-            f"{achieved.misfit / RADIAN_PER_DEGREE:.2g} deg off a straight line; it stopped, jumped or was pushed: look "
-            "at the table",
-            misfit=achieved.misfit,
-        )
-
-
-def check_readings(record: Record, dwell_s: float, settings: RunSettings, where: str) -> int:
-    """Refuse a dwell in which the device sent too little."""
-    came = np.ones(len(record), bool)
-    for values in (record.gyro, record.accel):
-        if values is not None:
-            came &= np.isfinite(values).all(axis=1)
-    finite, rate = int(came.sum()), record.sample_rate_hz
-    wanted = rate * max(dwell_s, record.duration_s)
-    if finite < settings.least_part * wanted:
-        raise RigTimeout(
-            f"device: wanted {settings.least_part:.0%} of {wanted:.0f} readings in {where}, got {finite}, the others missing; look "
-            "at the device and its link, then continue with --resume",
-            readings=finite,
-        )
-    return len(record) - finite
-
-
-def check_board(record: Record, tolerance_c: float, where: str) -> None:
-    """Refuse a dwell in which the device's own thermometer drifts or jumps; without one nothing is checked."""
-    if record.temp_c is None:
-        return
-    temp_c = record.temp_c[np.isfinite(record.temp_c)]
-    if len(temp_c) < 2:
-        return
-    middles = [float(np.median(part)) for part in np.array_split(temp_c, min(PARTS, len(temp_c)))]
-    steps = np.diff(np.unique(temp_c))
-    step_c = min(float(steps.min()), COARSEST_C) if len(steps) else 0.0
-    change_c = max(middles) - min(middles)
-    if change_c > tolerance_c + step_c:
-        raise RigFault(
-            f"device: wanted its thermometer steady within {tolerance_c:g} K throughout {where}, got a change of {change_c:.2f} K; "
-            "look at the chamber and at the air around the device, then continue with --resume",
-            change_c=change_c,
-        )
-
 
 # ---- run
 
@@ -189,6 +95,7 @@ def run_programme(
             Head(protocol=folder.digest, rig=name, serial=serial, gravity_m_s2=gravity_m_s2, kind=_kind_of(programme))
         )
         start = bench.clock.now()
+        run.recall()
         run.all_but(done)
     except BaseException as error:
         run.close(error)
@@ -218,6 +125,14 @@ class _Run:
         self._step: Step = programme.steps[0]
         self._began = bench.clock.now()
         self._number, self._left_s = 0, 0.0
+        self._rests = Rests()
+
+    def recall(self) -> None:
+        """Learn from the rests that are on the disk how still this rig is."""
+        for piece in self._folder.pieces:
+            step = self._programme.steps[piece.step]
+            if isinstance(step, Dwell) and step.turn_rate == 0.0:
+                self._rests.keep(step, read_own_parquet(self._folder.path / piece.name))
 
     def all_but(self, done: frozenset[int]) -> None:
         """Do the dwells that are not done, each with the mounting and the soak that it needs."""
@@ -294,11 +209,26 @@ class _Run:
         self._keep(step, record, missing=missing, chamber_c=chamber_c, angle=angle)
 
     def _dwell(self, step: Dwell) -> None:
-        rig = self._bench.rig
         self._enable()
         if step.purpose == "turn":
             self._turn(step)
             return
+        for left in range(READS, 0, -1):
+            try:
+                self._one_dwell(step)
+                return
+            except Disturbed as error:
+                if left == 1:
+                    raise
+                log.warning("%s; it is taken again", error)
+                if step.purpose == "face":
+                    self._disable()
+                    self._say("mounting")
+                    self._bench.mounting.mount(step.up)
+                    self._enable()
+
+    def _one_dwell(self, step: Dwell) -> None:
+        rig = self._bench.rig
         held = 0.0
         if step.turn_rate != 0.0:
             self._say("ramping")
@@ -317,6 +247,7 @@ class _Run:
         missing = check_readings(record, step.dwell_s, self._settings, where)
         if step.temp_c is not None and self._bench.chamber is not None:
             check_board(record, self._bench.chamber.criterion.tolerance_c, where)
+        self._rests.check(step, record, where)
         self._keep(
             step,
             record,
@@ -326,6 +257,7 @@ class _Run:
             turn_rate=achieved.turn_rate,
             turn_rate_uncertainty=achieved.uncertainty,
         )
+        self._rests.keep(step, record)
 
     def _keep(self, step: Dwell, record: Record, **found: Any) -> None:
         """Bring a dwell to the disk, with what was found beside the readings: fields of a Piece."""

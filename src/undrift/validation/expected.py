@@ -38,8 +38,8 @@ class ErrorPrior:
     ``python -m benchmarks.broad`` learns them anew from the other devices for each device that it judges.
     """
 
-    matrix: float = 5e-4  # Element of the matrix, relative to the scale: nonlinearity, speed of the motion
-    motion_offset: float = 0.008 * RADIAN_PER_DEGREE  # Offset in motion less that at rest, about its mean, rad/s
+    matrix: float = 3e-4  # Element of the matrix, relative to the scale: nonlinearity, speed of the motion
+    motion_offset: float = 0.005 * RADIAN_PER_DEGREE  # Offset in motion less that at rest, about its mean, rad/s
     rest_to_motion: float = 0.03 * RADIAN_PER_DEGREE  # The same of a device whose change to motion nobody fitted, rad/s
     day_to_day: float = 0.01 * RADIAN_PER_DEGREE  # Offset at rest, where the recording's own rest is not used, rad/s
     tilt: float = (

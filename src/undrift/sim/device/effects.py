@@ -51,9 +51,10 @@ class Effect:
             shape, least, given = f.metadata.get("shape"), f.metadata.get("least"), getattr(self, f.name)
             name = f"{type(self).__name__}.{f.name}"
             if shape is not None:
-                spread = given if None in shape or np.ndim(given) else np.full(shape, given)
-                spread = spread if np.size(spread) else np.zeros([n or 0 for n in shape])
-                given = frozen(spread, shape, name)
+                if not (isinstance(given, list) and given):  # of a file: rows of unlike length are refused below
+                    given = given if None in shape or np.ndim(given) else np.full(shape, given)
+                    given = given if np.size(given) else np.zeros([n or 0 for n in shape])
+                given = frozen(given, shape, name)
                 object.__setattr__(self, f.name, given)
             if least is not None and given is not None and not np.all(np.asarray(given) >= least):
                 raise InputError(f"{name}: wanted {least:g} or more, got {np.min(given):g}; correct the device")

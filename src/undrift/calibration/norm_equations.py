@@ -1,0 +1,267 @@
+"""Norm equations: poses in which the corrected reading has the length of gravity, for an upper triangular M.
+
+    |M (u - o)| = g
+
+Scaled so that every parameter is near one or of the size of g:
+
+    v = k (u - c)          c, k from the sphere through the readings
+    |M' (v - o')| = g      M = k M',  o = c + o' / k
+
+Levenberg-Marquardt on the normal equations with analytic Jacobian: with n the direction of M' (v - o'),
+dr/dm'_ij = n_i (v - o')_j and dr/do' = -M'^T n. Each pose weighs by the variance of its length, n^T M S_k M^T n + s2, S_k the
+variances of the mean and s2 the excess (fit/least_squares.py): the profile likelihood over unknown directions. Temperature creep
+moves lengths by N z, z ~ N(0, 1), a column of N (K, 6) for the offset and the scale of each sensor: W = (diag + N N')^-1.
+
+Poses on the faces alone do not show cross-axis terms. With a prior, each combination c of m'_xy, m'_xz, m'_yz that the poses do
+not show gets one equation more, c . m' = 0 +- sd; what they show gets none, and a session that shows all is fitted as without.
+"""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from undrift.arrays import FloatArray, IntArray
+from undrift.calibration.creep import Creep
+from undrift.errors import PoorFit
+from undrift.fit.least_squares import excess_variance, scaled_condition, whitened
+from undrift.model import AXES
+from undrift.segments import sphere_of
+
+ROW, COLUMN = np.array([0, 0, 0, 1, 1, 2]), np.array([0, 1, 2, 1, 2, 2])  # of the six elements, in the order of p
+NAMES = (*(f"m_{AXES[i]}{AXES[j]}" for i, j in zip(ROW, COLUMN, strict=True)), *(f"offset_{axis}" for axis in AXES))
+WEAKEST = 0.02  # rms change of length, in g, per unit of a parameter that still counts as seen; random poses show 0.25
+CROSS = np.array([1, 2, 4])  # of p: m_xy, m_xz, m_yz
+_START = np.array([1.0, 0.0, 0.0, 1.0, 0.0, 1.0, 0.0, 0.0, 0.0])
+PART = 0.3  # of a combination of parameters: a parameter with this part in it belongs to it
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class NormFit:
+    """Scaled solution of the norm equations."""
+
+    center: FloatArray  # (3,), c, raw unit
+    scale: float  # k, m/s2 per raw unit
+    p: FloatArray  # (9,), m'_xx m'_xy m'_xz m'_yy m'_yz m'_zz (1), o'_x o'_y o'_z (m/s2)
+    covariance: FloatArray  # (9, 9), of p; zeros where held, NaN where the equations are singular
+    residuals: FloatArray  # (K,), length less gravity, m/s2
+    condition: float  # Condition number of the design, columns scaled to one
+    # Least rms change of length, in g, that one unit of any combination of parameters makes (1, and g for offsets)
+    weakest: float
+    unseen: tuple[str, ...]  # The parameters that take part in that weakest combination
+    gravity: float  # m/s2
+    prior: FloatArray  # (R, 9), combinations of cross-axis terms that are known by the prior alone, unit length
+    prior_sd: float  # Standard deviation of each, 1; 0 without a prior
+
+    @property
+    def matrix(self) -> FloatArray:
+        """M, m/s2 per raw unit, shape (3, 3)."""
+        return self.scale * _upper(self.p)
+
+    @property
+    def offset(self) -> FloatArray:
+        """o, raw unit, shape (3,)."""
+        return np.asarray(self.center + self.p[6:] / self.scale)
+
+    @property
+    def uncertainty(self) -> float:
+        """Standard uncertainty of a corrected reading of gravity, root mean square over all directions, m/s2."""
+        variance = np.diag(self.covariance)
+        total = float(self.gravity**2 / 3.0 * variance[:6].sum() + variance[6:].sum())
+        return float(np.sqrt(total)) if np.isfinite(total) else np.inf
+
+    def corrected(self, reading: FloatArray) -> FloatArray:
+        """Return readings (K, 3) in m/s2."""
+        return np.asarray((reading - self.offset) @ self.matrix.T)
+
+
+def fit_norm(
+    reading: FloatArray,
+    *,
+    gravity: float,
+    variances: FloatArray | None = None,
+    cross_axis: bool = True,
+    prior_sd: float | None = None,
+    creep: Creep | None = None,
+) -> NormFit:
+    """Solve the norm equations of readings (K, 3) with variances of the mean (K, 3); weights and excess settle together."""
+    center, radius = sphere_of(reading)
+    scale = gravity / radius
+    v = np.ascontiguousarray(scale * (reading - center))
+    stated = _Stated(np.zeros_like(v) if variances is None else variances * scale**2, creep)
+    free = np.arange(9) if cross_axis else np.array([0, 3, 5, 6, 7, 8])
+    rounds = 1 if variances is None and prior_sd is None else 6
+    prior: FloatArray = np.zeros((0, 9))
+    found, p, variance = _settled(v, stated, gravity, free, prior, rounds)
+    if prior_sd is not None:
+        for at in (_START, p):  # the solution itself may have run away along what nothing shows
+            prior = _unseen_cross_axis(_linearised(v, at, gravity)[0], gravity)
+            if len(prior):
+                found, p, variance = _settled(v, stated, gravity, free, prior / prior_sd, rounds)
+                break
+    design, residuals = _linearised(v, p, gravity)
+    size = np.array([gravity] * 6 + [1.0] * 3)
+    seen = _with(design[:, free], (np.sqrt(len(v)) * size * prior)[:, free])
+    _, singular, right = np.linalg.svd(seen / size[free], full_matrices=False)
+    weak = np.append(np.flatnonzero(singular < WEAKEST * np.sqrt(len(v))), len(singular) - 1)
+    share = np.linalg.norm(right[weak], axis=0)
+    weakest = float(singular[-1] / np.sqrt(len(v))) if len(seen) >= len(free) else 0.0
+    if not found and weakest > WEAKEST:
+        raise PoorFit(
+            f"multi-position: wanted {len(v)} readings of length {gravity:g} m/s2, got none that a linear sensor could give; "
+            "check that the device lay still and that the columns are the accelerometer's",
+            poses=len(v),
+        )
+    covariance = np.zeros((9, 9))
+    weighted = whitened(design[:, free], np.sqrt(variance), stated.shared(v, p, design))
+    covariance[np.ix_(free, free)] = _inverse(_with(weighted, prior[:, free] / (prior_sd or 1.0)))
+    return NormFit(
+        center=center,
+        scale=scale,
+        p=p,
+        covariance=covariance,
+        residuals=residuals,
+        condition=scaled_condition(seen)[1],
+        weakest=weakest,
+        unseen=tuple(NAMES[i] for i in free[share > PART * share.max()]),
+        gravity=gravity,
+        prior=prior,
+        prior_sd=(prior_sd or 0.0) if len(prior) else 0.0,
+    )
+
+
+def _with(design: FloatArray, prior: FloatArray) -> FloatArray:
+    return (
+        np.vstack((design, prior)) if len(prior) else design
+    )  # without a prior the memory stays, and so does rounding
+
+
+class _Stated(NamedTuple):
+    """What is stated of readings v (K, 3): variances (K, 3), (m/s2)^2, and how far they creep."""
+
+    variances: FloatArray
+    creep: Creep | None
+
+    def shared(self, v: FloatArray, p: FloatArray, design: FloatArray) -> FloatArray | None:
+        """Return N (K, 6), m/s2, at p and its design (K, 9); None without creep."""
+        if self.creep is None or self.creep.none:
+            return None
+        by_reading, columns = -design[:, 6:], [self.creep.columns(column) for column in (v - p[6:]).T]
+        return np.hstack([by_reading[:, [j]] * columns[j] for j in range(3)])
+
+
+def _settled(
+    v: FloatArray, stated: _Stated, gravity: float, free: IntArray, prior: FloatArray, rounds: int
+) -> tuple[bool, FloatArray, FloatArray]:
+    """Return whether there is a minimum, p, and the variance of each length (K,); prior (R, 9) in standard deviations."""
+    found, p, variance = True, _START, np.ones(len(v))
+    for _ in range(rounds):
+        before, least = p, variance.min()
+        shared = stated.shared(v, p, _linearised(v, p, gravity)[0])
+        weight = _Weight(least / variance, None if shared is None else shared / np.sqrt(least))
+        p, found = _descend(v, weight, p, gravity, free, prior * np.sqrt(least))
+        design, residuals = _linearised(v, p, gravity)
+        moved, spent = weight.creep(residuals)
+        own = (design[:, 6:] ** 2 * stated.variances).sum(axis=1)  # d length / d reading = M'^T n
+        variance = own + excess_variance(residuals - moved, own, len(v) - len(free) + len(prior) - spent)
+        variance = np.maximum(variance, (1e-12 * gravity) ** 2)
+        if not found or float(np.abs(p - before).max()) < 1e-12 * gravity:
+            break
+    return found, p, variance
+
+
+def _unseen_cross_axis(design: FloatArray, gravity: float) -> FloatArray:
+    """Return the combinations of cross-axis terms (R, 9), unit length, that a design (K, 9) does not show."""
+    scaled = design / np.array([gravity] * 6 + [1.0] * 3)
+    values, vectors = np.linalg.eigh(scaled.T @ scaled / len(design))
+    weak = vectors[CROSS][:, values < WEAKEST**2]
+    if not weak.size:
+        return np.zeros((0, 9))
+    combined, part, _ = np.linalg.svd(weak, full_matrices=False)
+    rows = combined[:, part > PART].T
+    prior = np.zeros((len(rows), 9))
+    prior[:, CROSS] = rows
+    return prior
+
+
+def _upper(p: FloatArray) -> FloatArray:
+    matrix = np.zeros((3, 3))
+    matrix[ROW, COLUMN] = p[:6]
+    return matrix
+
+
+class _Weight(NamedTuple):
+    """W = (diag(1 / each) + N N')^-1 of K lengths."""
+
+    each: FloatArray  # (K,)
+    shared: FloatArray | None  # N (K, c)
+
+    def of(self, rows: FloatArray) -> FloatArray:
+        """Return rows (P, K) W."""
+        weighted = rows * self.each
+        if self.shared is None:
+            return weighted
+        inner = np.eye(self.shared.shape[1]) + (self.shared.T * self.each) @ self.shared
+        return np.asarray(weighted - np.linalg.solve(inner, self.shared.T @ weighted.T).T @ (self.shared.T * self.each))
+
+    def creep(self, residuals: FloatArray) -> tuple[FloatArray, float]:
+        """Return the most likely N z in residuals (K,), and the degrees of freedom that it takes."""
+        if self.shared is None:
+            return np.zeros(len(residuals)), 0.0
+        taken = self.of(self.shared.T) @ self.shared  # 1 - (1 + N' diag N)^-1
+        return self.shared @ (self.shared.T @ self.of(residuals[None])[0]), float(np.trace(taken))
+
+
+def _descend(
+    v: FloatArray, weight: _Weight, start: FloatArray, gravity: float, free: IntArray, prior: FloatArray
+) -> tuple[FloatArray, bool]:
+    """Return the minimum and whether there is one; the start again where the steps run away."""
+    known = prior[:, free]
+    size = np.array([1.0] * 6 + [gravity] * 3)
+
+    def equations(p: FloatArray) -> tuple[float, FloatArray, FloatArray]:
+        design, residuals = _linearised(v, p, gravity)
+        rows = design.T[free]
+        weighted = weight.of(rows)
+        cost = float(weight.each @ residuals**2 if weight.shared is None else weight.of(residuals[None])[0] @ residuals)
+        normal, gradient = weighted @ rows.T, weighted @ residuals
+        if not len(known):
+            return cost, normal, gradient
+        away = prior @ p
+        return cost + float(away @ away), normal + known.T @ known, gradient + known.T @ away
+
+    p, damping = start, 1e-9
+    cost, normal, gradient = equations(p)
+    for _ in range(100):
+        step = np.zeros(9)
+        step[free] = np.linalg.solve(normal + damping * np.diag(np.diag(normal) + 1e-12 * len(v)), -gradient)
+        trial = equations(p + step)
+        if trial[0] <= cost:
+            p, damping = p + step, max(0.1 * damping, 1e-12)
+            cost, normal, gradient = trial
+        else:
+            damping = max(10.0 * damping, 1e-6)
+        if float(np.abs(step / size).max()) < 1e-11 or damping > 1e9:
+            return p, True
+        if float(np.abs(p / size).max()) > 30.0:
+            break
+    return start, False
+
+
+def _linearised(v: FloatArray, p: FloatArray, gravity: float) -> tuple[FloatArray, FloatArray]:
+    """Return design (K, 9) and residuals (K,) at p."""
+    matrix, d = _upper(p), np.ascontiguousarray((v - p[6:]).T)  # rows of K, which numpy takes fastest
+    a = matrix @ d
+    length = np.sqrt((a * a).sum(axis=0))
+    n = a / length
+    return np.concatenate((n[ROW] * d[COLUMN], -matrix.T @ n)).T, length - gravity
+
+
+def _inverse(design: FloatArray) -> FloatArray:
+    """Return (J^T J)^-1 by singular values, NaN where they are short of rank."""
+    size = np.linalg.norm(design, axis=0)
+    _, singular, right = np.linalg.svd(design / np.where(size > 0.0, size, 1.0), full_matrices=False)
+    if len(singular) < design.shape[1] or len(design) < design.shape[1] or singular[-1] < 1e-9 * singular[0]:
+        return np.full((design.shape[1], design.shape[1]), np.nan)
+    root = right.T / singular / size[:, None]
+    return np.asarray(root @ root.T)

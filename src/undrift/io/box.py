@@ -1,0 +1,233 @@
+"""A box for parsers: a child process reads a binary file, within limits of memory and time.
+
+A damaged file can crash a library or make it take all memory; then the child dies, and the caller gets one line. What was read
+comes back as shared memory, so that large arrays are copied once. The child is forked; where the system cannot fork (Windows),
+and for files that the caller trusts, the parser runs in the caller's own process.
+"""
+
+import contextlib
+import faulthandler
+import functools
+import mmap
+import os
+import pickle
+import signal
+import socket
+import struct
+import tempfile
+import warnings
+from collections.abc import Callable, Generator, Iterator
+from importlib import import_module
+from pathlib import Path
+from typing import Any, BinaryIO, NoReturn, ParamSpec, TypeVar
+
+from undrift.errors import FileFormatError, UndriftError
+from undrift.files import GIGABYTE, LIMITS, checked_file, first_line
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+_inside = False  # a box: what it calls is not boxed again
+
+
+def boxed(*libraries: str) -> Callable[[Callable[P, T]], Callable[P, T]]:
+    """Let a reader run in a box; its first argument is the path of a file or folder.
+
+    The libraries that it needs are imported before the box is made, once for all files.
+    """
+
+    def decorate(read: Callable[P, T]) -> Callable[P, T]:
+        @functools.wraps(read)
+        def in_box(*given: P.args, **named: P.kwargs) -> T:
+            made = _parts(given[0], libraries, lambda: iter((read(*given, **named),)))
+            with contextlib.closing(made) as parts:
+                return next(parts)
+
+        return in_box
+
+    return decorate
+
+
+def boxed_parts(*libraries: str) -> Callable[[Callable[P, Iterator[T]]], Callable[P, Iterator[T]]]:
+    """Let a reader that yields the parts of a file run in a box, one part ahead of its caller."""
+
+    def decorate(read: Callable[P, Iterator[T]]) -> Callable[P, Iterator[T]]:
+        @functools.wraps(read)
+        def in_box(*given: P.args, **named: P.kwargs) -> Iterator[T]:
+            with contextlib.closing(_parts(given[0], libraries, lambda: read(*given, **named))) as parts:
+                yield from parts
+
+        return in_box
+
+    return decorate
+
+
+def _parts(file: Any, libraries: tuple[str, ...], read: Callable[[], Iterator[T]]) -> Generator[T, None, None]:
+    path = checked_file(file) if not Path(file).is_dir() else Path(file)
+    if _inside or LIMITS.trust or not hasattr(os, "fork"):
+        with _foreseen(path):
+            yield from read()
+        return
+    for library in libraries:
+        with contextlib.suppress(ImportError):  # the reader says what to install
+            import_module(library)
+    ours, theirs = socket.socketpair()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)  # of a fork beside threads: the child runs the parser alone
+        child = os.fork()
+    if child == 0:
+        ours.close()
+        _run(path, read, theirs)
+    theirs.close()
+    ended = None
+    try:
+        if (yield from _received(ours)):
+            return
+        ended = os.waitpid(child, 0)[1]
+        raise FileFormatError(_death(path, os.waitstatus_to_exitcode(ended)))
+    finally:
+        ours.close()
+        if ended is None:
+            os.kill(child, signal.SIGKILL)
+            os.waitpid(child, 0)
+
+
+@contextlib.contextmanager
+def _foreseen(path: Path) -> Iterator[None]:
+    """Turn whatever a library raises on a damaged file into one line."""
+    try:
+        yield
+    except MemoryError as error:
+        raise FileFormatError(LIMITS.over(path)) from error
+    except (UndriftError, OSError):
+        raise
+    except Exception as error:
+        if os.environ.get("UNDRIFT_TRACEBACK") == "1":
+            raise
+        raise FileFormatError(
+            f"{path}: wanted a sound file, got a damaged one ({type(error).__name__}: {first_line(error)}); copy it again"
+        ) from error
+
+
+# ---- the child
+
+
+def _run(path: Path, read: Callable[[], Iterator[Any]], channel: socket.socket) -> NoReturn:
+    """Send what the parser yields, or its error, and end this process at once: its buffers and handlers are the caller's."""
+    global _inside
+    _inside = True
+    status = 1
+    try:
+        faulthandler.disable()
+        for low, high in ((3, channel.fileno()), (channel.fileno() + 1, 1 << 16)):
+            os.closerange(low, high)  # the locks, ports and files of the caller are not this process's to hold
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            signal.signal(number, signal.SIG_DFL)
+        quiet = os.open(os.devnull, os.O_WRONLY)  # a library's own words, also those of its death
+        os.dup2(quiet, 1)
+        os.dup2(quiet, 2)
+        _set_limits(path)
+        try:
+            with _foreseen(path):
+                for part in read():
+                    _send(channel, (part, None))
+            _send(channel, (None, StopIteration()))
+        except Exception as error:  # noqa: BLE001 - the caller raises it again
+            _send(channel, (None, error))
+        status = 0
+    finally:
+        os._exit(status)
+
+
+def _set_limits(path: Path) -> None:
+    import resource
+
+    seconds = int(LIMITS.start_s + LIMITS.megabyte_s * _size(path) / 1e6)
+    limits = {resource.RLIMIT_CPU: seconds, resource.RLIMIT_CORE: 0}
+    limits[resource.RLIMIT_DATA] = _held() + int(LIMITS.memory_gb * GIGABYTE)
+    for kind, most in limits.items():
+        hard = resource.getrlimit(kind)[1]
+        resource.setrlimit(kind, (most if hard == resource.RLIM_INFINITY else min(most, hard), hard))
+
+
+def _held() -> int:
+    """Return the bytes of writable memory that this process has mapped; 0 where the system does not say."""
+    with contextlib.suppress(OSError, StopIteration):
+        lines = Path("/proc/self/status").read_text().splitlines()
+        return 1024 * int(next(line for line in lines if line.startswith("VmData")).split()[1])
+    return 0
+
+
+def _size(path: Path) -> int:
+    return sum(p.stat().st_size for p in path.rglob("*") if p.is_file()) if path.is_dir() else path.stat().st_size
+
+
+def _send(channel: socket.socket, held: tuple[Any, BaseException | None]) -> None:
+    """Send an object: its arrays as they are in a file in memory, and that file's number; wait while two are not taken."""
+    buffers: list[pickle.PickleBuffer] = []
+    head = pickle.dumps(held, protocol=5, buffer_callback=buffers.append)
+    raw = [buffer.raw() for buffer in buffers]
+    with _memory() as file:
+        file.write(struct.pack(f"<{len(raw) + 2}Q", len(raw), len(head), *(view.nbytes for view in raw)))
+        file.write(head)
+        for view in raw:
+            file.write(bytes(-file.tell() % 64))
+            file.write(view)
+        file.flush()
+        socket.send_fds(channel, [b"+"], [file.fileno()])
+    channel.recv(1)
+
+
+def _memory() -> BinaryIO:
+    if hasattr(os, "memfd_create"):
+        return os.fdopen(os.memfd_create("undrift"), "w+b")
+    return tempfile.TemporaryFile()
+
+
+# ---- the caller
+
+
+def _received(channel: socket.socket) -> Generator[Any, None, bool]:
+    """Yield what the child sends; return whether it came to an end by itself."""
+    channel.sendall(b"+")  # the child may be one part ahead
+    while True:
+        try:
+            _, files, _, _ = socket.recv_fds(channel, 1, 1)
+        except ConnectionError:
+            return False
+        if not files:
+            return False
+        part, error = _unpacked(files[0])
+        if isinstance(error, StopIteration):
+            return True
+        if error is not None:
+            raise error
+        channel.sendall(b"+")
+        yield part
+
+
+def _unpacked(number: int) -> Any:
+    """Return the object in a file of memory; its arrays stay in it."""
+    try:
+        held = memoryview(mmap.mmap(number, 0, access=mmap.ACCESS_COPY))
+    finally:
+        os.close(number)
+    count, length = struct.unpack_from("<2Q", held)
+    sizes = struct.unpack_from(f"<{count}Q", held, 16)
+    at = 16 + 8 * count + length
+    head, buffers = held[at - length : at], []
+    for size in sizes:
+        at += -at % 64
+        buffers.append(held[at : at + size])
+        at += size
+    return pickle.loads(head, buffers=buffers)
+
+
+def _death(path: Path, code: int) -> str:
+    """Say of what a parser died."""
+    if -code in (signal.SIGXCPU, signal.SIGKILL):
+        return f"{path}: wanted a sound file, got one whose parser does not come to an end; copy it again"
+    name = signal.Signals(-code).name if code < 0 else f"exit {code}"
+    return (
+        f"{path}: wanted a sound file, got one that makes its parser crash ({name}); copy it again, or export it anew"
+    )

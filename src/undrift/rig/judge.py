@@ -1,0 +1,189 @@
+"""Whether a dwell may be kept: the table turned steadily, the device spoke and lay still, air and board kept their temperature.
+
+With rate w, dwell T, time d in which a position may have been taken (the link's delay, or a tick) and a = angle_tolerance, a dwell
+is refused unless
+
+    |slope - w|           <= tolerance |w| + (a + 2 |w| d) / T
+    |between ends - w|    <= tolerance |w| + 2 (a + |w| d) / T
+    misfit                <= a                                    no stop, no jump: rig/rig.py
+    2 d / T               <= link_tolerance, where w is not 0     else the link hides what the table does: read once more
+    finite readings, air and board: at least least_part of them, and steady (check_readings, check_board, _look_at_air)
+
+A rest is taken again where someone pushed the table or mounted the wrong face (`Disturbed`). With s the spread of a channel in the
+first rests of this rig, and f the mean specific force of a face as read,
+
+    largest spread of an eighth of the rest    <= STILL s               where s is not below half a step of the converter
+    |f - f(other face)|                        >= APART s               else nobody mounted it
+    |component of f(+k) - f(-k) along k|       >= cos 30 deg of it      and of f itself along k in a physical unit
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from undrift.arrays import FloatArray
+from undrift.errors import InputError, RigFault, RigTimeout
+from undrift.record import Face, Record
+from undrift.rig.programme import Dwell
+from undrift.rig.rig import Achieved
+from undrift.units import RADIAN_PER_DEGREE, is_physical
+
+PARTS = 8  # of a dwell, for the board
+COARSEST_C = 1.0  # step of a thermometer, K: more is a jump
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RunSettings:
+    """When a run gives up."""
+
+    turn_rate_tolerance: float = 0.03  # Achieved against set rate, 1
+    # A few counts: on top of it, over a dwell, and farthest from a steady turn, rad
+    angle_tolerance: float = 0.05 * RADIAN_PER_DEGREE
+    link_tolerance: float = 0.1  # Part of a rate that the link's delays may hide, 1
+    least_part: float = 0.8  # Part of a dwell's readings that must come, 1
+    soak_timeout_s: float = 6.0 * 3600.0  # Longest soak, table s
+    # Time constant with which a device without thermometer follows the air, s; five of them are waited for
+    device_lag_s: float = 120.0
+
+    def __post_init__(self) -> None:
+        if not self.device_lag_s >= 0.0:
+            raise InputError(
+                f"run: wanted a device lag of 0 s or more, got {self.device_lag_s}; state how late it follows the air"
+            )
+
+
+def link_hides(achieved: Achieved, settings: RunSettings) -> bool:
+    """Tell whether the positions came too late to say how fast the table turned."""
+    return 2.0 * achieved.delay_s > settings.link_tolerance * achieved.span_s
+
+
+def check_rate(achieved: Achieved, held: float, settings: RunSettings, where: str) -> None:
+    """Refuse a dwell in which the table did not hold its rate all the time."""
+    off = settings.turn_rate_tolerance * abs(held)
+    slip = settings.angle_tolerance / achieved.span_s
+    late = 2.0 * abs(held) * achieved.delay_s / achieved.span_s
+    found = ((achieved.turn_rate, off + slip + late), (achieved.between_ends, off + 2.0 * slip + late))
+    for rate, allowed in found:
+        if not abs(rate - held) <= allowed:
+            raise RigFault(
+                f"rig: wanted {held:.6g} rad/s held within {allowed:.2g} in {where}, got {rate:.6g}; look at the table, its "
+                "amplifier and its encoder",
+                turn_rate=rate,
+            )
+    if not achieved.misfit <= settings.angle_tolerance:
+        raise RigFault(
+            f"rig: wanted a steady turn within {settings.angle_tolerance / RADIAN_PER_DEGREE:.2g} deg in {where}, got "
+            f"{achieved.misfit / RADIAN_PER_DEGREE:.2g} deg off a straight line; it stopped, jumped or was pushed: look "
+            "at the table",
+            misfit=achieved.misfit,
+        )
+
+
+def check_readings(record: Record, dwell_s: float, settings: RunSettings, where: str) -> int:
+    """Refuse a dwell in which the device sent too little."""
+    came = np.ones(len(record), bool)
+    for values in (record.gyro, record.accel):
+        if values is not None:
+            came &= np.isfinite(values).all(axis=1)
+    finite, rate = int(came.sum()), record.sample_rate_hz
+    wanted = rate * max(dwell_s, record.duration_s)
+    if finite < settings.least_part * wanted:
+        raise RigTimeout(
+            f"device: wanted {settings.least_part:.0%} of {wanted:.0f} readings in {where}, got {finite}, the others missing; look "
+            "at the device and its link, then continue with --resume",
+            readings=finite,
+        )
+    return len(record) - finite
+
+
+def check_board(record: Record, tolerance_c: float, where: str) -> None:
+    """Refuse a dwell in which the device's own thermometer drifts or jumps; without one nothing is checked."""
+    if record.temp_c is None:
+        return
+    temp_c = record.temp_c[np.isfinite(record.temp_c)]
+    if len(temp_c) < 2:
+        return
+    middles = [float(np.median(part)) for part in np.array_split(temp_c, min(PARTS, len(temp_c)))]
+    steps = np.diff(np.unique(temp_c))
+    step_c = min(float(steps.min()), COARSEST_C) if len(steps) else 0.0
+    change_c = max(middles) - min(middles)
+    if change_c > tolerance_c + step_c:
+        raise RigFault(
+            f"device: wanted its thermometer steady within {tolerance_c:g} K throughout {where}, got a change of {change_c:.2f} K; "
+            "look at the chamber and at the air around the device, then continue with --resume",
+            change_c=change_c,
+        )
+
+
+# ---- what the rig's own rests say about the next
+
+STILL = 8.0  # spreads: an eighth of a rest that scatters more was disturbed
+APART = 5.0  # spreads between two faces: less is the same face
+SLANT = float(np.cos(np.radians(30.0)))
+FIRST = 3  # rests that tell the rig's own spread
+
+
+class Disturbed(RigFault):
+    """A rest that someone disturbed or mounted wrongly: it is taken again."""
+
+
+class Rests:
+    """Remembers how still this rig's first rests were and what each face read."""
+
+    def __init__(self) -> None:
+        self._spreads: list[FloatArray] = []
+        self._faces: dict[Face, FloatArray] = {}
+
+    def check(self, step: Dwell, record: Record, where: str) -> None:
+        """Refuse a rest that was not still, or a face that does not read as mounted."""
+        if step.turn_rate != 0.0 or step.purpose == "turn":
+            return
+        parts = _spreads(record)
+        usual = np.median([*self._spreads, np.median(parts, axis=0)], axis=0) + _half_steps(record)
+        worst = float(np.nanmax(parts.max(axis=0) / usual))
+        if worst > STILL:
+            raise Disturbed(
+                f"device: wanted it at rest in {where}, got {worst:.0f} times the spread of this rig's rests; nobody may touch the "
+                "table while it is read: continue with --resume",
+                spread=worst,
+            )
+        if step.purpose == "face" and record.accel is not None:
+            self._check_face(step.up, record.accel, record.accel_unit, APART * usual[-3:], where)
+
+    def keep(self, step: Dwell, record: Record) -> None:
+        """Remember a rest that was kept."""
+        if step.turn_rate != 0.0 or step.purpose == "turn":
+            return
+        if len(self._spreads) < FIRST:
+            self._spreads.append(np.median(_spreads(record), axis=0))
+        if step.purpose == "face" and record.accel is not None:
+            self._faces.setdefault(step.up, np.nanmean(record.accel, axis=0))
+
+    def _check_face(self, up: Face, accel: FloatArray, unit: str, apart: FloatArray, where: str) -> None:
+        force, axis, sign = np.nanmean(accel, axis=0), "xyz".index(up[1]), 1.0 if up[0] == "+" else -1.0
+        for other, seen in self._faces.items():
+            if other != up and (np.abs(force - seen) < apart).all():
+                raise Disturbed(
+                    f"device: wanted {up} up in {where}, got the readings of {other}; mount it again", up=up
+                )
+        against = next((seen for other, seen in self._faces.items() if other != up and other[1] == up[1]), None)
+        stated = is_physical(unit)  # else only the difference of two faces tells an axis, and not its sign
+        turned = force if stated else None if against is None else force - against
+        if turned is None:
+            return
+        along = sign * turned[axis] if stated else abs(turned[axis])
+        if along < SLANT * np.linalg.norm(turned):
+            raise Disturbed(f"device: wanted {up} up in {where}, got gravity along another axis; mount it again", up=up)
+
+
+def _spreads(record: Record) -> FloatArray:
+    """Return the standard deviation of every channel in each eighth of a rest, (PARTS, channels)."""
+    held = np.column_stack([values for values in (record.gyro, record.accel) if values is not None])
+    return np.array([np.nanstd(part, axis=0) for part in np.array_split(held, PARTS)])
+
+
+def _half_steps(record: Record) -> FloatArray:
+    """Return half the least step between readings of each channel: a rest that reads one code has no spread of its own."""
+    held = np.column_stack([values for values in (record.gyro, record.accel) if values is not None])
+    steps = (np.diff(np.unique(column[np.isfinite(column)])) for column in held.T)
+    return np.array([0.5 * float(step.min()) if len(step) else 1.0 for step in steps])

@@ -1,0 +1,124 @@
+"""However a command ends, no file is half written, and what a killed one left is swept by the next."""
+
+import errno
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from testkit.full_calibration import device, record
+from undrift.cli.app import run
+from undrift.errors import InputError
+from undrift.files import hidden_folder, write_whole
+from undrift.io.parquet import ParquetWriter, write_parquet
+from undrift.io.store import write_calibration
+from undrift.io.text import write_rows
+
+needs_signals = pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
+
+
+def hidden(folder):
+    return sorted(path.name for path in folder.iterdir() if path.name.startswith(".undrift-"))
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory):
+    """A calibration and a recording that takes seconds to correct."""
+    folder = tmp_path_factory.mktemp("bench")
+    write_calibration(device(), folder / "c.json")
+    write_parquet(record(4_000_000), folder / "long.parquet")
+    write_parquet(record(1000), folder / "short.parquet")
+    return folder
+
+
+def started(bench, out):
+    """Start to correct the long recording and return when its hidden folder is there."""
+    words = ["correct", str(bench / "long.parquet"), "--calibration", str(bench / "c.json"), "-o", str(out / "o.csv")]
+    process = subprocess.Popen([sys.executable, "-m", "undrift", *words], stderr=subprocess.PIPE, text=True)
+    while len(hidden(out)) < 2:
+        assert process.poll() is None
+        time.sleep(0.01)
+    return process
+
+
+@needs_signals
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
+def test_a_signal_ends_a_command_in_one_line_and_leaves_nothing(bench, tmp_path, name):
+    process = started(bench, tmp_path)
+    process.send_signal(getattr(signal, name))
+    _, err = process.communicate(timeout=60)
+    assert (process.returncode, err.splitlines()[-1]) == (130, "undrift: stopped; nothing was left half written")
+    assert list(tmp_path.iterdir()) == []
+
+
+@needs_signals
+def test_what_a_killed_command_left_is_swept_and_a_running_one_is_not(bench, tmp_path):
+    process = started(bench, tmp_path)
+    left = hidden(tmp_path)
+    with hidden_folder(tmp_path):
+        assert set(left) < set(hidden(tmp_path))  # it is at work
+    process.kill()
+    process.communicate(timeout=60)
+    assert hidden(tmp_path) == left
+    words = ["correct", str(bench / "short.parquet"), "--calibration", str(bench / "c.json")]
+    assert run([*words, "-o", str(tmp_path / "o.parquet")]) == 0
+    assert [path.name for path in tmp_path.iterdir()] == ["o.parquet"]
+
+
+def full(*_):
+    raise OSError(errno.ENOSPC, "No space left on device")
+
+
+def test_a_full_disk_names_the_file_and_the_bytes_missing(tmp_path, monkeypatch):
+    monkeypatch.setattr("shutil.disk_usage", lambda _: type("Usage", (), {"free": 100}))
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(InputError) as caught:
+        write_whole(tmp_path / "c.json", bytes(340))
+    assert str(caught.value) == (
+        f"{tmp_path / 'c.json'}: wanted room for 340 bytes more on the disk, got 100: 240 are missing; make room and run it again"
+    )
+    assert caught.value.missing == 240
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_disk_that_fills_while_rows_are_written_leaves_nothing(tmp_path, monkeypatch):
+    monkeypatch.setattr("pyarrow.csv.write_csv", full)
+    with pytest.raises(InputError, match=r"r\.csv: wanted room for 160 bytes more on the disk"):
+        write_rows(tmp_path / "r.csv", ("a", "b"), (np.zeros(10), np.zeros(10)))
+
+    def full_of_arrow(*_):
+        raise OSError("Error writing bytes to file. Detail: [errno 28] No space left on device")
+
+    monkeypatch.setattr("pyarrow.parquet.ParquetWriter.write_table", full_of_arrow)
+    with pytest.raises(InputError, match=r"r\.parquet: wanted room for .* bytes more on the disk"):  # noqa: SIM117
+        with ParquetWriter(tmp_path / "r.parquet") as writer:
+            writer.write(record(100))
+    assert list(tmp_path.iterdir()) == []
+
+
+@needs_signals
+def test_a_limit_on_the_size_of_files_is_one_line(tmp_path):
+    code = """
+import resource, sys
+from pathlib import Path
+from testkit.full_calibration import record
+from undrift.errors import InputError
+from undrift.io.parquet import write_parquet
+made, path = record(4000), Path(sys.argv[1])
+resource.setrlimit(resource.RLIMIT_FSIZE, (65536, 65536))
+try:
+    write_parquet(made, path)
+except InputError as error:
+    print(error)
+"""
+    words = [sys.executable, "-c", code, str(tmp_path / "o.parquet")]
+    paths = os.pathsep.join((str(Path(__file__).parents[1]), os.environ.get("PYTHONPATH", "")))
+    done = subprocess.run(words, capture_output=True, text=True, check=True, env={**os.environ, "PYTHONPATH": paths})
+    assert done.stdout.startswith(f"{tmp_path / 'o.parquet'}: cannot be written: File too large; check")
+    assert done.stdout.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []

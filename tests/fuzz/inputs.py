@@ -1,0 +1,343 @@
+"""What is damaged and what reads it: recordings, sessions, settings, and lines for the emulated machines."""
+
+import contextlib
+import io
+import os
+import random
+import tempfile
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+import undrift
+from testkit.data import DATA
+from testkit.full_calibration import device, tables
+from undrift.cli.app import run
+from undrift.errors import UndriftError
+from undrift.files import LIMITS
+from undrift.io.session import read_file_map, read_session
+from undrift.io.store import read_calibration, write_calibration
+from undrift.live.decoder import read_description
+from undrift.rig.programme import read_protocol
+from undrift.sim.device.model import read_device, write_device
+from undrift.sim.device.presets import preset
+from undrift.sim.rig.axes import HostClock, ServoSettings
+from undrift.sim.rig.emulator import AirSettings, EmulatedChamber
+from undrift.sim.rig.galil_card import CardSettings
+from undrift.sim.rig.galil_language import GalilMachine
+from undrift.sim.rig.grbl import GrblMachine, GrblSettings
+from undrift.study.plan import read_study
+from undrift.study.real import read_real
+
+BAD = ("crash", "hang", "over 1 GB", "unforeseen", "partial file")
+LONGEST, LARGEST = (
+    30_000,
+    1_300_000,
+)  # bytes of a text and of any other recording that is damaged: many headers, few rows
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What became of one input."""
+
+    kind: str  # "read", "refused", or what must not be
+    text: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Seed:
+    """A sound input and how it is read."""
+
+    name: str  # Of the file that is damaged
+    content: bytes
+    read: Callable[[Path], Outcome]
+    beside: dict[str, bytes] = field(default_factory=dict)  # Other files of its folder
+    simulated: bool = True  # Made here; a public recording otherwise
+
+
+def outcome(seed: Seed, content: bytes, folder: Path) -> Outcome:
+    """Put the content into a fresh folder and read it."""
+    folder.mkdir(exist_ok=True)
+    for name, held in {**seed.beside, seed.name: content}.items():
+        (folder / name).write_bytes(held)
+    return seed.read(folder / seed.name)
+
+
+# ---- readers
+
+
+def by_command(path: Path) -> Outcome:
+    """Describe a recording, and try to calibrate by it: an answer, or one clear line on stderr and no output."""
+    out = path.parent / "out.json"
+    shown = _called("info", str(path))
+    if shown.kind not in ("read", "refused"):
+        return shown
+    found = _called("calibrate", str(path), "-o", str(out))
+    left = sorted(p.name for p in path.parent.iterdir() if p.name.endswith(".part") or p.name.startswith(".undrift-"))
+    if left or (found.kind == "refused" and out.exists()):
+        return Outcome("partial file", f"{left or out.name}")
+    return shown if found.kind in ("read", "refused") else found
+
+
+def _called(*words: str) -> Outcome:
+    out, err = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        code = run(words)
+    text = err.getvalue().strip()
+    if "internal error" in text:
+        return Outcome("over 1 GB" if "MemoryError" in text else "unforeseen", text)
+    if code == 2 and (not text.startswith("undrift: ") or "\n" in text):
+        return Outcome("unforeseen", f"not one line: {text[:300]}")
+    return Outcome("refused" if code == 2 else "read", text)
+
+
+def by_function(read: Callable[[Path], object]) -> Callable[[Path], Outcome]:
+    """Read settings; whatever is not an error of undrift's is unforeseen."""
+
+    def call(path: Path) -> Outcome:
+        try:
+            read(path)
+        except UndriftError as error:
+            return (
+                Outcome("refused", str(error)) if "\n" not in str(error) else Outcome("unforeseen", f"lines: {error}")
+            )
+        except MemoryError as error:
+            return Outcome("over 1 GB", str(error))
+        except Exception as error:  # noqa: BLE001 - what the run looks for
+            return Outcome("unforeseen", f"{type(error).__name__}: {error}")
+        return Outcome("read")
+
+    return call
+
+
+def by_machine(kind: str) -> Callable[[Path], Outcome]:
+    """Say bytes to an emulated machine, in pieces, and look whether it still answers."""
+
+    def call(path: Path) -> Outcome:
+        session = _machines()[kind]().open_session(serial=kind == "grbl")
+        content = path.read_bytes()
+        try:
+            for start in range(0, len(content), 7):
+                for answer in session.feed(content[start : start + 7]):
+                    assert isinstance(answer, bytes)
+                session.unasked()
+        except Exception as error:  # noqa: BLE001 - what the run looks for
+            return Outcome("unforeseen", f"{type(error).__name__}: {error}")
+        return Outcome("read")
+
+    return call
+
+
+@cache
+def _machines() -> dict[str, Callable[[], object]]:
+    clock = HostClock()
+    chamber = EmulatedChamber(AirSettings(), clock)
+    return {
+        "galil": lambda: GalilMachine(ServoSettings(), CardSettings(), clock),
+        "grbl": lambda: GrblMachine(GrblSettings(), clock),
+        "chamber": lambda: chamber,
+    }
+
+
+# ---- sound inputs
+
+LINES = {
+    "galil": b"SH;KP 6;JG 1000;BGX;TPX;TVX;MG _TPX,@ABS[-3];ST;TC1;DM A[20];RA A[];RD _TPX;RC 1;PR 100;AC 5000\r"
+    b"DL\n#A;JG 5;WT 2;JP #A;EN\n\\\rXQ #A\rLS\rAB\rMO\r^R^V\r",
+    "grbl": b"$$\n?\nG91\n$J=G91 X10 F100\nG1 X5 F20\n!~\n$110=500\n$X\n$I\n",
+    "chamber": b"*IDN?\nTEMP:SET 40\nTEMP?\nSYST:ERR?\nTEMP:SET?\nOUTP ON\n",
+}
+MAP = b"""sample_rate_hz = 100.0
+columns = { time = "t", gyro = ["gx", "gy", "gz"], accel = ["ax", "ay", "az"], temp = "T" }
+units = { time = "s", gyro = "dps", accel = "g", temp = "degC" }
+skip_rows = 0
+delimiter = ";"
+"""
+SESSION = b"""[session]
+kind = "calibration"
+serial = "A1"
+gravity_m_s2 = 9.81
+[[recording]]
+file = "r.csv"
+[[still]]
+recording = 0
+face = "+x"
+start_s = 0.0
+stop_s = 0.5
+[[turn]]
+axis = "z"
+turn_rate_dps = 90.0
+start_s = 0.5
+stop_s = 1.5
+"""
+PROTOCOL = b"""[protocol]
+name = "walk"
+cutoff_hz = 11.1
+[faces]
+order = ["+x", "-x", "+y", "-y", "+z", "-z"]
+seconds = 6.0
+[rates]
+turn_rate_min_dps = 5.0
+turn_rate_max_dps = 90.0
+turn_rate_step_dps = 5.0
+[temperatures]
+set_points_c = [18.0, 30.0, 45.0]
+"""
+STUDY = b"""[study]
+subjects = 4
+seed = 1
+[[task]]
+name = "sit_to_stand"
+[task.space]
+cutoff_hz = [5.0, 11.1]
+turn_rate_step_dps = [5.0]
+turn_rate_min_dps = [5.0]
+turn_rate_max_dps = [45.0]
+[task.protocol]
+dwell_s = 2.0
+"""
+REAL = b"""[[capture]]
+file = "r.csv"
+task = "sit_to_stand"
+"""
+STREAM = b"""[stream]
+channels = ["count", "gyro_x", "gyro_y", "gyro_z", "accel_x", "accel_y", "accel_z"]
+rate = 100.0
+gyro_unit = "dps"
+accel_unit = "g"
+tick = 1e-6
+counter_bits = 32
+format = "frame"
+pack = "<Ihhhhhh"
+sync = "aa55"
+"""
+
+
+def seeds() -> list[Seed]:
+    """Return the sound inputs: simulated ones, and the small ones of the public recordings where these are present."""
+    made = [Seed(name, content, by_command) for name, content in _simulated()]
+    made += [Seed(name, content, by_command, simulated=False) for name, content in _public()]
+    row = b"time_s,gyro_x_dps,gyro_y_dps,gyro_z_dps\n" + b"".join(
+        b"%.2f,1,2,%d\n" % (k / 100, k % 5) for k in range(200)
+    )
+    calibrated = device(drift=tables(scale=np.array([18.0, 40.0, 75.0])))
+    settings: dict[str, tuple[bytes, Callable[[Path], object]]] = {
+        "map.toml": (MAP, read_file_map),
+        "protocol.toml": (PROTOCOL, read_protocol),
+        "study.toml": (STUDY, read_study),
+        "real.toml": (REAL, read_real),
+        "stream.toml": (STREAM, read_description),
+        "device.json": (_written(lambda path: write_device(preset("mpu6050"), path)), read_device),
+        "calibration.json": (
+            _written(lambda path: write_calibration(calibrated, path)),
+            read_calibration,
+        ),
+    }
+    made += [Seed(name, content, by_function(read)) for name, (content, read) in settings.items()]
+    made.append(Seed("session.toml", SESSION, by_function(lambda path: read_session(path.parent)), {"r.csv": row}))
+    made += [Seed(f"{kind}.txt", content, by_machine(kind)) for kind, content in LINES.items()]
+    return made
+
+
+def _written(write: Callable[[Path], object]) -> bytes:
+    with tempfile.TemporaryDirectory() as folder:
+        write(Path(folder) / "made")
+        return (Path(folder) / "made").read_bytes()
+
+
+def _simulated() -> Iterator[tuple[str, bytes]]:
+    rng, count = np.random.default_rng(0), 120
+    record = undrift.Record(
+        time=np.arange(count) / 100.0,
+        gyro=rng.standard_normal((count, 3)),
+        accel=rng.standard_normal((count, 3)) + np.array([0.0, 0.0, 9.8]),
+        gyro_unit="dps",
+        accel_unit="m/s2",
+        temp_c=25.0 + rng.standard_normal(count),
+    )
+    with tempfile.TemporaryDirectory() as folder:
+        for name in ("r.parquet", "r.csv", "r.csv.gz", "r.mat"):
+            undrift.write_record(record, Path(folder) / name)
+            yield name, (Path(folder) / name).read_bytes()
+        arrays = {f"gyro_{axis}_dps": record.gyro[:, k] for k, axis in enumerate("xyz")}
+        np.savez(Path(folder) / "r.npz", time_s=record.time, **arrays)
+        yield "r.npz", (Path(folder) / "r.npz").read_bytes()
+        np.savetxt(Path(folder) / "r.txt", np.column_stack((record.time, record.gyro)), fmt="%.4f")
+        yield "r.txt", (Path(folder) / "r.txt").read_bytes()
+
+
+def _public() -> Iterator[tuple[str, bytes]]:
+    for path in sorted(DATA.rglob("*")) if DATA.is_dir() else ():
+        if path.is_file() and path.suffix not in (".md", ".json", ".svg", ".png") and "_motion" not in path.name:
+            with path.open("rb") as held:
+                content = held.read(LARGEST)
+            if b"\0" not in content and not path.name.endswith(".gz"):
+                content = content[: content.rfind(b"\n", 0, LONGEST) + 1]
+            elif path.suffix == ".cwa":
+                content = content[: 1024 + 512 * 100]
+            if len(content) < LARGEST:
+                yield path.name, content
+
+
+# ---- damage
+
+TOKENS = (
+    b"\0",
+    b"\xff",
+    b"nan",
+    b"inf",
+    b"-1",
+    b"1e999",
+    b"\n",
+    b"\r\n",
+    b",",
+    b'"',
+    b"[",
+    b"{",
+    b"9" * 30,
+    b"$",
+    b"'",
+    b"  ",
+)
+
+
+def damaged(content: bytes, rng: random.Random) -> bytes:
+    """Return the content with one to eight faults: bytes, bits, words, pieces left out, repeated, or the end cut off."""
+    held = bytearray(content)
+    for _ in range(rng.choice((1, 1, 1, 2, 4, 8))):
+        if not held:
+            break
+        at = int(len(held) * rng.random() ** rng.choice((1, 3)))  # headers more often
+        length = 1 + int(rng.expovariate(0.1))
+        match rng.randrange(8):
+            case 0 | 1:
+                held[at] = rng.randrange(256)
+            case 2:
+                held[at] ^= 1 << rng.randrange(8)
+            case 3:
+                held[at : at + rng.randrange(3)] = rng.choice(TOKENS)
+            case 4:
+                del held[at : at + length]
+            case 5:
+                held[at:at] = held[at : at + length]
+            case 6:
+                other = rng.randrange(len(held))
+                held[at : at + length] = held[other : other + length]
+            case _:
+                if rng.random() < 0.3:
+                    del held[at:]
+    return bytes(held)
+
+
+def limit_memory(gigabytes: float) -> None:
+    """Limit what this process may take beyond what it holds, and what its parsers may."""
+    import resource
+
+    LIMITS.memory_gb = gigabytes
+    held = next(line for line in Path("/proc/self/status").read_text().splitlines() if line.startswith("VmData"))
+    most = 1024 * int(held.split()[1]) + int(gigabytes * 1e9)
+    resource.setrlimit(resource.RLIMIT_DATA, (most, most))
+    os.environ.pop("UNDRIFT_TRACEBACK", None)

@@ -1,0 +1,183 @@
+"""A parser that crashes, hangs or takes all memory ends as one line; what it reads comes back bit by bit."""
+
+import ctypes
+import gzip
+import os
+import time
+import zipfile
+
+import numpy as np
+import pytest
+
+import undrift
+from testkit.data import data_path
+from undrift.errors import FileFormatError, InputError
+from undrift.files import LIMITS, read_bytes
+from undrift.io.box import boxed, boxed_parts
+from undrift.io.formats import read_markers, read_record
+
+needs_fork = pytest.mark.skipif(not hasattr(os, "fork"), reason="this system cannot fork: files are read without a box")
+
+
+@pytest.fixture
+def file(tmp_path):
+    path = tmp_path / "file.bin"
+    path.write_bytes(b"content")
+    return path
+
+
+@pytest.fixture
+def limits(monkeypatch):
+    for name in ("memory_gb", "trust", "start_s", "megabyte_s"):
+        monkeypatch.setattr(LIMITS, name, getattr(LIMITS, name))
+    return LIMITS
+
+
+@boxed()
+def crash(path):
+    ctypes.string_at(0)
+
+
+@boxed()
+def leave(path):
+    os._exit(3)
+
+
+@boxed()
+def swell(path):
+    return np.ones(2 * 10**8).sum()
+
+
+@boxed()
+def hang(path):
+    while True:
+        pass
+
+
+@boxed()
+def fail(path, error):
+    raise error
+
+
+@boxed_parts()
+def arrays(path, sizes):
+    for size in sizes:
+        yield {"pid": os.getpid(), "array": np.arange(float(size)), "text": path.read_text()}
+
+
+@needs_fork
+def test_a_crash_is_one_line(file):
+    with pytest.raises(FileFormatError, match=r"file.bin: wanted .* makes its parser crash \(SIGSEGV\); copy it again"):
+        crash(file)
+    with pytest.raises(FileFormatError, match=r"crash \(exit 3\)"):
+        leave(file)
+
+
+@needs_fork
+def test_too_much_memory_is_one_line_and_the_setting_raises_it(file, limits):
+    limits.memory_gb = 0.5
+    with pytest.raises(
+        FileFormatError, match=r"within 0.5 GB of memory, got one that takes more.*--memory-limit-gb 1$"
+    ):
+        swell(file)
+    limits.memory_gb = 4.0
+    assert swell(file) == 2e8
+
+
+@needs_fork
+def test_a_parser_without_end_is_stopped(file, limits):
+    limits.start_s = 1.0
+    start = time.process_time()
+    with pytest.raises(FileFormatError, match="does not come to an end"):
+        hang(file)
+    assert time.process_time() - start < 1.0  # waiting costs the caller nothing
+
+
+def test_errors_come_back_as_they_were_and_unforeseen_ones_as_a_damaged_file(file, monkeypatch):
+    monkeypatch.delenv("UNDRIFT_TRACEBACK", raising=False)
+    with pytest.raises(InputError) as caught:
+        fail(file, InputError("wanted this, got that", names=("a", "b")))
+    assert str(caught.value) == "wanted this, got that"
+    assert caught.value.names == ("a", "b")
+    with pytest.raises(FileFormatError, match=r"file.bin: wanted a sound file, got a damaged one \(KeyError: 'x'\)"):
+        fail(file, KeyError("x"))
+
+
+@needs_fork
+def test_arrays_come_in_parts_from_another_process_and_it_ends_with_the_caller(file):
+    found = list(arrays(file, (3, 0, 10**6)))
+    assert [len(part["array"]) for part in found] == [3, 0, 10**6]
+    assert all(np.array_equal(part["array"], np.arange(float(len(part["array"])))) for part in found)
+    child = found[0]["pid"]
+    assert child != os.getpid()
+    assert found[0]["text"] == "content"
+    with pytest.raises(ProcessLookupError):
+        os.kill(child, 0)
+    parts = arrays(file, [1] * 10**6)
+    child = next(parts)["pid"]
+    os.kill(child, 0)
+    parts.close()
+    with pytest.raises(ProcessLookupError):
+        os.kill(child, 0)
+
+
+def test_trusted_files_are_read_in_the_callers_process(file, limits):
+    limits.trust = True
+    assert next(arrays(file, (1,)))["pid"] == os.getpid()
+
+
+def test_a_packed_file_that_swells_is_refused(tmp_path, limits):
+    path = tmp_path / "zeros.csv.gz"
+    with gzip.open(path, "wb", compresslevel=1) as packed:
+        for _ in range(120):
+            packed.write(bytes(10**6))
+    with pytest.raises(FileFormatError, match="more than 200 times its size"):
+        read_bytes(path)
+    assert read_bytes(path, 10) == bytes(10)
+    limits.memory_gb = 0.05
+    with pytest.raises(FileFormatError, match=r"--memory-limit-gb 0\.1$"):
+        read_bytes(path)
+    limits.trust = True
+    assert len(read_bytes(path)) == 120 * 10**6
+
+
+@needs_fork
+def test_a_zip_that_swells_is_refused(tmp_path, limits):
+    path = tmp_path / "bomb.npz"
+    with (
+        zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as packed,
+        packed.open("gyro.npy", "w", force_zip64=True) as held,
+    ):
+        np.lib.format.write_array_header_1_0(held, {"descr": "<f8", "fortran_order": False, "shape": (10**8, 3)})
+        for _ in range(240):
+            held.write(bytes(10**7))
+    limits.memory_gb = 0.5
+    with pytest.raises(FileFormatError, match=r"bomb\.npz"):
+        read_record(path)
+
+
+@needs_fork
+def test_a_marker_file_that_crashes_its_library_is_refused(tmp_path):
+    content = bytearray(data_path("c3d", "dec_int.c3d").read_bytes())
+    for at, value in ((537, 255), (1864, 0), (2324, 51), (3755, 129)):
+        content[at] = value
+    path = tmp_path / "damaged.c3d"
+    path.write_bytes(content)
+    with pytest.raises(InputError, match=r"damaged.c3d: .* makes its parser crash \(SIG"):
+        read_markers(path, up="z")
+
+
+def test_the_command_line_sets_the_limits_and_refuses_a_word(tmp_path, limits, capsys):
+    from undrift.cli.app import run
+
+    path = tmp_path / "r.parquet"
+    undrift.write_record(undrift.Record(time=np.arange(9) / 10.0, gyro=np.zeros((9, 3)), gyro_unit="dps"), path)
+    assert run(["info", str(path), "--memory-limit-gb", "3", "--trust"]) == 0
+    assert (limits.memory_gb, limits.trust) == (3.0, True)
+    assert run(["info", str(path), "--memory-limit-gb=1.5"]) == 0
+    assert (limits.memory_gb, limits.trust) == (1.5, False)
+    capsys.readouterr()
+    assert run(["info", str(path), "--memory-limit-gb", "many"]) == 2
+    assert capsys.readouterr().err == (
+        "undrift: --memory-limit-gb: wanted gigabytes above 0, got 'many'; write it as --memory-limit-gb 4\n"
+    )

@@ -1,0 +1,131 @@
+"""One run for one table: by a lock on this computer, and by what the controller says of its motor."""
+
+import os
+import random
+import socket
+import subprocess
+import sys
+import time
+from contextlib import closing
+
+import numpy as np
+import pytest
+
+from testkit.rig_bench import emulated, opened
+from undrift.cli.app import run
+from undrift.errors import LinkError, RigFault
+from undrift.io.session import read_session
+from undrift.rig.guard import stop_rig
+from undrift.rig.lock import check_free, one_run, place_of
+from undrift.rig.rig import RigSettings, open_rig
+from undrift.sim.rig.emulator import EmulatedBenchSettings, EmulatorSettings, start_bench
+from undrift.units import RADIAN_PER_DEGREE as DPS
+
+PROTOCOL = """
+[protocol]
+name = "alone"
+[faces]
+seconds = 3.0
+[rates]
+turn_rate_min_dps = 30.0
+turn_rate_max_dps = 90.0
+turn_rate_step_dps = 30.0
+seconds = 3.0
+bracket_s = 2.0
+"""
+
+
+def test_the_spelling_of_an_address_does_not_matter(tmp_path):
+    same = {
+        place_of(f"galil:tcp://{host}:5000{rest}") for host in ("127.0.0.1", "localhost") for rest in ("", "?axis=A")
+    }
+    assert same == {"loopback:5000"}
+    assert place_of("galil:tcp://127.0.0.1:5001") != place_of("galil:tcp://127.0.0.1:5000")
+    (tmp_path / "tty").touch()
+    (tmp_path / "by-id").symlink_to(tmp_path / "tty")
+    assert place_of(f"grbl:serial://{tmp_path / 'by-id'}") == place_of(f"grbl:serial://{tmp_path / 'tty'}")
+
+
+def test_a_lock_is_held_by_one_and_free_after_it():
+    with emulated() as emulator:
+        address = f"galil:tcp://127.0.0.1:{emulator.port}"
+        with (
+            one_run(address, "the first"),
+            pytest.raises(
+                RigFault, match=r"for this run alone, got it in use by the first \(process \d+ of .*\); wait"
+            ),
+            one_run(f"galil:tcp://localhost:{emulator.port}", "the second"),
+        ):
+            pass
+        with one_run(address, "the third"):
+            pass
+
+
+def test_a_table_whose_motor_is_on_or_that_moves_is_refused_and_goes_on():
+    with emulated() as emulator:
+        address = f"galil:tcp://127.0.0.1:{emulator.port}"
+        check_free(address)
+        with closing(opened(emulator)) as rig:
+            rig.enable(True)
+            with pytest.raises(RigFault, match="got its motor on: another program drives it"):
+                check_free(address)
+            check_free(address, motor_on=True)
+            rig.turn(30.0 * DPS)
+            time.sleep(0.2)
+            for motor_on in (False, True):
+                with pytest.raises(RigFault, match=r"got moving: another program drives it.*undrift rig stop --rig"):
+                    check_free(address, motor_on=motor_on)
+            time.sleep(0.2)
+            _, rate = emulator.axis_states(np.array([emulator.now()]), mean_s=1.0)
+            assert abs(rate[0] / DPS - 30.0) < 1.0
+        stop_rig(address)
+        check_free(address)
+
+
+def test_a_stepper_board_that_moves_is_refused():
+    with emulated(kind="grbl") as emulator:
+        address = f"grbl:tcp://127.0.0.1:{emulator.port}"
+        check_free(address)
+        with closing(open_rig(f"{address}?clock_speed=20", RigSettings(reply_timeout_s=20.0))) as rig:
+            rig.enable(True)
+            rig.set_acceleration(10.0)
+            rig.turn(30.0 * DPS)
+            time.sleep(0.3)
+            with pytest.raises(RigFault, match=r"got state (Jog|Run)"):
+                check_free(address)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="locks of POSIX")
+def test_twenty_second_runs_are_refused_and_the_first_is_complete(tmp_path, capsys):
+    (tmp_path / "p.toml").write_text(PROTOCOL)
+    rng, refused = random.Random(1), 0
+    with start_bench(EmulatedBenchSettings(rig=EmulatorSettings(speed=6.0))) as bench:
+        places = {"--rig": bench.rig_address, "--device": bench.device_address, "--operator": bench.hands_address}
+        words = ["rig", "run", str(tmp_path / "p.toml"), "--yes", *(word for pair in places.items() for word in pair)]
+        first = subprocess.Popen(
+            [sys.executable, "-m", "undrift", *words, "-o", str(tmp_path / "one")], stderr=subprocess.PIPE
+        )
+        while not (tmp_path / "one").exists():
+            assert first.poll() is None
+            time.sleep(0.02)
+        other = [word.replace("127.0.0.1", "localhost") for word in words]
+        for _ in range(20):
+            time.sleep(0.1 * rng.random())
+            assert first.poll() is None
+            assert run([*(words if rng.random() < 0.5 else other), "-o", str(tmp_path / "two")]) == 3
+            refused += "for this run alone, got it in use by undrift rig run into" in capsys.readouterr().err
+        assert first.wait(120.0) == 0
+        first.communicate()
+    assert refused == 20
+    assert not (tmp_path / "two").exists()
+    session = read_session(tmp_path / "one")
+    assert len(session.records) == 30
+    with capsys.disabled():
+        print(f"\n20 second runs refused, the first kept {len(session.records)} of 30 dwells")
+
+
+def test_a_table_that_does_not_answer_is_named():
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        with pytest.raises(LinkError, match=r"127\.0\.0\.1.*wanted a connection"):
+            check_free(f"galil:tcp://127.0.0.1:{taken.getsockname()[1]}?reply_timeout_s=0.2")
