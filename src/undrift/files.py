@@ -26,10 +26,8 @@ from undrift.errors import FileFormatError, InputError
 GIGABYTE = 10**9
 _HIDDEN, _LOCK = ".undrift-", ".lock"
 _GZIP = b"\x1f\x8b"
-_RATIO, _SMALL = (
-    200,
-    10**8,
-)  # A gzip that unpacks to more than so many times its size, and to more bytes than these, is no recording
+_RATIO = 200  # A gzip that unpacks to more than so many times its size ...
+_SMALL = 10**8  # ... and to more bytes than these is no recording
 _BLOCK = 1 << 20
 
 

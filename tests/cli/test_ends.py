@@ -22,6 +22,16 @@ from undrift.io.text import write_rows
 needs_signals = pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
 
 
+MAIN = """
+import signal
+signal.signal(signal.SIGINT, signal.default_int_handler)  # whatever the shell of the tests ignores
+for name in ("SIGTERM", "SIGHUP"):
+    signal.signal(getattr(signal, name), signal.SIG_DFL)
+from undrift.cli.app import main
+main()
+"""
+
+
 def hidden(folder):
     return sorted(path.name for path in folder.iterdir() if path.name.startswith(".undrift-"))
 
@@ -39,7 +49,7 @@ def bench(tmp_path_factory):
 def started(bench, out):
     """Start to correct the long recording and return when its hidden folder is there."""
     words = ["correct", str(bench / "long.parquet"), "--calibration", str(bench / "c.json"), "-o", str(out / "o.csv")]
-    process = subprocess.Popen([sys.executable, "-m", "undrift", *words], stderr=subprocess.PIPE, text=True)
+    process = subprocess.Popen([sys.executable, "-c", MAIN, *words], stderr=subprocess.PIPE, text=True)
     while len(hidden(out)) < 2:
         assert process.poll() is None
         time.sleep(0.01)

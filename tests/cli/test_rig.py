@@ -4,28 +4,18 @@ import io
 import json
 import subprocess
 import sys
+import time
 
 import numpy as np
 import pytest
 
+from testkit.rig_bench import PROTOCOL
 from undrift.cli.app import run
 from undrift.io.store import read_calibration
 from undrift.sim.device.model import read_device
 from undrift.sim.device.truth import true_calibration
 
 NOBODY = "galil:tcp://127.0.0.1:9?reply_timeout_s=0.2"
-PROTOCOL = """
-[protocol]
-name = "end to end"
-[faces]
-seconds = 3.0
-[rates]
-turn_rate_min_dps = 30.0
-turn_rate_max_dps = 90.0
-turn_rate_step_dps = 30.0
-seconds = 3.0
-bracket_s = 2.0
-"""
 
 
 @pytest.fixture
@@ -159,3 +149,51 @@ def test_a_start_that_was_refused_is_no_run(capsys, tmp_path, monkeypatch):
     ):
         assert run([*call, *more]) != 0
         assert message in capsys.readouterr().err
+
+
+@pytest.fixture
+def emulate():
+    """Start `undrift rig emulate` with options; return its addresses."""
+    started = []
+
+    def start(*words):
+        calls = ["rig", "emulate", "--speed", "20", "--json", *words]
+        process = subprocess.Popen([sys.executable, "-m", "undrift", *calls], stdout=subprocess.PIPE, text=True)
+        started.append(process)
+        assert process.stdout is not None
+        return json.loads(process.stdout.readline())
+
+    yield start
+    for process in started:
+        process.terminate()
+        process.communicate(timeout=20.0)
+
+
+def test_faults_come_and_go_at_their_time(emulate, capsys):
+    rig = emulate("--fault", "half_reply:0:100", "--fault", "power_cut:1e9")["rig"]
+    call = ["rig", "status", "--rig", f"{rig}&reply_timeout_s=0.5"]
+    for code in (3, 0):
+        last = time.monotonic() + 60.0
+        while run(call) != code:
+            assert time.monotonic() < last
+    capsys.readouterr()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="pseudo terminals of POSIX")
+def test_a_pseudo_terminal_answers_as_the_socket_does(emulate, capsys):
+    pytest.importorskip("serial")
+    addresses = emulate("--pty")
+    seen = []
+    for name in ("rig", "pty"):
+        assert run(["rig", "status", "--rig", addresses[name], "--json"]) == 0
+        seen.append(json.loads(capsys.readouterr().out)["identity"])
+    assert seen[0] == seen[1] != ""
+
+
+def test_faults_are_listed_and_an_unknown_one_is_refused(capsys):
+    assert run(["rig", "emulate", "--fault", "list"]) == 0
+    assert "open_door" in (listed := capsys.readouterr().out)
+    assert "power_cut" in listed
+    for text in ("no_such", "stall:soon", "stall:-1", "stall:1:0", "stall:1:2:3"):
+        assert run(["rig", "emulate", "--fault", text]) == 2
+        assert f"got '{text}'; undrift rig emulate --fault list explains them" in capsys.readouterr().err

@@ -31,6 +31,16 @@ def read(rng, up="+z", *, noise=0.01, count=False, step=0.0, force=None):
     return Record(time=np.arange(400) / 100.0, gyro=gyro, accel=accel, gyro_unit=units[0], accel_unit=units[1])
 
 
+def test_constant_readings_in_g_are_faces_like_others():
+    rests, made = Rests(), {up: read(np.random.default_rng(5), up, noise=0.0) for up in FACES}
+    made = {up: replace(record, accel=record.accel / STANDARD_GRAVITY, accel_unit="g") for up, record in made.items()}
+    for up, record in made.items():
+        rests.check(rest(up), record, "step")
+        rests.keep(rest(up), record)
+    with pytest.raises(Disturbed, match=r"got the readings of \+z"):
+        rests.check(rest("-x"), made["+z"], "step")
+
+
 def bumped(record):
     """A table that is pushed for a tenth of a second."""
     gyro = np.array(record.gyro)

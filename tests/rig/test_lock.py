@@ -11,7 +11,7 @@ from contextlib import closing
 import numpy as np
 import pytest
 
-from testkit.rig_bench import emulated, opened
+from testkit.rig_bench import PROTOCOL, emulated, opened
 from undrift.cli.app import run
 from undrift.errors import LinkError, RigFault
 from undrift.io.session import read_session
@@ -20,19 +20,6 @@ from undrift.rig.lock import check_free, one_run, place_of
 from undrift.rig.rig import RigSettings, open_rig
 from undrift.sim.rig.emulator import EmulatedBenchSettings, EmulatorSettings, start_bench
 from undrift.units import RADIAN_PER_DEGREE as DPS
-
-PROTOCOL = """
-[protocol]
-name = "alone"
-[faces]
-seconds = 3.0
-[rates]
-turn_rate_min_dps = 30.0
-turn_rate_max_dps = 90.0
-turn_rate_step_dps = 30.0
-seconds = 3.0
-bracket_s = 2.0
-"""
 
 
 def test_the_spelling_of_an_address_does_not_matter(tmp_path):

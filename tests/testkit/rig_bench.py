@@ -39,6 +39,19 @@ SHORT = Protocol(
     bracket_s=0.5,
 )
 
+PROTOCOL = """
+[protocol]
+name = "end to end"
+[faces]
+seconds = 3.0
+[rates]
+turn_rate_min_dps = 30.0
+turn_rate_max_dps = 90.0
+turn_rate_step_dps = 30.0
+seconds = 3.0
+bracket_s = 2.0
+"""
+
 
 class Hands:
     """Mount at once, and remember how."""

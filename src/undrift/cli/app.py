@@ -165,7 +165,7 @@ def _help() -> str:
     lines = "\n".join(f"  {name:11}{text}" for name, text in rows)
     end = (
         "undrift COMMAND --help explains its options.\n"
-        "Every command also takes --memory-limit-gb G (2 by default, for reading one file) and --trust (no limits).\n"
+        "Every command takes --memory-limit-gb G, for reading one file (2 by default),\nand --trust, which reads without limits.\n"
         "undrift --install-completion completes them in your shell."
     )
     return f"Usage: undrift COMMAND\n\n{ABOUT}\n\n{lines}\n\n{end}\n\n{examples('')}\n"

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal
 
 from cyclopts import App, Parameter
 
-from undrift.cli.common import Json, Output, device_at, say, show_verdict, write_json
+from undrift.cli.common import Flag, Json, Output, device_at, say, show_verdict, write_json
 from undrift.cli.examples import examples
 from undrift.errors import InputError
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
@@ -137,6 +137,8 @@ def emulate(
     mount_tilt_deg: float = 0.0,
     heating_c_per_min: float = 3.0,
     gravity_m_s2: float = STANDARD_GRAVITY,
+    fault: tuple[str, ...] = (),
+    pty: Flag = False,
     save_device: Path | None = None,
     seed: int = 0,
     json: Json = False,
@@ -164,6 +166,11 @@ def emulate(
         How fast the chamber changes its temperature, K/min.
     gravity_m_s2 : float
         Local gravity, m/s2.
+    fault : tuple of str
+        NAME, NAME:AFTER_S or NAME:AFTER_S:FOR_S, seconds of the emulated clock: a part of the link, the table or the chamber
+        breaks then and for so long; any number of them. "list" names them.
+    pty : bool
+        Open a pseudo terminal too, for clients that speak over a serial port; --rig of it is printed as pty.
     save_device : Path or None
         Write the device there, as device.json: the truth that a calibration should find.
     seed : int
@@ -176,12 +183,22 @@ def emulate(
     from undrift.rig.guard import stopping_on_signals
     from undrift.sim.device.model import write_device
     from undrift.sim.device.presets import PRESETS
-    from undrift.sim.rig.emulator import AirSettings, EmulatedBenchSettings, EmulatorSettings, start_bench
+    from undrift.sim.rig.emulator import (
+        ALL_FAULTS,
+        AirSettings,
+        EmulatedBenchSettings,
+        EmulatorSettings,
+        planned_fault,
+        start_bench,
+    )
     from undrift.sim.rig.stream import StreamSettings
 
-    tilt = mount_tilt_deg * RADIAN_PER_DEGREE
+    tilt, faults = mount_tilt_deg * RADIAN_PER_DEGREE, [planned_fault(text) for text in fault if text != "list"]
+    if "list" in fault:
+        say(*(f"{name:22}{what}" for name, what in ALL_FAULTS.items()))
+        return 0
     settings = EmulatedBenchSettings(
-        rig=EmulatorSettings(kind=kind, speed=speed, port=port),
+        rig=EmulatorSettings(kind=kind, speed=speed, port=port, with_pty=pty),
         air=AirSettings(room_c=room_c, ramp_c_per_min=heating_c_per_min),
         stream=StreamSettings(sample_rate_hz=sample_rate_hz, mount_tilt_sd=tilt, gravity_m_s2=gravity_m_s2, seed=seed),
         device=device_at(device, np.random.default_rng(seed), draw=device in PRESETS) if device else None,
@@ -189,13 +206,16 @@ def emulate(
     with stopping_on_signals(), start_bench(settings) as bench, suppress(KeyboardInterrupt):
         if save_device is not None:
             write_device(bench.device, save_device)
-        addresses = {"rig": bench.rig_address, "device": bench.device_address, "chamber": bench.chamber_address}
-        addresses["operator"] = bench.hands_address
+        addresses = {"rig": bench.rig_address, "device": bench.device_address}
+        addresses |= {"chamber": bench.chamber_address, "operator": bench.hands_address}
+        addresses |= {} if bench.pty_address is None else {"pty": bench.pty_address}
         if json:
             write_json({**addresses, "hands": bench.hands_address}, "rig emulate")  # its name in earlier releases
         else:
             sys.stdout.write("".join(f"--{name} '{address}'\n" for name, address in addresses.items()))
         sys.stdout.flush()
+        for planned in faults:
+            threading.Thread(target=bench.break_as, args=(planned,), name=planned.name, daemon=True).start()
         threading.Event().wait()
     return 0
 

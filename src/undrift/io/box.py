@@ -24,6 +24,9 @@ from typing import Any, BinaryIO, NoReturn, ParamSpec, TypeVar
 from undrift.errors import FileFormatError, UndriftError
 from undrift.files import GIGABYTE, LIMITS, checked_file, first_line
 
+with contextlib.suppress(ImportError):  # Windows has none, and no fork
+    import resource
+
 P = ParamSpec("P")
 T = TypeVar("T")
 
@@ -140,8 +143,6 @@ def _run(path: Path, read: Callable[[], Iterator[Any]], channel: socket.socket) 
 
 
 def _set_limits(path: Path) -> None:
-    import resource
-
     seconds = int(LIMITS.start_s + LIMITS.megabyte_s * _size(path) / 1e6)
     limits = {resource.RLIMIT_CPU: seconds, resource.RLIMIT_CORE: 0}
     limits[resource.RLIMIT_DATA] = _held() + int(LIMITS.memory_gb * GIGABYTE)

@@ -140,7 +140,7 @@ class Rests:
             return
         parts = _spreads(record)
         usual = np.median([*self._spreads, np.median(parts, axis=0)], axis=0) + _half_steps(record)
-        worst = float(np.nanmax(parts.max(axis=0) / usual))
+        worst = float(np.nanmax(parts.max(axis=0) / np.where(usual > 0.0, usual, 1.0)))
         if worst > STILL:
             raise Disturbed(
                 f"device: wanted it at rest in {where}, got {worst:.0f} times the spread of this rig's rests; nobody may touch the "
@@ -162,7 +162,7 @@ class Rests:
     def _check_face(self, up: Face, accel: FloatArray, unit: str, apart: FloatArray, where: str) -> None:
         force, axis, sign = np.nanmean(accel, axis=0), "xyz".index(up[1]), 1.0 if up[0] == "+" else -1.0
         for other, seen in self._faces.items():
-            if other != up and (np.abs(force - seen) < apart).all():
+            if other != up and (np.abs(force - seen) <= apart).all():
                 raise Disturbed(
                     f"device: wanted {up} up in {where}, got the readings of {other}; mount it again", up=up
                 )
@@ -183,7 +183,7 @@ def _spreads(record: Record) -> FloatArray:
 
 
 def _half_steps(record: Record) -> FloatArray:
-    """Return half the least step between readings of each channel: a rest that reads one code has no spread of its own."""
+    """Return half the least step between readings of each channel; 0 where all are equal."""
     held = np.column_stack([values for values in (record.gyro, record.accel) if values is not None])
     steps = (np.diff(np.unique(column[np.isfinite(column)])) for column in held.T)
-    return np.array([0.5 * float(step.min()) if len(step) else 1.0 for step in steps])
+    return np.array([0.5 * float(step.min()) if len(step) else 0.0 for step in steps])

@@ -262,12 +262,13 @@ def test_random_bytes_over_the_socket_do_not_end_the_server(emulator):
 
 
 def test_closing_twice_is_harmless_and_ends_the_thread():
+    before = set(threading.enumerate())  # other tests of this worker may hold emulators of their own
     emulator = start_emulator()
-    name = "emulated-rig"
-    assert name in [thread.name for thread in threading.enumerate()]
+    started = set(threading.enumerate()) - before
+    assert "emulated-rig" in [thread.name for thread in started]
     emulator.close()
     emulator.close()
-    assert name not in [thread.name for thread in threading.enumerate()]
+    assert not any(thread.is_alive() for thread in started)
     with pytest.raises(ConnectionRefusedError):
         socket.create_connection((emulator.host, emulator.port), timeout=1.0)
 

@@ -14,6 +14,7 @@ leaves r where it is and drifts up. Each step of time is solved with the trapezo
 import contextlib
 import math
 import socket
+import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -31,7 +32,7 @@ from undrift.sim.rig.axes import Axis, Clock, HostClock, ServoSettings
 from undrift.sim.rig.galil_card import CardSettings
 from undrift.sim.rig.galil_language import GalilMachine
 from undrift.sim.rig.grbl import GrblMachine, GrblSettings
-from undrift.sim.rig.server import Closed, FaultyLink, LineSession, Machine, Served, Server, Session
+from undrift.sim.rig.server import LINK_FAULTS, Closed, FaultyLink, LineSession, Machine, Served, Server, Session
 from undrift.sim.rig.stream import EmulatedDevice, StreamSettings
 
 # ---- Emulated rig
@@ -320,6 +321,17 @@ class Bench(Closed):
         self.device_address = self.stream.address(settings.rig.speed)
         self.chamber_address = self.chamber.address
         self.hands_address = f"tcp://{hands.host}:{hands.port}"
+        path = self.rig.pty_path
+        self.pty_address = None if path is None else f"{settings.rig.kind}:serial://{path}{options}"
+
+    def break_as(self, planned: "PlannedFault") -> None:
+        """Break a part when its time has come, and mend it again; waits for both."""
+        part: Served = self.chamber if planned.name in CHAMBER_FAULTS else self.rig
+        time.sleep(planned.after_s / self.settings.rig.speed)
+        part.inject(planned.name)
+        if planned.for_s is not None:
+            time.sleep(planned.for_s / self.settings.rig.speed)
+            part.clear(planned.name)
 
     def mount(self, face: Face) -> None:
         """Mount the device with another face up."""
@@ -328,6 +340,33 @@ class Bench(Closed):
     def close(self) -> None:
         """Close every socket and end every thread; harmless when called again."""
         self._opened.close()
+
+
+ALL_FAULTS = LINK_FAULTS | RIG_FAULTS | CHAMBER_FAULTS
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PlannedFault:
+    """A fault that comes by itself."""
+
+    name: str  # One of ALL_FAULTS
+    after_s: float = 0.0  # From the start, emulated s
+    for_s: float | None = None  # None: until the end
+
+
+def planned_fault(text: str) -> PlannedFault:
+    """Read NAME, NAME:AFTER_S or NAME:AFTER_S:FOR_S."""
+    name, *times = text.split(":")
+    try:
+        after, last = ([float(part) for part in times] + [0.0, math.inf][len(times) :])[:2]
+        if name in ALL_FAULTS and len(times) <= 2 and 0.0 <= after < math.inf and last > 0.0:
+            return PlannedFault(name=name, after_s=after, for_s=None if last == math.inf else last)
+    except ValueError:
+        pass
+    raise InputError(
+        f"fault: wanted NAME, NAME:AFTER_S or NAME:AFTER_S:FOR_S with a name out of {', '.join(ALL_FAULTS)}, got '{text}'; "
+        "undrift rig emulate --fault list explains them"
+    )
 
 
 class BenchHands:
