@@ -182,25 +182,48 @@ class WarmUp:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Hysteresis:
+    """Loop of the offset over temperature about the static table: drift/hysteresis.py has the model."""
+
+    crossing_k: float  # change of temperature that crosses the loop, K
+    crossing_uncertainty_k: float  # standard uncertainty, K
+    temp_c: FloatArray  # (n,), degC, increasing; between them the half-width is straight, beyond them it is held
+    gyro_half_width: FloatArray  # (n, 3), offset while cooling minus offset while warming, over two, raw unit
+    gyro_uncertainty: FloatArray  # (n, 3), standard uncertainty, raw unit
+
+    def __post_init__(self) -> None:
+        _freeze_nodes(self, "hysteresis", "temp_c")
+        _freeze(self, (len(self.temp_c), 3), "gyro_half_width", "gyro_uncertainty")
+        if not 0.0 < self.crossing_k < np.inf:
+            raise InputError(f"hysteresis: wanted crossing_k above 0 K, got {self.crossing_k:g}; leave the loop out")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class StaticDrift:
     """Tuning table of absolute offsets over temperature, linear between nodes."""
 
     temp_c: FloatArray  # (n,), nodes, degC, increasing
     gyro_offset: FloatArray | None = None  # (n, 3), reading at zero input, raw unit
     accel_offset: FloatArray | None = None
-    gyro_uncertainty: FloatArray | None = None  # (n, 3), standard uncertainty of each node, raw unit
+    gyro_uncertainty: FloatArray | None = (
+        None  # (n, 3), standard uncertainty of each node for a visit to come, raw unit
+    )
     accel_uncertainty: FloatArray | None = None
     gyro_extrapolated: BoolArray | None = None  # (n,), true where no data were near the node
     accel_extrapolated: BoolArray | None = None
     # (3,), half-width: offset while cooling minus offset while warming, over two, raw unit; the table holds the mean
     gyro_hysteresis: FloatArray | None = None
+    # (3,), what one visit to a temperature adds and the next does not: standard deviation, raw unit; part of the uncertainty
+    gyro_visit: FloatArray | None = None
+    accel_visit: FloatArray | None = None
+    hysteresis: Hysteresis | None = None  # where it can be corrected: its half-width is the one above
     warm_up: WarmUp | None = None
 
     def __post_init__(self) -> None:
         _freeze_nodes(self, "static drift", "temp_c")
         n = len(self.temp_c)
         _freeze(self, (n, 3), "gyro_offset", "accel_offset", "gyro_uncertainty", "accel_uncertainty")
-        _freeze(self, (3,), "gyro_hysteresis")
+        _freeze(self, (3,), "gyro_hysteresis", "gyro_visit", "accel_visit")
         _freeze_marks(self, (n,), "gyro_extrapolated", "accel_extrapolated")
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from testkit import twins
 from testkit.full_calibration import GAP, ROUNDINGS, STEPS, WILD, N, device, record, tables
-from undrift.correction.correct import DriftRangeWarning, correct, correct_checked
+from undrift.correction.correct import DriftRangeWarning, correct, correct_checked, correct_whole
 from undrift.errors import DriftRangeError, InputError
 from undrift.model import AdcModel
 
@@ -237,7 +237,7 @@ def test_threads_and_buffers_change_no_bit(drift, adc, g):
     r, c = record(), device(drift=drift, adc=adc, g=g)
     buffers = (np.empty((N, 3)), np.empty((N, 3)))
     one = correct_checked(r, c, policy="hold", threads=1).record
-    two = correct_checked(r, c, policy="hold", threads=2, out=buffers).record
+    two = correct_whole(r, c, policy="hold", threads=2, out=buffers).record
     assert one.gyro.tobytes() == two.gyro.tobytes() == buffers[0].tobytes()
     assert one.accel.tobytes() == two.accel.tobytes() == buffers[1].tobytes()
 

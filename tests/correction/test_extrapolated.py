@@ -9,6 +9,7 @@ from testkit import twins
 from testkit.full_calibration import GAP, STEPS, WILD, N, device, record, tables
 from undrift.correction.correct import correct_checked
 from undrift.correction.stream import Corrector
+from undrift.errors import DriftRangeError
 from undrift.model import DriftTables, DynamicDrift, StaticDrift
 
 QUANTISED = np.round(np.linspace(20.0, 70.0, N) * 2.0) / 2.0  # on the nodes of STEPS
@@ -100,9 +101,18 @@ def test_what_lies_outside_the_table_is_outside_and_not_extrapolated():
         assert done.warnings[1].startswith(f"{done.extrapolated.sum() * 0.01:.1f} s where the drift table is extrapol")
 
 
-def test_extrapolated_nodes_are_part_of_the_table_and_warn_whatever_the_policy():
+def test_raise_refuses_what_lies_further_beyond_what_was_seen_than_tables_reach_unasked():
     c = device(drift=marked(tables(dynamic=None), static=STEPS > 60.0, accel=False))
-    for policy in ("raise", "hold", "nan"):
+    assert correct_checked(record(high=62.9), c).extrapolated.any()
+    with pytest.raises(DriftRangeError, match=r"wanted temperatures from 18 to 63 degC, got 20\.0 to 63\.\d degC"):
+        correct_checked(record(high=63.9), c)
+    with pytest.raises(DriftRangeError, match="wanted temperatures from 18 to 63 degC"):
+        Corrector(c, "raise").push_checked(record(high=63.9))
+
+
+def test_extrapolated_nodes_are_part_of_the_table_and_warn_where_they_are_not_refused():
+    c = device(drift=marked(tables(dynamic=None), static=STEPS > 60.0, accel=False))
+    for policy in ("hold", "nan"):
         done = correct_checked(record(), c, policy=policy)
         assert np.isfinite(done.record.gyro).all()
         rate = np.degrees(done.reach.stated["rate"])
@@ -114,13 +124,14 @@ def test_extrapolated_nodes_are_part_of_the_table_and_warn_whatever_the_policy()
 
 def test_marks_without_an_uncertainty_are_reported_as_such():
     c = device(drift=marked(tables(dynamic=None), static=STEPS > 60.0, stated=False))
-    done = correct_checked(record(), c)
+    done = correct_checked(record(), c, policy="hold")
     assert [found.code for found in done.findings] == ["correct.extrapolated_unstated"]
     assert "the table states no uncertainty there" in done.warnings[0]
     drift = marked(tables(dynamic=None), static=STEPS > 60.0)
     gappy = drift.static.gyro_uncertainty.copy()
     gappy[-20] = np.nan
-    done = correct_checked(record(), device(drift=replace(drift, static=replace(drift.static, gyro_uncertainty=gappy))))
+    gappy_device = device(drift=replace(drift, static=replace(drift.static, gyro_uncertainty=gappy)))
+    done = correct_checked(record(), gappy_device, policy="hold")
     assert np.isinf(done.reach.stated["rate"])
 
 
@@ -129,7 +140,7 @@ def test_tables_without_a_mark_or_met_elsewhere_give_no_warning():
     cold = device(drift=marked(tables(dynamic=None), static=STEPS > 60.0, accel=False))
     assert not correct_checked(record(high=60.0), cold).warnings
     only = device(drift=marked(tables(dynamic=None), static=STEPS > 60.0))
-    gone = correct_checked(replace(record(), gyro=None), replace(only, gyro=None))
+    gone = correct_checked(replace(record(), gyro=None), replace(only, gyro=None), policy="hold")
     assert gone.reach.stated["rate"] == 0.0
     gap = replace(record(), temp_c=np.full(N, np.nan))
     assert not correct_checked(gap, cold).extrapolated.any()
@@ -174,7 +185,7 @@ def test_on_a_node_only_its_own_mark_counts(nodes, marked_node):
     marks = np.arange(4) == marked_node
     r = record(4, temp_c=nodes)
     c = device(drift=marked(tables(static=nodes, dynamic=None), static=marks, accel=False))
-    np.testing.assert_array_equal(correct_checked(r, c).extrapolated, marks)
+    np.testing.assert_array_equal(correct_checked(r, c, policy="hold").extrapolated, marks)
 
 
 def test_on_a_node_of_rate_and_temperature_only_its_own_mark_counts():

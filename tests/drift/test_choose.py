@@ -7,9 +7,10 @@ import pytest
 
 from testkit.data import show
 from testkit.rate_steps import GRID, SOAKS, computed
+from undrift.drift.observe import RestBlocks
 from undrift.drift.select import ALTERNATIVES, choose_tables
 from undrift.errors import NotObservable
-from undrift.sim.device.effects import RateDrift
+from undrift.sim.device.effects import RateDrift, ThermalScale
 from undrift.sim.device.presets import random_device_of
 from undrift.sim.device.truth import true_calibration, true_tables
 
@@ -110,3 +111,54 @@ def test_the_dynamic_table_spans_what_the_matrix_table_spans():
         assert np.array_equal(fit.drift.temp_c, [18.0, *np.arange(20.0, 71.0, 5.0), 75.0])
         assert fit.drift.extrapolated[[0, -1]].all()
     assert choice.scale.drift.gyro_extrapolated[[0, -1]].all()
+
+
+def one_way(seed, temps, *, scatter_dps=0.0):
+    """One rate one way round about each axis at each soak, a rest before each, and a scale 0.5 % and 8 ppm/degC off."""
+    rng = np.random.default_rng(seed)
+    made = device(seed, thermal_scale=ThermalScale(per_k=np.full((1, 3), 8e-6)), rate_drift=None, g_sensitivity=None)
+    truth = true_calibration(made)
+    kept = replace(truth, gyro=replace(truth.gyro, matrix=truth.gyro.matrix * 1.005))  # reads 0.5 % too much
+    steps = computed(made, temps, rng, rates=np.radians([50.0]), noise_dps=0.004)
+    steps = steps.taken(steps.rate_b.sum(axis=1) > 0.0)
+    resting = computed(made, temps, rng, rates=np.radians([1e-9]), noise_dps=0.004)
+    resting = resting.taken(resting.rate_b.sum(axis=1) > 0.0)
+    visit = (
+        scatter_dps * np.radians(rng.normal(size=(len(temps), 3))) * made.gyro.gain
+    )  # turns and rests of a soak share it
+    steps, resting = (replace(rows, gyro=rows.gyro + visit[rows.soak]) for rows in (steps, resting))
+    n = len(resting)
+    rests = RestBlocks(
+        session=resting.session, pose=np.arange(n) % 3, time=resting.time, power_on_s=resting.time,
+        ramp_c_per_min=np.zeros(n), temp_c=resting.temp_c, gyro=resting.gyro, accel=resting.accel,
+        gyro_variance=resting.gyro_variance, accel_variance=np.full((n, 3), 1e-4),
+    )  # fmt: skip
+    table = true_tables(made, NODES, np.radians([-90.0, 90.0]))
+    return choose_tables(steps, kept, static=table.static, temp_c=NODES, rests=rests), table.scale.gyro_matrix
+
+
+def test_one_rate_one_way_round_chooses_the_scale_by_the_rest_of_its_soak_and_recovers_it():
+    inside = []
+    for seed in range(6):
+        choice, true = one_way(seed, TEMPS, scatter_dps=0.02)
+        table = choice.alternatives
+        assert table.chosen == "scale"
+        # 0.5 % of 50 deg/s on the axis that turns; over all three that is 1 / sqrt(3)
+        assert table.left_out_rms_dps[0] == pytest.approx(0.25 / 3.0**0.5, rel=0.15)
+        assert table.left_out_rms_dps[1] < 0.02
+        drift = choice.scale_drift
+        error = np.diagonal(drift.gyro_matrix - true, axis1=1, axis2=2)
+        inside.append((np.abs(error) <= 1.96 * np.diagonal(drift.gyro_uncertainty, axis1=1, axis2=2)).mean())
+        assert (
+            np.abs(error / np.diagonal(true, axis1=1, axis2=2)).max() < 6e-4
+        )  # 0.004 of 50 deg/s twice, and extrapolated
+    assert np.mean(inside) >= 0.85  # eighteen curves; 0.95 but for three of them
+
+
+def test_one_rate_at_two_soaks_cannot_be_judged_and_keeps_the_line_with_a_finding():
+    choice, _ = one_way(0, np.array([25.0, 45.0]))
+    assert choice.alternatives.chosen == "scale"
+    why = choice.alternatives.why
+    assert (why.code, why.values["set_points"]) == ("drift.tables_unjudged", 2)
+    assert why.values["constant_dps"] == pytest.approx(0.25 / 3.0**0.5, rel=0.15)
+    assert choice.verdict.status == "marginal"

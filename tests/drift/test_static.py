@@ -243,7 +243,7 @@ def test_at_the_reference_temperature_an_accelerometer_is_as_uncertain_as_its_ca
     temp = np.linspace(20.0, 60.0, 80)
     accel = [0.0, 0.0, 1.0] + 1e-3 * rng.normal(size=(80, 3))
     fit = fit_static(blocks(temp, line(temp, rng), accel=accel), nodes=NODES, calibration=calibration)
-    stated = fit.table.accel_uncertainty**2
+    stated = fit.accel.curve_uncertainty**2
     # there the change since the reference is none: the curve is subtracted from itself, and its error with it
     np.testing.assert_allclose(stated[NODES == 40.0][0], own, rtol=1e-6)
     # elsewhere the noise of 80 blocks, 1e-3 each, counts beside it: of the mean alone (1e-3)^2 / 80

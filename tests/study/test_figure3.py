@@ -77,13 +77,10 @@ def test_drawn_units_are_summarised_by_median_and_quartiles_of_each_correction(m
         drawn_cohort(units=1)
 
 
-def test_simulated_and_actual_agree_within_the_hysteresis_that_the_tables_cannot_hold(typical: Figure3) -> None:
-    # Half the loop, 0.05 deg/s, over 4 s: the worn board has only warmed, the tables lie between warming and cooling.
-    # Noise alone, of both devices and both calibrations, comes to 0.03 to 0.1 deg: other draws of it are in the mean.
-    drawn = [typical, *(figure3(back=True, seed=seed) for seed in (1, 2))]
-    apart = np.array([figure.simulated_actual_max_deg[:3] for figure in drawn])
-    show("simulated less actual over three draws, deg", np.round(apart, 3).tolist(), 0.05 * 4.0 + 0.1)
-    assert apart.mean(axis=0).max() < 0.05 * 4.0 + 0.1
+def test_tables_of_both_ways_with_hysteresis_bring_both_devices_within_the_notes_difference(typical: Figure3) -> None:
+    assert typical.simulated_actual_max_deg[1:3].max() < NOTE_DIFFERENCE_DEG
+    # Without tables nothing is corrected: half the loop, 0.05 deg/s, over 4 s; noise of both calibrations, 0.03 to 0.1 deg.
+    assert typical.simulated_actual_max_deg[0] < 0.05 * 4.0 + 0.1
 
 
 def test_tables_from_the_way_up_bring_the_actual_device_within_the_notes_difference() -> None:
@@ -94,7 +91,7 @@ def test_tables_from_the_way_up_bring_the_actual_device_within_the_notes_differe
     assert figure.decrease_deg > NOTE_DECREASE_DEG
 
 
-def test_hysteresis_is_what_sets_simulated_and_actual_apart() -> None:
+def test_no_hidden_effect_sets_simulated_and_actual_further_apart_than_the_note() -> None:
     rows = {row.effect: row for row in effect_table()}
     for name, row in rows.items():
         show(
@@ -103,10 +100,7 @@ def test_hysteresis_is_what_sets_simulated_and_actual_apart() -> None:
             NOTE_DIFFERENCE_DEG,
         )
     assert tuple(rows) == ("noise alone", *HIDDEN, "all")
-    alone = rows["hysteresis"].simulated_actual_max_deg[2]
-    others = [rows[name].simulated_actual_max_deg[2] for name in HIDDEN if name != "hysteresis"]
-    assert alone > 2.0 * max(others)
-    assert max(others) < NOTE_DIFFERENCE_DEG
+    assert max(row.simulated_actual_max_deg[2] for row in rows.values()) < NOTE_DIFFERENCE_DEG
 
 
 def test_the_model_and_the_actual_device_differ_by_the_named_effects_alone() -> None:

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from undrift.correction.coverage import Beyond
     from undrift.correction.rest import RestOffset, Stretch
     from undrift.correction.stream import Corrector, CorrectorState
+    from undrift.drift.hysteresis import TempHistory
     from undrift.findings import Finding
     from undrift.model import Calibration
     from undrift.record import Record
@@ -45,6 +46,7 @@ def correct(
     output: Output,
     policy: Policy = "raise",
     power_on_s: float | None = None,
+    temp_history: str | None = None,
     offset: Literal["none", "rest"] = "none",
     still_start_s: float | None = None,
     still_stop_s: float | None = None,
@@ -68,6 +70,10 @@ def correct(
         temperature was recorded the result is a gap under each, and a warning says for how long.
     power_on_s : float
         Time since power-on at the first sample of each recording, s; without it no warm-up is subtracted.
+    temp_history : str
+        Course of the temperature before each recording, for a calibration that corrects hysteresis: warming, cooling, or the
+        temperatures at which it turned, oldest first, degC, as in 25,60. Without it hysteresis is corrected as far as a
+        recording shows its own course.
     offset : str
         "rest" also subtracts the mean rate that is left at the first still phase (or the named one), as --offset of orient
         does: best with tables, for what they cannot know.
@@ -92,8 +98,10 @@ def correct(
     opening = opening.like(model, calibration)
     made = not folder.exists()
     folder.mkdir(exist_ok=True)
-    corrector = partial(Corrector, model, policy, power_on_s=power_on_s)
+    history = None if temp_history is None else _history(temp_history, model)
+    corrector = partial(Corrector, model, policy, power_on_s=power_on_s, temp_history=history)
     settings: dict[str, object] = {"policy": policy, "power_on_s": power_on_s, "offset": offset}
+    settings |= {} if history is None else {"temp_history": temp_history}
     made_by = partial(_provenance, calibration=calibration, model=model, settings=settings)
     corrected = partial(_correct_one, corrector=corrector, model=model, opening=opening, made_by=made_by)
     if offset == "rest":
@@ -115,6 +123,24 @@ def correct(
             *(f"  note: {text}" for text in remarks.notes),
         )
     return 0
+
+
+def _history(text: str, model: "Calibration") -> "TempHistory":
+    """Return the course of the temperature that was stated."""
+    static = None if model.drift is None else model.drift.static
+    if static is None or static.hysteresis is None:
+        raise InputError(
+            "--temp-history: wanted a calibration that corrects hysteresis, got one without; leave it out, or fit tables to "
+            "sweeps both ways"
+        )
+    try:
+        if text in ("warming", "cooling"):
+            return "warming" if text == "warming" else "cooling"
+        return tuple(float(part) for part in text.split(","))
+    except ValueError as error:
+        raise InputError(
+            f"--temp-history: wanted warming, cooling or temperatures as in 25,60, got '{text}'; state one of these"
+        ) from error
 
 
 def _row(record: Path, target: Path, state: "CorrectorState", remarks: "Remarks") -> dict[str, object]:

@@ -62,7 +62,8 @@ def drift(
     figure : Path or None
         Picture of the gyroscopes' offset over temperature to write: .svg, .png or .pdf.
     span : str or None
-        First and last node, LOW:HIGH in degC; what was seen, or 18:75 where most of that was seen, by default.
+        First and last node, LOW:HIGH in degC, wider or narrower than what was seen; by default what was seen, and 18 or 75 where
+        that is 3 degC away or less.
     step_c : float
         Step between nodes, degC.
     spline : str

@@ -4,7 +4,8 @@ For a reading u (3,) at temperature T, in this order::
 
     1  u1 = u + h sign(u)         codes truncated toward zero; u + h where they were rounded down; h is half a step
     2  u2 = u1 - offset(T) - o(t) tuning table of absolute offsets, else the constant offset; o is the warm-up of a device that
-                                  was switched on t ago, gyroscopes only, where t is known
+             - h(T) c             was switched on t ago, where t is known, and h c its hysteresis, where the course of temperature
+                                  before is known (drift/hysteresis.py); both of gyroscopes only
     3  w  = M(T) u2               matrix, constant or over temperature
     4  w  = w - G a               g-sensitivity, gyroscopes only, a the corrected specific force
     5  w  = w - e(w, T)           dynamic drift over the measured rate, bilinear, gyroscopes only
@@ -21,7 +22,7 @@ finds what it does not cover, and stream.py does the same chunk by chunk.
 import copy
 import warnings
 from dataclasses import dataclass, replace
-from typing import Literal, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
@@ -30,6 +31,7 @@ from undrift.correction import coverage
 from undrift.correction.plan import (
     NOTHING,
     Carry,
+    Conditions,
     Plans,
     TriadPlan,
     carry_at_start,
@@ -40,6 +42,7 @@ from undrift.correction.plan import (
     plan_record,
 )
 from undrift.correction.rest import RestOffset, find_rest_offset
+from undrift.drift.hysteresis import TempHistory
 from undrift.errors import InputError
 from undrift.findings import Finding
 from undrift.model import Calibration
@@ -52,19 +55,21 @@ Offset: TypeAlias = Literal["none", "rest"] | RestOffset
 REFERENCE_SPAN_C = 5.0  # how far from the reference temperature constant offsets are taken to hold
 
 
-def _evaluate_triad(
-    plan: TriadPlan, u: FloatArray, temp: FloatArray, since: FloatArray, a: FloatArray, w: FloatArray
-) -> coverage.Span:
-    """Evaluate the model for one triad: readings u to w; a is empty where step 4 has nothing to do, since without warm-up."""
+def _evaluate_triad(plan: TriadPlan, u: FloatArray, at: Conditions, a: FloatArray, w: FloatArray) -> coverage.Span:
+    """Evaluate the model for one triad: readings u to w; a is empty where step 4 has nothing to do."""
     from undrift.kernels.correct import affine, subtract_g, tabulated, warmed
+    from undrift.kernels.hysteresis import without_loop
 
     g = np.zeros(9) if plan.g_sensitivity is None else plan.g_sensitivity
     h = plan.half_step
-    if plan.warm_up is not None and since.size:  # step 1, and o of step 2
-        warmed(u, since, w, h, *plan.warm_up)
+    if plan.warm_up is not None and at.since.size:  # step 1, and o of step 2
+        warmed(u, at.since, w, h, *plan.warm_up)
+        u, h = w, np.zeros(3)
+    if plan.loop is not None and at.loop.size:  # step 1, and h c of step 2
+        without_loop(u, at.temp_c, at.loop, w, h, *plan.loop)
         u, h = w, np.zeros(3)
     if plan.tables is not None:  # steps 1 to 5: w = M(T) (u + h sign(u) - offset(T)) - G a, then w - e(w, T)
-        least, greatest = tabulated(u, temp, a, w, plan.matrix, plan.offset, h, g, plan.tables)
+        least, greatest = tabulated(u, at.temp_c, a, w, plan.matrix, plan.offset, h, g, plan.tables)
         return float(least), float(greatest)
     affine(u, w, plan.matrix, plan.offset, h)  # steps 1 to 3: w = M (u + h sign(u) - offset)
     if a.size:
@@ -72,25 +77,23 @@ def _evaluate_triad(
     return coverage.NOWHERE
 
 
-def _evaluate(
-    record: Record, plans: Plans, temp_c: FloatArray, power_on_s: FloatArray, outputs: Buffers, rows: slice
-) -> coverage.Span:
+def _evaluate(record: Record, plans: Plans, conditions: Conditions, outputs: Buffers, rows: slice) -> coverage.Span:
     """Evaluate the model for some samples and return the least and greatest rate that met the dynamic table."""
     from undrift.kernels.correct import affine_pair
 
     gyro, accel = plans
     u, v = flat(record.gyro, rows.start, rows.stop), flat(record.accel, rows.start, rows.stop)
     w, a = flat(outputs[0], rows.start, rows.stop), flat(outputs[1], rows.start, rows.stop)
-    temp, since = temp_c[rows], power_on_s[rows]
+    at = Conditions(*(values[rows] for values in conditions))
     g = None if gyro is None else gyro.g_sensitivity
-    plain = all(plan is not None and plan.tables is None for plan in plans) and not since.size
+    plain = all(plan is not None and plan.tables is None for plan in plans) and not (at.since.size or at.loop.size)
     if gyro is not None and accel is not None and g is not None and plain:
         of_accel = (accel.matrix, accel.offset, accel.half_step)  # both triads in one pass over the memory
         affine_pair(u, v, w, a, gyro.matrix, gyro.offset, gyro.half_step, *of_accel, g)
         return coverage.NOWHERE
     if accel is not None:  # first, since step 4 wants a
-        _evaluate_triad(accel, v, temp, NOTHING, NOTHING, a)
-    return coverage.NOWHERE if gyro is None else _evaluate_triad(gyro, u, temp, since, NOTHING if g is None else a, w)
+        _evaluate_triad(accel, v, at, NOTHING, a)
+    return coverage.NOWHERE if gyro is None else _evaluate_triad(gyro, u, at, NOTHING if g is None else a, w)
 
 
 class DriftRangeWarning(UserWarning):
@@ -164,6 +167,7 @@ def correct(
     out: Buffers | None = None,
     power_on_s: float | None = None,
     offset: Offset = "none",
+    temp_history: TempHistory | None = None,
 ) -> Record:
     """Turn a device's readings into rate and specific force.
 
@@ -184,6 +188,10 @@ def correct(
     offset : str or RestOffset
         "rest" subtracts the mean rate that is left at the first still phase, and with it any true slow turn; a RestOffset
         subtracts one that was found before. A note of ``correct_checked`` states it with its uncertainty.
+    temp_history : str or sequence of float, optional
+        Course of the temperature before the first sample, for a calibration that corrects hysteresis: "warming", "cooling", or
+        the temperatures at which it turned, oldest first, degC. Without it hysteresis is corrected as far as the record's own
+        temperatures show the course.
 
     Returns
     -------
@@ -194,7 +202,7 @@ def correct(
     ------
     InputError
         Readings corrected already, in a unit that the calibration does not know, or without the temperatures it needs; a
-        negative power_on_s; no rest where one is asked for.
+        negative power_on_s; no rest where one is asked for; a temp_history that is none.
     DriftRangeError
         Temperatures outside a table under policy "raise".
 
@@ -209,7 +217,7 @@ def correct(
     >>> corrected.gyro_unit, corrected.accel_unit, corrected.frame
     ('rad/s', 'm/s2', 'b')
     """
-    corrected = correct_checked(record, calibration, policy=policy, out=out, power_on_s=power_on_s, offset=offset)
+    corrected = correct_whole(record, calibration, (power_on_s, temp_history), offset, policy=policy, out=out)
     for text in corrected.warnings:
         warnings.warn(text, DriftRangeWarning, stacklevel=2)
     return corrected.record
@@ -220,11 +228,11 @@ def correct_checked(
     calibration: Calibration,
     *,
     policy: Policy = "raise",
-    out: Buffers | None = None,
     reference_span_c: float = REFERENCE_SPAN_C,
     threads: int | None = None,
     power_on_s: float | None = None,
     offset: Offset = "none",
+    temp_history: TempHistory | None = None,
 ) -> Corrected:
     """Correct a record and say where the calibration did not cover it.
 
@@ -236,8 +244,6 @@ def correct_checked(
         The device's model.
     policy : str
         "raise", "hold" or "nan".
-    out : tuple of two arrays, shape (N, 3), optional
-        Where to write rate and specific force.
     reference_span_c : float
         Without a table, warn where the temperature departs from the reference by more than this, degC.
     threads : int, optional
@@ -246,6 +252,8 @@ def correct_checked(
         As for ``correct``, s.
     offset : str or RestOffset
         As for ``correct``.
+    temp_history : str or sequence of float, optional
+        As for ``correct``, degC.
 
     Returns
     -------
@@ -270,18 +278,22 @@ def correct_checked(
     >>> len(done.findings), int(done.outside.sum())
     (0, 0)
     """
-    plans, carry = plan_record(record, calibration), carry_at_start(float(record.time[0]), power_on_s)
-    done = correct_planned(
-        record,
-        calibration,
-        plans,
-        policy=policy,
-        out=out,
-        reference_span_c=reference_span_c,
-        threads=threads,
-        carry=carry,
-    )
-    return re_zeroed(done, offset, threads)
+    start = (power_on_s, temp_history)
+    how = {"policy": policy, "reference_span_c": reference_span_c, "threads": threads}
+    return correct_whole(record, calibration, start, offset, **how)
+
+
+def correct_whole(
+    record: Record,
+    calibration: Calibration,
+    start: tuple[float | None, TempHistory | None] = (None, None),
+    offset: Offset = "none",
+    **how: Any,
+) -> Corrected:
+    """Correct a record from its start, where power_on_s and temp_history are known or None; `how` is for correct_planned."""
+    carry = carry_at_start(float(record.time[0]), start[0], calibration, start[1])
+    done = correct_planned(record, calibration, plan_record(record, calibration), carry=carry, **how)
+    return re_zeroed(done, offset, how.get("threads"))
 
 
 def re_zeroed(done: Corrected, offset: Offset, threads: int | None = None) -> Corrected:
@@ -312,15 +324,19 @@ def correct_planned(
     carry: Carry = Carry(),
 ) -> Corrected:
     """Correct a record with plans made beforehand, as a stream has them."""
-    temp_c, since, coming = conditions_of(record, calibration, plans, carry)
+    conditions, coming = conditions_of(record, calibration, plans, carry)
+    temp_c = conditions.temp_c
     before, missing = carry.last_time, np.zeros(len(record), dtype=bool)
     if has_tables(plans) and np.isnan(temp_c.min()):  # a least value is NaN where any is
         missing = np.isnan(temp_c)
-    outside = coverage.find_outside(record, temp_c, plans, allowed=policy != "raise", before=before)
+    drift = calibration.drift
+    static, lagged = (None, False) if drift is None else (drift.static, drift.lag_s > 0.0)
+    allowed = policy != "raise"
+    outside = coverage.find_outside(record, temp_c, plans, allowed=allowed, static=static, lagged=lagged, before=before)
     outputs = _buffers(len(record), plans, out)
 
     def evaluate(start: int, stop: int) -> coverage.Span:
-        return _evaluate(record, plans, temp_c, since, outputs, slice(start, stop))
+        return _evaluate(record, plans, conditions, outputs, slice(start, stop))
 
     spans = in_pieces(evaluate, len(record), threads)
     extrapolated, stated = coverage.find_extrapolated(record, temp_c, plans, outputs, threads)
@@ -345,7 +361,7 @@ def correct_planned(
         missing=missing,
         findings=(
             *coverage.coverage_findings(reach, calibration, reference_span_c),
-            *coverage.model_findings(record, calibration, power_on_known=carry.power_on_time is not None),
+            *coverage.model_findings(record, calibration, coming),
         ),
         reach=reach,
         carry=coming,

@@ -3,7 +3,7 @@
 ::
 
     missing        no temperature was recorded, and a table needs one
-    outside        the temperature lies beyond a table
+    outside        the temperature lies beyond a table; under policy raise also 3 degC beyond what was seen
     extrapolated   it lies inside, at nodes that no data were near
     departure      constant offsets are used far from the temperature at which they were found
     turn rate      beyond the dynamic table
@@ -18,10 +18,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray
-from undrift.correction.plan import Kind, MarkedTable, Plans, flat, has_tables, in_pieces
+from undrift.correction.plan import Carry, Kind, MarkedTable, Plans, flat, has_tables, in_pieces
 from undrift.errors import DriftRangeError
 from undrift.findings import Finding, finding
-from undrift.model import Calibration, TriadModel
+from undrift.model import Calibration, StaticDrift, TriadModel
 from undrift.record import Record
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, Quantity, si_factor
 
@@ -29,6 +29,8 @@ Span = tuple[float, float]  # least and greatest
 NOWHERE: Span = (np.inf, -np.inf)
 KINDS: tuple[Kind, ...] = ("rate", "accel", "scale")
 TICKS_PER_S = 2.0**30
+BEYOND_C = 3.0  # as far as tables reach beyond what was seen without being asked (drift/fit.py), degC
+UNKNOWN_LOOP = 0.5  # of the half-width: above, the correction is mostly the middle of the loop
 MARGIN = 0.1  # of the larger end of valid_range: noise alone carries a device that lies on a face past +-1 g
 
 
@@ -73,13 +75,24 @@ def seconds_of(mask: BoolArray, time: FloatArray, before: float | None) -> float
 
 
 def find_outside(
-    record: Record, temp_c: FloatArray, plans: Plans, *, allowed: bool, before: float | None = None
+    record: Record,
+    temp_c: FloatArray,
+    plans: Plans,
+    *,
+    allowed: bool,
+    static: StaticDrift | None = None,
+    lagged: bool = False,
+    before: float | None = None,
 ) -> BoolArray:
-    """Find the samples whose temperature lies beyond a tuning table."""
+    """Find the samples whose temperature lies beyond a tuning table; where that is refused, also beyond what the table saw."""
     ranges = [plan.temp_range for plan in plans if plan is not None and plan.tables is not None]
     if not ranges:
         return np.zeros(len(record), dtype=bool)
     low, high = max(r[0] for r in ranges), min(r[1] for r in ranges)
+    if static is not None and not allowed:
+        seen = _seen(static)
+        beyond = BEYOND_C * (2.0 if lagged else 1.0)  # subtracting a lag makes a thermometer noisier
+        low, high = max(low, seen[0] - beyond), min(high, seen[1] + beyond)
     least, greatest = _extremes(temp_c)
     if least >= low and greatest <= high:
         return np.zeros(len(record), dtype=bool)
@@ -95,6 +108,13 @@ def find_outside(
             greatest=greatest,
         )
     return mask
+
+
+def _seen(static: StaticDrift) -> Span:
+    """Return the first and last node that data were near; without marks, all; offsets of gyroscopes where there are some."""
+    marks = static.gyro_extrapolated if static.gyro_extrapolated is not None else static.accel_extrapolated
+    nodes = static.temp_c if marks is None or marks.all() else static.temp_c[~marks]
+    return float(nodes[0]), float(nodes[-1])
 
 
 def find_extrapolated(
@@ -194,7 +214,7 @@ def _extrapolated(reach: Reach) -> Finding:
     return finding("correct.extrapolated", "warn", seconds=reach.seconds_extrapolated, uncertainty=met)
 
 
-def model_findings(record: Record, calibration: Calibration, *, power_on_known: bool) -> tuple[Finding, ...]:
+def model_findings(record: Record, calibration: Calibration, carry: Carry) -> tuple[Finding, ...]:
     """Return what a reader of the corrected record may not expect."""
     found = [
         finding("correct.no_model", "info", sensor=name)
@@ -207,12 +227,23 @@ def model_findings(record: Record, calibration: Calibration, *, power_on_known: 
     if record.gyro is None or gyro is None or static is None:
         return tuple(found)
     if static.gyro_hysteresis is not None and static.gyro_offset is not None:
-        half_width = _largest_dps(gyro, static.gyro_hysteresis)
-        found.append(finding("correct.hysteresis", "info", half_width_dps=half_width))
-    if static.warm_up is not None and not power_on_known:
+        found.append(_loop_finding(gyro, static, static.gyro_hysteresis, carry))
+    if static.warm_up is not None and carry.power_on_time is None:
         largest, end = _largest_dps(gyro, static.warm_up.gyro_offset), static.warm_up.power_on_s[-1]
         found.append(finding("correct.warm_up", "info", largest_dps=largest, end_s=end))
     return tuple(found)
+
+
+def _loop_finding(gyro: TriadModel, static: StaticDrift, half: FloatArray, carry: Carry) -> Finding:
+    """Say whether hysteresis was corrected: after the temperature has moved, or by a stated history, it was."""
+    model, widest = static.hysteresis, _largest_dps(gyro, half)
+    if model is None or carry.loop is None:
+        return finding("correct.hysteresis", "info", half_width_dps=widest)
+    widest = _largest_dps(gyro, model.gyro_half_width)
+    if carry.loop.unknown > UNKNOWN_LOOP:
+        return finding("correct.hysteresis_unknown", "info", half_width_dps=widest, crossing_k=model.crossing_k)
+    left = widest * carry.loop.unknown
+    return finding("correct.hysteresis_corrected", "info", half_width_dps=widest, left_dps=left)
 
 
 def _largest_dps(model: TriadModel, offset: FloatArray) -> float:

@@ -18,11 +18,12 @@ import os
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray
+from undrift.drift.hysteresis import LoopState, TempHistory, follow_loop, state_of
 from undrift.drift.thermometer_lag import LagState, without_lag
 from undrift.errors import InputError
 from undrift.model import Calibration, DriftTables, DynamicDrift, TriadModel
@@ -69,6 +70,7 @@ class TriadPlan:
     temp_range: tuple[float, float] = EVERYWHERE  # temperatures that all its tables cover, degC
     marked: tuple[MarkedTable, ...] = ()  # those of the tables that have extrapolated nodes
     warm_up: "tuple[Grid, FloatArray] | None" = None  # offset over the time since power-on (s), reading unit
+    loop: "tuple[Grid, FloatArray] | None" = None  # half-width of the hysteresis over temperature, reading unit
 
 
 Plans: TypeAlias = tuple[TriadPlan | None, TriadPlan | None]  # gyroscopes, accelerometers; None: the record has none
@@ -107,6 +109,7 @@ def _plan_triad(calibration: Calibration, sensor: Sensor, unit: str) -> TriadPla
     half_step, shift = _rounding(calibration, sensor, factor)
     tables, temp_range = _tables(drift, sensor, factor, out, shift)
     warm_up = drift.static.warm_up if drift.static is not None and sensor == "gyro" else None
+    loop = drift.static.hysteresis if drift.static is not None and sensor == "gyro" else None
     g = model.g_sensitivity if sensor == "gyro" else None
     return TriadPlan(
         matrix=np.ravel(model.matrix * (factor * out)),
@@ -117,6 +120,7 @@ def _plan_triad(calibration: Calibration, sensor: Sensor, unit: str) -> TriadPla
         temp_range=temp_range,
         marked=_marked_tables(drift, model, sensor, out),
         warm_up=None if warm_up is None else line_cells(warm_up.power_on_s, warm_up.gyro_offset / factor),
+        loop=None if loop is None else line_cells(loop.temp_c, loop.gyro_half_width / factor),
     )
 
 
@@ -287,29 +291,38 @@ class Carry:
     power_on_time: float | None = None  # on the recording's clock, s; None where it is not known
     lag: LagState | None = None  # of the thermometer; None before the first sample, or without lag
     last_time: float | None = None  # time of the last sample, s; None before the first
+    loop: LoopState | None = None  # of the hysteresis; None where the calibration has none to correct
 
 
-def carry_at_start(first_time: float, power_on_s: float | None) -> Carry:
+class Conditions(NamedTuple):
+    """What the samples of one chunk are looked up with; empty where it is not known or no table asks for it."""
+
+    temp_c: FloatArray  # (N,), of the sensors, degC
+    since: FloatArray  # (N,), time since power-on, s; empty after the warm-up, too
+    loop: FloatArray  # (N,), position in the loop of the hysteresis, -1 ... 1
+
+
+def carry_at_start(
+    first_time: float, power_on_s: float | None, calibration: Calibration, history: TempHistory | None = None
+) -> Carry:
     """Begin a record or a stream."""
+    static = None if calibration.drift is None else calibration.drift.static
+    model = None if static is None else static.hysteresis
+    loop = None if model is None else state_of(history, model.crossing_k)
     if power_on_s is None:
-        return Carry()
+        return Carry(loop=loop)
     if not 0.0 <= power_on_s < np.inf:
         raise InputError(
             f"power_on_s: wanted the time since power-on at the first sample, 0 s or more, got {power_on_s:g}; leave it out "
             "where it is not known",
             got=power_on_s,
         )
-    return Carry(power_on_time=first_time - power_on_s)
+    return Carry(power_on_time=first_time - power_on_s, loop=loop)
 
 
-def conditions_of(
-    record: Record, calibration: Calibration, plans: Plans, carry: Carry
-) -> tuple[FloatArray, FloatArray, Carry]:
-    """Return temperature of the sensors, degC, time since power-on, s, and what the chunk that follows needs.
-
-    Empty: a temperature that was not recorded; a time that is not known, or that no table asks for, or after the warm-up.
-    """
-    drift, lag = calibration.drift, carry.lag
+def conditions_of(record: Record, calibration: Calibration, plans: Plans, carry: Carry) -> tuple[Conditions, Carry]:
+    """Return the conditions of a chunk, and what the chunk that follows needs."""
+    drift, lag, loop = calibration.drift, carry.lag, carry.loop
     temp_c = NOTHING if record.temp_c is None else record.temp_c
     if has_tables(plans) and drift is not None and drift.lag_s > 0.0:
         led, lag = without_lag(temp_c, record.time, lag_s=drift.lag_s, smooth_s=drift.lag_smooth_s, state=lag)
@@ -320,7 +333,11 @@ def conditions_of(
         since = record.time - carry.power_on_time
         if since[0] >= plans[0].warm_up[0].nodes[-1]:
             since = NOTHING
-    return temp_c, since, replace(carry, lag=lag, last_time=float(record.time[-1]))
+    position: FloatArray = NOTHING
+    if loop is not None and plans[0] is not None and plans[0].loop is not None and len(temp_c):
+        position, loop = follow_loop(temp_c, record.time, state=loop)
+    coming = replace(carry, lag=lag, loop=loop, last_time=float(record.time[-1]))
+    return Conditions(temp_c, since, position), coming
 
 
 # ---- pieces of a long record, a thread each: the kernels let other threads run, and no sample looks at another

@@ -1,8 +1,9 @@
 """Correct a stream: the model of correction/correct.py, chunk by chunk.
 
-No step of the model looks at another sample but the one that subtracts a thermometer's lag, which hands its state on; so chunks of
-any length give the bits of the batch. Kept between chunks: the plans (the calibration made ready for the kernels) and the state,
-which may be saved and put back. Chunks from a file can be read ahead: the next one while this one is corrected.
+No step of the model looks at another sample but those that subtract a thermometer's lag and follow a loop of hysteresis, which
+hand their states on; so chunks of any length give the bits of the batch. Kept between chunks: the plans (the calibration made ready
+for the kernels) and the state, which may be saved and put back. Chunks from a file can be read ahead: the next one while this one
+is corrected.
 """
 
 import warnings
@@ -21,6 +22,7 @@ from undrift.correction.correct import (
 from undrift.correction.coverage import Reach, coverage_findings
 from undrift.correction.plan import Carry, Plans, carry_at_start, plan_record
 from undrift.correction.rest import RestOffset
+from undrift.drift.hysteresis import TempHistory
 from undrift.errors import InputError
 from undrift.model import Calibration
 from undrift.record import Record
@@ -35,7 +37,9 @@ class CorrectorState:
     samples_extrapolated: int = 0  # Of those, inside them at nodes that no data were near
     samples_without_temperature: int = 0  # Of those, without the temperature that the tables want
     reach: Reach = field(default_factory=Reach)  # How far temperature and rate went so far, where the calibration cares
-    carry: Carry = field(default_factory=Carry)  # Time of power-on and state of the thermometer's lag
+    carry: Carry = field(
+        default_factory=Carry
+    )  # Time of power-on, states of the thermometer's lag and of the hysteresis
 
 
 class Corrector:
@@ -51,6 +55,8 @@ class Corrector:
         As for ``correct_checked``, degC.
     power_on_s : float, optional
         Time since power-on at the first sample of the stream, s, as for ``correct``.
+    temp_history : str or sequence of float, optional
+        Course of the temperature before the first sample of the stream, degC, as for ``correct``.
     offset : RestOffset, optional
         What is left at a rest, to subtract from every chunk: ``find_rest_offset_in`` finds it in the first corrected chunks.
 
@@ -75,11 +81,12 @@ class Corrector:
         *,
         reference_span_c: float = REFERENCE_SPAN_C,
         power_on_s: float | None = None,
+        temp_history: TempHistory | None = None,
         offset: RestOffset | None = None,
     ) -> None:
-        carry_at_start(0.0, power_on_s)  # refused now rather than at the first chunk
+        carry_at_start(0.0, power_on_s, calibration, temp_history)  # refused now rather than at the first chunk
         self._calibration, self._policy, self._span = calibration, policy, reference_span_c
-        self._power_on_s, self._offset = power_on_s, offset
+        self._power_on_s, self._offset, self._history = power_on_s, offset, temp_history
         self._plans: dict[tuple[str, str, bool, bool, bool], Plans] = {}
         self.state = CorrectorState()  # may be saved, and put back by assignment
 
@@ -142,14 +149,16 @@ class Corrector:
         key = (chunk.gyro_unit, chunk.accel_unit, chunk.gyro is None, chunk.accel is None, chunk.temp_c is None)
         if key not in self._plans or chunk.state == "corrected":
             self._plans[key] = plan_record(chunk, self._calibration)
-        begun = self.state.samples > 0
+        carry = self.state.carry
+        if not self.state.samples:
+            carry = carry_at_start(float(chunk.time[0]), self._power_on_s, self._calibration, self._history)
         done = correct_planned(
             chunk,
             self._calibration,
             self._plans[key],
             policy=self._policy,
             reference_span_c=self._span,
-            carry=self.state.carry if begun else carry_at_start(float(chunk.time[0]), self._power_on_s),
+            carry=carry,
         )
         done = done if self._offset is None else re_zeroed(done, self._offset)
         self.state = CorrectorState(

@@ -130,7 +130,11 @@ def with_accel(tables: DriftTables, fit: AccelDriftFit) -> DriftTables:
             )
     static = tables.static or StaticDrift(temp_c=fit.temp_c)
     static = replace(
-        static, accel_offset=fit.offset, accel_uncertainty=fit.offset_uncertainty, accel_extrapolated=fit.extrapolated
+        static,
+        accel_offset=fit.offset,
+        accel_uncertainty=fit.offset_uncertainty,
+        accel_extrapolated=fit.extrapolated,
+        accel_visit=None,
     )
     scale = tables.scale or ScaleDrift(temp_c=fit.temp_c)
     scale = replace(

@@ -208,6 +208,7 @@ _LEAST_LAG_S = 1.0  # a smaller one is not reported
 _APART_C = 1.0  # further from the last one, a temperature belongs to another set-point
 _WIDE_C = 2.0  # a wider one is a sweep
 _FEW = 5  # set-points: above, what lies between is known about as well as they are
+_TOO_FEW = 3  # a parabola through these leaves nothing to judge it by
 _ENOUGH = 6
 _MORE = 2.0  # times what noise and bias instability explain: disagreement that is reported
 
@@ -468,7 +469,7 @@ def set_points_verdict(static: StaticFit, rests: RestBlocks, device: Calibration
     inside = (nodes >= points[0] - 1e-6) & (nodes <= points[-1] + 1e-6)
     at = np.array([np.interp(points, nodes, column) for column in found.uncertainty.T]).mean(axis=1)
     between = found.uncertainty[inside].max(axis=0, initial=0.0)
-    if (between < _MORE * at).all():
+    if len(points) > _TOO_FEW and (between < _MORE * at).all():
         return Verdict()
     factor, unit = (np.ones(3), "raw units") if device.gyro is None else (_dps_per_raw(device.gyro), "deg/s")
     gaps = np.argsort(-np.diff(points))[: max(_ENOUGH - len(points), 1)]

@@ -47,7 +47,7 @@ from undrift.views import Shown
 
 RANGE_C = (18.0, 75.0)  # the note's
 STEP_C = 0.5
-_WIDE = 0.8  # of the note's range: sessions that saw less have tables over what they saw
+MARGIN_C = 3.0  # tables reach no further beyond what was seen; the note's ends are taken where they are as near
 _SURE_LAG = 3.0  # standard uncertainties: a lag below is left in
 _INPUTS = "drift_inputs_before"  # setting: how many inputs the calibration had before a thermal fit
 
@@ -62,8 +62,8 @@ class DriftSettings:
     Parameters
     ----------
     range_c : tuple of float, optional
-        First and last node, degC. Default: 18 to 75, widened to what was seen, or, where less than 80 % of that was seen, the
-        span seen.
+        First and last node, degC; may be wider than what was seen. Default: the span seen, to 18 or 75 at an end that is 3 degC
+        from these or less.
     step_c : float
         From node to node, K.
     lag_s : float, optional
@@ -307,12 +307,14 @@ def table_nodes(seen_c: FloatArray, settings: DriftSettings) -> FloatArray:
 
 
 def _whole_range(seen_c: FloatArray, step: float) -> tuple[float, float]:
-    """Return the range where none was asked for: all that was seen is in it."""
+    """Return the range where none was asked for: what was seen, and the note's ends where they are near."""
     least, greatest = float(np.nanmin(seen_c)), float(np.nanmax(seen_c))
     outward = (float(np.floor(least / step) * step), float(np.ceil(greatest / step) * step))
-    if greatest - least < _WIDE * (RANGE_C[1] - RANGE_C[0]):
-        return outward
-    return min(outward[0], RANGE_C[0]), max(outward[1], RANGE_C[1])
+    low, high = (
+        end if 0.0 < sign * (end - seen) <= MARGIN_C else seen
+        for end, seen, sign in zip(RANGE_C, outward, (-1, 1), strict=True)
+    )
+    return low, high
 
 
 def _chosen(

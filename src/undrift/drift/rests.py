@@ -15,7 +15,15 @@ of equal variance with time constants tau_j half a decade apart::
 
     rho(t) = mean over j of exp(-t / tau_j)        C = mean of rho over the pairs of blocks of two cells, 0 across sessions
 
-Its size s2 comes from second differences of neighbouring blocks, which no smooth ramp moves, where the temperature is smooth too::
+Visits: a cell that the device left by 2 degC and came back to is two. Cells that follow each other without a step of temperature
+are one leg, a soak or a ramp; a log through five soaks or more counts by its soaks, and the ramps between are left out. What one
+leg adds and the next does not (stress, moisture, what the law of the instability lacks over hours) does not average out with its
+rows: it has the variance s_v2, found by restricted likelihood over all legs (fit/smooth.py). The instability s2 C is known beside
+it where s2 is larger than twice its uncertainty. One leg alone, a ramp, shows no s_v2; then s2 is found by restricted likelihood,
+and what it makes in one visit stands for s_v2.
+
+The size s2 of the instability comes from second differences of neighbouring blocks where the temperature is smooth: a ramp moves
+none of them::
 
     mean (y_(k+1) - 2 y_k + y_(k-1))^2 = 6 v + s2 (6 - 8 rho(h) + 2 rho(2 h))
 
@@ -59,7 +67,7 @@ from undrift.drift.observe import RestBlocks
 from undrift.errors import Implausible, InputError, NotObservable
 from undrift.findings import Finding, finding
 from undrift.fit.least_squares import excess_variance
-from undrift.fit.smooth import Scatter, SmoothSettings, fit_smooth, widening_of
+from undrift.fit.smooth import Scatter, fit_smooth, widening_of
 from undrift.model import G_NAMES, Calibration, Verdict
 from undrift.units import EARTH_RATE, RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical, si_factor
 
@@ -75,6 +83,10 @@ _SMOOTH_C = 0.5  # second difference of the temperature: above, a new set-point 
 _STEP_PER_ERROR = 12.0**0.5  # step of a converter over the error that it leaves without noise
 _LEAST_WIDTH_C = 0.5  # narrowest cell
 _MOST_CELLS = 100  # cells are widened until there are about as many; the fit takes the cube of their number
+_SURE = 2.0  # standard uncertainties of s2, from which it is taken as known
+_LEFT_C = 2.0  # a cell that was left by this much and come back to is two visits; a step by as much begins another leg
+_HELD_C = 0.5  # a soak stays within this of its mean
+_LONG, _LEAST_SOAKS = 3.0, 5  # times as long as a stretch of a ramp; temperatures from which a log is one of soaks
 _MOST_GROUPS = 20  # groups of neighbouring cells that are left out in turn
 _APART_S = 60.0  # in one cell and pose: a later block belongs to another rest
 _NONE = 1e-6  # singular value of shares: poses that no cell compares
@@ -204,11 +216,12 @@ class Cells:
     value: FloatArray  # (n, 3), mean, raw unit
     variance: FloatArray  # (n, 3), of it, from the noise inside the blocks, raw unit squared
     regressors: FloatArray  # (n, p), means of what was given for each block
-    correlation: FloatArray  # (n, n), C
+    visits: FloatArray  # (n, n), correlation of what legs add; 1 within one
+    instability: FloatArray  # (3, n, n), covariance by the bias instability where it is significant, raw unit squared
     groups: IntArray  # (n,), neighbours in temperature
-    # (3,), s2, raw unit squared; None where too few blocks follow each other or share a cell and a pose
-    instability: FloatArray | None
-    pairs: int = 0  # blocks of one cell and pose that s2 comes from; 0 where blocks follow each other, or it is None
+    # (3,), standard deviation that bias instability gives a leg, raw unit; 0 where too few blocks follow each other or share a cell
+    # and a pose
+    expected: FloatArray
     between: RestScatter | None = None  # part of variance; None where no cell has two rests
 
 
@@ -229,13 +242,13 @@ def gather(
     chunk = np.floor(np.log2(np.maximum(blocks.power_on_s / chunk_s, 0.5)))
     labels = np.column_stack((blocks.session, np.round(direction), chunk)).astype(np.int64)
     key = np.unique(labels, axis=0, return_inverse=True)[1].reshape(-1)
-    parts = [np.flatnonzero(key == k) for k in range(key.max() + 1)]
+    leg = _legs(blocks)
+    parts = [np.flatnonzero((key == k) & (leg >= 0)) for k in np.unique(key[leg >= 0])]
     width = max(_LEAST_WIDTH_C, sum(float(np.ptp(blocks.temp_c[rows])) for rows in parts) / _MOST_CELLS)
-    members: list[IntArray] = []
-    for rows in parts:
-        rows = rows[np.argsort(blocks.temp_c[rows], kind="stable")]
-        bins = bins_of(blocks.temp_c[rows], width)
-        members.extend(rows[bins == b] for b in range(bins.max() + 1))
+    members = _visits(blocks, parts, width)
+    if len(members) > 1.5 * _MOST_CELLS:
+        width *= len(members) / _MOST_CELLS
+        members = _visits(blocks, parts, width)
     members = [rows[_good(value[rows], blocks.pose[rows])] for rows in members]
     temp_c = np.array([blocks.temp_c[rows].mean() for rows in members])
     order = np.argsort(temp_c, kind="stable")
@@ -251,9 +264,17 @@ def gather(
     x = temp_c - temp_c.mean()  # the usual slope within a cell is subtracted; 0 for one temperature
     level = value - np.asarray(x @ middle / max(float(x @ x), 1e-9)) * blocks.temp_c[:, None]
     rests, labels = _rests_of(blocks, members)
-    instability, pairs = instability_of(blocks, value, variance), 0
+    seen = _second_differences(blocks, value, variance)
+    instability = None if seen is None else np.maximum(*seen)
     if instability is None:
-        instability, pairs = _from_pairs(blocks, rests, labels, level, variance)
+        instability = _from_pairs(blocks, rests, labels, level, variance)
+    leg = leg[[rows[0] for rows in members]]
+    visits = (leg[:, None] == leg).astype(float)
+    within = _correlation(blocks, members)
+    usual = float(np.mean(np.diag(within)))
+    if visits.all():  # what one leg adds is a constant: the size of the instability within it is found instead
+        visits, within = within / usual, np.zeros_like(within)
+    sure = np.zeros(3) if seen is None else np.where(seen[0] > _SURE * seen[1], seen[0], 0.0)
     between = _rest_scatter(blocks, rests, labels, level, variance, instability)
     return Cells(
         session=np.array([blocks.session[rows[0]] for rows in members], np.int64),
@@ -261,10 +282,10 @@ def gather(
         value=middle,
         variance=found if between is None else found + between.own,
         regressors=np.array([regressors[rows].mean(axis=0) for rows in members]),
-        correlation=_correlation(blocks, members),
+        visits=visits,
+        instability=sure[:, None, None] * within,
         groups=groups,
-        instability=instability,
-        pairs=pairs,
+        expected=np.sqrt((np.zeros(3) if instability is None else instability) * usual),
         between=between,
     )
 
@@ -280,11 +301,69 @@ def bins_of(temp_c: FloatArray, width: float) -> IntArray:
     return bins
 
 
+def _visits(blocks: RestBlocks, parts: list[IntArray], width: float) -> list[IntArray]:
+    """Return the blocks of each visit to each bin of each part, in the order of temperature."""
+    order = np.lexsort((blocks.time, blocks.session))
+    place, temp_c = np.argsort(order), blocks.temp_c[order]
+    visits: list[IntArray] = []
+    for rows in parts:
+        rows = rows[np.argsort(blocks.temp_c[rows], kind="stable")]
+        bins = bins_of(blocks.temp_c[rows], width)
+        for inside in np.split(rows, np.flatnonzero(np.diff(bins)) + 1):
+            inside = inside[np.argsort(place[inside])]
+            away = np.cumsum(np.abs(temp_c - blocks.temp_c[inside].mean()) > _LEFT_C + width)[place[inside]]
+            visits += np.split(inside, np.flatnonzero(np.diff(away)) + 1)
+    return visits
+
+
+def _legs(blocks: RestBlocks) -> IntArray:
+    """Return which leg each block belongs to, (n,); -1 for ramps between the soaks of a log that has many."""
+    order = np.lexsort((blocks.time, blocks.session))
+    step = (np.abs(np.diff(blocks.temp_c[order])) > _LEFT_C) | (np.diff(blocks.session[order]) != 0)
+    number, count = np.empty(len(blocks), np.int64), 0
+    for rows in np.split(order, np.flatnonzero(step) + 1):
+        own = _soaks_of(blocks.time[rows], blocks.temp_c[rows])
+        number[rows] = np.where(own < 0, -1, own + count)
+        count += int(own.max()) + 1
+    return number
+
+
+def _soaks_of(time: FloatArray, temp_c: FloatArray) -> IntArray:
+    """Return which soak each block of one log belongs to, (n,) in order of time, -1 between two; all 0 where they are few.
+
+    A soak stays near its mean for three times as long as usual stretches do.
+    """
+    ends, total = [0], 0.0
+    for k, temp in enumerate(temp_c.tolist()):
+        if k > ends[-1] and abs(temp - total / (k - ends[-1])) > _HELD_C:
+            ends.append(k)
+            total = 0.0
+        total += temp
+    stretch = np.repeat(np.arange(len(ends)), np.diff([*ends, len(time)]))
+    length = np.bincount(stretch, np.gradient(time)) if len(time) > 1 else np.zeros(1)
+    middle = np.array([np.median(part) for part in np.split(temp_c, ends[1:])])
+    held = length >= _LONG * np.quantile(length, 0.25)
+    if np.count_nonzero(np.diff(np.sort(middle[held])) > _LEFT_C) < _LEAST_SOAKS - 1:
+        return np.zeros(len(time), np.int64)
+    new = held & ~np.append(False, held[:-1] & (np.abs(np.diff(middle)) <= _LEFT_C))
+    soak = np.where(held, np.cumsum(new) - 1, -1)[stretch]
+    return np.where(np.abs(temp_c - middle[stretch]) <= 0.5 * _HELD_C, soak, -1)
+
+
 def instability_of(blocks: RestBlocks, value: FloatArray, variance: FloatArray) -> FloatArray | None:
+    """Return s2, (3,), no less than its own uncertainty; None where too few blocks follow each other."""
+    found = _second_differences(blocks, value, variance)
+    return None if found is None else np.maximum(*found)
+
+
+def _second_differences(
+    blocks: RestBlocks, value: FloatArray, variance: FloatArray
+) -> tuple[FloatArray, FloatArray] | None:
     """Return s2, (3,): the variance of the bias instability from block to block, as flicker noise has it."""
     step = np.diff(blocks.time)
     usual = float(np.median(step)) if len(step) else 0.0
     follows = (np.abs(step - usual) < 0.2 * usual) & (np.diff(blocks.session) == 0) & (np.diff(blocks.pose) == 0)
+    follows &= np.abs(np.diff(blocks.temp_c)) < _LEFT_C  # soaks of one row each follow each other by steps
     smooth = np.abs(np.diff(blocks.temp_c, 2)) < _SMOOTH_C if len(blocks) > 2 else np.zeros(0, bool)
     middle = np.flatnonzero(follows[1:] & follows[:-1] & smooth) + 1
     if len(middle) < _LEAST_TRIPLES:
@@ -295,24 +374,24 @@ def instability_of(blocks: RestBlocks, value: FloatArray, variance: FloatArray) 
     noise = 6.0 * variance[middle].mean(axis=0)
     error = noise * np.sqrt(4.0 / len(middle))  # neighbouring differences share blocks
     share = 6.0 - 8.0 * _rho(np.array(usual)) + 2.0 * _rho(np.array(2.0 * usual))
-    return np.asarray(np.maximum(second.mean(axis=0) - noise, error) / share)
+    return (second.mean(axis=0) - noise) / share, error / share
 
 
 def _from_pairs(
     blocks: RestBlocks, rests: list[IntArray], labels: IntArray, level: FloatArray, variance: FloatArray
-) -> tuple[FloatArray | None, int]:
-    """Return s2 from neighbouring blocks of one cell and pose, and how many pairs there are."""
+) -> FloatArray | None:
+    """Return s2 from neighbouring blocks of one cell and pose."""
     rows, rest = np.concatenate(rests), np.repeat(np.arange(len(rests)), [len(rows) for rows in rests])
     pairs = np.flatnonzero(np.diff(rest) == 0)
     if len(pairs) < _LEAST_PAIRS:  # then what differs from rest to rest counts as instability
         pairs = np.flatnonzero((np.diff(labels[rest], axis=0) == 0).all(axis=1))
     if len(pairs) < _LEAST_PAIRS:
-        return None, 0
+        return None
     one, two = rows[pairs], rows[pairs + 1]
     noise = (variance[one] + variance[two]).mean(axis=0)
     square = ((level[two] - level[one]) ** 2).mean(axis=0) - noise
     share = 2.0 * float(np.mean(1.0 - _rho(np.abs(blocks.time[two] - blocks.time[one]))))
-    return np.asarray(np.maximum(square, noise * np.sqrt(2.0 / len(one))) / share), len(one)
+    return np.asarray(np.maximum(square, noise * np.sqrt(2.0 / len(one))) / share)
 
 
 def variance_of_mean(value: FloatArray, variance: FloatArray, step_error: FloatArray | None) -> FloatArray:
@@ -451,7 +530,7 @@ class TurnOn:
     bounded: BoolArray = field(default_factory=lambda: np.zeros(3, bool))
 
 
-def between_sessions(cells: Cells, settings: SmoothSettings) -> TurnOn:
+def between_sessions(cells: Cells) -> TurnOn:
     """Find how much the offset moves between sessions."""
     numbers = np.unique(cells.session)
     shifts = _shifts(cells, numbers)
@@ -466,8 +545,7 @@ def between_sessions(cells: Cells, settings: SmoothSettings) -> TurnOn:
             cells.variance,
             regressors=np.column_stack(((cells.session[:, None] == numbers) @ shifts, cells.regressors)),
             groups=cells.groups,
-            scatter=Scatter(correlation=cells.correlation, variance=cells.instability),
-            settings=settings,
+            scatter=Scatter(correlation=cells.visits, expected=cells.expected, shared=cells.instability),
         )
     except NotObservable:
         return unknown

@@ -5,7 +5,8 @@ At one soak, after the offset table is subtracted, each sensor i reads ::
     u_i - offset_i(T) = sum_j K_ij w_j + d_im + noise        j the axes that were turned, m the mounting
 
 A mounting is a stretch of one soak in which the device turned about one direction of its case. d is what soak and mounting leave of
-the offset (hysteresis, warm-up, g-sensitivity); it is fitted where a mounting has two rates or more. An axis that no soak turned
+the offset (hysteresis, warm-up, g-sensitivity); it is fitted where a mounting has two rates or more. Where it has one rate, one way
+round, the mean reading of the rests of the same soak is its zero; without rests the table is. An axis that no soak turned
 keeps its column of K from the calibration and has no uncertainty: nothing is known of it. Each K_ij(T) goes through a smoothing
 spline (fit/smooth.py), and ``M(T) = K(T)^-1`` with dM = -M dK M.
 
@@ -17,7 +18,7 @@ Scale factor asymmetry (IEEE Std 528): at each soak and axis, o the offset of th
     u = o + S+ max(w, 0) + S- min(w, 0)        asymmetry = 2 (S+ - S-) / (S+ + S-)
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -34,7 +35,8 @@ from undrift.units import si_factor
 _BENT = 8  # rows of a mounting from which a parabola and a cubic differ from noise
 _OWN = 0.9  # share of the turning rate from which a row counts for one axis alone
 _SAME_DIRECTION = 0.98  # cosine
-_SAME_POSE = 0.2  # of the largest difference between two poses
+_SAME_POSE = 0.2  # of the largest difference between two poses, or of gravity
+_SAME_RATE = 0.01  # of the greatest: rates of one mounting nearer to each other are one
 _SAME_TEMPERATURE_C = 1.5
 MATRIX_GAP_C = (
     10.0  # a node between soaks and further from both is extrapolated: matrices change more evenly than offsets
@@ -174,7 +176,7 @@ def _mountings(steps: Steps, rows: IntArray) -> tuple[FloatArray, FloatArray]:
     for m in np.unique(steps.mounting[rows]):
         inside = steps.mounting[rows] == m
         along = steps.along[rows][inside]
-        if len(np.unique(along)) < 2:
+        if _one_rate(along):
             continue
         offsets.append(inside.astype(float))
         if len(np.unique(np.abs(along))) > 3 and len(along) >= _BENT:
@@ -303,6 +305,38 @@ def steps_of(steps: RateSteps) -> Steps:
     own = {name: getattr(kept, name) for name in kept.__dataclass_fields__}
     own |= {"soak": soak, "gyro_variance": _variance(kept.gyro_variance, kept.gyro)}
     return Steps(**own, mounting=mounting, along=along, verdict=Verdict.of(*gaps))
+
+
+def _one_rate(along: FloatArray) -> bool:
+    return float(np.ptp(along)) < _SAME_RATE * float(np.abs(along).max())
+
+
+def of_one_rate(steps: Steps) -> BoolArray:
+    """Tell which rows belong to a mounting that turned at one rate, one way round: they do not show their own zero."""
+    alone = [m for m in np.unique(steps.mounting) if _one_rate(steps.along[steps.mounting == m])]
+    return np.isin(steps.mounting, alone)
+
+
+def with_rest_as_zero(
+    steps: Steps, blocks: RestBlocks | None, calibration: Calibration, static: StaticDrift | None
+) -> Steps:
+    """Return steps whose mountings of one rate have the rests of their soak at zero, in their own pose where one lay so."""
+    if blocks is None or not len(blocks):
+        return steps
+    zero = blocks.gyro - offset_at(blocks.temp_c, calibration, static)
+    gyro, variance, alone = steps.gyro.copy(), steps.gyro_variance.copy(), of_one_rate(steps)
+    for m in np.unique(steps.mounting[alone]):
+        rows = np.flatnonzero(steps.mounting == m)
+        near = np.abs(blocks.temp_c - steps.temp_c[rows].mean()) < _SAME_TEMPERATURE_C
+        near &= np.isfinite(zero).all(axis=1) & (blocks.session == steps.session[rows[0]])
+        pose = steps.accel[rows].mean(axis=0)
+        alike = near & (np.linalg.norm(blocks.accel - pose, axis=1) < _SAME_POSE * np.linalg.norm(pose))
+        own = zero[alike if alike.any() else near]
+        if len(own):
+            gyro[rows] -= own.mean(axis=0)
+            known = np.nan_to_num(blocks.gyro_variance[near]).mean(axis=0)
+            variance[rows] += (own.var(axis=0, ddof=1) if len(own) > 1 else known) / len(own)
+    return replace(steps, gyro=gyro, gyro_variance=variance)
 
 
 def _directions(rate_b: FloatArray) -> tuple[IntArray, FloatArray]:

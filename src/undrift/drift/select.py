@@ -1,9 +1,10 @@
 """Which tables a device needs: none, scale over temperature, dynamic drift, or both, by cross-validation.
 
 Each of the four is fitted without a soak (those between the first and the last) and without some of the rates, and predicts the
-steps that were held out: ``M(T) (u - offset(T)) - e`` less the imposed rate, all three axes, about the offset of their mounting.
+steps that were held out: ``M(T) (u - offset(T)) - e`` less the imposed rate, all three axes, about the offset of their mounting;
+with one rate one way round, about the rest of the same soak (drift/scale.py).
 The one with the least mean square is best; the simplest whose mean square lies within one standard error of it is taken [1]_; so
-is one whose rms is within 5 %, which no table is worth.
+is one whose rms is within 5 %, which no table is worth. Where nothing can be held out the matrix that was fitted is kept.
 
 Tables are cut to the temperatures asked for only after they were fitted and selected over all that was seen: a table holds its ends
 beyond them, and the selection would depend on the range. They are linear between nodes, so that cutting changes no value inside.
@@ -23,7 +24,7 @@ import numpy as np
 from undrift.arrays import BoolArray, FloatArray, IntArray
 from undrift.drift.dynamic import DEFAULT_STEP_C, DynamicFit, fit_dynamic
 from undrift.drift.observe import RateSteps, RestBlocks
-from undrift.drift.scale import ScaleFit, Steps, fit_scale, measured_rate, steps_of
+from undrift.drift.scale import ScaleFit, Steps, fit_scale, measured_rate, of_one_rate, steps_of, with_rest_as_zero
 from undrift.drift.static import StaticFit, TriadDrift, far_from_data
 from undrift.errors import CalibrationError, NotObservable
 from undrift.findings import Finding, finding
@@ -113,7 +114,7 @@ def choose_tables(
     between = DEFAULT_STEP_C * np.arange(np.ceil(low / DEFAULT_STEP_C), np.floor(high / DEFAULT_STEP_C) + 1.0)
     inside = between[(between > low + 1e-9) & (between < high - 1e-9)]
     nodes = np.concatenate(([low], inside, [high]))
-    clean = steps_of(steps)
+    clean = with_rest_as_zero(steps_of(steps), rests, calibration, static)
     numbers, point = _set_points(clean)
     if len(numbers) < 2:
         raise NotObservable(
@@ -147,7 +148,7 @@ def choose_tables(
         clean, fits, fitted, lambda of, which: _residuals(clean, of, which, calibration, static=static)
     )
     verdict, points = fits.verdict_of(table.chosen, table.why), int(point.max()) + 1
-    if points < 3:
+    if points < 3 and table.why.code != "drift.tables_unjudged":
         verdict = verdict.also(Verdict.of(finding("drift.tables_by_rates", "warn", set_points=points)))
     return Choice(
         scale=fits.scale, dynamic=fits.dynamic, both=fits.both, alternatives=table, verdict=verdict.also(clean.verdict)
@@ -176,9 +177,10 @@ def _cross_validated(
     residuals: Callable[[Fits, Alternative], FloatArray],
 ) -> Alternatives:
     by_soak, by_rate, everything = _soak_folds(steps), _rate_folds(steps), np.ones(len(steps), bool)
+    own_zero = np.where(of_one_rate(steps), -1, steps.mounting)
 
     def squares(fold: BoolArray, of: Fits, *, whole: bool) -> list[float]:
-        return [_mean_square(residuals(of, which), steps.mounting, fold, whole=whole) for which in ALTERNATIVES]
+        return [_mean_square(residuals(of, which), own_zero, fold, whole=whole) for which in ALTERNATIVES]
 
     in_fit = np.array(squares(everything, fits, whole=True))
     soak, rate = (
@@ -189,14 +191,14 @@ def _cross_validated(
     square = np.where(np.isnan(in_fit), np.nan, every.mean(axis=0) if len(every) else in_fit)
     error = every.std(axis=0, ddof=1) / np.sqrt(len(every)) if len(every) > 1 else np.zeros(len(ALTERNATIVES))
     rms, nothing = np.sqrt(square), np.full((1, len(ALTERNATIVES)), np.nan)
-    why = _selected(square, error, steps, len(by_soak))
+    why = _selected(square, error, steps, len(by_soak)) if len(every) else _unjudged(square, steps)
     return Alternatives(
         name=ALTERNATIVES,
         fitted_rms_dps=np.sqrt(in_fit) / RADIAN_PER_DEGREE,
         soak_rms_dps=np.sqrt((soak if len(soak) else nothing).mean(axis=0)) / RADIAN_PER_DEGREE,
         rate_rms_dps=np.sqrt((rate if len(rate) else nothing).mean(axis=0)) / RADIAN_PER_DEGREE,
         left_out_rms_dps=rms / RADIAN_PER_DEGREE,
-        standard_error_dps=0.5 * error / rms / RADIAN_PER_DEGREE,
+        standard_error_dps=0.5 * error / np.where(rms > 0.0, rms, np.inf) / RADIAN_PER_DEGREE,
         chosen=why.values["tables"],  # type: ignore[arg-type]
         why=why,
     )
@@ -219,6 +221,15 @@ def _selected(square: FloatArray, error: FloatArray, steps: Steps, held_out: int
     if chosen == best:
         return finding("drift.tables_best", "info", **values)
     return finding("drift.tables_simplest", "info", **values, best=ALTERNATIVES[best], best_dps=dps[best])
+
+
+def _unjudged(square: FloatArray, steps: Steps) -> Finding:
+    """Keep the matrix that was fitted: neither soaks nor rates can be held out."""
+    chosen = 1 if np.isfinite(square[1]) else int(np.nanargmin(square))
+    points = int(_set_points(steps)[1].max()) + 1
+    left = np.sqrt(square[[chosen, 0]]) / RADIAN_PER_DEGREE
+    values = {"tables": ALTERNATIVES[chosen], "set_points": points, "error_dps": left[0], "constant_dps": left[1]}
+    return finding("drift.tables_unjudged", "warn", **values)
 
 
 def _soak_folds(steps: Steps) -> list[BoolArray]:
@@ -246,10 +257,10 @@ def _rate_folds(steps: Steps) -> list[BoolArray]:
 
 
 def _mean_square(residuals: FloatArray, mounting: IntArray, fold: BoolArray, *, whole: bool) -> float:
-    """Return the mean square of the fold's residuals about its mountings' own offsets, (rad/s)^2."""
+    """Return the mean square of the fold's residuals about its mountings' own offsets, (rad/s)^2; mounting -1: about zero."""
     about = fold if whole else ~fold
     left = residuals[fold].copy()
-    for m in np.unique(mounting[fold]):
+    for m in np.unique(mounting[fold & (mounting >= 0)]):
         inside = about & (mounting == m)
         if inside.any():
             left[mounting[fold] == m] -= residuals[inside].mean(axis=0)

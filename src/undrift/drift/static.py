@@ -24,6 +24,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray
+from undrift.drift.hysteresis import LoopChoice, choose_loop
 from undrift.drift.observe import RestBlocks
 from undrift.drift.rests import (
     UNKNOWN_SCALE_PER_K,
@@ -38,7 +39,7 @@ from undrift.drift.rests import (
 )
 from undrift.errors import NotObservable
 from undrift.findings import Finding, finding
-from undrift.fit.smooth import NodeValues, Scatter, SmoothSettings, SmoothSpline, fit_smooth, not_a_knot
+from undrift.fit.smooth import NodeValues, Scatter, SmoothSpline, fit_smooth, not_a_knot
 from undrift.model import AXES, Calibration, StaticDrift, TriadModel, Verdict, WarmUp
 
 _EDGE_C = 0.5  # a node this far outside the temperatures seen is extrapolated
@@ -51,6 +52,8 @@ _SLOPE_POINTS = 60
 _CHUNK_S = 120.0  # cells are cut there and at its doubles where a warm-up is fitted
 _SIGNIFICANT = 3.0  # standard uncertainties, on one axis or more
 _LEAST_OWN = 0.05  # of the variance of exp(-t / tau) that temperature does not explain
+_CHANCE = 1e-3  # of soaks that are missed by as much although the stated uncertainty is right
+_LEAST_LEFT_OUT, _FAR_BELOW = 5, 1.0 / 3.0  # soaks that are judged by; error over stated, on all axes
 _KNOTS = 6
 _NODES = 13
 _SPAN = 5.0  # time constants that a table covers
@@ -82,15 +85,22 @@ class OffsetCurve:
     cells: Cells  # what it was fitted to
     loop: Loop | None  # hysteresis, significant or not; None where it does not show
     kept_loop: bool  # whether the loop is part of the model
+    choice: LoopChoice | None  # how it is corrected, gyroscopes; None where that was not tried
     warm_up: WarmUp | None  # where it was asked for and observable
     turn_on: TurnOn | None  # None for one session
     findings: tuple[Finding, ...]
+
+    @property
+    def visit_variance(self) -> FloatArray:
+        """What a visit to come adds, (3,), raw unit squared: legs, and rests of one leg that disagree."""
+        rest = 0.0 if self.cells.between is None else self.cells.between.rest**2
+        return np.asarray(self.spline.visit_deviation**2 + rest)
 
     def through_set_points(self, nodes: FloatArray) -> NodeValues:
         """Return the note's curve: not-a-knot through the means of the set-points, effects subtracted."""
         cells = self.cells
         left = cells.value - cells.regressors @ self.spline.coefficient
-        own = cells.variance + self.spline.scatter_deviation**2 * np.diag(cells.correlation)[:, None]
+        own = cells.variance + self.spline.visit_deviation**2
         order = np.argsort(cells.temp_c, kind="stable")
         joined = np.empty(len(order), np.int64)
         joined[order] = bins_of(cells.temp_c[order], 1.0)
@@ -112,7 +122,8 @@ class TriadDrift:
     """Offset over temperature of one triad, n nodes, raw unit."""
 
     offset: FloatArray | None  # (n, 3), absolute; None where only the change is known
-    uncertainty: FloatArray  # (n, 3), standard uncertainty of each node
+    uncertainty: FloatArray  # (n, 3), standard uncertainty of each node, for a visit to come
+    visit: FloatArray  # (3,), standard deviation of what one visit adds; part of ``uncertainty``
     extrapolated: BoolArray  # (n,), true where no data were near
     slope: FloatArray  # (3,), mean over the temperatures of the blocks, raw unit per K
     slope_uncertainty: FloatArray  # (3,)
@@ -121,6 +132,11 @@ class TriadDrift:
     offsets: Offsets  # what it was fitted to
     # (n, 3), the part of ``uncertainty`` for a change of scale; None where gravity is not in the readings
     unknown_scale: FloatArray | None = None
+
+    @property
+    def curve_uncertainty(self) -> FloatArray:
+        """Standard uncertainty of the curve itself, the mean over visits, shape (n, 3)."""
+        return np.asarray(np.sqrt(np.maximum(self.uncertainty**2 - self.visit**2, 0.0)))
 
     @property
     def mostly_unknown_scale(self) -> bool:
@@ -153,7 +169,7 @@ def fit_static(
     found, gyro, accel = list[Finding](), None, None
     rates = gyro_offsets(blocks, calibration, settings.latitude_deg)
     if rates is not None:
-        gyro = _triad(rates, nodes, settings)
+        gyro = _triad(rates, nodes, settings, correct_loop=True)
         found += [*rates.findings, *gyro.curve.findings, *_triad_findings("gyroscope", gyro)]
     forces = accel_offsets(blocks, calibration, settings.accel_unit)
     if isinstance(forces, Finding):
@@ -170,23 +186,30 @@ def fit_static(
         f"{sensor}_{name}": getattr(triad, name)
         for sensor, triad in (("gyro", gyro), ("accel", accel))
         if triad is not None and triad.offset is not None
-        for name in ("offset", "uncertainty", "extrapolated")
+        for name in ("offset", "uncertainty", "extrapolated", "visit")
     }
     loop = gyro.curve.loop if gyro is not None and gyro.curve.kept_loop else None
     table = StaticDrift(
         temp_c=nodes,
         **columns,
         gyro_hysteresis=None if loop is None else loop.half,
+        hysteresis=None if gyro is None or gyro.curve.choice is None else gyro.curve.choice.hysteresis,
         warm_up=None if gyro is None else gyro.curve.warm_up,
     )
     return StaticFit(table=table, gyro=gyro, accel=accel, verdict=Verdict.of(*found))
 
 
 def _triad(
-    offsets: Offsets, nodes: FloatArray, settings: StaticSettings, reference: tuple[float, TriadModel] | None = None
+    offsets: Offsets,
+    nodes: FloatArray,
+    settings: StaticSettings,
+    reference: tuple[float, TriadModel] | None = None,
+    *,
+    correct_loop: bool = False,
 ) -> TriadDrift:
     """Fit one triad; with a reference the table is its offset plus the change since its temperature."""
-    curve, temp_c, n = fit_curve(offsets, warm_up=settings.warm_up), offsets.blocks.temp_c, len(nodes)
+    curve = fit_curve(offsets, warm_up=settings.warm_up, correct_loop=correct_loop)
+    temp_c, n = offsets.blocks.temp_c, len(nodes)
     inside = np.quantile(temp_c, np.linspace(0.0, 1.0, _SLOPE_POINTS))
     at = np.concatenate((nodes, inside, [nodes[0] if reference is None else reference[0]]))
     found = curve.through_set_points(at) if settings.not_a_knot else curve.spline.at(at)
@@ -198,6 +221,7 @@ def _triad(
         own = own + every[-1] - 2.0 * found.covariance[:, :n, -1].T + np.diag(model.covariance)[9:12]
     # Beside that of the middle curve: the session to come, the hysteresis half-width
     extra = offsets.common_variance + (0.0 if curve.turn_on is None else curve.turn_on.variance_to_come)
+    visit = curve.visit_variance
     if curve.kept_loop and curve.loop is not None:
         extra = extra + curve.loop.half**2
     temps, rows = found.temp_c[n : n + _SLOPE_POINTS], slice(n, n + _SLOPE_POINTS)
@@ -205,7 +229,8 @@ def _triad(
     slope_variance = np.einsum("i,kij,j->k", weight, found.covariance[:, rows, rows], weight)
     return TriadDrift(
         offset=value,
-        uncertainty=np.sqrt(np.maximum(own, 0.0) + extra),
+        uncertainty=np.sqrt(np.maximum(own, 0.0) + extra + visit),
+        visit=np.sqrt(visit),
         extrapolated=~near_data(nodes, temp_c, gap_c=_GAP_C),
         slope=np.asarray(weight @ found.value[rows]),
         slope_uncertainty=np.sqrt(np.maximum(slope_variance, 0.0)),
@@ -257,14 +282,20 @@ def _triad_findings(sensor: str, found: TriadDrift) -> list[Finding]:
     if loop is None:
         return far_from_data(sensor, found)
     size = {"half_width": loop.half, "uncertainty": loop.uncertainty}
-    seen = finding("drift.hysteresis" if kept else "drift.no_hysteresis", "info", sensor=sensor, **size)
+    choice = found.curve.choice
+    if choice is not None and choice.hysteresis is not None:
+        errors = {"left_out": choice.left_out, "left_out_middle": choice.left_out_middle}
+        crossing = {"crossing_k": choice.hysteresis.crossing_k, "doubt_k": choice.hysteresis.crossing_uncertainty_k}
+        seen = finding("drift.hysteresis_corrected", "info", sensor=sensor, **size, **crossing, **errors)
+    else:
+        seen = finding("drift.hysteresis" if kept else "drift.no_hysteresis", "info", sensor=sensor, **size)
     return [*far_from_data(sensor, found), seen]
 
 
 # ---- one triad: the curve with hysteresis, warm-up and sessions
 
 
-def fit_curve(offsets: Offsets, *, warm_up: bool) -> OffsetCurve:
+def fit_curve(offsets: Offsets, *, warm_up: bool, correct_loop: bool = False) -> OffsetCurve:
     """Fit offset over temperature and what goes beside it."""
     blocks, found, state = offsets.blocks, list[Finding](), cooling(offsets.blocks)
     seen = both_ways(blocks, state)
@@ -277,11 +308,17 @@ def fit_curve(offsets: Offsets, *, warm_up: bool) -> OffsetCurve:
         except NotObservable as error:
             own = error.numbers["share"]
             found.append(finding("drift.warm_up_not_observable", "info", percent=100.0 * (1.0 - own)))  # type: ignore[operator]
-    loop = None
+    loop, choice = None, None
     if seen:
-        full = _fitted(offsets, state, tau)
+        full = _fitted(offsets, state[:, None], tau, state)
         loop = Loop(half=full[1].coefficient[0], uncertainty=full[1].coefficient_uncertainty[0])
     kept = loop is not None and bool((np.abs(loop.half) > _SIGNIFICANT * loop.uncertainty).any())
+    if kept and correct_loop:
+        settling = 0.0 if tau is None else np.exp(-blocks.power_on_s / tau)[:, None] * full[1].coefficient[-1]
+        choice = choose_loop(blocks, offsets.value - settling, lambda *given: _fitted_to(offsets, tau, *given))
+    if choice is not None and choice.hysteresis is not None:
+        full = choice.fitted
+        loop = Loop(half=full[1].coefficient[0], uncertainty=full[1].coefficient_uncertainty[0])
     cells, spline, turn_on = full if kept else _fitted(offsets, None, tau)
     if turn_on is None:
         found.append(finding("drift.one_session", "info"))
@@ -290,49 +327,78 @@ def fit_curve(offsets: Offsets, *, warm_up: bool) -> OffsetCurve:
     elif turn_on.bounded.any():
         axes = tuple(axis for axis, held in zip(AXES, turn_on.bounded, strict=True) if held)
         found.append(finding("drift.turn_on_bound", "info", sessions=turn_on.sessions, axes=axes))
+    found += _left_out_findings(spline)
     return OffsetCurve(
         spline=spline,
         cells=cells,
         loop=loop,
         kept_loop=kept,
+        choice=choice,
         warm_up=None if tau is None else warm_up_table(tau, spline.coefficient[-1]),
         turn_on=turn_on,
         findings=tuple(found),
     )
 
 
-def _fitted(offsets: Offsets, state: FloatArray | None, tau: float | None) -> tuple[Cells, SmoothSpline, TurnOn | None]:
-    """Fit the curve, with a loop where the state in it is given, and with a warm-up where its time constant is."""
+def _fitted_to(
+    offsets: Offsets, tau: float | None, rows: BoolArray, state: FloatArray | None, direction: FloatArray
+) -> tuple[Cells, SmoothSpline, TurnOn | None]:
+    """Fit some of the blocks, as ``choose_loop`` asks."""
+    step = offsets.step_error
+    taken = replace(
+        offsets,
+        blocks=offsets.blocks.taken(rows),
+        value=offsets.value[rows],
+        variance=offsets.variance[rows],
+        step_error=None if step is None else step[rows],
+    )
+    return _fitted(taken, None if state is None else state[rows], tau, direction[rows])
+
+
+def _fitted(
+    offsets: Offsets, state: FloatArray | None, tau: float | None, direction: FloatArray | None = None
+) -> tuple[Cells, SmoothSpline, TurnOn | None]:
+    """Fit the curve, with a loop where regressors of it are given, (n, p), and with a warm-up where its time constant is."""
     blocks = offsets.blocks
-    columns = [] if state is None else [state]
+    columns = [] if state is None else list(state.T)
     if tau is not None:
         columns.append(np.exp(-blocks.power_on_s / tau))
     cells = gather(
         blocks,
         offsets.value,
         offsets.variance,
-        direction=np.zeros(len(blocks)) if state is None else state,
+        direction=np.zeros(len(blocks)) if direction is None else direction,
         regressors=np.array(columns).reshape(-1, len(blocks)).T,
         step_error=offsets.step_error,
         chunk_s=np.inf if tau is None else _CHUNK_S,
     )
-    smooth, turn_on, shared = SmoothSettings(), None, None if cells.between is None else cells.between.shared
-    if cells.pairs:  # few pairs know the scatter less well than hundreds of blocks
-        smooth = SmoothSettings(scatter_spread=float(np.hypot(smooth.scatter_spread, np.sqrt(2.0 / cells.pairs))))
+    turn_on, shared = None, cells.instability if cells.between is None else cells.instability + cells.between.shared
     if len(np.unique(cells.session)) > 1:
-        turn_on = between_sessions(cells, smooth)
+        turn_on = between_sessions(cells)
         of_sessions = np.nan_to_num(turn_on.variance)[:, None, None] * (cells.session[:, None] == cells.session)
-        shared = of_sessions if shared is None else of_sessions + shared
+        shared = of_sessions + shared
     spline = fit_smooth(
         cells.temp_c,
         cells.value,
         cells.variance,
         regressors=cells.regressors if columns else None,
         groups=cells.groups,
-        scatter=Scatter(correlation=cells.correlation, variance=cells.instability, shared=shared),
-        settings=smooth,
+        scatter=Scatter(correlation=cells.visits, expected=cells.expected, shared=shared),
     )
     return cells, spline, turn_on
+
+
+def _left_out_findings(spline: SmoothSpline) -> list[Finding]:
+    """Return the finding that soaks, left out in turn, are missed by more or by far less than is stated."""
+    from scipy.special import chdtri
+
+    count, ratio = spline.groups_left_out, spline.leave_out_ratio
+    if count < _LEAST_LEFT_OUT or np.isnan(ratio).any():
+        return []
+    size = {"ratio": ratio, "groups": count}
+    if ratio.max() > np.sqrt(chdtri(count, _CHANCE / len(ratio)) / count):
+        return [finding("drift.left_out_above", "warn", **size)]
+    return [finding("drift.left_out_below", "info", **size)] if ratio.max() < _FAR_BELOW else []
 
 
 def _no_loop(blocks: RestBlocks, state: FloatArray) -> Finding:

@@ -1,15 +1,24 @@
-"""Curves over temperature, with their covariance: through every point (``not_a_knot``), or as stiff as the data allow.
+"""Curves over temperature, with their covariance: through every point (``not_a_knot``), or as smooth as the data show.
 
-    y = f(x) + Z c + e     f = a + b x + g p(x) + sqrt(q) * integral of a Wiener process,  cov e = diag(v) + s2 C
-    x = (T - T_0) / span, T_0 the middle; p = 4 x^2 between the ends, its tangents outside; v, C known, q and s2 to be found
+    y_i = f(x_i) + Z_i c + u_i + e_i        f = a + b x + g p(x) + sqrt(q) * integral of a Wiener process
+    x = (T - T_0) / span, T_0 the middle of the data;  p = 4 x^2 between the ends of the data, its tangents outside
+    u: what one visit to a temperature adds and the next does not, variance s2, correlation C;  e: known covariance
 
-The mean of f given y is the cubic smoothing spline with stiffness s2 / q; its covariance grows with the cube of the distance
-outside the data (Wahba 1978). a, b, c have no prior; g, the bow, a wide one about 0, as drift curves are parabolas first of
-all. With K = q k + g2 p p' + cov e, H = (1, x, Z) and P = K^-1 - K^-1 H (H' K^-1 H)^-1 H' K^-1, rows I left out are predicted
-with the error P_II^-1 (P y)_I of covariance P_II^-1: no second fit. One pair (q, s2) is seldom certain: every pair on a grid
-weighs by the density of what was left out, times a wide prior on the bend; the grid is laid over the prior, then about what the
-first round left. Value and covariance are those of the mixture, widened by Student's factor. s2 is the floor under the variance
-of a cell with a thousand blocks.
+a, b, c have no prior; g, the bow, a wide one about 0, as drift curves are parabolas first of all: its slope changes by as much as
+its mean over 10 K. The two sizes that only the rows can show have half-t priors of three degrees of freedom (Gelman 2006). Scale of
+sqrt(s2): 3.1 times what is expected, which is 0.1 % of the range of the values and 0.78 times the noise of a row at least; of
+sqrt(q): bends by which a curve over 50 K departs from its parabola by 0.247 % of the range, rms. Neither is larger than
+the residuals about a parabola leave open.
+
+Restricted likelihood (Harville 1977): with A orthonormal, A' (1, x, Z) = 0, the contrasts A'y know nothing of a, b and c. For each
+s2, one eigendecomposition makes A' K A = q W^-T diag(l) W^-1 + W^-T W^-1, so that every q costs n products::
+
+    -2 log L = sum log(1 + q l) + sum z^2 / (1 + q l) - 2 log |W|,   z = W' A'y
+
+One pair (q, s2) is seldom certain: mean and covariance are those of the mixture over all pairs, weighted by L times the priors. So
+the covariance holds the uncertainty of the hyperparameters; for n contrasts it is wider than at the best pair by about n / (n - 2),
+the variance of Student's t. Rows I that are left out are predicted with the error P_II^-1 (P y)_I of covariance P_II^-1, where
+P = A (A'KA)^-1 A' at the mean q and s2: no second fit.
 """
 
 from dataclasses import dataclass
@@ -20,79 +29,55 @@ from undrift.arrays import FloatArray, IntArray
 from undrift.errors import InputError, NotObservable
 
 _JITTER = 1e-11  # of the variance of the values: keeps a curve through exact values solvable
-_NEGLIGIBLE = 1e-5  # weight
-_LEAST_GROUPS = 5  # fewer groups cannot be left out one by one
-_POINTS = 9  # of the grid along each hyperparameter, in each of two rounds
 _ENDS = np.array([-0.5, -0.4, 0.4, 0.5])  # scaled temperature: where the slope at either end of the data is taken
-
-
-# What a curve is taken to be before the data: its slope changes by as much as the mean slope over this span, degC, for the
-# parabola and the random bends, with this standard deviation of the logarithm of q.
-_BEND_SPAN_C, _BEND_SPREAD = 50.0, 2.3
+_BOW_SPAN_C = 10.0  # of the bow: the slope changes by as much as the mean slope over this span
+_BEND_SPAN_C = 50.0
+_DEPARTURE = 2.47e-3  # of the range of the values over 50 K: by which a curve usually departs from its parabola
+_PER_BEND = 0.0202  # that departure, root-mean-square, for q = 1
+_VISITS, _OF_NOISE = 1e-3, 0.78  # of the range, and of the noise of a row: scatter of visits that is expected at least
+_USUAL = 3.1  # times what is expected of visits: the scale of their prior
+_MOST, _BESIDE = (
+    1.5,
+    1.29,
+)  # times the rms residuals about the parabola, and times what is expected: visits add no more than both
+_LEAST = 0.03  # of what is expected: the least
+_LEVELS, _BENDS = 8, 24  # of the grid over s2, in each of two rounds, and over q
+_NEGLIGIBLE = 1e-4  # weight
 _GROUPS = 12  # of neighbours that are left out in turn where no groups are given; at most one a point
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SmoothSettings:
-    """What is known of the scatter before the data."""
-
-    # Standard deviation of the logarithm of s2 about a stated one: hundreds of blocks show that within a tenth, and the
-    # law by which it is carried to hours within a factor of two
-    scatter_spread: float = 0.7
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Scatter:
     """How n rows scatter beyond their stated variance."""
 
-    correlation: FloatArray | None = None  # (n, n), C, of that scatter; None for independent rows
-    variance: FloatArray | None = None  # (k,), what is known of s2 beforehand, unit squared; None where nothing is
+    correlation: FloatArray | None = None  # (n, n), C, diagonal 1; None where every row is a visit of its own
+    expected: FloatArray | None = None  # (k,), sqrt(s2) as it is expected before the data; None where nothing is known
     shared: FloatArray | None = None  # (k, n, n), known covariance, as of rows of one session, unit squared
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Problem:
-    """One column of n values over scaled temperature, any unit."""
+class Column:
+    """One column of n values, and the pairs of hyperparameters that count: L of s2, each with B of q."""
 
     x: FloatArray  # (n,), scaled temperature
     y: FloatArray  # (n,)
-    variance: FloatArray  # (n,), v
     basis: FloatArray  # (n, 2 + p), H: ones, x, and p regressors
+    known: FloatArray  # (n, n), covariance of e
     correlation: FloatArray  # (n, n), C
-    groups: IntArray  # (n,), rows of one number are left out together
-    shared: FloatArray | float = 0.0  # (n, n), known covariance of the rows
-    bow: float = 0.0  # g2, prior variance of g; 0 for no parabola
+    bow: float  # prior variance of g
+    bend: FloatArray  # (B,), q
+    scatter: FloatArray  # (L,), s2
+    weight: FloatArray  # (L, B)
+    size: FloatArray  # (L, r), l
+    turn: FloatArray  # (L, r, r), W
 
-    def covariance(self, bend: FloatArray, scatter: FloatArray) -> FloatArray:
-        """Return K for each pair of hyperparameters, (G,) and (G,) -> (G, n, n)."""
+    @property
+    def covariance(self) -> FloatArray:
+        """K at the mean of the hyperparameters, (n, n)."""
+        q, s2 = self.weight.sum(axis=0) @ self.bend, self.weight.sum(axis=1) @ self.scatter
         bow = parabola(self.x)
-        own = self.shared + self.bow * np.outer(bow, bow)
-        own = own + np.diag(self.variance + _JITTER * max(float(np.var(self.y)), 1e-300))
-        rest = scatter[:, None, None] * self.correlation
-        return np.asarray(bend[:, None, None] * bending(self.x, self.x) + own + rest)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Solved:
-    """A problem at G pairs of hyperparameters."""
-
-    inverse: FloatArray  # (G, n, n), K^-1
-    projected: FloatArray  # (G, n, n), P
-    beta_covariance: FloatArray  # (G, 2 + p, 2 + p), (H' K^-1 H)^-1
-    beta: FloatArray  # (G, 2 + p), a, b and c
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Weighed:
-    """One column: the pairs of hyperparameters that count, and what they make of the p regressors."""
-
-    problem: Problem
-    bend: FloatArray  # (G,), q
-    scatter: FloatArray  # (G,), s2
-    weight: FloatArray  # (G,)
-    coefficient: FloatArray  # (p,), of the regressors
-    uncertainty: FloatArray  # (p,), of them
-    leave_out_rms: float  # unit of the values
+        signal = q * bending(self.x, self.x) + self.bow * np.outer(bow, bow)
+        return np.asarray(signal + s2 * self.correlation + self.known)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -116,29 +101,31 @@ class SmoothSpline:
 
     origin_c: float  # T_0, degC
     span_c: float  # of the scaled temperature, degC
-    columns: tuple[Weighed, ...]
+    columns: tuple[Column, ...]
     coefficient: FloatArray  # (p, k), of the regressors, unit of the values per unit of the regressor
     coefficient_uncertainty: FloatArray  # (p, k), standard uncertainty of each
-    scatter_deviation: FloatArray  # (k,), root of the mean s2, unit of the values
-    leave_out_rms: FloatArray  # (k,), error of values left out between others, unit of the values; NaN without any
-    # Factor on variances for few rows: (t / z)^2 with the 97.5 % points of Student's distribution and the normal
-    widening: float
+    visit_deviation: FloatArray  # (k,), root of the mean s2: what a visit to come adds, unit of the values
+    leave_out_rms: FloatArray  # (k,), error of groups left out between others, unit of the values; NaN without any
+    leave_out_ratio: (
+        FloatArray  # (k,), rms of the errors of the means of all groups left out, each over its stated deviation
+    )
+    groups_left_out: int  # how many groups that ratio comes from
 
     def at(self, temp_c: FloatArray) -> NodeValues:
         """Return the curves at nodes, (m,) degC; regressors count as 0 there."""
-        nodes = (np.asarray(temp_c, float) - self.origin_c) / self.span_c
+        nodes, n = (np.asarray(temp_c, float) - self.origin_c) / self.span_c, len(temp_c)
         beyond = 0.5 * np.maximum(np.abs(nodes) - 0.5, 0.0) ** 2
         asked = np.concatenate((nodes, _ENDS))
         values, covariances = [], []
         for column in self.columns:
-            mean, both = curve_at(column, asked)
-            n = len(nodes)
+            mean, both = predicted(column, asked)
             slopes = np.diff(mean[n:])[::2] / (_ENDS[1] - _ENDS[0])
             bow = beyond * (slopes[1] - slopes[0])  # the curvature continues outside
             values.append(mean[:n])
             covariances.append(both[:n, :n] + np.outer(bow, bow))
-        covariance = self.widening * np.array(covariances)
-        return NodeValues(temp_c=np.array(temp_c, float), value=np.stack(values, axis=1), covariance=covariance)
+        return NodeValues(
+            temp_c=np.array(temp_c, float), value=np.stack(values, axis=1), covariance=np.array(covariances)
+        )
 
 
 def fit_smooth(
@@ -149,11 +136,10 @@ def fit_smooth(
     regressors: FloatArray | None = None,
     groups: IntArray | None = None,
     scatter: Scatter = Scatter(),
-    settings: SmoothSettings = SmoothSettings(),
 ) -> SmoothSpline:
-    """Fit a smoothing spline to each column, its stiffness weighed by leave-out error.
+    """Fit a smoothing spline to each column by restricted likelihood.
 
-    Rows: temp_c (n,) degC, value and variance (n, k), regressors (n, p), groups (n,).
+    Rows: temp_c (n,) degC, value and variance (n, k), regressors (n, p); groups (n,) are left out together.
     """
     span = float(np.ptp(temp_c)) if len(temp_c) else 0.0
     if span <= 0.0:
@@ -170,32 +156,27 @@ def fit_smooth(
         )
     groups = neighbours(temp_c, _GROUPS) if groups is None else groups
     correlation = np.eye(len(x)) if scatter.correlation is None else scatter.correlation
-    parts = []
-    for column in range(value.shape[1]):
-        y, v = value[:, column], variance[:, column]
-        problem = Problem(
-            x=x,
-            y=y,
-            variance=v,
-            basis=basis,
-            correlation=correlation,
-            groups=groups,
-            shared=0.0 if scatter.shared is None else scatter.shared[column],
-            bow=(span / (8.0 * _BEND_SPAN_C)) ** 2 * _size(y, v),
-        )
-        known = None if scatter.variance is None else float(scatter.variance[column])
-        parts.append(weigh(problem, known, span, settings.scatter_spread))
-    freedom = 0.0 if scatter.variance is None else 2.0 / settings.scatter_spread**2
-    widening = widening_of(max(len(x) - basis.shape[1] - 1, 0) + freedom)
+    columns, effects, left_out = [], [], []
+    usual = float(np.sqrt(np.mean(np.ptp(value, axis=0) ** 2)))  # columns of one fit are alike
+    for k in range(value.shape[1]):
+        known = np.diag(variance[:, k]) + (0.0 if scatter.shared is None else scatter.shared[k])
+        expected = 0.0 if scatter.expected is None else float(scatter.expected[k])
+        columns.append(_weighed(x, value[:, k], basis, known, correlation, span, expected, usual))
+        mean, covariance = predicted(columns[-1], np.zeros(0))
+        effects.append((mean, np.sqrt(np.maximum(np.diag(covariance), 0.0))))
+        left_out.append(leave_out(columns[-1], groups))
+    coefficient, doubt = (np.stack(each, axis=1) for each in zip(*effects, strict=True))
+    rms, ratio = np.array(left_out).T
     return SmoothSpline(
         origin_c=origin,
         span_c=span,
-        columns=tuple(parts),
-        coefficient=np.stack([part.coefficient for part in parts], axis=1),
-        coefficient_uncertainty=np.sqrt(widening) * np.stack([part.uncertainty for part in parts], axis=1),
-        scatter_deviation=np.array([np.sqrt(part.weight @ part.scatter) for part in parts]),
-        leave_out_rms=np.array([part.leave_out_rms for part in parts]),
-        widening=widening,
+        columns=tuple(columns),
+        coefficient=coefficient,
+        coefficient_uncertainty=doubt,
+        visit_deviation=np.array([np.sqrt(c.weight.sum(axis=1) @ c.scatter) for c in columns]),
+        leave_out_rms=rms,
+        leave_out_ratio=ratio,
+        groups_left_out=len(np.unique(groups)),
     )
 
 
@@ -222,57 +203,6 @@ def not_a_knot(temp_c: FloatArray, value: FloatArray, variance: FloatArray, node
     return NodeValues(temp_c=np.array(nodes, float), value=basis @ value, covariance=covariance)
 
 
-# ---- which stiffness: pairs (q, s2) on a grid, weighed by leave-out error
-
-
-def weigh(problem: Problem, known: float | None, span: float, scatter_spread: float) -> Weighed:
-    """Return the pairs of hyperparameters that count; known is s2 where something is known of it beforehand."""
-    size = _size(problem.y, problem.variance)
-    stated = known is not None and known > 0.0
-    if known is not None and stated:
-        middle, width = float(np.log(known)), scatter_spread
-    else:
-        middle, width = _scatter_range(problem, size)
-    # Logarithms of q and s2; that of s2 is no prior but a range for the grid unless it is stated.
-    prior, prior_spread = np.array([np.log(size * span / _BEND_SPAN_C), middle]), np.array([_BEND_SPREAD, width])
-    centre, spread, steps = prior, prior_spread, np.linspace(-3.0, 3.0, _POINTS)
-    for _ in range(2):
-        grid = np.array([g.ravel() for g in np.meshgrid(*(centre[:, None] + spread[:, None] * steps))])
-        made = solved(problem, *np.exp(grid))
-        off = -0.5 * ((grid - prior[:, None]) / prior_spread[:, None]) ** 2
-        score, square = leave_out(problem, made)
-        if len(np.unique(problem.groups)) < _LEAST_GROUPS:
-            score = restricted_likelihood(problem, made)
-        total = score + (off[0] + off[1] if stated else off[0])
-        weight = np.exp(total - total.max())
-        weight = weight / weight.sum()
-        centre = np.array([weight @ g for g in grid])
-        own = np.array([np.sqrt(weight @ (g - middle) ** 2) for g, middle in zip(grid, centre, strict=True)])
-        spread = np.maximum(own, spread * 3.0 / (_POINTS - 1))  # no finer than its own step resolves
-    kept = weight > _NEGLIGIBLE
-    weight = weight[kept] / weight[kept].sum()
-    beta, covariance = made.beta[kept, 2:], np.diagonal(made.beta_covariance[kept], axis1=1, axis2=2)[:, 2:]
-    coefficient = weight @ beta
-    return Weighed(
-        problem=problem,
-        bend=np.exp(grid[0, kept]),
-        scatter=np.exp(grid[1, kept]),
-        weight=weight,
-        coefficient=coefficient,
-        uncertainty=np.sqrt(weight @ (covariance + (beta - coefficient) ** 2)),
-        leave_out_rms=float(np.sqrt(weight @ square[kept])),
-    )
-
-
-def _scatter_range(problem: Problem, size: float) -> tuple[float, float]:
-    """Return middle and spread of the logarithm of s2 where nothing is known of it."""
-    left = problem.y - problem.basis @ np.linalg.lstsq(problem.basis, problem.y, rcond=None)[0]
-    noise = float(np.median(problem.variance))
-    most = max(4.0 * float(np.mean(left**2)), noise, 1e-12 * size)
-    least = max(1e-2 * noise, 1e-6 * most)
-    return float(0.5 * np.log(most * least)), max(float(0.5 * np.log(most / least)) / 3.0, 0.3)
-
-
 def widening_of(freedom: float) -> float:
     """Return the factor on a variance for few degrees of freedom."""
     from scipy.stats import norm, t
@@ -280,12 +210,7 @@ def widening_of(freedom: float) -> float:
     return float((t.ppf(0.975, max(freedom, 1.0)) / norm.ppf(0.975)) ** 2)
 
 
-def _size(value: FloatArray, variance: FloatArray) -> float:
-    """Return the square of how far the values range, no less than their noise makes them."""
-    return max(float(np.ptp(value)) ** 2, 4.0 * float(np.median(variance)), 1e-300)
-
-
-# ---- the algebra of curves that bend at random
+# ---- the random part of a curve
 
 
 def bending(one: FloatArray, two: FloatArray) -> FloatArray:
@@ -306,67 +231,167 @@ def parabola(x: FloatArray) -> FloatArray:
     return np.asarray(4.0 * (inside**2 + size - inside))
 
 
-def solved(problem: Problem, bend: FloatArray, scatter: FloatArray) -> Solved:
-    """Solve a problem for each pair of hyperparameters q, s2, (G,) each."""
-    inverse = np.linalg.inv(problem.covariance(bend, scatter))
-    weighted = inverse @ problem.basis
-    beta_covariance = np.linalg.inv(np.swapaxes(problem.basis.T @ weighted, 1, 2))
-    projected = inverse - weighted @ beta_covariance @ np.swapaxes(weighted, 1, 2)
-    beta = np.einsum("gij,gnj,n->gi", beta_covariance, weighted, problem.y)
-    return Solved(inverse=inverse, projected=projected, beta_covariance=beta_covariance, beta=beta)
+# ---- hyperparameters: pairs (q, s2) on a grid, weighted by restricted likelihood and prior
 
 
-def leave_out(problem: Problem, made: Solved) -> tuple[FloatArray, FloatArray]:
-    """Return the log density of groups left out in turn, (G,), and the mean square of what was inside, (G,)."""
-    projected_y = made.projected @ problem.y
-    score, square, count = np.zeros(len(made.beta)), np.zeros(len(made.beta)), 0
-    ends = problem.groups[[np.argmin(problem.x), np.argmax(problem.x)]]
-    for number in np.unique(problem.groups):
-        inside = np.flatnonzero(problem.groups == number)
-        others = problem.basis[problem.groups != number]
-        if len(others) < others.shape[1] or np.linalg.matrix_rank(others) < others.shape[1]:
-            continue  # the others do not determine a line and the regressors
-        precision = made.projected[:, inside[:, None], inside]
-        own = projected_y[:, inside]
-        error = np.linalg.solve(precision, own[..., None])[..., 0]
-        score += 0.5 * (np.linalg.slogdet(precision)[1] - (own * error).sum(axis=1))
-        if number not in ends:
-            square += (error**2).sum(axis=1)
-            count += len(inside)
-    return score, square / count if count else np.full(len(score), np.nan)
-
-
-def restricted_likelihood(problem: Problem, made: Solved) -> FloatArray:
-    """Return the log restricted likelihood, (G,), up to a constant; serves where too few groups can be left out."""
-    misfit = np.einsum("n,gnm,m->g", problem.y, made.projected, problem.y)
-    log_det = np.linalg.slogdet(made.inverse)[1] + np.linalg.slogdet(made.beta_covariance)[1]
-    return np.asarray(0.5 * (log_det - misfit))
-
-
-def curve_at(column: Weighed, nodes: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the mixture's curve at nodes, (m,), and its covariance, (m, m), without the regressors."""
-    problem, bend, share = column.problem, column.bend[:, None, None], column.weight
-    made = solved(problem, column.bend, column.scatter)
-    bow = parabola(nodes)
-    cross = bend * bending(nodes, problem.x) + problem.bow * np.outer(bow, parabola(problem.x))
-    straight = np.zeros((len(nodes), problem.basis.shape[1]))
-    straight[:, 0], straight[:, 1] = 1.0, nodes
-    weight = cross @ made.inverse
-    value = made.beta @ straight.T + np.einsum("gmn,gn->gm", weight, problem.y - made.beta @ problem.basis.T)
-    lacking = straight - weight @ problem.basis
-    mean = share @ value
-    off = value - mean
-    covariance = (
-        (share @ column.bend) * bending(nodes, nodes)
-        + problem.bow * np.outer(bow, bow)
-        - _sum_of_products(share, weight, cross)
-        + _sum_of_products(share, lacking @ made.beta_covariance, lacking)
-        + (share * off.T) @ off
+def _weighed(
+    x: FloatArray,
+    y: FloatArray,
+    basis: FloatArray,
+    known: FloatArray,
+    correlation: FloatArray,
+    span: float,
+    expected: float,
+    size: float,
+) -> Column:
+    """Return a column with its hyperparameters; expected: sqrt(s2) before the data, 0 where nothing is known; size: usual range."""
+    noise = float(np.sqrt(np.median(np.diag(known))))
+    size = max(float(np.ptp(y)), size, 2.0 * noise, 1e-150)
+    known = known + np.eye(len(y)) * _JITTER * max(float(np.var(y)), 1e-300)
+    bow = (span / (8.0 * _BOW_SPAN_C) * size) ** 2
+    bent = np.column_stack((basis, parabola(x)))
+    left = y - bent @ np.linalg.lstsq(bent, y, rcond=None)[0]
+    rms = float(np.sqrt(left @ left / max(len(y) - bent.shape[1], 1)))
+    expected = max(expected, _VISITS * size, _OF_NOISE * noise)
+    usual = _DEPARTURE * size * np.sqrt(span / _BEND_SPAN_C) / _PER_BEND
+    # rows of one visit, which share u, show it by the mean of their residuals
+    shown = (
+        max(float(left @ correlation @ left), 0.0) * len(y) / max(float(left @ left), 1e-300) / (correlation**2).sum()
     )
-    return mean, covariance
+    # with what is known, visits make no more than 1.5 times the residuals, bends no more than these
+    visits, bends = (float(np.sqrt(max(rms**2 * part - noise**2, 0.0))) for part in (_MOST**2 * shown, 1.0))
+    levels: FloatArray = np.geomspace(_LEAST * expected, _BESIDE * expected + visits, _LEVELS)
+    roots: FloatArray = np.geomspace(_LEAST * usual, usual + bends / _PER_BEND, _BENDS)
+    parts = contrasts(x, basis)
+    fixed = known + bow * np.outer(parabola(x), parabola(x))
+    for last in (False, True):
+        eigen, turn, log = likelihood(parts, y, x, fixed, correlation, roots**2, levels**2)
+        prior = _half_t(levels, _USUAL * expected)[:, None] + _half_t(roots, usual)
+        weight = np.exp(log + prior - (log + prior).max())
+        if not last:
+            levels, roots = _finer(levels, weight.sum(axis=1)), _finer(roots, weight.sum(axis=0))
+    kept = weight.sum(axis=1) > _NEGLIGIBLE * weight.sum()
+    return Column(
+        x=x,
+        y=y,
+        basis=basis,
+        known=known,
+        correlation=correlation,
+        bow=bow,
+        bend=roots**2,
+        scatter=levels[kept] ** 2,
+        weight=weight[kept] / weight[kept].sum(),
+        size=eigen[kept],
+        turn=turn[kept],
+    )
 
 
-def _sum_of_products(share: FloatArray, one: FloatArray, two: FloatArray) -> FloatArray:
-    """Return the sum of share_g A_g B_g' over g, (m, m), of A and B (G, m, n)."""
-    wide = (share[:, None, None] * one).transpose(1, 0, 2).reshape(one.shape[1], -1)
-    return np.asarray(wide @ two.transpose(1, 0, 2).reshape(two.shape[1], -1).T)
+def _half_t(root: FloatArray, scale: float) -> FloatArray:
+    """Return the logarithm of the half-t density of three degrees of freedom, of log(root)."""
+    return np.asarray(np.log(root) - 2.0 * np.log1p((root / scale) ** 2 / 3.0))
+
+
+def _finer(root: FloatArray, weight: FloatArray) -> FloatArray:
+    """Return a grid as fine over the values that count."""
+    log, share = np.log(root), weight / weight.sum()
+    inside = np.flatnonzero(np.cumsum(share) > 1e-3)[0], np.flatnonzero(np.cumsum(share[::-1]) > 1e-3)[0]
+    low, high = max(inside[0] - 1, 0), min(len(log) - inside[1], len(log) - 1)
+    return np.asarray(np.exp(np.linspace(log[low], log[high], len(log))))
+
+
+def contrasts(x: FloatArray, basis: FloatArray) -> FloatArray:
+    """Return A, (n, n - 2 - p)."""
+    return np.asarray(np.linalg.qr(basis, mode="complete")[0][:, basis.shape[1] :])
+
+
+def likelihood(
+    a: FloatArray,
+    y: FloatArray,
+    x: FloatArray,
+    fixed: FloatArray,
+    correlation: FloatArray,
+    bend: FloatArray,
+    scatter: FloatArray,
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return l (L, r), W (L, r, r), and the log restricted likelihood, (L, B), up to a constant.
+
+    fixed (n, n): the covariance that depends on neither q nor s2.
+    """
+    rest = a.T @ fixed @ a + scatter[:, None, None] * (a.T @ correlation @ a)
+    factor = np.linalg.inv(np.linalg.cholesky(rest))
+    size, turn = np.linalg.eigh(factor @ (a.T @ bending(x, x) @ a) @ factor.swapaxes(1, 2))
+    size, turn = np.maximum(size, 0.0), factor.swapaxes(1, 2) @ turn
+    log = np.log(np.diagonal(factor, axis1=1, axis2=2)).sum(axis=1)
+    spread = 1.0 + bend[:, None] * size[:, None, :]
+    z = (a.T @ y @ turn)[:, None, :]
+    return size, turn, np.asarray(log[:, None] - 0.5 * (np.log(spread) + z**2 / spread).sum(axis=2))
+
+
+# ---- the mixture
+
+
+def predicted(column: Column, nodes: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the curve at nodes, (m,), with its covariance, (m, m); without nodes the p coefficients, with theirs.
+
+    f at the nodes less B y, B = H_nodes H^+, has no trend either: it is predicted from the contrasts alone.
+    """
+    x, n, p = column.x, len(nodes), column.basis.shape[1]
+    a, at_rows = contrasts(x, column.basis), parabola(x)
+    if n:
+        straight = np.column_stack((np.ones(n), nodes, np.zeros((n, p - 2))))
+        at_nodes, cross, own = parabola(nodes), bending(nodes, x), bending(nodes, nodes)
+    else:
+        n = p - 2
+        straight, at_nodes, cross, own = np.eye(p)[2:], np.zeros(n), np.zeros((n, len(x))), np.zeros((n, n))
+    by_trend = straight @ np.linalg.pinv(column.basis)
+    rows, bow = bending(x, x), column.bow
+    fixed = column.known + bow * np.outer(at_rows, at_rows)
+    size, w = column.size, column.turn
+    z = a.T @ column.y @ w
+    of_bends = (cross - by_trend @ rows) @ a @ w  # (L, m, r)
+    of_rest = bow * np.outer(at_nodes, at_rows) - by_trend @ fixed
+    of_rest = (of_rest - column.scatter[:, None, None] * (by_trend @ column.correlation)) @ a @ w
+    q, weight = column.bend[:, None], column.weight
+    filtered = 1.0 / (1.0 + q * size[:, None, :])  # (L, B, r)
+    values = (filtered * z[:, None]) @ of_rest.swapaxes(1, 2) + (filtered * q * z[:, None]) @ of_bends.swapaxes(1, 2)
+    values = values.reshape(weight.size, n)
+    mean = weight.ravel() @ values
+    apart = np.sqrt(weight).reshape(-1, 1) * (values - mean)
+    none, once, twice = (np.einsum("lb,lbr->lr", weight * column.bend**power, filtered) for power in range(3))
+    q_mean, s2_mean = column.weight.sum(axis=0) @ column.bend, column.weight.sum(axis=1) @ column.scatter
+    tied = by_trend @ (q_mean * rows + fixed + s2_mean * column.correlation) @ by_trend.T
+    crossed = (q_mean * cross + bow * np.outer(at_nodes, at_rows)) @ by_trend.T
+    covariance = q_mean * own + bow * np.outer(at_nodes, at_nodes) + tied - crossed - crossed.T + apart.T @ apart
+    both = _sum_of_products(of_rest * once[:, None], of_bends)
+    covariance -= _sum_of_products(of_rest * none[:, None], of_rest) + both + both.T
+    covariance -= _sum_of_products(of_bends * twice[:, None], of_bends)
+    return by_trend @ column.y + mean, np.asarray(covariance)
+
+
+def _sum_of_products(one: FloatArray, two: FloatArray) -> FloatArray:
+    """Return the sum of A_l B_l' over l, (m, m), of A and B (L, m, r)."""
+    m = one.shape[1]
+    wide = (m, one.shape[0] * one.shape[2])
+    return np.asarray(one.transpose(1, 0, 2).reshape(wide) @ two.transpose(1, 0, 2).reshape(wide).T)
+
+
+def leave_out(column: Column, groups: IntArray) -> tuple[float, float]:
+    """Return the rms error of groups left out between others, and the rms of the errors of all groups' means over their deviations.
+
+    NaN where no group can be left out: the others do not determine a line and the regressors.
+    """
+    a = contrasts(column.x, column.basis)
+    p = a @ np.linalg.solve(a.T @ column.covariance @ a, a.T)
+    ends = groups[[np.argmin(column.x), np.argmax(column.x)]]
+    between, scaled = list[float](), list[float]()
+    for number in np.unique(groups):
+        inside = np.flatnonzero(groups == number)
+        others = column.basis[groups != number]
+        if len(others) < others.shape[1] or np.linalg.matrix_rank(others) < others.shape[1]:
+            continue
+        stated = np.linalg.inv(p[np.ix_(inside, inside)])
+        error = stated @ p[inside] @ column.y
+        scaled.append(float(error.mean() ** 2 / stated.mean()))
+        between += [] if number in ends else (error**2).tolist()
+    nothing = float("nan")
+    return tuple(float(np.sqrt(np.mean(each))) if each else nothing for each in (between, scaled))  # type: ignore[return-value]

@@ -25,6 +25,7 @@ from undrift.model import (
     Calibration,
     DriftTables,
     DynamicDrift,
+    Hysteresis,
     Learnt,
     NoiseModel,
     Provenance,
@@ -86,6 +87,16 @@ class WarmUpFile(BaseModel, strict=True, extra="forbid", frozen=True):
     gyro_offset: list[Vector]
 
 
+class HysteresisFile(BaseModel, strict=True, extra="forbid", frozen=True):
+    """Loop of the gyroscopes' offset about the static table, raw unit; crossed over crossing_k, K."""
+
+    crossing_k: Finite
+    crossing_uncertainty_k: Finite
+    temp_c: Nodes
+    gyro_half_width: list[Vector]
+    gyro_uncertainty: list[Vector]
+
+
 class StaticFile(BaseModel, strict=True, extra="forbid", frozen=True):
     """Absolute offsets over temperature and their standard uncertainties, raw unit; temperatures in degC."""
 
@@ -97,6 +108,9 @@ class StaticFile(BaseModel, strict=True, extra="forbid", frozen=True):
     gyro_extrapolated: list[bool] | None = None
     accel_extrapolated: list[bool] | None = None
     gyro_hysteresis: Vector | None = None
+    gyro_visit: Vector | None = None
+    accel_visit: Vector | None = None
+    hysteresis: HysteresisFile | None = None
     warm_up: WarmUpFile | None = None
 
 
@@ -228,8 +242,9 @@ class CalibrationFile(BaseModel, strict=True, extra="forbid", frozen=True):
 
 ADC_KEYS = ("gyro_lsb", "gyro_rounding", "accel_lsb", "accel_rounding")
 LATER_KEYS = (
-    "gyro_uncertainty", "accel_uncertainty", "gyro_extrapolated", "accel_extrapolated", "gyro_hysteresis", "warm_up",
-    "uncertainty", "extrapolated",
+    "gyro_uncertainty", "accel_uncertainty", "gyro_extrapolated", "accel_extrapolated", "gyro_hysteresis", "hysteresis",
+    "warm_up",
+    "gyro_visit", "accel_visit", "uncertainty", "extrapolated",
 )  # fmt: skip
 
 
@@ -461,6 +476,13 @@ def _triad(file: TriadFile | None) -> TriadModel | None:
     )
 
 
+def _static(file: StaticFile | None) -> StaticDrift | None:
+    if file is None:
+        return None
+    loop, warm_up = _made(Hysteresis, file.hysteresis), _made(WarmUp, file.warm_up)
+    return _made(StaticDrift, file, hysteresis=loop, warm_up=warm_up)
+
+
 def _drift(file: DriftFile | None) -> DriftTables | None:
     if file is None:
         return None
@@ -472,7 +494,7 @@ def _drift(file: DriftFile | None) -> DriftTables | None:
     return _made(
         DriftTables,
         file,
-        static=_made(StaticDrift, static, warm_up=_made(WarmUp, None if static is None else static.warm_up)),
+        static=_static(static),
         scale=_made(ScaleDrift, file.scale),
         dynamic=_made(DynamicDrift, file.dynamic),
         learnt=made,

@@ -10,7 +10,8 @@ Three levels of correction: none (constant offset), static (offset over temperat
 rival that needs no chamber, the offset re-zeroed at a rest before the motion ("rest"), and both together ("full and rest"), as is
 recommended: the rest takes the offset of the day, the tables what a rest cannot know. Errors are those
 of the acquisition's 4 s from the start of integration; the note's 3.2 deg are 0.8 deg/s over it. The board warms from 25 degC
-while it is worn, with a time constant of 10 min, and has been worn for half an hour.
+while it is worn, with a time constant of 10 min, and has been worn for half an hour. That history is stated to the correction,
+which needs it where soaks both ways show hysteresis.
 
 The study's model is a unit without the effects that a study leaves out; the actual device is the same unit with them::
 
@@ -44,7 +45,7 @@ from undrift.study.case import ROOM_TEMP_C, WORN_S
 from undrift.study.plan import SAMPLE_RATE_HZ
 from undrift.study.run import Executor, InProcess
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
-from undrift.validation.trial import TRIAL_SETTINGS, Trial, validate_trial
+from undrift.validation.trial import TRIAL_SETTINGS, Trial, TrialSettings, validate_trial
 
 # ---- the simulated and the actual device
 
@@ -83,6 +84,7 @@ BENCH = BenchSettings(turn_rates=tuple(rate * RADIAN_PER_DEGREE for rate in rang
 RATES = tuple(rate * RADIAN_PER_DEGREE for rate in (45, 90))  # two of the note's, both ways, at each of the set-points
 THERMAL = ThermalSettings(bench=replace(BENCH, sample_rate_hz=50.0, turn_rates=RATES))
 OPTICS = OpticsSettings(gaps=0)
+WORN = TrialSettings(temp_history=(ROOM_TEMP_C,))  # where the board was before it was put on
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -173,11 +175,11 @@ def judge_compared(
     """Compare a worn trial with the optics for each of ``COMPARED``; levels: without tables, with the static one, with all."""
     none, _, full = levels
     trials = [
-        validate_trial(record, reference, calibration=level, name=name)
+        validate_trial(record, reference, calibration=level, settings=WORN, name=name)
         for level, name in zip(levels, names[:3], strict=True)
     ]
     for level, name in zip((none, full), names[3:], strict=True):
-        zeroed = correct_checked(record, level, offset="rest").record
+        zeroed = correct_checked(record, level, offset="rest", temp_history=WORN.temp_history).record
         trials.append(validate_trial(zeroed, reference, name=name))
     return tuple(trials)
 

@@ -31,6 +31,7 @@ from undrift.calibration.adc import identify_record_adc
 from undrift.correction.correct import Policy, correct_checked
 from undrift.correction.coverage import find_beyond
 from undrift.correction.rest import mean_variance
+from undrift.drift.hysteresis import TempHistory
 from undrift.drift.sessions import nominal_triad
 from undrift.errors import AlignmentError, InputError
 from undrift.findings import Finding, finding
@@ -310,6 +311,8 @@ class TrialSettings:
         Axes of the body that span its sagittal plane.
     power_on_s : float or None
         Time since power-on at the first sample, s; None where it is not known: then no warm-up is subtracted.
+    temp_history : str, sequence of float or None
+        Course of the temperature before the first sample, as ``correct`` has it; for calibrations that correct hysteresis.
     policy : str
         Temperatures outside a tuning table: "raise", "hold" its end, or "nan", as ``correct`` has it.
     lag : LagSettings
@@ -330,6 +333,7 @@ class TrialSettings:
     forward: Face = "+x"
     up: Face = "+z"
     power_on_s: float | None = None
+    temp_history: TempHistory | None = None
     policy: Policy = "raise"
     lag: LagSettings = LAG_SETTINGS
     align_above: float = 5.0 * RADIAN_PER_DEGREE
@@ -639,7 +643,8 @@ def _corrected(
         return done.record, (finding("validate.adc", "info", rounding=adc.gyro_rounding.replace("_", " ")),)
     if settings.adc == "none":
         calibration = replace(calibration, adc=None)
-    done = correct_checked(record, calibration, policy=settings.policy, power_on_s=settings.power_on_s)
+    since, history = settings.power_on_s, settings.temp_history
+    done = correct_checked(record, calibration, policy=settings.policy, power_on_s=since, temp_history=history)
     beyond = (one.text for one in find_beyond(done.record, calibration) if one.text)
     texts = (*done.warnings, *beyond, *done.notes)
     return done.record.in_si(), tuple(finding("validate.correction", "info", text=text) for text in texts)
