@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from drift.test_static import NODES, blocks
-from undrift.drift.hysteresis import LoopState, follow_loop, in_loop, state_of
+from undrift.drift.hysteresis import LoopState, follow_loop, positions, state_of
 from undrift.drift.static import fit_static
 from undrift.errors import InputError
 from undrift.model import Hysteresis
@@ -142,8 +142,8 @@ def test_the_position_follows_a_noisy_course_as_it_follows_the_true_one():
     )
     # means over 30 s of two readings a second: 0.3 K and steps of 0.5 K leave 0.05 K, five times that at most; 2 K for 1
     assert np.abs(noisy - clean).max() < 0.25 / 2.0
-    made = blocks(smooth[::20], np.zeros((len(smooth[::20]), 3)))
-    np.testing.assert_allclose(clean[::20][200:], in_loop(made, 4.0)[200:], atol=0.12)  # 30 s later at 0.24 K/min
+    whole = positions(smooth[::20], np.array([4.0])).mean(axis=0)[0]
+    np.testing.assert_allclose(clean[::20][200:], whole[200:], atol=0.12)  # 30 s later at 0.24 K/min
 
 
 def test_a_stated_history_reaches_a_short_recording_at_one_temperature():

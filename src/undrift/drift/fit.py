@@ -11,6 +11,7 @@ half step back first, as in ``correct``, so that a table is over the same number
 observable is a finding of the verdict, with the recording that would show it.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
@@ -202,6 +203,7 @@ def fit_drift(
     check_span(together, settings=settings.temperature)
     report("gathering rests and turns", 0.15)
     lag, lags_s, rests, course = _without_lag(sessions, trusted, settings)
+    static_settings = replace(static_settings, lag_doubt_s=_lag_doubt(lag, lags_s[0]))
     check_at_rest(rests, device)
     device, g_estimated = with_g_sensitivity(rests, device)
     steps = observe_steps(sessions, temperatures=course, settings=settings.observe)
@@ -255,6 +257,14 @@ def _checked(sessions: Sequence[Session], calibration: Calibration | None, setti
         raise InputError(f"drift: wanted a lag of 0 s or more, got {settings.lag_s:g}; state the thermometer's")
     check_once(sessions)
     return [in_one_unit(session) for session in sessions]
+
+
+def _lag_doubt(lag: LagFit | None, subtracted_s: float) -> float:
+    """Return the standard uncertainty of the lag that is left, s; one that ramps of one speed do not tell from hysteresis is whole."""
+    if lag is None:
+        return 0.0
+    left = 0.0 if subtracted_s else lag.lag_s
+    return math.hypot(left, lag.uncertainty_s if np.isfinite(lag.uncertainty_s) else 0.0)
 
 
 def _without_lag(
