@@ -5,17 +5,18 @@ simulator's loop, and the offset in its middle at a sensor temperature; ``readin
 the loop from a beginning that is not known.
 """
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
 from benchmarks.erring_bench import Row, Tally
 from undrift.arrays import FloatArray
 from undrift.drift.fit import DriftFit, DriftSettings, fit_drift
-from undrift.drift.hysteresis import follow_loop, state_of
+from undrift.drift.hysteresis import follow_loop, state_of, uncertain_share
 from undrift.errors import NotObservable
-from undrift.model import TriadModel
 from undrift.sim.device.effects import Hysteresis, Past, Scene
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.presets import random_device_of
@@ -26,7 +27,7 @@ from undrift.units import RADIAN_PER_DEGREE as DPS
 
 SHAPES = {"one play": (1.0,), "four plays": (0.4, 0.8, 1.2, 1.6), "eight plays": tuple(np.linspace(0.1, 2.5, 8))}
 BITS, PLAY_K = (12, 14, 16), (0.75, 4.0)
-_COURSE_C = (35.0, 41.0, 38.0, 47.0, 30.0)  # turns of a course to come
+COURSE_C = (35.0, 41.0, 38.0, 47.0, 30.0)  # turns of a course to come
 _STEP_C, _STEP_S = 0.05, 3.0
 
 
@@ -90,56 +91,48 @@ def _add_device(rng: np.random.Generator, widths: tuple[float, ...], tally: Tall
     ramp = RampSettings(low_c=low, high_c=low + span, up_c_per_min=up, down_c_per_min=down, hold_s=300.0)
     settings = ThermalSettings(bench=BenchSettings(sample_rate_hz=5.0), ramp=ramp)
     session = simulate_thermal_session("ramp", device, rng=rng, settings=settings)
-    calibration = true_calibration(device)
-    fit = fit_drift([session], calibration, settings=DriftSettings(step_c=1.0, tables="none"))
-    found, gyro = fit.static.gyro, calibration.gyro
-    if found is None or gyro is None or found.curve.loop is None:
+    fit = fit_drift([session], true_calibration(device), settings=DriftSettings(step_c=1.0, tables="none"))
+    found = fit.static.gyro
+    if found is None or found.curve.loop is None:
         raise NotObservable("loops: wanted a table with a loop, got none; draw another device")
-    raw = gyro.scale_factor
-    error, stated = found.curve.loop.half / raw - loop.amplitude, found.curve.loop.uncertainty / raw
-    groups = {"half-width": (error / DPS, stated / DPS)}
+    raw = device.gyro.gain * DPS  # the loop is not scaled by the sensitivity of the unit
+    groups = {"half-width": (found.curve.loop.half / raw - loop.amplitude / DPS, found.curve.loop.uncertainty / raw)}
     model = fit.static.table.hysteresis
     if model is not None:
-        groups["at ends"] = (
-            (model.gyro_half_width / raw - loop.amplitude) / DPS,
-            model.gyro_uncertainty / (raw * DPS),
-        )
-    tally.add(fit.verdict, **groups, reading=_readings(fit, device, loop, gyro))
+        groups["at ends"] = (model.gyro_half_width / raw - loop.amplitude / DPS, model.gyro_uncertainty / raw)
+    if model is not None and len(widths) == 1:
+        groups["crossing, K"] = np.array(model.crossing_k - 2.0 * loop.play_k), np.array(model.crossing_uncertainty_k)
+    tally.add(fit.verdict, **groups, reading=_readings(fit, device, loop))
 
 
-def _readings(fit: DriftFit, device: DeviceModel, loop: Plays, gyro: TriadModel) -> tuple[FloatArray, FloatArray]:
+def _readings(fit: DriftFit, device: DeviceModel, loop: Plays) -> tuple[FloatArray, FloatArray]:
     """Return errors of table and loop at five moments of a course to come, and what is stated, (5, 3) deg/s."""
     table, found = fit.static.table, fit.static.gyro
     if found is None or found.offset is None:
         raise NotObservable("loops: wanted a table of gyroscopes, got none; draw another device")
-    parts = [np.arange(0.0, abs(b - a), _STEP_C) * np.sign(b - a) + a for a, b in zip(_COURSE_C, _COURSE_C[1:], strict=False)]
-    true_c = np.concatenate(parts)
-    quiet = replace(device, gyro=replace(device.gyro, hysteresis=None)).without_noise()
+    legs = pairwise(COURSE_C)
+    true_c = np.concatenate([np.arange(a, b, math.copysign(_STEP_C, b - a)) for a, b in legs])
     position = loop.positions(true_c, [true_c[0] + loop.begin * w * loop.play_k for w in loop.widths])
     shown = true_c + device.thermometer.trim_error_c + device.thermometer.self_heating_c
-    at = np.linspace(0.02, 0.98, 5) * (len(shown) - 1)
-    at = at.astype(int)
-    offsets = []
-    for temp in true_c[at]:
-        held = true_calibration(quiet, temp_c=float(temp)).gyro
-        offsets.append(np.zeros(3) if held is None else held.offset / gyro.scale_factor)
-    truth = np.array(offsets) + position[at, None] * loop.amplitude
+    at = (np.linspace(0.02, 0.98, 5) * (len(shown) - 1)).astype(int)
+    quiet = replace(device, gyro=replace(device.gyro, hysteresis=None))
+    models = [true_calibration(quiet, temp_c=float(temp)).gyro for temp in true_c[at]]
+    truth = np.array([model.offset for model in models if model is not None])
+    truth = truth + np.outer(position[at], loop.amplitude * device.gyro.gain)
 
     def over(nodes: FloatArray, values: FloatArray) -> FloatArray:
         return np.column_stack([np.interp(shown[at], nodes, column) for column in values.T])
 
-    value, variance = over(table.temp_c, found.offset), over(table.temp_c, found.uncertainty**2)
-    model = table.hysteresis
-    if model is not None:
-        time = _STEP_S * np.arange(len(shown))
-        own = np.empty(len(at))
-        unknown = np.empty(len(at))
-        state = state_of(None, model.crossing_k)
-        begin = 0
-        for k, end in enumerate((at + 1).tolist()):
-            followed, state = follow_loop(shown[begin:end], time[begin:end], state=state)
-            own[k], unknown[k], begin = followed[-1], state.unknown, end
-        half = over(model.temp_c, model.gyro_half_width)
-        value = value + own[:, None] * half
-        variance = found.corrected_variance(variance, half, own, unknown)
-    return (value / gyro.scale_factor - truth) / DPS, np.sqrt(variance) / (gyro.scale_factor * DPS)
+    value, variance, model = over(table.temp_c, found.offset), over(table.temp_c, found.uncertainty**2), table.hysteresis
+    if model is not None and table.gyro_hysteresis is not None:
+        state, begin, known = state_of(None, model.crossing_k), 0, []
+        for end in (at + 1).tolist():
+            state = follow_loop(shown[begin:end], _STEP_S * np.arange(begin, end), state=state)[1]
+            known.append(uncertain_share(state, model.crossing_uncertainty_k))
+            begin = end
+        c, share = np.array(known).T[:, :, None]
+        half, own = over(model.temp_c, model.gyro_half_width), over(model.temp_c, model.gyro_uncertainty)
+        value = value + c * half
+        variance = variance - table.gyro_hysteresis**2 + (share * half) ** 2 + (c * own) ** 2
+    raw = device.gyro.gain * DPS
+    return (value - truth) / raw, np.sqrt(np.maximum(variance, 0.0)) / raw

@@ -50,6 +50,7 @@ RANGE_C = (18.0, 75.0)  # the note's
 STEP_C = 0.5
 MARGIN_C = 3.0  # tables reach no further beyond what was seen; the note's ends are taken where they are as near
 _SURE_LAG = 3.0  # standard uncertainties: a lag below is left in
+_LAG_BY_LOOPS_S = 15.0  # by which a loop of any shape moves the lag that is found, one standard deviation
 _INPUTS = "drift_inputs_before"  # setting: how many inputs the calibration had before a thermal fit
 
 TableChoice = Literal["auto"] | Alternative
@@ -260,11 +261,14 @@ def _checked(sessions: Sequence[Session], calibration: Calibration | None, setti
 
 
 def _lag_doubt(lag: LagFit | None, subtracted_s: float) -> float:
-    """Return the standard uncertainty of the lag that is left, s; one that ramps of one speed do not tell from hysteresis is whole."""
+    """Return the standard uncertainty of the lag that is left in temperatures, s; 0 where none was estimated.
+
+    What was found and not subtracted is all of it. Loops of another shape than two straight branches mislead the fit of the lag.
+    """
     if lag is None:
         return 0.0
-    left = 0.0 if subtracted_s else lag.lag_s
-    return math.hypot(left, lag.uncertainty_s if np.isfinite(lag.uncertainty_s) else 0.0)
+    left, own = 0.0 if subtracted_s else lag.lag_s, lag.uncertainty_s if np.isfinite(lag.uncertainty_s) else 0.0
+    return math.hypot(left, own, _LAG_BY_LOOPS_S)
 
 
 def _without_lag(

@@ -43,7 +43,7 @@ from undrift.errors import InputError, NotObservable
 from undrift.fit.smooth import Column, SmoothSpline, bending, parabola
 from undrift.model import Hysteresis
 
-TempHistory: TypeAlias = Literal["warming", "cooling"] | Sequence[float]
+TempHistory: TypeAlias = Literal["none", "warming", "cooling"] | Sequence[float]
 Fitted: TypeAlias = tuple[Cells, SmoothSpline, TurnOn | None]
 Fit: TypeAlias = Callable[[Cells, FloatArray], Fitted]  # fits cells with a known covariance beside their own, (3, n, n)
 
@@ -80,13 +80,16 @@ class LoopState:
 
 
 def state_of(history: TempHistory | None, crossing_k: float) -> LoopState:
-    """Return the state before a recording: from which side it came, or the temperatures at which its course turned."""
+    """Return the state before a recording: from which side it came, or the temperatures at which its course turned.
+
+    None: not known; "none" is for the caller, who then follows no loop.
+    """
     if history is None:
         return LoopState(crossing_k=crossing_k)
     if isinstance(history, str):
         if history not in ("warming", "cooling"):
             raise InputError(
-                f"temperature history: wanted warming, cooling or temperatures, got '{history}'; state one"
+                f"temperature history: wanted none, warming, cooling or temperatures, got '{history}'; state one"
             )
         side = -1.0 if history == "warming" else 1.0
         return LoopState(low=side, high=side, crossing_k=crossing_k)
@@ -111,6 +114,13 @@ def follow_loop(temp_c: FloatArray, time: FloatArray, *, state: LoopState) -> tu
     return position, LoopState(
         first=first, last=last, count=count, temp_c=mean, at_c=at, low=low, high=high, crossing_k=crossing
     )
+
+
+def uncertain_share(state: LoopState, crossing_uncertainty_k: float) -> FloatArray:
+    """Return the position, and its standard uncertainty: by what is not known of the beginning and by the crossing's doubt; (2,)."""
+    position = 0.5 * (state.low + state.high)
+    crossed = (1.0 - position**2) * crossing_uncertainty_k / state.crossing_k
+    return np.array([position, math.hypot(state.unknown, crossed)])
 
 
 def positions(temp_c: FloatArray, crossing_k: FloatArray) -> FloatArray:

@@ -77,6 +77,11 @@ class Loop:
     half: FloatArray  # (3,), h: offset while cooling minus offset while warming, over two, raw unit
     uncertainty: FloatArray  # (3,), standard uncertainty
 
+    @property
+    def significant(self) -> bool:
+        """Whether it shows on an axis or more."""
+        return bool((np.abs(self.half) > _SIGNIFICANT * self.uncertainty).any())
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class OffsetCurve:
@@ -321,13 +326,15 @@ def fit_curve(offsets: Offsets, *, warm_up: bool, lag_doubt_s: float | None = No
     if seen:
         full = _smoothed(cells)
         loop = _loop_of(full[1])
-        kept = bool((np.abs(loop.half) > _SIGNIFICANT * loop.uncertainty).any())
-    if kept and tried:
+        kept = loop.significant
+    if tried:
         missed = _missed(full[1], cells, of_course[:, 0], lag_doubt_s or 0.0)
         choice = choose_loop(cells, of_course[:, 1:], full[1], missed, _smoothed)
     if choice is not None:
         full = choice.fitted
         loop = _loop_of(full[1])
+        kept = kept or loop.significant
+        choice = choice if kept else None
     cells, spline, turn_on = full if kept else _smoothed(_cells(offsets, decay, None, tau))
     if turn_on is None:
         found.append(finding("drift.one_session", "info"))
