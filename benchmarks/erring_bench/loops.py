@@ -1,8 +1,7 @@
 """Hysteresis: half-widths and tables of drawn devices whose loops have a width, a shape and a beginning of their own.
 
-A ramp up and back at two speeds, with thermometer lag, trim error and noise, flicker and a converter. Truth is the half-width of the
-simulator's loop, and the offset in its middle at a sensor temperature; ``reading`` is the offset on a course to come, corrected by
-the loop from a beginning that is not known.
+A ramp up and back at two speeds, with thermometer lag, trim error and noise, flicker and a converter. Truth is the half-width of
+the simulator's loop; ``reading`` is the offset on a course to come, corrected by the loop from a beginning that is not known.
 """
 
 import math
@@ -123,7 +122,11 @@ def _readings(fit: DriftFit, device: DeviceModel, loop: Plays) -> tuple[FloatArr
     def over(nodes: FloatArray, values: FloatArray) -> FloatArray:
         return np.column_stack([np.interp(shown[at], nodes, column) for column in values.T])
 
-    value, variance, model = over(table.temp_c, found.offset), over(table.temp_c, found.uncertainty**2), table.hysteresis
+    value, variance, model = (
+        over(table.temp_c, found.offset),
+        over(table.temp_c, found.uncertainty**2),
+        table.hysteresis,
+    )
     if model is not None and table.gyro_hysteresis is not None:
         state, begin, known = state_of(None, model.crossing_k), 0, []
         for end in (at + 1).tolist():

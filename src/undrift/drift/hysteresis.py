@@ -22,9 +22,9 @@ g    misfit of the loop's shape: standard deviation a after a turn, falling as e
      over ``_ALIKE_C`` of temperature, not on the other
 l    lag of the thermometer that the fit of it may have missed; T' the slope of the temperature
 
-Each pair of w and a on a grid is weighted by its restricted likelihood, all axes together, at the covariance of f and e that a first
-fit has found (fit/smooth.py). Mean and spread of log w are the estimate and its uncertainty, and what is beside h m goes into the
-covariance of the last fit: half-widths and table state it. Set-points further apart than w cannot tell it.
+Each pair of w and a on a grid is weighted by its restricted likelihood, all axes together, at the covariance of f and e that a
+first fit has found (fit/smooth.py). Mean and spread of log w are the estimate and its uncertainty, and what is beside h m goes into
+the covariance of the last fit: half-widths and table state it. Set-points further apart than w cannot tell it.
 Three models are compared by their errors in bands of temperature left out: the middle of the loop, a constant h, and an h that
 changes with temperature, as a thermometer that lags leaves one. A model with more parameters has to be better by 2 %.
 """
@@ -117,7 +117,7 @@ def follow_loop(temp_c: FloatArray, time: FloatArray, *, state: LoopState) -> tu
 
 
 def uncertain_share(state: LoopState, crossing_uncertainty_k: float) -> FloatArray:
-    """Return the position, and its standard uncertainty: by what is not known of the beginning and by the crossing's doubt; (2,)."""
+    """Return the position and its standard uncertainty, by what is not known of the beginning and of the crossing; (2,)."""
     position = 0.5 * (state.low + state.high)
     crossed = (1.0 - position**2) * crossing_uncertainty_k / state.crossing_k
     return np.array([position, math.hypot(state.unknown, crossed)])
@@ -183,10 +183,12 @@ class _Loops:
         )
 
 
-def choose_loop(cells: Cells, course: FloatArray, first: SmoothSpline, missed: FloatArray, fit: Fit) -> LoopChoice | None:
+def choose_loop(
+    cells: Cells, course: FloatArray, first: SmoothSpline, missed: FloatArray, fit: Fit
+) -> LoopChoice | None:
     """Choose among the middle of the loop, a constant and a changing half-width; None where none can be left out.
 
-    course (n, 1 + 2 W): ``courses`` of the cells; first: a fit whose first regressor is a loop; missed (3, n): what lag may have left.
+    course (n, 1 + 2 W): ``courses`` of the cells; first: a fit whose first regressor is a loop; missed (3, n): by lag that is left.
     """
     loops, half = _Loops.of(cells, course), first.coefficient[0]
     others = cells.regressors[:, 1:]

@@ -96,7 +96,10 @@ def _tables(calibration: Calibration, drift: DriftTables) -> Iterator[tuple[Part
         if static.gyro_hysteresis is not None:
             gyro, half = calibration.gyro, static.gyro_hysteresis
             rate = half if gyro is None else half / gyro.scale_factor * si_factor(gyro.unit_out, "rate")
-            yield "hysteresis", finding("export.hysteresis", "warn", half_width_dps=np.abs(rate).max() / RADIAN_PER_DEGREE)
+            yield (
+                "hysteresis",
+                finding("export.hysteresis", "warn", half_width_dps=np.abs(rate).max() / RADIAN_PER_DEGREE),
+            )
         if static.warm_up is not None:
             yield "warm-up", finding("export.warm_up", "warn")
     if scale is not None:
