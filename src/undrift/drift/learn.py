@@ -9,13 +9,14 @@ Each recording is one switch-on. Its rests, in parts of 2 K, are observations of
          switch-on of the sessions behind it. A constant offset is a table of one node with one slope on both sides.
     a    ageing: a Wiener process from the date of the table, g2 a day
     s    turn-on bias repeatability, variance t2
-    e    noise of the rest, steps of a converter, the turn of a body, the half-width h of a loop that the table knows, and r2: poses,
-         bias instability, and what else differs from rest to rest, as hysteresis and thermometer lag do
+    e    noise of the rest, steps of a converter, the turn of a body, the half-width h of a loop that the table knows, and r2:
+         poses, bias instability, and what else differs from rest to rest, as hysteresis and thermometer lag do
 
 A Kalman filter over the recordings, in order of date, gives the likelihood of t, g, r and q at the points of a grid. Likelihood
 times a stated prior (log-normal) is the weight of a point, and the mixture is the result. Each point leaves out a rest that a
 contaminated normal distribution takes for an outlier. A node's uncertainty is that of a rest to come: curve, ageing so far, t2, h
-and r2, of which no number of rests makes the last three smaller. Learning always begins at the tables before and takes all rests so far: day by day and all at once give the same.
+and r2, of which no number of rests makes the last three smaller. Learning always begins at the tables before and takes all rests so
+far: day by day and all at once give the same.
 """
 
 import itertools
@@ -257,7 +258,9 @@ class _Level:
     deviation: FloatArray  # (k, 3), standard uncertainty
     slope: FloatArray  # (2, 3), beyond either end, per K
     slope_deviation: FloatArray  # (2, 3), likewise
-    loop: FloatArray = field(default_factory=lambda: np.zeros(3))  # (3,), half-width of the hysteresis, not in ``deviation``
+    loop: FloatArray = field(
+        default_factory=lambda: np.zeros(3)
+    )  # (3,), half-width of the hysteresis, not in ``deviation``
 
     @property
     def span_c(self) -> tuple[float, float]:
