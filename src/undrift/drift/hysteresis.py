@@ -26,7 +26,8 @@ Each pair of w and a on a grid is weighted by its restricted likelihood, all axe
 first fit has found (fit/smooth.py). Mean and spread of log w are the estimate and its uncertainty, and what is beside h m goes into
 the covariance of the last fit: half-widths and table state it. Set-points further apart than w cannot tell it.
 Three models are compared by their errors in bands of temperature left out: the middle of the loop, a constant h, and an h that
-changes with temperature, as a thermometer that lags leaves one. A model with more parameters has to be better by 2 %.
+changes with temperature. A model with more parameters has to be better by 2 %, and what it adds larger than three times its
+uncertainty.
 """
 
 import math
@@ -54,6 +55,7 @@ _MISFITS = np.array([0.02, 0.05, 0.1, 0.2, 0.4])  # a
 _ALIKE_C = 5.0
 _CLOSED = 0.2  # of a: the misfit that is left far from a turn
 _BETTER = 0.98  # times the error of a model with fewer parameters
+SIGNIFICANT = 3.0  # standard uncertainties, on one axis or more
 _BANDS = 12  # of temperature, left out by thirds
 
 
@@ -205,15 +207,19 @@ def choose_loop(
     scaled = 2.0 * first.columns[0].x
     models = [position[:, None][:, :0], position[:, None], np.column_stack((position, position * scaled))]
     try:
-        errors = [_left_out(cells, first.columns, np.hstack((model, others)), known, position) for model in models]
+        errors = [
+            _left_out(cells, first.columns, np.hstack((model, others)), (known, lag), position) for model in models
+        ]
     except NotObservable:
         return None
     best = 0
     for k in (1, 2):
         best = k if np.log(errors[k] / errors[best]).mean() < math.log(_BETTER) else best
     fitted = fit(replace(cells, regressors=np.hstack((models[max(best, 1)], others))), known)
+    if best == 2 and not shows(fitted[1], 1):
+        best, fitted = 1, fit(replace(cells, regressors=np.hstack((models[1], others))), known)
     hysteresis = None
-    if best:
+    if best and shows(fitted[1], 0):
         mid, own = (x[:best] for x in (fitted[1].coefficient, fitted[1].coefficient_uncertainty))
         ends = np.array([[1.0, -1.0], [1.0, 1.0]])[:, :best]
         hysteresis = Hysteresis(
@@ -224,6 +230,11 @@ def choose_loop(
             gyro_uncertainty=np.sqrt(ends**2 @ own**2),
         )
     return LoopChoice(fitted=fitted, hysteresis=hysteresis, left_out=errors[best], left_out_middle=errors[0])
+
+
+def shows(spline: SmoothSpline, effect: int) -> bool:
+    """Tell whether an effect shows on an axis or more."""
+    return bool((np.abs(spline.coefficient[effect]) > SIGNIFICANT * spline.coefficient_uncertainty[effect]).any())
 
 
 def _weights(
@@ -247,11 +258,15 @@ def _weights(
 
 
 def _left_out(
-    cells: Cells, columns: Sequence[Column], regressors: FloatArray, known: FloatArray, position: FloatArray
+    cells: Cells,
+    columns: Sequence[Column],
+    regressors: FloatArray,
+    known: tuple[FloatArray, FloatArray],
+    position: FloatArray,
 ) -> FloatArray:
     """Return the rms error, (3,), of means of a band of temperature and a side of the loop, every third band left out in turn.
 
-    Predicted are the curve and the loop alone, not what a visit or a branch adds.
+    Predicted are the curve, the loop and the lag, not what a visit or a branch adds; known: all that is beside the curve, and lag.
     """
     low, span = cells.temp_c.min(), np.ptp(cells.temp_c)
     band = np.minimum((cells.temp_c - low) * (_BANDS / span), _BANDS - 1).astype(np.int64)
@@ -259,8 +274,9 @@ def _left_out(
     means = list[list[FloatArray]]()
     for k, column in enumerate(columns):
         basis = np.column_stack((np.ones(len(column.x)), column.x, regressors))
-        bow, whole = parabola(column.x), column.covariance + known[k]
+        bow, whole = parabola(column.x), column.covariance + known[0][k]
         signal = column.weight.sum(axis=0) @ column.bend * bending(column.x, column.x) + column.bow * np.outer(bow, bow)
+        signal = signal + known[1][k]
         means.append([])
         for turn in range(3):
             held = (band % 3 == turn) & (band > 0) & (band < _BANDS - 1)  # the ends are not extrapolated

@@ -24,7 +24,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray
-from undrift.drift.hysteresis import LoopChoice, choose_loop, courses
+from undrift.drift.hysteresis import LoopChoice, choose_loop, courses, shows
 from undrift.drift.observe import RestBlocks
 from undrift.drift.rests import (
     UNKNOWN_SCALE_PER_K,
@@ -50,7 +50,6 @@ _REVERSAL_C = 4.0  # after a turn the loop is crossed over this much of temperat
 _OVERLAP_C = 3.0  # both directions have to have seen a common range as wide as this
 _SLOPE_POINTS = 60
 _CHUNK_S = 120.0  # cells are cut there and at its doubles where a warm-up is fitted
-_SIGNIFICANT = 3.0  # standard uncertainties, on one axis or more
 _LEAST_OWN = 0.05  # of the variance of exp(-t / tau) that temperature does not explain
 _CHANCE = 1e-3  # of soaks that are missed by as much although the stated uncertainty is right
 _LEAST_LEFT_OUT, _FAR_BELOW = 5, 1.0 / 3.0  # soaks that are judged by; error over stated, on all axes
@@ -76,11 +75,6 @@ class Loop:
 
     half: FloatArray  # (3,), h: offset while cooling minus offset while warming, over two, raw unit
     uncertainty: FloatArray  # (3,), standard uncertainty
-
-    @property
-    def significant(self) -> bool:
-        """Whether it shows on an axis or more."""
-        return bool((np.abs(self.half) > _SIGNIFICANT * self.uncertainty).any())
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -326,14 +320,14 @@ def fit_curve(offsets: Offsets, *, warm_up: bool, lag_doubt_s: float | None = No
     if seen:
         full = _smoothed(cells)
         loop = _loop_of(full[1])
-        kept = loop.significant
+        kept = shows(full[1], 0)
     if tried:
         missed = _missed(full[1], cells, of_course[:, 0], lag_doubt_s or 0.0)
         choice = choose_loop(cells, of_course[:, 1:], full[1], missed, _smoothed)
     if choice is not None:
         full = choice.fitted
         loop = _loop_of(full[1])
-        kept = kept or loop.significant
+        kept = kept or shows(full[1], 0)
         choice = choice if kept else None
     cells, spline, turn_on = full if kept else _smoothed(_cells(offsets, decay, None, tau))
     if turn_on is None:
