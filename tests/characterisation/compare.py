@@ -63,6 +63,7 @@ ADDED: tuple[tuple[str, str], ...] = (
     ("orient_demo", r"said\.(offset_uncertainty_dps|rests|rest_offsets_dps|method|findings.*)"),
     ("correct_.*", r".*\.rest"),
     ("study_.*", r"(.*\.)?figure3(_drawn|\.(compared|actual_max_deg|rest_max_deg|full_and_rest_max_deg).*)"),
+    (".*", r"drift\.static\.(gyro|accel)_visit"),  # what a visit adds, beside the uncertainty of the curve
     ("noise_static", r"(gyro|accel)\[\d\]\.\w+_(deg_per_\w+|ug|ug_per_\w+)"),
 )
 RENAMED: tuple[tuple[str, str], ...] = ()  # (recorded, now), for re.sub on recorded paths

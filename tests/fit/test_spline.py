@@ -3,7 +3,9 @@
 import numpy as np
 import pytest
 
+from testkit.data import show
 from undrift.errors import InputError, NotObservable
+from undrift.fit import smooth
 from undrift.fit.smooth import (
     Column,
     Scatter,
@@ -18,6 +20,8 @@ from undrift.fit.smooth import (
     predicted,
     widening_of,
 )
+from undrift.sim.device.presets import random_device_of
+from undrift.sim.device.truth import true_calibration
 
 NODES = np.linspace(18.0, 75.0, 115)
 
@@ -226,3 +230,29 @@ def test_beyond_the_data_the_curvature_that_was_seen_may_continue():
         # the tangent at the end of the data misses the parabola by 1.5e-3 of the square; that much is stated, two times at most
         assert 1.5e-3 * away**2 <= at.uncertainty[0, 0] * 1.96
         assert at.uncertainty[0, 0] <= 4.0 * 1.5e-3 * away**2
+
+
+def test_bends_of_unit_size_depart_from_their_parabola_as_the_prior_counts_them():
+    x = np.linspace(-0.5, 0.5, 401)
+    basis = np.vander(x, 3)
+    left = np.eye(len(x)) - basis @ np.linalg.pinv(basis)
+    assert np.sqrt(np.diag(left @ bending(x, x) @ left).mean()) == pytest.approx(smooth._PER_BEND, rel=0.02)
+
+
+def test_the_prior_of_bends_is_that_of_drawn_devices():
+    # Sixty devices that no other test draws: rms departure from a parabola over 18 to 75 degC, over the range of the triad.
+    temp, departure = np.linspace(18.0, 75.0, 20), []
+    basis = np.vander((temp - temp.mean()) / np.ptp(temp), 3)
+    for seed in range(10_000, 10_060):
+        device = random_device_of("enc03j_3031", np.random.default_rng(seed))
+        offset = np.array([true_calibration(device, temp_c=float(t)).gyro.offset for t in temp])
+        left = offset - basis @ np.linalg.lstsq(basis, offset, rcond=None)[0]
+        size = np.maximum(np.ptp(offset, axis=0), np.sqrt(np.mean(np.ptp(offset, axis=0) ** 2)))
+        departure.append(np.sqrt((left**2).mean(axis=0)) / size)
+    found = float(np.sqrt(np.mean(np.square(departure)))) / np.sqrt(57.0 / 50.0)
+    show(
+        "departure of drawn offsets from a parabola, % of their range over 50 K",
+        f"{100.0 * found:.3f}",
+        f"{100.0 * smooth._DEPARTURE:.3f}",
+    )
+    assert found == pytest.approx(smooth._DEPARTURE, rel=0.3)  # 180 values of which a few are large

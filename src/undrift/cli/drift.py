@@ -35,7 +35,7 @@ def drift(
     output: OptionalOutput = None,
     report: Path | None = None,
     figure: Path | None = None,
-    span: Annotated[str | None, Parameter(name=["--range-c", "--range"], allow_leading_hyphen=True)] = None,
+    span: Annotated[str | None, Parameter(name="--range-c", allow_leading_hyphen=True)] = None,
     step_c: float = 0.5,
     spline: Literal["smooth", "not-a-knot"] = "smooth",
     tables: Literal["auto", "none", "scale", "dynamic", "scale+dynamic"] = "auto",
