@@ -161,24 +161,25 @@ def test_a_stated_course_of_temperature_decides_how_hysteresis_is_corrected(undr
     write_record(steady, tmp_path / "steady.parquet")
     words = ["correct", tmp_path / "steady.parquet", "--calibration", tmp_path / "looped.json"]
     notes, rates = {}, {}
-    for asked in ("warming", "20,40", ""):
+    for asked in ("warming", "20,40", "", "none"):
         out = tmp_path / f"{asked or 'unknown'}.parquet"
         more = ["--temp-history", asked] if asked else []
         notes[asked] = undrift.good(*words, *more, "-o", out, "--json").json()["recordings"][0]["notes"][0]
         rates[asked] = read_record(out).gyro
-    for asked, history in (("warming", "warming"), ("20,40", (20.0, 40.0)), ("", None)):
+    for asked, history in (("warming", "warming"), ("20,40", (20.0, 40.0)), ("", None), ("none", "none")):
         done = correct_checked(steady, read_calibration(tmp_path / "looped.json"), temp_history=history)
         np.testing.assert_allclose(rates[asked], done.record.gyro, rtol=0, atol=1e-12)
     half = 3.0 * c.gyro.matrix.sum(axis=1)
     np.testing.assert_allclose(rates["warming"] - rates[""], np.tile(half, (len(steady), 1)), rtol=0, atol=1e-9)
     np.testing.assert_allclose(rates["20,40"] - rates[""], np.tile(-half, (len(steady), 1)), rtol=0, atol=1e-9)
     assert notes["warming"].startswith("Hysteresis is corrected: half-width up to")
-    assert "state its course before (--temp-history)" in notes[""]
+    assert "state the course of temperature before the recording (--temp-history)" in notes[""]
+    np.testing.assert_array_equal(rates["none"], rates[""])
     without = ["correct", tmp_path / "steady.parquet", "--calibration", tmp_path / "tuned.json"]
     refused = undrift(*without, "-o", tmp_path / "x.csv", "--temp-history", "warming")
     assert "--temp-history: wanted a calibration that corrects hysteresis, got one without" in refused.err
     wrong = undrift(*words, "-o", tmp_path / "x.csv", "--temp-history", "up")
-    assert "--temp-history: wanted warming, cooling or temperatures as in 25,60, got 'up'" in wrong.err
+    assert "--temp-history: wanted none, warming, cooling or temperatures as in 25,60, got 'up'" in wrong.err
 
 
 def test_signs_of_another_unit_or_column_stand_among_the_findings(undrift, tuned, tmp_path):

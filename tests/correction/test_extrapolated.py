@@ -169,7 +169,8 @@ def test_hysteresis_is_reported_in_deg_per_s_and_not_applied():
     assert done.record.gyro.tobytes() == plain.record.gyro.tobytes()
     left = np.degrees(np.abs(device().gyro.matrix @ [4.0, -20.0, 0.0]).max())
     assert done.notes == (
-        f"Hysteresis is not corrected: half-width up to {left:.2g} deg/s; the table holds the mean of warming and cooling",
+        f"Hysteresis is not corrected: half-width up to {left:.2g} deg/s, which counts as uncertainty; the table holds the mean of "
+        "warming and cooling",
     )
     assert done.findings[0].code == "correct.hysteresis"
     assert done.findings[0].values["half_width_dps"] == pytest.approx(left, rel=1e-12)

@@ -82,14 +82,32 @@ def test_the_notes_say_whether_it_was_corrected():
     unknown = told(correct_checked(short, c))
     assert unknown.code == "correct.hysteresis_unknown"
     assert unknown.values["half_width_dps"] == pytest.approx(widest, rel=1e-12)
-    assert "temperature moved by less than 4 degC" in unknown.text
+    assert "counts as uncertainty; temperature moved by less than 4 degC" in unknown.text
     half_known = told(correct_checked(short, c, temp_history=(37.0,)))
     assert half_known.code == "correct.hysteresis_corrected"
-    assert half_known.values["left_dps"] == pytest.approx(0.25 * widest, rel=1e-9)  # 3 of 4 K
+    # 3 of 4 K: the position is -0.75 +- 0.25, the crossing 4 +- 0.5 K, the half-width known to 1
+    share = np.hypot(0.25, (1.0 - 0.75**2) * 0.5 / 4.0)
+    left = np.degrees((np.hypot(share * HALF, 0.75) @ c.gyro.matrix.T).max())
+    assert half_known.values["left_dps"] == pytest.approx(left, rel=1e-9)
+    sure = np.degrees((np.ones(3) @ c.gyro.matrix.T).max())  # what the half-width itself is known to
     for history in ("warming", (25.0,)):
         known = told(correct_checked(short, c, temp_history=history))
-        assert (known.code, known.values["left_dps"]) == ("correct.hysteresis_corrected", 0.0)
-    assert told(correct_checked(cycled(), c)).values["left_dps"] == 0.0  # its own course shows it
+        assert known.code == "correct.hysteresis_corrected"
+        assert known.values["left_dps"] == pytest.approx(sure, rel=1e-9)
+    by_its_course = told(correct_checked(cycled(), c))
+    assert by_its_course.values["left_dps"] == pytest.approx(sure, rel=1e-9)
+
+
+def test_it_can_be_switched_off():
+    c, r = looped(), cycled()
+    middle = replace(c, drift=replace(c.drift, static=replace(c.drift.static, hysteresis=None)))
+    done, plain = correct_checked(r, c, temp_history="none"), correct_checked(r, middle)
+    np.testing.assert_array_equal(done.record.gyro, plain.record.gyro)
+    assert told(done).code == "correct.hysteresis"
+    assert "which counts as uncertainty" in told(done).text
+    stream = Corrector(c, temp_history="none")
+    np.testing.assert_array_equal(stream.push_checked(r.part(0, 300)).record.gyro, done.record.gyro[:300])
+    np.testing.assert_array_equal(stream.push_checked(r.part(300, 700)).record.gyro, done.record.gyro[300:])
 
 
 def test_without_history_or_movement_the_middle_of_the_loop_stays():

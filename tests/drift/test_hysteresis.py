@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from drift.test_static import NODES, blocks
-from undrift.drift.hysteresis import LoopState, follow_loop, in_loop, state_of
-from undrift.drift.static import fit_static
+from undrift.drift.hysteresis import LoopState, follow_loop, positions, state_of, uncertain_share
+from undrift.drift.static import StaticSettings, fit_static
 from undrift.errors import InputError
 from undrift.model import Hysteresis
 
@@ -92,6 +92,39 @@ def test_a_half_width_that_grows_with_temperature_is_found_with_its_uncertainty(
     assert modelled < 0.5 * middle
 
 
+@pytest.mark.parametrize("begin", [-1.0, 0.0, 1.0])
+def test_where_the_loop_began_is_not_known_and_pulls_neither_table_nor_half_width(begin):
+    rng, temp, crossing = np.random.default_rng(7), course(20.0, 60.0, 20.0, step=0.5), 10.0
+    position, at = np.empty(len(temp)), begin
+    for k, change in enumerate(np.diff(temp, prepend=temp[0])):
+        at = min(max(at - 2.0 * change / crossing, -1.0), 1.0)
+        position[k] = at
+    fit = fit_static(blocks(temp, offsets(temp, position, 2e-3, rng), noise=2e-3), nodes=NODES)
+    loop = fit.table.hysteresis
+    error = np.abs(fit.table.gyro_offset - offsets(NODES, np.zeros(len(NODES)), 0.0, rng))
+    stated = np.sqrt(fit.table.gyro_uncertainty**2 - fit.table.gyro_hysteresis**2)
+    assert (error < 3.0 * stated).all()
+    assert error.max() < 0.2 * np.abs(HALF).max()  # the middle of what is not known alone: 0.5 of it
+    assert (np.abs(loop.gyro_half_width - HALF) < 3.0 * loop.gyro_uncertainty).all()
+    assert abs(loop.crossing_k - crossing) < 3.0 * loop.crossing_uncertainty_k
+    assert loop.crossing_uncertainty_k < 2.0
+
+
+def test_a_doubt_about_the_thermometers_lag_is_in_the_half_widths():
+    rng, temp = np.random.default_rng(3), course(20.0, 60.0, 20.0, step=1.0)
+    slope = np.array([0.01, -0.02, 0.005])
+    read = np.outer(temp, slope) + HALF * friction(temp, 0.8)[:, None] + 2e-3 * rng.normal(size=(len(temp), 3))
+    made = replace(blocks(temp, read, noise=2e-3), ramp_c_per_min=np.where(np.arange(len(temp)) < 40, 1.0, -1.0))
+    made = made.taken((np.arange(len(temp)) > 5) & (np.abs(np.arange(len(temp)) - 42.5) > 5))  # both loops are closed
+    own = {}
+    for doubt_s in (0.0, 60.0):
+        fit = fit_static(made, nodes=NODES, settings=StaticSettings(lag_doubt_s=doubt_s))
+        own[doubt_s] = fit.gyro.curve.loop.uncertainty
+    # 60 s at 1 K/min are 1 K of a constant slope; what is left of the crossing tells a part of it from a half-width
+    assert (own[60.0] > np.hypot(own[0.0], np.abs(slope) / 3.0)).all()
+    assert (own[60.0] < 1.1 * np.hypot(own[0.0], slope)).all()
+
+
 def test_a_device_without_hysteresis_gets_no_model():
     rng, temp = np.random.default_rng(5), course(20.0, 60.0, 20.0, step=1.0)
     fit = fit_static(blocks(temp, offsets(temp, np.zeros(len(temp)), 2e-3, rng), noise=2e-3), nodes=NODES)
@@ -112,6 +145,9 @@ def test_the_position_is_known_once_the_temperature_has_moved_by_the_crossing():
         state = state_of(turns, 4.0)
         assert 0.5 * (state.low + state.high) == pytest.approx(wanted)
         assert state.unknown == pytest.approx(unknown)
+    half_way = state_of((25.0, 27.0), 4.0)  # at -0.5 between -1 and 0, and a crossing that is known to 1 K of 4
+    np.testing.assert_allclose(uncertain_share(half_way, 1.0), [-0.5, np.hypot(0.5, 0.75 * 0.25)])
+    np.testing.assert_allclose(uncertain_share(state_of("cooling", 4.0), 1.0), [1.0, 0.0])
     assert state_of("warming", 4.0).low == state_of("warming", 4.0).high == -1.0
     assert state_of("cooling", 4.0).low == state_of("cooling", 4.0).high == 1.0
     for history, told in (("up", "got 'up'"), ((), "oldest first"), ((20.0, np.nan), "oldest first")):
@@ -142,8 +178,8 @@ def test_the_position_follows_a_noisy_course_as_it_follows_the_true_one():
     )
     # means over 30 s of two readings a second: 0.3 K and steps of 0.5 K leave 0.05 K, five times that at most; 2 K for 1
     assert np.abs(noisy - clean).max() < 0.25 / 2.0
-    made = blocks(smooth[::20], np.zeros((len(smooth[::20]), 3)))
-    np.testing.assert_allclose(clean[::20][200:], in_loop(made, 4.0)[200:], atol=0.12)  # 30 s later at 0.24 K/min
+    whole = positions(smooth[::20], np.array([4.0])).mean(axis=0)[0]
+    np.testing.assert_allclose(clean[::20][200:], whole[200:], atol=0.12)  # 30 s later at 0.24 K/min
 
 
 def test_a_stated_history_reaches_a_short_recording_at_one_temperature():

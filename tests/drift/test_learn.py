@@ -90,6 +90,21 @@ def test_turn_on_repeatability_is_found_and_stated(learnt):
     assert (learnt.after_uncertainty > learnt.curve_uncertainty).all()
 
 
+def test_rests_do_not_average_the_half_width_of_a_loop_away(used):
+    _, calibration, days = used
+    gyro, nodes, half = calibration.gyro, np.arange(0.0, 61.0), 0.08 * DPS
+    raw = np.abs(gyro.scale_factor)
+    stated = np.tile(np.hypot(0.03 * DPS, half) * raw, (len(nodes), 1))
+    table = StaticDrift(temp_c=nodes, gyro_offset=np.tile(gyro.offset, (len(nodes), 1)), gyro_uncertainty=stated)
+    after = {}
+    for name, loop in (("unknown", None), ("known", half * raw)):
+        held = replace(calibration, drift=DriftTables(static=replace(table, gyro_hysteresis=loop)))
+        fit = learn_drift([day.session for day in days], held, dates=on_days(range(8)))
+        after[name] = fit.after_uncertainty[~fit.extrapolated].min()
+    assert after["known"] > half
+    assert after["unknown"] < half
+
+
 def test_rests_on_a_body_are_among_them(used, learnt):
     rests = next(item for item in learnt.verdict.findings if item.code == "drift.learn_rests").values
     assert rests["worn"] >= 4

@@ -284,7 +284,7 @@ def test_what_is_not_carried_is_listed():
     assert "lag" not in said
     assert "the thermometer's lag of 30 s is removed by undrift_temperature" in " ".join(exported.notes)
     assert "power-on" not in said
-    for text in ("hysteresis", "uncertainties"):
+    for text in ("hysteresis", "half-width up to", "uncertainties"):
         assert text in said
         assert text in exported.header
     for text in ("code step", "g-sensitivity", "dynamic table", "gains"):

@@ -78,9 +78,13 @@ def test_drawn_units_are_summarised_by_median_and_quartiles_of_each_correction(m
 
 
 def test_tables_of_both_ways_with_hysteresis_bring_both_devices_within_the_notes_difference(typical: Figure3) -> None:
-    assert typical.simulated_actual_max_deg[1:3].max() < NOTE_DIFFERENCE_DEG
-    # Without tables nothing is corrected: half the loop, 0.05 deg/s, over 4 s; noise of both calibrations, 0.03 to 0.1 deg.
-    assert typical.simulated_actual_max_deg[0] < 0.05 * 4.0 + 0.1
+    drawn = [typical, *(figure3(back=True, seed=seed) for seed in (1, 2))]
+    apart = np.array([figure.simulated_actual_max_deg[:3] for figure in drawn])
+    show("simulated less actual over three draws, deg", np.round(apart, 3).tolist(), NOTE_DIFFERENCE_DEG)
+    assert apart[:, 1:].max() < NOTE_DIFFERENCE_DEG
+    # Without tables nothing is corrected: half the loop, 0.05 deg/s, over 4 s. Noise of both devices and both calibrations comes
+    # to 0.03 to 0.1 deg: other draws of it are in the mean.
+    assert apart[:, 0].mean() < 0.05 * 4.0 + 0.1
 
 
 def test_tables_from_the_way_up_bring_the_actual_device_within_the_notes_difference() -> None:

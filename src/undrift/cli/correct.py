@@ -73,7 +73,7 @@ def correct(
     temp_history : str
         Course of the temperature before each recording, for a calibration that corrects hysteresis: warming, cooling, or the
         temperatures at which it turned, oldest first, degC, as in 25,60. Without it hysteresis is corrected as far as a
-        recording shows its own course.
+        recording shows its own course; none leaves the middle of the loop.
     offset : str
         "rest" also subtracts the mean rate that is left at the first still phase (or the named one), as --offset of orient
         does: best with tables, for what they cannot know.
@@ -127,6 +127,8 @@ def correct(
 
 def _history(text: str, model: "Calibration") -> "TempHistory":
     """Return the course of the temperature that was stated."""
+    if text == "none":
+        return "none"
     static = None if model.drift is None else model.drift.static
     if static is None or static.hysteresis is None:
         raise InputError(
@@ -139,7 +141,7 @@ def _history(text: str, model: "Calibration") -> "TempHistory":
         return tuple(float(part) for part in text.split(","))
     except ValueError as error:
         raise InputError(
-            f"--temp-history: wanted warming, cooling or temperatures as in 25,60, got '{text}'; state one of these"
+            f"--temp-history: wanted none, warming, cooling or temperatures as in 25,60, got '{text}'; state one of these"
         ) from error
 
 

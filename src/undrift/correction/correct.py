@@ -191,7 +191,7 @@ def correct(
     temp_history : str or sequence of float, optional
         Course of the temperature before the first sample, for a calibration that corrects hysteresis: "warming", "cooling", or
         the temperatures at which it turned, oldest first, degC. Without it hysteresis is corrected as far as the record's own
-        temperatures show the course.
+        temperatures show the course; "none" leaves the middle of the loop.
 
     Returns
     -------

@@ -19,6 +19,7 @@ import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray
 from undrift.correction.plan import Carry, Kind, MarkedTable, Plans, flat, has_tables, in_pieces
+from undrift.drift.hysteresis import uncertain_share
 from undrift.errors import DriftRangeError
 from undrift.findings import Finding, finding
 from undrift.model import Calibration, StaticDrift, TriadModel
@@ -242,7 +243,8 @@ def _loop_finding(gyro: TriadModel, static: StaticDrift, half: FloatArray, carry
     widest = _largest_dps(gyro, model.gyro_half_width)
     if carry.loop.unknown > UNKNOWN_LOOP:
         return finding("correct.hysteresis_unknown", "info", half_width_dps=widest, crossing_k=model.crossing_k)
-    left = widest * carry.loop.unknown
+    position, share = uncertain_share(carry.loop, model.crossing_uncertainty_k)
+    left = _largest_dps(gyro, np.hypot(share * model.gyro_half_width, position * model.gyro_uncertainty))
     return finding("correct.hysteresis_corrected", "info", half_width_dps=widest, left_dps=left)
 
 

@@ -308,7 +308,8 @@ def carry_at_start(
     """Begin a record or a stream."""
     static = None if calibration.drift is None else calibration.drift.static
     model = None if static is None else static.hysteresis
-    loop = None if model is None else state_of(history, model.crossing_k)
+    off = isinstance(history, str) and history == "none"
+    loop = None if model is None or off else state_of(history, model.crossing_k)
     if power_on_s is None:
         return Carry(loop=loop)
     if not 0.0 <= power_on_s < np.inf:

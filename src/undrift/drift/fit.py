@@ -11,6 +11,7 @@ half step back first, as in ``correct``, so that a table is over the same number
 observable is a finding of the verdict, with the recording that would show it.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
@@ -49,6 +50,7 @@ RANGE_C = (18.0, 75.0)  # the note's
 STEP_C = 0.5
 MARGIN_C = 3.0  # tables reach no further beyond what was seen; the note's ends are taken where they are as near
 _SURE_LAG = 3.0  # standard uncertainties: a lag below is left in
+_LAG_BY_LOOPS_S = 15.0  # by which a loop of any shape moves the lag that is found, one standard deviation
 _INPUTS = "drift_inputs_before"  # setting: how many inputs the calibration had before a thermal fit
 
 TableChoice = Literal["auto"] | Alternative
@@ -202,6 +204,7 @@ def fit_drift(
     check_span(together, settings=settings.temperature)
     report("gathering rests and turns", 0.15)
     lag, lags_s, rests, course = _without_lag(sessions, trusted, settings)
+    static_settings = replace(static_settings, lag_doubt_s=_lag_doubt(lag, lags_s[0]))
     check_at_rest(rests, device)
     device, g_estimated = with_g_sensitivity(rests, device)
     steps = observe_steps(sessions, temperatures=course, settings=settings.observe)
@@ -255,6 +258,17 @@ def _checked(sessions: Sequence[Session], calibration: Calibration | None, setti
         raise InputError(f"drift: wanted a lag of 0 s or more, got {settings.lag_s:g}; state the thermometer's")
     check_once(sessions)
     return [in_one_unit(session) for session in sessions]
+
+
+def _lag_doubt(lag: LagFit | None, subtracted_s: float) -> float:
+    """Return the standard uncertainty of the lag that is left in temperatures, s; 0 where none was estimated.
+
+    What was found and not subtracted is all of it. Loops of another shape than two straight branches mislead the fit of the lag.
+    """
+    if lag is None:
+        return 0.0
+    left, own = 0.0 if subtracted_s else lag.lag_s, lag.uncertainty_s if np.isfinite(lag.uncertainty_s) else 0.0
+    return math.hypot(left, own, _LAG_BY_LOOPS_S)
 
 
 def _without_lag(

@@ -8,41 +8,55 @@ f is the middle of the loop, h its half-width (raw unit), w the change of temper
 w and +1 after cooling by w. The model is rate-independent and has closed minor loops: turning points are all that it remembers.
 
 Where c began is not known: two positions are followed, from -1 and from +1. They meet when the temperature has moved by w, or when
-a stated history has. Until then the correction takes the middle of the two, which is the middle of the loop at first, and half
-their distance is the share of h that stays uncertain. Positions follow the mean of ``SMOOTH_S``, since a noisy thermometer never
+a stated history has. Until then the correction takes their mean, which is the middle of the loop at first, and d, half their
+distance, is the share of h that stays uncertain. Positions follow the mean of ``SMOOTH_S``, since a noisy thermometer never
 stands still.
 
-Estimate: w on a grid, with h a regressor beside the spline; n log(residuals), n the groups of neighbouring temperatures, gives each
-w its weight; mean and spread of log w are the estimate and its uncertainty. Set-points further apart than w cannot tell it.
+Estimate: with m the mean position of a cell, the readings are
+
+    y = f + h (m + d u + v + g) + f' T' l + e
+
+u    where recording s began: variance 1, since a device comes from one end or the other; forgotten as d is
+v    what the doubt about w does: the mean of (m_w - m)(m_w - m)' over its weights
+g    misfit of the loop's shape: standard deviation a after a turn, falling as exp(-way / w) to a fifth of it; alike on one branch
+     over ``_ALIKE_C`` of temperature, not on the other
+l    lag of the thermometer that the fit of it may have missed; T' the slope of the temperature
+
+Each pair of w and a on a grid is weighted by its restricted likelihood, all axes together, at the covariance of f and e that a
+first fit has found (fit/smooth.py). Mean and spread of log w are the estimate and its uncertainty, and what is beside h m goes into
+the covariance of the last fit: half-widths and table state it. Set-points further apart than w cannot tell it.
 Three models are compared by their errors in bands of temperature left out: the middle of the loop, a constant h, and an h that
-changes with temperature, as a thermometer that lags leaves one. A model with more parameters has to be better by 2 %.
+changes with temperature. A model with more parameters has to be better by 2 %, and what it adds larger than three times its
+uncertainty.
 """
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import astuple, dataclass
+from dataclasses import astuple, dataclass, replace
 from typing import Literal, TypeAlias
 
 import numpy as np
 
-from undrift.arrays import BoolArray, FloatArray
+from undrift.arrays import FloatArray
 from undrift.drift.observe import RestBlocks
 from undrift.drift.rests import Cells, TurnOn
 from undrift.errors import InputError, NotObservable
-from undrift.fit.smooth import SmoothSpline
+from undrift.fit.smooth import Column, SmoothSpline, bending, parabola
 from undrift.model import Hysteresis
 
-TempHistory: TypeAlias = Literal["warming", "cooling"] | Sequence[float]
+TempHistory: TypeAlias = Literal["none", "warming", "cooling"] | Sequence[float]
 Fitted: TypeAlias = tuple[Cells, SmoothSpline, TurnOn | None]
-# Fits the rows (n,) of the blocks with regressors (n, p) or none; blocks of different positions (n,) are not averaged
-Fit: TypeAlias = Callable[[BoolArray, FloatArray | None, FloatArray], Fitted]
+Fit: TypeAlias = Callable[[Cells, FloatArray], Fitted]  # fits cells with a known covariance beside their own, (3, n, n)
 
 SETTLE_S = 1.0  # readings whose mean begins the course of the temperature
 SMOOTH_S = 30.0
-_CROSSINGS_K = 2.0 ** np.arange(0.0, 4.1)
+CROSSINGS_K = 2.0 ** np.arange(0.0, 4.6, 0.25)
+_MISFITS = np.array([0.02, 0.05, 0.1, 0.2, 0.4])  # a
+_ALIKE_C = 5.0
+_CLOSED = 0.2  # of a: the misfit that is left far from a turn
 _BETTER = 0.98  # times the error of a model with fewer parameters
+SIGNIFICANT = 3.0  # standard uncertainties, on one axis or more
 _BANDS = 12  # of temperature, left out by thirds
-_PLACES = 200  # of the curve, between which it is taken as straight
 
 
 # ---- follow a loop
@@ -68,13 +82,16 @@ class LoopState:
 
 
 def state_of(history: TempHistory | None, crossing_k: float) -> LoopState:
-    """Return the state before a recording: from which side it came, or the temperatures at which its course turned."""
+    """Return the state before a recording: from which side it came, or the temperatures at which its course turned.
+
+    None: not known; "none" is for the caller, who then follows no loop.
+    """
     if history is None:
         return LoopState(crossing_k=crossing_k)
     if isinstance(history, str):
         if history not in ("warming", "cooling"):
             raise InputError(
-                f"temperature history: wanted warming, cooling or temperatures, got '{history}'; state one"
+                f"temperature history: wanted none, warming, cooling or temperatures, got '{history}'; state one"
             )
         side = -1.0 if history == "warming" else 1.0
         return LoopState(low=side, high=side, crossing_k=crossing_k)
@@ -84,7 +101,7 @@ def state_of(history: TempHistory | None, crossing_k: float) -> LoopState:
             f"temperature history: wanted one temperature or more, oldest first, degC, got {list(history)}; state where the "
             "device was before the recording"
         )
-    low, high = _positions(turns, crossing_k)
+    low, high = positions(turns, np.array([crossing_k]))[:, 0]
     return LoopState(at_c=float(turns[-1]), low=float(low[-1]), high=float(high[-1]), crossing_k=crossing_k)
 
 
@@ -101,14 +118,21 @@ def follow_loop(temp_c: FloatArray, time: FloatArray, *, state: LoopState) -> tu
     )
 
 
-def _positions(temp_c: FloatArray, crossing_k: float) -> FloatArray:
-    """Return the positions along a course, from -1 and from +1: (n,) -> (2, n)."""
-    found = np.empty((2, len(temp_c)))
-    position = np.array([-1.0, 1.0])
-    for k, change in enumerate(np.diff(temp_c, prepend=temp_c[0]).tolist()):
-        position = np.clip(position - 2.0 * change / crossing_k, -1.0, 1.0)
-        found[:, k] = position
-    return found
+def uncertain_share(state: LoopState, crossing_uncertainty_k: float) -> FloatArray:
+    """Return the position and its standard uncertainty, by what is not known of the beginning and of the crossing; (2,)."""
+    position = 0.5 * (state.low + state.high)
+    crossed = (1.0 - position**2) * crossing_uncertainty_k / state.crossing_k
+    return np.array([position, math.hypot(state.unknown, crossed)])
+
+
+def positions(temp_c: FloatArray, crossing_k: FloatArray) -> FloatArray:
+    """Return the positions along a course in loops of each crossing, from -1 and from +1: (n,) and (W,) -> (2, W, n)."""
+    found = np.empty((len(temp_c), 2, len(crossing_k)))
+    at = np.array([[-1.0], [1.0]]) * np.ones(len(crossing_k))
+    for k, change in enumerate(np.diff(temp_c, prepend=temp_c[0])[:, None] * (2.0 / crossing_k)):
+        at = np.minimum(np.maximum(at - change, -1.0), 1.0)
+        found[k] = at
+    return np.moveaxis(found, 0, 2)
 
 
 # ---- estimate it
@@ -118,91 +142,153 @@ def _positions(temp_c: FloatArray, crossing_k: float) -> FloatArray:
 class LoopChoice:
     """The model that predicts best what was left out."""
 
-    fitted: Fitted
+    fitted: Fitted  # with the loop
     hysteresis: Hysteresis | None  # None where the middle of the loop is as good
     left_out: FloatArray  # (3,), cross-validated error with the model, raw unit
     left_out_middle: FloatArray  # (3,), and of the middle of the loop
 
 
-def choose_loop(blocks: RestBlocks, value: FloatArray, fitted: Fit) -> LoopChoice | None:
-    """Choose among the middle of the loop, a constant and a changing half-width; None where none can be left out.
-
-    value (n, 3) of the blocks, raw unit.
-    """
-    low_c, high_c = float(blocks.temp_c.min()), float(blocks.temp_c.max())
-    scaled = (2.0 * blocks.temp_c - low_c - high_c) / (high_c - low_c)
-    try:
-        crossing, doubt = _crossing(blocks, value, fitted)
-        position = in_loop(blocks, crossing)
-        models = (None, position[:, None], np.column_stack((position, position * scaled)))
-        errors = [_left_out(blocks, value, fitted, model, position) for model in models]
-        best = 0
-        for k in (1, 2):
-            best = k if np.log(errors[k] / errors[best]).mean() < math.log(_BETTER) else best
-        chosen = fitted(np.ones(len(blocks), bool), models[best], position)
-    except NotObservable:
-        return None
-    hysteresis = None
-    if best:
-        half, own = (x[:best] for x in (chosen[1].coefficient, chosen[1].coefficient_uncertainty))
-        ends = np.array([[1.0, -1.0], [1.0, 1.0]])[:, :best]
-        hysteresis = Hysteresis(
-            crossing_k=crossing,
-            crossing_uncertainty_k=doubt,
-            temp_c=np.array([low_c, high_c]),
-            gyro_half_width=ends @ half,
-            gyro_uncertainty=np.sqrt(ends**2 @ own**2),
-        )
-    return LoopChoice(fitted=chosen, hysteresis=hysteresis, left_out=errors[best], left_out_middle=errors[0])
-
-
-def _left_out(
-    blocks: RestBlocks, value: FloatArray, fitted: Fit, columns: FloatArray | None, position: FloatArray
-) -> FloatArray:
-    """Return the rms error, (3,), of means of a band of temperature and a side of the loop, every third band left out in turn."""
-    low, span = blocks.temp_c.min(), np.ptp(blocks.temp_c)
-    band = np.minimum((blocks.temp_c - low) * (_BANDS / span), _BANDS - 1).astype(np.int64)
-    means = []
-    for turn in range(3):
-        held = (band % 3 == turn) & (band > 0) & (band < _BANDS - 1)  # the ends are not extrapolated
-        if not held.any():
-            continue
-        error = _residual(blocks, value, fitted(~held, columns, position)[1], columns)
-        parts = 2 * band + (position > 0.0)
-        means += [error[held & (parts == part)].mean(axis=0) for part in np.unique(parts[held])]
-    if not means:
-        raise NotObservable("hysteresis: wanted temperatures between the ends, got none; record more set-points")
-    return np.asarray(np.sqrt(np.mean(np.square(means), axis=0)))
-
-
-def _residual(blocks: RestBlocks, value: FloatArray, spline: SmoothSpline, columns: FloatArray | None) -> FloatArray:
-    places = np.linspace(blocks.temp_c.min(), blocks.temp_c.max(), _PLACES)
-    middle = [np.interp(blocks.temp_c, places, curve) for curve in spline.at(places).value.T]
-    loop = 0.0 if columns is None else columns @ spline.coefficient[: columns.shape[1]]
-    return np.asarray(value - np.column_stack(middle) - loop)
-
-
-def in_loop(blocks: RestBlocks, crossing_k: float) -> FloatArray:
-    """Return the position of each block, (n,): the middle of the two that it may have."""
-    position = np.zeros(len(blocks))
+def courses(blocks: RestBlocks) -> FloatArray:
+    """Return of each block the way since the last turn, K, and its positions in loops of each crossing, (n, 1 + 2 W)."""
+    found, way_k = np.zeros((2, len(CROSSINGS_K), len(blocks))), np.zeros(len(blocks))
     for session in np.unique(blocks.session):
         rows = np.flatnonzero(blocks.session == session)
         rows = rows[np.argsort(blocks.time[rows], kind="stable")]
-        position[rows] = _positions(blocks.temp_c[rows], crossing_k).mean(axis=0)
-    return position
+        found[:, :, rows] = positions(blocks.temp_c[rows], CROSSINGS_K)
+        side, begin = np.sign(found[:, 0, rows].mean(axis=0)), blocks.temp_c[rows[0]]
+        for leg in np.split(rows, np.flatnonzero(np.diff(side)) + 1):
+            way_k[leg] = np.abs(blocks.temp_c[leg] - begin)
+            begin = blocks.temp_c[leg][np.argmax(way_k[leg])]
+    return np.vstack((way_k, found.reshape(-1, len(blocks)))).T
 
 
-def _crossing(blocks: RestBlocks, value: FloatArray, fitted: Fit) -> tuple[float, float]:
-    """Return w and its standard uncertainty, K."""
-    score, every = np.empty(len(_CROSSINGS_K)), np.ones(len(blocks), bool)
-    for k, crossing in enumerate(_CROSSINGS_K.tolist()):
-        position = in_loop(blocks, crossing)
-        cells, spline, _ = fitted(every, position[:, None], position)
-        left = _residual(blocks, value, spline, position[:, None])
-        score[k] = -0.5 * len(np.unique(cells.groups)) * np.log((left**2).mean(axis=0)).sum()
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Loops:
+    """Loops of W crossings along n cells."""
+
+    middle: FloatArray  # (W, n), m
+    began: FloatArray  # (W, n, n), covariance of d u
+    misfit: FloatArray  # (W, n, n), of g, where a is 1
+
+    @classmethod
+    def of(cls, cells: Cells, course: FloatArray) -> "_Loops":
+        """Return the loops of cells, by the means of ``courses`` in each, (n, 1 + 2 W)."""
+        low, high = course[:, 1:].T.reshape(2, len(CROSSINGS_K), -1)
+        lately = np.exp(-course[:, 0] / CROSSINGS_K[:, None])
+        apart, way = 0.5 * (high - low), 0.5 * (low + high)[0]
+        alike = np.exp(-np.abs(cells.temp_c[:, None] - cells.temp_c) / _ALIKE_C)
+        same = cells.session[:, None] == cells.session
+        return cls(
+            middle=0.5 * (low + high),
+            began=same * apart[:, :, None] * apart[:, None, :],
+            misfit=alike * 0.5 * (1.0 + np.outer(way, way)) * (_CLOSED**2 + lately[:, :, None] * lately[:, None, :]),
+        )
+
+
+def choose_loop(
+    cells: Cells, course: FloatArray, first: SmoothSpline, missed: FloatArray, fit: Fit
+) -> LoopChoice | None:
+    """Choose among the middle of the loop, a constant and a changing half-width; None where none can be left out.
+
+    course (n, 1 + 2 W): ``courses`` of the cells; first: a fit whose first regressor is a loop; missed (3, n): by lag that is left.
+    """
+    loops, half = _Loops.of(cells, course), first.coefficient[0]
+    others = cells.regressors[:, 1:]
+    lag = missed[:, :, None] * missed[:, None, :]
+    weight = _weights(first.columns, loops, half, others, lag)
+    of_crossing, log = weight.sum(axis=1), np.log(CROSSINGS_K)
+    mean = float(of_crossing @ log)
+    doubt = math.sqrt(float(of_crossing @ (log - mean) ** 2) + (log[1] - log[0]) ** 2 / 12.0)
+    place = (mean - log[0]) / (log[1] - log[0])
+    near = np.maximum(1.0 - np.abs(np.arange(len(log)) - place), 0.0)  # straight between two crossings
+    position, away = near @ loops.middle, loops.middle - near @ loops.middle
+    known = np.tensordot(near, loops.began + (weight.sum(axis=0) @ _MISFITS**2) * loops.misfit, 1)
+    known = (half**2)[:, None, None] * (known + (of_crossing * away.T) @ away) + lag
+    scaled = 2.0 * first.columns[0].x
+    models = [position[:, None][:, :0], position[:, None], np.column_stack((position, position * scaled))]
+    try:
+        errors = [
+            _left_out(cells, first.columns, np.hstack((model, others)), (known, lag), position) for model in models
+        ]
+    except NotObservable:
+        return None
+    best = 0
+    for k in (1, 2):
+        best = k if np.log(errors[k] / errors[best]).mean() < math.log(_BETTER) else best
+    fitted = fit(replace(cells, regressors=np.hstack((models[max(best, 1)], others))), known)
+    if best == 2 and not shows(fitted[1], 1):
+        best, fitted = 1, fit(replace(cells, regressors=np.hstack((models[1], others))), known)
+    hysteresis = None
+    if best and shows(fitted[1], 0):
+        mid, own = (x[:best] for x in (fitted[1].coefficient, fitted[1].coefficient_uncertainty))
+        ends = np.array([[1.0, -1.0], [1.0, 1.0]])[:, :best]
+        hysteresis = Hysteresis(
+            crossing_k=math.exp(mean),
+            crossing_uncertainty_k=math.exp(mean) * doubt,
+            temp_c=np.array([cells.temp_c.min(), cells.temp_c.max()]),
+            gyro_half_width=ends @ mid,
+            gyro_uncertainty=np.sqrt(ends**2 @ own**2),
+        )
+    return LoopChoice(fitted=fitted, hysteresis=hysteresis, left_out=errors[best], left_out_middle=errors[0])
+
+
+def shows(spline: SmoothSpline, effect: int) -> bool:
+    """Tell whether an effect shows on an axis or more."""
+    return bool((np.abs(spline.coefficient[effect]) > SIGNIFICANT * spline.coefficient_uncertainty[effect]).any())
+
+
+def _weights(
+    columns: Sequence[Column], loops: _Loops, half: FloatArray, others: FloatArray, lag: FloatArray
+) -> FloatArray:
+    """Return the weight of each crossing and misfit, (W, M)."""
+    score = np.zeros((len(CROSSINGS_K), len(_MISFITS)))
+    for k, column in enumerate(columns):
+        trend = np.column_stack((np.ones(len(column.x)), column.x, others, column.y))
+        given = np.concatenate((loops.middle[:, :, None], np.broadcast_to(trend, (len(score), *trend.shape))), axis=2)
+        for j, misfit in enumerate(_MISFITS.tolist()):
+            own = half[k] ** 2 * (loops.began + misfit**2 * loops.misfit)
+            root = np.linalg.cholesky(column.covariance + lag[k] + own)
+            white = np.linalg.solve(root, given)
+            left = np.linalg.qr(white, mode="r")  # the last column holds y: its last element is the residual
+            size = np.abs(np.diagonal(left, axis1=1, axis2=2))
+            logs = np.log(np.diagonal(root, axis1=1, axis2=2)).sum(axis=1) + np.log(size[:, :-1]).sum(axis=1)
+            score[:, j] -= logs + 0.5 * size[:, -1] ** 2
     weight = np.exp(score - score.max())
-    weight, log = weight / weight.sum(), np.log(_CROSSINGS_K)
-    mean = float(weight @ log)
-    step = float(log[1] - log[0])
-    spread = math.sqrt(float(weight @ (log - mean) ** 2) + step**2 / 12.0)
-    return math.exp(mean), math.exp(mean) * spread
+    return np.asarray(weight / weight.sum())
+
+
+def _left_out(
+    cells: Cells,
+    columns: Sequence[Column],
+    regressors: FloatArray,
+    known: tuple[FloatArray, FloatArray],
+    position: FloatArray,
+) -> FloatArray:
+    """Return the rms error, (3,), of means of a band of temperature and a side of the loop, every third band left out in turn.
+
+    Predicted are the curve, the loop and the lag, not what a visit or a branch adds; known: all that is beside the curve, and lag.
+    """
+    low, span = cells.temp_c.min(), np.ptp(cells.temp_c)
+    band = np.minimum((cells.temp_c - low) * (_BANDS / span), _BANDS - 1).astype(np.int64)
+    parts = 2 * band + (position > 0.0)
+    means = list[list[FloatArray]]()
+    for k, column in enumerate(columns):
+        basis = np.column_stack((np.ones(len(column.x)), column.x, regressors))
+        bow, whole = parabola(column.x), column.covariance + known[0][k]
+        signal = column.weight.sum(axis=0) @ column.bend * bending(column.x, column.x) + column.bow * np.outer(bow, bow)
+        signal = signal + known[1][k]
+        means.append([])
+        for turn in range(3):
+            held = (band % 3 == turn) & (band > 0) & (band < _BANDS - 1)  # the ends are not extrapolated
+            kept = np.flatnonzero(~held)
+            inverse = np.linalg.inv(whole[np.ix_(kept, kept)])
+            weighted = basis[kept].T @ inverse
+            if not held.any() or np.linalg.matrix_rank(weighted @ basis[kept]) < basis.shape[1]:
+                continue
+            by_basis = np.linalg.solve(weighted @ basis[kept], weighted @ column.y[kept])
+            left = column.y - basis @ by_basis
+            error = left[held] - signal[np.ix_(held, ~held)] @ inverse @ left[kept]
+            means[k] += [error[parts[held] == part].mean() for part in np.unique(parts[held])]
+    if not means[0]:
+        raise NotObservable("hysteresis: wanted temperatures between the ends, got none; record more set-points")
+    return np.asarray(np.sqrt(np.mean(np.square(means), axis=1)))

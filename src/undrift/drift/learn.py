@@ -9,17 +9,19 @@ Each recording is one switch-on. Its rests, in parts of 2 K, are observations of
          switch-on of the sessions behind it. A constant offset is a table of one node with one slope on both sides.
     a    ageing: a Wiener process from the date of the table, g2 a day
     s    turn-on bias repeatability, variance t2
-    e    noise of the rest, steps of a converter, the turn of a body, and r2: poses and bias instability
+    e    noise of the rest, steps of a converter, the turn of a body, the half-width h of a loop that the table knows, and r2:
+         poses, bias instability, and what else differs from rest to rest, as hysteresis and thermometer lag do
 
 A Kalman filter over the recordings, in order of date, gives the likelihood of t, g, r and q at the points of a grid. Likelihood
 times a stated prior (log-normal) is the weight of a point, and the mixture is the result. Each point leaves out a rest that a
-contaminated normal distribution takes for an outlier. A node's uncertainty is that of a switch-on to come: curve, ageing so far and
-t2. Learning always begins at the tables before and takes all rests so far: day by day and all at once give the same.
+contaminated normal distribution takes for an outlier. A node's uncertainty is that of a rest to come: curve, ageing so far, t2, h
+and r2, of which no number of rests makes the last three smaller. Learning always begins at the tables before and takes all rests so
+far: day by day and all at once give the same.
 """
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from importlib.metadata import version
 from typing import Any, TypeVar
@@ -72,7 +74,7 @@ class LearnFit:
     temp_c: FloatArray  # (n,), nodes, degC
     before: FloatArray  # (n, 3), offset before, rad/s
     before_uncertainty: FloatArray  # (n, 3), standard uncertainty for a switch-on to come, rad/s
-    after: FloatArray  # (n, 3), the same with the rests
+    after: FloatArray  # (n, 3), the same with the rests; its uncertainty is for a rest to come
     after_uncertainty: FloatArray
     curve_uncertainty: FloatArray  # (n, 3), of the mean over switch-ons on the last date, rad/s
     extrapolated: BoolArray  # (n,), true where no data were near
@@ -198,6 +200,7 @@ class _Prior:
     at_rests: FloatArray  # (m, 3), m
     days: FloatArray  # (r,), of the recordings since the table, day
     raw: FloatArray  # (3,), raw unit per rad/s
+    loop: FloatArray  # (3,), half-width of the hysteresis about the table
     covariance: FloatArray  # (3, d, d), of f inside the table, with the slope beyond
     bending: FloatArray  # (d, d), of f beyond, for a bend of 1
     sessions: int  # behind the table
@@ -218,6 +221,7 @@ class _Prior:
             at_rests=level.at(evidence.temp_c),
             days=_days(evidence),
             raw=raw,
+            loop=level.loop,
             covariance=level.covariance(x, h, settings.correlation_c),
             bending=3.0 / _END_C**3 * bending(h, h),
             sessions=max(int(sessions) if sessions.isdigit() else 1, 1),
@@ -254,6 +258,9 @@ class _Level:
     deviation: FloatArray  # (k, 3), standard uncertainty
     slope: FloatArray  # (2, 3), beyond either end, per K
     slope_deviation: FloatArray  # (2, 3), likewise
+    loop: FloatArray = field(
+        default_factory=lambda: np.zeros(3)
+    )  # (3,), half-width of the hysteresis, not in ``deviation``
 
     @property
     def span_c(self) -> tuple[float, float]:
@@ -267,14 +274,16 @@ class _Level:
         if table is not None and table.gyro_offset is not None:
             temp, offset = table.temp_c, table.gyro_offset
             own = np.full(offset.shape, np.nan) if table.gyro_uncertainty is None else table.gyro_uncertainty
-            own = np.where(np.isfinite(own), own, settings.turn_on * raw)
+            loop = np.zeros(3) if table.gyro_hysteresis is None else table.gyro_hysteresis
+            own = np.where(np.isfinite(own), np.sqrt(np.maximum(own**2 - loop**2, 0.0)), settings.turn_on * raw)
             ends = ((temp[0], min(temp[0] + _END_C, temp[-1])), (max(temp[-1] - _END_C, temp[0]), temp[-1]))
             change = [_interpolated(np.array(pair), temp, offset) for pair in ends]
             slope = np.array([(b - a) / (pair[1] - pair[0]) for (a, b), pair in zip(change, ends, strict=True)])
             length = np.array([pair[1] - pair[0] for pair in ends])[:, None]
             return cls(
-                temp_c=temp, offset=offset, deviation=own, slope=slope, slope_deviation=2.0**0.5 * own[[0, -1]] / length
-            )
+                temp_c=temp, offset=offset, deviation=own, slope=slope, slope_deviation=2.0**0.5 * own[[0, -1]] / length,
+                loop=loop,
+            )  # fmt: skip
         constant = np.zeros(3) if model is None else model.offset
         variance = np.full(3, np.nan) if model is None else np.diag(model.covariance)[9:12]
         variance = np.where(np.isfinite(variance) & (variance > 0.0), variance, (UNKNOWN * raw) ** 2)
@@ -324,7 +333,7 @@ class _Axis:
     """What was learnt of one axis, raw unit."""
 
     offset: FloatArray  # (n,), at the nodes, on the last date
-    deviation: FloatArray  # (n,), for a switch-on to come
+    deviation: FloatArray  # (n,), for a rest to come
     curve_deviation: FloatArray  # (n,), for the mean of all
     turn_on: tuple[float, float]  # t and its standard uncertainty
     ageing: tuple[float, float]  # likewise, in 30 days
@@ -358,9 +367,10 @@ def _learnt(prior: _Prior, evidence: Learnt, axis: int, used: BoolArray) -> _Axi
     curves = made.mean @ at.T
     middle = weight @ curves
     own = weight @ (np.einsum("nd,gde,ne->gn", at, made.covariance, at, optimize=True) + (curves - middle) ** 2)
+    to_come = weight @ (point.turn_on**2 + (point.rest**2 if used.any() else 0.0)) + prior.loop[axis] ** 2
     return _Axis(
         offset=prior.at_nodes[:, axis] + middle,
-        deviation=np.sqrt(np.maximum(own + weight @ point.turn_on**2, 0.0)),
+        deviation=np.sqrt(np.maximum(own + to_come, 0.0)),
         curve_deviation=np.sqrt(np.maximum(own, 0.0)),
         turn_on=_weighed(weight, point.turn_on),
         ageing=_weighed(weight, point.ageing * _MONTH**0.5),
@@ -385,7 +395,8 @@ def _filtered(prior: _Prior, evidence: Learnt, axis: int, used: BoolArray, point
     mean, spread = np.zeros((count, d + 2)), np.zeros((count, d + 2, d + 2))
     spread[:, :d, :d] = point.covariance
     score, kept = np.zeros(count), np.ones((len(used), count))
-    misfit, variance = evidence.gyro_offset[:, axis] - prior.at_rests[:, axis], evidence.gyro_variance[:, axis]
+    misfit = evidence.gyro_offset[:, axis] - prior.at_rests[:, axis]
+    variance = evidence.gyro_variance[:, axis] + prior.loop[axis] ** 2
     first, shares = _places(evidence.temp_c, prior.x)
     today, outlier = 0.0, float(prior.raw[axis]) * _OUTLIER_SD
     far = np.log(_OUTLIER) - 0.5 * np.log(2.0 * np.pi * outlier**2)

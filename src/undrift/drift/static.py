@@ -24,7 +24,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray
-from undrift.drift.hysteresis import LoopChoice, choose_loop
+from undrift.drift.hysteresis import LoopChoice, choose_loop, courses, shows
 from undrift.drift.observe import RestBlocks
 from undrift.drift.rests import (
     UNKNOWN_SCALE_PER_K,
@@ -50,7 +50,6 @@ _REVERSAL_C = 4.0  # after a turn the loop is crossed over this much of temperat
 _OVERLAP_C = 3.0  # both directions have to have seen a common range as wide as this
 _SLOPE_POINTS = 60
 _CHUNK_S = 120.0  # cells are cut there and at its doubles where a warm-up is fitted
-_SIGNIFICANT = 3.0  # standard uncertainties, on one axis or more
 _LEAST_OWN = 0.05  # of the variance of exp(-t / tau) that temperature does not explain
 _CHANCE = 1e-3  # of soaks that are missed by as much although the stated uncertainty is right
 _LEAST_LEFT_OUT, _FAR_BELOW = 5, 1.0 / 3.0  # soaks that are judged by; error over stated, on all axes
@@ -67,6 +66,7 @@ class StaticSettings:
     warm_up: bool = False  # fit a power-on transient; recordings begin at power-on
     latitude_deg: float | None = None  # to subtract the Earth rate along the vertical; None leaves it in
     accel_unit: str = "count"  # of the accelerometer's readings where no calibration states it
+    lag_doubt_s: float = 0.0  # standard uncertainty of the thermometer's lag, which makes a loop of its own
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -208,7 +208,8 @@ def _triad(
     correct_loop: bool = False,
 ) -> TriadDrift:
     """Fit one triad; with a reference the table is its offset plus the change since its temperature."""
-    curve = fit_curve(offsets, warm_up=settings.warm_up, correct_loop=correct_loop)
+    doubt_s = settings.lag_doubt_s if correct_loop else None
+    curve = fit_curve(offsets, warm_up=settings.warm_up, lag_doubt_s=doubt_s)
     temp_c, n = offsets.blocks.temp_c, len(nodes)
     inside = np.quantile(temp_c, np.linspace(0.0, 1.0, _SLOPE_POINTS))
     at = np.concatenate((nodes, inside, [nodes[0] if reference is None else reference[0]]))
@@ -295,8 +296,8 @@ def _triad_findings(sensor: str, found: TriadDrift) -> list[Finding]:
 # ---- one triad: the curve with hysteresis, warm-up and sessions
 
 
-def fit_curve(offsets: Offsets, *, warm_up: bool, correct_loop: bool = False) -> OffsetCurve:
-    """Fit offset over temperature and what goes beside it."""
+def fit_curve(offsets: Offsets, *, warm_up: bool, lag_doubt_s: float | None = None) -> OffsetCurve:
+    """Fit offset over temperature and what goes beside it; a loop is corrected where a doubt about the lag is given."""
     blocks, found, state = offsets.blocks, list[Finding](), cooling(offsets.blocks)
     seen = both_ways(blocks, state)
     if not seen:
@@ -308,18 +309,27 @@ def fit_curve(offsets: Offsets, *, warm_up: bool, correct_loop: bool = False) ->
         except NotObservable as error:
             own = error.numbers["share"]
             found.append(finding("drift.warm_up_not_observable", "info", percent=100.0 * (1.0 - own)))  # type: ignore[operator]
-    loop, choice = None, None
+    decay = [] if tau is None else [np.exp(-blocks.power_on_s / tau)]
+    tried = seen and lag_doubt_s is not None
+    given = [*([state] if seen else []), *decay, *([blocks.ramp_c_per_min / 60.0, *courses(blocks).T] if tried else [])]
+    cells = _cells(offsets, given, None if not seen else state, tau)
+    count = int(seen) + len(decay)
+    effects, of_course = cells.regressors[:, :count], cells.regressors[:, count:]
+    loop, choice, kept = None, None, False
+    cells = replace(cells, regressors=effects)
     if seen:
-        full = _fitted(offsets, state[:, None], tau, state)
-        loop = Loop(half=full[1].coefficient[0], uncertainty=full[1].coefficient_uncertainty[0])
-    kept = loop is not None and bool((np.abs(loop.half) > _SIGNIFICANT * loop.uncertainty).any())
-    if kept and correct_loop:
-        settling = 0.0 if tau is None else np.exp(-blocks.power_on_s / tau)[:, None] * full[1].coefficient[-1]
-        choice = choose_loop(blocks, offsets.value - settling, lambda *given: _fitted_to(offsets, tau, *given))
-    if choice is not None and choice.hysteresis is not None:
+        full = _smoothed(cells)
+        loop = _loop_of(full[1])
+        kept = shows(full[1], 0)
+    if tried:
+        missed = _missed(full[1], cells, of_course[:, 0], lag_doubt_s or 0.0)
+        choice = choose_loop(cells, of_course[:, 1:], full[1], missed, _smoothed)
+    if choice is not None:
         full = choice.fitted
-        loop = Loop(half=full[1].coefficient[0], uncertainty=full[1].coefficient_uncertainty[0])
-    cells, spline, turn_on = full if kept else _fitted(offsets, None, tau)
+        loop = _loop_of(full[1])
+        kept = kept or shows(full[1], 0)
+        choice = choice if kept else None
+    cells, spline, turn_on = full if kept else _smoothed(_cells(offsets, decay, None, tau))
     if turn_on is None:
         found.append(finding("drift.one_session", "info"))
     elif not np.isfinite(turn_on.variance).all():
@@ -340,30 +350,21 @@ def fit_curve(offsets: Offsets, *, warm_up: bool, correct_loop: bool = False) ->
     )
 
 
-def _fitted_to(
-    offsets: Offsets, tau: float | None, rows: BoolArray, state: FloatArray | None, direction: FloatArray
-) -> tuple[Cells, SmoothSpline, TurnOn | None]:
-    """Fit some of the blocks, as ``choose_loop`` asks."""
-    step = offsets.step_error
-    taken = replace(
-        offsets,
-        blocks=offsets.blocks.taken(rows),
-        value=offsets.value[rows],
-        variance=offsets.variance[rows],
-        step_error=None if step is None else step[rows],
-    )
-    return _fitted(taken, None if state is None else state[rows], tau, direction[rows])
+def _loop_of(spline: SmoothSpline) -> Loop:
+    return Loop(half=spline.coefficient[0], uncertainty=spline.coefficient_uncertainty[0])
 
 
-def _fitted(
-    offsets: Offsets, state: FloatArray | None, tau: float | None, direction: FloatArray | None = None
-) -> tuple[Cells, SmoothSpline, TurnOn | None]:
-    """Fit the curve, with a loop where regressors of it are given, (n, p), and with a warm-up where its time constant is."""
+def _missed(spline: SmoothSpline, cells: Cells, ramp_c_per_s: FloatArray, lag_doubt_s: float) -> FloatArray:
+    """Return what a lag of the thermometer that was missed by its standard uncertainty makes of each cell, (3, n)."""
+    places = np.linspace(cells.temp_c.min(), cells.temp_c.max(), _SLOPE_POINTS)
+    slopes = np.gradient(spline.at(places).value, places, axis=0)
+    return np.array([np.interp(cells.temp_c, places, slope) for slope in slopes.T]) * ramp_c_per_s * lag_doubt_s
+
+
+def _cells(offsets: Offsets, columns: list[FloatArray], direction: FloatArray | None, tau: float | None) -> Cells:
+    """Gather the blocks, with the means of columns (n,) as regressors; blocks of different directions (n,) are not averaged."""
     blocks = offsets.blocks
-    columns = [] if state is None else list(state.T)
-    if tau is not None:
-        columns.append(np.exp(-blocks.power_on_s / tau))
-    cells = gather(
+    return gather(
         blocks,
         offsets.value,
         offsets.variance,
@@ -372,7 +373,12 @@ def _fitted(
         step_error=offsets.step_error,
         chunk_s=np.inf if tau is None else _CHUNK_S,
     )
+
+
+def _smoothed(cells: Cells, known: FloatArray | None = None) -> tuple[Cells, SmoothSpline, TurnOn | None]:
+    """Fit the curve with what cells have for regressors; known: covariance beside theirs, (3, n, n)."""
     turn_on, shared = None, cells.instability if cells.between is None else cells.instability + cells.between.shared
+    shared = shared if known is None else shared + known
     if len(np.unique(cells.session)) > 1:
         turn_on = between_sessions(cells)
         of_sessions = np.nan_to_num(turn_on.variance)[:, None, None] * (cells.session[:, None] == cells.session)
@@ -381,7 +387,7 @@ def _fitted(
         cells.temp_c,
         cells.value,
         cells.variance,
-        regressors=cells.regressors if columns else None,
+        regressors=cells.regressors if cells.regressors.size else None,
         groups=cells.groups,
         scatter=Scatter(correlation=cells.visits, expected=cells.expected, shared=shared),
     )

@@ -83,18 +83,23 @@ def _parts(calibration: Calibration) -> Iterator[tuple[Part, Finding]]:
     if gyro is not None and gyro.g_sensitivity is not None:
         rate = np.abs(gyro.g_sensitivity).max() * si_factor(gyro.unit_out, "rate") / RADIAN_PER_DEGREE
         yield "g", finding("export.g_sensitivity", "warn", most_dps_per_g=rate * si_factor("g", "accel"))
-    yield from _tables(calibration.drift or DriftTables())
+    yield from _tables(calibration, calibration.drift or DriftTables())
     yield "uncertainty", finding("export.uncertainty", "warn")
     if calibration.noise is not None:
         yield "noise", finding("export.noise", "warn")
 
 
-def _tables(drift: DriftTables) -> Iterator[tuple[Part, Finding]]:
+def _tables(calibration: Calibration, drift: DriftTables) -> Iterator[tuple[Part, Finding]]:
     static, scale, dynamic = drift.static, drift.scale, drift.dynamic
     if static is not None:
         yield "static", finding("export.static", "warn")
         if static.gyro_hysteresis is not None:
-            yield "hysteresis", finding("export.hysteresis", "warn")
+            gyro, half = calibration.gyro, static.gyro_hysteresis
+            rate = half if gyro is None else half / gyro.scale_factor * si_factor(gyro.unit_out, "rate")
+            yield (
+                "hysteresis",
+                finding("export.hysteresis", "warn", half_width_dps=np.abs(rate).max() / RADIAN_PER_DEGREE),
+            )
         if static.warm_up is not None:
             yield "warm-up", finding("export.warm_up", "warn")
     if scale is not None:
