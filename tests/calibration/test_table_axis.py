@@ -193,6 +193,9 @@ def test_codes_of_an_accelerometer_are_an_error_that_all_dwells_of_a_mounting_sh
     off = [place for place in range(9) if place % 4]
     more = np.diag(of_rates(found[1], dwells) - of_rates(found[0], dwells))[off]
     assert np.all(more > 0.9 * 0.1**2 / 12.0 / G**2)  # the sensors' scales differ by some per cent
+    every = np.diag(found[1].spread).reshape(-1, 3)
+    across = np.arange(3) != dwells.own[:, None]
+    assert np.all(found[1].apart[across] < 0.5 * every[across])  # what dwells share is none of what each has on its own
 
 
 def test_rests_on_a_table_are_no_level_faces_where_a_plate_shows_all_six():
