@@ -243,7 +243,7 @@ def details() -> Result:
             "slope": triad.slope,
             "slope_uncertainty": triad.slope_uncertainty,
             "leave_out_rms": triad.curve.spline.leave_out_rms,
-            "scatter": triad.curve.spline.scatter_deviation,
+            "scatter": triad.curve.spline.visit_deviation,
             "span_c": triad.span_c,
             "value": at.value,
             "covariance_at_nodes": at.covariance,
