@@ -128,13 +128,14 @@ def test_five_set_points_are_worth_what_their_nodes_state_between_them(kind, low
 
 
 # Widest: stated uncertainty over error, both root-mean-square over 8 devices. 1 would be right. A loop seen both ways counts
-# by half its size although the truth here is its very middle: a device in use lies anywhere between, where the error is larger.
+# by half its size, 45 mdeg/s, although the truth here is its very middle: a device in use lies anywhere between, where the error
+# is larger. With a warm-up too the same half counts, so the same limit stands.
 @pytest.mark.parametrize(
     ("points", "effects", "least", "widest"),
     [
         (UP, {"adc": True}, 0.90, 1.5),
         (UP_DOWN, {"hysteresis": True}, 0.93, 20.0),
-        (UP_DOWN, {"hysteresis": True, "warm_up": True}, 0.93, 10.0),
+        (UP_DOWN, {"hysteresis": True, "warm_up": True}, 0.93, 20.0),
         (UP, {"hysteresis": True}, 0.0, 0.5),
         (UP, {"warm_up": True}, 0.0, 0.7),
     ],

@@ -197,7 +197,7 @@ AT_REST = {
     50: ("KP", "MG"),
     51: ("ST?", "BG ?"),
     83: ("KP 5$", 'MG "open'),
-    143: ("TM 10",),
+    143: ("TM 40",),
 }
 JOGGING = {7: ("DP 0", "MO", "PR 100", "TM 500"), 21: ("BGX",)}
 MOVING = {13: ("JG 100",), 7: ("PA 5",), 21: ("BGX",)}
@@ -312,8 +312,8 @@ def test_code_131_is_a_serial_line_that_lost_the_end_of_a_command_and_nothing_mo
 
 def test_code_143_reaches_whoever_sets_a_sample_time_through_the_driver():
     with connected() as (emulator, rig):
-        with pytest.raises(RigFault, match=f"wanted 'TM 10', got error 143: {ERRORS[143]}") as raised:
-            rig.card.do("TM 10")
+        with pytest.raises(RigFault, match=f"wanted 'TM 40', got error 143: {ERRORS[143]}") as raised:
+            rig.card.do("TM 40")
         assert raised.value.code == 143
         assert rig.card.number("MG _TM") == emulator.machine.card.values["TM"]
 

@@ -109,7 +109,7 @@ class Board:
             )
             made = float(self._task.timing.samp_clk_rate)
             if abs(made / description.rate - 1.0) > RATE_OFF:
-                raise LinkError(
+                raise InputError(
                     f"daq: wanted {description.rate:g} samples/s, got {made:g} as the nearest of the board; state rate={made:g}"
                 )
             self._reader = readers.AnalogMultiChannelReader(self._task.in_stream)
