@@ -264,6 +264,8 @@ class ByteSource:
         self._decoder = decoder_for(self.description)
         try:
             self._port = self._connect()
+        except InputError:  # the address is wrong, and says how
+            raise
         except (OSError, ValueError) as error:
             got = reason_of(error)
             raise LinkError(f"{self.name}: wanted a connection, got '{got}'; check power, cable and address") from error
