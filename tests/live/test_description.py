@@ -63,7 +63,10 @@ def test_a_description_that_cannot_be_is_refused(options, text):
 @pytest.mark.parametrize(
     ("address", "text"),
     [
-        ("tcp", r"wanted one of tcp:..., udp:..., serial:..., lsl:..., ble:..., daq:..., got 'tcp'; name how it is connected"),
+        (
+            "tcp",
+            r"wanted one of tcp:..., udp:..., serial:..., lsl:..., ble:..., daq:..., got 'tcp'; name how it is connected",
+        ),
         ("can:0?rate=1", r"wanted one of tcp"),
         ("tcp://h:1?rate", r"wanted options as name=value&name=value, got 'rate'"),
         ("tcp://h:1?rate=fast", r"wanted a number for rate, got 'fast'"),
