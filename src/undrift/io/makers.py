@@ -788,6 +788,10 @@ def _xsens(sheet: Sheet) -> Reference:
     if len(held) == 4:
         q_nb = values
     else:
+        if len(held) == 9 and (np.abs(np.linalg.det(values[seen].reshape(-1, 3, 3)) - 1.0) > _NEARLY_UNIT).any():
+            raise FileFormatError(
+                f"{sheet.path}: wanted rotation matrices in Mat, got others; export orientations again"
+            )
         turn = Rotation.from_matrix(values[seen].reshape(-1, 3, 3)) if len(held) == 9 else None
         turn = turn or Rotation.from_euler("ZYX", values[seen], degrees=True)
         q_nb[seen] = turn.as_quat(scalar_first=True)
