@@ -28,6 +28,7 @@ Rounding = Literal["nearest", "floor", "toward_zero"]
 Status = Literal["good", "marginal", "bad"]
 
 AXES: tuple[Axis, Axis, Axis] = ("x", "y", "z")
+BEYOND_SEEN_C = 3.0  # tables reach so far beyond the temperatures seen without being asked, degC
 MATRIX_NAMES = tuple(f"m_{row}{column}" for row in AXES for column in AXES)
 OFFSET_NAMES = tuple(f"offset_{axis}" for axis in AXES)
 G_NAMES = tuple(f"g_{row}{column}" for row in AXES for column in AXES)
@@ -205,9 +206,8 @@ class StaticDrift:
     temp_c: FloatArray  # (n,), nodes, degC, increasing
     gyro_offset: FloatArray | None = None  # (n, 3), reading at zero input, raw unit
     accel_offset: FloatArray | None = None
-    gyro_uncertainty: FloatArray | None = (
-        None  # (n, 3), standard uncertainty of each node for a visit to come, raw unit
-    )
+    # (n, 3), standard uncertainty of each node for a visit to come, raw unit
+    gyro_uncertainty: FloatArray | None = None
     accel_uncertainty: FloatArray | None = None
     gyro_extrapolated: BoolArray | None = None  # (n,), true where no data were near the node
     accel_extrapolated: BoolArray | None = None

@@ -66,7 +66,7 @@ class Clocks:
     drift: float  # Seconds a second by which the recording's clock runs faster
     middle_s: float  # On the log's clock
     offset_uncertainty_s: float  # Standard
-    drift_uncertainty: float  # Standard; infinite where one window alone shows the lag
+    drift_uncertainty: float  # Standard; that of two quartz clocks where one window alone shows the lag
     windows: int  # In which the lag was found
     correlation: float  # Least of them
 
@@ -76,8 +76,7 @@ class Clocks:
 
     def uncertainty_s(self, time: float) -> float:
         """Return the standard uncertainty of that."""
-        away = time - self.middle_s
-        return float(np.hypot(self.offset_uncertainty_s, 0.0 if away == 0.0 else away * self.drift_uncertainty))
+        return float(np.hypot(self.offset_uncertainty_s, (time - self.middle_s) * self.drift_uncertainty))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

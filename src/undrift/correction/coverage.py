@@ -22,7 +22,7 @@ from undrift.correction.plan import Carry, Kind, MarkedTable, Plans, flat, has_t
 from undrift.drift.hysteresis import uncertain_share
 from undrift.errors import DriftRangeError
 from undrift.findings import Finding, finding
-from undrift.model import Calibration, StaticDrift, TriadModel
+from undrift.model import BEYOND_SEEN_C, Calibration, StaticDrift, TriadModel
 from undrift.record import Record
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, Quantity, si_factor
 
@@ -30,7 +30,6 @@ Span = tuple[float, float]  # least and greatest
 NOWHERE: Span = (np.inf, -np.inf)
 KINDS: tuple[Kind, ...] = ("rate", "accel", "scale")
 TICKS_PER_S = 2.0**30
-BEYOND_C = 3.0  # as far as tables reach beyond what was seen without being asked (drift/fit.py), degC
 UNKNOWN_LOOP = 0.5  # of the half-width: above, the correction is mostly the middle of the loop
 MARGIN = 0.1  # of the larger end of valid_range: noise alone carries a device that lies on a face past +-1 g
 
@@ -92,7 +91,7 @@ def find_outside(
     low, high = max(r[0] for r in ranges), min(r[1] for r in ranges)
     if static is not None and not allowed:
         seen = _seen(static)
-        beyond = BEYOND_C * (2.0 if lagged else 1.0)  # subtracting a lag makes a thermometer noisier
+        beyond = BEYOND_SEEN_C * (2.0 if lagged else 1.0)  # subtracting a lag makes a thermometer noisier
         low, high = max(low, seen[0] - beyond), min(high, seen[1] + beyond)
     least, greatest = _extremes(temp_c)
     if least >= low and greatest <= high:

@@ -42,13 +42,12 @@ from undrift.drift.temperature import Temperature, TemperatureSettings, check_sp
 from undrift.drift.thermometer_lag import LagFit, default_smooth_s, estimate_lag, without_lag_smooth
 from undrift.errors import InputError, NotObservable
 from undrift.findings import finding
-from undrift.model import Calibration, DriftTables, Provenance, Verdict
+from undrift.model import BEYOND_SEEN_C, Calibration, DriftTables, Provenance, Verdict
 from undrift.record import Session
 from undrift.views import Shown
 
 RANGE_C = (18.0, 75.0)  # the note's
 STEP_C = 0.5
-MARGIN_C = 3.0  # tables reach no further beyond what was seen; the note's ends are taken where they are as near
 _SURE_LAG = 3.0  # standard uncertainties: a lag below is left in
 _LAG_BY_LOOPS_S = 15.0  # by which a loop of any shape moves the lag that is found, one standard deviation
 _INPUTS = "drift_inputs_before"  # setting: how many inputs the calibration had before a thermal fit
@@ -325,7 +324,7 @@ def _whole_range(seen_c: FloatArray, step: float) -> tuple[float, float]:
     least, greatest = float(np.nanmin(seen_c)), float(np.nanmax(seen_c))
     outward = (float(np.floor(least / step) * step), float(np.ceil(greatest / step) * step))
     low, high = (
-        end if 0.0 < sign * (end - seen) <= MARGIN_C else seen
+        end if 0.0 < sign * (end - seen) <= BEYOND_SEEN_C else seen
         for end, seen, sign in zip(RANGE_C, outward, (-1, 1), strict=True)
     )
     return low, high

@@ -258,9 +258,8 @@ class _Level:
     deviation: FloatArray  # (k, 3), standard uncertainty
     slope: FloatArray  # (2, 3), beyond either end, per K
     slope_deviation: FloatArray  # (2, 3), likewise
-    loop: FloatArray = field(
-        default_factory=lambda: np.zeros(3)
-    )  # (3,), half-width of the hysteresis, not in ``deviation``
+    # (3,), half-width of the hysteresis, not in ``deviation``
+    loop: FloatArray = field(default_factory=lambda: np.zeros(3))
 
     @property
     def span_c(self) -> tuple[float, float]:
@@ -280,10 +279,8 @@ class _Level:
             change = [_interpolated(np.array(pair), temp, offset) for pair in ends]
             slope = np.array([(b - a) / (pair[1] - pair[0]) for (a, b), pair in zip(change, ends, strict=True)])
             length = np.array([pair[1] - pair[0] for pair in ends])[:, None]
-            return cls(
-                temp_c=temp, offset=offset, deviation=own, slope=slope, slope_deviation=2.0**0.5 * own[[0, -1]] / length,
-                loop=loop,
-            )  # fmt: skip
+            doubt = 2.0**0.5 * own[[0, -1]] / length
+            return cls(temp_c=temp, offset=offset, deviation=own, slope=slope, slope_deviation=doubt, loop=loop)
         constant = np.zeros(3) if model is None else model.offset
         variance = np.full(3, np.nan) if model is None else np.diag(model.covariance)[9:12]
         variance = np.where(np.isfinite(variance) & (variance > 0.0), variance, (UNKNOWN * raw) ** 2)

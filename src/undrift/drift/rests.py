@@ -264,7 +264,7 @@ def gather(
     x = temp_c - temp_c.mean()  # the usual slope within a cell is subtracted; 0 for one temperature
     level = value - np.asarray(x @ middle / max(float(x @ x), 1e-9)) * blocks.temp_c[:, None]
     rests, labels = _rests_of(blocks, members)
-    seen = _second_differences(blocks, value, variance)
+    seen = instability_of(blocks, value, variance)
     instability = None if seen is None else np.maximum(*seen)
     if instability is None:
         instability = _from_pairs(blocks, rests, labels, level, variance)
@@ -350,16 +350,8 @@ def _soaks_of(time: FloatArray, temp_c: FloatArray) -> IntArray:
     return np.where(np.abs(temp_c - middle[stretch]) <= 0.5 * _HELD_C, soak, -1)
 
 
-def instability_of(blocks: RestBlocks, value: FloatArray, variance: FloatArray) -> FloatArray | None:
-    """Return s2, (3,), no less than its own uncertainty; None where too few blocks follow each other."""
-    found = _second_differences(blocks, value, variance)
-    return None if found is None else np.maximum(*found)
-
-
-def _second_differences(
-    blocks: RestBlocks, value: FloatArray, variance: FloatArray
-) -> tuple[FloatArray, FloatArray] | None:
-    """Return s2, (3,): the variance of the bias instability from block to block, as flicker noise has it."""
+def instability_of(blocks: RestBlocks, value: FloatArray, variance: FloatArray) -> tuple[FloatArray, FloatArray] | None:
+    """Return s2, (3,), as flicker noise from block to block has it, and its uncertainty; None where too few follow each other."""
     step = np.diff(blocks.time)
     usual = float(np.median(step)) if len(step) else 0.0
     follows = (np.abs(step - usual) < 0.2 * usual) & (np.diff(blocks.session) == 0) & (np.diff(blocks.pose) == 0)

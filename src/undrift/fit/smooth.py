@@ -36,10 +36,8 @@ _DEPARTURE = 2.47e-3  # of the range of the values over 50 K: by which a curve u
 _PER_BEND = 0.0202  # that departure, root-mean-square, for q = 1
 _VISITS, _OF_NOISE = 1e-3, 0.78  # of the range, and of the noise of a row: scatter of visits that is expected at least
 _USUAL = 3.1  # times what is expected of visits: the scale of their prior
-_MOST, _BESIDE = (
-    1.5,
-    1.29,
-)  # times the rms residuals about the parabola, and times what is expected: visits add no more than both
+_MOST = 1.5  # times the rms residuals about the parabola,
+_BESIDE = 1.29  # and times what is expected: visits add no more than both
 _LEAST = 0.03  # of what is expected: the least
 _LEVELS, _BENDS = 8, 24  # of the grid over s2, in each of two rounds, and over q
 _NEGLIGIBLE = 1e-4  # weight

@@ -20,6 +20,7 @@ import numpy as np
 
 from undrift.arrays import FloatArray
 from undrift.errors import InputError, LinkError
+from undrift.files import first_line
 from undrift.live.decoder import COUNTER, StreamDescription
 from undrift.live.transports import Address, ByteSource, Source, package_of
 from undrift.units import LM335_K_PER_V, ZERO_CELSIUS_K
@@ -116,7 +117,7 @@ class Board:
             self._task.start()
         except self._error as error:
             self.close()
-            raise OSError(_first_line(error)) from error
+            raise OSError(first_line(error)) from error
         except BaseException:
             self.close()
             raise
@@ -132,7 +133,7 @@ class Board:
             volts = np.empty((self._task.number_of_channels, count))
             self._reader.read_many_sample(volts, count, timeout=wait_s + LOOK_S)
         except self._error as error:
-            raise OSError(_first_line(error)) from error
+            raise OSError(first_line(error)) from error
         return np.ascontiguousarray(volts.T)
 
     def close(self) -> None:
@@ -220,7 +221,3 @@ def _number(name: str, text: str) -> float:
     if not np.isfinite(value):
         raise InputError(f"daq: wanted a number for {name}, got '{text}'; mend the address")
     return value
-
-
-def _first_line(error: Exception) -> str:
-    return (str(error) or type(error).__name__).splitlines()[0]

@@ -136,7 +136,7 @@ class ModbusChamber(Chamber):
 
     def _get(self, register: Register) -> float:
         count = 2 if register.kind == "float32" else 1
-        held = self._said("read_holding_registers", register.at, count=count).registers
+        held = self._answer("read_holding_registers", register.at, count=count).registers
         if len(held) != count:
             raise LinkError(f"{self._name}: wanted {count} registers, got {len(held)}; check link and chamber")
         if count == 1:
@@ -147,11 +147,11 @@ class ModbusChamber(Chamber):
     def _put(self, register: Register, value: float) -> None:
         if register.kind == "float32":
             words = list(struct.unpack(">HH", struct.pack(">f", value)))
-            self._said("write_registers", register.at, words if self._high_first else words[::-1])
+            self._answer("write_registers", register.at, words if self._high_first else words[::-1])
         else:
-            self._said("write_register", register.at, round(value) & 0xFFFF)
+            self._answer("write_register", register.at, round(value) & 0xFFFF)
 
-    def _said(self, call: str, *words: Any, **options: Any) -> Any:
+    def _answer(self, call: str, *words: Any, **options: Any) -> Any:
         """Return the answer to a message, or raise what went wrong in one line."""
         from pymodbus.exceptions import ModbusException
 
