@@ -118,7 +118,8 @@ def _logged(path: Path, session: "Session", offset_s: float | None) -> "tuple[tu
     turns, missed = cut_dwells(log, list(zip(session.records, clocks, strict=True)), settings)
     if not turns:
         raise InputError(
-            f"{path}: wanted steady dwells of {settings.least_s:g} s or more on the recording, got none ({missed} left out); check the log"
+            f"{path}: wanted steady dwells of {settings.least_s:g} s or more on the recording, got none ({missed} left out); "
+            "check the log"
         )
     shown = [
         {
