@@ -58,6 +58,7 @@ class TriadSummary:
     left_out_rms: FloatArray  # (3,), cross-validated error; NaN where there are too few temperatures
     half_loop: FloatArray | None = None  # (3,), hysteresis half-width, cooling less warming; None where it did not show
     half_loop_uncertainty: FloatArray | None = None  # (3,)
+    branch: FloatArray | None = None  # (n, 3), half-width at the nodes: that of ``half_loop``, or one that changes
     loop_kept: bool = False  # whether the loop is significant and part of the table
     turn_on: FloatArray | None = None  # (3,), standard deviation from session to session; None for one session
     block_temp_c: FloatArray = field(default_factory=lambda: np.zeros(0))  # (k,), degC; may be empty
@@ -138,6 +139,10 @@ def _summary_of(
 ) -> TriadSummary:
     factor, unit = units
     loop, turn_on, blocks = found.curve.loop, found.curve.turn_on, found.offsets.blocks
+    model = None if found.curve.choice is None else found.curve.choice.hysteresis
+    branch = None if loop is None else np.tile(loop.half, (len(nodes), 1))
+    if model is not None:
+        branch = np.column_stack([np.interp(nodes, model.temp_c, half) for half in model.gyro_half_width.T])
     return TriadSummary(
         unit=unit,
         seen_c=found.span_c,
@@ -152,6 +157,7 @@ def _summary_of(
         left_out_rms=found.curve.spline.leave_out_rms * factor,
         half_loop=None if loop is None else loop.half * factor,
         half_loop_uncertainty=None if loop is None else loop.uncertainty * factor,
+        branch=None if branch is None else branch * factor,
         loop_kept=found.curve.kept_loop,
         turn_on=None if turn_on is None else np.sqrt(turn_on.variance) * factor,
         block_temp_c=blocks.temp_c,

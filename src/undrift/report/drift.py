@@ -104,11 +104,12 @@ def _draw_level(axes: "Axes", summary: "TriadSummary", k: int, factor: float, va
     axes.fill_between(temp, value - doubt, value + doubt, color=LIMIT, alpha=0.3, linewidth=0.0, label="95 %", zorder=2)
     name = "table" if summary.in_table else "fit"
     axes.plot(temp, value, color="black", marker=".", markersize=2.5, linewidth=0.9, label=name, zorder=4)
-    half, own = summary.half_loop, summary.half_loop_uncertainty
-    if summary.loop_kept and half is not None and own is not None and abs(half[k]) > SIGNIFICANT * own[k]:
-        for sign, colour, branch in ((1.0, _COOL, "cooling branch"), (-1.0, _WARM, "warming branch")):
-            course = value + sign * half[k] * factor
-            axes.plot(temp, course, color=colour, linestyle="--", linewidth=0.9, label=branch, zorder=3)
+    half, own, branch = summary.half_loop, summary.half_loop_uncertainty, summary.branch
+    shown = summary.loop_kept and half is not None and own is not None and abs(half[k]) > SIGNIFICANT * own[k]
+    if shown and branch is not None:
+        for sign, colour, name in ((1.0, _COOL, "cooling branch"), (-1.0, _WARM, "warming branch")):
+            course = value + sign * branch[:, k] * factor
+            axes.plot(temp, course, color=colour, linestyle="--", linewidth=0.9, label=name, zorder=3)
     spread = np.quantile(held, (0.002, 0.998)) if len(held) else held
     every = np.concatenate((value, (value - doubt)[near], (value + doubt)[near], spread))
     low, high = float(every.min()), float(every.max())
