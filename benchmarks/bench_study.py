@@ -1,18 +1,29 @@
 """``undrift study``: a first look at the note's three tasks as a user starts it, and the cost of one run of the flow."""
 
-import statistics
 import subprocess
 import sys
 import tempfile
 import time
+from itertools import pairwise
 from pathlib import Path
 
+import numpy as np
 import psutil
 
 from benchmarks.figure import Figure
-from undrift.study.case import run_unit, units_of
-from undrift.study.plan import note_study
-from undrift.study.run import count_runs
+from undrift.sim.table_sessions import FACE, RATE, REST, joined
+from undrift.study.case import (
+    Unit,
+    faces_of,
+    fit_as_the_note,
+    make_case,
+    session_of,
+    simulate_turns,
+    trial_errors,
+    units_of,
+)
+from undrift.study.plan import Study, note_study
+from undrift.study.search import count_runs
 
 STUDY = "import sys; from undrift.cli.app import main; main(sys.argv[1:])"
 
@@ -23,25 +34,73 @@ def run() -> list[Figure]:
     Returns
     -------
     list of Figure
-        Seconds and memory of the whole command; milliseconds of a run in each task.
+        Seconds and memory of the whole command; runs in a second and the share of each stage in each task.
     """
     seconds, peak = measured("--preset", "note", "--quick")
     figures = [
         Figure("undrift study --preset note --quick, whole command on all processors", seconds, "s"),
         Figure("  its processes together, peak memory", peak / 1e6, "MB", "<= 1000"),
     ]
-    study = note_study(subjects=3)
+    return figures + shares(note_study(subjects=4))
+
+
+STAGES = ("device, motion, trial, delay", "lay out", "faces", "rests and rates", "fit", "correct, orient, compare")
+
+
+def shares(study: Study) -> list[Figure]:
+    """Measure what a run costs one processor in each task of a study, by stage.
+
+    Parameters
+    ----------
+    study : Study
+        With four subjects or more: the first compiles, the others are measured.
+
+    Returns
+    -------
+    list of Figure
+        Runs in a second of one processor, and the share of each stage.
+    """
+    figures = []
     for task in study.tasks:
-        own = [unit for unit in units_of(study) if unit.task.name == task.name][:3]
-        run_unit(own[0])
-        took = []
-        for unit in own:
-            start = time.perf_counter()
-            runs = len(run_unit(unit).error_rms_deg)
-            took.append((time.perf_counter() - start) / runs)
-        label = f"a run of {task.name}: session, fit, tables, correct, orient, compare; one processor"
-        figures.append(Figure(label, 1e3 * statistics.median(took), "ms"))
+        units = [unit for unit in units_of(study) if unit.task is task and unit.subject < 4]
+        took = np.array([stages_of(unit) for unit in units])[len(task.space.cutoff_hz) :]
+        runs = len(took) * len(task.candidates(1.0))
+        label = f"{task.name}: runs in a second of one processor"
+        figures.append(Figure(label, runs / took.sum(), "1/s"))
+        for stage, seconds in zip(STAGES, took.sum(axis=0), strict=True):
+            figures.append(Figure(f"  {stage}", 100.0 * seconds / took.sum(), "%"))
     return figures
+
+
+def stages_of(unit: Unit) -> list[float]:
+    """Run a unit stage by stage, as ``run_unit`` does.
+
+    Parameters
+    ----------
+    unit : Unit
+        With its protocols.
+
+    Returns
+    -------
+    list of float
+        Seconds of the processor that each stage took.
+    """
+    study, subject, protocols = unit.study, unit.subject, unit.task.candidates(unit.cutoff_hz)
+    times = [time.process_time()]
+    case = make_case(study, unit.task, subject, unit.cutoff_hz)
+    times.append(time.process_time())
+    every = joined([session_of(protocol) for protocol in protocols])
+    times.append(time.process_time())
+    accel = faces_of(study, case.device, subject, session_of(protocols[0]).chosen(FACE))
+    times.append(time.process_time())
+    sessions = every.chosen(REST, RATE)
+    readings = simulate_turns(study, unit.task.base, case.device, subject, sessions)
+    times.append(time.process_time())
+    fits = fit_as_the_note(sessions, readings, np.array([(p.turn_rate_max, p.turn_rate_step) for p in protocols]))
+    times.append(time.process_time())
+    trial_errors(case, accel, fits)
+    times.append(time.process_time())
+    return [after - before for before, after in pairwise(times)]
 
 
 def measured(*words: str) -> tuple[float, float]:

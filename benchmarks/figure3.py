@@ -1,13 +1,38 @@
-"""Figure 3 beside its rival without a chamber: largest pitch error of each correction, typical unit and units of the kind.
+"""Figure 3 beside its rival without a chamber, typical unit and units of the kind, simulated and actual, as docs/study.md has it.
 
-``python -m benchmarks.figure3 [--units 30] [--seed 0]`` prints the table of docs/study.md: the actual device 12.5 K above the
-bench, tables from rising soaks (typical unit also from soaks both ways), each drawn unit on a person of its own.
+``python -m benchmarks.figure3 [--units 30] [--seed 0]`` prints both tables: the device 12.5 K above the bench, tables from rising
+soaks, each drawn unit on a person of its own. 12 s a unit.
 """
 
 import argparse
 import sys
 
-from undrift.study.figure3 import DRAWN_UNITS, drawn_cohort, figure3
+from undrift.study.figure3 import COMPARED, DRAWN_UNITS, DrawnRow, Figure3, drawn_cohort, figure3
+
+
+def typical_row(found: Figure3, k: int) -> str:
+    """Return the row of one correction for the typical unit."""
+    figures = (
+        found.simulated_max_deg[k],
+        found.actual_max_deg[k],
+        found.simulated_actual_max_deg[k],
+        found.correlation[k],
+    )
+    return " | ".join((COMPARED[k], *(f"{value:.2f}" for value in figures)))
+
+
+def drawn_row(row: DrawnRow) -> str:
+    """Return the row of one correction over drawn units."""
+    quartiles = row.simulated_deg, (row.lower_deg, row.median_deg, row.upper_deg), row.apart_deg
+    spreads = (f"{middle:.2f} ({low:.2f} to {high:.2f})" for low, middle, high in quartiles)
+    correlations = (
+        f"{r:.2f} [{ends[0]:.2f}, {ends[1]:.2f}]"
+        for r, ends in (
+            (row.correlation, row.correlation_interval),
+            (row.largest_correlation, row.largest_interval),
+        )
+    )
+    return " | ".join((row.correction, *spreads, str(row.within), *correlations))
 
 
 def main() -> int:
@@ -15,13 +40,14 @@ def main() -> int:
     parser.add_argument("--units", type=int, default=DRAWN_UNITS)
     parser.add_argument("--seed", type=int, default=0)
     given = parser.parse_args()
-    typical, both_ways = (figure3(seed=given.seed, back=back).actual_max_deg for back in (False, True))
+    print("correction | simulated | actual | largest difference | r")
+    typical = figure3(seed=given.seed)
+    print("\n".join(typical_row(typical, k) for k in range(len(COMPARED))))
     print(
-        f"{'largest pitch error, deg':26}{'typical':>9}{'both ways':>11}{f'{given.units} drawn units: median (quartiles)':>42}"
+        f"\n{given.units} drawn: correction | simulated | actual | difference | within 0.15 deg | r over time | r over units"
     )
-    for k, row in enumerate(drawn_cohort(units=given.units, seed=given.seed)):
-        drawn = f"{row.median_deg:.2f} ({row.lower_deg:.2f} to {row.upper_deg:.2f})"
-        print(f"{row.correction:26}{typical[k]:9.2f}{both_ways[k]:11.2f}{drawn:>42}")
+    for row in drawn_cohort(units=given.units, seed=given.seed):
+        print(drawn_row(row))
     return 0
 
 

@@ -148,6 +148,18 @@ def test_counts_take_their_scale_from_the_rests():
     assert fit.model.offset / 100.0 == pytest.approx(OFFSET, abs=5e-3)
 
 
+@pytest.mark.parametrize("position", [True, False])
+def test_counts_of_a_converter_with_its_zero_at_half_scale_are_fitted_alike(position):
+    record, reference = recording(np.random.default_rng(5), poses=12)
+    if not position:
+        reference = replace(reference, position=None)
+    raw = Record(time=record.time, gyro=record.gyro, accel=20.0 * record.accel + 2048.0, accel_unit="count")
+    fit, plain = fitted([(raw, reference)]), fitted([(record, reference)])
+    assert np.abs(20.0 * fit.model.matrix - plain.model.matrix).max() < 5e-4  # the prior's centre alone differs
+    assert (fit.model.offset - 2048.0) / 20.0 == pytest.approx(plain.model.offset, abs=5e-3)
+    assert fit.model.rank == 12
+
+
 def test_too_few_rests_are_refused_and_the_gyroscopes_stay():
     pair = recording(np.random.default_rng(6), poses=1, position=False)
     with pytest.raises(NotObservable, match="wanted four rests or more, or motion with the position"):

@@ -58,10 +58,16 @@ ADDED: tuple[tuple[str, str], ...] = (
         r"(.*\.)?(result\..*|error|verdict|findings)",
     ),  # the envelope of every answer in JSON; result repeats what stands beside it
     (".*", r"file_map\..*"),
+    ("study_small", "categories"),
     ("info_formats", r".*\.stills"),  # the search for stills adapts
-    ("study_small", r"tasks.*halving"),
+    ("study_small", r"candidates|tasks.*(halving|pareto.*interval_deg.*)"),
+    (
+        "study_small",
+        r"margin_deg|tasks.*(worse_protocols|undecided_protocols|judged|one_way|repeated_measures|eta_\w+_interval).*",
+    ),
     ("orient_demo", r"said\.(offset_uncertainty_dps|rests|rest_offsets_dps|method|findings.*)"),
     ("correct_.*", r".*\.rest"),
+    ("study_.*", r"(.*\.)?(rival_triads|claims\[).*"),
     ("study_.*", r"(.*\.)?figure3(_drawn|\.(compared|actual_max_deg|rest_max_deg|full_and_rest_max_deg).*)"),
     (".*", r"drift\.static\.(gyro|accel)_visit"),  # what a visit adds, beside the uncertainty of the curve
     ("noise_static", r"(gyro|accel)\[\d\]\.\w+_(deg_per_\w+|ug|ug_per_\w+)"),

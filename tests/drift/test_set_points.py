@@ -118,6 +118,12 @@ def test_missing_columns_are_findings_and_the_fit_goes_on_by_the_scatter(tmp_pat
     assert 0.5 < ratio < 1.8
 
 
+def test_a_table_of_means_is_not_warned_of_lag_or_of_a_missing_thermometer(tmp_path):
+    codes = {item.code: item.level for item in fit_drift([session_of(tmp_path)]).verdict.findings}
+    assert codes["drift.temperature_of_table"] == "info"
+    assert not codes.keys() & {"drift.lag_and_hysteresis_excluded", "drift.power_on_transient", "drift.set_points_only"}
+
+
 def test_what_a_map_of_set_points_may_not_say(tmp_path):
     dps = MAP.replace('"count" }', '"dps" }')
     for text, said in (

@@ -7,6 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from testkit.surfaces import errors
 from undrift.findings import finding
 from undrift.report.study import write_study_report
 from undrift.rig.programme import Protocol
@@ -27,7 +28,7 @@ TASK = StudyTask(
     ),
     base=Protocol(grid="paper", dwell_s=1.0, bracket_s=3.0, temperatures_c=(18.0, 36.0, 54.0, 75.0)),
 )
-STUDY = Study(name="planted", device="enc03j_3031", tasks=(TASK,), subjects=12)
+STUDY = Study(name="planted", device="enc03j_3031", tasks=(TASK,), subjects=12, margin_deg=0.01)
 OPTIMUM = 40.0  # deg/s, of omega_M; the cut-off makes no difference
 
 
@@ -47,10 +48,9 @@ def plant(folder: Path, missing: tuple[tuple[int, float], ...] = (), lost: int |
                 "turn_rate_step_dps": np.full(3, 10.0),
                 "turn_rate_min_dps": np.full(3, 10.0),
                 "turn_rate_max_dps": greatest,
-                "error_rms_deg": error,
-                "error_max_deg": 2.0 * error,
                 "rig_minutes": greatest,
-            },
+            }
+            | errors(error),
         )
 
 
@@ -174,7 +174,7 @@ def test_too_few_subjects_are_not_made_fewer(tmp_path: Path) -> None:
     surface = read_surfaces(RunStore(tmp_path / "all", STUDY).join(units_of(STUDY)), STUDY)[0]
     lost = surface.error_rms_deg[: three.subjects].copy()
     lost[0] = np.nan
-    small = replace(surface, error_rms_deg=lost, error_max_deg=lost)
+    small = replace(surface, **errors(lost))
     assert without_lost(small) is small
 
 
@@ -198,7 +198,9 @@ def test_the_page_says_what_decides_which_values_differ_and_why_a_mixed_model_wa
         "<strong>Runs missing</strong>: 3 of 108",
         "<strong>Mixed model for parameters with missing runs</strong>: cut-off.",
         "mixed model, 1 missing",
-        "step: which values differ from the optimum&#39;s",
+        "step: the optimum&#39;s values against the others",
+        "deg; p 0.0",
+        "of a difference within 0.01 deg, 12 subjects)",
         "The tests in full",
         "generalised eta²",
         "none: one value only",
@@ -216,8 +218,7 @@ def test_a_surface_is_as_it_was_where_nothing_is_lost() -> None:
         turn_rate_min_dps=np.ones(2),
         turn_rate_max_dps=np.ones(2),
         rig_minutes=np.ones(2),
-        error_rms_deg=values,
-        error_max_deg=values,
+        **errors(values),
     )
     assert without_lost(held) is held
 

@@ -1,14 +1,27 @@
 """The note's Figure 3: what is asked of it, what comes out, and which effect limits it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from scipy import stats
 
 from testkit.data import show
 from undrift.errors import InputError
+from undrift.sim.device.effects import Sampling
 from undrift.sim.device.presets import preset
 from undrift.sim.device.truth import true_calibration
 from undrift.study import figure3 as figure3_module
-from undrift.study.figure3 import COMPARED, HIDDEN, Figure3, actual_device, drawn_cohort, effect_table, figure3
+from undrift.study.figure3 import (
+    COMPARED,
+    HIDDEN,
+    Figure3,
+    actual_device,
+    drawn_cohort,
+    effect_table,
+    figure3,
+    on_the_clock,
+)
 
 pytestmark = pytest.mark.usefixtures("computed_once")
 
@@ -73,8 +86,63 @@ def test_drawn_units_are_summarised_by_median_and_quartiles_of_each_correction(m
     assert rest.median_deg < none.median_deg
     assert (rest.lower_deg, rest.median_deg) == (both.lower_deg, both.median_deg)  # the same calibration
     assert rest.lower_deg < rest.upper_deg  # two units differ
+    for row in rows:
+        assert row.apart_deg[0] <= row.apart_deg[1] <= row.apart_deg[2]
+        assert row.within == sum(
+            apart <= NOTE_DIFFERENCE_DEG for apart in row.apart_deg[::2]
+        )  # of two, quartiles lie between
+        assert -1.0 <= row.correlation_interval[0] <= row.correlation <= row.correlation_interval[1] <= 1.0
+        assert np.isnan(row.largest_interval).all()  # four units or more
     with pytest.raises(InputError, match="drawn units: wanted two or more, for quartiles, got 1"):
         drawn_cohort(units=1)
+
+
+def test_correlations_of_drawn_units_are_summarised_by_fishers_z() -> None:
+    rng = np.random.default_rng(8)
+    simulated = rng.normal(1.0, 0.3, 30)
+    actual, apart, correlation = (
+        simulated + rng.normal(0.0, 0.3, 30),
+        np.linspace(0.01, 0.3, 30),
+        np.tanh(rng.normal(1.0, 0.4, 30)),
+    )
+    row = figure3_module._drawn_row("full", simulated, actual, apart, correlation)
+    z = stats.ttest_1samp(np.arctanh(correlation), 0.0)
+    assert row.correlation_interval == pytest.approx(np.tanh(z.confidence_interval(0.95)), rel=1e-9)
+    assert row.correlation == pytest.approx(np.tanh(np.arctanh(correlation).mean()), rel=1e-12)
+    known = stats.pearsonr(simulated, actual)
+    assert row.largest_correlation == pytest.approx(known.statistic, rel=1e-12)
+    assert row.largest_interval == pytest.approx(known.confidence_interval(0.95), rel=1e-4)  # 1.96 is rounded
+    assert (row.within, row.apart_deg[1], row.units) == (15, pytest.approx(0.155), 30)
+    assert (row.lower_deg, row.median_deg, row.upper_deg) == tuple(np.percentile(actual, (25, 50, 75)))
+    assert row.simulated_deg == tuple(np.percentile(simulated, (25, 50, 75)))
+
+
+def test_errors_of_the_drift_are_correlated_and_noise_is_not_taken_for_it(typical: Figure3) -> None:
+    show(
+        "correlation of the two errors, by compensation",
+        np.round(typical.correlation, 3).tolist(),
+        "0.99 without tables",
+    )
+    for k in range(len(COMPARED)):
+        seen = np.isfinite(typical.simulated[k]) & np.isfinite(
+            typical.actual[k]
+        )  # poses begin and end within the window
+        known = stats.pearsonr(typical.simulated[k][seen], typical.actual[k][seen]).statistic
+        assert typical.correlation[k] == pytest.approx(known, abs=1e-9)
+    # Without tables the error is a ramp of degrees, common to both, and their difference a tenth of it.
+    assert typical.correlation[0] > 0.99
+    assert typical.correlation[2] < typical.correlation[0]  # what tables leave is largely noise of each
+
+
+def test_a_device_with_a_clock_of_its_own_is_read_with_the_motion() -> None:
+    unit = preset("mpu6050")
+    assert on_the_clock(unit) is unit
+    own = replace(
+        unit, sampling=Sampling(sample_rate_hz=285.7, gyro_delay_s=np.full(3, -2e-3), gyro_averaging="instant")
+    )
+    held = on_the_clock(own).sampling
+    assert held.on_grid
+    assert (held.gyro_averaging, held.accel_averaging) == ("instant", "instant")
 
 
 def test_tables_of_both_ways_with_hysteresis_bring_both_devices_within_the_notes_difference(typical: Figure3) -> None:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from testkit.data import show
+from testkit.surfaces import errors
 from undrift.errors import NotObservable
 from undrift.rig.programme import Protocol
 from undrift.study import run
@@ -46,10 +47,8 @@ def planted(unit: Unit) -> dict[str, np.ndarray]:
         "turn_rate_step_dps": table[:, 0],
         "turn_rate_min_dps": table[:, 1],
         "turn_rate_max_dps": table[:, 2],
-        "error_rms_deg": error,
-        "error_max_deg": 2.0 * error,
         "rig_minutes": np.full(len(table), 100.0),
-    }
+    } | errors(error)
 
 
 class Planted(InProcess):

@@ -10,7 +10,12 @@ from testkit.hand_turns import make_recording
 from undrift.errors import FileFormatError, InputError
 from undrift.io.reference import write_reference
 from undrift.record import Reference
+from undrift.sim.device.model import write_device
+from undrift.sim.device.presets import preset
 from undrift.sim.motion.tasks import draw_task
+from undrift.study import real as real_module
+from undrift.study.figure3 import Climate
+from undrift.study.plan import note_study
 from undrift.study.real import (
     MEASURES,
     REPETITION,
@@ -18,6 +23,7 @@ from undrift.study.real import (
     CohortComparison,
     Stance,
     agreement_of,
+    judge_real,
     motion_rows,
     read_real,
     read_stance,
@@ -176,3 +182,88 @@ def test_a_map_that_is_missing_or_does_not_fit_is_told_with_the_file(tmp_path: P
     layout.unlink()
     with pytest.raises(FileFormatError, match=r"real\.toml: .*layout\.toml"):
         read_real(path)
+
+
+ACTUAL = """
+[actual]
+device = "twin.json"
+warm_up = "warm_up.csv"
+map = "warm_up.toml"
+kind = "mpu6050"
+room_c = 15.0
+set_points_c = [12.0, 18.0, 24.0]
+"""
+
+
+def with_twin(folder: Path, text: str = ACTUAL) -> Path:
+    """A device.json, a board that warms from 11 to 29 degC with 0.03 deg/s/K about y, and the file that names them."""
+    write_device(preset("xsens_mti1"), folder / "twin.json")
+    temp = np.linspace(11.0, 29.0, 5000)
+    cells = np.zeros((5000, 8))
+    cells[:, 0] = 100.0 * np.arange(5000)
+    cells[:, 2] = 0.03 * (temp - 15.0) * 16.4
+    cells[:, 6] = 16384.0
+    cells[:, 7] = temp
+    names = "ms,gx,gy,gz,ax,ay,az,die"
+    np.savetxt(folder / "warm_up.csv", cells, delimiter=",", header=names, comments="", fmt="%.10g")
+    (folder / "warm_up.toml").write_text(
+        'columns = { time = "ms", gyro = ["gx", "gy", "gz"], accel = ["ax", "ay", "az"], temp = "die" }\n'
+        'units = { time = "ms", gyro = "dps", accel = "g", temp = "degC" }\n'
+        f"scale = {{ gyro = {{ gain = {1.0 / 16.4!r} }}, accel = {{ gain = {1.0 / 16384.0!r} }} }}\n"
+    )
+    (folder / "real.toml").write_text(text)
+    return folder / "real.toml"
+
+
+def test_a_twin_with_the_offsets_of_a_warm_up_is_the_actual_device_of_figure_3(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    held = read_real(with_twin(tmp_path))
+    assert held.actual is not None
+    assert held.actual.range_c == pytest.approx(
+        (11.18, 28.46), abs=0.01
+    )  # means of 10 s, 0.36 K each, the last not whole
+    offset = held.actual.device.gyro.offset
+    assert offset is not None
+    np.testing.assert_allclose(
+        np.degrees(offset.at(12.5)) - np.degrees(offset.constant), [0.0, 0.375, 0.0], rtol=0.0, atol=1e-6
+    )
+    asked = []
+
+    def known(unit, **words):  # type: ignore[no-untyped-def]  # figure3 itself: test_figure3.py
+        asked.append((unit, words))
+        return "made"
+
+    monkeypatch.setattr(real_module, "figure3", known)
+    study = note_study(quick=True, subjects=3)
+    assert judge_real(held, study).figure3 == "made"
+    ((unit, words),) = asked
+    assert unit is held.actual.model
+    assert (unit.serial, words["actual"]) == ("mpu6050-typical", held.actual.device)
+    assert (words["climate"], words["excursion_k"]) == (Climate(15.0, (12.0, 18.0, 24.0)), 12.5)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        (
+            "room_c = 15.0",
+            "room_c = 9.0",
+            r"wanted room_c and set_points_c within its 11\.2 to 28\.5 degC, got 9 to 24",
+        ),
+        ("24.0]", "40.0]", r"within its 11\.2 to 28\.5 degC, got 12 to 40; change them"),
+        ('"mpu6050"', '"mpu"', "preset: wanted one of .*, got 'mpu'"),
+    ],
+)
+def test_a_twin_beyond_its_warm_up_or_of_no_kind_is_refused(tmp_path: Path, old: str, new: str, said: str) -> None:
+    with pytest.raises(FileFormatError, match=rf"real\.toml: .*{said}"):
+        read_real(with_twin(tmp_path, ACTUAL.replace(old, new)))
+
+
+def test_a_trial_hotter_than_the_warm_up_is_a_finding_and_the_rest_stands(tmp_path: Path) -> None:
+    found = judge_real(
+        read_real(with_twin(tmp_path, ACTUAL.replace("15.0", "20.0"))), note_study(quick=True, subjects=3)
+    )
+    assert found.figure3 is None
+    (lack,) = (item.text for item in found.lacks if "twin" in item.text)
+    assert "wanted the trial within 28.5 degC of the warm-up, got 32.5" in lack

@@ -79,6 +79,6 @@ def test_a_method_whose_units_were_all_refused_has_no_figure() -> None:
         figure3_missing=None,
         rivals=(row,),
     )
-    table, words = rival_sections(outcome)
+    table, *_, words = rival_sections(outcome)
     assert table.rows == (("sit to stand", "data sheet", "nothing", "0.0", "no unit", "no unit", "no unit", "5 of 5"),)
     assert words.rows == (("data sheet", "nothing was recorded"),)

@@ -9,12 +9,15 @@ import numpy as np
 import pytest
 
 from testkit.data import show
+from testkit.surfaces import errors
 from undrift.errors import InputError, NotObservable
-from undrift.rig.programme import Protocol
-from undrift.study.case import impose, run_unit, units_of
+from undrift.rig.programme import Dwell, Protocol, programme_of
+from undrift.sim.table_sessions import FACE, RATE, REST
+from undrift.study.case import run_unit, session_of, units_of
 from undrift.study.judge import find_optimum, pareto_front
-from undrift.study.plan import TABLE_1, Space, Study, StudyTask, note_study
-from undrift.study.run import InProcess, Pool, TaskSurface, choose_executor, count_runs, run_study
+from undrift.study.plan import TABLE_1, Space, Study, StudyTask, column_of, note_study
+from undrift.study.run import InProcess, Pool, TaskSurface, choose_executor, run_study
+from undrift.study.search import count_runs
 
 DPS = np.pi / 180.0
 TASK = StudyTask(
@@ -64,6 +67,27 @@ def test_a_pool_gives_the_bits_of_one_process_and_the_store_both(tmp_path: Path)
     assert np.isfinite(one[0].error_rms_deg).all()
 
 
+def test_a_finished_folder_is_judged_by_any_objective_and_timing_and_one_of_an_earlier_version_refused(
+    tmp_path: Path,
+) -> None:
+    (surface,) = run_study(SMALL, InProcess(), tmp_path)
+    (again,) = run_study(replace(SMALL, objective="end", timing="offline", margin_deg=0.15), InProcess(), tmp_path)
+    for objective in ("rms", "maximum", "end"):
+        for timing in ("real time", "offline"):
+            name = column_of(objective, timing)
+            assert (surface.error(objective, timing) == getattr(again, name)).all()
+    assert (surface.error("maximum") > surface.error("rms")).all()
+    assert (surface.error("rms") != surface.error("rms", "offline")).all()
+    with pytest.raises(InputError, match="of this study"):  # a halving keeps what its objective chose
+        run_study(replace(SMALL, search="halving"), InProcess(), tmp_path)
+    head = tmp_path / "study.json"
+    head.write_text(head.read_text().replace('"format": 2', '"format": 1'))
+    with pytest.raises(
+        InputError, match=r"wanted runs of format 2, .* got those of an earlier version \(format 1\); name"
+    ):
+        run_study(SMALL, InProcess(), tmp_path)
+
+
 def test_a_study_that_was_cut_off_goes_on_where_it_stopped(tmp_path: Path) -> None:
     told: list[tuple[int, int]] = []
     with pytest.raises(KeyboardInterrupt):
@@ -99,8 +123,7 @@ def surface(error: np.ndarray, minutes: np.ndarray) -> TaskSurface:
         turn_rate_min_dps=np.full(count, 5.0),
         turn_rate_max_dps=np.full(count, 90.0),
         rig_minutes=minutes,
-        error_rms_deg=error,
-        error_max_deg=2.0 * error,
+        **errors(error),
     )
 
 
@@ -117,17 +140,20 @@ def test_a_planted_optimum_is_found_and_its_error_is_stated_without_the_winners_
 
 def test_a_flat_minimum_is_called_flat_and_the_cheapest_is_named() -> None:
     rng = np.random.default_rng(3)
-    found = find_optimum(surface(1.0 + rng.normal(0.0, 0.3, (30, 12)), np.linspace(100.0, 20.0, 12)))
+    noise, minutes = rng.normal(0.0, 0.3, (30, 12)), np.linspace(100.0, 20.0, 12)
+    found = find_optimum(surface(1.0 + 0.2 * noise, minutes), margin_deg=0.15)
     assert found.flat
     assert found.deciding == ()
     assert found.cheapest == 11
     assert found.p_value > 0.05
+    loud = find_optimum(surface(1.0 + noise, minutes), margin_deg=0.15)  # 0.42 / sqrt(30) deg cannot show 0.15
+    assert (loud.flat, loud.cheapest, loud.undecided.sum()) == (False, loud.best, 11)
 
 
 def test_a_minimum_is_not_flat_where_a_parameter_decides_though_many_protocols_share_it() -> None:
     rng = np.random.default_rng(5)
     true = np.array([1.0, 1.0, 1.5, 1.6])  # half of four protocols
-    found = find_optimum(surface(true + rng.normal(0.0, 0.1, (30, 4)), np.arange(4.0)))
+    found = find_optimum(surface(true + rng.normal(0.0, 0.1, (30, 4)), np.arange(4.0)), margin_deg=0.15)
     assert found.equivalent.tolist() == [True, True, False, False]
     assert found.deciding == ("turn_rate_step_dps",)
     assert not found.flat
@@ -162,13 +188,22 @@ def test_the_pareto_front_holds_what_nothing_beats() -> None:
 
 
 def test_a_session_is_laid_out_as_the_protocol_says() -> None:
-    imposed = impose(TASK.candidates(11.1)[0])
-    assert (imposed.kind == "face").sum() == 6  # faces, once
-    assert (imposed.kind == "bracket").sum() == 4 * 3 * 2  # a rest before and after, for each axis and set-point
-    assert (imposed.kind == "rate").sum() == 4 * 3 * 2 * 4  # 20, 30, 40, 50 both ways
-    assert (np.diff(imposed.dwells.start_s) > 0.0).all()
+    protocol = TASK.candidates(11.1)[0]
+    laid = session_of(protocol)
+    assert (laid.kind == FACE).sum() == 6  # faces, once
+    assert (laid.kind == REST).sum() == 4 * 3 * 2  # a rest before and after, for each axis and set-point
+    assert (laid.kind == RATE).sum() == 4 * 3 * 2 * 4  # 20, 30, 40, 50 both ways
+    rig = programme_of(replace(protocol, faces=()))
+    faces = programme_of(replace(protocol, turn_rate_step=0.0, temperatures_c=()))
+    starts, clock = [], 1800.0
+    for step in (*faces.steps, *rig.steps):
+        if isinstance(step, Dwell):
+            starts.append(clock + step.ramp_s + step.settle_s)
+        clock += step.duration_s
+    np.testing.assert_allclose(laid.start_s, starts, rtol=1e-12)  # at any cut-off frequency, from one layout
+    assert laid.length_s[0] == pytest.approx(rig.duration_s + faces.duration_s, rel=1e-12)
     with pytest.raises(InputError, match="protocol with rates"):
-        impose(replace(TASK.base, turn_rate_step=0.0))
+        session_of(replace(TASK.base, turn_rate_step=0.0))
 
 
 @pytest.mark.parametrize(
@@ -177,6 +212,7 @@ def test_a_session_is_laid_out_as_the_protocol_says() -> None:
         ({"subjects": 2}, "three subjects or more"),
         ({"tasks": ()}, "a task or more"),
         ({"excursion_k": (5.0, 1.0)}, "least and greatest"),
+        ({"margin_deg": 0.0}, "margin_deg above 0, got 0; state what"),
         ({"tasks": (replace(TASK, space=replace(TASK.space, turn_rate_step=(7.0,))),)}, "steps that divide the span"),
     ],
 )

@@ -41,6 +41,7 @@ _PRIOR_MATRIX, _PRIOR_OFFSET = 0.05, 0.5  # relative; m/s2
 _HUBER, _PASSES = 1.345, 8
 _HELD = 0.5  # of the prior: a parameter that keeps more of it was not observed
 _WANTED = 0.005  # relative uncertainty
+_TURNED, _SPREAD = 12, 20.0  # equations, and their condition, with which counts show scale and null
 _BLOCK = 16  # windows, of 8 s: what is left out together
 
 
@@ -77,20 +78,36 @@ def fit_reference_accel(
         made, without_pose = _equations(record, native_poses(reference), own, float(lag_s), gravity_m_s2)
         rows.append(made)
         unused += [replace(still, recording=number) for still in without_pose]
-    factor = _nominal_factor(rows, unit, gravity_m_s2)
-    fit = _result(rows, _solve(rows, factor * left @ right, factor, gravity_m_s2), unit, factor)
+    factor, null = _nominal(rows, unit, gravity_m_s2)
+    rows = [_less(r, null) for r in rows] if null.any() else rows
+    fit = _result(rows, _solve(rows, factor * left @ right, factor, gravity_m_s2), unit, factor, null)
     session = Session(kind="calibration", serial="", gravity_m_s2=gravity_m_s2, records=tuple(records))
     return replace(fit, verdict=fit.verdict.also(Verdict.of(*check_gravity_length(session, unused, fit.model))))
 
 
-def _nominal_factor(rows: Sequence[_Rows], unit: str, gravity: float) -> float:
-    """Return m/s2 per unit: of a physical unit its own, else by the mean size of the readings at rest."""
+def _nominal(rows: Sequence[_Rows], unit: str, gravity: float) -> tuple[float, FloatArray]:
+    """Return m/s2 per unit, and the readings at no force, (3,): of a physical unit its own, and none.
+
+    Counts: by readings against what acts in the body, where it was turned enough; else by the mean size of the readings at rest.
+    """
     if is_physical(unit):
-        return si_factor(unit, "accel")
+        return si_factor(unit, "accel"), np.zeros(3)
+    acting = np.concatenate([np.einsum("nij,ni->nj", -r.design[:, :, 9:12], r.wanted) for r in rows]) / gravity
+    design = np.column_stack((acting, np.ones(len(acting))))
+    if len(acting) >= _TURNED and scaled_condition(design)[1] < _SPREAD:
+        found = np.linalg.lstsq(design, np.concatenate([r.forces for r in rows]), rcond=None)[0]
+        return gravity / float(np.linalg.svd(found[:3])[1].mean()), found[3]
     rests = np.concatenate([r.forces[r.first < 0] for r in rows])
     if not len(rests):
         raise NotObservable("reference: wanted a rest for the scale of accelerometers in counts, got none", rests=0)
-    return gravity / float(np.linalg.norm(rests, axis=1).mean())
+    return gravity / float(np.linalg.norm(rests, axis=1).mean()), np.zeros(3)
+
+
+def _less(rows: _Rows, null: FloatArray) -> _Rows:
+    """Return the equations of readings less a constant, (3,)."""
+    own = rows.design.copy()
+    own[:, :, :9] += (own[:, :, 9:12, None] * null).reshape(len(own), 3, 9)
+    return replace(rows, design=own, forces=rows.forces - null)
 
 
 # ---- equations
@@ -263,7 +280,7 @@ def _design(rows: Sequence[_Rows], x: FloatArray, gravity: float) -> FloatArray:
     return np.concatenate(parts)
 
 
-def _result(rows: Sequence[_Rows], solved: _Solved, unit: str, factor: float) -> TriadFit:
+def _result(rows: Sequence[_Rows], solved: _Solved, unit: str, factor: float, null: FloatArray) -> TriadFit:
     matrix = solved.x[:9].reshape(3, 3)
     if not np.linalg.det(matrix) > 0.0:
         raise NotObservable("reference: wanted a right-handed accelerometer matrix, got a reflection; check its axes")
@@ -281,7 +298,7 @@ def _result(rows: Sequence[_Rows], solved: _Solved, unit: str, factor: float) ->
         unit_in=unit,
         unit_out="m/s2",
         matrix=matrix,
-        offset=offset,
+        offset=offset + null,
         covariance=jacobian @ solved.covariance @ jacobian.T,
         rank=rank,
         condition=solved.condition,

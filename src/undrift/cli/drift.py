@@ -67,7 +67,7 @@ def drift(
     step_c : float
         Step between nodes, degC.
     spline : str
-        smooth (stiffness by cross-validation), or not-a-knot (through the set-points, as the note does).
+        smooth (stiffness by restricted likelihood), or not-a-knot (through the set-points, as the note does).
     tables : str
         Which tables besides offsets: auto chooses by cross-validated error.
     lag_s : float or None

@@ -4,7 +4,7 @@ import sys
 import time
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, get_args
 
 from undrift.cli.common import (
     Flag,
@@ -23,10 +23,15 @@ from undrift.errors import InputError
 from undrift.units import RADIAN_PER_DEGREE
 
 if TYPE_CHECKING:
-    from undrift.study.judge import ParameterEffect
+    from undrift.study.figure3 import Figure3
+    from undrift.study.judge import NoteComparison, ParameterEffect
     from undrift.study.outcome import EffectPower, Stage, StageName, StudyOutcome, TaskOutcome
     from undrift.study.plan import Study
     from undrift.study.real import CohortComparison, RealOutcome
+    from undrift.study.rivals import TriadRow
+    from undrift.study.run import TaskSurface
+    from undrift.study.split import Split
+    from undrift.study.statistics import Decision
 
 QUICK_SUBJECTS = 8
 REAL_FIGURES = ("rmse_total_deg", "rmse_inclination_deg", "max_abs_pitch_deg", "end_total_deg")
@@ -40,7 +45,9 @@ def study(
     output: Output = Path("study"),
     preset: Literal["note"] | None = None,
     quick: Flag = False,
-    search: Literal["grid", "halving"] | None = None,
+    search: Literal["grid", "halving", "cma"] | None = None,
+    categories: str | None = None,
+    candidates: int | None = None,
     subjects: int | None = None,
     seed: int | None = None,
     workers: int | None = None,
@@ -63,7 +70,14 @@ def study(
         The ends of what is tried, on eight subjects: a first look.
     search : str or None
         "grid" runs every protocol on every subject; "halving" keeps the better half of the protocols and doubles the subjects,
-        round by round. The plan's where not given, else "grid".
+        round by round; "cma" evolves protocols by CMA-ES, for wide spaces (pip install undrift[search]). The plan's where not
+        given, else "grid".
+    categories : str or None
+        Categories of subjects, separated by commas, or "all": level_2 (the note's), young, elderly, impaired, parkinson. Each
+        performs every task, and each one's optimum is worn by the others. The plan's where not given, else level_2.
+    candidates : int or None
+        Most protocols of a task that halving draws from a wider space, or that cma tries; the plan's where not given, else all
+        and 600.
     subjects : int or None
         Other number of subjects than the plan's.
     seed : int or None
@@ -73,8 +87,8 @@ def study(
     scheduler : str or None
         Address of a Dask scheduler, as in tcp://host:8786, to work on its workers.
     no_rivals : bool
-        Leave out the other ways to calibrate, which the note's Discussion names, about 20 s, and Figure 3 effect by effect, about
-        15 s, and its 30 drawn units, 6 s each on one processor. --quick implies it.
+        Leave out the other ways to calibrate, which the note's Discussion names, 12 units of about 10 s, and Figure 3 effect by
+        effect, about 15 s, and its 30 drawn units, 12 s each on one processor. --quick implies it.
     real : Path or None
         real.toml: real recordings to judge too. See docs/study.md.
     """
@@ -84,15 +98,14 @@ def study(
     from undrift.study.run import HEAD, RunStore, choose_executor
 
     if (plan is None) == (preset is None):
-        both = "neither" if plan is None else "both"
-        raise InputError(f"study: wanted a study.toml or --preset note, got {both}; name one")
+        raise InputError(f"study: wanted a study.toml or --preset note, got {'both' if plan else 'neither'}; name one")
     if seed is not None and seed < 0:
         raise InputError(f"seed: wanted 0 or more, got {seed}; give another")
-    planned = _planned(plan, quick, subjects, seed, search)
+    planned = _performed_by(_planned(plan, quick, subjects, seed, search, candidates), categories)
     with waiting("reading real recordings"):
         held = None if real is None else read_real(real)
-    executor = choose_executor(scheduler, workers)
-    workers, rivals = executor.workers, not (no_rivals or quick)
+    executor, rivals = choose_executor(scheduler, workers), not (no_rivals or quick)
+    workers = executor.workers
     check_folder(output)
     if output.is_dir() and any(output.iterdir()) and not (output / HEAD).is_file():
         raise InputError(
@@ -113,8 +126,7 @@ def study(
             begin=shown.begin,
             tell=shown.tell,
         )
-    summary = study_summary(outcome)
-    save_json(output / "summary.json", summary)
+    save_json(output / "summary.json", summary := study_summary(outcome))
     write_study_report(outcome, output / "report.html")
     if json:
         write_json(summary, "study")
@@ -127,17 +139,40 @@ def study(
 
 
 def _planned(
-    plan: Path | None, quick: bool, subjects: int | None, seed: int | None, search: Literal["grid", "halving"] | None
+    plan: Path | None,
+    quick: bool,
+    subjects: int | None,
+    seed: int | None,
+    search: Literal["grid", "halving", "cma"] | None,
+    candidates: int | None,
 ) -> "Study":
     """Return the study of a plan, or the note's, with the choices of the command line."""
     from undrift.study.plan import ends_of, note_study, read_study
+    from undrift.study.search import check_installed
 
+    if candidates is not None and candidates < 4:
+        raise InputError(f"candidates: wanted 4 or more, got {candidates}; give more")
     planned = note_study(quick=quick) if plan is None else read_study(plan)
     if quick and plan is not None:
         planned = ends_of(planned)
     count = subjects if subjects is not None else min(QUICK_SUBJECTS, planned.subjects) if quick else planned.subjects
     seed = planned.seed if seed is None else seed
-    return replace(planned, subjects=count, search=search or planned.search, seed=seed)
+    planned = replace(
+        planned, subjects=count, search=search or planned.search, seed=seed, candidates=candidates or planned.candidates
+    )
+    check_installed(planned)
+    return planned
+
+
+def _performed_by(planned: "Study", categories: str | None) -> "Study":
+    """Return a study with the categories of the command line, or as it was."""
+    from undrift.sim.motion.categories import CategoryName
+    from undrift.study.plan import with_categories
+
+    if categories is None:
+        return planned
+    known = get_args(CategoryName)
+    return with_categories(planned, known if categories == "all" else [name.strip() for name in categories.split(",")])
 
 
 def _announce(planned: "Study", stages: "tuple[Stage, ...]", workers: int, json: bool) -> None:
@@ -145,10 +180,10 @@ def _announce(planned: "Study", stages: "tuple[Stage, ...]", workers: int, json:
     from rich.console import Console
 
     from undrift.study.outcome import untried_findings
-    from undrift.study.run import count_runs
+    from undrift.study.search import count_runs
 
     out = Console(stderr=True, highlight=False, soft_wrap=True) if json else console()
-    tasks = ", ".join(task.name for task in planned.tasks)
+    tasks = ", ".join(task.key for task in planned.tasks)
     most = sorted(stages, key=lambda stage: -stage.seconds)[:3]
     parts = ", ".join(f"{stage.name} {duration(stage.seconds)}" for stage in stages if stage in most)
     out.print(
@@ -158,7 +193,7 @@ def _announce(planned: "Study", stages: "tuple[Stage, ...]", workers: int, json:
     )
     for task in planned.tasks:
         for item in untried_findings(task.space.untried()):
-            out.print(f"{task.name}: {item.text}", markup=False)
+            out.print(f"{task.key}: {item.text}", markup=False)
 
 
 class _Progress:
@@ -166,14 +201,15 @@ class _Progress:
 
     def __init__(self, planned: "Study", stages: "tuple[Stage, ...]") -> None:
         self._name, self._stages = planned.name, stages
-        self._counted = "runs" if planned.search == "halving" else "units of work"
+        self._stage: StageName = "calibration sessions"
+        self._counted = "runs" if planned.search != "grid" else "units of work"
         self._live, self._next_s = sys.stderr.isatty(), 0.0
         self.display = progress()
         self._bar = self.display.add_task(self._name, total=None)
 
     def begin(self, stage: "StageName") -> None:
         """Show that a stage begins; one without a forecast has nothing to do."""
-        names = [each.name for each in self._stages]
+        names, self._stage = [each.name for each in self._stages], stage
         left = self._stages[names.index(stage) :] if stage in names else ()
         if left:
             text = f"{stage}, about {duration(left[0].seconds)}"
@@ -188,7 +224,8 @@ class _Progress:
             self._next_s = now_s + SHOWN_EVERY_S
         elif done == total or now_s >= self._next_s:
             self._next_s = now_s + SHOWN_EVERY_S
-            self.tell(f"calibration sessions: {done} of {total} {self._counted}")
+            counted = self._counted if self._stage == "calibration sessions" else "units of work"
+            self.tell(f"{self._stage}: {done} of {total} {counted}")
 
     def tell(self, text: str) -> None:
         """Show a line; on a terminal it begins a bar of its own."""
@@ -215,16 +252,33 @@ FIGURE3_KEYS = ("none_max_deg", "static_max_deg", "full_max_deg", "rest_max_deg"
 
 def study_summary(outcome: "StudyOutcome") -> dict[str, object]:
     """Return the JSON of a study."""
-    from undrift.study.figure3 import COMPARED
+    from undrift.study.claims import claims_of
+    from undrift.study.plan import bench_keys
 
     held, figure = outcome.study, outcome.figure3
     return {
-        **{key: getattr(held, key) for key in ("name", "device", "subjects", "seed", "objective", "search", "level")},
+        **{
+            key: getattr(held, key)
+            for key in (
+                "name",
+                "device",
+                "subjects",
+                "seed",
+                "objective",
+                "timing",
+                "search",
+                "candidates",
+                "level",
+                "margin_deg",
+            )
+        },
+        "bench": bench_keys(held.bench) | {"chain_percent": 100.0 * held.chain_sd},
         "runs": outcome.runs,
         "tasks": [_task_summary(task) for task in outcome.tasks],
         "cohorts": [
             {
                 "group": cohort.group,
+                "category": cohort.category,
                 "subjects": cohort.count,
                 "age_years": cohort.age_years,
                 "height_m": cohort.height,
@@ -233,16 +287,7 @@ def study_summary(outcome: "StudyOutcome") -> dict[str, object]:
             }
             for cohort in outcome.cohorts
         ],
-        "figure3": figure
-        and {
-            **dict(zip(FIGURE3_KEYS, figure.actual_max_deg, strict=True)),
-            "decrease_deg": figure.decrease_deg,
-            "simulated_actual_max_deg": figure.simulated_actual_max_deg[2],
-            "compared": COMPARED,
-            "actual_max_deg": figure.actual_max_deg,
-            "simulated_max_deg": figure.simulated_max_deg,
-            "simulated_actual_by_level_deg": figure.simulated_actual_max_deg,
-        },
+        "figure3": figure and _figure3_summary(figure),
         "figure3_missing": outcome.figure3_missing and outcome.figure3_missing.detail,
         "figure3_drawn": [asdict(row) for row in outcome.figure3_drawn] or None,
         "figure3_effects": [asdict(row) for row in outcome.figure3_effects] or None,
@@ -252,8 +297,38 @@ def study_summary(outcome: "StudyOutcome") -> dict[str, object]:
             for row in outcome.rivals
         ]
         or None,
+        "rival_triads": [_triad_summary(row) for row in outcome.rival_triads] or None,
+        "claims": [asdict(row) | {"lacks": row.lacks and row.lacks.text} for row in claims_of(outcome)],
         "rivals_missing": outcome.rivals_missing and outcome.rivals_missing.detail,
         "real": outcome.real and _real_summary(outcome.real),
+        "categories": [
+            asdict(each) | {"because": each.finding.text, "code": each.finding.code} for each in outcome.categories
+        ]
+        or None,
+    }
+
+
+def _triad_summary(row: "TriadRow") -> dict[str, object]:
+    needed = [worth.decision and worth.decision.subjects_needed for worth in row.worth]
+    held = asdict(row)
+    for worth, units in zip(held["worth"], needed, strict=True):
+        if worth["decision"] is not None:
+            worth["decision"] |= {"units_needed": units}
+    return held
+
+
+def _figure3_summary(figure: "Figure3") -> dict[str, object]:
+    from undrift.study.figure3 import COMPARED
+
+    return {
+        **dict(zip(FIGURE3_KEYS, figure.actual_max_deg, strict=True)),
+        "decrease_deg": figure.decrease_deg,
+        "simulated_actual_max_deg": figure.simulated_actual_max_deg[2],
+        "compared": COMPARED,
+        "actual_max_deg": figure.actual_max_deg,
+        "simulated_max_deg": figure.simulated_max_deg,
+        "simulated_actual_by_level_deg": figure.simulated_actual_max_deg,
+        "correlation": figure.correlation,
     }
 
 
@@ -283,36 +358,41 @@ def _real_summary(real: "RealOutcome") -> dict[str, object]:
         },
         "stances": compared(real.sways),
         "lacks": [lack.text for lack in real.lacks],
+        "figure3": real.figure3 and _figure3_summary(real.figure3),
     }
 
 
 def _task_summary(task: "TaskOutcome") -> dict[str, object]:
     from undrift.io.store import findings_json
+    from undrift.study.plan import ERRORS
 
-    surface, found, stopping, note = task.surface, task.optimum, task.stopping, task.note
+    surface, found, stopping, front = task.surface, task.optimum, task.stopping, task.front
     powers = {power.name: power for power in task.powers}
     errors = ("error_rms_deg", "error_max_deg", "honest_error_deg", "honest_interval_deg", "p_value")
     return {
         "task": surface.task,
         "optimum": _protocol(surface, found.best),
         **{key: getattr(found, key) for key in errors},
+        "errors": {name: float(getattr(surface, name)[:, found.best].mean()) for name in ERRORS},
         "equivalent_protocols": int(found.equivalent.sum()),
         "protocols": len(surface.cutoff_hz),
+        "worse_protocols": int(found.worse.sum()),
+        "undecided_protocols": int(found.undecided.sum()),
         "flat": found.flat,
         "deciding": found.deciding,
         "failed_runs": found.failed,
         "rig_minutes": float(surface.rig_minutes[found.best]),
         "cheapest": {
             "protocol": _protocol(surface, found.cheapest),
-            "error_rms_deg": float(surface.error_rms_deg[:, found.cheapest].mean()),
+            "error_rms_deg": float(surface.error("rms", found.timing)[:, found.cheapest].mean()),
             "rig_minutes": float(surface.rig_minutes[found.cheapest]),
         },
         "tested": dict(zip(("optimum", "cheapest"), map(asdict, task.tested), strict=True)),
         "pareto": [
-            _protocol(surface, place)
-            | {"rig_minutes": float(surface.rig_minutes[place])}
-            | {key: float(getattr(surface, key)[:, place].mean()) for key in ("error_rms_deg", "error_max_deg")}
-            for place in map(int, found.pareto)
+            _protocol(front.surface, place)
+            | {"rig_minutes": float(front.surface.rig_minutes[place]), "interval_deg": interval}
+            | {key: float(getattr(front.surface, key)[:, place].mean()) for key in ERRORS}
+            for interval, place in zip(front.interval_deg.tolist(), front.places.tolist(), strict=True)
         ],
         "left_out": surface.left_out,
         "untried": [
@@ -323,25 +403,56 @@ def _task_summary(task: "TaskOutcome") -> dict[str, object]:
             }
             for row in task.untried
         ],
+        "made_of": [_split_summary(split) for split in task.splits],
         "effects": [_effect_summary(effect, powers.get(effect.name)) for effect in found.effects],
+        "one_way": task.one_way and asdict(task.one_way),
+        "repeated_measures": task.repeated and asdict(task.repeated),
         "optional_stopping": stopping
         and {"parameter": task.stopping_of}
         | {key: getattr(stopping, key) for key in ("looks", "crossings", "false_alarm")},
-        "note": note
-        and {
-            **asdict(note.row),
-            **{key: getattr(note, key) for key in ("error_deg", "difference_deg", "verdict")},
-            "because": note.finding.text,
-        },
+        "note": _note_summary(task),
         "halving": _halving_summary(task),
         "findings": findings_json(task.findings),
     }
 
 
-def _protocol(surface: object, place: int) -> dict[str, float]:
-    from undrift.study.judge import PARAMETERS
+def _split_summary(split: "Split") -> dict[str, object]:
+    terms = [
+        {key: getattr(term, key) for key in ("effect", "share", "share_interval", "rms_deg", "span_deg")}
+        | {"verdict": term.judged.verdict, "p_better": term.judged.p_better, "best": split.values[term.best]}
+        for term in split.terms
+    ]
+    return {
+        **{key: getattr(split, key) for key in ("parameter", "values", "rms_deg", "together")},
+        "verdict": split.judged.verdict,
+        "covering": [term.effect for term in split.covering],
+        "terms": terms,
+    }
 
-    return {name: round(float(getattr(surface, name)[place]), 9) for name in PARAMETERS}
+
+def _protocol(surface: "TaskSurface", place: int) -> dict[str, float]:
+    return {name: round(float(surface.column(name)[place]), 9) for name in surface.names}
+
+
+def _note_summary(task: "TaskOutcome") -> dict[str, object] | None:
+    surface, note = task.surface, task.note
+    if note is None:
+        return None
+    values = [
+        {"parameter": each.name, "value": each.value, "verdict": each.verdict, "because": each.finding.text}
+        | {
+            name: found and _decision_summary(surface, found)
+            for name, found in (("lower", each.lower), ("upper", each.upper))
+        }
+        for each in note.values
+    ]
+    figures = {key: getattr(note, key) for key in ("error_deg", "difference_deg", "verdict")}
+    return {**asdict(note.row), **figures, "because": note.finding.text, "values": values}
+
+
+def _decision_summary(surface: "TaskSurface", found: "Decision") -> dict[str, object]:
+    given: dict[str, object] = asdict(found)
+    return given | {"other": _protocol(surface, found.other), "subjects_needed": found.subjects_needed}
 
 
 def _halving_summary(task: "TaskOutcome") -> dict[str, object] | None:
@@ -353,11 +464,12 @@ def _halving_summary(task: "TaskOutcome") -> dict[str, object] | None:
         means = zip(each.candidates, each.mean_deg.tolist(), strict=True)
         rows = [_protocol(halving.every, int(place)) | {"mean_deg": mean} for place, mean in means]
         rounds.append({"subjects": each.subjects, "protocols": rows})
-    return {"runs": halving.runs, "runs_of_grid": halving.runs_of_grid, "rounds": rounds}
+    numbers = {"runs": halving.runs, "runs_of_grid": halving.runs_of_grid, "generations": halving.generations}
+    return {**numbers, "rounds": rounds}
 
 
 def _effect_summary(effect: "ParameterEffect", power: "EffectPower | None") -> dict[str, object]:
-    test = effect.test
+    test, judged = effect.test, effect.judged
     return {
         "parameter": effect.name,
         **{key: getattr(effect, key) for key in ("values", "means_deg", "span_deg", "missing", "dropped")},
@@ -366,6 +478,15 @@ def _effect_summary(effect: "ParameterEffect", power: "EffectPower | None") -> d
         "p_value": test and test.p_value,
         "p_holm": effect.p_holm,
         "partial_eta_squared": test and test.partial_eta_squared,
+        "partial_eta_squared_interval": test and test.partial_eta_squared_interval,
+        "judged": judged
+        and {key: getattr(judged, key) for key in ("verdict", "p_better", "p_equivalent", "subjects_needed")}
+        | {
+            "decisions": [
+                asdict(each) | {"other": effect.values[each.other], "subjects_needed": each.subjects_needed}
+                for each in judged.decisions
+            ]
+        },
         "greenhouse_geisser": effect.anova and effect.epsilon,
         "power": power and power.power,
         "subjects_needed": power and power.subjects,
@@ -399,9 +520,9 @@ def _show(outcome: "StudyOutcome", output: Path) -> None:
         found, surface, note = task.optimum, task.surface, task.note
         places = [(surface.task, found.best), (" cheapest", found.cheapest)]
         for name, place in places[: 1 if found.best == found.cheapest else 2]:
-            own = [f"{value:.4g}" for value in _protocol(surface, place).values()]
+            own = [f"{value:.4g}" for value in list(_protocol(surface, place).values())[:4]]
             p = f"{found.p_value:.2g}" if place == found.best else ""
-            error, minutes = surface.error_rms_deg[:, place].mean(), surface.rig_minutes[place]
+            error, minutes = surface.error("rms", found.timing)[:, place].mean(), surface.rig_minutes[place]
             rows.append((name, *own, p, f"{error:.3f}", f"{minutes:.0f}"))
         if note is not None:
             row = note.row
@@ -410,15 +531,19 @@ def _show(outcome: "StudyOutcome", output: Path) -> None:
     show_table("Optimised parameters and the note's", heads, rows)
     for task in outcome.tasks:
         tested, note = task.tested[0], task.note
-        ordered = most_consequential_first(item for item in task.findings if note is None or item != note.finding)
+        ordered = most_consequential_first(item for item in task.findings if note is None or item not in note.findings)
         more = len(ordered) - SHOWN_FIRST
+        held = ((name, values[task.optimum.best]) for name, values in task.surface.further.items())
         say(
+            *(f"{task.surface.task}: optimum with {name} {value:.4g}" for name, value in held),
             f"{task.surface.task}: {tested.error_rms_deg:.3f} deg rms [{tested.interval_rms_deg[0]:.3f}, "
             f"{tested.interval_rms_deg[1]:.3f}] on {tested.subjects} other subjects, largest error {tested.error_max_deg:.3f} deg",
             *(f"  {item.text}" for item in ordered[:SHOWN_FIRST]),
-            *([] if note is None else [f"  the note {note.verdict}: {note.finding.text}"]),
+            *([] if note is None else [f"  the note {_said(note)}: {note.finding.text}"]),
+            *([] if note is None else [f"  {each.finding.text}" for each in note.values if each.verdict != "agrees"]),
             *([f"  {more} more in {output / 'report.html'}"] if more > 0 else []),
         )
+    say(*(each.finding.text for each in outcome.categories))
     if outcome.figure3 is not None:
         none, static, full, rest, both = outcome.figure3.actual_max_deg
         say(
@@ -428,6 +553,10 @@ def _show(outcome: "StudyOutcome", output: Path) -> None:
     say(
         *(() if outcome.real is None else real_lines(outcome.real)), f"Wrote {output}: look at {output / 'report.html'}"
     )
+
+
+def _said(note: "NoteComparison") -> str:
+    return "is not decidable" if note.verdict == "not decidable" else note.verdict
 
 
 def real_lines(real: "RealOutcome") -> tuple[str, ...]:
@@ -448,4 +577,10 @@ def real_lines(real: "RealOutcome") -> tuple[str, ...]:
     for name in dict.fromkeys(row.trial for row in (*real.motions, *real.sways)):
         own = [row for row in (*real.motions, *real.sways) if row.trial == name and row.real == row.real]
         lines.append(f"{name}: {sum(row.inside for row in own)} of {len(own)} figures within the cohort's 95 %")
+    if real.figure3 is not None:
+        none, static, full, rest, both = real.figure3.actual_max_deg
+        lines.append(
+            f"Figure 3 with the twin as actual device: {none:.2f} deg without compensation, {static:.2f} static, {full:.2f} all "
+            f"tables, {rest:.2f} re-zeroed at a rest, {both:.2f} both; apart by {real.figure3.simulated_actual_max_deg[2]:.2f}"
+        )
     return (*(f"real, {line}" for line in lines), *(f"real, not there: {lack.text}" for lack in real.lacks))

@@ -382,10 +382,14 @@ def static_verdict(static: StaticFit, accel: AccelDriftFit | None) -> Verdict:
     return Verdict(status="marginal" if marginal else "good", findings=tuple(kept))
 
 
-def single_sweep_verdict(gyro: TriadSummary | None, rests: RestBlocks, *, warm_up_fitted: bool) -> Verdict:
+def single_sweep_verdict(
+    gyro: TriadSummary | None, rests: RestBlocks, temperatures: tuple[Temperature, ...], *, warm_up_fitted: bool
+) -> Verdict:
     """Return what a temperature that went in one direction only hides, with its size in this recording."""
     if gyro is None or gyro.half_loop is not None:
         return Verdict()
+    if all(temperature.source == "means" for temperature in temperatures):
+        return Verdict.of(finding("drift.hysteresis_excluded", "info"))
     ramp = float(np.quantile(np.abs(rests.ramp_c_per_min), 0.95))
     unit, factor = ("deg/s", RADIAN_PER_DEGREE) if gyro.unit == "rad/s" else (gyro.unit, 1.0)
     found = [
@@ -410,6 +414,8 @@ def temperature_verdict(temperatures: tuple[Temperature, ...]) -> Verdict:
     """Return what the temperatures are worth."""
     if all(temperature.source == "set-points" for temperature in temperatures):
         return Verdict.of(finding("drift.set_points_only", "warn"))
+    if all(temperature.source == "means" for temperature in temperatures):
+        return Verdict.of(finding("drift.temperature_of_table", "info"))
     return Verdict.of(*(item for temperature in temperatures for item in temperature.findings))
 
 

@@ -124,7 +124,7 @@ def _cells(session: Session, base: Calibration, settings: LearnSettings) -> _Cel
     trusted = [trusted_temperature(session, k, settings=settings.temperature) for k in range(len(session.records))]
     lag_s = 0.0 if base.drift is None else base.drift.lag_s
     course = [
-        t.temp_c if lag_s == 0.0 or t.source == "set-points" else without_lag_smooth(t.temp_c, r.time, lag_s=lag_s)
+        t.temp_c if lag_s == 0.0 or t.source != "column" else without_lag_smooth(t.temp_c, r.time, lag_s=lag_s)
         for t, r in zip(trusted, session.records, strict=True)
     ]
     notes = tuple(item for t in trusted for item in t.findings)

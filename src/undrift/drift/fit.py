@@ -221,7 +221,7 @@ def fit_drift(
     accel = _accelerometers(rests, device, nodes)
     gyro = checks.summarise_gyro(static, device)
     of_offsets = checks.with_set_points(checks.static_verdict(static, accel), wide, rests, device)
-    of_sweep = checks.single_sweep_verdict(gyro, rests, warm_up_fitted=static.table.warm_up is not None)
+    of_sweep = checks.single_sweep_verdict(gyro, rests, together, warm_up_fitted=static.table.warm_up is not None)
     of_accel = checks.poses_verdict(accel, device).also(checks.without_figures(accel.verdict) if accel else Verdict())
     of_sweep = of_sweep.also(checks.set_point_verdict(sessions))
     verdict = agrees.also(checks.temperature_verdict(together)).also(of_choice).also(of_offsets).also(g_estimated)
@@ -294,7 +294,7 @@ def _without_lag(
         return lag, (0.0, 0.0), rests, course
     course = [
         [
-            t.temp_c if t.source == "set-points" else without_lag_smooth(t.temp_c, record.time, lag_s=lag_s)
+            t.temp_c if t.source != "column" else without_lag_smooth(t.temp_c, record.time, lag_s=lag_s)
             for t, record in zip(of_session, session.records, strict=True)
         ]
         for of_session, session in zip(trusted, sessions, strict=True)

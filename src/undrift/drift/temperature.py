@@ -48,7 +48,7 @@ MOVING = 0.35  # uncertainty where steps follow each other, over that of one ste
 CHATTER = 0.25  # of the time to the next step: crossings closer than that are noise
 SAME_STEP = 0.02  # of a step: how far a column may be from whole steps
 
-Source = Literal["column", "set-points"]
+Source = Literal["column", "set-points", "means"]  # means: rows of a table of set-points
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -124,7 +124,7 @@ def _from_means(record: Record, index: int) -> Temperature:
         uncertainty_c=SET_POINT_UNCERTAINTY_C,
         noise_c=0.0,
         step_c=0.0,
-        source="set-points",
+        source="means",
         findings=(),
     )
 

@@ -1,10 +1,9 @@
-"""Kernels of simulated hardware: dwells through a low-pass and a converter, and the servo of an emulated card, sample by sample.
+"""Kernels of simulated hardware: offsets that drift from dwell to dwell, and the servo of an emulated card, sample by sample.
 
-Dwells: steady (N, 3) signal before the low-pass, nominal input units; samples (N,) per dwell; white (3,) standard deviation of
-a sample; b, a (3, 3) difference equation of the low-pass, b[:, 0] = 1 and the rest 0 for none; converter (5,) gain and null in
-steps, first and last code, rounding: 0 none, 1 nearest, 2 down; rails (2,) unit of the signal. Out: mean and variance of the
-samples (N, 3). Servo: state (SIZE,) as indexed below; counts are encoder counts, angles rad, torque N m; tell (m,) the last m
-encoder counts, a ring; log_time, log_angle, log_rate (h,) a ring of s, rad, rad/s, one entry each ``stride`` samples.
+Dwells: normals (U, 3, 2 K + 2 or more) normal numbers, row (N,) which of them a dwell has; start, duration (N,) s; first (S + 1,)
+where each session begins; constants (K,) s, sd (K, 3) and walk (3,) the last per sqrt(s); out (N, 3). Servo: state (SIZE,) as
+indexed below; counts are encoder counts, angles rad, torque N m; tell (m,) the last m encoder counts, a ring; log_time, log_angle,
+log_rate (h,) a ring of s, rad, rad/s, one entry each ``stride`` samples.
 """
 
 import math
@@ -15,51 +14,61 @@ from numba import njit
 
 from undrift.arrays import FloatArray, IntArray
 
-# ---- Kernel of dwells: white noise through the low-pass and the converter about a steady value, averaged.
+# ---- dwells: what drifts and what follows from one to the next
 
 
 @njit(cache=True, fastmath={"contract"}, nogil=True, error_model="numpy")
-def dwell_readings(
-    steady: FloatArray, samples: IntArray, burn_in: int, white: FloatArray, b: FloatArray, a: FloatArray,
-    converter: FloatArray, rails: FloatArray, rng: np.random.Generator, mean: FloatArray, variance: FloatArray,
+def add_drift(
+    normals: FloatArray, row: IntArray, start: FloatArray, duration: FloatArray, first: IntArray,
+    constants: FloatArray, sd: FloatArray, walk: FloatArray, out: FloatArray,
 ) -> None:  # fmt: skip
-    gain, null, first, last, rounding = converter[0], converter[1], converter[2], converter[3], converter[4]
-    for j in range(steady.shape[0]):
-        for i in range(3):
-            level, sd, n = steady[j, i], white[i], samples[j]
-            b0, b1, b2, a1, a2 = b[i, 0], b[i, 1], b[i, 2], a[i, 1], a[i, 2]
-            z1, z2 = (1.0 - b0) * level, (b2 - a2) * level  # the filter rests at the level
-            total, squares, pivot = 0.0, 0.0, 0.0
-            for k in range(-burn_in, n):
-                x = level + (sd * rng.standard_normal() if sd > 0.0 else 0.0)
-                x = min(max(x, rails[0]), rails[1])
-                y = b0 * x + z1
-                z1 = b1 * x - a1 * y + z2
-                z2 = b2 * x - a2 * y
-                u = null + gain * y
-                if rounding == 1.0:
-                    u = np.rint(u)
-                elif rounding == 2.0:
-                    u = math.floor(u)
-                if rounding > 0.0:
-                    u = min(max(u, first), last)
-                if k < 0:
-                    continue
-                if k == 0:
-                    pivot = u
-                total += u - pivot
-                squares += (u - pivot) * (u - pivot)
-            mean[j, i] = pivot + total / n
-            variance[j, i] = max(squares - total * total / n, 0.0) / max(n - 1, 1)
+    # out += mean over each dwell of Gauss-Markov processes and of a random walk that is 0 at the first dwell. Of a dwell the start
+    # given the dwell before, then the mean given the start, take a normal number each: exact for any gap and length.
+    count = constants.size
+    ahead, spread = np.zeros((count + 1, 3)), np.ones(count + 1)  # the end of the dwell before: mean, variance about it
+    phi, root, pull, left = np.empty(count), np.empty(count), np.empty(count), np.empty(count)
+    known = -1.0
+    for s in range(first.size - 1):
+        ahead[:], spread[:] = 0.0, 1.0
+        spread[count] = 0.0
+        for j in range(first[s], first[s + 1]):
+            length, u = duration[j], normals[row[j]]
+            gap = start[j] - start[j - 1] - duration[j - 1] if j > first[s] else math.inf
+            if length != known:
+                known = length
+                for p in range(count):
+                    a = length / constants[p]
+                    lost = -math.expm1(-a)
+                    phi[p] = lost / a
+                    v = 2.0 / a * (1.0 - phi[p]) - phi[p] * phi[p]
+                    root[p], pull[p] = math.sqrt(v), phi[p] * lost / v
+                    left[p] = max(lost * (2.0 - lost) - pull[p] * phi[p] * lost, 0.0)
+            for p in range(count):
+                keep = math.exp(-gap / constants[p])
+                fresh = math.sqrt(keep * keep * (spread[p] - 1.0) + 1.0)
+                fade = math.exp(-length / constants[p])
+                for i in range(3):
+                    x = keep * ahead[p, i] + fresh * u[i, 2 * p]
+                    mean = phi[p] * x + root[p] * u[i, 2 * p + 1]
+                    out[j, i] += sd[p, i] * mean
+                    ahead[p, i] = fade * x + pull[p] * root[p] * u[i, 2 * p + 1]
+                spread[p] = left[p]
+            p = count
+            fresh = math.sqrt(spread[p] + gap) if j > first[s] else 0.0
+            for i in range(3):
+                if walk[i] > 0.0:
+                    x = ahead[p, i] + fresh * u[i, 2 * p]
+                    out[j, i] += walk[i] * (x + math.sqrt(length / 3.0) * u[i, 2 * p + 1])
+                    ahead[p, i] = x + math.sqrt(0.75 * length) * u[i, 2 * p + 1]
+            spread[p] = 0.25 * length
 
 
 @njit(cache=True, fastmath={"contract"}, nogil=True, error_model="numpy")
-def follow(x: FloatArray, keep: FloatArray) -> None:
-    # Unit normal numbers x (N, 3) to a first-order Gauss-Markov process of unit variance: x_j = keep x_(j-1) + sqrt(1 - keep^2) x_j
-    for j in range(1, x.shape[0]):
-        fresh = math.sqrt(1.0 - keep[j - 1] * keep[j - 1])
-        for i in range(x.shape[1]):
-            x[j, i] = keep[j - 1] * x[j - 1, i] + fresh * x[j, i]
+def follow_with_play(temp: FloatArray, half_width: float, at: float, out: FloatArray) -> None:
+    # out (N,): what follows a temperature with play, from where it was
+    for k in range(temp.size):
+        at = min(max(at, temp[k] - half_width), temp[k] + half_width)
+        out[k] = at
 
 
 # ---- servo

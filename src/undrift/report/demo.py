@@ -8,8 +8,9 @@ import numpy as np
 
 from undrift.report.drift import drift_sections, plus_minus
 from undrift.report.figures import COMPARED_COLOURS, OPTICS, envelope, new_figure, svg_of
+from undrift.report.note import SLOPE_OF_THE_NOTE
 from undrift.report.page import Cells, Section, calibration_sections, plain_words, table_section, write_page
-from undrift.report.study import NOTE, SLOPE_OF_THE_NOTE, study_sections
+from undrift.report.study import NOTE, study_sections
 from undrift.report.validation import trials_section
 from undrift.units import RADIAN_PER_DEGREE
 

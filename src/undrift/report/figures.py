@@ -29,8 +29,8 @@ if TYPE_CHECKING:
     from undrift.model import Calibration
     from undrift.orientation import Orientation
     from undrift.record import Record
-    from undrift.study.figure3 import Figure3
     from undrift.study.outcome import StudyOutcome, TaskOutcome
+    from undrift.study.plan import Timing
 
 # ---- envelope: few enough points to draw, with the least and largest value of every column
 
@@ -75,13 +75,13 @@ _STYLE: Any = {  # matplotlib types every key by name
 
 
 def new_figure(
-    rows: int, *, height: float = 2.3, columns: int = 1, share_x: bool = True
+    rows: int, *, height: float = 2.3, columns: int = 1, share_x: bool = True, width: float = 8.2
 ) -> tuple["Figure", list["Axes"]]:
     """Return an empty figure in the house style."""
     import matplotlib as mpl
 
     with mpl.rc_context(_STYLE):
-        figure = _notebook_figure()(figsize=(8.2, 0.4 + height * rows), layout="constrained")
+        figure = _notebook_figure()(figsize=(width, 0.4 + height * rows), layout="constrained")
         made = np.asarray(figure.subplots(rows, columns, sharex="col" if share_x else False, squeeze=False))
     return figure, list(made.ravel())
 
@@ -429,6 +429,15 @@ NAMES = {
     "turn_rate_min_dps": "omega_m (deg/s)",
     "turn_rate_max_dps": "omega_M (deg/s)",
 }
+
+
+def name_of(parameter: str) -> str:
+    """Return the heading of a parameter."""
+    from undrift.study.space import FURTHER
+
+    return NAMES[parameter] if parameter in NAMES else FURTHER[parameter].heading
+
+
 LEAST_P = 1e-4  # a smaller p value is shown as a bound
 LEAST_CONTRAST = 2.0  # of the ends of the colours: small differences are to look small
 LEVEL_NAMES = ("no compensation", "static", "static and dynamic")
@@ -442,10 +451,10 @@ def p_text(p: float) -> str:
     return f"{p:.2g}" if p >= LEAST_P else f"< {LEAST_P:.4f}"
 
 
-def draw_surface(outcome: "StudyOutcome", task: "TaskOutcome") -> "Figure":
+def draw_surface(outcome: "StudyOutcome", task: "TaskOutcome", timing: "Timing") -> "Figure":
     """Draw the mean error over the protocols: a column for each step d, what is not shown at its best."""
     surface = task.surface
-    mean = surface.error(outcome.study.objective).mean(axis=0)
+    mean = surface.error(outcome.study.objective, timing).mean(axis=0)
     step_of, x_of = surface.turn_rate_step_dps, surface.turn_rate_max_dps
     steps, (xs, x_at) = np.unique(step_of), np.unique(x_of, return_inverse=True)
     figure, axes = new_figure(2, columns=len(steps), height=2.0, share_x=False)
@@ -478,20 +487,19 @@ def draw_surface(outcome: "StudyOutcome", task: "TaskOutcome") -> "Figure":
                 if step_of[place] == step:
                     style: Any = {"marker": mark, "s": size, "facecolor": face, "edgecolor": colour}
                     panel.scatter(x_at[place], y_at[place], linewidth=1.4, zorder=3, **style)
-    figure.colorbar(mesh, ax=axes, shrink=0.7, label=f"mean {outcome.study.objective} error (deg)")
+    figure.colorbar(mesh, ax=axes, shrink=0.7, label=f"mean {outcome.study.objective} error, {timing} (deg)")
     return figure
 
 
 def draw_effects(task: "TaskOutcome") -> "Figure":
     """Draw the mean error over each parameter, the others at the optimum, with 95 % intervals within subjects."""
-    figure, axes = new_figure(1, columns=4, height=2.4, share_x=False)
+    figure, axes = new_figure(1, columns=len(task.optimum.effects), height=2.4, share_x=False)
     ends = []
     for panel, effect, reach in zip(axes, task.optimum.effects, task.effect_reach_deg, strict=True):
         bars = reach if reach > 0.0 else None
         panel.errorbar(effect.values, effect.means_deg, yerr=bars, color=DEVICE, marker="o", ms=3.5)
-        panel.set_xlabel(NAMES[effect.name])
-        p = f"p {p_text(effect.p_holm)}" if effect.test is not None else "not tested"
-        panel.set_title(p, fontsize=9)
+        panel.set_xlabel(name_of(effect.name))
+        panel.set_title("not tested" if effect.judged is None else effect.judged.verdict, fontsize=9)
         ends += [effect.means_deg.min() - reach, effect.means_deg.max() + reach]
         panel.set_xticks(effect.values if len(effect.values) < 6 else effect.values[::3])
         panel.xaxis.set_major_formatter("{x:.3g}")
@@ -507,41 +515,29 @@ def draw_effects(task: "TaskOutcome") -> "Figure":
 def draw_pareto(outcome: "StudyOutcome", task: "TaskOutcome") -> "Figure":
     """Draw error against minutes on the rig, one point a protocol."""
     figure, (axes,) = new_figure(1, height=3.0)
-    found, minutes = task.optimum, task.surface.rig_minutes
-    mean, good = task.surface.error(outcome.study.objective).mean(axis=0), found.equivalent
-    if not good.all():
-        axes.scatter(minutes[~good], mean[~good], color=LIMIT, s=9, label="worse than the optimum")
-    axes.scatter(minutes[good], mean[good], color=DEVICE, s=11, label="as good as the optimum")
-    axes.plot(minutes[found.pareto], mean[found.pareto], color=ERROR, label="nothing is both shorter and better")
-    marks = [(found.best, "*", 130, ERROR, "optimum"), (found.cheapest, "D", 50, ERROR, "shortest that is as good")]
+    found, minutes, front = task.optimum, task.surface.rig_minutes, task.front
+    mean = task.surface.error(outcome.study.objective, outcome.study.timing).mean(axis=0)
+    for chosen, colour, label in (
+        (found.worse, LIMIT, "worse than the optimum"),
+        (found.undecided, "#c98a1b", "not decidable"),
+        (found.equivalent, DEVICE, "equivalent to the optimum"),
+    ):
+        if chosen.any():
+            axes.scatter(minutes[chosen], mean[chosen], color=colour, s=10, label=label)
+    at = front.surface.rig_minutes[front.places]
+    reach = np.abs(front.interval_deg.T - front.mean_deg)
+    label = "nothing is both shorter and better, 95 %"
+    axes.errorbar(at, front.mean_deg, yerr=reach, color=ERROR, linewidth=1.2, elinewidth=0.7, capsize=2, label=label)
+    marks = [(found.best, "*", 130, ERROR, "optimum"), (found.cheapest, "D", 50, ERROR, "shortest equivalent")]
     if found.best == found.cheapest:
-        marks = [(found.best, "*", 130, ERROR, "optimum, and shortest that is as good")]
+        marks = [(found.best, "*", 130, ERROR, "optimum, and shortest equivalent")]
     if task.note is not None and task.note.place is not None:
         marks.append((task.note.place, "o", 90, "none", "the note"))
     for place, mark, size, face, label in marks:
         style: Any = {"marker": mark, "s": size, "facecolor": face, "edgecolor": OPTICS}
         axes.scatter(minutes[place], mean[place], zorder=4, label=label, **style)
-    label = f"mean {outcome.study.objective} error (deg)"
-    axes.set(ylim=(0.0, 1.1 * float(np.nanmax(mean))), xlabel="session (min)", ylabel=label)
+    label = f"mean {outcome.study.objective} error, {outcome.study.timing} (deg)"
+    top = max(float(np.nanmax(mean)), float(front.interval_deg.max()))
+    axes.set(ylim=(0.0, 1.1 * top), xlabel="session (min)", ylabel=label)
     figure.legend(loc="outside right upper", frameon=False)
-    return figure
-
-
-def draw_figure3(found: "Figure3") -> "Figure":
-    """Draw the note's Figure 3: pitch in the sit-to-stand, errors at each level, simulated against actual."""
-    figure, (pitch, error, apart) = new_figure(3, height=1.9)
-    pitch.plot(found.time, found.reference_pitch, color=OPTICS)
-    pitch.set_ylabel("pitch (deg)")
-    pitch.set_title("sit-to-stand by the optics", loc="left", fontsize=9)
-    for k, (name, colour) in enumerate(zip(COMPARED_NAMES, COMPARED_COLOURS, strict=True)):
-        error.plot(found.time, found.actual[k], color=colour, label=f"{name}, actual")
-        error.plot(found.time, found.simulated[k], color=colour, linestyle="--", label=f"{name}, simulated")
-        apart.plot(found.time, found.actual[k] - found.simulated[k], color=colour, label=name)
-    error.set_ylabel("error (deg)")
-    error.set_title("error of the pitch: actual device full, simulated dashed", loc="left", fontsize=9)
-    error.legend(loc="best", fontsize=6.5, frameon=False, ncols=2)
-    for limit in (-0.15, 0.15):
-        apart.axhline(limit, color=OPTICS, linewidth=0.7, linestyle=":")
-    apart.set(xlabel="time (s)", ylabel="difference (deg)")
-    apart.set_title("actual less simulated; dotted: the note's 0.15 deg", loc="left", fontsize=9)
     return figure

@@ -1,25 +1,39 @@
-"""The page of a study: the protocol to use, Table 1 with the note's rows, error surface, statistics, Figure 3."""
+"""The page of a study: the protocol to use, Table 1 with the note's rows, error surface, statistics."""
 
+from itertools import cycle
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from undrift.report import figures
-from undrift.report.figures import NAMES, p_text, svg_of
+from undrift.report.discussion import claims_section, rival_sections
+from undrift.report.figures import NAMES, name_of, p_text, svg_of
+from undrift.report.note import note_sections
 from undrift.report.page import Cells, Section, interval, number, plain_words, rows_section, table_section, write_page
+from undrift.sim.motion.categories import CATEGORIES
 
 if TYPE_CHECKING:
-    from undrift.findings import Finding
-    from undrift.study.figure3 import Figure3
-    from undrift.study.judge import ParameterEffect
+    from undrift.study.designs import DesignRow
+    from undrift.study.judge import NoteValue, ParameterEffect
     from undrift.study.outcome import EffectPower, StudyOutcome, TaskOutcome
+    from undrift.study.plan import Objective, Timing
     from undrift.study.real import CohortComparison, Pairwise, RealErrors, RealOutcome, Worn, WornRow
-    from undrift.study.rivals import DesignRow, RivalRow, Spread
     from undrift.study.run import Halving, Round, TaskSurface
+    from undrift.study.split import Term
+    from undrift.study.statistics import Anova, Decision, MixedModel
 
 NOTE = (
     'The note, here and below: D. Giansanti et al., "Guidelines for calibration and drift compensation of a wearable device with '
     'rate-gyroscopes and accelerometers", EMBC 2007.'
 )
+OBJECTIVES: "dict[Objective, str]" = {
+    "rms": "the root-mean-square error",
+    "maximum": "the largest error",
+    "end": "the error over the last half second",
+}
+TIMINGS: "dict[Timing, str]" = {
+    "real time": "in real time (against the pitch of the same instant)",
+    "offline": "offline (with the delay that is found from the readings taken out)",
+}
 
 
 def write_study_report(outcome: "StudyOutcome", path: Path) -> None:
@@ -29,8 +43,7 @@ def write_study_report(outcome: "StudyOutcome", path: Path) -> None:
         path,
         title=f"Study: {held.name}",
         lead=f"{outcome.runs} calibration sessions simulated, fitted and judged: {held.subjects} subjects, device {held.device}, "
-        f"seed {held.seed}; the {'root-mean-square' if held.objective == 'rms' else 'maximum'} error of the sagittal pitch is "
-        f"minimised. {NOTE}",
+        f"seed {held.seed}; {OBJECTIVES[held.objective]} of the sagittal pitch is minimised, {TIMINGS[held.timing]}. {NOTE}",
         sections=study_sections(outcome),
     )
 
@@ -40,16 +53,19 @@ def study_sections(outcome: "StudyOutcome") -> tuple[Section, ...]:
     sections = (
         _answer(outcome),
         *(Section(title=f"{_name(task)}: findings", findings=task.findings) for task in outcome.tasks),
-        *(_rounds(task, task.halving) for task in outcome.tasks if task.halving is not None),
+        *(_rounds(outcome, task, task.halving) for task in outcome.tasks if task.halving is not None),
         _table_1(outcome),
+        *_categories(outcome),
         _note(outcome),
+        claims_section(outcome),
+        _note_values(outcome),
+        _note_analysis(outcome),
         _other_cohort(outcome),
         _cohorts(outcome),
+        _bench(outcome),
         *(section for task in outcome.tasks for section in _task_sections(outcome, task)),
         _tests(outcome),
-        _figure3(outcome.figure3, outcome.figure3_missing),
-        _figure3_drawn(outcome),
-        _figure3_effects(outcome),
+        *note_sections(outcome),
         *design_sections(outcome.designs),
         *rival_sections(outcome),
         *real_sections(outcome.real),
@@ -58,7 +74,14 @@ def study_sections(outcome: "StudyOutcome") -> tuple[Section, ...]:
 
 
 def _name(task: "TaskOutcome") -> str:
-    return plain_words(task.surface.task)
+    return task_words(task.surface.task)
+
+
+def task_words(key: str) -> str:
+    """Return a task and the category of its subjects in words."""
+    name, _, category = key.partition("-")
+    label = next((held.label for kind, held in CATEGORIES.items() if kind == category), "")
+    return f"{plain_words(name)}, {label}" if label else plain_words(name)
 
 
 def rates_of(surface: "TaskSurface", place: int) -> str:
@@ -67,14 +90,20 @@ def rates_of(surface: "TaskSurface", place: int) -> str:
     return f"{low} to {high} by {step}"
 
 
-def _protocol(task: "TaskOutcome", place: int) -> tuple[str, ...]:
-    """Return the four parameters, both errors and the session of a protocol."""
-    surface = task.surface
-    errors = (f"{error[:, place].mean():.3f}" for error in (surface.error_rms_deg, surface.error_max_deg))
+def _further(surface: "TaskSurface", place: int) -> str:
+    """Return what a protocol has of the further parameters, to be set behind a name."""
+    words = ", ".join(f"{name_of(name)} {values[place]:.4g}" for name, values in surface.further.items())
+    return f" ({words})" if words else ""
+
+
+def _protocol(surface: "TaskSurface", place: int) -> tuple[str, ...]:
+    """Return the four parameters, the errors in both timings and the session of a protocol."""
+    means = [[f"{surface.error(name, timing)[:, place].mean():.3f}" for name in OBJECTIVES] for timing in TIMINGS]
+    errors = map(", ".join, means)
     return (*(f"{getattr(surface, name)[place]:.4g}" for name in NAMES), *errors, f"{surface.rig_minutes[place]:.1f}")
 
 
-_PROTOCOL = (*NAMES.values(), "error, rms (deg)", "largest (deg)", "session (min)")
+_PROTOCOL = (*NAMES.values(), *(f"{timing}: rms, largest, end (deg)" for timing in TIMINGS), "session (min)")
 
 
 # ---- answer
@@ -91,17 +120,18 @@ def _answer(outcome: "StudyOutcome") -> Section:
         ("largest error (deg)", lambda task: f"{task.tested[1].error_max_deg:.3f}"),
     )
     text = (
-        "Of all protocols that are as good as the best, the one with the shortest session. Errors are means over subjects and "
+        f"Of all protocols that are equivalent to the best within {outcome.study.margin_deg:g} deg, the one with the shortest "
+        "session. Errors are means over subjects and "
         "devices that had no part in the choice. Each rate is turned both ways.",
         "Below, omega_m and omega_M are the least and greatest rate of the table, d is the step between rates.",
     )
     return table_section("Answer: the protocol to use", outcome.tasks, cells, text=text)
 
 
-def _rounds(task: "TaskOutcome", halving: "Halving") -> Section:
+def _rounds(outcome: "StudyOutcome", task: "TaskOutcome", halving: "Halving") -> Section:
     def best(each: "Round") -> str:
         place = each.candidates[each.mean_deg.argmin()]
-        return f"{halving.every.cutoff_hz[place]:.4g} Hz, {rates_of(halving.every, place)} deg/s"
+        return f"{halving.every.cutoff_hz[place]:.4g} Hz, {rates_of(halving.every, place)} deg/s{_further(halving.every, place)}"
 
     cells: Cells[Round] = (
         ("protocols", lambda each: str(len(each.candidates))),
@@ -110,11 +140,26 @@ def _rounds(task: "TaskOutcome", halving: "Halving") -> Section:
         ("its mean error (deg)", lambda each: f"{each.mean_deg.min():.3f}"),
         ("largest mean error (deg)", lambda each: f"{each.mean_deg.max():.3f}"),
     )
+    how = "Each round keeps the better half of the protocols and doubles the subjects."
+    tried, every = len(halving.protocols), halving.runs_of_grid // outcome.study.subjects
+    if halving.generations:
+        met = halving.rounds[0].subjects
+        how = f"The first {halving.generations} rounds are generations of CMA-ES, each on the next {met} subjects. "
+        how += (
+            "The best of them are halved: each round keeps the better half of the protocols and doubles the subjects."
+        )
+    elif tried < every:
+        how = f"{tried} of {every} protocols were drawn by a Latin hypercube. {how}"
     text = (
-        f"{halving.runs} runs; the full grid has {halving.runs_of_grid}. Each round keeps the better half of the protocols and "
-        "doubles the subjects. All tables below compare the protocols of the last round.",
+        f"{halving.runs} runs; the full grid has {halving.runs_of_grid}. {how} All tables below but the front compare the "
+        "protocols of the last round.",
     )
-    return table_section(f"{_name(task)}: successive halving", halving.rounds, cells, text=text)
+    return table_section(
+        f"{_name(task)}: {'CMA-ES, then halving' if halving.generations else 'successive halving'}",
+        halving.rounds,
+        cells,
+        text=text,
+    )
 
 
 # ---- tables 1 and 2, the other cohort
@@ -125,16 +170,18 @@ def _table_1(outcome: "StudyOutcome") -> Section:
     for task in outcome.tasks:
         found, note = task.optimum, task.note
         text.append(
-            f"{_name(task)}: {found.equivalent.sum()} of {len(task.surface.cutoff_hz)} protocols are as good as the optimum "
-            f"(paired t, Holm). Error of the optimum by subjects that did not choose it: {found.honest_error_deg:.3f} deg "
-            f"[{interval(found.honest_interval_deg)}]."
+            f"{_name(task)}: of {len(task.surface.cutoff_hz)} protocols {found.equivalent.sum()} are equivalent to the optimum "
+            f"within {found.margin_deg:g} deg, {found.worse.sum()} are worse, {found.undecided.sum()} not decidable. Error of the "
+            f"optimum by subjects that did not choose it: {found.honest_error_deg:.3f} deg [{interval(found.honest_interval_deg)}]."
         )
-        rows.append((f"{_name(task)}: optimum", *_protocol(task, found.best), p_text(found.p_value)))
+        further = _further(task.surface, found.best)
+        rows.append((f"{_name(task)}: optimum{further}", *_protocol(task.surface, found.best), p_text(found.p_value)))
         if found.cheapest != found.best:
-            rows.append(("… shortest that is as good", *_protocol(task, found.cheapest), ""))
+            further = _further(task.surface, found.cheapest)
+            rows.append((f"… shortest equivalent{further}", *_protocol(task.surface, found.cheapest), ""))
         if note is not None:
             four = (f"{getattr(note.row, name):.4g}" for name in NAMES)
-            rest = ("", "", "") if note.place is None else _protocol(task, note.place)[4:]
+            rest = ("", "", "") if note.place is None else _protocol(task.surface, note.place)[4:]
             mark = " *" if note.row.erratum else ""
             rows.append((f"… the note{mark}", *four, *rest, f"{note.row.p_value:.3f}, its own"))
     errata = {task.note.row.erratum for task in outcome.tasks if task.note and task.note.row.erratum}
@@ -150,9 +197,119 @@ def _table_1(outcome: "StudyOutcome") -> Section:
     )
 
 
+def _categories(outcome: "StudyOutcome") -> tuple[Section, ...]:
+    """Return, for each task, the optimum of every category worn by the others."""
+    sections = []
+    for each in outcome.categories:
+        label = {kind: CATEGORIES[kind].label for kind in each.categories}
+        rows = [
+            {"subjects": label[cell.worn], "optimum of": label[cell.chosen], "error (deg)": f"{cell.error_deg:.3f}"}
+            | {"with their own (deg)": f"{cell.own_deg:.3f}"}
+            | _decision_cells(cell.decision)
+            for cell in each.crossed
+            if cell.decision is not None
+        ]
+        text = (
+            "The other cohort of each category with the optimum that another category chose. Better: their own optimum is, by more "
+            f"than {each.margin_deg:g} deg. {DECISIONS}",
+        )
+        title = f"{plain_words(each.task)}: the optimum of each category, worn by the others"
+        sections += [
+            Section(title=f"{plain_words(each.task)}: categories", findings=(each.finding,)),
+            rows_section(title, rows, text=text),
+        ]
+    return tuple(sections)
+
+
 def _note(outcome: "StudyOutcome") -> Section:
-    rows = tuple((_name(task), task.note.verdict, task.note.finding.text) for task in outcome.tasks if task.note)
-    return Section(title="Against the note's Table 1", columns=("task", "the note", "because"), rows=rows, words=True)
+    held = [(_name(task), task.note) for task in outcome.tasks if task.note]
+    rows = []
+    for name, note in held:
+        reasons = [each.finding.text for each in note.values if each.verdict != "agrees"]
+        rows.append((name, note.verdict, ". ".join((note.finding.text, *reasons))))
+    text = (
+        "A row agrees where each of its values is better than the next ones that were tried on both sides by more than the margin, "
+        f"or equivalent within it, and its protocol is equivalent to the optimum. Margin: {outcome.study.margin_deg:g} deg.",
+    )
+    title = "Against the note's Table 1"
+    return Section(title=title, text=text, columns=("task", "the note", "because"), rows=tuple(rows), words=True)
+
+
+def _note_values(outcome: "StudyOutcome") -> Section:
+    rows = [
+        {"value": f"{_name(task)}: {NAMES[value.name]} {value.value:.4g}", "the note": value.verdict}
+        | {"against": _beside(task, value, found)}
+        | _decision_cells(found)
+        for task in outcome.tasks
+        for value in (task.note.values if task.note else ())
+        for found in (value.lower, value.upper)
+        if found is not None
+    ]
+    text = (
+        "Each value of the note against the next lower and higher that was tried, in the protocol that is nearest to the note's in "
+        "the other three. " + DECISIONS,
+    )
+    return rows_section("The note's values beside the next ones", rows, text=text)
+
+
+def _beside(task: "TaskOutcome", value: "NoteValue", found: "Decision") -> str:
+    """Return the next value, and what else its protocol has other than the note's."""
+    surface, place = task.surface, None if task.note is None else task.note.place
+    text = f"{getattr(surface, value.name)[found.other]:.4g}"
+    for name in surface.names:
+        other = float(surface.column(name)[found.other])
+        if name != value.name and place is not None and abs(other / surface.column(name)[place] - 1.0) > 1e-6:
+            text += f", {name_of(name)} {other:.4g}"
+    return text
+
+
+DECISIONS = (
+    "Difference: mean error with the other value less that with this one, positive where this one is better, with its 95 % "
+    "interval. dz: difference over the standard deviation of the subjects' differences. p of better: of a difference within the "
+    "margin. p of equivalent: of one of the margin or more. Both after Bonferroni."
+)
+
+
+def _decision_cells(found: "Decision") -> dict[str, str]:
+    from undrift.study.judge import needed_text
+
+    return {
+        "difference (deg)": f"{found.difference:.3f}",
+        "95 % interval": interval(found.interval),
+        "dz": f"{found.cohen_dz:.2f} [{interval(found.dz_interval, '.2f')}]" if found.sd > 0.0 else "–",
+        "p of better": p_text(found.p_better),
+        "p of equivalent": p_text(found.p_equivalent),
+        "verdict": found.verdict,
+        "subjects for power 0.8": needed_text(found.subjects_needed),
+    }
+
+
+def _note_analysis(outcome: "StudyOutcome") -> Section:
+    rows = []
+    for task in outcome.tasks:
+        one, repeated, note = task.one_way, task.repeated, task.note
+        if one is None or repeated is None:
+            continue
+        low, high = repeated.partial_eta_squared_interval
+        rows.append(
+            {
+                "task": _name(task),
+                "the note's p": f"{note.row.p_value:.3f}" if note else "",
+                "one-way F (degrees of freedom)": f"{one.f:.2f} ({one.dof[0]:.0f}, {one.dof[1]:.0f})",
+                "its p": p_text(one.p_value),
+                "eta² [95 %]": f"{one.eta_squared:.3f} [{interval(one.eta_squared_interval)}]",
+                "repeated measures F": f"{repeated.f:.2f} (epsilon {repeated.sphericity.greenhouse_geisser:.3f})",
+                "p, corrected": p_text(repeated.p_value),
+                "partial eta² [95 %]": f"{repeated.partial_eta_squared:.3f} [{low:.3f}, {high:.3f}]",
+                "least p of a parameter, after Holm": p_text(task.optimum.p_value),
+            }
+        )
+    text = (
+        'The note analysed "by ANOVA", task by task, and does not describe it. One-way: all protocols of a task as if other '
+        "subjects had met each. Repeated measures: every subject met every protocol, so that differences between subjects are no "
+        "error; p with the correction for sphericity. Neither shows that protocols are equivalent: that is what the margin is for.",
+    )
+    return rows_section("The note's analysis of variance beside a stricter one", rows, text=text)
 
 
 def _other_cohort(outcome: "StudyOutcome") -> Section:
@@ -167,7 +324,7 @@ def _other_cohort(outcome: "StudyOutcome") -> Section:
             "not calibrated": str(tested.failed),
         }
         for task in outcome.tasks
-        for name, tested in zip(("optimum", "shortest that is as good"), task.tested, strict=True)
+        for name, tested in zip(("optimum", "shortest equivalent"), task.tested, strict=True)
     ]
     text = ("Other subjects, other units of the device, other temperatures and noise: means over the subjects.",)
     return rows_section("On the other cohort", rows, text=text)
@@ -180,23 +337,39 @@ def _cohorts(outcome: "StudyOutcome") -> Section:
 
     rows = [
         {
-            "group": f"{cohort.group} ({did})",
+            "group": f"{cohort.group} ({did}), {CATEGORIES[cohort.category].label}",
             "subjects": str(cohort.count),
             "age (years)": span(cohort.age_years),
             "the note's ages": span(cohort.printed.age_years, form=".0f"),
             "height (cm)": span(cohort.height, 100.0),
             "the note's heights": span(cohort.printed.height, 100.0, form=".0f"),
         }
-        for cohort, did in zip(outcome.cohorts, ("chose", "tested"), strict=True)
+        for cohort, did in zip(outcome.cohorts, cycle(("chose", "tested")), strict=False)
     ]
-    return rows_section("Table 2: cohorts", rows)
+    text = (
+        "Least to greatest, and mean. The note's subjects are at Tinetti level 2; cohorts of 30 are drawn to its figures.",
+    )
+    return rows_section("Table 2: cohorts", rows, text=text)
+
+
+def _bench(outcome: "StudyOutcome") -> Section:
+    from undrift.study.plan import bench_keys
+
+    held = bench_keys(outcome.study.bench) | {"chain_percent": 100.0 * outcome.study.chain_sd}
+    rows = [{"key of study.toml": key, "value": f"{value:g}"} for key, value in held.items()]
+    text = (
+        "Standard deviations, but for encoder_lines (lines) and board_lag_s (s). Every protocol of a subject has the same draws.",
+    )
+    return rows_section("Errors of bench and parts", rows, text=text)
 
 
 # ---- one task
 
 
 def _task_sections(outcome: "StudyOutcome", task: "TaskOutcome") -> tuple[Section, ...]:
-    name, surface = _name(task), svg_of(figures.draw_surface(outcome, task))
+    name, own = _name(task), outcome.study.timing
+    timings = (own, *(timing for timing in TIMINGS if timing != own))
+    surfaces = tuple(svg_of(figures.draw_surface(outcome, task, timing)) for timing in timings)
     white = "not tried" if task.halving is None else "not tried, dropped in an earlier round"
     return (
         Section(
@@ -204,19 +377,44 @@ def _task_sections(outcome: "StudyOutcome", task: "TaskOutcome") -> tuple[Sectio
             text=(
                 f"Mean error over the subjects. Each cell is the best of the protocols that share it; white: {white}, or a "
                 "device could not be calibrated. Star: optimum; ring: the note's protocol. The colours span a factor of two at "
-                "least, so that small differences look small.",
+                f"least, so that small differences look small. Above {timings[0]}, below {timings[1]}.",
             ),
-            pictures=(surface,),
+            pictures=surfaces,
         ),
         _effects(outcome, task),
-        _pairs(outcome, task),
-        Section(
-            title=f"{name}: error against minutes on the rig",
-            text=("One point a protocol; the table has those that no other beats in both error and time.",),
-            columns=_PROTOCOL,
-            rows=tuple(_protocol(task, int(place)) for place in task.optimum.pareto),
-            pictures=(svg_of(figures.draw_pareto(outcome, task)),),
-        ),
+        _decisions(task),
+        _made_of(task),
+        _front(outcome, task),
+    )
+
+
+def _front(outcome: "StudyOutcome", task: "TaskOutcome") -> Section:
+    """Return the front of error against minutes."""
+    front, surface, text = task.front, task.front.surface, "One point a protocol"
+    if task.halving is not None:
+        text += " of the last round; the front comes from all that were tried, and what seemed to be on it met every subject too"
+    heads = (
+        *map(name_of, surface.names),
+        f"mean {outcome.study.objective} error, {outcome.study.timing} (deg)",
+        "95 % interval",
+        "session (min)",
+    )
+    rows = [
+        (
+            *(f"{surface.column(name)[place]:.4g}" for name in surface.names),
+            f"{front.mean_deg[k]:.3f}",
+            interval((front.interval_deg[k, 0], front.interval_deg[k, 1])),
+            f"{surface.rig_minutes[place]:.1f}",
+        )
+        for k, place in enumerate(front.places.tolist())
+    ]
+    text += ". The table has the protocols that no other beats in both error and time, means over all subjects."
+    return Section(
+        title=f"{_name(task)}: error against minutes on the rig",
+        text=(text,),
+        columns=heads,
+        rows=tuple(rows),
+        pictures=(svg_of(figures.draw_pareto(outcome, task)),),
     )
 
 
@@ -226,31 +424,37 @@ def _effects(outcome: "StudyOutcome", task: "TaskOutcome") -> Section:
         "One parameter at a time, the others at the optimum; bars are 95 % intervals within subjects, p after Holm over the "
         "parameters. Partial eta²: share of the variance left after the subjects' own levels. Power: chance that as many subjects "
         "detect these differences.",
+        f"Better: the optimum's value is better than another by more than {outcome.study.margin_deg:g} deg. Equivalent: all values "
+        "are within it. Not decidable: neither is shown; the last column has the subjects that would do, were these means true.",
         _stopping(outcome, task),
     ]
-    if not any(effect.pairs for effect in task.optimum.effects):
-        text.insert(1, f"No parameter's p is below {outcome.study.level:g}, so its values are not compared in pairs.")
     title = f"{_name(task)}: what each parameter does"
     rows = [_effect_row(effect, powers.get(effect.name)) for effect in task.optimum.effects]
     return rows_section(title, rows, text=tuple(text), pictures=(svg_of(figures.draw_effects(task)),))
 
 
 def _effect_row(effect: "ParameterEffect", power: "EffectPower | None") -> dict[str, str]:
-    test, values = effect.test, ", ".join(f"{value:.4g}" for value in effect.values)
+    from undrift.study.judge import needed_text
+
+    judged, test, values = effect.judged, effect.test, ", ".join(f"{value:.4g}" for value in effect.values)
     if len(effect.dropped):
         values += f" (left out, too few calibrated: {', '.join(f'{value:.4g}' for value in effect.dropped)})"
     named = "ANOVA" if effect.anova is not None else f"mixed model, {effect.missing} missing"
     needed = "none" if power is None or power.subjects is None else str(power.subjects)
     return {
-        "parameter": NAMES[effect.name],
+        "parameter": name_of(effect.name),
         "values tried": values,
         "best to worst (deg)": f"{effect.span_deg:.3f}" if test else "",
         "test": f"none: {effect.untested.detail}" if effect.untested else named,
         "F (degrees of freedom)": f"{test.f:.2f} ({test.dof[0]:.0f}, {test.dof[1]:.0f})" if test else "",
         "p after Holm": p_text(effect.p_holm) if test else "",
-        "partial eta²": f"{test.partial_eta_squared:.2f}" if test else "",
+        "partial eta² [95 %]": _eta(test) if test else "",
         "power": f"{power.power:.2f}" if power else "",
         "subjects for power 0.8": needed if test else "",
+        "verdict": judged.verdict if judged else "",
+        "p of better": p_text(judged.p_better) if judged else "",
+        "p of equivalent": p_text(judged.p_equivalent) if judged else "",
+        "subjects for a verdict": needed_text(judged.subjects_needed) if judged else "",
     }
 
 
@@ -265,41 +469,68 @@ def _stopping(outcome: "StudyOutcome", task: "TaskOutcome") -> str:
     return (
         f"Optional stopping: adding subjects until p falls below {level:g} gives a false finding in {100.0 * held.false_alarm:.0f} "
         f"% of studies in place of {100.0 * level:g} % (looks from {first} to {last} subjects). Here p of "
-        f"{NAMES[task.stopping_of]} crossed the level {held.crossings} times. Fix the number of subjects beforehand."
+        f"{name_of(task.stopping_of)} crossed the level {held.crossings} times. Fix the number of subjects beforehand."
     )
 
 
-def _pairs(outcome: "StudyOutcome", task: "TaskOutcome") -> Section:
-    """Compare the optimum's value with each other value of the parameters that decide."""
-    rows, level = [], outcome.study.level
-    for effect in task.optimum.effects:
-        for pair in effect.pairs:
-            if effect.best not in (pair.first, pair.second):
-                continue
-            other, sign = (pair.first, 1.0) if pair.second == effect.best else (pair.second, -1.0)
-            row = {
-                "parameter": NAMES[effect.name],
-                "optimum": f"{effect.values[effect.best]:.4g}",
-                "value": f"{effect.values[other]:.4g}",
-                "difference (deg)": f"{sign * pair.difference:.3f}",
-                "95 % interval": interval(sorted(sign * end for end in pair.interval)),
-                "t": f"{sign * pair.t:.2f}",
-                "p after Holm": p_text(pair.p_holm),
-                "dz": f"{sign * pair.cohen_dz:.2f}",
-                f"differs (p < {level:g})": "yes" if pair.p_holm < level else "no",
-            }
-            rows.append(row)
+def _eta(test: "Anova | MixedModel") -> str:
+    return f"{test.partial_eta_squared:.2f} [{interval(test.partial_eta_squared_interval, '.2f')}]"
+
+
+def _decisions(task: "TaskOutcome") -> Section:
+    """Compare the optimum's value of each parameter with its others."""
+    rows = [
+        {"parameter": name_of(effect.name), "optimum": f"{effect.values[effect.best]:.4g}"}
+        | {"value": f"{effect.values[found.other]:.4g}"}
+        | _decision_cells(found)
+        for effect in task.optimum.effects
+        if effect.judged is not None
+        for found in effect.judged.decisions
+    ]
+    text = (f"{DECISIONS} Differences of all pairs of values, with p after Holm, are in summary.json.",)
+    return rows_section(f"{_name(task)}: the optimum's values against the others", rows, text=text)
+
+
+def _made_of(task: "TaskOutcome") -> Section:
+    """Say what the error of the optimum is made of, and how much each parameter is worth without each effect."""
+    if not task.splits:
+        return Section(title="")
+    splits, first = task.splits, task.splits[0]
+    worth = {NAMES[split.parameter]: {term.effect: term for term in split.terms} for split in splits}
+    rows = [
+        {"switched off": "nothing", "share of the mean square": "", "alone (deg)": f"{first.rms_deg:.3f} in all"}
+        | {NAMES[split.parameter]: split.judged.verdict for split in splits}
+    ]
+    rows += [
+        {
+            "switched off": term.effect,
+            "share of the mean square": f"{100.0 * term.share:.1f} % [{interval(_percent(term), '.1f')}]",
+            "alone (deg)": f"{term.rms_deg:.3f}",
+        }
+        | {
+            name: f"{terms[term.effect].span_deg:.3f}, {terms[term.effect].judged.verdict}"
+            for name, terms in worth.items()
+        }
+        for term in first.terms
+    ]
     text = (
-        "Paired differences of the error, positive where the value is worse than the optimum's. p after Holm over all pairs of a "
-        "parameter's values; the other pairs are in summary.json. Cohen's dz: difference over the standard deviation of the "
-        "subjects' differences.",
+        "The optimum with one effect switched off in the simulated devices and benches, the draws of all others kept. Share: what "
+        "the mean square loses, with its 95 % interval; below 0 where the error grows, as effects that cancel each other do. "
+        f"Several effects together, or none of these: {100.0 * first.together:.1f} %.",
+        "For each parameter: mean error from best to worst of its values without that effect, and the verdict then. An effect "
+        "without which a parameter is better hides it. Of more than five values the optimum's, its neighbours and both ends are "
+        "run.",
     )
-    return rows_section(f"{_name(task)}: which values differ from the optimum's", rows, text=text)
+    return rows_section(f"{_name(task)}: what the error is made of", rows, text=text)
+
+
+def _percent(term: "Term") -> tuple[float, float]:
+    return 100.0 * term.share_interval[0], 100.0 * term.share_interval[1]
 
 
 def _tests(outcome: "StudyOutcome") -> Section:
     rows = [
-        {"task: parameter": f"{_name(task)}: {NAMES[effect.name]}"} | _test_row(effect)
+        {"task: parameter": f"{_name(task)}: {name_of(effect.name)}"} | _test_row(effect)
         for task in outcome.tasks
         for effect in task.optimum.effects
         if effect.test is not None
@@ -330,79 +561,6 @@ def _test_row(effect: "ParameterEffect") -> dict[str, str]:
     }
 
 
-# ---- Figure 3
-
-SLOPE_OF_THE_NOTE = (
-    "The preset's slope over temperature was inferred from the note's own Figure 3: the size of the error without compensation "
-    "confirms nothing, only what each compensation leaves of it."
-)
-
-
-def _figure3(found: "Figure3 | None", missing: "Finding | None") -> Section:
-    title = "Figure 3: sit-to-stand, simulated and actual device"
-    if found is None:
-        return Section(title=title, findings=(missing,) if missing else ())
-    columns = {
-        "max, simulated (deg)": found.simulated_max_deg,
-        "max, actual (deg)": found.actual_max_deg,
-        "rms, simulated": found.simulated_rms_deg,
-        "rms, actual": found.actual_rms_deg,
-        "largest difference": found.simulated_actual_max_deg,
-    }
-    return Section(
-        title=title,
-        text=(
-            f"Board {found.excursion_k:g} K above the bench. Compensation removes {found.decrease_deg:.2f} deg of the actual "
-            "device's largest error (the note: more than 3.2). With both tables the two errors differ by at most "
-            f"{found.simulated_actual_max_deg[2]:.2f} deg (the note: 0.15).",
-            "The actual device is the simulated one with hysteresis, thermometer lag, integral non-linearity of the converter and "
-            "g-sensitivity, which the study's model lacks.",
-            "A rest before the motion re-zeroes the offset without a chamber and leaves "
-            f"{found.actual_max_deg[3]:.2f} deg of the actual device's {found.actual_max_deg[0]:.2f}: scale and dynamic drift, "
-            f"which no rest shows. Both tables leave {found.actual_max_deg[2]:.2f} deg, with the rest "
-            f"{found.actual_max_deg[4]:.2f} deg. "
-            "Recommended: tables, and undrift correct --offset rest.",
-        ),
-        columns=("compensation", *columns),
-        rows=tuple((name, *(f"{v[k]:.2f}" for v in columns.values())) for k, name in enumerate(figures.COMPARED_NAMES)),
-        pictures=(svg_of(figures.draw_figure3(found)),),
-    )
-
-
-def _figure3_drawn(outcome: "StudyOutcome") -> Section:
-    rows = [
-        {"compensation": name}
-        | {
-            "median (deg)": f"{row.median_deg:.2f}",
-            "quartiles (deg)": f"{row.lower_deg:.2f} to {row.upper_deg:.2f}",
-        }
-        for name, row in zip(figures.COMPARED_NAMES, outcome.figure3_drawn, strict=bool(outcome.figure3_drawn))
-    ]
-    units = outcome.figure3_drawn[0].units if rows else 0
-    text = (
-        f"Largest error of {units} units drawn from the kind's spread, actual devices, each calibrated and worn by a person of its "
-        f"own. {SLOPE_OF_THE_NOTE}",
-    )
-    return rows_section("Figure 3: drawn units", rows, text=text)
-
-
-def _figure3_effects(outcome: "StudyOutcome") -> Section:
-    rows = [
-        {"effect": plain_words(row.effect)}
-        | {
-            f"{name} (deg)": f"{v:.2f}"
-            for name, v in zip(figures.COMPARED_NAMES, row.simulated_actual_max_deg, strict=True)
-        }
-        | {"largest error, both tables (deg)": f"{row.full_max_deg:.2f}"}
-        for row in outcome.figure3_effects
-    ]
-    text = (
-        "The actual device's effects one at a time: largest difference between the two errors at each level of compensation, and "
-        "the largest error with both tables. Noise alone is another recording of the same model.",
-    )
-    return rows_section("Figure 3: simulated against actual, effect by effect", rows, text=text)
-
-
 # ---- Rates to dwell at, the note's Discussion as an experiment, real recordings
 
 MANY = 8  # rates; of more the two ends are shown
@@ -417,7 +575,7 @@ def design_sections(rows: "tuple[DesignRow, ...]") -> tuple[Section, ...]:
         return ()
     highest = max(row.degree for row in rows)
     cells: Cells[DesignRow] = (
-        ("task", lambda row: plain_words(row.task)),
+        ("task", lambda row: task_words(row.task)),
         ("curve", lambda row: _curve(row.degree)),
         ("set", lambda row: f"{row.grid} grid" if row.criterion == "uniform" else f"{row.criterion}-optimal"),
         ("time at rates of an axis (deg/s)", _rates),
@@ -442,7 +600,7 @@ def _meaning(best: "DesignRow", rows: "tuple[DesignRow, ...]") -> str:
     own = (best.task, best.degree, "uniform")
     even = next(row for row in rows if (row.task, row.degree, row.criterion) == own)
     text = (
-        f"{plain_words(best.task)}, {_curve(best.degree)}: the I-optimal set reaches the error of {best.grid} grid in "
+        f"{task_words(best.task)}, {_curve(best.degree)}: the I-optimal set reaches the error of {best.grid} grid in "
         f"{100.0 * best.i_efficiency_uniform:.0f} % of its dwelling time"
     )
     if best.error_dps is not None and even.error_dps is not None:
@@ -462,51 +620,6 @@ def _rates(row: "DesignRow") -> str:
 
 def _curve(degree: int) -> str:
     return {1: "line", 3: "cubic"}.get(degree, f"degree {degree}")
-
-
-# ---- other ways to calibrate
-
-
-def rival_sections(outcome: "StudyOutcome") -> tuple[Section, ...]:
-    """Return the sections on other ways to calibrate."""
-    title = "The note's Discussion as an experiment: other ways to calibrate"
-    if not outcome.rivals:
-        missing = outcome.rivals_missing
-        return (Section(title=title, findings=(missing,) if missing else ()),)
-    first = outcome.rivals[0]
-    kind = "the note's kind, in place of the one device," if outcome.study.worn else outcome.study.device
-    cells: Cells[RivalRow] = (
-        ("task", lambda row: plain_words(row.task)),
-        ("method", lambda row: plain_words(row.method)),
-        ("calibrates", lambda row: ", ".join(row.observable) or "nothing"),
-        ("min", lambda row: f"{row.minutes:.1f}"),
-        ("rms (deg)", lambda row: _spread(row.error_rms_deg)),
-        ("max (deg)", lambda row: _spread(row.error_max_deg)),
-        ("max of the change (deg)", lambda row: _spread(row.change_max_deg)),
-        ("refused", lambda row: f"{row.refused} of {row.units}"),
-    )
-    text = (
-        f"{first.units} units of {kind} calibrated by each method in about the time of the note's rate table, then worn in the "
-        "same tasks at the temperature of the calibration: median [least to greatest] of the pitch error over the units.",
-        "The change of pitch since the motion began excludes the tilt at the start, which the accelerometers give. Where a "
-        "method cannot calibrate a triad, the data sheet is used. Refused units, whose gravity at rest is too far from the local "
-        "value, have no figure.",
-    )
-    limits: Cells[RivalRow] = (
-        ("method", lambda row: plain_words(row.method)),
-        ("findings of its fit, first unit", lambda row: "; ".join(row.notes)),
-    )
-    noted = [row for row in outcome.rivals if row.task == first.task and row.notes]
-    return (
-        table_section(title, outcome.rivals, cells, text=text),
-        table_section("What each method cannot observe", noted, limits, words=True),
-    )
-
-
-def _spread(spread: "Spread") -> str:
-    if spread.median != spread.median:
-        return "no unit"
-    return f"{spread.median:.3f} [{spread.least:.3f} to {spread.greatest:.3f}]"
 
 
 # ---- real recordings
@@ -575,7 +688,7 @@ def _agreement(level: str, held: "Pairwise") -> str:
 def _compared(title: str, rows: "tuple[CohortComparison, ...]") -> Section:
     cells: Cells[CohortComparison] = (
         ("trial", lambda row: row.trial),
-        ("task", lambda row: plain_words(row.task)),
+        ("task", lambda row: task_words(row.task)),
         ("measure", lambda row: f"{row.measure} ({row.unit})"),
         ("real", lambda row: number(row.real)),
         ("cohort's median", lambda row: f"{row.median:.2f}"),

@@ -1,99 +1,67 @@
-"""A run of a study: a calibration session, the fit, and a trial of one subject, all with one simulated device.
+"""A run of a study: calibration sessions on a bench that errs, their fits, and a trial of one subject with each of them.
 
-Everything is drawn from (seed, task, subject): the unit of the device, the performance, the temperature, the noise. The cut-off
-frequency changes the filter alone, so that cases of one subject differ by it and by nothing else. For each protocol::
+Everything is drawn from (seed, subject), the motion and its noise from the task too: the unit of the device, the bench, the
+performance, the temperature. A dwell has the same draws in every protocol that has it, and the cut-off frequency changes the filter
+alone, so that runs of one subject differ by what is tried and by nothing else. For all protocols of a unit at once::
 
-    simulate the session -> fit -> tables -> correct the trial -> orient -> compare with the true pitch
+    lay out the sessions -> simulate -> fit -> tables -> correct the trial -> orient -> compare with the true pitch
 
 The session has the steps of ``undrift rig run``: faces at room temperature; then, for each axis mounted once, all set-points in
 it: a rest, the rates both ways, a rest. The fit has the order of the note's Figure 2: static drift (not-a-knot splines over the
 set-points' rests), the matrix (eq. 6) at the set-point nearest to room temperature, what is left over rate and temperature.
+Faces come first, in every session alike, so the accelerometers are calibrated once.
 """
 
 import json
 import zlib
+from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import Any, cast
+from functools import lru_cache
+from typing import Any, NamedTuple, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
-from undrift.arrays import FloatArray, IntArray
+from undrift.arrays import BoolArray, FloatArray, IntArray
 from undrift.calibration.six_face import FaceMeans, fit_six_face
 from undrift.correction.correct import correct_checked
-from undrift.errors import CalibrationError, InputError, NotObservable
-from undrift.fit.least_squares import fit_paper
-from undrift.fit.smooth import not_a_knot
-from undrift.model import Calibration, DriftTables, DynamicDrift, StaticDrift, TriadModel
-from undrift.orientation import orient, sagittal_pitch
-from undrift.record import Face, Record, Still
-from undrift.rig.programme import Dwell, Protocol, programme_of
-from undrift.sim.device.effects import LowPass
+from undrift.errors import AlignmentError, CalibrationError, InputError
+from undrift.model import Calibration, TriadModel
+from undrift.orientation import IN_PLANE, initial_tilt, orient, sagittal_pitch
+from undrift.record import FACES, Record, Reference, Still
+from undrift.rig.programme import DAMPING, Protocol
+from undrift.sim.device.dwells import board_readings, mean_readings, numbers_of_dwell
+from undrift.sim.device.effects import BUTTERWORTH, LowPass, SensorChain
 from undrift.sim.device.model import DeviceModel, device_from_json
-from undrift.sim.device.presets import preset, random_device_of
-from undrift.sim.device.simulate import DwellReadings, Dwells, simulate_device, simulate_dwells
+from undrift.sim.device.presets import preset, preset_grade, random_device_of
+from undrift.sim.device.simulate import filtered, simulate_device
+from undrift.sim.motion.categories import DEFAULT, CategoryName
+from undrift.sim.motion.motion import Motion
 from undrift.sim.motion.tasks import Subject, Task, TaskName, cohort, draw_task
-from undrift.study.plan import SAMPLE_RATE_HZ, TURN_RATES, RecordedTask, Study, StudyTask, read_motion
+from undrift.sim.switches import EffectName, bench_without, delay_of_pitch, device_without
+from undrift.sim.table_sessions import (
+    FACE,
+    QUICKEST_HZ,
+    RATE,
+    REST,
+    ROOM_TEMP_C,
+    BenchDraws,
+    Sessions,
+    impose,
+    impose_faces,
+    joined,
+    lay_out,
+)
+from undrift.study.plan import ERRORS, SAMPLE_RATE_HZ, OwnMotion, RecordedTask, Study, StudyTask, read_motion
+from undrift.study.space import TURN_RATES, Setting
+from undrift.sync import lag_of, pose_rates
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
-
-# ---- calibration session
-
-WARMED_UP_S = 1800.0  # the bench waits half an hour after power-on
-ROOM_TEMP_C = 25.0
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Imposed:
-    """What a session imposes, N dwells."""
-
-    dwells: Dwells  # Times, rates, forces, temperatures
-    kind: NDArray[np.str_]  # (N,), face, bracket (a rest) or rate
-    soak: IntArray  # (N,), which set-point
-    faces: tuple[Face, ...]  # Axis that points up, for each dwell
-    duration_s: float  # Of the whole session on the rig, s
-
-
-def impose(protocol: Protocol) -> Imposed:
-    """Lay out the dwells of a protocol."""
-    if protocol.turn_rate_step <= 0.0:
-        raise InputError("study: wanted a protocol with rates, got none; state turn_rate_step and the two ends")
-    steps = [*programme_of(replace(protocol, faces=())).steps]
-    if protocol.faces:
-        steps = [*programme_of(replace(protocol, turn_rate_step=0.0, temperatures_c=())).steps, *steps]
-    temperatures = protocol.temperatures_c or (ROOM_TEMP_C,)
-    dwells: list[Dwell] = []
-    starts, clock = [], WARMED_UP_S
-    for step in steps:
-        if isinstance(step, Dwell):
-            dwells.append(step)
-            starts.append(clock + step.ramp_s + step.settle_s)
-        clock += step.duration_s
-    rate, force = np.zeros((2, len(dwells), 3))
-    for k, dwell in enumerate(dwells):
-        if dwell.axis is not None:
-            rate[k, "xyz".index(dwell.axis)] = dwell.turn_rate
-        force[k, "xyz".index(dwell.up[1])] = STANDARD_GRAVITY if dwell.up[0] == "+" else -STANDARD_GRAVITY
-    temp_c = [ROOM_TEMP_C if dwell.temp_c is None else dwell.temp_c for dwell in dwells]
-    soaks = [0 if dwell.purpose == "face" else temperatures.index(t) for dwell, t in zip(dwells, temp_c, strict=True)]
-    return Imposed(
-        dwells=Dwells(
-            start_s=np.array(starts),
-            duration_s=np.array([dwell.dwell_s for dwell in dwells]),
-            rate_b=rate,
-            force_b=force,
-            temp_c=np.array(temp_c),
-        ),
-        kind=np.array([dwell.purpose for dwell in dwells]),
-        soak=np.array(soaks),
-        faces=tuple(dwell.up for dwell in dwells),
-        duration_s=clock - WARMED_UP_S,
-    )
-
+from undrift.validation.trial import LAG_SETTINGS
 
 # ---- trial
 
 WORN_S = 1800.0  # the device has been on for half an hour
 REST_S = 6.0  # the note's initial rest
+LAG_STEP = 5  # samples between the poses that the delay is found by: what ``validate`` averages over
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -102,7 +70,9 @@ class Case:
 
     device: DeviceModel  # The subject's unit, with the filter of the case
     record: Record  # What it read in the trial
-    pitch: FloatArray  # (N,), true sagittal pitch, delayed by the filter as a reference is before it is compared, rad
+    pitch_now: FloatArray  # (N,), true sagittal pitch, rad
+    pitch: FloatArray  # (N,), the same, as late as the readings are found to be
+    delay_s: float  # How late that is, s
     still: tuple[int, int]  # Samples of the rest before
     moving: tuple[int, int]  # Samples of the motion
 
@@ -113,12 +83,13 @@ def seeded(study: Study, *words: str | int) -> np.random.Generator:
     return np.random.default_rng(np.random.SeedSequence(study.seed, spawn_key=keys))
 
 
-def subject_of(study: Study, number: int) -> Subject:
-    """Return one subject of the study's cohort; numbers beyond its end start again."""
-    people = cohort(study.group, rng=seeded(study, "cohort", study.group, number // 30))
+def subject_of(study: Study, number: int, category: CategoryName = DEFAULT) -> Subject:
+    """Return one subject of the study's cohort of a category; numbers beyond its end start again."""
+    people = cohort(study.group, rng=seeded(study, "cohort", study.group, number // 30), category=category)
     return people[number % len(people)]
 
 
+@lru_cache(maxsize=2)
 def device_of(study: Study, number: int) -> DeviceModel:
     """Return the device that a subject wears."""
     if study.worn:
@@ -131,51 +102,161 @@ def typical_unit(study: Study) -> DeviceModel:
     return device_of(study, 0) if study.worn else preset(study.device)
 
 
-def perform(study: Study, task: StudyTask, number: int) -> Task | RecordedTask:
-    """Return what a subject does."""
-    if task.motion is not None:
-        return read_motion(task.motion)
-    name, rng = cast("TaskName", task.name), seeded(study, "task", task.name, number)
-    return draw_task(name, rng=rng, subject=subject_of(study, number), rest_s=REST_S)
+def _of_parts(chain: SensorChain, gain: float, null: float, reference: float) -> SensorChain:
+    """Return a chain with the amplifier and the converter that parts make; without an amplifier it is one part, and stays."""
+    if chain.amplifier is None:
+        return chain
+    amplifier = replace(chain.amplifier, gain=chain.amplifier.gain * gain, null=chain.amplifier.null * null)
+    adc = None if chain.adc is None else replace(chain.adc, reference=chain.adc.reference * reference)
+    return replace(chain, amplifier=amplifier, adc=adc)
 
 
-def make_case(study: Study, task: StudyTask, number: int, cutoff_hz: float) -> Case:
-    """Simulate a subject's trial with a device whose filters were built for a cut-off frequency, out of the same parts."""
+def perform(study: Study, task: StudyTask, number: int) -> tuple[Task | RecordedTask, Motion]:
+    """Return what a subject does, and its motion at the samples of a record."""
+    return _perform(study, _done(task), number)
+
+
+class _Done(NamedTuple):
+    """What of a task says what its subjects do."""
+
+    name: str
+    category: CategoryName
+    motion: OwnMotion | None
+
+
+def _done(task: StudyTask) -> _Done:
+    return _Done(task.name, task.category, task.motion)
+
+
+@lru_cache(maxsize=2)  # units of one subject follow each other
+def _perform(study: Study, done: _Done, number: int) -> tuple[Task | RecordedTask, Motion]:
+    performed: Task | RecordedTask
+    if done.motion is not None:
+        performed = read_motion(done.motion)
+    else:
+        rng, person = seeded(study, "task", done.name, number), subject_of(study, number, done.category)
+        performed = draw_task(cast("TaskName", done.name), rng=rng, subject=person, rest_s=REST_S)
+    return performed, performed.at(_samples(performed), STANDARD_GRAVITY)
+
+
+def _samples(performed: Task | RecordedTask) -> FloatArray:
+    return np.arange(round(performed.duration_s * SAMPLE_RATE_HZ)) / SAMPLE_RATE_HZ
+
+
+def make_case(
+    study: Study,
+    task: StudyTask,
+    number: int,
+    cutoff_hz: float,
+    gain: float | None = None,
+    quality: float | None = None,
+    without: EffectName | None = None,
+) -> Case:
+    """Simulate a subject's trial with a device built for a cut-off, the gain of its gyroscopes and a Q, out of the same parts.
+
+    One of its effects may be switched off; in real time its delay is then not looked for.
+    """
+    setting, (performed, motion) = Setting(cutoff_hz, gain, quality), perform(study, task, number)
+    device = unit_of(study, number, setting, without)
+    if without is None or not device.sampling.on_grid:
+        record = _record_of(study, task.name, number, device, motion)
+    else:
+        record = filtered(_unfiltered(study, _done(task), number, gain, without), device)
+    if without == "delay":
+        case = _case_of(device, record, performed, motion, delay_of_pitch(device, SAMPLE_RATE_HZ))
+        return replace(case, pitch_now=case.pitch)
+    return _case_of(device, record, performed, motion, 0.0 if without and study.timing == "real time" else None)
+
+
+def unit_of(study: Study, number: int, setting: Setting, without: EffectName | None = None) -> DeviceModel:
+    """Return the device that a subject wears, of parts of its own and as it is set."""
+    cutoff_hz, gain, quality = setting
     device = device_of(study, number)
-    chains: dict[str, Any] = {}
+    grade, parts = None if study.worn else preset_grade(study.device), seeded(study, "chain", number)
+    spread, chains = 0.0 if without == "scale" else study.chain_sd, dict[str, Any]()
     for name, chain in (("gyro", device.gyro), ("accel", device.accel)):
-        low_pass = LowPass(cutoff_hz=np.full(3, cutoff_hz))
+        if name == "gyro" and gain is not None and chain.amplifier is not None:
+            chain = replace(chain, amplifier=replace(chain.amplifier, gain=gain))
+        if not study.worn:
+            chain = _of_parts(chain, *(1.0 + spread * parts.standard_normal(3)))
+        built = 1.0 if quality is None else quality / BUTTERWORTH
+        low_pass = LowPass(cutoff_hz=np.full(3, cutoff_hz), quality=np.full(3, BUTTERWORTH * built))
         if (held := chain.low_pass) is not None:
-            error = held.cutoff_hz / float(np.median(held.cutoff_hz))
-            low_pass = LowPass(cutoff_hz=cutoff_hz * error, quality=held.quality)
+            designed = float(np.median(held.cutoff_hz)) if grade is None else getattr(grade, name).cutoff_hz
+            low_pass = LowPass(cutoff_hz=cutoff_hz * held.cutoff_hz / designed, quality=held.quality * built)
         chains[name] = replace(chain, low_pass=low_pass)
+    device = replace(device, **chains)
+    return device if without is None else device_without(device, without)
+
+
+def _record_of(study: Study, task: str, number: int, device: DeviceModel, motion: Motion) -> Record:
     temp_c = ROOM_TEMP_C + float(seeded(study, "temperature", number).uniform(*study.excursion_k))
-    rng = seeded(study, "noise", task.name, number)
-    return wear(replace(device, **chains), perform(study, task, number), rng=rng, temp_c=temp_c, power_on_s=WORN_S)
+    rng = seeded(study, "noise", task, number)
+    return simulate_device(device, motion, rng=rng, temp_c=temp_c, power_on_s=WORN_S).record
+
+
+@lru_cache(maxsize=1)  # the cut-off frequencies of a subject follow each other
+def _unfiltered(study: Study, done: _Done, number: int, gain: float | None, without: EffectName) -> Record:
+    device = unit_of(study, number, Setting(1.0, gain), without)
+    chains: Any = {name: replace(getattr(device, name), low_pass=None, adc=None) for name in ("gyro", "accel")}
+    return _record_of(study, done.name, number, replace(device, **chains), _perform(study, done, number)[1])
 
 
 def wear(
-    device: DeviceModel, performed: Task | RecordedTask, *, rng: np.random.Generator, temp_c: float, power_on_s: float
+    device: DeviceModel,
+    performed: Task | RecordedTask,
+    motion: Motion | None = None,
+    *,
+    rng: np.random.Generator,
+    temp_c: float,
+    power_on_s: float,
 ) -> Case:
-    """Simulate a trial."""
-    time = np.arange(round(performed.duration_s * SAMPLE_RATE_HZ)) / SAMPLE_RATE_HZ
-    motion = performed.at(time, STANDARD_GRAVITY)
+    """Simulate a trial, whose motion at the samples may be known."""
+    motion = motion or performed.at(_samples(performed), STANDARD_GRAVITY)
     record = simulate_device(device, motion, rng=rng, temp_c=temp_c, power_on_s=power_on_s).record
+    return _case_of(device, record, performed, motion)
+
+
+def _case_of(
+    device: DeviceModel, record: Record, performed: Task | RecordedTask, motion: Motion, late_s: float | None = None
+) -> Case:
+    """Return the case of a record, as late as is known, or as is found from its readings."""
     start, stop = (round(moment * SAMPLE_RATE_HZ) for moment in performed.moving_s)
+    late_s, pitch = delay_of(record, motion.q_nb) if late_s is None else late_s, sagittal_pitch(motion.q_nb)
     return Case(
         device=device,
         record=record,
-        pitch=sagittal_pitch(performed.at(time - delay_s(device), STANDARD_GRAVITY).q_nb),
+        delay_s=late_s,
+        pitch_now=pitch,
+        pitch=_delayed(pitch, late_s),
         still=(0, max(start - round(0.2 * SAMPLE_RATE_HZ), 2)),
-        moving=(start, min(stop + 1, len(time))),
+        moving=(start, min(stop + 1, len(motion))),
     )
 
 
-def delay_s(device: DeviceModel) -> float:
-    """Return how late the pitch of a device is: strapdown holds an instant reading over the step before its stamp."""
-    low_pass = device.gyro.low_pass
-    held_s = 0.5 / SAMPLE_RATE_HZ if device.sampling.gyro_averaging == "instant" else 0.0
-    return (0.0 if low_pass is None else float(np.median(low_pass.group_delay_s))) - held_s
+def _delayed(pitch: FloatArray, late_s: float) -> FloatArray:
+    """Return a pitch (N,) as it was a time before each sample, rad; NaN near gaps."""
+    from scipy.interpolate import CubicSpline
+
+    known, place = np.isfinite(pitch), np.arange(len(pitch))
+    if known.sum() < 2 or late_s == 0.0:
+        return pitch
+    at = np.clip(place - late_s * SAMPLE_RATE_HZ, 0, len(pitch) - 1)
+    found = np.asarray(CubicSpline(place[known], np.unwrap(pitch[known]))(at))
+    found[~(known[np.floor(at).astype(int)] & known[np.ceil(at).astype(int)])] = np.nan
+    return found
+
+
+def delay_of(record: Record, q_nb: FloatArray) -> float:
+    """Return how late a record's pitch is against true poses (N, 4), as ``validate`` finds it; 0 where it cannot."""
+    if record.gyro is None:
+        return 0.0
+    poses = pose_rates(Reference(time=record.time[::LAG_STEP], q_nb=q_nb[::LAG_STEP]))
+    try:
+        lag_s = lag_of(record.time, record.gyro, poses, LAG_SETTINGS).seconds
+    except AlignmentError:  # it moves too little for a delay to matter
+        return 0.0
+    return lag_s - 0.5 / SAMPLE_RATE_HZ  # strapdown holds each reading over the step before its stamp
 
 
 def pitch_error(case: Case, calibration: Calibration) -> FloatArray:
@@ -187,145 +268,262 @@ def pitch_error(case: Case, calibration: Calibration) -> FloatArray:
     return error[case.moving[0] : case.moving[1]]
 
 
-# ---- the note's calibration
+# ---- bench of a subject: the same draws for every protocol
 
-NODES_C = np.linspace(18.0, 75.0, 115)  # the note's tuning table: every 0.5 degC
-
-
-def calibrate_as_the_note(imposed: Imposed, readings: DwellReadings, device: DeviceModel) -> Calibration:
-    """Calibrate a device from the dwells of a session."""
-    faces, rests, turns = (np.flatnonzero(imposed.kind == kind) for kind in ("face", "bracket", "rate"))
-    if not len(rests):
-        raise NotObservable("study: wanted rests at zero rate, got none; set bracket_s")
-    variance = readings.gyro_variance / readings.samples[:, None]  # of a mean
-    soaks = np.unique(imposed.soak)
-    at_rest = [rests[imposed.soak[rests] == soak] for soak in soaks]
-    temps = np.array([readings.temp_c[rows].mean() for rows in at_rest])
-    offsets = np.array([readings.gyro[rows].mean(axis=0) for rows in at_rest])
-    variances = np.array([variance[rows].sum(axis=0) / len(rows) ** 2 for rows in at_rest])
-    turning = [turns[imposed.soak[turns] == soak] for soak in soaks]
-    home = int(np.argmin(np.abs(temps - ROOM_TEMP_C)))
-    own = turning[home]
-    fit = fit_paper(
-        imposed.dwells.rate_b[own],
-        readings.gyro[own] - offsets[home],
-        np.sqrt(variance[own]),
-        method="rate-table/paper",
-        unit_in=device.gyro.unit,
-        unit_out="rad/s",
-    )
-    covariance = fit.model.covariance.copy()
-    covariance[9:12, 9:12] = np.diag(variances[home])
-    gyro = replace(fit.model, offset=offsets[home], covariance=covariance)
-    drift = None
-    if len(soaks) > 1:
-        static = StaticDrift(
-            temp_c=NODES_C,
-            gyro_offset=not_a_knot(temps, offsets, variances, NODES_C).value,
-            gyro_extrapolated=np.abs(NODES_C - np.clip(NODES_C, temps[0], temps[-1])) > 0.5,
-        )
-        drift = DriftTables(static=static, dynamic=_dynamic(imposed, readings, turning, temps, offsets, gyro))
-    return Calibration(
-        device="",
-        reference_temp_c=float(temps[home]),
-        gravity_m_s2=STANDARD_GRAVITY,
-        gyro=gyro,
-        accel=_accel(imposed, readings, faces, device.accel.unit) if len(faces) else None,
-        drift=drift,
-    )
+KEY_STEP = 1e-9  # rad/s: rates nearer than this are one
 
 
-def _dynamic(
-    imposed: Imposed,
-    readings: DwellReadings,
-    turning: list[IntArray],
-    temps: FloatArray,
-    offsets: FloatArray,
-    gyro: TriadModel,
-) -> DynamicDrift:
-    """Bicubic: at each set-point a spline over the measured rate, then one over temperature at each node."""
-    from scipy.interpolate import CubicSpline
-
-    rates = np.unique(np.round(np.abs(imposed.dwells.rate_b[np.concatenate(turning)]).max(axis=1), 12))
-    nodes = np.concatenate((-rates[::-1], [0.0], rates))
-    error = np.zeros((len(temps), len(nodes), 3))
-    for k, rows in enumerate(turning):
-        true, measured = imposed.dwells.rate_b[rows], (readings.gyro[rows] - offsets[k]) @ gyro.matrix.T
-        for axis in range(3):
-            own = np.abs(true[:, axis]) > 0.0
-            rate = np.concatenate((measured[own, axis], [0.0]))
-            left = np.concatenate((measured[own, axis] - true[own, axis], [0.0]))
-            order = np.argsort(rate)
-            curve = CubicSpline(rate[order], left[order], bc_type="not-a-knot")
-            error[k, :, axis] = curve(np.clip(nodes, rate[order[0]], rate[order[-1]]))
-    table_c = np.unique(np.concatenate((temps, NODES_C[::10])))
-    table_c = table_c[(table_c >= temps[0]) & (table_c <= temps[-1])]
-    over_temp = CubicSpline(temps, error, axis=0, bc_type="not-a-knot")
-    return DynamicDrift(temp_c=table_c, turn_rate=nodes, error=over_temp(table_c))
-
-
-def _accel(imposed: Imposed, readings: DwellReadings, at: IntArray, unit: str) -> TriadModel:
+def faces_of(study: Study, device: DeviceModel, number: int, sessions: Sessions) -> TriadModel | None:
+    """Return the accelerometers as the faces of a session calibrate them; None without faces."""
+    if not len(sessions.kind):
+        return None
+    normals = seeded(study, "faces", number).standard_normal((6, 3, numbers_of_dwell(device.accel)))
+    dwells = impose_faces(sessions, study.bench, bench_draws(study, number, 1, np.empty(0)))
     poses = FaceMeans(
-        reading=readings.accel[at],
-        faces=tuple(imposed.faces[i] for i in at),
-        noise=np.sqrt(readings.accel_variance[at] / readings.samples[at, None]),
-        unit=unit,
+        reading=mean_readings(device, "accel", dwells, normals, sessions.face),
+        faces=tuple(FACES[face] for face in sessions.face),
+        unit=device.accel.unit,
     )
     return fit_six_face(poses, gravity=STANDARD_GRAVITY, mode="affine").model
 
 
+def bench_draws(study: Study, number: int, soaks: int, keys: FloatArray) -> BenchDraws:
+    """Return the draws of the bench that calibrates a subject's device, for rests and for rates of given keys."""
+    rng, kinds = seeded(study, "bench", number), 6 * soaks
+    mount, level, clock, face = (rng.standard_normal(shape) for shape in ((3, 3), 2, 1, (6, 3)))
+    soak, left = rng.standard_normal((3, soaks)), rng.uniform(size=(3, soaks))
+    normals, uniforms = [], []
+    for key in (0, *keys.astype(int).tolist()):
+        own = seeded(study, "turns", number, key)
+        normals.append(own.standard_normal((kinds, 4)))
+        uniforms.append(own.uniform(size=(kinds, 2)))
+    drawn = np.concatenate(normals)
+    return BenchDraws(
+        mount=mount,
+        level=level,
+        clock=float(clock[0]),
+        face=face,
+        soak=soak,
+        left=left,
+        wobble=drawn[:, :3],
+        servo=drawn[:, 3],
+        start=np.concatenate(uniforms),
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Readings:
+    """What a bench reads of N rests and rates."""
+
+    gyro: FloatArray  # (N, 3), mean, raw unit
+    rate: FloatArray  # (N,), of the table's encoder about the axis, rad/s
+    temp_c: FloatArray  # (N,), of the board's thermometer, degC
+
+
+def simulate_turns(study: Study, base: Protocol, device: DeviceModel, number: int, sessions: Sessions) -> Readings:
+    """Simulate the rests and rates of sessions, variants of one protocol, on the bench that calibrates a subject's device."""
+    bench = study.bench if base.temperatures_c else replace(study.bench, soak_k=0.0, board_lag_s=0.0)  # no chamber
+    soaks = int(sessions.soak.max()) + 1
+    size = np.round(np.abs(sessions.rate) / KEY_STEP)
+    keys = np.unique(size[size > 0.0])
+    second = sessions.rate < 0.0
+    second[1:] |= (sessions.kind[1:] == REST) & (sessions.kind[:-1] == RATE)  # the rest after the rates
+    block = np.where(size > 0.0, np.searchsorted(keys, size) + 1, 0)
+    row = 6 * soaks * block + 2 * (soaks * sessions.axis + sessions.soak) + second
+    draws, width = bench_draws(study, number, soaks, keys), numbers_of_dwell(device.gyro)
+    keyed = (0, *keys.astype(int).tolist())
+    normals = np.concatenate(
+        [seeded(study, "dwells", number, key).standard_normal((6 * soaks, 3, width + 1)) for key in keyed]
+    )
+    dwells, rate = impose(sessions, bench, draws, row, soak_c_per_min=base.soak_c_per_min)
+    return Readings(
+        gyro=mean_readings(device, "gyro", dwells, normals[:, :, :width], row),
+        rate=rate,
+        temp_c=board_readings(device, dwells.temp_c, normals[row, 0, width]),
+    )
+
+
+# ---- the note's calibration of many sessions, and the trial with each
+
+STATIC_STEP_C, DYNAMIC_STEP_C = 0.5, 3.0  # the note's tuning table has a row every 0.5 degC
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class NoteFits:
+    """Calibrations of the gyroscopes from S sessions, as the kernels take them (kernels/note.py)."""
+
+    static_c: FloatArray  # Nodes of the tables, degC; empty with one soak
+    dynamic_c: FloatArray
+    top: FloatArray  # (S,), greatest rate of the tables, rad/s
+    half: IntArray  # (S,), their nodes above zero
+    plane_first: IntArray  # (S + 1,)
+    matrix: FloatArray  # (S, 9), rad/s per raw unit
+    offset: FloatArray  # (S, 3), raw unit
+    line: FloatArray  # (S, 6 cells)
+    plane: FloatArray  # Flat
+    good: BoolArray  # (S,), False where a session could not calibrate
+
+
+def fit_as_the_note(
+    sessions: Sessions,
+    readings: Readings,
+    grids: FloatArray,
+    table_steps_c: tuple[float, float] = (STATIC_STEP_C, DYNAMIC_STEP_C),
+) -> NoteFits:
+    """Fit the gyroscopes from S sessions whose rates go up to omega_M by a step, grids (S, 2) rad/s, to tables of two steps."""
+    from undrift.kernels.note import fit_sessions
+
+    count, soaks = len(grids), int(sessions.soak.max()) + 1
+    ends = float(sessions.set_c.min()), float(sessions.set_c.max())
+    static_c, dynamic_c = (
+        np.linspace(*ends, max(round((ends[1] - ends[0]) / step), 1) + 1) if soaks > 1 else np.empty(0)
+        for step in table_steps_c
+    )
+    half = np.ceil(grids[:, 0] / grids[:, 1] - 1e-9).astype(np.int64)
+    sizes = 24 * half * max(len(dynamic_c) - 1, 0)
+    fits = NoteFits(
+        static_c=static_c,
+        dynamic_c=dynamic_c,
+        top=np.ascontiguousarray(grids[:, 0]),
+        half=half,
+        plane_first=np.concatenate(([0], np.cumsum(sizes))),
+        matrix=np.zeros((count, 9)),
+        offset=np.zeros((count, 3)),
+        line=np.zeros((count, 6 * max(len(static_c) - 1, 0))),
+        plane=np.zeros(sizes.sum()),
+        good=np.zeros(count, dtype=bool),
+    )
+    turning = sessions.kind == RATE
+    fit_sessions(
+        readings.gyro, readings.rate, readings.temp_c, sessions.axis, sessions.soak, turning, sessions.first, ROOM_TEMP_C,
+        soaks, static_c, dynamic_c, fits.top, half, fits.plane_first, fits.matrix, fits.offset, fits.line, fits.plane,
+        fits.good,
+    )  # fmt: skip
+    return fits
+
+
+END_S = 0.5  # before the motion's end, whose median error is that of the end
+
+
+def trial_errors(case: Case, accel: TriadModel | None, fits: NoteFits) -> FloatArray:
+    """Return the pitch errors with each calibration in the order of ``ERRORS``, (S, 6) rad; NaN without one."""
+    from undrift.kernels.note import pitch_errors
+
+    rest = case.record.part(*case.still)
+    tilted = Calibration(device="", reference_temp_c=ROOM_TEMP_C, gravity_m_s2=STANDARD_GRAVITY, gyro=None, accel=accel)
+    level = correct_checked(replace(rest, gyro=None), tilted, policy="hold", threads=1).record
+    q0 = initial_tilt(level, Still(start=0, stop=len(rest))).q_nb
+    anchor, stop = case.still[1] - 1, case.moving[1]
+    gyro, out = case.record.gyro, np.full((len(fits.good), len(ERRORS)), np.nan)
+    if gyro is None or case.record.temp_c is None:
+        raise InputError("study: wanted rates and temperatures of the trial, got none")
+    pitch, last = np.stack((case.pitch_now[anchor:stop], case.pitch[anchor:stop])), round(END_S * SAMPLE_RATE_HZ)
+    pitch_errors(
+        gyro[anchor:stop].reshape(-1), case.record.temp_c[anchor:stop], case.record.time[anchor:stop], q0, pitch,
+        case.moving[0] - anchor, last, IN_PLANE, fits.static_c, fits.dynamic_c, fits.top, fits.half, fits.plane_first,
+        fits.matrix, fits.offset, fits.line, fits.plane, fits.good, out,
+    )  # fmt: skip
+    return out
+
+
 # ---- unit of work
 
-COLUMNS = ("cutoff_hz", *(f"{name}_dps" for name in TURN_RATES), "error_rms_deg", "error_max_deg", "rig_minutes")
+COLUMNS = ("cutoff_hz", *(f"{name}_dps" for name in TURN_RATES), *ERRORS, "rig_minutes")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Unit:
-    """A subject in a task with a cut-off frequency."""
+    """A subject in a task with a setting of the device."""
 
     study: Study  # Seed, device, temperatures
     task: StudyTask  # With its protocols
     subject: int  # From 0
     cutoff_hz: float  # Hz
+    gain: float | None = None  # Of the gyroscopes' amplifier; None: the device's own
+    quality: float | None = None  # Of the low-pass; None as above
+    without: EffectName | None = None  # Effect that is switched off
+
+    @property
+    def setting(self) -> Setting:
+        """What is varied of the device."""
+        return Setting(self.cutoff_hz, self.gain, self.quality)
 
     @property
     def key(self) -> str:
         """Name of the unit, good for a file."""
-        return f"{self.task.name}-{self.subject:04d}-{self.cutoff_hz:g}"
+        return f"{self.task.key}-{self.subject:04d}-{self.setting.words}"
 
 
 def units_of(study: Study) -> tuple[Unit, ...]:
     """Return the units of a study."""
     return tuple(
-        Unit(study=study, task=task, subject=subject, cutoff_hz=cutoff)
+        Unit(study=study, task=task, subject=subject, **setting._asdict())
         for task in study.tasks
         for subject in range(study.subjects)
-        for cutoff in task.space.cutoff_hz
+        for setting in task.space.settings()
     )
 
 
 def run_unit(unit: Unit) -> dict[str, FloatArray]:
-    """Run all protocols of a unit: an array (P,) for each of ``COLUMNS``, errors NaN where the device was left uncalibrated."""
-    study, protocols = unit.study, unit.task.candidates(unit.cutoff_hz)
-    numbers = [number for number, _ in unit.task.space.numbered_grids()]  # a protocol has one noise in every search
-    case = make_case(study, unit.task, unit.subject, unit.cutoff_hz)
-    runs = rates_of(protocols) | {name: np.full(len(protocols), np.nan) for name in COLUMNS[4:]}
-    for k, protocol in enumerate(protocols):
-        rng = seeded(study, "session", unit.task.name, unit.subject, numbers[k])
-        imposed = impose(protocol)
-        runs["rig_minutes"][k] = imposed.duration_s / 60.0
-        readings = simulate_dwells(case.device, imposed.dwells, rng=rng, felt=imposed.kind == "face")
-        try:
-            calibration = calibrate_as_the_note(imposed, readings, case.device)
-        except CalibrationError:  # this protocol cannot calibrate this device: no error to report, and not a zero
-            continue
-        error = pitch_error(case, calibration) / RADIAN_PER_DEGREE
-        runs["error_rms_deg"][k] = np.sqrt(np.nanmean(error**2))
-        runs["error_max_deg"][k] = np.nanmax(np.abs(error))
+    """Run all candidates of a unit: an array (P,) for each column, errors NaN where the device was left uncalibrated."""
+    task, setting = unit.task, unit.setting
+    points = task.space.points_at(setting)
+    case = make_case(unit.study, task, unit.subject, *setting, unit.without)
+    runs = columns_of(task, points) | {name: np.full(len(points), np.nan) for name in COLUMNS[4:]}
+    for own in alike(task, points):
+        protocols = tuple(map(task.protocol_of, points[own]))
+        every = joined([session_of(protocol, setting.quality) for protocol in protocols])
+        runs["rig_minutes"][own] = every.length_s / 60.0
+        with suppress(CalibrationError):  # no protocol calibrates this device: no error to report, and not a zero
+            errors = errors_with(unit, case, every, protocols, tables_of(task, points[own[0]]))
+            for name, column in zip(ERRORS, errors.T / RADIAN_PER_DEGREE, strict=True):
+                runs[name][own] = column
     return runs
 
 
-def rates_of(protocols: tuple[Protocol, ...]) -> dict[str, FloatArray]:
-    """Return what is varied of protocols, an array (P,) for each of the first four of ``COLUMNS``."""
-    dps = {f"{name}_dps": np.array([getattr(p, name) for p in protocols]) / RADIAN_PER_DEGREE for name in TURN_RATES}
-    return {"cutoff_hz": np.array([p.cutoff_hz for p in protocols])} | dps
+def tables_of(task: StudyTask, point: FloatArray) -> tuple[float, float]:
+    """Return the steps of the static and the dynamic table of a candidate (n,), K."""
+    held = dict(zip(task.space.names, map(float, point), strict=True))
+    return held.get("static_step_c", STATIC_STEP_C), held.get("dynamic_step_c", DYNAMIC_STEP_C)
+
+
+def errors_with(
+    unit: Unit, case: Case, every: Sessions, protocols: tuple[Protocol, ...], steps_c: tuple[float, float]
+) -> FloatArray:
+    """Calibrate the device of a case in the sessions of protocols and return the pitch errors with each, (P, 6) rad."""
+    study, base = unit.study, protocols[0]
+    if unit.without is not None:
+        study = replace(study, bench=bench_without(study.bench, unit.without))
+    accel = faces_of(study, case.device, unit.subject, session_of(base, unit.quality).chosen(FACE))
+    sessions = every.chosen(REST, RATE)
+    readings = simulate_turns(study, base, case.device, unit.subject, sessions)
+    grids = np.array([(p.turn_rate_max, p.turn_rate_step) for p in protocols])
+    return trial_errors(case, accel, fit_as_the_note(sessions, readings, grids, steps_c))
+
+
+def alike(task: StudyTask, points: FloatArray) -> list[IntArray]:
+    """Return the places of the candidates that are simulated and fitted at once: alike in all but rates, dwells and rests."""
+    names = ("faces", "face_s", "set_points", "static_step_c", "dynamic_step_c")
+    columns = [k for k, name in enumerate(task.space.names) if name in names]
+    group = np.unique(points[:, columns], axis=0, return_inverse=True)[1].ravel() if columns else np.zeros(len(points))
+    return [np.flatnonzero(group == each) for each in np.unique(group)]
+
+
+def session_of(protocol: Protocol, quality: float | None = None) -> Sessions:
+    """Return the session of a protocol, laid out once whatever its filter."""
+    damping = DAMPING if quality is None else 0.5 / quality
+    return _laid_out(replace(protocol, cutoff_hz=QUICKEST_HZ)).settling(protocol.cutoff_hz, damping)
+
+
+@lru_cache(maxsize=256)
+def _laid_out(protocol: Protocol) -> Sessions:
+    return lay_out(protocol)
+
+
+def columns_of(task: StudyTask, points: FloatArray) -> dict[str, FloatArray]:
+    """Return what is varied, an array (P,) for each name of the surface's columns."""
+    columns = dict(zip(task.space.names, points.T.copy(), strict=True))
+    return {
+        f"{n}_dps" if n in TURN_RATES else n: v / RADIAN_PER_DEGREE if n in TURN_RATES else v
+        for n, v in columns.items()
+    }

@@ -11,7 +11,7 @@ rival that needs no chamber, the offset re-zeroed at a rest before the motion ("
 recommended: the rest takes the offset of the day, the tables what a rest cannot know. Errors are those
 of the acquisition's 4 s from the start of integration; the note's 3.2 deg are 0.8 deg/s over it. The board warms from 25 degC
 while it is worn, with a time constant of 10 min, and has been worn for half an hour. That history is stated to the correction,
-which needs it where soaks both ways show hysteresis.
+which needs it where soaks both ways show hysteresis. The correlation coefficient is that of the two errors over the acquisition.
 
 The study's model is a unit without the effects that a study leaves out; the actual device is the same unit with them::
 
@@ -23,7 +23,8 @@ The study's model is a unit without the effects that a study leaves out; the act
 
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, Literal, get_args
+from operator import itemgetter
+from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 
@@ -34,14 +35,16 @@ from undrift.drift.fit import fit_drift
 from undrift.errors import InputError
 from undrift.model import Calibration, DriftTables
 from undrift.record import Record, Reference, Session
+from undrift.sim.device.effects import Sampling
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.presets import preset, random_device_of
 from undrift.sim.device.simulate import simulate_device
 from undrift.sim.motion.bench import BenchSettings, bench_motion
 from undrift.sim.motion.poses import OpticsSettings, see
 from undrift.sim.motion.tasks import Task, draw_task
-from undrift.sim.thermal import ThermalSettings, simulate_thermal_session
-from undrift.study.case import ROOM_TEMP_C, WORN_S
+from undrift.sim.table_sessions import ROOM_TEMP_C
+from undrift.sim.thermal import SET_POINTS_C, ThermalSettings, simulate_thermal_session
+from undrift.study.case import WORN_S
 from undrift.study.plan import SAMPLE_RATE_HZ
 from undrift.study.run import Executor, InProcess
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
@@ -70,7 +73,14 @@ def actual_device(unit: DeviceModel, hidden: tuple[Hidden, ...] = HIDDEN) -> Dev
             adc=chain.adc and replace(chain.adc, inl_lsb=bow),
         )
     lag_s = max(unit.thermometer.lag_s, LEAST_LAG_S) if "thermometer" in hidden else 0.0
-    return replace(unit, **chains, thermometer=replace(unit.thermometer, lag_s=lag_s))
+    return on_the_clock(replace(unit, **chains, thermometer=replace(unit.thermometer, lag_s=lag_s)))
+
+
+def on_the_clock(device: DeviceModel) -> DeviceModel:
+    """Return a device that samples with the motion: sessions are marked by sample, and the lag is removed in any case."""
+    held = device.sampling
+    clock = Sampling(gyro_averaging=held.gyro_averaging, accel_averaging=held.accel_averaging)
+    return device if held.on_grid else replace(device, sampling=clock)
 
 
 # ---- the figure
@@ -84,7 +94,13 @@ BENCH = BenchSettings(turn_rates=tuple(rate * RADIAN_PER_DEGREE for rate in rang
 RATES = tuple(rate * RADIAN_PER_DEGREE for rate in (45, 90))  # two of the note's, both ways, at each of the set-points
 THERMAL = ThermalSettings(bench=replace(BENCH, sample_rate_hz=50.0, turn_rates=RATES))
 OPTICS = OpticsSettings(gaps=0)
-WORN = TrialSettings(temp_history=(ROOM_TEMP_C,))  # where the board was before it was put on
+
+
+class Climate(NamedTuple):
+    """Temperatures at which the devices are calibrated and worn."""
+
+    room_c: float = ROOM_TEMP_C  # Of the bench, and of the board before it is put on, degC
+    set_points_c: tuple[float, ...] = SET_POINTS_C  # Of the chamber, degC
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -102,6 +118,7 @@ class Figure3:
     simulated_rms_deg: FloatArray  # (5,), root mean square of the error of each level, deg
     actual_rms_deg: FloatArray  # (5,), as above
     simulated_actual_max_deg: FloatArray  # (5,), largest difference between the two errors; the note: 0.15 at most
+    correlation: FloatArray  # (5,), of the two errors over the acquisition
 
     @property
     def decrease_deg(self) -> float:
@@ -126,9 +143,13 @@ def figure3(
     excursion_k: float = 12.5,
     hidden: tuple[Hidden, ...] = HIDDEN,
     back: bool = False,
+    actual: DeviceModel | None = None,
+    climate: Climate = Climate(),
 ) -> Figure3:
-    """Make the note's Figure 3."""
-    return _figures(unit, (hidden,), seed, excursion_k, back)[0]
+    """Make the note's Figure 3; ``actual``, as a twin of a real device, stands in place of the unit with ``hidden``."""
+    held = unit or preset("enc03j_3031")
+    other = on_the_clock(actual) if actual else actual_device(held, hidden)
+    return _figures(actual_device(held, ()), (other,), seed, excursion_k, back, climate)[0]
 
 
 def effect_table(
@@ -136,6 +157,8 @@ def effect_table(
 ) -> tuple[EffectRow, ...]:
     """Switch the actual device's effects on one at a time: what limits the agreement of simulated and actual."""
     cases: tuple[tuple[Hidden, ...], ...] = ((), *((name,) for name in HIDDEN), HIDDEN)
+    held = unit or preset("enc03j_3031")
+    actual = tuple(actual_device(held, hidden) for hidden in cases)
     names = ("noise alone", *HIDDEN, "all")
     return tuple(
         EffectRow(
@@ -143,27 +166,31 @@ def effect_table(
             simulated_actual_max_deg=figure.simulated_actual_max_deg,
             full_max_deg=float(figure.actual_max_deg[2]),
         )
-        for name, figure in zip(names, _figures(unit, cases, seed, excursion_k, back), strict=True)
+        for name, figure in zip(names, _figures(actual[0], actual, seed, excursion_k, back), strict=True)
     )
 
 
 def _figures(
-    unit: DeviceModel | None, cases: tuple[tuple[Hidden, ...], ...], seed: int, excursion_k: float, back: bool
+    model: DeviceModel,
+    actual: tuple[DeviceModel, ...],
+    seed: int,
+    excursion_k: float,
+    back: bool,
+    climate: Climate = Climate(),
 ) -> tuple[Figure3, ...]:
-    """Return a figure for each set of hidden effects; the simulated device, the person and the optics are the same in all."""
-    held = unit or preset("enc03j_3031")
+    """Return a figure for each actual device; the simulated one, the person and the optics are the same in all."""
     person = np.random.default_rng([seed, 0])
     performed = draw_task("sit_to_stand", rng=person)
     reference = see(performed, rng=person, settings=OPTICS)
 
     def judged(device: DeviceModel, stream: int) -> tuple[Trial, ...]:
         sessions, trial = (np.random.default_rng([seed, stream, part]) for part in range(2))
-        levels = calibrated(device, rng=sessions, back=back)
-        record = worn_record(device, performed, excursion_k=excursion_k, rng=trial)
-        return judge_compared(levels, record, reference)
+        levels = calibrated(device, rng=sessions, back=back, climate=climate)
+        record = worn_record(device, performed, excursion_k=excursion_k, rng=trial, room_c=climate.room_c)
+        return judge_compared(levels, record, reference, room_c=climate.room_c)
 
-    simulated = judged(actual_device(held, ()), 1)
-    return tuple(_figure(simulated, judged(actual_device(held, hidden), 2), excursion_k) for hidden in cases)
+    simulated = judged(model, 1)
+    return tuple(_figure(simulated, judged(device, 2), excursion_k) for device in actual)
 
 
 def judge_compared(
@@ -171,15 +198,18 @@ def judge_compared(
     record: Record,
     reference: Reference,
     names: tuple[str, ...] = COMPARED,
+    *,
+    room_c: float = ROOM_TEMP_C,
 ) -> tuple[Trial, ...]:
     """Compare a worn trial with the optics for each of ``COMPARED``; levels: without tables, with the static one, with all."""
     none, _, full = levels
+    worn = TrialSettings(temp_history=(room_c,))  # where the board was before it was put on
     trials = [
-        validate_trial(record, reference, calibration=level, settings=WORN, name=name)
+        validate_trial(record, reference, calibration=level, settings=worn, name=name)
         for level, name in zip(levels, names[:3], strict=True)
     ]
     for level, name in zip((none, full), names[3:], strict=True):
-        zeroed = correct_checked(record, level, offset="rest", temp_history=WORN.temp_history).record
+        zeroed = correct_checked(record, level, offset="rest", temp_history=worn.temp_history).record
         trials.append(validate_trial(zeroed, reference, name=name))
     return tuple(trials)
 
@@ -199,11 +229,15 @@ def _figure(simulated: tuple[Trial, ...], actual: tuple[Trial, ...], excursion_k
         for name, trials in (("simulated", simulated), ("actual", actual))
     }
     apart = {"simulated_actual": errors["actual"] - errors["simulated"]}
+    seen = np.isfinite(apart["simulated_actual"]).all(axis=0)
     return Figure3(
         time=full.time[inside] - start_s,
         reference_pitch=full.reference_pitch[inside] / RADIAN_PER_DEGREE,
         lag_ms=(1e3 * simulated[LEVELS.index("full")].lag.seconds, 1e3 * full.lag.seconds),
         excursion_k=excursion_k,
+        correlation=np.array(
+            [np.corrcoef(*pair)[0, 1] for pair in zip(*(x[:, seen] for x in errors.values()), strict=True)]
+        ),
         **errors,
         **{f"{name}_rms_deg": np.sqrt(np.nanmean(x**2, axis=-1)) for name, x in errors.items()},
         **{f"{name}_max_deg": np.nanmax(np.abs(x), axis=-1) for name, x in (errors | apart).items()},
@@ -213,17 +247,30 @@ def _figure(simulated: tuple[Trial, ...], actual: tuple[Trial, ...], excursion_k
 # ---- a drawn cohort beside the typical unit
 
 DRAWN_UNITS = 30
+Quartiles = tuple[float, float, float]  # lower quartile, median, upper quartile
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DrawnRow:
-    """Largest pitch error over the acquisition of units drawn from the kind's spread, for one of ``COMPARED``."""
+    """Units drawn from the kind's spread, simulated and actual, with one of ``COMPARED``: errors over the acquisition."""
 
     correction: str
     units: int
+    # Of the largest pitch error of the actual device, deg
     lower_deg: float  # quartile
     median_deg: float
     upper_deg: float  # quartile
+    simulated_deg: Quartiles  # As above, simulated device
+    apart_deg: Quartiles  # Largest difference between the two errors
+    within: int  # Units for which it is within the note's
+    correlation: float  # Of the two errors over the acquisition, mean over the units by Fisher's z
+    correlation_interval: tuple[float, float]  # 95 %, over the units; NaN with fewer than two
+    largest_correlation: float  # Of the two largest errors, over the units
+    largest_interval: tuple[float, float]  # 95 %, by Fisher's z; NaN with fewer than four units
+    largest_deg: tuple[float, ...] = ()  # Of each unit, actual device, in their order
+
+
+NOTE_APART_DEG = 0.15  # largest difference of simulated and actual device in the note
 
 
 def drawn_cohort(
@@ -234,47 +281,75 @@ def drawn_cohort(
     excursion_k: float = 12.5,
     executor: Executor | None = None,
 ) -> tuple[DrawnRow, ...]:
-    """Calibrate and wear drawn units as the actual device of the figure, each on a person of its own."""
+    """Calibrate and wear drawn units as simulated and as actual devices of the figure, each on a person of its own."""
     if units < 2:
         raise InputError(f"drawn units: wanted two or more, for quartiles, got {units}; 30 is the default")
     work = partial(drawn_errors, kind, seed, excursion_k)
-    errors = np.array([found for _, found in (executor or InProcess()).run(work, range(units))])
-    lower, median, upper = np.quantile(errors, (0.25, 0.5, 0.75), axis=0)
-    return tuple(
-        DrawnRow(
-            correction=name,
-            units=units,
-            lower_deg=float(lower[k]),
-            median_deg=float(median[k]),
-            upper_deg=float(upper[k]),
-        )
-        for k, name in enumerate(COMPARED)
+    found = np.array([row for _, row in sorted((executor or InProcess()).run(work, range(units)), key=itemgetter(0))])
+    return tuple(_drawn_row(name, *found[:, :, k].T) for k, name in enumerate(COMPARED))
+
+
+def _drawn_row(
+    name: str, simulated: FloatArray, actual: FloatArray, apart: FloatArray, correlation: FloatArray
+) -> DrawnRow:
+    """Summarise one of ``COMPARED`` over U units; all are (U,)."""
+    from scipy.stats import t as t_distribution
+
+    count = len(actual)
+    of_errors, of_actual, of_apart = (_quartiles(x) for x in (simulated, actual, apart))
+    z = np.arctanh(correlation)
+    middle, largest = float(z.mean()), float(np.corrcoef(simulated, actual)[0, 1])
+    reach = float(t_distribution.ppf(0.975, count - 1) * z.std(ddof=1) / np.sqrt(count))
+    ends = np.full(2, np.nan)  # two or three units say nothing
+    if count > 3:
+        ends = np.tanh(np.arctanh(largest) + 1.96 / np.sqrt(count - 3) * np.array((-1.0, 1.0)))
+    return DrawnRow(
+        correction=name,
+        units=count,
+        lower_deg=of_actual[0],
+        median_deg=of_actual[1],
+        upper_deg=of_actual[2],
+        simulated_deg=of_errors,
+        apart_deg=of_apart,
+        within=int((apart <= NOTE_APART_DEG).sum()),
+        correlation=float(np.tanh(middle)),
+        correlation_interval=(float(np.tanh(middle - reach)), float(np.tanh(middle + reach))),
+        largest_correlation=largest,
+        largest_interval=(float(ends[0]), float(ends[1])),
+        largest_deg=tuple(actual.tolist()),
     )
 
 
+def _quartiles(values: FloatArray) -> Quartiles:
+    low, median, high = (float(q) for q in np.quantile(values, (0.25, 0.5, 0.75)))
+    return low, median, high
+
+
 def drawn_errors(kind: str, seed: int, excursion_k: float, number: int) -> FloatArray:
-    """Return the largest pitch error of one drawn unit, (5,), deg, for each of ``COMPARED``."""
-    device, person, bench, trial = (np.random.default_rng([seed, 3, number, part]) for part in range(4))
-    actual = actual_device(random_device_of(kind, device))
-    performed = draw_task("sit_to_stand", rng=person)
+    """Return one drawn unit, (4, 5), for each of ``COMPARED``: largest pitch error simulated and actual and their largest
+    difference, deg, and their correlation."""
+    device, person, *noise = (np.random.default_rng([seed, 3, number, part]) for part in range(6))
+    unit, performed = random_device_of(kind, device), draw_task("sit_to_stand", rng=person)
     reference = see(performed, rng=person, settings=OPTICS)
-    levels = calibrated(actual, rng=bench, back=False)
-    record = worn_record(actual, performed, excursion_k=excursion_k, rng=trial)
-    trials = judge_compared(levels, record, reference)
-    _, inside = _acquisition(trials[2:3])
-    largest = [np.nanmax(np.abs(one.error.pitch[inside])) for one in trials]
-    return np.array(largest) / RADIAN_PER_DEGREE
+
+    def judged(worn: DeviceModel, bench: np.random.Generator, trial: np.random.Generator) -> tuple[Trial, ...]:
+        levels = calibrated(worn, rng=bench, back=False)
+        return judge_compared(levels, worn_record(worn, performed, excursion_k=excursion_k, rng=trial), reference)
+
+    actual = judged(actual_device(unit), *noise[:2])
+    found = _figure(judged(actual_device(unit, ()), *noise[2:]), actual, excursion_k)
+    return np.array((found.simulated_max_deg, found.actual_max_deg, found.simulated_actual_max_deg, found.correlation))
 
 
 # ---- what calibrates and wears a device
 
 
 def calibrated(
-    device: DeviceModel, *, rng: np.random.Generator, back: bool = True
+    device: DeviceModel, *, rng: np.random.Generator, back: bool = True, climate: Climate = Climate()
 ) -> tuple[Calibration, Calibration, Calibration]:
     """Calibrate a device on the simulated bench and in the simulated chamber."""
     motion = bench_motion("bench", rng=rng, settings=BENCH)
-    record = simulate_device(device, motion, rng=rng, temp_c=ROOM_TEMP_C, power_on_s=SETTLED_S).record
+    record = simulate_device(device, motion, rng=rng, temp_c=climate.room_c, power_on_s=SETTLED_S).record
     session = Session(
         kind="calibration",
         serial=device.serial,
@@ -284,7 +359,8 @@ def calibrated(
         turns=motion.turns,
     )
     none = calibrate(session)
-    thermal = simulate_thermal_session("soak", device, rng=rng, settings=replace(THERMAL, back=back))
+    settings = replace(THERMAL, back=back, set_points_c=climate.set_points_c)
+    thermal = simulate_thermal_session("soak", device, rng=rng, settings=settings)
     return levels_of(none, fit_drift((thermal,), none).calibration)
 
 
@@ -294,7 +370,14 @@ def levels_of(constant: Calibration, full: Calibration) -> tuple[Calibration, Ca
     return constant, replace(full, drift=static), full
 
 
-def worn_record(device: DeviceModel, performed: Task, *, excursion_k: float, rng: np.random.Generator) -> Record:
+def worn_record(
+    device: DeviceModel,
+    performed: Task,
+    *,
+    excursion_k: float,
+    rng: np.random.Generator,
+    room_c: float = ROOM_TEMP_C,
+) -> Record:
     """Return what a device reads in a task after half an hour on a person, whose warmth it has taken on."""
     before = round(WORN_S * SAMPLE_RATE_HZ)
     time = (np.arange(before + round(performed.duration_s * SAMPLE_RATE_HZ)) - before) / SAMPLE_RATE_HZ
@@ -303,7 +386,7 @@ def worn_record(device: DeviceModel, performed: Task, *, excursion_k: float, rng
         device,
         performed.at(time, STANDARD_GRAVITY),
         rng=rng,
-        temp_c=ROOM_TEMP_C + excursion_k * share,
+        temp_c=room_c + excursion_k * share,
         power_on_s=SETTLED_S,
     ).record
     return record.part(before, len(record))

@@ -1,37 +1,78 @@
 """Judge the surface of a task: the optimum, what each parameter does, the other cohort, the note's row.
 
 The least of many noisy means is biased low. So the subjects are split in two: each half chooses, the other half gives the error.
-A protocol is as good as the optimum where a one-sided paired t test, after Holm over all protocols, does not tell them apart.
-Where a quarter are as good and no parameter decides, the minimum is flat. The cheapest in minutes on the rig is the one to use.
+A protocol is equivalent to the optimum where its mean error is shown to be less than the margin above (one-sided paired t test),
+worse where it is shown to be more than that above, else not decidable. The first is after Bonferroni over the protocols, the second
+over all their pairs, as the optimum is chosen. The equivalent one with the shortest session is the one to use.
 
 A parameter is tested with the others at the optimum: analysis of variance and paired tests of the levels; where a run is missing
-because its protocol could not calibrate that device, the mixed model and its contrasts. p is after Holm over the parameters;
-levels are compared where it is below the level of the test, p after Holm over all pairs. A level that calibrates fewer than half
-of the devices is left out. The other cohort shares nothing with the first. The note's row agrees where its protocol is as good.
+because its protocol could not calibrate that device, the mixed model and its contrasts. p is after Holm over the parameters. It is
+worth setting where the optimum's value is shown to be better than another by more than the margin. Its values are equivalent where
+each pair is shown to be within the margin, which needs no correction for the pairs. Both are after Bonferroni over the parameters.
+A level that calibrates fewer than half of the devices is left out. The other cohort shares nothing with the first.
+
+A value of the note agrees where it is better than the next values that were tried on both sides, or equivalent to them. The next
+value's protocol is the one nearest to the note's in the other three. The row agrees where all its values do and its protocol is
+equivalent to the optimum.
 """
 
+import hashlib
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray, IntArray
 from undrift.errors import InputError, NotObservable
 from undrift.findings import Finding, finding
-from undrift.sim.motion.tasks import TABLE_2, Group, TableRow
+from undrift.sim.motion.categories import DEFAULT, CategoryName
+from undrift.sim.motion.tasks import Group, TableRow, table_row
 from undrift.study import statistics
 from undrift.study.case import COLUMNS, subject_of
-from undrift.study.plan import NoteRow, Space, Study, StudyTask
+from undrift.study.plan import MARGIN_DEG, NoteRow, Objective, Study, StudyTask, Timing
 from undrift.study.run import InProcess, TaskSurface, run_study
-from undrift.study.statistics import Anova, MixedModel, adjust_holm, compare_pairs, compare_pairs_of, mean_interval
+from undrift.study.space import FURTHER, TURN_RATES, Space
+from undrift.study.statistics import (
+    MOST_SUBJECTS,
+    Anova,
+    Decision,
+    MixedModel,
+    OneWay,
+    Pair,
+    Verdict,
+    adjust_holm,
+    compare_pairs,
+    compare_pairs_of,
+    decide,
+    mean_interval,
+    three_sided,
+)
 from undrift.units import RADIAN_PER_DEGREE
 
 # ---- effect of each parameter, the others at the optimum
 
 PARAMETERS = COLUMNS[:4]
 SYMBOLS = dict(zip(PARAMETERS, ("cut-off", "step d", "omega_m", "omega_M"), strict=True))
+SYMBOLS |= {name: kind.heading.split(" (")[0] for name, kind in FURTHER.items()}
 FEWEST_SHARE = 0.5  # of the subjects whose device a level has to calibrate
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Judged:
+    """Whether a parameter is worth setting, against the margin."""
+
+    verdict: Verdict  # better: than one value or more; equivalent: all values are
+    decisions: tuple[Decision, ...]  # The optimum's value against each of the others
+    widest: Decision  # Of the two values that differ most, after Bonferroni over the parameters alone
+    p_better: float  # Least of the decisions'
+    p_equivalent: float  # That two values differ by the margin or more, after Bonferroni over the parameters
+
+    @property
+    def subjects_needed(self) -> int | None:
+        """For the verdict that the means point to, with a power of 0.8 were they true; None: no number is enough."""
+        far = [each.subjects_needed for each in self.decisions if each.difference > each.margin]
+        return min((n for n in far if n is not None), default=None) if far else self.widest.subjects_needed
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -48,7 +89,10 @@ class ParameterEffect:
     mixed: MixedModel | None  # Where some are
     untested: Finding | None  # Why neither could be
     p_holm: float  # p after Holm over the parameters; NaN without a test
-    pairs: tuple[statistics.Pair, ...]  # All pairs of values, by their places; empty unless that p is below the level
+    pairs: tuple[Pair, ...]  # All pairs of values, by their places; empty unless that p is below the level
+    judged: Judged | None = (
+        None  # Against the margin; None where subjects with gaps cannot be tested, or with one value
+    )
 
     @property
     def test(self) -> Anova | MixedModel | None:
@@ -74,14 +118,20 @@ class ParameterEffect:
 
 
 def effects_at(
-    surface: TaskSurface, best: int, *, error: FloatArray, allowed: BoolArray, level: float = 0.05
+    surface: TaskSurface,
+    best: int,
+    *,
+    error: FloatArray,
+    allowed: BoolArray,
+    level: float = 0.05,
+    margin_deg: float = MARGIN_DEG["rms"],
 ) -> tuple[ParameterEffect, ...]:
     """Say what each parameter does about a protocol: error (S, P) deg, allowed (P,)."""
-    columns = {name: np.asarray(getattr(surface, name)) for name in PARAMETERS}
+    columns = {name: np.asarray(surface.column(name)) for name in surface.names}
     same = {name: np.isclose(column, column[best]) for name, column in columns.items()}
     effects = []
     for name, column in columns.items():
-        places = np.flatnonzero(allowed & np.all([same[other] for other in PARAMETERS if other != name], axis=0))
+        places = np.flatnonzero(allowed & np.all([same[other] for other in columns if other != name], axis=0))
         places = places[np.argsort(column[places])]
         enough = np.isfinite(error[:, places]).mean(axis=0) >= FEWEST_SHARE
         kept = places[enough]
@@ -101,14 +151,44 @@ def effects_at(
             pairs=(),
         )
         effects.append((effect, own))
-    tested = [effect.p_holm for effect, _ in effects if effect.test is not None]
-    holm = iter(adjust_holm(tested))
-    made = []
-    for effect, own in effects:
+    holm = iter(adjust_holm([effect.p_holm for effect, _ in effects if effect.test is not None]))
+    pairs = [_pairs(effect, own) for effect, own in effects]
+    tests, made = sum(map(bool, pairs)), []
+    for (effect, own), each in zip(effects, pairs, strict=True):
         p = float("nan") if effect.test is None else float(next(holm))
-        pairs = (compare_pairs(own) if effect.mixed is None else compare_pairs_of(effect.mixed)) if p < level else ()
-        made.append(replace(effect, p_holm=p, pairs=pairs))
+        judged = (
+            judge_values(effect.best, each, len(own), level=level, margin=margin_deg, tests=tests) if each else None
+        )
+        made.append(replace(effect, p_holm=p, pairs=each if p < level else (), judged=judged))
     return tuple(made)
+
+
+def _pairs(effect: ParameterEffect, error: FloatArray) -> tuple[Pair, ...]:
+    if effect.mixed is not None:
+        return compare_pairs_of(effect.mixed)
+    return compare_pairs(error) if len(effect.values) > 1 and len(error) > 2 and np.isfinite(error).all() else ()
+
+
+def judge_values(
+    best: int, pairs: tuple[Pair, ...], subjects: int, *, level: float, margin: float, tests: int
+) -> Judged:
+    """Judge a parameter of several ``tests`` by all pairs of its values."""
+    own = tuple(
+        decide(pair, subjects, of=best, margin=margin, level=level, tests=tests * len(pairs))
+        for pair in pairs
+        if best in (pair.first, pair.second)
+    )
+    apart, uncertainty = (np.array([getattr(pair, name) for pair in pairs]) for name in ("difference", "uncertainty"))
+    p_equivalent = min(tests * float(three_sided(apart, uncertainty, subjects - 1, margin=margin)[1].max()), 1.0)
+    p_better = min(decision.p_better for decision in own)
+    widest = max(pairs, key=lambda pair: abs(pair.difference))
+    return Judged(
+        verdict="better" if p_better <= level else "equivalent" if p_equivalent <= level else "not decidable",
+        decisions=own,
+        widest=decide(widest, subjects, of=widest.first, margin=margin, level=level, tests=tests),
+        p_better=p_better,
+        p_equivalent=p_equivalent,
+    )
 
 
 def _tested(error: FloatArray) -> Anova | MixedModel | Finding:
@@ -130,33 +210,43 @@ def _tested(error: FloatArray) -> Anova | MixedModel | Finding:
 
 # ---- optimum
 
-FLAT_SHARE = 0.25  # a minimum that a quarter of the protocols share is called flat where no parameter decides
+FLAT_SHARE = 0.25  # a minimum that a quarter of the others are equivalent to is flat where no parameter decides
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Optimum:
     """What a study says of one task."""
 
+    objective: Objective  # That is minimised
+    timing: Timing
     best: int  # Place of the protocol with the least mean error
     error_rms_deg: float  # Mean over the subjects of both errors at the optimum, deg
     error_max_deg: float
     honest_error_deg: float  # Mean of the objective by subjects that did not choose it, deg
     honest_interval_deg: tuple[float, float]  # Its 95 % interval
-    equivalent: BoolArray  # (P,), protocols that are statistically as good
-    cheapest: int  # Of those, the one with the shortest session
-    flat: bool  # Whether a quarter of all protocols or more are as good, and no parameter decides the error
-    deciding: tuple[str, ...]  # Parameters whose p after Holm is below the level
+    margin_deg: float  # Smallest difference that matters, deg
+    equivalent: BoolArray  # (P,), protocols that are shown to be worse by less than the margin, the optimum among them
+    worse: BoolArray  # (P,), those that are shown to be worse by more
+    undecided: BoolArray  # (P,), those that are allowed and calibrate all devices, and neither
+    cheapest: int  # Of the equivalent ones, that with the shortest session
+    flat: bool  # Whether a quarter of the other protocols or more are equivalent, and no parameter decides the error
+    deciding: tuple[str, ...]  # Parameters whose verdict is better
     effects: tuple[ParameterEffect, ...]  # One a parameter
     p_value: float  # Least p after Holm over the parameters: whether any of them matters
-    pareto: IntArray  # Protocols that no other beats in both error and minutes, by rising minutes
     failed: int  # Runs whose protocol could not calibrate the device
 
 
 def find_optimum(
-    surface: TaskSurface, *, objective: str = "rms", level: float = 0.05, rig_minutes_max: float | None = None
+    surface: TaskSurface,
+    *,
+    objective: Objective = "rms",
+    timing: Timing = "real time",
+    level: float = 0.05,
+    margin_deg: float = MARGIN_DEG["rms"],
+    rig_minutes_max: float | None = None,
 ) -> Optimum:
-    """Find the best protocol of a task, and those that are as good."""
-    error = surface.error(objective)
+    """Find the best protocol of a task, and those that are equivalent."""
+    error = surface.error(objective, timing)
     allowed = surface.rig_minutes <= (np.inf if rig_minutes_max is None else rig_minutes_max)
     usable: BoolArray = np.isfinite(error).all(axis=0) & allowed
     if not usable.any():
@@ -166,26 +256,30 @@ def find_optimum(
         )
     mean = np.where(usable, np.where(np.isfinite(error), error, 0.0).mean(axis=0), np.inf)
     best = int(np.argmin(mean))
-    equivalent = _equivalent(error, usable, best, level)
+    equivalent, worse = _against_best(error, usable, best, level=level, margin=margin_deg)
     among = np.flatnonzero(equivalent)
     cheapest = int(among[np.lexsort((mean[among], surface.rig_minutes[among]))[0]])
-    effects = effects_at(surface, best, error=error, allowed=allowed, level=level)
+    effects = effects_at(surface, best, error=error, allowed=allowed, level=level, margin_deg=margin_deg)
     honest, interval = mean_interval(_honest(error, usable))
     tested = [effect.p_holm for effect in effects if effect.test is not None]
-    deciding = tuple(effect.name for effect in effects if effect.p_holm < level)
+    deciding = tuple(effect.name for effect in effects if effect.judged and effect.judged.verdict == "better")
     return Optimum(
+        objective=objective,
+        timing=timing,
         best=best,
-        error_rms_deg=float(surface.error_rms_deg[:, best].mean()),
-        error_max_deg=float(surface.error_max_deg[:, best].mean()),
+        error_rms_deg=float(surface.error("rms", timing)[:, best].mean()),
+        error_max_deg=float(surface.error("maximum", timing)[:, best].mean()),
         honest_error_deg=honest,
         honest_interval_deg=interval,
+        margin_deg=margin_deg,
         equivalent=equivalent,
+        worse=worse,
+        undecided=usable & ~equivalent & ~worse,
         cheapest=cheapest,
-        flat=bool(equivalent.sum() >= FLAT_SHARE * usable.sum()) and not deciding,
+        flat=bool(equivalent.sum() - 1 >= max(FLAT_SHARE * (usable.sum() - 1), 1)) and not deciding,
         deciding=deciding,
         effects=effects,
         p_value=min(tested) if tested else float("nan"),
-        pareto=pareto_front(surface.rig_minutes, mean),
         failed=int(np.isnan(error).sum()),
     )
 
@@ -201,20 +295,20 @@ def pareto_front(minutes: FloatArray, error: FloatArray) -> IntArray:
     return np.array(front, dtype=np.int64)
 
 
-def _equivalent(error: FloatArray, usable: BoolArray, best: int, level: float) -> BoolArray:
-    from scipy.stats import t as t_distribution
-
-    subjects = len(error)
-    places = np.flatnonzero(usable)
+def _against_best(
+    error: FloatArray, usable: BoolArray, best: int, *, level: float, margin: float
+) -> tuple[BoolArray, BoolArray]:
+    """Return which protocols are shown to be equivalent to the best, and which to be worse."""
+    places, subjects = np.flatnonzero(usable), len(error)
     apart = error[:, places] - error[:, [best]]
-    spread = apart.std(axis=0, ddof=1) / np.sqrt(subjects)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        t = np.where(spread > 0.0, apart.mean(axis=0) / spread, np.where(apart.mean(axis=0) > 0.0, np.inf, 0.0))
-    p = t_distribution.sf(t, subjects - 1)  # one-sided: worse than the best
-    found = np.zeros(len(usable), dtype=bool)
-    found[places] = adjust_holm(p) >= level
-    found[best] = True
-    return found
+    uncertainty = apart.std(axis=0, ddof=1) / np.sqrt(subjects)
+    p_worse, p_equivalent, _ = three_sided(apart.mean(axis=0), uncertainty, subjects - 1, margin=margin)
+    others = len(places) - 1
+    equivalent, worse = np.zeros((2, len(usable)), dtype=bool)
+    equivalent[places] = others * p_equivalent <= level  # chosen for its low mean, the best makes this harder
+    worse[places] = 0.5 * others * (others + 1) * p_worse <= level  # and this easier: any pair could have been compared
+    equivalent[best], worse[best] = True, False
+    return equivalent, worse
 
 
 def _honest(error: FloatArray, usable: BoolArray) -> FloatArray:
@@ -226,6 +320,21 @@ def _honest(error: FloatArray, usable: BoolArray) -> FloatArray:
         chosen = places[int(np.argmin(error[np.ix_(choosing, places)].mean(axis=0)))]
         judged[~choosing] = error[~choosing, chosen]
     return judged
+
+
+# ---- the note's analysis of variance
+
+
+def analyses_of(
+    surface: TaskSurface, objective: Objective = "rms", timing: Timing = "real time"
+) -> tuple[OneWay | None, Anova | None]:
+    """Return the analysis over all protocols as if other subjects had met each, and by repeated measures; None: not possible."""
+    error = surface.error(objective, timing)
+    error = error[:, np.isfinite(error).all(axis=0)]
+    try:
+        return statistics.compare_independent(error), statistics.compare_conditions(error)
+    except InputError:  # one protocol, or subjects that do not differ
+        return None, None
 
 
 # ---- the other cohort
@@ -249,9 +358,10 @@ class Cohort:
 
     group: Group  # simulation or testing
     count: int  # Subjects
+    category: CategoryName
     age_years: tuple[float, float, float]  # Lowest, mean and highest, years and m
     height: tuple[float, float, float]
-    printed: TableRow  # The note's Table 2
+    printed: TableRow  # The note's Table 2; for another category what it is drawn by
 
 
 def other_study(study: Study) -> Study:
@@ -265,33 +375,37 @@ def run_testing(
     study: Study, surfaces: tuple[TaskSurface, ...], optima: tuple[Optimum, ...], folder: Path
 ) -> tuple[tuple[Tested, Tested], ...]:
     """Run each task's optimum and its cheapest equal on the other cohort."""
-    other, found = other_study(study), []
+    other, found = other_study(study), list[list[Tested]]()
     for name in ("best", "cheapest"):
         places = [int(getattr(optimum, name)) for optimum in optima]
-        tasks = tuple(map(_only, study.tasks, surfaces, places))
+        tasks = tuple(map(only, study.tasks, surfaces, places))
+        mark = hashlib.sha256(repr(tasks).encode()).hexdigest()[:12]  # another objective chooses other protocols
         # a few seconds' work: shorter than starting workers
-        found.append(map(_on_others, run_study(replace(other, tasks=tasks), InProcess(), folder / name)))
-    return tuple(zip(*found, strict=True))
+        tried = run_study(replace(other, tasks=tasks), InProcess(), folder / mark)
+        found.append([_on_others(surface, study.timing) for surface in tried])
+    return tuple((best, cheapest) for best, cheapest in zip(*found, strict=True))
 
 
-def cohort_of(study: Study) -> Cohort:
+def cohort_of(study: Study, category: CategoryName = DEFAULT) -> Cohort:
     """Return who was simulated."""
-    people = [subject_of(study, number) for number in range(study.subjects)]
+    people = [subject_of(study, number, category) for number in range(study.subjects)]
     ages, heights = (np.array([getattr(person, name) for person in people]) for name in ("age_years", "height"))
     age, height = ((float(x.min()), float(x.mean()), float(x.max())) for x in (ages, heights))
-    return Cohort(group=study.group, count=study.subjects, age_years=age, height=height, printed=TABLE_2[study.group])
+    own, count = table_row(study.group, category), study.subjects
+    return Cohort(group=study.group, count=count, category=category, age_years=age, height=height, printed=own)
 
 
-def _only(task: StudyTask, surface: TaskSurface, place: int) -> StudyTask:
-    cutoff, *dps = (float(getattr(surface, name)[place]) for name in PARAMETERS)
-    step, low, high = ((value * RADIAN_PER_DEGREE,) for value in dps)
-    return replace(task, space=Space(cutoff_hz=(cutoff,), turn_rate_step=step, turn_rate_min=low, turn_rate_max=high))
+def only(task: StudyTask, surface: TaskSurface, place: int) -> StudyTask:
+    """Return a task with one protocol of its surface."""
+    rates: Any = {name: (float(surface.column(f"{name}_dps")[place]) * RADIAN_PER_DEGREE,) for name in TURN_RATES}
+    further = tuple((name, (float(values[place]),)) for name, values in surface.further.items())
+    return replace(task, space=Space(cutoff_hz=(float(surface.cutoff_hz[place]),), further=further, **rates))
 
 
-def _on_others(surface: TaskSurface) -> Tested:
+def _on_others(surface: TaskSurface, timing: Timing) -> Tested:
     done = np.isfinite(surface.error_rms_deg[:, 0])
-    error_rms, of_rms = mean_interval(surface.error_rms_deg[done, 0])
-    error_max, of_max = mean_interval(surface.error_max_deg[done, 0])
+    error_rms, of_rms = mean_interval(surface.error("rms", timing)[done, 0])
+    error_max, of_max = mean_interval(surface.error("maximum", timing)[done, 0])
     return Tested(
         subjects=len(done),
         failed=int((~done).sum()),
@@ -305,7 +419,19 @@ def _on_others(surface: TaskSurface) -> Tested:
 # ---- comparison with the note's Table 1
 
 
-NoteVerdict = Literal["agrees", "differs", "not tried"]
+NoteVerdict = Literal["agrees", "differs", "not decidable", "not tried"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NoteValue:
+    """A value of the note's row beside the next that were tried."""
+
+    name: str  # Of the parameter
+    value: float  # Hz or deg/s
+    lower: Decision | None  # Against the protocol with the next lower value; None where none was tried
+    upper: Decision | None  # As above, higher
+    verdict: NoteVerdict
+    finding: Finding  # Why
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -317,33 +443,139 @@ class NoteComparison:
     error_deg: float  # Mean of the objective with the note's protocol, deg
     difference_deg: float  # That minus the optimum's, deg
     verdict: NoteVerdict
-    finding: Finding  # Why
+    finding: Finding  # Why: its protocol against the optimum
+    values: tuple[NoteValue, ...]  # One a parameter; empty where the protocol was not tried
+
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """All reasons."""
+        return (self.finding, *(value.finding for value in self.values))
 
 
 def compare_with_note(
-    surface: TaskSurface, optimum: Optimum, row: NoteRow, objective: str = "rms", level: float = 0.05
+    surface: TaskSurface,
+    optimum: Optimum,
+    row: NoteRow,
+    *,
+    objective: Objective = "rms",
+    timing: Timing = "real time",
+    level: float = 0.05,
 ) -> NoteComparison:
-    """Compare an optimum with the note's: they agree where the note's protocol is statistically as good."""
-    wanted = np.array([getattr(row, name) for name in PARAMETERS])
-    table = np.stack([getattr(surface, name) for name in PARAMETERS], axis=1)
-    place, errors, best = _place(table, wanted), surface.error(objective), optimum.best
-    mean = errors.mean(axis=0)
-    verdict: NoteVerdict = "agrees"
+    """Compare a row of the note with the optimum, and each of its values with the next that were tried."""
+    # what the note has no value of is as in the optimum
+    wanted = np.array([getattr(row, n) for n in PARAMETERS] + [v[optimum.best] for v in surface.further.values()])
+    table = np.stack([surface.column(name) for name in surface.names], axis=1)
+    place, errors, best = _place(table, wanted), surface.error(objective, timing), optimum.best
+    mean, values = errors.mean(axis=0), tuple[NoteValue, ...]()
     error, ours = float("nan") if place is None else float(mean[place]), float(mean[best])
+    verdict: NoteVerdict = "not decidable"
     if place is None or not np.isfinite(error):
         verdict = "not tried"
         why = finding("study.note_not_tried" if place is None else "study.note_uncalibrated", "info")
-    elif place == best:
-        why = finding("study.note_is_optimum", "info", alike=optimum.equivalent.sum() - 1, others=len(mean) - 1)
-    elif optimum.equivalent[place]:
-        least = _least_seen(errors[:, place] - errors[:, best], len(mean), level)
-        numbers = {"error_deg": error, "optimum_deg": ours, "subjects": len(errors), "detectable_deg": least}
-        why = finding("study.note_as_good", "info", **numbers)
     else:
-        verdict, why = "differs", _worse(table, mean, place, best)
+        values = _note_values(table, errors, place, margin=optimum.margin_deg, level=level)
+        why = _against_optimum(table, errors, place, optimum, level)
+        if optimum.worse[place] or any(value.verdict == "differs" for value in values):
+            verdict = "differs"
+        elif optimum.equivalent[place] and all(value.verdict == "agrees" for value in values):
+            verdict = "agrees"
     return NoteComparison(
-        row=row, place=place, error_deg=error, difference_deg=error - ours, verdict=verdict, finding=why
+        row=row, place=place, error_deg=error, difference_deg=error - ours, verdict=verdict, finding=why, values=values
     )
+
+
+def _against_optimum(table: FloatArray, errors: FloatArray, place: int, optimum: Optimum, level: float) -> Finding:
+    mean, best, others = errors.mean(axis=0), optimum.best, len(table) - 1
+    numbers = {"error_deg": mean[place], "optimum_deg": mean[best], "margin_deg": optimum.margin_deg}
+    if place == best:
+        alike = optimum.equivalent.sum() - 1
+        return finding("study.note_is_optimum", "info", alike=alike, others=others, margin_deg=optimum.margin_deg)
+    if optimum.equivalent[place]:
+        return finding("study.note_as_good", "info", subjects=len(errors), **numbers)
+    if optimum.worse[place]:
+        return _worse(table, mean, place, best)
+    (pair,) = compare_pairs(errors[:, [place, best]])
+    found = decide(pair, len(errors), of=1, margin=optimum.margin_deg, level=level, tests=others)
+    needed = needed_text(found.subjects_needed)
+    return finding(
+        "study.note_undecided", "warn", subjects=len(errors), interval_deg=found.interval, needed=needed, **numbers
+    )
+
+
+def needed_text(subjects: int | None) -> str:
+    """Return a number of subjects, or the bound that no number below is enough."""
+    return f"more than {MOST_SUBJECTS}" if subjects is None else str(subjects)
+
+
+def _note_values(
+    table: FloatArray, errors: FloatArray, place: int, *, margin: float, level: float
+) -> tuple[NoteValue, ...]:
+    """Compare each value of the note's protocol with the next lower and higher that calibrated every device."""
+    usable = np.asarray(np.isfinite(errors).all(axis=0))
+    beside = [[_next(table, usable, place, k, up) for up in (False, True)] for k in range(len(PARAMETERS))]
+    tests = sum(at is not None for pair in beside for at in pair)
+    values = []
+    for k, (name, at) in enumerate(zip(PARAMETERS, beside, strict=True)):
+        lower, upper = (
+            None if other is None else replace(_decided(errors, place, other, margin, level, tests), other=other)
+            for other in at
+        )
+        verdict, why = _of_value(table, place, k, lower, upper)
+        values.append(
+            NoteValue(name=name, value=float(table[place, k]), lower=lower, upper=upper, verdict=verdict, finding=why)
+        )
+    return tuple(values)
+
+
+def _decided(errors: FloatArray, place: int, other: int, margin: float, level: float, tests: int) -> Decision:
+    (pair,) = compare_pairs(errors[:, [place, other]])
+    return decide(pair, len(errors), of=0, margin=margin, level=level, tests=tests)
+
+
+def _next(table: FloatArray, usable: BoolArray, place: int, k: int, up: bool) -> int | None:
+    """Return the protocol with the next value of a parameter that is nearest in the others, by their ratios."""
+    own, column = table[place, k], table[:, k]
+    beyond = usable & (column > own * (1.0 + 1e-6) if up else column < own * (1.0 - 1e-6))
+    if not beyond.any():
+        return None
+    value = column[beyond].min() if up else column[beyond].max()
+    places = np.flatnonzero(beyond & np.isclose(column, value))
+    apart = np.abs(np.log(np.delete(table[places] / table[place], k, axis=1))).sum(axis=1)
+    return int(places[np.argmin(apart)])
+
+
+def _of_value(
+    table: FloatArray, place: int, k: int, lower: Decision | None, upper: Decision | None
+) -> tuple[NoteVerdict, Finding]:
+    """Judge a value by what it is against the next ones."""
+    beside = [each for each in (lower, upper) if each is not None]
+    verdicts, own = tuple(each.verdict for each in beside), float(table[place, k])
+    numbers = {
+        "parameter": SYMBOLS[PARAMETERS[k]],
+        "value": own,
+        "unit": "Hz" if k == 0 else "deg/s",
+        "others": table[[each.other for each in beside], k],
+        "verdicts": verdicts,
+        "difference_deg": tuple(each.difference for each in beside),
+        "p": tuple(_quoted(each) for each in beside),
+        "margin_deg": beside[0].margin if beside else 0.0,
+    }
+    if "worse" in verdicts:
+        return "differs", finding("study.note_value_differs", "warn", **numbers)
+    if len(beside) < 2:
+        end = "only" if not beside else "least" if lower is None else "greatest"
+        return "not decidable", finding("study.note_value_at_edge", "warn", end=end, **numbers)
+    if "not decidable" in verdicts:
+        open_ones = [each.subjects_needed for each in beside if each.verdict == "not decidable"]
+        most = None if None in open_ones else max(n for n in open_ones if n is not None)
+        return "not decidable", finding("study.note_value_undecided", "warn", needed=needed_text(most), **numbers)
+    return "agrees", finding("study.note_value_agrees", "info", **numbers)
+
+
+def _quoted(found: Decision) -> float:
+    """Return the p of a verdict; the least of the three where there is none."""
+    p: dict[str, float] = {"better": found.p_better, "equivalent": found.p_equivalent, "worse": found.p_worse}
+    return p.get(found.verdict, min(p.values()))
 
 
 def _place(table: FloatArray, wanted: FloatArray) -> int | None:
@@ -351,16 +583,8 @@ def _place(table: FloatArray, wanted: FloatArray) -> int | None:
     return int(hits[0]) if len(hits) else None
 
 
-def _least_seen(apart: FloatArray, tests: int, level: float) -> float:
-    """Return the mean difference from which on the test among so many tells a protocol from the optimum, deg."""
-    from scipy.stats import t as t_distribution
-
-    n = len(apart)
-    return float(t_distribution.ppf(1.0 - level / tests, n - 1) * apart.std(ddof=1) / np.sqrt(n))
-
-
 def _worse(table: FloatArray, mean: FloatArray, place: int, best: int) -> Finding:
-    """Name the parameter whose exchange for ours takes most of the error off, where such protocols were tried."""
+    """Name the parameter whose exchange for ours removes most of the error, where such protocols were tried."""
     gains: list[tuple[float, int]] = []
     for k in range(len(PARAMETERS)):
         exchanged = table[place].copy()

@@ -9,6 +9,7 @@ measured by a unit of each task; the rest costs about the same whatever the stud
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from time import perf_counter
 from typing import Any, Literal, NamedTuple, cast, get_args
@@ -18,13 +19,27 @@ import numpy as np
 from undrift.errors import InputError
 from undrift.findings import Finding, finding
 from undrift.sim.motion.tasks import TaskName
+from undrift.sim.switches import EFFECTS
 from undrift.study import judge, run
+from undrift.study import search as searching
 from undrift.study.case import Unit, run_unit, seeded, typical_unit, units_of
+from undrift.study.categories import CategoryComparison, compare_categories
+from undrift.study.designs import DesignRow, design_rows
 from undrift.study.figure3 import DRAWN_UNITS, DrawnRow, EffectRow, Figure3, drawn_cohort, effect_table, figure3
-from undrift.study.plan import DEVICE, TABLE_1, TURN_RATES, Study, StudyTask, Untried
+from undrift.study.plan import DEVICE, MARGIN_DEG, TABLE_1, Study, StudyTask
 from undrift.study.real import RealData, RealOutcome, judge_real, tried
-from undrift.study.rivals import TASKS, DesignRow, RivalRow, compare_rivals, design_rows
-from undrift.study.statistics import Anova, MixedModel, OptionalStopping, power_of_anova, stopping_of, subjects_needed
+from undrift.study.rivals import TASKS, UNITS, RivalPlan, RivalRow, Rivals, TriadRow, compare_rivals
+from undrift.study.space import TURN_RATES, Untried
+from undrift.study.split import MOST_VALUES, Split, split_findings, split_study
+from undrift.study.statistics import (
+    Anova,
+    MixedModel,
+    OneWay,
+    OptionalStopping,
+    power_of_anova,
+    stopping_of,
+    subjects_needed,
+)
 from undrift.units import RADIAN_PER_DEGREE
 
 # ---- forecast
@@ -32,6 +47,7 @@ from undrift.units import RADIAN_PER_DEGREE
 StageName = Literal[
     "calibration sessions",
     "the other cohort",
+    "what the error is made of",
     "rates to dwell at",
     "Figure 3",
     "Figure 3, effect by effect",
@@ -43,8 +59,8 @@ POOL_S = 3.0  # workers start
 DESIGNS_S = 0.4  # a task
 FIGURE3_S = 5.0
 EFFECTS_S = 18.0
-DRAWN_S = 6.0  # a unit of the drawn cohort: its thermal fit
-RIVALS_S = 20.0  # units are calibrated by every method once, for all tasks
+DRAWN_S = 12.0  # a unit of the drawn cohort: the thermal fits of its simulated and its actual device
+RIVALS_S = 10.0  # a unit, calibrated by every method once, for all tasks
 TRIAL_S, WORN_S, ROWS_S = 2.5, 3.5, 0.3  # a real trial; the device worn in captures; a capture or stance
 
 
@@ -57,35 +73,42 @@ class Stage(NamedTuple):
 
 def forecast(study: Study, folder: Path, *, workers: int, rivals: bool, real: RealData | None) -> tuple[Stage, ...]:
     """Return the stages of a study with their times; what is on the disk already costs nothing."""
-    store, halving = run.RunStore(folder, study), study.search == "halving"
-    units = units_of(study)
-    left = units if halving else tuple(unit for unit in units if not store.holds(unit))
-    sessions, cohort = 0.0, 0.0
+    store, searched = run.RunStore(folder, study), study.search != "grid"
+    sessions, cohort, split = 0.0, 0.0, 0.0
     for task in study.tasks:
-        one = next(unit for unit in units if unit.task is task)
-        one = replace(one, task=replace(task, space=replace(task.space, only=(next(task.space.grids()),))))
+        setting = task.space.setting_of(task.space.first[0])
+        whole = Unit(study=study, task=task, subject=0, **setting._asdict())
+        one = replace(whole, task=replace(task, space=task.space.narrowed(task.space.first)))
         run_unit(one)  # what is compiled or imported the first time does not count
-        cohort += 2.0 * study.subjects * _unit_s(one)
-        own = [unit for unit in left if unit.task is task]
-        sessions += len(own) * _unit_s(own[0]) if own else 0.0
-    if halving:
-        grid = study.subjects * sum(len(task.protocols()) for task in study.tasks)
-        sessions *= max(run.count_runs(study) - run.runs_held(folder), 0) / grid
+        crossed = sum(other.name == task.name for other in study.tasks)
+        unit_s = _unit_s(one)
+        cohort += (2.0 + (crossed if crossed > 1 else 0)) * study.subjects * unit_s
+        split += len(EFFECTS) * study.subjects * min(len(task.space.cutoff_hz), MOST_VALUES) * unit_s
+        if study.search == "cma" or searching.tried_of(study, task) < task.space.count:  # hardly two of one setting
+            sessions += searching.runs_of_task(study, task) * unit_s
+        elif searched:
+            share = searching.runs_of_task(study, task) / (study.subjects * task.space.count)
+            sessions += share * study.subjects * len(task.space.settings()) * _unit_s(whole)
+        elif left := [unit for unit in units_of(replace(study, tasks=(task,))) if not store.holds(unit)]:
+            sessions += len(left) * _unit_s(left[0])
+    if searched:
+        sessions *= max(1.0 - run.runs_held(folder) / searching.count_runs(study), 0.0)
     figured, real_s = _has_figure3(study), 0.0
     if real is not None:
         trials, rows = sum(len(device.pairs) for device in real.devices), len(real.captures) + len(real.stances)
-        real_s = TRIAL_S * trials + WORN_S * bool(real.captures) + ROWS_S * rows
+        real_s = TRIAL_S * trials + WORN_S * bool(real.captures) + ROWS_S * rows + FIGURE3_S * bool(real.actual)
     stages = (
-        Stage("calibration sessions", sessions / workers + (POOL_S if left and workers > 1 else 0.0)),
+        Stage("calibration sessions", sessions / workers + (POOL_S if sessions and workers > 1 else 0.0)),
         Stage("the other cohort", cohort),
+        Stage("what the error is made of", split / workers + (POOL_S if workers > 1 else 0.0)),
         Stage("rates to dwell at", DESIGNS_S * len(study.tasks)),
         Stage("Figure 3", FIGURE3_S if figured else 0.0),
         Stage("Figure 3, effect by effect", EFFECTS_S if figured and rivals else 0.0),
         Stage("Figure 3, drawn units", DRAWN_UNITS * DRAWN_S / workers if figured and rivals else 0.0),
-        Stage("rival methods", RIVALS_S if rivals else 0.0),
+        Stage("rival methods", UNITS * RIVALS_S / workers if rivals else 0.0),
         Stage("real recordings", real_s),
     )
-    return tuple(stage for place, stage in enumerate(stages) if place < 3 or stage.seconds > 0.0)
+    return tuple(stage for place, stage in enumerate(stages) if place < 4 or stage.seconds > 0.0)
 
 
 def _has_figure3(study: Study) -> bool:
@@ -127,14 +150,19 @@ class TaskOutcome:
     powers: tuple[EffectPower, ...]  # One for each parameter that could be tested
     stopping: OptionalStopping | None  # Of the parameter with the least p; None with ten subjects or fewer
     stopping_of: str  # That parameter
+    one_way: OneWay | None  # All protocols as if other subjects had met each, as the note may have; None: not possible
+    repeated: Anova | None  # The same by repeated measures
     note: judge.NoteComparison | None  # With the note's row; None for other tasks
+    splits: tuple[Split, ...]  # What the optimum's error is made of, by parameter; none of one that has a single value
     untried: tuple[Untried, ...]  # Values of the plan that no protocol has, or none that is short enough
     halving: run.Halving | None  # Its rounds, where protocols were searched so
+    front: searching.Front  # Of error against minutes on the rig
 
     @property
     def findings(self) -> tuple[Finding, ...]:
         """What a person should know of this task."""
-        return (*_findings(self), *untried_findings(self.untried), *(() if self.note is None else (self.note.finding,)))
+        note = () if self.note is None else self.note.findings
+        return (*_findings(self), *split_findings(self.splits), *untried_findings(self.untried), *note)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -144,7 +172,7 @@ class StudyOutcome:
     study: Study
     runs: int  # Sessions simulated, fitted and judged
     tasks: tuple[TaskOutcome, ...]  # One a task
-    cohorts: tuple[judge.Cohort, judge.Cohort]  # Who chose, and who tested
+    cohorts: tuple[judge.Cohort, ...]  # Of each category who chose, and who tested
     figure3: Figure3 | None  # For a study with a sit-to-stand
     figure3_missing: Finding | None  # Why there is none
     # Differences of its two devices, effect by effect; empty where the rivals were not asked for either
@@ -153,8 +181,10 @@ class StudyOutcome:
     figure3_drawn: tuple[DrawnRow, ...] = ()
     designs: tuple[DesignRow, ...] = ()  # D- and I-optimal rates and the uniform grid, by task
     rivals: tuple[RivalRow, ...] = ()  # Other ways to calibrate; empty where they were not asked for
+    rival_triads: tuple[TriadRow, ...] = ()  # Each triad alone by each of them
     rivals_missing: Finding | None = None  # Why there are none
     real: RealOutcome | None = None  # Real recordings, where some were given
+    categories: tuple[CategoryComparison, ...] = ()  # One a task that several categories perform
 
 
 def judge_study(
@@ -171,18 +201,18 @@ def judge_study(
     """Run a study, or what is left of it, and judge it; ``begin`` gets each stage, ``tell`` each round of a halving."""
     begin("calibration sessions")
     halvings: tuple[run.Halving | None, ...] = (None,) * len(study.tasks)
-    if study.search == "halving":
-        halvings = halved = run.halve_study(study, executor, folder, advance=advance, tell=tell)
-        runs, surfaces = sum(each.runs for each in halved), tuple(each.surface for each in halved)
+    if study.search == "grid":
+        runs, met = searching.count_runs(study), run.run_study(study, executor, folder, advance=advance)
     else:
-        runs, surfaces = run.count_runs(study), run.run_study(study, executor, folder, advance=advance)
-    surfaces = tuple(map(run.without_lost, surfaces))
-    optima = tuple(
-        judge.find_optimum(surface, objective=study.objective, level=study.level, rig_minutes_max=study.rig_minutes_max)
-        for surface in surfaces
-    )
+        halvings = halved = searching.search_study(study, executor, folder, advance=advance, tell=tell)
+        runs, met = sum(each.runs for each in halved), tuple(each.surface for each in halved)
+    surfaces = tuple(map(run.without_lost, met))
+    optima = tuple(judge.find_optimum(surface, **_limits(study)) for surface in surfaces)
     begin("the other cohort")
-    tested = judge.run_testing(study, surfaces, optima, folder / TESTING)
+    others, tested = judge.other_study(study), judge.run_testing(study, surfaces, optima, folder / TESTING)
+    categories = compare_categories(study, surfaces, optima, folder / TESTING)
+    begin("what the error is made of")
+    splits = split_study(study, surfaces, optima, executor, advance=advance)
     begin("rates to dwell at")
     designs = tuple(row for held in zip(study.tasks, surfaces, optima, strict=True) for row in _designs(study, *held))
     begin("Figure 3")
@@ -192,29 +222,37 @@ def judge_study(
     if _has_figure3(study):
         figure, missing = tried("Figure 3", lambda: figure3(unit, seed=study.seed, excursion_k=warmer))
     effects, drawn = tuple[EffectRow, ...](), tuple[DrawnRow, ...]()
-    rows: tuple[RivalRow, ...] | None = None
+    compared: Rivals | None = None
     rivals_missing: Finding | None = finding("study.rivals_not_asked", "info")
     if rivals and figure is not None:
         effects, drawn = _beside_figure3(study, warmer, executor, begin)
     if rivals:
         begin("rival methods")
-        rows, rivals_missing = tried("Other ways to calibrate", lambda: _rivals(study))
+        compared, rivals_missing = tried("Other ways to calibrate", lambda: _rivals(study, executor, tell))
     if real is not None:
         begin("real recordings")
     return StudyOutcome(
         study=study,
         runs=runs,
-        tasks=tuple(_judge(study, *held) for held in zip(study.tasks, surfaces, optima, tested, halvings, strict=True)),
-        cohorts=(judge.cohort_of(study), judge.cohort_of(judge.other_study(study))),
+        tasks=tuple(map(partial(_judge, study), study.tasks, surfaces, optima, tested, splits, halvings)),
+        cohorts=tuple(judge.cohort_of(each, kind) for kind in study.categories for each in (study, others)),
         figure3=figure,
         figure3_missing=missing,
         figure3_effects=effects,
         figure3_drawn=drawn,
         designs=designs,
-        rivals=rows or (),
+        rivals=compared.rows if compared else (),
+        rival_triads=compared.triads if compared else (),
         rivals_missing=rivals_missing,
         real=None if real is None else judge_real(real, study),
+        categories=categories,
     )
+
+
+def _limits(study: Study) -> Any:
+    """Return what an optimum is found by."""
+    names = ("objective", "timing", "level", "margin_deg", "rig_minutes_max")
+    return {name: getattr(study, name) for name in names}
 
 
 def _designs(study: Study, task: StudyTask, surface: run.TaskSurface, optimum: judge.Optimum) -> tuple[DesignRow, ...]:
@@ -236,11 +274,24 @@ def _beside_figure3(
     return effects or (), drawn or ()
 
 
-def _rivals(study: Study) -> tuple[RivalRow, ...]:
+def _rivals(study: Study, executor: run.Executor, tell: Callable[[str], None]) -> Rivals:
     """Compare the methods on units of the study's kind, or of the note's where every subject wears one device."""
     known = get_args(TaskName)
-    tasks = tuple(cast("TaskName", task.name) for task in study.tasks if task.motion is None and task.name in known)
-    return compare_rivals(kind=DEVICE if study.worn else study.device, seed=study.seed, tasks=tasks or TASKS)
+    held = (cast("TaskName", task.name) for task in study.tasks if task.motion is None and task.name in known)
+    tasks = tuple(dict.fromkeys(held))
+    plan = RivalPlan(
+        kind=DEVICE if study.worn else study.device,
+        seed=study.seed,
+        tasks=tasks or TASKS,
+        errors=study.bench,
+        margin_deg=study.margin_deg / MARGIN_DEG[study.objective] * MARGIN_DEG["maximum"],
+        level=study.level,
+    )
+
+    def advance(done: int, total: int) -> None:
+        tell(f"rival methods: {done} of {total} units")
+
+    return compare_rivals(plan, executor=executor, advance=advance)
 
 
 def _judge(
@@ -249,10 +300,13 @@ def _judge(
     surface: run.TaskSurface,
     optimum: judge.Optimum,
     tested: tuple[judge.Tested, judge.Tested],
+    splits: tuple[Split, ...],
     halving: run.Halving | None,
 ) -> TaskOutcome:
     row = TABLE_1.get(cast("TaskName", surface.task))
     least, stopping = _stopping(study, surface, optimum)
+    aim: Any = {"objective": study.objective, "timing": study.timing}
+    one_way, repeated = judge.analyses_of(surface, **aim)
     return TaskOutcome(
         surface=surface,
         optimum=optimum,
@@ -261,9 +315,18 @@ def _judge(
         powers=tuple(_power(study, effect, effect.test) for effect in optimum.effects if effect.test),
         stopping=stopping,
         stopping_of=least,
-        note=row if row is None else judge.compare_with_note(surface, optimum, row, study.objective, study.level),
+        one_way=one_way,
+        repeated=repeated,
+        note=row if row is None else judge.compare_with_note(surface, optimum, row, level=study.level, **aim),
+        splits=splits,
         untried=(*task.space.untried(), *_too_long(study, surface if halving is None else halving.every)),
         halving=halving,
+        front=searching.front_of(
+            surface if halving is None else run.without_lost(halving.every),
+            study.objective,
+            study.timing,
+            study.rig_minutes_max,
+        ),
     )
 
 
@@ -304,10 +367,10 @@ def _stopping(study: Study, surface: run.TaskSurface, optimum: judge.Optimum) ->
     if not tested:
         return "", None
     least = min(tested, key=lambda effect: effect.p_holm)
-    columns = {name: getattr(surface, name) for name in judge.PARAMETERS}
+    columns = {name: surface.column(name) for name in surface.names}
     same = [np.isclose(c, c[optimum.best]) for name, c in columns.items() if name != least.name]
     held = np.all(same, axis=0) & np.isin(columns[least.name], least.values)
-    table = surface.error(study.objective)[:, held]
+    table = surface.error(study.objective, study.timing)[:, held]
     table = table[np.isfinite(table).all(axis=1)]  # looks are at subjects with every run
     if len(table) <= FIRST_LOOK:
         return "", None
@@ -321,7 +384,7 @@ def _stopping(study: Study, surface: run.TaskSurface, optimum: judge.Optimum) ->
 def _findings(task: TaskOutcome) -> tuple[Finding, ...]:
     found, surface, halving = task.optimum, task.surface, task.halving
     subjects, alike, protocols = len(surface.error_rms_deg), int(found.equivalent.sum()), len(surface.cutoff_hz)
-    rows = []
+    margin, rows = found.margin_deg, list[Finding]()
     if surface.left_out:
         rows.append(finding("study.subjects_left_out", "warn", subjects=surface.left_out))
     if found.failed:
@@ -330,27 +393,51 @@ def _findings(task: TaskOutcome) -> tuple[Finding, ...]:
         rows.append(finding("study.mixed_model", "warn", parameters=mixed))
     if found.cheapest != found.best:
         saved = float(surface.rig_minutes[found.best] - surface.rig_minutes[found.cheapest])
-        more = float(surface.error_rms_deg[:, found.cheapest].mean() - surface.error_rms_deg[:, found.best].mean())
-        rows.append(finding("study.shorter_session", "info", saved_min=saved, difference_deg=more))
-    if matter := [effect for effect in found.effects if effect.name in found.deciding]:
-        names, spans = tuple(judge.SYMBOLS[e.name] for e in matter), tuple(e.span_deg for e in matter)
-        rows.append(
-            finding("study.deciding", "info", parameters=names, span_deg=spans, p_holm=tuple(e.p_holm for e in matter))
-        )
-    elif np.isfinite(found.p_value):
-        rows.append(finding("study.none_decides", "info", p_holm=found.p_value))
-    else:
-        rows.append(finding("study.not_tested", "info"))
+        more = float(surface.error("rms", found.timing)[:, found.cheapest].mean()) - found.error_rms_deg
+        rows.append(finding("study.shorter_session", "info", saved_min=saved, difference_deg=more, margin_deg=margin))
+    rows += _parameters(found, subjects)
+    counts = {"alike": alike, "worse": found.worse.sum(), "open": found.undecided.sum(), "protocols": protocols}
     if found.flat:
-        rows.append(finding("study.flat_minimum", "info", alike=alike, protocols=protocols, subjects=subjects))
+        rows.append(finding("study.flat_minimum", "info", subjects=subjects, margin_deg=margin, **counts))
     elif protocols > 1:
-        rows.append(finding("study.as_good", "info", alike=alike, protocols=protocols, subjects=subjects))
+        rows.append(finding("study.as_good", "info", subjects=subjects, margin_deg=margin, **counts))
     if halving is not None:
-        counts = tuple(len(each.candidates) for each in halving.rounds)
+        candidates = tuple(len(each.candidates) for each in halving.rounds)
         met = tuple(each.subjects for each in halving.rounds)
         runs, grid = halving.runs, halving.runs_of_grid
-        rows.append(finding("study.halving", "info", protocols=counts, subjects=met, runs=runs, grid=grid))
+        if halving.generations:
+            numbers = {"generations": halving.generations, "tried": len(halving.protocols), "subjects": met[0]}
+            rows.append(finding("study.evolution", "info", runs=runs, grid=grid, **numbers))
+        else:
+            rows.append(finding("study.halving", "info", protocols=candidates, subjects=met, runs=runs, grid=grid))
     return tuple(rows)
+
+
+def _parameters(found: judge.Optimum, subjects: int) -> list[Finding]:
+    """Say which parameters are worth setting, which are not, and for which this study is too small."""
+    rows = []
+    held = [(effect, effect.judged) for effect in found.effects if effect.judged is not None]
+    for verdict in ("better", "equivalent", "not decidable"):
+        if not (own := [(effect, judged) for effect, judged in held if judged.verdict == verdict]):
+            continue
+        p = tuple(judged.p_better if verdict == "better" else judged.p_equivalent for _, judged in own)
+        rows.append(
+            finding(
+                "study.deciding"
+                if verdict == "better"
+                else "study.none_decides"
+                if verdict == "equivalent"
+                else "study.undecided",
+                "warn" if verdict == "not decidable" else "info",
+                parameters=tuple(judge.SYMBOLS[effect.name] for effect, _ in own),
+                span_deg=tuple(effect.span_deg for effect, _ in own),
+                p=p,
+                margin_deg=found.margin_deg,
+                subjects=subjects,
+                needed=tuple(judge.needed_text(judged.subjects_needed) for _, judged in own),
+            )
+        )
+    return rows or [finding("study.not_tested", "info")]
 
 
 def untried_findings(rows: tuple[Untried, ...]) -> tuple[Finding, ...]:

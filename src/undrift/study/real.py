@@ -7,6 +7,9 @@ as an offset, worth as much as a level: all levels are judged with the rounding 
 Captured people and the simulated cohort: lean, rates and time of rising at L5; a repetition begins and ends where the pitch rate
 falls below 5 deg/s. Quiet stance on a force plate: the centre of pressure, and the horizontal force over the mass; the cohort's
 centre of pressure is that of the pendulum, p = x - (1.147 h/g) x''. Captured and simulated people differ: nothing is paired.
+
+[actual] is Figure 3 with a twin of a real device as the actual one: matrix, offset, noise and codes as ``undrift twin`` found
+them beside optics, offsets over temperature as a recording at rest has them. The simulated device is a preset.
 """
 
 import gzip
@@ -30,15 +33,18 @@ from undrift.io.reference import BodyName
 from undrift.io.session import read_column_map
 from undrift.orientation import sagittal_pitch
 from undrift.record import Record, Reference
-from undrift.sim.device.model import DeviceModel
+from undrift.sim.device.model import DeviceModel, read_device
 from undrift.sim.device.presets import preset
 from undrift.sim.device.simulate import simulate_device
+from undrift.sim.motion.categories import DEFAULT, CategoryName
 from undrift.sim.motion.motion import Motion
 from undrift.sim.motion.poses import PoseSpline, fit_pose_spline
-from undrift.sim.motion.tasks import GYRATION, Group, Task, TaskName, cohort, draw_task
-from undrift.study.case import REST_S, ROOM_TEMP_C, Case, delay_s, pitch_error, typical_unit
-from undrift.study.figure3 import LEVELS, SETTLED_S, calibrated
+from undrift.sim.motion.tasks import GROUP_SIZE, GYRATION, Group, Subject, Task, TaskName, cohort, draw_task
+from undrift.sim.table_sessions import ROOM_TEMP_C
+from undrift.study.case import REST_S, Case, delay_of, pitch_error, typical_unit
+from undrift.study.figure3 import LEVELS, SETTLED_S, Climate, Figure3, calibrated, figure3
 from undrift.study.plan import SAMPLE_RATE_HZ, SKIN, Study, read_poses, rest_of
+from undrift.twin.warm_up import fit_warm_up, with_warm_up
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 from undrift.validation import agreement
 from undrift.validation.trial import Adc, Figures, Trial, TrialSettings
@@ -138,6 +144,7 @@ class Capture:
     name: str  # Of the trial
     task: Captured  # sit_to_stand, squat or stairs
     device: Reference  # Poses of a device at L5
+    category: CategoryName = DEFAULT  # Of the person, whose simulated people are compared
 
 
 @dataclass(frozen=True, slots=True)
@@ -168,28 +175,38 @@ def motion_rows(
     captures: tuple[Capture, ...], *, subjects: int = 30, seed: int = 0, group: Group = "simulation"
 ) -> tuple[CohortComparison, ...]:
     """Compare captures with the simulated cohort."""
-    people = cohort(group, rng=np.random.default_rng([seed, 0]))[:subjects]
-    drawn: dict[TaskName, FloatArray] = {}
+    drawn: dict[tuple[TaskName, CategoryName], FloatArray] = {}
     rows: list[CohortComparison] = []
     for capture in captures:
-        like = LIKE[capture.task]
-        if like not in drawn:
+        like, kind = LIKE[capture.task], capture.category
+        if (like, kind) not in drawn:
             rng = np.random.default_rng([seed, 1])
             figures = []
-            for person in people:
+            for person in _people(group, kind, subjects, seed):
                 performed = draw_task(like, rng=rng, subject=person)
                 start, stop = performed.moving_s
                 time = np.arange(start - 1.0, stop + 1.0, 1.0 / SAMPLE_RATE_HZ)
                 figures.append(_figures_of(performed, time, whole=like == "step")[0])
-            drawn[like] = np.array(figures)
+            drawn[like, kind] = np.array(figures)
         measures = WHOLE if capture.task == "stairs" else REPETITION
         spline = fit_pose_spline(capture.device, SKIN)
         start, stop = spline.span_s
         time = start + np.arange(int((stop - start) * SAMPLE_RATE_HZ)) / SAMPLE_RATE_HZ
         found, count = _figures_of(spline, time, whole=capture.task == "stairs")
         task = f"{capture.task}, {count} repetitions" if count else capture.task
-        rows += _compared((capture.name, task), measures, found, drawn[like], LACKS[capture.task])
+        rows += _compared((capture.name, _by(task, kind)), measures, found, drawn[like, kind], LACKS[capture.task])
     return tuple(rows)
+
+
+def _people(group: Group, category: CategoryName, count: int, seed: int) -> tuple[Subject, ...]:
+    """Return people of a category; beyond thirty, of further cohorts."""
+    seeds = ([seed, 0, *([block] if block else [])] for block in range(-(-count // GROUP_SIZE)))
+    drawn = (cohort(group, rng=np.random.default_rng(each), category=category) for each in seeds)
+    return tuple(person for people in drawn for person in people)[:count]
+
+
+def _by(task: str, category: CategoryName) -> str:
+    return task if category == DEFAULT else f"{task}, {category}"
 
 
 def _compared(
@@ -224,9 +241,17 @@ def repetitions(time: FloatArray, pitch: FloatArray, rate: FloatArray, height: F
 def _measured(
     time: FloatArray, pitch: FloatArray, rate: FloatArray, rise: int, reach: int
 ) -> tuple[float, float, float, float] | None:
-    first, last = max(rise - reach, 0), min(rise + reach, len(time) - 1)
-    peak = first + int(np.argmax(pitch[first : last + 1]))
-    before, after = max(peak - reach, 0), min(peak + reach, len(time) - 1)
+    first, last, peak = max(rise - reach, 0), min(rise + reach, len(time) - 1), rise
+    while peak > first and rate[peak] < 0.0:  # the trunk turns back before the body is up; then it may bend to sit down
+        peak -= 1
+    while peak < last and rate[peak] > 0.0:
+        peak += 1
+    first, last = max(peak - reach, 0), min(peak + reach, len(time) - 1)
+    before, after = peak, peak
+    while before > first and rate[before - 1] > -AT_REST:
+        before -= 1
+    while after < last and rate[after + 1] < AT_REST:
+        after += 1
     if peak - before < 2 or after - peak < 2:
         return None  # cut off by the recording
     flexing, extending = before + int(np.argmax(rate[before:peak])), peak + int(np.argmin(rate[peak : after + 1]))
@@ -270,7 +295,11 @@ MEASURES = (
     ("mean frequency ML", "Hz"),
     ("acceleration AP, rms", "mm/s2"),
     ("acceleration ML, rms", "mm/s2"),
+    ("sway area, 95 % ellipse", "mm2"),
+    ("median frequency AP", "Hz"),
+    ("median frequency ML", "Hz"),
 )
+ELLIPSE_95 = 5.991  # chi square of two degrees of freedom
 COLUMNS = {
     "grf": ("Time", "GRFNET_X", "GRFNET_Z", "COPNET_X", "COPNET_Z", 1.0),  # m, X forward
     "plate": ("Time[s]", "Fx[N]", "Fy[N]", "COPx[cm]", "COPy[cm]", 0.01),  # cm, x forward
@@ -286,6 +315,7 @@ class Stance:
     time: FloatArray  # (N,), s
     acceleration: FloatArray  # (N, 2), of the body's centre, m/s2
     pressure: FloatArray  # (N, 2), centre of pressure, m
+    category: CategoryName = DEFAULT  # Of the person, as of a capture
 
 
 def read_stance(path: Path, *, mass_kg: float, condition: Condition) -> Stance:
@@ -319,20 +349,23 @@ def read_stance(path: Path, *, mass_kg: float, condition: Condition) -> Stance:
 
 def sway_rows(stances: tuple[Stance, ...], *, subjects: int = 30, seed: int = 0) -> tuple[CohortComparison, ...]:
     """Compare stances with the simulated cohort's sway."""
-    people = cohort("simulation", rng=np.random.default_rng([seed, 0]))[:subjects]
-    rng = np.random.default_rng([seed, 1])
-    drawn = [draw_task("posturography", rng=rng, subject=person) for person in people]
-    simulated = np.array([sway_figures(_simulated(task)) for task in drawn])
+    simulated: dict[CategoryName, FloatArray] = {}
+    for kind in {stance.category for stance in stances}:
+        rng = np.random.default_rng([seed, 1])
+        people = _people("simulation", kind, subjects, seed)
+        drawn = [draw_task("posturography", rng=rng, subject=person) for person in people]
+        simulated[kind] = np.array([sway_figures(_simulated(task)) for task in drawn])
     rows: list[CohortComparison] = []
     for stance in stances:
         other = stance.condition != "closed on foam"
         note = f"{stance.condition}: the library's stance is eyes closed on foam, which sways more" if other else ""
-        rows += _compared((stance.name, "posturography"), MEASURES, sway_figures(stance), simulated, note)
+        what = stance.name, _by("posturography", stance.category)
+        rows += _compared(what, MEASURES, sway_figures(stance), simulated[stance.category], note)
     return tuple(rows)
 
 
 def sway_figures(stance: Stance) -> FloatArray:
-    """Measure a stance, (9,)."""
+    """Measure a stance, (12,)."""
     count = round(STANCE_S * SAMPLE_RATE_HZ)
     spare = len(stance.time) - count
     if spare < 0:
@@ -342,14 +375,18 @@ def sway_figures(stance: Stance) -> FloatArray:
     acceleration = 1e3 * (stance.acceleration[middle] - stance.acceleration[middle].mean(axis=0))
     coarse = pressure[:: round(SAMPLE_RATE_HZ / PATH_HZ)]
     speed = float(np.linalg.norm(np.diff(coarse, axis=0), axis=1).mean()) * PATH_HZ
-    frequency = [_mean_frequency(column) for column in pressure.T]
-    return np.array([*pressure.std(axis=0), *np.ptp(pressure, axis=0), speed, *frequency, *acceleration.std(axis=0)])
+    mean, median = np.array([_frequencies(column) for column in pressure.T]).T
+    area = float(np.pi * ELLIPSE_95 * np.sqrt(np.linalg.det(np.cov(pressure.T))))
+    sizes = *pressure.std(axis=0), *np.ptp(pressure, axis=0), speed
+    return np.array([*sizes, *mean, *acceleration.std(axis=0), area, *median])
 
 
-def _mean_frequency(x: FloatArray) -> float:
+def _frequencies(x: FloatArray) -> tuple[float, float]:
+    """Return the mean frequency and the median one, below which half the power is, Hz."""
     power, frequency = np.abs(np.fft.rfft(x * np.hanning(len(x)))) ** 2, np.fft.rfftfreq(len(x), 1.0 / SAMPLE_RATE_HZ)
     band = (frequency >= BAND_HZ[0]) & (frequency <= BAND_HZ[1])
-    return float(power[band] @ frequency[band] / power[band].sum())
+    below = np.cumsum(power[band]) / power[band].sum()
+    return float(power[band] @ frequency[band] / power[band].sum()), float(frequency[band][np.searchsorted(below, 0.5)])
 
 
 def _simulated(task: Task) -> Stance:
@@ -431,10 +468,13 @@ def _case(
     before = len(motion) - len(time)
     made = simulate_device(device, motion, rng=rng, temp_c=ROOM_TEMP_C + excursion_k, power_on_s=SETTLED_S)
     pitch = np.unwrap(sagittal_pitch(motion.q_nb))
+    late_s = delay_of(made.record, motion.q_nb)
     case = Case(
         device=device,
         record=made.record,
-        pitch=np.interp(motion.time - delay_s(device), motion.time, pitch),
+        delay_s=late_s,
+        pitch_now=pitch,
+        pitch=np.interp(motion.time - late_s, motion.time, pitch),
         still=(0, before - round(0.2 * SAMPLE_RATE_HZ)),
         moving=(before, len(motion)),
     )
@@ -479,6 +519,7 @@ class CaptureEntry(Entry):
     body: BodyName | None = None  # pelvis, thorax or trunk, found by its markers
     markers: list[str] = Field(default_factory=list)  # Or labels of one rigid cluster
     up: Literal["y", "z"] | None = None  # Laboratory axis that points up, for markers
+    category: CategoryName = DEFAULT  # Of the person
 
 
 class StanceEntry(Entry):
@@ -487,14 +528,37 @@ class StanceEntry(Entry):
     file: str  # Table of a force plate
     mass_kg: Annotated[float, Field(gt=0.0, allow_inf_nan=False)]  # Of the person
     condition: Condition  # Eyes and surface
+    category: CategoryName = DEFAULT  # Of the person
+
+
+class ActualEntry(Entry):
+    """[actual]."""
+
+    device: str  # device.json of a twin
+    warm_up: str  # Recording at rest over temperature
+    map: str | None = None  # Its columns and units, a file as for --map
+    kind: str  # Preset of the simulated device
+    room_c: float  # Of the bench, degC
+    set_points_c: Annotated[list[float], Field(min_length=2)]  # Of the chamber, degC
 
 
 class RealFile(Entry):
     """The whole file."""
 
-    trial: list[TrialEntry] = Field(default_factory=list)  # Any of the three may be left out
+    actual: ActualEntry | None = None  # Figure 3's actual device; any of the four may be left out
+    trial: list[TrialEntry] = Field(default_factory=list)
     capture: list[CaptureEntry] = Field(default_factory=list)
     stance: list[StanceEntry] = Field(default_factory=list)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ActualTwin:
+    """A twin of a real device for Figure 3."""
+
+    device: DeviceModel  # With offsets over temperature
+    model: DeviceModel  # Typical unit of its kind
+    climate: Climate  # In which both are calibrated and worn
+    range_c: tuple[float, float]  # Of the recording over temperature, degC
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -504,6 +568,7 @@ class RealData:
     devices: tuple[DeviceTrials, ...]  # Trials by device
     captures: tuple[Capture, ...]  # Captured people
     stances: tuple[Stance, ...]  # On a force plate
+    actual: ActualTwin | None = None  # Figure 3's actual device
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -516,24 +581,52 @@ class RealOutcome:
     sways: tuple[CohortComparison, ...]
     worn: Worn | None  # The study's device worn in the captures
     lacks: tuple[Finding, ...]  # What is missing, and why
+    figure3: Figure3 | None = None  # With the twin as actual device
 
 
 def read_real(path: str | Path) -> RealData:
     """Read all recordings that a file names."""
     held, folder = read_toml(path, RealFile), Path(path).parent
-    if not (held.trial or held.capture or held.stance):
-        raise FileFormatError(f"{path}: wanted a [[trial]], a [[capture]] or a [[stance]], got none; name a recording")
+    if not (held.trial or held.capture or held.stance or held.actual):
+        raise FileFormatError(
+            f"{path}: wanted a [[trial]], a [[capture]], a [[stance]] or [actual], got none; name a recording"
+        )
     try:
         return RealData(
             devices=_devices(held.trial, folder),
             captures=tuple(_capture(entry, folder) for entry in held.capture),
             stances=tuple(
-                read_stance(folder / entry.file, mass_kg=entry.mass_kg, condition=entry.condition)
+                replace(
+                    read_stance(folder / entry.file, mass_kg=entry.mass_kg, condition=entry.condition),
+                    category=entry.category,
+                )
                 for entry in held.stance
             ),
+            actual=None if held.actual is None else _actual(held.actual, folder),
         )
     except InputError as error:
         raise FileFormatError(f"{path}: {error}") from error
+
+
+def _actual(entry: ActualEntry, folder: Path) -> ActualTwin:
+    columns = None if entry.map is None else read_column_map(folder / entry.map)
+    found = fit_warm_up(read_record(folder / entry.warm_up, columns), reference_c=entry.room_c)
+    climate = Climate(room_c=entry.room_c, set_points_c=tuple(entry.set_points_c))
+    (low, high), asked = found.range_c, (entry.room_c, *entry.set_points_c)
+    if min(asked) < low or max(asked) > high:
+        raise InputError(
+            f"{entry.warm_up}: wanted room_c and set_points_c within its {low:.1f} to {high:.1f} degC, got {min(asked):g} to "
+            f"{max(asked):g}; change them"
+        )
+    device = with_warm_up(read_device(folder / entry.device), found)
+    return ActualTwin(device=device, model=preset(entry.kind), climate=climate, range_c=found.range_c)
+
+
+def _worn_by_twin(twin: ActualTwin, *, seed: int, excursion_k: float) -> Figure3:
+    hottest, high = twin.climate.room_c + excursion_k, twin.range_c[1]
+    if hottest > high:
+        raise InputError(f"wanted the trial within {high:.1f} degC of the warm-up, got {hottest:g}; lower room_c")
+    return figure3(twin.model, actual=twin.device, climate=twin.climate, seed=seed, excursion_k=excursion_k)
 
 
 def _devices(entries: list[TrialEntry], folder: Path) -> tuple[DeviceTrials, ...]:
@@ -562,7 +655,8 @@ def _capture(entry: CaptureEntry, folder: Path) -> Capture:
     poses = read_poses(folder / entry.file, body=entry.body, markers=tuple(entry.markers), up=entry.up)
     if poses.position is None:
         raise InputError(f"{entry.file}: wanted poses with positions, got none; risings are found by the height")
-    return Capture(name=Path(entry.file).name.split(".")[0], task=entry.task, device=poses)
+    name = Path(entry.file).name.split(".")[0]
+    return Capture(name=name, task=entry.task, device=poses, category=entry.category)
 
 
 def judge_real(data: RealData, study: Study) -> RealOutcome:
@@ -590,7 +684,12 @@ def judge_real(data: RealData, study: Study) -> RealOutcome:
     if worn is not None and not worn.agreement:
         counted("agreement over captures", len(captures), "")
     sways = judged("stances", stances, lambda: sway_rows(stances, subjects=people, seed=seed))
-    return RealOutcome(errors=errors or (), motions=motions or (), sways=sways or (), worn=worn, lacks=tuple(lacks))
+    twin = None
+    if (actual := data.actual) is not None:
+        twin = judged("Figure 3 with a twin", (actual,), lambda: _worn_by_twin(actual, seed=seed, excursion_k=warmer))
+    return RealOutcome(
+        errors=errors or (), motions=motions or (), sways=sways or (), worn=worn, lacks=tuple(lacks), figure3=twin
+    )
 
 
 def tried(part: str, make: Callable[[], Given]) -> tuple[Given | None, Finding | None]:

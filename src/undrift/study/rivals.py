@@ -1,37 +1,55 @@
-"""The note's Discussion as an experiment: other ways to calibrate, other rates to dwell at, on the same devices.
+"""The note's Discussion as an experiment: other ways to calibrate the same devices.
 
-Each method has the rate table's time. Where it cannot calibrate a triad, the data sheet stands in, with what rests add: the mean
-reading of the gyroscopes, one scale of the accelerometers. Two errors of the pitch: the whole, and that of its change.
+Each method has the rate table's time, and rigs that err alike: mountings, level and clock of a unit are the same draws in all.
+Where it cannot calibrate a triad, the data sheet stands in, with what rests add: the mean reading of the gyroscopes, one scale of
+the accelerometers. Two errors of the pitch: the whole, and that of its change. Then each triad alone against the truth, M and o::
 
-Optimal designs: one axis reads ``y = f(w)^T c + e``, f = (1, w, ..., w^p); with the share x_i of the time at rate w_i the
-information is ``M = sum_i x_i f_i f_i^T``. D-optimal: greatest det M; I-optimal: least mean of ``f(w)^T M^-1 f(w)`` over the task.
-``x_i <- x_i (g_i / sum_j x_j g_j)^(1/2)`` (Silvey et al., Communications in Statistics A7(14), 1978), g the derivative.
+    scale, cross-axis  diagonal of M_found M^-1 - 1, and the rest of it: alignment to the case included
+    offset             M (o_found - o)
+    tilt               angle of M_found (u - o_found) to f, root-mean-square over 26 directions of f
+    change of pitch    as above, with accelerometers that are exact
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import partial
-from typing import Literal, NamedTuple, cast, get_args
+from functools import cache, partial
+from itertools import product
+from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 
 from undrift.arrays import FloatArray
 from undrift.calibration.calibrate import calibrate, calibrate_to_references
+from undrift.calibration.reference import ReferenceSettings
 from undrift.errors import AlignmentError, CalibrationError, InputError
 from undrift.fit.least_squares import fit_forward, triad_from_forward
+from undrift.frames import quaternion_of, quaternion_product, rotate
 from undrift.model import Calibration, TriadModel
 from undrift.record import Record, Reference, Session, Still
-from undrift.rig.programme import Protocol, rate_grid
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.presets import preset_grade, random_device_of
-from undrift.sim.device.simulate import simulate_device
-from undrift.sim.device.truth import nominal_calibration
-from undrift.sim.motion.bench import BenchSettings, RivalSettings, bench_motion, rival_motion
+from undrift.sim.device.simulate import draw_streams, simulate_device
+from undrift.sim.device.truth import nominal_calibration, true_calibration
+from undrift.sim.motion.bench import (
+    BenchSettings,
+    RivalKind,
+    RivalSettings,
+    TableErrors,
+    bench_motion,
+    motion_of_arm,
+    rig_of,
+    rival_motion,
+    robot_task,
+)
 from undrift.sim.motion.motion import Motion
-from undrift.sim.motion.tasks import TaskName, draw_task
-from undrift.study.case import REST_S, device_of, perform, pitch_error, wear
-from undrift.study.plan import TABLE_1, Study, StudyTask
+from undrift.sim.motion.poses import OpticsSettings, disturbed
+from undrift.sim.motion.tasks import Task, TaskName, draw_task
+from undrift.sim.table_sessions import BenchErrors
+from undrift.study.case import REST_S, pitch_error, wear
+from undrift.study.plan import DEVICE, MARGIN_DEG, NOTE_BENCH
+from undrift.study.run import Executor, InProcess
+from undrift.study.statistics import Decision, compare_pairs, decide
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 from undrift.validation.trial import of_known
 
@@ -42,21 +60,32 @@ Method = Literal[
     "plane_and_moves",  # the same with the moves between the stills recorded
     "trolley",  # a cart on a rail: known accelerations along each axis in turn
     "piston",  # a servohydraulic piston: known accelerations upright in turn
-    "mocap",  # free turns of the body before optics: gyroscopes alone
-    "robot_arm",  # an arm whose poses are known: gyroscopes alone
-    "plane_and_mocap",  # half the time each: accelerometers from the plane, gyroscopes from optics
+    "mocap",  # free turns and moves by hand before optics, which see orientation and position
+    "robot_arm",  # the same by an arm whose poses are known
 ]
 METHODS: tuple[Method, ...] = get_args(Method)
+TriadName = Literal["gyro", "accel"]
+TRIADS: tuple[TriadName, ...] = get_args(TriadName)
 SECONDS_PER_MINUTE = 60.0
 TEMP_C = 25.0
 SETTLED_S = 3600.0
-TILT_SD = 0.1 * RADIAN_PER_DEGREE  # [assumed] of every mounting and face, in all methods alike
-BENCH = BenchSettings(tilt_sd=TILT_SD)  # the note's rates for the sit-to-stand
-OPTICS_ANGLE_SD = 3e-4  # rad, that of the simulated optics
-ARM_ANGLE_SD = 5e-5  # [assumed] rad: an industrial arm repeats within hundredths of a millimetre over half a metre
+TABLE = BenchSettings()  # the note's rates for the sit-to-stand
 MOST_OF_RANGE = 0.9  # of the gyroscopes' range, which a free motion keeps within
+LOOK_HZ = 10.0  # often enough for its slow turns
 HAND = RivalSettings()  # a minute of turns and ways between two stills, by an arm or by hand
 LAGS_S = np.arange(0.0, 0.0401, 0.002)  # a filter delays the reading against the known acceleration
+DIRECTIONS = np.array([d for d in product((-1.0, 0.0, 1.0), repeat=3) if any(d)])
+
+# What the rival rigs do wrong beside mounting, level, wobble and clock, which they share with the study's bench. All assumed.
+PLANE_ANGLE_SD = 0.05 * RADIAN_PER_DEGREE  # a digital inclinometer
+STROKE_SD = {
+    "trolley": 0.01,
+    "piston": 0.005,
+}  # a crank set by a ruler, 1 mm of 150; a displacement transducer of class 0.5
+HARMONIC_SD = {"trolley": 0.01, "piston": 0.002}  # a crank with a short rod; a servo valve
+# Optics, whose cluster of markers gives way; an arm that repeats within 0.05 mm over a metre, and bends with its pose.
+OPTICS = OpticsSettings(slow_sd=0.05 * RADIAN_PER_DEGREE)
+ARM = OpticsSettings(angle_sd=5e-5, position_sd=5e-5, slow_sd=0.01 * RADIAN_PER_DEGREE)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -78,6 +107,16 @@ class _Bench:
     nominal: Calibration
     budget_s: float
     rng: np.random.Generator
+    errors: TableErrors  # Of all rigs
+    face_tilt: float  # rad
+    poses: dict[str, OpticsSettings]
+    state: Mapping[str, Any]  # Of the generator that every rig of this unit is drawn from
+
+    def rig(self) -> np.random.Generator:
+        """Return the generator of mountings, level and clock, the same for every motion."""
+        rng = np.random.default_rng(0)
+        rng.bit_generator.state = dict(self.state)
+        return rng
 
     def read(self, motion: Motion) -> Record:
         return simulate_device(self.device, motion, rng=self.rng, temp_c=TEMP_C, power_on_s=SETTLED_S).record
@@ -92,19 +131,45 @@ class _Found(NamedTuple):
     seconds: float
 
 
+@cache
 def rate_table_minutes() -> float:
     """Return how long the note's own session takes on the table."""
-    return _length_s(bench_motion("bench", rng=np.random.default_rng(0), settings=BENCH)) / SECONDS_PER_MINUTE
+    return _length_s(bench_motion("bench", rng=np.random.default_rng(0), settings=TABLE)) / SECONDS_PER_MINUTE
 
 
 def calibrate_by(
-    method: Method, device: DeviceModel, *, kind: str, rng: np.random.Generator, minutes: float | None = None
+    method: Method,
+    device: DeviceModel,
+    *,
+    kind: str,
+    rng: np.random.Generator,
+    minutes: float | None = None,
+    errors: BenchErrors = NOTE_BENCH,
 ) -> Rivalled:
-    """Calibrate a device by one of the methods of the note's Discussion."""
+    """Calibrate a device by one of the methods of the note's Discussion; generators of one state give rigs that err alike."""
     if method not in METHODS:
         raise InputError(f"rivals: wanted a method of {', '.join(METHODS)}, got '{method}'; name one of them")
-    budget_s = (rate_table_minutes() if minutes is None else minutes) * SECONDS_PER_MINUTE
-    bench = _Bench(device, nominal_calibration(preset_grade(kind)), budget_s, rng)
+    rigs = TableErrors(
+        mount_tilt_sd=errors.mount_tilt,
+        level_sd=errors.level,
+        wobble_sd=errors.wobble,
+        rate_sd=errors.table_rate,
+        servo_sd=errors.servo,
+        encoder_lines=errors.encoder_lines,
+        angle_sd=PLANE_ANGLE_SD,
+        stroke_sd=STROKE_SD.get(method, 0.0),
+        harmonic_sd=HARMONIC_SD.get(method, 0.0),
+    )
+    bench = _Bench(
+        device=device,
+        nominal=nominal_calibration(preset_grade(kind)),
+        budget_s=(rate_table_minutes() if minutes is None else minutes) * SECONDS_PER_MINUTE,
+        errors=rigs,
+        face_tilt=errors.face_tilt,
+        poses={"mocap": OPTICS, "robot_arm": ARM},
+        state=np.random.default_rng(rng.integers(2**63)).bit_generator.state,
+        rng=rng,
+    )
     found = _HOW[method](bench)
     held = found.calibration
     gyro, accel = (None, None) if held is None else (held.gyro, held.accel)
@@ -123,88 +188,103 @@ def calibrate_by(
     )
 
 
+def _rate_table(bench: _Bench) -> _Found:
+    settings = replace(TABLE, tilt_sd=bench.face_tilt, table=bench.errors)
+    return _fitted(bench, bench_motion("bench", rng=bench.rig(), settings=settings))
+
+
 def _inclined_plane(bench: _Bench, *, moves: bool = False) -> _Found:
-    plain = RivalSettings(tilt_sd=TILT_SD)
+    """Fit accelerometers to the stated angles; with the moves between them, as poses whose angles nobody knows."""
+    plain = RivalSettings(errors=bench.errors)
     still_s = _settled((bench.budget_s / (3.0 * len(plain.plane_angles))) - plain.move_s, "inclined plane")
     settings = replace(plain, still_s=still_s)
-    return _fitted(bench, rival_motion("inclined_plane", rng=bench.rng, settings=settings), moves=moves)
+    motion = rival_motion("inclined_plane", rng=bench.rig(), settings=settings)
+    record = bench.read(motion)
+    found = _fitted(bench, motion, record=record, moves=moves)
+    return found if moves else _to_force(bench, "inclined_plane", settings, record, found)
 
 
 def _driven(bench: _Bench, kind: Literal["trolley", "piston"]) -> _Found:
-    """Fit accelerometers to the commanded motion of the drive; its departure from that is an error of the method."""
-    plain = RivalSettings(tilt_sd=TILT_SD)
+    plain = RivalSettings(errors=bench.errors)
     runs = len(plain.trolley_hz if kind == "trolley" else plain.piston_hz)
     seconds = (bench.budget_s / 3.0 - plain.move_s - plain.still_s) / runs - plain.still_s
     settings = replace(plain, run_s=_settled(seconds, "runs"))
-    motion = rival_motion(kind, rng=bench.rng, settings=settings)
-    commanded = rival_motion(kind, rng=np.random.default_rng(0), settings=replace(settings, tilt_sd=0.0, shake=0.0))
+    motion = rival_motion(kind, rng=bench.rig(), settings=settings)
     record = bench.read(motion)
-    found = _fitted(bench, motion, record=record)
+    return _to_force(bench, kind, settings, record, _fitted(bench, motion, record=record))
+
+
+def _to_force(bench: _Bench, kind: RivalKind, settings: RivalSettings, record: Record, found: _Found) -> _Found:
+    """Fit accelerometers to what the rig was to do; its departure from that is an error of the method."""
+    exact = replace(settings, errors=TableErrors(), shake=0.0)
+    commanded = rival_motion(kind, rng=np.random.default_rng(0), settings=exact)
     if record.accel is None:
         raise InputError(f"{kind}: wanted accelerometer readings, got none; a device without them is not calibrated so")
-    sliding = np.flatnonzero(np.abs(commanded.rate_b).max(axis=1) == 0.0)
+    steady = np.flatnonzero(np.abs(commanded.rate_b).max(axis=1) == 0.0)
     fits = []
-    for lag_s in LAGS_S:
+    for lag_s in LAGS_S if kind != "inclined_plane" else LAGS_S[:1]:
         time = commanded.time - lag_s
         force = np.column_stack([np.interp(time, commanded.time, column) for column in commanded.force_b.T])
-        forward = fit_forward(force[sliding], record.accel[sliding], None)
+        forward = fit_forward(force[steady], record.accel[steady], None)
         fits.append((float((forward.residuals**2).sum()), float(np.abs(force).max()), forward))
     _, reach, forward = min(fits, key=lambda fit: fit[0])
     units = {"unit_in": record.accel_unit, "unit_out": "m/s2"}
     accel = triad_from_forward(forward, method=f"known-force/{kind}", valid_range=(-reach, reach), **units).model
-    note = f"accelerometers fitted to the commanded motion of the {kind}, not to the achieved one"
+    note = f"accelerometers fitted to the commanded motion of the {kind.replace('_', ' ')}, not to the achieved one"
     return found._replace(calibration=replace(bench.nominal, gyro=None, accel=accel), notes=(*found.notes, note))
 
 
-def _mocap(bench: _Bench) -> _Found:
-    """Turn the device by hand before the cameras, a minute at a time."""
+def _referred(bench: _Bench, kind: Literal["mocap", "robot_arm"]) -> _Found:
+    """Turn and move the device a minute at a time, mounted once, and fit it to the poses."""
     count = max(1, round(bench.budget_s / (6.0 * HAND.run_s + 2.0 * HAND.still_s)))
-    motions = [_within_range(bench, HAND) for _ in range(count)]
-    return _referred(bench, motions, OPTICS_ANGLE_SD, "optics see")
+    motions, records, references = [], [], []
+    for _ in range(count):
+        task = _within_range(bench)
+        motions.append(motion_of_arm(task, HAND))
+        records.append(bench.read(motions[-1]))
+        references.append(_seen(bench, task, motions[-1], bench.poses[kind]))
+    seconds = sum(map(_length_s, motions))
+    rests = tuple(record.part(m.stills[0].start, m.stills[0].stop) for record, m in zip(records, motions, strict=True))
+    try:
+        made = calibrate_to_references(records, references, settings=ReferenceSettings(mounting="one"))
+    except (CalibrationError, AlignmentError) as error:
+        return _Found(None, (str(error),), rests, seconds)
+    return _Found(made, made.verdict.reasons, rests, seconds)
 
 
-def _robot_arm(bench: _Bench) -> _Found:
-    run_s = (bench.budget_s - 2.0 * HAND.still_s) / 6.0
-    return _referred(bench, [_within_range(bench, replace(HAND, run_s=run_s))], ARM_ANGLE_SD, "an arm tells")
+def _seen(bench: _Bench, task: Task, motion: Motion, poses: OpticsSettings) -> Reference:
+    """Return poses with their noise, of a body that the device is mounted on askew, by a clock and a level that err."""
+    mount, level, gain = rig_of(bench.errors, bench.rig())
+    streams = draw_streams(bench.rng)
+    q, position = disturbed(motion.q_nb, task.position(motion.time), streams=streams, settings=poses)
+    q = quaternion_product(level, quaternion_product(q, quaternion_of(mount)))
+    return Reference(time=motion.time * gain, q_nb=q, position=rotate(level, position), moving=motion.moving)
 
 
-def _within_range(bench: _Bench, settings: RivalSettings) -> Motion:
+def _within_range(bench: _Bench) -> Task:
     """Return a motion about all axes that stays within the gyroscopes' range, as who performs it would see to."""
     limit = MOST_OF_RANGE * bench.device.gyro.full_scale
     state = bench.rng.bit_generator.state
-    motion = rival_motion("robot_arm", rng=bench.rng, settings=settings)
-    peak = float(np.abs(motion.rate_b).max())
+    task = robot_task(rng=bench.rng, settings=HAND)
+    peak = float(np.abs(motion_of_arm(task, replace(HAND, sample_rate_hz=LOOK_HZ)).rate_b).max())
     if peak <= limit:
-        return motion
+        return task
     bench.rng.bit_generator.state = state
-    roll, pitch, yaw = (limit / peak * turn for turn in settings.robot_turn)
-    return rival_motion("robot_arm", rng=bench.rng, settings=replace(settings, robot_turn=(roll, pitch, yaw)))
-
-
-def _plane_and_mocap(bench: _Bench) -> _Found:
-    half = replace(bench, budget_s=0.5 * bench.budget_s)
-    plane, optics = _inclined_plane(half), _mocap(half)
-    accel = None if plane.calibration is None else plane.calibration.accel
-    held = optics.calibration or replace(bench.nominal, gyro=None)
-    return optics._replace(
-        calibration=replace(held, accel=accel) if accel or held.gyro else None,
-        notes=(*(word for word in plane.notes if "gyro" not in word), *optics.notes[:-1]),
-        seconds=plane.seconds + optics.seconds,
-    )
+    roll, pitch, yaw = (limit / peak * turn for turn in HAND.robot_turn)
+    return robot_task(rng=bench.rng, settings=replace(HAND, robot_turn=(roll, pitch, yaw)))
 
 
 _HOW: dict[Method, Callable[[_Bench], _Found]] = {
     "data_sheet": lambda bench: _Found(
         None, ("nothing was recorded: nominal sensitivities and nulls, square axes",), (), 0.0
     ),
-    "rate_table": lambda bench: _fitted(bench, bench_motion("bench", rng=bench.rng, settings=BENCH)),
+    "rate_table": _rate_table,
     "inclined_plane": _inclined_plane,
     "plane_and_moves": partial(_inclined_plane, moves=True),
     "trolley": partial(_driven, kind="trolley"),
     "piston": partial(_driven, kind="piston"),
-    "mocap": _mocap,
-    "robot_arm": _robot_arm,
-    "plane_and_mocap": _plane_and_mocap,
+    "mocap": partial(_referred, kind="mocap"),
+    "robot_arm": partial(_referred, kind="robot_arm"),
 }
 
 
@@ -227,24 +307,6 @@ def _fitted(bench: _Bench, motion: Motion, *, record: Record | None = None, move
         return _Found(None, (str(error),), parts, _length_s(motion))
     # An offset without a scale is no calibration of the gyroscopes: the procedure says so, and gives no model.
     return _Found(made, made.verdict.reasons, parts, _length_s(motion))
-
-
-def _referred(bench: _Bench, motions: list[Motion], angle_sd: float, what: str) -> _Found:
-    """Fit gyroscopes to poses of given noise."""
-    unseen = f"accelerometers not observable: {what} orientation, not specific force; rest on six faces for them"
-    records = tuple(bench.read(motion) for motion in motions)
-    references = []
-    for motion in motions:
-        q = motion.q_nb + 0.5 * angle_sd * bench.rng.standard_normal(motion.q_nb.shape)
-        q = q / np.linalg.norm(q, axis=1, keepdims=True)
-        references.append(Reference(time=motion.time, q_nb=q, moving=motion.moving, name=what))
-    seconds = sum(_length_s(motion) for motion in motions)
-    rests = tuple(record.part(m.stills[0].start, m.stills[0].stop) for record, m in zip(records, motions, strict=True))
-    try:
-        made = replace(calibrate_to_references(records, references), accel=None)
-    except (CalibrationError, AlignmentError) as error:
-        return _Found(None, (str(error), unseen), rests, seconds)
-    return _Found(made, (*made.verdict.reasons, unseen), rests, seconds)
 
 
 def _at_rest(nominal: TriadModel | None, rests: tuple[Record, ...]) -> TriadModel | None:
@@ -278,6 +340,29 @@ def _length_s(motion: Motion) -> float:
 # ---- methods compared
 
 TASKS: tuple[TaskName, ...] = ("sit_to_stand", "posturography")
+UNITS = 12
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RivalPlan:
+    """What is compared on what."""
+
+    kind: str = DEVICE  # Of device
+    units: int = UNITS
+    seed: int = 0
+    minutes: float | None = None  # That each method has; None: the note's session on the table
+    methods: tuple[Method, ...] = METHODS
+    tasks: tuple[TaskName, ...] = TASKS
+    errors: BenchErrors = NOTE_BENCH  # Of all rigs
+    margin_deg: float = MARGIN_DEG["maximum"]  # Smallest difference of largest errors that matters
+    level: float = 0.05  # Of the verdicts of one table together
+
+    def __post_init__(self) -> None:
+        if self.units < 1 or not self.methods or not self.tasks:
+            raise InputError(
+                f"rivals: wanted a unit, a method and a task or more, got {self.units}, {len(self.methods)} and "
+                f"{len(self.tasks)}; name some"
+            )
 
 
 @dataclass(frozen=True, slots=True)
@@ -307,55 +392,145 @@ class RivalRow:
     notes: tuple[str, ...]
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Worth:
+    """What a triad's calibration leaves in one figure, and whether that is more or less than what the rate table leaves."""
+
+    figure: str  # tilt, or the task whose change of pitch it is
+    error_deg: Spread
+    decision: (
+        Decision | None
+    )  # Against the rate table, or its six faces; None for these, and for fewer than three units
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TriadRow:
+    """One triad by one method, against the truth, over units."""
+
+    triad: TriadName
+    method: Method
+    minutes: float  # Of recordings, min
+    calibrated: int  # Units in which the method calibrated it; the data sheet stands in for the others
+    units: int
+    scale_percent: Spread  # Largest of the three axes
+    cross_axis_percent: Spread  # Largest of the six terms, alignment to the case included
+    offset: Spread  # Largest of the three axes, m/s2 or deg/s
+    worth: tuple[Worth, ...]  # Tilt of the accelerometers; change of pitch of the gyroscopes, task by task
+
+
+class Rivals(NamedTuple):
+    """Methods in tasks, and each triad alone."""
+
+    rows: tuple[RivalRow, ...]
+    triads: tuple[TriadRow, ...]
+
+
+class _Compared(NamedTuple):
+    """One unit by M methods in T tasks."""
+
+    made: list[Rivalled]
+    errors: FloatArray  # (T, M, 3), deg; NaN where a unit was refused
+    terms: FloatArray  # (2, M, 3), largest scale, cross-axis and offset error of gyroscopes and accelerometers
+    worth: dict[TriadName, FloatArray]  # (k, M), deg
+    refusals: list[tuple[int, str]]
+
+
 def compare_rivals(
+    plan: RivalPlan = RivalPlan(),
     *,
-    kind: str = "enc03j_3031",
-    units: int = 5,
-    seed: int = 0,
-    minutes: float | None = None,
-    methods: tuple[Method, ...] = METHODS,
-    tasks: tuple[TaskName, ...] = TASKS,
-) -> tuple[RivalRow, ...]:
-    """Compare ways to calibrate by the error that they leave in tasks."""
-    if units < 1 or not methods or not tasks:
-        raise InputError(
-            f"rivals: wanted a unit, a method and a task or more, got {units}, {len(methods)} and {len(tasks)}; name some"
+    executor: Executor | None = None,
+    advance: Callable[[int, int], None] = lambda done, total: None,
+) -> Rivals:
+    """Compare ways to calibrate by the errors of each triad, and by those that they leave in tasks."""
+    held: dict[int, _Compared] = {}
+    for number, found in (executor or InProcess()).run(partial(_compare_unit, plan), range(plan.units)):
+        held[number] = found
+        advance(len(held), plan.units)
+    units = [held[number] for number in range(plan.units)]
+    each = [(t, m) for t in range(len(plan.tasks)) for m in range(len(plan.methods))]
+    rows = tuple(
+        _row(
+            [unit.made[m] for unit in units],
+            plan.tasks[t],
+            np.array([unit.errors[t, m] for unit in units]),
+            [text for unit in units for place, text in unit.refusals if place == m][:1],
         )
-    errors = np.full((len(tasks), len(methods), units, 3), np.nan)
-    made: dict[Method, list[Rivalled]] = {method: [] for method in methods}
-    refusals: dict[Method, list[str]] = {method: [] for method in methods}
-    for number in range(units):
-        device = random_device_of(kind, np.random.default_rng([seed, number, 0]))
-        cases = []
-        for k, task in enumerate(tasks):
-            rng = np.random.default_rng([seed, number, 1, k])
-            performed = draw_task(task, rng=rng, rest_s=REST_S)
-            cases.append(wear(device, performed, rng=rng, temp_c=TEMP_C, power_on_s=SETTLED_S))
-        for m, method in enumerate(methods):
-            rng = np.random.default_rng([seed, number, 2, METHODS.index(method)])
-            done = calibrate_by(method, device, kind=kind, rng=rng, minutes=minutes)
-            made[method].append(done)
-            for t, case in enumerate(cases):
-                try:
-                    error = pitch_error(case, done.calibration) / RADIAN_PER_DEGREE
-                except InputError as refused:  # a calibration too poor to start from: no error, and not a zero
-                    refusals[method].append(str(refused))
-                    continue
-                since = error - error[np.flatnonzero(np.isfinite(error))[0]]
-                largest = np.nanmax(np.abs(error)), np.nanmax(np.abs(since))
-                errors[t, m, number] = np.sqrt(np.nanmean(error**2)), *largest
-    each = [(t, m) for t in range(len(tasks)) for m in range(len(methods))]
-    return tuple(_row(made[methods[m]], tasks[t], errors[t, m], refusals[methods[m]][:1]) for t, m in each)
+        for t, m in each
+    )
+    return Rivals(rows, tuple(row for name in TRIADS for row in _triad_rows(plan, units, name)))
+
+
+def _compare_unit(plan: RivalPlan, number: int) -> _Compared:
+    device = random_device_of(plan.kind, np.random.default_rng([plan.seed, number, 0]))
+    truth, cases = true_calibration(device, temp_c=TEMP_C), []
+    for k, task in enumerate(plan.tasks):
+        rng = np.random.default_rng([plan.seed, number, 1, k])
+        performed = draw_task(task, rng=rng, rest_s=REST_S)
+        cases.append(wear(device, performed, rng=rng, temp_c=TEMP_C, power_on_s=SETTLED_S))
+    count, made, refusals = len(plan.methods), list[Rivalled](), list[tuple[int, str]]()
+    errors, terms = np.full((len(cases), count, 3), np.nan), np.full((2, count, 3), np.nan)
+    worth: dict[TriadName, FloatArray] = {"gyro": np.empty((len(cases), count)), "accel": np.empty((1, count))}
+    for m, method in enumerate(plan.methods):
+        rng = np.random.default_rng(
+            [plan.seed, number, 2]
+        )  # one state: rigs, and noise as far as it goes, are the same
+        words: Any = {"kind": plan.kind, "rng": rng, "minutes": plan.minutes, "errors": plan.errors}
+        made.append(calibrate_by(method, device, **words))
+        found = made[-1].calibration
+        for k, name in enumerate(TRIADS):
+            terms[k, m] = _terms(getattr(found, name), getattr(truth, name))
+        worth["accel"][0, m] = _tilt_deg(found.accel, truth.accel)
+        for t, case in enumerate(cases):
+            alone = pitch_error(case, replace(found, accel=truth.accel)) / RADIAN_PER_DEGREE
+            worth["gyro"][t, m] = np.nanmax(np.abs(_since_start(alone)))
+            try:
+                error = pitch_error(case, found) / RADIAN_PER_DEGREE
+            except InputError as refused:  # a calibration too poor to start from: no error, and not a zero
+                refusals.append((m, str(refused)))
+                continue
+            largest = np.nanmax(np.abs(error)), np.nanmax(np.abs(_since_start(error)))
+            errors[t, m] = np.sqrt(np.nanmean(error**2)), *largest
+    return _Compared(made, errors, terms, worth, refusals)
+
+
+def _since_start(error: FloatArray) -> FloatArray:
+    since: FloatArray = error - error[np.flatnonzero(np.isfinite(error))[0]]
+    return since
+
+
+def _terms(found: TriadModel | None, truth: TriadModel | None) -> tuple[float, float, float]:
+    """Return the largest error of scale and cross-axis terms, percent, and of the offset, m/s2 or deg/s."""
+    if found is None or truth is None:
+        return math.nan, math.nan, math.nan
+    error = 100.0 * np.abs(found.matrix @ np.linalg.inv(truth.matrix) - np.eye(3))
+    scale, offset = np.diag(error), np.abs(truth.matrix @ (found.offset - truth.offset))
+    unit = RADIAN_PER_DEGREE if truth.unit_out == "rad/s" else 1.0
+    return float(scale.max()), float((error - np.diag(scale)).max()), float(offset.max()) / unit
+
+
+def _tilt_deg(found: TriadModel | None, truth: TriadModel | None) -> float:
+    """Return how far what is found for gravity is from it, root-mean-square over its directions."""
+    if found is None or truth is None:
+        return math.nan
+    up = DIRECTIONS / np.linalg.norm(DIRECTIONS, axis=1, keepdims=True)
+    readings = STANDARD_GRAVITY * up @ np.linalg.inv(truth.matrix).T + truth.offset
+    seen = (readings - found.offset) @ found.matrix.T
+    angle = np.arctan2(np.linalg.norm(np.cross(seen, up), axis=1), (seen * up).sum(axis=1))
+    return float(np.sqrt(np.mean(angle**2))) / RADIAN_PER_DEGREE
+
+
+def _spread(values: FloatArray) -> Spread:
+    return Spread(*(of_known(summary, values) for summary in (np.median, np.min, np.max)))
 
 
 def _row(done: list[Rivalled], task: TaskName, errors: FloatArray, refused: list[str]) -> RivalRow:
-    first, summaries = done[0], (np.median, np.min, np.max)
-    rms, largest, change = (Spread(*(of_known(summary, column) for summary in summaries)) for column in errors.T)
+    first = done[0]
+    rms, largest, change = (_spread(column) for column in errors.T)
     return RivalRow(
         method=first.method,
         task=task,
         minutes=first.minutes,
-        observable=tuple(name for name in ("gyro", "accel") if all(name in one.observable for one in done)),
+        observable=tuple(name for name in TRIADS if all(name in one.observable for one in done)),
         error_rms_deg=rms,
         error_max_deg=largest,
         change_max_deg=change,
@@ -365,169 +540,34 @@ def _row(done: list[Rivalled], task: TaskName, errors: FloatArray, refused: list
     )
 
 
-# ---- optimal designs
+def _triad_rows(plan: RivalPlan, units: list[_Compared], name: TriadName) -> tuple[TriadRow, ...]:
+    """Return one triad by each method; verdicts against the rate table are after Bonferroni over all of them."""
+    terms = np.array([unit.terms[TRIADS.index(name)] for unit in units])
+    worth = np.array([unit.worth[name] for unit in units])  # (n, k, M)
+    figures = plan.tasks if name == "gyro" else ("tilt",)
+    table = plan.methods.index("rate_table") if "rate_table" in plan.methods else None
 
-Criterion = Literal["uniform", "D", "I"]
-ROUNDS = 4000
-CONVERGED = 1e-6  # of the greatest derivative over its mean
-NOTHING = 1e-3  # share of the time that is not worth a stop
+    def decided(k: int, m: int) -> Decision | None:
+        if table is None or m == table or len(units) < 3:
+            return None
+        (pair,) = compare_pairs(worth[:, k, [m, table]])
+        tests = len(figures) * (len(plan.methods) - 1)
+        return decide(pair, len(units), of=0, margin=plan.margin_deg, level=plan.level, tests=tests)
 
-
-@dataclass(frozen=True, slots=True, eq=False)
-class RateDesign:
-    """Where to dwell, and for which share of the time."""
-
-    criterion: Criterion  # D or I, or the uniform grid itself
-    turn_rate: FloatArray  # (k,), rates, rad/s, increasing
-    share: FloatArray  # (k,), of the time; they add up to 1
-    d_efficiency_uniform: float  # Of the uniform grid's information over this design's; 0.5 needs twice the time
-    i_efficiency_uniform: float  # As above, by the error over the task
-
-
-def optimal_rates(
-    candidates: FloatArray, task_rates: FloatArray, uniform: FloatArray, *, criterion: Criterion = "I", degree: int = 3
-) -> RateDesign:
-    """Find the rates that tell most for the dwelling time.
-    candidates (n,) rad/s, increasing, task_rates (m,), uniform (u,) rad/s."""
-    needed = degree + 1
-    if min(len(np.unique(candidates)), len(np.unique(uniform))) < needed:
-        raise InputError(
-            f"design: wanted {needed} rates or more for a polynomial of degree {degree}, got {len(np.unique(candidates))} "
-            f"candidates and {len(np.unique(uniform))} in the grid"
+    return tuple(
+        TriadRow(
+            triad=name,
+            method=method,
+            minutes=units[0].made[m].minutes,
+            calibrated=sum(name in unit.made[m].observable for unit in units),
+            units=len(units),
+            scale_percent=_spread(terms[:, m, 0]),
+            cross_axis_percent=_spread(terms[:, m, 1]),
+            offset=_spread(terms[:, m, 2]),
+            worth=tuple(
+                Worth(figure=figure, error_deg=_spread(worth[:, k, m]), decision=decided(k, m))
+                for k, figure in enumerate(figures)
+            ),
         )
-    top = float(np.abs(candidates).max())
-    f = np.vander(candidates / top, needed, increasing=True)
-    aim = np.vander(task_rates / top, needed, increasing=True)
-    wanted = aim.T @ aim / len(aim)
-    share = _climb(f, wanted if criterion == "I" else None)
-    kept = share > NOTHING
-    share, own = share[kept] / share[kept].sum(), f[kept]
-    grid = np.vander(uniform / top, needed, increasing=True)
-    even = grid.T @ grid / len(grid)
-    made = (own * share[:, None]).T @ own
-    return RateDesign(
-        criterion=criterion,
-        turn_rate=candidates[kept],
-        share=share,
-        d_efficiency_uniform=float((np.linalg.det(even) / np.linalg.det(made)) ** (1.0 / needed)),
-        i_efficiency_uniform=float(np.trace(np.linalg.solve(made, wanted)) / np.trace(np.linalg.solve(even, wanted))),
+        for m, method in enumerate(plan.methods)
     )
-
-
-def prediction_sd(
-    turn_rate: FloatArray, share: FloatArray, task_rates: FloatArray, *, dwell_sd: float, dwells: float, degree: int = 3
-) -> float:
-    """Return how wrong the fitted curve will be over a task, root-mean-square.
-    turn_rate (k,) rad/s, share (k,) rad/s, task_rates (m,) rad/s."""
-    top = float(np.abs(turn_rate).max())
-    f = np.vander(turn_rate / top, degree + 1, increasing=True)
-    aim = np.vander(task_rates / top, degree + 1, increasing=True)
-    information = (f * share[:, None]).T @ f * dwells
-    return float(dwell_sd * np.sqrt(np.mean(np.einsum("mi,ij,mj->m", aim, np.linalg.inv(information), aim))))
-
-
-def _climb(f: FloatArray, wanted: FloatArray | None) -> FloatArray:
-    share = np.full(len(f), 1.0 / len(f))
-    for _ in range(ROUNDS):
-        inverse = np.linalg.inv((f * share[:, None]).T @ f)
-        middle = inverse if wanted is None else inverse @ wanted @ inverse
-        gain = np.einsum("ni,ij,nj->n", f, middle, f)
-        mean = float(share @ gain)
-        if gain.max() < mean * (1.0 + CONVERGED):
-            break
-        share = share * np.sqrt(gain / mean)
-        share = share / share.sum()
-    return share
-
-
-# ---- rates to dwell at for each task
-
-DEGREES = (1, 3)
-CANDIDATES = 181
-SAMPLES = 4000  # of the rates of a task
-PERFORMED = 10  # subjects
-RATE_HZ = 50.0
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class DesignRow:
-    """One set of rates for one task."""
-
-    task: str  # What is done
-    grid: str  # Whose uniform grid it is compared with: the note's, or that of the optimum
-    degree: int  # Of the polynomial that an axis' reading is taken for
-    criterion: Criterion  # uniform, D or I
-    turn_rate_dps: tuple[float, ...]  # Rates of one axis, increasing; neighbours gathered
-    share: tuple[float, ...]  # Of the time, at each
-    d_efficiency_uniform: float  # Of the uniform grid's information over this set's; 1 for the grid itself
-    i_efficiency_uniform: float  # As above
-    dwells: int  # How many the uniform grid makes of one axis: all sets have their time
-    dwell_s: float | None  # One dwell, s; None where it is stated by its uncertainty
-    # Predicted error of the rate over the task, root-mean-square, deg/s; None for a device without white noise
-    error_dps: float | None
-    beyond: float  # Share of the task's rates above the greatest of the grid
-
-
-def design_rows(study: Study, task: StudyTask, found: Protocol) -> tuple[DesignRow, ...]:
-    """Compare sets of rates for one task."""
-    note = TABLE_1.get(cast("TaskName", task.name)) if task.motion is None else None
-    if note is None:
-        grid, name = found.turn_rates(), "the optimum's"
-    else:
-        dps = rate_grid(note.turn_rate_min_dps, note.turn_rate_max_dps, note.turn_rate_step_dps, rule="paper")
-        grid, name = dps * RADIAN_PER_DEGREE, "the note's"
-    rates, dwell_s = task_rates(study, task), task.base.dwell_s
-    noise = device_of(study, 0).gyro.white_noise
-    dwell_sd = task.base.turn_rate_uncertainty if dwell_s is None else None
-    if dwell_s is not None and noise is not None:
-        dwell_sd = float(noise.random_walk[1] / np.sqrt(dwell_s))
-    top, even = float(np.abs(grid).max()), np.full(len(grid), 1.0 / len(grid))
-    candidates, criteria = np.linspace(-top, top, CANDIDATES), cast("tuple[Criterion, ...]", ("D", "I"))
-    rows = []
-    for degree in DEGREES:
-        if len(np.unique(grid)) <= degree:  # too few rates for this polynomial
-            continue
-        designs = [RateDesign("uniform", grid, even, 1.0, 1.0)]
-        designs += [optimal_rates(candidates, rates, grid, criterion=c, degree=degree) for c in criteria]
-        for design in designs:
-            at, share, error = design.turn_rate, design.share, None
-            if dwell_sd is not None:
-                error = prediction_sd(at, share, rates, dwell_sd=dwell_sd, dwells=len(grid), degree=degree)
-            if design.criterion != "uniform":
-                at, share = _gathered(at, share, 5.0 * top / (CANDIDATES - 1))
-            row = DesignRow(
-                task=task.name,
-                grid=name,
-                degree=degree,
-                criterion=design.criterion,
-                turn_rate_dps=tuple(float(rate / RADIAN_PER_DEGREE) for rate in at),
-                share=tuple(map(float, share)),
-                d_efficiency_uniform=design.d_efficiency_uniform,
-                i_efficiency_uniform=design.i_efficiency_uniform,
-                dwells=len(grid),
-                dwell_s=dwell_s,
-                error_dps=None if error is None else error / RADIAN_PER_DEGREE,
-                beyond=float(np.mean(np.abs(rates) > top * (1.0 + 1e-9))),
-            )
-            rows.append(row)
-    return tuple(rows)
-
-
-def task_rates(study: Study, task: StudyTask) -> FloatArray:
-    """Return the rates that occur in a task about the axis of the pitch, (m,) rad/s."""
-    seen = []
-    for number in range(1 if task.motion is not None else min(study.subjects, PERFORMED)):
-        performed = perform(study, task, number)
-        start, stop = performed.moving_s
-        time = np.arange(start, min(stop, performed.duration_s), 1.0 / RATE_HZ)
-        seen.append(performed.at(time, STANDARD_GRAVITY).rate_b[:, 1])
-    rates: FloatArray = np.concatenate(seen)
-    known: FloatArray = rates[np.isfinite(rates)]
-    return known[:: len(known) // SAMPLES + 1].copy()
-
-
-def _gathered(rate: FloatArray, share: FloatArray, near: float) -> tuple[FloatArray, FloatArray]:
-    """Return a design whose neighbouring rates, of one stop that falls between candidates, are one rate."""
-    groups = np.concatenate(([0], np.cumsum(np.diff(rate) > near)))
-    total = np.bincount(groups, weights=share).astype(np.float64)
-    return np.bincount(groups, weights=share * rate).astype(np.float64) / total, total

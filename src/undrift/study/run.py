@@ -6,7 +6,8 @@ a folder of another study is refused, and an interrupted study resumes with the 
 
 Grid search: every protocol meets every subject. Successive halving: all candidates meet a few subjects, the better part meets
 more, the last few meet all. Errors of earlier rounds are kept: only new subjects cost runs. A candidate that could not calibrate
-a device drops out. The error of the winner is biased low by the selection; the other cohort gives an unbiased one.
+a device drops out. The error of the winner is biased low by the selection; the other cohort gives an unbiased one. Spaces too wide
+for that: study/search.py.
 """
 
 import hashlib
@@ -14,9 +15,9 @@ import io
 import json
 import math
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
@@ -26,8 +27,8 @@ from undrift.arrays import FloatArray, IntArray
 from undrift.errors import InputError, NotObservable, UndriftError
 from undrift.files import write_whole
 from undrift.rig.programme import Protocol as CalibrationProtocol
-from undrift.study.case import COLUMNS, Unit, impose, rates_of, run_unit, units_of
-from undrift.study.plan import Study, StudyTask
+from undrift.study.case import COLUMNS, Unit, columns_of, run_unit, session_of, units_of
+from undrift.study.plan import ERRORS, Objective, Study, StudyTask, Timing, column_of
 
 # ---- executors: where units of work are done
 
@@ -158,6 +159,7 @@ def choose_executor(scheduler: str | None = None, workers: int | None = None) ->
 
 # ---- store: finished units in a folder
 
+FORMAT = 2  # errors in real time and offline; 1 had them offline alone
 PIECES = "runs"
 HEAD = "study.json"
 SURFACE = "surface.parquet"
@@ -174,13 +176,21 @@ class RunStore:
         except OSError as error:
             raise InputError(f"{folder}: wanted a folder to write to, got {error.strerror}; choose another") from error
         held = asdict(study) | {"tasks": [asdict(task) for task in only or study.tasks]}
-        if study.search == "grid":  # folders of grids were there before the choice was
-            del held["search"]
+        if study.search == "grid":  # all errors are kept, whatever is minimised
+            del held["objective"], held["timing"]
+        del held["margin_deg"]  # verdicts alone depend on it
         text, head = json.dumps(held, sort_keys=True), folder / HEAD
         if not head.exists():
-            content = {"kind": "undrift.study-runs", "format": 1, "study": json.loads(text)}
+            content = {"kind": "undrift.study-runs", "format": FORMAT, "study": json.loads(text)}
             write_whole(head, json.dumps(content, indent=1))
-        elif _study_in(head) != text:
+            return
+        version, found = _study_in(head)
+        if version in range(1, FORMAT):
+            raise InputError(
+                f"{folder}: wanted runs of format {FORMAT}, with errors in real time and offline, got those of an earlier version "
+                f"(format {version}); name a new folder"
+            )
+        if (version, found) != (FORMAT, text):
             mark = hashlib.sha256(text.encode()).hexdigest()[:8]
             raise InputError(
                 f"{folder}: wanted an empty folder or one of this study ({mark}), got another's runs; choose another"
@@ -202,16 +212,16 @@ class RunStore:
         import pyarrow as pa
 
         count = len(runs["error_rms_deg"])
-        whose = {"task": np.full(count, unit.task.name), "subject": np.full(count, unit.subject, dtype=np.int32)}
-        columns = whose | {name: runs[name] for name in COLUMNS}
+        whose = {"task": np.full(count, unit.task.key), "subject": np.full(count, unit.subject, dtype=np.int32)}
+        columns = whose | {name: runs[name] for name in (*COLUMNS, *further_of(unit.task))}
         _write_table(self._piece(unit), pa.table(columns), compression="snappy")
 
     def read(self, unit: Unit) -> dict[str, FloatArray]:
-        """Read the runs of a unit, an array (P,) for each of ``COLUMNS``."""
+        """Read the runs of a unit, an array (P,) for each column."""
         import pyarrow.parquet as pq
 
         table = pq.read_table(self._piece(unit))
-        return {name: np.asarray(table.column(name).to_numpy(), float) for name in COLUMNS}
+        return {name: np.asarray(table.column(name).to_numpy(), float) for name in (*COLUMNS, *further_of(unit.task))}
 
     def join(self, units: Sequence[Unit]) -> Path:
         """Join the pieces to one file."""
@@ -221,13 +231,22 @@ class RunStore:
         return self._pieces / f"{unit.key}.parquet"
 
 
+def further_of(task: StudyTask) -> tuple[str, ...]:
+    """Return the columns of a task's further parameters."""
+    return task.space.names[4:]
+
+
 def join_pieces(pieces: Sequence[Path], folder: Path) -> Path:
     """Join pieces to the surface file of a folder."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
     path = folder / SURFACE
-    _write_table(path, pa.concat_tables([pq.read_table(piece) for piece in pieces]), compression="zstd")
+    _write_table(
+        path,
+        pa.concat_tables([pq.read_table(piece) for piece in pieces], promote_options="default"),
+        compression="zstd",
+    )
     return path
 
 
@@ -239,11 +258,13 @@ def _write_table(path: Path, table: Any, *, compression: str) -> None:
     write_whole(path, held.getvalue())
 
 
-def _study_in(head: Path) -> str | None:
+def _study_in(head: Path) -> tuple[object, str]:
+    """Return the format of a folder and the text of its study."""
     try:
-        return json.dumps(json.loads(head.read_text(encoding="utf-8"))["study"], sort_keys=True)
+        content = json.loads(head.read_text(encoding="utf-8"))
+        return content["format"], json.dumps(content["study"], sort_keys=True)
     except (OSError, ValueError, KeyError, TypeError):
-        return None
+        return None, ""
 
 
 # ---- grid search
@@ -261,11 +282,32 @@ class TaskSurface:
     rig_minutes: FloatArray  # (P,), length of a session, min
     error_rms_deg: FloatArray  # (S, P), pitch error over the motion, deg; NaN where the device was left uncalibrated
     error_max_deg: FloatArray  # (S, P), as above
+    error_end_deg: FloatArray  # (S, P), size of the median over the last half second
+    error_offline_rms_deg: FloatArray  # (S, P), the same three with the estimated delay taken out
+    error_offline_max_deg: FloatArray
+    error_offline_end_deg: FloatArray
     left_out: tuple[int, ...] = ()  # subjects not among the S: no protocol could calibrate their device
+    further: Mapping[str, FloatArray] = field(default_factory=dict)  # (P,) each, by names of ``space.FURTHER``
 
-    def error(self, objective: str) -> FloatArray:
+    def error(self, objective: Objective = "rms", timing: Timing = "real time") -> FloatArray:
         """Return the errors (S, P) that are to be small, deg."""
-        return self.error_rms_deg if objective == "rms" else self.error_max_deg
+        found: FloatArray = getattr(self, column_of(objective, timing))
+        return found
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The columns of what is varied."""
+        return (*COLUMNS[:4], *self.further)
+
+    def column(self, name: str) -> FloatArray:
+        """Return what the protocols have of a parameter, (P,)."""
+        values: FloatArray = self.further[name] if name in self.further else getattr(self, name)
+        return values
+
+    def at(self, places: IntArray) -> "TaskSurface":
+        """Return the surface of some of the protocols."""
+        further = {name: values[places] for name, values in self.further.items()}
+        return replace(self, **{name: getattr(self, name)[..., places] for name in COLUMNS}, further=further)
 
 
 def run_study(
@@ -288,14 +330,15 @@ def read_surfaces(path: Path, study: Study) -> tuple[TaskSurface, ...]:
     columns = {name: table.column(name).to_numpy(zero_copy_only=False) for name in table.column_names}
     found = []
     for task in study.tasks:
-        rows, shape = columns["task"] == task.name, (study.subjects, len(task.protocols()))
+        rows, shape = columns["task"] == task.key, (study.subjects, task.space.count)
         if rows.sum() != math.prod(shape):
             raise InputError(
-                f"{path}: wanted {math.prod(shape)} runs of {task.name}, got {rows.sum()}; run the study to its end"
+                f"{path}: wanted {math.prod(shape)} runs of {task.key}, got {rows.sum()}; run the study to its end"
             )
         shaped = {name: np.asarray(columns[name][rows], float).reshape(shape) for name in COLUMNS}
         own: dict[str, Any] = {n: values if n.startswith("error") else values[0] for n, values in shaped.items()}
-        found.append(TaskSurface(task=task.name, **own))
+        own["further"] = {n: np.asarray(columns[n][rows], float).reshape(shape)[0] for n in further_of(task)}
+        found.append(TaskSurface(task=task.key, **own))
     return tuple(found)
 
 
@@ -306,23 +349,14 @@ def without_lost(surface: TaskSurface) -> TaskSurface:
         return surface
     return replace(
         surface,
-        error_rms_deg=surface.error_rms_deg[there],
-        error_max_deg=surface.error_max_deg[there],
+        **{name: getattr(surface, name)[there] for name in ERRORS},
         left_out=tuple(int(subject) for subject in np.flatnonzero(~there)),
     )
 
 
-def count_runs(study: Study) -> int:
-    """Return how many sessions a study simulates and fits, resumed or not."""
-    counts = [len(task.protocols()) for task in study.tasks]
-    if study.search == "grid":
-        return study.subjects * sum(counts)
-    plans = [rounds_of(count, study.subjects) for count in counts]
-    return sum(
-        count * (met - before)
-        for plan in plans
-        for (count, met), (_, before) in zip(plan, ((0, 0), *plan), strict=False)
-    )
+def runs_of(plan: tuple[tuple[int, int], ...]) -> int:
+    """Return the runs of the rounds of a halving."""
+    return sum(count * (met - before) for (count, met), (_, before) in zip(plan, ((0, 0), *plan), strict=False))
 
 
 # ---- successive halving
@@ -345,18 +379,19 @@ class Round:
 class Halving:
     """Outcome of a halving: its rounds, and the surface of all runs that were made."""
 
-    protocols: tuple[CalibrationProtocol, ...]  # All candidates
+    points: FloatArray  # (P, n), all candidates
+    protocols: tuple[CalibrationProtocol, ...]  # The same as protocols
     best: int  # Place of the best of the last round
     rounds: tuple[Round, ...]  # From all candidates to the last few
     runs: int  # Sessions simulated and fitted
     runs_of_grid: int  # The same for every candidate on every subject
     every: TaskSurface  # All P candidates; NaN where a candidate did not meet a subject
+    generations: int = 0  # Of CMA-ES, the first of the rounds; the others halve
 
     @property
     def surface(self) -> TaskSurface:
         """The candidates of the last round, which met every subject."""
-        last = self.rounds[-1].candidates
-        return replace(self.every, **{name: getattr(self.every, name)[..., last] for name in COLUMNS})
+        return self.every.at(self.rounds[-1].candidates)
 
 
 def rounds_of(candidates: int, subjects: int) -> tuple[tuple[int, int], ...]:
@@ -369,34 +404,33 @@ def rounds_of(candidates: int, subjects: int) -> tuple[tuple[int, int], ...]:
     return tuple(plan)
 
 
-def halve_study(
-    study: Study, executor: Executor, folder: Path, *, advance: Callable[[int, int], None], tell: Callable[[str], None]
-) -> tuple[Halving, ...]:
-    """Search every task by halving, or resume that; ``advance`` gets runs done and runs in all, ``tell`` each round."""
-    total, done = count_runs(study), 0
-    RunStore(folder, study)
-
-    def count(runs: int) -> None:
-        nonlocal done
-        done += runs
-        advance(done, total)
-
-    count(0)
-    own = folder / HALVING
-    found = tuple(halve(study, task, executor, own / task.name, count=count, tell=tell) for task in study.tasks)
-    join_pieces(_pieces_of(folder), folder)
-    return found
-
-
 def runs_held(folder: Path) -> int:
     """Return how many runs of a halving are on the disk."""
     import pyarrow.parquet as pq
 
-    return sum(pq.read_metadata(piece).num_rows for piece in _pieces_of(folder))
+    return sum(pq.read_metadata(piece).num_rows for piece in pieces_of(folder))
 
 
-def _pieces_of(folder: Path) -> list[Path]:
-    return sorted((folder / HALVING).glob(f"*/*/{PIECES}/*.parquet"))
+def pieces_of(folder: Path) -> list[Path]:
+    """Return the finished pieces of a search, whatever its rounds."""
+    return sorted((folder / HALVING).glob(f"**/{PIECES}/*.parquet"))
+
+
+def unmet(study: Study, task: StudyTask, points: FloatArray) -> TaskSurface:
+    """Return the surface of candidates (P, n) that have met nobody."""
+    varied: dict[str, Any] = columns_of(task, points)
+    varied["further"] = {name: varied.pop(name) for name in further_of(task)}
+    varied |= {name: np.full((study.subjects, len(points)), np.nan) for name in ERRORS}
+    return TaskSurface(task=task.key, rig_minutes=np.full(len(points), np.nan), **varied)
+
+
+def allowed_of(study: Study, task: StudyTask, points: FloatArray, every: TaskSurface) -> IntArray:
+    """Return which candidates have a session that is allowed; where that has an end, write the minutes of all."""
+    if study.rig_minutes_max is None:
+        return np.arange(len(points))
+    held = ((task.protocol_of(point), task.space.setting_of(point).quality) for point in points)
+    every.rig_minutes[:] = [session_of(*each).length_s[0] / 60.0 for each in held]
+    return np.flatnonzero(every.rig_minutes <= study.rig_minutes_max)
 
 
 def halve(
@@ -405,18 +439,14 @@ def halve(
     executor: Executor,
     folder: Path,
     *,
+    points: FloatArray | None = None,
     count: Callable[[int], None] = lambda runs: None,
     tell: Callable[[str], None] = lambda text: None,
 ) -> Halving:
-    """Find the best protocol of a task with a part of the runs; ``count`` gets the runs of each finished unit."""
-    protocols = task.protocols()
-    minutes, *errors = (np.full((*rows, len(protocols)), np.nan) for rows in ((), (study.subjects,), (study.subjects,)))
-    rates: dict[str, Any] = rates_of(protocols)
-    every = TaskSurface(task=task.name, rig_minutes=minutes, error_rms_deg=errors[0], error_max_deg=errors[1], **rates)
-    left: IntArray = np.arange(len(protocols))
-    if study.rig_minutes_max is not None:
-        every.rig_minutes[:] = [impose(protocol).duration_s / 60.0 for protocol in protocols]
-        left = np.flatnonzero(every.rig_minutes <= study.rig_minutes_max)
+    """Find the best protocol of a task, or of some points (P, n), with a part of the runs; ``count`` gets those of each unit."""
+    points = task.space.points() if points is None else points
+    every = unmet(study, task, points)
+    left = allowed_of(study, task, points, every)
     plan = rounds_of(len(left), study.subjects)
     rounds: list[Round] = []
     met = runs = 0
@@ -424,47 +454,52 @@ def halve(
         if rounds:
             left = np.sort(left[np.argsort(rounds[-1].mean_deg, kind="stable")[:kept]])
         if len(left):
-            tell(f"{task.name}, round {number} of {len(plan)}: {len(left)} protocols on {wanted} subjects")
+            tell(f"{task.key}, round {number} of {len(plan)}: {len(left)} protocols on {wanted} subjects")
         runs += len(left) * (wanted - met)
-        _run_round(study, task, (range(met, wanted), left), executor, folder / f"round-{number}", every, count)
-        error = every.error(study.objective)[:wanted, left]
-        there = np.isfinite(error).any(axis=1)  # a device that no candidate calibrates does not compare them
-        mean = error[there].mean(axis=0) if there.any() else np.full(len(left), np.inf)
-        mean = np.where(np.isfinite(mean), mean, np.inf)
+        run_block(study, task, points, (range(met, wanted), left), executor, folder / f"round-{number}", every, count)
+        mean = mean_of(every.error(study.objective, study.timing)[:wanted, left])
         rounds.append(Round(subjects=wanted, candidates=left, mean_deg=mean))
         if not np.isfinite(mean).any():
             raise NotObservable(
-                f"halving: wanted a protocol of {task.name} that calibrates every device, got none; try other rates"
+                f"halving: wanted a protocol of {task.key} that calibrates every device, got none; try other rates"
             )
         met = wanted
     return Halving(
-        protocols=protocols,
+        points=points,
+        protocols=tuple(map(task.protocol_of, points)),
         best=int(left[np.argmin(rounds[-1].mean_deg)]),
         rounds=tuple(rounds),
         runs=runs,
-        runs_of_grid=study.subjects * len(protocols),
+        runs_of_grid=study.subjects * task.space.count,
         every=every,
     )
 
 
-def _run_round(
+def mean_of(error: FloatArray) -> FloatArray:
+    """Return the mean errors (P,) of candidates that met the same subjects, (S, P); infinite where a device was not calibrated."""
+    there = np.isfinite(error).any(axis=1)  # a device that no candidate calibrates does not compare them
+    mean = error[there].mean(axis=0) if there.any() else np.full(error.shape[1], np.inf)
+    return np.where(np.isfinite(mean), mean, np.inf)
+
+
+def run_block(
     study: Study,
     task: StudyTask,
-    block: tuple[range, IntArray],
+    points: FloatArray,
+    block: tuple[Sequence[int], IntArray],
     executor: Executor,
     folder: Path,
     every: TaskSurface,
     count: Callable[[int], None],
 ) -> None:
-    """Run a block of subjects and candidates and write its errors into the surface."""
+    """Run a block of subjects and of candidates, places of the points, and write its errors into the surface."""
     subjects, left = block
-    grids, tasks, places_of = tuple(task.space.grids()), [], {}
-    for cutoff in dict.fromkeys(every.cutoff_hz[left].tolist()):
-        places = places_of[cutoff] = left[every.cutoff_hz[left] == cutoff]
-        only = tuple(grids[place % len(grids)] for place in places)  # protocols are ordered by cut-off, then by grid
-        tasks.append(replace(task, space=replace(task.space, cutoff_hz=(cutoff,), only=only)))
+    settings, tasks, places_of = [task.space.setting_of(points[place]) for place in left], [], {}
+    for setting in dict.fromkeys(settings):
+        places = places_of[setting] = left[[each == setting for each in settings]]
+        tasks.append(replace(task, space=task.space.narrowed(points[places])))
     units = [
-        Unit(study=study, task=only, subject=subject, cutoff_hz=only.space.cutoff_hz[0])
+        Unit(study=study, task=only, subject=subject, **only.space.settings()[0]._asdict())
         for subject in subjects
         for only in tasks
     ]
@@ -473,7 +508,7 @@ def _run_round(
     for unit in store.finish(units, executor):
         count(len(unit.task.space.only))
     for unit in units:
-        found, places = store.read(unit), places_of[unit.cutoff_hz]
+        found, places = store.read(unit), places_of[unit.setting]
         every.rig_minutes[places] = found["rig_minutes"]
-        every.error_rms_deg[unit.subject, places] = found["error_rms_deg"]
-        every.error_max_deg[unit.subject, places] = found["error_max_deg"]
+        for name in ERRORS:
+            getattr(every, name)[unit.subject, places] = found[name]

@@ -1,5 +1,9 @@
 """Repeated measures: does the error depend on a parameter of the protocol, which of its values differ, with what power?
 
+A difference d of two mean errors is judged against a margin M by the three-sided test (Goeman, Solari and Stijnen, 2010): better
+where d <= M is rejected, worse where d >= -M is, equivalent where d <= -M and d >= M both are (two one-sided tests, TOST), else not
+decidable. One of the three is true, so that any wrong verdict has at most the level of the test, over m differences at level / m.
+
 Subjects meet every condition, one value of the parameter each: F = MS_condition / MS_error, degrees of freedom times an epsilon of
 sphericity, Huynh-Feldt where Greenhouse-Geisser's exceeds 0.75, else Greenhouse-Geisser (Girden, 1992).
 
@@ -9,9 +13,10 @@ mean_i(y): exact where subjects differ a million times more than they respond. A
 denominator, which is conservative, compares the conditions; values are assumed missing at random.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import combinations, pairwise
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -116,6 +121,7 @@ class MixedModel:
     # Share of the conditions in what is left without the subjects' own levels, from F and the residual's degrees of
     # freedom; that of the analysis of variance where nothing is missing
     partial_eta_squared: float
+    partial_eta_squared_interval: tuple[float, float]  # Its 95 % interval
     subject_sd: float  # s_u, unit of the data
     residual_sd: float  # s_e, unit of the data
 
@@ -159,6 +165,7 @@ def compare_unbalanced(y: ArrayLike, subject: Sequence[str], condition: Sequence
         dof=(float(k - 1), float(n - 1)),
         p_value=float(f_distribution.sf(f, k - 1, n - 1)),
         partial_eta_squared=f * (k - 1) / (f * (k - 1) + residual_dof),
+        partial_eta_squared_interval=eta_squared_interval(f, (k - 1.0, float(residual_dof))),
         subject_sd=float(np.sqrt(ratio * scale)),
         residual_sd=float(np.sqrt(scale)),
     )
@@ -224,11 +231,13 @@ class Pair:
     first: int  # Column, or place of a mixed model's condition
     second: int
     difference: float  # Mean of first minus second, unit of the data
+    uncertainty: float  # Its standard uncertainty
     interval: tuple[float, float]  # Its 95 % interval, not corrected for the number of pairs
     t: float  # Paired t, n - 1 degrees of freedom
     p_value: float  # Two-sided
     p_holm: float  # After Holm
     cohen_dz: float  # Difference over the standard deviation of the differences; in a mixed model that is sqrt(2) s_e
+    dz_interval: tuple[float, float]  # Its 95 % interval, from that of the noncentrality of t
 
 
 def compare_pairs(y: ArrayLike) -> tuple[Pair, ...]:
@@ -256,17 +265,28 @@ def compare_pairs_of(model: MixedModel) -> tuple[Pair, ...]:
 def _judged(
     pairs: list[tuple[int, int]], mean: FloatArray, uncertainty: FloatArray, sd: FloatArray, dof: int
 ) -> tuple[Pair, ...]:
+    from scipy.special import nctdtrinc
     from scipy.stats import t as t_distribution
 
-    without = np.where(mean == 0.0, 0.0, np.sign(mean) * np.inf)  # no spread at all
-    with np.errstate(divide="ignore", invalid="ignore"):
-        t = np.where(sd > 0.0, mean / uncertainty, without)
-        dz = np.where(sd > 0.0, mean / sd, without)
+    t, dz = _ratio_of(mean, uncertainty), _ratio_of(mean, sd)
     p = 2.0 * t_distribution.sf(np.abs(t), dof)
     reach = float(t_distribution.ppf(0.975, dof)) * uncertainty
-    columns = (mean, mean - reach, mean + reach, t, p, adjust_holm(p), dz)
-    rows = zip(pairs, *(column.tolist() for column in columns), strict=True)
-    return tuple(Pair(i, j, apart, (low, high), *rest) for (i, j), apart, low, high, *rest in rows)
+    spread = sd > 0.0
+    beyond = np.where(spread, np.maximum(np.abs(t) / MOST_T, 1.0), 1.0)
+    moderate, share = np.clip(t, -MOST_T, MOST_T), beyond * np.where(spread, _ratio_of(uncertainty, sd), 0.0)
+    low, high = (np.where(spread, nctdtrinc(dof, at, moderate) * share, dz) for at in (0.975, 0.025))
+    columns = (mean, uncertainty, mean - reach, mean + reach, t, p, adjust_holm(p), dz, low, high)
+    rows = zip(pairs, np.stack(columns, axis=1).tolist(), strict=True)
+    return tuple(
+        Pair(i, j, apart, u, (least, most), t_value, p_value, p_holm, size, (size_low, size_high))
+        for (i, j), (apart, u, least, most, t_value, p_value, p_holm, size, size_low, size_high) in rows
+    )
+
+
+def _ratio_of(mean: FloatArray, spread: FloatArray) -> FloatArray:
+    """Return mean over spread; infinite, or 0 where the mean is, where there is no spread at all."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.where(spread > 0.0, mean / spread, np.where(mean == 0.0, 0.0, np.sign(mean) * np.inf))
 
 
 def adjust_holm(p: ArrayLike) -> FloatArray:
@@ -297,6 +317,118 @@ def mean_interval(values: FloatArray) -> tuple[float, tuple[float, float]]:
     return mean, (mean - reach, mean + reach)
 
 
+# ---- verdicts against a margin
+
+Verdict = Literal["better", "equivalent", "worse", "not decidable"]
+POWER = 0.8  # of the number of subjects that is stated
+MOST_T = 1e3  # from here on the noncentrality is proportional to t
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Decision:
+    """One mean error compared with another, against a margin."""
+
+    other: int  # Place of what it is compared with
+    difference: float  # The other's mean error less this one's: positive where this one is better, unit of the data
+    interval: tuple[float, float]  # Its 95 % interval, not corrected
+    cohen_dz: float  # Difference over the standard deviation of the differences
+    dz_interval: tuple[float, float]  # Its 95 % interval
+    margin: float  # Smallest difference that matters
+    tests: int  # Differences that are judged together; the three p are after Bonferroni over them
+    p_better: float  # Of a difference of the margin at most
+    p_equivalent: float  # Of one of the margin at least, either way
+    p_worse: float  # Of one of minus the margin at least
+    verdict: Verdict  # What is shown
+    sd: float  # Of one subject's difference, unit of the data
+    level: float  # Of the verdicts of all tests together
+
+    @property
+    def subjects_needed(self) -> int | None:
+        """With which the verdict that the difference points to has a power of 0.8, were it true; None: no number will do."""
+        return subjects_to_decide(self.difference, self.sd, margin=self.margin, level=self.level / self.tests)
+
+
+def three_sided(
+    difference: FloatArray, uncertainty: FloatArray, dof: float, *, margin: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return p of better, equivalent and worse.
+
+    References
+    ----------
+    .. [1] J. Goeman, A. Solari, T. Stijnen, Three-sided hypothesis testing, Statistics in Medicine 29, 2010.
+    .. [2] D. Schuirmann, A comparison of the two one-sided tests procedure, J. Pharmacokinetics and Biopharmaceutics 15, 1987.
+
+    Arrays: difference, uncertainty (m,).
+    """
+    from scipy.special import stdtr
+
+    above, below = (_ratio_of(sign * difference - margin, uncertainty) for sign in (1.0, -1.0))
+    # better or worse is one two-sided test of a difference within the margin, so its tails are doubled
+    better, worse = (np.minimum(2.0 * stdtr(dof, -t), 1.0) for t in (above, below))
+    return better, np.maximum(stdtr(dof, above), stdtr(dof, below)), worse
+
+
+def decide(pair: Pair, subjects: int, *, of: int, margin: float, level: float = 0.05, tests: int = 1) -> Decision:
+    """Judge whether one of a pair is better than the other by more than a margin, equivalent or worse."""
+    sign = -1.0 if of == pair.first else 1.0
+    difference = sign * pair.difference
+    found = three_sided(np.array([difference]), np.array([pair.uncertainty]), subjects - 1, margin=margin)
+    better, equivalent, worse = (min(tests * float(each[0]), 1.0) for each in found)
+    shown: dict[Verdict, float] = {"better": better, "equivalent": equivalent, "worse": worse}
+    low, high = sorted(sign * end for end in pair.interval)
+    dz_low, dz_high = sorted(sign * end for end in pair.dz_interval)
+    return Decision(
+        other=pair.second if of == pair.first else pair.first,
+        difference=difference,
+        interval=(low, high),
+        cohen_dz=sign * pair.cohen_dz,
+        dz_interval=(dz_low, dz_high),
+        margin=margin,
+        tests=tests,
+        p_better=better,
+        p_equivalent=equivalent,
+        p_worse=worse,
+        verdict=next((name for name, p in shown.items() if p <= level), "not decidable"),
+        sd=pair.uncertainty * float(np.sqrt(subjects)),
+        level=level,
+    )
+
+
+def power_to_decide(difference: float, sd: float, subjects: int, *, margin: float, level: float = 0.05) -> float:
+    """Return the chance of the verdict that a true difference points to: equivalent below the margin, else better or worse."""
+    from scipy.stats import nct
+    from scipy.stats import t as t_distribution
+
+    size, dof = abs(difference), subjects - 1
+    if not sd > 0.0:
+        return float(size != margin)
+    scale = float(np.sqrt(subjects)) / sd
+    if size > margin:
+        return float(nct.sf(t_distribution.isf(level / 2.0, dof), dof, (size - margin) * scale))
+    critical = t_distribution.isf(
+        level, dof
+    )  # each one-sided test; the two can fail apart, so the sum bounds it from below
+    both = nct.cdf(-critical, dof, (size - margin) * scale) - nct.cdf(critical, dof, (size + margin) * scale)
+    return max(float(both), 0.0)
+
+
+def subjects_to_decide(difference: float, sd: float, *, margin: float, level: float = 0.05) -> int | None:
+    """Return the fewest subjects that decide a true difference with a power of 0.8; None where no number is enough."""
+    return _fewest(lambda n: power_to_decide(difference, sd, n, margin=margin, level=level), POWER)
+
+
+def _fewest(power: Callable[[int], float], wanted: float) -> int | None:
+    low, high = 2, 3
+    while power(high) < wanted:
+        low, high = high, 2 * high
+        if high > MOST_SUBJECTS:
+            return None
+    while high - low > 1:
+        middle = (low + high) // 2
+        low, high = (low, middle) if power(middle) >= wanted else (middle, high)
+    return max(high, 3)
+
+
 # ---- analysis of variance
 
 TURN_TO_HUYNH_FELDT = 0.75
@@ -317,6 +449,7 @@ class Anova:
     correction: str  # Which that is
     sphericity: Sphericity  # Epsilons and Mauchly's test
     partial_eta_squared: float  # SS_condition / (SS_condition + SS_error)
+    partial_eta_squared_interval: tuple[float, float]  # Its 95 % interval, with the epsilon of the quoted p
     generalized_eta_squared: float  # SS_condition / SS_total, subjects being a measured factor
     means: FloatArray  # (k,), of the conditions
     mean_square_error: float  # SS_error over its degrees of freedom, squared unit of the data
@@ -351,6 +484,7 @@ def compare_conditions(y: ArrayLike) -> Anova:
         float(f_distribution.sf(f, e * d1, e * d2)) for e in (1.0, form.greenhouse_geisser, form.huynh_feldt)
     )
     lenient = form.greenhouse_geisser > TURN_TO_HUYNH_FELDT
+    epsilon = form.huynh_feldt if lenient else form.greenhouse_geisser
     return Anova(
         subjects=n,
         conditions=k,
@@ -363,10 +497,72 @@ def compare_conditions(y: ArrayLike) -> Anova:
         correction="huynh-feldt" if lenient else "greenhouse-geisser",
         sphericity=form,
         partial_eta_squared=between / (between + error),
+        partial_eta_squared_interval=eta_squared_interval(f, (d1, d2), epsilon=epsilon),
         generalized_eta_squared=between / total,
         means=table.mean(axis=0),
         mean_square_error=error / d2,
     )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OneWay:
+    """Outcome of a one-way analysis of variance that takes every value for one of another subject."""
+
+    conditions: int  # k
+    values: int  # Of all conditions
+    f: float  # F of the conditions
+    dof: tuple[float, float]  # k - 1, values - k
+    p_value: float
+    eta_squared: float  # Share of the conditions, less its bias (epsilon squared; Kelley, 1935)
+    eta_squared_interval: tuple[float, float]  # Its 95 % interval
+
+
+def compare_independent(y: ArrayLike) -> OneWay:
+    """Compare conditions as if other subjects had met each: y (n, k)."""
+    from scipy.stats import f_oneway
+
+    table = frozen(y, (None, None), "one-way anova")
+    n, k = table.shape
+    left = float(((table - table.mean(axis=0)) ** 2).sum())
+    if k < 2 or n < 2 or not left > 1e-24 * max(float((table**2).sum()), 1e-300):
+        raise InputError(
+            f"one-way anova: wanted two subjects or more that differ in two conditions or more, got {n} in {k}; add some"
+        )
+    found = f_oneway(*table.T)
+    f, dof = float(found.statistic), (k - 1.0, float(k * (n - 1)))
+    return OneWay(
+        conditions=k,
+        values=n * k,
+        f=f,
+        dof=dof,
+        p_value=float(found.pvalue),
+        eta_squared=max(f - 1.0, 0.0) * dof[0] / (f * dof[0] + dof[1]),
+        eta_squared_interval=eta_squared_interval(f, dof),
+    )
+
+
+def eta_squared_interval(f: float, dof: tuple[float, float], *, epsilon: float = 1.0) -> tuple[float, float]:
+    """Return the 95 % interval of partial eta squared, from that of the noncentrality of F.
+
+    References
+    ----------
+    .. [1] J. Steiger, Beyond the F test, Psychological Methods 9, 2004.
+    """
+    from scipy.optimize import brentq
+    from scipy.special import ncfdtr
+
+    d1, d2 = epsilon * dof[0], epsilon * dof[1]
+
+    def share(p: float) -> float:
+        if ncfdtr(d1, d2, 0.0, f) <= p:
+            return 0.0
+        high = 2.0 * d1 * f + 20.0
+        while ncfdtr(d1, d2, high, f) > p:
+            high *= 2.0
+        noncentrality = float(brentq(lambda x: ncfdtr(d1, d2, x, f) - p, 0.0, high)) / epsilon
+        return noncentrality / (noncentrality + sum(dof))  # the limit of the estimate with many subjects
+
+    return share(0.975), share(0.025)
 
 
 def _sums_of_squares(y: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -404,19 +600,13 @@ def subjects_needed(
     means: ArrayLike, error_variance: float, *, power: float = 0.8, epsilon: float = 1.0, level: float = 0.05
 ) -> int:
     """Return the fewest subjects with which the analysis has a stated power: means (k,)."""
-    low, high = 2, 3
-    while power_of_anova(means, error_variance, high, epsilon=epsilon, level=level) < power:
-        low, high = high, 2 * high
-        if high > MOST_SUBJECTS:
-            raise InputError(
-                f"power: wanted {100 * power:g} % with at most {MOST_SUBJECTS} subjects, got conditions that hardly differ; no "
-                "number of subjects is worth it"
-            )
-    while high - low > 1:
-        middle = (low + high) // 2
-        enough = power_of_anova(means, error_variance, middle, epsilon=epsilon, level=level) >= power
-        low, high = (low, middle) if enough else (middle, high)
-    return max(high, 3)
+    found = _fewest(lambda n: power_of_anova(means, error_variance, n, epsilon=epsilon, level=level), power)
+    if found is None:
+        raise InputError(
+            f"power: wanted {100 * power:g} % with at most {MOST_SUBJECTS} subjects, got conditions that hardly differ; no "
+            "number of subjects is worth it"
+        )
+    return found
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -44,7 +44,7 @@ from undrift.sim.motion.tasks import draw_task
 from undrift.sim.rig.emulator import AirSettings, BenchHands, EmulatedBenchSettings, EmulatorSettings, start_bench
 from undrift.sim.rig.emulator import Bench as EmulatedBench
 from undrift.sim.rig.stream import StreamSettings
-from undrift.study.case import ROOM_TEMP_C
+from undrift.sim.table_sessions import ROOM_TEMP_C
 from undrift.study.figure3 import judge_compared, levels_of, worn_record
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 from undrift.validation.trial import Trial

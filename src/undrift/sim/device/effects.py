@@ -218,10 +218,10 @@ def play(temp_c: FloatArray, half_width: float, at: float | None = None) -> Floa
     """Return what follows a temperature with play, from where it was."""
     if at is None and np.ptp(temp_c) == 0.0:
         return temp_c
-    follower, at = np.empty(len(temp_c)), float(temp_c[0]) if at is None else at
-    for k, temp in enumerate(temp_c.tolist()):
-        at = min(max(at, temp - half_width), temp + half_width)
-        follower[k] = at
+    from undrift.kernels.device import follow_with_play
+
+    follower = np.empty(len(temp_c))
+    follow_with_play(np.ascontiguousarray(temp_c), half_width, float(temp_c[0]) if at is None else at, follower)
     return follower
 
 

@@ -4,29 +4,21 @@ The effects are composed left to right in the order of ``sim/device/effects.py``
 difference is the contribution of the effect, so that truth plus contributions is the reading. A gyroscope that averages between
 samples is driven by the rotation vector of each step over its duration, which loses no coning.
 
-Dwells have a shorter way: the effects that are steady over a dwell are taken once a dwell; white noise, low-pass, rails and
-converter run over every sample of it, in a kernel; the flicker of the offset is exact from dwell to dwell for processes slower
-than a dwell and drawn afresh, as its mean over the dwell, for faster ones. The low-pass has settled when a dwell begins.
-
 Each effect draws from a generator of its own, seeded by (root, crc32 of its name), so that adding an effect changes no other's
 noise. The root is drawn from the caller's generator, 128 bits at a time.
 """
 
-import math
 import zlib
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
-from undrift.arrays import BoolArray, FloatArray, IntArray, frozen
+from undrift.arrays import BoolArray, FloatArray, frozen
 from undrift.errors import InputError
 from undrift.record import Record
 from undrift.sim.device.effects import (
-    RATIO,
-    BiasInstability,
     Past,
-    Sampling,
     Scene,
     SensorChain,
     converted,
@@ -39,7 +31,6 @@ from undrift.sim.device.effects import (
 )
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.motion.motion import Motion
-from undrift.units import STANDARD_GRAVITY
 
 # ---- Streams: one independent source of random numbers per effect, named, so that adding an effect changes no other's noise.
 
@@ -197,6 +188,19 @@ def simulate_device(
     return Simulated(record=record, gyro=gyro, accel=accel, temp_c=temp_taken, true_time=taken)
 
 
+def filtered(record: Record, device: DeviceModel) -> Record:
+    """Return a record that was simulated without low-pass and converter behind those of a device that samples evenly."""
+    time, behind = record.time, dict[str, FloatArray]()
+    step_s = float((time[-1] - time[0]) / (len(time) - 1))
+    scene = Scene(time=time, step_s=step_s, temp_c=time, warmth=time, age_s=time)
+    for name in ("gyro", "accel"):
+        chain: SensorChain = getattr(device, name)
+        if (x := getattr(record, name)) is not None:
+            x = x if chain.low_pass is None else chain.low_pass.apply(x, scene, Past(np.random.default_rng(0)))
+            behind[name] = x if chain.adc is None else converted(x, chain.adc)[0]
+    return replace(record, gyro=behind["gyro"], accel=behind.get("accel"))
+
+
 def _triad(
     model: DeviceModel, name: Literal["gyro", "accel"], true: FloatArray, scene: Scene, streams: Streams,
     ticks: tuple[FloatArray, FloatArray],
@@ -257,150 +261,3 @@ def _filled(x: FloatArray, time: FloatArray) -> FloatArray:
     if not known.any():
         return x
     return np.stack([np.interp(time, time[known], x[known, k]) for k in range(x.shape[1])], axis=1)
-
-
-# ---- Dwells
-
-BURN_IN_S = 0.3  # a second-order filter at 3 Hz has forgotten its start to 1 %
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Dwells:
-    """What is imposed, N dwells in the order of time."""
-
-    start_s: FloatArray  # (N,), when each begins, settled, s since power-on
-    duration_s: FloatArray  # (N,), s
-    rate_b: FloatArray  # (N, 3), steady rate, rad/s
-    force_b: FloatArray  # (N, 3), mean specific force, m/s2
-    temp_c: FloatArray  # (N,), temperature of the board, degC
-
-    def __post_init__(self) -> None:
-        n = len(self.temp_c)
-        for name, width in (("start_s", ()), ("duration_s", ()), ("rate_b", (3,)), ("force_b", (3,)), ("temp_c", ())):
-            shape = (n, *width)
-            object.__setattr__(self, name, frozen(getattr(self, name), shape, f"Dwells.{name}"))
-        if n < 2 or (np.diff(self.start_s) <= 0.0).any() or (self.duration_s <= 0.0).any():
-            raise InputError(
-                f"dwells: wanted two or more, one after the other, each longer than 0 s, got {n}; sort them by their start"
-            )
-
-    def __len__(self) -> int:
-        return len(self.temp_c)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class DwellReadings:
-    """Readings of the device over N dwells."""
-
-    gyro: FloatArray  # (N, 3), mean reading, raw unit
-    accel: FloatArray
-    gyro_variance: FloatArray  # (N, 3), variance of the samples, raw unit squared
-    accel_variance: FloatArray
-    samples: IntArray  # (N,), in each dwell
-    temp_c: FloatArray  # (N,), reading of the thermometer, settled, degC
-
-
-def simulate_dwells(
-    device: DeviceModel,
-    dwells: Dwells,
-    *,
-    rng: np.random.Generator,
-    sample_rate_hz: float = 100.0,
-    felt: BoolArray | None = None,
-) -> DwellReadings:
-    """Return the mean readings of a device over dwells; accelerometers of dwells that are not felt get one sample."""
-    streams = draw_streams(rng)
-    samples = np.maximum(np.round(dwells.duration_s * sample_rate_hz).astype(np.int64), 1)
-    steady = simulate_device(
-        _steady(device), _motion(dwells), rng=streams.of("steady"), temp_c=dwells.temp_c, power_on_s=dwells.start_s[0]
-    ).record
-    found: dict[str, FloatArray] = {}
-    for name, level in (("gyro", steady.gyro), ("accel", steady.accel)):
-        if level is None:
-            raise InputError(f"dwells: wanted {name} readings of the device, got none")
-        chain = getattr(device, name)
-        level = level + _flicker(chain.instability, dwells, streams.of(f"{name}_instability"))
-        lengths = samples if name == "gyro" or felt is None else np.where(felt, samples, 1)
-        draws = streams.of(f"{name}_white")
-        found[name], found[f"{name}_variance"] = _averaged(chain, level, lengths, sample_rate_hz, draws)
-    temp_c = dwells.temp_c if steady.temp_c is None else steady.temp_c
-    return DwellReadings(**found, samples=samples, temp_c=temp_c)
-
-
-def _steady(device: DeviceModel) -> DeviceModel:
-    """Return the device with all that is steady over a dwell, in nominal input units: no noise, filter, gain, rails or codes."""
-    off: dict[str, Any] = dict.fromkeys(
-        ("white_noise", "instability", "random_walk", "amplifier", "low_pass", "adc"), None
-    )
-    gyro, accel = (
-        replace(chain, **off, unit=unit, scale=replace(chain.scale, nominal_sensitivity=1.0))
-        for chain, unit in ((device.gyro, "rad/s"), (device.accel, "m/s2"))
-    )
-    thermometer = replace(device.thermometer, lag_s=0.0)
-    return replace(device, gyro=gyro, accel=accel, sampling=Sampling(), thermometer=thermometer)
-
-
-def _motion(dwells: Dwells) -> Motion:
-    n = len(dwells)
-    return Motion(
-        time=dwells.start_s + 0.5 * dwells.duration_s,
-        q_nb=np.tile([1.0, 0.0, 0.0, 0.0], (n, 1)),
-        rate_b=dwells.rate_b,
-        mean_rate_b=dwells.rate_b,
-        force_b=dwells.force_b,
-        gravity_m_s2=STANDARD_GRAVITY,
-        moving=np.zeros(n),
-        angular_acceleration_b=np.zeros((n, 3)),
-    )
-
-
-def _flicker(effect: BiasInstability | None, dwells: Dwells, rng: np.random.Generator) -> FloatArray:
-    """Return the mean of the flicker over each dwell, nominal input units, shape (N, 3)."""
-    from undrift.kernels.device import follow
-
-    total = np.zeros((len(dwells), 3))
-    if effect is None:
-        return total
-    sd = effect.instability * math.sqrt(math.log(RATIO) / math.pi)
-    middle, length = dwells.start_s + 0.5 * dwells.duration_s, dwells.duration_s
-    for constant in effect.time_constants_s.tolist():
-        share = length / constant
-        shrink = np.sqrt(np.maximum(2.0 / share * (1.0 + np.expm1(-share) / share), 0.0))  # of the mean over a dwell
-        draws = rng.standard_normal(total.shape)
-        if constant > float(np.median(length)):
-            follow(draws, np.exp(-np.diff(middle) / constant))
-        total += sd * shrink[:, None] * draws
-    return total
-
-
-def _averaged(
-    chain: SensorChain, level: FloatArray, samples: IntArray, sample_rate_hz: float, draws: np.random.Generator
-) -> tuple[FloatArray, FloatArray]:
-    from undrift.kernels.device import dwell_readings
-
-    step_s = 1.0 / sample_rate_hz
-    white = chain.white_noise.random_walk / math.sqrt(step_s) if chain.white_noise else np.zeros(3)
-    b = a = np.tile([1.0, 0.0, 0.0], (3, 1))
-    if chain.low_pass:
-        b, a = (np.array(side) for side in zip(*chain.low_pass.equations(step_s), strict=True))
-    mean, variance = np.empty_like(level), np.empty_like(level)
-    burn_in = round(BURN_IN_S * sample_rate_hz) if chain.low_pass else 0
-    dwell_readings(
-        np.ascontiguousarray(level), samples, burn_in, np.array(white), b, a, _converter(chain), chain.rails, draws,
-        mean, variance,
-    )  # fmt: skip
-    return mean, variance
-
-
-def _converter(chain: SensorChain) -> FloatArray:
-    """Gain and null in the unit of the reading, first and last code, rounding."""
-    if chain.adc is None or not chain.adc.codes:
-        return np.array([chain.gain, chain.null, -np.inf, np.inf, 0.0])
-    rounding = {"nearest": 1.0, "floor": 2.0}.get(chain.adc.rounding)
-    if rounding is None and not chain.adc.signed:
-        rounding = 2.0  # codes from 0 up: toward zero is down
-    if rounding is None or chain.adc.inl_lsb.any():
-        raise InputError(
-            f"dwells: wanted a straight converter that rounds to nearest or down, got {chain.adc.rounding}; use simulate_device"
-        )
-    return np.array([chain.gain, chain.null, *chain.adc.code_limits, rounding])

@@ -37,6 +37,29 @@ ROBOT_TURN_HZ, ROBOT_MOVE_HZ = (0.02, 0.2), (0.05, 0.6)  # [assumed]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class TableErrors:
+    """Standard deviations of what a table or another rig and its operator do wrong; each mounting draws anew.
+
+    Motions that are drawn from generators of one state share mountings, level and clock, whatever the rig.
+    """
+
+    mount_tilt_sd: float = 0.0  # Of the device against the rig, about each axis, rad
+    level_sd: float = 0.0  # Of the rig against the vertical, about each horizontal axis, rad; one rig, one draw
+    wobble_sd: float = (
+        0.0  # Of a table's axis from dwell to dwell, of a plane from angle to angle, about each axis, rad
+    )
+    rate_sd: float = 0.0  # Of the rig's clock, so of its true rate against the stated one, relative; one rig, one draw
+    ripple_sd: float = 0.0  # Of the rate once a turn, amplitude, relative
+    excess_sd: float = 0.0  # Of the rate at the start of a dwell, relative; a transient
+    settle_s: float = 0.5  # Time constant of that, s
+    servo_sd: float = 0.0  # Of the angle turned in a dwell against the commanded one, rad
+    encoder_lines: int = 0  # With which the table reads the rate that it states, four counts a line; 0: as commanded
+    angle_sd: float = 0.0  # Of each inclination of a plane, rad
+    stroke_sd: float = 0.0  # Of the stroke of each run of a drive, relative
+    harmonic_sd: float = 0.0  # Of its second harmonic, in displacement, relative
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class RivalSettings:
     """How a rival procedure is performed. All defaults are choices: the note gives none."""
 
@@ -45,7 +68,7 @@ class RivalSettings:
     still_s: float = 4.0  # Length of each still and of each move between mountings, s
     move_s: float = 2.0
     run_s: float = 10.0  # Length of each run at one frequency, and of the robot's motion over six, s
-    tilt_sd: float = 0.0  # Error of each mounting about each axis, rad
+    errors: TableErrors = TableErrors()  # What the rig and the mounting do wrong
     trolley_hz: tuple[float, ...] = (0.5, 0.8)  # Frequencies of the trolley's runs, Hz
     trolley_stroke: float = 0.15  # Amplitude of its sinusoid, m
     shake: float = 2e-5  # Displacement rms by which an uneven rail shakes it upwards and sideways, m
@@ -62,21 +85,38 @@ def rival_motion(kind: RivalKind, *, rng: np.random.Generator, settings: RivalSe
     if kind not in get_args(RivalKind):
         raise InputError(f"rival: wanted one of {', '.join(get_args(RivalKind))}, got '{kind}'; name one of them")
     chosen = settings or RivalSettings()
-    streams = draw_streams(rng)
     if kind == "robot_arm":
-        return _robot_arm(chosen, streams)
+        return motion_of_arm(robot_task(rng=rng, settings=chosen), chosen)
     script = Script(chosen.sample_rate_hz, np.array([0.0, 0.0, 1.0]))
-    {"trolley": _trolley, "inclined_plane": _inclined_plane, "piston": _piston}[kind](script, chosen, streams)
+    streams = draw_streams(rng)
+    if kind == "inclined_plane":
+        _inclined_plane(script, chosen, streams)
+    else:
+        _driven(script, chosen, streams, kind)
     return script.motion(chosen.gravity_m_s2, lever_arm_b=np.zeros(3), earth_rate_n=np.zeros(3))
 
 
-def _trolley(script: Script, settings: RivalSettings, streams: Streams) -> None:
-    tilts, rail = streams.of("tilt"), streams.of("rail")
+def _driven(script: Script, settings: RivalSettings, streams: Streams, kind: RivalKind) -> None:
+    """Swing each axis in turn along the rail of a trolley, or upright on a piston."""
+    errors, mounts, rail, drive = settings.errors, *(streams.of(name) for name in ("mount", "rail", "drive"))
+    level, gain, carried = _level_of(errors, streams), _gain_of(errors, streams), kind == "trolley"
+    way = rotate(level, np.array([1.0, 0.0, 0.0] if carried else [0.0, 0.0, 1.0]))
+    stroke = settings.trolley_stroke if carried else settings.piston_stroke
     for axis in range(3):
-        _mount(script, settings, np.eye(3)[(axis + 1) % 3], np.eye(3)[axis], tilts)
-        for frequency_hz in settings.trolley_hz:
-            swing = (wave(settings.trolley_stroke, frequency_hz, 0.0, 0.0, settings.run_s, 2.0),)
-            script.slide((swing, _shake(settings, rail), _shake(settings, rail)), settings.run_s)
+        along, across = np.eye(3)[axis], np.eye(3)[(axis + 1) % 3]
+        up, forward = (across, along) if carried else (along, across)
+        _mount(script, settings, up, forward, mounts.normal(0.0, errors.mount_tilt_sd, 3), level)
+        for frequency_hz in settings.trolley_hz if carried else settings.piston_hz:
+            size = stroke * (1.0 + drive.normal(0.0, errors.stroke_sd))
+            second = stroke * drive.normal(0.0, errors.harmonic_sd)
+            lines = ((size, gain * frequency_hz), (second, 2.0 * gain * frequency_hz))
+            path: list[Course] = [
+                tuple(wave(part * a, f, 0.0, 0.0, settings.run_s, 2.0) for a, f in lines if part * a != 0.0)
+                for part in way
+            ]
+            if carried:
+                path[1:] = [(*course, *_shake(settings, rail)) for course in path[1:]]
+            script.slide((path[0], path[1], path[2]), settings.run_s)
             script.still(settings.still_s)
 
 
@@ -87,37 +127,56 @@ def _shake(settings: RivalSettings, rail: np.random.Generator) -> Course:
     return (draw_lines(rail, lambda f: f**-4.0, band_hz=RAIL_SHAKE_HZ, rms=settings.shake, span=span),)
 
 
-def _piston(script: Script, settings: RivalSettings, streams: Streams) -> None:
-    tilts = streams.of("tilt")
-    for axis in range(3):
-        _mount(script, settings, np.eye(3)[axis], np.eye(3)[(axis + 1) % 3], tilts)
-        for frequency_hz in settings.piston_hz:
-            lift = (wave(settings.piston_stroke, frequency_hz, 0.0, 0.0, settings.run_s, 2.0),)
-            script.slide(((), (), lift), settings.run_s)
-            script.still(settings.still_s)
-
-
 def _inclined_plane(script: Script, settings: RivalSettings, streams: Streams) -> None:
-    tilts = streams.of("tilt")
+    errors, mounts, bearing, scale = settings.errors, *(streams.of(name) for name in ("mount", "hinge", "angle"))
+    level = _level_of(errors, streams)
     for axis in range(3):  # the plane turns about this axis of the case
         across, up = np.eye(3)[(axis + 1) % 3], np.eye(3)[(axis + 2) % 3]
-        for angle in settings.plane_angles:
-            _mount(script, settings, math.cos(angle) * up + math.sin(angle) * across, np.eye(3)[axis], tilts)
+        tilt = mounts.normal(0.0, errors.mount_tilt_sd, 3)
+        for stated in settings.plane_angles:
+            angle = stated + float(scale.normal(0.0, errors.angle_sd))
+            lain = tilt + bearing.normal(0.0, errors.wobble_sd, 3)
+            _mount(script, settings, math.cos(angle) * up + math.sin(angle) * across, np.eye(3)[axis], lain, level)
 
 
 def _mount(
-    script: Script, settings: RivalSettings, up_b: FloatArray, forward_b: FloatArray, tilts: np.random.Generator
+    script: Script,
+    settings: RivalSettings,
+    up_b: FloatArray,
+    forward_b: FloatArray,
+    tilt: FloatArray,
+    level: FloatArray,
 ) -> None:
-    """Turn the case until one direction points up and another, across it, along x; then wait."""
-    level = facing(script.q, up_b + np.cross(tilts.normal(0.0, settings.tilt_sd, 3), up_b))
-    x, y, _ = rotate(level, forward_b)
-    script.lay(
-        quaternion_product(turn_quaternion(np.array([0.0, 0.0, 1.0]), -np.arctan2(y, x)), level), settings.move_s
-    )
+    """Turn the case until one direction points up and another, across it, along x, but for errors; then wait."""
+    upright = facing(script.q, up_b + np.cross(tilt, up_b))
+    x, y, _ = rotate(upright, forward_b + np.cross(tilt, forward_b))
+    heading = turn_quaternion(np.array([0.0, 0.0, 1.0]), -np.arctan2(y, x))
+    script.lay(quaternion_product(level, quaternion_product(heading, upright)), settings.move_s)
     script.still(settings.still_s)
 
 
-def _robot_arm(settings: RivalSettings, streams: Streams) -> Motion:
+def _level_of(errors: TableErrors, streams: Streams) -> FloatArray:
+    """Return by how much a rig is off level, as a turn in n, (4,)."""
+    level_n = np.array([*streams.of("bearing").normal(0.0, errors.level_sd, 2), 0.0])
+    size = float(np.linalg.norm(level_n))
+    return turn_quaternion(np.cross(level_n, [0.0, 0.0, 1.0]) / (size or 1.0), np.array(size))
+
+
+def _gain_of(errors: TableErrors, streams: Streams) -> float:
+    """Return true over stated rate or frequency of a rig."""
+    return 1.0 + float(streams.of("motor").normal(0.0, errors.rate_sd))
+
+
+def rig_of(errors: TableErrors, rng: np.random.Generator) -> tuple[FloatArray, FloatArray, float]:
+    """Return the first mounting of a rig, a rotation vector, its level as a turn in n, (4,), and true over stated rate."""
+    streams = draw_streams(rng)
+    mount = streams.of("mount").normal(0.0, errors.mount_tilt_sd, 3)
+    return mount, _level_of(errors, streams), _gain_of(errors, streams)
+
+
+def robot_task(*, rng: np.random.Generator, settings: RivalSettings) -> Task:
+    """Return what an arm or a hand does, at any instant."""
+    streams = draw_streams(rng)
     stop = settings.still_s + 6.0 * settings.run_s
     span = (settings.still_s, stop)
     turn, move = streams.of("robot turn"), streams.of("robot move")
@@ -127,10 +186,14 @@ def _robot_arm(settings: RivalSettings, streams: Streams) -> Motion:
     }
     for way in ("forward", "left", "up"):
         courses[way] = (draw_lines(move, lambda f: f**-2.0, band_hz=ROBOT_MOVE_HZ, rms=settings.robot_move, span=span),)
-    task = Task(name="robot_arm", duration_s=stop + settings.still_s, moving_s=span, **courses)
+    return Task(name="robot_arm", duration_s=stop + settings.still_s, moving_s=span, **courses)
+
+
+def motion_of_arm(task: Task, settings: RivalSettings) -> Motion:
+    """Return the motion of that at the samples of a record, with its two stills."""
     time = np.arange(round(task.duration_s * settings.sample_rate_hz)) / settings.sample_rate_hz
     motion = task.at(time, settings.gravity_m_s2)
-    first, last = round(span[0] * settings.sample_rate_hz), round(span[1] * settings.sample_rate_hz)
+    first, last = (round(moment * settings.sample_rate_hz) for moment in task.moving_s)
     return replace(motion, stills=(Still(start=0, stop=first), Still(start=last + 1, stop=len(time))))
 
 
@@ -140,21 +203,6 @@ BenchKind = Literal["six_face", "rate_table", "bench", "ferraris", "multi_positi
 AXES: tuple[Axis, ...] = ("x", "y", "z")
 UPS: tuple[Face, ...] = ("+x", "+y", "+z")
 SIT_TO_STAND_RATES = tuple(rate * RADIAN_PER_DEGREE for rate in range(10, 91, 5))  # the note's list, one way round
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TableErrors:
-    """Standard deviations of what a rate table and its operator do wrong; each mounting draws anew."""
-
-    mount_tilt_sd: float = 0.0  # Of the device against the table, about each axis across, rad
-    level_sd: float = (
-        0.0  # Of the table's axis against the vertical, about each horizontal axis, rad; one table, one draw
-    )
-    wobble_sd: float = 0.0  # Of the turning axis from dwell to dwell, about each axis across, rad
-    rate_sd: float = 0.0  # Of the true rate against the stated one, relative; one table, one draw
-    ripple_sd: float = 0.0  # Of the rate once a turn, amplitude, relative
-    excess_sd: float = 0.0  # Of the rate at the start of a dwell, relative; a transient
-    settle_s: float = 0.5  # Time constant of that, s
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -172,7 +220,7 @@ class BenchSettings:
     turn_rates: tuple[float, ...] = SIT_TO_STAND_RATES
     ramp_s: float = 0.5  # Run-up and steady part of each table rate, s
     dwell_s: float = 3.0
-    table: "TableErrors | None" = None  # What mounting and table do wrong; None is an ideal table
+    table: TableErrors | None = None  # What mounting and table do wrong; None is an ideal table
     hand_angle: float = 2.0 * math.pi  # Angle of a hand turn, rad
     hand_tilt_sd: float = 0.0  # Error of a hand turn's axis about each axis across it, rad
     lever_arm_b: tuple[float, float, float] = (0.0, 0.0, 0.0)  # Accelerometers from the turning axis, m
@@ -240,32 +288,38 @@ def steady_rates(script: Script, settings: BenchSettings, streams: Streams | Non
 
 
 def _erring_rates(script: Script, settings: BenchSettings, table: TableErrors, streams: Streams) -> None:
-    mount, bearing, motor = (streams.of(name) for name in ("mount", "bearing", "motor"))
-    level_n = np.array([*bearing.normal(0.0, table.level_sd, 2), 0.0])
-    gain = 1.0 + float(motor.normal(0.0, table.rate_sd))
+    mount, bearing, motor, servo = (streams.of(name) for name in ("mount", "bearing", "motor", "servo"))
+    off_level, gain = _level_of(table, streams), _gain_of(table, streams)
+    bearing.normal(size=2), motor.normal()  # level and gain are the first draws of these two
     for axis, face in zip(AXES, UPS, strict=True):
         unit = unit_vector(axis)
         turned = _off(unit, mount.normal(0.0, table.mount_tilt_sd, 3))
         level = facing(script.q, turned)  # the table's axis upright in n, then off level
-        tilt, size = np.cross(level_n, [0.0, 0.0, 1.0]), float(np.linalg.norm(level_n))
-        if size > 0.0:
-            level = quaternion_product(turn_quaternion(tilt / size, np.array(size)), level)
+        if table.level_sd > 0.0:
+            level = quaternion_product(off_level, level)
         script.lay(level, settings.move_s)
         script.still(settings.still_s, face)
         seat, azimuth = script.q, float(motor.uniform(-math.pi, math.pi))
         ripple, excess = float(motor.normal(0.0, table.ripple_sd)), float(motor.normal(0.0, table.excess_sd))
-        for stated in settings.turn_rates:
-            for signed in (stated, -stated):
-                true = signed * gain
+        for commanded in settings.turn_rates:
+            for signed in (commanded, -commanded):
+                true = signed * gain + float(servo.normal(0.0, table.servo_sd)) / settings.dwell_s
+                stated = _read_rate(table, true / gain, settings.dwell_s, servo) if table.encoder_lines else signed
                 azimuth += 0.5 * true * settings.ramp_s
                 uneven = (ripple, azimuth, excess, table.settle_s)
                 wobbling = _off(turned, bearing.normal(0.0, table.wobble_sd, 3))
                 script.spin(
-                    axis, true, settings.ramp_s, settings.dwell_s, axis_b=wobbling, stated_rate=signed, uneven=uneven
+                    axis, true, settings.ramp_s, settings.dwell_s, axis_b=wobbling, stated_rate=stated, uneven=uneven
                 )
                 azimuth += true * (settings.dwell_s + 0.5 * settings.ramp_s)
             if table.wobble_sd > 0.0:
                 script.lay(seat, _RESEAT_S)
+
+
+def _read_rate(table: TableErrors, turn_rate: float, dwell_s: float, draw: np.random.Generator) -> float:
+    """Return the rate that whole counts of an encoder show over a dwell, rad/s."""
+    count, phase = 0.5 * math.pi / table.encoder_lines, float(draw.uniform())
+    return (math.floor(phase + turn_rate * dwell_s / count) - math.floor(phase)) * count / dwell_s
 
 
 def _off(axis_b: FloatArray, tilt: FloatArray) -> FloatArray:

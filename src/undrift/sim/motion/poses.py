@@ -35,7 +35,7 @@ from undrift.arrays import BoolArray, FloatArray, IntArray
 from undrift.errors import InputError
 from undrift.frames import quaternion_conjugate, quaternion_product, rotate
 from undrift.record import Reference
-from undrift.sim.device.simulate import draw_streams
+from undrift.sim.device.simulate import Streams, draw_streams
 from undrift.sim.motion.motion import Motion, mean_rate
 from undrift.sim.motion.tasks import Task
 from undrift.units import RADIAN_PER_DEGREE
@@ -350,6 +350,8 @@ class OpticsSettings:
     gaps: int = 2  # Number of gaps while the device moves
     gap_s: float = 0.2  # Length of each, s
     mount_sd: float = 0.0  # Misalignment of the marker body against the case about each axis, rad
+    slow_sd: float = 0.0  # Error about each body axis that lasts, rad, and its time constant, s
+    slow_s: float = 5.0
 
 
 def see(task: Task, *, rng: np.random.Generator, settings: OpticsSettings | None = None) -> Reference:
@@ -358,16 +360,33 @@ def see(task: Task, *, rng: np.random.Generator, settings: OpticsSettings | None
     streams = draw_streams(rng)
     time = np.arange(round(task.duration_s * chosen.sample_rate_hz)) / chosen.sample_rate_hz
     motion = task.at(time - chosen.delay_s, 9.8)
-    mount = _small_turn(streams.of("mount").normal(0.0, chosen.mount_sd, 3))
-    noise = _small_turn(streams.of("angle").normal(0.0, chosen.angle_sd, (len(time), 3)))
-    q = quaternion_product(quaternion_product(motion.q_nb, mount), noise)
-    position = task.position(time - chosen.delay_s)
-    position = position + streams.of("position").normal(0.0, chosen.position_sd, position.shape)
+    q, position = disturbed(motion.q_nb, task.position(time - chosen.delay_s), streams=streams, settings=chosen)
     starts = streams.of("gap").uniform(task.moving_s[0], task.moving_s[1] - chosen.gap_s, chosen.gaps)
     hidden = ((time >= starts[:, None]) & (time < starts[:, None] + chosen.gap_s)).any(axis=0)
     q[hidden] = np.nan
     position[hidden] = np.nan
     return Reference(time=time, q_nb=q, position=position, moving=motion.moving, name=f"simulated optics, {task.name}")
+
+
+def disturbed(
+    q_nb: FloatArray, position: FloatArray, *, streams: Streams, settings: OpticsSettings
+) -> tuple[FloatArray, FloatArray]:
+    """Return poses with what the cameras do to them: q_nb (N, 4), position (N, 3) m."""
+    mount = _small_turn(streams.of("mount").normal(0.0, settings.mount_sd, 3))
+    off = streams.of("angle").normal(0.0, settings.angle_sd, (len(q_nb), 3))
+    noise = _small_turn(off + _slow(streams.of("slow"), len(q_nb), settings) if settings.slow_sd else off)
+    seen = position + streams.of("position").normal(0.0, settings.position_sd, position.shape)
+    return quaternion_product(quaternion_product(q_nb, mount), noise), seen
+
+
+def _slow(draw: np.random.Generator, count: int, settings: OpticsSettings) -> FloatArray:
+    """Return a first-order Gauss-Markov error, (count, 3) rad."""
+    from scipy.signal import lfilter
+
+    kept = np.exp(-1.0 / (settings.slow_s * settings.sample_rate_hz))
+    drawn = draw.normal(0.0, settings.slow_sd, (count, 3))
+    drawn[1:] *= np.sqrt(1.0 - kept**2)
+    return np.asarray(lfilter([1.0], [1.0, -kept], drawn, axis=0))
 
 
 def _small_turn(rotation_vector: np.ndarray) -> np.ndarray:

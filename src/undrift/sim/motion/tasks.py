@@ -16,8 +16,8 @@ Library of tasks: what subjects do in a test trial, each drawn anew.
 ``posturography``  quiet stance on foam, eyes closed: a degree of sway for 50 s; up to 5 deg/s
 ``free``           vigorous turns about all axes for a minute: what a fit against optics wants
 
-The three bounds are those that the note's Table 1 calibrates for: a performance beyond them is drawn again. docs/motions.md
-lists model, numbers and their sources.
+The three bounds are those that the note's Table 1 calibrates for, of its category of subjects: a performance beyond them is drawn
+again. docs/motions.md lists model, numbers and their sources.
 
 Sway of quiet stance: an inverted pendulum held up by a delayed controller and shaken by filtered noise.
 
@@ -29,10 +29,10 @@ J / (m g h) = 1.147 h / g, the torque noise white through a first-order low-pass
 The process is written as sinusoids in geometric bands, one in each, with that spectrum's power, Rayleigh amplitudes and
 random phases; every derivative is then exact, and the sum is scaled to the wanted rms.
 
-Subjects: who performs a task, and the two groups of thirty of the note's Table 2.
+Subjects: who performs a task, and the two groups of thirty of the note's Table 2, in one of several categories (categories.py).
 
-A subject has an age, a height, a level of imbalance (an ordinal label that nothing is computed from) and habits: a root of
-random numbers of its own. A quantity of a performance is drawn as ::
+A subject has an age, a height, a category, a level of imbalance (an ordinal label that nothing is computed from) and habits: a
+root of random numbers of its own. A quantity of a performance is drawn as ::
 
     x = mean + sd (0.8 h + 0.6 z)       h the subject's habit for this quantity, z new each time; 0.8^2 + 0.6^2 = 1
 
@@ -43,7 +43,7 @@ bounds cut the tails), and one subject resembles itself.
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 
@@ -51,6 +51,7 @@ from undrift.arrays import FloatArray
 from undrift.errors import InputError
 from undrift.frames import quaternion_conjugate, quaternion_product, rotate
 from undrift.sim.device.simulate import Streams, draw_streams
+from undrift.sim.motion.categories import CATEGORIES, DEFAULT, Category, CategoryName
 from undrift.sim.motion.motion import (
     Burst,
     Course,
@@ -203,6 +204,7 @@ class Subject:
     height: float  # m
     tinetti_level: int  # 1 no imbalance ... 4 major imbalance: a label
     habits: Streams  # What this person always does the same way
+    category: CategoryName = DEFAULT  # Which numbers the performances are drawn with
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -217,19 +219,29 @@ TABLE_2: dict[Group, TableRow] = {  # [note] Table 2; both groups Tinetti level 
     "simulation": TableRow(age_years=(45.0, 62.0, 84.0), height=(1.50, 1.66, 1.85)),
     "testing": TableRow(age_years=(45.0, 65.0, 83.0), height=(1.52, 1.67, 1.83)),
 }
-TYPICAL_AGE, TYPICAL_HEIGHT = 63.5, 1.665  # between the two groups' means; who performs where no subject is named
+TYPICAL_HEIGHT = 1.665  # between the two groups' means, as is the typical age; who performs where no subject is named
 
 
-def cohort(group: Group, *, rng: np.random.Generator) -> tuple[Subject, ...]:
-    """Draw the thirty subjects of one group."""
-    if group not in get_args(Group):
-        raise InputError(f"cohort: wanted one of {', '.join(get_args(Group))}, got '{group}'; name one of them")
-    streams, row = draw_streams(rng), TABLE_2[group]
+def table_row(group: Group, category: CategoryName = DEFAULT) -> TableRow:
+    """Return the ages and heights that a cohort is to have."""
+    held = CATEGORIES[category]
+    if held.age_years is None or held.height is None:
+        return TABLE_2[group]
+    return TableRow(age_years=held.age_years, height=held.height)
+
+
+def cohort(group: Group, *, rng: np.random.Generator, category: CategoryName = DEFAULT) -> tuple[Subject, ...]:
+    """Draw the thirty subjects of one group; the same generator gives the same habits in every category."""
+    for got, known in ((group, get_args(Group)), (category, get_args(CategoryName))):
+        if got not in known:
+            raise InputError(f"cohort: wanted one of {', '.join(known)}, got '{got}'; name one of them")
+    streams, row, level = draw_streams(rng), table_row(group, category), CATEGORIES[category].tinetti_level
     ages = _spread(row.age_years, streams.of(f"{group} age")).tolist()
     heights = _spread(row.height, streams.of(f"{group} height")).tolist()
     roots = streams.of(f"{group} habits")
+    own: Any = {"group": group, "tinetti_level": level, "category": category}
     return tuple(
-        Subject(number=k + 1, group=group, age_years=age, height=height, tinetti_level=2, habits=draw_streams(roots))
+        Subject(number=k + 1, age_years=age, height=height, habits=draw_streams(roots), **own)
         for k, (age, height) in enumerate(zip(ages, heights, strict=True))
     )
 
@@ -253,9 +265,15 @@ class Performance:
     subject: Subject | None = None  # Whose habits; None draws an unknown person of typical age and height
 
     @property
-    def age_years(self) -> float:
-        """Age, years."""
-        return self.subject.age_years if self.subject else TYPICAL_AGE
+    def category(self) -> Category:
+        """Numbers that performances are drawn with."""
+        return CATEGORIES[self.subject.category if self.subject else DEFAULT]
+
+    @property
+    def older(self) -> float:
+        """Years beyond the typical age of the category."""
+        typical = self.category.typical_age_years
+        return (self.subject.age_years if self.subject else typical) - typical
 
     @property
     def height(self) -> float:
@@ -295,27 +313,28 @@ def draw_task(name: TaskName, *, rng: np.random.Generator, subject: Subject | No
     who = Performance(draw_streams(rng).of(name), subject)
     if name == "free":
         return _free(who.draw, rest_s)
-    bound, perform = {
-        "sit_to_stand": (90.0 * DEGREE, _sit_to_stand),
-        "step": (45.0 * DEGREE, _step),
-        "posturography": (5.0 * DEGREE, _posturography),
+    perform, most_dps = {
+        "sit_to_stand": (_sit_to_stand, who.category.most_dps[0]),
+        "step": (_step, who.category.most_dps[1]),
+        "posturography": (_posturography, who.category.most_dps[2]),
     }[name]
     while True:
         task = perform(who, rest_s)
-        if np.abs(task.at(np.arange(*task.moving_s, 0.02), STANDARD_GRAVITY).rate_b).max() <= bound:
+        if np.abs(task.at(np.arange(*task.moving_s, 0.02), STANDARD_GRAVITY).rate_b).max() <= most_dps * DEGREE:
             return task
 
 
 def _slowness(who: Performance) -> float:
-    return 1.0 + 0.003 * (who.age_years - TYPICAL_AGE)  # [assumed] 3 % in ten years
+    return 1.0 + 0.003 * who.older  # [assumed] 3 % in ten years
 
 
 def _sit_to_stand(who: Performance, rest_s: float) -> Task:
-    duration = who.number("sit_to_stand duration", 2.3, 0.5, 1.5, 4.0) * _slowness(who)
-    flexion = duration * who.number("sit_to_stand peak time", 0.40, 0.05, 0.3, 0.5)
-    lean = who.number("sit_to_stand lean", 32.0, 7.0, 15.0, 50.0) * DEGREE
-    sitting = who.number("sit_to_stand first pitch", 5.0, 5.0, -10.0, 20.0) * DEGREE
-    standing = who.number("sit_to_stand last pitch", 3.0, 3.0, -6.0, 12.0) * DEGREE
+    own = who.category
+    duration = who.number("sit_to_stand duration", *own.rise_s) * _slowness(who)
+    flexion = duration * who.number("sit_to_stand peak time", *own.turn)
+    lean = who.number("sit_to_stand lean", *own.flexion_deg) * DEGREE
+    sitting = who.number("sit_to_stand first pitch", *own.sitting_deg) * DEGREE
+    standing = who.number("sit_to_stand last pitch", *own.standing_deg) * DEGREE
     settle = who.draw.uniform(0.5, 1.5)
     turn, stop = rest_s + flexion, rest_s + duration + settle
     off = turn - 0.1  # the seat is left a little before the trunk turns back
@@ -341,13 +360,15 @@ def _there_and_back(who: Performance, name: str, start_s: float, duration_s: flo
 
 
 def _settling(who: Performance, amplitude_deg: float, start_s: float, stop_s: float) -> tuple[Sway, ...]:
-    return _waves(who.draw, 2, 0.5 * amplitude_deg * DEGREE, (0.4, 1.2), (start_s, stop_s), 0.45 * (stop_s - start_s))
+    amplitude = 0.5 * amplitude_deg * DEGREE * who.category.settling
+    return _waves(who.draw, 2, amplitude, (0.4, 1.2), (start_s, stop_s), 0.45 * (stop_s - start_s))
 
 
 def _step(who: Performance, rest_s: float) -> Task:
-    duration = who.number("step duration", 2.0, 0.4, 1.2, 3.2) * _slowness(who)
-    lean = who.number("step lean", 12.0, 4.0, 3.0, 25.0) * DEGREE
-    shift = who.number("step roll", 5.0, 2.0, 1.0, 10.0) * DEGREE * who.draw.choice((-1.0, 1.0))
+    own = who.category
+    duration = who.number("step duration", *own.step_s) * _slowness(who)
+    lean = who.number("step lean", *own.lean_deg) * DEGREE
+    shift = who.number("step roll", *own.roll_deg) * DEGREE * who.draw.choice((-1.0, 1.0))
     first, second = rest_s + 0.35 * duration, rest_s + 0.95 * duration  # the two feet come down
     stop = rest_s + duration + 1.0
     side = 0.03 * np.sign(shift)
@@ -360,7 +381,7 @@ def _step(who: Performance, rest_s: float) -> Task:
             ViaPoint(rest_s + 0.5 * duration, 0.22 * duration, 0.28 * duration, -0.7 * shift, 0.7 * shift),
         ),
         pitch=(
-            Step(-2.0, 1.0, who.number("step pitch", 3.0, 3.0, -6.0, 12.0) * DEGREE),
+            Step(-2.0, 1.0, who.number("step pitch", *own.standing_deg) * DEGREE),
             ViaPoint(rest_s, 0.4 * duration, 0.6 * duration, lean, -lean),
             *_settling(who, 0.5, rest_s + 0.5 * duration, stop),
         ),
@@ -388,18 +409,20 @@ def _knocks(who: Performance, share: float, instants_s: tuple[float, ...]) -> tu
 def _posturography(who: Performance, rest_s: float) -> Task:
     span = (rest_s, rest_s + POSTUROGRAPHY_S)
     arm = 0.54 * who.height  # [assumed] L5 at 0.58 and ankles at 0.04 of the height; the body's centre is there too
-    older = 1.0 + 0.01 * (who.age_years - TYPICAL_AGE)  # [assumed] sway rises by a per cent a year
-    balance = Balance(centre_height=arm, kp=who.number("stance stiffness", 1.45, 0.08, 1.25, 1.6))
-    pitch = who.number("sway pitch", 0.9, 0.3, 0.3, 1.8) * older * DEGREE
-    roll = who.number("sway roll", 0.6, 0.2, 0.2, 1.2) * older * DEGREE
-    yaw = who.number("sway yaw", 0.4, 0.1, 0.1, 0.8) * older * DEGREE
+    own = who.category
+    older = 1.0 + 0.01 * who.older  # [assumed] sway rises by a per cent a year
+    balance = Balance(centre_height=arm, kp=who.number("stance stiffness", *own.stiffness), noise_s=own.noise_s)
+    pitch, roll, yaw = (
+        who.number(f"sway {name}", *spread) * older * DEGREE
+        for name, spread in zip(("pitch", "roll", "yaw"), own.sway_deg, strict=True)
+    )
     return Task(
         name="posturography",
         duration_s=span[1] + rest_s,
         moving_s=span,
         roll=(draw_sway(who.draw, balance, rms=roll, span=span),),
         pitch=(
-            Step(-2.0, 1.0, who.number("stance pitch", 3.0, 2.0, -3.0, 9.0) * DEGREE),
+            Step(-2.0, 1.0, who.number("stance pitch", *own.upright_deg) * DEGREE),
             draw_sway(who.draw, balance, rms=pitch, span=span),
         ),
         yaw=(draw_sway(who.draw, balance, rms=yaw, span=span),),

@@ -1,0 +1,396 @@
+"""The note's figures: 1 and 2 as flow drawings with this program's functions, 3 with its table.
+
+``python -m undrift.report.note FOLDER`` draws the flows of docs/study.md. Drawings are 4.6 inches wide, so that their text keeps 9
+pixels on a screen of 390. The copy of the note at hand has the captions and the text of Figures 1 and 2 without the drawings: steps
+are those of the text, and its "block 2" to "block 9" stand where the text has them, not each at one box.
+"""
+
+import sys
+import textwrap
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from undrift.report import figures
+from undrift.report.figures import COMPARED_COLOURS, COMPARED_NAMES, DEVICE, ERROR, LIMIT, OPTICS, SHADE, new_figure
+from undrift.report.page import Section, interval, plain_words, rows_section
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from undrift.study.figure3 import DrawnRow, Figure3
+    from undrift.study.outcome import StudyOutcome
+
+WIDTH = 4.6  # inches
+
+# ---- Figures 1 and 2: flows
+
+
+class Step(NamedTuple):
+    """A step of the note's text and the functions that do it here."""
+
+    note: str
+    ours: tuple[str, ...]  # Dotted, without the name of the package
+
+
+class Branch(NamedTuple):
+    """A column of Figure 2."""
+
+    blocks: str  # Numbers, as the note's text has them
+    steps: tuple[Step, ...]
+
+
+FIGURE_1 = (
+    Step("Task and category of subjects (Tinetti test)", ("study.plan.note_study", "sim.motion.tasks.cohort")),
+    Step(
+        "Parameters to try: accelerations and angular velocities of the calibration (Δω, ω_m, ω_M), conditioning chain",
+        ("study.space.Space.points",),
+    ),
+    Step(
+        "Motion at L5 from the optics, input of the simulation",
+        ("sim.motion.tasks.draw_task", "study.plan.read_motion"),
+    ),
+    Step(
+        "Calibration: six faces (eqs. 1 to 3), motor (eqs. 4 to 6)",
+        ("sim.table_sessions.lay_out", "study.case.fit_as_the_note"),
+    ),
+    Step(
+        "Simulation with the model of the device: angle, and its error",
+        ("study.case.make_case", "study.case.trial_errors"),
+    ),
+    Step(
+        "Analysis of variance over the subjects: is p below 0.05?",
+        ("study.judge.find_optimum", "study.judge.analyses_of"),
+    ),
+    Step("Optimised parameters (Table 1)", ("study.judge.compare_with_note",)),
+    Step(
+        "Test of the calibrated device on other subjects (Table 2), beside the optics (Figure 3)",
+        ("study.judge.run_testing", "study.figure3.figure3"),
+    ),
+)
+LOOP = (5, 1, "no: other values, more subjects")  # from one step of Figure 1 back to another
+
+BEFORE = Step(
+    "Gyroscope output in calibrations at 18 to 75 °C",
+    ("drift.fit.fit_drift", "drift.temperature.trusted_temperature"),
+)
+STATIC = Branch(
+    "block\N{NO-BREAK SPACE}2, block\N{NO-BREAK SPACE}3, block\N{NO-BREAK SPACE}4, block\N{NO-BREAK SPACE}5",
+    (
+        Step("Output at rest, at each temperature", ("drift.observe.observe_rests",)),
+        Step(
+            "Function of the static drift, by splines",
+            ("drift.thermometer_lag.estimate_lag", "drift.static.fit_static"),
+        ),
+        Step("Tuning table, every 0.5 °C", ("drift.select.cropped_static",)),
+    ),
+)
+DYNAMIC = Branch(
+    "block\N{NO-BREAK SPACE}6, block\N{NO-BREAK SPACE}7, block\N{NO-BREAK SPACE}8, block\N{NO-BREAK SPACE}9",
+    (
+        Step("Output at the imposed angular velocities", ("drift.observe.observe_steps",)),
+        Step("Function of the dynamic drift, by splines", ("drift.scale.fit_scale", "drift.dynamic.fit_dynamic")),
+        Step("Tuning table, over velocity and temperature", ("drift.select.choose_tables",)),
+    ),
+)
+AFTER = (
+    Step(
+        "In use, each sample: tables at the board temperature",
+        ("correction.correct.correct", "correction.stream.Corrector"),
+    ),
+    Step("Output less static drift, matrix, less dynamic drift", ("orientation.orient",)),
+)
+
+
+STEPS = (*FIGURE_1, BEFORE, *STATIC.steps, *DYNAMIC.steps, *AFTER)
+
+_SIZE, _LINE, _PAD, _GAP, _EDGE = 8.5, 10.8, 5.0, 13.0, 4.0  # points
+_LETTER = 0.56 * _SIZE  # mean width of a letter
+
+
+def draw_figure1() -> "Figure":
+    """Draw the note's Figure 1, how the parameters of the calibration are optimised."""
+    left, wide = _EDGE + 22.0, 72.0 * WIDTH - 2.0 * _EDGE - 22.0
+    boxes, bottom = _stacked(FIGURE_1, left, _EDGE, wide)
+    figure, axes = _sheet(bottom + _EDGE)
+    _draw_boxes(axes, boxes)
+    start, stop, word = LOOP
+    ends = [0.5 * (boxes[k].top + boxes[k].bottom) for k in (start, stop)]
+    axes.plot([left, _EDGE + 11.0, _EDGE + 11.0, left - 6.0], [ends[0], *ends, ends[1]], color=ERROR)
+    _arrow(axes, (left - 8.0, ends[1]), (left, ends[1]), ERROR)
+    axes.text(_EDGE + 8.0, sum(ends) / 2.0, word, rotation=90.0, ha="right", va="center", fontsize=_SIZE, color=ERROR)
+    return figure
+
+
+def draw_figure2() -> "Figure":
+    """Draw the note's Figure 2, how the drift of the gyroscopes is compensated."""
+    width = 72.0 * WIDTH
+    wide, half = width - 2.0 * _EDGE, 0.5 * (width - 3.0 * _EDGE)
+    before, bottom = _stacked((BEFORE,), _EDGE, _EDGE, wide)
+    top = bottom + _GAP
+    sides, ends = [], []
+    for k, branch in enumerate((STATIC, DYNAMIC)):
+        left = _EDGE + k * (half + _EDGE)
+        inner, end = _stacked(branch.steps, left + _EDGE, top + _LINE * 2.6 + _EDGE, half - 2.0 * _EDGE)
+        sides.append(inner)
+        ends.append(end + _EDGE)
+    low = max(ends)
+    after, bottom = _stacked(AFTER, _EDGE, low + _GAP, wide)
+    figure, axes = _sheet(bottom + _EDGE)
+    for k, (branch, inner) in enumerate(zip((STATIC, DYNAMIC), sides, strict=True)):
+        left = _EDGE + k * (half + _EDGE)
+        middle = left + 0.5 * half
+        axes.add_patch(_patch(left, top, half, low - top, face=SHADE, edge=LIMIT))
+        heads = textwrap.fill(f"{('static', 'dynamic')[k]} drift: {branch.blocks}", int((half - 8.0) / _LETTER))
+        axes.text(left + _EDGE, top + 3.0, heads, va="top", fontsize=_SIZE, color=OPTICS, weight="bold")
+        _arrow(axes, (middle, before[0].bottom), (middle, top))
+        _arrow(axes, (middle, low), (middle, after[0].top))
+        _draw_boxes(axes, inner)
+    _draw_boxes(axes, before)
+    _draw_boxes(axes, after)
+    return figure
+
+
+class _Box(NamedTuple):
+    left: float  # points, from the upper left corner
+    top: float
+    width: float
+    bottom: float
+    note: tuple[str, ...]  # lines
+    ours: tuple[str, ...]
+
+
+def place_of(dotted: str) -> tuple[str, str]:
+    """Return what a function is called, and its file."""
+    parts = dotted.split(".")
+    first = next((k for k, part in enumerate(parts) if part[0].isupper()), len(parts) - 1)
+    return ".".join(parts[first:]), "/".join(parts[:first]) + ".py"
+
+
+def _stacked(steps: Sequence[Step], left: float, top: float, width: float) -> tuple[list[_Box], float]:
+    """Lay boxes out one under another; return them and where the last ends."""
+    boxes, letters = [], int((width - 2.0 * _PAD) / _LETTER)
+    for step in steps:
+        note = tuple(textwrap.wrap(step.note, letters))
+        named = [place_of(dotted) for dotted in step.ours]
+        ours = tuple(line for name, file in named for line in textwrap.wrap(f"{name}  {file}", letters))
+        bottom = top + 2.0 * _PAD + _LINE * (len(note) + len(ours))
+        boxes.append(_Box(left, top, width, bottom, note, ours))
+        top = bottom + _GAP
+    return boxes, boxes[-1].bottom
+
+
+def _sheet(height: float) -> tuple["Figure", "Axes"]:
+    """Return an empty figure whose data are points from its upper left corner."""
+    figure, (axes,) = new_figure(1, height=height / 72.0 - 0.4, width=WIDTH)
+    figure.set_layout_engine("none")
+    axes.set_position((0.0, 0.0, 1.0, 1.0))
+    axes.set(xlim=(0.0, 72.0 * WIDTH), ylim=(height, 0.0))
+    axes.set_axis_off()
+    return figure, axes
+
+
+def _patch(left: float, top: float, width: float, height: float, *, face: str, edge: str) -> Any:
+    from matplotlib.patches import Rectangle
+
+    return Rectangle((left, top), width, height, facecolor=face, edgecolor=edge, linewidth=0.8)
+
+
+def _draw_boxes(axes: "Axes", boxes: Sequence[_Box]) -> None:
+    """Draw boxes with the note's words in black and this program's functions in blue, and arrows between them."""
+    for k, box in enumerate(boxes):
+        axes.add_patch(_patch(box.left, box.top, box.width, box.bottom - box.top, face="white", edge=OPTICS))
+        for row, line in enumerate((*box.note, *box.ours)):
+            at = box.left + _PAD, box.top + _PAD + row * _LINE
+            axes.text(*at, line, va="top", fontsize=_SIZE, color=OPTICS if row < len(box.note) else DEVICE)
+        if k:
+            middle = box.left + 0.5 * box.width
+            _arrow(axes, (middle, boxes[k - 1].bottom), (middle, box.top))
+
+
+def _arrow(axes: "Axes", start: tuple[float, float], stop: tuple[float, float], colour: str = OPTICS) -> None:
+    style: Any = {"arrowstyle": "-|>", "color": colour, "shrinkA": 0.0, "shrinkB": 0.0, "linewidth": 0.9}
+    axes.annotate("", stop, start, arrowprops=style)
+
+
+FLOWS = {"note-figure-1.svg": draw_figure1, "note-figure-2.svg": draw_figure2}
+
+
+def flow_sections() -> tuple[Section, ...]:
+    """Return Figures 1 and 2 for a page."""
+    text = (
+        "In black the steps of the note's text, in blue the functions that do them here. Numbers of blocks stand where its text "
+        "has them; block 1 is not in it.",
+    )
+    titles = ("Figure 1: how the parameters are optimised", "Figure 2: how the drift is compensated")
+    return tuple(
+        Section(title=title, text=text, pictures=(figures.svg_of(draw()),))
+        for title, draw in zip(titles, FLOWS.values(), strict=True)
+    )
+
+
+# ---- Figure 3
+
+SLOPE_OF_THE_NOTE = (
+    "The preset's slope over temperature was inferred from the note's own Figure 3: the size of the error without compensation "
+    "confirms nothing, only what each compensation leaves of it."
+)
+
+
+def note_sections(outcome: "StudyOutcome") -> tuple[Section, ...]:
+    """Return the note's three figures."""
+    return (*flow_sections(), _figure3(outcome), _figure3_effects(outcome))
+
+
+def _figure3(outcome: "StudyOutcome") -> Section:
+    title, found, drawn = "Figure 3: sit-to-stand, simulated and actual device", outcome.figure3, outcome.figure3_drawn
+    if found is None:
+        return Section(title=title, findings=(outcome.figure3_missing,) if outcome.figure3_missing else ())
+    twin = None if outcome.real is None else outcome.real.figure3
+    rows = [
+        {"compensation": name}
+        | _columns("", found, k)
+        | (_drawn_columns(drawn[k]) if drawn else {})
+        | (_columns("twin of a real device: ", twin, k) if twin else {})
+        for k, name in enumerate(COMPARED_NAMES)
+    ]
+    text = (*_words(found, drawn), *((_twin_words(twin),) if twin else ()))
+    return rows_section(title, rows, text=text, pictures=(figures.svg_of(draw_figure3(found, drawn, twin)),))
+
+
+def _columns(of: str, found: "Figure3", k: int) -> dict[str, str]:
+    """Return the cells of one compensation for one pair of devices."""
+    return {
+        f"{of}simulated: largest, rms (deg)": f"{found.simulated_max_deg[k]:.2f}, {found.simulated_rms_deg[k]:.2f}",
+        f"{of}actual: largest, rms (deg)": f"{found.actual_max_deg[k]:.2f}, {found.actual_rms_deg[k]:.2f}",
+        f"{of}largest difference (deg)": f"{found.simulated_actual_max_deg[k]:.2f}",
+        f"{of}correlation": f"{found.correlation[k]:.2f}",
+    }
+
+
+def _drawn_columns(row: "DrawnRow") -> dict[str, str]:
+    """Return the cells of one compensation over drawn units."""
+    low, middle, high = row.simulated_deg
+    apart = row.apart_deg
+    return {
+        f"{row.units} drawn units, simulated: median (quartiles)": f"{middle:.2f} ({low:.2f} to {high:.2f})",
+        "actual: median (quartiles)": f"{row.median_deg:.2f} ({row.lower_deg:.2f} to {row.upper_deg:.2f})",
+        "difference: median (quartiles)": f"{apart[1]:.2f} ({apart[0]:.2f} to {apart[2]:.2f})",
+        "within 0.15 deg": f"{row.within} of {row.units}",
+        "correlation over time [95 %]": f"{row.correlation:.2f} [{interval(row.correlation_interval, '.2f')}]",
+        "of the largest errors over units [95 %]": f"{row.largest_correlation:.2f} [{interval(row.largest_interval, '.2f')}]",
+    }
+
+
+def _words(found: "Figure3", drawn: "tuple[DrawnRow, ...]") -> tuple[str, ...]:
+    text = [
+        f"Board {found.excursion_k:g} K above the bench. Compensation removes {found.decrease_deg:.2f} deg of the actual "
+        "device's largest error (the note: more than 3.2). With both tables the two errors differ by at most "
+        f"{found.simulated_actual_max_deg[2]:.2f} deg (the note: 0.15) and have a correlation coefficient of "
+        f"{found.correlation[2]:.2f}, without tables {found.correlation[0]:.2f} (the note: a correlation, no coefficient).",
+        "The actual device is the simulated one with hysteresis, thermometer lag, integral non-linearity of the converter and "
+        "g-sensitivity, which the study's model lacks. Noise is drawn anew for each: where it is most of an error, the correlation "
+        "falls although both errors are small.",
+        "A rest before the motion re-zeroes the offset without a chamber and leaves "
+        f"{found.actual_max_deg[3]:.2f} deg of the actual device's {found.actual_max_deg[0]:.2f}: scale and dynamic drift, "
+        f"which no rest shows. Both tables leave {found.actual_max_deg[2]:.2f} deg, with the rest "
+        f"{found.actual_max_deg[4]:.2f} deg. "
+        "Recommended: tables, and undrift correct --offset rest.",
+    ]
+    if drawn:
+        text.append(
+            f"Drawn units: {drawn[0].units} units of the kind's spread, each calibrated and worn by a person of its own, simulated "
+            "and actual. Correlation over time: of the two errors of a unit, mean over the units by Fisher's z. "
+            f"{SLOPE_OF_THE_NOTE}"
+        )
+    return tuple(text)
+
+
+def _twin_words(twin: "Figure3") -> str:
+    return (
+        "Twin of a real device: matrix, offset, noise and codes were found beside optics, offsets over temperature in a recording "
+        "at rest of this device or of another of its kind. Simulated is the typical unit of the kind, from its data sheet, which "
+        "does not know the sign of a unit's drift. With both tables the errors differ by at most "
+        f"{twin.simulated_actual_max_deg[2]:.2f} "
+        "deg. Not in the twin: dynamic drift, scale over temperature, hysteresis, flicker, lag of the thermometer."
+    )
+
+
+def _figure3_effects(outcome: "StudyOutcome") -> Section:
+    rows = [
+        {"effect": plain_words(row.effect)}
+        | {f"{name} (deg)": f"{v:.2f}" for name, v in zip(COMPARED_NAMES, row.simulated_actual_max_deg, strict=True)}
+        | {"largest error, both tables (deg)": f"{row.full_max_deg:.2f}"}
+        for row in outcome.figure3_effects
+    ]
+    text = (
+        "The actual device's effects one at a time: largest difference between the two errors at each level of compensation, and "
+        "the largest error with both tables. Noise alone is another recording of the same model.",
+    )
+    return rows_section("Figure 3: simulated against actual, effect by effect", rows, text=text)
+
+
+def draw_figure3(found: "Figure3", drawn: "Sequence[DrawnRow]" = (), twin: "Figure3 | None" = None) -> "Figure":
+    """Draw the note's Figure 3: pitch, errors for each compensation, simulated against actual, largest errors."""
+    from matplotlib.lines import Line2D
+
+    figure, (pitch, error, apart, largest) = new_figure(4, height=1.75, width=WIDTH, share_x=False)
+    pitch.plot(found.time, found.reference_pitch, color=OPTICS)
+    for k, colour in enumerate(COMPARED_COLOURS):
+        error.plot(found.time, found.actual[k], color=colour)
+        error.plot(found.time, found.simulated[k], color=colour, linestyle="--")
+        apart.plot(found.time, found.actual[k] - found.simulated[k], color=colour)
+    for limit in (-0.15, 0.15):
+        apart.axhline(limit, color=OPTICS, linewidth=0.7, linestyle=":")
+    _draw_largest(largest, found, drawn, twin)
+    beside = ("diamond: typical unit", *(("bar: drawn units",) if drawn else ()), *(("cross: twin",) if twin else ()))
+    for panel, label, title in (
+        (pitch, "pitch (deg)", "sit-to-stand by the optics"),
+        (error, "error (deg)", "error: actual full, simulated dashed"),
+        (apart, "difference (deg)", "actual less simulated; dotted: the note's 0.15 deg"),
+        (largest, "largest error (deg)", "; ".join(beside)),
+    ):
+        panel.set_ylabel(label)
+        panel.set_title(title, loc="left", fontsize=_SIZE)
+    apart.set_xlabel("time (s)")
+    lines = [Line2D([], [], color=colour, linewidth=2.5) for colour in COMPARED_COLOURS]
+    figure.legend(lines, COMPARED_NAMES, loc="outside lower left", fontsize=_SIZE, frameon=False)
+    return figure
+
+
+def _draw_largest(panel: "Axes", found: "Figure3", drawn: "Sequence[DrawnRow]", twin: "Figure3 | None") -> None:
+    """Draw the largest error of each compensation, left the simulated and right the actual device; bars are quartiles."""
+    for k, colour in enumerate(COMPARED_COLOURS):
+        spreads = (
+            (drawn[k].simulated_deg, (drawn[k].lower_deg, drawn[k].median_deg, drawn[k].upper_deg)) if drawn else ()
+        )
+        for side, name in enumerate(("simulated_max_deg", "actual_max_deg")):
+            x, face = k + 0.36 * side - 0.18, colour if side else "white"
+            if spreads:
+                low, middle, high = spreads[side]
+                panel.bar(x, high - low, 0.3, bottom=low, facecolor=face, edgecolor=colour, alpha=0.55)
+                panel.plot([x - 0.15, x + 0.15], [middle, middle], color=OPTICS)
+            style: Any = {"markersize": 4.5, "markerfacecolor": face, "markeredgecolor": colour}
+            panel.plot(x, getattr(found, name)[k], marker="D", **style)
+            if twin is not None:
+                panel.plot(x, getattr(twin, name)[k], marker="x", markersize=5.5, color=OPTICS)
+    panel.set_axisbelow(True)
+    panel.set(yscale="log", xticks=range(len(COMPARED_COLOURS)), xticklabels=[""] * len(COMPARED_COLOURS))
+    low, high = panel.get_ylim()
+    ticks = [tick for tick in (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0) if low / 1.2 < tick < 1.2 * high]
+    panel.set(ylim=(low / 1.2, 1.2 * high))
+    panel.set_yticks(ticks, [f"{tick:g}" for tick in ticks])
+    panel.set_yticks([], minor=True)
+    panel.set_xlabel("left: simulated, right: actual")
+
+
+def main(folder: str) -> int:
+    """Draw Figures 1 and 2 into a folder."""
+    for name, draw in FLOWS.items():
+        figures.save_figure(draw(), Path(folder) / name)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1]))

@@ -1,0 +1,148 @@
+"""What a rate table that errs truly imposes, and what its encoder reads."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from undrift.rig.programme import Protocol
+from undrift.sim.device.dwells import Dwells
+from undrift.sim.table_sessions import (
+    FACE,
+    RATE,
+    REST,
+    BenchDraws,
+    BenchErrors,
+    Sessions,
+    impose,
+    impose_faces,
+    joined,
+    lay_out,
+)
+
+DPS, G = np.pi / 180.0, 9.80665
+PROTOCOL = Protocol(
+    grid="paper",
+    dwell_s=2.0,
+    bracket_s=3.0,
+    turn_rate_min=10.0 * DPS,
+    turn_rate_max=50.0 * DPS,
+    turn_rate_step=20.0 * DPS,
+    temperatures_c=(18.0, 45.0),
+)
+LAID = lay_out(PROTOCOL)
+SESSIONS = LAID.chosen(REST, RATE)
+N = len(SESSIONS.kind)
+ROWS = np.arange(N)
+
+
+def draws(seed: int = 0, **change: Any) -> BenchDraws:
+    rng = np.random.default_rng(seed)
+    normal = {name: rng.standard_normal(shape) for name, shape in DRAWN.items()}
+    return replace(
+        BenchDraws(**normal, clock=1.0, left=rng.uniform(size=(3, 2)), start=rng.uniform(size=(N, 2))), **change
+    )
+
+
+DRAWN = {"mount": (3, 3), "level": 2, "face": (6, 3), "soak": (3, 2), "wobble": (N, 3), "servo": N}
+
+
+def imposed(errors: BenchErrors, seed: int = 0, sessions: Sessions = SESSIONS) -> tuple[Dwells, np.ndarray]:
+    return impose(sessions, errors, draws(seed), ROWS, soak_c_per_min=0.1)
+
+
+def test_an_ideal_bench_imposes_what_is_commanded() -> None:
+    dwells, read = imposed(BenchErrors())
+    np.testing.assert_allclose(dwells.rate_b, SESSIONS.rate[:, None] * np.eye(3)[SESSIONS.axis], atol=1e-15)
+    np.testing.assert_allclose(dwells.force_b, G * np.eye(3)[SESSIONS.axis], atol=1e-12)
+    np.testing.assert_allclose(read, SESSIONS.rate, rtol=1e-12)
+    np.testing.assert_array_equal(dwells.temp_c, SESSIONS.set_c)
+
+
+def test_a_mounting_turns_all_dwells_of_its_axis_alike_and_a_wobble_each_by_itself() -> None:
+    mounted, _ = imposed(BenchErrors(mount_tilt=0.01))
+    turning = SESSIONS.kind == RATE
+    about = mounted.rate_b[turning] / SESSIONS.rate[turning, None]
+    for axis in range(3):
+        own = about[SESSIONS.axis[turning] == axis]
+        np.testing.assert_allclose(own, np.tile(own[0], (len(own), 1)), atol=1e-12)
+        wanted = np.eye(3)[axis] + np.cross(0.01 * draws().mount[axis], np.eye(3)[axis])
+        np.testing.assert_allclose(own[0], wanted / np.linalg.norm(wanted), atol=1e-12)
+        assert np.linalg.norm(own[0] - np.eye(3)[axis]) > 1e-3
+    sizes = []
+    for seed in range(200):
+        wobbling, _ = imposed(BenchErrors(wobble=0.01), seed)
+        off = wobbling.rate_b[turning] / SESSIONS.rate[turning, None] - np.eye(3)[SESSIONS.axis[turning]]
+        sizes.append((off**2).sum(axis=1))
+    assert np.sqrt(np.mean(sizes) / 2.0) == pytest.approx(0.01, rel=0.05)  # two axes across; 4,800 dwells: 1 %
+
+
+def test_the_encoder_reads_what_the_servo_makes_of_a_rate_to_a_count() -> None:
+    count = 2.0 * np.pi / 40_000
+    dwells, read = imposed(BenchErrors(servo=0.012 * DPS, encoder_lines=10_000))
+    true = (dwells.rate_b * np.eye(3)[SESSIONS.axis]).sum(axis=1)
+    turning = SESSIONS.kind == RATE
+    assert np.abs(true - SESSIONS.rate)[turning].max() > 0.003 * DPS  # the servo errs by 0.006 deg/s over two seconds
+    apart = (read - true)[turning] * 2.0 / count
+    assert np.abs(apart).max() < 1.0
+    assert np.abs(apart).std() > 0.1
+    np.testing.assert_array_equal(true[~turning], 0.0)
+    clocked, also = imposed(BenchErrors(table_rate=1e-3))
+    np.testing.assert_allclose(also, SESSIONS.rate * (1.0 - 1e-3), rtol=1e-12)  # one draw of 1
+    np.testing.assert_allclose((clocked.rate_b**2).sum(axis=1), SESSIONS.rate**2, rtol=1e-12)
+
+
+def test_a_table_off_level_turns_gravity_about_a_whole_turn_averages_out() -> None:
+    once = replace(
+        SESSIONS, duration_s=np.where(SESSIONS.kind == RATE, 2.0 * np.pi / np.abs(SESSIONS.rate.clip(DPS)), 3.0)
+    )
+    dwells, _ = imposed(BenchErrors(level=0.01), sessions=once)
+    across = np.linalg.norm(dwells.force_b - G * np.eye(3)[SESSIONS.axis], axis=1)
+    whole = np.isclose(once.duration_s * np.abs(once.rate), 2.0 * np.pi)
+    np.testing.assert_allclose(across[whole], 0.0, atol=1e-12)
+    np.testing.assert_allclose(across[SESSIONS.kind == REST], 0.01 * G * np.hypot(*draws().level), rtol=1e-9)
+
+
+def test_a_soak_ends_off_its_set_point_and_goes_on_while_it_is_read() -> None:
+    off, _ = imposed(BenchErrors(soak_k=0.5))
+    np.testing.assert_allclose(off.temp_c - SESSIONS.set_c, 0.5 * draws().soak[SESSIONS.axis, SESSIONS.soak])
+    late, _ = imposed(BenchErrors(board_lag_s=600.0))
+    behind = late.temp_c - SESSIONS.set_c
+    visit = 2 * SESSIONS.axis + SESSIONS.soak
+    begins = np.flatnonzero(np.diff(visit, prepend=-1))
+    wanted = 0.1 / 60.0 * 600.0 * draws().left
+    for number, start in enumerate(begins):
+        axis, soak = divmod(number, 2)
+        falls = -1.0 if soak == 0 and axis > 0 else 1.0  # back from the last set-point
+        assert behind[start] == pytest.approx(-falls * wanted[axis, soak])
+        own = np.abs(behind[start : begins[number + 1] if number + 1 < len(begins) else None])
+        assert (np.diff(own) < 0.0).all()
+        slope = (own[0] - own[1]) / (SESSIONS.start_s[start + 1] - SESSIONS.start_s[start])
+        assert slope <= 0.1 / 60.0  # K/s: where a soak counts as reached
+
+
+def test_faces_lie_off_level_each_by_itself() -> None:
+    faces = LAID.chosen(FACE)
+    up = impose_faces(faces, BenchErrors(face_tilt=0.01), draws()).force_b / G
+    np.testing.assert_allclose(np.linalg.norm(up, axis=1), 1.0)
+    level = impose_faces(faces, BenchErrors(), draws()).force_b / G
+    np.testing.assert_allclose(np.abs(level).max(axis=1), 1.0)
+    off = np.linalg.norm(up - level, axis=1)
+    assert len(np.unique(off.round(9))) == 6
+    assert 1e-3 < off.mean() < 0.04
+
+
+def test_sessions_one_after_the_other_are_those_alone() -> None:
+    other = lay_out(replace(PROTOCOL, turn_rate_step=40.0 * DPS)).chosen(REST, RATE)
+    both = joined([SESSIONS, other])
+    assert both.first.tolist() == [0, N, N + len(other.kind)]
+    rows = np.concatenate((ROWS, np.arange(len(other.kind))))
+    errors = BenchErrors(board_lag_s=600.0, mount_tilt=0.01, wobble=0.01, servo=0.001, encoder_lines=100, level=0.01)
+    together, read = impose(both, errors, draws(), rows, soak_c_per_min=0.1)
+    alone, own = imposed(errors)
+    for name in ("rate_b", "force_b", "temp_c"):
+        np.testing.assert_array_equal(getattr(together, name)[:N], getattr(alone, name))
+    np.testing.assert_array_equal(read[:N], own)
+    last, _ = impose(other, errors, draws(), rows[N:], soak_c_per_min=0.1)
+    np.testing.assert_array_equal(together.temp_c[N:], last.temp_c)

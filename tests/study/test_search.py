@@ -1,0 +1,340 @@
+"""Wide spaces: what is listed beside the note's four is tried, and CMA-ES or halving of a drawn part finds a planted optimum."""
+
+import json
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from testkit.data import show
+from testkit.surfaces import errors
+from undrift.errors import FileFormatError, InputError
+from undrift.rig.programme import Protocol
+from undrift.sim.device.effects import Nonlinearity
+from undrift.sim.device.model import device_json
+from undrift.sim.device.presets import preset
+from undrift.sim.table_sessions import BenchErrors
+from undrift.study.case import columns_of, make_case, run_unit, units_of
+from undrift.study.judge import find_optimum
+from undrift.study.outcome import judge_study
+from undrift.study.plan import TABLE_1, Study, StudyTask, ends_of, note_study, read_study
+from undrift.study.run import InProcess, run_study
+from undrift.study.search import Lists, count_runs, drawn, estimated, front_of, search_study
+from undrift.study.space import Space
+
+DPS = np.pi / 180.0
+BASE = Protocol(grid="paper", dwell_s=1.0, bracket_s=3.0, temperatures_c=(18.0, 36.0, 54.0, 75.0))
+RATES = {"turn_rate_step": (10.0 * DPS,), "turn_rate_min": (10.0 * DPS,), "turn_rate_max": (50.0 * DPS, 90.0 * DPS)}
+OWN = (
+    ("gain", (20.0,)),
+    ("quality", (2.0**-0.5,)),
+    ("dwell_s", (1.0,)),
+    ("bracket_s", (3.0,)),
+    ("face_s", (6.0,)),
+    ("faces", (6.0,)),
+    ("set_points", (4.0,)),
+    ("static_step_c", (0.5,)),
+    ("dynamic_step_c", (3.0,)),
+)
+
+
+def task_of(name: str = "sit_to_stand", base: Protocol = BASE, **space: Any) -> StudyTask:
+    return StudyTask(name=name, space=Space(**({"cutoff_hz": (11.1,)} | RATES | space)), base=base)
+
+
+def study_of(task: StudyTask, **given: Any) -> Study:
+    return Study(**({"name": "wide", "device": "enc03j_3031", "tasks": (task,), "subjects": 3} | given))
+
+
+# ---- what is tried
+
+
+def test_a_list_of_the_own_value_changes_nothing_and_one_of_others_does() -> None:
+    plain, listed = study_of(task_of()), study_of(task_of(further=OWN))
+    (one, *_), (two, *_) = units_of(plain), units_of(listed)
+    assert two.key.startswith(f"{one.key}-gain20-quality0.7")
+    bare, same = run_unit(one), run_unit(two)
+    for name, values in bare.items():
+        np.testing.assert_array_equal(same[name], values)
+    others = {"quality": 2.0, "dwell_s": 2.0, "bracket_s": 6.0, "face_s": 2.0, "faces": 5.0, "set_points": 3.0}
+    for name, value in ({"gain": 10.0} | others | {"static_step_c": 8.0, "dynamic_step_c": 30.0}).items():
+        unit = units_of(study_of(task_of(further=((name, (value,)),))))[0]
+        other = run_unit(unit)
+        assert (other[name] == value).all()
+        assert (other["error_rms_deg"] != bare["error_rms_deg"]).all(), name
+        assert np.abs(other["error_rms_deg"] - bare["error_rms_deg"]).max() < 1.0, (
+            name
+        )  # deg: of the same unit and motion
+        session = name in {"quality", "dwell_s", "bracket_s", "face_s", "faces", "set_points"}
+        assert (other["rig_minutes"] != bare["rig_minutes"]).all() == session
+
+
+def test_candidates_of_one_unit_are_those_of_units_of_their_own() -> None:
+    further = (
+        ("dwell_s", (1.0, 2.0)),
+        ("faces", (5.0, 6.0)),
+        ("set_points", (1.0, 4.0)),
+        ("dynamic_step_c", (3.0, 9.0)),
+    )
+    whole = units_of(study_of(task_of(further=further)))[0]
+    runs, points = run_unit(whole), whole.task.space.points()
+    assert len(points) == whole.task.space.count == 32
+    for place in (0, 9, 31):
+        only = replace(whole.task, space=whole.task.space.narrowed(points[place : place + 1]))
+        alone = run_unit(replace(whole, task=only))
+        assert {name: values[0] for name, values in alone.items()} == {name: v[place] for name, v in runs.items()}
+
+
+def test_what_cannot_be_varied_is_refused() -> None:
+    for further, wanted in (
+        ((("faces", (7.0,)),), "wanted faces as whole numbers from 5 to 6, got 7"),
+        ((("set_points", (2.5,)),), "wanted set_points as whole numbers from 1 to inf, got 2.5"),
+        ((("quality", (0.4,)),), "wanted quality as numbers from 0.5 to 10, got 0.4"),
+        ((("gain", ()),), "got none"),
+        ((("faces", (6.0,)), ("gain", (20.0,))), "in this order"),
+    ):
+        with pytest.raises(InputError, match=wanted):
+            task_of(further=further)
+    with pytest.raises(InputError, match="wanted a device with an amplifier to vary its gain, got mpu6050"):
+        study_of(task_of(further=(("gain", (20.0,)),)), device="mpu6050")
+    with pytest.raises(InputError, match="wanted set_points_c whose number varies, got none"):
+        study_of(task_of(base=replace(BASE, temperatures_c=()), further=(("set_points", (1.0, 3.0)),)))
+
+
+def test_lists_of_a_file_arrive_and_the_search_and_its_size_do(tmp_path: Path) -> None:
+    path = tmp_path / "study.toml"
+    lists = "gain = [10.0, 20.0]\nquality = [0.58]\nfaces = [5, 6]\nset_points = [1, 5]\nstatic_step_c = [1.0]"
+    rates = "turn_rate_step_dps = [10.0]\nturn_rate_min_dps = [10.0]\nturn_rate_max_dps = [50.0]"
+    text = f'[study]\nsearch = "cma"\ncandidates = 48\n[[task]]\nname = "step"\n[task.space]\ncutoff_hz = [11.4]\n{rates}\n'
+    path.write_text(text + lists)
+    study = read_study(path)
+    (task,) = study.tasks
+    assert (study.search, study.candidates, task.space.count) == ("cma", 48, 8)
+    assert dict(task.space.further) == {
+        "gain": (10.0, 20.0), "quality": (0.58,), "faces": (5.0, 6.0), "set_points": (1.0, 5.0), "static_step_c": (1.0,)
+    }  # fmt: skip
+    first, last = task.protocols()[0], task.protocols()[-1]
+    assert (len(first.faces), first.temperatures_c) == (5, ())
+    assert (len(last.faces), last.temperatures_c) == (6, (18.0, 30.0, 45.0, 60.0, 75.0))
+    assert [setting.gain for setting in task.space.settings()] == [10.0, 20.0]
+    (ends,) = ends_of(study).tasks
+    assert ends.space.further == task.space.further
+    path.write_text(text)
+    assert read_study(path).tasks[0].space.further == ()
+    path.write_text(text + "faces = [4]")
+    with pytest.raises(FileFormatError, match="wanted faces as whole numbers from 5 to 6, got 4"):
+        read_study(path)
+
+
+def test_the_presets_grids_reach_beyond_the_notes_values_on_both_sides() -> None:
+    study = note_study()
+    assert 35_000 <= count_runs(study) <= 40_000
+    for task in study.tasks:
+        row, space = TABLE_1[task.name], task.space
+        note = (row.turn_rate_step_dps, row.turn_rate_min_dps, row.turn_rate_max_dps)
+        grids = {tuple(round(v / DPS, 9) for v in grid) for grid in space.grids()}
+        assert note in grids
+        assert space.untried() == ()
+        assert min(space.cutoff_hz) < row.cutoff_hz < max(space.cutoff_hz)
+        for place, values in enumerate((space.turn_rate_step, space.turn_rate_min, space.turn_rate_max)):
+            dps = [round(v / DPS, 9) for v in values]
+            own = dps.index(note[place])
+            assert 0 < own < len(dps) - 1
+            for other in (dps[own - 1], dps[own + 1]):
+                alone = (*note[:place], other, *note[place + 1 :])
+                below = place == 1 and other < note[1]  # the note's omega_m is its step: a lower one needs another step
+                assert (alone in grids) != below, alone
+        assert max(space.turn_rate_max) < preset("enc03j_3031").gyro.full_scale < 300.0 * DPS
+
+
+# ---- planted in the device: the whole flow has to find it
+
+
+def test_a_gain_that_clips_and_one_with_few_codes_lose() -> None:
+    # 20 takes 186 deg/s, 150 takes 25, which a sit-to-stand exceeds; a code of gain 1 is 1.8 deg/s, below which no noise dithers
+    space = {"turn_rate_min": (5.0 * DPS,), "turn_rate_step": (5.0 * DPS,), "turn_rate_max": (20.0 * DPS,)}
+    task = task_of(further=(("gain", (1.0, 20.0, 150.0)),), cutoff_hz=(20.0,), **space)
+    study = study_of(task, subjects=6, bench=BenchErrors())
+    gains = [make_case(study, task, 0, 20.0, gain).device.gyro for gain in (1.0, 150.0)]
+    assert gains[0].full_scale > 1000.0 * DPS
+    assert gains[1].full_scale < 60.0 * DPS
+    errors = np.array([run_unit(unit)["error_rms_deg"][0] for unit in units_of(study)]).reshape(6, 3)
+    few, middle, clipped = errors.mean(axis=0)
+    show("gain 1, 20, 150: deg rms", few, f"{middle:.3f}, {clipped:.3f}")
+    assert few > middle + 0.087  # the margin of the note's Figure 3
+    assert clipped > middle + 0.087
+
+
+def test_a_bend_needs_fast_turns(tmp_path: Path) -> None:
+    made = preset("enc03j_3031")
+    quiet = dict.fromkeys(("white_noise", "instability", "random_walk", "warm_up", "hysteresis", "g_sensitivity"))
+    bent = replace(made.gyro, nonlinearity=Nonlinearity(cubic=np.full(3, 0.05 / (150.0 * DPS) ** 2)), **quiet)
+    accel = replace(made.accel, **quiet)
+    worn = json.dumps(device_json(replace(made, gyro=bent, accel=accel)))
+    task = task_of(turn_rate_max=(20.0 * DPS, 50.0 * DPS, 110.0 * DPS), cutoff_hz=(20.0,))
+    study = study_of(task, subjects=20, worn=worn, bench=BenchErrors(), excursion_k=(0.0, 0.1))
+    (surface,) = run_study(study, InProcess(), tmp_path)
+    found = find_optimum(surface, timing="offline", margin_deg=0.01)  # the delay at 20 Hz is alike in all
+    effect = next(each for each in found.effects if each.name == "turn_rate_max_dps")
+    show("omega_M 20, 50, 110: deg rms", effect.means_deg[0], f"{effect.means_deg[1:]}")
+    assert surface.turn_rate_max_dps[found.best] == pytest.approx(110.0)
+    assert effect.means_deg[0] > effect.means_deg[2] + 0.01
+    assert effect.judged is not None
+    assert effect.judged.verdict == "better"
+    assert effect.judged.p_better < 0.05
+
+
+# ---- planted errors: the search alone
+
+
+WIDE = {
+    "cutoff_hz": (5.0, 7.0, 9.0, 11.4, 14.0, 18.0, 25.0, 40.0),
+    "turn_rate_step": tuple(v * DPS for v in (3.0, 5.0, 6.0, 9.0, 15.0)),
+    "turn_rate_min": tuple(v * DPS for v in (3.0, 6.0, 9.0)),
+    "turn_rate_max": tuple(v * DPS for v in (33.0, 45.0, 57.0, 69.0, 81.0)),
+    "further": (
+        ("gain", (2.0, 5.0, 10.0, 20.0, 40.0, 80.0)),
+        ("quality", (0.5, 0.58, 0.71, 1.0)),
+        ("dwell_s", (0.5, 1.0, 2.0, 4.0, 8.0)),
+        ("set_points", (2.0, 3.0, 4.0, 5.0)),
+    ),
+}
+PLACES = np.array([5, 1, 0, 3, 2, 2, 3, 2])  # of the planted optimum: 18 Hz; 3 to 69 by 5 divides no span, so not it
+TASK = task_of("step", **WIDE)
+BOWL = study_of(TASK, subjects=24, search="cma", candidates=360)
+
+
+def true_cost(points: np.ndarray) -> np.ndarray:
+    """A bowl about the optimum in all eight parameters, deg."""
+    lists = TASK.space.values
+    places = np.stack(
+        [np.searchsorted(np.array(v) * (1.0 - 1e-9), x) for v, x in zip(lists, points.T, strict=True)], axis=1
+    )
+    return 0.5 * (((places - PLACES) / (np.array([len(v) for v in lists]) - 1)) ** 2).sum(axis=1)
+
+
+class Planted(InProcess):
+    """Runs a planted bowl in place of simulations, with noise of each run and of each subject."""
+
+    def __init__(self) -> None:
+        self.runs = 0
+
+    def run(self, work: Any, units: Sequence[Any]) -> Iterator[tuple[int, Any]]:
+        for place, unit in enumerate(units):
+            points = unit.task.space.points_at(unit.setting)
+            self.runs += len(points)
+            draws = [np.random.default_rng([unit.subject, *(1e6 * p).astype(np.int64)]).normal() for p in points]
+            person = abs(np.random.default_rng(unit.subject).normal(0.0, 0.2))
+            error = 0.2 + person + true_cost(points) + 0.05 * np.array(draws)
+            runs = columns_of(unit.task, points) | errors(error)
+            yield place, runs | {"rig_minutes": 60.0 * runs["set_points"] + 10.0 * runs["dwell_s"]}
+
+
+def true_least() -> float:
+    space = TASK.space
+    rates = min(true_cost(np.array([[18.0, *g, 10.0, 0.71, 4.0, 4.0]]))[0] for g in space.grids())
+    return float(rates)
+
+
+def quiet(*_: object) -> None:
+    """Show nothing."""
+
+
+def test_cma_finds_a_planted_optimum_of_eight_parameters_in_bounded_runs(tmp_path: Path) -> None:
+    pytest.importorskip("cma")
+    assert TASK.space.count > 1e5
+    bench = Planted()
+    (found,) = search_study(BOWL, bench, tmp_path, advance=quiet, tell=quiet)
+    missed = float(true_cost(found.points[[found.best]])[0]) - true_least()
+    show("true error above the least, deg", missed, f"{found.runs} runs of {found.runs_of_grid}")
+    assert missed <= 0.08  # a neighbour in each of four parameters of six values; a drawn candidate has 0.6 on the mean
+    assert found.runs <= count_runs(BOWL) < 2_000
+    assert found.generations == 15
+    assert found.runs < 1e-3 * found.runs_of_grid
+    _front_is_of_all_subjects(found.every)
+    again = Planted()
+    (resumed,) = search_study(BOWL, again, tmp_path, advance=quiet, tell=quiet)
+    assert again.runs == 0
+    np.testing.assert_array_equal(resumed.every.error_rms_deg, found.every.error_rms_deg)
+
+
+def test_halving_of_a_drawn_part_finds_the_best_of_it(tmp_path: Path) -> None:
+    study = replace(BOWL, search="halving", candidates=200)
+    points = drawn(study, TASK)
+    assert 150 < len(points) <= 200
+    assert len(np.unique(points, axis=0)) == len(points)
+    steps = (points[:, 3] - points[:, 2]) / points[:, 1]
+    np.testing.assert_allclose(steps, np.round(steps), atol=1e-6)
+    assert (np.bincount(np.searchsorted(WIDE["cutoff_hz"], points[:, 0])) >= 15).all()  # 200 over 8 values: 25 each
+    (found,) = search_study(study, Planted(), tmp_path, advance=quiet, tell=quiet)
+    cost = true_cost(found.points)
+    assert cost[found.best] <= np.quantile(cost, 0.05)
+    assert found.runs <= count_runs(study)
+    assert len(found.rounds[-1].candidates) <= len(points) / 4
+    _front_is_of_all_subjects(found.every)
+
+
+def _front_is_of_all_subjects(every: Any) -> None:
+    front = front_of(every, "rms", "real time", None)
+    assert len(front.places) >= 2
+    assert np.isfinite(every.error_rms_deg[:, front.places]).all()
+    assert (np.diff(every.rig_minutes[front.places]) > 0.0).all()
+    assert (np.diff(front.mean_deg) < 0.0).all()
+    assert ((front.interval_deg[:, 0] < front.mean_deg) & (front.mean_deg < front.interval_deg[:, 1])).all()
+
+
+def test_candidates_that_met_other_subjects_are_compared_as_if_all_had_met_all() -> None:
+    rng = np.random.default_rng(4)
+    level, person = rng.uniform(0.1, 1.0, 12), rng.uniform(0.0, 1.0, 9)
+    table = level + (person - person.mean())[:, None]
+    table[rng.uniform(size=table.shape) < 0.5] = np.nan
+    table[:, 5] = np.nan
+    found, uncertainty = estimated(table)
+    assert found[5] == np.inf
+    np.testing.assert_allclose(np.diff(np.delete(found, 5)), np.diff(np.delete(level, 5)), atol=1e-9)
+    assert uncertainty.max() < 1e-9
+    table += rng.normal(0.0, 0.1, table.shape)
+    looks = np.isfinite(table).sum(axis=0)
+    sd = (estimated(table)[1] * np.sqrt(np.maximum(looks, 1)))[0]
+    assert 0.06 < sd < 0.14  # 25 spare runs: 14 % of 0.1, three of those
+
+
+def test_the_nearest_rates_that_a_step_divides_are_taken() -> None:
+    lists = Lists(TASK)
+    places = np.array([[0, 4, 0, 1, 0, 0, 0, 0], [7, 0, 1, 4, 5, 3, 4, 3]], float)
+    points = lists.points(places + 0.3)
+    assert points[1, 1:4] / DPS == pytest.approx([3.0, 6.0, 81.0])  # divides: as asked for
+    assert (points[1, [0, 4, 5, 6, 7]] == [40.0, 80.0, 1.0, 8.0, 5.0]).all()
+    assert tuple(points[0, 1:4]) in set(TASK.space.grids())
+
+
+def test_cma_of_real_runs_is_judged_and_its_front_stands_in_the_outcome(tmp_path: Path) -> None:
+    pytest.importorskip("cma")
+    task = task_of("step", cutoff_hz=(5.0, 11.4, 20.0), further=(("gain", (10.0, 20.0)), ("dwell_s", (0.5, 1.0))))
+    study = study_of(task, search="cma", candidates=24)
+    outcome = judge_study(study, InProcess(), tmp_path)
+    (judged,) = outcome.tasks
+    assert outcome.runs <= count_runs(study)
+    assert judged.surface.names[-2:] == ("gain", "dwell_s")
+    assert {effect.name for effect in judged.optimum.effects} == set(judged.surface.names)
+    assert any(item.code == "study.evolution" for item in judged.findings)
+    assert np.isfinite(judged.front.mean_deg).all()
+
+
+def test_a_missing_package_is_refused_before_anything_is_written(tmp_path: Path, monkeypatch: Any) -> None:
+    monkeypatch.setattr("undrift.study.search.find_spec", lambda name: None)
+    with pytest.raises(
+        InputError, match=r"wanted the package cma for search = cma, got none; pip install undrift\[search\]"
+    ):
+        search_study(BOWL, Planted(), tmp_path / "out", advance=quiet, tell=quiet)
+    assert not (tmp_path / "out").exists()
+
+
+def test_one_parameter_is_no_space_for_cma(tmp_path: Path) -> None:
+    pytest.importorskip("cma")
+    study = study_of(task_of(), search="cma")
+    with pytest.raises(InputError, match="wanted two parameters or more to vary for cma, got 1 of sit_to_stand"):
+        search_study(study, Planted(), tmp_path, advance=quiet, tell=quiet)
