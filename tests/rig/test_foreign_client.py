@@ -178,6 +178,9 @@ def test_many_clients_poll_while_one_moves(emulator, motor):
     for target in (90.0, -90.0, 0.0):
         motor.move(target)
         motor.wait()
+        enough, last = len(polled) + 2 * len(threads), time.monotonic() + 60.0
+        while len(polled) < enough and time.monotonic() < last:  # one of them was asked after the move
+            time.sleep(0.01)
     ended.set()
     for thread in threads:
         thread.join(60.0)

@@ -53,15 +53,21 @@ EARLIER_NAMES = {  # options renamed since a release; both spellings work, help 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line and exit with its code."""
     _stop_on_signals()
+    words = sys.argv[1:] if arguments is None else arguments
     try:
-        code = run(sys.argv[1:] if arguments is None else arguments)
-    except KeyboardInterrupt:  # a second one, while the first was reported
-        code = INTERRUPTED
-    if code == INTERRUPTED:
-        for name in STOPS:
-            with suppress(AttributeError, ValueError):
-                signal.signal(getattr(signal, name), signal.SIG_IGN)  # one more would change the exit code
+        code = _called(words)
+    except KeyboardInterrupt as error:
+        with suppress(KeyboardInterrupt):  # a second one
+            _ignore_signals()
+        _ignore_signals()  # one more would spoil the message or the exit code
+        code = _stopped(words, error)
     sys.exit(code)
+
+
+def _ignore_signals() -> None:
+    for name in STOPS:
+        with suppress(AttributeError, ValueError):
+            signal.signal(getattr(signal, name), signal.SIG_IGN)
 
 
 def _stop_on_signals() -> None:
@@ -80,6 +86,13 @@ def _stop_on_signals() -> None:
 def run(arguments: Sequence[str]) -> int:
     """Run the command line and return its exit code: 0, 1, 2 or 3; 130 when interrupted."""
     try:
+        return _called(arguments)
+    except KeyboardInterrupt as error:
+        return _stopped(arguments, error)
+
+
+def _called(arguments: Sequence[str]) -> int:
+    try:
         if list(arguments) in ([], ["--help"], ["-h"]):
             sys.stdout.write(_help())
             return 0
@@ -97,8 +110,6 @@ def run(arguments: Sequence[str]) -> int:
         text = f"{error.filename or 'file'}: {error.strerror or error}; "
         full = error.errno in (errno.ENOSPC, errno.EDQUOT)
         return _refuse(arguments, error, text + ("make room" if full else "check the path and its permissions"), code=2)
-    except KeyboardInterrupt as error:
-        return _refuse(arguments, error, "stopped; nothing was left half written", code=INTERRUPTED)
     except Exception as error:
         if os.environ.get("UNDRIFT_TRACEBACK") == "1":
             raise
@@ -140,6 +151,10 @@ def app(arguments: Sequence[str]) -> object:
             unused = " ".join(error.unused_tokens or ())
             raise InputError(f"wanted fewer words, got also {unused}; say {command} --help") from error
         raise InputError(f"{str(error).strip().splitlines()[0]} Say {command} --help.") from error
+
+
+def _stopped(arguments: Sequence[str], error: BaseException) -> int:
+    return _refuse(arguments, error, "stopped; nothing was left half written", code=INTERRUPTED)
 
 
 def _refuse(arguments: Sequence[str], error: BaseException, text: str, *, code: int) -> int:
