@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from testkit.rig_bench import SHORT, UP, Device, emulated, run
+from testkit.rig_bench import DPS, GAIN, OFFSET, SHORT, UP, Device, emulated, run
 from undrift.errors import RigFault
 from undrift.io.parquet import read_parquet
 from undrift.record import FACES, Record
-from undrift.rig.judge import APART, STILL, Contradiction, Disturbed, Rests
+from undrift.rig.judge import APART, STILL, Contradiction, Disturbed, Rests, Turns
 from undrift.rig.programme import Dwell
 from undrift.units import STANDARD_GRAVITY
 
@@ -247,3 +247,90 @@ def test_a_resumed_run_knows_the_rests_on_the_disk(tmp_path, monkeypatch):
         monkeypatch.setattr("testkit.rig_bench.Device", Loud)
         with pytest.raises(RigFault, match="times the spread of this rig's rests"):
             run(emulator, tmp_path, FACES_ALONE, resume=True)
+
+
+# ---- turns
+
+
+def turn(rate_dps, axis="z", dwell_s=4.0):
+    return Dwell(
+        purpose="rate", up=f"+{axis}", axis=axis, turn_rate=rate_dps * DPS, ramp_s=0.1, settle_s=0.1, dwell_s=dwell_s
+    )
+
+
+def turning(rng, rates_dps, *, gain=GAIN, noise=0.05, step=0.0, limit=np.inf, n=400):
+    """Readings about z, a rate after the other in equal parts."""
+    rate = np.repeat(np.atleast_1d(rates_dps), -(-n // np.size(rates_dps)))[:n]
+    gyro = np.clip(rate[:, None] * gain[:, 2] + OFFSET, -limit, limit) + noise * rng.standard_normal((n, 3))
+    gyro = step * np.rint(gyro / step) if step else gyro
+    return Record(time=np.arange(n) / 100.0, gyro=gyro, gyro_unit="count")
+
+
+def judge_turns(rng, pairs, **how):
+    """Judge and keep a rest, then turns at the first rates whose readings are of the second."""
+    turns = Turns()
+    turns.keep(rest(), 0.0, turning(rng, 0.0, **how))
+    for rate, read_dps in pairs:
+        record = turning(rng, read_dps, **how)
+        turns.check(turn(rate), rate * DPS, record, f"step at {rate:g}")
+        turns.keep(turn(rate), rate * DPS, record)
+    return turns
+
+
+SOUND = [(w, w) for rate in (1.0, 5.0, 30.0, 60.0, 90.0) for w in (rate, -rate)]
+
+
+@pytest.mark.parametrize(
+    "how",
+    [
+        {},
+        {"noise": 2.0},
+        {"noise": 0.0},
+        {"step": 0.6},
+        {"step": 0.6, "noise": 0.0},
+        {"limit": 55.0},
+        {"gain": -200.0 * GAIN},
+    ],
+)
+def test_sound_turns_are_kept_those_beyond_the_range_too(how):
+    rng = np.random.default_rng(7)
+    for _ in range(30):
+        turns = judge_turns(rng, SOUND, **how)
+        turns.check(rest(), 0.0, turning(rng, 0.0, **how), "rest")
+
+
+@pytest.mark.parametrize(
+    ("pairs", "got"),
+    [
+        ([(30.0, 0.0)], "step at 30, got those of a rest"),
+        ([(5.0, 0.0)], "step at 5, got those of a rest"),
+        ([(30.0, 30.0), (-30.0, 30.0)], "step at -30, got those of another rate"),
+        ([(30.0, 30.0), (-30.0, -30.0), (60.0, -30.0)], "step at 60, got those of another rate"),
+        ([(60.0, 60.0), (90.0, 30.0)], "step at 90, got those of another rate"),
+        ([(90.0, [0.0, 90.0, 90.0, 90.0])], "step at 90, got readings that change within it"),
+        ([(-30.0, [-30.0] * 7 + [-20.0])], "step at -30, got readings that change within it"),
+    ],
+)
+def test_readings_of_another_dwell_are_not_kept_as_those_of_a_turn(pairs, got):
+    with pytest.raises(Disturbed, match=f"device: wanted the readings of {got}; look at the device's link"):
+        judge_turns(np.random.default_rng(8), pairs)
+
+
+def test_a_rest_that_reads_as_a_turn_is_not_kept_and_one_at_another_temperature_may():
+    rng = np.random.default_rng(9)
+    turns = judge_turns(rng, [(30.0, 30.0), (-30.0, -30.0)])
+    late = turning(rng, -30.0)
+    with pytest.raises(Disturbed, match="wanted the readings of step 5, got those of a turn; look"):
+        turns.check(rest(purpose="bracket"), 0.0, late, "step 5")
+    turns.check(replace(rest(purpose="bracket"), temp_c=60.0), 0.0, late, "step 5")
+
+
+def test_a_run_learns_from_the_disk_what_turns_read(tmp_path, monkeypatch):
+    shown = {}
+    with emulated() as emulator:
+        run(emulator, tmp_path / "run")
+        monkeypatch.setattr(
+            Turns, "keep", lambda _, step, rate, record: shown.setdefault(step.purpose, []).append(rate)
+        )
+        run(emulator, tmp_path / "run", resume=True)
+    assert np.allclose(np.array(shown["rate"]) / DPS, [30.0, -30.0, 60.0, -60.0], atol=0.5)

@@ -16,6 +16,16 @@ first rests of this rig, and f the mean specific force of a face as read,
     |f - f(other face)|                        >= APART s               else nobody mounted it
     |component of f(+k) - f(-k) along k|       >= cos 30 deg of it      and of f itself along k in a physical unit
 
+A turn is taken again where its readings are not of it, as they are where the device's readings come later than the link shows.
+With m the mean of the gyroscopes over the dwell, m0 over the last rest, and from the rest the noise n of an eighth and e of m - m0,
+
+    |mean of an eighth - m|     <= UNSTEADY |m - m0| + SHOWN n     else a part of it was read at another rate
+    largest |m - m0| / e        >= SHOWN, for |w| >= SLOWEST       else it reads as at rest
+    |m - m0 - g w|              <= UNLIKE |g w| + SHOWN e          g = (m - m0) / w of the other turns about this axis; at a rate
+                                                                   beyond all of theirs it may be less: out of range
+
+and a rest after turns unless |m - m0| <= UNLIKE of the largest that a turn reads.
+
 In counts two faces that contradict each other do not tell which of them is wrong (`Contradiction`). A sound pair about another axis
 does: its middle is what no acceleration reads, so that f less the middle lies along k for the face that is mounted as stated.
 """
@@ -26,7 +36,7 @@ import numpy as np
 
 from undrift.arrays import FloatArray
 from undrift.errors import InputError, RigFault, RigTimeout
-from undrift.record import Face, Record
+from undrift.record import Axis, Face, Record
 from undrift.rig.programme import Dwell
 from undrift.rig.rig import Achieved
 from undrift.units import RADIAN_PER_DEGREE, is_physical
@@ -203,6 +213,74 @@ class Rests:
             other=other,
             surely=bool(middles) and sound == [True, False],
         )
+
+
+UNSTEADY, UNLIKE = 0.1, 0.25  # of what a turn reads
+SHOWN = 6.0  # standard errors
+SLOWEST = 5.0 * RADIAN_PER_DEGREE  # rad/s: a slower turn may be less than a step of the converter
+
+
+class Turns:
+    """Remembers what this device reads in turns about each axis, less what the last rest reads."""
+
+    def __init__(self) -> None:
+        self._rest: tuple[float | None, Record] | None = None  # the last one, with its set-point
+        self._kept: dict[
+            Axis | None, list[tuple[float, FloatArray]]
+        ] = {}  # turn rate, readings less those at rest (3,)
+
+    def check(self, step: Dwell, turn_rate: float, record: Record, where: str) -> None:
+        """Refuse a turn whose readings are not of it, and a rest whose readings are of a turn."""
+        if step.purpose == "turn" or self._rest is None or self._rest[1].gyro is None or record.gyro is None:
+            return
+        temp_c, last = self._rest
+        parts, rest = _part_means(record.gyro), _part_means(self._rest[1].gyro)
+        longer = max(1.0, len(last) / len(record))
+        noise = np.sqrt(2.0 * longer * rest.var(axis=0) + len(parts) * _half_steps(last)[:3] ** 2 / 3.0)  # of a part
+        error, shown = noise / np.sqrt(len(parts)), parts.mean(axis=0) - rest.mean(axis=0)
+        steady = (UNSTEADY * np.abs(shown) + SHOWN * noise).max()
+        if step.purpose != "rate":
+            turns = [np.abs(each).max() for kept in self._kept.values() for _, each in kept]
+            is_turn = step.temp_c == temp_c and np.abs(shown).max() > UNLIKE * max(turns, default=np.inf)
+            got = "those of a turn" if is_turn else ""
+        elif (np.abs(parts - parts.mean(axis=0)) > steady).any():
+            got = "readings that change within it"
+        elif abs(turn_rate) >= SLOWEST and (np.abs(shown) < SHOWN * error).all():
+            got = "those of a rest"
+        else:
+            got = "those of another rate" if self._is_unlike(step.axis, turn_rate, shown, SHOWN * error.max()) else ""
+        if got:
+            raise Disturbed(
+                f"device: wanted the readings of {where}, got {got}; look at the device's link and at what else this computer "
+                "does, then continue with --resume",
+                turn_rate=turn_rate,
+            )
+
+    def keep(self, step: Dwell, turn_rate: float, record: Record) -> None:
+        """Remember a turn or a rest that was kept."""
+        if record.gyro is None or step.purpose == "turn":
+            return
+        if step.purpose != "rate":
+            self._rest = step.temp_c, record
+        elif self._rest is not None and self._rest[1].gyro is not None and abs(turn_rate) >= SLOWEST:
+            shown = np.nanmean(record.gyro, axis=0) - np.nanmean(self._rest[1].gyro, axis=0)
+            self._kept.setdefault(step.axis, []).append((turn_rate, shown))
+
+    def _is_unlike(self, axis: Axis | None, turn_rate: float, shown: FloatArray, error: float) -> bool:
+        if not (kept := self._kept.get(axis)):
+            return False
+        rates, others = np.array([rate for rate, _ in kept]), np.array([each for _, each in kept])
+        alike = turn_rate * (rates @ others) / (rates @ rates)
+        if np.abs(shown - alike).max() <= UNLIKE * np.abs(alike).max() + error:
+            return False
+        out_of_range = abs(turn_rate) > np.abs(rates).max() and shown @ alike > 0.0
+        return not (out_of_range and np.linalg.norm(shown) >= (1.0 - UNLIKE) * np.linalg.norm(others, axis=1).max())
+
+
+def _part_means(gyro: FloatArray) -> FloatArray:
+    """Return the mean of each eighth of a dwell, (PARTS, 3); fewer where it has fewer readings."""
+    finite = gyro[np.isfinite(gyro).all(axis=1)]
+    return np.array([part.mean(axis=0) for part in np.array_split(finite, min(PARTS, len(finite)))])
 
 
 def _lies_along(face: Face, force: FloatArray, *, signed: bool = False) -> bool:

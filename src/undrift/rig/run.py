@@ -23,6 +23,7 @@ from undrift.rig.judge import (
     Disturbed,
     Rests,
     RunSettings,
+    Turns,
     check_board,
     check_rate,
     check_readings,
@@ -156,16 +157,18 @@ class _Run:
         self._old_fault: str | None = None
         self._step: Step = programme.steps[0]
         self._began, self._number, self._left_s = bench.clock.now(), 0, 0.0
-        self._rests = Rests()
+        self._rests, self._turns = Rests(), Turns()
         self.withdrawn: frozenset[int] = frozenset()  # steps
         self._doubted: set[Face] = set()
 
     def recall(self) -> None:
-        """Learn from the rests that are on the disk how still this rig is."""
+        """Learn from what is on the disk how still this rig is, and what the device reads in a turn."""
         for piece in self._folder.pieces:
             step = self._programme.steps[piece.step]
-            if isinstance(step, Dwell) and step.turn_rate == 0.0:
-                self._rests.keep(step, read_own_parquet(self._folder.path / piece.name))
+            if isinstance(step, Dwell):
+                record = read_own_parquet(self._folder.path / piece.name)
+                self._rests.keep(step, record)
+                self._turns.keep(step, piece.turn_rate, record)
 
     def all_but(self, done: frozenset[int]) -> None:
         """Do the dwells that are not done, each with the mounting and the soak that it needs."""
@@ -297,9 +300,11 @@ class _Run:
         if step.temp_c is not None and self._bench.chamber is not None:
             check_board(record, self._bench.chamber.criterion.tolerance_c, where)
         self._rests.check(step, record, where)
+        self._turns.check(step, achieved.turn_rate, record, where)
         rates = {"set_turn_rate": held, "turn_rate": achieved.turn_rate, "turn_rate_uncertainty": achieved.uncertainty}
         self._keep(step, record, missing=missing, chamber_c=chamber_c, **rates)
         self._rests.keep(step, record)
+        self._turns.keep(step, achieved.turn_rate, record)
 
     def _keep(self, step: Dwell, record: Record, **found: Any) -> None:
         """Bring a dwell to the disk, with what was found beside the readings: fields of a Piece."""
