@@ -1,5 +1,7 @@
 """The smooth surface over rate and temperature."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -47,6 +49,13 @@ def test_a_smooth_surface_comes_back_without_noise():
     w, t = np.meshgrid(np.linspace(-1.6, 1.6, 33), np.linspace(20.0, 70.0, 21))
     # Even knots every 0.4 rad/s hold a cubic exactly; the smoothing that is left costs 1e-3 of the surface.
     assert np.abs(surface.at(w.ravel(), t.ravel()) - shape(w, t).ravel()).max() < 1e-3 * 0.04
+
+
+@pytest.mark.parametrize(("variance", "of"), [(1e-30, 1.0), (0.0, 1.0), (0.0, 0.0)])
+def test_values_without_any_noise_are_fitted(variance, of):
+    given = points(noise=0.0)
+    given = replace(given, value=of * given.value, variance=np.full(len(given), variance))
+    assert np.abs(fitted(given).residuals).max() <= 1e-3 * 0.04 * of
 
 
 def test_rate_zero_has_no_error_and_no_uncertainty():

@@ -40,6 +40,7 @@ _LOOSE = 1e2  # variance of d_g about the mean of its rows, in units of the resi
 _SOFTNESS = (1e-2, 1e-1, 1.0, 1e1, 1e2)  # prior size of a second derivative, in spans and in residuals; stiff first
 _MOST_INTERVALS = 6  # of 30 deg/s over the note's rates
 _NEGLIGIBLE = 1e-2  # weight
+_LEAST = 1e-6  # of the values: less noise is beyond what the equations resolve; rad/s where all values are 0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -299,7 +300,8 @@ def fit_surface(
     points = replace(points, value=points.value - means[points.mounting])
     x = np.column_stack((_design(rate, temp, points.turn_rate, points.temp_c), np.eye(groups)[points.mounting]))
     bends, p, excess = _roughness(rate, temp), x.shape[1] - groups, 0.0
-    size = max(float(np.sqrt(np.mean(points.value**2))), float(np.sqrt(points.variance.min())))
+    size = max(float(np.sqrt(np.mean(points.value**2))), float(np.sqrt(points.variance.min())), _LEAST)
+    points = replace(points, variance=np.maximum(points.variance, (_LEAST * size) ** 2))  # a device without noise
     pairs = [softness or (_SOFTNESS[0], _SOFTNESS[0])]
     weights: FloatArray = np.ones(1)
     for turn in range(3):
