@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from testkit.data import show
 from undrift.errors import InputError, RigFault
 from undrift.rig.judge import RunSettings, check_rate, link_hides
 from undrift.rig.rig import Position, achieved_turn_rate
@@ -56,3 +57,16 @@ def test_a_link_whose_delays_could_hide_a_tenth_of_the_rate_is_not_believed(with
     times = np.linspace(0.0, 1.0, 21)
     achieved = achieved_turn_rate(positions(times, times, within_s))
     assert link_hides(achieved, RunSettings()) is hidden
+
+
+@pytest.mark.parametrize("count", [3, 5, 20])
+def test_few_positions_on_a_line_by_chance_do_not_make_the_rate_certain(count):
+    rng, delay_s = np.random.default_rng(3), 0.02
+    found = []
+    for _ in range(2000):
+        times = np.linspace(0.0, 2.0, count)
+        late = rng.uniform(-0.5, 0.5, count) * delay_s
+        found.append(achieved_turn_rate(positions(times + late, times, 0.5 * delay_s)))
+    beyond = np.mean([abs(each.turn_rate - 1.0) > 3.0 * each.uncertainty for each in found])
+    show(f"{count} positions: rates beyond three standard uncertainties, %", 100.0 * beyond)
+    assert beyond < 0.015  # Student, 18 degrees of freedom: 0.8 %; and three standard errors of 2,000 draws

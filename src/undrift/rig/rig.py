@@ -238,6 +238,7 @@ class Rig(Protocol):
 # ---- The rate that was achieved, from positions of the encoder over a dwell.
 
 FLOOR = 0.5  # of the median delay
+EXPECTED = 3  # residuals that the delays alone stand for
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -274,7 +275,9 @@ def achieved_turn_rate(positions: Sequence[Position]) -> Achieved:
     square = float(weight @ (t * t))
     slope = float(weight @ (t * phi)) / square
     residual = phi - slope * t
-    spread = float(weight @ (residual * residual)) / ((len(time) - 2) * square)
+    count, r = len(time), float(weight @ (residual * residual))
+    expected = EXPECTED * slope**2 * float(weight @ (delay * delay)) / (12.0 * count)
+    spread = max(r / (count - 2), (r + expected) / (count - 2 + EXPECTED)) / square
     beyond = np.abs(residual) - abs(slope) * (delay + np.median(delay))
     return Achieved(
         turn_rate=slope,
