@@ -89,6 +89,16 @@ def test_fewer_than_three_trials_have_no_agreement() -> None:
     assert agreement_of("lean, deg", np.ones(2), np.ones(2)) is None
 
 
+@pytest.mark.parametrize(("old", "new"), [("0.02", "0.01"), ("3.5", "inf"), ("2.5", "nan")])
+def test_a_force_plate_table_with_gaps_or_times_out_of_order_is_refused(tmp_path, old, new) -> None:
+    text = "Time[s]\tFx[N]\tFy[N]\tCOPx[cm]\tCOPy[cm]\n0.01\t1\t2\t3\t2.5\n0.02\t1\t2\t3.5\t4\n"
+    (tmp_path / "plate.txt").write_text(text)
+    assert read_stance(tmp_path / "plate.txt", mass_kg=60.0, condition="open on firm").time.tolist() == [0.01, 0.02]
+    (tmp_path / "plate.txt").write_text(text.replace(old, new))
+    with pytest.raises(InputError, match="wanted finite numbers at increasing times, got others; export"):
+        read_stance(tmp_path / "plate.txt", mass_kg=60.0, condition="open on firm")
+
+
 def test_sway_of_a_sine_has_its_size_speed_and_frequency() -> None:
     time = np.arange(0.0, 60.0, 0.01)
     wave = np.sin(2.0 * np.pi * 0.4 * time)

@@ -12,7 +12,6 @@ centre of pressure is that of the pendulum, p = x - (1.147 h/g) x''. Captured an
 them beside optics, offsets over temperature as a recording at rest has them. The simulated device is a preset.
 """
 
-import gzip
 import io
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -25,7 +24,7 @@ from pydantic import Field
 
 from undrift.arrays import FloatArray
 from undrift.errors import FileFormatError, InputError, UndriftError
-from undrift.files import Entry, read_toml
+from undrift.files import Entry, read_bytes, read_toml
 from undrift.findings import Finding, finding
 from undrift.frames import rotate
 from undrift.io.formats import detect, read_record, read_reference
@@ -323,8 +322,7 @@ def read_stance(path: Path, *, mass_kg: float, condition: Condition) -> Stance:
     if not mass_kg > 0.0:
         raise InputError(f"{path.name}: wanted the person's mass in kg, got {mass_kg:g}; state it")
     try:
-        content = path.read_bytes()
-        text = io.StringIO((gzip.decompress(content) if path.suffix == ".gz" else content).decode())
+        text = io.StringIO(read_bytes(path).decode())
         names = text.readline().split("\t")
         table = np.loadtxt(text, ndmin=2)
     except (OSError, ValueError) as error:
@@ -333,6 +331,10 @@ def read_stance(path: Path, *, mass_kg: float, condition: Condition) -> Stance:
     for *wanted, scale in COLUMNS.values():
         if all(name in names for name in wanted):
             at = [names.index(str(name)) for name in wanted]
+            if not (np.isfinite(table[:, at]).all() and (np.diff(table[:, at[0]]) > 0.0).all()):
+                raise InputError(
+                    f"{path}: wanted finite numbers at increasing times, got others; export the table again"
+                )
             force, pressure = table[:, at[1:3]], table[:, at[3:5]] * float(scale)
             return Stance(
                 name=path.name.split(".")[0],
