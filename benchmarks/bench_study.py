@@ -114,14 +114,14 @@ def measured(*words: str) -> tuple[float, float]:
     Returns
     -------
     seconds, bytes : float
-        Wall time, and the peak of the resident memory of it and its workers, shared pages counted in each.
+        Wall time, and the peak of the memory of it and its workers, pages that they share counted once.
     """
     with tempfile.TemporaryDirectory(prefix="undrift-study-") as held:
         command = [sys.executable, "-c", STUDY, "study", *words, "-o", str(Path(held) / "out")]
         start, peak = time.perf_counter(), 0.0
         with subprocess.Popen(command, stdout=subprocess.DEVNULL) as process:
             while process.poll() is None:
-                peak = max(peak, _resident(process.pid))
+                peak = max(peak, _memory(process.pid))
                 time.sleep(0.1)
         if process.returncode:
             raise SystemExit(f"study: undrift ended with {process.returncode}")
@@ -139,12 +139,12 @@ def runs_of_the_note() -> int:
     return count_runs(note_study())
 
 
-def _resident(pid: int) -> float:
+def _memory(pid: int) -> float:
     total = 0.0
     try:
         parent = psutil.Process(pid)
         for process in (parent, *parent.children(recursive=True)):
-            total += process.memory_info().rss
+            total += process.memory_full_info().pss  # a page that several share counts once
     except psutil.Error:  # one of them ended just now
         pass
     return total
