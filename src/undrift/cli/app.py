@@ -34,6 +34,7 @@ COMMANDS = {  # one line of 80 columns each
     "validate": "Compare with an optical reference, in degrees.",
     "twin": "Fit the device model to a real device, and predict other motions.",
     "export": "Write calibrations for firmware and other programs.",
+    "certificate": "A calibration certificate with uncertainty budget, as a PDF.",
     "noise": "Angle random walk, bias instability, rate random walk.",
     "simulate": "Simulated sensor output for poses, tasks and thermal sessions.",
     "rig": "Run a protocol on a rate table; check, stop, emulate; --json.",
@@ -162,7 +163,7 @@ def complain(message: str, *, code: int) -> int:
 
 def _help() -> str:
     rows = [*COMMANDS.items(), ("--version", "Show the version; -V does too.")]
-    lines = "\n".join(f"  {name:11}{text}" for name, text in rows)
+    lines = "\n".join(f"  {name:12}{text}" for name, text in rows)
     end = (
         "undrift COMMAND --help explains its options.\n"
         "Every command takes --memory-limit-gb G, for reading one file (2 by default),\nand --trust, which reads without limits.\n"
