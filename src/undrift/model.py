@@ -112,10 +112,10 @@ class Budget:
         variance = np.array([held[name] for name in SOURCES if name in held])
         total = variance.sum(axis=0)
         variance *= np.divide(whole, total, out=np.ones_like(whole), where=total > 0.0)
-        shown = variance.any(axis=1)
+        shown: BoolArray = np.any(variance > 0.0, axis=1)
         names = [name for name in SOURCES if name in held]
         return cls(
-            sources=tuple(name for name, seen in zip(names, shown, strict=True) if seen),
+            sources=tuple(name for name, seen in zip(names, shown.tolist(), strict=True) if seen),
             uncertainty=np.sqrt(variance[shown]).reshape(-1, len(whole)),
         )
 

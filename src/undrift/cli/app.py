@@ -39,9 +39,10 @@ COMMANDS = {  # one line of 80 columns each
     "simulate": "Simulated sensor output for poses, tasks and thermal sessions.",
     "rig": "Run a protocol on a rate table; check, stop, emulate; --json.",
     "study": "Find the calibration protocol that is enough for a task.",
+    "data": "Recordings to try: list them, fetch one by checksum; --json.",
     "demo": "The whole flow on a small simulated session, as a report page.",
 }
-GROUPS = ("session", "rig")  # of commands
+GROUPS = ("session", "rig", "data")  # of commands
 EARLIER_NAMES = {  # options renamed since a release; both spellings work, help shows the standard one
     "drift": {"--page": "--report", "--range": "--range-c", "--step": "--step-c"},
     "rig": {"--hands": "--operator"},

@@ -94,6 +94,18 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "undrift study --preset note --quick",
         "undrift study study.toml --workers 4 -o study/",
     ),
+    "data": (
+        "undrift data list",
+        "undrift data fetch sample",
+    ),
+    "data list": (
+        "undrift data list",
+        "undrift data list --json",
+    ),
+    "data fetch": (
+        "undrift data fetch sample -o first/",
+        "undrift data fetch broad",
+    ),
     "demo": (
         "undrift demo",
         "undrift demo --quick --out first_look",
