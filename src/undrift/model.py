@@ -12,6 +12,7 @@ In symbols, for a reading u (3,) at temperature T::
 (physical to raw) is S = K a + b with K = M^-1 and b = offset.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Literal
 
@@ -32,6 +33,10 @@ BEYOND_SEEN_C = 3.0  # tables reach so far beyond the temperatures seen without 
 MATRIX_NAMES = tuple(f"m_{row}{column}" for row in AXES for column in AXES)
 OFFSET_NAMES = tuple(f"offset_{axis}" for axis in AXES)
 G_NAMES = tuple(f"g_{row}{column}" for row in AXES for column in AXES)
+SOURCES = (  # of uncertainty, in the order of a budget
+    "rate", "angle", "axis", "ripple", "mounting", "level", "temperature", "noise", "adc", "instability", "repeatability", "fit",
+)  # fmt: skip
+_EXCEEDS = 1e-3  # of a variance: what linear parts may exceed a whole that was averaged over a grid
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -83,6 +88,39 @@ def level_of(value: float, limits: tuple[float, float]) -> Level:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Budget:
+    """Standard uncertainty of each parameter by source: the squares of a parameter sum to its variance."""
+
+    sources: tuple[str, ...]  # names of ``SOURCES``
+    uncertainty: FloatArray  # (S, P), one row a source, unit of the parameter
+
+    def __post_init__(self) -> None:
+        _freeze(self, (len(self.sources), None), "uncertainty")
+
+    @classmethod
+    def of(cls, covariance: FloatArray, parts: Mapping[str, FloatArray], rest: str) -> "Budget":
+        """Return the budget of a covariance (P, P): variances (P,) of separable sources, and the rest under its name.
+
+        A negative part is what the rest counts twice. Parts that exceed the whole are not separable: one line, ``fit``.
+        """
+        whole = np.diag(covariance)
+        held = {name: np.maximum(part, 0.0) for name, part in parts.items()}
+        left = whole - sum(held.values(), np.zeros(len(whole)))
+        if not (left >= -_EXCEEDS * whole).all():
+            held, left, rest = {}, whole, "fit"
+        held[rest] = held.get(rest, 0.0) + np.maximum(left, 0.0)
+        variance = np.array([held[name] for name in SOURCES if name in held])
+        total = variance.sum(axis=0)
+        variance *= np.divide(whole, total, out=np.ones_like(whole), where=total > 0.0)
+        shown: BoolArray = np.any(variance > 0.0, axis=1)
+        names = [name for name in SOURCES if name in held]
+        return cls(
+            sources=tuple(name for name, seen in zip(names, shown.tolist(), strict=True) if seen),
+            uncertainty=np.sqrt(variance[shown]).reshape(-1, len(whole)),
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TriadModel:
     """Inverse model of three sensors: corrected = matrix @ (raw - offset) - g_sensitivity @ accel.
 
@@ -112,6 +150,8 @@ class TriadModel:
         Condition number of the design after its columns were scaled to one.
     valid_range : tuple of float
         Least and greatest corrected value per axis that the fit has seen, unit_out.
+    budget : Budget or None
+        Standard uncertainty of each parameter by source; None where the fit does not separate them.
     """
 
     method: str
@@ -127,12 +167,19 @@ class TriadModel:
     rank: int
     condition: float
     valid_range: tuple[float, float]
+    budget: Budget | None = None
 
     def __post_init__(self) -> None:
         p = len(self.parameters)
         _freeze(self, (3, 3), "matrix", "g_sensitivity")
         _freeze(self, (3,), "offset")
         _freeze(self, (p, p), "covariance")
+        if self.budget is not None:
+            stated, summed = np.diag(self.covariance), (self.budget.uncertainty**2).sum(axis=0)
+            if summed.shape != stated.shape or not np.allclose(summed, stated, rtol=1e-9, atol=0.0):
+                raise InputError(
+                    "uncertainty budget: wanted squares that sum to the covariance's diagonal, got others; calibrate anew"
+                )
 
     @property
     def standard_uncertainty(self) -> FloatArray:

@@ -58,6 +58,7 @@ ADDED: tuple[tuple[str, str], ...] = (
         r"(.*\.)?(result\..*|error|verdict|findings)",
     ),  # the envelope of every answer in JSON; result repeats what stands beside it
     (".*", r"file_map\..*"),
+    (".*", r"(.*\.)?budget(\..*)?"),
     ("study_small", "categories"),
     ("info_formats", r".*\.stills"),  # the search for stills adapts
     ("study_small", r"candidates|tasks.*(halving|pareto.*interval_deg.*)"),

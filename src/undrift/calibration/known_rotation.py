@@ -16,7 +16,7 @@ rounding leaves, the angle of each turn, jitter of the clock, and the axis of th
 """
 
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
 
@@ -60,7 +60,7 @@ from undrift.fit.least_squares import (
     scaled_condition,
     triad_fit,
 )
-from undrift.model import AXES, G_NAMES, MATRIX_NAMES, OFFSET_NAMES, TriadModel, Verdict
+from undrift.model import AXES, G_NAMES, MATRIX_NAMES, OFFSET_NAMES, Budget, TriadModel, Verdict
 from undrift.record import Axis, Record, Still, Turn
 from undrift.units import RADIAN_PER_DEGREE
 
@@ -305,6 +305,15 @@ class _Errors:
     shared: FloatArray  # (3, E, M), what three sensors share: one standard deviation each
     flicker: FloatArray  # (E, E), for a size of 1
     size: float  # unit of the sizes of flicker, unit of the readings
+    parts: Mapping[str, FloatArray]  # of ``own``, (3, E, E), by source of a budget
+
+    def shares(self, solvers: FloatArray, turns: int) -> dict[str, FloatArray]:
+        """Return what ``carried`` sums without flicker, (21, 21) each, by source of a budget."""
+        nothing = replace(self, own=0.0 * self.own, shared=self.shared[:, :, :0])
+        made = {name: replace(nothing, own=part).carried(solvers, 0.0) for name, part in self.parts.items()}
+        for name, columns in (("angle", self.shared[:, :, :turns]), ("axis", self.shared[:, :, turns:])):
+            made[name] = replace(nothing, shared=columns).carried(solvers, 0.0)
+        return made
 
     def total(self, square: float) -> FloatArray:
         """Return V (3, E, E) without the shared errors, for a flicker of q^2."""
@@ -340,26 +349,26 @@ def _errors(data: RotationData, forward: FloatArray, sigma: tuple[float, float],
             else np.vstack((data.rest.noise, data.free.noise))
         )
         noise = np.maximum(np.vstack((of_rests, data.noise)), _ROUNDING * np.abs(data.means).max() * extent[:, None])
-    own = np.stack([np.diag(column**2) for column in noise.T])
+    parts = {"noise": np.stack([np.diag(column**2) for column in noise.T])}
     if data.rounding is not None:
         # One code for all rests errs alike in all; a turn's slow parts err by themselves.
         alike = np.zeros((rests + turns, rests + turns))
         alike[:rests, :rests] = 1.0
-        own += (data.rounding**2)[:, None, None] * (alike + np.diag(extent**2))
+        parts["adc"] = (data.rounding**2)[:, None, None] * (alike + np.diag(extent**2))
     gain = np.linalg.norm(forward, axis=1)
     vectors = axis_vectors(data.axis) * data.angle[:, None]
     if creep is not None:
-        for row in range(3):
-            along = np.concatenate((np.zeros(rests), vectors @ (forward[row] / gain[row])))
-            own[row] += creep.covariance(along, float(gain[row]), extent)
+        along = [np.concatenate((np.zeros(rests), vectors @ (forward[k] / gain[k]))) for k in range(3)]
+        parts["temperature"] = np.stack([creep.covariance(along[k], float(gain[k]), extent) for k in range(3)])
     shared = _shared(data, forward, sigma, rests)
+    own = np.stack([sum((part[k] for part in parts.values()), np.zeros_like(parts["noise"][k])) for k in range(3)])
     own += 1e-12 * np.stack([np.diag((part**2).sum(axis=1)) for part in shared])  # so that V stays invertible
     flicker: FloatArray = np.zeros((rests + turns, rests + turns))
     size = 0.0
     if data.span is not None:
         size = size_unit(noise[:rests], data.span[:rests])
         flicker = flicker_about_mean(data.span, extent)  # the offset is the mean of the session
-    return _Errors(own=own, shared=shared, flicker=flicker, size=size)
+    return _Errors(own=own, shared=shared, flicker=flicker, size=size, parts=parts)
 
 
 def _shared(data: RotationData, forward: FloatArray, sigma: tuple[float, float], rests: int) -> FloatArray:
@@ -441,6 +450,11 @@ def fit_known_rotation(
     else:
         theta = fitted
     matrix = np.linalg.inv(theta[:, :3])
+    covariance = _of_inverse(covariance, matrix, theta[:, 4:])
+    at_rest = errors.own + errors.shared @ errors.shared.transpose(0, 2, 1)
+    gains = [np.linalg.solve(design.T @ (w := np.linalg.solve(v, design)), w.T) for v in at_rest]
+    shares = errors.shares(np.stack([closed] * 3 if mode == "paper" else gains), len(data.angle))
+    shares = {name: np.diag(_of_inverse(part, matrix, theta[:, 4:])) for name, part in shares.items()}
     rank, condition = scaled_condition(np.column_stack((np.ones(len(up)), up)))
     fastest = float(np.abs(data.angle / data.duration).max())
     known = data.rest.noise is not None and data.noise is not None
@@ -454,7 +468,8 @@ def fit_known_rotation(
         offset=theta[:, 3],
         g_sensitivity=matrix @ theta[:, 4:],
         parameters=(*MATRIX_NAMES, *OFFSET_NAMES, *G_NAMES),
-        covariance=_of_inverse(covariance, matrix, theta[:, 4:]) if known else np.full((21, 21), np.nan),
+        covariance=covariance if known else np.full((21, 21), np.nan),
+        budget=Budget.of(covariance, shares, "instability") if known else None,
         rank=3 * rank + 9,
         condition=condition,
         valid_range=(-fastest, fastest),

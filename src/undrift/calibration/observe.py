@@ -750,7 +750,7 @@ def with_offset(fit: TriadFit, offset: FloatArray, variance: FloatArray) -> Tria
     covariance = np.array(fit.model.covariance)
     covariance[9:12, 9:12] = np.diag(variance)
     return TriadFit(
-        model=replace(fit.model, offset=offset, covariance=covariance),
+        model=replace(fit.model, offset=offset, covariance=covariance, budget=None),
         residuals=fit.residuals,
         verdict=fit.verdict.also(Verdict.of(finding("paper_mode.offset_removed", "info"))),
     )

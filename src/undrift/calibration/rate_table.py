@@ -29,7 +29,7 @@ from undrift.calibration.dwells import (
 )
 from undrift.calibration.observe import Observed, Outcome, middles, with_offset
 from undrift.calibration.rate_table_axes import fit_turned_axes
-from undrift.calibration.table_axis import mountings, table_axes, table_findings
+from undrift.calibration.table_axis import mountings, table_axes, table_findings, table_term
 from undrift.calibration.table_rate import SHOWS, Dwells
 from undrift.errors import Implausible, NotObservable
 from undrift.findings import Finding, finding
@@ -46,7 +46,7 @@ from undrift.fit.least_squares import (
     scaled_condition,
     triad_from_forward,
 )
-from undrift.model import AXES, G_NAMES, MATRIX_NAMES, OFFSET_NAMES, TriadModel, Verdict, level_of
+from undrift.model import AXES, G_NAMES, MATRIX_NAMES, OFFSET_NAMES, Budget, TriadModel, Verdict, level_of
 from undrift.record import Still, Turn
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical, si_factor
 
@@ -181,14 +181,56 @@ def _with_codes(dwells: DwellMeans, design: FloatArray, sigma: FloatArray, found
     made = []
     for k, one in enumerate(found):
         if dwells.codes[k] > 0.0:
-            place = design @ one.theta / dwells.step[k]
-            apart = (place[:, None] - place[None, :]) % 1.0
-            shared = dwells.codes[k] * (1.0 - 6.0 * apart * (1.0 - apart))
+            shared = _code_errors(dwells, design, one, k)
             np.fill_diagonal(shared, 0.0)  # that is in sigma
             gain = np.linalg.pinv(design / sigma[:, k, None]) / sigma[:, k]
             one = replace(one, covariance=one.covariance + gain @ shared @ gain.T)
         made.append(one)
     return made
+
+
+def _code_errors(dwells: DwellMeans, design: FloatArray, fit: WalkFit, k: int) -> FloatArray:
+    """Return the covariance (E, E) of what rounding to codes leaves in the means of one sensor."""
+    if not dwells.codes[k] > 0.0:
+        return np.zeros((len(design), len(design)))
+    place = design @ fit.theta / dwells.step[k]
+    apart = (place[:, None] - place[None, :]) % 1.0
+    return np.asarray(dwells.codes[k] * (1.0 - 6.0 * apart * (1.0 - apart)))
+
+
+def _budget(
+    model: TriadModel, dwells: DwellMeans, design: FloatArray, found: list[WalkFit], sigma: FloatArray, widen: float
+) -> Budget:
+    """Return the shares of a model whose covariance is complete; ``found`` is without the excess ``widen`` of the residuals.
+
+    At no walk C = G V G', V = noise + codes + what wobble and an uneven rate add to each dwell. The walk has the rest.
+    """
+    dwell_noise = np.broadcast_to(np.asarray(dwells.noise), dwells.reading.shape)
+    theta, count = np.array([one.theta for one in found]), len(dwell_noise)
+    own = np.array(dwells.axis)[:, None] == np.array(AXES)[None, :]
+    parts: dict[str, list[FloatArray]] = {name: [] for name in ("noise", "adc", "ripple", "mounting", "repeatability")}
+    for k, one in enumerate(found):
+        gain = np.linalg.pinv(design / sigma[:, k, None]) / sigma[:, k]
+        more = np.zeros(len(design))
+        more[:count] = np.maximum(sigma[:count, k] ** 2 - dwell_noise[:, k] ** 2, 0.0)
+        along = np.concatenate((own[:, k], np.zeros(len(design) - count, bool)))
+        codes = _code_errors(dwells, design, one, k)
+        variances = {
+            "noise": np.diag(np.maximum(sigma[:, k] ** 2 - more - np.diag(codes), 0.0)),
+            "adc": codes,
+            "ripple": np.diag(np.where(along, more, 0.0)),
+            "mounting": np.diag(np.where(along, 0.0, more)),
+        }
+        for name, variance in variances.items():
+            parts[name].append(gain @ variance @ gain.T)
+        parts["repeatability"].append((widen - 1.0) * one.covariance)
+    shares = {name: np.diag(_model(model, theta, own).covariance) for name, own in parts.items()}
+    if dwells.axes is not None:
+        rows = np.array([AXES.index(axis) for axis in dwells.axis])
+        square = sigma[:count] ** -2 * dwells.turn_rate[:, None] ** 2
+        for name, part in dwells.axes.shares(rows, square).items():
+            shares[name] = shares.get(name, 0.0) + np.diag(table_term(model, part))
+    return Budget.of(model.covariance, shares, "instability")
 
 
 def _with_scatter(dwells: DwellMeans, rates: FloatArray) -> FloatArray:
@@ -259,7 +301,14 @@ def _without_g(fit: RateTableFit) -> RateTableFit:
     apart = float(np.ptp(g, axis=1).max()) * STANDARD_GRAVITY / RADIAN_PER_DEGREE
     kept = [one for one in fit.verdict.findings if one.code != "rate_table.g_sensitivity"]
     moved = finding("rate_table.axis_offset", level_of(apart, DRIFT_DPS), offset_dps=apart, wanted=DRIFT_DPS[0])
-    plain = replace(model, g_sensitivity=None, parameters=model.parameters[:12], covariance=model.covariance[:12, :12])
+    kept_of = None if model.budget is None else replace(model.budget, uncertainty=model.budget.uncertainty[:, :12])
+    plain = replace(
+        model,
+        g_sensitivity=None,
+        parameters=model.parameters[:12],
+        covariance=model.covariance[:12, :12],
+        budget=kept_of,
+    )
     return replace(fit, model=plain, verdict=Verdict.of(*kept, moved))
 
 
@@ -306,6 +355,7 @@ def _refined(
         rank=3 * rank,
         condition=condition,
     )
+    model = replace(model, budget=_budget(model, dwells, design, found, sigma, widen))
     residual = 100.0 * model.rms_residual / float(np.abs(fit.turn_rate).max())
     verdict = fit.verdict.also(Verdict.of(*_judged(dwells, model, found, by_axis, widen, residual)))
     return replace(fit, model=model, residuals=residuals, verdict=verdict)
@@ -366,7 +416,9 @@ def _model(plain: TriadModel, theta: FloatArray, own: list[FloatArray]) -> Triad
         jacobian[12:, 12:] = np.kron(matrix, np.eye(3))
         names = (*names, *G_NAMES)
     covariance = jacobian @ covariance @ jacobian.T
-    return replace(plain, matrix=matrix, offset=offset, g_sensitivity=g, parameters=names, covariance=covariance)
+    return replace(
+        plain, matrix=matrix, offset=offset, g_sensitivity=g, parameters=names, covariance=covariance, budget=None
+    )
 
 
 # ---- false dwells: a rate stated with a wrong sign, value or axis
@@ -485,7 +537,8 @@ def _on_table(seen: Observed, dwells: DwellMeans, accel: TriadModel | None) -> t
     )
     axes = table_axes(held, table, accel, session.gravity_m_s2)
     creep = creep_of(seen, turns, "gyro")
-    axes = replace(axes, covariance=axes.covariance + _scale_creep(dwells, creep))
+    of_creep = _scale_creep(dwells, creep)
+    axes = replace(axes, covariance=axes.covariance + of_creep, creep=of_creep)
     return replace(dwells, axes=axes, mount_tilt=table.mount_tilt_deg * RADIAN_PER_DEGREE), creep.findings()
 
 

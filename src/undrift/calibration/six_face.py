@@ -42,12 +42,13 @@ from undrift.fit.least_squares import (
     fit_forward,
     fit_paper,
     geometric_peak,
+    inverse_jacobian,
     noise_of_means,
     offset_verdict,
     triad_from_forward,
     whitened,
 )
-from undrift.model import Verdict
+from undrift.model import Budget, TriadModel, Verdict
 from undrift.record import Face, Record, Still
 from undrift.units import RADIAN_PER_DEGREE, is_physical, si_factor
 
@@ -210,13 +211,18 @@ class FaceMeans:
 
     def shared(self, gravity: float) -> FloatArray | None:
         """Return the errors that the readings of one sensor have in common by creep and flicker (3, P, c), ``unit``."""
-        parts = [] if self.flicker is None else [np.stack((self.flicker, self.flicker, self.flicker))]
+        parts = self.shared_by(gravity)
+        return np.concatenate([*parts.values()], axis=2) if parts else None
+
+    def shared_by(self, gravity: float) -> dict[str, FloatArray]:
+        """Return the same by source of a budget."""
+        parts = {} if self.flicker is None else {"instability": np.stack((self.flicker, self.flicker, self.flicker))}
         if self.creep is not None and not self.creep.none:
             up = gravity * face_vectors(self.faces)
             design = np.column_stack((up, np.ones(len(up))))
             gain = np.diag(np.linalg.lstsq(design, self.reading, rcond=None)[0][:3])
-            parts.append(np.stack([self.creep.columns(up[:, j], float(gain[j])) for j in range(3)]))
-        return np.concatenate(parts, axis=2) if parts else None
+            parts["temperature"] = np.stack([self.creep.columns(up[:, j], float(gain[j])) for j in range(3)])
+        return parts
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -244,8 +250,34 @@ def fit_six_face(poses: FaceMeans, *, gravity: float, mode: SixFaceMode = "level
         found = offset_verdict(fit, up, reading, noise).also(found)
     else:
         fit = triad_from_forward(forward, valid_range=(-gravity, gravity), **names)
+        if known is not None:
+            fit = replace(fit, model=replace(fit.model, budget=_budget(poses, fit.model, up, known, forward is plain)))
     check_handedness(fit.model.forward_matrix, "accelerometer")
     return SixFaceFit(model=fit.model, residuals=fit.residuals, verdict=found, tilt=tilt)
+
+
+def _budget(poses: FaceMeans, model: TriadModel, up: FloatArray, noise: FloatArray, is_level: bool) -> Budget:
+    """Return the shares of level faces, C = G V G', V the sum over noise, codes and what is in common; the rest is the level."""
+    rounding = np.zeros(3) if poses.rounding is None else poses.rounding
+    gravity = float(np.abs(up).max())
+    shared, every = poses.shared_by(gravity), poses.shared(gravity)
+    design = np.column_stack((up, np.ones(len(up))))
+    parts: dict[str, FloatArray] = {name: np.zeros((12, 12)) for name in ("noise", "adc", *shared)}
+    for row in range(3):
+        common = np.zeros((len(up), 0)) if every is None else every[row]
+        scaled = np.linalg.solve(np.diag(noise[:, row] ** 2) + common @ common.T, design)
+        gain = np.linalg.solve(design.T @ scaled, scaled.T)
+        place = np.ix_(_PLACES[row], _PLACES[row])
+        codes = np.minimum(rounding[row], noise[:, row]) ** 2
+        parts["adc"][place] = (gain * codes) @ gain.T
+        parts["noise"][place] = (gain * (noise[:, row] ** 2 - codes)) @ gain.T
+        for name, columns in shared.items():
+            moved = gain @ columns[row]
+            parts[name][place] = moved @ moved.T
+    jacobian = np.eye(12)
+    jacobian[:9, :9] = inverse_jacobian(model.matrix)
+    shares = {name: np.diag(jacobian @ part @ jacobian.T) for name, part in parts.items()}
+    return Budget.of(model.covariance, shares, "noise" if is_level else "level")
 
 
 def _judged(

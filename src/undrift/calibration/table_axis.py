@@ -17,7 +17,7 @@ of axis and rate that are left are those of dwells, weighed as the fit weighs th
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -52,6 +52,17 @@ class TableAxes:
     size: (
         FloatArray  # (3,), rms of ripple once a turn, twice a turn and of settling, relative; 0 where they do not show
     )
+    creep: FloatArray = field(
+        default_factory=lambda: np.zeros((9, 9))
+    )  # of ``covariance``, by the session's temperature
+
+    def shares(self, own: IntArray, square: FloatArray) -> dict[str, FloatArray]:
+        """Return what ``of_rates`` sums, (9, 9) each, by source of a budget; arguments as there, without what is alone."""
+        rate, spread = self.covariance - self.creep, self.of_rates(own, square, alone=False) - self.covariance
+        along = np.eye(3, dtype=bool).ravel()
+        along = along[:, None] & along[None, :]
+        mounting, ripple = (np.where(along, 0.0, spread), np.where(along, spread, 0.0))
+        return {"rate": rate, "ripple": ripple, "mounting": mounting, "temperature": self.creep}
 
     def of_rates(self, own: IntArray, square: FloatArray, *, alone: bool) -> FloatArray:
         """Return the covariance (9, 9) of D where dwells (N,) about axes ``own`` weigh by ``square`` (N, 3).

@@ -34,13 +34,15 @@ COMMANDS = {  # one line of 80 columns each
     "validate": "Compare with an optical reference, in degrees.",
     "twin": "Fit the device model to a real device, and predict other motions.",
     "export": "Write calibrations for firmware and other programs.",
+    "certificate": "A calibration certificate with uncertainty budget, as a PDF.",
     "noise": "Angle random walk, bias instability, rate random walk.",
     "simulate": "Simulated sensor output for poses, tasks and thermal sessions.",
     "rig": "Run a protocol on a rate table; check, stop, emulate; --json.",
     "study": "Find the calibration protocol that is enough for a task.",
+    "data": "Recordings to try: list them, fetch one by checksum; --json.",
     "demo": "The whole flow on a small simulated session, as a report page.",
 }
-GROUPS = ("session", "rig")  # of commands
+GROUPS = ("session", "rig", "data")  # of commands
 EARLIER_NAMES = {  # options renamed since a release; both spellings work, help shows the standard one
     "drift": {"--page": "--report", "--range": "--range-c", "--step": "--step-c"},
     "rig": {"--hands": "--operator"},
@@ -177,7 +179,7 @@ def complain(message: str, *, code: int) -> int:
 
 def _help() -> str:
     rows = [*COMMANDS.items(), ("--version", "Show the version; -V does too.")]
-    lines = "\n".join(f"  {name:11}{text}" for name, text in rows)
+    lines = "\n".join(f"  {name:12}{text}" for name, text in rows)
     end = (
         "undrift COMMAND --help explains its options.\n"
         "Every command takes --memory-limit-gb G, for reading one file (2 by default),\nand --trust, which reads without limits.\n"

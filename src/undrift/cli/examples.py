@@ -53,6 +53,10 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "undrift export calibration.json --target c -o calibration.h",
         "undrift export calibration.json --target px4 -o calibration.params",
     ),
+    "certificate": (
+        "undrift certificate calibration.json -o certificate.pdf",
+        "undrift certificate calibration.json -o certificate.pdf --json",
+    ),
     "noise": (
         "undrift noise rest.csv --map map.toml --figure allan.svg",
         "undrift noise rest.csv --calibration calibration.json --start-s 60 --json",
@@ -89,6 +93,18 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     "study": (
         "undrift study --preset note --quick",
         "undrift study study.toml --workers 4 -o study/",
+    ),
+    "data": (
+        "undrift data list",
+        "undrift data fetch sample",
+    ),
+    "data list": (
+        "undrift data list",
+        "undrift data list --json",
+    ),
+    "data fetch": (
+        "undrift data fetch sample -o first/",
+        "undrift data fetch broad",
     ),
     "demo": (
         "undrift demo",

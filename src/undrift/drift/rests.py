@@ -601,7 +601,8 @@ def with_g_sensitivity(rests: RestBlocks, device: Calibration) -> tuple[Calibrat
     covariance = np.zeros((count + len(G_NAMES), count + len(G_NAMES)))
     covariance[:count, :count] = model.covariance
     covariance[count:, count:] = np.einsum("ak,bk,kij->aibj", m, m, estimated[1]).reshape(len(G_NAMES), len(G_NAMES))
-    known = replace(model, g_sensitivity=g, parameters=(*model.parameters, *G_NAMES), covariance=covariance)
+    names = (*model.parameters, *G_NAMES)
+    known = replace(model, g_sensitivity=g, parameters=names, covariance=covariance, budget=None)
     size = float(np.abs(g).max()) * si_factor(model.unit_out, "rate") * STANDARD_GRAVITY / RADIAN_PER_DEGREE
     estimate = finding("drift.g_sensitivity", "info", largest_dps_per_g=size, poses=between.in_pose.shape[1])
     return replace(device, gyro=known), Verdict.of(estimate)

@@ -22,6 +22,7 @@ from undrift.findings import Finding, Level, catalogue, finding
 from undrift.io.session import KeptEntry, file_map_of
 from undrift.model import (
     AdcModel,
+    Budget,
     Calibration,
     DriftTables,
     DynamicDrift,
@@ -78,6 +79,7 @@ class TriadFile(BaseModel, strict=True, extra="forbid", frozen=True):
     rank: int
     condition: Number
     valid_range: Annotated[list[Number], Field(min_length=2, max_length=2)]
+    budget: dict[str, list[Finite]] | None = None  # standard uncertainty of the parameters by source
 
 
 class WarmUpFile(BaseModel, strict=True, extra="forbid", frozen=True):
@@ -339,10 +341,9 @@ def calibration_json(calibration: Calibration) -> dict[str, Any]:
     return {
         "kind": KIND,
         "format": FORMAT,
-        **{
-            key: _plain(getattr(calibration, key))
-            for key in ("device", "reference_temp_c", "gravity_m_s2", "gyro", "accel")
-        },
+        **{key: _plain(getattr(calibration, key)) for key in ("device", "reference_temp_c", "gravity_m_s2")},
+        "gyro": _triad_json(calibration.gyro),
+        "accel": _triad_json(calibration.accel),
         "drift": _drift_json(calibration.drift),
         "adc": adc and {key.removeprefix("gyro_"): _plain(getattr(adc, key)) for key in ADC_KEYS},
         "noise": _plain(calibration.noise),
@@ -406,6 +407,16 @@ def _plain(value: Any) -> Any:
     if isinstance(value, Mapping):
         return {name: _plain(item) for name, item in value.items()}
     return {name: _plain(getattr(value, name)) for name in value.__slots__}
+
+
+def _triad_json(triad: TriadModel | None) -> dict[str, Any] | None:
+    """A triad, its budget by source; a key that states nothing is left out."""
+    if triad is None:
+        return None
+    content = {name: _plain(getattr(triad, name)) for name in triad.__slots__ if name != "budget"}
+    if triad.budget is not None:
+        content["budget"] = dict(zip(triad.budget.sources, _plain(triad.budget.uncertainty), strict=True))
+    return content
 
 
 def _drift_json(drift: DriftTables | None) -> dict[str, Any] | None:
@@ -473,6 +484,9 @@ def _triad(file: TriadFile | None) -> TriadModel | None:
         rms_residual=_scalar(file.rms_residual),
         condition=_scalar(file.condition),
         valid_range=(_scalar(file.valid_range[0]), _scalar(file.valid_range[1])),
+        budget=None
+        if file.budget is None
+        else Budget(sources=tuple(file.budget), uncertainty=_array([*file.budget.values()]).reshape(-1, p)),
     )
 
 

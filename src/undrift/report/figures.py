@@ -98,9 +98,10 @@ def _notebook_figure() -> type["Figure"]:
     return NotebookFigure
 
 
-def svg_of(figure: "Figure") -> str:
-    """Return a figure as SVG text, the same bytes for the same figure."""
-    text = _saved(figure, format="svg", metadata={"Date": None, "Creator": "undrift"}).decode()
+def svg_of(figure: "Figure", *, outlines: bool = False) -> str:
+    """Return a figure as SVG text, the same bytes for the same figure; its letters as outlines where no font is at hand."""
+    fonts = {"svg.fonttype": "path"} if outlines else {}
+    text = _saved(figure, fonts, format="svg", metadata={"Date": None, "Creator": "undrift"}).decode()
     return text[text.index("<svg") :]
 
 
@@ -112,7 +113,7 @@ def save_figure(figure: "Figure", path: Path) -> None:
     write_whole(path, _saved(figure, dpi=130, format=kind, metadata=_UNDATED.get(kind)))
 
 
-def _saved(figure: "Figure", **how: Any) -> bytes:
+def _saved(figure: "Figure", style: Any = None, **how: Any) -> bytes:
     import matplotlib as mpl
     from matplotlib.text import Text
 
@@ -121,7 +122,7 @@ def _saved(figure: "Figure", **how: Any) -> bytes:
     for text in figure.findobj(Text):
         text.set_parse_math(id(text) in powers)  # a dollar in the name of a file is a dollar
     buffer = io.BytesIO()
-    with mpl.rc_context(_STYLE):
+    with mpl.rc_context(_STYLE | (style or {})):
         figure.savefig(buffer, **how)
     return buffer.getvalue()
 

@@ -1,0 +1,49 @@
+"""Record the sample session of the package anew: ``python -m benchmarks.make_sample FOLDER``; about 20 s on an idle machine.
+
+Table, chamber and device are emulated behind sockets, as in ``undrift demo``; the drivers that drive hardware record. The device
+and the person are drawn by fixed seeds. A host's clock is its own, so a new recording differs in its last digits.
+"""
+
+import shutil
+import sys
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+
+from undrift.io.formats import write_record
+from undrift.io.reference import write_reference
+from undrift.study.virtual_bench import bench_device, bench_plan, record_on_bench, worn_trial
+from undrift.units import RADIAN_PER_DEGREE
+
+FACE_S, DWELL_S, STEP = 6.0, 3.0, 30.0 * RADIAN_PER_DEGREE
+REST_S = 240.0
+
+
+def main(folder: Path) -> None:
+    """Write bench/ (six faces and rates), thermal/ (set-points), rest.parquet, and a sit-to-stand with its optics."""
+    plan, device = bench_plan(quick=True), bench_device()
+    room = replace(plan.bench, face_s=FACE_S, dwell_s=DWELL_S, turn_rate_min=STEP, turn_rate_step=STEP)
+    rest = replace(room, name="rest", faces=("+z",), face_s=REST_S, turn_rate_step=0.0)
+    folder.mkdir(parents=True)
+    with tempfile.TemporaryDirectory() as apart:
+        record_on_bench(replace(plan, bench=room), device, folder, tell=lambda what, left_s: None)
+        made = Path(apart)
+        record_on_bench(
+            replace(plan, bench=rest, thermal=replace(rest, name="again", face_s=1.0)),
+            device,
+            made,
+            tell=lambda what, left_s: None,
+        )
+        (piece,) = (made / "rest" / "pieces").iterdir()
+        shutil.copy(piece, folder / "rest.parquet")
+    for journal in folder.rglob("journal.jsonl"):
+        journal.unlink()
+    record, reference = worn_trial(device, seed=1)
+    write_record(record, folder / "sit_to_stand.parquet")
+    write_reference(reference, folder / "sit_to_stand_optics.parquet")
+    size = sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
+    print(f"{folder}: {size / 1e3:.0f} kB")
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))

@@ -1,0 +1,198 @@
+"""The certificate: shares that sum to the covariance, GTC's combination, coverage of simulated truth, the same bytes twice."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from benchmarks.certificate import LEAST, MOST, drawn, held
+
+from testkit.data import show
+from testkit.plain_triad import plain_triad
+from undrift.errors import InputError
+from undrift.io.store import calibration_text, read_calibration, write_calibration
+from undrift.model import SOURCES, Budget, Calibration
+from undrift.report.certificate import (
+    SOURCE_ROWS,
+    block_of,
+    certificate_content,
+    content_hash,
+    coverage_factors,
+    rounded,
+    stated,
+    two_digits,
+    write_certificate,
+)
+
+
+@pytest.fixture(scope="module")
+def calibration() -> Calibration:
+    return drawn(np.random.default_rng(5))[0]
+
+
+def few_spare(triad):
+    """Return a triad of which repeatability is the larger part, from 7 spare equations."""
+    p = len(triad.parameters)
+    shares = np.stack((np.sqrt(0.4) * triad.standard_uncertainty, np.sqrt(0.6) * triad.standard_uncertainty))
+    return replace(triad, count=p + 7, budget=Budget(sources=("noise", "repeatability"), uncertainty=shares))
+
+
+# ---- shares
+
+
+@pytest.mark.parametrize("name", ["gyro", "accel"])
+def test_the_shares_combine_to_the_covariance(calibration: Calibration, name: str) -> None:
+    triad = getattr(calibration, name)
+    assert triad.budget is not None
+    assert set(triad.budget.sources) <= set(SOURCES)
+    assert len(triad.budget.sources) >= 4
+    np.testing.assert_allclose((triad.budget.uncertainty**2).sum(axis=0), np.diag(triad.covariance), rtol=1e-12)
+    np.testing.assert_allclose(stated(triad).standard, triad.standard_uncertainty, rtol=1e-12)
+
+
+def test_the_stated_rate_is_that_of_the_table(calibration: Calibration) -> None:
+    # A relative error of all rates, 1e-4, moves the elements of the diagonal by just that.
+    gyro = calibration.gyro
+    rate = gyro.budget.uncertainty[gyro.budget.sources.index("rate")][[0, 4, 8]]
+    np.testing.assert_allclose(rate, 1e-4 * np.diag(gyro.matrix), rtol=1e-3)
+
+
+def test_what_a_part_exceeds_is_not_separated() -> None:
+    whole = np.diag([4.0, 9.0])
+    made = Budget.of(whole, {"noise": np.array([1.0, -0.5]), "adc": np.array([2.0, 1.0])}, "level")
+    assert made.sources == ("level", "noise", "adc")
+    np.testing.assert_allclose(made.uncertainty**2, [[1.0, 8.0], [1.0, 0.0], [2.0, 1.0]])
+    one = Budget.of(whole, {"noise": np.array([5.0, 1.0])}, "level")
+    assert one.sources == ("fit",)
+    np.testing.assert_allclose(one.uncertainty, [[2.0, 3.0]])
+
+
+def test_shares_that_do_not_sum_up_are_refused(calibration: Calibration) -> None:
+    with pytest.raises(InputError, match="uncertainty budget: wanted squares that sum to the covariance's diagonal"):
+        replace(calibration.accel, covariance=2.0 * calibration.accel.covariance)
+
+
+def test_the_budget_reads_back_and_older_files_are_read(calibration: Calibration, tmp_path) -> None:
+    write_calibration(calibration, tmp_path / "c.json")
+    read = read_calibration(tmp_path / "c.json")
+    assert read.gyro.budget.sources == calibration.gyro.budget.sources
+    assert (read.gyro.budget.uncertainty == calibration.gyro.budget.uncertainty).all()
+    older = json.loads((tmp_path / "c.json").read_text())
+    del older["gyro"]["budget"]
+    (tmp_path / "c.json").write_text(json.dumps(older))
+    assert read_calibration(tmp_path / "c.json").gyro.budget is None
+
+
+# ---- combination and expansion
+
+
+@pytest.mark.parametrize("few", [False, True])
+def test_the_budget_equals_gtcs(calibration: Calibration, few: bool) -> None:
+    gtc, reporting = pytest.importorskip("GTC"), pytest.importorskip("GTC.reporting")
+    for triad in (calibration.gyro, calibration.accel):
+        given = few_spare(triad) if few else triad
+        made = stated(given)
+        for n in range(len(made.names)):
+            total = gtc.constant(0.0)
+            for source, share in made.shares.items():
+                freedom = given.count - len(made.names) if source == "repeatability" else float("inf")
+                total = total + gtc.ureal(0.0, float(share[n]), freedom)
+            k = reporting.k_factor(total.df, 95.45) if total.df < 50.0 else 2.0
+            assert made.standard[n] == pytest.approx(total.u, rel=1e-6)
+            assert made.expanded[n] == pytest.approx(k * total.u, rel=1e-6)
+            assert made.coverage[n] > 2.1 if few else made.coverage[n] == 2.0
+
+
+def test_students_factor_is_that_of_the_gum() -> None:
+    # JCGM 100:2008, table G.2, for 95.45 %
+    np.testing.assert_allclose(
+        coverage_factors(np.array([1.0, 5.0, 10.0, 40.0, np.inf])), [13.97, 2.65, 2.28, 2.06, 2.0], atol=6e-3
+    )
+
+
+def coverage(devices: int) -> float:
+    inside = [one for _, one in held(devices)]
+    share = 100.0 * float(np.mean(inside))
+    show(f"truth inside U, {devices} devices", f"{share:.1f} %", f"{LEAST:g} to {MOST:g} %")
+    return share
+
+
+def test_the_truth_lies_inside_the_expanded_uncertainty_of_200_devices() -> None:
+    assert LEAST <= coverage(200) <= MOST
+
+
+@pytest.mark.long
+def test_the_truth_lies_inside_the_expanded_uncertainty_of_1000_devices() -> None:
+    assert LEAST <= coverage(1000) <= MOST
+
+
+# ---- the document
+
+
+def test_the_same_calibration_gives_the_same_bytes(calibration: Calibration, tmp_path) -> None:
+    write_certificate(calibration, tmp_path / "a.pdf")
+    (tmp_path / "c.json").write_text(calibration_text(calibration, "c.json"))
+    write_certificate(read_calibration(tmp_path / "c.json"), tmp_path / "b.pdf")
+    first = (tmp_path / "a.pdf").read_bytes()
+    assert first.startswith(b"%PDF-")
+    assert (tmp_path / "b.pdf").read_bytes() == first
+    write_certificate(replace(calibration, device="another"), tmp_path / "b.pdf")
+    assert (tmp_path / "b.pdf").read_bytes() != first
+
+
+def test_the_hash_follows_the_content_alone(calibration: Calibration) -> None:
+    assert content_hash(calibration) == content_hash(replace(calibration))
+    assert content_hash(calibration) != content_hash(replace(calibration, gravity_m_s2=9.81))
+
+
+def test_the_content_states_results_sources_and_references(calibration: Calibration) -> None:
+    content = certificate_content(calibration)
+    gyro, accel = content["triads"]
+    labels = [row[0] for row in gyro["budget"]]
+    for source in calibration.gyro.budget.sources:
+        assert SOURCE_ROWS[source][0] in labels
+    assert labels[-2:] == ["Combined standard uncertainty", "Expanded uncertainty"]
+    assert ["Local gravity", "B", "not included", "–", "–"] in accel["budget"]
+    assert len(gyro["results"]) == len(calibration.gyro.parameters)
+    assert any("rates in common 0.0001 (relative)" in text for text in content["traceability"])
+    assert any("claims no accreditation" in text for text in content["traceability"])
+    assert any("Change with temperature is not included" in text for text in content["limits"])
+    # rms of a block in per cent of the mean scale factor, by hand
+    sigma = calibration.gyro.standard_uncertainty[[0, 4, 8]]
+    percent = 100.0 * np.sqrt(np.mean(sigma**2)) / np.diag(calibration.gyro.matrix).mean()
+    assert gyro["budget"][-2][2] == two_digits(percent)
+
+
+def test_without_shares_one_line_states_all_sources(calibration: Calibration) -> None:
+    content = certificate_content(replace(calibration, accel=replace(calibration.accel, budget=None)))
+    accel = content["triads"][1]
+    assert not accel["separated"]
+    assert [row[0] for row in accel["budget"]] == [
+        "Local gravity", "Fit: sources not separated", "Combined standard uncertainty", "Expanded uncertainty",
+    ]  # fmt: skip
+
+
+def test_what_has_no_covariance_is_refused(calibration: Calibration) -> None:
+    bare = replace(calibration, gyro=plain_triad("dps", "rad/s"))
+    with pytest.raises(InputError, match="wanted a covariance of the gyroscopes, got none"):
+        certificate_content(bare)
+    with pytest.raises(InputError, match="wanted a calibrated gyroscope or accelerometer, got neither"):
+        certificate_content(replace(calibration, gyro=None, accel=None))
+
+
+@pytest.mark.parametrize(
+    ("value", "uncertainty", "shown"),
+    [
+        (1.0034567, 0.00123, ("1.0035", "0.0012")),
+        (-0.061, 0.0021, ("-0.0610", "0.0021")),
+        (43.491, 0.35, ("43.49", "0.35")),
+        (1.06427e-9, 3.4e-13, ("1.06427e-9", "0.00034e-9")),
+        (2.5, 0.0, ("2.5", "0")),
+    ],
+)
+def test_values_are_rounded_to_their_uncertainty(value: float, uncertainty: float, shown: tuple[str, str]) -> None:
+    assert rounded(value, uncertainty) == shown
+
+
+def test_parameters_fall_into_blocks() -> None:
+    assert [block_of(name) for name in ("m_xx", "m_xy", "offset_z", "g_xy")] == ["scale", "cross", "offset", "g"]
