@@ -178,7 +178,7 @@ class TriadModel:
             stated, summed = np.diag(self.covariance), (self.budget.uncertainty**2).sum(axis=0)
             if summed.shape != stated.shape or not np.allclose(summed, stated, rtol=1e-9, atol=0.0):
                 raise InputError(
-                    "uncertainty budget: wanted squares that sum to the covariance's diagonal, got others; calibrate anew"
+                    "budget: wanted squares that sum to the diagonal of the covariance, got others; give its own, or none"
                 )
 
     @property

@@ -238,7 +238,9 @@ def test_a_gap_in_the_gyroscope_leaves_a_block_unmeasured():
 def test_a_mounting_is_known_as_stated_where_the_accelerometers_know_it_worse():
     device, session = turned(table=TableErrors())
     accel = true_accel(device)
-    poor = replace(accel, covariance=np.diag([*np.full(9, (0.01 * accel.matrix[0, 0]) ** 2), 0.0, 0.0, 0.0]))
+    poor = replace(
+        accel, covariance=np.diag([*np.full(9, (0.01 * accel.matrix[0, 0]) ** 2), 0.0, 0.0, 0.0]), budget=None
+    )
     dwells = dwells_of(session, device)
     found = table_axes(dwells, RateTable(mount_tilt_deg=0.01, wobble_deg=0.0), poor, G)
     sigma = np.sqrt(np.diag(found.spread)).reshape(-1, 3)[~np.eye(3, dtype=bool)[dwells.own]]

@@ -42,7 +42,7 @@ def without_triads(content):
         (
             lambda content: content["gyro"]["budget"].popitem(),
             "c.pdf",
-            "wanted squares that sum to the covariance's diagonal",
+            "wanted squares that sum to the diagonal of the covariance",
         ),
     ],
 )

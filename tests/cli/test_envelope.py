@@ -35,6 +35,9 @@ GOOD = {  # a call of each command, and the kind of its answer
     "validate": ("validate {bench}/corrected.parquet --reference {bench}/reference.parquet", "undrift.validation"),
     "export": ("export {bench}/calibration.json --target ros -o {here}/c.yaml", "undrift.export"),
     "noise": ("noise {here}/rest.csv", "undrift.noise"),
+    "certificate": ("certificate {bench}/calibration.json -o {here}/c.pdf", "undrift.certificate"),
+    "data list": ("data list", "undrift.data_list"),
+    "data fetch": ("data fetch sample -o {here}/sample", "undrift.data_fetch"),
     "simulate": ("simulate sit_to_stand --device mpu6050 -o {here}/s.parquet", "undrift.simulation"),
 }
 ELSEWHERE = {
@@ -56,6 +59,9 @@ BAD = {  # a call that is refused, and the kind that a good answer would have
     "orient": ("orient nowhere.csv -o {here}/o.csv", "undrift.orientation"),
     "validate": ("validate nowhere.csv --reference nowhere.csv", "undrift.validation"),
     "twin": ("twin nowhere.csv --reference nowhere.csv", "undrift.twin"),
+    "certificate": ("certificate nowhere.json -o {here}/c.pdf", "undrift.certificate"),
+    "data list": ("data list more", "undrift.data_list"),
+    "data fetch": ("data fetch nowhere", "undrift.data_fetch"),
     "export": ("export nowhere.json --target ros -o {here}/c.yaml", "undrift.export"),
     "simulate": ("simulate nowhere --device mpu6050 -o {here}/s.parquet", "undrift.simulation"),
     "rig run": ("rig run nowhere.toml --rig manual: --device tcp://127.0.0.1:9 -o {here}/run", "undrift.rig_run"),

@@ -9,6 +9,7 @@ from benchmarks.certificate import LEAST, MOST, drawn, held
 
 from testkit.data import show
 from testkit.plain_triad import plain_triad
+from undrift.calibration.calibrate import calibrate
 from undrift.errors import InputError
 from undrift.io.store import calibration_text, read_calibration, write_calibration
 from undrift.model import SOURCES, Budget, Calibration
@@ -23,6 +24,8 @@ from undrift.report.certificate import (
     two_digits,
     write_certificate,
 )
+from undrift.sim.device.presets import random_device
+from undrift.sim.sessions import simulate_session
 
 
 @pytest.fixture(scope="module")
@@ -68,7 +71,9 @@ def test_what_a_part_exceeds_is_not_separated() -> None:
 
 
 def test_shares_that_do_not_sum_up_are_refused(calibration: Calibration) -> None:
-    with pytest.raises(InputError, match="uncertainty budget: wanted squares that sum to the covariance's diagonal"):
+    with pytest.raises(
+        InputError, match="budget: wanted squares that sum to the diagonal of the covariance"
+    ):
         replace(calibration.accel, covariance=2.0 * calibration.accel.covariance)
 
 
@@ -196,3 +201,15 @@ def test_values_are_rounded_to_their_uncertainty(value: float, uncertainty: floa
 
 def test_parameters_fall_into_blocks() -> None:
     assert [block_of(name) for name in ("m_xx", "m_xy", "offset_z", "g_xy")] == ["scale", "cross", "offset", "g"]
+
+
+def test_turns_by_hand_keep_their_shares() -> None:
+    rng = np.random.default_rng(11)
+    device = random_device(rng)
+    made = calibrate(simulate_session("ferraris", device, rng=rng))
+    assert made.gyro.method.startswith("known-rotation")
+    assert {"axis", "noise", "instability"} <= set(made.gyro.budget.sources)
+    np.testing.assert_allclose(stated(made.gyro).standard, made.gyro.standard_uncertainty, rtol=1e-12)
+    content = certificate_content(made)
+    assert "Rig: axis of turns" in [row[0] for row in content["triads"][0]["budget"]]
+    assert any(text.startswith("Angles: those stated for the turns.") for text in content["traceability"])

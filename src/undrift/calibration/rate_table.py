@@ -205,7 +205,7 @@ def _budget(
 
     At no walk C = G V G', V = noise + codes + what wobble and an uneven rate add to each dwell. The walk has the rest.
     """
-    dwell_noise = np.broadcast_to(np.asarray(dwells.noise), dwells.reading.shape)
+    dwell_noise = np.asarray(dwells.noise) * np.ones_like(dwells.reading)
     theta, count = np.array([one.theta for one in found]), len(dwell_noise)
     own = np.array(dwells.axis)[:, None] == np.array(AXES)[None, :]
     parts: dict[str, list[FloatArray]] = {name: [] for name in ("noise", "adc", "ripple", "mounting", "repeatability")}

@@ -328,7 +328,7 @@ def draw_tables(drift: DriftTables) -> "Figure":
             relative = 100.0 * (own / own.mean(axis=0) - 1.0)
             doubt = None if doubt is None else 100.0 * np.einsum("nii->ni", doubt) / np.abs(own.mean(axis=0))
             panels.append((f"{triad}: scale factor (%)", drift.scale.temp_c, relative, doubt))
-    figure, axes = new_figure(len(panels), height=1.7, width=7.2, share_x=False)
+    figure, axes = new_figure(len(panels), height=1.3, width=7.2, share_x=False)
     for panel, (title, temp_c, value, doubt) in zip(axes, panels, strict=True):
         for k, axis in enumerate(AXES):
             style: Any = {
@@ -342,7 +342,7 @@ def draw_tables(drift: DriftTables) -> "Figure":
                 low, high = value[:, k] - COVERAGE * doubt[:, k], value[:, k] + COVERAGE * doubt[:, k]
                 panel.fill_between(temp_c, low, high, color=AXIS_COLOURS[k], alpha=0.12, linewidth=0.0)
         panel.set_title(title, loc="left", fontsize=9)
-        panel.set_xlabel("temperature (°C)")
+    axes[-1].set_xlabel("temperature (°C)")
     axes[0].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, borderaxespad=0.2)
     return figure
 
