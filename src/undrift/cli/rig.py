@@ -8,7 +8,18 @@ from typing import TYPE_CHECKING, Literal
 
 from cyclopts import App, Parameter
 
-from undrift.cli.common import Flag, Json, Output, device_at, say, show_verdict, write_json
+from undrift.cli.common import (
+    Flag,
+    Json,
+    Output,
+    Report,
+    check_report,
+    device_at,
+    origin_of,
+    say,
+    show_verdict,
+    write_json,
+)
 from undrift.cli.examples import examples
 from undrift.errors import InputError
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
@@ -49,6 +60,7 @@ def run(
     card_watchdog: bool = False,
     resume: bool = False,
     yes: bool = False,
+    report: Report = None,
     json: Json = False,
 ) -> int:
     """Run a protocol; the folder is a session for calibrate and drift, after every dwell.
@@ -87,6 +99,8 @@ def run(
         Go on in a folder in which a run was interrupted.
     yes : bool
         Start without asking.
+    report : Path or None
+        Report page to write: .html.
     """
     from undrift.rig.folder import RunFolder
     from undrift.rig.guard import Guard, StopWatch, stopping_on_signals
@@ -96,6 +110,7 @@ def run(
     from undrift.rig.rig import RigSettings, check_programme, parse_address
     from undrift.rig.run import Watch, run_programme
 
+    check_report(report, reads=(protocol,))
     asked = read_protocol(protocol)
     limits = _limits(highest_turn_rate_dps, highest_acceleration_dps2, travel_deg)
     settings = RigSettings(limits=limits, ask=_asked, card_watchdog=(lambda: True) if card_watchdog else None)
@@ -123,6 +138,10 @@ def run(
         result = run_programme(
             programme, bench, folder, report=shown, serial=serial or called, gravity_m_s2=gravity_m_s2, settings=judge
         )
+    if report is not None:
+        from undrift.report.commands import write_rig_report
+
+        write_rig_report(report, result, output.name, origin=origin_of(protocol, output / "session.toml"))
     _result(result, output, json)
     return 0
 
