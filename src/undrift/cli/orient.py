@@ -122,7 +122,13 @@ def orient(
     if report is not None:
         from undrift.report.commands import write_orient_report
 
-        write_orient_report(report, found, record.name, remarks=lines, origin=origin_of(*reads))
+        write_orient_report(
+            report,
+            found,
+            record.name,
+            remarks=tuple(line[:1].upper() + line[1:] for line in lines),
+            origin=origin_of(*reads),
+        )
     if json:
         write_json(made | {"recording": str(record), "output": str(output), "notes": notes}, "orient")
         return 0

@@ -131,7 +131,7 @@ def write_calibration_report(
     text = "Shaded: data sheets usually allow 3 % of the scale and 2 % of cross-axis sensitivity. Bars: 95 %."
     sections = [Section(title="Matrix and offsets", text=(text,), pictures=(svg_of(figures.draw_calibration(made)),))]
     if made.accel is not None:
-        text = "Shaded: the stills that were used. Turns and handling lie between; no line can stay at g there."
+        text = "Shaded: the stills that were used. Turns and handling lie between them."
         drawn = (svg_of(_draw_norm(records, judged, made.gravity_m_s2)),)
         sections.append(Section(title="Specific force over the session", text=(text,), pictures=drawn))
     write_page(
@@ -200,11 +200,19 @@ def _draw_norm(records: Sequence["Record"], judged: Sequence[Judged], gravity_m_
             if one.piece.recording == number_ and one.piece.kind == "still":
                 ends = float(time[one.piece.start]), float(time[one.piece.stop - 1])
                 panel.axvspan(*ends, facecolor=SHADE, linewidth=0.0, zorder=0)
-                panel.plot(ends, [np.linalg.norm(one.accel)] * 2, color=ERROR, linewidth=2.2, solid_capstyle="butt")
+                panel.plot(
+                    ends,
+                    [np.linalg.norm(one.accel)] * 2,
+                    color=ERROR,
+                    linewidth=2.2,
+                    solid_capstyle="butt",
+                    label="mean of a still" if start == 0.0 else None,
+                )
         start = float(time[-1]) + 1.0 / record.sample_rate_hz
-    panel.axhline(gravity_m_s2, color=OPTICS, linewidth=0.6, linestyle="--")
+    panel.axhline(gravity_m_s2, color=OPTICS, linewidth=0.6, linestyle="--", label="local gravity")
     where = "time, recordings one after the other (s)" if len(records) > 1 else "time (s)"
-    panel.set(xlabel=where, ylabel="|a| (m/s2); orange: mean of a still")
+    panel.set(xlabel=where, ylabel="|a| (m/s2)")
+    figures.legend_above(panel)
     return figure
 
 
@@ -212,7 +220,7 @@ def _contributions(
     session: "Session", judged: Sequence[Judged], out: Sequence["Piece"], made: "Calibration"
 ) -> Section:
     """Return what each recording brought to the fit."""
-    shares, names = leverages(judged, made), [name for name, _ in session.inputs]
+    shares, names = leverages(judged, made), [name for name, _ in session.inputs if not name.endswith(".toml")]
     rows = []
     for k, record in enumerate(session.records):
         own = [place for place, one in enumerate(judged) if one.piece.recording == k]
@@ -245,7 +253,9 @@ def write_noise_report(
         if np.isfinite(largest):
             seen.append(f"{TERMS[triad]['angle_random_walk']} up to {largest:.2g} {values[0].unit}")
     sections = [
-        Section(title=title, columns=heads, rows=rows, pictures=(svg_of(figures.draw_allan_fit(found, triad)),))
+        Section(
+            title=title.capitalize(), columns=heads, rows=rows, pictures=(svg_of(figures.draw_allan_fit(found, triad)),)
+        )
         for triad, (title, heads, rows) in tables.items()
     ]
     write_page(
@@ -273,11 +283,11 @@ def write_correct_report(
     """Write the page of corrected recordings; the record is the first of them, or its beginning."""
     samples = sum(row["samples"] for row in rows)
     outside = sum(row["samples_outside"] + row["samples_without_temperature"] for row in rows)
-    covered = (
-        "all within the calibration's temperatures"
-        if not outside
-        else f"{100.0 * outside / samples:.2g} % of them outside the tuning tables"
-    )
+    far = sum(row["samples_extrapolated"] for row in rows)
+    covered = "none outside the temperatures of the calibration"
+    if far or outside:
+        shares = [f"{100.0 * count / samples:.3g} %" for count in (far, outside)]
+        covered = f"{shares[0]} of them where the tuning tables are extrapolated, {shares[1]} outside"
     heads = ("recording", "output", "samples", "outside tables", "extrapolated", "without temperature")
     keys = ("samples", "samples_outside", "samples_extrapolated", "samples_without_temperature")
     table = tuple(
@@ -329,20 +339,17 @@ def write_twin_report(
     origin: Origin | None = None,
 ) -> None:
     """Write the page of a device model that was fitted to a real device."""
-    rows = tuple(
-        (
-            p.name,
-            p.value if isinstance(p.value, str) else f"{p.value:.6g}",
-            f"{p.standard_error:.2g}",
-            p.unit,
-            "yes" if p.identifiable else f"no: {p.reason}",
-        )
-        for p in fitted.parameters
-    )
+    rows, reasons = [], dict[str, list[str]]()
+    for p in fitted.parameters:
+        value = p.value if isinstance(p.value, str) else number(p.value, ".6g")
+        rows.append((p.name, value, number(p.standard_error, ".2g"), p.unit, "yes" if p.identifiable else "no"))
+        if not p.identifiable:
+            reasons.setdefault(p.reason, []).append(p.name)
     heads, known = (
         ("name", "value", "standard error", "unit", "identifiable"),
         sum(p.identifiable for p in fitted.parameters),
     )
+    lost = tuple(f"Not identifiable: {', '.join(names)}: {reason}." for reason, names in reasons.items())
     answer, sections = f"{known} of {len(rows)} parameters of the device are identifiable", []
     if held:
         errors = np.concatenate([one.errors.pitch for one in held]) / DPS
@@ -366,7 +373,10 @@ def write_twin_report(
         answer=answer + ".",
         pictures=(svg_of(_draw_held_out(held)),) if held else (),
         findings=tuple(f for one in held if (f := one.excitation.finding(one.recording)) is not None),
-        sections=(*sections, Section(title="Parameters of the device", columns=heads, rows=rows, words=True)),
+        sections=(
+            *sections,
+            Section(title="Parameters of the device", text=lost, columns=heads, rows=tuple(rows), words=True),
+        ),
         origin=origin,
     )
 

@@ -428,39 +428,43 @@ def draw_calibration(calibration: "Calibration") -> "Figure":
     ]
     if not triads:
         raise InputError("plot: wanted a calibrated gyroscope or accelerometer, got neither; nothing is there to draw")
-    figure, panels = new_figure(2 * len(triads), share_x=False)
+    figure, panels = new_figure(2 * len(triads), height=1.6, share_x=False)
     elements = [row + column for row in AXES for column in AXES]
     limits = np.where(np.eye(3, dtype=bool).ravel(), *DATA_SHEET_PERCENT)
+    style: Any = {"fmt": "o", "color": DEVICE, "capsize": 3.0, "markersize": 4.0, "label": "estimate, 95 %"}
     for (name, triad), matrix, offset in zip(triads, panels[::2], panels[1::2], strict=True):
         sigma = dict(zip(triad.parameters, triad.standard_uncertainty, strict=True))
-        gain = float(triad.scale_factor.mean())
-        if known := is_physical(triad.unit_in):
-            gain = 1.0 / si_factor(triad.unit_in, "rate" if name == "gyro" else "accel")
+        gain, ideal = float(triad.scale_factor.mean()), "mean gain"
+        if is_physical(triad.unit_in):
+            gain, ideal = 1.0 / si_factor(triad.unit_in, "rate" if name == "gyro" else "accel"), "unit"
         percent = 100.0 * (gain * triad.matrix.ravel() - np.eye(3).ravel())
         bars = np.array([196.0 * gain * sigma.get(f"m_{one}", 0.0) for one in elements])
-        style: Any = {"fmt": "o", "color": DEVICE, "capsize": 3.0, "label": "estimate, 95 %"}
-        matrix.bar(elements, 2.0 * limits, bottom=-limits, color=SHADE, label="usual data-sheet limits")
+        matrix.bar(
+            elements, 2.0 * limits, bottom=-limits, color=SHADE, edgecolor=LIMIT, label="usual data-sheet limits"
+        )
         matrix.errorbar(elements, percent, yerr=bars, **style)
         matrix.axhline(0.0, color=OPTICS, linewidth=0.6)
-        matrix.set_ylabel("from ideal (%)")
-        ideal = "unit" if known else f"mean gain {gain:.5g} {triad.unit_in} per {triad.unit_out}"
-        matrix.set_title(f"{name} matrix, against the {ideal}\n ", loc="left", fontsize=10)
-        legend_above(matrix)
+        matrix.set_ylabel(f"{name} matrix\nless {ideal} (%)")
         bars = np.array([1.96 * sigma.get(f"offset_{axis}", 0.0) for axis in AXES])
         offset.errorbar(AXES, triad.offset, yerr=bars, **style)
         offset.margins(0.3)
-        offset.set_ylabel(f"{name} offset ({triad.unit_in})")
+        offset.set_ylabel(f"{name} offset\n({triad.unit_in})")
+    entitle(figure, "Matrix as departures from ideal, and offsets")
+    legend_above(panels[0])
     return figure
 
 
 def draw_bars(names: Sequence[str], values: Mapping[str, Sequence[float]], *, title: str, label: str) -> "Figure":
     """Draw a group of bars for each name, a bar for each row of values (n,)."""
-    figure, (axes,) = new_figure(1, height=2.9)
+    figure, (axes,) = new_figure(1, height=0.5 + 0.18 * len(names) * (len(values) + 1))
     width = 0.8 / len(values)
-    for k, ((row, heights), colour) in enumerate(zip(values.items(), (LIMIT, ERROR, DEVICE, OPTICS), strict=False)):
-        axes.bar(np.arange(len(names)) + (k + 0.5) * width - 0.4, heights, width, color=colour, label=row)
-    axes.set_xticks(np.arange(len(names)), names)
-    axes.set_ylabel(label)
+    styles = zip((LIMIT, ERROR, DEVICE, OPTICS), ("", "///", "", "..."), strict=True)
+    for k, ((row, lengths), (colour, hatch)) in enumerate(zip(values.items(), styles, strict=False)):
+        places = np.arange(len(names)) + (k + 0.5) * width - 0.4
+        axes.barh(places, lengths, width, color=colour, hatch=hatch, edgecolor="white", linewidth=0.4, label=row)
+    axes.set_yticks(np.arange(len(names)), [textwrap.fill(name, 20) for name in names])
+    axes.set_axisbelow(True)
+    axes.set(xlabel=label, ylim=(len(names) - 0.5, -0.5))
     entitle(figure, title)
     legend_above(axes)
     return figure
@@ -516,7 +520,8 @@ def draw_allan_fit(found: NoiseFit, triad: str) -> "Figure":
         for name, (dash, marker, at_s) in dashes.items():
             if (line := np.sqrt(parts[name])).any():
                 at = float(found.taus_s[total.argmin()]) if at_s is None else at_s
-                shown = np.where(line > 0.5 * low, line, np.nan)
+                far = (line > 0.5 * low) | (found.taus_s >= 0.5 * at if name == "rate_random_walk" else False)
+                shown = np.where(far, line, np.nan)
                 panel.plot(found.taus_s, shown, color=LIMIT, linestyle=dash, label=TERMS[triad][name])
                 panel.plot(at, np.interp(at, found.taus_s, line), marker=marker, color=LIMIT, markersize=5.0)
         panel.set(xscale="log", yscale="log", ylabel=f"{triad} {axis.axis} ({getattr(found, f'{triad}_unit')})")
@@ -647,7 +652,7 @@ def draw_pareto(outcome: "StudyOutcome", task: "TaskOutcome") -> "Figure":
             axes.scatter(minutes[chosen], mean[chosen], color=colour, marker=marker, s=10, label=label)
     at = front.surface.rig_minutes[front.places]
     reach = np.abs(front.interval_deg.T - front.mean_deg)
-    label = "nothing is both shorter and better, 95 %"
+    label = "not beaten in both, 95 %"
     axes.errorbar(at, front.mean_deg, yerr=reach, color=ERROR, linewidth=1.2, elinewidth=0.7, capsize=2, label=label)
     marks = [(found.best, "*", 130, ERROR, "optimum"), (found.cheapest, "D", 50, ERROR, "shortest equivalent")]
     if found.best == found.cheapest:

@@ -100,7 +100,7 @@ def write_page(
         shown=shown,
         folded=[section for section in filled if section.folded],
         verdict=verdict,
-        findings=most_consequential_first((*(verdict.findings if verdict else ()), *findings)),
+        findings=_each_code_first((*(verdict.findings if verdict else ()), *findings)),
         contents=lines > SCREEN_LINES,
         ordered=most_consequential_first,
         first=SHOWN_FIRST,
@@ -110,6 +110,13 @@ def write_page(
         versions=_versions(),
     )
     write_whole(path, text.lstrip())
+
+
+def _each_code_first(findings: Iterable[Finding]) -> list[Finding]:
+    """Return findings by their consequence, the first of each code before the others of the same."""
+    ordered = most_consequential_first(findings)
+    first = list({item.code: item for item in reversed(ordered)}.values())[::-1]
+    return [*(item for item in ordered if item in first), *(item for item in ordered if item not in first)]
 
 
 def _inlined(svg: str, number: int, known: set[str]) -> str:

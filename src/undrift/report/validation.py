@@ -171,7 +171,7 @@ def _answer(result: "Validation", method: Method) -> str:
         how = f"by {method.source}" if method.source else "by a calibration from these same recordings"
     figures, over = result.median, f", median of {len(result.trials)} recordings" if len(result.trials) > 1 else ""
     return (
-        f"Orientation is wrong by {figures.rmse_total_deg:.1f} deg rms in total and {figures.rmse_inclination_deg:.1f} deg in "
+        f"Orientation is wrong by {figures.rmse_total_deg:.2g} deg rms in total and {figures.rmse_inclination_deg:.2g} deg in "
         f"inclination over the motion{over}, {how if method.calibration or method.settings.offset == 'rest' else 'uncorrected'}."
     )
 
