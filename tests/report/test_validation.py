@@ -181,8 +181,9 @@ def test_a_peak_in_the_table_is_a_peak_in_the_figure(result):
 def test_the_page_is_written_with_a_picture_for_each_trial(result, tmp_path):
     write_validation_report(result, METHOD, tmp_path / "r.html")
     text = (tmp_path / "r.html").read_text()
-    assert "3 recordings, errors in degrees." in text
-    assert text.count("<svg") == 4
+    assert "Against the reference: 3 recordings" in text
+    assert "deg rms in total and" in text
+    assert text.count("<svg") == 5  # the errors of all, the agreement, a course each
     for name in ("a: sagittal pitch", "b: sagittal pitch", "c: sagittal pitch", "pitch (deg)", "rmse (deg)"):
         assert name in text
     assert len(text) < 2_000_000

@@ -11,7 +11,7 @@ import numpy as np
 from undrift.drift.hysteresis import SIGNIFICANT
 from undrift.errors import InputError
 from undrift.model import AXES
-from undrift.report.figures import DEVICE, ERROR, LIMIT, new_figure, plain_log, stretches, svg_of
+from undrift.report.figures import DEVICE, ERROR, LIMIT, new_figure, stretches, svg_of
 from undrift.report.page import Origin, Section, write_page
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
@@ -252,7 +252,6 @@ def draw_alternatives(alternatives: "Alternatives") -> "Figure":
     axes.set_yticks(range(len(rows)), names)
     label = "error of held-out soaks and rates\n(deg/s rms, with standard error)"
     axes.set(ylim=(len(rows) - 0.4, -0.6), xscale="log", xlabel=label)
-    plain_log(axes, "x")
     return figure
 
 

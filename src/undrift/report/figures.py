@@ -154,24 +154,23 @@ def save_figure(figure: "Figure", path: Path) -> None:
     write_whole(path, _saved(figure, dpi=130, format=kind, metadata=_UNDATED.get(kind)))
 
 
-def plain_log(axes: "Axes", *which: str) -> None:
-    """Label the axes of these letters, logarithmic, by plain numbers, no powers that are too small to read."""
+def _plain_log(axes: "Axes") -> None:
+    """Label logarithmic axes by plain numbers: the powers of a formula are too small to read."""
     from matplotlib.ticker import FuncFormatter, LogFormatter, LogLocator
 
-    class _Few(LogFormatter):
-        def __call__(self, x: float, pos: int | None = None) -> str:
-            return f"{x:g}" if super().__call__(x, pos) else ""
-
-    for axis in (getattr(axes, f"{name}axis") for name in which):
-        axis.set_major_locator(LogLocator(numticks=7))
-        axis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:g}"))
-        axis.set_minor_formatter(_Few(labelOnlyBase=False, minor_thresholds=(1.0, 0.4)))
+    for axis in (axes.xaxis, axes.yaxis):
+        if isinstance(axis.get_major_formatter(), LogFormatter):
+            axis.set_major_locator(LogLocator(numticks=7))
+            axis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:g}"))
+            axis.set_minor_formatter(LogFormatter(minor_thresholds=(1.0, 0.4)))
 
 
 def _saved(figure: "Figure", **how: Any) -> bytes:
     import matplotlib as mpl
     from matplotlib.text import Text
 
+    for axes in figure.axes:
+        _plain_log(axes)
     for text in figure.findobj(Text):
         text.set_parse_math(False)  # a dollar in the name of a file is a dollar
     buffer = io.BytesIO()
@@ -482,7 +481,6 @@ def draw_allan(found: NoiseFit, *, title: str = "Overlapping Allan deviation") -
             _draw_deviation(panel, found, name, k)
             panel.plot(found.taus_s, np.sqrt(sum(_parts(axis, found.taus_s).values())), **axis_style(k), linewidth=0.9)
         panel.set(xscale="log", yscale="log", ylabel=f"Allan deviation ({getattr(found, f'{name}_unit')})")
-        plain_log(panel, "x", "y")
         legend_above(panel)
     entitle(figure, f"{title}, lines: fitted model, band: {100.0 * found.confidence:g} %")
     panels[-1].set_xlabel("averaging time (s)")
@@ -523,9 +521,8 @@ def draw_allan_fit(found: NoiseFit, triad: str) -> "Figure":
                 far = (line > 0.5 * low) | (found.taus_s >= 0.5 * at if name == "rate_random_walk" else False)
                 shown = np.where(far, line, np.nan)
                 panel.plot(found.taus_s, shown, color=LIMIT, linestyle=dash, label=TERMS[triad][name])
-                panel.plot(at, np.interp(at, found.taus_s, line), marker=marker, color=LIMIT, markersize=5.0)
+                panel.plot(at, np.sqrt(_parts(axis, np.array([at]))[name]), marker=marker, color=LIMIT, markersize=5.0)
         panel.set(xscale="log", yscale="log", ylabel=f"{triad} {axis.axis} ({getattr(found, f'{triad}_unit')})")
-        plain_log(panel, "x", "y")
         legend_above(panel)
     entitle(figure, "Allan deviation and its terms; marks: where a coefficient is read")
     panels[-1].set_xlabel("averaging time (s)")
