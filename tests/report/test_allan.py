@@ -53,7 +53,5 @@ def test_each_coefficient_is_marked_where_it_is_read():
         marks = {
             float(x): float(y) for line in panel.lines if len(line.get_xdata()) == 1 for x, y in [line.get_xydata()[0]]
         }
-        assert marks[1.0] == pytest.approx(
-            axis.angle_random_walk.value, rel=0.02
-        )  # between two averaging times: a chord
-        assert marks[3.0] == pytest.approx(axis.rate_random_walk.value, rel=0.02)
+        assert marks[1.0] == pytest.approx(axis.angle_random_walk.value, rel=1e-12)
+        assert marks[3.0] == pytest.approx(axis.rate_random_walk.value, rel=1e-12)

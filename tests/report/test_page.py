@@ -57,13 +57,14 @@ def test_what_users_named_is_escaped(tmp_path):
 def test_the_verdict_stands_first_with_its_reasons(tmp_path):
     earlier = (finding("earlier.text", "warn", text=text) for text in ("too few poses", "the table slipped"))
     verdict = Verdict(status="marginal", findings=tuple(earlier))
-    text = page(tmp_path, sections=(Section(title="Later"),), verdict=verdict)
+    text = page(tmp_path, sections=(Section(title="Later", text=("more",)), Section(title="Empty")), verdict=verdict)
     assert (
         text.index("Verdict: marginal")
         < text.index("too few poses")
         < text.index("the table slipped")
         < text.index("Later")
     )
+    assert "Empty" not in text
     assert 'class="verdict marginal"' in text
     assert "Verdict" not in page(tmp_path, sections=())
 

@@ -68,9 +68,9 @@ def test_sections_are_errors_what_was_done_agreement_and_one_for_each_trial(resu
     sections = validation_sections(result, METHOD)
     assert [section.title for section in sections] == [
         "Errors",
+        "Agreement over trials",
         "Method",
         "Recordings",
-        "Agreement over trials",
         "a",
         "b",
         "c",
@@ -102,7 +102,6 @@ def test_the_page_says_which_calibration_judged_and_what_its_verdict_was():
     read = replace(METHOD, calibration=MADE, source="mine.json", verdict=Verdict(status="marginal", findings=(WHY,)))
     assert choices(read)["calibration"].startswith(f"mine.json of {MADE.device}: gyroscope by ")
     assert method_section(read).rows[1] == ("its verdict", "marginal")
-    assert method_section(read).findings == (WHY,)
     assert method_section(METHOD).findings == ()
     assert "figures are optimistic" in choices(replace(METHOD, calibration=MADE))["calibration"]
     assert choices(replace(METHOD, calibration=MADE, leave_one_out=True))["calibration"].startswith(

@@ -119,11 +119,13 @@ def svg_of(figure: "Figure", label: str = "") -> str:
 def _described(figure: "Figure") -> str:
     """Return what a figure shows: its title, and the labels of its axes."""
     heads = [figure.get_suptitle(), *(axes.get_title(loc) for axes in figure.axes for loc in ("left", "center"))]
-    title = next((head for head in heads if head), "figure")
-    over = dict.fromkeys(axes.get_ylabel() for axes in figure.axes if axes.get_ylabel())
-    along = dict.fromkeys(axes.get_xlabel() for axes in figure.axes if axes.get_xlabel())
-    named = f": {', '.join(over)}" + (f" against {', '.join(along)}" if along else "") if over else ""
-    return " ".join((title + named).split())
+    title = next((head for head in heads if head), "")
+    labels = (
+        dict.fromkeys(filter(None, (getattr(axes, get)() for axes in figure.axes)))
+        for get in ("get_ylabel", "get_xlabel")
+    )
+    shown = " against ".join(filter(None, map(", ".join, labels)))
+    return " ".join(": ".join(filter(None, (title, shown))).split())
 
 
 def axis_style(k: int, *, marked: bool = False) -> dict[str, Any]:
