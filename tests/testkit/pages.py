@@ -74,26 +74,26 @@ def seen_in(held: Any, page: Path) -> list[str]:
     """Return what is wrong with a page in the browser, at each width and in each scheme, and in print."""
     from axe_playwright_python.sync_playwright import Axe
 
-    wrong = []
+    wrong, tab = [], held.new_page()
+    tab.goto(page.resolve().as_uri())
     for width in WIDTHS:
+        tab.set_viewport_size({"width": width, "height": 900})
         for scheme in ("light", "dark"):
-            tab = held.new_page(viewport={"width": width, "height": 900}, color_scheme=scheme)
-            tab.goto(page.resolve().as_uri())
+            tab.emulate_media(color_scheme=scheme)
             found, where = tab.evaluate(_MEASURED), f"{page.name} at {width} px, {scheme}"
             if found["beyond"] > 0:
                 wrong.append(f"{where}: {found['beyond']} px beyond the screen")
             if width == min(WIDTHS) and found["least"] < LEAST_PX:
                 wrong.append(f"{where}: text of {found['least']:.2f} px in a figure")
-            violations = Axe().run(tab).response["violations"]
+            violations = Axe().run(tab, options={"resultTypes": ["violations"]}).response["violations"]
             wrong += [
                 f"{where}: {one['id']}, {one['nodes'][0]['html'][:80]}"
                 for one in violations
                 if one["impact"] in ("serious", "critical")
             ]
-            tab.close()
-    tab = held.new_page(viewport={"width": PRINTED_PX, "height": 1000})
-    tab.goto(page.resolve().as_uri())
-    tab.emulate_media(media="print")
+    tab.evaluate("for (const folded of document.querySelectorAll('details')) folded.open = false")
+    tab.set_viewport_size({"width": PRINTED_PX, "height": 1000})
+    tab.emulate_media(media="print", color_scheme="light")
     wrong += [f"{page.name} in print: {name} is cut" for name in tab.evaluate(_CUT)]
     if not tab.pdf(format="A4").startswith(b"%PDF"):
         wrong.append(f"{page.name}: no PDF")
