@@ -109,8 +109,8 @@ def svg_of(figure: "Figure", label: str = "") -> str:
     """Return a figure as SVG text that says what it is, the same bytes for the same figure; a label other than its titles'."""
     from matplotlib.text import Text
 
-    for text in figure.findobj(Text):
-        text.set_fontsize(max(text.get_fontsize(), LEAST_SIZE))  # type: ignore[attr-defined]
+    for part in figure.findobj(Text):
+        part.set_fontsize(max(part.get_fontsize(), LEAST_SIZE))
     text = _saved(figure, format="svg", metadata={"Date": None, "Creator": "undrift"}).decode()
     named = f'<svg role="img" aria-label="{escape(label or _described(figure))}" '
     return text[text.index("<svg") :].replace("<svg ", named, 1)
@@ -559,8 +559,8 @@ COMPARED_MARKERS = ("o", "s", "^", "D", "v")
 
 def compared_style(k: int) -> dict[str, Any]:
     """Return colour and a few markers of the line of a level of compensation."""
-    style: Any = {"markevery": (0.03 * k, 0.15), "markersize": 4.0}
-    return {"color": COMPARED_COLOURS[k], "marker": COMPARED_MARKERS[k]} | style
+    style = {"color": COMPARED_COLOURS[k], "marker": COMPARED_MARKERS[k]}
+    return {**style, "markevery": (0.03 * k, 0.15), "markersize": 4.0}
 
 
 def p_text(p: float) -> str:

@@ -54,7 +54,7 @@ def write_study_report(outcome: "StudyOutcome", path: Path, origin: Origin | Non
         title=f"Study: {outcome.study.name}",
         answer=_sentence(outcome),
         pictures=(svg_of(figures.draw_pareto(outcome, outcome.tasks[0])),),
-        sections=study_sections(outcome),
+        sections=(*study_sections(outcome), Section(title="The note", text=(NOTE,), folded=True)),
         findings=tuple(item for task in outcome.tasks for item in task.findings),
         origin=origin,
     )
@@ -76,7 +76,7 @@ def study_sections(outcome: "StudyOutcome") -> tuple[Section, ...]:
     held = outcome.study
     text = (
         f"{outcome.runs} calibration sessions simulated, fitted and judged: {held.subjects} subjects, device {held.device}, "
-        f"seed {held.seed}; {OBJECTIVES[held.objective]} of the sagittal pitch is minimised, {TIMINGS[held.timing]}. {NOTE}"
+        f"seed {held.seed}; {OBJECTIVES[held.objective]} of the sagittal pitch is minimised, {TIMINGS[held.timing]}."
     )
     return (
         _answer(outcome),
