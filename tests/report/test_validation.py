@@ -75,7 +75,7 @@ def test_sections_are_errors_what_was_done_agreement_and_one_for_each_trial(resu
         "b",
         "c",
     ]
-    agreement = sections[3]
+    agreement = sections[1]
     assert f"bias {result.agreement.limits.bias:+.2f} deg" in agreement.text[0]
     assert "An ICC depends on how much the trials differ." in agreement.text[0]
 

@@ -114,13 +114,12 @@ def noise(
             readings, notes = done.record, (*left_out, *done.warnings, *done.notes)
         check_gravity(readings, record)
         found = fit_noise(readings)
-    verdict = found.verdict
+    tables, verdict = _tables(found), found.verdict
     for path in (figure, output):
         if path is not None and path.name.lower().endswith(YAML):
             verdict = verdict.also(_write_kalibr(found, path, readings.sample_rate_hz, rostopic))
         elif path is not None:
             save_figure(draw_allan(found, title=f"{record.name}: overlapping Allan deviation"), path)
-    tables = _tables(found)
     if report is not None:
         write_noise_report(found, record.name, report, tables=tables, origin=origin_of(record, calibration))
     if json:

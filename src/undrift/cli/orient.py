@@ -91,6 +91,7 @@ def orient(
     from undrift.io.write import ORIENTATION_WRITERS, files_of, write_orientation
     from undrift.orientation import OrientSettings
     from undrift.orientation import orient as find
+    from undrift.report.commands import write_orient_report
 
     reads = (record, calibration, opening.column_map)
     check_output(output, endings=tuple(ORIENTATION_WRITERS), reads=reads, beside=files_of(output)[1:])
@@ -109,26 +110,9 @@ def orient(
     angles = (found.inclination, found.heading, found.pitch)
     write_orientation(found.time, found.q_nb, angles, output, body=body)
     made = _as_json(found) | {"method": method}
-    alone = "scatter of the readings alone: --calibration on the raw recording adds the accelerometer's part"
-    share = "scatter and calibration" if models.get("accel_model") else alone
-    lines = (
-        "tilt from the still phase {:.1f} to {:.1f} s, ".format(*made["still"])
-        + f"standard uncertainty {made['tilt_uncertainty_deg']:.3f} deg ({share})",
-        "inclination: {:.2f} to {:.2f} deg".format(*made["inclination_deg"]),
-        "pitch: {:.2f} to {:.2f} deg".format(*made["pitch_deg"]),
-        *(f"warning: {one.text}" for one in found.findings if one.level != "info"),
-        *(f"note: {note}" for note in notes),
-    )
+    lines = _lines(found, made, notes, calibrated=models.get("accel_model") is not None)
     if report is not None:
-        from undrift.report.commands import write_orient_report
-
-        write_orient_report(
-            report,
-            found,
-            record.name,
-            remarks=tuple(line[:1].upper() + line[1:] for line in lines),
-            origin=origin_of(*reads),
-        )
+        write_orient_report(report, found, record.name, remarks=lines, origin=origin_of(*reads))
     if json:
         write_json(made | {"recording": str(record), "output": str(output), "notes": notes}, "orient")
         return 0
@@ -138,6 +122,20 @@ def orient(
         *([f"Wrote {report}"] if report else []),
     )
     return 0
+
+
+def _lines(found: "Orientation", made: dict[str, Any], notes: tuple[str, ...], *, calibrated: bool) -> tuple[str, ...]:
+    """Return what was found, in lines for a person."""
+    alone = "scatter of the readings alone: --calibration on the raw recording adds the accelerometer's part"
+    share = "scatter and calibration" if calibrated else alone
+    return (
+        "tilt from the still phase {:.1f} to {:.1f} s, ".format(*made["still"])
+        + f"standard uncertainty {made['tilt_uncertainty_deg']:.3f} deg ({share})",
+        "inclination: {:.2f} to {:.2f} deg".format(*made["inclination_deg"]),
+        "pitch: {:.2f} to {:.2f} deg".format(*made["pitch_deg"]),
+        *(f"warning: {one.text}" for one in found.findings if one.level != "info"),
+        *(f"note: {note}" for note in notes),
+    )
 
 
 def _as_json(found: "Orientation") -> dict[str, Any]:

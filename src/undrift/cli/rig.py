@@ -132,16 +132,12 @@ def run(
             settings = replace(settings, card_watchdog=guard.promise_holds)
         bench, called = _bench(stack, (rig, device, chamber, operator), settings, programme)
         watch.arm()
-        shown = _Shown(watch)
+        shown, judge = _Shown(watch), RunSettings(device_lag_s=device_lag_s)
         stack.callback(shown.end)
-        judge = RunSettings(device_lag_s=device_lag_s)
         result = run_programme(
             programme, bench, folder, report=shown, serial=serial or called, gravity_m_s2=gravity_m_s2, settings=judge
         )
-    if report is not None:
-        from undrift.report.commands import write_rig_report
-
-        write_rig_report(report, result, output.name, origin=origin_of(protocol, output / "session.toml"))
+    _write_report(report, result, output, protocol)
     _result(result, output, json)
     return 0
 
@@ -451,6 +447,13 @@ class _Shown:
     def end(self) -> None:
         if self._live:
             sys.stderr.write("\n")
+
+
+def _write_report(path: Path | None, result: "RunResult", folder: Path, protocol: Path) -> None:
+    from undrift.report.commands import write_rig_report
+
+    if path is not None:
+        write_rig_report(path, result, folder.name, origin=origin_of(protocol, folder / "session.toml"))
 
 
 def _result(result: "RunResult", folder: Path, json: bool) -> None:

@@ -136,10 +136,7 @@ def study(
     save_json(output / "summary.json", summary := study_summary(outcome))
     for page in (output / "report.html", *([report] if report else [])):
         write_study_report(outcome, page, origin_of(plan, real))
-    if json:
-        write_json(summary, "study")
-    else:
-        _show(outcome, output)
+    write_json(summary, "study") if json else _show(outcome, output)
     return 0
 
 

@@ -324,7 +324,7 @@ def write_orient_report(
         findings=found.findings,
         sections=(
             Section(title="Angles", columns=("angle", "least (deg)", "median (deg)", "greatest (deg)"), rows=rows),
-            Section(title="How it was found", text=remarks),
+            Section(title="How it was found", text=tuple(line[:1].upper() + line[1:] for line in remarks)),
         ),
         origin=origin,
     )
