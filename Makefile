@@ -14,6 +14,8 @@ export OPENBLAS_NUM_THREADS = 1  # the matrices are small, threads cost more tha
 test: $(INSTALLED)
 	@command -v gcc >/dev/null || { apt-get update -qq && apt-get install -qq -y gcc libc6-dev; } || \
 	  { echo "the tests compile exported C and want gcc: install it"; exit 2; }
+	@command -v chromium >/dev/null || { apt-get update -qq && apt-get install -qq -y --no-install-recommends chromium; } || \
+	  echo "no chromium: the pages are not looked at in a browser"
 	$(BIN)/python -m pytest tests --ignore=tests/house -n 2 --dist loadscope --no-loadscope-reorder --durations=12
 	NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest tests/kernels tests/correction/test_correct.py tests/correction/test_stream.py tests/test_orientation.py tests/test_tilt.py tests/test_angles.py
 

@@ -100,7 +100,8 @@ def test_what_the_tables_say_is_what_the_values_hold(shown):
 
 def test_the_bars_of_a_calibration_are_its_matrix_over_the_mean_gain(shown):
     calibration = shown["Calibration"]
-    heights = [patch.get_height() for patch in calibration.plot().axes[0].patches]
+    (drawn,) = (line for line in calibration.plot().axes[0].lines if line.get_marker() == "o")
+    heights = drawn.get_ydata()
     gain = calibration.gyro.scale_factor.mean()
     np.testing.assert_allclose(
         heights, 100.0 * (gain * calibration.gyro.matrix - np.eye(3)).ravel(), rtol=1e-12, atol=1e-12

@@ -10,6 +10,7 @@ import time
 import numpy as np
 import pytest
 
+from testkit.pages import faults_of
 from testkit.rig_bench import PROTOCOL
 from undrift.cli.app import run
 from undrift.io.store import read_calibration
@@ -38,10 +39,26 @@ def emulated(tmp_path):
 def test_emulate_run_and_calibrate_find_the_devices_hidden_parameters(emulated, tmp_path, capsys):
     (tmp_path / "protocol.toml").write_text(PROTOCOL)
     words = [word for name in ("rig", "device", "operator") for word in (f"--{name}", emulated[name])]
+    page = ["--report", str(tmp_path / "run.html")]
     assert (
-        run(["rig", "run", str(tmp_path / "protocol.toml"), *words, "-o", str(tmp_path / "run"), "--yes", "--json"])
+        run(
+            [
+                "rig",
+                "run",
+                str(tmp_path / "protocol.toml"),
+                *words,
+                "-o",
+                str(tmp_path / "run"),
+                "--yes",
+                "--json",
+                *page,
+            ]
+        )
         == 0
     )
+    text = (tmp_path / "run.html").read_text()
+    assert faults_of(text) == []
+    assert "30 dwells are on the disk, 0 readings are missing" in text
     out, err = capsys.readouterr()
     said = json.loads(out)
     assert (said["dwells"], len(said["turns"])) == (30, 18)

@@ -13,6 +13,7 @@ import pytest
 
 from testkit.command_line import contents
 from testkit.data import data_path
+from testkit.pages import faults_of
 from undrift.study import outcome as outcome_module
 from undrift.study.figure3 import COMPARED, DrawnRow
 from undrift.study.rivals import compare_rivals
@@ -52,7 +53,10 @@ def plan(tmp_path_factory):
 
 def test_a_plan_comes_to_a_surface_a_summary_and_a_page(undrift, plan, tmp_path):
     out = tmp_path / "out"
-    answer = done(undrift, "study", plan, "-o", out, "--workers", "1", "--no-rivals")
+    copy = tmp_path / "copy.html"
+    answer = done(undrift, "study", plan, "-o", out, "--workers", "1", "--no-rivals", "--report", copy)
+    assert faults_of(copy.read_text()) == []
+    assert "deg/s are enough" in copy.read_text()
     assert "small: 18 runs (sit_to_stand; 3 subjects) on 1 worker, in all about" in answer.out.splitlines()[0]
     lines = [line.removeprefix("small: ").split(", about")[0] for line in answer.err.splitlines()]
     # a busy machine also shows how far it is every ten seconds

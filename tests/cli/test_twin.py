@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from testkit.data import data_path
+from testkit.pages import faults_of
 from undrift.cli.app import run
 from undrift.sim.device.model import read_device
 
@@ -14,7 +15,8 @@ KEYS = {"name", "value", "standard_error", "unit", "identifiable"}
 
 def test_one_recording_makes_a_device_that_can_be_read(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = str(data_path("broad", "32_disturbed_attached_magnet_1cm.hdf5"))
-    assert run(["twin", path, "-o", str(tmp_path / "device.json"), "--json"]) == 0
+    assert run(["twin", path, "-o", str(tmp_path / "device.json"), "--json", "--report", str(tmp_path / "t.html")]) == 0
+    assert faults_of((tmp_path / "t.html").read_text()) == []
     said = json.loads(capsys.readouterr().out)
     assert all(set(parameter) >= KEYS for parameter in said["parameters"])
     assert said["heldout"] == []  # one recording: nothing is held out

@@ -84,8 +84,8 @@ def test_the_page_of_a_calibration_names_it_and_its_verdict(undrift, bench, tmp_
     page = (tmp_path / "r" / "report.html").read_text()
     made = read_calibration(bench / "calibration.json")
     assert f"calibration.json of {made.device}: gyroscope by {made.gyro.method}" in page
-    assert f"<td>its verdict</td><td>{made.verdict.status}</td>" in page
-    assert "<td>trial.parquet</td><td>reference.parquet</td>" in page
+    assert f'<th scope="row">its verdict</th><td>{made.verdict.status}</td>' in page
+    assert '<th scope="row">trial.parquet</th><td>reference.parquet</td>' in page
     assert "<td>left in</td>" in page
     assert told["calibration"] == "calibration.json"
 
@@ -109,11 +109,11 @@ def test_each_recording_judged_by_the_others_and_what_is_written(undrift, tmp_pa
     assert told["leave_one_out"] is True
     assert read_calibration(out / "calibration.json").gyro is not None
     page = (out / "report.html").read_text()
-    assert page.count("<svg") == 5  # four courses and the agreement
+    assert page.count("<svg") == 6  # the errors, four courses and the agreement
     assert "Agreement over trials" in page
     assert "leave-one-out: each recording judged by a gyroscope fit to the references of the others" in page
     assert "left in" in page
-    assert all(f"<td>{name}</td><td>the same file</td>" in page for name in B)
+    assert all(f'<th scope="row">{name}</th><td>the same file</td>' in page for name in B)
     assert told["calibration"] == "reference"
     assert answer.json()["result"] == told
 

@@ -7,7 +7,7 @@ import pytest
 
 from undrift.calibration.noise import fit_noise
 from undrift.record import Record
-from undrift.report.figures import draw_allan, svg_of
+from undrift.report.figures import draw_allan, draw_allan_fit, svg_of
 
 RNG = np.random.default_rng(5)
 TIME = np.arange(4000) / 100.0
@@ -23,17 +23,35 @@ def test_every_triad_has_a_panel_with_its_unit_and_names(triads):
     for name, unit in (("gyro", "rad/s"), ("accel", "m/s2")):
         assert (f"Allan deviation ({unit})" in text) == (name in triads)
         assert (f"{name} y" in text) == (name in triads)
-    for label in ("averaging time (s)", "white noise, slope -1/2", "rest: Allan deviation, bars: 95 %"):
+    for label in ("averaging time (s)", "rest: Allan deviation, lines: fitted model, band: 95 %"):
         assert label in text
     assert "nan" not in re.sub(r"[a-zA-Z]nan|nan[a-zA-Z]", "", text)
     assert svg_of(draw_allan(found, title="rest: Allan deviation")) == text
 
 
-def test_the_bars_end_at_the_limits_of_the_deviation():
+def test_the_band_ends_at_the_limits_of_the_deviation_and_the_line_is_the_fitted_model():
     found = fit_noise(Record(time=TIME, **BOTH))
-    panel = draw_allan(found, title="")
-    bars = panel.axes[1].containers[2].lines[2][0].get_segments()
-    np.testing.assert_allclose([bar[0, 1] for bar in bars], found.accel_limits[0, :, 2], rtol=1e-12)
-    np.testing.assert_allclose([bar[1, 1] for bar in bars], found.accel_limits[1, :, 2], rtol=1e-12)
+    panel = draw_allan(found, title="").axes[1]
+    edge = panel.collections[2].get_paths()[0].vertices[:, 1]
+    for limit in found.accel_limits[:, :, 2]:
+        assert all(np.isclose(edge, value, rtol=1e-12).any() for value in limit)
     assert (found.accel_limits[0] < found.accel_adev).all()
     assert (found.accel_adev < found.accel_limits[1]).all()
+    model = panel.lines[5].get_ydata()  # of z: points and line of each axis
+    white = found.accel[2].angle_random_walk.value / np.sqrt(found.taus_s)
+    others = (found.accel[2].bias_instability, found.accel[2].rate_random_walk, found.accel[2].quantization)
+    if all(np.isnan(term.value) for term in others):
+        np.testing.assert_allclose(model, white, rtol=1e-12)
+    assert (model >= white * (1.0 - 1e-12)).all()
+
+
+def test_each_coefficient_is_marked_where_it_is_read():
+    time = np.arange(400_000) / 100.0
+    rate = RNG.normal(0.0, 1e-3, (400_000, 3)) + np.cumsum(RNG.normal(0.0, 1e-5, (400_000, 3)), axis=0)
+    found = fit_noise(Record(time=time, gyro=rate))
+    for panel, axis in zip(draw_allan_fit(found, "gyro").axes, found.gyro, strict=True):
+        marks = {
+            float(x): float(y) for line in panel.lines if len(line.get_xdata()) == 1 for x, y in [line.get_xydata()[0]]
+        }
+        assert marks[1.0] == pytest.approx(axis.angle_random_walk.value, rel=1e-12)
+        assert marks[3.0] == pytest.approx(axis.rate_random_walk.value, rel=1e-12)

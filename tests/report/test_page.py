@@ -28,7 +28,7 @@ class Balance(HTMLParser):
 
 
 def page(tmp_path, **more):
-    write_page(tmp_path / "p.html", title="A <title>", lead="Lead & more", **more)
+    write_page(tmp_path / "p.html", title="A <title>", answer="Lead & more", **more)
     return (tmp_path / "p.html").read_text()
 
 
@@ -37,7 +37,9 @@ def test_sections_tables_and_pictures_are_shown_in_order(tmp_path):
     second = Section(title="Second", pictures=("<svg><text>drawn</text></svg>",))
     text = page(tmp_path, sections=(first, second))
     assert text.startswith("<!doctype html>")
-    assert re.search(r"First.*<p>one</p>.*<p>two</p>.*<th>m x</th>.*<td>2.0</td>.*Second.*<svg><text>drawn", text, re.S)
+    assert re.search(
+        r"First.*<p>one</p>.*<p>two</p>.*<th scope=.col.>m x</th>.*<td>2.0</td>.*Second.*<svg><text>drawn", text, re.S
+    )
     assert f"undrift {__version__}" in text
     assert text.count("<table>") == 1
     balance = Balance()
@@ -55,13 +57,14 @@ def test_what_users_named_is_escaped(tmp_path):
 def test_the_verdict_stands_first_with_its_reasons(tmp_path):
     earlier = (finding("earlier.text", "warn", text=text) for text in ("too few poses", "the table slipped"))
     verdict = Verdict(status="marginal", findings=tuple(earlier))
-    text = page(tmp_path, sections=(Section(title="Later"),), verdict=verdict)
+    text = page(tmp_path, sections=(Section(title="Later", text=("more",)), Section(title="Empty")), verdict=verdict)
     assert (
         text.index("Verdict: marginal")
         < text.index("too few poses")
         < text.index("the table slipped")
         < text.index("Later")
     )
+    assert "Empty" not in text
     assert 'class="verdict marginal"' in text
     assert "Verdict" not in page(tmp_path, sections=())
 

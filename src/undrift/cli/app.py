@@ -44,7 +44,7 @@ COMMANDS = {  # one line of 80 columns each
 }
 GROUPS = ("session", "rig", "data")  # of commands
 EARLIER_NAMES = {  # options renamed since a release; both spellings work, help shows the standard one
-    "drift": {"--page": "--report", "--range": "--range-c", "--step": "--step-c"},
+    "drift": {"--range": "--range-c", "--step": "--step-c"},
     "rig": {"--hands": "--operator"},
     "info": {"--up": "--reference-up"},
     "simulate": {"--up": "--reference-up"},
@@ -101,6 +101,9 @@ def _called(arguments: Sequence[str]) -> int:
         if list(arguments) in (["--version"], ["-V"]):
             sys.stdout.write(__version__ + "\n")
             return 0
+        from undrift.cli.common import CALLED
+
+        CALLED.set(tuple(arguments))
         code = app(_standard(_with_limits(arguments)))
     except UndriftError as error:
         return _refuse(arguments, error, str(error), code=3 if isinstance(error, RigError) else 2)
@@ -211,6 +214,6 @@ def _with_limits(arguments: Sequence[str]) -> list[str]:
 
 def _standard(arguments: Sequence[str]) -> list[str]:
     """Return the arguments with the standard names of options that were called otherwise in earlier versions."""
-    names = EARLIER_NAMES.get(arguments[0], {})
+    names = {"--page": "--report"} | EARLIER_NAMES.get(arguments[0], {})
     split = (word.partition("=") for word in arguments)
     return [names.get(option, option) + equals + value for option, equals, value in split]

@@ -14,11 +14,14 @@ from undrift.cli.common import (
     Opening,
     OptionalOutput,
     Place,
+    Report,
     Rests,
     Sensitivity,
     check_figure,
     check_output,
+    check_report,
     name_of,
+    origin_of,
     recording_of,
     say,
     say_next,
@@ -99,7 +102,7 @@ def calibrate(
     opening: Opening = Opening(),
     turn_deg: float | None = None,
     output: OptionalOutput = None,
-    report: Path | None = None,
+    report: Report = None,
     accel: Literal["six-face", "multi-position"] | None = None,
     gyro: Literal["rate-table", "known-rotation", "multi-position"] | None = None,
     mode: Literal["paper", "affine", "levelled"] | None = None,
@@ -157,10 +160,11 @@ def calibrate(
     """
     from undrift.calibration.calibrate import calibrate as fit
     from undrift.calibration.observe import CalibrateSettings
-    from undrift.io.store import calibration_json
+    from undrift.io.store import calibration_json, write_calibration
+    from undrift.report.commands import write_calibration_report
 
     check_output(output, endings=(".json",), reads=(*files, opening.column_map))
-    check_output(report, endings=(".html",))
+    check_report(report, reads=(*files, opening.column_map))
     check_figure(figure, reads=files)
     settings = CalibrateSettings(
         still=rests.settings(),
@@ -175,7 +179,11 @@ def calibrate(
     with waiting("reading and fitting"):
         held = session_of(files, place, opening)
         made = fit(held, accel=accel, gyro=gyro, mode=mode, settings=settings)
-    _keep(made, output, report)
+    if output is not None:
+        write_calibration(made, output)
+    if report is not None:
+        about, read = (_heading(made), _pieces(made)), origin_of(*files, opening.column_map)
+        write_calibration_report(made, held, settings, report, about=about, origin=read)
     _draw(held, settings, made, f"{name_of(files[0])}: used", figure)
     if json:
         write_json(calibration_json(made), "calibrate")
@@ -193,21 +201,6 @@ def _say_next(files: tuple[Path, ...], output: Path | None, pictures: tuple[Path
         say("Nothing was written. To keep it, repeat the command with -o calibration.json")
     elif (recording := recording_of(files)) is not None:
         say_next("correct", recording, "--calibration", output, "-o", "corrected.parquet")
-
-
-def _keep(made: "Calibration", path: Path | None, report: Path | None) -> None:
-    """Write a calibration and its page, where they are wanted."""
-    if path is not None:
-        from undrift.io.store import write_calibration
-
-        write_calibration(made, path)
-    if report is not None:
-        from undrift.report.page import calibration_sections, write_page
-
-        title, sections = f"Calibration of {made.device or 'a device'}", calibration_sections(made)
-        write_page(
-            report, title=title, lead=f"{_heading(made)}; {_pieces(made)}", sections=sections, verdict=made.verdict
-        )
 
 
 def _draw(held: "Session", settings: "CalibrateSettings", made: "Calibration", title: str, path: Path | None) -> None:

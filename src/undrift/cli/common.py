@@ -13,6 +13,7 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextvars import ContextVar
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
     from undrift.io.columns import ColumnMap, ReadSettings
     from undrift.model import Calibration, Verdict
     from undrift.record import FileMap, Kind, Record, Reference, Session
+    from undrift.report.page import Origin
     from undrift.segments import StillSettings
     from undrift.sim.device.model import DeviceModel
 
@@ -45,6 +47,8 @@ OptionalOutput: TypeAlias = Annotated[Path | None, Parameter(name=["--output", "
 Side: TypeAlias = Annotated[Literal["+x", "-x", "+y", "-y", "+z", "-z"], Parameter(allow_leading_hyphen=True)]
 Up: TypeAlias = Literal["y", "z"] | None
 Policy: TypeAlias = Literal["raise", "hold", "nan"]
+Report: TypeAlias = Annotated[Path | None, Parameter(help="Report page to write: .html.")]
+CALLED: ContextVar[tuple[str, ...]] = ContextVar("CALLED", default=())  # the words of the command line
 
 # ---- Recordings
 
@@ -496,6 +500,27 @@ def check_output(
     for file in (path, *beside):
         if file.exists() and any(_holds(read, file) for read in held):
             raise InputError(f"{file}: wanted another file to write than those that are read; name another")
+
+
+def check_report(path: Path | None, *, reads: Iterable[Path | None] = ()) -> None:
+    """Refuse a page whose ending is not .html, and what ``check_output`` refuses."""
+    check_output(path, endings=(".html",), reads=reads)
+
+
+def origin_of(*read: Path | None) -> "Origin":
+    """Return what a page was made from and by: files with their sha256, those of a folder one by one, and the command."""
+    from undrift.files import sha256_of
+    from undrift.report.page import Origin
+
+    paths = [path for path in read if path is not None and path.exists()]
+    files = {
+        file: str(file.relative_to(path.parent)) if path.is_dir() else path.name
+        for path in paths
+        for file in (sorted(path.rglob("*")) if path.is_dir() else (path,))
+        if file.is_file()
+    }
+    inputs = tuple((name, sha256_of(file)) for file, name in files.items())
+    return Origin(command=shlex.join(("undrift", *CALLED.get())), inputs=inputs)
 
 
 def check_figure(path: Path | None, *, reads: Iterable[Path | None]) -> None:

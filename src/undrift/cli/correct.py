@@ -13,10 +13,13 @@ from undrift.cli.common import (
     Opening,
     Output,
     Policy,
+    Report,
     calibrated_part,
     check_folder,
     check_output,
+    check_report,
     name_of,
+    origin_of,
     progress,
     say,
     write_json,
@@ -35,6 +38,7 @@ if TYPE_CHECKING:
     from undrift.findings import Finding
     from undrift.model import Calibration
     from undrift.record import Record
+    from undrift.report.page import Origin
 
 NOT_COVERED = ("outside", "extrapolated", "without_temperature")  # of the tuning tables
 MOST_G = 3.0  # no motion keeps the median beyond it: a wrong unit does, by 9.8 or 1000 times; likewise 1 / 3 below
@@ -52,6 +56,7 @@ def correct(
     still_stop_s: float | None = None,
     opening: Opening = Opening(),
     scheduler: str | None = None,
+    report: Report = None,
     json: Json = False,
 ) -> int:
     """Turn raw recordings into rad/s and m/s2; the ending of the output names the format. Parquet streams in constant memory.
@@ -85,6 +90,8 @@ def correct(
         How to read a foreign recording.
     scheduler : str or None
         Address of a Dask scheduler, as in tcp://host:8786: its workers take a recording each; they see the same files.
+    report : Path or None
+        Report page to write: .html.
     """
     from undrift.correction.stream import Corrector
     from undrift.io.store import read_calibration
@@ -94,6 +101,7 @@ def correct(
         raise InputError("--still-start-s, --still-stop-s: wanted --offset rest beside them, got none; add it")
     model = read_calibration(calibration)
     targets = _targets(records, output, (calibration, opening.column_map))
+    check_report(report, reads=(*records, calibration))
     folder = targets[0].parent
     opening = opening.like(model, calibration)
     made = not folder.exists()
@@ -112,8 +120,10 @@ def correct(
         if made:
             folder.rmdir()
         raise
+    rows = [_row(*result) for result in results]
+    if report is not None:
+        _write_report(report, rows, targets[0], origin_of(*records, calibration))
     if json:
-        rows = [_row(*result) for result in results]
         write_json({"calibration": str(calibration), "recordings": rows}, "correct")
         return 0
     for record, target, state, remarks in results:
@@ -122,7 +132,22 @@ def correct(
             *(f"  warning: {text}" for text in remarks.warnings),
             *(f"  note: {text}" for text in remarks.notes),
         )
+    say(*([f"Wrote {report}"] if report else []))
     return 0
+
+
+def _write_report(path: Path, rows: list[dict[str, object]], first: Path, origin: "Origin") -> None:
+    """Write the page, with a picture of the first recording, or of its beginning where it is long."""
+    from undrift.io.formats import iter_record
+    from undrift.report.commands import write_correct_report
+
+    remarks = [
+        f"{Path(str(row['recording'])).name}: {text}"
+        for row in rows
+        for key in ("warnings", "notes")
+        for text in row[key]  # type: ignore[attr-defined]
+    ]
+    write_correct_report(path, next(iter_record(first)), rows, remarks=tuple(remarks), origin=origin)
 
 
 def _history(text: str, model: "Calibration") -> "TempHistory":

@@ -12,7 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from undrift.cli.common import Flag, check_folder, save_json, say, write_json
+from undrift.cli.common import Flag, Report, check_folder, check_report, origin_of, save_json, say, write_json
 from undrift.errors import InputError
 
 if TYPE_CHECKING:
@@ -29,7 +29,7 @@ REST_HOST_S = {False: 6.0, True: 3.0}
 SHOWN_EVERY_S = 2.0  # where stderr is not a terminal
 
 
-def demo(*, out: Path = Path("demo"), quick: Flag = False, json: Flag = False) -> int:
+def demo(*, out: Path = Path("demo"), quick: Flag = False, report: Report = None, json: Flag = False) -> int:
     """Calibrate a device on an emulated bench, correct a worn sit-to-stand, find a protocol by a small study.
 
     Parameters
@@ -38,6 +38,8 @@ def demo(*, out: Path = Path("demo"), quick: Flag = False, json: Flag = False) -
         Folder for the runs, calibration.json, the corrected trial, the study, report.html and summary.json.
     quick : bool
         Fewer rates, set-points and subjects: 20 seconds in place of 90.
+    report : Path or None
+        Copy of report.html to write: .html.
     json : bool
         summary.json on stdout too.
 
@@ -51,6 +53,7 @@ def demo(*, out: Path = Path("demo"), quick: Flag = False, json: Flag = False) -
     from undrift.report.demo import write_demo_report
     from undrift.study.virtual_bench import bench_device, bench_plan, compare_with_truth, record_on_bench
 
+    check_report(report)
     _check_fresh(out)
     device, plan = bench_device(), bench_plan(quick=quick)
     after_s = STUDY_HOST_S[quick] + REST_HOST_S[quick]
@@ -62,7 +65,9 @@ def demo(*, out: Path = Path("demo"), quick: Flag = False, json: Flag = False) -
         study = _studied(quick, out, shown)
         checks = compare_with_truth(fit, trials, device)
         shown("report", 0.5 * REST_HOST_S[quick])
-        write_demo_report(out / "report.html", (run, fit, trials), checks, study)
+        origin = origin_of(out / "trial.parquet", out / "reference.parquet", out / "calibration.json")
+        for page in (out / "report.html", *([report] if report else [])):
+            write_demo_report(page, (run, fit, trials), checks, study, origin)
     finally:
         shown.end()
     summary = {

@@ -12,7 +12,10 @@ from undrift.cli.common import (
     Json,
     Opening,
     OptionalOutput,
+    Report,
     check_output,
+    check_report,
+    origin_of,
     progress,
     recording_of,
     say,
@@ -33,7 +36,7 @@ def drift(
     *sessions: Files,
     calibration: Path | None = None,
     output: OptionalOutput = None,
-    report: Path | None = None,
+    report: Report = None,
     figure: Path | None = None,
     span: Annotated[str | None, Parameter(name="--range-c", allow_leading_hyphen=True)] = None,
     step_c: float = 0.5,
@@ -58,7 +61,7 @@ def drift(
     output : Path or None
         calibration.json to write, with the tables in it; may be the one that was read.
     report : Path or None
-        Report page to write, with pictures: .html.
+        Report page to write: .html.
     figure : Path or None
         Picture of the gyroscopes' offset over temperature to write: .svg, .png or .pdf.
     span : str or None
@@ -100,7 +103,7 @@ def drift(
     )
     read = (*(path for path in sessions if path.exists()), opening.column_map)
     check_output(output, endings=(".json",), reads=read)  # may be the calibration that was read: it is written whole
-    check_output(report, endings=(".html",), reads=(*read, calibration))
+    check_report(report, reads=(*read, calibration))
     check_output(figure, endings=PICTURES, reads=(*read, calibration))
     model = None if calibration is None else read_calibration(calibration)
     fit, seen, of_samples = _fit(sessions, opening.like(model, calibration), model, settings)
@@ -109,7 +112,7 @@ def drift(
             raise InputError(f"{figure}: wanted gyroscopes to draw, got none; leave out --figure")
         save_figure(draw_offsets(fit.gyro_summary), figure)
     if report is not None:
-        write_drift_report(fit, report)
+        write_drift_report(fit, report, origin_of(*sessions, calibration))
     if output is not None:
         write_calibration(fit.calibration, output)
     if json:

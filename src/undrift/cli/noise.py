@@ -1,5 +1,6 @@
 """``undrift noise``: noise coefficients of a device at rest."""
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -8,9 +9,12 @@ from undrift.cli.common import (
     Json,
     Opening,
     OptionalOutput,
+    Report,
     calibrated_part,
     check_gravity,
     check_output,
+    check_report,
+    origin_of,
     say,
     show_table,
     show_verdict,
@@ -55,6 +59,7 @@ def noise(
     stop_s: float | None = None,
     power_on_s: float | None = None,
     figure: Path | None = None,
+    report: Report = None,
     output: OptionalOutput = None,
     rostopic: str = "/imu0",
     opening: Opening = Opening(),
@@ -77,6 +82,8 @@ def noise(
         Time since power-on at the first sample, s; without it no warm-up is subtracted.
     figure : Path or None
         Allan plot to write: .svg, .png or .pdf.
+    report : Path or None
+        Report page to write: .html.
     output : Path or None
         imu.yaml for Kalibr (.yaml, .yml), or the Allan plot (.svg, .png, .pdf).
     rostopic : str
@@ -86,10 +93,12 @@ def noise(
     """
     from undrift.calibration.noise import TERMS, fit_noise
     from undrift.io.store import read_calibration, verdict_json
+    from undrift.report.commands import write_noise_report
     from undrift.report.figures import PICTURES, draw_allan, save_figure
 
     check_output(figure, endings=PICTURES, reads=(record, calibration))
     check_output(output, endings=(*PICTURES, *YAML), reads=(record, calibration))
+    check_report(report, reads=(record, calibration))
     with waiting("reading and fitting"):
         model = None if calibration is None else read_calibration(calibration)
         readings, notes = opening.like(model, calibration).read(record), tuple[str, ...]()
@@ -105,21 +114,25 @@ def noise(
             readings, notes = done.record, (*left_out, *done.warnings, *done.notes)
         check_gravity(readings, record)
         found = fit_noise(readings)
-    verdict = found.verdict
+    tables, verdict = _tables(found), found.verdict
     for path in (figure, output):
         if path is not None and path.name.lower().endswith(YAML):
             verdict = verdict.also(_write_kalibr(found, path, readings.sample_rate_hz, rostopic))
         elif path is not None:
             save_figure(draw_allan(found, title=f"{record.name}: overlapping Allan deviation"), path)
+    if report is not None:
+        write_noise_report(found, record.name, report, tables=tables, origin=origin_of(record, calibration))
     if json:
         write_json(_json(found) | {"verdict": verdict_json(verdict), "notes": notes}, "noise")
         return 0
-    for what, triad, axes in (("gyroscopes", "gyro", found.gyro), ("accelerometers", "accel", found.accel)):
-        if axes:
-            title = f"{what}, in brackets the {100.0 * found.confidence:g} % intervals"
-            _show(title, axes, TERMS[triad])
+    for triad, shown in tables.items():
+        show_table(*shown)
+        say(*_data_sheet(getattr(found, triad), TERMS[triad]))
     show_verdict(verdict, details=details)
-    say(*(f"  note: {note}" for note in notes), *(f"Wrote {path}" for path in (figure, output) if path is not None))
+    say(
+        *(f"  note: {note}" for note in notes),
+        *(f"Wrote {path}" for path in (figure, report, output) if path is not None),
+    )
     return 0
 
 
@@ -169,19 +182,33 @@ def _axis_json(axis: "AxisNoise") -> dict[str, object]:
     return made
 
 
-def _show(title: str, axes: tuple["AxisNoise", ...], names: dict[str, str]) -> None:
-    rows = []
-    for axis in axes:
-        three = (axis.angle_random_walk, axis.bias_instability, axis.rate_random_walk)
-        cells = [
-            f"{c.value:.3g} [{c.interval[0]:.3g}, {c.interval[1]:.3g}]"
-            if c.value == c.value
-            else f"not seen, under {c.interval[1]:.2g}"
-            for c in three
+def _tables(found: "NoiseFit") -> "dict[str, tuple[str, tuple[str, ...], tuple[tuple[str, ...], ...]]]":
+    """Return title, heads and rows of each triad."""
+    from undrift.calibration.noise import TERMS
+
+    tables = {}
+    for what, triad, axes in (("gyroscopes", "gyro", found.gyro), ("accelerometers", "accel", found.accel)):
+        rows = [
+            (
+                axis.axis,
+                *(
+                    f"{c.value:.3g} [{c.interval[0]:.3g}, {c.interval[1]:.3g}]"
+                    if c.value == c.value
+                    else f"not seen, under {c.interval[1]:.2g}"
+                    for c in (getattr(axis, term) for term in TERMS[triad])
+                ),
+            )
+            for axis in axes
         ]
-        rows.append((axis.axis, *cells))
-    heads = [f"{name} ({c.unit})" for name, c in zip(names.values(), three, strict=True)]
-    show_table(title, ("axis", *heads), rows)
+        if axes:
+            heads = [f"{name} ({getattr(axes[0], term).unit})" for term, name in TERMS[triad].items()]
+            title = f"{what}, in brackets the {100.0 * found.confidence:g} % intervals"
+            tables[triad] = (title, ("axis", *heads), tuple(rows))
+    return tables
+
+
+def _data_sheet(axes: tuple["AxisNoise", ...], names: dict[str, str]) -> "Iterator[str]":
+    """Yield the coefficients as data sheets have them, one line a term."""
     for term, name in names.items():
         _, unit, factor = DATA_SHEET.get((term, getattr(axes[0], term).unit), ("", "", 1.0))
         if unit:
@@ -189,4 +216,4 @@ def _show(title: str, axes: tuple["AxisNoise", ...], names: dict[str, str]) -> N
             shown = (
                 f"{axis} {factor * c.value:.3g}" if c.value == c.value else f"{axis} not seen" for axis, c in values
             )
-            say(f"{name} in {unit}: {', '.join(shown)}")
+            yield f"{name} in {unit}: {', '.join(shown)}"

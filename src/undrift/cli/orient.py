@@ -4,7 +4,20 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from undrift.cli.common import Json, Opening, Output, Policy, Side, check_output, check_physical, say, write_json
+from undrift.cli.common import (
+    Json,
+    Opening,
+    Output,
+    Policy,
+    Report,
+    Side,
+    check_output,
+    check_physical,
+    check_report,
+    origin_of,
+    say,
+    write_json,
+)
 
 if TYPE_CHECKING:
     from undrift.arrays import FloatArray
@@ -29,6 +42,7 @@ def orient(
     power_on_s: float | None = None,
     policy: Policy = "raise",
     opening: Opening = Opening(),
+    report: Report = None,
     json: Json = False,
 ) -> int:
     """Initial tilt, then strapdown or a filter: quaternions, inclination, heading, sagittal pitch.
@@ -67,6 +81,8 @@ def orient(
         temperature was recorded the result is a gap under each, and a warning says for how long.
     opening : Opening
         How to read a foreign recording.
+    report : Path or None
+        Report page to write: .html.
     """
     from undrift.correction.correct import correct_checked
     from undrift.correction.coverage import find_beyond
@@ -75,9 +91,11 @@ def orient(
     from undrift.io.write import ORIENTATION_WRITERS, files_of, write_orientation
     from undrift.orientation import OrientSettings
     from undrift.orientation import orient as find
+    from undrift.report.commands import write_orient_report
 
     reads = (record, calibration, opening.column_map)
     check_output(output, endings=tuple(ORIENTATION_WRITERS), reads=reads, beside=files_of(output)[1:])
+    check_report(report, reads=reads)
     held, models = None if calibration is None else read_calibration(calibration), dict[str, Any]()
     readings, notes = opening.like(held, calibration).read(record), tuple[str, ...]()
     if held is None:
@@ -92,21 +110,32 @@ def orient(
     angles = (found.inclination, found.heading, found.pitch)
     write_orientation(found.time, found.q_nb, angles, output, body=body)
     made = _as_json(found) | {"method": method}
+    lines = _lines(found, made, notes, calibrated=models.get("accel_model") is not None)
+    if report is not None:
+        write_orient_report(report, found, record.name, remarks=lines, origin=origin_of(*reads))
     if json:
         write_json(made | {"recording": str(record), "output": str(output), "notes": notes}, "orient")
         return 0
-    alone = "scatter of the readings alone: --calibration on the raw recording adds the accelerometer's part"
-    share = "scatter and calibration" if models.get("accel_model") else alone
     say(
         f"{record} -> {output}: {made['samples']} samples",
-        "  tilt from the still phase {:.1f} to {:.1f} s, ".format(*made["still"])
-        + f"standard uncertainty {made['tilt_uncertainty_deg']:.3f} deg ({share})",
-        "  inclination: {:.2f} to {:.2f} deg".format(*made["inclination_deg"]),
-        "  pitch: {:.2f} to {:.2f} deg".format(*made["pitch_deg"]),
-        *(f"  warning: {one.text}" for one in found.findings if one.level != "info"),
-        *(f"  note: {note}" for note in notes),
+        *(f"  {line}" for line in lines),
+        *([f"Wrote {report}"] if report else []),
     )
     return 0
+
+
+def _lines(found: "Orientation", made: dict[str, Any], notes: tuple[str, ...], *, calibrated: bool) -> tuple[str, ...]:
+    """Return what was found, in lines for a person."""
+    alone = "scatter of the readings alone: --calibration on the raw recording adds the accelerometer's part"
+    share = "scatter and calibration" if calibrated else alone
+    return (
+        "tilt from the still phase {:.1f} to {:.1f} s, ".format(*made["still"])
+        + f"standard uncertainty {made['tilt_uncertainty_deg']:.3f} deg ({share})",
+        "inclination: {:.2f} to {:.2f} deg".format(*made["inclination_deg"]),
+        "pitch: {:.2f} to {:.2f} deg".format(*made["pitch_deg"]),
+        *(f"warning: {one.text}" for one in found.findings if one.level != "info"),
+        *(f"note: {note}" for note in notes),
+    )
 
 
 def _as_json(found: "Orientation") -> dict[str, Any]:

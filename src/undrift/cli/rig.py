@@ -8,7 +8,18 @@ from typing import TYPE_CHECKING, Literal
 
 from cyclopts import App, Parameter
 
-from undrift.cli.common import Flag, Json, Output, device_at, say, show_verdict, write_json
+from undrift.cli.common import (
+    Flag,
+    Json,
+    Output,
+    Report,
+    check_report,
+    device_at,
+    origin_of,
+    say,
+    show_verdict,
+    write_json,
+)
 from undrift.cli.examples import examples
 from undrift.errors import InputError
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
@@ -49,6 +60,7 @@ def run(
     card_watchdog: bool = False,
     resume: bool = False,
     yes: bool = False,
+    report: Report = None,
     json: Json = False,
 ) -> int:
     """Run a protocol; the folder is a session for calibrate and drift, after every dwell.
@@ -87,6 +99,8 @@ def run(
         Go on in a folder in which a run was interrupted.
     yes : bool
         Start without asking.
+    report : Path or None
+        Report page to write: .html.
     """
     from undrift.rig.folder import RunFolder
     from undrift.rig.guard import Guard, StopWatch, stopping_on_signals
@@ -96,6 +110,7 @@ def run(
     from undrift.rig.rig import RigSettings, check_programme, parse_address
     from undrift.rig.run import Watch, run_programme
 
+    check_report(report, reads=(protocol,))
     asked = read_protocol(protocol)
     limits = _limits(highest_turn_rate_dps, highest_acceleration_dps2, travel_deg)
     settings = RigSettings(limits=limits, ask=_asked, card_watchdog=(lambda: True) if card_watchdog else None)
@@ -117,12 +132,12 @@ def run(
             settings = replace(settings, card_watchdog=guard.promise_holds)
         bench, called = _bench(stack, (rig, device, chamber, operator), settings, programme)
         watch.arm()
-        shown = _Shown(watch)
+        shown, judge = _Shown(watch), RunSettings(device_lag_s=device_lag_s)
         stack.callback(shown.end)
-        judge = RunSettings(device_lag_s=device_lag_s)
         result = run_programme(
             programme, bench, folder, report=shown, serial=serial or called, gravity_m_s2=gravity_m_s2, settings=judge
         )
+    _write_report(report, result, output, protocol)
     _result(result, output, json)
     return 0
 
@@ -432,6 +447,13 @@ class _Shown:
     def end(self) -> None:
         if self._live:
             sys.stderr.write("\n")
+
+
+def _write_report(path: Path | None, result: "RunResult", folder: Path, protocol: Path) -> None:
+    from undrift.report.commands import write_rig_report
+
+    if path is not None:
+        write_rig_report(path, result, folder.name, origin=origin_of(protocol, folder / "session.toml"))
 
 
 def _result(result: "RunResult", folder: Path, json: bool) -> None:

@@ -10,8 +10,11 @@ from undrift.cli.common import (
     Flag,
     Json,
     Output,
+    Report,
     check_folder,
+    check_report,
     console,
+    origin_of,
     progress,
     save_json,
     say,
@@ -54,6 +57,7 @@ def study(
     scheduler: str | None = None,
     no_rivals: Flag = False,
     real: Path | None = None,
+    report: Report = None,
     json: Json = False,
 ) -> int:
     """Try calibration protocols on simulated subjects; find which is enough, with its error and its minutes on the rig.
@@ -91,6 +95,8 @@ def study(
         effect, about 15 s, and its 30 drawn units, 12 s each on one processor. --quick implies it.
     real : Path or None
         real.toml: real recordings to judge too. See docs/study.md.
+    report : Path or None
+        Copy of report.html to write: .html.
     """
     from undrift.report.study import write_study_report
     from undrift.study.outcome import forecast, judge_study
@@ -106,6 +112,7 @@ def study(
         held = None if real is None else read_real(real)
     executor, rivals = choose_executor(scheduler, workers), not (no_rivals or quick)
     workers = executor.workers
+    check_report(report, reads=(plan, real))
     check_folder(output)
     if output.is_dir() and any(output.iterdir()) and not (output / HEAD).is_file():
         raise InputError(
@@ -127,11 +134,9 @@ def study(
             tell=shown.tell,
         )
     save_json(output / "summary.json", summary := study_summary(outcome))
-    write_study_report(outcome, output / "report.html")
-    if json:
-        write_json(summary, "study")
-    else:
-        _show(outcome, output)
+    for page in (output / "report.html", *([report] if report else [])):
+        write_study_report(outcome, page, origin_of(plan, real))
+    write_json(summary, "study") if json else _show(outcome, output)
     return 0
 
 

@@ -3,7 +3,20 @@
 from itertools import chain
 from typing import TYPE_CHECKING
 
-from undrift.cli.common import Files, Json, Opening, Optics, OptionalOutput, Steps, say, show_table, write_json
+from undrift.cli.common import (
+    Files,
+    Json,
+    Opening,
+    Optics,
+    OptionalOutput,
+    Report,
+    Steps,
+    check_report,
+    origin_of,
+    say,
+    show_table,
+    write_json,
+)
 from undrift.findings import Finding
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
@@ -23,6 +36,7 @@ def twin(
     seed: int = 0,
     output: OptionalOutput = None,
     opening: Opening = Opening(),
+    report: Report = None,
     json: Json = False,
 ) -> int:
     """Fit the device model to a real device from recordings with an optical reference.
@@ -44,14 +58,18 @@ def twin(
         device.json to write.
     opening : Opening
         How to read foreign recordings.
+    report : Path or None
+        Report page to write: .html.
     """
     import numpy as np
 
+    from undrift.report.commands import write_twin_report
     from undrift.sim.device.model import write_device
     from undrift.twin.fit import TwinSettings, fit_prepared, prepare_twin
     from undrift.twin.heldout import compare_held_out, contributions, device_of, end_errors
     from undrift.twin.witness import split_twin
 
+    check_report(report, reads=(*records, *optics.reference))
     settings = TwinSettings(gravity_m_s2=gravity_m_s2)
     rng = np.random.default_rng(seed)
     held: tuple[HeldOutTrial, ...] = ()
@@ -74,12 +92,13 @@ def twin(
         record = prepared.records[0]
         device = device_of(fitted, sample_rate_hz=record.sample_rate_hz, serial=record.device)
         write_device(device, output)
+    if report is not None:
+        write_twin_report(report, fitted, held, endings, origin=origin_of(*records, *optics.reference))
     if json:
         write_json(_twin_json(fitted, held, endings, parts, split), "twin")
     else:
         _show(fitted, names, held, endings, parts, split)
-        if output is not None:
-            say(f"Wrote {output}")
+        say(*(f"Wrote {path}" for path in (report, output) if path is not None))
     return 0
 
 

@@ -13,13 +13,15 @@ from undrift.cli.common import (
     Optics,
     OptionalOutput,
     Policy,
+    Report,
     Side,
     Steps,
     check_folder,
     check_gravity,
-    check_output,
     check_physical,
+    check_report,
     name_of,
+    origin_of,
     recordings_of,
     save_json,
     say,
@@ -34,6 +36,7 @@ if TYPE_CHECKING:
     from undrift.calibration.reference import ReferenceSettings
     from undrift.model import Calibration
     from undrift.record import Record, Reference
+    from undrift.report.page import Origin
     from undrift.report.validation import Method
     from undrift.validation.agreement import Validation
     from undrift.validation.trial import Trial, TrialSettings
@@ -66,7 +69,7 @@ def validate(
     policy: Policy = "raise",
     max_lag_s: float = 5.0,
     output: OptionalOutput = None,
-    report: Path | None = None,
+    report: Report = None,
     opening: Opening = Opening(),
     json: Json = False,
 ) -> int:
@@ -117,7 +120,7 @@ def validate(
 
     _check_asked(leave_one_out, mounting, calibrate_from, calibration, max_lag_s)
     check_folder(output)
-    check_output(report, endings=(".html",), reads=(*records, *optics.reference, calibration))
+    check_report(report, reads=(*records, *optics.reference, calibration))
     chosen = offset or ("none" if calibration or calibrate_from else "rest")
     settings = TrialSettings(
         offset=chosen,
@@ -138,7 +141,7 @@ def validate(
         result, method = _judged(pairs, (records, optics.reference), (calibration, model), settings, progress, fit)
     made = _validation_json(result) | {"calibration": calibration.name if calibration else calibrate_from}
     made |= {"offset": chosen, "adc": adc, "leave_one_out": leave_one_out}
-    _write(output, report, result, made, method)
+    _write((output, report), result, made, method, origin_of(*records, *optics.reference, calibration))
     if json:
         write_json(made, "validate")
     else:
@@ -165,16 +168,21 @@ def _written(folder: Path | None, page: Path | None) -> list[str]:
 
 
 def _write(
-    folder: Path | None, page: Path | None, result: "Validation", made: dict[str, object], method: "Method"
+    places: tuple[Path | None, Path | None],
+    result: "Validation",
+    made: dict[str, object],
+    method: "Method",
+    origin: "Origin",
 ) -> None:
     from undrift.io.store import write_calibration
     from undrift.report.validation import write_validation_report
 
+    folder, page = places
     if page is not None:
-        write_validation_report(result, method, page)
+        write_validation_report(result, method, page, origin)
     if folder is not None:
         folder.mkdir(exist_ok=True)
-        write_validation_report(result, method, folder / "report.html")
+        write_validation_report(result, method, folder / "report.html", origin)
         save_json(folder / "validation.json", made)
         if method.calibration is not None and not method.source:
             write_calibration(method.calibration, folder / "calibration.json")

@@ -7,14 +7,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from undrift.report.drift import drift_sections, plus_minus
-from undrift.report.figures import COMPARED_COLOURS, OPTICS, envelope, new_figure, svg_of
+from undrift.report.figures import OPTICS, compared_style, entitle, envelope, legend_above, new_figure, svg_of
 from undrift.report.note import SLOPE_OF_THE_NOTE
-from undrift.report.page import Cells, Section, calibration_sections, plain_words, table_section, write_page
+from undrift.report.page import Cells, Origin, Section, calibration_sections, plain_words, table_section, write_page
 from undrift.report.study import NOTE, study_sections
 from undrift.report.validation import trials_section
 from undrift.units import RADIAN_PER_DEGREE
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from undrift.rig.folder import Piece
     from undrift.rig.programme import Protocol
     from undrift.rig.run import RunResult
@@ -24,29 +26,33 @@ if TYPE_CHECKING:
 
 
 def write_demo_report(
-    path: Path, made: "tuple[BenchRun, BenchFit, tuple[Trial, ...]]", checks: tuple["Check", ...], study: "StudyOutcome"
+    path: Path,
+    made: "tuple[BenchRun, BenchFit, tuple[Trial, ...]]",
+    checks: tuple["Check", ...],
+    study: "StudyOutcome",
+    origin: Origin | None = None,
 ) -> None:
     """Write the page of the demo."""
     run, fit, trials = made
-    none, _, full, rest, both = (trial.figures.max_abs_pitch_deg for trial in trials)
+    none, _, full, *_ = (trial.figures.max_abs_pitch_deg for trial in trials)
+    sections = (
+        trials_section(trials),
+        _bench(run),
+        _rates(run),
+        *calibration_sections(fit.constant),
+        *(replace(section, title=f"Over temperature: {section.title}") for section in drift_sections(fit.drift)),
+        _study_lead(study),
+        *study_sections(study),
+    )
     write_page(
         path,
         title="undrift demo: the note's method on a virtual bench",
-        lead="A wearable device is calibrated on an emulated rate table and in an emulated chamber, over sockets, and worn. "
-        f"Largest pitch error of a sit-to-stand: {none:.2f} deg with a constant calibration, {rest:.2f} deg re-zeroed at a rest "
-        f"before it, {full:.2f} deg with tuning tables, {both:.2f} deg with both. {NOTE}",
+        answer=f"Tuning tables cut the largest pitch error of a sit-to-stand from {none:.2f} to {full:.2f} deg.",
+        pictures=(svg_of(_draw_worn(trials)),),
         verdict=fit.drift.verdict,
-        sections=(
-            _checks(checks),
-            _worn(trials),
-            trials_section(trials),
-            _bench(run),
-            _rates(run),
-            *calibration_sections(fit.constant),
-            *(replace(section, title=f"Over temperature: {section.title}") for section in drift_sections(fit.drift)),
-            _study_lead(study),
-            *study_sections(study),
-        ),
+        findings=tuple(item for trial in trials for item in trial.findings),
+        sections=(_worn(trials), _checks(checks), *(replace(section, folded=True) for section in sections)),
+        origin=origin,
     )
 
 
@@ -63,32 +69,39 @@ def _checks(checks: tuple["Check", ...]) -> Section:
     return table_section("Compared with the hidden truth", checks, cells, text=(text,))
 
 
-def _worn(trials: tuple["Trial", ...]) -> Section:
-    """Show the pitch of the worn trial, and its error at each level of correction."""
-    from undrift.study.virtual_bench import EXCURSION_K
-
-    largest = [trial.figures.max_abs_pitch_deg for trial in trials]
+def _draw_worn(trials: tuple["Trial", ...]) -> "Figure":
+    """Draw the pitch of the worn trial, and its error at each level of correction."""
     figure, (angle, error) = new_figure(2)
     angle.plot(*envelope(trials[0].time, trials[0].reference_pitch / RADIAN_PER_DEGREE), color=OPTICS)
     angle.set_ylabel("pitch (deg)")
-    angle.set_title("by the optics", loc="left", fontsize=9)
-    for trial, colour in zip(trials, COMPARED_COLOURS, strict=True):
+    entitle(figure, "Pitch of a sit-to-stand by the optics, and its error at each level of correction")
+    for k, trial in enumerate(trials):
         course = envelope(trial.time, trial.error.pitch / RADIAN_PER_DEGREE)
-        error.plot(*course, color=colour, label=trial.recording)
+        error.plot(*course, label=trial.recording, **compared_style(k))
     error.axhline(0.0, color=OPTICS, linewidth=0.6)
     error.set(xlabel="time (s)", ylabel="error (deg)")
-    error.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2, borderaxespad=0.2, frameon=False)
+    legend_above(error)
+    return figure
+
+
+def _worn(trials: tuple["Trial", ...]) -> Section:
+    """Say what the worn trial shows."""
+    from undrift.study.virtual_bench import EXCURSION_K
+
+    largest = [trial.figures.max_abs_pitch_deg for trial in trials]
+    none, _, full, rest, both = largest
     return Section(
         title="A sit-to-stand with the device warmed by its wearer",
         text=(
+            f"A wearable device is calibrated on an emulated rate table and in an emulated chamber, over sockets, and worn. "
+            f"Largest pitch error: {none:.2f} deg with a constant calibration, {rest:.2f} deg re-zeroed at a rest before the "
+            f"motion, {full:.2f} deg with tuning tables, {both:.2f} deg with both. {NOTE}",
             f"Simulated with the same device after half an hour on a person, {EXCURSION_K:g} K above the bench. While the person "
             f"moves, the tables remove {largest[0] - largest[2]:.2f} deg of the largest pitch error against simulated optics (the "
             f"note, Figure 3: more than 3.2). The offset re-zeroed at the rest before leaves {largest[3]:.2f} deg: scale and "
             "dynamic drift. Integration begins half a second before the motion and includes the stance after it.",
             SLOPE_OF_THE_NOTE,
         ),
-        findings=tuple(item for trial in trials for item in trial.findings),
-        pictures=(svg_of(figure),),
     )
 
 

@@ -12,7 +12,7 @@ from undrift.drift.hysteresis import SIGNIFICANT
 from undrift.errors import InputError
 from undrift.model import AXES
 from undrift.report.figures import DEVICE, ERROR, LIMIT, new_figure, stretches, svg_of
-from undrift.report.page import Section, write_page
+from undrift.report.page import Origin, Section, write_page
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
 if TYPE_CHECKING:
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from undrift.drift.learn import LearnFit
     from undrift.drift.select import Alternatives
     from undrift.model import DynamicDrift
+    from undrift.validation.table_worth import TableWorth
 
 # ---- pictures
 
@@ -45,7 +46,7 @@ def draw_offsets(summary: "TriadSummary") -> "Figure":
     """Draw offset over temperature: blocks while warming and cooling, table with its nodes and 95 % band, what is
     extrapolated.
     """
-    figure, panels = new_figure(3, height=2.0, columns=2)
+    figure, panels = new_figure(3, height=1.7, columns=2)
     unit, factor = shown_unit(summary.unit)
     margin = 0.02 * float(np.ptp(summary.temp_c))
     for k, axis in enumerate(AXES):
@@ -62,7 +63,7 @@ def draw_offsets(summary: "TriadSummary") -> "Figure":
     seen = "the same less the table" if len(summary.block_temp_c) else "uncertainty of the table"
     panels[1].set_title(seen if summary.in_table else "the same less the fit", loc="left", fontsize=10)
     if not len(summary.block_temp_c):
-        panels[2].set_title("all poses together: a pose has no single offset", loc="left", fontsize=8.5)
+        panels[0].set_title("all poses together: a pose has no single offset", loc="right", fontsize=8.7)
     _legend_below(figure, panels[1])
     return figure
 
@@ -119,7 +120,7 @@ def _draw_level(axes: "Axes", summary: "TriadSummary", k: int, factor: float, va
 
 def _legend_below(figure: "Figure", axes: "Axes") -> None:
     handles, names = axes.get_legend_handles_labels()
-    figure.legend(handles, names, loc="outside lower center", ncols=4, fontsize=8.0, frameon=False)
+    figure.legend(handles, names, loc="outside lower left", ncols=3, frameon=False)
 
 
 def _shade(axes: "Axes", temp_c: "FloatArray", extrapolated: "BoolArray") -> None:
@@ -217,23 +218,23 @@ def draw_scale(summary: "ScaleSummary") -> "Figure":
 def draw_dynamic(drift: "DynamicDrift") -> "Figure":
     """Draw dynamic drift over the measured rate for a few temperatures; axes that turned."""
     turned = [k for k in range(3) if drift.error[:, :, k].any()]
-    figure, panels = new_figure(1, height=3.0, columns=len(turned))
+    figure, panels = new_figure(len(turned), height=1.7)
     chosen = np.unique(np.linspace(0, len(drift.temp_c) - 1, min(_CURVES, len(drift.temp_c))).round().astype(int))
     rate = drift.turn_rate / RADIAN_PER_DEGREE
     for k, axes in zip(turned, panels, strict=True):
         axis = AXES[k]
         for place, row in enumerate(chosen):
+            marker = "ov^sDP"[place % 6]
             share = place / max(len(chosen) - 1, 1)
             colour = (0.17 + 0.59 * share, 0.38 - 0.15 * share, 0.70 - 0.47 * share)
             error = drift.error[row, :, k] / RADIAN_PER_DEGREE
             axes.plot(rate, error, color=colour, linestyle=":", linewidth=1.0)
             near = error if drift.extrapolated is None else np.where(drift.extrapolated[row], np.nan, error)
             name = f"{drift.temp_c[row]:.0f} degC" if k == turned[0] else None
-            axes.plot(rate, near, color=colour, marker=".", markersize=3.0, label=name)
-        axes.set_title(axis, loc="left", fontsize=10)
-        axes.set_xlabel("measured rate (deg/s)")
-    panels[0].set_ylabel("correction (deg/s)")
-    panels[0].legend(loc="best", fontsize=7.0)
+            axes.plot(rate, near, color=colour, marker=marker, markersize=3.0, label=name)
+        axes.set_ylabel(f"{axis}: correction (deg/s)")
+    panels[-1].set_xlabel("measured rate (deg/s)")
+    _legend_below(figure, panels[0])
     return figure
 
 
@@ -249,7 +250,7 @@ def draw_alternatives(alternatives: "Alternatives") -> "Figure":
         axes.errorbar(error, place, xerr=reach, fmt="o", capsize=3.0, **style)
         names.append(alternatives.name[k] + " (chosen)" * taken)
     axes.set_yticks(range(len(rows)), names)
-    label = "error of held-out soaks and rates (deg/s rms, with standard error)"
+    label = "error of held-out soaks and rates\n(deg/s rms, with standard error)"
     axes.set(ylim=(len(rows) - 0.4, -0.6), xscale="log", xlabel=label)
     return figure
 
@@ -332,26 +333,39 @@ def choice_rows(alternatives: "Alternatives") -> tuple[tuple[str, ...], ...]:
     )
 
 
-def write_drift_report(fit: "DriftFit", path: Path) -> None:
+def write_drift_report(fit: "DriftFit", path: Path, origin: Origin | None = None) -> None:
     """Write the page of a thermal fit."""
     device = fit.calibration.device or "device without a serial number"
     write_page(
         path,
         title=f"Thermal drift of {device}",
-        lead=drift_lead(fit),
-        sections=drift_sections(fit),
+        answer=drift_answer(fit),
+        pictures=(svg_of(draw_drift(fit)),) if fit.gyro_summary or fit.accel_summary else (),
+        sections=(Section(title="Before and after", text=(drift_lead(fit),)), *drift_sections(fit, drawn=True)),
         verdict=fit.verdict,
+        origin=origin,
     )
+
+
+def drift_answer(fit: "DriftFit") -> str:
+    """Return what the tables are worth, in a sentence."""
+    if (found := _expected(fit)) is None:
+        return f"{len(fit.rests)} blocks of rest and {len(fit.steps)} dwells give no tuning table of gyroscope offsets."
+    before, after = f"{found.constant_deg:.2f} deg with constants", f"{found.tables_deg:.2f} deg with these tables"
+    return f"Largest error of {found.motion}: {before}, {after}."
+
+
+def _expected(fit: "DriftFit") -> "TableWorth | None":
+    from undrift.validation.table_worth import expected_errors
+
+    known = np.isfinite(fit.rests.gyro_variance).all(axis=1)
+    variance = np.median(fit.rests.gyro_variance[known], axis=0) if known.any() else np.zeros(3)
+    return expected_errors(fit.calibration, rest_variance=variance)
 
 
 def drift_lead(fit: "DriftFit") -> str:
     """Return before and after in degrees over a stated motion, and the answer."""
-    from undrift.validation.table_worth import expected_errors
-
-    data = f"{len(fit.rests)} blocks of rest, {len(fit.steps)} dwells at known rates."
-    known = np.isfinite(fit.rests.gyro_variance).all(axis=1)
-    variance = np.median(fit.rests.gyro_variance[known], axis=0) if known.any() else np.zeros(3)
-    found = expected_errors(fit.calibration, rest_variance=variance)
+    data, found = f"{len(fit.rests)} blocks of rest, {len(fit.steps)} dwells at known rates.", _expected(fit)
     if found is None:
         return data
     before = f"{found.constant_deg:.2f} deg with constants"
@@ -362,22 +376,24 @@ def drift_lead(fit: "DriftFit") -> str:
     return f"Before: {before}. After: {after} (95 %, as stated). Largest error of {found.motion}. {found.answer}. Fitted to {data}"
 
 
-def drift_sections(fit: "DriftFit") -> tuple[Section, ...]:
-    """Return the sections of the page of a thermal fit."""
+def drift_sections(fit: "DriftFit", *, drawn: bool = False) -> tuple[Section, ...]:
+    """Return the sections of the page of a thermal fit; without the picture that was drawn before."""
     sections = [
         Section(
             title=name,
             text=(offset_title(name.lower(), summary) + ". Standard uncertainties behind +-.",),
             columns=offset_table(summary)[0],
             rows=offset_table(summary)[1],
-            pictures=(svg_of(draw_offsets(summary)),),
+            pictures=()
+            if drawn and summary is (fit.gyro_summary or fit.accel_summary)
+            else (svg_of(draw_offsets(summary)),),
         )
         for name, summary in (("Gyroscopes", fit.gyro_summary), ("Accelerometers", fit.accel_summary))
         if summary is not None
     ]
     if fit.scale_summary is not None and np.isfinite(fit.scale_summary.soak_percent).any():
-        drawn, rows = svg_of(draw_scale(fit.scale_summary)), scale_rows(fit)
-        sections.append(Section(title="Scale over temperature", columns=SCALE_HEADS, rows=rows, pictures=(drawn,)))
+        picture, rows = svg_of(draw_scale(fit.scale_summary)), scale_rows(fit)
+        sections.append(Section(title="Scale over temperature", columns=SCALE_HEADS, rows=rows, pictures=(picture,)))
     drift = fit.calibration.drift
     if drift is not None and drift.dynamic is not None and drift.dynamic.error.any():
         sections.append(Section(title="Dynamic drift", pictures=(svg_of(draw_dynamic(drift.dynamic)),)))

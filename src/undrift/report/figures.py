@@ -1,11 +1,15 @@
 """Pictures: each function draws one result as a matplotlib Figure; :func:`svg_of` turns it into text for a page or a file.
 
-Colours keep one meaning throughout: the device in blue, the optics in black, errors in orange, limits in grey.
+Colours keep one meaning throughout: the device in blue, the optics in black, errors in orange, limits in grey. Axes x, y and z and
+levels of compensation have a dash or a marker besides, since colours alone are lost on some readers. Figures are 4.8 inches
+wide, so that their text keeps 9 pixels on a screen of 390.
 """
 
 import io
+import textwrap
 from collections.abc import Mapping, Sequence
 from functools import cache
+from html import escape
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,14 +17,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray
-from undrift.calibration.noise import NoiseFit
+from undrift.calibration.noise import FLICKER, TERMS, AxisNoise, NoiseFit
 from undrift.calibration.pieces import Piece
 from undrift.errors import InputError
 from undrift.files import write_whole
 from undrift.io.inspect import STUCK, saturated_runs
 from undrift.model import AXES
 from undrift.record import Record
-from undrift.units import RADIAN_PER_DEGREE
+from undrift.units import RADIAN_PER_DEGREE, is_physical, si_factor
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -34,7 +38,7 @@ if TYPE_CHECKING:
 
 # ---- envelope: few enough points to draw, with the least and largest value of every column
 
-COLUMNS_DRAWN = 2000  # more than a picture of 8.2 inches shows apart
+COLUMNS_DRAWN = 1200  # more than a picture shows apart
 
 
 def envelope(time: FloatArray, values: FloatArray, columns: int = COLUMNS_DRAWN) -> tuple[FloatArray, FloatArray]:
@@ -55,11 +59,14 @@ def envelope(time: FloatArray, values: FloatArray, columns: int = COLUMNS_DRAWN)
 
 # ---- figures
 
-DEVICE, OPTICS, ERROR, LIMIT = "#1f5fa8", "#222222", "#d9641e", "#8a8a8a"
+DEVICE, OPTICS, ERROR, LIMIT = "#1f5fa8", "#222222", "#c2500f", "#767676"
 SHADE = "#f1efe8"  # behind a stretch that the figures are taken over
 PICTURES = (".svg", ".png", ".pdf")
 _UNDATED: Any = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}  # the same bytes for the same figure
-AXIS_COLOURS = ("#c23b3b", "#2f8f4e", "#2b62b3")  # x, y, z
+AXIS_COLOURS = ("#cc3311", "#007d5e", "#2b62b3")  # x, y, z
+AXIS_DASHES, AXIS_MARKERS = ("-", "--", ":"), ("o", "s", "^")
+WIDTH, LEAST_SIZE = 4.8, 8.7  # inches; points of the smallest text
+_TITLE_LETTERS = 66  # of a title across the whole figure
 _STYLE: Any = {  # matplotlib types every key by name
     "font.size": 9.0,
     "axes.spines.top": False,
@@ -75,7 +82,7 @@ _STYLE: Any = {  # matplotlib types every key by name
 
 
 def new_figure(
-    rows: int, *, height: float = 2.3, columns: int = 1, share_x: bool = True, width: float = 8.2
+    rows: int, *, height: float = 2.0, columns: int = 1, share_x: bool = True, width: float = WIDTH
 ) -> tuple["Figure", list["Axes"]]:
     """Return an empty figure in the house style."""
     import matplotlib as mpl
@@ -98,11 +105,48 @@ def _notebook_figure() -> type["Figure"]:
     return NotebookFigure
 
 
-def svg_of(figure: "Figure", *, outlines: bool = False) -> str:
-    """Return a figure as SVG text, the same bytes for the same figure; its letters as outlines where no font is at hand."""
+def svg_of(figure: "Figure", label: str = "", *, outlines: bool = False) -> str:
+    """Return a figure as SVG text that says what it is, the same bytes for the same figure; letters as outlines without fonts."""
+    from matplotlib.text import Text
+
+    for part in figure.findobj(Text):
+        part.set_fontsize(max(part.get_fontsize(), LEAST_SIZE))
     fonts = {"svg.fonttype": "path"} if outlines else {}
     text = _saved(figure, fonts, format="svg", metadata={"Date": None, "Creator": "undrift"}).decode()
-    return text[text.index("<svg") :]
+    named = f'<svg role="img" aria-label="{escape(label or _described(figure))}" '
+    return text[text.index("<svg") :].replace("<svg ", named, 1)
+
+
+def _described(figure: "Figure") -> str:
+    """Return what a figure shows: its title, and the labels of its axes."""
+    heads = [figure.get_suptitle(), *(axes.get_title(loc) for axes in figure.axes for loc in ("left", "center"))]
+    title = next((head for head in heads if head), "")
+    labels = (
+        dict.fromkeys(filter(None, (getattr(axes, get)() for axes in figure.axes)))
+        for get in ("get_ylabel", "get_xlabel")
+    )
+    shown = " against ".join(filter(None, map(", ".join, labels)))
+    return " ".join(": ".join(filter(None, (title, shown))).split())
+
+
+def axis_style(k: int, *, marked: bool = False) -> dict[str, Any]:
+    """Return colour, and dash or a few markers, of the line of axis x, y or z."""
+    marker: dict[str, Any] = {"marker": AXIS_MARKERS[k], "markevery": (0.05 * k, 0.15), "markersize": 4.0}
+    return {"color": AXIS_COLOURS[k]} | (marker if marked else {"linestyle": AXIS_DASHES[k]})
+
+
+def entitle(figure: "Figure", title: str) -> None:
+    """Write a title over the whole figure, in lines that fit."""
+    figure.suptitle(textwrap.fill(title, _TITLE_LETTERS), x=0.01, ha="left", fontsize=10)
+
+
+def legend_above(axes: "Axes") -> None:
+    """Write a legend between the panel and what is above it, in as many columns as fit."""
+    handles, names = axes.get_legend_handles_labels()
+    across = axes.get_subplotspec().get_gridspec().ncols if axes.get_subplotspec() else 1  # type: ignore[union-attr]
+    fit = int(58 / across / (max(map(len, names)) + 5))
+    where: Any = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0), "borderaxespad": 0.2, "frameon": False}
+    axes.legend(handles, names, ncols=min(max(fit, 1), len(names)), fontsize=9, columnspacing=1.2, **where)
 
 
 def save_figure(figure: "Figure", path: Path) -> None:
@@ -113,14 +157,25 @@ def save_figure(figure: "Figure", path: Path) -> None:
     write_whole(path, _saved(figure, dpi=130, format=kind, metadata=_UNDATED.get(kind)))
 
 
+def _plain_log(axes: "Axes") -> None:
+    """Label logarithmic axes by plain numbers: the powers of a formula are too small to read."""
+    from matplotlib.ticker import FuncFormatter, LogFormatter, LogLocator
+
+    for axis in (axes.xaxis, axes.yaxis):
+        if isinstance(axis.get_major_formatter(), LogFormatter):
+            axis.set_major_locator(LogLocator(numticks=7))
+            axis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:g}"))
+            axis.set_minor_formatter(LogFormatter(minor_thresholds=(1.0, 0.4)))
+
+
 def _saved(figure: "Figure", style: Any = None, **how: Any) -> bytes:
     import matplotlib as mpl
     from matplotlib.text import Text
 
-    axes = [axis for panel in figure.axes for axis in (panel.xaxis, panel.yaxis) if axis.get_scale() == "log"]
-    powers = {id(label) for axis in axes for label in axis.findobj(Text)}
+    for axes in figure.axes:
+        _plain_log(axes)
     for text in figure.findobj(Text):
-        text.set_parse_math(id(text) in powers)  # a dollar in the name of a file is a dollar
+        text.set_parse_math(False)  # a dollar in the name of a file is a dollar
     buffer = io.BytesIO()
     with mpl.rc_context(_STYLE | (style or {})):
         figure.savefig(buffer, **how)
@@ -140,17 +195,18 @@ def draw_comparison(
     time (N,) s, device_deg (N,) deg, optics_deg (N,) deg, errors_deg (N,) deg, moving (N,)."""
     figure, (angle, error) = new_figure(2)
     angle.plot(*envelope(time, _without_wraps(optics_deg)), color=OPTICS, label="optics")
-    angle.plot(*envelope(time, _without_wraps(device_deg)), color=DEVICE, label="device", alpha=0.85)
+    angle.plot(*envelope(time, _without_wraps(device_deg)), color=DEVICE, label="device", linestyle="--")
     angle.set_ylabel("pitch (deg)")
-    angle.set_title(title, loc="left", fontsize=10)
-    angle.legend(loc="lower left", bbox_to_anchor=(0.75, 1.0), ncols=2, borderaxespad=0.2, frameon=False)
-    for (name, course), colour in zip(errors_deg, (ERROR, DEVICE, LIMIT, OPTICS), strict=False):
-        error.plot(*envelope(time, course), color=colour, label=name)
+    entitle(figure, title)
+    legend_above(angle)
+    styles = zip((ERROR, DEVICE, LIMIT, OPTICS), ("-", "--", ":", "-."), strict=True)
+    for (name, course), (colour, dash) in zip(errors_deg, styles, strict=False):
+        error.plot(*envelope(time, course), color=colour, linestyle=dash, label=name)
     for start, stop in () if moving is None else stretches(moving > 0.0):
         error.axvspan(float(time[start]), float(time[stop]), color=SHADE, linewidth=0.0, zorder=0)
     error.axhline(0.0, color=OPTICS, linewidth=0.6)
     error.set(xlabel="time (s)", ylabel="error (deg)")
-    error.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=len(errors_deg), borderaxespad=0.2, frameon=False)
+    legend_above(error)
     return figure
 
 
@@ -215,7 +271,7 @@ def draw_recording(records: Sequence[Record], pieces: Sequence[Piece], *, title:
     panels[-1].set(xlabel="time (s)" + ", recordings one after the other" * (len(records) > 1))
     panels[-1].set_xlim(starts[0], starts[-1])
     strip.set_title(title, loc="left", fontsize=10)
-    lines = {axis: Line2D([], [], color=colour) for axis, colour in zip("xyz", AXIS_COLOURS, strict=True)}
+    lines = {axis: Line2D([], [], **axis_style(k, marked=True) | {"markevery": None}) for k, axis in enumerate(AXES)}
     _add_legend(figure, pieces, lines | marks, used=used)
     return figure
 
@@ -250,8 +306,8 @@ def _draw_readings(panel: "Axes", time: FloatArray, values: FloatArray) -> dict[
 
     style: Any = {"color": SATURATED, "marker": "s", "linestyle": "none"}
     marks: dict[str, Any] = {}
-    for column, colour in zip(values.T, AXIS_COLOURS, strict=True):
-        panel.plot(*envelope(time, column), color=colour, linewidth=0.7)
+    for k, column in enumerate(values.T):
+        panel.plot(*envelope(time, column), linewidth=0.7, **axis_style(k, marked=True))
         for limit, stuck in saturated_runs(column) if np.isfinite(column).sum() > 2 * STUCK else ():
             at = np.concatenate([np.arange(start, stop) for start, stop in stuck])
             panel.plot(time[at], np.full(len(at), limit), markersize=2.5, **style)
@@ -336,11 +392,12 @@ def draw_record(record: "Record") -> "Figure":
         held.append(("temperature (degC)", record.temp_c[None], ("",)))
     figure, panels = new_figure(len(held), height=1.9)
     for axes, (label, courses, names) in zip(panels, held, strict=True):
-        for course, name, colour in zip(courses, names, AXIS_COLOURS, strict=False):
-            axes.plot(*envelope(record.time, course), color=colour if name else DEVICE, label=name, linewidth=0.8)
+        for k, (course, name) in enumerate(zip(courses, names, strict=True)):
+            style = axis_style(k, marked=True) if name else {"color": DEVICE}
+            axes.plot(*envelope(record.time, course), label=name, linewidth=0.8, **style)
         axes.set_ylabel(label)
-    panels[0].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, borderaxespad=0.2)
-    panels[0].set_title(f"{record.device or 'record'}: {record.state}", loc="left", fontsize=10)
+    legend_above(panels[0])
+    entitle(figure, f"{record.device or 'record'}: {record.state}")
     panels[-1].set_xlabel("time (s)")
     return figure
 
@@ -359,41 +416,59 @@ def draw_orientation(found: "Orientation") -> "Figure":
     return figure
 
 
+DATA_SHEET_PERCENT = (
+    3.0,
+    2.0,
+)  # scale, cross-axis: usual limits (MPU-6050, PS-MPU-6000A-00 rev. 3.4, tables 6.1 and 6.2)
+
+
 def draw_calibration(calibration: "Calibration") -> "Figure":
-    """Draw each triad: its matrix over the mean gain, as departures from the identity, and its offsets; bars are 95 %."""
+    """Draw each matrix as departures from the ideal, with 95 % bars and the limits that data sheets usually state, and the offsets.
+    Ideal: no cross-axis terms, and the gain of the unit; the mean gain where readings are in counts or volts."""
     triads = [
         (name, getattr(calibration, name)) for name in ("gyro", "accel") if getattr(calibration, name) is not None
     ]
     if not triads:
         raise InputError("plot: wanted a calibrated gyroscope or accelerometer, got neither; nothing is there to draw")
-    figure, panels = new_figure(len(triads), height=2.3, columns=2, share_x=False)
-    for k, (name, triad) in enumerate(triads):
+    figure, panels = new_figure(2 * len(triads), height=1.6, share_x=False)
+    elements = [row + column for row in AXES for column in AXES]
+    limits = np.where(np.eye(3, dtype=bool).ravel(), *DATA_SHEET_PERCENT)
+    style: Any = {"fmt": "o", "color": DEVICE, "capsize": 3.0, "markersize": 4.0, "label": "estimate, 95 %"}
+    for (name, triad), matrix, offset in zip(triads, panels[::2], panels[1::2], strict=True):
         sigma = dict(zip(triad.parameters, triad.standard_uncertainty, strict=True))
-        gain = float(triad.scale_factor.mean())
-        elements = [row + column for row in AXES for column in AXES]
+        gain, ideal = float(triad.scale_factor.mean()), "mean gain"
+        if is_physical(triad.unit_in):
+            gain, ideal = 1.0 / si_factor(triad.unit_in, "rate" if name == "gyro" else "accel"), "unit"
         percent = 100.0 * (gain * triad.matrix.ravel() - np.eye(3).ravel())
-        bars = [196.0 * gain * sigma.get(f"m_{one}", 0.0) for one in elements]
-        colours = [DEVICE if one[0] == one[1] else LIMIT for one in elements]
-        matrix, offset = panels[2 * k : 2 * k + 2]
-        matrix.bar(elements, percent, yerr=bars, color=colours, capsize=2.0)
-        matrix.set_ylabel("departure from the mean gain (%)")
-        matrix.set_title(f"{name}: {gain:.5g} {triad.unit_in} per {triad.unit_out}", loc="left", fontsize=10)
-        bars = [1.96 * sigma.get(f"offset_{axis}", 0.0) for axis in AXES]
-        offset.bar(AXES, triad.offset, yerr=bars, color=AXIS_COLOURS, capsize=2.0)
-        offset.set_ylabel(f"offset ({triad.unit_in})")
+        bars = np.array([196.0 * gain * sigma.get(f"m_{one}", 0.0) for one in elements])
+        matrix.bar(
+            elements, 2.0 * limits, bottom=-limits, color=SHADE, edgecolor=LIMIT, label="usual data-sheet limits"
+        )
+        matrix.errorbar(elements, percent, yerr=bars, **style)
+        matrix.axhline(0.0, color=OPTICS, linewidth=0.6)
+        matrix.set_ylabel(f"{name} matrix\nless {ideal} (%)")
+        bars = np.array([1.96 * sigma.get(f"offset_{axis}", 0.0) for axis in AXES])
+        offset.errorbar(AXES, triad.offset, yerr=bars, **style)
+        offset.margins(0.3)
+        offset.set_ylabel(f"{name} offset\n({triad.unit_in})")
+    entitle(figure, "Matrix as departures from ideal, and offsets")
+    legend_above(panels[0])
     return figure
 
 
 def draw_bars(names: Sequence[str], values: Mapping[str, Sequence[float]], *, title: str, label: str) -> "Figure":
     """Draw a group of bars for each name, a bar for each row of values (n,)."""
-    figure, (axes,) = new_figure(1, height=2.9)
+    figure, (axes,) = new_figure(1, height=0.5 + 0.18 * len(names) * (len(values) + 1))
     width = 0.8 / len(values)
-    for k, ((row, heights), colour) in enumerate(zip(values.items(), (LIMIT, ERROR, DEVICE, OPTICS), strict=False)):
-        axes.bar(np.arange(len(names)) + (k + 0.5) * width - 0.4, heights, width, color=colour, label=row)
-    axes.set_xticks(np.arange(len(names)), names)
-    axes.set_ylabel(label)
-    axes.set_title(title, loc="left", fontsize=10)
-    axes.legend(loc="best")
+    styles = zip((LIMIT, ERROR, DEVICE, OPTICS), ("", "///", "", "..."), strict=True)
+    for k, ((row, lengths), (colour, hatch)) in enumerate(zip(values.items(), styles, strict=False)):
+        places = np.arange(len(names)) + (k + 0.5) * width - 0.4
+        axes.barh(places, lengths, width, color=colour, hatch=hatch, edgecolor="white", linewidth=0.4, label=row)
+    axes.set_yticks(np.arange(len(names)), [textwrap.fill(name, 20) for name in names])
+    axes.set_axisbelow(True)
+    axes.set(xlabel=label, ylim=(len(names) - 0.5, -0.5))
+    entitle(figure, title)
+    legend_above(axes)
     return figure
 
 
@@ -401,23 +476,58 @@ def draw_bars(names: Sequence[str], values: Mapping[str, Sequence[float]], *, ti
 
 
 def draw_allan(found: NoiseFit, *, title: str = "Overlapping Allan deviation") -> "Figure":
-    """Draw Allan deviation over averaging time, with its intervals and the slope of white noise as a guide."""
+    """Draw Allan deviation over averaging time, with the band of its intervals and the fitted model."""
     triads = [name for name in ("gyro", "accel") if getattr(found, name)]
-    figure, panels = new_figure(len(triads), height=3.4)
-    taus = found.taus_s
+    figure, panels = new_figure(len(triads), height=2.9)
     for panel, name in zip(panels, triads, strict=True):
-        axes, deviation, limits, unit = (getattr(found, f"{name}{of}") for of in ("", "_adev", "_limits", "_unit"))
-        for k, (axis, colour) in enumerate(zip(axes, AXIS_COLOURS, strict=False)):
-            course = deviation[:, k]
-            reach = np.abs(limits[:, :, k] - course)  # bars are lengths down and up
-            style: Any = {"color": colour, "marker": "o", "markersize": 2.5, "elinewidth": 0.7}
-            panel.errorbar(taus, course, yerr=reach, label=f"{name} {axis.axis}", **style)
-        panel.set(xscale="log", yscale="log")
-        anchor = float(np.nanmedian(deviation[0]))
-        panel.plot(taus, anchor * np.sqrt(taus[0] / taus), color=LIMIT, linestyle=":", label="white noise, slope -1/2")
-        panel.set_ylabel(f"Allan deviation ({unit})")
-        panel.legend(loc="best", frameon=False)
-    panels[0].set_title(f"{title}, bars: {100.0 * found.confidence:g} %", loc="left", fontsize=10)
+        for k, axis in enumerate(getattr(found, name)):
+            _draw_deviation(panel, found, name, k)
+            panel.plot(found.taus_s, np.sqrt(sum(_parts(axis, found.taus_s).values())), **axis_style(k), linewidth=0.9)
+        panel.set(xscale="log", yscale="log", ylabel=f"Allan deviation ({getattr(found, f'{name}_unit')})")
+        legend_above(panel)
+    entitle(figure, f"{title}, lines: fitted model, band: {100.0 * found.confidence:g} %")
+    panels[-1].set_xlabel("averaging time (s)")
+    return figure
+
+
+def _draw_deviation(panel: "Axes", found: NoiseFit, name: str, k: int) -> None:
+    """Draw the deviations of one axis and the band of their intervals."""
+    axis, course = getattr(found, name)[k], getattr(found, f"{name}_adev")[:, k]
+    style: Any = {"color": AXIS_COLOURS[k], "linewidth": 0.0}
+    panel.fill_between(found.taus_s, *getattr(found, f"{name}_limits")[:, :, k], alpha=0.18, **style)
+    panel.plot(found.taus_s, course, marker=AXIS_MARKERS[k], markersize=3.5, label=f"{name} {axis.axis}", **style)
+
+
+def _parts(axis: AxisNoise, taus_s: FloatArray) -> dict[str, FloatArray]:
+    """Return the terms of the fitted Allan variance that the record shows, by name: the equation of calibration.noise."""
+    terms = {
+        "angle_random_walk": 1.0 / taus_s,
+        "bias_instability": FLICKER + 0.0 * taus_s,
+        "rate_random_walk": taus_s / 3.0,
+    }
+    terms["quantization"] = 3.0 / taus_s**2
+    return {name: np.nan_to_num(getattr(axis, name).value) ** 2 * term for name, term in terms.items()}
+
+
+def draw_allan_fit(found: NoiseFit, triad: str) -> "Figure":
+    """Draw each axis of a triad with the fitted line of each term, and a mark where its coefficient is read."""
+    figure, panels = new_figure(3, height=2.1)
+    dashes = dict(zip(TERMS[triad], (("-.", "D", 1.0), ("--", "s", None), (":", "^", 3.0)), strict=True))
+    for k, (panel, axis) in enumerate(zip(panels, getattr(found, triad), strict=True)):
+        _draw_deviation(panel, found, triad, k)
+        parts, low = _parts(axis, found.taus_s), float(np.nanmin(getattr(found, f"{triad}_limits")[0, :, k]))
+        total = np.sqrt(sum(parts.values()))
+        panel.plot(found.taus_s, total, color=OPTICS, linewidth=0.9, label="model")
+        for name, (dash, marker, at_s) in dashes.items():
+            if (line := np.sqrt(parts[name])).any():
+                at = float(found.taus_s[total.argmin()]) if at_s is None else at_s
+                far = (line > 0.5 * low) | (found.taus_s >= 0.5 * at if name == "rate_random_walk" else False)
+                shown = np.where(far, line, np.nan)
+                panel.plot(found.taus_s, shown, color=LIMIT, linestyle=dash, label=TERMS[triad][name])
+                panel.plot(at, np.sqrt(_parts(axis, np.array([at]))[name]), marker=marker, color=LIMIT, markersize=5.0)
+        panel.set(xscale="log", yscale="log", ylabel=f"{triad} {axis.axis} ({getattr(found, f'{triad}_unit')})")
+        legend_above(panel)
+    entitle(figure, "Allan deviation and its terms; marks: where a coefficient is read")
     panels[-1].set_xlabel("averaging time (s)")
     return figure
 
@@ -444,7 +554,14 @@ LEAST_CONTRAST = 2.0  # of the ends of the colours: small differences are to loo
 LEVEL_NAMES = ("no compensation", "static", "static and dynamic")
 LEVEL_COLOURS = (LIMIT, ERROR, DEVICE)
 COMPARED_NAMES = (*LEVEL_NAMES, "offset re-zeroed at a rest", "static and dynamic, re-zeroed at a rest")
-COMPARED_COLOURS = (*LEVEL_COLOURS, "#c98a1b", "#3f8f4f")
+COMPARED_COLOURS = (*LEVEL_COLOURS, "#9a6a00", "#3f8f4f")
+COMPARED_MARKERS = ("o", "s", "^", "D", "v")
+
+
+def compared_style(k: int) -> dict[str, Any]:
+    """Return colour and a few markers of the line of a level of compensation."""
+    style = {"color": COMPARED_COLOURS[k], "marker": COMPARED_MARKERS[k]}
+    return {**style, "markevery": (0.03 * k, 0.15), "markersize": 4.0}
 
 
 def p_text(p: float) -> str:
@@ -458,7 +575,7 @@ def draw_surface(outcome: "StudyOutcome", task: "TaskOutcome", timing: "Timing")
     mean = surface.error(outcome.study.objective, timing).mean(axis=0)
     step_of, x_of = surface.turn_rate_step_dps, surface.turn_rate_max_dps
     steps, (xs, x_at) = np.unique(step_of), np.unique(x_of, return_inverse=True)
-    figure, axes = new_figure(2, columns=len(steps), height=2.0, share_x=False)
+    figure, axes = new_figure(len(steps), columns=2, height=1.6, share_x=False)
     low, high = float(np.nanmin(mean)), float(np.nanmax(mean))
     if high < LEAST_CONTRAST * low:
         middle, reach = np.sqrt(low * high), np.sqrt(LEAST_CONTRAST)
@@ -470,7 +587,7 @@ def draw_surface(outcome: "StudyOutcome", task: "TaskOutcome", timing: "Timing")
     for row, name in enumerate(("cutoff_hz", "turn_rate_min_dps")):
         ys, y_at = np.unique(getattr(surface, name), return_inverse=True)
         for column, step in enumerate(steps):
-            panel, shown = axes[row * len(steps) + column], np.full((len(ys), len(xs)), np.nan)
+            panel, shown = axes[2 * column + row], np.full((len(ys), len(xs)), np.nan)
             own = np.flatnonzero(step_of == step)
             np.fmin.at(shown, (y_at[own], x_at[own]), mean[own])
             edges = np.arange(len(xs) + 1) - 0.5, np.arange(len(ys) + 1) - 0.5  # one row of cells has a height too
@@ -478,38 +595,46 @@ def draw_surface(outcome: "StudyOutcome", task: "TaskOutcome", timing: "Timing")
             panel.grid(False)
             panel.set_xticks(np.arange(len(xs)), [f"{x:.3g}" for x in xs])
             panel.set_yticks(np.arange(len(ys)), [f"{y:.3g}" for y in ys])
-            if row == 0:
-                panel.set_title(f"d = {step:.3g} deg/s", fontsize=9)
-            else:
+            panel.set(ylabel=NAMES[name], title=f"d = {step:.3g} deg/s")
+            if column == len(steps) - 1:
                 panel.set_xlabel(NAMES["turn_rate_max_dps"])
-            if column == 0:
-                panel.set_ylabel(NAMES[name])
             for place, mark, colour, face, size in marks:
                 if step_of[place] == step:
                     style: Any = {"marker": mark, "s": size, "facecolor": face, "edgecolor": colour}
                     panel.scatter(x_at[place], y_at[place], linewidth=1.4, zorder=3, **style)
-    figure.colorbar(mesh, ax=axes, shrink=0.7, label=f"mean {outcome.study.objective} error, {timing} (deg)")
+    figure.colorbar(
+        mesh,
+        ax=axes,
+        location="bottom",
+        shrink=0.8,
+        aspect=40,
+        label=f"mean {outcome.study.objective} error, {timing} (deg)",
+    )
     return figure
 
 
 def draw_effects(task: "TaskOutcome") -> "Figure":
     """Draw the mean error over each parameter, the others at the optimum, with 95 % intervals within subjects."""
-    figure, axes = new_figure(1, columns=len(task.optimum.effects), height=2.4, share_x=False)
+    every = task.optimum.effects
+    figure, axes = new_figure(-(-len(every) // 2), columns=min(2, len(every)), height=2.2, share_x=False)
     ends = []
-    for panel, effect, reach in zip(axes, task.optimum.effects, task.effect_reach_deg, strict=True):
+    for panel in axes[len(every) :]:
+        panel.set_axis_off()
+    for panel, effect, reach in zip(axes, every, task.effect_reach_deg, strict=False):
         bars = reach if reach > 0.0 else None
         panel.errorbar(effect.values, effect.means_deg, yerr=bars, color=DEVICE, marker="o", ms=3.5)
         panel.set_xlabel(name_of(effect.name))
         panel.set_title("not tested" if effect.judged is None else effect.judged.verdict, fontsize=9)
         ends += [effect.means_deg.min() - reach, effect.means_deg.max() + reach]
-        panel.set_xticks(effect.values if len(effect.values) < 6 else effect.values[::3])
+        panel.set_xticks(effect.values if len(effect.values) < 6 else effect.values[:: -(-len(effect.values) // 5)])
         panel.xaxis.set_major_formatter("{x:.3g}")
     low, high = min(ends), max(ends)
     for k, panel in enumerate(axes):
         panel.set_ylim(low - 0.08 * (high - low) - 1e-3, high + 0.08 * (high - low) + 1e-3)
-        if k:
+        if k % 2:
             panel.tick_params(labelleft=False)
-    axes[0].set_ylabel("mean error (deg)")
+        else:
+            panel.set_ylabel("mean error (deg)")
     return figure
 
 
@@ -518,16 +643,16 @@ def draw_pareto(outcome: "StudyOutcome", task: "TaskOutcome") -> "Figure":
     figure, (axes,) = new_figure(1, height=3.0)
     found, minutes, front = task.optimum, task.surface.rig_minutes, task.front
     mean = task.surface.error(outcome.study.objective, outcome.study.timing).mean(axis=0)
-    for chosen, colour, label in (
-        (found.worse, LIMIT, "worse than the optimum"),
-        (found.undecided, "#c98a1b", "not decidable"),
-        (found.equivalent, DEVICE, "equivalent to the optimum"),
+    for chosen, colour, marker, label in (
+        (found.worse, LIMIT, "x", "worse than the optimum"),
+        (found.undecided, "#9a6a00", "^", "not decidable"),
+        (found.equivalent, DEVICE, "o", "equivalent to the optimum"),
     ):
         if chosen.any():
-            axes.scatter(minutes[chosen], mean[chosen], color=colour, s=10, label=label)
+            axes.scatter(minutes[chosen], mean[chosen], color=colour, marker=marker, s=10, label=label)
     at = front.surface.rig_minutes[front.places]
     reach = np.abs(front.interval_deg.T - front.mean_deg)
-    label = "nothing is both shorter and better, 95 %"
+    label = "not beaten in both, 95 %"
     axes.errorbar(at, front.mean_deg, yerr=reach, color=ERROR, linewidth=1.2, elinewidth=0.7, capsize=2, label=label)
     marks = [(found.best, "*", 130, ERROR, "optimum"), (found.cheapest, "D", 50, ERROR, "shortest equivalent")]
     if found.best == found.cheapest:
@@ -540,5 +665,5 @@ def draw_pareto(outcome: "StudyOutcome", task: "TaskOutcome") -> "Figure":
     label = f"mean {outcome.study.objective} error, {outcome.study.timing} (deg)"
     top = max(float(np.nanmax(mean)), float(front.interval_deg.max()))
     axes.set(ylim=(0.0, 1.1 * top), xlabel="session (min)", ylabel=label)
-    figure.legend(loc="outside right upper", frameon=False)
+    figure.legend(loc="outside lower left", ncols=2, frameon=False)
     return figure

@@ -1,8 +1,8 @@
 """The note's figures: 1 and 2 as flow drawings with this program's functions, 3 with its table.
 
-``python -m undrift.report.note FOLDER`` draws the flows of docs/study.md. Drawings are 4.6 inches wide, so that their text keeps 9
-pixels on a screen of 390. The copy of the note at hand has the captions and the text of Figures 1 and 2 without the drawings: steps
-are those of the text, and its "block 2" to "block 9" stand where the text has them, not each at one box.
+``python -m undrift.report.note FOLDER`` draws the flows of docs/study.md. The copy of the note at hand has the captions and
+the text of Figures 1 and 2 without the drawings: steps are those of the text, and its "block 2" to "block 9" stand where the text
+has them, not each at one box.
 """
 
 import sys
@@ -12,7 +12,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from undrift.report import figures
-from undrift.report.figures import COMPARED_COLOURS, COMPARED_NAMES, DEVICE, ERROR, LIMIT, OPTICS, SHADE, new_figure
+from undrift.report.figures import (
+    COMPARED_COLOURS,
+    COMPARED_NAMES,
+    DEVICE,
+    ERROR,
+    LIMIT,
+    OPTICS,
+    SHADE,
+    WIDTH,
+    compared_style,
+    new_figure,
+)
 from undrift.report.page import Section, interval, plain_words, rows_section
 
 if TYPE_CHECKING:
@@ -21,8 +32,6 @@ if TYPE_CHECKING:
 
     from undrift.study.figure3 import DrawnRow, Figure3
     from undrift.study.outcome import StudyOutcome
-
-WIDTH = 4.6  # inches
 
 # ---- Figures 1 and 2: flows
 
@@ -105,7 +114,7 @@ AFTER = (
 
 STEPS = (*FIGURE_1, BEFORE, *STATIC.steps, *DYNAMIC.steps, *AFTER)
 
-_SIZE, _LINE, _PAD, _GAP, _EDGE = 8.5, 10.8, 5.0, 13.0, 4.0  # points
+_SIZE, _LINE, _PAD, _GAP, _EDGE = 8.7, 10.8, 5.0, 13.0, 4.0  # points
 _LETTER = 0.56 * _SIZE  # mean width of a letter
 
 
@@ -337,10 +346,10 @@ def draw_figure3(found: "Figure3", drawn: "Sequence[DrawnRow]" = (), twin: "Figu
 
     figure, (pitch, error, apart, largest) = new_figure(4, height=1.75, width=WIDTH, share_x=False)
     pitch.plot(found.time, found.reference_pitch, color=OPTICS)
-    for k, colour in enumerate(COMPARED_COLOURS):
-        error.plot(found.time, found.actual[k], color=colour)
-        error.plot(found.time, found.simulated[k], color=colour, linestyle="--")
-        apart.plot(found.time, found.actual[k] - found.simulated[k], color=colour)
+    for k in range(len(COMPARED_COLOURS)):
+        error.plot(found.time, found.actual[k], **compared_style(k))
+        error.plot(found.time, found.simulated[k], **compared_style(k), linestyle="--")
+        apart.plot(found.time, found.actual[k] - found.simulated[k], **compared_style(k))
     for limit in (-0.15, 0.15):
         apart.axhline(limit, color=OPTICS, linewidth=0.7, linestyle=":")
     _draw_largest(largest, found, drawn, twin)
@@ -354,7 +363,7 @@ def draw_figure3(found: "Figure3", drawn: "Sequence[DrawnRow]" = (), twin: "Figu
         panel.set_ylabel(label)
         panel.set_title(title, loc="left", fontsize=_SIZE)
     apart.set_xlabel("time (s)")
-    lines = [Line2D([], [], color=colour, linewidth=2.5) for colour in COMPARED_COLOURS]
+    lines = [Line2D([], [], **compared_style(k) | {"markevery": None}) for k in range(len(COMPARED_COLOURS))]
     figure.legend(lines, COMPARED_NAMES, loc="outside lower left", fontsize=_SIZE, frameon=False)
     return figure
 

@@ -1,8 +1,18 @@
-"""A report page: one self-contained HTML file with tables and pictures, nothing to download."""
+"""The frame of every report page: one self-contained HTML file, from ``page.html.j2`` and ``page.css``, without script.
+
+A page opens with its answer in a sentence and a picture; then the verdict with at most three findings, sections with figures and
+tables, details folded (open in print), and provenance. A command brings the sentence, the picture and the sections, no more.
+Colours of figures follow the scheme of the reader: page.css names their counterparts in the dark.
+"""
 
 import math
+import os
+import platform
+import re
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -20,7 +30,7 @@ Cells = Sequence[tuple[str, Callable[[Item], str]]]  # heads of a table, each wi
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Section:
-    """A heading with text, findings, a table and pictures under it."""
+    """A heading with text, findings, pictures and a table under it."""
 
     title: str
     text: tuple[str, ...] = ()  # Paragraphs
@@ -29,6 +39,23 @@ class Section:
     rows: tuple[tuple[str, ...], ...] = ()  # Cells
     pictures: tuple[str, ...] = ()  # SVG elements
     words: bool = False  # Cells hold words rather than figures: aligned at the left
+    folded: bool = False  # Among the details at the end
+
+
+def today() -> str:
+    """Return the date of a page, ISO 8601, UTC; SOURCE_DATE_EPOCH in the environment sets another, s since 1970."""
+    stated = os.environ.get("SOURCE_DATE_EPOCH", "")
+    made = datetime.fromtimestamp(int(stated), UTC) if stated.isdigit() else datetime.now(UTC)
+    return made.isoformat(timespec="seconds")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Origin:
+    """What a page was made from and by."""
+
+    command: str = ""
+    inputs: tuple[tuple[str, str], ...] = ()  # File and sha256
+    date: str = field(default_factory=today)
 
 
 def rows_section(title: str, rows: Sequence[dict[str, str]], **more: Any) -> Section:
@@ -44,24 +71,75 @@ def table_section(title: str, items: Iterable[Item], cells: Cells[Item], **more:
     return Section(title=title, columns=tuple(head for head, _ in cells), rows=rows, **more)
 
 
+SCREEN_LINES = 3 * 32  # of text on three screens: longer pages have contents
+
+
 def write_page(
-    path: Path, *, title: str, lead: str, sections: tuple[Section, ...], verdict: Verdict | None = None
+    path: Path,
+    *,
+    title: str,
+    answer: str,
+    pictures: tuple[str, ...] = (),
+    sections: tuple[Section, ...] = (),
+    verdict: Verdict | None = None,
+    findings: tuple[Finding, ...] = (),
+    origin: Origin | None = None,
 ) -> None:
-    """Write a report page."""
+    """Write a report page; findings stand with those of the verdict. Sections without anything in them are left out."""
     from jinja2 import Environment, PackageLoader
 
+    style = Path(__file__).with_name("page.css").read_text()
     template = Environment(loader=PackageLoader("undrift", "report"), autoescape=True).get_template("page.html.j2")
+    filled = [section for section in sections if section.text or section.findings or section.rows or section.pictures]
+    shown, number = [section for section in filled if not section.folded], count(1)
+    lines = sum(4 + 2 * len(one.text) + len(one.rows) + 14 * len(one.pictures) for one in shown)
     text = template.render(
         title=title,
-        lead=lead,
-        sections=sections,
+        answer=answer,
+        pictures=pictures,
+        shown=shown,
+        folded=[section for section in filled if section.folded],
         verdict=verdict,
-        reasons=() if verdict is None else most_consequential_first(verdict.findings),
+        findings=_each_code_first((*(verdict.findings if verdict else ()), *findings)),
+        contents=lines > SCREEN_LINES,
         ordered=most_consequential_first,
         first=SHOWN_FIRST,
-        version=__version__,
+        style=style,
+        inlined=lambda svg: _inlined(svg, next(number), set(re.findall(r"--c([0-9a-f]{6}):", style))),
+        origin=origin or Origin(),
+        versions=_versions(),
     )
-    write_whole(path, text)
+    write_whole(path, text.lstrip())
+
+
+def _each_code_first(findings: Iterable[Finding]) -> list[Finding]:
+    """Return findings by their consequence, the first of each code before the others of the same."""
+    ordered = most_consequential_first(findings)
+    first = list({item.code: item for item in reversed(ordered)}.values())[::-1]
+    return [*(item for item in ordered if item in first), *(item for item in ordered if item not in first)]
+
+
+def _inlined(svg: str, number: int, known: set[str]) -> str:
+    """Return a picture as a part of a page: no names of other places, own ids, colours that follow the scheme."""
+    svg = re.sub(r"<metadata>.*?</metadata>|<\?xml.*?\?>|<!DOCTYPE.*?>| xmlns(:\w+)?=\"[^\"]*\"", "", svg, flags=re.S)
+    svg = re.sub(
+        r"<svg ([^>]*?)>", lambda m: "<svg " + re.sub(r'(width|height|version)="[^"]*" ?', "", m[1]) + ">", svg
+    )
+    used = set(re.findall(r"(?:url\(#|href=\"#)([^)\"]+)", svg))
+    svg = re.sub(r' id="([^"]*)"', lambda m: f' id="p{number}{m[1]}"' if m[1] in used else "", svg)
+    svg = re.sub(r'(url\(#|href="#)', rf"\g<1>p{number}", svg).replace("xlink:href", "href")
+    return re.sub(
+        r"(?<=: )#([0-9a-f]{6})\b", lambda m: f"var(--c{m[1]}, #{m[1]})" if m[1] in known else f"#{m[1]}", svg
+    )
+
+
+def _versions() -> str:
+    import numpy as np
+    import scipy
+
+    return (
+        f"undrift {__version__}, Python {platform.python_version()}, numpy {np.__version__}, scipy {scipy.__version__}"
+    )
 
 
 # ---- cells

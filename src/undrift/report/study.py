@@ -1,5 +1,6 @@
 """The page of a study: the protocol to use, Table 1 with the note's rows, error surface, statistics."""
 
+from dataclasses import replace
 from itertools import cycle
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -8,7 +9,17 @@ from undrift.report import figures
 from undrift.report.discussion import claims_section, rival_sections
 from undrift.report.figures import NAMES, name_of, p_text, svg_of
 from undrift.report.note import note_sections
-from undrift.report.page import Cells, Section, interval, number, plain_words, rows_section, table_section, write_page
+from undrift.report.page import (
+    Cells,
+    Origin,
+    Section,
+    interval,
+    number,
+    plain_words,
+    rows_section,
+    table_section,
+    write_page,
+)
 from undrift.sim.motion.categories import CATEGORIES
 
 if TYPE_CHECKING:
@@ -36,27 +47,50 @@ TIMINGS: "dict[Timing, str]" = {
 }
 
 
-def write_study_report(outcome: "StudyOutcome", path: Path) -> None:
+def write_study_report(outcome: "StudyOutcome", path: Path, origin: Origin | None = None) -> None:
     """Write the page of a study."""
-    held = outcome.study
     write_page(
         path,
-        title=f"Study: {held.name}",
-        lead=f"{outcome.runs} calibration sessions simulated, fitted and judged: {held.subjects} subjects, device {held.device}, "
-        f"seed {held.seed}; {OBJECTIVES[held.objective]} of the sagittal pitch is minimised, {TIMINGS[held.timing]}. {NOTE}",
-        sections=study_sections(outcome),
+        title=f"Study: {outcome.study.name}",
+        answer=_sentence(outcome),
+        pictures=(svg_of(figures.draw_pareto(outcome, outcome.tasks[0])),),
+        sections=(*study_sections(outcome), Section(title="The note", text=(NOTE,), folded=True)),
+        findings=tuple(item for task in outcome.tasks for item in task.findings),
+        origin=origin,
     )
 
 
+def _sentence(outcome: "StudyOutcome") -> str:
+    """Return the protocol of each task in a sentence."""
+    parts = (
+        f"{_name(task)}: {task.surface.cutoff_hz[task.optimum.cheapest]:.4g} Hz and rates of "
+        f"{rates_of(task.surface, task.optimum.cheapest)} deg/s are enough, {task.tested[1].error_rms_deg:.2f} deg rms after "
+        f"{task.surface.rig_minutes[task.optimum.cheapest]:.0f} min on the table"
+        for task in outcome.tasks
+    )
+    return "; ".join(parts).capitalize() + "."
+
+
 def study_sections(outcome: "StudyOutcome") -> tuple[Section, ...]:
-    """Return the sections of a study's page; tables without rows are left out."""
-    sections = (
+    """Return the sections of a study's page: the answer, the note's tables beside it, everything else folded."""
+    held = outcome.study
+    text = (
+        f"{outcome.runs} calibration sessions simulated, fitted and judged: {held.subjects} subjects, device {held.device}, "
+        f"seed {held.seed}; {OBJECTIVES[held.objective]} of the sagittal pitch is minimised, {TIMINGS[held.timing]}."
+    )
+    return (
         _answer(outcome),
-        *(Section(title=f"{_name(task)}: findings", findings=task.findings) for task in outcome.tasks),
-        *(_rounds(outcome, task, task.halving) for task in outcome.tasks if task.halving is not None),
         _table_1(outcome),
-        *_categories(outcome),
         _note(outcome),
+        *(replace(section, folded=True) for section in _details(outcome)),
+        Section(title="How the study was made", text=(text,), folded=True),
+    )
+
+
+def _details(outcome: "StudyOutcome") -> tuple[Section, ...]:
+    return (
+        *(_rounds(outcome, task, task.halving) for task in outcome.tasks if task.halving is not None),
+        *_categories(outcome),
         claims_section(outcome),
         _note_values(outcome),
         _note_analysis(outcome),
@@ -70,7 +104,6 @@ def study_sections(outcome: "StudyOutcome") -> tuple[Section, ...]:
         *rival_sections(outcome),
         *real_sections(outcome.real),
     )
-    return tuple(section for section in sections if section.rows or section.text or section.findings)
 
 
 def _name(task: "TaskOutcome") -> str:
@@ -561,12 +594,10 @@ def _test_row(effect: "ParameterEffect") -> dict[str, str]:
     }
 
 
-# ---- Rates to dwell at, the note's Discussion as an experiment, real recordings
+# ---- rates to dwell at
 
 MANY = 8  # rates; of more the two ends are shown
 MOTION_S = 10.0  # for which a rate error is shown as an angle too
-
-# ---- rates to dwell at
 
 
 def design_sections(rows: "tuple[DesignRow, ...]") -> tuple[Section, ...]:
@@ -629,14 +660,13 @@ def real_sections(real: "RealOutcome | None") -> tuple[Section, ...]:
     """Return the sections on real recordings."""
     if real is None:
         return ()
-    sections = (
+    return (
         _trials(real.errors),
         _compared("Real recordings: captured people and the cohort", real.motions),
-        Section(title="") if real.worn is None else _worn(real.worn),
+        *((_worn(real.worn),) if real.worn else ()),
         _compared("Real recordings: stance on a force plate and the cohort's sway", real.sways),
         Section(title="Real recordings: what is not there", findings=real.lacks),
     )
-    return tuple(section for section in sections if section.text or section.findings)
 
 
 def _trials(levels: "tuple[RealErrors, ...]") -> Section:

@@ -8,7 +8,7 @@ import numpy as np
 
 from undrift.model import Verdict
 from undrift.report.figures import draw_agreement, draw_bars, draw_comparison, svg_of
-from undrift.report.page import Section, rows_section, write_page
+from undrift.report.page import Origin, Section, rows_section, write_page
 from undrift.units import RADIAN_PER_DEGREE
 
 if TYPE_CHECKING:
@@ -62,7 +62,6 @@ def method_section(method: Method) -> Section:
     }
     return Section(
         title="Method",
-        findings=verdict.findings,
         columns=("step", "choice"),
         rows=tuple(row for row in rows.items() if row[1]),
         words=True,
@@ -149,13 +148,31 @@ PITCH_DEFINED = (
 OPTICS_SEEN = "Optics seen: share of the motion in which the reference saw the body, where alone errors count;"
 
 
-def write_validation_report(result: "Validation", method: Method, path: Path) -> None:
+def write_validation_report(result: "Validation", method: Method, path: Path, origin: Origin | None = None) -> None:
     """Write the page of a validation."""
     write_page(
         path,
-        title="Against the reference",
-        lead=f"{len(result.trials)} recording{'s' * (len(result.trials) > 1)}, errors in degrees.",
+        title=f"Against the reference: {len(result.trials)} recording{'s' * (len(result.trials) > 1)}",
+        answer=_answer(result, method),
+        pictures=(svg_of(draw_validation(result) if len(result.trials) > 1 else trial_figure(result.trials[0])),),
         sections=validation_sections(result, method),
+        findings=tuple(item for trial in result.trials for item in trial.findings),
+        verdict=None if method.calibration is None else method.verdict,
+        origin=origin,
+    )
+
+
+def _answer(result: "Validation", method: Method) -> str:
+    """Return what the orientation is worth, in a sentence."""
+    how = "with the offset of the rest before the motion removed"
+    if method.leave_one_out:
+        how = "by a calibration from the other recordings"
+    elif method.calibration is not None:
+        how = f"by {method.source}" if method.source else "by a calibration from these same recordings"
+    figures, over = result.median, f", median of {len(result.trials)} recordings" if len(result.trials) > 1 else ""
+    return (
+        f"Orientation is wrong by {figures.rmse_total_deg:.2g} deg rms in total and {figures.rmse_inclination_deg:.2g} deg in "
+        f"inclination over the motion{over}, {how if method.calibration or method.settings.offset == 'rest' else 'uncorrected'}."
     )
 
 
@@ -165,10 +182,10 @@ def validation_sections(result: "Validation", method: Method) -> tuple[Section, 
     return (
         trials_section(result.trials, rows),
         *_expected(result),
+        *_agreement(result),
         method_section(method),
         recordings_section(method, result.trials),
-        *_agreement(result),
-        *map(trial_section, result.trials),
+        *(map(trial_section, result.trials) if len(result.trials) > 1 else ()),
     )
 
 
@@ -224,7 +241,7 @@ def _expected(result: "Validation") -> tuple[Section, ...]:
 
 def trial_section(trial: "Trial") -> Section:
     """Return the course of one trial: pitch of device and optics, and the errors."""
-    return Section(title=trial.recording, findings=trial.findings, pictures=(svg_of(trial_figure(trial)),))
+    return Section(title=trial.recording, findings=trial.findings, pictures=(svg_of(trial_figure(trial)),), folded=True)
 
 
 def trial_figure(trial: "Trial") -> "Figure":

@@ -1,0 +1,153 @@
+"""Pages of the commands as a reader meets them: whole, on a wide and a narrow screen, light and dark, and on paper."""
+
+import re
+import shlex
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from testkit.demo_session import demo_session
+from testkit.pages import browser, faults_of, seen_in
+from undrift.calibration.observe import CalibrateSettings
+from undrift.cli.app import run
+from undrift.io.formats import write_record
+from undrift.io.reference import write_reference
+from undrift.io.session import read_session, write_session
+from undrift.io.store import read_calibration
+from undrift.record import Record
+from undrift.report.commands import judge_pieces, leverages, write_rig_report
+from undrift.report.figures import AXIS_COLOURS, AXIS_DASHES, AXIS_MARKERS, COMPARED_COLOURS, COMPARED_MARKERS
+from undrift.report.page import Origin
+from undrift.rig.folder import Piece
+from undrift.rig.run import RunResult
+from undrift.sim.motion.bench import BenchSettings
+from undrift.sim.thermal import ChamberSettings, ThermalSettings, simulate_thermal_session
+from undrift.units import RADIAN_PER_DEGREE
+
+CALLS = {  # of commands that take no reference apart, in order: later ones read what earlier ones wrote
+    "calibrate": "session -o c.json",
+    "drift": "soaks --calibration c.json",
+    "noise": "rest.parquet --start-s 1",
+    "correct": "trial.parquet --calibration c.json -o corrected.parquet",
+    "orient": "corrected.parquet -o angles.csv",
+    "validate": "trial.parquet --reference reference.parquet --calibration c.json",
+}
+SOAKS = ThermalSettings(
+    bench=BenchSettings(sample_rate_hz=50.0, still_s=4.0, move_s=1.0, turn_rates=(0.5, 1.5), dwell_s=1.0),
+    chamber=ChamberSettings(ramp_rate_c_per_min=20.0, air_lag_s=5.0, board_lag_s=10.0, soak_hold_s=100.0),
+    set_points_c=(20.0, 30.0, 40.0),
+    faces="six",
+)
+NAMES = (*CALLS, "rig")
+
+
+@pytest.fixture(scope="module")
+def pages(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder with a page of each command, made twice: c.html and c_again.html."""
+    folder = tmp_path_factory.mktemp("pages")
+    rng = np.random.default_rng(2007)
+    made = demo_session(rng, quick=True)
+    write_session(made.session, folder / "session")
+    write_session(simulate_thermal_session("soak", made.device, rng=rng, settings=SOAKS), folder / "soaks")
+    write_record(made.trial.record, folder / "trial.parquet")
+    write_reference(made.trial.reference, folder / "reference.parquet")
+    walk = np.cumsum(rng.normal(0.0, 1e-5, (40_000, 3)), axis=0)
+    accel = rng.normal(0.0, 1e-2, (40_000, 3)) + np.array([0.0, 0.0, 9.81])
+    rest = Record(time=np.arange(40_000) / 100.0, gyro=rng.normal(0.0, 1e-3, (40_000, 3)) + walk, accel=accel)
+    write_record(rest, folder / "rest.parquet")
+    with pytest.MonkeyPatch.context() as held:
+        held.chdir(folder)
+        held.setenv("SOURCE_DATE_EPOCH", "1800000000")
+        for name, words in CALLS.items():
+            assert run([name, *shlex.split(words), "--report", f"{name}.html"]) in (0, 1), name
+        assert run(["calibrate", "session", "--page", "again.html"]) in (0, 1)
+        turns = [
+            Piece(
+                step=k, purpose="rate", up="+z", axis="xyz"[k % 3], samples=300, start_s=0.0, stop_s=3.0, missing=k // 5,
+                nominal_turn_rate=rate * RADIAN_PER_DEGREE, turn_rate=1.0001 * rate * RADIAN_PER_DEGREE,
+                turn_rate_uncertainty=1e-5,
+            )
+            for k, rate in enumerate((-90.0, -45.0, 45.0, 90.0, 30.0, -30.0))
+        ]  # fmt: skip
+        result = RunResult(pieces=tuple(turns), added=6, duration_s=40.0, rig="a table")
+        origin = Origin(command="undrift rig run", inputs=(("protocol.toml", "0" * 64),))
+        write_rig_report(Path("rig.html"), result, "run", origin=origin)
+    return folder
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_page_has_its_parts_and_fetches_nothing(pages: Path, name: str) -> None:
+    assert faults_of((pages / f"{name}.html").read_text()) == []
+
+
+def test_every_page_reads_on_wide_and_narrow_screens_light_and_dark_and_on_paper(pages: Path) -> None:
+    with browser() as held:
+        assert [fault for name in NAMES for fault in seen_in(held, pages / f"{name}.html")] == []
+
+
+def test_a_page_says_what_it_was_made_from_and_when(pages: Path) -> None:
+    text = (pages / "validate.html").read_text()
+    assert "2027-01-15T08:00:00+00:00" in text
+    assert "undrift validate trial.parquet --reference reference.parquet --calibration c.json --report" in text
+    assert re.findall(r'<th scope="row">([\w.]+)</th><td>[0-9a-f]{64}</td>', text) == [
+        "trial.parquet",
+        "reference.parquet",
+        "c.json",
+    ]
+    again = (pages / "again.html").read_text()  # the older spelling, the same page but for the words of the command
+    first = (pages / "calibrate.html").read_text()
+    assert re.sub(r"<code>.*?</code>", "", again) == re.sub(r"<code>.*?</code>", "", first)
+
+
+def test_the_page_of_a_calibration_shows_what_each_recording_gave(pages: Path) -> None:
+    session, made = read_session(pages / "session"), read_calibration(pages / "c.json")
+    records, judged, left_out = judge_pieces(session, CalibrateSettings(), made)
+    assert len(records) == len(session.records)
+    assert left_out == []
+    kinds = [one.piece.kind for one in judged]
+    assert (kinds.count("still"), kinds.count("turn")) == (len(session.stills), len(session.turns))
+    for one in judged:
+        if one.piece.kind == "still":  # 0.1 deg of tilt and 12 bits leave some mg
+            assert np.linalg.norm(one.accel) == pytest.approx(made.gravity_m_s2, abs=0.1)
+        else:  # noise of a mean over 2 s
+            np.testing.assert_allclose(one.gyro, one.stated, atol=0.01)
+    shares = leverages(judged, made)
+    assert shares.sum() == pytest.approx(1.0, rel=1e-12)
+    assert (shares > 0.0).all()
+    text = (pages / "calibrate.html").read_text()
+    for part in (
+        "Residual of each pose and dwell",
+        "Norm of the specific force",
+        "usual data-sheet limits",
+        "information (%)",
+    ):
+        assert part in text
+
+
+def test_repeated_poses_share_what_one_alone_would_give(pages: Path) -> None:
+    made = read_calibration(pages / "c.json")
+    _, judged, _ = judge_pieces(read_session(pages / "session"), CalibrateSettings(), made)
+    first = leverages(judged, made)
+    twice = leverages([*judged, judged[0]], made)
+    assert twice[0] == pytest.approx(twice[-1], rel=1e-9)
+    assert first[0] < twice[0] + twice[-1] < 2.0 * first[0]
+
+
+def as_deuteranope(colour: str) -> np.ndarray:
+    """Return the CIE L*a*b* of a colour as a deuteranope sees it (Machado, Oliveira and Fernandes 2009, severity 1)."""
+    srgb = np.array([int(colour[k : k + 2], 16) / 255.0 for k in (1, 3, 5)])
+    linear = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
+    seen = np.array([[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413], [-0.01182, 0.04294, 0.968881]])
+    xyz = np.array([[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]]) @ (seen @ linear)
+    f = np.cbrt(np.clip(xyz / np.array([0.9505, 1.0, 1.089]), 1e-9, None))
+    return np.array([116.0 * f[1] - 16.0, 500.0 * (f[0] - f[1]), 200.0 * (f[1] - f[2])])
+
+
+def test_axes_differ_without_red_and_green_and_without_any_colour() -> None:
+    seen = [as_deuteranope(colour) for colour in AXIS_COLOURS]
+    apart = min(float(np.linalg.norm(seen[j] - seen[k])) for j, k in ((0, 1), (0, 2), (1, 2)))
+    assert apart > 20.0  # just noticeable: 2.3
+    for marks in (AXIS_DASHES, AXIS_MARKERS, COMPARED_MARKERS):
+        assert len(set(marks)) == len(marks)
+    assert len(COMPARED_MARKERS) == len(COMPARED_COLOURS)

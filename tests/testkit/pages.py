@@ -1,0 +1,101 @@
+"""What every report page must have, in its text and in a browser."""
+
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+CHROMIUM = ("/usr/bin/chromium", "/usr/bin/chromium-browser", "/usr/bin/google-chrome")
+WIDTHS, LEAST_PX = (1280, 390), 9.0  # CSS pixels; of the text of figures on the narrow screen
+PRINTED_PX = 680  # an A4 page less two margins of 15 mm, at 96 px an inch
+
+_MEASURED = """() => {
+  for (const folded of document.querySelectorAll('details')) folded.open = true;
+  const scale = t => { const m = t.getScreenCTM(); return parseFloat(getComputedStyle(t).fontSize) * Math.hypot(m.a, m.b); };
+  return { beyond: document.documentElement.scrollWidth - innerWidth,
+           least: Math.min(99, ...[...document.querySelectorAll('svg text, svg tspan')].map(scale)) };
+}"""
+_CUT = """() => {
+  const wide = document.documentElement.clientWidth + 1, all = q => [...document.querySelectorAll(q)];
+  return [...all('svg, table, p, dd').filter(e => e.getBoundingClientRect().right > wide).map(e => e.tagName),
+          ...all('details').filter(d => d.lastElementChild.getBoundingClientRect().height < 2).map(() => 'folded')];
+}"""
+
+
+def faults_of(text: str) -> list[str]:
+    """Return what a page lacks: parts, labels, captions; and what it would fetch."""
+    bare = re.sub(r"<a [^>]*>", "", text)
+    svgs, tables = re.findall(r"<svg\b[^>]*>", text), re.findall(r"<table\b.*?</table>", text, re.S)
+    levels = [int(level) for level in re.findall(r"<h([1-6])\b", text)]
+    wanted = {
+        "language": '<html lang="en">' in text,
+        "one h1": levels.count(1) == 1 and levels[:1] == [1],
+        "headings in order": all(b <= a + 1 for a, b in pairwise(levels)),
+        "answer": re.search(r'<p class="answer">[^<]{20,}</p>', text),
+        "provenance": all(
+            part in text for part in ("<dt>Command</dt>", "<dt>Date</dt>", "<dt>Versions</dt>", "sha256")
+        ),
+        "at most three findings open": _open_findings(text) <= 3,
+        "labelled pictures": all('role="img"' in svg and re.search(r'aria-label="[^"]{8,}"', svg) for svg in svgs),
+        "captions": all("<caption" in table and 'scope="col"' in table and 'scope="row"' in table for table in tables),
+        "nothing fetched": not re.search(r"https?:|@import|url\((?!#)|<script|<link|<img|\bsrc=", bare),
+        "numbers": ">nan<" not in text,
+    }
+    return [what for what, there in wanted.items() if not there]
+
+
+def _open_findings(text: str) -> int:
+    """Return how many findings stand beside the verdict without unfolding anything."""
+    found = re.search(r'<section class="verdict.*?</section>', text, re.S)
+    return 0 if found is None else found[0].partition("<details>")[0].count("<li>")
+
+
+@contextmanager
+def browser() -> Iterator[Any]:
+    """Start Debian's chromium; skip where there is none."""
+    path = next((name for name in CHROMIUM if Path(name).exists()), None)
+    if path is None:
+        pytest.skip("no chromium on this machine: make test installs it on Debian")
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as made:
+        held = made.chromium.launch(executable_path=path, args=["--no-sandbox", "--disable-gpu"])
+        try:
+            yield held
+        finally:
+            held.close()
+
+
+def seen_in(held: Any, page: Path) -> list[str]:
+    """Return what is wrong with a page in the browser, at each width and in each scheme, and in print."""
+    from axe_playwright_python.sync_playwright import Axe
+
+    wrong, tab = [], held.new_page()
+    tab.goto(page.resolve().as_uri())
+    for width in WIDTHS:
+        tab.set_viewport_size({"width": width, "height": 900})
+        for scheme in ("light", "dark"):
+            tab.emulate_media(color_scheme=scheme)
+            found, where = tab.evaluate(_MEASURED), f"{page.name} at {width} px, {scheme}"
+            if found["beyond"] > 0:
+                wrong.append(f"{where}: {found['beyond']} px beyond the screen")
+            if width == min(WIDTHS) and found["least"] < LEAST_PX:
+                wrong.append(f"{where}: text of {found['least']:.2f} px in a figure")
+            violations = Axe().run(tab, options={"resultTypes": ["violations"]}).response["violations"]
+            wrong += [
+                f"{where}: {one['id']}, {one['nodes'][0]['html'][:80]}"
+                for one in violations
+                if one["impact"] in ("serious", "critical")
+            ]
+    tab.evaluate("for (const folded of document.querySelectorAll('details')) folded.open = false")
+    tab.set_viewport_size({"width": PRINTED_PX, "height": 1000})
+    tab.emulate_media(media="print", color_scheme="light")
+    wrong += [f"{page.name} in print: {name} is cut" for name in tab.evaluate(_CUT)]
+    if not tab.pdf(format="A4").startswith(b"%PDF"):
+        wrong.append(f"{page.name}: no PDF")
+    tab.close()
+    return wrong
