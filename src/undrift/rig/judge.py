@@ -16,7 +16,7 @@ first rests of this rig, and f the mean specific force of a face as read,
     |f - f(other face)|                        >= APART s               else nobody mounted it
     |component of f(+k) - f(-k) along k|       >= cos 30 deg of it      and of f itself along k in a physical unit
 
-A turn is taken again where its readings are not of it, as they are where the device's readings come later than the link shows.
+A turn is taken again where it does not read as one, as when the device's readings come later than the link shows.
 With m the mean of the gyroscopes over the dwell, m0 over the last rest, and from the rest the noise n of an eighth and e of m - m0,
 
     |mean of an eighth - m|     <= UNSTEADY |m - m0| + SHOWN n     else a part of it was read at another rate
@@ -230,7 +230,7 @@ class Turns:
         ] = {}  # turn rate, readings less those at rest (3,)
 
     def check(self, step: Dwell, turn_rate: float, record: Record, where: str) -> None:
-        """Refuse a turn whose readings are not of it, and a rest whose readings are of a turn."""
+        """Refuse a turn that does not read as one at its rate, and a rest that reads as a turn."""
         if step.purpose == "turn" or self._rest is None or self._rest[1].gyro is None or record.gyro is None:
             return
         temp_c, last = self._rest
