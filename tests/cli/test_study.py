@@ -56,7 +56,7 @@ def test_a_plan_comes_to_a_surface_a_summary_and_a_page(undrift, plan, tmp_path)
     copy = tmp_path / "copy.html"
     answer = done(undrift, "study", plan, "-o", out, "--workers", "1", "--no-rivals", "--report", copy)
     assert faults_of(copy.read_text()) == []
-    assert "deg/s are enough" in copy.read_text()
+    assert re.search(r"Sit to stand: [\d.]+ Hz and rates of .* deg/s are enough, ", copy.read_text())
     assert "small: 18 runs (sit_to_stand; 3 subjects) on 1 worker, in all about" in answer.out.splitlines()[0]
     lines = [line.removeprefix("small: ").split(", about")[0] for line in answer.err.splitlines()]
     # a busy machine also shows how far it is every ten seconds

@@ -431,7 +431,7 @@ def write_rig_report(path: Path, result: "RunResult", name: str, *, origin: Orig
     )
     write_page(
         path,
-        title=f"Rig run {name} on {result.rig}",
+        title=f"Rig run: {name}, on {result.rig}",
         answer=f"{len(result.pieces)} dwells are on the disk, {missing} readings are missing"
         + (f", and achieved rates differ from nominal ones by up to {max(map(abs, off)):.2g} deg/s." if turns else "."),
         pictures=(svg_of(figure),) if turns else (),

@@ -234,7 +234,7 @@ def flow_sections() -> tuple[Section, ...]:
     )
     titles = ("Figure 1: how the parameters are optimised", "Figure 2: how the drift is compensated")
     return tuple(
-        Section(title=title, text=text, pictures=(figures.svg_of(draw()),))
+        Section(title=title, text=text, pictures=(figures.svg_of(draw(), title),))
         for title, draw in zip(titles, FLOWS.values(), strict=True)
     )
 

@@ -128,6 +128,9 @@ def _inlined(svg: str, number: int, known: set[str]) -> str:
     used = set(re.findall(r"(?:url\(#|href=\"#)([^)\"]+)", svg))
     svg = re.sub(r' id="([^"]*)"', lambda m: f' id="p{number}{m[1]}"' if m[1] in used else "", svg)
     svg = re.sub(r'(url\(#|href="#)', rf"\g<1>p{number}", svg).replace("xlink:href", "href")
+    svg = re.sub(
+        r'(<rect[^>]*) fill="(#[0-9a-f]{6})"', r'\1 style="fill: \2"', svg
+    )  # of a hatch: an attribute takes no variable
     return re.sub(
         r"(?<=: )#([0-9a-f]{6})\b", lambda m: f"var(--c{m[1]}, #{m[1]})" if m[1] in known else f"#{m[1]}", svg
     )

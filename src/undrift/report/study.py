@@ -68,7 +68,8 @@ def _sentence(outcome: "StudyOutcome") -> str:
         f"{task.surface.rig_minutes[task.optimum.cheapest]:.0f} min on the table"
         for task in outcome.tasks
     )
-    return "; ".join(parts).capitalize() + "."
+    text = "; ".join(parts)
+    return f"{text[:1].upper()}{text[1:]}."
 
 
 def study_sections(outcome: "StudyOutcome") -> tuple[Section, ...]:
