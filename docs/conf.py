@@ -1,0 +1,40 @@
+"""Sphinx settings. `make docs` builds docs/_build/html; pages in docs/_generated are made anew by generate.py in each build."""
+
+import sys
+from pathlib import Path
+
+HERE = Path(__file__).parent
+sys.path[:0] = [str(HERE), str(HERE.parent / "src")]
+
+import generate  # noqa: E402
+
+from undrift import __version__  # noqa: E402
+
+project, author, version, release = "undrift", "The undrift developers", __version__, __version__
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
+exclude_patterns = ["_build", "figures", "**/.*"]
+myst_heading_anchors = 4
+myst_enable_extensions = ["deflist", "colon_fence"]
+autodoc_typehints = "none"  # types stand in the Parameters sections
+autodoc_member_order = "bysource"
+autodoc_preserve_defaults = True
+napoleon_google_docstring = False
+napoleon_use_rtype = False
+napoleon_use_ivar = True
+add_module_names = False
+highlight_language = "text"
+html_theme = "furo"
+html_title = "undrift"
+html_static_path = ["_static"]
+html_css_files = ["undrift.css"]
+html_copy_source = False
+html_show_sourcelink = False
+html_show_sphinx = False
+html_extra_path = ["calibration.schema.json", "first_calibration.ipynb"]
+html_theme_options = {"navigation_with_keys": False}
+suppress_warnings = ["myst.xref_missing_file_ext"]
+
+
+def setup(app):
+    """Make the generated pages before Sphinx looks for pages."""
+    app.connect("config-inited", lambda *_: generate.write_all(HERE / "_generated"))
