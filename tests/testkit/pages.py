@@ -8,7 +8,7 @@ A comment of Markdown stands just above the fence, where no reader sees it:
     <!-- parsed: REASON -->            lines are parsed as commands with their options, not run: a rig, another program
     <!-- exit: N -->                   the last command of the block ends with that code; 0 otherwise
 
-Blocks of sh, python, toml, csv and text have a meaning. A text block shows what the block before it prints: of a command each line must be
+Blocks of sh, python, toml, csv and text have a meaning. A text block right below another shows what that prints: of a command each line must be
 there, numbers apart; of Python the text is the same. A line "..." stands for what is left out.
 """
 
@@ -20,16 +20,21 @@ import shlex
 import shutil
 import tomllib
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 import undrift
-from undrift.cli.app import command_line, run
+from undrift.cli.app import _standard, _with_limits, command_line, run
+from undrift.io.reference import write_reference
+from undrift.sim.device.model import DeviceModel, read_device
+from undrift.sim.motion.bench import BenchKind, BenchSettings
+from undrift.sim.thermal import BENCH, ThermalSettings
 
 SAMPLE = "undrift demo --quick --out sample"  # the one line that says where the data of the pages come from
 BLOCK = re.compile(r"((?:^<!--[^\n]*-->\n)*)^```(sh|python|toml|csv|text)\n(.*?)^```$", re.M | re.S)
+RATES = (0.2, 1.0)  # rad/s, of a short session over temperature
 ELSEWHERE = ("make", "pip", "python", "python3", "py", "cd", "source", ".", "git", "gcc", "jupyter", ".venv/bin/python", ".venv/bin/undrift")
 
 
@@ -41,14 +46,17 @@ class Block:
     text: str
     line: int
     marks: dict[str, str]
+    follows: bool  # nothing stands between it and the block before
 
 
 def blocks_of(text: str) -> list[Block]:
     """Return the blocks of a page that have a meaning."""
-    found = []
+    found, end = [], 0
     for match in BLOCK.finditer(text):
         marks = dict(re.findall(r"^<!-- ([a-z]+): *(.*?) *-->$", match.group(1), re.M))
-        found.append(Block(match.group(2), match.group(3), text.count("\n", 0, match.start(2)) + 1, marks))
+        follows = not text[end : match.start()].strip()
+        found.append(Block(match.group(2), match.group(3), text.count("\n", 0, match.start(2)) + 1, marks, follows))
+        end = match.end()
     return found
 
 
@@ -79,7 +87,7 @@ def run_page(text: str, folder: Path, sample: Path) -> int:
             elif block.kind == "sh":
                 printed, by_python = _run_commands(block, sample, at), False
                 ran += 1
-            elif block.kind == "text" and printed:
+            elif block.kind == "text" and block.follows and printed:
                 _check_printed(block.text, printed, at, exact=by_python)
     return ran
 
@@ -123,8 +131,6 @@ def parse(line: str, at: str) -> None:
     if words[0] != "undrift":
         assert words[0] in ELSEWHERE, f"{at}: {line}: unknown program"
         return
-    from undrift.cli.app import _standard, _with_limits
-
     command_line().parse_args(_standard(_with_limits(words[1:])), exit_on_error=False, print_error=False)
 
 
@@ -142,15 +148,15 @@ def _without_numbers(line: str) -> str:
     return re.sub(r"\s+", " ", re.sub(r"[-+]?\d[\d.,e()-]*", "#", line)).strip()
 
 
-# ---- files that a reader has
+# ---- files that a reader has, of one simulated device
 
 
-def _device() -> tuple[undrift.sim.device.model.DeviceModel, np.random.Generator]:
+def _device() -> tuple[DeviceModel, np.random.Generator]:
     rng = np.random.default_rng(7)
     return undrift.random_device(rng), rng
 
 
-def _bare(kind: str) -> Callable[[Path], None]:
+def _bare(kind: BenchKind) -> Callable[[Path], None]:
     def make(path: Path) -> None:
         device, rng = _device()
         undrift.write_record(undrift.simulate_session(kind, device, rng=rng, labelled=False).records[0], path)
@@ -158,17 +164,22 @@ def _bare(kind: str) -> Callable[[Path], None]:
     return make
 
 
-def _trial(path: Path) -> None:
+def _logger(path: Path) -> None:
+    """Make a table with names of its own, in ms, deg/s and g."""
+    device, rng = _device()
+    record = undrift.simulate_session("ferraris", device, rng=rng, labelled=False).records[0]
+    rows = np.column_stack((1e3 * record.time, record.gyro / 16.384, record.accel / 4096.0))
+    np.savetxt(path, rows, "%.6f", ",", header="Time,Gx,Gy,Gz,Ax,Ay,Az", comments="")
+
+
+def _walk(path: Path) -> None:
     device, rng = _device()
     undrift.write_record(undrift.simulate_trial("sit_to_stand", device, rng=rng).record, path)
 
 
-def _poses(path: Path) -> None:
+def _optics(path: Path) -> None:
     device, rng = _device()
-    trial = undrift.simulate_trial("sit_to_stand", device, rng=rng)
-    from undrift.io.reference import write_reference
-
-    write_reference(trial.reference, path)
+    write_reference(undrift.simulate_trial("sit_to_stand", device, rng=rng).reference, path)
 
 
 def _calibration(path: Path) -> None:
@@ -183,9 +194,7 @@ def _session(path: Path) -> None:
 
 def _thermal(path: Path) -> None:
     device, rng = _device()
-    from undrift.sim.thermal import ThermalSettings
-
-    settings = ThermalSettings(set_points_c=(18.0, 30.0, 45.0, 60.0, 75.0))
+    settings = ThermalSettings(set_points_c=(18.0, 40.0, 60.0), bench=replace(BENCH, turn_rates=RATES))
     undrift.write_session(undrift.simulate_thermal_session("soak", device, rng=rng, settings=settings), path)
 
 
@@ -194,14 +203,53 @@ def _warm_up(path: Path) -> None:
     undrift.write_record(undrift.simulate_thermal_session("warm_up", device, rng=rng).records[0], path)
 
 
+def _days(path: Path) -> None:
+    """Make the recordings of four days, and days.json, a calibration of their device."""
+    words = ["simulate", "daily_use", "--device", "mpu6050", "--draw", "--days", "4"]
+    with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
+        assert run([*words, "-o", str(path), "--save-device", "days-device.json"]) == 0
+    session = undrift.simulate_session("bench", read_device("days-device.json"), rng=np.random.default_rng(8))
+    undrift.write_calibration(undrift.calibrate(session), "days.json")
+
+
+def _rest(path: Path) -> None:
+    device, rng = _device()
+    calibration = undrift.calibrate(undrift.simulate_session("bench", device, rng=rng))
+    settings = BenchSettings(first_still_s=300.0)
+    held = undrift.simulate_session("multi_position", device, rng=rng, settings=settings).records[0]
+    rest = slice(0, int(290.0 * held.sample_rate_hz))
+    raw = undrift.Record.from_arrays(
+        gyro=held.gyro[rest], accel=held.accel[rest], time=held.time[rest], gyro_unit=held.gyro_unit, accel_unit=held.accel_unit
+    )
+    undrift.write_record(undrift.correct(raw, calibration), path)
+
+
+def _study(path: Path) -> None:
+    path.write_text(STUDY, encoding="utf-8")
+
+
+STUDY = """[study]
+subjects = 3
+[[task]]
+name = "step"
+[task.space]
+cutoff_hz = [11.4]
+turn_rate_step_dps = [15.0]
+turn_rate_min_dps = [15.0]
+turn_rate_max_dps = [30.0, 45.0]
+"""
+
 FILES: dict[str, Callable[[Path], None]] = {
     "poses.csv": _bare("multi_position"),
     "turns.csv": _bare("ferraris"),
-    "walk.csv": _trial,
-    "walk.parquet": _trial,
-    "optics.csv": _poses,
+    "logger.csv": _logger,
+    "walk.csv": _walk,
+    "optics.csv": _optics,
     "warm_up.csv": _warm_up,
+    "rest.csv": _rest,
     "calibration.json": _calibration,
     "session": _session,
     "thermal": _thermal,
+    "days": _days,
+    "study.toml": _study,
 }
