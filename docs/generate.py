@@ -47,12 +47,13 @@ def commands() -> dict[str, str]:
     from undrift.cli.app import COMMANDS, GROUPS, command_line
     from undrift.cli.examples import EXAMPLES
 
-    app, pages = command_line(), {}
+    pages = {}
+    whole = command_line().generate_docs(heading_level=1).replace("```console", "```text").replace("<", "&lt;")
+    whole = whole.replace(" -m sphinx ", " ")  # the call of this program, which usage lines of groups repeat
+    parts = re.split(r"^## (undrift \S+)\n", whole, flags=re.M)
+    texts = dict(zip(parts[1::2], parts[2::2], strict=True))
     for name in COMMANDS:
-        text = app[name].generate_docs(heading_level=1, usage_name=f"undrift {name}")
-        # A group's table of contents repeats the page's own.
-        text = re.sub(r"^## Table of Contents\n.*?(?=^\S*\*\*|^## )", "", text, flags=re.S | re.M)
-        text = text.replace("```console", "```text").replace("<", "&lt;")
+        text = f"# undrift {name}\n" + re.sub(r"^(#+) ", lambda match: match[1][1:] + " ", texts[f"undrift {name}"], flags=re.M)
         calls = [line for command in EXAMPLES if command.split()[:1] == [name] for line in EXAMPLES[command]]
         shown = "\n".join(dict.fromkeys(calls))
         pages[f"command-{name}.md"] = f"{_no_list_of_commands(text, name in GROUPS)}\n\n**Examples**\n\n```text\n{shown}\n```\n"
@@ -87,24 +88,26 @@ def findings() -> str:
     ranks = {1: "numbers may be wrong", 2: "uncertainty is larger or incomplete", 3: "not observable", 4: "for the record"}
     stages: dict[str, list[str]] = {}
     for code, entry in catalogue().items():
-        row = f"| `{code}` | {_said(entry.headline)} | {_said(entry.detail)} | {_said(entry.action)} | {ranks[entry.rank]} |"
+        detail, action = _said(entry.detail), _said(entry.action)
+        row = f"- **{_said(entry.headline, "⟨", "⟩")}** `{code}`, {ranks[entry.rank]}"
+        row += f"\\\n  {detail}" if detail else ""
+        row += f"\\\n  → {action}" if action else ""
         stages.setdefault(code.split(".")[0], []).append(row)
-    head = "| code | headline | detail | action | rank |\n|---|---|---|---|---|"
-    parts = [f"## {stage}\n\n{head}\n" + "\n".join(rows) for stage, rows in stages.items()]
+    parts = [f"## {stage}\n\n" + "\n".join(rows) for stage, rows in stages.items()]
     count = len(catalogue())
     return (
-        f"# All findings\n\nThe {count} findings that undrift can make. A word in *italics* is a number or a name that the fit fills "
-        "in. [Reading a verdict](../verdict.md) says how to use them.\n\n" + "\n\n".join(parts) + "\n"
+        f"# All findings\n\nThe {count} findings that undrift can make. A word in *italics* or ⟨brackets⟩ is filled in by the "
+        "fit. [Reading a verdict](../verdict.md) says how to use them.\n\n" + "\n\n".join(parts) + "\n"
     )
 
 
-def _said(template: str) -> str:
-    """Return a template as text: its fields in italics, without their formats."""
+def _said(template: str, before: str = "*", after: str = "*") -> str:
+    """Return a template as text: its fields in italics, or in brackets, without their formats."""
     parts = []
     for text, field, _, _ in string.Formatter().parse(template):
         parts.append(text.replace("|", "\\|").replace("*", "\\*").replace("_", "\\_").replace("<", "&lt;").replace("[[", "\\[\\["))
         if field is not None:
-            parts.append(f"*{field.split('[')[0].replace('_', ' ')}*")
+            parts.append(f"{before}{field.split('[')[0].replace('_', ' ')}{after}")
     return "".join(parts)
 
 
@@ -190,7 +193,7 @@ def _default(value: object) -> str:
 
 def _cell(text: str) -> str:
     """Return text that may stand in a cell."""
-    return text.replace("``", "`").replace("|", "\\|").replace("[", "\\[")
+    return re.sub(r":\w+:`", "`", text).replace("``", "`").replace("|", "\\|").replace("[", "\\[")
 
 
 def _type(value: dict) -> str:

@@ -1,5 +1,7 @@
 """Pictures of the tutorial, on a simulated device: the session with its stills and turns, the calibration, a trial against optics."""
 
+import contextlib
+import io
 import sys
 import tempfile
 from pathlib import Path
@@ -20,8 +22,9 @@ def draw(folder: Path) -> None:
     with tempfile.TemporaryDirectory() as held:
         undrift.write_session(session, Path(held) / "session")
         picture = str(folder / "tutorial-session.svg")
-        if run(["info", str(Path(held) / "session"), "--figure", picture, "--json"]) != 0:
-            raise SystemExit("undrift info failed")
+        with contextlib.redirect_stdout(io.StringIO()):
+            if run(["info", str(Path(held) / "session"), "--figure", picture]) != 0:
+                raise SystemExit("undrift info failed")
     save_figure(calibration.plot(), folder / "tutorial-calibration.svg")
     trial = undrift.simulate_trial("sit_to_stand", device, rng=rng)
     judged = undrift.validate_trial(trial.record, trial.reference, calibration=calibration, name="sit-to-stand")
