@@ -1,7 +1,7 @@
 """Pages that are made from the code: commands, findings, keys of files, presets, names of the API, and the figures.
 
-conf.py calls `write_all` at each build; `python docs/generate.py FOLDER` does the same by hand. A page is written only where its text
-has changed, so that a second build is quick.
+conf.py calls `write_all` at each build; `python docs/generate.py FOLDER` does the same by hand. A page is written only where its
+text has changed, so that a second build is quick.
 """
 
 import ast
@@ -53,10 +53,14 @@ def commands() -> dict[str, str]:
     parts = re.split(r"^## (undrift \S+)\n", whole, flags=re.M)
     texts = dict(zip(parts[1::2], parts[2::2], strict=True))
     for name in COMMANDS:
-        text = f"# undrift {name}\n" + re.sub(r"^(#+) ", lambda match: match[1][1:] + " ", texts[f"undrift {name}"], flags=re.M)
+        text = f"# undrift {name}\n" + re.sub(
+            r"^(#+) ", lambda match: match[1][1:] + " ", texts[f"undrift {name}"], flags=re.M
+        )
         calls = [line for command in EXAMPLES if command.split()[:1] == [name] for line in EXAMPLES[command]]
         shown = "\n".join(dict.fromkeys(calls))
-        pages[f"command-{name}.md"] = f"{_no_list_of_commands(text, name in GROUPS)}\n\n**Examples**\n\n```text\n{shown}\n```\n"
+        pages[f"command-{name}.md"] = (
+            f"{_no_list_of_commands(text, name in GROUPS)}\n\n**Examples**\n\n```text\n{shown}\n```\n"
+        )
     rows = "\n".join(f"| [`undrift {name}`](command-{name}.md) | {text} |" for name, text in COMMANDS.items())
     toc = "\n".join(f"command-{name}" for name in COMMANDS)
     pages["commands.md"] = (
@@ -85,11 +89,17 @@ def findings() -> str:
     """Return every finding with its sentences, by stage and rank."""
     from undrift.findings import catalogue
 
-    ranks = {1: "numbers may be wrong", 2: "uncertainty is larger or incomplete", 3: "not observable", 4: "for the record"}
+    ranks = {
+        1: "numbers may be wrong",
+        2: "uncertainty is larger or incomplete",
+        3: "not observable",
+        4: "for the record",
+    }
     stages: dict[str, list[str]] = {}
     for code, entry in catalogue().items():
         detail, action = _said(entry.detail), _said(entry.action)
-        row = f"- **{_said(entry.headline, "⟨", "⟩")}** `{code}`, {ranks[entry.rank]}"
+        headline = _said(entry.headline, "⟨", "⟩")
+        row = f"- **{headline}** `{code}`, {ranks[entry.rank]}"
         row += f"\\\n  {detail}" if detail else ""
         row += f"\\\n  → {action}" if action else ""
         stages.setdefault(code.split(".")[0], []).append(row)
@@ -105,7 +115,13 @@ def _said(template: str, before: str = "*", after: str = "*") -> str:
     """Return a template as text: its fields in italics, or in brackets, without their formats."""
     parts = []
     for text, field, _, _ in string.Formatter().parse(template):
-        parts.append(text.replace("|", "\\|").replace("*", "\\*").replace("_", "\\_").replace("<", "&lt;").replace("[[", "\\[\\["))
+        parts.append(
+            text.replace("|", "\\|")
+            .replace("*", "\\*")
+            .replace("_", "\\_")
+            .replace("<", "&lt;")
+            .replace("[[", "\\[\\[")
+        )
         if field is not None:
             parts.append(f"{before}{field.split('[')[0].replace('_', ' ')}{after}")
     return "".join(parts)
@@ -118,7 +134,10 @@ def keys() -> str:
     """Return the keys of each file that undrift reads, from the models that check them."""
     from undrift.io.store import calibration_schema
 
-    parts = ["# Keys of every file\n\nMade from the models that check the files; [Files](../files.md) explains them. An unknown key is an error."]
+    parts = [
+        "# Keys of every file\n\nMade from the models that check the files; [Files](../files.md) explains them. An unknown "
+        "key is an error."
+    ]
     for title, source, first in (
         ("session.toml and maps", "io/session.py", "SessionFile"),
         ("protocol.toml", "rig/programme.py", "ProtocolFile"),
@@ -126,9 +145,11 @@ def keys() -> str:
     ):
         parts.append(f"## {title}")
         for name, about, rows in _models(PACKAGE / source, first):
-            parts.append(f"### {name}\n\n{about}\n\n| key | type | default | meaning |\n|---|---|---|---|\n" + "\n".join(rows))
+            parts.append(
+                f"### {name}\n\n{about}\n\n| key | type | default | meaning |\n|---|---|---|---|\n" + "\n".join(rows)
+            )
     parts.append(
-        "## calibration.json\n\nThe JSON Schema: <a href=\"../calibration.schema.json\">calibration.schema.json</a>. A key with the mark "
+        '## calibration.json\n\nThe JSON Schema: <a href="../calibration.schema.json">calibration.schema.json</a>. A key with the mark '
         "opt. may be left out."
     )
     schema = calibration_schema()
@@ -141,7 +162,10 @@ def keys() -> str:
             for key, value in held.get("properties", {}).items()
         ]
         title = name.removesuffix("File").lower()
-        parts.append(f"### calibration: {title}\n\n{held.get('description', '')}\n\n| key | type |\n|---|---|\n" + "\n".join(rows))
+        parts.append(
+            f"### calibration: {title}\n\n{held.get('description', '')}\n\n| key | type |\n|---|---|\n"
+            + "\n".join(rows)
+        )
     return "\n\n".join(parts) + "\n"
 
 
@@ -163,16 +187,26 @@ def _models(path: Path, first: str):
             if not isinstance(item, ast.AnnAssign):
                 continue
             key, field = item.target.id, model.model_fields[item.target.id]
-            note = next((notes[k] for k in range(item.lineno, item.end_lineno + 1) if k in notes and k not in starts), "")
+            note = next(
+                (notes[k] for k in range(item.lineno, item.end_lineno + 1) if k in notes and k not in starts), ""
+            )
             if not note and item.lineno - 1 in starts:
                 note = notes[item.lineno - 1]
             default = "required" if field.is_required() else _default(field.get_default(call_default_factory=True))
             kind = ast.unparse(item.annotation)
             kind = re.sub(r"Annotated\[(\w+(\[\w+\])?), .*\]", r"\1", kind)
-            rows.append(f"| `{key}` | `{kind}` | {default} | {_cell(note)} |".replace(" | None`", "`").replace(" | `str | int", " | `str or int"))
+            rows.append(
+                f"| `{key}` | `{kind}` | {default} | {_cell(note)} |".replace(" | None`", "`").replace(
+                    " | `str | int", " | `str or int"
+                )
+            )
         if rows:
             about = (ast.get_docstring(node) or "").splitlines()[0]
-            yield node.name.removesuffix("Entry").lower() or node.name, _cell(re.sub(r":class:`[\w.]+\.(\w+)`", r"\1", about)), [_escaped(r) for r in rows]
+            yield (
+                node.name.removesuffix("Entry").lower() or node.name,
+                _cell(re.sub(r":class:`[\w.]+\.(\w+)`", r"\1", about)),
+                [_escaped(r) for r in rows],
+            )
 
 
 def _escaped(row: str) -> str:
@@ -227,7 +261,10 @@ def presets() -> str:
         "floor, mg | source",
     }
     parts = []
-    for side, title in (("gyro", "Gyroscopes (floor: in-run bias stability)"), ("accel", "Accelerometers (floors assumed)")):
+    for side, title in (
+        ("gyro", "Gyroscopes (floor: in-run bias stability)"),
+        ("accel", "Accelerometers (floors assumed)"),
+    ):
         rows = [
             f"| {name} | " + " | ".join(f"{figure:.4g}" for figure in sheet[side][:-1]) + f" | {sheet[side][-1]} |"
             for name, sheet in SHEETS.items()
@@ -272,7 +309,9 @@ def _methods(value: type) -> list[str]:
     return [
         name
         for name, held in vars(value).items()
-        if not name.startswith("_") and isinstance(held, property | classmethod | staticmethod) | callable(held) and held.__doc__
+        if not name.startswith("_")
+        and isinstance(held, property | classmethod | staticmethod) | callable(held)
+        and held.__doc__
     ]
 
 

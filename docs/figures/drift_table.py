@@ -15,7 +15,12 @@ def draw(folder: Path) -> None:
     """Draw it into a folder."""
     rng = np.random.default_rng(3)
     device = random_device_of("enc03j_3031", rng)
-    session = undrift.simulate_thermal_session("soak", device, rng=rng, settings=ThermalSettings(set_points_c=(18.0, 30.0, 45.0, 60.0, 75.0, 60.0, 45.0, 30.0, 18.0)))
+    session = undrift.simulate_thermal_session(
+        "soak",
+        device,
+        rng=rng,
+        settings=ThermalSettings(set_points_c=(18.0, 30.0, 45.0, 60.0, 75.0, 60.0, 45.0, 30.0, 18.0)),
+    )
     calibration = undrift.calibrate(undrift.simulate_session("bench", device, rng=rng))
     fit = undrift.fit_drift([session], calibration)
     save_figure(fit.plot(), folder / "drift-table.svg")

@@ -1,7 +1,8 @@
 """The README's picture: BROAD trial 35 against optics, raw, with the rest offset subtracted, and calibrated on the other recording.
 
-`python docs/figures/readme_trial.py docs/readme-trial.svg` draws it; UNDRIFT_DATA names the folder with broad/. Gyroscopes alone, tilt
-from the rest before, heading from the optics at the start. The calibration comes from the device's other recordings, never from this one.
+`python docs/figures/readme_trial.py docs/readme-trial.svg` draws it; UNDRIFT_DATA names the folder with broad/. Gyroscopes alone,
+tilt from the rest before, heading from the optics at the start. The calibration comes from the device's other recording, never from
+this one.
 Data: BROAD, Laidig, Caruso, Cereatti and Seel, Data 2021, CC BY 4.0.
 """
 
@@ -60,7 +61,9 @@ def draw(path: Path) -> dict[str, float]:
         kept = np.linspace(0, len(t) - 1, 420).astype(int)
         axes.plot(t[kept], y[kept], color=colour, linestyle=dash, linewidth=1.6)
         axes.text(t[-1], height, f"{name}: {ends[name]:.1f} deg", color=colour, ha="right")
-    axes.set(xlabel="time from the start of the motion (s)", ylabel="angle to optics (deg)", xlim=(0, time[-1]), ylim=(0, 18))
+    axes.set(
+        xlabel="time from the start of the motion (s)", ylabel="angle to optics (deg)", xlim=(0, time[-1]), ylim=(0, 18)
+    )
     axes.set_title("Gyroscopes alone, 85 s of motion (BROAD, trial 35)", loc="left", fontsize=9)
     save_figure(figure, path)
     return ends

@@ -1,4 +1,4 @@
-"""Pictures of the tutorial, on a simulated device: the session with its stills and turns, the calibration, a trial against optics."""
+"""Pictures of the tutorial, on a simulated device: a session with its stills and turns, a calibration, a trial against optics."""
 
 import contextlib
 import io

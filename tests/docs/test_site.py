@@ -20,7 +20,17 @@ ROOT = Path(__file__).parents[2]
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Build the site as `make docs` does."""
     folder = tmp_path_factory.mktemp("site")
-    words = ["-W", "--keep-going", "-q", "-b", "html", "-d", str(folder / "doctrees"), str(ROOT / "docs"), str(folder / "html")]
+    words = [
+        "-W",
+        "--keep-going",
+        "-q",
+        "-b",
+        "html",
+        "-d",
+        str(folder / "doctrees"),
+        str(ROOT / "docs"),
+        str(folder / "html"),
+    ]
     done = subprocess.run([sys.executable, "-m", "sphinx", *words], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr[-4000:]
     return folder / "html"
@@ -67,7 +77,9 @@ def test_each_exported_name_key_and_preset_is_in_the_site(site: Path) -> None:
 
 
 def test_every_link_of_the_site_leads_somewhere(site: Path) -> None:
-    anchors = {page: set(re.findall(r'\bid="([^"]+)"', page.read_text(encoding="utf-8"))) for page in site.rglob("*.html")}
+    anchors = {
+        page: set(re.findall(r'\bid="([^"]+)"', page.read_text(encoding="utf-8"))) for page in site.rglob("*.html")
+    }
     wrong = []
     for page in anchors:
         for target in re.findall(r'<a\b[^>]*href="([^"]+)"', page.read_text(encoding="utf-8")):
