@@ -22,8 +22,8 @@ test-long: $(INSTALLED)
 	$(BIN)/python -m pytest tests -m long -n 2 --durations=12
 
 check: $(INSTALLED)
-	$(BIN)/ruff check src tests benchmarks docs
-	$(BIN)/ruff format --check src tests benchmarks docs
+	$(BIN)/ruff check src tests benchmarks docs/*.py docs/figures
+	$(BIN)/ruff format --check src tests benchmarks docs/*.py docs/figures
 	$(BIN)/mypy --strict
 	$(BIN)/lint-imports
 	$(BIN)/python -m pytest tests/house
