@@ -37,6 +37,28 @@ html_theme_options = {"navigation_with_keys": False}
 suppress_warnings = ["myst.xref_missing_file_ext"]
 
 
+# What the theme leaves out for readers with a keyboard or a screen reader: level of headings, names, and a way into what scrolls.
+ACCESSIBLE = {
+    'class="caption" role="heading"': 'class="caption" role="heading" aria-level="2"',
+    '<aside class="sidebar-drawer">': '<aside class="sidebar-drawer" aria-label="Pages">',
+    '<aside class="toc-drawer">': '<aside class="toc-drawer" aria-label="On this page">',
+    "<pre>": '<pre tabindex="0">',
+    "<p><img ": '<p tabindex="0"><img ',
+    '<div class="table-wrapper ': '<div tabindex="0" class="table-wrapper ',
+}
+
+
+def make_accessible(app, error):
+    """Complete the written pages."""
+    if error is None and app.builder.name == "html":
+        for page in Path(app.outdir).rglob("*.html"):
+            text = page.read_text(encoding="utf-8")
+            for was, becomes in ACCESSIBLE.items():
+                text = text.replace(was, becomes) if becomes not in text else text
+            page.write_text(text, encoding="utf-8")
+
+
 def setup(app):
-    """Make the generated pages before Sphinx looks for pages."""
+    """Make the generated pages before Sphinx looks for pages, and complete what it wrote."""
     app.connect("config-inited", lambda *_: generate.write_all(HERE / "_generated"))
+    app.connect("build-finished", make_accessible)

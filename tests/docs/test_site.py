@@ -90,3 +90,11 @@ def test_every_link_of_the_site_leads_somewhere(site: Path) -> None:
             if not place.exists() or (anchor and place in anchors and anchor not in anchors[place]):
                 wrong.append(f"{page.relative_to(site)}: {target}")
     assert not wrong, "\n".join(sorted(set(wrong))[:20])
+
+
+def test_what_scrolls_can_be_reached_by_keyboard_and_headings_have_a_level(site: Path) -> None:
+    for page in site.rglob("*.html"):
+        text = page.read_text(encoding="utf-8")
+        assert "<pre>" not in text, page.name
+        assert not re.search(r'<div class="table-wrapper', text), page.name
+        assert not re.search(r'role="heading"(?! aria-level)', text), page.name
