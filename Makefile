@@ -4,7 +4,7 @@ VENV ?= .venv
 BIN = $(VENV)/bin
 INSTALLED = $(VENV)/.installed
 
-.PHONY: demo test test-long test-all check mutants fuzz benchmark clean
+.PHONY: demo docs test test-long test-all check mutants fuzz benchmark clean
 
 demo: $(VENV)/.base
 	$(BIN)/undrift demo --out demo
@@ -24,11 +24,16 @@ test-long: $(INSTALLED)
 	$(BIN)/python -m pytest tests -m long -n 2 --durations=12
 
 check: $(INSTALLED)
-	$(BIN)/ruff check src tests benchmarks
-	$(BIN)/ruff format --check src tests benchmarks
+	$(BIN)/ruff check src tests benchmarks docs/*.py docs/figures
+	$(BIN)/ruff format --check src tests benchmarks docs/*.py docs/figures
 	$(BIN)/mypy --strict
 	$(BIN)/lint-imports
 	$(BIN)/python -m pytest tests/house
+
+# The documentation site, from pages, docstrings, commands and models; figures are drawn anew.
+docs: $(INSTALLED)
+	$(BIN)/python -m sphinx -W --keep-going -q -b html docs docs/_build/html
+	@echo "docs/_build/html/index.html"
 
 # Faults planted in a copy of the source, one at a time: prints those that the nearest tests do not notice. WORDS="six_face lag" selects.
 mutants: $(INSTALLED)
@@ -66,4 +71,4 @@ $(INSTALLED): $(VENV)/.base
 	@touch $@
 
 clean:
-	rm -rf .venv .venv-3.* .mypy_cache .ruff_cache .pytest_cache .import_linter_cache build dist demo
+	rm -rf docs/_build docs/_generated .venv .venv-3.* .mypy_cache .ruff_cache .pytest_cache .import_linter_cache build dist demo

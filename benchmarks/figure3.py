@@ -1,4 +1,4 @@
-"""Figure 3 beside its rival without a chamber, typical unit and units of the kind, simulated and actual, as docs/study.md has it.
+"""Figure 3 beside its rival without a chamber, typical unit and units of the kind, simulated and actual, as docs/note.md has it.
 
 ``python -m benchmarks.figure3 [--units 30] [--seed 0]`` prints both tables: the device 12.5 K above the bench, tables from rising
 soaks, each drawn unit on a person of its own. 12 s a unit.

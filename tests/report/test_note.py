@@ -78,4 +78,4 @@ def test_the_drawings_of_the_docs_are_those_of_the_code(name: str, tmp_path: Pat
     assert main(str(tmp_path)) == 0
     shipped = (ROOT / "docs" / name).read_text()
     assert words_of(shipped) == words_of((tmp_path / name).read_text())
-    assert f"({name})" in (ROOT / "docs" / "study.md").read_text()
+    assert f"({name})" in (ROOT / "docs" / "note.md").read_text()

@@ -1,8 +1,8 @@
 """The note's figures: 1 and 2 as flow drawings with this program's functions, 3 with its table.
 
-``python -m undrift.report.note FOLDER`` draws the flows of docs/study.md. The copy of the note at hand has the captions and
-the text of Figures 1 and 2 without the drawings: steps are those of the text, and its "block 2" to "block 9" stand where the text
-has them, not each at one box.
+``python -m undrift.report.note FOLDER`` draws the flows of docs/note.md. Drawings are 4.6 inches wide, so that their text keeps 9
+pixels on a screen of 390. The copy of the note at hand has the captions and the text of Figures 1 and 2 without the drawings: steps
+are those of the text, and its "block 2" to "block 9" stand where the text has them, not each at one box.
 """
 
 import sys

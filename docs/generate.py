@@ -1,0 +1,319 @@
+"""Pages that are made from the code: commands, findings, keys of files, presets, names of the API, and the figures.
+
+conf.py calls `write_all` at each build; `python docs/generate.py FOLDER` does the same by hand. A page is written only where its
+text has changed, so that a second build is quick.
+"""
+
+import ast
+import contextlib
+import io
+import json
+import re
+import runpy
+import string
+import sys
+import tokenize
+from pathlib import Path
+
+import undrift
+
+DOCS = Path(__file__).parent
+PACKAGE = Path(undrift.__file__).parent
+DRAWN = ("tutorial", "note_figure3", "drift_table")  # figures/*.py whose pictures are made at the build
+
+
+def write_all(folder: Path) -> None:
+    """Write every generated page and picture."""
+    folder.mkdir(exist_ok=True)
+    pages = {"findings.md": findings(), "keys.md": keys(), "presets.md": presets(), "api.md": api(), **commands()}
+    for name, text in pages.items():
+        path = folder / name
+        if not path.exists() or path.read_text(encoding="utf-8") != text:
+            path.write_text(text, encoding="utf-8")
+    for name in DRAWN:
+        script = DOCS / "figures" / f"{name}.py"
+        mark = folder / f"{name}.drawn"
+        stamp = f"{undrift.__version__} {script.stat().st_mtime_ns}"
+        if not mark.exists() or mark.read_text() != stamp:
+            runpy.run_path(str(script))["draw"](folder)
+            mark.write_text(stamp)
+
+
+# ---- commands
+
+
+def commands() -> dict[str, str]:
+    """Return a page for each command, and the page that lists them."""
+    from undrift.cli.app import COMMANDS, GROUPS, command_line
+    from undrift.cli.examples import EXAMPLES
+
+    pages = {}
+    whole = command_line().generate_docs(heading_level=1).replace("```console", "```text").replace("<", "&lt;")
+    whole = whole.replace(" -m sphinx ", " ")  # the call of this program, which usage lines of groups repeat
+    parts = re.split(r"^## (undrift \S+)\n", whole, flags=re.M)
+    texts = dict(zip(parts[1::2], parts[2::2], strict=True))
+    for name in COMMANDS:
+        text = f"# undrift {name}\n" + re.sub(
+            r"^(#+) ", lambda match: match[1][1:] + " ", texts[f"undrift {name}"], flags=re.M
+        )
+        calls = [line for command in EXAMPLES if command.split()[:1] == [name] for line in EXAMPLES[command]]
+        shown = "\n".join(dict.fromkeys(calls))
+        pages[f"command-{name}.md"] = (
+            f"{_no_list_of_commands(text, name in GROUPS)}\n\n**Examples**\n\n```text\n{shown}\n```\n"
+        )
+    rows = "\n".join(f"| [`undrift {name}`](command-{name}.md) | {text} |" for name, text in COMMANDS.items())
+    toc = "\n".join(f"command-{name}" for name in COMMANDS)
+    pages["commands.md"] = (
+        "# Commands\n\nEach page is made from the command itself: `undrift COMMAND --help` prints the same.\n\n"
+        f"| command | does |\n|---|---|\n{rows}\n\n"
+        "Every command takes `--json` (one object on stdout: [files](../files.md#answers-in-json)), `--memory-limit-gb G` (for\n"
+        "reading one file, 2 by default) and `--trust` (read without limits). `undrift --install-completion` completes\n"
+        "commands in your shell.\n\n"
+        "| exit code | means |\n|---|---|\n| 0 | done |\n| 1 | done, but the verdict is bad |\n"
+        "| 2 | the input or the call is wrong: one line states what was wanted, what came, what to do; nothing is written |\n"
+        "| 3 | a rig or a device failed |\n\n"
+        f"```{{toctree}}\n:hidden:\n{toc}\n```\n"
+    )
+    return pages
+
+
+def _no_list_of_commands(text: str, group: bool) -> str:
+    """Leave the list of subcommands out, whose links name other headings; the page's contents show them."""
+    return re.sub(r"^\*\*Commands\*\*:\n\n(\* .*\n)+", "", text, flags=re.M) if group else text
+
+
+# ---- findings
+
+
+def findings() -> str:
+    """Return every finding with its sentences, by stage and rank."""
+    from undrift.findings import catalogue
+
+    ranks = {
+        1: "numbers may be wrong",
+        2: "uncertainty is larger or incomplete",
+        3: "not observable",
+        4: "for the record",
+    }
+    stages: dict[str, list[str]] = {}
+    for code, entry in catalogue().items():
+        detail, action = _said(entry.detail), _said(entry.action)
+        headline = _said(entry.headline, "⟨", "⟩")
+        row = f"- **{headline}** `{code}`, {ranks[entry.rank]}"
+        row += f"\\\n  {detail}" if detail else ""
+        row += f"\\\n  → {action}" if action else ""
+        stages.setdefault(code.split(".")[0], []).append(row)
+    parts = [f"## {stage}\n\n" + "\n".join(rows) for stage, rows in stages.items()]
+    count = len(catalogue())
+    return (
+        f"# All findings\n\nThe {count} findings that undrift can make. A word in *italics* or ⟨brackets⟩ is filled in by the "
+        "fit. [Reading a verdict](../verdict.md) says how to use them.\n\n" + "\n\n".join(parts) + "\n"
+    )
+
+
+def _said(template: str, before: str = "*", after: str = "*") -> str:
+    """Return a template as text: its fields in italics, or in brackets, without their formats."""
+    parts = []
+    for text, field, _, _ in string.Formatter().parse(template):
+        parts.append(
+            text.replace("|", "\\|")
+            .replace("*", "\\*")
+            .replace("_", "\\_")
+            .replace("<", "&lt;")
+            .replace("[[", "\\[\\[")
+        )
+        if field is not None:
+            parts.append(f"{before}{field.split('[')[0].replace('_', ' ')}{after}")
+    return "".join(parts)
+
+
+# ---- keys of files
+
+
+def keys() -> str:
+    """Return the keys of each file that undrift reads, from the models that check them."""
+    from undrift.io.store import calibration_schema
+
+    parts = [
+        "# Keys of every file\n\nMade from the models that check the files; [Files](../files.md) explains them. An unknown "
+        "key is an error."
+    ]
+    for title, source, first in (
+        ("session.toml and maps", "io/session.py", "SessionFile"),
+        ("protocol.toml", "rig/programme.py", "ProtocolFile"),
+        ("study.toml", "study/plan.py", "StudyFile"),
+    ):
+        parts.append(f"## {title}")
+        for name, about, rows in _models(PACKAGE / source, first):
+            parts.append(
+                f"### {name}\n\n{about}\n\n| key | type | default | meaning |\n|---|---|---|---|\n" + "\n".join(rows)
+            )
+    parts.append(
+        '## calibration.json\n\nThe JSON Schema: <a href="../calibration.schema.json">calibration.schema.json</a>. A key with the mark '
+        "opt. may be left out."
+    )
+    schema = calibration_schema()
+    for name, held in {"(the file)": schema, **schema["$defs"]}.items():
+        if name.endswith("Entry"):
+            continue  # of the map, above
+        needed = set(held.get("required", ()))
+        rows = [
+            f"| `{key}` | {_type(value)}{'' if key in needed else ' (opt.)'} |"
+            for key, value in held.get("properties", {}).items()
+        ]
+        title = name.removesuffix("File").lower()
+        parts.append(
+            f"### calibration: {title}\n\n{held.get('description', '')}\n\n| key | type |\n|---|---|\n"
+            + "\n".join(rows)
+        )
+    return "\n\n".join(parts) + "\n"
+
+
+def _models(path: Path, first: str):
+    """Yield name, docstring and rows of each model of a file that the first one holds, in the order of the file."""
+    module = __import__("undrift." + ".".join(path.relative_to(PACKAGE).with_suffix("").parts), fromlist=["_"])
+    source = path.read_text(encoding="utf-8")
+    notes = {
+        token.start[0]: token.string.lstrip("# ")
+        for token in tokenize.generate_tokens(io.StringIO(source).readline)
+        if token.type == tokenize.COMMENT
+    }
+    starts = {line for line, text in enumerate(source.splitlines(), 1) if text.strip().startswith("#")}
+    for node in ast.parse(source).body:
+        if not isinstance(node, ast.ClassDef) or not node.name.endswith(("Entry", "File")) or node.name == first:
+            continue
+        model, rows = getattr(module, node.name), []
+        for item in node.body:
+            if not isinstance(item, ast.AnnAssign):
+                continue
+            key, field = item.target.id, model.model_fields[item.target.id]
+            note = next(
+                (notes[k] for k in range(item.lineno, item.end_lineno + 1) if k in notes and k not in starts), ""
+            )
+            if not note and item.lineno - 1 in starts:
+                note = notes[item.lineno - 1]
+            default = "required" if field.is_required() else _default(field.get_default(call_default_factory=True))
+            kind = ast.unparse(item.annotation)
+            kind = re.sub(r"Annotated\[(\w+(\[\w+\])?), .*\]", r"\1", kind)
+            rows.append(
+                f"| `{key}` | `{kind}` | {default} | {_cell(note)} |".replace(" | None`", "`").replace(
+                    " | `str | int", " | `str or int"
+                )
+            )
+        if rows:
+            about = (ast.get_docstring(node) or "").splitlines()[0]
+            yield (
+                node.name.removesuffix("Entry").lower() or node.name,
+                _cell(re.sub(r":class:`[\w.]+\.(\w+)`", r"\1", about)),
+                [_escaped(r) for r in rows],
+            )
+
+
+def _escaped(row: str) -> str:
+    """Return a row whose types have no bar of their own."""
+    head, *rest = re.split(r"(`[^`]*`)", row)
+    return head + "".join(part.replace("|", "or") if part.startswith("`") else part for part in rest)
+
+
+def _default(value: object) -> str:
+    """Return a default as TOML would have it."""
+    if value is None:
+        return "none"
+    with contextlib.suppress(TypeError):
+        text = json.dumps(value)
+        return f"`{text}`" if len(text) < 40 else "see the page"
+    return "as its own table"
+
+
+def _cell(text: str) -> str:
+    """Return text that may stand in a cell."""
+    return re.sub(r":\w+:`", "`", text).replace("``", "`").replace("|", "\\|").replace("[", "\\[")
+
+
+def _type(value: dict) -> str:
+    """Return a type of a JSON Schema in words."""
+    if "$ref" in value:
+        name = value["$ref"].rsplit("/", 1)[1]
+        return name.removesuffix("File").removesuffix("Entry").lower()
+    if "anyOf" in value:
+        return " or ".join(dict.fromkeys(_type(item) for item in value["anyOf"]))
+    if "enum" in value:
+        return ", ".join(f"`{item}`" for item in value["enum"])
+    if "const" in value:
+        return f"`{json.dumps(value['const'])}`"
+    if value.get("type") == "array":
+        size = value.get("minItems") if value.get("minItems") == value.get("maxItems") else None
+        return f"{size or 'n'} x {_type(value.get('items', {}))}"
+    return str(value.get("type", "any"))
+
+
+# ---- presets and API
+
+
+def presets() -> str:
+    """Return the tables of the presets, as their data sheets state them."""
+    from undrift.sim.device.presets import SHEETS
+
+    heads = {
+        "gyro": "preset | range, deg/s | counts per deg/s | offset, deg/s | drift, deg/s/K | scale, % | %/K | bend, % | cross, % | "
+        "noise, deg/s/√Hz | floor, deg/h | g, deg/s/g | source",
+        "accel": "preset | range, g | counts per g | offset, mg | drift, mg/K | scale, % | %/K | bend, % | cross, % | noise, µg/√Hz | "
+        "floor, mg | source",
+    }
+    parts = []
+    for side, title in (
+        ("gyro", "Gyroscopes (floor: in-run bias stability)"),
+        ("accel", "Accelerometers (floors assumed)"),
+    ):
+        rows = [
+            f"| {name} | " + " | ".join(f"{figure:.4g}" for figure in sheet[side][:-1]) + f" | {sheet[side][-1]} |"
+            for name, sheet in SHEETS.items()
+        ]
+        parts.append(f"{title}:\n\n| {heads[side]} |\n|{'---|' * (heads[side].count('|') + 1)}\n" + "\n".join(rows))
+    return "---\norphan: true\n---\n\n# Presets\n\n" + "\n\n".join(parts) + "\n"
+
+
+STAGES = {
+    "record": "Records and sessions", "io.formats": "Reading and writing", "io.session": "", "segments": "Rests and turns",
+    "calibration.calibrate": "Calibration", "calibration.observe": "", "model": "", "findings": "", "io.store": "",
+    "calibration.noise": "Noise", "drift.fit": "Drift over temperature", "correction.correct": "Correction",
+    "correction.stream": "", "orientation": "Orientation", "validation.trial": "Validation", "validation.agreement": "",
+    "twin.fit": "Twin", "sim.device.presets": "Simulation", "sim.device.simulate": "", "sim.sessions": "", "sim.thermal": "",
+    "export.c": "Export", "export.autopilots": "", "export.programs": "", "errors": "Errors",
+}  # fmt: skip
+
+
+def api() -> str:
+    """Return the page of the exported names, in flow order; names of a new module get a heading of their own."""
+    parts = [
+        "# Python API\n\nEvery name of `undrift.__all__`, in the order of the flow. [From Python](../python.md) shows them at work."
+    ]
+    for module, names in undrift._MODULES.items():
+        title = STAGES.get(module, module)
+        parts.append(f"## {title}" if title else "")
+        for name in names:
+            value = getattr(undrift, name)
+            if not isinstance(value, type):
+                parts.append(f"```{{eval-rst}}\n.. autofunction:: undrift.{name}\n```")
+            elif issubclass(value, Exception):
+                parts.append(f"```{{eval-rst}}\n.. autoexception:: undrift.{name}\n```")
+            else:
+                shown = ", ".join(_methods(value))
+                members = f"\n   :members: {shown}" if shown else ""
+                parts.append(f"```{{eval-rst}}\n.. autoclass:: undrift.{name}{members}\n```")
+    return "\n\n".join(part for part in parts if part) + "\n"
+
+
+def _methods(value: type) -> list[str]:
+    """Return public methods and properties with a docstring; fields stand in the class's own."""
+    return [
+        name
+        for name, held in vars(value).items()
+        if not name.startswith("_")
+        and isinstance(held, property | classmethod | staticmethod) | callable(held)
+        and held.__doc__
+    ]
+
+
+if __name__ == "__main__":
+    write_all(Path(sys.argv[1]))

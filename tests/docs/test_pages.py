@@ -1,0 +1,91 @@
+"""Every block of README and of the users' pages runs, in the order of its page, in a folder of its own; pages.py says how."""
+
+import re
+import time
+from pathlib import Path
+
+import pytest
+
+from testkit import doc_pages
+from undrift.cli.app import run
+
+ROOT = Path(__file__).parents[2]
+DOCS = ROOT / "docs"
+FOR_DEVELOPERS = {"worklist.md", "flow.md", "motions.md", "poses.md", "rig-emulator.md", "scale.md", "developers.md"}
+PAGES = [ROOT / "README.md", *(page for page in sorted(DOCS.glob("*.md")) if page.name not in FOR_DEVELOPERS)]
+WITHOUT_BLOCKS = {"index.md", "accuracy.md", "glossary.md", "live.md", "model.md", "nomenclature.md"}
+
+
+@pytest.fixture(scope="module")
+def sample(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Run the one line that makes the data of the pages, once."""
+    folder = tmp_path_factory.mktemp("data") / "sample"
+    assert run([*pages.SAMPLE.split()[1:-1], str(folder)]) == 0
+    return folder
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_the_blocks_of_a_page_run_and_print_what_it_shows(page: Path, sample: Path, tmp_path: Path) -> None:
+    start = time.perf_counter()
+    ran = pages.run_page(page.read_text(), tmp_path, sample)
+    print(f"  {page.name}: {ran} blocks in {time.perf_counter() - start:.1f} s")
+    assert ran or page.name in WITHOUT_BLOCKS
+
+
+def test_no_block_has_another_language_or_a_comment_that_nobody_reads() -> None:
+    for page in PAGES:
+        text = page.read_text()
+        fences = {kind for kind in re.findall(r"^```(.*)$", text, re.M) if kind}
+        assert fences <= {"sh", "python", "toml", "csv", "text", "c", "{toctree}"}, page.name
+        used = sum(len(block.marks) for block in pages.blocks_of(text))
+        assert used == len(re.findall(r"^<!--", text, re.M)), f"{page.name}: a comment stands apart from its block"
+
+
+def test_the_line_that_makes_the_data_stands_in_the_tutorial_once() -> None:
+    assert (DOCS / "tutorial.md").read_text().count(pages.SAMPLE) == 1
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        ("```sh\nundrift info none.csv\n```", "ended with 2"),
+        ("```sh\nls\n```", "unknown program"),
+        ("```sh\nmake test\n```", "mark it as parsed"),
+        ("```python\nprint(1)\n```\n```text\n2\n```", "prints"),
+        ("<!-- quick: no command -->\n```sh\nundrift demo\n```", "quick wants"),
+    ],
+)
+def test_a_page_that_is_wrong_is_noticed(text: str, why: str, tmp_path: Path) -> None:
+    with pytest.raises(AssertionError, match=why):
+        pages.run_page(text + "\n", tmp_path, tmp_path)
+
+
+def test_an_option_that_does_not_exist_is_noticed(tmp_path: Path) -> None:
+    with pytest.raises(Exception, match="no-such"):
+        pages.run_page(
+            "<!-- parsed: a table -->\n```sh\nundrift rig stop --rig manual: --no-such 1\n```\n", tmp_path, tmp_path
+        )
+
+
+def test_arrays_are_calibrated_and_corrected_in_ten_lines() -> None:
+    text = re.findall(r"```python\n(.*?)```", (DOCS / "python.md").read_text(), re.S)[1]
+    assert len([line for line in text.splitlines() if line.strip()]) <= 10
+    assert all(word in text for word in ("from_arrays", "calibrate(", "correct("))
+
+
+def test_the_readme_is_short_and_opens_with_a_sentence_a_picture_and_two_commands() -> None:
+    text = (ROOT / "README.md").read_text()
+    assert len(text.splitlines()) <= 90
+    title, sentence, picture, *_ = (part for part in text.split("\n\n") if part)
+    assert title == "# undrift"
+    assert "\n" not in sentence
+    assert sentence.count(". ") == 0
+    assert picture.startswith("![")
+    assert len(pages.lines_of(pages.blocks_of(text)[0].text)) == 2
+    assert (DOCS / "readme-trial.svg").stat().st_size < 60_000
+
+
+def test_every_page_is_linked_from_the_readme_or_the_index() -> None:
+    linked = (ROOT / "README.md").read_text() + (DOCS / "index.md").read_text() + (DOCS / "developers.md").read_text()
+    for page in DOCS.glob("*.md"):
+        assert page.stem == "index" or re.search(rf"\b{page.stem}\b", linked), f"{page.name} is linked from nowhere"

@@ -1,0 +1,265 @@
+"""How the blocks of a page run: a small language of comments above a block, so that a page says itself what its test does.
+
+A comment of Markdown stands just above the fence, where no reader sees it:
+
+    <!-- needs: NAME, NAME -->         files that a reader has; made here by FILES
+    <!-- file: NAME -->                the block is written to that file
+    <!-- quick: REASON | COMMANDS -->  these run in place of the block, whose own lines are parsed
+    <!-- parsed: REASON -->            lines are parsed as commands with their options, not run: a rig, another program
+    <!-- exit: N -->                   the last command of the block ends with that code; 0 otherwise
+
+Blocks of sh, python, toml, csv and text have a meaning. A text block right below another shows what that prints: of a command each
+line must be there, numbers apart; of Python the text is the same. A line "..." stands for what is left out.
+"""
+
+import contextlib
+import glob
+import io
+import re
+import shlex
+import shutil
+import tomllib
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+import undrift
+from undrift.cli.app import _standard, _with_limits, command_line, run
+from undrift.io.reference import write_reference
+from undrift.sim.device.model import DeviceModel, read_device
+from undrift.sim.motion.bench import BenchKind, BenchSettings
+from undrift.sim.thermal import BENCH, ThermalSettings
+
+SAMPLE = "undrift demo --quick --out sample"  # the one line that says where the data of the pages come from
+BLOCK = re.compile(r"((?:^<!--[^\n]*-->\n)*)^```(sh|python|toml|csv|text)\n(.*?)^```$", re.M | re.S)
+RATES = (0.2, 1.0)  # rad/s, of a short session over temperature
+ELSEWHERE = ("cd", "gcc", "make", "pip", "python", "python3", "source")
+
+
+@dataclass(frozen=True)
+class Block:
+    """A fenced block of a page, and the comments above it."""
+
+    kind: str
+    text: str
+    line: int
+    marks: dict[str, str]
+    follows: bool  # nothing stands between it and the block before
+
+
+def blocks_of(text: str) -> list[Block]:
+    """Return the blocks of a page that have a meaning."""
+    found, end = [], 0
+    for match in BLOCK.finditer(text):
+        marks = dict(re.findall(r"^<!-- ([a-z]+): *(.*?) *-->$", match.group(1), re.M))
+        follows = not text[end : match.start()].strip()
+        found.append(Block(match.group(2), match.group(3), text.count("\n", 0, match.start(2)) + 1, marks, follows))
+        end = match.end()
+    return found
+
+
+def lines_of(text: str) -> list[str]:
+    """Return the commands of a sh block, continued lines joined."""
+    return [
+        line.strip()
+        for line in text.replace("\\\n", " ").splitlines()
+        if line.strip() and not line.strip().startswith("#")
+    ]
+
+
+def run_page(text: str, folder: Path, sample: Path) -> int:
+    """Run the blocks of a page in a folder, in order; return how many ran. An AssertionError names the line."""
+    names: dict[str, object] = {}
+    ran, printed, by_python = 0, "", False
+    with contextlib.chdir(folder):
+        for block in blocks_of(text):
+            at = f"line {block.line}"
+            for name in block.marks.get("needs", "").replace(" ", "").split(","):
+                if name and not Path(name).exists():
+                    FILES[name](Path(name))
+            if "file" in block.marks:
+                Path(block.marks["file"]).write_text(block.text, encoding="utf-8")
+            if block.kind == "toml":
+                tomllib.loads(block.text)
+            elif block.kind == "python":
+                out = io.StringIO()
+                with contextlib.redirect_stdout(out):
+                    exec(compile(block.text, at, "exec"), names)
+                printed, by_python, ran = out.getvalue(), True, ran + 1
+            elif block.kind == "sh":
+                printed, by_python = _run_commands(block, sample, at), False
+                ran += 1
+            elif block.kind == "text" and block.follows and printed:
+                _check_printed(block.text, printed, at, exact=by_python)
+    return ran
+
+
+def _run_commands(block: Block, sample: Path, at: str) -> str:
+    lines, wanted = lines_of(block.text), int(block.marks.get("exit", "0"))
+    for line in lines:
+        parse(line, at)
+    if "parsed" in block.marks:
+        assert block.marks["parsed"], f"{at}: parsed wants its reason"
+        return ""
+    if "quick" in block.marks:
+        reason, _, commands = block.marks["quick"].partition("|")
+        assert "" not in (reason.strip(), commands.strip()), f"{at}: quick wants a reason and a command"
+        lines = [line.strip() for line in commands.split(";")]
+    out = io.StringIO()
+    for k, line in enumerate(lines):
+        if line == SAMPLE and not Path("sample").exists():
+            shutil.copytree(sample, "sample")
+            continue
+        words = words_of(line)
+        assert words[0] == "undrift", f"{at}: {line}: not a command of undrift; mark it as parsed, with the reason"
+        with contextlib.redirect_stdout(out), contextlib.redirect_stderr(out):
+            code = run(words[1:])
+        assert code == (wanted if k == len(lines) - 1 else 0), (
+            f"{at}: {line} ended with {code}:\n{out.getvalue()[-1500:]}"
+        )
+    return out.getvalue()
+
+
+def words_of(line: str) -> list[str]:
+    """Return the words of a command, names of files completed."""
+    words = []
+    for word in shlex.split(line, comments=True):
+        found = sorted(glob.glob(word)) if "*" in word else []
+        words += found or [word]
+    return words
+
+
+def parse(line: str, at: str) -> None:
+    """Check that a command has the options of the line; other programs only by name."""
+    words = words_of(line)
+    if words[0] != "undrift":
+        assert words[0] in ELSEWHERE, f"{at}: {line}: unknown program"
+        return
+    command_line().parse_args(_standard(_with_limits(words[1:])), exit_on_error=False, print_error=False)
+
+
+def _check_printed(shown: str, printed: str, at: str, *, exact: bool) -> None:
+    if exact:
+        assert printed == shown, f"{at}: prints {printed!r}"
+        return
+    have = {_without_numbers(line) for line in printed.splitlines()}
+    for line in shown.splitlines():
+        if line.strip() not in ("", "..."):
+            assert _without_numbers(line) in have, f"{at}: not printed: {line}\n{printed[-3000:]}"
+
+
+def _without_numbers(line: str) -> str:
+    return re.sub(r"\s+", " ", re.sub(r"[-+]?\d[\d.,e()-]*", "#", line)).strip()
+
+
+# ---- files that a reader has, of one simulated device
+
+
+def _device() -> tuple[DeviceModel, np.random.Generator]:
+    rng = np.random.default_rng(7)
+    return undrift.random_device(rng), rng
+
+
+def _bare(kind: BenchKind) -> Callable[[Path], None]:
+    def make(path: Path) -> None:
+        device, rng = _device()
+        undrift.write_record(undrift.simulate_session(kind, device, rng=rng, labelled=False).records[0], path)
+
+    return make
+
+
+def _logger(path: Path) -> None:
+    """Make a table with names of its own, in ms, deg/s and g."""
+    device, rng = _device()
+    record = undrift.simulate_session("ferraris", device, rng=rng, labelled=False).records[0]
+    rows = np.column_stack((1e3 * record.time, record.gyro / 16.384, record.accel / 4096.0))
+    np.savetxt(path, rows, "%.6f", ",", header="Time,Gx,Gy,Gz,Ax,Ay,Az", comments="")
+
+
+def _walk(path: Path) -> None:
+    device, rng = _device()
+    undrift.write_record(undrift.simulate_trial("sit_to_stand", device, rng=rng).record, path)
+
+
+def _optics(path: Path) -> None:
+    device, rng = _device()
+    write_reference(undrift.simulate_trial("sit_to_stand", device, rng=rng).reference, path)
+
+
+def _calibration(path: Path) -> None:
+    device, rng = _device()
+    undrift.write_calibration(undrift.calibrate(undrift.simulate_session("bench", device, rng=rng)), path)
+
+
+def _session(path: Path) -> None:
+    device, rng = _device()
+    undrift.write_session(undrift.simulate_session("bench", device, rng=rng), path)
+
+
+def _thermal(path: Path) -> None:
+    device, rng = _device()
+    settings = ThermalSettings(set_points_c=(18.0, 40.0, 60.0), bench=replace(BENCH, turn_rates=RATES))
+    undrift.write_session(undrift.simulate_thermal_session("soak", device, rng=rng, settings=settings), path)
+
+
+def _warm_up(path: Path) -> None:
+    device, rng = _device()
+    undrift.write_record(undrift.simulate_thermal_session("warm_up", device, rng=rng).records[0], path)
+
+
+def _days(path: Path) -> None:
+    """Make the recordings of four days, and days.json, a calibration of their device."""
+    words = ["simulate", "daily_use", "--device", "mpu6050", "--draw", "--days", "4"]
+    with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
+        assert run([*words, "-o", str(path), "--save-device", "days-device.json"]) == 0
+    session = undrift.simulate_session("bench", read_device("days-device.json"), rng=np.random.default_rng(8))
+    undrift.write_calibration(undrift.calibrate(session), "days.json")
+
+
+def _rest(path: Path) -> None:
+    device, rng = _device()
+    calibration = undrift.calibrate(undrift.simulate_session("bench", device, rng=rng))
+    settings = BenchSettings(first_still_s=300.0)
+    held = undrift.simulate_session("multi_position", device, rng=rng, settings=settings).records[0]
+    rest = slice(0, int(290.0 * held.sample_rate_hz))
+    raw = undrift.Record.from_arrays(
+        gyro=held.gyro[rest],
+        accel=held.accel[rest],
+        time=held.time[rest],
+        gyro_unit=held.gyro_unit,
+        accel_unit=held.accel_unit,
+    )
+    undrift.write_record(undrift.correct(raw, calibration), path)
+
+
+def _study(path: Path) -> None:
+    path.write_text(STUDY, encoding="utf-8")
+
+
+STUDY = """[study]
+subjects = 3
+[[task]]
+name = "step"
+[task.space]
+cutoff_hz = [11.4]
+turn_rate_step_dps = [15.0]
+turn_rate_min_dps = [15.0]
+turn_rate_max_dps = [30.0, 45.0]
+"""
+
+FILES: dict[str, Callable[[Path], None]] = {
+    "poses.csv": _bare("multi_position"),
+    "turns.csv": _bare("ferraris"),
+    "logger.csv": _logger,
+    "walk.csv": _walk,
+    "optics.csv": _optics,
+    "warm_up.csv": _warm_up,
+    "rest.csv": _rest,
+    "calibration.json": _calibration,
+    "session": _session,
+    "thermal": _thermal,
+    "days": _days,
+    "study.toml": _study,
+}
