@@ -1,4 +1,4 @@
-"""Every block of README and of the users' pages runs, in the order of its page, in a folder of its own; pages.py says how."""
+"""Every block of README and of the users' pages runs, in the order of its page, in a folder of its own; doc_pages.py says how."""
 
 import re
 import time
@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from testkit import doc_pages
+from testkit import doc_pages as pages
 from undrift.cli.app import run
 
 ROOT = Path(__file__).parents[2]
