@@ -137,7 +137,9 @@ def test_the_page_holds_every_table_and_picture(outcome: StudyOutcome, tmp_path:
         "<strong>Other ways to calibrate</strong>: not asked for",
     ):
         assert wanted in text, wanted
-    assert text.count("<svg") == 4 * len(outcome.tasks) + 3  # the surface in both timings; Figures 1 to 3
+    assert (
+        text.count("<svg") == 4 * len(outcome.tasks) + 4
+    )  # the surface in both timings; Figures 1 to 3; a front opens the page
     assert ">nan<" not in text
     assert text.count("EMBC 2007") == 1  # what "the note" is
     assert "0.048, its own" in text
