@@ -291,9 +291,7 @@ class ThermalSettings:
 # ---- Programme: what is done with the device at which temperature, as motions on the clock of the chamber.
 
 Work = Callable[[Script], Face | None]  # writes what is done at a set-point and returns the face that it leaves up
-Leg = tuple[
-    Motion, Soak | None
-]  # what is recorded without a break, on the clock of the chamber; the visit it belongs to
+Leg = tuple[Motion, Soak | None]  # recorded without a break, on the clock of the chamber; the visit it belongs to
 
 
 def programme_of(kind: ThermalKind, settings: ThermalSettings, streams: Streams) -> tuple[Profile, list[Leg]]:

@@ -91,7 +91,7 @@ class ParameterEffect:
     p_holm: float  # p after Holm over the parameters; NaN without a test
     pairs: tuple[Pair, ...]  # All pairs of values, by their places; empty unless that p is below the level
     judged: Judged | None = (
-        None  # Against the margin; None where subjects with gaps cannot be tested, or with one value
+        None  # Against the margin; None with one value, or where subjects with gaps cannot be tested
     )
 
     @property

@@ -43,9 +43,7 @@ from undrift.sim.table_sessions import BenchErrors
 from undrift.study.space import FURTHER, TURN_RATES, Setting, Space
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
-Objective = Literal[
-    "rms", "maximum", "end"
-]  # Of the pitch error over the motion; end: its median over the last half second
+Objective = Literal["rms", "maximum", "end"]  # Of the pitch error over the motion; end: median of its last half second
 # The true pitch of the same instant, as who acts on the display needs it; or that of the instant which the readings belong to
 Timing = Literal["real time", "offline"]
 Search = Literal["grid", "halving", "cma"]

@@ -48,9 +48,7 @@ class Split:
     rms_deg: float  # With all effects, root of the mean square over the subjects, deg
     judged: Judged  # The parameter's values with all effects
     terms: tuple[Term, ...]  # By falling share
-    together: (
-        float  # Share that no single effect takes with it: several at once, or none of those that were switched off
-    )
+    together: float  # Share that no single effect takes with it: several at once, or none of those switched off
 
     @property
     def covering(self) -> tuple[Term, ...]:

@@ -405,9 +405,7 @@ def power_to_decide(difference: float, sd: float, subjects: int, *, margin: floa
     scale = float(np.sqrt(subjects)) / sd
     if size > margin:
         return float(nct.sf(t_distribution.isf(level / 2.0, dof), dof, (size - margin) * scale))
-    critical = t_distribution.isf(
-        level, dof
-    )  # each one-sided test; the two can fail apart, so the sum bounds it from below
+    critical = t_distribution.isf(level, dof)  # of each one-sided test; they can fail apart: the sum is a lower bound
     both = nct.cdf(-critical, dof, (size - margin) * scale) - nct.cdf(critical, dof, (size + margin) * scale)
     return max(float(both), 0.0)
 
