@@ -76,8 +76,7 @@ def forecast(study: Study, folder: Path, *, workers: int, rivals: bool, real: Re
     store, searched = run.RunStore(folder, study), study.search != "grid"
     sessions, cohort, split = 0.0, 0.0, 0.0
     for task in study.tasks:
-        setting = task.space.setting_of(task.space.first[0])
-        whole = Unit(study=study, task=task, subject=0, **setting._asdict())
+        whole = Unit(study=study, task=task, subject=0, setting=task.space.setting_of(task.space.first[0]))
         one = replace(whole, task=replace(task, space=task.space.narrowed(task.space.first)))
         run_unit(one)  # what is compiled or imported the first time does not count
         crossed = sum(other.name == task.name for other in study.tasks)
@@ -207,7 +206,9 @@ def judge_study(
         halvings = halved = searching.search_study(study, executor, folder, advance=advance, tell=tell)
         runs, met = sum(each.runs for each in halved), tuple(each.surface for each in halved)
     surfaces = tuple(map(run.without_lost, met))
-    optima = tuple(judge.find_optimum(surface, **_limits(study)) for surface in surfaces)
+    names = ("objective", "timing", "level", "margin_deg", "rig_minutes_max")
+    limits: Any = {name: getattr(study, name) for name in names}
+    optima = tuple(judge.find_optimum(surface, **limits) for surface in surfaces)
     begin("the other cohort")
     others, tested = judge.other_study(study), judge.run_testing(study, surfaces, optima, folder / TESTING)
     categories = compare_categories(study, surfaces, optima, folder / TESTING)
@@ -247,12 +248,6 @@ def judge_study(
         real=None if real is None else judge_real(real, study),
         categories=categories,
     )
-
-
-def _limits(study: Study) -> Any:
-    """Return what an optimum is found by."""
-    names = ("objective", "timing", "level", "margin_deg", "rig_minutes_max")
-    return {name: getattr(study, name) for name in names}
 
 
 def _designs(study: Study, task: StudyTask, surface: run.TaskSurface, optimum: judge.Optimum) -> tuple[DesignRow, ...]:
@@ -367,10 +362,9 @@ def _stopping(study: Study, surface: run.TaskSurface, optimum: judge.Optimum) ->
     if not tested:
         return "", None
     least = min(tested, key=lambda effect: effect.p_holm)
-    columns = {name: surface.column(name) for name in surface.names}
-    same = [np.isclose(c, c[optimum.best]) for name, c in columns.items() if name != least.name]
-    held = np.all(same, axis=0) & np.isin(columns[least.name], least.values)
-    table = surface.error(study.objective, study.timing)[:, held]
+    line = surface.line(optimum.best, least.name)
+    line = line[np.isin(surface.column(least.name)[line], least.values)]
+    table = surface.error(study.objective, study.timing)[:, np.sort(line)]
     table = table[np.isfinite(table).all(axis=1)]  # looks are at subjects with every run
     if len(table) <= FIRST_LOOK:
         return "", None

@@ -49,7 +49,7 @@ from undrift.sim.table_sessions import BenchErrors
 from undrift.study.case import REST_S, pitch_error, wear
 from undrift.study.plan import DEVICE, MARGIN_DEG, NOTE_BENCH
 from undrift.study.run import Executor, InProcess
-from undrift.study.statistics import Decision, compare_pairs, decide
+from undrift.study.statistics import Decision, decide_between
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 from undrift.validation.trial import of_known
 
@@ -543,9 +543,8 @@ def _triad_rows(plan: RivalPlan, units: list[_Compared], name: TriadName) -> tup
     def decided(k: int, m: int) -> Decision | None:
         if table is None or m == table or len(units) < 3:
             return None
-        (pair,) = compare_pairs(worth[:, k, [m, table]])
         tests = len(figures) * (len(plan.methods) - 1)
-        return decide(pair, len(units), of=0, margin=plan.margin_deg, level=plan.level, tests=tests)
+        return decide_between(worth[:, k, m], worth[:, k, table], margin=plan.margin_deg, level=plan.level, tests=tests)
 
     return tuple(
         TriadRow(

@@ -23,7 +23,6 @@ class Category:
     """How people of one category perform the three tasks."""
 
     label: str  # For people
-    tinetti_level: int = 2  # 1 no imbalance ... 4 major imbalance: a label
     age_years: Range | None = None  # None: the note's Table 2, by group
     height: Range | None = None  # m, as above
     typical_age_years: float  # That the numbers below hold for; a year more adds 0.3 % to durations and 1 % to sway
@@ -52,7 +51,6 @@ CATEGORIES: dict[CategoryName, Category] = {
     "level_2": Category(label="Tinetti level 2", typical_age_years=63.5),
     "young": Category(
         label="healthy young",
-        tinetti_level=1,
         age_years=(20.0, 28.0, 40.0),  # assumed
         height=(1.55, 1.73, 1.95),  # assumed
         typical_age_years=28.0,
@@ -68,7 +66,6 @@ CATEGORIES: dict[CategoryName, Category] = {
     ),
     "elderly": Category(
         label="healthy elderly, Tinetti >= 24",
-        tinetti_level=1,
         age_years=(65.0, 73.0, 85.0),  # assumed
         height=(1.50, 1.66, 1.85),  # note: of its subjects
         typical_age_years=73.0,
@@ -82,7 +79,6 @@ CATEGORIES: dict[CategoryName, Category] = {
     ),
     "impaired": Category(
         label="Tinetti <= 18",
-        tinetti_level=3,
         age_years=(68.0, 80.0, 92.0),  # assumed
         height=(1.45, 1.62, 1.80),  # assumed
         typical_age_years=80.0,
