@@ -206,9 +206,7 @@ def judge_study(
         halvings = halved = searching.search_study(study, executor, folder, advance=advance, tell=tell)
         runs, met = sum(each.runs for each in halved), tuple(each.surface for each in halved)
     surfaces = tuple(map(run.without_lost, met))
-    names = ("objective", "timing", "level", "margin_deg", "rig_minutes_max")
-    limits: Any = {name: getattr(study, name) for name in names}
-    optima = tuple(judge.find_optimum(surface, **limits) for surface in surfaces)
+    optima = tuple(judge.find_optimum(surface, **_limits(study)) for surface in surfaces)
     begin("the other cohort")
     others, tested = judge.other_study(study), judge.run_testing(study, surfaces, optima, folder / TESTING)
     categories = compare_categories(study, surfaces, optima, folder / TESTING)
@@ -248,6 +246,12 @@ def judge_study(
         real=None if real is None else judge_real(real, study),
         categories=categories,
     )
+
+
+def _limits(study: Study) -> Any:
+    """Return what an optimum is found by."""
+    names = ("objective", "timing", "level", "margin_deg", "rig_minutes_max")
+    return {name: getattr(study, name) for name in names}
 
 
 def _designs(study: Study, task: StudyTask, surface: run.TaskSurface, optimum: judge.Optimum) -> tuple[DesignRow, ...]:
