@@ -64,7 +64,7 @@ def shares(study: Study) -> list[Figure]:
     for task in study.tasks:
         units = [unit for unit in units_of(study) if unit.task is task and unit.subject < 4]
         took = np.array([stages_of(unit) for unit in units])[len(task.space.cutoff_hz) :]
-        runs = len(took) * len(task.candidates(1.0))
+        runs = len(took) * len(task.space.rows())
         label = f"{task.name}: runs in a second of one processor"
         figures.append(Figure(label, runs / took.sum(), "1/s"))
         for stage, seconds in zip(STAGES, took.sum(axis=0), strict=True):
@@ -85,9 +85,10 @@ def stages_of(unit: Unit) -> list[float]:
     list of float
         Seconds of the processor that each stage took.
     """
-    study, subject, protocols = unit.study, unit.subject, unit.task.candidates(unit.cutoff_hz)
+    study, subject = unit.study, unit.subject
+    protocols = tuple(map(unit.task.protocol_of, unit.task.space.points_at(unit.setting)))
     times = [time.process_time()]
-    case = make_case(study, unit.task, subject, unit.cutoff_hz)
+    case = make_case(study, unit.task, subject, unit.setting)
     times.append(time.process_time())
     every = joined([session_of(protocol) for protocol in protocols])
     times.append(time.process_time())

@@ -15,7 +15,7 @@ from undrift.arrays import FloatArray
 from undrift.drift.fit import fit_drift
 from undrift.drift.learn import LearnFit, learn_drift
 from undrift.model import Calibration
-from undrift.sim.daily_use import DailyUseSettings, Day, board_temperature, draw_day, shifted, simulate_daily_use
+from undrift.sim.daily_use import DailyUseSettings, Day, board_temperature, draw_day, simulate_daily_use
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.presets import random_device_of
 from undrift.sim.device.simulate import simulate_device
@@ -98,7 +98,7 @@ def calibrated(
     held = replace(held, provenance=replace(held.provenance, created=START.isoformat()))
     if chamber is None:
         return held
-    heated = shifted(device, rng.normal(0.0, use.turn_on, 3))
+    heated = replace(device, gyro=device.gyro.shifted(rng.normal(0.0, use.turn_on, 3)))
     settings = ThermalSettings(bench=BenchSettings(sample_rate_hz=10.0), ramp=chamber)
     fit = fit_drift([simulate_thermal_session("ramp", heated, rng=rng, settings=settings)], held)
     made = fit.calibration
@@ -131,7 +131,10 @@ def a_new_day(
     )
     shift = last.aged + use.turn_on * rng.standard_normal(3)
     record = simulate_device(
-        shifted(device, shift).without_noise(), still, rng=rng, temp_c=board_temperature(still, rng, use)
+        replace(device, gyro=device.gyro.shifted(shift)).without_noise(),
+        still,
+        rng=rng,
+        temp_c=board_temperature(still, rng, use),
     ).record
     model = fit.calibration.gyro
     assert model is not None

@@ -44,9 +44,7 @@ def modelled() -> tuple[tuple[np.ndarray, np.ndarray], ...]:
     rng = np.random.default_rng(0)
     found = []
     for number in range(1, 61):
-        person = Subject(
-            number=number, group="testing", age_years=AGE, height=HEIGHT, tinetti_level=2, habits=draw_streams(rng)
-        )
+        person = Subject(number=number, group="testing", age_years=AGE, height=HEIGHT, habits=draw_streams(rng))
         task = draw_task("posturography", rng=rng, subject=person)
         time = np.arange(task.moving_s[0] + 2.5, task.moving_s[1] - 2.5, STEP_S)
         motion = task.at(time, 9.81)

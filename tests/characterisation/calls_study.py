@@ -5,6 +5,7 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
+from scipy.linalg import helmert
 
 from characterisation.shared import Result, call, folder, text_file, undrift
 from testkit.loop_margins import loop_margins, ramp_error_counts
@@ -31,7 +32,6 @@ from undrift.study.statistics import (
     compare_conditions,
     compare_pairs,
     compare_unbalanced,
-    contrasts,
     power_of_anova,
     stopping_of,
     subjects_needed,
@@ -140,7 +140,7 @@ def statistics() -> Result:
         },
         "pairs": [[p.difference, *p.interval, p.t, p.p_value, p.p_holm, p.cohen_dz] for p in compare_pairs(y)],
         "holm": adjust_holm([0.01, 0.04, 0.03, 0.2]),
-        "contrasts": contrasts(4),
+        "contrasts": helmert(4),
         "power": [power_of_anova([0.0, 0.1, 0.25], 1.0, n, epsilon=0.8) for n in (10, 20, 40)],
         "subjects_needed": subjects_needed([0.0, 0.2, 0.5], 1.0),
         "looks": {"p": looks.p_by_subjects, "crossings": looks.crossings, "false_alarm": looks.false_alarm},

@@ -62,7 +62,7 @@ def statistics(theta: Array) -> Array:
 
 def bound(device: DeviceModel) -> Array:
     theta = truth(device)
-    variance = device.gyro.raw_random_walk**2 * BENCH.sample_rate_hz
+    variance = (device.gyro.gain * device.gyro.white_noise.random_walk) ** 2 * BENCH.sample_rate_hz
     faces = np.array([1.0 / (s.stop - s.start) for s in FACES])
     turns = np.array([(t.stop - t.start) / BENCH.sample_rate_hz**2 for t in MOTION.turns])
     spread = np.concatenate((faces, turns))[:, None] * variance

@@ -100,7 +100,7 @@ def bounds(device: DeviceModel, moves: Moves) -> tuple[Array, Array]:
     up = moves.up @ turn.T
     theta = np.concatenate((p, np.arctan2(up[:, 1], up[:, 0]), np.arcsin(up[:, 2])))
     steps = np.concatenate((np.full(6, 1e-4 * p[0]), np.full(3, 1e-2), np.full(2 * POSES, 1e-5)))
-    variance = device.accel.raw_random_walk**2 * SETTINGS.sample_rate_hz
+    variance = (device.accel.gain * device.accel.white_noise.random_walk) ** 2 * SETTINGS.sample_rate_hz
     accel = jacobian(accel_means, theta, steps)
     stills = information(accel, (variance / moves.samples[:, None]).ravel())
     alone = np.linalg.inv(stills[:9, :9] - stills[:9, 9:] @ np.linalg.solve(stills[9:, 9:], stills[9:, :9]))
@@ -112,7 +112,7 @@ def bounds(device: DeviceModel, moves: Moves) -> tuple[Array, Array]:
     lean = jacobian(directions, theta[9:], 1e-5).reshape(POSES, 3, -1)
     design = np.concatenate((by_matrix, -by_rate @ gyro, turned @ lean[:-1] - lean[1:]), axis=2)
     across = np.linalg.svd(up[1:, None, :])[2][:, 1:]  # (J, 2, 3): two unit vectors across
-    sigma = turn.T @ gyro * device.gyro.raw_random_walk * np.sqrt(SETTINGS.sample_rate_hz)
+    sigma = turn.T @ gyro * (device.gyro.gain * device.gyro.white_noise.random_walk) * np.sqrt(SETTINGS.sample_rate_hz)
     noise = np.einsum("jacbd,bd->jac", moves.spread, sigma @ sigma.T)
     covariance = across @ (turn @ noise @ turn.T) @ across.transpose(0, 2, 1)
     design = across @ design
@@ -122,7 +122,7 @@ def bounds(device: DeviceModel, moves: Moves) -> tuple[Array, Array]:
     of_turns = np.einsum("jap,jaq->pq", design, np.linalg.solve(covariance, design))
     places = np.concatenate((np.arange(12), np.arange(21, 21 + 2 * POSES)))
     whole[np.ix_(places, places)] += of_turns
-    rest = device.gyro.raw_random_walk**2 * SETTINGS.sample_rate_hz / moves.samples.sum()
+    rest = (device.gyro.gain * device.gyro.white_noise.random_walk) ** 2 * SETTINGS.sample_rate_hz / moves.samples.sum()
     whole[np.arange(9, 12), np.arange(9, 12)] += 1.0 / rest
     together = np.linalg.inv(whole[:12, :12] - whole[:12, 12:] @ np.linalg.solve(whole[12:, 12:], whole[12:, :12]))
     return np.sqrt(np.diag(alone)), np.sqrt(np.diag(together))
@@ -158,7 +158,7 @@ def test_error_of_many_devices_reaches_the_bound_and_its_intervals_hold(devices:
             moves = moves_of(motion)
         device = white_device(rng)
         record = simulate_device(device, motion, rng=rng).record
-        sd = device.accel.raw_random_walk * np.sqrt(50.0 / moves.samples[:, None])
+        sd = (device.accel.gain * device.accel.white_noise.random_walk) * np.sqrt(50.0 / moves.samples[:, None])
         p, matrix, offset, _ = triangular_truth(device)
         accel = fit_poses(still_means(record, motion), gravity=STANDARD_GRAVITY, standard_errors=sd).model
         gyro = fit_gyro_between_stills((record,), motion.stills, accel).model

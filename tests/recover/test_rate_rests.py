@@ -92,7 +92,7 @@ def feigned(device: DeviceModel) -> Array:
 
 def white(device: DeviceModel) -> Array:
     """Return the white noise of one second, (3,)."""
-    return device.gyro.raw_random_walk
+    return device.gyro.gain * device.gyro.white_noise.random_walk
 
 
 def fitted(device: DeviceModel, rng: np.random.Generator, walk: float) -> RateTableFit:

@@ -35,7 +35,7 @@ def means_of(device: DeviceModel, rng: np.random.Generator) -> DwellMeans:
     """Return plain means of the settled dwells, with the noise that is in them: a spline filter leaves the mean alone."""
     gyro = simulate_device(device, MOTION, rng=rng).record.gyro
     assert gyro is not None
-    sd = device.gyro.raw_random_walk * np.sqrt(BENCH.sample_rate_hz)
+    sd = (device.gyro.gain * device.gyro.white_noise.random_walk) * np.sqrt(BENCH.sample_rate_hz)
     counts = np.array([[t.stop - settled(t.start)] for t in MOTION.turns])
     return DwellMeans(
         reading=np.array([gyro[settled(t.start) : t.stop].mean(axis=0) for t in MOTION.turns]),

@@ -53,7 +53,7 @@ def bound(device: DeviceModel, tilt: float, free: int = 12) -> Array:
         return UP @ x[:9].reshape(3, 3).T + np.append(x, np.zeros(12 - len(x)))[9:12]
 
     samples = np.array([300] + [299] * 5)
-    noise = np.diag(device.accel.raw_random_walk**2 * BENCH.sample_rate_hz)
+    noise = np.diag((device.accel.gain * device.accel.white_noise.random_walk) ** 2 * BENCH.sample_rate_hz)
     across = tilt**2 * (STANDARD_GRAVITY**2 * np.eye(3) - UP[:, :, None] * UP[:, None, :])
     covariance = noise / samples[:, None, None] + gain @ across @ gain.T
     design = jacobian(mean, theta[:free], 1.0)  # linear: any step is exact

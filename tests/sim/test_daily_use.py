@@ -9,7 +9,7 @@ from testkit.data import show
 from undrift.cli.app import run
 from undrift.errors import InputError
 from undrift.io.formats import read_record
-from undrift.sim.daily_use import DailyUseSettings, board_temperature, draw_day, shifted, simulate_daily_use
+from undrift.sim.daily_use import DailyUseSettings, board_temperature, draw_day, simulate_daily_use
 from undrift.sim.device.presets import preset
 from undrift.units import RADIAN_PER_DEGREE as DPS
 
@@ -41,10 +41,10 @@ def test_the_board_warms_in_use_and_cools_when_put_down():
 
 
 def test_a_shift_moves_the_constant_offset_alone():
-    device = preset("mpu6050")
-    moved = shifted(device, np.array([1.0, 2.0, 3.0]))
-    np.testing.assert_allclose(moved.gyro.offset.constant - device.gyro.offset.constant, [1.0, 2.0, 3.0])
-    np.testing.assert_array_equal(moved.gyro.offset.per_k, device.gyro.offset.per_k)
+    gyro = preset("mpu6050").gyro
+    moved = gyro.shifted(np.array([1.0, 2.0, 3.0]))
+    np.testing.assert_allclose(moved.offset.constant - gyro.offset.constant, [1.0, 2.0, 3.0])
+    np.testing.assert_array_equal(moved.offset.per_k, gyro.offset.per_k)
 
 
 def test_the_command_writes_a_recording_for_each_day_named_by_its_date(tmp_path, capsys):

@@ -9,6 +9,7 @@ from scipy.interpolate import CubicSpline
 from scipy.stats import ttest_1samp
 
 from testkit.data import show
+from testkit.surfaces import candidates
 from undrift.fit.least_squares import fit_paper
 from undrift.fit.smooth import not_a_knot
 from undrift.model import Calibration, DriftTables, DynamicDrift, StaticDrift
@@ -35,6 +36,7 @@ from undrift.study.case import (
     units_of,
 )
 from undrift.study.plan import Space, Study, StudyTask, note_study
+from undrift.study.space import Setting
 from undrift.units import STANDARD_GRAVITY
 
 DPS = np.pi / 180.0
@@ -101,7 +103,7 @@ def calibrated_slowly(
 def test_many_sessions_fitted_at_once_leave_the_errors_of_each_fitted_alone(temperatures: tuple[float, ...]) -> None:
     made = study(temperatures)
     task, cutoff = made.tasks[0], 20.0
-    protocols, case = task.candidates(cutoff), make_case(made, task, 1, cutoff)
+    protocols, case = candidates(task, cutoff), make_case(made, task, 1, Setting(cutoff))
     every = joined([session_of(protocol) for protocol in protocols])
     accel = faces_of(made, case.device, 1, session_of(protocols[0]).chosen(FACE))
     sessions = every.chosen(REST, RATE)
@@ -126,7 +128,7 @@ def figures_of(error: np.ndarray) -> tuple[float, float, float]:
 def test_errors_are_counted_where_the_truth_is_known_and_not_round_the_circle() -> None:
     made = study(())
     task = made.tasks[0]
-    case, protocols = make_case(made, task, 0, 20.0), task.candidates(20.0)[:1]
+    case, protocols = make_case(made, task, 0, Setting(20.0)), candidates(task, 20.0)[:1]
     sessions = joined([session_of(protocol) for protocol in protocols]).chosen(REST, RATE)
     readings = simulate_turns(made, task.base, case.device, 0, sessions)
     fits = fit_as_the_note(sessions, readings, np.array([(p.turn_rate_max, p.turn_rate_step) for p in protocols]))
@@ -149,8 +151,8 @@ def test_a_delay_costs_in_real_time_and_not_once_it_is_taken_out() -> None:
     made = study()
     task = made.tasks[0]
     for cutoff in (5.0, 20.0):
-        unit = next(unit for unit in units_of(made) if unit.subject == 1 and unit.cutoff_hz == cutoff)
-        runs, case = run_unit(unit), make_case(made, task, 1, cutoff)
+        unit = next(unit for unit in units_of(made) if unit.subject == 1 and unit.setting.cutoff_hz == cutoff)
+        runs, case = run_unit(unit), make_case(made, task, 1, Setting(cutoff))
         rate = np.gradient(case.pitch_now, 0.01)[slice(*case.moving)]
         wanted = case.delay_s * float(np.sqrt(np.nanmean(rate**2))) / DPS
         show(f"real time at {cutoff:g} Hz, deg rms", runs["error_rms_deg"][0], f"delay times rate {wanted:.3f}")
@@ -164,7 +166,7 @@ def test_a_delay_costs_in_real_time_and_not_once_it_is_taken_out() -> None:
 
 def test_a_dwell_has_the_same_draws_in_every_protocol_that_has_it() -> None:
     made = study()
-    device, protocols = device_of(made, 0), made.tasks[0].candidates(5.0)
+    device, protocols = device_of(made, 0), candidates(made.tasks[0], 5.0)
     sessions = joined([session_of(protocol) for protocol in protocols]).chosen(REST, RATE)
     read = simulate_turns(made, made.tasks[0].base, device, 0, sessions)
     of = np.repeat(np.arange(len(protocols)), np.diff(sessions.first))
@@ -203,7 +205,7 @@ def test_the_delay_that_is_found_is_that_of_the_filter(name: str, within_ms: flo
     made = replace(note_study(subjects=3), name="delay")
     task = next(one for one in made.tasks if one.name == name)
     for cutoff in (5.0, 20.0):
-        case = make_case(made, task, 0, cutoff)
+        case = make_case(made, task, 0, Setting(cutoff))
         low_pass = case.device.gyro.low_pass
         assert low_pass is not None
         wanted = float(low_pass.group_delay_s[1]) - 0.005  # about the axis of the pitch; strapdown holds half a sample
@@ -216,7 +218,7 @@ def test_the_delay_that_is_found_is_that_of_the_filter(name: str, within_ms: flo
 def test_parts_of_a_unit_differ_from_subject_to_subject_and_not_from_cut_off_to_cut_off() -> None:
     made = study()
     chains = [
-        make_case(made, made.tasks[0], subject, cutoff).device.gyro
+        make_case(made, made.tasks[0], subject, Setting(cutoff)).device.gyro
         for subject, cutoff in ((0, 5.0), (0, 20.0), (1, 5.0))
     ]
     amplifiers, converters = zip(*((chain.amplifier, chain.adc) for chain in chains), strict=True)
@@ -232,14 +234,15 @@ def test_parts_of_a_unit_differ_from_subject_to_subject_and_not_from_cut_off_to_
     assert np.abs(ratios[0] - 1.0).max() > 1e-4  # what the channels share stays too
     worn = replace(made, worn=quiet_device())
     assert (
-        make_case(worn, worn.tasks[0], 1, 5.0).device.gyro.amplifier.gain == preset("enc03j_3031").gyro.amplifier.gain
+        make_case(worn, worn.tasks[0], 1, Setting(5.0)).device.gyro.amplifier.gain
+        == preset("enc03j_3031").gyro.amplifier.gain
     )
 
 
 def test_a_session_without_rests_calibrates_nothing() -> None:
     made = study()
     task = replace(made.tasks[0], base=replace(made.tasks[0].base, bracket_s=0.0))
-    runs = run_unit(Unit(study=replace(made, tasks=(task,)), task=task, subject=0, cutoff_hz=5.0))
+    runs = run_unit(Unit(study=replace(made, tasks=(task,)), task=task, subject=0, setting=Setting(5.0)))
     assert np.isnan(runs["error_rms_deg"]).all()
     assert (runs["rig_minutes"] > 0.0).all()
 

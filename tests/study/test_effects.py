@@ -39,12 +39,12 @@ def plant(folder: Path, missing: tuple[tuple[int, float], ...] = (), lost: int |
     for unit in units_of(STUDY):
         greatest = np.array([30.0, 40.0, 50.0])
         error = own[unit.subject] + 0.004 * np.abs(greatest - OPTIMUM) + rng.normal(0.0, 0.02, 3)
-        if (unit.subject, unit.cutoff_hz) in missing or unit.subject == lost:
+        if (unit.subject, unit.setting.cutoff_hz) in missing or unit.subject == lost:
             error = np.full(3, np.nan)
         store.write(
             unit,
             {
-                "cutoff_hz": np.full(3, unit.cutoff_hz),
+                "cutoff_hz": np.full(3, unit.setting.cutoff_hz),
                 "turn_rate_step_dps": np.full(3, 10.0),
                 "turn_rate_min_dps": np.full(3, 10.0),
                 "turn_rate_max_dps": greatest,
@@ -114,7 +114,7 @@ def test_a_missing_unit_is_judged_by_a_mixed_model_as_statsmodels_fits_it(tmp_pa
     theirs = smf.mixedlm("mdeg ~ 0 + C(cutoff_hz)", runs, groups="subject").fit(reml=True)
     np.testing.assert_allclose(1e3 * effect.means_deg, theirs.fe_params.to_numpy(), atol=1e-3)
     # theirs come from a Hessian by differences: 1e-2 of an uncertainty
-    np.testing.assert_allclose(1e3 * effect.mixed.uncertainties, theirs.bse_fe.to_numpy(), rtol=1e-2)
+    np.testing.assert_allclose(1e3 * np.sqrt(np.diag(effect.mixed.covariance)), theirs.bse_fe.to_numpy(), rtol=1e-2)
     assert 1e3 * effect.mixed.residual_sd == pytest.approx(float(theirs.scale) ** 0.5, rel=1e-3)
     assert 1e3 * effect.mixed.subject_sd == pytest.approx(float(theirs.cov_re.iloc[0, 0]) ** 0.5, rel=1e-2)
     f = float(theirs.f_test(np.array([[1.0, -1.0, 0.0, 0.0], [1.0, 0.0, -1.0, 0.0]])).fvalue)

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from testkit.data import data_path, show
+from testkit.surfaces import candidates
 from undrift.errors import FileFormatError, InputError
 from undrift.io.reference import write_reference
 from undrift.record import Reference
@@ -28,6 +29,7 @@ from undrift.study.plan import (
     read_study,
 )
 from undrift.study.run import InProcess, run_study
+from undrift.study.space import Setting
 
 DPS = np.pi / 180.0
 TEXT = """
@@ -87,7 +89,7 @@ def test_what_the_file_says_arrives(tmp_path: Path) -> None:
     with pytest.raises(FileFormatError, match="margin_deg"):
         read_study(written(tmp_path, TEXT.replace("seed = 5", "seed = 5\nmargin_deg = 0.0")))
     (task,) = study.tasks
-    first = task.candidates(11.1)[0]
+    first = candidates(task, 11.1)[0]
     assert first.turn_rates() == pytest.approx(np.array([-50, -40, -30, -20, 20, 30, 40, 50]) * DPS)
     assert (first.dwell_s, first.bracket_s, first.cutoff_hz) == (1.0, 3.0, 11.1)
     assert first.temperatures_c == (18.0, 36.0, 54.0, 75.0)
@@ -127,7 +129,7 @@ def test_a_motion_of_ones_own_is_performed_by_every_subject_with_another_unit(tm
     own = TEXT.replace('"sit_to_stand"', '"rising"') + '[task.motion]\nfile = "poses.parquet"\nrest_s = 2.0\n'
     study = read_study(written(tmp_path, own))
     (task,) = study.tasks
-    one, two = make_case(study, task, 0, 11.1), make_case(study, task, 1, 11.1)
+    one, two = make_case(study, task, 0, Setting(11.1)), make_case(study, task, 1, Setting(11.1))
     np.testing.assert_array_equal(one.pitch.shape, two.pitch.shape)
     assert one.record.gyro is not None
     assert two.record.gyro is not None
@@ -142,7 +144,7 @@ def test_a_captured_sit_to_stand_is_a_motion_of_ones_own(tmp_path: Path) -> None
     own = TEXT.replace('"sit_to_stand"', '"rising"').replace("excursion_k", "name = 'captured'\nexcursion_k")
     own += f'[task.motion]\nfile = "{trial}"\nbody = "pelvis"\nup = "y"\nrest_s = 6.0\nhold = true\n'
     study = read_study(written(tmp_path, own))
-    case = make_case(study, study.tasks[0], 0, 11.1)
+    case = make_case(study, study.tasks[0], 0, Setting(11.1))
     lean = np.ptp(case.pitch[case.moving[0] : case.moving[1] - 50]) / DPS
     show("pelvis, pitch of five stand-ups, deg", lean, "20 to 60")
     assert 20.0 < lean < 60.0  # a trunk leans 43 deg

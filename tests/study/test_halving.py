@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from testkit.data import show
-from testkit.surfaces import errors
+from testkit.surfaces import candidates, errors
 from undrift.errors import NotObservable
 from undrift.rig.programme import Protocol
 from undrift.study import run
@@ -34,16 +34,21 @@ BEST = (9.0, 6.0, 9.0, 27.0)
 def planted(unit: Unit) -> dict[str, np.ndarray]:
     """Errors with a known best protocol, and noise that would fool a look at one subject."""
     table = (
-        np.array([(p.turn_rate_step, p.turn_rate_min, p.turn_rate_max) for p in unit.task.candidates(unit.cutoff_hz)])
+        np.array(
+            [
+                (p.turn_rate_step, p.turn_rate_min, p.turn_rate_max)
+                for p in candidates(unit.task, unit.setting.cutoff_hz)
+            ]
+        )
         / DPS
     )
-    rng = np.random.default_rng([unit.subject, round(10 * unit.cutoff_hz)])
-    cost = abs(unit.cutoff_hz - BEST[0]) / 5.0 + np.abs(table - BEST[1:]).sum(axis=1) / 15.0
+    rng = np.random.default_rng([unit.subject, round(10 * unit.setting.cutoff_hz)])
+    cost = abs(unit.setting.cutoff_hz - BEST[0]) / 5.0 + np.abs(table - BEST[1:]).sum(axis=1) / 15.0
     error = (
         0.2 + 0.2 * cost + rng.normal(0.0, 0.08, len(table)) + np.random.default_rng(unit.subject).normal(0.0, 0.3) ** 2
     )
     return {
-        "cutoff_hz": np.full(len(table), unit.cutoff_hz),
+        "cutoff_hz": np.full(len(table), unit.setting.cutoff_hz),
         "turn_rate_step_dps": table[:, 0],
         "turn_rate_min_dps": table[:, 1],
         "turn_rate_max_dps": table[:, 2],

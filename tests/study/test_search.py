@@ -23,7 +23,7 @@ from undrift.study.outcome import judge_study
 from undrift.study.plan import TABLE_1, Study, StudyTask, ends_of, note_study, read_study
 from undrift.study.run import InProcess, run_study
 from undrift.study.search import Lists, count_runs, drawn, estimated, front_of, search_study
-from undrift.study.space import Space
+from undrift.study.space import Setting, Space
 
 DPS = np.pi / 180.0
 BASE = Protocol(grid="paper", dwell_s=1.0, bracket_s=3.0, temperatures_c=(18.0, 36.0, 54.0, 75.0))
@@ -116,7 +116,7 @@ def test_lists_of_a_file_arrive_and_the_search_and_its_size_do(tmp_path: Path) -
     assert dict(task.space.further) == {
         "gain": (10.0, 20.0), "quality": (0.58,), "faces": (5.0, 6.0), "set_points": (1.0, 5.0), "static_step_c": (1.0,)
     }  # fmt: skip
-    first, last = task.protocols()[0], task.protocols()[-1]
+    first, last = (task.protocol_of(task.space.points()[place]) for place in (0, -1))
     assert (len(first.faces), first.temperatures_c) == (5, ())
     assert (len(last.faces), last.temperatures_c) == (6, (18.0, 30.0, 45.0, 60.0, 75.0))
     assert [setting.gain for setting in task.space.settings()] == [10.0, 20.0]
@@ -158,7 +158,7 @@ def test_a_gain_that_clips_and_one_with_few_codes_lose() -> None:
     space = {"turn_rate_min": (5.0 * DPS,), "turn_rate_step": (5.0 * DPS,), "turn_rate_max": (20.0 * DPS,)}
     task = task_of(further=(("gain", (1.0, 20.0, 150.0)),), cutoff_hz=(20.0,), **space)
     study = study_of(task, subjects=6, bench=BenchErrors())
-    gains = [make_case(study, task, 0, 20.0, gain).device.gyro for gain in (1.0, 150.0)]
+    gains = [make_case(study, task, 0, Setting(20.0, gain)).device.gyro for gain in (1.0, 150.0)]
     assert gains[0].full_scale > 1000.0 * DPS
     assert gains[1].full_scale < 60.0 * DPS
     errors = np.array([run_unit(unit)["error_rms_deg"][0] for unit in units_of(study)]).reshape(6, 3)

@@ -10,7 +10,6 @@ from undrift.study.statistics import (
     compare_conditions,
     compare_pairs,
     compare_unbalanced,
-    contrasts,
     power_of_anova,
     stopping_of,
     subjects_needed,
@@ -71,12 +70,6 @@ def test_f_is_the_one_of_statsmodels() -> None:
     ours = compare_conditions(y)
     assert ours.f == pytest.approx(float(theirs["F Value"].iloc[0]), rel=1e-10)
     assert ours.p_uncorrected == pytest.approx(float(theirs["Pr > F"].iloc[0]), rel=1e-9)
-
-
-def test_contrasts_are_orthonormal_and_blind_to_the_mean() -> None:
-    c = contrasts(6)
-    np.testing.assert_allclose(c @ c.T, np.eye(5), atol=1e-15)
-    np.testing.assert_allclose(c @ np.ones(6), 0.0, atol=1e-15)
 
 
 def test_with_two_conditions_it_is_the_paired_t_test() -> None:

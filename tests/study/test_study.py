@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from testkit.data import show
-from testkit.surfaces import errors
+from testkit.surfaces import candidates, errors
 from undrift.errors import InputError, NotObservable
 from undrift.rig.programme import Dwell, Protocol, programme_of
 from undrift.sim.table_sessions import FACE, RATE, REST
@@ -46,7 +46,7 @@ def test_the_notes_study_has_400_protocols_a_task_and_the_notes_own_among_them()
     study = note_study()
     assert count_runs(study) >= 3 * 30 * 400
     for task in study.tasks:
-        protocols = [p for cutoff in task.space.cutoff_hz for p in task.candidates(cutoff)]
+        protocols = [p for cutoff in task.space.cutoff_hz for p in candidates(task, cutoff)]
         assert len(protocols) >= 400
         row = TABLE_1[task.name]
         wanted = (
@@ -188,7 +188,7 @@ def test_the_pareto_front_holds_what_nothing_beats() -> None:
 
 
 def test_a_session_is_laid_out_as_the_protocol_says() -> None:
-    protocol = TASK.candidates(11.1)[0]
+    protocol = candidates(TASK, 11.1)[0]
     laid = session_of(protocol)
     assert (laid.kind == FACE).sum() == 6  # faces, once
     assert (laid.kind == REST).sum() == 4 * 3 * 2  # a rest before and after, for each axis and set-point

@@ -17,7 +17,6 @@ import numpy as np
 from undrift.arrays import FloatArray
 from undrift.errors import InputError
 from undrift.record import Session
-from undrift.sim.device.effects import Offset
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.simulate import simulate_device
 from undrift.sim.motion.motion import Motion, Script, turn_quaternion
@@ -75,17 +74,12 @@ def simulate_daily_use(
         aged = aged + settings.ageing / _WALKING**0.5 * rng.standard_normal(3)
         shift = aged + settings.turn_on * rng.standard_normal(3)
         motion = motions[int(rng.integers(len(motions)))] if motions else draw_day(rng, settings)
-        made = simulate_device(shifted(device, shift), motion, rng=rng, temp_c=board_temperature(motion, rng, settings))
+        today = replace(device, gyro=device.gyro.shifted(shift))
+        made = simulate_device(today, motion, rng=rng, temp_c=board_temperature(motion, rng, settings))
         session = Session(
             kind="thermal", serial=device.serial, gravity_m_s2=motion.gravity_m_s2, records=(made.record,)
         )
         yield Day(number=number, session=session, shift=shift, aged=aged.copy())
-
-
-def shifted(device: DeviceModel, by: FloatArray) -> DeviceModel:
-    """Return a device whose gyroscopes' offset is another, by (3,) rad/s."""
-    offset = device.gyro.offset or Offset()
-    return replace(device, gyro=replace(device.gyro, offset=replace(offset, constant=offset.constant + by)))
 
 
 def board_temperature(motion: Motion, rng: np.random.Generator, settings: DailyUseSettings) -> FloatArray:

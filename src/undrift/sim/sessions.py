@@ -41,6 +41,7 @@ def simulate_session(
     rng: np.random.Generator,
     settings: BenchSettings | None = None,
     temp_c: float | tuple[float, float] | None = None,
+    power_on_s: float = 0.0,
     labelled: bool = True,
 ) -> Session:
     """Return a calibration session of a simulated device.
@@ -58,6 +59,8 @@ def simulate_session(
     temp_c : float or (float, float), optional
         Board temperature, degC: constant, or at start and end with an even rise; the reference temperature where not
         given.
+    power_on_s : float
+        Time since power-on at the first sample, s.
     labelled : bool
         False leaves stills and turns to be found in the data.
 
@@ -76,7 +79,8 @@ def simulate_session(
     (9, 102)
     """
     motion = bench_motion(kind, rng=rng, settings=settings)
-    reading = simulate_device(device, motion, rng=rng, temp_c=_temperature(temp_c, len(motion)))
+    temp = _temperature(temp_c, len(motion))
+    reading = simulate_device(device, motion, rng=rng, temp_c=temp, power_on_s=power_on_s)
     return Session(
         kind="calibration",
         serial=device.serial,

@@ -44,9 +44,8 @@ _OFFSET: dict[str, tuple[str, ...]] = {
     "instability": ("instability",),
     "random_walk": ("bias_walk",),
 }
-_ZEROED: dict[
-    tuple[EffectName, str], dict[str, tuple[str, ...]]
-] = {  # effect and triad: fields of each of its chain's effects
+# Effect and triad: fields of each of its chain's effects
+_ZEROED: dict[tuple[EffectName, str], dict[str, tuple[str, ...]]] = {
     ("gyroscope offset", "gyro"): _OFFSET,
     ("accelerometer offset", "accel"): _OFFSET,
     **{("noise", triad): {"white_noise": ("random_walk",)} for triad in ("gyro", "accel")},

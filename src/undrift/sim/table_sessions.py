@@ -12,6 +12,7 @@ The device is mounted once for each axis and swept through the set-points; a tab
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -72,6 +73,7 @@ class Sessions:
         return replace(self, **rows, first=counts[self.first])
 
 
+@lru_cache(maxsize=256)
 def lay_out(protocol: Protocol) -> Sessions:
     """Lay out the session of a protocol, with the shortest settling."""
     if protocol.turn_rate_step <= 0.0:

@@ -1,6 +1,4 @@
-"""Thermal sessions of a device and a climatic chamber that do not exist.
-
-Thermal sessions of a simulated device: soaks, ramps, warm-ups, poses at several temperatures.
+"""Thermal sessions of a device and a climatic chamber that do not exist: soaks, ramps, warm-ups, poses at several temperatures.
 
 A programme of hours is simulated leg by leg. What a device remembers from leg to leg is kept: its age, the play of its
 hysteresis (by the turns of temperature before, for a play has no clock), where a random walk had gone, and what the thermometer
@@ -20,8 +18,6 @@ faster than the limit. Without a chamber a board warms itself, in two terms: die
 
     b = end - (end - start) (p exp(-t / t_1) + (1 - p) exp(-t / t_2))
 
-Programme: what is done with the device at which temperature, as motions on the clock of the chamber.
-
 A leg is a stretch that is recorded without a break: a visit to a set-point, a whole ramp, a whole warm-up.
 """
 
@@ -35,7 +31,7 @@ import numpy as np
 from undrift.arrays import FloatArray, frozen
 from undrift.errors import InputError
 from undrift.record import FACES, Face, Record, Session, Still, Turn
-from undrift.sim.device.effects import Offset, Past, Scene, SensorChain, Thermometer
+from undrift.sim.device.effects import Past, Scene, Thermometer
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.simulate import Simulated, Streams, draw_streams, simulate_device
 from undrift.sim.motion.bench import BenchSettings, free_poses, rest_on_faces, script_motion, steady_rates
@@ -291,9 +287,7 @@ class ThermalSettings:
 # ---- Programme: what is done with the device at which temperature, as motions on the clock of the chamber.
 
 Work = Callable[[Script], Face | None]  # writes what is done at a set-point and returns the face that it leaves up
-Leg = tuple[
-    Motion, Soak | None
-]  # what is recorded without a break, on the clock of the chamber; the visit it belongs to
+Leg = tuple[Motion, Soak | None]  # recorded without a break, on the clock of the chamber; the visit it belongs to
 
 
 def programme_of(kind: ThermalKind, settings: ThermalSettings, streams: Streams) -> tuple[Profile, list[Leg]]:
@@ -444,7 +438,12 @@ def _read(
     for leg in legs:
         time = leg[0].time
         walked = _walked_on(device, walked, float(time[0]) - ended_s, rng)
-        made, first = _simulated(leg[0], profile, _shifted(device, walked), settings.power_on_s, rng)
+        gyro, accel = (
+            chain.shifted(by) if chain.random_walk else chain
+            for chain, by in zip((device.gyro, device.accel), walked, strict=True)
+        )
+        moved = replace(device, gyro=gyro, accel=accel)
+        made, first = _simulated(leg[0], profile, moved, settings.power_on_s, rng)
         walked = (walked[0] + made.gyro.of("random_walk")[-1], walked[1] + made.accel.of("random_walk")[-1])
         ended_s = float(time[-1])
         noise = draw_streams(rng).of("thermometer")
@@ -496,16 +495,6 @@ def _walked_on(device: DeviceModel, walked: Walks, gap_s: float, rng: np.random.
         for name, chain, at in (("gyro_walk", device.gyro, walked[0]), ("accel_walk", device.accel, walked[1]))
     )
     return gyro, accel
-
-
-def _shifted(device: DeviceModel, walked: Walks) -> DeviceModel:
-    def shift(chain: SensorChain, by: FloatArray) -> SensorChain:
-        if chain.random_walk is None:
-            return chain
-        offset = chain.offset or Offset()
-        return replace(chain, offset=replace(offset, constant=offset.constant + by))
-
-    return replace(device, gyro=shift(device.gyro, walked[0]), accel=shift(device.accel, walked[1]))
 
 
 def _labels(

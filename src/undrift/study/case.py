@@ -17,7 +17,7 @@ import zlib
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any, NamedTuple, cast
+from typing import Any, cast
 
 import numpy as np
 
@@ -30,7 +30,7 @@ from undrift.orientation import IN_PLANE, initial_tilt, orient, sagittal_pitch
 from undrift.record import FACES, Record, Reference, Still
 from undrift.rig.programme import DAMPING, Protocol
 from undrift.sim.device.dwells import board_readings, mean_readings, numbers_of_dwell
-from undrift.sim.device.effects import BUTTERWORTH, LowPass, SensorChain
+from undrift.sim.device.effects import BUTTERWORTH, LowPass
 from undrift.sim.device.model import DeviceModel, device_from_json
 from undrift.sim.device.presets import preset, preset_grade, random_device_of
 from undrift.sim.device.simulate import filtered, simulate_device
@@ -102,40 +102,21 @@ def typical_unit(study: Study) -> DeviceModel:
     return device_of(study, 0) if study.worn else preset(study.device)
 
 
-def _of_parts(chain: SensorChain, gain: float, null: float, reference: float) -> SensorChain:
-    """Return a chain with the amplifier and the converter that parts make; without an amplifier it is one part, and stays."""
-    if chain.amplifier is None:
-        return chain
-    amplifier = replace(chain.amplifier, gain=chain.amplifier.gain * gain, null=chain.amplifier.null * null)
-    adc = None if chain.adc is None else replace(chain.adc, reference=chain.adc.reference * reference)
-    return replace(chain, amplifier=amplifier, adc=adc)
-
-
 def perform(study: Study, task: StudyTask, number: int) -> tuple[Task | RecordedTask, Motion]:
     """Return what a subject does, and its motion at the samples of a record."""
-    return _perform(study, _done(task), number)
+    return _perform(study, task.name, task.category, task.motion, number)
 
 
-class _Done(NamedTuple):
-    """What of a task says what its subjects do."""
-
-    name: str
-    category: CategoryName
-    motion: OwnMotion | None
-
-
-def _done(task: StudyTask) -> _Done:
-    return _Done(task.name, task.category, task.motion)
-
-
-@lru_cache(maxsize=2)  # units of one subject follow each other
-def _perform(study: Study, done: _Done, number: int) -> tuple[Task | RecordedTask, Motion]:
+@lru_cache(maxsize=2)  # units of one subject follow each other, whatever is tried on it
+def _perform(
+    study: Study, name: str, category: CategoryName, motion: OwnMotion | None, number: int
+) -> tuple[Task | RecordedTask, Motion]:
     performed: Task | RecordedTask
-    if done.motion is not None:
-        performed = read_motion(done.motion)
+    if motion is not None:
+        performed = read_motion(motion)
     else:
-        rng, person = seeded(study, "task", done.name, number), subject_of(study, number, done.category)
-        performed = draw_task(cast("TaskName", done.name), rng=rng, subject=person, rest_s=REST_S)
+        rng, person = seeded(study, "task", name, number), subject_of(study, number, category)
+        performed = draw_task(cast("TaskName", name), rng=rng, subject=person, rest_s=REST_S)
     return performed, performed.at(_samples(performed), STANDARD_GRAVITY)
 
 
@@ -147,21 +128,19 @@ def make_case(
     study: Study,
     task: StudyTask,
     number: int,
-    cutoff_hz: float,
-    gain: float | None = None,
-    quality: float | None = None,
+    setting: Setting,
     without: EffectName | None = None,
 ) -> Case:
-    """Simulate a subject's trial with a device built for a cut-off, the gain of its gyroscopes and a Q, out of the same parts.
+    """Simulate a subject's trial with a device built for a setting out of the same parts.
 
     One of its effects may be switched off; in real time its delay is then not looked for.
     """
-    setting, (performed, motion) = Setting(cutoff_hz, gain, quality), perform(study, task, number)
+    performed, motion = perform(study, task, number)
     device = unit_of(study, number, setting, without)
     if without is None or not device.sampling.on_grid:
         record = _record_of(study, task.name, number, device, motion)
     else:
-        record = filtered(_unfiltered(study, _done(task), number, gain, without), device)
+        record = filtered(_unfiltered(study, task.name, motion, number, setting.gain, without), device)
     if without == "delay":
         case = _case_of(device, record, performed, motion, delay_of_pitch(device, SAMPLE_RATE_HZ))
         return replace(case, pitch_now=case.pitch)
@@ -178,12 +157,16 @@ def unit_of(study: Study, number: int, setting: Setting, without: EffectName | N
         if name == "gyro" and gain is not None and chain.amplifier is not None:
             chain = replace(chain, amplifier=replace(chain.amplifier, gain=gain))
         if not study.worn:
-            chain = _of_parts(chain, *(1.0 + spread * parts.standard_normal(3)))
+            of_gain, of_null, of_reference = 1.0 + spread * parts.standard_normal(3)
+            if (held := chain.amplifier) is not None:  # without one the chain is one part
+                adc = chain.adc and replace(chain.adc, reference=chain.adc.reference * of_reference)
+                amplifier = replace(held, gain=held.gain * of_gain, null=held.null * of_null)
+                chain = replace(chain, amplifier=amplifier, adc=adc)
         built = 1.0 if quality is None else quality / BUTTERWORTH
         low_pass = LowPass(cutoff_hz=np.full(3, cutoff_hz), quality=np.full(3, BUTTERWORTH * built))
-        if (held := chain.low_pass) is not None:
-            designed = float(np.median(held.cutoff_hz)) if grade is None else getattr(grade, name).cutoff_hz
-            low_pass = LowPass(cutoff_hz=cutoff_hz * held.cutoff_hz / designed, quality=held.quality * built)
+        if (own := chain.low_pass) is not None:
+            designed = float(np.median(own.cutoff_hz)) if grade is None else getattr(grade, name).cutoff_hz
+            low_pass = LowPass(cutoff_hz=cutoff_hz * own.cutoff_hz / designed, quality=own.quality * built)
         chains[name] = replace(chain, low_pass=low_pass)
     device = replace(device, **chains)
     return device if without is None else device_without(device, without)
@@ -196,10 +179,12 @@ def _record_of(study: Study, task: str, number: int, device: DeviceModel, motion
 
 
 @lru_cache(maxsize=1)  # the cut-off frequencies of a subject follow each other
-def _unfiltered(study: Study, done: _Done, number: int, gain: float | None, without: EffectName) -> Record:
+def _unfiltered(
+    study: Study, task: str, motion: Motion, number: int, gain: float | None, without: EffectName
+) -> Record:
     device = unit_of(study, number, Setting(1.0, gain), without)
     chains: Any = {name: replace(getattr(device, name), low_pass=None, adc=None) for name in ("gyro", "accel")}
-    return _record_of(study, done.name, number, replace(device, **chains), _perform(study, done, number)[1])
+    return _record_of(study, task, number, replace(device, **chains), motion)
 
 
 def wear(
@@ -438,15 +423,8 @@ class Unit:
     study: Study  # Seed, device, temperatures
     task: StudyTask  # With its protocols
     subject: int  # From 0
-    cutoff_hz: float  # Hz
-    gain: float | None = None  # Of the gyroscopes' amplifier; None: the device's own
-    quality: float | None = None  # Of the low-pass; None as above
+    setting: Setting  # What is varied of the device
     without: EffectName | None = None  # Effect that is switched off
-
-    @property
-    def setting(self) -> Setting:
-        """What is varied of the device."""
-        return Setting(self.cutoff_hz, self.gain, self.quality)
 
     @property
     def key(self) -> str:
@@ -457,7 +435,7 @@ class Unit:
 def units_of(study: Study) -> tuple[Unit, ...]:
     """Return the units of a study."""
     return tuple(
-        Unit(study=study, task=task, subject=subject, **setting._asdict())
+        Unit(study=study, task=task, subject=subject, setting=setting)
         for task in study.tasks
         for subject in range(study.subjects)
         for setting in task.space.settings()
@@ -468,7 +446,7 @@ def run_unit(unit: Unit) -> dict[str, FloatArray]:
     """Run all candidates of a unit: an array (P,) for each column, errors NaN where the device was left uncalibrated."""
     task, setting = unit.task, unit.setting
     points = task.space.points_at(setting)
-    case = make_case(unit.study, task, unit.subject, *setting, unit.without)
+    case = make_case(unit.study, task, unit.subject, setting, unit.without)
     runs = columns_of(task, points) | {name: np.full(len(points), np.nan) for name in COLUMNS[4:]}
     for own in alike(task, points):
         protocols = tuple(map(task.protocol_of, points[own]))
@@ -494,7 +472,7 @@ def errors_with(
     study, base = unit.study, protocols[0]
     if unit.without is not None:
         study = replace(study, bench=bench_without(study.bench, unit.without))
-    accel = faces_of(study, case.device, unit.subject, session_of(base, unit.quality).chosen(FACE))
+    accel = faces_of(study, case.device, unit.subject, session_of(base, unit.setting.quality).chosen(FACE))
     sessions = every.chosen(REST, RATE)
     readings = simulate_turns(study, base, case.device, unit.subject, sessions)
     grids = np.array([(p.turn_rate_max, p.turn_rate_step) for p in protocols])
@@ -512,12 +490,7 @@ def alike(task: StudyTask, points: FloatArray) -> list[IntArray]:
 def session_of(protocol: Protocol, quality: float | None = None) -> Sessions:
     """Return the session of a protocol, laid out once whatever its filter."""
     damping = DAMPING if quality is None else 0.5 / quality
-    return _laid_out(replace(protocol, cutoff_hz=QUICKEST_HZ)).settling(protocol.cutoff_hz, damping)
-
-
-@lru_cache(maxsize=256)
-def _laid_out(protocol: Protocol) -> Sessions:
-    return lay_out(protocol)
+    return lay_out(replace(protocol, cutoff_hz=QUICKEST_HZ)).settling(protocol.cutoff_hz, damping)
 
 
 def columns_of(task: StudyTask, points: FloatArray) -> dict[str, FloatArray]:

@@ -19,7 +19,7 @@ from undrift.sim.motion.categories import CATEGORIES, CategoryName
 from undrift.study import judge
 from undrift.study.plan import Study, StudyTask
 from undrift.study.run import InProcess, TaskSurface, run_study
-from undrift.study.statistics import Decision, compare_pairs, decide
+from undrift.study.statistics import Decision, decide_between
 
 LEAST = 3  # subjects of a comparison
 
@@ -105,8 +105,7 @@ def _crossed(
     both = both[np.isfinite(both).all(axis=1)]
     decision = None
     if len(both) >= LEAST:
-        (pair,) = compare_pairs(both)
-        decision = decide(pair, len(both), of=0, margin=study.margin_deg, level=study.level, tests=tests)
+        decision = decide_between(*both.T, margin=study.margin_deg, level=study.level, tests=tests)
     own_deg, error_deg = both.mean(axis=0).tolist() if len(both) else (float("nan"), float("nan"))
     return Crossed(
         chosen=chosen, worn=worn, subjects=len(both), error_deg=error_deg, own_deg=own_deg, decision=decision

@@ -28,20 +28,21 @@ from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 
-from undrift.arrays import BoolArray, FloatArray
+from undrift.arrays import FloatArray
 from undrift.calibration.calibrate import calibrate
 from undrift.correction.correct import correct_checked
 from undrift.drift.fit import fit_drift
 from undrift.errors import InputError
 from undrift.model import Calibration, DriftTables
-from undrift.record import Record, Reference, Session
+from undrift.record import Record, Reference
 from undrift.sim.device.effects import Sampling
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.presets import preset, random_device_of
 from undrift.sim.device.simulate import simulate_device
-from undrift.sim.motion.bench import BenchSettings, bench_motion
+from undrift.sim.motion.bench import BenchSettings
 from undrift.sim.motion.poses import OpticsSettings, see
 from undrift.sim.motion.tasks import Task, draw_task
+from undrift.sim.sessions import simulate_session
 from undrift.sim.table_sessions import ROOM_TEMP_C
 from undrift.sim.thermal import SET_POINTS_C, ThermalSettings, simulate_thermal_session
 from undrift.study.case import WORN_S
@@ -141,14 +142,13 @@ def figure3(
     *,
     seed: int = 0,
     excursion_k: float = 12.5,
-    hidden: tuple[Hidden, ...] = HIDDEN,
     back: bool = False,
     actual: DeviceModel | None = None,
     climate: Climate = Climate(),
 ) -> Figure3:
-    """Make the note's Figure 3; ``actual``, as a twin of a real device, stands in place of the unit with ``hidden``."""
+    """Make the note's Figure 3; ``actual``, as a twin of a real device, stands in place of the unit with what is hidden."""
     held = unit or preset("enc03j_3031")
-    other = on_the_clock(actual) if actual else actual_device(held, hidden)
+    other = on_the_clock(actual) if actual else actual_device(held)
     return _figures(actual_device(held, ()), (other,), seed, excursion_k, back, climate)[0]
 
 
@@ -214,16 +214,10 @@ def judge_compared(
     return tuple(trials)
 
 
-def _acquisition(trials: tuple[Trial, ...]) -> tuple[float, BoolArray]:
-    """Return where the acquisition begins, s, and which instants are in it; of trials with one motion."""
-    start_s = max(trial.motion.start_s - trial.lag.seconds - TRIAL_SETTINGS.lead_s for trial in trials)
-    time = trials[0].time
-    return start_s, (time >= start_s) & (time < start_s + ACQUISITION_S)
-
-
 def _figure(simulated: tuple[Trial, ...], actual: tuple[Trial, ...], excursion_k: float) -> Figure3:
-    full = actual[LEVELS.index("full")]
-    start_s, inside = _acquisition((simulated[LEVELS.index("full")], full))
+    model, full = (trials[LEVELS.index("full")] for trials in (simulated, actual))
+    start_s = max(trial.motion.start_s - trial.lag.seconds - TRIAL_SETTINGS.lead_s for trial in (model, full))
+    inside = (model.time >= start_s) & (model.time < start_s + ACQUISITION_S)
     errors = {
         name: np.array([trial.error.pitch[inside] for trial in trials]) / RADIAN_PER_DEGREE
         for name, trials in (("simulated", simulated), ("actual", actual))
@@ -233,7 +227,7 @@ def _figure(simulated: tuple[Trial, ...], actual: tuple[Trial, ...], excursion_k
     return Figure3(
         time=full.time[inside] - start_s,
         reference_pitch=full.reference_pitch[inside] / RADIAN_PER_DEGREE,
-        lag_ms=(1e3 * simulated[LEVELS.index("full")].lag.seconds, 1e3 * full.lag.seconds),
+        lag_ms=(1e3 * model.lag.seconds, 1e3 * full.lag.seconds),
         excursion_k=excursion_k,
         correlation=np.array(
             [np.corrcoef(*pair)[0, 1] for pair in zip(*(x[:, seen] for x in errors.values()), strict=True)]
@@ -348,17 +342,8 @@ def calibrated(
     device: DeviceModel, *, rng: np.random.Generator, back: bool = True, climate: Climate = Climate()
 ) -> tuple[Calibration, Calibration, Calibration]:
     """Calibrate a device on the simulated bench and in the simulated chamber."""
-    motion = bench_motion("bench", rng=rng, settings=BENCH)
-    record = simulate_device(device, motion, rng=rng, temp_c=climate.room_c, power_on_s=SETTLED_S).record
-    session = Session(
-        kind="calibration",
-        serial=device.serial,
-        gravity_m_s2=motion.gravity_m_s2,
-        records=(record,),
-        stills=motion.stills,
-        turns=motion.turns,
-    )
-    none = calibrate(session)
+    bench: Any = {"settings": BENCH, "temp_c": climate.room_c, "power_on_s": SETTLED_S}
+    none = calibrate(simulate_session("bench", device, rng=rng, **bench))
     settings = replace(THERMAL, back=back, set_points_c=climate.set_points_c)
     thermal = simulate_thermal_session("soak", device, rng=rng, settings=settings)
     return levels_of(none, fit_drift((thermal,), none).calibration)

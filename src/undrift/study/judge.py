@@ -45,6 +45,7 @@ from undrift.study.statistics import (
     compare_pairs,
     compare_pairs_of,
     decide,
+    decide_between,
     mean_interval,
     three_sided,
 )
@@ -91,7 +92,7 @@ class ParameterEffect:
     p_holm: float  # p after Holm over the parameters; NaN without a test
     pairs: tuple[Pair, ...]  # All pairs of values, by their places; empty unless that p is below the level
     judged: Judged | None = (
-        None  # Against the margin; None where subjects with gaps cannot be tested, or with one value
+        None  # Against the margin; None with one value, or where subjects with gaps cannot be tested
     )
 
     @property
@@ -127,12 +128,10 @@ def effects_at(
     margin_deg: float = MARGIN_DEG["rms"],
 ) -> tuple[ParameterEffect, ...]:
     """Say what each parameter does about a protocol: error (S, P) deg, allowed (P,)."""
-    columns = {name: np.asarray(surface.column(name)) for name in surface.names}
-    same = {name: np.isclose(column, column[best]) for name, column in columns.items()}
     effects = []
-    for name, column in columns.items():
-        places = np.flatnonzero(allowed & np.all([same[other] for other in columns if other != name], axis=0))
-        places = places[np.argsort(column[places])]
+    for name in surface.names:
+        column, line = surface.column(name), surface.line(best, name)
+        places = line[allowed[line]]
         enough = np.isfinite(error[:, places]).mean(axis=0) >= FEWEST_SHARE
         kept = places[enough]
         own = error[:, kept]
@@ -494,8 +493,7 @@ def _against_optimum(table: FloatArray, errors: FloatArray, place: int, optimum:
         return finding("study.note_as_good", "info", subjects=len(errors), **numbers)
     if optimum.worse[place]:
         return _worse(table, mean, place, best)
-    (pair,) = compare_pairs(errors[:, [place, best]])
-    found = decide(pair, len(errors), of=1, margin=optimum.margin_deg, level=level, tests=others)
+    found = decide_between(errors[:, best], errors[:, place], margin=optimum.margin_deg, level=level, tests=others)
     needed = needed_text(found.subjects_needed)
     return finding(
         "study.note_undecided", "warn", subjects=len(errors), interval_deg=found.interval, needed=needed, **numbers
@@ -514,10 +512,11 @@ def _note_values(
     usable = np.asarray(np.isfinite(errors).all(axis=0))
     beside = [[_next(table, usable, place, k, up) for up in (False, True)] for k in range(len(PARAMETERS))]
     tests = sum(at is not None for pair in beside for at in pair)
+    words: Any = {"margin": margin, "level": level, "tests": tests}
     values = []
     for k, (name, at) in enumerate(zip(PARAMETERS, beside, strict=True)):
         lower, upper = (
-            None if other is None else replace(_decided(errors, place, other, margin, level, tests), other=other)
+            None if other is None else replace(decide_between(errors[:, place], errors[:, other], **words), other=other)
             for other in at
         )
         verdict, why = _of_value(table, place, k, lower, upper)
@@ -525,11 +524,6 @@ def _note_values(
             NoteValue(name=name, value=float(table[place, k]), lower=lower, upper=upper, verdict=verdict, finding=why)
         )
     return tuple(values)
-
-
-def _decided(errors: FloatArray, place: int, other: int, margin: float, level: float, tests: int) -> Decision:
-    (pair,) = compare_pairs(errors[:, [place, other]])
-    return decide(pair, len(errors), of=0, margin=margin, level=level, tests=tests)
 
 
 def _next(table: FloatArray, usable: BoolArray, place: int, k: int, up: bool) -> int | None:

@@ -76,8 +76,7 @@ def forecast(study: Study, folder: Path, *, workers: int, rivals: bool, real: Re
     store, searched = run.RunStore(folder, study), study.search != "grid"
     sessions, cohort, split = 0.0, 0.0, 0.0
     for task in study.tasks:
-        setting = task.space.setting_of(task.space.first[0])
-        whole = Unit(study=study, task=task, subject=0, **setting._asdict())
+        whole = Unit(study=study, task=task, subject=0, setting=task.space.setting_of(task.space.first[0]))
         one = replace(whole, task=replace(task, space=task.space.narrowed(task.space.first)))
         run_unit(one)  # what is compiled or imported the first time does not count
         crossed = sum(other.name == task.name for other in study.tasks)
@@ -367,10 +366,9 @@ def _stopping(study: Study, surface: run.TaskSurface, optimum: judge.Optimum) ->
     if not tested:
         return "", None
     least = min(tested, key=lambda effect: effect.p_holm)
-    columns = {name: surface.column(name) for name in surface.names}
-    same = [np.isclose(c, c[optimum.best]) for name, c in columns.items() if name != least.name]
-    held = np.all(same, axis=0) & np.isin(columns[least.name], least.values)
-    table = surface.error(study.objective, study.timing)[:, held]
+    line = surface.line(optimum.best, least.name)
+    line = line[np.isin(surface.column(least.name)[line], least.values)]
+    table = surface.error(study.objective, study.timing)[:, np.sort(line)]
     table = table[np.isfinite(table).all(axis=1)]  # looks are at subjects with every run
     if len(table) <= FIRST_LOOK:
         return "", None

@@ -40,28 +40,67 @@ from undrift.sim.motion.motion import Motion
 from undrift.sim.motion.poses import PoseSettings, PoseSpline, fit_pose_spline
 from undrift.sim.motion.tasks import Group, TaskName
 from undrift.sim.table_sessions import BenchErrors
-from undrift.study.space import FURTHER, TURN_RATES, Setting, Space
+from undrift.study.space import FURTHER, TURN_RATES, Space
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
-Objective = Literal[
-    "rms", "maximum", "end"
-]  # Of the pitch error over the motion; end: its median over the last half second
+# ---- what the bench does wrong
+
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
+NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
+
+
+class BenchEntry(Entry):
+    """[study.bench]: standard deviations of what the bench does wrong; 0 leaves an error out. The defaults are the preset's.
+
+    The note gives its encoder and its servo; the rest is assumed but where a source stands.
+    """
+
+    # Of each face against level, about each axis, deg; assumed: a squared block on a plate, as of the rival methods
+    face_tilt_deg: NotNegative = 0.1
+    # Of the device on the table, about each axis, deg; each mounting anew; assumed: the same block
+    mount_tilt_deg: NotNegative = 0.1
+    # Of the table's axis against the vertical, about each horizontal axis, deg; assumed: a bubble level
+    level_deg: NotNegative = 0.05
+    # Of the turning axis from dwell to dwell, deg; assumed: a motor's bearings; precision tables state a few arc seconds
+    wobble_deg: NotNegative = 0.01
+    # Of the true rate against the read one; one table; known: crystals of a controller and a computer differ by 50 to 100 ppm
+    table_rate_percent: NotNegative = 0.01
+    # Of the angle turned in a dwell against the commanded one, deg; the encoder reads it; note: largest error of the angle
+    servo_deg: NotNegative = 0.012
+    # Of the encoder, four counts a line; 0 reads without steps; note: N = 10,000, read as lines
+    encoder_lines: Annotated[int, Field(ge=0)] = 10_000
+    # Of the board's settled temperature against the set-point, K; assumed: a small chamber is even to some tenths of a kelvin
+    soak_k: NotNegative = 0.3
+    # With which the board follows the chamber, s; assumed: a board in its box, 1 K behind at the soak's limit of 0.1 K/min
+    board_lag_s: NotNegative = 600.0
+
+    def errors(self) -> BenchErrors:
+        """Return the same in rad and as ratios."""
+        return BenchErrors(**{name: getattr(self, key) * unit for key, (name, unit) in _BENCH_UNITS.items()})
+
+
+_BENCH_UNITS: dict[str, tuple[str, Any]] = {  # key of a file: field, and its unit; 1 keeps whole numbers whole
+    **{f"{name}_deg": (name, RADIAN_PER_DEGREE) for name in ("face_tilt", "mount_tilt", "level", "wobble", "servo")},
+    "table_rate_percent": ("table_rate", 0.01),
+    **{name: (name, 1) for name in ("encoder_lines", "soak_k", "board_lag_s")},
+}
+NOTE_BENCH = BenchEntry().errors()
+
+
+def bench_keys(errors: BenchErrors) -> dict[str, float]:
+    """Return what a bench does wrong by the keys of [study.bench]."""
+    held = {key: (getattr(errors, name), unit) for key, (name, unit) in _BENCH_UNITS.items()}
+    return {key: value if unit == 1 else float(f"{value / unit:.12g}") for key, (value, unit) in held.items()}
+
+
+# ---- the plan
+
+Objective = Literal["rms", "maximum", "end"]  # Of the pitch error over the motion; end: median of its last half second
 # The true pitch of the same instant, as who acts on the display needs it; or that of the instant which the readings belong to
 Timing = Literal["real time", "offline"]
 Search = Literal["grid", "halving", "cma"]
 
-# What the preset's bench does wrong. The note gives its encoder and its servo; the rest is assumed but where a source stands.
-NOTE_BENCH = BenchErrors(
-    face_tilt=0.1 * RADIAN_PER_DEGREE,  # assumed: a squared block on a plate, as of the rival methods
-    mount_tilt=0.1 * RADIAN_PER_DEGREE,  # assumed: the same block on the table
-    level=0.05 * RADIAN_PER_DEGREE,  # assumed: a bubble level
-    wobble=0.01 * RADIAN_PER_DEGREE,  # assumed: a motor's bearings; precision tables state a few arc seconds
-    table_rate=1e-4,  # known: crystals of a controller and a computer differ by 50 to 100 ppm
-    servo=0.012 * RADIAN_PER_DEGREE,  # note: largest error of the table's angle, 1.2e-2 deg
-    encoder_lines=10_000,  # note: N = 10,000, read as lines
-    soak_k=0.3,  # assumed: a small chamber is even to some tenths of a kelvin
-    board_lag_s=600.0,  # assumed: a board in its box, with the soak's limit of 0.1 K/min 1 K behind
-)
 # Smallest difference that matters, deg. The note's Figure 3: a simulated and an actual device differ by 0.15 deg at most, which it
 # calls very low; a simulation shows nothing finer of real devices. An error that grows evenly to 0.15 deg has 0.15 / sqrt(3) rms.
 MARGIN_DEG: dict[Objective, float] = {"rms": 0.087, "maximum": 0.15, "end": 0.15}
@@ -125,16 +164,6 @@ class StudyTask:
             ends = self.base.temperatures_c[0], self.base.temperatures_c[-1]
             given["temperatures_c"] = tuple(np.linspace(*ends, count).tolist()) if count > 1 else ()
         return replace(self.base, **given)
-
-    def candidates(
-        self, cutoff_hz: float, gain: float | None = None, quality: float | None = None
-    ) -> tuple[Protocol, ...]:
-        """Return the protocols that are tried with one setting of the device."""
-        return tuple(map(self.protocol_of, self.space.points_at(Setting(cutoff_hz, gain, quality))))
-
-    def protocols(self) -> tuple[Protocol, ...]:
-        """Return all protocols that are tried, by setting of the device, then by grid."""
-        return tuple(map(self.protocol_of, self.space.points()))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -438,9 +467,6 @@ def sha256_of(path: Path) -> str:
 
 # ---- study.toml
 
-Finite = Annotated[float, Field(allow_inf_nan=False)]
-Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
-NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
 Values = Annotated[list[Positive], Field(min_length=1)]
 MoreValues = list[Positive]
 
@@ -496,39 +522,6 @@ class TaskEntry(Entry):
     motion: MotionEntry | None = None  # In place of a drawn performance
 
 
-class BenchEntry(Entry):
-    """[study.bench]: standard deviations of what the bench does wrong; 0 leaves an error out."""
-
-    face_tilt_deg: NotNegative = 0.1  # Of each face against level, about each axis, deg
-    mount_tilt_deg: NotNegative = 0.1  # Of the device on the table, about each axis, deg; each mounting anew
-    level_deg: NotNegative = 0.05  # Of the table's axis against the vertical, about each horizontal axis, deg
-    wobble_deg: NotNegative = 0.01  # Of the turning axis from dwell to dwell, deg
-    table_rate_percent: NotNegative = 0.01  # Of the true rate against the read one; one table
-    servo_deg: NotNegative = (
-        0.012  # Of the angle turned in a dwell against the commanded one, deg; the encoder reads it
-    )
-    encoder_lines: Annotated[int, Field(ge=0)] = 10_000  # Of the encoder, four counts a line; 0 reads without steps
-    soak_k: NotNegative = 0.3  # Of the board's settled temperature against the set-point, K
-    board_lag_s: NotNegative = 600.0  # With which the board follows the chamber, s
-
-    def errors(self) -> BenchErrors:
-        """Return the same in rad and as ratios."""
-        return BenchErrors(**{name: getattr(self, key) * unit for key, (name, unit) in _BENCH_UNITS.items()})
-
-
-_BENCH_UNITS: dict[str, tuple[str, Any]] = {  # key of a file: field, and its unit; 1 keeps whole numbers whole
-    **{f"{name}_deg": (name, RADIAN_PER_DEGREE) for name in ("face_tilt", "mount_tilt", "level", "wobble", "servo")},
-    "table_rate_percent": ("table_rate", 0.01),
-    **{name: (name, 1) for name in ("encoder_lines", "soak_k", "board_lag_s")},
-}
-
-
-def bench_keys(errors: BenchErrors) -> dict[str, float]:
-    """Return what a bench does wrong by the keys of [study.bench]."""
-    held = {key: (getattr(errors, name), unit) for key, (name, unit) in _BENCH_UNITS.items()}
-    return {key: value if unit == 1 else float(f"{value / unit:.12g}") for key, (value, unit) in held.items()}
-
-
 class StudyEntry(Entry):
     """[study]."""
 
@@ -575,7 +568,13 @@ def read_study(path: str | Path) -> Study:
     given["margin_deg"] = head.margin_deg or MARGIN_DEG[head.objective]
     try:
         if head.device not in PRESETS:
-            given |= {"device": Path(head.device).stem, "worn": _device_text(folder / head.device, head.device)}
+            if not (worn := folder / head.device).exists():
+                known = ", ".join(PRESETS)
+                raise InputError(
+                    f"device: wanted one of {known} or a device.json, got '{head.device}'; name one of them"
+                )
+            text = json.dumps(device_json(read_device(worn)), sort_keys=True)  # in one spelling
+            given |= {"device": Path(head.device).stem, "worn": text}
         return with_categories(Study(**given, tasks=tuple(_task_of(entry, folder) for entry in held.task)), categories)
     except InputError as error:
         raise FileFormatError(f"{path}: {error}") from error
@@ -596,10 +595,3 @@ def _task_of(entry: TaskEntry, folder: Path) -> StudyTask:
         base=Protocol(name=entry.name, temperatures_c=tuple(entry.protocol.set_points_c), **base),
         motion=motion,
     )
-
-
-def _device_text(path: Path, head: str) -> str:
-    """Return a device.json in one spelling, after it was read as a device."""
-    if not path.exists():
-        raise InputError(f"device: wanted one of {', '.join(PRESETS)} or a device.json, got '{head}'; name one of them")
-    return json.dumps(device_json(read_device(path)), sort_keys=True)

@@ -49,7 +49,7 @@ from undrift.sim.table_sessions import BenchErrors
 from undrift.study.case import REST_S, pitch_error, wear
 from undrift.study.plan import DEVICE, MARGIN_DEG, NOTE_BENCH
 from undrift.study.run import Executor, InProcess
-from undrift.study.statistics import Decision, compare_pairs, decide
+from undrift.study.statistics import Decision, decide_between
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 from undrift.validation.trial import of_known
 
@@ -78,10 +78,7 @@ DIRECTIONS = np.array([d for d in product((-1.0, 0.0, 1.0), repeat=3) if any(d)]
 
 # What the rival rigs do wrong beside mounting, level, wobble and clock, which they share with the study's bench. All assumed.
 PLANE_ANGLE_SD = 0.05 * RADIAN_PER_DEGREE  # a digital inclinometer
-STROKE_SD = {
-    "trolley": 0.01,
-    "piston": 0.005,
-}  # a crank set by a ruler, 1 mm of 150; a displacement transducer of class 0.5
+STROKE_SD = {"trolley": 0.01, "piston": 0.005}  # a crank set by a ruler, 1 mm of 150; a transducer of class 0.5
 HARMONIC_SD = {"trolley": 0.01, "piston": 0.002}  # a crank with a short rod; a servo valve
 # Optics, whose cluster of markers gives way; an arm that repeats within 0.05 mm over a metre, and bends with its pose.
 OPTICS = OpticsSettings(slow_sd=0.05 * RADIAN_PER_DEGREE)
@@ -398,9 +395,7 @@ class Worth:
 
     figure: str  # tilt, or the task whose change of pitch it is
     error_deg: Spread
-    decision: (
-        Decision | None
-    )  # Against the rate table, or its six faces; None for these, and for fewer than three units
+    decision: Decision | None  # Against the rate table, or its six faces; None for these, and below three units
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -471,9 +466,7 @@ def _compare_unit(plan: RivalPlan, number: int) -> _Compared:
     errors, terms = np.full((len(cases), count, 3), np.nan), np.full((2, count, 3), np.nan)
     worth: dict[TriadName, FloatArray] = {"gyro": np.empty((len(cases), count)), "accel": np.empty((1, count))}
     for m, method in enumerate(plan.methods):
-        rng = np.random.default_rng(
-            [plan.seed, number, 2]
-        )  # one state: rigs, and noise as far as it goes, are the same
+        rng = np.random.default_rng([plan.seed, number, 2])  # one state: the same rigs, and noise as far as it goes
         words: Any = {"kind": plan.kind, "rng": rng, "minutes": plan.minutes, "errors": plan.errors}
         made.append(calibrate_by(method, device, **words))
         found = made[-1].calibration
@@ -550,9 +543,8 @@ def _triad_rows(plan: RivalPlan, units: list[_Compared], name: TriadName) -> tup
     def decided(k: int, m: int) -> Decision | None:
         if table is None or m == table or len(units) < 3:
             return None
-        (pair,) = compare_pairs(worth[:, k, [m, table]])
         tests = len(figures) * (len(plan.methods) - 1)
-        return decide(pair, len(units), of=0, margin=plan.margin_deg, level=plan.level, tests=tests)
+        return decide_between(worth[:, k, m], worth[:, k, table], margin=plan.margin_deg, level=plan.level, tests=tests)
 
     return tuple(
         TriadRow(

@@ -304,6 +304,13 @@ class TaskSurface:
         values: FloatArray = self.further[name] if name in self.further else getattr(self, name)
         return values
 
+    def line(self, place: int, name: str) -> IntArray:
+        """Return the protocols that differ from one in a parameter alone, by its rising values."""
+        columns = {other: self.column(other) for other in self.names if other != name}
+        same = np.all([np.isclose(column, column[place]) for column in columns.values()], axis=0)
+        places: IntArray = np.flatnonzero(same)
+        return places[np.argsort(self.column(name)[places])]
+
     def at(self, places: IntArray) -> "TaskSurface":
         """Return the surface of some of the protocols."""
         further = {name: values[places] for name, values in self.further.items()}
@@ -499,7 +506,7 @@ def run_block(
         places = places_of[setting] = left[[each == setting for each in settings]]
         tasks.append(replace(task, space=task.space.narrowed(points[places])))
     units = [
-        Unit(study=study, task=only, subject=subject, **only.space.settings()[0]._asdict())
+        Unit(study=study, task=only, subject=subject, setting=only.space.settings()[0])
         for subject in subjects
         for only in tasks
     ]

@@ -79,8 +79,13 @@ def search_study(
     count(0)
     found = []
     for task in study.tasks:
-        own, search = folder / run.HALVING / task.key, evolve if study.search == "cma" else _halve_drawn
-        found.append(_with_front(study, task, search(study, task, executor, own, count, tell), executor, own, count))
+        own = folder / run.HALVING / task.key
+        if study.search == "cma":
+            searched = evolve(study, task, executor, own, count, tell)
+        else:
+            points = None if tried_of(study, task) == task.space.count else drawn(study, task)
+            searched = run.halve(study, task, executor, own, points=points, count=count, tell=tell)
+        found.append(_with_front(study, task, searched, executor, own, count))
     advance(done, done)
     run.join_pieces(run.pieces_of(folder), folder)
     return tuple(found)
@@ -94,13 +99,6 @@ def check_installed(study: Study) -> None:
 
 Count = Callable[[int], None]
 Tell = Callable[[str], None]
-
-
-def _halve_drawn(
-    study: Study, task: StudyTask, executor: run.Executor, folder: Path, count: Count, tell: Tell
-) -> run.Halving:
-    points = None if tried_of(study, task) == task.space.count else drawn(study, task)
-    return run.halve(study, task, executor, folder, points=points, count=count, tell=tell)
 
 
 def drawn(study: Study, task: StudyTask) -> FloatArray:

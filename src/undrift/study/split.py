@@ -48,9 +48,7 @@ class Split:
     rms_deg: float  # With all effects, root of the mean square over the subjects, deg
     judged: Judged  # The parameter's values with all effects
     terms: tuple[Term, ...]  # By falling share
-    together: (
-        float  # Share that no single effect takes with it: several at once, or none of those that were switched off
-    )
+    together: float  # Share that no single effect takes with it: several at once, or none of those switched off
 
     @property
     def covering(self) -> tuple[Term, ...]:
@@ -158,7 +156,7 @@ def units_without(study: Study, task: StudyTask, surface: TaskSurface, optimum: 
         parts.setdefault(task.space.setting_of(point), []).append(point)
     tasks = [(replace(task, space=task.space.narrowed(np.array(of))), setting) for setting, of in parts.items()]
     return tuple(
-        Unit(study=study, task=part, subject=subject, **setting._asdict(), without=effect)
+        Unit(study=study, task=part, subject=subject, setting=setting, without=effect)
         for subject in _subjects(study, surface)
         for effect in EFFECTS
         for part, setting in tasks
@@ -223,13 +221,10 @@ def _subjects(study: Study, surface: TaskSurface) -> list[int]:
 
 def _lines(surface: TaskSurface, optimum: Optimum) -> dict[str, IntArray]:
     """Return the places of the protocols that differ from the optimum in one parameter, by rising values; five at most."""
-    columns = {name: surface.column(name) for name in surface.names}
-    same = {name: np.isclose(column, column[optimum.best]) for name, column in columns.items()}
     lines = {}
     for effect in optimum.effects:
-        alone = np.all([same[other] for other in surface.names if other != effect.name], axis=0)
-        line = np.flatnonzero(alone & np.isin(columns[effect.name], effect.values))
-        line = line[np.argsort(columns[effect.name][line])]
+        line = surface.line(optimum.best, effect.name)
+        line = line[np.isin(surface.column(effect.name)[line], effect.values)]
         if len(line) > MOST_VALUES:
             at, last = int(np.flatnonzero(line == optimum.best)[0]), len(line) - 1
             line = line[sorted({0, max(at - 1, 0), at, min(at + 1, last), last})]

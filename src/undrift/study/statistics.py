@@ -40,30 +40,13 @@ class Sphericity:
     p_value: float  # Of Mauchly's test; NaN with fewer subjects than conditions, or two conditions
 
 
-def contrasts(conditions: int) -> FloatArray:
-    """Return orthonormal contrasts between conditions (Helmert's), (k - 1, k)."""
-    rows = np.zeros((conditions - 1, conditions))
-    for j in range(1, conditions):
-        rows[j - 1, :j], rows[j - 1, j] = 1.0, -float(j)
-        rows[j - 1] /= np.sqrt(j * (j + 1.0))
-    return rows
-
-
 def sphericity(y: FloatArray) -> Sphericity:
-    """Find how far repeated measures are from spherical.
+    """Find how far repeated measures (n, k) are from spherical: Greenhouse and Geisser 1959, Huynh and Feldt 1976."""
+    from scipy.linalg import helmert
 
-    References
-    ----------
-    .. [1] S. Greenhouse, S. Geisser, On methods in the analysis of profile data, Psychometrika 24, 1959.
-    .. [2] H. Huynh, L. Feldt, Estimation of the Box correction, J. Educational Statistics 1, 1976.
-    .. [3] J. Mauchly, Significance test for sphericity of a normal n-variate distribution, Ann. Math. Stat. 11, 1940.
-    .. [4] T. Anderson, An introduction to multivariate statistical analysis, Wiley, 1958, 10.7.4: the second-order term of its p.
-
-    Arrays: y (n, k).
-    """
     n, k = y.shape
     p = k - 1
-    transformed = y @ contrasts(k).T
+    transformed = y @ helmert(k).T
     a = np.atleast_2d(np.cov(transformed, rowvar=False))
     trace, squared = float(np.trace(a)), float(np.sum(a * a))
     gg = trace**2 / (p * squared) if squared > 0.0 else 1.0
@@ -96,7 +79,8 @@ def _mauchly(a: FloatArray, n: int) -> tuple[float, float, int, float]:
     statistic = -room * log_w
     second = (p + 2.0) * (p - 1.0) * (p - 2.0) * (2.0 * p**3 + 6.0 * p * p + 3.0 * p + 2.0) / (288.0 * (p * room) ** 2)
     first = float(chi2.sf(statistic, dof))
-    p_value = first + second * (float(chi2.sf(statistic, dof + 4)) - first)  # Anderson's second-order term
+    # the second-order term of Anderson, An introduction to multivariate statistical analysis, 1958, 10.7.4
+    p_value = first + second * (float(chi2.sf(statistic, dof + 4)) - first)
     return float(np.exp(log_w)), statistic, dof, min(max(p_value, 0.0), 1.0)
 
 
@@ -113,7 +97,6 @@ class MixedModel:
     subjects: int
     values: int  # Of all subjects
     means: FloatArray  # (k,), of the conditions
-    uncertainties: FloatArray  # (k,), standard, of the means
     covariance: FloatArray  # (k, k), of the means, that unit squared
     f: float  # Wald F of all differences together
     dof: tuple[float, float]  # k - 1 and n - 1
@@ -159,7 +142,6 @@ def compare_unbalanced(y: ArrayLike, subject: Sequence[str], condition: Sequence
         subjects=n,
         values=r,
         means=means,
-        uncertainties=np.sqrt(np.diag(covariance)),
         covariance=covariance,
         f=f,
         dof=(float(k - 1), float(n - 1)),
@@ -290,14 +272,7 @@ def _ratio_of(mean: FloatArray, spread: FloatArray) -> FloatArray:
 
 
 def adjust_holm(p: ArrayLike) -> FloatArray:
-    """Adjust p values after Holm.
-
-    References
-    ----------
-    .. [1] S. Holm, A simple sequentially rejective multiple test procedure, Scand. J. Statistics 6, 1979.
-
-    Arrays: p (m,) -> (m,).
-    """
+    """Adjust p values (m,) after Holm (Scandinavian Journal of Statistics 6, 1979)."""
     values = np.asarray(p, dtype=float)
     order = np.argsort(values, kind="stable")
     stepped = np.maximum.accumulate((len(values) - np.arange(len(values))) * values[order])
@@ -351,15 +326,7 @@ class Decision:
 def three_sided(
     difference: FloatArray, uncertainty: FloatArray, dof: float, *, margin: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return p of better, equivalent and worse.
-
-    References
-    ----------
-    .. [1] J. Goeman, A. Solari, T. Stijnen, Three-sided hypothesis testing, Statistics in Medicine 29, 2010.
-    .. [2] D. Schuirmann, A comparison of the two one-sided tests procedure, J. Pharmacokinetics and Biopharmaceutics 15, 1987.
-
-    Arrays: difference, uncertainty (m,).
-    """
+    """Return p of better, equivalent (two one-sided tests: Schuirmann 1987) and worse: difference, uncertainty (m,)."""
     from scipy.special import stdtr
 
     above, below = (_ratio_of(sign * difference - margin, uncertainty) for sign in (1.0, -1.0))
@@ -394,6 +361,14 @@ def decide(pair: Pair, subjects: int, *, of: int, margin: float, level: float = 
     )
 
 
+def decide_between(
+    one: FloatArray, other: FloatArray, *, margin: float, level: float = 0.05, tests: int = 1
+) -> Decision:
+    """Judge the errors of one against those of another that the same subjects met: (n,) each."""
+    (pair,) = compare_pairs(np.stack((one, other), axis=1))
+    return decide(pair, len(one), of=0, margin=margin, level=level, tests=tests)
+
+
 def power_to_decide(difference: float, sd: float, subjects: int, *, margin: float, level: float = 0.05) -> float:
     """Return the chance of the verdict that a true difference points to: equivalent below the margin, else better or worse."""
     from scipy.stats import nct
@@ -405,9 +380,7 @@ def power_to_decide(difference: float, sd: float, subjects: int, *, margin: floa
     scale = float(np.sqrt(subjects)) / sd
     if size > margin:
         return float(nct.sf(t_distribution.isf(level / 2.0, dof), dof, (size - margin) * scale))
-    critical = t_distribution.isf(
-        level, dof
-    )  # each one-sided test; the two can fail apart, so the sum bounds it from below
+    critical = t_distribution.isf(level, dof)  # of each one-sided test; they can fail apart: the sum is a lower bound
     both = nct.cdf(-critical, dof, (size - margin) * scale) - nct.cdf(critical, dof, (size + margin) * scale)
     return max(float(both), 0.0)
 
@@ -465,8 +438,7 @@ def compare_conditions(y: ArrayLike) -> Anova:
         raise InputError(
             f"anova: wanted three subjects or more in two conditions or more, got {n} subjects in {k}; add some"
         )
-    gaps = int(np.isnan(table).any(axis=1).sum())
-    if gaps:
+    if gaps := int(np.isnan(table).any(axis=1).sum()):
         raise InputError(
             f"anova: wanted every subject in every condition, got {gaps} of {n} subjects with gaps; leave them out, or use "
             "compare_unbalanced"
@@ -542,12 +514,7 @@ def compare_independent(y: ArrayLike) -> OneWay:
 
 
 def eta_squared_interval(f: float, dof: tuple[float, float], *, epsilon: float = 1.0) -> tuple[float, float]:
-    """Return the 95 % interval of partial eta squared, from that of the noncentrality of F.
-
-    References
-    ----------
-    .. [1] J. Steiger, Beyond the F test, Psychological Methods 9, 2004.
-    """
+    """Return the 95 % interval of partial eta squared, from that of the noncentrality of F (Steiger 2004)."""
     from scipy.optimize import brentq
     from scipy.special import ncfdtr
 

@@ -45,7 +45,7 @@ class Dwells:
     temp_c: FloatArray  # (N,), temperature of the board, degC
     first: IntArray = field(
         default_factory=lambda: np.empty(0, dtype=np.int64)
-    )  # (S + 1,), where sessions begin, and N
+    )  # (S + 1,), first of each session, and N
 
     def __post_init__(self) -> None:
         n = len(self.temp_c)

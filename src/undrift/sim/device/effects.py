@@ -718,11 +718,6 @@ class SensorChain(Effect):
         return np.asarray(self.null + self.gain * (self.offset.constant if self.offset else np.zeros(3)))
 
     @property
-    def raw_random_walk(self) -> FloatArray:
-        """White noise in the reading, its unit per sqrt(Hz), shape (3,)."""
-        return np.asarray(self.gain * (self.white_noise.random_walk if self.white_noise else np.zeros(3)))
-
-    @property
     def rails(self) -> FloatArray:
         """Signal at the rails of the amplifier, nominal input units, (2,)."""
         amplifier = self._amplified
@@ -757,6 +752,11 @@ class SensorChain(Effect):
     def reading(self, x: FloatArray) -> FloatArray:
         """Return what a signal becomes behind the amplifier: the reading, or what the converter takes."""
         return self._amplified.null + self._amplified.gain * self.scale.nominal_sensitivity * x
+
+    def shifted(self, by: FloatArray) -> "SensorChain":
+        """Return the same sensors with another offset: by (3,), rad/s or m/s2."""
+        offset = self.offset or Offset()
+        return replace(self, offset=replace(offset, constant=offset.constant + by))
 
     def without_noise(self) -> "SensorChain":
         """Return the same sensors with no noise, no rounding and no end to their range; the reading keeps its unit."""

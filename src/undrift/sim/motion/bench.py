@@ -46,7 +46,7 @@ class TableErrors:
     mount_tilt_sd: float = 0.0  # Of the device against the rig, about each axis, rad
     level_sd: float = 0.0  # Of the rig against the vertical, about each horizontal axis, rad; one rig, one draw
     wobble_sd: float = (
-        0.0  # Of a table's axis from dwell to dwell, of a plane from angle to angle, about each axis, rad
+        0.0  # Of a table's axis from dwell to dwell, or a plane's from angle to angle, about each axis, rad
     )
     rate_sd: float = 0.0  # Of the rig's clock, so of its true rate against the stated one, relative; one rig, one draw
     ripple_sd: float = 0.0  # Of the rate once a turn, amplitude, relative
@@ -345,9 +345,8 @@ def free_poses(
     """Rest in free poses, a long one first."""
     for number in range(settings.poses):
         up = draw.normal(size=3)
-        twist = turn_quaternion(
-            up / np.linalg.norm(up), np.array(draw.uniform(-math.pi, math.pi))
-        )  # about the vertical
+        # about the vertical
+        twist = turn_quaternion(up / np.linalg.norm(up), np.array(draw.uniform(-math.pi, math.pi)))
         q = facing(script.q, up)
         script.lay(quaternion_product(q, twist) if script.samples or first_twisted else q, settings.move_s)
         script.still(settings.still_s if number else settings.first_still_s)

@@ -31,8 +31,7 @@ random phases; every derivative is then exact, and the sum is scaled to the want
 
 Subjects: who performs a task, and the two groups of thirty of the note's Table 2, in one of several categories (categories.py).
 
-A subject has an age, a height, a category, a level of imbalance (an ordinal label that nothing is computed from) and habits: a
-root of random numbers of its own. A quantity of a performance is drawn as ::
+A subject has an age, a height, a category and habits: a root of random numbers of its own. A quantity of a performance is ::
 
     x = mean + sd (0.8 h + 0.6 z)       h the subject's habit for this quantity, z new each time; 0.8^2 + 0.6^2 = 1
 
@@ -43,7 +42,7 @@ bounds cut the tails), and one subject resembles itself.
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, Literal, get_args
+from typing import Literal, get_args
 
 import numpy as np
 
@@ -202,7 +201,6 @@ class Subject:
     group: Group  # simulation or testing
     age_years: float  # Years
     height: float  # m
-    tinetti_level: int  # 1 no imbalance ... 4 major imbalance: a label
     habits: Streams  # What this person always does the same way
     category: CategoryName = DEFAULT  # Which numbers the performances are drawn with
 
@@ -235,13 +233,12 @@ def cohort(group: Group, *, rng: np.random.Generator, category: CategoryName = D
     for got, known in ((group, get_args(Group)), (category, get_args(CategoryName))):
         if got not in known:
             raise InputError(f"cohort: wanted one of {', '.join(known)}, got '{got}'; name one of them")
-    streams, row, level = draw_streams(rng), table_row(group, category), CATEGORIES[category].tinetti_level
+    streams, row = draw_streams(rng), table_row(group, category)
     ages = _spread(row.age_years, streams.of(f"{group} age")).tolist()
     heights = _spread(row.height, streams.of(f"{group} height")).tolist()
     roots = streams.of(f"{group} habits")
-    own: Any = {"group": group, "tinetti_level": level, "category": category}
     return tuple(
-        Subject(number=k + 1, age_years=age, height=height, habits=draw_streams(roots), **own)
+        Subject(number=k + 1, group=group, age_years=age, height=height, habits=draw_streams(roots), category=category)
         for k, (age, height) in enumerate(zip(ages, heights, strict=True))
     )
 

@@ -65,7 +65,6 @@ class EmulatorSettings:
     with_pty: bool = False  # True opens a pseudo terminal as well
     speed: float = 1.0  # Emulated seconds in one of the host's
     history_s: float = 1200.0  # How far back the axis is remembered, emulated s
-    fault_seed: int = 0  # Seed of the garbage on a faulty link
 
 
 class Emulator(Served):
@@ -89,7 +88,7 @@ class Emulator(Served):
             if settings.kind == "galil"
             else GrblMachine(settings.grbl, chosen, settings.history_s)
         )
-        self.serve(self.machine, (settings.host, settings.port), settings.fault_seed, settings.with_pty)
+        self.serve(self.machine, (settings.host, settings.port), 0, settings.with_pty)
         self.pty_path: str | None = self._server.pty_path
 
     def now(self) -> float:
@@ -293,8 +292,7 @@ class EmulatedBenchSettings:
     air: AirSettings = field(default_factory=AirSettings)  # The chamber
     stream: StreamSettings = field(default_factory=StreamSettings)  # How the device is mounted and sends
     device: DeviceModel | None = None  # The hidden truth; None draws one of consumer grade from the stream's seed
-    chamber_port: int = 0  # Where the chamber and the hands listen; 0 takes a free one
-    hands_port: int = 0
+    hands_port: int = 0  # Where the hands listen; 0 takes a free one
 
 
 class Bench(Closed):
@@ -307,7 +305,7 @@ class Bench(Closed):
         with contextlib.ExitStack() as opened:
             self.rig: Emulator = opened.enter_context(start_emulator(settings.rig, clock=clock))
             host = settings.rig.host
-            self.chamber = EmulatedChamber(settings.air, self.rig.clock, host, settings.chamber_port)
+            self.chamber = EmulatedChamber(settings.air, self.rig.clock, host)
             opened.callback(self.chamber.close)
             self.stream = EmulatedDevice(chosen, self.rig, self.chamber.board_temp, self.rig.clock, settings.stream)
             opened.callback(self.stream.close)

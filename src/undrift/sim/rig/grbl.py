@@ -143,9 +143,8 @@ class Path:
 
     def many(self, times: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return angle and rate at many moments: times (n,) s -> (n,) deg."""
-        first = max(
-            bisect.bisect_right(self.start, float(times.min(initial=math.inf))) - 1, 0
-        )  # only what is asked for
+        # only what is asked for
+        first = max(bisect.bisect_right(self.start, float(times.min(initial=math.inf))) - 1, 0)
         start, (angle, rate, acceleration) = np.array(self.start[first:]), np.array(self.pieces[first:]).T
         i = np.clip(np.searchsorted(start, times, side="right") - 1, 0, None)
         t = times - start[i]
