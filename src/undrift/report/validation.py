@@ -166,9 +166,9 @@ def _answer(result: "Validation", method: Method) -> str:
     """Return what the orientation is worth, in a sentence."""
     how = "with the offset of the rest before the motion removed"
     if method.leave_one_out:
-        how = "by a calibration from the other recordings"
+        how = "calibrated with the other recordings"
     elif method.calibration is not None:
-        how = f"by {method.source}" if method.source else "by a calibration from these same recordings"
+        how = f"calibrated with {method.source}" if method.source else "calibrated with these same recordings"
     figures, over = result.median, f", median of {len(result.trials)} recordings" if len(result.trials) > 1 else ""
     return (
         f"Orientation is wrong by {figures.rmse_total_deg:.2g} deg rms in total and {figures.rmse_inclination_deg:.2g} deg in "
