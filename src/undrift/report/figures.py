@@ -159,13 +159,16 @@ def save_figure(figure: "Figure", path: Path) -> None:
 
 def _plain_log(axes: "Axes") -> None:
     """Label logarithmic axes by plain numbers: the powers of a formula are too small to read."""
-    from matplotlib.ticker import FuncFormatter, LogFormatter, LogLocator
+    from matplotlib.ticker import FuncFormatter, LogFormatter, LogLocator, NullFormatter
 
     for axis in (axes.xaxis, axes.yaxis):
         if isinstance(axis.get_major_formatter(), LogFormatter):
             axis.set_major_locator(LogLocator(numticks=7))
-            axis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:g}"))
-            axis.set_minor_formatter(LogFormatter(minor_thresholds=(1.0, 0.4)))
+            low, high = axis.get_view_interval()
+            plain = FuncFormatter(lambda x, _: f"{x:g}")
+            axis.set_major_formatter(plain)
+            axis.set_minor_locator(LogLocator(subs=(2.0, 5.0)))
+            axis.set_minor_formatter(plain if high < 100.0 * low else NullFormatter())
 
 
 def _saved(figure: "Figure", style: Any = None, **how: Any) -> bytes:
