@@ -6,6 +6,7 @@ import pytest
 from testkit.command_line import beyond_the_table, contents, warm_between
 from testkit.data import data_path, show
 from undrift.io.formats import read_reference
+from undrift.io.store import read_calibration
 from undrift.io.write import COLUMNS
 
 
@@ -184,3 +185,14 @@ def test_the_filter_is_taken_by_its_name(undrift, bench, tmp_path):
     assert told["method"] == "vqf"
     np.testing.assert_allclose(told["pitch_deg"], plain["pitch_deg"], atol=1.5)  # deg: a chair's push is no rest
     assert told["findings"] == []
+
+
+@pytest.mark.parametrize("command", ["correct", "orient", "validate"])
+def test_details_show_the_findings_of_the_calibration(undrift, bench, tmp_path, command):
+    words = ["--reference", bench / "reference.parquet"] if command == "validate" else ["-o", tmp_path / "out.csv"]
+    words = [command, bench / "trial.parquet", "--calibration", bench / "calibration.json", *words]
+    verdict = read_calibration(bench / "calibration.json").verdict
+    assert f"verdict: {verdict.status}" not in undrift.good(*words).out
+    shown = " ".join(undrift.good(*words, "--details").out.split())
+    assert f"verdict: {verdict.status}" in shown
+    assert all(item.headline in shown for item in verdict.findings)

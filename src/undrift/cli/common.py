@@ -42,6 +42,9 @@ Json: TypeAlias = Annotated[bool, Parameter(show_default=False, help="One JSON o
 Details: TypeAlias = Annotated[
     bool, Parameter(show_default=False, help="Show every finding, not only the first three.")
 ]
+CalibrationDetails: TypeAlias = Annotated[
+    bool, Parameter(show_default=False, help="Show the findings of the calibration too.")
+]
 Output: TypeAlias = Annotated[Path, Parameter(name=["--output", "-o"])]
 OptionalOutput: TypeAlias = Annotated[Path | None, Parameter(name=["--output", "-o"])]
 Side: TypeAlias = Annotated[Literal["+x", "-x", "+y", "-y", "+z", "-z"], Parameter(allow_leading_hyphen=True)]

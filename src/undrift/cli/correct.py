@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from undrift.cli.common import (
+    CalibrationDetails,
     Files,
     Json,
     Opening,
@@ -22,6 +23,7 @@ from undrift.cli.common import (
     origin_of,
     progress,
     say,
+    show_verdict,
     write_json,
 )
 from undrift.errors import InputError
@@ -57,6 +59,7 @@ def correct(
     opening: Opening = Opening(),
     scheduler: str | None = None,
     report: Report = None,
+    details: CalibrationDetails = False,
     json: Json = False,
 ) -> int:
     """Turn raw recordings into rad/s and m/s2; the ending of the output names the format. Parquet streams in constant memory.
@@ -132,6 +135,8 @@ def correct(
             *(f"  warning: {text}" for text in remarks.warnings),
             *(f"  note: {text}" for text in remarks.notes),
         )
+    if details:
+        show_verdict(model.verdict, details=True)
     say(*([f"Wrote {report}"] if report else []))
     return 0
 

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from undrift.cli.common import (
+    CalibrationDetails,
     Json,
     Opening,
     Output,
@@ -16,6 +17,7 @@ from undrift.cli.common import (
     check_report,
     origin_of,
     say,
+    show_verdict,
     write_json,
 )
 
@@ -43,6 +45,7 @@ def orient(
     policy: Policy = "raise",
     opening: Opening = Opening(),
     report: Report = None,
+    details: CalibrationDetails = False,
     json: Json = False,
 ) -> int:
     """Initial tilt, then strapdown or a filter: quaternions, inclination, heading, sagittal pitch.
@@ -121,6 +124,8 @@ def orient(
         *(f"  {line}" for line in lines),
         *([f"Wrote {report}"] if report else []),
     )
+    if details and held is not None:
+        show_verdict(held.verdict, details=True)
     return 0
 
 

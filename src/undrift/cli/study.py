@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal, get_args
 
 from undrift.cli.common import (
+    Details,
     Flag,
     Json,
     Output,
@@ -58,6 +59,7 @@ def study(
     no_rivals: Flag = False,
     real: Path | None = None,
     report: Report = None,
+    details: Details = False,
     json: Json = False,
 ) -> int:
     """Try calibration protocols on simulated subjects; find which is enough, with its error and its minutes on the rig.
@@ -136,7 +138,7 @@ def study(
     save_json(output / "summary.json", summary := study_summary(outcome))
     for page in (output / "report.html", *([report] if report else [])):
         write_study_report(outcome, page, origin_of(plan, real))
-    write_json(summary, "study") if json else _show(outcome, output)
+    write_json(summary, "study") if json else _show(outcome, output, details)
     return 0
 
 
@@ -507,7 +509,7 @@ def _effect_summary(effect: "ParameterEffect", power: "EffectPower | None") -> d
 # ---- terminal
 
 
-def _show(outcome: "StudyOutcome", output: Path) -> None:
+def _show(outcome: "StudyOutcome", output: Path, details: bool) -> None:
     from undrift.findings import SHOWN_FIRST, most_consequential_first
 
     heads = (
@@ -537,16 +539,17 @@ def _show(outcome: "StudyOutcome", output: Path) -> None:
     for task in outcome.tasks:
         tested, note = task.tested[0], task.note
         ordered = most_consequential_first(item for item in task.findings if note is None or item not in note.findings)
-        more = len(ordered) - SHOWN_FIRST
+        shown = len(ordered) if details else SHOWN_FIRST
+        more = len(ordered) - shown
         held = ((name, values[task.optimum.best]) for name, values in task.surface.further.items())
         say(
             *(f"{task.surface.task}: optimum with {name} {value:.4g}" for name, value in held),
             f"{task.surface.task}: {tested.error_rms_deg:.3f} deg rms [{tested.interval_rms_deg[0]:.3f}, "
             f"{tested.interval_rms_deg[1]:.3f}] on {tested.subjects} other subjects, largest error {tested.error_max_deg:.3f} deg",
-            *(f"  {item.text}" for item in ordered[:SHOWN_FIRST]),
+            *(f"  {item.text}" for item in ordered[:shown]),
             *([] if note is None else [f"  the note {_said(note)}: {note.finding.text}"]),
             *([] if note is None else [f"  {each.finding.text}" for each in note.values if each.verdict != "agrees"]),
-            *([f"  {more} more in {output / 'report.html'}"] if more > 0 else []),
+            *([f"  {more} more: --details, and {output / 'report.html'}"] if more > 0 else []),
         )
     say(*(each.finding.text for each in outcome.categories))
     if outcome.figure3 is not None:

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from undrift.cli.common import (
+    CalibrationDetails,
     Files,
     Flag,
     Json,
@@ -26,6 +27,7 @@ from undrift.cli.common import (
     save_json,
     say,
     show_table,
+    show_verdict,
     write_json,
 )
 from undrift.errors import InputError
@@ -71,6 +73,7 @@ def validate(
     output: OptionalOutput = None,
     report: Report = None,
     opening: Opening = Opening(),
+    details: CalibrationDetails = False,
     json: Json = False,
 ) -> int:
     """Compare recordings with an optical reference: lag, errors in degrees, agreement over trials.
@@ -146,6 +149,8 @@ def validate(
         write_json(made, "validate")
     else:
         _show(result, chosen, in_sample=calibrate_from is not None and not leave_one_out)
+        if details and method.calibration is not None:
+            show_verdict(method.verdict, details=True)
         say(*_written(output, report))
     return 0
 
