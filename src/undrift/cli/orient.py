@@ -119,11 +119,8 @@ def orient(
     if json:
         write_json(made | {"recording": str(record), "output": str(output), "notes": notes}, "orient")
         return 0
-    say(
-        f"{record} -> {output}: {made['samples']} samples",
-        *(f"  {line}" for line in lines),
-        *([f"Wrote {report}"] if report else []),
-    )
+    wrote = [f"Wrote {report}"] if report else []
+    say(f"{record} -> {output}: {made['samples']} samples", *(f"  {line}" for line in lines), *wrote)
     if details and held is not None:
         show_verdict(held.verdict, details=True)
     return 0

@@ -113,7 +113,6 @@ def study(
     with waiting("reading real recordings"):
         held = None if real is None else read_real(real)
     executor, rivals = choose_executor(scheduler, workers), not (no_rivals or quick)
-    workers = executor.workers
     check_report(report, reads=(plan, real))
     check_folder(output)
     if output.is_dir() and any(output.iterdir()) and not (output / HEAD).is_file():
@@ -121,8 +120,8 @@ def study(
             f"{output}: wanted a new folder, or that of this study, got one with other files; name another"
         )
     RunStore(output, planned)  # refuses the folder of another study before anything is computed
-    stages = forecast(planned, output, workers=workers, rivals=rivals, real=held)
-    _announce(planned, stages, workers, json)
+    stages = forecast(planned, output, workers=executor.workers, rivals=rivals, real=held)
+    _announce(planned, stages, executor.workers, json)
     shown = _Progress(planned, stages)
     with shown.display:
         outcome = judge_study(
