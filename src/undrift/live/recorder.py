@@ -116,7 +116,8 @@ class Recorder:
                 )
             blocks = [block for block in self._ring if block.time[-1] >= first and block.time[0] <= last]
         times = np.concatenate([block.time for block in blocks]) if blocks else np.empty(0)
-        inside = (times >= first) & (times <= last)
+        # in the host's time, as in `complete`: rounding there and back would leave the last one out
+        inside = (times >= first) & (fit.host_zero + fit.rate * (times - fit.device_zero) <= stop)
         if (count := int(inside.sum())) >= 2:
             values = np.concatenate([block.values for block in blocks])
             return self.source.description.record(times[inside], values[inside])
