@@ -16,13 +16,17 @@ import undrift
 from undrift.cli.app import run
 from undrift.io.store import read_calibration
 from undrift.report.certificate import certificate_content
-from undrift.report.figures import save_figure
 
 COMMANDS = """data fetch sample
 calibrate sample/bench -o c.json --report calibration.html
 drift sample/thermal --calibration c.json -o t.json --report drift.html
 validate sample/sit_to_stand.parquet --reference sample/sit_to_stand_optics.parquet --calibration t.json -o after"""
-PAGES = {"calibration": "calibration.html", "drift": "drift.html", "trial": "after/report.html"}
+PICTURES = {  # name: page, and which picture of it
+    "calibration": ("calibration.html", 0),
+    "matrix": ("calibration.html", 1),
+    "drift": ("drift.html", 0),
+    "trial": ("after/report.html", 0),
+}
 
 
 def draw(folder: Path) -> None:
@@ -35,22 +39,19 @@ def draw(folder: Path) -> None:
         for line in (f"info session --figure {folder / 'tutorial-session.svg'}", *COMMANDS.splitlines()):
             if run(line.split()) != 0:
                 raise SystemExit(f"undrift {line} failed")
-        for name, page in PAGES.items():
-            (folder / f"page-{name}.svg").write_text(first_picture(Path(page).read_text("utf-8")), "utf-8")
+        for name, (page, k) in PICTURES.items():
+            (folder / f"page-{name}.svg").write_text(picture(Path(page).read_text("utf-8"), k), "utf-8")
         made = read_calibration("c.json")
-    save_figure(made.plot(), folder / "tutorial-calibration.svg")
     template = files("undrift.report").joinpath("certificate.typ").read_bytes()
     given = {"content": json.dumps(certificate_content(made))}
     pages = typst.compile(template, format="svg", ignore_system_fonts=True, sys_inputs=given)
     (folder / "certificate.svg").write_bytes(pages[0] if isinstance(pages, list) else pages)
 
 
-def first_picture(page: str) -> str:
-    """Return the picture that a report opens with as a file of its own."""
-    found = re.search(r"<svg\b.*?</svg>", page, re.S)
-    if found is None:
-        raise SystemExit("a report without a picture")
-    return found[0].replace("<svg ", '<svg xmlns="http://www.w3.org/2000/svg" ', 1)
+def picture(page: str, k: int) -> str:
+    """Return a picture of a report as a file of its own."""
+    found = re.findall(r"<svg\b.*?</svg>", page, re.S)
+    return found[k].replace("<svg ", '<svg xmlns="http://www.w3.org/2000/svg" ', 1)
 
 
 if __name__ == "__main__":
