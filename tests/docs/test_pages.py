@@ -54,9 +54,7 @@ def test_a_page_that_is_wrong_is_noticed(text: str, why: str, tmp_path: Path) ->
 
 def test_an_option_that_does_not_exist_is_noticed(tmp_path: Path) -> None:
     with pytest.raises(Exception, match="no-such"):
-        pages.run_page(
-            "<!-- parsed: a table -->\n```sh\nundrift rig stop --rig manual: --no-such 1\n```\n", tmp_path, tmp_path
-        )
+        pages.run_page("<!-- parsed: a table -->\n```sh\nundrift rig stop --rig manual: --no-such 1\n```\n", tmp_path)
 
 
 def test_arrays_are_calibrated_and_corrected_in_ten_lines() -> None:
