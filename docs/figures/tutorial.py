@@ -1,34 +1,57 @@
-"""Pictures of the tutorial, on a simulated device: a session with its stills and turns, a calibration, a trial against optics."""
+"""Pictures of the tutorial: a session by hand, and of the packaged sample what the tutorial's own commands draw."""
 
 import contextlib
 import io
+import json
+import re
 import sys
 import tempfile
+from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
+import typst
 
 import undrift
 from undrift.cli.app import run
-from undrift.report.figures import save_figure
+from undrift.io.store import read_calibration
+from undrift.report.certificate import certificate_content
+
+COMMANDS = """data fetch sample
+calibrate sample/bench -o c.json --report calibration.html
+drift sample/thermal --calibration c.json -o t.json --report drift.html
+validate sample/sit_to_stand.parquet --reference sample/sit_to_stand_optics.parquet --calibration t.json -o after"""
+PICTURES = {  # name: page, and which picture of it
+    "calibration": ("calibration.html", 0),
+    "matrix": ("calibration.html", 1),
+    "drift": ("drift.html", 0),
+    "trial": ("after/report.html", 0),
+}
 
 
 def draw(folder: Path) -> None:
     """Draw them into a folder."""
     rng = np.random.default_rng(7)
-    device = undrift.random_device(rng)
-    session = undrift.simulate_session("ferraris", device, rng=rng)
-    calibration = undrift.calibrate(undrift.simulate_session("bench", device, rng=rng))
-    with tempfile.TemporaryDirectory() as held:
-        undrift.write_session(session, Path(held) / "session")
-        picture = str(folder / "tutorial-session.svg")
-        with contextlib.redirect_stdout(io.StringIO()):
-            if run(["info", str(Path(held) / "session"), "--figure", picture]) != 0:
-                raise SystemExit("undrift info failed")
-    save_figure(calibration.plot(), folder / "tutorial-calibration.svg")
-    trial = undrift.simulate_trial("sit_to_stand", device, rng=rng)
-    judged = undrift.validate_trial(trial.record, trial.reference, calibration=calibration, name="sit-to-stand")
-    save_figure(judged.plot(), folder / "tutorial-trial.svg")
+    session = undrift.simulate_session("ferraris", undrift.random_device(rng), rng=rng)
+    folder = folder.resolve()
+    with tempfile.TemporaryDirectory() as held, contextlib.chdir(held), contextlib.redirect_stdout(io.StringIO()):
+        undrift.write_session(session, "session")
+        for line in (f"info session --figure {folder / 'tutorial-session.svg'}", *COMMANDS.splitlines()):
+            if run(line.split()) != 0:
+                raise SystemExit(f"undrift {line} failed")
+        for name, (page, k) in PICTURES.items():
+            (folder / f"page-{name}.svg").write_text(picture(Path(page).read_text("utf-8"), k), "utf-8")
+        made = read_calibration("c.json")
+    template = files("undrift.report").joinpath("certificate.typ").read_bytes()
+    given = {"content": json.dumps(certificate_content(made))}
+    pages = typst.compile(template, format="svg", ignore_system_fonts=True, sys_inputs=given)
+    (folder / "certificate.svg").write_bytes(pages[0] if isinstance(pages, list) else pages)
+
+
+def picture(page: str, k: int) -> str:
+    """Return a picture of a report as a file of its own."""
+    found = re.findall(r"<svg\b.*?</svg>", page, re.S)
+    return found[k].replace("<svg ", '<svg xmlns="http://www.w3.org/2000/svg" ', 1)
 
 
 if __name__ == "__main__":

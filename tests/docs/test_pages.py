@@ -7,7 +7,6 @@ from pathlib import Path
 import pytest
 
 from testkit import doc_pages as pages
-from undrift.cli.app import run
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
@@ -16,18 +15,10 @@ PAGES = [ROOT / "README.md", *(page for page in sorted(DOCS.glob("*.md")) if pag
 WITHOUT_BLOCKS = {"index.md", "accuracy.md", "glossary.md", "live.md", "model.md", "nomenclature.md"}
 
 
-@pytest.fixture(scope="module")
-def sample(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Run the one line that makes the data of the pages, once."""
-    folder = tmp_path_factory.mktemp("data") / "sample"
-    assert run([*pages.SAMPLE.split()[1:-1], str(folder)]) == 0
-    return folder
-
-
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
-def test_the_blocks_of_a_page_run_and_print_what_it_shows(page: Path, sample: Path, tmp_path: Path) -> None:
+def test_the_blocks_of_a_page_run_and_print_what_it_shows(page: Path, tmp_path: Path) -> None:
     start = time.perf_counter()
-    ran = pages.run_page(page.read_text(), tmp_path, sample)
+    ran = pages.run_page(page.read_text(), tmp_path)
     print(f"  {page.name}: {ran} blocks in {time.perf_counter() - start:.1f} s")
     assert ran or page.name in WITHOUT_BLOCKS
 
@@ -52,19 +43,18 @@ def test_the_line_that_makes_the_data_stands_in_the_tutorial_once() -> None:
         ("```sh\nls\n```", "unknown program"),
         ("```sh\nmake test\n```", "mark it as parsed"),
         ("```python\nprint(1)\n```\n```text\n2\n```", "prints"),
+        ("```sh\nundrift data fetch sample\n```\n```text\nWrote sample, from 2 packages\n```", "not printed"),
         ("<!-- quick: no command -->\n```sh\nundrift demo\n```", "quick wants"),
     ],
 )
 def test_a_page_that_is_wrong_is_noticed(text: str, why: str, tmp_path: Path) -> None:
     with pytest.raises(AssertionError, match=why):
-        pages.run_page(text + "\n", tmp_path, tmp_path)
+        pages.run_page(text + "\n", tmp_path)
 
 
 def test_an_option_that_does_not_exist_is_noticed(tmp_path: Path) -> None:
     with pytest.raises(Exception, match="no-such"):
-        pages.run_page(
-            "<!-- parsed: a table -->\n```sh\nundrift rig stop --rig manual: --no-such 1\n```\n", tmp_path, tmp_path
-        )
+        pages.run_page("<!-- parsed: a table -->\n```sh\nundrift rig stop --rig manual: --no-such 1\n```\n", tmp_path)
 
 
 def test_arrays_are_calibrated_and_corrected_in_ten_lines() -> None:

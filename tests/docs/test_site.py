@@ -1,19 +1,31 @@
-"""The site builds without warnings, loads nothing from elsewhere, and has a page or a row for each thing of the code."""
+"""The site builds without warnings, loads nothing from elsewhere, has a row for each thing of the code, and reads in a browser."""
 
 import re
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 import undrift
+from testkit.pages import PRINTED_PX, browser, seen_in
 from undrift.cli.app import COMMANDS
 from undrift.findings import catalogue
 from undrift.sim.device.presets import SHEETS
 
 pytest.importorskip("furo")
 ROOT = Path(__file__).parents[2]
+SOME = (
+    "index",
+    "tutorial",
+    "files",
+    "_generated/command-calibrate",
+)  # one of each kind: links, pictures, tables, generated
+
+_CUT_IN_PRINT = """() => [...document.querySelectorAll('article :is(table, pre, img, p, dd, li)')].filter(e => e.offsetParent &&
+  (e.getBoundingClientRect().right > document.documentElement.clientWidth + 1 || e.scrollWidth > e.clientWidth + 8 &&
+   getComputedStyle(e).display != 'inline')).map(e => e.tagName + ' ' + e.textContent.trim().slice(0, 29))"""
 
 
 @pytest.fixture(scope="module")
@@ -98,3 +110,38 @@ def test_what_scrolls_can_be_reached_by_keyboard_and_headings_have_a_level(site:
         assert "<pre>" not in text, page.name
         assert not re.search(r'<div class="table-wrapper', text), page.name
         assert not re.search(r'role="heading"(?! aria-level)', text), page.name
+
+
+def cut_in_print(held: Any, *pages: Path) -> list[str]:
+    """Return what is wider than the printed page; 8 px are those of an indented term."""
+    tab = held.new_page(viewport={"width": PRINTED_PX, "height": 1000}, color_scheme="light")
+    tab.emulate_media(media="print")
+    found = []
+    for page in pages:
+        tab.goto(page.as_uri())
+        found += [f"{page.name} in print: {what}" for what in tab.evaluate(_CUT_IN_PRINT)]
+    tab.close()
+    return found
+
+
+def test_pages_read_on_wide_and_narrow_screens_light_and_dark_and_on_paper(site: Path) -> None:
+    with browser() as held:
+        assert [fault for name in SOME for fault in seen_in(held, site / f"{name}.html")] == []
+        pages = sorted(page for page in site.rglob("*.html") if "decisions" not in page.parts)
+        assert len(pages) > 40
+        assert cut_in_print(held, *pages) == []
+
+
+def test_what_is_cut_is_noticed(tmp_path: Path) -> None:
+    page = tmp_path / "wide.html"
+    page.write_text(
+        '<html lang="en"><article><pre style="overflow-x: auto">' + "word " * 60 + "</pre></article></html>"
+    )
+    with browser() as held:
+        assert cut_in_print(held, page) == ["wide.html in print: PRE word word word word word word"]
+
+
+@pytest.mark.long
+def test_every_page_reads_on_wide_and_narrow_screens_light_and_dark_and_on_paper(site: Path) -> None:
+    with browser() as held:
+        assert [fault for page in sorted(site.rglob("*.html")) for fault in seen_in(held, page)] == []

@@ -1,7 +1,7 @@
 """Library of tasks: 200 performances by the 60 subjects keep to what is known of such tasks.
 
-Bounds that are measured or stand in the note's Table 1 are held strictly; medians are held to the ranges that
-docs/motions.md lists as assumed, which guards the generators and proves nothing about people.
+Bounds that are measured or stand in the note's Table 1 are held strictly; medians are held to ranges that are
+assumed, which guards the generators and proves nothing about people.
 """
 
 import functools
