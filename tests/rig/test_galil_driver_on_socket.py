@@ -3,6 +3,7 @@
 import contextlib
 import math
 import re
+import time
 
 import pytest
 
@@ -270,6 +271,7 @@ def test_code_3_is_met_by_a_program_only_and_its_line_comes_unasked():
         for line in ("DL", "#A;LS", "EN"):
             port.shout(line)
         port.shout("\\")
+        time.sleep(0.1)  # their prompts come before the port asks again
         port.resynchronise()
         rig.card.do("XQ #A")
         said = []

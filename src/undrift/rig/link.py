@@ -311,6 +311,7 @@ class LinkPort(Link):
                 if attempt == 2:
                     raise
             else:
+                self.unsolicited()  # prompts of shouted commands that came before the number was asked for
                 return
 
 
