@@ -69,7 +69,7 @@ def test_guard_and_runner_killed_at_once_leave_an_axis_that_its_card_stops_in_th
             process.kill()
             os.kill(victims[0], signal.SIGKILL)
             process.communicate(timeout=60.0)
-        assert abs(axis_state(bench.rig, killed, mean_s=0.05)[1]) > 20.0 * DPS
+        assert abs(axis_state(bench.rig, killed)[1]) > 20.0 * DPS  # no mean: it may still gain speed
         stated = killed + LIMIT_S * SPEED + BRAKES_S
         eventually(lambda: bench.rig.now() > stated + 1.0, "the stated time passes", within_s=120.0)
         assert abs(axis_state(bench.rig, stated, mean_s=0.5)[1]) < 0.05 * DPS
