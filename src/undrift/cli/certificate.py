@@ -23,11 +23,10 @@ def certificate(calibration: Path, /, *, output: Output, details: Details = Fals
         0, or 1 when the calibration's own verdict is bad.
     """
     from undrift.io.store import read_calibration, verdict_json
+    from undrift.report.certificate import certificate_content, content_hash, write_certificate
 
     check_output(output, endings=(".pdf",), reads=(calibration,))
     model = read_calibration(calibration)
-    from undrift.report.certificate import certificate_content, content_hash, write_certificate
-
     write_certificate(model, output)
     if json:
         triads = certificate_content(model)["triads"]

@@ -546,7 +546,7 @@ def _show(outcome: "StudyOutcome", output: Path, details: bool) -> None:
             f"{task.surface.task}: {tested.error_rms_deg:.3f} deg rms [{tested.interval_rms_deg[0]:.3f}, "
             f"{tested.interval_rms_deg[1]:.3f}] on {tested.subjects} other subjects, largest error {tested.error_max_deg:.3f} deg",
             *(f"  {item.text}" for item in ordered[:shown]),
-            *([] if note is None else [f"  the note {_said(note)}: {note.finding.text}"]),
+            *([] if note is None else [f"  the note {_in_words(note)}: {note.finding.text}"]),
             *([] if note is None else [f"  {each.finding.text}" for each in note.values if each.verdict != "agrees"]),
             *([f"  {more} more: --details, and {output / 'report.html'}"] if more > 0 else []),
         )
@@ -562,7 +562,7 @@ def _show(outcome: "StudyOutcome", output: Path, details: bool) -> None:
     )
 
 
-def _said(note: "NoteComparison") -> str:
+def _in_words(note: "NoteComparison") -> str:
     return "is not decidable" if note.verdict == "not decidable" else note.verdict
 
 

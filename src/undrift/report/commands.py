@@ -339,7 +339,7 @@ def write_twin_report(
     origin: Origin | None = None,
 ) -> None:
     """Write the page of a device model that was fitted to a real device."""
-    rows, reasons = [], dict[str, list[str]]()
+    rows, reasons, count = [], dict[str, list[str]](), len(fitted.gyro_residual_rms)
     for p in fitted.parameters:
         value = p.value if isinstance(p.value, str) else number(p.value, ".6g")
         rows.append((p.name, value, number(p.standard_error, ".2g"), p.unit, "yes" if p.identifiable else "no"))
@@ -369,7 +369,7 @@ def write_twin_report(
         sections.append(Section(title="End errors", text=text, columns=names, rows=tuple(ends)))
     write_page(
         path,
-        title=f"Twin of a real device, from {len(fitted.gyro_residual_rms)} recordings",
+        title=f"Twin of a real device, from {count} recording{'s' if count > 1 else ''}",
         answer=answer + ".",
         pictures=(svg_of(_draw_held_out(held)),) if held else (),
         findings=tuple(f for one in held if (f := one.excitation.finding(one.recording)) is not None),

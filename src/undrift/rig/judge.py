@@ -225,16 +225,15 @@ class Turns:
 
     def __init__(self) -> None:
         self._rest: tuple[float | None, Record] | None = None  # the last one, with its set-point
-        self._kept: dict[
-            Axis | None, list[tuple[float, FloatArray]]
-        ] = {}  # turn rate, readings less those at rest (3,)
+        # Turn rate, and readings less those at rest (3,), by axis
+        self._kept: dict[Axis | None, list[tuple[float, FloatArray]]] = {}
 
     def check(self, step: Dwell, turn_rate: float, record: Record, where: str) -> None:
         """Refuse a turn that does not read as one at its rate, and a rest that reads as a turn."""
-        if step.purpose == "turn" or self._rest is None or self._rest[1].gyro is None or record.gyro is None:
+        temp_c, last = self._rest or (None, None)
+        if step.purpose == "turn" or last is None or last.gyro is None or record.gyro is None:
             return
-        temp_c, last = self._rest
-        parts, rest = _part_means(record.gyro), _part_means(self._rest[1].gyro)
+        parts, rest = _part_means(record.gyro), _part_means(last.gyro)
         longer = max(1.0, len(last) / len(record))
         noise = np.sqrt(2.0 * longer * rest.var(axis=0) + len(parts) * _half_steps(last)[:3] ** 2 / 3.0)  # of a part
         error, shown = noise / np.sqrt(len(parts)), parts.mean(axis=0) - rest.mean(axis=0)
