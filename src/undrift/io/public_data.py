@@ -2,7 +2,6 @@
 
 import os
 import shutil
-import tempfile
 import tomllib
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -11,6 +10,7 @@ from pathlib import Path
 from urllib.parse import quote
 
 from undrift.errors import InputError
+from undrift.files import hidden_folder
 
 SAMPLE = "sample"
 REGISTRY = Path(__file__).with_suffix(".toml")
@@ -80,17 +80,15 @@ def fetch(name: str, folder: Path) -> str:
 
 
 def _whole(folder: Path, fill: Callable[[Path], None]) -> None:
-    """Fill a neighbour that then takes the folder's name; nothing stays where it fails."""
+    """Fill a hidden neighbour that then takes the folder's name; nothing stays where it fails, or is killed."""
     try:
-        part = Path(tempfile.mkdtemp(dir=folder.parent, prefix=f".{folder.name}."))
+        with hidden_folder(folder.parent) as held:
+            part = held / folder.name
+            part.mkdir()
+            fill(part)
+            part.rename(folder)
     except OSError as error:
         raise InputError(f"{folder}: wanted a folder to write to, got {error.strerror}; choose another") from error
-    try:
-        fill(part)
-        part.chmod(0o755)
-        part.rename(folder)
-    finally:
-        shutil.rmtree(part, ignore_errors=True)
 
 
 def _copied(source: Path, part: Path) -> None:
