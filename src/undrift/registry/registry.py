@@ -36,6 +36,7 @@ except ModuleNotFoundError as error:
 
 WAIT_S = 30.0  # for another writer
 _ADDRESS = "a path, sqlite:///FILE or postgresql://user@host/database"
+_AS_THEY_ARE = ("kind", "verdict", "made_at", "due_at", "source", "supersedes", "note")  # of a new entry
 _MIGRATING = 0x756E6472  # PostgreSQL's advisory lock: one program migrates, the others wait
 
 
@@ -142,38 +143,34 @@ class Registry:
         done: dict[int, Added] = {}
         with self._session(writes=True) as session:
             now, who = datetime.now(UTC), _who()
-            devices = {
-                serial: self._device(session, serial, now, who) for serial in sorted({one.serial for one in new})
-            }
+            devices = {name: self._device(session, name, now, who) for name in sorted({one.serial for one in new})}
             for k in order:
                 one, digest = hashed[k]
-                rest = {"device_id": devices[one.serial], "sha256": digest, "added_at": now, "added_by": who}
+                rest = {"device_id": devices[one.serial].id, "sha256": digest, "added_at": now, "added_by": who}
                 done[k] = self._add_one(session, one, rest)
+                _ = done[k].entry.device.serial  # known when the transaction is over
         return [done[k] for k in range(len(new))]
 
-    def _device(self, session: Session, serial: str, now: datetime, who: str) -> int:
-        held = select(Device.id).where(Device.serial == serial)
-        if (found := session.scalar(held)) is None:
-            values = {"serial": serial, "added_at": now, "added_by": who}
-            session.execute(self._insert(Device).values(values).on_conflict_do_nothing())
-            found = session.scalar(held)
-        return int(found or 0)
+    def _device(self, session: Session, serial: str, now: datetime, who: str) -> Device:
+        held = select(Device).where(Device.serial == serial)
+        if (found := session.scalar(held)) is not None:
+            return found
+        session.execute(self._insert(Device), {"serial": serial, "added_at": now, "added_by": who})
+        return session.scalars(held).one()
 
     def _add_one(self, session: Session, one: NewEntry, rest: dict[str, Any]) -> Added:
-        same = select(Entry).where(Entry.kind == one.kind, Entry.sha256 == rest["sha256"], Entry.supersedes.is_(None))
+        asked = Entry.kind == one.kind, Entry.sha256 == rest["sha256"], Entry.supersedes.is_(None)
+        same = select(Entry).where(*asked)
         if one.supersedes is not None:
             self._check_correction(session, one)
         elif (held := session.scalar(same)) is not None:
             return Added(entry=held, new=False)
         low, high = one.temp_c or (None, None)
-        values = rest | {
-            name: getattr(one, name)
-            for name in ("kind", "verdict", "made_at", "due_at", "source", "supersedes", "note")
-        }
+        values = rest | {name: getattr(one, name) for name in _AS_THEY_ARE}
         values |= {"document": dict(one.document), "low_c": low, "high_c": high, "station": self._station}
-        made = session.scalar(self._insert(Entry).values(values).on_conflict_do_nothing().returning(Entry.id))
+        made: Entry | None = session.scalar(self._insert(Entry).returning(Entry), values)
         if made is not None:
-            return Added(entry=session.scalars(select(Entry).where(Entry.id == made)).one(), new=True)
+            return Added(entry=made, new=True)
         if one.supersedes is not None:  # another program was quicker
             self._check_correction(session, one)
         return Added(entry=session.scalars(same).one(), new=False)
@@ -192,7 +189,8 @@ class Registry:
             )
 
     def _insert(self, table: type[Device] | type[Entry]) -> Any:
-        return sqlite.insert(table) if self._lite else postgresql.insert(table)
+        """Return an INSERT that does nothing where another program has added the same."""
+        return (sqlite.insert(table) if self._lite else postgresql.insert(table)).on_conflict_do_nothing()
 
     # ---- reading
 
@@ -397,11 +395,18 @@ _LINES: tuple[tuple[Callable[[str, str], bool], str], ...] = (
         "wanted a registry, got a file that is no sound SQLite database; name another, or restore a backup",
     ),
     (lambda said, state: "only grows" in said, "{said}; undrift registry add FILE --supersedes ID"),
-    (lambda said, state: state.startswith("28"), "wanted a user that may log in, got a refusal: {said}; check user and password"),
-    (lambda said, state: state == "3D000", "wanted a database, got none of that name; create it on the server first: createdb"),
+    (
+        # psycopg states no code for what fails before there is a session
+        lambda said, state: "authentication" in said or "password" in said or "role" in said or "pg_hba" in said,
+        "wanted a user that may log in, got a refusal: {said}; check user and password",
+    ),
+    (
+        lambda said, state: "database" in said and "does not exist" in said,
+        "wanted a database, got none of that name; create it on the server first: createdb",
+    ),
     (
         lambda said, state: not state and ("connect" in said or "resolve" in said or "server" in said or "timeout" in said),
-        "wanted a database server, got no answer: {said}; check host and port",
+        "wanted a connection to the server, got none: {said}; check host and port",
     ),
 )  # fmt: skip
 

@@ -3,7 +3,7 @@
 from datetime import UTC, datetime
 from typing import Any
 
-from sqlalchemy import JSON, CheckConstraint, DateTime, Dialect, ForeignKey, Index, String, Text, text
+from sqlalchemy import JSON, CheckConstraint, DateTime, Dialect, Double, ForeignKey, Index, String, Text, text
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column, relationship
 from sqlalchemy.types import TypeDecorator
 
@@ -55,8 +55,8 @@ class Entry(Base):
     sha256: Mapped[str] = mapped_column(String(64))  # of the document: JSON with sorted keys, without spaces, UTF-8
     document: Mapped[dict[str, Any]] = mapped_column(JSON, deferred=True)
     verdict: Mapped[str | None] = mapped_column(String(20))  # good, marginal or bad; None where nothing was judged
-    low_c: Mapped[float | None]  # valid from this temperature, degC; None where it is not known
-    high_c: Mapped[float | None]  # to this one
+    low_c: Mapped[float | None] = mapped_column(Double)  # valid from this temperature, degC; None where it is not known
+    high_c: Mapped[float | None] = mapped_column(Double)  # to this one
     made_at: Mapped[datetime] = mapped_column(UtcTime)
     due_at: Mapped[datetime | None] = mapped_column(UtcTime)  # calibrate again by then
     added_at: Mapped[datetime] = mapped_column(UtcTime)
