@@ -159,12 +159,8 @@ class Registry:
         return session.scalars(held).one()
 
     def _add_one(self, session: Session, one: NewEntry, rest: dict[str, Any]) -> Added:
-        asked = Entry.kind == one.kind, Entry.sha256 == rest["sha256"], Entry.supersedes.is_(None)
-        same = select(Entry).where(*asked)
         if one.supersedes is not None:
             self._check_correction(session, one)
-        elif (held := session.scalar(same)) is not None:
-            return Added(entry=held, new=False)
         low, high = one.temp_c or (None, None)
         values = rest | {name: getattr(one, name) for name in _AS_THEY_ARE}
         values |= {"document": dict(one.document), "low_c": low, "high_c": high, "station": self._station}
@@ -173,7 +169,8 @@ class Registry:
             return Added(entry=made, new=True)
         if one.supersedes is not None:  # another program was quicker
             self._check_correction(session, one)
-        return Added(entry=session.scalars(same).one(), new=False)
+        same = Entry.kind == one.kind, Entry.sha256 == rest["sha256"], Entry.supersedes.is_(None)
+        return Added(entry=session.scalars(select(Entry).where(*same)).one(), new=False)
 
     def _check_correction(self, session: Session, one: NewEntry) -> None:
         old = session.get(Entry, one.supersedes)
