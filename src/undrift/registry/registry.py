@@ -37,7 +37,10 @@ except ModuleNotFoundError as error:
 WAIT_S = 30.0  # for another writer
 _ADDRESS = "a path, sqlite:///FILE or postgresql://user@host/database"
 _AS_THEY_ARE = ("kind", "verdict", "made_at", "due_at", "source", "supersedes", "note")  # of a new entry
-_MIGRATING = 0x756E6472  # PostgreSQL's advisory lock: one program migrates, the others wait
+_MIGRATING, _MANY = (
+    0x756E6472,
+    0x756E6473,
+)  # PostgreSQL's advisory locks: one program migrates, or adds several, the others wait
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -136,20 +139,19 @@ class Registry:
     # ---- adding
 
     def add(self, *new: NewEntry) -> list[Added]:
-        """Add all entries or none; the same content again is the entry that exists."""
+        """Add all entries or none, in their order; the same content again is the entry that exists."""
         hashed = [(one, hash_of(one.document)) for one in new]
-        # one order for all programs, so that no two wait for each other
-        order = sorted(range(len(new)), key=lambda k: (hashed[k][0].kind, hashed[k][1]))
-        done: dict[int, Added] = {}
+        done = []
         with self._session(writes=True) as session:
+            if len(new) > 1 and not self._lite:  # two such programs would wait for each other's entries
+                session.execute(select(func.pg_advisory_xact_lock(_MANY)))
             now, who = datetime.now(UTC), _who()
             devices = {name: self._device(session, name, now, who) for name in sorted({one.serial for one in new})}
-            for k in order:
-                one, digest = hashed[k]
+            for one, digest in hashed:
                 rest = {"device_id": devices[one.serial].id, "sha256": digest, "added_at": now, "added_by": who}
-                done[k] = self._add_one(session, one, rest)
-                _ = done[k].entry.device.serial  # known when the transaction is over
-        return [done[k] for k in range(len(new))]
+                done.append(self._add_one(session, one, rest))
+                _ = done[-1].entry.device.serial  # known when the transaction is over
+        return done
 
     def _device(self, session: Session, serial: str, now: datetime, who: str) -> Device:
         held = select(Device).where(Device.serial == serial)
@@ -159,8 +161,12 @@ class Registry:
         return session.scalars(held).one()
 
     def _add_one(self, session: Session, one: NewEntry, rest: dict[str, Any]) -> Added:
+        asked = Entry.kind == one.kind, Entry.sha256 == rest["sha256"], Entry.supersedes.is_(None)
+        same = select(Entry).where(*asked)
         if one.supersedes is not None:
             self._check_correction(session, one)
+        elif (held := session.scalar(same)) is not None:  # first, so that no number is lost
+            return Added(entry=held, new=False)
         low, high = one.temp_c or (None, None)
         values = rest | {name: getattr(one, name) for name in _AS_THEY_ARE}
         values |= {"document": dict(one.document), "low_c": low, "high_c": high, "station": self._station}
@@ -169,8 +175,7 @@ class Registry:
             return Added(entry=made, new=True)
         if one.supersedes is not None:  # another program was quicker
             self._check_correction(session, one)
-        same = Entry.kind == one.kind, Entry.sha256 == rest["sha256"], Entry.supersedes.is_(None)
-        return Added(entry=session.scalars(select(Entry).where(*same)).one(), new=False)
+        return Added(entry=session.scalars(same).one(), new=False)
 
     def _check_correction(self, session: Session, one: NewEntry) -> None:
         old = session.get(Entry, one.supersedes)
