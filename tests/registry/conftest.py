@@ -2,11 +2,12 @@
 
 import pytest
 
-from testkit import postgres
-
 
 @pytest.fixture(scope="session")
 def server():
+    pytest.importorskip("pwd", reason="the tests start PostgreSQL on POSIX systems alone")
+    from testkit import postgres
+
     folder = postgres.programs()
     if folder is None:
         pytest.skip("PostgreSQL is not installed: apt-get install postgresql")
