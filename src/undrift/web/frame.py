@@ -67,7 +67,7 @@ def device_line(bench: Bench) -> str:
     if bench.connecting:
         return f"Connecting {bench.connecting} ..."
     if bench.source is None:
-        return bench.source_error and f"No device: {bench.source_error}" or "No device connected"
+        return (bench.source_error and f"No device: {bench.source_error}") or "No device connected"
     return f"Device: {bench.source.name}" + (f" ({bench.source.error})" if bench.source.error else "")
 
 

@@ -57,7 +57,8 @@ WAYS = (
         minutes="30 min to hours",
         path="/temperature",
         next="Record temperatures",
-        drawing=_drawn('<path d="M40 86 V14 M40 86 H186 M46 80 C80 78 86 30 120 26 S170 24 182 24"/>' + '<path d="M196 30 v34 a9 9 0 1 0 10 0 v-34 a5 5 0 0 0 -10 0"/>'),
+        drawing=_drawn('<path d="M40 86 V14 M40 86 H186 M46 80 C80 78 86 30 120 26 S170 24 182 24"/>'
+            '<path d="M196 30 v34 a9 9 0 1 0 10 0 v-34 a5 5 0 0 0 -10 0"/>'),
     ),
     Way(
         have="A recording made already",
@@ -75,7 +76,8 @@ WAYS = (
         minutes="5 min",
         path="/recordings",
         next="Open recording and optics",
-        drawing=_drawn('<path d="M24 18 l22 8 -8 18 -22 -8 z M46 34 l36 18 M196 18 l-22 8 8 18 22 -8 z M174 34 l-36 18"/>' + _BOX.format(x=88, y=110)),
+        drawing=_drawn('<path d="M24 18 l22 8 -8 18 -22 -8 z M46 34 l36 18 M196 18 l-22 8 8 18 22 -8 z M174 34 l-36 18"/>'
+            + _BOX.format(x=88, y=110)),
     ),
 )  # fmt: skip
 
