@@ -7,6 +7,7 @@ A folder holds everything that the bench writes::
 """
 
 import asyncio
+import json
 import re
 import time
 from collections.abc import Callable
@@ -52,6 +53,7 @@ class Job:
     certificate: Path | None = None
     answer: dict[str, Any] = field(default_factory=dict)  # of calibrate
     registered: str = ""  # what the registry said
+    error: str = ""  # of the last command
     began: float = field(default_factory=time.monotonic)
 
     @property
@@ -147,6 +149,26 @@ class Bench:
         """Return the job that is going on, a new one where there is none."""
         return self.job or self.new_job(self.source.name if self.source is not None else "")
 
+    async def open_job(self, folder: Path) -> None:
+        """Take up a job of an earlier day: its calibration, report and certificate."""
+        job = Job(folder=folder, calibration=folder / "calibration.json")
+        job.answer = await asyncio.to_thread(_held_in, folder / "calibration.json")
+        for name, file in (("report", "report.html"), ("certificate", "certificate.pdf")):
+            if (folder / file).is_file():
+                setattr(job, name, folder / file)
+        self.job = job
+
+    async def calibrate(self, job: Job, *words: object) -> Outcome:
+        """Run ``undrift calibrate`` for a job: a session, or recordings and options; the calibration is used from then on."""
+        made, report = job.folder / "calibration.json", job.folder / "report.html"
+        outcome = await self.command("calibrate", *words, "-o", made, "--report", report)
+        job.error = "" if outcome.done else outcome.error
+        if outcome.done:
+            job.calibration, job.report, job.answer = made, report, outcome.answer
+            job.certificate, job.registered = None, ""
+            self.calibration = made
+        return outcome
+
     async def command(self, *words: object, folder: Path | None = None) -> Outcome:
         """Run a command of undrift; pages show what it does while it runs."""
         now = Working(" ".join(map(str, words[:2] if str(words[0]) in ("registry", "session", "rig") else words[:1])))
@@ -188,6 +210,15 @@ class Bench:
             self.source.stop()
         if self._practice is not None:
             self._practice.close()
+
+
+def _held_in(path: Path) -> dict[str, Any]:
+    """Return what a calibration file holds; nothing where it cannot be read."""
+    try:
+        held = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+    return held if isinstance(held, dict) else {}
 
 
 def safe_name(text: str, otherwise: str) -> str:

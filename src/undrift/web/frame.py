@@ -29,6 +29,11 @@ def text(tag: str, words: str = "", classes: str = "") -> Any:
     return made
 
 
+def text_link(words: str, target: str) -> Any:
+    """Add a link with plain text."""
+    return ui.link(words, target)
+
+
 def set_text(element: Any, words: str) -> None:
     """Change the text of an element, where it is another one."""
     if element._text != words:
