@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Page, expect
 
-from web_browser.conftest import BenchServer, shoot
+from testkit.bench import BenchServer
+from web_browser.conftest import shoot
 
 DATA = Path(os.environ.get("UNDRIFT_DATA", Path(__file__).parents[3] / "shared" / "data"))
 needs_data = pytest.mark.skipif(not DATA.is_dir(), reason="the folder of recordings is absent (UNDRIFT_DATA)")
@@ -60,7 +61,7 @@ def test_what_is_no_recording_gets_one_line_and_is_not_kept(
     for name, content, words in (
         ("virus.exe", b"MZ", "wanted a recording"),
         ("empty.csv", b"", "got an empty file"),
-        ("noise.parquet", bytes(range(256)) * 40, "wanted"),
+        ("noise.parquet", bytes(range(256)) * 40, "binary data of an unknown kind"),
     ):
         (tmp_path / name).write_bytes(content)
         page.get_by_label("Choose files").set_input_files(tmp_path / name)
