@@ -415,16 +415,15 @@ def _bench(
 
 def _forecast(programme: "Programme", done: frozenset[int], yes: bool) -> None:
     """Say on stderr how long each step and the whole takes, and ask whether to start."""
-    from undrift.rig.programme import Dwell, Mount
+    from undrift.rig.programme import forecast_of
 
-    left = [(number, step) for number, step in enumerate(programme.steps) if number not in done]
-    for number, step in left:
-        sys.stderr.write(f"{number:5d}  {_clock(step.duration_s)}  {step}\n")
-    dwells = [step for _, step in left if isinstance(step, Dwell)]
-    mounts = sum(isinstance(step, Mount) for _, step in left)
+    for number, step in enumerate(programme.steps):
+        if number not in done:
+            sys.stderr.write(f"{number:5d}  {_clock(step.duration_s)}  {step}\n")
+    left = forecast_of(programme, done)
     sys.stderr.write(
-        f"{len(dwells)} dwells, {_clock(sum(dwell.duration_s for dwell in dwells))} of rig time; with {mounts} mountings and "
-        f"the chamber about {_clock(sum(step.duration_s for _, step in left))}\n"
+        f"{left.dwells} dwells, {_clock(left.rig_s)} of rig time; with {left.mountings} mountings and the chamber about "
+        f"{_clock(left.total_s)}\n"
     )
     if done:
         sys.stderr.write(f"{len(done)} dwells are on the disk already\n")
