@@ -202,6 +202,9 @@ class RigRun:
 
     def launch(self) -> None:
         """Start the run, or go on with it; returns when the supervisor stands by."""
+        last = time.monotonic() + START_S
+        while self.is_going() and self.view.state not in GOING and time.monotonic() < last:
+            time.sleep(0.02)  # the supervisor of the part before ends in a moment
         if self.is_going():
             raise InputError("rig run: wanted a run at rest, got one that goes on; wait for it, or pause it")
         (self.place / STANDBY).unlink(missing_ok=True)
