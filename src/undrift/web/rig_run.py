@@ -207,6 +207,8 @@ class RigRun:
             time.sleep(0.02)  # the supervisor of the part before ends in a moment
         if self.is_going():
             raise InputError("rig run: wanted a run at rest, got one that goes on; wait for it, or pause it")
+        if self._supervisor is not None:
+            self._supervisor.wait(START_S)
         (self.place / STANDBY).unlink(missing_ok=True)
         self.view = replace(self.view, state="starting", error="", confirmed=None)
         with (self.place / LOG).open("ab") as log:
