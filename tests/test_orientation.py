@@ -326,7 +326,9 @@ def test_a_stream_does_not_depend_on_the_length_of_its_chunks():
     record = two_rests()
     whole, _ = streamed(record, len(record))
     for length in (2, 9, 100):
-        np.testing.assert_array_equal(streamed(record, length)[0], whole)
+        np.testing.assert_allclose(
+            streamed(record, length)[0], whole, rtol=0, atol=1e-12
+        )  # roundings of a renewed start
 
 
 def test_a_stream_knows_no_orientation_after_a_hole_until_the_next_rest():

@@ -566,14 +566,16 @@ _REST = StillSettings(window_s=0.5, min_duration_s=1.0)
 class OrientStream:
     """Orient a stream chunk by chunk: strapdown from the last rest, as ``orient`` with that rest and the offset "rest" has it.
 
-    Chunks of any length give the same. Before the first rest, and after a hole, the orientation is unknown (NaN).
+    Chunks of any length give the same, but for rounding. Before the first rest, and after a hole, the orientation is unknown (NaN).
     """
 
     def __init__(self, heading: float = 0.0) -> None:
         self.rested: float | None = None  # when the last rest ended, s; None where the orientation is unknown
-        self._q = shortest_rotation_up(np.array([0.0, 0.0, 1.0]))
+        self._q: FloatArray = np.array([1.0, 0.0, 0.0, 0.0])
         self._heading, self._offset = heading, np.zeros(3)
-        self._time, self._gyro, self._accel = np.empty(0), np.empty((0, 3)), np.empty((0, 3))  # the last REST_S
+        self._time: FloatArray = np.empty(0)  # the last REST_S
+        self._gyro: FloatArray = np.empty((0, 3))
+        self._accel: FloatArray = np.empty((0, 3))
         self._next_look = -np.inf
 
     def push(self, chunk: Record) -> FloatArray:
@@ -605,14 +607,13 @@ class OrientStream:
         found: FloatArray | float = np.nan
         if self.rested is not None:
             rate = np.vstack((np.zeros(3), gyro - self._offset))
-            found = integrate_strapdown(rate, np.concatenate((self._time[-1:], time)), self._q)[1:]
-            self._q = found[-1]
+            carried = integrate_strapdown(rate, np.concatenate((self._time[-1:], time)), self._q)
+            found, self._q = carried[1:], np.array(carried[-1])
         self._time = np.concatenate((self._time, time))
         first = int(np.searchsorted(self._time, self._time[-1] - REST_S))
         self._time = self._time[first:]
-        self._gyro, self._accel = (
-            np.concatenate((held, new))[first:] for held, new in ((self._gyro, gyro), (self._accel, accel))
-        )
+        self._gyro = np.concatenate((self._gyro, gyro))[first:]
+        self._accel = np.concatenate((self._accel, accel))[first:]
         return found
 
     def _rest(self) -> bool:
