@@ -19,13 +19,13 @@ from undrift.sim.rig.stream import StreamSettings
 from undrift.web.source import Source, joined
 
 
-@pytest.fixture()
+@pytest.fixture
 def talker() -> Iterator[TalkingDevice]:
     with TalkingDevice() as device:
         yield device
 
 
-@pytest.fixture()
+@pytest.fixture
 def source(talker: TalkingDevice) -> Iterator[Source]:
     made = Source(talker.address)
     made.start()
@@ -79,7 +79,7 @@ def test_a_silent_device_is_an_error_in_one_line_and_comes_back_by_itself(source
     after = source.updates(number)
     eventually(lambda: source.status().readings > before, "readings that go on counting")
     whole = joined([one.raw for one in source.updates()])  # refuses time that steps back
-    gap = after[0].raw.time[0] - [one for one in source.updates() if one.number == number][0].raw.time[-1]
+    gap = after[0].raw.time[0] - next(one for one in source.updates() if one.number == number).raw.time[-1]
     assert 2.0 <= gap <= 60.0
     assert np.diff(whole.time).max() == pytest.approx(gap)
 

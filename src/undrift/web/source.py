@@ -24,8 +24,8 @@ from undrift.io.parquet import ParquetWriter
 from undrift.live.recorder import Recorder, RecorderSettings
 from undrift.live.transports import source_at
 from undrift.model import Calibration
-from undrift.orientation import OrientStream
-from undrift.record import Record
+from undrift.orientation import OrientStream, sagittal_pitch
+from undrift.record import Face, Record
 from undrift.units import is_physical
 
 PERIOD_S = 1.0 / 15.0  # between two looks at the recorder, host s
@@ -45,6 +45,7 @@ class Update:
     raw: Record  # In the device's units
     corrected: Record | None  # The same samples, rad/s and m/s2
     q_nb: FloatArray | None  # (N, 4), from the last rest; NaN where unknown
+    pitch: FloatArray | None  # (N,), rad, forward lean positive
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -83,6 +84,7 @@ class Source:
         self._calibration: Calibration | None = None
         self._corrector: Corrector | None = None
         self._orient = OrientStream()
+        self._axes: tuple[Face, Face] = ("+x", "+z")  # forward and up on the upright segment
         self._correction = ""
         self._writer: ParquetWriter | None = None
         self._unwritten: list[Record] = []
@@ -92,6 +94,16 @@ class Source:
     def recorder(self) -> Recorder:
         """The recorder of the present connection."""
         return self._recorder
+
+    @property
+    def nominal_rate_hz(self) -> float:
+        """Stated readings per second of the device."""
+        return self._recorder.source.description.rate
+
+    @property
+    def axes(self) -> tuple[Face, Face]:
+        """The device's axes that point forward and up on the upright segment, which define the pitch."""
+        return self._axes
 
     @property
     def calibration(self) -> Calibration | None:
@@ -160,6 +172,11 @@ class Source:
             self._calibration, self._corrector, self._correction = calibration, corrector, ""
             self._orient = OrientStream()
 
+    def set_axes(self, forward: Face, up: Face) -> None:
+        """Count the pitch about other axes from now on."""
+        sagittal_pitch(np.array([1.0, 0.0, 0.0, 0.0]), forward=forward, up=up)  # refuses what are no two axes
+        self._axes = forward, up
+
     def write_to(self, path: Path) -> None:
         """Write the raw readings from now on to a Parquet file, which appears when the writing is stopped."""
         with self._file_lock:
@@ -220,8 +237,9 @@ class Source:
         if came is None:
             return
         raw = came if not self._start else replace(came, time=came.time + self._start)
-        corrected, orient = self._corrected(raw), self._orient
-        q = _oriented(orient, corrected or raw)
+        corrected, (forward, up) = self._corrected(raw), self._axes
+        q = _oriented(self._orient, corrected or raw)
+        pitch = None if q is None else sagittal_pitch(q, forward=forward, up=up)
         with self._lock:
             now = time.monotonic()
             self._heard, self._last, self._number = now, float(raw.time[-1]), self._number + 1
@@ -230,7 +248,7 @@ class Source:
                 self._counted.popleft()
             if raw.temp_c is not None and (known := raw.temp_c[~np.isnan(raw.temp_c)]).size:
                 self._temp_c = float(known[-1])
-            self._kept.append(Update(number=self._number, raw=raw, corrected=corrected, q_nb=q))
+            self._kept.append(Update(number=self._number, raw=raw, corrected=corrected, q_nb=q, pitch=pitch))
             while self._kept[0].raw.time[-1] < self._last - KEEP_S:
                 self._kept.popleft()
         self._write(raw)
