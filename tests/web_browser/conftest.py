@@ -1,0 +1,97 @@
+"""The bench as a person meets it: ``undrift bench`` in a process of its own, pages in Debian's chromium."""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+from playwright.sync_api import BrowserContext, Page
+
+CHROMIUM = shutil.which("chromium")
+SCREENS = Path(__file__).parents[2] / "build" / "screens"
+WAIT_MS = 20_000
+
+
+@dataclass(frozen=True)
+class BenchServer:
+    """A bench that serves."""
+
+    address: str  # with a slash at its end
+    folder: Path
+    process: subprocess.Popen[str]
+
+
+@contextmanager
+def bench_process(folder: Path, *words: str) -> Iterator[BenchServer]:
+    """Run ``undrift bench`` on a free loopback port until the end of the block."""
+    called = [
+        sys.executable,
+        "-m",
+        "undrift",
+        "bench",
+        "--port",
+        "0",
+        "--no-browser",
+        "--json",
+        "--folder",
+        str(folder),
+        *words,
+    ]
+    environment = os.environ | {"UNDRIFT_REGISTRY": str(folder / "registry.sqlite")}
+    with (folder.parent / f"{folder.name}.log").open("w") as log:
+        process = subprocess.Popen(called, stdout=subprocess.PIPE, stderr=log, text=True, env=environment)
+        assert process.stdout is not None
+        try:
+            line = process.stdout.readline()
+            assert line, Path(log.name).read_text()
+            yield BenchServer(json.loads(line)["address"], folder, process)
+        finally:
+            process.terminate()
+            try:
+                process.wait(15.0)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+            process.stdout.close()
+
+
+@pytest.fixture
+def bench_server(tmp_path: Path) -> Iterator[BenchServer]:
+    """Serve a bench that writes to a folder of its own, with the same practice device each time."""
+    with bench_process(tmp_path / "bench", "--practice-seed", "2007") as server:
+        yield server
+
+
+@pytest.fixture(scope="session")
+def browser_type_launch_args(browser_type_launch_args: dict[str, Any]) -> dict[str, Any]:
+    """Return how the browser is started: Debian's chromium, where pytest-playwright would look for one of its own."""
+    if CHROMIUM is None:
+        pytest.skip("chromium is not installed: apt-get install chromium")
+    return {**browser_type_launch_args, "executable_path": CHROMIUM, "args": ["--no-sandbox", "--disable-gpu"]}
+
+
+@pytest.fixture
+def open_page(bench_server: BenchServer, new_context: Callable[..., BrowserContext]) -> Callable[..., Page]:
+    """Return what opens a page of the bench by its path, in a browser of its own, and waits until it answers."""
+
+    def make(path: str = "/", *, width: int = 1200, height: int = 900, **options: Any) -> Page:
+        page = new_context(viewport={"width": width, "height": height}, **options).new_page()
+        page.set_default_timeout(WAIT_MS)
+        page.goto(bench_server.address + path.lstrip("/"))
+        page.wait_for_function("window.socket && window.socket.connected")
+        return page
+
+    return make
+
+
+def shoot(page: Page, name: str) -> None:
+    """Keep a screenshot of the whole page under build/screens."""
+    SCREENS.mkdir(parents=True, exist_ok=True)
+    page.screenshot(path=SCREENS / f"{name}.png", full_page=True)
