@@ -96,4 +96,4 @@ def _given(scope: Scope, headers: Mapping[str, str]) -> str:
         held = SimpleCookie(headers.get("cookie", "")).get(COOKIE)
     except CookieError:
         held = None
-    return held.value if held is not None else ""
+    return str(held.value) if held is not None else ""

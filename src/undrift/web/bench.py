@@ -8,7 +8,6 @@ A folder holds everything that the bench writes::
 
 import asyncio
 import json
-import re
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -18,13 +17,14 @@ from typing import TYPE_CHECKING, Any
 
 from undrift.errors import InputError, UndriftError
 from undrift.web.commands import Outcome, run_command
+from undrift.web.recordings import Recordings
+from undrift.web.uploads import safe_name
 
 if TYPE_CHECKING:
     from undrift.web.rig_run import RigRun
     from undrift.web.source import Source
 
 PRACTICE = "emulator"  # the address of the practice device
-_UNSAFE = re.compile(r"[^A-Za-z0-9._-]+")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -85,6 +85,7 @@ class Bench:
         self.working: list[Working] = []
         self.closing: list[Callable[[], None]] = []  # called when the server ends
         self._practice: Any = None
+        self.recordings = Recordings(self)
         for name in ("jobs", "uploads"):
             (self.folder / name).mkdir(parents=True, exist_ok=True)
 
@@ -219,8 +220,3 @@ def _held_in(path: Path) -> dict[str, Any]:
     except (OSError, ValueError):
         return {}
     return held if isinstance(held, dict) else {}
-
-
-def safe_name(text: str, otherwise: str) -> str:
-    """Return a text as the name of a file: letters, digits, dot, hyphen, underscore; never a path or a hidden file."""
-    return _UNSAFE.sub("-", text.replace("\\", "/").rsplit("/", 1)[-1]).strip("-.")[:80] or otherwise

@@ -3,7 +3,7 @@
 from nicegui import ui
 
 from undrift.web.bench import PRACTICE, Bench
-from undrift.web.frame import REFRESH_S, button, error_line, field, set_text, text
+from undrift.web.frame import REFRESH_S, Field, button, error_line, set_text, text
 
 EXAMPLES = "serial:///dev/ttyUSB0?baud=115200&..., tcp://host:port?..., udp://:port, lsl:name, ble:id"
 
@@ -14,8 +14,8 @@ def connect_form(bench: Bench) -> None:
         text("h2", "Device")
         state = text("p", "")
         with ui.element("div").classes("row"):
-            address = field("Address of the device", hint=EXAMPLES)
-            button("Connect", lambda: bench.connect(address.value or ""))
+            address = Field("Address of the device", hint=EXAMPLES)
+            button("Connect", lambda: bench.connect(address.value))
             button("Use the practice device", lambda: bench.connect(PRACTICE))
             button("Disconnect", bench.disconnect)
         error_line(lambda: bench.source_error)

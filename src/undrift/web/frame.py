@@ -1,6 +1,6 @@
 """What every page has: heading, navigation, what is connected, the emergency stop, and one next step."""
 
-from collections.abc import Awaitable, Callable, Iterator
+from collections.abc import Awaitable, Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
@@ -53,7 +53,7 @@ def frame(bench: Bench, title: str) -> Iterator[None]:
                     link.props('aria-current="page"')
         device = text("p", "", "bench-device").props('role="status"')
         _stop_button(bench)
-    with ui.element("main").classes("bench-main"):
+    with ui.element("div").classes("bench-main"):
         text("h1", title)
         yield
         work = text("p", "", "bench-work").props('role="status"')
@@ -78,7 +78,7 @@ def device_line(bench: Bench) -> str:
 
 def _stop_button(bench: Bench) -> None:
     """Add the emergency stop: a form of its own, so that it works beside a page that is busy; shown while a table may move."""
-    form = ui.element("form").props('method="post" action="/stop" class="bench-stop" id="bench-stop"')
+    form = ui.element("form").props('method="post" action="/stop" id="bench-stop"').classes("bench-stop")
     with form:
         text("button", "Emergency stop", "stop").props('type="submit" title="Stop the table and switch its motor off"')
 
@@ -87,6 +87,23 @@ def _stop_button(bench: Bench) -> None:
 
     refresh()
     ui.timer(REFRESH_S, refresh)
+
+
+def redrawn(state: Callable[[], object], draw: Callable[[Callable[[], None]], None]) -> None:
+    """Add a part that is drawn anew whenever the state changes, in this browser or another; ``draw`` gets what looks at once."""
+    seen = [state()]
+
+    def look() -> None:
+        if (now := state()) != seen[0]:
+            seen[0] = now
+            part.refresh()
+
+    @ui.refreshable
+    def part() -> None:
+        draw(look)
+
+    part()
+    ui.timer(REFRESH_S, look)
 
 
 def next_step(label: str, handler: Callable[[], Any] | str) -> Any:
@@ -113,12 +130,43 @@ def disable(element: Any, disabled: bool) -> None:
         element.update()
 
 
-def field(label: str, value: str = "", *, hint: str = "", kind: str = "text") -> Any:
-    """Add a labelled input; its ``value`` is what was typed."""
-    made = ui.input(label=label, value=value).props(f"type={kind} outlined dense").classes("bench-field")
-    if hint:
-        made.props(f'hint="{hint}"')
-    return made
+class Field:
+    """A labelled input, or a choice; ``value`` is what was typed or chosen."""
+
+    def __init__(
+        self, label: str, value: str = "", *, hint: str = "", kind: str = "text", options: Sequence[str] = ()
+    ) -> None:
+        self.value = value
+        with ui.element("label").classes("bench-field"):
+            text("span", label)
+            if options:
+                with ui.element("select") as self.element:
+                    for option in options:
+                        text("option", option).props(f'value="{option}"' + (" selected" if option == value else ""))
+            else:
+                self.element = ui.element("input").props(
+                    f'type="{kind}" autocomplete="off"' + (' step="any"' if kind == "number" else "")
+                )
+                self.element.props["value"] = value
+            if hint:
+                text("span", hint, "soft")
+        self.element.on("input", self._take, js_handler="(event) => emit(event.target.value)")
+
+    def set(self, value: str) -> None:
+        """Show another value."""
+        self.value = value
+        self.element.props["value"] = value
+        self.element.update()
+
+    def number(self) -> float | None:
+        """Return what was typed as a number; None where it is none."""
+        try:
+            return float(self.value.replace(",", "."))
+        except ValueError:
+            return None
+
+    def _take(self, event: Any) -> None:
+        self.value = str(event.args)
 
 
 def error_line(words: Callable[[], str]) -> Any:

@@ -3,14 +3,15 @@
 They are only stored here; whoever reads one does so by a command, in the box of the readers (io/box.py).
 """
 
+import re
 import secrets
 from pathlib import Path
 
 from starlette.requests import ClientDisconnect, Request
 
 from undrift.errors import InputError
-from undrift.web.bench import safe_name
 
+_UNSAFE = re.compile(r"[^A-Za-z0-9._-]+")
 ENDINGS = (  # of recordings, references, maps and calibrations
     *(
         ".csv",
@@ -83,3 +84,8 @@ async def receive_upload(request: Request, folder: Path, largest_mb: float) -> P
 
 def _too_large(name: str, largest_mb: float) -> str:
     return f"upload: wanted at most {largest_mb:g} MB, got more in {name}; use the command line for it, or --upload-mb"
+
+
+def safe_name(text: str, otherwise: str) -> str:
+    """Return a text as the name of a file: letters, digits, dot, hyphen, underscore; never a path or a hidden file."""
+    return _UNSAFE.sub("-", text.replace("\\", "/").rsplit("/", 1)[-1]).strip("-.")[:80] or otherwise

@@ -1,42 +1,37 @@
 """Result: verdict and findings of a calibration, its report, its certificate, and its entry in the registry."""
 
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from nicegui import ui
 
 from undrift.web.bench import Bench, Job
-from undrift.web.frame import button, frame, next_step, text, text_link
+from undrift.web.frame import button, frame, next_step, redrawn, text, text_link
 
 
 def page(bench: Bench) -> None:
     """Build the page."""
     with frame(bench, "Result"):
+        redrawn(lambda: _state(bench), lambda refresh: _shown(bench, refresh))
 
-        @ui.refreshable
-        def shown() -> None:
-            if bench.job is None or bench.job.calibration is None:
-                text("p", "No calibration yet. Record six faces, run the rate table, or open a recording.")
-                next_step("Choose a way", "/")
-            else:
-                _result(bench, bench.job, shown.refresh)
-            _earlier(bench, shown.refresh)
 
-        shown()
-        seen = _state(bench)
-
-        def look() -> None:  # another browser may have made or registered something
-            nonlocal seen
-            if _state(bench) != seen:
-                seen = _state(bench)
-                shown.refresh()
-
-        ui.timer(0.5, look)
+def _shown(bench: Bench, refresh: Any) -> None:
+    if bench.job is None or bench.job.calibration is None:
+        text("p", "No calibration yet. Record six faces, run the rate table, or open a recording.")
+        next_step("Choose a way", "/")
+    else:
+        _result(bench, bench.job, refresh)
+    _earlier(bench, refresh)
 
 
 def _state(bench: Bench) -> tuple[object, ...]:
     job = bench.job
-    return () if job is None else (job.folder, job.calibration, job.certificate, job.registered, job.error)
+    return (
+        ()
+        if job is None
+        else (job.folder, job.calibration, job.certificate, job.registered, job.error, bench.calibration)
+    )
 
 
 def _result(bench: Bench, job: Job, refresh: Any) -> None:
@@ -66,7 +61,11 @@ def _result(bench: Bench, job: Job, refresh: Any) -> None:
         text("p", job.registered, "soft")
     if job.report is not None and job.report.exists():
         text("h2", "Report")
-        made = ui.element("iframe").classes("report").props(f'src="{bench.link(job.report)}" title="Report of the calibration"')
+        made = (
+            ui.element("iframe")
+            .classes("report")
+            .props(f'src="{bench.link(job.report)}" title="Report of the calibration"')
+        )
         made.props('tabindex="0"')
 
 
@@ -132,7 +131,7 @@ def _earlier(bench: Bench, refresh: Any) -> None:
     with ui.element("ul"):
         for path in held[:20]:
             with ui.element("li"):
-                button(f"Open {path.parent.name}", lambda path=path: _open(bench, path, refresh))
+                button(f"Open {path.parent.name}", partial(_open, bench, path, refresh))
 
 
 async def _open(bench: Bench, path: Path, refresh: Any) -> None:
