@@ -21,6 +21,7 @@ from undrift.arrays import FloatArray
 from undrift.correction.stream import Corrector
 from undrift.errors import InputError, UndriftError
 from undrift.io.parquet import ParquetWriter
+from undrift.io.store import read_calibration
 from undrift.live.recorder import Recorder, RecorderSettings
 from undrift.live.transports import source_at
 from undrift.model import Calibration
@@ -82,6 +83,7 @@ class Source:
         self._before = np.zeros(3, dtype=int)  # readings, lost and garbled of earlier connections
         self._temp_c = math.nan
         self._calibration: Calibration | None = None
+        self.calibration_file: Path | None = None  # where it came from
         self._corrector: Corrector | None = None
         self._orient = OrientStream()
         self._axes: tuple[Face, Face] = ("+x", "+z")  # forward and up on the upright segment
@@ -118,13 +120,13 @@ class Source:
         self._thread = threading.Thread(target=self._run, name="bench-source", daemon=True)
         self._thread.start()
 
-    def stop(self) -> None:
-        """Let go of the device and finish the file; harmless when called again."""
+    def stop(self) -> Path | None:
+        """Let go of the device, finish the file that is open and return it; harmless when called again."""
         self._stopping.set()
         if self._thread is not None:
             self._thread.join(STOP_S)
         self._recorder.stop()
-        self.stop_writing()
+        return self.stop_writing()
 
     def recent(self, seconds: float) -> Record | None:
         """Return the newest readings in raw units; None while the device is silent."""
@@ -171,6 +173,15 @@ class Source:
         with self._lock:
             self._calibration, self._corrector, self._correction = calibration, corrector, ""
             self._orient = OrientStream()
+
+    def use(self, path: Path | None) -> None:
+        """Correct by the calibration in a file from now on, or by none; what is wrong with it stands in the status."""
+        self.calibration_file = path
+        try:
+            self.set_calibration(None if path is None else read_calibration(path))
+        except UndriftError as error:
+            self.set_calibration(None)
+            self._correction = str(error)
 
     def set_axes(self, forward: Face, up: Face) -> None:
         """Count the pitch about other axes from now on."""

@@ -33,19 +33,20 @@ function look(line) {
   return {
     colour: axis ? `--panel-${axis[2]}` : "--panel-ink",
     dash: axis ? DASHES[axis[2]] : [],
-    width: axis && axis[1] === "raw" ? 1 : 2,
+    width: axis && axis[1] === "raw" ? 1 : 1.75,
     scale: line.unit,
   };
 }
 
-function shown(value) {
+function shown(value, unit) {
   if (value === null || value === undefined) return "none";
-  return value.toFixed(Math.abs(value) < 100 ? 2 : 1);
+  return value.toFixed(unit === "count" ? 0 : unit === "v" ? 4 : Math.abs(value) < 100 ? 2 : 1);
 }
 
 // Least and greatest of an axis, on steps wide enough that noise does not make it tremble.
-function range(unit, least, most) {
+function range(unit, least, most, centred) {
   if (least === null || most === null || !isFinite(least) || !isFinite(most)) return [0, 1];
+  if (centred) most = Math.max(Math.abs(least), Math.abs(most)), least = -most;
   const span = Math.max(most - least, LEAST_SPAN[unit] || 1e-3), middle = (least + most) / 2;
   const step = 10 ** Math.floor(Math.log10(span)) / 2;
   return [Math.floor((middle - span * 0.55) / step) * step, Math.ceil((middle + span * 0.55) / step) * step];
@@ -195,17 +196,19 @@ export default {
     chart(plot, first) {
       const css = getComputedStyle(this.$el), colour = (name) => css.getPropertyValue(name).trim();
       const units = [...new Set(plot.lines.map((line) => line.unit))];
+      const two = units.length > 1; // their zeros stand at one height
+      const name = (unit) => (two ? `${plot.lines.find((line) => line.unit === unit).name.split(" ")[0]}, ${unit}` : unit);
       const picture = make("div", { role: "img", class: "panel-plot", "aria-label": plot.title });
       const legend = make("ul", { class: "panel-legend", "aria-label": `Lines of ${plot.title}` });
-      const title = make("h3", {}, units.length > 1 ? plot.title : `${plot.title}, ${units[0]}`);
+      const title = make("h3", {}, two ? plot.title : `${plot.title}, ${units[0]}`);
       this.body.append(make("section", { class: "panel-chart", "aria-label": plot.title }, title, picture, legend));
       const axis = { stroke: colour("--panel-ink"), font: "12px system-ui, sans-serif", labelFont: "12px system-ui, sans-serif" };
       const grid = { stroke: colour("--panel-line"), width: 1 };
       const axes = units.map((unit, k) => ({
-        ...axis, scale: unit, label: unit, labelSize: 18, size: 52, side: k ? 1 : 3, grid: k ? { show: false } : grid, ticks: grid,
+        ...axis, scale: unit, label: name(unit), labelSize: 18, size: 52, side: k ? 1 : 3, grid: k ? { show: false } : grid, ticks: grid,
       }));
       const time = { ...axis, label: "Time before now, s", labelSize: 18, size: 32, grid, ticks: grid };
-      const scales = Object.fromEntries(units.map((unit) => [unit, { range: (_, least, most) => range(unit, least, most) }]));
+      const scales = Object.fromEntries(units.map((unit) => [unit, { range: (_, least, most) => range(unit, least, most, two) }]));
       const options = {
         width: Math.max(this.body.clientWidth, 120),
         height: this.height(),
@@ -216,9 +219,9 @@ export default {
         series: [{}],
       };
       const values = plot.lines.map((line, k) => {
-        const { colour: name, dash, width, scale } = look(line);
-        options.series.push({ stroke: colour(name), dash, width, scale, points: { show: false } });
-        return this.entry(legend, line, { colour: name, dash, width }, k);
+        const { colour: shade, dash, width, scale } = look(line);
+        options.series.push({ stroke: colour(shade), dash, width, scale, points: { show: false } });
+        return this.entry(legend, line, { colour: shade, dash, width }, k);
       });
       const made = { plot: new uPlot(options, [[], ...plot.lines.map(() => [])], picture), first, values, picture, title: plot.title };
       made.lines = plot.lines;
@@ -232,7 +235,7 @@ export default {
       return made;
     },
     entry(legend, line, { colour, dash, width }, k) {
-      const sample = `<svg width="34" height="10" aria-hidden="true"><line x1="1" y1="5" x2="33" y2="5"
+      const sample = `<svg width="28" height="10" aria-hidden="true"><line x1="0" y1="5" x2="28" y2="5"
         style="stroke: var(${colour}); stroke-width: ${width}; stroke-dasharray: ${dash.join(" ") || "none"}"/></svg>`;
       const value = make("b");
       const button = make("button", { type: "button", "aria-pressed": "true", "data-line": k });
@@ -273,12 +276,12 @@ export default {
       else if (!this.head.source) state = "No device connected.";
       else if (!this.heard) state = "Waiting for readings.";
       else if (this.paused) state = "Paused.";
-      else if (silent) state = "No new readings.";
+      else state = silent ? "No new readings." : "Live.";
       if (this.state.textContent !== state) this.state.textContent = state;
       if (this.paused) return;
       for (const { first, lines, values, picture, title } of this.charts) {
         const words = lines.map((line, k) => {
-          const column = this.columns[first + k], text = shown(column[column.length - 1]);
+          const column = this.columns[first + k], text = shown(column[column.length - 1], line.unit);
           values[k].textContent = text;
           return `${line.name} ${text} ${line.unit}`;
         });
