@@ -60,6 +60,7 @@ class Status:
     lost: int  # Numbers that are missing
     garbled: int  # Left out because they were damaged
     temp_c: float  # Newest; NaN where the device has none
+    oriented: bool  # Whether the readings have both triads in physical units, so that there is a pitch
     rested_s: float  # Device time since the last rest, from which the pitch is counted; NaN where it is unknown
     correction: str  # Why nothing is corrected, or what the calibration does not cover; "" where all is well
     file: Path | None  # What is being written
@@ -161,6 +162,7 @@ class Source:
                 lost=lost,
                 garbled=garbled,
                 temp_c=self._temp_c,
+                oriented=bool(self._kept) and self._kept[-1].q_nb is not None,
                 rested_s=math.nan if rested is None else self._last - rested,
                 correction=self._correction,
                 file=None if self._writer is None else self._writer.path,

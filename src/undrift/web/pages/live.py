@@ -47,8 +47,12 @@ def status_line(status: Status) -> str:
     )
     parts = [f"{rate} of {status.nominal_rate_hz:g} stated", f"{status.lost} lost, {status.garbled} damaged"]
     parts += [] if math.isnan(status.temp_c) else [f"{status.temp_c:.1f} °C"]
-    rested = "hold the device still for two seconds to see the pitch"
-    parts += [rested if math.isnan(status.rested_s) else f"pitch since the last rest, {status.rested_s:.0f} s ago"]
+    if not status.oriented:
+        parts += ["choose a calibration to see the pitch"]
+    elif math.isnan(status.rested_s):
+        parts += ["hold the device still for two seconds to see the pitch"]
+    else:
+        parts += [f"pitch since the last rest, {status.rested_s:.0f} s ago"]
     parts += [] if status.file is None else [f"recording {status.file.name}, {status.file_s:.0f} s"]
     return "; ".join(parts) + "."
 
