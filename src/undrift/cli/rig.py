@@ -195,7 +195,7 @@ def emulate(
     room_c : float
         Temperature around, degC.
     mount_tilt_deg : float or None
-        Mounting error of the operator: standard deviation about each axis, deg; 0 where not given, 1 if hand-held.
+        Mounting error of the operator: standard deviation about each axis, deg; 0 where not given, 0.3 if hand-held.
     heating_c_per_min : float
         How fast the chamber changes its temperature, K/min.
     gravity_m_s2 : float
@@ -231,7 +231,7 @@ def emulate(
     if "list" in fault:
         say(*(f"{name:22}{what}" for name, what in ALL_FAULTS.items()))
         return 0
-    tilt = (float(hand_held) if mount_tilt_deg is None else mount_tilt_deg) * RADIAN_PER_DEGREE
+    tilt = (0.3 * hand_held if mount_tilt_deg is None else mount_tilt_deg) * RADIAN_PER_DEGREE
     stream = StreamSettings(sample_rate_hz=sample_rate_hz, mount_tilt_sd=tilt, gravity_m_s2=gravity_m_s2, seed=seed)
     drawn = device_at(device, np.random.default_rng(seed), draw=device in PRESETS) if device else None
     if hand_held:

@@ -49,7 +49,7 @@ INSTANT_S = 1e-4  # over which a rate is taken from two orientations
 class HandSettings:
     """What an operator's hands do; each move draws anew. All defaults are choices."""
 
-    tilt_sd: float = 1.0 * RADIAN_PER_DEGREE  # Of a face off level, about each axis, rad
+    tilt_sd: float = 0.3 * RADIAN_PER_DEGREE  # Of a face off level, about each axis, rad
     lay_s: tuple[float, float] = (1.0, 2.0)  # Shortest and longest move to another face, s
     turn_s: tuple[float, float] = (3.0, 4.0)  # The same for one full turn, s
     axis_sd: float = 0.3 * RADIAN_PER_DEGREE  # Of a turn's axis, about each axis across it, rad
