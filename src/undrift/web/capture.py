@@ -143,10 +143,14 @@ class Capture:
         if record is None or len(record) < 2:
             return
         if record.accel is None or record.gyro is None:
-            raise InputError("capture: wanted gyroscope and accelerometer, got one of them; state both in the device's address")
+            raise InputError(
+                "capture: wanted gyroscope and accelerometer, got one of them; state both in the device's address"
+            )
         known = self._stretches[-1].parts[-1] if self._stretches and self._stretches[-1].parts else None
         if known is not None and (known.gyro_unit, known.accel_unit) != (record.gyro_unit, record.accel_unit):
-            raise InputError(f"capture: wanted readings in {known.accel_unit}, got {record.accel_unit}; begin a new session")
+            raise InputError(
+                f"capture: wanted readings in {known.accel_unit}, got {record.accel_unit}; begin a new session"
+            )
         if known is None or key is not self._key or record.time[-1] < known.time[-1] or self._gap(known, record):
             self._key = key
             self._stretches.append(_Stretch(self._stretches[-1].number + 1 if self._stretches else 0))

@@ -56,7 +56,9 @@ class SixFaces:
             return Light(state="moving", text=f"Moving. {_turn(wanted)}")
         face, tilt_deg = self.capture.face_of(rest)
         if face is None:
-            return Light(state="unknown face", text="Which face is up is not known yet. Turn the device over all its sides once.")
+            return Light(
+                state="unknown face", text="Which face is up is not known yet. Turn the device over all its sides once."
+            )
         if tilt_deg:
             return Light(state="tilted", face=face, text=f"Tilted by {tilt_deg:.0f} deg. Lay it flat with {face} up.")
         if face in self.capture.faces and face != self.again:

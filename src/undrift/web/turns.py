@@ -24,7 +24,9 @@ NEAR = 0.15  # of a whole turn, relative: an uncalibrated gyroscope reads it wit
 LIKE = 0.3  # readings of turns in counts differ by less than this, relative
 SAME_POSE = 0.26  # of gravity: 15 deg
 REST_S = 3.0  # before a turn and after it
-SHARP = StillSettings(window_s=0.25, smooth_s=0.05, min_duration_s=0.25, threshold_floors=8.0)  # how near a rest comes to a turn
+SHARP = StillSettings(
+    window_s=0.25, smooth_s=0.05, min_duration_s=0.25, threshold_floors=8.0
+)  # how near a rest comes to a turn
 LOST_S = 0.5  # of a rest beside a turn, by the usual window
 LONGEST_S = 60.0  # of a turn with its rests
 
@@ -134,7 +136,9 @@ class Turns:
             start_s=float(time[first.stop]),
             stop_s=float(time[last.start]),
             turn=replace(turn, angle=whole * FULL_TURN),
-            before=Piece(stretch=self.capture.stretch, start_s=float(time[first.start]), stop_s=float(time[first.stop])),
+            before=Piece(
+                stretch=self.capture.stretch, start_s=float(time[first.start]), stop_s=float(time[first.stop])
+            ),
             after=Piece(stretch=self.capture.stretch, start_s=float(time[last.start]), stop_s=after.stop_s),
             reading=along / whole,
         )
