@@ -39,7 +39,7 @@ def test_the_practice_device_is_drawn_and_its_values_are_said(open_page: Callabl
     page = connected(open_page)
     faults: list[str] = []
     page.on("pageerror", lambda error: faults.append(str(error)))
-    expect(page.locator(".live-status")).to_contain_text("readings per second of")
+    expect(page.locator(".live-status")).to_contain_text(" readings per second (100 stated); 0 lost, 0 damaged")
     page.wait_for_timeout(1500)
     assert drawn(page, "Turn rate") > 2000
     force = values(page, "Specific force")

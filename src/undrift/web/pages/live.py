@@ -42,17 +42,17 @@ def page(bench: Bench) -> None:
 
 def status_line(status: Status) -> str:
     """Return in words how a device is doing."""
-    rate = (
-        "No readings now" if math.isnan(status.sample_rate_hz) else f"{status.sample_rate_hz:.0f} readings per second"
-    )
-    parts = [f"{rate} of {status.nominal_rate_hz:g} stated", f"{status.lost} lost, {status.garbled} damaged"]
+    silent = math.isnan(status.sample_rate_hz)
+    rate = "No readings now" if silent else f"{status.sample_rate_hz:.0f} readings per second"
+    parts = [f"{rate} ({status.nominal_rate_hz:g} stated)", f"{status.lost} lost, {status.garbled} damaged"]
     parts += [] if math.isnan(status.temp_c) else [f"{status.temp_c:.1f} °C"]
     if not status.oriented:
         parts += ["choose a calibration to see the pitch"]
     elif math.isnan(status.rested_s):
         parts += ["hold the device still for two seconds to see the pitch"]
     else:
-        parts += [f"pitch since the last rest, {status.rested_s:.0f} s ago"]
+        since = "at rest" if status.rested_s < 1.0 else f"{status.rested_s:.0f} s since the last rest"
+        parts += [f"pitch: {since}"]
     parts += [] if status.file is None else [f"recording {status.file.name}, {status.file_s:.0f} s"]
     return "; ".join(parts) + "."
 

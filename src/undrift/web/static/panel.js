@@ -39,7 +39,7 @@ function look(line) {
 }
 
 function shown(value, unit) {
-  if (value === null || value === undefined) return "none";
+  if (value === null || value === undefined) return "unknown";
   return value.toFixed(unit === "count" ? 0 : unit === "v" ? 4 : Math.abs(value) < 100 ? 2 : 1);
 }
 
@@ -240,7 +240,7 @@ export default {
       const value = make("b");
       const button = make("button", { type: "button", "aria-pressed": "true", "data-line": k });
       button.innerHTML = sample;
-      button.append(`${line.name} `, value, ` ${line.unit}`);
+      button.append(`${line.name} `, value, make("span", { class: "panel-unit" }, ` ${line.unit}`));
       legend.append(make("li", {}, button));
       return value;
     },
