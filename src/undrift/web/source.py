@@ -31,9 +31,10 @@ from undrift.units import is_physical
 
 PERIOD_S = 1.0 / 15.0  # between two looks at the recorder, host s
 KEEP_S = 120.0  # device s
+GATHER_S = 0.04  # host s for which readings are left to gather
 SILENCE_S, RETRY_S = 2.0, 1.0
 STALE_S = 1.0  # host time without readings after which the newest ones are no longer "now"
-RATE_OVER_S = 3.0  # host s over which the sample rate is counted
+RATE_OVER_S = 5.0  # host s over which the sample rate is counted
 WRITE_EVERY_S = 10.0  # device s in a piece of the file
 STOP_S = 20.0
 
@@ -210,7 +211,8 @@ class Source:
             return writer.path if writer.path.exists() else None
 
     def _fresh(self) -> Recorder:
-        return Recorder(source_at(self.address), RecorderSettings(silence_s=SILENCE_S, keep_s=KEEP_S))
+        settings = RecorderSettings(silence_s=SILENCE_S, keep_s=KEEP_S, gather_s=GATHER_S)
+        return Recorder(source_at(self.address), settings)
 
     def _tally(self) -> FloatArray:
         timeline = self._recorder.timeline

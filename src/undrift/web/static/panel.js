@@ -40,7 +40,8 @@ function look(line) {
 
 function shown(value, unit) {
   if (value === null || value === undefined) return "unknown";
-  return value.toFixed(unit === "count" ? 0 : unit === "v" ? 4 : Math.abs(value) < 100 ? 2 : 1);
+  const text = value.toFixed(unit === "count" ? 0 : unit === "v" ? 4 : Math.abs(value) < 100 ? 2 : 1);
+  return text.replace(/^-(0(\.0*)?)$/, "$1"); // no minus before nothing
 }
 
 // Least and greatest of an axis, on steps wide enough that noise does not make it tremble.
