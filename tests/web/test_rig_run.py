@@ -90,7 +90,7 @@ def test_a_run_outlives_the_bench_and_its_supervisor_and_is_found_and_paused(ben
     with ended_at_last(new_run(bench, tmp_path / "jobs" / "a" / "session")) as run:
         run.launch()
         wait(run, is_dwelling)
-        os.kill(run._standing()["pid"], signal.SIGKILL)
+        os.kill(run._standing["pid"], signal.SIGKILL)
         found = find_run(tmp_path / "jobs")  # the next bench has this object alone
         assert found is not None
         assert found.view.state == "running"
@@ -105,7 +105,7 @@ def test_a_killed_run_says_so_and_its_guard_stops_the_table(bench, tmp_path):
     with ended_at_last(new_run(bench, tmp_path / "session")) as run:
         run.launch()
         pid = wait(run, is_dwelling).pid
-        os.kill(run._standing()["pid"], signal.SIGKILL)
+        os.kill(run._standing["pid"], signal.SIGKILL)
         os.kill(pid, signal.SIGKILL)
         view = wait(run, at_end)
         assert (view.state, view.error.partition(";")[0]) == ("failed", "the run was killed")

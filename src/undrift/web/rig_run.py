@@ -22,6 +22,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
@@ -40,6 +41,7 @@ ORDER, PROTOCOL, PROGRESS, STANDBY, LOCK = "run.json", "protocol.toml", "progres
 ANSWER, LOG = "answer.json", "run.log"
 START_S = 30.0  # that a supervisor is waited for
 ANSWER_S = 2.0  # that it may take to answer
+FOLLOW_S = 0.1  # between two looks at what is new
 CURVE = 2000  # points that are kept of a temperature curve
 
 State = Literal["starting", "running", "pausing", "paused", "stopping", "stopped", "failed", "done"]
@@ -188,6 +190,8 @@ class RigRun:
         self._reader = ProgressReader(self.place / PROGRESS)
         self._journal = ProgressReader(folder / JOURNAL)
         self._supervisor: subprocess.Popen[bytes] | None = None
+        self._standing: dict[str, Any] = {}  # port, key and pid of the supervisor
+        self._reading = threading.Lock()
 
     @property
     def may_move(self) -> bool:
@@ -197,8 +201,17 @@ class RigRun:
     @property
     def stop_url(self) -> str:
         """Return where a stop is posted to, past the bench: ":port/stop?key=..."; "" where nobody listens."""
-        held = self._standing()
+        held = self._standing
         return f":{held['port']}/stop?key={held['key']}" if held and self.may_move else ""
+
+    def follow(self) -> None:
+        """Refresh in a thread until the run has ended."""
+
+        def look() -> None:
+            while self.refresh().state in GOING:
+                time.sleep(FOLLOW_S)
+
+        threading.Thread(target=look, name="run", daemon=True).start()
 
     def launch(self) -> None:
         """Start the run, or go on with it; returns when the supervisor stands by."""
@@ -210,6 +223,7 @@ class RigRun:
         if self._supervisor is not None:
             self._supervisor.wait(START_S)
         (self.place / STANDBY).unlink(missing_ok=True)
+        self._standing = {}
         self.view = replace(self.view, state="starting", error="", confirmed=None)
         with (self.place / LOG).open("ab") as log:
             self._supervisor = subprocess.Popen(
@@ -229,9 +243,15 @@ class RigRun:
 
     def refresh(self) -> View:
         """Read what is new, and return what is known."""
+        with self._reading:
+            return self._refresh()
+
+    def _refresh(self) -> View:
         if self._supervisor is not None:
             self._supervisor.poll()  # no zombie
         going = self.is_going()
+        with contextlib.suppress(OSError, ValueError):
+            self._standing = json.loads((self.place / STANDBY).read_text())
         self._reader.news(self.view.take)
         self._journal.news(self._take_piece)
         view = self.view
@@ -280,8 +300,8 @@ class RigRun:
 
     def _ask(self, path: str, **words: object) -> bool:
         """Post to the supervisor; return whether it obeyed."""
-        held = self._standing()
-        if held is None:
+        held = self._standing
+        if not held:
             return False
         link = http.client.HTTPConnection(self.order.host, held["port"], timeout=ANSWER_S)
         try:
@@ -291,13 +311,6 @@ class RigRun:
             return False
         finally:
             link.close()
-
-    def _standing(self) -> dict[str, Any] | None:
-        try:
-            held: dict[str, Any] = json.loads((self.place / STANDBY).read_text())
-        except (OSError, ValueError):
-            return None
-        return held
 
     def _take_piece(self, line: dict[str, Any]) -> None:
         entry = line.get("entry")
@@ -371,7 +384,7 @@ class EmulatedTable:
     def __init__(self, folder: Path, words: Sequence[str] = ()) -> None:
         self._place, self.addresses = folder / "emulator.json", dict[str, str]()
         self._process: subprocess.Popen[bytes] | None = None
-        self._words = tuple(words)
+        self.words = tuple(words)
 
     def start(self) -> dict[str, str]:
         """Start it, or find the one that an earlier bench left; return its addresses."""
@@ -381,7 +394,7 @@ class EmulatedTable:
             with self._place.open("wb") as out:
                 take_lock(out.fileno())  # its process inherits the lock with its stdout
                 self._process = subprocess.Popen(
-                    [sys.executable, "-m", "undrift", "rig", "emulate", "--json", *self._words],
+                    [sys.executable, "-m", "undrift", "rig", "emulate", "--json", *self.words],
                     stdin=subprocess.DEVNULL,
                     stdout=out,
                     stderr=subprocess.DEVNULL,
