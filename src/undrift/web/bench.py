@@ -10,12 +10,13 @@ import asyncio
 import json
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from undrift.errors import InputError, UndriftError
+from undrift.files import write_whole
 from undrift.web.commands import Outcome, run_command
 from undrift.web.recordings import Recordings
 from undrift.web.uploads import safe_name
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
     from undrift.web.rig_run import RigRun
     from undrift.web.source import Source
 
+PLACE = "place.json"
 PRACTICE = "emulator"  # the address of the practice device
 
 
@@ -62,6 +64,18 @@ class Job:
         return self.folder / "session"
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Place:
+    """Where the bench stands; gravity follows by WGS 84. Standard gravity is assumed where it is not stated."""
+
+    latitude_deg: float | None = None
+    height_m: float = 0.0
+
+    def words(self) -> tuple[object, ...]:
+        """Return the options of ``calibrate`` for recordings that state no gravity."""
+        return () if self.latitude_deg is None else ("--latitude-deg", self.latitude_deg, "--height-m", self.height_m)
+
+
 @dataclass(slots=True)
 class Working:
     """A command that runs now."""
@@ -88,6 +102,8 @@ class Bench:
         self.recordings = Recordings(self)
         for name in ("jobs", "uploads"):
             (self.folder / name).mkdir(parents=True, exist_ok=True)
+        held = _held_in(self.folder / PLACE)
+        self.place = Place(latitude_deg=held.get("latitude_deg"), height_m=float(held.get("height_m") or 0.0))
 
     # ---- The device
 
@@ -135,6 +151,15 @@ class Bench:
         return str(self._practice.address)
 
     # ---- The work
+
+    def set_place(self, latitude_deg: float | None, height_m: float) -> None:
+        """State where the bench stands; it is kept for the next time."""
+        if latitude_deg is not None and not -90.0 <= latitude_deg <= 90.0:
+            raise InputError(f"latitude: wanted -90 to 90 deg, got {latitude_deg:g}; north is positive")
+        if not -500.0 <= height_m <= 9000.0:
+            raise InputError(f"height: wanted -500 to 9000 m, got {height_m:g}; state metres above the sea")
+        self.place = Place(latitude_deg=latitude_deg, height_m=height_m)
+        write_whole(self.folder / PLACE, json.dumps(asdict(self.place)) + "\n")
 
     def new_job(self, serial: str = "") -> Job:
         """Begin with another device: a new folder."""

@@ -92,7 +92,9 @@ class Recordings:
         job: Job = self.bench.new_job(serial or held.path.stem)
         words: list[object] = [held.path, *held.options()]
         words += [] if turn_deg is None else ["--turn-deg", turn_deg]
-        outcome = await self.bench.calibrate(job, *words, *(("--serial", serial) if serial else ()))
+        outcome = await self.bench.calibrate(
+            job, *words, *self.bench.place.words(), *(("--serial", serial) if serial else ())
+        )
         held.error = "" if outcome.done else outcome.error
         return outcome.done
 
@@ -105,7 +107,8 @@ class Recordings:
             "validate": f"{base}-validation",
         }
         made, page = place / output[command], place / f"{base}-{command}.html"
-        words: list[object] = [held.path, *held.options(), "-o", made, "--report", page]
+        words: list[object] = [held.path, *held.options(), "-o", made]
+        words += [] if command == "validate" else ["--report", page]  # it has one in its folder
         if self.bench.calibration is not None:
             words += ["--calibration", self.bench.calibration]
         if command == "validate":
@@ -113,9 +116,8 @@ class Recordings:
         outcome = await self.bench.command(command, *words)
         held.error = "" if outcome.done else outcome.error
         if outcome.done:
-            for path in [made] if made.is_file() else sorted(made.glob("*")) if made.is_dir() else []:
-                held.made[path.name] = path
-            held.made[f"{command}, report"] = page
+            written = sorted(made.glob("*")) if made.is_dir() else [made, page]
+            held.made |= {f"{command}: {'report' if path.suffix == '.html' else path.name}": path for path in written}
 
     def references(self) -> list[Stored]:
         """Return the files that hold optical poses."""

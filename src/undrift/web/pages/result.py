@@ -75,9 +75,10 @@ def _listed(findings: list[dict[str, Any]]) -> None:
     with ui.element("ul"):
         for one in findings:
             with ui.element("li"):
-                text("span", str(one.get("text", "")))
-                if one.get("action"):
-                    text("p", f"{one['action'][:1].upper()}{one['action'][1:]}.", "soft")
+                action = str(one.get("action") or "")
+                text("span", str(one.get("text", "")).removesuffix(action).rstrip("; ") + ".")
+                if action:
+                    text("p", f"{action[:1].upper()}{action[1:]}.", "soft")
 
 
 def _step(bench: Bench, job: Job, refresh: Any) -> None:
