@@ -80,10 +80,16 @@ def _stop_button(bench: Bench) -> None:
     """Add the emergency stop: a form of its own, so that it works beside a page that is busy; shown while a table may move."""
     form = ui.element("form").props('method="post" action="/stop" id="bench-stop"').classes("bench-stop")
     with form:
-        text("button", "Emergency stop", "stop").props('type="submit" title="Stop the table and switch its motor off"')
+        label = text("button", "Emergency stop (Esc)", "stop").props('type="submit" aria-keyshortcuts="Escape"')
+        label.props('title="Stop the table at once and switch its motor off"')
 
     def refresh() -> None:
-        form.set_visibility(bench.rig_run is not None and bench.rig_run.may_move)
+        run = bench.rig_run
+        place = "" if run is None else run.stop_url
+        if form.props.get("data-place") != place:
+            form.props["data-place"] = place
+            form.update()
+        form.set_visibility(run is not None and run.may_move)
 
     refresh()
     ui.timer(REFRESH_S, refresh)

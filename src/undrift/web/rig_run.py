@@ -281,12 +281,14 @@ class RigRun:
 
     def emergency_stop(self) -> None:
         """Stop the table at once: through the supervisor, or past it where it does not answer."""
-        if not self._ask("/stop"):
-            standby = Standby(self.order.rig)
-            try:
-                confirmed = stop_now(standby, lambda: not self.is_going(), self.view.pid if self.is_going() else None)
-            finally:
-                standby.close()
+        if self._ask("/stop"):
+            return
+        going, standby = self.is_going(), Standby(self.order.rig)
+        try:
+            confirmed = stop_now(standby, lambda: not self.is_going(), self.view.pid if going else None)
+        finally:
+            standby.close()
+        if going:
             self.view.state, self.view.confirmed = "stopped", confirmed
 
     def close(self, wait_s: float = 20.0) -> None:
