@@ -30,6 +30,8 @@ if TYPE_CHECKING:
     from undrift.rig.rig import Limits, RigSettings
     from undrift.rig.progress import ProgressFile
     from undrift.rig.run import Bench, Progress, RunResult, Watch
+    from undrift.sim.device.model import DeviceModel
+    from undrift.sim.rig.stream import StreamSettings
 
 rig = App(
     name="rig",
@@ -160,9 +162,10 @@ def emulate(
     kind: Literal["galil", "grbl"] = "galil",
     speed: float = 1.0,
     port: int = 0,
+    hand_held: Flag = False,
     sample_rate_hz: float = 100.0,
     room_c: float = 25.0,
-    mount_tilt_deg: float = 0.0,
+    mount_tilt_deg: float | None = None,
     heating_c_per_min: float = 3.0,
     gravity_m_s2: float = STANDARD_GRAVITY,
     fault: tuple[str, ...] = (),
@@ -184,12 +187,15 @@ def emulate(
         Emulated seconds in one of the host's.
     port : int
         Of the table; 0 takes a free one.
+    hand_held : bool
+        A device in an operator's hands instead, without a table: the operator's port takes lines such as "face +x" and
+        "turn z 360".
     sample_rate_hz : float
         Readings of the device a second.
     room_c : float
         Temperature around, degC.
-    mount_tilt_deg : float
-        Mounting error of the operator: standard deviation about each axis, deg.
+    mount_tilt_deg : float or None
+        Mounting error of the operator: standard deviation about each axis, deg; 0 where not given, 0.3 if hand-held.
     heating_c_per_min : float
         How fast the chamber changes its temperature, K/min.
     gravity_m_s2 : float
@@ -221,15 +227,23 @@ def emulate(
     )
     from undrift.sim.rig.stream import StreamSettings
 
-    tilt, faults = mount_tilt_deg * RADIAN_PER_DEGREE, [planned_fault(text) for text in fault if text != "list"]
+    faults = [planned_fault(text) for text in fault if text != "list"]
     if "list" in fault:
         say(*(f"{name:22}{what}" for name, what in ALL_FAULTS.items()))
+        return 0
+    tilt = (0.3 * hand_held if mount_tilt_deg is None else mount_tilt_deg) * RADIAN_PER_DEGREE
+    stream = StreamSettings(sample_rate_hz=sample_rate_hz, mount_tilt_sd=tilt, gravity_m_s2=gravity_m_s2, seed=seed)
+    drawn = device_at(device, np.random.default_rng(seed), draw=device in PRESETS) if device else None
+    if hand_held:
+        if faults or pty or port or kind != "galil":
+            raise InputError("--hand-held: wanted no table, got options of one; leave --kind, --port, --pty and --fault out")
+        _emulate_hand_held(stream, drawn, (speed, room_c), save_device, json)
         return 0
     settings = EmulatedBenchSettings(
         rig=EmulatorSettings(kind=kind, speed=speed, port=port, with_pty=pty),
         air=AirSettings(room_c=room_c, ramp_c_per_min=heating_c_per_min),
-        stream=StreamSettings(sample_rate_hz=sample_rate_hz, mount_tilt_sd=tilt, gravity_m_s2=gravity_m_s2, seed=seed),
-        device=device_at(device, np.random.default_rng(seed), draw=device in PRESETS) if device else None,
+        stream=stream,
+        device=drawn,
     )
     with stopping_on_signals(), start_bench(settings) as bench, suppress(KeyboardInterrupt):
         if save_device is not None:
@@ -237,15 +251,38 @@ def emulate(
         addresses = {"rig": bench.rig_address, "device": bench.device_address}
         addresses |= {"chamber": bench.chamber_address, "operator": bench.hands_address}
         addresses |= {} if bench.pty_address is None else {"pty": bench.pty_address}
-        if json:
-            write_json({**addresses, "hands": bench.hands_address}, "rig emulate")  # its name in earlier releases
-        else:
-            sys.stdout.write("".join(f"--{name} '{address}'\n" for name, address in addresses.items()))
-        sys.stdout.flush()
+        _show_addresses(addresses, json, {"hands": bench.hands_address})  # its name in earlier releases
         for planned in faults:
             threading.Thread(target=bench.break_as, args=(planned,), name=planned.name, daemon=True).start()
         threading.Event().wait()
     return 0
+
+
+def _emulate_hand_held(
+    stream: "StreamSettings", device: "DeviceModel | None", at: tuple[float, float], save: Path | None, json: bool
+) -> None:
+    import threading
+
+    from undrift.rig.guard import stopping_on_signals
+    from undrift.sim.device.model import write_device
+    from undrift.sim.rig.hand_held import HandSettings, start_hand_held
+
+    speed, temp_c = at
+    hands = HandSettings(tilt_sd=stream.mount_tilt_sd, temp_c=temp_c)
+    started = start_hand_held(seed=stream.seed, device=device, hands=hands, stream=stream, speed=speed)
+    with stopping_on_signals(), started, suppress(KeyboardInterrupt):
+        if save is not None:
+            write_device(started.device, save)
+        _show_addresses({"device": started.address, "operator": started.operator_address}, json, {})
+        threading.Event().wait()
+
+
+def _show_addresses(addresses: dict[str, str], json: bool, more: dict[str, str]) -> None:
+    if json:
+        write_json(addresses | more, "rig emulate")
+    else:
+        sys.stdout.write("".join(f"--{name} '{address}'\n" for name, address in addresses.items()))
+    sys.stdout.flush()
 
 
 @rig.command(help_epilogue=examples("rig stop"))

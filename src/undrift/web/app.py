@@ -16,8 +16,9 @@ from starlette.requests import Request
 from starlette.responses import FileResponse, JSONResponse, PlainTextResponse, RedirectResponse, Response
 
 from undrift.errors import InputError, UndriftError
-from undrift.web.access import Access
+from undrift.web.access import Access, allowed
 from undrift.web.bench import Bench, BenchSettings
+from undrift.web.feed import Feed
 from undrift.web.frame import PAGES
 from undrift.web.uploads import receive_upload
 
@@ -37,6 +38,7 @@ def serve(settings: BenchSettings, ready: Callable[[str], None]) -> None:
         log_level="warning",
         access_log=False,
         ws_max_size=1 << 20,
+        ws_per_message_deflate=False,  # noise does not shrink, and the time of it is missed
         timeout_graceful_shutdown=2,
         server_header=False,
     )
@@ -100,6 +102,7 @@ def application(bench: Bench, ready: Callable[[], None]) -> FastAPI:
             await asyncio.to_thread(bench.rig_run.emergency_stop)
         return RedirectResponse("/rate-table", 303)
 
+    Feed(lambda: bench.source, lambda socket: allowed(socket, bench.settings.token)).add_to(made)
     pages_app.add_static_files("/static", STATIC)
     for path, name in PAGES.items():
         _add_page(bench, path, name)

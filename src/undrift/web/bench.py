@@ -133,7 +133,9 @@ class Bench:
         """Let go of the device."""
         source, self.source = self.source, None
         if source is not None:
-            await asyncio.to_thread(source.stop)
+            file = await asyncio.to_thread(source.stop)
+            if file is not None:  # what was being recorded
+                await self.recordings.add(file)
 
     @property
     def practice(self) -> Any:
