@@ -1,5 +1,6 @@
 """What every page has: heading, navigation, what is connected, the emergency stop, and one next step."""
 
+import json
 from collections.abc import Awaitable, Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
@@ -153,7 +154,7 @@ class Field:
                 self.element = ui.element("input").props(
                     f'type="{kind}" autocomplete="off"' + (' step="any"' if kind == "number" else "")
                 )
-                self.element.props["value"] = value
+                self.element.props["^value"] = value  # the attribute: the property would undo what is typed at each redraw
             if hint:
                 text("span", hint, "soft")
         self.element.on("input", self._take, js_handler="(event) => emit(event.target.value)")
@@ -161,8 +162,9 @@ class Field:
     def set(self, value: str) -> None:
         """Show another value."""
         self.value = value
-        self.element.props["value"] = value
+        self.element.props["^value"] = value
         self.element.update()
+        self.element.client.run_javascript(f"getHtmlElement({self.element.id}).value = {json.dumps(value)}")
 
     def number(self) -> float | None:
         """Return what was typed as a number; None where it is none."""

@@ -2,14 +2,15 @@
 
 The run is the command ``undrift rig run`` itself, with ``--progress``; it lives in a session of its own beside a supervisor
 (web/supervisor.py), and neither a closed browser nor the end of the bench's own process touches it. What the bench knows of it stands
-in the folder of the run, so that the next bench finds it::
+beside the folder of the run, so that the next bench finds it::
 
-    FOLDER/bench/run.json         the order: addresses and options
-    FOLDER/bench/protocol.toml    what was asked for
-    FOLDER/bench/progress.jsonl   what the command and the supervisor wrote
-    FOLDER/bench/standby.json     port and key of the supervisor
-    FOLDER/bench/lock             locked while either of them lives
-    FOLDER/bench/answer.json, run.log   stdout and stderr of the command
+    JOB/session/              the folder of the run
+    JOB/run/run.json          the order: addresses and options
+    JOB/run/protocol.toml     what was asked for
+    JOB/run/progress.jsonl    what the command and the supervisor wrote
+    JOB/run/standby.json      port and key of the supervisor
+    JOB/run/lock              locked while either of them lives
+    JOB/run/answer.json, run.log   stdout and stderr of the command
 
 Pause is Ctrl-C of the command: the dwell that is going is given up, the table comes to rest with its motor off, the folder stays. Go
 on is the command with --resume.
@@ -36,7 +37,7 @@ from undrift.rig.folder import JOURNAL
 from undrift.rig.progress import ProgressReader
 from undrift.rig.standby import Standby, stop_now
 
-PLACE = "bench"
+SESSION, PLACE = "session", "run"
 ORDER, PROTOCOL, PROGRESS, STANDBY, LOCK = "run.json", "protocol.toml", "progress.jsonl", "standby.json", "lock"
 ANSWER, LOG = "answer.json", "run.log"
 START_S = 30.0  # that a supervisor is waited for
@@ -63,7 +64,7 @@ class RunOrder:
 
 def command_of(order: RunOrder, folder: Path) -> list[str]:
     """Return the words of the command; it goes on where the folder has a journal."""
-    place = folder / PLACE
+    place = folder.parent / PLACE
     words = [sys.executable, "-m", "undrift", "rig", "run", str(place / PROTOCOL), "-o", str(folder)]
     words += ["--yes", "--json", "--progress", str(place / PROGRESS)]
     for name in ("rig", "device", "chamber", "operator", "serial"):
@@ -74,7 +75,7 @@ def command_of(order: RunOrder, folder: Path) -> list[str]:
 
 def read_order(folder: Path) -> RunOrder:
     """Return what a run was started with."""
-    held = json.loads((folder / PLACE / ORDER).read_text())
+    held = json.loads((folder.parent / PLACE / ORDER).read_text())
     return RunOrder(**{**held, "options": tuple(held["options"])})
 
 
@@ -184,7 +185,7 @@ class RigRun:
     """A run in a folder; ``refresh`` reads what is new. Its methods wait for files and processes: call them in a thread."""
 
     def __init__(self, folder: Path) -> None:
-        self.folder, self.place = folder, folder / PLACE
+        self.folder, self.place = folder, folder.parent / PLACE
         self.order = read_order(folder)
         self.view = View()
         self._reader = ProgressReader(self.place / PROGRESS)
@@ -351,7 +352,7 @@ def is_locked(path: Path) -> bool:
 
 def begin_run(folder: Path, protocol: str, order: RunOrder) -> RigRun:
     """Write the order of a run into its folder; ``launch`` starts it."""
-    place = folder / PLACE
+    place = folder.parent / PLACE
     if (folder / JOURNAL).exists():
         raise InputError(f"{folder}: wanted a new folder, got one with a run in it; go on with that, or begin another")
     place.mkdir(parents=True, exist_ok=True)
@@ -362,11 +363,11 @@ def begin_run(folder: Path, protocol: str, order: RunOrder) -> RigRun:
 
 def find_run(root: Path) -> RigRun | None:
     """Return the run in a folder of jobs that goes on; without one the newest that did not come to its end."""
-    orders = sorted(root.glob(f"*/*/{PLACE}/{ORDER}"), key=lambda path: path.stat().st_mtime, reverse=True)
+    orders = sorted(root.glob(f"*/{PLACE}/{ORDER}"), key=lambda path: path.stat().st_mtime, reverse=True)
     found = []
     for path in orders:
         with contextlib.suppress(OSError, ValueError, TypeError, KeyError):
-            run = RigRun(path.parents[1])
+            run = RigRun(path.parents[1] / SESSION)
             if run.is_going():
                 run.refresh()
                 return run

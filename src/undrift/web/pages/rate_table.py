@@ -32,7 +32,8 @@ def page(bench: Bench) -> None:
     """Build the page."""
     with frame(bench, "Rate table"):
         text("p", "The table turns the device at known rates about each axis, and rests on each face.")
-        redrawn(lambda: run_state(bench), lambda look: _part(bench, look))
+        client = ui.context.client  # a button may be drawn anew before its work is done
+        redrawn(lambda: run_state(bench), lambda look: _part(bench, look, client.open))
 
 
 def run_state(bench: Bench) -> tuple[object, ...]:
@@ -44,30 +45,30 @@ def run_state(bench: Bench) -> tuple[object, ...]:
     return (run.folder, view.state, view.question, view.error, view.confirmed, bool(view.steps), view.standby)
 
 
-def _part(bench: Bench, look: Callable[[], None]) -> None:
+def _part(bench: Bench, look: Callable[[], None], go: Callable[[str], None]) -> None:
     if bench.rig_run is None:
-        order_form(bench, bench.table.rates, look, chamber=False)
+        order_form(bench, bench.table.rates, chamber=False)
     else:
-        run_part(bench, look)
-        if bench.rig_run.view.state == "done":
-            view = bench.rig_run.view
-            if len(view.set_points()) > 1:
-                next_step("Fit the drift over temperature", "/temperature")
-            else:
-                next_step("Calibrate", lambda: _calibrate(bench))
+        run_part(bench, look, lambda: _after(bench, go))
 
 
-async def _calibrate(bench: Bench) -> None:
-    client = ui.context.client
-    if await bench.table.calibrate():
-        with client:
-            ui.navigate.to("/result")
+def _after(bench: Bench, go: Callable[[str], None]) -> None:
+    """Add the next step after a complete run."""
+
+    async def calibrate() -> None:
+        if await bench.table.calibrate():
+            go("/result")
+
+    if bench.rig_run is not None and len(bench.rig_run.view.set_points()) > 1:
+        next_step("Fit the drift over temperature", "/temperature")
+    else:
+        next_step("Calibrate", calibrate)
 
 
 # ---- What is asked for
 
 
-def order_form(bench: Bench, form: ProtocolForm, look: Callable[[], None], *, chamber: bool) -> None:
+def order_form(bench: Bench, form: ProtocolForm, *, chamber: bool) -> None:
     """Add addresses, protocol, forecast and the start."""
     table, held = bench.table, bench.table.addresses
     if not held["device"] and bench.source is not None:
@@ -78,7 +79,7 @@ def order_form(bench: Bench, form: ProtocolForm, look: Callable[[], None], *, ch
             emulated = button("Use the emulated table", table.use_emulated)
             speed = Field("Its speed", table.speed, options=("1", "10", "20"), hint="times real time")
             speed.element.on("change", lambda: setattr(table, "speed", speed.value))
-        with ui.element("div").classes("row"):
+        with ui.element("div").classes("row form"):
             _bound("Address of the table", held, "rig", "galil:tcp://host:23?encoder_lines=10000, grbl:serial:///dev/ttyUSB0")
             _bound("Address of the device", held, "device", "serial:///dev/ttyUSB0?baud=115200&..., tcp://host:port?...")
             if chamber:
@@ -157,7 +158,7 @@ def _bound(label: str, held: dict[str, str], name: str, hint: str) -> None:
 
 
 def _typed(form: ProtocolForm, *fields: tuple[str, str, str]) -> None:
-    with ui.element("div").classes("row"):
+    with ui.element("div").classes("row form"):
         for name, label, hint in fields:
             made = Field(label, getattr(form, name), hint=hint)
             made.element.on("input", partial(_keep, form, name, made))
@@ -188,7 +189,7 @@ def _chosen(label: str, options: Iterable[str], form: ProtocolForm, name: str) -
 # ---- What goes on
 
 
-def run_part(bench: Bench, look: Callable[[], None]) -> None:
+def run_part(bench: Bench, look: Callable[[], None], after: Callable[[], None]) -> None:
     """Add the run: what it does, what it asks, how far it is, and what a person may do."""
     run, table = bench.rig_run, bench.table
     if run is None:
@@ -213,7 +214,9 @@ def run_part(bench: Bench, look: Callable[[], None]) -> None:
                 text("p", view.error, "bench-error").props('role="alert"')
     error_line(lambda: table.error)
     if not run.may_move:
-        if view.state != "done":
+        if view.state == "done":
+            after()
+        else:
             next_step("Go on", table.go_on)
 
         def forget() -> None:
