@@ -19,6 +19,7 @@ from undrift.errors import InputError, UndriftError
 from undrift.files import write_whole
 from undrift.units import STANDARD_GRAVITY, gravity_at
 from undrift.web.commands import Outcome, run_command
+from undrift.web.rate_table import RateTable
 from undrift.web.recordings import Recordings
 from undrift.web.uploads import safe_name
 
@@ -108,6 +109,8 @@ class Bench:
         self.recordings = Recordings(self)
         for name in ("jobs", "uploads"):
             (self.folder / name).mkdir(parents=True, exist_ok=True)
+        self.table = RateTable(self)  # with the run that an earlier bench left
+        self.closing.append(self.table.close)
         held = _held_in(self.folder / PLACE)
         self.place = Place(latitude_deg=held.get("latitude_deg"), height_m=float(held.get("height_m") or 0.0))
 
