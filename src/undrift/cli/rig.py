@@ -225,7 +225,9 @@ def emulate(
     drawn = device_at(device, np.random.default_rng(seed), draw=device in PRESETS) if device else None
     if hand_held:
         if faults or pty or port or kind != "galil":
-            raise InputError("--hand-held: wanted no table, got options of one; leave --kind, --port, --pty and --fault out")
+            raise InputError(
+                "--hand-held: wanted no table, got options of one; leave --kind, --port, --pty and --fault out"
+            )
         _emulate_hand_held(stream, drawn, (speed, room_c), save_device, json)
         return 0
     settings = EmulatedBenchSettings(

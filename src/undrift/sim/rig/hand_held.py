@@ -178,11 +178,15 @@ class HandHeldDevice(EmulatedDevice):
         self._go_on()
         now, last = self.clock.now(), self._moves[-1]
         if sum(move.start > now for move in self._moves) >= MOST_MOVES:
-            raise InputError(f"hand held: wanted at most {MOST_MOVES} moves that wait, got one more; wait until it rests")
+            raise InputError(
+                f"hand held: wanted at most {MOST_MOVES} moves that wait, got one more; wait until it rests"
+            )
         q = last.orientation(np.array([last.stop]))[0]
         return max(now, last.stop + REST_S), q / np.linalg.norm(q)
 
-    def _add(self, start: float, duration: float, q: FloatArray, axis: FloatArray, angle: Polynomial, **more: Any) -> None:
+    def _add(
+        self, start: float, duration: float, q: FloatArray, axis: FloatArray, angle: Polynomial, **more: Any
+    ) -> None:
         draw, each = self._hands, math.sqrt(2.0 / WAVES)
         frequency, phase = draw.uniform(*TREMOR_HZ, (WAVES, 3)), draw.uniform(0.0, 2.0 * math.pi, (WAVES, 3))
         sizes = self.hands.tremor * each / (2.0 * math.pi * frequency), np.full((WAVES, 3), self.hands.shake * each)
@@ -328,7 +332,9 @@ class _Operator(Machine):
             elif words[:1] == ["turn"] and len(words) == 3:
                 device.turn(cast(Axis, words[1]), _number(words[2]) * RADIAN_PER_DEGREE)
             else:
-                raise InputError("operator: wanted 'face +x', 'turn z 360' or 'state?', got another line; send one of them")
+                raise InputError(
+                    "operator: wanted 'face +x', 'turn z 360' or 'state?', got another line; send one of them"
+                )
         except InputError as error:
             return f"ERROR {error}".encode("ascii", errors="replace").decode("ascii")
         return f"OK {' '.join(line.split()[1:])}"
