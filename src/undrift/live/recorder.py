@@ -8,6 +8,7 @@
         record = recorder.between(start, recorder.now(), deadline_s=2.0)
 """
 
+import itertools
 import logging
 import threading
 import time
@@ -128,6 +129,19 @@ class Recorder:
                 readings=count,
             )
         raise InputError(f"readings: wanted two or more in {stop - start:.3f} s, got {count}; dwell longer")
+
+    def since(self, device_time: float = -np.inf) -> Record | None:
+        """Return what has come later than a device time, without waiting; None while that is less than two readings."""
+        with self._news:
+            self.check()
+            blocks = list(itertools.takewhile(lambda block: block.time[-1] > device_time, reversed(self._ring)))[::-1]
+        if not blocks:
+            return None
+        times = np.concatenate([block.time for block in blocks])
+        later = times > device_time
+        if int(later.sum()) < 2:
+            return None
+        return self.source.description.record(times[later], np.concatenate([block.values for block in blocks])[later])
 
     def latest(self) -> str:
         """Return the newest reading in words."""

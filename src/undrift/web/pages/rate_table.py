@@ -1,0 +1,10 @@
+"""Rate table."""
+
+from undrift.web.bench import Bench
+from undrift.web.frame import frame, text
+
+
+def page(bench: Bench) -> None:
+    """Build the page."""
+    with frame(bench, "Rate table"):
+        text("p", "This page is not there yet.")
