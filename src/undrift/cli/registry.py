@@ -427,13 +427,13 @@ def _device_json(known: "Known") -> dict[str, Any]:
 def _show_devices(title: str, known: "list[Known]") -> None:
     rows = []
     for one in known:
-        told, held = _device_json(one), one.calibration
+        stated, held = _device_json(one), one.calibration
         made_due = (
             ("–", "–")
             if held is None
             else (f"{held.made_at:%Y-%m-%d}", f"{held.due_at:%Y-%m-%d}" if held.due_at else "–")
         )
-        rows.append((one.serial, str(told["state"]), str(held.id if held else "–"), *made_due, str(one.entries)))
+        rows.append((one.serial, str(stated["state"]), str(held.id if held else "–"), *made_due, str(one.entries)))
     show_table(title, ("serial", "state", "calibration", "made", "due", "entries"), rows)
 
 

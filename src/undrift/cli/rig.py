@@ -142,12 +142,10 @@ def run(
         if told is not None:
             told.plan(programme, folder.done, options.clock_speed)
         stack.enter_context(stopping_on_signals())
-        guard = None
-        if heater or not by_hand:  # before they are opened, so that they are closed before it goes
-            guard = stack.enter_context(Guard("" if by_hand else rig, heater))
+        watched = "" if by_hand else rig  # before they are opened, so that they are closed before it goes
+        guard = stack.enter_context(Guard(watched, heater)) if heater or watched else None
         watch = Watch(StopWatch(rig), guard, programme)
-        if card_watchdog and guard is not None:
-            settings = replace(settings, card_watchdog=guard.promise_holds)
+        settings = replace(settings, card_watchdog=guard.promise_holds) if card_watchdog and guard else settings
         bench, called = _bench(stack, (rig, device, chamber, operator), settings, programme)
         registering.check(serial or called)
         watch.arm()
@@ -157,8 +155,7 @@ def run(
             programme, bench, folder, report=shown, serial=serial or called, gravity_m_s2=gravity_m_s2, settings=judge
         )
     _write_report(report, result, output, protocol)
-    _result(result, output, json, registering.add(output))
-    return 0
+    return _result(result, output, json, registering.add(output))
 
 
 @rig.command(help_epilogue=examples("rig emulate"))
@@ -513,7 +510,8 @@ def _write_report(path: Path | None, result: "RunResult", folder: Path, protocol
         write_rig_report(path, result, folder.name, origin=origin_of(protocol, folder / "session.toml"))
 
 
-def _result(result: "RunResult", folder: Path, json: bool, kept: "list[dict[str, Any]]") -> None:
+def _result(result: "RunResult", folder: Path, json: bool, kept: "list[dict[str, Any]]") -> int:
+    """Show what a run came to."""
     turns = [piece for piece in result.pieces if piece.purpose == "rate"]
     missing = sum(piece.missing for piece in result.pieces)
     if json:
@@ -531,13 +529,14 @@ def _result(result: "RunResult", folder: Path, json: bool, kept: "list[dict[str,
         made = {"folder": str(folder), "rig": result.rig, "dwells": len(result.pieces), "added": result.added}
         made |= {"registered": kept} if kept else {}
         write_json(made | {"duration_s": result.duration_s, "missing_readings": missing, "turns": rows}, "rig run")
-        return
+        return 0
     off = max((abs(piece.turn_rate - piece.nominal_turn_rate) for piece in turns), default=0.0) / RADIAN_PER_DEGREE
     say(
         f"{folder}: {len(result.pieces)} dwells, {result.added} of them now, in {_clock(result.duration_s)}; achieved rates "
         f"differ from nominal ones by up to {off:.3g} deg/s and stand in session.toml; {missing} readings missing"
     )
     say_registered(kept)
+    return 0
 
 
 def _show_check(found: "RigCheck", rig: str, settings: "CheckSettings", json: bool) -> None:

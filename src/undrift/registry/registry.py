@@ -362,53 +362,55 @@ class Registry:
                 f"{self.place}: wanted the package {error.name}, got none; pip install undrift[registry]"
             ) from error
         except DBAPIError as error:
-            raise self._refusal(error.orig) from error
+            raise _refusal(error.orig, self.place, self._wait_s) from error
         except sqlite3.Error as error:  # of the first words to a file
-            raise self._refusal(error) from error
+            raise _refusal(error, self.place, self._wait_s) from error
         except SQLAlchemyError as error:
             raise RegistryError(f"{self.place}: the registry failed: {first_line(error)}; check its address") from error
 
-    def _refusal(self, error: BaseException | None) -> RegistryError:
-        said = " ".join(str(error).split("CONTEXT:")[0].split()).replace("connection failed: ", "")
-        state = getattr(error, "sqlstate", None) or ""
-        for fits, line in _LINES:
-            if fits(said, state):
-                text = line.format(wait=f"{self._wait_s:g}", said=said[:300])
-                return RegistryError(f"{self.place}: {text}", locked="another program" in line)
-        return RegistryError(f"{self.place}: wanted the registry to answer, got: {said[:300]}; check the database")
+
+def _refusal(error: BaseException | None, place: str, wait_s: float) -> RegistryError:
+    """Return what to say of an error of the database."""
+    answer = " ".join(str(error).split("CONTEXT:")[0].split()).replace("connection failed: ", "")
+    state = getattr(error, "sqlstate", None) or ""
+    for fits, line in _LINES:
+        if fits(answer, state):
+            shown = line.format(wait=f"{wait_s:g}", answer=answer[:300])
+            return RegistryError(f"{place}: {shown}", locked="another program" in line)
+    return RegistryError(f"{place}: wanted the registry to answer, got: {answer[:300]}; check the database")
 
 
 _LINES: tuple[tuple[Callable[[str, str], bool], str], ...] = (
     (
-        lambda said, state: "locked" in said or state in ("55P03", "57014", "40P01"),
+        lambda answer, state: "locked" in answer or state in ("55P03", "57014", "40P01"),
         "wanted to write within {wait} s, got a registry that another program holds; wait for it or end it, then try again",
     ),
     (
-        lambda said, state: " full" in said or state in ("53100", "53200"),
+        lambda answer, state: " full" in answer or state in ("53100", "53200"),
         "wanted room for an entry, got a full disk; make room and add it again, nothing was added",
     ),
     (
-        lambda said, state: "readonly" in said or state in ("42501", "25006"),
+        lambda answer, state: "readonly" in answer or state in ("42501", "25006"),
         "wanted to write, got a registry that may only be read; check its rights",
     ),
-    (lambda said, state: "unable to open" in said, "wanted a file in a folder that exists, got none; make the folder first"),
+    (lambda answer, state: "unable to open" in answer, "wanted a file in a folder that exists, got none; make the folder first"),
     (
-        lambda said, state: "not a database" in said or "malformed" in said,
+        lambda answer, state: "not a database" in answer or "malformed" in answer,
         "wanted a registry, got a file that is no sound SQLite database; name another, or restore a backup",
     ),
-    (lambda said, state: "only grows" in said, "{said}; undrift registry add FILE --supersedes ID"),
+    (lambda answer, state: "only grows" in answer, "{answer}; undrift registry add FILE --supersedes ID"),
     (
         # psycopg states no code for what fails before there is a session
-        lambda said, state: "authentication" in said or "password" in said or "role" in said or "pg_hba" in said,
-        "wanted a user that may log in, got a refusal: {said}; check user and password",
+        lambda answer, state: "authentication" in answer or "password" in answer or "role" in answer or "pg_hba" in answer,
+        "wanted a user that may log in, got a refusal: {answer}; check user and password",
     ),
     (
-        lambda said, state: "database" in said and "does not exist" in said,
+        lambda answer, state: "database" in answer and "does not exist" in answer,
         "wanted a database, got none of that name; create it on the server first: createdb",
     ),
     (
-        lambda said, state: not state and ("connect" in said or "resolve" in said or "server" in said or "timeout" in said),
-        "wanted a connection to the server, got none: {said}; check host and port",
+        lambda answer, state: not state and any(word in answer for word in ("connect", "resolve", "server", "timeout")),
+        "wanted a connection to the server, got none: {answer}; check host and port",
     ),
 )  # fmt: skip
 
