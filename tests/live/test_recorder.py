@@ -173,11 +173,13 @@ def test_readings_gather_where_that_is_asked_and_none_is_lost():
     blocks = {}
     for gather_s in (0.0, 0.05):
         settings = RecorderSettings(silence_s=1.0, gather_s=gather_s)
-        with Sender(paced(300, 0.005)) as device:
-            with Recorder(source_at(f"tcp://127.0.0.1:{device.port}{THREE}"), settings) as recorder:
-                eventually(lambda: recorder.timeline.readings == 300, "all readings")  # noqa: B023 (read at once)
-                record = recorder.since(0.495)
-                blocks[gather_s] = len(recorder._ring)
+        with (
+            Sender(paced(300, 0.005)) as device,
+            Recorder(source_at(f"tcp://127.0.0.1:{device.port}{THREE}"), settings) as recorder,
+        ):
+            eventually(lambda: recorder.timeline.readings == 300, "all readings")
+            record = recorder.since(0.495)
+            blocks[gather_s] = len(recorder._ring)
         assert record.gyro[:, 0].tolist() == list(range(50, 300))
         assert recorder.since(2.985) is None, "one reading is no record"
     assert blocks[0.05] < 0.6 * blocks[0.0]
