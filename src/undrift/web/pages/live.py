@@ -26,8 +26,9 @@ def page(bench: Bench) -> None:
     """Build the page."""
     with frame(bench, "Live"):
         words = text("p", "", "live-status")
-        error_line(lambda: _wrong(bench))
-        record = next_step("Start recording", lambda: start_or_stop(bench))
+        doing: list[str] = []  # what went wrong with the last click
+        error_line(lambda: " ".join((*_wrong(bench), *doing)))
+        record = next_step("Start recording", lambda: start_or_stop(bench, doing))
         hint = text("p", "Connect a device below. The practice device is a simulated sensor.")
         redrawn(lambda: bench.recordings.chosen and bench.recordings.chosen.path, lambda _: _recorded(bench))
         Panel()
@@ -71,23 +72,28 @@ def status_line(status: Status) -> str:
     return "; ".join(parts) + "."
 
 
-def _wrong(bench: Bench) -> str:
-    """Return what is wrong in plain words: the connection, or the correction."""
+def _wrong(bench: Bench) -> list[str]:
+    """Return what is wrong in plain words: with the connection, the correction, the file."""
     if bench.source is None:
-        return ""
+        return []
     status = bench.source.status()
-    return f"{status.error}. The bench tries again by itself." if status.error else status.correction
+    lost = f"{status.error}. The bench tries again by itself." if status.error else ""
+    return [words for words in (lost, status.correction, status.file_error) if words]
 
 
-async def start_or_stop(bench: Bench) -> None:
+async def start_or_stop(bench: Bench, wrong: list[str]) -> None:
     """Begin a recording, or finish the one that is going on and add it to the page Recordings."""
     source = bench.source
+    wrong.clear()
     if source is None:
         return
-    if source.status().file is None:
-        await asyncio.to_thread(start_recording, bench, source)
-    elif (path := await asyncio.to_thread(source.stop_writing)) is not None:
-        await bench.recordings.add(path)
+    try:
+        if source.status().file is None:
+            await asyncio.to_thread(start_recording, bench, source)
+        elif (path := await asyncio.to_thread(source.stop_writing)) is not None:
+            await bench.recordings.add(path)
+    except (UndriftError, OSError) as error:
+        wrong.append(str(error))
 
 
 def _recorded(bench: Bench) -> None:
