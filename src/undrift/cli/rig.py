@@ -27,8 +27,8 @@ from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 if TYPE_CHECKING:
     from undrift.rig.check import CheckSettings, RigCheck
     from undrift.rig.programme import Programme
-    from undrift.rig.rig import Limits, RigSettings
     from undrift.rig.progress import ProgressFile
+    from undrift.rig.rig import Limits, RigSettings
     from undrift.rig.run import Bench, Progress, RunResult, Watch
     from undrift.sim.device.model import DeviceModel
     from undrift.sim.rig.stream import StreamSettings
@@ -236,7 +236,9 @@ def emulate(
     drawn = device_at(device, np.random.default_rng(seed), draw=device in PRESETS) if device else None
     if hand_held:
         if faults or pty or port or kind != "galil":
-            raise InputError("--hand-held: wanted no table, got options of one; leave --kind, --port, --pty and --fault out")
+            raise InputError(
+                "--hand-held: wanted no table, got options of one; leave --kind, --port, --pty and --fault out"
+            )
         _emulate_hand_held(stream, drawn, (speed, room_c), save_device, json)
         return 0
     settings = EmulatedBenchSettings(

@@ -74,6 +74,15 @@ class RateTable:
         self.error = "" if outcome.done else outcome.error
         return outcome.done
 
+    async def fit_drift(self) -> bool:
+        """Fit the drift over the temperatures of the run; return whether there is a calibration."""
+        job, run = self._bench.job_now(), self.run
+        if run is None:
+            return False
+        outcome = await self._bench.fit_drift(job, run.folder, "--trust")
+        self.error = "" if outcome.done else outcome.error
+        return outcome.done
+
     async def forecast(self, form: ProtocolForm) -> Forecast | str:
         """Return what a protocol takes, or what is wrong with it."""
         asked = form.toml(), self.addresses["rig"].strip() or "galil:"
@@ -118,7 +127,14 @@ class RateTable:
         if bench.source is not None and bench.source.address == held["device"]:
             await bench.disconnect()  # a serial port has one owner
         chamber = held["chamber"] if form.temperatures_c.strip() else ""
-        order = RunOrder(**held | {"chamber": chamber}, serial=self.serial.strip(), host=bench.settings.host)
+        order = RunOrder(
+            rig=held["rig"],
+            device=held["device"],
+            chamber=chamber,
+            operator=held["operator"],
+            serial=self.serial.strip(),
+            host=bench.settings.host,
+        )
         job = bench.job
         if job is None or any(job.folder.iterdir()):
             job = bench.new_job(self.serial.strip() or "rate-table")

@@ -80,10 +80,22 @@ def order_form(bench: Bench, form: ProtocolForm, *, chamber: bool) -> None:
             speed = Field("Its speed", table.speed, options=("1", "10", "20"), hint="times real time")
             speed.element.on("change", lambda: setattr(table, "speed", speed.value))
         with ui.element("div").classes("row form"):
-            _bound("Address of the table", held, "rig", "galil:tcp://host:23?encoder_lines=10000, grbl:serial:///dev/ttyUSB0")
-            _bound("Address of the device", held, "device", "serial:///dev/ttyUSB0?baud=115200&..., tcp://host:port?...")
+            _bound(
+                "Address of the table",
+                held,
+                "rig",
+                "galil:tcp://host:23?encoder_lines=10000, grbl:serial:///dev/ttyUSB0",
+            )
+            _bound(
+                "Address of the device", held, "device", "serial:///dev/ttyUSB0?baud=115200&..., tcp://host:port?..."
+            )
             if chamber:
-                _bound("Address of the chamber", held, "chamber", "tcp://host:port, modbus-tcp://host:502?model=..., manual:")
+                _bound(
+                    "Address of the chamber",
+                    held,
+                    "chamber",
+                    "tcp://host:port, modbus-tcp://host:502?model=..., manual:",
+                )
             _serial(bench)
         if held["operator"]:
             text("p", "The emulated operator mounts the device.", "soft")
@@ -92,7 +104,11 @@ def order_form(bench: Bench, form: ProtocolForm, *, chamber: bool) -> None:
     with ui.element("section").props('aria-label="Protocol"'):
         text("h2", "Protocol")
         if chamber:
-            _typed(form, ("temperatures_c", "Temperatures, degC", "rising, such as 18, 30, 45"), ("soak_c_per_min", "Stable below, K/min", ""))
+            _typed(
+                form,
+                ("temperatures_c", "Temperatures, degC", "rising, such as 18, 30, 45"),
+                ("soak_c_per_min", "Stable below, K/min", ""),
+            )
         _chosen("Faces to rest on", FACES, form, "faces")
         _chosen("Axes to turn about", ("x", "y", "z"), form, "axes")
         _typed(
