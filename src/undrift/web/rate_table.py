@@ -21,6 +21,7 @@ class RateTable:
     def __init__(self, bench: "Bench") -> None:
         self._bench = bench
         self.addresses = dict.fromkeys(ADDRESSES, "")
+        self.filled = 0  # how often they were filled in by other than typing
         self.rates = ProtocolForm()
         self.soaks = ProtocolForm(name="temperature", axes=(), temperatures_c="20, 35, 50")
         self.speed = "1"  # of the emulated table
@@ -113,6 +114,7 @@ class RateTable:
     async def _use_emulated(self) -> None:
         self.emulated.words = ("--speed", self.speed)
         self.addresses |= await asyncio.to_thread(self.emulated.start)
+        self.filled += 1
 
     async def _start(self, form: ProtocolForm) -> None:
         bench, held = self._bench, {name: value.strip() for name, value in self.addresses.items()}

@@ -43,7 +43,7 @@ def _part(bench: Bench, look: Callable[[], None], go: Callable[[str], None]) -> 
     else:
         run_part(bench, look, lambda: _fit(bench, go))
         _soak(lambda: soak_words(run.view))
-        _curve(lambda: run.view.curve)
+        _curve(lambda: run.view.curve, lambda: run.view.speed)
         _set_points(run.view)
 
 
@@ -139,11 +139,11 @@ def _row(temp_c: float) -> tuple[ui.element, ui.element]:
         return text("td"), text("td")
 
 
-def _curve(points: Callable[[], Sequence[Point]]) -> None:
+def _curve(points: Callable[[], Sequence[Point]], speed: Callable[[], float] = lambda: 1.0) -> None:
     made = ui.html("", sanitize=False).classes("curve")
 
     def refresh() -> None:
-        drawn = curve_svg(points())
+        drawn = curve_svg(points(), speed())
         if made.content != drawn:
             made.set_content(drawn)
 
@@ -151,8 +151,8 @@ def _curve(points: Callable[[], Sequence[Point]]) -> None:
     ui.timer(DRAW_S, refresh)
 
 
-def curve_svg(points: Sequence[Point]) -> str:
-    """Draw the temperatures of air and device over the minutes; the device is the solid line."""
+def curve_svg(points: Sequence[Point], speed: float = 1.0) -> str:
+    """Draw the temperatures of air and device over the table's minutes; the device is the solid line."""
     points = points[:: max(1, len(points) // DRAWN)]
     known = [temp for point in points for temp in (point.air_c, point.device_c) if temp is not None]
     if len(points) < 2 or not known:
@@ -171,7 +171,7 @@ def curve_svg(points: Sequence[Point]) -> str:
     ticks = "".join(
         f'<text x="{LEFT - 8}" y="{at_y(value) + 5:.1f}" text-anchor="end">{value:.1f}</text>' for value in (low, high)
     ) + "".join(
-        f'<text x="{at_x(value):.1f}" y="{HEIGHT - 12}" text-anchor="{end}">{value / 60.0:.1f} min</text>'
+        f'<text x="{at_x(value):.1f}" y="{HEIGHT - 12}" text-anchor="{end}">{value * speed / 60.0:.1f} min</text>'
         for value, end in ((0.0, "start"), (span, "end"))
     )
     frame_ = f'<path d="M{LEFT} 10 V{HEIGHT - BOTTOM} H{WIDTH - 10}" fill="none" stroke="currentColor" opacity=".4"/>'
