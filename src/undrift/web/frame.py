@@ -154,7 +154,9 @@ class Field:
                 self.element = ui.element("input").props(
                     f'type="{kind}" autocomplete="off"' + (' step="any"' if kind == "number" else "")
                 )
-                self.element.props["^value"] = value  # the attribute: the property would undo what is typed at each redraw
+                self.element.props["^value"] = (
+                    value  # the attribute: the property would undo what is typed at each redraw
+                )
             if hint:
                 text("span", hint, "soft")
         self.element.on("input", self._take, js_handler="(event) => emit(event.target.value)")

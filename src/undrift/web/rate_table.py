@@ -21,6 +21,7 @@ class RateTable:
     def __init__(self, bench: "Bench") -> None:
         self._bench = bench
         self.addresses = dict.fromkeys(ADDRESSES, "")
+        self.filled = 0  # how often they were filled in by other than typing
         self.rates = ProtocolForm()
         self.soaks = ProtocolForm(name="temperature", axes=(), temperatures_c="20, 35, 50")
         self.speed = "1"  # of the emulated table
@@ -74,6 +75,15 @@ class RateTable:
         self.error = "" if outcome.done else outcome.error
         return outcome.done
 
+    async def fit_drift(self) -> bool:
+        """Fit the drift over the temperatures of the run; return whether there is a calibration."""
+        job, run = self._bench.job_now(), self.run
+        if run is None:
+            return False
+        outcome = await self._bench.fit_drift(job, run.folder, "--trust")
+        self.error = "" if outcome.done else outcome.error
+        return outcome.done
+
     async def forecast(self, form: ProtocolForm) -> Forecast | str:
         """Return what a protocol takes, or what is wrong with it."""
         asked = form.toml(), self.addresses["rig"].strip() or "galil:"
@@ -104,6 +114,7 @@ class RateTable:
     async def _use_emulated(self) -> None:
         self.emulated.words = ("--speed", self.speed)
         self.addresses |= await asyncio.to_thread(self.emulated.start)
+        self.filled += 1
 
     async def _start(self, form: ProtocolForm) -> None:
         bench, held = self._bench, {name: value.strip() for name, value in self.addresses.items()}
@@ -118,7 +129,14 @@ class RateTable:
         if bench.source is not None and bench.source.address == held["device"]:
             await bench.disconnect()  # a serial port has one owner
         chamber = held["chamber"] if form.temperatures_c.strip() else ""
-        order = RunOrder(**held | {"chamber": chamber}, serial=self.serial.strip(), host=bench.settings.host)
+        order = RunOrder(
+            rig=held["rig"],
+            device=held["device"],
+            chamber=chamber,
+            operator=held["operator"],
+            serial=self.serial.strip(),
+            host=bench.settings.host,
+        )
         job = bench.job
         if job is None or any(job.folder.iterdir()):
             job = bench.new_job(self.serial.strip() or "rate-table")

@@ -1,8 +1,8 @@
 """A run on the rate table as the bench sees it: started in a process of its own, followed, paused, continued, stopped.
 
 The run is the command ``undrift rig run`` itself, with ``--progress``; it lives in a session of its own beside a supervisor
-(web/supervisor.py), and neither a closed browser nor the end of the bench's own process touches it. What the bench knows of it stands
-beside the folder of the run, so that the next bench finds it::
+(web/supervisor.py), and neither a closed browser nor the end of the bench's own process touches it. What the bench knows of it
+stands beside the folder of the run, so that the next bench finds it::
 
     JOB/session/              the folder of the run
     JOB/run/run.json          the order: addresses and options
@@ -12,8 +12,8 @@ beside the folder of the run, so that the next bench finds it::
     JOB/run/lock              locked while either of them lives
     JOB/run/answer.json, run.log   stdout and stderr of the command
 
-Pause is Ctrl-C of the command: the dwell that is going is given up, the table comes to rest with its motor off, the folder stays. Go
-on is the command with --resume.
+Pause is Ctrl-C of the command: the dwell that is going is given up, the table comes to rest with its motor off, the folder stays.
+Go on is the command with --resume.
 """
 
 import contextlib

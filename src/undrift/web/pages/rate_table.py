@@ -13,6 +13,7 @@ from undrift.web.rig_run import View
 
 LOOK_S = 0.4  # between two looks at what was typed
 NEXT_STEPS = 4
+SPEEDS = ("1", "10", "20", "100")  # of the emulated table
 ENDS = {
     "paused": "Paused: the table is at rest and its motor is off. What was recorded is kept; the dwell that was going is repeated.",
     "stopped": "Stopped: the table is at rest and its motor is off. What was recorded is kept.",
@@ -40,7 +41,7 @@ def run_state(bench: Bench) -> tuple[object, ...]:
     """Return what a page is drawn anew for."""
     run = bench.rig_run
     if run is None:
-        return ("none", *bench.table.addresses.values())
+        return ("none", bench.table.filled)
     view = run.view
     return (run.folder, view.state, view.question, view.error, view.confirmed, bool(view.steps), view.standby)
 
@@ -77,13 +78,25 @@ def order_form(bench: Bench, form: ProtocolForm, *, chamber: bool) -> None:
         text("h2", "Table")
         with ui.element("div").classes("row"):
             emulated = button("Use the emulated table", table.use_emulated)
-            speed = Field("Its speed", table.speed, options=("1", "10", "20"), hint="times real time")
+            speed = Field("Its speed", table.speed, options=SPEEDS, hint="times real time")
             speed.element.on("change", lambda: setattr(table, "speed", speed.value))
         with ui.element("div").classes("row form"):
-            _bound("Address of the table", held, "rig", "galil:tcp://host:23?encoder_lines=10000, grbl:serial:///dev/ttyUSB0")
-            _bound("Address of the device", held, "device", "serial:///dev/ttyUSB0?baud=115200&..., tcp://host:port?...")
+            _bound(
+                "Address of the table",
+                held,
+                "rig",
+                "galil:tcp://host:23?encoder_lines=10000, grbl:serial:///dev/ttyUSB0",
+            )
+            _bound(
+                "Address of the device", held, "device", "serial:///dev/ttyUSB0?baud=115200&..., tcp://host:port?..."
+            )
             if chamber:
-                _bound("Address of the chamber", held, "chamber", "tcp://host:port, modbus-tcp://host:502?model=..., manual:")
+                _bound(
+                    "Address of the chamber",
+                    held,
+                    "chamber",
+                    "tcp://host:port, modbus-tcp://host:502?model=..., manual:",
+                )
             _serial(bench)
         if held["operator"]:
             text("p", "The emulated operator mounts the device.", "soft")
@@ -92,7 +105,11 @@ def order_form(bench: Bench, form: ProtocolForm, *, chamber: bool) -> None:
     with ui.element("section").props('aria-label="Protocol"'):
         text("h2", "Protocol")
         if chamber:
-            _typed(form, ("temperatures_c", "Temperatures, degC", "rising, such as 18, 30, 45"), ("soak_c_per_min", "Stable below, K/min", ""))
+            _typed(
+                form,
+                ("temperatures_c", "Temperatures, degC", "rising, such as 18, 30, 45"),
+                ("soak_c_per_min", "Stable below, K/min", ""),
+            )
         _chosen("Faces to rest on", FACES, form, "faces")
         _chosen("Axes to turn about", ("x", "y", "z"), form, "axes")
         _typed(
@@ -136,8 +153,8 @@ def forecast_words(found: object) -> str:
         return ""
     rate = f", up to {found.turn_rate / RADIAN_PER_DEGREE:g} deg/s" if found.turn_rate else ""
     return (
-        f"Forecast: {found.dwells} dwells{rate}, {_minutes(found.rig_s)} of table time; with {found.mountings} mountings"
-        f" {_minutes(found.total_s)}."
+        f"Forecast: {found.dwells} dwells{rate}, {_minutes(found.rig_s)} of table time; with mounting {found.mountings} times "
+        f"{'and soaking ' if found.total_s > found.rig_s + 600.0 else ''}about {_minutes(found.total_s)}."
     )
 
 
