@@ -1,10 +1,11 @@
 """Capture: the readings of a guided session, whether the device rests now and which face is up, and the session's folder.
 
-A device rests when `find_still` finds its newest readings still twice: by the threshold that the readings show, and within four noise
-floors of the quietest window. Which face is up is the axis of the accelerometers that reads most of the length of the mean reading.
-Readings in counts have a zero that nobody states. It is that of the sphere through five captured faces; before that it is 0 where
-rests are alike in length and in one of them one axis reads nearly all, as digital parts read; else that of the sphere through what the
-accelerometers read while the device was turned over all its sides. Lengths are relative throughout: no scale is needed.
+A device rests when `find_still` finds its newest readings still twice: by the threshold that the readings show, and within four
+noise floors of the quietest window. Which face is up is the axis of the accelerometers that reads most of the length of the
+mean reading. Readings in counts have a zero that nobody states. It is that of the sphere through five captured faces; before
+that it is 0 where rests are alike in length and in one of them one axis reads nearly all, as digital parts read; else that of
+the sphere through what the accelerometers read while the device was turned over all its sides. Lengths are relative throughout:
+no scale is needed.
 """
 
 import math
@@ -22,13 +23,14 @@ from undrift.io.session import write_session
 from undrift.record import FACES, Face, Record, Session, Still, Turn
 from undrift.segments import StillSettings, find_still, sphere_of
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical
+from undrift.web.source import joined
 
 State = Literal["no readings", "moving", "settling", "still", "captured", "wrong face", "tilted", "unknown face"]
 GAP_S, GAP_PERIODS = 0.1, 5.0  # a longer silence of the device ends a stretch of readings
 KEEP_S = 120.0  # of readings in which nothing is captured
 BESIDE_S = 10.0  # kept before the first piece of a stretch, and behind the last
 CLOUD_S, CLOUD_POINTS = 0.25, 2000  # means of the accelerometers that show their zero
-ALIKE = 1.25  # lengths of readings that share a zero of 0
+ALIKE = 1.6  # lengths of readings that share a zero of 0, within 0.2 g
 ROUND = 0.2  # smallest over largest extent of a cloud that lies all around
 NOISES = 10.0  # by which a cloud that shows a sphere exceeds noise
 LOOSE_DEG = 25.0  # tilt that is told from a wrong zero, of readings in counts
@@ -42,7 +44,7 @@ class CaptureSettings:
 
     countdown_s: float = 6.0  # Rest that is captured, s
     settle_s: float = 1.5  # Rest before that, s
-    tilt_deg: float = 10.0  # Largest tilt of a face, as the uncalibrated accelerometers read it
+    tilt_deg: float = 12.0  # Largest tilt of a face, as the uncalibrated accelerometers read it
     silence_s: float = 1.0  # Host time without a new reading that counts as none, s
 
 
@@ -104,15 +106,9 @@ class _Stretch:
 
     def record(self, start_s: float = -math.inf, stop_s: float = math.inf) -> Record:
         """Return its readings in a span of time."""
-        parts = [part for part in self.parts if part.time[-1] >= start_s and part.time[0] < stop_s]
-        joined: dict[str, FloatArray | None] = {}
-        for name in ("time", "gyro", "accel", "temp_c"):
-            held = [getattr(part, name) for part in parts]
-            joined[name] = None if any(values is None for values in held) else np.concatenate(held)
-        time = np.asarray(joined.pop("time"))
-        inside = (time >= start_s) & (time < stop_s)
-        cut = {name: None if values is None else values[inside] for name, values in joined.items()}
-        return replace(parts[0], time=time[inside], mag_ut=None, **cut)
+        whole = joined([part for part in self.parts if part.time[-1] >= start_s and part.time[0] < stop_s])
+        first, last = np.searchsorted(whole.time, (start_s, stop_s)).tolist()
+        return whole.part(first, last)
 
 
 class Capture:

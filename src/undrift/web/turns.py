@@ -2,9 +2,9 @@
 
     rest, ready -> turning -> rest: the turn is judged -> rest, ready ...
 
-A turn counts where its axis is one of the device's, gravity reads the same before and after, and its angle is near a whole number of
-turns. In counts no scale is known: a turn then is one turn, and its length must be like that of the others. Its sign is that of the
-reading. The gyroscopes are calibrated by the stated angles, not by what is read here.
+A turn counts where its axis is one of the device's, gravity reads the same before and after, and its angle is near a whole
+number of turns. In counts no scale is known: a turn then is one turn, and its length must be like that of the others. Its sign
+is that of the reading. The gyroscopes are calibrated by the stated angles, not by what is read here.
 """
 
 import math

@@ -1,15 +1,16 @@
-"""An emulated device in an operator's hands: it lies on a face, is laid on another, or is turned by whole turns, and sends all the while.
+"""An emulated device in an operator's hands: it lies on a face, is laid on another or turned by whole turns, and sends.
 
 ::
 
     q_nb(t) = q_0  turn(a, angle(s))  turn(c SMOOTH(s))  turn(tremor(t) w(s))       s in [0, 1] over a move
     force_b = R_nb^T ((0, 0, g) + lift''(t)) + shake(t) w(s)                        w = 16 s^2 (1 - s)^2
 
-A move to a face takes the shortest way (c = 0). A turn is by the angle and an error of its own, about an axis that leans; c then lays
-the device back on the face. About the vertical it slides on the bench, about another axis it is lifted. At rest nothing moves: rate
-and tremor are zero, and the face is off level by what was drawn when it was laid down. Rates come from q_nb itself. The board
-warms by a little. Moves that are asked for while it moves follow each other. The operator listens on a port of its own:
-``face +x`` (or ``MOUNT +x``) and ``turn z 360`` are answered by ``OK ...``, ``state?`` by ``rest +x`` or ``moving +x``.
+A move to a face takes the shortest way (c = 0). A turn is by the angle and an error of its own, about an axis that leans; c
+then lays the device back on the face. About the vertical it slides on the bench, about another axis it is lifted. At rest
+nothing moves: rate and tremor are zero, and the face is off level by what was drawn when it was laid down. Rates come from q_nb
+itself. The board warms by a little. Moves that are asked for while it moves follow each other. The operator listens on a port
+of its own: ``face +x`` (or ``MOUNT +x``) and ``turn z 360`` are answered by ``OK ...``, ``state?`` by ``rest +x`` or ``moving
++x``.
 """
 
 import math
