@@ -4,7 +4,7 @@ VENV ?= .venv
 BIN = $(VENV)/bin
 INSTALLED = $(VENV)/.installed
 
-.PHONY: demo docs test test-long test-all check mutants fuzz benchmark clean
+.PHONY: demo docs test test-browser test-long test-all check mutants fuzz benchmark clean
 
 demo: $(VENV)/.base
 	$(BIN)/undrift demo --out demo
@@ -20,8 +20,14 @@ test: $(INSTALLED)
 	  echo "create_main_cluster = false" >> /etc/postgresql-common/createcluster.conf && apt-get update -qq && \
 	  DEBIAN_FRONTEND=noninteractive apt-get install -qq -y --no-install-recommends -o Dpkg::Options::=--force-confold postgresql; } || \
 	  echo "no PostgreSQL: the registry is tested on SQLite alone"
-	$(BIN)/python -m pytest tests --ignore=tests/house -n 2 --dist loadscope --no-loadscope-reorder --durations=12
+	$(BIN)/python -m pytest tests --ignore=tests/house --ignore=tests/web_browser -n 2 --dist loadscope --no-loadscope-reorder --durations=12
 	NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest tests/kernels tests/correction/test_correct.py tests/correction/test_stream.py tests/test_orientation.py tests/test_tilt.py tests/test_angles.py
+
+# The guided bench in a browser: pages, wizards, the rate-table run, the emergency stop. Screenshots: build/screens.
+test-browser: $(INSTALLED)
+	@command -v chromium >/dev/null || { apt-get update -qq && apt-get install -qq -y --no-install-recommends chromium; } || \
+	  { echo "the bench is tested in chromium: install it"; exit 2; }
+	$(BIN)/python -m pytest tests/web_browser --durations=12
 
 # The same Monte Carlo runs with larger cohorts.
 test-long: $(INSTALLED)

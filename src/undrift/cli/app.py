@@ -40,6 +40,7 @@ COMMANDS = {  # one line of 80 columns each
     "simulate": "Simulated sensor output for poses, tasks and thermal sessions.",
     "rig": "Run a protocol on a rate table; check, stop, emulate; --json.",
     "study": "Find the calibration protocol that is enough for a task.",
+    "bench": "The guided bench in a browser: from six faces to a certificate.",
     "data": "Recordings to try: list them, fetch one by checksum; --json.",
     "demo": "The whole flow on a small simulated session, as a report page.",
 }

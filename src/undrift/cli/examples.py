@@ -128,6 +128,10 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "undrift study --preset note --quick",
         "undrift study study.toml --workers 4 -o study/",
     ),
+    "bench": (
+        "undrift bench",
+        "undrift bench --port 0 --no-browser --folder bench/",
+    ),
     "data": (
         "undrift data list",
         "undrift data fetch sample",

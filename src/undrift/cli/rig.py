@@ -28,8 +28,11 @@ from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 if TYPE_CHECKING:
     from undrift.rig.check import CheckSettings, RigCheck
     from undrift.rig.programme import Programme
+    from undrift.rig.progress import ProgressFile
     from undrift.rig.rig import Limits, RigSettings
     from undrift.rig.run import Bench, Progress, RunResult, Watch
+    from undrift.sim.device.model import DeviceModel
+    from undrift.sim.rig.stream import StreamSettings
 
 rig = App(
     name="rig",
@@ -61,6 +64,7 @@ def run(
     card_watchdog: bool = False,
     resume: bool = False,
     yes: bool = False,
+    progress: Path | None = None,
     registering: Register = Register(),
     report: Report = None,
     json: Json = False,
@@ -101,6 +105,9 @@ def run(
         Go on in a folder in which a run was interrupted.
     yes : bool
         Start without asking.
+    progress : Path or None
+        File to append the run's progress to, a JSON object in a line, for a program that shows it; questions to the operator
+        stand there too, with a number, and are answered by "NUMBER ANSWER" on the standard input.
     registering : Register
         Whether the run is added to the registry of devices.
     report : Path or None
@@ -111,6 +118,7 @@ def run(
     from undrift.rig.judge import RunSettings
     from undrift.rig.lock import one_run
     from undrift.rig.programme import ProgrammeSettings, programme_of, read_protocol
+    from undrift.rig.progress import ProgressFile
     from undrift.rig.rig import RigSettings, check_programme, parse_address
     from undrift.rig.run import Watch, run_programme
 
@@ -118,8 +126,11 @@ def run(
     registering.check()
     asked = read_protocol(protocol)
     limits = _limits(highest_turn_rate_dps, highest_acceleration_dps2, travel_deg)
-    settings = RigSettings(limits=limits, ask=_asked, card_watchdog=(lambda: True) if card_watchdog else None)
-    programme = programme_of(asked, ProgrammeSettings(encoder_lines=parse_address(rig, settings)[2].encoder_lines))
+    told = None if progress is None else ProgressFile(progress)
+    ask = _asked if told is None else told.ask
+    settings = RigSettings(limits=limits, ask=ask, card_watchdog=(lambda: True) if card_watchdog else None)
+    options = parse_address(rig, settings)[2]
+    programme = programme_of(asked, ProgrammeSettings(encoder_lines=options.encoder_lines))
     by_hand, heater = rig.startswith("manual:"), "" if (chamber or "manual:").startswith("manual:") else str(chamber)
     if not resume:
         check_programme(programme, limits, by_hand=by_hand)  # before there is a folder
@@ -128,6 +139,8 @@ def run(
         folder = stack.enter_context(RunFolder(output, asked, resume=resume))
         check_programme(programme, limits, folder.done, by_hand=by_hand)
         _forecast(programme, folder.done, yes)
+        if told is not None:
+            told.plan(programme, folder.done, options.clock_speed)
         stack.enter_context(stopping_on_signals())
         watched = "" if by_hand else rig  # before they are opened, so that they are closed before it goes
         guard = stack.enter_context(Guard(watched, heater)) if heater or watched else None
@@ -136,7 +149,7 @@ def run(
         bench, called = _bench(stack, (rig, device, chamber, operator), settings, programme)
         registering.check(serial or called)
         watch.arm()
-        shown, judge = _Shown(watch), RunSettings(device_lag_s=device_lag_s)
+        shown, judge = _Shown(watch, told), RunSettings(device_lag_s=device_lag_s)
         stack.callback(shown.end)
         result = run_programme(
             programme, bench, folder, report=shown, serial=serial or called, gravity_m_s2=gravity_m_s2, settings=judge
@@ -152,9 +165,10 @@ def emulate(
     kind: Literal["galil", "grbl"] = "galil",
     speed: float = 1.0,
     port: int = 0,
+    hand_held: Flag = False,
     sample_rate_hz: float = 100.0,
     room_c: float = 25.0,
-    mount_tilt_deg: float = 0.0,
+    mount_tilt_deg: float | None = None,
     heating_c_per_min: float = 3.0,
     gravity_m_s2: float = STANDARD_GRAVITY,
     fault: tuple[str, ...] = (),
@@ -176,12 +190,15 @@ def emulate(
         Emulated seconds in one of the host's.
     port : int
         Of the table; 0 takes a free one.
+    hand_held : bool
+        A device in an operator's hands instead, without a table: the operator's port takes lines such as "face +x" and
+        "turn z 360".
     sample_rate_hz : float
         Readings of the device a second.
     room_c : float
         Temperature around, degC.
-    mount_tilt_deg : float
-        Mounting error of the operator: standard deviation about each axis, deg.
+    mount_tilt_deg : float or None
+        Mounting error of the operator: standard deviation about each axis, deg; 0 where not given, 0.3 if hand-held.
     heating_c_per_min : float
         How fast the chamber changes its temperature, K/min.
     gravity_m_s2 : float
@@ -213,15 +230,25 @@ def emulate(
     )
     from undrift.sim.rig.stream import StreamSettings
 
-    tilt, faults = mount_tilt_deg * RADIAN_PER_DEGREE, [planned_fault(text) for text in fault if text != "list"]
+    faults = [planned_fault(text) for text in fault if text != "list"]
     if "list" in fault:
         say(*(f"{name:22}{what}" for name, what in ALL_FAULTS.items()))
+        return 0
+    tilt = (0.3 * hand_held if mount_tilt_deg is None else mount_tilt_deg) * RADIAN_PER_DEGREE
+    stream = StreamSettings(sample_rate_hz=sample_rate_hz, mount_tilt_sd=tilt, gravity_m_s2=gravity_m_s2, seed=seed)
+    drawn = device_at(device, np.random.default_rng(seed), draw=device in PRESETS) if device else None
+    if hand_held:
+        if faults or pty or port or kind != "galil":
+            raise InputError(
+                "--hand-held: wanted no table, got options of one; leave --kind, --port, --pty and --fault out"
+            )
+        _emulate_hand_held(stream, drawn, (speed, room_c), save_device, json)
         return 0
     settings = EmulatedBenchSettings(
         rig=EmulatorSettings(kind=kind, speed=speed, port=port, with_pty=pty),
         air=AirSettings(room_c=room_c, ramp_c_per_min=heating_c_per_min),
-        stream=StreamSettings(sample_rate_hz=sample_rate_hz, mount_tilt_sd=tilt, gravity_m_s2=gravity_m_s2, seed=seed),
-        device=device_at(device, np.random.default_rng(seed), draw=device in PRESETS) if device else None,
+        stream=stream,
+        device=drawn,
     )
     with stopping_on_signals(), start_bench(settings) as bench, suppress(KeyboardInterrupt):
         if save_device is not None:
@@ -229,15 +256,38 @@ def emulate(
         addresses = {"rig": bench.rig_address, "device": bench.device_address}
         addresses |= {"chamber": bench.chamber_address, "operator": bench.hands_address}
         addresses |= {} if bench.pty_address is None else {"pty": bench.pty_address}
-        if json:
-            write_json({**addresses, "hands": bench.hands_address}, "rig emulate")  # its name in earlier releases
-        else:
-            sys.stdout.write("".join(f"--{name} '{address}'\n" for name, address in addresses.items()))
-        sys.stdout.flush()
+        _show_addresses(addresses, json, {"hands": bench.hands_address})  # its name in earlier releases
         for planned in faults:
             threading.Thread(target=bench.break_as, args=(planned,), name=planned.name, daemon=True).start()
         threading.Event().wait()
     return 0
+
+
+def _emulate_hand_held(
+    stream: "StreamSettings", device: "DeviceModel | None", at: tuple[float, float], save: Path | None, json: bool
+) -> None:
+    import threading
+
+    from undrift.rig.guard import stopping_on_signals
+    from undrift.sim.device.model import write_device
+    from undrift.sim.rig.hand_held import HandSettings, start_hand_held
+
+    speed, temp_c = at
+    hands = HandSettings(tilt_sd=stream.mount_tilt_sd, temp_c=temp_c)
+    started = start_hand_held(seed=stream.seed, device=device, hands=hands, stream=stream, speed=speed)
+    with stopping_on_signals(), started, suppress(KeyboardInterrupt):
+        if save is not None:
+            write_device(started.device, save)
+        _show_addresses({"device": started.address, "operator": started.operator_address}, json, {})
+        threading.Event().wait()
+
+
+def _show_addresses(addresses: dict[str, str], json: bool, more: dict[str, str]) -> None:
+    if json:
+        write_json(addresses | more, "rig emulate")
+    else:
+        sys.stdout.write("".join(f"--{name} '{address}'\n" for name, address in addresses.items()))
+    sys.stdout.flush()
 
 
 @rig.command(help_epilogue=examples("rig stop"))
@@ -395,9 +445,9 @@ def _bench(
     if chamber is not None:
         slopes = [step.slope_c_per_min for step in programme.steps if isinstance(step, Soak)]
         soak = SoakSettings(slope_c_per_min=min(slopes, default=SoakSettings().slope_c_per_min))
-        oven = open_chamber(chamber, ChamberSettings(soak=soak, clock_speed=clock.speed), ask=_asked)
+        oven = open_chamber(chamber, ChamberSettings(soak=soak, clock_speed=clock.speed), ask=settings.ask)
         stack.callback(oven.close)
-    mounting = AskedOperator(_asked) if operator is None else BenchHands(operator)
+    mounting = AskedOperator(settings.ask or _asked) if operator is None else BenchHands(operator)
     check_free(rig)
     table = open_rig(rig, settings)
     stack.callback(table.close)
@@ -407,16 +457,15 @@ def _bench(
 
 def _forecast(programme: "Programme", done: frozenset[int], yes: bool) -> None:
     """Say on stderr how long each step and the whole takes, and ask whether to start."""
-    from undrift.rig.programme import Dwell, Mount
+    from undrift.rig.programme import forecast_of
 
-    left = [(number, step) for number, step in enumerate(programme.steps) if number not in done]
-    for number, step in left:
-        sys.stderr.write(f"{number:5d}  {_clock(step.duration_s)}  {step}\n")
-    dwells = [step for _, step in left if isinstance(step, Dwell)]
-    mounts = sum(isinstance(step, Mount) for _, step in left)
+    for number, step in enumerate(programme.steps):
+        if number not in done:
+            sys.stderr.write(f"{number:5d}  {_clock(step.duration_s)}  {step}\n")
+    left = forecast_of(programme, done)
     sys.stderr.write(
-        f"{len(dwells)} dwells, {_clock(sum(dwell.duration_s for dwell in dwells))} of rig time; with {mounts} mountings and "
-        f"the chamber about {_clock(sum(step.duration_s for _, step in left))}\n"
+        f"{left.dwells} dwells, {_clock(left.rig_s)} of rig time; with {left.mountings} mountings and the chamber about "
+        f"{_clock(left.total_s)}\n"
     )
     if done:
         sys.stderr.write(f"{len(done)} dwells are on the disk already\n")
@@ -433,12 +482,14 @@ def _forecast(programme: "Programme", done: frozenset[int], yes: bool) -> None:
 class _Shown:
     """Watches a run and shows where it is on stderr: one line that is written over on a terminal, else a line for each step."""
 
-    def __init__(self, watch: "Watch") -> None:
-        self._watch, self._live = watch, sys.stderr.isatty()
+    def __init__(self, watch: "Watch", told: "ProgressFile | None") -> None:
+        self._watch, self._told, self._live = watch, told, sys.stderr.isatty()
         self._last: int | None = None
 
     def __call__(self, progress: "Progress") -> None:
         self._watch(progress)
+        if self._told is not None:
+            self._told(progress)
         line = f"[{progress.number + 1}/{progress.steps}] {_clock(progress.left_s)} left  {progress.step}, {progress.phase}"
         if self._live:
             sys.stderr.write(f"\r\x1b[K{line}  {progress.live}"[:150])

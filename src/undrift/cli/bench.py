@@ -1,0 +1,95 @@
+"""``undrift bench``: the guided bench in a browser."""
+
+import os
+import secrets
+import sys
+from pathlib import Path
+
+from undrift.cli.common import Flag, Json, say, write_json
+from undrift.errors import InputError
+
+LOOPBACK = ("127.0.0.1", "localhost", "::1")
+
+
+def bench(
+    *,
+    folder: Path | None = None,
+    host: str = "127.0.0.1",
+    port: int = 8765,
+    network: Flag = False,
+    token: str = "",
+    registry: str | None = None,
+    upload_mb: float = 500.0,
+    practice_seed: int | None = None,
+    no_browser: Flag = False,
+    json: Json = False,
+) -> int:
+    """Calibrate a device step by step in a browser: six faces, turns, rate table, temperature, live readings.
+
+    Parameters
+    ----------
+    folder : Path or None
+        Where the bench writes; undrift/bench in the user's data folder where not given.
+    host : str
+        Address to listen at; this computer alone by default.
+    port : int
+        0 takes a free one.
+    network : bool
+        Allow an address that other computers reach; a token is then wanted of each.
+    token : str
+        With --network: the token, 16 characters or more; a fresh one is printed where not given.
+    registry : str or None
+        File or URL of the registry; the user's own where not given.
+    upload_mb : float
+        Largest file that the page Recordings takes, MB.
+    practice_seed : int or None
+        Draws the same practice device each time.
+    no_browser : bool
+        Do not open a browser.
+    """
+    try:
+        from undrift.web.app import serve
+    except ImportError as error:
+        raise InputError(f"bench: wanted nicegui, got none ({error.name}); pip install undrift[bench]") from error
+    from undrift.web.bench import BenchSettings
+
+    if host not in LOOPBACK and not network:
+        raise InputError(
+            f"--host: wanted this computer (127.0.0.1), got {host}; add --network to let others in by a token"
+        )
+    if token and not network:
+        raise InputError("--token: wanted --network beside it, got it alone; this computer needs none")
+    if token and len(token) < 16:
+        raise InputError(f"--token: wanted 16 characters or more, got {len(token)}; leave it out for a fresh one")
+    if not 0 <= port <= 65535:
+        raise InputError(f"--port: wanted 0 to 65535, got {port}; 0 takes a free one")
+    if not upload_mb > 0.0:
+        raise InputError(f"--upload-mb: wanted more than 0, got {upload_mb:g}; state the largest file in MB")
+    held = folder or _data_folder() / "bench"
+    settings = BenchSettings(
+        folder=held.absolute(),
+        host=host,
+        port=port,
+        token=(token or secrets.token_urlsafe(24)) if network else None,
+        registry=registry,
+        upload_mb=upload_mb,
+        practice_seed=practice_seed,
+    )
+
+    def ready(address: str) -> None:
+        if json:
+            write_json({"address": address, "folder": str(settings.folder)}, "bench")
+        else:
+            say(f"undrift bench: {address}", f"It writes to {settings.folder}. Ctrl-C ends it.")
+        sys.stdout.flush()
+        if not no_browser:
+            import webbrowser
+
+            webbrowser.open(address)
+
+    serve(settings, ready)
+    return 0
+
+
+def _data_folder() -> Path:
+    return Path(os.environ.get("XDG_DATA_HOME") or Path.home() / ".local" / "share") / "undrift"

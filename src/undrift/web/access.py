@@ -1,0 +1,103 @@
+"""Who may use the bench: this computer alone, or whoever has the token.
+
+Without a token, requests must name a loopback host, so that a page of another site cannot reach the bench through a name of its own
+(DNS rebinding). With one, each request carries it: as the cookie that ``/?token=...`` sets, or in the query. Requests that change
+something, and websockets, must come from a page of the bench itself: their Origin is the Host.
+"""
+
+import hmac
+import re
+from collections.abc import Mapping
+from http.cookies import CookieError, SimpleCookie
+from urllib.parse import parse_qs, urlsplit
+
+from starlette.datastructures import Headers
+from starlette.requests import HTTPConnection
+from starlette.responses import PlainTextResponse, RedirectResponse
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+COOKIE = "undrift_token"
+LOOPBACK = ("localhost", "127.0.0.1", "::1")
+SAFE = ("GET", "HEAD", "OPTIONS")
+HEADERS = {  # of every answer: nothing from elsewhere, in nobody else's frame; a stop goes to another port of the same HOST
+    "Content-Security-Policy": "default-src 'self' data: blob:; script-src 'self' 'unsafe-inline' 'unsafe-eval'; "
+    "style-src 'self' 'unsafe-inline'; connect-src 'self' ws: wss: http://HOST:*; frame-ancestors 'self'; form-action 'self'",
+    "X-Content-Type-Options": "nosniff",
+    "Referrer-Policy": "no-referrer",
+}
+
+
+class Access:
+    """Lets requests through, or refuses them with 400 or 403 and one line; an ASGI application around the bench."""
+
+    def __init__(self, app: ASGIApp, token: str | None) -> None:
+        self._app, self._token = app, token
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Answer one request, or hand it on."""
+        if scope["type"] not in ("http", "websocket"):
+            await self._app(scope, receive, send)
+            return
+        refusal = refused(scope, self._token)
+        if refusal and scope["type"] == "websocket":
+            await send({"type": "websocket.close", "code": 1008, "reason": refusal[:120]})
+            return
+        if refusal:
+            await PlainTextResponse(refusal + "\n", 403)(scope, receive, send)
+            return
+        query = parse_qs(scope.get("query_string", b"").decode("latin-1"))
+        if self._token is not None and scope["type"] == "http" and scope["method"] == "GET" and "token" in query:
+            response = RedirectResponse(scope["path"] or "/", 303)  # the token does not stay in the address
+            response.set_cookie(COOKIE, self._token, httponly=True, samesite="strict")
+            await response(scope, receive, send)
+            return
+
+        async def with_headers(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                host = _name(Headers(scope=scope).get("host", ""))
+                host = f"[{host}]" if ":" in host else host if re.fullmatch(r"[\w.-]+", host) else "127.0.0.1"
+                held = {name.decode("latin-1").lower() for name, _ in message.get("headers", ())}
+                new = {k.lower(): v.replace("HOST", host) for k, v in HEADERS.items() if k.lower() not in held}
+                added = [(k.encode(), v.encode()) for k, v in new.items()]
+                message = {**message, "headers": [*message.get("headers", ()), *added]}
+            await send(message)
+
+        await self._app(scope, receive, with_headers)
+
+
+def refused(scope: Scope, token: str | None) -> str:
+    """Return why a request is refused, "" where it may pass."""
+    headers = Headers(scope=scope)
+    host = headers.get("host", "")
+    if token is None and _name(host) not in LOOPBACK:
+        return "bench: wanted a request to this computer, got another name; open the address that undrift bench printed"
+    origin = headers.get("origin")
+    changes = scope["type"] == "websocket" or scope["method"] not in SAFE
+    if changes and origin is not None and urlsplit(origin).netloc != host:
+        return "bench: wanted a request from its own page, got one from elsewhere; open the bench itself"
+    if token is not None and not hmac.compare_digest(_given(scope, headers).encode(), token.encode()):
+        return "bench: wanted its token, got none or a wrong one; open the address that undrift bench printed"
+    return ""
+
+
+def allowed(connection: HTTPConnection, token: str | None) -> bool:
+    """Return whether a connection may use the bench."""
+    return not refused(connection.scope, token)
+
+
+def _name(host: str) -> str:
+    try:
+        return urlsplit(f"//{host}").hostname or ""
+    except ValueError:
+        return ""
+
+
+def _given(scope: Scope, headers: Mapping[str, str]) -> str:
+    query = parse_qs(scope.get("query_string", b"").decode("latin-1"))
+    if "token" in query:
+        return str(query["token"][0])
+    try:
+        held = SimpleCookie(headers.get("cookie", "")).get(COOKIE)
+    except CookieError:
+        held = None
+    return str(held.value) if held is not None else ""

@@ -1,0 +1,130 @@
+"""The server of the bench: pages, files, uploads, the emergency stop; on this computer alone unless asked otherwise."""
+
+import asyncio
+import contextlib
+import importlib
+import socket
+from collections.abc import AsyncIterator, Callable
+from functools import partial
+from pathlib import Path
+
+import uvicorn
+from fastapi import FastAPI
+from nicegui import app as pages_app
+from nicegui import ui
+from starlette.requests import Request
+from starlette.responses import FileResponse, JSONResponse, PlainTextResponse, RedirectResponse, Response
+
+from undrift.errors import InputError, UndriftError
+from undrift.web.access import Access, allowed
+from undrift.web.bench import Bench, BenchSettings
+from undrift.web.feed import Feed
+from undrift.web.frame import PAGES
+from undrift.web.uploads import receive_upload
+
+STATIC = Path(__file__).parent / "static"
+MODULES = {"/": "start"}  # of pages whose file is not called as their path
+
+
+def serve(settings: BenchSettings, ready: Callable[[str], None]) -> None:
+    """Serve the bench until Ctrl-C; the address is handed on as soon as it listens."""
+    bench = Bench(settings)
+    listener = listen(settings.host, settings.port)
+    port = listener.getsockname()[1]
+    host = f"[{settings.host}]" if ":" in settings.host else settings.host
+    address = f"http://{host}:{port}/" + (f"?token={settings.token}" if settings.token else "")
+    config = uvicorn.Config(
+        Access(application(bench, partial(ready, address)), settings.token),
+        log_level="warning",
+        access_log=False,
+        ws_max_size=1 << 20,
+        ws_per_message_deflate=False,  # noise does not shrink, and the time of it is missed
+        timeout_graceful_shutdown=2,
+        server_header=False,
+    )
+    try:
+        uvicorn.Server(config).run(sockets=[listener])
+    finally:
+        bench.close()
+        listener.close()
+
+
+def listen(host: str, port: int) -> socket.socket:
+    """Return a socket that listens."""
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    made = socket.socket(family, socket.SOCK_STREAM)
+    try:
+        made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        made.bind((host, port))
+        made.listen(128)
+    except OSError as error:
+        made.close()
+        raise InputError(
+            f"bench: wanted to listen at {host}:{port}, got '{error.strerror or error}'; name another --port, or 0 for a free one"
+        ) from error
+    return made
+
+
+def application(bench: Bench, ready: Callable[[], None]) -> FastAPI:
+    """Return the bench as an ASGI application."""
+
+    @contextlib.asynccontextmanager
+    async def life(_: FastAPI) -> AsyncIterator[None]:
+        ready()
+        yield
+
+    made = FastAPI(openapi_url=None, docs_url=None, redoc_url=None, lifespan=life)
+
+    @made.get("/files/{name:path}")
+    def get_file(name: str, download: str = "") -> Response:
+        try:
+            path = bench.inside(name)
+        except InputError as error:
+            return PlainTextResponse(f"{error}\n", 404)
+        answer = FileResponse(path, filename=path.name if download else None)
+        if path.suffix.lower() in (".html", ".svg"):
+            answer.headers["Content-Security-Policy"] = (
+                "sandbox allow-same-origin allow-popups; default-src 'self' data: 'unsafe-inline'"
+            )
+        return answer
+
+    @made.post("/upload")
+    async def upload(request: Request) -> Response:
+        try:
+            path = await receive_upload(request, bench.folder / "uploads", bench.settings.upload_mb)
+        except UndriftError as error:
+            return JSONResponse({"error": str(error)}, 400)
+        return JSONResponse({"file": path.relative_to(bench.folder).as_posix()})
+
+    @made.post("/stop")
+    async def stop() -> Response:
+        if bench.rig_run is not None:
+            await asyncio.to_thread(bench.rig_run.emergency_stop)
+        return RedirectResponse("/rate-table", 303)
+
+    Feed(lambda: bench.source, lambda socket: allowed(socket, bench.settings.token)).add_to(made)
+    pages_app.add_static_files("/static", STATIC)
+    for path, name in PAGES.items():
+        _add_page(bench, path, name)
+    ui.run_with(
+        made,
+        title="undrift bench",
+        dark=None,
+        language="en-US",
+        tailwind=False,
+        reconnect_timeout=10.0,
+        show_welcome_message=False,
+    )
+    return made
+
+
+def _add_page(bench: Bench, path: str, name: str) -> None:
+    module = importlib.import_module(f"undrift.web.pages.{MODULES.get(path, path.strip('/').replace('-', '_'))}")
+
+    def build() -> None:
+        ui.add_head_html(
+            '<link rel="stylesheet" href="/static/bench.css"><script src="/static/bench.js" defer></script>'
+        )
+        module.page(bench)
+
+    ui.page(path, title=f"{name} - undrift bench")(build)

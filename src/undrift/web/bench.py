@@ -1,0 +1,271 @@
+"""The bench: what is connected, what is being recorded, what was made. All of it lives on the server; pages show it.
+
+A folder holds everything that the bench writes::
+
+    jobs/2026-11-23-0915-SERIAL/    session.toml and readings, calibration.json, report.html, certificate.pdf
+    uploads/                        files that were dropped on the page Recordings, and what was made of them
+"""
+
+import asyncio
+import json
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from undrift.errors import InputError, UndriftError
+from undrift.files import write_whole
+from undrift.units import STANDARD_GRAVITY, gravity_at
+from undrift.web.commands import Outcome, run_command
+from undrift.web.rate_table import RateTable
+from undrift.web.recordings import Recordings
+from undrift.web.uploads import safe_name
+from undrift.web.warm_up import WarmUp
+
+if TYPE_CHECKING:
+    from undrift.web.rig_run import RigRun
+    from undrift.web.source import Source
+
+PLACE = "place.json"
+PRACTICE = "emulator"  # the address of the practice device
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BenchSettings:
+    """Where the bench listens and writes."""
+
+    folder: Path  # of everything that it writes
+    host: str = "127.0.0.1"
+    port: int = 8765  # 0 takes a free one
+    token: str | None = None  # wanted of every request; None: this computer alone
+    registry: str | None = None  # None: the user's own
+    upload_mb: float = 500.0  # Largest upload, 1e6 bytes
+    practice_seed: int | None = None  # of the practice device; None draws one
+
+
+@dataclass(slots=True, kw_only=True)
+class Job:
+    """One device being calibrated: its folder, and what has been captured for it."""
+
+    folder: Path
+    serial: str = ""
+    capture: Any = None  # web.six_faces
+    turns: Any = None  # web.turns
+    calibration: Path | None = None
+    report: Path | None = None
+    certificate: Path | None = None
+    answer: dict[str, Any] = field(default_factory=dict)  # of calibrate
+    registered: str = ""  # what the registry answered
+    error: str = ""  # of the last command
+    began: float = field(default_factory=time.monotonic)
+
+    @property
+    def session(self) -> Path:
+        """Return the folder of its readings."""
+        return self.folder / "session"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Place:
+    """Where the bench stands; gravity follows by WGS 84. Standard gravity is assumed where it is not stated."""
+
+    latitude_deg: float | None = None
+    height_m: float = 0.0
+
+    @property
+    def gravity_m_s2(self) -> float:
+        """Return local gravity, m/s2; standard gravity where the place is not known."""
+        return STANDARD_GRAVITY if self.latitude_deg is None else gravity_at(self.latitude_deg, self.height_m)
+
+    def words(self) -> tuple[object, ...]:
+        """Return the options of ``calibrate`` for recordings that state no gravity."""
+        return () if self.latitude_deg is None else ("--latitude-deg", self.latitude_deg, "--height-m", self.height_m)
+
+
+@dataclass(slots=True)
+class Working:
+    """A command that runs now."""
+
+    what: str
+    line: str = ""
+    began: float = field(default_factory=time.monotonic)
+
+
+class Bench:
+    """What all pages share. Its methods are called on the server's event loop; none of them blocks it."""
+
+    def __init__(self, settings: BenchSettings) -> None:
+        self.settings, self.folder = settings, settings.folder
+        self.source: Source | None = None
+        self.source_error = ""
+        self.connecting = ""  # the address that is being connected
+        self.rig_run: RigRun | None = None
+        self.calibration: Path | None = None  # what Live and Recordings correct with
+        self.job: Job | None = None
+        self.working: list[Working] = []
+        self.closing: list[Callable[[], None]] = []  # called when the server ends
+        self._practice: Any = None
+        self.recordings = Recordings(self)
+        for name in ("jobs", "uploads"):
+            (self.folder / name).mkdir(parents=True, exist_ok=True)
+        self.table = RateTable(self)  # with the run that an earlier bench left
+        self.closing.append(self.table.close)
+        self.warm_up = WarmUp(self)
+        held = _held_in(self.folder / PLACE)
+        self.place = Place(latitude_deg=held.get("latitude_deg"), height_m=float(held.get("height_m") or 0.0))
+
+    # ---- The device
+
+    async def connect(self, address: str) -> None:
+        """Connect a device in place of the one before; what goes wrong stands in ``source_error``."""
+        from undrift.web.source import Source
+
+        await self.disconnect()
+        self.source_error, self.connecting = "", address
+
+        def opened() -> Source:
+            source = Source(self._address_of(address))
+            source.start()
+            return source
+
+        try:
+            self.source = await asyncio.to_thread(opened)
+        except (UndriftError, OSError) as error:
+            self.source_error = str(error)
+        finally:
+            self.connecting = ""
+
+    async def disconnect(self) -> None:
+        """Let go of the device."""
+        source, self.source = self.source, None
+        if source is not None:
+            file = await asyncio.to_thread(source.stop)
+            if file is not None:  # what was being recorded
+                await self.recordings.add(file)
+
+    @property
+    def practice(self) -> Any:
+        """Return the practice device, where it is the one that is connected."""
+        return self._practice if self.source is not None and self._practice is not None else None
+
+    def _address_of(self, address: str) -> str:
+        """Return an address to connect to; that of the practice device, which starts with it, for ``emulator``."""
+        if address.strip() != PRACTICE:
+            if self._practice is not None:
+                self._practice.close()
+                self._practice = None
+            return address.strip()
+        if self._practice is None:
+            from undrift.sim.rig.hand_held import start_hand_held
+
+            self._practice = start_hand_held(seed=self.settings.practice_seed)
+        return str(self._practice.address)
+
+    # ---- The work
+
+    def set_place(self, latitude_deg: float | None, height_m: float) -> None:
+        """State where the bench stands; it is kept for the next time."""
+        if latitude_deg is not None and not -90.0 <= latitude_deg <= 90.0:
+            raise InputError(f"latitude: wanted -90 to 90 deg, got {latitude_deg:g}; north is positive")
+        if not -500.0 <= height_m <= 9000.0:
+            raise InputError(f"height: wanted -500 to 9000 m, got {height_m:g}; state metres above the sea")
+        self.place = Place(latitude_deg=latitude_deg, height_m=height_m)
+        write_whole(self.folder / PLACE, json.dumps(asdict(self.place)) + "\n")
+
+    def new_job(self, serial: str = "") -> Job:
+        """Begin with another device: a new folder."""
+        stamp, named = datetime.now().strftime("%Y-%m-%d-%H%M%S"), safe_name(serial, "device")
+        folder, k = self.folder / "jobs" / f"{stamp}-{named}", 1
+        while folder.exists():
+            folder, k = self.folder / "jobs" / f"{stamp}-{named}-{k}", k + 1
+        folder.mkdir(parents=True)
+        self.job = Job(folder=folder, serial=serial)
+        return self.job
+
+    def job_now(self) -> Job:
+        """Return the job that is going on, a new one where there is none."""
+        return self.job or self.new_job(self.source.name if self.source is not None else "")
+
+    async def open_job(self, folder: Path) -> None:
+        """Take up a job of an earlier day: its calibration, report and certificate."""
+        job = Job(folder=folder, calibration=folder / "calibration.json")
+        job.answer = await asyncio.to_thread(_held_in, folder / "calibration.json")
+        for name, file in (("report", "report.html"), ("certificate", "certificate.pdf")):
+            if (folder / file).is_file():
+                setattr(job, name, folder / file)
+        self.job = job
+
+    async def calibrate(self, job: Job, *words: object) -> Outcome:
+        """Run ``undrift calibrate`` for a job: a session, or recordings and options; the calibration is used from then on."""
+        made, report = job.folder / "calibration.json", job.folder / "report.html"
+        outcome = await self.command("calibrate", *words, "-o", made, "--report", report)
+        self._take(job, outcome)
+        return outcome
+
+    async def fit_drift(self, job: Job, *words: object) -> Outcome:
+        """Run ``undrift drift`` for a job, on top of the calibration that is used; the tables are used from then on."""
+        made, report = job.folder / "calibration.json", job.folder / "report.html"
+        known = () if self.calibration is None else ("--calibration", self.calibration)
+        outcome = await self.command("drift", *words, *known, "-o", made, "--report", report)
+        self._take(job, outcome)
+        return outcome
+
+    def _take(self, job: Job, outcome: Outcome) -> None:
+        job.error = "" if outcome.done else outcome.error
+        if outcome.done:
+            job.calibration, job.report = job.folder / "calibration.json", job.folder / "report.html"
+            job.answer, job.certificate, job.registered = outcome.answer, None, ""
+            self.calibration = job.calibration
+
+    async def command(self, *words: object, folder: Path | None = None) -> Outcome:
+        """Run a command of undrift; pages show what it does while it runs."""
+        now = Working(" ".join(map(str, words[:2] if str(words[0]) in ("registry", "session", "rig") else words[:1])))
+        self.working.append(now)
+
+        def heard(line: str) -> None:
+            now.line = line
+
+        try:
+            return await run_command(words, folder or self.folder, heard)
+        finally:
+            self.working.remove(now)
+
+    def registry_words(self) -> tuple[str, ...]:
+        """Return the option that names the registry, where the bench was given one."""
+        return () if self.settings.registry is None else ("--registry", self.settings.registry)
+
+    def inside(self, name: str) -> Path:
+        """Return a file of the bench by its path below the folder; InputError for what is not there, or elsewhere."""
+        root = self.folder.resolve()
+        try:
+            path = (root / name).resolve()
+            held = path.is_relative_to(root) and path.is_file()
+        except (OSError, ValueError, RuntimeError):  # too long, a NUL, a ring of links
+            held = False
+        if not held:
+            raise InputError("bench: wanted a file that it wrote, got another; choose one on the page Recordings")
+        return path
+
+    def link(self, path: Path) -> str:
+        """Return where the browser finds a file of the bench."""
+        return f"/files/{path.resolve().relative_to(self.folder.resolve()).as_posix()}"
+
+    def close(self) -> None:
+        """Let go of everything; the server ends."""
+        for close in self.closing:
+            close()
+        if self.source is not None:
+            self.source.stop()
+        if self._practice is not None:
+            self._practice.close()
+
+
+def _held_in(path: Path) -> dict[str, Any]:
+    """Return what a calibration file holds; nothing where it cannot be read."""
+    try:
+        held = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+    return held if isinstance(held, dict) else {}

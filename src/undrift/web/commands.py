@@ -1,0 +1,88 @@
+"""The commands as the bench calls them: a child process each, so that a long fit or a crash never touches the server.
+
+``python -m undrift COMMAND ... --json`` writes one envelope on stdout and its progress on stderr; both are what the command line
+shows, and so the pages say what the commands say.
+"""
+
+import asyncio
+import contextlib
+import json
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, cast
+
+LONGEST_S = 3600.0
+LARGEST_LINE = 1 << 26  # bytes: an envelope is one line
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Outcome:
+    """What a command answered."""
+
+    code: int  # 0 done, 1 done with a bad verdict, 2 refused, 3 a rig or device failed
+    answer: dict[str, Any] = field(default_factory=dict)  # its envelope
+    error: str = ""  # one line: wanted, came, what to do
+
+    @property
+    def done(self) -> bool:
+        """Return whether there is a result."""
+        return self.code in (0, 1)
+
+
+def command_words(words: Sequence[object]) -> list[str]:
+    """Return the words of a child process that runs a command with --json."""
+    return [sys.executable, "-m", "undrift", *map(str, words), "--json"]
+
+
+async def run_command(
+    words: Sequence[object], folder: Path, heard: Callable[[str], None], *, longest_s: float = LONGEST_S
+) -> Outcome:
+    """Run a command in a folder; each line of its stderr is handed on as it comes."""
+    child = await asyncio.create_subprocess_exec(
+        *command_words(words),
+        cwd=folder,
+        stdin=asyncio.subprocess.DEVNULL,
+        stdout=asyncio.subprocess.PIPE,
+        stderr=asyncio.subprocess.PIPE,
+        limit=LARGEST_LINE,
+    )
+    answer, words_of_it = cast(tuple[asyncio.StreamReader, asyncio.StreamReader], (child.stdout, child.stderr))
+    lines: list[str] = []
+
+    async def listen() -> None:
+        async for line in words_of_it:
+            lines.append(line.decode("utf-8", "replace").strip())
+            heard(lines[-1])
+
+    try:
+        async with asyncio.timeout(longest_s):
+            text, _ = await asyncio.gather(answer.read(), listen())
+            code = await child.wait()
+    except TimeoutError:
+        return Outcome(
+            code=2, error=f"{words[0]}: wanted an end within {longest_s:g} s, got none; use a shorter recording"
+        )
+    finally:
+        if child.returncode is None:
+            with contextlib.suppress(ProcessLookupError):
+                child.kill()
+            await child.wait()
+    return outcome_of(code, text.decode("utf-8", "replace"), lines)
+
+
+def outcome_of(code: int, text: str, lines: Sequence[str]) -> Outcome:
+    """Return what a command answered, of its exit code, its stdout and the lines of its stderr."""
+    try:
+        answer = json.loads(text) if text.strip() else {}
+    except ValueError:
+        answer = {}
+    last = next((line for line in reversed(lines) if line), "")
+    if code in (0, 1) and answer:
+        return Outcome(code=code, answer=answer)
+    error = (answer.get("error") or {}).get("text") or last.removeprefix("undrift: ")
+    if code in (0, 1) or code < 0:
+        error = f"the command ended without an answer (exit {code}); repeat it, and report it if it ends so again"
+        code = 2
+    return Outcome(code=code, answer=answer, error=error)

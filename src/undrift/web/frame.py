@@ -1,0 +1,191 @@
+"""What every page has: heading, navigation, what is connected, the emergency stop, and one next step."""
+
+import json
+from collections.abc import Awaitable, Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+from nicegui import ui
+
+from undrift.web.bench import Bench
+
+PAGES = {  # path -> name, in the order of the navigation
+    "/": "Start",
+    "/six-faces": "Six faces",
+    "/turns": "Turns by hand",
+    "/rate-table": "Rate table",
+    "/temperature": "Temperature",
+    "/result": "Result",
+    "/live": "Live",
+    "/recordings": "Recordings",
+    "/devices": "Devices",
+}
+REFRESH_S = 0.25
+
+
+def text(tag: str, words: str = "", classes: str = "") -> Any:
+    """Add an element with plain text: never markup, whatever the words hold."""
+    made = ui.element(tag).classes(classes)
+    made._text = words
+    return made
+
+
+def text_link(words: str, target: str) -> Any:
+    """Add a link with plain text."""
+    return ui.link(words, target)
+
+
+def set_text(element: Any, words: str) -> None:
+    """Change the text of an element, where it is another one."""
+    if element._text != words:
+        element._text = words
+        element.update()
+
+
+@contextmanager
+def frame(bench: Bench, title: str) -> Iterator[None]:
+    """Build a page around what the block adds."""
+    with ui.element("header").classes("bench-head"):
+        ui.link("undrift bench", "/").classes("bench-name")
+        with ui.element("nav").props('aria-label="Pages"'):
+            for path, name in PAGES.items():
+                link = ui.link(name, path)
+                if name == title:
+                    link.props('aria-current="page"')
+        device = text("p", "", "bench-device").props('role="status"')
+        _stop_button(bench)
+    with ui.element("div").classes("bench-main"):
+        text("h1", title)
+        yield
+        work = text("p", "", "bench-work").props('role="status"')
+
+    def refresh() -> None:
+        set_text(device, device_line(bench))
+        now = bench.working[-1] if bench.working else None
+        set_text(work, "" if now is None else f"Working: {now.what}. {now.line}")
+
+    refresh()
+    ui.timer(REFRESH_S, refresh)
+
+
+def device_line(bench: Bench) -> str:
+    """Return in words what is connected."""
+    if bench.connecting:
+        return f"Connecting {bench.connecting} ..."
+    if bench.source is None:
+        return (bench.source_error and f"No device: {bench.source_error}") or "No device connected"
+    return f"Device: {bench.source.name}" + (f" ({bench.source.error})" if bench.source.error else "")
+
+
+def _stop_button(bench: Bench) -> None:
+    """Add the emergency stop: a form of its own, so that it works beside a page that is busy; shown while a table may move."""
+    form = ui.element("form").props('method="post" action="/stop" id="bench-stop"').classes("bench-stop")
+    with form:
+        label = text("button", "Emergency stop (Esc)", "stop").props('type="submit" aria-keyshortcuts="Escape"')
+        label.props('title="Stop the table at once and switch its motor off"')
+
+    def refresh() -> None:
+        run = bench.rig_run
+        place = "" if run is None else run.stop_url
+        if form.props.get("data-place") != place:
+            form.props["data-place"] = place
+            form.update()
+        form.set_visibility(run is not None and run.may_move)
+
+    refresh()
+    ui.timer(REFRESH_S, refresh)
+
+
+def redrawn(state: Callable[[], object], draw: Callable[[Callable[[], None]], None]) -> None:
+    """Add a part that is drawn anew whenever the state changes, in this browser or another; ``draw`` gets what looks at once."""
+    seen = [state()]
+
+    def look() -> None:
+        if (now := state()) != seen[0]:
+            seen[0] = now
+            part.refresh()
+
+    @ui.refreshable
+    def part() -> None:
+        draw(look)
+
+    part()
+    ui.timer(REFRESH_S, look)
+
+
+def next_step(label: str, handler: Callable[[], Any] | str) -> Any:
+    """Add the one obvious next step of a page: a button that calls, or a link to another page."""
+    if isinstance(handler, str):
+        return ui.link(label, handler).classes("next")
+    return button(label, handler, "next")
+
+
+def button(label: str, handler: Callable[[], Any | Awaitable[Any]], classes: str = "") -> Any:
+    """Add a plain button: label, what it does."""
+    made = text("button", label, classes).props('type="button"')
+    made.on("click", lambda _: handler())
+    return made
+
+
+def disable(element: Any, disabled: bool) -> None:
+    """Disable a plain button, or enable it."""
+    if bool(element.props.get("disabled")) != disabled:
+        if disabled:
+            element.props("disabled")
+        else:
+            element.props(remove="disabled")
+        element.update()
+
+
+class Field:
+    """A labelled input, or a choice; ``value`` is what was typed or chosen."""
+
+    def __init__(
+        self, label: str, value: str = "", *, hint: str = "", kind: str = "text", options: Sequence[str] = ()
+    ) -> None:
+        self.value = value
+        with ui.element("label").classes("bench-field"):
+            text("span", label)
+            if options:
+                with ui.element("select") as self.element:
+                    for option in options:
+                        text("option", option).props(f'value="{option}"' + (" selected" if option == value else ""))
+            else:
+                self.element = ui.element("input").props(
+                    f'type="{kind}" autocomplete="off"' + (' step="any"' if kind == "number" else "")
+                )
+                self.element.props["^value"] = (
+                    value  # the attribute: the property would undo what is typed at each redraw
+                )
+            if hint:
+                text("span", hint, "soft")
+        self.element.on("input", self._take, js_handler="(event) => emit(event.target.value)")
+
+    def set(self, value: str) -> None:
+        """Show another value."""
+        self.value = value
+        self.element.props["^value"] = value
+        self.element.update()
+        self.element.client.run_javascript(f"getHtmlElement({self.element.id}).value = {json.dumps(value)}")
+
+    def number(self) -> float | None:
+        """Return what was typed as a number; None where it is none."""
+        try:
+            return float(self.value.replace(",", "."))
+        except ValueError:
+            return None
+
+    def _take(self, event: Any) -> None:
+        self.value = str(event.args)
+
+
+def error_line(words: Callable[[], str]) -> Any:
+    """Add a line for what went wrong; empty while nothing has."""
+    made = text("p", "", "bench-error").props('role="alert"')
+
+    def refresh() -> None:
+        set_text(made, words())
+
+    refresh()
+    ui.timer(REFRESH_S, refresh)
+    return made

@@ -1,0 +1,1 @@
+"""Pages of the bench, one file each: `page(bench)` builds it for one browser."""

@@ -1,0 +1,91 @@
+"""Files that a browser sends: limited in size, type and name, kept below one folder, half-sent ones never kept.
+
+They are only stored here; whoever reads one does so by a command, in the box of the readers (io/box.py).
+"""
+
+import re
+import secrets
+from pathlib import Path
+
+from starlette.requests import ClientDisconnect, Request
+
+from undrift.errors import InputError
+
+_UNSAFE = re.compile(r"[^A-Za-z0-9._-]+")
+ENDINGS = (  # of recordings, references, maps and calibrations
+    *(
+        ".csv",
+        ".txt",
+        ".tsv",
+        ".parquet",
+        ".json",
+        ".toml",
+        ".mat",
+        ".h5",
+        ".hdf5",
+        ".c3d",
+        ".trc",
+        ".xdf",
+        ".ulg",
+        ".bag",
+        ".db3",
+    ),
+    *(
+        ".mcap",
+        ".bin",
+        ".log",
+        ".gz",
+        ".zip",
+        ".bwx",
+        ".cwa",
+        ".gt3x",
+        ".mvnx",
+        ".edf",
+        ".npz",
+        ".sto",
+        ".data",
+        ".mot",
+        ".xlsx",
+    ),
+)
+
+
+async def receive_upload(request: Request, folder: Path, largest_mb: float) -> Path:
+    """Store the body of ``POST /upload?name=walk.csv``; return the file. InputError where it is refused, and nothing is kept."""
+    name = safe_name(request.query_params.get("name", ""), "")
+    if not name or Path(name).suffix.lower() not in ENDINGS:
+        raise InputError(
+            f"upload: wanted a recording ({', '.join(ENDINGS[:4])} ...), got '{name}'; choose another file"
+        )
+    largest = int(largest_mb * 1e6)
+    stated = request.headers.get("content-length", "")
+    if stated.isdigit() and int(stated) > largest:
+        raise InputError(_too_large(name, largest_mb))
+    place = folder / secrets.token_hex(6)  # one folder a file: names may repeat
+    place.mkdir()
+    path, came = place / name, 0
+    try:
+        with path.open("xb") as file:
+            async for piece in request.stream():
+                came += len(piece)
+                if came > largest:
+                    raise InputError(_too_large(name, largest_mb))
+                file.write(piece)
+        if not came:
+            raise InputError(f"upload: wanted readings in {name}, got an empty file; choose another")
+    except BaseException as error:
+        path.unlink(missing_ok=True)
+        place.rmdir()
+        if isinstance(error, ClientDisconnect):
+            raise InputError(f"upload: wanted the whole of {name}, got {came} bytes; send it again") from error
+        raise
+    return path
+
+
+def _too_large(name: str, largest_mb: float) -> str:
+    return f"upload: wanted at most {largest_mb:g} MB, got more in {name}; use the command line for it, or --upload-mb"
+
+
+def safe_name(text: str, otherwise: str) -> str:
+    """Return a text as the name of a file: letters, digits, dot, hyphen, underscore; never a path or a hidden file."""
+    return _UNSAFE.sub("-", text.replace("\\", "/").rsplit("/", 1)[-1]).strip("-.")[:80] or otherwise

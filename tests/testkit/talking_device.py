@@ -1,0 +1,70 @@
+"""A device in tests that talks at its rate to whoever connects, falls silent, hangs up, and comes back on the same port."""
+
+import contextlib
+import socket
+import threading
+import time
+from collections.abc import Callable
+
+CHANNELS = "count,gyro_x,gyro_y,gyro_z,accel_x,accel_y,accel_z,temp"
+
+
+def resting(k: int) -> str:
+    """Return the numbers of reading k: a device that lies still, turned by a sawtooth that tells readings apart."""
+    return f"{(k % 50) * 0.01:.4f},0.02,-0.01,0.01,0.02,9.81,{25.0 + k * 1e-4:.4f}"
+
+
+class TalkingDevice:
+    """Sends numbered lines to all that listen; a context manager."""
+
+    def __init__(self, rate: float = 200.0, numbers: Callable[[int], str] = resting) -> None:
+        self.rate, self.numbers = rate, numbers
+        self.silent = False
+        self.leave_out: Callable[[int], bool] = lambda k: False
+        self._listener = socket.create_server(("127.0.0.1", 0))
+        self.port: int = self._listener.getsockname()[1]
+        self._clients: list[socket.socket] = []
+        self._end = threading.Event()
+        self._threads = [threading.Thread(target=one) for one in (self._accept, self._talk)]
+        for thread in self._threads:
+            thread.start()
+
+    @property
+    def address(self) -> str:
+        """What to connect to."""
+        options = f"channels={CHANNELS}&rate={self.rate:g}&gyro_unit=dps&accel_unit=m/s2&device=talker"
+        return f"tcp://127.0.0.1:{self.port}?{options}"
+
+    def hang_up(self) -> None:
+        """Drop all that listen."""
+        while self._clients:
+            self._clients.pop().close()
+
+    def __enter__(self) -> "TalkingDevice":
+        return self
+
+    def __exit__(self, *failure: object) -> None:
+        self._end.set()
+        with contextlib.suppress(OSError):
+            self._listener.shutdown(socket.SHUT_RDWR)
+        for thread in self._threads:
+            thread.join(10)
+        self.hang_up()
+        self._listener.close()
+
+    def _accept(self) -> None:
+        with contextlib.suppress(OSError):
+            while not self._end.is_set():
+                self._clients.append(self._listener.accept()[0])
+
+    def _talk(self) -> None:
+        start, k = time.monotonic(), 0
+        while not self._end.wait(0.01):
+            lines = []
+            while k < (time.monotonic() - start) * self.rate:
+                if not self.leave_out(k):
+                    lines.append(f"{k},{self.numbers(k)}\n")
+                k += 1
+            for client in [] if self.silent else list(self._clients):
+                with contextlib.suppress(OSError):
+                    client.sendall("".join(lines).encode())

@@ -1,0 +1,50 @@
+"""The bench as a person meets it: ``undrift bench`` in a process of its own, pages in Debian's chromium."""
+
+import shutil
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from playwright.sync_api import BrowserContext, Page
+
+from testkit.bench import BenchServer, bench_process
+
+CHROMIUM = shutil.which("chromium")
+SCREENS = Path(__file__).parents[2] / "build" / "screens"
+WAIT_MS = 20_000
+
+
+@pytest.fixture
+def bench_server(tmp_path: Path) -> Iterator[BenchServer]:
+    """Serve a bench that writes to a folder of its own, with the same practice device each time."""
+    with bench_process(tmp_path / "bench", "--practice-seed", "2007") as server:
+        yield server
+
+
+@pytest.fixture(scope="session")
+def browser_type_launch_args(browser_type_launch_args: dict[str, Any]) -> dict[str, Any]:
+    """Return how the browser is started: Debian's chromium, where pytest-playwright would look for one of its own."""
+    if CHROMIUM is None:
+        pytest.skip("chromium is not installed: apt-get install chromium")
+    return {**browser_type_launch_args, "executable_path": CHROMIUM, "args": ["--no-sandbox", "--disable-gpu"]}
+
+
+@pytest.fixture
+def open_page(bench_server: BenchServer, new_context: Callable[..., BrowserContext]) -> Callable[..., Page]:
+    """Return what opens a page of the bench by its path, in a browser of its own, and waits until it answers."""
+
+    def make(path: str = "/", *, width: int = 1200, height: int = 900, **options: Any) -> Page:
+        page = new_context(viewport={"width": width, "height": height}, **options).new_page()
+        page.set_default_timeout(WAIT_MS)
+        page.goto(bench_server.address + path.lstrip("/"))
+        page.wait_for_function("window.socket && window.socket.connected")
+        return page
+
+    return make
+
+
+def shoot(page: Page, name: str) -> None:
+    """Keep a screenshot of the whole page under build/screens."""
+    SCREENS.mkdir(parents=True, exist_ok=True)
+    page.screenshot(path=SCREENS / f"{name}.png", full_page=True)
