@@ -103,7 +103,7 @@ async def register(bench: Bench, job: Job, refresh: Any) -> None:
 def _registered(answer: dict[str, Any]) -> str:
     entries = answer.get("entries") or answer.get("added") or [answer]
     first = entries[0] if entries and isinstance(entries[0], dict) else {}
-    number, due = first.get("id"), first.get("due")
+    number, due = first.get("entry"), first.get("due_at")
     return f"Registered{f' as entry {number}' if number is not None else ''}{f', due {str(due)[:10]}' if due else ''}."
 
 
