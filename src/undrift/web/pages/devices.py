@@ -73,7 +73,7 @@ def _device(bench: Bench, held: Devices, row: dict[str, Any], client: Any) -> No
         next_step("Use this calibration", partial(held.use, calibration))
     _trend(held)
     text("h2", "Entries")
-    heads = ("entry", "kind", "made", "due", "valid, °C", "verdict", "by", "note", "file")
+    heads = ("entry", "file", "made", "due", "valid, °C", "verdict", "by", "note")
     with _table(f"Entries of {row['serial']}, the newest first", heads):
         for entry in reversed(held.entries):
             _entry(bench, held, entry, client)
@@ -83,11 +83,9 @@ def _entry(bench: Bench, held: Devices, entry: dict[str, Any], client: Any) -> N
     span = entry["valid_temp_c"]
     later = entry["superseded_by"]
     note = "; ".join(filter(None, (f"superseded by {later}" if later else "", str(entry["note"]))))
-    cells = (str(entry["entry"]), entry["kind"], _day(entry, "made_at"), _day(entry, "due_at"))
     valid = "–" if span is None else f"{span[0]:.1f} to {span[1]:.1f}"
     with ui.element("tr"):
-        for cell in (*cells, valid, str(entry["verdict"] or "–"), str(entry["added_by"]), note):
-            text("td", cell)
+        text("td", f"{entry['entry']} {entry['kind']}")
         with ui.element("td"):
             if entry["kind"] in ENDINGS:
                 made = button("Download", partial(_download, bench, held, entry, client))
@@ -98,6 +96,10 @@ def _entry(bench: Bench, held: Devices, entry: dict[str, Any], client: Any) -> N
                 else:
                     made = button("Use", partial(held.use, entry))
                     made.props(f'aria-label="Use entry {entry["entry"]}"')
+        for cell in (_day(entry, "made_at"), _day(entry, "due_at"), valid, str(entry["verdict"] or "–")):
+            text("td", cell)
+        text("td", str(entry["added_by"]))
+        text("td", note, "records-note")
 
 
 async def _download(bench: Bench, held: Devices, entry: dict[str, Any], client: Any) -> None:
