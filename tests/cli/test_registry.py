@@ -9,8 +9,10 @@ import pytest
 
 from testkit.command_line import contents
 from undrift.cli.examples import EXAMPLES
+from undrift.errors import RegistryError
 from undrift.io.formats import read_record, write_record
 from undrift.io.store import calibration_json, content_hash, hash_of, read_calibration, write_calibration
+from undrift.registry.registry import Registry
 
 SERIAL, NOW = "A17", datetime.now(UTC)
 
@@ -270,6 +272,19 @@ def test_what_cannot_be_registered_is_refused_before_anything_is_written(undrift
     text = undrift.refused("rig", "run", tmp_path / "p.toml", "-o", tmp_path / "run", *address)
     assert "make the folder first" in text
     assert contents(tmp_path) == before
+
+
+def test_a_registry_that_fails_at_the_end_leaves_what_was_made_and_says_how_to_add_it(
+    undrift, made, monkeypatch, tmp_path
+):
+    def full(self, *new):
+        raise RegistryError("r.sqlite: wanted room for an entry, got a full disk; make room and add it again")
+
+    path = made("c.json")
+    monkeypatch.setattr(Registry, "add", full)
+    text = undrift.refused("certificate", path, "-o", tmp_path / "c.pdf", "--register")
+    assert f"what was made is there, register it later: undrift registry add {path} {tmp_path / 'c.pdf'}" in text
+    assert (tmp_path / "c.pdf").read_bytes().startswith(b"%PDF-")
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 import undrift
-from testkit.full_calibration import device, tables
+from testkit.full_calibration import device as calibrated
+from testkit.full_calibration import tables
 from testkit.plain_triad import plain_triad
 from undrift.errors import InputError, RegistryError
 from undrift.io.store import calibration_json, content_hash, write_calibration
@@ -40,7 +41,7 @@ def held(tmp_path):
 @pytest.fixture
 def model():
     gyro = plain_triad("dps", "rad/s", offset_sigma=0.1)
-    return replace(device(), device="A17", provenance=MADE, gyro=gyro, accel=None)
+    return replace(calibrated(), device="A17", provenance=MADE, gyro=gyro, accel=None)
 
 
 def test_a_calibration_is_kept_whole_and_is_due_the_months_after_it_was_made(held, model, tmp_path):
@@ -95,17 +96,21 @@ def test_a_certificate_takes_what_it_states_from_its_calibration_and_keeps_its_b
 
 
 def test_of_recordings_names_hashes_and_what_they_hold_are_kept(held, tmp_path):
-    (entry,) = new_entries([SAMPLE], Stated(), held)
-    assert entry.kind == "session"
-    assert entry.document["recordings"] == len(list((SAMPLE / "pieces").iterdir())) == len(entry.document["files"]) - 1
-    digests = {item["file"]: item["sha256"] for item in entry.document["files"]}
-    assert (
-        digests["pieces/0001.parquet"] == hashlib.sha256((SAMPLE / "pieces" / "0001.parquet").read_bytes()).hexdigest()
+    session = undrift.simulate_session(
+        "six_face", undrift.random_device(np.random.default_rng(7)), rng=np.random.default_rng(3)
     )
+    undrift.write_session(session, tmp_path / "made")
+    (entry,) = new_entries([tmp_path / "made"], Stated(), held)
+    assert (entry.kind, entry.serial) == ("session", session.serial)
+    digests = {item["file"]: item["sha256"] for item in entry.document["files"]}
+    files = [path for path in (tmp_path / "made").rglob("*") if path.is_file()]
+    assert digests == {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in files}
+    (record,) = session.records
+    assert (entry.document["recordings"], entry.document["samples"]) == (1, len(record))
+    assert entry.document["duration_s"] == pytest.approx(record.time[-1] - record.time[0])
+    assert entry.temp_c == (pytest.approx(record.temp_c.min()), pytest.approx(record.temp_c.max()))
     assert (entry.due_at, entry.verdict) == (None, None)
-    low, high = entry.temp_c
-    assert 20.0 < low < high < 30.0
-    shutil.copytree(SAMPLE, tmp_path / "copy")
+    shutil.copytree(tmp_path / "made", tmp_path / "copy")
     (tmp_path / "copy" / "journal.jsonl").touch()  # of a run
     (run,) = new_entries([tmp_path / "copy" / "session.toml"], Stated(), held)
     assert (run.kind, run.document) == ("run", entry.document)  # wherever it lies

@@ -1,6 +1,5 @@
 """Four stations write at once and lose nothing; a writer that is killed loses at most the entry it had open."""
 
-import signal
 import sqlite3
 import subprocess
 import sys
@@ -10,7 +9,7 @@ from testkit.data import show
 from undrift.registry.registry import open_registry
 
 WRITER = """
-import sys
+import sys, time
 from datetime import UTC, datetime
 from pathlib import Path
 from undrift.registry.registry import NewEntry, open_registry
@@ -19,7 +18,7 @@ place, name, count, go = sys.argv[1], sys.argv[2], int(sys.argv[3]), Path(sys.ar
 with open_registry(place, station=name) as registry:
     print("ready", flush=True)
     while not go.exists():
-        pass
+        time.sleep(0.005)
     for k in range(count):
         document = {"writer": name, "number": k, "covariance": [[0.1 * i * j for i in range(12)] for j in range(12)]}
         made = datetime(2026, 3, 1, tzinfo=UTC)
@@ -65,9 +64,9 @@ def test_a_killed_writer_loses_at_most_its_open_entry(place, tmp_path):
     assert victim.stdout.readline() == other.stdout.readline() == "ready\n"
     go.touch()
     lines = [victim.stdout.readline() for _ in range(100)]
-    victim.send_signal(signal.SIGKILL)
+    victim.kill()  # kill -9
     lines += victim.communicate()[0].splitlines(keepends=True)
-    assert victim.returncode == -signal.SIGKILL
+    assert victim.returncode != 0
     out, err = other.communicate(timeout=60)
     assert (other.returncode, err, len(out.split())) == (0, "", 200)
     reported = {int(line) for line in lines if line.endswith("\n")}  # the last line may be cut off

@@ -51,12 +51,17 @@ class Register:
 
         stated = Stated(note="by undrift " + shlex.join(CALLED.get()[:1]))
         named = str(source.resolve()) if source else "undrift " + shlex.join(CALLED.get())
-        with open_place(self.registry) as held:
-            models = [of_calibration(one, stated, source=named) for one in results if not isinstance(one, Path)]
-            paths = [one for one in results if isinstance(one, Path)]
-            return [
-                entry_json(one.entry) | {"new": one.new} for one in held.add(*models, *new_entries(paths, stated, held))
-            ]
+        models = [of_calibration(one, stated, source=named) for one in results if not isinstance(one, Path)]
+        paths = [one for one in results if isinstance(one, Path)]
+        try:
+            with open_place(self.registry) as held:
+                added = held.add(*models, *new_entries(paths, stated, held))
+        except RegistryError as error:
+            if not paths:
+                raise  # nothing has been written yet
+            again = shlex.join(("undrift", "registry", "add", *map(str, paths)))
+            raise RegistryError(f"{error}; what was made is there, register it later: {again}") from error
+        return [entry_json(one.entry) | {"new": one.new} for one in added]
 
 
 @Parameter(name="*")
