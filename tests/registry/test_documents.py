@@ -122,7 +122,7 @@ def test_a_folder_gives_what_it_holds_for_the_registry_and_nothing_else(model, t
     write_calibration(model, tmp_path / "deep" / ".hidden" / "c.json")
     write_certificate(model, tmp_path / "deep" / "c.pdf")
     shutil.copytree(SAMPLE, tmp_path / "deep" / "bench")
-    (tmp_path / "summary.json").write_text("{}")
+    (tmp_path / "summary.json").write_text('{"calibration": {"kind": "undrift.calibration"}}')
     (tmp_path / "empty.json").touch()
     (tmp_path / "other.pdf").write_bytes(b"%PDF-1.7 a letter")
     assert {str(path.relative_to(tmp_path)) for path in candidates(tmp_path)} == {"c.json", "deep/c.pdf", "deep/bench"}
@@ -154,7 +154,7 @@ def test_a_correction_may_state_another_serial(model):
             b"time,gx\n0,1\n",
             "wanted a calibration.json, a certificate, or the folder of a session or run, got another file",
         ),
-        (b'{"kind": "other"}', "got another file; name one"),
+        (b'{"kind": "other"}', "wanted kind 'undrift.calibration', got 'other'"),
         (b'{"kind": "undrift.calibration", "format": 9}', "wanted format 1, got 9"),
         (
             b"%PDF-1.7 a letter",

@@ -60,6 +60,14 @@ def test_an_entry_keeps_what_was_stated_who_when_and_a_hash_in_utc(held):
     assert (entry.low_c, entry.due_at, entry.verdict, entry.supersedes) == (None, None, None, None)
 
 
+def test_names_of_files_that_are_no_utf_8_are_kept_readable(held):
+    name = os.fsdecode(b"caf\xe9.csv")
+    document = {"inputs": [{"file": name, "sha256": "0"}]}
+    (added,) = held.add(calibration("2026-03-01", document=document, source=f"/data/{name}"))
+    assert added.entry.source == r"/data/caf\udce9.csv"
+    assert held.entry(added.entry.id).document == document
+
+
 def test_the_same_content_is_added_once(held):
     first = held.add(calibration("2026-03-01"))[0]
     again = held.add(calibration("2026-03-01", note="another time"))[0]

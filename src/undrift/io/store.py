@@ -372,7 +372,7 @@ def content_hash(calibration: Calibration) -> str:
 def hash_of(content: Mapping[str, Any]) -> str:
     """Return the sha256 of a JSON object with sorted keys, without spaces, in UTF-8: the same however its file is laid out."""
     text = json.dumps(content, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
-    return hashlib.sha256(text.encode()).hexdigest()
+    return hashlib.sha256(text.encode("utf-8", "surrogatepass")).hexdigest()  # names of files may be no UTF-8
 
 
 def verdict_json(verdict: Verdict) -> dict[str, Any]:

@@ -26,6 +26,7 @@ from undrift.registry.registry import NewEntry, Registry
 
 JOURNAL = "journal.jsonl"  # of a run folder
 LARGEST_PDF = 20 * 10**6  # bytes
+_IS_KIND = re.compile(rb'\s*{\s*"kind"\s*:\s*"%s"' % KIND.encode())  # of a file as undrift writes it
 _STATES = re.compile(rb"calibration sha256 ([0-9a-f]{64})")
 
 
@@ -55,8 +56,8 @@ def _new_entry(path: Path, stated: Stated, made: dict[str, NewEntry], registry: 
         return _of_session(path if path.is_dir() else path.parent, stated)
     if _is_pdf(path):
         return _of_certificate(path, stated, made, registry)
-    head = read_bytes(path, 1 << 16)
-    if not head.lstrip().startswith(b"{") or KIND.encode() not in head:
+    head = read_bytes(path, 1 << 10)
+    if not head.lstrip().startswith(b"{"):
         raise InputError(
             f"{path}: wanted a calibration.json, a certificate, or the folder of a session or run, got another file; name one"
         )
@@ -193,7 +194,7 @@ def candidates(folder: Path) -> Iterator[Path]:
 
 
 def _is_calibration(path: Path) -> bool:
-    return path.suffix == ".json" and path.stat().st_size > 0 and KIND.encode() in read_bytes(path, 1 << 16)
+    return path.suffix == ".json" and path.stat().st_size > 0 and _IS_KIND.match(read_bytes(path, 1 << 10)) is not None
 
 
 def _is_pdf(path: Path) -> bool:

@@ -169,6 +169,7 @@ class Registry:
             return Added(entry=held, new=False)
         low, high = one.temp_c or (None, None)
         values = rest | {name: getattr(one, name) for name in _AS_THEY_ARE}
+        values |= {name: values[name].encode("utf-8", "backslashreplace").decode() for name in ("source", "note")}
         values |= {"document": dict(one.document), "low_c": low, "high_c": high, "station": self._station}
         made: Entry | None = session.scalar(self._insert(Entry).returning(Entry), values)
         if made is not None:
