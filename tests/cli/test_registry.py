@@ -132,9 +132,12 @@ def test_trend_says_what_moved_since_when_with_table_picture_and_page(undrift, m
         "registry", "trend", "--serial", SERIAL, "--figure", tmp_path / "t.svg", "--report", tmp_path / "t.html"
     )
     moved = [line for line in answer.out.splitlines() if "scale of gyro" in line and "moved by" in line]
-    assert len(moved) == 3
+    assert [line.partition(":")[0] for line in moved] == [f"{NOW - timedelta(days=100):%Y-%m-%d}"] * 3 + [
+        "since the first"
+    ] * 3
     assert all(f"sigma since {since:%Y-%m-%d}: +3 %" in line for line in moved)
     assert "nothing moved by 3 sigma since" in answer.out
+    assert f"since the first: {moved[0].partition(': ')[2].partition(' moved')[0]} moved by " in answer.out
     told = undrift.good("registry", "trend", "--serial", SERIAL, "--json").json()
     assert [(step["since"]["entry"], step["until"]["entry"]) for step in told["steps"]] == [(1, 2), (2, 3)]
     change = {one["parameter"]: one for one in told["steps"][0]["changes"] if one["sensor"] == "gyro"}

@@ -8,7 +8,7 @@ import pytest
 
 from testkit.data import show
 from undrift.model import Calibration, Provenance, TriadModel
-from undrift.registry.trend import MOVED, UNKNOWN_K, Dated, compare, course, trend
+from undrift.registry.trend import MOVED, UNKNOWN_K, Dated, compare, course, headline, trend
 from undrift.report.figures import svg_of
 from undrift.report.page import Origin
 from undrift.report.registry import draw_trend, write_trend_report
@@ -132,6 +132,17 @@ def test_steps_go_from_each_to_the_next_and_the_course_from_the_first():
     assert trend(three[:1]) == course(three[:1]) == []
 
 
+def test_a_slow_drift_shows_since_the_first_where_no_step_does():
+    slow = [dated(k, triad(MATRIX * (1.0 + 0.0005 * k), OFFSET)) for k in range(1, 6)]
+    steps = trend(slow)
+    assert all(text.startswith("nothing moved") for step in steps for text in step.sentences)
+    assert headline(steps, course(slow)).startswith("scale of gyro ")
+    assert headline(steps, course(slow)).endswith("since 2026-02-02: +0.2 %")
+    assert headline(steps[:1], course(slow[:2])) == steps[0].sentences[0]
+    sudden = [*slow, dated(6, triad(MATRIX * 1.02, OFFSET))]
+    assert "since 2026-06-02: +1.7 %" in headline(trend(sudden), course(sudden))  # the last step first
+
+
 def test_picture_and_page_show_what_moved(tmp_path):
     three = [dated(k, triad(MATRIX * (1.0 + 0.001 * k), OFFSET, rng=np.random.default_rng(k))) for k in (1, 2, 3)]
     figure = draw_trend("A17", three[0], course(three))
@@ -148,5 +159,6 @@ def test_picture_and_page_show_what_moved(tmp_path):
         "gyro scale x",
     ):
         assert part in text
+    assert "A$\\frac$: change since" in svg_of(draw_trend("A$\\frac$", three[0], course(three)))  # no formula
     nothing = [dated(1, None), dated(2, None)]
     assert "no calibrations to compare" in svg_of(draw_trend("A17", nothing[0], course(nothing)))

@@ -283,7 +283,7 @@ def trend(
         Which registry.
     """
     from undrift.io.store import calibration_of
-    from undrift.registry.trend import Dated, course
+    from undrift.registry.trend import Dated, course, headline
     from undrift.registry.trend import trend as steps_of
 
     check_figure(figure, reads=())
@@ -298,17 +298,18 @@ def trend(
         Dated(entry=one.id, made_at=one.made_at, model=calibration_of(one.document, f"entry {one.id}"))
         for one in entries
     ]
-    steps = steps_of(models)
+    steps, from_first = steps_of(models), course(models)
     if figure is not None or report is not None:
         from undrift.report.figures import save_figure
         from undrift.report.registry import draw_trend, write_trend_report
 
         if figure is not None:
-            save_figure(draw_trend(serial, models[0], course(models)), figure)
+            save_figure(draw_trend(serial, models[0], from_first), figure)
         if report is not None:
-            write_trend_report(serial, models[0], steps, course(models), report, origin_of())
+            write_trend_report(serial, models[0], steps, from_first, report, origin_of())
     if json:
-        write_json({"serial": serial, "steps": [_step_json(step) for step in steps]}, "registry trend")
+        answer = {"serial": serial, "headline": headline(steps, from_first), "since_first": _step_json(from_first[-1])}
+        write_json(answer | {"steps": [_step_json(step) for step in steps]}, "registry trend")
         return 0
     for step in steps:
         rows = [_change_cells(one) for one in step.changes if details or "cross" not in one.parameter]
@@ -317,6 +318,8 @@ def trend(
             show_table(title, ("parameter", "change", "standard uncertainty", "unit", "sigma"), rows)
         say(*(f"{f'{step.until.made_at:%Y-%m-%d}'}: {text}" for text in step.sentences))
         say(*(f"  not compared: {text}" for text in step.not_compared))
+    if len(steps) > 1:
+        say(*(f"since the first: {text}" for text in from_first[-1].sentences))
     say(*(f"Wrote {path}" for path in (figure, report) if path is not None))
     return 0
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from undrift.model import AXES
-from undrift.registry.trend import Change, Dated, Step
+from undrift.registry.trend import Change, Dated, Step, headline
 from undrift.report.figures import AXIS_COLOURS, AXIS_DASHES, AXIS_MARKERS, LIMIT, entitle, new_figure, svg_of
 from undrift.report.page import Origin, Section, table_section, write_page
 
@@ -19,6 +19,8 @@ NAMES = {"gyro": "gyroscopes", "accel": "accelerometers"}
 
 def draw_trend(serial: str, first: Dated, course: Sequence[Step]) -> "Figure":
     """Draw scale factors and offsets of later calibrations less those of the first, with expanded uncertainty (k = 2)."""
+    from matplotlib import rc_context
+
     panels = [
         (sensor, what)
         for sensor in NAMES
@@ -57,7 +59,8 @@ def draw_trend(serial: str, first: Dated, course: Sequence[Step]) -> "Figure":
     else:
         axes[0].text(0.5, 0.5, "no calibrations to compare", ha="center", transform=axes[0].transAxes)
     axes[-1].tick_params(axis="x", rotation=30)
-    entitle(figure, f"{serial}: change since {first.made_at:%Y-%m-%d}, with expanded uncertainty (k = 2)")
+    with rc_context({"text.parse_math": False}):  # a serial number is no formula
+        entitle(figure, f"{serial}: change since {first.made_at:%Y-%m-%d}, with expanded uncertainty (k = 2)")
     return figure
 
 
@@ -72,7 +75,8 @@ def write_trend_report(
         ("unit", lambda one: one.unit),
         ("change / uncertainty", lambda one: f"{one.sigmas:.1f}"),
     )
-    sections: list[Section] = []
+    since_first = Section(title=f"Since {first.made_at:%Y-%m-%d}", text=course[-1].sentences if len(course) > 1 else ())
+    sections: list[Section] = [since_first] if since_first.text else []
     for step in reversed(steps):
         title = f"{step.since.made_at:%Y-%m-%d} to {step.until.made_at:%Y-%m-%d}"
         text = (*step.sentences, *(f"Not compared: {one}." for one in step.not_compared))
@@ -81,7 +85,7 @@ def write_trend_report(
     write_page(
         path,
         title=f"Trend of {serial}",
-        answer=f"{serial}: {steps[-1].sentences[0]}.",
+        answer=f"{serial}: {headline(steps, course)}.",
         pictures=(svg_of(draw_trend(serial, first, course)),),
         sections=tuple(sections),
         origin=origin,

@@ -4,6 +4,7 @@ A folder holds everything that the bench writes::
 
     jobs/2026-11-23-0915-SERIAL/    session.toml and readings, calibration.json, report.html, certificate.pdf
     uploads/                        files that were dropped on the page Recordings, and what was made of them
+    registry/                       calibrations, certificates and pictures that the page Devices asked for
 """
 
 import asyncio
@@ -19,6 +20,7 @@ from undrift.errors import InputError, UndriftError
 from undrift.files import write_whole
 from undrift.units import STANDARD_GRAVITY, gravity_at
 from undrift.web.commands import Outcome, run_command
+from undrift.web.devices import Devices
 from undrift.web.rate_table import RateTable
 from undrift.web.recordings import Recordings
 from undrift.web.uploads import safe_name
@@ -107,7 +109,7 @@ class Bench:
         self.working: list[Working] = []
         self.closing: list[Callable[[], None]] = []  # called when the server ends
         self._practice: Any = None
-        self.recordings = Recordings(self)
+        self.recordings, self.devices = Recordings(self), Devices(self)
         for name in ("jobs", "uploads"):
             (self.folder / name).mkdir(parents=True, exist_ok=True)
         self.table = RateTable(self)  # with the run that an earlier bench left
