@@ -45,13 +45,17 @@ def test_a_recording_with_optics_is_oriented_and_validated(open_page: Callable[.
     page = open_page("/recordings", width=390)
     page.set_default_timeout(COMMAND_MS)
     page.get_by_label("Choose files").set_input_files(DATA / "broad" / "35_disturbed_attached_magnet_4cm.hdf5")
-    page.get_by_role("button", name="Validate with its own optics").click()
+    page.get_by_role("button", name="Validate").click()
     link = page.get_by_role("link", name="validate: report")
     with page.expect_popup() as popup:
         link.click()
     popup.value.wait_for_load_state()
     assert "deg" in popup.value.locator("p.answer").inner_text()
     shoot(page, "recordings-validated-390")
+    page.get_by_role("button", name="Calibrate by these optics").click()
+    page.wait_for_url("**/result")
+    expect(page.get_by_role("heading", name="Verdict:")).to_be_visible()
+    shoot(page, "result-by-optics-390")
 
 
 def test_what_is_no_recording_gets_one_line_and_is_not_kept(

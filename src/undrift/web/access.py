@@ -95,7 +95,7 @@ def _name(host: str) -> str:
 def _given(scope: Scope, headers: Mapping[str, str]) -> str:
     query = parse_qs(scope.get("query_string", b"").decode("latin-1"))
     if "token" in query:
-        return query["token"][0]
+        return str(query["token"][0])
     try:
         held = SimpleCookie(headers.get("cookie", "")).get(COOKIE)
     except CookieError:

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 from undrift.errors import InputError, UndriftError
 from undrift.files import write_whole
+from undrift.units import STANDARD_GRAVITY, gravity_at
 from undrift.web.commands import Outcome, run_command
 from undrift.web.rate_table import RateTable
 from undrift.web.recordings import Recordings
@@ -39,7 +40,7 @@ class BenchSettings:
     host: str = "127.0.0.1"
     port: int = 8765  # 0 takes a free one
     token: str | None = None  # wanted of every request; None: this computer alone
-    registry_url: str | None = None  # None: the user's own
+    registry: str | None = None  # None: the user's own
     upload_mb: float = 500.0  # Largest upload, 1e6 bytes
     practice_seed: int | None = None  # of the practice device; None draws one
 
@@ -56,7 +57,7 @@ class Job:
     report: Path | None = None
     certificate: Path | None = None
     answer: dict[str, Any] = field(default_factory=dict)  # of calibrate
-    registered: str = ""  # what the registry said
+    registered: str = ""  # what the registry answered
     error: str = ""  # of the last command
     began: float = field(default_factory=time.monotonic)
 
@@ -72,6 +73,11 @@ class Place:
 
     latitude_deg: float | None = None
     height_m: float = 0.0
+
+    @property
+    def gravity_m_s2(self) -> float:
+        """Return local gravity, m/s2; standard gravity where the place is not known."""
+        return STANDARD_GRAVITY if self.latitude_deg is None else gravity_at(self.latitude_deg, self.height_m)
 
     def words(self) -> tuple[object, ...]:
         """Return the options of ``calibrate`` for recordings that state no gravity."""
@@ -228,7 +234,7 @@ class Bench:
 
     def registry_words(self) -> tuple[str, ...]:
         """Return the option that names the registry, where the bench was given one."""
-        return () if self.settings.registry_url is None else ("--registry", self.settings.registry_url)
+        return () if self.settings.registry is None else ("--registry", self.settings.registry)
 
     def inside(self, name: str) -> Path:
         """Return a file of the bench by its path below the folder; InputError for what is not there, or elsewhere."""

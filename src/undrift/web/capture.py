@@ -1,10 +1,11 @@
 """Capture: the readings of a guided session, whether the device rests now and which face is up, and the session's folder.
 
-A device rests when `find_still` finds its newest readings still twice: by the threshold that the readings show, and within four noise
-floors of the quietest window. Which face is up is the axis of the accelerometers that reads most of the length of the mean reading.
-Readings in counts have a zero that nobody states. It is that of the sphere through five captured faces; before that it is 0 where
-rests are alike in length and in one of them one axis reads nearly all, as digital parts read; else that of the sphere through what the
-accelerometers read while the device was turned over all its sides. Lengths are relative throughout: no scale is needed.
+A device rests when `find_still` finds its newest readings still twice: by the threshold that the readings show, and within four
+noise floors of the quietest window. Which face is up is the axis of the accelerometers that reads most of the length of the
+mean reading. Readings in counts have a zero that nobody states. It is that of the sphere through five captured faces; before
+that it is 0 where rests are alike in length and in one of them one axis reads nearly all, as digital parts read; else that of
+the sphere through what the accelerometers read while the device was turned over all its sides. Lengths are relative throughout:
+no scale is needed.
 """
 
 import math
@@ -22,17 +23,19 @@ from undrift.io.session import write_session
 from undrift.record import FACES, Face, Record, Session, Still, Turn
 from undrift.segments import StillSettings, find_still, sphere_of
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical
+from undrift.web.source import joined
 
 State = Literal["no readings", "moving", "settling", "still", "captured", "wrong face", "tilted", "unknown face"]
 GAP_S, GAP_PERIODS = 0.1, 5.0  # a longer silence of the device ends a stretch of readings
 KEEP_S = 120.0  # of readings in which nothing is captured
 BESIDE_S = 10.0  # kept before the first piece of a stretch, and behind the last
 CLOUD_S, CLOUD_POINTS = 0.25, 2000  # means of the accelerometers that show their zero
-ALIKE = 1.25  # lengths of readings that share a zero of 0
+ALIKE = 1.6  # lengths of readings that share a zero of 0, within 0.2 g
 ROUND = 0.2  # smallest over largest extent of a cloud that lies all around
 NOISES = 10.0  # by which a cloud that shows a sphere exceeds noise
 LOOSE_DEG = 25.0  # tilt that is told from a wrong zero, of readings in counts
 LEAST_REST_S = 1.0
+UNKNOWN = "Which face is up is not known yet. Turn the device over all its sides once."
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -41,7 +44,7 @@ class CaptureSettings:
 
     countdown_s: float = 6.0  # Rest that is captured, s
     settle_s: float = 1.5  # Rest before that, s
-    tilt_deg: float = 10.0  # Largest tilt of a face, as the uncalibrated accelerometers read it
+    tilt_deg: float = 12.0  # Largest tilt of a face, as the uncalibrated accelerometers read it
     silence_s: float = 1.0  # Host time without a new reading that counts as none, s
 
 
@@ -103,15 +106,9 @@ class _Stretch:
 
     def record(self, start_s: float = -math.inf, stop_s: float = math.inf) -> Record:
         """Return its readings in a span of time."""
-        parts = [part for part in self.parts if part.time[-1] >= start_s and part.time[0] < stop_s]
-        joined: dict[str, FloatArray | None] = {}
-        for name in ("time", "gyro", "accel", "temp_c"):
-            held = [getattr(part, name) for part in parts]
-            joined[name] = None if any(values is None for values in held) else np.concatenate(held)
-        time = np.asarray(joined.pop("time"))
-        inside = (time >= start_s) & (time < stop_s)
-        cut = {name: None if values is None else values[inside] for name, values in joined.items()}
-        return replace(parts[0], time=time[inside], mag_ut=None, **cut)
+        whole = joined([part for part in self.parts if part.time[-1] >= start_s and part.time[0] < stop_s])
+        first, last = np.searchsorted(whole.time, (start_s, stop_s)).tolist()
+        return whole.part(first, last)
 
 
 class Capture:
@@ -132,6 +129,7 @@ class Capture:
         self._stretches: list[_Stretch] = []
         self._key: object = None
         self._heard_s = -math.inf  # host time of the newest reading
+        self._newest_s = -math.inf  # its time on the device's clock
         self._cloud: deque[FloatArray] = deque(maxlen=CLOUD_POINTS)
         self._rests: deque[FloatArray] = deque(maxlen=64)
         self._noise = 0.0  # of a reading of the accelerometers at rest, raw
@@ -140,35 +138,31 @@ class Capture:
 
     def take(self, record: Record | None, now_s: float, key: object = None) -> None:
         """Take the newest readings, of which some may be known: now_s on the host's clock, key of the connection."""
-        if record is None or len(record) < 2:
+        if record is None:
             return
         if record.accel is None or record.gyro is None:
-            raise InputError("capture: wanted gyroscope and accelerometer, got one of them; state both in the device's address")
-        known = self._stretches[-1].parts[-1] if self._stretches and self._stretches[-1].parts else None
-        if known is not None and (known.gyro_unit, known.accel_unit) != (record.gyro_unit, record.accel_unit):
-            raise InputError(f"capture: wanted readings in {known.accel_unit}, got {record.accel_unit}; begin a new session")
-        if known is None or key is not self._key or record.time[-1] < known.time[-1] or self._gap(known, record):
-            self._key = key
-            self._stretches.append(_Stretch(self._stretches[-1].number + 1 if self._stretches else 0))
-            known = None
-        first = 0 if known is None else int(np.searchsorted(record.time, known.time[-1], side="right"))
-        while first < len(record):
-            time = record.time[first:]
-            jumps = np.flatnonzero(np.diff(time) > self._longest(record))
-            stop = first + (int(jumps[0]) + 1 if len(jumps) else len(time))
-            self._keep(record.part(first, stop), max(1, round(CLOUD_S * record.sample_rate_hz)))
-            self._heard_s = now_s
-            if stop < len(record):
-                self._stretches.append(_Stretch(self._stretches[-1].number + 1))
+            raise InputError(
+                "capture: wanted gyroscope and accelerometer, got one of them; state both in the device's address"
+            )
+        known = self._stretches[-1].parts[-1] if self._stretches else record
+        if (known.gyro_unit, known.accel_unit) != (record.gyro_unit, record.accel_unit):
+            raise InputError(
+                f"capture: wanted readings in {known.accel_unit}, got {record.accel_unit}; begin a new session"
+            )
+        if key is not self._key or record.time[-1] < self._newest_s:  # another connection, whose clock is its own
+            self._key, self._newest_s = key, -math.inf
+        longest_s = max(GAP_S, GAP_PERIODS * float(np.median(np.diff(record.time))))
+        first = int(np.searchsorted(record.time, self._newest_s, side="right"))
+        ends = [*(first + 1 + np.flatnonzero(np.diff(record.time[first:]) > longest_s)).tolist(), len(record)]
+        for stop in ends:
+            if stop - first >= 2:  # one alone waits for the next
+                if record.time[first] - self._newest_s > longest_s:
+                    self._stretches.append(_Stretch(self._stretches[-1].number + 1 if self._stretches else 0))
+                self._keep(record.part(first, stop), max(1, round(CLOUD_S * record.sample_rate_hz)))
+                self._heard_s, self._newest_s = now_s, float(record.time[stop - 1])
             first = stop
-        self._forget()
-
-    def _longest(self, record: Record) -> float:
-        return max(GAP_S, GAP_PERIODS * float(np.median(np.diff(record.time))))
-
-    def _gap(self, known: Record, record: Record) -> bool:
-        at = int(np.searchsorted(record.time, known.time[-1], side="right"))
-        return at < len(record) and float(record.time[at] - known.time[-1]) > self._longest(record)
+        if self._stretches:
+            self._forget()
 
     def _keep(self, part: Record, step: int) -> None:
         self._stretches[-1].parts.append(part)
@@ -187,7 +181,7 @@ class Capture:
         newest = float(now.parts[-1].time[-1])
         if newest - max(last, float(now.parts[0].time[0])) < 2.0 * KEEP_S:
             return
-        fresh = _Stretch(now.number + 1, [part for part in now.parts if part.time[0] > newest - KEEP_S])
+        fresh = _Stretch(now.number + 1, [part for part in now.parts if part.time[-1] > newest - KEEP_S])
         now.parts = [part for part in now.parts if part.time[0] < last + BESIDE_S]
         self._stretches = [*(self._stretches if now.parts else self._stretches[:-1]), fresh]
 
@@ -202,10 +196,7 @@ class Capture:
 
     def tail(self, seconds: float) -> Record | None:
         """Return the newest readings without a gap."""
-        if not self._stretches or not self._stretches[-1].parts:
-            return None
-        newest = float(self._stretches[-1].parts[-1].time[-1])
-        return self._stretches[-1].record(newest - seconds)
+        return self._stretches[-1].record(self._newest_s - seconds) if self._stretches else None
 
     # ---- Rest and face
 
@@ -217,7 +208,7 @@ class Capture:
         """Return the rest that lasts until now; None while the device moves, or where there are too few readings."""
         s = self.settings
         record = self.tail(2.0 * (s.countdown_s + s.settle_s) if seconds is None else seconds)
-        if record is None or len(record) < 2:
+        if record is None:
             return None
         start, stop = 0, len(record)
         try:
@@ -237,16 +228,20 @@ class Capture:
 
     def face_of(self, rest: Rest) -> tuple[Face | None, float]:
         """Return the face that is up in a rest, None where nothing shows it, and how far it is tilted beyond the limit, deg."""
-        zero, limit_deg = self._zero(rest.mean)
-        if zero is None:
+        up, limit_deg = self.up(rest)
+        if up is None:
             return None, 0.0
-        up = (rest.mean - zero) / np.linalg.norm(rest.mean - zero)
         axis = int(np.abs(up).argmax())
         tilt_deg = math.acos(min(1.0, abs(float(up[axis])))) / RADIAN_PER_DEGREE
         return FACES[2 * axis + (up[axis] < 0.0)], tilt_deg if tilt_deg > limit_deg else 0.0
 
+    def up(self, rest: Rest) -> tuple[FloatArray | None, float]:
+        """Return the direction of gravity in a rest, (3,), and the tilt that is told from an error of it, deg."""
+        zero, limit_deg = self._zero(rest.mean)
+        return None if zero is None else (rest.mean - zero) / np.linalg.norm(rest.mean - zero), limit_deg
+
     def _zero(self, mean: FloatArray) -> tuple[FloatArray | None, float]:
-        """Return the reading of the accelerometers in free fall, (3,), and the tilt that is told from an error of it, deg."""
+        """Return the reading of the accelerometers in free fall, (3,); None where nothing shows it."""
         limit_deg = self.settings.tilt_deg
         if is_physical(self._stretches[-1].parts[-1].accel_unit):
             return np.zeros(3), limit_deg
@@ -261,12 +256,6 @@ class Capture:
         extent = np.linalg.svd(cloud - cloud.mean(axis=0), compute_uv=False)
         round_about = extent[-1] > ROUND * extent[0] and extent[0] > NOISES * self._noise * math.sqrt(len(cloud))
         return sphere_of(cloud)[0] if round_about else None, LOOSE_DEG
-
-    def gravity_reading(self) -> float | None:
-        """Return what gravity reads, raw: the radius of the sphere through the captured faces; None with fewer than five."""
-        if len(self.faces) < 5:
-            return None
-        return sphere_of(np.array([held.mean for held in self.faces.values()]))[1]
 
     # ---- What is captured
 

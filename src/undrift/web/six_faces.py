@@ -9,7 +9,7 @@ from typing import get_args
 
 from undrift.errors import InputError
 from undrift.record import FACES, Face, Record
-from undrift.web.capture import Capture, Light, Rest
+from undrift.web.capture import UNKNOWN, Capture, Light, Rest
 
 ORDER: tuple[Face, ...] = ("+z", "+x", "-z", "-x", "+y", "-y")  # each a quarter turn from the one before
 
@@ -56,7 +56,7 @@ class SixFaces:
             return Light(state="moving", text=f"Moving. {_turn(wanted)}")
         face, tilt_deg = self.capture.face_of(rest)
         if face is None:
-            return Light(state="unknown face", text="Which face is up is not known yet. Turn the device over all its sides once.")
+            return Light(state="unknown face", text=UNKNOWN)
         if tilt_deg:
             return Light(state="tilted", face=face, text=f"Tilted by {tilt_deg:.0f} deg. Lay it flat with {face} up.")
         if face in self.capture.faces and face != self.again:

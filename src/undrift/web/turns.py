@@ -2,9 +2,9 @@
 
     rest, ready -> turning -> rest: the turn is judged -> rest, ready ...
 
-A turn counts where its axis is one of the device's, gravity reads the same before and after, and its angle is near a whole number of
-turns. In counts no scale is known: a turn then is one turn, and its length must be like that of the others. Its sign is that of the
-reading. The gyroscopes are calibrated by the stated angles, not by what is read here.
+A turn counts where its axis is one of the device's, gravity reads the same before and after, and its angle is near a whole
+number of turns. In counts no scale is known: a turn then is one turn, and its length must be like that of the others. Its sign
+is that of the reading. The gyroscopes are calibrated by the stated angles, not by what is read here.
 """
 
 import math
@@ -15,16 +15,18 @@ import numpy as np
 from undrift.errors import InputError
 from undrift.record import Axis, Face, Record, Still
 from undrift.segments import StillSettings, find_still, find_turns
-from undrift.units import is_physical, si_factor
-from undrift.web.capture import Capture, CapturedTurn, Light, Piece, Rest, way_of
+from undrift.units import RADIAN_PER_DEGREE, is_physical, si_factor
+from undrift.web.capture import UNKNOWN, Capture, CapturedTurn, Light, Piece, Rest, way_of
 
 WAYS = ("+x", "-x", "+y", "-y", "+z", "-z")  # + is counter-clockwise, seen with the axis up
 FULL_TURN = 2.0 * math.pi
 NEAR = 0.15  # of a whole turn, relative: an uncalibrated gyroscope reads it within that
 LIKE = 0.3  # readings of turns in counts differ by less than this, relative
-SAME_POSE = 0.26  # of gravity: 15 deg
+SAME_POSE = math.cos(15.0 * RADIAN_PER_DEGREE)
 REST_S = 3.0  # before a turn and after it
-SHARP = StillSettings(window_s=0.25, smooth_s=0.05, min_duration_s=0.25, threshold_floors=8.0)  # how near a rest comes to a turn
+SHARP = StillSettings(
+    window_s=0.25, smooth_s=0.05, min_duration_s=0.25, threshold_floors=8.0
+)  # how near a rest comes to a turn
 LOST_S = 0.5  # of a rest beside a turn, by the usual window
 LONGEST_S = 60.0  # of a turn with its rests
 
@@ -94,6 +96,8 @@ class Turns:
         if rest.duration_s < REST_S:
             return Light(state="settling", text="Settling. Do not touch it.", left_s=REST_S - rest.duration_s)
         face, tilt_deg = self.capture.face_of(rest)
+        if face is None:
+            return Light(state="unknown face", text=UNKNOWN)
         if before is not None and self._moved:
             self.said = self._take_turn(before, rest)
         self._before, self._moved = _Before(self.capture.stretch, rest, face), False
@@ -134,7 +138,9 @@ class Turns:
             start_s=float(time[first.stop]),
             stop_s=float(time[last.start]),
             turn=replace(turn, angle=whole * FULL_TURN),
-            before=Piece(stretch=self.capture.stretch, start_s=float(time[first.start]), stop_s=float(time[first.stop])),
+            before=Piece(
+                stretch=self.capture.stretch, start_s=float(time[first.start]), stop_s=float(time[first.stop])
+            ),
             after=Piece(stretch=self.capture.stretch, start_s=float(time[last.start]), stop_s=after.stop_s),
             reading=along / whole,
         )
@@ -145,8 +151,8 @@ class Turns:
 
     def _returned(self, before: _Before, after: Rest) -> bool:
         """Whether gravity reads the same before and after."""
-        force = self.capture.gravity_reading()
-        return force is None or bool(np.linalg.norm(before.rest.mean - after.mean) < SAME_POSE * force)
+        up, down = self.capture.up(before.rest)[0], self.capture.up(after)[0]
+        return up is not None and down is not None and float(up @ down) > SAME_POSE
 
     def _whole(self, axis: Axis, along: float, unit: str) -> tuple[int, str]:
         """Return how many turns a reading is, 0 with the reason where it is none."""
