@@ -558,7 +558,7 @@ def _both_ways(gyro: FloatArray, time: FloatArray, q_nb: FloatArray, anchor: int
 
 # ---- A stream
 
-REST_S, LOOK_S = 1.5, 0.25  # a rest is a window so long that is still throughout; how often one is looked for, device s
+REST_S, LOOK_S = 1.5, 0.5  # a rest is a window so long that is still throughout; how often one is looked for, device s
 _LARGEST_REST_RATE = 5.0 * RADIAN_PER_DEGREE  # rad/s: a slow, steady turn is no rest; more is left of no offset
 _REST = StillSettings(window_s=0.5, min_duration_s=1.0)
 

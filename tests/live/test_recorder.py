@@ -167,3 +167,21 @@ def test_the_newest_reading_is_asked_of_a_started_recorder():
 def test_waits_without_end_are_refused():
     with pytest.raises(InputError, match=r"recorder: wanted silence_s above 0, got 0; every wait has an end"):
         RecorderSettings(silence_s=0)
+
+
+def test_readings_gather_where_that_is_asked_and_none_is_lost():
+    blocks = {}
+    for gather_s in (0.0, 0.05):
+        settings = RecorderSettings(silence_s=1.0, gather_s=gather_s)
+        with (
+            Sender(paced(300, 0.005)) as device,
+            Recorder(source_at(f"tcp://127.0.0.1:{device.port}{THREE}"), settings) as recorder,
+        ):
+            eventually(lambda: recorder.timeline.readings == 300, "all readings")
+            record = recorder.since(0.495)
+            blocks[gather_s] = len(recorder._ring)
+        assert record.gyro[:, 0].tolist() == list(range(50, 300))
+        assert recorder.since(2.985) is None, "one reading is no record"
+    assert blocks[0.05] < 0.6 * blocks[0.0]
+    with pytest.raises(InputError, match=r"wanted gather_s from 0 to 0.2 s, got 1.0; readings would pile up"):
+        RecorderSettings(gather_s=1.0)

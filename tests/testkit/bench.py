@@ -24,14 +24,18 @@ class BenchServer:
         return int(self.address.split(":")[2].partition("/")[0])
 
 
+def environment_of(folder: Path) -> dict[str, str]:
+    """Return the environment of a bench's commands: its registry stands beside its folder."""
+    return os.environ | {"UNDRIFT_REGISTRY": str(folder.parent / "registry.sqlite")}
+
+
 @contextmanager
 def bench_process(folder: Path, *words: str) -> Iterator[BenchServer]:
     """Run ``undrift bench`` on a free loopback port until the end of the block; its log stands beside the folder."""
     called = [*(sys.executable, "-m", "undrift", "bench", "--port", "0", "--no-browser", "--json")]
     called += ["--folder", str(folder), *words]
-    environment = os.environ | {"UNDRIFT_REGISTRY": str(folder.parent / "registry.sqlite")}
     with (folder.parent / f"{folder.name}.log").open("w") as log:
-        process = subprocess.Popen(called, stdout=subprocess.PIPE, stderr=log, text=True, env=environment)
+        process = subprocess.Popen(called, stdout=subprocess.PIPE, stderr=log, text=True, env=environment_of(folder))
         assert process.stdout is not None
         try:
             line = process.stdout.readline()

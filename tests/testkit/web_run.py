@@ -75,8 +75,7 @@ def ended_at_last(run):
         yield run
     finally:
         run.refresh()
-        held = run._standing()
-        pids = [run.view.pid, held["pid"] if held else None]
+        pids = [run.view.pid, run._standing.get("pid")]
         for pid in pids if run.is_going() else ():
             with contextlib.suppress(ProcessLookupError, TypeError):
                 os.kill(pid, signal.SIGCONT)

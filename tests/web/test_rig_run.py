@@ -90,7 +90,7 @@ def test_a_run_outlives_the_bench_and_its_supervisor_and_is_found_and_paused(ben
     with ended_at_last(new_run(bench, tmp_path / "jobs" / "a" / "session")) as run:
         run.launch()
         wait(run, is_dwelling)
-        os.kill(run._standing()["pid"], signal.SIGKILL)
+        os.kill(run._standing["pid"], signal.SIGKILL)
         found = find_run(tmp_path / "jobs")  # the next bench has this object alone
         assert found is not None
         assert found.view.state == "running"
@@ -105,7 +105,7 @@ def test_a_killed_run_says_so_and_its_guard_stops_the_table(bench, tmp_path):
     with ended_at_last(new_run(bench, tmp_path / "session")) as run:
         run.launch()
         pid = wait(run, is_dwelling).pid
-        os.kill(run._standing()["pid"], signal.SIGKILL)
+        os.kill(run._standing["pid"], signal.SIGKILL)
         os.kill(pid, signal.SIGKILL)
         view = wait(run, at_end)
         assert (view.state, view.error.partition(";")[0]) == ("failed", "the run was killed")
@@ -117,14 +117,14 @@ def test_a_killed_run_says_so_and_its_guard_stops_the_table(bench, tmp_path):
 
 def test_what_the_command_refuses_is_shown_in_its_own_words(bench, tmp_path):
     order = RunOrder(rig=bench.rig_address, device="tcp://127.0.0.1:9?rate=100")
-    with ended_at_last(begin_run(tmp_path / "a", SHORT, order)) as run:
+    with ended_at_last(begin_run(tmp_path / "a" / "session", SHORT, order)) as run:
         run.launch()
         view = wait(run, at_end)
         assert view.state == "failed"
         assert "wanted" in view.error
         assert "got" in view.error
     order = RunOrder(rig="galil:tcp://127.0.0.1:9?reply_timeout_s=0.2", device=bench.device_address)
-    with ended_at_last(begin_run(tmp_path / "b", SHORT, order)) as run:
+    with ended_at_last(begin_run(tmp_path / "b" / "session", SHORT, order)) as run:
         run.launch()
         assert "127.0.0.1:9" in wait(run, at_end).error
         assert "127.0.0.1:9" in run.view.standby  # there is no connection to stop by, and the page says so
@@ -149,6 +149,7 @@ def test_the_command_is_the_one_of_the_command_line(bench, tmp_path):
         *("--progress", str(place / "progress.jsonl"), "--rig", order.rig, "--device", order.device),
         *("--operator", order.operator),
     ]
+    run.folder.mkdir()
     (run.folder / "journal.jsonl").touch()
     assert command_of(order, run.folder)[-1] == "--resume"
 

@@ -1,18 +1,26 @@
 """Source: what a page sees is what the device sent; correction and pitch are those of the batch; a lost device comes back."""
 
 import math
+import os
+import socket
+import threading
+import time
+import tty
 from collections.abc import Iterator
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from testkit.talking_device import TalkingDevice
+from testkit.talking_device import CHANNELS, TalkingDevice, resting
 from testkit.waiting import eventually
 from undrift import calibrate, correct, random_device, read_record, simulate_session
 from undrift.errors import InputError, LinkError
+from undrift.io.parquet import ParquetWriter
 from undrift.orientation import OrientStream
+from undrift.record import Record
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.rig.emulator import EmulatedBenchSettings, start_bench
 from undrift.sim.rig.stream import StreamSettings
@@ -120,6 +128,70 @@ def test_a_file_holds_all_that_came_while_it_was_open(source: Source, tmp_path: 
     np.testing.assert_array_equal(record.time, same.time)
     assert record.duration_s > 1.6
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_full_disk_ends_the_file_with_a_reason_and_the_readings_go_on(
+    source: Source, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr("undrift.web.source.WRITE_EVERY_S", 0.3)
+    write, calls = ParquetWriter.write, []
+
+    def fill(self: ParquetWriter, record: Record) -> None:
+        calls.append(len(record))
+        if len(calls) > 2:
+            raise InputError("live.parquet: wanted room for 1 MB, got a full disk; make room")
+        write(self, record)
+
+    monkeypatch.setattr(ParquetWriter, "write", fill)
+    source.write_to(tmp_path / "live.parquet")
+    eventually(lambda: source.status().file is None, "the end of the file")
+    assert source.status().file_error == "live.parquet: wanted room for 1 MB, got a full disk; make room"
+    assert len(read_record(tmp_path / "live.parquet")) == sum(calls[:2]), "what was written before is kept"
+    assert source.status().error == ""
+    number = source.updates()[-1].number
+    eventually(lambda: source.updates(number), "readings")
+    source.write_to(tmp_path / "next.parquet")
+    assert source.status().file_error == ""
+
+
+@pytest.mark.parametrize("kind", ["udp", "serial"])
+def test_other_ways_than_a_socket_bring_the_same_readings(kind: str):
+    lines = [f"{k},{resting(k)}\n".encode() for k in range(400)]
+    options = f"channels={CHANNELS}&rate=200&gyro_unit=dps&accel_unit=m/s2"
+    with ExitStack() as stack:
+        if kind == "serial":
+            near, far = os.openpty()
+            tty.setraw(far)
+            stack.callback(os.close, near)
+            stack.callback(os.close, far)
+            place, send = f"//{os.ttyname(far)}", lambda line: os.write(near, line)
+        else:
+            out = stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
+            with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
+                free.bind(("127.0.0.1", 0))
+                port = free.getsockname()[1]
+            place, send = f"//127.0.0.1:{port}", lambda line: out.sendto(line, ("127.0.0.1", port))
+
+        def talk() -> None:
+            for line in lines:
+                send(line)
+                time.sleep(0.004)
+
+        source = Source(f"{kind}:{place}?{options}")
+        talker = threading.Thread(target=talk)
+        timer = threading.Timer(0.3, talker.start)
+        timer.start()
+        source.start()
+        try:
+            eventually(lambda: source.status().readings >= 390, "nearly all readings")
+            timer.join()
+            talker.join()
+        finally:
+            source.stop()
+        whole = joined([one.raw for one in source.updates()])
+        first = round(whole.temp_c[0] * 1e4 - 25e4)
+        np.testing.assert_allclose(whole.temp_c, 25.0 + 1e-4 * np.arange(first, first + len(whole)), atol=1e-9)
+        assert source.status().lost == 0
 
 
 def test_a_file_of_nothing_is_no_file(talker: TalkingDevice, tmp_path: Path):

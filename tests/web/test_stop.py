@@ -30,7 +30,7 @@ def bench():
 
 def post(run, path="/stop", key=None):
     """Post as a browser does, on a new connection; return the status."""
-    held = run._standing()
+    held = run._standing
     with closing(http.client.HTTPConnection("127.0.0.1", held["port"], timeout=10.0)) as link:
         link.request("POST", f"{path}?key={held['key'] if key is None else key}")
         return link.getresponse().status
@@ -92,7 +92,7 @@ def test_a_stop_works_without_the_supervisor(bench, tmp_path):
     with ended_at_last(new_run(started, tmp_path / "session")) as run:
         run.launch()
         pid = wait(run, is_dwelling).pid
-        os.kill(run._standing()["pid"], signal.SIGKILL)
+        os.kill(run._standing["pid"], signal.SIGKILL)
         os.kill(pid, signal.SIGSTOP)
         run._supervisor.wait(10.0)
         obeyed.clear()

@@ -6,11 +6,15 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+import pytest
+from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Page, expect
+from websockets.exceptions import InvalidStatus
+from websockets.sync.client import connect
 
 import undrift
 from testkit.talking_device import TalkingDevice
-from web_browser.conftest import BenchServer, shoot
+from web_browser.conftest import BenchServer, bench_process, shoot
 
 
 def connected(open_page: Callable[..., Page], **options: object) -> Page:
@@ -93,6 +97,8 @@ def test_a_calibration_of_the_bench_corrects_and_the_pitch_follows(
     rates = values(page, "Turn rate")
     assert max(abs(rates[f"corrected {axis}"]) for axis in "xyz") < 1.5
     shoot(page, "live-corrected")
+    serious = [one for one in Axe().run(page).response["violations"] if one["impact"] in ("serious", "critical")]
+    assert [(one["id"], one["nodes"][0]["html"][:200]) for one in serious] == []
     second = open_page("/live", width=390, color_scheme="dark")
     expect(second.get_by_role("img", name=re.compile("corrected x"))).to_have_count(2)
     second.wait_for_timeout(1500)
@@ -177,3 +183,24 @@ def test_less_motion_is_drawn_once_a_second(open_page: Callable[..., Page]) -> N
     print(f"  pictures in 3 s: {json.dumps(counts)}")
     assert counts["reduce"] <= 5
     assert counts["no-preference"] > 2 * counts["reduce"]
+
+
+def test_the_feed_wants_the_token_of_the_pages(tmp_path: Path) -> None:
+    token = "a-token-of-the-test"
+    with bench_process(tmp_path / "bench", "--network", "--token", token) as server:
+        address = server.address.partition("?")[0].replace("http", "ws") + "feed?plots=rate"
+        host = address.split("/")[2]
+        for query, headers in (
+            ("", {}),
+            ("&token=another-token", {}),
+            ("", {"Cookie": "undrift_token=another-token"}),
+            (f"&token={token}", {"Origin": "http://elsewhere.example"}),
+        ):
+            with pytest.raises(InvalidStatus, match="403"), connect(address + query, additional_headers=headers):
+                pass
+        for query, headers in (
+            (f"&token={token}", {}),
+            ("", {"Cookie": f"undrift_token={token}", "Origin": f"http://{host}"}),
+        ):
+            with connect(address + query, additional_headers=headers) as browser:
+                assert json.loads(browser.recv(timeout=20))["source"] is None

@@ -4,7 +4,7 @@ import sys
 from contextlib import ExitStack, suppress
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from cyclopts import App, Parameter
 
@@ -21,6 +21,7 @@ from undrift.cli.common import (
     write_json,
 )
 from undrift.cli.examples import examples
+from undrift.cli.register import Register, say_registered
 from undrift.errors import InputError
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
@@ -64,6 +65,7 @@ def run(
     resume: bool = False,
     yes: bool = False,
     progress: Path | None = None,
+    registering: Register = Register(),
     report: Report = None,
     json: Json = False,
 ) -> int:
@@ -106,6 +108,8 @@ def run(
     progress : Path or None
         File to append the run's progress to, a JSON object in a line, for a program that shows it; questions to the operator
         stand there too, with a number, and are answered by "NUMBER ANSWER" on the standard input.
+    registering : Register
+        Whether the run is added to the registry of devices.
     report : Path or None
         Report page to write: .html.
     """
@@ -119,6 +123,7 @@ def run(
     from undrift.rig.run import Watch, run_programme
 
     check_report(report, reads=(protocol,))
+    registering.check()
     asked = read_protocol(protocol)
     limits = _limits(highest_turn_rate_dps, highest_acceleration_dps2, travel_deg)
     told = None if progress is None else ProgressFile(progress)
@@ -137,13 +142,12 @@ def run(
         if told is not None:
             told.plan(programme, folder.done, options.clock_speed)
         stack.enter_context(stopping_on_signals())
-        guard = None
-        if heater or not by_hand:  # before they are opened, so that they are closed before it goes
-            guard = stack.enter_context(Guard("" if by_hand else rig, heater))
+        watched = "" if by_hand else rig  # before they are opened, so that they are closed before it goes
+        guard = stack.enter_context(Guard(watched, heater)) if heater or watched else None
         watch = Watch(StopWatch(rig), guard, programme)
-        if card_watchdog and guard is not None:
-            settings = replace(settings, card_watchdog=guard.promise_holds)
+        settings = replace(settings, card_watchdog=guard.promise_holds) if card_watchdog and guard else settings
         bench, called = _bench(stack, (rig, device, chamber, operator), settings, programme)
+        registering.check(serial or called)
         watch.arm()
         shown, judge = _Shown(watch, told), RunSettings(device_lag_s=device_lag_s)
         stack.callback(shown.end)
@@ -151,8 +155,7 @@ def run(
             programme, bench, folder, report=shown, serial=serial or called, gravity_m_s2=gravity_m_s2, settings=judge
         )
     _write_report(report, result, output, protocol)
-    _result(result, output, json)
-    return 0
+    return _result(result, output, json, registering.add(output))
 
 
 @rig.command(help_epilogue=examples("rig emulate"))
@@ -507,7 +510,8 @@ def _write_report(path: Path | None, result: "RunResult", folder: Path, protocol
         write_rig_report(path, result, folder.name, origin=origin_of(protocol, folder / "session.toml"))
 
 
-def _result(result: "RunResult", folder: Path, json: bool) -> None:
+def _result(result: "RunResult", folder: Path, json: bool, kept: "list[dict[str, Any]]") -> int:
+    """Show what a run came to."""
     turns = [piece for piece in result.pieces if piece.purpose == "rate"]
     missing = sum(piece.missing for piece in result.pieces)
     if json:
@@ -523,13 +527,16 @@ def _result(result: "RunResult", folder: Path, json: bool) -> None:
             for piece in turns
         ]
         made = {"folder": str(folder), "rig": result.rig, "dwells": len(result.pieces), "added": result.added}
+        made |= {"registered": kept} if kept else {}
         write_json(made | {"duration_s": result.duration_s, "missing_readings": missing, "turns": rows}, "rig run")
-        return
+        return 0
     off = max((abs(piece.turn_rate - piece.nominal_turn_rate) for piece in turns), default=0.0) / RADIAN_PER_DEGREE
     say(
         f"{folder}: {len(result.pieces)} dwells, {result.added} of them now, in {_clock(result.duration_s)}; achieved rates "
         f"differ from nominal ones by up to {off:.3g} deg/s and stand in session.toml; {missing} readings missing"
     )
+    say_registered(kept)
+    return 0
 
 
 def _show_check(found: "RigCheck", rig: str, settings: "CheckSettings", json: bool) -> None:

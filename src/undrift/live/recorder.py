@@ -24,6 +24,8 @@ from undrift.live.transports import Source
 from undrift.record import Record
 
 log = logging.getLogger(__name__)
+READ_S, WAKE_S, STOP_S = 0.2, 0.2, 32.0
+WAITED_S = 5e-4  # a read that took longer found nothing that waited for it
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -33,14 +35,18 @@ class RecorderSettings:
     silence_s: float = 5.0  # Longest host time without a good reading before the device counts as lost, s
     keep_s: float = 600.0  # Device time that ``between`` reaches back, s
     clock: ClockSettings = field(default_factory=ClockSettings)  # How the device's clock is found
+    # Rest of the reader after it had to wait for a reading, host s: readings gather meanwhile, and cost less together. They
+    # come so much later at most; each wait still shows when a reading came.
+    gather_s: float = 0.0
 
     def __post_init__(self) -> None:
         for name in ("silence_s", "keep_s"):
             if not getattr(self, name) > 0.0:
                 raise InputError(f"recorder: wanted {name} above 0, got {getattr(self, name)}; every wait has an end")
-
-
-READ_S, WAKE_S, STOP_S = 0.2, 0.2, 32.0
+        if not 0.0 <= self.gather_s <= READ_S:
+            raise InputError(
+                f"recorder: wanted gather_s from 0 to {READ_S:g} s, got {self.gather_s}; readings would pile up"
+            )
 
 
 class Recorder:
@@ -172,6 +178,7 @@ class Recorder:
         heard = time.monotonic()
         try:
             while not self._stopping.is_set():
+                began = time.monotonic()
                 try:
                     chunk = self.source.read(READ_S)
                 except RigTimeout:
@@ -181,6 +188,8 @@ class Recorder:
                 heard = time.monotonic()
                 with self._news:
                     self._keep(self.timeline.add(chunk))
+                if self.settings.gather_s and heard - began > WAITED_S:
+                    self._stopping.wait(self.settings.gather_s)
         except UndriftError as error:
             log.info("recorder: %s", error)
             with self._news:

@@ -1,11 +1,11 @@
 """Progress of a run as JSON lines in a file (``rig run --progress FILE``), for a program that shows it and answers its questions.
 
-    {"event": "plan", "pid": 12, "speed": 1.0, "steps": [{"kind": "mount", "text": "mount +x up", "seconds": 30.0}, ...], "done": []}
+    {"event": "plan", "pid": 12, "speed": 1.0, "steps": [{"kind": "mount", "text": "mount +x up", ...}, ...], "done": []}
     {"event": "at", "phase": "dwelling", "number": 3, "left_s": 120.0, "live": "...", "air_c": null, "device_c": null, ...}
     {"event": "question", "number": 1, "text": "Motor off. Mount the device with +x up ..."}
 
-Each has ``time``, s since 1970. A question is answered by its number and the answer in one line on the standard input ("1 ", "1 q");
-lines with another number are left out, so that a button that is pressed twice answers nothing that was not asked.
+Each has ``time``, s since 1970. A question is answered by its number and the answer in one line on the standard input ("1 ",
+"1 q"); lines with another number are left out, so that a button that is pressed twice answers nothing that was not asked.
 """
 
 import contextlib
@@ -36,7 +36,7 @@ class ProgressFile:
         """Write what is going to be done."""
         steps = [
             {"kind": type(step).__name__.lower(), "text": str(step), "seconds": step.duration_s}
-            | {"temp_c": getattr(step, "temp_c", None), "up": getattr(step, "up", None)}
+            | {name: getattr(step, name, None) for name in ("up", "temp_c", "slope_c_per_min")}
             for step in programme.steps
         ]
         self._write("plan", pid=os.getpid(), speed=speed, steps=steps, done=sorted(done))
@@ -58,7 +58,7 @@ class ProgressFile:
             number, _, text = answer.partition(" ")
             if number.strip() == str(self._questions):
                 self._write("answer", number=self._questions)
-                return text
+                return str(text)
         raise EOFError
 
     def _write(self, event: str, **fields: Any) -> None:

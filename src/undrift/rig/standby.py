@@ -7,8 +7,8 @@ The run's own connection waits for answers, and its process may be busy, halted 
     a serial port     the same device file, opened for the moment: ST, or 0x85; the run's own answers get out of step, and it closes
     gclib, a person   nothing to shout: the run is ended, and it or its guard stops the table
 
-A stop is: shout, mark (so that a run that mounts or soaks does not go on), end the run, and when it has ended, stop the table once more
-over a fresh connection, which confirms that it is at rest with its motor off.
+A stop is: shout, mark (so that a run that mounts or soaks does not go on), end the run, and when it has ended, stop the table
+once more over a fresh connection, which confirms that it is at rest with its motor off.
 """
 
 import contextlib
@@ -61,7 +61,7 @@ class Standby:
         return self.kind != "manual"
 
     def shout(self, times: int = 0, since_s: float = 0.0) -> bool:
-        """Send a stop without waiting for anything; return whether it left. Repeats switch off, and abort what does not slow down."""
+        """Send a stop without waiting for an answer; return whether it left. Repeats switch off, and abort what goes on."""
         letter = self._settings.axis or "X"
         words = [f"ST{letter}"] if times == 0 else [f"MO{letter}"]
         words = ["AB", *words] if since_s > ABORT_S else words
@@ -124,8 +124,8 @@ class Standby:
 def stop_now(standby: Standby, ended: Callable[[], bool], pid: int | None) -> bool:
     """Stop the table at once, end the run's process, and return whether the table is confirmed at rest with its motor off.
 
-    ``ended`` tells whether that process has gone; a halted one is woken to its end, a hung one killed, and its guard stops the table
-    too.
+    ``ended`` tells whether that process has gone; a halted one is woken to its end, a hung one killed, and its guard stops the
+    table too.
     """
     standby.shout()
     if standby.has_motor:

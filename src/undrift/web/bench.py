@@ -19,8 +19,10 @@ from undrift.errors import InputError, UndriftError
 from undrift.files import write_whole
 from undrift.units import STANDARD_GRAVITY, gravity_at
 from undrift.web.commands import Outcome, run_command
+from undrift.web.rate_table import RateTable
 from undrift.web.recordings import Recordings
 from undrift.web.uploads import safe_name
+from undrift.web.warm_up import WarmUp
 
 if TYPE_CHECKING:
     from undrift.web.rig_run import RigRun
@@ -108,6 +110,9 @@ class Bench:
         self.recordings = Recordings(self)
         for name in ("jobs", "uploads"):
             (self.folder / name).mkdir(parents=True, exist_ok=True)
+        self.table = RateTable(self)  # with the run that an earlier bench left
+        self.closing.append(self.table.close)
+        self.warm_up = WarmUp(self)
         held = _held_in(self.folder / PLACE)
         self.place = Place(latitude_deg=held.get("latitude_deg"), height_m=float(held.get("height_m") or 0.0))
 
@@ -196,12 +201,23 @@ class Bench:
         """Run ``undrift calibrate`` for a job: a session, or recordings and options; the calibration is used from then on."""
         made, report = job.folder / "calibration.json", job.folder / "report.html"
         outcome = await self.command("calibrate", *words, "-o", made, "--report", report)
+        self._take(job, outcome)
+        return outcome
+
+    async def fit_drift(self, job: Job, *words: object) -> Outcome:
+        """Run ``undrift drift`` for a job, on top of the calibration that is used; the tables are used from then on."""
+        made, report = job.folder / "calibration.json", job.folder / "report.html"
+        known = () if self.calibration is None else ("--calibration", self.calibration)
+        outcome = await self.command("drift", *words, *known, "-o", made, "--report", report)
+        self._take(job, outcome)
+        return outcome
+
+    def _take(self, job: Job, outcome: Outcome) -> None:
         job.error = "" if outcome.done else outcome.error
         if outcome.done:
-            job.calibration, job.report, job.answer = made, report, outcome.answer
-            job.certificate, job.registered = None, ""
-            self.calibration = made
-        return outcome
+            job.calibration, job.report = job.folder / "calibration.json", job.folder / "report.html"
+            job.answer, job.certificate, job.registered = outcome.answer, None, ""
+            self.calibration = job.calibration
 
     async def command(self, *words: object, folder: Path | None = None) -> Outcome:
         """Run a command of undrift; pages show what it does while it runs."""

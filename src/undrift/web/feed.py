@@ -71,6 +71,7 @@ class _Group:
     browsers: list[_Browser] = field(default_factory=list)
     head: str = ""
     lines: tuple[Line, ...] = ()
+    kind: tuple[object, ...] = ()  # what the lines follow from
     source: Source | None = None
     update: int = 0  # the last one that was sent
     frames: int = 0
@@ -135,16 +136,16 @@ class Feed:
         if other:
             group.source, group.update = source, 0
         updates = [] if source is None else source.updates(group.update)
-        lines = _lines(updates[-1], plots) if updates else () if source is None else group.lines
-        head = _head(source, lines, plots)
+        kind = _kind(updates[-1]) if updates else () if other else group.kind
         if updates:
             group.update = updates[-1].number
-        if other or head != group.head:
-            group.head, group.lines = head, lines
+        if other or kind != group.kind or not group.head:
+            group.kind, group.lines = kind, _lines(updates[-1], plots) if updates else ()
+            group.head = _head(source, group.lines, plots)
             self._begin(group, group.browsers, plots)
         elif updates and group.browsers:
             group.frames += 1
-            frame = _frame(group.frames, updates, lines, plots, _bucket(source))
+            frame = _frame(group.frames, updates, group.lines, plots, _bucket(source))
             for browser in group.browsers:
                 browser.waiting.append(frame)
                 browser.news.set()
@@ -211,6 +212,13 @@ def _parts(update: Update, plot: str) -> list[tuple[str, str, FloatArray]]:
             values, unit = values * (si_factor(unit, quantity) / factor), shown
         found += [(f"{kind} {axis}", unit, values[:, k]) for k, axis in enumerate("xyz")]
     return found
+
+
+def _kind(update: Update) -> tuple[object, ...]:
+    """Return what the lines of an update follow from."""
+    raw = update.raw
+    there = [part is None for part in (raw.gyro, raw.accel, raw.temp_c, update.corrected, update.pitch)]
+    return raw.gyro_unit, raw.accel_unit, *there
 
 
 def _lines(update: Update, plots: tuple[str, ...]) -> tuple[Line, ...]:

@@ -1,18 +1,19 @@
 """A run on the rate table as the bench sees it: started in a process of its own, followed, paused, continued, stopped.
 
 The run is the command ``undrift rig run`` itself, with ``--progress``; it lives in a session of its own beside a supervisor
-(web/supervisor.py), and neither a closed browser nor the end of the bench's own process touches it. What the bench knows of it stands
-in the folder of the run, so that the next bench finds it::
+(web/supervisor.py), and neither a closed browser nor the end of the bench's own process touches it. What the bench knows of it
+stands beside the folder of the run, so that the next bench finds it::
 
-    FOLDER/bench/run.json         the order: addresses and options
-    FOLDER/bench/protocol.toml    what was asked for
-    FOLDER/bench/progress.jsonl   what the command and the supervisor wrote
-    FOLDER/bench/standby.json     port and key of the supervisor
-    FOLDER/bench/lock             locked while either of them lives
-    FOLDER/bench/answer.json, run.log   stdout and stderr of the command
+    JOB/session/              the folder of the run
+    JOB/run/run.json          the order: addresses and options
+    JOB/run/protocol.toml     what was asked for
+    JOB/run/progress.jsonl    what the command and the supervisor wrote
+    JOB/run/standby.json      port and key of the supervisor
+    JOB/run/lock              locked while either of them lives
+    JOB/run/answer.json, run.log   stdout and stderr of the command
 
-Pause is Ctrl-C of the command: the dwell that is going is given up, the table comes to rest with its motor off, the folder stays. Go
-on is the command with --resume.
+Pause is Ctrl-C of the command: the dwell that is going is given up, the table comes to rest with its motor off, the folder stays.
+Go on is the command with --resume.
 """
 
 import contextlib
@@ -22,6 +23,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
@@ -35,11 +37,12 @@ from undrift.rig.folder import JOURNAL
 from undrift.rig.progress import ProgressReader
 from undrift.rig.standby import Standby, stop_now
 
-PLACE = "bench"
+SESSION, PLACE = "session", "run"
 ORDER, PROTOCOL, PROGRESS, STANDBY, LOCK = "run.json", "protocol.toml", "progress.jsonl", "standby.json", "lock"
 ANSWER, LOG = "answer.json", "run.log"
 START_S = 30.0  # that a supervisor is waited for
 ANSWER_S = 2.0  # that it may take to answer
+FOLLOW_S = 0.1  # between two looks at what is new
 CURVE = 2000  # points that are kept of a temperature curve
 
 State = Literal["starting", "running", "pausing", "paused", "stopping", "stopped", "failed", "done"]
@@ -61,7 +64,7 @@ class RunOrder:
 
 def command_of(order: RunOrder, folder: Path) -> list[str]:
     """Return the words of the command; it goes on where the folder has a journal."""
-    place = folder / PLACE
+    place = folder.parent / PLACE
     words = [sys.executable, "-m", "undrift", "rig", "run", str(place / PROTOCOL), "-o", str(folder)]
     words += ["--yes", "--json", "--progress", str(place / PROGRESS)]
     for name in ("rig", "device", "chamber", "operator", "serial"):
@@ -72,7 +75,7 @@ def command_of(order: RunOrder, folder: Path) -> list[str]:
 
 def read_order(folder: Path) -> RunOrder:
     """Return what a run was started with."""
-    held = json.loads((folder / PLACE / ORDER).read_text())
+    held = json.loads((folder.parent / PLACE / ORDER).read_text())
     return RunOrder(**{**held, "options": tuple(held["options"])})
 
 
@@ -182,12 +185,14 @@ class RigRun:
     """A run in a folder; ``refresh`` reads what is new. Its methods wait for files and processes: call them in a thread."""
 
     def __init__(self, folder: Path) -> None:
-        self.folder, self.place = folder, folder / PLACE
+        self.folder, self.place = folder, folder.parent / PLACE
         self.order = read_order(folder)
         self.view = View()
         self._reader = ProgressReader(self.place / PROGRESS)
         self._journal = ProgressReader(folder / JOURNAL)
         self._supervisor: subprocess.Popen[bytes] | None = None
+        self._standing: dict[str, Any] = {}  # port, key and pid of the supervisor
+        self._reading = threading.Lock()
 
     @property
     def may_move(self) -> bool:
@@ -197,8 +202,17 @@ class RigRun:
     @property
     def stop_url(self) -> str:
         """Return where a stop is posted to, past the bench: ":port/stop?key=..."; "" where nobody listens."""
-        held = self._standing()
+        held = self._standing
         return f":{held['port']}/stop?key={held['key']}" if held and self.may_move else ""
+
+    def follow(self) -> None:
+        """Refresh in a thread until the run has ended."""
+
+        def look() -> None:
+            while self.refresh().state in GOING:
+                time.sleep(FOLLOW_S)
+
+        threading.Thread(target=look, name="run", daemon=True).start()
 
     def launch(self) -> None:
         """Start the run, or go on with it; returns when the supervisor stands by."""
@@ -210,6 +224,7 @@ class RigRun:
         if self._supervisor is not None:
             self._supervisor.wait(START_S)
         (self.place / STANDBY).unlink(missing_ok=True)
+        self._standing = {}
         self.view = replace(self.view, state="starting", error="", confirmed=None)
         with (self.place / LOG).open("ab") as log:
             self._supervisor = subprocess.Popen(
@@ -229,9 +244,15 @@ class RigRun:
 
     def refresh(self) -> View:
         """Read what is new, and return what is known."""
+        with self._reading:
+            return self._refresh()
+
+    def _refresh(self) -> View:
         if self._supervisor is not None:
             self._supervisor.poll()  # no zombie
         going = self.is_going()
+        with contextlib.suppress(OSError, ValueError):
+            self._standing = json.loads((self.place / STANDBY).read_text())
         self._reader.news(self.view.take)
         self._journal.news(self._take_piece)
         view = self.view
@@ -261,12 +282,14 @@ class RigRun:
 
     def emergency_stop(self) -> None:
         """Stop the table at once: through the supervisor, or past it where it does not answer."""
-        if not self._ask("/stop"):
-            standby = Standby(self.order.rig)
-            try:
-                confirmed = stop_now(standby, lambda: not self.is_going(), self.view.pid if self.is_going() else None)
-            finally:
-                standby.close()
+        if self._ask("/stop"):
+            return
+        going, standby = self.is_going(), Standby(self.order.rig)
+        try:
+            confirmed = stop_now(standby, lambda: not self.is_going(), self.view.pid if going else None)
+        finally:
+            standby.close()
+        if going:
             self.view.state, self.view.confirmed = "stopped", confirmed
 
     def close(self, wait_s: float = 20.0) -> None:
@@ -280,8 +303,8 @@ class RigRun:
 
     def _ask(self, path: str, **words: object) -> bool:
         """Post to the supervisor; return whether it obeyed."""
-        held = self._standing()
-        if held is None:
+        held = self._standing
+        if not held:
             return False
         link = http.client.HTTPConnection(self.order.host, held["port"], timeout=ANSWER_S)
         try:
@@ -291,13 +314,6 @@ class RigRun:
             return False
         finally:
             link.close()
-
-    def _standing(self) -> dict[str, Any] | None:
-        try:
-            held: dict[str, Any] = json.loads((self.place / STANDBY).read_text())
-        except (OSError, ValueError):
-            return None
-        return held
 
     def _take_piece(self, line: dict[str, Any]) -> None:
         entry = line.get("entry")
@@ -336,7 +352,7 @@ def is_locked(path: Path) -> bool:
 
 def begin_run(folder: Path, protocol: str, order: RunOrder) -> RigRun:
     """Write the order of a run into its folder; ``launch`` starts it."""
-    place = folder / PLACE
+    place = folder.parent / PLACE
     if (folder / JOURNAL).exists():
         raise InputError(f"{folder}: wanted a new folder, got one with a run in it; go on with that, or begin another")
     place.mkdir(parents=True, exist_ok=True)
@@ -347,11 +363,11 @@ def begin_run(folder: Path, protocol: str, order: RunOrder) -> RigRun:
 
 def find_run(root: Path) -> RigRun | None:
     """Return the run in a folder of jobs that goes on; without one the newest that did not come to its end."""
-    orders = sorted(root.glob(f"*/*/{PLACE}/{ORDER}"), key=lambda path: path.stat().st_mtime, reverse=True)
+    orders = sorted(root.glob(f"*/{PLACE}/{ORDER}"), key=lambda path: path.stat().st_mtime, reverse=True)
     found = []
     for path in orders:
         with contextlib.suppress(OSError, ValueError, TypeError, KeyError):
-            run = RigRun(path.parents[1])
+            run = RigRun(path.parents[1] / SESSION)
             if run.is_going():
                 run.refresh()
                 return run
@@ -371,7 +387,7 @@ class EmulatedTable:
     def __init__(self, folder: Path, words: Sequence[str] = ()) -> None:
         self._place, self.addresses = folder / "emulator.json", dict[str, str]()
         self._process: subprocess.Popen[bytes] | None = None
-        self._words = tuple(words)
+        self.words = tuple(words)
 
     def start(self) -> dict[str, str]:
         """Start it, or find the one that an earlier bench left; return its addresses."""
@@ -381,7 +397,7 @@ class EmulatedTable:
             with self._place.open("wb") as out:
                 take_lock(out.fileno())  # its process inherits the lock with its stdout
                 self._process = subprocess.Popen(
-                    [sys.executable, "-m", "undrift", "rig", "emulate", "--json", *self._words],
+                    [sys.executable, "-m", "undrift", "rig", "emulate", "--json", *self.words],
                     stdin=subprocess.DEVNULL,
                     stdout=out,
                     stderr=subprocess.DEVNULL,

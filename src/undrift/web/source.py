@@ -31,9 +31,10 @@ from undrift.units import is_physical
 
 PERIOD_S = 1.0 / 15.0  # between two looks at the recorder, host s
 KEEP_S = 120.0  # device s
+GATHER_S = 0.04  # host s for which readings are left to gather
 SILENCE_S, RETRY_S = 2.0, 1.0
 STALE_S = 1.0  # host time without readings after which the newest ones are no longer "now"
-RATE_OVER_S = 3.0  # host s over which the sample rate is counted
+RATE_OVER_S = 5.0  # host s over which the sample rate is counted
 WRITE_EVERY_S = 10.0  # device s in a piece of the file
 STOP_S = 20.0
 
@@ -64,6 +65,7 @@ class Status:
     rested_s: float  # Device time since the last rest, from which the pitch is counted; NaN where it is unknown
     correction: str  # Why nothing is corrected, or what the calibration does not cover; "" where all is well
     file: Path | None  # What is being written
+    file_error: str  # Why the last file ended early; "" where it did not
     file_s: float  # How much of it there is, device s
 
 
@@ -91,7 +93,7 @@ class Source:
         self._correction = ""
         self._writer: ParquetWriter | None = None
         self._unwritten: list[Record] = []
-        self._file_start = math.nan
+        self._file_start, self._file_error = math.nan, ""
 
     @property
     def recorder(self) -> Recorder:
@@ -166,6 +168,7 @@ class Source:
                 rested_s=math.nan if rested is None else self._last - rested,
                 correction=self._correction,
                 file=None if self._writer is None else self._writer.path,
+                file_error=self._file_error,
                 file_s=0.0 if self._writer is None else max(self._last - self._file_start, 0.0),
             )
 
@@ -195,7 +198,8 @@ class Source:
         with self._file_lock:
             if self._writer is not None:
                 raise InputError(f"record: wanted to start, got {self._writer.path.name} still open; stop it first")
-            self._writer, self._unwritten, self._file_start = ParquetWriter(path), [], max(self._last, 0.0)
+            self._writer, self._unwritten, self._file_error = ParquetWriter(path), [], ""
+            self._file_start = max(self._last, 0.0)
 
     def stop_writing(self) -> Path | None:
         """Finish the file; None where there was nothing to write."""
@@ -210,7 +214,8 @@ class Source:
             return writer.path if writer.path.exists() else None
 
     def _fresh(self) -> Recorder:
-        return Recorder(source_at(self.address), RecorderSettings(silence_s=SILENCE_S, keep_s=KEEP_S))
+        settings = RecorderSettings(silence_s=SILENCE_S, keep_s=KEEP_S, gather_s=GATHER_S)
+        return Recorder(source_at(self.address), settings)
 
     def _tally(self) -> FloatArray:
         timeline = self._recorder.timeline
@@ -291,7 +296,7 @@ class Source:
             try:
                 self._writer.write(joined(held))
             except UndriftError as error:  # a full disk: what was written is finished
-                self.error = str(error)
+                self._file_error = str(error)
                 with suppress(UndriftError):
                     self.stop_writing()
 

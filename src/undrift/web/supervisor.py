@@ -3,7 +3,7 @@
     python -m undrift.web.supervisor FOLDER
 
 It holds a standby connection to the table (rig/standby.py) and listens on a port of its own, so that an emergency stop waits for
-neither the bench's event loop nor the run. Its requests are POSTs with the key that stands in FOLDER/bench/standby.json::
+neither the bench's event loop nor the run. Its requests are POSTs with the key that stands in FOLDER/../run/standby.json::
 
     /stop?key=K                     stop at once, end the run
     /pause?key=K                    end the dwell that is going; table at rest, motor off; the command ends with 130
@@ -37,7 +37,7 @@ class Supervisor:
     """One run, from its start to its end."""
 
     def __init__(self, folder: Path) -> None:
-        self._place = folder / PLACE
+        self._place = folder.parent / PLACE
         self._lock = os.open(self._place / LOCK, os.O_RDWR | os.O_CREAT, 0o644)
         take_lock(self._lock, 0.5)  # the child inherits it: free when both are gone
         order = read_order(folder)

@@ -19,24 +19,39 @@ from undrift.web.uploads import safe_name
 
 LOOK_S = 0.5
 NONE = "none: raw readings"
+WAYS = ("forward", "up")
 
 
 def page(bench: Bench) -> None:
     """Build the page."""
     with frame(bench, "Live"):
         words = text("p", "", "live-status")
-        error_line(lambda: _wrong(bench))
-        redrawn(lambda: _state(bench), lambda refresh: _step(bench, refresh))
+        doing: list[str] = []  # what went wrong with the last click
+        error_line(lambda: " ".join((*_wrong(bench), *doing)))
+        record = next_step("Start recording", lambda: start_or_stop(bench, doing))
+        hint = text("p", "Connect a device below. The practice device is a simulated sensor.")
+        redrawn(lambda: bench.recordings.chosen and bench.recordings.chosen.path, lambda _: _recorded(bench))
         Panel()
-        redrawn(lambda: (bench.source, bench.calibration, _files(bench)), lambda refresh: _settings(bench, refresh))
+        shown: list[Field] = []  # the choice of a calibration; another browser may change it
+        redrawn(lambda: _files(bench), lambda _: _settings(bench, shown))
         connect_form(bench)
 
+    def refresh() -> None:
+        status = None if bench.source is None else bench.source.status()
+        set_text(words, "" if status is None else status_line(status))
+        set_text(record, "Start recording" if status is None or status.file is None else "Stop recording")
+        record.set_visibility(status is not None)
+        hint.set_visibility(status is None)
+        if shown and shown[-1].value != (now := _name(bench.calibration)):
+            shown[-1].set(now)
+
     async def look() -> None:
+        refresh()
         source = bench.source
-        set_text(words, "" if source is None else status_line(source.status()))
         if source is not None and source.calibration_file != bench.calibration:
             await asyncio.to_thread(source.use, bench.calibration)
 
+    refresh()
     ui.timer(LOOK_S, look)
 
 
@@ -57,40 +72,33 @@ def status_line(status: Status) -> str:
     return "; ".join(parts) + "."
 
 
-def _wrong(bench: Bench) -> str:
-    """Return what is wrong in plain words: the connection, or the correction."""
+def _wrong(bench: Bench) -> list[str]:
+    """Return what is wrong in plain words: with the connection, the correction, the file."""
     if bench.source is None:
-        return ""
+        return []
     status = bench.source.status()
-    return f"{status.error}. The bench tries again by itself." if status.error else status.correction
+    lost = f"{status.error}. The bench tries again by itself." if status.error else ""
+    return [words for words in (lost, status.correction, status.file_error) if words]
 
 
-def _state(bench: Bench) -> object:
+async def start_or_stop(bench: Bench, wrong: list[str]) -> None:
+    """Begin a recording, or finish the one that is going on and add it to the page Recordings."""
     source = bench.source
-    return source, source and source.status().file, bench.recordings.chosen, bool(bench.connecting)
-
-
-def _step(bench: Bench, refresh: Any) -> None:
-    """Add the one next step: connect, record, or stop."""
-    source, chosen = bench.source, bench.recordings.chosen
-
-    async def start() -> None:
-        if source is not None:
-            await asyncio.to_thread(start_recording, bench, source)
-        refresh()
-
-    async def stop() -> None:
-        path = None if source is None else await asyncio.to_thread(source.stop_writing)
-        if path is not None:
-            await bench.recordings.add(path)
-        refresh()
-
+    wrong.clear()
     if source is None:
-        text("p", "Connect a device below. The practice device is a simulated sensor.")
-    elif source.status().file is None:
-        next_step("Start recording", start)
-    else:
-        next_step("Stop recording", stop)
+        return
+    try:
+        if source.status().file is None:
+            await asyncio.to_thread(start_recording, bench, source)
+        elif (path := await asyncio.to_thread(source.stop_writing)) is not None:
+            await bench.recordings.add(path)
+    except (UndriftError, OSError) as error:
+        wrong.append(str(error))
+
+
+def _recorded(bench: Bench) -> None:
+    """Say where the last recording is."""
+    chosen = bench.recordings.chosen
     if chosen is not None and chosen.path.name.startswith("live-"):
         with ui.element("p"):
             text("span", f"Recorded: {chosen.path.name}. ")
@@ -116,34 +124,32 @@ def _files(bench: Bench) -> tuple[Path, ...]:
     return tuple(dict.fromkeys((*made, *sent, *other)))
 
 
-def _settings(bench: Bench, refresh: Any) -> None:
+def _name(path: Path | None) -> str:
+    return NONE if path is None else f"{path.parent.name}/{path.name}"
+
+
+def _settings(bench: Bench, shown: list[Field]) -> None:
     """Add the choice of a calibration, and the axes of the pitch."""
-    names = {f"{path.parent.name}/{path.name}": path for path in _files(bench)}
-    now = next((name for name, path in names.items() if path == bench.calibration), NONE)
+    paths = {_name(path): path for path in _files(bench)}
     text("h2", "Correction and pitch")
     with ui.element("div").classes("row"):
-        chosen = Field("Calibration", now, options=(NONE, *names))
+        chosen = Field("Calibration", _name(bench.calibration), options=(NONE, *paths))
+        shown[:] = [chosen]
 
         def choose(event: Any) -> None:
-            bench.calibration = names.get(str(event.args))
-            refresh()
+            bench.calibration = paths.get(str(event.args))
 
         chosen.element.on("change", choose, js_handler="(event) => emit(event.target.value)")
-        source = bench.source
-        if source is None:
-            return
-        axes = [
-            Field(f"Axis that points {way}", axis, options=FACES)
-            for way, axis in zip(("forward", "up"), source.axes, strict=True)
-        ]
-        wrong = text("p", "", "bench-error").props('role="alert"')
+        given = ("+x", "+z") if bench.source is None else bench.source.axes
+        axes = [Field(f"Axis that points {way}", axis, options=FACES) for way, axis in zip(WAYS, given, strict=True)]
+        button("Set axes", lambda: turn())  # noqa: PLW0108 (defined below, with the line that it writes to)
+    wrong = text("p", "", "bench-error").props('role="alert"')
 
-        def turn() -> None:
-            forward, up = (next(face for face in FACES if face == axis.value) for axis in axes)
-            try:
-                source.set_axes(forward, up)
-                set_text(wrong, "")
-            except UndriftError as error:
-                set_text(wrong, str(error))
-
-        button("Set axes", turn)
+    def turn() -> None:
+        forward, up = (next(face for face in FACES if face == axis.value) for axis in axes)
+        set_text(wrong, "" if bench.source is not None else "Wanted a device, got none; connect it first")
+        try:
+            if bench.source is not None:
+                bench.source.set_axes(forward, up)
+        except UndriftError as error:
+            set_text(wrong, str(error))

@@ -2,6 +2,7 @@
 const DRAW_MS = 66;
 const KEPT_S = 61;
 const STALE_MS = 1500;
+const GAP_S = 0.5; // a longer step is no line
 const DASHES = { x: [], y: [10, 4], z: [2, 3] };
 const LEAST_SPAN = { "deg/s": 1, "m/s²": 0.5, deg: 2, "°C": 0.5, count: 10 };
 
@@ -40,7 +41,8 @@ function look(line) {
 
 function shown(value, unit) {
   if (value === null || value === undefined) return "unknown";
-  return value.toFixed(unit === "count" ? 0 : unit === "v" ? 4 : Math.abs(value) < 100 ? 2 : 1);
+  const text = value.toFixed(unit === "count" ? 0 : unit === "v" ? 4 : Math.abs(value) < 100 ? 2 : 1);
+  return text.replace(/^-(0(\.0*)?)$/, "$1"); // no minus before nothing
 }
 
 // Least and greatest of an axis, on steps wide enough that noise does not make it tremble.
@@ -144,11 +146,12 @@ export default {
       if (view.getUint32(0) !== 0x55444631 || view.getUint16(6, true) !== this.columns.length) return;
       const envelope = view.getUint8(4) === 1, number = view.getUint32(8, true), rows = view.getUint32(12, true);
       const start = view.getFloat64(16, true), held = new Float32Array(buffer, 24);
-      const missed = this.frame >= 0 && number !== this.frame + 1;
+      const last = this.time[this.time.length - 1];
+      const missed = (this.frame >= 0 && number !== this.frame + 1) || start - last > GAP_S;
       this.frame = number;
       this.heard = performance.now();
       if (missed && this.time.length) { // what did not arrive is a gap, not a line
-        this.time.push(this.time[this.time.length - 1] + 1e-6);
+        this.time.push(last + 1e-6);
         for (const column of this.columns) column.push(null);
       }
       const half = envelope && rows > 1 ? (held[1] - held[0]) / 2 : 0;
