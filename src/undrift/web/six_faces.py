@@ -9,7 +9,7 @@ from typing import get_args
 
 from undrift.errors import InputError
 from undrift.record import FACES, Face, Record
-from undrift.web.capture import UNKNOWN, Capture, Light, Rest
+from undrift.web.capture import UNKNOWN, Capture, Light, Rest, State
 
 ORDER: tuple[Face, ...] = ("+z", "+x", "-z", "-x", "+y", "-y")  # each a quarter turn from the one before
 
@@ -63,7 +63,7 @@ class SixFaces:
         if face in self.capture.faces and face != self.again:
             if wanted is None:
                 return Light(state="captured", face=face, text="All six faces are captured.")
-            state = "wrong face" if self.again else "captured"
+            state: State = "wrong face" if self.again else "captured"
             return Light(state=state, face=face, text=f"{face} is captured. {_turn(wanted)}")
         fresh = self._asked[1] if self.again and self._asked[0] == self.capture.stretch else rest.start_s
         rested_s = rest.stop_s - max(rest.start_s, fresh)
