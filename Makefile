@@ -20,7 +20,7 @@ test: $(INSTALLED)
 	  echo "create_main_cluster = false" >> /etc/postgresql-common/createcluster.conf && apt-get update -qq && \
 	  DEBIAN_FRONTEND=noninteractive apt-get install -qq -y --no-install-recommends -o Dpkg::Options::=--force-confold postgresql; } || \
 	  echo "no PostgreSQL: the registry is tested on SQLite alone"
-	$(BIN)/python -m pytest tests --ignore=tests/house --ignore=tests/web_browser -n 2 --dist loadscope --no-loadscope-reorder --durations=12
+	$(BIN)/python -m pytest tests -p no:playwright --ignore=tests/house --ignore=tests/web_browser -n 2 --dist loadscope --no-loadscope-reorder --durations=12
 	NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest tests/kernels tests/correction/test_correct.py tests/correction/test_stream.py tests/test_orientation.py tests/test_tilt.py tests/test_angles.py
 
 # The guided bench in a browser: pages, wizards, the rate-table run, the emergency stop. Screenshots: build/screens.

@@ -145,10 +145,11 @@ def _listening(address: str) -> Iterator[None]:
     """Read the feed until the end of the block."""
     from websockets.sync.client import connect
 
-    with connect(address) as browser:
+    with connect(address, max_size=None) as browser:
         thread = threading.Thread(target=lambda: [None for _ in browser])
         thread.start()
         yield
+        assert thread.is_alive(), "the feed ended early"
         browser.close()
         thread.join()
 

@@ -1,4 +1,4 @@
-"""What a guided capture keeps and writes: whatever is captured, nothing else for long, one recording for each stretch without a gap."""
+"""What a guided capture keeps and writes: what is captured, little else, one recording for each stretch without a gap."""
 
 from dataclasses import replace
 
@@ -76,7 +76,7 @@ def test_readings_in_which_nothing_is_captured_are_forgotten(guide):
     time = np.arange(500) / 10.0
     for block in range(40):  # 2000 s
         values = np.random.default_rng(block).normal(0.0, 1.0, (500, 3))
-        guide.capture.take(Record(time=time + 50.0 * block, gyro=values, accel=values + [0.0, 0.0, 9.8]), 50.0 * block)
+        guide.capture.take(Record(time=time + 50.0 * block, gyro=values, accel=values + 9.8), 50.0 * block)
         assert kept_s(guide.capture) < 2.0 * KEEP_S + 100.0
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from testkit.guided import STEP_S, HandFeed, accel_as_six_faces_see_it, capture_faces, joint_factor
-from testkit.hand_held import Tremor, hand_held_log
+from testkit.hand_held import Tremor, hand_held_log, hand_waves
 from undrift.cli.app import run
 from undrift.errors import InputError
 from undrift.io.session import read_session
@@ -91,10 +91,28 @@ def test_a_device_that_hands_hold_is_never_captured(guide, in_counts):
         record = replace(
             record, gyro=1000.0 * record.gyro, accel=500.0 * record.accel, gyro_unit="count", accel_unit="count"
         )
-    for stop in range(20, len(record), 20):
-        light = guide.update(record.part(max(0, stop - 100), stop), stop / 100.0)
-        assert light.state != "captured"
+    states = [guide.update(record.part(max(0, k - 100), k), k / 100.0).state for k in range(20, len(record), 20)]
+    assert "captured" not in states
+    assert in_counts or set(states) == {"moving"}
     assert guide.capture.faces == {}
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_device_in_counts_that_hands_hold_on_a_face_is_never_captured(guide, feed, seed):
+    rng, gain, time = np.random.default_rng(seed), feed.held.device.accel.gain, np.arange(6001) / 100.0
+    states = []
+    shake, sway = (hand_waves(rng, time, *band) for band in ((7.0, 11.0), (0.1, 0.5)))
+    for _ in range(250):
+        feed.go()
+        record = feed.recent()
+        at = np.rint(100.0 * record.time).astype(int)
+        # of a steady hand: 0.2 m/s2 and 1 deg rms of three axes, and the rates of that
+        accel = record.accel + gain * (0.2 * shake[0][at] + np.radians(1.0) * 9.8 * sway[0][at])
+        gyro = record.gyro + feed.held.device.gyro.gain * (0.02 * shake[0][at] + np.radians(1.0) * sway[1][at])
+        guide.update(replace(record, accel=accel, gyro=gyro), feed.clock.now())
+        states.append(guide.light.state)
+    assert guide.capture.faces == {}
+    assert states.count("moving") > 0.6 * len(states)
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -127,6 +145,18 @@ def test_redo_replaces_one_face_and_keeps_it_until_then(guide, feed):
     assert guide.wanted is None
     stills = guide.capture.session().stills
     assert sorted(still.face for still in stills) == sorted(FACES)
+
+
+def test_redo_of_the_face_that_is_up_counts_down_anew(guide, feed):
+    feed.watch(guide, 12.0)
+    first = guide.capture.faces["+z"]
+    guide.redo("+z")
+    lights = feed.watch(guide, 7.0)
+    assert guide.capture.faces["+z"] == first
+    assert [light.state for light in lights][:3] == ["settling"] * 3
+    feed.watch(guide, 1.0)
+    assert guide.capture.faces["+z"].start_s > first.stop_s
+    assert guide.again is None
 
 
 def test_redo_is_taken_back(guide, feed):

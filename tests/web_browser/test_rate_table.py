@@ -170,7 +170,7 @@ def test_temperatures_of_the_emulated_chamber_fill_a_table_and_end_in_a_fit(open
     expect(page.locator(".forecast")).to_contain_text("Forecast: 2 dwells")
     shoot(page, "temperature-form")
     page.get_by_role("button", name="Start").click()
-    expect(page.locator(".soak")).to_contain_text("Soaking at 30 degC:")
+    expect(page.locator(".soak")).to_contain_text("Soaking at 30 degC:", timeout=RUN_MS)
     expect(page.locator("svg[role=img]")).to_be_visible()
     rows = page.locator("tbody tr")
     expect(rows).to_have_text(["25 degC1 of 1done", "30 degC0 of 1left"])

@@ -1,11 +1,11 @@
 """Capture: the readings of a guided session, whether the device rests now and which face is up, and the session's folder.
 
 A device rests when `find_still` finds its newest readings still twice: by the threshold that the readings show, and within four
-noise floors of the quietest window. Which face is up is the axis of the accelerometers that reads most of the length of the
-mean reading. Readings in counts have a zero that nobody states. It is that of the sphere through five captured faces; before
-that it is 0 where rests are alike in length and in one of them one axis reads nearly all, as digital parts read; else that of
-the sphere through what the accelerometers read while the device was turned over all its sides. Lengths are relative throughout:
-no scale is needed.
+noise floors of the quietest window; in counts, what a bench allows is taken in parts of gravity. Which face is up is the axis
+of the accelerometers that reads most of the length of the mean reading. Readings in counts have a zero that nobody states. It
+is that of the sphere through five captured faces; before that it is 0 where rests are alike in length and in one of them one
+axis reads nearly all, as digital parts read; else that of the sphere through what the accelerometers read while the device was
+turned over all its sides. Lengths are relative throughout: no scale is needed.
 """
 
 import math
@@ -21,7 +21,7 @@ from undrift.arrays import FloatArray
 from undrift.errors import InputError
 from undrift.io.session import write_session
 from undrift.record import FACES, Face, Record, Session, Still, Turn
-from undrift.segments import StillSettings, find_still, sphere_of
+from undrift.segments import BENCH_ACCEL_LIMIT, StillSettings, find_still, sample_count, sliding_moments, sphere_of
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical
 from undrift.web.source import joined
 
@@ -129,7 +129,7 @@ class Capture:
         self._stretches: list[_Stretch] = []
         self._key: object = None
         self._heard_s = -math.inf  # host time of the newest reading
-        self._newest_s = -math.inf  # its time on the device's clock
+        self.newest_s = -math.inf  # its time on the device's clock
         self._cloud: deque[FloatArray] = deque(maxlen=CLOUD_POINTS)
         self._rests: deque[FloatArray] = deque(maxlen=64)
         self._noise = 0.0  # of a reading of the accelerometers at rest, raw
@@ -149,17 +149,17 @@ class Capture:
             raise InputError(
                 f"capture: wanted readings in {known.accel_unit}, got {record.accel_unit}; begin a new session"
             )
-        if key is not self._key or record.time[-1] < self._newest_s:  # another connection, whose clock is its own
-            self._key, self._newest_s = key, -math.inf
+        if key is not self._key or record.time[-1] < self.newest_s:  # another connection, whose clock is its own
+            self._key, self.newest_s = key, -math.inf
         longest_s = max(GAP_S, GAP_PERIODS * float(np.median(np.diff(record.time))))
-        first = int(np.searchsorted(record.time, self._newest_s, side="right"))
+        first = int(np.searchsorted(record.time, self.newest_s, side="right"))
         ends = [*(first + 1 + np.flatnonzero(np.diff(record.time[first:]) > longest_s)).tolist(), len(record)]
         for stop in ends:
             if stop - first >= 2:  # one alone waits for the next
-                if record.time[first] - self._newest_s > longest_s:
+                if record.time[first] - self.newest_s > longest_s:
                     self._stretches.append(_Stretch(self._stretches[-1].number + 1 if self._stretches else 0))
                 self._keep(record.part(first, stop), max(1, round(CLOUD_S * record.sample_rate_hz)))
-                self._heard_s, self._newest_s = now_s, float(record.time[stop - 1])
+                self._heard_s, self.newest_s = now_s, float(record.time[stop - 1])
             first = stop
         if self._stretches:
             self._forget()
@@ -196,7 +196,7 @@ class Capture:
 
     def tail(self, seconds: float) -> Record | None:
         """Return the newest readings without a gap."""
-        return self._stretches[-1].record(self._newest_s - seconds) if self._stretches else None
+        return self._stretches[-1].record(self.newest_s - seconds) if self._stretches else None
 
     # ---- Rest and face
 
@@ -220,11 +220,26 @@ class Capture:
         except InputError:  # shorter than a window
             return None
         within = np.asarray(record.accel)[start:stop]
-        mean, self._noise = within.mean(axis=0), float(np.linalg.norm(within.std(axis=0)))
+        mean = within.mean(axis=0)
+        if self._swaying(within, mean, record.sample_rate_hz):
+            return None
+        self._noise = float(np.linalg.norm(within.std(axis=0)))
         made = Rest(start_s=float(record.time[start]), stop_s=float(record.time[-1]), mean=mean)
         if made.duration_s >= s.settle_s and not any(_alike(mean, known) for known in self._rests):
             self._rests.append(mean)
         return made
+
+    def _swaying(self, accel: FloatArray, mean: FloatArray, sample_rate_hz: float) -> bool:
+        """Whether readings in counts vary by more than a bench allows, in parts of gravity; `find_still` judges physical ones."""
+        zero = None if is_physical(self._stretches[-1].parts[-1].accel_unit) else self._zero(mean)[0]
+        if zero is None:
+            return False
+        usual, length = StillSettings(), float(np.linalg.norm(mean - zero))
+        smooth = max(1, round(usual.smooth_s * sample_rate_hz))
+        _, spread = sliding_moments(
+            accel, min(sample_count(usual.window_s, sample_rate_hz), len(accel) - smooth + 1), smooth
+        )
+        return bool(spread.max() > BENCH_ACCEL_LIMIT / STANDARD_GRAVITY * length)
 
     def face_of(self, rest: Rest) -> tuple[Face | None, float]:
         """Return the face that is up in a rest, None where nothing shows it, and how far it is tilted beyond the limit, deg."""

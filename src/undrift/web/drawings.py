@@ -95,12 +95,13 @@ def lamp(light: Light) -> str:
 
 
 def ring(left_s: float | None, whole_s: float) -> str:
-    """Return the countdown as a ring that closes, with the seconds left; empty where nothing counts down."""
-    share = 0.0 if left_s is None else min(max(1.0 - left_s / whole_s, 0.0), 1.0)
+    """Return the countdown as a ring that closes, with the seconds left; nothing in its place where nothing counts down."""
+    if left_s is None:
+        return '<svg class="ring" viewBox="0 0 100 100" aria-hidden="true"></svg>'
+    share = min(max(1.0 - left_s / whole_s, 0.0), 1.0)
     around = 2.0 * math.pi * 40.0
-    words = "" if left_s is None else str(math.ceil(left_s))
     circle = '<circle cx="50" cy="50" r="40"'
     return (
         f'<svg class="ring" viewBox="0 0 100 100" aria-hidden="true">{circle}/>{circle} class="gone" '
-        f'stroke-dasharray="{around * share:.1f} {around:.1f}"/><text x="50" y="63">{words}</text></svg>'
+        f'stroke-dasharray="{around * share:.1f} {around:.1f}"/><text x="50" y="63">{math.ceil(left_s)}</text></svg>'
     )

@@ -284,6 +284,9 @@ class RigRun:
         """Stop the table at once: through the supervisor, or past it where it does not answer."""
         if self._ask("/stop"):
             return
+        self.refresh()
+        if self._ask("/stop"):  # of the part that another bench has started
+            return
         going, standby = self.is_going(), Standby(self.order.rig)
         try:
             confirmed = stop_now(standby, lambda: not self.is_going(), self.view.pid if going else None)

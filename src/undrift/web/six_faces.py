@@ -9,7 +9,7 @@ from typing import get_args
 
 from undrift.errors import InputError
 from undrift.record import FACES, Face, Record
-from undrift.web.capture import UNKNOWN, Capture, Light, Rest
+from undrift.web.capture import UNKNOWN, Capture, Light, Rest, State
 
 ORDER: tuple[Face, ...] = ("+z", "+x", "-z", "-x", "+y", "-y")  # each a quarter turn from the one before
 
@@ -20,6 +20,7 @@ class SixFaces:
     def __init__(self, capture: Capture) -> None:
         self.capture = capture
         self.again: Face | None = None  # that is to be captured once more
+        self._asked = (-1, 0.0)  # stretch and time at which a face was asked for again: its countdown begins there
         self.light = Light(state="no readings", text="No readings. Connect a device.")
 
     @property
@@ -36,7 +37,7 @@ class SixFaces:
         """Ask for a face once more; None takes that back. What was captured stays until it is there."""
         if face is not None and face not in get_args(Face):
             raise InputError(f"redo: wanted one of {', '.join(FACES)}, got '{face}'; name a face")
-        self.again = face
+        self.again, self._asked = face, (self.capture.stretch, self.capture.newest_s)
 
     def update(self, record: Record | None, now_s: float, key: object = None) -> Light:
         """Take the newest readings and return the light."""
@@ -62,11 +63,13 @@ class SixFaces:
         if face in self.capture.faces and face != self.again:
             if wanted is None:
                 return Light(state="captured", face=face, text="All six faces are captured.")
-            state = "wrong face" if self.again else "captured"
+            state: State = "wrong face" if self.again else "captured"
             return Light(state=state, face=face, text=f"{face} is captured. {_turn(wanted)}")
-        if rest.duration_s < settings.settle_s:
+        fresh = self._asked[1] if self.again and self._asked[0] == self.capture.stretch else rest.start_s
+        rested_s = rest.stop_s - max(rest.start_s, fresh)
+        if rested_s < settings.settle_s:
             return Light(state="settling", face=face, text=f"Settling, {face} up. Do not touch it.")
-        left_s = settings.settle_s + settings.countdown_s - rest.duration_s
+        left_s = settings.settle_s + settings.countdown_s - rested_s
         if left_s > 0.0:
             return Light(state="still", face=face, text=f"Still, {face} up. Do not touch it.", left_s=left_s)
         self.capture.add_face(face, rest)

@@ -16,7 +16,7 @@ from undrift.errors import InputError
 from undrift.record import Axis, Face, Record, Still
 from undrift.segments import StillSettings, find_still, find_turns
 from undrift.units import RADIAN_PER_DEGREE, is_physical, si_factor
-from undrift.web.capture import UNKNOWN, Capture, CapturedTurn, Light, Piece, Rest, way_of
+from undrift.web.capture import UNKNOWN, Capture, CapturedTurn, Light, Piece, Rest, State, way_of
 
 WAYS = ("+x", "-x", "+y", "-y", "+z", "-z")  # + is counter-clockwise, seen with the axis up
 FULL_TURN = 2.0 * math.pi
@@ -101,12 +101,14 @@ class Turns:
         if before is not None and self._moved:
             self.said = self._take_turn(before, rest)
         self._before, self._moved = _Before(self.capture.stretch, rest, face), False
-        state = "captured" if self.wanted is None else "tilted" if tilt_deg else "still"
+        state: State = "captured" if self.wanted is None else "tilted" if tilt_deg else "still"
         return Light(state=state, face=face, text=f"{self.said} {self._asked(face)}".strip())
 
     def _asked(self, face: Face | None = None) -> str:
         way = self.wanted
-        return "All turns are captured." if way is None else asked(way, face)
+        if way is None:
+            return "All turns are captured."
+        return f"Turn it once {_seen(way)}." if face == f"+{way[1]}" else f"Lay it with +{way[1]} up."
 
     def _take_turn(self, before: _Before, after: Rest) -> str:
         """Capture the turn between two rests, and say what became of it."""
@@ -178,12 +180,15 @@ def _nearest(record: Record, first: Still, last: Still) -> tuple[Still, Still]:
     return replace(first, stop=stop), replace(last, start=start)
 
 
-def asked(way: str, face: Face | None = None) -> str:
-    """Return how to make a turn, in words, from a face that is up."""
-    seen, lay = "counter-clockwise" if way[0] == "+" else "clockwise", f"Lay it with +{way[1]} up. "
-    return f"{'' if face == f'+{way[1]}' else lay}Turn it once {seen}, back to the mark."
+def asked(way: str) -> str:
+    """Return how to make a turn, in words."""
+    return f"Lay it with +{way[1]} up. Turn it once {_seen(way)}, back to the mark."
+
+
+def _seen(way: str) -> str:
+    return "counter-clockwise" if way[0] == "+" else "clockwise"
 
 
 def named(way: str) -> str:
     """Return what to call a turn."""
-    return f"about {way[1]}, {'counter-clockwise' if way[0] == '+' else 'clockwise'}"
+    return f"about {way[1]}, {_seen(way)}"

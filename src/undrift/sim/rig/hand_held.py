@@ -198,7 +198,7 @@ class HandHeldDevice(EmulatedDevice):
         del self._moves[: past[-1] if past else 0]
 
     def _warming(self, time: FloatArray) -> FloatArray:
-        return self.hands.temp_c + self.hands.warming_k * (1.0 - np.exp(-time / self.hands.warming_s))
+        return np.asarray(self.hands.temp_c + self.hands.warming_k * (1.0 - np.exp(-time / self.hands.warming_s)))
 
     def _orientation(self, time: FloatArray) -> FloatArray:
         q = np.empty((len(time), 4))

@@ -72,8 +72,9 @@ def progress_part(
     with ui.element("ol").classes("steps"):
         for key, name in names:
             with ui.element("li"):
-                text("span", name, "step-name")
-                state = text("span", "", "step-state")
+                with ui.element("div").classes("step"):
+                    text("span", name, "step-name")
+                    state = text("span", "", "step-state")
 
                 def pressed(key: str = key) -> None:
                     redo(None if again() == key else key)
@@ -95,7 +96,7 @@ def progress_part(
 
 def readings_part(bench: Bench) -> None:
     """Add the newest readings as numbers, means of 0.2 s in the device's own units."""
-    with ui.element("div").classes("scroll"), ui.element("table"):
+    with ui.element("div").classes("scroll readings"), ui.element("table"):
         text("caption", "Readings now")
         with ui.element("tbody"):
             rows = []

@@ -288,7 +288,7 @@ def heading_of(view: View) -> str:
 
 def progress_words(view: View) -> str:
     """Say where a run is."""
-    if not view.steps:
+    if not view.steps or view.phase == "starting":
         return "Connecting table, device and chamber ..." if view.state in ("starting", "running") else ""
     words = f"{len(view.done)} of {view.dwells} dwells"
     if view.state in ("running", "pausing", "stopping"):

@@ -9,6 +9,8 @@ from nicegui import ui
 from undrift.web.bench import Bench, Job
 from undrift.web.frame import Field, button, frame, next_step, redrawn, text, text_link
 
+LEVELS = ("fail", "warn", "info")
+
 
 def page(bench: Bench) -> None:
     """Build the page."""
@@ -37,7 +39,7 @@ def _state(bench: Bench) -> tuple[object, ...]:
 def _result(bench: Bench, job: Job, refresh: Any) -> None:
     verdict = job.answer.get("verdict") or {}
     status = verdict.get("status", "")
-    findings = verdict.get("findings") or []
+    findings = sorted(verdict.get("findings") or [], key=lambda one: LEVELS.index(one.get("level", "info")))
     with ui.element("section").classes(f"verdict {status}").props('aria-label="Verdict"'):
         text("h2", f"Verdict: {status or 'unknown'}")
         text("p", f"Device {job.answer.get('device') or job.serial or 'without a serial number'}")
