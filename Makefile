@@ -16,7 +16,11 @@ test: $(INSTALLED)
 	  { echo "the tests compile exported C and want gcc: install it"; exit 2; }
 	@command -v chromium >/dev/null || { apt-get update -qq && apt-get install -qq -y --no-install-recommends chromium; } || \
 	  echo "no chromium: the pages are not looked at in a browser"
-	$(BIN)/python -m pytest tests --ignore=tests/house --ignore=tests/web_browser -n 2 --dist loadscope --no-loadscope-reorder --durations=12
+	@ls /usr/lib/postgresql/*/bin/initdb >/dev/null 2>&1 || command -v initdb >/dev/null || { mkdir -p /etc/postgresql-common && \
+	  echo "create_main_cluster = false" >> /etc/postgresql-common/createcluster.conf && apt-get update -qq && \
+	  DEBIAN_FRONTEND=noninteractive apt-get install -qq -y --no-install-recommends -o Dpkg::Options::=--force-confold postgresql; } || \
+	  echo "no PostgreSQL: the registry is tested on SQLite alone"
+	$(BIN)/python -m pytest tests -p no:playwright --ignore=tests/house --ignore=tests/web_browser -n 2 --dist loadscope --no-loadscope-reorder --durations=12
 	NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest tests/kernels tests/correction/test_correct.py tests/correction/test_stream.py tests/test_orientation.py tests/test_tilt.py tests/test_angles.py
 
 # The guided bench in a browser: pages, wizards, the rate-table run, the emergency stop. Screenshots: build/screens.

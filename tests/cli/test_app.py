@@ -59,7 +59,7 @@ def test_a_defect_is_one_line_too_and_shows_its_place_on_request(undrift, monkey
         (["calibrate"], "FILES requires an argument. Say undrift calibrate --help."),
         (["calibrate", "s", "--gyro", "by-eye"], 'Invalid value "by-eye" for --gyro. Choose from: "rate-table"'),
         (["calibrate", "s", "--latitude-deg", "north"], 'unable to convert "north" into float'),
-        (["correct", "a.csv", "-o", "b.csv"], "--calibration requires an argument"),
+        (["correct", "a.csv", "--calibration", "c.json"], "--output requires an argument"),
         (["orient", "a.csv"], "--output requires an argument"),
         (["validate", "a.csv", "--adc", "some"], 'Invalid value "some" for --adc'),
         (["noise", "a.csv", "--start-s"], "--start-s requires an argument"),

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from undrift.cli.app import run
-from undrift.cli.learn import _dates
+from undrift.cli.learn import dates_of
 from undrift.errors import InputError
 from undrift.io.formats import write_record
 from undrift.io.store import read_calibration, write_calibration
@@ -97,17 +97,17 @@ def test_the_date_is_stated_or_that_of_the_name_or_of_the_files_last_change(tmp_
     for path in paths:
         path.write_text("")
     os.utime(paths[2], (1.0e9, 1.0e9))
-    found, changed = _dates(paths, ())
+    found, changed = dates_of(paths, ())
     assert found[0] == datetime(2026, 3, 5, 8, 30, tzinfo=UTC)
     assert found[1] == datetime(2026, 3, 6, 7, 15, tzinfo=UTC)
     assert found[2] == datetime.fromtimestamp(1.0e9, UTC)
     assert changed == 1
-    stated, changed = _dates(paths[:1], ("2026-04-01",))
+    stated, changed = dates_of(paths[:1], ("2026-04-01",))
     assert (stated, changed) == ([datetime(2026, 4, 1, tzinfo=UTC)], 0)
     with pytest.raises(InputError, match="wanted one for each recording, got 1 for 3"):
-        _dates(paths, ("2026-04-01",))
+        dates_of(paths, ("2026-04-01",))
     with pytest.raises(InputError, match=r"wanted one as 2026-03-01 .*, got 'soon'"):
-        _dates(paths[:1], ("soon",))
+        dates_of(paths[:1], ("soon",))
     copy = tmp_path / "walk.parquet"
     copy.write_bytes(recordings(folder)[0].read_bytes())
     assert call(copy, "--calibration", folder / "c.json", "--json") == 0

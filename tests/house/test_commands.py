@@ -25,7 +25,10 @@ def test_every_command_answers_help_with_each_of_its_options_explained(
     assert err == ""
     assert out.startswith(f"Usage: undrift {name}")
     assert "--json" in out
-    assert set(re.findall(r"--no-\w+", out)) <= {"--no-rivals"}  # asked for by name; no flag has an automatic opposite
+    assert set(re.findall(r"--no-\w+", out)) <= {
+        "--no-rivals",
+        "--no-browser",
+    }  # asked for by name; no flag has an automatic opposite
     for held in (getattr(importlib.import_module(f"undrift.cli.{name}"), name), Opening):
         together = re.findall(r"^ *(\w+(?:, \w+)+) : ", held.__doc__ or "", re.M)
         assert together == [], "options that share a paragraph lose their help"

@@ -20,7 +20,7 @@ class Tremor:
     accel: float  # tremor of 7 to 11 Hz, m/s2
 
 
-def _waves(rng, t, low_hz, high_hz):
+def hand_waves(rng, t, low_hz, high_hz):
     """Sum of twelve sines for each axis with rms 1 over the three axes, and its derivative."""
     f = rng.uniform(low_hz, high_hz, (12, 3))
     phase = rng.uniform(0.0, 2.0 * np.pi, (12, 3))
@@ -52,9 +52,9 @@ def hand_held_log(rng, tremor, *, poses=10, hold_s=(3.0, 7.0), move_s=(0.8, 1.6)
         10.0 * fraction**3 - 15.0 * fraction**4 + 6.0 * fraction**5
     )
     path = Slerp(knots, Rotation.concatenate(turned))(np.minimum(smooth, knots[-1]))
-    fast, fast_rate = _waves(rng, t, 7.0, 11.0)
-    slow, _ = _waves(rng, t, 0.1, 0.5)
-    shake, _ = _waves(rng, t, 7.0, 11.0)
+    fast, fast_rate = hand_waves(rng, t, 7.0, 11.0)
+    slow, _ = hand_waves(rng, t, 0.1, 0.5)
+    shake, _ = hand_waves(rng, t, 7.0, 11.0)
     fast *= np.radians(tremor.rate_dps) / np.sqrt((fast_rate**2).sum(axis=1).mean())
     body = path * Rotation.from_rotvec(fast + np.radians(tremor.sway_deg) * slow)
     rate = (body[:-1].inv() * body[1:]).as_rotvec() * FINE_HZ

@@ -107,6 +107,9 @@ class Oven:
     def read(self):
         return self.temp_c
 
+    def slope_c_per_min(self):
+        return math.inf
+
     def soaked(self):
         self.asked += 1
         return self.asked > 1

@@ -1,65 +1,18 @@
 """The bench as a person meets it: ``undrift bench`` in a process of its own, pages in Debian's chromium."""
 
-import json
-import os
 import shutil
-import subprocess
-import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import pytest
 from playwright.sync_api import BrowserContext, Page
 
+from testkit.bench import BenchServer, bench_process
+
 CHROMIUM = shutil.which("chromium")
 SCREENS = Path(__file__).parents[2] / "build" / "screens"
 WAIT_MS = 20_000
-
-
-@dataclass(frozen=True)
-class BenchServer:
-    """A bench that serves."""
-
-    address: str  # with a slash at its end
-    folder: Path
-    process: subprocess.Popen[str]
-
-
-@contextmanager
-def bench_process(folder: Path, *words: str) -> Iterator[BenchServer]:
-    """Run ``undrift bench`` on a free loopback port until the end of the block."""
-    called = [
-        sys.executable,
-        "-m",
-        "undrift",
-        "bench",
-        "--port",
-        "0",
-        "--no-browser",
-        "--json",
-        "--folder",
-        str(folder),
-        *words,
-    ]
-    environment = os.environ | {"UNDRIFT_REGISTRY": str(folder / "registry.sqlite")}
-    with (folder.parent / f"{folder.name}.log").open("w") as log:
-        process = subprocess.Popen(called, stdout=subprocess.PIPE, stderr=log, text=True, env=environment)
-        assert process.stdout is not None
-        try:
-            line = process.stdout.readline()
-            assert line, Path(log.name).read_text()
-            yield BenchServer(json.loads(line)["address"], folder, process)
-        finally:
-            process.terminate()
-            try:
-                process.wait(15.0)
-            except subprocess.TimeoutExpired:
-                process.kill()
-                process.wait()
-            process.stdout.close()
 
 
 @pytest.fixture

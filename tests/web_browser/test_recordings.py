@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Page, expect
 
-from web_browser.conftest import BenchServer, shoot
+from testkit.bench import BenchServer
+from web_browser.conftest import shoot
 
 DATA = Path(os.environ.get("UNDRIFT_DATA", Path(__file__).parents[3] / "shared" / "data"))
 needs_data = pytest.mark.skipif(not DATA.is_dir(), reason="the folder of recordings is absent (UNDRIFT_DATA)")
@@ -34,7 +35,7 @@ def test_a_table_is_mapped_calibrated_and_corrected_without_a_command_line(
     page.goto(bench_server.address + "recordings")
     page.get_by_role("button", name="Correct").click()
     with page.expect_download() as download:
-        page.get_by_role("link", name="example_ferraris_session-corrected.parquet").click()
+        page.get_by_role("link", name="correct: example_ferraris_session-corrected.parquet").click()
     assert download.value.path().stat().st_size > 10_000
     shoot(page, "recordings-corrected")
 
@@ -44,13 +45,17 @@ def test_a_recording_with_optics_is_oriented_and_validated(open_page: Callable[.
     page = open_page("/recordings", width=390)
     page.set_default_timeout(COMMAND_MS)
     page.get_by_label("Choose files").set_input_files(DATA / "broad" / "35_disturbed_attached_magnet_4cm.hdf5")
-    page.get_by_role("button", name="Validate with its own optics").click()
-    link = page.get_by_role("link", name="validate, report")
+    page.get_by_role("button", name="Validate").click()
+    link = page.get_by_role("link", name="validate: report")
     with page.expect_popup() as popup:
         link.click()
     popup.value.wait_for_load_state()
     assert "deg" in popup.value.locator("p.answer").inner_text()
     shoot(page, "recordings-validated-390")
+    page.get_by_role("button", name="Calibrate by these optics").click()
+    page.wait_for_url("**/result")
+    expect(page.get_by_role("heading", name="Verdict:")).to_be_visible()
+    shoot(page, "result-by-optics-390")
 
 
 def test_what_is_no_recording_gets_one_line_and_is_not_kept(
@@ -60,7 +65,7 @@ def test_what_is_no_recording_gets_one_line_and_is_not_kept(
     for name, content, words in (
         ("virus.exe", b"MZ", "wanted a recording"),
         ("empty.csv", b"", "got an empty file"),
-        ("noise.parquet", bytes(range(256)) * 40, "wanted"),
+        ("noise.parquet", bytes(range(256)) * 40, "binary data of an unknown kind"),
     ):
         (tmp_path / name).write_bytes(content)
         page.get_by_label("Choose files").set_input_files(tmp_path / name)

@@ -35,6 +35,7 @@ COMMANDS = {  # one line of 80 columns each
     "twin": "Fit the device model to a real device, and predict other motions.",
     "export": "Write calibrations for firmware and other programs.",
     "certificate": "A calibration certificate with uncertainty budget, as a PDF.",
+    "registry": "Devices and their calibrations: valid, due, changed; --json.",
     "noise": "Angle random walk, bias instability, rate random walk.",
     "simulate": "Simulated sensor output for poses, tasks and thermal sessions.",
     "rig": "Run a protocol on a rate table; check, stop, emulate; --json.",
@@ -43,7 +44,7 @@ COMMANDS = {  # one line of 80 columns each
     "data": "Recordings to try: list them, fetch one by checksum; --json.",
     "demo": "The whole flow on a small simulated session, as a report page.",
 }
-GROUPS = ("session", "rig", "data")  # of commands
+GROUPS = ("session", "registry", "rig", "data")  # of commands
 EARLIER_NAMES = {  # options renamed since a release; both spellings work, help shows the standard one
     "drift": {"--range": "--range-c", "--step": "--step-c"},
     "rig": {"--hands": "--operator"},

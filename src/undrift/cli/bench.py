@@ -71,7 +71,7 @@ def bench(
         host=host,
         port=port,
         token=(token or secrets.token_urlsafe(24)) if network else None,
-        registry_url=registry,
+        registry=registry if registry is None or "://" in registry else str(Path(registry).absolute()),
         upload_mb=upload_mb,
         practice_seed=practice_seed,
     )

@@ -31,6 +31,7 @@ from undrift.cli.common import (
     waiting,
     write_json,
 )
+from undrift.cli.register import Register, say_registered
 
 if TYPE_CHECKING:
     from undrift.calibration.observe import CalibrateSettings
@@ -112,6 +113,7 @@ def calibrate(
     table: Table = Table(),
     sensitivity: Sensitivity = Sensitivity(),
     rests: Rests = Rests(),
+    registering: Register = Register(),
     figure: Path | None = None,
     details: Details = False,
     json: Json = False,
@@ -150,6 +152,8 @@ def calibrate(
         How far the device may follow its temperature.
     rests : Rests
         How stretches at rest are found where the session states none.
+    registering : Register
+        Whether the result is added to the registry of devices.
     figure : Path or None
         Picture to write of the recordings, with what was used and what was left out: .svg, .png or .pdf.
 
@@ -166,6 +170,7 @@ def calibrate(
     check_output(output, endings=(".json",), reads=(*files, opening.column_map))
     check_report(report, reads=(*files, opening.column_map))
     check_figure(figure, reads=files)
+    registering.check()
     settings = CalibrateSettings(
         still=rests.settings(),
         latitude_deg=place.latitude_deg,
@@ -179,6 +184,7 @@ def calibrate(
     with waiting("reading and fitting"):
         held = session_of(files, place, opening)
         made = fit(held, accel=accel, gyro=gyro, mode=mode, settings=settings)
+    kept = registering.add(made, source=output)
     if output is not None:
         write_calibration(made, output)
     if report is not None:
@@ -186,10 +192,11 @@ def calibrate(
         write_calibration_report(made, held, settings, report, about=about, origin=read)
     _draw(held, settings, made, f"{name_of(files[0])}: used", figure)
     if json:
-        write_json(calibration_json(made), "calibrate")
+        write_json(calibration_json(made) | ({"registered": kept} if kept else {}), "calibrate")
     else:
         _show(made)
         show_verdict(made.verdict, details=details)
+        say_registered(kept)
         _say_next(files, output, (report, figure))
     return 1 if made.verdict.status == "bad" else 0
 

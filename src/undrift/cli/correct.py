@@ -26,6 +26,7 @@ from undrift.cli.common import (
     show_verdict,
     write_json,
 )
+from undrift.cli.register import Registered
 from undrift.errors import InputError
 
 if TYPE_CHECKING:
@@ -48,7 +49,8 @@ MOST_G = 3.0  # no motion keeps the median beyond it: a wrong unit does, by 9.8 
 
 def correct(
     *records: Files,
-    calibration: Path,
+    calibration: Path | None = None,
+    registered: Registered = Registered(),
     output: Output,
     policy: Policy = "raise",
     power_on_s: float | None = None,
@@ -68,8 +70,10 @@ def correct(
     ----------
     records : Path
         One or more recordings of the calibrated device.
-    calibration : Path
+    calibration : Path or None
         calibration.json of the device.
+    registered : Registered
+        A calibration that the registry of devices knows, in place of a file.
     output : Path
         File for one recording: .parquet, .csv, .csv.gz, .mat, or sub-.._task-.._tracksys-.._motion.tsv (BIDS); folder for
         several, made where it is missing.
@@ -97,12 +101,11 @@ def correct(
         Report page to write: .html.
     """
     from undrift.correction.stream import Corrector
-    from undrift.io.store import read_calibration
 
     stretch = (still_start_s, still_stop_s)
     if offset == "none" and stretch != (None, None):
         raise InputError("--still-start-s, --still-stop-s: wanted --offset rest beside them, got none; add it")
-    model = read_calibration(calibration)
+    model, calibration = registered.read(calibration, records, opening)
     targets = _targets(records, output, (calibration, opening.column_map))
     check_report(report, reads=(*records, calibration))
     folder = targets[0].parent
@@ -346,8 +349,10 @@ def _provenance(
     """Return what a corrected recording was made from and by, for the files that state it."""
     from undrift import __version__
     from undrift.files import sha256_of
+    from undrift.io.store import content_hash
 
     inputs = [{"file": path.name, "sha256": sha256_of(path)} for path in (record, calibration) if path.is_file()]
+    inputs += [] if calibration.is_file() else [{"file": str(calibration), "sha256": content_hash(model)}]
     return {
         "inputs": inputs,
         "calibration": {"created": model.provenance.created, "verdict": model.verdict.status},

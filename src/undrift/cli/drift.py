@@ -24,6 +24,7 @@ from undrift.cli.common import (
     show_verdict,
     write_json,
 )
+from undrift.cli.register import Register, say_registered
 from undrift.errors import InputError
 
 if TYPE_CHECKING:
@@ -45,6 +46,7 @@ def drift(
     lag_s: float | None = None,
     warm_up: Flag = False,
     opening: Opening = Opening(),
+    registering: Register = Register(),
     details: Details = False,
     json: Json = False,
 ) -> int:
@@ -79,6 +81,8 @@ def drift(
         Fit the power-on transient with which each recording, or each clock that begins anew, begins.
     opening : Opening
         How to read foreign recordings.
+    registering : Register
+        Whether the result is added to the registry of devices.
 
     Returns
     -------
@@ -106,7 +110,9 @@ def drift(
     check_report(report, reads=(*read, calibration))
     check_output(figure, endings=PICTURES, reads=(*read, calibration))
     model = None if calibration is None else read_calibration(calibration)
+    registering.check(None if model is None else model.device)
     fit, seen, of_samples = _fit(sessions, opening.like(model, calibration), model, settings)
+    kept = registering.add(fit.calibration, source=output)
     if figure is not None:
         if fit.gyro_summary is None:
             raise InputError(f"{figure}: wanted gyroscopes to draw, got none; leave out --figure")
@@ -116,12 +122,13 @@ def drift(
     if output is not None:
         write_calibration(fit.calibration, output)
     if json:
-        write_json(calibration_json(fit.calibration), "drift")
+        write_json(calibration_json(fit.calibration) | ({"registered": kept} if kept else {}), "drift")
     else:
         _show(fit)
         show_verdict(fit.verdict, details=details)
         if model is not None:
             say(f"calibration given: {calibration}, with {len(verdict_before(model).reasons)} findings of its own")
+        say_registered(kept)
         _say_next(fit, output, (figure, report), (recording_of(sessions) if of_samples else None, seen))
     return 1 if fit.calibration.verdict.status == "bad" else 0
 

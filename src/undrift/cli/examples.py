@@ -35,6 +35,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     "correct": (
         "undrift correct walk.csv --calibration calibration.json -o walk.parquet",
         "undrift correct *.csv --calibration calibration.json -o corrected/",
+        "undrift correct walk.csv --serial A17 -o walk.parquet",
     ),
     "orient": (
         "undrift orient corrected.parquet -o angles.csv",
@@ -56,6 +57,39 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     "certificate": (
         "undrift certificate calibration.json -o certificate.pdf",
         "undrift certificate calibration.json -o certificate.pdf --json",
+    ),
+    "registry": (
+        "undrift registry add calibration.json certificate.pdf",
+        "undrift registry list",
+    ),
+    "registry add": (
+        "undrift registry add calibration.json certificate.pdf",
+        "undrift registry add c.json --supersedes 3 --note 'wrong gravity'",
+        "undrift registry add session/ --registry postgresql://lab@db/undrift",
+    ),
+    "registry list": (
+        "undrift registry list",
+        "undrift registry list --serial A17 --json",
+    ),
+    "registry show": (
+        "undrift registry show 3",
+        "undrift registry show 3 -o calibration.json",
+    ),
+    "registry find": (
+        "undrift registry find --serial A17 -o calibration.json",
+        "undrift registry find --serial A17 --date 2026-03-01 --temp-c 31 --json",
+    ),
+    "registry due": (
+        "undrift registry due",
+        "undrift registry due --within-days 0 --json",
+    ),
+    "registry trend": (
+        "undrift registry trend --serial A17",
+        "undrift registry trend --serial A17 --figure trend.svg --report trend.html",
+    ),
+    "registry import": (
+        "undrift registry import calibrations/",
+        "undrift registry import old/ --serial A17 --valid-months 24",
     ),
     "noise": (
         "undrift noise rest.csv --map map.toml --figure allan.svg",

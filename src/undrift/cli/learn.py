@@ -81,7 +81,7 @@ def learn(
     read = (*(path for path in recordings if path.exists()), opening.column_map)
     check_output(output, endings=(".json",), reads=read)  # may be the calibration that was read: it is written whole
     check_figure(figure, reads=(*read, calibration))
-    dates, changed = _dates(recordings, date)
+    dates, changed = dates_of(recordings, date)
     model = read_calibration(calibration)
     own, sessions = opening.like(model, calibration), []
     with progress() as shown:
@@ -112,7 +112,7 @@ def learn(
     return 1 if fit.verdict.status == "bad" else 0
 
 
-def _dates(recordings: tuple[Path, ...], given: tuple[str, ...]) -> tuple[list[datetime], int]:
+def dates_of(recordings: tuple[Path, ...], given: tuple[str, ...]) -> tuple[list[datetime], int]:
     """Return the date of each recording, and how many are those of the file's last change."""
     if given and len(given) != len(recordings):
         raise InputError(
@@ -122,7 +122,7 @@ def _dates(recordings: tuple[Path, ...], given: tuple[str, ...]) -> tuple[list[d
     for k, path in enumerate(recordings):
         held = _DATE.search(path.name)
         if given:
-            found.append(_stated(given[k]))
+            found.append(stated_date(given[k]))
         elif held is not None and (dated := _of_name(held)) is not None:
             found.append(dated)
         else:
@@ -131,7 +131,7 @@ def _dates(recordings: tuple[Path, ...], given: tuple[str, ...]) -> tuple[list[d
     return found, changed
 
 
-def _stated(text: str) -> datetime:
+def stated_date(text: str) -> datetime:
     try:
         when = datetime.fromisoformat(text)
     except ValueError:

@@ -4,7 +4,7 @@ import sys
 from contextlib import ExitStack, suppress
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from cyclopts import App, Parameter
 
@@ -21,12 +21,14 @@ from undrift.cli.common import (
     write_json,
 )
 from undrift.cli.examples import examples
+from undrift.cli.register import Register, say_registered
 from undrift.errors import InputError
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
 if TYPE_CHECKING:
     from undrift.rig.check import CheckSettings, RigCheck
     from undrift.rig.programme import Programme
+    from undrift.rig.progress import ProgressFile
     from undrift.rig.rig import Limits, RigSettings
     from undrift.rig.run import Bench, Progress, RunResult, Watch
     from undrift.sim.device.model import DeviceModel
@@ -62,6 +64,8 @@ def run(
     card_watchdog: bool = False,
     resume: bool = False,
     yes: bool = False,
+    progress: Path | None = None,
+    registering: Register = Register(),
     report: Report = None,
     json: Json = False,
 ) -> int:
@@ -101,6 +105,11 @@ def run(
         Go on in a folder in which a run was interrupted.
     yes : bool
         Start without asking.
+    progress : Path or None
+        File to append the run's progress to, a JSON object in a line, for a program that shows it; questions to the operator
+        stand there too, with a number, and are answered by "NUMBER ANSWER" on the standard input.
+    registering : Register
+        Whether the run is added to the registry of devices.
     report : Path or None
         Report page to write: .html.
     """
@@ -109,14 +118,19 @@ def run(
     from undrift.rig.judge import RunSettings
     from undrift.rig.lock import one_run
     from undrift.rig.programme import ProgrammeSettings, programme_of, read_protocol
+    from undrift.rig.progress import ProgressFile
     from undrift.rig.rig import RigSettings, check_programme, parse_address
     from undrift.rig.run import Watch, run_programme
 
     check_report(report, reads=(protocol,))
+    registering.check()
     asked = read_protocol(protocol)
     limits = _limits(highest_turn_rate_dps, highest_acceleration_dps2, travel_deg)
-    settings = RigSettings(limits=limits, ask=_asked, card_watchdog=(lambda: True) if card_watchdog else None)
-    programme = programme_of(asked, ProgrammeSettings(encoder_lines=parse_address(rig, settings)[2].encoder_lines))
+    told = None if progress is None else ProgressFile(progress)
+    ask = _asked if told is None else told.ask
+    settings = RigSettings(limits=limits, ask=ask, card_watchdog=(lambda: True) if card_watchdog else None)
+    options = parse_address(rig, settings)[2]
+    programme = programme_of(asked, ProgrammeSettings(encoder_lines=options.encoder_lines))
     by_hand, heater = rig.startswith("manual:"), "" if (chamber or "manual:").startswith("manual:") else str(chamber)
     if not resume:
         check_programme(programme, limits, by_hand=by_hand)  # before there is a folder
@@ -125,23 +139,23 @@ def run(
         folder = stack.enter_context(RunFolder(output, asked, resume=resume))
         check_programme(programme, limits, folder.done, by_hand=by_hand)
         _forecast(programme, folder.done, yes)
+        if told is not None:
+            told.plan(programme, folder.done, options.clock_speed)
         stack.enter_context(stopping_on_signals())
-        guard = None
-        if heater or not by_hand:  # before they are opened, so that they are closed before it goes
-            guard = stack.enter_context(Guard("" if by_hand else rig, heater))
+        watched = "" if by_hand else rig  # before they are opened, so that they are closed before it goes
+        guard = stack.enter_context(Guard(watched, heater)) if heater or watched else None
         watch = Watch(StopWatch(rig), guard, programme)
-        if card_watchdog and guard is not None:
-            settings = replace(settings, card_watchdog=guard.promise_holds)
+        settings = replace(settings, card_watchdog=guard.promise_holds) if card_watchdog and guard else settings
         bench, called = _bench(stack, (rig, device, chamber, operator), settings, programme)
+        registering.check(serial or called)
         watch.arm()
-        shown, judge = _Shown(watch), RunSettings(device_lag_s=device_lag_s)
+        shown, judge = _Shown(watch, told), RunSettings(device_lag_s=device_lag_s)
         stack.callback(shown.end)
         result = run_programme(
             programme, bench, folder, report=shown, serial=serial or called, gravity_m_s2=gravity_m_s2, settings=judge
         )
     _write_report(report, result, output, protocol)
-    _result(result, output, json)
-    return 0
+    return _result(result, output, json, registering.add(output))
 
 
 @rig.command(help_epilogue=examples("rig emulate"))
@@ -184,7 +198,7 @@ def emulate(
     room_c : float
         Temperature around, degC.
     mount_tilt_deg : float or None
-        Mounting error of the operator: standard deviation about each axis, deg; 0 where not given, 1 if hand-held.
+        Mounting error of the operator: standard deviation about each axis, deg; 0 where not given, 0.3 if hand-held.
     heating_c_per_min : float
         How fast the chamber changes its temperature, K/min.
     gravity_m_s2 : float
@@ -220,12 +234,14 @@ def emulate(
     if "list" in fault:
         say(*(f"{name:22}{what}" for name, what in ALL_FAULTS.items()))
         return 0
-    tilt = (float(hand_held) if mount_tilt_deg is None else mount_tilt_deg) * RADIAN_PER_DEGREE
+    tilt = (0.3 * hand_held if mount_tilt_deg is None else mount_tilt_deg) * RADIAN_PER_DEGREE
     stream = StreamSettings(sample_rate_hz=sample_rate_hz, mount_tilt_sd=tilt, gravity_m_s2=gravity_m_s2, seed=seed)
     drawn = device_at(device, np.random.default_rng(seed), draw=device in PRESETS) if device else None
     if hand_held:
         if faults or pty or port or kind != "galil":
-            raise InputError("--hand-held: wanted no table, got options of one; leave --kind, --port, --pty and --fault out")
+            raise InputError(
+                "--hand-held: wanted no table, got options of one; leave --kind, --port, --pty and --fault out"
+            )
         _emulate_hand_held(stream, drawn, (speed, room_c), save_device, json)
         return 0
     settings = EmulatedBenchSettings(
@@ -429,9 +445,9 @@ def _bench(
     if chamber is not None:
         slopes = [step.slope_c_per_min for step in programme.steps if isinstance(step, Soak)]
         soak = SoakSettings(slope_c_per_min=min(slopes, default=SoakSettings().slope_c_per_min))
-        oven = open_chamber(chamber, ChamberSettings(soak=soak, clock_speed=clock.speed), ask=_asked)
+        oven = open_chamber(chamber, ChamberSettings(soak=soak, clock_speed=clock.speed), ask=settings.ask)
         stack.callback(oven.close)
-    mounting = AskedOperator(_asked) if operator is None else BenchHands(operator)
+    mounting = AskedOperator(settings.ask or _asked) if operator is None else BenchHands(operator)
     check_free(rig)
     table = open_rig(rig, settings)
     stack.callback(table.close)
@@ -441,16 +457,15 @@ def _bench(
 
 def _forecast(programme: "Programme", done: frozenset[int], yes: bool) -> None:
     """Say on stderr how long each step and the whole takes, and ask whether to start."""
-    from undrift.rig.programme import Dwell, Mount
+    from undrift.rig.programme import forecast_of
 
-    left = [(number, step) for number, step in enumerate(programme.steps) if number not in done]
-    for number, step in left:
-        sys.stderr.write(f"{number:5d}  {_clock(step.duration_s)}  {step}\n")
-    dwells = [step for _, step in left if isinstance(step, Dwell)]
-    mounts = sum(isinstance(step, Mount) for _, step in left)
+    for number, step in enumerate(programme.steps):
+        if number not in done:
+            sys.stderr.write(f"{number:5d}  {_clock(step.duration_s)}  {step}\n")
+    left = forecast_of(programme, done)
     sys.stderr.write(
-        f"{len(dwells)} dwells, {_clock(sum(dwell.duration_s for dwell in dwells))} of rig time; with {mounts} mountings and "
-        f"the chamber about {_clock(sum(step.duration_s for _, step in left))}\n"
+        f"{left.dwells} dwells, {_clock(left.rig_s)} of rig time; with {left.mountings} mountings and the chamber about "
+        f"{_clock(left.total_s)}\n"
     )
     if done:
         sys.stderr.write(f"{len(done)} dwells are on the disk already\n")
@@ -467,12 +482,14 @@ def _forecast(programme: "Programme", done: frozenset[int], yes: bool) -> None:
 class _Shown:
     """Watches a run and shows where it is on stderr: one line that is written over on a terminal, else a line for each step."""
 
-    def __init__(self, watch: "Watch") -> None:
-        self._watch, self._live = watch, sys.stderr.isatty()
+    def __init__(self, watch: "Watch", told: "ProgressFile | None") -> None:
+        self._watch, self._told, self._live = watch, told, sys.stderr.isatty()
         self._last: int | None = None
 
     def __call__(self, progress: "Progress") -> None:
         self._watch(progress)
+        if self._told is not None:
+            self._told(progress)
         line = f"[{progress.number + 1}/{progress.steps}] {_clock(progress.left_s)} left  {progress.step}, {progress.phase}"
         if self._live:
             sys.stderr.write(f"\r\x1b[K{line}  {progress.live}"[:150])
@@ -493,7 +510,8 @@ def _write_report(path: Path | None, result: "RunResult", folder: Path, protocol
         write_rig_report(path, result, folder.name, origin=origin_of(protocol, folder / "session.toml"))
 
 
-def _result(result: "RunResult", folder: Path, json: bool) -> None:
+def _result(result: "RunResult", folder: Path, json: bool, kept: "list[dict[str, Any]]") -> int:
+    """Show what a run came to."""
     turns = [piece for piece in result.pieces if piece.purpose == "rate"]
     missing = sum(piece.missing for piece in result.pieces)
     if json:
@@ -509,13 +527,16 @@ def _result(result: "RunResult", folder: Path, json: bool) -> None:
             for piece in turns
         ]
         made = {"folder": str(folder), "rig": result.rig, "dwells": len(result.pieces), "added": result.added}
+        made |= {"registered": kept} if kept else {}
         write_json(made | {"duration_s": result.duration_s, "missing_readings": missing, "turns": rows}, "rig run")
-        return
+        return 0
     off = max((abs(piece.turn_rate - piece.nominal_turn_rate) for piece in turns), default=0.0) / RADIAN_PER_DEGREE
     say(
         f"{folder}: {len(result.pieces)} dwells, {result.added} of them now, in {_clock(result.duration_s)}; achieved rates "
         f"differ from nominal ones by up to {off:.3g} deg/s and stand in session.toml; {missing} readings missing"
     )
+    say_registered(kept)
+    return 0
 
 
 def _show_check(found: "RigCheck", rig: str, settings: "CheckSettings", json: bool) -> None:

@@ -5,6 +5,7 @@ occur. A key with a default is written only where it states something, so that a
 written whole or not at all: into a temporary neighbour first, which then takes its name.
 """
 
+import hashlib
 import json
 import math
 import re
@@ -47,6 +48,7 @@ ANSWER_KEYS = (
     "findings",
     "result",
     "error",
+    "registered",
 )  # what ``undrift calibrate --json`` says beside the calibration
 
 
@@ -310,13 +312,17 @@ def read_calibration(path: Path | str) -> Calibration:
     FileFormatError
         No such file, not JSON, another kind or version, a key that is missing, unknown, or of another shape.
     """
-    path = Path(path)
     try:
-        content = json.loads(path.read_text(encoding="utf-8"), parse_constant=_refuse_constant)
+        content = json.loads(Path(path).read_text(encoding="utf-8"), parse_constant=_refuse_constant)
     except OSError as error:
         raise FileFormatError(f"{path}: wanted a calibration file, got {error.strerror}; check the path") from error
     except (ValueError, RecursionError) as error:  # broken JSON, or text that is not UTF-8
         raise FileFormatError(f"{path}: wanted JSON, got {error}; write the file anew") from error
+    return calibration_of(content, str(path))
+
+
+def calibration_of(content: Any, path: str) -> Calibration:
+    """Return the calibration that a file, or what messages call by its name, holds as JSON."""
     kind, version = (content.get("kind"), content.get("format")) if isinstance(content, dict) else (None, None)
     if kind != KIND:
         raise FileFormatError(f"{path}: wanted kind {KIND!r}, got {kind!r}; give a file that `undrift calibrate` wrote")
@@ -356,6 +362,17 @@ def calibration_json(calibration: Calibration) -> dict[str, Any]:
         },
         **({} if calibration.file_map is None else {"file_map": json.loads(calibration.file_map.text)}),
     }
+
+
+def content_hash(calibration: Calibration) -> str:
+    """Return the sha256 of what a calibration states: that of its file's content."""
+    return hash_of(calibration_json(calibration))
+
+
+def hash_of(content: Mapping[str, Any]) -> str:
+    """Return the sha256 of a JSON object with sorted keys, without spaces, in UTF-8: the same however its file is laid out."""
+    text = json.dumps(content, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def verdict_json(verdict: Verdict) -> dict[str, Any]:

@@ -7,7 +7,6 @@
 Scale factors and cross-axis terms are elements of the correction matrix, shares of a budget in per cent of its mean diagonal.
 """
 
-import hashlib
 import json
 import math
 from collections.abc import Callable, Iterator, Mapping
@@ -25,7 +24,7 @@ from undrift.arrays import FloatArray
 from undrift.errors import InputError
 from undrift.files import write_whole
 from undrift.findings import most_consequential_first
-from undrift.io.store import calibration_json
+from undrift.io.store import content_hash
 from undrift.model import AXES, Calibration, DriftTables, TriadModel
 from undrift.report.drift import draw_dynamic
 from undrift.report.figures import AXIS_COLOURS, new_figure, svg_of
@@ -103,12 +102,6 @@ def coverage_factors(freedom: FloatArray) -> FloatArray:
     from scipy.special import stdtrit
 
     return np.where(freedom >= ENOUGH, COVERAGE, stdtrit(np.minimum(freedom, 1e6), STUDENT_TAIL))
-
-
-def content_hash(calibration: Calibration) -> str:
-    """Return the sha256 of what a calibration states: its file as JSON with sorted keys, without spaces, in UTF-8."""
-    text = json.dumps(calibration_json(calibration), sort_keys=True, separators=(",", ":"), ensure_ascii=False)
-    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def write_certificate(calibration: Calibration, path: Path) -> None:

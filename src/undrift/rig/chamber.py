@@ -148,6 +148,10 @@ class Chamber(ABC):
         self.read()
         return self._steadiness.steady_at(self._set_point)
 
+    def slope_c_per_min(self) -> float:
+        """Return how fast its air changes by the criterion, K/min; infinite before a window is full."""
+        return self._steadiness.slope_c_per_min()
+
     @abstractmethod
     def switch_off(self) -> None:
         """Switch heater and compressor off."""
@@ -298,14 +302,14 @@ class Board:
         self._slope, self._window_s = step.slope_c_per_min, chamber.criterion.window_s
         self._wanted_c, self._near_c = step.temp_c, chamber.near_c
         self._steadiness = Steadiness(SoakSettings(slope_c_per_min=self._slope, window_s=self._window_s))
-        self._temp_c: float | None = None
+        self.temp_c: float | None = None  # What its thermometer read last, degC
         self._known = False
         self._air_since: float | None = None
         self._since = clock.now()
         readings.start(certain=False)  # a board changes slowly, and looks follow each other without a pause
 
     def __str__(self) -> str:
-        return "" if self._temp_c is None else f", device {self._temp_c:.2f} degC"
+        return "" if self.temp_c is None else f", device {self.temp_c:.2f} degC"
 
     def followed(self, air_steady: bool) -> bool:
         """Return whether air and board stand still."""
@@ -314,13 +318,19 @@ class Board:
         self._air_since = (self._air_since or now) if air_steady else None
         if self._air_since is None or not self._known:
             return False
-        if self._temp_c is None:
+        if self.temp_c is None:
             if self._near_c is not None:
                 raise InputError(
                     "device: wanted a thermometer in it, as the chamber is set by hand, got none; use a chamber that can be asked"
                 )
             return now - self._air_since >= LAGS * self._lag_s
         return self._still() and not self._apart()
+
+    def slope_c_per_min(self, chamber: Chamber) -> float | None:
+        """Return the slope that the soak's criterion looks at now, the air's or, once that is steady, the board's; None before."""
+        air_is_steady = self._air_since is not None and self.temp_c is not None
+        slope = self._steadiness.slope_c_per_min() if air_is_steady else chamber.slope_c_per_min()
+        return slope if math.isfinite(slope) else None
 
     def elsewhere(self) -> bool:
         """Return whether the board stands still far from the set-point, where nothing but the board shows the air."""
@@ -330,8 +340,8 @@ class Board:
         return self._steadiness.slope_c_per_min() < self._slope
 
     def _apart(self) -> bool:
-        far = self._temp_c is not None and self._near_c is not None
-        return far and abs((self._temp_c or 0.0) - self._wanted_c) > (self._near_c or 0.0)
+        far = self.temp_c is not None and self._near_c is not None
+        return far and abs((self.temp_c or 0.0) - self._wanted_c) > (self._near_c or 0.0)
 
     def _look(self, now: float) -> None:
         if now - self._since < (self._window_s / LOOKS if self._known else FIRST_LOOK_S):
@@ -341,7 +351,7 @@ class Board:
         middle, self._since, self._known = 0.5 * (self._since + now), now, True
         temp_c = mean_temp(record)
         if temp_c is not None:
-            self._temp_c = temp_c
+            self.temp_c = temp_c
             self._steadiness.add(middle, temp_c)
 
 

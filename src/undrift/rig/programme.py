@@ -377,6 +377,30 @@ class Programme:
         return sum(step.duration_s for step in self.steps)
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Forecast:
+    """What is left of a programme."""
+
+    dwells: int
+    mountings: int
+    rig_s: float  # time of the dwells
+    total_s: float  # with mountings and the chamber
+    turn_rate: float  # highest, rad/s
+
+
+def forecast_of(programme: Programme, done: frozenset[int] = frozenset()) -> Forecast:
+    """Return how much is left, and how long it takes."""
+    left = [step for number, step in enumerate(programme.steps) if number not in done]
+    dwells = [step for step in left if isinstance(step, Dwell)]
+    return Forecast(
+        dwells=len(dwells),
+        mountings=sum(isinstance(step, Mount) for step in left),
+        rig_s=sum(dwell.duration_s for dwell in dwells),
+        total_s=sum(step.duration_s for step in left),
+        turn_rate=max((abs(dwell.turn_rate) for dwell in dwells), default=0.0),
+    )
+
+
 def programme_of(protocol: Protocol, settings: ProgrammeSettings = ProgrammeSettings()) -> Programme:
     """Write a protocol out."""
     turning = protocol.axes if protocol.turn_rate_step > 0.0 else ()

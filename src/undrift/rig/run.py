@@ -78,6 +78,11 @@ class Progress:
     step: str  # In words
     left_s: float  # Forecast, table s
     live: str = ""  # The device's latest reading, or the chamber's
+    air_c: float | None = None  # What the chamber read last, degC
+    device_c: float | None = None  # What the device's thermometer read last, in a soak or a dwell, degC
+    slope_c_per_min: float | None = (
+        None  # Of the device in a soak, without a thermometer of the air; None before it is known
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -133,8 +138,7 @@ def _kind_of(programme: Programme) -> Kind:
     return "thermal" if len(visited) > 1 else "calibration"
 
 
-def _air(chamber: Chamber) -> str:
-    air_c = chamber.read()
+def _air(air_c: float | None) -> str:
     return "air not read" if air_c is None else f"{air_c:.2f} degC"
 
 
@@ -155,6 +159,9 @@ class _Run:
         self._report, self._settings = report, settings
         self._enabled = False
         self._old_fault: str | None = None
+        self._air_c: float | None = None
+        self._device_c: float | None = None
+        self._slope: float | None = None
         self._step: Step = programme.steps[0]
         self._began, self._number, self._left_s = bench.clock.now(), 0, 0.0
         self._rests, self._turns = Rests(), Turns()
@@ -217,13 +224,15 @@ class _Run:
             if clock.now() > last:
                 raise RigTimeout(
                     f"chamber: wanted {step.temp_c:g} degC steady to {step.slope_c_per_min:g} K/min within "
-                    f"{self._settings.soak_timeout_s:g} s, got {_air(chamber)}{board}; look at chamber and device"
+                    f"{self._settings.soak_timeout_s:g} s, got {_air(chamber.read())}{board}; look at chamber and device"
                 )
             if board.elsewhere():
                 log.warning("chamber: wanted %g degC, got a steady%s; set it again", step.temp_c, board)
                 board = _heat(self, step, chamber)
             clock.wait(max(AIR_POLL_S, 0.05 * clock.speed))
-            self._say("soaking", f"{_air(chamber)}{board}")
+            self._air_c, self._device_c, self._slope = chamber.read(), board.temp_c, board.slope_c_per_min(chamber)
+            self._say("soaking", f"{_air(self._air_c)}{board}")
+        self._slope = None
 
     def _turn(self, step: Dwell) -> None:
         """Read a turn by a known angle with the rests around it; the angle is what the rig or the operator states."""
@@ -308,6 +317,7 @@ class _Run:
 
     def _keep(self, step: Dwell, record: Record, **found: Any) -> None:
         """Bring a dwell to the disk, with what was found beside the readings: fields of a Piece."""
+        self._device_c = mean_temp(record)
         self._say("writing")
         piece = Piece(
             step=self._number,
@@ -319,7 +329,7 @@ class _Run:
             stop_s=float(record.time[-1]) + float(np.median(np.diff(record.time))),
             nominal_turn_rate=step.turn_rate,
             temp_c=step.temp_c,
-            device_c=mean_temp(record),
+            device_c=self._device_c,
             **found,
         )
         self._folder.keep(record, piece)
@@ -370,7 +380,8 @@ class _Run:
             raise RigFault(f"rig: wanted it sound in {where}, got {wrong}; look at the table")
 
     def _look_at_air(self, step: Dwell) -> float | None:
-        return check_air(self._bench.chamber, step, f"step {self._number} ({step})")
+        self._air_c = check_air(self._bench.chamber, step, f"step {self._number} ({step})")
+        return self._air_c
 
     def _enable(self) -> None:
         if not self._enabled:
@@ -390,8 +401,10 @@ class _Run:
     def _say(self, phase: Phase, live: str = "") -> None:
         spent = min(self._bench.clock.now() - self._began, self._step.duration_s)
         steps, left_s = len(self._programme.steps), self._left_s - spent
+        temps = {"air_c": self._air_c, "device_c": self._device_c, "slope_c_per_min": self._slope}
+        step = str(self._step)
         self._report(
-            Progress(phase=phase, number=self._number, steps=steps, step=str(self._step), left_s=left_s, live=live)
+            Progress(phase=phase, number=self._number, steps=steps, step=step, left_s=left_s, live=live, **temps)
         )
 
 

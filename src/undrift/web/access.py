@@ -6,6 +6,7 @@ something, and websockets, must come from a page of the bench itself: their Orig
 """
 
 import hmac
+import re
 from collections.abc import Mapping
 from http.cookies import CookieError, SimpleCookie
 from urllib.parse import parse_qs, urlsplit
@@ -18,9 +19,9 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 COOKIE = "undrift_token"
 LOOPBACK = ("localhost", "127.0.0.1", "::1")
 SAFE = ("GET", "HEAD", "OPTIONS")
-HEADERS = {  # of every answer: nothing from elsewhere, in nobody else's frame
+HEADERS = {  # of every answer: nothing from elsewhere, in nobody else's frame; a stop goes to another port of the same HOST
     "Content-Security-Policy": "default-src 'self' data: blob:; script-src 'self' 'unsafe-inline' 'unsafe-eval'; "
-    "style-src 'self' 'unsafe-inline'; connect-src 'self' ws: wss:; frame-ancestors 'self'; form-action 'self'",
+    "style-src 'self' 'unsafe-inline'; connect-src 'self' ws: wss: http://HOST:*; frame-ancestors 'self'; form-action 'self'",
     "X-Content-Type-Options": "nosniff",
     "Referrer-Policy": "no-referrer",
 }
@@ -53,8 +54,11 @@ class Access:
 
         async def with_headers(message: Message) -> None:
             if message["type"] == "http.response.start":
+                host = _name(Headers(scope=scope).get("host", ""))
+                host = f"[{host}]" if ":" in host else host if re.fullmatch(r"[\w.-]+", host) else "127.0.0.1"
                 held = {name.decode("latin-1").lower() for name, _ in message.get("headers", ())}
-                added = [(k.lower().encode(), v.encode()) for k, v in HEADERS.items() if k.lower() not in held]
+                new = {k.lower(): v.replace("HOST", host) for k, v in HEADERS.items() if k.lower() not in held}
+                added = [(k.encode(), v.encode()) for k, v in new.items()]
                 message = {**message, "headers": [*message.get("headers", ()), *added]}
             await send(message)
 
@@ -91,7 +95,7 @@ def _name(host: str) -> str:
 def _given(scope: Scope, headers: Mapping[str, str]) -> str:
     query = parse_qs(scope.get("query_string", b"").decode("latin-1"))
     if "token" in query:
-        return query["token"][0]
+        return str(query["token"][0])
     try:
         held = SimpleCookie(headers.get("cookie", "")).get(COOKIE)
     except CookieError:

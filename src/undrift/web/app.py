@@ -1,5 +1,6 @@
 """The server of the bench: pages, files, uploads, the emergency stop; on this computer alone unless asked otherwise."""
 
+import asyncio
 import contextlib
 import importlib
 import socket
@@ -98,7 +99,7 @@ def application(bench: Bench, ready: Callable[[], None]) -> FastAPI:
     @made.post("/stop")
     async def stop() -> Response:
         if bench.rig_run is not None:
-            bench.rig_run.emergency_stop()
+            await asyncio.to_thread(bench.rig_run.emergency_stop)
         return RedirectResponse("/rate-table", 303)
 
     Feed(lambda: bench.source, lambda socket: allowed(socket, bench.settings.token)).add_to(made)

@@ -4,26 +4,33 @@ A folder holds everything that the bench writes::
 
     jobs/2026-11-23-0915-SERIAL/    session.toml and readings, calibration.json, report.html, certificate.pdf
     uploads/                        files that were dropped on the page Recordings, and what was made of them
+    registry/                       calibrations, certificates and pictures that the page Devices asked for
 """
 
 import asyncio
 import json
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from undrift.errors import InputError, UndriftError
+from undrift.files import write_whole
+from undrift.units import STANDARD_GRAVITY, gravity_at
 from undrift.web.commands import Outcome, run_command
+from undrift.web.devices import Devices
+from undrift.web.rate_table import RateTable
 from undrift.web.recordings import Recordings
 from undrift.web.uploads import safe_name
+from undrift.web.warm_up import WarmUp
 
 if TYPE_CHECKING:
     from undrift.web.rig_run import RigRun
     from undrift.web.source import Source
 
+PLACE = "place.json"
 PRACTICE = "emulator"  # the address of the practice device
 
 
@@ -35,7 +42,7 @@ class BenchSettings:
     host: str = "127.0.0.1"
     port: int = 8765  # 0 takes a free one
     token: str | None = None  # wanted of every request; None: this computer alone
-    registry_url: str | None = None  # None: the user's own
+    registry: str | None = None  # None: the user's own
     upload_mb: float = 500.0  # Largest upload, 1e6 bytes
     practice_seed: int | None = None  # of the practice device; None draws one
 
@@ -52,7 +59,7 @@ class Job:
     report: Path | None = None
     certificate: Path | None = None
     answer: dict[str, Any] = field(default_factory=dict)  # of calibrate
-    registered: str = ""  # what the registry said
+    registered: str = ""  # what the registry answered
     error: str = ""  # of the last command
     began: float = field(default_factory=time.monotonic)
 
@@ -60,6 +67,23 @@ class Job:
     def session(self) -> Path:
         """Return the folder of its readings."""
         return self.folder / "session"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Place:
+    """Where the bench stands; gravity follows by WGS 84. Standard gravity is assumed where it is not stated."""
+
+    latitude_deg: float | None = None
+    height_m: float = 0.0
+
+    @property
+    def gravity_m_s2(self) -> float:
+        """Return local gravity, m/s2; standard gravity where the place is not known."""
+        return STANDARD_GRAVITY if self.latitude_deg is None else gravity_at(self.latitude_deg, self.height_m)
+
+    def words(self) -> tuple[object, ...]:
+        """Return the options of ``calibrate`` for recordings that state no gravity."""
+        return () if self.latitude_deg is None else ("--latitude-deg", self.latitude_deg, "--height-m", self.height_m)
 
 
 @dataclass(slots=True)
@@ -85,9 +109,14 @@ class Bench:
         self.working: list[Working] = []
         self.closing: list[Callable[[], None]] = []  # called when the server ends
         self._practice: Any = None
-        self.recordings = Recordings(self)
+        self.recordings, self.devices = Recordings(self), Devices(self)
         for name in ("jobs", "uploads"):
             (self.folder / name).mkdir(parents=True, exist_ok=True)
+        self.table = RateTable(self)  # with the run that an earlier bench left
+        self.closing.append(self.table.close)
+        self.warm_up = WarmUp(self)
+        held = _held_in(self.folder / PLACE)
+        self.place = Place(latitude_deg=held.get("latitude_deg"), height_m=float(held.get("height_m") or 0.0))
 
     # ---- The device
 
@@ -138,6 +167,15 @@ class Bench:
 
     # ---- The work
 
+    def set_place(self, latitude_deg: float | None, height_m: float) -> None:
+        """State where the bench stands; it is kept for the next time."""
+        if latitude_deg is not None and not -90.0 <= latitude_deg <= 90.0:
+            raise InputError(f"latitude: wanted -90 to 90 deg, got {latitude_deg:g}; north is positive")
+        if not -500.0 <= height_m <= 9000.0:
+            raise InputError(f"height: wanted -500 to 9000 m, got {height_m:g}; state metres above the sea")
+        self.place = Place(latitude_deg=latitude_deg, height_m=height_m)
+        write_whole(self.folder / PLACE, json.dumps(asdict(self.place)) + "\n")
+
     def new_job(self, serial: str = "") -> Job:
         """Begin with another device: a new folder."""
         stamp, named = datetime.now().strftime("%Y-%m-%d-%H%M%S"), safe_name(serial, "device")
@@ -165,12 +203,23 @@ class Bench:
         """Run ``undrift calibrate`` for a job: a session, or recordings and options; the calibration is used from then on."""
         made, report = job.folder / "calibration.json", job.folder / "report.html"
         outcome = await self.command("calibrate", *words, "-o", made, "--report", report)
+        self._take(job, outcome)
+        return outcome
+
+    async def fit_drift(self, job: Job, *words: object) -> Outcome:
+        """Run ``undrift drift`` for a job, on top of the calibration that is used; the tables are used from then on."""
+        made, report = job.folder / "calibration.json", job.folder / "report.html"
+        known = () if self.calibration is None else ("--calibration", self.calibration)
+        outcome = await self.command("drift", *words, *known, "-o", made, "--report", report)
+        self._take(job, outcome)
+        return outcome
+
+    def _take(self, job: Job, outcome: Outcome) -> None:
         job.error = "" if outcome.done else outcome.error
         if outcome.done:
-            job.calibration, job.report, job.answer = made, report, outcome.answer
-            job.certificate, job.registered = None, ""
-            self.calibration = made
-        return outcome
+            job.calibration, job.report = job.folder / "calibration.json", job.folder / "report.html"
+            job.answer, job.certificate, job.registered = outcome.answer, None, ""
+            self.calibration = job.calibration
 
     async def command(self, *words: object, folder: Path | None = None) -> Outcome:
         """Run a command of undrift; pages show what it does while it runs."""
@@ -187,7 +236,7 @@ class Bench:
 
     def registry_words(self) -> tuple[str, ...]:
         """Return the option that names the registry, where the bench was given one."""
-        return () if self.settings.registry_url is None else ("--registry", self.settings.registry_url)
+        return () if self.settings.registry is None else ("--registry", self.settings.registry)
 
     def inside(self, name: str) -> Path:
         """Return a file of the bench by its path below the folder; InputError for what is not there, or elsewhere."""

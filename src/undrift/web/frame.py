@@ -1,5 +1,6 @@
 """What every page has: heading, navigation, what is connected, the emergency stop, and one next step."""
 
+import json
 from collections.abc import Awaitable, Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
@@ -80,10 +81,16 @@ def _stop_button(bench: Bench) -> None:
     """Add the emergency stop: a form of its own, so that it works beside a page that is busy; shown while a table may move."""
     form = ui.element("form").props('method="post" action="/stop" id="bench-stop"').classes("bench-stop")
     with form:
-        text("button", "Emergency stop", "stop").props('type="submit" title="Stop the table and switch its motor off"')
+        label = text("button", "Emergency stop (Esc)", "stop").props('type="submit" aria-keyshortcuts="Escape"')
+        label.props('title="Stop the table at once and switch its motor off"')
 
     def refresh() -> None:
-        form.set_visibility(bench.rig_run is not None and bench.rig_run.may_move)
+        run = bench.rig_run
+        place = "" if run is None else run.stop_url
+        if form.props.get("data-place") != place:
+            form.props["data-place"] = place
+            form.update()
+        form.set_visibility(run is not None and run.may_move)
 
     refresh()
     ui.timer(REFRESH_S, refresh)
@@ -147,7 +154,9 @@ class Field:
                 self.element = ui.element("input").props(
                     f'type="{kind}" autocomplete="off"' + (' step="any"' if kind == "number" else "")
                 )
-                self.element.props["value"] = value
+                self.element.props["^value"] = (
+                    value  # the attribute: the property would undo what is typed at each redraw
+                )
             if hint:
                 text("span", hint, "soft")
         self.element.on("input", self._take, js_handler="(event) => emit(event.target.value)")
@@ -155,8 +164,9 @@ class Field:
     def set(self, value: str) -> None:
         """Show another value."""
         self.value = value
-        self.element.props["value"] = value
+        self.element.props["^value"] = value
         self.element.update()
+        self.element.client.run_javascript(f"getHtmlElement({self.element.id}).value = {json.dumps(value)}")
 
     def number(self) -> float | None:
         """Return what was typed as a number; None where it is none."""

@@ -4,6 +4,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from undrift.web.commands import Outcome
 from undrift.web.uploads import safe_name
 
 if TYPE_CHECKING:
@@ -92,30 +93,53 @@ class Recordings:
         job: Job = self.bench.new_job(serial or held.path.stem)
         words: list[object] = [held.path, *held.options()]
         words += [] if turn_deg is None else ["--turn-deg", turn_deg]
-        outcome = await self.bench.calibrate(job, *words, *(("--serial", serial) if serial else ()))
+        outcome = await self.bench.calibrate(
+            job, *words, *self.bench.place.words(), *(("--serial", serial) if serial else ())
+        )
         held.error = "" if outcome.done else outcome.error
         return outcome.done
 
-    async def run(self, held: Stored, command: str, *, reference: Stored | None = None) -> None:
-        """Correct, orient or validate a recording; what is written can be downloaded."""
+    async def run(self, held: Stored, command: str) -> None:
+        """Correct or orient a recording; what is written can be downloaded."""
         base, place = safe_name(held.path.name.split(".")[0], "recording"), held.path.parent
-        output = {
-            "correct": f"{base}-corrected.parquet",
-            "orient": f"{base}-angles.csv",
-            "validate": f"{base}-validation",
-        }
-        made, page = place / output[command], place / f"{base}-{command}.html"
-        words: list[object] = [held.path, *held.options(), "-o", made, "--report", page]
-        if self.bench.calibration is not None:
-            words += ["--calibration", self.bench.calibration]
-        if command == "validate":
-            words += [] if reference is None or reference is held else ["--reference", reference.path]
-        outcome = await self.bench.command(command, *words)
+        made = place / f"{base}-{'corrected.parquet' if command == 'correct' else 'angles.csv'}"
+        page = place / f"{base}-{command}.html"
+        outcome = await self.bench.command(
+            command, held.path, *held.options(), *self._calibrated(), "-o", made, "--report", page
+        )
+        self._take(held, command, outcome, [made, page])
+
+    async def validate(self, held: Stored, reference: Stored, *, markers: str, up: str) -> None:
+        """Compare a recording with its optics, in degrees."""
+        place = held.path.parent / "validation"
+        words = self._optics(held, reference, markers=markers, up=up)
+        outcome = await self.bench.command("validate", *words, *self._calibrated(), "-o", place)
+        self._take(held, "validate", outcome, sorted(place.glob("*")))
+
+    async def calibrate_by(self, held: Stored, reference: Stored, *, markers: str, up: str) -> bool:
+        """Calibrate from a recording and its optics; the result is the bench's job."""
+        job: Job = self.bench.new_job(held.path.stem)
+        words = self._optics(held, reference, markers=markers, up=up)
+        outcome = await self.bench.command("validate", *words, "--calibrate-from", "reference", "-o", job.folder)
         held.error = "" if outcome.done else outcome.error
         if outcome.done:
-            for path in [made] if made.is_file() else sorted(made.glob("*")) if made.is_dir() else []:
-                held.made[path.name] = path
-            held.made[f"{command}, report"] = page
+            await self.bench.open_job(job.folder)
+            self.bench.calibration = job.folder / "calibration.json"
+        return outcome.done
+
+    def _calibrated(self) -> tuple[object, ...]:
+        return () if self.bench.calibration is None else ("--calibration", self.bench.calibration)
+
+    def _optics(self, held: Stored, reference: Stored, *, markers: str, up: str) -> list[object]:
+        words: list[object] = [held.path, *held.options()]
+        words += [] if reference is held else ["--reference", reference.path]
+        words += ["--markers", markers] if markers else []
+        return words + (["--reference-up", up] if up else [])
+
+    def _take(self, held: Stored, command: str, outcome: Outcome, files: list[Path]) -> None:
+        held.error = "" if outcome.done else outcome.error
+        if outcome.done:
+            held.made |= {f"{command}: {'report' if path.suffix == '.html' else path.name}": path for path in files}
 
     def references(self) -> list[Stored]:
         """Return the files that hold optical poses."""

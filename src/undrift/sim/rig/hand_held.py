@@ -1,15 +1,16 @@
-"""An emulated device in an operator's hands: it lies on a face, is laid on another, or is turned by whole turns, and sends all the while.
+"""An emulated device in an operator's hands: it lies on a face, is laid on another or turned by whole turns, and sends.
 
 ::
 
     q_nb(t) = q_0  turn(a, angle(s))  turn(c SMOOTH(s))  turn(tremor(t) w(s))       s in [0, 1] over a move
     force_b = R_nb^T ((0, 0, g) + lift''(t)) + shake(t) w(s)                        w = 16 s^2 (1 - s)^2
 
-A move to a face takes the shortest way (c = 0). A turn is by the angle and an error of its own, about an axis that leans; c then lays
-the device back on the face. About the vertical it slides on the bench, about another axis it is lifted. At rest nothing moves: rate
-and tremor are zero, and the face is off level by what was drawn when it was laid down. Rates come from q_nb itself. The board
-warms by a little. Moves that are asked for while it moves follow each other. The operator listens on a port of its own:
-``face +x`` (or ``MOUNT +x``) and ``turn z 360`` are answered by ``OK ...``, ``state?`` by ``rest +x`` or ``moving +x``.
+A move to a face takes the shortest way (c = 0). A turn is by the angle and an error of its own, about an axis that leans; c
+then lays the device back on the face. About the vertical it slides on the bench, about another axis it is lifted. At rest
+nothing moves: rate and tremor are zero, and the face is off level by what was drawn when it was laid down. Rates come from q_nb
+itself. The board warms by a little. Moves that are asked for while it moves follow each other. The operator listens on a port
+of its own: ``face +x`` (or ``MOUNT +x``) and ``turn z 360`` are answered by ``OK ...``, ``state?`` by ``rest +x`` or ``moving
++x``.
 """
 
 import math
@@ -49,7 +50,7 @@ INSTANT_S = 1e-4  # over which a rate is taken from two orientations
 class HandSettings:
     """What an operator's hands do; each move draws anew. All defaults are choices."""
 
-    tilt_sd: float = 1.0 * RADIAN_PER_DEGREE  # Of a face off level, about each axis, rad
+    tilt_sd: float = 0.3 * RADIAN_PER_DEGREE  # Of a face off level, about each axis, rad
     lay_s: tuple[float, float] = (1.0, 2.0)  # Shortest and longest move to another face, s
     turn_s: tuple[float, float] = (3.0, 4.0)  # The same for one full turn, s
     axis_sd: float = 0.3 * RADIAN_PER_DEGREE  # Of a turn's axis, about each axis across it, rad
@@ -178,11 +179,15 @@ class HandHeldDevice(EmulatedDevice):
         self._go_on()
         now, last = self.clock.now(), self._moves[-1]
         if sum(move.start > now for move in self._moves) >= MOST_MOVES:
-            raise InputError(f"hand held: wanted at most {MOST_MOVES} moves that wait, got one more; wait until it rests")
+            raise InputError(
+                f"hand held: wanted at most {MOST_MOVES} moves that wait, got one more; wait until it rests"
+            )
         q = last.orientation(np.array([last.stop]))[0]
         return max(now, last.stop + REST_S), q / np.linalg.norm(q)
 
-    def _add(self, start: float, duration: float, q: FloatArray, axis: FloatArray, angle: Polynomial, **more: Any) -> None:
+    def _add(
+        self, start: float, duration: float, q: FloatArray, axis: FloatArray, angle: Polynomial, **more: Any
+    ) -> None:
         draw, each = self._hands, math.sqrt(2.0 / WAVES)
         frequency, phase = draw.uniform(*TREMOR_HZ, (WAVES, 3)), draw.uniform(0.0, 2.0 * math.pi, (WAVES, 3))
         sizes = self.hands.tremor * each / (2.0 * math.pi * frequency), np.full((WAVES, 3), self.hands.shake * each)
@@ -193,7 +198,7 @@ class HandHeldDevice(EmulatedDevice):
         del self._moves[: past[-1] if past else 0]
 
     def _warming(self, time: FloatArray) -> FloatArray:
-        return self.hands.temp_c + self.hands.warming_k * (1.0 - np.exp(-time / self.hands.warming_s))
+        return np.asarray(self.hands.temp_c + self.hands.warming_k * (1.0 - np.exp(-time / self.hands.warming_s)))
 
     def _orientation(self, time: FloatArray) -> FloatArray:
         q = np.empty((len(time), 4))
@@ -328,7 +333,9 @@ class _Operator(Machine):
             elif words[:1] == ["turn"] and len(words) == 3:
                 device.turn(cast(Axis, words[1]), _number(words[2]) * RADIAN_PER_DEGREE)
             else:
-                raise InputError("operator: wanted 'face +x', 'turn z 360' or 'state?', got another line; send one of them")
+                raise InputError(
+                    "operator: wanted 'face +x', 'turn z 360' or 'state?', got another line; send one of them"
+                )
         except InputError as error:
             return f"ERROR {error}".encode("ascii", errors="replace").decode("ascii")
         return f"OK {' '.join(line.split()[1:])}"

@@ -145,17 +145,15 @@ def _actions(bench: Bench, held: Recordings, one: Stored, refresh: Any, go: Any)
     else:
         text("p", f"Calibration: {bench.calibration.parent.name}/{bench.calibration.name}", "soft")
 
-    async def run(command: str, reference: Stored | None = None) -> None:
-        await held.run(one, command, reference=reference)
+    async def run(command: str) -> None:
+        await held.run(one, command)
         refresh()
 
     if bench.calibration is not None:
-        next_step("Correct", lambda: run("correct"))
-    with ui.element("div").classes("row"):
-        button("Orient", lambda: run("orient"))
-        for reference in held.references():
-            label = "Validate with its own optics" if reference is one else f"Validate with {reference.path.name}"
-            button(label, partial(run, "validate", reference))
+        next_step("Correct", partial(run, "correct"))
+    button("Orient", partial(run, "orient"))
+    if held.references():
+        _optics_form(held, one, refresh, go)
     with ui.element("details") as more:
         if bench.calibration is None:
             more.props("open")
@@ -178,3 +176,37 @@ def _actions(bench: Bench, held: Recordings, one: Stored, refresh: Any, go: Any)
             next_step("Calibrate", calibrate)
         else:
             button("Calibrate", calibrate)
+
+
+def _optics_form(held: Recordings, one: Stored, refresh: Any, go: Any) -> None:
+    """Ask for the optics of a recording: its own, or a file of poses or markers."""
+    found = {("its own" if reference is one else reference.path.name): reference for reference in held.references()}
+    with ui.element("section").props('aria-label="Optics"'):
+        text("h3", "Compare with optics")
+        with ui.element("div").classes("row"):
+            chosen = Field("Optical reference", next(iter(found)), options=tuple(found))
+            markers = up = None
+            if any(reference.kind == "markers" for reference in found.values()):
+                labels = next(
+                    reference.about.get("columns") for reference in found.values() if reference.kind == "markers"
+                )
+                hint = f"three or more of one rigid cluster: {', '.join(map(str, list(labels or ())[:6]))} ..."
+                markers = Field("Markers, commas between", hint=hint)
+                up = Field("Laboratory axis that points up", "", options=("", "y", "z"))
+
+        async def validate() -> None:
+            await held.validate(one, found[chosen.value], **given())
+            refresh()
+
+        async def calibrate() -> None:
+            if await held.calibrate_by(one, found[chosen.value], **given()):
+                go("/result")
+            else:
+                refresh()
+
+        def given() -> dict[str, str]:
+            return {"markers": markers.value.strip() if markers else "", "up": up.value if up else ""}
+
+        with ui.element("div").classes("row"):
+            button("Validate", validate)
+            button("Calibrate by these optics", calibrate)

@@ -7,7 +7,7 @@ from typing import Any
 from nicegui import ui
 
 from undrift.web.bench import Bench, Job
-from undrift.web.frame import button, frame, next_step, redrawn, text, text_link
+from undrift.web.frame import Field, button, frame, next_step, redrawn, text, text_link
 
 
 def page(bench: Bench) -> None:
@@ -75,24 +75,29 @@ def _listed(findings: list[dict[str, Any]]) -> None:
     with ui.element("ul"):
         for one in findings:
             with ui.element("li"):
-                text("span", str(one.get("text", "")))
-                if one.get("action"):
-                    text("p", f"{one['action'][:1].upper()}{one['action'][1:]}.", "soft")
+                action = str(one.get("action") or "")
+                text("span", str(one.get("text", "")).removesuffix(action).rstrip("; ") + ".")
+                if action:
+                    text("p", f"{action[:1].upper()}{action[1:]}.", "soft")
 
 
 def _step(bench: Bench, job: Job, refresh: Any) -> None:
     """Add the one next step: register, then the certificate, then recordings."""
     if not job.registered:
-        next_step("Register the calibration", lambda: register(bench, job, refresh))
+        serial = None if job.answer.get("device") else Field("Serial number of the device", job.serial)
+        next_step(
+            "Register the calibration", lambda: register(bench, job, "" if serial is None else serial.value, refresh)
+        )
     elif job.certificate is None:
         next_step("Make the certificate", lambda: certify(bench, job, refresh))
     else:
         next_step("Correct recordings", "/recordings")
 
 
-async def register(bench: Bench, job: Job, refresh: Any) -> None:
-    """Add the calibration to the registry."""
-    outcome = await bench.command("registry", "add", job.calibration, *bench.registry_words())
+async def register(bench: Bench, job: Job, serial: str, refresh: Any) -> None:
+    """Add the calibration to the registry; one that names no device, under a serial number."""
+    words = ("--serial", serial.strip()) if serial.strip() else ()
+    outcome = await bench.command("registry", "add", job.calibration, *words, *bench.registry_words())
     job.error = "" if outcome.done else outcome.error
     if outcome.done:
         job.registered = _registered(outcome.answer)
@@ -100,10 +105,9 @@ async def register(bench: Bench, job: Job, refresh: Any) -> None:
 
 
 def _registered(answer: dict[str, Any]) -> str:
-    entries = answer.get("entries") or answer.get("added") or [answer]
-    first = entries[0] if entries and isinstance(entries[0], dict) else {}
-    number, due = first.get("id"), first.get("due")
-    return f"Registered{f' as entry {number}' if number is not None else ''}{f', due {str(due)[:10]}' if due else ''}."
+    (entry, *_) = answer["entries"]
+    due = f", due {entry['due_at'][:10]}" if entry.get("due_at") else ""
+    return f"Registered as entry {entry['entry']}{due}."
 
 
 async def certify(bench: Bench, job: Job, refresh: Any) -> None:

@@ -1,10 +1,80 @@
-"""Six faces."""
+"""Six faces: turn each face up; what rests is captured by itself."""
 
+from collections.abc import Callable
+from functools import partial
+
+from nicegui import ui
+
+from undrift.record import Face
 from undrift.web.bench import Bench
-from undrift.web.frame import frame, text
+from undrift.web.drawings import box
+from undrift.web.frame import REFRESH_S, button, frame, next_step, redrawn, set_text, text
+from undrift.web.guided import Guided, begin_anew, guided_of
+from undrift.web.pages.guide_parts import (
+    Picture,
+    light_part,
+    practice_part,
+    progress_part,
+    readings_part,
+    state_of,
+    watched,
+    without_device,
+)
+from undrift.web.six_faces import ORDER
 
 
 def page(bench: Bench) -> None:
     """Build the page."""
     with frame(bench, "Six faces"):
-        text("p", "This page is not there yet.")
+        redrawn(lambda: state_of(bench), lambda look: _shown(bench))
+
+
+def _shown(bench: Bench) -> None:
+    guided = guided_of(bench)
+    if guided is None:
+        without_device(
+            bench, "Lay the device on each of its six faces. It calibrates the accelerometers. Connect it first."
+        )
+        return
+    guide = guided.faces
+    watched(bench, guided, "faces")
+    with ui.element("div").classes("guide"):
+        drawing = Picture()
+        with ui.element("div"):
+            asked = text("p", "", "asked")
+            light_part(lambda: guide.light, guided.capture.settings.countdown_s)
+
+    def refresh() -> None:
+        wanted = guide.wanted
+        drawing.draw(box(wanted or guide.light.face or "+z"))
+        set_text(asked, "All six faces are captured" if wanted is None else f"Turn {wanted} up")
+
+    refresh()
+    ui.timer(REFRESH_S, refresh)
+    redrawn(lambda: guide.complete, lambda look: _next(guide.complete))
+    practice_part(bench, [("Practice device: turn it", [(f"{face} up", _laid(bench, face)) for face in ORDER])])
+    names = [(face, f"{face} up") for face in ORDER]
+    progress_part("Faces", names, lambda: [*guide.capture.faces], lambda: guide.again, lambda face: _redo(guided, face))
+    readings_part(bench)
+    with ui.element("div").classes("row"):
+        button("Begin anew", lambda: begin_anew(bench))
+
+
+def _next(complete: bool) -> None:
+    if complete:
+        next_step("Go on to turns by hand", "/turns")
+    else:
+        text("p", "Any order will do. Lay it down and take your hands off: it is captured by itself.", "soft")
+
+
+def _redo(guided: Guided, face: str | None) -> None:
+    guided.faces.redo(next((one for one in ORDER if one == face), None))
+
+
+def _laid(bench: Bench, face: Face) -> Callable[[], None]:
+    return partial(_lay, bench, face)
+
+
+def _lay(bench: Bench, face: Face) -> None:
+    if bench.practice is not None:
+        bench.practice.lay(face)

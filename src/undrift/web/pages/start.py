@@ -4,9 +4,10 @@ from dataclasses import dataclass
 
 from nicegui import ui
 
+from undrift.errors import InputError
 from undrift.web.bench import Bench
 from undrift.web.connect import connect_form
-from undrift.web.frame import frame, next_step, text
+from undrift.web.frame import REFRESH_S, Field, button, error_line, frame, next_step, set_text, text
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -95,3 +96,39 @@ def page(bench: Bench) -> None:
                     text("p", f"{way.gives} {way.minutes}.", "soft")
                     next_step(way.next, way.path)
         connect_form(bench)
+        _place_form(bench)
+
+
+def _place_form(bench: Bench) -> None:
+    """Ask where the bench stands, as the scale of the accelerometers is known no better than gravity."""
+    error = [""]
+    with ui.element("section").props('aria-label="Place"'):
+        text("h2", "Place")
+        text("p", "Local gravity follows from it. Without it standard gravity is assumed: up to 0.3 % of scale.")
+        with ui.element("div").classes("row"):
+            held = bench.place
+            latitude = Field("Latitude, deg (north is positive)", _shown(held.latitude_deg), kind="number")
+            height = Field("Height above the sea, m", _shown(held.height_m), kind="number")
+
+            def keep() -> None:
+                error[0] = ""
+                try:
+                    bench.set_place(latitude.number(), height.number() or 0.0)
+                except InputError as refused:
+                    error[0] = str(refused)
+
+            button("Keep", keep)
+        state = text("p", "", "soft").props('role="status"')
+        error_line(lambda: error[0])
+
+    def refresh() -> None:
+        place = bench.place
+        known = place.latitude_deg is not None
+        set_text(state, f"Kept: {place.latitude_deg:g} deg, {place.height_m:g} m" if known else "Not stated")
+
+    refresh()
+    ui.timer(REFRESH_S, refresh)
+
+
+def _shown(value: float | None) -> str:
+    return "" if value is None else f"{value:g}"

@@ -1,0 +1,462 @@
+"""``undrift registry``: devices and their sessions, calibrations, certificates and runs, in a database that only grows."""
+
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from cyclopts import App, Parameter
+
+from undrift.cli.common import (
+    Files,
+    Json,
+    OptionalOutput,
+    Report,
+    check_figure,
+    check_output,
+    check_report,
+    origin_of,
+    say,
+    show_table,
+    write_json,
+)
+from undrift.cli.examples import examples
+from undrift.cli.register import entry_json, open_place, say_registered
+from undrift.errors import InputError, UndriftError
+
+if TYPE_CHECKING:
+    from undrift.registry.documents import Stated
+    from undrift.registry.registry import Known
+    from undrift.registry.tables import Entry
+    from undrift.registry.trend import Change, Step
+
+registry = App(
+    name="registry",
+    help="Devices and their calibrations: which is valid, what is due, how a device changed; each takes --json.",
+    help_format="plaintext",
+    default_parameter=Parameter(negative=()),
+    result_action="return_value",
+    help_epilogue=examples("registry"),
+)
+HEADS = ("entry", "kind", "serial", "made", "due", "valid (degC)", "verdict", "by", "note")
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class Where:
+    """Which registry.
+
+    Parameters
+    ----------
+    registry : str or None
+        File of the registry, or postgresql://user@host/database; UNDRIFT_REGISTRY, else the file of this user, by default.
+    """
+
+    registry: str | None = None
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class About:
+    """What is stated of the files.
+
+    Parameters
+    ----------
+    serial : str or None
+        Serial number of the device, where a file states none.
+    valid_months : int
+        Months after which a calibration is due again.
+    station : str or None
+        Name of this station; UNDRIFT_STATION, else the name of the computer, by default.
+    """
+
+    serial: str | None = None
+    valid_months: int = 12
+    station: str | None = None
+
+
+@registry.command(help_epilogue=examples("registry add"))
+def add(
+    *files: Files,
+    about: About = About(),
+    valid_temp_c: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None,
+    date: str | None = None,
+    supersedes: int | None = None,
+    note: str = "",
+    where: Where = Where(),
+    json: Json = False,
+) -> int:
+    """Add calibrations, certificates, and folders of sessions or runs: all of them, or none. The same content is added once.
+
+    Parameters
+    ----------
+    files : Path
+        calibration.json, the certificate of a calibration that is known or named too, or the folder of a session or run.
+    about : About
+        What is stated of the files.
+    valid_temp_c : str or None
+        Where a calibration is valid, LOW:HIGH in degC; by default its table of offsets, else 5 K about its reference temperature.
+    date : str or None
+        When it was made, as in 2026-03-01T08:30 (UTC); what the file states by default, of recordings their last change.
+    supersedes : int or None
+        Entry of the same kind that this one corrects; the old one stays, and counts no more. Wants --note.
+    note : str
+        Why, or what else should be known.
+    where : Where
+        Which registry.
+    """
+    from undrift.cli.learn import stated_date
+    from undrift.registry.documents import new_entries
+
+    if supersedes is not None and (len(files) > 1 or not note):
+        raise InputError(
+            "--supersedes: wanted one file, and --note with the reason, got others; correct one entry at a time"
+        )
+    stated = _stated(about)
+    stated = _with(
+        stated, temp_c=None if valid_temp_c is None else _span(valid_temp_c), supersedes=supersedes, note=note
+    )
+    stated = _with(stated, made_at=None if date is None else stated_date(date))
+    with open_place(where.registry, station=about.station) as held:
+        added = held.add(*new_entries(list(files), stated, held))
+    rows = [entry_json(one.entry) | {"new": one.new} for one in added]
+    if json:
+        write_json({"entries": rows}, "registry add")
+    else:
+        say_registered(rows)
+    return 0
+
+
+@registry.command(name="list", help_epilogue=examples("registry list"))
+def list_held(
+    *,
+    serial: str | None = None,
+    kind: Literal["session", "calibration", "certificate", "run"] | None = None,
+    where: Where = Where(),
+    json: Json = False,
+) -> int:
+    """List the devices with the calibration that counts, or the entries of one device or kind.
+
+    Parameters
+    ----------
+    serial : str or None
+        Entries of this device.
+    kind : str or None
+        Entries of this kind.
+    where : Where
+        Which registry.
+    """
+    with open_place(where.registry, there=True) as held:
+        if serial is None and kind is None:
+            known = held.devices()
+            if json:
+                write_json({"registry": held.place, "devices": [_device_json(one) for one in known]}, "registry list")
+            else:
+                _show_devices(f"devices in {held.place}", known)
+            return 0
+        found = held.entries(serial, kind)
+        place = held.place
+    if json:
+        write_json({"registry": place, "entries": [entry_json(*one) for one in found]}, "registry list")
+    else:
+        show_table(f"entries in {place}", HEADS, [_cells(*one) for one in found])
+    return 0
+
+
+@registry.command(help_epilogue=examples("registry show"))
+def show(entry: int, /, *, output: OptionalOutput = None, where: Where = Where(), json: Json = False) -> int:
+    """Show an entry, and write what it holds; a hash shows that it is as it was added.
+
+    Parameters
+    ----------
+    entry : int
+        Number of the entry.
+    output : Path or None
+        File to write: .json, of a certificate .pdf.
+    where : Where
+        Which registry.
+    """
+    with open_place(where.registry, there=True) as held:
+        found = held.entry(entry)
+        later = {one.id: corrected for one, corrected in held.entries(found.device.serial)}[found.id]
+    check_output(output, endings=(".pdf",) if found.kind == "certificate" else (".json",))
+    _write(found, output)
+    if json:
+        document = {key: value for key, value in found.document.items() if key != "pdf_base64"}
+        write_json(entry_json(found, later) | {"document": document, "output": output}, "registry show")
+        return 0
+    rows = entry_json(found, later)
+    say(*(f"{name.replace('_', ' '):14} {value}" for name, value in rows.items() if value not in (None, "")))
+    say(*([f"Wrote {output}"] if output else []))
+    return 0
+
+
+@registry.command(help_epilogue=examples("registry find"))
+def find(
+    *,
+    serial: str,
+    date: str | None = None,
+    temp_c: Annotated[float | None, Parameter(allow_leading_hyphen=True)] = None,
+    output: OptionalOutput = None,
+    where: Where = Where(),
+    json: Json = False,
+) -> int:
+    """Find the calibration of a device that is valid at a date and a temperature: the newest, neither due, superseded nor bad.
+
+    Parameters
+    ----------
+    serial : str
+        Serial number of the device.
+    date : str or None
+        Date, as in 2026-03-01 (UTC); now by default.
+    temp_c : float or None
+        Temperature, degC; any by default.
+    output : Path or None
+        calibration.json to write.
+    where : Where
+        Which registry.
+    """
+    from undrift.cli.learn import stated_date
+
+    check_output(output, endings=(".json",))
+    with open_place(where.registry, there=True) as held:
+        found = held.find(serial, on=None if date is None else stated_date(date), temp_c=temp_c)
+    _write(found, output)
+    if json:
+        write_json(entry_json(found) | {"output": output}, "registry find")
+    else:
+        show_table(f"valid calibration of {serial}", HEADS, [_cells(found)])
+        say(*([f"Wrote {output}"] if output else []))
+    return 0
+
+
+@registry.command(help_epilogue=examples("registry due"))
+def due(*, within_days: int = 30, where: Where = Where(), json: Json = False) -> int:
+    """List the devices to calibrate again soon, and those that are overdue or never were calibrated.
+
+    Parameters
+    ----------
+    within_days : int
+        Due in so many days from now; 0 lists what is overdue.
+    where : Where
+        Which registry.
+    """
+    if not 0 <= within_days <= 36500:
+        raise InputError(f"--within-days: wanted 0 to 36500 days, got {within_days}; 30 is the default")
+    with open_place(where.registry, there=True) as held:
+        known, place = held.due(datetime.now(UTC) + timedelta(days=within_days)), held.place
+    if json:
+        write_json(
+            {"registry": place, "within_days": within_days, "devices": [_device_json(one) for one in known]},
+            "registry due",
+        )
+    elif known:
+        _show_devices(f"due within {within_days} days in {place}", known)
+    else:
+        say(f"nothing is due within {within_days} days in {place}")
+    return 0
+
+
+@registry.command(help_epilogue=examples("registry trend"))
+def trend(
+    *,
+    serial: str,
+    figure: Path | None = None,
+    report: Report = None,
+    details: Annotated[bool, Parameter(show_default=False, help="Show every parameter of every step.")] = False,
+    where: Where = Where(),
+    json: Json = False,
+) -> int:
+    """Show how a device changed from each calibration to the next, with the standard uncertainty of each change.
+
+    Parameters
+    ----------
+    serial : str
+        Serial number of the device.
+    figure : Path or None
+        Picture to write of scale factors and offsets over time: .svg, .png or .pdf.
+    report : Path or None
+        Report page to write: .html.
+    details : bool
+        Show every parameter of every step.
+    where : Where
+        Which registry.
+    """
+    from undrift.io.store import calibration_of
+    from undrift.registry.trend import Dated, course, headline
+    from undrift.registry.trend import trend as steps_of
+
+    check_figure(figure, reads=())
+    check_report(report)
+    with open_place(where.registry, there=True) as held:
+        entries = [held.entry(one.id) for one in held.calibrations(serial)]
+    if len(entries) < 2:
+        raise InputError(
+            f"{serial}: wanted two calibrations to compare, got {len(entries)}; add another: undrift registry add FILE"
+        )
+    models = [
+        Dated(entry=one.id, made_at=one.made_at, model=calibration_of(one.document, f"entry {one.id}"))
+        for one in entries
+    ]
+    steps, from_first = steps_of(models), course(models)
+    if figure is not None or report is not None:
+        from undrift.report.figures import save_figure
+        from undrift.report.registry import draw_trend, write_trend_report
+
+        if figure is not None:
+            save_figure(draw_trend(serial, models[0], from_first), figure)
+        if report is not None:
+            write_trend_report(serial, models[0], steps, from_first, report, origin_of())
+    if json:
+        answer = {"serial": serial, "headline": headline(steps, from_first), "since_first": _step_json(from_first[-1])}
+        write_json(answer | {"steps": [_step_json(step) for step in steps]}, "registry trend")
+        return 0
+    for step in steps:
+        rows = [_change_cells(one) for one in step.changes if details or "cross" not in one.parameter]
+        title = f"{serial}: {step.since.made_at:%Y-%m-%d} to {step.until.made_at:%Y-%m-%d}"
+        if rows and (details or step is steps[-1]):
+            show_table(title, ("parameter", "change", "standard uncertainty", "unit", "sigma"), rows)
+        say(*(f"{f'{step.until.made_at:%Y-%m-%d}'}: {text}" for text in step.sentences))
+        say(*(f"  not compared: {text}" for text in step.not_compared))
+    if len(steps) > 1:
+        say(*(f"since the first: {text}" for text in from_first[-1].sentences))
+    say(*(f"Wrote {path}" for path in (figure, report) if path is not None))
+    return 0
+
+
+@registry.command(name="import", help_epilogue=examples("registry import"))
+def import_folder(folder: Path, /, *, about: About = About(), where: Where = Where(), json: Json = False) -> int:
+    """Add all sessions, runs, calibrations and certificates in a folder and those below; what is refused is listed.
+
+    Parameters
+    ----------
+    folder : Path
+        Where to look.
+    about : About
+        What is stated of the files.
+    where : Where
+        Which registry.
+    """
+    from undrift.registry.documents import candidates, new_entries
+
+    if not folder.is_dir():
+        raise InputError(
+            f"{folder}: wanted a folder, got none of that name; name one, or add a file: undrift registry add FILE"
+        )
+    stated, rows, refused = _stated(about), list[dict[str, Any]](), list[dict[str, str]]()
+    with open_place(where.registry, station=about.station) as held:
+        paths = list(candidates(folder))
+        for path in sorted(paths, key=lambda one: one.suffix == ".pdf"):  # a certificate after its calibration
+            try:
+                added = held.add(*new_entries([path], stated, held))
+            except UndriftError as error:
+                refused.append({"file": str(path), "why": str(error)})
+            else:
+                rows += [entry_json(one.entry) | {"new": one.new} for one in added]
+    if not paths:
+        raise InputError(
+            f"{folder}: wanted sessions, runs, calibrations or certificates in it, got none; name another folder"
+        )
+    if json:
+        write_json({"entries": rows, "refused": refused}, "registry import")
+    else:
+        say_registered(rows)
+        say(*(f"Refused: {one['why']}" for one in refused))
+    return 0
+
+
+def _stated(about: About) -> "Stated":
+    from undrift.registry.documents import Stated
+
+    if not 1 <= about.valid_months <= 1200:
+        raise InputError(f"--valid-months: wanted 1 to 1200 months, got {about.valid_months}; 12 is the default")
+    return Stated(serial=about.serial, valid_months=about.valid_months)
+
+
+def _with(stated: "Stated", **more: Any) -> "Stated":
+    from dataclasses import replace
+
+    return replace(stated, **more)
+
+
+def _span(text: str) -> tuple[float, float]:
+    try:
+        low, high = (float(part) for part in text.split(":"))
+    except ValueError:
+        raise InputError(f"--valid-temp-c: wanted LOW:HIGH in degC, got '{text}'; for example 15:35") from None
+    if not -273.15 < low < high < 1000.0:
+        raise InputError(f"--valid-temp-c: wanted LOW below HIGH in degC, got '{text}'; for example 15:35")
+    return low, high
+
+
+def _write(entry: "Entry", output: Path | None) -> None:
+    """Write what an entry holds."""
+    if output is None:
+        return
+    from undrift.cli.common import save_json
+    from undrift.files import write_whole
+    from undrift.io.store import calibration_of, write_calibration
+    from undrift.registry.documents import pdf_of
+
+    if entry.kind == "calibration":
+        write_calibration(calibration_of(entry.document, f"entry {entry.id}"), output)
+    elif entry.kind == "certificate":
+        write_whole(output, pdf_of(entry.document))
+    else:
+        save_json(output, entry.document)
+
+
+def _cells(entry: "Entry", later: int | None = None) -> tuple[str, ...]:
+    span = "–" if entry.low_c is None else f"{entry.low_c:.1f} to {entry.high_c:.1f}"
+    note = "; ".join(filter(None, (f"superseded by {later}" if later else "", entry.note)))
+    due_on = f"{entry.due_at:%Y-%m-%d}" if entry.due_at else "–"
+    made_on, verdict = f"{entry.made_at:%Y-%m-%d}", entry.verdict or "–"
+    return str(entry.id), entry.kind, entry.device.serial, made_on, due_on, span, verdict, entry.added_by, note
+
+
+def _device_json(known: "Known") -> dict[str, Any]:
+    held, now = known.calibration, datetime.now(UTC)
+    days = None if held is None or held.due_at is None else (held.due_at - now).days
+    state = "no calibration" if held is None else "overdue" if days is not None and days < 0 else "valid"
+    return {
+        "serial": known.serial,
+        "entries": known.entries,
+        "state": state,
+        "days_left": days,
+        "calibration": None if held is None else entry_json(held),
+    }
+
+
+def _show_devices(title: str, known: "list[Known]") -> None:
+    rows = []
+    for one in known:
+        stated, held = _device_json(one), one.calibration
+        made_due = (
+            ("–", "–")
+            if held is None
+            else (f"{held.made_at:%Y-%m-%d}", f"{held.due_at:%Y-%m-%d}" if held.due_at else "–")
+        )
+        rows.append((one.serial, str(stated["state"]), str(held.id if held else "–"), *made_due, str(one.entries)))
+    show_table(title, ("serial", "state", "calibration", "made", "due", "entries"), rows)
+
+
+def _change_cells(one: "Change") -> tuple[str, ...]:
+    return (
+        f"{one.sensor} {one.parameter}",
+        f"{one.change:+.3g}",
+        f"{one.uncertainty:.2g}",
+        one.unit,
+        f"{one.sigmas:.1f}",
+    )
+
+
+def _step_json(step: "Step") -> dict[str, Any]:
+    ends = {
+        name: {"entry": end.entry, "made_at": end.made_at.isoformat()}
+        for name, end in (("since", step.since), ("until", step.until))
+    }
+    changes = [
+        {key: getattr(one, key) for key in ("sensor", "parameter", "change", "uncertainty", "unit", "sigmas")}
+        for one in step.changes
+    ]
+    return ends | {"changes": changes, "not_compared": step.not_compared, "sentences": step.sentences}

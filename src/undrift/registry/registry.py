@@ -1,0 +1,479 @@
+"""The registry of one place: a file of SQLite, or a database of PostgreSQL.
+
+A write is one short transaction, begun as a write (BEGIN IMMEDIATE) so that it waits for others at its begin, not at its end. What
+``add`` has returned is on the disk. Times are UTC. A calibration is valid from the day it was made until it is due, at the
+temperatures that it covers; the newest one counts, and never one with a bad verdict or one that a later entry supersedes.
+"""
+
+import getpass
+import os
+import socket
+import sqlite3
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from undrift.errors import RegistryError
+from undrift.files import first_line
+from undrift.io.store import hash_of
+
+try:
+    from sqlalchemy import Connection, Engine, create_engine, event, func, inspect, select, text
+    from sqlalchemy.dialects import postgresql, sqlite
+    from sqlalchemy.engine import URL, make_url
+    from sqlalchemy.exc import ArgumentError, DBAPIError, SQLAlchemyError
+    from sqlalchemy.orm import Session, undefer
+
+    from undrift.registry.tables import HEAD, VERSION_TABLE, Device, Entry
+except ModuleNotFoundError as error:
+    raise RegistryError(
+        f"registry: wanted the package {error.name}, got none; pip install undrift[registry]"
+    ) from error
+
+WAIT_S = 30.0  # for another writer
+_ADDRESS = "a path, sqlite:///FILE or postgresql://user@host/database"
+_AS_THEY_ARE = ("kind", "verdict", "made_at", "due_at", "source", "supersedes", "note")  # of a new entry
+_MIGRATING, _MANY = (
+    0x756E6472,
+    0x756E6473,
+)  # PostgreSQL's advisory locks: one program migrates, or adds several, the others wait
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NewEntry:
+    """What is to be added."""
+
+    kind: str
+    serial: str
+    document: Mapping[str, Any]
+    made_at: datetime
+    due_at: datetime | None = None
+    temp_c: tuple[float, float] | None = None  # where it is valid, degC
+    verdict: str | None = None
+    source: str = ""
+    supersedes: int | None = None
+    note: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Added:
+    """What became of a new entry."""
+
+    entry: Entry
+    new: bool  # False where the same content was there
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Known:
+    """A device, and its newest calibration that counts."""
+
+    serial: str
+    entries: int
+    calibration: Entry | None
+
+
+def default_place() -> str:
+    """Return UNDRIFT_REGISTRY, else the file in the user's data folder."""
+    if stated := os.environ.get("UNDRIFT_REGISTRY"):
+        return stated
+    base = os.environ.get("XDG_DATA_HOME") or str(Path.home() / ".local" / "share")
+    return str(Path(base) / "undrift" / "registry.sqlite")
+
+
+def open_registry(place: str | None = None, *, station: str | None = None, wait_s: float = WAIT_S) -> "Registry":
+    """Open the registry at a path or URL; a new one is made, an older one is migrated, a newer one is refused."""
+    url = _url_of(place or default_place())
+    if url.drivername == "sqlite" and place is None and not os.environ.get("UNDRIFT_REGISTRY"):
+        try:
+            Path(str(url.database)).parent.mkdir(parents=True, exist_ok=True, mode=0o700)
+        except OSError as error:
+            raise RegistryError(f"{url.database}: wanted a folder for the registry, got {error.strerror}") from error
+    registry = Registry(
+        url, station=station or os.environ.get("UNDRIFT_STATION") or socket.gethostname(), wait_s=wait_s
+    )
+    try:
+        registry.migrate()
+    except BaseException:
+        registry.close()
+        raise
+    return registry
+
+
+def _url_of(place: str) -> URL:
+    if "://" not in place:
+        return URL.create("sqlite", database=place)
+    try:
+        url = make_url(place)
+    except (ArgumentError, ValueError) as error:
+        raise RegistryError(f"registry: wanted {_ADDRESS}, got an address that does not read; correct it") from error
+    if url.drivername in ("postgresql", "postgres", "postgresql+psycopg"):
+        return url.set(drivername="postgresql+psycopg")
+    if url.drivername != "sqlite" or not url.database:
+        raise RegistryError(f"registry: wanted {_ADDRESS}, got {url.drivername}://; name one of these")
+    return url
+
+
+class Registry:
+    """An open registry; a context manager that closes it."""
+
+    def __init__(self, url: URL, *, station: str, wait_s: float) -> None:
+        self.place = url.database or "" if url.drivername == "sqlite" else url.render_as_string(hide_password=True)
+        self._lite, self._station, self._wait_s = url.drivername == "sqlite", station[:200], wait_s
+        with self._explained():
+            self._engine = _engine(url, wait_s)
+
+    def __enter__(self) -> "Registry":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close its connections."""
+        self._engine.dispose()
+
+    # ---- adding
+
+    def add(self, *new: NewEntry) -> list[Added]:
+        """Add all entries or none, in their order; the same content again is the entry that exists."""
+        hashed = [(one, hash_of(one.document)) for one in new]
+        done = []
+        with self._session(writes=True) as session:
+            if len(new) > 1 and not self._lite:  # two such programs would wait for each other's entries
+                session.execute(select(func.pg_advisory_xact_lock(_MANY)))
+            now, who = datetime.now(UTC), _who()
+            devices = {name: self._device(session, name, now, who) for name in sorted({one.serial for one in new})}
+            for one, digest in hashed:
+                rest = {"device_id": devices[one.serial].id, "sha256": digest, "added_at": now, "added_by": who}
+                done.append(self._add_one(session, one, rest))
+                _ = done[-1].entry.device.serial  # known when the transaction is over
+        return done
+
+    def _device(self, session: Session, serial: str, now: datetime, who: str) -> Device:
+        held = select(Device).where(Device.serial == serial)
+        if (found := session.scalar(held)) is not None:
+            return found
+        session.execute(self._insert(Device), {"serial": serial, "added_at": now, "added_by": who})
+        return session.scalars(held).one()
+
+    def _add_one(self, session: Session, one: NewEntry, rest: dict[str, Any]) -> Added:
+        asked = Entry.kind == one.kind, Entry.sha256 == rest["sha256"], Entry.supersedes.is_(None)
+        same = select(Entry).where(*asked)
+        if one.supersedes is not None:
+            self._check_correction(session, one)
+        elif (held := session.scalar(same)) is not None:  # first, so that no number is lost
+            return Added(entry=held, new=False)
+        low, high = one.temp_c or (None, None)
+        values = rest | {name: getattr(one, name) for name in _AS_THEY_ARE}
+        values |= {"document": dict(one.document), "low_c": low, "high_c": high, "station": self._station}
+        made: Entry | None = session.scalar(self._insert(Entry).returning(Entry), values)
+        if made is not None:
+            return Added(entry=made, new=True)
+        if one.supersedes is not None:  # another program was quicker
+            self._check_correction(session, one)
+        return Added(entry=session.scalars(same).one(), new=False)
+
+    def _check_correction(self, session: Session, one: NewEntry) -> None:
+        old = session.get(Entry, one.supersedes)
+        if old is None or old.kind != one.kind:
+            got = f"no entry {one.supersedes}" if old is None else f"entry {old.id}, a {old.kind}"
+            raise RegistryError(
+                f"supersedes: wanted the {one.kind} that it corrects, got {got}; see undrift registry list"
+            )
+        later = session.scalar(select(Entry.id).where(Entry.supersedes == old.id))
+        if later is not None:
+            raise RegistryError(
+                f"supersedes: wanted an entry that nothing corrects yet, got {old.id}, which {later} supersedes; name {later}"
+            )
+
+    def _insert(self, table: type[Device] | type[Entry]) -> Any:
+        """Return an INSERT that does nothing where another program has added the same."""
+        return (sqlite.insert(table) if self._lite else postgresql.insert(table)).on_conflict_do_nothing()
+
+    # ---- reading
+
+    def devices(self) -> list[Known]:
+        """Return every device with its newest calibration that counts, by serial."""
+        with self._session() as session:
+            counted = session.execute(
+                select(Device.serial, func.count(Entry.id))
+                .outerjoin(Entry)
+                .group_by(Device.serial)
+                .order_by(Device.serial)
+            ).all()
+            newest = {entry.device.serial: entry for entry in session.scalars(_counting())}  # the last of each stays
+        return [Known(serial=serial, entries=count, calibration=newest.get(serial)) for serial, count in counted]
+
+    def entries(self, serial: str | None = None, kind: str | None = None) -> list[tuple[Entry, int | None]]:
+        """Return entries in order of addition, each with the one that supersedes it."""
+        asked = select(Entry).order_by(Entry.id)
+        asked = asked if kind is None else asked.where(Entry.kind == kind)
+        with self._session() as session:
+            if serial is not None:
+                self._check_serial(session, serial)
+                asked = asked.join(Entry.device).where(Device.serial == serial)
+            later = dict(session.execute(select(Entry.supersedes, Entry.id).where(Entry.supersedes.is_not(None))).all())
+            return [(entry, later.get(entry.id)) for entry in session.scalars(asked)]
+
+    def entry(self, number: int) -> Entry:
+        """Return an entry with its document, whose hash is checked."""
+        with self._session() as session:
+            held = session.scalar(select(Entry).where(Entry.id == number).options(undefer(Entry.document)))
+        if held is None:
+            raise RegistryError(
+                f"{self.place}: wanted an entry of the registry, got {number}; see undrift registry list"
+            )
+        if hash_of(held.document) != held.sha256:
+            raise RegistryError(
+                f"{self.place}: wanted entry {number} as it was added, got other content; restore a backup"
+            )
+        return held
+
+    def calibrations(self, serial: str) -> list[Entry]:
+        """Return the calibrations of a device that count, in the order in which they were made."""
+        with self._session() as session:
+            self._check_serial(session, serial)
+            return list(session.scalars(_counting().where(Device.serial == serial)))
+
+    def calibration_with(self, digest: str) -> Entry | None:
+        """Return the calibration with a content hash, as a certificate states it."""
+        asked = select(Entry).where(Entry.kind == "calibration", Entry.sha256 == digest).order_by(Entry.id.desc())
+        with self._session() as session:
+            return session.scalars(asked).first()
+
+    def valid(self, serial: str, on: datetime) -> list[Entry]:
+        """Return the calibrations of a device that are valid on a date, newest first; there is at least one."""
+        held = self.calibrations(serial)
+        found = [one for one in held if one.made_at <= on and (one.due_at is None or on < one.due_at)]
+        if found:
+            return found[::-1]
+        day = on.date().isoformat()
+        wanted = f"{serial}: wanted a calibration valid on {day}, got"
+        if not held:
+            raise RegistryError(
+                f"{wanted} none that counts; calibrate the device and add it: undrift registry add FILE"
+            )
+        before = [one for one in held if one.made_at <= on]
+        if not before:
+            raise RegistryError(
+                f"{wanted} a first one of {held[0].made_at.date()}; name another date, or add an earlier one"
+            )
+        last = before[-1]
+        raise RegistryError(
+            f"{wanted} entry {last.id}, due on {f'{last.due_at:%Y-%m-%d}' if last.due_at else ''}; calibrate the device again, or "
+            "name a file with --calibration"
+        )
+
+    def find(self, serial: str, *, on: datetime | None = None, temp_c: float | None = None) -> Entry:
+        """Return the calibration of a device that is valid at a date (now) and a temperature (any), with its document."""
+        on = on or datetime.now(UTC)
+        held = self.valid(serial, on)
+        for one in held:
+            if temp_c is None or covers(one, temp_c):
+                return self.entry(one.id)
+        spans = ", ".join(f"entry {one.id}: {span_text(one)}" for one in held)
+        raise RegistryError(
+            f"{serial}: wanted a calibration valid at {temp_c:.1f} degC, got {spans}; calibrate at that temperature, or state "
+            "where one is valid: undrift registry add FILE --supersedes ID --valid-temp-c LOW:HIGH"
+        )
+
+    def due(self, before: datetime) -> list[Known]:
+        """Return the devices to calibrate before a date, the most urgent first; those never calibrated at the end."""
+        known = [
+            one for one in self.devices() if one.calibration is None or (one.calibration.due_at or before) < before
+        ]
+        end = datetime.max.replace(tzinfo=UTC)
+        return sorted(known, key=lambda one: (one.calibration.due_at if one.calibration else None) or end)
+
+    def _check_serial(self, session: Session, serial: str) -> None:
+        if session.scalar(select(Device.id).where(Device.serial == serial)) is None:
+            known = list(session.scalars(select(Device.serial).order_by(Device.serial).limit(6)))
+            some = ", ".join(known[:5]) + (", ..." if len(known) > 5 else "")
+            raise RegistryError(
+                f"{self.place}: wanted a device of the registry, got serial '{serial}'; known: {some or 'none yet, add one first'}"
+            )
+
+    # ---- the database
+
+    def migrate(self) -> None:
+        """Make the tables, or bring those of an earlier version to this one."""
+        last = time.monotonic() + self._wait_s
+        while True:
+            try:
+                with self._explained(), self._engine.connect() as connection:
+                    found = self._revision(connection)
+                if found == HEAD:
+                    return
+                with (
+                    self._explained(),
+                    self._engine.connect().execution_options(writes=True) as connection,
+                    connection.begin(),
+                ):
+                    if not self._lite:
+                        connection.execute(select(func.pg_advisory_xact_lock(_MIGRATING)))
+                    if self._revision(connection) != HEAD:  # not done meanwhile
+                        _upgrade(connection, HEAD)
+                return
+            except RegistryError as error:  # SQLite does not wait everywhere while a file begins its life
+                if not (error.numbers.get("locked") and self._lite and time.monotonic() < last):
+                    raise
+                time.sleep(0.05)
+
+    def _revision(self, connection: Connection) -> str | None:
+        """Return the revision of the tables, None of an empty database; refuse one that is newer, or another program's."""
+        names = inspect(connection).get_table_names()
+        if VERSION_TABLE not in names:
+            if names:
+                some = ", ".join(sorted(names)[:3])
+                raise RegistryError(
+                    f"{self.place}: wanted an empty database or a registry, got one with other tables ({some}); name another"
+                )
+            return None
+        found: str | None = connection.scalar(text(f"SELECT version_num FROM {VERSION_TABLE}"))
+        if found is not None and found > HEAD:
+            raise RegistryError(
+                f"{self.place}: wanted a registry of revision {HEAD} or earlier, got {found} of a later undrift; update undrift",
+                revision=found,
+            )
+        return found
+
+    @contextmanager
+    def _session(self, *, writes: bool = False) -> Iterator[Session]:
+        """Begin a transaction that ends with the block."""
+        with (
+            self._explained(),
+            self._engine.connect().execution_options(writes=writes) as connection,
+            connection.begin(),
+            Session(connection, expire_on_commit=False) as session,
+        ):
+            yield session
+
+    @contextmanager
+    def _explained(self) -> Iterator[None]:
+        """Turn what the database says into one line."""
+        try:
+            yield
+        except ModuleNotFoundError as error:
+            raise RegistryError(
+                f"{self.place}: wanted the package {error.name}, got none; pip install undrift[registry]"
+            ) from error
+        except DBAPIError as error:
+            raise _refusal(error.orig, self.place, self._wait_s) from error
+        except sqlite3.Error as error:  # of the first words to a file
+            raise _refusal(error, self.place, self._wait_s) from error
+        except SQLAlchemyError as error:
+            raise RegistryError(f"{self.place}: the registry failed: {first_line(error)}; check its address") from error
+
+
+def _refusal(error: BaseException | None, place: str, wait_s: float) -> RegistryError:
+    """Return what to say of an error of the database."""
+    answer = " ".join(str(error).split("CONTEXT:")[0].split()).replace("connection failed: ", "")
+    state = getattr(error, "sqlstate", None) or ""
+    for fits, line in _LINES:
+        if fits(answer, state):
+            shown = line.format(wait=f"{wait_s:g}", answer=answer[:300])
+            return RegistryError(f"{place}: {shown}", locked="another program" in line)
+    return RegistryError(f"{place}: wanted the registry to answer, got: {answer[:300]}; check the database")
+
+
+_LINES: tuple[tuple[Callable[[str, str], bool], str], ...] = (
+    (
+        lambda answer, state: "locked" in answer or state in ("55P03", "57014", "40P01"),
+        "wanted to write within {wait} s, got a registry that another program holds; wait for it or end it, then try again",
+    ),
+    (
+        lambda answer, state: " full" in answer or state in ("53100", "53200"),
+        "wanted room for an entry, got a full disk; make room and add it again, nothing was added",
+    ),
+    (
+        lambda answer, state: "readonly" in answer or state in ("42501", "25006"),
+        "wanted to write, got a registry that may only be read; check its rights",
+    ),
+    (lambda answer, state: "unable to open" in answer, "wanted a file in a folder that exists, got none; make the folder first"),
+    (
+        lambda answer, state: "not a database" in answer or "malformed" in answer,
+        "wanted a registry, got a file that is no sound SQLite database; name another, or restore a backup",
+    ),
+    (lambda answer, state: "only grows" in answer, "{answer}; undrift registry add FILE --supersedes ID"),
+    (
+        # psycopg states no code for what fails before there is a session
+        lambda answer, state: "authentication" in answer or "password" in answer or "role" in answer or "pg_hba" in answer,
+        "wanted a user that may log in, got a refusal: {answer}; check user and password",
+    ),
+    (
+        lambda answer, state: "database" in answer and "does not exist" in answer,
+        "wanted a database, got none of that name; create it on the server first: createdb",
+    ),
+    (
+        lambda answer, state: not state and any(word in answer for word in ("connect", "resolve", "server", "timeout")),
+        "wanted a connection to the server, got none: {answer}; check host and port",
+    ),
+)  # fmt: skip
+
+
+def covers(entry: Entry, temp_c: float) -> bool:
+    """Tell whether a calibration is valid at a temperature; one without known temperatures is not."""
+    return entry.low_c is not None and entry.high_c is not None and entry.low_c <= temp_c <= entry.high_c
+
+
+def span_text(entry: Entry) -> str:
+    """Return where an entry is valid."""
+    known = entry.low_c is not None and entry.high_c is not None
+    return f"{entry.low_c:.1f} to {entry.high_c:.1f} degC" if known else "temperature not known"
+
+
+def _counting() -> Any:
+    """Return the query of the calibrations that count: those not superseded, with a verdict that is not bad."""
+    later = select(Entry.supersedes).where(Entry.supersedes.is_not(None))
+    return (
+        select(Entry)
+        .join(Entry.device)
+        .where(Entry.kind == "calibration", Entry.id.not_in(later), func.coalesce(Entry.verdict, "") != "bad")
+        .order_by(Entry.made_at, Entry.id)
+    )
+
+
+def _engine(url: URL, wait_s: float) -> Engine:
+    milliseconds = round(1000.0 * wait_s)
+    if url.drivername != "sqlite":
+        options = f"-c lock_timeout={milliseconds}"
+        return create_engine(
+            url, connect_args={"connect_timeout": max(2, round(wait_s)), "options": options}, pool_size=2
+        )
+    engine = create_engine(url, connect_args={"timeout": wait_s, "isolation_level": None})
+
+    @event.listens_for(engine, "connect")
+    def prepare(connection: sqlite3.Connection, _: object) -> None:
+        connection.execute("PRAGMA foreign_keys = ON")
+        connection.execute("PRAGMA synchronous = FULL")  # what was reported as added survives a power cut
+        if connection.execute("PRAGMA journal_mode").fetchone()[0] != "wal":
+            connection.execute("PRAGMA journal_mode = WAL")
+
+    @event.listens_for(engine, "begin")
+    def begin(connection: Connection) -> None:
+        connection.exec_driver_sql("BEGIN IMMEDIATE" if connection.get_execution_options().get("writes") else "BEGIN")
+
+    return engine
+
+
+def _upgrade(connection: Connection, revision: str) -> None:
+    """Run the migrations in the transaction of a connection."""
+    from alembic import command
+    from alembic.config import Config
+
+    config = Config()
+    config.set_main_option("script_location", str(Path(__file__).parent / "migrations").replace("%", "%%"))
+    config.attributes["connection"] = connection
+    command.upgrade(config, revision)
+
+
+def _who() -> str:
+    try:
+        user = getpass.getuser()
+    except (OSError, KeyError):  # a number without a name
+        user = str(os.getuid()) if hasattr(os, "getuid") else "unknown"
+    return f"{user}@{socket.gethostname()}"[:200]

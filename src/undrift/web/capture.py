@@ -1,0 +1,358 @@
+"""Capture: the readings of a guided session, whether the device rests now and which face is up, and the session's folder.
+
+A device rests when `find_still` finds its newest readings still twice: by the threshold that the readings show, and within four
+noise floors of the quietest window; in counts, what a bench allows is taken in parts of gravity. Which face is up is the axis
+of the accelerometers that reads most of the length of the mean reading. Readings in counts have a zero that nobody states. It
+is that of the sphere through five captured faces; before that it is 0 where rests are alike in length and in one of them one
+axis reads nearly all, as digital parts read; else that of the sphere through what the accelerometers read while the device was
+turned over all its sides. Lengths are relative throughout: no scale is needed.
+"""
+
+import math
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from undrift.arrays import FloatArray
+from undrift.errors import InputError
+from undrift.io.session import write_session
+from undrift.record import FACES, Face, Record, Session, Still, Turn
+from undrift.segments import BENCH_ACCEL_LIMIT, StillSettings, find_still, sample_count, sliding_moments, sphere_of
+from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical
+from undrift.web.source import joined
+
+State = Literal["no readings", "moving", "settling", "still", "captured", "wrong face", "tilted", "unknown face"]
+GAP_S, GAP_PERIODS = 0.1, 5.0  # a longer silence of the device ends a stretch of readings
+KEEP_S = 120.0  # of readings in which nothing is captured
+BESIDE_S = 10.0  # kept before the first piece of a stretch, and behind the last
+CLOUD_S, CLOUD_POINTS = 0.25, 2000  # means of the accelerometers that show their zero
+ALIKE = 1.6  # lengths of readings that share a zero of 0, within 0.2 g
+ROUND = 0.2  # smallest over largest extent of a cloud that lies all around
+NOISES = 10.0  # by which a cloud that shows a sphere exceeds noise
+LOOSE_DEG = 25.0  # tilt that is told from a wrong zero, of readings in counts
+LEAST_REST_S = 1.0
+UNKNOWN = "Which face is up is not known yet. Turn the device over all its sides once."
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CaptureSettings:
+    """How rest is judged."""
+
+    countdown_s: float = 6.0  # Rest that is captured, s
+    settle_s: float = 1.5  # Rest before that, s
+    tilt_deg: float = 12.0  # Largest tilt of a face, as the uncalibrated accelerometers read it
+    silence_s: float = 1.0  # Host time without a new reading that counts as none, s
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Light:
+    """What the device does now, for a person who looks."""
+
+    state: State
+    text: str  # Why, and what to do
+    face: Face | None = None  # That is up now
+    left_s: float | None = None  # Until the capture, while it counts down
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Piece:
+    """A stretch of time in which something was captured."""
+
+    stretch: int  # Number of the stretch of readings
+    start_s: float  # On the device's clock
+    stop_s: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CapturedFace(Piece):
+    """A rest with a face up."""
+
+    face: Face
+    mean: tuple[float, float, float]  # Of the accelerometers, raw
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CapturedTurn(Piece):
+    """A turn between two rests."""
+
+    turn: Turn  # Axis and angle; its samples are found anew when it is written
+    before: Piece
+    after: Piece
+    reading: float  # Integral about the axis, raw unit times s
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Rest:
+    """A rest that lasts until the newest reading."""
+
+    start_s: float  # On the device's clock
+    stop_s: float
+    mean: FloatArray  # (3,), of the accelerometers, raw
+
+    @property
+    def duration_s(self) -> float:
+        """How long it has lasted."""
+        return self.stop_s - self.start_s
+
+
+@dataclass(slots=True)
+class _Stretch:
+    number: int
+    parts: list[Record] = field(default_factory=list)
+
+    def record(self, start_s: float = -math.inf, stop_s: float = math.inf) -> Record:
+        """Return its readings in a span of time."""
+        whole = joined([part for part in self.parts if part.time[-1] >= start_s and part.time[0] < stop_s])
+        first, last = np.searchsorted(whole.time, (start_s, stop_s)).tolist()
+        return whole.part(first, last)
+
+
+class Capture:
+    """What a guided session keeps: readings, faces, turns; and where it is written."""
+
+    def __init__(
+        self,
+        folder: Path,
+        serial: str = "",
+        *,
+        gravity_m_s2: float = STANDARD_GRAVITY,
+        settings: CaptureSettings = CaptureSettings(),
+    ) -> None:
+        self.folder, self.serial, self.gravity_m_s2, self.settings = folder, serial, gravity_m_s2, settings
+        self.faces: dict[Face, CapturedFace] = {}
+        self.turns: list[CapturedTurn] = []
+        self.saved = False  # whether the folder holds all that was captured
+        self._stretches: list[_Stretch] = []
+        self._key: object = None
+        self._heard_s = -math.inf  # host time of the newest reading
+        self.newest_s = -math.inf  # its time on the device's clock
+        self._cloud: deque[FloatArray] = deque(maxlen=CLOUD_POINTS)
+        self._rests: deque[FloatArray] = deque(maxlen=64)
+        self._noise = 0.0  # of a reading of the accelerometers at rest, raw
+
+    # ---- Readings
+
+    def take(self, record: Record | None, now_s: float, key: object = None) -> None:
+        """Take the newest readings, of which some may be known: now_s on the host's clock, key of the connection."""
+        if record is None:
+            return
+        if record.accel is None or record.gyro is None:
+            raise InputError(
+                "capture: wanted gyroscope and accelerometer, got one of them; state both in the device's address"
+            )
+        known = self._stretches[-1].parts[-1] if self._stretches else record
+        if (known.gyro_unit, known.accel_unit) != (record.gyro_unit, record.accel_unit):
+            raise InputError(
+                f"capture: wanted readings in {known.accel_unit}, got {record.accel_unit}; begin a new session"
+            )
+        if key is not self._key or record.time[-1] < self.newest_s:  # another connection, whose clock is its own
+            self._key, self.newest_s = key, -math.inf
+        longest_s = max(GAP_S, GAP_PERIODS * float(np.median(np.diff(record.time))))
+        first = int(np.searchsorted(record.time, self.newest_s, side="right"))
+        ends = [*(first + 1 + np.flatnonzero(np.diff(record.time[first:]) > longest_s)).tolist(), len(record)]
+        for stop in ends:
+            if stop - first >= 2:  # one alone waits for the next
+                if record.time[first] - self.newest_s > longest_s:
+                    self._stretches.append(_Stretch(self._stretches[-1].number + 1 if self._stretches else 0))
+                self._keep(record.part(first, stop), max(1, round(CLOUD_S * record.sample_rate_hz)))
+                self._heard_s, self.newest_s = now_s, float(record.time[stop - 1])
+            first = stop
+        if self._stretches:
+            self._forget()
+
+    def _keep(self, part: Record, step: int) -> None:
+        self._stretches[-1].parts.append(part)
+        for first in range(0, len(part), step):
+            mean = np.asarray(part.accel)[first : first + step].mean(axis=0)
+            extent = float(np.ptp(np.array(self._cloud), axis=0).max()) if self._cloud else 0.0
+            if np.isfinite(mean).all() and (not self._cloud or np.linalg.norm(mean - self._cloud[-1]) > 0.02 * extent):
+                self._cloud.append(mean)
+
+    def _forget(self) -> None:
+        """Drop readings in which nothing was captured for long."""
+        now = self._stretches[-1]
+        pieces = {piece.stretch for piece in self._pieces()}
+        self._stretches = [each for each in self._stretches if each is now or each.number in pieces]
+        last = max((piece.stop_s for piece in self._pieces() if piece.stretch == now.number), default=-math.inf)
+        newest = float(now.parts[-1].time[-1])
+        if newest - max(last, float(now.parts[0].time[0])) < 2.0 * KEEP_S:
+            return
+        fresh = _Stretch(now.number + 1, [part for part in now.parts if part.time[-1] > newest - KEEP_S])
+        now.parts = [part for part in now.parts if part.time[0] < last + BESIDE_S]
+        self._stretches = [*(self._stretches if now.parts else self._stretches[:-1]), fresh]
+
+    def _pieces(self) -> Iterator[Piece]:
+        yield from self.faces.values()
+        yield from self.turns
+
+    @property
+    def stretch(self) -> int:
+        """Number of the stretch that the newest readings belong to."""
+        return self._stretches[-1].number if self._stretches else -1
+
+    def tail(self, seconds: float) -> Record | None:
+        """Return the newest readings without a gap."""
+        return self._stretches[-1].record(self.newest_s - seconds) if self._stretches else None
+
+    # ---- Rest and face
+
+    def silent(self, now_s: float) -> bool:
+        """Whether no reading has come for a while."""
+        return now_s - self._heard_s > self.settings.silence_s
+
+    def rest(self, seconds: float | None = None) -> Rest | None:
+        """Return the rest that lasts until now; None while the device moves, or where there are too few readings."""
+        s = self.settings
+        record = self.tail(2.0 * (s.countdown_s + s.settle_s) if seconds is None else seconds)
+        if record is None:
+            return None
+        start, stop = 0, len(record)
+        try:
+            for still in (StillSettings(), StillSettings(threshold_floors=4.0)):
+                found = find_still(record, still).stills
+                if not found or found[-1].stop != stop:
+                    return None
+                start = max(start, found[-1].start)
+        except InputError:  # shorter than a window
+            return None
+        within = np.asarray(record.accel)[start:stop]
+        mean = within.mean(axis=0)
+        if self._swaying(within, mean, record.sample_rate_hz):
+            return None
+        self._noise = float(np.linalg.norm(within.std(axis=0)))
+        made = Rest(start_s=float(record.time[start]), stop_s=float(record.time[-1]), mean=mean)
+        if made.duration_s >= s.settle_s and not any(_alike(mean, known) for known in self._rests):
+            self._rests.append(mean)
+        return made
+
+    def _swaying(self, accel: FloatArray, mean: FloatArray, sample_rate_hz: float) -> bool:
+        """Whether readings in counts vary by more than a bench allows, in parts of gravity; `find_still` judges physical ones."""
+        zero = None if is_physical(self._stretches[-1].parts[-1].accel_unit) else self._zero(mean)[0]
+        if zero is None:
+            return False
+        usual, length = StillSettings(), float(np.linalg.norm(mean - zero))
+        smooth = max(1, round(usual.smooth_s * sample_rate_hz))
+        _, spread = sliding_moments(
+            accel, min(sample_count(usual.window_s, sample_rate_hz), len(accel) - smooth + 1), smooth
+        )
+        return bool(spread.max() > BENCH_ACCEL_LIMIT / STANDARD_GRAVITY * length)
+
+    def face_of(self, rest: Rest) -> tuple[Face | None, float]:
+        """Return the face that is up in a rest, None where nothing shows it, and how far it is tilted beyond the limit, deg."""
+        up, limit_deg = self.up(rest)
+        if up is None:
+            return None, 0.0
+        axis = int(np.abs(up).argmax())
+        tilt_deg = math.acos(min(1.0, abs(float(up[axis])))) / RADIAN_PER_DEGREE
+        return FACES[2 * axis + (up[axis] < 0.0)], tilt_deg if tilt_deg > limit_deg else 0.0
+
+    def up(self, rest: Rest) -> tuple[FloatArray | None, float]:
+        """Return the direction of gravity in a rest, (3,), and the tilt that is told from an error of it, deg."""
+        zero, limit_deg = self._zero(rest.mean)
+        return None if zero is None else (rest.mean - zero) / np.linalg.norm(rest.mean - zero), limit_deg
+
+    def _zero(self, mean: FloatArray) -> tuple[FloatArray | None, float]:
+        """Return the reading of the accelerometers in free fall, (3,); None where nothing shows it."""
+        limit_deg = self.settings.tilt_deg
+        if is_physical(self._stretches[-1].parts[-1].accel_unit):
+            return np.zeros(3), limit_deg
+        if len(self.faces) >= 5:
+            return sphere_of(np.array([held.mean for held in self.faces.values()]))[0], limit_deg
+        rests = np.array([*self._rests, mean])
+        length = np.linalg.norm(rests, axis=1)
+        along = np.abs(rests).max(axis=1) / np.where(length > 0.0, length, 1.0)
+        if length.max() < ALIKE * length.min() and along.max() > math.cos(LOOSE_DEG * RADIAN_PER_DEGREE):
+            return np.zeros(3), limit_deg
+        cloud = np.array(self._cloud)
+        extent = np.linalg.svd(cloud - cloud.mean(axis=0), compute_uv=False)
+        round_about = extent[-1] > ROUND * extent[0] and extent[0] > NOISES * self._noise * math.sqrt(len(cloud))
+        return sphere_of(cloud)[0] if round_about else None, LOOSE_DEG
+
+    # ---- What is captured
+
+    def add_face(self, face: Face, rest: Rest) -> None:
+        """Capture the newest of a rest as a face, in place of the one before."""
+        start_s, (x, y, z) = max(rest.start_s, rest.stop_s - self.settings.countdown_s), rest.mean.tolist()
+        held = CapturedFace(stretch=self.stretch, start_s=start_s, stop_s=rest.stop_s, face=face, mean=(x, y, z))
+        self.faces = {**self.faces, face: held}
+        self.saved = False
+
+    def add_turn(self, turn: CapturedTurn) -> None:
+        """Capture a turn in place of one about the same axis the same way."""
+        same = [one for one in self.turns if way_of(one) == way_of(turn)]
+        self.turns = [*(one for one in self.turns if one not in same), turn]
+        self.saved = False
+
+    def session(self) -> Session:
+        """Return what was captured, as a session."""
+        pieces = list(self._pieces())
+        used = [each for each in self._stretches if any(piece.stretch == each.number for piece in pieces)]
+        if not used:
+            raise InputError("session: wanted a captured face or turn, got none; capture one first")
+        records, number = list[Record](), dict[int, int]()
+        for each in used:
+            own = [piece for piece in pieces if piece.stretch == each.number]
+            starts = [p.before.start_s if isinstance(p, CapturedTurn) else p.start_s for p in own]
+            stops = [p.after.stop_s if isinstance(p, CapturedTurn) else p.stop_s for p in own]
+            number[each.number] = len(records)
+            records.append(each.record(min(starts) - BESIDE_S, max(stops) + BESIDE_S))
+
+        def samples(piece: Piece) -> tuple[int, int]:
+            time = records[number[piece.stretch]].time
+            start, stop = np.searchsorted(time, (piece.start_s, piece.stop_s)).tolist()
+            return start, max(stop, start + 1)
+
+        stills = [
+            Still(start=start, stop=stop, face=held.face, recording=number[held.stretch])
+            for held in self.faces.values()
+            for start, stop in [samples(held)]
+        ]
+        for piece in (rest for held in self.turns for rest in (held.before, held.after)):
+            start, stop = samples(piece)
+            at = number[piece.stretch]
+            for still in stills:  # a rest between two turns counts once, and what a face has is the face's
+                if still.recording == at and still.start < stop and start < still.stop:
+                    start, stop = (still.stop, stop) if stop > still.stop else (start, min(stop, still.start))
+            if stop - start >= LEAST_REST_S * records[at].sample_rate_hz:
+                stills.append(Still(start=start, stop=stop, recording=at))
+        turns = []
+        for held in self.turns:
+            start, stop = samples(held)
+            turns.append(replace(held.turn, start=start, stop=stop, recording=number[held.stretch]))
+        for turn in turns:
+            stills = [
+                replace(still, stop=turn.start)
+                if still.recording == turn.recording and still.start < turn.start < still.stop
+                else still
+                for still in stills
+            ]
+        return Session(
+            kind="calibration",
+            serial=self.serial or records[0].device,
+            gravity_m_s2=self.gravity_m_s2,
+            records=tuple(records),
+            stills=tuple(sorted(stills, key=lambda still: (still.recording, still.start))),
+            turns=tuple(sorted(turns, key=lambda turn: (turn.recording, turn.start))),
+        )
+
+    def save(self, session: Session | None = None) -> None:
+        """Write what was captured to the folder, which ``undrift calibrate`` reads."""
+        made = self.session() if session is None else session
+        write_session(made, self.folder)
+        for path in self.folder.glob("recording_*.parquet"):
+            if int(path.stem.rpartition("_")[2]) >= len(made.records):
+                path.unlink()
+        self.saved = True
+
+
+def way_of(held: CapturedTurn) -> str:
+    """Return which turn it is: ``+x`` for one about x by a positive angle."""
+    return f"{'+' if (held.turn.angle or 0.0) > 0.0 else '-'}{held.turn.axis}"
+
+
+def _alike(one: FloatArray, other: FloatArray) -> bool:
+    return bool(np.linalg.norm(one - other) < 0.05 * np.linalg.norm(other))

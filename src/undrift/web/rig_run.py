@@ -1,0 +1,429 @@
+"""A run on the rate table as the bench sees it: started in a process of its own, followed, paused, continued, stopped.
+
+The run is the command ``undrift rig run`` itself, with ``--progress``; it lives in a session of its own beside a supervisor
+(web/supervisor.py), and neither a closed browser nor the end of the bench's own process touches it. What the bench knows of it
+stands beside the folder of the run, so that the next bench finds it::
+
+    JOB/session/              the folder of the run
+    JOB/run/run.json          the order: addresses and options
+    JOB/run/protocol.toml     what was asked for
+    JOB/run/progress.jsonl    what the command and the supervisor wrote
+    JOB/run/standby.json      port and key of the supervisor
+    JOB/run/lock              locked while either of them lives
+    JOB/run/answer.json, run.log   stdout and stderr of the command
+
+Pause is Ctrl-C of the command: the dwell that is going is given up, the table comes to rest with its motor off, the folder stays.
+Go on is the command with --resume.
+"""
+
+import contextlib
+import http.client
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any, Literal
+from urllib.parse import urlencode
+
+from undrift.errors import InputError, RigFault
+from undrift.files import take_lock, write_whole
+from undrift.rig.folder import JOURNAL
+from undrift.rig.progress import ProgressReader
+from undrift.rig.standby import Standby, stop_now
+
+SESSION, PLACE = "session", "run"
+ORDER, PROTOCOL, PROGRESS, STANDBY, LOCK = "run.json", "protocol.toml", "progress.jsonl", "standby.json", "lock"
+ANSWER, LOG = "answer.json", "run.log"
+START_S = 30.0  # that a supervisor is waited for
+ANSWER_S = 2.0  # that it may take to answer
+FOLLOW_S = 0.1  # between two looks at what is new
+CURVE = 2000  # points that are kept of a temperature curve
+
+State = Literal["starting", "running", "pausing", "paused", "stopping", "stopped", "failed", "done"]
+GOING: tuple[State, ...] = ("starting", "running", "pausing", "stopping")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RunOrder:
+    """What a run is started with."""
+
+    rig: str  # Addresses, as the command takes them
+    device: str
+    chamber: str = ""
+    operator: str = ""  # of an emulated operator; a person is asked on the page where there is none
+    serial: str = ""
+    options: tuple[str, ...] = ()  # more words of the command
+    host: str = "127.0.0.1"  # where the supervisor listens
+
+
+def command_of(order: RunOrder, folder: Path) -> list[str]:
+    """Return the words of the command; it goes on where the folder has a journal."""
+    place = folder.parent / PLACE
+    words = [sys.executable, "-m", "undrift", "rig", "run", str(place / PROTOCOL), "-o", str(folder)]
+    words += ["--yes", "--json", "--progress", str(place / PROGRESS)]
+    for name in ("rig", "device", "chamber", "operator", "serial"):
+        if value := getattr(order, name):
+            words += [f"--{name}", value]
+    return [*words, *order.options, *(["--resume"] if (folder / JOURNAL).exists() else [])]
+
+
+def read_order(folder: Path) -> RunOrder:
+    """Return what a run was started with."""
+    held = json.loads((folder.parent / PLACE / ORDER).read_text())
+    return RunOrder(**{**held, "options": tuple(held["options"])})
+
+
+@dataclass(slots=True, kw_only=True)
+class Point:
+    """A temperature as it was."""
+
+    time: float  # s since 1970
+    air_c: float | None
+    device_c: float | None
+    soaking: bool
+
+
+@dataclass(slots=True)
+class View:
+    """What is known of a run; pages show it."""
+
+    state: State = "starting"
+    phase: str = ""
+    number: int = 0  # of the step, from 0
+    steps: list[dict[str, Any]] = field(default_factory=list)  # kind, text, seconds, temp_c, up
+    done: set[int] = field(default_factory=set)  # dwells on the disk
+    left_s: float = 0.0  # forecast, table s
+    speed: float = 1.0  # table seconds in one of ours
+    live: str = ""
+    question: tuple[int, str] | None = None  # of the run to a person
+    standby: str = ""  # why there is no standby connection
+    error: str = ""
+    confirmed: bool | None = None  # whether a stop was
+    slope_c_per_min: float | None = None
+    stable_since: float | None = None  # s since 1970, of the set-point that was reached last
+    curve: list[Point] = field(default_factory=list)
+    pid: int | None = None  # of the command
+
+    @property
+    def step(self) -> str:
+        """Return in words what is done now."""
+        return str(self.steps[self.number]["text"]) if self.number < len(self.steps) else ""
+
+    @property
+    def dwells(self) -> int:
+        """Return how many dwells there are."""
+        return sum(step["kind"] == "dwell" for step in self.steps)
+
+    @property
+    def minutes_left(self) -> float:
+        """Return the forecast in minutes of ours."""
+        return max(self.left_s, 0.0) / self.speed / 60.0
+
+    def set_points(self) -> list[tuple[float, int, int]]:
+        """Return the temperatures with how many of their dwells are on the disk, and of how many."""
+        found: dict[float, list[int]] = {}
+        for number, step in enumerate(self.steps):
+            if step["kind"] == "dwell" and step["temp_c"] is not None:
+                found.setdefault(step["temp_c"], []).append(number)
+        return [(temp_c, len(self.done & set(numbers)), len(numbers)) for temp_c, numbers in sorted(found.items())]
+
+    def take(self, entry: dict[str, Any]) -> None:
+        """Take a line of the progress file."""
+        event = entry.get("event")
+        if event == "started":
+            self.state, self.pid, self.standby = "running", entry["pid"], entry["standby"]
+            self.question, self.error, self.confirmed, self.phase = None, "", None, "starting"
+        elif event == "plan":
+            self.steps, self.done, self.speed = entry["steps"], set(entry["done"]), entry["speed"]
+        elif event == "at":
+            self._at(entry)
+        elif event == "question":
+            self.question = (entry["number"], entry["text"])
+        elif event == "answer":
+            self.question = None
+        elif event == "pausing" and self.state == "running":
+            self.state = "pausing"
+        elif event == "stopping":
+            self.state = "stopping"
+        elif event == "stopped":
+            self.confirmed = entry["confirmed"]
+        elif event == "ended":
+            self._ended(int(entry["code"]))
+
+    def _at(self, entry: dict[str, Any]) -> None:
+        before, self.phase, self.number = self.phase, entry["phase"], entry["number"]
+        self.left_s, self.live, self.slope_c_per_min = entry["left_s"], entry["live"], entry["slope_c_per_min"]
+        soaking = self.phase in ("soaking", "setting")
+        if before == "soaking" and not soaking:
+            self.stable_since = entry["time"]
+        elif soaking:
+            self.stable_since = None
+        if entry["air_c"] is not None or entry["device_c"] is not None:
+            self.curve.append(
+                Point(time=entry["time"], air_c=entry["air_c"], device_c=entry["device_c"], soaking=soaking)
+            )
+            if len(self.curve) > CURVE:
+                del self.curve[1::2]
+
+    def _ended(self, code: int) -> None:
+        self.question, self.live, self.phase = None, "", ""
+        if code == 0:
+            self.state, self.left_s = "done", 0.0
+        elif self.state in ("stopping", "stopped"):
+            self.state = "stopped"
+        else:
+            self.state = "paused" if self.state == "pausing" else "failed"
+
+
+class RigRun:
+    """A run in a folder; ``refresh`` reads what is new. Its methods wait for files and processes: call them in a thread."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder, self.place = folder, folder.parent / PLACE
+        self.order = read_order(folder)
+        self.view = View()
+        self._reader = ProgressReader(self.place / PROGRESS)
+        self._journal = ProgressReader(folder / JOURNAL)
+        self._supervisor: subprocess.Popen[bytes] | None = None
+        self._standing: dict[str, Any] = {}  # port, key and pid of the supervisor
+        self._reading = threading.Lock()
+
+    @property
+    def may_move(self) -> bool:
+        """Return whether the table may move."""
+        return self.view.state in GOING
+
+    @property
+    def stop_url(self) -> str:
+        """Return where a stop is posted to, past the bench: ":port/stop?key=..."; "" where nobody listens."""
+        held = self._standing
+        return f":{held['port']}/stop?key={held['key']}" if held and self.may_move else ""
+
+    def follow(self) -> None:
+        """Refresh in a thread until the run has ended."""
+
+        def look() -> None:
+            while self.refresh().state in GOING:
+                time.sleep(FOLLOW_S)
+
+        threading.Thread(target=look, name="run", daemon=True).start()
+
+    def launch(self) -> None:
+        """Start the run, or go on with it; returns when the supervisor stands by."""
+        last = time.monotonic() + START_S
+        while self.is_going() and self.view.state not in GOING and time.monotonic() < last:
+            time.sleep(0.02)  # the supervisor of the part before ends in a moment
+        if self.is_going():
+            raise InputError("rig run: wanted a run at rest, got one that goes on; wait for it, or pause it")
+        if self._supervisor is not None:
+            self._supervisor.wait(START_S)
+        (self.place / STANDBY).unlink(missing_ok=True)
+        self._standing = {}
+        self.view = replace(self.view, state="starting", error="", confirmed=None)
+        with (self.place / LOG).open("ab") as log:
+            self._supervisor = subprocess.Popen(
+                [sys.executable, "-m", "undrift.web.supervisor", str(self.folder)],
+                stdin=subprocess.DEVNULL,
+                stdout=log,
+                stderr=log,
+                start_new_session=True,
+            )
+        last = time.monotonic() + START_S
+        while not (self.place / STANDBY).exists():
+            if self._supervisor.poll() is not None or time.monotonic() > last:
+                self.view.state, self.view.error = "failed", self._last_line()
+                raise RigFault(f"rig run: wanted it started, got '{self.view.error}'; look at the addresses")
+            time.sleep(0.02)
+        self.refresh()
+
+    def refresh(self) -> View:
+        """Read what is new, and return what is known."""
+        with self._reading:
+            return self._refresh()
+
+    def _refresh(self) -> View:
+        if self._supervisor is not None:
+            self._supervisor.poll()  # no zombie
+        going = self.is_going()
+        with contextlib.suppress(OSError, ValueError):
+            self._standing = json.loads((self.place / STANDBY).read_text())
+        self._reader.news(self.view.take)
+        self._journal.news(self._take_piece)
+        view = self.view
+        if not going and view.state in GOING and (self.place / PROGRESS).exists():
+            view.state = "failed"  # neither command nor supervisor is left, and no word of the end
+            view.error = "the run was killed; its guard stops the table; look at the table, then go on"
+        elif view.state == "failed" and not view.error:
+            view.error = self._error()
+        return view
+
+    def is_going(self) -> bool:
+        """Return whether the command or its supervisor lives."""
+        return is_locked(self.place / LOCK)
+
+    def answer(self, number: int, text: str = "") -> None:
+        """Answer a question of the run."""
+        self._ask("/answer", number=number, text=text)
+
+    def pause(self) -> None:
+        """End the dwell that is going; the table comes to rest with its motor off."""
+        if self._ask("/pause") or not self.is_going() or self.view.pid is None:
+            return
+        for number in (signal.SIGTERM, signal.SIGCONT):  # the supervisor is gone
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(self.view.pid, number)
+        self.view.state = "pausing"
+
+    def emergency_stop(self) -> None:
+        """Stop the table at once: through the supervisor, or past it where it does not answer."""
+        if self._ask("/stop"):
+            return
+        self.refresh()
+        if self._ask("/stop"):  # of the part that another bench has started
+            return
+        going, standby = self.is_going(), Standby(self.order.rig)
+        try:
+            confirmed = stop_now(standby, lambda: not self.is_going(), self.view.pid if going else None)
+        finally:
+            standby.close()
+        if going:
+            self.view.state, self.view.confirmed = "stopped", confirmed
+
+    def close(self, wait_s: float = 20.0) -> None:
+        """Pause a run that goes on, and wait until the table is at rest: the bench ends."""
+        if not self.is_going():
+            return
+        self.pause()
+        last = time.monotonic() + wait_s
+        while self.is_going() and time.monotonic() < last:
+            time.sleep(0.05)
+
+    def _ask(self, path: str, **words: object) -> bool:
+        """Post to the supervisor; return whether it obeyed."""
+        held = self._standing
+        if not held:
+            return False
+        link = http.client.HTTPConnection(self.order.host, held["port"], timeout=ANSWER_S)
+        try:
+            link.request("POST", f"{path}?{urlencode({'key': held['key'], **words})}")
+            return link.getresponse().status == 200
+        except (OSError, http.client.HTTPException):
+            return False
+        finally:
+            link.close()
+
+    def _take_piece(self, line: dict[str, Any]) -> None:
+        entry = line.get("entry")
+        if isinstance(entry, dict) and entry.get("entry") == "dwell":
+            self.view.done.add(entry["step"])
+        elif isinstance(entry, dict) and entry.get("entry") == "withdrawn":
+            self.view.done.discard(entry["step"])
+
+    def _error(self) -> str:
+        """Return why the command ended, in its own line."""
+        with contextlib.suppress(OSError, ValueError):
+            answer = json.loads((self.place / ANSWER).read_text())
+            return str(answer["error"]["text"])
+        return self._last_line()
+
+    def _last_line(self) -> str:
+        with contextlib.suppress(OSError):
+            lines = [line for line in (self.place / LOG).read_text(errors="replace").splitlines() if line.strip()]
+            return lines[-1].removeprefix("undrift: ") if lines else ""
+        return ""
+
+
+def is_locked(path: Path) -> bool:
+    """Return whether another process holds the lock of a file."""
+    import fcntl
+
+    try:
+        with path.open("rb") as handle:
+            fcntl.flock(handle, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except FileNotFoundError:
+        return False
+    except OSError:
+        return True
+    return False
+
+
+def begin_run(folder: Path, protocol: str, order: RunOrder) -> RigRun:
+    """Write the order of a run into its folder; ``launch`` starts it."""
+    place = folder.parent / PLACE
+    if (folder / JOURNAL).exists():
+        raise InputError(f"{folder}: wanted a new folder, got one with a run in it; go on with that, or begin another")
+    place.mkdir(parents=True, exist_ok=True)
+    write_whole(place / PROTOCOL, protocol)
+    write_whole(place / ORDER, json.dumps(asdict(order)) + "\n")
+    return RigRun(folder)
+
+
+def find_run(root: Path) -> RigRun | None:
+    """Return the run in a folder of jobs that goes on; without one the newest that did not come to its end."""
+    orders = sorted(root.glob(f"*/{PLACE}/{ORDER}"), key=lambda path: path.stat().st_mtime, reverse=True)
+    found = []
+    for path in orders:
+        with contextlib.suppress(OSError, ValueError, TypeError, KeyError):
+            run = RigRun(path.parents[1] / SESSION)
+            if run.is_going():
+                run.refresh()
+                return run
+            found.append(run)
+    for run in found[:1]:
+        if run.refresh().state not in ("done", "starting"):
+            return run
+    return None
+
+
+# ---- The emulated table: another process that stays while a run needs it.
+
+
+class EmulatedTable:
+    """An emulated table, chamber, device and operator on loopback ports."""
+
+    def __init__(self, folder: Path, words: Sequence[str] = ()) -> None:
+        self._place, self.addresses = folder / "emulator.json", dict[str, str]()
+        self._process: subprocess.Popen[bytes] | None = None
+        self.words = tuple(words)
+
+    def start(self) -> dict[str, str]:
+        """Start it, or find the one that an earlier bench left; return its addresses."""
+        if self.addresses and self.is_there():
+            return self.addresses
+        if not self.is_there():
+            with self._place.open("wb") as out:
+                take_lock(out.fileno())  # its process inherits the lock with its stdout
+                self._process = subprocess.Popen(
+                    [sys.executable, "-m", "undrift", "rig", "emulate", "--json", *self.words],
+                    stdin=subprocess.DEVNULL,
+                    stdout=out,
+                    stderr=subprocess.DEVNULL,
+                    start_new_session=True,
+                )
+        last = time.monotonic() + START_S
+        while time.monotonic() < last and self.is_there():
+            with contextlib.suppress(ValueError, OSError):
+                held = json.loads(self._place.read_text())
+                self.addresses = {name: held[name] for name in ("rig", "device", "chamber", "operator")}
+                return self.addresses
+            time.sleep(0.05)
+        raise RigFault("emulated table: wanted it started, got none; run undrift rig emulate to see why")
+
+    def is_there(self) -> bool:
+        """Return whether it runs."""
+        if self._process is not None:
+            self._process.poll()
+        return is_locked(self._place)
+
+    def close(self) -> None:
+        """End the one that this bench started."""
+        if self._process is not None:
+            self._process.terminate()
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                self._process.wait(10.0)

@@ -1,0 +1,36 @@
+"""``undrift bench``: calls that are refused; the pages have tests of their own (tests/web, tests/web_browser)."""
+
+from pathlib import Path
+
+import pytest
+
+from testkit.bench import bench_process
+from undrift.cli.app import run
+
+TOKEN = "a-token-of-sixteen"
+
+
+@pytest.mark.parametrize(
+    ("words", "text"),
+    [
+        (["--host", "0.0.0.0"], "--host: wanted this computer (127.0.0.1), got 0.0.0.0; add --network"),
+        (["--token", TOKEN], "--token: wanted --network beside it, got it alone"),
+        (["--network", "--token", "short"], "--token: wanted 16 characters or more, got 5"),
+        (["--port", "70000"], "--port: wanted 0 to 65535, got 70000"),
+        (["--upload-mb", "0"], "--upload-mb: wanted more than 0, got 0"),
+    ],
+)
+def test_a_call_that_would_open_the_bench_by_mistake_is_refused(
+    words: list[str], text: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    assert run(["bench", "--folder", str(tmp_path / "held"), *words]) == 2
+    assert text in capsys.readouterr().err
+    assert not (tmp_path / "held").exists()
+
+
+def test_a_port_in_use_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with bench_process(tmp_path / "bench") as server:
+        assert run(["bench", "--folder", str(tmp_path / "other"), "--port", str(server.port), "--no-browser"]) == 2
+    assert (
+        f"bench: wanted to listen at 127.0.0.1:{server.port}, got 'Address already in use'" in capsys.readouterr().err
+    )

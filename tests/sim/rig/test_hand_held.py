@@ -1,0 +1,221 @@
+"""The device in an operator's hands: gravity and rates agree, it rests when it rests, and it does what it is asked."""
+
+import math
+import socket
+
+import numpy as np
+import pytest
+
+from testkit.emulated_axis import HandClock
+from testkit.waiting import eventually
+from undrift.errors import InputError
+from undrift.frames import quaternion_conjugate, quaternion_of, quaternion_product, rotate
+from undrift.live.recorder import Recorder
+from undrift.live.transports import source_at
+from undrift.record import FACES
+from undrift.sim.device.presets import random_device, random_device_of
+from undrift.sim.motion.motion import unit_vector
+from undrift.sim.rig.hand_held import HandSettings, start_hand_held
+from undrift.sim.rig.stream import StreamSettings
+from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
+
+DEVICE = random_device(np.random.default_rng(8), grade="consumer")
+TURN = 2.0 * math.pi
+UP = np.array([0.0, 0.0, 1.0])
+
+
+@pytest.fixture
+def held():
+    with start_hand_held(seed=4, device=DEVICE, clock=HandClock()) as made:
+        yield made
+
+
+def truth(held, duration_s, step_s=0.01):
+    """Go on, and return moments, rate, mean rate over each step, and force (N, 3)."""
+    clock = held.stream.clock
+    start = clock.now()
+    with held.stream.lock:
+        clock.advance(duration_s)
+        times = start + step_s * np.arange(1, round(duration_s / step_s) + 1)
+        scene, mean = held.stream._scene(times)
+        held.stream._go_on()
+    return times, scene.rate_b, mean, scene.force_b
+
+
+@pytest.mark.parametrize("face", FACES)
+def test_a_device_that_was_laid_on_a_face_rests_there_and_feels_gravity(held, face):
+    held.lay(face)
+    assert held.moving
+    assert held.face == face
+    truth(held, 4.0)
+    assert not held.moving
+    _, rate, mean, force = truth(held, 1.0)
+    assert not rate.any()
+    assert not mean.any()
+    assert np.ptp(force, axis=0).max() == 0.0
+    assert np.linalg.norm(force[0]) == pytest.approx(STANDARD_GRAVITY, rel=1e-12)
+    tilt = math.acos(force[0] @ unit_vector(face) / STANDARD_GRAVITY)
+    assert 0.0 < tilt < 5.0 * HandSettings().tilt_sd * math.sqrt(2.0)  # two axes, five standard deviations
+
+
+def test_a_face_is_off_level_by_another_tilt_each_time(held):
+    tilts = []
+    for face in ("+x", "+z") * 20:
+        held.lay(face)
+        truth(held, 4.0)
+        if face == "+x":
+            tilts.append(truth(held, 0.1)[3][0, 1:] / STANDARD_GRAVITY)
+    # sd of 40 draws is known to 1 / sqrt(80) = 11 %: within four of these
+    assert np.std(tilts) == pytest.approx(HandSettings().tilt_sd, rel=0.45)
+
+
+@pytest.mark.parametrize(
+    "asked", [lambda h: h.lay("-z"), lambda h: h.turn("z", -TURN), lambda h: h.turn("x", 2.0 * TURN)]
+)
+def test_what_the_gyroscopes_feel_turns_gravity_as_the_accelerometers_feel_it(held, asked):
+    before = truth(held, 0.6)[3][-1]
+    asked(held)
+    _, _, mean, force = truth(held, 12.0)
+    q = np.array([1.0, 0.0, 0.0, 0.0])  # from where it lay
+    for step in mean:
+        q = quaternion_product(q, quaternion_of(step * 0.01))
+    assert not held.moving
+    assert rotate(quaternion_conjugate(q), before) == pytest.approx(force[-1], abs=1e-8 * STANDARD_GRAVITY)
+    assert np.abs(np.linalg.norm(force, axis=1) - STANDARD_GRAVITY).max() > 0.1  # hands shake and lift it on the way
+
+
+def test_a_rate_is_the_mean_rate_of_a_short_step(held):
+    held.turn("y", TURN)
+    _, rate, _, _ = truth(held, 3.0, step_s=0.001)
+    with start_hand_held(seed=4, device=DEVICE, clock=HandClock()) as other:
+        other.turn("y", TURN)
+        with other.stream.lock:
+            other.stream.clock.advance(3.0)
+            other.stream._step = 1e-5  # the mean over this ends at the moment: behind by half of it
+            mean = other.stream._scene(0.001 * np.arange(1, 3001))[1]
+    # the rate changes by up to 1 rad/s of tremor and turn within 1/20 s: half of 1e-5 s makes 1e-4 rad/s
+    assert mean == pytest.approx(rate, abs=5e-4)
+
+
+def test_a_turn_is_by_the_angle_about_the_axis_but_for_what_hands_err(held):
+    settings, errors = HandSettings(), []
+    for axis in ("x", "y", "z") * 6:
+        held.lay(f"+{axis}")
+        truth(held, 4.0)
+        held.turn(axis, TURN)
+        _, _, mean, _ = truth(held, 7.0)
+        assert not held.moving
+        turned = mean.sum(axis=0) * 0.01
+        errors.append(turned["xyz".index(axis)] - TURN)
+        assert np.delete(mean, "xyz".index(axis), axis=1).max() < 0.3 * mean.max()
+    # angle errors of 18 turns: sd within 17 %, four of these, and a cosine of the axis' lean that is below 1e-3
+    assert np.std(errors) == pytest.approx(settings.angle_sd, rel=0.7)
+    assert np.abs(errors).max() < 5.0 * settings.angle_sd
+
+
+def test_a_turn_goes_beyond_the_mark_and_comes_back(held):
+    held.lay("+z")
+    truth(held, 4.0)
+    held.turn("z", TURN)
+    angle = np.cumsum(truth(held, 7.0)[2][:, 2]) * 0.01
+    assert angle.max() > angle[-1] + 0.2 * RADIAN_PER_DEGREE
+
+
+def test_a_slow_gyroscope_is_turned_within_its_range():
+    slow = random_device_of("enc03j_3031", np.random.default_rng(2))
+    with start_hand_held(seed=4, device=slow, clock=HandClock()) as held:
+        held.turn("z", TURN)
+        assert np.abs(truth(held, 20.0)[1]).max() < slow.gyro.full_scale
+
+
+def test_the_readings_do_not_depend_on_how_often_the_device_is_looked_at():
+    said = []
+    for steps in ([3.0], [0.07] * 30 + [0.9]):
+        with start_hand_held(seed=4, device=DEVICE.without_noise(), clock=HandClock()) as held:
+            rows = []
+            held.stream._send = lambda counts, values, rows=rows: rows.append(values)
+            held.turn("x", TURN)
+            for step in steps:
+                with held.stream.lock:
+                    held.stream.clock.advance(step)
+                    held.stream._go_on()
+            said.append(np.vstack(rows))
+    assert len(said[0]) == 300
+    # the last step of one chunk is the first of the next: the change of the rate between them is that of the chunk
+    assert said[1] == pytest.approx(said[0], rel=1e-9, abs=1e-6)
+
+
+def test_the_board_warms_a_little(held):
+    first = held.stream._board_temp(np.array([0.0, 3600.0]))
+    assert first == pytest.approx([25.0, 25.3], abs=0.01)
+
+
+def test_moves_that_are_asked_for_at_once_follow_each_other_and_only_a_few_wait(held):
+    for face in ("+x", "-x") * 4:
+        held.lay(face)
+    with pytest.raises(
+        InputError, match=r"hand held: wanted at most 8 moves that wait, got one more; wait until it rests"
+    ):
+        held.lay("+y")
+    truth(held, 40.0)
+    assert truth(held, 0.1)[3][0, 0] == pytest.approx(-STANDARD_GRAVITY, rel=1e-3)
+    assert len(held.stream._moves) <= 9
+    held.lay("+y")
+    assert len(held.stream._moves) == 2  # what is over is forgotten
+
+
+def test_what_cannot_be_is_refused(held):
+    with pytest.raises(InputError, match=r"face: wanted one of \+x, .*, got 'up'; name the axis that points up"):
+        held.lay("up")
+    for axis, angle in (("z", 1.0), ("w", TURN), ("z", 0.0), ("z", 11.0 * TURN)):
+        with pytest.raises(InputError, match=r"turn: wanted an axis x, y or z and 1 to 10 whole turns, got '"):
+            held.turn(axis, angle)
+    with pytest.raises(InputError, match=r"hand held: wanted turn_s above 0, the shorter first, got 4 and 3 s"):
+        HandSettings(turn_s=(4.0, 3.0))
+
+
+def test_the_operator_does_what_a_line_says_or_says_why_not():
+    with start_hand_held(seed=4, device=DEVICE, speed=20.0) as held:
+        place = held.operator_address.removeprefix("tcp://").split(":")
+        with socket.create_connection((place[0], int(place[1])), timeout=20.0) as link:
+            answers = link.makefile()
+
+            def say(line):
+                link.sendall(f"{line}\n".encode())
+                return answers.readline().strip()
+
+            assert say("STATE?") == "rest +z"
+            assert say("face +x") == "OK +x"
+            assert say("MOUNT -y") == "OK -y"
+            assert say("turn y 360") == "OK y 360"
+            assert say("state?") == "moving -y"
+            assert say("turn y half").startswith("ERROR turn: wanted an angle in deg, got 'half'; say turn z 360")
+            assert say("turn y 90").startswith(
+                "ERROR turn: wanted an axis x, y or z and 1 to 10 whole turns, got 'y' and 90 deg"
+            )
+            assert say("jump").startswith(
+                "ERROR operator: wanted 'face +x', 'turn z 360' or 'state?', got another line"
+            )
+            eventually(lambda: say("state?") == "rest -y", "the device rests")
+
+
+def test_its_address_is_read_by_live_at_the_speed_it_has():
+    stream = StreamSettings(seed=4, sample_rate_hz=50.0)
+    with (
+        start_hand_held(device=DEVICE, stream=stream, speed=10.0) as held,
+        Recorder(source_at(held.address)) as recorder,
+    ):
+        start = recorder.now()
+        held.lay("-x")
+        eventually(lambda: not held.moving and recorder.now() > start + 1.0, "the device rests")
+        record = recorder.between(start, recorder.now())
+    assert record.device == DEVICE.serial
+    assert record.sample_rate_hz == pytest.approx(50.0)
+    assert record.duration_s > 8.0
+    assert record.accel[-1, 0] == pytest.approx(-DEVICE.accel.gain * STANDARD_GRAVITY, rel=0.05)
+    assert recorder.timeline.marker.missing == 0
+
+
+def test_a_device_is_drawn_from_the_seed_or_anew():
+    with start_hand_held(seed=5) as one, start_hand_held(seed=5) as same, start_hand_held() as other:
+        assert one.device.serial == same.device.serial != other.device.serial

@@ -1,0 +1,124 @@
+"""A device in an operator's hands on a clock that is moved by hand, and an operator who does what a guide says."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+from scipy.stats import chi2
+
+from testkit.emulated_axis import HandClock
+from undrift.record import FACES, Record
+from undrift.sim.motion.motion import facing, unit_vector
+from undrift.sim.rig.hand_held import start_hand_held
+from undrift.sim.rig.stream import StreamSettings
+from undrift.units import STANDARD_GRAVITY
+from undrift.web.six_faces import ORDER
+
+STEP_S = 0.2
+
+
+class HandFeed:
+    """Readings of a hand-held device, as a source would keep them."""
+
+    def __init__(self, seed=3, device=None, **settings):
+        self.clock = HandClock()
+        stream = StreamSettings(seed=seed, **settings)
+        self.held = start_hand_held(seed=seed, device=device, stream=stream, clock=self.clock)
+        self.rows, self.moves = [], set()
+        self.held.stream._send = lambda counts, rows: self.rows.append(
+            np.column_stack((counts / self.held.stream.rate, rows))
+        )
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *failure):
+        self.held.close()
+
+    def go(self, duration_s=STEP_S):
+        with self.held.stream.lock:
+            self.clock.advance(duration_s)
+            self.held.stream._go_on()
+            self.moves |= {(move.start, move.stop) for move in self.held.stream._moves if move.stop > 0.0}
+
+    def recent(self, seconds=1.0, drop=None):
+        """Return the newest readings; those in the span ``drop``, s, were lost."""
+        rows = np.concatenate(self.rows[-round(seconds / STEP_S) - 1 :])
+        if drop is not None:
+            rows = rows[(rows[:, 0] < drop[0]) | (rows[:, 0] >= drop[1])]
+        if len(rows) < 2:
+            return None
+        device = self.held.device
+        return Record(
+            time=rows[:, 0],
+            gyro=rows[:, 1:4],
+            accel=rows[:, 4:7],
+            temp_c=rows[:, 7],
+            gyro_unit=device.gyro.unit,
+            accel_unit=device.accel.unit,
+            device=device.serial,
+        )
+
+    def watch(self, guide, duration_s, **lost):
+        """Feed a guide for a while; return all its lights."""
+        lights = []
+        for _ in range(round(duration_s / STEP_S)):
+            self.go()
+            lights.append(guide.update(self.recent(**lost), self.clock.now()))
+        return lights
+
+    def moved_in(self, piece):
+        """Whether the device was moved while a piece was captured."""
+        return any(start + 1e-6 < piece.stop_s and piece.start_s < stop for start, stop in self.moves)
+
+
+def joint_factor(parameters):
+    """Return the coverage factor of 95 % for so many parameters jointly."""
+    return math.sqrt(chi2.ppf(0.95, parameters))
+
+
+def accel_as_six_faces_see_it(device, gravity_m_s2=STANDARD_GRAVITY):
+    """Return matrix (3, 3) and offset (3,) of the correction by which six level faces without noise read right.
+
+    Half sums and half differences of opposite faces: what bends the accelerometers alike on both is in their offset.
+    """
+    quiet = device.without_noise()
+    with HandFeed(device=quiet) as feed:
+        read = {}
+        for face in FACES:
+            up = unit_vector(face)
+            feed.held.stream._moves[-1] = replace(feed.held.stream._moves[-1], q=facing(np.array([1.0, 0, 0, 0]), up))
+            feed.go()
+            read[face] = feed.rows[-1][-1, 4:7]
+    forward = np.column_stack([0.5 * (read[f"+{a}"] - read[f"-{a}"]) / gravity_m_s2 for a in "xyz"])
+    return np.linalg.inv(forward), np.mean([read[face] for face in FACES], axis=0)
+
+
+def capture_faces(feed, guide, within_s=200.0):
+    """Do what the guide says until it has six faces."""
+    end = feed.clock.now() + within_s
+    while not guide.complete:
+        assert feed.clock.now() < end, f"never complete: {guide.light}"
+        feed.go()
+        light = guide.update(feed.recent(), feed.clock.now())
+        if feed.held.moving:
+            continue
+        if light.state == "unknown face":  # over all its sides
+            feed.held.lay(ORDER[(ORDER.index(feed.held.face) + 1) % 6])
+        elif light.state == "captured" and guide.wanted:
+            feed.held.lay(guide.wanted)
+
+
+def capture_turns(feed, guide, within_s=300.0):
+    """Do what the guide says until it has six turns."""
+    end = feed.clock.now() + within_s
+    while not guide.complete:
+        assert feed.clock.now() < end, f"never complete: {guide.light}"
+        feed.go()
+        light, way = guide.update(feed.recent(), feed.clock.now()), guide.wanted
+        if way is None or light.state != "still" or feed.held.moving:
+            continue
+        if feed.held.face != f"+{way[1]}":
+            feed.held.lay(f"+{way[1]}")
+        else:
+            feed.held.turn(way[1], math.copysign(2.0 * math.pi, 1.0 if way[0] == "+" else -1.0))

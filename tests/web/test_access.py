@@ -1,0 +1,84 @@
+"""Who may use the bench."""
+
+import http.client
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from testkit.bench import bench_process
+from undrift.web.access import refused
+
+TOKEN = "a-token-of-sixteen"
+
+
+def scope(kind: str = "http", method: str = "GET", query: str = "", **headers: str) -> dict[str, Any]:
+    sent = {"host": "127.0.0.1:8765"} | headers
+    pairs = [(name.encode(), value.encode()) for name, value in sent.items()]
+    return {"type": kind, "method": method, "path": "/", "query_string": query.encode(), "headers": pairs}
+
+
+@pytest.mark.parametrize("host", ["127.0.0.1:8765", "localhost:1", "localhost", "[::1]:8765"])
+def test_this_computer_needs_no_token(host: str) -> None:
+    assert refused(scope(host=host), None) == ""
+
+
+@pytest.mark.parametrize(
+    "host", ["evil.example:8765", "192.168.1.4", "", "[::1", "127.0.0.1.evil.example", "localhost."]
+)
+def test_another_name_for_this_computer_is_refused(host: str) -> None:
+    assert refused(scope(host=host), None).startswith("bench: wanted a request to this computer, got another name")
+
+
+@pytest.mark.parametrize(("kind", "method"), [("http", "POST"), ("http", "DELETE"), ("websocket", "GET")])
+def test_a_page_of_another_site_cannot_change_anything(kind: str, method: str) -> None:
+    assert "from elsewhere" in refused(scope(kind, method, origin="http://evil.example"), None)
+    assert "from elsewhere" in refused(scope(kind, method, origin="null"), None)
+    assert refused(scope(kind, method, origin="http://127.0.0.1:8765"), None) == ""
+
+
+@pytest.mark.parametrize(
+    ("query", "cookie", "passes"),
+    [
+        ("", "", False),
+        (f"token={TOKEN}", "", True),
+        ("token=another", "", False),
+        ("", f"undrift_token={TOKEN}", True),
+        ("token=another", f"undrift_token={TOKEN}", False),
+        ("", "undrift_token=another", False),
+        ("", "undrift_token", False),
+        ("token=", "", False),
+        ("token=\u00e9", "\u00e9=\u00e9", False),
+    ],
+)
+def test_with_a_token_every_request_carries_it(query: str, cookie: str, passes: bool) -> None:
+    assert (refused(scope(query=query, host="192.168.1.4", cookie=cookie), TOKEN) == "") is passes
+
+
+def test_a_bench_for_the_network_answers_nobody_without_its_token(tmp_path: Path) -> None:
+    with bench_process(tmp_path / "bench", "--network", "--token", TOKEN) as server:
+
+        def asked(path: str, method: str = "GET", **headers: str) -> tuple[int, http.client.HTTPMessage, bytes]:
+            with closing(http.client.HTTPConnection("127.0.0.1", server.port, timeout=10.0)) as connection:
+                connection.request(method, path, headers=headers)
+                answer = connection.getresponse()
+                return answer.status, answer.headers, answer.read()
+
+        for path, method in (
+            ("/", "GET"),
+            ("/files/place.json", "GET"),
+            ("/upload?name=a.csv", "POST"),
+            ("/stop", "POST"),
+        ):
+            status, _, body = asked(path, method)
+            assert status == 403, path
+            assert body.startswith(b"bench: wanted its token, got none or a wrong one")
+        status, headers, _ = asked(f"/?token={TOKEN}")
+        assert (status, headers["location"]) == (303, "/")
+        cookie = str(headers["set-cookie"])
+        assert "HttpOnly" in cookie
+        assert "samesite=strict" in cookie.lower()
+        status, headers, _ = asked("/", cookie=cookie.partition(";")[0])
+        assert status == 200
+        assert "frame-ancestors 'self'" in headers["content-security-policy"]

@@ -1,0 +1,118 @@
+"""What a guided capture keeps and writes: what is captured, little else, one recording for each stretch without a gap."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from testkit.guided import HandFeed, capture_faces
+from undrift.calibration.calibrate import calibrate
+from undrift.errors import InputError
+from undrift.io.session import read_session
+from undrift.record import Record
+from undrift.web.capture import KEEP_S, Capture
+from undrift.web.six_faces import SixFaces
+
+
+def kept_s(capture):
+    return sum(float(part.time[-1] - part.time[0]) for each in capture._stretches for part in each.parts)
+
+
+@pytest.fixture
+def guide(tmp_path):
+    return SixFaces(Capture(tmp_path / "session", serial="A17", gravity_m_s2=9.81))
+
+
+def test_the_folder_holds_serial_and_gravity_and_is_written_anew_as_more_is_captured(guide):
+    with HandFeed(seed=5) as feed:
+        feed.watch(guide, 12.0)
+        guide.capture.save()
+        assert guide.capture.saved
+        assert [still.face for still in read_session(guide.capture.folder).stills] == ["+z"]
+        feed.held.lay("-x")
+        feed.watch(guide, 12.0)
+        assert not guide.capture.saved
+        guide.capture.save()
+    session = read_session(guide.capture.folder)
+    assert [still.face for still in session.stills] == ["+z", "-x"]
+    assert (session.serial, session.gravity_m_s2) == ("A17", 9.81)
+
+
+def test_a_lost_connection_begins_another_recording_and_all_of_them_calibrate(guide):
+    with HandFeed(seed=5) as feed:
+        feed.held.lay("+x")
+        feed.watch(guide, 12.0)
+    with HandFeed(seed=5) as feed:  # its clock begins at zero again
+        capture_faces(feed, guide)
+    guide.capture.save()
+    session = read_session(guide.capture.folder)
+    assert len(session.records) == 2
+    assert {still.recording for still in session.stills if still.face == "+x"} == {0}
+    assert calibrate(session).accel.method == "six-face/levelled"
+    guide.redo("+x")
+    with HandFeed(seed=5) as feed:
+        feed.held.lay("+x")
+        feed.watch(guide, 14.0)
+    guide.capture.save()
+    assert len(read_session(guide.capture.folder).records) == 2
+    assert sorted(path.name for path in guide.capture.folder.iterdir()) == [
+        "recording_0.parquet",
+        "recording_1.parquet",
+        "session.toml",
+    ]
+
+
+def test_another_connection_with_a_later_clock_is_told_by_its_key(guide):
+    with HandFeed(seed=5) as feed:
+        feed.watch(guide, 5.0)
+        first = guide.capture.stretch
+        feed.go()
+        guide.update(feed.recent(), feed.clock.now(), key="other")
+    assert guide.capture.stretch == first + 1
+
+
+def test_readings_in_which_nothing_is_captured_are_forgotten(guide):
+    guide.capture.take(None, 0.0)
+    time = np.arange(500) / 10.0
+    for block in range(40):  # 2000 s
+        values = np.random.default_rng(block).normal(0.0, 1.0, (500, 3))
+        guide.capture.take(Record(time=time + 50.0 * block, gyro=values, accel=values + 9.8), 50.0 * block)
+        assert kept_s(guide.capture) < 2.0 * KEEP_S + 100.0
+
+
+def test_what_was_captured_is_kept_while_the_rest_is_forgotten(guide):
+    with HandFeed(seed=5, sample_rate_hz=20.0) as feed:
+        feed.watch(guide, 12.0)
+        held = guide.capture.faces["+z"]
+        feed.watch(guide, 3.0 * KEEP_S)
+        assert kept_s(guide.capture) < 2.0 * KEEP_S + 30.0
+        feed.held.lay("+x")
+        feed.watch(guide, 12.0)
+    session = guide.capture.session()
+    still = next(still for still in session.stills if still.face == "+z")
+    record = session.records[still.recording]
+    assert (record.time[still.start], record.time[still.stop]) == pytest.approx((held.start_s, held.stop_s), abs=0.06)
+    assert len(session.records) == 2
+
+
+def test_one_reading_at_a_time_is_as_good_as_many(guide):
+    with HandFeed(seed=5) as feed:
+        feed.watch(guide, 4.0)
+        many = guide.capture.tail(3.0)
+        other = Capture(guide.capture.folder)
+        rows = feed.recent(4.0)
+        for stop in range(2, len(rows) + 1):
+            other.take(rows.part(max(0, stop - 30), stop), 0.01 * stop)
+        assert np.array_equal(other.tail(3.0).accel[:-1], many.accel[: len(other.tail(3.0)) - 1])
+        assert other.stretch == 0
+
+
+def test_what_cannot_be_captured_is_refused(guide):
+    record = Record(time=np.arange(100) / 100.0, gyro=np.ones((100, 3)), accel=np.ones((100, 3)))
+    with pytest.raises(InputError, match=r"capture: wanted gyroscope and accelerometer, got one of them; state both"):
+        guide.update(replace(record, gyro=None), 0.0)
+    with pytest.raises(InputError, match=r"session: wanted a captured face or turn, got none; capture one first"):
+        guide.capture.save()
+    guide.update(record, 0.0)
+    with pytest.raises(InputError, match=r"capture: wanted readings in m/s2, got g; begin a new session"):
+        guide.update(replace(record, accel_unit="g", time=record.time + 1.0), 1.0)

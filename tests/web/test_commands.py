@@ -1,0 +1,49 @@
+"""Commands as the bench calls them: one envelope, or one line of what went wrong."""
+
+import asyncio
+import json
+import time
+from pathlib import Path
+
+import pytest
+
+from undrift.web.commands import Outcome, outcome_of, run_command
+
+
+def test_a_command_answers_with_its_envelope(tmp_path: Path) -> None:
+    outcome = asyncio.run(run_command(["data", "list"], tmp_path, lambda line: None))
+    assert outcome.code == 0
+    assert outcome.done
+    assert outcome.answer["kind"] == "undrift.data_list"
+    assert outcome.answer["sets"]
+
+
+def test_a_command_that_refuses_gives_its_line(tmp_path: Path) -> None:
+    outcome = asyncio.run(run_command(["info", "none.csv"], tmp_path, lambda line: None))
+    assert (outcome.code, outcome.done) == (2, False)
+    assert "none.csv" in outcome.error
+    assert "\n" not in outcome.error
+
+
+def test_a_command_that_does_not_end_is_ended(tmp_path: Path) -> None:
+    began = time.monotonic()
+    words = ["rig", "emulate", "--speed", "1"]  # goes on until Ctrl-C
+    outcome = asyncio.run(run_command(words, tmp_path, lambda line: None, longest_s=3.0))
+    assert outcome == Outcome(code=2, error="rig: wanted an end within 3 s, got none; use a shorter recording")
+    assert time.monotonic() - began < 30.0
+
+
+@pytest.mark.parametrize(
+    ("code", "text", "lines", "error"),
+    [
+        (0, "", [], "the command ended without an answer (exit 0)"),
+        (0, "no json", [], "the command ended without an answer (exit 0)"),
+        (-9, "", [], "the command ended without an answer (exit -9)"),
+        (2, "", ["working", "undrift: a: wanted b, got c; do d", ""], "a: wanted b, got c; do d"),
+        (3, json.dumps({"error": {"text": "rig: lost"}}), ["undrift: other"], "rig: lost"),
+    ],
+)
+def test_whatever_a_command_leaves_becomes_one_line(code: int, text: str, lines: list[str], error: str) -> None:
+    outcome = outcome_of(code, text, lines)
+    assert not outcome.done
+    assert outcome.error.startswith(error)

@@ -1,0 +1,56 @@
+"""The drawings of the guided pages: well formed, the right face on top, and a right-handed box whichever way it stands."""
+
+import re
+from typing import get_args
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+
+from undrift.record import FACES
+from undrift.sim.motion.motion import unit_vector
+from undrift.web.capture import Light, State
+from undrift.web.drawings import box, lamp, ring
+
+SVG = "{http://www.w3.org/2000/svg}"
+
+
+def parsed(svg):
+    return ElementTree.fromstring(svg.replace("<svg ", '<svg xmlns="http://www.w3.org/2000/svg" ', 1))
+
+
+@pytest.mark.parametrize("face", FACES)
+def test_three_sides_of_a_right_handed_box_are_seen_the_wanted_one_on_top(face):
+    drawn = parsed(box(face))
+    names = {text.text: (float(text.get("x")), float(text.get("y"))) for text in drawn.iter(f"{SVG}text")}
+    assert drawn.get("aria-label") == f"Box with {face} up"
+    (top,) = [text.text for text in drawn.iter(f"{SVG}text") if text.get("class") == "top"]
+    assert top == face
+    assert len(names) == 3
+    # Seen from outside, the names of three sides that meet in a corner follow each other counter-clockwise as right-handed axes do
+    left, right = sorted((name for name in names if name != face), key=lambda name: names[name][0])
+    assert names[face][1] < min(names[left][1], names[right][1])
+    assert np.cross(unit_vector(left), unit_vector(right)) == pytest.approx(unit_vector(face))
+
+
+@pytest.mark.parametrize(("turn", "words"), [("+", "counter-clockwise"), ("-", "clockwise")])
+def test_the_arrow_goes_round_the_way_the_words_say(turn, words):
+    svg = box("+z", turn)
+    assert parsed(svg).get("aria-label") == f"Box with +z up, turned {words} seen from above"
+    points = np.array(re.findall(r"(-?[\d.]+) (-?[\d.]+)", re.search(r'class="act" d="([^"]*)"', svg)[1]), float)
+    front = points[np.argsort(points[:, 1])[-1]]  # the lowest point is the nearest one
+    after = points[np.argsort(points[:, 1])[-1] + 3]
+    assert (after[0] > front[0]) == (turn == "+")  # seen from above, counter-clockwise goes to the right in front
+
+
+def test_every_light_has_a_shape_of_its_own():
+    shapes = {state: lamp(Light(state=state, text="")) for state in get_args(State)}
+    assert all(parsed(svg).get("aria-hidden") == "true" for svg in shapes.values())
+    assert len({re.sub(r"var\([^)]*\)", "", svg) for svg in shapes.values()}) == len(shapes)
+
+
+def test_the_ring_closes_and_shows_whole_seconds():
+    gone = [float(re.search(r'stroke-dasharray="([\d.]+)', ring(left, 6.0))[1]) for left in (6.0, 3.0, 0.0)]
+    assert gone == pytest.approx([0.0, 125.7, 251.3], abs=0.1)
+    assert parsed(ring(2.1, 6.0)).find(f"{SVG}text").text == "3"
+    assert parsed(ring(None, 6.0)).find(f"{SVG}text") is None

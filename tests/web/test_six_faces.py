@@ -1,0 +1,250 @@
+"""The guided capture of six faces, fed the readings of a simulated device in an operator's hands."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from testkit.guided import STEP_S, HandFeed, accel_as_six_faces_see_it, capture_faces, joint_factor
+from testkit.hand_held import Tremor, hand_held_log, hand_waves
+from undrift.cli.app import run
+from undrift.errors import InputError
+from undrift.io.session import read_session
+from undrift.io.store import read_calibration
+from undrift.record import FACES
+from undrift.sim.device.presets import random_device_of
+from undrift.web.capture import Capture
+from undrift.web.six_faces import ORDER, SixFaces
+
+
+@pytest.fixture
+def guide(tmp_path):
+    return SixFaces(Capture(tmp_path / "session"))
+
+
+@pytest.fixture
+def feed():
+    with HandFeed(seed=5) as made:
+        yield made
+
+
+def test_six_faces_are_captured_at_rest_and_calibrate_reads_them(guide, feed, capsys):
+    capture_faces(feed, guide)
+    capture = guide.capture
+    assert set(capture.faces) == set(FACES)
+    assert feed.clock.now() < 6 * (6.0 + 1.5 + 1.1 + 2.5)  # countdown, settling, the window of a rest, a move
+    for held in capture.faces.values():
+        assert not feed.moved_in(held)
+        assert held.stop_s - held.start_s == pytest.approx(6.0, abs=2.0 * STEP_S)
+    capture.save()
+    session = read_session(capture.folder)
+    assert [still.face for still in session.stills] == list(capture.faces)
+    assert session.serial == feed.held.device.serial
+    out = capture.folder.parent / "calibration.json"
+    assert run(["calibrate", str(capture.folder), "-o", str(out), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["accel"]["method"] == "six-face/levelled"
+    accel = read_calibration(out).accel
+    matrix, offset = accel_as_six_faces_see_it(feed.held.device)
+    error = np.concatenate(((accel.matrix - matrix).ravel(), accel.offset - offset))
+    assert (np.abs(error) < joint_factor(12) * np.sqrt(np.diag(accel.covariance)[:12])).all()
+
+
+def test_a_face_may_come_in_any_order(guide, feed):
+    order = ["-y", "+x", "+z", "-x", "+y", "-z"]
+    for face in order:
+        feed.held.lay(face)
+        feed.watch(guide, 15.0)
+    assert [*guide.capture.faces] == order
+    assert guide.wanted is None
+    assert guide.light.text == "All six faces are captured."
+
+
+def test_the_light_says_what_the_device_does_and_what_to_do(guide, feed):
+    feed.held.lay("+x")
+    lights = feed.watch(guide, 12.0)
+    states = [light.state for light in lights]
+    first = [state for k, state in enumerate(states) if k == 0 or state != states[k - 1]]
+    assert first == ["moving", "settling", "still", "captured"]
+    counted = [light.left_s for light in lights if light.state == "still"]
+    assert counted == sorted(counted, reverse=True)
+    assert 5.5 < counted[0] <= 6.0
+    assert lights[0].text == "Moving. Turn +z up."
+    assert lights[-1].text == "+x is captured. Turn +z up."
+    assert [light.face for light in lights if light.state == "still"] == ["+x"] * len(counted)
+    assert guide.wanted == ORDER[0]
+
+
+def test_a_device_that_is_touched_again_and_again_is_never_captured(guide, feed):
+    for _ in range(12):  # it rests for 5 s at most
+        feed.held.lay("+z")
+        lights = feed.watch(guide, 6.0)
+        assert "captured" not in [light.state for light in lights]
+    assert guide.capture.faces == {}
+
+
+@pytest.mark.parametrize("in_counts", [False, True])
+def test_a_device_that_hands_hold_is_never_captured(guide, in_counts):
+    rng = np.random.default_rng(3)
+    record, _ = hand_held_log(rng, Tremor(rate_dps=3.0, sway_deg=2.0, accel=0.2), hold_s=(12.0, 15.0))
+    if in_counts:
+        record = replace(
+            record, gyro=1000.0 * record.gyro, accel=500.0 * record.accel, gyro_unit="count", accel_unit="count"
+        )
+    states = [guide.update(record.part(max(0, k - 100), k), k / 100.0).state for k in range(20, len(record), 20)]
+    assert "captured" not in states
+    assert in_counts or set(states) == {"moving"}
+    assert guide.capture.faces == {}
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_device_in_counts_that_hands_hold_on_a_face_is_never_captured(guide, feed, seed):
+    rng, gain, time = np.random.default_rng(seed), feed.held.device.accel.gain, np.arange(6001) / 100.0
+    states = []
+    shake, sway = (hand_waves(rng, time, *band) for band in ((7.0, 11.0), (0.1, 0.5)))
+    for _ in range(250):
+        feed.go()
+        record = feed.recent()
+        at = np.rint(100.0 * record.time).astype(int)
+        # of a steady hand: 0.2 m/s2 and 1 deg rms of three axes, and the rates of that
+        accel = record.accel + gain * (0.2 * shake[0][at] + np.radians(1.0) * 9.8 * sway[0][at])
+        gyro = record.gyro + feed.held.device.gyro.gain * (0.02 * shake[0][at] + np.radians(1.0) * sway[1][at])
+        guide.update(replace(record, accel=accel, gyro=gyro), feed.clock.now())
+        states.append(guide.light.state)
+    assert guide.capture.faces == {}
+    assert states.count("moving") > 0.6 * len(states)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_whatever_an_operator_does_no_captured_face_holds_a_move(guide, seed):
+    rng = np.random.default_rng(seed)
+    with HandFeed(seed=seed) as feed:
+        for _ in range(25):
+            feed.held.lay(FACES[rng.integers(6)])
+            feed.watch(guide, float(rng.uniform(1.0, 14.0)))
+            for face, held in guide.capture.faces.items():
+                assert not feed.moved_in(held), face
+    assert guide.capture.faces
+
+
+def test_redo_replaces_one_face_and_keeps_it_until_then(guide, feed):
+    capture_faces(feed, guide)
+    before = dict(guide.capture.faces)
+    guide.redo("+x")
+    assert guide.complete
+    assert guide.wanted == "+x"
+    feed.held.lay("+y")
+    assert feed.watch(guide, 12.0)[-1].state == "wrong face"
+    assert guide.light.text == "+y is captured. Turn +x up."
+    assert guide.capture.faces == before
+    feed.held.lay("+x")
+    feed.watch(guide, 12.0)
+    changed = [face for face in FACES if guide.capture.faces[face] != before[face]]
+    assert changed == ["+x"]
+    assert guide.capture.faces["+x"].start_s > before["-y"].stop_s
+    assert guide.wanted is None
+    stills = guide.capture.session().stills
+    assert sorted(still.face for still in stills) == sorted(FACES)
+
+
+def test_redo_of_the_face_that_is_up_counts_down_anew(guide, feed):
+    feed.watch(guide, 12.0)
+    first = guide.capture.faces["+z"]
+    guide.redo("+z")
+    lights = feed.watch(guide, 7.0)
+    assert guide.capture.faces["+z"] == first
+    assert [light.state for light in lights][:3] == ["settling"] * 3
+    feed.watch(guide, 1.0)
+    assert guide.capture.faces["+z"].start_s > first.stop_s
+    assert guide.again is None
+
+
+def test_redo_is_taken_back(guide, feed):
+    capture_faces(feed, guide)
+    guide.redo("+x")
+    guide.redo(None)
+    assert guide.wanted is None
+    with pytest.raises(InputError, match=r"redo: wanted one of \+x, .*, got 'up'; name a face"):
+        guide.redo("up")
+
+
+@pytest.mark.parametrize("lost_s", [0.15, 0.6, 2.0])
+def test_a_gap_in_the_readings_restarts_the_countdown(guide, feed, lost_s):
+    lights = feed.watch(guide, 5.0)
+    assert lights[-1].state == "still"
+    before, begun = lights[-1].left_s, feed.clock.now()
+    after = feed.watch(guide, 12.0, drop=(begun, begun + lost_s))
+    left = [light.left_s for light in after if light.state == "still"]
+    assert max(left) > before + 1.0
+    assert guide.capture.faces["+z"].start_s > begun + lost_s
+    assert "no readings" in [light.state for light in after] or lost_s < 1.0
+
+
+def test_readings_that_a_recorder_marks_as_missing_restart_it_too(guide, feed):
+    feed.watch(guide, 5.0)
+    at = feed.clock.now()
+    for _ in range(60):
+        feed.go()
+        record = feed.recent()
+        gone = np.abs(record.time - at - 0.05) < 0.005
+        record = replace(
+            record,
+            accel=np.where(gone[:, None], np.nan, record.accel),
+            gyro=np.where(gone[:, None], np.nan, record.gyro),
+        )
+        guide.update(record, feed.clock.now())
+    held = guide.capture.faces["+z"]
+    assert held.start_s > at
+
+
+def test_silence_is_said(guide, feed):
+    assert guide.update(None, 0.0).state == "no readings"
+    feed.watch(guide, 5.0)
+    record, now = feed.recent(), feed.clock.now()
+    assert guide.update(record, now + 0.5).state == "still"
+    assert guide.update(record, now + 1.5).state == "no readings"
+    assert guide.light.text == "No readings. Check power and connection of the device."
+
+
+def test_a_device_in_counts_with_an_unknown_zero_is_turned_over_once(guide):
+    device = random_device_of("enc03j_3031", np.random.default_rng(5))
+    with HandFeed(seed=5, device=device) as feed:
+        light = feed.watch(guide, 3.0)[-1]
+        assert light.state == "unknown face"
+        assert light.text == "Which face is up is not known yet. Turn the device over all its sides once."
+        capture_faces(feed, guide)
+        for face, held in guide.capture.faces.items():
+            assert not feed.moved_in(held)
+            up = np.linalg.solve(device.accel.forward_matrix, np.array(held.mean) - device.accel.raw_offset)
+            assert up["xyz".index(face[1])] * (1 if face[0] == "+" else -1) == pytest.approx(9.8, abs=0.1)
+
+
+def test_the_unit_of_the_accelerometers_does_not_matter(tmp_path):
+    found = []
+    for number, factor in enumerate((1.0, 1e-6, 1e6)):
+        guide = SixFaces(Capture(tmp_path / str(number)))
+        with HandFeed(seed=6) as feed:
+            plain = feed.recent
+            feed.recent = lambda k=factor, plain=plain, **lost: (
+                lambda r: replace(r, accel=k * r.accel, gyro=k * r.gyro)
+            )(plain(**lost))
+            capture_faces(feed, guide)
+        found.append([(face, held.start_s) for face, held in guide.capture.faces.items()])
+    assert found[0] == found[1] == found[2]
+
+
+@pytest.mark.parametrize("unit", ["g", "count"])
+def test_a_tilted_device_is_not_captured_and_the_light_says_by_how_much(guide, feed, unit):
+    c, s = np.cos(np.radians(14.0)), np.sin(np.radians(14.0))
+    feed.watch(guide, 3.0 if unit == "count" else 0.0)  # lying flat shows the zero
+    size, states = feed.held.device.accel.gain * 9.80665, []
+    for _ in range(60):
+        feed.go()
+        record = feed.recent()
+        level = (record.accel - feed.held.device.accel.raw_offset) / size
+        accel = level @ np.array([[1.0, 0.0, 0.0], [0.0, c, s], [0.0, -s, c]]).T
+        record = replace(record, accel=accel if unit == "g" else accel * size, accel_unit=unit)
+        states.append(guide.update(record, feed.clock.now()))
+    assert guide.capture.faces == {}
+    assert states[-1].state == "tilted"
+    assert states[-1].text in [f"Tilted by {n} deg. Lay it flat with +z up." for n in (13, 14, 15)]

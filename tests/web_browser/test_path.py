@@ -1,0 +1,79 @@
+"""A person's whole path with the pointer alone: from the first page to a registered calibration with its certificate."""
+
+import json
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+
+from playwright.sync_api import Page, expect
+
+from testkit.bench import BenchServer, environment_of
+from undrift.web.six_faces import ORDER
+from undrift.web.turns import WAYS, named
+from web_browser.conftest import shoot
+
+CAPTURE_MS, COMMAND_MS = 40_000, 90_000
+
+
+class Pointer:
+    """Clicks, and counts them."""
+
+    def __init__(self, page: Page) -> None:
+        self.page, self.clicks = page, 0
+
+    def click(self, name: str, role: str = "button") -> None:
+        self.page.get_by_role(role, name=name, exact=True).click(timeout=CAPTURE_MS)  # type: ignore[arg-type]
+        self.clicks += 1
+
+
+def captured(page: Page, name: str) -> None:
+    """Wait until a face or a turn is captured."""
+    page.get_by_role("listitem").filter(has_text=name).filter(has_text="captured").wait_for(timeout=CAPTURE_MS)
+
+
+def test_from_start_to_certificate_without_a_keyboard(
+    open_page: Callable[..., Page], bench_server: BenchServer
+) -> None:
+    page, began = open_page("/"), time.monotonic()
+    hand, spans = Pointer(page), dict[str, float]()
+    hand.click("Use the practice device")
+    expect(page.locator(".bench-device")).to_contain_text("Device: SIM-", timeout=CAPTURE_MS)
+    hand.click("Record six faces", "link")
+    for number, face in enumerate(ORDER):
+        if number:
+            hand.click(f"{face} up")
+        captured(page, f"{face} up")
+    spans["six faces"] = time.monotonic() - began
+    hand.click("Go on to turns by hand", "link")
+    for way in WAYS:
+        seen = "counter-clockwise" if way[0] == "+" else "clockwise"
+        if way[0] == "+":
+            hand.click(f"+{way[1]} up")
+            page.wait_for_timeout(4000)  # it is being laid down
+        page.locator(".light-words").filter(has_text="Turn it once").wait_for(timeout=CAPTURE_MS)
+        hand.click(f"{way[1]} {seen}")
+        captured(page, named(way).capitalize())
+    spans["turns"] = time.monotonic() - began
+    hand.click("Calibrate")
+    page.wait_for_url("**/result", timeout=COMMAND_MS)
+    expect(page.get_by_role("heading", name="Verdict:")).to_have_text("Verdict: good")
+    spans["result"] = time.monotonic() - began
+    hand.click("Register the calibration")
+    page.get_by_text("Registered as entry").wait_for(timeout=COMMAND_MS)
+    hand.click("Make the certificate")
+    with page.expect_download(timeout=COMMAND_MS) as download:
+        hand.click("Download certificate", "link")
+    spans["certificate"] = time.monotonic() - began
+    assert download.value.path().read_bytes().startswith(b"%PDF")
+    shoot(page, "result-with-certificate")
+    print(
+        f"\n{hand.clicks} clicks; seconds passed at " + ", ".join(f"{name} {span:.0f}" for name, span in spans.items())
+    )
+    listed = subprocess.run(
+        [sys.executable, "-m", "undrift", "registry", "list", "--json"],
+        env=environment_of(bench_server.folder), capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    (device,) = json.loads(listed.stdout)["devices"]
+    assert (device["state"], device["entries"], device["calibration"]["kind"]) == ("valid", 2, "calibration")
+    assert hand.clicks <= 24  # 2 to begin, 5 faces, 1, 3 layings and 6 turns, 4 to the certificate; three to spare

@@ -1,0 +1,143 @@
+"""The guided captures as a person does them: the keyboard alone, the practice device, a reload in the middle."""
+
+import time
+from collections.abc import Callable
+
+import numpy as np
+from axe_playwright_python.sync_playwright import Axe
+from playwright.sync_api import Page
+
+from testkit.bench import BenchServer
+from testkit.guided import accel_as_six_faces_see_it, joint_factor
+from undrift.io.session import read_session
+from undrift.io.store import read_calibration
+from undrift.sim.device.presets import random_device
+from undrift.sim.device.truth import true_calibration
+from undrift.web.six_faces import ORDER
+from undrift.web.turns import WAYS, named
+from web_browser.conftest import shoot
+
+SEED = 2007  # of the practice device, as bench_server states it
+CAPTURE_MS = 40_000  # a face takes 12 s: a move of 2, a window, settling and a countdown of 6
+OpenPage = Callable[..., Page]
+
+
+def press(page: Page, name: str, role: str = "button") -> None:
+    """Go to a control with the Tab key alone, and press Enter."""
+    target = page.get_by_role(role, name=name, exact=True)
+    target.wait_for()
+    for _ in range(120):
+        page.keyboard.press("Tab")
+        if target.evaluate("element => element === document.activeElement"):
+            page.keyboard.press("Enter")
+            return
+    raise AssertionError(f"the Tab key never came to {name}")
+
+
+def sound(page: Page) -> list[str]:
+    """Return what is wrong with a page: serious faults of accessibility, and what is wider than the screen."""
+    found = [
+        f"{one['id']}: {one['nodes'][0]['html'][:200]}"
+        for one in Axe().run(page).response["violations"]
+        if one["impact"] in ("serious", "critical")
+    ]
+    wide = page.evaluate("document.documentElement.scrollWidth - document.documentElement.clientWidth")
+    small = page.evaluate(
+        "[...document.querySelectorAll('.bench-main button')].filter(e => e.offsetParent && e.offsetHeight < 44).length"
+    )
+    return (
+        found
+        + ([f"{wide} px wider than the screen"] if wide > 0 else [])
+        + ([f"{small} small buttons"] if small else [])
+    )
+
+
+def step_of(page: Page, name: str) -> str:
+    """Return the state of a face or a turn in the list of what is captured."""
+    return page.get_by_role("listitem").filter(has_text=name).locator(".step-state").inner_text()
+
+
+def wait_for_step(page: Page, name: str) -> None:
+    row = page.get_by_role("listitem").filter(has_text=name)
+    row.filter(has_text="captured").wait_for(timeout=CAPTURE_MS)
+
+
+def test_six_faces_and_turns_by_keyboard_end_in_the_hidden_calibration(
+    open_page: OpenPage, bench_server: BenchServer
+) -> None:
+    page, began = open_page("/six-faces"), time.monotonic()
+    press(page, "Use the practice device")
+    page.get_by_text("Turn +z up", exact=True).or_(page.get_by_text("Turn +x up", exact=True)).wait_for()
+    faults = []
+    for number, face in enumerate(ORDER):
+        if number:
+            press(page, f"{face} up")
+        wait_for_step(page, f"{face} up")
+        if number == 1:
+            shoot(page, "six-faces-practice-1200")
+            faults += sound(page)
+        if number == 2:  # in the middle of the next move
+            press(page, f"{ORDER[3]} up")
+            page.reload()
+            page.wait_for_function("window.socket && window.socket.connected")
+            assert [step_of(page, f"{one} up") for one in ORDER[:3]] == ["✓ captured"] * 3
+    page.get_by_text("All six faces are captured", exact=True).wait_for()
+    shoot(page, "six-faces-complete-1200")
+    faces_s = time.monotonic() - began
+    press(page, "Go on to turns by hand", role="link")
+    page.get_by_role("heading", level=1, name="Turns by hand").wait_for()
+    light = page.locator(".light-words")
+    for way in WAYS:
+        seen = "counter-clockwise" if way[0] == "+" else "clockwise"
+        page.get_by_text(f"Lay it with +{way[1]} up. Turn it once {seen}", exact=False).first.wait_for()
+        if way[0] == "+":
+            press(page, f"+{way[1]} up")
+            page.wait_for_timeout(4000)  # the longest move, and the light has seen it
+        light.filter(has_text="Turn it once").wait_for(timeout=CAPTURE_MS)
+        press(page, f"{way[1]} {seen}")
+        wait_for_step(page, named(way).capitalize())
+        if way == "+x":
+            shoot(page, "turns-practice-1200")
+            faults += sound(page)
+    shoot(page, "turns-complete-1200")
+    press(page, "Calibrate")
+    page.wait_for_url("**/result", timeout=90_000)
+    page.get_by_text("Verdict:").wait_for()
+    shoot(page, "result-of-turns-1200")
+    print(f"\nsix faces {faces_s:.0f} s, with turns and calibration {time.monotonic() - began:.0f} s, by keyboard")
+    assert faults == []
+    (path,) = bench_server.folder.glob("jobs/*/calibration.json")
+    made, device = read_calibration(path), random_device(np.random.default_rng(SEED), grade="consumer")
+    assert made.device == device.serial
+    matrix, offset = accel_as_six_faces_see_it(device)
+    truth = true_calibration(device, temp_c=made.reference_temp_c).gyro
+    for model, true_matrix, true_offset in ((made.accel, matrix, offset), (made.gyro, truth.matrix, truth.offset)):
+        error = np.concatenate(((model.matrix - true_matrix).ravel(), model.offset - true_offset))
+        over = np.abs(error) / np.sqrt(np.diag(model.covariance)[:12])
+        print(f"{model.method}: largest error {over.max():.2f} standard uncertainties, limit {joint_factor(12):.2f}")
+        assert over.max() < joint_factor(12)
+
+
+def test_a_second_browser_watches_and_a_narrow_one_redoes_a_face(
+    open_page: OpenPage, bench_server: BenchServer
+) -> None:
+    page = open_page("/six-faces", width=390, height=844, color_scheme="dark")
+    page.get_by_role("button", name="Use the practice device").click()
+    other = open_page("/six-faces")
+    wait_for_step(page, "+z up")
+    wait_for_step(other, "+z up")
+    shoot(page, "six-faces-practice-390-dark")
+    assert sound(page) == []
+    (session,) = bench_server.folder.glob("jobs/*/session")
+    first = read_session(session).stills
+    other.get_by_role("button", name="Redo +z up").click()
+    page.get_by_text("do it once more").wait_for()
+    page.get_by_text("do it once more").wait_for(state="detached", timeout=CAPTURE_MS)
+    deadline = time.monotonic() + 20.0
+    while (again := read_session(session).stills) == first and time.monotonic() < deadline:
+        time.sleep(0.2)
+    assert [still.face for still in again] == ["+z"]
+    assert again[0].start > first[0].start
+    page.goto(bench_server.address + "turns")
+    page.get_by_role("link", name="Go to six faces").wait_for()
+    assert sound(page) == []
