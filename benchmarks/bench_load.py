@@ -1,7 +1,7 @@
 """The bench under load: processor time of its server with a device of 200 Hz x 6 channels and two browsers; memory over an hour.
 
 The device is a sender of this process; the server is ``undrift bench`` in a process of its own, with a calibration set, so that raw
-and corrected signals, pitch and temperature are made and sent. The hour runs sixty times faster, on the device's clock.
+and corrected signals, pitch and temperature are made and sent. The hour runs twenty times faster, on the device's clock.
 """
 
 import binascii
@@ -9,6 +9,7 @@ import contextlib
 import json
 import os
 import socket
+import statistics
 import subprocess
 import sys
 import tempfile
@@ -27,7 +28,7 @@ from benchmarks.figure import Figure
 RATE = 200
 CHANNELS = "count,gyro_x,gyro_y,gyro_z,accel_x,accel_y,accel_z,temp"
 MEASURED_S, WARM_S = 20.0, 5.0
-SPEED, HOUR_S = 60.0, 3600.0
+SPEED, HOUR_S = 20.0, 3600.0
 
 
 def run() -> list[Figure]:
@@ -49,9 +50,10 @@ def run() -> list[Figure]:
             Figure("processor of the server, the page Live in two browsers", _share(server, pages), "% core", "<= 10")
         ]
     with _served(SPEED) as (server, address, _), _listening(address), _listening(address):
-        grown, held = _growth(server)
-    figures += [Figure("memory of the server at the end of an hour", held, "MB", "")]
-    return [*figures, Figure("growth of it after the first tenth", grown, "MB", "<= 5")]
+        grown, risen = _growth(server)
+        figures += [Figure("memory of the server at the end of an hour", _resident_mb(server), "MB", "")]
+    figures += [Figure("its growth after the first tenth, medians of tenths", grown, "MB", "<= 5")]
+    return [*figures, Figure("its largest rise for a moment", risen, "MB", "")]
 
 
 def _share(server: int, pages: list[Any]) -> float:
@@ -70,13 +72,18 @@ def _pass(seconds: float, pages: list[Any]) -> None:
 
 
 def _growth(server: int) -> tuple[float, float]:
-    """Return by how much memory grows after the first tenth of an hour of the device, and what it is at the end: MB."""
+    """Return by how much memory grows over an hour of the device after its first tenth, and by how much it rises for a moment: MB.
+
+    Growth is the median of the last tenth over that of the second: on a busy machine readings pile up for a moment.
+    """
     start, sampled = time.monotonic(), []
     while (passed := SPEED * (time.monotonic() - start)) < HOUR_S:
         if passed > HOUR_S / 10.0:
             sampled.append(_resident_mb(server))
         time.sleep(0.25)
-    return max(sampled[len(sampled) // 2 :]) - sampled[0], sampled[-1]
+    tenth = len(sampled) // 9
+    before = statistics.median(sampled[:tenth])
+    return statistics.median(sampled[-tenth:]) - before, max(sampled) - before
 
 
 def _used_s(process: int) -> float:

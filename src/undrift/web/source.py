@@ -64,6 +64,7 @@ class Status:
     oriented: bool  # Whether the readings have both triads in physical units, so that there is a pitch
     rested_s: float  # Device time since the last rest, from which the pitch is counted; NaN where it is unknown
     correction: str  # Why nothing is corrected, or what the calibration does not cover; "" where all is well
+    notes: str  # What a reader of the corrected signals may not expect
     file: Path | None  # What is being written
     file_error: str  # Why the last file ended early; "" where it did not
     file_s: float  # How much of it there is, device s
@@ -90,7 +91,7 @@ class Source:
         self._corrector: Corrector | None = None
         self._orient = OrientStream()
         self._axes: tuple[Face, Face] = ("+x", "+z")  # forward and up on the upright segment
-        self._correction = ""
+        self._correction = self._notes = ""
         self._writer: ParquetWriter | None = None
         self._unwritten: list[Record] = []
         self._file_start, self._file_error = math.nan, ""
@@ -167,6 +168,7 @@ class Source:
                 oriented=bool(self._kept) and self._kept[-1].q_nb is not None,
                 rested_s=math.nan if rested is None else self._last - rested,
                 correction=self._correction,
+                notes=self._notes,
                 file=None if self._writer is None else self._writer.path,
                 file_error=self._file_error,
                 file_s=0.0 if self._writer is None else max(self._last - self._file_start, 0.0),
@@ -176,7 +178,8 @@ class Source:
         """Correct by a calibration from now on, or by none."""
         corrector = None if calibration is None else Corrector(calibration, "hold")
         with self._lock:
-            self._calibration, self._corrector, self._correction = calibration, corrector, ""
+            self._calibration, self._corrector = calibration, corrector
+            self._correction = self._notes = ""
             self._orient = OrientStream()
 
     def use(self, path: Path | None) -> None:
@@ -272,17 +275,17 @@ class Source:
         self._write(raw)
 
     def _corrected(self, raw: Record) -> Record | None:
-        corrector, done, words = self._corrector, None, ""
+        corrector, done, notes = self._corrector, None, ""
         if corrector is None:
             return None
         try:
             done = corrector.push_checked(raw)
-            words = "; ".join(dict.fromkeys((*corrector.warnings, *done.notes)))
+            words, notes = "; ".join(corrector.warnings), "; ".join(done.notes)
         except UndriftError as error:  # another device, or another unit: not its calibration
             words = str(error)
         with self._lock:
             if self._corrector is corrector:  # no other calibration was set meanwhile
-                self._corrector, self._correction = corrector if done else None, words
+                self._corrector, self._correction, self._notes = corrector if done else None, words, notes
         return None if done is None else done.record
 
     def _write(self, raw: Record) -> None:

@@ -32,6 +32,7 @@ def page(bench: Bench) -> None:
         hint = text("p", "Connect a device below. The practice device is a simulated sensor.")
         redrawn(lambda: bench.recordings.chosen and bench.recordings.chosen.path, lambda _: _recorded(bench))
         Panel()
+        notes = text("p", "", "soft")
         shown: list[Field] = []  # the choice of a calibration; another browser may change it
         redrawn(lambda: _files(bench), lambda _: _settings(bench, shown))
         connect_form(bench)
@@ -40,6 +41,7 @@ def page(bench: Bench) -> None:
         status = None if bench.source is None else bench.source.status()
         set_text(words, "" if status is None else status_line(status))
         set_text(record, "Start recording" if status is None or status.file is None else "Stop recording")
+        set_text(notes, "" if status is None else status.notes)
         record.set_visibility(status is not None)
         hint.set_visibility(status is None)
         if shown and shown[-1].value != (now := _name(bench.calibration)):
