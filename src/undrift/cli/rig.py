@@ -28,7 +28,6 @@ from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 if TYPE_CHECKING:
     from undrift.rig.check import CheckSettings, RigCheck
     from undrift.rig.programme import Programme
-    from undrift.rig.progress import ProgressFile
     from undrift.rig.rig import Limits, RigSettings
     from undrift.rig.run import Bench, Progress, RunResult, Watch
     from undrift.sim.device.model import DeviceModel
@@ -118,41 +117,35 @@ def run(
     from undrift.rig.judge import RunSettings
     from undrift.rig.lock import one_run
     from undrift.rig.programme import ProgrammeSettings, programme_of, read_protocol
-    from undrift.rig.progress import ProgressFile
     from undrift.rig.rig import RigSettings, check_programme, parse_address
     from undrift.rig.run import Watch, run_programme
 
     check_report(report, reads=(protocol,))
     registering.check()
-    asked = read_protocol(protocol)
-    limits = _limits(highest_turn_rate_dps, highest_acceleration_dps2, travel_deg)
-    told = None if progress is None else ProgressFile(progress)
-    ask = _asked if told is None else told.ask
-    settings = RigSettings(limits=limits, ask=ask, card_watchdog=(lambda: True) if card_watchdog else None)
+    asked, limits = read_protocol(protocol), _limits(highest_turn_rate_dps, highest_acceleration_dps2, travel_deg)
+    shown = _Shown(progress)
+    settings = RigSettings(limits=limits, ask=shown.ask, card_watchdog=(lambda: True) if card_watchdog else None)
     options = parse_address(rig, settings)[2]
     programme = programme_of(asked, ProgrammeSettings(encoder_lines=options.encoder_lines))
-    by_hand, heater = rig.startswith("manual:"), "" if (chamber or "manual:").startswith("manual:") else str(chamber)
+    by_hand = rig.startswith("manual:")
     if not resume:
         check_programme(programme, limits, by_hand=by_hand)  # before there is a folder
     with ExitStack() as stack:
         stack.enter_context(one_run(rig, f"undrift rig run into {output}"))
         folder = stack.enter_context(RunFolder(output, asked, resume=resume))
         check_programme(programme, limits, folder.done, by_hand=by_hand)
-        _forecast(programme, folder.done, yes)
-        if told is not None:
-            told.plan(programme, folder.done, options.clock_speed)
+        shown.plan(programme, folder.done, yes, options.clock_speed)
         stack.enter_context(stopping_on_signals())
-        watched = "" if by_hand else rig  # before they are opened, so that they are closed before it goes
-        guard = stack.enter_context(Guard(watched, heater)) if heater or watched else None
-        watch = Watch(StopWatch(rig), guard, programme)
+        watched = ["" if (place or "manual:").startswith("manual:") else place for place in (rig, chamber)]
+        guard = stack.enter_context(Guard(*watched)) if any(watched) else None  # before they are opened: it goes last
+        shown.watch = watch = Watch(StopWatch(rig), guard, programme)
         settings = replace(settings, card_watchdog=guard.promise_holds) if card_watchdog and guard else settings
         bench, called = _bench(stack, (rig, device, chamber, operator), settings, programme)
         registering.check(serial or called)
         watch.arm()
-        shown, judge = _Shown(watch, told), RunSettings(device_lag_s=device_lag_s)
-        stack.callback(shown.end)
+        called, judge = serial or called, RunSettings(device_lag_s=device_lag_s)
         result = run_programme(
-            programme, bench, folder, report=shown, serial=serial or called, gravity_m_s2=gravity_m_s2, settings=judge
+            programme, bench, folder, report=shown, serial=called, gravity_m_s2=gravity_m_s2, settings=judge
         )
     _write_report(report, result, output, protocol)
     return _result(result, output, json, registering.add(output))
@@ -480,27 +473,33 @@ def _forecast(programme: "Programme", done: frozenset[int], yes: bool) -> None:
 
 
 class _Shown:
-    """Watches a run and shows where it is on stderr: one line that is written over on a terminal, else a line for each step."""
+    """Watches a run and shows where it is, in a file and on stderr: on a terminal one line, elsewhere one for each step."""
 
-    def __init__(self, watch: "Watch", told: "ProgressFile | None") -> None:
-        self._watch, self._told, self._live = watch, told, sys.stderr.isatty()
+    def __init__(self, file: Path | None) -> None:
+        from undrift.rig.progress import ProgressFile
+
+        self.watch: Watch | None = None
+        self._file, self._live = None if file is None else ProgressFile(file), sys.stderr.isatty()
+        self.ask = _asked if self._file is None else self._file.ask
         self._last: int | None = None
 
+    def plan(self, programme: "Programme", done: frozenset[int], yes: bool, speed: float) -> None:
+        _forecast(programme, done, yes)
+        if self._file is not None:
+            self._file.plan(programme, done, speed)
+
     def __call__(self, progress: "Progress") -> None:
-        self._watch(progress)
-        if self._told is not None:
-            self._told(progress)
+        if self.watch is not None:
+            self.watch(progress)
+        if self._file is not None:
+            self._file(progress)
         line = f"[{progress.number + 1}/{progress.steps}] {_clock(progress.left_s)} left  {progress.step}, {progress.phase}"
         if self._live:
-            sys.stderr.write(f"\r\x1b[K{line}  {progress.live}"[:150])
+            sys.stderr.write(f"\r\x1b[K{line}  {progress.live}"[:150] + "\n" * (progress.phase == "closing"))
             sys.stderr.flush()
         elif progress.number != self._last and (progress.live or progress.phase in ("mounting", "closing")):
             self._last = progress.number
             sys.stderr.write(f"{line}  {progress.live}".rstrip() + "\n")
-
-    def end(self) -> None:
-        if self._live:
-            sys.stderr.write("\n")
 
 
 def _write_report(path: Path | None, result: "RunResult", folder: Path, protocol: Path) -> None:

@@ -159,9 +159,7 @@ class _Run:
         self._report, self._settings = report, settings
         self._enabled = False
         self._old_fault: str | None = None
-        self._air_c: float | None = None
-        self._device_c: float | None = None
-        self._slope: float | None = None
+        self._temps: dict[str, float | None] = {}  # of Progress
         self._step: Step = programme.steps[0]
         self._began, self._number, self._left_s = bench.clock.now(), 0, 0.0
         self._rests, self._turns = Rests(), Turns()
@@ -230,9 +228,8 @@ class _Run:
                 log.warning("chamber: wanted %g degC, got a steady%s; set it again", step.temp_c, board)
                 board = _heat(self, step, chamber)
             clock.wait(max(AIR_POLL_S, 0.05 * clock.speed))
-            self._air_c, self._device_c, self._slope = chamber.read(), board.temp_c, board.slope_c_per_min(chamber)
-            self._say("soaking", f"{_air(self._air_c)}{board}")
-        self._slope = None
+            self._temps = {"air_c": (air_c := chamber.read()), "device_c": board.temp_c}
+            self._say("soaking", f"{_air(air_c)}{board}", slope_c_per_min=board.slope_c_per_min(chamber))
 
     def _turn(self, step: Dwell) -> None:
         """Read a turn by a known angle with the rests around it; the angle is what the rig or the operator states."""
@@ -317,7 +314,7 @@ class _Run:
 
     def _keep(self, step: Dwell, record: Record, **found: Any) -> None:
         """Bring a dwell to the disk, with what was found beside the readings: fields of a Piece."""
-        self._device_c = mean_temp(record)
+        self._temps["device_c"] = mean_temp(record)
         self._say("writing")
         piece = Piece(
             step=self._number,
@@ -329,7 +326,7 @@ class _Run:
             stop_s=float(record.time[-1]) + float(np.median(np.diff(record.time))),
             nominal_turn_rate=step.turn_rate,
             temp_c=step.temp_c,
-            device_c=self._device_c,
+            device_c=self._temps["device_c"],
             **found,
         )
         self._folder.keep(record, piece)
@@ -380,8 +377,8 @@ class _Run:
             raise RigFault(f"rig: wanted it sound in {where}, got {wrong}; look at the table")
 
     def _look_at_air(self, step: Dwell) -> float | None:
-        self._air_c = check_air(self._bench.chamber, step, f"step {self._number} ({step})")
-        return self._air_c
+        self._temps["air_c"] = check_air(self._bench.chamber, step, f"step {self._number} ({step})")
+        return self._temps["air_c"]
 
     def _enable(self) -> None:
         if not self._enabled:
@@ -398,13 +395,11 @@ class _Run:
             self._enabled = False
             self._bench.rig.enable(False)
 
-    def _say(self, phase: Phase, live: str = "") -> None:
-        spent = min(self._bench.clock.now() - self._began, self._step.duration_s)
-        steps, left_s = len(self._programme.steps), self._left_s - spent
-        temps = {"air_c": self._air_c, "device_c": self._device_c, "slope_c_per_min": self._slope}
-        step = str(self._step)
+    def _say(self, phase: Phase, live: str = "", **seen: float | None) -> None:
+        spent, seen = min(self._bench.clock.now() - self._began, self._step.duration_s), self._temps | seen
+        left_s, steps, step = self._left_s - spent, len(self._programme.steps), str(self._step)
         self._report(
-            Progress(phase=phase, number=self._number, steps=steps, step=step, left_s=left_s, live=live, **temps)
+            Progress(phase=phase, number=self._number, steps=steps, step=step, left_s=left_s, live=live, **seen)
         )
 
 

@@ -215,7 +215,7 @@ class RigRun:
         threading.Thread(target=look, name="run", daemon=True).start()
 
     def launch(self) -> None:
-        """Start the run, or go on with it; returns when the supervisor stands by."""
+        """Start the run, or resume it; returns when the supervisor stands by."""
         last = time.monotonic() + START_S
         while self.is_going() and self.view.state not in GOING and time.monotonic() < last:
             time.sleep(0.02)  # the supervisor of the part before ends in a moment
@@ -357,7 +357,7 @@ def begin_run(folder: Path, protocol: str, order: RunOrder) -> RigRun:
     """Write the order of a run into its folder; ``launch`` starts it."""
     place = folder.parent / PLACE
     if (folder / JOURNAL).exists():
-        raise InputError(f"{folder}: wanted a new folder, got one with a run in it; go on with that, or begin another")
+        raise InputError(f"{folder}: wanted a new folder, got one with a run in it; resume it, or begin another")
     place.mkdir(parents=True, exist_ok=True)
     write_whole(place / PROTOCOL, protocol)
     write_whole(place / ORDER, json.dumps(asdict(order)) + "\n")

@@ -5,6 +5,7 @@ from functools import partial
 
 from nicegui import ui
 
+from undrift.rig.programme import Forecast
 from undrift.units import RADIAN_PER_DEGREE
 from undrift.web.bench import Bench
 from undrift.web.frame import REFRESH_S, Field, button, disable, error_line, frame, next_step, redrawn, set_text, text
@@ -14,6 +15,27 @@ from undrift.web.rig_run import View
 LOOK_S = 0.4  # between two looks at what was typed
 NEXT_STEPS = 4
 SPEEDS = ("1", "10", "20", "100")  # of the emulated table
+ADDRESSES = (  # name, label, hint
+    ("rig", "Address of the table", "galil:tcp://host:23?encoder_lines=10000, grbl:serial:///dev/ttyUSB0"),
+    ("device", "Address of the device", "serial:///dev/ttyUSB0?baud=115200&..., tcp://host:port?..."),
+    ("chamber", "Address of the chamber", "tcp://host:port, modbus-tcp://host:502?model=..., manual:"),
+)
+TEMPERATURES = (
+    ("temperatures_c", "Temperatures, degC", "rising, such as 18, 30, 45"),
+    ("soak_c_per_min", "Stable below, K/min", ""),
+)
+RATES = (
+    ("turn_rate_min_dps", "Lowest rate, deg/s", ""),
+    ("turn_rate_max_dps", "Highest rate, deg/s", ""),
+    ("turn_rate_step_dps", "Step, deg/s", ""),
+    ("dwell_s", "Each rate, s", ""),
+    ("face_s", "Each face, s", ""),
+)
+MORE = (
+    ("bracket_s", "Rest before and after the rates, s", ""),
+    ("acceleration_dps2", "Acceleration, deg/s2", ""),
+    ("cutoff_hz", "Low-pass of the device, Hz", "says how long it settles"),
+)
 ENDS = {
     "paused": "Paused: the table is at rest and its motor is off. What was recorded is kept; the dwell that was going is repeated.",
     "stopped": "Stopped: the table is at rest and its motor is off. What was recorded is kept.",
@@ -71,9 +93,9 @@ def _after(bench: Bench, go: Callable[[str], None]) -> None:
 
 def order_form(bench: Bench, form: ProtocolForm, *, chamber: bool) -> None:
     """Add addresses, protocol, forecast and the start."""
-    table, held = bench.table, bench.table.addresses
-    if not held["device"] and bench.source is not None:
-        held["device"] = bench.source.address
+    table = bench.table
+    if not table.addresses["device"] and bench.source is not None:
+        table.addresses["device"] = bench.source.address
     with ui.element("section").props('aria-label="Table"'):
         text("h2", "Table")
         with ui.element("div").classes("row"):
@@ -81,53 +103,21 @@ def order_form(bench: Bench, form: ProtocolForm, *, chamber: bool) -> None:
             speed = Field("Its speed", table.speed, options=SPEEDS, hint="times real time")
             speed.element.on("change", lambda: setattr(table, "speed", speed.value))
         with ui.element("div").classes("row form"):
-            _bound(
-                "Address of the table",
-                held,
-                "rig",
-                "galil:tcp://host:23?encoder_lines=10000, grbl:serial:///dev/ttyUSB0",
-            )
-            _bound(
-                "Address of the device", held, "device", "serial:///dev/ttyUSB0?baud=115200&..., tcp://host:port?..."
-            )
-            if chamber:
-                _bound(
-                    "Address of the chamber",
-                    held,
-                    "chamber",
-                    "tcp://host:port, modbus-tcp://host:502?model=..., manual:",
-                )
+            for name, label, hint in ADDRESSES if chamber else ADDRESSES[:2]:
+                _bound(label, table.addresses, name, hint)
             _serial(bench)
-        if held["operator"]:
-            text("p", "The emulated operator mounts the device.", "soft")
-        else:
-            text("p", "You mount the device when this page asks for it; the motor is off then.", "soft")
+        by = "The emulated operator mounts the device."
+        you = "You mount the device when this page asks for it; the motor is off then."
+        text("p", by if table.addresses["operator"] else you, "soft")
     with ui.element("section").props('aria-label="Protocol"'):
         text("h2", "Protocol")
-        if chamber:
-            _typed(
-                form,
-                ("temperatures_c", "Temperatures, degC", "rising, such as 18, 30, 45"),
-                ("soak_c_per_min", "Stable below, K/min", ""),
-            )
+        _typed(form, *(TEMPERATURES if chamber else ()))
         _chosen("Faces to rest on", FACES, form, "faces")
         _chosen("Axes to turn about", ("x", "y", "z"), form, "axes")
-        _typed(
-            form,
-            ("turn_rate_min_dps", "Lowest rate, deg/s", ""),
-            ("turn_rate_max_dps", "Highest rate, deg/s", ""),
-            ("turn_rate_step_dps", "Step, deg/s", ""),
-            ("dwell_s", "Each rate, s", ""),
-            ("face_s", "Each face, s", ""),
-        )
+        _typed(form, *RATES)
         with ui.element("details"):
             text("summary", "More")
-            _typed(
-                form,
-                ("bracket_s", "Rest before and after the rates, s", ""),
-                ("acceleration_dps2", "Acceleration, deg/s2", ""),
-                ("cutoff_hz", "Low-pass of the device, Hz", "says how long it settles"),
-            )
+            _typed(form, *MORE)
     forecast = text("p", "", "forecast").props('role="status"')
     wrong = text("p", "", "bench-error").props('role="alert"')
     error_line(lambda: table.error)
@@ -145,16 +135,13 @@ def order_form(bench: Bench, form: ProtocolForm, *, chamber: bool) -> None:
     ui.timer(LOOK_S, refresh)
 
 
-def forecast_words(found: object) -> str:
+def forecast_words(found: Forecast) -> str:
     """Say what a protocol takes."""
-    from undrift.rig.programme import Forecast
-
-    if not isinstance(found, Forecast):
-        return ""
     rate = f", up to {found.turn_rate / RADIAN_PER_DEGREE:g} deg/s" if found.turn_rate else ""
+    soaking = "and soaking " if found.total_s > found.rig_s + 600.0 else ""
     return (
         f"Forecast: {found.dwells} dwells{rate}, {_minutes(found.rig_s)} of table time; with mounting {found.mountings} times "
-        f"{'and soaking ' if found.total_s > found.rig_s + 600.0 else ''}about {_minutes(found.total_s)}."
+        f"{soaking}about {_minutes(found.total_s)}."
     )
 
 
@@ -260,7 +247,7 @@ def _progress(bench: Bench) -> None:
         return
     heading = text("h2", "")
     bar = ui.element("progress").props('aria-label="Dwells on the disk"').classes("bar")
-    said = text("p", "").props('role="status"')
+    where = text("p", "").props('role="status"')
     live = text("p", "", "soft readings")
     following = text("p", "", "soft")
 
@@ -271,7 +258,7 @@ def _progress(bench: Bench) -> None:
         if bar.props.get("value") != count or bar.props.get("max") != max(view.dwells, 1):
             bar.props["value"], bar.props["max"] = count, max(view.dwells, 1)
             bar.update()
-        set_text(said, progress_words(view))
+        set_text(where, progress_words(view))
         set_text(live, view.live if run.may_move else "")
         after = [step["text"] for step in view.steps[view.number + 1 :][:NEXT_STEPS]]
         set_text(following, f"Next: {', '.join(after)}" if after and run.may_move else "")
