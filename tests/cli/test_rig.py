@@ -14,6 +14,8 @@ from testkit.pages import faults_of
 from testkit.rig_bench import PROTOCOL
 from undrift.cli.app import run
 from undrift.io.store import read_calibration
+from undrift.live.recorder import Recorder
+from undrift.live.transports import source_at
 from undrift.sim.device.model import read_device
 from undrift.sim.device.truth import true_calibration
 
@@ -34,6 +36,36 @@ def emulated(tmp_path):
     finally:
         process.kill()
         process.communicate()
+
+
+def test_a_device_in_an_operators_hands_is_laid_and_turned_over_its_port(tmp_path, capsys):
+    assert run(["rig", "emulate", "--hand-held", "--pty"]) == 2
+    assert capsys.readouterr().err == (
+        "undrift: --hand-held: wanted no table, got options of one; leave --kind, --port, --pty and --fault out\n"
+    )
+    calls = ["rig", "emulate", "--hand-held", "--device", "xsens_mti1", "--speed", "10", "--room-c", "20", "--json"]
+    calls += ["--save-device", str(tmp_path / "device.json")]
+    code = f"from undrift.cli.app import main; main({calls!r})"
+    process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
+    try:
+        assert process.stdout is not None
+        addresses = json.loads(process.stdout.readline())
+        host, port = addresses["operator"].removeprefix("tcp://").split(":")
+        with Recorder(source_at(addresses["device"])) as recorder, socket.create_connection((host, int(port))) as link:
+            link.sendall(b"face -y\n")
+            start, state = recorder.now(), link.makefile()
+            assert state.readline() == "OK -y\n"
+            time.sleep(0.6)  # of the host: 6 s of the device, a move takes 2
+            record = recorder.between(start, recorder.now())
+        process.terminate()
+        assert process.wait(20.0) == 0
+    finally:
+        process.kill()
+        process.communicate()
+    device = read_device(tmp_path / "device.json")
+    assert record.device == device.serial
+    assert record.accel[-1, 1] == pytest.approx(-9.80665, rel=0.02)
+    assert record.temp_c.mean() == pytest.approx(20.0, abs=2.0)
 
 
 def test_emulate_run_and_calibrate_find_the_devices_hidden_parameters(emulated, tmp_path, capsys):

@@ -96,7 +96,7 @@ def test_a_turn_the_other_way_is_what_it_was(guide, feed):
     assert guide.wanted == "+x"
     lights = turn(feed, guide, "z", -TURN)
     assert list(guide.done) == ["-z"]
-    assert guide.said == "Captured: about z, clockwise."
+    assert guide.outcome == "Captured: about z, clockwise."
     assert lights[-1].text == "Captured: about z, clockwise. Lay it with +x up."
     states = [light.state for light in lights]
     order = [state for k, state in enumerate(states) if k == 0 or state != states[k - 1]]
@@ -129,7 +129,7 @@ def test_two_turns_are_captured_as_two_where_the_unit_shows_it(guide):
     with HandFeed(seed=5, device=random_device_of("xsens_mti1", np.random.default_rng(5))) as feed:
         turn(feed, guide, "z", 2.0 * TURN)
     assert guide.done["+z"].turn.angle == pytest.approx(2.0 * TURN)
-    assert guide.said == "Captured: about z, counter-clockwise, 2 turns."
+    assert guide.outcome == "Captured: about z, counter-clockwise, 2 turns."
 
 
 def test_half_a_turn_is_not_counted(guide):
@@ -138,14 +138,14 @@ def test_half_a_turn_is_not_counted(guide):
         feed.recent = lambda **lost: (lambda record: replace(record, gyro=0.5 * record.gyro))(plain(**lost))
         turn(feed, guide, "z")
     assert guide.done == {}
-    assert guide.said in [f"That was {n} deg. Turn by 360 deg, back to the mark." for n in (179, 180, 181)]
+    assert guide.outcome in [f"That was {n} deg. Turn by 360 deg, back to the mark." for n in (179, 180, 181)]
 
 
 def test_in_counts_a_turn_is_compared_with_the_others(guide, feed):
     turn(feed, guide, "z")
     turn(feed, guide, "z", -2.0 * TURN)
     assert list(guide.done) == ["+z"]
-    assert guide.said == "That was shorter or longer than the other turns. Turn once, back to the mark."
+    assert guide.outcome == "That was shorter or longer than the other turns. Turn once, back to the mark."
 
 
 def test_a_turn_with_a_gap_does_not_count(guide, feed):

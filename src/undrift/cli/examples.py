@@ -111,6 +111,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     "rig emulate": (
         "undrift rig emulate --device mpu6050 --speed 20",
         "undrift rig emulate --kind grbl --save-device truth.json --json",
+        "undrift rig emulate --hand-held --device mpu6050",
     ),
     "rig stop": (
         "undrift rig stop --rig 'galil:tcp://192.168.1.9:23?encoder_lines=10000'",

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from undrift.rig.rig import Limits, RigSettings
     from undrift.rig.run import Bench, Progress, RunResult, Watch
     from undrift.sim.device.model import DeviceModel
+    from undrift.sim.rig.emulator import EmulatedBenchSettings, PlannedFault
     from undrift.sim.rig.stream import StreamSettings
 
 rig = App(
@@ -206,12 +207,8 @@ def emulate(
     seed : int
         Of every random draw.
     """
-    import threading
-
     import numpy as np
 
-    from undrift.rig.guard import stopping_on_signals
-    from undrift.sim.device.model import write_device
     from undrift.sim.device.presets import PRESETS
     from undrift.sim.rig.emulator import (
         ALL_FAULTS,
@@ -219,7 +216,6 @@ def emulate(
         EmulatedBenchSettings,
         EmulatorSettings,
         planned_fault,
-        start_bench,
     )
     from undrift.sim.rig.stream import StreamSettings
 
@@ -243,9 +239,22 @@ def emulate(
         stream=stream,
         device=drawn,
     )
+    _emulate_bench(settings, faults, save_device, json)
+    return 0
+
+
+def _emulate_bench(
+    settings: "EmulatedBenchSettings", faults: "list[PlannedFault]", save: Path | None, json: bool
+) -> None:
+    import threading
+
+    from undrift.rig.guard import stopping_on_signals
+    from undrift.sim.device.model import write_device
+    from undrift.sim.rig.emulator import start_bench
+
     with stopping_on_signals(), start_bench(settings) as bench, suppress(KeyboardInterrupt):
-        if save_device is not None:
-            write_device(bench.device, save_device)
+        if save is not None:
+            write_device(bench.device, save)
         addresses = {"rig": bench.rig_address, "device": bench.device_address}
         addresses |= {"chamber": bench.chamber_address, "operator": bench.hands_address}
         addresses |= {} if bench.pty_address is None else {"pty": bench.pty_address}
@@ -253,7 +262,6 @@ def emulate(
         for planned in faults:
             threading.Thread(target=bench.break_as, args=(planned,), name=planned.name, daemon=True).start()
         threading.Event().wait()
-    return 0
 
 
 def _emulate_hand_held(

@@ -33,7 +33,7 @@ CLOUD_S, CLOUD_POINTS = 0.25, 2000  # means of the accelerometers that show thei
 ALIKE = 1.6  # lengths of readings that share a zero of 0, within 0.2 g
 ROUND = 0.2  # smallest over largest extent of a cloud that lies all around
 NOISES = 10.0  # by which a cloud that shows a sphere exceeds noise
-LOOSE_DEG = 25.0  # tilt that is told from a wrong zero, of readings in counts
+LOOSE_DEG = 25.0  # tilt that exceeds an error of the zero, of readings in counts
 LEAST_REST_S = 1.0
 UNKNOWN = "Which face is up is not known yet. Turn the device over all its sides once."
 
@@ -251,7 +251,7 @@ class Capture:
         return FACES[2 * axis + (up[axis] < 0.0)], tilt_deg if tilt_deg > limit_deg else 0.0
 
     def up(self, rest: Rest) -> tuple[FloatArray | None, float]:
-        """Return the direction of gravity in a rest, (3,), and the tilt that is told from an error of it, deg."""
+        """Return the direction of gravity in a rest, (3,), and the tilt that exceeds an error of it, deg."""
         zero, limit_deg = self._zero(rest.mean)
         return None if zero is None else (rest.mean - zero) / np.linalg.norm(rest.mean - zero), limit_deg
 

@@ -45,7 +45,7 @@ class Turns:
         self.capture = capture
         self.again: str | None = None  # that is to be made once more
         self.light = Light(state="no readings", text="No readings. Connect a device.")
-        self.said = ""  # about the last turn
+        self.outcome = ""  # about the last turn
         self._before: _Before | None = None
         self._moved = False
 
@@ -89,7 +89,7 @@ class Turns:
         before, rest = self._before, self.capture.rest()
         if before is not None and before.stretch != self.capture.stretch:
             before = self._before = None
-            self.said = "Gap in the readings: that turn does not count."
+            self.outcome = "Gap in the readings: that turn does not count."
         if rest is None:
             self._moved = before is not None
             return Light(state="moving", text="Turning. Go back to the mark." if before else f"Moving. {self._asked()}")
@@ -99,10 +99,10 @@ class Turns:
         if face is None:
             return Light(state="unknown face", text=UNKNOWN)
         if before is not None and self._moved:
-            self.said = self._take_turn(before, rest)
+            self.outcome = self._take_turn(before, rest)
         self._before, self._moved = _Before(self.capture.stretch, rest, face), False
         state: State = "captured" if self.wanted is None else "tilted" if tilt_deg else "still"
-        return Light(state=state, face=face, text=f"{self.said} {self._asked(face)}".strip())
+        return Light(state=state, face=face, text=f"{self.outcome} {self._asked(face)}".strip())
 
     def _asked(self, face: Face | None = None) -> str:
         way = self.wanted
@@ -131,9 +131,9 @@ class Turns:
         if turn.axis is None:
             return "That was about no axis of the device. Lay it flat, and turn it on the bench."
         along = float(reading["xyz".index(turn.axis)])
-        whole, said = self._whole(turn.axis, along, record.gyro_unit)
+        whole, reason = self._whole(turn.axis, along, record.gyro_unit)
         if not whole:
-            return said
+            return reason
         time = record.time
         piece = CapturedTurn(
             stretch=self.capture.stretch,

@@ -45,7 +45,7 @@ def light_part(light: Callable[[], Light], whole_s: float) -> None:
             text("p", "", "light-words").props('role="status" aria-live="polite"'),
             Picture(),
         )
-    said = text("p", "", "unseen").props('aria-live="polite"')
+    spoken = text("p", "", "unseen").props('aria-live="polite"')
 
     def refresh() -> None:
         now = light()
@@ -53,7 +53,7 @@ def light_part(light: Callable[[], Light], whole_s: float) -> None:
         set_text(words, now.text)
         left = math.ceil(now.left_s) if now.left_s is not None else 0
         countdown.draw(ring(now.left_s, whole_s))
-        set_text(said, f"{left} seconds" if left in SAID_AT else "")
+        set_text(spoken, f"{left} seconds" if left in SAID_AT else "")
 
     refresh()
     ui.timer(REFRESH_S, refresh)
