@@ -124,7 +124,7 @@ def run(
     check_report(report, reads=(protocol,))
     registering.check()
     asked, limits = read_protocol(protocol), _limits(highest_turn_rate_dps, highest_acceleration_dps2, travel_deg)
-    shown = _Shown(progress)
+    shown, judge = _Shown(progress), RunSettings(device_lag_s=device_lag_s)
     settings = RigSettings(limits=limits, ask=shown.ask, card_watchdog=(lambda: True) if card_watchdog else None)
     options = parse_address(rig, settings)[2]
     programme = programme_of(asked, ProgrammeSettings(encoder_lines=options.encoder_lines))
@@ -137,16 +137,15 @@ def run(
         check_programme(programme, limits, folder.done, by_hand=by_hand)
         shown.plan(programme, folder.done, yes, options.clock_speed)
         stack.enter_context(stopping_on_signals())
-        watched = ["" if (place or "manual:").startswith("manual:") else place for place in (rig, chamber)]
+        watched = ["" if place.startswith("manual:") else place for place in (rig, chamber or "")]
         guard = stack.enter_context(Guard(*watched)) if any(watched) else None  # before they are opened: it goes last
         shown.watch = watch = Watch(StopWatch(rig), guard, programme)
         settings = replace(settings, card_watchdog=guard.promise_holds) if card_watchdog and guard else settings
         bench, called = _bench(stack, (rig, device, chamber, operator), settings, programme)
         registering.check(serial or called)
         watch.arm()
-        called, judge = serial or called, RunSettings(device_lag_s=device_lag_s)
         result = run_programme(
-            programme, bench, folder, report=shown, serial=called, gravity_m_s2=gravity_m_s2, settings=judge
+            programme, bench, folder, report=shown, serial=serial or called, gravity_m_s2=gravity_m_s2, settings=judge
         )
     _write_report(report, result, output, protocol)
     return _result(result, output, json, registering.add(output))

@@ -140,8 +140,7 @@ class Registry:
 
     def add(self, *new: NewEntry) -> list[Added]:
         """Add all entries or none, in their order; the same content again is the entry that exists."""
-        hashed = [(one, hash_of(one.document)) for one in new]
-        done = []
+        hashed, done = [(one, hash_of(one.document)) for one in new], list[Added]()
         with self._session(writes=True) as session:
             if len(new) > 1 and not self._lite:  # two such programs would wait for each other's entries
                 session.execute(select(func.pg_advisory_xact_lock(_MANY)))

@@ -157,14 +157,13 @@ class _Run:
     ) -> None:
         self._programme, self._bench, self._folder = programme, bench, folder
         self._report, self._settings = report, settings
-        self._enabled = False
+        self._enabled, self._doubted = False, set[Face]()
         self._old_fault: str | None = None
         self._temps: dict[str, float | None] = {}  # of Progress
         self._step: Step = programme.steps[0]
         self._began, self._number, self._left_s = bench.clock.now(), 0, 0.0
         self._rests, self._turns = Rests(), Turns()
         self.withdrawn: frozenset[int] = frozenset()  # steps
-        self._doubted: set[Face] = set()
 
     def recall(self) -> None:
         """Learn from what is on the disk how still this rig is, and what the device reads in a turn."""
@@ -396,11 +395,10 @@ class _Run:
             self._bench.rig.enable(False)
 
     def _say(self, phase: Phase, live: str = "", **seen: float | None) -> None:
-        spent, seen = min(self._bench.clock.now() - self._began, self._step.duration_s), self._temps | seen
-        left_s, steps, step = self._left_s - spent, len(self._programme.steps), str(self._step)
-        self._report(
-            Progress(phase=phase, number=self._number, steps=steps, step=step, left_s=left_s, live=live, **seen)
-        )
+        left_s = self._left_s - min(self._bench.clock.now() - self._began, self._step.duration_s)
+        number, steps, step = self._number, len(self._programme.steps), str(self._step)
+        seen = self._temps | seen
+        self._report(Progress(phase=phase, number=number, steps=steps, step=step, left_s=left_s, live=live, **seen))
 
 
 def check_air(chamber: Chamber | None, step: Dwell, where: str) -> float | None:
