@@ -53,6 +53,7 @@ ELSEWHERE = {
     "rig stop",
     "rig status",
     "rig check",
+    "bench",
     "registry show",
     "registry find",
     "registry trend",
@@ -83,6 +84,7 @@ BAD = {  # a call that is refused, and the kind that a good answer would have
     "rig stop": (f"rig stop --rig '{NOBODY}'", "undrift.rig_stop"),
     "rig status": (f"rig status --rig '{NOBODY}'", "undrift.rig_status"),
     "rig check": ("rig check --rig manual:", "undrift.rig_check"),
+    "bench": ("bench --port 70000", "undrift.bench"),
     "study": ("study --preset note --quick --seed -1", STUDY),
     "demo": ("demo --out {here}", "undrift.demo"),
 }
