@@ -162,7 +162,7 @@ class Bench:
         if self._practice is None:
             from undrift.sim.rig.hand_held import start_hand_held
 
-            self._practice = start_hand_held(seed=self.settings.practice_seed)
+            self._practice = start_hand_held(seed=self.settings.practice_seed, gravity_m_s2=self.place.gravity_m_s2)
         return str(self._practice.address)
 
     # ---- The work

@@ -32,7 +32,7 @@ from undrift.sim.motion.motion import SMOOTH, UNEVEN, facing, turn_quaternion, u
 from undrift.sim.rig.axes import Clock, HostClock
 from undrift.sim.rig.server import Closed, FaultyLink, LineSession, Machine, Server, Session
 from undrift.sim.rig.stream import EmulatedDevice, StreamSettings
-from undrift.units import RADIAN_PER_DEGREE
+from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
 REST_S = 0.5  # at least, between moves that were asked for at once
 MOST_MOVES = 8  # that wait
@@ -305,12 +305,13 @@ def start_hand_held(
     stream: StreamSettings | None = None,
     speed: float = 1.0,
     clock: Clock | None = None,
+    gravity_m_s2: float = STANDARD_GRAVITY,
 ) -> HandHeld:
     """Start a device in an operator's hands; one of consumer grade is drawn where none is given, anew without a seed."""
     if seed is None:
         seed = int(np.random.default_rng().integers(2**31))
     chosen = device or random_device(np.random.default_rng(seed), grade="consumer")
-    return HandHeld(chosen, hands, stream or StreamSettings(seed=seed), speed, clock)
+    return HandHeld(chosen, hands, stream or StreamSettings(seed=seed, gravity_m_s2=gravity_m_s2), speed, clock)
 
 
 class _Operator(Machine):
