@@ -58,6 +58,19 @@ def test_a_recording_with_optics_is_oriented_and_validated(open_page: Callable[.
     shoot(page, "result-by-optics-390")
 
 
+@needs_data
+def test_a_file_without_time_is_read_at_the_rate_that_is_stated(open_page: Callable[..., Page]) -> None:
+    page = open_page("/recordings")
+    page.get_by_label("Choose files").set_input_files(DATA / "worn_lowback" / "HA_001_Test11.csv.gz")
+    rate = page.get_by_label("Samples per second, Hz")
+    rate.fill("0", timeout=COMMAND_MS)
+    page.get_by_role("button", name="Read it so").click()
+    expect(page.locator(".bench-main")).to_contain_text("sample rate: wanted a number above 0, got '0'")
+    rate.fill("100")
+    page.get_by_role("button", name="Read it so").click()
+    expect(page.locator(".bench-main")).to_contain_text("samples at 100 Hz", timeout=COMMAND_MS)
+
+
 def test_what_is_no_recording_gets_one_line_and_is_not_kept(
     bench_server: BenchServer, open_page: Callable[..., Page], tmp_path: Path
 ) -> None:

@@ -20,6 +20,7 @@ class Stored:
     path: Path
     about: dict[str, Any] = field(default_factory=dict)  # what `info` says of it
     map: Path | None = None
+    sample_rate_hz: float | None = None  # that a person stated, of a file without time
     picture: Path | None = None
     made: dict[str, Path] = field(default_factory=dict)  # label -> file
     error: str = ""
@@ -35,8 +36,15 @@ class Stored:
         return self.kind == "table" and bool(self.about.get("map"))
 
     @property
+    def needs_rate(self) -> bool:
+        """Return whether it is read but for its sample rate."""
+        return not self.needs_map and "--sample-rate-hz" in f"{self.error} {self.about.get('summary')}"
+
+    @property
     def summary(self) -> str:
         """Return in one line what it holds."""
+        if self.needs_rate:
+            return "readings without time; state their sample rate"
         if self.error and not self.about:
             return self.error
         if self.needs_map:
@@ -45,7 +53,8 @@ class Stored:
 
     def options(self) -> tuple[object, ...]:
         """Return the options by which commands read it."""
-        return () if self.map is None else ("--map", self.map)
+        rate = () if self.sample_rate_hz is None else ("--sample-rate-hz", self.sample_rate_hz)
+        return rate if self.map is None else ("--map", self.map)
 
 
 class Recordings:
@@ -74,6 +83,11 @@ class Recordings:
             picture = held.path.parent / "recording.svg"
             drawn = await self.bench.command("info", held.path, *held.options(), "--figure", picture)
             held.picture = picture if drawn.done and picture.exists() else None
+
+    async def state_rate(self, held: Stored, sample_rate_hz: float) -> None:
+        """State the sample rate of a file without time."""
+        held.sample_rate_hz = sample_rate_hz
+        await self.look(held)
 
     async def write_map(self, held: Stored, *, sample_rate_hz: float | None, units: dict[str, str]) -> None:
         """Write the map of a foreign table, with the units that a person confirmed."""

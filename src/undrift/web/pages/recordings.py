@@ -80,7 +80,9 @@ def _files(held: Recordings, refresh: Any) -> None:
 
 def _one(bench: Bench, held: Recordings, one: Stored, refresh: Any, go: Any) -> None:
     text("h2", one.path.name)
-    if one.error:
+    if one.needs_rate:
+        _rate_form(held, one, refresh)
+    elif one.error:
         text("p", one.error, "bench-error").props('role="alert"')
     if one.needs_map:
         _map_form(held, one, refresh)
@@ -89,10 +91,11 @@ def _one(bench: Bench, held: Recordings, one: Stored, refresh: Any, go: Any) -> 
         _actions(bench, held, one, refresh, go)
     elif one.kind == "calibration":
         text("p", "Recordings are corrected with this calibration.")
-    elif one.about:
+    elif one.about and not one.needs_rate:
         text("p", one.summary)
         for problem in one.about.get("problems") or ():
-            text("p", str(problem), "soft")
+            if str(problem) != one.about.get("summary"):
+                text("p", str(problem), "soft")
     if one.made:
         text("h3", "Results")
         with ui.element("ul"):
@@ -110,6 +113,22 @@ def _about(one: Stored) -> None:
         text("p", str(problem), "soft")
     if one.picture is not None:
         ui.html(one.picture.read_text(encoding="utf-8").partition("?>")[2] or "", sanitize=False).classes("picture")
+
+
+def _rate_form(held: Recordings, one: Stored, refresh: Any) -> None:
+    """Ask for the sample rate of a file without time."""
+    text("p", "This file has no time column. The data sheet or the settings of the device state its sample rate.")
+    rate, wrong = Field("Samples per second, Hz", kind="number"), text("p", "", "bench-error").props('role="alert"')
+
+    async def read() -> None:
+        given = rate.number()
+        if given and given > 0.0:
+            await held.state_rate(one, given)
+            refresh()
+        else:
+            set_text(wrong, f"sample rate: wanted a number above 0, got '{rate.value}'; state the samples per second")
+
+    next_step("Read it so", read)
 
 
 def _map_form(held: Recordings, one: Stored, refresh: Any) -> None:
