@@ -4,18 +4,19 @@ import os
 import signal
 import time
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from axe_playwright_python.sync_playwright import Axe
-from playwright.sync_api import Page, expect
+from playwright.sync_api import BrowserContext, Page, expect
 
 from testkit.web_run import emulated_bench
 from undrift.io.store import read_calibration
 from undrift.sim.device.truth import true_calibration
 from undrift.web.rig_run import RigRun, find_run
-from web_browser.conftest import BenchServer, shoot
+from web_browser.conftest import BenchServer, bench_process, shoot
 
 RUN_MS = 120_000
 STOP_S = 1.0  # on a busy machine; `python -m benchmarks stop` has the strict figure, for an idle one
@@ -111,6 +112,31 @@ def test_a_whole_run_is_mounted_watched_reloaded_closed_and_ends_in_the_true_cal
     for name in ("gyro", "accel"):
         ratio = getattr(found, name).matrix @ np.linalg.inv(getattr(true, name).matrix)
         np.testing.assert_allclose(ratio, np.eye(3), atol=3e-3)
+
+
+def test_a_killed_bench_leaves_the_run_to_the_next_which_pauses_it_when_it_ends(
+    tmp_path: Path, table: Any, new_context: Callable[..., BrowserContext]
+) -> None:
+    bench, _ = table
+    with bench_process(tmp_path / "bench") as server:
+        page = new_context().new_page()
+        page.goto(server.address + "rate-table")
+        page.wait_for_function("window.socket && window.socket.connected")
+        fill(page, bench, **{"Each rate": "100"})
+        page.get_by_role("button", name="Start").click()
+        mount(page, bench, 1)
+        expect(page.locator(".bench-main")).to_contain_text("deg/s about x, dwelling", timeout=RUN_MS)
+        server.process.kill()
+        server.process.wait()
+    assert running(server).is_going()
+    with bench_process(tmp_path / "bench") as server:
+        page = new_context().new_page()
+        page.goto(server.address + "rate-table")
+        expect(page.locator(".bench-main")).to_contain_text("deg/s about x, dwelling", timeout=RUN_MS)
+        assert bench.rig.motor_on
+    found = find_run(server.folder / "jobs")
+    assert found is not None
+    assert (found.view.state, found.is_going(), bench.rig.motor_on) == ("paused", False, False)
 
 
 @pytest.mark.parametrize("way", ["button", "key", "halted"])
