@@ -672,6 +672,17 @@ class Session:
                 )
 
 
+def joined(records: Sequence[Record]) -> Record:
+    """Return records of one device that follow each other as one; a channel that one of them lacks is left out."""
+    first, *others = records
+    if not others:
+        return first
+    held = {name: [getattr(one, name) for one in records] for name in ("time", "gyro", "accel", "temp_c", "mag_ut")}
+    there = {name: not any(part is None for part in parts) for name, parts in held.items()}
+    whole: dict[str, Any] = {name: np.concatenate(parts) if there[name] else None for name, parts in held.items()}
+    return replace(first, **whole)
+
+
 def _check_range(start: int, stop: int, what: str) -> None:
     if not 0 <= start < stop:
         raise InputError(f"{what}: wanted samples 0 <= start < stop, got [{start}, {stop}); check its start and stop")

@@ -20,11 +20,11 @@ from undrift import calibrate, correct, random_device, read_record, simulate_ses
 from undrift.errors import InputError, LinkError
 from undrift.io.parquet import ParquetWriter
 from undrift.orientation import OrientStream
-from undrift.record import Record
+from undrift.record import Record, joined
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.rig.emulator import EmulatedBenchSettings, start_bench
 from undrift.sim.rig.stream import StreamSettings
-from undrift.web.source import Source, joined
+from undrift.web.source import Source
 
 
 @pytest.fixture

@@ -12,14 +12,13 @@ is read in chunks finds the one that the whole recording shows.
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
 from undrift.arrays import FloatArray, frozen
 from undrift.errors import InputError
 from undrift.findings import Finding, finding
-from undrift.record import Record, Still
+from undrift.record import Record, Still, joined
 from undrift.segments import StillSettings, find_still
 from undrift.units import RADIAN_PER_DEGREE
 
@@ -137,7 +136,7 @@ def find_rest_offset_in(chunks: Iterator[Record], stretch: Stretch = NAMED_NONE)
             held.append(following)
         if not held:
             raise InputError("rest: wanted a recording, got no samples; check the file")
-        held[:] = [_joined(held)]
+        held[:] = [joined(held)]
         return _head(held[0], span_s), len(held[0])
 
     return _found(extended, stretch)
@@ -175,25 +174,3 @@ def _head(record: Record, span_s: float) -> Record:
     """Return what begins less than a span after the first sample."""
     first = float(record.time[0])
     return record if record.time[-1] < first + span_s else record.between(first, first + span_s)
-
-
-def _joined(parts: list[Record]) -> Record:
-    """Return chunks that follow each other as one record, without what a search for rests does not need."""
-    if len(parts) == 1:
-        return parts[0]
-    first = parts[0]
-
-    def column(name: Literal["gyro", "accel"]) -> FloatArray | None:
-        values = [getattr(part, name) for part in parts]
-        return None if any(value is None for value in values) else np.concatenate(values)
-
-    return Record(
-        time=np.concatenate([part.time for part in parts]),
-        gyro=column("gyro"),
-        accel=column("accel"),
-        gyro_unit=first.gyro_unit,
-        accel_unit=first.accel_unit,
-        frame=first.frame,
-        state=first.state,
-        device=first.device,
-    )

@@ -20,10 +20,9 @@ import numpy as np
 from undrift.arrays import FloatArray
 from undrift.errors import InputError
 from undrift.io.session import write_session
-from undrift.record import FACES, Face, Record, Session, Still, Turn
+from undrift.record import FACES, Face, Record, Session, Still, Turn, joined
 from undrift.segments import BENCH_ACCEL_LIMIT, StillSettings, find_still, sample_count, sliding_moments, sphere_of
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical
-from undrift.web.source import joined
 
 State = Literal["no readings", "moving", "settling", "still", "captured", "wrong face", "tilted", "unknown face"]
 GAP_S, GAP_PERIODS = 0.1, 5.0  # a longer silence of the device ends a stretch of readings

@@ -38,8 +38,9 @@ from fastapi import FastAPI
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from undrift.arrays import FloatArray
+from undrift.record import joined
 from undrift.units import RADIAN_PER_DEGREE, Quantity, is_physical, si_factor
-from undrift.web.source import Source, Update, joined
+from undrift.web.source import Source, Update
 
 PLOTS = {"rate": "Turn rate", "accel": "Specific force", "pitch": "Pitch", "temp": "Temperature"}
 PERIOD_S = 1.0 / 15.0  # between frames

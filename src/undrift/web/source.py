@@ -9,11 +9,9 @@ import math
 import threading
 import time
 from collections import deque
-from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -26,7 +24,7 @@ from undrift.live.recorder import Recorder, RecorderSettings
 from undrift.live.transports import source_at
 from undrift.model import Calibration
 from undrift.orientation import OrientStream, sagittal_pitch
-from undrift.record import Face, Record
+from undrift.record import Face, Record, joined
 from undrift.units import is_physical
 
 PERIOD_S = 1.0 / 15.0  # between two looks at the recorder, host s
@@ -310,12 +308,3 @@ def _oriented(stream: OrientStream, record: Record) -> FloatArray | None:
         return None
     physical = is_physical(record.gyro_unit) and is_physical(record.accel_unit)
     return stream.push(record) if physical else None
-
-
-def joined(records: Sequence[Record]) -> Record:
-    """Return records of one device that follow each other as one."""
-    if len(records) == 1:
-        return records[0]
-    held = {name: [getattr(one, name) for one in records] for name in ("time", "gyro", "accel", "temp_c", "mag_ut")}
-    whole: dict[str, Any] = {name: np.concatenate(parts) for name, parts in held.items() if parts[0] is not None}
-    return replace(records[0], **whole)

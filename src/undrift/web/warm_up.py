@@ -6,9 +6,9 @@ import time
 from typing import TYPE_CHECKING
 
 from undrift.errors import InputError, UndriftError
+from undrift.record import joined
 from undrift.rig.chamber import LOOKS, SoakSettings, Steadiness, mean_temp
 from undrift.web.rig_run import CURVE, Point
-from undrift.web.source import joined
 
 if TYPE_CHECKING:
     from undrift.record import Record
