@@ -51,6 +51,11 @@ class Limits:
 LIMITS = Limits()
 
 
+def data_folder() -> Path:
+    """Return undrift's folder in the user's data folder."""
+    return Path(os.environ.get("XDG_DATA_HOME") or Path.home() / ".local" / "share") / "undrift"
+
+
 def checked_file(path: str | Path) -> Path:
     """Return the path of a file that exists and is not empty."""
     path = Path(path)

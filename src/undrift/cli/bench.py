@@ -1,14 +1,11 @@
 """``undrift bench``: the guided bench in a browser."""
 
-import os
 import secrets
 import sys
 from pathlib import Path
 
 from undrift.cli.common import Flag, Json, say, write_json
 from undrift.errors import InputError
-
-LOOPBACK = ("127.0.0.1", "localhost", "::1")
 
 
 def bench(
@@ -51,6 +48,8 @@ def bench(
         from undrift.web.app import serve
     except ImportError as error:
         raise InputError(f"bench: wanted nicegui, got none ({error.name}); pip install undrift[bench]") from error
+    from undrift.files import data_folder
+    from undrift.web.access import LOOPBACK
     from undrift.web.bench import BenchSettings
 
     if host not in LOOPBACK and not network:
@@ -65,7 +64,7 @@ def bench(
         raise InputError(f"--port: wanted 0 to 65535, got {port}; 0 takes a free one")
     if not upload_mb > 0.0:
         raise InputError(f"--upload-mb: wanted more than 0, got {upload_mb:g}; state the largest file in MB")
-    held = folder or _data_folder() / "bench"
+    held = folder or data_folder() / "bench"
     settings = BenchSettings(
         folder=held.absolute(),
         host=host,
@@ -89,7 +88,3 @@ def bench(
 
     serve(settings, ready)
     return 0
-
-
-def _data_folder() -> Path:
-    return Path(os.environ.get("XDG_DATA_HOME") or Path.home() / ".local" / "share") / "undrift"

@@ -132,6 +132,7 @@ def dates_of(recordings: tuple[Path, ...], given: tuple[str, ...]) -> tuple[list
 
 
 def stated_date(text: str) -> datetime:
+    """Return a date as a person states it, in UTC."""
     try:
         when = datetime.fromisoformat(text)
     except ValueError:

@@ -1,6 +1,6 @@
 """``undrift registry``: devices and their sessions, calibrations, certificates and runs, in a database that only grows."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -112,11 +112,13 @@ def add(
         raise InputError(
             "--supersedes: wanted one file, and --note with the reason, got others; correct one entry at a time"
         )
-    stated = _stated(about)
-    stated = _with(
-        stated, temp_c=None if valid_temp_c is None else _span(valid_temp_c), supersedes=supersedes, note=note
+    stated = replace(
+        _stated(about),
+        temp_c=None if valid_temp_c is None else _span(valid_temp_c),
+        made_at=None if date is None else stated_date(date),
+        supersedes=supersedes,
+        note=note,
     )
-    stated = _with(stated, made_at=None if date is None else stated_date(date))
     with open_place(where.registry, station=about.station) as held:
         added = held.add(*new_entries(list(files), stated, held))
     rows = [entry_json(one.entry) | {"new": one.new} for one in added]
@@ -371,12 +373,6 @@ def _stated(about: About) -> "Stated":
     if not 1 <= about.valid_months <= 1200:
         raise InputError(f"--valid-months: wanted 1 to 1200 months, got {about.valid_months}; 12 is the default")
     return Stated(serial=about.serial, valid_months=about.valid_months)
-
-
-def _with(stated: "Stated", **more: Any) -> "Stated":
-    from dataclasses import replace
-
-    return replace(stated, **more)
 
 
 def _span(text: str) -> tuple[float, float]:

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from undrift.errors import RegistryError
-from undrift.files import first_line
+from undrift.files import data_folder, first_line
 from undrift.io.store import hash_of
 
 try:
@@ -40,7 +40,7 @@ _AS_THEY_ARE = ("kind", "verdict", "made_at", "due_at", "source", "supersedes", 
 _MIGRATING, _MANY = (
     0x756E6472,
     0x756E6473,
-)  # PostgreSQL's advisory locks: one program migrates, or adds several, the others wait
+)  # advisory locks of PostgreSQL: one program migrates, or adds several; others wait
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -80,8 +80,7 @@ def default_place() -> str:
     """Return UNDRIFT_REGISTRY, else the file in the user's data folder."""
     if stated := os.environ.get("UNDRIFT_REGISTRY"):
         return stated
-    base = os.environ.get("XDG_DATA_HOME") or str(Path.home() / ".local" / "share")
-    return str(Path(base) / "undrift" / "registry.sqlite")
+    return str(data_folder() / "registry.sqlite")
 
 
 def open_registry(place: str | None = None, *, station: str | None = None, wait_s: float = WAIT_S) -> "Registry":

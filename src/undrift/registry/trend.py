@@ -90,9 +90,9 @@ def trend(calibrations: Sequence[Dated]) -> list[Step]:
     return [compare(before, after) for before, after in pairwise(calibrations)]
 
 
-def headline(steps: Sequence[Step], all_steps: Sequence[Step]) -> str:
+def headline(steps: Sequence[Step], from_first: Sequence[Step]) -> str:
     """Return what to know first: what moved since the calibration before, else since the first, which shows a slow drift."""
-    last, total = steps[-1], all_steps[-1]
+    last, total = steps[-1], from_first[-1]
     moved = (step.sentences[0] for step in (last, total) if any(one.sigmas >= MOVED for one in step.changes))
     return next(moved, last.sentences[0])
 
