@@ -555,15 +555,17 @@ def name_of(path: Path) -> str:
 
 def _holds(read: Path, target: Path) -> bool:
     """Tell whether a file is the one read, or one of the folder read."""
-    from undrift.io.session import NAME, read_session
+    from undrift.files import read_toml
+    from undrift.io.session import NAME, SessionFile
 
     if not read.is_dir():
         return read.exists() and target.samefile(read)
     if (read / NAME).is_file():
-        names = [NAME, *(name for name, _ in read_session(read).inputs)]
+        files = [entry.file for entry in read_toml(read / NAME, SessionFile).recording]
+        names = [NAME, *(name for file in files for name in ([file] if isinstance(file, str) else file))]
     else:
         names = [file.name for file in read.iterdir()]  # of a device that records into a folder
-    return any(target.samefile(read / name) for name in names)
+    return any((read / name).exists() and target.samefile(read / name) for name in names)
 
 
 # ---- Results
