@@ -147,8 +147,8 @@ def run(
         result = run_programme(
             programme, bench, folder, report=shown, serial=serial or called, gravity_m_s2=gravity_m_s2, settings=judge
         )
-    _write_report(report, result, output, protocol)
-    return _result(result, output, json, registering.add(output))
+    _finish(result, output, report, protocol, registering.add(output), json)
+    return 0
 
 
 @rig.command(help_epilogue=examples("rig emulate"))
@@ -509,15 +509,14 @@ class _Shown:
             sys.stderr.write(f"{line}  {progress.live}".rstrip() + "\n")
 
 
-def _write_report(path: Path | None, result: "RunResult", folder: Path, protocol: Path) -> None:
-    from undrift.report.commands import write_rig_report
+def _finish(
+    result: "RunResult", folder: Path, report: Path | None, protocol: Path, kept: "list[dict[str, Any]]", json: bool
+) -> None:
+    """Write the page of a run and show what it came to."""
+    if report is not None:
+        from undrift.report.commands import write_rig_report
 
-    if path is not None:
-        write_rig_report(path, result, folder.name, origin=origin_of(protocol, folder / "session.toml"))
-
-
-def _result(result: "RunResult", folder: Path, json: bool, kept: "list[dict[str, Any]]") -> int:
-    """Show what a run came to."""
+        write_rig_report(report, result, folder.name, origin=origin_of(protocol, folder / "session.toml"))
     turns = [piece for piece in result.pieces if piece.purpose == "rate"]
     missing = sum(piece.missing for piece in result.pieces)
     if json:
@@ -535,14 +534,13 @@ def _result(result: "RunResult", folder: Path, json: bool, kept: "list[dict[str,
         made = {"folder": str(folder), "rig": result.rig, "dwells": len(result.pieces), "added": result.added}
         made |= {"registered": kept} if kept else {}
         write_json(made | {"duration_s": result.duration_s, "missing_readings": missing, "turns": rows}, "rig run")
-        return 0
+        return
     off = max((abs(piece.turn_rate - piece.nominal_turn_rate) for piece in turns), default=0.0) / RADIAN_PER_DEGREE
     say(
         f"{folder}: {len(result.pieces)} dwells, {result.added} of them now, in {_clock(result.duration_s)}; achieved rates "
         f"differ from nominal ones by up to {off:.3g} deg/s and stand in session.toml; {missing} readings missing"
     )
     say_registered(kept)
-    return 0
 
 
 def _show_check(found: "RigCheck", rig: str, settings: "CheckSettings", json: bool) -> None:

@@ -80,9 +80,7 @@ class Progress:
     live: str = ""  # The device's latest reading, or the chamber's
     air_c: float | None = None  # What the chamber read last, degC
     device_c: float | None = None  # What the device's thermometer read last, in a soak or a dwell, degC
-    slope_c_per_min: float | None = (
-        None  # Of the device in a soak, without a thermometer of the air; None before it is known
-    )
+    slope_c_per_min: float | None = None  # In a soak: of the air or, once that is steady, of the device
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
