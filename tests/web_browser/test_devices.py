@@ -73,7 +73,7 @@ def test_a_device_is_chosen_its_trend_read_and_its_calibration_used_and_download
     held = json.loads(download.value.path().read_text())
     assert (held["kind"], held["device"]) == ("undrift.calibration", "A17")
     page.get_by_role("button", name="Use this calibration").click()
-    expect(main).to_contain_text("Live and Recordings correct with entry 3.", timeout=COMMAND_MS)
+    expect(main).to_contain_text("Live and Recordings use entry 3.", timeout=COMMAND_MS)
     expect(page.get_by_role("link", name="Correct recordings")).to_be_visible()
     page.get_by_role("button", name="Use entry 2").click()
     expect(page.get_by_role("button", name="Use this calibration")).to_be_visible(timeout=COMMAND_MS)

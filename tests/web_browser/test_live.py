@@ -64,7 +64,7 @@ def test_pause_holds_the_picture_and_the_time_shown_changes(open_page: Callable[
     before = picture.evaluate("canvas => canvas.toDataURL()")
     page.wait_for_timeout(600)
     assert picture.evaluate("canvas => canvas.toDataURL()") == before
-    page.get_by_role("button", name="Go on").press("Space")
+    page.get_by_role("button", name="Resume").press("Space")
     expect(page.locator(".panel-state")).to_have_text("Live.")
     page.wait_for_timeout(600)
     assert picture.evaluate("canvas => canvas.toDataURL()") != before

@@ -46,7 +46,7 @@ def mount(page: Page, bench: Any, times: int) -> None:
         expect(asked).to_contain_text("Mount the device with", timeout=RUN_MS)
         words = asked.inner_text()
         bench.mount(words.split("with ")[1][:2])
-        page.get_by_role("button", name="Done, go on").click()
+        page.get_by_role("button", name="Done, continue").click()
         expect(page.locator(".question").filter(has_text=words)).to_have_count(0, timeout=RUN_MS)
 
 
@@ -167,7 +167,7 @@ def test_the_emergency_stop_reaches_the_table_at_once(
     assert -0.005 < late_s < STOP_S
     assert not bench.rig.motor_on
     shoot(page, f"rate-table-stopped-{way}")
-    page.get_by_role("button", name="Go on").click()
+    page.get_by_role("button", name="Continue").click()
     mount(page, bench, 1)
     page.get_by_role("button", name="Pause").click()
     expect(page.locator(".run-end")).to_contain_text("Paused: the table is at rest", timeout=RUN_MS)
@@ -179,7 +179,7 @@ def test_the_emergency_stop_reaches_the_table_at_once(
 def test_temperatures_of_the_emulated_chamber_fill_a_table_and_end_in_a_fit(open_page: Callable[..., Page]) -> None:
     page = open_page("/rate-table")
     page.set_default_timeout(RUN_MS)
-    page.get_by_label("Its speed").select_option("100")
+    page.get_by_label("Speed of the emulated table").select_option("100")
     page.get_by_role("button", name="Use the emulated table").click()
     page.get_by_text("The emulated operator mounts the device.").wait_for()
     page.get_by_label("Lowest rate").fill("30")

@@ -24,7 +24,7 @@ def test_a_table_is_mapped_calibrated_and_corrected_without_a_command_line(
     page.get_by_label("Choose files").set_input_files(DATA / "ferraris_nilspod" / "example_ferraris_session.csv")
     page.get_by_label("Samples per second, Hz").fill("204.8")
     shoot(page, "recordings-map")
-    page.get_by_role("button", name="Read it so").click()
+    page.get_by_role("button", name="Read the file").click()
     page.get_by_label("Angle of its turns, deg").fill("360")
     shoot(page, "recordings-read")
     page.get_by_role("button", name="Calibrate").click()
@@ -64,10 +64,10 @@ def test_a_file_without_time_is_read_at_the_rate_that_is_stated(open_page: Calla
     page.get_by_label("Choose files").set_input_files(DATA / "worn_lowback" / "HA_001_Test11.csv.gz")
     rate = page.get_by_label("Samples per second, Hz")
     rate.fill("0", timeout=COMMAND_MS)
-    page.get_by_role("button", name="Read it so").click()
+    page.get_by_role("button", name="Read the file").click()
     expect(page.locator(".bench-main")).to_contain_text("sample rate: wanted a number above 0, got '0'")
     rate.fill("100")
-    page.get_by_role("button", name="Read it so").click()
+    page.get_by_role("button", name="Read the file").click()
     expect(page.locator(".bench-main")).to_contain_text("samples at 100 Hz", timeout=COMMAND_MS)
 
 

@@ -84,7 +84,7 @@ def test_six_faces_and_turns_by_keyboard_end_in_the_hidden_calibration(
     page.get_by_text("All six faces are captured", exact=True).wait_for()
     shoot(page, "six-faces-complete-1200")
     faces_s = time.monotonic() - began
-    press(page, "Go on to turns by hand", role="link")
+    press(page, "Continue to turns by hand", role="link")
     page.get_by_role("heading", level=1, name="Turns by hand").wait_for()
     light = page.locator(".light-words")
     for way in WAYS:
@@ -131,8 +131,8 @@ def test_a_second_browser_watches_and_a_narrow_one_redoes_a_face(
     (session,) = bench_server.folder.glob("jobs/*/session")
     first = read_session(session).stills
     other.get_by_role("button", name="Redo +z up").click()
-    page.get_by_text("do it once more").wait_for()
-    page.get_by_text("do it once more").wait_for(state="detached", timeout=CAPTURE_MS)
+    page.get_by_text("record again").wait_for()
+    page.get_by_text("record again").wait_for(state="detached", timeout=CAPTURE_MS)
     deadline = time.monotonic() + 20.0
     while (again := read_session(session).stills) == first and time.monotonic() < deadline:
         time.sleep(0.2)

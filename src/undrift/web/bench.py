@@ -9,8 +9,6 @@ A folder holds everything that the bench writes::
 
 import asyncio
 import json
-import time
-from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from datetime import datetime
 from pathlib import Path
@@ -53,15 +51,13 @@ class Job:
 
     folder: Path
     serial: str = ""
-    capture: Any = None  # web.six_faces
-    turns: Any = None  # web.turns
+    capture: Any = None  # web.guided, while its faces and turns are captured
     calibration: Path | None = None
     report: Path | None = None
     certificate: Path | None = None
     answer: dict[str, Any] = field(default_factory=dict)  # of calibrate
     registered: str = ""  # what the registry answered
     error: str = ""  # of the last command
-    began: float = field(default_factory=time.monotonic)
 
     @property
     def session(self) -> Path:
@@ -92,7 +88,6 @@ class Working:
 
     what: str
     line: str = ""
-    began: float = field(default_factory=time.monotonic)
 
 
 class Bench:
@@ -107,13 +102,11 @@ class Bench:
         self.calibration: Path | None = None  # what Live and Recordings correct with
         self.job: Job | None = None
         self.working: list[Working] = []
-        self.closing: list[Callable[[], None]] = []  # called when the server ends
         self._practice: Any = None
         self.recordings, self.devices = Recordings(self), Devices(self)
         for name in ("jobs", "uploads"):
             (self.folder / name).mkdir(parents=True, exist_ok=True)
         self.table = RateTable(self)  # with the run that an earlier bench left
-        self.closing.append(self.table.close)
         self.warm_up = WarmUp(self)
         held = _held_in(self.folder / PLACE)
         self.place = Place(latitude_deg=held.get("latitude_deg"), height_m=float(held.get("height_m") or 0.0))
@@ -150,7 +143,7 @@ class Bench:
     @property
     def practice(self) -> Any:
         """Return the practice device, where it is the one that is connected."""
-        return self._practice if self.source is not None and self._practice is not None else None
+        return None if self.source is None else self._practice
 
     def _address_of(self, address: str) -> str:
         """Return an address to connect to; that of the practice device, which starts with it, for ``emulator``."""
@@ -256,8 +249,7 @@ class Bench:
 
     def close(self) -> None:
         """Let go of everything; the server ends."""
-        for close in self.closing:
-            close()
+        self.table.close()
         if self.source is not None:
             self.source.stop()
         if self._practice is not None:

@@ -1,4 +1,4 @@
-"""What every page has: heading, navigation, what is connected, the emergency stop, and one next step."""
+"""What every page has: heading, navigation, what is connected, the emergency stop, one next step; and parts that pages share."""
 
 import json
 from collections.abc import Awaitable, Callable, Iterator, Sequence
@@ -7,7 +7,7 @@ from typing import Any
 
 from nicegui import ui
 
-from undrift.web.bench import Bench
+from undrift.web.bench import PRACTICE, Bench
 
 PAGES = {  # path -> name, in the order of the navigation
     "/": "Start",
@@ -21,6 +21,7 @@ PAGES = {  # path -> name, in the order of the navigation
     "/devices": "Devices",
 }
 REFRESH_S = 0.25
+ADDRESSES = "serial:///dev/ttyUSB0?baud=115200&..., tcp://host:port?..., udp://:port, lsl:name, ble:id"  # examples
 
 
 def text(tag: str, words: str = "", classes: str = "") -> Any:
@@ -149,14 +150,14 @@ class Field:
             if options:
                 with ui.element("select") as self.element:
                     for option in options:
-                        text("option", option).props(f'value="{option}"' + (" selected" if option == value else ""))
+                        made = text("option", option).props("selected" if option == value else "")
+                        made.props["value"] = option
             else:
                 self.element = ui.element("input").props(
                     f'type="{kind}" autocomplete="off"' + (' step="any"' if kind == "number" else "")
                 )
-                self.element.props["^value"] = (
-                    value  # the attribute: the property would undo what is typed at each redraw
-                )
+                # the attribute: the property would undo what is typed at each redraw
+                self.element.props["^value"] = value
             if hint:
                 text("span", hint, "soft")
         self.element.on("input", self._take, js_handler="(event) => emit(event.target.value)")
@@ -189,3 +190,28 @@ def error_line(words: Callable[[], str]) -> Any:
     refresh()
     ui.timer(REFRESH_S, refresh)
     return made
+
+
+def connect_form(bench: Bench) -> None:
+    """Add the form, and say what is connected."""
+    with ui.element("section").props('aria-label="Device"'):
+        text("h2", "Device")
+        state = text("p", "")
+        with ui.element("div").classes("row"):
+            address = Field("Address of the device", hint=ADDRESSES)
+            button("Connect", lambda: bench.connect(address.value))
+            button("Use the practice device", lambda: bench.connect(PRACTICE))
+            button("Disconnect", bench.disconnect)
+        error_line(lambda: bench.source_error)
+
+    def refresh() -> None:
+        if bench.connecting:
+            words = f"Connecting {bench.connecting} ..."
+        elif bench.source is None:
+            words = "None connected. Connect yours, or try the practice device, a simulated sensor that you turn with buttons."
+        else:
+            words = f"Connected: {bench.source.name}"
+        set_text(state, words)
+
+    refresh()
+    ui.timer(REFRESH_S, refresh)

@@ -13,7 +13,7 @@ stands beside the folder of the run, so that the next bench finds it::
     JOB/run/answer.json, run.log   stdout and stderr of the command
 
 Pause is Ctrl-C of the command: the dwell that is going is given up, the table comes to rest with its motor off, the folder stays.
-Go on is the command with --resume.
+Continue is the command with --resume.
 """
 
 import contextlib

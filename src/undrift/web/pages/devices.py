@@ -23,7 +23,7 @@ def page(bench: Bench) -> None:
 
 def _shown(bench: Bench, held: Devices, client: Any) -> None:
     if held.rows is None:
-        text("p", "Asking the registry ...", "soft")
+        text("p", "Loading ...", "soft")
         return
     if not held.rows:
         text("p", "No device is registered yet. Calibrate one, then register it on the page Result.")
@@ -67,7 +67,7 @@ def _device(bench: Bench, held: Devices, row: dict[str, Any], client: Any) -> No
     if calibration is None or (row.get("days_left") or 0) < 0:
         next_step("Calibrate it", "/")
     elif held.is_used(calibration):
-        text("p", f"Live and Recordings correct with entry {calibration['entry']}.").props('role="status"')
+        text("p", f"Live and Recordings use entry {calibration['entry']}.").props('role="status"')
         next_step("Correct recordings", "/recordings")
     else:
         next_step("Use this calibration", partial(held.use, calibration))

@@ -9,9 +9,8 @@ from nicegui import ui
 from undrift.errors import UndriftError
 from undrift.web.bench import Bench
 from undrift.web.capture import Light
-from undrift.web.connect import connect_form
 from undrift.web.drawings import lamp, ring
-from undrift.web.frame import REFRESH_S, button, disable, error_line, set_text, text
+from undrift.web.frame import REFRESH_S, button, connect_form, disable, error_line, set_text, text
 from undrift.web.guided import Guided, guided_of
 
 AXES = "xyz"
@@ -66,7 +65,7 @@ def progress_part(
     again: Callable[[], str | None],
     redo: Callable[[str | None], None],
 ) -> None:
-    """Add a list of what is to be captured, each with its state and a button to do it once more."""
+    """Add a list of what is to be captured, each with its state and a button to record again."""
     count = text("h2", title)
     rows = []
     with ui.element("ol").classes("steps"):
@@ -86,8 +85,8 @@ def progress_part(
         held, now = done(), again()
         set_text(count, f"{title}: {len(held)} of {len(names)}")
         for key, state, press in rows:
-            set_text(state, "do it once more" if key == now else "✓ captured" if key in held else "to do")
-            set_text(press, "Keep" if key == now else "Redo")
+            set_text(state, "record again" if key == now else "✓ captured" if key in held else "to do")
+            set_text(press, "Cancel" if key == now else "Redo")
             disable(press, key not in held)
 
     refresh()

@@ -11,8 +11,18 @@ from nicegui import ui
 from undrift.errors import UndriftError
 from undrift.record import FACES
 from undrift.web.bench import Bench
-from undrift.web.connect import connect_form
-from undrift.web.frame import Field, button, error_line, frame, next_step, redrawn, set_text, text, text_link
+from undrift.web.frame import (
+    Field,
+    button,
+    connect_form,
+    error_line,
+    frame,
+    next_step,
+    redrawn,
+    set_text,
+    text,
+    text_link,
+)
 from undrift.web.panel import Panel
 from undrift.web.source import Source, Status
 from undrift.web.uploads import safe_name

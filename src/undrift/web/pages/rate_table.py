@@ -28,18 +28,18 @@ RATES = (
     ("turn_rate_min_dps", "Lowest rate, deg/s", ""),
     ("turn_rate_max_dps", "Highest rate, deg/s", ""),
     ("turn_rate_step_dps", "Step, deg/s", ""),
-    ("dwell_s", "Each rate, s", ""),
-    ("face_s", "Each face, s", ""),
+    ("dwell_s", "Time at each rate, s", ""),
+    ("face_s", "Time on each face, s", ""),
 )
 MORE = (
     ("bracket_s", "Rest before and after the rates, s", ""),
     ("acceleration_dps2", "Acceleration, deg/s2", ""),
-    ("cutoff_hz", "Low-pass of the device, Hz", "says how long it settles"),
+    ("cutoff_hz", "Low-pass of the device, Hz", "sets the settling time"),
 )
 ENDS = {
-    "paused": "Paused: the table is at rest and its motor is off. What was recorded is kept; the dwell that was going is repeated.",
+    "paused": "Paused: the table is at rest and its motor is off. What was recorded is kept; the interrupted dwell is repeated.",
     "stopped": "Stopped: the table is at rest and its motor is off. What was recorded is kept.",
-    "unconfirmed": "NOT CONFIRMED that the table stopped. Cut the amplifier's power, then look at the table.",
+    "unconfirmed": "The stop is NOT CONFIRMED. Cut the amplifier's power, then look at the table.",
     "failed": "The run ended early. What was recorded is kept.",
     "done": "Complete: all dwells are recorded, the table is at rest and its motor is off.",
 }
@@ -100,7 +100,7 @@ def order_form(bench: Bench, form: ProtocolForm, *, chamber: bool) -> None:
         text("h2", "Table")
         with ui.element("div").classes("row"):
             emulated = button("Use the emulated table", table.use_emulated)
-            speed = Field("Its speed", table.speed, options=SPEEDS, hint="times real time")
+            speed = Field("Speed of the emulated table", table.speed, options=SPEEDS, hint="times real time")
             speed.element.on("change", lambda: setattr(table, "speed", speed.value))
         with ui.element("div").classes("row form"):
             for name, label, hint in ADDRESSES if chamber else ADDRESSES[:2]:
@@ -138,10 +138,10 @@ def order_form(bench: Bench, form: ProtocolForm, *, chamber: bool) -> None:
 def forecast_words(found: Forecast) -> str:
     """Say what a protocol takes."""
     rate = f", up to {found.turn_rate / RADIAN_PER_DEGREE:g} deg/s" if found.turn_rate else ""
-    soaking = "and soaking " if found.total_s > found.rig_s + 600.0 else ""
+    soaking = " and soaking" if found.total_s > found.rig_s + 600.0 else ""
     return (
-        f"Forecast: {found.dwells} dwells{rate}, {_minutes(found.rig_s)} of table time; with mounting {found.mountings} times "
-        f"{soaking}about {_minutes(found.total_s)}."
+        f"Forecast: {found.dwells} dwells{rate}, {_minutes(found.rig_s)} of table time; about "
+        f"{_minutes(found.total_s)} with {found.mountings} mountings{soaking}."
     )
 
 
@@ -152,7 +152,7 @@ def _minutes(seconds: float) -> str:
 
 
 def _serial(bench: Bench) -> None:
-    field = Field("Serial number of the device", bench.table.serial, hint="what it says itself where empty")
+    field = Field("Serial number of the device", bench.table.serial, hint="empty: as the device states it")
     field.element.on("input", lambda: setattr(bench.table, "serial", field.value))
 
 
@@ -208,7 +208,7 @@ def run_part(bench: Bench, look: Callable[[], None], after: Callable[[], None]) 
                 if view.state == "running":
                     button("Pause", table.pause)
                 text("p", "Emergency stop: the red button, or the key Escape, on any page.", "soft")
-            text("p", "The run goes on when this page is closed.", "soft")
+            text("p", "The run continues when this page is closed.", "soft")
             if view.standby:
                 text("p", f"The stop has no connection of its own: {view.standby}.", "soft")
         else:
@@ -221,7 +221,7 @@ def run_part(bench: Bench, look: Callable[[], None], after: Callable[[], None]) 
         if view.state == "done":
             after()
         else:
-            next_step("Go on", table.go_on)
+            next_step("Continue", table.go_on)
 
         def forget() -> None:
             table.forget()
@@ -234,10 +234,10 @@ def _question(bench: Bench, number: int, words: str) -> None:
     with ui.element("section").classes("card question").props('role="alert" aria-label="Your turn"'):
         text("h2", "Your turn")
         text("p", words.split(", then press Enter")[0].split(", then type")[0] + ".")
-        turned = Field("Angle it turned, deg", "", hint="empty: exactly that") if "type the angle" in words else None
+        turned = Field("Angle turned, deg", "", hint="empty: the angle asked for") if "type the angle" in words else None
         with ui.element("div").classes("row"):
-            next_step("Done, go on", lambda: bench.table.answer(number, turned.value if turned else ""))
-            button("Give up", lambda: bench.table.answer(number, "q"))
+            next_step("Done, continue", lambda: bench.table.answer(number, turned.value if turned else ""))
+            button("End the run", lambda: bench.table.answer(number, "q"))
 
 
 def _progress(bench: Bench) -> None:

@@ -128,7 +128,7 @@ def _rate_form(held: Recordings, one: Stored, refresh: Any) -> None:
         else:
             set_text(wrong, f"sample rate: wanted a number above 0, got '{rate.value}'; state the samples per second")
 
-    next_step("Read it so", read)
+    next_step("Read the file", read)
 
 
 def _map_form(held: Recordings, one: Stored, refresh: Any) -> None:
@@ -155,7 +155,7 @@ def _map_form(held: Recordings, one: Stored, refresh: Any) -> None:
             await held.write_map(one, sample_rate_hz=given, units={name: made.value for name, made in chosen.items()})
         refresh()
 
-    next_step("Read it so", write)
+    next_step("Read the file", write)
 
 
 def _actions(bench: Bench, held: Recordings, one: Stored, refresh: Any, go: Any) -> None:

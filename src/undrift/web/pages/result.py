@@ -21,7 +21,7 @@ def page(bench: Bench) -> None:
 def _shown(bench: Bench, refresh: Any) -> None:
     if bench.job is None or bench.job.calibration is None:
         text("p", "No calibration yet. Record six faces, run the rate table, or open a recording.")
-        next_step("Choose a way", "/")
+        next_step("Choose what to record", "/")
     else:
         _result(bench, bench.job, refresh)
     _earlier(bench, refresh)
@@ -56,7 +56,7 @@ def _result(bench: Bench, job: Job, refresh: Any) -> None:
             if path is not None and path.exists():
                 text_link(f"Download {label.lower()}", bench.link(path) + "?download=1")
         if bench.calibration == job.calibration:
-            text("p", "Live and Recordings correct with it.", "soft")
+            text("p", "Live and Recordings use this calibration.", "soft")
         else:
             button("Use it in Live and Recordings", lambda: _use(bench, job, refresh))
     if job.registered:

@@ -57,14 +57,14 @@ def _shown(bench: Bench) -> None:
     progress_part("Faces", names, lambda: [*guide.capture.faces], lambda: guide.again, lambda face: _redo(guided, face))
     readings_part(bench)
     with ui.element("div").classes("row"):
-        button("Begin anew", lambda: begin_anew(bench))
+        button("Start over", lambda: begin_anew(bench))
 
 
 def _next(complete: bool) -> None:
     if complete:
-        next_step("Go on to turns by hand", "/turns")
+        next_step("Continue to turns by hand", "/turns")
     else:
-        text("p", "Any order will do. Lay it down and take your hands off: it is captured by itself.", "soft")
+        text("p", "In any order. Lay the device down and let go; it is recorded automatically.", "soft")
 
 
 def _redo(guided: Guided, face: str | None) -> None:

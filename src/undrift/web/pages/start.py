@@ -6,8 +6,7 @@ from nicegui import ui
 
 from undrift.errors import InputError
 from undrift.web.bench import Bench
-from undrift.web.connect import connect_form
-from undrift.web.frame import REFRESH_S, Field, button, error_line, frame, next_step, set_text, text
+from undrift.web.frame import REFRESH_S, Field, button, connect_form, error_line, frame, next_step, set_text, text
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -86,7 +85,7 @@ WAYS = (
 def page(bench: Bench) -> None:
     """Build the page."""
     with frame(bench, "Start"):
-        text("p", "What do you have? Each way names the recording that it needs.")
+        text("p", "What do you have? Each option names the recording it needs.")
         with ui.element("div").classes("cards"):
             for way in WAYS:
                 with ui.element("section").classes("card").props(f'aria-label="{way.have}"'):
@@ -104,7 +103,7 @@ def _place_form(bench: Bench) -> None:
     error = [""]
     with ui.element("section").props('aria-label="Place"'):
         text("h2", "Place")
-        text("p", "Local gravity follows from it. Without it standard gravity is assumed: up to 0.3 % of scale.")
+        text("p", "It gives local gravity. Without it, standard gravity is assumed: up to 0.3 % error of the accelerometers' scale.")
         with ui.element("div").classes("row"):
             held = bench.place
             latitude = Field("Latitude, deg (north is positive)", _shown(held.latitude_deg), kind="number")
@@ -117,14 +116,14 @@ def _place_form(bench: Bench) -> None:
                 except InputError as refused:
                     error[0] = str(refused)
 
-            button("Keep", keep)
+            button("Save", keep)
         state = text("p", "", "soft").props('role="status"')
         error_line(lambda: error[0])
 
     def refresh() -> None:
         place = bench.place
         known = place.latitude_deg is not None
-        set_text(state, f"Kept: {place.latitude_deg:g} deg, {place.height_m:g} m" if known else "Not stated")
+        set_text(state, f"Saved: {place.latitude_deg:g} deg, {place.height_m:g} m" if known else "Not stated")
 
     refresh()
     ui.timer(REFRESH_S, refresh)

@@ -7,8 +7,7 @@ from functools import partial
 from nicegui import ui
 
 from undrift.web.bench import Bench
-from undrift.web.connect import connect_form
-from undrift.web.frame import button, error_line, frame, next_step, redrawn, set_text, text
+from undrift.web.frame import button, connect_form, error_line, frame, next_step, redrawn, set_text, text
 from undrift.web.pages.rate_table import order_form, run_part, run_state
 from undrift.web.rig_run import Point, View
 
@@ -38,8 +37,8 @@ def _part(bench: Bench, look: Callable[[], None], go: Callable[[str], None]) -> 
         error_line(lambda: warm_up.error)
         button("Record a warm-up", warm_up.start)
     elif run.view.steps and not run.view.set_points():
-        text("p", "A run at room temperature goes on.")
-        next_step("See the rate table", "/rate-table")
+        text("p", "A run at room temperature is in progress.")
+        next_step("Open the rate table", "/rate-table")
     else:
         run_part(bench, look, lambda: _fit(bench, go))
         _soak(lambda: soak_words(run.view))
@@ -73,7 +72,7 @@ def _recording(bench: Bench, go: Callable[[str], None]) -> None:
             go("/result")
 
     text("h2", "Recording a warm-up")
-    text("p", "Leave the device at rest. The recording goes on when this page is closed.")
+    text("p", "Leave the device at rest. The recording continues when this page is closed.")
     _soak(lambda: steadiness_words(held.slope_c_per_min, held.settings.slope_c_per_min, held.stable_since))
     _curve(lambda: held.curve)
     text("p", _corrected(bench), "soft")
@@ -106,7 +105,7 @@ def steadiness_words(slope: float | None, limit: float, since: float | None) -> 
     if since is not None:
         return f"Stable since {_clock(since)}: it changes by less than {limit:g} K/min."
     if slope is None:
-        return f"not stable yet; the first minutes are being watched. Stable below {limit:g} K/min."
+        return f"not stable yet; the slope is known after some minutes. Stable below {limit:g} K/min."
     return f"it changes by {slope:.2f} K/min. Stable below {limit:g} K/min."
 
 

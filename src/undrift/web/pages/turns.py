@@ -76,7 +76,7 @@ def _next(bench: Bench, guided: Guided) -> None:
     elif guided.turns.complete:
         next_step("Calibrate", _calibrating(bench))
     else:
-        text("p", "Rest it, turn it by hand against an edge, back to the mark, and rest it again.", "soft")
+        text("p", "Leave it at rest, turn it along an edge back to the mark, and leave it at rest again.", "soft")
         if guided.turns.enough:
             button("Calibrate with these turns", _calibrating(bench))
 

@@ -111,7 +111,7 @@ export default {
     },
     setPaused(paused) {
       this.paused = paused;
-      this.pause.textContent = paused ? "Go on" : "Pause";
+      this.pause.textContent = paused ? "Resume" : "Pause";
       this.pause.setAttribute("aria-pressed", String(paused));
       this.tell();
     },
