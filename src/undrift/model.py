@@ -429,6 +429,13 @@ class Provenance:
     created: str = ""
 
 
+def versions_used() -> tuple[tuple[str, str], ...]:
+    """Return the packages that a fit rests on, with their versions."""
+    from importlib.metadata import version
+
+    return tuple((name, version(name)) for name in ("undrift", "numpy", "scipy"))
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Calibration(Shown):
     """Everything that is needed to turn one device's readings into rad/s and m/s2.

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from datetime import UTC, datetime
 
 import numpy as np
 import pytest
@@ -107,7 +108,11 @@ def test_each_recording_judged_by_the_others_and_what_is_written(undrift, tmp_pa
     show("BROAD B, leave one out, mean end error, deg", f"{end(told):.2f}", 1.5)
     assert end(told) < 1.5
     assert told["leave_one_out"] is True
-    assert read_calibration(out / "calibration.json").gyro is not None
+    made = read_calibration(out / "calibration.json")
+    assert made.gyro is not None
+    assert [name for name, _ in made.provenance.inputs] == [path.name for path in broad(*B)]
+    assert datetime.fromisoformat(made.provenance.created).tzinfo == UTC
+    assert dict(made.provenance.versions).keys() == {"undrift", "numpy", "scipy"}
     page = (out / "report.html").read_text()
     assert page.count("<svg") == 6  # the errors, four courses and the agreement
     assert "Agreement over trials" in page

@@ -206,7 +206,7 @@ def test_picture_and_page_show_what_moved(tmp_path):
     write_trend_report("A17", three[0], trend(three), course(three), tmp_path / "t.html", Origin())
     text = (tmp_path / "t.html").read_text()
     for part in (
-        *trend(three)[-1].sentences,
+        *(f"{words[:1].upper()}{words[1:]}." for words in trend(three)[-1].sentences),
         "2026-02-02 to 2026-03-02",
         "accel: not calibrated in both.",
         "gyro scale x",

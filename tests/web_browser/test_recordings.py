@@ -56,6 +56,9 @@ def test_a_recording_with_optics_is_oriented_and_validated(open_page: Callable[.
     page.wait_for_url("**/result")
     expect(page.get_by_role("heading", name="Verdict:")).to_be_visible()
     shoot(page, "result-by-optics-390")
+    page.get_by_label("Serial number of the device").fill("BROAD D")
+    page.get_by_role("button", name="Register the calibration").click()
+    expect(page.get_by_text("Registered as entry 1")).to_be_visible(timeout=COMMAND_MS)
 
 
 @needs_data

@@ -34,7 +34,7 @@ from undrift.calibration.unused_stills import check_accel
 from undrift.errors import CalibrationError, InputError, NotObservable, PoorFit
 from undrift.findings import Finding, finding
 from undrift.fit.least_squares import TriadFit, triad_fit
-from undrift.model import AdcModel, Calibration, Provenance, Verdict
+from undrift.model import AdcModel, Calibration, Provenance, Verdict, versions_used
 from undrift.plugins import load_named, names_in
 from undrift.record import FACES, Record, Reference, Session, Turn
 from undrift.sync import LagSettings
@@ -348,7 +348,6 @@ def limits_of(accel: Outcome, gyro: Outcome, temp_c: float, *, thermal: bool) ->
 
 
 def _provenance(session: Session, seen: Observed, accel: str, gyro: str, mode: Mode | None) -> Provenance:
-    from importlib.metadata import version
 
     settings, turns = seen.settings, seen.session.turns
     if gyro == "known-rotation" and not turns:
@@ -372,7 +371,7 @@ def _provenance(session: Session, seen: Observed, accel: str, gyro: str, mode: M
             ("faces", ", ".join(face for face in FACES if face in {still.face for still in seen.faced}) or "none"),
             ("turns", f"{len(turns)} {'stated' if session.turns else 'found'}" if turns else "none"),
         ),
-        versions=tuple((name, version(name)) for name in ("undrift", "numpy", "scipy")),
+        versions=versions_used(),
         created=datetime.now(UTC).isoformat(timespec="seconds"),
     )
 
@@ -433,6 +432,16 @@ def calibrate_to_references(
         accel=None if accel is None else accel.model,
         adc=rounding,
         verdict=fit.triad.verdict.also(Verdict.of(*more) if accel is None else Verdict.of(*more).also(accel.verdict)),
+        provenance=Provenance(
+            settings=(
+                ("gyro", method),
+                ("adc", adc),
+                ("mounting", settings.mounting),
+                ("recordings", f"{len(records)}"),
+            ),
+            versions=versions_used(),
+            created=datetime.now(UTC).isoformat(timespec="seconds"),
+        ),
     )
 
 

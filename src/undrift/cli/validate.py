@@ -190,7 +190,8 @@ def _write(
         write_validation_report(result, method, folder / "report.html", origin)
         save_json(folder / "validation.json", made)
         if method.calibration is not None and not method.source:
-            write_calibration(method.calibration, folder / "calibration.json")
+            made_from = replace(method.calibration.provenance, inputs=origin.inputs)
+            write_calibration(replace(method.calibration, provenance=made_from), folder / "calibration.json")
 
 
 def _validation_json(result: "Validation") -> dict[str, object]:

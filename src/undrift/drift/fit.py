@@ -15,7 +15,6 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
-from importlib.metadata import version
 from typing import Literal
 
 import numpy as np
@@ -42,7 +41,7 @@ from undrift.drift.temperature import Temperature, TemperatureSettings, check_sp
 from undrift.drift.thermometer_lag import LagFit, default_smooth_s, estimate_lag, without_lag_smooth
 from undrift.errors import InputError, NotObservable
 from undrift.findings import finding
-from undrift.model import BEYOND_SEEN_C, Calibration, DriftTables, Provenance, Verdict
+from undrift.model import BEYOND_SEEN_C, Calibration, DriftTables, Provenance, Verdict, versions_used
 from undrift.record import Session
 from undrift.views import Shown
 
@@ -404,7 +403,7 @@ def _calibrated(
             (_INPUTS, f"{len(before)}"),
             (checks.STATUS_BEFORE, device.verdict.status),
         ),
-        versions=held.versions or tuple((name, version(name)) for name in ("undrift", "numpy", "scipy")),
+        versions=held.versions or versions_used(),
         created=datetime.now(UTC).isoformat(timespec="seconds"),
     )
     return replace(

@@ -23,7 +23,6 @@ import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
-from importlib.metadata import version
 from typing import Any, TypeVar
 
 import numpy as np
@@ -46,6 +45,7 @@ from undrift.model import (
     Status,
     TriadModel,
     Verdict,
+    versions_used,
 )
 from undrift.record import Session
 from undrift.units import RADIAN_PER_DEGREE
@@ -516,7 +516,7 @@ def _calibrated(
         held,
         inputs=tuple(dict.fromkeys((*held.inputs, *used))),
         settings=tuple(settings.items()),
-        versions=held.versions or tuple((name, version(name)) for name in ("undrift", "numpy", "scipy")),
+        versions=held.versions or versions_used(),
         created=datetime.now(UTC).isoformat(timespec="seconds"),
     )
     return replace(given, drift=tables, verdict=base.verdict.also(verdict), provenance=provenance)

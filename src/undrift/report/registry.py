@@ -18,7 +18,7 @@ NAMES = {"gyro": "gyroscopes", "accel": "accelerometers"}
 
 
 def draw_trend(serial: str, first: Dated, course: Sequence[Step]) -> "Figure":
-    """Draw scale factors and offsets of later calibrations less those of the first, with expanded uncertainty (k = 2)."""
+    """Draw scale factors and offsets of later calibrations less those of the first, with expanded uncertainty (k = 2) as bars."""
     from matplotlib import rc_context
 
     panels = [
@@ -60,7 +60,7 @@ def draw_trend(serial: str, first: Dated, course: Sequence[Step]) -> "Figure":
         axes[0].text(0.5, 0.5, "no calibrations to compare", ha="center", transform=axes[0].transAxes)
     axes[-1].tick_params(axis="x", rotation=30)
     with rc_context({"text.parse_math": False}):  # a serial number is no formula
-        entitle(figure, f"{serial}: change since {first.made_at:%Y-%m-%d}, with expanded uncertainty (k = 2)")
+        entitle(figure, f"{serial}: change since {first.made_at:%Y-%m-%d} (bars: k = 2)")
     return figure
 
 
@@ -75,11 +75,13 @@ def write_trend_report(
         ("unit", lambda one: one.unit),
         ("change / uncertainty", lambda one: f"{one.sigmas:.1f}"),
     )
-    since_first = Section(title=f"Since {first.made_at:%Y-%m-%d}", text=course[-1].sentences if len(course) > 1 else ())
+    since_first = Section(
+        title=f"Since {first.made_at:%Y-%m-%d}", text=_read(course[-1].sentences) if len(course) > 1 else ()
+    )
     sections: list[Section] = [since_first] if since_first.text else []
     for step in reversed(steps):
         title = f"{step.since.made_at:%Y-%m-%d} to {step.until.made_at:%Y-%m-%d}"
-        text = (*step.sentences, *(f"Not compared: {one}." for one in step.not_compared))
+        text = _read((*step.sentences, *(f"not compared: {one}" for one in step.not_compared)))
         changes: tuple[Change, ...] = step.changes
         sections.append(table_section(title, changes, cells, text=text))
     write_page(
@@ -90,3 +92,8 @@ def write_trend_report(
         sections=tuple(sections),
         origin=origin,
     )
+
+
+def _read(words: Sequence[str]) -> tuple[str, ...]:
+    """Return what was found as sentences."""
+    return tuple(f"{one[:1].upper()}{one[1:]}." for one in words)

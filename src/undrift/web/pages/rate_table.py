@@ -234,7 +234,9 @@ def _question(bench: Bench, number: int, words: str) -> None:
     with ui.element("section").classes("card question").props('role="alert" aria-label="Your turn"'):
         text("h2", "Your turn")
         text("p", words.split(", then press Enter")[0].split(", then type")[0] + ".")
-        turned = Field("Angle turned, deg", "", hint="empty: the angle asked for") if "type the angle" in words else None
+        turned = (
+            Field("Angle turned, deg", "", hint="empty: the angle asked for") if "type the angle" in words else None
+        )
         with ui.element("div").classes("row"):
             next_step("Done, continue", lambda: bench.table.answer(number, turned.value if turned else ""))
             button("End the run", lambda: bench.table.answer(number, "q"))

@@ -103,7 +103,10 @@ def _place_form(bench: Bench) -> None:
     error = [""]
     with ui.element("section").props('aria-label="Place"'):
         text("h2", "Place")
-        text("p", "It gives local gravity. Without it, standard gravity is assumed: up to 0.3 % error of the accelerometers' scale.")
+        text(
+            "p",
+            "It gives local gravity. Without it, standard gravity is assumed: up to 0.3 % error of scale.",
+        )
         with ui.element("div").classes("row"):
             held = bench.place
             latitude = Field("Latitude, deg (north is positive)", _shown(held.latitude_deg), kind="number")
