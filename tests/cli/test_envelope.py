@@ -187,14 +187,17 @@ def test_the_version_has_a_short_option_and_completion_knows_every_command(undri
 
 
 def test_progress_is_a_line_now_and_then_where_stderr_is_no_terminal(monkeypatch, capsys):
+    clock = SimpleNamespace(now=100.0)  # a busy machine does not change what is printed
+    monkeypatch.setattr(common, "time", SimpleNamespace(monotonic=lambda: clock.now))
     monkeypatch.setattr(common, "SAID_EVERY_S", 0.05)
     with Steps("twin") as shown:
         time.sleep(0.2)
+        clock.now += 30.0
         shown.part(0.5, 1.0)("held out: recording 2 of 4", 0.5)
         time.sleep(0.2)
     lines = capsys.readouterr().err.splitlines()
     assert lines[0] == "undrift twin: reading, 0 s so far, time left not known yet"
-    assert lines[-1] == "undrift twin: held out: recording 2 of 4, 0 s so far, about 0 s left"
+    assert lines[-1] == "undrift twin: held out: recording 2 of 4, 30 s so far, about 10 s left"
     time.sleep(0.1)
     assert capsys.readouterr().err == ""  # nothing more once it ends
 
