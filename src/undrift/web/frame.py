@@ -36,6 +36,13 @@ def text_link(words: str, target: str) -> Any:
     return ui.link(words, target)
 
 
+def scrolling(label: str, classes: str = "") -> Any:
+    """Add a part that scrolls sideways where the screen is narrow, by the keyboard too."""
+    made = ui.element("div").classes(f"scroll {classes}").props('tabindex="0" role="region"')
+    made.props["aria-label"] = label  # a serial number in it may hold anything
+    return made
+
+
 def set_text(element: Any, words: str) -> None:
     """Change the text of an element, where it is another one."""
     if element._text != words:

@@ -7,7 +7,7 @@ from nicegui import ui
 
 from undrift.web.bench import Bench
 from undrift.web.devices import ENDINGS, Devices
-from undrift.web.frame import button, error_line, frame, next_step, redrawn, text
+from undrift.web.frame import button, error_line, frame, next_step, redrawn, scrolling, text
 
 SOON_DAYS = 30
 
@@ -141,15 +141,13 @@ def _trend(held: Devices) -> None:
 
 def _table(caption: str, heads: tuple[str, ...]) -> Any:
     """Add a table that scrolls where the screen is narrow; return its body."""
-    with ui.element("div").classes("scroll").props('tabindex="0" role="region"') as frame_of_it:
-        frame_of_it.props["aria-label"] = caption  # a serial number in it may hold anything
-        with ui.element("table").classes("records") as table:
-            text("caption", caption)
-            with ui.element("thead"), ui.element("tr"):
-                for head in heads:
-                    text("th", head).props('scope="col"')
-        with table:
-            return ui.element("tbody")
+    with scrolling(caption), ui.element("table").classes("records") as table:
+        text("caption", caption)
+        with ui.element("thead"), ui.element("tr"):
+            for head in heads:
+                text("th", head).props('scope="col"')
+    with table:
+        return ui.element("tbody")
 
 
 def _day(entry: dict[str, Any], name: str) -> str:

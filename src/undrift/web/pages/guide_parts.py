@@ -10,7 +10,7 @@ from undrift.errors import UndriftError
 from undrift.web.bench import Bench
 from undrift.web.capture import Light
 from undrift.web.drawings import lamp, ring
-from undrift.web.frame import REFRESH_S, button, connect_form, disable, error_line, set_text, text
+from undrift.web.frame import REFRESH_S, button, connect_form, disable, error_line, scrolling, set_text, text
 from undrift.web.guided import Guided, guided_of
 
 AXES = "xyz"
@@ -95,7 +95,7 @@ def progress_part(
 
 def readings_part(bench: Bench) -> None:
     """Add the newest readings as numbers, means of 0.2 s in the device's own units."""
-    with ui.element("div").classes("scroll readings"), ui.element("table"):
+    with scrolling("Readings now", "readings"), ui.element("table"):
         text("caption", "Readings now")
         with ui.element("tbody"):
             rows = []

@@ -7,7 +7,7 @@ from functools import partial
 from nicegui import ui
 
 from undrift.web.bench import Bench
-from undrift.web.frame import button, connect_form, error_line, frame, next_step, redrawn, set_text, text
+from undrift.web.frame import button, connect_form, error_line, frame, next_step, redrawn, scrolling, set_text, text
 from undrift.web.pages.rate_table import order_form, run_part, run_state
 from undrift.web.rig_run import Point, View
 
@@ -115,7 +115,7 @@ def _clock(since: float) -> str:
 
 def _set_points(view: View) -> None:
     """Add the set-points with what is done and what is left."""
-    with ui.element("div").classes("scroll"), ui.element("table"):
+    with scrolling("Set-points"), ui.element("table"):
         text("caption", "Set-points")
         with ui.element("thead"), ui.element("tr"):
             for name in ("Temperature", "Dwells recorded", "State"):
