@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import BrowserContext, Page
 
 from testkit.bench import BenchServer, bench_process
@@ -13,6 +14,17 @@ from testkit.bench import BenchServer, bench_process
 CHROMIUM = shutil.which("chromium")
 SCREENS = Path(__file__).parents[2] / "build" / "screens"
 WAIT_MS = 20_000
+# what a page must not have whatever its readings are: parts beyond the screen, parts that only a pointer scrolls, small buttons
+_MEASURED = """() => {
+  const all = kind => [...document.querySelectorAll('.bench-main ' + kind)], page = document.documentElement
+  const least = e => e.closest('.panel-legend') ? 24 : 44  // px: 24 is what WCAG 2.2 AA wants, 44 what a finger wants
+  const scrolls = e => ['auto', 'scroll'].includes(getComputedStyle(e).overflowX)
+  return {
+    'px beyond the screen': Math.max(0, page.scrollWidth - page.clientWidth),
+    'parts that the keyboard cannot scroll': all('*').filter(e => scrolls(e) && e.tabIndex < 0).length,
+    'small buttons': all('button').filter(e => e.offsetParent && e.offsetHeight < least(e)).length,
+  }
+}"""
 
 
 @pytest.fixture
@@ -48,3 +60,12 @@ def shoot(page: Page, name: str) -> None:
     """Keep a screenshot of the whole page under build/screens."""
     SCREENS.mkdir(parents=True, exist_ok=True)
     page.screenshot(path=SCREENS / f"{name}.png", full_page=True)
+
+
+def faults_of(page: Page) -> list[str]:
+    """Return what is wrong with a page: serious faults of accessibility, and what is measured of it."""
+    found = [one for one in Axe().run(page).response["violations"] if one["impact"] in ("serious", "critical")]
+    measured = page.evaluate(_MEASURED)
+    return [f"{one['id']}: {one['nodes'][0]['html'][:200]}" for one in found] + [
+        f"{number} {what}" for what, number in measured.items() if number
+    ]

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Page, expect
 
 import undrift
@@ -16,7 +15,7 @@ from testkit.bench import BenchServer
 from undrift.registry.documents import Stated, of_calibration
 from undrift.registry.registry import open_registry
 from undrift.report.certificate import write_certificate
-from web_browser.conftest import shoot
+from web_browser.conftest import faults_of, shoot
 
 COMMAND_MS = 40_000
 ODD = "B\"2' <b onclick=x>"
@@ -80,9 +79,7 @@ def test_a_device_is_chosen_its_trend_read_and_its_calibration_used_and_download
     other = open_page("/devices")  # a second browser sees the same
     expect(other.get_by_role("heading", name="Device A17")).to_be_visible(timeout=COMMAND_MS)
     page.get_by_text("Every parameter since").click()
-    assert [
-        one["id"] for one in Axe().run(page).response["violations"] if one["impact"] in ("serious", "critical")
-    ] == []
+    assert faults_of(page) == []
 
 
 def test_by_keyboard_on_a_narrow_screen_and_an_odd_name_is_text(
@@ -97,10 +94,7 @@ def test_by_keyboard_on_a_narrow_screen_and_an_odd_name_is_text(
     expect(page.locator(".bench-main")).to_contain_text("Two calibrations are needed to compare.")
     assert page.locator(".bench-main b").count() == 0
     shoot(page, "devices-390")
-    assert page.evaluate("document.documentElement.scrollWidth - document.documentElement.clientWidth") <= 0
-    assert [
-        one["id"] for one in Axe().run(page).response["violations"] if one["impact"] in ("serious", "critical")
-    ] == []
+    assert faults_of(page) == []
     page.get_by_role("button", name="late", exact=True).click()
     expect(page.get_by_role("link", name="Calibrate it")).to_be_visible(timeout=COMMAND_MS)
 

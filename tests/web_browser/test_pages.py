@@ -3,11 +3,10 @@
 from collections.abc import Callable
 
 import pytest
-from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Page
 
 from undrift.web.frame import PAGES
-from web_browser.conftest import shoot
+from web_browser.conftest import faults_of, shoot
 
 
 @pytest.mark.parametrize("width", [1200, 390])
@@ -24,14 +23,7 @@ def test_every_page_opens_and_is_accessible_wide_and_narrow_light_and_dark(
         page.wait_for_function("window.socket && window.socket.connected")
         page.get_by_role("heading", level=1, name=name).wait_for()
         shoot(page, f"{name.lower().replace(' ', '-')}-{width}{'-dark' if dark else ''}")
-        found = Axe().run(page).response["violations"]
-        faults += [
-            f"{path}: {one['id']}: {one['nodes'][0]['html'][:200]}"
-            for one in found
-            if one["impact"] in ("serious", "critical")
-        ]
-        wide = page.evaluate("document.documentElement.scrollWidth - document.documentElement.clientWidth")
-        faults += [f"{path}: {wide} px wider than the screen"] if wide > 0 else []
+        faults += [f"{path}: {fault}" for fault in faults_of(page)]
     here = page.url.split("/")[2]
     faults += [
         f"asked of elsewhere: {url}"

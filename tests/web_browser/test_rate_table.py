@@ -9,14 +9,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import BrowserContext, Page, expect
 
 from testkit.web_run import emulated_bench
 from undrift.io.store import read_calibration
 from undrift.sim.device.truth import true_calibration
 from undrift.web.rig_run import RigRun, find_run
-from web_browser.conftest import BenchServer, bench_process, shoot
+from web_browser.conftest import BenchServer, bench_process, faults_of, shoot
 
 RUN_MS = 120_000
 STOP_S = 1.0  # on a busy machine; `python -m benchmarks stop` has the strict figure, for an idle one
@@ -48,11 +47,6 @@ def mount(page: Page, bench: Any, times: int) -> None:
         bench.mount(words.split("with ")[1][:2])
         page.get_by_role("button", name="Done, continue").click()
         expect(page.locator(".question").filter(has_text=words)).to_have_count(0, timeout=RUN_MS)
-
-
-def faults_of(page: Page) -> list[str]:
-    found = Axe().run(page).response["violations"]
-    return [f"{one['id']}: {one['nodes'][0]['html']}" for one in found if one["impact"] in ("serious", "critical")]
 
 
 def running(server: BenchServer) -> RigRun:

@@ -4,7 +4,6 @@ import time
 from collections.abc import Callable
 
 import numpy as np
-from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Page
 
 from testkit.bench import BenchServer
@@ -15,7 +14,7 @@ from undrift.sim.device.presets import random_device
 from undrift.sim.device.truth import true_calibration
 from undrift.web.six_faces import ORDER
 from undrift.web.turns import WAYS, named
-from web_browser.conftest import shoot
+from web_browser.conftest import faults_of, shoot
 
 SEED = 2007  # of the practice device, as bench_server states it
 CAPTURE_MS = 40_000  # a face takes 12 s: a move of 2, a window, settling and a countdown of 6
@@ -32,24 +31,6 @@ def press(page: Page, name: str, role: str = "button") -> None:
             page.keyboard.press("Enter")
             return
     raise AssertionError(f"the Tab key never came to {name}")
-
-
-def sound(page: Page) -> list[str]:
-    """Return what is wrong with a page: serious faults of accessibility, and what is wider than the screen."""
-    found = [
-        f"{one['id']}: {one['nodes'][0]['html'][:200]}"
-        for one in Axe().run(page).response["violations"]
-        if one["impact"] in ("serious", "critical")
-    ]
-    wide = page.evaluate("document.documentElement.scrollWidth - document.documentElement.clientWidth")
-    small = page.evaluate(
-        "[...document.querySelectorAll('.bench-main button')].filter(e => e.offsetParent && e.offsetHeight < 44).length"
-    )
-    return (
-        found
-        + ([f"{wide} px wider than the screen"] if wide > 0 else [])
-        + ([f"{small} small buttons"] if small else [])
-    )
 
 
 def step_of(page: Page, name: str) -> str:
@@ -75,7 +56,7 @@ def test_six_faces_and_turns_by_keyboard_end_in_the_hidden_calibration(
         wait_for_step(page, f"{face} up")
         if number == 1:
             shoot(page, "six-faces-practice-1200")
-            faults += sound(page)
+            faults += faults_of(page)
         if number == 2:  # in the middle of the next move
             press(page, f"{ORDER[3]} up")
             page.reload()
@@ -98,7 +79,7 @@ def test_six_faces_and_turns_by_keyboard_end_in_the_hidden_calibration(
         wait_for_step(page, named(way).capitalize())
         if way == "+x":
             shoot(page, "turns-practice-1200")
-            faults += sound(page)
+            faults += faults_of(page)
     shoot(page, "turns-complete-1200")
     press(page, "Calibrate")
     page.wait_for_url("**/result", timeout=90_000)
@@ -127,7 +108,7 @@ def test_a_second_browser_watches_and_a_narrow_one_redoes_a_face(
     wait_for_step(page, "+z up")
     wait_for_step(other, "+z up")
     shoot(page, "six-faces-practice-390-dark")
-    assert sound(page) == []
+    assert faults_of(page) == []
     (session,) = bench_server.folder.glob("jobs/*/session")
     first = read_session(session).stills
     other.get_by_role("button", name="Redo +z up").click()
@@ -140,4 +121,4 @@ def test_a_second_browser_watches_and_a_narrow_one_redoes_a_face(
     assert again[0].start > first[0].start
     page.goto(bench_server.address + "turns")
     page.get_by_role("link", name="Go to six faces").wait_for()
-    assert sound(page) == []
+    assert faults_of(page) == []
