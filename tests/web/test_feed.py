@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from fastapi import FastAPI
-from websockets.exceptions import InvalidStatus
+from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
 from testkit.web_server import listening
@@ -158,6 +158,34 @@ def test_no_device_is_a_head_without_lines_and_another_device_begins_anew():
             other.say()
             held[0] = other
             assert text(browser)["source"] == "talk"
+            assert frame(browser)["time"][0] == 5.0
+
+
+def test_after_a_fault_browsers_are_let_go_of_and_the_next_gets_the_picture():
+    talk, faults = Talk(), [False]
+
+    def source() -> Talk:
+        if faults[0]:
+            raise ValueError("a fault of the bench")
+        return talk
+
+    app, feed = FastAPI(), Feed(source, lambda socket: True)
+    feed.add_to(app)
+    with listening(app) as port:
+        address = f"ws://127.0.0.1:{port}/feed?plots=temp"
+        with connect(address) as one, connect(address) as two:
+            assert [text(browser)["source"] for browser in (one, two)] == ["talk", "talk"]
+            faults[0] = True
+            for browser in (one, two):
+                with pytest.raises(ConnectionClosed) as closed:
+                    browser.recv(timeout=60)
+                assert closed.value.rcvd is not None
+                assert closed.value.rcvd.code == 1011
+        faults[0] = False
+        with connect(address) as browser:
+            assert text(browser)["source"] == "talk"
+            talk.say()
+            assert text(browser)["plots"][0]["lines"]
             assert frame(browser)["time"][0] == 5.0
 
 

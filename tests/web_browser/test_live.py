@@ -116,7 +116,7 @@ def test_a_recording_goes_on_without_the_browser_and_is_what_the_device_sent(
     open_page: Callable[..., Page], bench_server: BenchServer, tmp_path: Path
 ) -> None:
     page = connected(open_page)
-    page.get_by_role("button", name="Start recording").click()
+    page.get_by_role("button", name="Start recording").dblclick()  # the second click does not end what the first began
     expect(page.get_by_role("button", name="Stop recording")).to_be_visible()
     page.close()
     page = open_page("/live")

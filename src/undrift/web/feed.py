@@ -51,7 +51,7 @@ MOST_BROWSERS = 64
 HEADER = struct.Struct("<4sBBHIId")
 MAGIC = b"UDF1"
 SAMPLES, ENVELOPE = 0, 1
-REFUSED, FULL = 1008, 1013  # codes of a websocket's end
+REFUSED, FAULT, FULL = 1008, 1011, 1013  # codes of a websocket's end
 
 Line = tuple[str, str, str]  # plot, name, unit
 _SHOWN: dict[Quantity, tuple[str, float]] = {"rate": ("deg/s", RADIAN_PER_DEGREE), "accel": ("m/s²", 1.0)}
@@ -124,12 +124,17 @@ class Feed:
                 await sender
 
     async def _run(self) -> None:
-        """Send what is new, until nobody looks."""
-        while self.browsers:
-            await asyncio.sleep(PERIOD_S)
-            for plots, group in self._groups.items():
-                if group.browsers:
-                    self._tick(plots, group)
+        """Send what is new, until nobody looks; after a fault browsers are let go of, and connect anew by themselves."""
+        try:
+            while self.browsers:
+                await asyncio.sleep(PERIOD_S)
+                for plots, group in self._groups.items():
+                    if group.browsers:
+                        self._tick(plots, group)
+        finally:
+            for browser in [each for group in self._groups.values() for each in group.browsers]:
+                with suppress(WebSocketDisconnect, RuntimeError):  # it left meanwhile
+                    await browser.socket.close(FAULT)
 
     def _tick(self, plots: tuple[str, ...], group: _Group) -> None:
         source = self._source()

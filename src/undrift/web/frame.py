@@ -31,11 +31,6 @@ def text(tag: str, words: str = "", classes: str = "") -> Any:
     return made
 
 
-def text_link(words: str, target: str) -> Any:
-    """Add a link with plain text."""
-    return ui.link(words, target)
-
-
 def scrolling(label: str, classes: str = "") -> Any:
     """Add a part that scrolls sideways where the screen is narrow, by the keyboard too."""
     made = ui.element("div").classes(f"scroll {classes}").props('tabindex="0" role="region"')
@@ -131,7 +126,8 @@ def next_step(label: str, handler: Callable[[], Any] | str) -> Any:
 def button(label: str, handler: Callable[[], Any | Awaitable[Any]], classes: str = "") -> Any:
     """Add a plain button: label, what it does."""
     made = text("button", label, classes).props('type="button"')
-    made.on("click", lambda _: handler())
+    # the second of a double click says nothing: it would undo what the first began
+    made.on("click", lambda _: handler(), js_handler="(event) => { if (event.detail < 2) emit() }")
     return made
 
 

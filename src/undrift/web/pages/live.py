@@ -21,7 +21,6 @@ from undrift.web.frame import (
     redrawn,
     set_text,
     text,
-    text_link,
 )
 from undrift.web.panel import Panel
 from undrift.web.source import Source, Status
@@ -114,9 +113,9 @@ def _recorded(bench: Bench) -> None:
     if chosen is not None and chosen.path.name.startswith("live-"):
         with ui.element("p"):
             text("span", f"Recorded: {chosen.path.name}. ")
-            text_link("Download it", bench.link(chosen.path) + "?download=1")
+            ui.link("Download it", bench.link(chosen.path) + "?download=1")
             text("span", " or ")
-            text_link("correct it", "/recordings")
+            ui.link("correct it", "/recordings")
 
 
 def start_recording(bench: Bench, source: Source) -> Path:

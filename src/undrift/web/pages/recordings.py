@@ -6,7 +6,7 @@ from typing import Any
 from nicegui import ui
 
 from undrift.web.bench import Bench
-from undrift.web.frame import Field, button, frame, next_step, redrawn, set_text, text, text_link
+from undrift.web.frame import Field, button, frame, next_step, redrawn, set_text, text
 from undrift.web.recordings import UNITS, Recordings, Stored
 
 
@@ -102,7 +102,7 @@ def _one(bench: Bench, held: Recordings, one: Stored, refresh: Any, go: Any) -> 
             for label, path in one.made.items():
                 page = path.suffix in (".html", ".svg")
                 with ui.element("li"):
-                    text_link(label, bench.link(path) + ("" if page else "?download=1")).props(
+                    ui.link(label, bench.link(path) + ("" if page else "?download=1")).props(
                         'target="_blank"' if page else ""
                     )
 

@@ -7,7 +7,7 @@ from typing import Any
 from nicegui import ui
 
 from undrift.web.bench import Bench, Job
-from undrift.web.frame import Field, button, frame, next_step, redrawn, text, text_link
+from undrift.web.frame import Field, button, frame, next_step, redrawn, text
 
 LEVELS = ("fail", "warn", "info")
 
@@ -54,7 +54,7 @@ def _result(bench: Bench, job: Job, refresh: Any) -> None:
     with ui.element("div").classes("row"):
         for label, path in (("Calibration", job.calibration), ("Certificate", job.certificate), ("Report", job.report)):
             if path is not None and path.exists():
-                text_link(f"Download {label.lower()}", bench.link(path) + "?download=1")
+                ui.link(f"Download {label.lower()}", bench.link(path) + "?download=1")
         if bench.calibration == job.calibration:
             text("p", "Live and Recordings use this calibration.", "soft")
         else:
