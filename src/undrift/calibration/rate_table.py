@@ -19,14 +19,7 @@ from undrift.arrays import FloatArray
 from undrift.calibration.adc import limited_by_codes
 from undrift.calibration.checks import axis_vectors, check_axis_order, check_own_scale
 from undrift.calibration.creep import Creep, creep_of
-from undrift.calibration.dwells import (
-    DwellMeans,
-    Linearity,
-    dwell_means,
-    imposed_rates,
-    linearity,
-    with_table_errors,
-)
+from undrift.calibration.dwells import DwellMeans, Linearity, dwell_means, imposed_rates, linearity, with_table_errors
 from undrift.calibration.observe import Observed, Outcome, middles, with_offset
 from undrift.calibration.rate_table_axes import fit_turned_axes
 from undrift.calibration.table_axis import mountings, table_axes, table_findings, table_term

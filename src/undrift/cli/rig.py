@@ -209,13 +209,7 @@ def emulate(
     import numpy as np
 
     from undrift.sim.device.presets import PRESETS
-    from undrift.sim.rig.emulator import (
-        ALL_FAULTS,
-        AirSettings,
-        EmulatedBenchSettings,
-        EmulatorSettings,
-        planned_fault,
-    )
+    from undrift.sim.rig.emulator import ALL_FAULTS, AirSettings, EmulatedBenchSettings, EmulatorSettings, planned_fault
     from undrift.sim.rig.stream import StreamSettings
 
     faults = [planned_fault(text) for text in fault if text != "list"]

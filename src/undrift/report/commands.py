@@ -17,17 +17,7 @@ import numpy as np
 from undrift.calibration.noise import TERMS
 from undrift.model import AXES
 from undrift.report import figures
-from undrift.report.figures import (
-    AXIS_MARKERS,
-    DEVICE,
-    ERROR,
-    LIMIT,
-    OPTICS,
-    SHADE,
-    envelope,
-    new_figure,
-    svg_of,
-)
+from undrift.report.figures import AXIS_MARKERS, DEVICE, ERROR, LIMIT, OPTICS, SHADE, envelope, new_figure, svg_of
 from undrift.report.page import Cells, Origin, Section, calibration_sections, number, table_section, write_page
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 

@@ -11,17 +11,7 @@ from nicegui import ui
 from undrift.errors import UndriftError
 from undrift.record import FACES
 from undrift.web.bench import Bench
-from undrift.web.frame import (
-    Field,
-    button,
-    connect_form,
-    error_line,
-    frame,
-    next_step,
-    redrawn,
-    set_text,
-    text,
-)
+from undrift.web.frame import Field, button, connect_form, error_line, frame, next_step, redrawn, set_text, text
 from undrift.web.panel import Panel
 from undrift.web.source import Source, Status
 from undrift.web.uploads import safe_name
