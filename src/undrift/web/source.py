@@ -149,7 +149,7 @@ class Source:
     def status(self) -> Status:
         """Return how it is doing."""
         with self._lock:
-            rate, description = math.nan, self._recorder.source.description
+            rate, description, writer = math.nan, self._recorder.source.description, self._writer
             if len(self._counted) > 1 and time.monotonic() - self._heard < STALE_S:
                 (t0, n0), (t1, n1) = self._counted[0], self._counted[-1]
                 rate = (n1 - n0) / (t1 - t0) / description.clock_speed
@@ -167,9 +167,9 @@ class Source:
                 rested_s=math.nan if rested is None else self._last - rested,
                 correction=self._correction,
                 notes=self._notes,
-                file=None if self._writer is None else self._writer.path,
+                file=None if writer is None else writer.path,
                 file_error=self._file_error,
-                file_s=0.0 if self._writer is None else max(self._last - self._file_start, 0.0),
+                file_s=0.0 if writer is None else max(self._last - self._file_start, 0.0),
             )
 
     def set_calibration(self, calibration: Calibration | None) -> None:
@@ -205,13 +205,15 @@ class Source:
     def stop_writing(self) -> Path | None:
         """Finish the file; None where there was nothing to write."""
         with self._file_lock:
-            writer, self._writer = self._writer, None
-            held, self._unwritten = self._unwritten, []
+            writer, held = self._writer, self._unwritten
             if writer is None:
                 return None
-            with writer:
-                if held:
-                    writer.write(joined(held))
+            try:
+                with writer:
+                    if held:
+                        writer.write(joined(held))
+            finally:
+                self._writer, self._unwritten = None, []  # only now: who sees no writer finds the file
             return writer.path if writer.path.exists() else None
 
     def _fresh(self) -> Recorder:
