@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 from nicegui import ui
@@ -15,6 +16,7 @@ from undrift.web.guided import Guided, guided_of
 
 AXES = "xyz"
 SAID_AT = (6, 3)  # seconds left that are read out
+Move = Callable[[Any], object]  # of the practice device
 
 
 class Picture:
@@ -36,14 +38,29 @@ def without_device(bench: Bench, why: str) -> None:
     connect_form(bench)
 
 
-def light_part(light: Callable[[], Light], whole_s: float) -> None:
+def guide_part(asked: Callable[[], tuple[str, str]], light: Callable[[], Light], countdown_s: float) -> None:
+    """Add what is asked for, as a drawing and in words, beside the light."""
+    with ui.element("div").classes("guide"):
+        drawing = Picture()
+        with ui.element("div"):
+            words = text("p", "", "asked")
+            _light(light, countdown_s)
+
+    def refresh() -> None:
+        drawn, wanted = asked()
+        drawing.draw(drawn)
+        set_text(words, wanted)
+
+    refresh()
+    ui.timer(REFRESH_S, refresh)
+
+
+def _light(light: Callable[[], Light], whole_s: float) -> None:
     """Add the light: shape, words, countdown; what changes is read out."""
     with ui.element("div").classes("light"):
-        shape, words, countdown = (
-            Picture(),
-            text("p", "", "light-words").props('role="status" aria-live="polite"'),
-            Picture(),
-        )
+        shape = Picture()
+        words = text("p", "", "light-words").props('role="status" aria-live="polite"')
+        countdown = Picture()
     spoken = text("p", "", "unseen").props('aria-live="polite"')
 
     def refresh() -> None:
@@ -121,8 +138,8 @@ def readings_part(bench: Bench) -> None:
     ui.timer(REFRESH_S, refresh)
 
 
-def practice_part(bench: Bench, rows: Sequence[tuple[str, Sequence[tuple[str, Callable[[], None]]]]]) -> None:
-    """Add buttons that turn the practice device, where it is connected."""
+def practice_part(bench: Bench, rows: Sequence[tuple[str, Sequence[tuple[str, Move]]]]) -> None:
+    """Add buttons that move the practice device, where it is connected."""
     error = [""]
     with ui.element("section").props('aria-label="Practice device"').classes("practice") as strip:
         for title, moves in rows:
@@ -130,10 +147,11 @@ def practice_part(bench: Bench, rows: Sequence[tuple[str, Sequence[tuple[str, Ca
             with ui.element("div").classes("row"):
                 for name, move in moves:
 
-                    def pressed(move: Callable[[], None] = move) -> None:
+                    def pressed(move: Move = move) -> None:
                         error[0] = ""
                         try:
-                            move()
+                            if bench.practice is not None:
+                                move(bench.practice)
                         except UndriftError as refused:
                             error[0] = str(refused)
 

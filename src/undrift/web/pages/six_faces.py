@@ -1,18 +1,15 @@
 """Six faces: turn each face up; what rests is captured by itself."""
 
-from collections.abc import Callable
-from functools import partial
+from operator import methodcaller
 
 from nicegui import ui
 
-from undrift.record import Face
 from undrift.web.bench import Bench
 from undrift.web.drawings import box
-from undrift.web.frame import REFRESH_S, button, frame, next_step, redrawn, set_text, text
+from undrift.web.frame import button, frame, next_step, redrawn, text
 from undrift.web.guided import Guided, begin_anew, guided_of
 from undrift.web.pages.guide_parts import (
-    Picture,
-    light_part,
+    guide_part,
     practice_part,
     progress_part,
     readings_part,
@@ -38,21 +35,15 @@ def _shown(bench: Bench) -> None:
         return
     guide = guided.faces
     watched(bench, guided, "faces")
-    with ui.element("div").classes("guide"):
-        drawing = Picture()
-        with ui.element("div"):
-            asked = text("p", "", "asked")
-            light_part(lambda: guide.light, guided.capture.settings.countdown_s)
 
-    def refresh() -> None:
+    def asked() -> tuple[str, str]:
         wanted = guide.wanted
-        drawing.draw(box(wanted or guide.light.face or "+z"))
-        set_text(asked, "All six faces are captured" if wanted is None else f"Turn {wanted} up")
+        words = "All six faces are captured" if wanted is None else f"Turn {wanted} up"
+        return box(wanted or guide.light.face or "+z"), words
 
-    refresh()
-    ui.timer(REFRESH_S, refresh)
+    guide_part(asked, lambda: guide.light, guided.capture.settings.countdown_s)
     redrawn(lambda: guide.complete, lambda look: _next(guide.complete))
-    practice_part(bench, [("Practice device: turn it", [(f"{face} up", _laid(bench, face)) for face in ORDER])])
+    practice_part(bench, [("Practice device: turn it", [(f"{face} up", methodcaller("lay", face)) for face in ORDER])])
     names = [(face, f"{face} up") for face in ORDER]
     progress_part("Faces", names, lambda: [*guide.capture.faces], lambda: guide.again, lambda face: _redo(guided, face))
     readings_part(bench)
@@ -69,12 +60,3 @@ def _next(complete: bool) -> None:
 
 def _redo(guided: Guided, face: str | None) -> None:
     guided.faces.redo(next((one for one in ORDER if one == face), None))
-
-
-def _laid(bench: Bench, face: Face) -> Callable[[], None]:
-    return partial(_lay, bench, face)
-
-
-def _lay(bench: Bench, face: Face) -> None:
-    if bench.practice is not None:
-        bench.practice.lay(face)

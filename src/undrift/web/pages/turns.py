@@ -2,18 +2,17 @@
 
 import math
 from collections.abc import Callable
-from functools import partial
+from operator import methodcaller
 
 from nicegui import ui
 
-from undrift.record import Axis, Face
+from undrift.record import Face
 from undrift.web.bench import Bench
 from undrift.web.drawings import box
-from undrift.web.frame import REFRESH_S, button, frame, next_step, redrawn, set_text, text
+from undrift.web.frame import button, frame, next_step, redrawn, text
 from undrift.web.guided import Guided, guided_of
 from undrift.web.pages.guide_parts import (
-    Picture,
-    light_part,
+    guide_part,
     practice_part,
     progress_part,
     readings_part,
@@ -23,7 +22,6 @@ from undrift.web.pages.guide_parts import (
 )
 from undrift.web.turns import REST_S, WAYS, asked, named
 
-AXES: tuple[Axis, Axis, Axis] = ("x", "y", "z")
 UPS: dict[str, Face] = {"x": "+x", "y": "+y", "z": "+z"}
 
 
@@ -44,24 +42,17 @@ def _shown(bench: Bench) -> None:
         return
     guide = guided.turns
     watched(bench, guided, "turns")
-    with ui.element("div").classes("guide"):
-        drawing = Picture()
-        with ui.element("div"):
-            words = text("p", "", "asked")
-            light_part(lambda: guide.light, REST_S)
 
-    def refresh() -> None:
+    def what() -> tuple[str, str]:
         way = guide.wanted
-        drawing.draw(box("+z") if way is None else box(_up(way), way[0]))
-        set_text(words, "All turns are captured" if way is None else asked(way))
+        return (box("+z"), "All turns are captured") if way is None else (box(UPS[way[1]], way[0]), asked(way))
 
-    refresh()
-    ui.timer(REFRESH_S, refresh)
+    guide_part(what, lambda: guide.light, REST_S)
     redrawn(lambda: (guide.complete, guide.enough, bool(bench.working)), lambda look: _next(bench, guided))
-    lays = [(f"{UPS[axis]} up", partial(_lay, bench, axis)) for axis in AXES]
+    lays = [(f"{up} up", methodcaller("lay", up)) for up in UPS.values()]
     turns = [
-        (f"{axis} {name}", partial(_turn, bench, axis, sign))
-        for axis in AXES
+        (f"{axis} {name}", methodcaller("turn", axis, sign * 2.0 * math.pi))
+        for axis in UPS
         for name, sign in (("counter-clockwise", 1.0), ("clockwise", -1.0))
     ]
     practice_part(bench, [("Practice device: lay it", lays), ("Practice device: turn it once about", turns)])
@@ -93,17 +84,3 @@ def _calibrating(bench: Bench) -> Callable[[], object]:
             job.capture.error = outcome.error
 
     return calibrate
-
-
-def _up(way: str) -> Face:
-    return UPS[way[1]]
-
-
-def _lay(bench: Bench, axis: Axis) -> None:
-    if bench.practice is not None:
-        bench.practice.lay(UPS[axis])
-
-
-def _turn(bench: Bench, axis: Axis, sign: float) -> None:
-    if bench.practice is not None:
-        bench.practice.turn(axis, sign * 2.0 * math.pi)
