@@ -20,8 +20,9 @@ STEP_S = 0.2
 class HandFeed:
     """Readings of a hand-held device, as a source would keep them."""
 
-    def __init__(self, seed=3, device=None, **settings):
+    def __init__(self, seed=3, device=None, lossy=0.0, **settings):
         self.clock = HandClock()
+        self.lost = np.random.default_rng(seed).random(100_000) < lossy  # readings that the link loses
         stream = StreamSettings(seed=seed, **settings)
         self.held = start_hand_held(seed=seed, device=device, stream=stream, clock=self.clock)
         self.rows, self.moves = [], set()
@@ -46,6 +47,8 @@ class HandFeed:
         rows = np.concatenate(self.rows[-round(seconds / STEP_S) - 1 :])
         if drop is not None:
             rows = rows[(rows[:, 0] < drop[0]) | (rows[:, 0] >= drop[1])]
+        gone = self.lost[np.round(rows[:, 0] * self.held.stream.rate).astype(int)]
+        rows[gone, 1:] = np.nan  # as a recorder marks them
         if len(rows) < 2:
             return None
         device = self.held.device

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.lib.stride_tricks import sliding_window_view
 
 from testkit.guided import STEP_S, HandFeed, accel_as_six_faces_see_it, capture_faces, joint_factor
 from testkit.hand_held import Tremor, hand_held_log, hand_waves
@@ -12,7 +13,7 @@ from undrift.cli.app import run
 from undrift.errors import InputError
 from undrift.io.session import read_session
 from undrift.io.store import read_calibration
-from undrift.record import FACES
+from undrift.record import FACES, Record
 from undrift.sim.device.presets import random_device_of
 from undrift.web.capture import Capture
 from undrift.web.six_faces import ORDER, SixFaces
@@ -180,21 +181,50 @@ def test_a_gap_in_the_readings_restarts_the_countdown(guide, feed, lost_s):
     assert "no readings" in [light.state for light in after] or lost_s < 1.0
 
 
-def test_readings_that_a_recorder_marks_as_missing_restart_it_too(guide, feed):
+@pytest.mark.parametrize(("lost_s", "restarts"), [(0.01, False), (0.15, True)])
+def test_many_readings_that_a_recorder_marks_as_missing_restart_it_and_a_single_one_does_not(
+    guide, feed, lost_s, restarts
+):
     feed.watch(guide, 5.0)
     at = feed.clock.now()
     for _ in range(60):
         feed.go()
         record = feed.recent()
-        gone = np.abs(record.time - at - 0.05) < 0.005
+        gone = np.abs(record.time - at - 0.5 * lost_s) <= 0.5 * lost_s
         record = replace(
             record,
             accel=np.where(gone[:, None], np.nan, record.accel),
             gyro=np.where(gone[:, None], np.nan, record.gyro),
         )
         guide.update(record, feed.clock.now())
-    held = guide.capture.faces["+z"]
-    assert held.start_s > at
+    assert (guide.capture.faces["+z"].start_s > at) == restarts
+
+
+@pytest.mark.parametrize("seed", [7, 9, 11, 14, 15, 32, 33])
+def test_a_device_in_counts_that_lies_still_from_the_start_is_not_called_moving(guide, seed):
+    """The first points of its cloud are noise, which may lie all around as those of a sphere do."""
+    with HandFeed(seed, random_device_of("enc03j_3031", np.random.default_rng(seed))) as feed:
+        assert [light.state for light in feed.watch(guide, 6.0)][8:] == ["unknown face"] * 22
+        capture_faces(feed, guide)
+
+
+@pytest.mark.parametrize("knocks", [0, 3])
+@pytest.mark.parametrize("share_of_gravity", [0.03, 0.1, 0.3])
+def test_a_device_in_counts_that_is_shaken_was_not_turned_over(tmp_path, share_of_gravity, knocks):
+    states = set()
+    for seed in range(8):
+        rng, guide = np.random.default_rng(seed), SixFaces(Capture(tmp_path / str(seed)))
+        shaken = sliding_window_view(rng.standard_normal((524, 3)), 25, axis=0).mean(axis=2) * 5.0  # rms 1, 2 Hz
+        for at in rng.integers(25, 475, knocks):
+            shaken[at - 12 : at + 12] *= 8.0
+        waves = np.concatenate((shaken, np.zeros((1000, 3))))
+        time, noise = np.arange(1500) / 100.0, 0.6 * rng.standard_normal((2, 1500, 3))
+        accel = np.round(2048.0 + 614.0 * ([0.0, 0.0, 1.0] + share_of_gravity * waves) + noise[0])
+        gyro = np.round(2048.0 + 300.0 * waves[:, [2, 0, 1]] + noise[1])
+        whole = Record(time=time, gyro=gyro, accel=accel, gyro_unit="count", accel_unit="count")
+        lights = [guide.update(whole.part(max(0, k - 100), k), time[k]).state for k in range(20, 1500, 20)]
+        states |= set(lights[35:])  # 1.5 s after it was laid down
+    assert states == {"unknown face"}
 
 
 def test_silence_is_said(guide, feed):

@@ -8,9 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import undrift
 from testkit.guided import HandFeed, accel_as_six_faces_see_it, capture_faces, capture_turns, joint_factor
 from undrift.cli.app import run
 from undrift.errors import InputError
+from undrift.io.session import read_session
 from undrift.io.store import read_calibration
 from undrift.sim.device.presets import random_device_of
 from undrift.sim.device.truth import true_calibration
@@ -62,6 +64,20 @@ def test_six_faces_and_six_turns_calibrate_both_triads_within_their_uncertainty(
     # a turn by hand is known to 1 deg of 360, so that the scale is found within a few of these
     scale = made.gyro.matrix @ feed.held.device.gyro.forward_matrix
     assert np.abs(np.diag(scale) - 1.0).max() < 0.01
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_the_device_of_the_note_over_a_link_that_loses_readings(guide, seed):
+    """One reading in 500 is lost. Its thermometer is off by up to 2 K: the truth is that of the board's own temperature."""
+    device = random_device_of("enc03j_3031", np.random.default_rng(seed))
+    with HandFeed(seed, device, lossy=0.002) as feed:
+        capture_faces(feed, SixFaces(guide.capture))
+        capture_turns(feed, guide)
+        guide.capture.save()
+    made = undrift.calibrate(read_session(guide.capture.folder)).gyro
+    truth = true_calibration(device, temp_c=device.reference_temp_c).gyro
+    error = np.concatenate(((made.matrix - truth.matrix).ravel(), made.offset - truth.offset))
+    assert (np.abs(error) < joint_factor(12) * np.sqrt(np.diag(made.covariance)[:12])).all()
 
 
 def test_each_turn_lies_between_two_rests_and_all_are_apart_in_the_folder(guide, feed):

@@ -30,9 +30,13 @@ KEEP_S = 120.0  # of readings in which nothing is captured
 BESIDE_S = 10.0  # kept before the first piece of a stretch, and behind the last
 CLOUD_S, CLOUD_POINTS = 0.25, 2000  # means of the accelerometers that show their zero
 ALIKE = 1.6  # lengths of readings that share a zero of 0, within 0.2 g
-ROUND = 0.2  # smallest over largest extent of a cloud that lies all around
-NOISES = 10.0  # by which a cloud that shows a sphere exceeds noise
-LOOSE_DEG = 25.0  # tilt that exceeds an error of the zero, of readings in counts
+# of a cloud that shows a sphere: points, radius over noise, length of their mean side, least mean square of a side, spread of the
+# points about it and distance of rests from it as shares of the radius (triads differ in scale by tens of percent)
+LEAST_POINTS, NOISES, LOPSIDED, FLAT, THICK, OFF = 24, 10.0, 0.55, 0.05, 0.25, 0.5
+LOOSE_DEG, LOOSER_DEG = (
+    25.0,
+    35.0,
+)  # tilt that exceeds an error of the zero, of readings in counts: zero of 0, of a sphere
 LEAST_REST_S = 1.0
 UNKNOWN = "Which face is up is not known yet. Turn the device over all its sides once."
 
@@ -150,7 +154,7 @@ class Capture:
             )
         if key is not self._key or record.time[-1] < self.newest_s:  # another connection, whose clock is its own
             self._key, self.newest_s = key, -math.inf
-        longest_s = max(GAP_S, GAP_PERIODS * float(np.median(np.diff(record.time))))
+        longest_s = _longest_s(record)
         first = int(np.searchsorted(record.time, self.newest_s, side="right"))
         ends = [*(first + 1 + np.flatnonzero(np.diff(record.time[first:]) > longest_s)).tolist(), len(record)]
         for stop in ends:
@@ -194,8 +198,13 @@ class Capture:
         return self._stretches[-1].number if self._stretches else -1
 
     def tail(self, seconds: float) -> Record | None:
-        """Return the newest readings without a gap."""
-        return self._stretches[-1].record(self.newest_s - seconds) if self._stretches else None
+        """Return the newest readings since the last gap; single ones that were lost on the way are left out."""
+        return _seen(self._stretches[-1].record(self.newest_s - seconds)) if self._stretches else None
+
+    def lost(self, start_s: float, stop_s: float) -> bool:
+        """Whether a reading of the newest stretch was lost in a span of time."""
+        within = self._stretches[-1].record(start_s, stop_s)
+        return bool(np.isnan(np.asarray(within.gyro)).any())
 
     # ---- Rest and face
 
@@ -220,9 +229,9 @@ class Capture:
             return None
         within = np.asarray(record.accel)[start:stop]
         mean = within.mean(axis=0)
+        self._noise = float(np.linalg.norm(within.std(axis=0)))  # first: it tells a cloud of noise from a sphere
         if self._swaying(within, mean, record.sample_rate_hz):
             return None
-        self._noise = float(np.linalg.norm(within.std(axis=0)))
         made = Rest(start_s=float(record.time[start]), stop_s=float(record.time[-1]), mean=mean)
         if made.duration_s >= s.settle_s and not any(_alike(mean, known) for known in self._rests):
             self._rests.append(mean)
@@ -266,10 +275,7 @@ class Capture:
         along = np.abs(rests).max(axis=1) / np.where(length > 0.0, length, 1.0)
         if length.max() < ALIKE * length.min() and along.max() > math.cos(LOOSE_DEG * RADIAN_PER_DEGREE):
             return np.zeros(3), limit_deg
-        cloud = np.array(self._cloud)
-        extent = np.linalg.svd(cloud - cloud.mean(axis=0), compute_uv=False)
-        round_about = extent[-1] > ROUND * extent[0] and extent[0] > NOISES * self._noise * math.sqrt(len(cloud))
-        return sphere_of(cloud)[0] if round_about else None, LOOSE_DEG
+        return _turned_over(np.array(self._cloud), rests, self._noise), LOOSER_DEG
 
     # ---- What is captured
 
@@ -346,6 +352,37 @@ class Capture:
             if int(path.stem.rpartition("_")[2]) >= len(made.records):
                 path.unlink()
         self.saved = True
+
+
+def _turned_over(cloud: FloatArray, rests: FloatArray, noise: float) -> FloatArray | None:
+    """Return the centre of the sphere that the readings of a device lie on that was turned over all its sides.
+
+    A device that was shaken or knocked leaves a ball of points with its rest inside, or most of them on one side.
+    """
+    if len(cloud) < LEAST_POINTS:
+        return None
+    zero, radius = sphere_of(cloud)
+    length, off = np.linalg.norm(cloud - zero, axis=1), np.linalg.norm(rests - zero, axis=1) - radius
+    sides = (cloud - zero) / length[:, None]
+    flat = np.linalg.eigvalsh(sides.T @ sides / len(sides))[0] < FLAT
+    if flat or np.linalg.norm(sides.mean(axis=0)) > LOPSIDED or radius < NOISES * noise:
+        return None
+    return None if length.std() > THICK * radius or np.abs(off).max() > OFF * radius else zero
+
+
+def _longest_s(record: Record) -> float:
+    """Return the longest silence within a stretch of readings, s."""
+    return max(GAP_S, GAP_PERIODS * float(np.median(np.diff(record.time))))
+
+
+def _seen(record: Record) -> Record | None:
+    """Return a record without the rows that were lost, from the last longer loss on; None where all were."""
+    at = np.flatnonzero(~np.isnan(np.column_stack((record.gyro, record.accel))).any(axis=1))  # type: ignore[arg-type]
+    if len(at) == len(record) or len(at) < 2:
+        return record if len(at) else None
+    at = at[max(np.flatnonzero(np.diff(record.time[at]) > _longest_s(record)), default=-1) + 1 :]
+    gyro, accel = np.asarray(record.gyro)[at], np.asarray(record.accel)[at]
+    return replace(record, time=record.time[at], gyro=gyro, accel=accel, temp_c=None, mag_ut=None)
 
 
 def way_of(held: CapturedTurn) -> str:

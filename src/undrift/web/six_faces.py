@@ -2,7 +2,8 @@
 
     moving -> settling -> still, counting down -> captured -> the next face, in any order
 
-A gap in the readings, a touch or a tilt restarts the countdown. A face that is captured again takes the place of the one before.
+A gap in the readings over 0.1 s, a touch or a tilt restarts the countdown; a single reading that was lost does not. A face that
+is captured again takes the place of the one before.
 """
 
 from typing import get_args

@@ -29,6 +29,7 @@ SHARP = StillSettings(
 )  # how near a rest comes to a turn
 LOST_S = 0.5  # of a rest beside a turn, by the usual window
 LONGEST_S = 60.0  # of a turn with its rests
+GAP = "Gap in the readings: that turn does not count."
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,7 +90,7 @@ class Turns:
         before, rest = self._before, self.capture.rest()
         if before is not None and before.stretch != self.capture.stretch:
             before = self._before = None
-            self.outcome = "Gap in the readings: that turn does not count."
+            self.outcome = GAP
         if rest is None:
             self._moved = before is not None
             return Light(state="moving", text="Turning. Go back to the mark." if before else f"Moving. {self._asked()}")
@@ -116,12 +117,15 @@ class Turns:
         if after.stop_s - start_s > LONGEST_S:
             return f"That took longer than {LONGEST_S:g} s."
         record = self.capture.tail(after.stop_s - start_s)
-        if record is None or record.gyro is None or np.isnan(record.gyro).any():
-            return "Gap in the readings: that turn does not count."
+        if record is None:
+            return GAP
         stills = find_still(record, StillSettings()).stills
         if len(stills) < 2:
             return "That was no turn."
         first, last = _nearest(record, stills[0], stills[-1])
+        time = record.time
+        if self.capture.lost(float(time[first.stop]), float(time[last.start])):
+            return GAP
         found = find_turns(record, (first, last))
         if not found.rotations:
             return "That was no turn."
@@ -134,7 +138,6 @@ class Turns:
         whole, reason = self._whole(turn.axis, along, record.gyro_unit)
         if not whole:
             return reason
-        time = record.time
         piece = CapturedTurn(
             stretch=self.capture.stretch,
             start_s=float(time[first.stop]),
