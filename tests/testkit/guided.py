@@ -94,7 +94,7 @@ def accel_as_six_faces_see_it(device, gravity_m_s2=STANDARD_GRAVITY):
             feed.go()
             read[face] = feed.rows[-1][-1, 4:7]
     forward = np.column_stack([0.5 * (read[f"+{a}"] - read[f"-{a}"]) / gravity_m_s2 for a in "xyz"])
-    return np.linalg.inv(forward), np.mean([read[face] for face in FACES], axis=0)
+    return np.linalg.inv(forward), np.array([0.5 * (read[f"+{a}"][k] + read[f"-{a}"][k]) for k, a in enumerate("xyz")])
 
 
 def capture_faces(feed, guide, within_s=200.0):

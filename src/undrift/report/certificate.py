@@ -374,6 +374,8 @@ def _limits(calibration: Calibration, triads: Mapping[str, TriadModel]) -> Itera
         unit = "m/s²" if name == "accel" else "deg/s"
         if high > low:
             yield f"{_NAMES[name]}: calibrated from {low:.4g} to {high:.4g} {unit}, at steady values; not covered beyond."
+    if "accel" in triads:
+        yield "The accelerometers are taken as linear within 1 g. A quadratic term is part of their offset, and not included in U."
     tables = calibration.drift
     if tables is None or tables.static is None:
         yield "Offsets hold at the reference temperature. Change with temperature is not included in U."
