@@ -1,5 +1,6 @@
 """The guided capture of six faces, fed the readings of a simulated device in an operator's hands."""
 
+import gzip
 import json
 from dataclasses import replace
 
@@ -7,6 +8,7 @@ import numpy as np
 import pytest
 from numpy.lib.stride_tricks import sliding_window_view
 
+from testkit.data import data_path
 from testkit.guided import STEP_S, HandFeed, accel_as_six_faces_see_it, capture_faces, joint_factor
 from testkit.hand_held import Tremor, hand_held_log, hand_waves
 from undrift.cli.app import run
@@ -200,7 +202,7 @@ def test_many_readings_that_a_recorder_marks_as_missing_restart_it_and_a_single_
     assert (guide.capture.faces["+z"].start_s > at) == restarts
 
 
-@pytest.mark.parametrize("seed", [7, 9, 11, 14, 15, 32, 33])
+@pytest.mark.parametrize("seed", [7, 9, 11, 14, 15, 20, 33])
 def test_a_device_in_counts_that_lies_still_from_the_start_is_not_called_moving(guide, seed):
     """The first points of its cloud are noise, which may lie all around as those of a sphere do."""
     with HandFeed(seed, random_device_of("enc03j_3031", np.random.default_rng(seed))) as feed:
@@ -225,6 +227,45 @@ def test_a_device_in_counts_that_is_shaken_was_not_turned_over(tmp_path, share_o
         lights = [guide.update(whole.part(max(0, k - 100), k), time[k]).state for k in range(20, 1500, 20)]
         states |= set(lights[35:])  # 1.5 s after it was laid down
     assert states == {"unknown face"}
+
+
+def in_counts_about_mid_scale(record):
+    accel, gyro = (2048.0 + np.round(900.0 * each / np.abs(each).max()) for each in (record.accel, record.gyro))
+    return replace(record, accel=accel, gyro=gyro, accel_unit="count", gyro_unit="count")
+
+
+def captured_of(record, folder, lossy=0.0):
+    """Play a recording as a device would send it; return what was captured, and from where."""
+    lost = (np.random.default_rng(1).random(len(record)) < lossy)[:, None]
+    sent = replace(record, accel=np.where(lost, np.nan, record.accel), gyro=np.where(lost, np.nan, record.gyro))
+    guide = SixFaces(Capture(folder))
+    for stop in range(20, len(record), 20):
+        guide.update(sent.part(max(0, stop - 100), stop), float(record.time[stop - 1]))
+    return guide.capture.faces
+
+
+@pytest.mark.parametrize(
+    ("in_counts", "lossy", "found"), [(False, 0.0, 5), (False, 0.002, 5), (True, 0.0, 2), (True, 0.002, 2)]
+)
+def test_faces_of_a_real_session_are_what_they_are(tmp_path, in_counts, lossy, found):
+    """A foot sensor in a person's hands: five faces rest for 7.5 s or more, two of them after it was turned over."""
+    d = np.loadtxt(data_path("ferraris_nilspod", "example_ferraris_session.csv"), delimiter=",", skiprows=1)
+    record = Record(time=d[:, 0] / 102.4, gyro=np.radians(d[:, 1:4]), accel=d[:, 4:7])
+    faces = captured_of(in_counts_about_mid_scale(record) if in_counts else record, tmp_path / "s", lossy)
+    assert len(faces) == found
+    for face, held in faces.items():
+        up = record.accel[(record.time >= held.start_s) & (record.time <= held.stop_s)].mean(axis=0)
+        assert up["xyz".index(face[1])] * (1 if face[0] == "+" else -1) > 9.0
+
+
+@pytest.mark.parametrize("in_counts", [False, True])
+@pytest.mark.parametrize("unit", [0, 1, 2])
+def test_free_poses_of_a_real_device_are_no_faces(tmp_path, unit, in_counts):
+    """The only long rest, the last, is tilted by 28 to 30 deg."""
+    with gzip.open(data_path("multipos_mpu9150", f"imu{unit}.log.gz"), "rt") as file:
+        d = np.loadtxt(file)
+    record = Record(time=np.arange(len(d)) / 100.0, gyro=d[:, 3:6], accel=d[:, :3])
+    assert captured_of(in_counts_about_mid_scale(record) if in_counts else record, tmp_path / "s") == {}
 
 
 def test_silence_is_said(guide, feed):

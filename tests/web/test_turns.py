@@ -84,7 +84,9 @@ def test_curved_devices_of_data_sheets_over_a_link_that_loses_readings(guide, pr
         error = np.concatenate(((model.matrix - m).ravel(), model.offset - o))
         assert (np.abs(error) < joint_factor(12) * np.sqrt(np.diag(model.covariance)[:12])).all()
     mg = 1e3 / STANDARD_GRAVITY * np.abs(made.accel.matrix @ (offset - truth.accel.offset))
-    print(f"  {preset} {seed}: a curved characteristic is {', '.join(f'{each:.2f}' for each in mg)} mg of the offsets")
+    sigmas = np.abs(offset - truth.accel.offset) / np.sqrt(np.diag(made.accel.covariance)[9:12])
+    curved = ", ".join(f"{part:.2f} mg ({times:.0f} u)" for part, times in zip(mg, sigmas, strict=True))
+    print(f"  {preset} {seed}: a quadratic term is {curved} of the accelerometers' offsets")
 
 
 def test_each_turn_lies_between_two_rests_and_all_are_apart_in_the_folder(guide, feed):

@@ -348,7 +348,6 @@ def limits_of(accel: Outcome, gyro: Outcome, temp_c: float, *, thermal: bool) ->
 
 
 def _provenance(session: Session, seen: Observed, accel: str, gyro: str, mode: Mode | None) -> Provenance:
-
     settings, turns = seen.settings, seen.session.turns
     if gyro == "known-rotation" and not turns:
         turns = seen.full_turns()

@@ -37,10 +37,8 @@ except ModuleNotFoundError as error:
 WAIT_S = 30.0  # for another writer
 _ADDRESS = "a path, sqlite:///FILE or postgresql://user@host/database"
 _AS_THEY_ARE = ("kind", "verdict", "made_at", "due_at", "source", "supersedes", "note")  # of a new entry
-_MIGRATING, _MANY = (
-    0x756E6472,
-    0x756E6473,
-)  # advisory locks of PostgreSQL: one program migrates, or adds several; others wait
+# advisory locks of PostgreSQL: one program migrates, or adds several; others wait
+_MIGRATING, _MANY = 0x756E6472, 0x756E6473
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -33,10 +33,7 @@ ALIKE = 1.6  # lengths of readings that share a zero of 0, within 0.2 g
 # of a cloud that shows a sphere: points, radius over noise, length of their mean side, least mean square of a side, spread of the
 # points about it and distance of rests from it as shares of the radius (triads differ in scale by tens of percent)
 LEAST_POINTS, NOISES, LOPSIDED, FLAT, THICK, OFF = 24, 10.0, 0.55, 0.05, 0.25, 0.5
-LOOSE_DEG, LOOSER_DEG = (
-    25.0,
-    35.0,
-)  # tilt that exceeds an error of the zero, of readings in counts: zero of 0, of a sphere
+LOOSE_DEG = 25.0  # tilt that exceeds an error of the zero, of readings in counts
 LEAST_REST_S = 1.0
 UNKNOWN = "Which face is up is not known yet. Turn the device over all its sides once."
 
@@ -199,7 +196,7 @@ class Capture:
 
     def tail(self, seconds: float) -> Record | None:
         """Return the newest readings since the last gap; single ones that were lost on the way are left out."""
-        return _seen(self._stretches[-1].record(self.newest_s - seconds)) if self._stretches else None
+        return _without_lost(self._stretches[-1].record(self.newest_s - seconds)) if self._stretches else None
 
     def lost(self, start_s: float, stop_s: float) -> bool:
         """Whether a reading of the newest stretch was lost in a span of time."""
@@ -275,7 +272,7 @@ class Capture:
         along = np.abs(rests).max(axis=1) / np.where(length > 0.0, length, 1.0)
         if length.max() < ALIKE * length.min() and along.max() > math.cos(LOOSE_DEG * RADIAN_PER_DEGREE):
             return np.zeros(3), limit_deg
-        return _turned_over(np.array(self._cloud), rests, self._noise), LOOSER_DEG
+        return _turned_over(np.array(self._cloud), rests, self._noise), LOOSE_DEG
 
     # ---- What is captured
 
@@ -362,12 +359,14 @@ def _turned_over(cloud: FloatArray, rests: FloatArray, noise: float) -> FloatArr
     if len(cloud) < LEAST_POINTS:
         return None
     zero, radius = sphere_of(cloud)
-    length, off = np.linalg.norm(cloud - zero, axis=1), np.linalg.norm(rests - zero, axis=1) - radius
+    length = np.linalg.norm(cloud - zero, axis=1)
     sides = (cloud - zero) / length[:, None]
-    flat = np.linalg.eigvalsh(sides.T @ sides / len(sides))[0] < FLAT
-    if flat or np.linalg.norm(sides.mean(axis=0)) > LOPSIDED or radius < NOISES * noise:
-        return None
-    return None if length.std() > THICK * radius or np.abs(off).max() > OFF * radius else zero
+    all_around = (
+        np.linalg.norm(sides.mean(axis=0)) < LOPSIDED and np.linalg.eigvalsh(sides.T @ sides / len(sides))[0] > FLAT
+    )
+    off = np.abs(np.linalg.norm(rests - zero, axis=1) - radius)
+    on_it = length.std() < THICK * radius and off.max() < OFF * radius
+    return zero if all_around and on_it and radius > NOISES * noise else None
 
 
 def _longest_s(record: Record) -> float:
@@ -375,7 +374,7 @@ def _longest_s(record: Record) -> float:
     return max(GAP_S, GAP_PERIODS * float(np.median(np.diff(record.time))))
 
 
-def _seen(record: Record) -> Record | None:
+def _without_lost(record: Record) -> Record | None:
     """Return a record without the rows that were lost, from the last longer loss on; None where all were."""
     at = np.flatnonzero(~np.isnan(np.column_stack((record.gyro, record.accel))).any(axis=1))  # type: ignore[arg-type]
     if len(at) == len(record) or len(at) < 2:

@@ -126,7 +126,7 @@ def next_step(label: str, handler: Callable[[], Any] | str) -> Any:
 def button(label: str, handler: Callable[[], Any | Awaitable[Any]], classes: str = "") -> Any:
     """Add a plain button: label, what it does."""
     made = text("button", label, classes).props('type="button"')
-    # the second of a double click says nothing: it would undo what the first began
+    # the second click of a double click is ignored: it would undo the first
     made.on("click", lambda _: handler(), js_handler="(event) => { if (event.detail < 2) emit() }")
     return made
 
