@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.lib.stride_tricks import sliding_window_view
 
 from testkit.data import data_path
 from testkit.guided import STEP_S, HandFeed, accel_as_six_faces_see_it, capture_faces, joint_factor
@@ -216,7 +215,7 @@ def test_a_device_in_counts_that_is_shaken_was_not_turned_over(tmp_path, share_o
     states = set()
     for seed in range(8):
         rng, guide = np.random.default_rng(seed), SixFaces(Capture(tmp_path / str(seed)))
-        shaken = sliding_window_view(rng.standard_normal((524, 3)), 25, axis=0).mean(axis=2) * 5.0  # rms 1, 2 Hz
+        shaken = np.sqrt(3.0) * hand_waves(rng, np.arange(500) / 100.0, 0.2, 2.0)[0]  # rms 1 on each axis
         for at in rng.integers(25, 475, knocks):
             shaken[at - 12 : at + 12] *= 8.0
         waves = np.concatenate((shaken, np.zeros((1000, 3))))
