@@ -221,7 +221,7 @@ def write_whole(path: Path | str, content: bytes | str) -> None:
     path = Path(path)
     data = content.encode("utf-8") if isinstance(content, str) else content
     try:
-        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".part")
+        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name[:40]}.", suffix=".part")
     except OSError as error:
         raise InputError(f"{path}: wanted a folder to write to, got {error.strerror}; choose another") from error
     part = Path(name)

@@ -46,6 +46,7 @@ def gravity_at(latitude_deg: float, height_m: float = 0.0) -> float:
 Quantity = Literal["rate", "accel", "temp", "time", "mag", "length"]
 
 STANDARD_GRAVITY = 9.80665  # m/s2, ISO 80000-3
+INHABITED_GRAVITY = (9.780, 9.832)  # m/s2, equator to pole: standard uncertainty of an assumed one, uniform, is 0.15 %
 RADIAN_PER_DEGREE = math.pi / 180.0
 ZERO_CELSIUS_K = 273.15  # K, of 0 degC
 LM335_K_PER_V = 100.0  # 10 mV/K: 2.982 V at 25 degC

@@ -13,6 +13,8 @@ from testkit.motion_of_poses import motion_from_poses
 from undrift.frames import rotate
 from undrift.io.mocap import Markers, read_c3d, read_trc
 from undrift.io.reference import Body, device_on, find_body
+from undrift.orientation import orient
+from undrift.record import Record, Still
 from undrift.sim.device.presets import preset
 from undrift.sim.device.simulate import simulate_device
 from undrift.sim.motion.poses import PoseSettings
@@ -142,3 +144,23 @@ def test_markers_lost_for_long_mask_the_body():
         np.round([100 * thorax.reference.valid.mean(), 100 * motion.valid.mean()], 1).tolist(),
     )
     assert motion.valid.mean() < thorax.reference.valid.mean() < 0.85
+
+
+@pytest.mark.parametrize("trial", ["STS1", "squats1"])
+def test_a_device_worn_another_way_up_is_told_which_axes_point_up_and_forward(trial):
+    """The pitch by +x and +z is -180 to 180 deg with y up, in a captured sit-to-stand."""
+    device = device_on(find_body(read(trial), "pelvis"))
+    motion = motion_from_poses(device, gravity_m_s2=G, sample_rate_hz=100.0, settings=SETTINGS)
+    known, still = motion.valid > 0.0, Still(start=0, stop=60)
+    for worn, up, forward in (
+        (np.eye(3), None, None),
+        (np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]), "+x", ("+y", "-y")),
+        (np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]]), "-y", ("+z", "-z")),
+    ):
+        gyro, accel = motion.rate_b[known] @ worn.T, motion.force_b[known] @ worn.T
+        found = orient(Record(time=motion.time[known], gyro=gyro, accel=accel), still)
+        items = [item for item in found.findings if item.code == "orient.pitch_axes"]
+        show(f"{trial}, up {up}", [item.text for item in items])
+        assert [(item.values["up"], item.values["forward"]) for item in items] == (
+            [] if up is None else [(up, forward)]
+        )

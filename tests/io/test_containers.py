@@ -317,6 +317,18 @@ def test_an_older_nilspod_reads_as_its_export_does():
     np.testing.assert_allclose(record.accel, export[:, 4:7], atol=1e-6)
 
 
+def test_a_nilspod_of_unknown_firmware_says_so_and_a_converted_one_is_read(tmp_path):
+    content = bytearray(data_path("makers", "nilspod_bin", "NilsPodX-6F13_20210109_162824.bin").read_bytes())
+    content[0x31:0x34] = bytes((0, 9, 1))
+    (tmp_path / "a.bin").write_bytes(content)
+    words = r"wanted a NilsPod's firmware that nilspodlib knows, got 0.9.1; export the recording to CSV"
+    with pytest.raises(FileFormatError, match=words):
+        read_record(tmp_path / "a.bin")
+    content[0x31:0x34] = bytes((0, 17, 255))  # what conversion of older files leaves
+    (tmp_path / "a.bin").write_bytes(content)
+    assert len(read_record(tmp_path / "a.bin")) == 635
+
+
 def test_random_bytes_are_no_nilspod(tmp_path):
     for seed in range(200):
         (tmp_path / "a.bin").write_bytes(b"\x34\x20\0" + np.random.default_rng(seed).bytes(400))
@@ -367,6 +379,15 @@ def test_a_mobilised_sensor_of_two_rates_is_refused(tmp_path):
         read_record(path, settings=sensor("TimeMeasure1.Test1.Trial1.LowerBack"))
     record = read_record(path, settings=sensor("TimeMeasure1.Test1.Trial1.SU_INDIP.Wrist"))
     assert (len(record), record.gyro, record.sample_rate_hz) == (30, None, pytest.approx(100.0))
+
+
+@pytest.mark.parametrize(
+    "odd", [{"Acc": np.ones((30, 2)), "Fs": {"Acc": 100.0}}, {"Acc": np.ones((30, 3)), "Fs": {"Acc": []}}]
+)
+def test_a_mobilised_sensor_of_two_axes_or_without_a_rate_is_refused_and_not_called_damaged(tmp_path, odd):
+    path = mobilised(tmp_path / "a.mat", **odd)
+    with pytest.raises(FileFormatError, match=r"wanted Acc, Gyr and Timestamp of TimeMeasure1.Test1.* at one rate"):
+        read_record(path, settings=sensor("LowerBack"))
 
 
 # ---- all of them

@@ -259,6 +259,14 @@ def test_the_example_of_the_makers_document_reads_as_printed(tmp_path):
     np.testing.assert_allclose(read_record(path).accel, SAMPLES, rtol=1e-15)
 
 
+@pytest.mark.parametrize("words", [b"", b"2010-10-26 13:30 started\r\n"])
+def test_a_log_without_records_beside_activity_is_passed_over(tmp_path, words):
+    path = gt3x(tmp_path / "a.gt3x", "activity.bin", EXAMPLE)
+    with zipfile.ZipFile(path, "a") as held:
+        held.writestr("log.txt", words)
+    np.testing.assert_allclose(read_record(path).accel, SAMPLES, rtol=1e-15)
+
+
 def test_records_of_a_second_each_keep_their_second_and_the_stated_scale(tmp_path):
     shorts = np.array([[0, 128, 0], [0, 0, -256]], dtype="<i2").tobytes()
     log = entry(6, b"{}") + entry(0, EXAMPLE, 1_000) + b"\0\0" + entry(26, shorts, 1_005) + entry(26, b"\1", 1_006)

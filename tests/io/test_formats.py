@@ -1,7 +1,8 @@
 """One door: each file takes the reader its content calls for, whatever its name."""
 
+import json
 import shutil
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from testkit.trc_text import trc
 from undrift.errors import FileFormatError, InputError
 from undrift.io.columns import ColumnMap, ReadSettings, TextLayout, native_columns
 from undrift.io.formats import detect, iter_record, read_counted, read_record, write_record
-from undrift.record import Record
+from undrift.record import ForceUncertainty, Record
 
 
 def ramp(n=30):
@@ -123,3 +124,45 @@ def test_an_x_imu_recording_needs_its_rate(tmp_path):
     with pytest.raises(InputError, match="wanted the sample rate of this x-IMU recording, got none"):
         read_record(path)
     assert len(read_record(tmp_path, settings=ReadSettings(sample_rate_hz=256.0))) == 5
+
+
+def calibrated(n=30):
+    rng = np.random.default_rng(4)
+    known = ForceUncertainty(
+        covariance=np.cov(rng.normal(size=(12, 40))),
+        offset_temp_c=[20.0, np.nan],
+        matrix_temp_c=[25.0, 25.0],
+        per_k=[5e-3, 2e-4],
+        step=[0.0, 0.01, 0.02],
+        calibrated="2026-03-01T08:30:00+00:00",
+    )
+    return replace(ramp(n), state="corrected", frame="b", accel_uncertainty=known)
+
+
+@pytest.mark.parametrize("name", ["r.parquet", "r.csv", "r.csv.gz", "r.mat", "frame"])
+def test_what_a_calibration_knows_of_the_accelerometers_comes_back_with_the_recording(tmp_path, name):
+    record = calibrated()
+    if name == "frame":
+        back = [Record.from_frame(record.to_frame())]
+    else:
+        write_record(record, tmp_path / name)
+        back = [read_record(tmp_path / name), *iter_record(tmp_path / name, rows=11)]
+    assert len(back) != 2
+    for one in (*back, record.part(3, 9), record.in_units("dps", "g")):
+        for field in fields(ForceUncertainty):
+            held, wanted = (getattr(r.accel_uncertainty, field.name) for r in (one, record))
+            assert held == wanted if field.name == "calibrated" else np.array_equal(held, wanted, equal_nan=True)
+
+
+@pytest.mark.parametrize(
+    "changes", [{"covariance": [[1.0]]}, {"per_k": [1.0, None]}, {"calibrated": 3}, {"strange": 1}, {"step": "abc"}]
+)
+def test_what_is_no_uncertainty_of_the_accelerometers_is_refused_in_one_line(tmp_path, changes):
+    write_record(calibrated(), tmp_path / "r.csv")
+    beside = tmp_path / "r.csv.json"
+    held = json.loads(beside.read_text())
+    held["accel_uncertainty"] |= changes
+    beside.write_text(json.dumps(held))
+    with pytest.raises(FileFormatError, match="wanted frame, state and device of a recording, got others") as raised:
+        read_record(tmp_path / "r.csv")
+    assert one_line(raised)

@@ -1,13 +1,15 @@
 """Makers' text exports: the real files with the figures of their SOURCE.md; formats without one, by their documents."""
 
 import json
+import zipfile
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from testkit.data import data_path
 from undrift.errors import FileFormatError, InputError
-from undrift.io.columns import ColumnMap, ReadSettings
+from undrift.io.columns import ColumnMap, ReadSettings, TextLayout
 from undrift.io.formats import detect, read_counted, read_markers, read_record, read_reference
 from undrift.io.inspect import describe
 
@@ -329,22 +331,72 @@ def test_noraxon_names_one_side_before_and_behind_the_segment(tmp_path):
     assert (record.accel[0].tolist(), record.gyro[0].tolist()) == ([1.0, 2.0, 990.0], [4.0, 5.0, 6.0])
 
 
+OFF, ON = "ios,1.36,{},false,17.5", "iOS,1.36,{},true,17.5"  # "Standardise Units & Frames"
+METADATA = "platform,appVersion,sensors,standardisation,platform version\n"
+
+
 @pytest.mark.parametrize(
-    ("name", "row", "unit"),
+    ("name", "row", "stated", "unit", "sign"),
     [
-        ("TotalAcceleration.csv", "9.8,0.1,0.2", "m/s2"),
-        ("AccelerometerUncalibrated.csv", "0.99,0.1,0.2", "g"),
-        ("AccelerometerUncalibrated.csv", "9.7,0.1,0.2", "m/s2"),
+        ("TotalAcceleration.csv", "9.8,0.1,0.2", "", "m/s2", 1.0),
+        ("TotalAcceleration.csv", "9.8,0.1,0.2", "android,1.36,{},false,14", "m/s2", 1.0),
+        ("TotalAcceleration.csv", "-9.8,0.1,0.2", OFF, "m/s2", -1.0),
+        ("TotalAcceleration.csv", "9.8,0.1,0.2", ON, "m/s2", 1.0),
+        ("AccelerometerUncalibrated.csv", "-0.99,0.1,0.2", "", "g", -1.0),  # g: iOS, and not standardised
+        ("AccelerometerUncalibrated.csv", "-0.99,0.1,0.2", OFF, "g", -1.0),
+        ("AccelerometerUncalibrated.csv", "9.7,0.1,0.2", "", "m/s2", 1.0),
+        ("AccelerometerUncalibrated.csv", "9.7,0.1,0.2", ON, "m/s2", 1.0),
     ],
 )
-def test_sensor_logger_turns_its_columns_and_states_the_unit(tmp_path, name, row, unit):
+def test_sensor_logger_reads_specific_force_whatever_the_platform_and_states_unit_and_sign(
+    tmp_path, name, row, stated, unit, sign
+):
     rows = "".join(f"{1700000000000000000 + 10000000 * k},{0.01 * k:.2f},{row}\n" for k in range(4))
     (tmp_path / name).write_text(f"time,seconds_elapsed,z,y,x\n{rows}")
+    if stated:
+        (tmp_path / "Metadata.csv").write_text(METADATA + stated.format("Accelerometer|Gyroscope") + "\n")
     read = read_counted(tmp_path / name)
     z, y, x = map(float, row.split(","))
-    assert (read.record.accel[0].tolist(), read.record.accel_unit) == ([x, y, z], unit)
+    assert (read.record.accel[0].tolist(), read.record.accel_unit) == ([sign * x, sign * y, sign * z], unit)
     assert read.record.sample_rate_hz == pytest.approx(100.0)
     assert ("iOS writes this file in g" in read.notes[0]) == (unit == "g")
+    unsure = name.startswith("Total") and not stated
+    assert any("sign of acceleration not stated by the file" in note for note in read.notes) == unsure
+    assert any("acceleration multiplied by -1" in note for note in read.notes) == (sign < 0.0)
+    assert any("sign of acceleration" in line for line in describe(tmp_path / name).lines()) == unsure
+
+
+def test_a_sensor_logger_file_that_contradicts_its_metadata_is_refused(tmp_path):
+    (tmp_path / "Metadata.csv").write_text(METADATA + OFF + "\n")
+    path = tmp_path / "AccelerometerUncalibrated.csv"
+    path.write_text(sensor_logger([(k / 100, 9.8, 0.1) for k in range(4)]))
+    with pytest.raises(
+        FileFormatError, match=r"wanted g by platform and standardisation in Metadata.csv, got a median"
+    ):
+        read_record(path)
+    (tmp_path / "Metadata.csv").write_bytes(b"")
+    assert read_record(path).accel[0].tolist() == [0.1, 0.0, 9.8]
+
+
+def test_a_watch_beside_sensor_logger_has_gravity_removed(tmp_path):
+    names = [f"{kind}{x}" for kind in ("rotationRate", "gravity", "acceleration") for x in "XYZ"]
+    rows = "".join(f"{k},{0.01 * k:.2f},0.1,0.2,0.3,0,0,-1,0,0,0\n" for k in range(4))
+    (tmp_path / "WristMotion.csv").write_text(f"time,seconds_elapsed,{','.join(names)}\n{rows}")
+    read = read_counted(tmp_path / "WristMotion.csv")
+    assert (read.record.gyro[0].tolist(), read.record.accel) == ([0.1, 0.2, 0.3], None)
+    assert "'Linear accelerationX' left out: gravity is removed in it" in read.notes
+
+
+def test_sensorlog_of_ios_is_read_with_the_sign_of_a_specific_force_and_its_raw_gyroscope(tmp_path):
+    names = ["loggingTime(txt)", "motionTimestamp_sinceReboot(s)", *(f"accelerometerAcceleration{x}(G)" for x in "XYZ")]
+    names += [f"{kind}{x}(rad/s)" for kind in ("gyroRotation", "motionRotationRate") for x in "XYZ"]
+    rows = "".join(f"2023-02-01 10:00:0{k}.0 +0100,{9 + k / 50},0.1,0.2,-0.97,1,2,3,4,5,6\n" for k in range(5))
+    (tmp_path / "log.csv").write_text(f"{','.join(names)}\n{rows}")
+    assert detect(tmp_path / "log.csv") == "sensorlog"
+    read = read_counted(tmp_path / "log.csv")
+    assert (read.record.accel[0].tolist(), read.record.accel_unit) == ([-0.1, -0.2, 0.97], "g")
+    assert (read.record.gyro[0].tolist(), read.record.sample_rate_hz) == ([1.0, 2.0, 3.0], pytest.approx(50.0))
+    assert "acceleration multiplied by -1: iOS reads -1 g along an axis that points up" in read.notes
 
 
 def test_sensor_logger_s_accelerometer_has_no_gravity_and_its_gyroscope_reads(tmp_path):
@@ -422,6 +474,31 @@ def test_a_log_of_set_points_reads_through_a_map_by_position(tmp_path):
     ):
         read_record(tmp_path / "s.log")
     assert "6 columns by position" in describe(tmp_path / "s.log").summary
+
+
+@pytest.mark.parametrize("first", ["nan, -12.1, 0, 1, 2, 3", ", -12.1, 0, 1, 2, 3"])
+def test_a_set_point_whose_first_cell_is_empty_is_a_row_too(tmp_path, first):
+    (tmp_path / "s.log").write_text(f"BIN_DATA: {first}\n{LOG}")
+    columns = ColumnMap(gyro=(3, 4, 5), gyro_unit="dps", temp=1, temp_unit="degC", sample_rate_hz=1.0)
+    read = read_counted(tmp_path / "s.log", columns)
+    assert (read.record.temp_c[0], len(read.record)) == (-12.1, 7)
+
+
+def test_a_set_point_in_a_spoilt_line_is_named_or_counted(tmp_path):
+    (tmp_path / "s.log").write_text(f"boot v2 BIN_DATA: 5, -12.1, 0, 1, 2, 3\n{LOG}")
+    columns = ColumnMap(gyro=(3, 4, 5), gyro_unit="dps", temp=1, temp_unit="degC", sample_rate_hz=1.0)
+    with pytest.raises(FileFormatError, match=r"wanted numbers alone in every line of BIN_DATA, got 1 with other text"):
+        read_record(tmp_path / "s.log", columns)
+    kept = replace(columns, layout=TextLayout(drop_bad_rows=True))
+    read = read_counted(tmp_path / "s.log", kept)
+    assert (len(read.record), read.dropped_rows, read.notes) == (6, 1, ("1 lines without readings skipped",))
+
+
+def test_a_zip_is_to_be_unpacked(tmp_path):
+    with zipfile.ZipFile(tmp_path / "walk.zip", "w") as held:
+        held.writestr("Gyroscope.csv", "time,seconds_elapsed,z,y,x\n")
+    with pytest.raises(FileFormatError, match=r"got a zip archive or an Excel workbook; unpack it and name the folder"):
+        read_record(tmp_path / "walk.zip")
 
 
 # ---- damage

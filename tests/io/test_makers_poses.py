@@ -142,6 +142,27 @@ def test_qtm_bodies_are_poses_from_a_matrix_column_by_column(tmp_path, gap, numb
     assert detect(path) == "qtm_bodies"
 
 
+@pytest.mark.parametrize(("gap", "numbered"), [(True, False), (False, True), (True, True), (False, False)])
+@pytest.mark.parametrize("headed", [True, False])
+def test_three_qtm_bodies_are_told_apart_with_gaps_or_with_frame_and_time(tmp_path, gap, numbered, headed):
+    turn, rows = Rotation.random(18, random_state=5).as_matrix(), []
+    for k in range(6):
+        row = [k + 1, k / 100] if numbered else []
+        for b in range(3):
+            row += [""] if gap and b else []
+            row += [100.0 * b + k, 2, 3, 1, 2, 3, 0.5, *np.round(turn[6 * b + k].T.ravel(), 9)]
+        rows.append(row)
+    each = "\t".join(["X", "Y", "Z", "Roll", "Pitch", "Yaw", "Residual", *(f"Rot[{j}]" for j in range(9))])
+    columns = ("Frame\tTime\t" if numbered else "") + ("\t\t" if gap else "\t").join([each] * 3)
+    text = qtm(("A", "B", "C"), rows, key="BODY_NAMES", columns=columns if headed else "", rate="100")
+    path = put(tmp_path, "b.tsv", text)
+    for b, name in enumerate("ABC"):
+        poses = read_reference(path, labels=[name])
+        np.testing.assert_allclose(poses.position[:, 0], 0.1 * b + 1e-3 * np.arange(6))
+        seen = Rotation.from_quat(poses.q_nb, scalar_first=True).as_matrix()
+        np.testing.assert_allclose(seen, turn[6 * b : 6 * b + 6], atol=1e-7)
+
+
 def test_damaged_qtm_files_are_named(tmp_path):
     with pytest.raises(FileFormatError, match="wanted MARKER_NAMES and FREQUENCY in Hz in the header, got none"):
         read_markers(put(tmp_path, "a.tsv", qtm(("A",), [[1, 2, 3]] * 3, rate="EXT")), up="z")

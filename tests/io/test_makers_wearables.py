@@ -70,6 +70,16 @@ def test_apdm_files_that_are_not_are_refused(tmp_path):
         read_apdm(tmp_path / "c.csv")
 
 
+def test_an_apdm_row_of_units_that_ends_early_names_the_column_without_one(tmp_path):
+    lines = apdm(["Upper", "Lower"], temp=False)[0].split("\n")
+    cells = lines[2].split(",")
+    lines[3] = ",".join(lines[3].split(",")[: cells.index("Lower/Angular Velocity/X")])
+    (tmp_path / "a.csv").write_text("\n".join(lines))
+    with pytest.raises(FileFormatError, match="wanted the unit of Lower/Angular Velocity/X in line 4, got none"):
+        read_apdm(tmp_path / "a.csv", "Lower")
+    assert len(read_apdm(tmp_path / "a.csv", "Upper")) == 6
+
+
 GYRO = [f"Gyroscope {a} (deg/s)" for a in "XYZ"]
 ACCEL = [f"Accelerometer {a} (g)" for a in "XYZ"]
 

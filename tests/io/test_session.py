@@ -75,6 +75,14 @@ def test_a_device_follows_temperature_as_the_session_states_and_else_as_consumer
     assert held == TemperatureSensitivity(accel_offset_mg_per_k=0.1, span_limit_k=3.0)
 
 
+def test_gravity_that_nobody_stated_is_assumed_and_is_not_stated_by_writing_it_down(tmp_path):
+    session = read_session(folder(tmp_path, FULL.replace("gravity_m_s2 = 9.80665\n", "")))
+    assert (session.gravity_m_s2, session.gravity_source) == (9.80665, "standard")
+    write_session(session, tmp_path / "again")
+    assert "gravity" not in (tmp_path / "again" / "session.toml").read_text()
+    assert read_session(tmp_path / "again").gravity_source == "standard"
+
+
 def test_gravity_comes_from_latitude_and_height(tmp_path):
     text = FULL.replace("gravity_m_s2 = 9.80665", "latitude_deg = 41.9\nheight_m = 50")
     assert read_session(folder(tmp_path, text)).gravity_m_s2 == gravity_at(41.9, 50.0)
@@ -167,11 +175,6 @@ def test_native_files_need_no_columns_and_files_side_by_side_are_joined(tmp_path
             'kind = "calibration" ',
             'kind = "party"',
             r"line 2: \[session\], kind: wanted 'calibration', 'thermal', 'static' or 'set-points'",
-        ),
-        (
-            "gravity_m_s2 = 9.80665\n",
-            "",
-            r"line 1: session: wanted gravity_m_s2, or latitude_deg and height_m, got neither",
         ),
         ("gravity_m_s2 = 9.80665", "latitude_deg = 40.0", "got only one of the last two"),
         ("gravity_m_s2 = 9.80665", "gravity_m_s2 = 9.8\nlatitude_deg = 40.0", "got both"),

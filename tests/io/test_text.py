@@ -30,6 +30,18 @@ def table(lines, header="t,x,y,z"):
     return "\n".join([header, *lines]) + "\n"
 
 
+def test_a_first_row_of_readings_is_no_header_and_is_not_lost(tmp_path):
+    by_position = ColumnMap(time=0, time_unit="s", accel=(1, 2, 3), accel_unit="g")
+    for lines in (rows(34), [f"{row},2026-01-31 10:00:00" for row in rows(34)]):  # a date is no name either
+        assert len(read_csv(put(tmp_path, "\n".join(lines)), by_position).record) == 34
+    numbered = read_csv(
+        put(tmp_path, table(rows(34), header="0,1,2,3")), by_position
+    )  # as arrays are saved with a header
+    assert len(numbered.record) == 34
+    with pytest.raises(InputError, match="wanted column 't', got '0', '1', '2', '3'"):
+        read_csv(put(tmp_path, "\n".join(rows())), XYZ)
+
+
 @few
 @given(record=records(gaps=True))
 def test_a_record_comes_back_to_the_last_bit(tmp_path_factory, record):

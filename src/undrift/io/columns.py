@@ -18,7 +18,7 @@ from undrift.arrays import BoolArray, FloatArray, IntArray
 from undrift.errors import FileFormatError, InputError
 from undrift.frames import Frame
 from undrift.io.clock import ClockFit, fit_clock, unwrapped
-from undrift.record import Record, State, sample_rate_of
+from undrift.record import ForceUncertainty, Record, State, sample_rate_of
 from undrift.units import DEVICE_UNITS, LM335_K_PER_V, ZERO_CELSIUS_K, Quantity, canonical_unit, si_factor, temp_offset
 
 Column: TypeAlias = str | int
@@ -134,6 +134,7 @@ class ColumnMap:
     frame: Frame = "s"  # "s" or "b"
     state: State = "raw"  # "raw" or "corrected"
     device: str = ""  # Serial number or name
+    accel_uncertainty: ForceUncertainty | None = None  # Of a corrected recording, as undrift wrote it
 
     def __post_init__(self) -> None:
         if self.gyro is None and self.accel is None:
@@ -258,9 +259,20 @@ def stated(columns: ColumnMap, held: Mapping[str, Any], otherwise: str) -> Colum
     """Return a map with the frame, state and device that undrift wrote beside a table; the error where they are none."""
     frames, states = ({name: name for name in get_args(kind)} for kind in (Frame, State))
     frame, state, device = (held.get(key, "") for key in ("frame", "state", "device"))
+    try:
+        force = ForceUncertainty(**held["accel_uncertainty"]) if held.get("accel_uncertainty") else None
+    except (TypeError, InputError) as error:
+        raise FileFormatError(f"{otherwise}; write the file anew") from error
     if frame not in frames or state not in states or not isinstance(device, str):
         raise FileFormatError(f"{otherwise}; write the file anew")
-    return replace(columns, frame=frames[frame], state=states[state], device=device)
+    return replace(columns, frame=frames[frame], state=states[state], device=device, accel_uncertainty=force)
+
+
+def marks_of(record: Record) -> dict[str, Any]:
+    """Return what undrift writes beside the columns of a record, for ``stated``."""
+    known = record.accel_uncertainty
+    marks = {"frame": record.frame, "state": record.state, "device": record.device}
+    return marks if known is None else marks | {"accel_uncertainty": known.as_json()}
 
 
 def is_native(names: Names) -> bool:
@@ -447,6 +459,7 @@ def build_record(table: Table, columns: ColumnMap) -> ReadResult:
         frame=columns.frame,
         state=columns.state,
         device=columns.device,
+        accel_uncertainty=columns.accel_uncertainty,
     )
     repaired = 0 if keep is None else int((~keep).sum())
     return ReadResult(record=record, dropped_rows=table.dropped, repaired_rows=repaired, clock=clock)

@@ -384,10 +384,16 @@ def read_nilspod(path: Path, _: Columns, settings: ReadSettings) -> ReadResult:
         raise FileFormatError(
             f"{path}: wanted {wanted} bytes as its header states, got {len(content)}; the file is cut, copy it again"
         )
-    nilspodlib = load("nilspodlib", path, "nilspod")
+    nilspodlib, version = load("nilspodlib", path, "nilspod"), ".".join(map(str, content[content[0] - 3 : content[0]]))
+    legacy = "error" if version == "0.17.255" else "resolve"  # that is what conversion makes of older ones
     with sound(path, "NilsPod"), warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        data = nilspodlib.Dataset.from_bin_file(str(path), legacy_support="resolve")
+        try:
+            data = nilspodlib.Dataset.from_bin_file(str(path), legacy_support=legacy)
+        except nilspodlib.exceptions.VersionError as error:
+            raise FileFormatError(
+                f"{path}: wanted a NilsPod's firmware that nilspodlib knows, got {version}; export the recording to CSV"
+            ) from error
         rate_hz, counter = float(data.info.sampling_rate_hz), np.asarray(data.counter, dtype=np.float64)
         found: Channels = {}
         for channel, name, unit in (("gyro", "gyro", "dps"), ("accel", "acc", "m/s2"), ("temp", "temperature", "degC")):
@@ -440,11 +446,11 @@ def read_mobilised(path: Path, _: Columns, settings: ReadSettings) -> ReadResult
         if f"{at}.{key}" in arrays:
             found[channel] = (arrays[f"{at}.{key}"], unit)
     rows = len(next(iter(found.values()))[0])
-    rates = {float(arrays[f"{at}.Fs.{key}"][0]) for key in ("Acc", "Gyr") if f"{at}.Fs.{key}" in arrays}
+    rates = {float(rate) for key in ("Acc", "Gyr") for rate in np.ravel(arrays.get(f"{at}.Fs.{key}", ()))[:1]}
     time = arrays.get(f"{at}.Timestamp")
     if (
         len(rates) != 1
-        or any(len(values) != rows for values, _ in found.values())
+        or any(np.shape(values) != (rows, 3) for values, _ in found.values())
         or (time is not None and len(time) != rows)
     ):
         raise FileFormatError(
@@ -677,7 +683,9 @@ def is_gt3x(path: Path) -> bool:
 def _unzipped(path: Path) -> tuple[dict[str, str], str, bytes]:
     """Return info.txt, and name and content of the file of readings."""
     with sound(path, ".gt3x"), zipfile.ZipFile(path) as held:
-        name = next((n for n in ("log.bin", "log.txt", "activity.bin") if n in held.namelist()), "")
+        sizes = {item.filename: item.file_size for item in held.infolist()}
+        full = [name for name in ("log.bin", "log.txt", "activity.bin") if sizes.get(name)]
+        name = next((n for n in full if n != "log.txt" or held.read(n)[:1] == b"\x1e"), "")  # words beside activity.bin
         info = _fields(held.read("info.txt").decode("utf-8", "replace").replace("\r\n", "\n"))
         content = held.read(name) if name else b""
     if not content or not _number(info.get("Sample Rate", "")) > 0.0:

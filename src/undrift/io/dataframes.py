@@ -15,6 +15,7 @@ from undrift.io.columns import (
     Table,
     build_record,
     is_native,
+    marks_of,
     native_columns,
     native_map,
     stated,
@@ -80,7 +81,7 @@ def frame_of(record: Record) -> "pd.DataFrame":
         raise InputError("to_frame: wanted pandas, got none; pip install pandas") from error
     names, columns = native_columns(record)
     frame = pd.DataFrame(dict(zip(names, columns, strict=True)))
-    frame.attrs["undrift"] = {key: getattr(record, key) for key in ("frame", "state", "device")}
+    frame.attrs["undrift"] = marks_of(record)
     return frame
 
 

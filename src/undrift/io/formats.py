@@ -54,6 +54,7 @@ from undrift.io.makers import (
     read_qtm_bodies,
     read_qtm_markers,
     read_sensor_logger,
+    read_sensorlog,
     read_set_points,
     read_shimmer,
     read_sto,
@@ -279,6 +280,9 @@ FORMATS: dict[str, Format] = {
     "trigno_discover": Format(_has(rb"\AApplication:.*Trigno"), record=read_trigno_discover, honours=_EXPORT),
     "noraxon": Format(_has(rb"Accel Sensor [XYZ]|Noraxon MyoMotion-"), record=read_noraxon, honours=_EXPORT),
     "sensor_logger": Format(_has(rb"\Atime,seconds_elapsed,"), record=read_sensor_logger, honours=_EXPORT),
+    "sensorlog": Format(
+        _has(rb"accelerometerAcceleration[XYZ]\(G\)|gyroRotation[XYZ]\(rad/s\)"), record=read_sensorlog, honours=_EXPORT
+    ),
     "phone": Format(lambda path, head: not head and is_phone(path), record=read_phone, honours=_EXPORT),
     "mobgap": Format(_has(rb"\Asamples,acc_x,acc_y,acc_z,gyr_x"), record=read_mobgap, honours=_EXPORT),
     "apdm7": Format(_has(rb"\AFormat=7,"), record=read_apdm7, honours=_EXPORT),
@@ -316,6 +320,11 @@ FORMATS: dict[str, Format] = {
         honours=frozenset({"columns", "sample_rate_hz", "drop_bad_rows"}),
     ),
     # The formats of other packages come here.
+    "zip": Format(
+        lambda _, head: head.startswith(b"PK\x03\x04"),
+        instead="a zip archive or an Excel workbook; unpack it and name the folder, or save the sheet as CSV",
+        generic=True,
+    ),
     "binary": Format(
         lambda _, head: b"\0" in head,
         instead="binary data of an unknown kind; export it to CSV, MAT or npz",

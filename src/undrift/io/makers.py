@@ -8,7 +8,9 @@ Noraxon       NAME Accel Sensor X (mG), NAME-Gyroscope-x (deg/s); decimal comma 
 APDM          Format=7: a label for each sensor in line 1, us since 1970; m/s2, rad/s, uT by the manual
 x-io          NGIMU, x-IMU, x-IMU3: a folder, temperature in a file of its own
 ActiGraph     GT9X Link: ten lines, then Timestamp and g, deg/s, uT, degC
-Sensor Logger the file's name says which sensor; Accelerometer.csv has gravity removed; a folder holds one file a sensor
+Sensor Logger the file's name says which sensor; Accelerometer.csv has gravity removed; a folder holds one file a sensor. On iOS
+              acceleration is the opposite of specific force unless Metadata.csv says that units and frames are standardised
+SensorLog     iOS: g, the opposite of specific force. (phyphox turns the sign of iOS itself.)
 BIDS-motion   *_motion.tsv without header; *_channels.tsv and *_motion.json beside it
 OpenSim       .sto: cells "w,x,y,z", a column for each sensor
 QTM           TSV: markers (3D), or bodies (6D) with Rot[0..8] column by column; mm
@@ -19,6 +21,7 @@ laboratory; a lost body is zeros, NaN or empty cells. Temperature that comes in 
 interpolated onto the samples and held at the ends.
 """
 
+import csv
 import json
 import re
 from collections.abc import Callable
@@ -67,6 +70,8 @@ _DOT = {"gyro": "dps", "accel": "m/s2"}
 _HALF = 2.0**-0.5
 _FROM_Y_UP = np.array([_HALF, _HALF, 0.0, 0.0])  # z up from y up, as level_from turns points
 _NEARLY_UNIT = 0.01
+_IOS = "acceleration multiplied by -1: iOS reads -1 g along an axis that points up"
+_NO_SIGN = "sign of acceleration not stated by the file (iOS and Android differ); rests and turns decide"
 
 # ---- Xsens MT and Movella DOT: packets that may be lost
 
@@ -168,17 +173,49 @@ def read_noraxon(path: Path, _: ColumnMap | None, settings: ReadSettings) -> Rea
 
 
 def read_sensor_logger(path: Path, _: ColumnMap | None, settings: ReadSettings) -> ReadResult:
-    """Read one sensor of the Sensor Logger app; iOS writes AccelerometerUncalibrated in g, Android in m/s2."""
+    """Read one sensor of the Sensor Logger app, as specific force: iOS writes its opposite unless frames are standardised."""
     sheet, stem = open_sheet(path), path.name.split(".")[0]
     kind = "Linear acceleration" if stem == "Accelerometer" else stem
     names = tuple(f"{kind} {name}" if name in AXES else name for name in sheet.names)
+    names = tuple(re.sub("^acceleration(?=[XYZ]$)", "Linear acceleration", name) for name in names)  # watch, headphones
     labels = [label_of(name, "s" if name == "seconds_elapsed" else "", _SI) for name in names]
     labels = [None if name == "time" else label for name, label in zip(names, labels, strict=True)]
-    note = "units by the manual of Sensor Logger, not in the file: accel m/s2, gyro rad/s"
-    if stem.startswith("AccelerometerUncalibrated") and (size := _median_size(sheet, names)) is not None and size < 3.0:
-        labels = [label._replace(unit="g") if label and label.channel == "accel" else label for label in labels]
-        note = f"acceleration in g: its median is {size:.3g}; iOS writes this file in g, Android in m/s2"
-    return read_sheet(replace(sheet, names=names, labels=tuple(labels), notes=(note,)), settings)
+    notes = ["units by the manual of Sensor Logger, not in the file: accel m/s2, gyro rad/s"]
+    in_g, apple = False, _of_ios(path.with_name("Metadata.csv"))
+    if stem.startswith("AccelerometerUncalibrated") and (size := _median_size(sheet, names)) is not None:
+        in_g = size < 3.0
+        if in_g:
+            notes = [f"acceleration in g: its median is {size:.3g}; iOS writes this file in g, Android in m/s2"]
+        if apple is not None and apple != in_g:
+            raise FileFormatError(
+                f"{path}: wanted {'g' if apple else 'm/s2'} by platform and standardisation in Metadata.csv, got a median of "
+                f"{size:.3g}; the two do not belong together: leave Metadata.csv out"
+            )
+        apple = in_g
+    if any(label and label.channel == "accel" for label in labels):
+        notes += [_NO_SIGN] if apple is None else [_IOS] if apple else []
+    labels = [
+        x._replace(gain=-x.gain if apple else x.gain, unit="g" if in_g else x.unit) if x and x.channel == "accel" else x
+        for x in labels
+    ]
+    return read_sheet(replace(sheet, names=names, labels=tuple(labels), notes=tuple(notes)), settings)
+
+
+def _of_ios(path: Path) -> bool | None:
+    """Tell by Metadata.csv whether Sensor Logger kept the signs and units of iOS; None where it does not say."""
+    lines = as_utf8(read_bytes(path)).decode().splitlines() if path.is_file() and path.stat().st_size else []
+    stated = {key: str(cell).strip().lower() for key, cell in next(csv.DictReader(lines), {}).items()}
+    android, ios = (stated.get("platform", "").startswith(name) for name in ("android", "ios"))
+    return ios and stated.get("standardisation") != "true" if android or ios else None
+
+
+def read_sensorlog(path: Path, _: ColumnMap | None, settings: ReadSettings) -> ReadResult:
+    """Read a log of the SensorLog app for iOS: the accelerometer has its sign, and of two gyroscopes the raw one is read."""
+    sheet = labelled(open_sheet(path))
+    fused = "motionRotationRate" if sheet.position("^gyroRotation") is not None else None
+    labels = [None if x and x.sensor == fused else x for x in sheet.labels]
+    labels = [x and (x._replace(gain=-x.gain) if x.channel == "accel" else x) for x in labels]
+    return read_sheet(replace(sheet, labels=tuple(labels), notes=(_IOS,)), settings)
 
 
 def _median_size(sheet: Sheet, names: tuple[str, ...]) -> float | None:
@@ -307,13 +344,18 @@ def read_apdm(path: str | Path, sensor: str | None = None) -> Record:
         ) from error
     units = dict(zip(text.names, lines[text.skip], strict=False))
 
-    held: dict[str, Any] = {"time": "Time", "time_unit": units["Time"]}
+    def unit_of(name: str) -> str:
+        if units.get(name):
+            return units[name]
+        raise FileFormatError(f"{text.path}: wanted the unit of {name} in line 4, got none; correct that line")
+
+    held: dict[str, Any] = {"time": "Time", "time_unit": unit_of("Time")}
     for channel, quantity in (("gyro", "Angular Velocity"), ("accel", "Acceleration"), ("mag", "Magnetic Field")):
         names = tuple(f"{sensor}/{quantity}/{axis.upper()}" for axis in AXES)
         if all(name in text.names for name in names):
-            held |= {channel: names, f"{channel}_unit": units[names[0]]}
+            held |= {channel: names, f"{channel}_unit": unit_of(names[0])}
     if (temp := f"{sensor}/Temperature/Scalar") in text.names:
-        held |= {"temp": temp, "temp_unit": units.get(temp, "")}
+        held |= {"temp": temp, "temp_unit": unit_of(temp)}
     columns = ColumnMap(**held, device=sensor, sample_rate_hz=rate)
     return build_record(parse_text(replace(text, skip=text.skip + 1), columns.wanted()), columns).record
 
@@ -585,7 +627,7 @@ def _bids(path: Path) -> tuple[Sheet, list[dict[str, str]]]:
 
 # ---- a log of set-points: "BIN_DATA: 5, -10.1, 21652, 0.13, ..."
 
-_SET_POINT = re.compile(rb"^[ \t]*([A-Za-z_]\w*):[ \t]*(?=[-+.\d])(.*?)[ \t,]*\r?$", re.MULTILINE)
+_SET_POINT = re.compile(rb"^[ \t]*([A-Za-z_]\w*):[ \t]*(?=[-+.\d,]|nan)(.*?)[ \t,]*\r?$", re.MULTILINE | re.IGNORECASE)
 
 
 def is_set_points(head: bytes) -> bool:
@@ -600,8 +642,22 @@ def is_set_points(head: bytes) -> bool:
 
 def read_set_points(path: Path, columns: ColumnMap | None, settings: ReadSettings) -> ReadResult:
     """Read a log of set-points, whose columns have no names, through a map by position."""
-    found = [m.group(2) for m in _SET_POINT.finditer(as_utf8(read_bytes(path)))]
+    lines = [line for line in as_utf8(read_bytes(path)).splitlines() if line.strip()]
+    hits = [m.groups() if (m := _SET_POINT.match(line)) else (b"", b"") for line in lines]
+    word = next(word for word, _ in hits if word)
+    found = [row for own, row in hits if own == word]
     width = found[0].count(b",") + 1
+    spoilt = [
+        line
+        for line, (own, _) in zip(lines, hits, strict=True)
+        if own != word and word + b":" in line and line.count(b",") >= width - 1
+    ]
+    if spoilt and not settings.drop_bad_rows and not (columns and columns.layout.drop_bad_rows):
+        shown = spoilt[0][:40].decode("utf-8", "replace")
+        raise FileFormatError(
+            f"{path}: wanted numbers alone in every line of {word.decode()}, got {len(spoilt)} with other text, the first "
+            f"{shown!r}; repair them, or set drop_bad_rows = true in a map (--map FILE)"
+        )
     if columns is None:
         raise InputError(
             f"{path}: wanted a map of its {width} columns by position (from 0, after the colon), got none; for example columns = "
@@ -620,9 +676,10 @@ def read_set_points(path: Path, columns: ColumnMap | None, settings: ReadSetting
     table = sheet.columns(
         *(int(k) for k in columns.wanted()), drop_bad_rows=layout.drop_bad_rows or settings.drop_bad_rows
     )
-    other = sum(bool(line.strip()) for line in read_bytes(path).splitlines()) - len(found)
+    other = len(lines) - len(found) - len(spoilt)
     notes = (f"{other} lines without readings skipped",) if other else ()
-    return replace(build_record(table, columns), notes=notes)
+    made = build_record(table, columns)
+    return replace(made, notes=notes, dropped_rows=made.dropped_rows + len(spoilt))
 
 
 # ---- poses of bodies
@@ -729,20 +786,23 @@ def _qtm(path: Path, key: str, each: int) -> tuple[tuple[str, ...], FloatArray, 
         raise FileFormatError(
             f"{path}: wanted {key} and FREQUENCY in Hz in the header, got none; export the TSV header too"
         )
+    headed = ""
     if start < len(lines) and not all(
         is_number(cell) or cell.strip() in ("", "NULL", "-") for cell in lines[start].split("\t")
     ):
-        start += 1  # a line of column names
+        headed, start = lines[start], start + 1  # a line of column names
     rows = [re.sub(r"\t+$", "", line) for line in lines[start:] if line.strip()]
     width = max((row.count("\t") + 1 for row in rows), default=0)
-    for gap in (0, 1):
-        bare = len(names) * each + (len(names) - 1) * gap
-        if width - bare in (0, 2):  # frame and time may stand before
-            break
-    else:
+    bare = len(names) * each
+    fits = [gap for gap in (0, 1) if width - bare - (len(names) - 1) * gap in (0, 2)]  # frame and time may stand before
+    if not fits:
         raise FileFormatError(
             f"{path}: wanted {each} columns for each of {len(names)} names, got {width} in all; check the export"
         )
+    gap = fits[0]
+    if len(fits) > 1 and not headed.startswith("Frame"):  # of three names the two gaps are as wide as frame and time
+        gap = int(not any(cell.strip() for row in rows for cell in row.split("\t")[each : width : each + 1]))
+    bare += (len(names) - 1) * gap
     padded = "".join(f"{row}{chr(9) * (width - row.count(chr(9)) - 1)}\n" for row in rows).encode()
     first = width - bare
     keep = [first + k * (each + gap) + j for k in range(len(names)) for j in range(each)]

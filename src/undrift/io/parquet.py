@@ -1,7 +1,8 @@
 """Parquet, undrift's own format: column names carry the unit, the schema carries frame, state and device.
 
 The schema metadata holds one key, ``undrift``: ``{"kind": "undrift.record", "format": 1, "gyro_unit": "dps", "accel_unit": "g",
-"frame": "s", "state": "raw", "device": "MTi-1"}``. Files of any size are read and written in chunks of constant memory.
+"frame": "s", "state": "raw", "device": "MTi-1"}``; of a corrected record also what its calibration knows of the accelerometers
+(``accel_uncertainty``, as record.ForceUncertainty has it). Files of any size are read and written in chunks of constant memory.
 """
 
 import json
@@ -22,8 +23,10 @@ from undrift.io.columns import (
     ReadSettings,
     Table,
     build_record,
+    marks_of,
     native_columns,
     native_map,
+    stated,
 )
 from undrift.record import Record
 
@@ -113,8 +116,7 @@ class ParquetWriter:
         from pyarrow import parquet as pq
 
         names, columns = native_columns(record)
-        held: dict[str, Any] = {key: getattr(record, key) for key in ("frame", "state", "device")}
-        held |= {"kind": KIND, "format": FORMAT}
+        held = marks_of(record) | {"kind": KIND, "format": FORMAT}
         for triad, unit in (("gyro", record.gyro_unit), ("accel", record.accel_unit)):
             held[f"{triad}_unit"] = None if getattr(record, triad) is None else unit
         metadata = {_KEY: json.dumps(held, sort_keys=True).encode()}
@@ -226,5 +228,5 @@ def _native_map(path: Path, handle: Any, settings: ReadSettings) -> ColumnMap:
             "undrift that wrote it"
         )
     # undrift wrote it: NaN in it is a gap
-    gaps = settings.gaps or "keep"
-    return replace(columns, gaps=gaps, frame=held["frame"], state=held["state"], device=held["device"])
+    columns = replace(columns, gaps=settings.gaps or "keep")
+    return stated(columns, held, f"{path}: wanted frame, state and device of a recording, got others")

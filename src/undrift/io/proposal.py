@@ -143,16 +143,16 @@ def session_text(
     Logged turns have the standard uncertainty of their rate beside them, rad/s.
     """
     width = len(files) // len(session.records)
-    assumed = (
-        "   # assumed: standard gravity; state yours, or latitude_deg and height_m"
-        if session.gravity_source == "standard"
-        else ""
-    )
+    gravity = f"gravity_m_s2 = {session.gravity_m_s2!r}"
+    if session.gravity_source == "standard":
+        gravity = (
+            "# gravity_m_s2 = ?   # not stated: standard gravity is assumed; state yours, or latitude_deg and height_m"
+        )
     lines = ["# Made by undrift session new from what was found; edit what is not so.", "[session]"]
     lines += [
         f'kind = "{session.kind}"',
         f"serial = {_toml(session.serial)}",
-        f"gravity_m_s2 = {session.gravity_m_s2!r}{assumed}",
+        gravity,
     ]
     for number in range(len(session.records)):
         own = [os.path.relpath(file, folder) for file in files[number * width : (number + 1) * width]]

@@ -328,7 +328,7 @@ class HeadEntry(Entry):
 
     kind: Kind  # calibration, thermal, static or set-points
     serial: str  # Device serial number
-    gravity_m_s2: Finite | None = None  # Local gravity, m/s2; or the next two
+    gravity_m_s2: Finite | None = None  # Local gravity, m/s2; or the next two; standard gravity is assumed without any
     latitude_deg: Finite | None = None  # Where it was recorded
     height_m: Finite | None = None
     mounting: Mounting | None = None  # Of a fit to references: "one" for all recordings, or "each" its own
@@ -412,7 +412,7 @@ def read_session(folder: str | Path, *, clock: Clock | None = None) -> Session:
     Raises
     ------
     InputError
-        No such folder or recording; gravity neither given nor computable; a time outside its recording; bad data.
+        No such folder or recording; gravity stated twice or by half; a time outside its recording; bad data.
     FileFormatError
         session.toml is not TOML or holds an unknown, missing or wrong entry; names line and entry.
 
@@ -451,17 +451,19 @@ def read_session(folder: str | Path, *, clock: Clock | None = None) -> Session:
     with _at(path, text, "temperature"):
         sensitivity = TemperatureSensitivity(**held.temperature.model_dump())
     with _at(path, text, "session"):
+        head = held.session
+        gravity_m_s2, source = gravity_of(head.gravity_m_s2, head.latitude_deg, head.height_m)
         return Session(
             kind=held.session.kind,
             serial=held.session.serial,
-            gravity_m_s2=_gravity(held.session),
+            gravity_m_s2=gravity_m_s2,
             records=tuple(records),
             stills=tuple(stills),
             turns=tuple(turns),
             inputs=tuple(inputs),
             file_map=None if held.session.kind == "set-points" else shared_map(held.recording),
             means=_all_means(path.parent, held.recording, files, records),
-            gravity_source="stated" if held.session.gravity_m_s2 is not None else "latitude and height",
+            gravity_source=source,
             rate_table=table,
             sensitivity=sensitivity,
             mounting=held.session.mounting,
@@ -493,19 +495,17 @@ def session_from_files(
         groups.append(names)
         records.append(_read_recording(Path(), names, RecordingEntry(file=names, **dict(_given(entry))), None))
         inputs += [(Path(name).name, sha256_of(name)) for name in names if Path(name).is_file()]
-    head = HeadEntry(kind=kind, serial=serial, gravity_m_s2=gravity_m_s2, latitude_deg=latitude_deg, height_m=height_m)
-    source: GravitySource = "stated" if gravity_m_s2 is not None else "latitude and height"
-    assumed = (gravity_m_s2, latitude_deg, height_m) == (None, None, None)
+    gravity_m_s2, source = gravity_of(gravity_m_s2, latitude_deg, height_m)
     means = _all_means(Path(), [entry] * len(groups), groups, records)
     return Session(
         kind="set-points" if means else kind,
         serial=serial or records[0].device,
-        gravity_m_s2=STANDARD_GRAVITY if assumed else _gravity(head),
+        gravity_m_s2=gravity_m_s2,
         records=tuple(records),
         inputs=tuple(inputs),
         file_map=None if means else shared_map([entry]),
         means=means,
-        gravity_source="standard" if assumed else source,
+        gravity_source=source,
     )
 
 
@@ -544,7 +544,8 @@ def write_session(session: Session, folder: str | Path) -> None:
     folder = Path(folder)
     quoted = json.dumps(session.serial, ensure_ascii=False).replace("\x7f", "\\u007f")
     lines = ["[session]", f'kind = "{session.kind}"', f"serial = {quoted}"]
-    lines += [f"gravity_m_s2 = {float(session.gravity_m_s2)!r}"]
+    if session.gravity_source != "standard":  # what nobody stated is not written
+        lines += [f"gravity_m_s2 = {float(session.gravity_m_s2)!r}"]
     lines += [] if session.mounting is None else [f'mounting = "{session.mounting}"']
     for name, stated in (("rate_table", session.rate_table), ("temperature", session.sensitivity)):
         if stated != type(stated)():
@@ -678,15 +679,16 @@ def _read_recording(folder: Path, names: list[str], entry: RecordingEntry, clock
     return joined
 
 
-def _gravity(head: HeadEntry) -> float:
-    place = (head.latitude_deg, head.height_m)
-    if head.gravity_m_s2 is not None and place == (None, None):
-        return head.gravity_m_s2
-    if head.gravity_m_s2 is None and head.latitude_deg is not None and head.height_m is not None:
-        return gravity_at(head.latitude_deg, head.height_m)
-    got = (
-        "both" if head.gravity_m_s2 is not None else "neither" if place == (None, None) else "only one of the last two"
-    )
+def gravity_of(
+    gravity_m_s2: float | None = None, latitude_deg: float | None = None, height_m: float | None = None
+) -> tuple[float, GravitySource]:
+    """Return local gravity, m/s2, and where it comes from: standard gravity where nothing is stated."""
+    place = (latitude_deg, height_m)
+    if gravity_m_s2 is None and latitude_deg is not None and height_m is not None:
+        return gravity_at(latitude_deg, height_m), "latitude and height"
+    if place == (None, None):
+        return (STANDARD_GRAVITY, "standard") if gravity_m_s2 is None else (gravity_m_s2, "stated")
+    got = "only one of the last two" if gravity_m_s2 is None else "both"
     raise InputError(f"wanted gravity_m_s2, or latitude_deg and height_m, got {got}; state local gravity once")
 
 

@@ -19,7 +19,7 @@ from pydantic import AfterValidator, BaseModel, Field, ValidationError
 from undrift.arrays import FloatArray
 from undrift.errors import FileFormatError, InputError
 from undrift.files import write_whole
-from undrift.findings import Finding, Level, catalogue, finding
+from undrift.findings import Finding, Level, finding
 from undrift.io.session import KeptEntry, file_map_of
 from undrift.model import (
     AdcModel,
@@ -44,6 +44,7 @@ Value = TypeVar("Value")
 KIND = "undrift.calibration"
 FORMAT = 1
 ANSWER_KEYS = (
+    "lacking",
     "version",
     "findings",
     "result",
@@ -478,15 +479,20 @@ def _scalar(x: float | str | None) -> float:
 
 
 def _verdict(file: VerdictFile) -> Verdict:
-    findings = tuple(
-        finding(item.code, item.level, **{k: math.nan if v is None else v for k, v in item.values.items()})
-        if item.code in catalogue()
-        else finding("earlier.text", item.level, text=item.text)
-        for item in file.findings
-    )
+    findings = tuple(map(_finding, file.findings))
     known = {item.text for item in file.findings} | {item.text for item in findings}
     bare = (finding("earlier.text", "info", text=reason) for reason in file.reasons if reason not in known)
     return Verdict(status=file.status, findings=(*findings, *bare))
+
+
+def _finding(file: FindingFile) -> Finding:
+    """Return a finding by its code, or by its text where the code or a value of its sentence is not known to this version."""
+    made = finding(file.code, file.level, **{k: math.nan if v is None else v for k, v in file.values.items()})
+    try:
+        _ = made.text
+    except KeyError:
+        return finding("earlier.text", file.level, text=file.text)
+    return made
 
 
 def _triad(file: TriadFile | None) -> TriadModel | None:

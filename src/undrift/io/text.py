@@ -31,6 +31,8 @@ from undrift.io.columns import (
     TextLayout,
     build_record,
     find_column,
+    is_number,
+    marks_of,
     native_columns,
     native_map,
     stated,
@@ -87,9 +89,7 @@ def statement_of(record: Record, path: Path, names: Sequence[str]) -> dict[str, 
         "kind": KIND,
         "format": FORMAT,
         "file": path.name,
-        "frame": record.frame,
-        "state": record.state,
-        "device": record.device,
+        **marks_of(record),
         "samples": len(record),
         "sample_rate_hz": record.sample_rate_hz,
         "columns": {name: units[name.partition("_")[0]] for name in names},
@@ -178,10 +178,18 @@ def open_text(path: str | Path, layout: TextLayout | None = None) -> Text:
                 f"{path}: wanted UTF-8 text, got byte 0x{lines[0][error.start]:02x} in the header; save the file as UTF-8"
             ) from error
         names = tuple(next(csv.reader([header.strip(" ") if blanks else header], delimiter=layout.delimiter), ()))
-    else:  # positions, as many as most of the first rows have columns
+        if _is_row(names, layout.decimal):
+            layout = replace(layout, header=False)
+    if not layout.header:  # positions, as many as most of the first rows have columns
         counts = [line.count(layout.delimiter.encode()) + 1 for line in lines]
         names = tuple(str(i) for i in range(max(set(counts), key=counts.count)))
     return Text(path=path, content=content, head=head, names=names, layout=layout, skip=skip + layout.header, mark=mark)
+
+
+def _is_row(names: tuple[str, ...], decimal: str) -> bool:
+    """Tell a row of readings in the place of a header: numbers in all cells but one, and these not numbers of columns."""
+    cells = [float(cell) for name in names if is_number(cell := name.replace(decimal, "."))]
+    return len(cells) > 1 and len(cells) >= len(names) - 1 and bool((np.diff(cells) != 1.0).any())
 
 
 def parse_text(text: Text, wanted: tuple[Column, ...]) -> Table:
