@@ -562,9 +562,9 @@ class LeftOut:
     start: int
     stop: int
     why: Literal["too short", "too restless", "turning"]
-    value: float  # s at rest, smallest spread, or mean rate
+    value: float  # s at rest, smallest spread or that of the quietest windows, or mean rate
     unit: str
-    limit: float  # What a still phase needs, in ``unit``
+    limit: float  # What a still phase needs, in ``unit``; NaN where none is known
 
 
 def left_out(record: Record, search: StillSearch) -> tuple[LeftOut, ...]:
@@ -572,7 +572,9 @@ def left_out(record: Record, search: StillSearch) -> tuple[LeftOut, ...]:
     settings = search.settings
     triads, fs = _moments(record, settings), record.sample_rate_hz
     marks = [t.value if t.value >= t.noise_floor else 2.0 * t.noise_floor for t in search.thresholds]
-    used = [k for k, mark in enumerate(marks) if np.isfinite(mark) and mark > 0.0]
+    searched = [np.isfinite(t.value) for t in search.thresholds]
+    used = [k for k, mark in enumerate(marks) if np.isfinite(mark) and mark > 0.0 and searched[k] >= any(searched)]
+    noisy = [k for k in used if search.thresholds[k].noise_floor > search.thresholds[k].value]  # refuses every window
     if not used:
         return ()
     over = np.array([triads[k].spread / marks[k] for k in used])  # (triads, M)
@@ -588,12 +590,12 @@ def left_out(record: Record, search: StillSearch) -> tuple[LeftOut, ...]:
     for first, last in near:
         start, stop = first + edge, last + edge
         at = first + int(np.argmin(worst[first:last]))
-        k = used[int(np.argmax(over[:, at]))]
+        k = noisy[0] if noisy else used[int(np.argmax(over[:, at]))]
         triad, mark, least_s = triads[k], search.thresholds[k], settings.min_duration_s
-        limit = mark.value if mark.value >= mark.noise_floor else mark.noise_floor
         rest = max((b - a for a, b in runs(worst[first:last] <= 1.0).tolist()), default=0)
         spread, rate = float(triad.spread[at]), float(np.linalg.norm(triads[0].mean[at]))
-        if not mark.noise_floor <= mark.value or spread > limit:
+        spread, limit = max(spread, mark.noise_floor if noisy else 0.0), mark.value
+        if not spread <= limit:
             why = LeftOut(start=start, stop=stop, why="too restless", value=spread, unit=triad.unit, limit=limit)
         elif rest < sample_count(least_s, fs):
             why = LeftOut(start=start, stop=stop, why="too short", value=rest / fs, unit="s", limit=least_s)

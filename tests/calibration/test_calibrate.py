@@ -82,7 +82,8 @@ def test_faces_are_found_in_an_unlabelled_session():
     found = calibrate(made("six_face", labelled=False))
     assert found.accel.method == "six-face/levelled"
     assert relative(found.accel, DEVICE.accel) < 2e-3
-    assert only(found.verdict.findings, "gyro.not_observable").level == "warn"
+    assert only(found.verdict.findings, "gyro.not_observable").level == "info"  # faces are for the accelerometer
+    assert found.verdict.status == "good"
     assert found.gyro is None
 
 
@@ -339,3 +340,89 @@ def test_a_device_that_sways_throughout_has_no_short_pauses():
 def test_a_latitude_that_is_none_is_refused(latitude_deg):
     with pytest.raises(InputError, match=r"wanted latitude_deg from -90 to 90, got (nan|91); south is negative"):
         calibrate(rests_of(1), settings=CalibrateSettings(latitude_deg=latitude_deg))
+
+
+def saturated(session, at, axis=0, value=-32768.0):
+    """0.1 s of one gyroscope at the end of its range."""
+    gyro = np.array(session.records[0].gyro)
+    gyro[at : at + 10, axis] = value
+    return replace(session, records=(replace(session.records[0], gyro=gyro),))
+
+
+def test_a_tenth_of_a_second_of_saturated_gyroscope_costs_one_move_and_is_named():
+    session = made("multi_position", labelled=False)
+    rests = observe(session, CalibrateSettings()).stills
+    found = calibrate(saturated(session, (rests[4].stop + rests[5].start) // 2))
+    assert (found.accel.method, found.gyro.method) == ("multi-position", "multi-position")
+    left_out = only(found.verdict.findings, "gyro.saturated")
+    assert (left_out.values["count"], left_out.values["what"]) == (1, "moves")
+    assert left_out.values["pieces"][0].startswith("the move after still 5 (")
+    whole = calibrate(session)
+    assert relative(found.gyro, DEVICE.gyro) < 1.5 * relative(whole.gyro, DEVICE.gyro) + 1e-3
+    np.testing.assert_array_equal(found.accel.matrix, whole.accel.matrix)
+
+
+@pytest.mark.parametrize("kind", ["bench", "ferraris"])
+def test_a_turn_with_a_saturated_gyroscope_is_left_out_by_its_number_and_time(kind):
+    session = made(kind)
+    turn = session.turns[1]
+    middle = (turn.start + turn.stop) // 2
+    found = calibrate(saturated(session, middle))
+    assert found.accel.method == "six-face/levelled"
+    left_out = only(found.verdict.findings, "gyro.saturated")
+    time_s = session.records[0].time
+    assert left_out.values["pieces"] == (
+        f"[[turn]] 2 (recording 0, {time_s[turn.start]:.1f}-{time_s[turn.stop - 1]:.1f} s)",
+    )
+    if kind == "bench":  # other dwells show the axis too; three turns by hand are one each
+        assert relative(found.gyro, DEVICE.gyro) < 1e-3
+    else:
+        assert found.gyro is None
+        assert "got none about y" in only(found.verdict.findings, "session.fit_failed").detail
+        with pytest.raises(NotObservable, match=r"got none about y; .*Gyroscope saturated: 1 of 3 turns left out"):
+            calibrate(saturated(session, middle), gyro="known-rotation")
+
+
+def test_turns_that_are_all_saturated_leave_the_accelerometer():
+    session = made("ferraris")
+    for turn in session.turns:
+        session = saturated(session, (turn.start + turn.stop) // 2)
+    found = calibrate(session)
+    assert (found.accel.method, found.gyro) == ("six-face/levelled", None)
+    assert only(found.verdict.findings, "gyro.saturated").values["count"] == 3
+
+
+def test_gyroscopes_are_left_out_or_taken_at_rest_alone_where_that_is_asked():
+    session = made("multi_position")
+    without = calibrate(session, gyro="none")
+    assert (without.accel.method, without.gyro) == ("multi-position", None)
+    assert only(without.verdict.findings, "gyro.left_out").level == "info"
+    assert without.verdict.status == "good"
+    record = session.records[0]
+    factor = 1.0 / 16.4  # of any scale: dps makes the reading physical
+    known = replace(session, records=(replace(record, gyro=record.gyro * factor, gyro_unit="dps"),))
+    assert calibrate(known, gyro="rest").gyro.method == "rest"
+    with pytest.raises(NotObservable, match="gyroscope by rest: "):
+        calibrate(session, gyro="rest")  # counts have no scale
+
+
+@pytest.mark.parametrize("kind", ["ferraris", "bench"])
+def test_a_missing_face_is_named_where_there_are_turns_too(kind):
+    session = made(kind)
+    without = replace(session, stills=tuple(still for still in session.stills if still.face != "-y"))
+    found = calibrate(without)
+    assert only(found.verdict.findings, "six_face.face_missing").values["face"] == "-y"
+    if kind == "ferraris":
+        needs = only(found.verdict.findings, "known_rotation.needs_faces")
+        assert "faces without a rest: -y" in needs.text
+
+
+def test_a_face_that_was_not_recorded_is_named_where_rests_and_turns_are_found():
+    session = made("ferraris", labelled=False)
+    (still,) = (still for still in made("ferraris").stills if still.face == "-y")
+    record, rng = session.records[0], np.random.default_rng(3)
+    around, shake = slice(still.start - 50, still.stop + 50), np.zeros((len(record), 3))
+    shake[around] = 200.0 * rng.normal(size=shake[around].shape)
+    shaken = replace(session, records=(replace(record, gyro=record.gyro + shake, accel=record.accel + shake),))
+    with pytest.raises(NotObservable, match=r"no rest on face -y: faces with a rest: \+x, -x, \+y, \+z, -z"):
+        calibrate(shaken, settings=CalibrateSettings(turn_angle_deg=360.0))

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from undrift.calibration.checks import check_range
+from undrift.calibration.checks import check_range, stuck_windows
 from undrift.errors import Implausible
 
 SWING = 3.0 * np.sin(np.arange(2000) / 40.0)[:, None] * np.ones(3)
@@ -35,6 +35,21 @@ def test_the_rounded_top_of_a_turn_is_no_end_of_the_range():
     check_range([turn], "gyroscope in the turn about z")
     with pytest.raises(Implausible, match="stuck at 1990"):
         check_range([turn.clip(None, 1990.0)], "gyroscope in the turn about z")
+
+
+def test_a_reading_that_jumps_to_the_end_of_the_range_is_seen_among_coarse_codes_at_rest():
+    """Codes of a rest repeat for long, but no code is left and reached in one sample from far away."""
+    coarse = np.round(np.concatenate((np.zeros((300, 3)), 100.0 * noisy(), np.zeros((300, 3)))))
+    check_range([coarse], "gyroscope")
+    spoilt = coarse.copy()
+    spoilt[1000:1010, 0] = -32768.0
+    with pytest.raises(Implausible, match=r"gyroscope: wanted x .* got 10 samples stuck at -32768"):
+        check_range([spoilt], "gyroscope")
+    assert stuck_windows([coarse[:1000], spoilt[900:1100], coarse[1000:]]).tolist() == [False, True, False]
+
+
+def test_samples_that_are_held_are_no_end_of_the_range():
+    check_range([np.repeat(100.0 * noisy(), 6, axis=0)], "gyroscope")
 
 
 def test_a_pose_that_sticks_as_a_whole_is_seen_among_the_others():

@@ -383,11 +383,32 @@ def test_turns_without_a_rest_beside_them_are_marginal():
     none_found = StillSettings(window_s=10.0)  # longer than any rest
     seen = observe(faces, CalibrateSettings(identify_adc=False, still=none_found))
     made = calibrate_turns(seen, None, calibrate_faces(seen, None).fit)
-    assert only(made.findings, "known_rotation.no_rests").level == "warn"
+    lacking = only(made.findings, "known_rotation.no_rests")
+    assert lacking.level == "warn"
+    assert lacking.values["axes"] == ("x", "y", "z")
     beside = observe(stated, CalibrateSettings(identify_adc=False, still=none_found))
     assert "known_rotation.no_rests" not in codes(
         calibrate_turns(beside, None, calibrate_faces(beside, None).fit).findings
     )
+
+
+def test_rests_beside_the_turns_count_though_a_face_is_up_in_them():
+    # A flat table: every rest of the log lies on a face, those beside the turns too, and all are found.
+    rng = np.random.default_rng(12)
+    device = random_device(rng)
+    bare = simulate_session("ferraris", device, rng=rng, labelled=False)
+    seen = observe(bare, CalibrateSettings(turn_angle_deg=360.0))
+    assert all(still.face is not None for still in seen.stills)
+    assert len(seen.stills) == 12
+    made = calibrate_turns(seen, None, calibrate_faces(seen, None).fit)
+    assert "known_rotation.no_rests" not in codes(made.findings)
+    last = max(turn.stop for turn in seen.session.turns)
+    without = replace(seen, stills=tuple(still for still in seen.stills if still.start < last))
+    record = replace(bare.records[0], gyro=bare.records[0].gyro[:last], accel=bare.records[0].accel[:last],
+                     time=bare.records[0].time[:last], temp_c=bare.records[0].temp_c[:last])  # fmt: skip
+    cut = replace(without, session=replace(without.session, records=(record,)))
+    lacking = calibrate_turns(cut, None, calibrate_faces(cut, None).fit)
+    assert only(lacking.findings, "known_rotation.no_rests").values["axes"] == ("z",)
 
 
 def test_block_means_within_the_rests_show_flicker():

@@ -1,5 +1,6 @@
 """The whole hand-held calibration on simulated sessions: stills found, threshold chosen, gyroscopes by integration."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -276,12 +277,30 @@ def test_an_offset_that_drifts_is_a_finding_and_widens_its_uncertainty() -> None
     np.testing.assert_allclose(fit.gyro.model.matrix, GYRO, atol=0.005)  # followed, not taken for gain
 
 
-def test_a_range_that_is_too_small_is_named_before_the_scale_is() -> None:
+def test_moves_beyond_the_range_are_left_out_by_number_and_time_and_the_scale_stays_true() -> None:
+    record = recorded()
+    assert record.gyro is not None
+    top = 0.9 * float(np.abs(record.gyro).max())
+    fit = fit_multi_position(replace(record, gyro=record.gyro.clip(-top, top)), gravity=G, stills=MOTION.stills)
+    left_out = only(fit.verdict.findings, "gyro.saturated")
+    assert 0 < left_out.values["count"] < left_out.values["of"] == 19
+    for name in left_out.values["pieces"]:
+        number, first, last = re.fullmatch(r"the move after still (\d+) \((.+)-(.+) s\)", name).groups()
+        before, after = sorted(MOTION.stills, key=lambda still: still.start)[int(number) - 1 : int(number) + 1]
+        assert float(first) == pytest.approx(record.time[before.stop - 1], abs=0.1)
+        assert float(last) == pytest.approx(record.time[after.start], abs=0.1)
+    assert fit.gyro is not None
+    np.testing.assert_allclose(fit.gyro.model.matrix, GYRO, atol=0.005)
+
+
+def test_a_range_that_is_too_small_leaves_the_accelerometer_and_says_why_there_is_no_gyroscope() -> None:
     record = recorded()
     assert record.gyro is not None
     assert record.accel is not None
-    top = 0.7 * float(np.abs(record.gyro).max())
-    with pytest.raises(Implausible, match=r"gyroscope in moves between poses: wanted [xyz] readings inside the range"):
-        fit_multi_position(replace(record, gyro=record.gyro.clip(-top, top)), gravity=G, stills=MOTION.stills)
+    top = 0.2 * float(np.abs(record.gyro).max())
+    fit = fit_multi_position(replace(record, gyro=record.gyro.clip(-top, top)), gravity=G, stills=MOTION.stills)
+    assert fit.gyro is None
+    assert "Gyroscope saturated: 19 of 19 moves left out" in fit.missing[0].text
+    np.testing.assert_allclose(fit.accel.model.matrix, ACCEL, atol=0.005)
     with pytest.raises(Implausible, match=r"accelerometer in still poses: wanted [xyz] readings inside the range"):
         fit_multi_position(replace(record, accel=record.accel.clip(-8.5, 8.5)), gravity=G, stills=MOTION.stills)

@@ -62,6 +62,14 @@ def test_a_short_record_of_white_noise_says_what_it_does_not_show() -> None:
     assert lost.headline == "gyro x, y, z: rate random walk not observable"
 
 
+def test_a_record_that_shows_bias_instability_on_no_axis_is_not_good() -> None:
+    fit = fit_noise(noisy(20_000, 0.005, 0.0, seed=2))
+    assert all(np.isnan(axis.bias_instability.value) for axis in fit.gyro)
+    lost = next(f for f in fit.verdict.findings if f.values["term"] == "bias instability")
+    assert (lost.level, fit.verdict.status) == ("warn", "marginal")
+    assert lost.text.endswith("record 1 h or more at rest, at a steady temperature")  # of 200 s
+
+
 def test_a_flat_floor_is_separated_from_a_slope() -> None:
     # Flicker: white noise shaped by the square root of frequency, put on top of white; B from h_-1 = B^2 / pi.
     rng, samples, instability = np.random.default_rng(3), 2**18, 0.01

@@ -1,5 +1,7 @@
 """Ten poses of 3 to 7 s held in the hand, from a support to a strong tremor, are found and calibrate the device."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -7,6 +9,7 @@ from testkit.data import show
 from testkit.hand_held import Tremor, hand_held_log
 from undrift.calibration.calibrate import calibrate
 from undrift.calibration.observe import CalibrateSettings, observe
+from undrift.calibration.pieces import pieces_of
 from undrift.errors import InputError, NotObservable
 from undrift.record import Record, Session
 from undrift.segments import StillSettings, find_poses, find_still, left_out
@@ -124,6 +127,19 @@ def test_what_was_left_out_says_why():
     assert out[1].value > out[1].limit == 0.015
     assert out[2].value == pytest.approx(30.0, abs=0.1)
     assert [1990 < out[0].start < 2130, out[1].start >= 3000, out[1].stop <= 3400] == [True, True, True]
+
+
+def test_what_is_refused_as_restless_is_above_the_limit_that_is_printed():
+    refused = 0
+    for seed in range(3):
+        record, _ = hand_held_log(np.random.default_rng(seed), Tremor(rate_dps=6.0, sway_deg=0.5, accel=0.1))
+        pieces, _ = pieces_of(session_of(record), CalibrateSettings(still=StillSettings()))
+        for piece in pieces:
+            if piece.why.startswith("too restless: "):
+                value, limit = re.findall(r"[0-9.]+", piece.why)
+                assert float(value) > float(limit), piece.why
+                refused += 1
+    assert refused >= 10
 
 
 def test_a_log_with_few_steady_poses_names_the_restless_ones():

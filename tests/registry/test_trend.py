@@ -8,6 +8,7 @@ import pytest
 
 from testkit.data import show
 from testkit.guided import HandFeed, capture_faces, capture_turns
+from testkit.pictures import cut_texts
 from undrift.calibration.calibrate import calibrate
 from undrift.model import Calibration, Provenance, TriadModel
 from undrift.registry.trend import MOVED, UNKNOWN_K, Dated, compare, course, headline, trend
@@ -198,6 +199,7 @@ def test_a_slow_drift_shows_since_the_first_where_no_step_does():
 
 def test_picture_and_page_show_what_moved(tmp_path):
     three = [dated(k, triad(MATRIX * (1.0 + 0.001 * k), OFFSET, rng=np.random.default_rng(k))) for k in (1, 2, 3)]
+    assert cut_texts(draw_trend("A17-of-the-third-batch-" * 5, three[0], course(three))) == []
     figure = draw_trend("A17", three[0], course(three))
     assert [axes.get_ylabel() for axes in figure.axes] == ["scale (%)", "offset (deg/s)"]
     drawn = [line.get_ydata() for line in figure.axes[0].get_lines() if len(line.get_ydata()) == 3]

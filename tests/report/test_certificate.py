@@ -176,6 +176,27 @@ def test_the_content_states_results_sources_and_references(calibration: Calibrat
     assert gyro["budget"][-2][2] == two_digits(percent)
 
 
+@pytest.mark.parametrize("separated", [True, False])
+def test_gravity_that_nobody_stated_is_in_the_budget_and_is_not_called_exact(
+    calibration: Calibration, separated: bool
+) -> None:
+    made = calibration.provenance
+    assumed = replace(made, settings=tuple((key, "standard" if key == "gravity" else v) for key, v in made.settings))
+    accel = calibration.accel if separated else replace(calibration.accel, budget=None)
+    content = certificate_content(replace(calibration, accel=accel, provenance=assumed))
+    rows = {row[0]: row[2:] for row in content["triads"][1]["budget"]}
+    assert rows["Local gravity"][0] == "0.15"  # %: a uniform distribution of +-0.027 m/s2
+    assert rows["Local gravity"][2] == "–"  # no offset follows it
+    assert float(rows["Expanded uncertainty"][0]) >= 0.30
+    (text,) = (text for text in content["traceability"] if text.startswith("Local gravity"))
+    assert "standard uncertainty 0.15 %" in text
+    assert "exact" not in text
+    (known,) = (text for text in certificate_content(calibration)["traceability"] if text.startswith("Local gravity"))
+    assert known.endswith("the accelerometers' scale factor.")
+    assert "taken as exact" in known
+    assert "Local gravity" not in {row[0] for row in content["triads"][0]["budget"]}
+
+
 def test_without_shares_one_line_states_all_sources(calibration: Calibration) -> None:
     content = certificate_content(replace(calibration, accel=replace(calibration.accel, budget=None)))
     accel = content["triads"][1]

@@ -27,16 +27,17 @@ from undrift.calibration.multi_position import FEWEST_POSES, calibrate_moves, ca
 from undrift.calibration.observe import CalibrateSettings, Observed, Outcome, at_one_temperature, in_one_unit, observe
 from undrift.calibration.offset_drift import offset_drift
 from undrift.calibration.rate_table import calibrate_rates, scale_verdict
+from undrift.calibration.rate_table_axes import NOMINAL_SD
 from undrift.calibration.reference import ReferenceFit, ReferenceSettings, cross_validated_adc, fit_reference
 from undrift.calibration.reference_accel import fit_reference_accel
 from undrift.calibration.six_face import calibrate_faces
 from undrift.calibration.unused_stills import check_accel
-from undrift.errors import CalibrationError, InputError, NotObservable, PoorFit
-from undrift.findings import Finding, finding
+from undrift.errors import CalibrationError, Implausible, InputError, NotObservable, PoorFit
+from undrift.findings import Finding, Level, finding
 from undrift.fit.least_squares import TriadFit, triad_fit
 from undrift.model import AdcModel, Calibration, Provenance, Verdict, versions_used
 from undrift.plugins import load_named, names_in
-from undrift.record import FACES, Record, Reference, Session, Turn
+from undrift.record import FACES, GravitySource, Record, Reference, Session, Turn, check_local_gravity
 from undrift.sync import LagSettings
 from undrift.units import STANDARD_GRAVITY, is_physical, si_factor
 
@@ -52,18 +53,20 @@ _LEAST_POSES = 9  # free poses of a multi-position fit
 def calibrate_rest(seen: Observed, mode: str | None, accel: TriadFit | None) -> Outcome:
     """Take the offset of the gyroscopes from rests; the scale is the unit's own. An entry of FITS."""
     unit = seen.session.records[0].gyro_unit
+    # Faces and poses alone are for the accelerometer; full turns were meant for the gyroscopes.
+    level: Level = "warn" if accel is None or seen.turns_of(2.0 * np.pi) else "info"
     if not is_physical(unit):
-        return Outcome(findings=(finding("gyro.not_observable", "warn"),))
+        return Outcome(findings=(finding("gyro.not_observable", level),))
     factor, creep = si_factor(unit, "rate"), creep_of(seen, seen.stills, "gyro")
     offset, variance = seen.rest_rate(creep.columns(np.zeros(len(seen.stills)), 1.0 / factor)[:, 0])
     if np.isnan(offset).any():
         return Outcome(findings=(finding("gyro.not_observable", "warn"),))
-    covariance = np.zeros((12, 12))
-    covariance[9:, 9:] = np.diag(variance)
+    share = np.where(np.eye(3) > 0.0, NOMINAL_SD[True], seen.settings.cross_axis_prior)
+    covariance = np.diag(np.concatenate(((factor * share.ravel()) ** 2, variance)))
     residuals = (seen.rest_means() - offset) * factor
     fit = triad_fit(
         residuals,
-        Verdict.of(finding("gyro.offset_alone", "warn")),
+        Verdict.of(finding("gyro.offset_alone", level, scale_percent=100.0 * NOMINAL_SD[True])),
         method="rest",
         unit_in=unit,
         unit_out="rad/s",
@@ -131,7 +134,8 @@ def calibrate(
     accel : str, optional
         six-face, multi-position, or a fit that another package adds; None chooses.
     gyro : str, optional
-        rate-table, known-rotation, multi-position, rest, or a fit that another package adds; None chooses.
+        rate-table, known-rotation, multi-position, rest (the offset alone), a fit that another package adds, or "none" for no
+        gyroscope; None chooses.
     mode : str, optional
         paper, affine or levelled; None is levelled for six faces and affine for turns.
     settings : CalibrateSettings
@@ -162,8 +166,8 @@ def calibrate(
     """
     if accel is not None:
         find_fit(accel, "accel")  # an unknown name is an error before anything is fitted
-    if gyro is not None:
-        find_fit(gyro, "gyro")
+    if gyro not in (None, "none"):
+        find_fit(str(gyro), "gyro")
     if mode not in (None, "paper", "affine", "levelled"):
         raise InputError(f"calibrate: wanted mode one of paper, affine, levelled, got '{mode}'; name one of them")
     if any(r.state == "corrected" for r in session.records):
@@ -180,7 +184,7 @@ def calibrate(
     triads: tuple[tuple[Triad, Outcome], ...] = (("accelerometer", of_accel), ("gyroscope", of_gyro))
     unused = tuple(item for triad, outcome in triads for item in _mode_not_used(mode, triad, outcome))
     if session.gravity_source == "standard" and of_accel.fit is not None:
-        other_temperatures += (finding("session.gravity_assumed", "info", gravity_m_s2=session.gravity_m_s2),)
+        other_temperatures += (finding("session.gravity_assumed", "warn", gravity_m_s2=session.gravity_m_s2),)
     drifted = () if of_gyro.fit is None else offset_drift(seen, float(np.linalg.norm(of_gyro.fit.model.matrix, 2)))
     of_session = (*other_temperatures, *seen.findings, *drifted)
     found = each_once((*of_session, *of_accel.findings, *of_gyro.findings, *unused))
@@ -258,7 +262,10 @@ def _calibrate_accel(seen: Observed, method: str | None, mode: Mode | None) -> O
             return Outcome(findings=(lacking,))
         if isinstance(error, PoorFit):
             raise
-        return Outcome(findings=(finding("session.fit_failed", "warn", triad="accelerometer", reason=str(error)),))
+        failed = finding("session.fit_failed", "warn", triad="accelerometer", reason=str(error))
+        there = tuple(face for face in FACES if face not in missing) or "none"
+        lacking = finding("session.faces_missing", "warn", missing=missing, faces=there, wanted=_LEAST_POSES)
+        return Outcome(findings=(lacking, failed))
 
 
 def _calibrate_gyro(seen: Observed, method: str | None, mode: Mode | None, accel: Outcome) -> Outcome:
@@ -266,17 +273,25 @@ def _calibrate_gyro(seen: Observed, method: str | None, mode: Mode | None, accel
         if method is not None:
             raise NotObservable(f"gyroscope by {method}: wanted gyroscope readings, got none; map their columns")
         return Outcome()
-    if method is not None:
-        outcome = _as_asked("gyroscope", method, find_fit(method, "gyro")(seen, mode, accel.fit))
-    else:
-        try:
-            outcome = _best_gyro(seen, mode, accel.fit)
-        except NotObservable as error:
-            outcome = calibrate_rest(seen, mode, None)
-            outcome = replace(outcome, findings=()) if outcome.fit is None else outcome
-            outcome = outcome.after(finding("session.fit_failed", "warn", triad="gyroscope", reason=str(error)))
+    if method == "none":
+        return Outcome(findings=(finding("gyro.left_out", "info"),))
+    sound, spoilt = seen.without_saturated_turns()
+    try:
+        if method is not None:
+            outcome = _as_asked("gyroscope", method, find_fit(method, "gyro")(sound, mode, accel.fit))
+        elif spoilt and not sound.session.turns:
+            outcome = calibrate_rest(seen, mode, accel.fit)
+        else:
+            outcome = _best_gyro(sound, mode, accel.fit)
+    except NotObservable as error:
+        if method is not None:
+            raise NotObservable("; ".join((str(error), *(item.text for item in spoilt))), **error.numbers) from error
+        outcome = calibrate_rest(seen, mode, accel.fit)
+        outcome = replace(outcome, findings=()) if outcome.fit is None else outcome
+        outcome = outcome.after(finding("session.fit_failed", "warn", triad="gyroscope", reason=str(error)))
+    outcome = outcome.after(*spoilt)
     if outcome.fit is None:
-        return outcome.after(*_offset_in_counts(seen))
+        return outcome.after(*_offset_in_counts(seen, Verdict.of(*outcome.findings)))
     model = outcome.fit.model
     verdict = outcome.fit.verdict.also(scale_verdict(model.scale_factor, model.unit_in))
     return replace(outcome, fit=replace(outcome.fit, verdict=verdict))
@@ -300,26 +315,28 @@ def _best_gyro(seen: Observed, mode: Mode | None, accel: TriadFit | None) -> Out
         plateaus = len(seen.plateaus())
         if len(seen.stills) >= _LEAST_POSES:
             # Slow moves between poses are steady too; on a rate table without its rates the poses fail, for any reason.
+            by_hand = accel is not None and accel.model.method == "multi-position"
             try:
                 outcome = calibrate_moves(seen, mode, accel)
             except CalibrationError:
-                if not plateaus:
+                if by_hand or not plateaus:
                     raise
             if plateaus and outcome.fit is not None and outcome.fit.verdict.status == "bad":
                 outcome = Outcome()  # the turns of a table whose rates are not stated, taken for moves
     if outcome.fit is not None:
         return outcome
     steady = (finding("rate_table.rates_not_stated", "warn", turns=plateaus),) if plateaus else outcome.findings
-    return calibrate_rest(seen, mode, None).after(*steady)
+    return calibrate_rest(seen, mode, accel).after(*steady)
 
 
-def _offset_in_counts(seen: Observed) -> Iterator[Finding]:
+def _offset_in_counts(seen: Observed, found: Verdict) -> Iterator[Finding]:
     # A model turns readings into rad/s: an offset without a scale has no place in it, and an invented scale would be used.
     unit = seen.session.records[0].gyro_unit
     offset, variance = seen.rest_rate()
     if not is_physical(unit) and not np.isnan(offset).any():
         sigma = np.sqrt(variance.max())
-        yield finding("gyro.offset_in_counts", "warn", offset=offset, unit=unit, uncertainty=sigma)
+        level: Level = "info" if found.status == "good" else "warn"
+        yield finding("gyro.offset_in_counts", level, offset=offset, unit=unit, uncertainty=sigma)
 
 
 def _mode_not_used(mode: Mode | None, triad: Triad, outcome: Outcome) -> Iterator[Finding]:
@@ -386,6 +403,8 @@ def calibrate_to_references(
     method: str = "reference",
     settings: ReferenceSettings = ReferenceSettings(),
     lag_settings: LagSettings = LagSettings(),
+    gravity_m_s2: float | None = None,
+    gravity_source: GravitySource = "stated",
 ) -> Calibration:
     """Calibrate one device from recordings with an orientation reference.
 
@@ -406,6 +425,10 @@ def calibrate_to_references(
         Of the fit.
     lag_settings : LagSettings
         Of the search for the lag between the clocks.
+    gravity_m_s2 : float, optional
+        Local gravity, m/s2; None assumes standard gravity, and the verdict says so.
+    gravity_source : str
+        "stated", or "latitude and height" where it was computed from these.
 
     Returns
     -------
@@ -417,16 +440,21 @@ def calibrate_to_references(
     InputError
         All that ``fit_reference`` raises.
     """
+    if gravity_m_s2 is None:
+        gravity_m_s2, gravity_source = STANDARD_GRAVITY, "standard"
+    check_local_gravity(gravity_m_s2, "reference")
     rounding = device_adc(records) if adc == "auto" else None
     rounding, why = cross_validated_adc(records, references, rounding, settings=settings, lag_settings=lag_settings)
     fit = find_fit(method, "reference")(records, references, settings=settings, adc=rounding, lag_settings=lag_settings)
-    accel, more = _accel_of(records, references, rounding, fit)
+    accel, more = _accel_of(records, references, rounding, fit, gravity_m_s2)
     more += () if why is None else (why,)
+    if accel is not None and gravity_source == "standard":
+        more += (finding("session.gravity_assumed", "info", gravity_m_s2=gravity_m_s2),)
     temps = [float(np.nanmean(record.temp_c)) for record in records if record.temp_c is not None]
     return Calibration(
         device=records[0].device,
         reference_temp_c=float(np.mean(temps)) if temps else float("nan"),
-        gravity_m_s2=STANDARD_GRAVITY,
+        gravity_m_s2=gravity_m_s2,
         gyro=fit.triad.model,
         accel=None if accel is None else accel.model,
         adc=rounding,
@@ -436,6 +464,7 @@ def calibrate_to_references(
                 ("gyro", method),
                 ("adc", adc),
                 ("mounting", settings.mounting),
+                ("gravity", gravity_source),
                 ("recordings", f"{len(records)}"),
             ),
             versions=versions_used(),
@@ -449,6 +478,7 @@ def _accel_of(
     references: Sequence[Reference],
     adc: AdcModel | None,
     fit: ReferenceFit,
+    gravity_m_s2: float,
 ) -> tuple[TriadFit | None, tuple[Finding, ...]]:
     """Return the accelerometers' fit to the references, or why there is none."""
     if any(record.accel is None for record in records):
@@ -459,12 +489,17 @@ def _accel_of(
             references,
             fit.triad.model,
             mountings=fit.mountings,
-            gravity_m_s2=STANDARD_GRAVITY,
+            gravity_m_s2=gravity_m_s2,
             lags_s=fit.lags_s,
         )
-        return made, ()
     except (CalibrationError, InputError) as error:
         return None, (finding("reference.accel_failed", "info", reason=str(error)),)
+    if (np.diag(made.model.matrix) < 0.0).all():
+        raise Implausible(
+            "reference: wanted accelerometers that read +g on the axis that points up, got -g on all three: acceleration has the "
+            "opposite sign; reverse its columns"
+        )
+    return made, ()
 
 
 def device_adc(records: Sequence[Record]) -> AdcModel | None:

@@ -4,17 +4,17 @@ A fit calls these before it trusts its data and after it has an answer. Every ch
 """
 
 import itertools
-from collections.abc import Sequence
-from typing import Literal
+from collections.abc import Mapping, Sequence
+from typing import Literal, NamedTuple
 
 import numpy as np
 
-from undrift.arrays import FloatArray
+from undrift.arrays import BoolArray, FloatArray
 from undrift.errors import Implausible
 from undrift.model import AXES
 from undrift.record import FACES, Face
 from undrift.segments import runs
-from undrift.units import Quantity, is_physical, si_factor
+from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, Quantity, is_physical, si_factor
 
 # ---- axis order: do a gyroscope's columns have the order and sense of the stated axes?
 #
@@ -105,31 +105,50 @@ def _and_reversed(negative: list[str]) -> str:
 # ---- readings at the end of the range
 
 _RUN = 5  # equal readings in a row: at an end it is the converter's, unless readings inside repeat as long
+_ABRUPT = 5.0  # smallest changes: a reading gets to the end of the range, or leaves it, in one sample
 _LEAST_VALUES = 20  # different readings; fewer are a constant or steps, with no top to speak of
+_FEW = 0.1  # of the readings at one end: fewer are no step of such a signal
 
 
-def check_range(windows: list[FloatArray], what: str) -> None:
-    """Raise when a triad sticks at its largest or smallest reading, over all windows (n_i, 3) together."""
-    if not windows:
-        return
-    for name, column in zip(AXES, np.concatenate(windows).T, strict=True):
-        finite = column[np.isfinite(column)]
-        if len(np.unique(finite)) < _LEAST_VALUES or _longest_inside(finite) >= _RUN:
-            continue
-        for end in (finite.max(), finite.min()):
-            if _piles_up(finite, end):
-                _check_end(finite, end, f"{what}: wanted {name}")
+class Stuck(NamedTuple):
+    """Readings of one axis at the end of the range."""
 
+    axis: int
+    reading: float
+    samples: int
 
-def _check_end(finite: FloatArray, end: float, start: str) -> None:
-    stuck = finite == end
-    if int(np.diff(runs(stuck)).max(initial=0)) >= _RUN:
-        raise Implausible(
-            f"{start} readings inside the range, got {int(stuck.sum())} samples stuck at {end:g}; choose a wider range or move "
-            "more slowly",
-            samples=int(stuck.sum()),
-            extreme=float(end),
+    def refusal(self, wanted: str) -> Implausible:
+        """Return the error that names them."""
+        return Implausible(
+            f"{wanted} readings inside the range, got {self.samples} samples stuck at {self.reading:g}; choose a wider range or "
+            "move more slowly",
+            samples=self.samples,
+            extreme=self.reading,
         )
+
+
+def stuck_in_motion(windows: Sequence[FloatArray]) -> Stuck | None:
+    """Return the axis that sticks at its largest or smallest reading, over all windows (n_i, 3) together."""
+    for axis, column in enumerate(np.concatenate(windows).T if len(windows) else ()):
+        finite = column[np.isfinite(column)]
+        for end in (finite.max(), finite.min()) if len(np.unique(finite)) > 2 else ():
+            if _piles_up(finite, end) and _sticks(finite, end):
+                return Stuck(axis, float(end), int((finite == end).sum()))
+    return None
+
+
+def stuck_windows(windows: Sequence[FloatArray]) -> BoolArray:
+    """Tell for each window (n_i, 3) whether it holds readings at an end of the range, one axis and end after the other."""
+    spoilt = np.zeros(len(windows), dtype=bool)
+    while found := stuck_in_motion([window for window, bad in zip(windows, spoilt, strict=True) if not bad]):
+        spoilt |= [bool((window[:, found.axis] == found.reading).any()) for window in windows]
+    return spoilt
+
+
+def check_range(windows: Sequence[FloatArray], what: str) -> None:
+    """Raise when a triad sticks at its largest or smallest reading, over all windows (n_i, 3) together."""
+    if found := stuck_in_motion(windows):
+        raise found.refusal(f"{what}: wanted {AXES[found.axis]}")
 
 
 def _piles_up(finite: FloatArray, end: float) -> bool:
@@ -139,12 +158,21 @@ def _piles_up(finite: FloatArray, end: float) -> bool:
     return bool((away == 0.0).sum() > ((away > 0.0) & (away <= np.median(change[change > 0.0]))).sum())
 
 
-def _longest_inside(finite: FloatArray) -> int:
-    """Return the longest run of equal readings that are neither the largest nor the smallest."""
-    begins = np.flatnonzero(np.concatenate(([True], np.diff(finite) != 0.0)))
-    length = np.diff(np.append(begins, len(finite)))
-    inside = (finite[begins] != finite.max()) & (finite[begins] != finite.min())
-    return int(length[inside].max()) if inside.any() else 0
+def _sticks(finite: FloatArray, end: float) -> bool:
+    """Tell whether readings repeat at an end as no rounding to codes and no sample that is held repeats them inside."""
+    change = np.abs(np.diff(finite))
+    begins = np.flatnonzero(np.concatenate(([True], change != 0.0)))
+    value, length = finite[begins], np.diff(np.append(begins, len(finite)))
+    jump = change[begins[1:] - 1] > _ABRUPT * change[change > 1e-9 * np.abs(finite).max()].min()
+    before, after = np.append(False, jump), np.append(jump, False)
+    inside = (length >= _RUN) & (value != finite.max()) & (value != finite.min())
+    stuck = (length >= _RUN) & (value == end)
+    if (inside & before & after).sum() > stuck.sum():
+        return False
+    if len(np.unique(finite)) < _LEAST_VALUES and (finite == end).mean() > _FEW:
+        return False
+    coarse = inside.any() or len(np.unique(finite)) < _LEAST_VALUES
+    return bool((stuck & (before | after)).any() if coarse else stuck.any())
 
 
 # ---- labels, gravity, scale
@@ -170,9 +198,11 @@ def check_gravity(means: FloatArray, gravity: float, *, factor: float = 1.6) -> 
     """Raise when the length of the specific force at rest, means (P, 3) in m/s2, cannot be gravity."""
     ratio = float(np.median(np.linalg.norm(means, axis=1))) / gravity
     if not 1.0 / factor <= ratio <= factor:
+        lengths = np.linalg.norm(means, axis=1) / gravity
+        named = force_words(ratio, float(lengths.std()) if len(lengths) > 1 else 0.0)
         raise Implausible(
             f"accelerometer at rest: wanted |a| near {gravity:.4g} m/s2, got {ratio * gravity:.4g} m/s2 ({ratio:.3f} g); "
-            f"{_likely_factor(ratio)}check the unit of the columns and the range setting",
+            f"{f'{named}: ' if named else _likely_factor(ratio)}check the unit of the columns and the range setting",
             ratio=ratio,
         )
 
@@ -254,16 +284,24 @@ def check_own_scale(
         check_scale_factor(scale_factor, 1.0 / si_factor(unit, quantity), tolerance, what)
 
 
-def check_saturation(values: FloatArray, what: str) -> None:
-    """Raise when readings (N, 3) stick at the end of the range."""
-    for axis, column in zip(AXES, values.T, strict=True):
+def stuck_at_rate(values: FloatArray) -> Stuck | None:
+    """Return the axis whose readings (N, 3) at a steady rate, or at rest, stick at the end of the range."""
+    for axis, column in enumerate(values.T):
         finite = column[np.isfinite(column)]
         steps = np.unique(np.abs(np.diff(np.unique(finite))))
         if not len(steps):
             continue
         for end in (finite.max(), finite.min()):
-            if abs(end - np.median(finite)) > _FAR_FROM_REST * max(steps[0], 1e-9 * abs(end)):
-                _check_end(finite, end, f"{what} {axis}: wanted")
+            far = abs(end - np.median(finite)) > _FAR_FROM_REST * max(steps[0], 1e-9 * abs(end))
+            if far and int(np.diff(runs(finite == end)).max(initial=0)) >= _RUN:
+                return Stuck(axis, float(end), int((finite == end).sum()))
+    return None
+
+
+def check_saturation(values: FloatArray, what: str) -> None:
+    """Raise when readings (N, 3) stick at the end of the range."""
+    if found := stuck_at_rate(values):
+        raise found.refusal(f"{what} {AXES[found.axis]}: wanted")
 
 
 def missing_faces(faces: Sequence[Face]) -> tuple[Face, ...]:
@@ -300,7 +338,39 @@ def _check_opposites(means: FloatArray, up: FloatArray) -> None:
                 )
 
 
+FORCE_UNITS = {  # length of the specific force in g -> what is wrong
+    STANDARD_GRAVITY: "acceleration is in m/s2, not g",
+    1.0 / STANDARD_GRAVITY: "acceleration is in g, not m/s2",
+    1e3: "acceleration is in mg, not g",
+    1e3 / STANDARD_GRAVITY: "acceleration is in mg, not m/s2",
+    1e-3: "acceleration is in g, not mg",
+}
+RATE_UNITS = {  # readings over what they should be -> what is wrong
+    RADIAN_PER_DEGREE: "gyroscope is in rad/s, not deg/s",
+    1.0 / RADIAN_PER_DEGREE: "gyroscope is in deg/s, not rad/s",
+    1e3: "time is in milliseconds, not seconds",
+    1e6: "time is in microseconds, not seconds",
+}
+
+
+def force_words(median_g: float, spread_g: float) -> str:
+    """Return what a specific force of another length than gravity's at rest comes from, "" where it is not known.
+
+    Lengths that scatter by more than 0.3 of their median have gravity removed; a unit only scales both.
+    """
+    if median_g < 0.5 and spread_g > 0.3 * median_g:
+        return "gravity is missing: an app's linear acceleration, without gravity"
+    return _named(median_g, FORCE_UNITS, 1.3)
+
+
+def _named(ratio: float, units: Mapping[float, str], within: float) -> str:
+    found = (text for size, text in units.items() if abs(np.log(max(abs(ratio), 1e-12) / size)) < np.log(within))
+    return next(found, "")
+
+
 def _likely_factor(ratio: float) -> str:
+    if named := _named(ratio, RATE_UNITS, 1.1):
+        return f"{named}: "
     size = max(abs(ratio), 1.0 / max(abs(ratio), 1e-12))
     for factor in _FACTORS:
         if abs(size / factor - 1.0) < 0.06:

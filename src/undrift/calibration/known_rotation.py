@@ -543,13 +543,28 @@ def _check_turns(forward: FloatArray, data: RotationData, tolerance: float) -> N
 
 # ---- from a session
 
+_NEAR_S = 5.0  # between a rest and the turn that it stands beside
+
+
+def _without_rest(records: Sequence[Record], rests: Sequence[Still], turns: Sequence[Turn]) -> tuple[Axis, ...]:
+    """Return the axes of turns without a rest close before and one close after them, whatever face is up in it."""
+    lacking = set[Axis | None]()
+    for turn in turns:
+        time, own = records[turn.recording].time, [s for s in rests if s.recording == turn.recording]
+        before = (time[turn.start] - time[s.stop - 1] for s in own if s.start < turn.start)
+        after = (time[s.start] - time[turn.stop - 1] for s in own if s.stop > turn.stop)
+        if max(min(before, default=np.inf), min(after, default=np.inf)) > _NEAR_S:
+            lacking.add(turn.axis)
+    return tuple(axis for axis in AXES if axis in lacking)
+
 
 def calibrate_turns(seen: Observed, mode: str | None, accel: TriadFit | None) -> Outcome:
     """Fit the gyroscopes of a session to its turns by known angles; an entry of FITS."""
     if all(r.accel is None for r in seen.session.records):
         return Outcome(findings=(finding("known_rotation.needs_accel", "warn"),))
-    if accel is None or len({s.face for s in seen.faced}) < 6:
-        return Outcome(findings=(finding("known_rotation.needs_faces", "warn"),))
+    missing = missing_faces([s.face for s in seen.faced if s.face is not None])
+    if accel is None or missing:
+        return Outcome(findings=(finding("known_rotation.needs_faces", "warn", missing=missing or "none"),))
     turns = tuple(t for t in seen.session.turns if t.angle is not None)
     found: tuple[Finding, ...] = ()
     if not turns:
@@ -559,12 +574,12 @@ def calibrate_turns(seen: Observed, mode: str | None, accel: TriadFit | None) ->
         taken = tuple(f"{t.axis} {(t.angle or 0.0) / RADIAN_PER_DEGREE:+.0f} deg" for t in turns)
         found = (finding("known_rotation.turns_found", "warn", turns=taken),)
     rests = seen.stills
-    if all(rest.face is not None for rest in rests):
+    if _without_rest(seen.session.records, rests, turns):
         rests = (*rests, *unused_stills(seen, (*rests, *turns)))
         if len(rests) > len(seen.stills):
             found = (*found, finding("known_rotation.rests_found", "info", rests=len(rests) - len(seen.stills)))
-        else:
-            found = (*found, finding("known_rotation.no_rests", "warn"))
+    if lacking := _without_rest(seen.session.records, rests, turns):
+        found = (*found, finding("known_rotation.no_rests", "warn", axes=lacking, within_s=_NEAR_S))
     data = rotation_data(seen.session.records, rests, turns, matrix=accel.model.matrix, offset=accel.model.offset)
     fit = fit_known_rotation(
         data,

@@ -432,10 +432,10 @@ def _choose(attempts: list[_Attempt], settings: MultiPositionSettings) -> _Attem
 # ---- from a session
 
 
-def _of_session(seen: Observed, axes: TriadFit | None = None) -> MultiPositionFit:
+def _of_session(seen: Observed, axes: TriadFit | None = None, *, gyro: bool = True) -> MultiPositionFit:
     session = seen.session
     stills = session.stills or (seen.stills if seen.adapted else None)
-    settings = MultiPositionSettings(cross_axis_prior=seen.settings.cross_axis_prior)
+    settings = MultiPositionSettings(cross_axis_prior=seen.settings.cross_axis_prior, gyro=gyro)
     model = None if axes is None or axes.model.method.startswith("multi-position") else axes.model
     return fit_multi_position(
         session.records,
@@ -449,7 +449,7 @@ def _of_session(seen: Observed, axes: TriadFit | None = None) -> MultiPositionFi
 
 def calibrate_poses(seen: Observed, mode: str | None, accel: TriadFit | None = None) -> Outcome:
     """Fit the accelerometer of a session to its free poses; an entry of FITS."""
-    made = _of_session(seen)
+    made = _of_session(seen, gyro=False)
     found = creep_of(seen, made.stills, "accel").findings()
     return Outcome(fit=made.accel, method="multi-position", findings=found, used=made.stills)
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from undrift.arrays import FloatArray, IntArray
 from undrift.calibration.adc import code_steps, code_variance, limited_by_codes
-from undrift.calibration.checks import check_axis_order, check_own_scale, check_range
+from undrift.calibration.checks import check_axis_order, check_own_scale, stuck_windows
 from undrift.calibration.creep import Creep
 from undrift.errors import InputError, NotObservable, PoorFit
 from undrift.findings import Finding, finding
@@ -270,16 +270,16 @@ def fit_gyro_between_stills(
     creep: tuple[Creep, Creep] | None = None,
 ) -> TriadFit:
     """Fit gyroscopes to the moves between still poses; creep of accelerometers and gyroscopes in these, in order of time."""
-    moves = cut_moves(records, stills, stills if cores is None else cores)
+    moves, spoilt = _without_saturated(cut_moves(records, stills, stills if cores is None else cores))
     if len(moves.first) < 5:
+        left_out = "".join(f" ({item.text})" for item in spoilt)
         raise NotObservable(
             f"multi-position gyro: wanted 5 moves or more between stills for {parameter_names(MATRIX_NAMES)}, got "
-            f"{len(moves.first)}; "
+            f"{len(moves.first)}{left_out}; "
             "turn the device by 90 deg or more about another axis between still poses of one recording",
             moves=len(moves.first),
         )
     within = [moves.gyro[a : b + 1] for a, b in zip(moves.first, moves.last, strict=True)]
-    check_range(within, "gyroscope in moves between poses")
     prior = offset_prior(moves)
     codes = code_variance(code_steps(records, rate=True), prior.noise)  # rests lie at one place between two codes
     prior = replace(prior, variance=prior.variance + codes, noise=prior.noise + codes)  # in motion it is noise again
@@ -302,7 +302,22 @@ def fit_gyro_between_stills(
     start = np.concatenate((rough_matrix(moves, accel, prior.mean).reshape(-1) * unit, np.zeros(3)))
     p, covariance, missed = _solve(problem, start)
     _check_seen(missed, p)
-    return _as_triad(problem, p, covariance, missed, records[0].gyro_unit)
+    fit = _as_triad(problem, p, covariance, missed, records[0].gyro_unit)
+    return replace(fit, verdict=fit.verdict.also(Verdict.of(*spoilt)))
+
+
+def _without_saturated(moves: Moves) -> tuple[Moves, tuple[Finding, ...]]:
+    """Return the moves without those in which a gyroscope sticks at the end of its range, and the finding that names them."""
+    spoilt = stuck_windows([moves.gyro[a : b + 1] for a, b in zip(moves.first, moves.last, strict=True)])
+    if not spoilt.any():
+        return moves, ()
+    names = tuple(
+        f"the move after still {before + 1} ({moves.time[first]:.1f}-{moves.time[last]:.1f} s)"
+        for before, first, last in zip(moves.before[spoilt], moves.first[spoilt], moves.last[spoilt], strict=True)
+    )
+    left = finding("gyro.saturated", "warn", what="moves", count=int(spoilt.sum()), of=len(spoilt), pieces=names)
+    cut = {name: getattr(moves, name)[~spoilt] for name in ("first", "last", "before", "duration_s")}
+    return replace(moves, **cut), (left,)
 
 
 def _solve(problem: _Problem, p: FloatArray) -> tuple[FloatArray, FloatArray, _Missed]:

@@ -33,6 +33,7 @@ TERMS = {  # an accelerometer has other terms for the same slopes
 }
 SIGNIFICANT = 2.0  # standard deviations above zero
 SHORTEST = 64  # samples
+_LONGER = 4  # times the record that does not show a term: twice the averaging time with twice the confidence
 _MOST_DROP_OUTS = 0.1  # of the steps: a time with more of them is not even between drop-outs
 _MODEL_ERRORS = (0.0, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5)  # of the variance at each tau, tried in turn
 
@@ -496,9 +497,10 @@ def _judged(gyro: tuple[AxisNoise, ...], accel: tuple[AxisNoise, ...], duration_
         for name, term in TERMS[triad].items():
             lost = tuple(a.axis for a in axes if getattr(a, name).finding)
             if lost:
-                level: Level = "warn" if name == "angle_random_walk" else "info"
-                more = {"axes": lost, "term": term, "duration_s": duration_s}
-                yield finding("noise.not_observable", level, triad=triad, **more)
+                nowhere = name == "bias_instability" and len(lost) == len(axes)
+                level: Level = "warn" if name == "angle_random_walk" or nowhere else "info"
+                more = {"duration_s": duration_s, "wanted_h": int(np.ceil(_LONGER * duration_s / 3600.0))}
+                yield finding("noise.not_observable", level, triad=triad, axes=lost, term=term, **more)
         worst = max((a.model_error for a in axes), default=0.0)
         if worst >= 0.1:
             yield finding("noise.model_error", "warn", triad=triad, error_percent=100.0 * worst)

@@ -13,7 +13,7 @@ import numpy as np
 
 from undrift.arrays import FloatArray
 from undrift.calibration.adc import code_steps, code_variance
-from undrift.calibration.checks import check_gravity
+from undrift.calibration.checks import check_gravity, stuck_at_rate, stuck_in_motion
 from undrift.errors import Implausible, InputError
 from undrift.findings import Finding, finding
 from undrift.fit.least_squares import TriadFit, block_size, excess_variance, noise_of_means
@@ -142,9 +142,10 @@ _SMOOTH_S = 0.1
 def check_turns(session: Session, stills: tuple[Still, ...], settle_s: float) -> Iterator[Finding]:
     """Compare every stated turn with one that is steady, or from rest to rest."""
     shares: dict[str, list[tuple[float, int]]] = {"stop": [], "spread": [], "edge": []}
+    spoilt = saturated_turns(session, settle_s)
     for k, turn in enumerate(session.turns):
         rate = np.abs(_smooth_rate(session, stills, turn, settle_s))
-        if not len(rate):
+        if not len(rate) or k in spoilt:
             continue
         level = float(np.quantile(rate, 0.9))
         if turn.angle is not None:
@@ -168,6 +169,20 @@ def check_turns(session: Session, stills: tuple[Still, ...], settle_s: float) ->
                 turns=len(over),
                 **shown,
             )
+
+
+def saturated_turns(session: Session, settle_s: float) -> tuple[int, ...]:
+    """Return the numbers of the stated turns in which a gyroscope sticks at the end of its range."""
+    spoilt = []
+    for k, turn in enumerate(session.turns):
+        record = session.records[turn.recording]
+        if record.gyro is not None:
+            steady = turn.turn_rate is not None
+            start = turn.start + (round(settle_s * record.sample_rate_hz) if steady else 0)
+            part = record.gyro[start : turn.stop]
+            if stuck_at_rate(part) if steady else stuck_in_motion([part]):
+                spoilt.append(k)
+    return tuple(spoilt)
 
 
 def _smooth_rate(session: Session, stills: tuple[Still, ...], turn: Turn, settle_s: float) -> FloatArray:
@@ -615,6 +630,16 @@ class Observed:
         shown = tuple(f"{turn.axis} {'+' if (turn.angle or 0.0) > 0.0 else '-'}" for turn in turns)
         found = finding("session.turns_found", "info", angle_deg=angle_deg, count=len(turns), turns=shown)
         return replace(self, session=replace(self.session, turns=turns), findings=(*self.findings, found))
+
+    def without_saturated_turns(self) -> tuple["Observed", tuple[Finding, ...]]:
+        """Return it without the turns in which a gyroscope sticks at the end of its range, and the finding that names them."""
+        session, numbers = self.session, saturated_turns(self.session, self.settings.settle_s)
+        if not numbers:
+            return self, ()
+        names = tuple(piece_name(session, session.turns[k], k, what="turn") for k in numbers)
+        sound = tuple(turn for k, turn in enumerate(session.turns) if k not in numbers)
+        left = finding("gyro.saturated", "warn", what="turns", count=len(numbers), of=len(session.turns), pieces=names)
+        return replace(self, session=replace(session, turns=sound)), (left,)
 
     @property
     def mostly_faces(self) -> bool:

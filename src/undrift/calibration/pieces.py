@@ -6,12 +6,15 @@ from typing import Literal
 
 import numpy as np
 
-from undrift.calibration.observe import CalibrateSettings, at_one_temperature, in_one_unit, labelled
+from undrift.calibration.checks import stuck_windows
+from undrift.calibration.observe import CalibrateSettings, at_one_temperature, in_one_unit, labelled, saturated_turns
+from undrift.findings import told_apart
 from undrift.model import Calibration
 from undrift.record import Record, Session, Still, Turn
 from undrift.segments import LeftOut, StillSearch, find_poses, find_turns, left_out
 from undrift.units import RADIAN_PER_DEGREE, is_physical, si_factor
 
+_SATURATED = "gyroscope saturated"
 _TURNED_DEG = 5.0  # a move by less is no turn worth a mark
 
 
@@ -49,7 +52,11 @@ def pieces_of(
     stated: tuple[Still | Turn, ...] = (*here.stills, *here.turns)
     kept = {(piece.recording, piece.start, piece.stop) for piece in stated}
     found = [_of_still(still, made, stated=bool(session.stills)) for still in stills]
-    found += [_of_turn(turn, made) for turn in session.turns]
+    spoilt = () if made is None else saturated_turns(session, settings.settle_s)
+    found += [
+        replace(_of_turn(turn, made), why=_SATURATED) if k in spoilt else _of_turn(turn, made)
+        for k, turn in enumerate(session.turns)
+    ]
     found = [
         replace(piece, why="another temperature")
         if (session.stills or piece.kind == "turn") and (piece.recording, piece.start, piece.stop) not in kept
@@ -73,7 +80,8 @@ def _why(one: LeftOut) -> str:
         return f"too short: {one.value:.2g} s at rest, wanted {one.limit:g} s"
     if one.why == "turning":
         return f"in a steady turn: {one.value:.3g} {one.unit}"
-    return f"too restless: {one.value:.3g} {one.unit} rms, limit {one.limit:.3g}"
+    value, limit = told_apart(one.value, ".3g", one.limit), told_apart(one.limit, ".3g", one.value)
+    return f"too restless: {value} {one.unit} rms, {'no gap above it' if np.isnan(one.limit) else f'limit {limit}'}"
 
 
 def _of_still(still: Still, made: Calibration | None, *, stated: bool) -> Piece:
@@ -119,13 +127,16 @@ def _turns(record: Record, stills: list[Still], number: int, made: Calibration |
         label = f"{turn.axis} {rate['xyz'.index(turn.axis or 'x')]:.0f} {unit}"
         why = "no stated rate" if method else ""
         yield Piece(kind="turn", start=turn.start, stop=turn.stop, recording=number, label=label, why=why)
-    for turn, angle in zip(found.rotations, found.rotation_angle * factor, strict=True):
+    windows = () if record.gyro is None else tuple(record.gyro[turn.start : turn.stop] for turn in found.rotations)
+    stuck = stuck_windows(windows)
+    for turn, angle, spoilt in zip(found.rotations, found.rotation_angle * factor, stuck, strict=True):
         size = float(np.linalg.norm(angle))
         if known and size < _TURNED_DEG:
             continue
         along = angle[np.argmax(np.abs(angle))]
         label = f"{turn.axis} {along:.0f} deg" if turn.axis and known else turn.axis or ""
         why = "" if method in ("", "multi-position") or _whole(method, turn, along) else "not a full turn"
+        why = _SATURATED if spoilt and method else why
         yield Piece(kind="turn", start=turn.start, stop=turn.stop, recording=number, label=label, why=why)
 
 

@@ -25,7 +25,7 @@ from undrift.calibration.rate_table_axes import fit_turned_axes
 from undrift.calibration.table_axis import mountings, table_axes, table_findings, table_term
 from undrift.calibration.table_rate import SHOWS, Dwells
 from undrift.errors import Implausible, NotObservable
-from undrift.findings import Finding, finding
+from undrift.findings import Finding, Level, finding
 from undrift.fit.least_squares import (
     TriadFit,
     WalkFit,
@@ -293,7 +293,8 @@ def _without_g(fit: RateTableFit) -> RateTableFit:
     g = np.zeros((3, 3)) if model.g_sensitivity is None else model.g_sensitivity
     apart = float(np.ptp(g, axis=1).max()) * STANDARD_GRAVITY / RADIAN_PER_DEGREE
     kept = [one for one in fit.verdict.findings if one.code != "rate_table.g_sensitivity"]
-    moved = finding("rate_table.axis_offset", level_of(apart, DRIFT_DPS), offset_dps=apart, wanted=DRIFT_DPS[0])
+    level = level_of(apart, DRIFT_DPS)
+    moved = finding("rate_table.axis_offset", level, offset_dps=apart, **_against(level, DRIFT_DPS))
     kept_of = None if model.budget is None else replace(model.budget, uncertainty=model.budget.uncertainty[:, :12])
     plain = replace(
         model,
@@ -369,14 +370,16 @@ def _judged(
     walk, within = (gain * max(one.walk for one in part) for part in (found, by_axis or found))
     if walk > 0.0 and (by_axis is None or within > _STAYS * walk):
         dps = walk * _MINUTE_S**0.5
-        yield finding("rate_table.drift", level_of(dps, DRIFT_DPS), dps_per_minute=dps, wanted=DRIFT_DPS[0])
+        level = level_of(dps, DRIFT_DPS)
+        yield finding("rate_table.drift", level, dps_per_minute=dps, **_against(level, DRIFT_DPS))
     elif walk > 0.0 and by_axis is not None:
         offsets = np.array([one.theta[3:6] for one in by_axis])  # sensor, axis of the table
         apart = float(np.ptp(model.matrix @ offsets, axis=1).max()) / RADIAN_PER_DEGREE
-        yield finding("rate_table.axis_offset", level_of(apart, DRIFT_DPS), offset_dps=apart, wanted=DRIFT_DPS[0])
+        level = level_of(apart, DRIFT_DPS)
+        yield finding("rate_table.axis_offset", level, offset_dps=apart, **_against(level, DRIFT_DPS))
     if widen > 1.0 or residual > RESIDUAL_PERCENT[0]:
-        level, wanted = level_of(residual, RESIDUAL_PERCENT), RESIDUAL_PERCENT[0]
-        yield finding("rate_table.scatter", level, ratio=widen**0.5, residual_percent=residual, wanted=wanted)
+        level, shown = level_of(residual, RESIDUAL_PERCENT), {"ratio": widen**0.5, "residual_percent": residual}
+        yield finding("rate_table.scatter", level, **shown, **_against(level, RESIDUAL_PERCENT))
     yield from limited_by_codes("gyroscope", dwells.codes, np.diag(model.covariance)[9:12], dwells.unit)
     uncertain = 100.0 * model.relative_uncertainty
     if dwells.axes is not None:
@@ -384,6 +387,10 @@ def _judged(
     if uncertain > UNCERTAIN_PERCENT[0]:
         level = level_of(uncertain, UNCERTAIN_PERCENT)
         yield finding("rate_table.uncertainty", level, uncertainty_percent=uncertain, wanted=UNCERTAIN_PERCENT[0])
+
+
+def _against(level: Level, limits: tuple[float, float]) -> dict[str, float | str]:
+    return {"wanted": limits[0], "against": "within" if level == "info" else "wanted"}
 
 
 def _chance(degrees_of_freedom: int) -> float:

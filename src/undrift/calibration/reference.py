@@ -468,9 +468,9 @@ def _judged(model: TriadModel, rest: FloatArray, settings: ReferenceSettings) ->
     if uncertain > 2e-3:
         yield finding("reference.uncertainty", "warn", uncertainty_percent=100.0 * uncertain)
     if settings.offset == "motion" and len(rest) > 1:
-        spread = rest.std(axis=0, ddof=1).max() * scale
-        if spread > 5e-4:  # rad/s: 0.03 deg/s
-            yield finding("reference.rest_offset", "warn", spread_dps=np.degrees(spread))
+        spread_dps = np.degrees(rest.std(axis=0, ddof=1).max() * scale)
+        if spread_dps > 0.03:
+            yield finding("reference.rest_offset", "warn", spread_dps=spread_dps)
     if model.g_sensitivity is not None and (np.abs(model.g_sensitivity).reshape(-1) < 3.0 * sigma[12:]).all():
         yield finding("reference.g_sensitivity", "warn")
 

@@ -13,6 +13,7 @@ is averaged over all values they allow; its 95 % intervals cover 93-97 % at any 
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Literal
 
 import numpy as np
@@ -433,16 +434,21 @@ def calibrate_faces(seen: Observed, mode: str | None, accel: TriadFit | None = N
 
 
 def _by_mounting(seen: Observed, poses: FaceMeans) -> FaceMeans:
-    """Return poses in which the rests of one mounting on a rate table are one.
+    """Return poses in which the rests of one mounting are one: on a rate table, or on one face with no other rest between.
 
     Where the other rests show all six faces by themselves, a mounting is off level as stated; else all show alike how far they are.
     """
     turns = [turn for turn in seen.session.turns if turn.turn_rate is not None]
     of_rest = mountings([*seen.faced, *turns])[: len(poses.faces)]
-    if poses.noise is None or not (of_rest >= 0).any():
+    laid = [n if one.face is not None else -1 for n, one in enumerate(seen.stills)]
+    for n, (before, after) in enumerate(pairwise(seen.stills), 1):
+        if laid[n] >= 0 and (before.face, before.recording) == (after.face, after.recording):
+            laid[n] = laid[n - 1]
+    place = np.where(of_rest < 0, [n for n in laid if n >= 0], -1)
+    if poses.noise is None or (not (of_rest >= 0).any() and len(set(place)) == len(place)):
         return poses
     table = seen.settings.rate_table(seen.session.rate_table)
-    groups = [[n] for n in np.flatnonzero(of_rest < 0)]
+    groups = [list(np.flatnonzero(place == n)) for n in np.unique(place[place >= 0])]
     groups += [list(np.flatnonzero(of_rest == mounting)) for mounting in np.unique(of_rest[of_rest >= 0])]
     weight = 1.0 / np.maximum(poses.noise, 1e-300) ** 2
     alone = not missing_faces([face for face, mounting in zip(poses.faces, of_rest, strict=True) if mounting < 0])

@@ -9,7 +9,8 @@ Where sigma is not known it is estimated from the residuals, and the covariance 
 equations: the variance of Student's t, so that 95 % intervals of 1.96 standard uncertainties still hold (JCGM 101, 6.4.9).
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -28,6 +29,18 @@ class TriadFit:
     model: TriadModel  # The inverse model, with covariance, count, rank, condition and range
     residuals: FloatArray  # (E,), residual of each equation, unit_out
     verdict: Verdict
+
+
+@contextmanager
+def determined(what: str) -> Iterator[None]:
+    """Turn equations without a solution into one line: the readings do not determine what was asked for."""
+    try:
+        yield
+    except np.linalg.LinAlgError as error:
+        raise NotObservable(
+            f"{what}: wanted readings that determine it, got equations without a solution ({error}); record more temperatures, "
+            "and check that no axis repeats one reading"
+        ) from error
 
 
 def triad_fit(residuals: FloatArray, verdict: Verdict = Verdict(), **of_model: Any) -> TriadFit:

@@ -29,6 +29,7 @@ from undrift.arrays import FloatArray, IntArray
 from undrift.errors import InputError, NotObservable
 
 _JITTER = 1e-11  # of the variance of the values: keeps a curve through exact values solvable
+_NOTHING = 1e-12  # rad/s, m/s2 or count: readings that do not change at all
 _ENDS = np.array([-0.5, -0.4, 0.4, 0.5])  # scaled temperature: where the slope at either end of the data is taken
 _BOW_SPAN_C = 10.0  # of the bow: the slope changes by as much as the mean slope over this span
 _BEND_SPAN_C = 50.0
@@ -244,8 +245,8 @@ def _weighed(
 ) -> Column:
     """Return a column with its hyperparameters; expected: sqrt(s2) before the data, 0 where nothing is known; size: usual range."""
     noise = float(np.sqrt(np.median(np.diag(known))))
-    size = max(float(np.ptp(y)), size, 2.0 * noise, 1e-150)
-    known = known + np.eye(len(y)) * _JITTER * max(float(np.var(y)), 1e-300)
+    size = max(float(np.ptp(y)), size, 2.0 * noise, _NOTHING)
+    known = known + np.eye(len(y)) * _JITTER * max(float(np.var(y)), 0.01 * size**2)
     bow = (span / (8.0 * _BOW_SPAN_C) * size) ** 2
     bent = np.column_stack((basis, parabola(x)))
     left = y - bent @ np.linalg.lstsq(bent, y, rcond=None)[0]

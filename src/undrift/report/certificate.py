@@ -27,8 +27,8 @@ from undrift.findings import most_consequential_first
 from undrift.io.store import content_hash
 from undrift.model import AXES, Calibration, DriftTables, TriadModel
 from undrift.report.drift import draw_dynamic
-from undrift.report.figures import AXIS_COLOURS, new_figure, svg_of
-from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical, si_factor
+from undrift.report.figures import AXIS_COLOURS, DEVICE, OPTICS, entitle, legend_above, new_figure, svg_of
+from undrift.units import INHABITED_GRAVITY, RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical, si_factor
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -78,11 +78,20 @@ def block_of(name: str) -> str:
     return head if head != "m" else "scale" if end[0] == end[1] else "cross"
 
 
-def stated(triad: TriadModel) -> Stated:
-    """Combine the shares of a triad's budget and expand them."""
+def gravity_uncertainty(calibration: Calibration, triad: str = "accel") -> float:
+    """Return the standard uncertainty of local gravity, relative: 0 where it was stated, or follows from a place."""
+    known = triad == "gyro" or dict(calibration.provenance.settings).get("gravity") in ("stated", "latitude and height")
+    return 0.0 if known else float(np.ptp(INHABITED_GRAVITY)) / math.sqrt(12.0) / calibration.gravity_m_s2
+
+
+def stated(triad: TriadModel, gravity: float = 0.0) -> Stated:
+    """Combine the shares of a triad's budget, and that of gravity's relative uncertainty in its matrix, and expand them."""
     sigma = triad.standard_uncertainty
     budget = triad.budget
     shares = {"fit": sigma} if budget is None else dict(zip(budget.sources, budget.uncertainty, strict=True))
+    if gravity > 0.0:
+        of_matrix = np.array([block_of(name) in ("scale", "cross") for name in triad.parameters])
+        shares["gravity"] = np.where(of_matrix, gravity * np.abs(np.resize(triad.matrix.ravel(), len(sigma))), 0.0)
     combined = np.sqrt(np.sum([part**2 for part in shares.values()], axis=0))
     freedom = np.full(len(sigma), np.inf)
     if "repeatability" in shares:
@@ -133,7 +142,7 @@ def certificate_content(calibration: Calibration) -> dict[str, Any]:
         "version": dict(made.versions).get("undrift", __version__),
         "conditions": [*_conditions(calibration)],
         "procedure": [*_procedure(calibration, triads)],
-        "triads": [_triad(name, triad) for name, triad in triads.items()],
+        "triads": [_triad(name, triad, gravity_uncertainty(calibration, name)) for name, triad in triads.items()],
         "pictures": [name for name, _ in _pictures(calibration.drift)],
         "traceability": [*_traceability(calibration, triads)],
         "limits": [*_limits(calibration, triads)],
@@ -201,8 +210,8 @@ def _shown(name: str) -> tuple[str, float]:
 # ---- results and budget of one triad
 
 
-def _triad(name: str, triad: TriadModel) -> dict[str, Any]:
-    made = stated(triad)
+def _units(name: str, triad: TriadModel) -> tuple[dict[str, float], dict[str, str]]:
+    """Return how many units of the budget are one of the triad's, and the unit, by block."""
     scale = float(np.diag(triad.matrix).mean())
     unit, factor = _shown(name)
     per = {
@@ -211,7 +220,23 @@ def _triad(name: str, triad: TriadModel) -> dict[str, Any]:
         "offset": abs(scale) * factor,
         "g": factor * STANDARD_GRAVITY,
     }
-    units = {"scale": "%", "cross": "%", "offset": unit, "g": f"{unit} per g"}
+    return per, {"scale": "%", "cross": "%", "offset": unit, "g": f"{unit} per g"}
+
+
+def expanded_words(name: str, triad: TriadModel, gravity: float = 0.0) -> str:
+    """Return the largest expanded uncertainty of each block in words: what a user of the calibration gets."""
+    made, (per, units) = stated(triad, gravity), _units(name, triad)
+    largest = {block: np.abs(per[block] * made.expanded[made.of_block(block)]).max(initial=0.0) for block in units}
+    if not 0.0 < sum(largest.values()) < math.inf:
+        return f"{_NAMES[name].lower()} not known"
+    parts = [f"{two_digits(largest['offset'])} {units['offset']} of {OFFSETS[name]}"] if largest["offset"] else []
+    parts += [f"{two_digits(largest[block])} % of {BLOCKS[block]}" for block in ("scale", "cross") if largest[block]]
+    held = [BLOCKS[block] for block in ("scale", "cross") if not largest[block]]
+    return f"{_NAMES[name].lower()} up to {', '.join(parts)}" + f" ({' and '.join(held)} not calibrated)" * bool(held)
+
+
+def _triad(name: str, triad: TriadModel, gravity: float) -> dict[str, Any]:
+    made, (per, units) = stated(triad, gravity), _units(name, triad)
     blocks = [block for block in BLOCKS if made.of_block(block)]
     labels = BLOCKS | {"offset": OFFSETS[name]}
     return {
@@ -272,7 +297,7 @@ def _budget_rows(name: str, made: Stated, blocks: list[str], per: Mapping[str, f
     """Yield a row for each source: how it is evaluated, rms over the parameters of each block; then combined and expanded."""
     places = {block: made.of_block(block) for block in blocks}
     for source, (label, kind, only) in SOURCE_ROWS.items():
-        if source == "gravity" and name == "accel":
+        if source == "gravity" and name == "accel" and source not in made.shares:
             yield [label, kind, *("not included" if block == "scale" else "–" for block in blocks)]
         share = made.shares.get(source)
         if share is None and (
@@ -340,6 +365,40 @@ def draw_tables(drift: DriftTables) -> "Figure":
     return figure
 
 
+def draw_calibration(calibration: Calibration) -> "Figure":
+    """Draw each matrix as departures from the ideal, and the offsets; bars are expanded uncertainties.
+    Ideal: no cross-axis terms, and the gain of the unit; the mean gain where readings are in counts or volts."""
+    triads = [(name, triad) for name in ("gyro", "accel") if (triad := getattr(calibration, name)) is not None]
+    if not triads:
+        raise InputError("plot: wanted a calibrated gyroscope or accelerometer, got neither; nothing is there to draw")
+    figure, panels = new_figure(2 * len(triads), height=1.6, share_x=False)
+    elements = [row + column for row in AXES for column in AXES]
+    style: Any = {"fmt": "o", "color": DEVICE, "capsize": 3.0, "markersize": 4.0, "label": "estimate, 95 %"}
+    for (name, triad), matrix, offset in zip(triads, panels[::2], panels[1::2], strict=True):
+        made = stated(triad)
+        expanded = dict(zip(made.names, made.expanded, strict=True))
+        gain, ideal = float(triad.scale_factor.mean()), "mean scale"
+        if is_physical(triad.unit_in):
+            gain, ideal = 1.0 / si_factor(triad.unit_in, "rate" if name == "gyro" else "accel"), "unit"
+        bars = [100.0 * gain * expanded.get(f"m_{one}", 0.0) for one in elements]
+        matrix.errorbar(elements, 100.0 * (gain * triad.matrix - np.eye(3)).ravel(), yerr=bars, **style)
+        matrix.axhline(0.0, color=OPTICS, linewidth=0.6)
+        matrix.set_ylabel(f"{name} matrix\nless {ideal} (%)")
+        offset.errorbar(AXES, triad.offset, yerr=[expanded.get(f"offset_{axis}", 0.0) for axis in AXES], **style)
+        offset.margins(0.3)
+        offset.set_ylabel(f"{name} offset\n({triad.unit_in})")
+    entitle(figure, "Matrix as departures from ideal, and offsets")
+    legend_above(panels[0])
+    return figure
+
+
+def departures_words(name: str, triad: TriadModel) -> str:
+    """Return what the departures of ``draw_calibration`` are from."""
+    if is_physical(triad.unit_in):
+        return f"{_NAMES[name]}: departures from the unit of the readings, {triad.unit_in}: what is wrong without calibration."
+    return f"{_NAMES[name]}: departures from the mean scale factor of the three axes; readings in {triad.unit_in} state no other."
+
+
 # ---- words: nothing that the calibration does not state
 
 
@@ -360,9 +419,11 @@ def _traceability(calibration: Calibration, triads: Mapping[str, TriadModel]) ->
     elif "gyro" in methods and methods["gyro"] != "rest":
         yield f"Gyroscopes: {_METHODS.get(methods['gyro'], methods['gyro'])}; see the procedure."
     if "accel" in triads:
-        source = settings.get("gravity", "not stated")
+        source, how, (least, most) = settings.get("gravity", "not stated"), "taken as exact", INHABITED_GRAVITY
+        if u := gravity_uncertainty(calibration):
+            how = f"assumed; standard uncertainty {100.0 * u:.2f} % (uniform, {least:.3f} to {most:.3f} m/s²) is in the budget"
         yield (
-            f"Local gravity: {calibration.gravity_m_s2:.5f} m/s² (source: {source}), taken as exact. "
+            f"Local gravity: {calibration.gravity_m_s2:.5f} m/s² (source: {source}), {how}. "
             "A relative error of it is the same relative error of the accelerometers' scale factor."
         )
     yield "This document states no certificate of these references and claims no accreditation."

@@ -1,0 +1,115 @@
+"""A session recorded as the documentation says is good on most devices; one that errs where it counts is not; good ones hold."""
+
+from collections import Counter
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from testkit.data import show
+from testkit.findings import codes
+from undrift.calibration.calibrate import calibrate
+from undrift.calibration.observe import CalibrateSettings
+from undrift.sim.device.presets import random_device, random_device_of
+from undrift.sim.device.truth import true_calibration
+from undrift.sim.motion.bench import BenchSettings
+from undrift.sim.sessions import simulate_session
+from undrift.units import RADIAN_PER_DEGREE as DEG
+
+KINDS = (
+    *("mpu6050", "icm20948", "bmi160", "bmi270", "bmi088", "lsm6dso"),
+    *("xsens_mti1", "shimmer3", "consumer", "industrial", "wearable", "enc03j_3031"),
+)
+WARM = {"power_on_s": 1200.0}
+MILD = {"temp_c": (24.8, 25.2), **WARM}  # and faces 0.1 deg off level
+
+
+def sessions(kind, *, labelled=True, **more):
+    """Yield a session of each of twelve devices and its settings."""
+    for seed, name in enumerate(KINDS):
+        grade = name in ("consumer", "industrial", "wearable")
+        rng = np.random.default_rng(seed)
+        device = random_device(rng, grade=name) if grade else random_device_of(name, rng)
+        settings = BenchSettings(tilt_sd=0.1 * DEG, hand_tilt_sd=0.5 * DEG)
+        rng = np.random.default_rng(1000 + seed)
+        yield simulate_session(kind, device, rng=rng, settings=settings, labelled=labelled, **more)
+
+
+def verdicts(drawn, **settings):
+    made = [calibrate(session, settings=CalibrateSettings(**settings)).verdict for session in drawn]
+    reasons = Counter(item.code for one in made for item in one.findings if item.level != "info")
+    counts = Counter(one.status for one in made)
+    show("verdicts of 12 devices", dict(counts), dict(reasons))
+    return counts, reasons
+
+
+@pytest.mark.parametrize(
+    ("kind", "labelled", "angle"),
+    [
+        ("six_face", True, None),
+        ("six_face", False, None),
+        ("ferraris", True, None),
+        ("ferraris", False, 360.0),
+        ("multi_position", True, None),
+        ("multi_position", False, None),
+    ],
+)
+@pytest.mark.parametrize("temperature", [True, False])
+def test_a_sound_session_on_a_mildly_erring_bench_is_good_on_four_devices_of_five(kind, labelled, angle, temperature):
+    drawn = sessions(kind, labelled=labelled, **MILD)
+    if not temperature:
+        drawn = (replace(s, records=tuple(replace(r, temp_c=None) for r in s.records)) for s in drawn)
+    counts, reasons = verdicts(drawn, turn_angle_deg=angle)
+    assert counts["good"] >= 0.8 * len(KINDS), reasons
+    assert counts["bad"] == 0
+
+
+@pytest.mark.parametrize("kind", ["six_face", "ferraris", "multi_position"])
+def test_a_session_whose_numbers_are_in_doubt_is_never_good(kind):
+    counts, _ = verdicts(sessions(kind, temp_c=(22.0, 27.0)))  # 5 K within the session
+    assert counts["good"] == 0
+    counts, reasons = verdicts(replace(s, gravity_source="standard") for s in sessions(kind, **MILD))
+    assert (counts["good"], reasons["session.gravity_assumed"]) == (0, len(KINDS))
+
+
+def test_full_turns_that_give_no_scale_are_no_information_alone():
+    session = next(sessions("ferraris", **MILD))
+    record, stop = session.records[0], session.turns[0].stop + 600  # six faces, one turn and the rest after it
+    kept = {name: getattr(record, name)[:stop] for name in ("time", "gyro", "accel", "temp_c")}
+    made = calibrate(replace(session, records=(replace(record, **kept),), stills=(), turns=()))
+    assert made.gyro is None
+    assert made.verdict.status == "marginal"
+    assert {"gyro.not_observable", "gyro.offset_in_counts"} <= set(codes(made.verdict.findings))
+
+
+def test_the_scale_of_offset_alone_is_uncertain_as_a_part_s_is():
+    session = next(sessions("six_face", **MILD))
+    record = session.records[0]
+    made = calibrate(replace(session, records=(replace(record, gyro=record.gyro / 16.4, gyro_unit="dps"),)))
+    assert made.gyro.method == "rest"
+    relative = made.gyro.standard_uncertainty[:9].reshape(3, 3) / np.diag(made.gyro.matrix)
+    np.testing.assert_allclose(np.diag(relative), 0.03)
+    assert made.verdict.status == "good"
+
+
+def test_intervals_hold_where_a_bare_log_of_tilted_faces_is_good():
+    # Rests before and after a full turn lie on one face as they were laid down: they are one draw of its tilt, not two.
+    inside = {"scale": [], "cross": [], "offset": []}
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        device = random_device(rng)
+        session = simulate_session(
+            "ferraris", device, rng=rng, labelled=False, settings=BenchSettings(tilt_sd=0.1 * DEG), temp_c=25.0
+        )
+        made = calibrate(session, settings=CalibrateSettings(turn_angle_deg=360.0))
+        if made.verdict.status != "good":
+            continue
+        truth, sigma = true_calibration(device, temp_c=25.0).accel, made.accel.standard_uncertainty
+        held = np.abs(made.accel.matrix - truth.matrix) <= 1.96 * sigma[:9].reshape(3, 3)
+        inside["scale"] += np.diag(held).tolist()
+        inside["cross"] += held[~np.eye(3, dtype=bool)].tolist()
+        inside["offset"] += (np.abs(made.accel.offset - truth.offset) <= 1.96 * sigma[9:12]).tolist()
+    shares = {name: round(float(np.mean(each)), 3) for name, each in inside.items()}
+    show("inside 95 % where good", shares, f"0.9 or more of {len(inside['cross'])}")
+    assert len(inside["scale"]) >= 3 * 32  # most are good
+    assert min(shares.values()) >= 0.90
