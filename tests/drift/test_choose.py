@@ -7,9 +7,11 @@ import pytest
 
 from testkit.data import show
 from testkit.rate_steps import GRID, SOAKS, computed
+from undrift.drift.fit import _requested
 from undrift.drift.observe import RestBlocks
 from undrift.drift.select import ALTERNATIVES, choose_tables
 from undrift.errors import NotObservable
+from undrift.report.drift import choice_rows
 from undrift.sim.device.effects import RateDrift, ThermalScale
 from undrift.sim.device.presets import random_device_of
 from undrift.sim.device.truth import true_calibration, true_tables
@@ -162,3 +164,20 @@ def test_one_rate_at_two_soaks_cannot_be_judged_and_keeps_the_line_with_a_findin
     assert (why.code, why.values["set_points"]) == ("drift.tables_unjudged", 2)
     assert why.values["constant_dps"] == pytest.approx(0.25 / 3.0**0.5, rel=0.15)
     assert choice.verdict.status == "marginal"
+
+
+def test_nothing_is_called_held_out_that_was_fitted():
+    fitted, _ = one_way(0, np.array([25.0, 45.0]))
+    table = fitted.alternatives
+    assert np.isnan(table.left_out_rms_dps).all()
+    assert np.isfinite(table.fitted_rms_dps[:2]).all()
+    assert "fitted, nothing could be held out (2 set-points)" in table.reason
+    assert "nothing held out" in [row[2] for row in choice_rows(table)]
+    asked = _requested(fitted, "scale")
+    assert asked.alternatives.why.level == "warn"
+    assert "fitted, nothing could be held out" in asked.alternatives.reason
+    assert asked.verdict.status == "marginal"
+    soaks, _ = one_way(0, TEMPS)  # one rate: no rate can be left out
+    assert "(5 of 7 soaks at 7 set-points held out)" in soaks.alternatives.reason
+    rates = chosen(device(0, rate_drift=None), temps=np.array([25.0, 45.0]))
+    assert "(rates held out)" in rates.alternatives.reason

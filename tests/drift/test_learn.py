@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from testkit.data import data_path, show
+from testkit.pictures import cut_texts
 from testkit.plain_triad import plain_triad
 from undrift.correction.correct import DriftRangeWarning, correct
 from undrift.drift.daily_rests import LearnSettings
@@ -378,7 +379,9 @@ def test_the_turn_of_a_rest_is_its_uncertainty_and_too_much_of_it_leaves_it_out(
     )
     assert (np.sqrt(held.gyro_variance[0]) < 0.004).all()
     np.testing.assert_allclose(np.sqrt(held.gyro_variance[1]), 1.0 / 20.0 / 2.0**0.5, rtol=0.1)
-    (bars,) = draw_learnt(fit).axes[0].containers[0].lines[2]  # of x, deg/s
+    figure = draw_learnt(fit)
+    (bars,) = figure.axes[0].containers[0].lines[2]  # of x, deg/s
+    assert cut_texts(figure) == []
     drawn = [np.ptp(bar[:, 1]) / 2.0 for bar in bars.get_segments()]
     np.testing.assert_allclose(drawn, 1.96 * np.sqrt(held.gyro_variance[:, 0]))
     nodes = np.array([15.0, 35.0])

@@ -152,3 +152,36 @@ def test_a_session_of_set_points_is_read_from_its_toml_as_from_its_map(tmp_path)
     (tmp_path / "session.toml").write_text((head + dps).replace('"set-points"', '"thermal"'))
     with pytest.raises(InputError, match="wanted a table of means for each recording of kind set-points"):
         read_session(tmp_path)
+
+
+DPS = """
+columns = { temp = 0, gyro = [1, 2, 3] }
+units = { temp = "degC", gyro = "dps" }
+set_points = { rate = 4, axis = "z" }
+"""
+
+
+def bare(folder: Path, temp_c, gyro, rate):
+    """Write a table without a header and read it by position."""
+    rows = np.column_stack((temp_c, gyro + np.outer(rate, (0.0, 0.0, 1.0)), rate))
+    (folder / "bare.csv").write_text("\n".join(",".join(f"{cell:.9g}" for cell in row) for row in rows) + "\n")
+    return session_from_files([folder / "bare.csv"], read_file_map(mapped(folder, DPS)))
+
+
+def test_every_row_of_a_table_without_a_header_is_a_block_of_rest(tmp_path):
+    temp_c = np.linspace(-10.0, 56.0, 34)
+    fit = fit_drift([bare(tmp_path, temp_c, truth(temp_c), np.zeros(34))])
+    assert (len(fit.rests), float(fit.rests.temp_c.min())) == (34, -10.0)
+
+
+def test_gyroscopes_that_repeat_one_reading_are_fitted(tmp_path):
+    up = np.linspace(20.0, 40.0, 17)
+    fit = fit_drift([bare(tmp_path, np.concatenate((up, up[::-1])), np.tile((0.0, 0.0, 0.2), (34, 1)), np.zeros(34))])
+    np.testing.assert_allclose(fit.static.table.gyro_offset - (0.0, 0.0, 0.2), 0.0, atol=1e-6)
+
+
+def test_rates_that_determine_no_surface_are_a_finding(tmp_path):
+    rng = np.random.default_rng(1)
+    temp_c, rate = np.array([30.0, 30.0, 30.0, 20.0, 30.0]), np.array([0.0, 100.0, -100.0, 0.0, 100.0])
+    fit = fit_drift([bare(tmp_path, temp_c, truth(temp_c) + rng.normal(0.0, 0.005, (5, 3)), rate)])
+    assert "drift.tables_not_observable" in {item.code for item in fit.verdict.findings}

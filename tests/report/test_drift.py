@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from matplotlib.colors import to_hex
 
+from testkit.pictures import cut_texts
 from undrift.drift.checks import ScaleSummary, TriadSummary
 from undrift.drift.select import Alternatives
 from undrift.findings import finding
@@ -150,6 +151,7 @@ def test_every_picture_names_what_it_shows_and_is_the_same_twice(name):
     for word in WORDS[name]:
         assert word in text, word
     assert text == svg_of(DRAWN[name]())
+    assert cut_texts(DRAWN[name]()) == []
 
 
 def test_an_axis_that_was_not_turned_is_not_drawn():

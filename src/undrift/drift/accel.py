@@ -200,7 +200,7 @@ def _joint(poses: WarmPoses, gravity: float, at: FloatArray) -> tuple[FloatArray
     own = np.diag(c)
     variance[:, _ON_AXES] = own[:6] + 2.0 * warm * np.diag(c[:6, 6:]) + warm**2 * own[6:]
     notes = [finding("drift.accel_joint", "warn", parameters=len(JOINT_NAMES))]
-    if rms / gravity >= _MISSES_G[0]:
+    if rms / gravity > _MISSES_G[0]:
         level: Level = "fail" if rms / gravity > _MISSES_G[1] else "warn"
         limit = 1e3 * _MISSES_G[0]
         notes.append(finding("drift.accel_misses_gravity", level, rms_mg=1e3 * rms / gravity, limit_mg=limit))

@@ -29,7 +29,7 @@ from undrift.drift.scale import MATRIX_GAP_C, Steps, measured_rate, rests_of, st
 from undrift.drift.static import near_data
 from undrift.errors import NotObservable
 from undrift.findings import finding
-from undrift.fit.least_squares import excess_variance
+from undrift.fit.least_squares import determined, excess_variance
 from undrift.model import AXES, Calibration, DynamicDrift, ScaleDrift, StaticDrift, Verdict
 
 DEFAULT_STEP_C = 5.0
@@ -275,6 +275,7 @@ def _verdict(points: list[SurfacePoints | None]) -> Verdict:
 # ---- the surface e(w, T) with e(0, T) = 0 through scattered points
 
 
+@determined("rate drift")
 def fit_surface(
     points: SurfacePoints,
     *,
@@ -339,8 +340,8 @@ def _softnesses(
     groups, few = int(points.mounting.max()) + 1, len(np.unique(points.soak)) < 3
     pairs = [(of_rate, of_temp) for of_temp in _SOFTNESS[: 1 if few else None] for of_rate in _SOFTNESS]
     scores = np.array([_held_out_square(points, x, v, _penalty(pair, size, bends, groups)) for pair in pairs])
-    if not scores.any():  # nothing could be left out: as stiff as may be
-        return pairs[:1], np.ones(1)
+    if not scores.min() > 0.0:  # nothing could be left out: as stiff as may be; or what was is met exactly
+        return [pairs[int(scores.argmin())]], np.ones(1)
     weights = (scores / scores.min()) ** (-0.5 * len(points))
     kept = weights > _NEGLIGIBLE * weights.sum()
     return [pair for pair, keep in zip(pairs, kept, strict=True) if keep], weights[kept] / weights[kept].sum()

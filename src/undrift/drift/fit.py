@@ -41,6 +41,7 @@ from undrift.drift.temperature import Temperature, TemperatureSettings, check_sp
 from undrift.drift.thermometer_lag import LagFit, default_smooth_s, estimate_lag, without_lag_smooth
 from undrift.errors import InputError, NotObservable
 from undrift.findings import finding
+from undrift.fit.least_squares import determined
 from undrift.model import BEYOND_SEEN_C, Calibration, DriftTables, Provenance, Verdict, versions_used
 from undrift.record import Session
 from undrift.views import Shown
@@ -140,6 +141,7 @@ class DriftFit(Shown):
         return {"tables": tables, "data": data, "verdict": self.verdict.status} | reasons
 
 
+@determined("drift")
 def fit_drift(
     sessions: Sequence[Session],
     calibration: Calibration | None = None,
@@ -357,6 +359,9 @@ def _requested(choice: Choice, tables: Alternative) -> Choice:
             f"{tables} cannot be fitted to these steps; turn about each axis at three rates at each soak"
         )
     why = finding("drift.tables_requested", "info", tables=tables, automatic=choice.alternatives.chosen)
+    if np.isnan(choice.alternatives.left_out_rms_dps).all():
+        points = choice.alternatives.why.values["set_points"]
+        why = finding("drift.tables_requested_unjudged", "warn", tables=tables, set_points=points)
     asked = replace(choice.alternatives, chosen=tables, why=why)
     return replace(choice, alternatives=asked, verdict=choice.verdict_of(tables, why))
 

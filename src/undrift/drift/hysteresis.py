@@ -107,7 +107,7 @@ def state_of(history: TempHistory | None, crossing_k: float) -> LoopState:
 
 def follow_loop(temp_c: FloatArray, time: FloatArray, *, state: LoopState) -> tuple[FloatArray, LoopState]:
     """Return the position in the loop at each reading, (N,), and the state after them; temp_c (N,) degC, time (N,) s."""
-    from undrift.kernels.hysteresis import follow
+    from undrift.kernels.correct import follow
 
     *held, crossing = astuple(state)
     carried, position = np.array(held), np.empty(len(temp_c))
@@ -214,7 +214,8 @@ def choose_loop(
         return None
     best = 0
     for k in (1, 2):
-        best = k if np.log(errors[k] / errors[best]).mean() < math.log(_BETTER) else best
+        ratio = np.maximum(errors[k], 1e-300) / np.maximum(errors[best], 1e-300)
+        best = k if np.log(ratio).mean() < math.log(_BETTER) else best
     fitted = fit(replace(cells, regressors=np.hstack((models[max(best, 1)], others))), known)
     if best == 2 and not shows(fitted[1], 1):
         best, fitted = 1, fit(replace(cells, regressors=np.hstack((models[1], others))), known)

@@ -49,7 +49,7 @@ class Alternatives:
     fitted_rms_dps: FloatArray  # (4,), residual of the fit to all steps, deg/s; NaN where it could not be fitted
     soak_rms_dps: FloatArray  # (4,), of the soaks that were held out; NaN with fewer than three set-points
     rate_rms_dps: FloatArray  # (4,), of the rates that were held out; NaN with fewer than three rates
-    left_out_rms_dps: FloatArray  # (4,), of both together: the choice is made by it
+    left_out_rms_dps: FloatArray  # (4,), of both together: the choice is made by it; NaN where none could be
     standard_error_dps: FloatArray  # (4,), standard error of ``left_out_rms_dps``
     chosen: Alternative
     why: Finding
@@ -191,30 +191,32 @@ def _cross_validated(
     square = np.where(np.isnan(in_fit), np.nan, every.mean(axis=0) if len(every) else in_fit)
     error = every.std(axis=0, ddof=1) / np.sqrt(len(every)) if len(every) > 1 else np.zeros(len(ALTERNATIVES))
     rms, nothing = np.sqrt(square), np.full((1, len(ALTERNATIVES)), np.nan)
-    why = _selected(square, error, steps, len(by_soak)) if len(every) else _unjudged(square, steps)
+    why = _selected(square, error, steps, (len(by_soak), len(by_rate))) if len(every) else _unjudged(square, steps)
     return Alternatives(
         name=ALTERNATIVES,
         fitted_rms_dps=np.sqrt(in_fit) / RADIAN_PER_DEGREE,
         soak_rms_dps=np.sqrt((soak if len(soak) else nothing).mean(axis=0)) / RADIAN_PER_DEGREE,
         rate_rms_dps=np.sqrt((rate if len(rate) else nothing).mean(axis=0)) / RADIAN_PER_DEGREE,
-        left_out_rms_dps=rms / RADIAN_PER_DEGREE,
+        left_out_rms_dps=rms / RADIAN_PER_DEGREE if len(every) else nothing[0],
         standard_error_dps=0.5 * error / np.where(rms > 0.0, rms, np.inf) / RADIAN_PER_DEGREE,
         chosen=why.values["tables"],  # type: ignore[arg-type]
         why=why,
     )
 
 
-def _selected(square: FloatArray, error: FloatArray, steps: Steps, held_out: int) -> Finding:
-    """Take the simplest within one standard error, or 5 % of rms, of the best."""
+def _selected(square: FloatArray, error: FloatArray, steps: Steps, held_out: tuple[int, int]) -> Finding:
+    """Take the simplest within one standard error, or 5 % of rms, of the best; held_out counts folds by soak and by rate."""
     best = int(np.nanargmin(square))
     limit = max(square[best] + error[best], square[best] * _WORTH**2)
     chosen = int(np.flatnonzero(square <= limit)[0])
     dps = np.sqrt(square) / RADIAN_PER_DEGREE
     numbers, point = _set_points(steps)
+    of_soaks = f"{held_out[0]} of {len(numbers)} soaks at {int(point.max()) + 1} set-points"
     values = {
         "tables": ALTERNATIVES[chosen],
         "error_dps": dps[chosen],
-        "held_out": held_out,
+        "held": "rates" if not held_out[0] else f"{of_soaks}, and rates," if held_out[1] else of_soaks,
+        "held_out": held_out[0],
         "soaks": len(numbers),
         "set_points": int(point.max()) + 1,
     }

@@ -39,6 +39,7 @@ from undrift.drift.rests import (
 )
 from undrift.errors import NotObservable
 from undrift.findings import Finding, finding
+from undrift.fit.least_squares import determined
 from undrift.fit.smooth import NodeValues, Scatter, SmoothSpline, fit_smooth, not_a_knot
 from undrift.model import AXES, Calibration, StaticDrift, TriadModel, Verdict, WarmUp
 
@@ -296,6 +297,7 @@ def _triad_findings(sensor: str, found: TriadDrift) -> list[Finding]:
 # ---- one triad: the curve with hysteresis, warm-up and sessions
 
 
+@determined("offset over temperature")
 def fit_curve(offsets: Offsets, *, warm_up: bool, lag_doubt_s: float | None = None) -> OffsetCurve:
     """Fit offset over temperature and what goes beside it; a loop is corrected where a doubt about the lag is given."""
     blocks, found, state = offsets.blocks, list[Finding](), cooling(offsets.blocks)

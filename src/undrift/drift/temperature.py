@@ -294,6 +294,7 @@ def _off_set_points(raw: FloatArray, stated: list[tuple[slice, float]], index: i
             recording=index,
             read_c=at + off,
             set_point_c=at,
+            edge_c=at + np.copysign(OFF_SET_POINT_C, off),
             count=len(far),
             pieces=len(apart),
             limit_c=OFF_SET_POINT_C,

@@ -11,7 +11,7 @@ import numpy as np
 from undrift.drift.hysteresis import SIGNIFICANT
 from undrift.errors import InputError
 from undrift.model import AXES
-from undrift.report.figures import DEVICE, ERROR, LIMIT, new_figure, stretches, svg_of
+from undrift.report.figures import DEVICE, ERROR, LIMIT, entitle, legend_outside, new_figure, stretches, svg_of
 from undrift.report.page import Origin, Section, write_page
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
@@ -63,8 +63,8 @@ def draw_offsets(summary: "TriadSummary") -> "Figure":
     seen = "the same less the table" if len(summary.block_temp_c) else "uncertainty of the table"
     panels[1].set_title(seen if summary.in_table else "the same less the fit", loc="left", fontsize=10)
     if not len(summary.block_temp_c):
-        panels[0].set_title("all poses together: a pose has no single offset", loc="right", fontsize=8.7)
-    _legend_below(figure, panels[1])
+        entitle(figure, "All poses together: a pose has no single offset")
+    legend_outside(figure, *panels[1].get_legend_handles_labels())
     return figure
 
 
@@ -118,11 +118,6 @@ def _draw_level(axes: "Axes", summary: "TriadSummary", k: int, factor: float, va
     axes.set_ylim(low - margin, high + margin)
 
 
-def _legend_below(figure: "Figure", axes: "Axes") -> None:
-    handles, names = axes.get_legend_handles_labels()
-    figure.legend(handles, names, loc="outside lower left", ncols=3, frameon=False)
-
-
 def _shade(axes: "Axes", temp_c: "FloatArray", extrapolated: "BoolArray") -> None:
     """Hatch the spans of nodes that no data were near."""
     half = 0.5 * (temp_c[-1] - temp_c[0]) / (len(temp_c) - 1)
@@ -159,7 +154,7 @@ def draw_learnt(fit: "LearnFit") -> "Figure":
         axes.set_ylabel(f"{axis} (deg/s)")
     panels[-1].set_xlabel("temperature (degC)")
     panels[0].set_title("gyroscope offset less the mean of the table", loc="left", fontsize=10)
-    _legend_below(figure, panels[0])
+    legend_outside(figure, *panels[0].get_legend_handles_labels())
     return figure
 
 
@@ -211,7 +206,7 @@ def draw_scale(summary: "ScaleSummary") -> "Figure":
         axes.set_xlim(float(summary.temp_c[0]), float(summary.temp_c[-1]))
     panels[-1].set_xlabel("temperature (degC)")
     panels[0].set_title("scale factor against the calibration's", loc="left", fontsize=10)
-    _legend_below(figure, panels[0])
+    legend_outside(figure, *panels[0].get_legend_handles_labels())
     return figure
 
 
@@ -234,7 +229,7 @@ def draw_dynamic(drift: "DynamicDrift") -> "Figure":
             axes.plot(rate, near, color=colour, marker=marker, markersize=3.0, label=name)
         axes.set_ylabel(f"{axis}: correction (deg/s)")
     panels[-1].set_xlabel("measured rate (deg/s)")
-    _legend_below(figure, panels[0])
+    legend_outside(figure, *panels[0].get_legend_handles_labels())
     return figure
 
 
@@ -322,11 +317,12 @@ CHOICE_HEADS = ("tables with offsets", "fitted (deg/s rms)", "held out (deg/s rm
 
 def choice_rows(alternatives: "Alternatives") -> tuple[tuple[str, ...], ...]:
     """Return one row of cells for each choice of tables."""
+    held, doubt = alternatives.left_out_rms_dps, alternatives.standard_error_dps
     return tuple(
         (
             name,
             f"{fitted:.3g}" if np.isfinite(fitted) else "not fitted",
-            plus_minus(alternatives.left_out_rms_dps[k], alternatives.standard_error_dps[k]).lstrip("+"),
+            "nothing held out" if np.isnan(held).all() else plus_minus(held[k], doubt[k]).lstrip("+"),
             "chosen" if name == alternatives.chosen else "",
         )
         for k, (name, fitted) in enumerate(zip(alternatives.name, alternatives.fitted_rms_dps, strict=True))
