@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from testkit.data import show
+from testkit.findings import only
 from undrift.errors import InputError
 from undrift.frames import quaternion_conjugate, quaternion_product
 from undrift.model import TriadModel
@@ -350,3 +351,55 @@ def test_a_slow_steady_turn_is_no_rest_and_both_triads_are_wanted():
         assert np.isfinite(OrientStream().push(Record(time=time, gyro=gyro, accel=accel))[-1]).all() == known
     with pytest.raises(InputError, match=r"wanted gyroscope and accelerometer readings, got one of them; map both"):
         OrientStream().push(Record(time=time, accel=accel))
+
+
+# ---- axes of the pitch
+
+
+def stood_up(axes, *, lean=0.7):
+    """A device that rests upright for 2 s and leans forward and back, worn with sensor axes as the rows forward, left, up say."""
+    time = np.arange(800) * 0.01
+    course = np.where(time < 2.0, 0.0, lean * np.sin(np.pi * (time - 2.0) / 6.0) ** 2)
+    rate = np.diff(course, prepend=0.0) / 0.01
+    gyro, force = np.zeros((800, 3)), np.column_stack((-G * np.sin(course), np.zeros(800), G * np.cos(course)))
+    gyro[:, 1] = rate
+    worn = np.array(axes, float)
+    return Record(time=time, gyro=gyro @ worn + 1e-9 * np.arange(800)[:, None], accel=force @ worn)
+
+
+@pytest.mark.parametrize(
+    ("axes", "up", "forward"),
+    [
+        (((0, 0, -1), (0, 1, 0), (1, 0, 0)), "+x", ["+z", "-z"]),
+        (((1, 0, 0), (0, 0, -1), (0, 1, 0)), "+y", ["+x", "-x"]),
+        (((1, 0, 0), (0, -1, 0), (0, 0, -1)), "-z", ["+x", "-x"]),
+    ],
+)
+def test_pitch_by_axes_that_the_device_is_not_worn_with_names_those_that_the_rest_and_the_motion_show(
+    axes, up, forward
+):
+    record, still = stood_up(axes), Still(start=0, stop=200)
+    item = only(orient(record, still).findings, "orient.pitch_axes")
+    assert item.level == "warn"
+    assert (item.values["up"], list(item.values["forward"])) == (up, forward)
+    leans = {}
+    for way in forward:
+        found = orient(record, still, OrientSettings(forward=way, up=up))
+        assert not [one for one in found.findings if one.code == "orient.pitch_axes"]
+        leans[way] = np.degrees([found.pitch.min(), found.pitch.max()])
+        assert f"{way} ({leans[way][0]:.0f} to {leans[way][1]:.0f} deg)" in item.action
+    (right,) = (way for way, lean in leans.items() if lean[1] > 30.0)
+    assert leans[right] == pytest.approx([0.0, np.degrees(0.7)], abs=0.3)
+
+
+def test_an_upright_device_and_a_deep_bow_are_no_matter_of_axes():
+    upright = ((1, 0, 0), (0, 1, 0), (0, 0, 1))
+    for lean in (0.3, 1.6):
+        found = orient(stood_up(upright, lean=lean), Still(start=0, stop=200))
+        assert not [one for one in found.findings if one.code == "orient.pitch_axes"]
+
+
+def test_a_pitch_that_wraps_about_the_right_axes_is_stated_and_is_no_warning():
+    upright = ((1, 0, 0), (0, 1, 0), (0, 0, 1))
+    item = only(orient(stood_up(upright, lean=4.0), Still(start=0, stop=200)).findings, "orient.pitch_axes")
+    assert (item.level, item.values["up"]) == ("info", "+z")

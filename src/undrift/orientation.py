@@ -4,8 +4,9 @@ Tilt: at rest the specific force f in b points up, and the shortest rotation tha
 
     q_nb ~ (1 + f_z, f_y, -f_x, 0)               then a turn about n's z to the wanted heading
 
-Its error is, to first order, the level part of the error of f over |f|: the scatter of the mean, with the correlation between
-samples, and the calibration's uncertainty. Strapdown, exact for a rate that is constant on (k-1, k]::
+Its error is, to first order, the level part of the error of f over |f|, whose sources are those of correction/rest.py. It has two
+components, so that 95 % of errors lie within a circle of 1.73 (both alike) to 1.96 (one alone) standard uncertainties. Strapdown,
+exact for a rate that is constant on (k-1, k]::
 
     q_nb[k] = q_nb[k-1] (x) exp(w_b[k] (t[k] - t[k-1]))
 
@@ -27,13 +28,14 @@ from the accelerometers and tracks the offset, with that uncertainty as the prio
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray, frozen
-from undrift.correction.rest import FEWEST, mean_variance, no_rest
+from undrift.correction.consistency import check_triads
+from undrift.correction.rest import FEWEST, first_rest, force_covariances, mean_variance, no_rest
 from undrift.errors import InputError
 from undrift.findings import Finding, finding
 from undrift.frames import quaternion_conjugate, quaternion_product, rotate
@@ -51,23 +53,41 @@ if TYPE_CHECKING:
 GRAVITY_WITHIN = 0.2  # of standard gravity: beyond it the readings are no specific force at rest in m/s2
 
 
+NOT_CALIBRATED = "scatter only; accelerometer not calibrated: typically 0.3 deg"
+NOT_STATED = (
+    "scatter only; the file does not say how well its accelerometer is calibrated: correct the raw recording anew"
+)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Tilt:
     """Orientation at rest."""
 
     q_nb: FloatArray  # (4,), b to n, w-x-y-z
     specific_force: FloatArray  # (3,), mean over the still phase, m/s2, frame b
-    # Standard uncertainty of the direction of gravity by scatter and calibration, both level axes together, rad
-    inclination_uncertainty: float
-    scatter_uncertainty: float  # The share of it that comes from the scatter of the samples, rad
+    inclination_uncertainty: float  # Standard uncertainty of the direction of gravity, both level axes together, rad
+    expanded_uncertainty: float  # 95 % of directions err by less, rad
+    parts: tuple[tuple[str, float], ...]  # Its share by source, rad: squares sum to that of the whole
+    basis: str  # "calibration", or why the accelerometers' own part is missing
 
     def __post_init__(self) -> None:
         for name, shape in (("q_nb", (4,)), ("specific_force", (3,))):
             object.__setattr__(self, name, frozen(getattr(self, name), shape, f"Tilt.{name}"))
 
+    @property
+    def statement(self) -> str:
+        """How well it is known, in words."""
+        whole, most = (angle / RADIAN_PER_DEGREE for angle in (self.inclination_uncertainty, self.expanded_uncertainty))
+        if self.basis != "calibration":
+            return f"{self.basis} (scatter {whole:.2g} deg)"
+        shares = ", ".join(f"{name} {part / RADIAN_PER_DEGREE:.2g}" for name, part in self.parts)
+        return f"standard uncertainty {whole:.2g} deg, 95 % within {most:.2g} deg (in deg: {shares})"
 
-def initial_tilt(record: Record, still: Still, *, heading: float = 0.0, accel_model: TriadModel | None = None) -> Tilt:
+
+def initial_tilt(record: Record, still: Still, *, heading: float = 0.0) -> Tilt:
     """Find the orientation of a device at rest."""
+    from scipy.special import chdtri
+
     force = _readings_at_rest(record, still)
     mean = force.mean(axis=0)
     length = float(np.linalg.norm(mean))
@@ -77,14 +97,20 @@ def initial_tilt(record: Record, still: Still, *, heading: float = 0.0, accel_mo
             "check the unit of the accelerometer and that the device stood still",
             length=length,
         )
-    scatter = np.diag([mean_variance(axis) for axis in force.T])
-    covariance = scatter if accel_model is None else scatter + _model_covariance(accel_model, mean)
+    level = (np.eye(3) - np.outer(mean, mean) / length**2) / length
+    parts = {name: level @ one @ level for name, one in force_covariances(record, still, force).items()}
+    whole = np.sum([*parts.values()], axis=0)
+    variance = float(np.trace(whole))
+    freedom = max(variance**2 / max(float((whole**2).sum()), 1e-300), 1.0)  # 1: one component errs, 2: both do alike
     turn = np.array([math.cos(0.5 * heading), 0.0, 0.0, math.sin(0.5 * heading)])
+    lacking = NOT_STATED if record.state == "corrected" else NOT_CALIBRATED
     return Tilt(
         q_nb=quaternion_product(turn, shortest_rotation_up(mean)),
         specific_force=mean,
-        inclination_uncertainty=_direction_uncertainty(mean, covariance),
-        scatter_uncertainty=_direction_uncertainty(mean, scatter),
+        inclination_uncertainty=math.sqrt(variance),
+        expanded_uncertainty=math.sqrt(variance * float(chdtri(freedom, 0.05)) / freedom),
+        parts=tuple((name, math.sqrt(np.trace(part))) for name, part in parts.items()),
+        basis=lacking if record.accel_uncertainty is None else "calibration",
     )
 
 
@@ -110,27 +136,6 @@ def _readings_at_rest(record: Record, still: Still) -> FloatArray:
     if np.isnan(force).any():
         raise InputError("tilt: wanted readings without gaps, got NaN in the still phase; choose another one")
     return force
-
-
-def _direction_uncertainty(mean: FloatArray, covariance: FloatArray) -> float:
-    up = mean / np.linalg.norm(mean)
-    level = np.eye(3) - np.outer(up, up)
-    return float(np.sqrt(np.trace(level @ covariance @ level)) / np.linalg.norm(mean))
-
-
-def _model_covariance(model: TriadModel, force: FloatArray) -> FloatArray:
-    """Covariance of the corrected mean that comes from the model: f = M (s - o), df = dM (s - o) - M do."""
-    factor = si_factor(model.unit_out, "accel")
-    matrix = model.matrix * factor
-    centred = np.linalg.solve(matrix, force)
-    jacobian = np.zeros((3, len(model.parameters)))
-    for column, name in enumerate(model.parameters):
-        kind, _, axes = name.partition("_")
-        if kind == "m":
-            jacobian["xyz".index(axes[0]), column] = factor * centred["xyz".index(axes[1])]
-        elif kind == "offset":
-            jacobian[:, column] = -matrix[:, "xyz".index(axes)]
-    return np.asarray(jacobian @ model.covariance @ jacobian.T)
 
 
 # ---- Strapdown
@@ -244,6 +249,52 @@ def sagittal_pitch(q_nb: FloatArray, *, forward: Face = "+x", up: Face = "+z") -
     return np.where(np.hypot(along, upward) > IN_PLANE, np.arctan2(-along, upward), np.nan)
 
 
+# Do these axes fit how the device is worn? At the rest, or on average where the rest agrees with the stated axis, the axis nearest
+# to the vertical is up. Of the two others the vertical leans most along the one that points forward, or back.
+
+_FAR_UP_DEG, _FAR_PITCH_DEG = 60.0, 100.0  # of the axis for up from the vertical at rest; of the median pitch
+_CLEAR_UP = 0.7  # length of the mean vertical: below it the device is turned every way up, and no axis is up
+_ONE_AXIS = 2.0  # so many times the lean along the other: the axis that points forward is known
+
+
+def check_pitch_axes(q_nb: FloatArray, rest: slice | BoolArray, forward: Face, up: Face) -> tuple[Finding, ...]:
+    """Return a finding where pitch wraps, is far from upright, or is taken about other axes than the rest (samples) shows."""
+    vertical = rotate(quaternion_conjugate(q_nb), np.array([0.0, 0.0, 1.0]))
+    pitch = sagittal_pitch(q_nb, forward=forward, up=up) / RADIAN_PER_DEGREE
+    known = pitch[np.isfinite(pitch)] if np.isfinite(pitch).any() else np.full(1, np.nan)
+    at_rest, on_average = (np.nanmean(part, axis=0) for part in (vertical[rest], vertical))
+    cosine = at_rest[AXES.index(up[1])] / np.linalg.norm(at_rest) * (1.0 if up[0] == "+" else -1.0)
+    off, wraps = float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))), (np.abs(np.diff(known)) > 180.0).any()
+    if off < _FAR_UP_DEG and not wraps and np.median(np.abs(known)) < _FAR_PITCH_DEG:
+        return ()
+    upward = _nearest_face(at_rest)
+    if upward == up and np.linalg.norm(on_average) > _CLEAR_UP:
+        upward = _nearest_face(on_average)
+    leans = np.nanstd(vertical, axis=0)
+    others = sorted({0, 1, 2} - {AXES.index(upward[1])}, key=lambda k: -leans[k])
+    others = others[:1] if leans[others[0]] > _ONE_AXIS * leans[others[1]] else others
+    ways: list[Face] = [face for k in others for face in FACES if face[1] == AXES[k]]
+    spans = [np.degrees(np.nanpercentile(sagittal_pitch(q_nb, forward=way, up=upward), (0, 100))) for way in ways]
+    return (
+        finding(
+            "orient.pitch_axes",
+            "info" if upward == up else "warn",
+            stated=f"forward {forward} and up {up}",
+            off_deg=off,
+            least_deg=known.min(),
+            most_deg=known.max(),
+            up=upward,
+            forward=ways,
+            choices=" or ".join(f"{way} ({a:.0f} to {b:.0f} deg)" for way, (a, b) in zip(ways, spans, strict=True)),
+        ),
+    )
+
+
+def _nearest_face(vector: FloatArray) -> Face:
+    k = int(np.abs(vector).argmax())
+    return FACES[2 * k + int(vector[k] < 0.0)]
+
+
 # ---- A whole record
 
 LONGEST_HOLE_S = 0.1  # a person turns by 10 deg in it
@@ -307,7 +358,7 @@ class Orientation(Shown):
     offset_uncertainty : float
         Standard uncertainty of the offset, all axes together, rad/s.
     findings : tuple of Finding
-        The drift to expect of strapdown.
+        The drift to expect of strapdown; axes of the pitch that do not fit.
     """
 
     time: FloatArray
@@ -336,9 +387,8 @@ class Orientation(Shown):
             name: f"{np.nanmin(angle) / RADIAN_PER_DEGREE:.1f} to {np.nanmax(angle) / RADIAN_PER_DEGREE:.1f} deg"
             for name, angle in named
         }
-        tilt = f"{self.tilt.inclination_uncertainty / RADIAN_PER_DEGREE:.2g} deg"
         drift = {one.headline: one.detail for one in self.findings}
-        return {"samples": str(len(self.time))} | spans | {"standard uncertainty of the tilt": tilt} | drift
+        return {"samples": str(len(self.time))} | spans | {"tilt": self.tilt.statement} | drift
 
     @property
     def rotation(self) -> "Rotation":
@@ -353,7 +403,6 @@ def orient(
     still: Still | None = None,
     settings: OrientSettings = OrientSettings(),
     *,
-    accel_model: TriadModel | None = None,
     gyro_model: TriadModel | None = None,
 ) -> Orientation:
     """Find the orientation of the device at every sample.
@@ -361,13 +410,11 @@ def orient(
     Parameters
     ----------
     record : Record
-        Rate and specific force in physical units, best corrected.
+        Rate and specific force in physical units, best corrected: the uncertainty of the tilt then counts the calibration's.
     still : Still, optional
         Where the device stood still; the first still phase that is found when absent.
     settings : OrientSettings
         Method, offset, heading and axes.
-    accel_model : TriadModel, optional
-        The accelerometer's model, whose covariance then counts in the uncertainty of the tilt.
     gyro_model : TriadModel, optional
         The gyroscope's model, whose covariance then counts in the uncertainty of the offset.
 
@@ -380,6 +427,8 @@ def orient(
     ------
     InputError
         No gyroscope, no still phase, gaps, holes in time, a dead axis, readings in counts, or no package for the method.
+    Implausible
+        Columns, units or a sample rate that clearly are others than stated.
 
     Examples
     --------
@@ -392,13 +441,26 @@ def orient(
     >>> orientation.q_nb.shape == (len(trial.record), 4)
     True
     """
+    disagreements = check_triads(record)
+    found = orient_unchecked(record, still, settings, gyro_model=gyro_model)
+    return replace(found, findings=(*disagreements, *found.findings))
+
+
+def orient_unchecked(
+    record: Record,
+    still: Still | None = None,
+    settings: OrientSettings = OrientSettings(),
+    *,
+    gyro_model: TriadModel | None = None,
+) -> Orientation:
+    """Find the orientation of a record whose columns are known to be right."""
     record = record.in_si()
     if record.gyro is None:
         raise InputError("orient: wanted gyroscope readings, got none; map the columns that hold them")
     _check_whole(record.time, record.gyro)
     rests = _rests(record, still, every=settings.offset == "still")
     still = rests[0] if still is None else still
-    tilt = initial_tilt(record, still, heading=settings.heading, accel_model=accel_model)
+    tilt = initial_tilt(record, still, heading=settings.heading)
     means = np.stack([record.gyro[one.start : one.stop].mean(axis=0) for one in rests])
     offsets = _offsets(record.time, rests, means, settings.offset, rests.index(still))
     uncertainty = _offset_uncertainty(record.gyro, rests, means, offsets, gyro_model)
@@ -409,6 +471,7 @@ def orient(
     else:
         q = _both_ways(gyro, record.time, tilt.q_nb, anchor)
         findings = (_expected_drift(record.time, anchor, uncertainty, settings.offset),)
+    findings += check_pitch_axes(q, slice(still.start, still.stop), settings.forward, settings.up)
     return Orientation(
         time=record.time,
         q_nb=q,
@@ -430,7 +493,10 @@ def _rests(record: Record, named: Still | None, *, every: bool) -> tuple[Still, 
     if named is not None and not every:
         return (named,)
     found = find_still(record, StillSettings())
-    found = find_still(record) if every and not found.stills else found  # of a worn recording: adapts
+    if not every:
+        first = first_rest(record, "orient")
+        return first, *(one for one in found.stills if one.start >= first.stop)
+    found = found if found.stills else find_still(record)  # of a worn recording: adapts
     stills = [one for one in found.stills if named is None or one.stop <= named.start or one.start >= named.stop]
     if named is not None:
         return tuple(sorted((*stills, named), key=lambda one: one.start))

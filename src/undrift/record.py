@@ -26,6 +26,38 @@ State = Literal["raw", "corrected"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ForceUncertainty:
+    """What the calibration of a corrected record knows of its accelerometers; the error of a specific force f is E f + d."""
+
+    covariance: FloatArray  # (12, 12), of E row by row, and of d, m/s2
+    offset_temp_c: (
+        FloatArray  # (2,), least and greatest temperature that the offsets are made for, degC; NaN: not known
+    )
+    matrix_temp_c: FloatArray  # (2,), likewise of the matrix
+    per_k: (
+        FloatArray  # (2,), standard deviation of what a kelvin beyond them does: offset, m/s2; scale factor, relative
+    )
+    step: FloatArray  # (3,), one code, m/s2; 0 where it is not known
+    calibrated: str = ""  # ISO 8601 time, UTC; "" where it is not stated
+
+    def __post_init__(self) -> None:
+        shapes = {"covariance": (12, 12), "offset_temp_c": (2,), "matrix_temp_c": (2,), "per_k": (2,), "step": (3,)}
+        for name, shape in shapes.items():
+            object.__setattr__(self, name, frozen(getattr(self, name), shape, f"ForceUncertainty.{name}"))
+        if np.isnan([*self.covariance.ravel(), *self.per_k, *self.step]).any() or not isinstance(self.calibrated, str):
+            raise InputError(
+                "ForceUncertainty: wanted numbers and a date, got NaN or others; correct the recording anew"
+            )
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the fields as JSON has them, null for NaN; ``ForceUncertainty(**fields)`` takes them back."""
+        held = {one.name: getattr(self, one.name) for one in fields(self)}
+        return {
+            k: v if isinstance(v, str) else np.asarray(np.where(np.isnan(v), None, v)).tolist() for k, v in held.items()
+        }
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Record(Shown):
     """Readings of one device.
 
@@ -51,6 +83,8 @@ class Record(Shown):
         "raw" or "corrected".
     device : str
         Serial number or name; "" when the file does not state it.
+    accel_uncertainty : ForceUncertainty or None
+        Of a corrected record: what its calibration knows of the accelerometers, for the uncertainty of a tilt.
 
     Raises
     ------
@@ -75,6 +109,7 @@ class Record(Shown):
     frame: Frame = "s"
     state: State = "raw"
     device: str = ""
+    accel_uncertainty: ForceUncertainty | None = None
 
     def __post_init__(self) -> None:
         set_ = object.__setattr__
@@ -175,8 +210,7 @@ class Record(Shown):
         Parameters
         ----------
         frame : DataFrame
-            With undrift's own names (gyro_x_dps, accel_z_g, temp_c, time_s) it needs nothing else. Time may be the index,
-            as seconds, dates or time differences.
+            With undrift's own names (gyro_x_dps, accel_z_g, temp_c, time_s) nothing else. Time may be the index: s or dates.
         columns : mapping or None
             Column of each channel, as in {"time": "t", "gyro": ["gx", "gy", "gz"]}; without it time, gyro_x, accel_x, temp,
             mag_x and the like are taken.
@@ -329,6 +363,9 @@ def _rows_of(record: Record) -> dict[str, str]:
     return {name: text for name, text in rows.items() if text}
 
 
+LARGEST_SPAN_M = 50.0  # m, of what optics see
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Reference:
     """Poses of a rigid body as an independent instrument saw them.
@@ -373,6 +410,14 @@ class Reference:
         set_(self, "q_nb", frozen(q / norm[:, None], (n, 4), "q_nb"))
         if self.position is not None:
             set_(self, "position", frozen(self.position, (n, 3), "position"))
+            seen = self.position[np.isfinite(self.position).all(axis=1)]
+            span = float(np.ptp(seen, axis=0).max()) if len(seen) else 0.0
+            if span > LARGEST_SPAN_M:
+                raise InputError(
+                    f"position: wanted m, within {LARGEST_SPAN_M:g} m, got a span of {span:.0f}: positions are in mm, not m; "
+                    "convert them",
+                    span=span,
+                )
         if self.moving is not None:
             set_(self, "moving", frozen(self.moving, (n,), "moving"))
         check_time(self.time)
@@ -658,11 +703,7 @@ class Session:
                 f"session: wanted a table of means for each recording of kind set-points, and none for others, got kind "
                 f"{self.kind} with {len(self.means)} for {len(self.records)}; state set_points in the map"
             )
-        if not 9.7 < self.gravity_m_s2 < 9.9:
-            raise InputError(
-                f"session: wanted local gravity between 9.7 and 9.9 m/s2, got {self.gravity_m_s2:g}; "
-                "give gravity_m_s2, or latitude_deg and height_m"
-            )
+        check_local_gravity(self.gravity_m_s2, "session")
         pieces: tuple[Still | Turn, ...] = (*self.stills, *self.turns)
         for piece in pieces:
             if not 0 <= piece.recording < len(self.records) or piece.stop > len(self.records[piece.recording]):
@@ -670,6 +711,15 @@ class Session:
                     f"session: wanted samples inside a recording, got [{piece.start}, {piece.stop}) of recording "
                     f"{piece.recording}; check start_s and stop_s"
                 )
+
+
+def check_local_gravity(gravity_m_s2: float, what: str) -> None:
+    """Raise where a value cannot be gravity on Earth."""
+    if not 9.7 < gravity_m_s2 < 9.9:
+        raise InputError(
+            f"{what}: wanted local gravity between 9.7 and 9.9 m/s2, got {gravity_m_s2:g}; "
+            "give gravity_m_s2, or latitude_deg and height_m"
+        )
 
 
 def joined(records: Sequence[Record]) -> Record:

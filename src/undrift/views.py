@@ -11,7 +11,7 @@ from typing import Any, Protocol
 
 PICTURES = {
     "Record": "undrift.report.figures:draw_record",
-    "Calibration": "undrift.report.figures:draw_calibration",
+    "Calibration": "undrift.report.certificate:draw_calibration",
     "NoiseFit": "undrift.report.figures:draw_allan",
     "DriftFit": "undrift.report.drift:draw_drift",
     "Orientation": "undrift.report.figures:draw_orientation",

@@ -125,9 +125,9 @@ def test_a_triad_without_a_model_passes_nominal_values_and_a_note():
         correct(record(temp_c=None, accel_unit="count"), device(accel=None))
 
 
-def test_another_serial_number_is_noted():
+def test_another_serial_number_is_a_warning():
     done = correct_checked(record(temp_c=None, device="B"), device())
-    assert done.notes == (
+    assert done.warnings == (
         "Recording and calibration name different devices: recording B, calibration A; check that both belong together",
     )
 

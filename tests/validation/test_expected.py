@@ -66,6 +66,7 @@ def test_an_offset_grows_with_time_and_its_mean_square_is_a_third():
     assert made.rmse_total_deg == pytest.approx(1e-4 * T / np.sqrt(3.0) * DEG, rel=2e-2)
     # one normal error: 2.5 % of its absolute values are above 2.24 and 2.5 % below 0.031 standard deviations
     assert made.end_interval_deg == pytest.approx(np.array([0.0313, 2.2414]) * 1e-4 * T * DEG, rel=5e-3)
+    assert made.end_at_most_deg == pytest.approx(1.95996 * 1e-4 * T * DEG, rel=5e-3)  # and 5 % above 1.96
 
 
 def test_a_turning_device_averages_a_level_offset_and_not_a_vertical_one():

@@ -28,6 +28,7 @@ import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray
 from undrift.correction import coverage
+from undrift.correction.consistency import check_corrected
 from undrift.correction.plan import (
     NOTHING,
     Carry,
@@ -41,12 +42,12 @@ from undrift.correction.plan import (
     in_pieces,
     plan_record,
 )
-from undrift.correction.rest import RestOffset, find_rest_offset
+from undrift.correction.rest import RestOffset, find_rest_offset, force_uncertainty
 from undrift.drift.hysteresis import TempHistory
 from undrift.errors import InputError
 from undrift.findings import Finding
 from undrift.model import Calibration
-from undrift.record import Record
+from undrift.record import ForceUncertainty, Record
 
 Buffers: TypeAlias = tuple[FloatArray, FloatArray]  # rate, rad/s, and specific force, m/s2, (N, 3)
 Policy = Literal["raise", "hold", "nan"]
@@ -57,8 +58,7 @@ REFERENCE_SPAN_C = 5.0  # how far from the reference temperature constant offset
 
 def _evaluate_triad(plan: TriadPlan, u: FloatArray, at: Conditions, a: FloatArray, w: FloatArray) -> coverage.Span:
     """Evaluate the model for one triad: readings u to w; a is empty where step 4 has nothing to do."""
-    from undrift.kernels.correct import affine, subtract_g, tabulated, warmed
-    from undrift.kernels.hysteresis import without_loop
+    from undrift.kernels.correct import affine, subtract_g, tabulated, warmed, without_loop
 
     g = np.zeros(9) if plan.g_sensitivity is None else plan.g_sensitivity
     h = plan.half_step
@@ -168,6 +168,7 @@ def correct(
     power_on_s: float | None = None,
     offset: Offset = "none",
     temp_history: TempHistory | None = None,
+    check: bool = True,
 ) -> Record:
     """Turn a device's readings into rate and specific force.
 
@@ -192,11 +193,15 @@ def correct(
         Course of the temperature before the first sample, for a calibration that corrects hysteresis: "warming", "cooling", or
         the temperatures at which it turned, oldest first, degC. Without it hysteresis is corrected as far as the record's own
         temperatures show the course; "none" leaves the middle of the loop.
+    check : bool
+        Look whether gyroscope and accelerometer agree and rests fit the calibration, as ``correct_checked`` does: some tens of
+        milliseconds.
 
     Returns
     -------
     Record
-        rad/s and m/s2 in frame b, state corrected. Warns with DriftRangeWarning beyond the calibration's range.
+        rad/s and m/s2 in frame b, state corrected. Warns with DriftRangeWarning beyond the calibration's range, and where record
+        and calibration do not fit.
 
     Raises
     ------
@@ -205,6 +210,8 @@ def correct(
         negative power_on_s; no rest where one is asked for; a temp_history that is none.
     DriftRangeError
         Temperatures outside a table under policy "raise".
+    Implausible
+        Columns, units or a sample rate that clearly are others than stated.
 
     Examples
     --------
@@ -218,7 +225,8 @@ def correct(
     ('rad/s', 'm/s2', 'b')
     """
     corrected = correct_whole(record, calibration, (power_on_s, temp_history), offset, policy=policy, out=out)
-    for text in corrected.warnings:
+    found = check_corrected(corrected.record, calibration) if check else ()
+    for text in (*(one.text for one in found), *corrected.warnings):
         warnings.warn(text, DriftRangeWarning, stacklevel=2)
     return corrected.record
 
@@ -234,7 +242,7 @@ def correct_checked(
     offset: Offset = "none",
     temp_history: TempHistory | None = None,
 ) -> Corrected:
-    """Correct a record and say where the calibration did not cover it.
+    """Correct a record and say where the calibration did not cover it, or where record and calibration do not fit.
 
     Parameters
     ----------
@@ -266,6 +274,8 @@ def correct_checked(
         As for ``correct``.
     DriftRangeError
         As for ``correct``.
+    Implausible
+        Columns, units or a sample rate that clearly are others than stated.
 
     Examples
     --------
@@ -280,7 +290,8 @@ def correct_checked(
     """
     start = (power_on_s, temp_history)
     how = {"policy": policy, "reference_span_c": reference_span_c, "threads": threads}
-    return correct_whole(record, calibration, start, offset, **how)
+    done = correct_whole(record, calibration, start, offset, **how)
+    return replace(done, findings=(*check_corrected(done.record, calibration), *done.findings))
 
 
 def correct_whole(
@@ -355,7 +366,7 @@ def correct_planned(
         seconds_without_temperature=coverage.seconds_of(missing, record.time, before),
     )
     return Corrected(
-        record=_adopted(record, plans, outputs),
+        record=_adopted(record, plans, outputs, force_uncertainty(calibration, record.accel_unit)),
         outside=outside,
         extrapolated=extrapolated,
         missing=missing,
@@ -383,7 +394,7 @@ def _buffers(n: int, plans: Plans, out: Buffers | None) -> Buffers:
     return out
 
 
-def _adopted(record: Record, plans: Plans, buffers: Buffers) -> Record:
+def _adopted(record: Record, plans: Plans, buffers: Buffers, known: ForceUncertainty | None) -> Record:
     """The record with corrected readings; the kernels wrote them in the right shape: neither copied nor checked again."""
     done = copy.copy(record)
     for name, plan, buffer in zip(("gyro", "accel"), plans, buffers, strict=True):
@@ -394,4 +405,5 @@ def _adopted(record: Record, plans: Plans, buffers: Buffers) -> Record:
         object.__setattr__(done, name, values)
     for name, text in (("gyro_unit", "rad/s"), ("accel_unit", "m/s2"), ("frame", "b"), ("state", "corrected")):
         object.__setattr__(done, name, text)
+    object.__setattr__(done, "accel_uncertainty", known)
     return done

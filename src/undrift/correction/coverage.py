@@ -100,14 +100,22 @@ def find_outside(
     if mask.any() and not allowed:
         raise DriftRangeError(
             f"drift table: wanted temperatures from {low:g} to {high:g} degC, got {least:.1f} to {greatest:.1f} degC, "
-            f"{seconds_of(mask, record.time, before):.1f} s of them outside; extend the table, or choose the policy hold "
-            "or nan",
+            f"{seconds_of(mask, record.time, before):.1f} s of them outside{_other_unit(least, greatest, (low, high))}; "
+            "extend the table, or choose the policy hold or nan",
             low=low,
             high=high,
             least=least,
             greatest=greatest,
         )
     return mask
+
+
+def _other_unit(least: float, greatest: float, table: Span) -> str:
+    """Return the unit of temperature that would put the readings inside a table, as a question."""
+    for unit, scale, zero in (("degF", 1.0 / 1.8, 32.0), ("K", 1.0, 273.15)):
+        if table[0] <= (least - zero) * scale and (greatest - zero) * scale <= table[1]:
+            return f" (is the temperature in {unit}, not degC?)"
+    return ""
 
 
 def _seen(static: StaticDrift) -> Span:
@@ -222,7 +230,7 @@ def model_findings(record: Record, calibration: Calibration, carry: Carry) -> tu
         if values is not None and model is None
     ]
     if record.device and calibration.device and record.device != calibration.device:
-        found.append(finding("correct.device", "info", recorded=record.device, calibrated=calibration.device))
+        found.append(finding("correct.device", "warn", recorded=record.device, calibrated=calibration.device))
     gyro, static = calibration.gyro, calibration.drift.static if calibration.drift else None
     if record.gyro is None or gyro is None or static is None:
         return tuple(found)
@@ -279,22 +287,19 @@ class Beyond:
     @property
     def text(self) -> str:
         """One sentence, empty where nothing lies beyond."""
+        return "".join(one.text for one in self.findings)
+
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """The finding, none where nothing lies beyond."""
         if not self.samples:
-            return ""
+            return ()
         gyro = self.sensor == "gyro"
-        low, high, worst = (
-            value / (RADIAN_PER_DEGREE if gyro else STANDARD_GRAVITY) for value in (*self.seen, self.worst)
-        )
-        return finding(
-            "correct.beyond_range",
-            "warn",
-            sensor="gyroscope" if gyro else "accelerometer",
-            percent=100.0 * self.share,
-            low=low,
-            high=high,
-            worst=worst,
-            unit="deg/s" if gyro else "g",
-        ).text
+        unit = RADIAN_PER_DEGREE if gyro else STANDARD_GRAVITY
+        low, high, worst = (value / unit for value in (*self.seen, self.worst))
+        sensor, shown = ("gyroscope", "deg/s") if gyro else ("accelerometer", "g")
+        values = {"percent": 100.0 * self.share, "low": low, "high": high, "worst": worst}
+        return (finding("correct.beyond_range", "warn", sensor=sensor, unit=shown, **values),)
 
 
 def find_beyond(record: Record, calibration: Calibration) -> tuple[Beyond, ...]:

@@ -1,4 +1,6 @@
-"""Re-zero a gyroscope at a rest: what the calibration leaves there is subtracted from the whole recording.
+"""What a rest shows: the gyroscopes' offset that is left, and how well gravity's direction is known.
+
+Re-zero a gyroscope at a rest: what the calibration leaves there is subtracted from the whole recording.
 
 ::
 
@@ -6,21 +8,24 @@
 
 It removes the offset of that moment, whatever its cause (turn-on, ageing, hysteresis), and with it any true slow turn. It removes
 no scale or rate-dependent error, and no offset that changes afterwards. The rest is the first still phase of the corrected
-readings, or a named stretch. It is looked for in the first ten minutes, and in twice as much until one ends there: a stream that
-is read in chunks finds the one that the whole recording shows.
+readings, or a named stretch: here, in orientation.py and in validation/trial.py alike. It is looked for in the first ten minutes,
+and in twice as much until one ends there: a stream that is read in chunks finds the one that the whole recording shows.
 """
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from datetime import UTC, datetime
+from typing import Any
 
 import numpy as np
 
 from undrift.arrays import FloatArray, frozen
 from undrift.errors import InputError
 from undrift.findings import Finding, finding
-from undrift.record import Record, Still, joined
+from undrift.model import Calibration, DriftTables, TriadModel
+from undrift.record import ForceUncertainty, Record, Still, TemperatureSensitivity, joined
 from undrift.segments import StillSettings, find_still
-from undrift.units import RADIAN_PER_DEGREE
+from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, si_factor
 
 Stretch = tuple[float | None, float | None]  # named start and end, s, on the recording's clock; both None: to be found
 NAMED_NONE: Stretch = (None, None)
@@ -47,15 +52,17 @@ class RestOffset:
         return float(np.sqrt(np.trace(self.covariance)))
 
     @property
+    def figures(self) -> dict[str, Any]:
+        """What was subtracted, as --json has it."""
+        rate, uncertainty = self.rate / RADIAN_PER_DEGREE, self.uncertainty / RADIAN_PER_DEGREE
+        return {"rest_s": (self.start_s, self.stop_s), "offset_dps": rate, "offset_uncertainty_dps": uncertainty}
+
+    @property
     def finding(self) -> Finding:
-        """What was subtracted."""
+        """What was subtracted, in words."""
+        (start_s, stop_s), rate, uncertainty = self.figures.values()
         return finding(
-            "correct.rest_offset",
-            "info",
-            start_s=self.start_s,
-            stop_s=self.stop_s,
-            offset_dps=self.rate / RADIAN_PER_DEGREE,
-            uncertainty_dps=self.uncertainty / RADIAN_PER_DEGREE,
+            "correct.rest_offset", "info", start_s=start_s, stop_s=stop_s, offset_dps=rate, uncertainty_dps=uncertainty
         )
 
 
@@ -85,7 +92,7 @@ def rest_offset(record: Record, still: Still) -> RestOffset:
     if len(rates) < FEWEST or np.isnan(rates).any():
         got = f"{len(rates)} samples" if len(rates) < FEWEST else f"{int(np.isnan(rates).any(axis=1).sum())} gaps (NaN)"
         raise InputError(
-            f"rest: wanted {FEWEST} samples at rest or more, without gaps, got {got}; name another stretch"
+            f"rest: wanted {FEWEST} samples at rest or more, without gaps, got {got}; name another stretch, or use offset none"
         )
     return RestOffset(
         start_s=float(record.time[still.start]),
@@ -124,6 +131,11 @@ def find_rest_offset(record: Record, stretch: Stretch = NAMED_NONE) -> RestOffse
     return _found(lambda span_s: (_head(record, span_s), len(record)), stretch)
 
 
+def first_rest(record: Record, what: str) -> Still:
+    """Return the first still phase of a record: the rest of every offset "rest"."""
+    return _first(lambda span_s: (_head(record, span_s), len(record)), what)[1]
+
+
 def find_rest_offset_in(chunks: Iterator[Record], stretch: Stretch = NAMED_NONE) -> RestOffset:
     """Return the same from corrected chunks, reading no more of them than needed."""
     held: list[Record] = []
@@ -152,15 +164,19 @@ def _found(extended: Callable[[float], tuple[Record, int]], stretch: Stretch) ->
         head = _rotating(extended(FOUND_IN_S if stretch == NAMED_NONE else np.inf)[0])
     if (still := named_rest(head, stretch)) is not None:
         return rest_offset(head, still)
+    return rest_offset(*_first(extended, "correct"))
+
+
+def _first(extended: Callable[[float], tuple[Record, int]], what: str) -> tuple[Record, Still]:
     span_s = FOUND_IN_S
     while True:
         head, known = extended(span_s)
         whole = len(head) == known  # nothing comes after it
         found = find_still(head, StillSettings())
         if found.stills and (whole or found.stills[0].stop < len(head)):
-            return rest_offset(head, found.stills[0])
+            return head, found.stills[0]
         if whole:
-            raise no_rest("correct", found.reason)
+            raise no_rest(what, found.reason)
         span_s *= 2.0
 
 
@@ -174,3 +190,105 @@ def _head(record: Record, span_s: float) -> Record:
     """Return what begins less than a span after the first sample."""
     first = float(record.time[0])
     return record if record.time[-1] < first + span_s else record.between(first, first + span_s)
+
+
+# ---- What is uncertain of the mean specific force at a rest, a covariance (3, 3), (m/s2)^2, by source
+#
+# ``scatter``      of the mean, with the correlation between samples
+# ``sway``         a person who stands: the tilt is that of the rest's end, the mean that of all of it. They differ by the spread of
+#                  means over a second, where it exceeds what white noise gives: a slow lean ends farther away, up to twice in
+#                  variance, but accelerations read as tilt; of simulated stance, 3 to 10 s, 97 % err by less than the 95 %
+# ``calibration``  E f + d (``record.ForceUncertainty``): f = M (s - o), so that E = dM M^-1 and d = -M do
+# ``temperature``  of the offsets and the scale factors, by the departure from the temperatures that they are made for
+# ``ageing``       of the offsets since the calibration; and their repeatability from one switch-on to the next
+# ``codes``        half a step, uniform, where the readings at rest scatter by less: their mean then errs as one of them does
+
+# m/s2 after a year: bias repeatability of one year, MTi 10- and 100-series (Xsens MT0605P, recalled); that others age likewise, and
+# all with the square root of the time, is [assumed]
+AGEING = 0.03
+TURN_ON = 5e-4 * STANDARD_GRAVITY  # m/s2, from one switch-on to the next [assumed]
+UNKNOWN_K = 5.0  # K, departure where no temperature is known: for so far constant offsets are taken to hold [assumed]
+UNKNOWN_YEARS = 1.0  # since a calibration that states no date [assumed]
+_SWAY_S = 1.0  # means over it: shorter accelerations of a body are no tilt
+_ABOVE = 3.0  # of the variance of such means of white noise: it reaches it in one rest of a hundred
+
+
+def force_uncertainty(calibration: Calibration, unit: str) -> ForceUncertainty | None:
+    """Return what a calibration knows of its accelerometers, for readings in a unit; None where it states no uncertainty."""
+    model, adc, tables = calibration.accel, calibration.adc, calibration.drift or DriftTables()
+    if model is None or not np.isfinite(model.covariance).all() or not model.covariance.any():
+        return None
+    matrix, covariance = model.matrix * si_factor(model.unit_out, "accel"), _of_error(model)
+    spans = [np.full(2, calibration.reference_temp_c)] * 2
+    static, scale = tables.static, tables.scale
+    if static is not None and static.accel_offset is not None:  # in the place of the constant
+        stated = np.zeros((1, 3)) if static.accel_uncertainty is None else np.nan_to_num(static.accel_uncertainty)
+        covariance[9:], covariance[:, 9:] = 0.0, 0.0
+        covariance[9:, 9:] = matrix @ np.diag(stated.max(axis=0) ** 2) @ matrix.T  # of the worst node
+        spans[0] = static.temp_c[[0, -1]]
+    if scale is not None and scale.accel_matrix is not None:
+        spans[1] = scale.temp_c[[0, -1]]
+    known, usual = dict(calibration.provenance.settings), TemperatureSensitivity()
+    mg, percent = (
+        float(known.get(name, getattr(usual, name))) for name in ("accel_offset_mg_per_k", "accel_scale_percent_per_k")
+    )
+    lsb = np.full(3, float(unit == "count")) if adc is None or adc.accel_lsb is None else adc.accel_lsb
+    return ForceUncertainty(
+        covariance=covariance,
+        offset_temp_c=spans[0],
+        matrix_temp_c=spans[1],
+        per_k=np.array([mg * 1e-3 * STANDARD_GRAVITY, 0.01 * percent]),
+        step=np.abs(matrix) @ lsb,
+        calibrated=calibration.provenance.created,
+    )
+
+
+def _of_error(model: TriadModel) -> FloatArray:
+    """Return the covariance (12, 12) of E row by row and of d, m/s2."""
+    inverse, jacobian = np.linalg.inv(model.matrix), np.zeros((12, len(model.parameters)))
+    for column, name in enumerate(model.parameters):
+        kind, _, axes = name.partition("_")
+        if kind == "m":
+            jacobian[3 * "xyz".index(axes[0]) :, column][:3] = inverse["xyz".index(axes[1])]
+        elif kind == "offset":
+            jacobian[9:, column] = -model.matrix[:, "xyz".index(axes)] * si_factor(model.unit_out, "accel")
+    return np.asarray(jacobian @ model.covariance @ jacobian.T)
+
+
+def force_covariances(record: Record, still: Still, force: FloatArray) -> dict[str, FloatArray]:
+    """Return the covariance of the mean of a record's specific force at rest, m/s2 (N, 3), source by source."""
+    mean, known = force.mean(axis=0), record.accel_uncertainty
+    width = max(1, min(round(_SWAY_S * record.sample_rate_hz), len(force) // 4))
+    means = np.lib.stride_tricks.sliding_window_view(force, width, axis=0).mean(axis=-1)
+    white = np.diff(force, axis=0).var(axis=0) / 2.0 / width
+    found = {
+        "scatter": np.diag([mean_variance(axis) for axis in force.T]),
+        "sway": np.diag(np.where(means.var(axis=0) > _ABOVE * white, means.var(axis=0), 0.0)),
+    }
+    if known is None:
+        return found
+    temp_c = np.nan if record.temp_c is None else float(np.mean(record.temp_c[still.start : still.stop]))
+    felt = np.hstack((np.kron(np.eye(3), mean), np.eye(3)))  # (3, 12): E f + d
+    offset, scale = known.per_k * [_beyond(temp_c, span) for span in (known.offset_temp_c, known.matrix_temp_c)]
+    noise = force.var(axis=0) / np.maximum(known.step, 1e-12) ** 2
+    steady = np.exp(-2.0 * np.pi**2 * np.maximum(noise - 0.25, 0.0))  # what dither leaves of the rounding
+    return found | {
+        "calibration": felt @ known.covariance @ felt.T,
+        "temperature": np.diag(offset**2 + (scale * mean) ** 2),
+        "ageing": np.eye(3) * (TURN_ON**2 + AGEING**2 * _years_since(known.calibrated)),
+        "codes": np.diag((known.step * steady) ** 2 / 12.0),
+    }
+
+
+def _beyond(temp_c: float, span: FloatArray) -> float:
+    """Return by how much a temperature is off those that a table or a constant is made for, K."""
+    beyond = np.max([span[0] - temp_c, temp_c - span[1], 0.0])
+    return UNKNOWN_K if np.isnan(beyond) else float(beyond)
+
+
+def _years_since(date: str) -> float:
+    try:
+        when = datetime.fromisoformat(date)
+    except ValueError:
+        return UNKNOWN_YEARS
+    return max(0.0, (datetime.now(UTC) - (when if when.tzinfo else when.replace(tzinfo=UTC))).days / 365.25)

@@ -182,11 +182,11 @@ class Agreement:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Coverage:
-    """How many of the expected 95 % intervals hold what was observed."""
+    """How many of the observed errors are no larger than 95 % of those to expect."""
 
     trials: int  # With an expectation
     rmse_inside: int
-    rmse_above: int  # Larger than expected; what is neither is smaller
+    rmse_above: int
     ends: int  # Of those, with an end error
     end_inside: int
     end_above: int
@@ -208,18 +208,11 @@ class Validation(Shown):
         pairs = [(t.expected, t.figures) for t in self.trials if t.expected is not None]
         if not pairs:
             return None
-        ends = [(made.end_interval_deg, seen.end_total_deg) for made, seen in pairs if np.isfinite(seen.end_total_deg)]
-        totals = [(made.rmse_interval_deg, seen.rmse_total_deg) for made, seen in pairs]
-        inside = [sum(low <= seen <= high for (low, high), seen in each) for each in (ends, totals)]
-        above = [sum(seen > high for (_, high), seen in each) for each in (ends, totals)]
-        return Coverage(
-            trials=len(pairs),
-            rmse_inside=inside[1],
-            rmse_above=above[1],
-            ends=len(ends),
-            end_inside=inside[0],
-            end_above=above[0],
-        )
+        ends = [s.end_total_deg <= made.end_at_most_deg for made, s in pairs if np.isfinite(s.end_total_deg)]
+        totals = [seen.rmse_total_deg <= made.rmse_at_most_deg for made, seen in pairs]
+        of_rmse = {"rmse_inside": sum(totals), "rmse_above": len(totals) - sum(totals)}
+        of_ends = {"ends": len(ends), "end_inside": sum(ends), "end_above": len(ends) - sum(ends)}
+        return Coverage(trials=len(pairs), **of_rmse, **of_ends)
 
     def _rows(self) -> dict[str, str]:
         each = {trial.recording: f"total {trial.figures.rmse_total_deg:.2f} deg rms" for trial in self.trials}

@@ -27,7 +27,7 @@ from undrift.record import Record
 from undrift.units import RADIAN_PER_DEGREE, si_factor
 
 _STEP_S = 0.25  # the error's course is taken at this interval
-_TAILS = (0.025, 0.975)
+_TAILS = (0.025, 0.975, 0.95)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -58,8 +58,10 @@ class Expected:
 
     end_total_deg: float  # Root mean square of what the end error may be
     end_interval_deg: tuple[float, float]
+    end_at_most_deg: float  # 95 % of the errors are no larger
     rmse_total_deg: float  # Likewise of the root-mean-square error over the motion
     rmse_interval_deg: tuple[float, float]
+    rmse_at_most_deg: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -99,10 +101,15 @@ def expected_errors(course: Course, model: TriadModel, source: OffsetSource, pri
     late = course.delay_s * rate  # (K, 3), rad, in earth axes
     linear = np.zeros(len(covariance))
     linear[:size] = np.einsum("kap,ka->p", gain, late) / len(late)
-    end, end_interval = _root(covariance, ends.T @ ends, 0.0 * linear, 0.0)
-    rmse, rmse_interval = _root(covariance, means, linear, float((late**2).sum(axis=1).mean()))
+    end = _root(covariance, ends.T @ ends, 0.0 * linear, 0.0)
+    rmse = _root(covariance, means, linear, float((late**2).sum(axis=1).mean()))
     return Expected(
-        end_total_deg=end, end_interval_deg=end_interval, rmse_total_deg=rmse, rmse_interval_deg=rmse_interval
+        end_total_deg=end[0],
+        end_interval_deg=(end[1], end[2]),
+        end_at_most_deg=end[3],
+        rmse_total_deg=rmse[0],
+        rmse_interval_deg=(rmse[1], rmse[2]),
+        rmse_at_most_deg=rmse[3],
     )
 
 
@@ -161,15 +168,13 @@ def _covariance(course: Course, model: TriadModel, source: OffsetSource, prior: 
     return covariance
 
 
-def _root(
-    covariance: FloatArray, square: FloatArray, linear: FloatArray, constant: float
-) -> tuple[float, tuple[float, float]]:
-    """Return root mean and 95 % interval of the root of x' D x + 2 b' x + c for normal x of mean zero, deg."""
+def _root(covariance: FloatArray, square: FloatArray, linear: FloatArray, constant: float) -> list[float]:
+    """Return root mean and quantiles of the root of x' D x + 2 b' x + c for normal x of mean zero, deg."""
     from scipy.special import gammaincinv
 
     spread = square @ covariance
     mean = float(np.trace(spread)) + constant
     variance = 2.0 * float(np.trace(spread @ spread)) + 4.0 * float(linear @ covariance @ linear)
     shape = mean**2 / max(variance, 1e-300)  # half the degrees of freedom
-    low, high = (float(np.sqrt(gammaincinv(shape, tail) * mean / shape)) / RADIAN_PER_DEGREE for tail in _TAILS)
-    return float(np.sqrt(mean)) / RADIAN_PER_DEGREE, (low, high)
+    squares = np.append(mean, gammaincinv(shape, _TAILS) * mean / shape)
+    return [float(root) / RADIAN_PER_DEGREE for root in np.sqrt(squares)]

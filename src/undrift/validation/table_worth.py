@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from undrift.arrays import FloatArray
-from undrift.correction.correct import correct_checked
+from undrift.correction.correct import correct_whole
 from undrift.model import Calibration, DriftTables, ScaleDrift, StaticDrift
 from undrift.record import Record
 from undrift.units import RADIAN_PER_DEGREE, si_factor
@@ -131,7 +131,7 @@ def _corrected(calibration: Calibration, reading: FloatArray, temp_c: float) -> 
     unit = "rad/s" if calibration.gyro is None else calibration.gyro.unit_in
     n = len(reading)
     record = Record(time=np.arange(n) / _FS, gyro=reading, gyro_unit=unit, temp_c=np.full(n, temp_c))
-    done = correct_checked(record, calibration, policy="hold").record.gyro
+    done = correct_whole(record, calibration, policy="hold").record.gyro
     return np.zeros((n, 3)) if done is None else done
 
 

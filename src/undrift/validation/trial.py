@@ -1,9 +1,9 @@
 """One recording against its reference: errors of orientation in degrees.
 
-Protocol: readings are corrected; the lag against the reference is found; on request the mean rate of the first rest is
-subtracted; tilt comes from the specific force and heading from the reference over the rest before the motion; strapdown starts
-half a second before the motion, q(t_k) = q(t_(k-1)) exp(w_k (t_k - t_(k-1))). With both orientations body to level frame, the
-error in earth axes is e = q_imu (x) q_ref^-1 = (w, x, y, z), and [1]_::
+Protocol: readings are corrected; the lag against the reference is found; on request the mean rate of the first still phase is
+subtracted (correction/rest.py); tilt comes from the specific force and heading from the reference over the rest before the
+motion; strapdown starts half a second before the motion, q(t_k) = q(t_(k-1)) exp(w_k (t_k - t_(k-1))). With both orientations
+body to level frame, the error in earth axes is e = q_imu (x) q_ref^-1 = (w, x, y, z), and [1]_::
 
     total        2 acos |w|
     heading      2 atan(z / w)             signed; positive where the sensor has turned too far about the vertical
@@ -28,9 +28,10 @@ import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray, frozen
 from undrift.calibration.adc import identify_record_adc
-from undrift.correction.correct import Policy, correct_checked
+from undrift.correction.consistency import check_triads
+from undrift.correction.correct import Policy, correct_checked, correct_whole
 from undrift.correction.coverage import find_beyond
-from undrift.correction.rest import mean_variance
+from undrift.correction.rest import RestOffset, find_rest_offset, mean_variance
 from undrift.drift.hysteresis import TempHistory
 from undrift.drift.sessions import nominal_triad
 from undrift.errors import AlignmentError, InputError
@@ -39,6 +40,7 @@ from undrift.frames import quaternion_conjugate, quaternion_of, quaternion_produ
 from undrift.model import AdcModel, Calibration
 from undrift.orientation import (
     check_gaps,
+    check_pitch_axes,
     heading_of,
     inclination_of,
     initial_tilt,
@@ -50,6 +52,7 @@ from undrift.record import Face, Record, Reference, Still
 from undrift.sync import Lag, LagSettings, Motion, RunningIntegral, find_lag, find_motion, native_poses, pose_rates
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 from undrift.validation.expected import ERROR_PRIOR, Course, ErrorPrior, Expected, OffsetSource, expected_errors
+from undrift.validation.reference_frames import check_reference
 from undrift.views import Shown
 
 # ---- track: orientation from the readings alone, started from rest
@@ -276,7 +279,7 @@ def degrees(angle: float) -> float:
 
 # ---- One trial
 
-RestOffset = Literal["none", "rest"]
+OffsetChoice = Literal["none", "rest"]
 Adc = Literal["auto", "none"]
 Align = Literal["auto", "none", "rates"]
 
@@ -291,7 +294,8 @@ class TrialSettings:
     Parameters
     ----------
     offset : str
-        "rest" subtracts the mean rate of the first rest after correction; "none" uses the calibration's offset.
+        "rest" subtracts the mean rate of the first still phase after correction, as ``correct`` and ``orient`` do; "none" uses
+        the calibration's offset.
     adc : str
         "auto" gives back what rounding took: as the calibration says, or, without one, as the record's own codes say.
         "none" leaves the codes as they are.
@@ -301,7 +305,7 @@ class TrialSettings:
     rest_s : float
         Rest before the motion that gives tilt and heading, s.
     lead_s : float
-        How long before the motion the integration starts, s; the rest mean ends there too.
+        How long before the motion the integration starts, s.
     end_s : float
         Time after the motion over which the end error is taken, s.
     undo_lag_above_s : float
@@ -323,7 +327,7 @@ class TrialSettings:
         What the error to expect of a calibration takes from other recordings and devices.
     """
 
-    offset: RestOffset = "none"
+    offset: OffsetChoice = "none"
     adc: Adc = "auto"
     align: Align = "auto"
     rest_s: float = 10.0
@@ -390,6 +394,8 @@ class Trial(Shown):
         1 within the motion.
     expected : Expected or None
         Errors to expect by the calibration's uncertainty; None without a calibration of the gyroscopes.
+    rest : RestOffset or None
+        What was subtracted because it was left at the first still phase.
     """
 
     recording: str
@@ -406,6 +412,7 @@ class Trial(Shown):
     reference_pitch: FloatArray
     moving: FloatArray
     expected: Expected | None = None
+    rest: RestOffset | None = None
 
     def __post_init__(self) -> None:
         n = len(self.time)
@@ -470,9 +477,10 @@ def validate_trial(
         check_gaps(done.gyro, done.time, "validate")
     gaps, poses = _gaps(done), native_poses(reference)
     lag = _lag(done, poses, gaps, settings)
+    findings += check_reference(done, poses, lag.seconds)
     motion = find_motion(done, reference, lag_s=lag.seconds)
     findings += _gaps_before(gaps[done.time < motion.start_s - settings.lead_s])
-    done = _without_rest_mean(done, motion, settings) if settings.offset == "rest" else done
+    done, left, more = _re_zeroed(done, motion, settings)
     done, mounting = _aligned(done, poses, lag, settings)
     held = 0.5 / done.sample_rate_hz  # strapdown holds each reading over the step before its stamp
     track = track_from_rest(
@@ -484,6 +492,7 @@ def validate_trial(
     error, sensor = errors[undone], tracks[undone]
     moving, after = _stretches(reference, motion, lag.seconds * undone, settings)
     pitches = sagittal_pitch(sensor, **axes), sagittal_pitch(reference.q_nb, **axes)
+    findings += _pitch_axes(sensor, reference.time < motion.start_s - lag.seconds * undone, settings)
     rates = np.asarray(done.between(motion.start_s, motion.stop_s).gyro)
     both = moving & np.isfinite(error.total)
     figures = Figures(
@@ -497,7 +506,7 @@ def validate_trial(
         motion_s=motion.stop_s - motion.start_s,
         turn_rate_rms_dps=degrees(float(np.sqrt(np.nanmean((rates**2).sum(axis=1))))),
     )
-    return Trial(
+    judged = Trial(
         recording=name or reference.name,
         figures=figures,
         lag=lag,
@@ -505,20 +514,27 @@ def validate_trial(
         motion=motion,
         mounting=mounting,
         mean_inclination=_mean_inclinations(sensor[both], reference.q_nb[both]),
-        findings=findings,
+        findings=(*findings, *more),
         time=reference.time,
         error=error,
         sensor_pitch=pitches[0],
         reference_pitch=pitches[1],
         moving=moving.astype(float),
-        expected=_expected(
-            done, track, motion, (lag.seconds - held) * (not undone), mounting, calibration, settings, source
-        ),
+        rest=left,
     )
+    late = (lag.seconds - held) * (not undone)
+    return replace(judged, expected=_expected(judged, done, track, late, calibration, settings, source))
 
 
 def _mean_inclinations(sensor: FloatArray, reference: FloatArray) -> tuple[float, float]:
     return of_known(np.mean, inclination_of(sensor)), of_known(np.mean, inclination_of(reference))
+
+
+def _pitch_axes(sensor: FloatArray, before: BoolArray, settings: TrialSettings) -> tuple[Finding, ...]:
+    """Return a finding where the axes of the pitch are not those that the rest shows; a motion that wraps is none."""
+    rest = before & np.isfinite(sensor).all(axis=1)
+    found = check_pitch_axes(sensor, rest, settings.forward, settings.up) if rest.any() else ()
+    return tuple(one for one in found if one.level == "warn")
 
 
 def _gaps_before(gaps: BoolArray) -> tuple[Finding, ...]:
@@ -529,11 +545,10 @@ def _gaps_before(gaps: BoolArray) -> tuple[Finding, ...]:
 
 
 def _expected(
+    judged: Trial,
     done: Record,
     track: tuple[FloatArray, FloatArray],
-    motion: Motion,
     delay_s: float,
-    mounting: Mounting | None,
     calibration: Calibration | None,
     settings: TrialSettings,
     source: OffsetSource | None,
@@ -543,10 +558,11 @@ def _expected(
     if calibration is None or model is None or not model.covariance[:9, :9].any():
         return None
     if source is None:
-        subtracted = settings.offset == "rest"
-        in_motion = model.method in ("reference/motion", "reference/common") and not subtracted
-        source = OffsetSource(rest="subtracted" if subtracted else "other", in_motion=in_motion)
-    rest = done.between(done.time[0], motion.start_s - settings.lead_s)
+        in_motion = model.method in ("reference/motion", "reference/common") and judged.rest is None
+        source = OffsetSource(rest="other" if judged.rest is None else "subtracted", in_motion=in_motion)
+    mounting, subtracted = judged.mounting, judged.rest
+    before = (float(done.time[0]), judged.motion.start_s - settings.lead_s)
+    rest = done.between(*before if subtracted is None else (subtracted.start_s, subtracted.stop_s))
     still = np.asarray(rest.gyro)[np.isfinite(np.asarray(rest.gyro)).all(axis=1)]
     variance = np.array([mean_variance(axis) for axis in still.T]) if len(still) > 1 else np.zeros(3)
     applied = np.eye(3) if mounting is None or not mounting.applied else mounting.alignment.rotation
@@ -554,7 +570,7 @@ def _expected(
     course = Course(
         record=done.part(len(done) - len(track[0]), len(done)),
         q_nb=track[1],
-        stop_s=motion.stop_s,
+        stop_s=judged.motion.stop_s,
         delay_s=delay_s,
         turned=applied,
         rest_variance=variance,
@@ -571,8 +587,10 @@ def _start_uncertainty(rest: Record, calibration: Calibration, settings: TrialSe
         return settings.prior.pose
     if calibration.accel is None or np.isnan(rest.accel).any():
         return settings.prior.tilt
-    tilt = initial_tilt(rest, Still(start=0, stop=len(rest)), accel_model=calibration.accel)
-    return math.hypot(tilt.inclination_uncertainty / math.sqrt(2.0), settings.prior.pose)
+    parts = dict(initial_tilt(rest, Still(start=0, stop=len(rest))).parts)
+    # recordings that a calibration is judged by share its temperature and time
+    of_start = math.hypot(parts["scatter"], parts.get("calibration", 0.0))
+    return math.hypot(of_start / math.sqrt(2.0), settings.prior.pose)
 
 
 def _lag(record: Record, poses: Reference, gaps: BoolArray, settings: TrialSettings) -> Lag:
@@ -638,16 +656,18 @@ def _corrected(
     if calibration is None:
         adc = identify_record_adc(record) if settings.adc == "auto" and record.state == "raw" else None
         if adc is None:
-            return record.in_si(), ()
-        done = correct_checked(record, nominal_calibration(record, adc))
-        return done.record, (finding("validate.adc", "info", rounding=adc.gyro_rounding.replace("_", " ")),)
+            return record.in_si(), check_triads(record)
+        done = correct_whole(record, nominal_calibration(record, adc))
+        return done.record, (
+            *check_triads(record),
+            finding("validate.adc", "info", rounding=adc.gyro_rounding.replace("_", " ")),
+        )
     if settings.adc == "none":
         calibration = replace(calibration, adc=None)
     since, history = settings.power_on_s, settings.temp_history
     done = correct_checked(record, calibration, policy=settings.policy, power_on_s=since, temp_history=history)
-    beyond = (one.text for one in find_beyond(done.record, calibration) if one.text)
-    texts = (*done.warnings, *beyond, *done.notes)
-    return done.record.in_si(), tuple(finding("validate.correction", "info", text=text) for text in texts)
+    beyond = (item for one in find_beyond(done.record, calibration) for item in one.findings)
+    return done.record.in_si(), (*done.findings, *beyond)
 
 
 def nominal_calibration(record: Record, adc: AdcModel | None) -> Calibration:
@@ -663,12 +683,19 @@ def nominal_calibration(record: Record, adc: AdcModel | None) -> Calibration:
     )
 
 
-def _without_rest_mean(record: Record, motion: Motion, settings: TrialSettings) -> Record:
-    rest = record.between(record.time[0], motion.start_s - settings.lead_s).gyro
-    seen = np.empty((0, 3)) if rest is None else rest[np.isfinite(rest).all(axis=1)]
-    if record.gyro is None or not len(seen):
-        raise InputError("validate: wanted gyro readings at rest before the motion, got none; use offset none")
-    return replace(record, gyro=record.gyro - seen.mean(axis=0))
+def _re_zeroed(
+    record: Record, motion: Motion, settings: TrialSettings
+) -> tuple[Record, RestOffset | None, tuple[Finding, ...]]:
+    """Subtract what is left at the first still phase; where none is found, at what the reference marks before the motion."""
+    if settings.offset != "rest":
+        return record, None, ()
+    more: tuple[Finding, ...] = ()
+    try:
+        left = find_rest_offset(record)
+    except InputError:
+        left = find_rest_offset(record, (float(record.time[0]), motion.start_s - settings.lead_s))
+        more = (finding("validate.no_still_phase", "warn", start_s=left.start_s, stop_s=left.stop_s),)
+    return replace(record, gyro=np.asarray(record.gyro) - left.rate), left, more
 
 
 def _aligned(record: Record, poses: Reference, lag: Lag, settings: TrialSettings) -> tuple[Record, Mounting | None]:

@@ -1,0 +1,96 @@
+"""Do a device and its reference mean the same: body to level frame, w-x-y-z, the axis that points up, the sign of acceleration?
+
+Rates of the reference must be those of the device after one rotation R_mb; the share that is left over tells a quaternion that
+is stated the other way round. The mean of the specific force in n, over the whole recording, must be gravity, up::
+
+    u = mean_k R(q_k) R_mb f_k / g = (0, 0, 1)          motion that ends where it began has no mean acceleration
+
+u along another axis is a laboratory whose vertical was named wrongly, u = (0, 0, -1) that or acceleration with the opposite sign.
+"""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from undrift.arrays import FloatArray
+from undrift.errors import AlignmentError, Implausible
+from undrift.findings import Finding, finding
+from undrift.frames import quaternion_conjugate, rotate
+from undrift.model import AXES
+from undrift.record import Record, Reference
+from undrift.sync import RunningIntegral, native_poses, pose_rates
+from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
+
+# Shares of the square of the rates that are left over: sound recordings leave 0.001 to 0.04 (BROAD, before calibration)
+UNLIKE, LEFT_OVER, EXPLAINED = 0.15, 0.5, 0.1
+TILTED, CLEARLY = 30.0 * RADIAN_PER_DEGREE, 60.0 * RADIAN_PER_DEGREE
+LENGTH = (0.8, 1.2)  # of u, where the attitudes and the forces belong together
+LEAST_RATE = 2.0 * RADIAN_PER_DEGREE  # rad/s rms: below it noise is what is compared
+
+
+def rate_share(record: Record, poses: Reference, lag_s: float) -> tuple[float, FloatArray]:
+    """Return the share of the rates' square that no rotation between the bodies explains, and the best rotation (3, 3)."""
+    rates = pose_rates(poses)
+    mean, inside = RunningIntegral(record.time, np.asarray(record.gyro)).mean(rates.start + lag_s, rates.stop + lag_s)
+    good = inside & rates.valid
+    u, w = mean[good] - mean[good].mean(axis=0), rates.rate[good] - rates.rate[good].mean(axis=0)
+    left, _, right = np.linalg.svd(w.T @ u)
+    rotation = left @ np.diag((1.0, 1.0, np.sign(np.linalg.det(left @ right)))) @ right
+    total = float((w**2).sum() + (u**2).sum()) / 2.0
+    if not len(w) or math.sqrt(total / len(w)) < LEAST_RATE:
+        raise AlignmentError("reference: wanted motion to compare rates in, got almost none")
+    return float(((w - u @ rotation.T) ** 2).sum()) / total, rotation
+
+
+def check_reference(record: Record, poses: Reference, lag_s: float) -> tuple[Finding, ...]:
+    """Return what speaks against the convention of a reference's poses; raise where it is clear. The record is in SI units."""
+    if record.gyro is None:
+        return ()
+    try:
+        share, rotation = rate_share(record, poses, lag_s)
+    except AlignmentError:
+        return ()
+    if share > LEFT_OVER:
+        others = {
+            "its quaternions turn level to body, not body to level": quaternion_conjugate(poses.q_nb),
+            "its quaternions are x-y-z-w, not w-x-y-z": np.roll(poses.q_nb, 1, axis=1),
+        }
+        shares = {
+            text: rate_share(record, native_poses(replace(poses, q_nb=q)), lag_s)[0] for text, q in others.items()
+        }
+        text = min(shares, key=lambda one: shares[one])
+        if shares[text] < EXPLAINED:
+            raise _other(poses, text, "convert them, or name their order in the file's map")
+    unlike = (finding("validate.rates_differ", "warn", percent=100.0 * share),) if share > UNLIKE else ()
+    return unlike or _check_up(record, poses, lag_s, rotation)
+
+
+def _check_up(record: Record, poses: Reference, lag_s: float, rotation: FloatArray) -> tuple[Finding, ...]:
+    """Check that the mean specific force in n is gravity, up."""
+    if record.accel is None:
+        return ()
+    seen = poses.valid & (poses.time + lag_s >= record.time[0]) & (poses.time + lag_s <= record.time[-1])
+    times = poses.time[seen] + lag_s
+    force = np.stack([np.interp(times, record.time, axis) for axis in record.accel.T], axis=1)
+    sound = np.isfinite(force).all(axis=1)
+    up = rotate(poses.q_nb[seen][sound], force[sound] @ rotation.T).mean(axis=0) / STANDARD_GRAVITY
+    length = float(np.linalg.norm(up))
+    angle = math.acos(float(np.clip(up[2] / max(length, 1e-9), -1.0, 1.0)))
+    if not LENGTH[0] < length < LENGTH[1] or angle < TILTED:
+        return ()
+    k = int(np.abs(up).argmax())
+    axis = f"{'+' if up[k] > 0.0 else '-'}{AXES[k]}"
+    text = f"the axis of its laboratory that points up is {axis}, not +z"
+    if axis == "-z":
+        text = "acceleration has the opposite sign, or its laboratory is mirrored (left-handed) or upside down"
+    if angle > CLEARLY:
+        raise _other(poses, text, "name the laboratory axis that points up, or correct the sign of the columns")
+    return (finding("validate.not_up", "warn", angle_deg=angle / RADIAN_PER_DEGREE, text=text),)
+
+
+def _other(poses: Reference, text: str, action: str) -> Implausible:
+    name = poses.name or "reference"
+    return Implausible(
+        f"{name}: wanted poses that level the device's readings, got others: {text}; {action}", mistake=text
+    )
