@@ -7,8 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from testkit.pictures import pictures_looked_at
 from testkit.surfaces import errors
 from undrift.findings import finding
+from undrift.report.figures import draw_effects, draw_pareto, svg_of
 from undrift.report.study import write_study_report
 from undrift.study.case import device_of
 from undrift.study.designs import design_rows, task_rates
@@ -147,6 +149,32 @@ def test_the_page_holds_every_table_and_picture(outcome: StudyOutcome, tmp_path:
     write_study_report(without, tmp_path / "b.html")
     wanted = "<strong>Figure 3</strong>: the study has no sit-to-stand of the library"
     assert wanted in (tmp_path / "b.html").read_text()
+
+
+def test_no_picture_of_the_page_cuts_its_legend_or_a_label(outcome: StudyOutcome, tmp_path: Path) -> None:
+    task = outcome.tasks[0]
+    best, count = task.optimum.best, len(task.surface.cutoff_hz)
+    mixed = (
+        np.arange(count) % 3
+    )  # every mark of the first picture, the optimum apart from the shortest equivalent, and the same
+    marks = {"worse": mixed == 0, "undecided": mixed == 1, "equivalent": mixed == 2}
+    further = [
+        replace(effect, name=name)
+        for effect, name in zip(task.optimum.effects, ("gain", "static_step_c", "bracket_s"), strict=False)
+    ]
+    variants = [
+        replace(
+            task, optimum=replace(task.optimum, cheapest=place, **marks), effect_reach_deg=task.effect_reach_deg[:3]
+        )
+        for place in (best, (best + 1) % count)
+    ]
+    variants = [replace(one, optimum=replace(one.optimum, effects=tuple(further))) for one in variants]
+    with pictures_looked_at() as cut:
+        write_study_report(outcome, tmp_path / "a.html")
+        for one in variants:
+            svg_of(draw_pareto(outcome, one))
+            svg_of(draw_effects(one))
+    assert cut == []
 
 
 def test_optimal_rates_beat_the_grid_by_their_own_measure_for_the_cohorts_motions(outcome: StudyOutcome) -> None:

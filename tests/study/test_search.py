@@ -3,6 +3,7 @@
 import json
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from html import unescape
 from pathlib import Path
 from typing import Any
 
@@ -10,8 +11,12 @@ import numpy as np
 import pytest
 
 from testkit.data import show
+from testkit.pages import faults_of
 from testkit.surfaces import errors
+from undrift.cli.study import _show as show_study
+from undrift.cli.study import study_summary
 from undrift.errors import FileFormatError, InputError
+from undrift.report.study import write_study_report
 from undrift.rig.programme import Protocol
 from undrift.sim.device.effects import Nonlinearity
 from undrift.sim.device.model import device_json
@@ -20,10 +25,10 @@ from undrift.sim.table_sessions import BenchErrors
 from undrift.study.case import columns_of, make_case, run_unit, units_of
 from undrift.study.judge import find_optimum
 from undrift.study.outcome import judge_study
-from undrift.study.plan import TABLE_1, Study, StudyTask, ends_of, note_study, read_study
+from undrift.study.plan import TABLE_1, SpaceEntry, Study, StudyTask, ends_of, note_study, read_study
 from undrift.study.run import InProcess, run_study
 from undrift.study.search import Lists, count_runs, drawn, estimated, front_of, search_study
-from undrift.study.space import Setting, Space
+from undrift.study.space import HEADINGS, OF_NOTE, Setting, Space
 
 DPS = np.pi / 180.0
 BASE = Protocol(grid="paper", dwell_s=1.0, bracket_s=3.0, temperatures_c=(18.0, 36.0, 54.0, 75.0))
@@ -49,7 +54,50 @@ def study_of(task: StudyTask, **given: Any) -> Study:
     return Study(**({"name": "wide", "device": "enc03j_3031", "tasks": (task,), "subjects": 3} | given))
 
 
+TWO = {  # values of each parameter that can be searched, two each
+    "cutoff_hz": (5.0, 11.4),
+    "turn_rate_step_dps": (10.0, 20.0),
+    "turn_rate_min_dps": (10.0, 30.0),
+    "turn_rate_max_dps": (50.0, 90.0),
+    "gain": (10.0, 20.0),
+    "quality": (0.6, 2.0),
+    "dwell_s": (0.5, 1.0),
+    "bracket_s": (2.0, 3.0),
+    "face_s": (2.0, 6.0),
+    "faces": (5.0, 6.0),
+    "set_points": (1.0, 4.0),
+    "static_step_c": (0.5, 8.0),
+    "dynamic_step_c": (3.0, 9.0),
+}
+
+
 # ---- what is tried
+
+
+@pytest.mark.parametrize("name", HEADINGS)
+def test_a_study_of_any_parameter_comes_to_its_page_its_summary_and_its_lines(
+    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    space: dict[str, Any] = {"turn_rate_max": (50.0 * DPS,)}
+    if name.endswith("_dps"):
+        space[name.removesuffix("_dps")] = tuple(value * DPS for value in TWO[name])
+    else:
+        space |= {name: TWO[name]} if name in OF_NOTE else {"further": ((name, TWO[name]),)}
+    outcome = judge_study(study_of(task_of("step", **space)), InProcess(), tmp_path)
+    write_study_report(outcome, tmp_path / "report.html")
+    text = (tmp_path / "report.html").read_text()
+    assert faults_of(text) == ["provenance"]  # no command made it
+    assert HEADINGS[name] in unescape(text)
+    assert [split.parameter for split in outcome.tasks[0].splits] == [name]
+    (task,) = study_summary(outcome)["tasks"]
+    assert name in task["optimum"]
+    assert [row["parameter"] for row in task["made_of"]] == [name]
+    show_study(outcome, tmp_path, True)
+    assert HEADINGS[name].split(" (")[0] in capsys.readouterr().out
+
+
+def test_every_list_of_a_plan_has_a_heading() -> None:
+    assert list(HEADINGS) == list(SpaceEntry.model_fields) == list(TWO)
 
 
 def test_a_list_of_the_own_value_changes_nothing_and_one_of_others_does() -> None:

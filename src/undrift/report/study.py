@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from undrift.report import figures
 from undrift.report.discussion import claims_section, rival_sections
-from undrift.report.figures import NAMES, name_of, p_text, svg_of
+from undrift.report.figures import p_text, svg_of
 from undrift.report.note import note_sections
 from undrift.report.page import (
     Cells,
@@ -21,6 +21,7 @@ from undrift.report.page import (
     write_page,
 )
 from undrift.sim.motion.categories import CATEGORIES
+from undrift.study.space import HEADINGS, OF_NOTE
 
 if TYPE_CHECKING:
     from undrift.study.designs import DesignRow
@@ -120,13 +121,13 @@ def task_words(key: str) -> str:
 
 def rates_of(surface: "TaskSurface", place: int) -> str:
     """Return the rates of a protocol in words."""
-    step, low, high = (f"{getattr(surface, name)[place]:.4g}" for name in list(NAMES)[1:])
+    step, low, high = (f"{getattr(surface, name)[place]:.4g}" for name in list(OF_NOTE)[1:])
     return f"{low} to {high} by {step}"
 
 
 def _further(surface: "TaskSurface", place: int) -> str:
     """Return what a protocol has of the further parameters, to be set behind a name."""
-    words = ", ".join(f"{name_of(name)} {values[place]:.4g}" for name, values in surface.further.items())
+    words = ", ".join(f"{HEADINGS[name]} {values[place]:.4g}" for name, values in surface.further.items())
     return f" ({words})" if words else ""
 
 
@@ -134,10 +135,10 @@ def _protocol(surface: "TaskSurface", place: int) -> tuple[str, ...]:
     """Return the four parameters, the errors in both timings and the session of a protocol."""
     means = [[f"{surface.error(name, timing)[:, place].mean():.3f}" for name in OBJECTIVES] for timing in TIMINGS]
     errors = map(", ".join, means)
-    return (*(f"{getattr(surface, name)[place]:.4g}" for name in NAMES), *errors, f"{surface.rig_minutes[place]:.1f}")
+    return (*(f"{getattr(surface, name)[place]:.4g}" for name in OF_NOTE), *errors, f"{surface.rig_minutes[place]:.1f}")
 
 
-_PROTOCOL = (*NAMES.values(), *(f"{timing}: rms, largest, end (deg)" for timing in TIMINGS), "session (min)")
+_PROTOCOL = (*OF_NOTE.values(), *(f"{timing}: rms, largest, end (deg)" for timing in TIMINGS), "session (min)")
 
 
 # ---- answer
@@ -214,7 +215,7 @@ def _table_1(outcome: "StudyOutcome") -> Section:
             further = _further(task.surface, found.cheapest)
             rows.append((f"… shortest equivalent{further}", *_protocol(task.surface, found.cheapest), ""))
         if note is not None:
-            four = (f"{getattr(note.row, name):.4g}" for name in NAMES)
+            four = (f"{getattr(note.row, name):.4g}" for name in OF_NOTE)
             rest = ("", "", "") if note.place is None else _protocol(task.surface, note.place)[4:]
             mark = " *" if note.row.erratum else ""
             rows.append((f"… the note{mark}", *four, *rest, f"{note.row.p_value:.3f}, its own"))
@@ -271,7 +272,7 @@ def _note(outcome: "StudyOutcome") -> Section:
 
 def _note_values(outcome: "StudyOutcome") -> Section:
     rows = [
-        {"value": f"{_name(task)}: {NAMES[value.name]} {value.value:.4g}", "the note": value.verdict}
+        {"value": f"{_name(task)}: {HEADINGS[value.name]} {value.value:.4g}", "the note": value.verdict}
         | {"against": _beside(task, value, found)}
         | _decision_cells(found)
         for task in outcome.tasks
@@ -293,7 +294,7 @@ def _beside(task: "TaskOutcome", value: "NoteValue", found: "Decision") -> str:
     for name in surface.names:
         other = float(surface.column(name)[found.other])
         if name != value.name and place is not None and abs(other / surface.column(name)[place] - 1.0) > 1e-6:
-            text += f", {name_of(name)} {other:.4g}"
+            text += f", {HEADINGS[name]} {other:.4g}"
     return text
 
 
@@ -428,7 +429,7 @@ def _front(outcome: "StudyOutcome", task: "TaskOutcome") -> Section:
     if task.halving is not None:
         text += " of the last round; the front comes from all that were tried, and what seemed to be on it met every subject too"
     heads = (
-        *map(name_of, surface.names),
+        *(HEADINGS[name] for name in surface.names),
         f"mean {outcome.study.objective} error, {outcome.study.timing} (deg)",
         "95 % interval",
         "session (min)",
@@ -476,7 +477,7 @@ def _effect_row(effect: "ParameterEffect", power: "EffectPower | None") -> dict[
     named = "ANOVA" if effect.anova is not None else f"mixed model, {effect.missing} missing"
     needed = "none" if power is None or power.subjects is None else str(power.subjects)
     return {
-        "parameter": name_of(effect.name),
+        "parameter": HEADINGS[effect.name],
         "values tried": values,
         "best to worst (deg)": f"{effect.span_deg:.3f}" if test else "",
         "test": f"none: {effect.untested.detail}" if effect.untested else named,
@@ -503,7 +504,7 @@ def _stopping(outcome: "StudyOutcome", task: "TaskOutcome") -> str:
     return (
         f"Optional stopping: adding subjects until p falls below {level:g} gives a false finding in {100.0 * held.false_alarm:.0f} "
         f"% of studies in place of {100.0 * level:g} % (looks from {first} to {last} subjects). Here p of "
-        f"{name_of(task.stopping_of)} crossed the level {held.crossings} times. Fix the number of subjects beforehand."
+        f"{HEADINGS[task.stopping_of]} crossed the level {held.crossings} times. Fix the number of subjects beforehand."
     )
 
 
@@ -514,7 +515,7 @@ def _eta(test: "Anova | MixedModel") -> str:
 def _decisions(task: "TaskOutcome") -> Section:
     """Compare the optimum's value of each parameter with its others."""
     rows = [
-        {"parameter": name_of(effect.name), "optimum": f"{effect.values[effect.best]:.4g}"}
+        {"parameter": HEADINGS[effect.name], "optimum": f"{effect.values[effect.best]:.4g}"}
         | {"value": f"{effect.values[found.other]:.4g}"}
         | _decision_cells(found)
         for effect in task.optimum.effects
@@ -530,10 +531,10 @@ def _made_of(task: "TaskOutcome") -> Section:
     if not task.splits:
         return Section(title="")
     splits, first = task.splits, task.splits[0]
-    worth = {NAMES[split.parameter]: {term.effect: term for term in split.terms} for split in splits}
+    worth = {HEADINGS[split.parameter]: {term.effect: term for term in split.terms} for split in splits}
     rows = [
         {"switched off": "nothing", "share of the mean square": "", "alone (deg)": f"{first.rms_deg:.3f} in all"}
-        | {NAMES[split.parameter]: split.judged.verdict for split in splits}
+        | {HEADINGS[split.parameter]: split.judged.verdict for split in splits}
     ]
     rows += [
         {
@@ -564,7 +565,7 @@ def _percent(term: "Term") -> tuple[float, float]:
 
 def _tests(outcome: "StudyOutcome") -> Section:
     rows = [
-        {"task: parameter": f"{_name(task)}: {name_of(effect.name)}"} | _test_row(effect)
+        {"task: parameter": f"{_name(task)}: {HEADINGS[effect.name]}"} | _test_row(effect)
         for task in outcome.tasks
         for effect in task.optimum.effects
         if effect.test is not None

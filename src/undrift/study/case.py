@@ -23,10 +23,10 @@ import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray, IntArray
 from undrift.calibration.six_face import FaceMeans, fit_six_face
-from undrift.correction.correct import correct_checked
+from undrift.correction.correct import correct_whole
 from undrift.errors import AlignmentError, CalibrationError, InputError
 from undrift.model import Calibration, TriadModel
-from undrift.orientation import IN_PLANE, initial_tilt, orient, sagittal_pitch
+from undrift.orientation import IN_PLANE, initial_tilt, orient_unchecked, sagittal_pitch
 from undrift.record import FACES, Record, Reference, Still
 from undrift.rig.programme import DAMPING, Protocol
 from undrift.sim.device.dwells import board_readings, mean_readings, numbers_of_dwell
@@ -246,8 +246,8 @@ def delay_of(record: Record, q_nb: FloatArray) -> float:
 
 def pitch_error(case: Case, calibration: Calibration) -> FloatArray:
     """Return the error of the pitch that a calibrated device gives, (M,) rad."""
-    corrected = correct_checked(case.record, calibration, policy="hold", threads=1).record
-    found = orient(corrected, Still(start=case.still[0], stop=case.still[1]))
+    corrected = correct_whole(case.record, calibration, policy="hold", threads=1).record
+    found = orient_unchecked(corrected, Still(start=case.still[0], stop=case.still[1]))
     error = found.pitch - case.pitch
     error = (error + np.pi) % (2.0 * np.pi) - np.pi
     return error[case.moving[0] : case.moving[1]]
@@ -396,7 +396,7 @@ def trial_errors(case: Case, accel: TriadModel | None, fits: NoteFits) -> FloatA
 
     rest = case.record.part(*case.still)
     tilted = Calibration(device="", reference_temp_c=ROOM_TEMP_C, gravity_m_s2=STANDARD_GRAVITY, gyro=None, accel=accel)
-    level = correct_checked(replace(rest, gyro=None), tilted, policy="hold", threads=1).record
+    level = correct_whole(replace(rest, gyro=None), tilted, policy="hold", threads=1).record
     q0 = initial_tilt(level, Still(start=0, stop=len(rest))).q_nb
     anchor, stop = case.still[1] - 1, case.moving[1]
     gyro, out = case.record.gyro, np.full((len(fits.good), len(ERRORS)), np.nan)

@@ -30,7 +30,7 @@ import numpy as np
 
 from undrift.arrays import FloatArray
 from undrift.calibration.calibrate import calibrate
-from undrift.correction.correct import correct_checked
+from undrift.correction.correct import correct_whole
 from undrift.drift.fit import fit_drift
 from undrift.errors import InputError
 from undrift.model import Calibration, DriftTables
@@ -209,7 +209,7 @@ def judge_compared(
         for level, name in zip(levels, names[:3], strict=True)
     ]
     for level, name in zip((none, full), names[3:], strict=True):
-        zeroed = correct_checked(record, level, offset="rest", temp_history=worn.temp_history).record
+        zeroed = correct_whole(record, level, (None, worn.temp_history), "rest").record
         trials.append(validate_trial(zeroed, reference, name=name))
     return tuple(trials)
 

@@ -32,7 +32,7 @@ from undrift.study import statistics
 from undrift.study.case import COLUMNS, subject_of
 from undrift.study.plan import MARGIN_DEG, NoteRow, Objective, Study, StudyTask, Timing
 from undrift.study.run import InProcess, TaskSurface, run_study
-from undrift.study.space import FURTHER, TURN_RATES, Space
+from undrift.study.space import HEADINGS, TURN_RATES, Space
 from undrift.study.statistics import (
     MOST_SUBJECTS,
     Anova,
@@ -54,8 +54,7 @@ from undrift.units import RADIAN_PER_DEGREE
 # ---- effect of each parameter, the others at the optimum
 
 PARAMETERS = COLUMNS[:4]
-SYMBOLS = dict(zip(PARAMETERS, ("cut-off", "step d", "omega_m", "omega_M"), strict=True))
-SYMBOLS |= {name: kind.heading.split(" (")[0] for name, kind in FURTHER.items()}
+SYMBOLS = {name: heading.split(" (")[0] for name, heading in HEADINGS.items()}
 FEWEST_SHARE = 0.5  # of the subjects whose device a level has to calibrate
 
 

@@ -40,6 +40,14 @@ FURTHER: dict[str, Kind] = {
     "static_step_c": Kind("static table step (K)", 0.01),
     "dynamic_step_c": Kind("dynamic table step (K)", 0.01),
 }
+OF_NOTE = {  # the first four, by their columns of a surface
+    "cutoff_hz": "cut-off (Hz)",
+    "turn_rate_step_dps": "step d (deg/s)",
+    "turn_rate_min_dps": "omega_m (deg/s)",
+    "turn_rate_max_dps": "omega_M (deg/s)",
+}
+# Every parameter that can be searched, as tables, figures and findings name it
+HEADINGS = OF_NOTE | {name: kind.heading for name, kind in FURTHER.items()}
 OF_DEVICE = ("gain", "quality")  # the first of them
 
 
