@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from undrift.web.commands import Outcome, outcome_of, run_command
+from undrift.web.commands import Outcome, outcome_of, remarks_of, run_command
 
 
 def test_a_command_answers_with_its_envelope(tmp_path: Path) -> None:
@@ -23,6 +23,40 @@ def test_a_command_that_refuses_gives_its_line(tmp_path: Path) -> None:
     assert (outcome.code, outcome.done) == (2, False)
     assert "none.csv" in outcome.error
     assert "\n" not in outcome.error
+
+
+def test_no_text_of_a_command_names_the_folders_of_the_bench(tmp_path: Path) -> None:
+    place = tmp_path / "uploads" / "0123456789ab"
+    place.mkdir(parents=True)
+    (place / "Gehversuch März.csv").write_text("nothing\n")
+    for path in (place / "Gehversuch März.csv", Path("uploads/0123456789ab/Gehversuch März.csv")):
+        outcome = asyncio.run(run_command(["info", path, "--figure", place / "a.bmp"], tmp_path, lambda line: None))
+        assert outcome.error.startswith(("a.bmp: wanted a name ending", "Gehversuch März.csv: "))
+        assert str(tmp_path) not in json.dumps(outcome.answer, ensure_ascii=False)
+        assert "uploads" not in json.dumps(outcome.answer, ensure_ascii=False)
+
+
+def test_all_that_a_command_noticed_is_a_remark_once_the_gravest_first() -> None:
+    warning = {"level": "warn", "text": "Signs differ: y; say which", "action": "say which"}
+    answer = {
+        "findings": [warning],
+        "recordings": [
+            {"warnings": ["Signs differ: y; say which", "20 s outside"], "notes": ["left out", "20 s outside"]}
+        ],
+        "trials": [{"findings": [{"level": "info", "text": "aligned", "action": ""}], "notes": ["aligned"]}],
+        "verdict": {"findings": [{"level": "fail", "text": "no faces; record six", "action": "record six"}]},
+        "problems": ["gap"],
+        "notes": "no list",
+        "result": {"recordings": [{"notes": ["left out"]}]},
+    }
+    found = [(one.level, one.text, one.action) for one in remarks_of(answer)]
+    assert found[:3] == [
+        ("fail", "no faces", "record six"),
+        ("warn", "Signs differ: y", "say which"),
+        ("warn", "20 s outside", ""),
+    ]
+    assert sorted(text for level, text, _ in found if level == "info") == ["aligned", "gap", "left out"]
+    assert len(found) == 6
 
 
 def test_a_command_that_does_not_end_is_ended(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ import pytest
 from undrift.record import FACES
 from undrift.sim.motion.motion import unit_vector
 from undrift.web.capture import Light, State
-from undrift.web.drawings import box, lamp, ring
+from undrift.web.drawings import box, lamp, ring, worn
 
 SVG = "{http://www.w3.org/2000/svg}"
 
@@ -41,6 +41,30 @@ def test_the_arrow_goes_round_the_way_the_words_say(turn, words):
     front = points[np.argsort(points[:, 1])[-1]]  # the lowest point is the nearest one
     after = points[np.argsort(points[:, 1])[-1] + 3]
     assert (after[0] > front[0]) == (turn == "+")  # seen from above, counter-clockwise goes to the right in front
+
+
+@pytest.mark.parametrize("forward", FACES)
+@pytest.mark.parametrize("up", FACES)
+def test_a_worn_device_is_drawn_with_right_handed_axes(forward, up):
+    drawn = parsed(worn(forward, up))
+    label = drawn.get("aria-label")
+    names = [text.text for text in drawn.iter(f"{SVG}text")]
+    if forward[1] == up[1]:
+        assert names == []
+        return
+    assert names == ["x", "y", "z"]
+    body = {
+        "forward": (1, 0, 0),
+        "back": (-1, 0, 0),
+        "left": (0, 1, 0),
+        "right": (0, -1, 0),
+        "up": (0, 0, 1),
+        "down": (0, 0, -1),
+    }
+    x, y, z = (body[re.search(rf"{axis} points (\w+)", label)[1]] for axis in "xyz")
+    assert np.cross(x, y).tolist() == list(z)
+    for side, way in ((forward, (1, 0, 0)), (up, (0, 0, 1))):
+        assert np.dot(unit_vector(side), np.array([x, y, z]) @ np.array(way)) == 1
 
 
 def test_every_light_has_a_shape_of_its_own():

@@ -7,7 +7,7 @@ import pytest
 from testkit.guided import HandFeed
 from undrift.io.session import read_session
 from undrift.web import guided as module
-from undrift.web.bench import Bench, BenchSettings
+from undrift.web.bench import Bench, BenchSettings, place_of
 from undrift.web.guided import UNSEEN_S, begin_anew, guided_of
 
 
@@ -69,7 +69,7 @@ def test_a_device_has_one_capture_until_another_is_connected_or_it_is_begun_anew
 
 def test_what_is_captured_is_written_at_once_with_the_gravity_of_the_place(bench, feed):
     bench.source = Fed(feed)
-    bench.set_place(52.0, 40.0)
+    bench.set_place(place_of("52.0", "40"))
     guided = guided_of(bench)
     step(guided, feed, 12.0)
     session = read_session(bench.job.session)
@@ -77,6 +77,13 @@ def test_what_is_captured_is_written_at_once_with_the_gravity_of_the_place(bench
     assert session.serial == "A17"
     assert session.gravity_m_s2 == pytest.approx(9.8125, abs=1e-3)
     assert guided.error == ""
+
+
+def test_without_a_place_no_gravity_is_written_into_the_session(bench, feed):
+    bench.source = Fed(feed)
+    step(guided_of(bench), feed, 12.0)
+    assert "gravity" not in (bench.job.session / "session.toml").read_text()
+    assert read_session(bench.job.session).gravity_source == "standard"
 
 
 def test_a_folder_that_cannot_be_written_is_said_and_tried_again(bench, feed):

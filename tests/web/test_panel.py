@@ -5,7 +5,7 @@ import re
 import pytest
 
 from undrift.errors import InputError
-from undrift.web.panel import STATIC, Panel
+from undrift.web.feed import STATIC, Panel
 
 
 @pytest.mark.parametrize(("plots", "span_s"), [(("secrets",), 10), ((), 10), (("rate", "rate"), 10), (("rate",), 11)])

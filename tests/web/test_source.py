@@ -243,11 +243,13 @@ def test_a_calibration_of_another_unit_leaves_the_raw_readings_and_says_why(sour
     assert source.status().correction == ""
 
 
-def test_a_calibration_of_another_device_is_a_note_beside_the_corrected_readings(source: Source, device: DeviceModel):
+def test_a_calibration_of_another_device_is_a_warning_beside_the_corrected_readings(
+    source: Source, device: DeviceModel
+):
     made = calibrate(simulate_session("bench", device, rng=np.random.default_rng(1)))
     gyro, accel = replace(made.gyro, unit_in="dps"), replace(made.accel, unit_in="m/s2")
     source.set_calibration(replace(made, device="other", gyro=gyro, accel=accel, adc=None))
-    eventually(lambda: source.status().notes, "a note")
-    assert "other" in source.status().notes
-    assert source.status().correction == ""
+    eventually(lambda: source.status().correction, "a warning")
+    assert "calibration other" in source.status().correction
+    assert "calibration other" not in source.status().notes
     assert source.updates()[-1].corrected is not None

@@ -1,9 +1,11 @@
 """Uploads and addresses that nobody should send: no answer of 500, no file outside the folder, the bench goes on."""
 
 import http.client
+import json
 import random
 import socket
 import string
+from contextlib import closing
 from pathlib import Path
 from urllib.parse import quote
 
@@ -159,6 +161,41 @@ def test_a_half_sent_upload_is_not_kept(server: BenchServer) -> None:
 def test_a_name_of_an_upload_is_never_a_path_or_hidden(text: str) -> None:
     name = safe_name(text, "otherwise")
     assert name == Path(name).name
-    assert not name.startswith((".", "-"))
-    assert len(name) <= 80
-    assert set(name) <= set(string.ascii_letters + string.digits + "._-")
+    assert not name.startswith((".", "-", " ", "~"))
+    assert len(name.encode()) <= 255
+    assert set(name) <= set(string.ascii_letters + string.digits + " ._-()")
+    assert name.partition(".")[0].lower() not in ("con", "nul")
+
+
+@pytest.mark.parametrize(
+    ("text", "name"),
+    [
+        ("走路.csv", "走路.csv"),
+        ("Ma\u0308rz.csv", "M\u00e4rz.csv"),  # NFC
+        ("चलना.parquet", "चलना.parquet"),  # marks are a part of the letters
+        ("مشي (2).csv.gz", "مشي (2).csv.gz"),
+        ("\U0001f600.csv", "recording.csv"),
+        ("\ufffd\udce4.csv", "recording.csv"),
+        ("nul.csv", "_nul.csv"),
+    ],
+)
+def test_a_name_keeps_the_letters_of_its_script(text: str, name: str) -> None:
+    assert safe_name(text, "recording") == name
+
+
+@pytest.mark.parametrize("letter", ["x", "走", "ä"])
+def test_a_long_name_keeps_its_endings(letter: str) -> None:
+    name = safe_name(letter * 300 + ".csv.gz", "recording")
+    assert name.endswith(f"{letter}.csv.gz")
+    assert 190 < len(name.encode()) <= 200  # room for the endings of results
+
+
+@pytest.mark.parametrize("name", ["%E8%B5%B0%E8%B7%AF.csv", "%E4%F6.csv", "x" * 300 + ".csv", "%F0%9F%98%80.csv"])
+def test_an_upload_in_any_script_is_taken_and_served_again(server: BenchServer, name: str) -> None:
+    with closing(http.client.HTTPConnection("127.0.0.1", server.port, timeout=20.0)) as connection:
+        connection.request("POST", f"/upload?name={name}", b"1,2\n")
+        answer = connection.getresponse()
+        kept = json.loads(answer.read())["file"]
+        assert (answer.status, Path(kept).suffix) == (200, ".csv")
+        connection.request("GET", f"/files/{quote(kept)}")
+        assert connection.getresponse().read() == b"1,2\n"

@@ -1,4 +1,4 @@
-"""A person's whole path with the pointer alone: from the first page to a registered calibration with its certificate."""
+"""A person's whole path with the pointer and one number: from the first page to a registered calibration with its certificate."""
 
 import json
 import subprocess
@@ -32,7 +32,7 @@ def captured(page: Page, name: str) -> None:
     page.get_by_role("listitem").filter(has_text=name).filter(has_text="captured").wait_for(timeout=CAPTURE_MS)
 
 
-def test_from_start_to_certificate_without_a_keyboard(
+def test_from_start_to_certificate_with_the_pointer_and_the_gravity(
     open_page: Callable[..., Page], bench_server: BenchServer
 ) -> None:
     page, began = open_page("/"), time.monotonic()
@@ -57,7 +57,13 @@ def test_from_start_to_certificate_without_a_keyboard(
     spans["turns"] = time.monotonic() - began
     hand.click("Calibrate")
     page.wait_for_url("**/result", timeout=COMMAND_MS)
-    expect(page.get_by_role("heading", name="Verdict:")).to_have_text("Verdict: good")
+    verdict = page.get_by_role("heading", name="Verdict:")
+    expect(verdict).to_have_text("Verdict: marginal")
+    expect(page.get_by_role("region", name="Verdict")).to_contain_text("Warning: Local gravity assumed")
+    shoot(page, "result-gravity-assumed")
+    page.get_by_label("Gravity, m/s2").fill("9.80665")  # of the practice device
+    hand.click("Calibrate with this gravity")
+    expect(verdict).to_have_text("Verdict: good", timeout=COMMAND_MS)
     spans["result"] = time.monotonic() - began
     hand.click("Register the calibration")
     page.get_by_text("Registered as entry").wait_for(timeout=COMMAND_MS)
@@ -76,4 +82,4 @@ def test_from_start_to_certificate_without_a_keyboard(
     )  # fmt: skip
     (device,) = json.loads(listed.stdout)["devices"]
     assert (device["state"], device["entries"], device["calibration"]["kind"]) == ("valid", 2, "calibration")
-    assert hand.clicks == 21  # 2 to begin, 5 faces, 1, 3 layings and 6 turns, 4 to the certificate in hand
+    assert hand.clicks == 22  # 2 to begin, 5 faces, 1, 3 layings and 6 turns, 5 to the certificate in hand

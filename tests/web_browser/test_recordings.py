@@ -1,14 +1,20 @@
 """The page Recordings: a file dropped, its map proposed, corrected, oriented, validated, downloaded."""
 
+import json
 import os
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from playwright.sync_api import Page, expect
 
+import undrift
 from testkit.bench import BenchServer
-from web_browser.conftest import shoot
+from undrift.io.parquet import write_parquet
+from undrift.units import gravity_at
+from web_browser.conftest import faults_of, shoot
 
 DATA = Path(os.environ.get("UNDRIFT_DATA", Path(__file__).parents[3] / "shared" / "data"))
 needs_data = pytest.mark.skipif(not DATA.is_dir(), reason="the folder of recordings is absent (UNDRIFT_DATA)")
@@ -22,7 +28,7 @@ def test_a_table_is_mapped_calibrated_and_corrected_without_a_command_line(
     page = open_page("/recordings")
     page.set_default_timeout(COMMAND_MS)
     page.get_by_label("Choose files").set_input_files(DATA / "ferraris_nilspod" / "example_ferraris_session.csv")
-    page.get_by_label("Samples per second, Hz").fill("204.8")
+    page.get_by_label("Samples per second, Hz").fill("102.4")
     shoot(page, "recordings-map")
     page.get_by_role("button", name="Read the file").click()
     page.get_by_label("Angle of its turns, deg").fill("360")
@@ -31,7 +37,20 @@ def test_a_table_is_mapped_calibrated_and_corrected_without_a_command_line(
     page.wait_for_url("**/result")
     verdict = page.get_by_role("heading", name="Verdict:")
     expect(verdict).to_have_text("Verdict: marginal")
+    gravity = page.get_by_role("region", name="Gravity")
+    page.get_by_role("button", name="Calibrate with this gravity").click()
+    expect(page.locator(".bench-main")).to_contain_text(
+        "gravity: wanted a town, a latitude or gravity itself, got none"
+    )
+    gravity.get_by_label("Town, or latitude in deg").fill("Oslo")
     shoot(page, "result-of-a-recording")
+    page.get_by_role("button", name="Calibrate with this gravity").click()
+    expect(gravity).to_have_count(0, timeout=COMMAND_MS)
+    (made,) = bench_server.folder.glob("jobs/*/calibration.json")
+    made_by = json.loads(made.read_text())
+    assert made_by["gravity_m_s2"] == pytest.approx(gravity_at(59.9, 20.0))
+    assert made_by["provenance"]["settings"]["gravity"] == "latitude and height"
+    assert str(bench_server.folder) not in made.with_name("report.html").read_text()
     page.goto(bench_server.address + "recordings")
     page.get_by_role("button", name="Correct").click()
     with page.expect_download() as download:
@@ -46,12 +65,24 @@ def test_a_recording_with_optics_is_oriented_and_validated(open_page: Callable[.
     page.set_default_timeout(COMMAND_MS)
     page.get_by_label("Choose files").set_input_files(DATA / "broad" / "35_disturbed_attached_magnet_4cm.hdf5")
     page.get_by_role("button", name="Validate").click()
+    wrong = "wanted a side that points forward and another that points up, got none and none"
+    expect(page.locator(".bench-main")).to_contain_text(wrong)
+    page.get_by_label("Side that points forward").select_option("+x")
+    page.get_by_label("Side that points up").select_option("+z")
+    drawing = page.get_by_role(
+        "img", name="Device at the low back of a standing person: x points forward, y points left"
+    )
+    expect(drawing).to_be_visible()
+    page.get_by_role("button", name="Validate").click()
     link = page.get_by_role("link", name="validate: report")
     with page.expect_popup() as popup:
         link.click()
     popup.value.wait_for_load_state()
     assert "deg" in popup.value.locator("p.answer").inner_text()
+    expect(page.get_by_role("heading", name="What validate noticed")).to_be_visible(timeout=COMMAND_MS)
     shoot(page, "recordings-validated-390")
+    page.mouse.move(0, 0)
+    assert faults_of(page) == []
     page.get_by_role("button", name="Calibrate by these optics").click()
     page.wait_for_url("**/result")
     expect(page.get_by_role("heading", name="Verdict:")).to_be_visible()
@@ -72,6 +103,104 @@ def test_a_file_without_time_is_read_at_the_rate_that_is_stated(open_page: Calla
     rate.fill("100")
     page.get_by_role("button", name="Read the file").click()
     expect(page.locator(".bench-main")).to_contain_text("samples at 100 Hz", timeout=COMMAND_MS)
+
+
+def test_what_commands_notice_is_listed_with_its_action_in_names_without_paths(
+    bench_server: BenchServer, open_page: Callable[..., Page], tmp_path: Path
+) -> None:
+    rng = np.random.default_rng(7)
+    device = undrift.random_device(rng)
+    made = undrift.calibrate(undrift.simulate_session("bench", device, rng=rng))
+    undrift.write_calibration(made, tmp_path / "Gerät A.json")
+    (faces,) = undrift.simulate_session("six_face", device, rng=rng).records
+    write_parquet(replace(faces, device="another"), tmp_path / "走路.parquet")
+    page = open_page("/recordings", width=1280)
+    page.set_default_timeout(COMMAND_MS)
+    for name in ("Gerät A.json", "走路.parquet"):
+        page.get_by_label("Choose files").set_input_files(tmp_path / name)
+        page.get_by_role("heading", name=name).wait_for()
+    page.get_by_role("button", name="Correct", exact=True).click()
+    noticed = page.get_by_role("list").filter(has_text="Recording and calibration name different devices")
+    expect(noticed).to_contain_text("recording another, calibration SIM-", timeout=COMMAND_MS)
+    expect(noticed).to_contain_text("check that both belong together.", ignore_case=True)
+    shoot(page, "recordings-noticed-1280")
+    assert faults_of(page) == []
+    page.get_by_label("Side that points forward").select_option("-z")
+    page.get_by_label("Side that points up").select_option("+x")
+    page.get_by_role("button", name="Orient").click()
+    expect(page.get_by_role("heading", name="What orient noticed").or_(page.get_by_role("alert"))).not_to_have_count(
+        0, timeout=COMMAND_MS
+    )
+    with page.expect_download() as download:
+        page.get_by_role("link", name="correct: 走路-corrected.parquet").click()
+    assert download.value.suggested_filename == "走路-corrected.parquet"
+    (report,) = bench_server.folder.glob("uploads/*/*-correct.html")
+    assert str(bench_server.folder) not in report.read_text() + page.locator(".bench-main").inner_text()
+    page.goto(bench_server.address + "live")
+    page.get_by_role("button", name="Use the practice device").click()
+    expect(page.locator(".remarks .warn")).to_contain_text(
+        "Recording and calibration name different devices", timeout=COMMAND_MS
+    )
+    shoot(page, "live-other-device-1280")
+
+
+@needs_data
+def test_a_wrong_sample_rate_is_refused_with_the_field_that_mends_it(open_page: Callable[..., Page]) -> None:
+    page = open_page("/recordings", width=390)
+    page.set_default_timeout(COMMAND_MS)
+    page.get_by_label("Choose files").set_input_files(DATA / "ferraris_nilspod" / "example_ferraris_session.csv")
+    page.get_by_label("Samples per second, Hz").fill("204.8")  # it has 102.4
+    page.get_by_role("button", name="Read the file").click()
+    page.get_by_label("Side that points forward").select_option("+z")
+    page.get_by_label("Side that points up").select_option("+x")
+    page.get_by_role("button", name="Orient").click()
+    rate = page.get_by_label("Samples per second, Hz")
+    rate.wait_for()
+    refusal = page.get_by_role("alert").filter(has_text="samples a second")
+    expect(refusal).to_contain_text("“Samples per second, Hz” 10")
+    expect(refusal).not_to_contain_text("--")
+    shoot(page, "recordings-rate-390")
+    rate.fill("102.4")
+    page.get_by_role("button", name="Read the file").click()
+    expect(rate).to_have_count(0, timeout=COMMAND_MS)
+    page.get_by_role("button", name="Orient").click()
+    page.get_by_role("link", name="orient: report").wait_for()
+    shoot(page, "recordings-oriented-390")
+
+
+@needs_data
+def test_a_refused_calibration_is_tried_with_the_accelerometers_alone_and_says_what_it_lacks(
+    open_page: Callable[..., Page],
+) -> None:
+    page = open_page("/recordings", width=390)
+    page.set_default_timeout(COMMAND_MS)
+    page.get_by_label("Choose files").set_input_files(DATA / "ferraris_nilspod" / "example_ferraris_session.csv")
+    page.get_by_label("Samples per second, Hz").fill("102.4")
+    page.get_by_role("button", name="Read the file").click()
+    page.get_by_label("Angle of its turns, deg").fill("-360")
+    page.get_by_role("button", name="Calibrate", exact=True).click()
+    alone = page.get_by_role("button", name="Calibrate the accelerometers alone")
+    alone.wait_for()
+    shoot(page, "recordings-alone-390")
+    alone.click()
+    page.wait_for_url("**/result")
+    expect(page.get_by_role("heading", name="Verdict:")).to_be_visible()
+
+
+def test_a_calibration_that_lacks_a_sensor_says_so_where_it_is_offered(
+    bench_server: BenchServer, open_page: Callable[..., Page]
+) -> None:
+    rng = np.random.default_rng(7)
+    made = undrift.calibrate(undrift.simulate_session("bench", undrift.random_device(rng), rng=rng))
+    (bench_server.folder / "jobs" / "earlier").mkdir()
+    undrift.write_calibration(replace(made, accel=None), bench_server.folder / "jobs" / "earlier" / "calibration.json")
+    page = open_page("/result", width=390)
+    page.get_by_role("button", name="Open earlier").click()
+    expect(page.get_by_role("region", name="Verdict")).to_contain_text("It lacks the accelerometers")
+    page.get_by_role("button", name="Use it in Live and Recordings, without accelerometers").click()
+    expect(page.locator(".bench-main")).to_contain_text("Live and Recordings use this calibration.")
+    shoot(page, "result-lacks-390")
+    assert faults_of(page) == []
 
 
 def test_what_is_no_recording_gets_one_line_and_is_not_kept(

@@ -8,11 +8,16 @@ A folder holds everything that the bench writes::
 """
 
 import asyncio
+import csv
 import json
+import tomllib
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from datetime import datetime
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from urllib.parse import quote
 
 from undrift.errors import InputError, UndriftError
 from undrift.files import write_whole
@@ -29,6 +34,8 @@ if TYPE_CHECKING:
     from undrift.web.source import Source
 
 PLACE = "place.json"
+SENSORS = {"accel": "accelerometers", "gyro": "gyroscopes"}
+CALLED = "calibrate.json"  # the words that a job was calibrated by
 PRACTICE = "emulator"  # the address of the practice device
 
 
@@ -55,7 +62,9 @@ class Job:
     calibration: Path | None = None
     report: Path | None = None
     certificate: Path | None = None
+    words: tuple[str, ...] = ()  # of the call of calibrate, for another try
     answer: dict[str, Any] = field(default_factory=dict)  # of calibrate
+    later: list[dict[str, Any]] = field(default_factory=list)  # what the commands after it answered
     registered: str = ""  # what the registry answered
     error: str = ""  # of the last command
 
@@ -64,21 +73,46 @@ class Job:
         """Return the folder of its readings."""
         return self.folder / "session"
 
+    @property
+    def lacks(self) -> tuple[str, ...]:
+        """Return the sensors that its calibration has no model of; those that were recorded, where the command says so."""
+        missing = [what for name, what in SENSORS.items() if self.answer.get(name) is None]
+        return tuple(self.answer.get("lacking", missing))
+
+    @property
+    def gravity_assumed(self) -> bool:
+        """Whether the accelerometers' scale stands on a gravity that nobody stated."""
+        settings = (self.answer.get("provenance") or {}).get("settings") or {}
+        return self.answer.get("accel") is not None and settings.get("gravity", "standard") == "standard"
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Place:
-    """Where the bench stands; gravity follows by WGS 84. Standard gravity is assumed where it is not stated."""
+    """Where the bench stands; gravity follows by WGS 84 where it is not stated itself."""
 
     latitude_deg: float | None = None
     height_m: float = 0.0
+    stated_m_s2: float | None = None  # local gravity, before that of the latitude
+
+    def __post_init__(self) -> None:
+        if self.latitude_deg is not None and not -90.0 <= self.latitude_deg <= 90.0:
+            raise InputError(f"latitude: wanted -90 to 90 deg, got {self.latitude_deg:g}; north is positive")
+        if not -500.0 <= self.height_m <= 9000.0:
+            raise InputError(f"height: wanted -500 to 9000 m, got {self.height_m:g}; state metres above the sea")
+        if self.stated_m_s2 is not None and not 9.7 < self.stated_m_s2 < 9.9:
+            raise InputError(f"gravity: wanted 9.7 to 9.9 m/s2, got {self.stated_m_s2:g}; state it in m/s2, or a town")
 
     @property
     def gravity_m_s2(self) -> float:
         """Return local gravity, m/s2; standard gravity where the place is not known."""
-        return STANDARD_GRAVITY if self.latitude_deg is None else gravity_at(self.latitude_deg, self.height_m)
+        if self.stated_m_s2 is not None or self.latitude_deg is None:
+            return self.stated_m_s2 or STANDARD_GRAVITY
+        return gravity_at(self.latitude_deg, self.height_m)
 
     def words(self) -> tuple[object, ...]:
         """Return the options of ``calibrate`` for recordings that state no gravity."""
+        if self.stated_m_s2 is not None:
+            return ("--gravity-m-s2", self.stated_m_s2)
         return () if self.latitude_deg is None else ("--latitude-deg", self.latitude_deg, "--height-m", self.height_m)
 
 
@@ -108,8 +142,7 @@ class Bench:
             (self.folder / name).mkdir(parents=True, exist_ok=True)
         self.table = RateTable(self)  # with the run that an earlier bench left
         self.warm_up = WarmUp(self)
-        held = _held_in(self.folder / PLACE)
-        self.place = Place(latitude_deg=held.get("latitude_deg"), height_m=float(held.get("height_m") or 0.0))
+        self.place = Place(**_held_in(self.folder / PLACE))
 
     # ---- The device
 
@@ -160,14 +193,10 @@ class Bench:
 
     # ---- The work
 
-    def set_place(self, latitude_deg: float | None, height_m: float) -> None:
+    def set_place(self, place: Place) -> None:
         """State where the bench stands; it is kept for the next time."""
-        if latitude_deg is not None and not -90.0 <= latitude_deg <= 90.0:
-            raise InputError(f"latitude: wanted -90 to 90 deg, got {latitude_deg:g}; north is positive")
-        if not -500.0 <= height_m <= 9000.0:
-            raise InputError(f"height: wanted -500 to 9000 m, got {height_m:g}; state metres above the sea")
-        self.place = Place(latitude_deg=latitude_deg, height_m=height_m)
-        write_whole(self.folder / PLACE, json.dumps(asdict(self.place)) + "\n")
+        self.place = place
+        write_whole(self.folder / PLACE, json.dumps(asdict(place)) + "\n")
 
     def new_job(self, serial: str = "") -> Job:
         """Begin with another device: a new folder."""
@@ -183,10 +212,11 @@ class Bench:
         """Return the job that is going on, a new one where there is none."""
         return self.job or self.new_job(self.source.name if self.source is not None else "")
 
-    async def open_job(self, folder: Path) -> None:
-        """Take up a job of an earlier day: its calibration, report and certificate."""
-        job = Job(folder=folder, calibration=folder / "calibration.json")
+    async def open_job(self, folder: Path, *later: dict[str, Any]) -> None:
+        """Take up a job of an earlier day: its calibration, report and certificate; and what commands answered."""
+        job = Job(folder=folder, calibration=folder / "calibration.json", later=[*later])
         job.answer = await asyncio.to_thread(_held_in, folder / "calibration.json")
+        job.words = tuple(_held_in(folder / CALLED).get("words") or ())
         for name, file in (("report", "report.html"), ("certificate", "certificate.pdf")):
             if (folder / file).is_file():
                 setattr(job, name, folder / file)
@@ -195,7 +225,10 @@ class Bench:
     async def calibrate(self, job: Job, *words: object) -> Outcome:
         """Run ``undrift calibrate`` for a job: a session, or recordings and options; the calibration is used from then on."""
         made, report = job.folder / "calibration.json", job.folder / "report.html"
-        outcome = await self.command("calibrate", *words, "-o", made, "--report", report)
+        job.words = self._below(words)
+        write_whole(job.folder / CALLED, json.dumps({"words": job.words}) + "\n")
+        place = () if _states_gravity(self.folder / job.words[0]) else self.place.words()
+        outcome = await self.command("calibrate", *words, *place, "-o", made, "--report", report)
         self._take(job, outcome)
         return outcome
 
@@ -203,6 +236,8 @@ class Bench:
         """Run ``undrift drift`` for a job, on top of the calibration that is used; the tables are used from then on."""
         made, report = job.folder / "calibration.json", job.folder / "report.html"
         known = () if self.calibration is None else ("--calibration", self.calibration)
+        (job.folder / CALLED).unlink(missing_ok=True)  # it is made by other words
+        job.words = ()
         outcome = await self.command("drift", *words, *known, "-o", made, "--report", report)
         self._take(job, outcome)
         return outcome
@@ -211,8 +246,9 @@ class Bench:
         job.error = "" if outcome.done else outcome.error
         if outcome.done:
             job.calibration, job.report = job.folder / "calibration.json", job.folder / "report.html"
-            job.answer, job.certificate, job.registered = outcome.answer, None, ""
-            self.calibration = job.calibration
+            job.answer, job.later, job.certificate, job.registered = outcome.answer, [], None, ""
+            if "accelerometers" not in job.lacks:  # a person decides about one without
+                self.calibration = job.calibration
 
     async def command(self, *words: object, folder: Path | None = None) -> Outcome:
         """Run a command of undrift; pages show what it does while it runs."""
@@ -223,9 +259,13 @@ class Bench:
             now.line = line
 
         try:
-            return await run_command(words, folder or self.folder, heard)
+            return await run_command(self._below(words), folder or self.folder, heard)
         finally:
             self.working.remove(now)
+
+    def _below(self, words: Sequence[object]) -> tuple[str, ...]:
+        """Return the words of a command with files by their paths below the folder, in which it runs."""
+        return tuple(str(word).removeprefix(f"{self.folder}/") for word in words)
 
     def registry_words(self) -> tuple[str, ...]:
         """Return the option that names the registry, where the bench was given one."""
@@ -245,7 +285,7 @@ class Bench:
 
     def link(self, path: Path) -> str:
         """Return where the browser finds a file of the bench."""
-        return f"/files/{path.resolve().relative_to(self.folder.resolve()).as_posix()}"
+        return "/files/" + quote(path.resolve().relative_to(self.folder.resolve()).as_posix())
 
     def close(self) -> None:
         """Let go of everything; the server ends."""
@@ -263,3 +303,39 @@ def _held_in(path: Path) -> dict[str, Any]:
     except (OSError, ValueError):
         return {}
     return held if isinstance(held, dict) else {}
+
+
+def _states_gravity(path: Path) -> bool:
+    """Tell whether a session's folder states local gravity; a recording states none."""
+    try:
+        head = tomllib.loads((path / "session.toml").read_text(encoding="utf-8"))["session"]
+    except (OSError, ValueError, KeyError):
+        return False
+    return "gravity_m_s2" in head or "latitude_deg" in head
+
+
+def place_of(town: str, height: str = "", gravity: str = "") -> Place:
+    """Return the place by what was typed: a town of the list or a latitude in deg, height in m, gravity in m/s2."""
+    latitude_deg, height_m = towns().get(town.strip().casefold(), (None, 0.0))
+    if latitude_deg is None and town.strip():
+        latitude_deg = _number("town", town, "a town of the list, or its latitude in deg")
+    return Place(
+        latitude_deg=latitude_deg,
+        height_m=_number("height", height, "metres above the sea") if height.strip() else height_m,
+        stated_m_s2=_number("gravity", gravity, "m/s2") if gravity.strip() else None,
+    )
+
+
+@cache
+def towns() -> dict[str, tuple[float, float]]:
+    """Return latitude, deg, and height, m, of some towns by name."""
+    text = Path(__file__).with_name("towns.csv").read_text(encoding="utf-8")
+    rows = csv.reader(text.splitlines())
+    return {town.casefold(): (float(latitude), float(height)) for town, latitude, height in rows}
+
+
+def _number(name: str, text: str, wanted: str) -> float:
+    try:
+        return float(text.replace(",", "."))
+    except ValueError as error:
+        raise InputError(f"{name}: wanted {wanted}, got '{text.strip()}'; type it so") from error

@@ -119,7 +119,7 @@ class Capture:
         folder: Path,
         serial: str = "",
         *,
-        gravity_m_s2: float = STANDARD_GRAVITY,
+        gravity_m_s2: float | None = None,
         settings: CaptureSettings = CaptureSettings(),
     ) -> None:
         self.folder, self.serial, self.gravity_m_s2, self.settings = folder, serial, gravity_m_s2, settings
@@ -335,7 +335,8 @@ class Capture:
         return Session(
             kind="calibration",
             serial=self.serial or records[0].device,
-            gravity_m_s2=self.gravity_m_s2,
+            gravity_m_s2=self.gravity_m_s2 or STANDARD_GRAVITY,
+            gravity_source="stated" if self.gravity_m_s2 else "standard",
             records=tuple(records),
             stills=tuple(sorted(stills, key=lambda still: (still.recording, still.start))),
             turns=tuple(sorted(turns, key=lambda turn: (turn.recording, turn.start))),

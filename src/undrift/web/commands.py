@@ -1,20 +1,24 @@
 """The commands as the bench calls them: a child process each, so that a long fit or a crash never touches the server.
 
 ``python -m undrift COMMAND ... --json`` writes one envelope on stdout and its progress on stderr; both are what the command line
-shows, and so the pages say what the commands say.
+shows, and so the pages say what the commands say. What a command noticed is a list of remarks: failures, warnings, notes. No text
+names the folders that the bench keeps its files in.
 """
 
 import asyncio
 import contextlib
 import json
+import re
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, cast
 
 LONGEST_S = 3600.0
 LARGEST_LINE = 1 << 26  # bytes: an envelope is one line
+LEVELS = ("fail", "warn", "info")
+FOLDERS = re.compile(r"\b(?:(?:uploads|jobs)/[^/\"]+/(?:session/(?:pieces/)?)?|registry/)")  # of the files of a bench
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -29,6 +33,43 @@ class Outcome:
     def done(self) -> bool:
         """Return whether there is a result."""
         return self.code in (0, 1)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Remark:
+    """Something that a command noticed."""
+
+    level: str  # fail, warn or info
+    text: str
+    action: str = ""  # what to do about it; may be empty
+
+
+def remarks_of(answer: Mapping[str, Any]) -> list[Remark]:
+    """Return what a command noticed, failures and warnings first: of the whole, of its parts (recordings, trials), each once."""
+    once: dict[str, Remark] = {}
+    for whole, remark in sorted(_remarks(answer), key=lambda one: LEVELS.index(one[1].level)):
+        once.setdefault(whole, remark)
+    return list(once.values())
+
+
+def _remarks(answer: Mapping[str, Any]) -> Iterator[tuple[str, Remark]]:
+    """Yield each remark with its whole text."""
+    lists = {key: value for key, value in answer.items() if isinstance(value, list)}
+    for one in lists.get("findings", ()):
+        action, whole = str(one.get("action") or ""), str(one["text"])
+        text = whole.removesuffix(action).rstrip("; ")
+        yield whole, Remark(level=one.get("level") or "info", text=text, action=action)
+    for key, level in (("warnings", "warn"), ("notes", "info"), ("problems", "info")):
+        for whole in lists.get(key, ()):
+            yield str(whole), Remark(level=level, text=str(whole))
+    for part in (*(part for key, value in lists.items() if key != "findings" for part in value), answer.get("verdict")):
+        if isinstance(part, Mapping):
+            yield from _remarks(part)
+
+
+def without_folders(text: str, folder: Path) -> str:
+    """Return a text in which files of the bench stand by their names."""
+    return FOLDERS.sub("", text.replace(f"{folder}/", ""))
 
 
 def command_words(words: Sequence[object]) -> list[str]:
@@ -53,7 +94,7 @@ async def run_command(
 
     async def listen() -> None:
         async for line in words_of_it:
-            lines.append(line.decode("utf-8", "replace").strip())
+            lines.append(without_folders(line.decode("utf-8", "replace").strip(), folder))
             heard(lines[-1])
 
     try:
@@ -69,7 +110,7 @@ async def run_command(
             with contextlib.suppress(ProcessLookupError):
                 child.kill()
             await child.wait()
-    return outcome_of(code, text.decode("utf-8", "replace"), lines)
+    return outcome_of(code, without_folders(text.decode("utf-8", "replace"), folder), lines)
 
 
 def outcome_of(code: int, text: str, lines: Sequence[str]) -> Outcome:

@@ -87,6 +87,44 @@ def _round_arrow(turn: str, height: float) -> str:
     return "".join(f'<path class="act" d="{path}" stroke-width="5"/>' for path in drawn)
 
 
+STANDING = (  # a person who stands and faces right, seen from the right; the device is at the low back
+    '<circle cx="-62" cy="-88" r="13"/><path d="M-62 -75 C-74 -50 -66 -30 -72 -8 L-60 38 L-66 88 h22 M-62 -70 q14 26 8 48 l14 16"/>'
+    '<path d="M-50 -90 l6 3" /><rect x="-83" y="-28" width="9" height="18" fill="currentColor"/>'
+    '<path d="M-70 -19 L22 -8" stroke-dasharray="3 5"/>'
+)
+BODY = {"forward": (1.0, 0.0), "left": (0.5, -0.5), "up": (0.0, -1.0)}  # on the screen; left is away from the viewer
+
+
+def worn(forward: str, up: str) -> str:
+    """Return a standing person with the device, and where its axes point by the sides that point forward and up."""
+    parts, words = [STANDING], []
+    x0, y0 = 34.0, 5.0
+    box_ = "".join(f"L{x0 + x:.0f} {y0 + y:.0f} " for x, y in ((-9, -20), (9, -20), (9, 20), (-9, 20)))[1:]
+    parts.append(f'<path d="M{box_}Z" fill="currentColor" fill-opacity="0.14"/>')
+    for axis, (way, sign) in _ways(forward, up).items():
+        along = tuple(sign * 52.0 * part for part in BODY[way])
+        x1, y1, angle = x0 + along[0], y0 + along[1], math.atan2(along[1], along[0])
+        tips = [(x1 - 11.0 * math.cos(angle + s), y1 - 11.0 * math.sin(angle + s)) for s in (0.5, -0.5)]
+        parts.append(f'<path class="act" d="{_path([(x0, y0), (x1, y1)])} {_path([tips[0], (x1, y1), tips[1]])}"/>')
+        parts.append(f'<text x="{x0 + 1.28 * along[0]:.0f}" y="{y0 + 1.28 * along[1] + 6.0:.0f}">{axis}</text>')
+        words.append(f"{axis} points {way if sign > 0.0 else {'forward': 'back', 'left': 'right', 'up': 'down'}[way]}")
+    label = "Device at the low back of a standing person" + (f": {', '.join(words)}" if words else "")
+    return (
+        f'<svg class="device" viewBox="-115 -108 230 205" role="img" aria-label="{label}"><g fill="none" stroke="currentColor" '
+        f'stroke-width="2.5" stroke-linejoin="round" stroke-linecap="round">{"".join(parts)}</g></svg>'
+    )
+
+
+def _ways(forward: str, up: str) -> dict[str, tuple[str, float]]:
+    """Return where each axis of a right-handed device points; none where the two sides do not show it."""
+    if not (forward and up) or forward[1] == up[1]:
+        return {}
+    k, m = "xyz".index(up[1]), "xyz".index(forward[1])
+    sign = (1.0 if up[0] == forward[0] else -1.0) * (1.0 if (m - k) % 3 == 1 else -1.0)  # left = up x forward
+    sides = {forward[1]: ("forward", 1.0 if forward[0] == "+" else -1.0), up[1]: ("up", 1.0 if up[0] == "+" else -1.0)}
+    return dict(sorted((sides | {"xyz"[3 - k - m]: ("left", sign)}).items()))
+
+
 def lamp(light: Light) -> str:
     """Return the shape of the light; its words stand beside it."""
     colour = f"var(--{COLOURS.get(light.state, 'ink')})"

@@ -31,13 +31,16 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import groupby
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from fastapi import FastAPI
+from nicegui.element import Element
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from undrift.arrays import FloatArray
+from undrift.errors import InputError
 from undrift.record import joined
 from undrift.units import RADIAN_PER_DEGREE, Quantity, is_physical, si_factor
 from undrift.web.source import Source, Update
@@ -271,3 +274,26 @@ def encoded(number: int, time: FloatArray, values: FloatArray, bucket: int = 1) 
     head = HEADER.pack(MAGIC, kind, 0, values.shape[1], number, len(time), time[0])
     body = [(time - time[0]), *(block.T for block in blocks)]
     return head + b"".join(np.ascontiguousarray(part, dtype="<f4").tobytes() for part in body)
+
+
+# ---- panel: the feed drawn by uPlot in the browser, beside NiceGUI's own socket
+
+STATIC = Path(__file__).parent / "static"
+SPANS_S = (10, 30, 60)
+
+
+class Panel(Element, component="static/panel.js"):
+    """Plots of what the bench's device sends, below each other: pause, time shown, legend, values in words for screen readers."""
+
+    def __init__(self, plots: Sequence[str] = tuple(PLOTS), *, span_s: int = SPANS_S[0]) -> None:
+        unknown = [plot for plot in plots if plot not in PLOTS]
+        if unknown or not plots or len(set(plots)) < len(plots) or span_s not in SPANS_S:
+            raise InputError(
+                f"panel: wanted plots out of {', '.join(PLOTS)}, each once, over {', '.join(map(str, SPANS_S))} s, got "
+                f"'{','.join(plots)}' over {span_s} s; name others"
+            )
+        super().__init__()
+        self._props["plots"] = list(plots)
+        self._props["span"] = span_s
+        self._props["spans"] = list(SPANS_S)
+        self.add_resource(STATIC)

@@ -1,13 +1,16 @@
 """What every page has: heading, navigation, what is connected, the emergency stop, one next step; and parts that pages share."""
 
 import json
+import re
 from collections.abc import Awaitable, Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
 from nicegui import ui
 
-from undrift.web.bench import PRACTICE, Bench
+from undrift.errors import InputError
+from undrift.web.bench import PRACTICE, Bench, Job, place_of, towns
+from undrift.web.commands import Remark
 
 PAGES = {  # path -> name, in the order of the navigation
     "/": "Start",
@@ -21,6 +24,24 @@ PAGES = {  # path -> name, in the order of the navigation
     "/devices": "Devices",
 }
 REFRESH_S = 0.25
+ALONE = "Calibrate the accelerometers alone"
+SHOWN_FIRST = 3  # remarks that are open, and every one that is no mere note
+LEVEL_NAMES = {"fail": "Failed", "warn": "Warning", "info": "Note"}
+CONTROLS = {  # options of the commands that a page offers, and what they are called there
+    "--sample-rate-hz": "Samples per second, Hz",
+    "--turn-deg": "Angle of its turns, deg",
+    "--serial": "Serial number",
+    "--forward": "Side that points forward",
+    "--up": "Side that points up",
+    "--markers": "Markers",
+    "--reference-up": "Laboratory axis that points up",
+    "--gyro-unit": "Unit of the gyroscopes",
+    "--accel-unit": "Unit of the accelerometers",
+    "--gyro none": ALONE,
+    "--latitude-deg": "Town, or latitude in deg",
+    "--height-m": "Height above the sea, m",
+    "--gravity-m-s2": "Gravity, m/s2",
+}
 ADDRESSES = "serial:///dev/ttyUSB0?baud=115200&..., tcp://host:port?..., udp://:port, lsl:name, ble:id"  # examples
 
 
@@ -142,7 +163,7 @@ def disable(element: Any, disabled: bool) -> None:
 
 
 class Field:
-    """A labelled input, or a choice; ``value`` is what was typed or chosen."""
+    """A labelled input, a choice, or (kind list) an input with proposals; ``value`` is what was typed or chosen."""
 
     def __init__(
         self, label: str, value: str = "", *, hint: str = "", kind: str = "text", options: Sequence[str] = ()
@@ -150,7 +171,7 @@ class Field:
         self.value = value
         with ui.element("label").classes("bench-field"):
             text("span", label)
-            if options:
+            if options and kind != "list":
                 with ui.element("select") as self.element:
                     for option in options:
                         made = text("option", option).props("selected" if option == value else "")
@@ -161,6 +182,11 @@ class Field:
                 )
                 # the attribute: the property would undo what is typed at each redraw
                 self.element.props["^value"] = value
+            if kind == "list":  # to type, or to choose
+                with ui.element("datalist") as listed:
+                    for option in options:
+                        ui.element("option").props["value"] = option
+                self.element.props["list"] = listed.html_id
             if hint:
                 text("span", hint, "soft")
         self.element.on("input", self._take, js_handler="(event) => emit(event.target.value)")
@@ -193,6 +219,73 @@ def error_line(words: Callable[[], str]) -> Any:
     refresh()
     ui.timer(REFRESH_S, refresh)
     return made
+
+
+def remarks_list(remarks: Sequence[Remark]) -> None:
+    """List what a command noticed, each with what to do; notes after the first few are folded."""
+    count = max(SHOWN_FIRST, sum(one.level != "info" for one in remarks))
+    with ui.element("ul").classes("remarks"):
+        for one in remarks[:count]:
+            with ui.element("li").classes(one.level):
+                text("strong", f"{LEVEL_NAMES[one.level]}: ")
+                text("span", page_words(one.text).rstrip(".") + ".")
+                if action := page_words(one.action):
+                    text("p", f"{action[:1].upper()}{action[1:]}.", "soft")
+    if len(remarks) > count:
+        with ui.element("details"):
+            text("summary", f"{len(remarks) - count} more")
+            for one in remarks[count:]:
+                remarks_list([one])
+
+
+def page_words(words: str) -> str:
+    """Return a text of a command with the options that a page offers called as they are there."""
+    for option, label in CONTROLS.items():
+        words = re.sub(rf"{option}(?![\w-])", f"“{label}”", words)
+    return words
+
+
+def refused(bench: Bench, job: Job | None, error: str, keep: Callable[[str], object] = bool) -> None:
+    """Say what was refused; where gyroscopes, turns or rates spoilt a job's calibration, offer it without them."""
+    if error:
+        text("p", page_words(error), "bench-error").props('role="alert"')
+    if job is None or not job.words or "--gyro" in job.words or error != job.error:
+        return
+    if not re.search("gyro|turn|rotation|rate", error):
+        return
+    go = ui.context.client.open  # this button may be drawn anew by then
+
+    async def again() -> None:
+        turns = job.words.index("--turn-deg") if "--turn-deg" in job.words else len(job.words)  # not used then
+        outcome = await bench.calibrate(job, *job.words[:turns], *job.words[turns + 2 :], "--gyro", "none")
+        keep(outcome.error)
+        if outcome.done:
+            go("/result")
+
+    button(ALONE, again)
+
+
+def place_form(bench: Bench, label: str, then: Callable[[], Any] = bool) -> None:
+    """Ask where the bench stands, as the scale of the accelerometers is known no better than gravity."""
+    error, held = [""], bench.place
+    shown = ["" if value is None else f"{value:g}" for value in (held.latitude_deg, held.height_m, held.stated_m_s2)]
+    with ui.element("div").classes("row form"):
+        town = Field("Town, or latitude in deg", shown[0], hint="north is positive", kind="list", options=[*towns()])
+        height = Field("Height above the sea, m", shown[1] if shown[0] else "", hint="empty: that of the town")
+        gravity = Field("Gravity, m/s2", shown[2], hint="in place of the town")
+
+    async def keep() -> None:
+        error[0] = ""
+        try:
+            bench.set_place(place_of(town.value, height.value, gravity.value))
+        except InputError as refused:
+            error[0] = str(refused)
+            return
+        if (work := then()) is not None:
+            await work
+
+    button(label, keep)
+    error_line(lambda: error[0])
 
 
 def connect_form(bench: Bench) -> None:

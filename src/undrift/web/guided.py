@@ -31,7 +31,7 @@ class Guided:
         self.capture = Capture(job.session, job.serial)
         self.faces, self.turns = SixFaces(self.capture), Turns(self.capture)
         self.guide: SixFaces | Turns = self.faces
-        self.error = ""
+        self.error = self.refused = ""  # of the capture; of the last calibration
         self._seen_s, self._taken_s = -UNSEEN_S, time.monotonic()
 
     def look(self, guide: SixFaces | Turns) -> None:
@@ -54,7 +54,8 @@ class Guided:
         try:
             self.guide.update(record, now, source)
             if not self.capture.saved and (self.capture.faces or self.capture.turns):
-                self.capture.gravity_m_s2 = self._bench.place.gravity_m_s2
+                place = self._bench.place
+                self.capture.gravity_m_s2 = place.gravity_m_s2 if place.words() else None
                 session, self.capture.saved = self.capture.session(), True
                 await asyncio.to_thread(self.capture.save, session)
         except UndriftError as error:

@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from undrift.web.commands import Outcome
+from undrift.web.commands import Outcome, Remark, remarks_of
 from undrift.web.uploads import safe_name
 
 if TYPE_CHECKING:
@@ -23,6 +23,7 @@ class Stored:
     sample_rate_hz: float | None = None  # that a person stated, of a file without time
     picture: Path | None = None
     made: dict[str, Path] = field(default_factory=dict)  # label -> file
+    remarks: dict[str, list[Remark]] = field(default_factory=dict)  # what each command noticed
     error: str = ""
 
     @property
@@ -37,13 +38,13 @@ class Stored:
 
     @property
     def needs_rate(self) -> bool:
-        """Return whether it is read but for its sample rate."""
+        """Return whether a command asked for its sample rate, or for another."""
         return not self.needs_map and "--sample-rate-hz" in f"{self.error} {self.about.get('summary')}"
 
     @property
     def summary(self) -> str:
         """Return in one line what it holds."""
-        if self.needs_rate:
+        if self.needs_rate and self.kind != "recording":
             return "readings without time; state their sample rate"
         if self.error and not self.about:
             return self.error
@@ -54,7 +55,7 @@ class Stored:
     def options(self) -> tuple[object, ...]:
         """Return the options by which commands read it."""
         rate = () if self.sample_rate_hz is None else ("--sample-rate-hz", self.sample_rate_hz)
-        return rate if self.map is None else ("--map", self.map)
+        return rate if self.map is None else ("--map", self.map, *rate)
 
 
 class Recordings:
@@ -64,6 +65,7 @@ class Recordings:
         self.bench = bench
         self.files: list[Stored] = []
         self.chosen: Stored | None = None
+        self.axes = {"forward": "", "up": ""}  # sides of the device on the upright segment; "": not chosen
 
     async def add(self, path: Path) -> Stored:
         """Take up a file that has been stored, and ask what it holds."""
@@ -79,6 +81,7 @@ class Recordings:
         """Ask what a file holds; draw it where it is a recording."""
         outcome = await self.bench.command("info", held.path, *held.options())
         held.about, held.error = (outcome.answer, "") if outcome.done else ({}, outcome.error)
+        held.remarks = {"info": [one for one in remarks_of(held.about) if one.text != held.about.get("summary")]}
         if held.kind == "recording":
             picture = held.path.parent / "recording.svg"
             drawn = await self.bench.command("info", held.path, *held.options(), "--figure", picture)
@@ -107,9 +110,7 @@ class Recordings:
         job: Job = self.bench.new_job(serial or held.path.stem)
         words: list[object] = [held.path, *held.options()]
         words += [] if turn_deg is None else ["--turn-deg", turn_deg]
-        outcome = await self.bench.calibrate(
-            job, *words, *self.bench.place.words(), *(("--serial", serial) if serial else ())
-        )
+        outcome = await self.bench.calibrate(job, *words, *(("--serial", serial) if serial else ()))
         held.error = "" if outcome.done else outcome.error
         return outcome.done
 
@@ -118,31 +119,34 @@ class Recordings:
         base, place = safe_name(held.path.name.split(".")[0], "recording"), held.path.parent
         made = place / f"{base}-{'corrected.parquet' if command == 'correct' else 'angles.csv'}"
         page = place / f"{base}-{command}.html"
-        outcome = await self.bench.command(
-            command, held.path, *held.options(), *self._calibrated(), "-o", made, "--report", page
-        )
+        words = [*held.options(), *self._calibrated(), *(self._sides() if command == "orient" else ())]
+        outcome = await self.bench.command(command, held.path, *words, "-o", made, "--report", page)
         self._take(held, command, outcome, [made, page])
 
     async def validate(self, held: Stored, reference: Stored, *, markers: str, up: str) -> None:
         """Compare a recording with its optics, in degrees."""
         place = held.path.parent / "validation"
-        words = self._optics(held, reference, markers=markers, up=up)
-        outcome = await self.bench.command("validate", *words, *self._calibrated(), "-o", place)
+        words = [*self._optics(held, reference, markers=markers, up=up), *self._calibrated(), *self._sides()]
+        outcome = await self.bench.command("validate", *words, "-o", place)
         self._take(held, "validate", outcome, sorted(place.glob("*")))
 
     async def calibrate_by(self, held: Stored, reference: Stored, *, markers: str, up: str) -> bool:
         """Calibrate from a recording and its optics; the result is the bench's job."""
         job: Job = self.bench.new_job(held.path.stem)
         words = self._optics(held, reference, markers=markers, up=up)
-        outcome = await self.bench.command("validate", *words, "--calibrate-from", "reference", "-o", job.folder)
+        words += ["--calibrate-from", "reference", *self.bench.place.words()]
+        outcome = await self.bench.command("validate", *words, "-o", job.folder)
         held.error = "" if outcome.done else outcome.error
         if outcome.done:
-            await self.bench.open_job(job.folder)
+            await self.bench.open_job(job.folder, outcome.answer)
             self.bench.calibration = job.folder / "calibration.json"
         return outcome.done
 
     def _calibrated(self) -> tuple[object, ...]:
         return () if self.bench.calibration is None else ("--calibration", self.bench.calibration)
+
+    def _sides(self) -> list[object]:
+        return [word for name, side in self.axes.items() if side for word in (f"--{name}", side)]
 
     def _optics(self, held: Stored, reference: Stored, *, markers: str, up: str) -> list[object]:
         words: list[object] = [held.path, *held.options()]
@@ -152,6 +156,7 @@ class Recordings:
 
     def _take(self, held: Stored, command: str, outcome: Outcome, files: list[Path]) -> None:
         held.error = "" if outcome.done else outcome.error
+        held.remarks[command] = remarks_of(outcome.answer)
         if outcome.done:
             held.made |= {f"{command}: {'report' if path.suffix == '.html' else path.name}": path for path in files}
 

@@ -61,8 +61,10 @@ class Status:
     temp_c: float  # Newest; NaN where the device has none
     oriented: bool  # Whether the readings have both triads in physical units, so that there is a pitch
     rested_s: float  # Device time since the last rest, from which the pitch is counted; NaN where it is unknown
-    correction: str  # Why nothing is corrected, or what the calibration does not cover; "" where all is well
-    notes: str  # What a reader of the corrected signals may not expect
+    correction: (
+        str  # Why nothing is corrected, or what the calibration does not cover, a line each; "" where all is well
+    )
+    notes: str  # What a reader of the corrected signals may not expect, a line each
     file: Path | None  # What is being written
     file_error: str  # Why the last file ended early; "" where it did not
     file_s: float  # How much of it there is, device s
@@ -187,7 +189,7 @@ class Source:
             self.set_calibration(None if path is None else read_calibration(path))
         except UndriftError as error:
             self.set_calibration(None)
-            self._correction = str(error)
+            self._correction = str(error) if path is None else str(error).replace(str(path), path.name)
 
     def set_axes(self, forward: Face, up: Face) -> None:
         """Count the pitch about other axes from now on."""
@@ -280,7 +282,8 @@ class Source:
             return None
         try:
             done = corrector.push_checked(raw)
-            words, notes = "; ".join(corrector.warnings), "; ".join(done.notes)
+            other = (one.text for one in done.findings if one.code == "correct.device")
+            words, notes = "\n".join((*corrector.warnings, *other)), "\n".join(done.notes)
         except UndriftError as error:  # another device, or another unit: not its calibration
             words = str(error)
         with self._lock:

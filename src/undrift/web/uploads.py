@@ -5,13 +5,17 @@ They are only stored here; whoever reads one does so by a command, in the box of
 
 import re
 import secrets
+import unicodedata
 from pathlib import Path
 
 from starlette.requests import ClientDisconnect, Request
 
 from undrift.errors import InputError
 
-_UNSAFE = re.compile(r"[^A-Za-z0-9._-]+")
+KEPT = frozenset(" ._-+=,@()")  # of a name, beside the letters, marks and digits of any script
+LONGEST = 200  # bytes of a name in UTF-8: a file system takes 255, and results add to it
+ENDING = re.compile(r"(\.[A-Za-z0-9]{1,8})?\.gz$|\.[A-Za-z0-9]{1,8}$|$", re.I)
+RESERVED = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\.|$)", re.I)  # names that Windows gives to devices
 ENDINGS = (  # of recordings, references, maps and calibrations
     *(
         ".csv",
@@ -52,8 +56,8 @@ ENDINGS = (  # of recordings, references, maps and calibrations
 
 async def receive_upload(request: Request, folder: Path, largest_mb: float) -> Path:
     """Store the body of ``POST /upload?name=walk.csv``; return the file. InputError where it is refused, and nothing is kept."""
-    name = safe_name(request.query_params.get("name", ""), "")
-    if not name or Path(name).suffix.lower() not in ENDINGS:
+    name = safe_name(request.query_params.get("name", ""), "recording")
+    if Path(name).suffix.lower() not in ENDINGS:
         raise InputError(
             f"upload: wanted a recording ({', '.join(ENDINGS[:4])} ...), got '{name}'; choose another file"
         )
@@ -87,5 +91,11 @@ def _too_large(name: str, largest_mb: float) -> str:
 
 
 def safe_name(text: str, otherwise: str) -> str:
-    """Return a text as the name of a file: letters, digits, dot, hyphen, underscore; never a path or a hidden file."""
-    return _UNSAFE.sub("-", text.replace("\\", "/").rsplit("/", 1)[-1]).strip("-.")[:80] or otherwise
+    """Return a text as the name of a file, in any script, with its endings; never a path, a hidden or a reserved name."""
+    name = unicodedata.normalize("NFC", text.replace("\\", "/").rsplit("/", 1)[-1])
+    name = re.sub("-+", "-", "".join(c if c in KEPT or unicodedata.category(c)[0] in "LMN" else "-" for c in name))
+    ending = ENDING.search(name)[0]  # type: ignore[index]  # it may be empty
+    stem = (
+        name.removesuffix(ending).strip("-. ").encode()[: LONGEST - len(ending)].decode(errors="ignore").rstrip("-. ")
+    )
+    return ("_" if RESERVED.match(stem) else "") + (stem or otherwise) + ending

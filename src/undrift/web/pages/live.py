@@ -11,8 +11,20 @@ from nicegui import ui
 from undrift.errors import UndriftError
 from undrift.record import FACES
 from undrift.web.bench import Bench
-from undrift.web.frame import Field, button, connect_form, error_line, frame, next_step, redrawn, set_text, text
-from undrift.web.panel import Panel
+from undrift.web.commands import Remark, without_folders
+from undrift.web.feed import Panel
+from undrift.web.frame import (
+    Field,
+    button,
+    connect_form,
+    error_line,
+    frame,
+    next_step,
+    redrawn,
+    remarks_list,
+    set_text,
+    text,
+)
 from undrift.web.source import Source, Status
 from undrift.web.uploads import safe_name
 
@@ -29,9 +41,9 @@ def page(bench: Bench) -> None:
         error_line(lambda: " ".join((*_wrong(bench), *doing)))
         record = next_step("Start recording", lambda: start_or_stop(bench, doing))
         hint = text("p", "Connect a device below. The practice device is a simulated sensor.")
+        redrawn(lambda: _remarks(bench), lambda _: remarks_list(_remarks(bench)))
         redrawn(lambda: bench.recordings.chosen and bench.recordings.chosen.path, lambda _: _recorded(bench))
         Panel()
-        notes = text("p", "", "soft")
         shown: list[Field] = []  # the choice of a calibration; another browser may change it
         redrawn(lambda: _files(bench), lambda _: _settings(bench, shown))
         connect_form(bench)
@@ -40,7 +52,6 @@ def page(bench: Bench) -> None:
         status = None if bench.source is None else bench.source.status()
         set_text(words, "" if status is None else status_line(status))
         set_text(record, "Start recording" if status is None or status.file is None else "Stop recording")
-        set_text(notes, "" if status is None else status.notes)
         record.set_visibility(status is not None)
         hint.set_visibility(status is None)
         if shown and shown[-1].value != (now := _name(bench.calibration)):
@@ -74,12 +85,19 @@ def status_line(status: Status) -> str:
 
 
 def _wrong(bench: Bench) -> list[str]:
-    """Return what is wrong in plain words: with the connection, the correction, the file."""
+    """Return what is wrong in plain words: with the connection, the file."""
     if bench.source is None:
         return []
     status = bench.source.status()
     lost = f"{status.error}. The bench tries again by itself." if status.error else ""
-    return [words for words in (lost, status.correction, status.file_error) if words]
+    return [words for words in (lost, status.file_error) if words]
+
+
+def _remarks(bench: Bench) -> list[Remark]:
+    """Return what the correction warns of, and what a reader of it should know."""
+    status = None if bench.source is None else bench.source.status()
+    lines = {} if status is None else {"warn": status.correction, "info": status.notes}
+    return [Remark(level=level, text=line) for level, words in lines.items() for line in words.splitlines()]
 
 
 async def start_or_stop(bench: Bench, wrong: list[str]) -> None:
@@ -94,7 +112,7 @@ async def start_or_stop(bench: Bench, wrong: list[str]) -> None:
         elif (path := await asyncio.to_thread(source.stop_writing)) is not None:
             await bench.recordings.add(path)
     except (UndriftError, OSError) as error:
-        wrong.append(str(error))
+        wrong.append(without_folders(str(error), bench.folder))
 
 
 def _recorded(bench: Bench) -> None:

@@ -5,8 +5,10 @@ from typing import Any
 
 from nicegui import ui
 
+from undrift.record import FACES
 from undrift.web.bench import Bench
-from undrift.web.frame import Field, button, frame, next_step, redrawn, set_text, text
+from undrift.web.drawings import worn
+from undrift.web.frame import Field, button, frame, next_step, redrawn, refused, remarks_list, set_text, text
 from undrift.web.recordings import UNITS, Recordings, Stored
 
 
@@ -27,7 +29,8 @@ def page(bench: Bench) -> None:
 
 def _state(bench: Bench) -> object:
     files = tuple(
-        (one.path, one.kind, one.map, one.error, one.picture, len(one.made)) for one in bench.recordings.files
+        (one.path, one.kind, one.map, one.error, one.picture, len(one.made), str(one.remarks))
+        for one in bench.recordings.files
     )
     return files, bench.recordings.chosen and bench.recordings.chosen.path, bench.calibration
 
@@ -82,8 +85,8 @@ def _one(bench: Bench, held: Recordings, one: Stored, refresh: Any, go: Any) -> 
     text("h2", one.path.name)
     if one.needs_rate:
         _rate_form(held, one, refresh)
-    elif one.error:
-        text("p", one.error, "bench-error").props('role="alert"')
+    else:
+        refused(bench, bench.job, one.error, partial(setattr, one, "error"))
     if one.needs_map:
         _map_form(held, one, refresh)
     elif one.kind == "recording":
@@ -93,9 +96,11 @@ def _one(bench: Bench, held: Recordings, one: Stored, refresh: Any, go: Any) -> 
         text("p", "Recordings are corrected with this calibration.")
     elif one.about and not one.needs_rate:
         text("p", one.summary)
-        for problem in one.about.get("problems") or ():
-            if str(problem) != one.about.get("summary"):
-                text("p", str(problem), "soft")
+        remarks_list(one.remarks["info"])
+    for command, remarks in one.remarks.items():
+        if remarks and command != "info":
+            text("h3", f"What {command} noticed")
+            remarks_list(remarks)
     if one.made:
         text("h3", "Results")
         with ui.element("ul"):
@@ -109,15 +114,17 @@ def _one(bench: Bench, held: Recordings, one: Stored, refresh: Any, go: Any) -> 
 
 def _about(one: Stored) -> None:
     text("p", one.summary)
-    for problem in one.about.get("problems") or ():
-        text("p", str(problem), "soft")
+    remarks_list(one.remarks["info"])
     if one.picture is not None:
         ui.html(one.picture.read_text(encoding="utf-8").partition("?>")[2] or "", sanitize=False).classes("picture")
 
 
 def _rate_form(held: Recordings, one: Stored, refresh: Any) -> None:
     """Ask for the sample rate of a file without time."""
-    text("p", "This file has no time column. The data sheet or the settings of the device state its sample rate.")
+    if one.kind == "recording":
+        refused(held.bench, None, one.error)
+    else:
+        text("p", "This file has no time column. The data sheet or the settings of the device state its sample rate.")
     rate, wrong = Field("Samples per second, Hz", kind="number"), text("p", "", "bench-error").props('role="alert"')
 
     async def read() -> None:
@@ -170,7 +177,8 @@ def _actions(bench: Bench, held: Recordings, one: Stored, refresh: Any, go: Any)
 
     if bench.calibration is not None:
         next_step("Correct", partial(run, "correct"))
-    button("Orient", partial(run, "orient"))
+    _sides(held)
+    button("Orient", lambda: run("orient") if _chosen(held, one) else refresh())
     if held.references():
         _optics_form(held, one, refresh, go)
     with ui.element("details") as more:
@@ -197,6 +205,31 @@ def _actions(bench: Bench, held: Recordings, one: Stored, refresh: Any, go: Any)
             button("Calibrate", calibrate)
 
 
+def _sides(held: Recordings) -> None:
+    """Ask how the device was worn, which defines the pitch; the drawing follows the choice."""
+    with ui.element("section").classes("worn").props('aria-label="How it was worn"'):
+        drawing = ui.html(worn(held.axes["forward"], held.axes["up"]), sanitize=False)
+        with ui.element("div"):
+            text("p", "Which sides of the device point forward and up when the wearer stands? They define the pitch.")
+            for name in held.axes:
+                made = Field(f"Side that points {name}", held.axes[name], options=("", *FACES))
+
+                def take(name: str = name, made: Field = made) -> None:
+                    held.axes[name] = made.value
+                    drawing.set_content(worn(held.axes["forward"], held.axes["up"]))
+
+                made.element.on("change", take)
+
+
+def _chosen(held: Recordings, one: Stored) -> bool:
+    """Return whether both sides are chosen; say so where they are not."""
+    forward, up = held.axes["forward"], held.axes["up"]
+    wrong = not (forward and up) or forward[1] == up[1]
+    got = f"{forward or 'none'} and {up or 'none'}"
+    one.error = f"pitch: wanted a side that points forward and another that points up, got {got}" if wrong else ""
+    return not wrong
+
+
 def _optics_form(held: Recordings, one: Stored, refresh: Any, go: Any) -> None:
     """Ask for the optics of a recording: its own, or a file of poses or markers."""
     found = {("its own" if reference is one else reference.path.name): reference for reference in held.references()}
@@ -214,7 +247,8 @@ def _optics_form(held: Recordings, one: Stored, refresh: Any, go: Any) -> None:
                 up = Field("Laboratory axis that points up", "", options=("", "y", "z"))
 
         async def validate() -> None:
-            await held.validate(one, found[chosen.value], **given())
+            if _chosen(held, one):
+                await held.validate(one, found[chosen.value], **given())
             refresh()
 
         async def calibrate() -> None:

@@ -7,9 +7,8 @@ from typing import Any
 from nicegui import ui
 
 from undrift.web.bench import Bench, Job
-from undrift.web.frame import Field, button, frame, next_step, redrawn, text
-
-LEVELS = ("fail", "warn", "info")
+from undrift.web.commands import Outcome, remarks_of
+from undrift.web.frame import Field, button, frame, next_step, place_form, redrawn, refused, remarks_list, text
 
 
 def page(bench: Bench) -> None:
@@ -32,24 +31,25 @@ def _state(bench: Bench) -> tuple[object, ...]:
     return (
         ()
         if job is None
-        else (job.folder, job.calibration, job.certificate, job.registered, job.error, bench.calibration)
+        else (job.folder, id(job.answer), job.certificate, job.registered, job.error, len(job.later), bench.calibration)
     )
 
 
 def _result(bench: Bench, job: Job, refresh: Any) -> None:
     verdict = job.answer.get("verdict") or {}
     status = verdict.get("status", "")
-    findings = sorted(verdict.get("findings") or [], key=lambda one: LEVELS.index(one.get("level", "info")))
     with ui.element("section").classes(f"verdict {status}").props('aria-label="Verdict"'):
         text("h2", f"Verdict: {status or 'unknown'}")
         text("p", f"Device {job.answer.get('device') or job.serial or 'without a serial number'}")
-        _listed(findings[:3])
-        if len(findings) > 3:
-            with ui.element("details"):
-                text("summary", f"{len(findings) - 3} more")
-                _listed(findings[3:])
-    if job.error:
-        text("p", job.error, "bench-error").props('role="alert"')
+        if job.lacks:
+            words = (
+                f"It lacks the {' and '.join(job.lacks)}: their readings stay uncorrected; in counts they are left out."
+            )
+            text("p", words, "lacks")
+        remarks_list(remarks_of({**job.answer, "later": job.later}))
+    refused(bench, job, job.error)
+    if job.gravity_assumed and job.certificate is None:
+        _gravity(bench, job, refresh)
     _step(bench, job, refresh)
     with ui.element("div").classes("row"):
         for label, path in (("Calibration", job.calibration), ("Certificate", job.certificate), ("Report", job.report)):
@@ -58,7 +58,8 @@ def _result(bench: Bench, job: Job, refresh: Any) -> None:
         if bench.calibration == job.calibration:
             text("p", "Live and Recordings use this calibration.", "soft")
         else:
-            button("Use it in Live and Recordings", lambda: _use(bench, job, refresh))
+            without = f", without {' and '.join(job.lacks)}" if job.lacks else ""
+            button(f"Use it in Live and Recordings{without}", lambda: _use(bench, job, refresh))
     if job.registered:
         text("p", job.registered, "soft")
     if job.report is not None and job.report.exists():
@@ -71,18 +72,6 @@ def _result(bench: Bench, job: Job, refresh: Any) -> None:
         made.props('tabindex="0"')
 
 
-def _listed(findings: list[dict[str, Any]]) -> None:
-    if not findings:
-        return
-    with ui.element("ul"):
-        for one in findings:
-            with ui.element("li"):
-                action = str(one.get("action") or "")
-                text("span", str(one.get("text", "")).removesuffix(action).rstrip("; ") + ".")
-                if action:
-                    text("p", f"{action[:1].upper()}{action[1:]}.", "soft")
-
-
 def _step(bench: Bench, job: Job, refresh: Any) -> None:
     """Add the one next step: register, then the certificate, then recordings."""
     if not job.registered:
@@ -91,19 +80,44 @@ def _step(bench: Bench, job: Job, refresh: Any) -> None:
             "Register the calibration", lambda: register(bench, job, "" if serial is None else serial.value, refresh)
         )
     elif job.certificate is None:
-        next_step("Make the certificate", lambda: certify(bench, job, refresh))
+        unstated = ", gravity not stated" if job.gravity_assumed else ""
+        next_step(f"Make the certificate{unstated}", lambda: certify(bench, job, refresh))
     else:
         next_step("Correct recordings", "/recordings")
+
+
+def _gravity(bench: Bench, job: Job, refresh: Any) -> None:
+    """Ask for gravity before the certificate: the scale of the accelerometers is known no better."""
+
+    async def again() -> None:
+        if bench.place.words():
+            await bench.calibrate(job, *job.words)
+        else:
+            job.error = "gravity: wanted a town, a latitude or gravity itself, got none; fill one in"
+        refresh()
+
+    with ui.element("section").classes("card").props('aria-label="Gravity"'):
+        text("h2", "Where was it recorded?")
+        text("p", "Nobody stated local gravity: the certificate carries 0.15 % for it, in the accelerometers' scale.")
+        if job.words:
+            place_form(bench, "Calibrate with this gravity", again)
+        else:
+            text("p", "State the place on the page Start, then calibrate again.")
 
 
 async def register(bench: Bench, job: Job, serial: str, refresh: Any) -> None:
     """Add the calibration to the registry; one that names no device, under a serial number."""
     words = ("--serial", serial.strip()) if serial.strip() else ()
     outcome = await bench.command("registry", "add", job.calibration, *words, *bench.registry_words())
-    job.error = "" if outcome.done else outcome.error
+    _heard(job, outcome)
     if outcome.done:
         job.registered = _registered(outcome.answer)
     refresh()
+
+
+def _heard(job: Job, outcome: Outcome) -> None:
+    job.error = "" if outcome.done else outcome.error
+    job.later = [*job.later, outcome.answer]
 
 
 def _registered(answer: dict[str, Any]) -> str:
@@ -116,7 +130,7 @@ async def certify(bench: Bench, job: Job, refresh: Any) -> None:
     """Write the certificate, and add it to the registry."""
     path = job.folder / "certificate.pdf"
     outcome = await bench.command("certificate", job.calibration, "-o", path, "--register", *bench.registry_words())
-    job.error = "" if outcome.done else outcome.error
+    _heard(job, outcome)
     if outcome.done:
         job.certificate = path
     refresh()

@@ -4,9 +4,8 @@ from dataclasses import dataclass
 
 from nicegui import ui
 
-from undrift.errors import InputError
 from undrift.web.bench import Bench
-from undrift.web.frame import REFRESH_S, Field, button, connect_form, error_line, frame, next_step, set_text, text
+from undrift.web.frame import REFRESH_S, connect_form, frame, next_step, place_form, set_text, text
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -95,42 +94,20 @@ def page(bench: Bench) -> None:
                     text("p", f"{way.gives} {way.minutes}.", "soft")
                     next_step(way.next, way.path)
         connect_form(bench)
-        _place_form(bench)
+        _place(bench)
 
 
-def _place_form(bench: Bench) -> None:
-    """Ask where the bench stands, as the scale of the accelerometers is known no better than gravity."""
-    error = [""]
+def _place(bench: Bench) -> None:
+    """Ask where the bench stands, and say what is known."""
     with ui.element("section").props('aria-label="Place"'):
         text("h2", "Place")
-        text(
-            "p",
-            "It gives local gravity. Without it, standard gravity is assumed: up to 0.3 % error of scale.",
-        )
-        with ui.element("div").classes("row"):
-            held = bench.place
-            latitude = Field("Latitude, deg (north is positive)", _shown(held.latitude_deg), kind="number")
-            height = Field("Height above the sea, m", _shown(held.height_m), kind="number")
-
-            def keep() -> None:
-                error[0] = ""
-                try:
-                    bench.set_place(latitude.number(), height.number() or 0.0)
-                except InputError as refused:
-                    error[0] = str(refused)
-
-            button("Save", keep)
+        text("p", "It gives local gravity. Without it, standard gravity is assumed: up to 0.3 % error of scale.")
+        place_form(bench, "Save")
         state = text("p", "", "soft").props('role="status"')
-        error_line(lambda: error[0])
 
     def refresh() -> None:
-        place = bench.place
-        known = place.latitude_deg is not None
-        set_text(state, f"Saved: {place.latitude_deg:g} deg, {place.height_m:g} m" if known else "Not stated")
+        known = f"Saved: {bench.place.gravity_m_s2:.4f} m/s2" if bench.place.words() else "Not stated"
+        set_text(state, known)
 
     refresh()
     ui.timer(REFRESH_S, refresh)
-
-
-def _shown(value: float | None) -> str:
-    return "" if value is None else f"{value:g}"

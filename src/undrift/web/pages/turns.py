@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from functools import partial
 from operator import methodcaller
 
 from nicegui import ui
@@ -9,7 +10,7 @@ from nicegui import ui
 from undrift.record import Face
 from undrift.web.bench import Bench
 from undrift.web.drawings import box
-from undrift.web.frame import button, frame, next_step, redrawn, text
+from undrift.web.frame import button, frame, next_step, redrawn, refused, text
 from undrift.web.guided import Guided, guided_of
 from undrift.web.pages.guide_parts import (
     guide_part,
@@ -48,7 +49,7 @@ def _shown(bench: Bench) -> None:
         return (box("+z"), "All turns are captured") if way is None else (box(UPS[way[1]], way[0]), asked(way))
 
     guide_part(what, lambda: guide.light, REST_S)
-    redrawn(lambda: (guide.complete, guide.enough, bool(bench.working)), lambda look: _next(bench, guided))
+    redrawn(lambda: (guide.complete, guide.enough, bool(bench.working), guided.refused), lambda _: _next(bench, guided))
     lays = [(f"{up} up", methodcaller("lay", up)) for up in UPS.values()]
     turns = [
         (f"{axis} {name}", methodcaller("turn", axis, sign * 2.0 * math.pi))
@@ -64,23 +65,24 @@ def _shown(bench: Bench) -> None:
 def _next(bench: Bench, guided: Guided) -> None:
     if bench.working:
         text("p", "Calibrating. The result opens when it is done.")
-    elif guided.turns.complete:
-        next_step("Calibrate", _calibrating(bench))
+        return
+    refused(bench, bench.job, guided.refused, partial(setattr, guided, "refused"))
+    if guided.turns.complete:
+        next_step("Calibrate", _calibrating(bench, guided))
     else:
         text("p", "Leave it at rest, turn it along an edge back to the mark, and leave it at rest again.", "soft")
         if guided.turns.enough:
-            button("Calibrate with these turns", _calibrating(bench))
+            button("Calibrate with these turns", _calibrating(bench, guided))
 
 
-def _calibrating(bench: Bench) -> Callable[[], object]:
+def _calibrating(bench: Bench, guided: Guided) -> Callable[[], object]:
     async def calibrate() -> None:
         job = bench.job
         if job is None:
             return
         outcome = await bench.calibrate(job, job.session)
+        guided.refused = outcome.error
         if outcome.done:
             ui.navigate.to("/result")
-        elif isinstance(job.capture, Guided):
-            job.capture.error = outcome.error
 
     return calibrate

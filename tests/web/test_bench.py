@@ -1,0 +1,128 @@
+"""The bench's calls of calibrate: gravity is that of the place, a refused one is tried again, nothing is used unasked."""
+
+import asyncio
+import json
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("nicegui")
+
+from undrift.errors import InputError
+from undrift.units import STANDARD_GRAVITY, gravity_at
+from undrift.web.bench import Bench, BenchSettings, Place, place_of, towns
+from undrift.web.commands import Outcome
+from undrift.web.frame import page_words
+from undrift.web.recordings import Stored
+
+FITTED = {"accel": {}, "gyro": {}, "provenance": {"settings": {"gravity": "standard"}}}
+
+
+@pytest.fixture
+def bench(tmp_path):
+    made = Bench(BenchSettings(folder=tmp_path / "bench"))
+    made.calls, made.answer = [], Outcome(code=0, answer=FITTED)
+
+    async def command(*words, folder=None):
+        made.calls.append([str(word) for word in words])
+        return made.answer
+
+    made.command = command
+    yield made
+    made.close()
+
+
+def test_a_town_a_latitude_or_gravity_state_the_place_and_nothing_states_none():
+    assert place_of(" vienna ") == Place(latitude_deg=48.2, height_m=170.0)
+    assert place_of("48,2", "300").gravity_m_s2 == gravity_at(48.2, 300.0)
+    assert place_of("", "", "9.81").words() == ("--gravity-m-s2", 9.81)
+    assert (place_of("").words(), place_of("").gravity_m_s2) == ((), STANDARD_GRAVITY)
+    assert all(abs(latitude) <= 90.0 and -10.0 <= height < 4000.0 for latitude, height in towns().values())
+
+
+@pytest.mark.parametrize(
+    ("typed", "words"),
+    [
+        (("Atlantis",), "town: wanted a town of the list, or its latitude in deg, got 'Atlantis'"),
+        (("91",), "latitude: wanted -90 to 90 deg, got 91"),
+        (("48", "high"), "height: wanted metres above the sea, got 'high'"),
+        (("48", "10000"), "height: wanted -500 to 9000 m"),
+        (("", "", "981"), "gravity: wanted 9.7 to 9.9 m/s2, got 981"),
+    ],
+)
+def test_a_place_that_is_none_is_refused(typed, words):
+    with pytest.raises(InputError, match=words):
+        place_of(*typed)
+
+
+def test_gravity_of_the_place_is_stated_unless_the_session_does_and_kept_for_the_next_time(bench):
+    job = bench.new_job()
+    job.session.mkdir()
+    (job.session / "session.toml").write_text('[session]\nkind = "calibration"\n')
+    asyncio.run(bench.calibrate(job, job.session))
+    assert not {"--gravity-m-s2", "--latitude-deg"} & set(bench.calls[-1])
+    assert job.gravity_assumed
+    bench.set_place(place_of("Oslo"))
+    asyncio.run(bench.calibrate(job, *job.words))
+    assert bench.calls[-1][:6] == [
+        "calibrate",
+        f"jobs/{job.folder.name}/session",
+        "--latitude-deg",
+        "59.9",
+        "--height-m",
+        "20.0",
+    ]
+    (job.session / "session.toml").write_text('[session]\nkind = "calibration"\ngravity_m_s2 = 9.81\n')
+    asyncio.run(bench.calibrate(job, *job.words))
+    assert "--latitude-deg" not in bench.calls[-1]
+    assert Bench(bench.settings).place == bench.place
+
+
+def test_a_job_of_an_earlier_day_is_calibrated_by_the_words_it_was(bench):
+    job = bench.new_job("A17")
+    asyncio.run(bench.calibrate(job, bench.folder / "uploads" / "x" / "walk.csv", "--turn-deg", 360.0))
+    (job.folder / "calibration.json").write_text(json.dumps(FITTED))
+    asyncio.run(bench.open_job(job.folder))
+    assert bench.job.words == ("uploads/x/walk.csv", "--turn-deg", "360.0")
+
+
+def test_a_calibration_without_accelerometers_is_not_used_unasked(bench):
+    job = bench.new_job()
+    bench.answer = Outcome(code=0, answer={"gyro": {}, "accel": None})
+    asyncio.run(bench.calibrate(job, "walk.csv"))
+    assert job.lacks == ("accelerometers",)
+    assert bench.calibration is None
+    bench.answer = Outcome(code=0, answer=FITTED)
+    asyncio.run(bench.calibrate(job, "walk.csv"))
+    assert (job.lacks, bench.calibration) == ((), job.calibration)
+
+
+def test_sides_that_were_chosen_define_the_pitch_of_orient_and_validate(bench):
+    held, one = bench.recordings, Stored(path=bench.folder / "uploads" / "walk.csv")
+    held.axes = {"forward": "-z", "up": "+x"}
+    for work in (held.run(one, "orient"), held.validate(one, one, markers="", up=""), held.run(one, "correct")):
+        asyncio.run(work)
+    orient, validate, correct = bench.calls
+    for call in (orient, validate):
+        assert call[call.index("--forward") + 1] == "-z"
+        assert call[call.index("--up") + 1] == "+x"
+    assert "--forward" not in correct
+
+
+def test_a_rate_that_a_command_asks_for_can_be_stated_on_the_page(bench):
+    one = Stored(path=Path("walk.csv"), about={"kind": "recording"}, map=Path("map.toml"))
+    one.error = "walk.csv: wanted 50 samples a second, got 100; say --sample-rate-hz 100"
+    assert one.needs_rate
+    assert page_words(one.error).endswith("say “Samples per second, Hz” 100")
+    asyncio.run(bench.recordings.state_rate(one, 100.0))
+    assert bench.calls[0][2:] == ["--map", "map.toml", "--sample-rate-hz", "100.0"]
+    assert not one.needs_rate
+
+
+def test_options_are_called_as_the_page_calls_them():
+    assert (
+        page_words("give --latitude-deg and --height-m")
+        == "give “Town, or latitude in deg” and “Height above the sea, m”"
+    )
+    assert page_words("say --gyro none") == "say “Calibrate the accelerometers alone”"
+    assert page_words("say --upload-mb 5") == "say --upload-mb 5"
