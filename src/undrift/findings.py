@@ -7,6 +7,7 @@ and one action. A verdict shows the most consequential findings first: by level 
     3  something was not observable  4  what was done, for the record
 
 Templates are ``str.format`` strings over the finding's values; a tuple prints element by element: (0.1, 0.2) as "0.1, 0.2".
+``{span_k:.1f|{limit_k}}`` has as many digits more as show on which side of the limit it is: 2.04 K beside 2 K, not 2.0 K.
 """
 
 import string
@@ -35,12 +36,26 @@ class Entry(NamedTuple):
 
 
 class _Template(string.Formatter):
-    """``str.format`` that prints tuples element by element."""
+    """``str.format`` that prints tuples element by element, and a number beside its limit."""
 
     def format_field(self, value: Any, format_spec: str) -> str:
         if isinstance(value, tuple):
             return ", ".join(self.format_field(item, format_spec) for item in value)
-        return str(super().format_field(value, "" if isinstance(value, str) else format_spec))
+        form, _, limit = format_spec.partition("|")
+        if limit and not isinstance(value, str):
+            return told_apart(value, form, float(limit))
+        return str(super().format_field(value, "" if isinstance(value, str) else form))
+
+
+def told_apart(value: float, form: str, limit: float) -> str:
+    """Return a value by a form like ".2g", with more digits where its size would else be on another side of a limit's."""
+    start, _, kind = form.partition(".")
+    for digits in range(int(kind[:-1]), 17):
+        text = format(value, f"{start}.{digits}{kind[-1]}")
+        shown = abs(float(text)) - abs(limit)
+        if (shown > 0.0, shown < 0.0) == (abs(value) > abs(limit), abs(value) < abs(limit)):
+            break
+    return text
 
 
 _TEMPLATE = _Template()

@@ -4,6 +4,7 @@ import json
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 
 from testkit.data import data_path
@@ -73,6 +74,32 @@ def test_a_wrong_call_is_told_in_one_line(undrift, words, expected):
     assert "--help" in line
 
 
+NAMES = ["走路.csv", "مشي.csv", "Gehübung groß.csv", "[1] gait.csv", "{a}.csv", "l" * 240 + ".csv"]
+
+
+@pytest.mark.parametrize("name", NAMES, ids=["chinese", "arabic", "umlauts", "brackets", "braces", "long"])
+def test_a_file_of_any_name_is_read_and_written(undrift, tmp_path, monkeypatch, name):
+    monkeypatch.chdir(tmp_path)
+    noise = np.random.default_rng(1).normal(0.0, 0.02, (6000, 6))
+    cells = np.column_stack(
+        (np.arange(6000) / 4, np.array([0, 0, 0, 0, 0, 9.8]) + noise, np.linspace(20.0, 40.0, 6000))
+    )
+    heads = [f"{kind}_{x}_{unit}" for kind, unit in (("gyro", "dps"), ("accel", "m_s2")) for x in "xyz"]
+    lines = [",".join(["time_s", *heads, "temp_c"]), *(",".join(f"{cell:.6g}" for cell in row) for row in cells)]
+    (tmp_path / name).write_text("\n".join(lines) + "\n")
+    assert undrift("info", name, "--json").json()["rows"] == 6000
+    written = name.removesuffix("csv") + "json"
+    undrift("drift", name, "--output", written)
+    assert (tmp_path / written).is_file()
+
+
+@pytest.mark.parametrize("words", [["info"], ["info", "--json"], ["calibrate"], ["drift", "--json"]])
+def test_a_name_that_is_not_utf_8_is_refused_in_one_line(undrift, tmp_path, words):
+    named = str(tmp_path / "caf\udce9.csv")  # as the shell hands over the byte 0xe9
+    line = undrift.refused(words[0], named, *words[1:])
+    assert r"caf\udce9.csv: wanted a name in UTF-8, got other bytes; rename the file or folder" in line
+
+
 @pytest.mark.parametrize(
     ("command", "earlier", "standard"),
     [(command, *names) for command, pairs in program.EARLIER_NAMES.items() for names in pairs.items()],
@@ -131,24 +158,6 @@ def test_a_reader_that_stops_early_makes_no_noise():
         ["bash", "-c", f"set -o pipefail; {command}"], capture_output=True, text=True, timeout=60, check=False
     )
     assert done.stderr == ""
-
-
-def test_a_table_is_whole_in_a_narrow_terminal_and_in_a_pipe():
-    import io
-
-    from rich.console import Console
-
-    from undrift.cli.common import table
-
-    heads = ("recording", "inclination (deg)", "pitch (deg)", "end total (deg)", "lag (ms)")
-    made = table("title", heads, [("05_undisturbed_slow_rotation_with_breaks_B", "1.11", "0.71", "1.46", "4.17")])
-    for width in (60, 400):
-        text = io.StringIO()
-        Console(file=text, width=width).print(made)
-        for word in ("inclination", "end total", "1.11", "0.71", "1.46", "4.17"):
-            assert word in text.getvalue()
-        assert "…" not in text.getvalue()
-        assert all(len(line) <= width for line in text.getvalue().splitlines())
 
 
 def test_json_knows_what_results_are_made_of():

@@ -337,3 +337,26 @@ def test_a_rate_table_about_one_axis_is_written_and_a_wrong_conversion_ends_with
     show(f"{sensor}: scale of y off by", f"{100 * off:.2f} %", "0.4 % or -15 %")
     assert abs(off) > 0.1 if code else abs(off) < 0.005  # never the identity in silence
     assert made.standard_uncertainty[0] / made.matrix[0, 0] == pytest.approx(0.03, rel=0.1)
+
+
+def test_gyroscopes_are_left_out_on_the_command_line_and_the_next_command_stays(undrift, bench, tmp_path):
+    answer = undrift.good("calibrate", bench / "session", "--gyro", "none", "-o", tmp_path / "c.json")
+    assert "Not complete: no model of the gyroscopes, whose readings stay raw" in answer.out
+    assert read_calibration(tmp_path / "c.json").gyro is None
+    told = undrift.good("calibrate", bench / "session", "--gyro", "none", "--json").json()
+    assert (told["gyro"], told["lacking"]) == (None, ["gyroscopes"])
+    assert undrift.good("calibrate", bench / "session", "--json").json()["lacking"] == []
+    assert "got none" not in undrift.refused("calibrate", bench / "session", "--gyro", "rest")  # counts have no scale
+
+
+def test_a_calibration_without_accelerometers_is_not_offered_for_correct_and_says_what_is_missing(undrift, tmp_path):
+    session = simulate_session("bench", random_device(np.random.default_rng(7)), rng=np.random.default_rng(8))
+    four = replace(session, stills=tuple(still for still in session.stills if still.face not in ("-y", "+x")))
+    write_session(four, tmp_path / "s")
+    answer = undrift.good("calibrate", tmp_path / "s", "-o", tmp_path / "c.json")
+    assert "Next: undrift correct" not in answer.out
+    assert "Not complete: no model of the accelerometers" in answer.out
+    first = answer.out[answer.out.index("verdict: ") :].splitlines()[1:3]
+    assert first[0] == "  - Accelerometer not observable"
+    assert first[1].endswith("faces without a rest: +x, -y")
+    assert undrift.good("calibrate", tmp_path / "s", "--json").json()["lacking"] == ["accelerometers"]

@@ -84,6 +84,16 @@ def test_gravity_is_stated_or_by_latitude_and_height_and_never_by_half(undrift, 
     told = undrift.good("calibrate", log, *words, "--latitude-deg", 59.9, "--height-m", 20).json()
     assert told["gravity_m_s2"] == gravity_at(59.9, 20.0)
     assert told["provenance"]["settings"]["gravity"] == "latitude and height"
+    session = board / "session-without-gravity"
+    session.mkdir()
+    (session / "session.toml").write_text(
+        f'[session]\nkind = "calibration"\nserial = ""\n[[recording]]\nfile = "{log}"\n{BOARD}'
+    )
+    read = undrift.good("calibrate", session, "--json").json()
+    assert (read["gravity_m_s2"], read["provenance"]["settings"]["gravity"]) == (9.80665, "standard")
+    read = undrift.good("calibrate", session, "--latitude-deg", 59.9, "--height-m", 20, "--json").json()
+    same(read, told)
+    assert read["provenance"]["settings"]["gravity"] == "latitude and height"
     before = contents(board)
     line = undrift.refused("calibrate", log, *words[:2], "--height-m", 20, "-o", board / "no.json")
     assert "wanted gravity_m_s2, or latitude_deg and height_m, got only one of the last two" in line
@@ -103,7 +113,9 @@ def test_several_still_recordings_are_one_session_without_a_toml_of_it(undrift, 
 def test_files_side_by_side_are_as_many_as_the_map_has_tables(undrift, tmp_path):
     (tmp_path / "xsens.toml").write_text(XSENS)
     files = [data_path("multipos_xsens", f"xsens_{name}.txt.gz") for name in ("acc", "gyro")]
-    answer = undrift.good("calibrate", *files, "--map", tmp_path / "xsens.toml", "-o", tmp_path / "x.json")
+    answer = undrift.good(
+        "calibrate", *files, "--map", tmp_path / "xsens.toml", "--gravity-m-s2", "9.81", "-o", tmp_path / "x.json"
+    )
     assert "verdict: good" in answer.out
     model = read_calibration(tmp_path / "x.json").accel
     np.testing.assert_allclose(model.scale_factor * 9.80665, [3983.0, 4045.0, 4028.0], rtol=0.03)  # SOURCE.md
@@ -232,6 +244,8 @@ def test_a_session_states_what_the_options_would_and_stands_alone(undrift, bench
     session, log = bench / "session", data_path("multipos_mpu9150", "imu0.log.gz")
     line = undrift.refused("calibrate", session, "--serial", "A1", "--gaps", "keep")
     assert "wanted none of --gaps, --serial beside a session, got 2; its session.toml states them" in line
+    line = undrift.refused("calibrate", session, "--latitude-deg", 59.9, "--height-m", 20)
+    assert "wanted none of --height-m beside a session" in line
     line = undrift.refused("calibrate", session, log)
     assert "wanted one session, or recordings, got a session and 1 more" in line
     line = undrift.refused("calibrate", board)

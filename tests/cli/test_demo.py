@@ -12,9 +12,11 @@ import pytest
 
 from testkit.command_line import contents
 from testkit.pages import browser, faults_of, seen_in
+from testkit.pictures import cut_texts
 from undrift.cli import study as study_module
 from undrift.errors import LinkError, RigTimeout
 from undrift.io import store as store_module
+from undrift.io.formats import read_record, read_reference
 from undrift.io.session import read_session
 from undrift.io.store import read_calibration
 from undrift.report import demo as demo_module
@@ -71,12 +73,22 @@ def test_the_page_says_once_what_the_note_is(quick):
     assert page.index("EMBC 2007") < page.index("<h2>Details")
 
 
-def test_the_page_opens_with_the_error_before_and_after_and_reads_everywhere(quick):
+def test_the_page_opens_with_the_errors_of_all_rivals_over_the_course_that_it_draws(quick):
     path = quick[0] / "report.html"
     page = path.read_text()
     answer = re.search(r'<p class="answer">(.*?)</p>', page)[1]
-    before, after = map(float, re.findall(r"\d+\.\d+", answer))
-    assert after < 0.2 * before
+    span, *stated = map(float, re.findall(r"\d+\.\d+", answer))
+    fit = virtual_bench.fit_bench(read_session(quick[0] / "bench"), read_session(quick[0] / "thermal"))
+    record, optics = read_record(quick[0] / "trial.parquet"), read_reference(quick[0] / "reference.parquet")
+    figure = demo_module._draw_worn(virtual_bench.judge_levels(fit, record, optics))
+    assert cut_texts(figure) == []
+    courses = {line.get_label(): line for line in figure.axes[1].lines[:5]}
+    named = ("constant calibration", "offset re-zeroed at a rest", "all tables", "all tables, re-zeroed at a rest")
+    drawn = [np.abs(courses[name].get_ydata()).max() for name in named]
+    assert stated == pytest.approx(drawn, abs=0.0051)  # two digits are printed
+    assert np.ptp(courses["all tables"].get_xdata()) == pytest.approx(span, abs=0.1)
+    assert "re-zeroed at a rest" in answer
+    assert stated[2] < 0.2 * stated[0]
     assert page.index('class="answer"') < page.index("<svg") < page.index('class="verdict')
     assert faults_of(page) == []
     with browser() as held:

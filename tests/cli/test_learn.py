@@ -43,12 +43,10 @@ def recordings(folder):
     return sorted(folder.glob("2026-03-0?.parquet"))
 
 
-def test_recordings_become_a_table_that_corrects_and_exports(folder, tmp_path, capsys):
+def test_recordings_become_a_table_that_corrects_and_exports(undrift, folder, tmp_path):
     made = tmp_path / "c2.json"
-    assert (
-        call(*recordings(folder), "--calibration", folder / "c.json", "-o", made, "--figure", tmp_path / "c.svg") == 0
-    )
-    out = capsys.readouterr().out
+    words = (*recordings(folder), "--calibration", folder / "c.json", "-o", made, "--figure", tmp_path / "c.svg")
+    out = undrift.good("learn", *words).out
     assert "stretches at rest, each within 2 degC, in 4 recordings, 0 left out" in out
     assert "verdict: good" in out
     assert "Next: undrift correct" in out

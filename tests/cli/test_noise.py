@@ -179,3 +179,22 @@ def test_noise_is_said_in_the_units_of_data_sheets_too(undrift, tmp_path):
     said = undrift.good("noise", tmp_path / "rest.parquet").out
     for unit in ("deg/sqrt(h)", "deg/h", "deg/h/sqrt(h)", "ug/sqrt(Hz)", "ug", "ug/sqrt(h)"):
         assert f" in {unit}: x " in said
+
+
+def test_bias_instability_that_no_axis_shows_is_named_in_terminal_json_and_page(undrift, tmp_path):
+    at_rest(tmp_path, "rest.csv")
+    page = tmp_path / "noise.html"
+    answer = undrift.good("noise", tmp_path / "rest.csv", "--report", page)
+    told = undrift.good("noise", tmp_path / "rest.csv", "--json").json()
+    lost = [
+        item
+        for item in told["verdict"]["findings"]
+        if item["level"] == "warn" and item["values"].get("term") == "bias instability"
+    ]
+    assert lost
+    assert (told["verdict"]["status"], "verdict: marginal" in answer.out) == ("marginal", True)
+    for item in lost:
+        headline = f"{item['values']['triad']} x, y, z: bias instability not observable"
+        assert headline in answer.out
+        assert headline in page.read_text()
+        assert "h or more at rest" in item["action"]

@@ -1,13 +1,17 @@
 """undrift orient: angles of corrected and of raw recordings."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from testkit.command_line import beyond_the_table, contents, warm_between
 from testkit.data import data_path, show
-from undrift.io.formats import read_reference
+from undrift.correction.correct import correct
+from undrift.io.formats import read_record, read_reference, write_record
 from undrift.io.store import read_calibration
 from undrift.io.write import COLUMNS
+from undrift.orientation import orient
 
 
 def test_a_corrected_and_a_raw_recording_give_the_same_angles(undrift, bench, tmp_path):
@@ -37,6 +41,42 @@ def test_a_corrected_and_a_raw_recording_give_the_same_angles(undrift, bench, tm
     low, high = told["pitch_deg"]
     assert 0.0 < low < high < 60.0
     assert f"pitch: {low:.2f} to {high:.2f} deg" in first.out
+
+
+@pytest.mark.parametrize("name", ["c.parquet", "c.csv", "c.csv.gz", "c.mat"])
+def test_the_tilt_is_stated_alike_from_a_raw_file_from_a_corrected_one_and_in_python(undrift, bench, tmp_path, name):
+    raw, calibration = bench / "trial.parquet", bench / "calibration.json"
+    words = ("--json", "-o", tmp_path / "o.csv")
+    undrift.good("correct", raw, "--calibration", calibration, "-o", tmp_path / name)
+    corrected = undrift.good("orient", tmp_path / name, *words).json()
+    at_once = undrift.good("orient", raw, "--calibration", calibration, *words).json()
+    in_python = orient(correct(read_record(raw), read_calibration(calibration))).tilt
+    for told in (corrected, at_once):
+        assert told["tilt_basis"] == "calibration"
+        assert told["tilt_uncertainty_deg"] == pytest.approx(np.degrees(in_python.inclination_uncertainty), rel=1e-9)
+        assert told["tilt_expanded_uncertainty_deg"] == pytest.approx(np.degrees(in_python.expanded_uncertainty))
+        assert told["tilt_uncertainty_parts_deg"].keys() == {
+            "scatter", "sway", "calibration", "temperature", "ageing", "codes"
+        }  # fmt: skip
+        whole = np.sqrt(np.sum(np.square([*told["tilt_uncertainty_parts_deg"].values()])))
+        assert whole == pytest.approx(told["tilt_uncertainty_deg"])
+        assert told["tilt_uncertainty_parts_deg"]["calibration"] > 0.0
+
+
+def test_without_a_calibration_page_terminal_and_json_say_that_the_scatter_is_all(undrift, bench, tmp_path):
+    plain = replace(read_record(bench / "corrected.parquet"), state="raw", accel_uncertainty=None)
+    write_record(plain, tmp_path / "r.parquet")
+    words = ("orient", tmp_path / "r.parquet", "-o", tmp_path / "o.csv", "--report", tmp_path / "r.html")
+    stated = "scatter only; accelerometer not calibrated: typically 0.3 deg"
+    assert stated in undrift.good(*words).out.replace("\n", " ")
+    assert undrift.good(*words, "--json").json()["tilt_basis"] == stated
+    page = (tmp_path / "r.html").read_text()
+    assert f"tilt at the start: {stated}" in page
+    assert "is known to" not in page
+    whole = undrift.good("orient", bench / "corrected.parquet", *words[2:]).out
+    assert "standard uncertainty" in whole
+    assert "95 % within" in whole
+    assert "95 % within" in (tmp_path / "r.html").read_text()
 
 
 def test_heading_offset_and_body_axes_are_taken(undrift, bench, tmp_path):
@@ -196,3 +236,27 @@ def test_details_show_the_findings_of_the_calibration(undrift, bench, tmp_path, 
     shown = " ".join(undrift.good(*words, "--details").out.split())
     assert f"verdict: {verdict.status}" in shown
     assert all(item.headline in shown for item in verdict.findings)
+
+
+def test_a_worn_recording_with_another_axis_up_is_warned_of_everywhere_until_the_axes_are_given(undrift, tmp_path):
+    """A lower back with x up: the pitch by the default axes goes from -180 to 180 deg."""
+    (tmp_path / "map.toml").write_text(
+        'sample_rate_hz = 100\ncolumns = { accel = ["acc_x", "acc_y", "acc_z"], gyro = ["gyr_x", "gyr_y", "gyr_z"] }\n'
+        'units = { accel = "g", gyro = "dps" }\n'
+    )
+    rest = ["--still-start-s", 0, "--still-stop-s", 1, "--report", tmp_path / "o.html", "-o", tmp_path / "o.csv"]
+    words = ["orient", data_path("worn_lowback", "HA_001_Test11.csv.gz"), "--map", tmp_path / "map.toml", *rest]
+    headline, advice = (
+        "Pitch by forward +x and up +z is not that of an upright segment",
+        "take +x as up, and as forward +z",
+    )
+    answer = undrift.good(*words)
+    assert f"warning: {headline}" in answer.out
+    assert advice in answer.out
+    page = (tmp_path / "o.html").read_text()
+    assert headline in page
+    assert advice in page
+    told = undrift.good(*words, "--json").json()
+    (item,) = (one for one in told["findings"] if one["code"] == "orient.pitch_axes")
+    assert (item["level"], item["values"]["up"], item["values"]["forward"][0]) == ("warn", "+x", "+z")
+    assert "Pitch by" not in undrift.good(*words, "--up", "+x", "--forward", "-z").out

@@ -98,9 +98,15 @@ def test_a_session_that_was_written_calibrates_as_the_bare_recording_does(undrif
     told = undrift.good("session", "new", *words, "-o", board / "s", "--json").json()
     session = read_session(board / "s")
     assert (told["stills"], told["faces"], told["turns"]) == (len(session.stills), [], 0)
-    assert (session.serial, session.gravity_m_s2) == ("imu0", 9.80665)
-    assert "assumed: standard gravity" in (board / "s" / "session.toml").read_text()
+    assert (session.serial, session.gravity_m_s2, session.gravity_source) == ("imu0", 9.80665, "standard")
+    assert "not stated: standard gravity is assumed" in (board / "s" / "session.toml").read_text()
     one = undrift.good("calibrate", board / "s", "--json").json()
+    assert one["provenance"]["settings"]["gravity"] == "standard"
+    at = undrift.good("calibrate", board / "s", "--json", "--latitude-deg", 0, "--height-m", 0).json()
+    assert (at["gravity_m_s2"], at["provenance"]["settings"]["gravity"]) == (
+        pytest.approx(9.78033, abs=1e-5),
+        "latitude and height",
+    )
     other = undrift.good("calibrate", *words, "--json").json()
     for triad in ("accel", "gyro"):
         sigma = np.sqrt(np.diag(np.array(other[triad]["covariance"])))[:9].reshape(3, 3)

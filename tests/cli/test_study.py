@@ -201,6 +201,23 @@ def test_a_halving_resumes_and_keeps_to_its_folder(undrift, searched, tmp_path):
     assert "grid" in undrift.refused(*words)
 
 
+@pytest.mark.parametrize("search", ["grid", "halving", "cma"])
+def test_a_study_of_the_dwell_and_the_gain_comes_to_its_end_by_every_search(undrift, tmp_path, search):
+    if search == "cma":
+        pytest.importorskip("cma")
+    path, out = tmp_path / "study.toml", tmp_path / "out"
+    lists = "[50.0, 70.0, 90.0]\ngain = [10.0, 20.0]\nfaces = [5, 6]\ndwell_s = [0.5, 1.0]"
+    path.write_text(TEXT.replace("sit_to_stand", "step").replace("[50.0, 70.0, 90.0]", lists))
+    words = ("study", path, "-o", out, "--workers", "1", "--no-rivals", "--search", search, "--candidates", "24")
+    answer = done(undrift, *words)
+    assert "step: optimum with dwell (s) " in answer.out
+    for heading in ("gain of the gyroscopes&#39; amplifier", "faces", "dwell (s)"):
+        assert heading in (out / "report.html").read_text()
+    (task,) = json.loads((out / "summary.json").read_text())["tasks"]
+    assert {"gain", "faces", "dwell_s"} <= set(task["optimum"])
+    assert {"gain", "faces", "dwell_s"} & {row["parameter"] for row in task["made_of"]}
+
+
 def test_values_that_no_protocol_has_are_named_with_the_reason(undrift, plan, tmp_path):
     text = TEXT.replace("step_dps = [5.0]", "step_dps = [5.0, 70.0]").replace("[50.0, 70.0, 90.0]", "[5.0, 50.0, 90.0]")
     path = tmp_path / "more.toml"

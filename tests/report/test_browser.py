@@ -2,6 +2,8 @@
 
 import re
 import shlex
+from dataclasses import replace
+from html import unescape
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +11,7 @@ import pytest
 
 from testkit.demo_session import demo_session
 from testkit.pages import browser, faults_of, seen_in
+from testkit.pictures import pictures_looked_at
 from undrift.calibration.observe import CalibrateSettings
 from undrift.cli.app import run
 from undrift.io.formats import write_record
@@ -16,6 +19,13 @@ from undrift.io.reference import write_reference
 from undrift.io.session import read_session, write_session
 from undrift.io.store import read_calibration
 from undrift.record import Record
+from undrift.report.certificate import (
+    certificate_content,
+    departures_words,
+    draw_calibration,
+    expanded_words,
+    stated,
+)
 from undrift.report.commands import judge_pieces, leverages, write_rig_report
 from undrift.report.figures import AXIS_COLOURS, AXIS_DASHES, AXIS_MARKERS, COMPARED_COLOURS, COMPARED_MARKERS
 from undrift.report.page import Origin
@@ -42,6 +52,9 @@ SOAKS = ThermalSettings(
 NAMES = (*CALLS, "rig")
 
 
+CUT: list[str] = []  # by the pictures of the pages
+
+
 @pytest.fixture(scope="module")
 def pages(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a folder with a page of each command, made twice: c.html and c_again.html."""
@@ -56,7 +69,7 @@ def pages(tmp_path_factory: pytest.TempPathFactory) -> Path:
     accel = rng.normal(0.0, 1e-2, (40_000, 3)) + np.array([0.0, 0.0, 9.81])
     rest = Record(time=np.arange(40_000) / 100.0, gyro=rng.normal(0.0, 1e-3, (40_000, 3)) + walk, accel=accel)
     write_record(rest, folder / "rest.parquet")
-    with pytest.MonkeyPatch.context() as held:
+    with pytest.MonkeyPatch.context() as held, pictures_looked_at() as cut:
         held.chdir(folder)
         held.setenv("SOURCE_DATE_EPOCH", "1800000000")
         for name, words in CALLS.items():
@@ -73,7 +86,13 @@ def pages(tmp_path_factory: pytest.TempPathFactory) -> Path:
         result = RunResult(pieces=tuple(turns), added=6, duration_s=40.0, rig="a table")
         origin = Origin(command="undrift rig run", inputs=(("protocol.toml", "0" * 64),))
         write_rig_report(Path("rig.html"), result, "run", origin=origin)
+    CUT[:] = cut
     return folder
+
+
+@pytest.mark.usefixtures("pages")
+def test_no_picture_of_a_page_cuts_its_legend_or_a_label() -> None:
+    assert CUT == []
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -119,10 +138,46 @@ def test_the_page_of_a_calibration_shows_what_each_recording_gave(pages: Path) -
     for part in (
         "Residual of each pose and dwell",
         "Norm of the specific force",
-        "usual data-sheet limits",
+        "departures from the mean scale factor of the three axes; readings in count state no other.",
         "information (%)",
     ):
         assert part in text
+
+
+def test_a_calibration_is_headed_by_the_uncertainty_of_its_certificate_and_residuals_are_called_so(pages: Path) -> None:
+    text = (pages / "calibrate.html").read_text()
+    answer = unescape(re.search(r'<p class="answer">(.*?)</p>', text)[1])
+    rows = certificate_content(read_calibration(pages / "c.json"))["triads"]
+    for triad in rows:  # the largest U of each block of its results, in the same digits
+        said = re.search(rf"{triad['title'].lower()} up to ([^;]*)", answer)[1]
+        for unit in ("mg", "deg/s", "%"):
+            of_unit = [row[4].split() for row in triad["results"] if row[4].partition(" ")[2] == unit]
+            assert not of_unit or f"{max((one[0] for one in of_unit), key=float)} {unit} of" in said
+    assert "reproduce" not in answer
+    section = text[text.index("<h2>Residuals of the fit") :]
+    assert section.index("gravity to") < section.index("<svg") < section.index("Residual of each pose and dwell")
+
+
+def test_a_calibration_is_drawn_without_limits_that_no_device_of_the_file_states(pages: Path) -> None:
+    assert "data sheet" not in (pages / "calibrate.html").read_text()
+    made = read_calibration(pages / "c.json")
+    figure = draw_calibration(made)
+    assert [patch for axes in figure.axes for patch in axes.patches] == []
+    bars = figure.axes[0].collections[0].get_segments()  # of the certificate: k = 2 or Student's
+    expanded = stated(made.gyro).expanded
+    percent = 100.0 * float(made.gyro.scale_factor.mean())
+    assert [np.ptp(bar[:, 1]) / 2.0 for bar in bars] == pytest.approx(percent * expanded[:9])
+
+
+def test_what_no_fit_has_shown_is_said_in_the_headline_and_a_unit_is_what_readings_depart_from(pages: Path) -> None:
+    gyro = read_calibration(pages / "c.json").gyro
+    offsets = np.diag(np.append(np.zeros(9), np.ones(3)))
+    rests = replace(gyro, unit_in="dps", parameters=gyro.parameters[:12], covariance=offsets, budget=None)
+    words = r"gyroscopes up to [\d.e-]+ deg/s of zero-rate output \(scale factor and cross-axis sensitivity not calibrated\)"
+    assert re.fullmatch(words, expanded_words("gyro", rests))
+    assert departures_words("gyro", rests).startswith("Gyroscopes: departures from the unit of the readings, dps")
+    unknown = replace(gyro, covariance=np.full_like(gyro.covariance, np.nan), budget=None)
+    assert expanded_words("gyro", unknown) == "gyroscopes not known"
 
 
 def test_repeated_poses_share_what_one_alone_would_give(pages: Path) -> None:

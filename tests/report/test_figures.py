@@ -2,12 +2,28 @@
 
 import re
 import xml.etree.ElementTree as ET
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from testkit.pictures import cut_texts
+from undrift.calibration.pieces import Piece
 from undrift.errors import InputError
-from undrift.report.figures import WIDTH, draw_agreement, draw_comparison, new_figure, save_figure, svg_of
+from undrift.record import Record
+from undrift.report.commands import _draw_held_out
+from undrift.report.figures import (
+    WIDTH,
+    draw_agreement,
+    draw_bars,
+    draw_comparison,
+    draw_record,
+    draw_recording,
+    legend_above,
+    new_figure,
+    save_figure,
+    svg_of,
+)
 
 rng = np.random.default_rng(3)
 
@@ -109,3 +125,81 @@ def test_a_dollar_in_a_name_stays_one_and_powers_of_ten_are_plain_numbers(name):
     bare = re.sub("<!--.*?-->", "", text)
     assert "mathdefault" not in bare
     assert ">1000</text>" in bare
+
+
+LONG = "20261124_patient_0007_left_thigh_second_session_after_lunch_protocol_of_the_clinic_03.csv"
+
+
+def readings(**more):
+    """Return a record with a gap, and a gyroscope that is saturated for a while."""
+    gyro = rng.normal(0.0, 0.1, (1000, 3))
+    gyro[300:330] = 5.0
+    gyro[600:620] = np.nan
+    return Record(time=np.arange(1000) / 100.0, gyro=gyro, accel=gyro + 9.81, **more)
+
+
+def recording():
+    left_out = [
+        Piece(
+            kind=kind,
+            start=k,
+            stop=k + 40,
+            recording=0,
+            why=f"{why}, which the settings of the session ask for: {k} deg",
+        )
+        for k, kind, why in (
+            (0, "still", "too restless"),
+            (100, "turn", "not a full turn"),
+            (200, "turn", "beside a gap"),
+        )
+    ]
+    used = [
+        Piece(kind=kind, start=k, stop=k + 90, recording=0, label="+x") for k, kind in ((400, "still"), (700, "turn"))
+    ]
+    return draw_recording([readings()], [*left_out, *used], title=f"{LONG} and {LONG}", used=True)
+
+
+def held_out():
+    errors = SimpleNamespace(pitch=rng.normal(0.0, 0.01, 20) ** 2)
+    return _draw_held_out([SimpleNamespace(recording=LONG, window_s=10.0, errors=errors)] * 2)
+
+
+def long_comparison():
+    time = np.linspace(0.0, 1.0, 50)
+    return draw_comparison(time, time, time, [(LONG, time), (f"{LONG} again", time), ("total", time)], title=LONG * 2)
+
+
+LONG_NAMED = {
+    "comparison": long_comparison,
+    "recording": recording,
+    "record": lambda: draw_record(readings(device=LONG)),
+    "bars": lambda: draw_bars([LONG, f"{LONG} again"], {LONG: [1.0, 2.0], "total": [2.0, 3.0]}, title=LONG, label="rms (deg)"),
+    "held out": held_out,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", LONG_NAMED)
+def test_long_names_of_recordings_and_protocols_are_written_in_lines_that_fit(name):
+    figure = LONG_NAMED[name]()
+    assert cut_texts(figure) == []
+    shown = re.sub(r"\s", "", ET.canonicalize(svg_of(figure), strip_text=True))
+    assert LONG in re.sub(r"<[^>]*>", "", shown)  # in several lines, none of it lost
+
+
+def test_a_legend_has_as_many_columns_as_its_names_leave_room_for():
+    columns = []
+    for names in (("x", "y", "z"), ("equivalent to the optimum", "worse than the optimum"), (LONG, "x")):
+        figure, (axes,) = new_figure(1)
+        for place, name in enumerate(names):
+            axes.plot([0.0, 1.0], [place, place], label=name)
+        legend_above(axes)
+        assert cut_texts(figure) == []
+        columns.append(axes.get_legend()._ncols)
+    assert columns == [3, 1, 1]
+
+
+def test_what_is_cut_is_noticed():
+    figure, (axes,) = new_figure(1)
+    axes.set_title(LONG, loc="left")
+    axes.set(xlim=(0.0, 1.0), xticks=[0.5, 3.0])  # a tick beyond the limits is not drawn, and not cut
+    assert [text.split("'")[1] for text in cut_texts(figure)] == [LONG]

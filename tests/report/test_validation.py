@@ -11,6 +11,7 @@ from undrift.model import AdcModel, Verdict
 from undrift.report.validation import (
     COLUMNS,
     Method,
+    coverage_text,
     method_section,
     recordings_section,
     trial_figure,
@@ -23,6 +24,7 @@ from undrift.sim.device.truth import true_calibration
 from undrift.sim.sessions import simulate_trial
 from undrift.sync import LagSettings
 from undrift.validation.agreement import validate_trials
+from undrift.validation.expected import Expected
 from undrift.validation.trial import TrialSettings
 
 METHOD = Method(
@@ -50,6 +52,25 @@ def result():
 
 def choices(method):
     return dict(method_section(method).rows)
+
+
+def test_an_error_smaller_than_stated_is_not_outside(result, tmp_path):
+    small, large = result.trials[0], result.trials[1]
+    of = {"end_total_deg": 40.0, "end_interval_deg": (30.0, 60.0), "end_at_most_deg": 55.0}
+    of |= {"rmse_total_deg": 40.0, "rmse_interval_deg": (30.0, 60.0), "rmse_at_most_deg": 55.0}
+    low = {"end_total_deg": 1e-4, "end_interval_deg": (5e-5, 3e-4), "end_at_most_deg": 2e-4}
+    low |= {"rmse_total_deg": 1e-4, "rmse_interval_deg": (5e-5, 3e-4), "rmse_at_most_deg": 2e-4}
+    assert small.figures.rmse_total_deg < 30.0
+    trials = (replace(small, expected=Expected(**of)), replace(large, expected=Expected(**low)))
+    one, both = replace(result, trials=trials[:1]), replace(result, trials=trials)
+    assert (one.coverage.rmse_inside, one.coverage.trials, one.coverage.end_inside) == (1, 1, 1)
+    assert (both.coverage.rmse_inside, both.coverage.trials) == (1, 2)  # the second is larger than stated
+    assert "total error over the motion 1 of 1" in coverage_text(one.coverage)
+    method = replace(METHOD, recordings=("a.csv",), references=("a.trc",))
+    write_validation_report(one, method, tmp_path / "page.html", None)
+    page = (tmp_path / "page.html").read_text()
+    assert "Not larger than expected (95 %, at most): end error 1 of 1" in page
+    assert "inside" not in coverage_text(one.coverage)
 
 
 def test_every_figure_of_the_table_is_a_field_of_the_result(result):
@@ -112,7 +133,7 @@ def test_the_page_says_which_calibration_judged_and_what_its_verdict_was():
 def test_the_page_says_what_became_of_the_offset():
     rest = replace(METHOD, settings=TrialSettings(offset="rest"))
     assert choices(METHOD)["gyroscope's offset"] == "not corrected"
-    assert choices(rest)["gyroscope's offset"] == "the mean rate of the rest before the motion is subtracted"
+    assert choices(rest)["gyroscope's offset"] == "the mean rate of the first still phase is subtracted"
     assert choices(replace(METHOD, calibration=MADE))["gyroscope's offset"] == "the calibration's alone"
     assert choices(replace(rest, calibration=MADE))["gyroscope's offset"].startswith(
         "the calibration's, and the mean rate"

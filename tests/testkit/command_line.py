@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from testkit.terminal import Widths
 from undrift.cli.app import run
 from undrift.io.formats import read_record, write_record
 from undrift.io.store import read_calibration, write_calibration
@@ -35,15 +36,18 @@ class Answer:
 
 
 class Undrift:
-    """Calls undrift and takes what it wrote."""
+    """Calls undrift and takes what it wrote; terminals of 60, 80 and 120 columns must show the same."""
 
     def __init__(self, capsys):
         self.capsys = capsys
 
     def __call__(self, *words) -> Answer:
         self.capsys.readouterr()
-        code = run([str(word) for word in words])
+        widths = Widths()
+        with widths.watching():
+            code = run([str(word) for word in words])
         out, err = self.capsys.readouterr()
+        assert not (found := widths.differences()), "\n".join(found)
         return Answer(code, out, PROGRESS.sub("", err))
 
     def good(self, *words) -> Answer:

@@ -105,6 +105,7 @@ def _called(arguments: Sequence[str]) -> int:
             return 0
         from undrift.cli.common import CALLED
 
+        _check_names(arguments)
         CALLED.set(tuple(arguments))
         code = app(_standard(_with_limits(arguments)))
     except UndriftError as error:
@@ -125,6 +126,14 @@ def _called(arguments: Sequence[str]) -> int:
     return code if isinstance(code, int) else 0
 
 
+def _check_names(arguments: Sequence[str]) -> None:
+    """Refuse a name that is not UTF-8: no page, JSON or calibration could state it."""
+    for word in arguments:
+        shown = word.encode("utf-8", "backslashreplace").decode()
+        if "\\udc" in shown and "\\udc" not in word:
+            raise InputError(f"{shown}: wanted a name in UTF-8, got other bytes; rename the file or folder")
+
+
 def command_line() -> "App":
     """Return the commands, each imported when it is called."""
     from cyclopts import App, Parameter
@@ -137,7 +146,7 @@ def command_line() -> "App":
         help_format="plaintext",
         result_action="return_value",
         suppress_keyboard_interrupt=False,
-        default_parameter=Parameter(negative=()),
+        default_parameter=Parameter(negative=(), json_list=False, json_dict=False),  # "[1] walk.csv" is a name
     )
     for place, (name, text) in enumerate(COMMANDS.items()):
         end = {} if name in GROUPS else {"help_epilogue": examples(name)}

@@ -105,7 +105,7 @@ def calibrate(
     output: OptionalOutput = None,
     report: Report = None,
     accel: Literal["six-face", "multi-position"] | None = None,
-    gyro: Literal["rate-table", "known-rotation", "multi-position"] | None = None,
+    gyro: Literal["rate-table", "known-rotation", "multi-position", "rest", "none"] | None = None,
     mode: Literal["paper", "affine", "levelled"] | None = None,
     keep_offset: Flag = False,
     adc: Literal["auto", "none"] = "auto",
@@ -137,7 +137,7 @@ def calibrate(
     accel : str or None
         How to calibrate the accelerometers; what the session allows by default.
     gyro : str or None
-        How to calibrate the gyroscopes; what the session allows by default.
+        How to calibrate the gyroscopes; what the session allows by default. rest takes their offset alone, none leaves them out.
     mode : str or None
         paper (the note's equations to the letter), affine, or levelled (six faces, weighted by how level they lay).
     keep_offset : bool
@@ -184,7 +184,7 @@ def calibrate(
     with waiting("reading and fitting"):
         held = session_of(files, place, opening)
         made = fit(held, accel=accel, gyro=gyro, mode=mode, settings=settings)
-    kept = registering.add(made, source=output)
+    kept, lacking = registering.add(made, source=output), _lacking(held, made)
     if output is not None:
         write_calibration(made, output)
     if report is not None:
@@ -192,21 +192,34 @@ def calibrate(
         write_calibration_report(made, held, settings, report, about=about, origin=read)
     _draw(held, settings, made, f"{name_of(files[0])}: used", figure)
     if json:
-        write_json(calibration_json(made) | ({"registered": kept} if kept else {}), "calibrate")
+        beside = {"lacking": lacking} | ({"registered": kept} if kept else {})
+        write_json(calibration_json(made) | beside, "calibrate")
     else:
         _show(made)
         show_verdict(made.verdict, details=details)
         say_registered(kept)
-        _say_next(files, output, (report, figure))
+        _say_next(files, output, (report, figure), lacking)
     return 1 if made.verdict.status == "bad" else 0
 
 
-def _say_next(files: tuple[Path, ...], output: Path | None, pictures: tuple[Path | None, ...]) -> None:
-    """Say what was written, and how a recording is corrected by it."""
+def _lacking(session: "Session", made: "Calibration") -> list[str]:
+    """Return the triads that the session has readings of and the calibration has no model of."""
+    missing = (("accelerometers", "accel", made.accel), ("gyroscopes", "gyro", made.gyro))
+    return [
+        name for name, key, model in missing if not model and any(getattr(r, key) is not None for r in session.records)
+    ]
+
+
+def _say_next(
+    files: tuple[Path, ...], output: Path | None, pictures: tuple[Path | None, ...], lacking: list[str]
+) -> None:
+    """Say what was written, what it lacks, and how a recording is corrected by it where it has the accelerometers."""
     say(*(f"Wrote {path}" for path in (*pictures, output) if path is not None))
+    if lacking:
+        say(f"Not complete: no model of the {' and '.join(lacking)}, whose readings stay raw; the verdict says why")
     if output is None:
         say("Nothing was written. To keep it, repeat the command with -o calibration.json")
-    elif (recording := recording_of(files)) is not None:
+    elif (recording := recording_of(files)) is not None and "accelerometers" not in lacking:
         say_next("correct", recording, "--calibration", output, "-o", "corrected.parquet")
 
 

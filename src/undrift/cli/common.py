@@ -9,6 +9,7 @@ import json
 import math
 import shlex
 import sys
+import textwrap
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -27,11 +28,10 @@ if TYPE_CHECKING:
     import numpy as np
     from rich.console import Console
     from rich.progress import Progress
-    from rich.table import Table
 
     from undrift.io.columns import ColumnMap, ReadSettings
     from undrift.model import Calibration, Verdict
-    from undrift.record import FileMap, Kind, Record, Reference, Session
+    from undrift.record import FileMap, GravitySource, Kind, Record, Reference, Session
     from undrift.report.page import Origin
     from undrift.segments import StillSettings
     from undrift.sim.device.model import DeviceModel
@@ -233,17 +233,17 @@ class Rests:
 @Parameter(name="*")
 @dataclass(frozen=True, kw_only=True)
 class Place:
-    """Where bare recordings were made, and of which device; a session.toml states both by itself.
+    """Where recordings were made, and of which device, as far as no session.toml states it.
 
     Parameters
     ----------
     gravity_m_s2 : float or None
-        Local gravity of bare recordings, m/s2; standard gravity is assumed, and reported, where nothing is given.
+        Local gravity, m/s2; standard gravity is assumed, and reported, where nothing is given.
     latitude_deg : float or None
-        With --height-m: local gravity of bare recordings by WGS 84. Of a session: removes the Earth's rotation from a rate
-        table that stands level there.
+        With --height-m: local gravity by WGS 84. Of a session: removes the Earth's rotation from a rate table that stands
+        level there.
     height_m : float or None
-        Height above the ellipsoid of bare recordings, m.
+        Height above the ellipsoid, m.
     serial : str
         Serial number of the device, for bare recordings.
     """
@@ -252,6 +252,13 @@ class Place:
     latitude_deg: float | None = None
     height_m: float | None = None
     serial: str = ""
+
+    def gravity(self, *, of_session: bool = False) -> "tuple[float, GravitySource]":
+        """Return local gravity and where it comes from; beside a session a latitude alone is that of its rate table."""
+        from undrift.io.session import gravity_of
+
+        alone = of_session and self.height_m is None
+        return gravity_of(self.gravity_m_s2, None if alone else self.latitude_deg, self.height_m)
 
 
 @Parameter(name="*")
@@ -298,19 +305,20 @@ def session_of(files: tuple[Path, ...], place: Place, opening: Opening, *, kind:
             f"{stated[0]}: wanted one session, or recordings, got a session and {len(files) - 1} more; name the session alone, "
             "or state the recordings in its session.toml"
         )
-    given: dict[str, object] = {
-        "--map": opening.column_map,
-        "--gravity-m-s2": place.gravity_m_s2,
-        "--height-m": place.height_m,
-    }
-    given["--drop-bad-rows"] = opening.drop_bad_rows or None
+    session = _recorded(read_session(stated[0], clock=opening.clock), stated[0])
+    given: dict[str, object] = {"--map": opening.column_map, "--drop-bad-rows": opening.drop_bad_rows or None}
+    if session.gravity_source != "standard":
+        given |= {"--gravity-m-s2": place.gravity_m_s2, "--height-m": place.height_m}
     given |= {"--sample-rate-hz": opening.sample_rate_hz, "--sensor": opening.sensor, "--gaps": opening.gaps}
     used = [name for name, value in (given | {"--serial": place.serial or None}).items() if value is not None]
     if used:
         raise InputError(
             f"{stated[0]}: wanted none of {', '.join(used)} beside a session, got {len(used)}; its session.toml states them"
         )
-    return _recorded(read_session(stated[0], clock=opening.clock), stated[0])
+    if session.gravity_source == "standard":
+        gravity_m_s2, source = place.gravity(of_session=True)
+        session = replace(session, gravity_m_s2=gravity_m_s2, gravity_source=source)
+    return session
 
 
 def _recorded(session: "Session", path: Path) -> "Session":
@@ -342,7 +350,9 @@ def recording_of(files: tuple[Path, ...]) -> Path | None:
     return folder / first if isinstance(first, str) else None
 
 
-def recordings_of(files: tuple[Path, ...], opening: Opening) -> "tuple[tuple[Path, ...], Session | None]":
+def recordings_of(
+    files: tuple[Path, ...], opening: Opening, place: Place = Place()
+) -> "tuple[tuple[Path, ...], Session | None]":
     """Return the recordings that are named, or those of the session that is named, and that session."""
     from undrift.files import read_toml
     from undrift.io.session import NAME, SessionFile
@@ -350,7 +360,7 @@ def recordings_of(files: tuple[Path, ...], opening: Opening) -> "tuple[tuple[Pat
     folder = files[0] if files[0].is_dir() else files[0].parent
     if files[0].name != NAME and not (files[0] / NAME).is_file():
         return files, None
-    held = session_of(files, Place(), opening)
+    held = session_of(files, place, opening)
     stated = (entry.file for entry in read_toml(folder / NAME, SessionFile).recording)
     return tuple(folder / (file if isinstance(file, str) else file[0]) for file in stated), held
 
@@ -390,16 +400,16 @@ def calibrated_part(record: "Record", model: "Calibration") -> "tuple[Record, tu
     return record, ()
 
 
-def check_gravity(record: "Record", path: Path) -> None:
-    """Refuse accelerations whose median is under half or over twice that of gravity: their unit cannot be the one stated."""
-    from undrift.io.inspect import median_accel_g
+@contextmanager
+def named_columns(path: Path) -> Iterator[None]:
+    """Name the file, and the option that mends it, where its columns, units or sample rate cannot be those stated."""
+    from undrift.errors import Implausible
 
-    median = median_accel_g(record)
-    if median < 0.5 or median > 2.0:
-        raise InputError(
-            f"{path}: wanted a specific force of about 1 g, got a median of {median:.3g} g; check the unit and the scale of the "
-            "accelerometer"
-        )
+    try:
+        yield
+    except Implausible as error:
+        rate, named = error.numbers.get("sample_rate_hz"), f"{path}: {str(error).removeprefix(f'{path}: ')}"
+        raise Implausible(named + (f": --sample-rate-hz {rate:.4g}" if rate else ""), **error.numbers) from error
 
 
 def labels_of(markers: str | None) -> tuple[str, ...] | None:
@@ -571,30 +581,46 @@ def _holds(read: Path, target: Path) -> bool:
 # ---- Results
 
 
-def console() -> "Console":
-    """Return the console for results (stdout), as wide as a table needs where stdout is not a terminal."""
+def console(*, err: bool = False) -> "Console":
+    """Return the console for results (stdout) or messages (stderr), as wide as a table needs where that is not a terminal."""
     from rich.console import Console
 
-    terminal = sys.stdout.isatty()
-    return Console(width=None if terminal else 400, highlight=False, soft_wrap=not terminal)
+    terminal = (sys.stderr if err else sys.stdout).isatty()
+    return Console(stderr=err, width=None if terminal else 400, highlight=False, emoji=False, soft_wrap=not terminal)
 
 
-def say(*lines: str) -> None:
-    """Print lines as they are: brackets in names are not markup."""
-    out = console()
-    for line in lines:
-        out.print(line, markup=False)
+def say(*lines: str, err: bool = False, style: str = "") -> None:
+    """Print lines as they are, brackets in names are not markup; a terminal's width breaks them at spaces and nowhere else."""
+    out = console(err=err)
+    for line in (line for text in lines for line in text.split("\n")):
+        for part in [line] if out.soft_wrap else _wrapped(line, out.width):
+            out.print(part, markup=False, soft_wrap=True, style=style)
+
+
+def say_over(line: str) -> None:
+    """Write over the last line of stderr, a terminal: as many whole words as fit."""
+    sys.stderr.write("\r\x1b[K" + _wrapped(line, console(err=True).width - 1, max_lines=1, placeholder=" …")[0])
+    sys.stderr.flush()
+
+
+def _wrapped(line: str, width: int, **options: Any) -> list[str]:
+    """Return a line as lines that fit, none of its words broken; a word that is wider than all stands alone."""
+    from rich.cells import cell_len
+
+    indent = line[: len(line) - len(line.lstrip())]
+    options |= {"subsequent_indent": indent, "break_long_words": False, "break_on_hyphens": False}
+    return textwrap.wrap(line, max(1, width - max(0, cell_len(line) - len(line))), **options) or [""]
 
 
 def progress() -> "Progress":
     """Return a progress display on stderr, with the time left; silent where stderr is not a terminal."""
-    from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+    from rich.table import Column
 
-    stderr = Console(stderr=True)
+    stderr = console(err=True)
     columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
+        TextColumn("{task.description}", markup=False, table_column=Column(overflow="fold")),  # wraps at spaces
+        BarColumn(max(4, min(40, stderr.width - 60))),
         TextColumn("{task.percentage:>3.0f} %"),
         TimeRemainingColumn(),
     )
@@ -643,28 +669,36 @@ class Steps:
 
 def waiting(what: str) -> AbstractContextManager[object]:
     """Return a context that shows on a terminal's stderr what is being done."""
-    from rich.console import Console
-
-    stderr = Console(stderr=True)
+    stderr = console(err=True)
     return stderr.status(what) if stderr.is_terminal else nullcontext()
 
 
-def table(title: str, heads: Iterable[str], rows: Iterable[Iterable[str]]) -> "Table":
-    """Return a table; columns after the first are right-aligned, a unit in brackets goes on a line of its own."""
+def show_table(title: str, heads: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
+    """Print a table; where it does not fit with close columns and heads of one word a line, print a line for each cell.
+
+    Columns after the first are right-aligned, a unit in brackets goes on a line of its own. Nothing is cropped or broken.
+    """
     from rich import box
     from rich.table import Table
 
-    made = Table(title=title, box=box.SIMPLE_HEAD, title_justify="left", pad_edge=False)
-    for k, head in enumerate(heads):
-        made.add_column(head.replace(" (", "\n("), justify="right" if k else "left", no_wrap=k > 0, overflow="fold")
-    for row in rows:
-        made.add_row(*row)
-    return made
+    out, held = console(), list(rows)
+    say(title, style="table.title")
+    for space, parted in ((1, " ("), (0, " ("), (0, " ")):
+        made = Table(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, space))
+        for k, head in enumerate(heads):
+            made.add_column(head.replace(parted, f"\n{parted[1:]}"), justify="right" if k else "left", no_wrap=True)
+        for row in held:
+            made.add_row(*row)
+        if out.measure(made, options=out.options.update(width=sys.maxsize, markup=False)).maximum <= out.width:
+            out.print(made, markup=False)
+            return
+    say(*(_stacked(heads, row) for row in held))
 
 
-def show_table(title: str, heads: Iterable[str], rows: Iterable[Iterable[str]]) -> None:
-    """Print a table."""
-    console().print(table(title, heads, rows), markup=False)
+def _stacked(heads: Sequence[str], row: Sequence[str]) -> str:
+    """Return a row with a line for each cell; a cell without a head stands behind the one before it."""
+    cells = [(head, cell.strip()) for head, cell in zip(heads, row, strict=True) if cell.strip()]
+    return "".join(f"\n  {head}: {cell}" if head else f" {cell}" for head, cell in cells).strip()
 
 
 Plain: TypeAlias = bool | int | float | str | Sequence["Plain"] | Mapping[str, "Plain"] | None

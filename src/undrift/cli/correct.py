@@ -1,6 +1,5 @@
 """``undrift correct``: many recordings, any size, constant memory."""
 
-import math
 from contextlib import nullcontext
 from dataclasses import dataclass
 from functools import partial
@@ -20,6 +19,7 @@ from undrift.cli.common import (
     check_output,
     check_report,
     name_of,
+    named_columns,
     origin_of,
     progress,
     say,
@@ -44,7 +44,6 @@ if TYPE_CHECKING:
     from undrift.report.page import Origin
 
 NOT_COVERED = ("outside", "extrapolated", "without_temperature")  # of the tuning tables
-MOST_G = 3.0  # no motion keeps the median beyond it: a wrong unit does, by 9.8 or 1000 times; likewise 1 / 3 below
 
 
 def correct(
@@ -195,12 +194,7 @@ def _row(record: Path, target: Path, state: "CorrectorState", remarks: "Remarks"
             for one in remarks.beyond
             if one.samples
         ],
-        "rest": remarks.rest
-        and {
-            "rest_s": (remarks.rest.start_s, remarks.rest.stop_s),
-            "offset_dps": remarks.rest.rate * (180.0 / math.pi),
-            "offset_uncertainty_dps": math.degrees(remarks.rest.uncertainty),
-        },
+        "rest": remarks.rest and remarks.rest.figures,
         "warnings": remarks.warnings,
         "notes": remarks.notes,
         "findings": findings_json(remarks.findings),
@@ -299,6 +293,7 @@ def _correct_one(
     stretch: "Stretch | None" = None,
     advance: "Callable[[float], None]",
 ) -> tuple["CorrectorState", Remarks]:
+    from undrift.correction.consistency import check_corrected
     from undrift.correction.coverage import find_beyond
     from undrift.correction.stream import read_ahead
     from undrift.io.parquet import ParquetWriter
@@ -316,8 +311,9 @@ def _correct_one(
             chunk, left_out = calibrated_part(read, model)
             done = stream.push_checked(chunk)
             if stream.state.samples == len(chunk):  # the first chunk is enough
-                _check_unit(done.record, record, chunk.accel_unit)
-                suspicions = _suspicions(done.record, model)
+                with named_columns(record):
+                    suspicions = (*check_corrected(done.record, model), *_suspicions(done.record, model))
+                suspicions += tuple(one for one in done.findings if one.code == "correct.device")
             if writer is None:
                 write_record_as(done.record, part, made_by(record))
             else:
@@ -359,21 +355,6 @@ def _provenance(
         "settings": settings,
         "versions": {"undrift": __version__},
     }
-
-
-def _check_unit(done: "Record", path: Path, unit: str) -> None:
-    """Refuse specific forces that no motion explains: the file's unit is another, and the result would be wrong by a factor."""
-    from undrift.io.inspect import median_accel_g
-
-    median = median_accel_g(done)
-    if median > MOST_G or median < 1.0 / MOST_G:
-        raise InputError(
-            f"{path}: wanted a specific force of about 1 g after correction, got a median of {median:.3g} g from readings taken "
-            f"as {unit}; state their true unit in a map (units = {{ accel = ... }}, --map FILE) or in the names of the columns, "
-            "or name the calibration of this device",
-            median_g=median,
-            unit=unit,
-        )
 
 
 def _suspicions(done: "Record", model: "Calibration") -> "tuple[Finding, ...]":

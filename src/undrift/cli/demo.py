@@ -12,7 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from undrift.cli.common import Flag, Report, check_folder, check_report, origin_of, save_json, say, write_json
+from undrift.cli.common import Flag, Report, check_folder, check_report, origin_of, save_json, say, say_over, write_json
 from undrift.errors import InputError
 
 if TYPE_CHECKING:
@@ -149,8 +149,8 @@ def _tell(out: Path, trials: tuple["Trial", ...], checks: tuple["Check", ...]) -
             for check in checks
         ),
         *(
-            f"      pitch of the worn sit-to-stand, {trial.recording}: {trial.figures.max_abs_pitch_deg:.2f} deg at most, "
-            f"{trial.figures.rmse_pitch_deg:.2f} deg rms"
+            f"      pitch over the motion of the worn sit-to-stand, {trial.recording}: "
+            f"{trial.figures.max_abs_pitch_deg:.2f} deg at most, {trial.figures.rmse_pitch_deg:.2f} deg rms"
             for trial in trials
         ),
         f"Wrote {out}: look at {out / 'report.html'}",
@@ -170,8 +170,7 @@ class _Shown:
             return
         self._next_s = now_s + (0.1 if self._live else SHOWN_EVERY_S)
         line = f"{left_s:3.0f} s left  {what}"
-        sys.stderr.write(f"\r\x1b[K{line[:150]}" if self._live else f"{line}\n")
-        sys.stderr.flush()
+        say_over(line) if self._live else say(line, err=True)
 
     def end(self) -> None:
         """Clear the line."""

@@ -110,6 +110,7 @@ def info(
     figure : Path or None
         Picture to write of a recording or session, with stills, faces, turns, gaps and saturation: .svg, .png or .pdf.
     """
+    from undrift.correction.consistency import find_disagreement
     from undrift.io.inspect import describe
     from undrift.io.store import findings_json, read_calibration, verdict_json
 
@@ -124,6 +125,9 @@ def info(
     if proposal.write_map is not None:
         return _write_map(found, proposal.write_map, proposal, opening, json=json)
     found, held = _set_points(found, opening) or (found, _session(file, found, opening))
+    records = () if held is None or held.means else held.records
+    disagree = tuple(one for record in records if (one := find_disagreement(record)) is not None)
+    found = replace(found, findings=(*found.findings, *disagree))
     stills, reason = _stills(held, rests)
     _draw(held, found, rests, figure)
     effects = _effects(file) if found.kind == "device" else {}

@@ -11,9 +11,9 @@ from undrift.cli.common import (
     OptionalOutput,
     Report,
     calibrated_part,
-    check_gravity,
     check_output,
     check_report,
+    named_columns,
     origin_of,
     say,
     show_table,
@@ -92,6 +92,7 @@ def noise(
         How to read a foreign recording.
     """
     from undrift.calibration.noise import TERMS, fit_noise
+    from undrift.correction.consistency import check_force
     from undrift.io.store import read_calibration, verdict_json
     from undrift.report.commands import write_noise_report
     from undrift.report.figures import PICTURES, draw_allan, save_figure
@@ -112,7 +113,8 @@ def noise(
             readings, left_out = calibrated_part(readings, model)
             done = correct_checked(readings, model, power_on_s=since)
             readings, notes = done.record, (*left_out, *done.warnings, *done.notes)
-        check_gravity(readings, record)
+        with named_columns(record):
+            check_force(readings)
         found = fit_noise(readings)
     tables, verdict = _tables(found), found.verdict
     for path in (figure, output):

@@ -1,6 +1,7 @@
 """``undrift orient``: from rate and specific force to angles."""
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -15,6 +16,7 @@ from undrift.cli.common import (
     check_output,
     check_physical,
     check_report,
+    named_columns,
     origin_of,
     say,
     show_verdict,
@@ -23,6 +25,7 @@ from undrift.cli.common import (
 
 if TYPE_CHECKING:
     from undrift.arrays import FloatArray
+    from undrift.findings import Finding
     from undrift.orientation import Orientation
     from undrift.record import Still
 
@@ -87,8 +90,6 @@ def orient(
     report : Path or None
         Report page to write: .html.
     """
-    from undrift.correction.correct import correct_checked
-    from undrift.correction.coverage import find_beyond
     from undrift.correction.rest import named_rest
     from undrift.io.store import read_calibration
     from undrift.io.write import ORIENTATION_WRITERS, files_of, write_orientation
@@ -99,21 +100,19 @@ def orient(
     reads = (record, calibration, opening.column_map)
     check_output(output, endings=tuple(ORIENTATION_WRITERS), reads=reads, beside=files_of(output)[1:])
     check_report(report, reads=reads)
-    held, models = None if calibration is None else read_calibration(calibration), dict[str, Any]()
-    readings, notes = opening.like(held, calibration).read(record), tuple[str, ...]()
-    if held is None:
-        check_physical(readings, record)
-    else:
-        done = correct_checked(readings, held, policy=policy, power_on_s=power_on_s)
-        beyond = (one.text for one in find_beyond(done.record, held) if one.text)
-        readings, notes = done.record, (*done.warnings, *beyond, *done.notes)
-        models = {"accel_model": held.accel, "gyro_model": held.gyro}
+    held = None if calibration is None else read_calibration(calibration)
+    readings = opening.like(held, calibration).read(record)
+    with named_columns(record):
+        readings, earlier, notes = _corrected(readings, record, held, policy, power_on_s)
+    models = {} if held is None else {"gyro_model": held.gyro}
     settings = OrientSettings(method=method, offset=offset, heading=math.radians(heading_deg), forward=forward, up=up)
-    found = find(readings, named_rest(readings, (still_start_s, still_stop_s)), settings, **models)
+    with named_columns(record):
+        found = find(readings, named_rest(readings, (still_start_s, still_stop_s)), settings, **models)
+    found = replace(found, findings=tuple({one.text: one for one in (*earlier, *found.findings)}.values()))
     angles = (found.inclination, found.heading, found.pitch)
     write_orientation(found.time, found.q_nb, angles, output, body=body)
     made = _as_json(found) | {"method": method}
-    lines = _lines(found, made, notes, calibrated=models.get("accel_model") is not None)
+    lines = _lines(found, made, notes)
     if report is not None:
         write_orient_report(report, found, record.name, remarks=lines, origin=origin_of(*reads))
     if json:
@@ -126,13 +125,25 @@ def orient(
     return 0
 
 
-def _lines(found: "Orientation", made: dict[str, Any], notes: tuple[str, ...], *, calibrated: bool) -> tuple[str, ...]:
+def _corrected(
+    readings: "Record", path: Path, held: "Calibration | None", policy: Policy, power_on_s: float | None
+) -> "tuple[Record, tuple[Finding, ...], tuple[str, ...]]":
+    """Return the readings by their calibration, if there is one, what speaks against them, and notes."""
+    from undrift.correction.correct import correct_checked
+    from undrift.correction.coverage import find_beyond
+
+    if held is None:
+        check_physical(readings, path)
+        return readings, (), ()
+    done = correct_checked(readings, held, policy=policy, power_on_s=power_on_s)
+    beyond = (item for one in find_beyond(done.record, held) for item in one.findings)
+    return done.record, (*(one for one in done.findings if one.level == "warn"), *beyond), done.notes
+
+
+def _lines(found: "Orientation", made: dict[str, Any], notes: tuple[str, ...]) -> tuple[str, ...]:
     """Return what was found, in lines for a person."""
-    alone = "scatter of the readings alone: --calibration on the raw recording adds the accelerometer's part"
-    share = "scatter and calibration" if calibrated else alone
     return (
-        "tilt from the still phase {:.1f} to {:.1f} s, ".format(*made["still"])
-        + f"standard uncertainty {made['tilt_uncertainty_deg']:.3f} deg ({share})",
+        "tilt from the still phase {:.1f} to {:.1f} s: ".format(*made["still"]) + found.tilt.statement,
         "inclination: {:.2f} to {:.2f} deg".format(*made["inclination_deg"]),
         "pitch: {:.2f} to {:.2f} deg".format(*made["pitch_deg"]),
         *(f"warning: {one.text}" for one in found.findings if one.level != "info"),
@@ -150,6 +161,9 @@ def _as_json(found: "Orientation") -> dict[str, Any]:
         "samples": len(found.time),
         "still": times(found.still),
         "tilt_uncertainty_deg": math.degrees(found.tilt.inclination_uncertainty),
+        "tilt_expanded_uncertainty_deg": math.degrees(found.tilt.expanded_uncertainty),
+        "tilt_uncertainty_parts_deg": {name: math.degrees(part) for name, part in found.tilt.parts},
+        "tilt_basis": found.tilt.basis,
         "offset_dps": found.offset * (180.0 / math.pi),
         "offset_uncertainty_dps": math.degrees(found.offset_uncertainty),
         "rests": [times(still) for still in found.rests],

@@ -17,6 +17,7 @@ from undrift.cli.common import (
     device_at,
     origin_of,
     say,
+    say_over,
     show_verdict,
     write_json,
 )
@@ -56,7 +57,7 @@ def run(
     chamber: str | None = None,
     operator: str | None = None,
     serial: str = "",
-    gravity_m_s2: float = STANDARD_GRAVITY,
+    gravity_m_s2: float | None = None,
     highest_turn_rate_dps: float = 360.0,
     highest_acceleration_dps2: float = 5000.0,
     travel_deg: float | None = None,
@@ -89,8 +90,8 @@ def run(
         Address of an emulated operator, who mounts the device; a person is asked where not given.
     serial : str
         Of the device; what its address says where not given.
-    gravity_m_s2 : float
-        Local gravity, m/s2.
+    gravity_m_s2 : float or None
+        Local gravity, m/s2; session.toml states none, and standard gravity is assumed, where it is not given.
     highest_turn_rate_dps : float
         Nothing faster is ever asked of the table, deg/s.
     highest_acceleration_dps2 : float
@@ -390,7 +391,7 @@ def check(
             guard.check()
             guard.expect(LONGEST_SILENCE_S)
             if sys.stderr.isatty():
-                sys.stderr.write(f"\r\x1b[K{line}")
+                say_over(line)
 
         check_free(rig, motor_on=True)
         table = open_rig(rig, replace(asked, card_watchdog=guard.promise_holds if card_watchdog else None))
@@ -453,16 +454,15 @@ def _forecast(programme: "Programme", done: frozenset[int], yes: bool) -> None:
     """Say on stderr how long each step and the whole takes, and ask whether to start."""
     from undrift.rig.programme import forecast_of
 
-    for number, step in enumerate(programme.steps):
-        if number not in done:
-            sys.stderr.write(f"{number:5d}  {_clock(step.duration_s)}  {step}\n")
     left = forecast_of(programme, done)
-    sys.stderr.write(
+    steps = ((number, step) for number, step in enumerate(programme.steps) if number not in done)
+    say(
+        *(f"{number:5d}  {_clock(step.duration_s)}  {step}" for number, step in steps),
         f"{left.dwells} dwells, {_clock(left.rig_s)} of rig time; with {left.mountings} mountings and the chamber about "
-        f"{_clock(left.total_s)}\n"
+        f"{_clock(left.total_s)}",
+        *([f"{len(done)} dwells are on the disk already"] if done else []),
+        err=True,
     )
-    if done:
-        sys.stderr.write(f"{len(done)} dwells are on the disk already\n")
     if yes:
         return
     try:
@@ -496,8 +496,8 @@ class _Shown:
             self._file(progress)
         line = f"[{progress.number + 1}/{progress.steps}] {_clock(progress.left_s)} left  {progress.step}, {progress.phase}"
         if self._live:
-            sys.stderr.write(f"\r\x1b[K{line}  {progress.live}"[:150] + "\n" * (progress.phase == "closing"))
-            sys.stderr.flush()
+            say_over(f"{line}  {progress.live}")
+            sys.stderr.write("\n" * (progress.phase == "closing"))
         elif progress.number != self._last and (progress.live or progress.phase in ("mounting", "closing")):
             self._last = progress.number
             sys.stderr.write(f"{line}  {progress.live}".rstrip() + "\n")

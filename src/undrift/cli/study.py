@@ -14,7 +14,6 @@ from undrift.cli.common import (
     Report,
     check_folder,
     check_report,
-    console,
     origin_of,
     progress,
     save_json,
@@ -183,23 +182,18 @@ def _performed_by(planned: "Study", categories: str | None) -> "Study":
 
 def _announce(planned: "Study", stages: "tuple[Stage, ...]", workers: int, json: bool) -> None:
     """Print how many runs there are, about how long all stages take, and which values no protocol has."""
-    from rich.console import Console
-
     from undrift.study.outcome import untried_findings
     from undrift.study.search import count_runs
 
-    out = Console(stderr=True, highlight=False, soft_wrap=True) if json else console()
     tasks = ", ".join(task.key for task in planned.tasks)
     most = sorted(stages, key=lambda stage: -stage.seconds)[:3]
     parts = ", ".join(f"{stage.name} {duration(stage.seconds)}" for stage in stages if stage in most)
-    out.print(
+    say(
         f"{planned.name}: {count_runs(planned)} runs ({tasks}; {planned.subjects} subjects) on {workers} "
         f"worker{'s' * (workers > 1)}, in all about {duration(sum(stage.seconds for stage in stages))} ({parts})",
-        markup=False,
+        *(f"{task.key}: {item.text}" for task in planned.tasks for item in untried_findings(task.space.untried())),
+        err=json,
     )
-    for task in planned.tasks:
-        for item in untried_findings(task.space.untried()):
-            out.print(f"{task.key}: {item.text}", markup=False)
 
 
 class _Progress:
@@ -510,17 +504,9 @@ def _effect_summary(effect: "ParameterEffect", power: "EffectPower | None") -> d
 
 def _show(outcome: "StudyOutcome", output: Path, details: bool) -> None:
     from undrift.findings import SHOWN_FIRST, most_consequential_first
+    from undrift.study.space import HEADINGS, OF_NOTE
 
-    heads = (
-        "task",
-        "cut-off (Hz)",
-        "step (deg/s)",
-        "omega_m (deg/s)",
-        "omega_M (deg/s)",
-        "p",
-        "rms (deg)",
-        "rig (min)",
-    )
+    heads = ("task", *OF_NOTE.values(), "p", "rms (deg)", "rig (min)")
     rows = []
     for task in outcome.tasks:
         found, surface, note = task.optimum, task.surface, task.note
@@ -540,7 +526,7 @@ def _show(outcome: "StudyOutcome", output: Path, details: bool) -> None:
         ordered = most_consequential_first(item for item in task.findings if note is None or item not in note.findings)
         shown = len(ordered) if details else SHOWN_FIRST
         more = len(ordered) - shown
-        held = ((name, values[task.optimum.best]) for name, values in task.surface.further.items())
+        held = ((HEADINGS[name], values[task.optimum.best]) for name, values in task.surface.further.items())
         say(
             *(f"{task.surface.task}: optimum with {name} {value:.4g}" for name, value in held),
             f"{task.surface.task}: {tested.error_rms_deg:.3f} deg rms [{tested.interval_rms_deg[0]:.3f}, "

@@ -13,15 +13,16 @@ from undrift.cli.common import (
     Opening,
     Optics,
     OptionalOutput,
+    Place,
     Policy,
     Report,
     Side,
     Steps,
     check_folder,
-    check_gravity,
     check_physical,
     check_report,
     name_of,
+    named_columns,
     origin_of,
     recordings_of,
     save_json,
@@ -37,7 +38,7 @@ if TYPE_CHECKING:
 
     from undrift.calibration.reference import ReferenceSettings
     from undrift.model import Calibration
-    from undrift.record import Record, Reference
+    from undrift.record import Record, Reference, Session
     from undrift.report.page import Origin
     from undrift.report.validation import Method
     from undrift.validation.agreement import Validation
@@ -59,6 +60,7 @@ SHOWN_SHARE = 0.0005  # a difference between shares that a percentage with one d
 def validate(
     *records: Files,
     optics: Optics = Optics(),
+    place: Place = Place(),
     calibration: Path | None = None,
     calibrate_from: Literal["reference"] | None = None,
     leave_one_out: Flag = False,
@@ -84,6 +86,8 @@ def validate(
         One or more recordings, or one folder with session.toml.
     optics : Optics
         The reference of each recording.
+    place : Place
+        With --calibrate-from: local gravity, and the device.
     calibration : Path or None
         calibration.json of the device.
     calibrate_from : str or None
@@ -94,7 +98,8 @@ def validate(
         With --calibrate-from: "each" fits a small rotation between device and reference body for each recording, "one" states that
         they were mounted once. Without it: as session.toml says, or each.
     offset : str or None
-        "rest" subtracts the mean rate of the rest before the motion, "none" does not. Without a calibration: rest.
+        "rest" subtracts the mean rate of the first still phase, as correct and orient do, "none" does not. Without a
+        calibration: rest.
     adc : str
         "auto" corrects the quantisation of the codes where it shows and, with --calibrate-from, where that lowers the error on
         recordings that a fit has not seen: by two recordings or more, the held-out one apart. "none" leaves them.
@@ -121,29 +126,25 @@ def validate(
     from undrift.sync import LagSettings
     from undrift.validation.trial import TrialSettings
 
-    _check_asked(leave_one_out, mounting, calibrate_from, calibration, max_lag_s)
+    _check_asked((leave_one_out, mounting, place), calibrate_from, calibration, max_lag_s)
     check_folder(output)
     check_report(report, reads=(*records, *optics.reference, calibration))
     chosen = offset or ("none" if calibration or calibrate_from else "rest")
     settings = TrialSettings(
-        offset=chosen,
-        adc=adc,
-        forward=forward,
-        up=up,
-        power_on_s=power_on_s,
-        policy=policy,
+        offset=chosen, adc=adc, forward=forward, up=up, power_on_s=power_on_s, policy=policy,
         lag=LagSettings(longest_lag_s=max_lag_s),
-    )
+    )  # fmt: skip
     with Steps("validate") as shown:
         model = None if calibration is None else read_calibration(calibration)
-        records, held = recordings_of(records, opening)
+        records, held = recordings_of(records, opening, place)
         pairs = optics.pairs(records, opening.like(model, calibration), command="validate", session=held)
         fit = ReferenceSettings(mounting=mounting or (held and held.mounting) or "each") if calibrate_from else None
         shown("aligning and integrating", 0.02)
         progress = shown.part(ALL_FITTED, 1.0) if leave_one_out else None
-        result, method = _judged(pairs, (records, optics.reference), (calibration, model), settings, progress, fit)
+        named = (records, optics.reference)
+        result, method = _judged(pairs, named, (calibration, model), settings, progress, fit, (place, held))
     made = _validation_json(result) | {"calibration": calibration.name if calibration else calibrate_from}
-    made |= {"offset": chosen, "adc": adc, "leave_one_out": leave_one_out}
+    made |= {"offset": chosen, "adc": adc, "leave_one_out": leave_one_out} | _gravity(method)
     _write((output, report), result, made, method, origin_of(*records, *optics.reference, calibration))
     if json:
         write_json(made, "validate")
@@ -151,15 +152,18 @@ def validate(
         _show(result, chosen, in_sample=calibrate_from is not None and not leave_one_out)
         if details and method.calibration is not None:
             show_verdict(method.verdict, details=True)
-        say(*_written(output, report))
+        say(*_written(output, report, _gravity(method)))
     return 0
 
 
 def _check_asked(
-    leave_one_out: bool, mounting: str | None, calibrate_from: str | None, calibration: Path | None, max_lag_s: float
+    of_fit: tuple[bool, str | None, Place], calibrate_from: str | None, calibration: Path | None, max_lag_s: float
 ) -> None:
-    if calibrate_from is None and (leave_one_out or mounting):
-        name = "--leave-one-out" if leave_one_out else "--mounting"
+    leave_one_out, mounting, place = of_fit
+    given = {"leave_one_out": leave_one_out or None, "mounting": mounting} | asdict(place)
+    asked = [name for name, value in given.items() if value not in (None, "")]
+    if calibrate_from is None and asked:
+        name = "--" + asked[0].replace("_", "-")
         raise InputError(f"validate: {name} wants --calibrate-from reference; say both, or neither")
     if calibrate_from is not None and calibration is not None:
         raise InputError("validate: wanted --calibration or --calibrate-from, got both; choose one")
@@ -167,8 +171,17 @@ def _check_asked(
         raise InputError(f"--max-lag-s: wanted more than 0 s, got {max_lag_s:g}; say how far the clocks may differ")
 
 
-def _written(folder: Path | None, page: Path | None) -> list[str]:
-    named = [] if page is None else [f"Wrote {page}"]
+def _gravity(method: "Method") -> dict[str, object]:
+    """Return local gravity of a calibration that was fitted here, and where it comes from."""
+    made = method.calibration
+    if made is None or method.source:
+        return {"gravity_m_s2": None, "gravity_source": None}
+    return {"gravity_m_s2": made.gravity_m_s2, "gravity_source": dict(made.provenance.settings)["gravity"]}
+
+
+def _written(folder: Path | None, page: Path | None, gravity: dict[str, object]) -> list[str]:
+    named = ["gravity {:.5f} m/s2 ({})".format(*gravity.values())] if gravity["gravity_source"] else []
+    named += [] if page is None else [f"Wrote {page}"]
     return named if folder is None else [*named, f"Wrote {folder}: look at report.html"]
 
 
@@ -214,7 +227,7 @@ def _validation_json(result: "Validation") -> dict[str, object]:
     trials = [
         {"recording": t.recording}
         | asdict(t.figures)
-        | {"expected": None if t.expected is None else asdict(t.expected)}
+        | {"expected": None if t.expected is None else asdict(t.expected), "rest": t.rest and t.rest.figures}
         | {"notes": [item.text for item in t.findings], "findings": findings_json(t.findings)}
         for t in result.trials
     ]
@@ -246,21 +259,36 @@ def _judged(
     settings: "TrialSettings",
     leave_one_out: "Callable[[str, float], None] | None",
     fit: "ReferenceSettings | None",
+    where: "tuple[Place, Session | None]",
 ) -> tuple["Validation", "Method"]:
     """Return the validation, and how it was made: by the calibration that was read or fitted to all recordings, or none."""
     from undrift.calibration.calibrate import calibrate_to_references
+    from undrift.correction.consistency import check_triads
     from undrift.model import Verdict
     from undrift.report.validation import Method
     from undrift.validation.agreement import MOUNTING_ABOVE, validate_leave_one_out, validate_trials
 
     (paths, references), (calibration, model) = named, read
     records, held, names = [pair[0] for pair in pairs], [pair[1] for pair in pairs], [name_of(path) for path in paths]
-    if calibration is None and fit is None:
-        for readings, path in zip(records, paths, strict=True):
+    for readings, path in zip(records, paths, strict=True):
+        if calibration is None and fit is None:
             check_physical(readings, path)
-            check_gravity(readings, path)
+        if calibration is None:  # a fit would take exchanged or reversed columns for its own axes
+            with named_columns(path):
+                check_triads(readings)
     if fit is not None:
-        model = calibrate_to_references(records, held, adc=settings.adc, settings=fit, lag_settings=settings.lag)
+        place, session = where
+        gravity_m_s2, source = place.gravity() if session is None else (session.gravity_m_s2, session.gravity_source)
+        model = calibrate_to_references(
+            records,
+            held,
+            adc=settings.adc,
+            settings=fit,
+            lag_settings=settings.lag,
+            gravity_m_s2=None if source == "standard" else gravity_m_s2,
+            gravity_source=source,
+        )
+        model = replace(model, device=(place.serial if session is None else session.serial) or model.device)
     result = (
         validate_leave_one_out(pairs, settings=settings, fit_settings=fit, names=names, progress=leave_one_out)
         if leave_one_out is not None and fit is not None
@@ -302,8 +330,8 @@ def _show(result: "Validation", offset: str, *, in_sample: bool) -> None:
     show_table(title, ("recording", *SHOWN.values(), "pitch %", "optics %"), rows)
     lines = []
     if result.coverage is not None:
-        columns = ("recording", "end total", "expected", "95 %", "total", "expected", "95 %")
-        show_table("observed and expected errors in deg", columns, expected_rows(result.trials))
+        columns = ("recording", "end total", "expected", "at most", "total", "expected", "at most")
+        show_table("observed and expected errors in deg (at most: 95 %)", columns, expected_rows(result.trials))
         lines.append(coverage_text(result.coverage))
     if result.agreement is not None:
         limits, icc = result.agreement.limits, result.agreement.absolute

@@ -7,6 +7,7 @@ The page of a calibration judges it by its own recordings: readings of every pie
 
 """
 
+import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,6 +18,7 @@ import numpy as np
 from undrift.calibration.noise import TERMS
 from undrift.model import AXES
 from undrift.report import figures
+from undrift.report.certificate import departures_words, draw_calibration, expanded_words, gravity_uncertainty
 from undrift.report.figures import AXIS_MARKERS, DEVICE, ERROR, LIMIT, OPTICS, SHADE, envelope, new_figure, svg_of
 from undrift.report.page import Cells, Origin, Section, calibration_sections, number, table_section, write_page
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
@@ -56,10 +58,10 @@ def judge_pieces(
 ) -> tuple[list["Record"], list[Judged], list["Piece"]]:
     """Return the corrected records of a session, the pieces that the calibration used, and those that it left out."""
     from undrift.calibration.pieces import pieces_of
-    from undrift.correction.correct import correct_checked
+    from undrift.correction.correct import correct_whole
 
     pieces, _ = pieces_of(session, settings, made)
-    records = [correct_checked(_calibrated(record, made), made, policy="hold").record for record in session.records]
+    records = [correct_whole(_calibrated(record, made), made, policy="hold").record for record in session.records]
     rates = {(turn.recording, turn.start): turn for turn in session.turns if turn.turn_rate is not None}
     judged = []
     for piece in pieces:
@@ -117,9 +119,17 @@ def write_calibration_report(
     parts = [f"gravity to {np.sqrt(np.mean(poses**2)):.2g} mg rms in {len(poses)} poses"] if len(poses) else []
     if len(dwells):
         parts.append(f"the table's rates to {np.sqrt(np.mean(dwells**2)):.2g} deg/s rms in {len(dwells)} dwells")
-    triads = " and ".join(name for name, one in (("accelerometers", made.accel), ("gyroscopes", made.gyro)) if one)
-    text = "Shaded: data sheets usually allow 3 % of the scale and 2 % of cross-axis sensitivity. Bars: 95 %."
-    sections = [Section(title="Matrix and offsets", text=(text,), pictures=(svg_of(figures.draw_calibration(made)),))]
+    triads = [(name, triad) for name in ("accel", "gyro") if (triad := getattr(made, name)) is not None]
+    doubts = "; ".join(expanded_words(*pair, gravity_uncertainty(made, pair[0])) for pair in triads)
+    ideal = (*(departures_words(*pair) for pair in triads), "Bars: expanded uncertainty, 95 %, as in the certificate.")
+    text = (
+        f"The fit reproduces {' and '.join(parts)}. These are residuals of the fit, on its own readings: what they all share, as "
+        "tilted faces or a wrong gravity, is not in them. The uncertainty above is that of other readings at this temperature."
+    )
+    sections = [Section(title="Matrix and offsets: the picture above", text=ideal)]
+    if parts:
+        drawn = (svg_of(_draw_residuals(judged, made)),)
+        sections.append(Section(title="Residuals of the fit", text=(text,), pictures=drawn))
     if made.accel is not None:
         text = "Shaded: the stills that were used. Turns and handling lie between them."
         drawn = (svg_of(_draw_norm(records, judged, made.gravity_m_s2)),)
@@ -127,10 +137,8 @@ def write_calibration_report(
     write_page(
         path,
         title=f"Calibration of {made.device or 'a device'}",
-        answer=f"Corrected by this calibration, {triads} reproduce {' and '.join(parts)}."
-        if parts
-        else f"Calibrated: {triads}.",
-        pictures=(svg_of(_draw_residuals(judged, made)),) if parts else (),
+        answer=f"Expanded uncertainty (95 %) at the temperature of the calibration: {doubts}.",
+        pictures=(svg_of(draw_calibration(made)),),
         verdict=made.verdict,
         sections=(
             *sections,
@@ -153,7 +161,7 @@ def _draw_residuals(judged: Sequence[Judged], made: "Calibration") -> "Figure":
     """Draw the residual of each pose and each dwell."""
     poses, dwells = _residuals(judged, made)
     figure, panels = new_figure(int(len(poses) > 0) + int(len(dwells) > 0), share_x=False)
-    figures.entitle(figure, "Residual of each pose and dwell")
+    figures.entitle(figure, "Residual of each pose and dwell: the fit on its own readings")
     if len(poses):
         marks = np.arange(1, len(poses) + 1)
         panels[0].vlines(marks, 0.0, poses, color=LIMIT, linewidth=0.8)
@@ -308,8 +316,8 @@ def write_orient_report(
     write_page(
         path,
         title=f"Orientation of {name}",
-        answer=f"The sagittal pitch goes from {np.nanmin(pitch):.1f} to {np.nanmax(pitch):.1f} deg; the tilt at the start is known "
-        f"to {found.tilt.inclination_uncertainty / DPS:.2g} deg.",
+        answer=f"The sagittal pitch goes from {np.nanmin(pitch):.1f} to {np.nanmax(pitch):.1f} deg; tilt at the start: "
+        f"{found.tilt.statement}.",
         pictures=(svg_of(figures.draw_orientation(found)),),
         findings=found.findings,
         sections=(
@@ -381,7 +389,7 @@ def _draw_held_out(held: Sequence["HeldOutTrial"]) -> "Figure":
             errors, np.full(len(errors), k), "|", color=LIMIT, markersize=8.0, label="window" if k == 0 else None
         )
         panel.plot(np.median(errors), k, "D", color=DEVICE, label="median" if k == 0 else None)
-    panel.set_yticks(range(len(held)), [f"{one.recording} {one.window_s:g} s" for one in held])
+    panel.set_yticks(range(len(held)), [textwrap.fill(f"{one.recording} {one.window_s:g} s", 20) for one in held])
     panel.set(xlabel="pitch, simulated less real (deg)", xlim=(0.0, None), ylim=(len(held) - 0.4, -0.6))
     figures.legend_above(panel)
     return figure

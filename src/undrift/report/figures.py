@@ -24,13 +24,13 @@ from undrift.files import write_whole
 from undrift.io.inspect import STUCK, saturated_runs
 from undrift.model import AXES
 from undrift.record import Record
-from undrift.units import RADIAN_PER_DEGREE, is_physical, si_factor
+from undrift.study.space import HEADINGS
+from undrift.units import RADIAN_PER_DEGREE
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from undrift.model import Calibration
     from undrift.orientation import Orientation
     from undrift.record import Record
     from undrift.study.outcome import StudyOutcome, TaskOutcome
@@ -66,7 +66,7 @@ _UNDATED: Any = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}  # the sa
 AXIS_COLOURS = ("#cc3311", "#007d5e", "#2b62b3")  # x, y, z
 AXIS_DASHES, AXIS_MARKERS = ("-", "--", ":"), ("o", "s", "^")
 WIDTH, LEAST_SIZE = 4.8, 8.7  # inches; points of the smallest text
-_TITLE_LETTERS = 66  # of a title across the whole figure
+_LABELS_PT = 56.0  # beside a panel: numbers and names of its axis
 _STYLE: Any = {  # matplotlib types every key by name
     "font.size": 9.0,
     "axes.spines.top": False,
@@ -137,16 +137,45 @@ def axis_style(k: int, *, marked: bool = False) -> dict[str, Any]:
 
 def entitle(figure: "Figure", title: str) -> None:
     """Write a title over the whole figure, in lines that fit."""
-    figure.suptitle(textwrap.fill(title, _TITLE_LETTERS), x=0.01, ha="left", fontsize=10)
+    lines, _ = _in_lines(title, 0.98 * 72.0 * figure.get_figwidth(), 10.0)
+    figure.suptitle(lines, x=0.01, ha="left", fontsize=10)
 
 
 def legend_above(axes: "Axes") -> None:
     """Write a legend between the panel and what is above it, in as many columns as fit."""
     handles, names = axes.get_legend_handles_labels()
     across = axes.get_subplotspec().get_gridspec().ncols if axes.get_subplotspec() else 1  # type: ignore[union-attr]
-    fit = int(58 / across / (max(map(len, names)) + 5))
+    room_pt = 72.0 * axes.figure.bbox.width / axes.figure.dpi / across - _LABELS_PT
     where: Any = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0), "borderaxespad": 0.2, "frameon": False}
-    axes.legend(handles, names, ncols=min(max(fit, 1), len(names)), fontsize=9, columnspacing=1.2, **where)
+    axes.legend(handles=handles, **_fitted(names, room_pt), **where)
+
+
+def legend_outside(figure: "Figure", handles: Sequence[Any], names: Sequence[str], where: str = "lower left") -> None:
+    """Write a legend beside all panels, in as many columns as fit."""
+    style: Any = _fitted(names, 72.0 * figure.get_figwidth()) | {"loc": f"outside {where}", "frameon": False}
+    figure.legend(handles=list(handles), **style)
+
+
+def _fitted(names: Sequence[str], room_pt: float) -> dict[str, Any]:
+    """Return the labels of a legend in lines that fit, and how many columns of them do."""
+    size = 9.0  # spaces of a legend are stated in it: of a handle with its gaps 4, of the frame 1.5
+    labels, widths = zip(*(_in_lines(name, room_pt - 5.5 * size, size) for name in names), strict=True)
+    columns = int((room_pt - 0.3 * size) / (max(widths) + 4.0 * size))
+    return {"labels": labels, "ncols": min(max(columns, 1), len(labels)), "fontsize": size, "columnspacing": 1.2}
+
+
+def _in_lines(text: str, room_pt: float, size: float) -> tuple[str, float]:
+    """Return a text in lines that fit a width, and the longest of them, points."""
+    from matplotlib.font_manager import FontProperties
+    from matplotlib.textpath import text_to_path
+
+    font = FontProperties(size=size)
+    for letters in range(max(len(text), 9), 7, -1):
+        wrapped = textwrap.fill(text, letters)
+        widths = [text_to_path.get_text_width_height_descent(line, font, False)[0] for line in wrapped.splitlines()]
+        if max(widths, default=0.0) <= room_pt:
+            break
+    return wrapped, max(widths, default=0.0)
 
 
 def save_figure(figure: "Figure", path: Path) -> None:
@@ -273,7 +302,8 @@ def draw_recording(records: Sequence[Record], pieces: Sequence[Piece], *, title:
         panel.set_ylabel(f"{name} ({_SHOWN_UNIT.get(unit, unit)})")
     panels[-1].set(xlabel="time (s)" + ", recordings one after the other" * (len(records) > 1))
     panels[-1].set_xlim(starts[0], starts[-1])
-    strip.set_title(title, loc="left", fontsize=10)
+    room_pt = 72.0 * figure.get_figwidth() - _LABELS_PT
+    strip.set_title(_in_lines(title, room_pt, 10.0)[0], loc="left", fontsize=10)
     lines = {axis: Line2D([], [], **axis_style(k, marked=True) | {"markevery": None}) for k, axis in enumerate(AXES)}
     _add_legend(figure, pieces, lines | marks, used=used)
     return figure
@@ -371,19 +401,11 @@ def _add_legend(figure: "Figure", pieces: Sequence[Piece], marks: dict[str, Any]
         for piece in out:
             why, _, number = piece.why.partition(": ")
             reasons.setdefault((what, why), []).append(f", the first {number}" if number else "")
-    figure.legend(
-        marks.values(),
-        marks.keys(),
-        loc="outside upper left",
-        ncols=len(marks),
-        fontsize=8,
-        columnspacing=1.1,
-        frameon=False,
-    )
+    legend_outside(figure, [*marks.values()], [*marks], "upper left")
     if reasons:
         most = sorted(reasons.items(), key=lambda item: -len(item[1]))[:_REASONS]
         listed = "; ".join(f"{len(of)} {what}{'s' * (len(of) > 1)} ({why}{of[0]})" for (what, why), of in most)
-        figure.supxlabel(f"left out: {listed}", fontsize=8, x=0.01, ha="left")
+        figure.supxlabel(textwrap.fill(f"left out: {listed}", 110), fontsize=8, x=0.01, ha="left")
 
 
 def draw_record(record: "Record") -> "Figure":
@@ -419,46 +441,6 @@ def draw_orientation(found: "Orientation") -> "Figure":
     return figure
 
 
-DATA_SHEET_PERCENT = (
-    3.0,
-    2.0,
-)  # scale, cross-axis: usual limits (MPU-6050, PS-MPU-6000A-00 rev. 3.4, tables 6.1 and 6.2)
-
-
-def draw_calibration(calibration: "Calibration") -> "Figure":
-    """Draw each matrix as departures from the ideal, with 95 % bars and the limits that data sheets usually state, and the offsets.
-    Ideal: no cross-axis terms, and the gain of the unit; the mean gain where readings are in counts or volts."""
-    triads = [
-        (name, getattr(calibration, name)) for name in ("gyro", "accel") if getattr(calibration, name) is not None
-    ]
-    if not triads:
-        raise InputError("plot: wanted a calibrated gyroscope or accelerometer, got neither; nothing is there to draw")
-    figure, panels = new_figure(2 * len(triads), height=1.6, share_x=False)
-    elements = [row + column for row in AXES for column in AXES]
-    limits = np.where(np.eye(3, dtype=bool).ravel(), *DATA_SHEET_PERCENT)
-    style: Any = {"fmt": "o", "color": DEVICE, "capsize": 3.0, "markersize": 4.0, "label": "estimate, 95 %"}
-    for (name, triad), matrix, offset in zip(triads, panels[::2], panels[1::2], strict=True):
-        sigma = dict(zip(triad.parameters, triad.standard_uncertainty, strict=True))
-        gain, ideal = float(triad.scale_factor.mean()), "mean gain"
-        if is_physical(triad.unit_in):
-            gain, ideal = 1.0 / si_factor(triad.unit_in, "rate" if name == "gyro" else "accel"), "unit"
-        percent = 100.0 * (gain * triad.matrix.ravel() - np.eye(3).ravel())
-        bars = np.array([196.0 * gain * sigma.get(f"m_{one}", 0.0) for one in elements])
-        matrix.bar(
-            elements, 2.0 * limits, bottom=-limits, color=SHADE, edgecolor=LIMIT, label="usual data-sheet limits"
-        )
-        matrix.errorbar(elements, percent, yerr=bars, **style)
-        matrix.axhline(0.0, color=OPTICS, linewidth=0.6)
-        matrix.set_ylabel(f"{name} matrix\nless {ideal} (%)")
-        bars = np.array([1.96 * sigma.get(f"offset_{axis}", 0.0) for axis in AXES])
-        offset.errorbar(AXES, triad.offset, yerr=bars, **style)
-        offset.margins(0.3)
-        offset.set_ylabel(f"{name} offset\n({triad.unit_in})")
-    entitle(figure, "Matrix as departures from ideal, and offsets")
-    legend_above(panels[0])
-    return figure
-
-
 def draw_bars(names: Sequence[str], values: Mapping[str, Sequence[float]], *, title: str, label: str) -> "Figure":
     """Draw a group of bars for each name, a bar for each row of values (n,)."""
     figure, (axes,) = new_figure(1, height=0.5 + 0.18 * len(names) * (len(values) + 1))
@@ -471,7 +453,7 @@ def draw_bars(names: Sequence[str], values: Mapping[str, Sequence[float]], *, ti
     axes.set_axisbelow(True)
     axes.set(xlabel=label, ylim=(len(names) - 0.5, -0.5))
     entitle(figure, title)
-    legend_above(axes)
+    legend_outside(figure, *axes.get_legend_handles_labels())
     return figure
 
 
@@ -537,21 +519,6 @@ def draw_allan_fit(found: NoiseFit, triad: str) -> "Figure":
 
 # ---- pictures of a study
 
-NAMES = {
-    "cutoff_hz": "cut-off (Hz)",
-    "turn_rate_step_dps": "step d (deg/s)",
-    "turn_rate_min_dps": "omega_m (deg/s)",
-    "turn_rate_max_dps": "omega_M (deg/s)",
-}
-
-
-def name_of(parameter: str) -> str:
-    """Return the heading of a parameter."""
-    from undrift.study.space import FURTHER
-
-    return NAMES[parameter] if parameter in NAMES else FURTHER[parameter].heading
-
-
 LEAST_P = 1e-4  # a smaller p value is shown as a bound
 LEAST_CONTRAST = 2.0  # of the ends of the colours: small differences are to look small
 LEVEL_NAMES = ("no compensation", "static", "static and dynamic")
@@ -578,7 +545,7 @@ def draw_surface(outcome: "StudyOutcome", task: "TaskOutcome", timing: "Timing")
     mean = surface.error(outcome.study.objective, timing).mean(axis=0)
     step_of, x_of = surface.turn_rate_step_dps, surface.turn_rate_max_dps
     steps, (xs, x_at) = np.unique(step_of), np.unique(x_of, return_inverse=True)
-    figure, axes = new_figure(len(steps), columns=2, height=1.6, share_x=False)
+    figure, axes = new_figure(len(steps), columns=2, height=1.75, share_x=False)
     low, high = float(np.nanmin(mean)), float(np.nanmax(mean))
     if high < LEAST_CONTRAST * low:
         middle, reach = np.sqrt(low * high), np.sqrt(LEAST_CONTRAST)
@@ -598,9 +565,9 @@ def draw_surface(outcome: "StudyOutcome", task: "TaskOutcome", timing: "Timing")
             panel.grid(False)
             panel.set_xticks(np.arange(len(xs)), [f"{x:.3g}" for x in xs])
             panel.set_yticks(np.arange(len(ys)), [f"{y:.3g}" for y in ys])
-            panel.set(ylabel=NAMES[name], title=f"d = {step:.3g} deg/s")
+            panel.set(ylabel=HEADINGS[name], title=f"d = {step:.3g} deg/s")
             if column == len(steps) - 1:
-                panel.set_xlabel(NAMES["turn_rate_max_dps"])
+                panel.set_xlabel(HEADINGS["turn_rate_max_dps"])
             for place, mark, colour, face, size in marks:
                 if step_of[place] == step:
                     style: Any = {"marker": mark, "s": size, "facecolor": face, "edgecolor": colour}
@@ -626,7 +593,7 @@ def draw_effects(task: "TaskOutcome") -> "Figure":
     for panel, effect, reach in zip(axes, every, task.effect_reach_deg, strict=False):
         bars = reach if reach > 0.0 else None
         panel.errorbar(effect.values, effect.means_deg, yerr=bars, color=DEVICE, marker="o", ms=3.5)
-        panel.set_xlabel(name_of(effect.name))
+        panel.set_xlabel(HEADINGS[effect.name])
         panel.set_title("not tested" if effect.judged is None else effect.judged.verdict, fontsize=9)
         ends += [effect.means_deg.min() - reach, effect.means_deg.max() + reach]
         panel.set_xticks(effect.values if len(effect.values) < 6 else effect.values[:: -(-len(effect.values) // 5)])
@@ -643,7 +610,7 @@ def draw_effects(task: "TaskOutcome") -> "Figure":
 
 def draw_pareto(outcome: "StudyOutcome", task: "TaskOutcome") -> "Figure":
     """Draw error against minutes on the rig, one point a protocol."""
-    figure, (axes,) = new_figure(1, height=3.0)
+    figure, (axes,) = new_figure(1, height=3.7)
     found, minutes, front = task.optimum, task.surface.rig_minutes, task.front
     mean = task.surface.error(outcome.study.objective, outcome.study.timing).mean(axis=0)
     for chosen, colour, marker, label in (
@@ -668,5 +635,5 @@ def draw_pareto(outcome: "StudyOutcome", task: "TaskOutcome") -> "Figure":
     label = f"mean {outcome.study.objective} error, {outcome.study.timing} (deg)"
     top = max(float(np.nanmax(mean)), float(front.interval_deg.max()))
     axes.set(ylim=(0.0, 1.1 * top), xlabel="session (min)", ylabel=label)
-    figure.legend(loc="outside lower left", ncols=2, frameon=False)
+    legend_outside(figure, *axes.get_legend_handles_labels())
     return figure

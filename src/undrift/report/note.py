@@ -364,7 +364,7 @@ def draw_figure3(found: "Figure3", drawn: "Sequence[DrawnRow]" = (), twin: "Figu
         panel.set_title(title, loc="left", fontsize=_SIZE)
     apart.set_xlabel("time (s)")
     lines = [Line2D([], [], **compared_style(k) | {"markevery": None}) for k in range(len(COMPARED_COLOURS))]
-    figure.legend(lines, COMPARED_NAMES, loc="outside lower left", fontsize=_SIZE, frameon=False)
+    figures.legend_outside(figure, lines, COMPARED_NAMES)
     return figure
 
 

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from undrift.findings import told_apart
 from undrift.model import Verdict
 from undrift.report.figures import draw_agreement, draw_bars, draw_comparison, svg_of
 from undrift.report.page import Origin, Section, rows_section, write_page
@@ -105,7 +106,7 @@ def _calibration(method: Method) -> str:
 
 
 def _offset(method: Method) -> str:
-    rest = "the mean rate of the rest before the motion is subtracted"
+    rest = "the mean rate of the first still phase is subtracted"
     if method.leave_one_out:
         return "the fit's: each recording's rest before the motion, and the motion of the others"
     if method.settings.offset == "rest":
@@ -164,7 +165,7 @@ def write_validation_report(result: "Validation", method: Method, path: Path, or
 
 def _answer(result: "Validation", method: Method) -> str:
     """Return what the orientation is worth, in a sentence."""
-    how = "with the offset of the rest before the motion removed"
+    how = "with the offset of the first still phase removed"
     if method.leave_one_out:
         how = "calibrated with the other recordings"
     elif method.calibration is not None:
@@ -210,31 +211,32 @@ def expected_rows(trials: "Sequence[Trial]") -> list[tuple[str, ...]]:
     for trial in trials:
         made, figures = trial.expected, trial.figures
         if made is not None:
-            end = (figures.end_total_deg, made.end_total_deg, made.end_interval_deg)
-            rmse = (figures.rmse_total_deg, made.rmse_total_deg, made.rmse_interval_deg)
+            end = (figures.end_total_deg, made.end_total_deg, made.end_at_most_deg)
+            rmse = (figures.rmse_total_deg, made.rmse_total_deg, made.rmse_at_most_deg)
             cells = [
-                (f"{seen:.2f}", f"{root:.2f}", "{:.2f} to {:.2f}".format(*span)) for seen, root, span in (end, rmse)
+                (told_apart(seen, ".2f", most), f"{root:.2f}", told_apart(most, ".2f", seen))
+                for seen, root, most in (end, rmse)
             ]
             rows.append((trial.recording, *cells[0], *cells[1]))
     return rows
 
 
 def coverage_text(coverage: "Coverage") -> str:
-    """Return how many of the expected intervals hold what was observed."""
+    """Return how many of the observed errors are no larger than stated."""
     return (
-        f"inside the expected 95 %: end error {coverage.end_inside} of {coverage.ends} ({coverage.end_above} above), total error "
-        f"over the motion {coverage.rmse_inside} of {coverage.trials} ({coverage.rmse_above} above)"
+        f"not larger than expected (95 %, at most): end error {coverage.end_inside} of {coverage.ends}, total error over the "
+        f"motion {coverage.rmse_inside} of {coverage.trials}"
     )
 
 
 def _expected(result: "Validation") -> tuple[Section, ...]:
     if result.coverage is None:
         return ()
-    heads = ("recording", "end total (deg)", "expected", "95 %", "total rmse (deg)", "expected rmse", "rmse 95 %")
+    heads = ("recording", "end total (deg)", "expected", "at most", "total rmse (deg)", "expected rmse", "rmse at most")
     rows = [dict(zip(heads, row, strict=True)) for row in expected_rows(result.trials)]
     text = (
         "Expected: root mean square of the errors that follow from the calibration's covariance and from what changes between "
-        f"recordings of a device. {coverage_text(result.coverage).capitalize()}.",
+        f"recordings of a device. At most: 95 % of the errors are no larger. {coverage_text(result.coverage).capitalize()}.",
     )
     return (rows_section("Observed and expected errors", rows, text=text),)
 

@@ -31,7 +31,7 @@ from undrift.io.parquet import write_parquet
 from undrift.record import Axis, Face, Kind, Record
 from undrift.rig.guard import uninterrupted
 from undrift.rig.programme import Protocol, Purpose, write_protocol
-from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
+from undrift.units import RADIAN_PER_DEGREE
 
 # ---- Journal: one line for each thing done, appended and brought to the disk before the next begins.
 
@@ -208,7 +208,7 @@ class Head:
     protocol: str  # sha256 of the protocol as it is written
     rig: str  # What the rig calls itself
     serial: str = ""  # Of the device
-    gravity_m_s2: float = STANDARD_GRAVITY  # Local gravity, m/s2
+    gravity_m_s2: float | None = None  # Local gravity, m/s2, where it is stated
     kind: Kind = "calibration"  # calibration, or thermal where the chamber visits two temperatures or more
 
 
@@ -389,7 +389,7 @@ def read_entries(path: Path, entries: tuple[dict[str, object], ...]) -> tuple[He
 def session_text(head: Head, pieces: tuple[Piece, ...]) -> str:
     """Return session.toml: each piece a recording, each rest a still, each rate a turn at the rate that was achieved."""
     lines = ["[session]", f'kind = "{head.kind}"', f"serial = {json.dumps(head.serial)}"]
-    lines += [f"gravity_m_s2 = {head.gravity_m_s2!r}"]
+    lines += [] if head.gravity_m_s2 is None else [f"gravity_m_s2 = {head.gravity_m_s2!r}"]
     for piece in pieces:
         lines += ["", "[[recording]]", f'file = "{piece.name}"']
     for number, piece in enumerate(pieces):

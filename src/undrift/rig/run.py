@@ -103,7 +103,7 @@ def run_programme(
     *,
     report: Report,
     serial: str = "",
-    gravity_m_s2: float,
+    gravity_m_s2: float | None = None,
     settings: RunSettings = RunSettings(),
 ) -> RunResult:
     """Run what is not on the disk yet."""

@@ -1,0 +1,73 @@
+"""What a picture cuts or covers: text that is drawn beyond its edge, or under a legend."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.text import Text
+
+from undrift.report import figures
+
+if TYPE_CHECKING:
+    from matplotlib.axis import Axis
+    from matplotlib.figure import Figure
+
+EDGE_PT = 0.5  # of rounding
+
+
+def cut_texts(figure: "Figure") -> list[str]:
+    """Return every text of a figure that lies beyond its edge, in the sizes that a page has, and every legend on a title."""
+    for text in figure.findobj(Text):
+        text.set_fontsize(max(text.get_fontsize(), figures.LEAST_SIZE))
+        text.set_parse_math(False)
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    reach, edge, hidden = figure.bbox, EDGE_PT / 72.0 * figure.dpi, set()
+    for axes in figure.axes:
+        hidden |= {id(label) for axis in (axes.xaxis, axes.yaxis) for label in _outside(axis)}
+        hidden |= set() if axes.axison else {id(text) for text in axes.findobj(Text) if text not in axes.texts}
+    found = []
+    for text in figure.findobj(Text):
+        if id(text) in hidden or not text.get_visible() or not text.get_text().strip():
+            continue
+        box = text.get_window_extent(canvas.get_renderer())
+        over = max(reach.x0 - box.x0, box.x1 - reach.x1, reach.y0 - box.y0, box.y1 - reach.y1)
+        if box.width > 0.0 and over > edge:
+            found.append(
+                f"{text.get_text()!r} by {over / figure.dpi * 72.0:.1f} pt in {figures._described(figure)[:60]}"
+            )
+    legends = [*figure.legends, *(axes.get_legend() for axes in figure.axes if axes.get_legend() is not None)]
+    titles = [
+        figure._suptitle,
+        *(part for axes in figure.axes for part in (axes.title, axes._left_title, axes._right_title)),
+    ]
+    for title in (one for one in titles if one is not None and one.get_text()):
+        box = title.get_window_extent(canvas.get_renderer()).shrunk(0.9, 0.9)
+        found += [f"legend on {title.get_text()!r}" for one in legends if one.get_window_extent().overlaps(box)]
+    return found
+
+
+def _outside(axis: "Axis") -> Iterator[Any]:
+    """Yield the labels of ticks that are not drawn: those outside the limits."""
+    low, high = sorted(axis.get_view_interval())
+    for tick in (*axis.get_major_ticks(), *axis.get_minor_ticks()):
+        if not low - 1e-9 * (high - low) <= tick.get_loc() <= high + 1e-9 * (high - low):
+            yield from (tick.label1, tick.label2)
+
+
+@contextmanager
+def pictures_looked_at() -> Iterator[list[str]]:
+    """Collect what the pictures cut that are made meanwhile, on pages and in files."""
+    found: list[str] = []
+    saved = figures._saved
+
+    def looked_at(figure: "Figure", *words: Any, **how: Any) -> bytes:
+        data = saved(figure, *words, **how)
+        found.extend(cut_texts(figure))
+        return data
+
+    with pytest.MonkeyPatch.context() as held:
+        held.setattr(figures, "_saved", looked_at)
+        yield found

@@ -1,0 +1,90 @@
+"""What a person reads on terminals of several widths: the same words and numbers, none cropped and none broken."""
+
+import importlib
+import io
+import os
+import pkgutil
+from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
+from functools import wraps
+from typing import Any
+
+import pytest
+from rich.cells import cell_len
+
+from testkit.remembered import put_everywhere
+from undrift import cli
+from undrift.cli import common
+
+WIDTHS = (60, 80, 120)  # columns
+
+
+class Terminal(io.StringIO):
+    """A terminal that keeps what is written to it."""
+
+    def isatty(self) -> bool:
+        return True
+
+
+def words_of(text: str) -> Counter[str]:
+    """Count the words and numbers; rules of tables and the colons behind heads are none."""
+    return Counter(word for word in (part.strip("─:") for part in text.split()) if word)
+
+
+def differences(text: str, whole: str, width: int, spare: str = "") -> list[str]:
+    """Tell what a terminal's text has other than the whole one, and its lines that could have been shorter."""
+    told, wanted = words_of(text) + words_of(spare), words_of(whole)
+    lost = [f"lost: {word}" for word in wanted - told]
+    made_up = [f"not in the whole text: {word}" for word in set(told) - set(wanted)]
+    wide = (line for line in text.splitlines() if cell_len(line.rstrip()) > width and len(line.split()) > 1)
+    return lost + made_up + [f"wider than {width}: {line}" for line in wide]
+
+
+class Widths:
+    """Shows everything on several terminals beside the place where it goes."""
+
+    def __init__(self) -> None:
+        self.whole, self.narrow = io.StringIO(), {width: Terminal() for width in WIDTHS}
+        self._within, self._spare = False, ""
+
+    @contextmanager
+    def watching(self) -> Iterator[None]:
+        """Watch what commands show."""
+        for module in pkgutil.iter_modules(cli.__path__):  # one that is imported within would keep what is put here
+            importlib.import_module(f"{cli.__name__}.{module.name}")
+        with pytest.MonkeyPatch.context() as patch:
+            for function in (common.say, common.show_table, common.show_verdict):
+                put_everywhere(patch, function, self._on_all(function))
+            yield
+
+    def differences(self) -> list[str]:
+        """Tell what the terminals have other than the whole text."""
+        texts = ((text.getvalue(), self.whole.getvalue(), width) for width, text in self.narrow.items())
+        return [line for each in texts for line in differences(*each, spare=self._spare)]
+
+    def _on_all(self, function: Callable[..., None]) -> Callable[..., None]:
+        @wraps(function)
+        def shown(*args: Any, **words: Any) -> None:
+            held = [arg if isinstance(arg, str) or not hasattr(arg, "__next__") else list(arg) for arg in args]
+            if not self._within:
+                self._within = True
+                if function.__name__ == "show_table":  # a stacked table leaves out heads that have no cell
+                    heads = (head for head, *cells in zip(held[1], *held[2], strict=True) if not any(cells))
+                    self._spare += " ".join(("", *heads))
+                for place, width in ((self.whole, 400), *((text, width) for width, text in self.narrow.items())):
+                    with on(place, width):
+                        function(*held, **words)
+                self._within = False
+            function(*held, **words)
+
+        return shown
+
+
+@contextmanager
+def on(place: io.StringIO, width: int) -> Iterator[None]:
+    """Let stdout and stderr be a place of a width."""
+    with pytest.MonkeyPatch.context() as patch, redirect_stdout(place), redirect_stderr(place):
+        for name, value in (("COLUMNS", width), ("LINES", 50), ("TERM", "dumb")):
+            patch.setitem(os.environ, name, str(value))
+        yield
