@@ -4,14 +4,18 @@ VENV ?= .venv
 BIN = $(VENV)/bin
 INSTALLED = $(VENV)/.installed
 
-.PHONY: demo docs test test-browser test-long test-all check mutants fuzz benchmark clean
+.PHONY: announce demo docs test test-browser test-long test-all check mutants fuzz mistakes benchmark clean
 
 demo: $(VENV)/.base
 	$(BIN)/undrift demo --out demo
 
+announce:
+	@echo "make test: about 6,000 tests, 17 minutes on two cores. On a new machine Python packages, gcc, chromium and PostgreSQL"
+	@echo "are installed first, some minutes, and kernels are compiled once."
+
 export OPENBLAS_NUM_THREADS = 1  # the matrices are small, threads cost more than they save
 
-test: $(INSTALLED)
+test: announce $(INSTALLED)
 	@command -v gcc >/dev/null || { apt-get update -qq && apt-get install -qq -y gcc libc6-dev; } || \
 	  { echo "the tests compile exported C and want gcc: install it"; exit 2; }
 	@command -v chromium >/dev/null || { apt-get update -qq && apt-get install -qq -y --no-install-recommends chromium; } || \
@@ -20,7 +24,9 @@ test: $(INSTALLED)
 	  echo "create_main_cluster = false" >> /etc/postgresql-common/createcluster.conf && apt-get update -qq && \
 	  DEBIAN_FRONTEND=noninteractive apt-get install -qq -y --no-install-recommends -o Dpkg::Options::=--force-confold postgresql; } || \
 	  echo "no PostgreSQL: the registry is tested on SQLite alone"
+	@echo "collecting the tests, up to a minute; then a dot for each, and the share done at the end of a line"
 	$(BIN)/python -m pytest tests -p no:playwright --ignore=tests/house --ignore=tests/web_browser -n 2 --dist loadscope --no-loadscope-reorder --durations=12
+	@echo "the kernels once more, not compiled"
 	NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest tests/kernels tests/correction/test_correct.py tests/correction/test_stream.py tests/test_orientation.py tests/test_tilt.py tests/test_angles.py
 
 # The guided bench in a browser: pages, wizards, the rate-table run, the emergency stop. Screenshots: build/screens.
@@ -40,8 +46,9 @@ check: $(INSTALLED)
 	$(BIN)/lint-imports
 	$(BIN)/python -m pytest tests/house
 
-# The documentation site, from pages, docstrings, commands and models; figures are drawn anew.
+# The documentation site, from pages, docstrings, commands and models; docs/pictures are drawn anew, commit what changed.
 docs: $(INSTALLED)
+	$(BIN)/python docs/generate.py docs/pictures
 	$(BIN)/python -m sphinx -W --keep-going -q -b html docs docs/_build/html
 	@echo "docs/_build/html/index.html"
 
@@ -52,6 +59,10 @@ mutants: $(INSTALLED)
 # Damaged files, settings and lines for the emulated machines, in workers with limits: prints what crashes, hangs or is no clear line.
 fuzz: $(INSTALLED)
 	$(BIN)/python -m tests.fuzz $(WORDS)
+
+# Mistakes that users make, planted into simulated recordings: prints which are named, refused, warned of or silent. WORDS="orient rad/s" selects.
+mistakes: $(INSTALLED)
+	$(BIN)/python -m tests.mistakes $(WORDS)
 
 benchmark: $(INSTALLED)
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks

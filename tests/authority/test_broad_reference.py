@@ -74,7 +74,10 @@ def test_nine_in_ten_errors_of_held_out_trials_are_where_they_were_expected():
                 f"{made.end_total_deg:.2f}",
             )
             show("   total rmse, deg, expected", f"{t.figures.rmse_total_deg:.2f}", f"{made.rmse_total_deg:.2f}")
-        inside += (result.coverage.end_inside, result.coverage.rmse_inside)
+            inside += (
+                made.end_interval_deg[0] <= t.figures.end_total_deg <= made.end_interval_deg[1],
+                made.rmse_interval_deg[0] <= t.figures.rmse_total_deg <= made.rmse_interval_deg[1],
+            )
         trials += len(result.trials)
     show("inside 95 %, end error and rmse", inside.tolist(), f"90 % of {trials}")
     assert (inside >= 0.9 * trials).all()

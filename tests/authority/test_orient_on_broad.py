@@ -29,8 +29,11 @@ def test_the_tilt_of_ten_seconds_at_rest_is_the_optics_within_the_mounting(name)
     error = quaternion_product(tilt.q_nb, quaternion_conjugate(reference.q_nb[seen]))
     off = np.degrees(np.median(inclination_of(error)))
     show(f"{name}: tilt against optics, deg (independent run: {TRIALS[name]})", round(float(off), 3), 0.4)
-    show("  its stated uncertainty from scatter, deg", round(float(np.degrees(tilt.inclination_uncertainty)), 4))
+    parts = {name: float(np.degrees(part)) for name, part in tilt.parts}
+    show("  its stated uncertainty from scatter and sway, deg", parts)
     assert off == pytest.approx(TRIALS[name], abs=0.03)  # another ten seconds of the same rest
     # the board sits up to 0.5 deg askew on the sensor and the accelerometer is uncalibrated (0.5 % is 0.3 deg)
     assert off < 0.4
-    assert 0.0 < np.degrees(tilt.inclination_uncertainty) < 0.05
+    assert 0.0 < parts["scatter"] < 0.05
+    # two are touched in the last of these ten seconds, before the mark of the motion; the others lie still
+    assert (parts["sway"] > 0.0) == name.startswith(("32", "35"))

@@ -60,6 +60,8 @@ ADDED: tuple[tuple[str, str], ...] = (
     (".*", r"file_map\..*"),
     (".*", r"(.*\.)?budget(\..*)?"),
     ("study_small", "categories"),
+    ("validate_.*", "gravity_(m_s2|source)"),  # of a fit to references
+    ("validate_leave_one_out", r"(.*\.)?trials\[\d\]\.expected\.(end|rmse)_at_most_deg"),
     ("info_formats", r".*\.stills"),  # the search for stills adapts
     ("study_small", r"candidates|tasks.*(halving|pareto.*interval_deg.*)"),
     (

@@ -2,7 +2,10 @@
 
 import json
 import re
+import subprocess
 from pathlib import Path
+
+import pytest
 
 from undrift.io.store import calibration_schema
 
@@ -19,3 +22,35 @@ def test_every_source_file_that_docs_name_exists() -> None:
         for name in re.findall(r"[\w/]+\.py\b", page.read_text()):
             places = (ROOT / "src" / "undrift" / name, ROOT / "tests" / name, ROOT / name)
             assert any(place.exists() for place in places), f"{page.name} names {name}"
+
+
+def test_every_picture_that_a_page_shows_is_part_of_the_repository() -> None:
+    shown = set()
+    for page in (ROOT / "README.md", *(ROOT / "docs").glob("*.md")):
+        for name in re.findall(r"!\[[^]]+\]\(([^)]+)\)", page.read_text()):
+            picture = (page.parent / name).resolve()
+            assert picture.is_file(), f"{page.name} shows {name}"
+            assert "_generated" not in picture.parts, f"{page.name} shows {name}, which a clone does not have"
+            assert picture.stat().st_size < 300_000, name
+            shown.add(picture)
+    assert shown >= set((ROOT / "docs" / "pictures").iterdir())
+    if (ROOT / ".git").exists():
+        words = ["git", "ls-files", "--error-unmatch", *map(str, sorted(shown))]
+        assert subprocess.run(words, cwd=ROOT, capture_output=True, check=False).returncode == 0
+
+
+@pytest.mark.parametrize("target", ["demo", "test"])
+def test_the_readme_opens_with_the_two_commands_of_the_makefile(target: str) -> None:
+    commands = re.findall(r"```sh\n(.*?)```", (ROOT / "README.md").read_text(), re.S)[0].split("\n")
+    assert f"make {target}" in commands
+    assert re.search(rf"^{target}:", (ROOT / "Makefile").read_text(), re.M)
+
+
+def test_make_test_says_what_it_does_and_how_long_before_it_does_anything(tmp_path: Path) -> None:
+    words = ["make", "-n", "test", f"VENV={tmp_path / 'none'}"]
+    plan = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=True).stdout.splitlines()
+    assert re.match(r'echo "make test: about [\d,]+ tests, \d+ minutes', plan[0])
+    assert not any("pip install" in line or "pytest" in line for line in plan[:2])
+    (suite,) = (k for k, line in enumerate(plan) if " -m pytest tests -p" in line)
+    assert plan[suite - 1].startswith('echo "collecting the tests')
+    assert " -qq" not in plan[suite]  # pytest's dots with the share that is done
