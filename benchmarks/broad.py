@@ -249,7 +249,7 @@ def print_steps() -> None:
 
 
 def print_expected() -> None:
-    """Print expected against observed errors, and how many lie inside 95 %."""
+    """Print expected against observed errors, how many lie inside 95 %."""
     inside, seen = np.zeros(2, int), np.zeros(2, int)
     for device in DEVICES:
         prior = learnt([other for other in DEVICES if other != device])
@@ -259,13 +259,15 @@ def print_expected() -> None:
             f"{np.degrees(prior.day_to_day):.4f} deg/s"
         )
         for count, result in expected(device, prior):
-            held = result.coverage
-            assert held is not None
-            inside += (held.end_inside, held.rmse_inside)
-            seen += (held.ends, held.trials)
             for t in result.trials:
                 made = t.expected
                 assert made is not None
+                pairs = (
+                    (made.end_interval_deg, t.figures.end_total_deg),
+                    (made.rmse_interval_deg, t.figures.rmse_total_deg),
+                )
+                inside += [low <= value <= high for (low, high), value in pairs]
+                seen += [bool(np.isfinite(value)) for _, value in pairs]
                 print(
                     f"  {count - 1} to fit, {t.recording}: end {t.figures.end_total_deg:.2f}, expected {made.end_total_deg:.2f} "
                     "[{:.2f}, {:.2f}]; ".format(*made.end_interval_deg)

@@ -1,7 +1,8 @@
-"""Pages that are made from the code: commands, findings, keys of files, presets, names of the API, and the figures.
+"""Pages that are made from the code: commands, findings, keys of files, presets, names of the API, and the pictures.
 
-conf.py calls `write_all` at each build; `python docs/generate.py FOLDER` does the same by hand. A page is written only where its
-text has changed, so that a second build is quick.
+conf.py calls `write_all` at each build. A page is written only where its text has changed, so that a second build is quick.
+`python docs/generate.py FOLDER` draws the pictures; those in docs/pictures are part of the repository, so that the pages read there as
+on the site.
 """
 
 import ast
@@ -19,24 +20,28 @@ import undrift
 
 DOCS = Path(__file__).parent
 PACKAGE = Path(undrift.__file__).parent
-DRAWN = ("tutorial", "note_figure3", "drift_table")  # figures/*.py whose pictures are made at the build
+DRAWN = ("tutorial", "note_figure3", "drift_table")  # figures/*.py whose pictures are from simulated data
 
 
 def write_all(folder: Path) -> None:
-    """Write every generated page and picture."""
+    """Write every generated page."""
     folder.mkdir(exist_ok=True)
     pages = {"findings.md": findings(), "keys.md": keys(), "presets.md": presets(), "api.md": api(), **commands()}
     for name, text in pages.items():
         path = folder / name
         if not path.exists() or path.read_text(encoding="utf-8") != text:
             path.write_text(text, encoding="utf-8")
+
+
+def draw_all(folder: Path) -> None:
+    """Draw every picture, its lines to a hundredth of a point."""
     for name in DRAWN:
-        script = DOCS / "figures" / f"{name}.py"
-        mark = folder / f"{name}.drawn"
-        stamp = f"{undrift.__version__} {script.stat().st_mtime_ns}"
-        if not mark.exists() or mark.read_text() != stamp:
-            runpy.run_path(str(script))["draw"](folder)
-            mark.write_text(stamp)
+        runpy.run_path(str(DOCS / "figures" / f"{name}.py"))["draw"](folder)
+    for path in folder.glob("*.svg"):
+        text = path.read_text(encoding="utf-8")
+        path.write_text(
+            re.sub(r' [dxy]="[^"]*"', lambda part: re.sub(r"(\.\d\d)\d+", r"\1", part[0]), text), encoding="utf-8"
+        )
 
 
 # ---- commands
@@ -316,4 +321,4 @@ def _methods(value: type) -> list[str]:
 
 
 if __name__ == "__main__":
-    write_all(Path(sys.argv[1]))
+    draw_all(Path(sys.argv[1]))

@@ -6,7 +6,7 @@ import os
 import pytest
 
 from undrift.errors import FileFormatError
-from undrift.rig.folder import Journal, line_of, read_journal
+from undrift.rig.folder import Head, Journal, line_of, read_journal, session_text
 
 ENTRIES = ({"a": 1, "text": "née +x"}, {"b": [1.5, None]}, {"c": "last"})
 
@@ -78,3 +78,10 @@ def test_half_a_line_on_a_full_disk_is_taken_back(tmp_path, monkeypatch):
     journal.append({"kept": True})
     journal.close()
     assert read_journal(path)[0] == (*ENTRIES, {"kept": True})
+
+
+@pytest.mark.parametrize(("gravity_m_s2", "written_down"), [(None, False), (9.81, True)])
+def test_the_session_of_a_run_states_no_gravity_that_nobody_stated(gravity_m_s2, written_down):
+    text = session_text(Head(protocol="p", rig="r", gravity_m_s2=gravity_m_s2), ())
+    assert ("gravity_m_s2 = 9.81" in text) is written_down
+    assert ("gravity" in text) is written_down
