@@ -293,7 +293,7 @@ def _correct_one(
     stretch: "Stretch | None" = None,
     advance: "Callable[[float], None]",
 ) -> tuple["CorrectorState", Remarks]:
-    from undrift.correction.consistency import check_corrected
+    from undrift.correction.consistency import check_corrected, check_force
     from undrift.correction.coverage import find_beyond
     from undrift.correction.stream import read_ahead
     from undrift.io.parquet import ParquetWriter
@@ -312,6 +312,7 @@ def _correct_one(
             done = stream.push_checked(chunk)
             if stream.state.samples == len(chunk):  # the first chunk is enough
                 with named_columns(record):
+                    check_force(done.record)
                     suspicions = (*check_corrected(done.record, model), *_suspicions(done.record, model))
                 suspicions += tuple(one for one in done.findings if one.code == "correct.device")
             if writer is None:

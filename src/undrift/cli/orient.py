@@ -26,8 +26,9 @@ from undrift.cli.common import (
 if TYPE_CHECKING:
     from undrift.arrays import FloatArray
     from undrift.findings import Finding
+    from undrift.model import Calibration
     from undrift.orientation import Orientation
-    from undrift.record import Still
+    from undrift.record import Record, Still
 
 
 def orient(
@@ -116,6 +117,7 @@ def orient(
     if report is not None:
         write_orient_report(report, found, record.name, remarks=lines, origin=origin_of(*reads))
     if json:
+        notes = (*(one.text for one in earlier), *notes)  # as files of scripts have it: both together
         write_json(made | {"recording": str(record), "output": str(output), "notes": notes}, "orient")
         return 0
     wrote = [f"Wrote {report}"] if report else []

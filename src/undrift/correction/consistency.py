@@ -121,6 +121,10 @@ def check_triads(record: Record) -> tuple[Finding, ...]:
     Nothing is looked at where a triad is missing or in counts; none where they agree, or where the motion does not show it.
     """
     check_force(record)
+    return _agreeing(record)
+
+
+def _agreeing(record: Record) -> tuple[Finding, ...]:
     found = find_disagreement(record)
     if found is None:
         return ()
@@ -156,7 +160,7 @@ def check_force(record: Record) -> None:
         named = "gyroscope and accelerometer columns are exchanged"
     raise Implausible(
         f"accelerometer: wanted a specific force of about 1 g, got a median of {median:.3g} g: {named}; correct the columns or "
-        "their unit in the map, or in the columns' names",
+        "state their true unit in a map (units = { accel = ... }, --map FILE), or in the columns' names",
         mistake=named,
         median_g=median,
     )
@@ -289,9 +293,12 @@ UNKNOWN_DEPARTURE_K = 10.0  # where recording or calibration has no temperature
 
 
 def check_corrected(record: Record, calibration: Calibration) -> tuple[Finding, ...]:
-    """Return what speaks against a corrected record's columns, or against its calibration; raise where it is clear."""
+    """Return what speaks against a corrected record's columns, or against its calibration; raise where it is clear.
+
+    The size of the specific force is not looked at but at rest: the readings may be of a model, not of a motion.
+    """
     both = calibration.gyro is not None and calibration.accel is not None  # else they are in frames of their own
-    return (*(check_triads(record) if both else ()), *check_device(record, calibration))
+    return (*(_agreeing(record) if both else ()), *check_device(record, calibration))
 
 
 def check_device(record: Record, calibration: Calibration) -> tuple[Finding, ...]:

@@ -315,8 +315,8 @@ def mark_plane(
     return largest
 
 
-# ---- the position in a loop of hysteresis, sample by sample: drift/hysteresis.py has the model. temp degC, NaN in gaps; time (N,) s;
-# out (N,) position; state (7,), written back
+# ---- the position in a loop of hysteresis, sample by sample: drift/hysteresis.py has the model. temp degC, NaN in gaps;
+# time (N,) s; out (N,) position; state (7,), written back
 
 
 @njit(cache=True, fastmath={"contract"}, nogil=True, error_model="numpy")
