@@ -22,7 +22,8 @@ COUNTS = {
     "twin.no_witness",
     "twin.no_rest",
 }
-NO_VALUE = {"recording.temperature_jumps", "drift.accel_one_pose"}  # "over 5 K"; a span that is no limit
+# "over 5 K"; spans that are no limits
+NO_VALUE = {"recording.temperature_jumps", "drift.accel_one_pose", "orient.pitch_axes"}
 
 
 def fields_of(text):

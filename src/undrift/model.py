@@ -57,7 +57,7 @@ class Verdict:
     >>> device = undrift.random_device(rng)
     >>> calibration = undrift.calibrate(undrift.simulate_session("six_face", device, rng=rng))
     >>> calibration.verdict.status
-    'marginal'
+    'good'
     """
 
     status: Status = "good"

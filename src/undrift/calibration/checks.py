@@ -129,10 +129,12 @@ class Stuck(NamedTuple):
 
 def stuck_in_motion(windows: Sequence[FloatArray]) -> Stuck | None:
     """Return the axis that sticks at its largest or smallest reading, over all windows (n_i, 3) together."""
+    window = np.repeat(np.arange(len(windows)), [len(one) for one in windows])
     for axis, column in enumerate(np.concatenate(windows).T if len(windows) else ()):
-        finite = column[np.isfinite(column)]
+        kept = np.isfinite(column)
+        finite, seam = column[kept], np.diff(window[kept]) != 0
         for end in (finite.max(), finite.min()) if len(np.unique(finite)) > 2 else ():
-            if _piles_up(finite, end) and _sticks(finite, end):
+            if _piles_up(finite, end) and _sticks(finite, end, seam):
                 return Stuck(axis, float(end), int((finite == end).sum()))
     return None
 
@@ -158,10 +160,13 @@ def _piles_up(finite: FloatArray, end: float) -> bool:
     return bool((away == 0.0).sum() > ((away > 0.0) & (away <= np.median(change[change > 0.0]))).sum())
 
 
-def _sticks(finite: FloatArray, end: float) -> bool:
-    """Tell whether readings repeat at an end as no rounding to codes and no sample that is held repeats them inside."""
-    change = np.abs(np.diff(finite))
-    begins = np.flatnonzero(np.concatenate(([True], change != 0.0)))
+def _sticks(finite: FloatArray, end: float, seam: BoolArray) -> bool:
+    """Tell whether readings repeat at an end as no rounding to codes and no sample that is held repeats them inside.
+
+    ``seam`` (N-1,) is True where one window ends and the next begins: no reading gets anywhere there.
+    """
+    change = np.where(seam, 0.0, np.abs(np.diff(finite)))
+    begins = np.flatnonzero(np.concatenate(([True], (change != 0.0) | seam)))
     value, length = finite[begins], np.diff(np.append(begins, len(finite)))
     jump = change[begins[1:] - 1] > _ABRUPT * change[change > 1e-9 * np.abs(finite).max()].min()
     before, after = np.append(False, jump), np.append(jump, False)

@@ -26,7 +26,7 @@ from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
 if TYPE_CHECKING:
     from undrift.calibration.noise import AxisNoise, NoiseFit
-    from undrift.model import Verdict
+    from undrift.model import Calibration, Verdict
     from undrift.record import Record
 
 YAML = (".yaml", ".yml")
@@ -102,18 +102,12 @@ def noise(
     check_report(report, reads=(record, calibration))
     with waiting("reading and fitting"):
         model = None if calibration is None else read_calibration(calibration)
-        readings, notes = opening.like(model, calibration).read(record), tuple[str, ...]()
-        began = readings.time[0]
+        readings = opening.like(model, calibration).read(record)
+        since = None if power_on_s is None else float(power_on_s - readings.time[0])
         if start_s is not None or stop_s is not None:
             readings = _between(readings, start_s, stop_s)
-        if model is not None:
-            from undrift.correction.correct import correct_checked
-
-            since = None if power_on_s is None else float(power_on_s + readings.time[0] - began)
-            readings, left_out = calibrated_part(readings, model)
-            done = correct_checked(readings, model, power_on_s=since)
-            readings, notes = done.record, (*left_out, *done.warnings, *done.notes)
         with named_columns(record):
+            readings, notes = (readings, ()) if model is None else _corrected(readings, model, since)
             check_force(readings)
         found = fit_noise(readings)
     tables, verdict = _tables(found), found.verdict
@@ -136,6 +130,15 @@ def noise(
         *(f"Wrote {path}" for path in (figure, report, output) if path is not None),
     )
     return 0
+
+
+def _corrected(readings: "Record", model: "Calibration", since: float | None) -> "tuple[Record, tuple[str, ...]]":
+    """Return corrected readings and what to say of them; ``since`` is the time since power-on at zero of their clock, s."""
+    from undrift.correction.correct import correct_checked
+
+    readings, left_out = calibrated_part(readings, model)
+    done = correct_checked(readings, model, power_on_s=None if since is None else float(since + readings.time[0]))
+    return done.record, (*left_out, *done.warnings, *done.notes)
 
 
 def _write_kalibr(found: "NoiseFit", path: Path, update_rate_hz: float, rostopic: str) -> "Verdict":
