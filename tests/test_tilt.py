@@ -247,7 +247,9 @@ def test_coarse_codes_count_until_noise_averages_them_out():
 def test_a_body_that_sways_counts_and_a_bench_does_not():
     rng, t = np.random.default_rng(6), np.arange(800) * 0.01
     noise = 0.01 * rng.standard_normal((800, 3))
-    quiet = dict(initial_tilt(resting([0.0, 0.0, G], 800, accel=noise + [0.0, 0.0, G]), Still(start=0, stop=800)).parts)
+    quiet = dict(
+        initial_tilt(resting([0.0, 0.0, G], 800, accel=noise + np.array([0.0, 0.0, G])), Still(start=0, stop=800)).parts
+    )
     angle = np.radians(0.3) * np.sin(2.0 * np.pi * t / 8.0)  # an end that is off the mean by the spread, or more
     lean = G * np.stack([-np.sin(angle), np.zeros(800), np.cos(angle)], axis=1)
     sways = dict(initial_tilt(resting([0.0, 0.0, G], 800, accel=lean + noise), Still(start=0, stop=800)).parts)

@@ -20,7 +20,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from undrift.calibration.adc import identify_record_adc, restored
-from undrift.calibration.checks import missing_faces
+from undrift.calibration.checks import missing_faces, range_in_doubt
 from undrift.calibration.creep import creep_of
 from undrift.calibration.known_rotation import calibrate_turns
 from undrift.calibration.multi_position import FEWEST_POSES, calibrate_moves, calibrate_poses
@@ -185,6 +185,9 @@ def calibrate(
     unused = tuple(item for triad, outcome in triads for item in _mode_not_used(mode, triad, outcome))
     if session.gravity_source == "standard" and of_accel.fit is not None:
         other_temperatures += (finding("session.gravity_assumed", "warn", gravity_m_s2=session.gravity_m_s2),)
+    if of_gyro.fit is not None and of_gyro.fit.model.unit_in == "count":
+        largest = max(float(np.nanmax(np.abs(r.gyro))) for r in session.records if r.gyro is not None)
+        other_temperatures += range_in_doubt(float(np.median(of_gyro.fit.model.scale_factor)), largest)
     drifted = () if of_gyro.fit is None else offset_drift(seen, float(np.linalg.norm(of_gyro.fit.model.matrix, 2)))
     of_session = (*other_temperatures, *seen.findings, *drifted)
     found = each_once((*of_session, *of_accel.findings, *of_gyro.findings, *unused))

@@ -11,6 +11,7 @@ import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray
 from undrift.errors import Implausible
+from undrift.findings import Finding, finding
 from undrift.model import AXES
 from undrift.record import FACES, Face
 from undrift.segments import runs
@@ -287,6 +288,19 @@ def check_own_scale(
     """Raise when a fitted scale factor, reading per SI unit, is outside the tolerance of the unit's own; counts have none."""
     if is_physical(unit):
         check_scale_factor(scale_factor, 1.0 / si_factor(unit, quantity), tolerance, what)
+
+
+_LEAST_RANGE = 100.0 * RADIAN_PER_DEGREE  # rad/s; gyroscopes of 16 bit end at 125 deg/s or beyond
+
+
+def range_in_doubt(scale_factor: float, largest: float) -> tuple[Finding, ...]:
+    """Return what speaks against a scale factor, counts per rad/s, of a gyroscope whose largest reading is known."""
+    range_ = 2.0**15 / scale_factor
+    if largest >= 2.0**15 or range_ >= _LEAST_RANGE:
+        return ()
+    unit = "turn rates in rad/s stated as deg/s, or angles in rad as deg (360 deg are 6.283 rad), make that"
+    values = {"per_dps": scale_factor * RADIAN_PER_DEGREE, "range_dps": range_ / RADIAN_PER_DEGREE, "unit": unit}
+    return (finding("gyro.range", "warn", **values),)
 
 
 def stuck_at_rate(values: FloatArray) -> Stuck | None:

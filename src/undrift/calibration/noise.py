@@ -22,7 +22,7 @@ from undrift.findings import Finding, Level, finding
 from undrift.model import AXES, NoiseModel, Verdict
 from undrift.record import Record
 from undrift.segments import BENCH_ACCEL_LIMIT, BENCH_RATE_LIMIT
-from undrift.units import SI_UNIT, Quantity, is_physical, si_factor
+from undrift.units import RADIAN_PER_DEGREE, SI_UNIT, Quantity, is_physical, si_factor
 from undrift.views import Shown
 
 FLICKER = 2.0 * np.log(2.0) / np.pi
@@ -184,7 +184,9 @@ def fit_noise(record: Record, *, confidence: float = 0.95) -> NoiseFit:
         accel_limits=accel_curves[1:],
         duration_s=record.duration_s,
         confidence=confidence,
-        verdict=Verdict.of(*_judged(gyro, accel, record.duration_s), *_gaps(record, places, taus_s)),
+        verdict=Verdict.of(
+            *_of_units(record, gyro), *_judged(gyro, accel, record.duration_s), *_gaps(record, places, taus_s)
+        ),
     )
 
 
@@ -490,6 +492,24 @@ def _covariance(
     correlation = 0.999 * gram / np.outer(size, size) + 0.001 * np.eye(len(size))
     spread = model * np.sqrt(2.0 / edf)
     return np.asarray(correlation * np.outer(spread, spread))
+
+
+_USUAL_WALK = (3e-4, 0.2)  # deg/s/sqrt(Hz): of boards, from the best to the oldest
+_LEAST_HZ = 0.5  # below, no noise of a board is recorded
+
+
+def _of_units(record: Record, gyro: tuple[AxisNoise, ...]) -> Iterator[Finding]:
+    """Yield what speaks for another unit of time or of the gyroscope."""
+    if record.sample_rate_hz < _LEAST_HZ:
+        what = f"{record.sample_rate_hz:.3g} samples a second"
+        yield finding("noise.unit", "warn", text="Time is in milliseconds, not seconds", what=what)
+    elif gyro and is_physical(record.gyro_unit):
+        walk = float(np.median([axis.angle_random_walk.value for axis in gyro])) / RADIAN_PER_DEGREE
+        named = ("rad/s, not deg/s", "deg/s, not rad/s")
+        for k, wrong in enumerate((walk < _USUAL_WALK[0], walk > _USUAL_WALK[1])):
+            if wrong:
+                what = f"angle random walk of {walk:.2g} deg/s/sqrt(Hz), usual: 0.002 to 0.05"
+                yield finding("noise.unit", "warn", text=f"Gyroscope is in {named[k]}", what=what)
 
 
 def _judged(gyro: tuple[AxisNoise, ...], accel: tuple[AxisNoise, ...], duration_s: float) -> Iterator[Finding]:

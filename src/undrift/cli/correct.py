@@ -298,17 +298,20 @@ def _correct_one(
     from undrift.correction.stream import read_ahead
     from undrift.io.parquet import ParquetWriter
     from undrift.io.write import write_record_as
+    from undrift.segments import find_saturated
 
     stream, notes, rest = corrector(), dict[str, None](), None
     if stretch is not None:
         rest = _rest_offset(record, model, opening, corrector(), stretch)
         stream, notes = corrector(offset=rest), {rest.finding.text: None}
     suspicions: tuple[Finding, ...] = ()
+    saturated: dict[object, Finding] = {}  # by channel and axis, over all chunks
     beyond: tuple[Beyond, ...] = ()
     whole = not part.name.endswith(".parquet")
     with nullcontext() if whole else ParquetWriter(part) as writer:
         for read in (opening.read(record),) if whole else read_ahead(opening.chunks(record)):
             chunk, left_out = calibrated_part(read, model)
+            saturated.update({(one.values["channel"], one.values["axis"]): one for one in find_saturated(chunk)})
             done = stream.push_checked(chunk)
             if stream.state.samples == len(chunk):  # the first chunk is enough
                 with named_columns(record):
@@ -323,6 +326,7 @@ def _correct_one(
             found = find_beyond(done.record, model)
             beyond = tuple(a.joined(b) for a, b in zip(beyond, found, strict=True)) if beyond else found
             advance(len(chunk))
+    suspicions += tuple(saturated.values())
     warnings = [*(one.text for one in suspicions), *stream.warnings, *(one.text for one in beyond if one.text)]
     return stream.state, Remarks(warnings=warnings, notes=[*notes], findings=suspicions, beyond=beyond, rest=rest)
 

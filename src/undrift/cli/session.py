@@ -13,6 +13,7 @@ from undrift.cli.common import (
     Output,
     Place,
     check_folder,
+    named_columns,
     say,
     say_next,
     session_of,
@@ -24,6 +25,7 @@ from undrift.errors import InputError
 from undrift.units import RADIAN_PER_DEGREE
 
 if TYPE_CHECKING:
+    from undrift.findings import Finding
     from undrift.rate_log import LoggedTurn
     from undrift.record import Session
 
@@ -70,9 +72,11 @@ def new(
     """
     from undrift.calibration.calibrate import find_pieces
     from undrift.calibration.observe import CalibrateSettings
+    from undrift.correction.consistency import check_triads
     from undrift.files import write_whole
     from undrift.io.proposal import session_text
     from undrift.io.session import NAME
+    from undrift.io.store import findings_json
 
     check_folder(output)
     if rates_offset_s is not None and (rates is None or len(files) > 1):
@@ -83,6 +87,9 @@ def new(
         if any((file / NAME).is_file() or file.name == NAME for file in files):
             raise InputError(f"{files[0]}: wanted bare recordings, got a session; edit its session.toml")
         bare = session_of(files, place, opening)
+        for file, record in zip(files, bare.records, strict=False):
+            with named_columns(file):
+                check_triads(record)
         found, steady = find_pieces(bare, CalibrateSettings(turn_angle_deg=turn_deg))
         log = None if rates is None else _logged(rates, found, rates_offset_s)
     if log is not None:
@@ -96,21 +103,24 @@ def new(
     if json:
         gravity = {"gravity_m_s2": found.gravity_m_s2, "gravity_source": found.gravity_source}
         made = {"output": str(output / NAME), "recordings": len(found.records), "faces": faces}
-        write_json(made | counts | gravity | ({} if log is None else {"rates": log[1]}), "session new")
+        told = {} if log is None else {"rates": log[1], "findings": findings_json(log[2])}
+        write_json(made | counts | gravity | told, "session new")
         return 0
     say(
         f"Wrote {output / NAME}",
         f"  still phases: {counts['stills']}; faces: {', '.join(faces) or 'not all six, free poses'}; turns by a known angle: "
         f"{counts['turns']}; steady turns, their rate to be stated: {counts['steady_turns']}",
-        *([] if log is None else _log_lines(log[1])),
+        *([] if log is None else [*_log_lines(log[1]), *(f"  warning: {one.text}" for one in log[2])]),
         f"  gravity {found.gravity_m_s2:.5f} m/s2 ({found.gravity_source})",
     )
     say_next("calibrate", output, "-o", "calibration.json")
     return 0
 
 
-def _logged(path: Path, session: "Session", offset_s: float | None) -> "tuple[tuple[LoggedTurn, ...], dict[str, Any]]":
-    """Return the dwells of a table's log on the recordings, and what is stated of them."""
+def _logged(
+    path: Path, session: "Session", offset_s: float | None
+) -> "tuple[tuple[LoggedTurn, ...], dict[str, Any], tuple[Finding, ...]]":
+    """Return the dwells of a table's log on the recordings, what is stated of them, and what speaks against their unit."""
     from undrift.rate_log import RateLogSettings, align_clocks, cut_dwells, read_rate_log
 
     log, settings = read_rate_log(path), RateLogSettings(offset_s=offset_s)
@@ -132,7 +142,28 @@ def _logged(path: Path, session: "Session", offset_s: float | None) -> "tuple[tu
         for each in clocks
     ]
     largest_dps = max(each.uncertainty for each in turns) / RADIAN_PER_DEGREE
-    return turns, {"dwells": len(turns), "left_out": missed, "largest_uncertainty_dps": largest_dps, "clocks": shown}
+    return (
+        turns,
+        {"dwells": len(turns), "left_out": missed, "largest_uncertainty_dps": largest_dps, "clocks": shown},
+        _unit_in_doubt(session, turns),
+    )
+
+
+def _unit_in_doubt(session: "Session", turns: "tuple[LoggedTurn, ...]") -> "tuple[Finding, ...]":
+    import numpy as np
+
+    from undrift.calibration.checks import range_in_doubt
+
+    pairs = [(session.records[one.turn.recording], one.turn) for one in turns]
+    rates = [
+        (np.linalg.norm(np.nanmean(record.gyro[turn.start : turn.stop], axis=0)) / abs(turn.turn_rate), record.gyro)
+        for record, turn in pairs
+        if turn.turn_rate and record.gyro is not None and record.gyro_unit == "count"
+    ]
+    if not rates:
+        return ()
+    scale, largest = np.median([one for one, _ in rates]), max(np.nanmax(np.abs(gyro)) for _, gyro in rates)
+    return range_in_doubt(float(scale), float(largest))
 
 
 NOTABLE_DRIFT = 1e-3  # a scale factor is wrong by as much where the table's clock is the wrong one

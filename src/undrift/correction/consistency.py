@@ -25,7 +25,7 @@ from undrift.findings import Finding, finding
 from undrift.frames import rotate
 from undrift.model import Calibration
 from undrift.record import Record, Still, TemperatureSensitivity
-from undrift.segments import StillSettings, find_still
+from undrift.segments import StillSettings, find_saturated, find_still
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical, si_factor
 
 WINDOWS_S = (4.0, 1.0)  # long ones average motion out; a short recording has but short ones
@@ -121,7 +121,7 @@ def check_triads(record: Record) -> tuple[Finding, ...]:
     Nothing is looked at where a triad is missing or in counts; none where they agree, or where the motion does not show it.
     """
     check_force(record)
-    return _agreeing(record)
+    return (*find_saturated(record), *_agreeing(record))
 
 
 def _agreeing(record: Record) -> tuple[Finding, ...]:

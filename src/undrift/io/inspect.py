@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from undrift.arrays import BoolArray, FloatArray, IntArray
+from undrift.arrays import BoolArray, FloatArray
 from undrift.errors import InputError
 from undrift.files import read_bytes
 from undrift.findings import Finding, finding
@@ -44,6 +44,7 @@ from undrift.io.reference import native_reference
 from undrift.io.session import read_column_map, read_session
 from undrift.io.text import MARK, Text, open_text, parse_text
 from undrift.record import Record, Reference
+from undrift.segments import STUCK, find_saturated
 from undrift.units import RADIAN_PER_DEGREE, SI_UNIT, STANDARD_GRAVITY, is_physical, si_factor
 
 # ---- symptoms
@@ -53,7 +54,6 @@ ROOM_C = (-10.0, 45.0)
 JUMP_C = 5.0  # between two samples
 REST_TURN_RATE = 0.35  # rad/s, 20 deg/s: no gyroscope's offset
 UNEVEN = 0.1  # of the median step, between quartiles
-STUCK = 8  # samples in a row at the largest reading
 
 
 def find_symptoms(record: Record) -> tuple[Finding, ...]:
@@ -62,7 +62,7 @@ def find_symptoms(record: Record) -> tuple[Finding, ...]:
     for name in ("gyro", "accel"):
         if getattr(record, name) is not None:
             found += _axes(name, getattr(record, name))
-    return tuple(found)
+    return (*found, *find_saturated(record))
 
 
 def gaps_of(record: Record) -> int:
@@ -169,20 +169,6 @@ def _axes(channel: str, values: FloatArray) -> Iterator[Finding]:
         if column.min() == column.max():
             yield finding("recording.dead_axis", "warn", channel=channel, axis=axis)
             continue
-        for limit, stuck in saturated_runs(column):
-            longest = (stuck[:, 1] - stuck[:, 0]).max()
-            yield finding("recording.saturated", "warn", channel=channel, axis=axis, reading=limit, count=longest)
-
-
-def saturated_runs(column: FloatArray) -> Iterator[tuple[float, IntArray]]:
-    """Return each limit at which readings (N,) stick far from their middle, and the stretches (R, 2) in which they do."""
-    middle = np.nanmedian(column)
-    spread = float(np.nanmedian(np.abs(column - middle)))
-    for limit in (np.nanmax(column), np.nanmin(column)):
-        stuck = np.flatnonzero(np.diff(np.concatenate(([0], (column == limit).astype(np.int8), [0])))).reshape(-1, 2)
-        stuck = stuck[stuck[:, 1] - stuck[:, 0] >= STUCK]
-        if len(stuck) and abs(limit - middle) > 10.0 * spread > 0.0:
-            yield float(limit), stuck
 
 
 # ---- guesses for a person, never for a reader: what a foreign table might be, and the map that it may need
