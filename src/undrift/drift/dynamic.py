@@ -88,8 +88,7 @@ class Cubics:
         z = (np.arange(self.intervals)[:, None] * step + 0.5 * step * (at + 1.0)).ravel()
         spline = BSpline(self.knots, np.eye(self.intervals + 3), 3)
         y: FloatArray = np.asarray(spline(z, nu=derivative))
-        made: FloatArray = y.T @ (y * np.tile(0.5 * step * weight, self.intervals)[:, None])
-        return made
+        return np.asarray(y.T @ (y * np.tile(0.5 * step * weight, self.intervals)[:, None]))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -108,14 +107,12 @@ class Surface:
 
     def at(self, turn_rate: FloatArray, temp_c: FloatArray) -> FloatArray:
         """Return e at points (n,), rad/s."""
-        e: FloatArray = _design(self.rate, self.temp, turn_rate, temp_c) @ self.coefficients
-        return e
+        return np.asarray(_design(self.rate, self.temp, turn_rate, temp_c) @ self.coefficients)
 
     def uncertainty(self, turn_rate: FloatArray, temp_c: FloatArray) -> FloatArray:
         """Return the standard uncertainty of e at points (n,), rad/s."""
         x = _design(self.rate, self.temp, turn_rate, temp_c)
-        deviation: FloatArray = np.sqrt(np.maximum(np.einsum("np,np->n", x @ self.covariance, x), 0.0))
-        return deviation
+        return np.asarray(np.sqrt(np.maximum(np.einsum("np,np->n", x @ self.covariance, x), 0.0)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

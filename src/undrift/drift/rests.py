@@ -184,8 +184,7 @@ def specific_force(blocks: RestBlocks, calibration: Calibration | None) -> Float
     model = None if calibration is None else calibration.accel
     if model is None or not np.isfinite(blocks.accel).all():
         return None
-    force: FloatArray = (blocks.accel - model.offset) @ model.matrix.T
-    return force
+    return np.asarray((blocks.accel - model.offset) @ model.matrix.T)
 
 
 # ---- temperature cells
@@ -393,13 +392,11 @@ def variance_of_mean(value: FloatArray, variance: FloatArray, step_error: FloatA
         return noise
     left = np.nanmean(step_error, axis=0)
     crossed = np.ptp(value, axis=0) / np.maximum(_STEP_PER_ERROR * left, 1e-300)
-    total: FloatArray = noise + left**2 / (1.0 + np.where(left > 0.0, crossed, 0.0))
-    return total
+    return np.asarray(noise + left**2 / (1.0 + np.where(left > 0.0, crossed, 0.0)))
 
 
 def _rho(lag_s: FloatArray) -> FloatArray:
-    kept: FloatArray = np.exp(-np.asarray(lag_s)[..., None] / _TIME_CONSTANTS_S).mean(axis=-1)
-    return kept
+    return np.asarray(np.exp(-np.asarray(lag_s)[..., None] / _TIME_CONSTANTS_S).mean(axis=-1))
 
 
 def _good(value: FloatArray, pose: IntArray) -> BoolArray:
@@ -500,8 +497,7 @@ def excess(taken: FloatArray, size: float, mean: FloatArray, covariance: FloatAr
 
 def pooled(variance: FloatArray, freedom: int) -> FloatArray:
     """Return variances of the three axes, (3,), drawn towards their mean: sensors of one triad are alike."""
-    drawn: FloatArray = (freedom * variance + _ALIKE * variance.mean()) / (freedom + _ALIKE)
-    return drawn
+    return np.asarray((freedom * variance + _ALIKE * variance.mean()) / (freedom + _ALIKE))
 
 
 # ---- sessions of one device: how much the offset moves from one switch-on to the next

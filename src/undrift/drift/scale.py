@@ -361,8 +361,7 @@ def _variance(variance: FloatArray, reading: FloatArray) -> FloatArray:
     known = np.isfinite(variance) & (variance > 0.0)
     least = (1e-9 * np.maximum(np.abs(reading).max(axis=0), 1e-30)) ** 2
     middle = np.array([np.median(v[ok]) if ok.any() else 0.0 for v, ok in zip(variance.T, known.T, strict=True)])
-    filled: FloatArray = np.maximum(np.where(known, variance, middle), least)
-    return filled
+    return np.asarray(np.maximum(np.where(known, variance, middle), least))
 
 
 def gyro_model(calibration: Calibration) -> TriadModel:

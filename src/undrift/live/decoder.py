@@ -412,8 +412,7 @@ def frame_fields(pack: str, channels: int) -> np.dtype[np.void]:
 
 def finite(rows: FloatArray) -> FloatArray:
     """Return the rows without infinity, which no device means: rows (N, K) -> (M, K)."""
-    sound: FloatArray = rows[~np.isinf(rows).any(axis=1)]
-    return sound
+    return np.asarray(rows[~np.isinf(rows).any(axis=1)])
 
 
 def decoder_for(description: StreamDescription) -> LineDecoder | FrameDecoder:

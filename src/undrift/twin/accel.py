@@ -61,10 +61,9 @@ class Match:
     @property
     def moving(self) -> BoolArray:
         """True within the motion, half a second of rest on either side included, shape (N,)."""
-        inside: BoolArray = (self.record.time >= self.span.start_s - _LEAD_S) & (
-            self.record.time < self.span.stop_s + _LEAD_S
+        return np.asarray(
+            (self.record.time >= self.span.start_s - _LEAD_S) & (self.record.time < self.span.stop_s + _LEAD_S)
         )
-        return inside
 
     @property
     def rest(self) -> Record:
@@ -158,8 +157,7 @@ def lever_matrix(motion: Motion) -> FloatArray:
     x, y, z = motion.angular_acceleration_b.T
     zero = np.zeros_like(x)
     cross = np.stack((zero, -z, y, z, zero, -x, -y, x, zero), axis=1).reshape(-1, 3, 3)
-    lever: FloatArray = outer + cross
-    return lever
+    return np.asarray(outer + cross)
 
 
 def accel_rows(match: Match, *, delay_s: float, matrix: FloatArray, gravity_m_s2: float, cutoff_hz: float) -> AccelRows:

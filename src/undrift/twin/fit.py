@@ -98,8 +98,7 @@ def polar_rotation(matrix: FloatArray) -> tuple[FloatArray, FloatArray]:
 
     def of(m: FloatArray) -> FloatArray:
         left, _, right = np.linalg.svd(m)
-        vector: FloatArray = Rotation.from_matrix(left @ right).as_rotvec()
-        return vector
+        return np.asarray(Rotation.from_matrix(left @ right).as_rotvec())
 
     step = 1e-6
     columns = [(of(matrix + d) - of(matrix - d)) / (2.0 * step) for d in step * np.eye(9).reshape(9, 3, 3)]
@@ -120,8 +119,7 @@ def spread_of(values: FloatArray, prior: float, weight: float = 2.0) -> FloatArr
     s^2 = (sum (x - mean)^2 + k s0^2) / (n - 1 + k): a single recording gives the prior s0.
     """
     square = ((values - values.mean(axis=0)) ** 2).sum(axis=0)
-    spread: FloatArray = np.sqrt((square + weight * prior**2) / (len(values) - 1 + weight))
-    return spread
+    return np.asarray(np.sqrt((square + weight * prior**2) / (len(values) - 1 + weight)))
 
 
 def mean_with_error(values: Sequence[float] | FloatArray, errors: Sequence[float] | FloatArray) -> tuple[float, float]:
@@ -203,8 +201,7 @@ def _likely(f: FloatArray, density: FloatArray, averaged: float, *, rate: float,
 def _shape(f: FloatArray, bandwidth: float, rate: float) -> FloatArray:
     # What lies above half the sample rate folds back into the band.
     images = np.abs(f[:, None] + rate * np.arange(-_IMAGES, _IMAGES + 1))
-    shape: FloatArray = (1.0 / (1.0 + (images / bandwidth) ** 4)).sum(axis=1)
-    return shape
+    return np.asarray((1.0 / (1.0 + (images / bandwidth) ** 4)).sum(axis=1))
 
 
 def _cost(whitened: FloatArray, shape: FloatArray, averaged: float) -> float:

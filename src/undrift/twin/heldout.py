@@ -138,8 +138,7 @@ class HeldOutMotion:
 
     def corrected(self, readings: FloatArray, offset: FloatArray) -> FloatArray:
         """Return readings (N, 3) corrected by the twin's matrix and an offset (3,), rad/s."""
-        done: FloatArray = (readings - offset) @ self.twin.gyro.triad.model.matrix.T
-        return done
+        return np.asarray((readings - offset) @ self.twin.gyro.triad.model.matrix.T)
 
     def simulated(self, device: DeviceModel, rng: np.random.Generator) -> FloatArray:
         """Return a device's readings of the motion, (N, 3) rad/s, corrected as the real readings are."""
@@ -263,8 +262,7 @@ class Ending:
     @property
     def interval(self) -> FloatArray:
         """Central 95 % of the draws, shape (2, 2): low and high of total and inclination, rad."""
-        interval: FloatArray = np.percentile(self.simulated, _WITHIN, axis=0).T
-        return interval
+        return np.asarray(np.percentile(self.simulated, _WITHIN, axis=0).T)
 
     @property
     def covered(self) -> tuple[bool, bool]:

@@ -141,8 +141,7 @@ def _without(nuisance: FloatArray, values: FloatArray) -> FloatArray:
     """Return values (n, 2) less what nuisance columns (n, p) explain."""
     size = np.linalg.norm(nuisance, axis=0)
     kept = nuisance[:, size > 0.0] / size[size > 0.0]
-    left: FloatArray = values - kept @ np.linalg.lstsq(kept, values, rcond=1e-9)[0]
-    return left
+    return np.asarray(values - kept @ np.linalg.lstsq(kept, values, rcond=1e-9)[0])
 
 
 def _rows(match: Match, gyro: Gyro, accel_delay: float, gravity_m_s2: float) -> Iterator[tuple[FloatArray, FloatArray]]:
@@ -180,5 +179,4 @@ def _band(values: FloatArray, rate_hz: float) -> FloatArray:
     """Return columns (N, C) within the band, without delay."""
     from scipy.signal import butter, sosfiltfilt
 
-    passed: FloatArray = sosfiltfilt(butter(_ORDER, BAND_HZ, "bandpass", fs=rate_hz, output="sos"), values, axis=0)
-    return passed
+    return np.asarray(sosfiltfilt(butter(_ORDER, BAND_HZ, "bandpass", fs=rate_hz, output="sos"), values, axis=0))
