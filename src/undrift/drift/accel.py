@@ -219,8 +219,7 @@ def warm_poses(rests: RestBlocks, model: TriadModel) -> WarmPoses:
             "them usable; check the temperature column and the gaps"
         )
     used = rests.taken(rows[np.argsort(rests.temp_c[rows], kind="stable")])
-    labels = np.column_stack((bins_of(used.temp_c, _GROUP_C), used.pose))
-    which, inside = np.unique(labels, axis=0, return_inverse=True)
+    which, inside = np.unique(np.column_stack((bins_of(used.temp_c, _GROUP_C), used.pose)), axis=0, return_inverse=True)
     inside = inside.reshape(-1)
     count = np.bincount(inside)[:, None]
 

@@ -265,8 +265,7 @@ def _scale_verdict(against: FloatArray, soaks: SoakMatrices, reference_temp_c: f
     level = level_of(float((np.abs(off) - allowed).max()), _SCALE_OFF)
     if level == "info":
         return Verdict()
-    limit = 100.0 * _SCALE_OFF[0]
-    return Verdict.of(finding("drift.scale_differs", level, percent=100.0 * off, limit_percent=limit))
+    return Verdict.of(finding("drift.scale_differs", level, percent=100.0 * off, limit_percent=100.0 * _SCALE_OFF[0]))
 
 
 def offsets_verdict(static: StaticFit, device: Calibration) -> Verdict:

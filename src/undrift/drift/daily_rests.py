@@ -145,8 +145,7 @@ def _cells(session: Session, base: Calibration, settings: LearnSettings) -> _Cel
     offsets = gyro_offsets(blocks, base, None) if useful.any() else None
     if offsets is None:
         return _Cells(turning=turning, notes=notes)
-    value = offsets.value - _warm_up(base, offsets.blocks, settings.power_on_s)
-    offsets = replace(offsets, value=value)
+    offsets = replace(offsets, value=offsets.value - _warm_up(base, offsets.blocks, settings.power_on_s))
     used = np.unique(of_still)
     turn_raw = turn[useful][:, None] * raw_per_si(base.gyro)
     parts = [_parts(offsets, np.flatnonzero(of_still == number), turn_raw) for number in used]

@@ -86,8 +86,7 @@ class Cubics:
         at, weight = np.polynomial.legendre.leggauss(4)
         step = 1.0 / self.intervals
         z = (np.arange(self.intervals)[:, None] * step + 0.5 * step * (at + 1.0)).ravel()
-        spline = BSpline(self.knots, np.eye(self.intervals + 3), 3)
-        y: FloatArray = np.asarray(spline(z, nu=derivative))
+        y: FloatArray = np.asarray(BSpline(self.knots, np.eye(self.intervals + 3), 3)(z, nu=derivative))
         return np.asarray(y.T @ (y * np.tile(0.5 * step * weight, self.intervals)[:, None]))
 
 
@@ -402,5 +401,4 @@ def _design(rate: Cubics, temp: Cubics, turn_rate: FloatArray, temp_c: FloatArra
 
 def _vanishing(rate: Cubics) -> FloatArray:
     """Return combinations of the splines, one a column, that are zero at rate zero."""
-    at_zero = rate.at(np.zeros(1))
-    return np.asarray(np.linalg.svd(at_zero)[2][1:].T)
+    return np.asarray(np.linalg.svd(rate.at(np.zeros(1)))[2][1:].T)

@@ -234,8 +234,7 @@ class _Prior:
         factor = np.array([own.factor, own.factor, own.factor, own.bend_factor])[:, None] ** z
         middle = np.array([own.turn_on, own.ageing / _MONTH**0.5, own.rest, own.bend])
         turn_on, ageing, rest, bend = raw * middle[:, None] * factor
-        shared = turn_on**2 / self.sessions
-        grown = shared[:, None, None] + (bend**2)[:, None, None] * self.bending
+        grown = (turn_on**2 / self.sessions)[:, None, None] + (bend**2)[:, None, None] * self.bending
         return _Point(turn_on=turn_on, ageing=ageing, rest=rest, covariance=self.covariance[axis] + grown)
 
 
@@ -445,8 +444,7 @@ def _table(
         if old.gyro_offset is not None:
             marks = np.zeros(len(old.temp_c), bool) if old.gyro_extrapolated is None else old.gyro_extrapolated
             inside = (nodes >= old.temp_c[0]) & (nodes <= old.temp_c[-1])
-            nearest = np.abs(nodes[:, None] - old.temp_c).argmin(axis=1)
-            far &= ~inside | marks[nearest]
+            far &= ~inside | marks[np.abs(nodes[:, None] - old.temp_c).argmin(axis=1)]
     made = replace(
         held,
         gyro_offset=np.stack([axis.offset for axis in axes], axis=1),

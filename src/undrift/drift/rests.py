@@ -307,8 +307,7 @@ def _visits(blocks: RestBlocks, parts: list[IntArray], width: float) -> list[Int
     visits: list[IntArray] = []
     for rows in parts:
         rows = rows[np.argsort(blocks.temp_c[rows], kind="stable")]
-        bins = bins_of(blocks.temp_c[rows], width)
-        for inside in np.split(rows, np.flatnonzero(np.diff(bins)) + 1):
+        for inside in np.split(rows, np.flatnonzero(np.diff(bins_of(blocks.temp_c[rows], width))) + 1):
             inside = inside[np.argsort(place[inside])]
             away = np.cumsum(np.abs(temp_c - blocks.temp_c[inside].mean()) > _LEFT_C + width)[place[inside]]
             visits += np.split(inside, np.flatnonzero(np.diff(away)) + 1)
@@ -491,8 +490,7 @@ def excess(taken: FloatArray, size: float, mean: FloatArray, covariance: FloatAr
     """Return the variance of an effect, (3,): squares of combinations of the means, less what their covariance explains.
     taken (q, N), size the sum of squares of the effect's coefficients, mean (N, 3), covariance (3, N, N)."""
     square = ((taken @ mean) ** 2).sum(axis=0)
-    expected = np.einsum("ij,kjl,il->k", taken, covariance, taken)
-    return np.asarray(np.maximum(square - expected, 0.0) / size)
+    return np.asarray(np.maximum(square - np.einsum("ij,kjl,il->k", taken, covariance, taken), 0.0) / size)
 
 
 def pooled(variance: FloatArray, freedom: int) -> FloatArray:
@@ -622,8 +620,7 @@ def _g_sensitivity(between: RestScatter, force: FloatArray) -> tuple[FloatArray,
     left, size, right = np.linalg.svd(left_out @ poses, full_matrices=False)
     kept = size > _RESOLVED  # the pseudo-inverse without directions that are hardly resolved
     of_pose = (right[kept].T / size[kept]) @ left[:, kept].T @ left_out
-    effect = float(((of_pose @ poses) ** 2).sum())
-    pose_variance = pooled(excess(of_pose, effect, between.mean, covariance), spare)
+    pose_variance = pooled(excess(of_pose, float(((of_pose @ poses) ** 2).sum()), between.mean, covariance), spare)
     covariance = covariance + pose_variance[:, None, None] * (poses @ poses.T)
     found = (taken @ between.mean).T
     known = widening_of(spare + 2.0) * np.einsum("ij,kjl,ml->kim", taken, covariance, taken)

@@ -121,8 +121,7 @@ def default_smooth_s(lag_s: float, *, noise_c: float, interval_s: float, step_c:
     blurred = noise_c >= DITHERED * step_c
     white = math.hypot(noise_c, step_c / math.sqrt(12.0) if blurred else 0.0) * math.sqrt(min(interval_s, 1.0))
     noise = white if blurred else math.hypot(white, step_c / math.sqrt(12.0))
-    balance = math.sqrt(noise * lag_s / (RAMP_C_PER_MIN / 60.0))
-    return min(0.5 * lag_s, max(0.05 * lag_s, balance, interval_s))
+    return min(0.5 * lag_s, max(0.05 * lag_s, math.sqrt(noise * lag_s / (RAMP_C_PER_MIN / 60.0)), interval_s))
 
 
 def _check_times(lag_s: float, smooth_s: float) -> None:

@@ -298,8 +298,7 @@ class ByteSource:
         try:
             data = self._port.receive(wait_s)
         except (OSError, EOFError) as error:
-            got = reason_of(error)
-            raise LinkError(f"{self.name}: wanted readings, got a lost link: {got}; reconnect") from error
+            raise LinkError(f"{self.name}: wanted readings, got a lost link: {reason_of(error)}; reconnect") from error
         self._came += len(data)
         garbled = self._decoder.errors
         rows = self._decoder.feed(data, whole=self._port.datagrams) if data else np.empty((0, 0))

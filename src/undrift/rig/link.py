@@ -367,8 +367,7 @@ class GclibPort:
     def resynchronise(self) -> None:
         """Ask for a number until the answer is that number."""
         for token in (41_001, 41_002, 41_003):
-            answer = (self.ask(f"MG {token}") or "").strip().lstrip("0")
-            if answer.split(".")[0] == str(token):
+            if (self.ask(f"MG {token}") or "").strip().lstrip("0").split(".")[0] == str(token):
                 return
         raise LinkError(f"{self.name}: wanted answers in step with their commands, got others; reconnect")
 

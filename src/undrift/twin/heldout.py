@@ -317,8 +317,7 @@ def _simulated(held: HeldOutMotion, rng: np.random.Generator, draws: int) -> Flo
         device, change = _drawn(held, rng)
         motion = _turning(time, rate + inside[:, None] * change)
         readings = _read(device, motion, rng)
-        rest = readings[:first].mean(axis=0)
-        for k, offset in enumerate((np.zeros(3), rest)):
+        for k, offset in enumerate((np.zeros(3), readings[:first].mean(axis=0))):
             q = integrate_strapdown(readings[first:] - offset, time[first:], tilted)
             error = compare_orientations(q[ends], truth[ends])
             out[k, d] = np.median(error.total), np.median(error.inclination)
@@ -330,15 +329,13 @@ def _drawn(held: HeldOutMotion, rng: np.random.Generator) -> tuple[DeviceModel, 
     twin, gyro = held.twin, held.twin.gyro
     step = rng.multivariate_normal(np.zeros(12), gyro.triad.model.covariance[:12, :12], method="eigh")
     matrix = gyro.triad.model.matrix + step[:9].reshape(3, 3)
-    n = len(gyro.rest_offsets)
-    again = np.sqrt(1.0 + 1.0 / n)  # the mean of n and one more recording
+    again = np.sqrt(1.0 + 1.0 / len(gyro.rest_offsets))  # the mean of n and one more recording
     spread = spread_of(gyro.rest_offsets, twin.settings.offset_spread)
     rest = gyro.rest_offsets.mean(axis=0) + again * spread * rng.standard_normal(3)
     moved = again * twin.settings.motion_offset_spread * rng.standard_normal(3)
     change = matrix @ (gyro.motion_offset + step[9:] + moved)
     chain = chain_of(matrix, rest, None, "rad/s")
-    device = replace(held.device, gyro=replace(held.device.gyro, scale=chain.scale, offset=Offset(constant=rest)))
-    return device, change
+    return replace(held.device, gyro=replace(held.device.gyro, scale=chain.scale, offset=Offset(constant=rest))), change
 
 
 def _turning(time: FloatArray, rate: FloatArray) -> Motion:

@@ -154,16 +154,14 @@ def _rows(match: Match, gyro: Gyro, accel_delay: float, gravity_m_s2: float) -> 
     felt_at = match.at(delay + accel_delay, gravity_m_s2)
     turn_rate = (match.gyro - offset) @ matrix.T
     lever, edge = lever_matrix(felt_at), int(np.ceil(_EDGE / BAND_HZ[0] * rate))
-    both = np.hstack((match.gyro, readings))
-    for rows in stretches(match, felt_at, both):
+    for rows in stretches(match, felt_at, np.hstack((match.gyro, readings))):
         time = match.record.time[rows]
         if len(time) < 3 * edge:
             continue
         q = gyro_at.q_nb[rows]
         turned = integrate_strapdown(turn_rate[rows], time, q[0])
         apart = _band(rotation_vector(quaternion_product(q, quaternion_conjugate(turned))), rate)
-        slope = np.gradient(readings[rows], axis=0) * rate
-        columns = force_columns(readings[rows], felt_at, lever, rows, slope)
+        columns = force_columns(readings[rows], felt_at, lever, rows, np.gradient(readings[rows], axis=0) * rate)
         force = columns[:, :, 16]
         felt = columns[:, :, [0, 4, 8]].sum(axis=2) - force
         second = np.gradient(np.gradient(apart, axis=0), axis=0) * rate**2

@@ -179,8 +179,7 @@ def _autocovariance(chain: SensorChain, axis: int) -> FloatArray:
 
 def _weights(covariance: FloatArray, samples: float) -> FloatArray:
     """Return how much each lag counts in the variance of a mean."""
-    lag = np.arange(len(covariance))
-    weights: FloatArray = 2.0 * np.maximum(samples - lag, 0.0) / samples**2
+    weights: FloatArray = 2.0 * np.maximum(samples - np.arange(len(covariance)), 0.0) / samples**2
     weights[0] *= 0.5
     return weights
 

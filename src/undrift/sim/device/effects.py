@@ -511,8 +511,7 @@ def interval(means: FloatArray, time: FloatArray, at: FloatArray, delay_s: Float
     """Return the mean of a signal since the sample before, from its means over the steps of its own grid."""
     from scipy.interpolate import CubicSpline
 
-    steps = np.diff(time, prepend=time[0])
-    integral = np.cumsum(means * steps[:, None], axis=0)
+    integral = np.cumsum(means * np.diff(time, prepend=time[0])[:, None], axis=0)
     out = np.empty((len(at), 3))
     for k in range(3):
         taken = at + delay_s[k]

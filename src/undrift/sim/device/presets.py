@@ -263,8 +263,7 @@ def _serial_of(device: DeviceModel) -> str:
 
     from undrift.sim.device.model import device_json
 
-    text = json.dumps(device_json(device), sort_keys=True)
-    return f"SIM-{hashlib.sha256(text.encode()).hexdigest()[:12].upper()}"
+    return f"SIM-{hashlib.sha256(json.dumps(device_json(device), sort_keys=True).encode()).hexdigest()[:12].upper()}"
 
 
 def typical_device(grade: Grade, *, serial: str = "typical") -> DeviceModel:

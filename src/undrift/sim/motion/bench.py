@@ -123,8 +123,7 @@ def _driven(script: Script, settings: RivalSettings, streams: Streams, kind: Riv
 def _shake(settings: RivalSettings, rail: np.random.Generator) -> Course:
     if settings.shake == 0.0:
         return ()
-    span = (0.0, settings.run_s)
-    return (draw_lines(rail, lambda f: f**-4.0, band_hz=RAIL_SHAKE_HZ, rms=settings.shake, span=span),)
+    return (draw_lines(rail, lambda f: f**-4.0, band_hz=RAIL_SHAKE_HZ, rms=settings.shake, span=(0.0, settings.run_s)),)
 
 
 def _inclined_plane(script: Script, settings: RivalSettings, streams: Streams) -> None:
@@ -292,8 +291,7 @@ def _erring_rates(script: Script, settings: BenchSettings, table: TableErrors, s
     off_level, gain = _level_of(table, streams), _gain_of(table, streams)
     bearing.normal(size=2), motor.normal()  # level and gain are the first draws of these two
     for axis, face in zip(AXES, UPS, strict=True):
-        unit = unit_vector(axis)
-        turned = _off(unit, mount.normal(0.0, table.mount_tilt_sd, 3))
+        turned = _off(unit_vector(axis), mount.normal(0.0, table.mount_tilt_sd, 3))
         level = facing(script.q, turned)  # the table's axis upright in n, then off level
         if table.level_sd > 0.0:
             level = quaternion_product(off_level, level)
@@ -329,8 +327,7 @@ def _off(axis_b: FloatArray, tilt: FloatArray) -> FloatArray:
 
 
 def _hand_turns(script: Script, settings: BenchSettings, streams: Streams) -> None:
-    tilts = streams.of("hand").normal(0.0, settings.hand_tilt_sd, (3, 3))
-    for axis, tilt in zip(AXES, tilts, strict=True):
+    for axis, tilt in zip(AXES, streams.of("hand").normal(0.0, settings.hand_tilt_sd, (3, 3)), strict=True):
         unit = unit_vector(axis)
         script.lay(facing(script.q, unit), settings.move_s)
         script.still(settings.still_s)

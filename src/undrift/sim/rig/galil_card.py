@@ -113,8 +113,7 @@ SETTINGS = {
 
 def shown(value: float, digits: int, decimals: int, bare: bool) -> str:
     """Return a number as the card prints it: a sign or a blank, leading zeros unless LZ1, a fixed count of decimals."""
-    text = f"{abs(value):.{decimals}f}"
-    whole, point, fraction = text.partition(".")
+    whole, point, fraction = f"{abs(value):.{decimals}f}".partition(".")
     if len(whole) > digits:
         whole, fraction = "9" * digits, "9" * len(fraction)
     if not bare:
@@ -415,8 +414,7 @@ def limits_closed(card: Card) -> tuple[bool, bool]:
 
 
 def _speed_scale(card: Card) -> float:
-    period = card.axis.coefficients.period
-    return card.servo.period_s / period if card.settings.speeds_follow_sample_time else 1.0
+    return card.servo.period_s / card.axis.coefficients.period if card.settings.speeds_follow_sample_time else 1.0
 
 
 def _coefficients(card: Card) -> Coefficients:
@@ -638,10 +636,8 @@ def record(card: Card) -> str:
         *(_long(value_of(card, word)) for word in ("RP", "TP", "TE", "TD", "TV")),
         max(-32_768, min(32_767, round(values[k.VOLTAGE] * 32_767.0 / 10.0))), 0,
     )  # fmt: skip
-    general = struct.pack("<HBBBB", card.ticks & 0xFFFF, 0xFF, 0, card.error_code & 0xFF, 0)
-    body = general + block
-    header = struct.pack("<BBH", 0x85, 0x01, len(body) + 4)
-    return (header + body).decode("latin-1")
+    body = struct.pack("<HBBBB", card.ticks & 0xFFFF, 0xFF, 0, card.error_code & 0xFF, 0) + block
+    return (struct.pack("<BBH", 0x85, 0x01, len(body) + 4) + body).decode("latin-1")
 
 
 def _long(value: float) -> int:

@@ -85,8 +85,7 @@ def _assign(card: Card, text: str) -> str:
     if expression:
         card.variables[name] = evaluate(card, expression)
         return ""
-    value = variable_value(card, name)
-    return shown(value, *places(card.values["VF"]), card.values["LZ"] == 1.0) + CRLF
+    return shown(variable_value(card, name), *places(card.values["VF"]), card.values["LZ"] == 1.0) + CRLF
 
 
 def _argument(rest: str) -> str:

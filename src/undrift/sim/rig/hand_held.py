@@ -191,8 +191,7 @@ class HandHeldDevice(EmulatedDevice):
         draw, each = self._hands, math.sqrt(2.0 / WAVES)
         frequency, phase = draw.uniform(*TREMOR_HZ, (WAVES, 3)), draw.uniform(0.0, 2.0 * math.pi, (WAVES, 3))
         sizes = self.hands.tremor * each / (2.0 * math.pi * frequency), np.full((WAVES, 3), self.hands.shake * each)
-        tremor = np.stack((*sizes, frequency, phase))
-        self._moves.append(Move(start, duration, q, axis, angle, tremor=tremor, **more))
+        self._moves.append(Move(start, duration, q, axis, angle, tremor=np.stack((*sizes, frequency, phase)), **more))
         # what was sent needs no past but that of the last step
         past = [k for k, move in enumerate(self._moves) if move.stop < self.clock.now() - 1.0]
         del self._moves[: past[-1] if past else 0]

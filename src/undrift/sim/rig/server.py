@@ -362,8 +362,7 @@ class Server:
 
     def _queue(self, client: _Client, answer: bytes) -> None:
         if answer:
-            free_at = client.pending[-1][0] if client.pending else 0.0
-            client.pending.extend(self._link.pass_on(answer, free_at))
+            client.pending.extend(self._link.pass_on(answer, client.pending[-1][0] if client.pending else 0.0))
 
     def _speak(self, client: _Client) -> None:
         self._queue(client, client.session.unasked())

@@ -61,8 +61,7 @@ class CausalDevice:
         for (chain, pasts), x in zip(self._chains, moved, strict=True):
             *_, (_, felt) = chain.stages(x, scene, pasts)
             read.append(converted(chain.reading(felt), chain.adc)[0] if chain.adc else chain.reading(felt))
-        shown = thermometer.shown(thermometer.felt(scene, self._thermometer), self._thermometer.rng)
-        return read[0], read[1], shown
+        return read[0], read[1], thermometer.shown(thermometer.felt(scene, self._thermometer), self._thermometer.rng)
 
 
 # ---- How the emulated device writes its readings: lines with an XOR behind a star, or frames with sync bytes and a CRC-16.
@@ -151,8 +150,7 @@ class EmulatedDevice(Served, Machine):
         self._mount(settings.face)
         self._last_rate: FloatArray | None = None
         # Compile what takes readings before the first is due: its stream would begin with a backlog of as many seconds
-        first = CausalDevice(device, self._step, np.random.default_rng(0))
-        first.read(*self._scene(np.array([clock.now()])))
+        CausalDevice(device, self._step, np.random.default_rng(0)).read(*self._scene(np.array([clock.now()])))
         self._next = 1 + int(clock.now() / self._step + 1e-6)  # reading k is taken at k steps
         self._last_rate = None
         self.serve(self, (settings.host, settings.port), settings.seed)
