@@ -59,6 +59,12 @@ class Denied(Exception):
         self.code = code
 
 
+def deny_if(wrong: object, code: int) -> None:
+    """Deny a line where something is wrong."""
+    if wrong:
+        raise Denied(code)
+
+
 @dataclass(slots=True)
 class Move:
     """What a line asks for."""
@@ -75,29 +81,24 @@ def parse_line(text: str, axes: str, *, jog: bool) -> Move:
     for letter, number in _words(text):
         name = f"{letter}{number:g}"
         key = name if letter in "GM" else letter
-        if key in seen:
-            raise Denied(25)
+        deny_if(key in seen, 25)
         seen.add(key)
         if letter in axes:
             move.target[letter] = number
         elif letter == "F":
-            if number < 0.0:
-                raise Denied(4)
+            deny_if(number < 0.0, 4)
             move.feed = number
         elif name in _DISTANCE or (name in _MOVES and not jog):
             group = "distance" if name in _DISTANCE else "motion"
-            if group in seen:
-                raise Denied(21)
+            deny_if(group in seen, 21)
             seen.add(group)
             move.relative = _DISTANCE.get(name, move.relative)
             move.rapid = _MOVES.get(name, move.rapid)
         elif name not in _HARMLESS:
             raise Denied(16 if jog else 20)
     if jog:
-        if not move.target:
-            raise Denied(26)
-        if not move.feed:
-            raise Denied(22)
+        deny_if(not move.target, 26)
+        deny_if(not move.feed, 22)
     return move
 
 
@@ -117,11 +118,9 @@ def parse_setting(text: str, known: dict[int, float]) -> tuple[int, float]:
         value = float(match.group(2))
     except ValueError:
         raise Denied(2) from None
-    if not value >= 0.0 or value > 1e9:
-        raise Denied(4)
+    deny_if(not value >= 0.0 or value > 1e9, 4)
     number = int(match.group(1))
-    if value == 0.0 and number >= 100:
-        raise Denied(4)
+    deny_if(value == 0.0 and number >= 100, 4)
     return number, value
 
 
@@ -378,8 +377,7 @@ class Board:
             return ""
         if text.startswith("$"):
             return self._dollar(text)
-        if self.state in ("Alarm", "Sleep", "Jog"):
-            raise Denied(9)
+        deny_if(self.state in ("Alarm", "Sleep", "Jog"), 9)
         move = parse_line(text, self.settings.axes, jog=False)
         if move.relative is not None:
             self.relative = move.relative
@@ -394,10 +392,8 @@ class Board:
         if text == "$X":
             self.state = "Idle" if self.state == "Alarm" else self.state
             return f"[MSG:Caution: Unlocked]{EOL}"
-        if text == "$H":
-            raise Denied(5)
-        if self.state not in ("Idle", "Alarm"):
-            raise Denied(8)
+        deny_if(text == "$H", 5)
+        deny_if(self.state not in ("Idle", "Alarm"), 8)
         if text == "$SLP":
             self.state = "Sleep"
             return f"[MSG:Sleeping]{EOL}"
@@ -409,14 +405,12 @@ class Board:
         feed = (move.feed or self.feed) if state == "Run" and not move.rapid else move.feed
         if move.rapid:
             feed = self.of_axis(110)
-        if not feed:
-            raise Denied(22)
+        deny_if(not feed, 22)
         wanted = move.target.get(self.settings.axis)
         end = self._queue[-1][0] if self._queue else self.stepper.pulses.at(max(self.clock.now(), self._ends))[0]
         relative = self.relative if move.relative is None else move.relative
         goal = end if wanted is None else (end + wanted if relative else wanted)
-        if state == "Jog" and self.values[20] == 1.0 and not -self.of_axis(130) <= goal <= 0.0:
-            raise Denied(15)
+        deny_if(state == "Jog" and self.values[20] == 1.0 and not -self.of_axis(130) <= goal <= 0.0, 15)
         steps = self.of_axis(100)
         self._queue.append((round(goal * steps) / steps, min(feed, self.of_axis(110)) / 60.0))
         if self.state == "Idle":

@@ -30,7 +30,7 @@ from undrift.sim.device.presets import random_device
 from undrift.sim.motion.bench import earth_rate
 from undrift.sim.motion.motion import SMOOTH, UNEVEN, facing, turn_quaternion, unit_vector
 from undrift.sim.rig.axes import Clock, HostClock
-from undrift.sim.rig.server import Closed, FaultyLink, LineSession, Machine, Server, Session
+from undrift.sim.rig.server import Closed, FaultyLink, LineMachine, Server
 from undrift.sim.rig.stream import EmulatedDevice, StreamSettings
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
@@ -224,21 +224,12 @@ class HandHeldDevice(EmulatedDevice):
                 upwards, trembling = move.push(times)
                 gravity_n[:, 2] += upwards
                 shake += trembling
-        to_b, temp = quaternion_conjugate(q), self._board_temp(times)
+        to_b = quaternion_conjugate(q)
         if settings.latitude_deg is not None:
             earth_b = rotate(to_b, np.broadcast_to(earth_rate(settings.latitude_deg), (n, 3)))
             acceleration = acceleration - np.cross(rate, earth_b)
             rate, mean_rate = rate + earth_b, mean_rate + earth_b
-        return Scene(
-            time=times,
-            step_s=self._step,
-            temp_c=temp,
-            warmth=temp - self.device.reference_temp_c,
-            age_s=times + settings.power_on_s,
-            rate_b=rate,
-            angular_acceleration_b=acceleration,
-            force_b=rotate(to_b, gravity_n) + shake,
-        ), mean_rate
+        return self._surroundings(times, rate, acceleration, rotate(to_b, gravity_n) + shake), mean_rate
 
 
 def _turned(before: FloatArray, after: FloatArray) -> FloatArray:
@@ -265,7 +256,7 @@ class HandHeld(Closed):
         self.device, chosen = device, clock or HostClock(speed)
         self.stream = HandHeldDevice(device, hands, chosen, stream)
         try:
-            self._operator = Server(_Operator(self.stream), FaultyLink(), (stream.host, 0))
+            self._operator = Server(LineMachine(chosen, self._told), FaultyLink(), (stream.host, 0))
         except OSError:
             self.stream.close()
             raise
@@ -295,6 +286,19 @@ class HandHeld(Closed):
         self._operator.close()
         self.stream.close()
 
+    def _told(self, line: str) -> str:
+        """Do what the operator is told."""
+        words = line.lower().split()
+        if words == ["state?"]:
+            return f"{'moving' if self.moving else 'rest'} {self.face}"
+        if words[:1] in (["face"], ["mount"]) and len(words) == 2:
+            self.lay(cast(Face, words[1]))
+        elif words[:1] == ["turn"] and len(words) == 3:
+            self.turn(cast(Axis, words[1]), _number(words[2]) * RADIAN_PER_DEGREE)
+        else:
+            raise InputError("operator: wanted 'face +x', 'turn z 360' or 'state?', got another line; send one of them")
+        return f"OK {' '.join(line.split()[1:])}"
+
 
 def start_hand_held(
     *,
@@ -311,34 +315,6 @@ def start_hand_held(
         seed = int(np.random.default_rng().integers(2**31))
     chosen = device or random_device(np.random.default_rng(seed), grade="consumer")
     return HandHeld(chosen, hands, stream or StreamSettings(seed=seed, gravity_m_s2=gravity_m_s2), speed, clock)
-
-
-class _Operator(Machine):
-    """What stands behind the operator's port."""
-
-    def __init__(self, device: HandHeldDevice) -> None:
-        super().__init__(device.clock)
-        self._device = device
-
-    def new_session(self, serial: bool) -> Session:
-        return LineSession(self._answer)
-
-    def _answer(self, line: str) -> str:
-        device, words = self._device, line.lower().split()
-        try:
-            if words == ["state?"]:
-                return f"{'moving' if device.moving else 'rest'} {device.face}"
-            if words[:1] in (["face"], ["mount"]) and len(words) == 2:
-                device.mount(cast(Face, words[1]))
-            elif words[:1] == ["turn"] and len(words) == 3:
-                device.turn(cast(Axis, words[1]), _number(words[2]) * RADIAN_PER_DEGREE)
-            else:
-                raise InputError(
-                    "operator: wanted 'face +x', 'turn z 360' or 'state?', got another line; send one of them"
-                )
-        except InputError as error:
-            return f"ERROR {error}".encode("ascii", errors="replace").decode("ascii")
-        return f"OK {' '.join(line.split()[1:])}"
 
 
 def _number(text: str) -> float:

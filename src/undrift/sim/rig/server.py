@@ -164,6 +164,24 @@ class LineSession(Session):
         return [answer.encode("ascii") + b"\n" for answer in answers if answer]
 
 
+class LineMachine(Machine):
+    """A machine whose clients give commands line by line; what it refuses is answered by ERROR."""
+
+    def __init__(self, clock: Clock, obey: Callable[[str], str]) -> None:
+        super().__init__(clock)
+        self._obey = obey
+
+    def new_session(self, serial: bool) -> Session:
+        """Make what a client talks to."""
+        return LineSession(self._answer)
+
+    def _answer(self, line: str) -> str:
+        try:
+            return self._obey(line)
+        except InputError as error:
+            return f"ERROR {error}".encode("ascii", errors="replace").decode("ascii")
+
+
 class Closed:
     """What is closed at the end of a `with` block."""
 

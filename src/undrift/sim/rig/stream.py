@@ -216,6 +216,10 @@ class EmulatedDevice(Served, Machine):
         )
         before = np.vstack((rate[:1] if self._last_rate is None else self._last_rate, rate[:-1]))
         self._last_rate = rate[-1:]
+        force = np.broadcast_to(self.settings.gravity_m_s2 * self._up, (len(times), 3))
+        return self._surroundings(times, rate, (rate - before) / self._step, force), rate
+
+    def _surroundings(self, times: FloatArray, rate: FloatArray, acceleration: FloatArray, force: FloatArray) -> Scene:
         temp = self._board_temp(times)
         return Scene(
             time=times,
@@ -224,9 +228,9 @@ class EmulatedDevice(Served, Machine):
             warmth=temp - self.device.reference_temp_c,
             age_s=times + self.settings.power_on_s,
             rate_b=rate,
-            angular_acceleration_b=(rate - before) / self._step,
-            force_b=np.broadcast_to(self.settings.gravity_m_s2 * self._up, (len(times), 3)),
-        ), rate
+            angular_acceleration_b=acceleration,
+            force_b=force,
+        )
 
     def _send(self, counts: IntArray, rows: FloatArray) -> None:
         if not self.sessions or "silence" in self._broken:
