@@ -104,12 +104,12 @@ def learn_drift(
     before = calibration.drift if held is None else held.before
     base = replace(calibration, drift=before, verdict=_verdict_before(calibration))
     new, found, used = daily_rests(sessions, calibration, base, dates, settings)
-    evidence = in_order(held, new, base)
-    if not len(evidence.temp_c):
+    if not any(part is not None and len(part.temp_c) for part in (held, *new)):
         raise NotObservable(
             "learn: wanted rests of some seconds with a known temperature, got none; "
             + "; ".join(item.text for item in found)
         )
+    evidence = in_order(held, new, base)
     nodes = _nodes(before, base, evidence)
     prior = _Prior.of(base, nodes, evidence, settings)
     kept = np.ones(len(evidence.temp_c), bool)

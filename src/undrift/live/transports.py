@@ -250,6 +250,7 @@ class ByteSource:
     """A device whose bytes come through a port."""
 
     way = "link"
+    ending = "close"  # what its port calls that
 
     def __init__(self, name: str, description: StreamDescription, connect: Callable[[], Any]) -> None:
         self.name, self.description, self.errors = name, description, 0
@@ -290,7 +291,7 @@ class ByteSource:
     def close(self) -> None:
         """Let go of the port; harmless when called again."""
         if self._port is not None:
-            self._port.close()
+            getattr(self._port, self.ending)()
             self._port = None
 
     def _poll(self, wait_s: float) -> FloatArray:
@@ -314,7 +315,7 @@ class ByteSource:
 class LslSource(ByteSource):
     """A stream of the Lab Streaming Layer."""
 
-    way = "stream"
+    way, ending = "stream", "close_stream"
 
     def __init__(self, name: str, description: StreamDescription, connect: Callable[[], Any]) -> None:
         if description.has_counter:
@@ -323,12 +324,6 @@ class LslSource(ByteSource):
             )
         stamped = replace(description, channels=(COUNTER, *description.channels), tick=1.0, counter_bits=0)
         super().__init__(name, stamped, connect)
-
-    def close(self) -> None:
-        """Let go of the stream; harmless when called again."""
-        if self._port is not None:
-            self._port.close_stream()
-            self._port = None
 
     def _poll(self, wait_s: float) -> FloatArray:
         try:

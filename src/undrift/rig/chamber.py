@@ -20,11 +20,12 @@ stated time constants of steady air (exp(-5) = 0.7 % of the step left).
 import contextlib
 import math
 import time
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections import deque
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
-from typing import Protocol, Self
+from typing import Protocol
 
 import numpy as np
 
@@ -104,7 +105,7 @@ class Steadiness:
         return near and self.slope_c_per_min() < self._settings.slope_c_per_min
 
 
-class Chamber(ABC):
+class Chamber(AbstractContextManager["Chamber"]):
     """A chamber that is connected; a context manager that lets go of it. A kind of chamber sends, reads and switches off."""
 
     near_c: float | None = None  # How near the set-point a device must come where the air has no thermometer, K
@@ -114,9 +115,6 @@ class Chamber(ABC):
         self._steadiness = Steadiness(settings.soak)
         self._set_point: float | None = None
         self._closed = False
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(self, *failure: object) -> None:
         self.close()
@@ -176,10 +174,10 @@ class Chamber(ABC):
     def _measure(self) -> float:
         """Return what its thermometer reads, degC."""
 
-    def _reconnect(self) -> None:  # noqa: B027 - a chamber by hand has no link
+    def _reconnect(self) -> None:
         """Begin the link anew."""
 
-    def _let_go(self) -> None:  # noqa: B027
+    def _let_go(self) -> None:
         """Close the link."""
 
 

@@ -18,7 +18,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, replace
 from typing import Any, Protocol, TypeAlias
 
@@ -176,16 +176,13 @@ class Receiver:
             )
 
 
-class Link:
+class Link(AbstractContextManager["Link"]):
     """A connection that is open from birth until `close`."""
 
     def __init__(self, url: str, settings: LinkSettings = LinkSettings()) -> None:
         self.name, self.settings = url, settings
         self._one_at_a_time = threading.RLock()
         self._connect()
-
-    def __enter__(self) -> "Link":
-        return self
 
     def __exit__(self, *failure: object) -> None:
         self.close()
