@@ -28,7 +28,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray, IntArray
-from undrift.drift.checks import STATUS_BEFORE
+from undrift.drift.checks import STATUS_BEFORE, verdict_without
 from undrift.drift.daily_rests import CELL_C, UNKNOWN, LearnSettings, daily_rests, in_order, raw_per_si
 from undrift.drift.static import near_data
 from undrift.errors import InputError, NotObservable
@@ -42,7 +42,6 @@ from undrift.model import (
     Learnt,
     ScaleDrift,
     StaticDrift,
-    Status,
     TriadModel,
     Verdict,
     versions_used,
@@ -102,7 +101,8 @@ def learn_drift(
     model = _checked(sessions, calibration, dates)
     held = None if calibration.drift is None else calibration.drift.learnt
     before = calibration.drift if held is None else held.before
-    base = replace(calibration, drift=before, verdict=_verdict_before(calibration))
+    verdict = verdict_without(_PREFIX, calibration, f"{_SETTINGS}status_before")  # that of earlier learning goes
+    base = replace(calibration, drift=before, verdict=verdict)
     new, found, used = daily_rests(sessions, calibration, base, dates, settings)
     if not any(part is not None and len(part.temp_c) for part in (held, *new)):
         raise NotObservable(
@@ -159,16 +159,6 @@ def _checked(sessions: Sequence[Session], calibration: Calibration, dates: Seque
     if calibration.gyro is None:
         raise InputError("learn: wanted a calibration of the gyroscopes, got one without; calibrate them first")
     return calibration.gyro
-
-
-def _verdict_before(calibration: Calibration) -> Verdict:
-    """Return the verdict of a calibration without the findings of earlier learning."""
-    known: dict[str, Status] = {"good": "good", "marginal": "marginal", "bad": "bad"}
-    status = dict(calibration.provenance.settings).get(f"{_SETTINGS}status_before", "")
-    if status not in known:
-        return calibration.verdict
-    kept = tuple(item for item in calibration.verdict.findings if not item.code.startswith(_PREFIX))
-    return Verdict(status=known[status], findings=kept)
 
 
 # ---- the curve

@@ -287,8 +287,7 @@ def _means(
     means = np.full((len(edges) - 1, 3), np.nan)
     if readings is None:
         return means, means.copy(), np.zeros_like(means)
-    values = readings[inside]
-    blocks = [values[start:stop] for start, stop in pairwise(edges)]
+    blocks = [readings[inside][start:stop] for start, stop in pairwise(edges)]
     counts = np.zeros(len(blocks))
     square, pairs = np.zeros(3), 0
     own_variance: list[FloatArray] = []

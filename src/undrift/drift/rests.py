@@ -162,14 +162,13 @@ def accel_offsets(blocks: RestBlocks, calibration: Calibration | None, accel_uni
             return finding("drift.accel_gravity", "warn", problem=str(error))
     chosen = blocks.taken(blocks.pose == poses[int(np.argmax(spans))])
     percent, span = 100.0 * UNKNOWN_SCALE_PER_K, max(spans)
-    found = finding("drift.accel_one_pose", "info", poses=len(poses), span_c=span, percent_per_c=percent)
     return Offsets(
         blocks=chosen,
         value=np.array(chosen.accel),
         variance=known_variance(chosen.accel_variance),
         step_error=chosen.accel_step_error,
         common_variance=np.zeros(3),
-        findings=(found,),
+        findings=(finding("drift.accel_one_pose", "info", poses=len(poses), span_c=span, percent_per_c=percent),),
     )
 
 
@@ -264,9 +263,7 @@ def gather(
     level = value - np.asarray(x @ middle / max(float(x @ x), 1e-9)) * blocks.temp_c[:, None]
     rests, labels = _rests_of(blocks, members)
     seen = instability_of(blocks, value, variance)
-    instability = None if seen is None else np.maximum(*seen)
-    if instability is None:
-        instability = _from_pairs(blocks, rests, labels, level, variance)
+    instability = _from_pairs(blocks, rests, labels, level, variance) if seen is None else np.maximum(*seen)
     leg = leg[[rows[0] for rows in members]]
     visits = (leg[:, None] == leg).astype(float)
     within = _correlation(blocks, members)

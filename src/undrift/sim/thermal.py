@@ -319,9 +319,8 @@ def programme_of(kind: ThermalKind, settings: ThermalSettings, streams: Streams)
 
 def _visits(settings: ThermalSettings, work: Work) -> tuple[Profile, list[Leg]]:
     rate, throughout = settings.bench.sample_rate_hz, settings.recorded == "throughout"
-    length_s = _length_s(settings, work)
     points = settings.set_points_c + (settings.set_points_c[::-1] if settings.back else ())
-    profile = soak_profile(points, measured_s=length_s, settings=settings.chamber)
+    profile = soak_profile(points, measured_s=_length_s(settings, work), settings=settings.chamber)
     legs: list[Leg] = []
     up = unit_vector("+z")
     q, face = Script(rate, up).q, cast("Face | None", "+z")

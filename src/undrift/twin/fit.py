@@ -167,9 +167,8 @@ def rest_noise(records: Sequence[Record], channel: str, *, step: float = 0.0) ->
             spectra.append(power)
     if not spectra:
         return None
-    weight = np.array(counts, float) / sum(counts)
     chosen = (f >= BAND[0] * 0.5 * rate) & (f <= BAND[1] * 0.5 * rate)
-    density = np.einsum("r,rfi->fi", weight, np.array(spectra)[:, chosen])
+    density = np.einsum("r,rfi->fi", np.array(counts, float) / sum(counts), np.array(spectra)[:, chosen])
     averaged = 0.8 * sum(counts)  # independent ones: Hann windows that half overlap
     return _likely(f[chosen], density, averaged, rate=rate, step=step)
 

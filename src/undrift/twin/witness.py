@@ -168,9 +168,8 @@ def _rows(match: Match, gyro: Gyro, accel_delay: float, gravity_m_s2: float) -> 
         shift = np.cross(second[:, None, :], np.swapaxes(rotation(q).as_matrix(), 1, 2)).swapaxes(1, 2)
         seen = (np.cross(apart, force)[:, :, None], felt[:, :, None], shift)
         table = np.concatenate((*seen, columns[:, :, :16]), axis=2)
-        done = _band(table.reshape(len(time), -1), rate).reshape(table.shape)
         kept = slice(edge, len(time) - edge, max(1, int(rate / _SAMPLES_HZ)))
-        yield done[kept], time[kept]
+        yield _band(table.reshape(len(time), -1), rate).reshape(table.shape)[kept], time[kept]
 
 
 def _band(values: FloatArray, rate_hz: float) -> FloatArray:

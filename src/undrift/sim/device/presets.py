@@ -306,7 +306,6 @@ def _chain(grade: TriadGrade, draw_named: Draw, name: str) -> SensorChain:
     bend = Nonlinearity(quadratic=draw("nonlinearity") / grade.full_scale, asymmetry=draw("asymmetry"))
     cubic = np.zeros((3, 2, 3))
     cubic[2, 1] = draw("rate_drift") / grade.full_scale**2
-    low_pass = sallen_key(grade.cutoff_hz, draw("low_pass", (3, 4), sd=grade.part_sd)) if grade.cutoff_hz else None
     effects = {
         "lever_arm": (grade.lever_arm_sd, LeverArm(arms=draw("lever_arm", (3, 3)))),
         "nonlinearity": (grade.nonlinearity_sd or grade.asymmetry_sd, bend),
@@ -324,7 +323,7 @@ def _chain(grade: TriadGrade, draw_named: Draw, name: str) -> SensorChain:
         scale=scale,
         offset=Offset(constant=draw("offset"), per_k=per_k),
         amplifier=grade.amplifier,
-        low_pass=low_pass,
+        low_pass=sallen_key(grade.cutoff_hz, draw("low_pass", (3, 4), sd=grade.part_sd)) if grade.cutoff_hz else None,
         adc=grade.adc,
         **{effect: made for effect, (size, made) in effects.items() if size},  # type: ignore[arg-type]
     )

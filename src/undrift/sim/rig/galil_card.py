@@ -613,13 +613,11 @@ def places(number: float) -> tuple[int, int]:
 
 def record(card: Card) -> str:
     """Return the binary record of QR: a header, the sample number, the inputs, one block of 28 bytes for the axis."""
-    values = card.axis.values
-    status = (int(card.motion.running) << 15) | int(not card.motor_on)
     block = struct.pack(
         "<HBBiiiiihH",
-        status, switches(card), card.motion.stop_code,
+        (int(card.motion.running) << 15) | int(not card.motor_on), switches(card), card.motion.stop_code,
         *(_long(value_of(card, word)) for word in ("RP", "TP", "TE", "TD", "TV")),
-        max(-32_768, min(32_767, round(values[k.VOLTAGE] * 32_767.0 / 10.0))), 0,
+        max(-32_768, min(32_767, round(card.axis.values[k.VOLTAGE] * 32_767.0 / 10.0))), 0,
     )  # fmt: skip
     body = struct.pack("<HBBBB", card.ticks & 0xFFFF, 0xFF, 0, card.error_code & 0xFF, 0) + block
     return (struct.pack("<BBH", 0x85, 0x01, len(body) + 4) + body).decode("latin-1")

@@ -91,10 +91,9 @@ class Move:
     def orientation(self, time: FloatArray) -> FloatArray:
         """Return q_nb (N, 4) at moments (N,) s; at rest before and after."""
         s = np.clip((time - self.start) / self.duration, 0.0, 1.0)
-        held = HELD(s)[:, None]
         q = quaternion_product(self.q, turn_quaternion(self.axis_b, self.angle(s)))
         q = quaternion_product(q, quaternion_of(SMOOTH(s)[:, None] * self.back))
-        return quaternion_product(q, quaternion_of(held * self._waves(time, 0)))
+        return quaternion_product(q, quaternion_of(HELD(s)[:, None] * self._waves(time, 0)))
 
     def push(self, time: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the acceleration upwards (N,), and that of the tremor (N, 3) in the case's axes, m/s2."""
