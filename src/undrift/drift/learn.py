@@ -490,15 +490,13 @@ def _calibrated(
     """Return a calibration with the tables; used: name and sha256 of the files that were learnt from."""
     held = given.provenance
     settings = {name: text for name, text in held.settings if not name.startswith(_SETTINGS)}
-    learnt = tables.learnt
-    count = 0 if learnt is None else len(learnt.recordings)
+    count = 0 if tables.learnt is None else len(tables.learnt.recordings)
     settings |= {
         f"{_SETTINGS}recordings": f"{count}",
         f"{_SETTINGS}status_before": base.verdict.status,
     }
-    settings.setdefault(
-        _INPUTS, f"{len(held.inputs)}"
-    )  # what learning adds goes with the tables when new ones are fitted
+    # what learning adds goes with the tables when new ones are fitted
+    settings.setdefault(_INPUTS, f"{len(held.inputs)}")
     settings.setdefault(STATUS_BEFORE, base.verdict.status)
     provenance = replace(
         held,
@@ -515,7 +513,7 @@ def _findings(fit: LearnFit, evidence: Learnt, covered: bool) -> list[Finding]:
     near = ~fit.extrapolated if not fit.extrapolated.all() else fit.extrapolated
     change = np.abs(fit.after - fit.before)[near] / _DPS
     row, axis = np.unravel_index(int(change.argmax()), change.shape)
-    uncertain = [_rms(value[near]) / _DPS for value in (fit.before_uncertainty, fit.after_uncertainty)]
+    uncertain = [np.sqrt(np.mean(u[near] ** 2)) / _DPS for u in (fit.before_uncertainty, fit.after_uncertainty)]
     where = {"largest_dps": change[row, axis], "axis": AXES[axis], "temp_c": fit.temp_c[near][row]}
     found = [finding("drift.learn_changed", "info", before_dps=uncertain[0], after_dps=uncertain[1], **where)]
     sizes = {"dps": fit.turn_on / _DPS, "uncertainty_dps": fit.turn_on_uncertainty / _DPS}
@@ -536,7 +534,3 @@ def _findings(fit: LearnFit, evidence: Learnt, covered: bool) -> list[Finding]:
     elif left:
         found.append(finding("drift.learn_left_out", level, count=left, cells=count))
     return found
-
-
-def _rms(value: FloatArray) -> float:
-    return float(np.sqrt(np.mean(value**2)))

@@ -48,9 +48,8 @@ class LagFit:
     uncertainty_s: float = math.inf  # standard uncertainty, s; infinite where it is not observable
     observable: bool = False  # False where the recording does not separate a lag from something else
     two_speeds: bool = False  # whether ramps of two speeds were seen: then hysteresis is not taken for lag
-    lags_s: FloatArray = field(
-        default_factory=lambda: np.empty(0)
-    )  # (k,), time constants tried, s; empty where none was
+    # (k,), time constants tried, s; empty where none was
+    lags_s: FloatArray = field(default_factory=lambda: np.empty(0))
     # (k,), twice the loss of log-likelihood against the best of them, 1
     misfit: FloatArray = field(default_factory=lambda: np.empty(0))
     findings: tuple[Finding, ...]  # why it is not observable

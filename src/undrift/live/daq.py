@@ -22,7 +22,7 @@ from undrift.arrays import FloatArray
 from undrift.errors import InputError, LinkError
 from undrift.files import first_line
 from undrift.live.decoder import COUNTER, StreamDescription
-from undrift.live.transports import Address, ByteSource, Source, package_of
+from undrift.live.transports import Address, ByteSource, Source, number_of, package_of
 from undrift.units import LM335_K_PER_V, ZERO_CELSIUS_K
 
 TERMINALS = {"default": "DEFAULT", "rse": "RSE", "nrse": "NRSE", "diff": "DIFF", "pseudo_diff": "PSEUDO_DIFF"}
@@ -209,10 +209,6 @@ def _range(text: str) -> tuple[float, float]:
 
 
 def _number(name: str, text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = np.nan
-    if not np.isfinite(value):
+    if not np.isfinite(value := number_of(text)):
         raise InputError(f"daq: wanted a number for {name}, got '{text}'; mend the address")
     return value

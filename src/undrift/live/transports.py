@@ -225,6 +225,14 @@ def reason_of(error: Exception) -> str:
     return str(error) or type(error).__name__
 
 
+def number_of(text: str) -> float:
+    """Return the number that a text states, NaN where it states none."""
+    try:
+        return float(text)
+    except ValueError:
+        return np.nan
+
+
 def host_and_port(place: str) -> tuple[str, int]:
     """Return host and port of ``//host:port``; "" and 0 where they are missing."""
     parts = urlsplit(place)

@@ -31,6 +31,7 @@ import numpy as np
 
 from undrift.arrays import FloatArray
 from undrift.errors import InputError, LimitError, LinkError, RigError, RigFault
+from undrift.live.transports import number_of
 from undrift.plugins import load_named, names_in
 from undrift.record import Face, Record
 from undrift.rig.link import Clock, Link, LinkSettings
@@ -223,11 +224,7 @@ class ScpiChamber(Chamber):
 
     def _number(self, text: str) -> float:
         answer = self._ask(text)
-        try:
-            value = float(answer)
-        except ValueError:
-            value = math.nan
-        if not math.isfinite(value):
+        if not math.isfinite(value := number_of(answer)):
             raise LinkError(
                 f"chamber: wanted a number in answer to '{text}', got '{answer[:60]}'; check link and chamber"
             )

@@ -53,8 +53,7 @@ def device_of(twin: Twin, *, sample_rate_hz: float, serial: str = "") -> DeviceM
     model, half = twin.gyro.triad.model, 0.5 / sample_rate_hz
     gyro = chain_of(model.matrix, model.offset, twin.gyro_noise, "rad/s")
     if twin.adc is not None and twin.adc.gyro_lsb is not None:
-        step = float(np.mean(twin.adc.gyro_lsb))
-        reference = step * 2.0 ** (_BITS - 1)
+        reference = float(np.mean(twin.adc.gyro_lsb)) * 2.0 ** (_BITS - 1)
         gyro = replace(gyro, adc=Adc(bits=_BITS, reference=reference, rounding=twin.adc.gyro_rounding, codes=False))
     accel, late = SensorChain(unit="m/s2", scale=Scale(nominal_sensitivity=1.0)), twin.delay
     if twin.accel is not None:

@@ -43,9 +43,8 @@ class Dwells:
     rate_b: FloatArray  # (N, 3), steady rate, rad/s
     force_b: FloatArray  # (N, 3), mean specific force, m/s2
     temp_c: FloatArray  # (N,), temperature of the board, degC
-    first: IntArray = field(
-        default_factory=lambda: np.empty(0, dtype=np.int64)
-    )  # (S + 1,), first of each session, and N
+    # (S + 1,), first of each session, and N
+    first: IntArray = field(default_factory=lambda: np.empty(0, dtype=np.int64))
 
     def __post_init__(self) -> None:
         n = len(self.temp_c)

@@ -243,6 +243,8 @@ def random_device(rng: np.random.Generator, *, grade: GradeName | Grade = "consu
     >>> device.gyro.unit
     'count'
     """
+    from scipy.special import ndtr, ndtri
+
     chosen = grade_named(grade) if isinstance(grade, str) else grade
     streams = draw_streams(rng)
 
@@ -250,7 +252,8 @@ def random_device(rng: np.random.Generator, *, grade: GradeName | Grade = "consu
         stream = streams.of(effect)
         if math.isinf(chosen.limit_sd):
             return stream.normal(0.0, sd, shape)
-        return sd * _cut_normal(stream, chosen.limit_sd, shape)
+        low = float(ndtr(-chosen.limit_sd))  # draws within the limit, by the inverse of the distribution
+        return sd * np.asarray(ndtri(stream.uniform(low, 1.0 - low, shape)))
 
     made = replace(device_of(chosen, draw, serial), source_tag="drawn")
     return made if serial else replace(made, serial=_serial_of(made))
@@ -327,11 +330,3 @@ def _chain(grade: TriadGrade, draw_named: Draw, name: str) -> SensorChain:
         adc=grade.adc,
         **{effect: made for effect, (size, made) in effects.items() if size},  # type: ignore[arg-type]
     )
-
-
-def _cut_normal(stream: np.random.Generator, limit: float, shape: tuple[int, ...]) -> FloatArray:
-    """Return standard normal draws that lie within the limit, by the inverse of the distribution."""
-    from scipy.special import ndtr, ndtri
-
-    low = float(ndtr(-limit))
-    return np.asarray(ndtri(stream.uniform(low, 1.0 - low, shape)))

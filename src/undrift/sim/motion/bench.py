@@ -45,9 +45,8 @@ class TableErrors:
 
     mount_tilt_sd: float = 0.0  # Of the device against the rig, about each axis, rad
     level_sd: float = 0.0  # Of the rig against the vertical, about each horizontal axis, rad; one rig, one draw
-    wobble_sd: float = (
-        0.0  # Of a table's axis from dwell to dwell, or a plane's from angle to angle, about each axis, rad
-    )
+    # Of a table's axis from dwell to dwell, or a plane's from angle to angle, about each axis, rad
+    wobble_sd: float = 0.0
     rate_sd: float = 0.0  # Of the rig's clock, so of its true rate against the stated one, relative; one rig, one draw
     ripple_sd: float = 0.0  # Of the rate once a turn, amplitude, relative
     excess_sd: float = 0.0  # Of the rate at the start of a dwell, relative; a transient
@@ -331,8 +330,7 @@ def _hand_turns(script: Script, settings: BenchSettings, streams: Streams) -> No
         unit = unit_vector(axis)
         script.lay(facing(script.q, unit), settings.move_s)
         script.still(settings.still_s)
-        true_axis = unit + np.cross(tilt, unit)
-        script.hand_turn(axis, settings.hand_angle, 2.0 * settings.move_s, true_axis / np.linalg.norm(true_axis))
+        script.hand_turn(axis, settings.hand_angle, 2.0 * settings.move_s, _off(unit, tilt))
         script.still(settings.still_s)
 
 

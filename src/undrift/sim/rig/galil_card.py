@@ -616,12 +616,8 @@ def record(card: Card) -> str:
     block = struct.pack(
         "<HBBiiiiihH",
         (int(card.motion.running) << 15) | int(not card.motor_on), switches(card), card.motion.stop_code,
-        *(_long(value_of(card, word)) for word in ("RP", "TP", "TE", "TD", "TV")),
+        *(max(-(2**31), min(2**31 - 1, round(value_of(card, word)))) for word in ("RP", "TP", "TE", "TD", "TV")),
         max(-32_768, min(32_767, round(card.axis.values[k.VOLTAGE] * 32_767.0 / 10.0))), 0,
     )  # fmt: skip
     body = struct.pack("<HBBBB", card.ticks & 0xFFFF, 0xFF, 0, card.error_code & 0xFF, 0) + block
     return (struct.pack("<BBH", 0x85, 0x01, len(body) + 4) + body).decode("latin-1")
-
-
-def _long(value: float) -> int:
-    return max(-(2**31), min(2**31 - 1, round(value)))

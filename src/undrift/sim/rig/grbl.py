@@ -205,11 +205,6 @@ class Stepper:
             self.shaft.slow(time, GRIP if on else coast)
         self.energised = on
 
-    def count_from_zero(self, time: float) -> None:
-        """Forget the pulses: the board has started afresh."""
-        self.pulses.cut(time)
-        self.pulses.go(time, 0.0, 0.0, 0.0)
-
 
 # ---- Planner: moves that follow each other on one axis without a rest between, where they go the same way.
 
@@ -602,7 +597,8 @@ class GrblMachine(Machine):
                 current = not self._broken & {"power_cut", "amplifier_fault"}
                 board.stepper.set_current(now, current, self.settings.coast_deg_s2)
                 if name == "power_cut":
-                    board.stepper.count_from_zero(now)
+                    board.stepper.pulses.cut(now)  # they count from zero again
+                    board.stepper.pulses.go(now, 0.0, 0.0, 0.0)
                     board.start()
             elif name in ("limit_switch", "limit_switch_reverse"):
                 board.limit_pressed = bool(self._broken & {"limit_switch", "limit_switch_reverse"})

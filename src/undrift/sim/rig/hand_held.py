@@ -216,7 +216,8 @@ class HandHeldDevice(EmulatedDevice):
         else:
             shifts = np.repeat([-self._step, -h, 0.0, h], n)
             before, early, q, late = self._orientation(np.tile(times, 4) + shifts).reshape(4, n, 4)
-            turned = _turned(np.concatenate((before, early, q)), np.concatenate((q, q, late))).reshape(3, n, 3)
+            began, ended = np.concatenate((before, early, q)), np.concatenate((q, q, late))
+            turned = rotation_vector(quaternion_product(quaternion_conjugate(began), ended)).reshape(3, n, 3)
             mean_rate, first, second = turned[0] / self._step, turned[1] / h, turned[2] / h
             rate, acceleration = 0.5 * (first + second), (second - first) / h
             for move in self._moves:
@@ -229,11 +230,6 @@ class HandHeldDevice(EmulatedDevice):
             acceleration = acceleration - np.cross(rate, earth_b)
             rate, mean_rate = rate + earth_b, mean_rate + earth_b
         return self._surroundings(times, rate, acceleration, rotate(to_b, gravity_n) + shake), mean_rate
-
-
-def _turned(before: FloatArray, after: FloatArray) -> FloatArray:
-    """Return the rotation vectors from one orientation to another, (N, 3) rad in b."""
-    return rotation_vector(quaternion_product(quaternion_conjugate(before), after))
 
 
 class _Bench:
