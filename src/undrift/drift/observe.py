@@ -269,8 +269,7 @@ def rest_blocks(
         gyro_step_error=gyro_step,
         accel_step_error=accel_step,
     )
-    seen = np.isfinite(gyro).all(axis=1) | np.isfinite(accel).all(axis=1)
-    return made.taken(np.isfinite(own) & seen)
+    return made.taken(np.isfinite(own) & (np.isfinite(gyro).all(axis=1) | np.isfinite(accel).all(axis=1)))
 
 
 def _edges(time: FloatArray, block_s: float) -> IntArray:

@@ -487,7 +487,8 @@ def excess(taken: FloatArray, size: float, mean: FloatArray, covariance: FloatAr
     """Return the variance of an effect, (3,): squares of combinations of the means, less what their covariance explains.
     taken (q, N), size the sum of squares of the effect's coefficients, mean (N, 3), covariance (3, N, N)."""
     square = ((taken @ mean) ** 2).sum(axis=0)
-    return np.asarray(np.maximum(square - np.einsum("ij,kjl,il->k", taken, covariance, taken), 0.0) / size)
+    expected = np.einsum("ij,kjl,il->k", taken, covariance, taken)
+    return np.asarray(np.maximum(square - expected, 0.0) / size)
 
 
 def pooled(variance: FloatArray, freedom: int) -> FloatArray:

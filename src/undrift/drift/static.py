@@ -461,9 +461,7 @@ def _direction(temp_c: list[float]) -> FloatArray:
 def both_ways(blocks: RestBlocks, state: FloatArray) -> bool:
     """Tell whether both directions have seen a common range of temperature."""
     up, down = blocks.temp_c[state < -0.5], blocks.temp_c[state > 0.5]
-    if not len(up) or not len(down):
-        return False
-    return bool(min(up.max(), down.max()) - max(up.min(), down.min()) >= _OVERLAP_C)
+    return bool(len(up) and len(down) and min(up.max(), down.max()) - max(up.min(), down.min()) >= _OVERLAP_C)
 
 
 # ---- warm-up

@@ -458,9 +458,7 @@ class GrblRig(LinkedRig):
             status = axis.status()
         if status.state in ("Alarm", "Door"):
             return axis.alarm_text(status)
-        if axis.enabled and status.state == "Sleep":
-            return "the motor is asleep though it was switched on"
-        return None
+        return "the motor is asleep though it was switched on" if axis.enabled and status.state == "Sleep" else None
 
 
 def open_from(url: str, settings: RigSettings) -> GrblRig:

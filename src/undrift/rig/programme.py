@@ -464,20 +464,18 @@ def _rest(
 
 
 def _check_dwell(number: int, dwell: Dwell, up: Face | None, temp_c: float | None) -> None:
-    what = f"programme: step {number} ({dwell})"
+    what, upright = f"programme: step {number} ({dwell})", dwell.axis is not None and dwell.up == PLUS[dwell.axis]
     if dwell.up != up:
         raise InputError(f"{what}: wanted the device mounted {dwell.up} up, got {up or 'no mounting'}; mount it first")
     if dwell.temp_c != temp_c:
         raise InputError(f"{what}: wanted a soak at its temperature before it, got {temp_c}; soak first")
     if dwell.purpose != "rate" and dwell.turn_rate != 0.0:
         raise InputError(f"{what}: wanted a rest at 0 rad/s, got {dwell.turn_rate:g}; a rest does not turn")
-    if dwell.purpose == "rate" and (dwell.turn_rate == 0.0 or dwell.axis is None or dwell.up != PLUS[dwell.axis]):
+    if dwell.purpose == "rate" and (dwell.turn_rate == 0.0 or not upright):
         raise InputError(
             f"{what}: wanted a rate about the axis that is up, got {dwell.turn_rate:g} rad/s; correct the step"
         )
-    if (dwell.purpose == "turn") != (dwell.angle != 0.0) or (
-        dwell.angle and (not dwell.axis or dwell.up != PLUS[dwell.axis])
-    ):
+    if (dwell.purpose == "turn") != (dwell.angle != 0.0) or (dwell.angle and not upright):
         raise InputError(
             f"{what}: wanted an angle about the axis that is up, got {dwell.angle:g} rad; correct the step"
         )

@@ -373,18 +373,8 @@ class _Run:
             raise RigFault(f"rig: wanted it sound in {where}, got {wrong}; look at the table")
 
     def _look_at_air(self, step: Dwell) -> float | None:
-        """Return what the chamber reads, where there is one; end the run when it has left the set-point."""
-        chamber = self._bench.chamber
-        self._temps["air_c"] = air_c = None if chamber is None else chamber.read()
-        if chamber is None or air_c is None or step.temp_c is None:
-            return air_c
-        if not abs(air_c - step.temp_c) <= (tolerance_c := chamber.criterion.tolerance_c):
-            raise RigFault(
-                f"chamber: wanted {step.temp_c:g} degC within {tolerance_c:g} K throughout step {self._number} ({step}), got "
-                f"{air_c:.2f} degC; look at door and heater, then continue with --resume",
-                temp_c=air_c,
-            )
-        return air_c
+        self._temps["air_c"] = check_air(self._bench.chamber, step, f"step {self._number} ({step})")
+        return self._temps["air_c"]
 
     def _enable(self) -> None:
         if not self._enabled:
@@ -406,6 +396,21 @@ class _Run:
         number, steps, step = self._number, len(self._programme.steps), str(self._step)
         seen = self._temps | seen
         self._report(Progress(phase=phase, number=number, steps=steps, step=step, left_s=left_s, live=live, **seen))
+
+
+def check_air(chamber: Chamber | None, step: Dwell, where: str) -> float | None:
+    """Return what the chamber reads, where there is one; end the run when it has left the set-point."""
+    if chamber is None:
+        return None
+    air_c = chamber.read()
+    tolerance_c = chamber.criterion.tolerance_c
+    if air_c is not None and step.temp_c is not None and not abs(air_c - step.temp_c) <= tolerance_c:
+        raise RigFault(
+            f"chamber: wanted {step.temp_c:g} degC within {tolerance_c:g} K throughout {where}, got "
+            f"{air_c:.2f} degC; look at door and heater, then continue with --resume",
+            temp_c=air_c,
+        )
+    return air_c
 
 
 # ---- Watch over a run: the guard stands by, nobody stopped the table from elsewhere, and the program does not hang.

@@ -47,7 +47,6 @@ class Part(Protocol):
 
     def at(self, time: FloatArray) -> FloatArray:
         """Return value, first and second derivative: time (N,) s -> (3, N)."""
-        ...
 
 
 Course = tuple[Part, ...]

@@ -337,7 +337,7 @@ class Bench(Closed):
         self._opened.close()
 
     def _mounted(self, line: str) -> str:
-        """Do what the hands are told."""
+        """Do what the hands are asked."""
         if line == "FACE?":
             return str(self.stream.face)
         word, _, face = line.partition(" ")

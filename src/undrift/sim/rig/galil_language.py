@@ -489,13 +489,6 @@ class GalilMachine(Machine):
             self.tick()
             return self.card.axis.states(times)
 
-    def present(self) -> tuple[float, float]:
-        """Return angle and rate of the axis now, rad and rad/s."""
-        with self.lock:
-            self.tick()
-            _, angle, rate = self.card.axis.history(0.0)
-            return float(angle[-1]), float(rate[-1])
-
     def history(self, last_s: float | None = None) -> tuple[FloatArray, FloatArray]:
         """Return time and angle of the kept past, s and rad, shape (n,)."""
         with self.lock:

@@ -559,11 +559,6 @@ class GrblMachine(Machine):
         """Whether it has power."""
         return "power_cut" not in self._broken
 
-    def present(self) -> tuple[float, float]:
-        """Return angle and rate of the axis now, rad and rad/s."""
-        angle, rate = self.states(np.array([self.clock.now()]))
-        return float(angle[0]), float(rate[0])
-
     def states(self, times: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return angle and rate of the axis, rad and rad/s, shape (n,): times (n,) s."""
         with self.lock:

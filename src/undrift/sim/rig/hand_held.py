@@ -251,7 +251,7 @@ class HandHeld(Closed):
         self.device, chosen = device, clock or HostClock(speed)
         self.stream = HandHeldDevice(device, hands, chosen, stream)
         try:
-            self._operator = Server(LineMachine(chosen, self._told), FaultyLink(), (stream.host, 0))
+            self._operator = Server(LineMachine(chosen, self._answered), FaultyLink(), (stream.host, 0))
         except OSError:
             self.stream.close()
             raise
@@ -281,8 +281,8 @@ class HandHeld(Closed):
         self._operator.close()
         self.stream.close()
 
-    def _told(self, line: str) -> str:
-        """Do what the operator is told."""
+    def _answered(self, line: str) -> str:
+        """Do what the operator is asked."""
         words = line.lower().split()
         if words == ["state?"]:
             return f"{'moving' if self.moving else 'rest'} {self.face}"

@@ -186,11 +186,9 @@ class Closed:
     """What is closed at the end of a `with` block."""
 
     def __enter__(self) -> Self:
-        """Return itself."""
         return self
 
     def __exit__(self, *error: object) -> None:
-        """Close it."""
         self.close()
 
     def close(self) -> None:
