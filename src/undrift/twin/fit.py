@@ -113,13 +113,13 @@ def g_sensitivity_parameters(values: FloatArray, errors: FloatArray) -> list[Twi
     return [p if abs(float(p.value)) > SIGNIFICANT * p.standard_error else replace(p, finding=zero) for p in every]
 
 
-def spread_of(values: FloatArray, prior: float, weight: float = 2.0) -> FloatArray:
+def spread_of(values: FloatArray, prior: float) -> FloatArray:
     """Return the standard deviation (3,) between recordings (R, 3), with a prior where there are few.
 
-    s^2 = (sum (x - mean)^2 + k s0^2) / (n - 1 + k): a single recording gives the prior s0.
+    s^2 = (sum (x - mean)^2 + 2 s0^2) / (n - 1 + 2): a single recording gives the prior s0.
     """
     square = ((values - values.mean(axis=0)) ** 2).sum(axis=0)
-    return np.asarray(np.sqrt((square + weight * prior**2) / (len(values) - 1 + weight)))
+    return np.asarray(np.sqrt((square + 2.0 * prior**2) / (len(values) + 1)))
 
 
 def mean_with_error(values: Sequence[float] | FloatArray, errors: Sequence[float] | FloatArray) -> tuple[float, float]:

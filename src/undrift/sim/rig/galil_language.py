@@ -389,9 +389,8 @@ class Program:
 
     def _step(self) -> None:
         for _ in range(AT_ONCE):
-            if self._next is None or (self._waiting and self._card.motion.running):
-                return
-            if self._until is not None and self._card.ticks < self._until:
+            due = self._until is None or self._card.ticks >= self._until
+            if self._next is None or (self._waiting and self._card.motion.running) or not due:
                 return
             self._waiting, self._until = False, None
             if not self._todo:
