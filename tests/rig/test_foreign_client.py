@@ -14,6 +14,7 @@ import time
 import pytest
 
 from testkit.data import show
+from testkit.emulated_axis import present
 from undrift.sim.rig.emulator import EmulatorSettings, start_emulator
 from undrift.sim.rig.galil_card import CardSettings
 
@@ -123,7 +124,7 @@ def test_it_moves_reads_back_and_stops(emulator, motor):
     assert motor.poll()["_SCA"] == 0
     motor.controller.command("STA")
     assert motor.wait()["_SCA"] == 4
-    angle = math.degrees(emulator.machine.present()[0])
+    angle = math.degrees(present(emulator.machine)[0])
     assert motor.poll()["rbv"] == pytest.approx(angle, abs=2 * motor.resolution_deg)
 
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from undrift.model import Calibration
 from undrift.record import Session
-from undrift.sim.device.effects import LM335_V_PER_K, Thermometer
+from undrift.sim.device.effects import Thermometer
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.presets import grade_named, random_device
 from undrift.sim.device.truth import nominal_calibration
@@ -28,7 +28,7 @@ class Demo:
 
 def demo_session(rng: np.random.Generator, *, quick: bool = False) -> Demo:
     """Return a small complete example: device, calibration session of three minutes, sit-to-stand with optics."""
-    lm335 = Thermometer(trim_error_c=0.8, lag_s=20.0, noise_c=0.03, step_c=5.0 / 4096 / LM335_V_PER_K)
+    lm335 = Thermometer(trim_error_c=0.8, lag_s=20.0, noise_c=0.03, step_c=5.0 / 4096 / 0.010)
     device = replace(random_device(rng, grade="consumer"), thermometer=lm335)
     rates = tuple(
         rate * RADIAN_PER_DEGREE for rate in ((45.0, 90.0) if quick else (15.0, 30.0, 45.0, 60.0, 75.0, 90.0))

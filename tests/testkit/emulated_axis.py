@@ -22,14 +22,25 @@ class HandClock:
         self._time += duration_s
 
 
+def present(machine):
+    """Return angle and rate of the axis of an emulated machine now, rad and rad/s."""
+    if hasattr(machine, "card"):
+        with machine.lock:
+            machine.tick()
+            _, angle, rate = machine.card.axis.history(0.0)
+    else:
+        angle, rate = machine.states(np.array([machine.clock.now()]))
+    return float(angle[-1]), float(rate[-1])
+
+
 def axis_angle(emulator):
     """Return the true angle of the axis now, rad."""
-    return emulator.machine.present()[0]
+    return present(emulator.machine)[0]
 
 
 def axis_rate(emulator):
     """Return the true turn rate of the axis now, rad/s."""
-    return emulator.machine.present()[1]
+    return present(emulator.machine)[1]
 
 
 def axis_state(emulator, time, *, mean_s=0.0):

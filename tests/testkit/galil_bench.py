@@ -2,7 +2,7 @@
 
 import math
 
-from testkit.emulated_axis import HandClock
+from testkit.emulated_axis import HandClock, present
 from undrift.sim.rig.axes import ServoSettings
 from undrift.sim.rig.galil_card import CardSettings
 from undrift.sim.rig.galil_language import GalilMachine
@@ -27,7 +27,7 @@ class GalilBench:
         return int(self.say("TC0").strip(" \r\n:"))
 
     def rate_dps(self) -> float:
-        return math.degrees(self.machine.present()[1])
+        return math.degrees(present(self.machine)[1])
 
     def mean_dps(self) -> float:
         """Return the mean rate of the last 0.2 s: single counts make the loop ripple by 2 deg/s."""

@@ -31,11 +31,8 @@ from undrift.fit.smooth import fit_smooth
 from undrift.model import AXES, Calibration, DriftTables, ScaleDrift, StaticDrift, TriadModel, Verdict
 from undrift.units import si_factor
 
-JOINT_NAMES = (
-    *(f"sensitivity {axis}" for axis in AXES),
-    *(f"offset {axis}" for axis in AXES),
-    *(f"sensitivity {axis} per K" for axis in AXES),
-    *(f"offset {axis} per K" for axis in AXES),
+JOINT_NAMES = tuple(
+    f"{what} {axis}{per}" for per in ("", " per K") for what in ("sensitivity", "offset") for axis in AXES
 )
 _SYMMETRIC = (np.array([0, 1, 2, 0, 0, 1]), np.array([0, 1, 2, 1, 2, 2]))  # rows and columns of P's six elements
 _FULL, _DIAGONAL = 9, 6
@@ -95,10 +92,9 @@ def fit_accel_drift(rests: RestBlocks, calibration: Calibration, *, temp_c: Floa
     i, j = _SYMMETRIC
     symmetric[:, i, j] = symmetric[:, j, i] = value[:, :6]
     spread[:, i, j] = spread[:, j, i] = deviation[:, :6]
-    own = model.standard_uncertainty[:9].reshape(3, 3)
-    own = (
-        own * (1.0 - np.eye(3)) if (spread[:, 0, 1] == 0.0).all() else np.zeros((3, 3))
-    )  # not measured: the calibration's
+    own = np.zeros((3, 3))
+    if (spread[:, 0, 1] == 0.0).all():  # not measured: the calibration's
+        own = model.standard_uncertainty[:9].reshape(3, 3) * (1.0 - np.eye(3))
     back = model.forward_matrix / si_factor(model.unit_out, "accel")
     slope = 100.0 * (symmetric[n + 1] - symmetric[n]).diagonal() / (high - low)
     doubt = 100.0 * np.hypot(spread[n + 1].diagonal(), spread[n].diagonal()) / (high - low)
@@ -128,9 +124,8 @@ def with_accel(tables: DriftTables, fit: AccelDriftFit) -> DriftTables:
                 f"accelerometer tables: wanted the nodes of the gyroscope tables, {len(table.temp_c)} from {table.temp_c[0]:g} to "
                 f"{table.temp_c[-1]:g} degC, got {len(fit.temp_c)} from {fit.temp_c[0]:g} to {fit.temp_c[-1]:g}; fit on the same"
             )
-    static = tables.static or StaticDrift(temp_c=fit.temp_c)
     static = replace(
-        static,
+        tables.static or StaticDrift(temp_c=fit.temp_c),
         accel_offset=fit.offset,
         accel_uncertainty=fit.offset_uncertainty,
         accel_extrapolated=fit.extrapolated,
@@ -219,8 +214,7 @@ def warm_poses(rests: RestBlocks, model: TriadModel) -> WarmPoses:
             "them usable; check the temperature column and the gaps"
         )
     used = rests.taken(rows[np.argsort(rests.temp_c[rows], kind="stable")])
-    labels = np.column_stack((bins_of(used.temp_c, _GROUP_C), used.pose))
-    which, inside = np.unique(labels, axis=0, return_inverse=True)
+    which, inside = np.unique(np.column_stack((bins_of(used.temp_c, _GROUP_C), used.pose)), axis=0, return_inverse=True)
     inside = inside.reshape(-1)
     count = np.bincount(inside)[:, None]
 

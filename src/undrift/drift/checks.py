@@ -198,6 +198,7 @@ def _factor(model: TriadModel | None, quantity: Quantity, unit: str) -> tuple[Fl
 TURN_ON_DPS = 2.0  # a shift from one switch-on to the next; consumer gyroscopes state less
 FAR_DPS = 10.0  # no switch-on moves an offset so far
 MOST_BETWEEN_DPS = 5.0  # standard deviation between sessions of one device
+STATUSES: dict[str | None, Status] = {"good": "good", "marginal": "marginal", "bad": "bad"}
 STATUS_BEFORE = "drift_status_before"  # setting: the calibration's status before a thermal fit
 _REASONS_BEFORE = "drift_reasons_before"  # the same in files whose reasons had no codes: status and number of reasons
 _SIGNIFICANT = 3.0  # standard uncertainties, from which a difference is taken as one
@@ -221,16 +222,20 @@ _MORE = 2.0  # times what noise and bias instability explain: disagreement that 
 
 def verdict_before(calibration: Calibration) -> Verdict:
     """Return the verdict of a calibration without the findings of an earlier thermal fit."""
-    settings, verdict = dict(calibration.provenance.settings), calibration.verdict
-    known: dict[str, Status] = {"good": "good", "marginal": "marginal", "bad": "bad"}
-    status, _, count = settings.get(_REASONS_BEFORE, "").partition(" ")
-    if status in known and count.isdigit():  # texts without codes: those of the thermal fit come last
-        texts = verdict.reasons[: int(count)]
-        return Verdict(status=known[status], findings=tuple(finding("earlier.text", "info", text=t) for t in texts))
-    if settings.get(STATUS_BEFORE) not in known:
-        return verdict
-    kept = tuple(item for item in verdict.findings if not item.code.startswith("drift."))
-    return replace(verdict, status=known[settings[STATUS_BEFORE]], findings=kept)
+    status, _, count = dict(calibration.provenance.settings).get(_REASONS_BEFORE, "").partition(" ")
+    if status in STATUSES and count.isdigit():  # texts without codes: those of the thermal fit come last
+        texts = calibration.verdict.reasons[: int(count)]
+        return Verdict(status=STATUSES[status], findings=tuple(finding("earlier.text", "info", text=t) for t in texts))
+    return verdict_without("drift.", calibration, STATUS_BEFORE)
+
+
+def verdict_without(prefix: str, calibration: Calibration, setting: str) -> Verdict:
+    """Return a verdict with the status that a setting remembers, and without findings whose codes begin with a prefix."""
+    status = dict(calibration.provenance.settings).get(setting)
+    if status not in STATUSES:
+        return calibration.verdict
+    kept = tuple(item for item in calibration.verdict.findings if not item.code.startswith(prefix))
+    return Verdict(status=STATUSES[status], findings=kept)
 
 
 # ---- do sessions and calibration belong to one device?
@@ -265,8 +270,7 @@ def _scale_verdict(against: FloatArray, soaks: SoakMatrices, reference_temp_c: f
     level = level_of(float((np.abs(off) - allowed).max()), _SCALE_OFF)
     if level == "info":
         return Verdict()
-    limit = 100.0 * _SCALE_OFF[0]
-    return Verdict.of(finding("drift.scale_differs", level, percent=100.0 * off, limit_percent=limit))
+    return Verdict.of(finding("drift.scale_differs", level, percent=100.0 * off, limit_percent=100.0 * _SCALE_OFF[0]))
 
 
 def offsets_verdict(static: StaticFit, device: Calibration) -> Verdict:
@@ -478,9 +482,8 @@ def set_points_verdict(static: StaticFit, rests: RestBlocks, device: Calibration
     found, points, nodes = static.gyro, set_points_of(rests.temp_c), static.table.temp_c
     if found is None or not 2 <= len(points) <= _FEW:
         return Verdict()
-    inside = (nodes >= points[0] - 1e-6) & (nodes <= points[-1] + 1e-6)
     at = np.array([np.interp(points, nodes, column) for column in found.uncertainty.T]).mean(axis=1)
-    between = found.uncertainty[inside].max(axis=0, initial=0.0)
+    between = found.uncertainty[(nodes >= points[0] - 1e-6) & (nodes <= points[-1] + 1e-6)].max(axis=0, initial=0.0)
     if len(points) > _TOO_FEW and (between < _MORE * at).all():
         return Verdict()
     factor, unit = (np.ones(3), "raw units") if device.gyro is None else (_dps_per_raw(device.gyro), "deg/s")

@@ -145,8 +145,7 @@ def _cells(session: Session, base: Calibration, settings: LearnSettings) -> _Cel
     offsets = gyro_offsets(blocks, base, None) if useful.any() else None
     if offsets is None:
         return _Cells(turning=turning, notes=notes)
-    value = offsets.value - _warm_up(base, offsets.blocks, settings.power_on_s)
-    offsets = replace(offsets, value=value)
+    offsets = replace(offsets, value=offsets.value - _warm_up(base, offsets.blocks, settings.power_on_s))
     used = np.unique(of_still)
     turn_raw = turn[useful][:, None] * raw_per_si(base.gyro)
     parts = [_parts(offsets, np.flatnonzero(of_still == number), turn_raw) for number in used]
@@ -303,16 +302,6 @@ def _warm_up(base: Calibration, blocks: RestBlocks, power_on_s: float | None) ->
 def in_order(held: Learnt | None, new: list[Learnt], base: Calibration) -> Learnt:
     """Return all cells so far, recordings in order of date: what was learnt first makes no difference."""
     parts = [*([] if held is None else [held]), *new]
-    if not parts:
-        none = np.zeros((0, 3))
-        return Learnt(
-            temp_c=np.zeros(0),
-            gyro_offset=none,
-            gyro_variance=none,
-            recording=np.zeros(0, np.int64),
-            recordings=(),
-            since="",
-        )
     recordings = [one for part in parts for one in part.recordings]
     begins = np.cumsum([0, *(len(part.recordings) for part in parts)])
     number = np.concatenate([part.recording + begin for part, begin in zip(parts, begins[:-1], strict=True)])

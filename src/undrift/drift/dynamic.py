@@ -86,10 +86,8 @@ class Cubics:
         at, weight = np.polynomial.legendre.leggauss(4)
         step = 1.0 / self.intervals
         z = (np.arange(self.intervals)[:, None] * step + 0.5 * step * (at + 1.0)).ravel()
-        spline = BSpline(self.knots, np.eye(self.intervals + 3), 3)
-        y: FloatArray = np.asarray(spline(z, nu=derivative))
-        made: FloatArray = y.T @ (y * np.tile(0.5 * step * weight, self.intervals)[:, None])
-        return made
+        y: FloatArray = np.asarray(BSpline(self.knots, np.eye(self.intervals + 3), 3)(z, nu=derivative))
+        return np.asarray(y.T @ (y * np.tile(0.5 * step * weight, self.intervals)[:, None]))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -108,14 +106,12 @@ class Surface:
 
     def at(self, turn_rate: FloatArray, temp_c: FloatArray) -> FloatArray:
         """Return e at points (n,), rad/s."""
-        e: FloatArray = _design(self.rate, self.temp, turn_rate, temp_c) @ self.coefficients
-        return e
+        return np.asarray(_design(self.rate, self.temp, turn_rate, temp_c) @ self.coefficients)
 
     def uncertainty(self, turn_rate: FloatArray, temp_c: FloatArray) -> FloatArray:
         """Return the standard uncertainty of e at points (n,), rad/s."""
         x = _design(self.rate, self.temp, turn_rate, temp_c)
-        deviation: FloatArray = np.sqrt(np.maximum(np.einsum("np,np->n", x @ self.covariance, x), 0.0))
-        return deviation
+        return np.asarray(np.sqrt(np.maximum(np.einsum("np,np->n", x @ self.covariance, x), 0.0)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -405,5 +401,4 @@ def _design(rate: Cubics, temp: Cubics, turn_rate: FloatArray, temp_c: FloatArra
 
 def _vanishing(rate: Cubics) -> FloatArray:
     """Return combinations of the splines, one a column, that are zero at rate zero."""
-    at_zero = rate.at(np.zeros(1))
-    return np.asarray(np.linalg.svd(at_zero)[2][1:].T)
+    return np.asarray(np.linalg.svd(rate.at(np.zeros(1)))[2][1:].T)

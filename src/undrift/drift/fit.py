@@ -248,10 +248,8 @@ def _checked(sessions: Sequence[Session], calibration: Calibration | None, setti
     """Return sessions of one device, each in one unit."""
     if not sessions:
         raise InputError("drift: wanted a session or more, got none; name its folder")
-    names = dict.fromkeys(s.serial or s.records[0].device for s in sessions)
-    if calibration is not None:
-        names[calibration.device] = None
-    named = [name for name in names if name]
+    own = "" if calibration is None else calibration.device
+    named = [name for name in dict.fromkeys((*(s.serial or s.records[0].device for s in sessions), own)) if name]
     if len(named) > 1:
         raise InputError(f"drift: wanted sessions and calibration of one device, got {', '.join(named)}; sort them")
     if settings.lag_s is not None and not 0.0 <= settings.lag_s < np.inf:

@@ -286,8 +286,7 @@ def _left_out(
             weighted = basis[kept].T @ inverse
             if not held.any() or np.linalg.matrix_rank(weighted @ basis[kept]) < basis.shape[1]:
                 continue
-            by_basis = np.linalg.solve(weighted @ basis[kept], weighted @ column.y[kept])
-            left = column.y - basis @ by_basis
+            left = column.y - basis @ np.linalg.solve(weighted @ basis[kept], weighted @ column.y[kept])
             error = left[held] - signal[np.ix_(held, ~held)] @ inverse @ left[kept]
             means[k] += [error[parts[held] == part].mean() for part in np.unique(parts[held])]
     if not means[0]:

@@ -28,7 +28,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray, IntArray
-from undrift.drift.checks import STATUS_BEFORE
+from undrift.drift.checks import STATUS_BEFORE, verdict_without
 from undrift.drift.daily_rests import CELL_C, UNKNOWN, LearnSettings, daily_rests, in_order, raw_per_si
 from undrift.drift.static import near_data
 from undrift.errors import InputError, NotObservable
@@ -42,7 +42,6 @@ from undrift.model import (
     Learnt,
     ScaleDrift,
     StaticDrift,
-    Status,
     TriadModel,
     Verdict,
     versions_used,
@@ -102,14 +101,15 @@ def learn_drift(
     model = _checked(sessions, calibration, dates)
     held = None if calibration.drift is None else calibration.drift.learnt
     before = calibration.drift if held is None else held.before
-    base = replace(calibration, drift=before, verdict=_verdict_before(calibration))
+    verdict = verdict_without(_PREFIX, calibration, f"{_SETTINGS}status_before")  # that of earlier learning goes
+    base = replace(calibration, drift=before, verdict=verdict)
     new, found, used = daily_rests(sessions, calibration, base, dates, settings)
-    evidence = in_order(held, new, base)
-    if not len(evidence.temp_c):
+    if not any(part is not None and len(part.temp_c) for part in (held, *new)):
         raise NotObservable(
             "learn: wanted rests of some seconds with a known temperature, got none; "
             + "; ".join(item.text for item in found)
         )
+    evidence = in_order(held, new, base)
     nodes = _nodes(before, base, evidence)
     prior = _Prior.of(base, nodes, evidence, settings)
     kept = np.ones(len(evidence.temp_c), bool)
@@ -159,16 +159,6 @@ def _checked(sessions: Sequence[Session], calibration: Calibration, dates: Seque
     if calibration.gyro is None:
         raise InputError("learn: wanted a calibration of the gyroscopes, got one without; calibrate them first")
     return calibration.gyro
-
-
-def _verdict_before(calibration: Calibration) -> Verdict:
-    """Return the verdict of a calibration without the findings of earlier learning."""
-    known: dict[str, Status] = {"good": "good", "marginal": "marginal", "bad": "bad"}
-    status = dict(calibration.provenance.settings).get(f"{_SETTINGS}status_before", "")
-    if status not in known:
-        return calibration.verdict
-    kept = tuple(item for item in calibration.verdict.findings if not item.code.startswith(_PREFIX))
-    return Verdict(status=known[status], findings=kept)
 
 
 # ---- the curve
@@ -234,8 +224,7 @@ class _Prior:
         factor = np.array([own.factor, own.factor, own.factor, own.bend_factor])[:, None] ** z
         middle = np.array([own.turn_on, own.ageing / _MONTH**0.5, own.rest, own.bend])
         turn_on, ageing, rest, bend = raw * middle[:, None] * factor
-        shared = turn_on**2 / self.sessions
-        grown = shared[:, None, None] + (bend**2)[:, None, None] * self.bending
+        grown = (turn_on**2 / self.sessions)[:, None, None] + (bend**2)[:, None, None] * self.bending
         return _Point(turn_on=turn_on, ageing=ageing, rest=rest, covariance=self.covariance[axis] + grown)
 
 
@@ -445,8 +434,7 @@ def _table(
         if old.gyro_offset is not None:
             marks = np.zeros(len(old.temp_c), bool) if old.gyro_extrapolated is None else old.gyro_extrapolated
             inside = (nodes >= old.temp_c[0]) & (nodes <= old.temp_c[-1])
-            nearest = np.abs(nodes[:, None] - old.temp_c).argmin(axis=1)
-            far &= ~inside | marks[nearest]
+            far &= ~inside | marks[np.abs(nodes[:, None] - old.temp_c).argmin(axis=1)]
     made = replace(
         held,
         gyro_offset=np.stack([axis.offset for axis in axes], axis=1),
@@ -502,15 +490,13 @@ def _calibrated(
     """Return a calibration with the tables; used: name and sha256 of the files that were learnt from."""
     held = given.provenance
     settings = {name: text for name, text in held.settings if not name.startswith(_SETTINGS)}
-    learnt = tables.learnt
-    count = 0 if learnt is None else len(learnt.recordings)
+    count = 0 if tables.learnt is None else len(tables.learnt.recordings)
     settings |= {
         f"{_SETTINGS}recordings": f"{count}",
         f"{_SETTINGS}status_before": base.verdict.status,
     }
-    settings.setdefault(
-        _INPUTS, f"{len(held.inputs)}"
-    )  # what learning adds goes with the tables when new ones are fitted
+    # what learning adds goes with the tables when new ones are fitted
+    settings.setdefault(_INPUTS, f"{len(held.inputs)}")
     settings.setdefault(STATUS_BEFORE, base.verdict.status)
     provenance = replace(
         held,
@@ -527,7 +513,7 @@ def _findings(fit: LearnFit, evidence: Learnt, covered: bool) -> list[Finding]:
     near = ~fit.extrapolated if not fit.extrapolated.all() else fit.extrapolated
     change = np.abs(fit.after - fit.before)[near] / _DPS
     row, axis = np.unravel_index(int(change.argmax()), change.shape)
-    uncertain = [_rms(value[near]) / _DPS for value in (fit.before_uncertainty, fit.after_uncertainty)]
+    uncertain = [np.sqrt(np.mean(u[near] ** 2)) / _DPS for u in (fit.before_uncertainty, fit.after_uncertainty)]
     where = {"largest_dps": change[row, axis], "axis": AXES[axis], "temp_c": fit.temp_c[near][row]}
     found = [finding("drift.learn_changed", "info", before_dps=uncertain[0], after_dps=uncertain[1], **where)]
     sizes = {"dps": fit.turn_on / _DPS, "uncertainty_dps": fit.turn_on_uncertainty / _DPS}
@@ -548,7 +534,3 @@ def _findings(fit: LearnFit, evidence: Learnt, covered: bool) -> list[Finding]:
     elif left:
         found.append(finding("drift.learn_left_out", level, count=left, cells=count))
     return found
-
-
-def _rms(value: FloatArray) -> float:
-    return float(np.sqrt(np.mean(value**2)))

@@ -269,8 +269,7 @@ def rest_blocks(
         gyro_step_error=gyro_step,
         accel_step_error=accel_step,
     )
-    seen = np.isfinite(gyro).all(axis=1) | np.isfinite(accel).all(axis=1)
-    return made.taken(np.isfinite(own) & seen)
+    return made.taken(np.isfinite(own) & (np.isfinite(gyro).all(axis=1) | np.isfinite(accel).all(axis=1)))
 
 
 def _edges(time: FloatArray, block_s: float) -> IntArray:
@@ -287,8 +286,7 @@ def _means(
     means = np.full((len(edges) - 1, 3), np.nan)
     if readings is None:
         return means, means.copy(), np.zeros_like(means)
-    values = readings[inside]
-    blocks = [values[start:stop] for start, stop in pairwise(edges)]
+    blocks = [readings[inside][start:stop] for start, stop in pairwise(edges)]
     counts = np.zeros(len(blocks))
     square, pairs = np.zeros(3), 0
     own_variance: list[FloatArray] = []

@@ -162,14 +162,13 @@ def accel_offsets(blocks: RestBlocks, calibration: Calibration | None, accel_uni
             return finding("drift.accel_gravity", "warn", problem=str(error))
     chosen = blocks.taken(blocks.pose == poses[int(np.argmax(spans))])
     percent, span = 100.0 * UNKNOWN_SCALE_PER_K, max(spans)
-    found = finding("drift.accel_one_pose", "info", poses=len(poses), span_c=span, percent_per_c=percent)
     return Offsets(
         blocks=chosen,
         value=np.array(chosen.accel),
         variance=known_variance(chosen.accel_variance),
         step_error=chosen.accel_step_error,
         common_variance=np.zeros(3),
-        findings=(found,),
+        findings=(finding("drift.accel_one_pose", "info", poses=len(poses), span_c=span, percent_per_c=percent),),
     )
 
 
@@ -184,8 +183,7 @@ def specific_force(blocks: RestBlocks, calibration: Calibration | None) -> Float
     model = None if calibration is None else calibration.accel
     if model is None or not np.isfinite(blocks.accel).all():
         return None
-    force: FloatArray = (blocks.accel - model.offset) @ model.matrix.T
-    return force
+    return np.asarray((blocks.accel - model.offset) @ model.matrix.T)
 
 
 # ---- temperature cells
@@ -265,9 +263,7 @@ def gather(
     level = value - np.asarray(x @ middle / max(float(x @ x), 1e-9)) * blocks.temp_c[:, None]
     rests, labels = _rests_of(blocks, members)
     seen = instability_of(blocks, value, variance)
-    instability = None if seen is None else np.maximum(*seen)
-    if instability is None:
-        instability = _from_pairs(blocks, rests, labels, level, variance)
+    instability = _from_pairs(blocks, rests, labels, level, variance) if seen is None else np.maximum(*seen)
     leg = leg[[rows[0] for rows in members]]
     visits = (leg[:, None] == leg).astype(float)
     within = _correlation(blocks, members)
@@ -308,8 +304,7 @@ def _visits(blocks: RestBlocks, parts: list[IntArray], width: float) -> list[Int
     visits: list[IntArray] = []
     for rows in parts:
         rows = rows[np.argsort(blocks.temp_c[rows], kind="stable")]
-        bins = bins_of(blocks.temp_c[rows], width)
-        for inside in np.split(rows, np.flatnonzero(np.diff(bins)) + 1):
+        for inside in np.split(rows, np.flatnonzero(np.diff(bins_of(blocks.temp_c[rows], width))) + 1):
             inside = inside[np.argsort(place[inside])]
             away = np.cumsum(np.abs(temp_c - blocks.temp_c[inside].mean()) > _LEFT_C + width)[place[inside]]
             visits += np.split(inside, np.flatnonzero(np.diff(away)) + 1)
@@ -393,13 +388,11 @@ def variance_of_mean(value: FloatArray, variance: FloatArray, step_error: FloatA
         return noise
     left = np.nanmean(step_error, axis=0)
     crossed = np.ptp(value, axis=0) / np.maximum(_STEP_PER_ERROR * left, 1e-300)
-    total: FloatArray = noise + left**2 / (1.0 + np.where(left > 0.0, crossed, 0.0))
-    return total
+    return np.asarray(noise + left**2 / (1.0 + np.where(left > 0.0, crossed, 0.0)))
 
 
 def _rho(lag_s: FloatArray) -> FloatArray:
-    kept: FloatArray = np.exp(-np.asarray(lag_s)[..., None] / _TIME_CONSTANTS_S).mean(axis=-1)
-    return kept
+    return np.asarray(np.exp(-np.asarray(lag_s)[..., None] / _TIME_CONSTANTS_S).mean(axis=-1))
 
 
 def _good(value: FloatArray, pose: IntArray) -> BoolArray:
@@ -500,8 +493,7 @@ def excess(taken: FloatArray, size: float, mean: FloatArray, covariance: FloatAr
 
 def pooled(variance: FloatArray, freedom: int) -> FloatArray:
     """Return variances of the three axes, (3,), drawn towards their mean: sensors of one triad are alike."""
-    drawn: FloatArray = (freedom * variance + _ALIKE * variance.mean()) / (freedom + _ALIKE)
-    return drawn
+    return np.asarray((freedom * variance + _ALIKE * variance.mean()) / (freedom + _ALIKE))
 
 
 # ---- sessions of one device: how much the offset moves from one switch-on to the next
@@ -626,8 +618,7 @@ def _g_sensitivity(between: RestScatter, force: FloatArray) -> tuple[FloatArray,
     left, size, right = np.linalg.svd(left_out @ poses, full_matrices=False)
     kept = size > _RESOLVED  # the pseudo-inverse without directions that are hardly resolved
     of_pose = (right[kept].T / size[kept]) @ left[:, kept].T @ left_out
-    effect = float(((of_pose @ poses) ** 2).sum())
-    pose_variance = pooled(excess(of_pose, effect, between.mean, covariance), spare)
+    pose_variance = pooled(excess(of_pose, float(((of_pose @ poses) ** 2).sum()), between.mean, covariance), spare)
     covariance = covariance + pose_variance[:, None, None] * (poses @ poses.T)
     found = (taken @ between.mean).T
     known = widening_of(spare + 2.0) * np.einsum("ij,kjl,ml->kim", taken, covariance, taken)

@@ -38,9 +38,8 @@ _SAME_DIRECTION = 0.98  # cosine
 _SAME_POSE = 0.2  # of the largest difference between two poses, or of gravity
 _SAME_RATE = 0.01  # of the greatest: rates of one mounting nearer to each other are one
 _SAME_TEMPERATURE_C = 1.5
-MATRIX_GAP_C = (
-    10.0  # a node between soaks and further from both is extrapolated: matrices change more evenly than offsets
-)
+# a node between soaks and further from both is extrapolated: matrices change more evenly than offsets
+MATRIX_GAP_C = 10.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -361,8 +360,7 @@ def _variance(variance: FloatArray, reading: FloatArray) -> FloatArray:
     known = np.isfinite(variance) & (variance > 0.0)
     least = (1e-9 * np.maximum(np.abs(reading).max(axis=0), 1e-30)) ** 2
     middle = np.array([np.median(v[ok]) if ok.any() else 0.0 for v, ok in zip(variance.T, known.T, strict=True)])
-    filled: FloatArray = np.maximum(np.where(known, variance, middle), least)
-    return filled
+    return np.asarray(np.maximum(np.where(known, variance, middle), least))
 
 
 def gyro_model(calibration: Calibration) -> TriadModel:

@@ -112,8 +112,7 @@ def choose_tables(
     """Fit all alternatives, select one by cross-validation; nodes temp_c (n,), degC."""
     low, high = float(temp_c[0]), float(temp_c[-1])  # the dynamic table's: multiples of 5 degC inside, and the ends
     between = DEFAULT_STEP_C * np.arange(np.ceil(low / DEFAULT_STEP_C), np.floor(high / DEFAULT_STEP_C) + 1.0)
-    inside = between[(between > low + 1e-9) & (between < high - 1e-9)]
-    nodes = np.concatenate(([low], inside, [high]))
+    nodes = np.concatenate(([low], between[(between > low + 1e-9) & (between < high - 1e-9)], [high]))
     clean = with_rest_as_zero(steps_of(steps), rests, calibration, static)
     numbers, point = _set_points(clean)
     if len(numbers) < 2:

@@ -115,8 +115,7 @@ def since_power_on(rests: RestBlocks, sessions: Sequence[Session]) -> RestBlocks
     for number, session in enumerate(sessions):
         begins = np.cumsum([0.0, *(record.duration_s for record in session.records[:-1])])
         rows = np.flatnonzero(rests.session == number)
-        recording = np.searchsorted(begins, rests.time[rows], side="right") - 1
-        power_on_s[rows] += _ages(session.records)[recording]
+        power_on_s[rows] += _ages(session.records)[np.searchsorted(begins, rests.time[rows], side="right") - 1]
     return replace(rests, power_on_s=power_on_s)
 
 
@@ -255,8 +254,7 @@ def _dealt_out(one: Record, other: Record) -> bool:
         return False
     after = np.searchsorted(one.time, other.time[here])
     step = one.time[after] - one.time[after - 1]
-    usual = float(np.median(np.diff(other.time)))
-    between = (one.time[after] > other.time[here]) & (step <= _HOLE * usual)
+    between = (one.time[after] > other.time[here]) & (step <= _HOLE * float(np.median(np.diff(other.time))))
     if between.mean() < 0.9:  # the same times, or holes
         return False
     here, after = here[between], after[between]
@@ -271,8 +269,7 @@ def _dealt_out(one: Record, other: Record) -> bool:
     means = off[: count * _STRETCH].reshape(count, _STRETCH, -1).mean(axis=1)
     rows = np.array([len(np.unique(part)) for part in np.split(after[: count * _STRETCH], count)])
     # White noise s2 in both: s2 (1 + 2/3) in a difference, s2 / n + s2 / m in the mean over n rows of one and m of the other.
-    noise = off.var(axis=0) / (1.0 + 2.0 / 3.0)
-    expected = noise * (1.0 / _STRETCH + 1.0 / rows)[:, None]
+    expected = (off.var(axis=0) / (1.0 + 2.0 / 3.0)) * (1.0 / _STRETCH + 1.0 / rows)[:, None]
     like = (means**2).mean(axis=0) <= _LIKE_NOISE * expected.mean(axis=0)
     even = np.abs(means.mean(axis=0)) <= _SIGNIFICANT * np.sqrt(expected.mean(axis=0) / count)
     return bool((like & even).all())

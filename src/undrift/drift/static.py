@@ -209,8 +209,7 @@ def _triad(
     correct_loop: bool = False,
 ) -> TriadDrift:
     """Fit one triad; with a reference the table is its offset plus the change since its temperature."""
-    doubt_s = settings.lag_doubt_s if correct_loop else None
-    curve = fit_curve(offsets, warm_up=settings.warm_up, lag_doubt_s=doubt_s)
+    curve = fit_curve(offsets, warm_up=settings.warm_up, lag_doubt_s=settings.lag_doubt_s if correct_loop else None)
     temp_c, n = offsets.blocks.temp_c, len(nodes)
     inside = np.quantile(temp_c, np.linspace(0.0, 1.0, _SLOPE_POINTS))
     at = np.concatenate((nodes, inside, [nodes[0] if reference is None else reference[0]]))
@@ -265,8 +264,7 @@ def _accel(
 def near_data(nodes: FloatArray, temp_c: FloatArray, *, gap_c: float) -> BoolArray:
     """Tell which nodes (n,) have data (k,) near them: within a gap between two, and at the ends within half a degree."""
     nearest = np.abs(nodes[:, None] - temp_c[None, :]).min(axis=1)
-    outside = (nodes < temp_c.min()) | (nodes > temp_c.max())
-    return np.asarray(nearest <= np.where(outside, _EDGE_C, gap_c))
+    return np.asarray(nearest <= np.where((nodes < temp_c.min()) | (nodes > temp_c.max()), _EDGE_C, gap_c))
 
 
 def far_from_data(sensor: str, found: TriadDrift) -> list[Finding]:
@@ -383,8 +381,7 @@ def _smoothed(cells: Cells, known: FloatArray | None = None) -> tuple[Cells, Smo
     shared = shared if known is None else shared + known
     if len(np.unique(cells.session)) > 1:
         turn_on = between_sessions(cells)
-        of_sessions = np.nan_to_num(turn_on.variance)[:, None, None] * (cells.session[:, None] == cells.session)
-        shared = of_sessions + shared
+        shared = (np.nan_to_num(turn_on.variance)[:, None, None] * (cells.session[:, None] == cells.session)) + shared
     spline = fit_smooth(
         cells.temp_c,
         cells.value,
@@ -464,9 +461,7 @@ def _direction(temp_c: list[float]) -> FloatArray:
 def both_ways(blocks: RestBlocks, state: FloatArray) -> bool:
     """Tell whether both directions have seen a common range of temperature."""
     up, down = blocks.temp_c[state < -0.5], blocks.temp_c[state > 0.5]
-    if not len(up) or not len(down):
-        return False
-    return bool(min(up.max(), down.max()) - max(up.min(), down.min()) >= _OVERLAP_C)
+    return bool(len(up) and len(down) and min(up.max(), down.max()) - max(up.min(), down.min()) >= _OVERLAP_C)
 
 
 # ---- warm-up

@@ -28,7 +28,7 @@ import numpy as np
 from undrift.arrays import BoolArray, FloatArray, frozen
 from undrift.errors import InputError, NotObservable
 from undrift.findings import Finding, finding
-from undrift.record import Record, Session, Still, Turn
+from undrift.record import Session, Still, Turn
 
 BOARD_C = (-40.0, 125.0)  # where parts of a board work
 OFF_SET_POINT_C = 5.0  # between the column and a stated set-point: another scale
@@ -83,8 +83,12 @@ def trusted_temperature(
     if not 0 <= index < len(session.records):
         raise InputError(f"temperature: wanted recording 0 to {len(session.records) - 1}, got {index}")
     record = session.records[index]
-    if session.means:
-        return _from_means(record, index)
+    if session.means:  # rows that are means
+        if record.temp_c is None:
+            raise InputError(
+                f"temperature of recording {index}: wanted the column of the set-points, got none; state columns.temp"
+            )
+        return _as_stated(record.temp_c, record.time, index, "means")
     pieces: list[Still | Turn] = [*session.stills, *session.turns]
     stated = [
         (slice(piece.start, piece.stop), piece.temp_c)
@@ -101,31 +105,19 @@ def trusted_temperature(
     temp_c = np.full(len(record), np.nan)
     for rows, set_point in stated:
         temp_c[rows] = set_point
-    _check_board(temp_c, record.time, index)
+    warned = finding("drift.temperature_set_points", "warn", recording=index, pieces=len(stated))
+    return _as_stated(temp_c, record.time, index, "set-points", warned)
+
+
+def _as_stated(temp_c: FloatArray, time: FloatArray, index: int, source: Source, *findings: Finding) -> Temperature:
+    _check_board(temp_c, time, index)
     return Temperature(
         temp_c=temp_c,
         uncertainty_c=SET_POINT_UNCERTAINTY_C,
         noise_c=0.0,
         step_c=0.0,
-        source="set-points",
-        findings=(finding("drift.temperature_set_points", "warn", recording=index, pieces=len(stated)),),
-    )
-
-
-def _from_means(record: Record, index: int) -> Temperature:
-    """Return the temperatures of rows that are means: as they are stated."""
-    if record.temp_c is None:
-        raise InputError(
-            f"temperature of recording {index}: wanted the column of the set-points, got none; state columns.temp"
-        )
-    _check_board(record.temp_c, record.time, index)
-    return Temperature(
-        temp_c=record.temp_c,
-        uncertainty_c=SET_POINT_UNCERTAINTY_C,
-        noise_c=0.0,
-        step_c=0.0,
-        source="means",
-        findings=(),
+        source=source,
+        findings=findings,
     )
 
 

@@ -48,9 +48,8 @@ class LagFit:
     uncertainty_s: float = math.inf  # standard uncertainty, s; infinite where it is not observable
     observable: bool = False  # False where the recording does not separate a lag from something else
     two_speeds: bool = False  # whether ramps of two speeds were seen: then hysteresis is not taken for lag
-    lags_s: FloatArray = field(
-        default_factory=lambda: np.empty(0)
-    )  # (k,), time constants tried, s; empty where none was
+    # (k,), time constants tried, s; empty where none was
+    lags_s: FloatArray = field(default_factory=lambda: np.empty(0))
     # (k,), twice the loss of log-likelihood against the best of them, 1
     misfit: FloatArray = field(default_factory=lambda: np.empty(0))
     findings: tuple[Finding, ...]  # why it is not observable
@@ -121,8 +120,7 @@ def default_smooth_s(lag_s: float, *, noise_c: float, interval_s: float, step_c:
     blurred = noise_c >= DITHERED * step_c
     white = math.hypot(noise_c, step_c / math.sqrt(12.0) if blurred else 0.0) * math.sqrt(min(interval_s, 1.0))
     noise = white if blurred else math.hypot(white, step_c / math.sqrt(12.0))
-    balance = math.sqrt(noise * lag_s / (RAMP_C_PER_MIN / 60.0))
-    return min(0.5 * lag_s, max(0.05 * lag_s, balance, interval_s))
+    return min(0.5 * lag_s, max(0.05 * lag_s, math.sqrt(noise * lag_s / (RAMP_C_PER_MIN / 60.0)), interval_s))
 
 
 def _check_times(lag_s: float, smooth_s: float) -> None:

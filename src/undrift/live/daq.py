@@ -22,7 +22,7 @@ from undrift.arrays import FloatArray
 from undrift.errors import InputError, LinkError
 from undrift.files import first_line
 from undrift.live.decoder import COUNTER, StreamDescription
-from undrift.live.transports import Address, ByteSource, Source, package_of
+from undrift.live.transports import Address, ByteSource, Source, number_of, package_of
 from undrift.units import LM335_K_PER_V, ZERO_CELSIUS_K
 
 TERMINALS = {"default": "DEFAULT", "rse": "RSE", "nrse": "NRSE", "diff": "DIFF", "pseudo_diff": "PSEUDO_DIFF"}
@@ -181,23 +181,18 @@ def daq_source(address: Address) -> Source:
 
 def _scale(address: Address, triad: str) -> Scale | None:
     """Return the stated scale of a triad; None where it stays in volts."""
-    name, given = address.option(f"{triad}_sensor", ""), Scale()
+    name = address.option(f"{triad}_sensor", "")
     known = {key: held for key, held in sensors().items() if held["triad"] == triad}
     if name and name not in known:
         raise InputError(
             f"daq: wanted {triad}_sensor out of {', '.join(known)}, got '{name}'; or state {triad}_v_per_unit"
         )
-    if name:
-        given = Scale(known[name]["v_per_unit"], known[name]["zero_v"])
-    stated = [address.option(f"{triad}_{what}", "") for what in ("v_per_unit", "zero_v")]
-    if not name and not any(stated):
+    stated = {what: address.option(f"{triad}_{what}", "") for what in ("v_per_unit", "zero_v")}
+    if not name and not any(stated.values()):
         return None
-    if not name and not all(stated):
+    if not name and not all(stated.values()):
         raise InputError(f"daq: wanted {triad}_v_per_unit and {triad}_zero_v, got one of them; state both")
-    made = [
-        _number(f"{triad}_{what}", text) if text else held
-        for what, text, held in zip(("v_per_unit", "zero_v"), stated, (given.v_per_unit, given.zero_v), strict=True)
-    ]
+    made = [_number(f"{triad}_{what}", text) if text else known[name][what] for what, text in stated.items()]
     if made[0] == 0.0:
         raise InputError(f"daq: wanted {triad}_v_per_unit other than 0, got 0; look into the data sheet")
     return Scale(*made)
@@ -214,10 +209,6 @@ def _range(text: str) -> tuple[float, float]:
 
 
 def _number(name: str, text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = np.nan
-    if not np.isfinite(value):
+    if not np.isfinite(value := number_of(text)):
         raise InputError(f"daq: wanted a number for {name}, got '{text}'; mend the address")
     return value

@@ -114,13 +114,12 @@ class StreamDescription:
             names = [f"{name}_{axis}" for axis in "xyz"]
             return values[:, [place[each] for each in names]] if names[0] in place else None
 
-        temp = values[:, place["temp"]] * self.temp_scale + self.temp_zero if "temp" in place else None
         return Record(
             time=time,
             gyro=triad("gyro"),
             accel=triad("accel"),
             mag_ut=triad("mag"),
-            temp_c=temp,
+            temp_c=values[:, place["temp"]] * self.temp_scale + self.temp_zero if "temp" in place else None,
             gyro_unit=self.gyro_unit,
             accel_unit=self.accel_unit,
             device=self.device,
@@ -412,8 +411,7 @@ def frame_fields(pack: str, channels: int) -> np.dtype[np.void]:
 
 def finite(rows: FloatArray) -> FloatArray:
     """Return the rows without infinity, which no device means: rows (N, K) -> (M, K)."""
-    sound: FloatArray = rows[~np.isinf(rows).any(axis=1)]
-    return sound
+    return np.asarray(rows[~np.isinf(rows).any(axis=1)])
 
 
 def decoder_for(description: StreamDescription) -> LineDecoder | FrameDecoder:

@@ -225,6 +225,14 @@ def reason_of(error: Exception) -> str:
     return str(error) or type(error).__name__
 
 
+def number_of(text: str) -> float:
+    """Return the number that a text states, NaN where it states none."""
+    try:
+        return float(text)
+    except ValueError:
+        return np.nan
+
+
 def host_and_port(place: str) -> tuple[str, int]:
     """Return host and port of ``//host:port``; "" and 0 where they are missing."""
     parts = urlsplit(place)
@@ -250,6 +258,7 @@ class ByteSource:
     """A device whose bytes come through a port."""
 
     way = "link"
+    ending = "close"  # what its port calls that
 
     def __init__(self, name: str, description: StreamDescription, connect: Callable[[], Any]) -> None:
         self.name, self.description, self.errors = name, description, 0
@@ -290,7 +299,7 @@ class ByteSource:
     def close(self) -> None:
         """Let go of the port; harmless when called again."""
         if self._port is not None:
-            self._port.close()
+            getattr(self._port, self.ending)()
             self._port = None
 
     def _poll(self, wait_s: float) -> FloatArray:
@@ -298,8 +307,7 @@ class ByteSource:
         try:
             data = self._port.receive(wait_s)
         except (OSError, EOFError) as error:
-            got = reason_of(error)
-            raise LinkError(f"{self.name}: wanted readings, got a lost link: {got}; reconnect") from error
+            raise LinkError(f"{self.name}: wanted readings, got a lost link: {reason_of(error)}; reconnect") from error
         self._came += len(data)
         garbled = self._decoder.errors
         rows = self._decoder.feed(data, whole=self._port.datagrams) if data else np.empty((0, 0))
@@ -315,7 +323,7 @@ class ByteSource:
 class LslSource(ByteSource):
     """A stream of the Lab Streaming Layer."""
 
-    way = "stream"
+    way, ending = "stream", "close_stream"
 
     def __init__(self, name: str, description: StreamDescription, connect: Callable[[], Any]) -> None:
         if description.has_counter:
@@ -324,12 +332,6 @@ class LslSource(ByteSource):
             )
         stamped = replace(description, channels=(COUNTER, *description.channels), tick=1.0, counter_bits=0)
         super().__init__(name, stamped, connect)
-
-    def close(self) -> None:
-        """Let go of the stream; harmless when called again."""
-        if self._port is not None:
-            self._port.close_stream()
-            self._port = None
 
     def _poll(self, wait_s: float) -> FloatArray:
         try:

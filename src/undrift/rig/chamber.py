@@ -20,16 +20,18 @@ stated time constants of steady air (exp(-5) = 0.7 % of the step left).
 import contextlib
 import math
 import time
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections import deque
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
-from typing import Protocol, Self
+from typing import Protocol
 
 import numpy as np
 
 from undrift.arrays import FloatArray
 from undrift.errors import InputError, LimitError, LinkError, RigError, RigFault
+from undrift.live.transports import number_of
 from undrift.plugins import load_named, names_in
 from undrift.record import Face, Record
 from undrift.rig.link import Clock, Link, LinkSettings
@@ -104,7 +106,7 @@ class Steadiness:
         return near and self.slope_c_per_min() < self._settings.slope_c_per_min
 
 
-class Chamber(ABC):
+class Chamber(AbstractContextManager["Chamber"]):
     """A chamber that is connected; a context manager that lets go of it. A kind of chamber sends, reads and switches off."""
 
     near_c: float | None = None  # How near the set-point a device must come where the air has no thermometer, K
@@ -114,9 +116,6 @@ class Chamber(ABC):
         self._steadiness = Steadiness(settings.soak)
         self._set_point: float | None = None
         self._closed = False
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(self, *failure: object) -> None:
         self.close()
@@ -176,10 +175,10 @@ class Chamber(ABC):
     def _measure(self) -> float:
         """Return what its thermometer reads, degC."""
 
-    def _reconnect(self) -> None:  # noqa: B027 - a chamber by hand has no link
+    def _reconnect(self) -> None:
         """Begin the link anew."""
 
-    def _let_go(self) -> None:  # noqa: B027
+    def _let_go(self) -> None:
         """Close the link."""
 
 
@@ -225,11 +224,7 @@ class ScpiChamber(Chamber):
 
     def _number(self, text: str) -> float:
         answer = self._ask(text)
-        try:
-            value = float(answer)
-        except ValueError:
-            value = math.nan
-        if not math.isfinite(value):
+        if not math.isfinite(value := number_of(answer)):
             raise LinkError(
                 f"chamber: wanted a number in answer to '{text}', got '{answer[:60]}'; check link and chamber"
             )

@@ -26,7 +26,7 @@ import numpy as np
 from undrift.arrays import FloatArray
 from undrift.errors import InputError, RigError, RigTimeout
 from undrift.findings import Finding, finding
-from undrift.model import Status, Verdict
+from undrift.model import Verdict
 from undrift.rig.guard import uninterrupted
 from undrift.rig.link import Clock
 from undrift.rig.rig import Gains, Position, Rig, Servo, Trace, achieved_turn_rate
@@ -141,18 +141,14 @@ def _checked(rig: Rig, clock: Clock, settings: CheckSettings, report: Report) ->
     finally:
         if servo:
             servo.free()
-    suggested = gains
+    suggested = held = gains
     if servo and loop and not LEAST_MARGIN_DEG <= loop.margin / RADIAN_PER_DEGREE <= LARGEST_MARGIN_DEG:
         suggested = servo.gains_for(WANTED_MARGIN_DEG * RADIAN_PER_DEGREE, loop.crossover, loop.response)
-    held = gains
     if servo and suggested and suggested != gains and settings.set_gains:
         held = servo.set_gains(suggested)
     beyond = error.largest > settings.limit
     passed = None if beyond and error.largest - error.unknown <= settings.limit else not beyond
-    findings = tuple(_findings(error, passed, loop, (gains, suggested, held), settings))
-    levels = {item.level for item in findings}
-    status: Status = "bad" if "fail" in levels else "marginal" if "warn" in levels else "good"
-    verdict = Verdict(status=status, findings=findings)
+    verdict = Verdict.of(*_findings(error, passed, loop, (gains, suggested, held), settings))
     return RigCheck(identity, error, passed, loop, gains, suggested, held, verdict)
 
 
@@ -171,33 +167,29 @@ def _wave(rig: Rig, clock: Clock, settings: CheckSettings, report: Report, each:
 
 
 def _recorded_wave(rig: Rig, servo: Servo, clock: Clock, settings: CheckSettings, report: Report) -> WaveError:
-    traces: list[Trace] = []
-    held: list[float] = []
+    turns: list[tuple[float, Trace]] = []  # at the rate held
 
     def each(turn_rate: float) -> None:
         servo.start(RECORDED * settings.half_period_s)
-        held.append(rig.turn(turn_rate))
-        traces.append(servo.trace())
+        turns.append((rig.turn(turn_rate), servo.trace()))
 
     _wave(rig, clock, settings, report, each)
     at_rest = abs(rig.following_error())
-    parts = [steady_part(trace, turn_rate) for trace, turn_rate in zip(traces, held, strict=True)]
-    steady = np.concatenate([trace.error[part:] for trace, part in zip(traces, parts, strict=True)])
+    parted = [(trace, steady_part(trace, turn_rate)) for turn_rate, trace in turns]
+    steady = np.concatenate([trace.error[part:] for trace, part in parted])
     if not len(steady):
         raise RigTimeout(
             "rig check: wanted records that reach a steady rate, got none; look at the link and at the table"
         )
     slopes = [
         abs(trace.position[-1] - trace.position[part]) / (trace.period_s * (len(trace.position) - 1 - part))
-        for trace, part in zip(traces, parts, strict=True)
+        for trace, part in parted
         if len(trace.position) - part > 2
     ]
     return WaveError(
         rms=float(np.sqrt(np.mean(steady**2))),
         largest=max(float(np.abs(steady).max()), at_rest),
-        in_run_up=max(
-            float(np.abs(trace.error[:part]).max(initial=0.0)) for trace, part in zip(traces, parts, strict=True)
-        ),
+        in_run_up=max(float(np.abs(trace.error[:part]).max(initial=0.0)) for trace, part in parted),
         turn_rate=float(np.mean(slopes)),
     )
 
@@ -372,8 +364,5 @@ def _findings(
             made.append(finding("rig_check.no_gains", "info", **seen, wanted_deg=WANTED_MARGIN_DEG))
     if suggested is not None and suggested != read:
         numbers = {**asdict(suggested), "wanted_deg": WANTED_MARGIN_DEG}
-        if held == suggested:
-            made.append(finding("rig_check.gains_set", "info", **numbers))
-        else:
-            made.append(finding("rig_check.gains", "info", **numbers))
+        made.append(finding("rig_check.gains_set" if held == suggested else "rig_check.gains", "info", **numbers))
     return made

@@ -19,7 +19,7 @@ import os
 import sys
 import zlib
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from dataclasses import asdict, dataclass, replace
 from itertools import chain, count
 from pathlib import Path
@@ -43,20 +43,15 @@ class Journal:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self._lock = locked(path)  # apart from the file that is written, which may have to be opened afresh
-        try:
+        with ExitStack() as opened:
+            # apart from the file that is written, which may have to be opened afresh
+            self._lock = opened.enter_context(locked(path))
             self.entries, whole = read_journal(path)
-            self._file: BinaryIO = path.open("ab")
-        except BaseException:
-            self._lock.close()
-            raise
-        try:
+            self._file: BinaryIO = opened.enter_context(path.open("ab"))
             self._file.truncate(whole)
             self._file.seek(whole)
             self._sync()
-        except BaseException:
-            self.close()
-            raise
+            opened.pop_all()
 
     def append(self, entry: Entry) -> None:
         """Write an entry; it is on the disk when this returns, or not in the journal at all."""
@@ -240,7 +235,7 @@ class Piece:
         return f"{PIECES}/{self.step:04d}.parquet"
 
 
-class RunFolder:
+class RunFolder(AbstractContextManager["RunFolder"]):
     """The folder of a run that is going on; closes its journal at the end of a with block."""
 
     def __init__(self, path: Path, protocol: Protocol, *, resume: bool = False) -> None:
@@ -265,9 +260,6 @@ class RunFolder:
         except BaseException:
             self._journal.close()
             raise
-
-    def __enter__(self) -> "RunFolder":
-        return self
 
     def __exit__(self, *failure: object) -> None:
         self._journal.close()

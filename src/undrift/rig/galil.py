@@ -355,11 +355,9 @@ class GalilServo:
                 word = name.upper()
                 raise LimitError(f"{word}: wanted 0 to {largest}, got {value:g}; choose another gain", gain=value)
             wanted[name] = min(step * math.floor(value / step + 0.5), largest)
-        held = {}
-        with self._guarded():
-            for name, (step, _) in GAINS.items():  # shown to 0.01
-                held[name] = round(self._card.set(name.upper(), wanted[name], tolerance=step) / step) * step
-        return Gains(**held)
+        with self._guarded():  # shown to 0.01
+            held = {name: self._card.set(name.upper(), wanted[name], tolerance=step[0]) for name, step in GAINS.items()}
+        return Gains(**{name: round(held[name] / step) * step for name, (step, _) in GAINS.items()})
 
     def gains_for(self, margin: float, crossover: float, response: complex) -> Gains | None:
         """Return gains with a phase margin at a crossover, from the open loop's response there; None where no PD filter has it.

@@ -17,6 +17,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from undrift.errors import InputError, LimitError, LinkError, RigError, RigFault, RigTimeout
+from undrift.live.transports import number_of
 from undrift.rig.link import Clock, Link, LinkedRig, end_of, link_settings
 from undrift.rig.rig import Position, RigSettings, in_words
 from undrift.units import RADIAN_PER_DEGREE
@@ -121,10 +122,8 @@ class GrblController:
                 self.link.reconnect()
             self.link.send(JOG_CANCEL)
             self.status_anew()
-            with contextlib.suppress(
-                RigTimeout, RigFault
-            ):  # time to come to rest: a reset in motion loses the position
-                self.wait_for(("Idle", "Sleep"), 10.0)
+            with contextlib.suppress(RigTimeout, RigFault):
+                self.wait_for(("Idle", "Sleep"), 10.0)  # a reset in motion loses the position
             self.reset()
             return self.sleep()
         except RigError:
@@ -241,10 +240,7 @@ class GrblAxis(GrblController):
         own = first + AXES.index(self._axis)
         number = own if str(own) in listed else first
         text = listed.get(str(number), "nothing").split(" ")[0]
-        try:
-            value = float(text)
-        except ValueError:
-            value = 0.0
+        value = number_of(text)
         if not 0.0 < value < 1e9:
             raise LinkError(
                 f"{self.name}: wanted ${number} above 0, got {text}; set it on the controller, check cable and baud"
@@ -462,9 +458,7 @@ class GrblRig(LinkedRig):
             status = axis.status()
         if status.state in ("Alarm", "Door"):
             return axis.alarm_text(status)
-        if axis.enabled and status.state == "Sleep":
-            return "the motor is asleep though it was switched on"
-        return None
+        return "the motor is asleep though it was switched on" if axis.enabled and status.state == "Sleep" else None
 
 
 def open_from(url: str, settings: RigSettings) -> GrblRig:

@@ -22,7 +22,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from types import FrameType, TracebackType
 from typing import TextIO
@@ -133,7 +133,7 @@ SILENCE_S = 5.0  # after which the program counts as gone
 LONGEST_S = 20.0  # that a guard is waited for
 
 
-class Guard:
+class Guard(AbstractContextManager["Guard"]):
     """Stands by while a rig is driven; a context manager."""
 
     def __init__(self, address: str, chamber: str = "") -> None:
@@ -153,9 +153,6 @@ class Guard:
         except BaseException:
             self.release(well=True)
             raise
-
-    def __enter__(self) -> "Guard":
-        return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None

@@ -18,7 +18,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, replace
 from typing import Any, Protocol, TypeAlias
 
@@ -176,16 +176,13 @@ class Receiver:
             )
 
 
-class Link:
+class Link(AbstractContextManager["Link"]):
     """A connection that is open from birth until `close`."""
 
     def __init__(self, url: str, settings: LinkSettings = LinkSettings()) -> None:
         self.name, self.settings = url, settings
         self._one_at_a_time = threading.RLock()
         self._connect()
-
-    def __enter__(self) -> "Link":
-        return self
 
     def __exit__(self, *failure: object) -> None:
         self.close()
@@ -367,8 +364,7 @@ class GclibPort:
     def resynchronise(self) -> None:
         """Ask for a number until the answer is that number."""
         for token in (41_001, 41_002, 41_003):
-            answer = (self.ask(f"MG {token}") or "").strip().lstrip("0")
-            if answer.split(".")[0] == str(token):
+            if (self.ask(f"MG {token}") or "").strip().lstrip("0").split(".")[0] == str(token):
                 return
         raise LinkError(f"{self.name}: wanted answers in step with their commands, got others; reconnect")
 

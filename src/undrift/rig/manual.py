@@ -10,6 +10,7 @@ import math
 from collections.abc import Callable
 
 from undrift.errors import InputError, LinkError, RigFault
+from undrift.live.transports import number_of
 from undrift.record import Face
 from undrift.rig.chamber import Chamber, ChamberSettings
 from undrift.rig.link import Clock
@@ -124,10 +125,7 @@ class ManualRig:
         line = f"Turn the device by {asked_deg:+g} deg, then type the angle it turned in deg (Enter: exactly that; q gives up): "
         for _ in range(QUESTIONS):
             answer = _said(self._ask, line, "manual rig: wanted the step done", "the person gave up")
-            try:
-                turned_deg = float(answer.removesuffix("deg").replace(",", ".")) if answer else asked_deg
-            except ValueError:
-                continue
+            turned_deg = number_of(answer.removesuffix("deg").replace(",", ".")) if answer else asked_deg
             if math.isfinite(turned_deg):
                 self._angle += turned_deg * RADIAN_PER_DEGREE
                 return turned_deg * RADIAN_PER_DEGREE

@@ -206,31 +206,24 @@ def read_protocol(path: str | Path) -> Protocol:
 def write_protocol(protocol: Protocol, path: str | Path) -> None:
     """Write a protocol; it reads back as it was, to the rounding of rad/s in deg/s."""
     p, dps = protocol, RADIAN_PER_DEGREE
-    lines = ["[protocol]", f"name = {json.dumps(p.name)}", f"cutoff_hz = {p.cutoff_hz!r}"]
+    uncertainty_dps = None if p.turn_rate_uncertainty is None else p.turn_rate_uncertainty / dps
+    tables: dict[str, dict[str, Any]] = {"protocol": {"name": p.name, "cutoff_hz": p.cutoff_hz}}
     if p.faces:
-        lines += ["", "[faces]", f"order = {json.dumps(list(p.faces))}", f"seconds = {p.face_s!r}"]
+        tables["faces"] = {"order": p.faces, "seconds": p.face_s}
     if p.turn_rate_step > 0.0:
-        lines += ["", "[rates]"]
-        for name in RATES:
-            lines.append(f"{name}_dps = {round(getattr(p, name) / dps, 12)!r}")
-        lines += [
-            f'grid = "{p.grid}"',
-            f"axes = {json.dumps(list(p.axes))}",
-            f'order = "{p.order}"',
-            f"seed = {p.seed}",
-        ]
-        lines += [] if p.dwell_s is None else [f"seconds = {p.dwell_s!r}"]
-        if p.turn_rate_uncertainty is not None:
-            lines.append(f"turn_rate_uncertainty_dps = {p.turn_rate_uncertainty / dps!r}")
-        lines += [f"bracket_s = {p.bracket_s!r}", f"whole_turns = {json.dumps(p.whole_turns)}"]
-        lines.append(f"acceleration_dps2 = {p.acceleration / dps!r}")
+        tables["rates"] = {f"{name}_dps": round(getattr(p, name) / dps, 12) for name in RATES}
+        tables["rates"] |= {"grid": p.grid, "axes": p.axes, "order": p.order, "seed": p.seed, "seconds": p.dwell_s}
+        tables["rates"] |= {"turn_rate_uncertainty_dps": uncertainty_dps, "bracket_s": p.bracket_s}
+        tables["rates"] |= {"whole_turns": p.whole_turns, "acceleration_dps2": p.acceleration / dps}
     if p.turn_axes:
-        lines += ["", "[turns]", f"angle_deg = {p.turn_angle / dps!r}", f"axes = {json.dumps(list(p.turn_axes))}"]
-        lines.append(f"rest_s = {p.turn_rest_s!r}")
+        tables["turns"] = {"angle_deg": p.turn_angle / dps, "axes": p.turn_axes, "rest_s": p.turn_rest_s}
     if p.temperatures_c:
-        lines += ["", "[temperatures]", f"set_points_c = {json.dumps(list(p.temperatures_c))}"]
-        lines.append(f"soak_c_per_min = {p.soak_c_per_min!r}")
-    write_whole(Path(path), "\n".join(lines) + "\n")
+        tables["temperatures"] = {"set_points_c": p.temperatures_c, "soak_c_per_min": p.soak_c_per_min}
+    parts = []
+    for name, table in tables.items():
+        keys = (f"{key} = {json.dumps(value)}\n" for key, value in table.items() if value is not None)
+        parts.append(f"[{name}]\n" + "".join(keys))
+    write_whole(Path(path), "\n".join(parts))
 
 
 # ---- How long a device settles after the rate changed, and how long a dwell must be.
@@ -471,20 +464,18 @@ def _rest(
 
 
 def _check_dwell(number: int, dwell: Dwell, up: Face | None, temp_c: float | None) -> None:
-    what = f"programme: step {number} ({dwell})"
+    what, upright = f"programme: step {number} ({dwell})", dwell.axis is not None and dwell.up == PLUS[dwell.axis]
     if dwell.up != up:
         raise InputError(f"{what}: wanted the device mounted {dwell.up} up, got {up or 'no mounting'}; mount it first")
     if dwell.temp_c != temp_c:
         raise InputError(f"{what}: wanted a soak at its temperature before it, got {temp_c}; soak first")
     if dwell.purpose != "rate" and dwell.turn_rate != 0.0:
         raise InputError(f"{what}: wanted a rest at 0 rad/s, got {dwell.turn_rate:g}; a rest does not turn")
-    if dwell.purpose == "rate" and (dwell.turn_rate == 0.0 or dwell.axis is None or dwell.up != PLUS[dwell.axis]):
+    if dwell.purpose == "rate" and (dwell.turn_rate == 0.0 or not upright):
         raise InputError(
             f"{what}: wanted a rate about the axis that is up, got {dwell.turn_rate:g} rad/s; correct the step"
         )
-    if (dwell.purpose == "turn") != (dwell.angle != 0.0) or (
-        dwell.angle and (not dwell.axis or dwell.up != PLUS[dwell.axis])
-    ):
+    if (dwell.purpose == "turn") != (dwell.angle != 0.0) or (dwell.angle and not upright):
         raise InputError(
             f"{what}: wanted an angle about the axis that is up, got {dwell.angle:g} rad; correct the step"
         )

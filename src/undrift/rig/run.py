@@ -132,8 +132,7 @@ def run_programme(
 
 def _kind_of(programme: Programme) -> Kind:
     """Return what a session of this programme is for: one temperature makes no tables, room or chamber."""
-    visited = {step.temp_c for step in programme.steps if isinstance(step, Soak)}
-    return "thermal" if len(visited) > 1 else "calibration"
+    return "thermal" if len({step.temp_c for step in programme.steps if isinstance(step, Soak)}) > 1 else "calibration"
 
 
 def _air(air_c: float | None) -> str:

@@ -102,16 +102,9 @@ def draw_day(rng: np.random.Generator, settings: DailyUseSettings) -> Motion:
     parts = [_on_a_table(rng, settings), *worn, _on_a_table(rng, settings)]
     columns: dict[str, Any] = {
         name: np.concatenate([getattr(part, name) for part in parts])
-        for name in ("q_nb", "rate_b", "mean_rate_b", "force_b", "moving")
+        for name in ("q_nb", "rate_b", "mean_rate_b", "angular_acceleration_b", "force_b", "moving")
     }
-    acceleration = [part.angular_acceleration_b for part in parts]
-    known = [np.zeros((len(p), 3)) if a is None else a for a, p in zip(acceleration, parts, strict=True)]
-    return Motion(
-        time=np.arange(len(columns["moving"])) / rate,
-        gravity_m_s2=STANDARD_GRAVITY,
-        angular_acceleration_b=np.concatenate(known),
-        **columns,
-    )
+    return Motion(time=np.arange(len(columns["moving"])) / rate, gravity_m_s2=STANDARD_GRAVITY, **columns)
 
 
 def _on_a_table(rng: np.random.Generator, settings: DailyUseSettings) -> Motion:

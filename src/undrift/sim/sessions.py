@@ -79,8 +79,7 @@ def simulate_session(
     (9, 102)
     """
     motion = bench_motion(kind, rng=rng, settings=settings)
-    temp = _temperature(temp_c, len(motion))
-    reading = simulate_device(device, motion, rng=rng, temp_c=temp, power_on_s=power_on_s)
+    reading = simulate_device(device, motion, rng=rng, temp_c=_temperature(temp_c, len(motion)), power_on_s=power_on_s)
     return Session(
         kind="calibration",
         serial=device.serial,

@@ -44,19 +44,12 @@ _OFFSET: dict[str, tuple[str, ...]] = {
     "instability": ("instability",),
     "random_walk": ("bias_walk",),
 }
-# Effect and triad: fields of each of its chain's effects
-_ZEROED: dict[tuple[EffectName, str], dict[str, tuple[str, ...]]] = {
-    ("gyroscope offset", "gyro"): _OFFSET,
-    ("accelerometer offset", "accel"): _OFFSET,
-    **{("noise", triad): {"white_noise": ("random_walk",)} for triad in ("gyro", "accel")},
-    **{("scale", triad): {"scale": ("error",), "thermal_scale": ("per_k",)} for triad in ("gyro", "accel")},
-    **{
-        ("dynamic drift", triad): {
-            "nonlinearity": ("quadratic", "cubic", "asymmetry"),
-            "rate_drift": ("coefficients",),
-        }
-        for triad in ("gyro", "accel")
-    },
+_OF_TRIAD: dict[str, EffectName] = {"gyro": "gyroscope offset", "accel": "accelerometer offset"}
+# Fields of each of a chain's effects
+_ZEROED: dict[EffectName, dict[str, tuple[str, ...]]] = {
+    "noise": {"white_noise": ("random_walk",)},
+    "scale": {"scale": ("error",), "thermal_scale": ("per_k",)},
+    "dynamic drift": {"nonlinearity": ("quadratic", "cubic", "asymmetry"), "rate_drift": ("coefficients",)},
 }
 _BENCH: dict[EffectName, tuple[str, ...]] = {
     "scale": ("table_rate", "servo"),
@@ -91,7 +84,7 @@ def delay_of_pitch(device: DeviceModel, sample_rate_hz: float) -> float:
 
 def _chain_without(chain: SensorChain, triad: str, effect: EffectName) -> SensorChain:
     off: dict[str, Any] = {}
-    for name, fields in _ZEROED.get((effect, triad), {}).items():
+    for name, fields in (_OFFSET if effect == _OF_TRIAD[triad] else _ZEROED.get(effect, {})).items():
         if (held := getattr(chain, name)) is not None:
             off[name] = replace(held, **{field: np.zeros_like(getattr(held, field)) for field in fields})
     if effect == "cross-axis":

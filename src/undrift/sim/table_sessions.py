@@ -68,9 +68,8 @@ class Sessions:
     def chosen(self, *kinds: int) -> "Sessions":
         """Return the dwells of some kinds."""
         kept = np.isin(self.kind, kinds)
-        counts = np.concatenate(([0], np.cumsum(kept)))
         rows = {f.name: getattr(self, f.name)[kept] for f in fields(self)[:-2]}
-        return replace(self, **rows, first=counts[self.first])
+        return replace(self, **rows, first=np.concatenate(([0], np.cumsum(kept)))[self.first])
 
 
 @lru_cache(maxsize=256)
@@ -91,15 +90,13 @@ def lay_out(protocol: Protocol) -> Sessions:
         clock += step.duration_s
     kinds = {"face": FACE, "bracket": REST, "rate": RATE}
     set_c = np.array([ROOM_TEMP_C if dwell.temp_c is None else dwell.temp_c for dwell in dwells])
-    faces = np.array([FACES.index(dwell.up) for dwell in dwells])
     kind = np.array([kinds[dwell.purpose] for dwell in dwells])
-    soak = np.searchsorted(protocol.temperatures_c or (ROOM_TEMP_C,), set_c)
     return Sessions(
         kind=kind,
         axis=np.array(["xyz".index(dwell.up[1]) for dwell in dwells]),
-        face=faces,
+        face=np.array([FACES.index(dwell.up) for dwell in dwells]),
         rate=np.array([dwell.turn_rate for dwell in dwells]),
-        soak=np.where(kind == FACE, 0, soak),
+        soak=np.where(kind == FACE, 0, np.searchsorted(protocol.temperatures_c or (ROOM_TEMP_C,), set_c)),
         set_c=set_c,
         start_s=np.array(starts),
         duration_s=np.array([dwell.dwell_s for dwell in dwells]),

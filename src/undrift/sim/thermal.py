@@ -133,8 +133,7 @@ class Profile:
             return seen
         seen = seen[np.concatenate(([True], np.diff(seen) != 0.0))]
         slope = np.sign(np.diff(seen))
-        turned = np.flatnonzero(slope[1:] != slope[:-1]) + 1
-        return np.asarray(seen[np.concatenate(([0], turned)).astype(int)])
+        return np.asarray(seen[np.concatenate(([0], np.flatnonzero(slope[1:] != slope[:-1]) + 1)).astype(int)])
 
 
 def soak_profile(
@@ -320,9 +319,8 @@ def programme_of(kind: ThermalKind, settings: ThermalSettings, streams: Streams)
 
 def _visits(settings: ThermalSettings, work: Work) -> tuple[Profile, list[Leg]]:
     rate, throughout = settings.bench.sample_rate_hz, settings.recorded == "throughout"
-    length_s = _length_s(settings, work)
     points = settings.set_points_c + (settings.set_points_c[::-1] if settings.back else ())
-    profile = soak_profile(points, measured_s=length_s, settings=settings.chamber)
+    profile = soak_profile(points, measured_s=_length_s(settings, work), settings=settings.chamber)
     legs: list[Leg] = []
     up = unit_vector("+z")
     q, face = Script(rate, up).q, cast("Face | None", "+z")
@@ -442,12 +440,10 @@ def _read(
             chain.shifted(by) if chain.random_walk else chain
             for chain, by in zip((device.gyro, device.accel), walked, strict=True)
         )
-        moved = replace(device, gyro=gyro, accel=accel)
-        made, first = _simulated(leg[0], profile, moved, settings.power_on_s, rng)
+        made, first = _simulated(leg[0], profile, replace(device, gyro=gyro, accel=accel), settings.power_on_s, rng)
         walked = (walked[0] + made.gyro.of("random_walk")[-1], walked[1] + made.accel.of("random_walk")[-1])
         ended_s = float(time[-1])
-        noise = draw_streams(rng).of("thermometer")
-        shown = thermometer.shown(np.interp(made.true_time, profile.time, felt), noise)
+        shown = thermometer.shown(np.interp(made.true_time, profile.time, felt), draw_streams(rng).of("thermometer"))
         record = replace(made.record, temp_c=None if settings.drop_temperature else shown)
         recording, offset = (0, sum(map(len, records))) if settings.one_record else (len(records), 0)
         for labels, found in ((leg[0].stills, stills), (leg[0].turns, turns)):

@@ -61,10 +61,9 @@ class Match:
     @property
     def moving(self) -> BoolArray:
         """True within the motion, half a second of rest on either side included, shape (N,)."""
-        inside: BoolArray = (self.record.time >= self.span.start_s - _LEAD_S) & (
-            self.record.time < self.span.stop_s + _LEAD_S
+        return np.asarray(
+            (self.record.time >= self.span.start_s - _LEAD_S) & (self.record.time < self.span.stop_s + _LEAD_S)
         )
-        return inside
 
     @property
     def rest(self) -> Record:
@@ -113,8 +112,7 @@ def smoothed(values: FloatArray, cutoff_hz: float, sample_rate_hz: float) -> tup
     edge = int(np.ceil(_EDGE * sample_rate_hz / cutoff_hz))
     step = max(1, int(sample_rate_hz / (_PER_CUTOFF * cutoff_hz)))
     rows: IntArray = np.arange(edge, len(values) - edge, step)
-    sections = butter(2, cutoff_hz, fs=sample_rate_hz, output="sos")
-    filtered: FloatArray = sosfiltfilt(sections, values, axis=0)[rows]
+    filtered: FloatArray = sosfiltfilt(butter(2, cutoff_hz, fs=sample_rate_hz, output="sos"), values, axis=0)[rows]
     return filtered, rows
 
 
@@ -157,9 +155,7 @@ def lever_matrix(motion: Motion) -> FloatArray:
     outer = w[:, :, None] * w[:, None, :] - (w * w).sum(axis=1)[:, None, None] * np.eye(3)
     x, y, z = motion.angular_acceleration_b.T
     zero = np.zeros_like(x)
-    cross = np.stack((zero, -z, y, z, zero, -x, -y, x, zero), axis=1).reshape(-1, 3, 3)
-    lever: FloatArray = outer + cross
-    return lever
+    return np.asarray(outer + np.stack((zero, -z, y, z, zero, -x, -y, x, zero), axis=1).reshape(-1, 3, 3))
 
 
 def accel_rows(match: Match, *, delay_s: float, matrix: FloatArray, gravity_m_s2: float, cutoff_hz: float) -> AccelRows:

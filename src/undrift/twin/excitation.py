@@ -77,8 +77,7 @@ def excitation(held_out: FloatArray, training: Sequence[FloatArray], model: Tria
 
 
 def _traces(design: FloatArray, covariance: FloatArray) -> FloatArray:
-    traces: FloatArray = np.einsum("nap,pq,naq->n", design, covariance, design)
-    return traces
+    return np.asarray(np.einsum("nap,pq,naq->n", design, covariance, design))
 
 
 def motion_windows(match: Match) -> FloatArray:

@@ -98,8 +98,7 @@ def polar_rotation(matrix: FloatArray) -> tuple[FloatArray, FloatArray]:
 
     def of(m: FloatArray) -> FloatArray:
         left, _, right = np.linalg.svd(m)
-        vector: FloatArray = Rotation.from_matrix(left @ right).as_rotvec()
-        return vector
+        return np.asarray(Rotation.from_matrix(left @ right).as_rotvec())
 
     step = 1e-6
     columns = [(of(matrix + d) - of(matrix - d)) / (2.0 * step) for d in step * np.eye(9).reshape(9, 3, 3)]
@@ -114,14 +113,13 @@ def g_sensitivity_parameters(values: FloatArray, errors: FloatArray) -> list[Twi
     return [p if abs(float(p.value)) > SIGNIFICANT * p.standard_error else replace(p, finding=zero) for p in every]
 
 
-def spread_of(values: FloatArray, prior: float, weight: float = 2.0) -> FloatArray:
+def spread_of(values: FloatArray, prior: float) -> FloatArray:
     """Return the standard deviation (3,) between recordings (R, 3), with a prior where there are few.
 
-    s^2 = (sum (x - mean)^2 + k s0^2) / (n - 1 + k): a single recording gives the prior s0.
+    s^2 = (sum (x - mean)^2 + 2 s0^2) / (n - 1 + 2): a single recording gives the prior s0.
     """
     square = ((values - values.mean(axis=0)) ** 2).sum(axis=0)
-    spread: FloatArray = np.sqrt((square + weight * prior**2) / (len(values) - 1 + weight))
-    return spread
+    return np.asarray(np.sqrt((square + 2.0 * prior**2) / (len(values) + 1)))
 
 
 def mean_with_error(values: Sequence[float] | FloatArray, errors: Sequence[float] | FloatArray) -> tuple[float, float]:
@@ -169,9 +167,8 @@ def rest_noise(records: Sequence[Record], channel: str, *, step: float = 0.0) ->
             spectra.append(power)
     if not spectra:
         return None
-    weight = np.array(counts, float) / sum(counts)
     chosen = (f >= BAND[0] * 0.5 * rate) & (f <= BAND[1] * 0.5 * rate)
-    density = np.einsum("r,rfi->fi", weight, np.array(spectra)[:, chosen])
+    density = np.einsum("r,rfi->fi", np.array(counts, float) / sum(counts), np.array(spectra)[:, chosen])
     averaged = 0.8 * sum(counts)  # independent ones: Hann windows that half overlap
     return _likely(f[chosen], density, averaged, rate=rate, step=step)
 
@@ -203,8 +200,7 @@ def _likely(f: FloatArray, density: FloatArray, averaged: float, *, rate: float,
 def _shape(f: FloatArray, bandwidth: float, rate: float) -> FloatArray:
     # What lies above half the sample rate folds back into the band.
     images = np.abs(f[:, None] + rate * np.arange(-_IMAGES, _IMAGES + 1))
-    shape: FloatArray = (1.0 / (1.0 + (images / bandwidth) ** 4)).sum(axis=1)
-    return shape
+    return np.asarray((1.0 / (1.0 + (images / bandwidth) ** 4)).sum(axis=1))
 
 
 def _cost(whitened: FloatArray, shape: FloatArray, averaged: float) -> float:

@@ -53,8 +53,7 @@ def device_of(twin: Twin, *, sample_rate_hz: float, serial: str = "") -> DeviceM
     model, half = twin.gyro.triad.model, 0.5 / sample_rate_hz
     gyro = chain_of(model.matrix, model.offset, twin.gyro_noise, "rad/s")
     if twin.adc is not None and twin.adc.gyro_lsb is not None:
-        step = float(np.mean(twin.adc.gyro_lsb))
-        reference = step * 2.0 ** (_BITS - 1)
+        reference = float(np.mean(twin.adc.gyro_lsb)) * 2.0 ** (_BITS - 1)
         gyro = replace(gyro, adc=Adc(bits=_BITS, reference=reference, rounding=twin.adc.gyro_rounding, codes=False))
     accel, late = SensorChain(unit="m/s2", scale=Scale(nominal_sensitivity=1.0)), twin.delay
     if twin.accel is not None:
@@ -138,8 +137,7 @@ class HeldOutMotion:
 
     def corrected(self, readings: FloatArray, offset: FloatArray) -> FloatArray:
         """Return readings (N, 3) corrected by the twin's matrix and an offset (3,), rad/s."""
-        done: FloatArray = (readings - offset) @ self.twin.gyro.triad.model.matrix.T
-        return done
+        return np.asarray((readings - offset) @ self.twin.gyro.triad.model.matrix.T)
 
     def simulated(self, device: DeviceModel, rng: np.random.Generator) -> FloatArray:
         """Return a device's readings of the motion, (N, 3) rad/s, corrected as the real readings are."""
@@ -263,8 +261,7 @@ class Ending:
     @property
     def interval(self) -> FloatArray:
         """Central 95 % of the draws, shape (2, 2): low and high of total and inclination, rad."""
-        interval: FloatArray = np.percentile(self.simulated, _WITHIN, axis=0).T
-        return interval
+        return np.asarray(np.percentile(self.simulated, _WITHIN, axis=0).T)
 
     @property
     def covered(self) -> tuple[bool, bool]:
@@ -319,8 +316,7 @@ def _simulated(held: HeldOutMotion, rng: np.random.Generator, draws: int) -> Flo
         device, change = _drawn(held, rng)
         motion = _turning(time, rate + inside[:, None] * change)
         readings = _read(device, motion, rng)
-        rest = readings[:first].mean(axis=0)
-        for k, offset in enumerate((np.zeros(3), rest)):
+        for k, offset in enumerate((np.zeros(3), readings[:first].mean(axis=0))):
             q = integrate_strapdown(readings[first:] - offset, time[first:], tilted)
             error = compare_orientations(q[ends], truth[ends])
             out[k, d] = np.median(error.total), np.median(error.inclination)
@@ -332,15 +328,13 @@ def _drawn(held: HeldOutMotion, rng: np.random.Generator) -> tuple[DeviceModel, 
     twin, gyro = held.twin, held.twin.gyro
     step = rng.multivariate_normal(np.zeros(12), gyro.triad.model.covariance[:12, :12], method="eigh")
     matrix = gyro.triad.model.matrix + step[:9].reshape(3, 3)
-    n = len(gyro.rest_offsets)
-    again = np.sqrt(1.0 + 1.0 / n)  # the mean of n and one more recording
+    again = np.sqrt(1.0 + 1.0 / len(gyro.rest_offsets))  # the mean of n and one more recording
     spread = spread_of(gyro.rest_offsets, twin.settings.offset_spread)
     rest = gyro.rest_offsets.mean(axis=0) + again * spread * rng.standard_normal(3)
     moved = again * twin.settings.motion_offset_spread * rng.standard_normal(3)
     change = matrix @ (gyro.motion_offset + step[9:] + moved)
     chain = chain_of(matrix, rest, None, "rad/s")
-    device = replace(held.device, gyro=replace(held.device.gyro, scale=chain.scale, offset=Offset(constant=rest)))
-    return device, change
+    return replace(held.device, gyro=replace(held.device.gyro, scale=chain.scale, offset=Offset(constant=rest))), change
 
 
 def _turning(time: FloatArray, rate: FloatArray) -> Motion:

@@ -80,9 +80,7 @@ def with_warm_up(device: DeviceModel, found: WarmUpFit) -> DeviceModel:
     """Return a device whose offsets change with temperature as was found."""
 
     def drifting(chain: SensorChain, per_k: FloatArray) -> SensorChain:
-        return replace(
-            chain, offset=Offset(constant=chain.offset.constant if chain.offset else np.zeros(3), per_k=per_k)
-        )
+        return replace(chain, offset=replace(chain.offset or Offset(), per_k=per_k))
 
     return replace(
         device,

@@ -141,8 +141,7 @@ def _without(nuisance: FloatArray, values: FloatArray) -> FloatArray:
     """Return values (n, 2) less what nuisance columns (n, p) explain."""
     size = np.linalg.norm(nuisance, axis=0)
     kept = nuisance[:, size > 0.0] / size[size > 0.0]
-    left: FloatArray = values - kept @ np.linalg.lstsq(kept, values, rcond=1e-9)[0]
-    return left
+    return np.asarray(values - kept @ np.linalg.lstsq(kept, values, rcond=1e-9)[0])
 
 
 def _rows(match: Match, gyro: Gyro, accel_delay: float, gravity_m_s2: float) -> Iterator[tuple[FloatArray, FloatArray]]:
@@ -155,30 +154,26 @@ def _rows(match: Match, gyro: Gyro, accel_delay: float, gravity_m_s2: float) -> 
     felt_at = match.at(delay + accel_delay, gravity_m_s2)
     turn_rate = (match.gyro - offset) @ matrix.T
     lever, edge = lever_matrix(felt_at), int(np.ceil(_EDGE / BAND_HZ[0] * rate))
-    both = np.hstack((match.gyro, readings))
-    for rows in stretches(match, felt_at, both):
+    for rows in stretches(match, felt_at, np.hstack((match.gyro, readings))):
         time = match.record.time[rows]
         if len(time) < 3 * edge:
             continue
         q = gyro_at.q_nb[rows]
         turned = integrate_strapdown(turn_rate[rows], time, q[0])
         apart = _band(rotation_vector(quaternion_product(q, quaternion_conjugate(turned))), rate)
-        slope = np.gradient(readings[rows], axis=0) * rate
-        columns = force_columns(readings[rows], felt_at, lever, rows, slope)
+        columns = force_columns(readings[rows], felt_at, lever, rows, np.gradient(readings[rows], axis=0) * rate)
         force = columns[:, :, 16]
         felt = columns[:, :, [0, 4, 8]].sum(axis=2) - force
         second = np.gradient(np.gradient(apart, axis=0), axis=0) * rate**2
         shift = np.cross(second[:, None, :], np.swapaxes(rotation(q).as_matrix(), 1, 2)).swapaxes(1, 2)
         seen = (np.cross(apart, force)[:, :, None], felt[:, :, None], shift)
         table = np.concatenate((*seen, columns[:, :, :16]), axis=2)
-        done = _band(table.reshape(len(time), -1), rate).reshape(table.shape)
         kept = slice(edge, len(time) - edge, max(1, int(rate / _SAMPLES_HZ)))
-        yield done[kept], time[kept]
+        yield _band(table.reshape(len(time), -1), rate).reshape(table.shape)[kept], time[kept]
 
 
 def _band(values: FloatArray, rate_hz: float) -> FloatArray:
     """Return columns (N, C) within the band, without delay."""
     from scipy.signal import butter, sosfiltfilt
 
-    passed: FloatArray = sosfiltfilt(butter(_ORDER, BAND_HZ, "bandpass", fs=rate_hz, output="sos"), values, axis=0)
-    return passed
+    return np.asarray(sosfiltfilt(butter(_ORDER, BAND_HZ, "bandpass", fs=rate_hz, output="sos"), values, axis=0))

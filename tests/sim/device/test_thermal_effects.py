@@ -5,7 +5,7 @@ import pytest
 
 from testkit.simulated_device import chain, device_of, motion_of, run, still_motion
 from undrift.errors import InputError
-from undrift.sim.device.effects import Hysteresis, Offset, ThermalScale, Thermometer, WarmUp, lm335, play
+from undrift.sim.device.effects import Hysteresis, Offset, ThermalScale, Thermometer, WarmUp, play
 
 
 def test_the_offset_is_a_polynomial_of_the_warmth_and_the_thermal_scale_acts_on_all_before_it() -> None:
@@ -66,8 +66,7 @@ def test_a_thermometer_answers_a_step_with_its_lag_and_warms_itself() -> None:
 
 
 def test_an_lm335_counts_kelvins_by_the_step_of_its_converter() -> None:
-    board = lm335(bits=12, reference_v=5.0, lag_s=0.0, self_heating_c=0.0)
-    assert board.step_c == pytest.approx(0.12207, abs=1e-5)  # 5 V / 4096 / 10 mV
+    board = Thermometer(step_c=5.0 / 2**12 / 0.010, zero_c=-273.15)  # 12 bits of 5 V, 10 mV/K
     said = run(device_of(thermometer=board), still_motion(3), temp_c=25.0).record.temp_c
     assert said is not None
     assert said[0] == pytest.approx(round(298.15 / board.step_c) * board.step_c - 273.15)

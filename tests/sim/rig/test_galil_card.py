@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from testkit.data import show
+from testkit.emulated_axis import present
 from testkit.galil_bench import GalilBench
 from undrift.sim.rig.axes import ServoSettings
 
@@ -229,5 +230,5 @@ def test_the_same_commands_at_the_same_times_give_the_same_motion():
         bench.say("SH;JG 7777;BG", 0.123)
         bench.say("ST", 1.2345)
         bench.clock.advance(0.5)
-        ends.append(bench.machine.present())
+        ends.append(present(bench.machine))
     assert ends[0] == ends[1]

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from testkit.data import show
+from testkit.emulated_axis import present
 from testkit.galil_bench import GalilBench
 
 
@@ -114,7 +115,7 @@ def test_homing_finds_the_switch_backs_off_and_calls_the_index_zero(starts_deg):
     assert (bench.number("MG _BGX"), bench.number("SC")) == (0, 10)
     assert bench.number("RP") == 0
     assert abs(bench.number("TP")) <= 1
-    turns = np.degrees(bench.machine.present()[0]) / 360.0  # the index stands at whole turns of the axis
+    turns = np.degrees(present(bench.machine)[0]) / 360.0  # the index stands at whole turns of the axis
     assert turns == pytest.approx(round(turns), abs=0.01 / 360.0)
     bench.say("PR 100;BG")
     bench.clock.advance(1.0)

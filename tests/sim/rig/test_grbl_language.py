@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from testkit.data import show
-from testkit.emulated_axis import HandClock
+from testkit.emulated_axis import HandClock, present
 from undrift.errors import InputError
 from undrift.sim.rig.grbl import GrblMachine, GrblSettings
 
@@ -26,10 +26,10 @@ class Bench:
         return b"".join(self.session.feed(data)).decode()
 
     def angle_deg(self):
-        return math.degrees(self.machine.present()[0])
+        return math.degrees(present(self.machine)[0])
 
     def rate_dps(self):
-        return math.degrees(self.machine.present()[1])
+        return math.degrees(present(self.machine)[1])
 
 
 def test_a_jog_runs_is_reported_and_ends_on_a_step():

@@ -43,9 +43,8 @@ class Dwells:
     rate_b: FloatArray  # (N, 3), steady rate, rad/s
     force_b: FloatArray  # (N, 3), mean specific force, m/s2
     temp_c: FloatArray  # (N,), temperature of the board, degC
-    first: IntArray = field(
-        default_factory=lambda: np.empty(0, dtype=np.int64)
-    )  # (S + 1,), first of each session, and N
+    # (S + 1,), first of each session, and N
+    first: IntArray = field(default_factory=lambda: np.empty(0, dtype=np.int64))
 
     def __post_init__(self) -> None:
         n = len(self.temp_c)
@@ -179,8 +178,7 @@ def _autocovariance(chain: SensorChain, axis: int) -> FloatArray:
 
 def _weights(covariance: FloatArray, samples: float) -> FloatArray:
     """Return how much each lag counts in the variance of a mean."""
-    lag = np.arange(len(covariance))
-    weights: FloatArray = 2.0 * np.maximum(samples - lag, 0.0) / samples**2
+    weights: FloatArray = 2.0 * np.maximum(samples - np.arange(len(covariance)), 0.0) / samples**2
     weights[0] *= 0.5
     return weights
 

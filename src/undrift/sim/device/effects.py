@@ -511,8 +511,7 @@ def interval(means: FloatArray, time: FloatArray, at: FloatArray, delay_s: Float
     """Return the mean of a signal since the sample before, from its means over the steps of its own grid."""
     from scipy.interpolate import CubicSpline
 
-    steps = np.diff(time, prepend=time[0])
-    integral = np.cumsum(means * steps[:, None], axis=0)
+    integral = np.cumsum(means * np.diff(time, prepend=time[0])[:, None], axis=0)
     out = np.empty((len(at), 3))
     for k in range(3):
         taken = at + delay_s[k]
@@ -594,8 +593,6 @@ class ThermalScale(Effect):
 # ---- Thermometer: felt' = (T + s (1 - exp(-t / lag)) - felt) / lag, exact for a straight T
 
 TRIM_TEMP_C = 25.0
-LM335_V_PER_K = 0.010
-KELVIN_ZERO_C = -273.15
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -640,12 +637,6 @@ class Thermometer(Effect):
         lagging = np.asarray(lfilter(b, [1.0, -keep], temp, zi=[keep * felt + b[1] * before])[0])
         past.state = float(lagging[-1]), float(temp[-1])
         return lagging + own
-
-
-def lm335(*, bits: int = 12, reference_v: float = 5.0, lag_s: float = 80.0, self_heating_c: float = 0.6) -> Thermometer:
-    """Return an LM335 behind a converter, trimmed without error."""
-    step = reference_v / 2**bits / LM335_V_PER_K
-    return Thermometer(lag_s=lag_s, self_heating_c=self_heating_c, step_c=step, zero_c=KELVIN_ZERO_C)
 
 
 # ---- Warm-up: y = x - A (1 + k D) exp(-t / tau), what is lacking of the settled offset [4]

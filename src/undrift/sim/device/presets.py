@@ -243,6 +243,8 @@ def random_device(rng: np.random.Generator, *, grade: GradeName | Grade = "consu
     >>> device.gyro.unit
     'count'
     """
+    from scipy.special import ndtr, ndtri
+
     chosen = grade_named(grade) if isinstance(grade, str) else grade
     streams = draw_streams(rng)
 
@@ -250,7 +252,8 @@ def random_device(rng: np.random.Generator, *, grade: GradeName | Grade = "consu
         stream = streams.of(effect)
         if math.isinf(chosen.limit_sd):
             return stream.normal(0.0, sd, shape)
-        return sd * _cut_normal(stream, chosen.limit_sd, shape)
+        low = float(ndtr(-chosen.limit_sd))  # draws within the limit, by the inverse of the distribution
+        return sd * np.asarray(ndtri(stream.uniform(low, 1.0 - low, shape)))
 
     made = replace(device_of(chosen, draw, serial), source_tag="drawn")
     return made if serial else replace(made, serial=_serial_of(made))
@@ -263,8 +266,7 @@ def _serial_of(device: DeviceModel) -> str:
 
     from undrift.sim.device.model import device_json
 
-    text = json.dumps(device_json(device), sort_keys=True)
-    return f"SIM-{hashlib.sha256(text.encode()).hexdigest()[:12].upper()}"
+    return f"SIM-{hashlib.sha256(json.dumps(device_json(device), sort_keys=True).encode()).hexdigest()[:12].upper()}"
 
 
 def typical_device(grade: Grade, *, serial: str = "typical") -> DeviceModel:
@@ -307,7 +309,6 @@ def _chain(grade: TriadGrade, draw_named: Draw, name: str) -> SensorChain:
     bend = Nonlinearity(quadratic=draw("nonlinearity") / grade.full_scale, asymmetry=draw("asymmetry"))
     cubic = np.zeros((3, 2, 3))
     cubic[2, 1] = draw("rate_drift") / grade.full_scale**2
-    low_pass = sallen_key(grade.cutoff_hz, draw("low_pass", (3, 4), sd=grade.part_sd)) if grade.cutoff_hz else None
     effects = {
         "lever_arm": (grade.lever_arm_sd, LeverArm(arms=draw("lever_arm", (3, 3)))),
         "nonlinearity": (grade.nonlinearity_sd or grade.asymmetry_sd, bend),
@@ -325,15 +326,7 @@ def _chain(grade: TriadGrade, draw_named: Draw, name: str) -> SensorChain:
         scale=scale,
         offset=Offset(constant=draw("offset"), per_k=per_k),
         amplifier=grade.amplifier,
-        low_pass=low_pass,
+        low_pass=sallen_key(grade.cutoff_hz, draw("low_pass", (3, 4), sd=grade.part_sd)) if grade.cutoff_hz else None,
         adc=grade.adc,
         **{effect: made for effect, (size, made) in effects.items() if size},  # type: ignore[arg-type]
     )
-
-
-def _cut_normal(stream: np.random.Generator, limit: float, shape: tuple[int, ...]) -> FloatArray:
-    """Return standard normal draws that lie within the limit, by the inverse of the distribution."""
-    from scipy.special import ndtr, ndtri
-
-    low = float(ndtr(-limit))
-    return np.asarray(ndtri(stream.uniform(low, 1.0 - low, shape)))

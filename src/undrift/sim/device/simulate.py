@@ -43,8 +43,7 @@ class Streams:
 
     def of(self, effect: str) -> np.random.Generator:
         """Return the stream of one effect."""
-        key = zlib.crc32(effect.encode())
-        return np.random.default_rng(np.random.SeedSequence(self.root, spawn_key=(key,)))
+        return np.random.default_rng(np.random.SeedSequence(self.root, spawn_key=(zlib.crc32(effect.encode()),)))
 
     def pasts(self, chain: SensorChain, name: str) -> dict[str, Past]:
         """Return what the effects of a chain begin with."""

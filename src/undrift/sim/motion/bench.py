@@ -45,9 +45,8 @@ class TableErrors:
 
     mount_tilt_sd: float = 0.0  # Of the device against the rig, about each axis, rad
     level_sd: float = 0.0  # Of the rig against the vertical, about each horizontal axis, rad; one rig, one draw
-    wobble_sd: float = (
-        0.0  # Of a table's axis from dwell to dwell, or a plane's from angle to angle, about each axis, rad
-    )
+    # Of a table's axis from dwell to dwell, or a plane's from angle to angle, about each axis, rad
+    wobble_sd: float = 0.0
     rate_sd: float = 0.0  # Of the rig's clock, so of its true rate against the stated one, relative; one rig, one draw
     ripple_sd: float = 0.0  # Of the rate once a turn, amplitude, relative
     excess_sd: float = 0.0  # Of the rate at the start of a dwell, relative; a transient
@@ -123,8 +122,7 @@ def _driven(script: Script, settings: RivalSettings, streams: Streams, kind: Riv
 def _shake(settings: RivalSettings, rail: np.random.Generator) -> Course:
     if settings.shake == 0.0:
         return ()
-    span = (0.0, settings.run_s)
-    return (draw_lines(rail, lambda f: f**-4.0, band_hz=RAIL_SHAKE_HZ, rms=settings.shake, span=span),)
+    return (draw_lines(rail, lambda f: f**-4.0, band_hz=RAIL_SHAKE_HZ, rms=settings.shake, span=(0.0, settings.run_s)),)
 
 
 def _inclined_plane(script: Script, settings: RivalSettings, streams: Streams) -> None:
@@ -292,8 +290,7 @@ def _erring_rates(script: Script, settings: BenchSettings, table: TableErrors, s
     off_level, gain = _level_of(table, streams), _gain_of(table, streams)
     bearing.normal(size=2), motor.normal()  # level and gain are the first draws of these two
     for axis, face in zip(AXES, UPS, strict=True):
-        unit = unit_vector(axis)
-        turned = _off(unit, mount.normal(0.0, table.mount_tilt_sd, 3))
+        turned = _off(unit_vector(axis), mount.normal(0.0, table.mount_tilt_sd, 3))
         level = facing(script.q, turned)  # the table's axis upright in n, then off level
         if table.level_sd > 0.0:
             level = quaternion_product(off_level, level)
@@ -329,13 +326,11 @@ def _off(axis_b: FloatArray, tilt: FloatArray) -> FloatArray:
 
 
 def _hand_turns(script: Script, settings: BenchSettings, streams: Streams) -> None:
-    tilts = streams.of("hand").normal(0.0, settings.hand_tilt_sd, (3, 3))
-    for axis, tilt in zip(AXES, tilts, strict=True):
+    for axis, tilt in zip(AXES, streams.of("hand").normal(0.0, settings.hand_tilt_sd, (3, 3)), strict=True):
         unit = unit_vector(axis)
         script.lay(facing(script.q, unit), settings.move_s)
         script.still(settings.still_s)
-        true_axis = unit + np.cross(tilt, unit)
-        script.hand_turn(axis, settings.hand_angle, 2.0 * settings.move_s, true_axis / np.linalg.norm(true_axis))
+        script.hand_turn(axis, settings.hand_angle, 2.0 * settings.move_s, _off(unit, tilt))
         script.still(settings.still_s)
 
 

@@ -47,7 +47,6 @@ class Part(Protocol):
 
     def at(self, time: FloatArray) -> FloatArray:
         """Return value, first and second derivative: time (N,) s -> (3, N)."""
-        ...
 
 
 Course = tuple[Part, ...]
@@ -227,8 +226,7 @@ def mean_rate(time: FloatArray, q_nb: FloatArray, first: FloatArray) -> FloatArr
     sine = np.linalg.norm(step[:, 1:], axis=1)
     with np.errstate(invalid="ignore", divide="ignore"):
         stretch = np.where(sine > 0.0, 2.0 * np.arctan2(sine, step[:, 0]) / sine, 2.0)
-    rates = step[:, 1:] * (stretch / np.diff(time))[:, None]
-    return np.vstack((first[None, :], rates))
+    return np.vstack((first[None, :], step[:, 1:] * (stretch / np.diff(time))[:, None]))
 
 
 # ---- Script: a bench motion written as a list of rotations about fixed axes, each with a polynomial angle.

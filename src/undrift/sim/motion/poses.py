@@ -167,7 +167,6 @@ class PoseSpline:
         mean = mean_rate(time, q, rate[0])
         first = np.flatnonzero((valid[1:] > 0.0) & (valid[:-1] == 0.0)) + 1  # no step leads to the first after a gap
         mean[first] = rate[first]
-        nearest = np.searchsorted(0.5 * (self.moving_time[1:] + self.moving_time[:-1]), time)
         return Motion(
             time=time,
             q_nb=q,
@@ -175,7 +174,7 @@ class PoseSpline:
             mean_rate_b=mean,
             force_b=force,
             gravity_m_s2=gravity_m_s2,
-            moving=self.moving[nearest] * valid,
+            moving=self.moving[np.searchsorted(0.5 * (self.moving_time[1:] + self.moving_time[:-1]), time)] * valid,
             angular_acceleration_b=swing,
             valid=valid,
         )

@@ -92,7 +92,6 @@ class Task:
         push = np.stack([course_at(course, time)[2] for course in (self.forward, self.left, self.up)], axis=1)
         force = rotate(quaternion_conjugate(q), push + np.array([0.0, 0.0, gravity_m_s2]))
         force = force + np.cross(spin_up, arm) + np.cross(rate, np.cross(rate, arm))
-        moving = ((time >= self.moving_s[0]) & (time <= self.moving_s[1])).astype(float)
         return Motion(
             time=time,
             q_nb=q,
@@ -101,7 +100,7 @@ class Task:
             angular_acceleration_b=spin_up,
             force_b=force,
             gravity_m_s2=gravity_m_s2,
-            moving=moving,
+            moving=((time >= self.moving_s[0]) & (time <= self.moving_s[1])).astype(float),
         )
 
     def position(self, time: FloatArray) -> FloatArray:
@@ -180,9 +179,8 @@ def draw_lines(
     frequencies = edges[:-1] + np.diff(edges) * draw.uniform(size=LINES)
     amplitudes = np.sqrt(spectrum(frequencies) * np.diff(edges)) * draw.rayleigh(size=LINES)
     phases = draw.uniform(0.0, 2.0 * math.pi, LINES)
-    time = np.arange(span[0], span[1], 0.1 / band_hz[1])
     plain = Sway(tuple(amplitudes.tolist()), tuple(frequencies.tolist()), tuple(phases.tolist()), *span, SWELL_S)
-    scale = rms / float(np.std(plain.at(time)[0]))
+    scale = rms / float(np.std(plain.at(np.arange(span[0], span[1], 0.1 / band_hz[1]))[0]))
     return replace(plain, amplitudes=tuple((scale * amplitudes).tolist()))
 
 

@@ -32,7 +32,7 @@ from undrift.sim.rig.axes import Axis, Clock, HostClock, ServoSettings
 from undrift.sim.rig.galil_card import CardSettings
 from undrift.sim.rig.galil_language import GalilMachine
 from undrift.sim.rig.grbl import GrblMachine, GrblSettings
-from undrift.sim.rig.server import LINK_FAULTS, Closed, FaultyLink, LineSession, Machine, Served, Server, Session
+from undrift.sim.rig.server import LINK_FAULTS, Closed, FaultyLink, LineMachine, Served, Server
 from undrift.sim.rig.stream import EmulatedDevice, StreamSettings
 
 # ---- Emulated rig
@@ -207,21 +207,17 @@ IDENTITY = "undrift,emulated chamber,0,1.0"
 NO_ERROR = '0,"No error"'
 
 
-class EmulatedChamber(Served, Machine):
+class EmulatedChamber(Served, LineMachine):
     """A chamber that listens until closed."""
 
     faulty, faults = "chamber fault", CHAMBER_FAULTS
 
     def __init__(self, settings: AirSettings, clock: Clock, host: str = "127.0.0.1", port: int = 0) -> None:
-        Machine.__init__(self, clock)
+        LineMachine.__init__(self, clock, self.obey)
         self.air = Air(settings)
         self._errors: deque[str] = deque(maxlen=16)
         self.serve(self, (host, port), 0)
         self.address = f"tcp://{self.host}:{self.port}"
-
-    def new_session(self, serial: bool) -> Session:
-        """Make what a client talks to."""
-        return LineSession(self.obey)
 
     def tick(self) -> None:
         """Bring the air up to now."""
@@ -309,7 +305,8 @@ class Bench(Closed):
             opened.callback(self.chamber.close)
             self.stream = EmulatedDevice(chosen, self.rig, self.chamber.board_temp, self.rig.clock, settings.stream)
             opened.callback(self.stream.close)
-            hands = Server(_Hands(self.stream), FaultyLink(), (host, settings.hands_port))
+            operator = LineMachine(self.rig.clock, self._mounted)
+            hands = Server(operator, FaultyLink(), (host, settings.hands_port))
             opened.callback(hands.close)
             self._opened = opened.pop_all()
         options = f"?clock_speed={settings.rig.speed!r}"
@@ -338,6 +335,16 @@ class Bench(Closed):
     def close(self) -> None:
         """Close every socket and end every thread; harmless when called again."""
         self._opened.close()
+
+    def _mounted(self, line: str) -> str:
+        """Do what the hands are asked."""
+        if line == "FACE?":
+            return str(self.stream.face)
+        word, _, face = line.partition(" ")
+        if word != "MOUNT":
+            raise InputError("hands: wanted MOUNT +x or FACE?, got another word; say one of them")
+        self.mount(cast(Face, face))
+        return f"OK {face}"
 
 
 ALL_FAULTS = LINK_FAULTS | RIG_FAULTS | CHAMBER_FAULTS
@@ -391,26 +398,3 @@ class BenchHands:
 def start_bench(settings: EmulatedBenchSettings | None = None, *, clock: Clock | None = None) -> Bench:
     """Start an emulated bench; use it in a `with` block, or close it."""
     return Bench(settings or EmulatedBenchSettings(), clock)
-
-
-class _Hands(Machine):
-    """What stands behind the hands' socket."""
-
-    def __init__(self, device: EmulatedDevice) -> None:
-        super().__init__(device.clock)
-        self._device = device
-
-    def new_session(self, serial: bool) -> Session:
-        return LineSession(self._answer)
-
-    def _answer(self, line: str) -> str:
-        if line == "FACE?":
-            return str(self._device.face)
-        word, _, face = line.partition(" ")
-        try:
-            if word != "MOUNT":
-                raise InputError("hands: wanted MOUNT +x or FACE?, got another word; say one of them")
-            self._device.mount(cast(Face, face))
-        except InputError as error:
-            return f"ERROR {error}".encode("ascii", errors="replace").decode("ascii")
-        return f"OK {face}"

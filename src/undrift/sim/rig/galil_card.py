@@ -72,6 +72,12 @@ class Refused(Exception):
         super().__init__(text)
 
 
+def refuse_if(wrong: object, error: Error) -> None:
+    """Refuse where something is wrong."""
+    if wrong:
+        raise Refused(error)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Setting:
     """One number that a command sets."""
@@ -113,8 +119,7 @@ SETTINGS = {
 
 def shown(value: float, digits: int, decimals: int, bare: bool) -> str:
     """Return a number as the card prints it: a sign or a blank, leading zeros unless LZ1, a fixed count of decimals."""
-    text = f"{abs(value):.{decimals}f}"
-    whole, point, fraction = text.partition(".")
+    whole, point, fraction = f"{abs(value):.{decimals}f}".partition(".")
     if len(whole) > digits:
         whole, fraction = "9" * digits, "9" * len(fraction)
     if not bare:
@@ -269,8 +274,7 @@ class Card:
     def motor(self, on: bool) -> None:
         """Switch the servo on where the axis stands, or off."""
         if not on:
-            if self.motion.running:
-                raise Refused(Error.RUNNING)
+            refuse_if(self.motion.running, Error.RUNNING)
             self._off(self.motion.stop_code)
             return
         if self.motor_on:
@@ -285,20 +289,16 @@ class Card:
 
     def jog(self, speed: float) -> None:
         """Take a jog speed; a jog that runs takes it at once."""
-        if self.motion.running and self.motion.kind != "JG":
-            raise Refused(Error.JOG_ONLY)
-        if abs(speed) > SETTINGS["SP"].high:
-            raise Refused(Error.OUT_OF_RANGE)
+        refuse_if(self.motion.running and self.motion.kind != "JG", Error.JOG_ONLY)
+        refuse_if(abs(speed) > SETTINGS["SP"].high, Error.OUT_OF_RANGE)
         self.motion.jog = float(math.trunc(speed / self.settings.speed_step) * self.settings.speed_step)
         self.motion.kind = "JG"
         self.apply()
 
     def aim(self, kind: str, counts: float) -> None:
         """Take the target of a positioning move, or where the axis stands (DP)."""
-        if self.motion.running:
-            raise Refused(Error.RUNNING)
-        if abs(counts) > LARGEST:
-            raise Refused(Error.OUT_OF_RANGE)
+        refuse_if(self.motion.running, Error.RUNNING)
+        refuse_if(abs(counts) > LARGEST, Error.OUT_OF_RANGE)
         if kind == "DP":
             self.axis.define(math.trunc(counts))
             return
@@ -307,8 +307,7 @@ class Card:
 
     def home(self) -> None:
         """Have the next BG look for the home switch and the encoder's index."""
-        if self.motion.running:
-            raise Refused(Error.RUNNING)
+        refuse_if(self.motion.running, Error.RUNNING)
         self.motion.kind = "HM"
 
     def _home_edge(self) -> None:
@@ -335,10 +334,8 @@ class Card:
 
     def begin(self) -> None:
         """Start the motion commanded last."""
-        if not self.motor_on:
-            raise Refused(Error.MOTOR_OFF)
-        if self.motion.running:
-            raise Refused(Error.BEGIN_RUNNING)
+        refuse_if(not self.motor_on, Error.MOTOR_OFF)
+        refuse_if(self.motion.running, Error.BEGIN_RUNNING)
         values = self.axis.values
         target = self.motion.target if self.motion.kind == "PA" else values[k.REFERENCE] + self.motion.distance
         homing = self.motion.kind == "HM"
@@ -346,8 +343,7 @@ class Card:
             self.motion.jog = math.copysign(self.values["SP"], 0.5 - at_home(self))
         way = self.motion.jog if homing or self.motion.kind == "JG" else target - values[k.REFERENCE]
         at_forward, at_reverse = limits_closed(self)
-        if (way > 0.0 and at_forward) or (way < 0.0 and at_reverse):
-            raise Refused(Error.AT_LIMIT)
+        refuse_if((way > 0.0 and at_forward) or (way < 0.0 and at_reverse), Error.AT_LIMIT)
         self.motion.running, self.motion.reason, self.motion.stop_code = True, STOP_DONE, STOP_RUNNING
         values[k.MODE] = k.JOG if homing or self.motion.kind == "JG" else k.MOVE
         self.motion.stage = int(homing)
@@ -380,8 +376,7 @@ class Card:
 
 def set_sample_time(card: Card, microseconds: float) -> None:
     """Change TM. Multiples of 125 us are counted in 1/1024 s: TM 1000 is 976.6 us."""
-    if microseconds < card.settings.minimum_sample_us:
-        raise Refused(Error.PERIOD_TIMEOUT)
+    refuse_if(microseconds < card.settings.minimum_sample_us, Error.PERIOD_TIMEOUT)
     ticks = card.ticks
     old_card = microseconds % 125.0 == 0.0
     card.axis.set_period(microseconds * (1e-3 / 1024.0 if old_card else 1e-6))
@@ -392,12 +387,9 @@ def set_sample_time(card: Card, microseconds: float) -> None:
 
 def check_motor_type(card: Card, value: float) -> None:
     """Refuse a stepper on a card without its jumper, what is no type, and any change while the motor is on."""
-    if abs(value) not in (1.0, 1.5, 2.0, 2.5):
-        raise Refused(Error.OUT_OF_RANGE)
-    if card.motor_on:
-        raise Refused(Error.MOTOR_ON)
-    if abs(value) >= 2.0:
-        raise Refused(Error.NO_JUMPER)
+    refuse_if(abs(value) not in (1.0, 1.5, 2.0, 2.5), Error.OUT_OF_RANGE)
+    refuse_if(card.motor_on, Error.MOTOR_ON)
+    refuse_if(abs(value) >= 2.0, Error.NO_JUMPER)
 
 
 def at_home(card: Card) -> int:
@@ -415,8 +407,7 @@ def limits_closed(card: Card) -> tuple[bool, bool]:
 
 
 def _speed_scale(card: Card) -> float:
-    period = card.axis.coefficients.period
-    return card.servo.period_s / period if card.settings.speeds_follow_sample_time else 1.0
+    return card.servo.period_s / card.axis.coefficients.period if card.settings.speeds_follow_sample_time else 1.0
 
 
 def _coefficients(card: Card) -> Coefficients:
@@ -492,14 +483,12 @@ class _Reader:
         return self._text
 
     def expression(self, depth: int) -> float:
-        if depth > DEEPEST:
-            raise Refused(Error.PARENTHESES)
+        refuse_if(depth > DEEPEST, Error.PARENTHESES)
         value = self._term(depth)
         while (sign := next((s for s in _OPERATORS if self.rest().startswith(s)), None)) is not None:
             self.rest(len(sign))
             other = self._term(depth)
-            if sign in "/%" and other == 0.0:
-                raise Refused(Error.OUT_OF_RANGE)
+            refuse_if(sign in "/%" and other == 0.0, Error.OUT_OF_RANGE)
             value = _bounded(float(_OPERATORS[sign](value, other)))
         return value
 
@@ -514,8 +503,7 @@ class _Reader:
             return self._closed(")", depth)
         if rest.startswith("@"):
             name = rest.split("[", 1)[0]
-            if name not in _FUNCTIONS or "[" not in rest:
-                raise Refused(Error.UNKNOWN)
+            refuse_if(name not in _FUNCTIONS or "[" not in rest, Error.UNKNOWN)
             self.rest(len(name) + 1)
             return _bounded(_FUNCTIONS[name](self._closed("]", depth)))
         if match := _NUMBER.match(rest):
@@ -530,8 +518,7 @@ class _Reader:
 
     def _closed(self, end: str, depth: int) -> float:
         value = self.expression(depth + 1)
-        if not self.rest().startswith(end):
-            raise Refused(Error.PARENTHESES)
+        refuse_if(not self.rest().startswith(end), Error.PARENTHESES)
         self.rest(1)
         return value
 
@@ -544,8 +531,7 @@ def _number(text: str) -> float:
 
 
 def _bounded(value: float) -> float:
-    if not abs(value) < BOUND:
-        raise Refused(Error.OUT_OF_RANGE)
+    refuse_if(not abs(value) < BOUND, Error.OUT_OF_RANGE)
     return value
 
 
@@ -586,8 +572,7 @@ def value_of(card: Card, word: str) -> float:
         "LF": not limits_closed(card)[0], "LR": not limits_closed(card)[1], "HM": at_home(card), "TI": 255, "AB": 1,
         "TB": (card.program_status()[0] > 0) << 7 | int(card.values["EO"]),
     }  # fmt: skip
-    if word not in known:
-        raise Refused(Error.OPERAND)
+    refuse_if(word not in known, Error.OPERAND)
     return float(known[word])
 
 
@@ -598,15 +583,13 @@ def operand_value(card: Card, name: str) -> float:
     word, axis = name[1:3], name[3:]
     if name in ("_HX", "_HX0", "_XQ", "_XQ0"):
         return float(card.program_status()[word == "XQ"])
-    if len(word) < 2 or axis not in ("X", "A", ""):
-        raise Refused(Error.OPERAND)
+    refuse_if(len(word) < 2 or axis not in ("X", "A", ""), Error.OPERAND)
     return value_of(card, word)
 
 
 def variable_value(card: Card, name: str) -> float:
     """Return a variable."""
-    if name not in card.variables:
-        raise Refused(Error.VARIABLE)
+    refuse_if(name not in card.variables, Error.VARIABLE)
     return card.variables[name]
 
 
@@ -630,19 +613,11 @@ def places(number: float) -> tuple[int, int]:
 
 def record(card: Card) -> str:
     """Return the binary record of QR: a header, the sample number, the inputs, one block of 28 bytes for the axis."""
-    values = card.axis.values
-    status = (int(card.motion.running) << 15) | int(not card.motor_on)
     block = struct.pack(
         "<HBBiiiiihH",
-        status, switches(card), card.motion.stop_code,
-        *(_long(value_of(card, word)) for word in ("RP", "TP", "TE", "TD", "TV")),
-        max(-32_768, min(32_767, round(values[k.VOLTAGE] * 32_767.0 / 10.0))), 0,
+        (int(card.motion.running) << 15) | int(not card.motor_on), switches(card), card.motion.stop_code,
+        *(max(-(2**31), min(2**31 - 1, round(value_of(card, word)))) for word in ("RP", "TP", "TE", "TD", "TV")),
+        max(-32_768, min(32_767, round(card.axis.values[k.VOLTAGE] * 32_767.0 / 10.0))), 0,
     )  # fmt: skip
-    general = struct.pack("<HBBBB", card.ticks & 0xFFFF, 0xFF, 0, card.error_code & 0xFF, 0)
-    body = general + block
-    header = struct.pack("<BBH", 0x85, 0x01, len(body) + 4)
-    return (header + body).decode("latin-1")
-
-
-def _long(value: float) -> int:
-    return max(-(2**31), min(2**31 - 1, round(value)))
+    body = struct.pack("<HBBBB", card.ticks & 0xFFFF, 0xFF, 0, card.error_code & 0xFF, 0) + block
+    return (struct.pack("<BBH", 0x85, 0x01, len(body) + 4) + body).decode("latin-1")

@@ -31,6 +31,7 @@ from undrift.sim.rig.galil_card import (
     evaluate,
     places,
     record,
+    refuse_if,
     reported,
     set_sample_time,
     shown,
@@ -59,10 +60,8 @@ def execute(card: Card, command: str, in_program: bool = False) -> str:
     if text == REVISION:
         return card.settings.revision + CRLF
     word, rest = text[:2], text[2:]
-    if in_program and word in NOT_PROGRAM_WORDS:
-        raise Refused(Error.NOT_IN_PROGRAM)
-    if not in_program and word in ONLY_PROGRAM_WORDS:
-        raise Refused(Error.ONLY_IN_PROGRAM)
+    refuse_if(in_program and word in NOT_PROGRAM_WORDS, Error.NOT_IN_PROGRAM)
+    refuse_if(not in_program and word in ONLY_PROGRAM_WORDS, Error.ONLY_IN_PROGRAM)
     known = word in _WORDS or word in _ACTS or word in _WITH_VALUE or word in TELL
     if not known or (re.match(r"[A-Z0-9]{2,}\s*=", rest) is not None):
         return _assign(card, text)
@@ -85,33 +84,27 @@ def _assign(card: Card, text: str) -> str:
     if expression:
         card.variables[name] = evaluate(card, expression)
         return ""
-    value = variable_value(card, name)
-    return shown(value, *places(card.values["VF"]), card.values["LZ"] == 1.0) + CRLF
+    return shown(variable_value(card, name), *places(card.values["VF"]), card.values["LZ"] == 1.0) + CRLF
 
 
 def _argument(rest: str) -> str:
     # the field of the only axis: "1000", " 1000,,", "X=1000", "*=1000" or "?"
     match = _AXIS_EQUALS.fullmatch(rest)
     if match is not None:
-        if match.group(1) not in "AX*":
-            raise Refused(Error.OPERAND)
+        refuse_if(match.group(1) not in "AX*", Error.OPERAND)
         fields = [match.group(2)]
     else:
         fields = rest.lstrip(" =").split(",")
-    if any(field.strip() for field in fields[1:]):
-        raise Refused(Error.OPERAND)
+    refuse_if(any(field.strip() for field in fields[1:]), Error.OPERAND)
     field = fields[0].strip()
-    if not field:
-        raise Refused(Error.NOT_ENOUGH)
+    refuse_if(not field, Error.NOT_ENOUGH)
     return field
 
 
 def _axes(rest: str) -> None:
     letters = rest.strip().replace(",", "")
-    if "?" in letters:
-        raise Refused(Error.NO_QUESTION)
-    if any(letter not in "AX" for letter in letters):
-        raise Refused(Error.OPERAND)
+    refuse_if("?" in letters, Error.NO_QUESTION)
+    refuse_if(any(letter not in "AX" for letter in letters), Error.OPERAND)
 
 
 def _valued(card: Card, word: str, rest: str) -> str:
@@ -132,10 +125,8 @@ def _valued(card: Card, word: str, rest: str) -> str:
 
 def _set(card: Card, word: str, value: float) -> None:
     setting = SETTINGS[word]
-    if not setting.low <= value <= setting.high:
-        raise Refused(Error.OUT_OF_RANGE)
-    if card.motion.running and not setting.while_running:
-        raise Refused(Error.RUNNING)
+    refuse_if(not setting.low <= value <= setting.high, Error.OUT_OF_RANGE)
+    refuse_if(card.motion.running and not setting.while_running, Error.RUNNING)
     if word == "MT":
         check_motor_type(card, value)
     rounded = math.trunc(value / setting.step + math.copysign(1e-9, value)) * setting.step
@@ -179,8 +170,7 @@ def _tell_code(card: Card, rest: str) -> str:
 
 
 def _nothing(_card: Card, rest: str) -> str:
-    if "?" in rest:
-        raise Refused(Error.NO_QUESTION)
+    refuse_if("?" in rest, Error.NO_QUESTION)
     return ""
 
 
@@ -191,8 +181,7 @@ def _no_editor(_card: Card, _rest: str) -> str:
 def _message(card: Card, rest: str) -> str:
     text, end = "", CRLF
     items = _split(rest)
-    if not items:
-        raise Refused(Error.NOT_ENOUGH)
+    refuse_if(not items, Error.NOT_ENOUGH)
     for item in items:
         match = _MESSAGE_ITEM.fullmatch(item)
         if match is None:
@@ -223,8 +212,7 @@ def _item(card: Card, body: str, forms: list[str]) -> str:
 
 def _split(rest: str) -> list[str]:
     # at commas, but not within quotes
-    if rest.count('"') % 2:
-        raise Refused(Error.NOT_A_NUMBER)
+    refuse_if(rest.count('"') % 2, Error.NOT_A_NUMBER)
     return [item.strip() for item in _ITEM.findall(rest) if item.strip()]
 
 
@@ -235,15 +223,14 @@ _ARRAY = re.compile(r"([A-Z][A-Z0-9]{0,7})\[(\d{0,4})\]")
 
 def _arrays(rest: str, sized: bool) -> list[tuple[str, int]]:
     found = [_ARRAY.fullmatch(item.strip()) for item in rest.split(",")]
-    if not all(match and bool(match.group(2)) == sized for match in found):
-        raise Refused(Error.OPERAND)
+    refuse_if(not all(match and bool(match.group(2)) == sized for match in found), Error.OPERAND)
     return [(match.group(1), int(match.group(2) or 0)) for match in found if match]
 
 
 def _define_arrays(card: Card, rest: str) -> str:
     wanted = _arrays(rest, sized=True)
-    if sum(map(len, card.arrays.values())) + sum(size for _, size in wanted) > card.settings.array_elements:
-        raise Refused(Error.NO_ROOM)
+    held = sum(map(len, card.arrays.values()))
+    refuse_if(held + sum(size for _, size in wanted) > card.settings.array_elements, Error.NO_ROOM)
     _no_longer_recorded(card)
     card.arrays |= {name: [0.0] * size for name, size in wanted}
     return ""
@@ -258,15 +245,13 @@ def _free_arrays(card: Card, rest: str) -> str:
 
 
 def _no_longer_recorded(card: Card) -> None:
-    if card.recording.running:
-        raise Refused(Error.RECORDING_RUNS)
+    refuse_if(card.recording.running, Error.RECORDING_RUNS)
     card.recording = Recording()
 
 
 def _record_into(card: Card, rest: str) -> str:
     names = tuple(name for name, _ in _arrays(rest, sized=False))
-    if any(name not in card.arrays for name in names):
-        raise Refused(Error.NO_ARRAY)
+    refuse_if(any(name not in card.arrays for name in names), Error.NO_ARRAY)
     card.recording = Recording(arrays=names)
     return ""
 
@@ -285,19 +270,15 @@ def _record(card: Card, rest: str) -> str:
         return f"{int(recording.running)}{CRLF}"
     exponent, _, count = rest.partition(",")
     power = int(evaluate(card, exponent))
-    if not 0 <= power <= 8:
-        raise Refused(Error.OUT_OF_RANGE)
+    refuse_if(not 0 <= power <= 8, Error.OUT_OF_RANGE)
     if power == 0:
         recording.running = False
         return ""
-    if recording.running:
-        raise Refused(Error.RECORDING_RUNS)
-    if not recording.arrays or len(recording.arrays) != len(recording.operands):
-        raise Refused(Error.NO_ARRAY)
+    refuse_if(recording.running, Error.RECORDING_RUNS)
+    refuse_if(not recording.arrays or len(recording.arrays) != len(recording.operands), Error.NO_ARRAY)
     room = min(len(card.arrays[name]) for name in recording.arrays)
     wanted = int(evaluate(card, count)) if count.strip() else room
-    if not 1 <= wanted <= room:
-        raise Refused(Error.OUT_OF_RANGE)
+    refuse_if(not 1 <= wanted <= room, Error.OUT_OF_RANGE)
     recording.every, recording.wanted, recording.taken, recording.running = 2**power, wanted, 0, True
     recording.next_sample = card.axis.values[k.SAMPLES] + recording.every
     return ""
@@ -306,12 +287,10 @@ def _record(card: Card, rest: str) -> str:
 def _upload(card: Card, rest: str) -> str:
     name, *numbers = rest.split(",")
     ((array, _),) = _arrays(name, sized=False)
-    if array not in card.arrays:
-        raise Refused(Error.NO_ARRAY)
+    refuse_if(array not in card.arrays, Error.NO_ARRAY)
     first, last, commas = (int(evaluate(card, text)) for text in (*numbers[:3], *("0", "-1", "0")[len(numbers) :]))
     values = card.arrays[array][first : last + 1 if last >= 0 else None]
-    if not values:
-        raise Refused(Error.OUT_OF_RANGE)
+    refuse_if(not values, Error.OUT_OF_RANGE)
     form = places(card.values["VF"])
     return (", " if commas else CRLF).join(shown(value, *form, True) for value in values) + CRLF
 
@@ -365,8 +344,7 @@ class Program:
     def load(self, text: str) -> None:
         """Replace the program."""
         lines = text.strip("\r").split("\r")
-        if len(lines) > MOST or any(len(line) > LONGEST for line in lines):
-            raise Refused(Error.LINE_TOO_LONG)
+        refuse_if(len(lines) > MOST or any(len(line) > LONGEST for line in lines), Error.LINE_TOO_LONG)
         self._lines = lines
 
     def command(self, line: str) -> str | None:
@@ -374,8 +352,7 @@ class Program:
         text = line.strip()
         word, rest = text[:2], text[2:].strip()
         if word == "DL" and not rest:
-            if self.running:
-                raise Refused(Error.PROGRAM_RUNNING)
+            refuse_if(self.running, Error.PROGRAM_RUNNING)
             return "DL"
         if word == "UL" and not rest:
             return CRLF.join(self._lines) + CRLF + "\x1a"
@@ -383,15 +360,12 @@ class Program:
             return "".join(f"{number} {line}{CRLF}" for number, line in enumerate(self._lines))
         if word == "XQ":
             label, _, thread = rest.partition(",")
-            if self.running:
-                raise Refused(Error.STRAND_RUNNING)
-            if thread.strip() not in ("", "0"):  # there is one
-                raise Refused(Error.OUT_OF_RANGE)
+            refuse_if(self.running, Error.STRAND_RUNNING)
+            refuse_if(thread.strip() not in ("", "0"), Error.OUT_OF_RANGE)  # there is one
             self._next, self._since = self._label(label) if label else 0, float(self._card.ticks)
             return ""
         if word == "HX" and rest in ("", "0"):
-            if not self.running:
-                raise Refused(Error.NOT_RUNNING)
+            refuse_if(not self.running, Error.NOT_RUNNING)
             self.halt()
             return ""
         if (word == "AB" and rest not in ("1", "?")) or (word == "ST" and not rest):
@@ -415,9 +389,8 @@ class Program:
 
     def _step(self) -> None:
         for _ in range(AT_ONCE):
-            if self._next is None or (self._waiting and self._card.motion.running):
-                return
-            if self._until is not None and self._card.ticks < self._until:
+            due = self._until is None or self._card.ticks >= self._until
+            if self._next is None or (self._waiting and self._card.motion.running) or not due:
                 return
             self._waiting, self._until = False, None
             if not self._todo:
@@ -514,13 +487,6 @@ class GalilMachine(Machine):
         with self.lock:
             self.tick()
             return self.card.axis.states(times)
-
-    def present(self) -> tuple[float, float]:
-        """Return angle and rate of the axis now, rad and rad/s."""
-        with self.lock:
-            self.tick()
-            _, angle, rate = self.card.axis.history(0.0)
-            return float(angle[-1]), float(rate[-1])
 
     def history(self, last_s: float | None = None) -> tuple[FloatArray, FloatArray]:
         """Return time and angle of the kept past, s and rad, shape (n,)."""

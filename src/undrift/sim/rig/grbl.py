@@ -59,6 +59,12 @@ class Denied(Exception):
         self.code = code
 
 
+def deny_if(wrong: object, code: int) -> None:
+    """Deny a line where something is wrong."""
+    if wrong:
+        raise Denied(code)
+
+
 @dataclass(slots=True)
 class Move:
     """What a line asks for."""
@@ -75,29 +81,24 @@ def parse_line(text: str, axes: str, *, jog: bool) -> Move:
     for letter, number in _words(text):
         name = f"{letter}{number:g}"
         key = name if letter in "GM" else letter
-        if key in seen:
-            raise Denied(25)
+        deny_if(key in seen, 25)
         seen.add(key)
         if letter in axes:
             move.target[letter] = number
         elif letter == "F":
-            if number < 0.0:
-                raise Denied(4)
+            deny_if(number < 0.0, 4)
             move.feed = number
         elif name in _DISTANCE or (name in _MOVES and not jog):
             group = "distance" if name in _DISTANCE else "motion"
-            if group in seen:
-                raise Denied(21)
+            deny_if(group in seen, 21)
             seen.add(group)
             move.relative = _DISTANCE.get(name, move.relative)
             move.rapid = _MOVES.get(name, move.rapid)
         elif name not in _HARMLESS:
             raise Denied(16 if jog else 20)
     if jog:
-        if not move.target:
-            raise Denied(26)
-        if not move.feed:
-            raise Denied(22)
+        deny_if(not move.target, 26)
+        deny_if(not move.feed, 22)
     return move
 
 
@@ -117,11 +118,9 @@ def parse_setting(text: str, known: dict[int, float]) -> tuple[int, float]:
         value = float(match.group(2))
     except ValueError:
         raise Denied(2) from None
-    if not value >= 0.0 or value > 1e9:
-        raise Denied(4)
+    deny_if(not value >= 0.0 or value > 1e9, 4)
     number = int(match.group(1))
-    if value == 0.0 and number >= 100:
-        raise Denied(4)
+    deny_if(value == 0.0 and number >= 100, 4)
     return number, value
 
 
@@ -205,11 +204,6 @@ class Stepper:
         if self.energised != on:
             self.shaft.slow(time, GRIP if on else coast)
         self.energised = on
-
-    def count_from_zero(self, time: float) -> None:
-        """Forget the pulses: the board has started afresh."""
-        self.pulses.cut(time)
-        self.pulses.go(time, 0.0, 0.0, 0.0)
 
 
 # ---- Planner: moves that follow each other on one axis without a rest between, where they go the same way.
@@ -378,8 +372,7 @@ class Board:
             return ""
         if text.startswith("$"):
             return self._dollar(text)
-        if self.state in ("Alarm", "Sleep", "Jog"):
-            raise Denied(9)
+        deny_if(self.state in ("Alarm", "Sleep", "Jog"), 9)
         move = parse_line(text, self.settings.axes, jog=False)
         if move.relative is not None:
             self.relative = move.relative
@@ -394,10 +387,8 @@ class Board:
         if text == "$X":
             self.state = "Idle" if self.state == "Alarm" else self.state
             return f"[MSG:Caution: Unlocked]{EOL}"
-        if text == "$H":
-            raise Denied(5)
-        if self.state not in ("Idle", "Alarm"):
-            raise Denied(8)
+        deny_if(text == "$H", 5)
+        deny_if(self.state not in ("Idle", "Alarm"), 8)
         if text == "$SLP":
             self.state = "Sleep"
             return f"[MSG:Sleeping]{EOL}"
@@ -409,14 +400,12 @@ class Board:
         feed = (move.feed or self.feed) if state == "Run" and not move.rapid else move.feed
         if move.rapid:
             feed = self.of_axis(110)
-        if not feed:
-            raise Denied(22)
+        deny_if(not feed, 22)
         wanted = move.target.get(self.settings.axis)
         end = self._queue[-1][0] if self._queue else self.stepper.pulses.at(max(self.clock.now(), self._ends))[0]
         relative = self.relative if move.relative is None else move.relative
         goal = end if wanted is None else (end + wanted if relative else wanted)
-        if state == "Jog" and self.values[20] == 1.0 and not -self.of_axis(130) <= goal <= 0.0:
-            raise Denied(15)
+        deny_if(state == "Jog" and self.values[20] == 1.0 and not -self.of_axis(130) <= goal <= 0.0, 15)
         steps = self.of_axis(100)
         self._queue.append((round(goal * steps) / steps, min(feed, self.of_axis(110)) / 60.0))
         if self.state == "Idle":
@@ -570,11 +559,6 @@ class GrblMachine(Machine):
         """Whether it has power."""
         return "power_cut" not in self._broken
 
-    def present(self) -> tuple[float, float]:
-        """Return angle and rate of the axis now, rad and rad/s."""
-        angle, rate = self.states(np.array([self.clock.now()]))
-        return float(angle[0]), float(rate[0])
-
     def states(self, times: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return angle and rate of the axis, rad and rad/s, shape (n,): times (n,) s."""
         with self.lock:
@@ -608,7 +592,8 @@ class GrblMachine(Machine):
                 current = not self._broken & {"power_cut", "amplifier_fault"}
                 board.stepper.set_current(now, current, self.settings.coast_deg_s2)
                 if name == "power_cut":
-                    board.stepper.count_from_zero(now)
+                    board.stepper.pulses.cut(now)  # they count from zero again
+                    board.stepper.pulses.go(now, 0.0, 0.0, 0.0)
                     board.start()
             elif name in ("limit_switch", "limit_switch_reverse"):
                 board.limit_pressed = bool(self._broken & {"limit_switch", "limit_switch_reverse"})

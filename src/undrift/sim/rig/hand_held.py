@@ -30,7 +30,7 @@ from undrift.sim.device.presets import random_device
 from undrift.sim.motion.bench import earth_rate
 from undrift.sim.motion.motion import SMOOTH, UNEVEN, facing, turn_quaternion, unit_vector
 from undrift.sim.rig.axes import Clock, HostClock
-from undrift.sim.rig.server import Closed, FaultyLink, LineSession, Machine, Server, Session
+from undrift.sim.rig.server import Closed, FaultyLink, LineMachine, Server
 from undrift.sim.rig.stream import EmulatedDevice, StreamSettings
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
@@ -91,10 +91,9 @@ class Move:
     def orientation(self, time: FloatArray) -> FloatArray:
         """Return q_nb (N, 4) at moments (N,) s; at rest before and after."""
         s = np.clip((time - self.start) / self.duration, 0.0, 1.0)
-        held = HELD(s)[:, None]
         q = quaternion_product(self.q, turn_quaternion(self.axis_b, self.angle(s)))
         q = quaternion_product(q, quaternion_of(SMOOTH(s)[:, None] * self.back))
-        return quaternion_product(q, quaternion_of(held * self._waves(time, 0)))
+        return quaternion_product(q, quaternion_of(HELD(s)[:, None] * self._waves(time, 0)))
 
     def push(self, time: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the acceleration upwards (N,), and that of the tremor (N, 3) in the case's axes, m/s2."""
@@ -191,8 +190,7 @@ class HandHeldDevice(EmulatedDevice):
         draw, each = self._hands, math.sqrt(2.0 / WAVES)
         frequency, phase = draw.uniform(*TREMOR_HZ, (WAVES, 3)), draw.uniform(0.0, 2.0 * math.pi, (WAVES, 3))
         sizes = self.hands.tremor * each / (2.0 * math.pi * frequency), np.full((WAVES, 3), self.hands.shake * each)
-        tremor = np.stack((*sizes, frequency, phase))
-        self._moves.append(Move(start, duration, q, axis, angle, tremor=tremor, **more))
+        self._moves.append(Move(start, duration, q, axis, angle, tremor=np.stack((*sizes, frequency, phase)), **more))
         # what was sent needs no past but that of the last step
         past = [k for k, move in enumerate(self._moves) if move.stop < self.clock.now() - 1.0]
         del self._moves[: past[-1] if past else 0]
@@ -218,33 +216,20 @@ class HandHeldDevice(EmulatedDevice):
         else:
             shifts = np.repeat([-self._step, -h, 0.0, h], n)
             before, early, q, late = self._orientation(np.tile(times, 4) + shifts).reshape(4, n, 4)
-            turned = _turned(np.concatenate((before, early, q)), np.concatenate((q, q, late))).reshape(3, n, 3)
+            began, ended = np.concatenate((before, early, q)), np.concatenate((q, q, late))
+            turned = rotation_vector(quaternion_product(quaternion_conjugate(began), ended)).reshape(3, n, 3)
             mean_rate, first, second = turned[0] / self._step, turned[1] / h, turned[2] / h
             rate, acceleration = 0.5 * (first + second), (second - first) / h
             for move in self._moves:
                 upwards, trembling = move.push(times)
                 gravity_n[:, 2] += upwards
                 shake += trembling
-        to_b, temp = quaternion_conjugate(q), self._board_temp(times)
+        to_b = quaternion_conjugate(q)
         if settings.latitude_deg is not None:
             earth_b = rotate(to_b, np.broadcast_to(earth_rate(settings.latitude_deg), (n, 3)))
             acceleration = acceleration - np.cross(rate, earth_b)
             rate, mean_rate = rate + earth_b, mean_rate + earth_b
-        return Scene(
-            time=times,
-            step_s=self._step,
-            temp_c=temp,
-            warmth=temp - self.device.reference_temp_c,
-            age_s=times + settings.power_on_s,
-            rate_b=rate,
-            angular_acceleration_b=acceleration,
-            force_b=rotate(to_b, gravity_n) + shake,
-        ), mean_rate
-
-
-def _turned(before: FloatArray, after: FloatArray) -> FloatArray:
-    """Return the rotation vectors from one orientation to another, (N, 3) rad in b."""
-    return rotation_vector(quaternion_product(quaternion_conjugate(before), after))
+        return self._surroundings(times, rate, acceleration, rotate(to_b, gravity_n) + shake), mean_rate
 
 
 class _Bench:
@@ -266,7 +251,7 @@ class HandHeld(Closed):
         self.device, chosen = device, clock or HostClock(speed)
         self.stream = HandHeldDevice(device, hands, chosen, stream)
         try:
-            self._operator = Server(_Operator(self.stream), FaultyLink(), (stream.host, 0))
+            self._operator = Server(LineMachine(chosen, self._answered), FaultyLink(), (stream.host, 0))
         except OSError:
             self.stream.close()
             raise
@@ -296,6 +281,19 @@ class HandHeld(Closed):
         self._operator.close()
         self.stream.close()
 
+    def _answered(self, line: str) -> str:
+        """Do what the operator is asked."""
+        words = line.lower().split()
+        if words == ["state?"]:
+            return f"{'moving' if self.moving else 'rest'} {self.face}"
+        if words[:1] in (["face"], ["mount"]) and len(words) == 2:
+            self.lay(cast(Face, words[1]))
+        elif words[:1] == ["turn"] and len(words) == 3:
+            self.turn(cast(Axis, words[1]), _number(words[2]) * RADIAN_PER_DEGREE)
+        else:
+            raise InputError("operator: wanted 'face +x', 'turn z 360' or 'state?', got another line; send one of them")
+        return f"OK {' '.join(line.split()[1:])}"
+
 
 def start_hand_held(
     *,
@@ -312,34 +310,6 @@ def start_hand_held(
         seed = int(np.random.default_rng().integers(2**31))
     chosen = device or random_device(np.random.default_rng(seed), grade="consumer")
     return HandHeld(chosen, hands, stream or StreamSettings(seed=seed, gravity_m_s2=gravity_m_s2), speed, clock)
-
-
-class _Operator(Machine):
-    """What stands behind the operator's port."""
-
-    def __init__(self, device: HandHeldDevice) -> None:
-        super().__init__(device.clock)
-        self._device = device
-
-    def new_session(self, serial: bool) -> Session:
-        return LineSession(self._answer)
-
-    def _answer(self, line: str) -> str:
-        device, words = self._device, line.lower().split()
-        try:
-            if words == ["state?"]:
-                return f"{'moving' if device.moving else 'rest'} {device.face}"
-            if words[:1] in (["face"], ["mount"]) and len(words) == 2:
-                device.mount(cast(Face, words[1]))
-            elif words[:1] == ["turn"] and len(words) == 3:
-                device.turn(cast(Axis, words[1]), _number(words[2]) * RADIAN_PER_DEGREE)
-            else:
-                raise InputError(
-                    "operator: wanted 'face +x', 'turn z 360' or 'state?', got another line; send one of them"
-                )
-        except InputError as error:
-            return f"ERROR {error}".encode("ascii", errors="replace").decode("ascii")
-        return f"OK {' '.join(line.split()[1:])}"
 
 
 def _number(text: str) -> float:

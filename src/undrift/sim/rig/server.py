@@ -164,15 +164,31 @@ class LineSession(Session):
         return [answer.encode("ascii") + b"\n" for answer in answers if answer]
 
 
+class LineMachine(Machine):
+    """A machine whose clients give commands line by line; what it refuses is answered by ERROR."""
+
+    def __init__(self, clock: Clock, obey: Callable[[str], str]) -> None:
+        super().__init__(clock)
+        self._obey = obey
+
+    def new_session(self, serial: bool) -> Session:
+        """Make what a client talks to."""
+        return LineSession(self._answer)
+
+    def _answer(self, line: str) -> str:
+        try:
+            return self._obey(line)
+        except InputError as error:
+            return f"ERROR {error}".encode("ascii", errors="replace").decode("ascii")
+
+
 class Closed:
     """What is closed at the end of a `with` block."""
 
     def __enter__(self) -> Self:
-        """Return itself."""
         return self
 
     def __exit__(self, *error: object) -> None:
-        """Close it."""
         self.close()
 
     def close(self) -> None:
@@ -362,8 +378,7 @@ class Server:
 
     def _queue(self, client: _Client, answer: bytes) -> None:
         if answer:
-            free_at = client.pending[-1][0] if client.pending else 0.0
-            client.pending.extend(self._link.pass_on(answer, free_at))
+            client.pending.extend(self._link.pass_on(answer, client.pending[-1][0] if client.pending else 0.0))
 
     def _speak(self, client: _Client) -> None:
         self._queue(client, client.session.unasked())

@@ -61,8 +61,7 @@ class CausalDevice:
         for (chain, pasts), x in zip(self._chains, moved, strict=True):
             *_, (_, felt) = chain.stages(x, scene, pasts)
             read.append(converted(chain.reading(felt), chain.adc)[0] if chain.adc else chain.reading(felt))
-        shown = thermometer.shown(thermometer.felt(scene, self._thermometer), self._thermometer.rng)
-        return read[0], read[1], shown
+        return read[0], read[1], thermometer.shown(thermometer.felt(scene, self._thermometer), self._thermometer.rng)
 
 
 # ---- How the emulated device writes its readings: lines with an XOR behind a star, or frames with sync bytes and a CRC-16.
@@ -151,8 +150,7 @@ class EmulatedDevice(Served, Machine):
         self._mount(settings.face)
         self._last_rate: FloatArray | None = None
         # Compile what takes readings before the first is due: its stream would begin with a backlog of as many seconds
-        first = CausalDevice(device, self._step, np.random.default_rng(0))
-        first.read(*self._scene(np.array([clock.now()])))
+        CausalDevice(device, self._step, np.random.default_rng(0)).read(*self._scene(np.array([clock.now()])))
         self._next = 1 + int(clock.now() / self._step + 1e-6)  # reading k is taken at k steps
         self._last_rate = None
         self.serve(self, (settings.host, settings.port), settings.seed)
@@ -218,6 +216,10 @@ class EmulatedDevice(Served, Machine):
         )
         before = np.vstack((rate[:1] if self._last_rate is None else self._last_rate, rate[:-1]))
         self._last_rate = rate[-1:]
+        force = np.broadcast_to(self.settings.gravity_m_s2 * self._up, (len(times), 3))
+        return self._surroundings(times, rate, (rate - before) / self._step, force), rate
+
+    def _surroundings(self, times: FloatArray, rate: FloatArray, acceleration: FloatArray, force: FloatArray) -> Scene:
         temp = self._board_temp(times)
         return Scene(
             time=times,
@@ -226,9 +228,9 @@ class EmulatedDevice(Served, Machine):
             warmth=temp - self.device.reference_temp_c,
             age_s=times + self.settings.power_on_s,
             rate_b=rate,
-            angular_acceleration_b=(rate - before) / self._step,
-            force_b=np.broadcast_to(self.settings.gravity_m_s2 * self._up, (len(times), 3)),
-        ), rate
+            angular_acceleration_b=acceleration,
+            force_b=force,
+        )
 
     def _send(self, counts: IntArray, rows: FloatArray) -> None:
         if not self.sessions or "silence" in self._broken:
