@@ -23,7 +23,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
-from mistakes.planting import LEAST_NAMED, NEVER, Result, false_alarms, judged
+from mistakes.planting import Result, expected_of, false_alarms, judged
 from mistakes.routes import MISTAKES
 
 OUTCOMES = ("named", "refused", "warned", "silent", "broken", "harmless")
@@ -61,8 +61,9 @@ def main() -> int:
             for one in results
         ]
         given.json.write_text(json.dumps({"mistakes": rows, "counts": counts, "false_alarms": alarms}, indent=1) + "\n")
-    bad = any(counts[name] for name in NEVER) or counts["named"] < LEAST_NAMED * len(results)
-    return 1 if bad or alarms else 0
+    otherwise = [one.mistake for one, asked in zip(results, chosen, strict=True) if one.outcome != expected_of(asked)]
+    print("\n".join((f"come out otherwise than listed: {len(otherwise)}", *otherwise)))
+    return 1 if otherwise or alarms else 0
 
 
 if __name__ == "__main__":

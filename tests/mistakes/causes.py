@@ -104,7 +104,11 @@ TEMP_COUNTS = (
     r"temperature[^;]*(?:count|code|wrong scale|scale\.temp)",
     r"column '\w+': wanted readings up to 300 degc.*check",
 )
-TURN_ANGLE = (r"turn[^;]*(?:angle|deg)[^;]*(?:360|stated|wrong)[^;]*(?:not|got|but|by|times)[^;]*", r"--turn-deg")
+TURN_ANGLE = (
+    r"angles in rad as deg",
+    r"turn[^;]*(?:angle|deg)[^;]*(?:360|stated|wrong)[^;]*(?:not|got|but|by|times)[^;]*",
+    r"--turn-deg",
+)
 TURN_SIGN = (r"sign of the turns?|turns?[^;]*(?:opposite|reversed|wrong sign)|reversed[^;]*turns",)
 UPSIDE_DOWN = (
     r"--(?:forward|up)\b[^;]*--(?:forward|up)\b|upside down|pitch[^;]*(?:--up|--forward|wraps|beyond 100)",

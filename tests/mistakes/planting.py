@@ -18,6 +18,7 @@ import numpy as np
 import undrift
 from mistakes.habits import Habit
 from mistakes.sound import Recording
+from mistakes.unnamed import UNNAMED
 from undrift.cli.app import run as call
 from undrift.errors import UndriftError
 from undrift.findings import Finding
@@ -367,9 +368,6 @@ def with_recordings(change: Callable[[Recording], Recording]) -> Change:
 
 # ---- what is asked of all
 
-LEAST_NAMED = 0.9  # share of mistakes whose true cause must be named
-NEVER = ("silent", "broken", "harmless")
-
 
 def false_alarms(sound: Callable[[], Case], mistakes: Iterable[Mistake]) -> list[str]:
     """Return the texts about sound input that refuse it or name a mistake."""
@@ -382,7 +380,6 @@ def false_alarms(sound: Callable[[], Case], mistakes: Iterable[Mistake]) -> list
     return [f"{where}: {text}" for text in found]
 
 
-def check_all(mistakes: tuple[Mistake, ...]) -> None:
-    """Raise unless enough of the mistakes of a module are named."""
-    unnamed = [f"{one.outcome}: {one.route}: {one.mistake}" for one in map(judged, mistakes) if one.outcome != "named"]
-    assert len(unnamed) <= (1.0 - LEAST_NAMED) * len(mistakes), "\n".join(unnamed)
+def expected_of(one: Mistake) -> str:
+    """Return what a mistake comes to: named, unless unnamed.py lists it."""
+    return UNNAMED.get((one.route, one.sound.__name__, one.name), ("named", ""))[0]
