@@ -208,8 +208,7 @@ class TriadModel:
     @property
     def relative_uncertainty(self) -> float:
         """Largest standard uncertainty of an element of matrix @ K: 0.01 is one per cent of the gain."""
-        sigma = self.standard_uncertainty[:9].reshape(3, 3)
-        return float((sigma @ np.abs(self.forward_matrix)).max())
+        return float((self.standard_uncertainty[:9].reshape(3, 3) @ np.abs(self.forward_matrix)).max())
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

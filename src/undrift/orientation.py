@@ -581,8 +581,7 @@ def _filtered(record: Record, gyro: FloatArray, uncertainty: float) -> FloatArra
 def _levelled_at(q_nb: FloatArray, anchor: int, wanted: FloatArray) -> FloatArray:
     """Return the orientations turned about the vertical, so that the heading at one sample is the wanted one's."""
     w, _, _, z = quaternion_product(wanted, quaternion_conjugate(q_nb[anchor]))
-    turn = np.array([w, 0.0, 0.0, z]) / math.hypot(w, z)
-    return quaternion_product(turn, q_nb)
+    return quaternion_product(np.array([w, 0.0, 0.0, z]) / math.hypot(w, z), q_nb)
 
 
 _MOST_RATE = 4000.0 * RADIAN_PER_DEGREE  # rad/s: the widest range of gyroscopes that are worn

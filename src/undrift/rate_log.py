@@ -136,8 +136,7 @@ def align_clocks(log: RateLog, record: Record, settings: RateLogSettings = RateL
     if record.gyro is None:
         raise InputError(f"{log.name}: wanted a recording with a gyroscope to align by, got none; map its columns")
     rates = _rates(log)
-    rough = _rough_offset(log, record, rates, settings)
-    at, found = _lags(log, record, rates, rough, settings)
+    at, found = _lags(log, record, rates, _rough_offset(log, record, rates, settings), settings)
     clocks = _line(at, found)
     if abs(clocks.drift) > max(settings.largest_drift, 4.0 * clocks.drift_uncertainty):
         raise AlignmentError(
@@ -244,8 +243,7 @@ JUMP_S = 0.3
 def _line(at: FloatArray, found: Sequence[Lag]) -> Clocks:
     """Fit a straight line to the lags; its uncertainty has their scatter in it."""
     lag = np.array([each.seconds for each in found])
-    sigma = np.hypot([each.standard_uncertainty for each in found], FLOOR_S)
-    weight = 1.0 / sigma**2
+    weight = 1.0 / np.hypot([each.standard_uncertainty for each in found], FLOOR_S) ** 2
     middle = float(weight @ at / weight.sum())
     away = at - middle
     square = float(weight @ away**2)
@@ -316,8 +314,7 @@ def steady_stretches(log: RateLog, settings: RateLogSettings) -> list[tuple[int,
     width = max(1, round(0.2 / typical))
     rate = (log.angle[width:] - log.angle[:-width]) / (log.time[width:] - log.time[:-width])
     noise = 2.0 * log.resolution / (width * typical) if log.has_angle else 2.0 * log.resolution
-    late = np.concatenate(([False], step > 5.0 * typical))
-    breaks = np.cumsum(late)
+    breaks = np.cumsum(np.concatenate(([False], step > 5.0 * typical)))
     whole = breaks[width:] == breaks[:-width]
     shortest = max(3, int((2.0 * settings.settle_s + settings.least_s) / typical / 2.0))
     found = list[tuple[int, int]]()

@@ -323,8 +323,7 @@ def _gap_above(spread: FloatArray, floor: float) -> float | None:
     least = int(np.argmin(depth))
     if depth[least] > _GAP_DEPTH:
         return None
-    emptiest = inside[np.flatnonzero(depth <= depth[least] + 1e-12)]
-    return floor * float(10.0 ** centre[emptiest].mean())
+    return floor * float(10.0 ** centre[inside[np.flatnonzero(depth <= depth[least] + 1e-12)]].mean())
 
 
 def _turning(mean: FloatArray, spread: FloatArray, found: StillThreshold) -> BoolArray:
@@ -337,9 +336,8 @@ def _turning(mean: FloatArray, spread: FloatArray, found: StillThreshold) -> Boo
         quiet &= small
     if not quiet.any():
         return np.zeros(len(mean), bool)
-    offset = np.median(mean[quiet], axis=0)
     # A steady turn is off the offset throughout; the slow drift of a warm-up meets the offset somewhere in its stretch.
-    x, y, z = np.abs(mean - offset).T
+    x, y, z = np.abs(mean - np.median(mean[quiet], axis=0)).T
     far = np.maximum(np.maximum(x, y), z) > max(_TURNING * found.noise_floor, found.value)
     turning = np.zeros(len(mean), bool)
     for first, last in runs(spread <= found.value):

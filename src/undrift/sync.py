@@ -68,8 +68,7 @@ class RunningIntegral:
         last, at_last = self._at(stop)
         valid = (start >= self.time[0]) & (stop <= self.time[-1])
         valid &= self._gaps[np.minimum(last + 1, len(self.time) - 1)] == self._gaps[first]
-        mean = (at_last - at_first) / (stop - start)[:, None]
-        return np.where(valid[:, None], mean, 0.0), valid
+        return np.where(valid[:, None], (at_last - at_first) / (stop - start)[:, None], 0.0), valid
 
     def _at(self, t: FloatArray) -> tuple[IntArray, FloatArray]:
         k = np.clip(np.searchsorted(self.time, t, side="right") - 1, 0, len(self.time) - 2)
@@ -143,8 +142,7 @@ def _cells(
     weight = np.bincount(k, minlength=count).astype(float)
     mean = np.bincount(k, weights=values[valid], minlength=count) / np.maximum(weight, 1.0)
     seen = (weight > 0.0).astype(float)
-    overall = float((mean * seen).sum() / max(seen.sum(), 1.0))
-    return (mean - overall) * seen, seen
+    return (mean - float((mean * seen).sum() / max(seen.sum(), 1.0))) * seen, seen
 
 
 def _masked_correlation(
@@ -375,8 +373,7 @@ def _lag_step(slope: FloatArray, u: FloatArray, residual: FloatArray, t: FloatAr
     step = float((clear * residual).sum()) / square
     score = (clear * (residual - step * clear)).sum(axis=1)
     block: BoolArray = np.concatenate(([True], np.diff(np.floor(t / _BLOCK_S)) > 0.0))
-    sums = np.add.reduceat(score, np.flatnonzero(block))
-    return step, float(np.sqrt((sums**2).sum()) / square)
+    return step, float(np.sqrt((np.add.reduceat(score, np.flatnonzero(block)) ** 2).sum()) / square)
 
 
 # ---- motion between the first and the last rest: the author's mark of the reference, else the record's still phases

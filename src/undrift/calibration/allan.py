@@ -88,14 +88,12 @@ _GAPPED = ("adev", "oadev", "hdev", "ohdev")
 def _with_gaps(y: FloatArray, rate: float, taus: Taus, estimator: Estimator, confidence: float) -> AllanDeviation:
     """Return the deviation of readings (N,) with gaps, NaN, by the terms that are whole."""
     gap, order, span = np.isnan(y), _ORDER[estimator], _SPAN[estimator]
-    centred = np.where(gap, 0.0, y - np.nanmean(y))
-    phase = np.concatenate(([0.0], np.cumsum(centred)))
+    phase = np.concatenate(([0.0], np.cumsum(np.where(gap, 0.0, y - np.nanmean(y)))))
     lost = np.concatenate(([0], np.cumsum(gap)))
     weights = {2: (1.0, -2.0, 1.0), 3: (-1.0, 3.0, -3.0, 1.0)}[order]
     kept, squares, phases, kinds, kind = list[int](), list[float](), list[int](), list[int](), 0
     for m in averages_of(taus, int((~gap).sum()), rate, estimator).tolist():
-        count = len(phase) - order * m
-        first = np.arange(0, count, m if estimator in ("adev", "hdev") else 1)
+        first = np.arange(0, len(phase) - order * m, m if estimator in ("adev", "hdev") else 1)
         first = first[lost[first + order * m] == lost[first]]
         whole = len(first) * (m if estimator in ("adev", "hdev") else 1)
         if whole < span * m:

@@ -103,8 +103,7 @@ def spline_filter(time: FloatArray, values: FloatArray, cutoff_hz: float) -> Flo
     """
     from scipy.interpolate import make_smoothing_spline
 
-    step = float(np.median(np.diff(time)))
-    stiffness = 1.0 / (step * (2.0 * np.pi * cutoff_hz) ** 4)
+    stiffness = 1.0 / (float(np.median(np.diff(time))) * (2.0 * np.pi * cutoff_hz) ** 4)
     own = time - time[0]
     return np.column_stack([make_smoothing_spline(own, column, lam=stiffness)(own) for column in values.T])
 

@@ -41,8 +41,7 @@ def spans_of(records: Sequence[Record], pieces: Sequence[Still | Turn]) -> Float
 
 def size_unit(noise: FloatArray, span: FloatArray) -> float:
     """Return the unit of the SIZES: the noise (P, 3) of means over stretches (P, 2), s, taken to 10 s; median of all."""
-    length = np.maximum(np.diff(span, axis=1), 1e-3)
-    return float(np.median(noise * np.sqrt(length / _UNIT_S)))
+    return float(np.median(noise * np.sqrt(np.maximum(np.diff(span, axis=1), 1e-3) / _UNIT_S)))
 
 
 def flicker_of_means(span: FloatArray) -> FloatArray:

@@ -407,8 +407,7 @@ def _averaged(
             solvers[row] = np.linalg.solve(upper, np.linalg.solve(root.T, basis).T) / length[:, None]
             likelihood[at] -= np.log(np.diag(root)).sum() + np.log(np.abs(np.diag(upper))).sum() + np.log(length).sum()
             likelihood[at] -= 0.5 * float(y @ y - (basis.T @ y) @ (basis.T @ y))
-        step = np.einsum("iae,ei->ia", solvers, left)
-        thetas[at] = (start + step).reshape(-1)[_ORDER]
+        thetas[at] = (start + np.einsum("iae,ei->ia", solvers, left)).reshape(-1)[_ORDER]
         covariances[at] = errors.carried(solvers, square)
     if len(sizes) == 1:
         theta, covariance, square = thetas[0], covariances[0], 0.0

@@ -452,8 +452,7 @@ def _warmth_of_moves(problem: _Problem, creep: Creep) -> FloatArray:
 
 def _tangent(n: FloatArray) -> FloatArray:
     """Return two unit vectors across each direction, shape (J, 3, 2)."""
-    helper = np.eye(3)[np.abs(n).argmin(axis=1)]
-    first = np.cross(n, helper)
+    first = np.cross(n, np.eye(3)[np.abs(n).argmin(axis=1)])
     first /= np.linalg.norm(first, axis=1)[:, None]
     return np.stack((first, np.cross(n, first)), axis=2)
 
@@ -464,8 +463,7 @@ def _check_seen(missed: _Missed, p: FloatArray) -> None:
     gain = (by_matrix @ matrix.T).reshape(-1, 9)  # derivative by E of M = (1 + E) M: rad per unit of relative gain
     _, singular, right = np.linalg.svd(gain, full_matrices=False)
     singular = singular / np.sqrt(len(gain))
-    weak = np.append(np.flatnonzero(singular < WEAKEST), 8)
-    share = np.linalg.norm(right[weak], axis=0)
+    share = np.linalg.norm(right[np.append(np.flatnonzero(singular < WEAKEST), 8)], axis=0)
     names = tuple(name for name, s in zip(MATRIX_NAMES, share, strict=True) if s > 0.3 * share.max())
     if singular[-1] < WEAKEST:
         raise NotObservable(

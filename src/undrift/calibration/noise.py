@@ -459,8 +459,7 @@ def _significant(
 
 
 def _weighted(measured: FloatArray, design: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray, float]:
-    root = np.linalg.cholesky(covariance)
-    white = np.linalg.solve(root, np.column_stack((design, measured)))
+    white = np.linalg.solve(np.linalg.cholesky(covariance), np.column_stack((design, measured)))
     a, b = white[:, :-1], white[:, -1]
     size = np.linalg.norm(a, axis=0)
     inverse = np.linalg.pinv((a / size).T @ (a / size)) / np.outer(size, size)

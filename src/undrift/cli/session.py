@@ -103,8 +103,8 @@ def new(
     if json:
         gravity = {"gravity_m_s2": found.gravity_m_s2, "gravity_source": found.gravity_source}
         made = {"output": str(output / NAME), "recordings": len(found.records), "faces": faces}
-        told = {} if log is None else {"rates": log[1], "findings": findings_json(log[2])}
-        write_json(made | counts | gravity | told, "session new")
+        stated = {} if log is None else {"rates": log[1], "findings": findings_json(log[2])}
+        write_json(made | counts | gravity | stated, "session new")
         return 0
     say(
         f"Wrote {output / NAME}",

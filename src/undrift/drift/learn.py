@@ -267,8 +267,7 @@ class _Level:
             ends = ((temp[0], min(temp[0] + _END_C, temp[-1])), (max(temp[-1] - _END_C, temp[0]), temp[-1]))
             change = [_interpolated(np.array(pair), temp, offset) for pair in ends]
             slope = np.array([(b - a) / (pair[1] - pair[0]) for (a, b), pair in zip(change, ends, strict=True)])
-            length = np.array([pair[1] - pair[0] for pair in ends])[:, None]
-            doubt = 2.0**0.5 * own[[0, -1]] / length
+            doubt = 2.0**0.5 * own[[0, -1]] / np.array([pair[1] - pair[0] for pair in ends])[:, None]
             return cls(temp_c=temp, offset=offset, deviation=own, slope=slope, slope_deviation=doubt, loop=loop)
         constant = np.zeros(3) if model is None else model.offset
         variance = np.full(3, np.nan) if model is None else np.diag(model.covariance)[9:12]

@@ -297,8 +297,7 @@ def _means(
         means[k], counts[k] = part.mean(axis=0), len(part)
         own_variance.append(part.var(axis=0))
         own = min(size, max(1, len(part) // 2))
-        halves = part[: len(part) // own * own].reshape(-1, own, 3).mean(axis=1)
-        steps = np.diff(halves, axis=0)
+        steps = np.diff(part[: len(part) // own * own].reshape(-1, own, 3).mean(axis=1), axis=0)
         square += (steps**2).sum(axis=0) * own
         pairs += len(steps)
     if not own_variance:

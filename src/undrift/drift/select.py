@@ -206,8 +206,7 @@ def _cross_validated(
 def _selected(square: FloatArray, error: FloatArray, steps: Steps, held_out: tuple[int, int]) -> Finding:
     """Take the simplest within one standard error, or 5 % of rms, of the best; held_out counts folds by soak and by rate."""
     best = int(np.nanargmin(square))
-    limit = max(square[best] + error[best], square[best] * _WORTH**2)
-    chosen = int(np.flatnonzero(square <= limit)[0])
+    chosen = int(np.flatnonzero(square <= max(square[best] + error[best], square[best] * _WORTH**2))[0])
     dps = np.sqrt(square) / RADIAN_PER_DEGREE
     numbers, point = _set_points(steps)
     of_soaks = f"{held_out[0]} of {len(numbers)} soaks at {int(point.max()) + 1} set-points"

@@ -581,8 +581,7 @@ def _forward(table: Table, time: FloatArray, columns: ColumnMap) -> BoolArray | 
         return None
     row = int(np.flatnonzero(steps <= 0.0)[0]) + 1
     if columns.repair_time:
-        latest = np.maximum.accumulate(time)
-        keep = np.concatenate(([True], time[1:] > latest[:-1]))
+        keep = np.concatenate(([True], time[1:] > np.maximum.accumulate(time)[:-1]))
         if keep.sum() >= 0.5 * len(time):
             return keep
         raise InputError(

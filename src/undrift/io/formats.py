@@ -105,8 +105,7 @@ def _line(head: bytes, number: int) -> str:
 
 
 def _suffix(path: Path) -> str:
-    name = path.name.lower()
-    return Path(name.removesuffix(".gz")).suffix
+    return Path(path.name.lower().removesuffix(".gz")).suffix
 
 
 def _is_npz(path: Path, head: bytes) -> bool:

@@ -146,8 +146,7 @@ def _mean_shape(points: FloatArray, whole: BoolArray) -> FloatArray:
         turn, shift, good = _fit(full, all_seen, template)
         if not good.any():
             break
-        back = np.einsum("nji,nkj->nki", turn[good], full[good] - shift[good][:, None])
-        template = back.mean(axis=0)
+        template = np.einsum("nji,nkj->nki", turn[good], full[good] - shift[good][:, None]).mean(axis=0)
         template = template - template.mean(axis=0)
     # Averaging may have turned the shape by the noise of one frame: put it back on the first.
     turn, _, good = _fit(full[:1], all_seen[:1], template)

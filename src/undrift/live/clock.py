@@ -181,8 +181,7 @@ class GapMarker:
         at = np.repeat(np.arange(len(time)), rows)
         step = np.where(rows < lacking, self._period, (time - before) / (lacking + 1))
         nth = np.arange(len(at)) - np.repeat(np.cumsum(rows) - rows, rows) + 1
-        gone = before[at] + nth * step[at]
-        return np.insert(time, at, gone), np.insert(values, at, np.nan, axis=0)
+        return np.insert(time, at, before[at] + nth * step[at]), np.insert(values, at, np.nan, axis=0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

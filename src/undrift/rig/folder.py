@@ -127,8 +127,7 @@ def read_journal(path: Path) -> tuple[tuple[Entry, ...], int]:
 def _entry(line: bytes) -> Entry | None:
     """Return the entry of a whole line, None for a torn one."""
     try:
-        held = json.loads(line)
-        entry = held["entry"]
+        entry = json.loads(line)["entry"]
     except (ValueError, KeyError, TypeError):
         return None
     return entry if isinstance(entry, dict) and line == line_of(entry) else None

@@ -102,8 +102,7 @@ def rate_grid(rate_min: float, rate_max: float, step: float, *, rule: GridRule =
             f"rate grid: wanted a step that divides {rate_max - rate_min:g}, got {step:g}; "
             f"try {(rate_max - rate_min) / max(1, steps):g}"
         )
-    first = 1 if rule == "paper" else 0
-    positive = rate_min + step * np.arange(first, steps + 1)
+    positive = rate_min + step * np.arange(1 if rule == "paper" else 0, steps + 1)
     return np.concatenate((-positive[::-1], positive))
 
 

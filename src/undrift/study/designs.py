@@ -83,8 +83,7 @@ def _climb(f: FloatArray, wanted: FloatArray | None) -> FloatArray:
     share = np.full(len(f), 1.0 / len(f))
     for _ in range(ROUNDS):
         inverse = np.linalg.inv((f * share[:, None]).T @ f)
-        middle = inverse if wanted is None else inverse @ wanted @ inverse
-        gain = np.einsum("ni,ij,nj->n", f, middle, f)
+        gain = np.einsum("ni,ij,nj->n", f, inverse if wanted is None else inverse @ wanted @ inverse, f)
         mean = float(share @ gain)
         if gain.max() < mean * (1.0 + CONVERGED):
             break

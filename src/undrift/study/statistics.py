@@ -46,8 +46,7 @@ def sphericity(y: FloatArray) -> Sphericity:
 
     n, k = y.shape
     p = k - 1
-    transformed = y @ helmert(k).T
-    a = np.atleast_2d(np.cov(transformed, rowvar=False))
+    a = np.atleast_2d(np.cov(y @ helmert(k).T, rowvar=False))
     trace, squared = float(np.trace(a)), float(np.sum(a * a))
     gg = trace**2 / (p * squared) if squared > 0.0 else 1.0
     room = p * (n - 1 - p * gg)
@@ -193,8 +192,7 @@ def _ratio(values: FloatArray, design: FloatArray, whose: IntArray) -> float:
         spread = float(np.log(np.abs(np.diag(inverse))).sum())  # of the inverse root: minus half a log determinant
         return float(dof * np.log(error) + np.log1p(count * ratio).sum() - 2.0 * spread)
 
-    tried = [unlikely(float(np.exp(x))) for x in LOG_RATIO]
-    least = int(np.argmin(tried))
+    least = int(np.argmin([unlikely(float(np.exp(x))) for x in LOG_RATIO]))
     low, high = LOG_RATIO[max(least - 1, 0)], LOG_RATIO[min(least + 1, len(LOG_RATIO) - 1)]
     found = minimize_scalar(
         lambda x: unlikely(float(np.exp(x))), bounds=(low, high), method="bounded", options={"xatol": 1e-9}
@@ -559,8 +557,7 @@ def power_of_anova(
         )
     d1, d2 = epsilon * (k - 1), epsilon * (k - 1) * (subjects - 1)
     noncentrality = epsilon * subjects * float(((m - m.mean()) ** 2).sum()) / error_variance
-    critical = f.ppf(1.0 - level, d1, d2)
-    return float(ncf.sf(critical, d1, d2, noncentrality))
+    return float(ncf.sf(f.ppf(1.0 - level, d1, d2), d1, d2, noncentrality))
 
 
 def subjects_needed(

@@ -134,8 +134,7 @@ def align_rates(record: Record, reference: Reference, *, lag_s: float) -> Alignm
     mean, inside = RunningIntegral(record.time, gyro).mean(rates.start + lag_s, rates.stop + lag_s)
     good = inside & rates.valid
     u, w = mean[good] - mean[good].mean(axis=0), rates.rate[good] - rates.rate[good].mean(axis=0)
-    product = w.T @ u
-    left, singular, right = np.linalg.svd(product)
+    left, singular, right = np.linalg.svd(w.T @ u)
     if not singular[1] > _LEAST_SPREAD * singular[0]:
         raise AlignmentError(
             "alignment: wanted turning about two axes or more, got one; turn the device about another axis, or give the "
@@ -710,5 +709,4 @@ def _aligned(record: Record, poses: Reference, lag: Lag, settings: TrialSettings
     if settings.align == "auto" and found.angle <= settings.align_above:
         return record, Mounting(alignment=found, applied=False)
     gyro, accel = (x if x is None else x @ found.rotation.T for x in (record.gyro, record.accel))
-    turned = replace(record, gyro=gyro, accel=accel)
-    return turned, Mounting(alignment=found, applied=True)
+    return replace(record, gyro=gyro, accel=accel), Mounting(alignment=found, applied=True)

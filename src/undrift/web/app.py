@@ -51,8 +51,7 @@ def serve(settings: BenchSettings, ready: Callable[[str], None]) -> None:
 
 def listen(host: str, port: int) -> socket.socket:
     """Return a socket that listens."""
-    family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    made = socket.socket(family, socket.SOCK_STREAM)
+    made = socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET, socket.SOCK_STREAM)
     try:
         made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         made.bind((host, port))

@@ -329,8 +329,7 @@ def place_of(town: str, height: str = "", gravity: str = "") -> Place:
 @cache
 def towns() -> dict[str, tuple[float, float]]:
     """Return latitude, deg, and height, m, of some towns by name."""
-    text = Path(__file__).with_name("towns.csv").read_text(encoding="utf-8")
-    rows = csv.reader(text.splitlines())
+    rows = csv.reader(Path(__file__).with_name("towns.csv").read_text(encoding="utf-8").splitlines())
     return {town.casefold(): (float(latitude), float(height)) for town, latitude, height in rows}
 
 

@@ -200,8 +200,7 @@ class Capture:
 
     def lost(self, start_s: float, stop_s: float) -> bool:
         """Whether a reading of the newest stretch was lost in a span of time."""
-        within = self._stretches[-1].record(start_s, stop_s)
-        return bool(np.isnan(np.asarray(within.gyro)).any())
+        return bool(np.isnan(np.asarray(self._stretches[-1].record(start_s, stop_s).gyro)).any())
 
     # ---- Rest and face
 

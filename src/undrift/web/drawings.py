@@ -127,8 +127,7 @@ def _ways(forward: str, up: str) -> dict[str, tuple[str, float]]:
 
 def lamp(light: Light) -> str:
     """Return the shape of the light; its words stand beside it."""
-    colour = f"var(--{COLOURS.get(light.state, 'ink')})"
-    shape = SHAPES[light.state].format(c=colour)
+    shape = SHAPES[light.state].format(c=f"var(--{COLOURS.get(light.state, 'ink')})")
     return f'<svg class="lamp" viewBox="0 0 48 48" aria-hidden="true">{shape}</svg>'
 
 

@@ -328,8 +328,7 @@ class RigRun:
     def _error(self) -> str:
         """Return why the command ended, in its own line."""
         with contextlib.suppress(OSError, ValueError):
-            answer = json.loads((self.place / ANSWER).read_text())
-            return str(answer["error"]["text"])
+            return str(json.loads((self.place / ANSWER).read_text())["error"]["text"])
         return self._last_line()
 
     def _last_line(self) -> str:

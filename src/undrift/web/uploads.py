@@ -16,42 +16,11 @@ KEPT = frozenset(" ._-+=,@()")  # of a name, beside the letters, marks and digit
 LONGEST = 200  # bytes of a name in UTF-8: a file system takes 255, and results add to it
 ENDING = re.compile(r"(\.[A-Za-z0-9]{1,8})?\.gz$|\.[A-Za-z0-9]{1,8}$|$", re.I)
 RESERVED = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\.|$)", re.I)  # names that Windows gives to devices
-ENDINGS = (  # of recordings, references, maps and calibrations
-    *(
-        ".csv",
-        ".txt",
-        ".tsv",
-        ".parquet",
-        ".json",
-        ".toml",
-        ".mat",
-        ".h5",
-        ".hdf5",
-        ".c3d",
-        ".trc",
-        ".xdf",
-        ".ulg",
-        ".bag",
-        ".db3",
-    ),
-    *(
-        ".mcap",
-        ".bin",
-        ".log",
-        ".gz",
-        ".zip",
-        ".bwx",
-        ".cwa",
-        ".gt3x",
-        ".mvnx",
-        ".edf",
-        ".npz",
-        ".sto",
-        ".data",
-        ".mot",
-        ".xlsx",
-    ),
+_NAMES = (
+    "csv txt tsv parquet json toml mat h5 hdf5 c3d trc xdf ulg bag db3 "
+    "mcap bin log gz zip bwx cwa gt3x mvnx edf npz sto data mot xlsx"
 )
+ENDINGS = tuple(f".{name}" for name in _NAMES.split())  # of recordings, references, maps and calibrations
 
 
 async def receive_upload(request: Request, folder: Path, largest_mb: float) -> Path:

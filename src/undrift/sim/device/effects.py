@@ -340,8 +340,7 @@ def difference_equation(cutoff_hz: float, quality: float, step_s: float) -> tupl
     first, last = now - rise, rise  # x_(k+1) = e x_k + first u_k + last u_(k+1)
     swap = np.array([[-e[1, 1], e[0, 1]], [e[1, 0], -e[0, 0]]])  # adj(z I - e) = z I + swap
     b = np.array([last[0], first[0] + (swap @ last)[0], (swap @ first)[0]])
-    a = np.array([1.0, -float(np.trace(e)), float(np.linalg.det(e))])
-    return b, a
+    return b, np.array([1.0, -float(np.trace(e)), float(np.linalg.det(e))])
 
 
 # ---- White noise and random walk: y_k = x_k + N sqrt(f) n_k + sum_j<=k K / sqrt(f) m_j

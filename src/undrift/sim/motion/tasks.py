@@ -330,8 +330,7 @@ def _sit_to_stand(who: Performance, rest_s: float) -> Task:
     lean = who.number("sit_to_stand lean", *own.flexion_deg) * DEGREE
     sitting = who.number("sit_to_stand first pitch", *own.sitting_deg) * DEGREE
     standing = who.number("sit_to_stand last pitch", *own.standing_deg) * DEGREE
-    settle = who.draw.uniform(0.5, 1.5)
-    turn, stop = rest_s + flexion, rest_s + duration + settle
+    turn, stop = rest_s + flexion, rest_s + duration + who.draw.uniform(0.5, 1.5)
     off = turn - 0.1  # the seat is left a little before the trunk turns back
     return Task(
         name="sit_to_stand",

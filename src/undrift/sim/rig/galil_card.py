@@ -402,8 +402,7 @@ def limits_closed(card: Card) -> tuple[bool, bool]:
     """Tell whether the card may not go forward, or back: a switch is active, or the reference is beyond FL or BL."""
     c, count, reference = card.axis.coefficients, card.axis.values[k.COUNT], card.axis.values[k.REFERENCE]
     forward = c.forward_closed or count >= c.forward_at or reference > c.forward
-    reverse = c.reverse_closed or count <= c.reverse_at or reference < c.reverse
-    return bool(forward), bool(reverse)
+    return bool(forward), bool(c.reverse_closed or count <= c.reverse_at or reference < c.reverse)
 
 
 def _speed_scale(card: Card) -> float:

@@ -151,8 +151,7 @@ def _map_form(held: Recordings, one: Stored, refresh: Any) -> None:
         for name, label in (("gyro", "Unit of the gyroscopes"), ("accel", "Unit of the accelerometers")):
             if any(f"{name} =" in line for line in lines):
                 marked = (unit for unit in UNITS[name] if any(f'{name} = "{unit}"' in line for line in lines))
-                proposed = next(marked, UNITS[name][0])
-                chosen[name] = Field(label, proposed, options=UNITS[name])
+                chosen[name] = Field(label, next(marked, UNITS[name][0]), options=UNITS[name])
 
     async def write() -> None:
         given = None if rate is None else rate.number()
