@@ -23,8 +23,6 @@ import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray, IntArray
 from undrift.errors import InputError
-from undrift.findings import Finding, finding
-from undrift.model import AXES
 from undrift.record import FACES, Axis, Face, Record, Still, Turn
 from undrift.units import RADIAN_PER_DEGREE, is_physical, si_factor
 
@@ -804,40 +802,3 @@ def _rotations(
             axis: Axis | None = _AXES[int(np.argmax(share))] if share.max() > 0.9 else None
             found.append((Turn(start=before.stop, stop=after.start, axis=axis, recording=before.recording), angle))
     return tuple(turn for turn, _ in found), np.array([angle for _, angle in found]).reshape(-1, 3)
-
-
-# ---- readings at the end of the range
-
-STUCK = 8  # samples in a row at the largest reading
-
-
-def find_saturated(record: Record) -> tuple[Finding, ...]:
-    """Return a finding for each end of the range at which an axis of a record sticks."""
-    found = []
-    for channel, values in (("gyro", record.gyro), ("accel", record.accel)):
-        for axis, column in () if values is None else zip(AXES, values.T, strict=True):
-            if np.isfinite(column).sum() < 2 * STUCK:
-                continue
-            for limit, stuck in saturated_runs(column):
-                longest = (stuck[:, 1] - stuck[:, 0]).max()
-                item = {"channel": channel, "axis": axis, "reading": limit, "count": longest}
-                found.append(finding("recording.saturated", "warn", **item))
-    return tuple(found)
-
-
-def saturated_runs(column: FloatArray) -> Iterator[tuple[float, IntArray]]:
-    """Return each limit at which readings (N,) stick, and the stretches (R, 2) in which they do.
-
-    They lie far from their middle there, or are large where nowhere else readings repeat.
-    """
-    middle = np.nanmedian(column)
-    spread = float(np.nanmedian(np.abs(column - middle)))
-    begins = np.flatnonzero(np.concatenate(([True], np.diff(column) != 0.0)))
-    inside = (column[begins] != np.nanmax(column)) & (column[begins] != np.nanmin(column))
-    alone = int(np.diff(np.append(begins, len(column)))[inside].max(initial=0)) < STUCK // 2
-    for limit in (np.nanmax(column), np.nanmin(column)):
-        stuck = np.flatnonzero(np.diff(np.concatenate(([0], (column == limit).astype(np.int8), [0])))).reshape(-1, 2)
-        stuck = stuck[stuck[:, 1] - stuck[:, 0] >= STUCK]
-        large = alone and abs(limit) > 0.5 * np.nanmax(np.abs(column))  # no rest of a log without noise
-        if len(stuck) and (large or abs(limit - middle) > 10.0 * spread) and spread > 0.0:
-            yield float(limit), stuck

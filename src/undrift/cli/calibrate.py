@@ -177,14 +177,14 @@ def calibrate(
         turn_angle_deg=turn_deg,
         remove_offset=not keep_offset,
         identify_adc=adc == "auto",
-        **asdict(fitting),
-        **asdict(table),
-        **asdict(sensitivity),
+        **(asdict(fitting) | asdict(table) | asdict(sensitivity)),
     )
     with waiting("reading and fitting"):
         held = session_of(files, place, opening)
         made = fit(held, accel=accel, gyro=gyro, mode=mode, settings=settings)
-    kept, lacking = registering.add(made, source=output), _lacking(held, made)
+    kept = registering.add(made, source=output)
+    triads = (("accelerometers", "accel", made.accel), ("gyroscopes", "gyro", made.gyro))
+    lacking = [n for n, key, model in triads if not model and any(getattr(r, key) is not None for r in held.records)]
     if output is not None:
         write_calibration(made, output)
     if report is not None:
@@ -200,14 +200,6 @@ def calibrate(
         say_registered(kept)
         _say_next(files, output, (report, figure), lacking)
     return 1 if made.verdict.status == "bad" else 0
-
-
-def _lacking(session: "Session", made: "Calibration") -> list[str]:
-    """Return the triads that the session has readings of and the calibration has no model of."""
-    missing = (("accelerometers", "accel", made.accel), ("gyroscopes", "gyro", made.gyro))
-    return [
-        name for name, key, model in missing if not model and any(getattr(r, key) is not None for r in session.records)
-    ]
 
 
 def _say_next(

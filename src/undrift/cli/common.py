@@ -19,9 +19,10 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 
-from cyclopts import Parameter
+from cyclopts import App, Parameter
 
 from undrift import __version__
+from undrift.cli.examples import examples
 from undrift.errors import InputError
 
 if TYPE_CHECKING:
@@ -52,6 +53,19 @@ Up: TypeAlias = Literal["y", "z"] | None
 Policy: TypeAlias = Literal["raise", "hold", "nan"]
 Report: TypeAlias = Annotated[Path | None, Parameter(help="Report page to write: .html.")]
 CALLED: ContextVar[tuple[str, ...]] = ContextVar("CALLED", default=())  # the words of the command line
+
+
+def group(name: str, text: str) -> App:
+    """Return a command whose commands are still to come."""
+    return App(
+        name=name,
+        help=text,
+        help_epilogue=examples(name),
+        help_format="plaintext",
+        default_parameter=Parameter(negative=()),
+        result_action="return_value",
+    )
+
 
 # ---- Recordings
 

@@ -296,9 +296,9 @@ def _correct_one(
     from undrift.correction.consistency import check_corrected, check_force
     from undrift.correction.coverage import find_beyond
     from undrift.correction.stream import read_ahead
+    from undrift.io.inspect import find_saturated
     from undrift.io.parquet import ParquetWriter
     from undrift.io.write import write_record_as
-    from undrift.segments import find_saturated
 
     stream, notes, rest = corrector(), dict[str, None](), None
     if stretch is not None:
@@ -311,12 +311,13 @@ def _correct_one(
     with nullcontext() if whole else ParquetWriter(part) as writer:
         for read in (opening.read(record),) if whole else read_ahead(opening.chunks(record)):
             chunk, left_out = calibrated_part(read, model)
-            saturated.update({(one.values["channel"], one.values["axis"]): one for one in find_saturated(chunk)})
+            for one in find_saturated(chunk):
+                saturated.setdefault((one.values["channel"], one.values["axis"]), one)
             done = stream.push_checked(chunk)
             if stream.state.samples == len(chunk):  # the first chunk is enough
                 with named_columns(record):
                     check_force(done.record)
-                    suspicions = (*check_corrected(done.record, model), *_suspicions(done.record, model))
+                    suspicions = (*check_corrected(done.record, model, chunk), *_suspicions(done.record, model))
                 suspicions += tuple(one for one in done.findings if one.code == "correct.device")
             if writer is None:
                 write_record_as(done.record, part, made_by(record))
@@ -326,7 +327,7 @@ def _correct_one(
             found = find_beyond(done.record, model)
             beyond = tuple(a.joined(b) for a, b in zip(beyond, found, strict=True)) if beyond else found
             advance(len(chunk))
-    suspicions += tuple(saturated.values())
+    suspicions = (*saturated.values(), *(one for one in suspicions if one.code != "recording.saturated"))
     warnings = [*(one.text for one in suspicions), *stream.warnings, *(one.text for one in beyond if one.text)]
     return stream.state, Remarks(warnings=warnings, notes=[*notes], findings=suspicions, beyond=beyond, rest=rest)
 

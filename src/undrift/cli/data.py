@@ -3,22 +3,13 @@
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cyclopts import App, Parameter
-
-from undrift.cli.common import Json, OptionalOutput, say, show_table, write_json
+from undrift.cli.common import Json, OptionalOutput, group, say, show_table, write_json
 from undrift.cli.examples import examples
 
 if TYPE_CHECKING:
     from undrift.io.public_data import PublicSet
 
-data = App(
-    name="data",
-    help="Recordings to try: the sample of the package, and public sets by checksum and licence; --json.",
-    help_format="plaintext",
-    default_parameter=Parameter(negative=()),
-    result_action="return_value",
-    help_epilogue=examples("data"),
-)
+data = group("data", "Recordings to try: the sample of the package, and public sets by checksum and licence; --json.")
 
 
 @data.command(name="list", help_epilogue=examples("data list"))

@@ -2,9 +2,8 @@
 
 import shlex
 from dataclasses import dataclass
-from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
 from cyclopts import Parameter
 
@@ -16,6 +15,14 @@ if TYPE_CHECKING:
     from undrift.registry.registry import Registry
     from undrift.registry.tables import Entry
 
+Where: TypeAlias = Annotated[
+    str | None,
+    Parameter(
+        name="--registry",
+        help="File of the registry, or postgresql://user@host/database; UNDRIFT_REGISTRY, else the file of this user, by default.",
+    ),
+]
+
 
 @Parameter(name="*")
 @dataclass(frozen=True, kw_only=True)
@@ -26,12 +33,10 @@ class Register:
     ----------
     register : bool
         Add the result to the registry of devices, with its serial number.
-    registry : str or None
-        File of the registry, or postgresql://user@host/database; UNDRIFT_REGISTRY, else the file of this user, by default.
     """
 
     register: Flag = False
-    registry: str | None = None
+    registry: Where = None
 
     def check(self, serial: str | None = None) -> None:
         """Refuse, before any work, a registry that does not open, or a result without a serial number."""
@@ -76,13 +81,11 @@ class Registered:
         temperature of the recording.
     date : str or None
         Date of the recordings, as in 2026-03-01; by default of each the date in its name, else of the file's last change.
-    registry : str or None
-        File of the registry, or postgresql://user@host/database; UNDRIFT_REGISTRY, else the file of this user, by default.
     """
 
     serial: str | None = None
     date: str | None = None
-    registry: str | None = None
+    registry: Where = None
 
     def read(self, given: Path | None, records: tuple[Path, ...], opening: Opening) -> "tuple[Calibration, Path]":
         """Return the calibration of a file, or of the registry, and what messages call it."""
@@ -145,7 +148,8 @@ def open_place(place: str | None, *, station: str | None = None, there: bool = F
 def entry_json(entry: "Entry", later: int | None = None) -> dict[str, Any]:
     """Return an entry as --json has it, without its document."""
     names = ("kind", "sha256", "verdict", "added_by", "station", "source", "supersedes", "note")
-    times = {name: _iso(getattr(entry, name)) for name in ("made_at", "due_at", "added_at")}
+    dates = {name: getattr(entry, name) for name in ("made_at", "due_at", "added_at")}
+    times = {name: when and when.isoformat(timespec="seconds") for name, when in dates.items()}
     span = None if entry.low_c is None else [entry.low_c, entry.high_c]
     held = {name: getattr(entry, name) for name in names}
     return (
@@ -166,7 +170,3 @@ def say_registered(added: list[dict[str, Any]]) -> None:
             if one["new"]
             else f"Already registered as entry {one['entry']}: {what}"
         )
-
-
-def _iso(when: datetime | None) -> str | None:
-    return None if when is None else when.isoformat(timespec="seconds")

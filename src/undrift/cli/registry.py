@@ -5,7 +5,7 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from cyclopts import App, Parameter
+from cyclopts import Parameter
 
 from undrift.cli.common import (
     Files,
@@ -15,44 +15,27 @@ from undrift.cli.common import (
     check_figure,
     check_output,
     check_report,
+    group,
     origin_of,
     say,
     show_table,
     write_json,
 )
 from undrift.cli.examples import examples
-from undrift.cli.register import entry_json, open_place, say_registered
+from undrift.cli.register import Where, entry_json, open_place, say_registered
 from undrift.errors import InputError, UndriftError
 
 if TYPE_CHECKING:
     from undrift.registry.documents import Stated
     from undrift.registry.registry import Known
     from undrift.registry.tables import Entry
-    from undrift.registry.trend import Change, Step
+    from undrift.registry.trend import Step
 
-registry = App(
-    name="registry",
-    help="Devices and their calibrations: which is valid, what is due, how a device changed; each takes --json.",
-    help_format="plaintext",
-    default_parameter=Parameter(negative=()),
-    result_action="return_value",
-    help_epilogue=examples("registry"),
+registry = group(
+    "registry",
+    "Devices and their calibrations: which is valid, what is due, how a device changed; each takes --json.",
 )
 HEADS = ("entry", "kind", "serial", "made", "due", "valid (degC)", "verdict", "by", "note")
-
-
-@Parameter(name="*")
-@dataclass(frozen=True, kw_only=True)
-class Where:
-    """Which registry.
-
-    Parameters
-    ----------
-    registry : str or None
-        File of the registry, or postgresql://user@host/database; UNDRIFT_REGISTRY, else the file of this user, by default.
-    """
-
-    registry: str | None = None
 
 
 @Parameter(name="*")
@@ -83,7 +66,7 @@ def add(
     date: str | None = None,
     supersedes: int | None = None,
     note: str = "",
-    where: Where = Where(),
+    where: Where = None,
     json: Json = False,
 ) -> int:
     """Add calibrations, certificates, and folders of sessions or runs: all of them, or none. The same content is added once.
@@ -102,8 +85,6 @@ def add(
         Entry of the same kind that this one corrects; the old one stays, and counts no more. Wants --note.
     note : str
         Why, or what else should be known.
-    where : Where
-        Which registry.
     """
     from undrift.cli.learn import stated_date
     from undrift.registry.documents import new_entries
@@ -119,7 +100,7 @@ def add(
         supersedes=supersedes,
         note=note,
     )
-    with open_place(where.registry, station=about.station) as held:
+    with open_place(where, station=about.station) as held:
         added = held.add(*new_entries(list(files), stated, held))
     rows = [entry_json(one.entry) | {"new": one.new} for one in added]
     if json:
@@ -134,7 +115,7 @@ def list_held(
     *,
     serial: str | None = None,
     kind: Literal["session", "calibration", "certificate", "run"] | None = None,
-    where: Where = Where(),
+    where: Where = None,
     json: Json = False,
 ) -> int:
     """List the devices with the calibration that counts, or the entries of one device or kind.
@@ -145,10 +126,8 @@ def list_held(
         Entries of this device.
     kind : str or None
         Entries of this kind.
-    where : Where
-        Which registry.
     """
-    with open_place(where.registry, there=True) as held:
+    with open_place(where, there=True) as held:
         if serial is None and kind is None:
             known = held.devices()
             if json:
@@ -166,7 +145,7 @@ def list_held(
 
 
 @registry.command(help_epilogue=examples("registry show"))
-def show(entry: int, /, *, output: OptionalOutput = None, where: Where = Where(), json: Json = False) -> int:
+def show(entry: int, /, *, output: OptionalOutput = None, where: Where = None, json: Json = False) -> int:
     """Show an entry, and write what it holds; a hash shows that it is as it was added.
 
     Parameters
@@ -175,10 +154,8 @@ def show(entry: int, /, *, output: OptionalOutput = None, where: Where = Where()
         Number of the entry.
     output : Path or None
         File to write: .json, of a certificate .pdf.
-    where : Where
-        Which registry.
     """
-    with open_place(where.registry, there=True) as held:
+    with open_place(where, there=True) as held:
         found = held.entry(entry)
         later = {one.id: corrected for one, corrected in held.entries(found.device.serial)}[found.id]
     check_output(output, endings=(".pdf",) if found.kind == "certificate" else (".json",))
@@ -200,7 +177,7 @@ def find(
     date: str | None = None,
     temp_c: Annotated[float | None, Parameter(allow_leading_hyphen=True)] = None,
     output: OptionalOutput = None,
-    where: Where = Where(),
+    where: Where = None,
     json: Json = False,
 ) -> int:
     """Find the calibration of a device that is valid at a date and a temperature: the newest, neither due, superseded nor bad.
@@ -215,13 +192,11 @@ def find(
         Temperature, degC; any by default.
     output : Path or None
         calibration.json to write.
-    where : Where
-        Which registry.
     """
     from undrift.cli.learn import stated_date
 
     check_output(output, endings=(".json",))
-    with open_place(where.registry, there=True) as held:
+    with open_place(where, there=True) as held:
         found = held.find(serial, on=None if date is None else stated_date(date), temp_c=temp_c)
     _write(found, output)
     if json:
@@ -233,19 +208,17 @@ def find(
 
 
 @registry.command(help_epilogue=examples("registry due"))
-def due(*, within_days: int = 30, where: Where = Where(), json: Json = False) -> int:
+def due(*, within_days: int = 30, where: Where = None, json: Json = False) -> int:
     """List the devices to calibrate again soon, and those that are overdue or never were calibrated.
 
     Parameters
     ----------
     within_days : int
         Due in so many days from now; 0 lists what is overdue.
-    where : Where
-        Which registry.
     """
     if not 0 <= within_days <= 36500:
         raise InputError(f"--within-days: wanted 0 to 36500 days, got {within_days}; 30 is the default")
-    with open_place(where.registry, there=True) as held:
+    with open_place(where, there=True) as held:
         known, place = held.due(datetime.now(UTC) + timedelta(days=within_days)), held.place
     if json:
         write_json(
@@ -266,7 +239,7 @@ def trend(
     figure: Path | None = None,
     report: Report = None,
     details: Annotated[bool, Parameter(show_default=False, help="Show every parameter of every step.")] = False,
-    where: Where = Where(),
+    where: Where = None,
     json: Json = False,
 ) -> int:
     """Show how a device changed from each calibration to the next, with the standard uncertainty of each change.
@@ -281,8 +254,6 @@ def trend(
         Report page to write: .html.
     details : bool
         Show every parameter of every step.
-    where : Where
-        Which registry.
     """
     from undrift.io.store import calibration_of
     from undrift.registry.trend import Dated, course, headline
@@ -290,7 +261,7 @@ def trend(
 
     check_figure(figure, reads=())
     check_report(report)
-    with open_place(where.registry, there=True) as held:
+    with open_place(where, there=True) as held:
         entries = [held.entry(one.id) for one in held.calibrations(serial)]
     if len(entries) < 2:
         raise InputError(
@@ -314,7 +285,11 @@ def trend(
         write_json(answer | {"steps": [_step_json(step) for step in steps]}, "registry trend")
         return 0
     for step in steps:
-        rows = [_change_cells(one) for one in step.changes if details or "cross" not in one.parameter]
+        rows = [
+            (f"{c.sensor} {c.parameter}", f"{c.change:+.3g}", f"{c.uncertainty:.2g}", c.unit, f"{c.sigmas:.1f}")
+            for c in step.changes
+            if details or "cross" not in c.parameter
+        ]
         title = f"{serial}: {step.since.made_at:%Y-%m-%d} to {step.until.made_at:%Y-%m-%d}"
         if rows and (details or step is steps[-1]):
             show_table(title, ("parameter", "change", "standard uncertainty", "unit", "sigma"), rows)
@@ -327,7 +302,7 @@ def trend(
 
 
 @registry.command(name="import", help_epilogue=examples("registry import"))
-def import_folder(folder: Path, /, *, about: About = About(), where: Where = Where(), json: Json = False) -> int:
+def import_folder(folder: Path, /, *, about: About = About(), where: Where = None, json: Json = False) -> int:
     """Add all sessions, runs, calibrations and certificates in a folder and those below; what is refused is listed.
 
     Parameters
@@ -336,8 +311,6 @@ def import_folder(folder: Path, /, *, about: About = About(), where: Where = Whe
         Where to look.
     about : About
         What is stated of the files.
-    where : Where
-        Which registry.
     """
     from undrift.registry.documents import candidates, new_entries
 
@@ -346,7 +319,7 @@ def import_folder(folder: Path, /, *, about: About = About(), where: Where = Whe
             f"{folder}: wanted a folder, got none of that name; name one, or add a file: undrift registry add FILE"
         )
     stated, rows, refused = _stated(about), list[dict[str, Any]](), list[dict[str, str]]()
-    with open_place(where.registry, station=about.station) as held:
+    with open_place(where, station=about.station) as held:
         paths = list(candidates(folder))
         for path in sorted(paths, key=lambda one: one.suffix == ".pdf"):  # a certificate after its calibration
             try:
@@ -427,23 +400,9 @@ def _show_devices(title: str, known: "list[Known]") -> None:
     rows = []
     for one in known:
         stated, held = _device_json(one), one.calibration
-        made_due = (
-            ("–", "–")
-            if held is None
-            else (f"{held.made_at:%Y-%m-%d}", f"{held.due_at:%Y-%m-%d}" if held.due_at else "–")
-        )
-        rows.append((one.serial, str(stated["state"]), str(held.id if held else "–"), *made_due, str(one.entries)))
+        of_held = _cells(held) if held else ("–",) * len(HEADS)
+        rows.append((one.serial, str(stated["state"]), of_held[0], *of_held[3:5], str(one.entries)))
     show_table(title, ("serial", "state", "calibration", "made", "due", "entries"), rows)
-
-
-def _change_cells(one: "Change") -> tuple[str, ...]:
-    return (
-        f"{one.sensor} {one.parameter}",
-        f"{one.change:+.3g}",
-        f"{one.uncertainty:.2g}",
-        one.unit,
-        f"{one.sigmas:.1f}",
-    )
 
 
 def _step_json(step: "Step") -> dict[str, Any]:

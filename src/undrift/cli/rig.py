@@ -1,12 +1,12 @@
 """``undrift rig``: run a protocol on a rate table, stop it from another shell, check a table, or emulate one."""
 
 import sys
+from collections.abc import Callable
 from contextlib import ExitStack, suppress
 from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
-
-from cyclopts import App, Parameter
 
 from undrift.cli.common import (
     Flag,
@@ -15,6 +15,7 @@ from undrift.cli.common import (
     Report,
     check_report,
     device_at,
+    group,
     origin_of,
     say,
     say_over,
@@ -31,17 +32,13 @@ if TYPE_CHECKING:
     from undrift.rig.programme import Programme
     from undrift.rig.rig import Limits, RigSettings
     from undrift.rig.run import Bench, Progress, RunResult, Watch
-    from undrift.sim.device.model import DeviceModel
-    from undrift.sim.rig.emulator import EmulatedBenchSettings, PlannedFault
-    from undrift.sim.rig.stream import StreamSettings
+    from undrift.sim.rig.emulator import Bench as EmulatedBench
+    from undrift.sim.rig.emulator import PlannedFault
+    from undrift.sim.rig.hand_held import HandHeld
 
-rig = App(
-    name="rig",
-    help="Run a protocol on a rate table, stop it from another shell, check a table, or emulate one; each takes --json.",
-    help_format="plaintext",
-    default_parameter=Parameter(negative=()),
-    result_action="return_value",
-    help_epilogue=examples("rig"),
+rig = group(
+    "rig",
+    "Run a protocol on a rate table, stop it from another shell, check a table, or emulate one; each takes --json.",
 )
 LONGEST_SILENCE_S = 60.0  # of a check, s of the host; then it hangs, and the guard stops the table
 
@@ -210,7 +207,15 @@ def emulate(
     import numpy as np
 
     from undrift.sim.device.presets import PRESETS
-    from undrift.sim.rig.emulator import ALL_FAULTS, AirSettings, EmulatedBenchSettings, EmulatorSettings, planned_fault
+    from undrift.sim.rig.emulator import (
+        ALL_FAULTS,
+        AirSettings,
+        EmulatedBenchSettings,
+        EmulatorSettings,
+        planned_fault,
+        start_bench,
+    )
+    from undrift.sim.rig.hand_held import HandSettings, start_hand_held
     from undrift.sim.rig.stream import StreamSettings
 
     faults = [planned_fault(text) for text in fault if text != "list"]
@@ -225,7 +230,9 @@ def emulate(
             raise InputError(
                 "--hand-held: wanted no table, got options of one; leave --kind, --port, --pty and --fault out"
             )
-        _emulate_hand_held(stream, drawn, (speed, room_c), save_device, json)
+        hands = HandSettings(tilt_sd=tilt, temp_c=room_c)
+        start = partial(start_hand_held, seed=seed, device=drawn, hands=hands, stream=stream, speed=speed)
+        _emulate(start, [], save_device, json)
         return 0
     settings = EmulatedBenchSettings(
         rig=EmulatorSettings(kind=kind, speed=speed, port=port, with_pty=pty),
@@ -233,56 +240,38 @@ def emulate(
         stream=stream,
         device=drawn,
     )
-    _emulate_bench(settings, faults, save_device, json)
+    _emulate(partial(start_bench, settings), faults, save_device, json)
     return 0
 
 
-def _emulate_bench(
-    settings: "EmulatedBenchSettings", faults: "list[PlannedFault]", save: Path | None, json: bool
+def _emulate(
+    start: "Callable[[], EmulatedBench | HandHeld]", faults: "list[PlannedFault]", save: Path | None, json: bool
 ) -> None:
+    """Run what is emulated until Ctrl-C, its device written and its addresses printed first."""
     import threading
 
     from undrift.rig.guard import stopping_on_signals
     from undrift.sim.device.model import write_device
-    from undrift.sim.rig.emulator import start_bench
+    from undrift.sim.rig.hand_held import HandHeld
 
-    with stopping_on_signals(), start_bench(settings) as bench, suppress(KeyboardInterrupt):
+    with stopping_on_signals(), start() as held, suppress(KeyboardInterrupt):
         if save is not None:
-            write_device(bench.device, save)
-        addresses = {"rig": bench.rig_address, "device": bench.device_address}
-        addresses |= {"chamber": bench.chamber_address, "operator": bench.hands_address}
-        addresses |= {} if bench.pty_address is None else {"pty": bench.pty_address}
-        _show_addresses(addresses, json, {"hands": bench.hands_address})  # its name in earlier releases
-        for planned in faults:
-            threading.Thread(target=bench.break_as, args=(planned,), name=planned.name, daemon=True).start()
+            write_device(held.device, save)
+        if isinstance(held, HandHeld):
+            addresses, more = {"device": held.address, "operator": held.operator_address}, dict[str, str]()
+        else:
+            addresses = {"rig": held.rig_address, "device": held.device_address}
+            addresses |= {"chamber": held.chamber_address, "operator": held.hands_address}
+            addresses |= {} if held.pty_address is None else {"pty": held.pty_address}
+            more = {"hands": held.hands_address}  # its name in earlier releases
+            for planned in faults:
+                threading.Thread(target=held.break_as, args=(planned,), name=planned.name, daemon=True).start()
+        if json:
+            write_json(addresses | more, "rig emulate")
+        else:
+            sys.stdout.write("".join(f"--{name} '{address}'\n" for name, address in addresses.items()))
+        sys.stdout.flush()
         threading.Event().wait()
-
-
-def _emulate_hand_held(
-    stream: "StreamSettings", device: "DeviceModel | None", at: tuple[float, float], save: Path | None, json: bool
-) -> None:
-    import threading
-
-    from undrift.rig.guard import stopping_on_signals
-    from undrift.sim.device.model import write_device
-    from undrift.sim.rig.hand_held import HandSettings, start_hand_held
-
-    speed, temp_c = at
-    hands = HandSettings(tilt_sd=stream.mount_tilt_sd, temp_c=temp_c)
-    started = start_hand_held(seed=stream.seed, device=device, hands=hands, stream=stream, speed=speed)
-    with stopping_on_signals(), started, suppress(KeyboardInterrupt):
-        if save is not None:
-            write_device(started.device, save)
-        _show_addresses({"device": started.address, "operator": started.operator_address}, json, {})
-        threading.Event().wait()
-
-
-def _show_addresses(addresses: dict[str, str], json: bool, more: dict[str, str]) -> None:
-    if json:
-        write_json(addresses | more, "rig emulate")
-    else:
-        sys.stdout.write("".join(f"--{name} '{address}'\n" for name, address in addresses.items()))
-    sys.stdout.flush()
 
 
 @rig.command(help_epilogue=examples("rig stop"))

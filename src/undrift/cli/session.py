@@ -4,8 +4,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cyclopts import App, Parameter
-
 from undrift.cli.common import (
     Files,
     Json,
@@ -13,6 +11,7 @@ from undrift.cli.common import (
     Output,
     Place,
     check_folder,
+    group,
     named_columns,
     say,
     say_next,
@@ -29,13 +28,8 @@ if TYPE_CHECKING:
     from undrift.rate_log import LoggedTurn
     from undrift.record import Session
 
-session = App(
-    name="session",
-    help="Write a session.toml of bare recordings, with the rests, faces and turns found in them; --json.",
-    help_format="plaintext",
-    default_parameter=Parameter(negative=()),
-    result_action="return_value",
-    help_epilogue=examples("session"),
+session = group(
+    "session", "Write a session.toml of bare recordings, with the rests, faces and turns found in them; --json."
 )
 
 

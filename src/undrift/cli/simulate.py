@@ -1,7 +1,8 @@
 """``undrift simulate``: simulated sensor output for recorded poses, a task, a thermal session, or days of use."""
 
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, cast, get_args
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from undrift.cli.common import (
     Flag,
@@ -103,22 +104,22 @@ def simulate(
     from undrift.record import Reference
     from undrift.sim.device.model import write_device
     from undrift.sim.device.simulate import simulate_device
+    from undrift.sim.host import stamp_on_host
 
     if sample_rate_hz is not None and not sample_rate_hz > 0.0:
         raise InputError(f"sample rate: wanted more than 0 Hz, got {sample_rate_hz:g}; give the rate of the device")
     rng, simulated = np.random.default_rng(seed), None
-    model = device_at(device, rng, draw=draw)
+    model, rate_hz = device_at(device, rng, draw=draw), sample_rate_hz or 100.0
     if days is not None or motion == DAILY or motion.startswith(THERMAL):
-        unused = {"temp_c": temp_c, "markers": markers, "reference_up": reference_up, "cutoff_hz": cutoff_hz}
-        given = sample_rate_hz, power_on_s, gravity_m_s2
-        made, lines = _session(motion, stamps, model, output, days, given, unused | {"truth": truth}, rng)
+        unused: dict[str, object] = {"temp_c": temp_c, "markers": markers, "reference_up": reference_up}
+        given, unused = (sample_rate_hz, power_on_s, gravity_m_s2), unused | {"cutoff_hz": cutoff_hz, "truth": truth}
+        made, lines = _session(motion, stamps, model, output, days, given, unused, rng)
     else:
         with waiting(f"simulating {motion}"):
-            moved, where, chosen = _motion(
-                motion, sample_rate_hz or 100.0, gravity_m_s2, labels_of(markers), reference_up, cutoff_hz, rng
-            )
+            moved, where, chosen = _motion(motion, rate_hz, gravity_m_s2, (markers, reference_up, cutoff_hz), rng)
             simulated = simulate_device(model, moved, rng=rng, temp_c=temp_c, power_on_s=power_on_s or 0.0)
-        simulated = simulated if stamps == "device" else _on_host(simulated, rng)
+        if stamps == "host":
+            simulated = replace(simulated, record=stamp_on_host(simulated.record, rng=rng).record)
         write_record(simulated.record, output)
         if truth is not None:
             write_reference(Reference(time=moved.time, q_nb=moved.q_nb, position=where, moving=moved.moving), truth)
@@ -136,30 +137,6 @@ def simulate(
     return 0
 
 
-def _on_host(simulated: "Simulated", rng: "np.random.Generator") -> "Simulated":
-    from dataclasses import replace
-
-    from undrift.sim.host import stamp_on_host
-
-    return replace(simulated, record=stamp_on_host(simulated.record, rng=rng).record)
-
-
-def _thermal_kind(motion: str, stamps: str, **unused: object) -> "ThermalKind":
-    from undrift.sim.thermal import ThermalKind
-
-    kind = next((k for k in get_args(ThermalKind) if motion == THERMAL + k), None)
-    if kind is None:
-        names = ", ".join(THERMAL + k for k in get_args(ThermalKind))
-        raise InputError(f"motion: wanted one of {names}, got '{motion}'; name one")
-    unused["stamps"] = None if stamps == "device" else stamps
-    given = [f"--{name.replace('_', '-')}" for name, value in unused.items() if value is not None]
-    if given:
-        raise InputError(
-            f"{motion}: wanted none of {', '.join(given)}, which a thermal session has no use for; leave out"
-        )
-    return cast("ThermalKind", kind)
-
-
 def _thermal(
     kind: "ThermalKind",
     model: "DeviceModel",
@@ -168,8 +145,6 @@ def _thermal(
     rng: "np.random.Generator",
 ) -> tuple[dict[str, Any], list[str]]:
     """Write a thermal session and return what it holds, for JSON and in a line."""
-    from dataclasses import replace
-
     from undrift.io.session import write_session
     from undrift.sim.thermal import ThermalSettings, simulate_thermal_session
 
@@ -208,15 +183,26 @@ def _session(
     rng: "np.random.Generator",
 ) -> tuple[dict[str, Any], list[str]]:
     """Write a thermal session or days of use, and return what they hold, for JSON and in a line."""
-    if motion != DAILY and days is not None:
+    from undrift.sim.thermal import ThermalKind
+
+    unused["stamps"] = None if stamps == "device" else stamps
+    wrong = [f"--{name.replace('_', '-')}" for name, value in unused.items() if value is not None]
+    if motion == DAILY:
+        if wrong or given[1] is not None:
+            raise InputError(
+                f"{DAILY}: wanted --device, --days, --sample-rate-hz, --draw, --seed alone; leave the others out"
+            )
+        return _daily(model, output, 10 if days is None else days, given[0], rng)
+    if days is not None:
         raise InputError(f"{motion}: wanted no --days; only {DAILY} goes over days")
-    if motion != DAILY:
-        return _thermal(_thermal_kind(motion, stamps, **unused), model, output, given, rng)
-    if stamps != "device" or given[1] is not None or any(value is not None for value in unused.values()):
+    kinds = {THERMAL + kind: kind for kind in get_args(ThermalKind)}
+    if motion not in kinds:
+        raise InputError(f"motion: wanted one of {', '.join(kinds)}, got '{motion}'; name one")
+    if wrong:
         raise InputError(
-            f"{DAILY}: wanted --device, --days, --sample-rate-hz, --draw, --seed alone; leave the others out"
+            f"{motion}: wanted none of {', '.join(wrong)}, which a thermal session has no use for; leave out"
         )
-    return _daily(model, output, 10 if days is None else days, given[0], rng)
+    return _thermal(kinds[motion], model, output, given, rng)
 
 
 def _daily(
@@ -256,18 +242,20 @@ def _motion(
     name: str,
     sample_rate_hz: float,
     gravity_m_s2: float,
-    markers: tuple[str, ...] | None,
-    up: Up,
-    cutoff_hz: str | None,
+    how: tuple[str | None, Up, str | None],
     rng: "np.random.Generator",
 ) -> tuple["Motion", "FloatArray | None", "dict[str, Cutoff]"]:
-    """Return the motion, the positions of the device in m (None of poses without), and the cut-offs that were chosen."""
+    """Return the motion, the positions of the device in m (None of poses without), and the cut-offs that were chosen.
+
+    How poses are read: markers, the axis that points up, the cut-off.
+    """
     import numpy as np
 
     from undrift.io.formats import read_reference
     from undrift.sim.motion.poses import fit_pose_spline
     from undrift.sim.motion.tasks import TaskName, draw_task
 
+    markers, up, cutoff_hz = how
     for task in get_args(TaskName):
         if name == task:
             if cutoff_hz is not None:
@@ -281,7 +269,7 @@ def _motion(
         raise InputError(
             f"motion: wanted a file of poses or markers, or one of {', '.join(get_args(TaskName))}, got '{name}'; name one"
         )
-    reference = read_reference(Path(name), labels=markers, up=up)
+    reference = read_reference(Path(name), labels=labels_of(markers), up=up)
     settings, chosen = _pose_settings(reference, cutoff_hz)
     spline = fit_pose_spline(reference, settings)
     start, stop = spline.span_s

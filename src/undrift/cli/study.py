@@ -27,14 +27,13 @@ from undrift.units import RADIAN_PER_DEGREE
 
 if TYPE_CHECKING:
     from undrift.study.figure3 import Figure3
-    from undrift.study.judge import NoteComparison, ParameterEffect
+    from undrift.study.judge import ParameterEffect
     from undrift.study.outcome import EffectPower, Stage, StageName, StudyOutcome, TaskOutcome
     from undrift.study.plan import Study
     from undrift.study.real import CohortComparison, RealOutcome
     from undrift.study.rivals import TriadRow
     from undrift.study.run import TaskSurface
     from undrift.study.split import Split
-    from undrift.study.statistics import Decision
 
 QUICK_SUBJECTS = 8
 REAL_FIGURES = ("rmse_total_deg", "rmse_inclination_deg", "max_abs_pitch_deg", "end_total_deg")
@@ -108,7 +107,7 @@ def study(
         raise InputError(f"study: wanted a study.toml or --preset note, got {'both' if plan else 'neither'}; name one")
     if seed is not None and seed < 0:
         raise InputError(f"seed: wanted 0 or more, got {seed}; give another")
-    planned = _performed_by(_planned(plan, quick, subjects, seed, search, candidates), categories)
+    planned = _planned(plan, quick, subjects, seed, search, candidates, categories)
     with waiting("reading real recordings"):
         held = None if real is None else read_real(real)
     executor, rivals = choose_executor(scheduler, workers), not (no_rivals or quick)
@@ -150,9 +149,11 @@ def _planned(
     seed: int | None,
     search: Literal["grid", "halving", "cma"] | None,
     candidates: int | None,
+    categories: str | None,
 ) -> "Study":
     """Return the study of a plan, or the note's, with the choices of the command line."""
-    from undrift.study.plan import ends_of, note_study, read_study
+    from undrift.sim.motion.categories import CategoryName
+    from undrift.study.plan import ends_of, note_study, read_study, with_categories
     from undrift.study.search import check_installed
 
     if candidates is not None and candidates < 4:
@@ -166,14 +167,6 @@ def _planned(
         planned, subjects=count, search=search or planned.search, seed=seed, candidates=candidates or planned.candidates
     )
     check_installed(planned)
-    return planned
-
-
-def _performed_by(planned: "Study", categories: str | None) -> "Study":
-    """Return a study with the categories of the command line, or as it was."""
-    from undrift.sim.motion.categories import CategoryName
-    from undrift.study.plan import with_categories
-
     if categories is None:
         return planned
     known = get_args(CategoryName)
@@ -292,11 +285,7 @@ def study_summary(outcome: "StudyOutcome") -> dict[str, object]:
         "figure3_drawn": [asdict(row) for row in outcome.figure3_drawn] or None,
         "figure3_effects": [asdict(row) for row in outcome.figure3_effects] or None,
         "designs": [asdict(row) for row in outcome.designs],
-        "rivals": [
-            asdict(row) | {"said": row.notes}  # binding key
-            for row in outcome.rivals
-        ]
-        or None,
+        "rivals": [asdict(row) | {"said": row.notes} for row in outcome.rivals] or None,  # binding key
         "rival_triads": [_triad_summary(row) for row in outcome.rival_triads] or None,
         "claims": [asdict(row) | {"lacks": row.lacks and row.lacks.text} for row in claims_of(outcome)],
         "rivals_missing": outcome.rivals_missing and outcome.rivals_missing.detail,
@@ -334,10 +323,7 @@ def _figure3_summary(figure: "Figure3") -> dict[str, object]:
 
 def _real_summary(real: "RealOutcome") -> dict[str, object]:
     def compared(rows: "tuple[CohortComparison, ...]") -> list[dict[str, object]]:
-        return [
-            asdict(row) | {"inside": row.inside, "said": row.note}  # binding key
-            for row in rows
-        ]
+        return [asdict(row) | {"inside": row.inside, "said": row.note} for row in rows]  # binding key
 
     return {
         "trials": [
@@ -441,18 +427,14 @@ def _note_summary(task: "TaskOutcome") -> dict[str, object] | None:
     values = [
         {"parameter": each.name, "value": each.value, "verdict": each.verdict, "because": each.finding.text}
         | {
-            name: found and _decision_summary(surface, found)
+            name: found
+            and asdict(found) | {"other": _protocol(surface, found.other), "subjects_needed": found.subjects_needed}
             for name, found in (("lower", each.lower), ("upper", each.upper))
         }
         for each in note.values
     ]
     figures = {key: getattr(note, key) for key in ("error_deg", "difference_deg", "verdict")}
     return {**asdict(note.row), **figures, "because": note.finding.text, "values": values}
-
-
-def _decision_summary(surface: "TaskSurface", found: "Decision") -> dict[str, object]:
-    given: dict[str, object] = asdict(found)
-    return given | {"other": _protocol(surface, found.other), "subjects_needed": found.subjects_needed}
 
 
 def _halving_summary(task: "TaskOutcome") -> dict[str, object] | None:
@@ -525,14 +507,14 @@ def _show(outcome: "StudyOutcome", output: Path, details: bool) -> None:
         tested, note = task.tested[0], task.note
         ordered = most_consequential_first(item for item in task.findings if note is None or item not in note.findings)
         shown = len(ordered) if details else SHOWN_FIRST
-        more = len(ordered) - shown
+        more, undecided = len(ordered) - shown, note is not None and note.verdict == "not decidable"
         held = ((HEADINGS[name], values[task.optimum.best]) for name, values in task.surface.further.items())
         say(
             *(f"{task.surface.task}: optimum with {name} {value:.4g}" for name, value in held),
             f"{task.surface.task}: {tested.error_rms_deg:.3f} deg rms [{tested.interval_rms_deg[0]:.3f}, "
             f"{tested.interval_rms_deg[1]:.3f}] on {tested.subjects} other subjects, largest error {tested.error_max_deg:.3f} deg",
             *(f"  {item.text}" for item in ordered[:shown]),
-            *([] if note is None else [f"  the note {_in_words(note)}: {note.finding.text}"]),
+            *([] if note is None else [f"  the note {'is ' * undecided}{note.verdict}: {note.finding.text}"]),
             *([] if note is None else [f"  {each.finding.text}" for each in note.values if each.verdict != "agrees"]),
             *([f"  {more} more: --details, and {output / 'report.html'}"] if more > 0 else []),
         )
@@ -546,10 +528,6 @@ def _show(outcome: "StudyOutcome", output: Path, details: bool) -> None:
     say(
         *(() if outcome.real is None else real_lines(outcome.real)), f"Wrote {output}: look at {output / 'report.html'}"
     )
-
-
-def _in_words(note: "NoteComparison") -> str:
-    return "is not decidable" if note.verdict == "not decidable" else note.verdict
 
 
 def real_lines(real: "RealOutcome") -> tuple[str, ...]:

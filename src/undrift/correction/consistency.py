@@ -25,7 +25,7 @@ from undrift.findings import Finding, finding
 from undrift.frames import rotate
 from undrift.model import Calibration
 from undrift.record import Record, Still, TemperatureSensitivity
-from undrift.segments import StillSettings, find_saturated, find_still
+from undrift.segments import StillSettings, find_still
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical, si_factor
 
 WINDOWS_S = (4.0, 1.0)  # long ones average motion out; a short recording has but short ones
@@ -120,6 +120,8 @@ def check_triads(record: Record) -> tuple[Finding, ...]:
 
     Nothing is looked at where a triad is missing or in counts; none where they agree, or where the motion does not show it.
     """
+    from undrift.io.inspect import find_saturated
+
     check_force(record)
     return (*find_saturated(record), *_agreeing(record))
 
@@ -292,13 +294,15 @@ LEAST_LEFT, REVERSED = 0.02 * STANDARD_GRAVITY, 0.25  # m/s2 as read, and the sh
 UNKNOWN_DEPARTURE_K = 10.0  # where recording or calibration has no temperature
 
 
-def check_corrected(record: Record, calibration: Calibration) -> tuple[Finding, ...]:
-    """Return what speaks against a corrected record's columns, or against its calibration; raise where it is clear.
+def check_corrected(record: Record, calibration: Calibration, raw: Record) -> tuple[Finding, ...]:
+    """Return what speaks against a corrected record's columns, its range or its calibration; raise where it is clear.
 
     The size of the specific force is not looked at but at rest: the readings may be of a model, not of a motion.
     """
+    from undrift.io.inspect import find_saturated
+
     both = calibration.gyro is not None and calibration.accel is not None  # else they are in frames of their own
-    return (*(_agreeing(record) if both else ()), *check_device(record, calibration))
+    return (*find_saturated(raw), *(_agreeing(record) if both else ()), *check_device(record, calibration))
 
 
 def check_device(record: Record, calibration: Calibration) -> tuple[Finding, ...]:

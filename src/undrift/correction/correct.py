@@ -48,7 +48,6 @@ from undrift.errors import InputError
 from undrift.findings import Finding
 from undrift.model import Calibration
 from undrift.record import ForceUncertainty, Record
-from undrift.segments import find_saturated
 
 Buffers: TypeAlias = tuple[FloatArray, FloatArray]  # rate, rad/s, and specific force, m/s2, (N, 3)
 Policy = Literal["raise", "hold", "nan"]
@@ -226,7 +225,7 @@ def correct(
     ('rad/s', 'm/s2', 'b')
     """
     corrected = correct_whole(record, calibration, (power_on_s, temp_history), offset, policy=policy, out=out)
-    found = (*find_saturated(record), *check_corrected(corrected.record, calibration)) if check else ()
+    found = check_corrected(corrected.record, calibration, record) if check else ()
     for text in (*(one.text for one in found), *corrected.warnings):
         warnings.warn(text, DriftRangeWarning, stacklevel=2)
     return corrected.record
@@ -292,7 +291,7 @@ def correct_checked(
     start = (power_on_s, temp_history)
     how = {"policy": policy, "reference_span_c": reference_span_c, "threads": threads}
     done = correct_whole(record, calibration, start, offset, **how)
-    return replace(done, findings=(*find_saturated(record), *check_corrected(done.record, calibration), *done.findings))
+    return replace(done, findings=(*check_corrected(done.record, calibration, record), *done.findings))
 
 
 def correct_whole(

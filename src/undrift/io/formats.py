@@ -119,17 +119,13 @@ def _is_npz(path: Path, head: bytes) -> bool:
 
 
 def _is_broad(path: Path, head: bytes) -> bool:
-    if head.startswith(b"MATLAB"):
-        return {"imu_gyr", "opt_quat"} <= mat_names(path)
-    if not head.startswith(_HDF5):
-        return False
-    return {"imu_gyr", "opt_quat"} <= hdf5_names(path).keys()
+    matlab = head.startswith(b"MATLAB")
+    names = mat_names(path) if matlab else hdf5_names(path).keys() if head.startswith(_HDF5) else ()
+    return {"imu_gyr", "opt_quat"} <= set(names)
 
 
 def _is_mat(path: Path, head: bytes) -> bool:
-    if not head.startswith(_HDF5):
-        return head.startswith(b"MATLAB")
-    return any(hdf5_names(path).values())
+    return any(hdf5_names(path).values()) if head.startswith(_HDF5) else head.startswith(b"MATLAB")
 
 
 def _is_xio(folder: str, first: str) -> Callable[[Path, bytes], bool]:
@@ -152,6 +148,11 @@ def _is_json(path: Path, head: bytes) -> bool:
     except (UnicodeDecodeError, json.JSONDecodeError):
         return False
     return True
+
+
+def _starts(mark: bytes) -> Callable[[Path, bytes], bool]:
+    """Recognise a file by its first bytes."""
+    return lambda _, head: head.startswith(mark)
 
 
 def _has(pattern: bytes) -> Callable[[Path, bytes], bool]:
@@ -184,11 +185,12 @@ _SET_POINT = _has(rb"^[ \t]*[A-Za-z_]\w*:[ \t]*[-+.\d]+[ \t]*,")
 _EXPORT = frozenset({"sample_rate_hz", "sensor", "gaps", "repair_time", "drop_bad_rows"})
 _STREAMS = frozenset({"sensor", "gaps", "repair_time"})
 _BLOCKS = frozenset({"gaps", "repair_time", "drop_bad_rows"})
+_MARKERS = "marker trajectories; read them as a reference (labels of one rigid cluster, and which axis is up)"
 _BAGS = (b"#ROSBAG V2.0", b"SQLite format 3\0", b"\x89MCAP0\r\n")
 
 FORMATS: dict[str, Format] = {
     "parquet": Format(
-        lambda _, head: head.startswith(b"PAR1"),
+        _starts(b"PAR1"),
         record=read_parquet,
         chunks=lambda path, columns, settings, rows: iter_parquet(path, columns, settings, rows=rows),
         reference=read_parquet_poses,
@@ -204,28 +206,23 @@ FORMATS: dict[str, Format] = {
     "mat": Format(
         _is_mat, record=read_mat, reference=lambda p, c: read_array_poses(mat_arrays(p), p, c), honours=_ARRAYS
     ),
-    "hdf5": Format(
-        lambda _, head: head.startswith(_HDF5),
-        instead="HDF5 of an unknown kind; only BROAD trials and MATLAB 7.3 files are read",
-    ),
+    "hdf5": Format(_starts(_HDF5), instead="HDF5 of an unknown kind; only BROAD trials and MATLAB 7.3 files are read"),
     "cwa": Format(
         lambda path, head: head.startswith(b"MD") and (head[2:4] == b"\xfc\x03" or _suffix(path) == ".cwa"),
         record=read_cwa,
         honours=_BLOCKS,
     ),
-    "geneactiv": Format(lambda _, head: head.startswith(b"Device Identity"), record=read_geneactiv, honours=_BLOCKS),
+    "geneactiv": Format(_starts(b"Device Identity"), record=read_geneactiv, honours=_BLOCKS),
     "gt3x": Format(
         lambda path, head: head.startswith(b"PK\x03\x04") and is_gt3x(path), record=read_gt3x, honours=_STREAMS
     ),
-    "xdf": Format(lambda _, head: head.startswith(b"XDF:"), record=read_xdf, honours=_STREAMS | {"columns"}),
+    "xdf": Format(_starts(b"XDF:"), record=read_xdf, honours=_STREAMS | {"columns"}),
     "ros": Format(
         lambda path, head: head.startswith(_BAGS) or (not head and (path / "metadata.yaml").is_file()),
         record=read_ros,
         honours=_STREAMS,
     ),
-    "ulog": Format(
-        lambda _, head: head.startswith(b"ULog\x01\x12\x35"), record=read_ulog, honours=_STREAMS | {"drop_bad_rows"}
-    ),
+    "ulog": Format(_starts(b"ULog\x01\x12\x35"), record=read_ulog, honours=_STREAMS | {"drop_bad_rows"}),
     "nilspod": Format(
         lambda path, head: _suffix(path) == ".bin" and is_nilspod(head), record=read_nilspod, honours=_STREAMS
     ),
@@ -234,11 +231,7 @@ FORMATS: dict[str, Format] = {
         markers=read_c3d,
         instead="marker trajectories; read them as a reference (labels of one rigid cluster)",
     ),
-    "trc": Format(
-        lambda _, head: head.startswith(b"PathFileType"),
-        markers=read_trc,
-        instead="marker trajectories; read them as a reference (labels of one rigid cluster, and which axis is up)",
-    ),
+    "trc": Format(_starts(b"PathFileType"), markers=read_trc, instead=_MARKERS),
     "session": Format(
         lambda path, head: not head and (path / "session.toml").is_file(),
         instead="a session of recordings; read it as a session",
@@ -295,11 +288,7 @@ FORMATS: dict[str, Format] = {
         markers=read_bids_positions,
         instead="positions, not readings of a sensor; read them as a reference (labels of one rigid cluster)",
     ),
-    "qtm_markers": Format(
-        _has(rb"^MARKER_NAMES\t"),
-        markers=read_qtm_markers,
-        instead="marker trajectories; read them as a reference (labels of one rigid cluster, and which axis is up)",
-    ),
+    "qtm_markers": Format(_has(rb"^MARKER_NAMES\t"), markers=read_qtm_markers, instead=_MARKERS),
     "qtm_bodies": Format(
         _has(rb"^BODY_NAMES\t"), bodies=read_qtm_bodies, instead="poses of rigid bodies; read them as a reference"
     ),
@@ -320,7 +309,7 @@ FORMATS: dict[str, Format] = {
     ),
     # The formats of other packages come here.
     "zip": Format(
-        lambda _, head: head.startswith(b"PK\x03\x04"),
+        _starts(b"PK\x03\x04"),
         instead="a zip archive or an Excel workbook; unpack it and name the folder, or save the sheet as CSV",
         generic=True,
     ),

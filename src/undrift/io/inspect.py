@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from undrift.arrays import BoolArray, FloatArray
+from undrift.arrays import BoolArray, FloatArray, IntArray
 from undrift.errors import InputError
 from undrift.files import read_bytes
 from undrift.findings import Finding, finding
@@ -44,7 +44,6 @@ from undrift.io.reference import native_reference
 from undrift.io.session import read_column_map, read_session
 from undrift.io.text import MARK, Text, open_text, parse_text
 from undrift.record import Record, Reference
-from undrift.segments import STUCK, find_saturated
 from undrift.units import RADIAN_PER_DEGREE, SI_UNIT, STANDARD_GRAVITY, is_physical, si_factor
 
 # ---- symptoms
@@ -54,6 +53,7 @@ ROOM_C = (-10.0, 45.0)
 JUMP_C = 5.0  # between two samples
 REST_TURN_RATE = 0.35  # rad/s, 20 deg/s: no gyroscope's offset
 UNEVEN = 0.1  # of the median step, between quartiles
+STUCK = 8  # samples in a row at the largest reading
 
 
 def find_symptoms(record: Record) -> tuple[Finding, ...]:
@@ -169,6 +169,42 @@ def _axes(channel: str, values: FloatArray) -> Iterator[Finding]:
         if column.min() == column.max():
             yield finding("recording.dead_axis", "warn", channel=channel, axis=axis)
             continue
+
+
+# ---- readings at the end of the range
+
+
+def find_saturated(record: Record) -> tuple[Finding, ...]:
+    """Return a finding for each end of the range at which an axis of a record sticks."""
+    found = []
+    for channel, values in (("gyro", record.gyro), ("accel", record.accel)):
+        for axis, column in () if values is None else zip(AXES, values.T, strict=True):
+            if np.isfinite(column).sum() < 2 * STUCK:
+                continue
+            for limit, stuck in saturated_runs(column):
+                longest = (stuck[:, 1] - stuck[:, 0]).max()
+                item = {"channel": channel, "axis": axis, "reading": limit, "count": longest}
+                found.append(finding("recording.saturated", "warn", **item))
+    return tuple(found)
+
+
+def saturated_runs(column: FloatArray) -> Iterator[tuple[float, IntArray]]:
+    """Return each limit at which readings (N,) stick, and the stretches (R, 2) in which they do.
+
+    They lie far from their middle there, or are large where nowhere else readings repeat.
+    """
+    for limit in (np.nanmax(column), np.nanmin(column)):
+        if np.count_nonzero(column == limit) < STUCK:
+            continue
+        stuck = np.flatnonzero(np.diff(np.concatenate(([0], (column == limit).astype(np.int8), [0])))).reshape(-1, 2)
+        stuck = stuck[stuck[:, 1] - stuck[:, 0] >= STUCK]
+        away = np.abs(column - np.nanmedian(column))
+        far, begins = 10.0 * np.nanmedian(away), np.flatnonzero(np.diff(column, prepend=np.nan) != 0.0)
+        inside = (column[begins] != np.nanmax(column)) & (column[begins] != np.nanmin(column))
+        alone = int(np.diff(np.append(begins, len(column)))[inside].max(initial=0)) < STUCK // 2
+        large = alone and abs(limit) > 0.5 * np.nanmax(np.abs(column))  # no rest of a log without noise
+        if len(stuck) and far > 0.0 and (large or away[stuck[0, 0]] > far):
+            yield float(limit), stuck
 
 
 # ---- guesses for a person, never for a reader: what a foreign table might be, and the map that it may need

@@ -24,7 +24,6 @@ interpolated onto the samples and held at the ends.
 import csv
 import json
 import re
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -104,7 +103,13 @@ def open_xsens(path: Path, sample_rate_hz: float | None = None) -> Sheet:
         return replace(sheet, clock=ticks, counters=(fine,))
     if counter is None or rate is None:
         return sheet
-    return replace(sheet, clock=_packets(1 << 16, 1.0 / rate), counters=(counter,))
+    step_s = 1.0 / rate
+
+    def clock(counts: FloatArray) -> tuple[FloatArray, tuple[str, ...]]:
+        packets = _unwrapped(counts, 1 << 16)
+        return packets * step_s, _lost(packets)
+
+    return replace(sheet, clock=clock, counters=(counter,))
 
 
 def open_dot(path: Path) -> Sheet:
@@ -134,14 +139,6 @@ def _lost(packets: FloatArray) -> tuple[str, ...]:
     return (
         (f"{lost} of {int(packets[-1]) + 1} packets lost by PacketCounter, seen as gaps in time",) if lost > 0 else ()
     )
-
-
-def _packets(size: int, step_s: float) -> Callable[[FloatArray], tuple[FloatArray, tuple[str, ...]]]:
-    def clock(counts: FloatArray) -> tuple[FloatArray, tuple[str, ...]]:
-        packets = _unwrapped(counts, size)
-        return packets * step_s, _lost(packets)
-
-    return clock
 
 
 def _needs_sensors(sheet: Sheet) -> Sheet:
@@ -409,16 +406,14 @@ _PACKET = "Packet number"
 
 def read_ngimu(path: str | Path) -> Record:
     """Read an NGIMU folder: sensors.csv, and temperature.csv where there is one."""
-    path, clock = _file_in(path, "sensors.csv"), "Time (s)"
-    record = _xio_record(path, replace(_XIO, time=clock, mag=_magnetometer("uT"), mag_unit="uT"))
-    return _with_temperature(record, path.parent / "temperature.csv", clock, "Gyroscope And Accelerometer (degC)", "s")
+    columns = replace(_XIO, time="Time (s)", mag=_magnetometer("uT"), mag_unit="uT")
+    return _xio_folder(path, ("sensors.csv", "temperature.csv"), columns, "Gyroscope And Accelerometer (degC)")
 
 
 def read_ximu3(path: str | Path) -> Record:
     """Read an x-IMU3 folder: Inertial.csv, and Temperature.csv where there is one; its magnetometer has no unit."""
-    path, clock = _file_in(path, "Inertial.csv"), "Timestamp (us)"
-    record = _xio_record(path, replace(_XIO, time=clock, time_unit="us"))
-    return _with_temperature(record, path.parent / "Temperature.csv", clock, "Temperature (degC)", "us")
+    columns = replace(_XIO, time="Timestamp (us)", time_unit="us")
+    return _xio_folder(path, ("Inertial.csv", "Temperature.csv"), columns, "Temperature (degC)")
 
 
 def read_ximu(path: str | Path, sample_rate_hz: float | None = None) -> Record:
@@ -448,11 +443,17 @@ def _magnetometer(unit: str) -> tuple[Column, ...]:
     return tuple(f"Magnetometer {axis} ({unit})" for axis in "XYZ")
 
 
-def _file_in(path: str | Path, name: str) -> Path:
-    path = Path(path)
-    if path.is_dir() and not (path / name).is_file():
-        raise InputError(f"{path}: wanted a folder with {name}, got none there; check the path")
-    return path / name if path.is_dir() else path
+def _xio_folder(path: str | Path, names: tuple[str, str], columns: ColumnMap, temp: str) -> Record:
+    """Return the record of a folder, with the temperature of a file of its own on the same clock, where there is one."""
+    path, clock = Path(path), str(columns.time)
+    if path.is_dir() and not (path / names[0]).is_file():
+        raise InputError(f"{path}: wanted a folder with {names[0]}, got none there; check the path")
+    path = path / names[0] if path.is_dir() else path
+    record, slow = _xio_record(path, columns), path.parent / names[1]
+    if not slow.is_file():
+        return record
+    table = parse_text(open_text(slow), (clock, temp))
+    return _with_temp(record, table.numbers(clock) * si_factor(columns.time_unit, "time"), table.numbers(temp))
 
 
 def _xio_record(path: Path, columns: ColumnMap) -> Record:
@@ -463,14 +464,6 @@ def _xio_record(path: Path, columns: ColumnMap) -> Record:
             f"{path}: wanted column {missing[0]!r}, got {', '.join(text.names[:12])}; not the expected format"
         )
     return build_record(parse_text(text, columns.wanted()), columns).record
-
-
-def _with_temperature(record: Record, slow: Path, clock: str, column: str, time_unit: str) -> Record:
-    """Return the record with the temperature of a file of its own, where there is one."""
-    if not slow.is_file():
-        return record
-    table = parse_text(open_text(slow), (clock, column))
-    return _with_temp(record, table.numbers(clock) * si_factor(time_unit, "time"), table.numbers(column))
 
 
 def _with_temp(record: Record, time: FloatArray, temp_c: FloatArray) -> Record:
@@ -531,9 +524,6 @@ def read_actigraph(path: str | Path) -> Record:
         mag_unit="uT",
         temp="Temperature",
         temp_unit="degC",
-    )
-    columns = replace(
-        columns,
         sample_rate_hz=float(rate.group(1)) if rate else None,
         device=serial.group(1) if serial else "",
     )

@@ -205,8 +205,7 @@ class MapEntry(Entry):
         if self.set_points is not None and self.sample_rate_hz is None and all(table.time is None for table in tables):
             shared["sample_rate_hz"] = 1.0 / ROW_S
         shared["temp_trim"] = None if self.temp_trim is None else Trim(**dict(self.temp_trim))
-        keys = ("delimiter", "header", "skip_rows", "decimal", "drop_bad_rows")
-        shared["layout"] = TextLayout(**{key: getattr(self, key) for key in keys})
+        shared["layout"] = TextLayout(**self.model_dump(include={*_LAYOUT, "drop_bad_rows"}))
         return tuple(ColumnMap(**{key: _columns(key, value) for key, value in table}, **shared) for table in tables)
 
 
@@ -247,24 +246,18 @@ def _settings(entry: MapEntry, folder: Path) -> ReadSettings:
 
 def _columns(channel: str, value: Any) -> Any:
     """Return the column of time or temperature, and the columns of a triad as a tuple."""
-    return (
-        tuple(value)
-        if isinstance(value, list)
-        else value
-        if channel in ("time", "temp", "counter") or value is None
-        else (value,)
-    )
+    if isinstance(value, list):
+        return tuple(value)
+    return value if channel in ("time", "temp", "counter") or value is None else (value,)
 
 
 def _scale(entry: LinearEntry | None, channel: str) -> Scale | None:
     if entry is None:
         return None
-    values: list[Any] = []
     for value in (entry.gain, entry.offset):
         if isinstance(value, list) and (len(value) != 3 or channel == "temp"):
             raise InputError(f"scale.{channel}: wanted one number or three for x, y, z, got {len(value)}")
-        values.append(tuple(value) if isinstance(value, list) else value)
-    return Scale(gain=values[0], offset=values[1])
+    return Scale(**{key: tuple(value) if isinstance(value, list) else value for key, value in entry})
 
 
 # ---- a map as a value: of a file of TOML with the choices of a call, as a session and a calibration keep it
@@ -454,19 +447,19 @@ def read_session(folder: str | Path, *, clock: Clock | None = None) -> Session:
         head = held.session
         gravity_m_s2, source = gravity_of(head.gravity_m_s2, head.latitude_deg, head.height_m)
         return Session(
-            kind=held.session.kind,
-            serial=held.session.serial,
+            kind=head.kind,
+            serial=head.serial,
             gravity_m_s2=gravity_m_s2,
             records=tuple(records),
             stills=tuple(stills),
             turns=tuple(turns),
             inputs=tuple(inputs),
-            file_map=None if held.session.kind == "set-points" else shared_map(held.recording),
+            file_map=None if head.kind == "set-points" else shared_map(held.recording),
             means=_all_means(path.parent, held.recording, files, records),
             gravity_source=source,
             rate_table=table,
             sensitivity=sensitivity,
-            mounting=held.session.mounting,
+            mounting=head.mounting,
         )
 
 
@@ -493,7 +486,8 @@ def session_from_files(
     for start in range(0, len(files), width):
         names = [str(file) for file in files[start : start + width]]
         groups.append(names)
-        records.append(_read_recording(Path(), names, RecordingEntry(file=names, **dict(_given(entry))), None))
+        stated = {key: getattr(entry, key) for key in entry.model_fields_set}
+        records.append(_read_recording(Path(), names, RecordingEntry(file=names, **stated), None))
         inputs += [(Path(name).name, sha256_of(name)) for name in names if Path(name).is_file()]
     gravity_m_s2, source = gravity_of(gravity_m_s2, latitude_deg, height_m)
     means = _all_means(Path(), [entry] * len(groups), groups, records)
@@ -507,11 +501,6 @@ def session_from_files(
         means=means,
         gravity_source=source,
     )
-
-
-def _given(entry: KeptEntry) -> Iterator[tuple[str, Any]]:
-    """Yield the keys that a map states, and their values."""
-    return ((key, getattr(entry, key)) for key in entry.model_fields_set)
 
 
 @contextmanager
@@ -572,20 +561,15 @@ def _means(path: Path, entry: KeptEntry, rows: int) -> SetPointMeans:
     stated, (table_map,) = entry.set_points or SetPointsEntry(), entry.maps()
     if stated.gyro_sd is not None and stated.count is None and stated.gyro_uncertainty is None:
         raise InputError("set_points: wanted count beside gyro_sd, got none; name the column, or gyro_uncertainty")
-    rate: list[str | int] = (
-        stated.rate if isinstance(stated.rate, list) else [] if stated.rate is None else [stated.rate]
-    )
+    rate = stated.rate if isinstance(stated.rate, list) else [] if stated.rate is None else [stated.rate]
     if len(rate) not in (0, 3) and stated.axis is None:
         raise InputError(f'set_points: wanted three columns of rate, or one and axis, got {len(rate)}; add axis = "z"')
     triples = {name: getattr(stated, name) for name in ("gyro_sd", "accel_sd", "gyro_uncertainty", "accel_uncertainty")}
     wrong = [name for name, of in triples.items() if of is not None and len(of) != 3]
     if wrong:
         raise InputError(f"set_points.{wrong[0]}: wanted three columns x, y, z, got {len(triples[wrong[0]])}")
-    wanted = [
-        *([] if stated.count is None else [stated.count]),
-        *rate,
-        *(c for of in triples.values() for c in of or ()),
-    ]
+    counts = [] if stated.count is None else [stated.count]
+    wanted = [*counts, *rate, *(column for of in triples.values() for column in of or ())]
     table = parse_text(open_text(path, table_map.layout), tuple(wanted))
     if wanted and len(table.numbers(wanted[0])) != rows:
         raise InputError(

@@ -292,7 +292,10 @@ def calibration_text(calibration: Calibration, name: str) -> str:
         raise InputError(
             f"{name}: wanted a calibration that reads back, got {_first_problem(error)}; mend the value"
         ) from error
-    return _compact(json.dumps(content, indent=2, allow_nan=False)) + "\n"
+    text = json.dumps(content, indent=2, allow_nan=False)
+    # lists of plain values on one line: raw line breaks never stand inside a JSON string
+    lists = re.compile(r"\[\n\s*([^\[\]{}]*?)\n\s*\]")
+    return lists.sub(lambda found: "[" + re.sub(r"\n\s*", " ", found[1]) + "]", text) + "\n"
 
 
 def read_calibration(path: Path | str) -> Calibration:
@@ -408,16 +411,12 @@ def _by_name(pairs: tuple[tuple[str, str], ...], what: str) -> dict[str, str]:
     return found
 
 
-def _number(x: float) -> float | str | None:
-    return x if math.isfinite(x) else None if math.isnan(x) else "inf" if x > 0.0 else "-inf"
-
-
 def _plain(value: Any) -> Any:
     """A value as JSON knows it: dataclasses by field, arrays and tuples as lists."""
     if value is None or isinstance(value, str | int):
         return value
     if isinstance(value, float):
-        return _number(value)
+        return value if math.isfinite(value) else None if math.isnan(value) else "inf" if value > 0.0 else "-inf"
     if isinstance(value, np.ndarray | np.generic):
         return _plain(value.tolist())
     if isinstance(value, list | tuple):
@@ -451,11 +450,6 @@ def _drift_json(drift: DriftTables | None) -> dict[str, Any] | None:
         held["recordings"] = [{"sha256": digest, "date": date} for digest, date in drift.learnt.recordings]
         content["learnt"] = held | {"before": _drift_json(drift.learnt.before)}
     return {name: value for name, value in content.items() if not (name.startswith("lag_") and value == 0.0)}
-
-
-def _compact(text: str) -> str:
-    """Put lists of plain values on one line: raw line breaks never stand inside a JSON string."""
-    return re.sub(r"\[\n\s*([^\[\]{}]*?)\n\s*\]", lambda found: "[" + re.sub(r"\n\s*", " ", found.group(1)) + "]", text)
 
 
 def _refuse_constant(name: str) -> float:
@@ -513,17 +507,14 @@ def _triad(file: TriadFile | None) -> TriadModel | None:
     )
 
 
-def _static(file: StaticFile | None) -> StaticDrift | None:
-    if file is None:
-        return None
-    loop, warm_up = _made(Hysteresis, file.hysteresis), _made(WarmUp, file.warm_up)
-    return _made(StaticDrift, file, hysteresis=loop, warm_up=warm_up)
-
-
 def _drift(file: DriftFile | None) -> DriftTables | None:
     if file is None:
         return None
-    static, learnt, made = file.static, file.learnt, None
+    learnt, made = file.learnt, None
+    of_static = file.static and {
+        "hysteresis": _made(Hysteresis, file.static.hysteresis),
+        "warm_up": _made(WarmUp, file.static.warm_up),
+    }
     if learnt is not None:
         recordings = tuple((one.sha256, one.date) for one in learnt.recordings)
         rows = np.array(learnt.recording, np.int64)
@@ -531,7 +522,7 @@ def _drift(file: DriftFile | None) -> DriftTables | None:
     return _made(
         DriftTables,
         file,
-        static=_static(static),
+        static=_made(StaticDrift, file.static, **(of_static or {})),
         scale=_made(ScaleDrift, file.scale),
         dynamic=_made(DynamicDrift, file.dynamic),
         learnt=made,

@@ -85,20 +85,12 @@ def _orientation_parquet(table: Columns, path: Path, _: str) -> None:
     write_whole(path, buffer.getvalue())
 
 
-def _orientation_csv(table: Columns, path: Path, _: str) -> None:
-    write_rows(path, *table)
-
-
 # ---- MATLAB
 
 
 def _record_mat(record: Record, path: Path, made_by: Provenance) -> None:
     names, columns = native_columns(record)
     _write_mat((names, columns), path, json.dumps(statement_of(record, path, names) | {"provenance": made_by}))
-
-
-def _orientation_mat(table: Columns, path: Path, _: str) -> None:
-    _write_mat(table, path)
 
 
 def _write_mat(table: Columns, path: Path, statement: str = "") -> None:
@@ -239,9 +231,9 @@ RECORD_WRITERS: dict[str, Callable[[Record, Path, Provenance], None]] = {
 }
 ORIENTATION_WRITERS: dict[str, Callable[[Columns, Path, str], None]] = {
     ".parquet": _orientation_parquet,
-    ".csv": _orientation_csv,
-    ".csv.gz": _orientation_csv,
+    ".csv": lambda table, path, _: write_rows(path, *table),
+    ".csv.gz": lambda table, path, _: write_rows(path, *table),
     ".sto": _orientation_sto,
-    ".mat": _orientation_mat,
+    ".mat": lambda table, path, _: _write_mat(table, path),
     BIDS: _orientation_bids,
 }

@@ -21,9 +21,9 @@ from undrift.calibration.noise import FLICKER, TERMS, AxisNoise, NoiseFit
 from undrift.calibration.pieces import Piece
 from undrift.errors import InputError
 from undrift.files import write_whole
+from undrift.io.inspect import STUCK, saturated_runs
 from undrift.model import AXES
 from undrift.record import Record
-from undrift.segments import STUCK, saturated_runs
 from undrift.study.space import HEADINGS
 from undrift.units import RADIAN_PER_DEGREE
 

@@ -87,7 +87,10 @@ def track_from_rest(
                 f"validate: wanted a specific force at rest before {stop:.6g} s, got nothing but gaps (NaN); correct without gaps "
                 "(policy hold, temperatures filled in)"
             )
-        start = _levelled(force.mean(axis=0), start)
+        tilt = shortest_rotation_up(force.mean(axis=0))  # then turned about the vertical until no heading error is left
+        e = quaternion_product(start, quaternion_conjugate(tilt))
+        turn = np.array([e[0], 0.0, 0.0, e[3]])
+        start = quaternion_product(turn / np.linalg.norm(turn), tilt)
     time = record.time[first:]
     return time, integrate_strapdown(record.gyro[first:], time, start)
 
@@ -103,14 +106,6 @@ def _mean_pose(reference: Reference, start_s: float, stop_s: float) -> FloatArra
     q = (q * np.where(q @ q[0] < 0.0, -1.0, 1.0)[:, None]).mean(axis=0)
     mean: FloatArray = q / np.linalg.norm(q)
     return mean
-
-
-def _levelled(accel: FloatArray, q_nb: FloatArray) -> FloatArray:
-    # Tilt from specific force, then turned about the vertical until no heading error is left.
-    tilt = shortest_rotation_up(accel)
-    e = quaternion_product(q_nb, quaternion_conjugate(tilt))
-    turn = np.array([e[0], 0.0, 0.0, e[3]])
-    return quaternion_product(turn / np.linalg.norm(turn), tilt)
 
 
 # ---- Mounting: rotation from device case to the body that the reference tracks
@@ -348,8 +343,8 @@ TRIAL_SETTINGS = TrialSettings()
 
 def rows_of(figures: Figures) -> dict[str, str]:
     """Return the errors that a notebook shows, deg."""
-    named = {"total": "total", "inclination": "inclination", "heading": "heading", "pitch": "pitch"}
-    return {f"{text}, rms": f"{getattr(figures, f'rmse_{key}_deg'):.2f} deg" for key, text in named.items()}
+    names = ("total", "inclination", "heading", "pitch")
+    return {f"{name}, rms": f"{getattr(figures, f'rmse_{name}_deg'):.2f} deg" for name in names}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -472,13 +467,13 @@ def validate_trial(
     True
     """
     done, findings = _corrected(record, calibration, settings)
-    if done.gyro is not None and not np.isfinite(done.gyro).all(axis=1).any():
-        check_gaps(done.gyro, done.time, "validate")
     gaps, poses = _gaps(done), native_poses(reference)
     lag = _lag(done, poses, gaps, settings)
     findings += check_reference(done, poses, lag.seconds)
     motion = find_motion(done, reference, lag_s=lag.seconds)
-    findings += _gaps_before(gaps[done.time < motion.start_s - settings.lead_s])
+    before = gaps[done.time < motion.start_s - settings.lead_s]  # after the rest, a gap is refused
+    if before.any():
+        findings += (finding("validate.gaps_before", "warn", gaps=int(before.sum()), samples=len(before)),)
     done, left, more = _re_zeroed(done, motion, settings)
     done, mounting = _aligned(done, poses, lag, settings)
     held = 0.5 / done.sample_rate_hz  # strapdown holds each reading over the step before its stamp
@@ -496,9 +491,7 @@ def validate_trial(
     both = moving & np.isfinite(error.total)
     figures = Figures(
         lag_ms=lag.seconds * 1e3,
-        **_in_degrees(error, pitches, reference.time, moving, after),
-        rmse_total_before_lag_deg=degrees(rms(errors[0].total[moving])),
-        rmse_total_after_lag_deg=degrees(rms(errors[1].total[moving])),
+        **_in_degrees(errors, undone, pitches, reference.time, (moving, after)),
         valid_optics=float(reference.valid[moving].mean()) if moving.any() else 0.0,
         valid_optics_file=float(reference.valid.mean()),
         pitch_defined=float(np.isfinite(error.pitch[moving]).sum() / both.sum()) if both.any() else float("nan"),
@@ -534,13 +527,6 @@ def _pitch_axes(sensor: FloatArray, before: BoolArray, settings: TrialSettings) 
     rest = before & np.isfinite(sensor).all(axis=1)
     found = check_pitch_axes(sensor, rest, settings.forward, settings.up) if rest.any() else ()
     return tuple(one for one in found if one.level == "warn")
-
-
-def _gaps_before(gaps: BoolArray) -> tuple[Finding, ...]:
-    """Return a finding where samples of the rest are gaps; after the rest, a gap is refused."""
-    if not gaps.any():
-        return ()
-    return (finding("validate.gaps_before", "warn", gaps=int(gaps.sum()), samples=len(gaps)),)
 
 
 def _expected(
@@ -613,13 +599,14 @@ def _stretches(
 
 
 def _in_degrees(
-    error: OrientationError,
+    errors: list[OrientationError],
+    undone: bool,
     pitches: tuple[FloatArray, FloatArray],
     time: FloatArray,
-    moving: BoolArray,
-    after: BoolArray,
+    stretches: tuple[BoolArray, BoolArray],
 ) -> dict[str, float]:
-    """Return the errors over the motion and after it; pitches are those of sensor and reference, rad."""
+    """Return the errors over the motion and after it, with the lag left in or undone; pitches are sensor and reference, rad."""
+    error, (moving, after) = errors[undone], stretches
     total, pitch = error.total[moving], error.pitch[moving]
     both = moving & np.isfinite(pitches[0]) & np.isfinite(pitches[1])
     ranges = [of_known(np.ptp, each[both]) for each in pitches]
@@ -636,17 +623,18 @@ def _in_degrees(
         "end_total_deg": of_known(np.median, error.total[after]),
         "end_inclination_deg": of_known(np.median, error.inclination[after]),
         "drift_deg_per_min": 60.0 * slope(time, error.total, moving),
+        "rmse_total_before_lag_deg": rms(errors[0].total[moving]),
+        "rmse_total_after_lag_deg": rms(errors[1].total[moving]),
     }
     return {name: degrees(angle) for name, angle in angles.items()}
 
 
 def _gaps(record: Record) -> BoolArray:
-    """True where a channel that the record has is missing."""
-    mask = np.zeros(len(record), dtype=bool)
-    for values in (record.gyro, record.accel):
-        if values is not None:
-            mask |= ~np.isfinite(values).all(axis=1)
-    return mask
+    """True where a channel that the record has is missing; rates that are nothing but gaps are refused."""
+    held = [~np.isfinite(values).all(axis=1) for values in (record.gyro, record.accel) if values is not None]
+    if record.gyro is not None and held[0].all():
+        check_gaps(record.gyro, record.time, "validate")
+    return np.asarray(np.any(held, axis=0))
 
 
 def _corrected(
@@ -671,7 +659,6 @@ def _corrected(
 
 def nominal_calibration(record: Record, adc: AdcModel | None) -> Calibration:
     """Return the calibration of a device that is what its unit says, apart from the rounding of its codes."""
-
     return Calibration(
         device=record.device,
         reference_temp_c=float("nan"),
