@@ -189,22 +189,30 @@ def find_saturated(record: Record) -> tuple[Finding, ...]:
 
 
 def saturated_runs(column: FloatArray) -> Iterator[tuple[float, IntArray]]:
-    """Return each limit at which readings (N,) stick, and the stretches (R, 2) in which they do.
-
-    They lie far from their middle there, or are large where nowhere else readings repeat.
-    """
+    """Return each limit at which readings (N,) stick, and the stretches (R, 2) in which they do."""
     for limit in (np.nanmax(column), np.nanmin(column)):
-        if np.count_nonzero(column == limit) < STUCK:
-            continue
-        stuck = np.flatnonzero(np.diff(np.concatenate(([0], (column == limit).astype(np.int8), [0])))).reshape(-1, 2)
-        stuck = stuck[stuck[:, 1] - stuck[:, 0] >= STUCK]
-        away = np.abs(column - np.nanmedian(column))
-        far, begins = 10.0 * np.nanmedian(away), np.flatnonzero(np.diff(column, prepend=np.nan) != 0.0)
-        inside = (column[begins] != np.nanmax(column)) & (column[begins] != np.nanmin(column))
-        alone = int(np.diff(np.append(begins, len(column)))[inside].max(initial=0)) < STUCK // 2
-        large = alone and abs(limit) > 0.5 * np.nanmax(np.abs(column))  # no rest of a log without noise
-        if len(stuck) and far > 0.0 and (large or away[stuck[0, 0]] > far):
-            yield float(limit), stuck
+        if np.count_nonzero(column == limit) >= STUCK:
+            stuck = np.flatnonzero(np.diff(np.concatenate(([0], (column == limit).astype(np.int8), [0])))).reshape(
+                -1, 2
+            )
+            stuck = stuck[stuck[:, 1] - stuck[:, 0] >= STUCK]
+            if len(stuck) and _ends_range(column, float(limit), stuck):
+                yield float(limit), stuck
+
+
+def _ends_range(column: FloatArray, limit: float, stuck: IntArray) -> bool:
+    """Tell whether a limit lies far from the middle of the readings, or is large where no others repeat."""
+    codes, change = np.unique(column[np.isfinite(column)]), np.abs(np.diff(column))
+    away = np.abs(column - np.nanmedian(column))
+    usual = np.nanmedian(away)
+    fine = len(codes) > 10 * STUCK  # coarse codes repeat at an end as inside, but are not got to in a jump
+    jumped = bool((change[np.clip(stuck - 1, 0, len(change) - 1)] > 5.0 * change[change > 0.0].min()).any())
+    begins = np.flatnonzero(np.diff(column, prepend=np.nan) != 0.0)
+    inside = (column[begins] != codes[0]) & (column[begins] != codes[-1])
+    alone = int(np.diff(np.append(begins, len(column)))[inside].max(initial=0)) < STUCK // 2
+    large = abs(limit) > 0.5 * max(abs(codes[0]), abs(codes[-1]))  # no rest of a log without noise
+    far = away[stuck[0, 0]] > 10.0 * usual
+    return bool(usual > 0.0 and ((far and (fine or jumped)) or (large and alone and fine)))
 
 
 # ---- guesses for a person, never for a reader: what a foreign table might be, and the map that it may need
