@@ -205,6 +205,8 @@ def _ends_range(column: FloatArray, limit: float, stuck: IntArray) -> bool:
     codes, change = np.unique(column[np.isfinite(column)]), np.abs(np.diff(column))
     away = np.abs(column - np.nanmedian(column))
     usual = np.nanmedian(away)
+    if not usual > 0.0:
+        return False
     fine = len(codes) > 10 * STUCK  # coarse codes repeat at an end as inside, but are not got to in a jump
     jumped = bool((change[np.clip(stuck - 1, 0, len(change) - 1)] > 5.0 * change[change > 0.0].min()).any())
     begins = np.flatnonzero(np.diff(column, prepend=np.nan) != 0.0)
@@ -212,7 +214,7 @@ def _ends_range(column: FloatArray, limit: float, stuck: IntArray) -> bool:
     alone = int(np.diff(np.append(begins, len(column)))[inside].max(initial=0)) < STUCK // 2
     large = abs(limit) > 0.5 * max(abs(codes[0]), abs(codes[-1]))  # no rest of a log without noise
     far = away[stuck[0, 0]] > 10.0 * usual
-    return bool(usual > 0.0 and ((far and (fine or jumped)) or (large and alone and fine)))
+    return bool((far and (fine or jumped)) or (large and alone and fine))
 
 
 # ---- guesses for a person, never for a reader: what a foreign table might be, and the map that it may need
