@@ -24,7 +24,7 @@ pytestmark = pytest.mark.usefixtures("computed_once")
 #         matrix and in-motion offset, codes as they are | codes given back
 LIMITS = {"B": (2.4, 1.4), "C": (1.3, 1.3), "D": (1.2, 1.2)}
 REST_AND_ROUNDING = {"B": 1.81, "C": 3.21, "D": 7.20}  # means of row (c); README and docs/accuracy.md print them
-REST_ALONE = {"B": 4.25, "C": 3.45, "D": 8.15}  # means of row (b) of test_broad_rows
+REST_ALONE = {"B": 4.25, "C": 3.45, "D": 8.25}  # means of row (b) of test_broad_rows
 
 
 @pytest.mark.parametrize("device", DEVICES)
