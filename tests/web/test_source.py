@@ -252,4 +252,4 @@ def test_a_calibration_of_another_device_is_a_warning_beside_the_corrected_readi
     eventually(lambda: source.status().correction, "a warning")
     assert "calibration other" in source.status().correction
     assert "calibration other" not in source.status().notes
-    assert source.updates()[-1].corrected is not None
+    eventually(lambda: source.updates()[-1].corrected is not None, "corrected readings")
