@@ -4,7 +4,7 @@ VENV ?= .venv
 BIN = $(VENV)/bin
 INSTALLED = $(VENV)/.installed
 
-.PHONY: announce demo docs test test-browser test-long test-all check mutants fuzz mistakes benchmark clean
+.PHONY: announce demo docs durations test test-browser test-long test-all check check-types check-house check-style mutants fuzz mistakes benchmark clean
 
 demo: $(VENV)/.base
 	$(BIN)/undrift demo --out demo
@@ -14,6 +14,11 @@ announce:
 	@echo "are installed first, some minutes, and kernels are compiled once."
 
 export OPENBLAS_NUM_THREADS = 1  # the matrices are small, threads cost more than they save
+unexport PYTHONDONTWRITEBYTECODE  # the suite starts many processes: each would compile all of undrift and of its tests
+
+# A process for each core computes; beside them run what waits for sockets and processes, and the browser: tests/testkit/pools.py.
+CORES := $(shell nproc 2>/dev/null || echo 2)
+POOLS = --dist loadscope --tx $(CORES)*popen//nice=5//env:TEST_POOL=compute --tx 2*popen//env:TEST_POOL=wait --tx 2*popen//env:TEST_POOL=browser
 
 test: announce $(INSTALLED)
 	@command -v gcc >/dev/null || { apt-get update -qq && apt-get install -qq -y gcc libc6-dev; } || \
@@ -25,26 +30,36 @@ test: announce $(INSTALLED)
 	  DEBIAN_FRONTEND=noninteractive apt-get install -qq -y --no-install-recommends -o Dpkg::Options::=--force-confold postgresql; } || \
 	  echo "no PostgreSQL: the registry is tested on SQLite alone"
 	@echo "collecting the tests, up to a minute; then a dot for each, and the share done at the end of a line"
-	$(BIN)/python -m pytest tests -p no:playwright --ignore=tests/house --ignore=tests/web_browser -n 2 --dist loadscope --no-loadscope-reorder --durations=12
-	@echo "the kernels once more, not compiled"
-	NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest tests/kernels tests/correction/test_correct.py tests/correction/test_stream.py tests/test_orientation.py tests/test_tilt.py tests/test_angles.py
+	$(BIN)/python -m pytest tests --ignore=tests/house $(POOLS) --durations=12
 
-# The guided bench in a browser: pages, wizards, the rate-table run, the emergency stop. Screenshots: build/screens.
+# The bench in a browser alone: pages, wizards, the rate-table run, the emergency stop. Screenshots: build/screens.
 test-browser: $(INSTALLED)
 	@command -v chromium >/dev/null || { apt-get update -qq && apt-get install -qq -y --no-install-recommends chromium; } || \
 	  { echo "the bench is tested in chromium: install it"; exit 2; }
 	$(BIN)/python -m pytest tests/web_browser --durations=12
 
+# The order of the tests, by what each takes: commit the file that changes.
+durations: $(INSTALLED)
+	$(BIN)/python -m pytest tests --ignore=tests/house $(POOLS) --write-durations
+
 # The same Monte Carlo runs with larger cohorts.
 test-long: $(INSTALLED)
 	$(BIN)/python -m pytest tests -m long -n 2 --durations=12
 
+# Linters, types, layers and house rules at once; each is printed as it ends.
 check: $(INSTALLED)
+	@$(MAKE) --no-print-directory --jobs=3 --output-sync=target check-types check-house check-style
+
+check-types:
+	$(BIN)/mypy --strict
+
+check-house:
+	$(BIN)/python -m pytest tests/house
+
+check-style:
 	$(BIN)/ruff check src tests benchmarks docs/*.py docs/figures
 	$(BIN)/ruff format --check src tests benchmarks docs/*.py docs/figures
-	$(BIN)/mypy --strict
 	$(BIN)/lint-imports
-	$(BIN)/python -m pytest tests/house
 
 # The documentation site, from pages, docstrings, commands and models; docs/pictures are drawn anew, commit what changed.
 docs: $(INSTALLED)

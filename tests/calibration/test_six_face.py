@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from testkit.cramer_rao import COHORTS
+from testkit.cohorts import LARGER_COHORTS
 from testkit.data import show
 from testkit.findings import codes, only
 from undrift.calibration.checks import check_scale_factor, face_vectors
@@ -323,7 +323,7 @@ def test_levelled_does_not_depend_on_the_unit_of_the_readings(scale):
     np.testing.assert_allclose(other.model.offset, scale * si.model.offset, rtol=1e-9)
 
 
-@pytest.mark.parametrize("devices", COHORTS)
+@pytest.mark.parametrize("devices", LARGER_COHORTS)
 @pytest.mark.parametrize("tilt_deg", [0.005, 0.01, 0.02, 0.05, 0.25])
 def test_intervals_of_a_levelled_fit_hold_also_where_tilt_and_noise_are_alike(tilt_deg, devices):
     # 2 mm/s2 of noise are 0.012 deg of tilt.

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import quad_vec
 
-from testkit.cramer_rao import COHORTS
+from testkit.cohorts import LARGER_COHORTS
 from testkit.data import show
 from undrift.fit.least_squares import fit_with_walk
 
@@ -135,7 +135,7 @@ def test_times_that_are_all_the_same_leave_nothing_to_walk():
     np.testing.assert_allclose(fit.theta, at(0.0, reading)[0], rtol=1e-10)
 
 
-@pytest.mark.parametrize("runs", COHORTS)
+@pytest.mark.parametrize("runs", LARGER_COHORTS)
 def test_a_walk_that_is_not_there_is_told_once_in_forty(runs):
     rng = np.random.default_rng(5)
     told = np.mean([fit_with_walk(DESIGN, drawn(rng, 0.0), SIGMA, TIME).walk > 0.0 for _ in range(runs)])
@@ -143,7 +143,7 @@ def test_a_walk_that_is_not_there_is_told_once_in_forty(runs):
     assert told <= 0.05  # chi-square at 95 %, one side: 2.5 %, standard error 0.9 % of 300 runs, 0.5 % of 1,000
 
 
-@pytest.mark.parametrize("runs", COHORTS)
+@pytest.mark.parametrize("runs", LARGER_COHORTS)
 @pytest.mark.parametrize("walk", [0.03, 0.3])
 def test_a_walk_that_is_there_is_found_within_its_scatter(walk, runs):
     rng = np.random.default_rng(6)
@@ -156,7 +156,7 @@ def test_a_walk_that_is_there_is_found_within_its_scatter(walk, runs):
     assert np.mean(found**2) / walk**2 == pytest.approx(1.0, abs=3.0 * spread / np.sqrt(runs))
 
 
-@pytest.mark.parametrize("runs", COHORTS)
+@pytest.mark.parametrize("runs", LARGER_COHORTS)
 @pytest.mark.parametrize("walk", [0.002, 0.005, 0.03, 0.3])
 def test_intervals_hold_whether_the_walk_shows_or_not(walk, runs):
     rng = np.random.default_rng(7)

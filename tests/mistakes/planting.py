@@ -88,6 +88,11 @@ class Mistake:
         return self.sound().route
 
 
+def label_of(sound: Callable[[], Case]) -> str:
+    """Return the name of a sound input, which is not made for it."""
+    return f"{sound.__module__}.{sound.__name__}"
+
+
 def mistake(sound: Callable[[], Case], name: str, change: Change, named: tuple[str, ...]) -> Mistake:
     """Return a mistake."""
     return Mistake(name=name, sound=sound, change=change, named=named)

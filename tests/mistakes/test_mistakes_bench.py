@@ -2,18 +2,18 @@
 
 import pytest
 
-from mistakes.planting import expected_of, false_alarms, judged
+from mistakes.planting import expected_of, false_alarms, judged, label_of
 from mistakes.routes import BENCH
 
 SOUND = tuple(dict.fromkeys(one.sound for one in BENCH))
 
 
-@pytest.mark.parametrize("one", BENCH, ids=lambda one: f"{one.route}, {one.sound.__name__}: a person {one.name}")
+@pytest.mark.parametrize("one", BENCH, ids=lambda one: f"{label_of(one.sound)}: a person {one.name}")
 def test_a_mistake_is_named_or_comes_out_as_listed(one):
     result = judged(one)
     assert result.outcome == expected_of(one), result
 
 
-@pytest.mark.parametrize("sound", SOUND, ids=lambda sound: f"{sound.__module__}.{sound.__name__}")
+@pytest.mark.parametrize("sound", SOUND, ids=label_of)
 def test_sound_input_raises_no_alarm(sound):
     assert false_alarms(sound, BENCH) == []

@@ -10,7 +10,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from testkit.cramer_rao import COHORTS, Array, Tally, carried, information, jacobian, white_device
+from testkit.cohorts import COHORTS
+from testkit.cramer_rao import Array, Tally, carried, information, jacobian, white_device
 from undrift.calibration.known_rotation import (
     KnownRotationMode,
     fit_known_rotation,

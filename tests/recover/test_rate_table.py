@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from testkit.cramer_rao import COHORTS, Array, Tally, carried, information, inverse_model, jacobian, white_device
+from testkit.cohorts import COHORTS
+from testkit.cramer_rao import Array, Tally, carried, information, inverse_model, jacobian, white_device
 from undrift.calibration.dwells import DwellMeans, dwell_means
 from undrift.calibration.rate_table import RateTableMode, fit_rate_table
 from undrift.sim.device.model import DeviceModel

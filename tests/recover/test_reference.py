@@ -7,7 +7,8 @@ but the first two is shared by two steps, so their covariance is tridiagonal; it
 import numpy as np
 import pytest
 
-from testkit.cramer_rao import COHORTS, Array, Tally, carried, white_device
+from testkit.cohorts import COHORTS
+from testkit.cramer_rao import Array, Tally, carried, white_device
 from testkit.data import show
 from testkit.twins import rotation_matrices
 from undrift.calibration.reference import ReferenceSettings, Weights, fit_reference
@@ -86,13 +87,14 @@ def test_error_of_many_devices_reaches_the_bound_and_its_intervals_hold(devices:
     tally.check(devices)
 
 
-def test_long_windows_pay_for_their_patience_with_less_than_half_more_error_where_noise_is_white() -> None:
+@pytest.mark.parametrize("devices", COHORTS)
+def test_long_windows_pay_for_their_patience_with_less_than_half_more_error_where_noise_is_white(devices: int) -> None:
     rng = np.random.default_rng(3)
     tally = Tally.of("reference, windows")
     information = physical_information(
         MOTION, OPTICS.angle_sd, float(white_device(rng).gyro.white_noise.random_walk[0])
     )
-    for _ in range(100):
+    for _ in range(devices):
         device = white_device(rng)
         model = fitted(device, rng, "windows", OPTICS)
         tally.add(error_of(model, device), bound(device, information), model.standard_uncertainty)

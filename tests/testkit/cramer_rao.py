@@ -9,18 +9,11 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-import pytest
 
+from testkit.cohorts import ratio_limit, share_limits
 from testkit.data import show
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.presets import random_device
-
-COHORTS = (300, pytest.param(1000, marks=pytest.mark.long))  # devices of a run; the second in `make test-long`
-# Times the bound. Standard error of the ratio 1 / sqrt(2 N P): 1.4 % with 300 devices and nine parameters, 0.75 % with 1,000.
-RMSE_LIMIT = 1.05
-# Of nominal 95 % intervals, pooled over P parameters of N devices: binomial standard error 22 / sqrt(N P) %. With 300 devices
-# and nine parameters 0.42 %, so that the limits are nearly five of them away; with 1,000 devices 0.23 %.
-COVERAGE_LIMITS = (0.93, 0.97)
 
 Array = np.ndarray
 Function = Callable[[Array], Array]
@@ -73,11 +66,6 @@ def white_device(rng: np.random.Generator, *, g_sensitivity: bool = False) -> De
     )
 
 
-def part_limit(devices: int, *, whole: int = 1000) -> float:
-    """Return the limit of the ratio of some parameters: 5 % in the whole cohort, as many standard errors in a smaller one."""
-    return 1.0 + (RMSE_LIMIT - 1.0) * max(1.0, np.sqrt(whole / devices))
-
-
 @dataclass(slots=True)
 class Tally:
     """Errors of many devices, in units of the bound and of the stated uncertainty."""
@@ -106,14 +94,16 @@ class Tally:
 
     @property
     def worst_ratio(self) -> float:
-        """The same ratio of the parameter that does worst: standard error 4.1 % over 300 devices, 2.2 % over 1,000."""
+        """The same ratio of the parameter that does worst."""
         return float(np.sqrt(np.mean(np.square(self.by_bound), axis=0)).max())
 
     def check(self, devices: int) -> None:
         """Show the figures and hold them to the promise."""
-        show(f"{self.name}: RMSE over Cramer-Rao bound", f"{self.ratio:.4f}", RMSE_LIMIT)
+        errors = np.size(self.by_bound)
+        low, high = share_limits(errors)
+        show(f"{self.name}: RMSE over Cramer-Rao bound", f"{self.ratio:.4f}", ratio_limit(errors))
         show(f"{self.name}: worst parameter", f"{self.worst_ratio:.4f}")
-        show(f"{self.name}: coverage of 95 % intervals", f"{self.coverage:.4f}", COVERAGE_LIMITS)
+        show(f"{self.name}: coverage of 95 % intervals", f"{self.coverage:.4f}", (low, high))
         assert len(self.by_bound) == devices
-        assert self.ratio <= RMSE_LIMIT
-        assert COVERAGE_LIMITS[0] <= self.coverage <= COVERAGE_LIMITS[1]
+        assert self.ratio <= ratio_limit(errors)
+        assert low <= self.coverage <= high

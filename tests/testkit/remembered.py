@@ -1,10 +1,19 @@
-"""Pure functions that are computed once in a process: what several tests need is made for all of them."""
+"""Results that are computed once in a run of the suite: what tests in several processes need is made for all of them.
 
+Results are kept as pickles in a folder of the run, each under the hash of what went in; they go with the folder.
+"""
+
+import fcntl
+import io
+import os
 import pickle
+import shutil
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import wraps
 from hashlib import blake2b
+from pathlib import Path
 from typing import TypeVar
 
 import pytest
@@ -12,21 +21,66 @@ import pytest
 T = TypeVar("T")
 
 
-def remembered(function: Callable[..., T]) -> Callable[..., T]:
-    """Return a function that computes once for equal arguments.
+def run_folder(factory: pytest.TempPathFactory) -> Path:
+    """Return the folder that all processes of a run share."""
+    base = factory.getbasetemp()
+    folder = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "remembered"
+    folder.mkdir(exist_ok=True)
+    return folder
+
+
+@contextmanager
+def locked(path: Path) -> Iterator[None]:
+    """Let one process at a time into the block."""
+    with path.with_name(f"{path.name}.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        yield
+
+
+def remembered(function: Callable[..., T], folder: Path) -> Callable[..., T]:
+    """Return a function that computes once in a run for equal arguments.
 
     Only for pure functions whose results are not written to; a generator among the arguments may not be used afterwards.
     """
-    held: dict[bytes, T] = {}
+    results: dict[Path, T] = {}
 
     @wraps(function)
     def once(*args: object, **words: object) -> T:
-        key = blake2b(pickle.dumps((args, sorted(words.items())))).digest()
-        if key not in held:
-            held[key] = function(*args, **words)
-        return held[key]
+        path = folder / f"{function.__name__}-{_hash_of((args, sorted(words.items())))}"
+        if path not in results:
+            with locked(path):
+                if not path.exists():
+                    result = function(*args, **words)
+                    whole = path.with_name(f"{path.name}.part")
+                    whole.write_bytes(pickle.dumps(result, protocol=5))
+                    whole.rename(path)
+                results[path] = pickle.loads(path.read_bytes())
+        return results[path]
 
     return once
+
+
+def folder_made_once(folder: Path, name: str, make: Callable[[Path], object]) -> Path:
+    """Return a folder that the first who asks fills, for all to read."""
+    path = folder / name
+    with locked(path):
+        if not (path / "made").exists():
+            shutil.rmtree(path, ignore_errors=True)  # of one who failed half-way
+            path.mkdir()
+            make(path)
+            (path / "made").touch()
+    return path
+
+
+def _hash_of(value: object) -> str:
+    """Return a hash that is the same for equal values in every process."""
+    stream = io.BytesIO()
+    pickler = pickle.Pickler(stream, protocol=5)
+    pickler.fast = (
+        True  # without references to what was pickled before: whether two strings are one object does not count
+    )
+    pickler.dump(value)
+    return blake2b(stream.getvalue(), digest_size=16).hexdigest()
 
 
 def put_everywhere(patch: pytest.MonkeyPatch, function: Callable[..., T], instead: Callable[..., T]) -> None:

@@ -1,0 +1,27 @@
+"""How many devices a Monte Carlo run draws, and how far chance alone carries what is counted in it.
+
+`make test` draws few and allows for chance, `make test-long` draws many. Tests that `make mutants` runs draw more, so that they
+see small faults.
+"""
+
+import numpy as np
+import pytest
+from scipy.stats import binom, chi2
+
+FEW = 80
+COHORTS = (FEW, pytest.param(1000, marks=pytest.mark.long))
+LARGER_COHORTS = (300, pytest.param(1000, marks=pytest.mark.long))
+FALSE_ALARM = 1e-4  # how often a limit is passed by chance where all is right
+RATIO = 1.05  # of a root-mean-square error to its bound: what a method may lose
+SHARES = (0.93, 0.97)  # of nominal 95 % intervals that hold the truth: what a method may be off
+
+
+def share_limits(trials: int, nominal: float = 0.95) -> tuple[float, float]:
+    """Return between which shares of so many intervals hold: ``SHARES``, or further apart by the binomial distribution."""
+    low, high = (float(binom.ppf(p, trials, nominal)) / trials for p in (0.5 * FALSE_ALARM, 1.0 - 0.5 * FALSE_ALARM))
+    return min(SHARES[0], low), max(SHARES[1], high)
+
+
+def ratio_limit(errors: int) -> float:
+    """Return the limit of the root-mean-square of so many errors over their bound: ``RATIO``, or more by chi-square."""
+    return max(RATIO, float(np.sqrt(chi2.ppf(1.0 - FALSE_ALARM, errors) / errors)))

@@ -1,0 +1,98 @@
+"""Pools of processes for the suite: two that compute, some that wait, some with a browser; each takes what is longest first.
+
+A process says by the environment which pool it is of: ``pytest --dist loadscope --tx 2*popen//env:TEST_POOL=compute ...``, as the
+Makefile does. Without, every process is of one pool. Modules of ``FOLDERS`` and those marked ``waits`` at their heads sleep or wait
+for sockets most of the time, so that more of them than the machine has cores may run; those in a browser keep it open.
+
+What is handed out is a module, whose tests share fixtures, or a single test that takes ``ALONE_S`` or more of itself.
+tests/durations.json has what each took; `make durations` writes it anew. Order is all that hangs on it.
+"""
+
+import json
+import os
+from collections.abc import Iterable, Sequence
+from itertools import chain
+from pathlib import Path
+from typing import Any
+
+import pytest
+from xdist.scheduler.loadscope import LoadScopeScheduling
+from xdist.workermanage import WorkerController
+
+POOL = "TEST_POOL"
+TESTS = Path(__file__).parents[1]
+DURATIONS = TESTS / "durations.json"
+ALONE_S = 4.0
+FOLDERS = {"rig": "wait", "web": "wait", "live": "wait", "web_browser": "browser"}
+
+
+def pool_of(path: Path) -> str:
+    """Return the pool of a module of tests."""
+    if path.parent.name in FOLDERS:
+        return FOLDERS[path.parent.name]
+    return "wait" if "pytestmark = pytest.mark.waits" in path.read_text() else "compute"
+
+
+def of_another_pool(path: Path) -> bool:
+    """Whether a module is not for this process."""
+    own = os.environ.get(POOL)
+    return own is not None and path.name.startswith("test_") and path.suffix == ".py" and pool_of(path) != own
+
+
+def read_durations(path: Path = DURATIONS) -> dict[str, float]:
+    """Return seconds by test, and by module for its fixtures and its short tests together."""
+    durations: dict[str, float] = json.loads(path.read_text())
+    return durations
+
+
+def write_durations(reports: Iterable[pytest.TestReport], path: Path = DURATIONS) -> None:
+    """Write what a run took: tests that are handed out alone, and what is left of each module."""
+    taken: dict[str, float] = {}
+    for report in reports:
+        module = report.nodeid.partition("::")[0]
+        alone = report.when == "call" and report.duration >= ALONE_S
+        name = report.nodeid if alone else module
+        taken[name] = taken.get(name, 0.0) + report.duration
+    rows = {name: round(seconds, 1) for name, seconds in sorted(taken.items()) if seconds >= 1.0}
+    path.write_text(json.dumps(rows, indent=1) + "\n")
+
+
+class Pools(LoadScopeScheduling):
+    """Give each process what its pool has left, what takes longest first."""
+
+    def __init__(self, config: pytest.Config, log: Any = None) -> None:
+        super().__init__(config, log)
+        self.durations = read_durations()
+        self._collected: dict[WorkerController, set[str]] = {}
+
+    def _split_scope(self, nodeid: str) -> str:
+        return nodeid if nodeid in self.durations else nodeid.partition("::")[0]
+
+    def add_node_collection(self, node: WorkerController, collection: Sequence[str]) -> None:
+        """Take what a process has collected: the tests of its pool."""
+        self.registered_collections[node] = list(collection)
+        self._collected[node] = set(collection)
+
+    def schedule(self) -> None:
+        """Give each process its first two pieces of work: it begins with one when it knows the next."""
+        if self.collection is None:
+            self.collection = list(dict.fromkeys(chain.from_iterable(self.registered_collections.values())))
+            pieces: dict[str, dict[str, bool]] = {}
+            for test in self.collection:
+                pieces.setdefault(self._split_scope(test), {})[test] = False
+            for piece in sorted(pieces, key=lambda piece: -self.durations.get(piece, 0.0)):
+                self.workqueue[piece] = pieces[piece]
+            self.config.pluginmanager.get_plugin("dsession")._session.testscollected = len(self.collection)
+        for node in self.nodes * 2:
+            self._reschedule(node)
+
+    def _reschedule(self, node: WorkerController) -> None:
+        if node.shutting_down:
+            return
+        tests = self._collected.get(node, set())
+        piece = next((piece for piece, held in self.workqueue.items() if not tests.isdisjoint(held)), None)
+        if piece is None:
+            node.shutdown()
+        elif self._pending_of(self.assigned_work[node]) <= 2:
+            self.workqueue.move_to_end(piece, last=False)
+            self._assign_work_unit(node)
