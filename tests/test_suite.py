@@ -1,12 +1,13 @@
 """The suite itself: which process runs which tests, and what processes compute once."""
 
 import json
+import os
 import subprocess
 import sys
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
-from testkit.pools import ALONE_S, DURATIONS, pool_of
+from testkit.pools import ALONE_S, DURATIONS, POOL, pool_of
 from testkit.remembered import folder_made_once, remembered
 
 TESTS = Path(__file__).parent
@@ -35,7 +36,8 @@ def _run(folder: Path, *words: str) -> str:
     (folder / "conftest.py").write_text(CONFTEST)
     (folder / "pytest.ini").write_text(f"[pytest]\nmarkers = waits\npythonpath = {TESTS}\n")
     called = [sys.executable, "-m", "pytest", "-q", "--dist", "loadscope", *words]
-    done = subprocess.run(called, cwd=folder, capture_output=True, text=True, check=False)
+    environment = {name: value for name, value in os.environ.items() if not name.startswith(("PYTEST_", POOL))}
+    done = subprocess.run(called, cwd=folder, env=environment, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout
     return done.stdout
 
