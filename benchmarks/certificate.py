@@ -38,7 +38,9 @@ def drawn(rng: np.random.Generator) -> tuple[Calibration, dict[str, FloatArray]]
         device.accel, bits=12, span=RANGE[1], flicker=None, random_walk=None, thermal_scale=drawn_slope(rng)
     )
     device = replace(device, gyro=replace(gyro, g_sensitivity=None), accel=accel)
-    bench = BenchSettings(sample_rate_hz=50.0, turn_rates=RATES, table=USUAL, lever_arm_b=ARM_M, tilt_sd=TILT)
+    bench = BenchSettings(
+        sample_rate_hz=50.0, turn_rates=RATES, errors=replace(USUAL, face_tilt=TILT), lever_arm_b=ARM_M
+    )
     motion = bench_motion("bench", rng=rng, settings=bench)
     temp_c = even_rise(RISE_C, len(motion))
     shown = simulate_device(device, motion, rng=rng, temp_c=temp_c)

@@ -9,8 +9,9 @@ import pytest
 from undrift.calibration.calibrate import calibrate
 from undrift.errors import UndriftError
 from undrift.findings import Finding, catalogue, finding, told_apart
+from undrift.sim.bench_errors import BenchErrors
 from undrift.sim.device.presets import random_device, random_device_of
-from undrift.sim.motion.bench import BenchSettings, TableErrors
+from undrift.sim.motion.bench import BenchSettings
 from undrift.sim.sessions import simulate_session
 from undrift.units import RADIAN_PER_DEGREE
 
@@ -81,14 +82,16 @@ def test_a_value_just_over_its_limit_is_printed_over_it(code):
 
 def sessions():
     """Yield sessions of many kinds, some far from ideal."""
-    errors = TableErrors(mount_tilt_sd=0.01, wobble_sd=0.003, ripple_sd=0.02, excess_sd=0.05)
+    errors = BenchErrors(mount_tilt=0.01, wobble=0.003, ripple=0.02, excess=0.05)
     for seed, kind in enumerate(("bench", "ferraris", "multi_position", "six_face") * 3):
         rng = np.random.default_rng(seed)
         device = (random_device if seed % 3 else lambda g: random_device_of("enc03j_3031", g))(rng)
         settings = BenchSettings(
-            tilt_sd=(0.0, 0.3, 0.8)[seed // 4] * RADIAN_PER_DEGREE,
-            hand_tilt_sd=0.03,
-            table=errors if seed > 4 else None,
+            errors=replace(
+                errors if seed > 4 else BenchErrors(),
+                face_tilt=(0.0, 0.3, 0.8)[seed // 4] * RADIAN_PER_DEGREE,
+                hand_axis=0.03,
+            )
         )
         span = (None, (24.5, 25.5), (22.0, 24.1), (20.0, 30.0))[seed % 4]
         session = simulate_session(kind, device, rng=rng, settings=settings, temp_c=span)

@@ -17,6 +17,7 @@ from undrift.calibration.six_face import calibrate_faces
 from undrift.model import Verdict
 from undrift.record import Session, Still, Turn
 from undrift.segments import StillSettings
+from undrift.sim.bench_errors import BenchErrors
 from undrift.sim.device.effects import LowPass
 from undrift.sim.device.presets import FLOOR, random_device
 from undrift.sim.device.simulate import simulate_device
@@ -105,7 +106,9 @@ def drawn(case: Case, rng: np.random.Generator) -> tuple[Session, np.ndarray, np
     gyro = chain_that_errs(device.gyro, bits=case.bits, span=RANGE, flicker=flicker, **more)
     accel = replace(device.accel, adc=None, random_walk=None, low_pass=low_pass)
     device = replace(device, gyro=gyro, accel=accel)
-    bench = BenchSettings(sample_rate_hz=50.0, tilt_sd=case.level, hand_tilt_sd=AXIS_DEG * DEG if case.by_hand else 0.0)
+    bench = BenchSettings(
+        sample_rate_hz=50.0, errors=BenchErrors(face_tilt=case.level, hand_axis=AXIS_DEG * DEG if case.by_hand else 0.0)
+    )
     motion = bench_motion("ferraris", rng=rng, settings=bench)
     temp_c = even_rise(case.creep_c, len(motion))
     shown = simulate_device(device, motion, rng=rng, temp_c=temp_c)

@@ -16,16 +16,17 @@ from undrift.arrays import FloatArray
 from undrift.calibration.calibrate import calibrate
 from undrift.calibration.observe import CalibrateSettings
 from undrift.record import Session, Still, Turn
+from undrift.sim.bench_errors import BenchErrors
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.presets import random_device
 from undrift.sim.device.simulate import simulate_device
-from undrift.sim.motion.bench import BenchSettings, TableErrors, bench_motion
+from undrift.sim.motion.bench import BenchSettings, bench_motion
 from undrift.units import RADIAN_PER_DEGREE as DEG
 from undrift.units import STANDARD_GRAVITY as G
 
 RATES = tuple(rate * DEG for rate in (20.0, 45.0, 70.0, 90.0))
 ARM_M = (0.02, 0.01, -0.015)
-USUAL = TableErrors(mount_tilt_sd=0.1 * DEG, level_sd=0.1 * DEG, rate_sd=1e-4, wobble_sd=0.01 * DEG)
+USUAL = BenchErrors(mount_tilt=0.1 * DEG, level=0.1 * DEG, table_rate=1e-4, wobble=0.01 * DEG)
 FLICKER = (8.0 * DEG / 3600.0, 5e-4)  # rad/s, m/s2
 RANGE = (300.0 * DEG, 3.0 * G)  # of 10 bits
 
@@ -34,24 +35,23 @@ RANGE = (300.0 * DEG, 3.0 * G)  # of 10 bits
 class Case:
     """One bench: what the table does wrong, and the device."""
 
-    table: TableErrors
+    table: BenchErrors
     bits: int | None = None
     flicker: bool = False
     g_sensitivity: bool = False
-    tilt_sd: float = 0.0  # Of the faces on the plate about each horizontal axis, rad
     settings: CalibrateSettings = field(default_factory=lambda: CalibrateSettings(identify_adc=False))
 
 
 EXACT = CalibrateSettings(
     identify_adc=False, table_level_deg=0.0, mount_tilt_deg=0.0, rate_uncertainty=0.0, wobble_deg=0.0
 )
-WORST = replace(USUAL, wobble_sd=0.1 * DEG, ripple_sd=3e-3, excess_sd=3e-3)
+WORST = replace(USUAL, wobble=0.1 * DEG, ripple=3e-3, excess=3e-3)
 CASES = {
-    "ideal table, stated as such": Case(TableErrors(), settings=EXACT),
+    "ideal table, stated as such": Case(BenchErrors(), settings=EXACT),
     "mounted 0.1 deg off per axis": Case(USUAL),
-    "the same, faces off level by 0.05 deg": Case(USUAL, tilt_sd=0.05 * DEG),
-    "wobble 0.1 deg": Case(replace(USUAL, wobble_sd=0.1 * DEG)),
-    "rate ripples and settles late, 0.3 %": Case(replace(USUAL, ripple_sd=3e-3, excess_sd=3e-3)),
+    "the same, faces off level by 0.05 deg": Case(replace(USUAL, face_tilt=0.05 * DEG)),
+    "wobble 0.1 deg": Case(replace(USUAL, wobble=0.1 * DEG)),
+    "rate ripples and settles late, 0.3 %": Case(replace(USUAL, ripple=3e-3, excess=3e-3)),
     "10 bit": Case(USUAL, bits=10),
     "flicker 8 deg/h": Case(USUAL, flicker=True),
     "all together, 12 bit, g-sensitivity": Case(WORST, bits=12, flicker=True, g_sensitivity=True),
@@ -88,9 +88,7 @@ def drawn(case: Case, rng: np.random.Generator) -> tuple[DeviceModel, Session, F
     )
     gyro = gyro if case.g_sensitivity else replace(gyro, g_sensitivity=None)
     device = replace(device, gyro=gyro, accel=accel)
-    bench = BenchSettings(
-        sample_rate_hz=50.0, turn_rates=RATES, table=case.table, lever_arm_b=ARM_M, tilt_sd=case.tilt_sd
-    )
+    bench = BenchSettings(sample_rate_hz=50.0, turn_rates=RATES, errors=case.table, lever_arm_b=ARM_M)
     motion = bench_motion("bench", rng=rng, settings=bench)
     shown = simulate_device(device, motion, rng=rng)
     session = Session(

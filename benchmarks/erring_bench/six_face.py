@@ -15,6 +15,7 @@ from undrift.calibration.observe import CalibrateSettings, observe
 from undrift.calibration.six_face import calibrate_faces
 from undrift.model import Verdict
 from undrift.record import Session
+from undrift.sim.bench_errors import BenchErrors
 from undrift.sim.device.presets import random_device
 from undrift.sim.device.simulate import simulate_device
 from undrift.sim.device.truth import true_calibration
@@ -80,7 +81,9 @@ def drawn(case: Case, rng: np.random.Generator) -> tuple[Session, np.ndarray, np
         device.accel, bits=case.bits, span=RANGE, flicker=flicker, random_walk=None, thermal_scale=drawn_slope(rng)
     )
     device = replace(device, accel=accel)
-    motion = bench_motion("six_face", rng=rng, settings=BenchSettings(sample_rate_hz=50.0, tilt_sd=case.level))
+    motion = bench_motion(
+        "six_face", rng=rng, settings=BenchSettings(sample_rate_hz=50.0, errors=BenchErrors(face_tilt=case.level))
+    )
     temp_c = even_rise(case.creep_c, len(motion))
     shown = simulate_device(device, motion, rng=rng, temp_c=temp_c)
     record = shown.record if case.thermometer else replace(shown.record, temp_c=None)

@@ -13,13 +13,14 @@ from undrift.calibration.table_axis import mountings, table_axes, table_term
 from undrift.calibration.table_rate import Dwells
 from undrift.errors import InputError
 from undrift.record import RateTable, Record, Still, Turn
-from undrift.sim.motion.bench import BenchSettings, TableErrors
+from undrift.sim.bench_errors import BenchErrors
+from undrift.sim.motion.bench import BenchSettings
 from undrift.sim.motion.motion import unit_vector
 from undrift.sim.sessions import simulate_session
 
 DEG = np.pi / 180.0
 G = 9.80665
-QUIET = TableErrors(mount_tilt_sd=0.5 * DEG, level_sd=0.2 * DEG)
+QUIET = BenchErrors(mount_tilt=0.5 * DEG, level=0.2 * DEG)
 
 
 def turned(kind="rate_table", table=QUIET, seed=3, **settings):
@@ -28,7 +29,7 @@ def turned(kind="rate_table", table=QUIET, seed=3, **settings):
     bench = BenchSettings(
         sample_rate_hz=50.0,
         turn_rates=tuple(rate * DEG for rate in (20.0, 50.0, 90.0)),
-        table=table,
+        errors=table,
         lever_arm_b=(0.03, -0.02, 0.04),
         **settings,
     )
@@ -145,7 +146,7 @@ def test_dwells_in_recordings_of_their_own_are_one_mounting_too():
 
 
 def test_each_recording_has_a_level_of_its_own_that_is_not_taken_for_wobble():
-    device, session = turned(table=TableErrors(mount_tilt_sd=0.1 * DEG, level_sd=0.2 * DEG))
+    device, session = turned(table=BenchErrors(mount_tilt=0.1 * DEG, level=0.2 * DEG))
     turns = tuple(
         replace(turn, recording=n, start=0, stop=turn.stop - turn.start) for n, turn in enumerate(session.turns)
     )
@@ -160,7 +161,7 @@ def test_each_recording_has_a_level_of_its_own_that_is_not_taken_for_wobble():
 
 
 def test_each_dwell_has_the_axis_that_gravity_shows_where_the_table_wobbles():
-    wobbling = TableErrors(mount_tilt_sd=0.1 * DEG, level_sd=0.1 * DEG, wobble_sd=0.1 * DEG)
+    wobbling = BenchErrors(mount_tilt=0.1 * DEG, level=0.1 * DEG, wobble=0.1 * DEG)
     device, session = turned(table=wobbling)
     dwells = dwells_of(session, device)
     found = table_axes(dwells, RateTable(wobble_deg=0.01), true_accel(device), G)
@@ -182,7 +183,7 @@ def test_each_dwell_has_the_axis_that_gravity_shows_where_the_table_wobbles():
 
 
 def test_codes_of_an_accelerometer_are_an_error_that_all_dwells_of_a_mounting_share():
-    device, session = turned(table=TableErrors(), dwell_s=6.0)
+    device, session = turned(table=BenchErrors(), dwell_s=6.0)
     record = session.records[0]
     accel = true_accel(device)
     step = 0.1 / accel.matrix[0, 0]  # 0.1 m/s2, 10 bits of 5 g
@@ -199,7 +200,7 @@ def test_codes_of_an_accelerometer_are_an_error_that_all_dwells_of_a_mounting_sh
 
 
 def test_rests_on_a_table_are_no_level_faces_where_a_plate_shows_all_six():
-    device, session = turned("bench", TableErrors(mount_tilt_sd=0.5 * DEG), still_s=3.0)
+    device, session = turned("bench", BenchErrors(mount_tilt=0.5 * DEG), still_s=3.0)
     stated = CalibrateSettings(identify_adc=False, mount_tilt_deg=0.5)
     made = calibrate(session, settings=stated).accel
     assert made is not None
@@ -236,7 +237,7 @@ def test_a_gap_in_the_gyroscope_leaves_a_block_unmeasured():
 
 
 def test_a_mounting_is_known_as_stated_where_the_accelerometers_know_it_worse():
-    device, session = turned(table=TableErrors())
+    device, session = turned(table=BenchErrors())
     accel = true_accel(device)
     poor = replace(
         accel, covariance=np.diag([*np.full(9, (0.01 * accel.matrix[0, 0]) ** 2), 0.0, 0.0, 0.0]), budget=None
@@ -248,7 +249,7 @@ def test_a_mounting_is_known_as_stated_where_the_accelerometers_know_it_worse():
 
 
 def test_a_mounting_far_off_the_stated_one_is_said_and_one_within_it_is_not_a_doubt():
-    _, session = turned("bench", TableErrors(mount_tilt_sd=1.0 * DEG))
+    _, session = turned("bench", BenchErrors(mount_tilt=1.0 * DEG))
     stills = tuple(replace(still, face=still.face if n < 6 else None) for n, still in enumerate(session.stills))
     session = replace(session, stills=stills)  # the rests on the table lie askew: no faces for the accelerometers
     wide, narrow = (

@@ -11,6 +11,7 @@ from testkit.findings import codes, only
 from undrift.calibration.calibrate import calibrate
 from undrift.calibration.observe import CalibrateSettings
 from undrift.record import FACES, Record, Session, Still
+from undrift.sim.bench_errors import BenchErrors
 from undrift.sim.device.presets import random_device
 from undrift.sim.motion.bench import BenchSettings
 from undrift.sim.sessions import simulate_session
@@ -78,7 +79,7 @@ def test_good_faces_agree_with_poses_that_were_not_stated():
 
 
 def test_tilted_faces_agree_with_other_poses_within_their_stated_uncertainty():
-    sessions = [faces_then_poses(seed, tilt_sd=np.radians(0.5)) for seed in range(8)]
+    sessions = [faces_then_poses(seed, errors=BenchErrors(face_tilt=np.radians(0.5))) for seed in range(8)]
     found = [codes(calibrate(session, settings=PLAIN).verdict.findings) for session in sessions]
     assert sum("accel.unused_stills" in one for one in found) == 0  # 1 in 1,000 each by chance
 

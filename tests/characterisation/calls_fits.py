@@ -34,6 +34,7 @@ from undrift.fit.least_squares import TriadFit
 from undrift.io.session import read_session, write_session
 from undrift.io.store import calibration_json
 from undrift.record import FACES, Session
+from undrift.sim.bench_errors import BenchErrors
 from undrift.sim.device.presets import random_device
 from undrift.sim.motion.bench import BenchSettings
 from undrift.sim.sessions import simulate_session
@@ -78,7 +79,7 @@ def foot(name: str, mode: str) -> Result:
 def bench(kind: str) -> Path:
     """A simulated session of a consumer device."""
     rng = np.random.default_rng(5)
-    settings = BenchSettings(tilt_sd=np.radians(0.05), turn_rates=TURNS, dwell_s=2.0)
+    settings = BenchSettings(errors=BenchErrors(face_tilt=np.radians(0.05)), turn_rates=TURNS, dwell_s=2.0)
     return written(simulate_session(kind, random_device(rng), rng=rng, settings=settings), f"sim_{kind}")  # type: ignore[arg-type]
 
 

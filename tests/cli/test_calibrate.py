@@ -12,6 +12,7 @@ from testkit.stepper_jig import turned
 from undrift.io.session import write_session
 from undrift.io.store import read_calibration
 from undrift.record import RateTable, Session, TemperatureSensitivity
+from undrift.sim.bench_errors import BenchErrors
 from undrift.sim.device.presets import random_device
 from undrift.sim.motion.bench import BenchSettings
 from undrift.sim.sessions import simulate_session
@@ -299,7 +300,11 @@ def test_the_command_overrules_the_temperature_sensitivities_of_the_session(undr
     rng = np.random.default_rng(7)
     device = random_device(rng)
     session = simulate_session(
-        "six_face", device, rng=rng, settings=BenchSettings(tilt_sd=0.3 * DEG), temp_c=(22.0, 28.0)
+        "six_face",
+        device,
+        rng=rng,
+        settings=BenchSettings(errors=BenchErrors(face_tilt=0.3 * DEG)),
+        temp_c=(22.0, 28.0),
     )
     folder = tmp_path / "s"
     write_session(replace(session, sensitivity=TemperatureSensitivity(accel_offset_mg_per_k=1.0)), folder)

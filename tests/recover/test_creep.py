@@ -9,6 +9,7 @@ from testkit.cramer_rao import white_device
 from undrift.calibration.observe import CalibrateSettings, observe
 from undrift.calibration.six_face import calibrate_faces
 from undrift.record import Session
+from undrift.sim.bench_errors import BenchErrors
 from undrift.sim.device.effects import ThermalScale
 from undrift.sim.device.simulate import simulate_device
 from undrift.sim.device.truth import true_calibration
@@ -25,7 +26,9 @@ def drawn(rng: np.random.Generator, tilt_sd: float) -> tuple[Session, np.ndarray
     device = white_device(rng)
     slope = ThermalScale(per_k=rng.normal(0.0, 2e-4, (1, 3)))
     device = replace(device, accel=replace(device.accel, thermal_scale=slope))
-    motion = bench_motion("six_face", rng=rng, settings=BenchSettings(sample_rate_hz=50.0, tilt_sd=tilt_sd))
+    motion = bench_motion(
+        "six_face", rng=rng, settings=BenchSettings(sample_rate_hz=50.0, errors=BenchErrors(face_tilt=tilt_sd))
+    )
     temp_c = np.linspace(24.5, 25.5, len(motion))
     record = simulate_device(device, motion, rng=rng, temp_c=temp_c).record
     session = Session(

@@ -18,7 +18,8 @@ from undrift.calibration.calibrate import calibrate
 from undrift.calibration.observe import CalibrateSettings
 from undrift.model import Calibration
 from undrift.record import Session
-from undrift.sim.motion.bench import BenchKind, BenchSettings, TableErrors
+from undrift.sim.bench_errors import BenchErrors
+from undrift.sim.motion.bench import BenchKind, BenchSettings
 from undrift.sim.sessions import simulate_session
 
 DEG = np.pi / 180.0
@@ -27,16 +28,16 @@ ARM = (0.02, 0.01, -0.015)
 DEVICES = 6
 CHANCE = 1e-3
 SCALES, CROSS = [0, 4, 8], [1, 2, 3, 5, 6, 7]
-MOUNTED = TableErrors(mount_tilt_sd=0.1 * DEG, level_sd=0.05 * DEG)
+MOUNTED = BenchErrors(mount_tilt=0.1 * DEG, level=0.05 * DEG)
 
 
-def stated(table: TableErrors) -> CalibrateSettings:
+def stated(table: BenchErrors) -> CalibrateSettings:
     return CalibrateSettings(
         identify_adc=False,
-        table_level_deg=table.level_sd / DEG,
-        mount_tilt_deg=table.mount_tilt_sd / DEG,
-        rate_uncertainty=table.rate_sd,
-        wobble_deg=table.wobble_sd / DEG,
+        table_level_deg=table.level / DEG,
+        mount_tilt_deg=table.mount_tilt / DEG,
+        rate_uncertainty=table.table_rate,
+        wobble_deg=table.wobble / DEG,
     )
 
 
@@ -45,11 +46,11 @@ def without_accel(session: Session) -> Session:
 
 
 def errors(
-    kind: BenchKind, table: TableErrors, *, settings: CalibrateSettings | None = None
+    kind: BenchKind, table: BenchErrors, *, settings: CalibrateSettings | None = None
 ) -> tuple[np.ndarray, np.ndarray, list[Calibration]]:
     """Return error over standard uncertainty, and relative error, of the matrix of each device."""
     rng, ratio, error, made = np.random.default_rng(12), [], [], []
-    bench = BenchSettings(sample_rate_hz=50.0, turn_rates=RATES, table=table, lever_arm_b=ARM)
+    bench = BenchSettings(sample_rate_hz=50.0, turn_rates=RATES, errors=table, lever_arm_b=ARM)
     for _ in range(DEVICES):
         device = white_device(rng)
         session = simulate_session(kind, device, rng=rng, settings=bench)
@@ -88,14 +89,14 @@ def test_a_mounting_is_measured_where_gravity_shows_it_and_stated_where_not(kind
 
 
 def test_a_wobble_that_nobody_stated_shows_in_the_residuals() -> None:
-    table = TableErrors(wobble_sd=0.1 * DEG)
-    ratio, _, _ = errors("rate_table", table, settings=stated(TableErrors()))
+    table = BenchErrors(wobble=0.1 * DEG)
+    ratio, _, _ = errors("rate_table", table, settings=stated(BenchErrors()))
     # Wobble is measured by 36 squares of a device: its variance is uncertain by a quarter, and an error in its units by an eighth.
     check("cross-axis, wobble", ratio[:, CROSS] / 1.25)
 
 
 def test_a_rate_that_ripples_and_settles_late_is_corrected_by_the_readings_within_the_dwells() -> None:
-    ratio, error, made = errors("rate_table", TableErrors(ripple_sd=0.003, excess_sd=0.003))
+    ratio, error, made = errors("rate_table", BenchErrors(ripple=0.003, excess=0.003))
     check("scale, ripple", ratio[:, SCALES])
     check("cross-axis, ripple", ratio[:, CROSS])
     # Dwells of 54 to 243 deg keep 0.96 to 0.4 of a ripple: 1.2e-3 of the scale where it stays. A tenth of 0.3 % may be left.
@@ -105,7 +106,7 @@ def test_a_rate_that_ripples_and_settles_late_is_corrected_by_the_readings_withi
 
 
 def test_intervals_hold_where_a_table_errs_in_every_way() -> None:
-    table = replace(MOUNTED, wobble_sd=0.03 * DEG, rate_sd=1e-3, ripple_sd=5e-4, excess_sd=5e-4)
+    table = replace(MOUNTED, wobble=0.03 * DEG, table_rate=1e-3, ripple=5e-4, excess=5e-4)
     ratio, _, _ = errors("bench", table)
     check("cross-axis, all together", ratio[:, CROSS])
     check("scale, all together", ratio[:, SCALES], shared=3)  # one rate error of a table is in all three

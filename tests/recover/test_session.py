@@ -7,6 +7,7 @@ from testkit.data import show
 from undrift.calibration.calibrate import calibrate
 from undrift.correction.correct import correct
 from undrift.orientation import orient
+from undrift.sim.bench_errors import BenchErrors
 from undrift.sim.device.presets import random_device
 from undrift.sim.device.truth import true_calibration
 from undrift.sim.motion.bench import BenchKind, BenchSettings
@@ -14,7 +15,9 @@ from undrift.sim.sessions import simulate_session, simulate_trial
 from undrift.units import RADIAN_PER_DEGREE
 from undrift.validation.trial import compare_orientations
 
-SETTINGS = BenchSettings(tilt_sd=0.05 * RADIAN_PER_DEGREE, turn_rates=(0.5, 1.0, 1.5), dwell_s=2.0)
+SETTINGS = BenchSettings(
+    errors=BenchErrors(face_tilt=0.05 * RADIAN_PER_DEGREE), turn_rates=(0.5, 1.0, 1.5), dwell_s=2.0
+)
 
 
 @pytest.mark.parametrize(

@@ -19,6 +19,7 @@ from testkit.data import show
 from undrift.calibration.six_face import FaceMeans, SixFaceMode, face_means, fit_six_face
 from undrift.model import TriadModel
 from undrift.record import FACES
+from undrift.sim.bench_errors import BenchErrors
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.simulate import simulate_device
 from undrift.sim.motion.bench import BenchSettings, bench_motion
@@ -31,7 +32,11 @@ LEVEL = bench_motion("six_face", rng=np.random.default_rng(0), settings=BENCH)
 
 
 def poses_of(device: DeviceModel, rng: np.random.Generator, tilt: float = 0.0) -> FaceMeans:
-    motion = bench_motion("six_face", rng=rng, settings=replace(BENCH, tilt_sd=tilt)) if tilt else LEVEL
+    motion = (
+        bench_motion("six_face", rng=rng, settings=replace(BENCH, errors=BenchErrors(face_tilt=tilt)))
+        if tilt
+        else LEVEL
+    )
     return face_means((simulate_device(device, motion, rng=rng).record,), motion.stills)
 
 

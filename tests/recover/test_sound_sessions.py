@@ -10,6 +10,7 @@ from testkit.data import show
 from testkit.findings import codes
 from undrift.calibration.calibrate import calibrate
 from undrift.calibration.observe import CalibrateSettings
+from undrift.sim.bench_errors import BenchErrors
 from undrift.sim.device.presets import random_device, random_device_of
 from undrift.sim.device.truth import true_calibration
 from undrift.sim.motion.bench import BenchSettings
@@ -30,7 +31,7 @@ def sessions(kind, *, labelled=True, **more):
         grade = name in ("consumer", "industrial", "wearable")
         rng = np.random.default_rng(seed)
         device = random_device(rng, grade=name) if grade else random_device_of(name, rng)
-        settings = BenchSettings(tilt_sd=0.1 * DEG, hand_tilt_sd=0.5 * DEG)
+        settings = BenchSettings(errors=BenchErrors(face_tilt=0.1 * DEG, hand_axis=0.5 * DEG))
         rng = np.random.default_rng(1000 + seed)
         yield simulate_session(kind, device, rng=rng, settings=settings, labelled=labelled, **more)
 
@@ -99,7 +100,12 @@ def test_intervals_hold_where_a_bare_log_of_tilted_faces_is_good():
         rng = np.random.default_rng(seed)
         device = random_device(rng)
         session = simulate_session(
-            "ferraris", device, rng=rng, labelled=False, settings=BenchSettings(tilt_sd=0.1 * DEG), temp_c=25.0
+            "ferraris",
+            device,
+            rng=rng,
+            labelled=False,
+            settings=BenchSettings(errors=BenchErrors(face_tilt=0.1 * DEG)),
+            temp_c=25.0,
         )
         made = calibrate(session, settings=CalibrateSettings(turn_angle_deg=360.0))
         if made.verdict.status != "good":

@@ -7,13 +7,12 @@ import numpy as np
 import pytest
 
 from undrift.rig.programme import Protocol
+from undrift.sim.bench_errors import BenchDraws, BenchErrors
 from undrift.sim.device.dwells import Dwells
 from undrift.sim.table_sessions import (
     FACE,
     RATE,
     REST,
-    BenchDraws,
-    BenchErrors,
     Sessions,
     impose,
     impose_faces,

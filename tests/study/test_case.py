@@ -15,10 +15,11 @@ from undrift.fit.smooth import not_a_knot
 from undrift.model import Calibration, DriftTables, DynamicDrift, StaticDrift
 from undrift.orientation import sagittal_pitch
 from undrift.rig.programme import Protocol
+from undrift.sim.bench_errors import BenchErrors
 from undrift.sim.device.effects import Offset
 from undrift.sim.device.model import device_json
 from undrift.sim.device.presets import preset
-from undrift.sim.table_sessions import FACE, RATE, REST, ROOM_TEMP_C, BenchErrors, Sessions, joined
+from undrift.sim.table_sessions import FACE, RATE, REST, ROOM_TEMP_C, Sessions, joined
 from undrift.study.case import (
     NoteFits,
     Readings,

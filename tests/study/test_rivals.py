@@ -7,9 +7,8 @@ import pytest
 
 from testkit.data import show
 from undrift.errors import InputError
+from undrift.sim.bench_errors import BenchErrors
 from undrift.sim.device.presets import random_device_of
-from undrift.sim.motion.bench import TableErrors
-from undrift.sim.table_sessions import BenchErrors
 from undrift.study import rivals
 from undrift.study.rivals import (
     METHODS,
@@ -100,7 +99,7 @@ def test_each_triad_is_judged_against_the_rate_table(compared: Rivals) -> None:
 def test_a_perfect_bench_for_one_method_is_seen(monkeypatch: pytest.MonkeyPatch, planted: Method, verdict: str) -> None:
     how = rivals._HOW[planted]
     monkeypatch.setitem(
-        rivals._HOW, planted, lambda bench: how(replace(bench, errors=TableErrors(), face_tilt=0.0))
+        rivals._HOW, planted, lambda bench: how(replace(bench, errors=BenchErrors()))
     )  # and no drive that errs
     tilt = 1.5 * np.pi / 180.0
     errors = BenchErrors(face_tilt=tilt, mount_tilt=tilt)

@@ -18,10 +18,10 @@ from undrift.cli.study import study_summary
 from undrift.errors import FileFormatError, InputError
 from undrift.report.study import write_study_report
 from undrift.rig.programme import Protocol
+from undrift.sim.bench_errors import BenchErrors
 from undrift.sim.device.effects import Nonlinearity
 from undrift.sim.device.model import device_json
 from undrift.sim.device.presets import preset
-from undrift.sim.table_sessions import BenchErrors
 from undrift.study.case import columns_of, make_case, run_unit, units_of
 from undrift.study.judge import find_optimum
 from undrift.study.outcome import judge_study

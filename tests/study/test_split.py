@@ -10,11 +10,11 @@ import pytest
 from testkit.data import show
 from undrift.errors import InputError
 from undrift.rig.programme import Protocol
+from undrift.sim.bench_errors import BenchErrors
 from undrift.sim.device.effects import Nonlinearity, Offset
 from undrift.sim.device.model import device_json
 from undrift.sim.device.presets import preset
 from undrift.sim.switches import EFFECTS
-from undrift.sim.table_sessions import BenchErrors
 from undrift.study.judge import Optimum, find_optimum
 from undrift.study.plan import Space, Study, StudyTask, Timing
 from undrift.study.run import InProcess, TaskSurface, run_study

@@ -6,6 +6,7 @@ import numpy as np
 
 from undrift.model import Calibration
 from undrift.record import Session
+from undrift.sim.bench_errors import BenchErrors
 from undrift.sim.device.effects import Thermometer
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.presets import grade_named, random_device
@@ -33,7 +34,9 @@ def demo_session(rng: np.random.Generator, *, quick: bool = False) -> Demo:
     rates = tuple(
         rate * RADIAN_PER_DEGREE for rate in ((45.0, 90.0) if quick else (15.0, 30.0, 45.0, 60.0, 75.0, 90.0))
     )
-    settings = BenchSettings(tilt_sd=0.1 * RADIAN_PER_DEGREE, turn_rates=rates, ramp_s=0.4, dwell_s=2.0)
+    settings = BenchSettings(
+        errors=BenchErrors(face_tilt=0.1 * RADIAN_PER_DEGREE), turn_rates=rates, ramp_s=0.4, dwell_s=2.0
+    )
     session = simulate_session("bench", device, rng=rng, settings=settings, temp_c=(24.8, 25.2))
     optics = OpticsSettings(delay_s=0.030)
     return Demo(

@@ -15,6 +15,7 @@ from undrift.correction.correct import correct_checked
 from undrift.frames import quaternion_conjugate, rotate
 from undrift.orientation import initial_tilt
 from undrift.record import Session, Still
+from undrift.sim.bench_errors import BenchErrors
 from undrift.sim.device.effects import Adc, ThermalScale
 from undrift.sim.device.presets import random_device
 from undrift.sim.device.simulate import draw_streams, simulate_device
@@ -52,7 +53,9 @@ def drawn(row: str, rng: np.random.Generator, number: int) -> list[Seen]:
     if number % 2:
         accel = replace(accel, adc=Adc(bits=10, reference=2.0 * G * accel.gain, codes=False))
     device = replace(device, accel=accel)
-    settings = BenchSettings(sample_rate_hz=HZ, tilt_sd=tilt_sd, hand_tilt_sd=0.5 * DEG, poses=18, still_s=4.0)
+    settings = BenchSettings(
+        sample_rate_hz=HZ, errors=BenchErrors(face_tilt=tilt_sd, hand_axis=0.5 * DEG), poses=18, still_s=4.0
+    )
     motion = bench_motion(kind, rng=rng, settings=settings)
     temp_c = np.linspace(24.5, 25.5, len(motion))
     record = replace(simulate_device(device, motion, rng=rng, temp_c=temp_c).record, gyro=None)

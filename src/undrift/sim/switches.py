@@ -19,9 +19,9 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
+from undrift.sim.bench_errors import BenchErrors
 from undrift.sim.device.effects import SensorChain
 from undrift.sim.device.model import DeviceModel
-from undrift.sim.table_sessions import BenchErrors
 
 EffectName = Literal[
     "noise",

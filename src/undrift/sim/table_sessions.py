@@ -20,6 +20,7 @@ from undrift.arrays import FloatArray, IntArray
 from undrift.errors import InputError
 from undrift.record import FACES
 from undrift.rig.programme import DAMPING, LEAST_SETTLE_S, Dwell, Protocol, programme_of, settle_time
+from undrift.sim.bench_errors import BenchDraws, BenchErrors
 from undrift.sim.device.dwells import Dwells
 from undrift.sim.motion.motion import unit_vector
 from undrift.units import STANDARD_GRAVITY
@@ -28,21 +29,6 @@ WARMED_UP_S = 1800.0  # the bench waits half an hour after power-on
 ROOM_TEMP_C = 25.0
 FACE, REST, RATE = 0, 1, 2
 QUICKEST_HZ = 1e9  # a cut-off frequency with the shortest settling
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class BenchErrors:
-    """Standard deviations of what a bench does wrong; all zero is an ideal one."""
-
-    face_tilt: float = 0.0  # Of each face against level, about each axis, rad
-    mount_tilt: float = 0.0  # Of the device against the table, about each axis, rad; each mounting anew
-    level: float = 0.0  # Of the table's axis against the vertical, about each horizontal axis, rad
-    wobble: float = 0.0  # Of the turning axis from dwell to dwell, about each axis, rad
-    table_rate: float = 0.0  # Of the true rate against the read one, relative; one table
-    servo: float = 0.0  # Of the angle turned in a dwell against the commanded one, rad
-    encoder_lines: int = 0  # Of the table, four counts a line; 0 reads rates without steps
-    soak_k: float = 0.0  # Of the board's settled temperature against the set-point, K
-    board_lag_s: float = 0.0  # With which the board follows the chamber, s; 0 has settled
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -110,21 +96,6 @@ def joined(sessions: Sequence[Sessions]) -> Sessions:
     rows = {f.name: np.concatenate([getattr(one, f.name) for one in sessions]) for f in fields(Sessions)}
     rows["first"] = np.concatenate(([0], np.cumsum([len(one.kind) for one in sessions])))
     return Sessions(**rows)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class BenchDraws:
-    """Numbers by which a bench errs, the same for every session on it: K soaks, U kinds of dwells."""
-
-    mount: FloatArray  # (3, 3), normal, by the axis that is up
-    level: FloatArray  # (2,), normal
-    clock: float  # Normal
-    face: FloatArray  # (6, 3), normal
-    soak: FloatArray  # (3, K), normal, by axis and soak
-    left: FloatArray  # (3, K), from 0 to 1, share of the slope at which a soak counts as reached
-    wobble: FloatArray  # (U, 3), normal
-    servo: FloatArray  # (U,), normal
-    start: FloatArray  # (U, 2), from 0 to 1: phase of the encoder, azimuth
 
 
 def impose(

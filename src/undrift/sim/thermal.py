@@ -311,7 +311,7 @@ def programme_of(kind: ThermalKind, settings: ThermalSettings, streams: Streams)
         rest_on_faces(script, bench, faces, draw)
         if not bench.turn_rates:
             return faces[-1]
-        steady_rates(script, bench)
+        steady_rates(script, bench, streams)
         return "+z"
 
     return _visits(settings, work)

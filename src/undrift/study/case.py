@@ -14,6 +14,7 @@ Faces come first, in every session alike, so the accelerometers are calibrated o
 
 import json
 import zlib
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -29,6 +30,7 @@ from undrift.model import Calibration, TriadModel
 from undrift.orientation import IN_PLANE, initial_tilt, orient_unchecked, sagittal_pitch
 from undrift.record import FACES, Record, Reference, Still
 from undrift.rig.programme import DAMPING, Protocol
+from undrift.sim.bench_errors import BenchDraws, draw_bench
 from undrift.sim.device.dwells import board_readings, mean_readings, numbers_of_dwell
 from undrift.sim.device.effects import BUTTERWORTH, LowPass
 from undrift.sim.device.model import DeviceModel, device_from_json
@@ -44,7 +46,6 @@ from undrift.sim.table_sessions import (
     RATE,
     REST,
     ROOM_TEMP_C,
-    BenchDraws,
     Sessions,
     impose,
     impose_faces,
@@ -263,7 +264,7 @@ def faces_of(study: Study, device: DeviceModel, number: int, sessions: Sessions)
     if not len(sessions.kind):
         return None
     normals = seeded(study, "faces", number).standard_normal((6, 3, numbers_of_dwell(device.accel)))
-    dwells = impose_faces(sessions, study.bench, bench_draws(study, number, 1, np.empty(0)))
+    dwells = impose_faces(sessions, study.bench, bench_of(study, number, 1, (0,)))
     poses = FaceMeans(
         reading=mean_readings(device, "accel", dwells, normals, sessions.face),
         faces=tuple(FACES[face] for face in sessions.face),
@@ -272,27 +273,10 @@ def faces_of(study: Study, device: DeviceModel, number: int, sessions: Sessions)
     return fit_six_face(poses, gravity=STANDARD_GRAVITY, mode="affine").model
 
 
-def bench_draws(study: Study, number: int, soaks: int, keys: FloatArray) -> BenchDraws:
-    """Return the draws of the bench that calibrates a subject's device, for rests and for rates of given keys."""
-    rng, kinds = seeded(study, "bench", number), 6 * soaks
-    mount, level, clock, face = (rng.standard_normal(shape) for shape in ((3, 3), 2, 1, (6, 3)))
-    soak, left = rng.standard_normal((3, soaks)), rng.uniform(size=(3, soaks))
-    normals, uniforms = [], []
-    for key in (0, *keys.astype(int).tolist()):
-        own = seeded(study, "turns", number, key)
-        normals.append(own.standard_normal((kinds, 4)))
-        uniforms.append(own.uniform(size=(kinds, 2)))
-    drawn = np.concatenate(normals)
-    return BenchDraws(
-        mount=mount,
-        level=level,
-        clock=float(clock[0]),
-        face=face,
-        soak=soak,
-        left=left,
-        wobble=drawn[:, :3],
-        servo=drawn[:, 3],
-        start=np.concatenate(uniforms),
+def bench_of(study: Study, number: int, soaks: int, keys: Sequence[int]) -> BenchDraws:
+    """Return the draws of the bench that calibrates a subject's device, for rests (key 0) and for rates of given keys."""
+    return draw_bench(
+        seeded(study, "bench", number), [seeded(study, "turns", number, key) for key in keys], soaks=soaks
     )
 
 
@@ -315,8 +299,8 @@ def simulate_turns(study: Study, base: Protocol, device: DeviceModel, number: in
     second[1:] |= (sessions.kind[1:] == REST) & (sessions.kind[:-1] == RATE)  # the rest after the rates
     block = np.where(size > 0.0, np.searchsorted(keys, size) + 1, 0)
     row = 6 * soaks * block + 2 * (soaks * sessions.axis + sessions.soak) + second
-    draws, width = bench_draws(study, number, soaks, keys), numbers_of_dwell(device.gyro)
-    keyed = (0, *keys.astype(int).tolist())
+    keyed, width = (0, *keys.astype(int).tolist()), numbers_of_dwell(device.gyro)
+    draws = bench_of(study, number, soaks, keyed)
     normals = np.concatenate(
         [seeded(study, "dwells", number, key).standard_normal((6 * soaks, 3, width + 1)) for key in keyed]
     )

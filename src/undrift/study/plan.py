@@ -33,13 +33,13 @@ from undrift.io.mocap import Up
 from undrift.io.reference import L5_OFFSET, BodyName, device_on, find_body
 from undrift.record import FACES, Reference
 from undrift.rig.programme import GridRule, Protocol
+from undrift.sim.bench_errors import BenchErrors
 from undrift.sim.device.model import DeviceModel, device_from_json, device_json, read_device
 from undrift.sim.device.presets import PRESETS, preset
 from undrift.sim.motion.categories import DEFAULT, CategoryName
 from undrift.sim.motion.motion import Motion
 from undrift.sim.motion.poses import PoseSettings, PoseSpline, fit_pose_spline
 from undrift.sim.motion.tasks import Group, TaskName
-from undrift.sim.table_sessions import BenchErrors
 from undrift.study.space import FURTHER, TURN_RATES, Space
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
@@ -85,6 +85,7 @@ _BENCH_UNITS: dict[str, tuple[str, Any]] = {  # key of a file: field, and its un
     "table_rate_percent": ("table_rate", 0.01),
     **{name: (name, 1) for name in ("encoder_lines", "soak_k", "board_lag_s")},
 }
+OF_BENCH = tuple(name for name, _ in _BENCH_UNITS.values())  # the errors of a study's bench
 NOTE_BENCH = BenchEntry().errors()
 
 

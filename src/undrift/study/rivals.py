@@ -27,6 +27,7 @@ from undrift.fit.least_squares import fit_forward, triad_from_forward
 from undrift.frames import quaternion_of, quaternion_product, rotate
 from undrift.model import Calibration, TriadModel
 from undrift.record import Record, Reference, Session, Still
+from undrift.sim.bench_errors import BenchErrors
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.presets import preset_grade, random_device_of
 from undrift.sim.device.simulate import draw_streams, simulate_device
@@ -35,7 +36,6 @@ from undrift.sim.motion.bench import (
     BenchSettings,
     RivalKind,
     RivalSettings,
-    TableErrors,
     bench_motion,
     motion_of_arm,
     rig_of,
@@ -45,7 +45,6 @@ from undrift.sim.motion.bench import (
 from undrift.sim.motion.motion import Motion
 from undrift.sim.motion.poses import OpticsSettings, disturbed
 from undrift.sim.motion.tasks import Task, TaskName, draw_task
-from undrift.sim.table_sessions import BenchErrors
 from undrift.study.case import REST_S, pitch_error, wear
 from undrift.study.plan import DEVICE, MARGIN_DEG, NOTE_BENCH
 from undrift.study.run import Executor, InProcess
@@ -104,8 +103,7 @@ class _Bench:
     nominal: Calibration
     budget_s: float
     rng: np.random.Generator
-    errors: TableErrors  # Of all rigs
-    face_tilt: float  # rad
+    errors: BenchErrors  # Of all rigs
     poses: dict[str, OpticsSettings]
     state: Mapping[str, Any]  # Of the generator that every rig of this unit is drawn from
 
@@ -146,23 +144,16 @@ def calibrate_by(
     """Calibrate a device by one of the methods of the note's Discussion; generators of one state give rigs that err alike."""
     if method not in METHODS:
         raise InputError(f"rivals: wanted a method of {', '.join(METHODS)}, got '{method}'; name one of them")
-    rigs = TableErrors(
-        mount_tilt_sd=errors.mount_tilt,
-        level_sd=errors.level,
-        wobble_sd=errors.wobble,
-        rate_sd=errors.table_rate,
-        servo_sd=errors.servo,
-        encoder_lines=errors.encoder_lines,
-        angle_sd=PLANE_ANGLE_SD,
-        stroke_sd=STROKE_SD.get(method, 0.0),
-        harmonic_sd=HARMONIC_SD.get(method, 0.0),
-    )
     bench = _Bench(
         device=device,
         nominal=nominal_calibration(preset_grade(kind)),
         budget_s=(rate_table_minutes() if minutes is None else minutes) * SECONDS_PER_MINUTE,
-        errors=rigs,
-        face_tilt=errors.face_tilt,
+        errors=replace(
+            errors,
+            inclination=PLANE_ANGLE_SD,
+            stroke=STROKE_SD.get(method, 0.0),
+            harmonic=HARMONIC_SD.get(method, 0.0),
+        ),
         poses={"mocap": OPTICS, "robot_arm": ARM},
         state=np.random.default_rng(rng.integers(2**63)).bit_generator.state,
         rng=rng,
@@ -186,7 +177,7 @@ def calibrate_by(
 
 
 def _rate_table(bench: _Bench) -> _Found:
-    settings = replace(TABLE, tilt_sd=bench.face_tilt, table=bench.errors)
+    settings = replace(TABLE, errors=bench.errors)
     return _fitted(bench, bench_motion("bench", rng=bench.rig(), settings=settings))
 
 
@@ -213,7 +204,7 @@ def _driven(bench: _Bench, kind: Literal["trolley", "piston"]) -> _Found:
 
 def _to_force(bench: _Bench, kind: RivalKind, settings: RivalSettings, record: Record, found: _Found) -> _Found:
     """Fit accelerometers to what the rig was to do; its departure from that is an error of the method."""
-    exact = replace(settings, errors=TableErrors(), shake=0.0)
+    exact = replace(settings, errors=BenchErrors(), shake=0.0)
     commanded = rival_motion(kind, rng=np.random.default_rng(0), settings=exact)
     if record.accel is None:
         raise InputError(f"{kind}: wanted accelerometer readings, got none; a device without them is not calibrated so")

@@ -28,7 +28,7 @@ from undrift.errors import InputError, NotObservable, UndriftError
 from undrift.files import write_whole
 from undrift.rig.programme import Protocol as CalibrationProtocol
 from undrift.study.case import COLUMNS, Unit, columns_of, run_unit, session_of, units_of
-from undrift.study.plan import ERRORS, Objective, Study, StudyTask, Timing, column_of
+from undrift.study.plan import ERRORS, OF_BENCH, Objective, Study, StudyTask, Timing, column_of
 
 # ---- executors: where units of work are done
 
@@ -176,6 +176,7 @@ class RunStore:
         except OSError as error:
             raise InputError(f"{folder}: wanted a folder to write to, got {error.strerror}; choose another") from error
         held = asdict(study) | {"tasks": [asdict(task) for task in only or study.tasks]}
+        held["bench"] = {name: held["bench"][name] for name in OF_BENCH}
         if study.search == "grid":  # all errors are kept, whatever is minimised
             del held["objective"], held["timing"]
         del held["margin_deg"]  # verdicts alone depend on it

@@ -6,11 +6,11 @@ import pytest
 from undrift.errors import InputError
 from undrift.frames import quaternion_conjugate, quaternion_product, rotate
 from undrift.orientation import integrate_strapdown
+from undrift.sim.bench_errors import BenchErrors
 from undrift.sim.motion.bench import (
     BenchSettings,
     RivalKind,
     RivalSettings,
-    TableErrors,
     bench_motion,
     rig_of,
     rival_motion,
@@ -50,7 +50,7 @@ def test_a_trolley_shakes_each_axis_in_turn_by_a_sinusoid() -> None:
             peak, rel=0.02
         )  # nearest sample; the swell helps
     rough = rival_motion(
-        "trolley", rng=np.random.default_rng(1), settings=RivalSettings(errors=TableErrors(mount_tilt_sd=0.01))
+        "trolley", rng=np.random.default_rng(1), settings=RivalSettings(errors=BenchErrors(mount_tilt=0.01))
     )
     assert np.std(rough.force_b - motion.force_b) > 0.05
 
@@ -75,7 +75,7 @@ def test_an_inclined_plane_shows_gravity_at_each_angle() -> None:
         for angle in SHORT.plane_angles
     ]
     np.testing.assert_allclose(seen, wanted, atol=1e-12)
-    inclined = RivalSettings(errors=TableErrors(angle_sd=0.01), still_s=0.5)
+    inclined = RivalSettings(errors=BenchErrors(inclination=0.01), still_s=0.5)
     tilted = rival_motion("inclined_plane", rng=np.random.default_rng(1), settings=inclined)
     up = np.array([tilted.force_b[still.start] for still in tilted.stills]) / 9.80665
     level = rival_motion("inclined_plane", rng=np.random.default_rng(1), settings=RivalSettings(still_s=0.5))
@@ -83,11 +83,11 @@ def test_an_inclined_plane_shows_gravity_at_each_angle() -> None:
     assert 0.007 < np.sqrt(np.mean(np.sum((up - exact) ** 2, axis=1))) < 0.013  # 39 angles of 0.01 rad
 
 
-def seen_up(kind: str, errors: TableErrors, still: int) -> np.ndarray:
+def seen_up(kind: str, errors: BenchErrors, still: int) -> np.ndarray:
     """Return which way is up for the case in one still of a procedure, drawn from the same state whatever it is."""
     rng = np.random.default_rng(7)
     if kind == "rate_table":
-        motion = bench_motion("rate_table", rng=rng, settings=BenchSettings(table=errors, turn_rates=(1.0,)))
+        motion = bench_motion("rate_table", rng=rng, settings=BenchSettings(errors=errors, turn_rates=(1.0,)))
     else:
         settings = RivalSettings(errors=errors, plane_angles=(0.0,), trolley_hz=(0.5,), piston_hz=(1.0,))
         motion = rival_motion(kind, rng=rng, settings=settings)  # type: ignore[arg-type]
@@ -96,7 +96,7 @@ def seen_up(kind: str, errors: TableErrors, still: int) -> np.ndarray:
 
 
 def test_every_rig_has_the_same_mountings_and_the_same_level() -> None:
-    mounted = TableErrors(mount_tilt_sd=0.01)
+    mounted = BenchErrors(mount_tilt=0.01)
     for axis, still in enumerate((0, 2, 4)):  # the two drives rest after their run too
         table, piston = seen_up("rate_table", mounted, axis), seen_up("piston", mounted, still)
         trolley, plane = seen_up("trolley", mounted, still), seen_up("inclined_plane", mounted, axis)
@@ -109,7 +109,7 @@ def test_every_rig_has_the_same_mountings_and_the_same_level() -> None:
     mount, _, _ = rig_of(mounted, np.random.default_rng(7))
     first = seen_up("piston", mounted, 0)
     np.testing.assert_allclose(first[1:], (mount[2], -mount[1]), atol=1e-4)  # t x e_x, of optics and an arm too
-    off_level = TableErrors(level_sd=0.01)
+    off_level = BenchErrors(level=0.01)
     seen = [
         np.arccos(seen_up(kind, off_level, 0).max()) for kind in ("rate_table", "piston", "trolley", "inclined_plane")
     ]
@@ -118,30 +118,32 @@ def test_every_rig_has_the_same_mountings_and_the_same_level() -> None:
 
 
 def test_a_drive_errs_in_stroke_frequency_and_form() -> None:
-    def lifted(errors: TableErrors) -> tuple[np.ndarray, np.ndarray]:
+    def lifted(errors: BenchErrors) -> tuple[np.ndarray, np.ndarray]:
         settings = RivalSettings(errors=errors, piston_hz=(1.0,), run_s=20.0)
         motion = rival_motion("piston", rng=np.random.default_rng(3), settings=settings)
         first = motion.stills[0].stop
         push = motion.force_b[first + 300 : first + 1700, 0] - 9.80665  # without the swell at both ends
         return np.abs(np.fft.rfft(push * np.hanning(1400))), np.fft.rfftfreq(1400, 0.01)
 
-    exact, _ = lifted(TableErrors())
-    longer, frequency_hz = lifted(TableErrors(stroke_sd=0.01))
-    bent, _ = lifted(TableErrors(harmonic_sd=0.01))
+    exact, _ = lifted(BenchErrors())
+    longer, frequency_hz = lifted(BenchErrors(stroke=0.01))
+    bent, _ = lifted(BenchErrors(harmonic=0.01))
     own, second = np.argmin(np.abs(frequency_hz - 1.0)), np.argmin(np.abs(frequency_hz - 2.0))
     assert 1e-4 < abs(longer[own] / exact[own] - 1.0) < 0.04
     assert 1e-3 < bent[second] / exact[own] < 0.16  # acceleration: four times the displacement's part
     assert exact[second] < 1e-4 * exact[own]
     slower = rival_motion(
-        "piston", rng=np.random.default_rng(3), settings=RivalSettings(errors=TableErrors(rate_sd=0.01))
+        "piston", rng=np.random.default_rng(3), settings=RivalSettings(errors=BenchErrors(table_rate=0.01))
     )
     plain = rival_motion("piston", rng=np.random.default_rng(3))
     assert np.abs(slower.force_b - plain.force_b).max() > 1.0
 
 
 def test_a_table_reads_what_its_servo_achieves_in_whole_counts() -> None:
-    errors = TableErrors(servo_sd=2e-4, encoder_lines=10_000)
-    motion = bench_motion("rate_table", rng=np.random.default_rng(1), settings=BenchSettings(table=errors, dwell_s=2.0))
+    errors = BenchErrors(servo=2e-4, encoder_lines=10_000)
+    motion = bench_motion(
+        "rate_table", rng=np.random.default_rng(1), settings=BenchSettings(errors=errors, dwell_s=2.0)
+    )
     count = np.pi / 20_000.0
     commanded = np.array([rate for _ in range(3) for size in BenchSettings().turn_rates for rate in (size, -size)])
     read = np.array([turn.turn_rate for turn in motion.turns])

@@ -9,6 +9,7 @@ from undrift.errors import InputError
 from undrift.frames import quaternion_conjugate, quaternion_product, rotate
 from undrift.orientation import integrate_strapdown
 from undrift.record import FACES
+from undrift.sim.bench_errors import BenchErrors
 from undrift.sim.motion.bench import BenchSettings, bench_motion
 from undrift.sim.motion.motion import facing, unit_vector
 
@@ -70,7 +71,9 @@ def test_tilted_faces_keep_the_length_of_gravity_and_spread_as_asked() -> None:
     across = []
     rng = np.random.default_rng(5)
     for _ in range(100):
-        motion = bench_motion("six_face", rng=rng, settings=short("six_face", tilt_sd=tilt, sample_rate_hz=10.0))
+        motion = bench_motion(
+            "six_face", rng=rng, settings=short("six_face", errors=BenchErrors(face_tilt=tilt), sample_rate_hz=10.0)
+        )
         for still in motion.stills:
             force = motion.force_b[still.start]
             assert abs(np.linalg.norm(force) - motion.gravity_m_s2) < 1e-12

@@ -24,6 +24,7 @@ from undrift.arrays import FloatArray
 from undrift.errors import InputError
 from undrift.frames import quaternion_product, rotate
 from undrift.record import FACES, Axis, Face, Still
+from undrift.sim.bench_errors import IDEAL, BenchErrors, gain_of, level_of
 from undrift.sim.device.simulate import Streams, draw_streams
 from undrift.sim.motion.motion import Course, Motion, Script, facing, turn_quaternion, unit_vector, wave
 from undrift.sim.motion.tasks import Task, draw_lines
@@ -37,28 +38,6 @@ ROBOT_TURN_HZ, ROBOT_MOVE_HZ = (0.02, 0.2), (0.05, 0.6)  # [assumed]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class TableErrors:
-    """Standard deviations of what a table or another rig and its operator do wrong; each mounting draws anew.
-
-    Motions that are drawn from generators of one state share mountings, level and clock, whatever the rig.
-    """
-
-    mount_tilt_sd: float = 0.0  # Of the device against the rig, about each axis, rad
-    level_sd: float = 0.0  # Of the rig against the vertical, about each horizontal axis, rad; one rig, one draw
-    # Of a table's axis from dwell to dwell, or a plane's from angle to angle, about each axis, rad
-    wobble_sd: float = 0.0
-    rate_sd: float = 0.0  # Of the rig's clock, so of its true rate against the stated one, relative; one rig, one draw
-    ripple_sd: float = 0.0  # Of the rate once a turn, amplitude, relative
-    excess_sd: float = 0.0  # Of the rate at the start of a dwell, relative; a transient
-    settle_s: float = 0.5  # Time constant of that, s
-    servo_sd: float = 0.0  # Of the angle turned in a dwell against the commanded one, rad
-    encoder_lines: int = 0  # With which the table reads the rate that it states, four counts a line; 0: as commanded
-    angle_sd: float = 0.0  # Of each inclination of a plane, rad
-    stroke_sd: float = 0.0  # Of the stroke of each run of a drive, relative
-    harmonic_sd: float = 0.0  # Of its second harmonic, in displacement, relative
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class RivalSettings:
     """How a rival procedure is performed. All defaults are choices: the note gives none."""
 
@@ -67,7 +46,7 @@ class RivalSettings:
     still_s: float = 4.0  # Length of each still and of each move between mountings, s
     move_s: float = 2.0
     run_s: float = 10.0  # Length of each run at one frequency, and of the robot's motion over six, s
-    errors: TableErrors = TableErrors()  # What the rig and the mounting do wrong
+    errors: BenchErrors = IDEAL  # What the rig and the mounting do wrong
     trolley_hz: tuple[float, ...] = (0.5, 0.8)  # Frequencies of the trolley's runs, Hz
     trolley_stroke: float = 0.15  # Amplitude of its sinusoid, m
     shake: float = 2e-5  # Displacement rms by which an uneven rail shakes it upwards and sideways, m
@@ -98,16 +77,16 @@ def rival_motion(kind: RivalKind, *, rng: np.random.Generator, settings: RivalSe
 def _driven(script: Script, settings: RivalSettings, streams: Streams, kind: RivalKind) -> None:
     """Swing each axis in turn along the rail of a trolley, or upright on a piston."""
     errors, mounts, rail, drive = settings.errors, *(streams.of(name) for name in ("mount", "rail", "drive"))
-    level, gain, carried = _level_of(errors, streams), _gain_of(errors, streams), kind == "trolley"
+    level, gain, carried = level_of(errors, streams), gain_of(errors, streams), kind == "trolley"
     way = rotate(level, np.array([1.0, 0.0, 0.0] if carried else [0.0, 0.0, 1.0]))
     stroke = settings.trolley_stroke if carried else settings.piston_stroke
     for axis in range(3):
         along, across = np.eye(3)[axis], np.eye(3)[(axis + 1) % 3]
         up, forward = (across, along) if carried else (along, across)
-        _mount(script, settings, up, forward, mounts.normal(0.0, errors.mount_tilt_sd, 3), level)
+        _mount(script, settings, up, forward, mounts.normal(0.0, errors.mount_tilt, 3), level)
         for frequency_hz in settings.trolley_hz if carried else settings.piston_hz:
-            size = stroke * (1.0 + drive.normal(0.0, errors.stroke_sd))
-            second = stroke * drive.normal(0.0, errors.harmonic_sd)
+            size = stroke * (1.0 + drive.normal(0.0, errors.stroke))
+            second = stroke * drive.normal(0.0, errors.harmonic)
             lines = ((size, gain * frequency_hz), (second, 2.0 * gain * frequency_hz))
             path: list[Course] = [
                 tuple(wave(part * a, f, 0.0, 0.0, settings.run_s, 2.0) for a, f in lines if part * a != 0.0)
@@ -127,13 +106,13 @@ def _shake(settings: RivalSettings, rail: np.random.Generator) -> Course:
 
 def _inclined_plane(script: Script, settings: RivalSettings, streams: Streams) -> None:
     errors, mounts, bearing, scale = settings.errors, *(streams.of(name) for name in ("mount", "hinge", "angle"))
-    level = _level_of(errors, streams)
+    level = level_of(errors, streams)
     for axis in range(3):  # the plane turns about this axis of the case
         across, up = np.eye(3)[(axis + 1) % 3], np.eye(3)[(axis + 2) % 3]
-        tilt = mounts.normal(0.0, errors.mount_tilt_sd, 3)
+        tilt = mounts.normal(0.0, errors.mount_tilt, 3)
         for stated in settings.plane_angles:
-            angle = stated + float(scale.normal(0.0, errors.angle_sd))
-            lain = tilt + bearing.normal(0.0, errors.wobble_sd, 3)
+            angle = stated + float(scale.normal(0.0, errors.inclination))
+            lain = tilt + bearing.normal(0.0, errors.wobble, 3)
             _mount(script, settings, math.cos(angle) * up + math.sin(angle) * across, np.eye(3)[axis], lain, level)
 
 
@@ -153,23 +132,11 @@ def _mount(
     script.still(settings.still_s)
 
 
-def _level_of(errors: TableErrors, streams: Streams) -> FloatArray:
-    """Return by how much a rig is off level, as a turn in n, (4,)."""
-    level_n = np.array([*streams.of("bearing").normal(0.0, errors.level_sd, 2), 0.0])
-    size = float(np.linalg.norm(level_n))
-    return turn_quaternion(np.cross(level_n, [0.0, 0.0, 1.0]) / (size or 1.0), np.array(size))
-
-
-def _gain_of(errors: TableErrors, streams: Streams) -> float:
-    """Return true over stated rate or frequency of a rig."""
-    return 1.0 + float(streams.of("motor").normal(0.0, errors.rate_sd))
-
-
-def rig_of(errors: TableErrors, rng: np.random.Generator) -> tuple[FloatArray, FloatArray, float]:
+def rig_of(errors: BenchErrors, rng: np.random.Generator) -> tuple[FloatArray, FloatArray, float]:
     """Return the first mounting of a rig, a rotation vector, its level as a turn in n, (4,), and true over stated rate."""
     streams = draw_streams(rng)
-    mount = streams.of("mount").normal(0.0, errors.mount_tilt_sd, 3)
-    return mount, _level_of(errors, streams), _gain_of(errors, streams)
+    mount = streams.of("mount").normal(0.0, errors.mount_tilt, 3)
+    return mount, level_of(errors, streams), gain_of(errors, streams)
 
 
 def robot_task(*, rng: np.random.Generator, settings: RivalSettings) -> Task:
@@ -209,18 +176,16 @@ class BenchSettings:
 
     sample_rate_hz: float = 100.0  # Samples per second
     gravity_m_s2: float = STANDARD_GRAVITY  # Local gravity, m/s2
+    errors: BenchErrors = IDEAL  # What table, faces and hands do wrong
     still_s: float = 6.0  # Length of each still, s
     first_still_s: float = 20.0  # Length of the first still of a multi-position session, s
     move_s: float = 2.0  # Length of each move between stills and of each half hand turn, s
-    tilt_sd: float = 0.0  # Levelling error of each face about each horizontal axis, rad
     poses: int = 24  # Free poses of a multi-position session
     # Steady rates of the table, rad/s, positive; each is imposed both ways
     turn_rates: tuple[float, ...] = SIT_TO_STAND_RATES
     ramp_s: float = 0.5  # Run-up and steady part of each table rate, s
     dwell_s: float = 3.0
-    table: TableErrors | None = None  # What mounting and table do wrong; None is an ideal table
     hand_angle: float = 2.0 * math.pi  # Angle of a hand turn, rad
-    hand_tilt_sd: float = 0.0  # Error of a hand turn's axis about each axis across it, rad
     lever_arm_b: tuple[float, float, float] = (0.0, 0.0, 0.0)  # Accelerometers from the turning axis, m
     latitude_deg: float | None = None  # Where the bench stands, for the Earth rate; None leaves it out
 
@@ -265,7 +230,7 @@ def rest_on_faces(
 ) -> None:
     """Rest with each face up in turn, off level by a random tilt."""
     for face in faces:
-        up, tilt = unit_vector(face), draw.normal(0.0, settings.tilt_sd, 3) if draw else np.zeros(3)
+        up, tilt = unit_vector(face), draw.normal(0.0, settings.errors.face_tilt, 3) if draw else np.zeros(3)
         script.lay(facing(script.q, up + np.cross(tilt, up)), settings.move_s)
         script.still(settings.still_s, face)
 
@@ -273,47 +238,37 @@ def rest_on_faces(
 _RESEAT_S = 0.5  # after two dwells about axes of their own the bearing is back in its seat
 
 
-def steady_rates(script: Script, settings: BenchSettings, streams: Streams | None = None) -> None:
-    """Put each axis up in turn: a rest, then the steady rates both ways."""
-    if settings.table is not None and streams is not None:
-        _erring_rates(script, settings, settings.table, streams)
-        return
-    for axis, face in zip(AXES, UPS, strict=True):
-        rest_on_faces(script, settings, (face,))
-        for turn_rate in settings.turn_rates:
-            for signed in (turn_rate, -turn_rate):  # the way round changes, so that drift cannot pass for scale
-                script.spin(axis, signed, settings.ramp_s, settings.dwell_s)
-
-
-def _erring_rates(script: Script, settings: BenchSettings, table: TableErrors, streams: Streams) -> None:
+def steady_rates(script: Script, settings: BenchSettings, streams: Streams) -> None:
+    """Put each axis up in turn: a rest, then the steady rates both ways, so that drift cannot pass for scale."""
+    table = settings.errors
     mount, bearing, motor, servo = (streams.of(name) for name in ("mount", "bearing", "motor", "servo"))
-    off_level, gain = _level_of(table, streams), _gain_of(table, streams)
+    off_level, gain = level_of(table, streams), gain_of(table, streams)
     bearing.normal(size=2), motor.normal()  # level and gain are the first draws of these two
     for axis, face in zip(AXES, UPS, strict=True):
-        turned = _off(unit_vector(axis), mount.normal(0.0, table.mount_tilt_sd, 3))
+        turned = _off(unit_vector(axis), mount.normal(0.0, table.mount_tilt, 3))
         level = facing(script.q, turned)  # the table's axis upright in n, then off level
-        if table.level_sd > 0.0:
+        if table.level > 0.0:
             level = quaternion_product(off_level, level)
         script.lay(level, settings.move_s)
         script.still(settings.still_s, face)
         seat, azimuth = script.q, float(motor.uniform(-math.pi, math.pi))
-        ripple, excess = float(motor.normal(0.0, table.ripple_sd)), float(motor.normal(0.0, table.excess_sd))
+        ripple, excess = float(motor.normal(0.0, table.ripple)), float(motor.normal(0.0, table.excess))
         for commanded in settings.turn_rates:
             for signed in (commanded, -commanded):
-                true = signed * gain + float(servo.normal(0.0, table.servo_sd)) / settings.dwell_s
+                true = signed * gain + float(servo.normal(0.0, table.servo)) / settings.dwell_s
                 stated = _read_rate(table, true / gain, settings.dwell_s, servo) if table.encoder_lines else signed
                 azimuth += 0.5 * true * settings.ramp_s
                 uneven = (ripple, azimuth, excess, table.settle_s)
-                wobbling = _off(turned, bearing.normal(0.0, table.wobble_sd, 3))
+                wobbling = _off(turned, bearing.normal(0.0, table.wobble, 3))
                 script.spin(
                     axis, true, settings.ramp_s, settings.dwell_s, axis_b=wobbling, stated_rate=stated, uneven=uneven
                 )
                 azimuth += true * (settings.dwell_s + 0.5 * settings.ramp_s)
-            if table.wobble_sd > 0.0:
+            if table.wobble > 0.0:
                 script.lay(seat, _RESEAT_S)
 
 
-def _read_rate(table: TableErrors, turn_rate: float, dwell_s: float, draw: np.random.Generator) -> float:
+def _read_rate(table: BenchErrors, turn_rate: float, dwell_s: float, draw: np.random.Generator) -> float:
     """Return the rate that whole counts of an encoder show over a dwell, rad/s."""
     count, phase = 0.5 * math.pi / table.encoder_lines, float(draw.uniform())
     return (math.floor(phase + turn_rate * dwell_s / count) - math.floor(phase)) * count / dwell_s
@@ -326,7 +281,7 @@ def _off(axis_b: FloatArray, tilt: FloatArray) -> FloatArray:
 
 
 def _hand_turns(script: Script, settings: BenchSettings, streams: Streams) -> None:
-    for axis, tilt in zip(AXES, streams.of("hand").normal(0.0, settings.hand_tilt_sd, (3, 3)), strict=True):
+    for axis, tilt in zip(AXES, streams.of("hand").normal(0.0, settings.errors.hand_axis, (3, 3)), strict=True):
         unit = unit_vector(axis)
         script.lay(facing(script.q, unit), settings.move_s)
         script.still(settings.still_s)

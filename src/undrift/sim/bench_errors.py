@@ -1,0 +1,97 @@
+"""What a bench does wrong: its table, chamber and faces, rival rigs, and the hands of the operator; and the draws of it.
+
+One list serves motions sample by sample (``sim.motion.bench``), means dwell by dwell (``sim.table_sessions``) and the study's
+plan. All is drawn from standard normal numbers and from uniform ones, so that benches of one state err alike, whatever the size
+of the errors: rigs share mountings, level and clock, and a dwell has the same draws in every session that has it.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from undrift.arrays import FloatArray
+from undrift.sim.device.simulate import Streams
+from undrift.sim.motion.motion import turn_quaternion
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BenchErrors:
+    """Standard deviations of what a bench does wrong; all zero is an ideal one."""
+
+    face_tilt: float = 0.0  # Of each face against level, about each axis, rad
+    hand_axis: float = 0.0  # Of the axis of a turn by hand, about each axis across it, rad
+    mount_tilt: float = 0.0  # Of the device against the rig, about each axis, rad; each mounting anew
+    level: float = 0.0  # Of the rig's axis against the vertical, about each horizontal axis, rad; one rig, one draw
+    # Of a table's axis from dwell to dwell, or a plane's from angle to angle, about each axis, rad
+    wobble: float = 0.0
+    table_rate: float = 0.0  # Of the true rate or frequency against the stated one, relative; one rig, one draw
+    ripple: float = 0.0  # Of the rate once a turn, amplitude, relative
+    excess: float = 0.0  # Of the rate at the start of a dwell, relative; a transient
+    settle_s: float = 0.5  # Time constant of that transient, s
+    servo: float = 0.0  # Of the angle turned in a dwell against the commanded one, rad
+    encoder_lines: int = 0  # Of the table's encoder, four counts a line; 0 reads rates without steps
+    inclination: float = 0.0  # Of each inclination of a plane, rad
+    stroke: float = 0.0  # Of the stroke of each run of a drive, relative
+    harmonic: float = 0.0  # Of its second harmonic, in displacement, relative
+    soak_k: float = 0.0  # Of the board's settled temperature against the set-point, K
+    board_lag_s: float = 0.0  # With which the board follows the chamber, s; 0 has settled
+
+
+IDEAL = BenchErrors()
+
+
+# ---- sample by sample: named streams
+
+
+def level_of(errors: BenchErrors, streams: Streams) -> FloatArray:
+    """Return by how much a rig is off level, as a turn in n, (4,)."""
+    level_n = np.array([*streams.of("bearing").normal(0.0, errors.level, 2), 0.0])
+    size = float(np.linalg.norm(level_n))
+    return turn_quaternion(np.cross(level_n, [0.0, 0.0, 1.0]) / (size or 1.0), np.array(size))
+
+
+def gain_of(errors: BenchErrors, streams: Streams) -> float:
+    """Return true over stated rate or frequency of a rig."""
+    return 1.0 + float(streams.of("motor").normal(0.0, errors.table_rate))
+
+
+# ---- dwell by dwell: the same numbers for every session
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class BenchDraws:
+    """Numbers by which a bench errs, the same for every session on it: K soaks, U kinds of dwells."""
+
+    mount: FloatArray  # (3, 3), normal, by the axis that is up
+    level: FloatArray  # (2,), normal
+    clock: float  # Normal
+    face: FloatArray  # (6, 3), normal
+    soak: FloatArray  # (3, K), normal, by axis and soak
+    left: FloatArray  # (3, K), from 0 to 1, share of the slope at which a soak counts as reached
+    wobble: FloatArray  # (U, 3), normal
+    servo: FloatArray  # (U,), normal
+    start: FloatArray  # (U, 2), from 0 to 1: phase of the encoder, azimuth
+
+
+def draw_bench(rng: np.random.Generator, turns: Sequence[np.random.Generator], *, soaks: int) -> BenchDraws:
+    """Draw a bench; each size of rate has a generator of its own, so that it meets the same draws beside any others."""
+    kinds = 6 * soaks
+    mount, level, clock, face = (rng.standard_normal(shape) for shape in ((3, 3), 2, 1, (6, 3)))
+    soak, left = rng.standard_normal((3, soaks)), rng.uniform(size=(3, soaks))
+    drawn, start = [], []
+    for each in turns:
+        drawn.append(each.standard_normal((kinds, 4)))
+        start.append(each.uniform(size=(kinds, 2)))
+    wobble, servo = np.hsplit(np.concatenate(drawn), [3])
+    return BenchDraws(
+        mount=mount,
+        level=level,
+        clock=float(clock[0]),
+        face=face,
+        soak=soak,
+        left=left,
+        wobble=wobble,
+        servo=servo[:, 0],
+        start=np.concatenate(start),
+    )
