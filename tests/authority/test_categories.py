@@ -22,7 +22,7 @@ import pytest
 from testkit.data import data_path, show
 from undrift.io.mocap import read_trc
 from undrift.io.reference import device_on, find_body
-from undrift.sim.motion.categories import CategoryName
+from undrift.sim.motion.tasks import CategoryName
 from undrift.study.real import MEASURES, Capture, Captured, CohortComparison, motion_rows, read_stance, sway_rows
 
 SHARE, BEYOND, PEOPLE = 0.75, 1.25, 60

@@ -22,11 +22,11 @@ from undrift.rig.programme import (
 )
 from undrift.rig.rig import ACCELERATION, JOG, JOG_BY_TWO, SLEW, CountScale, Position, achieved_turn_rate
 from undrift.sim.rig.axes import ServoSettings
-from undrift.study.designs import optimal_rates, prediction_sd
 from undrift.study.figure3 import figure3
 from undrift.study.plan import Space, Study, StudyTask
 from undrift.study.rivals import rate_table_minutes
-from undrift.study.run import InProcess, halve
+from undrift.study.run import InProcess
+from undrift.study.search import halve, optimal_rates, prediction_sd
 from undrift.study.statistics import (
     adjust_holm,
     compare_conditions,

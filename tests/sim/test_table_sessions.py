@@ -8,11 +8,11 @@ import pytest
 
 from undrift.rig.programme import Protocol
 from undrift.sim.bench_errors import BenchDraws, BenchErrors
-from undrift.sim.device.dwells import Dwells
 from undrift.sim.table_sessions import (
     FACE,
     RATE,
     REST,
+    Dwells,
     Sessions,
     impose,
     impose_faces,

@@ -11,8 +11,8 @@ import pytest
 from testkit.surfaces import errors
 from undrift.cli.app import run
 from undrift.errors import FileFormatError, InputError
-from undrift.sim.motion.categories import CategoryName
-from undrift.study import categories, judge
+from undrift.sim.motion.tasks import CategoryName
+from undrift.study import judge
 from undrift.study.case import subject_of, units_of
 from undrift.study.plan import Study, note_study, read_study, with_categories
 from undrift.study.run import RunStore, TaskSurface
@@ -89,10 +89,10 @@ def planted(monkeypatch: pytest.MonkeyPatch, folder: Path, cost_deg: float, spre
             found.append(surface(task, error))
         return tuple(found)
 
-    monkeypatch.setattr(categories, "run_study", ran)
+    monkeypatch.setattr(judge, "run_study", ran)
     chosen = tuple(surface(task, np.ones(12)) for task in study.tasks)
     optima = tuple(judge.find_optimum(each) for each in chosen)
-    (found,) = categories.compare_categories(study, chosen, optima, folder)
+    (found,) = judge.compare_categories(study, chosen, optima, folder)
     return found
 
 

@@ -5,7 +5,7 @@ import pytest
 
 from testkit.data import show
 from undrift.errors import InputError
-from undrift.study.designs import optimal_rates, prediction_sd
+from undrift.study.search import optimal_rates, prediction_sd
 
 DPS = np.pi / 180.0
 FINE = np.linspace(-90.0, 90.0, 361) * DPS

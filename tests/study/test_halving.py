@@ -11,10 +11,11 @@ from testkit.data import show
 from testkit.surfaces import candidates, errors
 from undrift.errors import NotObservable
 from undrift.rig.programme import Protocol
-from undrift.study import run
+from undrift.study import search
 from undrift.study.case import Unit
 from undrift.study.plan import Space, Study, StudyTask
-from undrift.study.run import InProcess, halve
+from undrift.study.run import InProcess
+from undrift.study.search import halve
 
 DPS = np.pi / 180.0
 TASK = StudyTask(
@@ -110,8 +111,8 @@ def test_real_runs_halve_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
         ),
         base=TASK.base,
     )
-    monkeypatch.setattr(run, "FIRST_SUBJECTS", 1)
-    monkeypatch.setattr(run, "LEAST", 1)
+    monkeypatch.setattr(search, "FIRST_SUBJECTS", 1)
+    monkeypatch.setattr(search, "LEAST", 1)
     found = halve(study, narrow, InProcess(), tmp_path)
     assert [len(each.candidates) for each in found.rounds] == [3, 2, 1]
     assert found.runs == 3 + 2 + 1

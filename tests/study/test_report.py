@@ -13,11 +13,11 @@ from undrift.findings import finding
 from undrift.report.figures import draw_effects, draw_pareto, svg_of
 from undrift.report.study import write_study_report
 from undrift.study.case import device_of
-from undrift.study.designs import design_rows, task_rates
 from undrift.study.judge import compare_with_note, find_optimum, other_study
 from undrift.study.outcome import TOO_LONG, StudyOutcome, _too_long, forecast, judge_study
 from undrift.study.plan import TABLE_1, Space, ends_of, note_study
 from undrift.study.run import InProcess, TaskSurface, run_study
+from undrift.study.search import design_rows, task_rates
 
 pytestmark = pytest.mark.usefixtures("computed_once")
 

@@ -25,7 +25,7 @@ from undrift.sim.device.presets import preset
 from undrift.study.case import columns_of, make_case, run_unit, units_of
 from undrift.study.judge import find_optimum
 from undrift.study.outcome import judge_study
-from undrift.study.plan import TABLE_1, SpaceEntry, Study, StudyTask, ends_of, note_study, read_study
+from undrift.study.plan import TABLE_1, Aim, SpaceEntry, Study, StudyTask, ends_of, note_study, read_study
 from undrift.study.run import InProcess, run_study
 from undrift.study.search import Lists, count_runs, drawn, estimated, front_of, search_study
 from undrift.study.space import HEADINGS, OF_NOTE, Setting, Space
@@ -225,7 +225,7 @@ def test_a_bend_needs_fast_turns(tmp_path: Path) -> None:
     task = task_of(turn_rate_max=(20.0 * DPS, 50.0 * DPS, 110.0 * DPS), cutoff_hz=(20.0,))
     study = study_of(task, subjects=20, worn=worn, bench=BenchErrors(), excursion_k=(0.0, 0.1))
     (surface,) = run_study(study, InProcess(), tmp_path)
-    found = find_optimum(surface, timing="offline", margin_deg=0.01)  # the delay at 20 Hz is alike in all
+    found = find_optimum(surface, Aim(timing="offline", margin_deg=0.01))  # the delay at 20 Hz is alike in all
     effect = next(each for each in found.effects if each.name == "turn_rate_max_dps")
     show("omega_M 20, 50, 110: deg rms", effect.means_deg[0], f"{effect.means_deg[1:]}")
     assert surface.turn_rate_max_dps[found.best] == pytest.approx(110.0)
@@ -326,7 +326,7 @@ def test_halving_of_a_drawn_part_finds_the_best_of_it(tmp_path: Path) -> None:
 
 
 def _front_is_of_all_subjects(every: Any) -> None:
-    front = front_of(every, "rms", "real time", None)
+    front = front_of(every, Aim())
     assert len(front.places) >= 2
     assert np.isfinite(every.error_rms_deg[:, front.places]).all()
     assert (np.diff(every.rig_minutes[front.places]) > 0.0).all()

@@ -14,11 +14,11 @@ from undrift.sim.bench_errors import BenchErrors
 from undrift.sim.device.effects import Nonlinearity, Offset
 from undrift.sim.device.model import device_json
 from undrift.sim.device.presets import preset
-from undrift.sim.switches import EFFECTS
+from undrift.study.case import EFFECTS
 from undrift.study.judge import Optimum, find_optimum
-from undrift.study.plan import Space, Study, StudyTask, Timing
+from undrift.study.outcome import Split, split_error, split_findings, split_study, units_without
+from undrift.study.plan import Aim, Space, Study, StudyTask, Timing
 from undrift.study.run import InProcess, TaskSurface, run_study
-from undrift.study.split import Split, split_error, split_findings, split_study, units_without
 from undrift.units import STANDARD_GRAVITY
 
 DPS = np.pi / 180.0
@@ -39,7 +39,12 @@ def planted(without: str = "", *, subjects: int = 40, values: np.ndarray = VALUE
 def split(values: np.ndarray = VALUES, margin_deg: float = 0.15) -> Split:
     without = {each: planted(each, values=values) for each in EFFECTS}
     return split_error(
-        "turn_rate_max_dps", np.array([50.0, 70.0, 90.0]), planted(values=values), without, at=2, margin_deg=margin_deg
+        "turn_rate_max_dps",
+        np.array([50.0, 70.0, 90.0]),
+        planted(values=values),
+        without,
+        at=2,
+        aim=Aim(margin_deg=margin_deg),
     )
 
 
@@ -156,8 +161,7 @@ def planted_study(worn: str, *, timing: Timing, cutoffs: tuple[float, ...], tops
 
 def found_in(study: Study, folder: Path) -> tuple[TaskSurface, Optimum]:
     (surface,) = run_study(study, InProcess(), folder)
-    names = ("objective", "timing", "level", "margin_deg")
-    return surface, find_optimum(surface, **{name: getattr(study, name) for name in names})
+    return surface, find_optimum(surface, study)
 
 
 def effect_of(optimum: Optimum, name: str):  # type: ignore[no-untyped-def]
@@ -181,7 +185,7 @@ def test_a_filter_decides_in_real_time_and_is_better_the_higher_its_cut_off(tmp_
     np.testing.assert_allclose(mean[:3] / mean[1], delays[:3] / delays[1], rtol=0.15)
     assert mean[3] < 0.2 * mean[2]
     # as soon as the delay is taken out, it decides no more by the margin of the note
-    offline = find_optimum(surface, timing="offline")
+    offline = find_optimum(surface, Aim(timing="offline"))
     assert offline.deciding == ()
     assert offline.error_rms_deg < 0.2 * mean[1]
     assert units_without(study, study.tasks[0], surface, optimum)[0].without == EFFECTS[0]

@@ -14,10 +14,10 @@ from undrift.errors import InputError, NotObservable
 from undrift.rig.programme import Dwell, Protocol, programme_of
 from undrift.sim.table_sessions import FACE, RATE, REST
 from undrift.study.case import run_unit, session_of, units_of
-from undrift.study.judge import find_optimum, pareto_front
-from undrift.study.plan import TABLE_1, Space, Study, StudyTask, column_of, note_study
+from undrift.study.judge import find_optimum
+from undrift.study.plan import TABLE_1, Aim, Space, Study, StudyTask, column_of, note_study
 from undrift.study.run import InProcess, Pool, TaskSurface, choose_executor, run_study
-from undrift.study.search import count_runs
+from undrift.study.search import count_runs, pareto_front
 
 DPS = np.pi / 180.0
 TASK = StudyTask(
@@ -141,19 +141,19 @@ def test_a_planted_optimum_is_found_and_its_error_is_stated_without_the_winners_
 def test_a_flat_minimum_is_called_flat_and_the_cheapest_is_named() -> None:
     rng = np.random.default_rng(3)
     noise, minutes = rng.normal(0.0, 0.3, (30, 12)), np.linspace(100.0, 20.0, 12)
-    found = find_optimum(surface(1.0 + 0.2 * noise, minutes), margin_deg=0.15)
+    found = find_optimum(surface(1.0 + 0.2 * noise, minutes), Aim(margin_deg=0.15))
     assert found.flat
     assert found.deciding == ()
     assert found.cheapest == 11
     assert found.p_value > 0.05
-    loud = find_optimum(surface(1.0 + noise, minutes), margin_deg=0.15)  # 0.42 / sqrt(30) deg cannot show 0.15
+    loud = find_optimum(surface(1.0 + noise, minutes), Aim(margin_deg=0.15))  # 0.42 / sqrt(30) deg cannot show 0.15
     assert (loud.flat, loud.cheapest, loud.undecided.sum()) == (False, loud.best, 11)
 
 
 def test_a_minimum_is_not_flat_where_a_parameter_decides_though_many_protocols_share_it() -> None:
     rng = np.random.default_rng(5)
     true = np.array([1.0, 1.0, 1.5, 1.6])  # half of four protocols
-    found = find_optimum(surface(true + rng.normal(0.0, 0.1, (30, 4)), np.arange(4.0)), margin_deg=0.15)
+    found = find_optimum(surface(true + rng.normal(0.0, 0.1, (30, 4)), np.arange(4.0)), Aim(margin_deg=0.15))
     assert found.equivalent.tolist() == [True, True, False, False]
     assert found.deciding == ("turn_rate_step_dps",)
     assert not found.flat
@@ -169,9 +169,9 @@ def test_the_winners_luck_does_not_reach_the_stated_error() -> None:
 
 def test_the_optimum_keeps_to_the_time_that_is_allowed() -> None:
     error = np.tile(np.linspace(0.1, 1.0, 5), (6, 1)) + np.random.default_rng(5).normal(0.0, 0.01, (6, 5))
-    assert find_optimum(surface(error, np.linspace(100.0, 60.0, 5)), rig_minutes_max=75.0).best == 3
+    assert find_optimum(surface(error, np.linspace(100.0, 60.0, 5)), Aim(rig_minutes_max=75.0)).best == 3
     with pytest.raises(NotObservable, match="in the time allowed"):
-        find_optimum(surface(error, np.linspace(100.0, 60.0, 5)), rig_minutes_max=10.0)
+        find_optimum(surface(error, np.linspace(100.0, 60.0, 5)), Aim(rig_minutes_max=10.0))
 
 
 def test_a_protocol_that_failed_for_one_subject_is_no_optimum() -> None:

@@ -9,7 +9,7 @@ from testkit.data import show
 from testkit.surfaces import errors
 from undrift.errors import InputError
 from undrift.study.judge import Judged, NoteComparison, Optimum, analyses_of, compare_with_note, find_optimum
-from undrift.study.plan import NoteRow
+from undrift.study.plan import Aim, NoteRow
 from undrift.study.run import TaskSurface
 from undrift.study.statistics import (
     Decision,
@@ -52,7 +52,7 @@ def table(means: object, *, subjects: int = 30, sd: float = 0.1, seed: int = 0) 
 
 
 def optimum_of(held: TaskSurface, margin_deg: float = M) -> Optimum:
-    return find_optimum(held, margin_deg=margin_deg)
+    return find_optimum(held, Aim(margin_deg=margin_deg))
 
 
 def judged_of(held: TaskSurface, name: str, margin_deg: float = M) -> Judged:

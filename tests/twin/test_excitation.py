@@ -9,8 +9,8 @@ from testkit.data import show
 from undrift.record import Record, Reference
 from undrift.sim.motion.poses import OpticsSettings, see
 from undrift.sim.motion.tasks import Task, draw_task
-from undrift.twin.excitation import Excitation, excitation, motion_windows
 from undrift.twin.fit import Prepared, fit_prepared, prepare_twin
+from undrift.twin.heldout import Excitation, excitation, motion_windows
 from undrift.units import STANDARD_GRAVITY
 
 RATE_HZ = 100.0

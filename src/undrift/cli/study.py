@@ -28,12 +28,11 @@ from undrift.units import RADIAN_PER_DEGREE
 if TYPE_CHECKING:
     from undrift.study.figure3 import Figure3
     from undrift.study.judge import ParameterEffect
-    from undrift.study.outcome import EffectPower, Stage, StageName, StudyOutcome, TaskOutcome
+    from undrift.study.outcome import EffectPower, Split, Stage, StageName, StudyOutcome, TaskOutcome
     from undrift.study.plan import Study
     from undrift.study.real import CohortComparison, RealOutcome
     from undrift.study.rivals import TriadRow
     from undrift.study.run import TaskSurface
-    from undrift.study.split import Split
 
 QUICK_SUBJECTS = 8
 REAL_FIGURES = ("rmse_total_deg", "rmse_inclination_deg", "max_abs_pitch_deg", "end_total_deg")
@@ -152,7 +151,7 @@ def _planned(
     categories: str | None,
 ) -> "Study":
     """Return the study of a plan, or the note's, with the choices of the command line."""
-    from undrift.sim.motion.categories import CategoryName
+    from undrift.sim.motion.tasks import CategoryName
     from undrift.study.plan import ends_of, note_study, read_study, with_categories
     from undrift.study.search import check_installed
 

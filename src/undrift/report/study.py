@@ -20,17 +20,16 @@ from undrift.report.page import (
     table_section,
     write_page,
 )
-from undrift.sim.motion.categories import CATEGORIES
+from undrift.sim.motion.tasks import CATEGORIES
 from undrift.study.space import HEADINGS, OF_NOTE
 
 if TYPE_CHECKING:
-    from undrift.study.designs import DesignRow
     from undrift.study.judge import NoteValue, ParameterEffect
-    from undrift.study.outcome import EffectPower, StudyOutcome, TaskOutcome
+    from undrift.study.outcome import EffectPower, StudyOutcome, TaskOutcome, Term
     from undrift.study.plan import Objective, Timing
     from undrift.study.real import CohortComparison, Pairwise, RealErrors, RealOutcome, Worn, WornRow
-    from undrift.study.run import Halving, Round, TaskSurface
-    from undrift.study.split import Term
+    from undrift.study.run import TaskSurface
+    from undrift.study.search import DesignRow, Halving, Round
     from undrift.study.statistics import Anova, Decision, MixedModel
 
 NOTE = (

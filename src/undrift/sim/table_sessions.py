@@ -1,4 +1,4 @@
-"""Sessions on a rate table that errs: a programme laid out in time, and what is truly imposed while it runs.
+"""Sessions on a rate table that errs: a programme laid out in time, what is truly imposed, and what a device reads of it.
 
 For a dwell at the commanded rate w about the axis e of the case, at a set-point T_s, t after the readings in it began::
 
@@ -8,22 +8,46 @@ For a dwell at the commanded rate w about the axis e of the case, at a set-point
     temperature T_s + soak - left exp(-t / lag),   left = lag times the slope at which the soak counted as reached
 
 The device is mounted once for each axis and swept through the set-points; a table has one level and one clock.
+
+Mean readings are drawn from their distribution. What is steady over a dwell passes every effect of the chain once; the drift of the
+offset is that of the processes themselves (kernels/device.py). The n readings of a dwell are then a stationary normal series,
+filtered white noise with covariance r_l, and a converter makes codes of it, q = u + e(u), with e the sawtooth of rounding, E_k =
+exp(-2 pi^2 k^2 r_0) and a_k = (-1)^k / (pi k)::
+
+    e(u)      = sum_k a_k sin(2 pi k u)                          rounding to nearest, u in codes
+    E q       = m + b(m),    b(m) = sum_k a_k E_k sin(2 pi k m)
+    var mean  = sum_l w_l cov(q_0, q_l),     w_0 = 1 / n, w_l = 2 (n - l) / n^2
+    cov(u, e) = r_l b'(m)                                        [1]_
+    cov(e, e) = sum_kj a_k a_j / 2 (c_-(k, j) cos 2 pi (k - j) m - c_+(k, j) cos 2 pi (k + j) m),
+    c_-+      = exp(-2 pi^2 (r_0 k^2 + r_0 j^2 -+ 2 r_l k j)) - E_k E_j
+
+The low-pass has settled when a dwell begins; a level beyond the rails or the codes is held there, without its noise's share.
+
+References
+----------
+.. [1] B. Widrow and I. Kollar, "Quantization Noise", Cambridge University Press, 2008.
 """
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import lru_cache
+from itertools import pairwise
+from typing import Any, Literal
 
 import numpy as np
 
-from undrift.arrays import FloatArray, IntArray
+from undrift.arrays import FloatArray, IntArray, frozen
 from undrift.errors import InputError
 from undrift.record import FACES
 from undrift.rig.programme import DAMPING, LEAST_SETTLE_S, Dwell, Protocol, programme_of, settle_time
 from undrift.sim.bench_errors import BenchDraws, BenchErrors
-from undrift.sim.device.dwells import Dwells
+from undrift.sim.device.effects import RATIO, Past, Scene, SensorChain, effects_of
+from undrift.sim.device.model import DeviceModel
 from undrift.sim.motion.motion import unit_vector
 from undrift.units import STANDARD_GRAVITY
+
+# ---- sessions and what is imposed
 
 WARMED_UP_S = 1800.0  # the bench waits half an hour after power-on
 ROOM_TEMP_C = 25.0
@@ -98,6 +122,35 @@ def joined(sessions: Sequence[Sessions]) -> Sessions:
     return Sessions(**rows)
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Dwells:
+    """What is imposed, N dwells in the order of time, of one session or of several one after the other."""
+
+    start_s: FloatArray  # (N,), when each begins, settled, s since power-on
+    duration_s: FloatArray  # (N,), s
+    rate_b: FloatArray  # (N, 3), steady rate, rad/s
+    force_b: FloatArray  # (N, 3), mean specific force, m/s2
+    temp_c: FloatArray  # (N,), temperature of the board, degC
+    # (S + 1,), first of each session, and N
+    first: IntArray = field(default_factory=lambda: np.empty(0, dtype=np.int64))
+
+    def __post_init__(self) -> None:
+        n = len(self.temp_c)
+        for name, width in (("start_s", ()), ("duration_s", ()), ("rate_b", (3,)), ("force_b", (3,)), ("temp_c", ())):
+            object.__setattr__(self, name, frozen(getattr(self, name), (n, *width), f"Dwells.{name}"))
+        if not len(self.first):
+            object.__setattr__(self, "first", np.array([0, n]))
+        later = np.diff(self.start_s)
+        later[self.first[1:-1] - 1] = 1.0
+        if n < 2 or (later <= 0.0).any() or (self.duration_s <= 0.0).any():
+            raise InputError(
+                f"dwells: wanted two or more, one after the other, each longer than 0 s, got {n}; sort them by their start"
+            )
+
+    def __len__(self) -> int:
+        return len(self.temp_c)
+
+
 def impose(
     sessions: Sessions, errors: BenchErrors, draws: BenchDraws, row: IntArray, *, soak_c_per_min: float
 ) -> tuple[Dwells, FloatArray]:
@@ -157,3 +210,158 @@ def _since(sessions: Sessions) -> FloatArray:
     begins = np.concatenate(([True], visit[1:] != visit[:-1]))
     begins[sessions.first[:-1]] = True
     return np.asarray(sessions.start_s - sessions.start_s[np.maximum.accumulate(np.where(begins, np.arange(n), 0))])
+
+
+# ---- mean readings of a device
+
+SAMPLE_RATE_HZ = 100.0
+
+
+def numbers_of_dwell(chain: SensorChain) -> int:
+    """Return how many normal numbers each sensor of a chain needs for a dwell."""
+    return 3 + 2 * (len(chain.instability.time_constants_s) if chain.instability else 0)
+
+
+def mean_readings(
+    device: DeviceModel, name: Literal["gyro", "accel"], dwells: Dwells, normals: FloatArray, row: IntArray
+) -> FloatArray:
+    """Return the mean readings of a triad over dwells (N, 3), unit of the reading.
+
+    normals (U, 3, ``numbers_of_dwell``), row (N,): dwells of different sessions with one row have the same draws.
+    """
+    from undrift.kernels.device import add_drift
+
+    chain: SensorChain = getattr(device, name)
+    level = _steady(chain, dwells.rate_b if name == "gyro" else dwells.force_b, dwells, device.reference_temp_c)
+    flicker = chain.instability
+    constants: FloatArray = flicker.time_constants_s if flicker else np.empty(0)
+    size = flicker.instability * math.sqrt(math.log(RATIO) / math.pi) if flicker else np.zeros(3)
+    sd = np.tile(size, (len(constants), 1))
+    walk = np.array(chain.random_walk.bias_walk) if chain.random_walk else np.zeros(3)
+    add_drift(normals, row, dwells.start_s, dwells.duration_s, dwells.first, constants, sd, walk, level)
+    reading = chain.null + chain.gain * np.clip(level, *chain.rails)
+    return _converted(chain, reading, dwells.duration_s, normals[row, :, -1])
+
+
+def board_readings(device: DeviceModel, temp_c: FloatArray, normals: FloatArray) -> FloatArray:
+    """Return readings of the settled board thermometer at temperatures of the board, with normals, (N,) each, degC."""
+    felt = temp_c + device.thermometer.self_heating_c + device.thermometer.noise_c * normals
+    return replace(device.thermometer, noise_c=0.0).shown(felt, np.random.default_rng(0))
+
+
+def _steady(chain: SensorChain, imposed: FloatArray, dwells: Dwells, reference_temp_c: float) -> FloatArray:
+    """Return what every effect that is steady makes of dwells, nominal input units, (N, 3)."""
+    age_s = dwells.start_s + 0.5 * dwells.duration_s
+    scene = Scene(
+        time=age_s,
+        step_s=1.0,
+        temp_c=dwells.temp_c,
+        warmth=dwells.temp_c - reference_temp_c,
+        age_s=age_s,
+        rate_b=dwells.rate_b,
+        angular_acceleration_b=np.zeros_like(dwells.rate_b),
+        force_b=dwells.force_b,
+    )
+    off: dict[str, Any] = dict.fromkeys(
+        ("hysteresis", "white_noise", "instability", "random_walk", "amplifier", "low_pass", "adc")
+    )
+    steady: SensorChain = replace(chain, **off)
+    pasts = {effect: Past(np.random.default_rng(0)) for effect in effects_of(steady)}
+    *_, (_, settled) = steady.stages(imposed, scene, pasts)
+    level = np.array(settled)
+    if chain.hysteresis:  # the last of them, and the only one that remembers
+        for start, stop in pairwise(dwells.first.tolist()):
+            own = replace(scene, temp_c=dwells.temp_c[start:stop])
+            level[start:stop] = chain.hysteresis.apply(level[start:stop], own, Past(np.random.default_rng(0)))
+    return level
+
+
+# ---- what noise and converter make of the mean
+
+NODES = 256  # of the tables over the fraction of a code
+MOST_TERMS = 64  # of the sawtooth: enough from noise of 0.04 codes on
+
+
+def _converted(chain: SensorChain, reading: FloatArray, duration_s: FloatArray, white: FloatArray) -> FloatArray:
+    """Return the mean of noisy, rounded readings about a level, (N, 3), with a normal number each."""
+    adc, n = chain.adc, np.maximum(np.round(duration_s * SAMPLE_RATE_HZ), 1.0)
+    step, shift = (adc.step if adc and not adc.codes else 1.0), 0.0
+    if adc:
+        if adc.inl_lsb.any() or (adc.rounding == "toward_zero" and adc.signed):
+            raise InputError(
+                f"dwells: wanted a straight converter that rounds to nearest or down, got {adc.rounding}; use simulate_device"
+            )
+        shift = 0.0 if adc.rounding == "nearest" else 0.5
+        reading = np.clip(reading / step, *adc.code_limits) - shift
+    out = np.empty_like(reading)
+    for axis in range(3):
+        covariance = (chain.gain / step if adc else chain.gain) ** 2 * _autocovariance(chain, axis)
+        for samples in np.unique(n):
+            rows = np.flatnonzero(n == samples)
+            level = reading[rows, axis]
+            if adc and covariance[0] == 0.0:
+                out[rows, axis] = np.rint(level)
+                continue
+            plain = np.zeros(2), np.full(2, math.sqrt(_weights(covariance, samples) @ covariance))
+            bias, sd = code_means(covariance, samples) if adc else plain
+            place = (level - np.floor(level)) * (len(bias) - 1)
+            cell = np.minimum(place.astype(np.int64), len(bias) - 2)
+            part = place - cell
+            spread = sd[cell] + part * (sd[cell + 1] - sd[cell])
+            out[rows, axis] = level + bias[cell] + part * (bias[cell + 1] - bias[cell]) + spread * white[rows, axis]
+    return np.clip(out, *adc.code_limits) * step if adc else out
+
+
+def _autocovariance(chain: SensorChain, axis: int) -> FloatArray:
+    """Return the covariance of readings l samples apart by filtered white noise, (L,), nominal input units squared."""
+    from scipy.signal import lfilter
+
+    step_s = 1.0 / SAMPLE_RATE_HZ
+    variance = (chain.white_noise.random_walk[axis] ** 2 / step_s) if chain.white_noise else 0.0
+    if chain.low_pass is None:
+        return np.array([variance])
+    b, a = chain.low_pass.equations(step_s)[axis]
+    # of the slowest part, 1/s
+    fading = math.pi * chain.low_pass.cutoff_hz[axis] / max(chain.low_pass.quality[axis], 0.5)
+    pulse = np.zeros(max(round(16.0 / (fading * step_s)), 8))
+    pulse[0] = 1.0
+    answer = lfilter(b, a, pulse)
+    lags: FloatArray = variance * np.correlate(answer, answer, "full")[len(answer) - 1 :]
+    return lags[: int(np.flatnonzero(np.abs(lags) >= 1e-7 * lags[0])[-1]) + 1]
+
+
+def _weights(covariance: FloatArray, samples: float) -> FloatArray:
+    """Return how much each lag counts in the variance of a mean."""
+    weights: FloatArray = 2.0 * np.maximum(samples - np.arange(len(covariance)), 0.0) / samples**2
+    weights[0] *= 0.5
+    return weights
+
+
+def code_means(covariance: FloatArray, samples: float) -> tuple[FloatArray, FloatArray]:
+    """Return bias and standard deviation of the mean of rounded readings over the fraction of a code, (NODES + 1,) each.
+
+    covariance (L,) of the readings, codes squared.
+    """
+    return _code_means(covariance.tobytes(), samples)
+
+
+@lru_cache(maxsize=256)  # a unit's filters have the same noise whatever else of it is switched off
+def _code_means(held: bytes, samples: float) -> tuple[FloatArray, FloatArray]:
+    covariance = np.frombuffer(held)
+    weights, variance = _weights(covariance, samples), float(covariance[0])
+    near = float(covariance[1] / variance) if len(covariance) > 1 else 0.0
+    terms = min(max(math.ceil(0.64 / math.sqrt(variance * max(1.0 - near, 1e-6))), 4), MOST_TERMS)
+    k, phase = np.arange(1, terms + 1), 2.0 * math.pi * np.linspace(0.0, 1.0, NODES + 1)
+    saw, shrink = (-1.0) ** k / (math.pi * k), np.exp(-2.0 * math.pi**2 * variance * k**2)
+    sine, cosine = np.sin(np.outer(phase, k)), np.cos(np.outer(phase, k))
+    bias, slope = sine @ (saw * shrink), cosine @ (2.0 * math.pi * k * saw * shrink)
+    own = 1.0 / 12.0 + cosine @ ((-1.0) ** k / (math.pi * k) ** 2 * shrink) - bias**2
+    total = (weights @ covariance) * (1.0 + 2.0 * slope) + weights[0] * own
+    one, two = k[:, None], k[None, :]
+    square, product = variance * (one**2 + two**2), 2.0 * np.multiply.outer(covariance[1:], one * two)
+    free = weights[1:].sum() * np.exp(-2.0 * math.pi**2 * square)
+    for sign, order in ((1.0, np.abs(one - two)), (-1.0, one + two)):
+        shared = np.tensordot(weights[1:], np.exp(-2.0 * math.pi**2 * (square - sign * product)), 1) - free
+        size = np.bincount(order.ravel(), (0.5 * sign * np.outer(saw, saw) * shared).ravel())
+        total = total + np.cos(np.outer(phase, np.arange(len(size)))) @ size
+    return bias, np.sqrt(np.maximum(total, 0.0))

@@ -292,7 +292,7 @@ def _as_table_1(outcome: StudyOutcome) -> tuple[Evidence, ...] | Finding:
 
 def _against(outcome: StudyOutcome, task: TaskOutcome, place: int, tests: int = 1) -> Decision:
     """Compare a protocol with the optimum."""
-    errors = task.surface.error(outcome.study.objective, outcome.study.timing)
+    errors = task.surface.aimed(outcome.study)
     words: Any = {"margin": task.optimum.margin_deg, "level": outcome.study.level, "tests": tests}
     return decide_between(errors[:, place], errors[:, task.optimum.best], **words)
 
@@ -303,9 +303,7 @@ def _depends_on_task(outcome: StudyOutcome) -> tuple[Evidence, ...] | Finding:
     for task in outcome.tasks:
         surface, best = task.surface, task.optimum.best
         rates = np.stack([getattr(surface, name) for name in judge.PARAMETERS[1:]], axis=1)
-        same = np.isclose(rates, rates[best]).all(axis=1) & np.isfinite(
-            surface.error(outcome.study.objective, outcome.study.timing)
-        ).all(axis=0)
+        same = np.isclose(rates, rates[best]).all(axis=1) & np.isfinite(surface.aimed(outcome.study)).all(axis=0)
         for other in outcome.tasks:
             wanted = float(other.surface.cutoff_hz[other.optimum.best])
             places = np.flatnonzero(same)

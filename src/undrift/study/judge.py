@@ -11,26 +11,32 @@ worth setting where the optimum's value is shown to be better than another by mo
 each pair is shown to be within the margin, which needs no correction for the pairs. Both are after Bonferroni over the parameters.
 A level that calibrates fewer than half of the devices is left out. The other cohort shares nothing with the first.
 
+Does the best protocol depend on the category of subjects? The optimum of every category is tried on the other cohort of every
+category: people, units and seed that no optimum was chosen with, so the choice favours none. Subject by subject, the error with
+another category's optimum less that with its own is judged against the margin, p after Bonferroni over all such pairs of a task.
+"better" means that the own optimum is, by more than the margin: the categories need protocols of their own.
+
 A value of the note agrees where it is better than the next values that were tried on both sides, or equivalent to them. The next
 value's protocol is the one nearest to the note's in the other three. The row agrees where all its values do and its protocol is
 equivalent to the optimum.
 """
 
 import hashlib
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import groupby, product
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 
-from undrift.arrays import BoolArray, FloatArray, IntArray
+from undrift.arrays import BoolArray, FloatArray
 from undrift.errors import InputError, NotObservable
 from undrift.findings import Finding, finding
-from undrift.sim.motion.categories import DEFAULT, CategoryName
-from undrift.sim.motion.tasks import Group, TableRow, table_row
+from undrift.sim.motion.tasks import CATEGORIES, DEFAULT, CategoryName, Group, TableRow, table_row
 from undrift.study import statistics
 from undrift.study.case import COLUMNS, subject_of
-from undrift.study.plan import MARGIN_DEG, NoteRow, Objective, Study, StudyTask, Timing
+from undrift.study.plan import AIM, Aim, NoteRow, Objective, Study, StudyTask, Timing
 from undrift.study.run import InProcess, TaskSurface, run_study
 from undrift.study.space import HEADINGS, TURN_RATES, Space
 from undrift.study.statistics import (
@@ -123,8 +129,7 @@ def effects_at(
     *,
     error: FloatArray,
     allowed: BoolArray,
-    level: float = 0.05,
-    margin_deg: float = MARGIN_DEG["rms"],
+    aim: Aim = AIM,
 ) -> tuple[ParameterEffect, ...]:
     """Say what each parameter does about a protocol: error (S, P) deg, allowed (P,)."""
     effects = []
@@ -154,10 +159,8 @@ def effects_at(
     tests, made = sum(map(bool, pairs)), []
     for (effect, own), each in zip(effects, pairs, strict=True):
         p = float("nan") if effect.test is None else float(next(holm))
-        judged = (
-            judge_values(effect.best, each, len(own), level=level, margin=margin_deg, tests=tests) if each else None
-        )
-        made.append(replace(effect, p_holm=p, pairs=each if p < level else (), judged=judged))
+        judged = judge_values(effect.best, each, len(own), aim, tests=tests) if each else None
+        made.append(replace(effect, p_holm=p, pairs=each if p < aim.level else (), judged=judged))
     return tuple(made)
 
 
@@ -167,10 +170,9 @@ def _pairs(effect: ParameterEffect, error: FloatArray) -> tuple[Pair, ...]:
     return compare_pairs(error) if len(effect.values) > 1 and len(error) > 2 and np.isfinite(error).all() else ()
 
 
-def judge_values(
-    best: int, pairs: tuple[Pair, ...], subjects: int, *, level: float, margin: float, tests: int
-) -> Judged:
+def judge_values(best: int, pairs: tuple[Pair, ...], subjects: int, aim: Aim, *, tests: int) -> Judged:
     """Judge a parameter of several ``tests`` by all pairs of its values."""
+    level, margin = aim.level, aim.margin_deg
     own = tuple(
         decide(pair, subjects, of=best, margin=margin, level=level, tests=tests * len(pairs))
         for pair in pairs
@@ -234,18 +236,10 @@ class Optimum:
     failed: int  # Runs whose protocol could not calibrate the device
 
 
-def find_optimum(
-    surface: TaskSurface,
-    *,
-    objective: Objective = "rms",
-    timing: Timing = "real time",
-    level: float = 0.05,
-    margin_deg: float = MARGIN_DEG["rms"],
-    rig_minutes_max: float | None = None,
-) -> Optimum:
+def find_optimum(surface: TaskSurface, aim: Aim = AIM) -> Optimum:
     """Find the best protocol of a task, and those that are equivalent."""
-    error = surface.error(objective, timing)
-    allowed = surface.rig_minutes <= (np.inf if rig_minutes_max is None else rig_minutes_max)
+    error, timing = surface.aimed(aim), aim.timing
+    allowed = surface.rig_minutes <= (np.inf if aim.rig_minutes_max is None else aim.rig_minutes_max)
     usable: BoolArray = np.isfinite(error).all(axis=0) & allowed
     if not usable.any():
         raise NotObservable(
@@ -254,22 +248,22 @@ def find_optimum(
         )
     mean = np.where(usable, np.where(np.isfinite(error), error, 0.0).mean(axis=0), np.inf)
     best = int(np.argmin(mean))
-    equivalent, worse = _against_best(error, usable, best, level=level, margin=margin_deg)
+    equivalent, worse = _against_best(error, usable, best, aim)
     among = np.flatnonzero(equivalent)
     cheapest = int(among[np.lexsort((mean[among], surface.rig_minutes[among]))[0]])
-    effects = effects_at(surface, best, error=error, allowed=allowed, level=level, margin_deg=margin_deg)
+    effects = effects_at(surface, best, error=error, allowed=allowed, aim=aim)
     honest, interval = mean_interval(_honest(error, usable))
     tested = [effect.p_holm for effect in effects if effect.test is not None]
     deciding = tuple(effect.name for effect in effects if effect.judged and effect.judged.verdict == "better")
     return Optimum(
-        objective=objective,
+        objective=aim.objective,
         timing=timing,
         best=best,
         error_rms_deg=float(surface.error("rms", timing)[:, best].mean()),
         error_max_deg=float(surface.error("maximum", timing)[:, best].mean()),
         honest_error_deg=honest,
         honest_interval_deg=interval,
-        margin_deg=margin_deg,
+        margin_deg=aim.margin_deg,
         equivalent=equivalent,
         worse=worse,
         undecided=usable & ~equivalent & ~worse,
@@ -282,29 +276,18 @@ def find_optimum(
     )
 
 
-def pareto_front(minutes: FloatArray, error: FloatArray) -> IntArray:
-    """Return the protocols that no other beats in both time and error: minutes (P,), error (P,)."""
-    front: list[int] = []
-    least = np.inf
-    for place in np.lexsort((error, minutes)):
-        if error[place] < least:
-            front.append(int(place))
-            least = error[place]
-    return np.array(front, dtype=np.int64)
-
-
-def _against_best(
-    error: FloatArray, usable: BoolArray, best: int, *, level: float, margin: float
-) -> tuple[BoolArray, BoolArray]:
+def _against_best(error: FloatArray, usable: BoolArray, best: int, aim: Aim) -> tuple[BoolArray, BoolArray]:
     """Return which protocols are shown to be equivalent to the best, and which to be worse."""
     places, subjects = np.flatnonzero(usable), len(error)
     apart = error[:, places] - error[:, [best]]
     uncertainty = apart.std(axis=0, ddof=1) / np.sqrt(subjects)
-    p_worse, p_equivalent, _ = three_sided(apart.mean(axis=0), uncertainty, subjects - 1, margin=margin)
+    p_worse, p_equivalent, _ = three_sided(apart.mean(axis=0), uncertainty, subjects - 1, margin=aim.margin_deg)
     others = len(places) - 1
     equivalent, worse = np.zeros((2, len(usable)), dtype=bool)
-    equivalent[places] = others * p_equivalent <= level  # chosen for its low mean, the best makes this harder
-    worse[places] = 0.5 * others * (others + 1) * p_worse <= level  # and this easier: any pair could have been compared
+    equivalent[places] = others * p_equivalent <= aim.level  # chosen for its low mean, the best makes this harder
+    worse[places] = (
+        0.5 * others * (others + 1) * p_worse <= aim.level
+    )  # and this easier: any pair could have been compared
     equivalent[best], worse[best] = True, False
     return equivalent, worse
 
@@ -323,11 +306,9 @@ def _honest(error: FloatArray, usable: BoolArray) -> FloatArray:
 # ---- the note's analysis of variance
 
 
-def analyses_of(
-    surface: TaskSurface, objective: Objective = "rms", timing: Timing = "real time"
-) -> tuple[OneWay | None, Anova | None]:
+def analyses_of(surface: TaskSurface, aim: Aim = AIM) -> tuple[OneWay | None, Anova | None]:
     """Return the analysis over all protocols as if other subjects had met each, and by repeated measures; None: not possible."""
-    error = surface.error(objective, timing)
+    error = surface.aimed(aim)
     error = error[:, np.isfinite(error).all(axis=0)]
     try:
         return statistics.compare_independent(error), statistics.compare_conditions(error)
@@ -414,6 +395,99 @@ def _on_others(surface: TaskSurface, timing: Timing) -> Tested:
     )
 
 
+# ---- categories: each optimum worn by the others
+
+LEAST = 3  # subjects of a comparison
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Crossed:
+    """The optimum that was chosen for one category, worn by another."""
+
+    chosen: CategoryName  # Whose optimum
+    worn: CategoryName  # Who wears it
+    subjects: int  # Of the other cohort, whose device both protocols calibrate
+    error_deg: float  # Mean error of the objective with it, deg
+    own_deg: float  # With the wearers' own optimum
+    decision: Decision | None  # The own optimum against it; None with too few subjects
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CategoryComparison:
+    """All categories of one task."""
+
+    task: str  # As the library names it
+    categories: tuple[CategoryName, ...]
+    crossed: tuple[Crossed, ...]  # Every category's optimum worn by every other category
+    margin_deg: float  # Smallest difference that matters
+
+    @property
+    def finding(self) -> Finding:
+        """Whether one protocol does for all."""
+        verdicts = [cell.decision.verdict if cell.decision else "not decidable" for cell in self.crossed]
+        apart = [cell for cell, verdict in zip(self.crossed, verdicts, strict=True) if verdict == "better"]
+        words = {"task": self.task.replace("_", " "), "margin_deg": self.margin_deg}
+        if apart:
+            return finding("study.categories_differ", "info", pairs=_worn(apart), **words)
+        if all(verdict == "equivalent" for verdict in verdicts):
+            return finding("study.categories_alike", "info", count=len(self.categories), **words)
+        left = [cell for cell, verdict in zip(self.crossed, verdicts, strict=True) if verdict != "equivalent"]
+        needed = [cell.decision.subjects_needed if cell.decision else None for cell in left]
+        most = needed_text(None if None in needed else max(n for n in needed if n is not None))
+        return finding("study.categories_undecided", "warn", pairs=_worn(left), needed=most, **words)
+
+
+def _worn(cells: Sequence[Crossed]) -> tuple[str, ...]:
+    return tuple(
+        f"{CATEGORIES[cell.worn].label} with the optimum of {CATEGORIES[cell.chosen].label} "
+        f"{cell.error_deg:.3f} deg, with their own {cell.own_deg:.3f} deg"
+        for cell in cells
+    )
+
+
+def compare_categories(
+    study: Study, surfaces: Sequence[TaskSurface], optima: Sequence[Optimum], folder: Path
+) -> tuple[CategoryComparison, ...]:
+    """Wear each category's optimum in all categories of its task, on the other cohort."""
+    other, found = other_study(study), []
+    held = sorted(zip(study.tasks, surfaces, optima, strict=True), key=lambda each: study.names.index(each[0].name))
+    for name, group in groupby(held, key=lambda each: each[0].name):
+        own = tuple(group)
+        categories = tuple(task.category for task, _, _ in own)
+        if len(own) < 2:
+            continue
+        errors: dict[tuple[CategoryName, CategoryName], FloatArray] = {}
+        for task, surface, optimum in own:
+            single = only(task, surface, optimum.best)
+            tasks = tuple(replace(single, category=category) for category in categories)
+            # a few seconds' work, as of the optima on their own categories
+            ran = run_study(replace(other, tasks=tasks), InProcess(), folder / f"{name}-{task.category}")
+            for category, each in zip(categories, ran, strict=True):
+                errors[task.category, category] = each.aimed(study)[:, 0]
+        tests = len(categories) * (len(categories) - 1)
+        crossed = tuple(
+            _crossed(chosen, worn, errors[chosen, worn], errors[worn, worn], study, tests)
+            for chosen, worn in product(categories, repeat=2)
+            if chosen != worn
+        )
+        found.append(CategoryComparison(task=name, categories=categories, crossed=crossed, margin_deg=study.margin_deg))
+    return tuple(found)
+
+
+def _crossed(
+    chosen: CategoryName, worn: CategoryName, error: FloatArray, own: FloatArray, study: Study, tests: int
+) -> Crossed:
+    both = np.stack((own, error), axis=1)
+    both = both[np.isfinite(both).all(axis=1)]
+    decision = None
+    if len(both) >= LEAST:
+        decision = decide_between(*both.T, margin=study.margin_deg, level=study.level, tests=tests)
+    own_deg, error_deg = both.mean(axis=0).tolist() if len(both) else (float("nan"), float("nan"))
+    return Crossed(
+        chosen=chosen, worn=worn, subjects=len(both), error_deg=error_deg, own_deg=own_deg, decision=decision
+    )
+
+
 # ---- comparison with the note's Table 1
 
 
@@ -454,16 +528,13 @@ def compare_with_note(
     surface: TaskSurface,
     optimum: Optimum,
     row: NoteRow,
-    *,
-    objective: Objective = "rms",
-    timing: Timing = "real time",
-    level: float = 0.05,
+    aim: Aim = AIM,
 ) -> NoteComparison:
     """Compare a row of the note with the optimum, and each of its values with the next that were tried."""
     # what the note has no value of is as in the optimum
     wanted = np.array([getattr(row, n) for n in PARAMETERS] + [v[optimum.best] for v in surface.further.values()])
     table = np.stack([surface.column(name) for name in surface.names], axis=1)
-    place, errors, best = _place(table, wanted), surface.error(objective, timing), optimum.best
+    place, errors, best = _place(table, wanted), surface.aimed(aim), optimum.best
     mean, values = errors.mean(axis=0), tuple[NoteValue, ...]()
     error, ours = float("nan") if place is None else float(mean[place]), float(mean[best])
     verdict: NoteVerdict = "not decidable"
@@ -471,8 +542,8 @@ def compare_with_note(
         verdict = "not tried"
         why = finding("study.note_not_tried" if place is None else "study.note_uncalibrated", "info")
     else:
-        values = _note_values(table, errors, place, margin=optimum.margin_deg, level=level)
-        why = _against_optimum(table, errors, place, optimum, level)
+        values = _note_values(table, errors, place, margin=optimum.margin_deg, level=aim.level)
+        why = _against_optimum(table, errors, place, optimum, aim.level)
         if optimum.worse[place] or any(value.verdict == "differs" for value in values):
             verdict = "differs"
         elif optimum.equivalent[place] and all(value.verdict == "agrees" for value in values):

@@ -3,11 +3,17 @@
     surfaces -> optimum -> the other cohort -> power, optional stopping -> Table 1 with the note's rows, Figure 3
              -> rates to dwell at, rival methods, real recordings
 
+What the error of an optimum is made of, and which effect hides a parameter: the optimum's values of each parameter, the others at
+the optimum, are run again with one effect switched off (study/case.py) and the draws of all the others. Mean squares of
+independent errors add. So the part of an effect is what the mean square loses where that effect is switched off; what no single
+effect takes belongs to several together. An effect hides a parameter whose values differ by more than the margin without that
+effect alone.
+
 The forecast gives the time of each stage on this machine before anything runs. Calibration sessions and the other cohort are
 measured by a unit of each task; the rest costs about the same whatever the study is, as timed on one of two busy processors.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -16,31 +22,247 @@ from typing import Any, Literal, NamedTuple, cast, get_args
 
 import numpy as np
 
+from undrift.arrays import FloatArray, IntArray
 from undrift.errors import InputError
 from undrift.findings import Finding, finding
 from undrift.sim.motion.tasks import TaskName
-from undrift.sim.switches import EFFECTS
-from undrift.study import judge, run
-from undrift.study import search as searching
-from undrift.study.case import Unit, run_unit, seeded, typical_unit, units_of
-from undrift.study.categories import CategoryComparison, compare_categories
-from undrift.study.designs import DesignRow, design_rows
+from undrift.study import judge, run, search
+from undrift.study.case import EFFECTS, EffectName, Unit, run_unit, seeded, typical_unit, units_of
 from undrift.study.figure3 import DRAWN_UNITS, DrawnRow, EffectRow, Figure3, drawn_cohort, effect_table, figure3
-from undrift.study.plan import DEVICE, MARGIN_DEG, TABLE_1, Study, StudyTask
+from undrift.study.plan import AIM, DEVICE, MARGIN_DEG, TABLE_1, Aim, Study, StudyTask, column_of
 from undrift.study.real import RealData, RealOutcome, judge_real, tried
 from undrift.study.rivals import TASKS, UNITS, RivalPlan, RivalRow, Rivals, TriadRow, compare_rivals
-from undrift.study.space import TURN_RATES, Untried
-from undrift.study.split import MOST_VALUES, Split, split_findings, split_study
+from undrift.study.space import TURN_RATES, Setting, Untried
 from undrift.study.statistics import (
     Anova,
     MixedModel,
     OneWay,
     OptionalStopping,
+    compare_pairs,
+    mean_interval,
     power_of_anova,
     stopping_of,
     subjects_needed,
 )
 from undrift.units import RADIAN_PER_DEGREE
+
+# ---- what the error of an optimum is made of
+
+MOST_VALUES = 5  # of a parameter that are run again: the optimum's with its neighbours, and both ends
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Term:
+    """What one effect adds to the error, and whether it hides what a parameter does."""
+
+    effect: str  # One of ``EFFECTS``
+    share: float  # Of the mean square that is lost without it; below 0 where the error grows
+    share_interval: tuple[float, float]  # Its 95 % interval over the subjects
+    rms_deg: float  # Root of that loss, deg; 0 where there is none
+    judged: judge.Judged  # The parameter's values without the effect
+    best: int  # Place of the value with the least error without it
+    span_deg: float  # Greatest less least mean error over the values without it, deg
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Split:
+    """The error with one value of a parameter, by effect, and what each effect hides."""
+
+    parameter: str  # One of the surface's ``names``
+    values: FloatArray  # (k,), that were run, Hz or deg/s
+    rms_deg: float  # With all effects, root of the mean square over the subjects, deg
+    judged: judge.Judged  # The parameter's values with all effects
+    terms: tuple[Term, ...]  # By falling share
+    together: float  # Share that no single effect takes with it: several at once, or none of those switched off
+
+    @property
+    def covering(self) -> tuple[Term, ...]:
+        """Effects without which the parameter is worth setting, though it is not with all of them."""
+        if self.judged.verdict == "better":
+            return ()
+        return tuple(term for term in self.terms if term.judged.verdict == "better")
+
+    @property
+    def finding(self) -> Finding | None:
+        """What hides the parameter; None where it decides the error."""
+        if self.judged.verdict == "better":
+            return None
+        numbers = {
+            "parameter": judge.SYMBOLS[self.parameter],
+            "verdict": self.judged.verdict,
+            "margin_deg": self.judged.widest.margin,
+        }
+        if not (covering := self.covering):
+            return finding("study.not_covered", "info", **numbers)
+        spans, p = (tuple(each) for each in zip(*((t.span_deg, t.judged.p_better) for t in covering), strict=True))
+        return finding(
+            "study.covered", "warn", effects=tuple(t.effect for t in covering), span_deg=spans, p=p, **numbers
+        )
+
+
+def split_findings(splits: tuple[Split, ...]) -> tuple[Finding, ...]:
+    """Say what the error of an optimum is made of, and what hides each parameter."""
+    if not splits:
+        return ()
+    first = splits[0]  # all are about one protocol
+    names, shares = (tuple(each) for each in zip(*((t.effect, 100.0 * t.share) for t in first.terms), strict=True))
+    made_of = finding(
+        "study.error_split",
+        "info",
+        effects=names,
+        share_percent=shares,
+        rms_deg=first.rms_deg,
+        together_percent=100.0 * first.together,
+    )
+    return (made_of, *(split.finding for split in splits if split.finding is not None))
+
+
+def split_error(
+    parameter: str,
+    values: FloatArray,
+    error: FloatArray,
+    without: Mapping[EffectName, FloatArray],
+    *,
+    at: int,
+    aim: Aim = AIM,
+) -> Split:
+    """Split the error at one of a parameter's values: error with all effects, and without each, (S, k) deg, k values."""
+    wrong = [name for name, other in without.items() if other.shape != error.shape]
+    if error.ndim != 2 or min(error.shape) < 2 or wrong or not without:
+        named = ", ".join(wrong) or f"{error.shape} of {len(without)} effects"
+        raise InputError(
+            f"split: wanted subjects by two values or more, alike for all effects, got {named}; run each effect alike"
+        )
+    tests = 1 + len(without)
+    total = float((error[:, at] ** 2).mean())
+    terms = []
+    for effect, other in without.items():
+        loss = error[:, at] ** 2 - other[:, at] ** 2
+        lost = float(loss.mean())
+        _, ends = mean_interval(loss - lost / total * error[:, at] ** 2)  # both change with the subjects: about 0
+        mean = other.mean(axis=0)
+        terms.append(
+            Term(
+                effect=effect,
+                share=lost / total,
+                share_interval=((lost + ends[0]) / total, (lost + ends[1]) / total),
+                rms_deg=float(np.sqrt(max(lost, 0.0))),
+                judged=_verdict(other, aim, tests),
+                best=int(np.argmin(mean)),
+                span_deg=float(np.ptp(mean)),
+            )
+        )
+    terms.sort(key=lambda term: -term.share)
+    return Split(
+        parameter=parameter,
+        values=values,
+        rms_deg=float(np.sqrt(total)),
+        judged=_verdict(error, aim, tests),
+        terms=tuple(terms),
+        together=1.0 - sum(term.share for term in terms),
+    )
+
+
+def _verdict(error: FloatArray, aim: Aim, tests: int) -> judge.Judged:
+    best, subjects = int(np.argmin(error.mean(axis=0))), len(error)
+    return judge.judge_values(best, compare_pairs(error), subjects, aim, tests=tests)
+
+
+# ---- runs with an effect switched off
+
+
+def units_without(study: Study, task: StudyTask, surface: run.TaskSurface, optimum: judge.Optimum) -> tuple[Unit, ...]:
+    """Return the units that split the error of an optimum, those of a subject one after the other."""
+    lines = _lines(surface, optimum)
+    places = np.unique(np.concatenate(list(lines.values()))) if lines else np.empty(0, dtype=np.int64)
+    parts = dict[Setting, list[FloatArray]]()
+    for point in _points(task, surface)[places]:
+        parts.setdefault(task.space.setting_of(point), []).append(point)
+    tasks = [(replace(task, space=task.space.narrowed(np.array(of))), setting) for setting, of in parts.items()]
+    return tuple(
+        Unit(study=study, task=part, subject=subject, setting=setting, without=effect)
+        for subject in _subjects(study, surface)
+        for effect in EFFECTS
+        for part, setting in tasks
+    )
+
+
+def split_study(
+    study: Study,
+    surfaces: tuple[run.TaskSurface, ...],
+    optima: tuple[judge.Optimum, ...],
+    executor: run.Executor,
+    *,
+    advance: Callable[[int, int], None] = lambda done, total: None,
+) -> tuple[tuple[Split, ...], ...]:
+    """Split the error of each task's optimum along its parameters; ``advance`` gets units done and units in all."""
+    held = list(zip(study.tasks, surfaces, optima, strict=True))
+    units = [(k, unit) for k, each in enumerate(held) for unit in units_without(study, *each)]
+    tables = [{effect: np.full(surface.error_rms_deg.shape, np.nan) for effect in EFFECTS} for surface in surfaces]
+    rows = [{subject: row for row, subject in enumerate(_subjects(study, surface))} for surface in surfaces]
+    places = [
+        {tuple(point): place for place, point in enumerate(_points(task, surface).tolist())}
+        for task, surface, _ in held
+    ]
+    advance(0, len(units))
+    for done, (number, runs) in enumerate(executor.run(run_unit, [unit for _, unit in units]), 1):
+        k, unit = units[number]
+        if unit.without is not None:
+            own = [places[k][tuple(point)] for point in unit.task.space.points().tolist()]
+            tables[k][unit.without][rows[k][unit.subject], own] = runs[column_of(study.objective, study.timing)]
+        advance(done, len(units))
+    return tuple(
+        _split(study, surface, optimum, found) for (_, surface, optimum), found in zip(held, tables, strict=True)
+    )
+
+
+def _split(
+    study: Study, surface: run.TaskSurface, optimum: judge.Optimum, found: Mapping[EffectName, FloatArray]
+) -> tuple[Split, ...]:
+    """Split the error along each parameter with two values or more, by the subjects of whom every run is there."""
+    every, splits = surface.aimed(study), []
+    for name, line in _lines(surface, optimum).items():
+        without = {effect: table[:, line] for effect, table in found.items()}
+        there = np.isfinite([every[:, line], *without.values()]).all(axis=(0, 2))
+        if there.sum() > 2:
+            splits.append(
+                split_error(
+                    name,
+                    surface.column(name)[line],
+                    every[np.ix_(there, line)],
+                    {effect: table[there] for effect, table in without.items()},
+                    at=int(np.flatnonzero(line == optimum.best)[0]),
+                    aim=study,
+                )
+            )
+    return tuple(splits)
+
+
+def _subjects(study: Study, surface: run.TaskSurface) -> list[int]:
+    return [subject for subject in range(study.subjects) if subject not in surface.left_out]
+
+
+def _lines(surface: run.TaskSurface, optimum: judge.Optimum) -> dict[str, IntArray]:
+    """Return the places of the protocols that differ from the optimum in one parameter, by rising values; five at most."""
+    lines = {}
+    for effect in optimum.effects:
+        line = surface.line(optimum.best, effect.name)
+        line = line[np.isin(surface.column(effect.name)[line], effect.values)]
+        if len(line) > MOST_VALUES:
+            at, last = int(np.flatnonzero(line == optimum.best)[0]), len(line) - 1
+            line = line[sorted({0, max(at - 1, 0), at, min(at + 1, last), last})]
+        if len(line) > 1:
+            lines[effect.name] = line
+    return lines
+
+
+def _points(task: StudyTask, surface: run.TaskSurface) -> FloatArray:
+    """Return the protocols of a surface as the plan has their values, (P, n)."""
+    units = [RADIAN_PER_DEGREE if name.endswith("_dps") else 1.0 for name in surface.names]
+    held = [surface.column(name) * unit for name, unit in zip(surface.names, units, strict=True)]
+    lists = map(np.array, task.space.values)
+    return np.stack([v[np.abs(v - own[:, None]).argmin(axis=1)] for v, own in zip(lists, held, strict=True)], axis=1)
+
 
 # ---- forecast
 
@@ -83,15 +305,15 @@ def forecast(study: Study, folder: Path, *, workers: int, rivals: bool, real: Re
         unit_s = _unit_s(one)
         cohort += (2.0 + (crossed if crossed > 1 else 0)) * study.subjects * unit_s
         split += len(EFFECTS) * study.subjects * min(len(task.space.cutoff_hz), MOST_VALUES) * unit_s
-        if study.search == "cma" or searching.tried_of(study, task) < task.space.count:  # hardly two of one setting
-            sessions += searching.runs_of_task(study, task) * unit_s
+        if study.search == "cma" or search.tried_of(study, task) < task.space.count:  # hardly two of one setting
+            sessions += search.runs_of_task(study, task) * unit_s
         elif searched:
-            share = searching.runs_of_task(study, task) / (study.subjects * task.space.count)
+            share = search.runs_of_task(study, task) / (study.subjects * task.space.count)
             sessions += share * study.subjects * len(task.space.settings()) * _unit_s(whole)
         elif left := [unit for unit in units_of(replace(study, tasks=(task,))) if not store.holds(unit)]:
             sessions += len(left) * _unit_s(left[0])
     if searched:
-        sessions *= max(1.0 - run.runs_held(folder) / searching.count_runs(study), 0.0)
+        sessions *= max(1.0 - run.runs_held(folder) / search.count_runs(study), 0.0)
     figured, real_s = _has_figure3(study), 0.0
     if real is not None:
         trials, rows = sum(len(device.pairs) for device in real.devices), len(real.captures) + len(real.stances)
@@ -154,8 +376,8 @@ class TaskOutcome:
     note: judge.NoteComparison | None  # With the note's row; None for other tasks
     splits: tuple[Split, ...]  # What the optimum's error is made of, by parameter; none of one that has a single value
     untried: tuple[Untried, ...]  # Values of the plan that no protocol has, or none that is short enough
-    halving: run.Halving | None  # Its rounds, where protocols were searched so
-    front: searching.Front  # Of error against minutes on the rig
+    halving: search.Halving | None  # Its rounds, where protocols were searched so
+    front: search.Front  # Of error against minutes on the rig
 
     @property
     def findings(self) -> tuple[Finding, ...]:
@@ -178,12 +400,12 @@ class StudyOutcome:
     figure3_effects: tuple[EffectRow, ...] = ()
     # Largest errors of drawn units, one row for each compensation; empty where the rivals were not asked for
     figure3_drawn: tuple[DrawnRow, ...] = ()
-    designs: tuple[DesignRow, ...] = ()  # D- and I-optimal rates and the uniform grid, by task
+    designs: tuple[search.DesignRow, ...] = ()  # D- and I-optimal rates and the uniform grid, by task
     rivals: tuple[RivalRow, ...] = ()  # Other ways to calibrate; empty where they were not asked for
     rival_triads: tuple[TriadRow, ...] = ()  # Each triad alone by each of them
     rivals_missing: Finding | None = None  # Why there are none
     real: RealOutcome | None = None  # Real recordings, where some were given
-    categories: tuple[CategoryComparison, ...] = ()  # One a task that several categories perform
+    categories: tuple[judge.CategoryComparison, ...] = ()  # One a task that several categories perform
 
 
 def judge_study(
@@ -199,17 +421,17 @@ def judge_study(
 ) -> StudyOutcome:
     """Run a study, or what is left of it, and judge it; ``begin`` gets each stage, ``tell`` each round of a halving."""
     begin("calibration sessions")
-    halvings: tuple[run.Halving | None, ...] = (None,) * len(study.tasks)
+    halvings: tuple[search.Halving | None, ...] = (None,) * len(study.tasks)
     if study.search == "grid":
-        runs, met = searching.count_runs(study), run.run_study(study, executor, folder, advance=advance)
+        runs, met = search.count_runs(study), run.run_study(study, executor, folder, advance=advance)
     else:
-        halvings = halved = searching.search_study(study, executor, folder, advance=advance, tell=tell)
+        halvings = halved = search.search_study(study, executor, folder, advance=advance, tell=tell)
         runs, met = sum(each.runs for each in halved), tuple(each.surface for each in halved)
     surfaces = tuple(map(run.without_lost, met))
-    optima = tuple(judge.find_optimum(surface, **_limits(study)) for surface in surfaces)
+    optima = tuple(judge.find_optimum(surface, study) for surface in surfaces)
     begin("the other cohort")
     others, tested = judge.other_study(study), judge.run_testing(study, surfaces, optima, folder / TESTING)
-    categories = compare_categories(study, surfaces, optima, folder / TESTING)
+    categories = judge.compare_categories(study, surfaces, optima, folder / TESTING)
     begin("what the error is made of")
     splits = split_study(study, surfaces, optima, executor, advance=advance)
     begin("rates to dwell at")
@@ -248,16 +470,12 @@ def judge_study(
     )
 
 
-def _limits(study: Study) -> Any:
-    """Return what an optimum is found by."""
-    names = ("objective", "timing", "level", "margin_deg", "rig_minutes_max")
-    return {name: getattr(study, name) for name in names}
-
-
-def _designs(study: Study, task: StudyTask, surface: run.TaskSurface, optimum: judge.Optimum) -> tuple[DesignRow, ...]:
+def _designs(
+    study: Study, task: StudyTask, surface: run.TaskSurface, optimum: judge.Optimum
+) -> tuple[search.DesignRow, ...]:
     dps = {name: round(float(getattr(surface, f"{name}_dps")[optimum.best]), 9) for name in TURN_RATES}
     rates: dict[str, Any] = {name: rate * RADIAN_PER_DEGREE for name, rate in dps.items()}
-    return design_rows(study, task, replace(task.base, **rates))
+    return search.design_rows(study, task, replace(task.base, **rates))
 
 
 def _beside_figure3(
@@ -300,12 +518,11 @@ def _judge(
     optimum: judge.Optimum,
     tested: tuple[judge.Tested, judge.Tested],
     splits: tuple[Split, ...],
-    halving: run.Halving | None,
+    halving: search.Halving | None,
 ) -> TaskOutcome:
     row = TABLE_1.get(cast("TaskName", surface.task))
     least, stopping = _stopping(study, surface, optimum)
-    aim: Any = {"objective": study.objective, "timing": study.timing}
-    one_way, repeated = judge.analyses_of(surface, **aim)
+    one_way, repeated = judge.analyses_of(surface, study)
     return TaskOutcome(
         surface=surface,
         optimum=optimum,
@@ -316,16 +533,11 @@ def _judge(
         stopping_of=least,
         one_way=one_way,
         repeated=repeated,
-        note=row if row is None else judge.compare_with_note(surface, optimum, row, level=study.level, **aim),
+        note=row if row is None else judge.compare_with_note(surface, optimum, row, study),
         splits=splits,
         untried=(*task.space.untried(), *_too_long(study, surface if halving is None else halving.every)),
         halving=halving,
-        front=searching.front_of(
-            surface if halving is None else run.without_lost(halving.every),
-            study.objective,
-            study.timing,
-            study.rig_minutes_max,
-        ),
+        front=search.front_of(surface if halving is None else run.without_lost(halving.every), study),
     )
 
 
@@ -368,7 +580,7 @@ def _stopping(study: Study, surface: run.TaskSurface, optimum: judge.Optimum) ->
     least = min(tested, key=lambda effect: effect.p_holm)
     line = surface.line(optimum.best, least.name)
     line = line[np.isin(surface.column(least.name)[line], least.values)]
-    table = surface.error(study.objective, study.timing)[:, np.sort(line)]
+    table = surface.aimed(study)[:, np.sort(line)]
     table = table[np.isfinite(table).all(axis=1)]  # looks are at subjects with every run
     if len(table) <= FIRST_LOOK:
         return "", None

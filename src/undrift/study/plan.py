@@ -36,10 +36,9 @@ from undrift.rig.programme import GridRule, Protocol
 from undrift.sim.bench_errors import BenchErrors
 from undrift.sim.device.model import DeviceModel, device_from_json, device_json, read_device
 from undrift.sim.device.presets import PRESETS, preset
-from undrift.sim.motion.categories import DEFAULT, CategoryName
 from undrift.sim.motion.motion import Motion
 from undrift.sim.motion.poses import PoseSettings, PoseSpline, fit_pose_spline
-from undrift.sim.motion.tasks import Group, TaskName
+from undrift.sim.motion.tasks import DEFAULT, CategoryName, Group, TaskName
 from undrift.study.space import FURTHER, TURN_RATES, Space
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
@@ -168,7 +167,21 @@ class StudyTask:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Study:
+class Aim:
+    """What a study minimises, and by what it judges."""
+
+    objective: Objective = "rms"  # rms, maximum or end of the pitch error
+    timing: Timing = "real time"  # or offline: once the delay is estimated and taken out
+    level: float = 0.05  # Of the tests
+    margin_deg: float = MARGIN_DEG["rms"]  # Smallest difference of mean errors that matters, deg
+    rig_minutes_max: float | None = None  # Longest session that is allowed, min
+
+
+AIM = Aim()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Study(Aim):
     """A study."""
 
     name: str  # For people
@@ -179,13 +192,8 @@ class Study:
     group: Group = "simulation"  # simulation or testing, as in the note's Table 2
     # Board temperature of the trials above the calibration's, least and greatest, K
     excursion_k: tuple[float, float] = (10.0, 15.0)
-    objective: Objective = "rms"  # rms, maximum or end of the pitch error
-    timing: Timing = "real time"  # or offline: once the delay is estimated and taken out
     search: Search = "grid"  # Every protocol on every subject, successive halving, or evolution (CMA-ES)
     candidates: int | None = None  # Most that halving draws or that evolution tries for a task; None: all, and 600
-    level: float = 0.05  # Of the tests
-    margin_deg: float = MARGIN_DEG["rms"]  # Smallest difference of mean errors that matters, deg
-    rig_minutes_max: float | None = None  # Longest session that is allowed, min
     seed: int = 0  # Same seed, same bits
     worn: str = ""  # Text of a device.json, which every subject wears; none draws units of ``device``
     bench: BenchErrors = NOTE_BENCH  # What the bench does wrong

@@ -35,10 +35,20 @@ from undrift.record import Record, Reference
 from undrift.sim.device.model import DeviceModel, read_device
 from undrift.sim.device.presets import preset
 from undrift.sim.device.simulate import simulate_device
-from undrift.sim.motion.categories import DEFAULT, CategoryName
 from undrift.sim.motion.motion import Motion
 from undrift.sim.motion.poses import PoseSpline, fit_pose_spline
-from undrift.sim.motion.tasks import GROUP_SIZE, GYRATION, Group, Subject, Task, TaskName, cohort, draw_task
+from undrift.sim.motion.tasks import (
+    DEFAULT,
+    GROUP_SIZE,
+    GYRATION,
+    CategoryName,
+    Group,
+    Subject,
+    Task,
+    TaskName,
+    cohort,
+    draw_task,
+)
 from undrift.sim.table_sessions import ROOM_TEMP_C
 from undrift.study.case import REST_S, Case, delay_of, pitch_error, typical_unit
 from undrift.study.figure3 import LEVELS, SETTLED_S, Climate, Figure3, calibrated, figure3

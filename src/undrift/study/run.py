@@ -3,11 +3,6 @@
 A unit carries its own seed, so the bits of its result depend on neither the executor, nor the number of workers, nor the order.
 The store has one Parquet piece for each finished unit, whole or not there; DIR/study.json says which study the pieces belong to:
 a folder of another study is refused, and an interrupted study resumes with the units that have no piece.
-
-Grid search: every protocol meets every subject. Successive halving: all candidates meet a few subjects, the better part meets
-more, the last few meet all. Errors of earlier rounds are kept: only new subjects cost runs. A candidate that could not calibrate
-a device drops out. The error of the winner is biased low by the selection; the other cohort gives an unbiased one. Spaces too wide
-for that: study/search.py.
 """
 
 import hashlib
@@ -24,11 +19,10 @@ from typing import Any, Protocol, TypeVar
 import numpy as np
 
 from undrift.arrays import FloatArray, IntArray
-from undrift.errors import InputError, NotObservable, UndriftError
+from undrift.errors import InputError, UndriftError
 from undrift.files import write_whole
-from undrift.rig.programme import Protocol as CalibrationProtocol
-from undrift.study.case import COLUMNS, Unit, columns_of, run_unit, session_of, units_of
-from undrift.study.plan import ERRORS, OF_BENCH, Objective, Study, StudyTask, Timing, column_of
+from undrift.study.case import COLUMNS, Unit, run_unit, units_of
+from undrift.study.plan import ERRORS, OF_BENCH, Aim, Objective, Study, StudyTask, Timing, column_of
 
 # ---- executors: where units of work are done
 
@@ -295,6 +289,10 @@ class TaskSurface:
         found: FloatArray = getattr(self, column_of(objective, timing))
         return found
 
+    def aimed(self, aim: Aim) -> FloatArray:
+        """Return the errors (S, P) that a study minimises, deg."""
+        return self.error(aim.objective, aim.timing)
+
     @property
     def names(self) -> tuple[str, ...]:
         """The columns of what is varied."""
@@ -362,56 +360,6 @@ def without_lost(surface: TaskSurface) -> TaskSurface:
     )
 
 
-def runs_of(plan: tuple[tuple[int, int], ...]) -> int:
-    """Return the runs of the rounds of a halving."""
-    return sum(count * (met - before) for (count, met), (_, before) in zip(plan, ((0, 0), *plan), strict=False))
-
-
-# ---- successive halving
-
-
-FIRST_SUBJECTS = 3  # of the first round; too few, and the best protocol may be dropped by chance
-LEAST = 4  # so many candidates meet all subjects
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Round:
-    """One round of a halving."""
-
-    subjects: int  # That its candidates had met at its end
-    candidates: IntArray  # (n,), places among all protocols
-    mean_deg: FloatArray  # (n,), of the objective; infinite where a device was left uncalibrated
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Halving:
-    """Outcome of a halving: its rounds, and the surface of all runs that were made."""
-
-    points: FloatArray  # (P, n), all candidates
-    protocols: tuple[CalibrationProtocol, ...]  # The same as protocols
-    best: int  # Place of the best of the last round
-    rounds: tuple[Round, ...]  # From all candidates to the last few
-    runs: int  # Sessions simulated and fitted
-    runs_of_grid: int  # The same for every candidate on every subject
-    every: TaskSurface  # All P candidates; NaN where a candidate did not meet a subject
-    generations: int = 0  # Of CMA-ES, the first of the rounds; the others halve
-
-    @property
-    def surface(self) -> TaskSurface:
-        """The candidates of the last round, which met every subject."""
-        return self.every.at(self.rounds[-1].candidates)
-
-
-def rounds_of(candidates: int, subjects: int) -> tuple[tuple[int, int], ...]:
-    """Return how many candidates each round has, and how many subjects they have met at its end."""
-    plan = [(candidates, min(FIRST_SUBJECTS, subjects))]
-    while plan[-1][1] < subjects:
-        count, met = plan[-1]
-        count = min(count, max(math.ceil(count / 2), LEAST))
-        plan.append((count, subjects if count <= LEAST else min(2 * met, subjects)))
-    return tuple(plan)
-
-
 def runs_held(folder: Path) -> int:
     """Return how many runs of a halving are on the disk."""
     import pyarrow.parquet as pq
@@ -422,101 +370,3 @@ def runs_held(folder: Path) -> int:
 def pieces_of(folder: Path) -> list[Path]:
     """Return the finished pieces of a search, whatever its rounds."""
     return sorted((folder / HALVING).glob(f"**/{PIECES}/*.parquet"))
-
-
-def unmet(study: Study, task: StudyTask, points: FloatArray) -> TaskSurface:
-    """Return the surface of candidates (P, n) that have met nobody."""
-    varied: dict[str, Any] = columns_of(task, points)
-    varied["further"] = {name: varied.pop(name) for name in further_of(task)}
-    varied |= {name: np.full((study.subjects, len(points)), np.nan) for name in ERRORS}
-    return TaskSurface(task=task.key, rig_minutes=np.full(len(points), np.nan), **varied)
-
-
-def allowed_of(study: Study, task: StudyTask, points: FloatArray, every: TaskSurface) -> IntArray:
-    """Return which candidates have a session that is allowed; where that has an end, write the minutes of all."""
-    if study.rig_minutes_max is None:
-        return np.arange(len(points))
-    held = ((task.protocol_of(point), task.space.setting_of(point).quality) for point in points)
-    every.rig_minutes[:] = [session_of(*each).length_s[0] / 60.0 for each in held]
-    return np.flatnonzero(every.rig_minutes <= study.rig_minutes_max)
-
-
-def halve(
-    study: Study,
-    task: StudyTask,
-    executor: Executor,
-    folder: Path,
-    *,
-    points: FloatArray | None = None,
-    count: Callable[[int], None] = lambda runs: None,
-    tell: Callable[[str], None] = lambda text: None,
-) -> Halving:
-    """Find the best protocol of a task, or of some points (P, n), with a part of the runs; ``count`` gets those of each unit."""
-    points = task.space.points() if points is None else points
-    every = unmet(study, task, points)
-    left = allowed_of(study, task, points, every)
-    plan = rounds_of(len(left), study.subjects)
-    rounds: list[Round] = []
-    met = runs = 0
-    for number, (kept, wanted) in enumerate(plan, 1):
-        if rounds:
-            left = np.sort(left[np.argsort(rounds[-1].mean_deg, kind="stable")[:kept]])
-        if len(left):
-            tell(f"{task.key}, round {number} of {len(plan)}: {len(left)} protocols on {wanted} subjects")
-        runs += len(left) * (wanted - met)
-        run_block(study, task, points, (range(met, wanted), left), executor, folder / f"round-{number}", every, count)
-        mean = mean_of(every.error(study.objective, study.timing)[:wanted, left])
-        rounds.append(Round(subjects=wanted, candidates=left, mean_deg=mean))
-        if not np.isfinite(mean).any():
-            raise NotObservable(
-                f"halving: wanted a protocol of {task.key} that calibrates every device, got none; try other rates"
-            )
-        met = wanted
-    return Halving(
-        points=points,
-        protocols=tuple(map(task.protocol_of, points)),
-        best=int(left[np.argmin(rounds[-1].mean_deg)]),
-        rounds=tuple(rounds),
-        runs=runs,
-        runs_of_grid=study.subjects * task.space.count,
-        every=every,
-    )
-
-
-def mean_of(error: FloatArray) -> FloatArray:
-    """Return the mean errors (P,) of candidates that met the same subjects, (S, P); infinite where a device was not calibrated."""
-    there = np.isfinite(error).any(axis=1)  # a device that no candidate calibrates does not compare them
-    mean = error[there].mean(axis=0) if there.any() else np.full(error.shape[1], np.inf)
-    return np.where(np.isfinite(mean), mean, np.inf)
-
-
-def run_block(
-    study: Study,
-    task: StudyTask,
-    points: FloatArray,
-    block: tuple[Sequence[int], IntArray],
-    executor: Executor,
-    folder: Path,
-    every: TaskSurface,
-    count: Callable[[int], None],
-) -> None:
-    """Run a block of subjects and of candidates, places of the points, and write its errors into the surface."""
-    subjects, left = block
-    settings, tasks, places_of = [task.space.setting_of(points[place]) for place in left], [], {}
-    for setting in dict.fromkeys(settings):
-        places = places_of[setting] = left[[each == setting for each in settings]]
-        tasks.append(replace(task, space=task.space.narrowed(points[places])))
-    units = [
-        Unit(study=study, task=only, subject=subject, setting=only.space.settings()[0])
-        for subject in subjects
-        for only in tasks
-    ]
-    store = RunStore(folder, study, only=tuple(tasks))
-    count(sum(len(unit.task.space.only) for unit in units if store.holds(unit)))
-    for unit in store.finish(units, executor):
-        count(len(unit.task.space.only))
-    for unit in units:
-        found, places = store.read(unit), places_of[unit.setting]
-        every.rig_minutes[places] = found["rig_minutes"]
-        for name in ERRORS:
-            getattr(every, name)[unit.subject, places] = found[name]

@@ -6,8 +6,16 @@ import numpy as np
 import pytest
 
 from undrift.errors import InputError
-from undrift.sim.motion.categories import CATEGORIES, DEFAULT, CategoryName
-from undrift.sim.motion.tasks import Performance, TaskName, cohort, draw_task, table_row
+from undrift.sim.motion.tasks import (
+    CATEGORIES,
+    DEFAULT,
+    CategoryName,
+    Performance,
+    TaskName,
+    cohort,
+    draw_task,
+    table_row,
+)
 
 TASKS: tuple[TaskName, ...] = ("sit_to_stand", "step", "posturography")
 

@@ -8,12 +8,12 @@ from scipy.signal import lfilter
 
 from testkit.data import show
 from undrift.errors import InputError
-from undrift.sim.device.dwells import Dwells, board_readings, code_means, mean_readings, numbers_of_dwell
 from undrift.sim.device.effects import BiasInstability, Hysteresis, RandomWalk, Thermometer, difference_equation
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.presets import random_device_of
 from undrift.sim.device.simulate import simulate_device
 from undrift.sim.motion.motion import Motion
+from undrift.sim.table_sessions import Dwells, board_readings, code_means, mean_readings, numbers_of_dwell
 
 G = 9.80665
 

@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from undrift.sim.device.dwells import numbers_of_dwell
 from undrift.sim.device.presets import random_device_of
 from undrift.sim.device.simulate import filtered, simulate_device
 from undrift.sim.motion.tasks import draw_task
-from undrift.sim.switches import EFFECTS, bench_without, delay_of_pitch, device_without
+from undrift.sim.table_sessions import numbers_of_dwell
+from undrift.study.case import EFFECTS, bench_without, delay_of_pitch, device_without
 from undrift.study.plan import NOTE_BENCH
 
 DEVICE = random_device_of("enc03j_3031", np.random.default_rng(4))
