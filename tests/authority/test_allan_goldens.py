@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from testkit.data import data_path, show
-from undrift.calibration.allan import Estimator, allan_deviation
-from undrift.calibration.noise import fit_noise
+from undrift.calibration.noise import Estimator, allan_deviation, fit_noise
 from undrift.record import Record
 from undrift.units import STANDARD_GRAVITY
 

@@ -12,8 +12,7 @@ from testkit.findings import only
 from testkit.stepper_jig import RUNS, clock_lag, turned
 from undrift.calibration.calibrate import calibrate
 from undrift.calibration.dwells import dwell_means
-from undrift.calibration.rate_table import fit_rate_table
-from undrift.calibration.rate_table_axes import fit_rate_axis
+from undrift.calibration.rate_table import fit_rate_axis, fit_rate_table
 from undrift.errors import Implausible, NotObservable
 from undrift.record import Session
 

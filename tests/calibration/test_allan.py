@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from undrift.calibration.allan import Estimator, allan_deviation
+from undrift.calibration.noise import Estimator, allan_deviation
 from undrift.errors import InputError
 
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from undrift.calibration.flicker import (
+from undrift.calibration.creep import (
     SIZES,
     Blocks,
     blocks_within,

@@ -7,7 +7,7 @@ import pytest
 
 from testkit.findings import codes, only
 from undrift.calibration.checks import axis_vectors, face_vectors
-from undrift.calibration.flicker import blocks_within
+from undrift.calibration.creep import blocks_within
 from undrift.calibration.known_rotation import RotationData, calibrate_turns, fit_known_rotation, rotation_data
 from undrift.calibration.observe import CalibrateSettings, observe
 from undrift.calibration.six_face import FaceMeans, calibrate_faces

@@ -10,10 +10,13 @@ from scipy.spatial.transform import Rotation
 from testkit.findings import only
 from undrift.calibration.multi_position import (
     MultiPositionSettings,
+    cut_moves,
+    fit_gyro_between_stills,
     fit_multi_position,
+    gravity_directions,
+    offset_prior,
     still_variance,
 )
-from undrift.calibration.multi_position_gyro import cut_moves, fit_gyro_between_stills, gravity_directions, offset_prior
 from undrift.errors import Implausible, InputError, NotObservable, PoorFit
 from undrift.kernels.calibrate import rotations_between
 from undrift.record import Record, Still

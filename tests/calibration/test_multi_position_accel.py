@@ -6,7 +6,7 @@ import pytest
 from testkit.findings import codes, only
 from testkit.poses import fit_poses
 from undrift.calibration.multi_position import still_variance
-from undrift.calibration.norm_equations import NormFit, _linearised, fit_norm
+from undrift.calibration.norm import NormFit, _linearised, fit_norm
 from undrift.errors import Implausible, NotObservable, PoorFit
 from undrift.fit.least_squares import excess_variance
 from undrift.record import Record

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from undrift.calibration.allan import allan_deviation
-from undrift.calibration.noise import fit_noise
+from undrift.calibration.noise import allan_deviation, fit_noise
 from undrift.errors import InputError
 from undrift.record import Record
 

@@ -8,8 +8,8 @@ import pytest
 import undrift
 from testkit.data import show
 from testkit.findings import codes, only
+from undrift.calibration.creep import offset_drift
 from undrift.calibration.observe import CalibrateSettings, observe
-from undrift.calibration.offset_drift import offset_drift
 from undrift.record import Record, Session, Still
 
 RATE, RESTS, HOLD, PAUSE = 50.0, 8, 400, 1600  # rests of 8 s, 40 s apart

@@ -8,8 +8,7 @@ import pytest
 from testkit.findings import only
 from undrift.calibration.checks import axis_vectors, check_scale_factor
 from undrift.calibration.dwells import DwellMeans, dwell_means, imposed_rates, linearity, spline_filter
-from undrift.calibration.rate_table import RestMeans, fit_rate_table, fit_with_rests
-from undrift.calibration.rate_table_axes import fit_rate_axis
+from undrift.calibration.rate_table import RestMeans, fit_rate_axis, fit_rate_table, fit_with_rests
 from undrift.errors import Implausible, InputError, NotObservable
 from undrift.fit.least_squares import block_size, noise_of_means
 from undrift.record import Record, Turn

@@ -7,8 +7,7 @@ import pytest
 
 from testkit.findings import only
 from undrift.calibration.dwells import DwellMeans
-from undrift.calibration.rate_table import scale_verdict
-from undrift.calibration.rate_table_axes import axis_finding, fit_rate_axes, fit_turned_axes
+from undrift.calibration.rate_table import axis_finding, fit_rate_axes, fit_turned_axes, scale_verdict
 from undrift.errors import Implausible, NotObservable
 
 DPS = np.pi / 180.0

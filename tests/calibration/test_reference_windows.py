@@ -5,8 +5,8 @@ from typing import cast
 import numpy as np
 import pytest
 
-from undrift.calibration import reference_windows
-from undrift.calibration.reference_windows import Recording, Solution, Windows, _whitened, solve, solve_chain
+from undrift.calibration import reference
+from undrift.calibration.reference import Recording, Solution, Windows, _whitened, solve, solve_chain
 from undrift.errors import NotObservable
 from undrift.frames import rotate
 
@@ -122,7 +122,7 @@ def test_a_jump_of_the_poses_is_bounded_and_stated() -> None:
 def test_long_recordings_are_taken_stretch_by_stretch(monkeypatch: pytest.MonkeyPatch) -> None:
     error = ERRORS["readings"](np.random.default_rng(3), 500)
     whole = solved(np.random.default_rng(4), [error]).covariance()
-    monkeypatch.setattr(reference_windows, "_STRETCH", 156)
+    monkeypatch.setattr(reference, "_STRETCH", 156)
     parts = solved(np.random.default_rng(4), [error]).covariance()
     # Windows that overlap across two cuts are 2 x 32 of 468: their products with the others are left out.
     assert np.sqrt(np.diag(parts) / np.diag(whole)) == pytest.approx(1.0, abs=0.2)

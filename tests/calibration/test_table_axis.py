@@ -8,9 +8,8 @@ import pytest
 from testkit.cramer_rao import white_device
 from testkit.findings import codes, only
 from undrift.calibration.calibrate import calibrate
+from undrift.calibration.dwells import Dwells, mountings, table_axes, table_term
 from undrift.calibration.observe import CalibrateSettings
-from undrift.calibration.table_axis import mountings, table_axes, table_term
-from undrift.calibration.table_rate import Dwells
 from undrift.errors import InputError
 from undrift.record import RateTable, Record, Still, Turn
 from undrift.sim.bench_errors import BenchErrors

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from undrift.calibration.table_rate import Dwells, uneven_rate
+from undrift.calibration.dwells import Dwells, uneven_rate
 from undrift.record import Record, Turn
 
 NOISE = 1e-4  # rad/s, of a sample at 100 Hz: a hundredth of a deg/s in a block of 0.5 s would be 1.7e-4

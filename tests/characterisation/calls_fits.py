@@ -21,13 +21,12 @@ from characterisation.recordings import xsens as xsens_record
 from characterisation.shared import Result, call, new, text_file, undrift
 from testkit.data import data_path
 from undrift.calibration.adc import identify_adc, identify_record_adc, without_truncation
-from undrift.calibration.allan import allan_deviation
 from undrift.calibration.calibrate import calibrate_to_references
 from undrift.calibration.checks import face_vectors
 from undrift.calibration.dwells import dwell_means
 from undrift.calibration.multi_position import MultiPositionSettings, fit_multi_position
-from undrift.calibration.rate_table import fit_rate_table
-from undrift.calibration.rate_table_axes import fit_rate_axis
+from undrift.calibration.noise import allan_deviation
+from undrift.calibration.rate_table import fit_rate_axis, fit_rate_table
 from undrift.calibration.reference import fit_reference
 from undrift.calibration.six_face import FaceMeans, fit_six_face
 from undrift.fit.least_squares import TriadFit

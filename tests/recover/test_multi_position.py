@@ -14,7 +14,7 @@ from testkit.cohorts import COHORTS
 from testkit.cramer_rao import Array, Tally, information, jacobian, white_device
 from testkit.poses import fit_poses
 from testkit.twins import rotation_matrices
-from undrift.calibration.multi_position_gyro import fit_gyro_between_stills
+from undrift.calibration.multi_position import fit_gyro_between_stills
 from undrift.frames import quaternion_product
 from undrift.record import Record
 from undrift.sim.device.model import DeviceModel

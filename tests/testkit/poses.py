@@ -3,8 +3,7 @@
 import numpy as np
 from numpy.typing import ArrayLike
 
-from undrift.calibration.multi_position import check_count, judged
-from undrift.calibration.norm_equations import fit_norm
+from undrift.calibration.norm import check_count, fit_norm, judged
 from undrift.fit.least_squares import TriadFit
 
 

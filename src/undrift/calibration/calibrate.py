@@ -21,17 +21,15 @@ import numpy as np
 
 from undrift.calibration.adc import identify_record_adc, restored
 from undrift.calibration.checks import missing_faces, range_in_doubt
-from undrift.calibration.creep import creep_of
+from undrift.calibration.creep import creep_of, offset_drift
 from undrift.calibration.known_rotation import calibrate_turns
 from undrift.calibration.multi_position import FEWEST_POSES, calibrate_moves, calibrate_poses
 from undrift.calibration.observe import CalibrateSettings, Observed, Outcome, at_one_temperature, in_one_unit, observe
-from undrift.calibration.offset_drift import offset_drift
-from undrift.calibration.rate_table import calibrate_rates, scale_verdict
-from undrift.calibration.rate_table_axes import NOMINAL_SD
+from undrift.calibration.pieces import check_accel
+from undrift.calibration.rate_table import NOMINAL_SD, calibrate_rates, scale_verdict
 from undrift.calibration.reference import ReferenceFit, ReferenceSettings, cross_validated_adc, fit_reference
 from undrift.calibration.reference_accel import fit_reference_accel
 from undrift.calibration.six_face import calibrate_faces
-from undrift.calibration.unused_stills import check_accel
 from undrift.errors import CalibrationError, Implausible, InputError, NotObservable, PoorFit
 from undrift.findings import Finding, Level, finding
 from undrift.fit.least_squares import TriadFit, triad_fit

@@ -1,6 +1,7 @@
-"""Temperature creep: offset and scale of each axis move within a session, by slopes that are known by a prior alone.
+"""What moves within a session: flicker of offsets, drift that rests show, and creep with temperature.
 
-The reading of one sensor in piece p, a still or turn at w_p kelvin above the calibration's reference temperature, is
+Creep: offset and scale of each axis follow the temperature by slopes that are known by a prior alone. The reading of one sensor in
+piece p, a still or turn at w_p kelvin above the calibration's reference temperature, is
 
     s_p = K a_p + b + (a_p . K) beta w_p + alpha w_p        alpha ~ N(0, S^2 c_o^2), beta ~ N(0, c_s^2)
 
@@ -21,17 +22,233 @@ import numpy as np
 
 from undrift.arrays import FloatArray
 from undrift.calibration.observe import Observed, middles, piece_temperatures
-from undrift.calibration.offset_drift import rest_drift
-from undrift.findings import Finding, finding
-from undrift.fit.least_squares import block_size, noise_of_means
+from undrift.findings import Finding, Level, finding
+from undrift.fit.least_squares import averaged, block_size, noise_of_means
 from undrift.fit.smooth import widening_of
-from undrift.record import Still, TemperatureSensitivity, Turn
+from undrift.model import AXES
+from undrift.record import Record, Still, TemperatureSensitivity, Turn
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical, si_factor
+
+# ---- flicker of an offset: 1/f noise, whose size is not known, in means at rest and in integrals over turns
+#
+#     V(q) = white noise + q^2 F        F (E, E): exponential correlations with time constants from 1 s to 10^4 s, variance 1 in all
+#
+# q is the same for three sensors. Rests of some seconds hardly show it: so results are averaged over all q, by their likelihood and
+# the prior 1 / (1 + q) / (1 + q^2), q in units of the white noise of a mean over 10 s. At q = 1 the Allan deviation turns from
+# white noise to flicker at 67 s: inertial MEMS turn at 10 to 100 s. What shows q is scatter between rests, and block means within
+# them:
+#
+#     y = U' P m                                     m block means of one rest, P takes out their mean (and a slope)
+#     var y_k = s^2 (1 + q^2 lambda_k / s0^2)        U, lambda of P F P'; s is profiled, s0 the scatter of y as it is
+
+
+SIZES = np.concatenate(([0.0], np.geomspace(0.02, 200.0, 60)))  # q in units of the white noise of a mean over 10 s
+_UNIT_S = 10.0
+_PRIOR = (1.0 + SIZES) * (1.0 + SIZES**2)
+_TIMES_S = np.geomspace(1.0, 1e4, 9)
+_MOST_BLOCKS = 32  # of one rest
+
+
+def spans_of(records: Sequence[Record], pieces: Sequence[Still | Turn]) -> FloatArray:
+    """Return start and stop of each piece (E, 2), s, on one clock on which the recordings follow each other."""
+    begins = np.concatenate(([0.0], np.cumsum([record.duration_s for record in records])))
+    spans = [
+        [
+            begins[p.recording] + records[p.recording].time[at] - records[p.recording].time[0]
+            for at in (p.start, p.stop - 1)
+        ]
+        for p in pieces
+    ]
+    return np.array(spans).reshape(-1, 2)
+
+
+def size_unit(noise: FloatArray, span: FloatArray) -> float:
+    """Return the unit of the SIZES: the noise (P, 3) of means over stretches (P, 2), s, taken to 10 s; median of all."""
+    return float(np.median(noise * np.sqrt(np.maximum(np.diff(span, axis=1), 1e-3) / _UNIT_S)))
+
+
+def flicker_of_means(span: FloatArray) -> FloatArray:
+    """Return F of means over stretches (E, 2), s, which may overlap."""
+    start, stop = span[:, 0], np.maximum(span[:, 1], span[:, 0] + 1e-3)
+    apart = [to[:, None] - of for to, of in ((stop, start), (start, stop), (stop, stop), (start, start))]
+    total = np.zeros((len(span), len(span)))
+    for time_s in _TIMES_S:  # twice the integral of exp(-|t| / time) over t, then its second difference
+        late, early, stops, starts = (np.expm1(-np.abs(t) / time_s) + np.abs(t) / time_s for t in apart)
+        total += time_s**2 * (late + early - stops - starts)
+    return np.asarray(total / len(_TIMES_S) / np.outer(stop - start, stop - start))
+
+
+def flicker_about_mean(span: FloatArray, extent: FloatArray | None = None) -> FloatArray:
+    """Return F of integrals over stretches (E, 2), s, less the mean from the first to the last; extent (E,) is 1 for a mean."""
+    extent = np.ones(len(span)) if extent is None else extent
+    every = flicker_of_means(np.vstack((span, (span[:, 0].min(), span[:, 1].max()))))
+    away = np.column_stack((np.diag(extent), -extent))
+    return np.asarray(away @ every @ away.T)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Blocks:
+    """Block means within rests, uncorrelated for every size of flicker."""
+
+    reading: FloatArray  # (B, 3), y
+    gain: FloatArray  # (B,), lambda
+
+    def likelihood(self, unit: float) -> FloatArray:
+        """Return log L of the SIZES, given their unit in that of the readings."""
+        noise = (self.reading**2).mean(axis=0) if len(self.reading) else np.zeros(3)
+        if not (noise > 0.0).all():
+            return np.zeros(len(SIZES))
+        weight = 1.0 / (1.0 + (SIZES[:, None, None] * unit) ** 2 * (self.gain[:, None] / noise))
+        square = (weight * self.reading**2).sum(axis=1)
+        return np.asarray(
+            0.5 * (np.log(weight).sum(axis=(1, 2)) - len(self.reading) * np.log(square / square[0]).sum(axis=1))
+        )
+
+
+def blocks_within(windows: Sequence[FloatArray], rates_hz: Sequence[float], removed: int = 1) -> Blocks:
+    """Return the block means of readings (N, 3) at rest, each freed of a polynomial in time with so many terms."""
+    readings, gains = [np.zeros((0, 3))], [np.zeros(0)]
+    for values, rate_hz in zip(windows, rates_hz, strict=True):
+        shortest = block_size(rate_hz)
+        size = max(shortest, len(values) // _MOST_BLOCKS)
+        count = len(values) // size
+        if count <= removed:
+            continue
+        means = values[: count * size].reshape(count, size, 3).mean(axis=1)
+        edges = np.arange(count + 1) * size / rate_hz
+        trend = np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, count), removed - 1)
+        rest = np.linalg.qr(trend, mode="complete")[0][:, removed:]
+        gain, vectors = np.linalg.eigh(rest.T @ flicker_of_means(np.column_stack((edges[:-1], edges[1:]))) @ rest)
+        readings.append((rest @ vectors).T @ (means - means.mean(axis=0)) * (size / shortest) ** 0.5)
+        gains.append(gain.clip(0.0) * size / shortest)
+    return Blocks(reading=np.vstack(readings), gain=np.concatenate(gains))
+
+
+def mean_square_size(likelihood: FloatArray) -> float:
+    """Return the mean of q^2 over the SIZES by their log likelihood."""
+    share = np.exp(likelihood - likelihood.max()) * np.gradient(SIZES) / _PRIOR
+    return float(share @ SIZES**2 / share.sum())
+
+
+def averaged_sizes(
+    likelihood: FloatArray, thetas: FloatArray, covariances: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return theta and its covariance over the SIZES, (Q, P) and (Q, P, P)."""
+    return averaged(SIZES, likelihood, thetas, covariances, (_PRIOR, _PRIOR))
+
+
+# ---- drift of the gyroscopes' rest offsets between start and end of a session
+#
+# Means m_r of rests at times t_r, one axis at a time::
+#
+#     m_r = o + d (t_r - mean t) / T + h a_r + e_r        T from the first rest to the last, d the change over the session
+#
+# by least squares; h a_r, g-sensitivity times specific force, for the directions of gravity that the poses change, where six
+# rests or more bear it. var e is the scatter of the rests that is left, no less than what noise within the rests makes. A change
+# counts where chance alone makes one as large on any of three axes in less than one session in a hundred.
+#
+# Recordings have no common clock; they are taken to follow each other without pauses.
+
+
+_LEAST_RESTS = 4
+_LEAST_WITH_POSES = 6
+_LEAST_CHANGE = 0.5  # g, root sum of squares over the rests: poses that differ less show no g-sensitivity
+_CHANCE = 0.01
+_LARGE = (
+    0.05 * RADIAN_PER_DEGREE
+)  # rad/s: what 1 K makes of a consumer part; a mean offset is off by half of it at either end
+_WARMER_C = 0.3
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RestDrift:
+    """Drift of the rest offsets of a session, P rests."""
+
+    time: FloatArray  # (P,), middle of each, s
+    temp_c: FloatArray  # (P,), degC; NaN where unknown
+    change: FloatArray  # (3,), d, unit of the readings
+    scatter: FloatArray  # (3,), variance of a rest by the residuals
+    noise: FloatArray  # (3,), variance of a mean by the readings within a rest, 0 where unknown
+    lever: float  # Variance of d for rests of unit variance
+    free: int  # Degrees of freedom of the scatter
+
+
+def rest_drift(seen: Observed) -> RestDrift | None:
+    """Fit the drift of the gyroscopes' rest offsets; None where the rests are too few, or all at one time."""
+    records = seen.session.records
+    windows, force, kept = list[FloatArray](), list[FloatArray](), []
+    for still in seen.stills:
+        record, rows = records[still.recording], slice(still.start, still.stop)
+        window = np.empty((0, 3)) if record.gyro is None else record.gyro[rows]
+        window = window[np.isfinite(window).all(axis=1)]
+        if len(window):
+            accel = np.empty((0, 3)) if record.accel is None else record.accel[rows]
+            accel = accel[np.isfinite(accel).all(axis=1)]
+            force.append(accel.mean(axis=0) if len(accel) else np.full(3, np.nan))
+            windows.append(window)
+            kept.append(still)
+    time, unit = middles(records, kept), records[0].accel_unit
+    if not kept or np.ptp(time) <= 0.0:
+        return None
+    design = np.column_stack(((time - time.mean()) / np.ptp(time), np.ones(len(kept)), _poses(np.array(force), unit)))
+    free = len(kept) - design.shape[1]
+    if free < 1 or np.linalg.matrix_rank(design) < design.shape[1]:
+        return None
+    gyro, inverse = np.array([window.mean(axis=0) for window in windows]), np.linalg.inv(design.T @ design)
+    theta = inverse @ design.T @ gyro
+    noise = noise_of_means(windows, [block_size(records[still.recording].sample_rate_hz) for still in kept])
+    return RestDrift(
+        time=time,
+        temp_c=piece_temperatures(seen.session, kept),
+        change=theta[0],
+        scatter=((gyro - design @ theta) ** 2).sum(axis=0) / free,
+        noise=np.zeros(3) if noise is None else (noise**2).mean(axis=0),
+        lever=float(inverse[0, 0]),
+        free=free,
+    )
+
+
+def _poses(force: FloatArray, unit: str) -> FloatArray:
+    """Return orthonormal columns (P, 0 to 3): specific force (P, 3) less its mean along the directions that the poses change."""
+    if len(force) < _LEAST_WITH_POSES or np.isnan(force).any():
+        return np.empty((len(force), 0))
+    left, size, _ = np.linalg.svd(force - force.mean(axis=0), full_matrices=False)
+    gravity = (
+        STANDARD_GRAVITY / si_factor(unit, "accel") if is_physical(unit) else size[0]
+    )  # counts may have any offset
+    return np.asarray(left[:, size > _LEAST_CHANGE * gravity])
+
+
+def offset_drift(seen: Observed, gain: float) -> tuple[Finding, ...]:
+    """Return the finding of rest offsets that changed significantly over a session; gain in rad/s per unit of the readings."""
+    from scipy.special import stdtr, stdtrit
+
+    made = None if seen.session.kind == "thermal" else rest_drift(seen)
+    if made is None or len(made.time) < _LEAST_RESTS:
+        return ()
+    change, dps = made.change, gain / RADIAN_PER_DEGREE
+    sigma = np.sqrt(np.maximum(made.scatter, made.noise) * made.lever)
+    sure = 3.0 * 2.0 * stdtr(made.free, -np.abs(change) / np.maximum(sigma, 1e-300)) < _CHANCE
+    if not sure.any():
+        return ()
+    axis = int(np.argmax(np.where(sure, np.abs(change), 0.0)))
+    values = {
+        "axis": AXES[axis],
+        "change_dps": change[axis] * dps,
+        "uncertainty_dps": float(stdtrit(made.free, 0.975)) * sigma[axis] * dps,
+        "rests": len(made.time),
+        "minutes": float(np.ptp(made.time)) / 60.0,
+    }
+    level: Level = "warn" if abs(change[axis]) * gain > _LARGE else "info"
+    first, last = made.temp_c[0], made.temp_c[-1]
+    if not abs(last - first) >= _WARMER_C:  # or unknown
+        return (finding("session.offset_drift", level, **values),)
+    return (finding("session.offset_drift_warming", level, first_c=first, last_c=last, **values),)
+
 
 _SHOWS = 3.0  # standard deviations of a mean square by which pieces differ in temperature
 _DITHER = 0.3  # of a step of the thermometer: with less noise the mean keeps the error of rounding
 _DRIFTS = 7.81  # 95 %: chi-square of three axes
-_WITH_FORCE = 6  # rests: with fewer, drift and g-sensitivity cannot be separated
 _FEW = 2  # rests beyond the unknowns: with no more, their scatter is too uncertain to widen by
 
 Kind = Literal["accel", "gyro"]
@@ -149,7 +366,7 @@ def _thermometer_variance(seen: Observed, pieces: Sequence[Still | Turn]) -> Flo
     return variance
 
 
-# ---- without temperatures: an even rise, as large as the drift of the gyroscopes' rests shows (offset_drift.py)
+# ---- without temperatures: an even rise, as large as the drift of the gyroscopes' rests shows
 
 
 def _even_in_time(

@@ -1,21 +1,539 @@
-"""Dwells: the steady stretches on a rate table, filtered and averaged; their rates; linearity of one axis."""
+"""Dwells on a rate table: mean readings, at what rate and about which axis the table really turned, linearity of one axis.
 
-from collections.abc import Sequence
+``uneven_rate`` finds how a ripple and settling change the rate, ``table_axes`` about which axis of the case gravity shows the table
+to turn; ``dwell_means`` and ``imposed_rates`` give a fit its readings and its inputs, ``with_table_errors`` what stays unknown.
+"""
+
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from undrift.arrays import FloatArray
+from undrift.arrays import FloatArray, IntArray
 from undrift.calibration.adc import code_steps, code_variance
 from undrift.calibration.checks import axis_vectors, check_saturation
 from undrift.calibration.observe import middles
-from undrift.calibration.table_axis import TableAxes, table_term
-from undrift.calibration.table_rate import SHOWS
 from undrift.errors import InputError, NotObservable
-from undrift.fit.least_squares import block_size, noise_of_means
-from undrift.model import AXES, TriadModel
-from undrift.record import Axis, Record, Turn
+from undrift.findings import Finding, finding
+from undrift.fit.least_squares import GROUP_SHOWS, block_size, fit_components, noise_of_means
+from undrift.model import AXES, TriadModel, level_of
+from undrift.record import Axis, Face, RateTable, Record, Still, Turn
 from undrift.units import EARTH_RATE, RADIAN_PER_DEGREE
+
+# ---- table rate: a ripple of the table's rate with its angle, and how it settles, by the gyroscope of the turned axis
+#
+# Dwell i at the stated rate w_i, psi the table's angle, t since its start, turned about k::
+#
+#     reading_k = o_i + S_k w_i (1 + r(psi, t))
+#     r = a cos psi + b sin psi + c cos 2 psi + d sin 2 psi + sum_j e_j exp(-t / T_j)
+#     mean rate = w_i (1 + rho_i)        rho_i the mean of r over the dwell
+#
+# a to d are those of one mounting in one recording, since psi is the integral of the gyroscope; e_j those of a mounting. o_i is
+# free, so only what changes within a dwell determines them, and no scale factor enters. Terms once a turn, twice a turn and those
+# of settling are groups of a size of their own, each in where it shows (fit/least_squares.py). What of the rate is left beyond
+# the noise counts as white. Stated rates that are measured means hold all of that already: where the means of the readings follow
+# them better, rho is 0.
+
+
+SHOWS = 3.0  # standard errors of a scatter that exceeds another, for it to count
+# Half octaves: how a table settles lies between, and so does what its shape leaves unknown
+_SETTLES_S = (0.15, 0.21, 0.3, 0.42, 0.6, 0.85, 1.2)
+_LEAST_BLOCKS = 4  # in a dwell, for its unevenness
+_PASSES = 4  # of fit and noise
+_LEAST_NOISE = 1e-7  # of block means, of the rate: below any gyroscope, and sound arithmetic
+_FIRST = 1e-6  # variance of a term to begin with: 0.1 % of the rate
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Dwells:
+    """The dwells of a session as its recordings hold them."""
+
+    records: Sequence[Record]
+    turns: Sequence[Turn]  # Those with an axis and a rate
+    mounting: IntArray  # (N,), number of the mounting of each
+    reading: FloatArray  # (N, 3), mean gyroscope reading of each
+    up: FloatArray  # (N,), 1 where +axis points up, -1 down, 0 where it is not vertical
+    settle_s: float  # Start of each that is left out, s
+
+    def settled(self, k: int) -> slice:
+        """Return the settled samples of a dwell."""
+        turn = self.turns[k]
+        time = self.records[turn.recording].time[turn.start : turn.stop]
+        return slice(turn.start + int(np.searchsorted(time, time[0] + self.settle_s)), turn.stop)
+
+    @property
+    def sizes(self) -> list[int]:
+        """Samples of a block of each dwell, (N,)."""
+        of = {k: block_size(self.records[k].sample_rate_hz) for k in {turn.recording for turn in self.turns}}
+        return [of[turn.recording] for turn in self.turns]
+
+    @property
+    def own(self) -> IntArray:
+        """Number of the axis of each dwell, (N,)."""
+        return np.array([AXES.index(turn.axis or "x") for turn in self.turns], int)
+
+    @property
+    def turn_rate(self) -> FloatArray:
+        """Stated rate of each dwell, (N,), rad/s."""
+        return np.array([turn.turn_rate for turn in self.turns], float)
+
+    @property
+    def lines(self) -> FloatArray:
+        """Scale factor and offset of each sensor by its own dwells, (3, 2); NaN where these do not show them."""
+        return np.array([_line(self.turn_rate[self.own == k], self.reading[self.own == k, k]) for k in range(3)])
+
+    def codes(self, *, rate: bool) -> FloatArray:
+        """Return the variance that rounding to codes leaves in a mean of each sensor (3,), its unit squared."""
+        windows = [
+            self.records[turn.recording].gyro if rate else self.records[turn.recording].accel for turn in self.turns
+        ]
+        parts = [np.asarray(values)[self.settled(n)] for n, values in enumerate(windows) if values is not None]
+        scatter = np.nanmedian([np.nanvar(part, axis=0) for part in parts], axis=0) if parts else np.zeros(3)
+        return code_variance(code_steps(self.records, rate=rate), scatter)
+
+
+def _line(rate: FloatArray, reading: FloatArray) -> FloatArray:
+    if len(np.unique(rate)) < 2:
+        return np.full(2, np.nan)
+    return np.asarray(np.linalg.lstsq(np.column_stack((rate, np.ones_like(rate))), reading, rcond=None)[0])
+
+
+def azimuths(dwells: Dwells, rows: list[int], line: FloatArray) -> list[FloatArray] | None:
+    """Return the angle of the table (M,) in the settled part of dwells of one recording; None where a gap hides it."""
+    k, record = int(dwells.own[rows[0]]), dwells.records[dwells.turns[rows[0]].recording]
+    begin, end = min(dwells.turns[n].start for n in rows), max(dwells.turns[n].stop for n in rows)
+    if record.gyro is None or np.isnan(line).any() or np.isnan(record.gyro[begin:end]).any():
+        return None
+    rate = (record.gyro[begin:end, k] - line[1]) / line[0]
+    step = 0.5 * (rate[1:] + rate[:-1]) * np.diff(record.time[begin:end])
+    angle = np.concatenate(([0.0], np.cumsum(step)))
+    return [angle[dwells.settled(n).start - begin : dwells.settled(n).stop - begin] for n in rows]
+
+
+def block_means(values: FloatArray, size: int) -> FloatArray:
+    """Return means (E, C) of whole blocks of values (N, C)."""
+    count = len(values) // size
+    return np.asarray(values[: count * size].reshape(count, size, -1).mean(axis=1))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class UnevenRate:
+    """By how much the mean rate of each dwell is off the stated one, relative."""
+
+    ratio: FloatArray  # (N,), rho
+    covariance: FloatArray  # (N, N)
+    size: FloatArray  # (3,), rms of terms once a turn, twice a turn and of settling, relative; 0 where they do not show
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Piece:
+    """One dwell: the terms that may change its rate, and its reading."""
+
+    dwell: int
+    own: int  # Number of its axis
+    places: list[int]  # Of its terms among all parameters
+    mean: FloatArray  # (T,), of its terms
+    away: FloatArray  # (E, T + 1), block means of its terms and of the reading over S w, less their mean
+    drive: float  # |S w|, unit of the reading
+
+
+def uneven_rate(dwells: Dwells) -> UnevenRate:
+    """Fit ripple and settling to what the gyroscope of the turned axis reads within the dwells."""
+    count, codes = len(dwells.own), np.nan_to_num(dwells.codes(rate=True))
+    pieces, groups = _pieces(dwells)
+    width = sum(map(len, groups))
+    theta: FloatArray = np.zeros(width)
+    covariance: FloatArray = np.zeros((width, width))
+    noise, size = np.zeros(3), np.zeros(3)
+    for _ in range(_PASSES if pieces else 0):
+        noise = _left(pieces, theta, covariance, noise) + codes
+        normal, moment = np.zeros((width, width)), np.zeros(width)
+        for one in pieces:
+            weighted = one.away * one.drive / noise[one.own] ** 0.5
+            normal[np.ix_(one.places, one.places)] += weighted[:, :-1].T @ weighted[:, :-1]
+            moment[one.places] += weighted[:, :-1].T @ weighted[:, -1]
+        found = fit_components(normal, moment, np.zeros(width), groups, np.zeros(3), _FIRST)
+        theta, covariance, size = found.theta, found.covariance, np.sqrt(found.variance)
+    mean, jitter = np.zeros((count, width)), np.zeros(count)
+    more = _jitter(dwells, noise)
+    for one in pieces:
+        mean[one.dwell, one.places] = one.mean
+        jitter[one.dwell] = more[one.own] / len(one.away) / one.drive**2
+    ratio, spread = mean @ theta, mean @ covariance @ mean.T
+    if _measured(dwells, pieces, noise, ratio, np.diag(spread)):
+        ratio, spread, size = 0.0 * ratio, 0.0 * spread, np.zeros(3)
+    return UnevenRate(ratio=ratio, covariance=spread + np.diag(jitter), size=size)
+
+
+def _measured(dwells: Dwells, pieces: list[_Piece], noise: FloatArray, ratio: FloatArray, spread: FloatArray) -> bool:
+    """Return whether the stated rates are measured means: readings follow them, and not those that the terms make."""
+    better = 0.0
+    for k in range(3):
+        own = [one for one in pieces if one.own == k]
+        rows = [one.dwell for one in own]
+        variance = np.array([noise[k] / len(one.away) + one.drive**2 * spread[one.dwell] for one in own])
+        root, rates = np.sqrt(variance), dwells.turn_rate[rows]
+        for sign, rate in ((-1.0, rates), (1.0, rates * (1.0 + ratio[rows]))):
+            design, reading = (
+                np.column_stack((rate, np.ones_like(rate))) / root[:, None],
+                dwells.reading[rows, k] / root,
+            )
+            left = reading - design @ np.linalg.lstsq(design, reading, rcond=None)[0]
+            better += sign * float(left @ left)
+    return better > GROUP_SHOWS
+
+
+def _pieces(dwells: Dwells) -> tuple[list[_Piece], list[IntArray]]:
+    """Return the dwells that show how even their rate is, and the places of the terms of each group."""
+    own, lines, rates, sizes = dwells.own, dwells.lines, dwells.turn_rate, dwells.sizes
+    phases: list[tuple[list[int], list[FloatArray]]] = []
+    for key in sorted({(t.recording, int(m)) for t, m in zip(dwells.turns, dwells.mounting, strict=True)}):
+        rows = [n for n, t in enumerate(dwells.turns) if (t.recording, int(dwells.mounting[n])) == key]
+        for part in (rows, *([n] for n in rows)):  # a gap between dwells leaves each a phase of its own
+            angles = azimuths(dwells, part, lines[own[part[0]]])
+            if angles is not None:
+                phases.append((part, angles))
+                if part is rows:
+                    break
+    mounts = sorted(set(dwells.mounting.tolist()))
+    last, found = 4 * len(phases), []
+    for number, (part, angles) in enumerate(phases):
+        for n, psi in zip(part, angles, strict=True):
+            window, drive = dwells.settled(n), lines[own[n], 0] * rates[n]
+            if rates[n] == 0.0 or len(psi) < _LEAST_BLOCKS * sizes[n]:
+                continue
+            record = dwells.records[dwells.turns[n].recording]
+            since = record.time[window] - record.time[dwells.turns[n].start]
+            waves = [np.cos(psi), np.sin(psi), np.cos(2.0 * psi), np.sin(2.0 * psi)]
+            terms = np.column_stack([*waves, *(np.exp(-since / settle) for settle in _SETTLES_S)])
+            means = block_means(np.column_stack((terms, np.asarray(record.gyro)[window, own[n]] / drive)), sizes[n])
+            late = last + len(_SETTLES_S) * mounts.index(dwells.mounting[n])
+            places = [*range(4 * number, 4 * number + 4), *range(late, late + len(_SETTLES_S))]
+            piece = _Piece(
+                dwell=n, own=int(own[n]), places=places, mean=terms.mean(axis=0), away=means - means.mean(axis=0), drive=abs(drive)
+            )  # fmt: skip
+            found.append(piece)
+    turned = np.arange(last).reshape(-1, 2, 2)
+    return found, [turned[:, 0].ravel(), turned[:, 1].ravel(), np.arange(last, last + len(_SETTLES_S) * len(mounts))]
+
+
+def _left(pieces: list[_Piece], theta: FloatArray, covariance: FloatArray, noise: FloatArray) -> FloatArray:
+    """Return the variance (3,) of block means of each sensor about its own axis that the terms leave; 1 where it has none."""
+    square, spare = np.zeros(3), np.zeros(3)
+    for one in pieces:
+        terms = one.away[:, :-1] * one.drive
+        left = one.drive * one.away[:, -1] - terms @ theta[one.places]
+        square[one.own] += left @ left
+        spare[one.own] += len(left) - 1
+        if noise[one.own] > 0.0:  # parameters that the readings determine
+            spare[one.own] -= ((terms.T @ terms) * covariance[np.ix_(one.places, one.places)]).sum() / noise[one.own]
+    floor = np.full(3, 1e-300)
+    for one in pieces:  # the last digit of readings without noise
+        floor[one.own] = max(floor[one.own], (_LEAST_NOISE * one.drive) ** 2)
+    return np.where(spare > 0.5, np.maximum(square / np.maximum(spare, 0.5), floor), 1.0)
+
+
+def _jitter(dwells: Dwells, noise: FloatArray) -> FloatArray:
+    """Return by how much the variance (3,) of block means about the own axis exceeds that about the others, where it shows."""
+    more, own = np.zeros(3), dwells.own
+    windows = [np.asarray(dwells.records[t.recording].gyro)[dwells.settled(n)] for n, t in enumerate(dwells.turns)]
+    parts = [block_means(window, size) for window, size in zip(windows, dwells.sizes, strict=True)]
+    for k in range(3):
+        others = [parts[n][:, k] for n in np.flatnonzero(own != k) if len(parts[n]) > 1]
+        spare = sum(len(part) - 1 for part in others)
+        if spare and (own == k).any():
+            usual = sum(float(((part - part.mean()) ** 2).sum()) for part in others) / spare
+            blocks = sum(len(parts[n]) - 1 for n in np.flatnonzero(own == k))
+            shows = 1.0 + SHOWS * (2.0 / spare + 2.0 / max(blocks, 1)) ** 0.5
+            more[k] = noise[k] - usual if noise[k] > shows * usual else 0.0
+    return more
+
+
+# ---- table axis: about which axis of the case a rate table really turned, by the gravity felt, and what stays unknown
+#
+# In one mounting, axis k of the case along the table's, dwell i turns the device about u_i = k + d + e_i, d and e small and across
+# k, e the wobble from dwell to dwell. The table's axis is off the vertical by l + h_i, the accelerometers off it by an arm r. The
+# dwell, at rate w_i and azimuth psi, feels across k::
+#
+#     mean f_i / g = d + e_i + mean R_k(-psi) (l + h_i) - r w_i^2 / g          two components each, l anew for each recording
+#
+#     minimise  sum |residual|^2 / s^2 + |l|^2 / level^2 + |r|^2 / arm^2 + (|e|^2 + |h|^2) / wobble^2
+#
+# wobble is the stated one, or the larger one that the likelihood shows. psi is the integral of the gyroscope of the axis within a
+# recording, so dwells need no whole turns. All mountings share the accelerometers' errors; the mean axis of each is that felt and
+# k +- mount, by their covariances, and without accelerometers k +- mount. The mean rate is w_i (1 + rho_i) (above). Errors
+# of axis and rate that are left are those of dwells, weighed as the fit weighs them, and multiply every rate: w_true = (I + D) w::
+#
+#     dM = D M        dG = D G        D = sum_i c_i du_i k_i' + diag(relative error of the rate)
+
+ARM_SD_M = 0.1  # m, of the accelerometers from the table's axis: half the plate of a small table
+UNEVEN_PERCENT = (0.1, 2.0)  # of the scale factor, 1 sigma: marginal above the first, bad above the second
+_MOUNTED = 4.0  # standard uncertainties: 6 components beyond it: once in 2,600 sessions
+_SMALL_ANGLE = 1e-3  # rad: what every case lies off by, however well it is mounted
+_LEAST_TILT_VARIANCE = 1e-12  # variance of block means of the direction of gravity, rad2: 1 ug, and sound arithmetic
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class TableAxes:
+    """The rates of the dwells over the stated ones, and what stays unknown of them."""
+
+    axis_b: FloatArray  # (N, 3), mean rate over the stated one: the axis, of length 1 + rho
+    spread: FloatArray  # (3N, 3N), its covariance, dwell by dwell
+    apart: FloatArray  # (N, 3), variance that each dwell has on its own, on the diagonal of ``spread``
+    covariance: FloatArray  # (9, 9), of D row by row, without ``spread``
+    off: FloatArray  # (N,), measured angle between case axis and table axis, rad; NaN where gravity did not show it
+    beyond: float  # Largest d as felt, in standard deviations of mounting and measurement; 0 where nothing is felt
+    uneven: FloatArray  # (3,), standard uncertainty of the mean rate about x, y, z by ripple and settling, relative
+    size: (
+        FloatArray  # (3,), rms of ripple once a turn, twice a turn and of settling, relative; 0 where they do not show
+    )
+    creep: FloatArray = field(
+        default_factory=lambda: np.zeros((9, 9))
+    )  # of ``covariance``, by the session's temperature
+
+    def shares(self, own: IntArray, square: FloatArray) -> dict[str, FloatArray]:
+        """Return what ``of_rates`` sums, (9, 9) each, by source of a budget; arguments as there, without what is alone."""
+        rate, spread = self.covariance - self.creep, self.of_rates(own, square, alone=False) - self.covariance
+        along = np.eye(3, dtype=bool).ravel()
+        along = along[:, None] & along[None, :]
+        mounting, ripple = (np.where(along, 0.0, spread), np.where(along, spread, 0.0))
+        return {"rate": rate, "ripple": ripple, "mounting": mounting, "temperature": self.creep}
+
+    def of_rates(self, own: IntArray, square: FloatArray, *, alone: bool) -> FloatArray:
+        """Return the covariance (9, 9) of D where dwells (N,) about axes ``own`` weigh by ``square`` (N, 3).
+
+        ``alone`` counts also what each dwell has on its own; a fit whose noise holds that leaves it out.
+        """
+        share, rows = np.zeros((9, 3 * len(own))), np.arange(len(own))
+        for a in range(3):
+            total = np.bincount(own, square[:, a], minlength=3)
+            share[3 * a + own, 3 * rows + a] = square[:, a] / np.maximum(total, 1e-300)[own]
+        spread = self.spread - (0.0 if alone else np.diag(self.apart.ravel()))
+        return self.covariance + share @ spread @ share.T
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Mounted:
+    """One mounting as gravity shows it."""
+
+    rows: list[int]  # Its n dwells
+    tilt: FloatArray  # (2n,), d + e of each as felt
+    covariance: FloatArray  # (2n, 2n), without that of the accelerometers
+    of_accel: FloatArray  # (2, 12), what errors of the accelerometers' matrix and offset make of d
+
+
+def mountings(pieces: Sequence[Still | Turn]) -> IntArray:
+    """Return the number of the mounting on a rate table of each piece (P,), -1 off the table.
+
+    Turns about one axis at stated rates and rests with that axis up belong together as long as nothing else comes between.
+    """
+    runs: list[list[int]] = [[]]
+    axis: Axis | None = None
+    face: Face | None = None
+    for n in sorted(range(len(pieces)), key=lambda n: (pieces[n].recording, pieces[n].start)):
+        piece = pieces[n]
+        if isinstance(piece, Turn):
+            up, about = None, None if piece.turn_rate is None else piece.axis
+        elif piece.face is not None:
+            up, about = piece.face, AXES["xyz".index(piece.face[-1])]
+        else:
+            continue  # a rest in any pose
+        if about is None or about != axis or (up and face and up != face):
+            runs.append([])
+            face = None
+        axis, face = about, up or face
+        runs[-1] += [n] if about else []
+    numbers = np.full(len(pieces), -1)
+    for number, run in enumerate(runs):
+        if any(isinstance(pieces[n], Turn) for n in run):
+            numbers[run] = number
+    return numbers
+
+
+def table_axes(dwells: Dwells, table: RateTable, accel: TriadModel | None, gravity_m_s2: float) -> TableAxes:
+    """Return the axes about which the dwells turned the case, and at what part of the stated rates."""
+    own, lines, count = dwells.own, dwells.lines, len(dwells.own)
+    axis_b, off, spread = np.eye(3)[own], np.full(count, np.nan), np.zeros((3 * count, 3 * count))
+    apart, beyond = np.zeros((count, 3)), 0.0
+    wobble, mount = (np.square(deg * RADIAN_PER_DEGREE) for deg in (table.wobble_deg, table.mount_tilt_deg))
+    codes = np.zeros(3) if accel is None else dwells.codes(rate=False)
+    seen: list[_Mounted] = []
+    blocks: dict[tuple[int, int, float], list[int]] = {}
+    for n in sorted(range(count), key=lambda n: dwells.turns[n].recording):
+        blocks.setdefault((int(dwells.mounting[n]), int(own[n]), float(dwells.up[n])), []).append(n)
+    for (_, k, up), rows in blocks.items():
+        across = [(k + 1) % 3, (k + 2) % 3]
+        felt = None if accel is None or up == 0.0 else _felt(dwells, rows, lines[k], table, accel, gravity_m_s2)
+        if felt is None or accel is None:
+            for a in across:
+                spread[np.ix_(*[[3 * n + a for n in rows]] * 2)] = mount + wobble * np.eye(len(rows))
+                apart[rows, a] = wobble
+            continue
+        # df = dM s - M do, s = M^-1 g k: what an error of the accelerometers makes of the axis
+        at_rest = np.linalg.solve(accel.matrix, np.eye(3)[k])
+        jacobian = np.hstack((np.kron(np.eye(3), at_rest), -up / gravity_m_s2 * accel.matrix))[across]
+        # all dwells feel the same gravity, and so read the same codes
+        rounding = accel.matrix[across] / gravity_m_s2
+        whole = felt[1] + np.kron(np.ones((len(rows), len(rows))), (rounding * codes) @ rounding.T)
+        seen.append(_Mounted(rows=rows, tilt=felt[0], covariance=whole, of_accel=jacobian))
+    if seen and accel is not None:
+        tilts, found, beyond = _with_prior(seen, accel, mount)
+        axes = [np.array([3 * n + (own[n] + c) % 3 for n in one.rows for c in (1, 2)]) for one in seen]
+        places = np.concatenate(axes)
+        axis_b.reshape(-1)[places] = tilts
+        spread[np.ix_(places, places)] = found
+        for one, place in zip(seen, axes, strict=True):
+            off[one.rows] = np.hypot(*one.tilt.reshape(-1, 2).mean(axis=0))
+            for c in (0, 1):
+                apart.reshape(-1)[place[c::2]] = _alone(spread[np.ix_(place[c::2], place[c::2])])
+    axis_b /= np.linalg.norm(axis_b, axis=1)[:, None]
+    rate = uneven_rate(dwells)
+    along = 3 * np.arange(count) + own
+    spread[np.ix_(along, along)] = rate.covariance
+    for k in range(3):
+        apart.reshape(-1)[along[own == k]] = _alone(rate.covariance[np.ix_(own == k, own == k)])
+    share = np.where(own == np.arange(3)[:, None], dwells.turn_rate**2, 0.0)
+    share /= np.maximum(share.sum(axis=1), 1e-300)[:, None]
+    return TableAxes(
+        axis_b=axis_b * (1.0 + rate.ratio)[:, None],
+        spread=spread,
+        apart=apart,
+        covariance=_scales(np.full((3, 3), table.rate_uncertainty**2)),
+        off=off,
+        beyond=beyond,
+        uneven=np.sqrt(np.diag(share @ rate.covariance @ share.T)),
+        size=rate.size,
+    )
+
+
+def _scales(covariance: FloatArray) -> FloatArray:
+    """Return the covariance (9, 9) of D of relative errors of the rates about x, y, z (3, 3)."""
+    made = np.zeros((9, 9))
+    made[np.ix_([0, 4, 8], [0, 4, 8])] = covariance
+    return made
+
+
+def _alone(covariance: FloatArray) -> FloatArray:
+    """Return the variance (n,) of each of n errors beyond what all have in common."""
+    count, variance = len(covariance), np.diag(covariance)
+    if count < 2:
+        return np.zeros(count)
+    common = (covariance.sum() - variance.sum()) / (count * (count - 1))
+    return np.asarray(variance - np.clip(common, 0.0, variance))
+
+
+def _with_prior(seen: list[_Mounted], accel: TriadModel, mount: float) -> tuple[FloatArray, FloatArray, float]:
+    """Return the axes across k of all dwells (2N,), their covariance, and the largest mean as felt in its standard deviations."""
+    felt = np.concatenate([one.tilt for one in seen])
+    jacobian = np.vstack([np.tile(one.of_accel, (len(one.rows), 1)) for one in seen])
+    spread = jacobian @ accel.covariance[:12, :12] @ jacobian.T
+    mean, start = np.zeros((2 * len(seen), len(felt))), 0
+    for number, one in enumerate(seen):
+        own = slice(start, start + len(one.tilt))
+        spread[own, own] += one.covariance
+        mean[2 * number : 2 * number + 2, own] = np.tile(np.eye(2), len(one.rows)) / len(one.rows)
+        start = own.stop
+    total = mean @ spread @ mean.T + mount * np.eye(len(mean))
+    gain = np.linalg.solve(total, mean @ spread).T
+    beyond = float((np.abs(mean @ felt) / np.sqrt(np.diag(total))).max())
+    return felt - gain @ (mean @ felt), spread - gain @ mean @ spread, beyond
+
+
+def _felt(
+    dwells: Dwells, rows: list[int], line: FloatArray, table: RateTable, accel: TriadModel, gravity_m_s2: float
+) -> tuple[FloatArray, FloatArray] | None:
+    """Return d + e (2n,) of the dwells of one mounting and its covariance, without that of the accelerometers; None unseen."""
+    up = float(dwells.up[rows[0]])
+    recordings = sorted({dwells.turns[n].recording for n in rows})
+    parts: list[FloatArray] = []  # of each dwell, its block means: cos psi, sin psi, the two components felt
+    for recording in recordings:
+        own = [n for n in rows if dwells.turns[n].recording == recording]
+        parts += _across(dwells, own, line, accel, up / gravity_m_s2) or [np.empty((0, 4))]
+    if any(len(part) == 0 for part in parts):
+        return None
+    designs, across, wobbles = [], [], 4 + 2 * len(recordings)
+    for number, (n, part) in enumerate(zip(rows, parts, strict=True)):
+        square, place = dwells.turn_rate[n] ** 2 / gravity_m_s2, 4 + 2 * recordings.index(dwells.turns[n].recording)
+        design = np.zeros((len(part), 2, wobbles + 4 * len(rows)))
+        design[:, [0, 1], [0, 1]], design[:, [0, 1], [2, 3]] = 1.0, square
+        e = wobbles + 4 * number
+        design[:, [0, 1], [e, e + 1]] = 1.0
+        for level in (place, e + 2):
+            design[:, [0, 1], [level, level + 1]] = part[:, :1]
+            design[:, 0, level + 1], design[:, 1, level] = part[:, 1], -part[:, 1]
+        designs.append(design.reshape(-1, design.shape[2]))
+        across.append(part[:, 2:].ravel())
+    off_level = max(table.table_level_deg * RADIAN_PER_DEGREE, 1e-9)
+    precision = np.zeros(wobbles + 4 * len(rows))
+    precision[2:wobbles] = [ARM_SD_M**-2] * 2 + [off_level**-2] * 2 * len(recordings)
+    stated = (table.wobble_deg * RADIAN_PER_DEGREE) ** 2
+    theta, covariance = _posterior(np.vstack(designs), np.concatenate(across), precision, wobbles, stated)
+    tilt = np.zeros((2 * len(rows), len(theta)))
+    for number in range(len(rows)):
+        for c in (0, 1):
+            tilt[2 * number + c, [c, wobbles + 4 * number + c]] = 1.0
+    return tilt @ theta, tilt @ covariance @ tilt.T
+
+
+def _across(
+    dwells: Dwells, rows: list[int], line: FloatArray, accel: TriadModel, gain: float
+) -> list[FloatArray] | None:
+    """Return block means (E, 4) of the dwells of one recording: cosine and sine of the azimuth, what is felt across the axis."""
+    k, record = int(dwells.own[rows[0]]), dwells.records[dwells.turns[rows[0]].recording]
+    angles = azimuths(dwells, rows, line)
+    if record.accel is None or angles is None:
+        return None
+    found, sizes = [], dwells.sizes
+    for n, angle in zip(rows, angles, strict=True):
+        force = gain * (np.asarray(record.accel[dwells.settled(n)]) - accel.offset) @ accel.matrix.T
+        parts = np.column_stack((np.cos(angle), np.sin(angle), force[:, [(k + 1) % 3, (k + 2) % 3]]))
+        means = block_means(parts, sizes[n])
+        found.append(means[~np.isnan(means).any(axis=1)])
+    return found
+
+
+def _posterior(
+    design: FloatArray, reading: FloatArray, precision: FloatArray, wobbles: int, stated: float
+) -> tuple[FloatArray, FloatArray]:
+    """Return parameters and covariance: block means (E,) whose noise is not known, wobble from a place on."""
+    square, product = design.T @ design, design.T @ reading
+    group = np.arange(wobbles, design.shape[1])
+    plain = design[:, :wobbles]
+    left = reading - plain @ np.linalg.lstsq(plain, reading, rcond=None)[0]
+    noise = max(float(left @ left) / max(len(left) - wobbles, 1), _LEAST_TILT_VARIANCE)
+    for _ in range(_PASSES):
+        found = fit_components(square / noise, product / noise, precision, [group], np.array([stated]), _FIRST)
+        left = reading - design @ found.theta
+        fitted = float((square * found.covariance).sum()) / noise  # parameters that the readings determine
+        noise = max(float(left @ left) / max(len(left) - fitted, 1.0), _LEAST_TILT_VARIANCE)
+    return found.theta, found.covariance
+
+
+def table_findings(axes: TableAxes, mount_tilt: float) -> Iterator[Finding]:
+    """Yield what the axes of a table show that a user can act on."""
+    if np.isfinite(axes.off).any():
+        off = float(np.nanmax(axes.off))
+        beyond = axes.beyond > _MOUNTED and off > _SMALL_ANGLE
+        degrees, stated = off / RADIAN_PER_DEGREE, mount_tilt / RADIAN_PER_DEGREE
+        yield finding("rate_table.mounting", "warn" if beyond else "info", angle_deg=degrees, stated_deg=stated)
+    if axes.size.any():
+        ripple, settle = 100.0 * float(np.hypot(*axes.size[:2])), 100.0 * float(axes.size[2])
+        yield finding("rate_table.ripple", "info", ripple_percent=ripple, settle_percent=settle)
+    worst = 100.0 * float(axes.uneven.max())
+    if worst > UNEVEN_PERCENT[0]:
+        axis, wanted = AXES[int(axes.uneven.argmax())], UNEVEN_PERCENT[0]
+        level = level_of(worst, UNEVEN_PERCENT)
+        yield finding("rate_table.uneven_rate", level, axis=axis, uncertainty_percent=worst, wanted=wanted)
+
+
+def table_term(model: TriadModel, covariance: FloatArray) -> FloatArray:
+    """Return what multiplies every rate, with its covariance (9, 9), as a term of that of a model."""
+    jacobian = np.zeros((len(model.covariance), 9))
+    jacobian[:9] = np.kron(np.eye(3), model.matrix.T)
+    if model.g_sensitivity is not None:
+        jacobian[12:21] = np.kron(np.eye(3), model.g_sensitivity.T)
+    return np.asarray(jacobian @ covariance @ jacobian.T)
+
 
 _LEAST_SAMPLES = 8
 

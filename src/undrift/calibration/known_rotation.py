@@ -35,21 +35,22 @@ from undrift.calibration.checks import (
     nearest_signed_permutation,
     order_text,
 )
-from undrift.calibration.creep import Creep, creep_of
-from undrift.calibration.flicker import (
+from undrift.calibration.creep import (
     SIZES,
     Blocks,
+    Creep,
     averaged_sizes,
     blocks_within,
+    creep_of,
     flicker_about_mean,
     mean_square_size,
     size_unit,
     spans_of,
 )
-from undrift.calibration.multi_position_gyro import Moves, cut_moves, gravity_directions, turned_in
+from undrift.calibration.multi_position import Moves, cut_moves, gravity_directions, turned_in
 from undrift.calibration.observe import Observed, Outcome
+from undrift.calibration.pieces import unused_stills
 from undrift.calibration.six_face import FaceMeans
-from undrift.calibration.unused_stills import unused_stills
 from undrift.errors import Implausible, InputError, NotObservable
 from undrift.findings import Finding, finding
 from undrift.fit.least_squares import (

@@ -1,7 +1,7 @@
 """Calibration without equipment: hold the device still in many poses, turn it by hand between them (Tedaldi et al., ICRA 2014).
 
     |M_a (u_k - o_a)| = g                over k = 1 .. K still poses; u_k mean raw reading, M_a upper triangular
-    C(M_g, o_g) n_before = n_after       gyroscopes, over the moves between     calibration/multi_position_gyro.py
+    C(M_g, o_g) n_before = n_after       gyroscopes, over the moves between
 
 A common rotation of all readings keeps their length, so three of twelve parameters are a choice of axes: the sensor's z axis is the
 case's, its y axis lies in the case's y-z plane. A still is where the sliding variance of the accelerometer is below a multiple of
@@ -17,109 +17,19 @@ from typing import Literal
 
 import numpy as np
 
-from undrift.arrays import BoolArray, FloatArray
-from undrift.calibration.adc import code_steps, code_variance
-from undrift.calibration.checks import check_gravity, check_own_scale, check_range
+from undrift.arrays import BoolArray, FloatArray, IntArray
+from undrift.calibration.adc import code_steps, code_variance, limited_by_codes
+from undrift.calibration.checks import check_axis_order, check_own_scale, check_range, stuck_windows
 from undrift.calibration.creep import Creep, Kind, creep_of
-from undrift.calibration.multi_position_gyro import fit_gyro_between_stills
-from undrift.calibration.norm_equations import CROSS, NAMES, PART, WEAKEST, NormFit, fit_norm
+from undrift.calibration.norm import WEAKEST, NormFit, check_count, fit_norm, judged
 from undrift.calibration.observe import Observed, Outcome
 from undrift.errors import InputError, NotObservable, PoorFit
 from undrift.findings import Finding, finding
-from undrift.fit.least_squares import TriadFit, parameter_names, triad_fit
-from undrift.model import AXES, TriadModel, Verdict, level_of
+from undrift.fit.least_squares import TriadFit, excess_variance, parameter_names, scaled_condition, triad_fit
+from undrift.model import MATRIX_NAMES, TriadModel, Verdict, level_of
 from undrift.record import Record, Still
 from undrift.segments import runs
-from undrift.units import STANDARD_GRAVITY, canonical_unit, is_physical, si_factor
-
-# ---- accelerometer from free poses
-
-SEEN = np.array([0, 1, 2, 4, 5, 8, 9, 10, 11])  # of m_xx .. m_zz, offset_x ..: those that the length of gravity shows
-TOLERANCE = 0.25  # of the sensitivity that the unit states; raw parts are within 0.2
-MG = STANDARD_GRAVITY * 1e-3
-RESIDUAL_MG = (3.0, 20.0)  # limits of a verdict: marginal above the first, bad above the second
-UNCERTAIN_MG = (2.0, 20.0)
-FEWEST_POSES = 7  # with a prior on cross-axis terms: scale, offset, and one pose to check them
-
-
-def check_count(reading: FloatArray, parameters: int, *, known_noise: bool) -> None:
-    """Raise unless there are enough different poses."""
-    wanted = parameters + (not known_noise)
-    names = parameter_names(NAMES if parameters == 9 else [NAMES[i] for i in (0, 3, 5, 6, 7, 8)])
-    different = len(np.unique(reading, axis=0))
-    if different < wanted:
-        raise NotObservable(
-            f"multi-position: wanted {wanted} still poses or more for {names}, got {different}; record more poses, "
-            "each with another side, edge or corner up, and hold each still for two seconds",
-            poses=different,
-            wanted=wanted,
-        )
-
-
-def judged(fit: NormFit, reading: FloatArray, unit_in: str) -> TriadFit:
-    """Return a solution as a fit with verdict, or refuse it where the poses leave a parameter unobserved."""
-    unit = canonical_unit(unit_in, "accel")
-    if is_physical(unit):
-        check_gravity(reading * si_factor(unit, "accel"), fit.gravity)
-    corrected = fit.corrected(reading)
-    if fit.weakest < WEAKEST:
-        raise NotObservable(
-            f"multi-position: wanted poses that change the length by {WEAKEST:g} g or more per unit of every parameter, got "
-            f"{fit.weakest:.2g} for {parameter_names(fit.unseen)}; {_advice(corrected, fit.unseen)}",
-            weakest=fit.weakest,
-            parameters=fit.unseen,
-        )
-    carry = np.zeros((12, 9))  # d (m_xx .. m_zz, offset) / d p
-    carry[SEEN, np.arange(9)] = [fit.scale] * 6 + [1.0 / fit.scale] * 3
-    rms_mg = float(np.sqrt(np.mean(fit.residuals**2))) / MG
-    made = triad_fit(
-        fit.residuals,
-        Verdict.of(*_judged(fit, rms_mg, corrected)),
-        method="multi-position",
-        unit_in=unit,
-        unit_out="m/s2",
-        matrix=fit.matrix,
-        offset=fit.offset,
-        covariance=carry @ fit.covariance @ carry.T,
-        rank=int((np.diag(fit.covariance) > 0.0).sum()) - len(fit.prior),
-        condition=fit.condition,
-        valid_range=(float(corrected.min()), float(corrected.max())),
-    )
-    check_own_scale(made.model.scale_factor, unit, "accel", TOLERANCE, "accel")
-    return made
-
-
-def _judged(fit: NormFit, rms_mg: float, corrected: FloatArray) -> Iterator[Finding]:
-    sigma, wanted = fit.uncertainty / MG, UNCERTAIN_MG[0]
-    off = finding("multi_position.residual", level_of(rms_mg, RESIDUAL_MG), rms_mg=rms_mg, wanted=RESIDUAL_MG[0])
-    unsure = finding("multi_position.uncertainty", level_of(sigma, UNCERTAIN_MG), uncertainty_mg=sigma, wanted=wanted)
-    yield from (item for item in (off, unsure) if item.level != "info")
-    if not np.triu(fit.matrix, 1).any():
-        yield finding("multi_position.cross_axis_fixed", "info")
-    if len(fit.prior):
-        part = np.linalg.norm(fit.prior, axis=0)
-        unseen = tuple(NAMES[i] for i in CROSS if part[i] > PART)
-        after = 100.0 * np.sqrt(np.diag(fit.covariance)[[NAMES.index(name) for name in unseen]])
-        yield finding(
-            "multi_position.cross_axis_prior",
-            "warn",
-            terms=parameter_names(unseen),
-            prior_percent=100.0 * fit.prior_sd,
-            uncertainty_percent=after,
-            advice=_advice(corrected, unseen),
-        )
-
-
-def _advice(corrected: FloatArray, unseen: tuple[str, ...]) -> str:
-    n = corrected / np.linalg.norm(corrected, axis=1)[:, None]
-    values, vectors = np.linalg.eigh(n.T @ n / len(n))
-    if values[0] < 0.02:
-        axis = AXES[int(np.abs(vectors[:, 0]).argmax())]
-        return f"all poses lie near one plane: add poses with the {axis} axis up and with it down"
-    if set(unseen) <= {"m_xy", "m_xz", "m_yz"}:
-        return "add poses between the faces (edges and corners up)"
-    return "add poses on the sides, edges and corners that are missing"
-
+from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
 # ---- stills: where the sliding variance of the accelerometer is below a threshold
 #
@@ -128,6 +38,7 @@ def _advice(corrected: FloatArray, unseen: tuple[str, ...]) -> str:
 # A turn about the vertical does not show in an accelerometer: where there are gyroscopes, a still is reduced to its core, in which
 # their variance is as low as in most of the stills. Running sums make mean and variance of any stretch cost the same.
 
+FEWEST_POSES = 7  # with a prior on cross-axis terms: scale, offset, and one pose to check them
 QUIETEST = 0.05  # share of all windows that gives the level at rest
 CORE = 4.0  # variance of the gyroscopes in the core of a still, in units of their median variance in all stills
 
@@ -187,6 +98,528 @@ def _windowed(values: FloatArray, half: int) -> tuple[FloatArray, FloatArray, Fl
     level[half:-half] = np.linalg.norm((q - s * s / width) / (width - 1), axis=1)
     level[half:-half][lost[width:] > lost[:-width]] = np.inf
     return level, sums, centre
+
+
+# ---- gyroscopes from hand turns between still poses: integrate from one gravity direction to the next (Tedaldi et al., ICRA 2014)
+#
+#     C_j(M, o) n_j = n_(j+1)        C_j turns the body frame at the end of still j into that at the start of still j+1,
+#                                    integrated from w = M (u - o); n_j direction of gravity in still j, from the accelerometer
+#
+# M is a full matrix in the accelerometer's axes. A turn shows two angles; the one about the vertical is not observable. Turns weigh
+# by the covariance of the missed angles: noise of both stills (a still between two turns ties them together), uncertainty of the
+# accelerometer's calibration, white noise over the turn, drift of the offset between stills, temperature creep (creep.py), and an
+# excess that the residuals show; the stills' readings are observations of the offset. With ``equal``, as published, every turn
+# counts alike and the offset is the mean of the opening rest.
+
+
+# ---- moves between stills; direction of gravity and offset in the stills
+#
+# The direction of gravity in still k is n = a / |a|, a = M (u - o) of the mean reading, with
+#
+#     dn = (1 - n n^T) / |a| da        da = dM (u - o) - M do + M du
+
+
+# Unit vectors in b (K, 3) of the specific force in each still, their derivative by the accelerometer's m_xx .. m_zz and offset
+# (K, 3, 12), and their covariance from the noise of the still itself (K, 3, 3).
+Directions = tuple[FloatArray, FloatArray, FloatArray]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class OffsetPrior:
+    """Offset, drift and noise of the gyroscopes from the stills."""
+
+    mean: FloatArray  # (3,), mean offset over the stills, raw unit
+    variance: FloatArray  # (3,), of the mean, raw unit squared
+    drift: FloatArray  # (J, 3), offset of each move less the mean, raw unit; zeros where the stills show no drift
+    drift_covariance: FloatArray  # (3, J, J), of the drift, per axis, raw unit squared
+    noise: FloatArray  # (3,), variance of one sample at rest, raw unit squared
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Moves:
+    """Readings of all records after one another, and the moves between stills in them."""
+
+    gyro: FloatArray  # (N, 3), raw units
+    accel: FloatArray
+    time: FloatArray  # (N,), s, each record on its own clock
+    first: IntArray  # (J,), last sample of the core before the move
+    last: IntArray  # (J,), first sample of the core after it
+    before: IntArray  # (J,), number of the still before; the next one is after it
+    stills: tuple[IntArray, IntArray]  # (K,), samples [start, stop) of the stills: the accelerometer is at rest
+    cores: tuple[IntArray, IntArray]  # (K,), samples of their cores: the gyroscopes are at rest too
+    duration_s: FloatArray  # (J,), length of each move, s
+
+
+def cut_moves(records: Sequence[Record], stills: Sequence[Still], cores: Sequence[Still]) -> Moves:
+    """Return the moves between neighbouring stills of a record; moves with gaps or drop-outs are left out."""
+    pairs = [(r.gyro, r.accel) for r in records]
+    if (
+        any(gyro is None or accel is None for gyro, accel in pairs)
+        or len({(r.gyro_unit, r.accel_unit) for r in records}) > 1
+    ):
+        raise InputError(
+            "multi-position gyro: wanted gyro and accel readings in the same units in every recording, got recordings that "
+            "differ; fit the recordings that have both"
+        )
+    base = np.concatenate(([0], np.cumsum([len(r) for r in records])))
+    ordered = sorted(zip(stills, cores, strict=True), key=lambda pair: (pair[0].recording, pair[0].start))
+    begin = base[[still.recording for still, _ in ordered]]
+    edges = [
+        begin + np.array([getattr(p[k], end) for p in ordered], np.int64) for k in (0, 1) for end in ("start", "stop")
+    ]
+    core_start, core_stop = edges[2:]
+    gyro = np.concatenate([gyro for gyro, _ in pairs if gyro is not None])
+    time = np.concatenate([r.time for r in records])
+    longest = 1.5 / np.array([r.sample_rate_hz for r in records])
+    broken = np.isnan(gyro).any(axis=1) | (np.diff(time, prepend=time[0]) > np.repeat(longest, np.diff(base)))
+    lost = np.concatenate(([0], np.cumsum(broken)))
+    before = np.flatnonzero((begin[:-1] == begin[1:]) & (lost[core_start[1:] + 1] == lost[core_stop[:-1]]))
+    first, last = core_stop[before] - 1, core_start[before + 1]
+    return Moves(
+        gyro=gyro,
+        accel=np.concatenate([accel for _, accel in pairs if accel is not None]),
+        time=time,
+        first=first,
+        last=last,
+        before=before,
+        stills=(edges[0], edges[1]),
+        cores=(core_start, core_stop),
+        duration_s=time[last] - time[first],
+    )
+
+
+def gravity_directions(moves: Moves, accel: TriadModel) -> Directions:
+    """Return the direction of gravity in each still with its derivatives and covariance."""
+    mean, variance, count = still_moments(moves.accel, *moves.stills)
+    d = mean - accel.offset
+    a = d @ accel.matrix.T
+    length = np.linalg.norm(a, axis=1)
+    n = a / length[:, None]
+    across = (np.eye(3) - n[:, :, None] * n[:, None, :]) / length[:, None, None]
+    by_matrix = (across[:, :, :, None] * d[:, None, None, :]).reshape(len(n), 3, 9)  # column 3 i + j: across e_i d_j
+    turned = across @ accel.matrix
+    covariance = (turned * variance / count[:, None, None]) @ turned.transpose(0, 2, 1)
+    return n, np.concatenate((by_matrix, -turned), axis=2), covariance
+
+
+def offset_prior(moves: Moves) -> OffsetPrior:
+    """Return offset, drift and noise of the gyroscopes from all stills.
+
+    The mean reading of still k is b_k plus jitter plus the noise within; the offset b_(k+1) = b_k + N(0, q) is a random
+    walk. A hand that sways makes jitter, a sensor that warms up drifts: von Neumann's ratio of the mean square successive
+    difference to the variance (1941) separates the two; where neighbours are not alike, q = 0 and the offset is constant. A move
+    has the mean offset of its two stills, uncertain by q / 12 more. Stills that turn about the vertical are left out.
+    """
+    reading, noise, count = still_moments(moves.gyro, *moves.cores)
+    away = np.abs(reading - np.median(reading, axis=0))
+    rest = np.all(away <= 8.0 * np.maximum(np.median(away, axis=0), 1e-12), axis=1)  # the others turn
+    stills, each = len(reading), np.arange(len(moves.first))
+    to_move = np.zeros((len(each), stills))
+    to_move[each, moves.before], to_move[each, moves.before + 1] = 0.5, 0.5
+    mean, variance = np.zeros(3), np.zeros(3)
+    drift, drift_covariance = np.zeros((len(each), 3)), np.zeros((3, len(each), len(each)))
+    for axis in range(3):
+        stated = np.maximum(noise[axis] / count, 1e-30)
+        walk, jitter = _walk_and_jitter(reading[rest, axis], stated[rest])
+        weight = rest / (stated + jitter)
+        if walk == 0.0:
+            variance[axis] = 1.0 / weight.sum()
+            mean[axis] = variance[axis] * (reading[:, axis] * weight).sum()
+            continue
+        step = np.diff(np.eye(stills), axis=0)
+        posterior = np.linalg.inv(step.T @ step / walk + np.diag(weight))
+        offset = posterior @ (reading[:, axis] * weight)
+        other = to_move - 1.0 / stills
+        mean[axis], variance[axis] = offset.mean(), posterior.mean()
+        drift[:, axis] = other @ offset
+        drift_covariance[axis] = other @ posterior @ other.T + walk / 12.0 * np.eye(len(each))
+    return OffsetPrior(mean=mean, variance=variance, drift=drift, drift_covariance=drift_covariance, noise=noise)
+
+
+def _walk_and_jitter(reading: FloatArray, stated: FloatArray) -> tuple[float, float]:
+    """Return q and the variance of the jitter."""
+    count, jitter, mean = len(reading), 0.0, float(np.mean(reading))
+    for _ in range(4):
+        jitter = excess_variance(reading - mean, stated, count - 1)
+        weight = 1.0 / (stated + jitter)
+        mean = float((weight * reading).sum() / weight.sum())
+    first = float(np.mean(np.diff(reading) ** 2)) if count > 1 else 0.0
+    ratio = first / max(float(np.mean((reading - reading.mean()) ** 2)), 1e-300)
+    if jitter == 0.0 or count < 6 or ratio > 2.0 - 2.0 * 2.0 / np.sqrt(count):  # white: 2 with deviation 2 / sqrt(K)
+        return 0.0, jitter
+    lag = min(5, count // 2)
+    walk = max((float(np.mean((reading[lag:] - reading[:-lag]) ** 2)) - first) / (lag - 1), 0.0)
+    return walk, max(0.5 * (first - walk) - float(np.median(stated)), 0.0)
+
+
+def rough_matrix(moves: Moves, accel: TriadModel, offset: FloatArray) -> FloatArray:
+    """Return a first gyroscope matrix from the slow change of the gravity direction.
+
+    dn/dt = n x w with w = M (u - o), over blocks of 0.2 s while the device is moved: linear in M. The hand's own
+    accelerations make it rough, some per cent.
+    """
+    normal, right = np.zeros((9, 9)), np.zeros(9)
+    for first, last in zip(moves.first, moves.last, strict=True):
+        step = (moves.time[last] - moves.time[first]) / max(1, last - first)
+        block = max(2, round(0.2 / step))
+        low, high = max(0, first - block), last + block  # into the stills, where the direction is sure
+        blocks = (min(high, len(moves.time)) - low) // block
+        if blocks < 3:
+            continue
+        cut = slice(low, low + blocks * block)
+        force = (moves.accel[cut] - accel.offset).reshape(blocks, block, 3).mean(axis=1) @ accel.matrix.T
+        rate = (moves.gyro[cut] - offset).reshape(blocks, block, 3).mean(axis=1)[1:-1]
+        n = force / np.linalg.norm(force, axis=1)[:, None]
+        turn = (n[2:] - n[:-2]) / (2.0 * block * step)
+        design = (cross_matrix(n[1:-1])[:, :, :, None] * rate[:, None, None, :]).reshape(-1, 9)
+        good = np.isfinite(design).all(axis=1) & np.isfinite(turn.reshape(-1))
+        design, turn_flat = design[good], turn.reshape(-1)[good]
+        normal += design.T @ design
+        right += design.T @ turn_flat
+    matrix: FloatArray = np.linalg.lstsq(normal, right, rcond=1e-10)[0].reshape(3, 3)
+    return matrix
+
+
+def still_moments(values: FloatArray, start: IntArray, stop: IntArray) -> tuple[FloatArray, FloatArray, IntArray]:
+    """Return the mean (K, 3) of each still, the variance (3,) of one sample pooled over all, and the counts (K,)."""
+    mean, square, count = np.zeros((len(start), 3)), np.zeros(3), np.zeros(len(start), np.int64)
+    for k, (low, high) in enumerate(zip(start, stop, strict=True)):
+        piece = values[low:high]
+        piece = piece[np.isfinite(piece).all(axis=1)]
+        mean[k], count[k] = piece.mean(axis=0), len(piece)
+        square += ((piece - mean[k]) ** 2).sum(axis=0)
+    return mean, square / max(1, int(count.sum()) - len(start)), count
+
+
+_CROSS = np.cross(np.eye(3)[:, None], np.eye(3)).transpose(0, 2, 1)  # of each axis
+
+
+def cross_matrix(n: FloatArray) -> FloatArray:
+    """Return the matrices (K, 3, 3) of the cross product with vectors (K, 3)."""
+    return np.tensordot(n, _CROSS, axes=1)
+
+
+def turned_in(moves: Moves, matrix: FloatArray, offset: FloatArray, drift: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the rotations C (J, 3, 3) of the moves, start to end, and the sums (J, 4, 3, 3) of their derivatives."""
+    from undrift.kernels.calibrate import rotations_between
+
+    j = len(moves.first)
+    rotation, sums = np.empty(9 * j), np.empty(36 * j)
+    flat, each = np.ascontiguousarray(matrix).reshape(-1), np.ascontiguousarray(drift).reshape(-1)
+    gyro = moves.gyro.reshape(-1)
+    rotations_between(gyro, moves.time, moves.first, moves.last, flat, offset, each, rotation, sums)
+    return rotation.reshape(j, 3, 3).transpose(0, 2, 1), sums.reshape(j, 4, 3, 3)
+
+
+# ---- fit
+
+WEAKEST_TURN = 0.05  # rad rms that one unit of relative gain must turn gravity by; random turns of 90 deg give 0.4
+_TOLERANCE = 0.25  # of the sensitivity that the unit states; a wrong sample rate shows as a factor
+# Limits of a verdict: marginal above the first, bad above the second.
+DRIFT_DPS = (0.2, 5.0)  # over the session: 0.2 deg/s is 12 deg in a minute; no warm-up of a sound part reaches 5 deg/s
+MISS_DEG = (2.0, 8.0)
+UNCERTAIN_PERCENT = (0.5, 5.0)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Problem:
+    """Parameters p: M times ``unit`` row by row, then (o - prior mean) / ``unit``; ``free`` of them are fitted."""
+
+    moves: Moves
+    directions: Directions
+    accel: TriadModel
+    prior: OffsetPrior
+    unit: float
+    free: int
+    codes: FloatArray  # (3,), variance that rounding leaves in the mean offset, raw unit squared
+    creep: tuple[Creep, Creep] | None = None  # Of accelerometers and gyroscopes in the stills
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Missed:
+    """Missed angles (2 J,), their Jacobian (2 J, 12), rotations C (J, 3, 3) and tangents at the later direction (J, 3, 2)."""
+
+    angle: FloatArray
+    jacobian: FloatArray
+    turn: FloatArray
+    tangent: FloatArray
+
+
+def fit_gyro_between_stills(
+    records: Sequence[Record],
+    stills: Sequence[Still],
+    accel: TriadModel,
+    *,
+    cores: Sequence[Still] | None = None,
+    equal: bool = False,
+    rest_s: float | None = None,
+    creep: tuple[Creep, Creep] | None = None,
+) -> TriadFit:
+    """Fit gyroscopes to the moves between still poses; creep of accelerometers and gyroscopes in these, in order of time."""
+    moves, spoilt = _without_saturated(cut_moves(records, stills, stills if cores is None else cores))
+    if len(moves.first) < 5:
+        left_out = "".join(f" ({item.text})" for item in spoilt)
+        raise NotObservable(
+            f"multi-position gyro: wanted 5 moves or more between stills for {parameter_names(MATRIX_NAMES)}, got "
+            f"{len(moves.first)}{left_out}; "
+            "turn the device by 90 deg or more about another axis between still poses of one recording",
+            moves=len(moves.first),
+        )
+    within = [moves.gyro[a : b + 1] for a, b in zip(moves.first, moves.last, strict=True)]
+    prior = offset_prior(moves)
+    codes = code_variance(code_steps(records, rate=True), prior.noise)  # rests lie at one place between two codes
+    prior = replace(prior, variance=prior.variance + codes, noise=prior.noise + codes)  # in motion it is noise again
+    if equal:
+        start = records[0].time[0]
+        rest = None if rest_s is None else records[0].between(start, start + rest_s).gyro
+        opening = moves.gyro[moves.cores[0][0] : moves.cores[1][0]] if rest is None else rest
+        prior = replace(prior, mean=opening.mean(axis=0), drift=np.zeros_like(prior.drift))
+    unit = float(np.sqrt(np.mean((np.concatenate([part[1:] for part in within]) - prior.mean) ** 2))) or 1.0
+    problem = _Problem(
+        moves=moves,
+        directions=gravity_directions(moves, accel),
+        accel=accel,
+        prior=prior,
+        unit=unit,
+        free=9 if equal else 12,
+        creep=creep,
+        codes=codes,
+    )
+    start = np.concatenate((rough_matrix(moves, accel, prior.mean).reshape(-1) * unit, np.zeros(3)))
+    p, covariance, missed = _solve(problem, start)
+    _check_seen(missed, p)
+    fit = _as_triad(problem, p, covariance, missed, records[0].gyro_unit)
+    return replace(fit, verdict=fit.verdict.also(Verdict.of(*spoilt)))
+
+
+def _without_saturated(moves: Moves) -> tuple[Moves, tuple[Finding, ...]]:
+    """Return the moves without those in which a gyroscope sticks at the end of its range, and the finding that names them."""
+    spoilt = stuck_windows([moves.gyro[a : b + 1] for a, b in zip(moves.first, moves.last, strict=True)])
+    if not spoilt.any():
+        return moves, ()
+    names = tuple(
+        f"the move after still {before + 1} ({moves.time[first]:.1f}-{moves.time[last]:.1f} s)"
+        for before, first, last in zip(moves.before[spoilt], moves.first[spoilt], moves.last[spoilt], strict=True)
+    )
+    left = finding("gyro.saturated", "warn", what="moves", count=int(spoilt.sum()), of=len(spoilt), pieces=names)
+    cut = {name: getattr(moves, name)[~spoilt] for name in ("first", "last", "before", "duration_s")}
+    return replace(moves, **cut), (left,)
+
+
+def _solve(problem: _Problem, p: FloatArray) -> tuple[FloatArray, FloatArray, _Missed]:
+    """Return parameters, their covariance and the missed angles; the angles' covariance is renewed until it settles."""
+    count = 2 * len(problem.moves.first)
+    equal = problem.free == 9
+    whitener = np.eye(count)
+    p, missed = _descend(problem, p, _missed(problem, p), whitener, 1e-8 if equal else 1e-3)
+    if equal:
+        whitener /= np.sqrt(max(float(missed.angle @ missed.angle) / (count - 9), 1e-30))
+    for _ in range(0 if equal else 4):
+        values, vectors = np.linalg.eigh(_covariance_of_angles(problem, missed, p))
+        turned = vectors.T @ missed.angle
+        variance = np.maximum(values, 0.0) + 1e-24
+        variance += excess_variance(turned, variance, count - 9)
+        whitener = vectors.T / np.sqrt(variance)[:, None]
+        before = p
+        p, missed = _descend(problem, p, missed, whitener, 1e-8)
+        if float(np.abs(p - before).max()) < 1e-5:
+            break
+    _, design = _weighted(problem, missed, p, whitener)
+    covariance, size = np.zeros((12, 12)), _lengths(design)
+    inverse = np.linalg.pinv((design / size).T @ (design / size)) / np.outer(size, size)
+    covariance[: problem.free, : problem.free] = inverse
+    return p, covariance, missed
+
+
+def _lengths(design: FloatArray) -> FloatArray:
+    size: FloatArray = np.linalg.norm(design, axis=0)
+    size[size == 0.0] = 1.0
+    return size
+
+
+def _descend(
+    problem: _Problem, p: FloatArray, missed: _Missed, whitener: FloatArray, tolerance: float
+) -> tuple[FloatArray, _Missed]:
+    """Levenberg-Marquardt with fixed weights, from p and what it misses."""
+    residual, design = _weighted(problem, missed, p, whitener)
+    cost, damping = float(residual @ residual), 1e-9
+    for _ in range(60):
+        size, step = _lengths(design), np.zeros(12)
+        scaled = design / size
+        normal = scaled.T @ scaled + damping * np.eye(problem.free)
+        step[: problem.free] = np.linalg.solve(normal, -(scaled.T @ residual)) / size
+        if float(np.abs(step).max()) < tolerance:
+            return p, missed
+        trial = p + step
+        trial_missed = _missed(problem, trial)
+        trial_residual, trial_design = _weighted(problem, trial_missed, trial, whitener)
+        trial_cost = float(trial_residual @ trial_residual)
+        if trial_cost <= cost:
+            p, missed, cost, residual, design = trial, trial_missed, trial_cost, trial_residual, trial_design
+            damping = max(0.1 * damping, 1e-12)
+        else:
+            damping = max(10.0 * damping, 1e-6)
+        if damping > 1e6:
+            return p, missed
+    raise PoorFit(
+        f"multi-position gyro: wanted a matrix that turns gravity through {len(problem.moves.first)} moves, got no convergence; "
+        "check the gyroscope's columns and the time column",
+        moves=len(problem.moves.first),
+    )
+
+
+def _missed(problem: _Problem, p: FloatArray) -> _Missed:
+    moves, n = problem.moves, problem.directions[0]
+    j = len(moves.first)
+    matrix, offset = p[:9].reshape(3, 3) / problem.unit, problem.prior.mean + p[9:] * problem.unit
+    turn, part = turned_in(moves, matrix, offset, problem.prior.drift)
+    arrived = (turn @ n[moves.before][:, :, None])[:, :, 0]
+    tangent = _tangent(n[moves.before + 1])
+    by_matrix = part[:, 1:].transpose(0, 2, 3, 1).reshape(j, 3, 9) / problem.unit  # column 3 a + b: sum of R e_a d_b dt
+    by_offset = -part[:, 0] @ matrix * problem.unit
+    small_turn = turn @ np.concatenate((by_matrix, by_offset), axis=2)  # in the end frame; d(C n) = C n x small turn
+    jacobian = tangent.transpose(0, 2, 1) @ cross_matrix(arrived) @ small_turn
+    angle = (tangent.transpose(0, 2, 1) @ (arrived - n[moves.before + 1])[:, :, None]).reshape(-1)
+    return _Missed(angle=angle, jacobian=jacobian.reshape(-1, 12), turn=turn, tangent=tangent)
+
+
+def _weighted(problem: _Problem, missed: _Missed, p: FloatArray, whitener: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return whitened residuals and design, with the stills' observations of the offset where it is fitted."""
+    residual, design = whitener @ missed.angle, whitener @ missed.jacobian[:, : problem.free]
+    if problem.free == 9:
+        return residual, design
+    weight = problem.unit / np.sqrt(np.maximum(problem.prior.variance, 1e-30))
+    below = np.hstack((np.zeros((3, 9)), np.diag(weight)))
+    return np.concatenate((residual, weight * p[9:])), np.vstack((design, below))
+
+
+def _covariance_of_angles(problem: _Problem, missed: _Missed, p: FloatArray) -> FloatArray:
+    moves, prior, (unit, jacobian, of_still) = problem.moves, problem.prior, problem.directions
+    across = missed.tangent.transpose(0, 2, 1)
+    leaving = across @ missed.turn
+    by_accel = (leaving @ jacobian[moves.before] - across @ jacobian[moves.before + 1]).reshape(-1, 12)
+    by_still = np.zeros((len(moves.first), 2, len(unit), 3))
+    each = np.arange(len(moves.first))
+    by_still[each, :, moves.before] += leaving
+    by_still[each, :, moves.before + 1] -= across
+    spread = np.einsum("ejka,kab->ejkb", by_still, of_still).reshape(2 * len(each), -1)
+    total = spread @ by_still.reshape(2 * len(each), -1).T + by_accel @ problem.accel.covariance[:12, :12] @ by_accel.T
+    by_offset = missed.jacobian[:, 9:] / problem.unit
+    for column, drift in zip(by_offset.T, prior.drift_covariance, strict=True):
+        total += np.outer(column, column) * np.kron(drift, np.ones((2, 2)))
+    if problem.creep is not None:
+        shared = np.hstack(
+            (_by_accel_creep(problem, problem.creep[0], by_still), _by_gyro_creep(problem, problem.creep[1], missed, p))
+        )
+        total += shared @ shared.T
+    matrix = p[:9].reshape(3, 3) / problem.unit
+    noise = float((matrix**2 @ prior.noise).mean())  # (rad/s)^2 of one sample, mean of the axes
+    return np.asarray(total + np.diag(np.repeat(noise * moves.duration_s**2 / (moves.last - moves.first), 2)))
+
+
+def _by_accel_creep(problem: _Problem, creep: Creep, by_still: FloatArray) -> FloatArray:
+    """Return how offset and scale of each accelerometer turn the angles (2 J, 6): by_still (J, 2, K, 3) their derivative by n."""
+    unit, jacobian, _ = problem.directions
+    columns = [creep.columns(STANDARD_GRAVITY * unit[:, j], float(problem.accel.scale_factor[j])) for j in range(3)]
+    moved = np.stack([-jacobian[:, :, 9 + j, None] * columns[j][:, None, :] for j in range(3)], axis=2)  # (K, 3, 3, 2)
+    return np.asarray(np.einsum("jeka,kabc->jebc", by_still, moved).reshape(2 * len(by_still), 6))
+
+
+def _by_gyro_creep(problem: _Problem, creep: Creep, missed: _Missed, p: FloatArray) -> FloatArray:
+    """Return how the scale of each gyroscope turns the angles (2 J, 3); the stills themselves show how its offset moves."""
+    warmth = _warmth_of_moves(problem, creep)
+    by_scale = (missed.jacobian[:, :9] * p[:9]).reshape(-1, 3, 3).sum(axis=1)
+    return np.asarray(creep.scale_per_k * np.repeat(warmth, 2)[:, None] * by_scale)
+
+
+def _warmth_of_moves(problem: _Problem, creep: Creep) -> FloatArray:
+    return np.asarray(0.5 * (creep.warmth[problem.moves.before] + creep.warmth[problem.moves.before + 1]))
+
+
+def _tangent(n: FloatArray) -> FloatArray:
+    """Return two unit vectors across each direction, shape (J, 3, 2)."""
+    first = np.cross(n, np.eye(3)[np.abs(n).argmin(axis=1)])
+    first /= np.linalg.norm(first, axis=1)[:, None]
+    return np.stack((first, np.cross(n, first)), axis=2)
+
+
+def _check_seen(missed: _Missed, p: FloatArray) -> None:
+    matrix = p[:9].reshape(3, 3)
+    by_matrix = missed.jacobian[:, :9].reshape(-1, 3, 3)
+    gain = (by_matrix @ matrix.T).reshape(-1, 9)  # derivative by E of M = (1 + E) M: rad per unit of relative gain
+    _, singular, right = np.linalg.svd(gain, full_matrices=False)
+    singular = singular / np.sqrt(len(gain))
+    share = np.linalg.norm(right[np.append(np.flatnonzero(singular < WEAKEST_TURN), 8)], axis=0)
+    names = tuple(name for name, s in zip(MATRIX_NAMES, share, strict=True) if s > 0.3 * share.max())
+    if singular[-1] < WEAKEST_TURN:
+        raise NotObservable(
+            f"multi-position gyro: wanted moves that turn gravity by {WEAKEST_TURN:g} rad or more per unit of every parameter, got "
+            f"{singular[-1]:.2g} for {parameter_names(names)}; turn the device by 90 deg or more about each axis in turn while "
+            "that axis lies level",
+            weakest=float(singular[-1]),
+            parameters=names,
+        )
+
+
+def _as_triad(problem: _Problem, p: FloatArray, covariance: FloatArray, missed: _Missed, unit_in: str) -> TriadFit:
+    moves = problem.moves
+    rms_angle = float(np.sqrt(np.mean(missed.angle**2))) / RADIAN_PER_DEGREE
+    if rms_angle > 20.0:
+        raise PoorFit(
+            f"multi-position gyro: wanted moves that end within 20 deg rms of gravity, got {rms_angle:.0f} deg; check that gyro "
+            "and accel share one clock, that the sample rate is right and that no rate was beyond full scale",
+            rms_angle_deg=rms_angle,
+        )
+    matrix, offset = p[:9].reshape(3, 3) / problem.unit, problem.prior.mean + p[9:] * problem.unit
+    carry = np.array([1.0 / problem.unit] * 9 + [problem.unit] * 3)
+    total = covariance * np.outer(carry, carry)
+    left, known = problem.prior.drift, np.zeros(3)
+    if problem.creep is not None and not problem.creep[1].none:  # the offset is that at the reference temperature
+        warmth = _warmth_of_moves(problem, problem.creep[1])[:, None]
+        left = left - warmth @ np.linalg.pinv(warmth) @ left
+        known = np.diagonal(problem.prior.drift_covariance, axis1=1, axis2=2).mean(axis=1)
+    # one offset stands for all of the session
+    total[9:, 9:] += np.diag(np.maximum((left**2).mean(axis=0) - known, 0.0))
+    inside = [moves.gyro[a + 1 : b + 1] for a, b in zip(moves.first, moves.last, strict=True)]
+    rate = (np.concatenate(inside) - offset) @ matrix.T
+    residuals = missed.angle.reshape(-1, 2) / moves.duration_s[:, None]
+    check_axis_order(np.linalg.inv(matrix), "gyro against accel", against="accelerometer")
+    size = float(np.cbrt(abs(np.linalg.det(p[:9].reshape(3, 3)))))
+    uncertain = float(np.sqrt(np.diag(covariance)[:9].max())) / size * 100.0
+    drift = float(np.abs(np.ptp(problem.prior.drift @ matrix.T, axis=0)).max()) / RADIAN_PER_DEGREE
+    fit = triad_fit(
+        residuals,
+        Verdict.of(
+            *_judged(rms_angle, uncertain, drift),
+            *limited_by_codes("gyroscope", problem.codes, np.diag(total)[9:], unit_in),
+        ),
+        method="multi-position",
+        unit_in=unit_in,
+        unit_out="rad/s",
+        matrix=matrix,
+        offset=offset,
+        covariance=total,
+        rank=problem.free,
+        condition=scaled_condition(missed.jacobian[:, :9])[1],
+        valid_range=(float(rate.min()), float(rate.max())),
+    )
+    check_own_scale(fit.model.scale_factor, unit_in, "rate", _TOLERANCE, "gyro")
+    return fit
+
+
+def _judged(rms_deg: float, percent: float, drift_dps: float) -> Iterator[Finding]:
+    miss, unsure, drift = (
+        level_of(rms_deg, MISS_DEG),
+        level_of(percent, UNCERTAIN_PERCENT),
+        level_of(drift_dps, DRIFT_DPS),
+    )
+    wanted = UNCERTAIN_PERCENT[0]
+    found = (
+        finding("multi_position.moves_miss", miss, rms_deg=rms_deg, wanted=MISS_DEG[0]),
+        finding("multi_position.gyro_uncertainty", unsure, uncertainty_percent=percent, wanted=wanted),
+        finding("multi_position.gyro_drift", drift, drift_dps=drift_dps, wanted=DRIFT_DPS[0]),
+    )
+    return (item for item in found if item.level != "info")
 
 
 # ---- the whole method

@@ -29,10 +29,17 @@ from undrift.calibration.checks import (
     face_vectors,
     missing_faces,
 )
-from undrift.calibration.creep import Creep, creep_of
-from undrift.calibration.flicker import blocks_within, flicker_about_mean, mean_square_size, size_unit, spans_of
+from undrift.calibration.creep import (
+    Creep,
+    blocks_within,
+    creep_of,
+    flicker_about_mean,
+    mean_square_size,
+    size_unit,
+    spans_of,
+)
+from undrift.calibration.dwells import mountings
 from undrift.calibration.observe import Observed, Outcome, with_offset
-from undrift.calibration.table_axis import mountings
 from undrift.errors import InputError, NotObservable
 from undrift.findings import Finding, finding
 from undrift.fit.least_squares import (

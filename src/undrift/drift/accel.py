@@ -5,7 +5,7 @@ The constant calibration makes v = M0 (u - o0) of a reading. At temperature T th
     |P (v_k - d)| = g        M(T) = P(T) M0        offset(T) = o0 + M0^-1 d(T)
 
 P is symmetric: a common turn of all three sensors shows in no length, and the case's axes stay those of the calibration. Where two
-temperatures or more have poses enough, each is fitted by itself (calibration/multi_position.py: nine parameters, or six where the
+temperatures or more have poses enough, each is fitted by itself (calibration/norm.py: nine parameters, or six where the
 poses lie on the faces) and the parameters go through a smoothing spline. Else all poses of all temperatures are fitted together::
 
     |(1 + s0 + s1 D) (v - d0 - d1 D)| = g          per axis, D = T - T_0, T_0 the mean temperature of the poses
@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray, IntArray
-from undrift.calibration.norm_equations import WEAKEST, NormFit, fit_norm
+from undrift.calibration.norm import WEAKEST, NormFit, fit_norm
 from undrift.drift.observe import RestBlocks
 from undrift.drift.rests import bins_of
 from undrift.drift.scale import MATRIX_GAP_C

@@ -7,7 +7,7 @@ import pytest
 
 from testkit.data import show
 from testkit.simulated_device import chain, device_of, run, still_motion
-from undrift.calibration.allan import allan_deviation
+from undrift.calibration.noise import allan_deviation
 from undrift.sim.device.effects import BiasInstability, LowPass, RandomWalk, Sampling, WhiteNoise
 
 N, RATE_HZ = 400_000, 100.0

@@ -16,17 +16,21 @@ Poses on the faces alone do not show cross-axis terms. With a prior, each combin
 not show gets one equation more, c . m' = 0 +- sd; what they show gets none, and a session that shows all is fitted as without.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from undrift.arrays import FloatArray, IntArray
+from undrift.calibration.checks import check_gravity, check_own_scale
 from undrift.calibration.creep import Creep
-from undrift.errors import PoorFit
-from undrift.fit.least_squares import excess_variance, scaled_condition, whitened
-from undrift.model import AXES
+from undrift.errors import NotObservable, PoorFit
+from undrift.findings import Finding, finding
+from undrift.fit.least_squares import TriadFit, excess_variance, parameter_names, scaled_condition, triad_fit, whitened
+from undrift.model import AXES, Verdict, level_of
 from undrift.segments import sphere_of
+from undrift.units import STANDARD_GRAVITY, canonical_unit, is_physical, si_factor
 
 ROW, COLUMN = np.array([0, 0, 0, 1, 1, 2]), np.array([0, 1, 2, 1, 2, 2])  # of the six elements, in the order of p
 NAMES = (*(f"m_{AXES[i]}{AXES[j]}" for i, j in zip(ROW, COLUMN, strict=True)), *(f"offset_{axis}" for axis in AXES))
@@ -265,3 +269,91 @@ def _inverse(design: FloatArray) -> FloatArray:
         return np.full((design.shape[1], design.shape[1]), np.nan)
     root = right.T / singular / size[:, None]
     return np.asarray(root @ root.T)
+
+
+# ---- is the solution one of free poses? a fit with its verdict, or a refusal
+
+SEEN = np.array([0, 1, 2, 4, 5, 8, 9, 10, 11])  # of m_xx .. m_zz, offset_x ..: those that the length of gravity shows
+TOLERANCE = 0.25  # of the sensitivity that the unit states; raw parts are within 0.2
+MG = STANDARD_GRAVITY * 1e-3
+RESIDUAL_MG = (3.0, 20.0)  # limits of a verdict: marginal above the first, bad above the second
+UNCERTAIN_MG = (2.0, 20.0)
+
+
+def check_count(reading: FloatArray, parameters: int, *, known_noise: bool) -> None:
+    """Raise unless there are enough different poses."""
+    wanted = parameters + (not known_noise)
+    names = parameter_names(NAMES if parameters == 9 else [NAMES[i] for i in (0, 3, 5, 6, 7, 8)])
+    different = len(np.unique(reading, axis=0))
+    if different < wanted:
+        raise NotObservable(
+            f"multi-position: wanted {wanted} still poses or more for {names}, got {different}; record more poses, "
+            "each with another side, edge or corner up, and hold each still for two seconds",
+            poses=different,
+            wanted=wanted,
+        )
+
+
+def judged(fit: NormFit, reading: FloatArray, unit_in: str) -> TriadFit:
+    """Return a solution as a fit with verdict, or refuse it where the poses leave a parameter unobserved."""
+    unit = canonical_unit(unit_in, "accel")
+    if is_physical(unit):
+        check_gravity(reading * si_factor(unit, "accel"), fit.gravity)
+    corrected = fit.corrected(reading)
+    if fit.weakest < WEAKEST:
+        raise NotObservable(
+            f"multi-position: wanted poses that change the length by {WEAKEST:g} g or more per unit of every parameter, got "
+            f"{fit.weakest:.2g} for {parameter_names(fit.unseen)}; {_advice(corrected, fit.unseen)}",
+            weakest=fit.weakest,
+            parameters=fit.unseen,
+        )
+    carry = np.zeros((12, 9))  # d (m_xx .. m_zz, offset) / d p
+    carry[SEEN, np.arange(9)] = [fit.scale] * 6 + [1.0 / fit.scale] * 3
+    rms_mg = float(np.sqrt(np.mean(fit.residuals**2))) / MG
+    made = triad_fit(
+        fit.residuals,
+        Verdict.of(*_judged(fit, rms_mg, corrected)),
+        method="multi-position",
+        unit_in=unit,
+        unit_out="m/s2",
+        matrix=fit.matrix,
+        offset=fit.offset,
+        covariance=carry @ fit.covariance @ carry.T,
+        rank=int((np.diag(fit.covariance) > 0.0).sum()) - len(fit.prior),
+        condition=fit.condition,
+        valid_range=(float(corrected.min()), float(corrected.max())),
+    )
+    check_own_scale(made.model.scale_factor, unit, "accel", TOLERANCE, "accel")
+    return made
+
+
+def _judged(fit: NormFit, rms_mg: float, corrected: FloatArray) -> Iterator[Finding]:
+    sigma, wanted = fit.uncertainty / MG, UNCERTAIN_MG[0]
+    off = finding("multi_position.residual", level_of(rms_mg, RESIDUAL_MG), rms_mg=rms_mg, wanted=RESIDUAL_MG[0])
+    unsure = finding("multi_position.uncertainty", level_of(sigma, UNCERTAIN_MG), uncertainty_mg=sigma, wanted=wanted)
+    yield from (item for item in (off, unsure) if item.level != "info")
+    if not np.triu(fit.matrix, 1).any():
+        yield finding("multi_position.cross_axis_fixed", "info")
+    if len(fit.prior):
+        part = np.linalg.norm(fit.prior, axis=0)
+        unseen = tuple(NAMES[i] for i in CROSS if part[i] > PART)
+        after = 100.0 * np.sqrt(np.diag(fit.covariance)[[NAMES.index(name) for name in unseen]])
+        yield finding(
+            "multi_position.cross_axis_prior",
+            "warn",
+            terms=parameter_names(unseen),
+            prior_percent=100.0 * fit.prior_sd,
+            uncertainty_percent=after,
+            advice=_advice(corrected, unseen),
+        )
+
+
+def _advice(corrected: FloatArray, unseen: tuple[str, ...]) -> str:
+    n = corrected / np.linalg.norm(corrected, axis=1)[:, None]
+    values, vectors = np.linalg.eigh(n.T @ n / len(n))
+    if values[0] < 0.02:
+        axis = AXES[int(np.abs(vectors[:, 0]).argmax())]
+        return f"all poses lie near one plane: add poses with the {axis} axis up and with it down"
+    if set(unseen) <= {"m_xy", "m_xz", "m_yz"}:
+        return "add poses between the faces (edges and corners up)"
+    return "add poses on the sides, edges and corners that are missing"
