@@ -5,13 +5,11 @@ import pytest
 from scipy.integrate import quad
 
 from undrift.errors import InputError, NotObservable
+from undrift.fit.equations import averaged, geometric_peak, inverse_jacobian
 from undrift.fit.least_squares import (
-    averaged,
     excess_variance,
     fit_forward,
     fit_paper,
-    geometric_peak,
-    inverse_jacobian,
     noise_of_means,
     offset_verdict,
     student_variance,

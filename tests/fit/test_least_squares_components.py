@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from undrift.fit.least_squares import fit_components
+from undrift.fit.equations import fit_components
 
 GROUPS = [np.arange(1, 41), np.arange(41, 81)]
 

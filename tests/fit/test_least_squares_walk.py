@@ -8,7 +8,7 @@ from scipy.integrate import quad_vec
 
 from testkit.cohorts import LARGER_COHORTS
 from testkit.data import show
-from undrift.fit.least_squares import fit_with_walk
+from undrift.fit.equations import fit_with_walk
 
 TIME = np.arange(40.0) * 5.0
 DESIGN = np.column_stack((np.tile([1.0, -1.0, 0.5, -0.5], 10), np.repeat([1.0, -1.0, 0.0, 1.0], 10), np.ones(40)))

@@ -23,7 +23,8 @@ import numpy as np
 from undrift.arrays import FloatArray
 from undrift.calibration.observe import Observed, middles, piece_temperatures
 from undrift.findings import Finding, Level, finding
-from undrift.fit.least_squares import averaged, block_size, noise_of_means
+from undrift.fit.equations import averaged
+from undrift.fit.least_squares import block_size, noise_of_means
 from undrift.fit.smooth import widening_of
 from undrift.model import AXES
 from undrift.record import Record, Still, TemperatureSensitivity, Turn

@@ -15,7 +15,8 @@ from undrift.calibration.checks import axis_vectors, check_saturation
 from undrift.calibration.observe import middles
 from undrift.errors import InputError, NotObservable
 from undrift.findings import Finding, finding
-from undrift.fit.least_squares import GROUP_SHOWS, block_size, fit_components, noise_of_means
+from undrift.fit.equations import GROUP_SHOWS, fit_components
+from undrift.fit.least_squares import block_size, noise_of_means
 from undrift.model import AXES, TriadModel, level_of
 from undrift.record import Axis, Face, RateTable, Record, Still, Turn
 from undrift.units import EARTH_RATE, RADIAN_PER_DEGREE
@@ -673,6 +674,15 @@ def with_table_errors(model: TriadModel, dwells: DwellMeans, sigma: FloatArray |
     own = np.array([AXES.index(axis) for axis in dwells.axis])
     of_rates = dwells.axes.of_rates(own, weight * dwells.turn_rate[:, None] ** 2, alone=sigma is None)
     return replace(model, covariance=model.covariance + table_term(model, of_rates))
+
+
+def table_shares(model: TriadModel, dwells: DwellMeans, sigma: FloatArray) -> list[tuple[str, FloatArray]]:
+    """Return what ``with_table_errors`` adds to the covariance of a model, by source of a budget."""
+    if dwells.axes is None:
+        return []
+    own, count = np.array([AXES.index(axis) for axis in dwells.axis]), len(dwells.axis)
+    square = sigma[:count] ** -2 * dwells.turn_rate[:, None] ** 2
+    return [(name, table_term(model, part)) for name, part in dwells.axes.shares(own, square).items()]
 
 
 # ---- linearity of one axis (IEEE Std 1431, clause 12 terms)

@@ -53,15 +53,9 @@ from undrift.calibration.pieces import unused_stills
 from undrift.calibration.six_face import FaceMeans
 from undrift.errors import Implausible, InputError, NotObservable
 from undrift.findings import Finding, finding
-from undrift.fit.least_squares import (
-    TriadFit,
-    block_size,
-    inverse_jacobian,
-    noise_of_means,
-    scaled_condition,
-    triad_fit,
-)
-from undrift.model import AXES, G_NAMES, MATRIX_NAMES, OFFSET_NAMES, Budget, TriadModel, Verdict
+from undrift.fit.equations import Equations, Inverse, diagonal, parameter_order, solutions
+from undrift.fit.least_squares import TriadFit, block_size, noise_of_means, scaled_condition, triad_fit
+from undrift.model import AXES, TriadModel, Verdict
 from undrift.record import Axis, Record, Still, Turn
 from undrift.units import RADIAN_PER_DEGREE
 
@@ -290,135 +284,99 @@ def _both(record: Record) -> tuple[FloatArray, FloatArray]:
 
 # ---- fit
 #
-# One sensor i has the equations  y = X theta + e,  theta = K_i, b_i, G_i:  a rest (0, 1, f), a turn (u t, T, A).
+# One sensor i has the rows  y = X theta + e,  theta = K_i, b_i, G_i:  a rest (0, 1, f), a turn (u t, T, A).
 #
-#     V_i(q) = diag(noise^2) + creep + rounding + q^2 F + sum_m c_mi c_mi'
+#     V_i(q) = noise + creep + rounding + q^2 F + what the sensors share: the angle of a turn, and its axis
 #
-# F is flicker (flicker.py), over whose size q the parameters are averaged: rests and turns show it, and block means within the
-# rests. c_m are errors that three sensors share: the angle of a turn, and its axis.
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Errors:
-    """Covariances of the equations, E rests and turns."""
-
-    own: FloatArray  # (3, E, E), of one sensor alone: noise, creep, rounding
-    shared: FloatArray  # (3, E, M), what three sensors share: one standard deviation each
-    flicker: FloatArray  # (E, E), for a size of 1
-    size: float  # unit of the sizes of flicker, unit of the readings
-    parts: Mapping[str, FloatArray]  # of ``own``, (3, E, E), by source of a budget
-
-    def shares(self, solvers: FloatArray, turns: int) -> dict[str, FloatArray]:
-        """Return what ``carried`` sums without flicker, (21, 21) each, by source of a budget."""
-        nothing = replace(self, own=0.0 * self.own, shared=self.shared[:, :, :0])
-        made = {name: replace(nothing, own=part).carried(solvers, 0.0) for name, part in self.parts.items()}
-        for name, columns in (("angle", self.shared[:, :, :turns]), ("axis", self.shared[:, :, turns:])):
-            made[name] = replace(nothing, shared=columns).carried(solvers, 0.0)
-        return made
-
-    def total(self, square: float) -> FloatArray:
-        """Return V (3, E, E) without the shared errors, for a flicker of q^2."""
-        return np.asarray(self.own + square * self.flicker)
-
-    def carried(self, solvers: FloatArray, square: float) -> FloatArray:
-        """Return the covariance (21, 21) of K row by row, b, G row by row: solvers (3, 7, E)."""
-        made = np.zeros((3, 7, 3, 7))
-        common = solvers @ self.shared
-        for i, total in enumerate(self.total(square)):
-            made[i, :, i] = solvers[i] @ total @ solvers[i].T
-        made += np.einsum("iam,kbm->iakb", common, common)
-        return np.asarray(made.reshape(21, 21)[np.ix_(_ORDER, _ORDER)])
-
+# F is flicker (creep.py), over whose size q the parameters are averaged: rests and turns show it, and block means within the rests.
 
 _ROUNDING = 1e-12  # of the largest reading: no mean is known better than its arithmetic
-_ORDER = np.array(
-    [*(7 * i + k for i in range(3) for k in range(3)), 3, 10, 17, *(7 * i + 4 + k for i in range(3) for k in range(3))]
-)
 
 
-def _errors(data: RotationData, forward: FloatArray, sigma: tuple[float, float], creep: Creep | None) -> _Errors:
-    """Return what is known of the errors: forward (3, 3), sigma of angle and axis, rad."""
+def _equations(
+    data: RotationData,
+    unknowns: Mapping[str, FloatArray],
+    forward: FloatArray,
+    sigma: tuple[float, float],
+    creep: Creep | None,
+) -> Equations:
+    """Return the rows of rests and turns, and what is known of their errors: forward (3, 3), sigma of angle and axis, rad."""
     rests, turns = len(data.means), len(data.angle)
-    extent = np.concatenate((np.ones(rests), data.duration))  # of an offset in each equation
-    if data.rest.noise is None or data.noise is None:
-        samples = data.rest_samples.mean() / data.rest_samples
-        noise = np.sqrt(np.concatenate((samples, np.ones(rests - len(samples)), data.duration)))[:, None] * np.ones(3)
-    else:
-        of_rests = (
-            data.rest.noise
-            if data.free is None or data.free.noise is None
-            else np.vstack((data.rest.noise, data.free.noise))
-        )
-        noise = np.maximum(np.vstack((of_rests, data.noise)), _ROUNDING * np.abs(data.means).max() * extent[:, None])
-    parts = {"noise": np.stack([np.diag(column**2) for column in noise.T])}
+    extent = unknowns["offset"][:, 0]
+    own = {"noise": diagonal(_noise(data, extent) ** 2)}
     if data.rounding is not None:
         # One code for all rests errs alike in all; a turn's slow parts err by themselves.
         alike = np.zeros((rests + turns, rests + turns))
         alike[:rests, :rests] = 1.0
-        parts["adc"] = (data.rounding**2)[:, None, None] * (alike + np.diag(extent**2))
-    gain = np.linalg.norm(forward, axis=1)
-    vectors = axis_vectors(data.axis) * data.angle[:, None]
+        own["adc"] = (data.rounding**2)[:, None, None] * (alike + np.diag(extent**2))
     if creep is not None:
-        along = [np.concatenate((np.zeros(rests), vectors @ (forward[k] / gain[k]))) for k in range(3)]
-        parts["temperature"] = np.stack([creep.covariance(along[k], float(gain[k]), extent) for k in range(3)])
+        gain = np.linalg.norm(forward, axis=1)
+        along = unknowns["matrix"] @ (forward / gain[:, None]).T
+        own["temperature"] = np.stack([creep.covariance(along[:, k], float(gain[k]), extent) for k in range(3)])
     shared = _shared(data, forward, sigma, rests)
-    own = np.stack([sum((part[k] for part in parts.values()), np.zeros_like(parts["noise"][k])) for k in range(3)])
-    own += 1e-12 * np.stack([np.diag((part**2).sum(axis=1)) for part in shared])  # so that V stays invertible
-    flicker: FloatArray = np.zeros((rests + turns, rests + turns))
-    size = 0.0
-    if data.span is not None:
-        size = size_unit(noise[:rests], data.span[:rests])
-        flicker = flicker_about_mean(data.span, extent)  # the offset is the mean of the session
-    return _Errors(own=own, shared=shared, flicker=flicker, size=size, parts=parts)
+    # So that V stays invertible; with flicker, which is the rest of the budget
+    own["instability"] = 1e-12 * diagonal(sum((columns**2).sum(axis=2).T for columns in shared.values()))
+    return Equations(unknowns=unknowns, reading=np.vstack((data.means, data.reading)), own=own, shared=shared)
 
 
-def _shared(data: RotationData, forward: FloatArray, sigma: tuple[float, float], rests: int) -> FloatArray:
-    columns = []
+def _noise(data: RotationData, extent: FloatArray) -> FloatArray:
+    """Return the standard deviation (E, 3) of each row; of an assumed size, alike in all samples, where it is not known."""
+    if data.rest.noise is None or data.noise is None:
+        samples = data.rest_samples.mean() / data.rest_samples
+        free = np.ones(len(data.means) - len(samples))
+        return np.sqrt(np.concatenate((samples, free, data.duration)))[:, None] * np.ones(3)
+    free = np.zeros((0, 3)) if data.free is None or data.free.noise is None else data.free.noise
+    least = _ROUNDING * np.abs(data.means).max() * extent[:, None]
+    return np.maximum(np.vstack((data.rest.noise, free, data.noise)), least)
+
+
+def _shared(data: RotationData, forward: FloatArray, sigma: tuple[float, float], rests: int) -> dict[str, FloatArray]:
+    """Return the errors of angle and axis, (3, E, c) each: one deviation of each turn, and of all turns about one axis."""
+    turns, leans = [], []
     slip = np.zeros(len(data.angle)) if data.slip is None else data.slip
     for turn, axis in enumerate(data.axis):
         own = AXES.index(axis)
         column = np.zeros((3, rests + len(data.angle)))
         column[:, rests + turn] = forward[:, own] * np.hypot(sigma[0], slip[turn] / forward[own, own])
-        columns.append(column)
+        turns.append(column)
     for own, name in enumerate(AXES):  # all turns about one axis lean alike, as a fixture or an edge does
         along = np.where(np.array(data.axis) == name, data.angle, 0.0)
         for across in {0, 1, 2} - {own}:
             column = np.zeros((3, rests + len(data.angle)))
             column[:, rests:] = sigma[1] * np.outer(forward[:, across], along)
-            columns.append(column)
-    return np.stack(columns, axis=-1)
+            leans.append(column)
+    return {"angle": np.stack(turns, axis=-1), "axis": np.stack(leans, axis=-1)}
 
 
-def _averaged(
-    design: FloatArray, reading: FloatArray, start: FloatArray, errors: _Errors, blocks: Blocks | None
-) -> tuple[FloatArray, FloatArray, float]:
-    """Return theta (3, 7), its covariance and the mean q^2 over all sizes of flicker: start (3, 7) is near the solution."""
-    left = reading - design @ start.T
-    sizes = SIZES if errors.flicker.any() else SIZES[:1]
-    thetas, covariances = np.zeros((len(sizes), 21)), np.zeros((len(sizes), 21, 21))
-    likelihood = np.zeros(len(sizes))
-    common = errors.shared @ errors.shared.transpose(0, 2, 1)
-    for at, size in enumerate(sizes):
-        square, solvers = (size * errors.size) ** 2, np.zeros((3, 7, len(design)))
-        for row, total in enumerate(errors.total(square) + common):
-            root = np.linalg.cholesky(total)
-            x, y = np.linalg.solve(root, design), np.linalg.solve(root, left[:, row])
-            length = np.linalg.norm(x, axis=0)
-            basis, upper = np.linalg.qr(x / length)
-            solvers[row] = np.linalg.solve(upper, np.linalg.solve(root.T, basis).T) / length[:, None]
-            likelihood[at] -= np.log(np.diag(root)).sum() + np.log(np.abs(np.diag(upper))).sum() + np.log(length).sum()
-            likelihood[at] -= 0.5 * float(y @ y - (basis.T @ y) @ (basis.T @ y))
-        thetas[at] = (start + np.einsum("iae,ei->ia", solvers, left)).reshape(-1)[_ORDER]
-        covariances[at] = errors.carried(solvers, square)
+def _averaged(equations: Equations, data: RotationData) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return theta (3, 7) over all sizes of flicker, its covariance, and the covariance (E, E) of flicker of the mean q^2."""
+    count, rests = len(equations.reading), len(data.means)
+    flicker, size = np.zeros((count, count)), 0.0
+    if data.span is not None:
+        extent = equations.unknowns["offset"][:, 0]
+        size = size_unit(_noise(data, extent)[:rests], data.span[:rests])
+        flicker = flicker_about_mean(data.span, extent)  # the offset is the mean of the session
+    sizes = SIZES if flicker.any() else SIZES[:1]
+    family = (sizes[:, None, None] * size) ** 2 * flicker
+    stated = equations.covariance
+    fits = [
+        solutions(equations.design, equations.reading[:, k], np.linalg.cholesky(stated[k] + family)) for k in range(3)
+    ]
+    thetas = np.hstack([fit.theta for fit in fits])[:, parameter_order(7)]
+    gains = np.stack([fit.gain for fit in fits], axis=1)
+    covariances = np.array([equations.carried(gain, part) for gain, part in zip(gains, family, strict=True)])
     if len(sizes) == 1:
         theta, covariance, square = thetas[0], covariances[0], 0.0
     else:
-        likelihood += 0.0 if blocks is None else blocks.likelihood(errors.size)
+        likelihood = np.sum([fit.likelihood for fit in fits], axis=0)
+        likelihood += 0.0 if data.blocks is None else data.blocks.likelihood(size)
         theta, covariance = averaged_sizes(likelihood, thetas, covariances)
-        square = mean_square_size(likelihood) * errors.size**2
-    unordered = np.empty(21)
-    unordered[_ORDER] = theta
-    return unordered.reshape(3, 7), covariance, square
+        square = mean_square_size(likelihood) * size**2
+    return (
+        np.column_stack((theta[:9].reshape(3, 3), theta[9:12], theta[12:].reshape(3, 3))),
+        covariance,
+        square * flicker,
+    )
 
 
 def fit_known_rotation(
@@ -437,39 +395,39 @@ def fit_known_rotation(
     force = gravity * up if data.rest_force is None else data.rest_force
     turns = axis_vectors(data.axis) * data.angle[:, None]
     leak = np.column_stack((data.duration, data.force))
-    rests = np.column_stack((np.ones(len(force)), force))
-    design = np.block([[np.zeros((len(rests), 3)), rests], [turns, leak]])
-    reading = np.vstack((data.means, data.reading))
+    unknowns = {
+        "matrix": np.vstack((np.zeros((len(force), 3)), turns)),
+        "offset": np.concatenate((np.ones(len(force)), leak[:, 0]))[:, None],
+        "g": np.vstack((force, leak[:, 1:])),
+    }
     closed = _closed_form(data, up, gravity, turns, leak, mode)
+    reading = np.vstack((data.means, data.reading))
     theta = (closed @ reading).T
     _check_turns(theta[:, :3], data, scale_tolerance)
-    errors = _errors(data, theta[:, :3], (angle_uncertainty, axis_uncertainty), creep)
-    fitted, covariance, square = _averaged(design, reading, theta, errors, data.blocks)
+    equations = _equations(data, unknowns, theta[:, :3], (angle_uncertainty, axis_uncertainty), creep)
+    fitted, covariance, flicker = _averaged(equations, data)
     if mode == "paper":
-        covariance = errors.carried(np.stack((closed, closed, closed)), square)
+        gains = np.stack((closed, closed, closed))
+        covariance = equations.carried(gains, flicker)
     else:
-        theta = fitted
-    matrix = np.linalg.inv(theta[:, :3])
-    covariance = _of_inverse(covariance, matrix, theta[:, 4:])
-    at_rest = errors.own + errors.shared @ errors.shared.transpose(0, 2, 1)
-    gains = [np.linalg.solve(design.T @ (w := np.linalg.solve(v, design)), w.T) for v in at_rest]
-    shares = errors.shares(np.stack([closed] * 3 if mode == "paper" else gains), len(data.angle))
-    shares = {name: np.diag(_of_inverse(part, matrix, theta[:, 4:])) for name, part in shares.items()}
+        theta, gains = fitted, equations.gains()
+    inverse = Inverse.of(theta)
+    covariance = inverse.carried(covariance)
     rank, condition = scaled_condition(np.column_stack((np.ones(len(up)), up)))
     fastest = float(np.abs(data.angle / data.duration).max())
     known = data.rest.noise is not None and data.noise is not None
     return triad_fit(
-        ((reading - design @ theta.T) @ matrix.T),
+        (reading - equations.design @ theta.T) @ inverse.matrix.T,
         Verdict.of(*_judged(data, angle_uncertainty, creep, np.diag(covariance)[9:12])),
         method=f"known-rotation/{mode}",
         unit_in=data.rest.unit,
         unit_out="rad/s",
-        matrix=matrix,
-        offset=theta[:, 3],
-        g_sensitivity=matrix @ theta[:, 4:],
-        parameters=(*MATRIX_NAMES, *OFFSET_NAMES, *G_NAMES),
+        matrix=inverse.matrix,
+        offset=inverse.offset,
+        g_sensitivity=inverse.g_sensitivity,
+        parameters=inverse.parameters,
         covariance=covariance if known else np.full((21, 21), np.nan),
-        budget=Budget.of(covariance, shares, "instability") if known else None,
+        budget=equations.budget(inverse, covariance, "instability", gains=gains) if known else None,
         rank=3 * rank + 9,
         condition=condition,
         valid_range=(-fastest, fastest),
@@ -501,15 +459,6 @@ def _judged(data: RotationData, angle: float, creep: Creep | None, variance: Flo
         yield from creep.findings()
     if data.rounding is not None:
         yield from limited_by_codes("gyroscope", data.rounding**2, variance, data.rest.unit)
-
-
-def _of_inverse(covariance: FloatArray, matrix: FloatArray, g_forward: FloatArray) -> FloatArray:
-    """Return the covariance of M, b and M G from that of K, b and G, (21, 21) each."""
-    jacobian = np.eye(21)
-    jacobian[:9, :9] = inverse_jacobian(matrix)
-    jacobian[12:, :9] = np.kron(np.eye(3), g_forward.T) @ jacobian[:9, :9]
-    jacobian[12:, 12:] = np.kron(matrix, np.eye(3))
-    return np.asarray(jacobian @ covariance @ jacobian.T)
 
 
 def _check_complete(data: RotationData) -> None:

@@ -27,7 +27,8 @@ from undrift.calibration.checks import check_gravity, check_own_scale
 from undrift.calibration.creep import Creep
 from undrift.errors import NotObservable, PoorFit
 from undrift.findings import Finding, finding
-from undrift.fit.least_squares import TriadFit, excess_variance, parameter_names, scaled_condition, triad_fit, whitened
+from undrift.fit.equations import roots
+from undrift.fit.least_squares import TriadFit, excess_variance, parameter_names, scaled_condition, triad_fit
 from undrift.model import AXES, Verdict, level_of
 from undrift.segments import sphere_of
 from undrift.units import STANDARD_GRAVITY, canonical_unit, is_physical, si_factor
@@ -117,7 +118,9 @@ def fit_norm(
             poses=len(v),
         )
     covariance = np.zeros((9, 9))
-    weighted = whitened(design[:, free], np.sqrt(variance), stated.shared(v, p, design))
+    shared = stated.shared(v, p, design)
+    root = roots(np.sqrt(variance), np.zeros((len(v), 0)) if shared is None else shared)[0]
+    weighted = design[:, free] / root[:, None] if root.ndim == 1 else np.linalg.solve(root, design[:, free])
     covariance[np.ix_(free, free)] = _inverse(_with(weighted, prior[:, free] / (prior_sd or 1.0)))
     return NormFit(
         center=center,

@@ -30,28 +30,26 @@ from undrift.calibration.dwells import (
     mountings,
     table_axes,
     table_findings,
-    table_term,
+    table_shares,
     with_table_errors,
 )
 from undrift.calibration.observe import Observed, Outcome, middles, with_offset
 from undrift.errors import Implausible, InputError, NotObservable
 from undrift.findings import Finding, Level, finding
+from undrift.fit.equations import Equations, Inverse, WalkFit, carried_own, diagonal, fit_with_walk, joined
 from undrift.fit.least_squares import (
     ForwardFit,
     TriadFit,
-    WalkFit,
     block_size,
     fit_forward,
     fit_paper,
-    fit_with_walk,
-    inverse_jacobian,
     noise_of_means,
     offset_verdict,
     scaled_condition,
     student_variance,
     triad_from_forward,
 )
-from undrift.model import AXES, G_NAMES, MATRIX_NAMES, OFFSET_NAMES, Budget, TriadModel, Verdict, level_of
+from undrift.model import AXES, TriadModel, Verdict, level_of
 from undrift.record import Axis, Still, Turn
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical, si_factor
 
@@ -160,82 +158,44 @@ def fit_with_rests(
     if dwells.noise is None:
         return fit
     rates = imposed_rates(dwells, latitude_deg)
-    plain, full, readings = _equations(dwells, rates, rests)
+    plain, full, readings = _unknowns(dwells, rates, rests)
     sigma, time = _with_scatter(dwells, rates), dwells.time
     if rests is not None:
         sigma = np.vstack((sigma, rests.noise))
         time = None if time is None else np.concatenate((time, rests.time))
     sigma = np.maximum(sigma, _ROUNDING * np.abs(readings).max(axis=0))
     if full is not None:
-        found = _walks(full, readings, sigma, time)
-        size = sum(float(f.theta[3:6] @ np.linalg.solve(f.covariance[3:6, 3:6], f.theta[3:6])) for f in found)
-        if size > _chance(9) * _excess(found, readings.size - 21):
-            made = _refined(fit, dwells, full, readings, _with_codes(dwells, full, sigma, found), sigma)
-            return made if rests is None or rests.felt else _without_g(made)
-    found, by_axis = _walks(plain, readings, sigma, time), None
-    if full is None and (rests is None or not rests.felt) and any(one.walk > 0.0 for one in found):
+        walks = _walks(np.hstack([*full.values()]), readings, sigma, time)
+        size = sum(float(f.theta[4:] @ np.linalg.solve(f.covariance[4:, 4:], f.theta[4:])) for f in walks)
+        if size > _chance(9) * _excess(walks, readings.size - 21):
+            refined = _refined(fit, dwells, full, readings, walks, sigma)
+            return refined if rests is None or rests.felt else _without_g(refined)
+    walks, by_axis = _walks(np.hstack([*plain.values()]), readings, sigma, time), None
+    if full is None and (rests is None or not rests.felt) and any(one.walk > 0.0 for one in walks):
         by_axis = _by_axis(dwells, rates, sigma[: len(rates)])
-    return _refined(fit, dwells, plain, readings, _with_codes(dwells, plain, sigma, found), sigma, by_axis)
+    return _refined(fit, dwells, plain, readings, walks, sigma, by_axis)
 
 
-def _with_codes(dwells: DwellMeans, design: FloatArray, sigma: FloatArray, found: list[WalkFit]) -> list[WalkFit]:
-    """Return fits whose covariance also holds what the codes leave in common: means at one place between two codes err alike.
+def _sources(dwells: DwellMeans, fitted: FloatArray, sigma: FloatArray) -> dict[str, FloatArray]:
+    """Return the sources (3, E, E) of what sigma (E, 3) says of the rows, whose fitted readings are (E, 3); the walk is not in it.
 
-    Apart by a share d of a step, d in [0, 1), errors of rounding correlate by 1 - 6 d + 6 d^2.
+    Means at one place between two codes err alike: apart by a share d of a step, d in [0, 1), errors of rounding correlate by
+    1 - 6 d + 6 d^2. Dwells scatter more than noise by an uneven rate about their own axis, and across it by the table's wobble.
     """
-    made = []
-    for k, one in enumerate(found):
-        if dwells.codes[k] > 0.0:
-            shared = _code_errors(dwells, design, one, k)
-            np.fill_diagonal(shared, 0.0)  # that is in sigma
-            gain = np.linalg.pinv(design / sigma[:, k, None]) / sigma[:, k]
-            one = replace(one, covariance=one.covariance + gain @ shared @ gain.T)
-        made.append(one)
-    return made
-
-
-def _code_errors(dwells: DwellMeans, design: FloatArray, fit: WalkFit, k: int) -> FloatArray:
-    """Return the covariance (E, E) of what rounding to codes leaves in the means of one sensor."""
-    if not dwells.codes[k] > 0.0:
-        return np.zeros((len(design), len(design)))
-    place = design @ fit.theta / dwells.step[k]
-    apart = (place[:, None] - place[None, :]) % 1.0
-    return np.asarray(dwells.codes[k] * (1.0 - 6.0 * apart * (1.0 - apart)))
-
-
-def _budget(
-    model: TriadModel, dwells: DwellMeans, design: FloatArray, found: list[WalkFit], sigma: FloatArray, widen: float
-) -> Budget:
-    """Return the shares of a model whose covariance is complete; ``found`` is without the excess ``widen`` of the residuals.
-
-    At no walk C = G V G', V = noise + codes + what wobble and an uneven rate add to each dwell. The walk has the rest.
-    """
-    dwell_noise = np.asarray(dwells.noise) * np.ones_like(dwells.reading)
-    theta, count = np.array([one.theta for one in found]), len(dwell_noise)
+    count = len(dwells.reading)
     own = np.array(dwells.axis)[:, None] == np.array(AXES)[None, :]
-    parts: dict[str, list[FloatArray]] = {name: [] for name in ("noise", "adc", "ripple", "mounting", "repeatability")}
-    for k, one in enumerate(found):
-        gain = np.linalg.pinv(design / sigma[:, k, None]) / sigma[:, k]
-        more = np.zeros(len(design))
-        more[:count] = np.maximum(sigma[:count, k] ** 2 - dwell_noise[:, k] ** 2, 0.0)
-        along = np.concatenate((own[:, k], np.zeros(len(design) - count, bool)))
-        codes = _code_errors(dwells, design, one, k)
-        variances = {
-            "noise": np.diag(np.maximum(sigma[:, k] ** 2 - more - np.diag(codes), 0.0)),
-            "adc": codes,
-            "ripple": np.diag(np.where(along, more, 0.0)),
-            "mounting": np.diag(np.where(along, 0.0, more)),
-        }
-        for name, variance in variances.items():
-            parts[name].append(gain @ variance @ gain.T)
-        parts["repeatability"].append((widen - 1.0) * one.covariance)
-    shares = {name: np.diag(_model(model, theta, own).covariance) for name, own in parts.items()}
-    if dwells.axes is not None:
-        rows = np.array([AXES.index(axis) for axis in dwells.axis])
-        square = sigma[:count] ** -2 * dwells.turn_rate[:, None] ** 2
-        for name, part in dwells.axes.shares(rows, square).items():
-            shares[name] = shares.get(name, 0.0) + np.diag(table_term(model, part))
-    return Budget.of(model.covariance, shares, "instability")
+    excess, along = np.zeros_like(sigma), np.vstack((own, np.zeros((len(sigma) - count, 3), bool)))
+    excess[:count] = np.maximum(sigma[:count] ** 2 - np.broadcast_to(np.asarray(dwells.noise), own.shape) ** 2, 0.0)
+    rounded = dwells.codes > 0.0
+    place = fitted / np.where(rounded, dwells.step, 1.0)
+    apart = (place.T[:, :, None] - place.T[:, None, :]) % 1.0
+    variance = np.where(rounded, dwells.codes, 0.0)
+    return {
+        "noise": diagonal(np.maximum(sigma**2 - excess - variance, 0.0)),
+        "adc": variance[:, None, None] * (1.0 - 6.0 * apart * (1.0 - apart)),
+        "ripple": diagonal(np.where(along, excess, 0.0)),
+        "mounting": diagonal(np.where(along, 0.0, excess)),
+    }
 
 
 def _with_scatter(dwells: DwellMeans, rates: FloatArray) -> FloatArray:
@@ -282,17 +242,17 @@ def _share(drive: FloatArray, square: FloatArray, others: FloatArray) -> float:
     return max(found)
 
 
-def _equations(
+def _unknowns(
     dwells: DwellMeans, rates: FloatArray, rests: RestMeans | None
-) -> tuple[FloatArray, FloatArray | None, FloatArray]:
-    """Return rows (w, 1) and (w, a, 1) of dwells, then rests, and their readings; no (w, a, 1) where w and a do not differ."""
+) -> tuple[dict[str, FloatArray], dict[str, FloatArray] | None, FloatArray]:
+    """Return what multiplies K and b in dwells, then rests, the same with H, and the readings; no H where w and a do not differ."""
     if rests is None:
-        return np.column_stack((rates, np.ones(len(rates)))), None, dwells.reading
+        return {"matrix": rates, "offset": np.ones((len(rates), 1))}, None, dwells.reading
     rates = np.vstack((rates, np.zeros_like(rests.reading)))
-    one = np.ones(len(rates))
-    full = np.column_stack((rates, np.vstack((rests.dwell_force, rests.force)), one))
-    seen = scaled_condition(full)[0] == 7
-    return np.column_stack((rates, one)), full if seen else None, np.vstack((dwells.reading, rests.reading))
+    plain = {"matrix": rates, "offset": np.ones((len(rates), 1))}
+    full = {**plain, "g": np.vstack((rests.dwell_force, rests.force))}
+    seen = scaled_condition(np.hstack([*full.values()]))[0] == 7
+    return plain, full if seen else None, np.vstack((dwells.reading, rests.reading))
 
 
 def _walks(design: FloatArray, readings: FloatArray, sigma: FloatArray, time: FloatArray | None) -> list[WalkFit]:
@@ -334,43 +294,56 @@ def _by_axis(dwells: DwellMeans, rates: FloatArray, sigma: FloatArray) -> list[W
     return None if (np.abs(trend) > _STAYS * apart)[np.argmax(apart)] else solved
 
 
-def _excess(found: list[WalkFit], spare: int) -> float:
+def _excess(walks: list[WalkFit], spare: int) -> float:
     # Variance of the residuals over that of the noise; 1 where chance explains it.
-    square = sum(one.square for one in found)
+    square = sum(one.square for one in walks)
     return square / spare if spare > 0 and square > _chance(spare) else 1.0
 
 
 def _refined(
     fit: RateTableFit,
     dwells: DwellMeans,
-    design: FloatArray,
+    unknowns: dict[str, FloatArray],
     readings: FloatArray,
-    found: list[WalkFit],
+    walks: list[WalkFit],
     sigma: FloatArray,
     by_axis: list[WalkFit] | None = None,
 ) -> RateTableFit:
-    theta = np.array([one.theta for one in found])
-    residuals = (readings - design @ theta.T) @ np.linalg.inv(theta[:, :3]).T
+    theta, design = np.array([one.theta for one in walks]), np.hstack([*unknowns.values()])
+    inverse, fitted = Inverse.of(theta), design @ theta.T
+    equations = Equations(unknowns=unknowns, reading=readings, own=_sources(dwells, fitted, sigma))
+    gains = equations.gains(diagonal(sigma**2))
+    widen = _excess(walks, readings.size - theta.size)
+    codes = equations.own["adc"]  # their variance is in sigma; what they leave in common is not
+    in_common = np.where(np.eye(len(design), dtype=bool), 0.0, codes)
+    covariance = joined([one.covariance for one in walks]) + carried_own(gains, in_common)
+    residuals = (readings - fitted) @ inverse.matrix.T
     rank, condition = scaled_condition(design)
-    widen = _excess(found, readings.size - theta.size)
-    model = _model(fit.model, theta, [one.covariance * widen for one in found])
     model = replace(
-        with_table_errors(model, dwells, sigma[: len(dwells.axis)]),
+        fit.model,
+        matrix=inverse.matrix,
+        offset=inverse.offset,
+        g_sensitivity=inverse.g_sensitivity,
+        parameters=inverse.parameters,
+        covariance=inverse.carried(widen * covariance),
+        budget=None,
         rms_residual=float(np.sqrt((residuals**2).mean())),
         count=readings.size,
         rank=3 * rank,
         condition=condition,
     )
-    model = replace(model, budget=_budget(model, dwells, design, found, sigma, widen))
+    model = with_table_errors(model, dwells, sigma[: len(dwells.axis)])
+    more = [("repeatability", inverse.carried((widen - 1.0) * covariance)), *table_shares(model, dwells, sigma)]
+    model = replace(model, budget=equations.budget(inverse, model.covariance, "instability", gains=gains, more=more))
     residual = 100.0 * model.rms_residual / float(np.abs(fit.turn_rate).max())
-    verdict = fit.verdict.also(Verdict.of(*_judged(dwells, model, found, by_axis, widen, residual)))
+    verdict = fit.verdict.also(Verdict.of(*_judged(dwells, model, walks, by_axis, widen, residual)))
     return replace(fit, model=model, residuals=residuals, verdict=verdict)
 
 
 def _judged(
     dwells: DwellMeans,
     model: TriadModel,
-    found: list[WalkFit],
+    walks: list[WalkFit],
     by_axis: list[WalkFit] | None,
     widen: float,
     residual: float,
@@ -379,7 +352,7 @@ def _judged(
         size = float(np.abs(model.g_sensitivity).max()) * STANDARD_GRAVITY / RADIAN_PER_DEGREE
         yield finding("rate_table.g_sensitivity", "info", dps_per_g=size)
     gain = float(np.linalg.norm(model.matrix, 2)) / RADIAN_PER_DEGREE
-    walk, within = (gain * max(one.walk for one in part) for part in (found, by_axis or found))
+    walk, within = (gain * max(one.walk for one in part) for part in (walks, by_axis or walks))
     if walk > 0.0 and (by_axis is None or within > _STAYS * walk):
         dps = walk * _MINUTE_S**0.5
         level = level_of(dps, DRIFT_DPS)
@@ -411,28 +384,6 @@ def _chance(degrees_of_freedom: int) -> float:
     return float(chdtri(degrees_of_freedom, CHANCE))
 
 
-def _model(plain: TriadModel, theta: FloatArray, own: list[FloatArray]) -> TriadModel:
-    """Return the inverse model of forward rows (K_k, H_k, b_k) or (K_k, b_k)."""
-    gravity = theta.shape[1] == 7
-    matrix, offset = np.linalg.inv(theta[:, :3]), theta[:, -1]
-    jacobian, covariance = np.eye(21 if gravity else 12), np.zeros((21 if gravity else 12,) * 2)
-    for k in range(3):  # covariance: of K row by row, b, H row by row
-        of_h = [12 + 3 * k, 13 + 3 * k, 14 + 3 * k] if gravity else []
-        places = np.array([3 * k, 3 * k + 1, 3 * k + 2, *of_h, 9 + k])
-        covariance[np.ix_(places, places)] = own[k]
-    jacobian[:9, :9] = inverse_jacobian(matrix)
-    names, g = (*MATRIX_NAMES, *OFFSET_NAMES), None
-    if gravity:
-        g = matrix @ theta[:, 3:6]
-        jacobian[12:, :9] = -np.kron(matrix, g.T)
-        jacobian[12:, 12:] = np.kron(matrix, np.eye(3))
-        names = (*names, *G_NAMES)
-    covariance = jacobian @ covariance @ jacobian.T
-    return replace(
-        plain, matrix=matrix, offset=offset, g_sensitivity=g, parameters=names, covariance=covariance, budget=None
-    )
-
-
 # ---- false dwells: a rate stated with a wrong sign, value or axis
 #
 # One such dwell moves a least-squares fit, and an offset that may drift follows it. So before either, each sensor is fitted by
@@ -453,8 +404,9 @@ def check_dwells(
     dwells: DwellMeans, rates: FloatArray, *, rests: RestMeans | None = None, numbers: tuple[int, ...] | None = None
 ) -> None:
     """Raise when the reading of a dwell contradicts all the others; rates (N, 3), rad/s."""
-    plain, full, reading = _equations(dwells, rates, rests)
-    design = plain if full is None or len(full) - 7 < _LEAST_SPARE else full
+    plain, full, reading = _unknowns(dwells, rates, rests)
+    chosen = plain if full is None or len(reading) - 7 < _LEAST_SPARE else full
+    design = np.hstack([*chosen.values()])
     spare = len(design) - design.shape[1]
     if spare < _LEAST_SPARE or np.linalg.matrix_rank(design) < design.shape[1]:
         return
@@ -574,6 +526,7 @@ def fit_turned_axes(
     prior = _nominal_kept(axes, cross_axis_prior, physical=physical)
     fit = triad_from_forward(
         ForwardFit(
+            inputs=rates,
             matrix=forward,
             offset=theta[-1],
             covariance=covariance,

@@ -42,21 +42,29 @@ from undrift.calibration.dwells import mountings
 from undrift.calibration.observe import Observed, Outcome, with_offset
 from undrift.errors import InputError, NotObservable
 from undrift.findings import Finding, finding
+from undrift.fit.equations import (
+    Equations,
+    Solutions,
+    averaged,
+    diagonal,
+    geometric_peak,
+    joined,
+    parameter_order,
+    roots,
+    solutions,
+    squared,
+)
 from undrift.fit.least_squares import (
     ForwardFit,
     TriadFit,
-    averaged,
     block_size,
     fit_forward,
     fit_paper,
-    geometric_peak,
-    inverse_jacobian,
     noise_of_means,
     offset_verdict,
     triad_from_forward,
-    whitened,
 )
-from undrift.model import Budget, TriadModel, Verdict
+from undrift.model import Verdict
 from undrift.record import Face, Record, Still
 from undrift.units import RADIAN_PER_DEGREE, is_physical, si_factor
 
@@ -90,9 +98,6 @@ _EVIDENCE = 2.0  # twice the gain of log-likelihood of a tilt that is reported: 
 _LARGEST = 0.2  # rad
 _GRID = 120
 _SMALL_TILT = 0.1  # of noise / g: the tilt that E1 takes as none
-_PLACES = np.array(
-    [[3 * row, 3 * row + 1, 3 * row + 2, 9 + row] for row in range(3)]
-)  # of K and b of one sensor in theta
 
 
 def fit_tilted(
@@ -151,37 +156,23 @@ def _solved(
     """Return a grid of tilts (T,), and for each K row by row then b (T, 12), its covariance (T, 12, 12), and log L (T,)."""
     smallest = 0.02 * float(np.median(noise)) / length
     tilts = np.concatenate(([0.0], np.geomspace(max(smallest, 1e-9), _LARGEST, _GRID)))
-    design = np.column_stack((up / length, np.ones(len(up))))
-    unit = np.array([length, length, length, 1.0])
+    design = np.column_stack((up, np.ones(len(up))))
     sigma = np.stack([tilted_sigma(up, noise, length, np.hypot(t, stated)[:, None]) for t in tilts])
-    theta, covariance, likelihood = np.zeros((len(tilts), 12)), np.zeros((len(tilts), 12, 12)), np.zeros(len(tilts))
-    solvers, residuals = np.zeros((3, len(tilts), 4, len(up))), np.zeros((3, len(tilts), len(up)))
-    for row in range(3):
-        in_sigma = shared[row] / sigma[:, :, row, None]
-        inner = np.eye(shared.shape[2]) + in_sigma.transpose(0, 2, 1) @ in_sigma
-        left = np.eye(len(up)) - in_sigma @ np.linalg.solve(inner, in_sigma.transpose(0, 2, 1))  # Woodbury
-        weight = left / sigma[:, :, row, None] / sigma[:, None, :, row]
-        normal = design.T @ weight @ design
-        inverse = np.linalg.inv(normal)
-        own = np.einsum("tij,tj->ti", inverse, (weight @ reading[:, row]) @ design)
-        residual = reading[:, row] - own @ design.T
-        solvers[row], residuals[row] = inverse @ design.T @ weight / unit[:, None], residual
-        places = _PLACES[row]
-        theta[:, places] = own / unit
-        covariance[:, places[:, None], places] = inverse / np.outer(unit, unit)
-        likelihood -= 0.5 * np.einsum("ti,tij,tj->t", residual, weight, residual) + np.log(sigma[:, :, row]).sum(axis=1)
-        likelihood -= 0.5 * (np.linalg.slogdet(inner)[1] + np.linalg.slogdet(normal)[1])
-    square = length * (tilts[:, None] ** 2 + stated**2)
-    return tilts, theta, covariance + _second_order(up, solvers, residuals, square, covariance), likelihood
+    fits = [solutions(design, reading[:, k], roots(sigma[:, :, k], shared[k])) for k in range(3)]
+    residuals = np.stack([reading[:, k] - fits[k].theta @ design.T for k in range(3)])
+    more = _second_order(up, fits, residuals, length * (tilts[:, None] ** 2 + stated**2))
+    thetas = np.hstack([fit.theta for fit in fits])[:, parameter_order(4)]
+    covariances = joined([fit.covariance + part for fit, part in zip(fits, more, strict=True)])
+    return tilts, thetas, covariances, np.sum([fit.likelihood for fit in fits], axis=0)
 
 
 def _second_order(
-    up: FloatArray, solvers: FloatArray, residuals: FloatArray, square: FloatArray, covariance: FloatArray
-) -> FloatArray:
-    """Return what to add to a covariance (T, 12, 12) that has errors of g tilt^2, ``square`` (T, P), alone on own axes."""
-    change = np.zeros_like(covariance)
-    variance = np.einsum("tii->ti", covariance)[:, :9].reshape(-1, 3, 3)
-    for row, places in enumerate(_PLACES):
+    up: FloatArray, fits: Sequence[Solutions], residuals: FloatArray, square: FloatArray
+) -> list[FloatArray]:
+    """Return what to add to the covariance (T, 4, 4) of each sensor, which has errors of g tilt^2, ``square`` (T, P), alone."""
+    variance = np.stack([np.einsum("tii->ti", fit.covariance)[:, :3] for fit in fits], axis=1)
+    more = []
+    for row, fit in enumerate(fits):
         own = up[:, row] != 0.0
         sign = np.sign(up[own, row])
         alike = np.outer(sign, sign) / max(1, own.sum()) - np.eye(own.sum())
@@ -190,9 +181,9 @@ def _second_order(
             size = variance[:, row, across] + variance[:, across, row]
             seen = residuals[across][:, own]
             errors += size[:, None, None] * seen[:, :, None] * seen[:, None, :]
-        solver = solvers[row][:, :, own]
-        change[:, places[:, None], places] = solver @ errors @ solver.transpose(0, 2, 1)
-    return change
+        gain = fit.gain[:, :, own]
+        more.append(gain @ errors @ gain.transpose(0, 2, 1))
+    return more
 
 
 # ---- fit of the face means
@@ -252,40 +243,33 @@ def fit_six_face(poses: FaceMeans, *, gravity: float, mode: SixFaceMode = "level
     forward = plain
     if known is not None and mode != "affine":
         forward, tilt = fit_tilted(up, reading, known, plain, poses.tilt, shared)
-    found = Verdict.of(*_judged(poses, plain, known, tilt, mode, shared))
+    verdict = Verdict.of(*_judged(poses, plain, known, tilt, mode))
     if mode == "paper":
         fit, tilt = fit_paper(up, reading, noise, shared, **names), float("nan")
-        found = offset_verdict(fit, up, reading, noise).also(found)
+        verdict = offset_verdict(fit, up, reading, noise).also(verdict)
     else:
         fit = triad_from_forward(forward, valid_range=(-gravity, gravity), **names)
         if known is not None:
-            fit = replace(fit, model=replace(fit.model, budget=_budget(poses, fit.model, up, known, forward is plain)))
+            rest = "noise" if forward is plain else "level"  # of level faces the sources are all there is
+            budget = _equations(poses, up, known).budget(forward.inverse, fit.model.covariance, rest)
+            fit = replace(fit, model=replace(fit.model, budget=budget))
     check_handedness(fit.model.forward_matrix, "accelerometer")
-    return SixFaceFit(model=fit.model, residuals=fit.residuals, verdict=found, tilt=tilt)
+    return SixFaceFit(model=fit.model, residuals=fit.residuals, verdict=verdict, tilt=tilt)
 
 
-def _budget(poses: FaceMeans, model: TriadModel, up: FloatArray, noise: FloatArray, is_level: bool) -> Budget:
-    """Return the shares of level faces, C = G V G', V the sum over noise, codes and what is in common; the rest is the level."""
-    rounding = np.zeros(3) if poses.rounding is None else poses.rounding
-    gravity = float(np.abs(up).max())
-    shared, every = poses.shared_by(gravity), poses.shared(gravity)
-    design = np.column_stack((up, np.ones(len(up))))
-    parts: dict[str, FloatArray] = {name: np.zeros((12, 12)) for name in ("noise", "adc", *shared)}
-    for row in range(3):
-        common = np.zeros((len(up), 0)) if every is None else every[row]
-        scaled = np.linalg.solve(np.diag(noise[:, row] ** 2) + common @ common.T, design)
-        gain = np.linalg.solve(design.T @ scaled, scaled.T)
-        place = np.ix_(_PLACES[row], _PLACES[row])
-        codes = np.minimum(rounding[row], noise[:, row]) ** 2
-        parts["adc"][place] = (gain * codes) @ gain.T
-        parts["noise"][place] = (gain * (noise[:, row] ** 2 - codes)) @ gain.T
-        for name, columns in shared.items():
-            moved = gain @ columns[row]
-            parts[name][place] = moved @ moved.T
-    jacobian = np.eye(12)
-    jacobian[:9, :9] = inverse_jacobian(model.matrix)
-    shares = {name: np.diag(jacobian @ part @ jacobian.T) for name, part in parts.items()}
-    return Budget.of(model.covariance, shares, "noise" if is_level else "level")
+def _equations(poses: FaceMeans, up: FloatArray, noise: FloatArray) -> Equations:
+    """Return the equations of level faces: up (P, 3) m/s2, and all that is known of the errors of the means."""
+    codes = np.minimum(np.zeros(3) if poses.rounding is None else poses.rounding, noise) ** 2
+    in_common = poses.shared_by(float(np.abs(up).max()))
+    return Equations(
+        unknowns={"matrix": up, "offset": np.ones((len(up), 1))},
+        reading=poses.reading,
+        own={
+            "noise": diagonal(noise**2 - codes),
+            "adc": diagonal(codes),
+            **{name: squared(columns) for name, columns in in_common.items()},
+        },
+    )
 
 
 def _judged(
@@ -294,7 +278,6 @@ def _judged(
     noise: FloatArray | None,
     tilt: float,
     mode: SixFaceMode,
-    shared: FloatArray | None,
 ) -> Iterator[Finding]:
     if poses.rounding is not None and poses.noise is not None:
         yield from limited_by_codes("accelerometer", poses.rounding**2, (poses.noise**2).mean(axis=0), poses.unit)
@@ -310,9 +293,7 @@ def _judged(
     elif tilt > 0.0:
         yield finding("six_face.tilt_small", "info", tilt_deg=tilt_deg)
     if mode == "affine" and noise is not None and spare > 0:
-        rows = (None, None, None) if shared is None else shared
-        left = [whitened(plain.residuals[:, [j]], noise[:, j], rows[j]) for j in range(3)]
-        ratio = float(np.sqrt((np.square(left)).sum() / spare))
+        ratio = float(np.sqrt(_equations(poses, plain.inputs, noise).square(plain.residuals) / spare))
         if ratio >= 3.0:
             yield finding("six_face.scatter", "warn", ratio=ratio)
 

@@ -27,7 +27,8 @@ from undrift.drift.observe import RateSteps, RestBlocks
 from undrift.drift.static import near_data
 from undrift.errors import InputError, NotObservable
 from undrift.findings import finding
-from undrift.fit.least_squares import excess_variance, inverse_jacobian
+from undrift.fit.equations import inverse_jacobian
+from undrift.fit.least_squares import excess_variance
 from undrift.fit.smooth import fit_smooth
 from undrift.model import AXES, Calibration, ScaleDrift, StaticDrift, TriadModel, Verdict
 from undrift.units import si_factor

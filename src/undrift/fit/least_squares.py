@@ -1,4 +1,4 @@
-"""What the fits share: weighted least squares of s = K a + b, its covariance, excess variance, and drifting offsets.
+"""What the fits share: weighted least squares of s = K a + b, its covariance, excess variance, noise of means.
 
 Each sensor is a row of its own, with the standard deviation of every equation given; i = x, y, z::
 
@@ -16,9 +16,10 @@ from typing import Any
 
 import numpy as np
 
-from undrift.arrays import FloatArray, IntArray
+from undrift.arrays import FloatArray
 from undrift.errors import InputError, NotObservable
 from undrift.findings import Level, finding
+from undrift.fit.equations import Inverse, joined, roots, solutions, squared
 from undrift.model import TriadModel, Verdict
 
 
@@ -49,11 +50,6 @@ def triad_fit(residuals: FloatArray, verdict: Verdict = Verdict(), **of_model: A
     return TriadFit(
         model=TriadModel(rms_residual=rms, count=residuals.size, **of_model), residuals=residuals, verdict=verdict
     )
-
-
-def inverse_jacobian(matrix: FloatArray) -> FloatArray:
-    """Return d vec(M) / d vec(K) (9, 9) for M = K^-1, both stacked row by row."""
-    return -np.kron(matrix, matrix.T)
 
 
 def scaled_condition(design: FloatArray) -> tuple[int, float]:
@@ -91,94 +87,6 @@ def excess_variance(residuals: FloatArray, variances: FloatArray, freedom: float
     return excess
 
 
-# ---- groups of parameters that scatter about 0 by an unknown size: the data give size and parameters
-#
-#     y = X theta + n,  n white of variance 1     theta_g ~ N(0, v_g) for each group g, the others by a precision given
-#     maximise over v    2 log p(y | v) = c' theta - log|X'X + P| + log|P|        c = X'y, P = diag(1 / v_g)
-#     v_g <- |theta_g|^2 / gamma_g     gamma_g = n_g - tr(C_g) / v_g,  C = (X'X + P)^-1     (MacKay, "Bayesian interpolation", 1992)
-#
-# A group leaves its least size, 0 for none of it, only where chance makes such a gain of likelihood once in a thousand.
-
-GROUP_SHOWS = 9.55  # of 2 log p: chi-square of one degree of freedom on the boundary, chance 1e-3
-_STEPS = 20  # of v, unless it stops before
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Components:
-    """Parameters of all groups."""
-
-    theta: FloatArray  # (P,)
-    covariance: FloatArray  # (P, P)
-    variance: FloatArray  # (G,), v of each group
-    likelihood: float  # log p(y | v), to a constant
-
-
-def fit_components(
-    normal: FloatArray,
-    moment: FloatArray,
-    precision: FloatArray,
-    groups: Sequence[IntArray],
-    least: FloatArray,
-    first: float,
-) -> Components:
-    """Fit X'X (P, P) and X'y (P,); groups of places start at the variance ``first`` and never go below ``least`` (G,)."""
-    chosen: set[int] = set()
-    best = _at_sizes(normal, moment, precision, groups, least)
-    while len(chosen) < len(groups):
-        tries = []
-        for number in set(range(len(groups))) - chosen:
-            free = [*chosen, number]
-            variance = best.variance.copy()
-            variance[number] = max(first, least[number])
-            tries.append((number, _climbed(normal, moment, precision, groups, (variance, least), free)))
-        number, made = max(tries, key=lambda one: one[1].likelihood)
-        if 2.0 * (made.likelihood - best.likelihood) < GROUP_SHOWS:
-            break
-        chosen.add(number)
-        best = made
-    return best
-
-
-def _climbed(
-    normal: FloatArray,
-    moment: FloatArray,
-    precision: FloatArray,
-    groups: Sequence[IntArray],
-    sizes: tuple[FloatArray, FloatArray],
-    free: Sequence[int],
-) -> Components:
-    variance, least = sizes
-    made = _at_sizes(normal, moment, precision, groups, variance)
-    for _ in range(_STEPS):
-        before = variance.copy()
-        for number in free:
-            own = groups[number]
-            left = len(own) - float(made.covariance[own, own].sum()) / max(float(made.variance[number]), 1e-300)
-            size = float(made.theta[own] @ made.theta[own]) / max(left, 1e-3 * len(own))
-            variance[number] = max(size, least[number], 1e-6 * float(made.variance[number]))
-        made = _at_sizes(normal, moment, precision, groups, variance)
-        if (np.abs(variance - before) <= 1e-3 * before).all():
-            break
-    return made
-
-
-def _at_sizes(
-    normal: FloatArray, moment: FloatArray, precision: FloatArray, groups: Sequence[IntArray], variance: FloatArray
-) -> Components:
-    prior, on, logs = precision.copy(), np.ones(len(moment), bool), 0.0
-    for own, size in zip(groups, variance, strict=True):
-        on[own] = size > 0.0
-        if size > 0.0:
-            prior[own] = 1.0 / size
-            logs -= len(own) * float(np.log(size))
-    theta, covariance = np.zeros(len(moment)), np.zeros_like(normal)
-    whole = normal[np.ix_(on, on)] + np.diag(prior[on])
-    covariance[np.ix_(on, on)] = np.linalg.inv(whole) if on.any() else 0.0
-    theta[on] = covariance[np.ix_(on, on)] @ moment[on]
-    likelihood = 0.5 * (float(moment @ theta) - float(np.linalg.slogdet(whole)[1]) + logs)
-    return Components(theta=theta, covariance=covariance, variance=variance.copy(), likelihood=likelihood)
-
-
 # ---- noise of a mean reading, from the scatter of short block means within the windows
 
 BLOCK_S = 0.5  # means of this length count as independent of each other
@@ -205,104 +113,6 @@ def block_size(sample_rate_hz: float) -> int:
     return max(1, round(BLOCK_S * sample_rate_hz))
 
 
-# ---- offsets that drift: least squares with a random walk of unknown size
-#
-# Readings at times t follow X theta + b(t) + n: n white with known standard deviations, b a random walk that is zero in the
-# middle t_m of the session and spreads by q sqrt(|t - t_m|) either way:
-#
-#     V(q) = diag(sigma^2) + q^2 min(|t_i - t_m|, |t_j - t_m|)     t_i, t_j on one side of t_m, else diagonal
-#     -2 log L(q) = log|V| + log|X' V^-1 X| + r' V^-1 r            restricted likelihood (Harville 1977)
-#
-# One session knows its q to a factor of two or so, and its offset and g-sensitivity depend on it. So no single q is taken: the
-# parameters are averaged over all, weighted by L(q), and the covariance is that of the error over every q (Gelman 2006):
-#
-#     theta = E1 theta(q)        covariance = E0 C(q) + E0 (theta(q) - theta)(theta(q) - theta)'
-#
-# E0 takes every q >= 0 as equally likely beforehand: nothing milder gives intervals that hold where the walk is too small to
-# show. E1 takes 1 / (q + q0), with q0 a walk that ends a tenth of one reading's noise off: without drift the error of the
-# offset is then 1.1 times the least possible, where E0 makes it 1.3 times.
-
-_LEAST_SPARE_EQUATIONS = 4  # with fewer, the average over q has no finite variance
-_SPREADS = (0.02, 1e6, 180)  # q sqrt(half the session) in units of the median sigma: steps of a tenth
-_SMALL_WALK = 0.1  # q0, in the same unit
-_EVIDENCE = 3.84  # 95 %: chi-square of one degree of freedom
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class WalkFit:
-    """One sensor's parameters and the random walk of its offset."""
-
-    theta: FloatArray  # (P,)
-    covariance: FloatArray  # (P, P)
-    walk: float  # most likely q, reading per root second; 0 where it is not significant
-    square: float  # r' V^-1 r at the most likely q; E - P is expected
-
-
-def fit_with_walk(design: FloatArray, reading: FloatArray, sigma: FloatArray, time: FloatArray | None) -> WalkFit:
-    """Fit one sensor whose offset may drift: design (E, P), reading, sigma and time (E,); no walk without times."""
-    x, y = design / sigma[:, None], reading / sigma
-    if time is None or len(reading) < design.shape[1] + _LEAST_SPARE_EQUATIONS:
-        theta, covariance, square, _ = _solved(x, y, np.zeros(len(y)), np.zeros(1))
-        return WalkFit(theta=theta[0], covariance=covariance[0], walk=0.0, square=float(square[0]))
-    away = time - 0.5 * (time.min() + time.max())
-    half = max(float(np.abs(away).max()), 1e-9)
-    unit = float(np.median(sigma)) / half**0.5
-    same = np.sign(away)[:, None] == np.sign(away)[None, :]
-    shape = np.where(same, np.minimum(np.abs(away)[:, None], np.abs(away)[None, :]), 0.0)
-    gain, basis = np.linalg.eigh(shape * unit**2 / np.outer(sigma, sigma))  # V(q) is diagonal in this basis for every q
-    spread = np.concatenate(([0.0], np.geomspace(*_SPREADS)))
-    thetas, covariances, squares, likelihood = _solved(basis.T @ x, basis.T @ y, gain.clip(0.0), spread)
-    best = int(np.argmax(likelihood))
-    shows = 2.0 * (likelihood[best] - likelihood[0]) > _EVIDENCE
-    theta, covariance = averaged(spread, likelihood, thetas, covariances, (1.0, spread + _SMALL_WALK))
-    walk = unit * (float(spread[best]) if best < 2 else geometric_peak(spread, likelihood, best)) if shows else 0.0
-    return WalkFit(theta=theta, covariance=covariance, walk=walk, square=float(squares[best]))
-
-
-def averaged(
-    grid: FloatArray,
-    likelihood: FloatArray,
-    thetas: FloatArray,
-    covariances: FloatArray,
-    over: tuple[FloatArray | float, FloatArray],
-) -> tuple[FloatArray, FloatArray]:
-    """Return theta and covariance averaged over a grid (T,): E0 weighs by the likelihood over the first of two, E1 the second."""
-    step = np.gradient(grid)
-    step[[0, -1]] *= 0.5  # trapezoids
-    by_likelihood = np.exp(likelihood - likelihood.max()) * step
-    share, likely = (part / part.sum() for part in (by_likelihood / over[0], by_likelihood / over[1]))
-    theta = likely @ thetas
-    apart = thetas - theta
-    return theta, np.einsum("t,tij->ij", share, covariances) + (share[:, None] * apart).T @ apart
-
-
-def _solved(
-    x: FloatArray, y: FloatArray, gain: FloatArray, spread: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return theta (T, P), covariance, r' V^-1 r and log L for T spreads: uncorrelated, variance 1 + gain spread^2."""
-    length = np.linalg.norm(x, axis=0)
-    x = x / length
-    weight = 1.0 / (1.0 + spread[:, None] ** 2 * gain)
-    normal = (weight[:, None, :] * x.T) @ x
-    inverse = np.linalg.inv(normal)
-    start = np.linalg.lstsq(x, y, rcond=None)[0]  # the rest of y is small, and so is rounding in the normal equations
-    left = y - x @ start
-    step = (inverse @ ((weight * left) @ x)[:, :, None])[:, :, 0]
-    square = (weight * (left - step @ x.T) ** 2).sum(axis=1)
-    likelihood = 0.5 * (np.log(weight).sum(axis=1) - np.linalg.slogdet(normal)[1] - square)
-    return (start + step) / length, inverse / np.outer(length, length), square, likelihood
-
-
-def geometric_peak(grid: FloatArray, likelihood: FloatArray, best: int) -> float:
-    """Return where a parabola through the best point of a geometric grid and its neighbours is highest."""
-    if best == len(grid) - 1:
-        return float(grid[best])
-    left, middle, right = likelihood[best - 1 : best + 2]
-    bend = left - 2.0 * middle + right
-    shift = 0.5 * (left - right) / bend if bend < 0.0 else 0.0
-    return float(grid[best] * (grid[best + 1] / grid[best]) ** np.clip(shift, -1.0, 1.0))
-
-
 # ---- names of parameters: m_xx is the scale of x, m_xy a cross-axis term, offset_y the offset of y
 
 
@@ -325,6 +135,7 @@ def parameter_names(names: Sequence[str]) -> str:
 class ForwardFit:
     """Forward model of a triad by least squares."""
 
+    inputs: FloatArray  # (E, 3)
     matrix: FloatArray  # (3, 3), K, reading per input
     offset: FloatArray  # (3,), b, reading
     covariance: FloatArray  # (12, 12), of K row by row, then b
@@ -332,14 +143,10 @@ class ForwardFit:
     rank: int  # Of the design with columns scaled to one
     condition: float
 
-
-def whitened(values: FloatArray, sigma: FloatArray, shared: FloatArray | None) -> FloatArray:
-    """Return values (E, k) in standard deviations: noise sigma (E,), and errors in common, columns (E, c) of one deviation each."""
-    scaled = values / sigma[:, None]
-    if shared is None:
-        return scaled
-    in_sigma = shared / sigma[:, None]
-    return np.linalg.solve(np.linalg.cholesky(np.eye(len(scaled)) + in_sigma @ in_sigma.T), scaled)
+    @property
+    def inverse(self) -> Inverse:
+        """The model that corrects readings."""
+        return Inverse.of(np.column_stack((self.matrix, self.offset)))
 
 
 def fit_forward(
@@ -361,24 +168,19 @@ def fit_forward(
         )
     spread = np.ones_like(readings) if sigma is None else np.broadcast_to(sigma, readings.shape)
     spread = np.maximum(spread, 1e-9 * np.abs(readings).max())  # a channel without any scatter still has a last digit
-    theta = np.empty((3, 4))
-    covariance = np.zeros((12, 12))
-    for row in range(3):
-        in_common = None if shared is None or sigma is None else shared[row]
-        both = whitened(np.column_stack((design, readings[:, row])), spread[:, row], in_common)
-        weighted = both[:, :4]
-        theta[row] = np.linalg.lstsq(weighted, both[:, 4], rcond=None)[0]
-        covariance[_block(row)] = np.linalg.inv(weighted.T @ weighted)
+    columns = np.zeros((3, len(design), 0)) if shared is None or sigma is None else shared
+    fits = [solutions(design, readings[:, k], roots(spread[:, k], columns[k])) for k in range(3)]
+    theta, covariances = np.array([fit.theta[0] for fit in fits]), np.array([fit.covariance[0] for fit in fits])
     residuals = readings - design @ theta.T
-    for row in range(3) if sigma is None else ():
-        covariance[_block(row)] *= student_variance(residuals[:, row], len(inputs) - 4)
-        if shared is not None:
-            moved = np.linalg.pinv(design) @ shared[row]
-            covariance[_block(row)] += moved @ moved.T
+    if sigma is None:
+        moved = np.zeros((3, 4, 1)) if shared is None else np.linalg.pinv(design) @ shared
+        covariances *= np.reshape([student_variance(column, len(inputs) - 4) for column in residuals.T], (3, 1, 1))
+        covariances += squared(moved)
     return ForwardFit(
+        inputs=inputs,
         matrix=theta[:, :3],
         offset=theta[:, 3],
-        covariance=covariance,
+        covariance=joined(covariances),
         residuals=residuals,
         rank=3 * rank,
         condition=condition,
@@ -392,14 +194,12 @@ def student_variance(residuals: FloatArray, spare: int) -> float:
 
 def triad_from_forward(forward: ForwardFit, *, valid_range: tuple[float, float], **names: Any) -> TriadFit:
     """Turn a forward fit into the inverse model that corrects readings; names are method, unit_in and unit_out."""
-    matrix = np.linalg.inv(forward.matrix)
-    jacobian = np.eye(12)
-    jacobian[:9, :9] = inverse_jacobian(matrix)
+    inverse = forward.inverse
     return triad_fit(
-        forward.residuals @ matrix.T,
-        matrix=matrix,
+        forward.residuals @ inverse.matrix.T,
+        matrix=inverse.matrix,
         offset=forward.offset,
-        covariance=jacobian @ forward.covariance @ jacobian.T,
+        covariance=inverse.carried(forward.covariance),
         rank=forward.rank,
         condition=forward.condition,
         valid_range=valid_range,
@@ -465,8 +265,3 @@ def offset_verdict(fit: TriadFit, inputs: FloatArray, readings: FloatArray, sigm
     level: Level = "fail" if loss > 0.01 else "warn" if loss > 1e-4 else "info"
     unit, percent = fit.model.unit_out, 100.0 * loss
     return Verdict.of(finding("paper_mode.offset_left", level, offset=left, unit=unit, loss_percent=percent))
-
-
-def _block(row: int) -> tuple[IntArray, ...]:
-    places = [3 * row, 3 * row + 1, 3 * row + 2, 9 + row]
-    return np.ix_(places, places)

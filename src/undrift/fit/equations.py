@@ -1,0 +1,399 @@
+"""Equations of three sensors: blocks of unknowns, rows, and named sources of uncertainty; solved, carried and budgeted here.
+
+Sensor i = x, y, z has E rows of one design X, in blocks: K_i (matrix), b_i (offset), and H_i (g) where a g-sensitivity is fitted::
+
+    y_i = X theta_i + errors         V_i = sum over sources of S_i,   each S_i (E, E)
+    theta_i = G_i y_i                G_i = (X' V_i^-1 X)^-1 X' V_i^-1
+    cov(theta_i, theta_k)            G_i S_i G_i' for i = k of a source by which each sensor errs on its own;
+                                     G_i c_i c_k' G_k' of one that the sensors share, c_i (E, c) one standard deviation each
+
+Corrected values come from the inverse model, a = M (s - b) - G f:
+
+    M = K^-1, G = M H        dM = -M dK M        dG = -M dK G + M dH
+
+Sources whose size is not known make a family V(t): it is solved on a grid of t, and averaged by restricted likelihood.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from undrift.arrays import FloatArray, IntArray
+from undrift.model import G_NAMES, MATRIX_NAMES, OFFSET_NAMES, Budget
+
+# ---- rows of three sensors, and what is known of their errors
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Equations:
+    """Readings of three sensors, what multiplies their unknowns, and the sources of their errors."""
+
+    unknowns: Mapping[str, FloatArray]  # Columns (E, 3) of "matrix", (E, 1) of "offset", (E, 3) of "g", in this order
+    reading: FloatArray  # (E, 3)
+    # By name of a budget's line: (3, E, E), covariance of the rows of each sensor, which errs on its own
+    own: Mapping[str, FloatArray]
+    # (3, E, c): errors of one standard deviation each that the sensors share
+    shared: Mapping[str, FloatArray] = field(default_factory=dict)
+
+    @property
+    def design(self) -> FloatArray:
+        """X, shape (E, P)."""
+        return np.hstack([*self.unknowns.values()])
+
+    @property
+    def covariance(self) -> FloatArray:
+        """V_i, shape (3, E, E)."""
+        total = np.zeros((3, len(self.reading), len(self.reading)))
+        for part in self.own.values():
+            total += part
+        for columns in self.shared.values():
+            total += columns @ columns.transpose(0, 2, 1)
+        return total
+
+    def square(self, residuals: FloatArray) -> float:
+        """Return r' V^-1 r of residuals (E, 3), all sensors together."""
+        each = residuals.T[:, :, None]
+        return float((each * np.linalg.solve(self.covariance, each)).sum())
+
+    def gains(self, covariance: FloatArray | None = None) -> FloatArray:
+        """Return G_i (3, P, E), by the covariance of all sources or by another one."""
+        design = self.design
+        weighed = np.linalg.solve(self.covariance if covariance is None else covariance, design)
+        return np.linalg.solve(design.T @ weighed, weighed.transpose(0, 2, 1))
+
+    def shares(self, gains: FloatArray) -> dict[str, FloatArray]:
+        """Return the covariance of the unknowns by source, (3 P, 3 P) each, in the order of a model's parameters."""
+        parts = {name: carried_own(gains, part) for name, part in self.own.items()}
+        for name, columns in self.shared.items():
+            parts[name] = parts.get(name, 0.0) + carried_shared(gains, columns)
+        return parts
+
+    def carried(self, gains: FloatArray, more: FloatArray | float = 0.0) -> FloatArray:
+        """Return the covariance of the unknowns by all sources, and by more covariance (3, E, E) of each sensor on its own."""
+        total = carried_own(gains, more + sum(self.own.values()))
+        return total + sum(carried_shared(gains, columns) for columns in self.shared.values())
+
+    def budget(
+        self,
+        inverse: "Inverse",
+        covariance: FloatArray,
+        rest: str,
+        *,
+        gains: FloatArray | None = None,
+        more: Sequence[tuple[str, FloatArray]] = (),
+    ) -> Budget:
+        """Return the budget of an inverse model's covariance: all sources, ``more`` covariances by name, and the rest."""
+        parts = self.shares(self.gains() if gains is None else gains)
+        variances = {name: np.diag(inverse.carried(part)) for name, part in parts.items()}
+        for name, part in more:
+            variances[name] = variances.get(name, 0.0) + np.diag(part)
+        return Budget.of(covariance, variances, rest)
+
+
+def diagonal(variance: FloatArray) -> FloatArray:
+    """Return the covariances (3, E, E) of rows that err one by one: variance (E, 3)."""
+    return np.stack([np.diag(column) for column in variance.T])
+
+
+def squared(columns: FloatArray) -> FloatArray:
+    """Return the covariances (3, E, E) of errors by which each sensor errs on its own: columns (3, E, c) of one deviation each."""
+    return np.asarray(columns @ columns.transpose(0, 2, 1))
+
+
+def parameter_order(count: int) -> IntArray:
+    """Return the places of a model's parameters, K row by row, b, H row by row, among three sensors' unknowns (K_i, b_i, H_i)."""
+    places = np.arange(3 * count).reshape(3, count)
+    return np.concatenate((places[:, :3].ravel(), places[:, 3], places[:, 4:].ravel()))
+
+
+def joined(covariances: Sequence[FloatArray] | FloatArray) -> FloatArray:
+    """Return the covariance (.., 3 P, 3 P), in the order of a model, of three sensors whose unknowns (.., P, P) err apart."""
+    *many, count, _ = covariances[0].shape
+    total, order = np.zeros((*many, 3 * count, 3 * count)), parameter_order(count)
+    for k, part in enumerate(covariances):
+        total[..., k * count : (k + 1) * count, k * count : (k + 1) * count] = part
+    return np.asarray(total[..., order[:, None], order])
+
+
+def carried_own(gains: FloatArray, own: FloatArray) -> FloatArray:
+    """Return the covariance (3 P, 3 P), in the order of a model, by which each sensor errs on its own: G (3, P, E), S (3, E, E)."""
+    return joined(gains @ own @ gains.transpose(0, 2, 1))
+
+
+def carried_shared(gains: FloatArray, columns: FloatArray) -> FloatArray:
+    """Return the same of errors that the sensors share: c (3, E, c)."""
+    moved = (gains @ columns).reshape(-1, columns.shape[2])[parameter_order(gains.shape[1])]
+    return np.asarray(moved @ moved.T)
+
+
+# ---- from the forward model to the one that corrects
+
+
+def inverse_jacobian(matrix: FloatArray) -> FloatArray:
+    """Return d vec(M) / d vec(K) (9, 9) for M = K^-1, both stacked row by row."""
+    return -np.kron(matrix, matrix.T)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Inverse:
+    """The model that corrects readings, of a forward one."""
+
+    matrix: FloatArray  # (3, 3), M
+    offset: FloatArray  # (3,), b
+    g_sensitivity: FloatArray | None  # (3, 3), G; None where it was not fitted
+    jacobian: FloatArray  # (3 P, 3 P), d (M, b, G) / d (K, b, H)
+
+    @classmethod
+    def of(cls, theta: FloatArray) -> "Inverse":
+        """Return the inverse of three sensors' unknowns (3, P): K_i, b_i, and H_i where P is 7."""
+        matrix, jacobian, g = np.linalg.inv(theta[:, :3]), np.eye(theta.size), None
+        jacobian[:9, :9] = inverse_jacobian(matrix)
+        if theta.shape[1] > 4:
+            g = matrix @ theta[:, 4:]
+            jacobian[12:, :9] = -np.kron(matrix, g.T)
+            jacobian[12:, 12:] = np.kron(matrix, np.eye(3))
+        return cls(matrix=matrix, offset=theta[:, 3], g_sensitivity=g, jacobian=jacobian)
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """Names of the parameters, in the order of ``jacobian``."""
+        return (*MATRIX_NAMES, *OFFSET_NAMES, *(() if self.g_sensitivity is None else G_NAMES))
+
+    def carried(self, covariance: FloatArray) -> FloatArray:
+        """Return the covariance of M, b and G from that of K, b and H."""
+        return np.asarray(self.jacobian @ covariance @ self.jacobian.T)
+
+
+def offset_of(matrix: FloatArray, constant: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
+    """Return o of M (u - o) = M u - c, and d (M, o, ..) / d (M, c, ..), (P, P): do = M^-1 dc - M^-1 dM o."""
+    inverse, jacobian = np.linalg.inv(matrix), np.eye(count)
+    offset = inverse @ constant
+    jacobian[9:12, 9:12], jacobian[9:12, :9] = inverse, -np.kron(inverse, offset)
+    return offset, jacobian
+
+
+# ---- a family of covariances: each solved, with its restricted likelihood, and averaged
+#
+#     log L(t) = -1/2 [ log det V + log det X' V^-1 X + r' V^-1 r ]          (Harville 1977)
+#     theta = E1 theta(t)        covariance = E0 C(t) + E0 (theta(t) - theta)(theta(t) - theta)'
+#
+# E0 and E1 weigh t by L over priors of their own.
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Solutions:
+    """One sensor's unknowns for each of T covariances."""
+
+    theta: FloatArray  # (T, P)
+    covariance: FloatArray  # (T, P, P)
+    gain: FloatArray  # (T, P, E), G
+    square: FloatArray  # (T,), r' V^-1 r
+    likelihood: FloatArray  # (T,), log L to a constant
+
+
+def solutions(design: FloatArray, reading: FloatArray, root: FloatArray) -> Solutions:
+    """Solve design (E, P) and reading (E,) for T covariances: standard deviations (T, E), or Cholesky factors (T, E, E)."""
+    one_by_one = root.ndim == 2
+    x = design / root[:, :, None] if one_by_one else np.linalg.solve(root, design)
+    y = reading / root[0] if one_by_one else np.linalg.solve(root[0], reading)
+    # What the first covariance leaves of the readings is small, and so is rounding in the normal equations of all
+    start = np.linalg.lstsq(x[0], y, rcond=None)[0]
+    rest = reading - design @ start
+    y = rest / root if one_by_one else np.linalg.solve(root, rest[:, None])[:, :, 0]
+    length = np.linalg.norm(x, axis=1)
+    x /= length[:, None]
+    normal = x.transpose(0, 2, 1) @ x
+    inverse = np.linalg.inv(normal)
+    step = (inverse @ (x.transpose(0, 2, 1) @ y[:, :, None]))[:, :, 0]
+    square = ((y - (x @ step[:, :, None])[:, :, 0]) ** 2).sum(axis=1)
+    scale = np.log(root if one_by_one else np.diagonal(root, axis1=1, axis2=2)).sum(axis=1) + np.log(length).sum(axis=1)
+    gain = inverse @ x.transpose(0, 2, 1) / length[:, :, None]
+    if one_by_one:
+        gain /= root[:, None]
+    else:
+        gain = np.linalg.solve(root.transpose(0, 2, 1), gain.transpose(0, 2, 1)).transpose(0, 2, 1)
+    return Solutions(
+        theta=start + step / length,
+        covariance=inverse / (length[:, :, None] * length[:, None, :]),
+        gain=gain,
+        square=square,
+        likelihood=-scale - 0.5 * (np.linalg.slogdet(normal)[1] + square),
+    )
+
+
+def roots(sigma: FloatArray, columns: FloatArray) -> FloatArray:
+    """Return what ``solutions`` takes: noise sigma (E,) or (T, E), and columns (E, c) of one standard deviation each."""
+    each = np.atleast_2d(sigma)
+    if not columns.shape[1]:
+        return each
+    return np.asarray(
+        np.linalg.cholesky(each[:, :, None] * np.eye(len(columns)) * each[:, :, None] + columns @ columns.T)
+    )
+
+
+def averaged(
+    grid: FloatArray,
+    likelihood: FloatArray,
+    thetas: FloatArray,
+    covariances: FloatArray,
+    over: tuple[FloatArray | float, FloatArray],
+) -> tuple[FloatArray, FloatArray]:
+    """Return theta and covariance averaged over a grid (T,): E0 weighs by the likelihood over the first of two, E1 the second."""
+    step = np.gradient(grid)
+    step[[0, -1]] *= 0.5  # trapezoids
+    by_likelihood = np.exp(likelihood - likelihood.max()) * step
+    share, likely = (part / part.sum() for part in (by_likelihood / over[0], by_likelihood / over[1]))
+    theta = likely @ thetas
+    apart = thetas - theta
+    return theta, np.einsum("t,tij->ij", share, covariances) + (share[:, None] * apart).T @ apart
+
+
+def geometric_peak(grid: FloatArray, likelihood: FloatArray, best: int) -> float:
+    """Return where a parabola through the best point of a geometric grid and its neighbours is highest."""
+    if best == len(grid) - 1:
+        return float(grid[best])
+    left, middle, right = likelihood[best - 1 : best + 2]
+    bend = left - 2.0 * middle + right
+    shift = 0.5 * (left - right) / bend if bend < 0.0 else 0.0
+    return float(grid[best] * (grid[best + 1] / grid[best]) ** np.clip(shift, -1.0, 1.0))
+
+
+# ---- offsets that drift: least squares with a random walk of unknown size
+#
+# Readings at times t follow X theta + b(t) + n: n white with known standard deviations, b a random walk that is zero in the
+# middle t_m of the session and spreads by q sqrt(|t - t_m|) either way:
+#
+#     V(q) = diag(sigma^2) + q^2 min(|t_i - t_m|, |t_j - t_m|)     t_i, t_j on one side of t_m, else diagonal
+#
+# One session knows its q to a factor of two or so, and its offset and g-sensitivity depend on it. So no single q is taken: the
+# parameters are averaged over all, weighted by L(q), and the covariance is that of the error over every q (Gelman 2006). E0 takes
+# every q >= 0 as equally likely beforehand: nothing milder gives intervals that hold where the walk is too small to show. E1 takes
+# 1 / (q + q0), with q0 a walk that ends a tenth of one reading's noise off: without drift the error of the offset is then 1.1 times
+# the least possible, where E0 makes it 1.3 times.
+
+_LEAST_SPARE_EQUATIONS = 4  # with fewer, the average over q has no finite variance
+_SPREADS = (0.02, 1e6, 180)  # q sqrt(half the session) in units of the median sigma: steps of a tenth
+_SMALL_WALK = 0.1  # q0, in the same unit
+_EVIDENCE = 3.84  # 95 %: chi-square of one degree of freedom
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class WalkFit:
+    """One sensor's parameters and the random walk of its offset."""
+
+    theta: FloatArray  # (P,)
+    covariance: FloatArray  # (P, P)
+    walk: float  # most likely q, reading per root second; 0 where it is not significant
+    square: float  # r' V^-1 r at the most likely q; E - P is expected
+
+
+def fit_with_walk(design: FloatArray, reading: FloatArray, sigma: FloatArray, time: FloatArray | None) -> WalkFit:
+    """Fit one sensor whose offset may drift: design (E, P), reading, sigma and time (E,); no walk without times."""
+    if time is None or len(reading) < design.shape[1] + _LEAST_SPARE_EQUATIONS:
+        plain = solutions(design, reading, sigma[None])
+        return WalkFit(theta=plain.theta[0], covariance=plain.covariance[0], walk=0.0, square=float(plain.square[0]))
+    away = time - 0.5 * (time.min() + time.max())
+    half = max(float(np.abs(away).max()), 1e-9)
+    unit = float(np.median(sigma)) / half**0.5
+    same = np.sign(away)[:, None] == np.sign(away)[None, :]
+    shape = np.where(same, np.minimum(np.abs(away)[:, None], np.abs(away)[None, :]), 0.0)
+    gain, basis = np.linalg.eigh(shape * unit**2 / np.outer(sigma, sigma))  # V(q) is diagonal in this basis for every q
+    spread = np.concatenate(([0.0], np.geomspace(*_SPREADS)))
+    root = np.sqrt(1.0 + spread[:, None] ** 2 * gain.clip(0.0))
+    each = solutions(basis.T @ (design / sigma[:, None]), basis.T @ (reading / sigma), root)
+    best = int(np.argmax(each.likelihood))
+    shows = 2.0 * (each.likelihood[best] - each.likelihood[0]) > _EVIDENCE
+    theta, covariance = averaged(spread, each.likelihood, each.theta, each.covariance, (1.0, spread + _SMALL_WALK))
+    likely = float(spread[best]) if best < 2 else geometric_peak(spread, each.likelihood, best)
+    return WalkFit(
+        theta=theta, covariance=covariance, walk=unit * likely if shows else 0.0, square=float(each.square[best])
+    )
+
+
+# ---- groups of parameters that scatter about 0 by an unknown size: the data give size and parameters
+#
+#     y = X theta + n,  n white of variance 1     theta_g ~ N(0, v_g) for each group g, the others by a precision given
+#     maximise over v    2 log p(y | v) = c' theta - log|X'X + P| + log|P|        c = X'y, P = diag(1 / v_g)
+#     v_g <- |theta_g|^2 / gamma_g     gamma_g = n_g - tr(C_g) / v_g,  C = (X'X + P)^-1     (MacKay, "Bayesian interpolation", 1992)
+#
+# A group leaves its least size, 0 for none of it, only where chance makes such a gain of likelihood once in a thousand.
+
+GROUP_SHOWS = 9.55  # of 2 log p: chi-square of one degree of freedom on the boundary, chance 1e-3
+_STEPS = 20  # of v, unless it stops before
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Components:
+    """Parameters of all groups."""
+
+    theta: FloatArray  # (P,)
+    covariance: FloatArray  # (P, P)
+    variance: FloatArray  # (G,), v of each group
+    likelihood: float  # log p(y | v), to a constant
+
+
+def fit_components(
+    normal: FloatArray,
+    moment: FloatArray,
+    precision: FloatArray,
+    groups: Sequence[IntArray],
+    least: FloatArray,
+    first: float,
+) -> Components:
+    """Fit X'X (P, P) and X'y (P,); groups of places start at the variance ``first`` and never go below ``least`` (G,)."""
+    chosen: set[int] = set()
+    best = _at_sizes(normal, moment, precision, groups, least)
+    while len(chosen) < len(groups):
+        tries = []
+        for number in set(range(len(groups))) - chosen:
+            free = [*chosen, number]
+            variance = best.variance.copy()
+            variance[number] = max(first, least[number])
+            tries.append((number, _climbed(normal, moment, precision, groups, (variance, least), free)))
+        number, made = max(tries, key=lambda one: one[1].likelihood)
+        if 2.0 * (made.likelihood - best.likelihood) < GROUP_SHOWS:
+            break
+        chosen.add(number)
+        best = made
+    return best
+
+
+def _climbed(
+    normal: FloatArray,
+    moment: FloatArray,
+    precision: FloatArray,
+    groups: Sequence[IntArray],
+    sizes: tuple[FloatArray, FloatArray],
+    free: Sequence[int],
+) -> Components:
+    variance, least = sizes
+    made = _at_sizes(normal, moment, precision, groups, variance)
+    for _ in range(_STEPS):
+        before = variance.copy()
+        for number in free:
+            own = groups[number]
+            left = len(own) - float(made.covariance[own, own].sum()) / max(float(made.variance[number]), 1e-300)
+            size = float(made.theta[own] @ made.theta[own]) / max(left, 1e-3 * len(own))
+            variance[number] = max(size, least[number], 1e-6 * float(made.variance[number]))
+        made = _at_sizes(normal, moment, precision, groups, variance)
+        if (np.abs(variance - before) <= 1e-3 * before).all():
+            break
+    return made
+
+
+def _at_sizes(
+    normal: FloatArray, moment: FloatArray, precision: FloatArray, groups: Sequence[IntArray], variance: FloatArray
+) -> Components:
+    prior, on, logs = precision.copy(), np.ones(len(moment), bool), 0.0
+    for own, size in zip(groups, variance, strict=True):
+        on[own] = size > 0.0
+        if size > 0.0:
+            prior[own] = 1.0 / size
+            logs -= len(own) * float(np.log(size))
+    theta, covariance = np.zeros(len(moment)), np.zeros_like(normal)
+    whole = normal[np.ix_(on, on)] + np.diag(prior[on])
+    covariance[np.ix_(on, on)] = np.linalg.inv(whole) if on.any() else 0.0
+    theta[on] = covariance[np.ix_(on, on)] @ moment[on]
+    likelihood = 0.5 * (float(moment @ theta) - float(np.linalg.slogdet(whole)[1]) + logs)
+    return Components(theta=theta, covariance=covariance, variance=variance.copy(), likelihood=likelihood)
