@@ -323,11 +323,11 @@ def _noise(data: RotationData, extent: FloatArray) -> FloatArray:
     """Return the standard deviation (E, 3) of each row; of an assumed size, alike in all samples, where it is not known."""
     if data.rest.noise is None or data.noise is None:
         samples = data.rest_samples.mean() / data.rest_samples
-        free = np.ones(len(data.means) - len(samples))
-        return np.sqrt(np.concatenate((samples, free, data.duration)))[:, None] * np.ones(3)
+        alike = np.ones(len(data.means) - len(samples))
+        return np.sqrt(np.concatenate((samples, alike, data.duration)))[:, None] * np.ones(3)
     free = np.zeros((0, 3)) if data.free is None or data.free.noise is None else data.free.noise
     least = _ROUNDING * np.abs(data.means).max() * extent[:, None]
-    return np.maximum(np.vstack((data.rest.noise, free, data.noise)), least)
+    return np.asarray(np.maximum(np.vstack((data.rest.noise, free, data.noise)), least))
 
 
 def _shared(data: RotationData, forward: FloatArray, sigma: tuple[float, float], rests: int) -> dict[str, FloatArray]:
@@ -351,7 +351,8 @@ def _shared(data: RotationData, forward: FloatArray, sigma: tuple[float, float],
 def _averaged(equations: Equations, data: RotationData) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return theta (3, 7) over all sizes of flicker, its covariance, and the covariance (E, E) of flicker of the mean q^2."""
     count, rests = len(equations.reading), len(data.means)
-    flicker, size = np.zeros((count, count)), 0.0
+    flicker: FloatArray = np.zeros((count, count))
+    size = 0.0
     if data.span is not None:
         extent = equations.unknowns["offset"][:, 0]
         size = size_unit(_noise(data, extent)[:rests], data.span[:rests])

@@ -21,6 +21,7 @@ from undrift.arrays import BoolArray, FloatArray, IntArray
 from undrift.calibration.adc import restored_gyro
 from undrift.errors import AlignmentError, Implausible, InputError, NotObservable
 from undrift.findings import Finding, finding
+from undrift.fit.equations import offset_of
 from undrift.fit.least_squares import TriadFit, scaled_condition
 from undrift.fit.smooth import widening_of
 from undrift.frames import quaternion_conjugate, quaternion_of, quaternion_product, rotate, rotation_vector
@@ -734,13 +735,9 @@ def _result(
     window_s: float,
 ) -> ReferenceFit:
     matrix = guess[:9].reshape(3, 3)
-    inverse = np.linalg.inv(matrix)
-    motion_offset = inverse @ guess[9:12]
+    motion_offset, jacobian = offset_of(matrix, guess[9:12], len(guess))  # from (M, d, G) to (M, o, G)
     rest = np.array([p.rest_offset for p in prepared])
     base = np.zeros(3) if settings.offset == "common" else rest.mean(axis=0)
-    # From (M, d, G) to (M, o, G) with o = M^-1 d: do = M^-1 dd - M^-1 dM o.
-    jacobian = np.eye(len(guess))
-    jacobian[9:12, 9:12], jacobian[9:12, :9] = inverse, -np.kron(inverse, motion_offset)
     covariance = np.zeros((len(guess), len(guess)))
     covariance[np.ix_(kept, kept)] = solution.covariance()[: len(kept), : len(kept)]
     covariance = jacobian @ covariance @ jacobian.T

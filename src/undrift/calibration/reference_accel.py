@@ -26,6 +26,7 @@ from undrift.arrays import BoolArray, FloatArray, IntArray
 from undrift.calibration.pieces import check_gravity_length
 from undrift.errors import InputError, NotObservable
 from undrift.findings import Finding, finding
+from undrift.fit.equations import offset_of
 from undrift.fit.least_squares import TriadFit, scaled_condition, triad_fit
 from undrift.frames import rotation
 from undrift.model import MATRIX_NAMES, OFFSET_NAMES, TriadModel, Verdict
@@ -284,11 +285,7 @@ def _result(rows: Sequence[_Rows], solved: _Solved, unit: str, factor: float, nu
     matrix = solved.x[:9].reshape(3, 3)
     if not np.linalg.det(matrix) > 0.0:
         raise NotObservable("reference: wanted a right-handed accelerometer matrix, got a reflection; check its axes")
-    inverse = np.linalg.inv(matrix)
-    offset = inverse @ solved.x[9:]
-    # o = M^-1 c:  do = M^-1 dc - M^-1 dM o
-    jacobian = np.eye(12)
-    jacobian[9:, 9:], jacobian[9:, :9] = inverse, -np.kron(inverse, offset)
+    offset, jacobian = offset_of(matrix, solved.x[9:], 12)
     forces = (np.concatenate([r.forces for r in rows]) - offset) @ matrix.T
     rank = int((np.sqrt(np.diag(solved.covariance)) < _HELD * solved.prior_sd).sum())
     return triad_fit(
