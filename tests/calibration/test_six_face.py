@@ -179,7 +179,7 @@ def test_rests_that_flicker_widen_scale_factors_and_offsets():
     )  # slower than any noise within
     both = [replace(record, accel=record.accel + size * walk) for size in (0.0, 0.05)]
     steady, moving = (face_means([one], stills) for one in both)
-    assert (np.linalg.norm(moving.flicker, axis=1) > 2.0 * np.linalg.norm(steady.flicker, axis=1)).all()
+    assert (np.diag(moving.flicker) > 4.0 * np.diag(steady.flicker)).all()
     for mode in ("paper", "affine", "levelled"):
         model = fit_six_face(moving, gravity=G, mode=mode).model
         without = fit_six_face(replace(moving, flicker=None), gravity=G, mode=mode).model
@@ -198,7 +198,7 @@ def test_a_mounting_has_the_mean_flicker_of_its_rests():
     poses = replace(poses, noise=np.ones_like(poses.noise), flicker=np.eye(len(poses.faces)))
     merged = _by_mounting(seen, poses)
     assert len(merged.faces) == len(poses.faces) - 1
-    np.testing.assert_allclose(merged.flicker[-1], [*np.zeros(len(others)), 0.5, 0.5])
+    np.testing.assert_allclose(merged.flicker[-1], [*np.zeros(len(others)), 0.5])
 
 
 def test_face_means_need_one_accelerometer_unit():

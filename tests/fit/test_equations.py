@@ -13,7 +13,6 @@ from undrift.fit.equations import (
     parameter_order,
     roots,
     solutions,
-    squared,
 )
 
 RNG = np.random.default_rng(5)
@@ -29,7 +28,7 @@ def equations() -> Equations:
     return Equations(
         unknowns=UNKNOWNS,
         reading=DESIGN @ THETA.T,
-        own={"noise": diagonal(NOISE**2), "temperature": squared(CREEP)},
+        own={"noise": diagonal(NOISE**2), "temperature": CREEP @ CREEP.transpose(0, 2, 1)},
         shared={"angle": ANGLE},
     )
 
@@ -143,7 +142,7 @@ def test_a_family_of_covariances_is_solved_as_each_of_them() -> None:
     reading = DESIGN @ THETA[0] + NOISE[:, 0] * RNG.normal(size=E)
     sigma = NOISE[:, 0] * np.array([[1.0], [3.0]])
     columns = CREEP[0]
-    fit = solutions(DESIGN, reading, roots(sigma, columns))
+    fit = solutions(DESIGN, reading, roots(sigma, columns @ columns.T))
     values = []
     for k in range(2):
         v = np.diag(sigma[k] ** 2) + columns @ columns.T
@@ -164,4 +163,4 @@ def test_deviations_and_their_cholesky_factors_give_one_solution() -> None:
     one, two = solutions(DESIGN, reading, sigma), solutions(DESIGN, reading, sigma[:, :, None] * np.eye(E))
     for name in ("theta", "covariance", "gain", "square", "likelihood"):
         np.testing.assert_allclose(getattr(one, name), getattr(two, name), rtol=1e-9, atol=1e-14)
-    np.testing.assert_array_equal(roots(sigma[0], np.zeros((E, 0))), sigma)
+    np.testing.assert_array_equal(roots(sigma[0], np.zeros((E, E))), sigma)

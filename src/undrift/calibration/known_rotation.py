@@ -324,7 +324,7 @@ def _noise(data: RotationData, extent: FloatArray) -> FloatArray:
     if data.rest.noise is None or data.noise is None:
         samples = data.rest_samples.mean() / data.rest_samples
         alike = np.ones(len(data.means) - len(samples))
-        return np.sqrt(np.concatenate((samples, alike, data.duration)))[:, None] * np.ones(3)
+        return np.asarray(np.sqrt(np.concatenate((samples, alike, data.duration)))[:, None] * np.ones(3))
     free = np.zeros((0, 3)) if data.free is None or data.free.noise is None else data.free.noise
     least = _ROUNDING * np.abs(data.means).max() * extent[:, None]
     return np.asarray(np.maximum(np.vstack((data.rest.noise, free, data.noise)), least))

@@ -119,7 +119,7 @@ def fit_norm(
         )
     covariance = np.zeros((9, 9))
     shared = stated.shared(v, p, design)
-    root = roots(np.sqrt(variance), np.zeros((len(v), 0)) if shared is None else shared)[0]
+    root = roots(np.sqrt(variance), np.zeros(1) if shared is None else shared @ shared.T)[0]
     weighted = design[:, free] / root[:, None] if root.ndim == 1 else np.linalg.solve(root, design[:, free])
     covariance[np.ix_(free, free)] = _inverse(_with(weighted, prior[:, free] / (prior_sd or 1.0)))
     return NormFit(

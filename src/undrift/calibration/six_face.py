@@ -52,7 +52,6 @@ from undrift.fit.equations import (
     parameter_order,
     roots,
     solutions,
-    squared,
 )
 from undrift.fit.least_squares import (
     ForwardFit,
@@ -106,21 +105,19 @@ def fit_tilted(
     noise: FloatArray,
     plain: ForwardFit,
     stated: FloatArray | None = None,
-    shared: FloatArray | None = None,
+    in_common: FloatArray | None = None,
 ) -> tuple[ForwardFit, float]:
     """Fit faces whose tilt is not known: up (P, 3) m/s2, reading and noise (P, 3) in one unit; return the tilt too, rad.
 
-    A pose has its stated tilt (P,), rad, beside that of all. ``shared`` (3, P, c) are errors that readings of one sensor have in
-    common, in their unit.
+    A pose has its stated tilt (P,), rad, beside that of all. ``in_common`` (3, P, P) is the covariance of what moves the readings
+    of one sensor together, in their unit squared.
     """
     stated = np.zeros(len(up)) if stated is None else stated
     inverse = np.linalg.inv(plain.matrix)
     level = (reading - plain.offset) @ inverse.T
     sigma = np.sqrt(noise**2 @ (inverse**2).T)
     gravity = float(np.linalg.norm(up, axis=1).max())
-    along = np.zeros((3, len(up), 0))
-    if shared is not None:
-        along = np.concatenate([inverse[:, j, None, None] * shared[j] for j in range(3)], axis=2)
+    along = np.zeros((3, 1, 1)) if in_common is None else np.tensordot(inverse**2, in_common, axes=1)
     tilts, thetas, covariances, likelihood = _solved(up, level, sigma, gravity, stated, along)
     best = int(np.argmax(likelihood))
     if reading.size <= 12 or (best == 0 and not stated.any()):
@@ -151,14 +148,14 @@ def tilted_sigma(up: FloatArray, noise: FloatArray, gain: float, tilt: float | F
 
 
 def _solved(
-    up: FloatArray, reading: FloatArray, noise: FloatArray, length: float, stated: FloatArray, shared: FloatArray
+    up: FloatArray, reading: FloatArray, noise: FloatArray, length: float, stated: FloatArray, in_common: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Return a grid of tilts (T,), and for each K row by row then b (T, 12), its covariance (T, 12, 12), and log L (T,)."""
     smallest = 0.02 * float(np.median(noise)) / length
     tilts = np.concatenate(([0.0], np.geomspace(max(smallest, 1e-9), _LARGEST, _GRID)))
     design = np.column_stack((up, np.ones(len(up))))
     sigma = np.stack([tilted_sigma(up, noise, length, np.hypot(t, stated)[:, None]) for t in tilts])
-    fits = [solutions(design, reading[:, k], roots(sigma[:, :, k], shared[k])) for k in range(3)]
+    fits = [solutions(design, reading[:, k], roots(sigma[:, :, k], in_common[k])) for k in range(3)]
     residuals = np.stack([reading[:, k] - fits[k].theta @ design.T for k in range(3)])
     more = _second_order(up, fits, residuals, length * (tilts[:, None] ** 2 + stated**2))
     thetas = np.hstack([fit.theta for fit in fits])[:, parameter_order(4)]
@@ -206,21 +203,16 @@ class FaceMeans:
     # (P,), stated standard uncertainty of the tilt of each beside what the readings show, rad; levelled mode alone uses it
     tilt: FloatArray | None = None
     creep: Creep | None = None  # Of the session's temperature
-    flicker: FloatArray | None = None  # (P, c), of the offset: errors of one standard deviation each, ``unit``
+    flicker: FloatArray | None = None  # (P, P), covariance of the offset by flicker, ``unit`` squared
 
-    def shared(self, gravity: float) -> FloatArray | None:
-        """Return the errors that the readings of one sensor have in common by creep and flicker (3, P, c), ``unit``."""
-        parts = self.shared_by(gravity)
-        return np.concatenate([*parts.values()], axis=2) if parts else None
-
-    def shared_by(self, gravity: float) -> dict[str, FloatArray]:
-        """Return the same by source of a budget."""
+    def in_common(self, gravity: float) -> dict[str, FloatArray]:
+        """Return the covariances (3, P, P) of what moves the readings of a sensor together, ``unit`` squared, by source."""
         parts = {} if self.flicker is None else {"instability": np.stack((self.flicker, self.flicker, self.flicker))}
         if self.creep is not None and not self.creep.none:
             up = gravity * face_vectors(self.faces)
             design = np.column_stack((up, np.ones(len(up))))
             gain = np.diag(np.linalg.lstsq(design, self.reading, rcond=None)[0][:3])
-            parts["temperature"] = np.stack([self.creep.columns(up[:, j], float(gain[j])) for j in range(3)])
+            parts["temperature"] = np.stack([self.creep.covariance(up[:, j], float(gain[j])) for j in range(3)])
         return parts
 
 
@@ -238,14 +230,14 @@ def fit_six_face(poses: FaceMeans, *, gravity: float, mode: SixFaceMode = "level
     up, reading, noise = gravity * face_vectors(poses.faces), poses.reading, poses.noise
     names = {"method": f"six-face/{mode}", "unit_in": poses.unit, "unit_out": "m/s2"}
     known = None if noise is None else np.maximum(noise, _ROUNDING * np.abs(reading).max())
-    shared = poses.shared(gravity)
-    plain, tilt = fit_forward(up, reading, known, shared), float("nan")
+    in_common = sum(poses.in_common(gravity).values(), np.zeros((3, len(up), len(up))))
+    plain, tilt = fit_forward(up, reading, known, in_common), float("nan")
     forward = plain
     if known is not None and mode != "affine":
-        forward, tilt = fit_tilted(up, reading, known, plain, poses.tilt, shared)
+        forward, tilt = fit_tilted(up, reading, known, plain, poses.tilt, in_common)
     verdict = Verdict.of(*_judged(poses, plain, known, tilt, mode))
     if mode == "paper":
-        fit, tilt = fit_paper(up, reading, noise, shared, **names), float("nan")
+        fit, tilt = fit_paper(up, reading, noise, in_common, **names), float("nan")
         verdict = offset_verdict(fit, up, reading, noise).also(verdict)
     else:
         fit = triad_from_forward(forward, valid_range=(-gravity, gravity), **names)
@@ -260,15 +252,10 @@ def fit_six_face(poses: FaceMeans, *, gravity: float, mode: SixFaceMode = "level
 def _equations(poses: FaceMeans, up: FloatArray, noise: FloatArray) -> Equations:
     """Return the equations of level faces: up (P, 3) m/s2, and all that is known of the errors of the means."""
     codes = np.minimum(np.zeros(3) if poses.rounding is None else poses.rounding, noise) ** 2
-    in_common = poses.shared_by(float(np.abs(up).max()))
     return Equations(
         unknowns={"matrix": up, "offset": np.ones((len(up), 1))},
         reading=poses.reading,
-        own={
-            "noise": diagonal(noise**2 - codes),
-            "adc": diagonal(codes),
-            **{name: squared(columns) for name, columns in in_common.items()},
-        },
+        own={"noise": diagonal(noise**2 - codes), "adc": diagonal(codes), **poses.in_common(float(np.abs(up).max()))},
     )
 
 
@@ -328,12 +315,11 @@ def face_means(
 def _flicker(
     records: Sequence[Record], rests: Sequence[Still], windows: Sequence[FloatArray], noise: FloatArray, removed: int
 ) -> FloatArray:
-    """Return flicker of a likely size in means of rests (P, P), columns of one standard deviation."""
+    """Return the covariance (P, P) of flicker of a likely size in means of rests."""
     span = spans_of(records, rests)
     blocks = blocks_within(windows, [records[s.recording].sample_rate_hz for s in rests], removed)
     size = size_unit(noise, span)
-    values, vectors = np.linalg.eigh(mean_square_size(blocks.likelihood(size)) * flicker_about_mean(span))
-    return np.asarray(size * vectors * np.sqrt(values.clip(0.0)))
+    return np.asarray(mean_square_size(blocks.likelihood(size)) * size**2 * flicker_about_mean(span))
 
 
 def _middle(record: Record, still: Still, window_s: float) -> Still:
@@ -408,7 +394,7 @@ def calibrate_faces(seen: Observed, mode: str | None, accel: TriadFit | None = N
     offset = None
     if used == "paper" and own.remove_offset:
         # Opposite faces cancel: the mean over the six, each counted once, is an estimate of the offset.
-        faces, shared = np.array(poses.faces), poses.shared(seen.session.gravity_m_s2)
+        faces, moving = np.array(poses.faces), poses.in_common(seen.session.gravity_m_s2).values()
         share = np.array([1.0 / (faces == face).sum() for face in faces]) / len(set(poses.faces))
         offset = share @ poses.reading
         poses = replace(poses, reading=poses.reading - offset)
@@ -416,7 +402,7 @@ def calibrate_faces(seen: Observed, mode: str | None, accel: TriadFit | None = N
     check_own_scale(fit.model.scale_factor, poses.unit, "accel", own.scale_tolerance, "accelerometer")
     if offset is not None:
         variance = np.full(3, np.nan) if poses.noise is None else (poses.noise**2).mean(axis=0) / len(poses.faces)
-        variance = variance + (0.0 if shared is None else ((share @ shared) ** 2).sum(axis=1))
+        variance = variance + sum((part @ share @ share for part in moving), np.zeros(3))
         fit = with_offset(fit, offset, variance)
     return Outcome(fit=fit, method="six-face", findings=found, used=seen.faced)
 
@@ -439,6 +425,9 @@ def _by_mounting(seen: Observed, poses: FaceMeans) -> FaceMeans:
     groups = [list(np.flatnonzero(place == n)) for n in np.unique(place[place >= 0])]
     groups += [list(np.flatnonzero(of_rest == mounting)) for mounting in np.unique(of_rest[of_rest >= 0])]
     weight = 1.0 / np.maximum(poses.noise, 1e-300) ** 2
+    to_group = np.zeros((len(groups), len(poses.faces)))  # mean over the rests of a mounting
+    for number, rows in enumerate(groups):
+        to_group[number, rows] = weight[rows].mean(axis=1) / weight[rows].mean(axis=1).sum()
     alone = not missing_faces([face for face, mounting in zip(poses.faces, of_rest, strict=True) if mounting < 0])
     tilt = float(alone) * np.hypot(table.mount_tilt_deg, table.table_level_deg) * RADIAN_PER_DEGREE
     return replace(
@@ -448,7 +437,5 @@ def _by_mounting(seen: Observed, poses: FaceMeans) -> FaceMeans:
         noise=np.array([weight[rows].sum(axis=0) ** -0.5 for rows in groups]),
         tilt=np.array([tilt if of_rest[rows[0]] >= 0 else 0.0 for rows in groups]),
         creep=poses.creep and poses.creep.averaged(groups, weight.mean(axis=1)),
-        flicker=None
-        if poses.flicker is None
-        else np.array([np.average(poses.flicker[rows], axis=0, weights=weight[rows].mean(axis=1)) for rows in groups]),
+        flicker=None if poses.flicker is None else to_group @ poses.flicker @ to_group.T,
     )

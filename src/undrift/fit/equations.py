@@ -98,11 +98,6 @@ def diagonal(variance: FloatArray) -> FloatArray:
     return np.stack([np.diag(column) for column in variance.T])
 
 
-def squared(columns: FloatArray) -> FloatArray:
-    """Return the covariances (3, E, E) of errors by which each sensor errs on its own: columns (3, E, c) of one deviation each."""
-    return np.asarray(columns @ columns.transpose(0, 2, 1))
-
-
 def parameter_order(count: int) -> IntArray:
     """Return the places of a model's parameters, K row by row, b, H row by row, among three sensors' unknowns (K_i, b_i, H_i)."""
     places = np.arange(3 * count).reshape(3, count)
@@ -224,14 +219,12 @@ def solutions(design: FloatArray, reading: FloatArray, root: FloatArray) -> Solu
     )
 
 
-def roots(sigma: FloatArray, columns: FloatArray) -> FloatArray:
-    """Return what ``solutions`` takes: noise sigma (E,) or (T, E), and columns (E, c) of one standard deviation each."""
+def roots(sigma: FloatArray, in_common: FloatArray) -> FloatArray:
+    """Return what ``solutions`` takes: noise sigma (E,) or (T, E), and the covariance (E, E) of what rows have in common."""
     each = np.atleast_2d(sigma)
-    if not columns.shape[1]:
+    if not in_common.any():
         return each
-    return np.asarray(
-        np.linalg.cholesky(each[:, :, None] * np.eye(len(columns)) * each[:, :, None] + columns @ columns.T)
-    )
+    return np.linalg.cholesky(each[:, :, None] ** 2 * np.eye(len(in_common)) + in_common)
 
 
 def averaged(

@@ -19,7 +19,7 @@ import numpy as np
 from undrift.arrays import FloatArray
 from undrift.errors import InputError, NotObservable
 from undrift.findings import Level, finding
-from undrift.fit.equations import Inverse, joined, roots, solutions, squared
+from undrift.fit.equations import Inverse, joined, roots, solutions
 from undrift.model import TriadModel, Verdict
 
 
@@ -150,11 +150,11 @@ class ForwardFit:
 
 
 def fit_forward(
-    inputs: FloatArray, readings: FloatArray, sigma: FloatArray | None, shared: FloatArray | None = None
+    inputs: FloatArray, readings: FloatArray, sigma: FloatArray | None, in_common: FloatArray | None = None
 ) -> ForwardFit:
     """Fit K and b to readings (E, 3) of known inputs (E, 3) with standard deviations sigma (E, 3), where known.
 
-    ``shared`` (3, E, c) are errors that the readings of one sensor have in common, columns of one standard deviation each.
+    ``in_common`` (3, E, E) is the covariance of what moves the readings of one sensor together.
     """
     if inputs.shape != readings.shape or inputs.ndim != 2 or inputs.shape[1] != 3:
         raise InputError(f"fit: wanted inputs and readings (E, 3), got {inputs.shape} and {readings.shape}")
@@ -168,14 +168,14 @@ def fit_forward(
         )
     spread = np.ones_like(readings) if sigma is None else np.broadcast_to(sigma, readings.shape)
     spread = np.maximum(spread, 1e-9 * np.abs(readings).max())  # a channel without any scatter still has a last digit
-    columns = np.zeros((3, len(design), 0)) if shared is None or sigma is None else shared
-    fits = [solutions(design, readings[:, k], roots(spread[:, k], columns[k])) for k in range(3)]
+    weighed = np.zeros((3, 1, 1)) if in_common is None or sigma is None else in_common
+    fits = [solutions(design, readings[:, k], roots(spread[:, k], weighed[k])) for k in range(3)]
     theta, covariances = np.array([fit.theta[0] for fit in fits]), np.array([fit.covariance[0] for fit in fits])
     residuals = readings - design @ theta.T
     if sigma is None:
-        moved = np.zeros((3, 4, 1)) if shared is None else np.linalg.pinv(design) @ shared
         covariances *= np.reshape([student_variance(column, len(inputs) - 4) for column in residuals.T], (3, 1, 1))
-        covariances += squared(moved)
+        if in_common is not None:
+            covariances += [fit.gain[0] @ part @ fit.gain[0].T for fit, part in zip(fits, in_common, strict=True)]
     return ForwardFit(
         inputs=inputs,
         matrix=theta[:, :3],
@@ -211,7 +211,7 @@ def fit_paper(
     inputs: FloatArray,
     readings: FloatArray,
     sigma: FloatArray | None,
-    shared: FloatArray | None = None,
+    in_common: FloatArray | None = None,
     **names: Any,
 ) -> TriadFit:
     """Fit the note's calibration matrix, which has no offset column, to inputs and readings (N, 3).
@@ -234,9 +234,10 @@ def fit_paper(
         noise = matrix @ np.diag((np.broadcast_to(sigma, readings.shape) ** 2).mean(axis=0)) @ matrix.T
     covariance = np.zeros((12, 12))
     covariance[:9, :9] = np.kron(noise, gram)
-    for column, errors in zip(matrix.T, () if shared is None else shared, strict=False):
-        moved = np.kron(column[:, None], (readings @ gram).T @ errors)  # dC = -C dS (S^T) (S S^T)^-1, row by row
-        covariance[:9, :9] += moved @ moved.T
+    if in_common is not None:
+        solver = readings @ gram  # dC = -C dS (S^T) (S S^T)^-1, row by row
+        for column, errors in zip(matrix.T, in_common, strict=True):
+            covariance[:9, :9] += np.kron(np.outer(column, column), solver.T @ errors @ solver)
     return triad_fit(
         residuals,
         matrix=matrix,
