@@ -25,6 +25,7 @@ from undrift.calibration.norm import WEAKEST, NormFit, check_count, fit_norm, ju
 from undrift.calibration.observe import Observed, Outcome
 from undrift.errors import InputError, NotObservable, PoorFit
 from undrift.findings import Finding, finding
+from undrift.fit.equations import Linearised, descend
 from undrift.fit.least_squares import TriadFit, excess_variance, parameter_names, scaled_condition, triad_fit
 from undrift.model import MATRIX_NAMES, TriadModel, Verdict, level_of
 from undrift.record import Record, Still
@@ -440,32 +441,27 @@ def _lengths(design: FloatArray) -> FloatArray:
 def _descend(
     problem: _Problem, p: FloatArray, missed: _Missed, whitener: FloatArray, tolerance: float
 ) -> tuple[FloatArray, _Missed]:
-    """Levenberg-Marquardt with fixed weights, from p and what it misses."""
-    residual, design = _weighted(problem, missed, p, whitener)
-    cost, damping = float(residual @ residual), 1e-9
-    for _ in range(60):
-        size, step = _lengths(design), np.zeros(12)
-        scaled = design / size
-        normal = scaled.T @ scaled + damping * np.eye(problem.free)
-        step[: problem.free] = np.linalg.solve(normal, -(scaled.T @ residual)) / size
-        if float(np.abs(step).max()) < tolerance:
-            return p, missed
-        trial = p + step
-        trial_missed = _missed(problem, trial)
-        trial_residual, trial_design = _weighted(problem, trial_missed, trial, whitener)
-        trial_cost = float(trial_residual @ trial_residual)
-        if trial_cost <= cost:
-            p, missed, cost, residual, design = trial, trial_missed, trial_cost, trial_residual, trial_design
-            damping = max(0.1 * damping, 1e-12)
-        else:
-            damping = max(10.0 * damping, 1e-6)
-        if damping > 1e6:
-            return p, missed
-    raise PoorFit(
-        f"multi-position gyro: wanted a matrix that turns gravity through {len(problem.moves.first)} moves, got no convergence; "
-        "check the gyroscope's columns and the time column",
-        moves=len(problem.moves.first),
+    """Return the best parameters of fixed weights, and what they miss, from p and what that misses."""
+    free = problem.free
+
+    def linearised(at: FloatArray, missed: _Missed) -> Linearised:
+        residual, design = _weighted(problem, missed, at, whitener)
+        return Linearised(float(residual @ residual), design.T @ design, design.T @ residual, missed)
+
+    def rows(values: FloatArray) -> Linearised:
+        at = np.concatenate((values, p[free:]))
+        return linearised(at, _missed(problem, at))
+
+    values, best, found = descend(
+        rows, p[:free], linearised(p, missed), tolerance=tolerance, size=np.ones(free), steps=60
     )
+    if not found:
+        raise PoorFit(
+            f"multi-position gyro: wanted a matrix that turns gravity through {len(problem.moves.first)} moves, got no "
+            "convergence; check the gyroscope's columns and the time column",
+            moves=len(problem.moves.first),
+        )
+    return np.concatenate((values, p[free:])), best.state
 
 
 def _missed(problem: _Problem, p: FloatArray) -> _Missed:

@@ -27,7 +27,7 @@ from undrift.calibration.checks import check_gravity, check_own_scale
 from undrift.calibration.creep import Creep
 from undrift.errors import NotObservable, PoorFit
 from undrift.findings import Finding, finding
-from undrift.fit.equations import roots
+from undrift.fit.equations import Linearised, descend, roots
 from undrift.fit.least_squares import TriadFit, excess_variance, parameter_names, scaled_condition, triad_fit
 from undrift.model import AXES, Verdict, level_of
 from undrift.segments import sphere_of
@@ -223,36 +223,25 @@ def _descend(
     v: FloatArray, weight: _Weight, start: FloatArray, gravity: float, free: IntArray, prior: FloatArray
 ) -> tuple[FloatArray, bool]:
     """Return the minimum and whether there is one; the start again where the steps run away."""
-    known = prior[:, free]
-    size = np.array([1.0] * 6 + [gravity] * 3)
+    known, p = prior[:, free], start.copy()
 
-    def equations(p: FloatArray) -> tuple[float, FloatArray, FloatArray]:
+    def rows(values: FloatArray) -> Linearised:
+        p[free] = values
         design, residuals = _linearised(v, p, gravity)
-        rows = design.T[free]
-        weighted = weight.of(rows)
+        columns = design.T[free]
+        weighted = weight.of(columns)
         cost = float(weight.each @ residuals**2 if weight.shared is None else weight.of(residuals[None])[0] @ residuals)
-        normal, gradient = weighted @ rows.T, weighted @ residuals
+        normal, gradient = weighted @ columns.T, weighted @ residuals
         if not len(known):
-            return cost, normal, gradient
-        away = prior @ p
-        return cost + float(away @ away), normal + known.T @ known, gradient + known.T @ away
+            return Linearised(cost, normal, gradient)
+        away = known @ values
+        return Linearised(cost + float(away @ away), normal + known.T @ known, gradient + known.T @ away)
 
-    p, damping = start, 1e-9
-    cost, normal, gradient = equations(p)
-    for _ in range(100):
-        step = np.zeros(9)
-        step[free] = np.linalg.solve(normal + damping * np.diag(np.diag(normal) + 1e-12 * len(v)), -gradient)
-        trial = equations(p + step)
-        if trial[0] <= cost:
-            p, damping = p + step, max(0.1 * damping, 1e-12)
-            cost, normal, gradient = trial
-        else:
-            damping = max(10.0 * damping, 1e-6)
-        if float(np.abs(step / size).max()) < 1e-11 or damping > 1e9:
-            return p, True
-        if float(np.abs(p / size).max()) > 30.0:
-            break
-    return start, False
+    size = np.array([1.0] * 6 + [gravity] * 3)[free]
+    first = rows(start[free])
+    values, _, found = descend(rows, start[free], first, tolerance=1e-11, size=size, farthest=30.0, steps=100)
+    p[free] = values
+    return p, found
 
 
 def _linearised(v: FloatArray, p: FloatArray, gravity: float) -> tuple[FloatArray, FloatArray]:

@@ -14,8 +14,9 @@ Corrected values come from the inverse model, a = M (s - b) - G f:
 Sources whose size is not known make a family V(t): it is solved on a grid of t, and averaged by restricted likelihood.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -392,3 +393,48 @@ def _at_sizes(
     theta[on] = covariance[np.ix_(on, on)] @ moment[on]
     likelihood = 0.5 * (float(moment @ theta) - float(np.linalg.slogdet(whole)[1]) + logs)
     return Components(theta=theta, covariance=covariance, variance=variance.copy(), likelihood=likelihood)
+
+
+# ---- rows that are not linear in the unknowns: Levenberg and Marquardt's steps of fixed weights
+
+
+_MOST_DAMPING = 1e9  # no step makes the rows better: rounding
+
+
+class Linearised(NamedTuple):
+    """Weighed rows r at some p, with J = dr/dp."""
+
+    cost: float  # r' W r
+    normal: FloatArray  # (P, P), J' W J
+    gradient: FloatArray  # (P,), J' W r
+    state: Any = None  # What else was computed at p
+
+
+def descend(
+    rows: Callable[[FloatArray], Linearised],
+    start: FloatArray,
+    first: Linearised,
+    *,
+    tolerance: float,
+    size: FloatArray,
+    farthest: float = np.inf,
+    steps: int = 60,
+) -> tuple[FloatArray, Linearised, bool]:
+    """Return the minimum (P,), the rows there, and whether there is one; the start again where there is none.
+
+    A step below the tolerance ends the search, in units of ``size`` (P,) like the farthest place where a minimum may lie.
+    """
+    p, best, damping = start, first, 1e-9
+    for _ in range(steps):
+        scale = np.diag(best.normal) + 1e-12 * best.normal.max()
+        step = np.linalg.solve(best.normal + damping * np.diag(scale), -best.gradient)
+        if float(np.abs(step / size).max()) < tolerance or damping > _MOST_DAMPING:
+            return p, best, True
+        trial = rows(p + step)
+        if trial.cost <= best.cost:
+            p, best, damping = p + step, trial, max(0.1 * damping, 1e-12)
+        else:
+            damping = max(10.0 * damping, 1e-6)
+        if float(np.abs(p / size).max()) > farthest:
+            break
+    return start, first, False
