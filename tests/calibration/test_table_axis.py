@@ -51,7 +51,7 @@ def dwells_of(session, device):
 def of_rates(found, dwells, *, alone=True):
     """Return the covariance of D of a fit that weighs all dwells alike, with or without errors of each dwell."""
     square = np.tile(dwells.turn_rate[:, None] ** 2, (1, 3))
-    return found.of_rates(dwells.own, square, alone=alone)
+    return sum(found.shares(dwells.own, square, alone=alone).values())
 
 
 def true_accel(device):

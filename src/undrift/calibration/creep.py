@@ -15,7 +15,7 @@ axes over the prior of their slope, widened for three observations. In counts, a
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
@@ -23,11 +23,10 @@ import numpy as np
 from undrift.arrays import FloatArray
 from undrift.calibration.observe import Observed, middles, piece_temperatures
 from undrift.findings import Finding, Level, finding
-from undrift.fit.equations import averaged
 from undrift.fit.least_squares import block_size, noise_of_means
 from undrift.fit.smooth import widening_of
 from undrift.model import AXES
-from undrift.record import Record, Still, TemperatureSensitivity, Turn
+from undrift.record import Still, TemperatureSensitivity, Turn
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical, si_factor
 
 # ---- flicker of an offset: 1/f noise, whose size is not known, in means at rest and in integrals over turns
@@ -45,22 +44,9 @@ from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical, si_f
 
 SIZES = np.concatenate(([0.0], np.geomspace(0.02, 200.0, 60)))  # q in units of the white noise of a mean over 10 s
 _UNIT_S = 10.0
-_PRIOR = (1.0 + SIZES) * (1.0 + SIZES**2)
+PRIOR = (1.0 + SIZES) * (1.0 + SIZES**2)
 _TIMES_S = np.geomspace(1.0, 1e4, 9)
 _MOST_BLOCKS = 32  # of one rest
-
-
-def spans_of(records: Sequence[Record], pieces: Sequence[Still | Turn]) -> FloatArray:
-    """Return start and stop of each piece (E, 2), s, on one clock on which the recordings follow each other."""
-    begins = np.concatenate(([0.0], np.cumsum([record.duration_s for record in records])))
-    spans = [
-        [
-            begins[p.recording] + records[p.recording].time[at] - records[p.recording].time[0]
-            for at in (p.start, p.stop - 1)
-        ]
-        for p in pieces
-    ]
-    return np.array(spans).reshape(-1, 2)
 
 
 def size_unit(noise: FloatArray, span: FloatArray) -> float:
@@ -127,15 +113,8 @@ def blocks_within(windows: Sequence[FloatArray], rates_hz: Sequence[float], remo
 
 def mean_square_size(likelihood: FloatArray) -> float:
     """Return the mean of q^2 over the SIZES by their log likelihood."""
-    share = np.exp(likelihood - likelihood.max()) * np.gradient(SIZES) / _PRIOR
+    share = np.exp(likelihood - likelihood.max()) * np.gradient(SIZES) / PRIOR
     return float(share @ SIZES**2 / share.sum())
-
-
-def averaged_sizes(
-    likelihood: FloatArray, thetas: FloatArray, covariances: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Return theta and its covariance over the SIZES, (Q, P) and (Q, P, P)."""
-    return averaged(SIZES, likelihood, thetas, covariances, (_PRIOR, _PRIOR))
 
 
 # ---- drift of the gyroscopes' rest offsets between start and end of a session
@@ -285,12 +264,6 @@ class Creep:
     def none(self) -> bool:
         """True where no piece is off the reference temperature."""
         return not self.warmth.any()
-
-    def averaged(self, groups: Sequence[Sequence[Any]], weight: FloatArray) -> "Creep":
-        """Return the same of weighted means over groups of pieces."""
-        return replace(
-            self, warmth=np.array([np.average(self.warmth[g], weights=weight[g]) for g in map(list, groups)])
-        )
 
     def findings(self) -> tuple[Finding, ...]:
         """Return what a span above the limit costs, and what to do."""

@@ -1,10 +1,10 @@
 """Dwells on a rate table: mean readings, at what rate and about which axis the table really turned, linearity of one axis.
 
 ``uneven_rate`` finds how a ripple and settling change the rate, ``table_axes`` about which axis of the case gravity shows the table
-to turn; ``dwell_means`` and ``imposed_rates`` give a fit its readings and its inputs, ``with_table_errors`` what stays unknown.
+to turn; ``dwell_means`` and ``imposed_rates`` give a fit its readings and its inputs, ``table_errors`` what stays unknown.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -292,16 +292,8 @@ class TableAxes:
         default_factory=lambda: np.zeros((9, 9))
     )  # of ``covariance``, by the session's temperature
 
-    def shares(self, own: IntArray, square: FloatArray) -> dict[str, FloatArray]:
-        """Return what ``of_rates`` sums, (9, 9) each, by source of a budget; arguments as there, without what is alone."""
-        rate, spread = self.covariance - self.creep, self.of_rates(own, square, alone=False) - self.covariance
-        along = np.eye(3, dtype=bool).ravel()
-        along = along[:, None] & along[None, :]
-        mounting, ripple = (np.where(along, 0.0, spread), np.where(along, spread, 0.0))
-        return {"rate": rate, "ripple": ripple, "mounting": mounting, "temperature": self.creep}
-
-    def of_rates(self, own: IntArray, square: FloatArray, *, alone: bool) -> FloatArray:
-        """Return the covariance (9, 9) of D where dwells (N,) about axes ``own`` weigh by ``square`` (N, 3).
+    def shares(self, own: IntArray, square: FloatArray, *, alone: bool) -> dict[str, FloatArray]:
+        """Return the covariances (9, 9) of D by source of a budget, where dwells (N,) about ``own`` weigh by ``square`` (N, 3).
 
         ``alone`` counts also what each dwell has on its own; a fit whose noise holds that leaves it out.
         """
@@ -309,8 +301,10 @@ class TableAxes:
         for a in range(3):
             total = np.bincount(own, square[:, a], minlength=3)
             share[3 * a + own, 3 * rows + a] = square[:, a] / np.maximum(total, 1e-300)[own]
-        spread = self.spread - (0.0 if alone else np.diag(self.apart.ravel()))
-        return self.covariance + share @ spread @ share.T
+        spread = share @ (self.spread - (0.0 if alone else np.diag(self.apart.ravel()))) @ share.T
+        along = np.outer(np.eye(3), np.eye(3)) > 0.0
+        ripple, mounting = np.where(along, spread, 0.0), np.where(along, 0.0, spread)
+        return {"rate": self.covariance - self.creep, "ripple": ripple, "mounting": mounting, "temperature": self.creep}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -399,19 +393,12 @@ def table_axes(dwells: Dwells, table: RateTable, accel: TriadModel | None, gravi
         axis_b=axis_b * (1.0 + rate.ratio)[:, None],
         spread=spread,
         apart=apart,
-        covariance=_scales(np.full((3, 3), table.rate_uncertainty**2)),
+        covariance=table.rate_uncertainty**2 * np.outer(np.eye(3), np.eye(3)),  # of all rates in common
         off=off,
         beyond=beyond,
         uneven=np.sqrt(np.diag(share @ rate.covariance @ share.T)),
         size=rate.size,
     )
-
-
-def _scales(covariance: FloatArray) -> FloatArray:
-    """Return the covariance (9, 9) of D of relative errors of the rates about x, y, z (3, 3)."""
-    made = np.zeros((9, 9))
-    made[np.ix_([0, 4, 8], [0, 4, 8])] = covariance
-    return made
 
 
 def _alone(covariance: FloatArray) -> FloatArray:
@@ -663,26 +650,22 @@ def imposed_rates(dwells: DwellMeans, latitude_deg: float | None) -> FloatArray:
     return np.asarray(axis_b * (dwells.turn_rate + earth * dwells.up)[:, None])
 
 
-def with_table_errors(model: TriadModel, dwells: DwellMeans, sigma: FloatArray | None = None) -> TriadModel:
-    """Return a model whose covariance also holds what the scatter of the readings does not show: table, mounting, creep.
+def table_errors(model: TriadModel, dwells: DwellMeans, sigma: FloatArray | None = None) -> dict[str, FloatArray]:
+    """Return, by source, the covariance of a model that the scatter of the readings does not show: table, mounting, creep.
 
     sigma (N, 3) are the standard deviations that weighed the dwells, with the errors that each has on its own; None without.
     """
     if dwells.axes is None:
-        return model
+        return {}
     weight = np.ones((len(dwells.axis), 3)) if sigma is None else sigma**-2
     own = np.array([AXES.index(axis) for axis in dwells.axis])
-    of_rates = dwells.axes.of_rates(own, weight * dwells.turn_rate[:, None] ** 2, alone=sigma is None)
-    return replace(model, covariance=model.covariance + table_term(model, of_rates))
+    shares = dwells.axes.shares(own, weight * dwells.turn_rate[:, None] ** 2, alone=sigma is None)
+    return {name: table_term(model, part) for name, part in shares.items()}
 
 
-def table_shares(model: TriadModel, dwells: DwellMeans, sigma: FloatArray) -> list[tuple[str, FloatArray]]:
-    """Return what ``with_table_errors`` adds to the covariance of a model, by source of a budget."""
-    if dwells.axes is None:
-        return []
-    own, count = np.array([AXES.index(axis) for axis in dwells.axis]), len(dwells.axis)
-    square = sigma[:count] ** -2 * dwells.turn_rate[:, None] ** 2
-    return [(name, table_term(model, part)) for name, part in dwells.axes.shares(own, square).items()]
+def with_errors(model: TriadModel, errors: Mapping[str, FloatArray]) -> TriadModel:
+    """Return a model whose covariance also holds errors by source."""
+    return replace(model, covariance=model.covariance + sum(errors.values()))
 
 
 # ---- linearity of one axis (IEEE Std 1431, clause 12 terms)

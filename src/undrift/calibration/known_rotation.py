@@ -36,24 +36,23 @@ from undrift.calibration.checks import (
     order_text,
 )
 from undrift.calibration.creep import (
+    PRIOR,
     SIZES,
     Blocks,
     Creep,
-    averaged_sizes,
     blocks_within,
     creep_of,
     flicker_about_mean,
     mean_square_size,
     size_unit,
-    spans_of,
 )
 from undrift.calibration.multi_position import Moves, cut_moves, gravity_directions, turned_in
-from undrift.calibration.observe import Observed, Outcome
+from undrift.calibration.observe import Observed, Outcome, spans_of
 from undrift.calibration.pieces import unused_stills
 from undrift.calibration.six_face import FaceMeans
 from undrift.errors import Implausible, InputError, NotObservable
 from undrift.findings import Finding, finding
-from undrift.fit.equations import Equations, Inverse, diagonal, parameter_order, solutions
+from undrift.fit.equations import Equations, Inverse, averaged, diagonal, parameter_order, solutions
 from undrift.fit.least_squares import TriadFit, block_size, noise_of_means, scaled_condition, triad_fit
 from undrift.model import AXES, TriadModel, Verdict
 from undrift.record import Axis, Record, Still, Turn
@@ -371,7 +370,7 @@ def _averaged(equations: Equations, data: RotationData) -> tuple[FloatArray, Flo
     else:
         likelihood = np.sum([fit.likelihood for fit in fits], axis=0)
         likelihood += 0.0 if data.blocks is None else data.blocks.likelihood(size)
-        theta, covariance = averaged_sizes(likelihood, thetas, covariances)
+        theta, covariance = averaged(SIZES, likelihood, thetas, covariances, (PRIOR, PRIOR))
         square = mean_square_size(likelihood) * size**2
     return (
         np.column_stack((theta[:9].reshape(3, 3), theta[9:12], theta[12:].reshape(3, 3))),

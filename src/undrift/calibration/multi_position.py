@@ -426,16 +426,11 @@ def _solve(problem: _Problem, p: FloatArray) -> tuple[FloatArray, FloatArray, _M
         if float(np.abs(p - before).max()) < 1e-5:
             break
     _, design = _weighted(problem, missed, p, whitener)
-    covariance, size = np.zeros((12, 12)), _lengths(design)
+    covariance, size = np.zeros((12, 12)), np.linalg.norm(design, axis=0)
+    size[size == 0.0] = 1.0
     inverse = np.linalg.pinv((design / size).T @ (design / size)) / np.outer(size, size)
     covariance[: problem.free, : problem.free] = inverse
     return p, covariance, missed
-
-
-def _lengths(design: FloatArray) -> FloatArray:
-    size: FloatArray = np.linalg.norm(design, axis=0)
-    size[size == 0.0] = 1.0
-    return size
 
 
 def _descend(

@@ -165,10 +165,18 @@ def _settled(
     for _ in range(rounds):
         before, least = p, variance.min()
         shared = stated.shared(v, p, _linearised(v, p, gravity)[0])
-        weight = _Weight(least / variance, None if shared is None else shared / np.sqrt(least))
+        moved, spent, weight = (
+            np.zeros(len(v)),
+            0.0,
+            least / variance,
+        )  # of K lengths, (K,); (K, K) where they creep together
+        if shared is not None:
+            weight = least * np.linalg.inv(np.diag(variance) + shared @ shared.T)
+            spent = float(np.trace(shared.T @ weight @ shared)) / least  # degrees of freedom that N z takes
         p, found = _descend(v, weight, p, gravity, free, prior * np.sqrt(least))
         design, residuals = _linearised(v, p, gravity)
-        moved, spent = weight.creep(residuals)
+        if shared is not None:
+            moved = shared @ (shared.T @ (weight @ residuals)) / least  # the most likely N z
         own = (design[:, 6:] ** 2 * stated.variances).sum(axis=1)  # d length / d reading = M'^T n
         variance = own + excess_variance(residuals - moved, own, len(v) - len(free) + len(prior) - spent)
         variance = np.maximum(variance, (1e-12 * gravity) ** 2)
@@ -197,30 +205,8 @@ def _upper(p: FloatArray) -> FloatArray:
     return matrix
 
 
-class _Weight(NamedTuple):
-    """W = (diag(1 / each) + N N')^-1 of K lengths."""
-
-    each: FloatArray  # (K,)
-    shared: FloatArray | None  # N (K, c)
-
-    def of(self, rows: FloatArray) -> FloatArray:
-        """Return rows (P, K) W."""
-        weighted = rows * self.each
-        if self.shared is None:
-            return weighted
-        inner = np.eye(self.shared.shape[1]) + (self.shared.T * self.each) @ self.shared
-        return np.asarray(weighted - np.linalg.solve(inner, self.shared.T @ weighted.T).T @ (self.shared.T * self.each))
-
-    def creep(self, residuals: FloatArray) -> tuple[FloatArray, float]:
-        """Return the most likely N z in residuals (K,), and the degrees of freedom that it takes."""
-        if self.shared is None:
-            return np.zeros(len(residuals)), 0.0
-        taken = self.of(self.shared.T) @ self.shared  # 1 - (1 + N' diag N)^-1
-        return self.shared @ (self.shared.T @ self.of(residuals[None])[0]), float(np.trace(taken))
-
-
 def _descend(
-    v: FloatArray, weight: _Weight, start: FloatArray, gravity: float, free: IntArray, prior: FloatArray
+    v: FloatArray, weight: FloatArray, start: FloatArray, gravity: float, free: IntArray, prior: FloatArray
 ) -> tuple[FloatArray, bool]:
     """Return the minimum and whether there is one; the start again where the steps run away."""
     known, p = prior[:, free], start.copy()
@@ -229,8 +215,8 @@ def _descend(
         p[free] = values
         design, residuals = _linearised(v, p, gravity)
         columns = design.T[free]
-        weighted = weight.of(columns)
-        cost = float(weight.each @ residuals**2 if weight.shared is None else weight.of(residuals[None])[0] @ residuals)
+        weighted = columns * weight if weight.ndim == 1 else columns @ weight
+        cost = float(weight @ residuals**2 if weight.ndim == 1 else residuals @ weight @ residuals)
         normal, gradient = weighted @ columns.T, weighted @ residuals
         if not len(known):
             return Linearised(cost, normal, gradient)

@@ -142,16 +142,16 @@ _SMOOTH_S = 0.1
 def check_turns(session: Session, stills: tuple[Still, ...], settle_s: float) -> Iterator[Finding]:
     """Compare every stated turn with one that is steady, or from rest to rest."""
     shares: dict[str, list[tuple[float, int]]] = {"stop": [], "spread": [], "edge": []}
-    spoilt = saturated_turns(session, settle_s)
+    spoilt, rates_hz = saturated_turns(session, settle_s), [record.sample_rate_hz for record in session.records]
     for k, turn in enumerate(session.turns):
-        rate = np.abs(_smooth_rate(session, stills, turn, settle_s))
+        rate = np.abs(_smooth_rate(session, stills, turn, settle_s, rates_hz[turn.recording]))
         if not len(rate) or k in spoilt:
             continue
         level = float(np.quantile(rate, 0.9))
         if turn.angle is not None:
             shares["edge"].append((float(rate[[0, -1]].max()) / level, k))
             continue
-        stopped, least = rate < _STOPPED * level, _STOP_S * session.records[turn.recording].sample_rate_hz
+        stopped, least = rate < _STOPPED * level, _STOP_S * rates_hz[turn.recording]
         stops = sum(stop - start for start, stop in runs(stopped) if stop - start >= least)
         shares["stop"].append((float(stops) / len(rate), k))
         shares["spread"].append((float(rate[~stopped].std() / rate[~stopped].mean()), k))
@@ -173,19 +173,21 @@ def check_turns(session: Session, stills: tuple[Still, ...], settle_s: float) ->
 
 def saturated_turns(session: Session, settle_s: float) -> tuple[int, ...]:
     """Return the numbers of the stated turns in which a gyroscope sticks at the end of its range."""
-    spoilt = []
+    spoilt, rates_hz = [], [record.sample_rate_hz for record in session.records]
     for k, turn in enumerate(session.turns):
         record = session.records[turn.recording]
         if record.gyro is not None:
             steady = turn.turn_rate is not None
-            start = turn.start + (round(settle_s * record.sample_rate_hz) if steady else 0)
+            start = turn.start + (round(settle_s * rates_hz[turn.recording]) if steady else 0)
             part = record.gyro[start : turn.stop]
             if stuck_at_rate(part) if steady else stuck_in_motion([part]):
                 spoilt.append(k)
     return tuple(spoilt)
 
 
-def _smooth_rate(session: Session, stills: tuple[Still, ...], turn: Turn, settle_s: float) -> FloatArray:
+def _smooth_rate(
+    session: Session, stills: tuple[Still, ...], turn: Turn, settle_s: float, rate_hz: float
+) -> FloatArray:
     """Return r (N,) of a turn, raw unit; none where it has no axis, rate or reading, or is near the noise."""
     record = session.records[turn.recording]
     if record.gyro is None or turn.axis is None or not (turn.turn_rate or turn.angle):
@@ -198,8 +200,8 @@ def _smooth_rate(session: Session, stills: tuple[Still, ...], turn: Turn, settle
         return np.empty(0)  # nothing shows the offset
     means = np.array([np.nanmean(part) for part in rests or [column[t.start : t.stop] for t in alike]])
     offset = float(means.mean() if rests else np.polynomial.Polynomial.fit(rates, means, 1)(0.0))
-    skip = 0 if turn.turn_rate is None else round(settle_s * record.sample_rate_hz)
-    width, part = max(1, round(_SMOOTH_S * record.sample_rate_hz)), column[turn.start + skip : turn.stop] - offset
+    skip = 0 if turn.turn_rate is None else round(settle_s * rate_hz)
+    width, part = max(1, round(_SMOOTH_S * rate_hz)), column[turn.start + skip : turn.stop] - offset
     if len(part) < 2 * width or np.isnan(part).any():
         return np.empty(0)
     rate = np.convolve(part, np.full(width, 1.0 / width), mode="valid")
@@ -384,13 +386,17 @@ def piece_temperatures(session: Session, pieces: Sequence[Still | Turn]) -> Floa
     return np.array(temps)
 
 
-def middles(records: Sequence[Record], pieces: Sequence[Still | Turn]) -> FloatArray:
-    """Return the middle of each stretch (P,), s, on one clock on which the recordings follow each other."""
+def spans_of(records: Sequence[Record], pieces: Sequence[Still | Turn]) -> FloatArray:
+    """Return start and stop of each stretch (P, 2), s, on one clock on which the recordings follow each other."""
     begins = np.concatenate(([0.0], np.cumsum([record.duration_s for record in records])))
-    clocks = [record.time - record.time[0] for record in records]
-    return np.array(
-        [begins[p.recording] + 0.5 * (clocks[p.recording][p.start] + clocks[p.recording][p.stop - 1]) for p in pieces]
-    )
+    clocks = [begin + record.time - record.time[0] for begin, record in zip(begins[:-1], records, strict=True)]
+    ends = [clocks[piece.recording][[piece.start, piece.stop - 1]] for piece in pieces]
+    return np.array(ends).reshape(-1, 2)
+
+
+def middles(records: Sequence[Record], pieces: Sequence[Still | Turn]) -> FloatArray:
+    """Return the middle of each stretch (P,), s, on that clock."""
+    return np.asarray(spans_of(records, pieces).mean(axis=1))
 
 
 # ---- settings, and what a session shows

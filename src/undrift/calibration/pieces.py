@@ -28,7 +28,7 @@ from undrift.findings import Finding, finding, told_apart
 from undrift.fit.least_squares import block_size, noise_of_means
 from undrift.model import Calibration, TriadModel, level_of
 from undrift.record import Record, Session, Still, Turn
-from undrift.segments import LeftOut, StillSearch, find_poses, find_still, find_turns, left_out
+from undrift.segments import LeftOut, find_poses, find_still, find_turns, left_out
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical, si_factor
 
 _SATURATED = "gyroscope saturated"
@@ -61,9 +61,9 @@ def pieces_of(
         stills = labelled(session, tuple(still for search in searches for still in search.stills))
         reason = next((search.reason for search in searches if search.reason), "")
         out = [
-            piece
+            Piece(kind="still", start=one.start, stop=one.stop, recording=number, why=_why(one))
             for number, pair in enumerate(zip(session.records, searches, strict=True))
-            for piece in _left(*pair, number)
+            for one in left_out(*pair)
         ]
     here = session if made is None else at_one_temperature(session)[0]
     stated: tuple[Still | Turn, ...] = (*here.stills, *here.turns)
@@ -85,11 +85,6 @@ def pieces_of(
             own = [still for still in stills if still.recording == number]
             found += [] if record.gyro is None else list(_turns(record, own, number, made))
     return tuple(sorted((*found, *out), key=lambda piece: (piece.recording, piece.start))), reason if not stills else ""
-
-
-def _left(record: Record, search: StillSearch, number: int) -> Iterator[Piece]:
-    for one in left_out(record, search):
-        yield Piece(kind="still", start=one.start, stop=one.stop, recording=number, why=_why(one))
 
 
 def _why(one: LeftOut) -> str:

@@ -29,9 +29,9 @@ from undrift.calibration.dwells import (
     linearity,
     mountings,
     table_axes,
+    table_errors,
     table_findings,
-    table_shares,
-    with_table_errors,
+    with_errors,
 )
 from undrift.calibration.observe import Observed, Outcome, middles, with_offset
 from undrift.errors import Implausible, InputError, NotObservable
@@ -96,7 +96,7 @@ def fit_rate_table(
     check_own_scale(fit.model.scale_factor, dwells.unit, "rate", scale_tolerance, "gyroscope")
     rows = [np.array(dwells.axis) == axis for axis in AXES]
     return RateTableFit(
-        model=with_table_errors(fit.model, dwells),
+        model=with_errors(fit.model, table_errors(fit.model, dwells)),
         residuals=fit.residuals,
         verdict=verdict,
         turn_rate=dwells.turn_rate,
@@ -332,8 +332,9 @@ def _refined(
         rank=3 * rank,
         condition=condition,
     )
-    model = with_table_errors(model, dwells, sigma[: len(dwells.axis)])
-    more = [("repeatability", inverse.carried((widen - 1.0) * covariance)), *table_shares(model, dwells, sigma)]
+    errors = table_errors(model, dwells, sigma[: len(dwells.axis)])
+    model = with_errors(model, errors)
+    more = [("repeatability", inverse.carried((widen - 1.0) * covariance)), *errors.items()]
     model = replace(model, budget=equations.budget(inverse, model.covariance, "instability", gains=gains, more=more))
     residual = 100.0 * model.rms_residual / float(np.abs(fit.turn_rate).max())
     verdict = fit.verdict.also(Verdict.of(*_judged(dwells, model, walks, by_axis, widen, residual)))
@@ -541,7 +542,7 @@ def fit_turned_axes(
     )
     uneven = () if whole.axes is None else table_findings(whole.axes, whole.mount_tilt)
     verdict = Verdict.of(_axes_missing(axes), prior, *map(axis_finding, shown), *uneven)
-    return replace(fit, model=with_table_errors(fit.model, whole), verdict=verdict)
+    return replace(fit, model=with_errors(fit.model, table_errors(fit.model, whole)), verdict=verdict)
 
 
 def _nominal_kept(axes: tuple[Axis, ...], cross_axis_prior: float, *, physical: bool) -> Finding:

@@ -664,12 +664,6 @@ def _of_device(
     return replace(made, design=made.design @ columns)
 
 
-def _rotation_vectors(matrices: FloatArray) -> FloatArray:
-    from scipy.spatial.transform import Rotation
-
-    return np.asarray(Rotation.from_matrix(matrices).as_rotvec())
-
-
 def _turned(parameters: FloatArray, rotation: FloatArray) -> FloatArray:
     """Return M, d and G, one after the other, turned by a matrix (3, 3)."""
     parts = parameters[:9], parameters[9:12], parameters[12:]
@@ -734,6 +728,8 @@ def _result(
     solution: Solution,
     window_s: float,
 ) -> ReferenceFit:
+    from scipy.spatial.transform import Rotation
+
     matrix = guess[:9].reshape(3, 3)
     motion_offset, jacobian = offset_of(matrix, guess[9:12], len(guess))  # from (M, d, G) to (M, o, G)
     rest = np.array([p.rest_offset for p in prepared])
@@ -770,7 +766,7 @@ def _result(
         window_s=window_s,
         window_rms=solution.scale,
         offset_mode=settings.offset,
-        mountings=_rotation_vectors(mounted),
+        mountings=Rotation.from_matrix(mounted).as_rotvec(),
     )
 
 

@@ -36,10 +36,9 @@ from undrift.calibration.creep import (
     flicker_about_mean,
     mean_square_size,
     size_unit,
-    spans_of,
 )
 from undrift.calibration.dwells import mountings
-from undrift.calibration.observe import Observed, Outcome, with_offset
+from undrift.calibration.observe import Observed, Outcome, spans_of, with_offset
 from undrift.errors import InputError, NotObservable
 from undrift.findings import Finding, finding
 from undrift.fit.equations import (
@@ -79,13 +78,10 @@ from undrift.units import RADIAN_PER_DEGREE, is_physical, si_factor
 #
 #     a = M0 (s - b0)              M0 = K0^-1
 #     a = K1 up + b1               weighted;  K = K0 K1,  b = K0 b1 + b0
-#     log L = -1/2 [ sum log sigma^2 + log det A^T W A + r^T W r ]          restricted likelihood of a tilt, all rows together
 #
-#     theta = E1 theta(tilt)       covariance = E0 C(tilt) + E0 (theta(tilt) - theta)(theta(tilt) - theta)'
-#
-# E0 weighs by L / (tilt + noise / g), which leaves room for a tilt as small as the noise; E1 by L / (tilt + 0.1 noise / g), which
-# favours level faces and so loses nothing on them. Where L is greatest at no tilt at all, the faces count as level, and the fit is
-# plain least squares, which is then the best there is.
+# and is averaged over the tilt (fit/equations.py), all rows together. E0 weighs by L / (tilt + noise / g), which leaves room for a
+# tilt as small as the noise; E1 by L / (tilt + 0.1 noise / g), which favours level faces and so loses nothing on them. Where L is
+# greatest at no tilt at all, the faces count as level, and the fit is plain least squares, which is then the best there is.
 #
 # E0 has the covariance of what the equations of own axes carry to second order. K0's cross-axis terms err by d. A face of axis i
 # that stands off by p_j, of which the residuals of cross axes show r_j and the rest is d_ji, reads on its own axis
@@ -436,6 +432,6 @@ def _by_mounting(seen: Observed, poses: FaceMeans) -> FaceMeans:
         faces=tuple(poses.faces[rows[0]] for rows in groups),
         noise=np.array([weight[rows].sum(axis=0) ** -0.5 for rows in groups]),
         tilt=np.array([tilt if of_rest[rows[0]] >= 0 else 0.0 for rows in groups]),
-        creep=poses.creep and poses.creep.averaged(groups, weight.mean(axis=1)),
+        creep=poses.creep and replace(poses.creep, warmth=to_group @ poses.creep.warmth),
         flicker=None if poses.flicker is None else to_group @ poses.flicker @ to_group.T,
     )

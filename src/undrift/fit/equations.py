@@ -185,36 +185,47 @@ class Solutions:
 
     theta: FloatArray  # (T, P)
     covariance: FloatArray  # (T, P, P)
-    gain: FloatArray  # (T, P, E), G
+    weighed: FloatArray  # (T, P, E), X' V^-1 of columns over their ``length``
+    length: FloatArray  # (P,)
     square: FloatArray  # (T,), r' V^-1 r
     likelihood: FloatArray  # (T,), log L to a constant
+
+    @property
+    def gain(self) -> FloatArray:
+        """G, shape (T, P, E)."""
+        return self.covariance @ (self.weighed * self.length[:, None])
 
 
 def solutions(design: FloatArray, reading: FloatArray, root: FloatArray) -> Solutions:
     """Solve design (E, P) and reading (E,) for T covariances: standard deviations (T, E), or Cholesky factors (T, E, E)."""
     one_by_one = root.ndim == 2
-    x = design / root[:, :, None] if one_by_one else np.linalg.solve(root, design)
-    y = reading / root[0] if one_by_one else np.linalg.solve(root[0], reading)
+    white = design / root[0, :, None] if one_by_one else np.linalg.solve(root[0], design)
+    length = np.linalg.norm(white, axis=0)
     # What the first covariance leaves of the readings is small, and so is rounding in the normal equations of all
-    start = np.linalg.lstsq(x[0], y, rcond=None)[0]
-    rest = reading - design @ start
-    y = rest / root if one_by_one else np.linalg.solve(root, rest[:, None])[:, :, 0]
-    length = np.linalg.norm(x, axis=1)
-    x /= length[:, None]
-    normal = x.transpose(0, 2, 1) @ x
-    inverse = np.linalg.inv(normal)
-    step = (inverse @ (x.transpose(0, 2, 1) @ y[:, :, None]))[:, :, 0]
-    square = ((y - (x @ step[:, :, None])[:, :, 0]) ** 2).sum(axis=1)
-    scale = np.log(root if one_by_one else np.diagonal(root, axis1=1, axis2=2)).sum(axis=1) + np.log(length).sum(axis=1)
-    gain = inverse @ x.transpose(0, 2, 1) / length[:, :, None]
+    first = reading / root[0] if one_by_one else np.linalg.solve(root[0], reading)
+    start = np.linalg.lstsq(white / length, first, rcond=None)[0]
+    x = design / length
+    rest = reading - x @ start
     if one_by_one:
-        gain /= root[:, None]
+        weight = 1.0 / root**2
+        weighed, moment = weight[:, None] * x.T, (weight * rest) @ x
     else:
-        gain = np.linalg.solve(root.transpose(0, 2, 1), gain.transpose(0, 2, 1)).transpose(0, 2, 1)
+        weighed = np.linalg.solve(root.transpose(0, 2, 1), np.linalg.solve(root, x)).transpose(0, 2, 1)
+        moment = weighed @ rest
+    normal = weighed @ x
+    inverse = np.linalg.inv(normal)
+    step = (inverse @ moment[:, :, None])[:, :, 0]
+    away = rest - step @ x.T
+    if one_by_one:
+        square, scale = (weight * away**2).sum(axis=1), np.log(root).sum(axis=1)
+    else:
+        square = (np.linalg.solve(root, away[:, :, None]) ** 2).sum(axis=(1, 2))
+        scale = np.log(np.diagonal(root, axis1=1, axis2=2)).sum(axis=1)
     return Solutions(
-        theta=start + step / length,
-        covariance=inverse / (length[:, :, None] * length[:, None, :]),
-        gain=gain,
+        theta=(start + step) / length,
+        covariance=inverse / np.outer(length, length),
+        weighed=weighed,
+        length=length,
         square=square,
         likelihood=-scale - 0.5 * (np.linalg.slogdet(normal)[1] + square),
     )
@@ -398,7 +409,7 @@ def _at_sizes(
 # ---- rows that are not linear in the unknowns: Levenberg and Marquardt's steps of fixed weights
 
 
-_MOST_DAMPING = 1e9  # no step makes the rows better: rounding
+_MOST_DAMPING = 1e6  # no step makes the rows better: rounding
 
 
 class Linearised(NamedTuple):
