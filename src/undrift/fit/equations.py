@@ -437,8 +437,10 @@ def descend(
     """
     p, best, damping = start, first, 1e-9
     for _ in range(steps):
-        scale = np.diag(best.normal) + 1e-12 * best.normal.max()
-        step = np.linalg.solve(best.normal + damping * np.diag(scale), -best.gradient)
+        length = np.sqrt(np.diag(best.normal))
+        length[length == 0.0] = 1.0
+        scaled = best.normal / np.outer(length, length) + damping * np.eye(len(p))
+        step = -np.linalg.solve(scaled, best.gradient / length) / length
         if float(np.abs(step / size).max()) < tolerance or damping > _MOST_DAMPING:
             return p, best, True
         trial = rows(p + step)
