@@ -23,12 +23,15 @@ from undrift.arrays import BoolArray, FloatArray, IntArray, frozen
 from undrift.errors import InputError
 from undrift.findings import Finding, Level, most_consequential_first
 from undrift.record import Axis, FileMap
+from undrift.units import Quantity, si_factor
 from undrift.views import Shown
 
 Rounding = Literal["nearest", "floor", "toward_zero"]
+Sensor = Literal["gyro", "accel"]
 Status = Literal["good", "marginal", "bad"]
 
 AXES: tuple[Axis, Axis, Axis] = ("x", "y", "z")
+SENSORS: tuple[Sensor, Sensor] = ("gyro", "accel")
 BEYOND_SEEN_C = 3.0  # tables reach so far beyond the temperatures seen without being asked, degC
 MATRIX_NAMES = tuple(f"m_{row}{column}" for row in AXES for column in AXES)
 OFFSET_NAMES = tuple(f"offset_{axis}" for axis in AXES)
@@ -246,6 +249,16 @@ class Hysteresis:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class OverTemperature:
+    """One sensor's part of a table over temperature, n nodes."""
+
+    temp_c: FloatArray  # (n,), degC
+    value: FloatArray  # (n, 3) offsets or (n, 3, 3) matrices
+    uncertainty: FloatArray | None  # like ``value``, standard uncertainty
+    extrapolated: BoolArray | None  # (n,), true where no data were near the node
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class StaticDrift:
     """Tuning table of absolute offsets over temperature, linear between nodes."""
 
@@ -272,6 +285,10 @@ class StaticDrift:
         _freeze(self, (3,), "gyro_hysteresis", "gyro_visit", "accel_visit")
         _freeze_marks(self, (n,), "gyro_extrapolated", "accel_extrapolated")
 
+    def of(self, sensor: Sensor) -> OverTemperature | None:
+        """Return the offsets of one sensor, None where the table has none."""
+        return _part_of(self, sensor, "offset")
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ScaleDrift:
@@ -290,6 +307,10 @@ class ScaleDrift:
         n = len(self.temp_c)
         _freeze(self, (n, 3, 3), "gyro_matrix", "accel_matrix", "gyro_uncertainty", "accel_uncertainty")
         _freeze_marks(self, (n,), "gyro_extrapolated", "accel_extrapolated")
+
+    def of(self, sensor: Sensor) -> OverTemperature | None:
+        """Return the matrices of one sensor, None where the table has none."""
+        return _part_of(self, sensor, "matrix")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -483,6 +504,27 @@ class Calibration(Shown):
     provenance: Provenance = Provenance()
     file_map: FileMap | None = None
 
+    def triad(self, sensor: Sensor) -> "Triad":
+        """Return all that is known of one sensor: model, tables, codes."""
+        drift, adc, gyro = self.drift or DriftTables(), self.adc or AdcModel(), sensor == "gyro"
+        return Triad(
+            sensor=sensor,
+            quantity="rate" if gyro else "accel",
+            model=self.gyro if gyro else self.accel,
+            offsets=None if drift.static is None else drift.static.of(sensor),
+            matrices=None if drift.scale is None else drift.scale.of(sensor),
+            errors=drift.dynamic if gyro else None,
+            warm_up=drift.static.warm_up if gyro and drift.static is not None else None,
+            hysteresis=drift.static.hysteresis if gyro and drift.static is not None else None,
+            lsb=adc.gyro_lsb if gyro else adc.accel_lsb,
+            rounding=adc.gyro_rounding if gyro else adc.accel_rounding,
+        )
+
+    @property
+    def triads(self) -> "tuple[Triad, Triad]":
+        """Gyroscopes and accelerometers, as ``triad`` returns them."""
+        return self.triad("gyro"), self.triad("accel")
+
     def _rows(self) -> dict[str, str]:
         lines = [line.partition("  ") for line in repr(self).splitlines()[1:]]
         reasons = {f"finding {k}": text for k, text in enumerate(self.verdict.reasons[:3], 1)}
@@ -504,6 +546,27 @@ class Calibration(Shown):
         ))  # fmt: skip
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Triad:
+    """All that a calibration knows of one sensor; None for what it does not have."""
+
+    sensor: Sensor
+    quantity: Quantity
+    model: TriadModel | None
+    offsets: OverTemperature | None  # raw unit
+    matrices: OverTemperature | None  # unit_out per unit_in
+    errors: DynamicDrift | None  # gyroscopes only, and so are the next two
+    warm_up: WarmUp | None
+    hysteresis: Hysteresis | None
+    lsb: FloatArray | None  # (3,), one code step, raw unit
+    rounding: Rounding
+
+    @property
+    def si(self) -> float:
+        """SI units per unit that the model gives; 1 without a model."""
+        return 1.0 if self.model is None else si_factor(self.model.unit_out, self.quantity)
+
+
 def _in_a_line(triad: TriadModel | None) -> str:
     if triad is None:
         return "not calibrated"
@@ -518,6 +581,13 @@ def _tables_in_a_line(drift: DriftTables) -> str:
     tables = {"static": drift.static, "scale": drift.scale, "dynamic": drift.dynamic}
     shown = [f"{name} {t.temp_c[0]:.1f} to {t.temp_c[-1]:.1f} degC" for name, t in tables.items() if t is not None]
     return ", ".join(shown) or "no tables"
+
+
+def _part_of(table: StaticDrift | ScaleDrift, sensor: Sensor, what: str) -> OverTemperature | None:
+    value, uncertainty, marks = (getattr(table, f"{sensor}_{name}") for name in (what, "uncertainty", "extrapolated"))
+    if value is None:
+        return None
+    return OverTemperature(temp_c=table.temp_c, value=value, uncertainty=uncertainty, extrapolated=marks)
 
 
 def _freeze(value: object, shape: tuple[int | None, ...], *names: str) -> None:

@@ -7,16 +7,31 @@ from hypothesis import strategies as st
 
 from testkit import twins
 from testkit.full_calibration import GAP, STEPS, WILD
-from undrift.correction.plan import even_nodes, grid_of, line_cells
+from undrift.correction.plan import Axis, Table, line_cells
 from undrift.kernels.correct import cell, warmed
 
 
+def evened(nodes, **most):
+    return Axis(nodes=np.asarray(nodes)).evened(**most)
+
+
+def grid_of(nodes):
+    return evened(nodes).grid
+
+
 def test_even_grids_are_found_where_there_is_one():
-    assert len(even_nodes(STEPS)) == 115
-    assert len(even_nodes(GAP)) == 37  # the gap between -10 and 10 deg/s filled with three nodes
-    assert len(even_nodes(np.array([0.0, 2.0, 5.0]))) == 6  # the smallest gap is two steps
-    assert even_nodes(WILD) is None
-    assert even_nodes(np.array([0.0, 1e-6, 1.0])) is None  # too fine
+    assert len(evened(STEPS).nodes) == 115
+    assert len(evened(GAP).nodes) == 37  # the gap between -10 and 10 deg/s filled with three nodes
+    assert len(evened([0.0, 2.0, 5.0]).nodes) == 6  # the smallest gap is two steps
+    assert not evened(WILD).even
+    assert not evened([0.0, 1e-6, 1.0]).even  # too fine
+
+
+def test_a_limit_of_nodes_decides_between_an_even_grid_and_the_given_nodes():
+    assert evened(GAP, most=37).even
+    kept = evened(GAP, most=36)
+    assert not kept.even
+    np.testing.assert_array_equal(kept.nodes, GAP)
 
 
 @given(low=st.integers(-400, 400), parts=st.integers(1, 1000), cells=st.integers(1, 2000))
@@ -51,7 +66,7 @@ def test_the_warm_up_is_subtracted_from_the_unrounded_reading_as_the_twin_does(h
     since, h = np.linspace(0.0, 40.0, 200), np.full(3, half_step)
     nodes, values = np.array([0.0, 2.0, 7.0, 30.0]), np.vstack((rng.normal(size=(3, 3)) * 20.0, np.zeros(3)))
     out = np.empty(600)
-    warmed(x.ravel(), since, out, h, *line_cells(nodes, values))
+    warmed(x.ravel(), since, out, h, *line_cells(Table(temp=Axis(nodes=nodes), values=values)))
     wanted = twins.rounded(x, 2.0 * h, "toward_zero") - twins.table(nodes, values, since)
     np.testing.assert_allclose(out.reshape(-1, 3), wanted, rtol=0, atol=1e-13)
     np.testing.assert_array_equal(

@@ -1,10 +1,12 @@
-"""A calibration made ready for the correction kernels: units folded in, one flat plan for each triad.
+"""The constants of correction, derived once: ``correct``, the stream, the C source and every other export read them.
 
-For readings in unit r, with c model units per r and s SI units per unit that the model gives, the kernels take ::
+For readings in unit r, with c model units per r and s SI units per unit that the model gives ::
 
     M' = s M c        offset' = offset / c        h' = half a code step / c        warm_up' = warm_up / c
 
-A table over nodes t_0 < ... < t_n is linear between them and held at its ends. In cell i, with f = (t - t_i) / (t_(i+1) - t_i)::
+``constants_of`` derives them, with the tables at the nodes that were fitted. ``plan_record`` lays them out flat for the kernels,
+export/firmware.py turns them into integers. A table over nodes t_0 < ... < t_n is linear between them and held at its ends. In
+cell i, with f = (t - t_i) / (t_(i+1) - t_i)::
 
     one dimension    y = y_i + f (y_(i+1) - y_i)
     two dimensions   y = c0 + f c1 + r c2 + f r c3        r the fraction along the second axis
@@ -16,9 +18,9 @@ thermometer lags (lag_s > 0), drift/thermometer_lag.py subtracts that lag, looki
 
 import os
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Literal, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
 
@@ -26,7 +28,7 @@ from undrift.arrays import BoolArray, FloatArray
 from undrift.drift.hysteresis import LoopState, TempHistory, follow_loop, state_of
 from undrift.drift.thermometer_lag import LagState, without_lag
 from undrift.errors import InputError
-from undrift.model import Calibration, DriftTables, DynamicDrift, TriadModel
+from undrift.model import Calibration, DynamicDrift, Sensor, Triad, TriadModel
 from undrift.record import Record
 from undrift.units import Quantity, is_physical, si_factor
 
@@ -39,9 +41,198 @@ MOST_NODES = 4096  # an even grid finer than this is not worth its memory
 EVEN_WITHIN = 1e-9  # of a step
 THREADS_FROM = 100_000  # samples; below it a second thread costs more than it saves
 
-Sensor = Literal["gyro", "accel"]
 Kind = Literal["rate", "accel", "scale"]
 T = TypeVar("T")
+
+# ---- the constants of one triad, and its tables
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Axis:
+    """One axis of a table."""
+
+    nodes: FloatArray  # (n,), increasing
+    even: bool = False  # whether the nodes are known to be evenly spaced
+
+    @property
+    def cells(self) -> int:
+        """Number of cells."""
+        return len(self.nodes) - 1
+
+    @property
+    def start(self) -> float:
+        """First node."""
+        return float(self.nodes[0])
+
+    @property
+    def stop(self) -> float:
+        """Last node."""
+        return float(self.nodes[-1])
+
+    @property
+    def inverse(self) -> FloatArray:
+        """One over the width of each cell, shape (cells,), or of all, shape (1,), where they are even."""
+        return np.array([self.cells / (self.stop - self.start)]) if self.even else 1.0 / np.diff(self.nodes)
+
+    @property
+    def grid(self) -> "Grid":
+        """How the kernel finds the cell: by one multiplication where the nodes are even, else by bisection."""
+        from undrift.kernels.correct import Grid
+
+        return Grid(np.array(self.nodes), self.start, float(self.inverse[0]) if self.even else 0.0, self.cells)
+
+    def evened(self, most: int = MOST_NODES) -> "Axis":
+        """Return the even grid that holds all nodes, or the nodes where there is none of so many nodes at most."""
+        span = self.stop - self.start
+        cells = span / np.diff(self.nodes).min()
+        for parts in (1, 2, 3):  # the smallest gap may itself be two or three steps
+            count = round(float(cells) * parts)
+            if count + 1 > most:
+                break
+            places = (self.nodes - self.start) * (count / span)
+            if np.abs(places - np.round(places)).max() < EVEN_WITHIN:
+                return Axis(nodes=np.linspace(self.nodes[0], self.nodes[-1], count + 1), even=True)
+        return Axis(nodes=self.nodes)
+
+    def filled(self, nodes: FloatArray, values: FloatArray) -> FloatArray:
+        """Values (n, ...) of fewer nodes (n,) at all of the axis: the straight line between them."""
+        if len(self.nodes) == len(nodes):
+            return values
+        columns = [np.interp(self.nodes, nodes, column) for column in values.reshape(len(nodes), -1).T]
+        return np.column_stack(columns).reshape(len(self.nodes), *values.shape[1:])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Table:
+    """Values over temperature, or over temperature and rate."""
+
+    temp: Axis  # temperatures, degC; of the warm-up the time since power-on, s
+    turn_rate: Axis | None = None  # measured rates, rad/s; None for a table over temperature alone
+    values: FloatArray  # (n, c), or (n, k, c), c values at each node
+    # (n,) or (n, k), standard uncertainty of the result at nodes that no data were near, infinite where none is stated, and -1
+    # where data were near; None where they were near all
+    stated: FloatArray | None = None
+    kind: Kind = "rate"  # what it belongs to: rate (rad/s), specific force (m/s2), or either as a share of itself
+
+    def evened(self, most: Callable[[FloatArray], int] = lambda nodes: MOST_NODES) -> "Table":
+        """Return the table with its axes filled up to even grids where there are such."""
+        temp, rate, values = self.temp.evened(most(self.temp.nodes)), self.turn_rate, self.values
+        if self.turn_rate is not None:
+            rate = self.turn_rate.evened(most(self.turn_rate.nodes))
+            values = np.moveaxis(rate.filled(self.turn_rate.nodes, np.moveaxis(values, 1, 0)), 0, 1)
+        return replace(self, temp=temp, turn_rate=rate, values=temp.filled(self.temp.nodes, values))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Constants:
+    """What one triad's readings are corrected with."""
+
+    name: Sensor
+    unit_in: str  # unit of the readings
+    matrix: FloatArray  # (3, 3), SI per unit of the readings
+    offset: FloatArray  # (3,), unit of the readings; less half a step where codes are rounded down
+    half_step: FloatArray | None = None  # (3,), unit of the readings; None unless codes are cut off toward zero
+    g_sensitivity: FloatArray | None = None  # (3, 3), rad/s per m/s2
+    offset_table: Table | None = None  # in the same units
+    matrix_table: Table | None = None
+    error_table: Table | None = None
+    # extra offset over the time since power-on, s, in the place of the temperature; zero from its last node on
+    warm_up_table: Table | None = None
+    loop_table: Table | None = None  # half-width of the hysteresis
+
+    @property
+    def tables(self) -> list[Table]:
+        """Those over temperature that are looked up for each sample."""
+        return [t for t in (self.offset_table, self.matrix_table, self.error_table) if t is not None]
+
+
+def constants_of(calibration: Calibration, sensor: Sensor, unit: str = "") -> Constants:
+    """Return the constants of one triad for readings in a unit, by default in the one that its model is made for."""
+    triad = calibration.triad(sensor)
+    model, out = triad.model, triad.si
+    if model is None:
+        return Constants(
+            name=sensor, unit_in=unit, matrix=np.eye(3) * si_factor(unit, triad.quantity), offset=np.zeros(3)
+        )
+    factor = _input_factor(model, unit or model.unit_in, sensor, triad.quantity)
+    half = None if triad.lsb is None else 0.5 * triad.lsb / factor
+    shift = half if half is not None and triad.rounding == "floor" else np.zeros(3)
+    g, warm_up, loop = model.g_sensitivity if sensor == "gyro" else None, triad.warm_up, triad.hysteresis
+    return Constants(
+        name=sensor,
+        unit_in=unit or model.unit_in,
+        matrix=model.matrix * (factor * out),
+        offset=model.offset / factor - shift,
+        half_step=half if triad.rounding == "toward_zero" else None,
+        g_sensitivity=None if g is None else g * out,
+        offset_table=_offset_table(triad, model, factor, shift),
+        matrix_table=_matrix_table(triad, model, factor),
+        error_table=None if triad.errors is None else _error_table(triad.errors),
+        warm_up_table=None if warm_up is None else _line(warm_up.power_on_s, warm_up.gyro_offset / factor),
+        loop_table=None if loop is None else _line(loop.temp_c, loop.gyro_half_width / factor),
+    )
+
+
+def _input_factor(model: TriadModel, unit: str, sensor: Sensor, quantity: Quantity) -> float:
+    """Factor from the unit of the readings to the model's."""
+    if unit == model.unit_in:
+        return 1.0
+    if not (is_physical(unit) and is_physical(model.unit_in)):
+        raise InputError(
+            f"{sensor}: wanted readings in {model.unit_in}, the unit that this calibration was made for, got {unit}; "
+            "correct the recording as the device wrote it, or calibrate in its unit",
+            wanted=model.unit_in,
+            got=unit,
+        )
+    return si_factor(unit, quantity) / si_factor(model.unit_in, quantity)
+
+
+def _line(nodes: FloatArray, values: FloatArray, stated: FloatArray | None = None, kind: Kind = "rate") -> Table:
+    return Table(temp=Axis(nodes=nodes), values=values, stated=stated, kind=kind)
+
+
+def _offset_table(triad: Triad, model: TriadModel, factor: float, shift: FloatArray) -> Table | None:
+    offsets = triad.offsets
+    if offsets is None:
+        return None
+    kind: Kind = "rate" if triad.sensor == "gyro" else "accel"
+    u = offsets.uncertainty
+    if u is not None:  # becomes that of the result by the constant matrix M: sqrt(M^2 u^2), squares by element
+        u = np.sqrt(u**2 @ (model.matrix * triad.si).T ** 2)
+    return _line(offsets.temp_c, offsets.value / factor - shift, _stated(offsets.extrapolated, u), kind)
+
+
+def _matrix_table(triad: Triad, model: TriadModel, factor: float) -> Table | None:
+    matrices = triad.matrices
+    if matrices is None:
+        return None
+    u = matrices.uncertainty
+    if u is not None:  # becomes a share of the result: sqrt(U^2 K^2) with K = M^-1
+        u = np.sqrt(u**2 @ model.forward_matrix**2)
+    flat = matrices.value.reshape(-1, 9) * (factor * triad.si)
+    return _line(matrices.temp_c, flat, _stated(matrices.extrapolated, u), "scale")
+
+
+def _error_table(errors: DynamicDrift) -> Table:
+    return Table(
+        temp=Axis(nodes=errors.temp_c),
+        turn_rate=Axis(nodes=errors.turn_rate),
+        values=errors.error,
+        stated=_stated(errors.extrapolated, errors.uncertainty),
+    )
+
+
+def _stated(marks: BoolArray | None, uncertainty: FloatArray | None) -> FloatArray | None:
+    """Uncertainty of the largest axis at the marked nodes, -1 at the others; None where none is marked."""
+    if marks is None or not marks.any():
+        return None
+    if uncertainty is None:
+        return np.where(marks, np.inf, -1.0)
+    largest = uncertainty.reshape(*marks.shape, -1).max(axis=-1)
+    return np.where(marks, np.nan_to_num(largest, nan=np.inf, posinf=np.inf), -1.0)
+
+
+# ---- the same, flat, as the kernels take it
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -51,26 +242,25 @@ class MarkedTable:
     A half is extrapolated where any node that it draws on is: a value on a node draws on that one alone.
     """
 
-    kind: Kind  # what its uncertainty belongs to: rate (rad/s), specific force (m/s2), or either as a share of itself
+    kind: Kind
     temp: "Grid"
-    rate: "Grid | None"  # measured rates, rad/s; None for a table over temperature alone
-    stated: FloatArray  # (halves,), standard uncertainty, -1 where data were near, infinite where none is stated
+    rate: "Grid | None"
+    stated: FloatArray  # (halves,), as in ``Table``
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TriadPlan:
-    """One triad's model in the units of the readings, flat, as the kernels take it."""
+    """One triad's constants, flat."""
 
-    matrix: FloatArray  # (9,), SI per reading unit, row by row
-    offset: FloatArray  # (3,), reading unit; codes rounded down have half a step less here
-    # (3,), half a code step, reading unit; zero unless codes were truncated toward zero
-    half_step: FloatArray = field(default_factory=lambda: np.zeros(3))
-    g_sensitivity: FloatArray | None = None  # (9,), rad/s per m/s2
+    matrix: FloatArray  # (9,), row by row
+    offset: FloatArray  # (3,)
+    half_step: FloatArray  # (3,), zero unless codes were truncated toward zero
+    g_sensitivity: FloatArray | None  # (9,)
     tables: "Tables | None" = None  # cell coefficients; None where the triad has no table
     temp_range: tuple[float, float] = EVERYWHERE  # temperatures that all its tables cover, degC
     marked: tuple[MarkedTable, ...] = ()  # those of the tables that have extrapolated nodes
-    warm_up: "tuple[Grid, FloatArray] | None" = None  # offset over the time since power-on (s), reading unit
-    loop: "tuple[Grid, FloatArray] | None" = None  # half-width of the hysteresis over temperature, reading unit
+    warm_up: "tuple[Grid, FloatArray] | None" = None
+    loop: "tuple[Grid, FloatArray] | None" = None
 
 
 Plans: TypeAlias = tuple[TriadPlan | None, TriadPlan | None]  # gyroscopes, accelerometers; None: the record has none
@@ -82,8 +272,8 @@ def plan_record(record: Record, calibration: Calibration) -> Plans:
         raise InputError(
             "correct: wanted raw readings, got a corrected record; correct the device's own recording, once"
         )
-    gyro = None if record.gyro is None else _plan_triad(calibration, "gyro", record.gyro_unit)
-    accel = None if record.accel is None else _plan_triad(calibration, "accel", record.accel_unit)
+    gyro = None if record.gyro is None else _flat_plan(constants_of(calibration, "gyro", record.gyro_unit))
+    accel = None if record.accel is None else _flat_plan(constants_of(calibration, "accel", record.accel_unit))
     if gyro is not None and gyro.g_sensitivity is not None and accel is None:
         raise InputError(
             "correct: wanted accelerometer readings, which the g-sensitivity of the gyroscopes needs, got none; "
@@ -99,186 +289,62 @@ def has_tables(plans: Plans) -> bool:
     return any(plan is not None and plan.tables is not None for plan in plans)
 
 
-def _plan_triad(calibration: Calibration, sensor: Sensor, unit: str) -> TriadPlan:
-    quantity: Quantity = "rate" if sensor == "gyro" else "accel"
-    model = calibration.gyro if sensor == "gyro" else calibration.accel
-    if model is None:
-        return TriadPlan(matrix=np.ravel(np.eye(3) * si_factor(unit, quantity)), offset=np.zeros(3))
-    drift, out = calibration.drift or DriftTables(), si_factor(model.unit_out, quantity)
-    factor = _input_factor(model, unit, sensor, quantity)
-    half_step, shift = _rounding(calibration, sensor, factor)
-    tables, temp_range = _tables(drift, sensor, factor, out, shift)
-    warm_up = drift.static.warm_up if drift.static is not None and sensor == "gyro" else None
-    loop = drift.static.hysteresis if drift.static is not None and sensor == "gyro" else None
-    g = model.g_sensitivity if sensor == "gyro" else None
+def _flat_plan(constants: Constants) -> TriadPlan:
+    from undrift.kernels.correct import Grid, Tables
+
+    unused, g = Grid(np.zeros(2), 0.0, 0.0, 1), constants.g_sensitivity
+    tables = Tables(NOTHING, unused, NOTHING, unused, NOTHING, unused, unused)
+    if constants.offset_table is not None:
+        grid, cells = line_cells(constants.offset_table)
+        tables = tables._replace(offset=cells, offset_temp=grid)
+    if constants.matrix_table is not None:
+        grid, cells = line_cells(constants.matrix_table)
+        tables = tables._replace(matrix=cells, matrix_temp=grid)
+    if constants.error_table is not None:
+        grid, rate, cells = plane_cells(constants.error_table)
+        tables = tables._replace(error=cells, error_temp=grid, error_rate=rate)
+    used = constants.tables
     return TriadPlan(
-        matrix=np.ravel(model.matrix * (factor * out)),
-        offset=model.offset / factor - shift,
-        half_step=half_step,
-        g_sensitivity=None if g is None else np.ravel(g * out),
-        tables=tables,
-        temp_range=temp_range,
-        marked=_marked_tables(drift, model, sensor, out),
-        warm_up=None if warm_up is None else line_cells(warm_up.power_on_s, warm_up.gyro_offset / factor),
-        loop=None if loop is None else line_cells(loop.temp_c, loop.gyro_half_width / factor),
+        matrix=np.ravel(constants.matrix),
+        offset=constants.offset,
+        half_step=np.zeros(3) if constants.half_step is None else constants.half_step,
+        g_sensitivity=None if g is None else np.ravel(g),
+        tables=tables if used else None,
+        temp_range=(max(t.temp.start for t in used), min(t.temp.stop for t in used)) if used else EVERYWHERE,
+        marked=tuple(_marked(table, table.stated) for table in used if table.stated is not None),
+        warm_up=None if constants.warm_up_table is None else line_cells(constants.warm_up_table),
+        loop=None if constants.loop_table is None else line_cells(constants.loop_table),
     )
 
 
-def _input_factor(model: TriadModel, unit: str, sensor: Sensor, quantity: Quantity) -> float:
-    """Factor from the record's unit to the model's."""
-    if unit == model.unit_in:
-        return 1.0
-    if not (is_physical(unit) and is_physical(model.unit_in)):
-        raise InputError(
-            f"{sensor}: wanted readings in {model.unit_in}, the unit that this calibration was made for, got {unit}; "
-            "correct the recording as the device wrote it, or calibrate in its unit",
-            wanted=model.unit_in,
-            got=unit,
-        )
-    return si_factor(unit, quantity) / si_factor(model.unit_in, quantity)
+def line_cells(table: Table) -> "tuple[Grid, FloatArray]":
+    """Return the grid of a table over one axis and its cell coefficients, (cells * c * 2,)."""
+    table = table.evened()
+    cells = np.stack((table.values[:-1], np.diff(table.values, axis=0)), axis=-1)
+    return table.temp.grid, cells.reshape(-1)
 
 
-def _rounding(calibration: Calibration, sensor: Sensor, factor: float) -> tuple[FloatArray, FloatArray]:
-    """Half a step to add with the sign of the code, and half a step to add always; reading unit."""
-    lsb, zero = _part(calibration.adc, sensor, "lsb"), np.zeros(3)
-    mode, half = _part(calibration.adc, sensor, "rounding"), zero if lsb is None else 0.5 * lsb / factor
-    return (half if mode == "toward_zero" else zero), (half if mode == "floor" else zero)
+def plane_cells(table: Table) -> "tuple[Grid, Grid, FloatArray]":
+    """Return the grids of a table over two axes and its cell coefficients, (temperature cells * rate cells * c * 4,)."""
+    table = table.evened()
+    values, over_rate = table.values, np.diff(table.values, axis=1)
+    parts = (values[:-1, :-1], np.diff(values[:, :-1], axis=0), over_rate[:-1], np.diff(over_rate, axis=0))
+    return table.temp.grid, (table.turn_rate or table.temp).grid, np.stack(parts, axis=-1).reshape(-1)
 
 
-def _part(value: object, sensor: Sensor, what: str) -> Any:
-    """One triad's part of a table, None where there is no table."""
-    return None if value is None else getattr(value, f"{sensor}_{what}")
+def _marked(table: Table, stated: FloatArray) -> MarkedTable:
+    """The halves of a table's own nodes: what is filled in between them draws on the same two."""
+    temp, rate, halves = table.temp.evened(len(table.temp.nodes)).grid, None, _halves(stated)
+    if table.turn_rate is not None:
+        rate, halves = table.turn_rate.evened(len(table.turn_rate.nodes)).grid, _halves(halves.T).T
+    return MarkedTable(kind=table.kind, temp=temp, rate=rate, stated=np.ravel(halves))
 
 
-# ---- tables: steps made even, cells turned into coefficients
-
-
-def even_nodes(nodes: FloatArray) -> FloatArray | None:
-    """Return the even grid that holds all nodes, or None where there is none of a sensible size: nodes (n,) -> (m,)."""
-    span = nodes[-1] - nodes[0]
-    cells = span / np.diff(nodes).min()
-    for parts in (1, 2, 3):  # the smallest gap may itself be two or three steps
-        count = round(float(cells) * parts)
-        if count + 1 > MOST_NODES:
-            return None
-        places = (nodes - nodes[0]) * (count / span)
-        if np.abs(places - np.round(places)).max() < EVEN_WITHIN:
-            grid: FloatArray = np.linspace(nodes[0], nodes[-1], count + 1)
-            return grid
-    return None
-
-
-def grid_of(nodes: FloatArray) -> "Grid":
-    """Return how the kernel finds the cell: by one multiplication on the even grid, where there is one, else by bisection."""
-    from undrift.kernels.correct import Grid
-
-    fine = even_nodes(nodes)
-    held = np.array(nodes) if fine is None else fine
-    cells = len(held) - 1
-    return Grid(held, float(held[0]), 0.0 if fine is None else cells / float(held[-1] - held[0]), cells)
-
-
-def line_cells(nodes: FloatArray, values: FloatArray) -> "tuple[Grid, FloatArray]":
-    """Return the grid of a one-dimensional table and its cell coefficients.
-    nodes (n,), values (n, c) -> (cells * c * 2,)."""
-    grid = grid_of(nodes)
-    values = _filled(grid.nodes, nodes, values)
-    return grid, np.stack((values[:-1], np.diff(values, axis=0)), axis=-1).reshape(-1)
-
-
-def plane_cells(dynamic: DynamicDrift) -> "tuple[Grid, Grid, FloatArray]":
-    """Return the grids of the dynamic table and its cell coefficients, (temperature cells * rate cells * 12,)."""
-    error, grids = dynamic.error, []
-    for axis, nodes in enumerate((dynamic.temp_c, dynamic.turn_rate)):
-        grids.append(grid_of(nodes))
-        error = np.moveaxis(_filled(grids[axis].nodes, nodes, np.moveaxis(error, axis, 0)), 0, axis)
-    corner = error[:-1, :-1]
-    over_temp, over_rate = error[1:, :-1] - corner, error[:-1, 1:] - corner
-    both = error[1:, 1:] - error[1:, :-1] - over_rate
-    return grids[0], grids[1], np.stack((corner, over_temp, over_rate, both), axis=-1).reshape(-1)
-
-
-def _filled(fine: FloatArray, nodes: FloatArray, values: FloatArray) -> FloatArray:
-    """Values on the grid: the given ones at the given nodes, the straight line between them."""
-    if len(fine) == len(nodes):
-        return values
-    flat = values.reshape(len(nodes), -1)
-    filled = np.column_stack([np.interp(fine, nodes, column) for column in flat.T])
-    filled[np.abs(fine[:, None] - nodes).argmin(axis=0)] = flat
-    return filled.reshape(len(fine), *values.shape[1:])
-
-
-def _tables(
-    drift: DriftTables, sensor: Sensor, factor: float, out: float, shift: FloatArray
-) -> "tuple[Tables | None, tuple[float, float]]":
-    """The triad's tables in the reading unit and SI, and the temperatures that they cover."""
-    from undrift.kernels.correct import Grid, Tables
-
-    unused = Grid(np.zeros(2), 0.0, 0.0, 1)
-    tables, nodes = Tables(NOTHING, unused, NOTHING, unused, NOTHING, unused, unused), list[FloatArray]()
-    offset, matrix = _part(drift.static, sensor, "offset"), _part(drift.scale, sensor, "matrix")
-    if drift.static is not None and offset is not None:
-        nodes.append(drift.static.temp_c)
-        grid, cells = line_cells(nodes[-1], offset / factor - shift)
-        tables = tables._replace(offset=cells, offset_temp=grid)
-    if drift.scale is not None and matrix is not None:
-        nodes.append(drift.scale.temp_c)
-        grid, cells = line_cells(nodes[-1], matrix.reshape(-1, 9) * (factor * out))
-        tables = tables._replace(matrix=cells, matrix_temp=grid)
-    if sensor == "gyro" and drift.dynamic is not None:
-        nodes.append(drift.dynamic.temp_c)
-        temp, rate, cells = plane_cells(drift.dynamic)
-        tables = tables._replace(error=cells, error_temp=temp, error_rate=rate)
-    if not nodes:
-        return None, EVERYWHERE
-    return tables, (max(float(n[0]) for n in nodes), min(float(n[-1]) for n in nodes))
-
-
-def _marked_tables(drift: DriftTables, model: TriadModel, sensor: Sensor, out: float) -> tuple[MarkedTable, ...]:
-    """The triad's tables that have extrapolated nodes, with the uncertainty that they state there.
-
-    Uncertainties u of offsets become those of the result by the constant matrix M, sqrt(M^2 u^2), those U of a matrix a share of
-    the result, sqrt(U^2 K^2) with K = M^-1 (squares by element); the largest axis counts.
-    """
-    found: list[MarkedTable] = []
-    kind: Kind = "rate" if sensor == "gyro" else "accel"
-    for table, values in ((drift.static, "offset"), (drift.scale, "matrix")):
-        marks, u = _part(table, sensor, "extrapolated"), _part(table, sensor, "uncertainty")
-        if table is None or _part(table, sensor, values) is None or marks is None or not marks.any():
-            continue
-        if u is not None:
-            offset = values == "offset"
-            spread = u**2 @ (model.matrix * out).T ** 2 if offset else u**2 @ model.forward_matrix**2
-            u = np.sqrt(spread).reshape(len(u), -1).max(axis=1)
-        grid = grid_of(table.temp_c)
-        halves = _halves(grid, table.temp_c, _at_nodes(marks, u))
-        found.append(MarkedTable(kind=kind if values == "offset" else "scale", temp=grid, rate=None, stated=halves))
-    dynamic = drift.dynamic if sensor == "gyro" else None
-    if dynamic is not None and dynamic.extrapolated is not None and dynamic.extrapolated.any():
-        u = None if dynamic.uncertainty is None else dynamic.uncertainty.max(axis=2)
-        temp, rate = grid_of(dynamic.temp_c), grid_of(dynamic.turn_rate)
-        over_temp = _halves(temp, dynamic.temp_c, _at_nodes(dynamic.extrapolated, u))
-        halves = np.ravel(_halves(rate, dynamic.turn_rate, over_temp.T).T)
-        found.append(MarkedTable(kind="rate", temp=temp, rate=rate, stated=halves))
-    return tuple(found)
-
-
-def _at_nodes(marks: BoolArray, uncertainty: FloatArray | None) -> FloatArray:
-    """Uncertainty at the marked nodes, -1 at the others."""
-    stated = np.inf if uncertainty is None else np.nan_to_num(uncertainty, nan=np.inf, posinf=np.inf)
-    return np.where(marks, stated, -1.0)
-
-
-def _halves(grid: "Grid", nodes: FloatArray, values: FloatArray) -> FloatArray:
-    """Values on and between the grid's nodes, along the first axis: the larger of the given nodes that each draws on."""
-    fine = grid.nodes
-    at = np.empty(2 * len(fine) - 1)
-    at[::2], at[1::2] = fine, 0.5 * (fine[1:] + fine[:-1])
-    near = 2.0 * EVEN_WITHIN * float(np.diff(fine).min())
-    left = np.searchsorted(nodes, at + near, side="right") - 1
-    right = np.searchsorted(nodes, at - near, side="left")
-    drawn: FloatArray = np.maximum(values[left], values[right])
-    return drawn
+def _halves(stated: FloatArray) -> FloatArray:
+    """Values on and between nodes, along the first axis: the larger of the two where it lies between."""
+    halves = np.empty((2 * len(stated) - 1, *stated.shape[1:]))
+    halves[::2], halves[1::2] = stated, np.maximum(stated[1:], stated[:-1])
+    return halves
 
 
 # ---- what the tables are looked up with, sample by sample

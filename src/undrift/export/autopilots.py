@@ -21,11 +21,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from undrift.arrays import FloatArray, frozen
+from undrift.correction.plan import Constants, constants_of
 from undrift.errors import InputError
 from undrift.export import ExportOptions, Target
-from undrift.export.firmware import Triad, rounding_of
 from undrift.export.losses import Exported, Part, losses, texts_of
-from undrift.export.programs import ConstantPair, constants_of
+from undrift.export.programs import ConstantPair, pair_at
 from undrift.findings import Finding, finding
 from undrift.model import Calibration, DriftTables
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, Quantity, is_physical, si_factor
@@ -114,13 +114,13 @@ def autopilot_model(calibration: Calibration, settings: AutopilotSettings) -> Au
     static, temp = drift.static, settings.temp_c
     if temp is None and drift.scale is None and static is not None:
         temp = float(static.temp_c.mean())  # the cubics hold the offsets of every temperature: nothing is frozen here
-    pair = constants_of(calibration, temp)
+    pair = pair_at(calibration, temp)
     made: dict[str, Cubic | None] = {"gyro": None, "accel": None}
     gain: FloatArray = np.ones(3)
     # of all that is read at one temperature a target carries the accelerometers' gains alone
     frozen_gains = pair.accel is not None and drift.scale is not None and drift.scale.accel_matrix is not None
     notes = list(pair.notes) if frozen_gains else []
-    sides: tuple[tuple[str, Triad | None, Quantity, float | None], ...] = (
+    sides: tuple[tuple[str, Constants | None, Quantity, float | None], ...] = (
         ("gyro", pair.gyro, "rate", settings.gyro_nominal),
         ("accel", pair.accel, "accel", settings.accel_nominal),
     )
@@ -138,7 +138,7 @@ def autopilot_model(calibration: Calibration, settings: AutopilotSettings) -> Au
     return AutopilotModel(**made, accel_gain=gain, notes=tuple(notes))
 
 
-def _nominal(triad: Triad, quantity: Quantity, stated: float | None) -> float:
+def _nominal(triad: Constants, quantity: Quantity, stated: float | None) -> float:
     if is_physical(triad.unit_in):
         return si_factor(triad.unit_in, quantity)
     if stated is None or not np.isfinite(stated) or stated <= 0.0:
@@ -151,18 +151,16 @@ def _nominal(triad: Triad, quantity: Quantity, stated: float | None) -> float:
     return stated
 
 
-def _offsets(calibration: Calibration, pair: ConstantPair, triad: Triad, nominal: float) -> Cubic:
-    static = calibration.drift.static if calibration.drift else None
-    offset = getattr(static, f"{triad.name}_offset", None)
-    if static is None or offset is None:
+def _offsets(calibration: Calibration, pair: ConstantPair, triad: Constants, nominal: float) -> Cubic:
+    table, fitted = constants_of(calibration, triad.name).offset_table, calibration.triad(triad.name).offsets
+    if table is None or fitted is None:
         reference = pair.temp_c if np.isfinite(pair.temp_c) else REFERENCE_OF_NO_TABLE_C
         powers = np.zeros((4, 3))
         powers[0] = triad.offset * nominal
         return Cubic(reference_c=reference, coefficients=powers, low_c=reference, high_c=reference, misfit=np.zeros(3))
-    marks = getattr(static, f"{triad.name}_extrapolated")
-    seen = np.ones(len(static.temp_c), bool) if marks is None or (~marks).sum() < 2 else ~marks
-    _, shift = rounding_of(calibration, is_gyro=triad.name == "gyro")
-    return fit_cubic(static.temp_c[seen], (offset[seen] - shift) * nominal)
+    marks = fitted.extrapolated
+    seen = np.ones(len(fitted.temp_c), bool) if marks is None or (~marks).sum() < 2 else ~marks
+    return fit_cubic(fitted.temp_c[seen], table.values[seen] * nominal)
 
 
 # ---- ArduPilot

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from undrift.arrays import FloatArray, IntArray
+from undrift.correction.plan import Axis, Constants, Table, constants_of
 from undrift.errors import InputError
 from undrift.export import ExportOptions, Target
 from undrift.export.firmware import (
@@ -23,29 +24,27 @@ from undrift.export.firmware import (
     FULL_FORCE,
     FULL_RATE,
     Arithmetic,
-    Axis,
     Cost,
     FixedAxis,
     FixedTable,
     FixedTriad,
     Lead,
-    Table,
-    Triad,
     cost_of,
     fixed_triad,
     lead_of,
-    nominal_triad,
+    named_tables,
+    stride_of,
     triads_of,
 )
 from undrift.export.losses import Exported, Part, losses, texts_of
 from undrift.findings import Finding, finding
-from undrift.model import Calibration
-from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
+from undrift.model import SENSORS, Calibration, Sensor
+from undrift.units import RADIAN_PER_DEGREE, SI_UNIT, STANDARD_GRAVITY, canonical_unit, is_physical
 
 # ---- C text: literals, arrays, lookups in a table, and comments that nothing can break out of.
 
 WIDTH = 116
-Pair = tuple[Triad, FixedTriad]  # in real numbers and in integers
+Pair = tuple[Constants, FixedTriad]  # in real numbers and in integers
 SMALLEST, LARGEST = 1e-37, 3e38  # what a float literal may be
 
 
@@ -100,7 +99,7 @@ class Printer:
         held = f"status |= {outside};{pad}" if what else ""
         if real.even:
             return f"{held}{cell} = {self.prefix}_cell({x}, {even}, {real.cells}, &{fraction});"
-        inner = f"{x}, {name}, {name}_inverse{uneven}, {real.cells}, {real.stride}, &{fraction}"
+        inner = f"{x}, {name}, {name}_inverse{uneven}, {real.cells}, {stride_of(real)}, &{fraction}"
         return f"{held}{cell} = {self.prefix}_search({inner});"
 
 
@@ -201,7 +200,7 @@ def export_c(calibration: Calibration, settings: CSettings = CSettings()) -> Exp
         if bits is not None and not 0 <= bits <= 30:
             raise InputError(f"export c: wanted 0 to 30 bits behind the point of a reading, got {bits}; choose fewer")
     notes: list[Finding] = []
-    gyro, accel = (_triad_of(calibration, settings, name, notes) for name in ("gyro", "accel"))
+    gyro, accel = (_triad_of(calibration, settings, name, notes) for name in SENSORS)
     of_accel = fixed_triad(accel, raw_bits=settings.accel_raw_bits, full=FULL_FORCE)
     of_gyro = fixed_triad(
         gyro, raw_bits=settings.gyro_raw_bits, full=FULL_RATE, accel_bound=of_accel.bound, accel_full=FULL_FORCE
@@ -226,9 +225,9 @@ def export_c(calibration: Calibration, settings: CSettings = CSettings()) -> Exp
     )
 
 
-def _triad_of(calibration: Calibration, settings: CSettings, name: str, notes: list[Finding]) -> Triad:
+def _triad_of(calibration: Calibration, settings: CSettings, name: Sensor, notes: list[Finding]) -> Constants:
     """Return a triad, nominal where there is no model, with a note on that."""
-    triad = dict(zip(("gyro", "accel"), triads_of(calibration), strict=True))[name]
+    triad = triads_of(calibration)[SENSORS.index(name)]
     unit = settings.gyro_unit if name == "gyro" else settings.accel_unit
     if triad is not None and unit is not None:
         raise InputError(
@@ -236,10 +235,16 @@ def _triad_of(calibration: Calibration, settings: CSettings, name: str, notes: l
             wanted=triad.unit_in,
             got=unit,
         )
-    if triad is None:
-        what, si = ("gyroscopes", "rad/s") if name == "gyro" else ("accelerometers", "m/s2")
-        triad = nominal_triad(name, "rate" if name == "gyro" else "accel", unit or si)
-        notes.append(finding("export.nominal", "info", triad=what, name=name, unit=triad.unit_in))
+    if triad is None:  # readings in a physical unit, made SI and left alone otherwise
+        what, quantity = "gyroscopes" if name == "gyro" else "accelerometers", calibration.triad(name).quantity
+        known = canonical_unit(unit or SI_UNIT[quantity], quantity)
+        if not is_physical(known):
+            raise InputError(
+                f"export: wanted a physical unit of the {name}, which has no model, got {unit}; calibrate it, or name the unit "
+                "that the firmware hands over"
+            )
+        triad = constants_of(calibration, name, known)
+        notes.append(finding("export.nominal", "info", triad=what, name=name, unit=known))
     return triad
 
 
@@ -267,7 +272,7 @@ def _source(
     pairs: list[Pair], calibration: Calibration, settings: CSettings, lead: Lead | None
 ) -> tuple[str, dict[Arithmetic, int]]:
     printer = Printer(settings.prefix)
-    tables = [table for triad, _ in pairs for _, table in triad.named_tables]
+    tables = [table for triad, _ in pairs for _, table in named_tables(triad)]
     axes = [axis for table in tables for _, axis in _axes(table)]
     text = _environment().get_template("undrift.c.j2").render(
         title=_title(calibration), header=settings.header_name, p=settings.prefix, P=settings.prefix.upper(),
@@ -275,7 +280,7 @@ def _source(
         any_even=any(axis.even for axis in axes), any_search=any(not axis.even for axis in axes),
         any_line=any(table.turn_rate is None for table in tables),
         any_plane=any(table.turn_rate is not None for table in tables),
-        ints=printer.ints, reals_of=printer.reals, axes_of=_axes, places=int,
+        tables_of=named_tables, ints=printer.ints, reals_of=printer.reals, axes_of=_axes, places=int,
         lead=lead, literal=literal, lookup=printer.lookup,
     )  # fmt: skip
     return re.sub(r"\n{3,}", "\n\n", text), printer.sizes

@@ -1,206 +1,74 @@
-"""A calibration as firmware evaluates it: SI per raw unit, offsets that hold the rounding's half step, tables on findable grids.
+"""The constants of correction (correction/plan.py) as firmware evaluates them: tables on findable grids, and all of it in integers.
 
-A table whose nodes are whole multiples of one step is put on the even grid that holds them all (``even_nodes``), where the
-cell is found by one multiplication; one that would more than double its memory that way keeps its nodes, and the cell is
-found by bisection in a number of steps that depends on the table alone. Either way a lookup takes constant time.
+A table whose nodes are whole multiples of one step is put on the even grid that holds them all, where the cell is found by one
+multiplication; one that would more than double its memory that way keeps its nodes, and the cell is found by bisection in a
+number of steps that depends on the table alone. Either way a lookup takes constant time.
 
 Then the same in integers with its error bound, the cost of each build, and the lead that removes a thermometer's lag.
 """
 
 import math
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import dataclass, replace
+from typing import Any, Literal
 
 import numpy as np
 
 from undrift.arrays import FloatArray, IntArray
-from undrift.correction.plan import even_nodes
+from undrift.correction.plan import Axis, Constants, Table, constants_of
 from undrift.errors import InputError
-from undrift.model import Calibration, DriftTables, TriadModel
-from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, Quantity, canonical_unit, is_physical, si_factor
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Axis:
-    """One axis of a table."""
-
-    nodes: FloatArray  # (n,), increasing
-    even: bool  # True where the nodes are evenly spaced
-
-    @property
-    def cells(self) -> int:
-        """Number of cells."""
-        return len(self.nodes) - 1
-
-    @property
-    def start(self) -> float:
-        """First node."""
-        return float(self.nodes[0])
-
-    @property
-    def stop(self) -> float:
-        """Last node."""
-        return float(self.nodes[-1])
-
-    @property
-    def inverse(self) -> FloatArray:
-        """One over the width of each cell, shape (cells,), or of all, shape (1,), where they are even."""
-        width = np.diff(self.nodes)
-        return np.array([self.cells / (self.stop - self.start)]) if self.even else 1.0 / width
-
-    @property
-    def stride(self) -> int:
-        """First stride of the bisection: the largest power of two below the number of cells, at least 1."""
-        return 1 << max(0, (self.cells - 1).bit_length() - 1)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Table:
-    """Values over temperature, or over temperature and rate."""
-
-    temp: Axis  # Temperatures, degC
-    turn_rate: Axis | None = None  # Rates, rad/s; None for a table over temperature alone
-    values: FloatArray  # (n, c), c values at each node
-
+from undrift.model import SENSORS, Calibration
+from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
 TABLES = ("offset_table", "matrix_table", "error_table", "warm_up_table")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Triad:
-    """One triad as firmware evaluates it."""
-
-    name: str  # gyro or accel
-    unit_in: str  # Unit of the reading
-    matrix: FloatArray  # (3, 3), SI per raw unit
-    offset: FloatArray  # (3,), raw unit; less half a step where codes are rounded down
-    half_step: FloatArray | None  # (3,), raw unit; None unless codes are cut off toward zero
-    g_sensitivity: FloatArray | None  # (3, 3), rad/s per m/s2
-    offset_table: Table | None = None  # In the same units
-    matrix_table: Table | None = None
-    error_table: Table | None = None
-    # Extra offset over the time since power-on, s, in the place of the temperature; zero from its last node on
-    warm_up_table: Table | None = None
-
-    @property
-    def named_tables(self) -> list[tuple[str, Table]]:
-        """The tables that there are, by name."""
-        return [(name, getattr(self, name)) for name in TABLES if getattr(self, name) is not None]
-
-    @property
-    def tables(self) -> list[Table]:
-        """Those over temperature."""
-        return [table for name, table in self.named_tables if name != "warm_up_table"]
-
-    @property
-    def largest_offset(self) -> float:
-        """What may come off a reading at most, raw unit."""
-        most = float(np.abs(self.offsets).max())
-        return most if self.warm_up_table is None else most + float(np.abs(self.warm_up_table.values).max())
-
-    @property
-    def matrices(self) -> FloatArray:
-        """Every matrix that the triad may use, shape (n, 3, 3)."""
-        return self.matrix[None] if self.matrix_table is None else self.matrix_table.values.reshape(-1, 3, 3)
-
-    @property
-    def offsets(self) -> FloatArray:
-        """Every offset that the triad may use, shape (n, 3)."""
-        return self.offset[None] if self.offset_table is None else self.offset_table.values
+def named_tables(constants: Constants) -> list[tuple[str, Table]]:
+    """Return the tables that firmware has, by name."""
+    return [(name, getattr(constants, name)) for name in TABLES if getattr(constants, name) is not None]
 
 
-def triads_of(calibration: Calibration) -> tuple[Triad | None, Triad | None]:
+def triads_of(calibration: Calibration) -> tuple[Constants | None, Constants | None]:
     """Return gyroscopes and accelerometers as firmware evaluates them."""
     if calibration.gyro is None and calibration.accel is None:
         raise InputError("export: wanted a model of gyroscopes or accelerometers, got neither; calibrate first")
-    gyro = None if calibration.gyro is None else _triad(calibration, calibration.gyro, "gyro")
-    accel = None if calibration.accel is None else _triad(calibration, calibration.accel, "accel")
+    gyro, accel = (
+        None if triad.model is None else _on_grids(constants_of(calibration, name))
+        for name, triad in zip(SENSORS, calibration.triads, strict=True)
+    )
     return gyro, accel
 
 
-def _triad(calibration: Calibration, model: TriadModel, name: str) -> Triad:
-    is_gyro = name == "gyro"
-    out = si_factor(model.unit_out, "rate" if is_gyro else "accel")
-    drift = calibration.drift or DriftTables()
-    static, scale, dynamic = drift.static, drift.scale, drift.dynamic
-    half_step, shift = rounding_of(calibration, is_gyro=is_gyro)
-    tables: dict[str, Table] = {}
-    if static is not None and getattr(static, f"{name}_offset") is not None:
-        tables["offset_table"] = _table(getattr(static, f"{name}_offset") - shift, static.temp_c)
-    if scale is not None and getattr(scale, f"{name}_matrix") is not None:
-        tables["matrix_table"] = _table(getattr(scale, f"{name}_matrix").reshape(-1, 9) * out, scale.temp_c)
-    if is_gyro and dynamic is not None:
-        tables["error_table"] = _table(dynamic.error, dynamic.temp_c, dynamic.turn_rate)
-    if is_gyro and static is not None and static.warm_up is not None:
-        tables["warm_up_table"] = _table(static.warm_up.gyro_offset, static.warm_up.power_on_s)
-    made = Triad(
-        name=name,
-        unit_in=model.unit_in,
-        matrix=model.matrix * out,
-        offset=model.offset - shift,
-        half_step=half_step,
-        g_sensitivity=model.g_sensitivity * out if is_gyro and model.g_sensitivity is not None else None,
-        **tables,
-    )
-    parts = [made.matrix, *(table.values for _, table in made.named_tables), made.half_step, made.g_sensitivity]
-    parts += [made.offset] if made.offset_table is None else []
+def _on_grids(constants: Constants) -> Constants:
+    """Return the constants with findable tables; NaN in any of them is refused."""
+    tables = named_tables(constants)
+    parts = [constants.matrix, *(table.values for _, table in tables), constants.half_step, constants.g_sensitivity]
+    parts += [constants.offset] if constants.offset_table is None else []
     missing = sum(int(np.isnan(part).sum()) for part in parts if part is not None)
     if missing:
         raise InputError(
-            f"export: wanted numbers throughout the model of the {name}, got {missing} NaN; calibrate what is missing",
+            f"export: wanted numbers throughout the model of the {constants.name}, got {missing} NaN; calibrate what is missing",
             missing=missing,
         )
-    return made
+    findable: dict[str, Any] = {name: table.evened(lambda nodes: 2 * len(nodes) + 8) for name, table in tables}
+    return replace(constants, **findable)
 
 
-def nominal_triad(name: str, quantity: Quantity, unit: str) -> Triad:
-    """Return the triad of a device without a model: readings in a physical unit, made SI and left alone otherwise."""
-    if not is_physical(canonical_unit(unit, quantity)):
-        raise InputError(
-            f"export: wanted a physical unit of the {name}, which has no model, got {unit}; calibrate it, or name the unit that "
-            "the firmware hands over"
-        )
-    return Triad(
-        name=name,
-        unit_in=canonical_unit(unit, quantity),
-        matrix=np.eye(3) * si_factor(unit, quantity),
-        offset=np.zeros(3),
-        half_step=None,
-        g_sensitivity=None,
-    )
+def stride_of(axis: Axis) -> int:
+    """Return the first stride of a bisection: the largest power of two below the number of cells, at least 1."""
+    return 1 << max(0, (axis.cells - 1).bit_length() - 1)
 
 
-def rounding_of(calibration: Calibration, *, is_gyro: bool) -> tuple[FloatArray | None, FloatArray]:
-    """Return the half step of codes cut off toward zero, and the shift of codes rounded down; both (3,)."""
-    adc, zero = calibration.adc, np.zeros(3)
-    lsb = None if adc is None else adc.gyro_lsb if is_gyro else adc.accel_lsb
-    if adc is None or lsb is None:
-        return None, zero
-    mode = adc.gyro_rounding if is_gyro else adc.accel_rounding
-    return (0.5 * lsb if mode == "toward_zero" else None), (0.5 * lsb if mode == "floor" else zero)
+def matrices_of(constants: Constants) -> FloatArray:
+    """Return every matrix that a triad may use, shape (n, 3, 3)."""
+    table = constants.matrix_table
+    return constants.matrix[None] if table is None else table.values.reshape(-1, 3, 3)
 
 
-def _axis(nodes: FloatArray) -> Axis:
-    fine = even_nodes(nodes)
-    if fine is None or len(fine) > 2 * len(nodes) + 8:
-        return Axis(nodes=nodes, even=False)
-    return Axis(nodes=fine, even=True)
-
-
-def _filled(axis: Axis, nodes: FloatArray, values: FloatArray) -> FloatArray:
-    """Values at the axis' nodes: the given ones where they were given, the straight line between."""
-    if len(axis.nodes) == len(nodes):
-        return values
-    flat = values.reshape(len(nodes), -1)
-    filled = np.column_stack([np.interp(axis.nodes, nodes, column) for column in flat.T])
-    return filled.reshape(len(axis.nodes), *values.shape[1:])
-
-
-def _table(values: FloatArray, temp_c: FloatArray, turn_rate: FloatArray | None = None) -> Table:
-    temp, rate = _axis(temp_c), None if turn_rate is None else _axis(turn_rate)
-    if turn_rate is not None and rate is not None:
-        values = np.moveaxis(_filled(rate, turn_rate, np.moveaxis(values, 1, 0)), 0, 1)
-    return Table(temp=temp, turn_rate=rate, values=_filled(temp, temp_c, values))
+def largest_offset(constants: Constants) -> float:
+    """Return what may come off a reading at most, raw unit."""
+    table, warm_up = constants.offset_table, constants.warm_up_table
+    most = float(np.abs(constants.offset if table is None else table.values).max())
+    return most if warm_up is None else most + float(np.abs(warm_up.values).max())
 
 
 # ---- Fixed point
@@ -253,10 +121,10 @@ class FixedTriad:
     matrix: IntArray  # Constants; unused where there is a table
     offset: IntArray
     matrix_bits: int  # Bits behind the point of the matrix
-    half_step: IntArray | None  # As in ``Triad``
+    half_step: IntArray | None  # As in ``Constants``
     g_sensitivity: IntArray | None
     g_bits: int  # Bits behind the point of the g-sensitivity
-    offset_table: FixedTable | None  # As in ``Triad``
+    offset_table: FixedTable | None  # As in ``Constants``
     matrix_table: FixedTable | None
     error_table: FixedTable | None
     warm_up_table: FixedTable | None
@@ -269,19 +137,24 @@ class FixedTriad:
 
 
 def fixed_triad(
-    triad: Triad, *, raw_bits: int | None, full: float, accel_bound: FloatArray | None = None, accel_full: float = 0.0
+    triad: Constants,
+    *,
+    raw_bits: int | None,
+    full: float,
+    accel_bound: FloatArray | None = None,
+    accel_full: float = 0.0,
 ) -> FixedTriad:
     """Return a triad in integers with its error bound: accel_bound (3,) m/s2."""
     # bits behind the point of a reading: 16, or what leaves codes of twice the largest offset room
-    raw = max(0, min(16, 30 - math.frexp(triad.largest_offset)[1])) if raw_bits is None else raw_bits
-    bits = min(_bits_of(triad.matrices), MOST_SHIFT + OUT_BITS - raw)
+    raw = max(0, min(16, 30 - math.frexp(largest_offset(triad))[1])) if raw_bits is None else raw_bits
+    bits = min(_bits_of(matrices_of(triad)), MOST_SHIFT + OUT_BITS - raw)
     if raw + bits - OUT_BITS < 1:
-        largest = float(np.abs(triad.matrices).max())
+        largest = float(np.abs(matrices_of(triad)).max())
         raise InputError(
             f"fixed point, {triad.name}: wanted gains that 32 bits hold, got {largest:.3g} SI per {triad.unit_in}; use float"
         )
     half = 0.0 if triad.half_step is None else float(np.abs(triad.half_step).max())
-    largest = max(half, triad.largest_offset)
+    largest = max(half, largest_offset(triad))
     if largest * 2.0**raw >= 2.0**30:
         raise InputError(
             f"fixed point, {triad.name}: wanted offsets that leave room in 32 bits with {raw} bits behind the point, got "
@@ -369,7 +242,7 @@ def _rounded(x: FloatArray, bits: int) -> IntArray:
 
 
 def _bound(
-    triad: Triad,
+    triad: Constants,
     tables: dict[str, FixedTable | None],
     bits: tuple[int, int, int],
     full: float,
@@ -378,11 +251,12 @@ def _bound(
     """Sum of the worst cases, step by step."""
     of_offset, of_matrix, of_error, of_warm_up = (tables[name] for name in TABLES)
     raw, matrix, g = (2.0**-b for b in bits)
-    out, gain = 2.0**-OUT_BITS, np.abs(triad.matrices).max(axis=0)
+    out, matrices = 2.0**-OUT_BITS, matrices_of(triad)
+    gain = np.abs(matrices).max(axis=0)
     g_sensitivity = np.zeros((3, 3)) if triad.g_sensitivity is None else np.abs(triad.g_sensitivity)
     e = np.zeros(3) if triad.error_table is None else np.abs(triad.error_table.values).max(axis=(0, 1))
     measured = full + e + g_sensitivity.sum(axis=1) * accel[1]  # before steps 4 and 5
-    reading = np.abs(np.linalg.inv(triad.matrices)).max(axis=0) @ measured
+    reading = np.abs(np.linalg.inv(matrices)).max(axis=0) @ measured
     u = (HALF * raw if of_offset is None else of_offset.error) + (0.0 if triad.half_step is None else HALF * raw)
     u = u if of_warm_up is None else u + of_warm_up.error
     m = np.full((3, 3), HALF * matrix) if of_matrix is None else of_matrix.error.reshape(3, 3)
@@ -441,13 +315,13 @@ class Cost:
         return self.table_bytes + self.code_bytes
 
 
-def cost_of(triads: tuple[Triad, ...], arithmetic: Arithmetic, table_bytes: int, *, lead: bool = False) -> Cost:
+def cost_of(triads: tuple[Constants, ...], arithmetic: Arithmetic, table_bytes: int, *, lead: bool = False) -> Cost:
     """Return what a build costs."""
     steps = {name: row[("float", "double", "fixed").index(arithmetic)] for name, row in STEPS.items()}
     cycles, code = steps["call"], steps["code_base"] + steps["code_lead"] * lead
 
     def place(axis: Axis) -> int:
-        return steps["place"] + (0 if axis.even else axis.stride.bit_length() * steps["stride"])
+        return steps["place"] + (0 if axis.even else stride_of(axis).bit_length() * steps["stride"])
 
     for triad in triads:
         code += steps["code_triad"] + steps["code_table"] * len(triad.tables)

@@ -34,9 +34,10 @@ import numpy as np
 
 from undrift.arrays import FloatArray
 from undrift.calibration.noise import NoiseFit
+from undrift.correction.plan import Constants, Table
 from undrift.errors import FileFormatError, InputError
 from undrift.export import Target
-from undrift.export.firmware import Table, Triad, triads_of
+from undrift.export.firmware import triads_of
 from undrift.export.losses import Exported, Part, losses, texts_of
 from undrift.findings import Finding, finding
 from undrift.io.store import calibration_text
@@ -50,13 +51,13 @@ from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, canonical_unit, i
 class ConstantPair:
     """Both triads at one temperature."""
 
-    gyro: Triad | None  # SI = matrix (reading - offset) - g_sensitivity a; None where the calibration has no model
-    accel: Triad | None
+    gyro: Constants | None  # SI = matrix (reading - offset) - g_sensitivity a; None where the calibration has no model
+    accel: Constants | None
     temp_c: float  # Where tables were read; NaN where there are none and the reference temperature is not known
     notes: tuple[Finding, ...]  # What was frozen
 
 
-def constants_of(calibration: Calibration, temp_c: float | None = None) -> ConstantPair:
+def pair_at(calibration: Calibration, temp_c: float | None = None) -> ConstantPair:
     """Return both triads at one temperature; at the reference temperature by default."""
     gyro, accel = triads_of(calibration)
     held = [table for triad in (gyro, accel) if triad is not None for table in (triad.offset_table, triad.matrix_table)]
@@ -78,7 +79,7 @@ def constants_of(calibration: Calibration, temp_c: float | None = None) -> Const
     )
 
 
-def _at(triad: Triad, temp: float) -> Triad:
+def _at(triad: Constants, temp: float) -> Constants:
     def read(table: Table) -> FloatArray:
         return np.array([np.interp(temp, table.temp.nodes, column) for column in table.values.T])
 
@@ -115,7 +116,7 @@ def export_fusion(calibration: Calibration, *, temp_c: float | None = None) -> E
     InputError
         No model, NaN in it, or a temperature outside its tables.
     """
-    pair = constants_of(calibration, temp_c)
+    pair = pair_at(calibration, temp_c)
     lines = [
         "/* FusionModelInertial(reading, misalignment, sensitivity, offset): gyroscope deg/s, accelerometer g. */",
         "#include <Fusion.h>",
@@ -181,7 +182,7 @@ def export_imucal(calibration: Calibration, *, temp_c: float | None = None) -> E
     InputError
         A triad without a model, NaN in it, or a temperature outside its tables.
     """
-    pair = constants_of(calibration, temp_c)
+    pair = pair_at(calibration, temp_c)
     if pair.gyro is None or pair.accel is None:
         raise InputError("export imucal: wanted gyroscopes and accelerometers, got one of them; calibrate both")
     forward_a, forward_g = np.linalg.inv(pair.accel.matrix), np.linalg.inv(pair.gyro.matrix / RADIAN_PER_DEGREE)
@@ -351,7 +352,7 @@ def export_ros(calibration: Calibration, *, temp_c: float | None = None) -> Expo
     >>> exported.text.splitlines()[0]
     '# accel = accel_matrix (raw - accel_offset), m/s2'
     """
-    pair = constants_of(calibration, temp_c)
+    pair = pair_at(calibration, temp_c)
     lines = [
         "# accel = accel_matrix (raw - accel_offset), m/s2",
         "# gyro = gyro_matrix (raw - gyro_offset) - gyro_g_sensitivity accel, rad/s",
