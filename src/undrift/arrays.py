@@ -29,3 +29,10 @@ def frozen(x: ArrayLike, shape: tuple[int | None, ...], name: str) -> FloatArray
         raise InputError(f"{name}: wanted finite numbers or NaN for a gap, got infinity; repair the file")
     array.flags.writeable = False
     return array
+
+
+def window_sums(values: FloatArray, width: int) -> FloatArray:
+    """Return the sum over every window of ``width`` neighbouring rows of values (N, C): (N - width + 1, C)."""
+    total = np.zeros((len(values) + 1, values.shape[1]))
+    np.cumsum(values, axis=0, out=total[1:])
+    return np.asarray(total[width:] - total[:-width])

@@ -35,7 +35,7 @@ import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray, frozen
 from undrift.correction.consistency import check_triads
-from undrift.correction.rest import FEWEST, first_rest, force_covariances, mean_variance, no_rest
+from undrift.correction.rest import FEWEST, force_covariances, mean_variance, no_rest, rests_from_first
 from undrift.errors import InputError
 from undrift.findings import Finding, finding
 from undrift.frames import quaternion_conjugate, quaternion_product, rotate
@@ -492,10 +492,9 @@ def _rests(record: Record, named: Still | None, *, every: bool) -> tuple[Still, 
     """Return the still phases: those found and the named one, or the named one alone where no others are needed."""
     if named is not None and not every:
         return (named,)
-    found = find_still(record, StillSettings())
     if not every:
-        first = first_rest(record, "orient")
-        return first, *(one for one in found.stills if one.start >= first.stop)
+        return rests_from_first(record, "orient")
+    found = find_still(record, StillSettings())
     found = found if found.stills else find_still(record)  # of a worn recording: adapts
     stills = [one for one in found.stills if named is None or one.stop <= named.start or one.start >= named.stop]
     if named is not None:

@@ -21,7 +21,7 @@ from typing import Literal
 
 import numpy as np
 
-from undrift.arrays import BoolArray, FloatArray, IntArray
+from undrift.arrays import BoolArray, FloatArray, IntArray, window_sums
 from undrift.errors import InputError
 from undrift.record import FACES, Axis, Face, Record, Still, Turn
 from undrift.units import RADIAN_PER_DEGREE, is_physical, si_factor
@@ -233,24 +233,18 @@ def sliding_moments(values: FloatArray, window: int, smooth: int) -> tuple[Float
     """Return the mean (M, 3) and the spread (M,) of every window of a smoothed triad (N, 3)."""
     gap: BoolArray = np.asarray(np.isnan(values).any(axis=1))
     centre = values[~gap].mean(axis=0) if (~gap).any() else np.zeros(3)
-    smoothed = _running_mean(np.where(gap[:, None], 0.0, values - centre), smooth)
-    mean = _running_mean(smoothed, window)
-    variance = (_running_mean(smoothed * smoothed, window) - mean * mean).sum(axis=1)
+    smoothed = window_sums(np.where(gap[:, None], 0.0, values - centre), smooth) / smooth
+    mean = window_sums(smoothed, window) / window
+    variance = (window_sums(smoothed * smoothed, window) / window - mean * mean).sum(axis=1)
     spread = np.sqrt(np.maximum(variance, 0.0))
     if gap.any():
-        spread[_running_mean(gap.astype(float)[:, None], window + smooth - 1)[:, 0] > 0.0] = np.inf
+        spread[window_sums(gap.astype(float)[:, None], window + smooth - 1)[:, 0] > 0.0] = np.inf
     return mean + centre, spread
 
 
 def sample_count(seconds: float, sample_rate_hz: float) -> int:
     """Return a length of time in samples, two at least."""
     return max(2, round(seconds * sample_rate_hz))
-
-
-def _running_mean(values: FloatArray, width: int) -> FloatArray:
-    total = np.zeros((len(values) + 1, values.shape[1]))
-    np.cumsum(values, axis=0, out=total[1:])
-    return np.asarray((total[width:] - total[:-width]) / width)
 
 
 def _threshold(triad: _Moments, settings: StillSettings, *, over_noise: bool) -> StillThreshold:

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from undrift.arrays import BoolArray, FloatArray, IntArray
+from undrift.arrays import BoolArray, FloatArray, IntArray, window_sums
 from undrift.errors import AlignmentError, InputError
 from undrift.frames import quaternion_conjugate, quaternion_of, quaternion_product, rotation_vector
 from undrift.record import Record, Reference
@@ -75,12 +75,6 @@ class RunningIntegral:
         dt = t - self.time[k]
         slope = (self._values[k + 1] - self._values[k]) / (self.time[k + 1] - self.time[k])[:, None]
         return k, self._sum[k] + self._values[k] * dt[:, None] + 0.5 * slope * (dt * dt)[:, None]
-
-
-def box_sums(values: FloatArray, width: int) -> FloatArray:
-    """Return sums over every run of ``width`` rows of values (K, C)."""
-    total = np.concatenate((np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)))
-    return np.asarray(total[width:] - total[:-width])
 
 
 # ---- coarse lag: where the lengths of the two rates correlate best, over a wide search and with gaps masked
@@ -328,8 +322,8 @@ def _averaged(rates: PoseRates, average_s: float) -> PoseRates:
     """Return the rates averaged over runs of neighbouring steps that are all valid."""
     step = rates.stop - rates.start
     width = max(1, round(average_s / float(np.median(step))))
-    turn = box_sums(rates.rate * step[:, None], width)
-    whole = box_sums(rates.valid[:, None].astype(float), width)[:, 0] > width - 0.5
+    turn = window_sums(rates.rate * step[:, None], width)
+    whole = window_sums(rates.valid[:, None].astype(float), width)[:, 0] > width - 0.5
     start, stop = rates.start[: len(whole)][whole], rates.stop[width - 1 :][whole]
     return PoseRates(start=start, stop=stop, rate=turn[whole] / (stop - start)[:, None], valid=whole[whole])
 

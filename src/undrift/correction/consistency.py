@@ -294,25 +294,31 @@ LEAST_LEFT, REVERSED = 0.02 * STANDARD_GRAVITY, 0.25  # m/s2 as read, and the sh
 UNKNOWN_DEPARTURE_K = 10.0  # where recording or calibration has no temperature
 
 
-def check_corrected(record: Record, calibration: Calibration, raw: Record) -> tuple[Finding, ...]:
+def check_corrected(
+    record: Record, calibration: Calibration, raw: Record, stills: tuple[Still, ...] | None = None
+) -> tuple[Finding, ...]:
     """Return what speaks against a corrected record's columns, its range or its calibration; raise where it is clear.
 
-    The size of the specific force is not looked at but at rest: the readings may be of a model, not of a motion.
+    The size of the specific force is not looked at but at rest: the readings may be of a model, not of a motion. ``stills`` are
+    its still phases where they are known.
     """
     from undrift.io.inspect import find_saturated
 
     both = calibration.gyro is not None and calibration.accel is not None  # else they are in frames of their own
-    return (*find_saturated(raw), *(_agreeing(record) if both else ()), *check_device(record, calibration))
+    return (*find_saturated(raw), *(_agreeing(record) if both else ()), *check_device(record, calibration, stills))
 
 
-def check_device(record: Record, calibration: Calibration) -> tuple[Finding, ...]:
+def check_device(
+    record: Record, calibration: Calibration, stills: tuple[Still, ...] | None = None
+) -> tuple[Finding, ...]:
     """Return what rests of a corrected record say against its calibration: |a| - g and the mean rate, by their uncertainty."""
     record = record.in_si().between(record.time[0], record.time[0] + REST_LOOKED_AT_S)
-    try:
-        rests = find_still(record, StillSettings()).stills
-    except InputError:  # shorter than a window
-        return ()
-    rests = tuple(one for one in rests if _whole(record, one))
+    if stills is None:
+        try:
+            stills = find_still(record, StillSettings()).stills
+        except InputError:  # shorter than a window
+            return ()
+    rests = tuple(one for one in stills if one.stop <= len(record) and _whole(record, one))
     if not rests:
         return ()
     departure = _departure_k(record, calibration)

@@ -46,7 +46,7 @@ from undrift.correction.rest import RestOffset, find_rest_offset, force_uncertai
 from undrift.drift.hysteresis import TempHistory
 from undrift.errors import InputError
 from undrift.findings import Finding
-from undrift.model import Calibration
+from undrift.model import Calibration, DriftTables
 from undrift.record import ForceUncertainty, Record
 
 Buffers: TypeAlias = tuple[FloatArray, FloatArray]  # rate, rad/s, and specific force, m/s2, (N, 3)
@@ -225,7 +225,7 @@ def correct(
     ('rad/s', 'm/s2', 'b')
     """
     corrected = correct_whole(record, calibration, (power_on_s, temp_history), offset, policy=policy, out=out)
-    found = check_corrected(corrected.record, calibration, record) if check else ()
+    found = _suspicions(corrected, calibration, record) if check else ()
     for text in (*(one.text for one in found), *corrected.warnings):
         warnings.warn(text, DriftRangeWarning, stacklevel=2)
     return corrected.record
@@ -291,7 +291,12 @@ def correct_checked(
     start = (power_on_s, temp_history)
     how = {"policy": policy, "reference_span_c": reference_span_c, "threads": threads}
     done = correct_whole(record, calibration, start, offset, **how)
-    return replace(done, findings=(*check_corrected(done.record, calibration, record), *done.findings))
+    return replace(done, findings=(*_suspicions(done, calibration, record), *done.findings))
+
+
+def _suspicions(done: Corrected, calibration: Calibration, record: Record) -> tuple[Finding, ...]:
+    """Return what speaks against a record or its calibration; still phases that step 6 has found are not looked for again."""
+    return check_corrected(done.record, calibration, record, None if done.rest is None else done.rest.stills)
 
 
 def correct_whole(
@@ -337,13 +342,10 @@ def correct_planned(
     """Correct a record with plans made beforehand, as a stream has them."""
     conditions, coming = conditions_of(record, calibration, plans, carry)
     temp_c = conditions.temp_c
-    before, missing = carry.last_time, np.zeros(len(record), dtype=bool)
-    if has_tables(plans) and np.isnan(temp_c.min()):  # a least value is NaN where any is
-        missing = np.isnan(temp_c)
-    drift = calibration.drift
-    static, lagged = (None, False) if drift is None else (drift.static, drift.lag_s > 0.0)
-    allowed = policy != "raise"
-    outside = coverage.find_outside(record, temp_c, plans, allowed=allowed, static=static, lagged=lagged, before=before)
+    # A least value is NaN where any is. Masks stay None where nothing is marked: most records need no second pass over them.
+    before, missing = carry.last_time, np.isnan(temp_c) if has_tables(plans) and np.isnan(temp_c.min()) else None
+    drift, allowed = calibration.drift or DriftTables(), policy != "raise"
+    outside = coverage.find_outside(record, temp_c, plans, drift, allowed=allowed, before=before)
     outputs = _buffers(len(record), plans, out)
 
     def evaluate(start: int, stop: int) -> coverage.Span:
@@ -351,7 +353,7 @@ def correct_planned(
 
     spans = in_pieces(evaluate, len(record), threads)
     extrapolated, stated = coverage.find_extrapolated(record, temp_c, plans, outputs, threads)
-    if policy == "nan" and outside.any():
+    if policy == "nan" and outside is not None:
         for plan, values in zip(plans, outputs, strict=True):
             if plan is not None and plan.tables is not None:
                 values[outside] = np.nan
@@ -367,9 +369,9 @@ def correct_planned(
     )
     return Corrected(
         record=_adopted(record, plans, outputs, force_uncertainty(calibration, record.accel_unit)),
-        outside=outside,
-        extrapolated=extrapolated,
-        missing=missing,
+        outside=_whole_mask(outside, len(record)),
+        extrapolated=_whole_mask(extrapolated, len(record)),
+        missing=_whole_mask(missing, len(record)),
         findings=(
             *coverage.coverage_findings(reach, calibration, reference_span_c),
             *coverage.model_findings(record, calibration, coming),
@@ -377,6 +379,10 @@ def correct_planned(
         reach=reach,
         carry=coming,
     )
+
+
+def _whole_mask(mask: BoolArray | None, n: int) -> BoolArray:
+    return np.zeros(n, dtype=bool) if mask is None else mask
 
 
 def _buffers(n: int, plans: Plans, out: Buffers | None) -> Buffers:

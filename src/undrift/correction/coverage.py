@@ -22,9 +22,9 @@ from undrift.correction.plan import Carry, Kind, MarkedTable, Plans, flat, has_t
 from undrift.drift.hysteresis import uncertain_share
 from undrift.errors import DriftRangeError
 from undrift.findings import Finding, finding
-from undrift.model import BEYOND_SEEN_C, Calibration, StaticDrift, TriadModel
+from undrift.model import BEYOND_SEEN_C, Calibration, DriftTables, StaticDrift, TriadModel
 from undrift.record import Record
-from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, Quantity, si_factor
+from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, si_factor
 
 Span = tuple[float, float]  # least and greatest
 NOWHERE: Span = (np.inf, -np.inf)
@@ -59,12 +59,12 @@ class Reach:
         )
 
 
-def seconds_of(mask: BoolArray, time: FloatArray, before: float | None) -> float:
+def seconds_of(mask: BoolArray | None, time: FloatArray, before: float | None) -> float:
     """Return how long marked samples last, each t_k - t_(k-1) by their own clock; mask and time (N,), time s.
 
     Times are put on a grid of 2^-30 s first. Sums of such steps are exact up to 97 days: chunks of a stream give the batch's bits.
     """
-    if not mask.any():
+    if mask is None or not mask.any():
         return 0.0
     first = 2.0 * time[0] - time[1] if before is None else before
     ticks = np.round(np.concatenate(([first], time)) * TICKS_PER_S)
@@ -75,27 +75,23 @@ def seconds_of(mask: BoolArray, time: FloatArray, before: float | None) -> float
 
 
 def find_outside(
-    record: Record,
-    temp_c: FloatArray,
-    plans: Plans,
-    *,
-    allowed: bool,
-    static: StaticDrift | None = None,
-    lagged: bool = False,
-    before: float | None = None,
-) -> BoolArray:
-    """Find the samples whose temperature lies beyond a tuning table; where that is refused, also beyond what the table saw."""
+    record: Record, temp_c: FloatArray, plans: Plans, drift: DriftTables, *, allowed: bool, before: float | None
+) -> BoolArray | None:
+    """Find the samples whose temperature lies beyond a tuning table; where that is refused, also beyond what the table saw.
+
+    None where there is no such sample.
+    """
     ranges = [plan.temp_range for plan in plans if plan is not None and plan.tables is not None]
     if not ranges:
-        return np.zeros(len(record), dtype=bool)
+        return None
     low, high = max(r[0] for r in ranges), min(r[1] for r in ranges)
-    if static is not None and not allowed:
-        seen = _seen(static)
-        beyond = BEYOND_SEEN_C * (2.0 if lagged else 1.0)  # subtracting a lag makes a thermometer noisier
+    if drift.static is not None and not allowed:
+        seen = _seen(drift.static)
+        beyond = BEYOND_SEEN_C * (2.0 if drift.lag_s > 0.0 else 1.0)  # subtracting a lag makes a thermometer noisier
         low, high = max(low, seen[0] - beyond), min(high, seen[1] + beyond)
     least, greatest = _extremes(temp_c)
     if least >= low and greatest <= high:
-        return np.zeros(len(record), dtype=bool)
+        return None
     mask = (temp_c < low) | (temp_c > high)
     if mask.any() and not allowed:
         raise DriftRangeError(
@@ -127,15 +123,15 @@ def _seen(static: StaticDrift) -> Span:
 
 def find_extrapolated(
     record: Record, temp_c: FloatArray, plans: Plans, corrected: tuple[FloatArray, FloatArray], threads: int | None
-) -> tuple[BoolArray, dict[Kind, float]]:
-    """Find the samples whose correction draws on nodes that no data were near; corrected (N, 3) each, SI."""
-    mask, stated = np.zeros(len(record), dtype=bool), dict.fromkeys(KINDS, 0.0)
+) -> tuple[BoolArray | None, dict[Kind, float]]:
+    """Find the samples whose correction draws on nodes that no data were near, None without such; corrected (N, 3), SI."""
+    stated = dict.fromkeys(KINDS, 0.0)
     tables = [
         (plan, table, values) for plan, values in zip(plans, corrected, strict=True) if plan for table in plan.marked
     ]
     if not tables:
-        return mask, stated
-    least, greatest = _extremes(temp_c)
+        return None, stated
+    mask, (least, greatest) = np.zeros(len(record), dtype=bool), _extremes(temp_c)
     for plan, table, values in tables:
         low, high = max(plan.temp_range[0], least), min(plan.temp_range[1], greatest)
         if not _may_meet(table, low, high):  # most records stay where data were near
@@ -170,8 +166,8 @@ def temperature_reach(temp_c: FloatArray, calibration: Calibration, plans: Plans
     """Return the least and greatest temperature, and how far they depart from that of constant offsets, degC."""
     reference = calibration.reference_temp_c
     constant = np.isfinite(reference) and any(
-        plan is not None and model is not None and (plan.tables is None or plan.tables.offset.size == 0)
-        for plan, model in zip(plans, (calibration.gyro, calibration.accel), strict=True)
+        plan is not None and triad.model is not None and (plan.tables is None or plan.tables.offset.size == 0)
+        for plan, triad in zip(plans, calibration.triads, strict=True)
     )
     if not len(temp_c) or not (has_tables(plans) or constant):
         return NOWHERE, 0.0
@@ -225,9 +221,9 @@ def _extrapolated(reach: Reach) -> Finding:
 def model_findings(record: Record, calibration: Calibration, carry: Carry) -> tuple[Finding, ...]:
     """Return what a reader of the corrected record may not expect."""
     found = [
-        finding("correct.no_model", "info", sensor=name)
-        for name, values, model in (("gyro", record.gyro, calibration.gyro), ("accel", record.accel, calibration.accel))
-        if values is not None and model is None
+        finding("correct.no_model", "info", sensor=triad.sensor)
+        for triad, values in zip(calibration.triads, (record.gyro, record.accel), strict=True)
+        if values is not None and triad.model is None
     ]
     if record.device and calibration.device and record.device != calibration.device:
         found.append(finding("correct.device", "warn", recorded=record.device, calibrated=calibration.device))
@@ -304,16 +300,12 @@ class Beyond:
 
 def find_beyond(record: Record, calibration: Calibration) -> tuple[Beyond, ...]:
     """Find the corrected readings beyond what the fits have seen: extrapolation, which non-linearity does not follow."""
-    triads: tuple[tuple[str, FloatArray | None, TriadModel | None, Quantity], ...] = (
-        ("gyro", record.gyro, calibration.gyro, "rate"),
-        ("accel", record.accel, calibration.accel, "accel"),
-    )
     found = []
-    for name, values, model, quantity in triads:
+    for triad, values in zip(calibration.triads, (record.gyro, record.accel), strict=True):
+        model = triad.model
         if values is None or model is None or not model.valid_range[0] < model.valid_range[1]:
             continue
-        factor = si_factor(model.unit_out, quantity)
-        seen = (model.valid_range[0] * factor, model.valid_range[1] * factor)
+        seen = (model.valid_range[0] * triad.si, model.valid_range[1] * triad.si)
         margin = MARGIN * max(abs(seen[0]), abs(seen[1]))
         low, high = seen[0] - margin, seen[1] + margin
         least, greatest = float(np.fmin.reduce(values, axis=None)), float(np.fmax.reduce(values, axis=None))
@@ -322,7 +314,7 @@ def find_beyond(record: Record, calibration: Calibration) -> tuple[Beyond, ...]:
             mask = (values < low) | (values > high)
             samples = int(np.count_nonzero(mask[:, 0] | mask[:, 1] | mask[:, 2]))
             worst = _furthest(least, greatest, seen)
-        found.append(Beyond(sensor=name, seen=seen, samples=samples, of=len(values), worst=worst))
+        found.append(Beyond(sensor=triad.sensor, seen=seen, samples=samples, of=len(values), worst=worst))
     return tuple(found)
 
 

@@ -13,7 +13,7 @@ and in twice as much until one ends there: a stream that is read in chunks finds
 """
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from typing import Any
 
@@ -41,6 +41,7 @@ class RestOffset:
     stop_s: float  # Last sample of it
     rate: FloatArray  # (3,), mean, rad/s, frame b
     covariance: FloatArray  # (3, 3), of the mean by the scatter of the readings, (rad/s)^2
+    stills: tuple[Still, ...] | None = None  # all that were found where it was looked for; None for a named stretch
 
     def __post_init__(self) -> None:
         for name, shape in (("rate", (3,)), ("covariance", (3, 3))):
@@ -131,9 +132,11 @@ def find_rest_offset(record: Record, stretch: Stretch = NAMED_NONE) -> RestOffse
     return _found(lambda span_s: (_head(record, span_s), len(record)), stretch)
 
 
-def first_rest(record: Record, what: str) -> Still:
-    """Return the first still phase of a record: the rest of every offset "rest"."""
-    return _first(lambda span_s: (_head(record, span_s), len(record)), what)[1]
+def rests_from_first(record: Record, what: str) -> tuple[Still, ...]:
+    """Return the first still phase of a record, the rest of every offset "rest", and those that follow it."""
+    head, stills = _first(lambda span_s: (_head(record, span_s), len(record)), what)
+    whole = stills if len(head) == len(record) else find_still(record, StillSettings()).stills
+    return stills[0], *(one for one in whole if one.start >= stills[0].stop)
 
 
 def find_rest_offset_in(chunks: Iterator[Record], stretch: Stretch = NAMED_NONE) -> RestOffset:
@@ -164,17 +167,19 @@ def _found(extended: Callable[[float], tuple[Record, int]], stretch: Stretch) ->
         head = _rotating(extended(FOUND_IN_S if stretch == NAMED_NONE else np.inf)[0])
     if (still := named_rest(head, stretch)) is not None:
         return rest_offset(head, still)
-    return rest_offset(*_first(extended, "correct"))
+    head, stills = _first(extended, "correct")
+    return replace(rest_offset(head, stills[0]), stills=stills)
 
 
-def _first(extended: Callable[[float], tuple[Record, int]], what: str) -> tuple[Record, Still]:
+def _first(extended: Callable[[float], tuple[Record, int]], what: str) -> tuple[Record, tuple[Still, ...]]:
+    """Return a head of the recording with a still phase that ends in it, and all still phases of that head."""
     span_s = FOUND_IN_S
     while True:
         head, known = extended(span_s)
         whole = len(head) == known  # nothing comes after it
         found = find_still(head, StillSettings())
         if found.stills and (whole or found.stills[0].stop < len(head)):
-            return head, found.stills[0]
+            return head, found.stills
         if whole:
             raise no_rest(what, found.reason)
         span_s *= 2.0

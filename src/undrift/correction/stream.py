@@ -37,9 +37,7 @@ class CorrectorState:
     samples_extrapolated: int = 0  # Of those, inside them at nodes that no data were near
     samples_without_temperature: int = 0  # Of those, without the temperature that the tables want
     reach: Reach = field(default_factory=Reach)  # How far temperature and rate went so far, where the calibration cares
-    carry: Carry = field(
-        default_factory=Carry
-    )  # Time of power-on, states of the thermometer's lag and of the hysteresis
+    carry: Carry = field(default_factory=Carry)  # Time of power-on, states of the lag and of the hysteresis
 
 
 class Corrector:

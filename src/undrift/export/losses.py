@@ -62,24 +62,21 @@ def losses(calibration: Calibration, carried: frozenset[Part]) -> tuple[Finding,
 
 
 def _parts(calibration: Calibration) -> Iterator[tuple[Part, Finding]]:
-    adc, gyro = calibration.adc, calibration.gyro
-    if adc is not None and "toward_zero" in (
-        adc.gyro_rounding if adc.gyro_lsb is not None else "",
-        adc.accel_rounding if adc.accel_lsb is not None else "",
-    ):
+    if any(triad.lsb is not None and triad.rounding == "toward_zero" for triad in calibration.triads):
         yield "rounding", finding("export.rounding", "warn")
-    triads: tuple[tuple[Any, Part, Part, str], ...] = (
-        (gyro, "gain", "cross", "gyroscopes"),
-        (calibration.accel, "accel gain", "accel cross", "accelerometers"),
+    parts: tuple[tuple[Part, Part, str], ...] = (
+        ("gain", "cross", "gyroscopes"),
+        ("accel gain", "accel cross", "accelerometers"),
     )
-    for model, gain, cross, triad in triads:
-        if model is not None:
-            yield gain, finding("export.gain", "warn", triad=triad)
-            diagonal = np.diag(model.matrix)
-            least, off = float(np.abs(diagonal).min()), float(np.abs(model.matrix - np.diag(diagonal)).max())
+    for triad, (gain, cross, name) in zip(calibration.triads, parts, strict=True):
+        if triad.model is not None:
+            yield gain, finding("export.gain", "warn", triad=name)
+            matrix, diagonal = triad.model.matrix, np.diag(triad.model.matrix)
+            least, off = float(np.abs(diagonal).min()), float(np.abs(matrix - np.diag(diagonal)).max())
             if off > 0.0:
                 most = off / least * 100.0 if least > 0.0 else float("inf")
-                yield cross, finding("export.cross", "warn", triad=triad, most_percent=most)
+                yield cross, finding("export.cross", "warn", triad=name, most_percent=most)
+    gyro = calibration.gyro
     if gyro is not None and gyro.g_sensitivity is not None:
         rate = np.abs(gyro.g_sensitivity).max() * si_factor(gyro.unit_out, "rate") / RADIAN_PER_DEGREE
         yield "g", finding("export.g_sensitivity", "warn", most_dps_per_g=rate * si_factor("g", "accel"))
@@ -96,16 +93,13 @@ def _tables(calibration: Calibration, drift: DriftTables) -> Iterator[tuple[Part
         if static.gyro_hysteresis is not None:
             gyro, half = calibration.gyro, static.gyro_hysteresis
             rate = half if gyro is None else half / gyro.scale_factor * si_factor(gyro.unit_out, "rate")
-            yield (
-                "hysteresis",
-                finding("export.hysteresis", "warn", half_width_dps=np.abs(rate).max() / RADIAN_PER_DEGREE),
-            )
+            widest = np.abs(rate).max() / RADIAN_PER_DEGREE
+            yield "hysteresis", finding("export.hysteresis", "warn", half_width_dps=widest)
         if static.warm_up is not None:
             yield "warm-up", finding("export.warm_up", "warn")
     if scale is not None:
-        diagonal = np.diagonal(
-            np.zeros((1, 3, 3)) if scale.gyro_matrix is None else scale.gyro_matrix, axis1=1, axis2=2
-        )
+        matrices = np.zeros((1, 3, 3)) if scale.gyro_matrix is None else scale.gyro_matrix
+        diagonal = np.diagonal(matrices, axis1=1, axis2=2)
         middle = np.abs(diagonal.mean(axis=0))
         if (middle > 0.0).all():
             change = float((np.ptp(diagonal, axis=0) / middle).max()) * 100.0
