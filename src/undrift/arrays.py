@@ -31,6 +31,12 @@ def frozen(x: ArrayLike, shape: tuple[int | None, ...], name: str) -> FloatArray
     return array
 
 
+def interpolated(x: ArrayLike, nodes: FloatArray, values: FloatArray) -> FloatArray:
+    """Return values (n, ...) over nodes (n,) at points x (N,) or one point: straight lines between, held at the ends."""
+    columns = [np.interp(x, nodes, column) for column in values.reshape(len(nodes), -1).T]
+    return np.stack(columns, axis=-1).reshape(*np.shape(x), *values.shape[1:])
+
+
 def window_sums(values: FloatArray, width: int) -> FloatArray:
     """Return the sum over every window of ``width`` neighbouring rows of values (N, C): (N - width + 1, C)."""
     total = np.zeros((len(values) + 1, values.shape[1]))

@@ -248,6 +248,12 @@ class Hysteresis:
             raise InputError(f"hysteresis: wanted crossing_k above 0 K, got {self.crossing_k:g}; leave the loop out")
 
 
+def seen_span(temp_c: FloatArray, extrapolated: BoolArray | None) -> tuple[float, float]:
+    """Return the first and last node (n,) that data were near, degC; without marks, or where all are marked, of all."""
+    nodes = temp_c if extrapolated is None or extrapolated.all() else temp_c[~extrapolated]
+    return float(nodes[0]), float(nodes[-1])
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class OverTemperature:
     """One sensor's part of a table over temperature, n nodes."""
@@ -447,6 +453,23 @@ class Provenance:
     settings: tuple[tuple[str, str], ...] = ()
     versions: tuple[tuple[str, str], ...] = ()
     created: str = ""
+
+    def text(self, name: str) -> str:
+        """Return a setting, empty where it was not made."""
+        return dict(self.settings).get(name, "")
+
+    def count(self, name: str, usual: int) -> int:
+        """Return a setting that counts something, or the usual number where it was not made."""
+        return int(self.text(name)) if self.text(name).isdigit() else usual
+
+    def number(self, name: str, usual: float) -> float:
+        """Return a setting that is a number, or the usual one where it was not made."""
+        return float(self.text(name) or usual)
+
+    def status(self, name: str) -> Status | None:
+        """Return a setting that begins with the status of a verdict, None where it was not made."""
+        known: dict[str, Status] = {"good": "good", "marginal": "marginal", "bad": "bad"}
+        return known.get(self.text(name).partition(" ")[0])
 
 
 def versions_used() -> tuple[tuple[str, str], ...]:

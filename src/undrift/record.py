@@ -712,6 +712,11 @@ class Session:
                     f"{piece.recording}; check start_s and stop_s"
                 )
 
+    @property
+    def begins_s(self) -> FloatArray:
+        """When each recording begins on the clock of the session, (R,), s: recordings follow each other without a pause."""
+        return np.cumsum([0.0, *(record.duration_s for record in self.records[:-1])])
+
 
 def check_local_gravity(gravity_m_s2: float, what: str) -> None:
     """Raise where a value cannot be gravity on Earth."""

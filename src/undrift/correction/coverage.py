@@ -22,7 +22,7 @@ from undrift.correction.plan import Carry, Kind, MarkedTable, Plans, flat, has_t
 from undrift.drift.hysteresis import uncertain_share
 from undrift.errors import DriftRangeError
 from undrift.findings import Finding, finding
-from undrift.model import BEYOND_SEEN_C, Calibration, DriftTables, StaticDrift, TriadModel
+from undrift.model import BEYOND_SEEN_C, Calibration, DriftTables, StaticDrift, TriadModel, seen_span
 from undrift.record import Record
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, si_factor
 
@@ -117,8 +117,7 @@ def _other_unit(least: float, greatest: float, table: Span) -> str:
 def _seen(static: StaticDrift) -> Span:
     """Return the first and last node that data were near; without marks, all; offsets of gyroscopes where there are some."""
     marks = static.gyro_extrapolated if static.gyro_extrapolated is not None else static.accel_extrapolated
-    nodes = static.temp_c if marks is None or marks.all() else static.temp_c[~marks]
-    return float(nodes[0]), float(nodes[-1])
+    return seen_span(static.temp_c, marks)
 
 
 def find_extrapolated(

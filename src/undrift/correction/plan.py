@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Literal, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
 
-from undrift.arrays import BoolArray, FloatArray
+from undrift.arrays import BoolArray, FloatArray, interpolated
 from undrift.drift.hysteresis import LoopState, TempHistory, follow_loop, state_of
 from undrift.drift.thermometer_lag import LagState, without_lag
 from undrift.errors import InputError
@@ -98,8 +98,7 @@ class Axis:
         """Values (n, ...) of fewer nodes (n,) at all of the axis: the straight line between them."""
         if len(self.nodes) == len(nodes):
             return values
-        columns = [np.interp(self.nodes, nodes, column) for column in values.reshape(len(nodes), -1).T]
-        return np.column_stack(columns).reshape(len(self.nodes), *values.shape[1:])
+        return interpolated(self.nodes, nodes, values)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -233,10 +233,9 @@ def force_uncertainty(calibration: Calibration, unit: str) -> ForceUncertainty |
         spans[0] = static.temp_c[[0, -1]]
     if scale is not None and scale.accel_matrix is not None:
         spans[1] = scale.temp_c[[0, -1]]
-    known, usual = dict(calibration.provenance.settings), TemperatureSensitivity()
-    mg, percent = (
-        float(known.get(name, getattr(usual, name))) for name in ("accel_offset_mg_per_k", "accel_scale_percent_per_k")
-    )
+    known, usual = calibration.provenance, TemperatureSensitivity()
+    mg = known.number("accel_offset_mg_per_k", usual.accel_offset_mg_per_k)
+    percent = known.number("accel_scale_percent_per_k", usual.accel_scale_percent_per_k)
     lsb = np.full(3, float(unit == "count")) if adc is None or adc.accel_lsb is None else adc.accel_lsb
     return ForceUncertainty(
         covariance=covariance,

@@ -23,7 +23,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from undrift.arrays import BoolArray, FloatArray
+from undrift.arrays import BoolArray, FloatArray, interpolated
 from undrift.calibration.checks import check_axis_order, check_handedness
 from undrift.drift.accel import AccelDriftFit
 from undrift.drift.observe import RateSteps, RestBlocks
@@ -34,7 +34,7 @@ from undrift.drift.temperature import Temperature
 from undrift.drift.thermometer_lag import LagFit
 from undrift.errors import CalibrationError, Implausible
 from undrift.findings import Finding, finding
-from undrift.model import AXES, Calibration, Status, TriadModel, Verdict, level_of
+from undrift.model import AXES, Calibration, TriadModel, Verdict, level_of
 from undrift.record import Session
 from undrift.units import RADIAN_PER_DEGREE, Quantity, is_physical, si_factor
 
@@ -142,7 +142,7 @@ def _summary_of(
     model = None if found.curve.choice is None else found.curve.choice.hysteresis
     branch = None if loop is None else np.tile(loop.half, (len(nodes), 1))
     if model is not None:
-        branch = np.column_stack([np.interp(nodes, model.temp_c, half) for half in model.gyro_half_width.T])
+        branch = interpolated(nodes, model.temp_c, model.gyro_half_width)
     return TriadSummary(
         unit=unit,
         seen_c=found.span_c,
@@ -198,7 +198,6 @@ def _factor(model: TriadModel | None, quantity: Quantity, unit: str) -> tuple[Fl
 TURN_ON_DPS = 2.0  # a shift from one switch-on to the next; consumer gyroscopes state less
 FAR_DPS = 10.0  # no switch-on moves an offset so far
 MOST_BETWEEN_DPS = 5.0  # standard deviation between sessions of one device
-STATUSES: dict[str | None, Status] = {"good": "good", "marginal": "marginal", "bad": "bad"}
 STATUS_BEFORE = "drift_status_before"  # setting: the calibration's status before a thermal fit
 _REASONS_BEFORE = "drift_reasons_before"  # the same in files whose reasons had no codes: status and number of reasons
 _SIGNIFICANT = 3.0  # standard uncertainties, from which a difference is taken as one
@@ -222,20 +221,22 @@ _MORE = 2.0  # times what noise and bias instability explain: disagreement that 
 
 def verdict_before(calibration: Calibration) -> Verdict:
     """Return the verdict of a calibration without the findings of an earlier thermal fit."""
-    status, _, count = dict(calibration.provenance.settings).get(_REASONS_BEFORE, "").partition(" ")
-    if status in STATUSES and count.isdigit():  # texts without codes: those of the thermal fit come last
+    before, (_, _, count) = calibration.provenance, calibration.provenance.text(_REASONS_BEFORE).partition(" ")
+    if (
+        status := before.status(_REASONS_BEFORE)
+    ) is not None and count.isdigit():  # texts without codes: those of the thermal fit come last
         texts = calibration.verdict.reasons[: int(count)]
-        return Verdict(status=STATUSES[status], findings=tuple(finding("earlier.text", "info", text=t) for t in texts))
+        return Verdict(status=status, findings=tuple(finding("earlier.text", "info", text=t) for t in texts))
     return verdict_without("drift.", calibration, STATUS_BEFORE)
 
 
 def verdict_without(prefix: str, calibration: Calibration, setting: str) -> Verdict:
     """Return a verdict with the status that a setting remembers, and without findings whose codes begin with a prefix."""
-    status = dict(calibration.provenance.settings).get(setting)
-    if status not in STATUSES:
+    status = calibration.provenance.status(setting)
+    if status is None:
         return calibration.verdict
     kept = tuple(item for item in calibration.verdict.findings if not item.code.startswith(prefix))
-    return Verdict(status=STATUSES[status], findings=kept)
+    return Verdict(status=status, findings=kept)
 
 
 # ---- do sessions and calibration belong to one device?
@@ -482,7 +483,7 @@ def set_points_verdict(static: StaticFit, rests: RestBlocks, device: Calibration
     found, points, nodes = static.gyro, set_points_of(rests.temp_c), static.table.temp_c
     if found is None or not 2 <= len(points) <= _FEW:
         return Verdict()
-    at = np.array([np.interp(points, nodes, column) for column in found.uncertainty.T]).mean(axis=1)
+    at = interpolated(points, nodes, found.uncertainty).mean(axis=0)
     between = found.uncertainty[(nodes >= points[0] - 1e-6) & (nodes <= points[-1] + 1e-6)].max(axis=0, initial=0.0)
     if len(points) > _TOO_FEW and (between < _MORE * at).all():
         return Verdict()

@@ -13,13 +13,12 @@ from datetime import UTC, datetime
 
 import numpy as np
 
-from undrift.arrays import BoolArray, FloatArray, IntArray
+from undrift.arrays import BoolArray, FloatArray, IntArray, interpolated
 from undrift.calibration.observe import in_one_unit
 from undrift.drift.observe import ObserveSettings, RestBlocks, find_rests, observe_rests
 from undrift.drift.rests import Offsets, bins_of, gyro_offsets, variance_of_mean
-from undrift.drift.sessions import check_at_rest, in_units_of
+from undrift.drift.sessions import check_at_rest, in_units_of, sensor_course
 from undrift.drift.temperature import TemperatureSettings, trusted_temperature
-from undrift.drift.thermometer_lag import without_lag_smooth
 from undrift.errors import NotObservable
 from undrift.findings import Finding, finding
 from undrift.model import Calibration, Learnt, TriadModel
@@ -122,11 +121,7 @@ class _Cells:
 def _cells(session: Session, base: Calibration, settings: LearnSettings) -> _Cells:
     """Return the offset in each temperature cell of one recording, in the calibration's units."""
     trusted = [trusted_temperature(session, k, settings=settings.temperature) for k in range(len(session.records))]
-    lag_s = 0.0 if base.drift is None else base.drift.lag_s
-    course = [
-        t.temp_c if lag_s == 0.0 or t.source != "column" else without_lag_smooth(t.temp_c, r.time, lag_s=lag_s)
-        for t, r in zip(trusted, session.records, strict=True)
-    ]
+    course = sensor_course(trusted, session, 0.0 if base.drift is None else base.drift.lag_s)
     notes = tuple(item for t in trusted for item in t.findings)
     stills, worn = _stills(session, base)
     if not stills:
@@ -229,9 +224,8 @@ def _force(record: Record, base: Calibration) -> FloatArray | None:
 
 def _still_of(blocks: RestBlocks, session: Session, stills: tuple[Still, ...]) -> IntArray:
     """Return the rest that each block belongs to, (n,)."""
-    records = session.records
-    begins = np.concatenate(([0.0], np.cumsum([record.duration_s for record in records])))
-    starts = [begins[s.recording] + records[s.recording].time[s.start] - records[s.recording].time[0] for s in stills]
+    records, begins_s = session.records, session.begins_s
+    starts = [begins_s[s.recording] + records[s.recording].time[s.start] - records[s.recording].time[0] for s in stills]
     return np.asarray(np.searchsorted(starts, blocks.time, side="right") - 1)
 
 
@@ -296,7 +290,7 @@ def _warm_up(base: Calibration, blocks: RestBlocks, power_on_s: float | None) ->
     if static is None or static.warm_up is None or power_on_s is None:
         return np.zeros((len(blocks), 3))
     table, since = static.warm_up, blocks.power_on_s + power_on_s
-    return np.stack([np.interp(since, table.power_on_s, column) for column in table.gyro_offset.T], axis=1)
+    return interpolated(since, table.power_on_s, table.gyro_offset)
 
 
 def in_order(held: Learnt | None, new: list[Learnt], base: Calibration) -> Learnt:

@@ -34,15 +34,16 @@ from undrift.drift.sessions import (
     in_units_of,
     met_in_use,
     nominal_models,
+    sensor_course,
     since_power_on,
 )
 from undrift.drift.static import StaticFit, StaticSettings, fit_static
 from undrift.drift.temperature import Temperature, TemperatureSettings, check_span, trusted_temperature
-from undrift.drift.thermometer_lag import LagFit, default_smooth_s, estimate_lag, without_lag_smooth
+from undrift.drift.thermometer_lag import LagFit, default_smooth_s, estimate_lag
 from undrift.errors import InputError, NotObservable
 from undrift.findings import finding
 from undrift.fit.least_squares import determined
-from undrift.model import BEYOND_SEEN_C, Calibration, DriftTables, Provenance, Verdict, versions_used
+from undrift.model import BEYOND_SEEN_C, Calibration, DriftTables, Provenance, Verdict, seen_span, versions_used
 from undrift.record import Session
 from undrift.views import Shown
 
@@ -291,13 +292,7 @@ def _without_lag(
             lag_s = lag.lag_s
     if lag_s == 0.0:
         return lag, (0.0, 0.0), rests, course
-    course = [
-        [
-            t.temp_c if t.source != "column" else without_lag_smooth(t.temp_c, record.time, lag_s=lag_s)
-            for t, record in zip(of_session, session.records, strict=True)
-        ]
-        for of_session, session in zip(trusted, sessions, strict=True)
-    ]
+    course = [sensor_course(own, session, lag_s) for own, session in zip(trusted, sessions, strict=True)]
     smooth_s = max(  # for the noisiest of the columns
         default_smooth_s(lag_s, noise_c=t.noise_c, interval_s=float(np.median(np.diff(record.time))), step_c=t.step_c)
         for t, record in pairs
@@ -392,8 +387,7 @@ def _calibrated(
 ) -> Calibration:
     """Return a calibration with tuning tables; files and settings of an earlier thermal fit go with its tables."""
     held = device.provenance
-    known = dict(held.settings).get(_INPUTS, "")
-    before = held.inputs[: int(known)] if known.isdigit() else held.inputs
+    before = held.inputs[: held.count(_INPUTS, len(held.inputs))]
     chosen = "none" if choice is None else choice.alternatives.chosen
     provenance = Provenance(
         inputs=tuple(dict.fromkeys((*before, *(entry for session in sessions for entry in session.inputs)))),
@@ -423,6 +417,4 @@ def _reference_of(device: Calibration, tables: DriftTables) -> float:
     static = tables.static
     if np.isfinite(device.reference_temp_c) or static is None:
         return device.reference_temp_c
-    far = static.gyro_extrapolated
-    seen = static.temp_c if far is None or far.all() else static.temp_c[~far]
-    return float(np.clip(ROOM_C, seen[0], seen[-1]))
+    return float(np.clip(ROOM_C, *seen_span(static.temp_c, static.gyro_extrapolated)))

@@ -27,7 +27,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from undrift.arrays import BoolArray, FloatArray, IntArray
+from undrift.arrays import BoolArray, FloatArray, IntArray, interpolated
 from undrift.drift.checks import STATUS_BEFORE, verdict_without
 from undrift.drift.daily_rests import CELL_C, UNKNOWN, LearnSettings, daily_rests, in_order, raw_per_si
 from undrift.drift.static import near_data
@@ -202,7 +202,6 @@ class _Prior:
         x = np.linspace(nodes[0], nodes[-1], int(np.ceil((nodes[-1] - nodes[0]) / CELL_C)) + 1)
         raw = raw_per_si(base.gyro)
         level = _Level.of(base, evidence.temp_c, settings, raw)
-        sessions = dict(base.provenance.settings).get("drift_sessions", "1")
         h = x - np.clip(x, *level.span_c)
         return cls(
             nodes=nodes,
@@ -214,7 +213,7 @@ class _Prior:
             loop=level.loop,
             covariance=level.covariance(x, h, settings.correlation_c),
             bending=3.0 / _END_C**3 * bending(h, h),
-            sessions=max(int(sessions) if sessions.isdigit() else 1, 1),
+            sessions=max(base.provenance.count("drift_sessions", 1), 1),
             settings=settings,
         )
 
@@ -265,7 +264,7 @@ class _Level:
             loop = np.zeros(3) if table.gyro_hysteresis is None else table.gyro_hysteresis
             own = np.where(np.isfinite(own), np.sqrt(np.maximum(own**2 - loop**2, 0.0)), settings.turn_on * raw)
             ends = ((temp[0], min(temp[0] + _END_C, temp[-1])), (max(temp[-1] - _END_C, temp[0]), temp[-1]))
-            change = [_interpolated(np.array(pair), temp, offset) for pair in ends]
+            change = [interpolated(np.array(pair), temp, offset) for pair in ends]
             slope = np.array([(b - a) / (pair[1] - pair[0]) for (a, b), pair in zip(change, ends, strict=True)])
             doubt = 2.0**0.5 * own[[0, -1]] / np.array([pair[1] - pair[0] for pair in ends])[:, None]
             return cls(temp_c=temp, offset=offset, deviation=own, slope=slope, slope_deviation=doubt, loop=loop)
@@ -287,11 +286,11 @@ class _Level:
         """Return m(T), (n, 3): beyond the ends straight on."""
         h = temp_c - np.clip(temp_c, *self.span_c)
         beyond = np.where(h[:, None] < 0.0, self.slope[0], self.slope[1]) * h[:, None]
-        return np.asarray(_interpolated(temp_c, self.temp_c, self.offset) + beyond)
+        return np.asarray(interpolated(temp_c, self.temp_c, self.offset) + beyond)
 
     def covariance(self, x: FloatArray, h: FloatArray, length_c: float) -> FloatArray:
         """Return the covariance of its errors at x (d,), which lie h (d,) beyond, (3, d, d)."""
-        own = _interpolated(x, self.temp_c, self.deviation)
+        own = interpolated(x, self.temp_c, self.deviation)
         inside = np.clip(x, *self.span_c)  # the error at the end goes on
         ratio = 3.0**0.5 * np.abs(inside[:, None] - inside) / length_c
         alike = (1.0 + ratio) * np.exp(-ratio)
@@ -300,10 +299,6 @@ class _Level:
         return np.asarray(
             np.einsum("ik,jk,ij->kij", own, own, alike) + np.einsum("ik,jk,ij->kij", slope, slope, same.astype(float))
         )
-
-
-def _interpolated(at: FloatArray, temp_c: FloatArray, value: FloatArray) -> FloatArray:
-    return np.stack([np.interp(at, temp_c, column) for column in value.T], axis=1)
 
 
 def _days(evidence: Learnt) -> FloatArray:

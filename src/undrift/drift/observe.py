@@ -104,18 +104,16 @@ def observe_rests(
             parts.append(set_point_rests(session, temps, number=number, first_pose=poses))
             poses = int(parts[-1].pose.max(initial=poses - 1)) + 1
             continue
-        begins = np.concatenate(([0.0], np.cumsum([record.duration_s for record in session.records])))
+        begins_s = session.begins_s
         steps = [(_record_step(record.gyro), _record_step(record.accel)) for record in session.records]
         stills = find_rests(session)
         numbers = poses + _poses(session, stills)
         poses = int(numbers.max()) + 1
         for still, pose in zip(stills, numbers.tolist(), strict=True):
             k = still.recording
-            begin_s = float(begins[k])
+            begin_s, record = float(begins_s[k]), session.records[k]
             parts.append(
-                rest_blocks(
-                    session.records[k], temps[k], still, steps[k], settings, begin_s=begin_s, session=number, pose=pose
-                )
+                rest_blocks(record, temps[k], still, steps[k], settings, begin_s=begin_s, session=number, pose=pose)
             )
     if not any(len(part) for part in parts):
         raise NotObservable(

@@ -22,7 +22,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from undrift.arrays import BoolArray, FloatArray, IntArray
+from undrift.arrays import BoolArray, FloatArray, IntArray, interpolated
 from undrift.drift.observe import RateSteps, RestBlocks
 from undrift.drift.static import near_data
 from undrift.errors import InputError, NotObservable
@@ -377,7 +377,7 @@ def offset_at(temp_c: FloatArray, calibration: Calibration, static: StaticDrift 
     """Return the gyroscopes' offset at temperatures (n,), (n, 3): from the table, else the constant."""
     if static is None or static.gyro_offset is None:
         return np.tile(gyro_model(calibration).offset, (len(temp_c), 1))
-    return np.column_stack([np.interp(temp_c, static.temp_c, column) for column in static.gyro_offset.T])
+    return interpolated(temp_c, static.temp_c, static.gyro_offset)
 
 
 def measured_rate(
@@ -392,8 +392,7 @@ def measured_rate(
     model = gyro_model(calibration)
     matrix = np.tile(model.matrix, (len(temp_c), 1, 1))
     if scale is not None and scale.gyro_matrix is not None:
-        flat = scale.gyro_matrix.reshape(-1, 9)
-        matrix = np.column_stack([np.interp(temp_c, scale.temp_c, column) for column in flat.T]).reshape(-1, 3, 3)
+        matrix = interpolated(temp_c, scale.temp_c, scale.gyro_matrix)
     rate: FloatArray = np.einsum("nij,nj->ni", matrix, gyro - offset_at(temp_c, calibration, static))
     return rate * si_factor(model.unit_out, "rate")
 

@@ -18,7 +18,7 @@ from undrift.arrays import BoolArray, FloatArray
 from undrift.calibration.adc import restored
 from undrift.drift.observe import RestBlocks
 from undrift.drift.temperature import Temperature
-from undrift.drift.thermometer_lag import without_lag
+from undrift.drift.thermometer_lag import without_lag, without_lag_smooth
 from undrift.errors import InputError, NotObservable
 from undrift.findings import finding
 from undrift.model import Calibration, TriadModel, Verdict
@@ -113,9 +113,10 @@ def since_power_on(rests: RestBlocks, sessions: Sequence[Session]) -> RestBlocks
     """Return the blocks with the time since their device was switched on, not since their recording began."""
     power_on_s = rests.power_on_s.copy()
     for number, session in enumerate(sessions):
-        begins = np.cumsum([0.0, *(record.duration_s for record in session.records[:-1])])
         rows = np.flatnonzero(rests.session == number)
-        power_on_s[rows] += _ages(session.records)[np.searchsorted(begins, rests.time[rows], side="right") - 1]
+        power_on_s[rows] += _ages(session.records)[
+            np.searchsorted(session.begins_s, rests.time[rows], side="right") - 1
+        ]
     return replace(rests, power_on_s=power_on_s)
 
 
@@ -142,6 +143,14 @@ def check_at_rest(rests: RestBlocks, device: Calibration) -> None:
             "deg/s only; leave the device still while its temperature changes",
             deg_per_s=dps,
         )
+
+
+def sensor_course(trusted: Sequence[Temperature], session: Session, lag_s: float) -> list[FloatArray]:
+    """Return the temperature of the sensors in each recording: the thermometer's lag taken off where a thermometer was read."""
+    return [
+        t.temp_c if t.source != "column" else without_lag_smooth(t.temp_c, record.time, lag_s=lag_s)
+        for t, record in zip(trusted, session.records, strict=True)
+    ]
 
 
 def met_in_use(

@@ -32,7 +32,7 @@ from typing import Any
 
 import numpy as np
 
-from undrift.arrays import FloatArray
+from undrift.arrays import FloatArray, interpolated
 from undrift.calibration.noise import NoiseFit
 from undrift.correction.plan import Constants, Table
 from undrift.errors import FileFormatError, InputError
@@ -81,7 +81,7 @@ def pair_at(calibration: Calibration, temp_c: float | None = None) -> ConstantPa
 
 def _at(triad: Constants, temp: float) -> Constants:
     def read(table: Table) -> FloatArray:
-        return np.array([np.interp(temp, table.temp.nodes, column) for column in table.values.T])
+        return interpolated(temp, table.temp.nodes, table.values)
 
     offset, matrix = triad.offset_table, triad.matrix_table
     return replace(

@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from undrift.arrays import FloatArray
+from undrift.arrays import FloatArray, interpolated
 from undrift.errors import AlignmentError, Implausible
 from undrift.findings import Finding, finding
 from undrift.frames import quaternion_conjugate, rotate
@@ -72,7 +72,7 @@ def _check_up(record: Record, poses: Reference, lag_s: float, rotation: FloatArr
         return ()
     seen = poses.valid & (poses.time + lag_s >= record.time[0]) & (poses.time + lag_s <= record.time[-1])
     times = poses.time[seen] + lag_s
-    force = np.stack([np.interp(times, record.time, axis) for axis in record.accel.T], axis=1)
+    force = interpolated(times, record.time, record.accel)
     sound = np.isfinite(force).all(axis=1)
     up = rotate(poses.q_nb[seen][sound], force[sound] @ rotation.T).mean(axis=0) / STANDARD_GRAVITY
     length = float(np.linalg.norm(up))

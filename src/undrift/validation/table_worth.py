@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from undrift.arrays import FloatArray
+from undrift.arrays import FloatArray, interpolated
 from undrift.correction.correct import correct_whole
 from undrift.model import Calibration, DriftTables, ScaleDrift, StaticDrift
 from undrift.record import Record
@@ -78,7 +78,7 @@ def expected_errors(calibration: Calibration, *, rest_variance: FloatArray) -> T
     bare = replace(bare, drift=replace(_gyro_alone(drift), lag_s=0.0, lag_smooth_s=0.0))
     constant = replace(bare, drift=None)
     if gyro.method == "nominal":  # what it reads at the reference temperature is all that it knows
-        at = _at(static.temp_c, static.gyro_offset, float(np.clip(reference, static.temp_c[0], static.temp_c[-1])))
+        at = interpolated(np.clip(reference, *static.temp_c[[0, -1]]), static.temp_c, static.gyro_offset)
         constant = replace(constant, gyro=replace(gyro, g_sensitivity=None, offset=at))
     motion, worst = _rate(), np.zeros(2)
     if (at_rest := _reading(bare, np.zeros((2, 3)), temp_c)) is None:
@@ -149,27 +149,22 @@ def _reading(calibration: Calibration, wanted: FloatArray, temp_c: float) -> Flo
     return reading if np.abs(left).max() < 1e3 * _CLOSE else None
 
 
-def _at(nodes: FloatArray, values: FloatArray, temp_c: float) -> FloatArray:
-    flat = values.reshape(len(nodes), -1)
-    return np.array([np.interp(temp_c, nodes, column) for column in flat.T]).reshape(values.shape[1:])
-
-
 def _stated(calibration: Calibration, temp_c: float, rest_variance: FloatArray) -> tuple[float, float]:
     """Return 95 % of the angle that tables leave, and that they leave with a rest, of the worst axis, rad."""
     drift, gyro = calibration.drift, calibration.gyro
     if drift is None or gyro is None or drift.static is None or drift.static.gyro_uncertainty is None:
         return math.nan, math.nan
     per_raw = si_factor(gyro.unit_out, "rate") / np.abs(gyro.scale_factor)
-    offset = _at(drift.static.temp_c, drift.static.gyro_uncertainty, temp_c) * per_raw * MOTION_S
+    offset = interpolated(temp_c, drift.static.temp_c, drift.static.gyro_uncertainty) * per_raw * MOTION_S
     turning = np.zeros(3)
     scale, dynamic = drift.scale, drift.dynamic
     if scale is not None and scale.gyro_uncertainty is not None and scale.gyro_matrix is not None:
-        share = np.diag(_at(scale.temp_c, scale.gyro_uncertainty, temp_c)) / np.diag(
-            _at(scale.temp_c, scale.gyro_matrix, temp_c)
+        share = np.diag(interpolated(temp_c, scale.temp_c, scale.gyro_uncertainty)) / np.diag(
+            interpolated(temp_c, scale.temp_c, scale.gyro_matrix)
         )
         turning = turning + (LEAN * share) ** 2
     if dynamic is not None and dynamic.uncertainty is not None:
-        of_rate = _at(dynamic.temp_c, dynamic.uncertainty, temp_c)
+        of_rate = interpolated(temp_c, dynamic.temp_c, dynamic.uncertainty)
         inside = np.abs(dynamic.turn_rate) <= np.abs(_rate()).max()
         turning = turning + (MOTION_S * np.median(of_rate[inside] if inside.any() else of_rate, axis=0)) ** 2
     noise = np.nan_to_num(rest_variance) * per_raw**2 * MOTION_S**2
