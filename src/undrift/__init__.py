@@ -21,9 +21,9 @@ if TYPE_CHECKING:
     from undrift.calibration.noise import fit_noise as fit_noise
     from undrift.calibration.observe import CalibrateSettings as CalibrateSettings
     from undrift.correction.correct import Corrected as Corrected
+    from undrift.correction.correct import Corrector as Corrector
     from undrift.correction.correct import correct as correct
     from undrift.correction.correct import correct_checked as correct_checked
-    from undrift.correction.stream import Corrector as Corrector
     from undrift.drift.fit import DriftFit as DriftFit
     from undrift.drift.fit import DriftSettings as DriftSettings
     from undrift.drift.fit import fit_drift as fit_drift
@@ -91,8 +91,7 @@ _MODULES = {
     "io.store": ("read_calibration", "write_calibration"),
     "calibration.noise": ("fit_noise", "NoiseFit"),
     "drift.fit": ("fit_drift", "DriftSettings", "DriftFit"),
-    "correction.correct": ("correct", "correct_checked", "Corrected"),
-    "correction.stream": ("Corrector",),
+    "correction.correct": ("correct", "correct_checked", "Corrected", "Corrector"),
     "orientation": ("orient", "Orientation", "integrate_strapdown"),
     "validation.trial": ("compare_orientations", "validate_trial"),
     "validation.agreement": ("validate_trials", "validate_leave_one_out"),

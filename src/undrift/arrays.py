@@ -33,8 +33,9 @@ def frozen(x: ArrayLike, shape: tuple[int | None, ...], name: str) -> FloatArray
 
 def interpolated(x: ArrayLike, nodes: FloatArray, values: FloatArray) -> FloatArray:
     """Return values (n, ...) over nodes (n,) at points x (N,) or one point: straight lines between, held at the ends."""
-    columns = [np.interp(x, nodes, column) for column in values.reshape(len(nodes), -1).T]
-    return np.stack(columns, axis=-1).reshape(*np.shape(x), *values.shape[1:])
+    points = np.asarray(x, dtype=np.float64)
+    columns = [np.interp(points, nodes, column) for column in values.reshape(len(nodes), -1).T]
+    return np.stack(columns, axis=-1).reshape(*points.shape, *values.shape[1:])
 
 
 def window_sums(values: FloatArray, width: int) -> FloatArray:

@@ -29,8 +29,7 @@ from testkit.demo_session import demo_session
 from testkit.faces import faces_at
 from testkit.full_calibration import WILD, device, record, tables
 from testkit.motion_of_poses import motion_from_poses
-from undrift.correction.correct import correct_checked
-from undrift.correction.stream import Corrector
+from undrift.correction.correct import Corrector, correct_checked
 from undrift.io.formats import read_record, read_reference, write_record
 from undrift.io.mocap import read_trc
 from undrift.io.reference import device_on, find_body, write_reference

@@ -7,8 +7,7 @@ import pytest
 
 from testkit import twins
 from testkit.full_calibration import GAP, STEPS, WILD, N, device, record, tables
-from undrift.correction.correct import correct_checked
-from undrift.correction.stream import Corrector
+from undrift.correction.correct import Corrector, correct_checked
 from undrift.errors import DriftRangeError
 from undrift.model import DriftTables, DynamicDrift, StaticDrift
 

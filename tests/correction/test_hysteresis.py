@@ -8,8 +8,7 @@ import pytest
 
 from testkit import twins
 from testkit.full_calibration import ROUNDINGS, STEPS, device, record, tables
-from undrift.correction.correct import correct_checked
-from undrift.correction.stream import Corrector
+from undrift.correction.correct import Corrector, correct_checked
 from undrift.drift.hysteresis import follow_loop, state_of
 from undrift.model import DriftTables, Hysteresis, WarmUp
 

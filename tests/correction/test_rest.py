@@ -8,9 +8,8 @@ import pytest
 from testkit.data import show
 from testkit.plain_triad import plain_triad
 from undrift.correction import rest as rest_module
-from undrift.correction.correct import correct, correct_checked
+from undrift.correction.correct import Corrector, correct, correct_checked
 from undrift.correction.rest import find_rest_offset, find_rest_offset_in
-from undrift.correction.stream import Corrector
 from undrift.errors import InputError
 from undrift.model import Calibration
 from undrift.orientation import OrientSettings, orient

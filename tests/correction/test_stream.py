@@ -11,8 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from testkit.full_calibration import ROUNDINGS, WILD, N, device, record, tables
-from undrift.correction.correct import DriftRangeWarning, correct, correct_checked
-from undrift.correction.stream import Corrector, read_ahead
+from undrift.correction.correct import Corrector, DriftRangeWarning, correct, correct_checked, read_ahead
 from undrift.errors import DriftRangeError, InputError
 
 STREAMED = [

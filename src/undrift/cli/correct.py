@@ -34,9 +34,9 @@ if TYPE_CHECKING:
 
     from rich.progress import Progress
 
+    from undrift.correction.correct import Corrector, CorrectorState
     from undrift.correction.coverage import Beyond
     from undrift.correction.rest import RestOffset, Stretch
-    from undrift.correction.stream import Corrector, CorrectorState
     from undrift.drift.hysteresis import TempHistory
     from undrift.findings import Finding
     from undrift.model import Calibration
@@ -99,7 +99,7 @@ def correct(
     report : Path or None
         Report page to write: .html.
     """
-    from undrift.correction.stream import Corrector
+    from undrift.correction.correct import Corrector
 
     stretch = (still_start_s, still_stop_s)
     if offset == "none" and stretch != (None, None):
@@ -294,8 +294,8 @@ def _correct_one(
     advance: "Callable[[float], None]",
 ) -> tuple["CorrectorState", Remarks]:
     from undrift.correction.consistency import check_corrected, check_force
+    from undrift.correction.correct import read_ahead
     from undrift.correction.coverage import find_beyond
-    from undrift.correction.stream import read_ahead
     from undrift.io.inspect import find_saturated
     from undrift.io.parquet import ParquetWriter
     from undrift.io.write import write_record_as

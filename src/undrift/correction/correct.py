@@ -16,12 +16,15 @@ subtracted where the calibration knows it. Tables are held at their ends; a temp
 a gap, as ``policy`` states. Without a temperature the result is a gap under every policy.
 
 ``_evaluate_triad`` is where these lines are. Around it: plan.py turns the calibration into what the kernels take, coverage.py
-finds what it does not cover, and stream.py does the same chunk by chunk.
+finds what it does not cover, and ``Corrector`` does the same chunk by chunk: no step looks at another sample but those that
+subtract a thermometer's lag and follow a loop of hysteresis, which hand their states on.
 """
 
 import copy
 import warnings
-from dataclasses import dataclass, replace
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
@@ -58,16 +61,15 @@ REFERENCE_SPAN_C = 5.0  # how far from the reference temperature constant offset
 
 def _evaluate_triad(plan: TriadPlan, u: FloatArray, at: Conditions, a: FloatArray, w: FloatArray) -> coverage.Span:
     """Evaluate the model for one triad: readings u to w; a is empty where step 4 has nothing to do."""
-    from undrift.kernels.correct import affine, subtract_g, tabulated, warmed, without_loop
+    from undrift.kernels.correct import affine, subtract_g, tabulated, without_line
 
     g = np.zeros(9) if plan.g_sensitivity is None else plan.g_sensitivity
     h = plan.half_step
-    if plan.warm_up is not None and at.since.size:  # step 1, and o of step 2
-        warmed(u, at.since, w, h, *plan.warm_up)
-        u, h = w, np.zeros(3)
-    if plan.loop is not None and at.loop.size:  # step 1, and h c of step 2
-        without_loop(u, at.temp_c, at.loop, w, h, *plan.loop)
-        u, h = w, np.zeros(3)
+    beside = ((plan.warm_up, at.since, np.ones(at.since.size)), (plan.loop, at.temp_c, at.loop))
+    for line, place, weight in beside:  # step 1, and o and h c of step 2
+        if line is not None and weight.size:
+            without_line(u, place, weight, w, h, *line)
+            u, h = w, np.zeros(3)
     if plan.tables is not None:  # steps 1 to 5: w = M(T) (u + h sign(u) - offset(T)) - G a, then w - e(w, T)
         least, greatest = tabulated(u, at.temp_c, a, w, plan.matrix, plan.offset, h, g, plan.tables)
         return float(least), float(greatest)
@@ -413,3 +415,161 @@ def _adopted(record: Record, plans: Plans, buffers: Buffers, known: ForceUncerta
         object.__setattr__(done, name, text)
     object.__setattr__(done, "accel_uncertainty", known)
     return done
+
+
+# ---- A stream
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CorrectorState:
+    """How far a stream has come: enough to go on elsewhere."""
+
+    samples: int = 0  # Corrected so far
+    samples_outside: int = 0  # Of those, outside the tuning tables
+    samples_extrapolated: int = 0  # Of those, inside them at nodes that no data were near
+    samples_without_temperature: int = 0  # Of those, without the temperature that the tables want
+    reach: coverage.Reach = field(
+        default_factory=coverage.Reach
+    )  # How far temperature and rate went so far, where the calibration cares
+    carry: Carry = field(default_factory=Carry)  # Time of power-on, states of the lag and of the hysteresis
+
+
+class Corrector:
+    """Correct a stream chunk by chunk; the result equals the batch to the last bit.
+
+    Parameters
+    ----------
+    calibration : Calibration
+        The device's model.
+    policy : str
+        "raise", "hold" or "nan", as for ``correct``.
+    reference_span_c : float
+        As for ``correct_checked``, degC.
+    power_on_s : float, optional
+        Time since power-on at the first sample of the stream, s, as for ``correct``.
+    temp_history : str or sequence of float, optional
+        Course of the temperature before the first sample of the stream, degC, as for ``correct``.
+    offset : RestOffset, optional
+        What is left at a rest, to subtract from every chunk: ``find_rest_offset_in`` finds it in the first corrected chunks.
+
+    Examples
+    --------
+    >>> import numpy as np, undrift
+    >>> rng = np.random.default_rng(7)
+    >>> device = undrift.random_device(rng)
+    >>> calibration = undrift.calibrate(undrift.simulate_session("bench", device, rng=rng))
+    >>> trial = undrift.simulate_trial("sit_to_stand", device, rng=rng)
+    >>> corrector = undrift.Corrector(calibration)
+    >>> whole, n = undrift.correct(trial.record, calibration), len(trial.record)
+    >>> chunks = [corrector.push(trial.record.part(first, min(first + 100, n))) for first in range(0, n, 100)]
+    >>> bool((np.concatenate([chunk.gyro for chunk in chunks]) == whole.gyro).all())
+    True
+    """
+
+    def __init__(
+        self,
+        calibration: Calibration,
+        policy: Policy = "raise",
+        *,
+        reference_span_c: float = REFERENCE_SPAN_C,
+        power_on_s: float | None = None,
+        temp_history: TempHistory | None = None,
+        offset: RestOffset | None = None,
+    ) -> None:
+        carry_at_start(0.0, power_on_s, calibration, temp_history)  # refused now rather than at the first chunk
+        self._calibration, self._policy, self._span = calibration, policy, reference_span_c
+        self._power_on_s, self._offset, self._history = power_on_s, offset, temp_history
+        self._plans: dict[tuple[str, str, bool, bool, bool], Plans] = {}
+        self.state = CorrectorState()  # may be saved, and put back by assignment
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Where the stream so far went beyond the calibration: what the batch would report, each once."""
+        return tuple(
+            found.text for found in coverage.coverage_findings(self.state.reach, self._calibration, self._span)
+        )
+
+    def push(self, chunk: Record) -> Record:
+        """Correct the next chunk.
+
+        Parameters
+        ----------
+        chunk : Record
+            Raw readings that follow the last chunk.
+
+        Returns
+        -------
+        Record
+            The same samples, corrected.
+
+        Raises
+        ------
+        InputError
+            As for ``correct``, or a chunk that does not follow the last one in time; the state is as before.
+        DriftRangeError
+            As for ``correct``; the state is as before.
+        """
+        corrected = self.push_checked(chunk)
+        for text in corrected.warnings:
+            warnings.warn(text, DriftRangeWarning, stacklevel=2)
+        return corrected.record
+
+    def push_checked(self, chunk: Record) -> Corrected:
+        """Correct the next chunk and say where the calibration did not cover it.
+
+        Parameters
+        ----------
+        chunk : Record
+            Raw readings that follow the last chunk.
+
+        Returns
+        -------
+        Corrected
+            The same samples, corrected, with masks and findings of this chunk.
+
+        Raises
+        ------
+        InputError
+            As for ``push``.
+        DriftRangeError
+            As for ``push``.
+        """
+        last_time = self.state.carry.last_time
+        if last_time is not None and chunk.time[0] <= last_time:
+            raise InputError(
+                f"corrector: wanted a chunk that begins after {last_time:.6g} s, got one from {chunk.time[0]:.6g} s; "
+                "push chunks in order, each once"
+            )
+        key = (chunk.gyro_unit, chunk.accel_unit, chunk.gyro is None, chunk.accel is None, chunk.temp_c is None)
+        if key not in self._plans or chunk.state == "corrected":
+            self._plans[key] = plan_record(chunk, self._calibration)
+        carry = self.state.carry
+        if not self.state.samples:
+            carry = carry_at_start(float(chunk.time[0]), self._power_on_s, self._calibration, self._history)
+        done = correct_planned(
+            chunk,
+            self._calibration,
+            self._plans[key],
+            policy=self._policy,
+            reference_span_c=self._span,
+            carry=carry,
+        )
+        done = done if self._offset is None else re_zeroed(done, self._offset)
+        self.state = CorrectorState(
+            samples=self.state.samples + len(chunk),
+            samples_outside=self.state.samples_outside + int(done.outside.sum()),
+            samples_extrapolated=self.state.samples_extrapolated + int(done.extrapolated.sum()),
+            samples_without_temperature=self.state.samples_without_temperature + int(done.missing.sum()),
+            reach=self.state.reach.joined(done.reach),
+            carry=done.carry,
+        )
+        return done
+
+
+def read_ahead(chunks: Iterator[Record]) -> Iterator[Record]:
+    """Read the next chunk in a second thread while the caller works on this one."""
+    with ThreadPoolExecutor(1) as pool:
+        coming = pool.submit(next, chunks, None)
+        while (chunk := coming.result()) is not None:
+            coming = pool.submit(next, chunks, None)
+            yield chunk

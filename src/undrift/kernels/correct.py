@@ -157,18 +157,6 @@ def cells_of(grid: Grid, x: FloatArray, index: IndexArray, fraction: FloatArray)
 
 
 @njit(cache=True, fastmath={"contract"}, nogil=True, error_model="numpy")
-def warmed(x: FloatArray, since: FloatArray, out: FloatArray, h: FloatArray, grid: Grid, cells: FloatArray) -> None:
-    # out = x + h sign(x) - warm_up(since); cells (cells, 3, 2) flat: value and slope; zero from the last node on
-    settled = grid.nodes[-1]
-    for k in range(np.uint64(since.size)):
-        i, f = cell(grid, since[k])
-        for axis in range(THREE):
-            q, j = THREE * k + axis, SIX * i + TWO * axis
-            u = x[q] + (math.copysign(h[axis], x[q]) if abs(x[q]) > h[axis] else 0.0)
-            out[q] = u - (cells[j] + f * cells[j + ONE]) if since[k] < settled else u
-
-
-@njit(cache=True, fastmath={"contract"}, nogil=True, error_model="numpy")
 def rounded(x: FloatArray, out: FloatArray, h: FloatArray) -> None:
     # out = x + h sign(x)
     h0, h1, h2 = h[0], h[1], h[2]
@@ -346,13 +334,14 @@ def follow(
 
 
 @njit(cache=True, fastmath={"contract"}, nogil=True, error_model="numpy")
-def without_loop(
-    x: FloatArray, temp: FloatArray, position: FloatArray, out: FloatArray, h: FloatArray, grid: Grid, cells: FloatArray
+def without_line(
+    x: FloatArray, at: FloatArray, weight: FloatArray, out: FloatArray, h: FloatArray, grid: Grid, cells: FloatArray
 ) -> None:  # fmt: skip
-    # out = x + h sign(x) - position half(temp); cells (cells, 3, 2) flat: value and slope
-    for k in range(np.uint64(temp.size)):
-        i, f = cell(grid, temp[k])
+    # out = x + h sign(x) - weight line(at): the warm-up over the time since power-on, with weight 1, or the half-width of the
+    # loop over temperature, with the position in it; cells (cells, 3, 2) flat: value and slope
+    for k in range(np.uint64(at.size)):
+        i, f = cell(grid, at[k])
         for axis in range(THREE):
             q, j = THREE * k + axis, SIX * i + TWO * axis
             u = x[q] + (math.copysign(h[axis], x[q]) if abs(x[q]) > h[axis] else 0.0)
-            out[q] = u - position[k] * (cells[j] + f * cells[j + ONE])
+            out[q] = u - weight[k] * (cells[j] + f * cells[j + ONE])

@@ -106,7 +106,7 @@ DYNAMIC = Branch(
 AFTER = (
     Step(
         "In use, each sample: tables at the board temperature",
-        ("correction.correct.correct", "correction.stream.Corrector"),
+        ("correction.correct.correct", "correction.correct.Corrector"),
     ),
     Step("Output less static drift, matrix, less dynamic drift", ("orientation.orient",)),
 )

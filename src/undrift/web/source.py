@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from undrift.arrays import FloatArray
-from undrift.correction.stream import Corrector
+from undrift.correction.correct import Corrector
 from undrift.errors import InputError, UndriftError
 from undrift.io.parquet import ParquetWriter
 from undrift.io.store import read_calibration
