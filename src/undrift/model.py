@@ -530,15 +530,16 @@ class Calibration(Shown):
     def triad(self, sensor: Sensor) -> "Triad":
         """Return all that is known of one sensor: model, tables, codes."""
         drift, adc, gyro = self.drift or DriftTables(), self.adc or AdcModel(), sensor == "gyro"
+        static, scale = drift.static, drift.scale
         return Triad(
             sensor=sensor,
             quantity="rate" if gyro else "accel",
             model=self.gyro if gyro else self.accel,
-            offsets=None if drift.static is None else drift.static.of(sensor),
-            matrices=None if drift.scale is None else drift.scale.of(sensor),
+            offsets=None if static is None else static.of(sensor),
+            matrices=None if scale is None else scale.of(sensor),
             errors=drift.dynamic if gyro else None,
-            warm_up=drift.static.warm_up if gyro and drift.static is not None else None,
-            hysteresis=drift.static.hysteresis if gyro and drift.static is not None else None,
+            warm_up=static.warm_up if gyro and static is not None else None,
+            hysteresis=static.hysteresis if gyro and static is not None else None,
             lsb=adc.gyro_lsb if gyro else adc.accel_lsb,
             rounding=adc.gyro_rounding if gyro else adc.accel_rounding,
         )

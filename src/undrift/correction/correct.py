@@ -20,7 +20,6 @@ finds what it does not cover, and ``Corrector`` does the same chunk by chunk: no
 subtract a thermometer's lag and follow a loop of hysteresis, which hand their states on.
 """
 
-import copy
 import warnings
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -359,6 +358,10 @@ def correct_planned(
         for plan, values in zip(plans, outputs, strict=True):
             if plan is not None and plan.tables is not None:
                 values[outside] = np.nan
+    unmarked = np.zeros(
+        len(record), dtype=bool
+    )  # one for all masks: fresh memory costs as much as a tenth of the kernel
+    unmarked.flags.writeable = False
     span_c, departure_c = coverage.temperature_reach(temp_c, calibration, plans)
     reach = coverage.Reach(
         temp_c=span_c,
@@ -371,9 +374,9 @@ def correct_planned(
     )
     return Corrected(
         record=_adopted(record, plans, outputs, force_uncertainty(calibration, record.accel_unit)),
-        outside=_whole_mask(outside, len(record)),
-        extrapolated=_whole_mask(extrapolated, len(record)),
-        missing=_whole_mask(missing, len(record)),
+        outside=unmarked if outside is None else outside,
+        extrapolated=unmarked if extrapolated is None else extrapolated,
+        missing=unmarked if missing is None else missing,
         findings=(
             *coverage.coverage_findings(reach, calibration, reference_span_c),
             *coverage.model_findings(record, calibration, coming),
@@ -381,10 +384,6 @@ def correct_planned(
         reach=reach,
         carry=coming,
     )
-
-
-def _whole_mask(mask: BoolArray | None, n: int) -> BoolArray:
-    return np.zeros(n, dtype=bool) if mask is None else mask
 
 
 def _buffers(n: int, plans: Plans, out: Buffers | None) -> Buffers:
@@ -404,16 +403,20 @@ def _buffers(n: int, plans: Plans, out: Buffers | None) -> Buffers:
 
 def _adopted(record: Record, plans: Plans, buffers: Buffers, known: ForceUncertainty | None) -> Record:
     """The record with corrected readings; the kernels wrote them in the right shape: neither copied nor checked again."""
-    done = copy.copy(record)
+    done, values = object.__new__(Record), {name: getattr(record, name) for name in Record.__slots__}
     for name, plan, buffer in zip(("gyro", "accel"), plans, buffers, strict=True):
-        values = None
+        values[name] = None if plan is None else buffer.view()
         if plan is not None:
-            values = buffer.view()
-            values.flags.writeable = False
-        object.__setattr__(done, name, values)
-    for name, text in (("gyro_unit", "rad/s"), ("accel_unit", "m/s2"), ("frame", "b"), ("state", "corrected")):
-        object.__setattr__(done, name, text)
-    object.__setattr__(done, "accel_uncertainty", known)
+            values[name].flags.writeable = False
+    values |= {
+        "gyro_unit": "rad/s",
+        "accel_unit": "m/s2",
+        "frame": "b",
+        "state": "corrected",
+        "accel_uncertainty": known,
+    }
+    for name, value in values.items():
+        object.__setattr__(done, name, value)
     return done
 
 
