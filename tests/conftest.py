@@ -48,7 +48,8 @@ def shared(tmp_path_factory: pytest.TempPathFactory) -> list[tuple[Callable[...,
     """Pure functions whose results tests share, each with one that remembers."""
     from undrift.calibration.reference import prepare
     from undrift.drift.select import choose_tables
-    from undrift.study.figure3 import calibrated
+    from undrift.study.case import run_unit
+    from undrift.study.figure3 import calibrated, effect_table, figure3
     from undrift.sync import find_lag, native_poses
     from undrift.twin.fit import fit_prepared
     from undrift.validation.agreement import validate_leave_one_out
@@ -56,8 +57,11 @@ def shared(tmp_path_factory: pytest.TempPathFactory) -> list[tuple[Callable[...,
 
     poses = native_poses, find_lag, prepare
     fits = choose_tables, fit_prepared, calibrated
+    studies = run_unit, figure3, effect_table
     folder = run_folder(tmp_path_factory)
-    return [(pure, remembered(pure, folder)) for pure in (*poses, *fits, validate_trial, validate_leave_one_out)]
+    return [
+        (pure, remembered(pure, folder)) for pure in (*poses, *fits, *studies, validate_trial, validate_leave_one_out)
+    ]
 
 
 @pytest.fixture(scope="module")
@@ -66,4 +70,20 @@ def computed_once(shared: list[tuple[Callable[..., object], Callable[..., object
     with pytest.MonkeyPatch.context() as patch:
         for function, once in shared:
             put_everywhere(patch, function, once)
+        yield
+
+
+@pytest.fixture(scope="module")
+def described_once(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Read and describe each public file once in a run of the suite, for modules with this fixture."""
+    from testkit.data import DATA
+    from undrift.io.inspect import Description, describe
+
+    once = remembered(describe, run_folder(tmp_path_factory))
+
+    def description(path: Path, *args: Any, **words: Any) -> Description:
+        return (once if Path(path).is_relative_to(DATA) else describe)(path, *args, **words)
+
+    with pytest.MonkeyPatch.context() as patch:
+        put_everywhere(patch, describe, description)
         yield

@@ -10,6 +10,7 @@ from characterisation import calls
 from characterisation.compare import RECORDED, compare, flatten, read_recorded, tolerance
 from testkit.data import DATA
 
+pytestmark = pytest.mark.usefixtures("computed_once", "described_once")
 NAMES = sorted(calls.CALLS)
 
 

@@ -13,6 +13,7 @@ import pytest
 from testkit.command_line import contents
 from testkit.pages import browser, faults_of, seen_in
 from testkit.pictures import cut_texts
+from testkit.remembered import folder_made_once, run_folder
 from undrift.cli import study as study_module
 from undrift.errors import LinkError, RigTimeout
 from undrift.io import store as store_module
@@ -24,17 +25,23 @@ from undrift.rig.programme import read_protocol
 from undrift.study import virtual_bench
 from undrift.study.virtual_bench import Check, bench_device, bench_plan, record_on_bench
 
+pytestmark = pytest.mark.waits
 CODE = "from undrift.cli.app import main; main(['demo', '--quick', '--json', '--out', {!r}])"
 FILES = {"trial.parquet", "reference.parquet", "calibration.json", "corrected.parquet", "report.html", "summary.json"}
 
 
 @pytest.fixture(scope="module")
 def quick(tmp_path_factory):
-    """Folder and answer of `undrift demo --quick --json`."""
-    out = tmp_path_factory.mktemp("demo") / "d"
-    return out, subprocess.run(
-        [sys.executable, "-c", CODE.format(str(out))], check=False, capture_output=True, text=True, timeout=900
-    )
+    """Folder and answer of `undrift demo --quick --json`, which runs once."""
+
+    def call(folder):
+        words = [sys.executable, "-c", CODE.format(str(folder / "d"))]
+        done = subprocess.run(words, check=False, capture_output=True, text=True, timeout=900)
+        (folder / "answer.json").write_text(json.dumps([done.returncode, done.stdout, done.stderr]))
+
+    folder = folder_made_once(run_folder(tmp_path_factory), "demo", call)
+    code, out, err = json.loads((folder / "answer.json").read_text())
+    return folder / "d", SimpleNamespace(returncode=code, stdout=out, stderr=err)
 
 
 def test_the_bench_finds_the_hidden_parameters_and_the_tables_take_the_pitch_error_away(quick, capsys):

@@ -12,6 +12,7 @@ from testkit.data import DATA, data_path
 from undrift.io.formats import write_record
 from undrift.record import Record
 
+pytestmark = pytest.mark.usefixtures("described_once")
 KEYS = {
     "kind", "format", "rows", "sample_rate_hz", "duration_s", "columns", "units", "gaps", "temp_c", "stills", "problems",
 }  # fmt: skip

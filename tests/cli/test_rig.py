@@ -19,6 +19,7 @@ from undrift.live.transports import source_at
 from undrift.sim.device.model import read_device
 from undrift.sim.device.truth import true_calibration
 
+pytestmark = pytest.mark.waits
 NOBODY = "galil:tcp://127.0.0.1:9?reply_timeout_s=0.2"
 
 

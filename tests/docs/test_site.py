@@ -10,6 +10,7 @@ import pytest
 
 import undrift
 from testkit.pages import PRINTED_PX, browser, seen_in
+from testkit.remembered import folder_made_once, run_folder
 from undrift.cli.app import COMMANDS
 from undrift.findings import catalogue
 from undrift.sim.device.presets import SHEETS
@@ -30,22 +31,14 @@ _CUT_IN_PRINT = """() => [...document.querySelectorAll('article :is(table, pre, 
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Build the site as `make docs` does."""
-    folder = tmp_path_factory.mktemp("site")
-    words = [
-        "-W",
-        "--keep-going",
-        "-q",
-        "-b",
-        "html",
-        "-d",
-        str(folder / "doctrees"),
-        str(ROOT / "docs"),
-        str(folder / "html"),
-    ]
-    done = subprocess.run([sys.executable, "-m", "sphinx", *words], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr[-4000:]
-    return folder / "html"
+    """Build the site as `make docs` does, once in a run."""
+
+    def build(folder: Path) -> None:
+        words = ["-W", "--keep-going", "-q", "-b", "html", "-d", folder / "doctrees", ROOT / "docs", folder / "html"]
+        done = subprocess.run([sys.executable, "-m", "sphinx", *words], capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stderr[-4000:]
+
+    return folder_made_once(run_folder(tmp_path_factory), "site", build) / "html"
 
 
 def test_nothing_is_loaded_from_elsewhere(site: Path) -> None:
@@ -144,4 +137,4 @@ def test_what_is_cut_is_noticed(tmp_path: Path) -> None:
 @pytest.mark.long
 def test_every_page_reads_on_wide_and_narrow_screens_light_and_dark_and_on_paper(site: Path) -> None:
     with browser() as held:
-        assert [fault for page in sorted(site.rglob("*.html")) for fault in seen_in(held, page)] == []
+        assert [fault for page in sorted(site.rglob("*.html")) for fault in seen_in(held, page, every=True)] == []

@@ -5,9 +5,12 @@ import subprocess
 import sys
 import time
 
+import pytest
+
 from testkit.data import show
 from undrift.registry.registry import open_registry
 
+pytestmark = pytest.mark.waits
 WRITER = """
 import sys, time
 from datetime import UTC, datetime
@@ -25,7 +28,7 @@ with open_registry(place, station=name) as registry:
         (added,) = registry.add(NewEntry(kind="calibration", serial=f"{name}-{k % 7}", document=document, made_at=made))
         print(added.entry.id, flush=True)
 """
-STATIONS, EACH = 4, 1000
+STATIONS = 4
 
 
 def start(place, name, count, go):
@@ -33,10 +36,11 @@ def start(place, name, count, go):
     return subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 
-def test_four_stations_at_once_lose_nothing(place, tmp_path):
+@pytest.mark.parametrize("each", [250, pytest.param(1000, marks=pytest.mark.long)])
+def test_four_stations_at_once_lose_nothing(place, tmp_path, each):
     go = tmp_path / "go"
     writers = [
-        start(place, f"station{k}", EACH, go) for k in range(STATIONS)
+        start(place, f"station{k}", each, go) for k in range(STATIONS)
     ]  # each finds no tables, or those of another
     assert [writer.stdout.readline() for writer in writers] == ["ready\n"] * STATIONS
     began = time.monotonic()
@@ -50,11 +54,11 @@ def test_four_stations_at_once_lose_nothing(place, tmp_path):
         held = [entry for entry, _ in registry.entries()]
         devices = registry.devices()
     show(place.partition(":")[0][-20:], f"{len(held)} entries in {seconds:.1f} s, {len(held) / seconds:.0f} a second")
-    assert len(held) == len({entry.sha256 for entry in held}) == STATIONS * EACH
+    assert len(held) == len({entry.sha256 for entry in held}) == STATIONS * each
     assert {entry.id for entry in held} == set(reported)
-    assert len(reported) == len(set(reported)) == STATIONS * EACH
+    assert len(reported) == len(set(reported)) == STATIONS * each
     for k in range(STATIONS):
-        assert sum(entry.station == f"station{k}" for entry in held) == EACH
+        assert sum(entry.station == f"station{k}" for entry in held) == each
     assert len(devices) == 7 * STATIONS
 
 

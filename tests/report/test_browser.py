@@ -1,5 +1,6 @@
 """Pages of the commands as a reader meets them: whole, on a wide and a narrow screen, light and dark, and on paper."""
 
+import json
 import re
 import shlex
 from dataclasses import replace
@@ -12,6 +13,7 @@ import pytest
 from testkit.demo_session import demo_session
 from testkit.pages import browser, faults_of, seen_in
 from testkit.pictures import pictures_looked_at
+from testkit.remembered import folder_made_once, run_folder
 from undrift.calibration.observe import CalibrateSettings
 from undrift.cli.app import run
 from undrift.io.formats import write_record
@@ -52,13 +54,14 @@ SOAKS = ThermalSettings(
 NAMES = (*CALLS, "rig")
 
 
-CUT: list[str] = []  # by the pictures of the pages
-
-
 @pytest.fixture(scope="module")
 def pages(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return a folder with a page of each command, made twice: c.html and c_again.html."""
-    folder = tmp_path_factory.mktemp("pages")
+    """Return a folder with a page of each command, made once in a run of the suite; calibrate twice: again.html."""
+    return folder_made_once(run_folder(tmp_path_factory), "pages", make_pages)
+
+
+def make_pages(folder: Path) -> None:
+    """Write recordings, and the pages of commands on them; cut.json has what their pictures cut off."""
     rng = np.random.default_rng(2007)
     made = demo_session(rng, quick=True)
     write_session(made.session, folder / "session")
@@ -86,13 +89,11 @@ def pages(tmp_path_factory: pytest.TempPathFactory) -> Path:
         result = RunResult(pieces=tuple(turns), added=6, duration_s=40.0, rig="a table")
         origin = Origin(command="undrift rig run", inputs=(("protocol.toml", "0" * 64),))
         write_rig_report(Path("rig.html"), result, "run", origin=origin)
-    CUT[:] = cut
-    return folder
+    (folder / "cut.json").write_text(json.dumps(cut))
 
 
-@pytest.mark.usefixtures("pages")
-def test_no_picture_of_a_page_cuts_its_legend_or_a_label() -> None:
-    assert CUT == []
+def test_no_picture_of_a_page_cuts_its_legend_or_a_label(pages: Path) -> None:
+    assert json.loads((pages / "cut.json").read_text()) == []
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -100,9 +101,10 @@ def test_a_page_has_its_parts_and_fetches_nothing(pages: Path, name: str) -> Non
     assert faults_of((pages / f"{name}.html").read_text()) == []
 
 
-def test_every_page_reads_on_wide_and_narrow_screens_light_and_dark_and_on_paper(pages: Path) -> None:
+@pytest.mark.parametrize("every", [False, pytest.param(True, marks=pytest.mark.long)])
+def test_every_page_reads_on_wide_and_narrow_screens_light_and_dark_and_on_paper(pages: Path, every: bool) -> None:
     with browser() as held:
-        assert [fault for name in NAMES for fault in seen_in(held, pages / f"{name}.html")] == []
+        assert [fault for name in NAMES for fault in seen_in(held, pages / f"{name}.html", every=every)] == []
 
 
 def test_a_page_says_what_it_was_made_from_and_when(pages: Path) -> None:

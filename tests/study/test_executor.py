@@ -19,6 +19,7 @@ from undrift.study.case import Unit, run_unit, units_of
 from undrift.study.plan import Study, read_study
 from undrift.study.run import MOST_LOSSES, Dask, Executor, InProcess, Pool, run_study
 
+pytestmark = pytest.mark.waits
 TEXT = """
 [study]
 subjects = 4

@@ -70,8 +70,12 @@ def browser() -> Iterator[Any]:
             held.close()
 
 
-def seen_in(held: Any, page: Path) -> list[str]:
-    """Return what is wrong with a page in the browser, at each width and in each scheme, and in print."""
+def seen_in(held: Any, page: Path, *, every: bool = False) -> list[str]:
+    """Return what is wrong with a page in the browser, at each width and in each scheme, and in print.
+
+    Accessibility, which takes most of the time, is judged where it is wide and light and where it is narrow and dark: what depends
+    on the width is seen in either scheme, and contrast at either width. ``every`` judges all four.
+    """
     from axe_playwright_python.sync_playwright import Axe
 
     wrong, tab = [], held.new_page()
@@ -85,6 +89,8 @@ def seen_in(held: Any, page: Path) -> list[str]:
                 wrong.append(f"{where}: {found['beyond']} px beyond the screen")
             if width == min(WIDTHS) and found["least"] < LEAST_PX:
                 wrong.append(f"{where}: text of {found['least']:.2f} px in a figure")
+            if not every and (width == max(WIDTHS)) != (scheme == "light"):
+                continue
             violations = Axe().run(tab, options={"resultTypes": ["violations"]}).response["violations"]
             wrong += [
                 f"{where}: {one['id']}, {one['nodes'][0]['html'][:80]}"
