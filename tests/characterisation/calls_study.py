@@ -90,7 +90,7 @@ def study_halving() -> Result:
         "best": found.best,
         "runs": found.runs,
         "runs_of_grid": found.runs_of_grid,
-        "protocols": len(found.protocols),
+        "protocols": len(found.points),
     }
 
 

@@ -80,13 +80,13 @@ class Fails(InProcess):
 
 def test_a_planted_optimum_is_found_with_a_third_of_the_runs(tmp_path: Path) -> None:
     found = halve(STUDY, TASK, Planted(), tmp_path)
-    best = found.protocols[found.best]
+    best = TASK.protocol_of(found.points[found.best])
     assert best.cutoff_hz == BEST[0]
     assert np.array([best.turn_rate_step, best.turn_rate_min, best.turn_rate_max]) / DPS == pytest.approx(BEST[1:])
     show("runs over those of the full grid", found.runs / found.runs_of_grid, "1/3")
     assert found.runs <= found.runs_of_grid / 3
     sizes = [len(each.candidates) for each in found.rounds]
-    assert sizes[0] == len(found.protocols)
+    assert sizes[0] == len(found.points)
     assert sizes == sorted(sizes, reverse=True)
     assert [each.subjects for each in found.rounds][-1] == STUDY.subjects
 

@@ -175,7 +175,7 @@ def _rounds(outcome: "StudyOutcome", task: "TaskOutcome", halving: "Halving") ->
         ("largest mean error (deg)", lambda each: f"{each.mean_deg.max():.3f}"),
     )
     how = "Each round keeps the better half of the protocols and doubles the subjects."
-    tried, every = len(halving.protocols), halving.runs_of_grid // outcome.study.subjects
+    tried, every = len(halving.points), halving.runs_of_grid // outcome.study.subjects
     if halving.generations:
         met = halving.rounds[0].subjects
         how = f"The first {halving.generations} rounds are generations of CMA-ES, each on the next {met} subjects. "

@@ -616,7 +616,7 @@ def _findings(task: TaskOutcome) -> tuple[Finding, ...]:
         met = tuple(each.subjects for each in halving.rounds)
         runs, grid = halving.runs, halving.runs_of_grid
         if halving.generations:
-            numbers = {"generations": halving.generations, "tried": len(halving.protocols), "subjects": met[0]}
+            numbers = {"generations": halving.generations, "tried": len(halving.points), "subjects": met[0]}
             rows.append(finding("study.evolution", "info", runs=runs, grid=grid, **numbers))
         else:
             rows.append(finding("study.halving", "info", protocols=candidates, subjects=met, runs=runs, grid=grid))

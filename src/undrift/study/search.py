@@ -64,7 +64,6 @@ class Halving:
     """Outcome of a halving: its rounds, and the surface of all runs that were made."""
 
     points: FloatArray  # (P, n), all candidates
-    protocols: tuple[Protocol, ...]  # The same as protocols
     best: int  # Place of the best of the last round
     rounds: tuple[Round, ...]  # From all candidates to the last few
     runs: int  # Sessions simulated and fitted
@@ -143,7 +142,6 @@ def halve(
         met = wanted
     return Halving(
         points=points,
-        protocols=tuple(map(task.protocol_of, points)),
         best=int(left[np.argmin(rounds[-1].mean_deg)]),
         rounds=tuple(rounds),
         runs=runs,
@@ -336,7 +334,6 @@ def evolve(study: Study, task: StudyTask, executor: Executor, folder: Path, coun
     return replace(
         last,
         points=points,
-        protocols=tuple(map(task.protocol_of, points)),
         best=int(best[last.best]),
         rounds=tuple(rounds),
         runs=runs + last.runs,
