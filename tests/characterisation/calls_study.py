@@ -26,7 +26,7 @@ from undrift.study.figure3 import figure3
 from undrift.study.plan import Space, Study, StudyTask
 from undrift.study.rivals import rate_table_minutes
 from undrift.study.run import InProcess
-from undrift.study.search import halve, optimal_rates, prediction_sd
+from undrift.study.search import TaskSearch, optimal_rates, prediction_sd
 from undrift.study.statistics import (
     adjust_holm,
     compare_conditions,
@@ -85,7 +85,7 @@ def study_halving() -> Result:
     base = Protocol(grid="paper", dwell_s=1.0, bracket_s=3.0, temperatures_c=(18.0, 36.0, 54.0, 75.0))
     task = StudyTask(name="step", space=space, base=base)
     study = Study(name="halved", device="enc03j_3031", tasks=(task,), subjects=6)
-    found = halve(study, task, InProcess(), folder() / "halved")
+    found = TaskSearch(study, task, InProcess(), folder() / "halved").halve()
     return {
         "best": found.best,
         "runs": found.runs,

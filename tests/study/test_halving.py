@@ -15,7 +15,7 @@ from undrift.study import search
 from undrift.study.case import Unit
 from undrift.study.plan import Space, Study, StudyTask
 from undrift.study.run import InProcess
-from undrift.study.search import halve
+from undrift.study.search import TaskSearch
 
 DPS = np.pi / 180.0
 TASK = StudyTask(
@@ -79,7 +79,7 @@ class Fails(InProcess):
 
 
 def test_a_planted_optimum_is_found_with_a_third_of_the_runs(tmp_path: Path) -> None:
-    found = halve(STUDY, TASK, Planted(), tmp_path)
+    found = TaskSearch(STUDY, TASK, Planted(), tmp_path).halve()
     best = TASK.protocol_of(found.points[found.best])
     assert best.cutoff_hz == BEST[0]
     assert np.array([best.turn_rate_step, best.turn_rate_min, best.turn_rate_max]) / DPS == pytest.approx(BEST[1:])
@@ -92,9 +92,9 @@ def test_a_planted_optimum_is_found_with_a_third_of_the_runs(tmp_path: Path) -> 
 
 
 def test_what_is_finished_is_not_done_again(tmp_path: Path) -> None:
-    one = halve(STUDY, TASK, Planted(), tmp_path)
+    one = TaskSearch(STUDY, TASK, Planted(), tmp_path).halve()
     before = Planted.done
-    two = halve(STUDY, TASK, Planted(), tmp_path)
+    two = TaskSearch(STUDY, TASK, Planted(), tmp_path).halve()
     assert Planted.done == before
     assert two.best == one.best
 
@@ -113,7 +113,7 @@ def test_real_runs_halve_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     )
     monkeypatch.setattr(search, "FIRST_SUBJECTS", 1)
     monkeypatch.setattr(search, "LEAST", 1)
-    found = halve(study, narrow, InProcess(), tmp_path)
+    found = TaskSearch(study, narrow, InProcess(), tmp_path).halve()
     assert [len(each.candidates) for each in found.rounds] == [3, 2, 1]
     assert found.runs == 3 + 2 + 1
     assert np.isfinite(found.rounds[-1].mean_deg).all()
@@ -121,4 +121,4 @@ def test_real_runs_halve_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
 
 def test_nothing_that_calibrates_is_said(tmp_path: Path) -> None:
     with pytest.raises(NotObservable, match="wanted a protocol of step that calibrates every device, got none"):
-        halve(STUDY, TASK, Fails(), tmp_path)
+        TaskSearch(STUDY, TASK, Fails(), tmp_path).halve()

@@ -92,62 +92,85 @@ def runs_of(plan: tuple[tuple[int, int], ...]) -> int:
     return sum(count * (met - before) for (count, met), (_, before) in zip(plan, ((0, 0), *plan), strict=False))
 
 
-def unmet(study: Study, task: StudyTask, points: FloatArray) -> TaskSurface:
-    """Return the surface of candidates (P, n) that have met nobody."""
-    varied: dict[str, Any] = columns_of(task, points)
-    varied["further"] = {name: varied.pop(name) for name in further_of(task)}
-    varied |= {name: np.full((study.subjects, len(points)), np.nan) for name in ERRORS}
-    return TaskSurface(task=task.key, rig_minutes=np.full(len(points), np.nan), **varied)
+@dataclass(frozen=True, slots=True)
+class TaskSearch:
+    """Search of one task: where its candidates are run, and who is told."""
 
+    study: Study
+    task: StudyTask
+    executor: Executor
+    folder: Path  # Of its blocks of runs
+    count: Count = lambda runs: None
+    tell: Tell = lambda text: None
 
-def allowed_of(study: Study, task: StudyTask, points: FloatArray, every: TaskSurface) -> IntArray:
-    """Return which candidates have a session that is allowed; where that has an end, write the minutes of all."""
-    if study.rig_minutes_max is None:
-        return np.arange(len(points))
-    held = ((task.protocol_of(point), task.space.setting_of(point).quality) for point in points)
-    every.rig_minutes[:] = [session_of(*each).length_s[0] / 60.0 for each in held]
-    return np.flatnonzero(every.rig_minutes <= study.rig_minutes_max)
+    def unmet(self, points: FloatArray) -> TaskSurface:
+        """Return the surface of candidates (P, n) that have met nobody."""
+        varied: dict[str, Any] = columns_of(self.task, points)
+        varied["further"] = {name: varied.pop(name) for name in further_of(self.task)}
+        varied |= {name: np.full((self.study.subjects, len(points)), np.nan) for name in ERRORS}
+        return TaskSurface(task=self.task.key, rig_minutes=np.full(len(points), np.nan), **varied)
 
+    def allowed(self, points: FloatArray, every: TaskSurface) -> IntArray:
+        """Return which candidates have a session that is allowed; where that has an end, write the minutes of all."""
+        if self.study.rig_minutes_max is None:
+            return np.arange(len(points))
+        held = ((self.task.protocol_of(point), self.task.space.setting_of(point).quality) for point in points)
+        every.rig_minutes[:] = [session_of(*each).length_s[0] / 60.0 for each in held]
+        return np.flatnonzero(every.rig_minutes <= self.study.rig_minutes_max)
 
-def halve(
-    study: Study,
-    task: StudyTask,
-    executor: Executor,
-    folder: Path,
-    *,
-    points: FloatArray | None = None,
-    count: Count = lambda runs: None,
-    tell: Tell = lambda text: None,
-) -> Halving:
-    """Find the best protocol of a task, or of some points (P, n), with a part of the runs; ``count`` gets those of each unit."""
-    points = task.space.points() if points is None else points
-    every = unmet(study, task, points)
-    left = allowed_of(study, task, points, every)
-    plan = rounds_of(len(left), study.subjects)
-    rounds: list[Round] = []
-    met = runs = 0
-    for number, (kept, wanted) in enumerate(plan, 1):
-        if rounds:
-            left = np.sort(left[np.argsort(rounds[-1].mean_deg, kind="stable")[:kept]])
-        if len(left):
-            tell(f"{task.key}, round {number} of {len(plan)}: {len(left)} protocols on {wanted} subjects")
-        runs += len(left) * (wanted - met)
-        run_block(study, task, points, (range(met, wanted), left), executor, folder / f"round-{number}", every, count)
-        mean = mean_of(every.aimed(study)[:wanted, left])
-        rounds.append(Round(subjects=wanted, candidates=left, mean_deg=mean))
-        if not np.isfinite(mean).any():
-            raise NotObservable(
-                f"halving: wanted a protocol of {task.key} that calibrates every device, got none; try other rates"
-            )
-        met = wanted
-    return Halving(
-        points=points,
-        best=int(left[np.argmin(rounds[-1].mean_deg)]),
-        rounds=tuple(rounds),
-        runs=runs,
-        runs_of_grid=study.subjects * task.space.count,
-        every=every,
-    )
+    def run(self, name: str, points: FloatArray, subjects: Sequence[int], places: IntArray, every: TaskSurface) -> None:
+        """Run a block of subjects and of candidates, places of the points, and write its errors into the surface."""
+        space = self.task.space
+        settings, tasks, places_of = [space.setting_of(points[place]) for place in places], [], {}
+        for setting in dict.fromkeys(settings):
+            alike = places_of[setting] = places[[each == setting for each in settings]]
+            tasks.append(replace(self.task, space=space.narrowed(points[alike])))
+        units = [
+            Unit(study=self.study, task=only, subject=subject, setting=only.space.settings()[0])
+            for subject in subjects
+            for only in tasks
+        ]
+        store = RunStore(self.folder / name, self.study, only=tuple(tasks))
+        self.count(sum(len(unit.task.space.only) for unit in units if store.holds(unit)))
+        for unit in store.finish(units, self.executor):
+            self.count(len(unit.task.space.only))
+        for unit in units:
+            found, alike = store.read(unit), places_of[unit.setting]
+            every.rig_minutes[alike] = found["rig_minutes"]
+            for error in ERRORS:
+                getattr(every, error)[unit.subject, alike] = found[error]
+
+    def halve(self, points: FloatArray | None = None) -> Halving:
+        """Find the best protocol of the task, or of some points (P, n), with a part of the runs."""
+        study, task = self.study, self.task
+        points = task.space.points() if points is None else points
+        every = self.unmet(points)
+        left = self.allowed(points, every)
+        plan = rounds_of(len(left), study.subjects)
+        rounds: list[Round] = []
+        met = runs = 0
+        for number, (kept, wanted) in enumerate(plan, 1):
+            if rounds:
+                left = np.sort(left[np.argsort(rounds[-1].mean_deg, kind="stable")[:kept]])
+            if len(left):
+                self.tell(f"{task.key}, round {number} of {len(plan)}: {len(left)} protocols on {wanted} subjects")
+            runs += len(left) * (wanted - met)
+            self.run(f"round-{number}", points, range(met, wanted), left, every)
+            mean = mean_of(every.aimed(study)[:wanted, left])
+            rounds.append(Round(subjects=wanted, candidates=left, mean_deg=mean))
+            if not np.isfinite(mean).any():
+                raise NotObservable(
+                    f"halving: wanted a protocol of {task.key} that calibrates every device, got none; try other rates"
+                )
+            met = wanted
+        return Halving(
+            points=points,
+            best=int(left[np.argmin(rounds[-1].mean_deg)]),
+            rounds=tuple(rounds),
+            runs=runs,
+            runs_of_grid=study.subjects * task.space.count,
+            every=every,
+        )
 
 
 def mean_of(error: FloatArray) -> FloatArray:
@@ -155,38 +178,6 @@ def mean_of(error: FloatArray) -> FloatArray:
     there = np.isfinite(error).any(axis=1)  # a device that no candidate calibrates does not compare them
     mean = error[there].mean(axis=0) if there.any() else np.full(error.shape[1], np.inf)
     return np.where(np.isfinite(mean), mean, np.inf)
-
-
-def run_block(
-    study: Study,
-    task: StudyTask,
-    points: FloatArray,
-    block: tuple[Sequence[int], IntArray],
-    executor: Executor,
-    folder: Path,
-    every: TaskSurface,
-    count: Count,
-) -> None:
-    """Run a block of subjects and of candidates, places of the points, and write its errors into the surface."""
-    subjects, left = block
-    settings, tasks, places_of = [task.space.setting_of(points[place]) for place in left], [], {}
-    for setting in dict.fromkeys(settings):
-        places = places_of[setting] = left[[each == setting for each in settings]]
-        tasks.append(replace(task, space=task.space.narrowed(points[places])))
-    units = [
-        Unit(study=study, task=only, subject=subject, setting=only.space.settings()[0])
-        for subject in subjects
-        for only in tasks
-    ]
-    store = RunStore(folder, study, only=tuple(tasks))
-    count(sum(len(unit.task.space.only) for unit in units if store.holds(unit)))
-    for unit in store.finish(units, executor):
-        count(len(unit.task.space.only))
-    for unit in units:
-        found, places = store.read(unit), places_of[unit.setting]
-        every.rig_minutes[places] = found["rig_minutes"]
-        for name in ERRORS:
-            getattr(every, name)[unit.subject, places] = found[name]
 
 
 # ---- candidates beyond the grid
@@ -239,13 +230,12 @@ def search_study(
     count(0)
     found = []
     for task in study.tasks:
-        own = folder / HALVING / task.key
+        search = TaskSearch(study, task, executor, folder / HALVING / task.key, count, tell)
         if study.search == "cma":
-            searched = evolve(study, task, executor, own, count, tell)
+            searched = evolve(search)
         else:
-            points = None if tried_of(study, task) == task.space.count else drawn(study, task)
-            searched = halve(study, task, executor, own, points=points, count=count, tell=tell)
-        found.append(_with_front(study, task, searched, executor, own, count))
+            searched = search.halve(None if tried_of(study, task) == task.space.count else drawn(study, task))
+        found.append(_with_front(search, searched))
     advance(done, done)
     join_pieces(pieces_of(folder), folder)
     return tuple(found)
@@ -287,8 +277,9 @@ class Lists:
 # ---- CMA-ES
 
 
-def evolve(study: Study, task: StudyTask, executor: Executor, folder: Path, count: Count, tell: Tell) -> Halving:
+def evolve(search: TaskSearch) -> Halving:
     """Search a task by CMA-ES, then halve the best of what it tried."""
+    study, task = search.study, search.task
     strategy, lists = _strategy(study, task)
     free, met = np.flatnonzero(lists.sizes > 1), min(MET, study.subjects)
     table: dict[tuple[float, ...], int] = {}  # candidates and their places
@@ -300,12 +291,13 @@ def evolve(study: Study, task: StudyTask, executor: Executor, folder: Path, coun
         whole[:, free] = asked
         points, which = np.unique(lists.points(whole), axis=0, return_inverse=True)
         subjects = (number * met + np.arange(met)) % study.subjects
-        own = unmet(study, task, points)
-        allowed = allowed_of(study, task, points, own)
+        own = search.unmet(points)
+        allowed = search.allowed(points, own)
         if len(allowed):
-            tell(f"{task.key}, generation {number + 1} of {generations}: {len(allowed)} protocols on {met} subjects")
-            block = subjects.tolist(), allowed
-            run_block(study, task, points, block, executor, folder / f"generation-{number + 1}", own, count)
+            search.tell(
+                f"{task.key}, generation {number + 1} of {generations}: {len(allowed)} protocols on {met} subjects"
+            )
+            search.run(f"generation-{number + 1}", points, subjects.tolist(), allowed, own)
             runs += len(allowed) * met
         mean = mean_of(own.aimed(study)[subjects])
         strategy.tell(asked, np.where(np.isfinite(mean), mean, NO_ERROR)[which.ravel()].tolist())
@@ -313,7 +305,7 @@ def evolve(study: Study, task: StudyTask, executor: Executor, folder: Path, coun
         tried.append((subjects, places, own))
         rounds.append(Round(subjects=met, candidates=places, mean_deg=mean))
     points = np.array(list(table))
-    every = unmet(study, task, points)
+    every = search.unmet(points)
     for subjects, places, own in tried:
         every.rig_minutes[places] = own.rig_minutes
         for name in ERRORS:
@@ -325,7 +317,7 @@ def evolve(study: Study, task: StudyTask, executor: Executor, folder: Path, coun
         raise NotObservable(
             f"cma: wanted a protocol of {task.key} that calibrates devices in the time allowed, got none; try other rates"
         )
-    last = halve(study, task, executor, folder / "finalists", points=points[best], count=count, tell=tell)
+    last = replace(search, folder=search.folder / "finalists").halve(points[best])
     for name in ERRORS:
         getattr(every, name)[:, best] = np.where(
             np.isfinite(found := getattr(last.every, name)), found, getattr(every, name)[:, best]
@@ -414,18 +406,15 @@ def front_of(surface: TaskSurface, aim: Aim) -> Front:
     return Front(surface=surface, places=places, mean_deg=mean[places], interval_deg=ends)
 
 
-def _with_front(
-    study: Study, task: StudyTask, found: Halving, executor: Executor, folder: Path, count: Count
-) -> Halving:
+def _with_front(search: TaskSearch, found: Halving) -> Halving:
     """Let every subject meet what seems to be on the front."""
-    every, (level, uncertainty) = found.every, estimated(found.every.aimed(study))
+    study, every, (level, uncertainty) = search.study, found.every, estimated(found.every.aimed(search.study))
     places = pareto_front(every.rig_minutes, np.where(np.isfinite(every.rig_minutes), level + uncertainty, np.inf))
     places = places[np.unique(np.linspace(0, len(places) - 1, min(FRONT, len(places))).round().astype(int))]
     places = np.sort(places[~np.isfinite(every.aimed(study)[:, places]).all(axis=0)])
     if not len(places):
         return found
-    block = range(study.subjects), places
-    run_block(study, task, found.points, block, executor, folder / "front", every, count)
+    search.run("front", found.points, range(study.subjects), places, every)
     return replace(found, runs=found.runs + len(places) * study.subjects)
 
 
