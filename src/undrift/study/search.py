@@ -94,7 +94,7 @@ def runs_of(plan: tuple[tuple[int, int], ...]) -> int:
 
 @dataclass(frozen=True, slots=True)
 class TaskSearch:
-    """Search of one task: where its candidates are run, and who is told."""
+    """Search of one task: where its candidates are run, and what gets its progress."""
 
     study: Study
     task: StudyTask
