@@ -1,12 +1,16 @@
 """Equations of three sensors: solved, carried and budgeted as by the whole system at once, and by finite differences."""
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 
 from undrift.fit.equations import (
     Equations,
     Inverse,
+    Linearised,
     carried_own,
+    descend,
     diagonal,
     joined,
     offset_of,
@@ -164,3 +168,33 @@ def test_deviations_and_their_cholesky_factors_give_one_solution() -> None:
     for name in ("theta", "covariance", "gain", "square", "likelihood"):
         np.testing.assert_allclose(getattr(one, name), getattr(two, name), rtol=1e-9, atol=1e-14)
     np.testing.assert_array_equal(roots(sigma[0], np.zeros((E, E))), sigma)
+
+
+def rows_of(exponents: np.ndarray, reading: np.ndarray) -> Callable[[np.ndarray], Linearised]:
+    """Return the rows of reading = a exp(-b t), weighed alike; the residuals are their state."""
+
+    def rows(p: np.ndarray) -> Linearised:
+        wave = np.exp(-p[1] * exponents)
+        residual, design = p[0] * wave - reading, np.column_stack((wave, -p[0] * exponents * wave))
+        return Linearised(float(residual @ residual), design.T @ design, design.T @ residual, residual)
+
+    return rows
+
+
+def test_a_descent_ends_at_the_minimum_with_the_rows_there() -> None:
+    time = np.linspace(0.0, 3.0, 20)
+    rows, start = rows_of(time, 2.0 * np.exp(-0.7 * time)), np.array([1.0, 0.1])
+    p, best, found = descend(rows, start, rows(start), tolerance=1e-12, size=np.ones(2))
+    assert found
+    np.testing.assert_allclose(p, [2.0, 0.7], rtol=1e-9)
+    np.testing.assert_array_equal(best.state, rows(p).state)
+
+
+def test_a_descent_that_runs_away_or_out_of_steps_gives_its_start_back() -> None:
+    time = np.linspace(0.0, 3.0, 20)
+    rows, start = rows_of(time, 2.0 * np.exp(-0.7 * time)), np.array([1.0, 0.1])
+    for limits in ({"farthest": 1.5}, {"steps": 1}):
+        p, best, found = descend(rows, start, first := rows(start), tolerance=1e-12, size=np.ones(2), **limits)
+        assert not found
+        assert p is start
+        assert best is first

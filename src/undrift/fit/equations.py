@@ -439,7 +439,8 @@ def descend(
     for _ in range(steps):
         length = np.sqrt(np.diag(best.normal))
         length[length == 0.0] = 1.0
-        scaled = best.normal / np.outer(length, length) + damping * np.eye(len(p))
+        scaled = best.normal / (length[:, None] * length)
+        scaled.flat[:: len(p) + 1] += damping
         step = -np.linalg.solve(scaled, best.gradient / length) / length
         if float(np.abs(step / size).max()) < tolerance or damping > _MOST_DAMPING:
             return p, best, True
@@ -448,6 +449,6 @@ def descend(
             p, best, damping = p + step, trial, max(0.1 * damping, 1e-12)
         else:
             damping = max(10.0 * damping, 1e-6)
-        if float(np.abs(p / size).max()) > farthest:
+        if farthest < np.inf and float(np.abs(p / size).max()) > farthest:
             break
     return start, first, False
