@@ -437,8 +437,7 @@ def descend(
     """
     p, best, damping = start, first, 1e-9
     for _ in range(steps):
-        length = np.sqrt(np.diag(best.normal))
-        length[length == 0.0] = 1.0
+        length = np.sqrt(np.where(np.diag(best.normal) > 0.0, np.diag(best.normal), 1.0))
         scaled = best.normal / (length[:, None] * length)
         scaled.flat[:: len(p) + 1] += damping
         step = -np.linalg.solve(scaled, best.gradient / length) / length
