@@ -94,7 +94,8 @@ def initial_tilt(record: Record, still: Still, *, heading: float = 0.0) -> Tilt:
     if abs(length / STANDARD_GRAVITY - 1.0) > GRAVITY_WITHIN:
         raise InputError(
             f"tilt: wanted a mean specific force within {GRAVITY_WITHIN:.0%} of gravity, got {length:.3g} m/s2; "
-            "check the unit of the accelerometer and that the device stood still",
+            "check the unit of the accelerometer, that no other quantity is mapped as one of its axes, and that the device "
+            "stood still",
             length=length,
         )
     level = (np.eye(3) - np.outer(mean, mean) / length**2) / length
@@ -298,6 +299,8 @@ def _nearest_face(vector: FloatArray) -> Face:
 # ---- A whole record
 
 LONGEST_HOLE_S = 0.1  # a person turns by 10 deg in it
+# In a stretch taken as rest, a person who stands sways by 1 deg/s rms and by 0.5 deg from its first third to its last
+MOVING_RATE, TURNED = 5.0 * RADIAN_PER_DEGREE, 1.5 * RADIAN_PER_DEGREE
 WARN_DRIFT = 1.0 * RADIAN_PER_DEGREE  # of strapdown over the record: what optics show on a trial of two minutes
 LEAST_BIAS_SIGMA_DPS = (
     1e-3  # deg/s, prior of the filter's bias: below it the filter would not correct a real change for long
@@ -471,6 +474,7 @@ def orient_unchecked(
     else:
         q = _both_ways(gyro, record.time, tilt.q_nb, anchor)
         findings = (_expected_drift(record.time, anchor, uncertainty, settings.offset),)
+    findings += _moved_at_rest(record, still)
     findings += check_pitch_axes(q, slice(still.start, still.stop), settings.forward, settings.up)
     return Orientation(
         time=record.time,
@@ -528,6 +532,25 @@ def _offset_uncertainty(
         sum(mean_variance(axis) for axis in gyro[one.start : one.stop].T) for one in rests if one.stop - one.start > 1
     )
     return math.hypot(worst, math.sqrt(scatter))
+
+
+def _moved_at_rest(record: Record, still: Still) -> tuple[Finding, ...]:
+    """Return that the device moved in the stretch that gives tilt and offset: rates that vary, or gravity that turns."""
+    if record.gyro is None or record.accel is None:
+        return ()
+    gyro, accel = record.gyro[still.start : still.stop], record.accel[still.start : still.stop]
+    spread = float(np.linalg.norm(np.nanstd(gyro, axis=0)))
+    third = max(len(accel) // 3, 1)
+    first, last = accel[:third].mean(axis=0), accel[-third:].mean(axis=0)
+    turned = float(np.arctan2(np.linalg.norm(np.cross(first, last)), first @ last))
+    if spread > MOVING_RATE:
+        how = f"its rates vary by {spread / RADIAN_PER_DEGREE:.3g} deg/s rms"
+    elif turned > TURNED:
+        how = f"gravity turns by {turned / RADIAN_PER_DEGREE:.2g} deg, a slow turn"
+    else:
+        return ()
+    span = {"start_s": float(record.time[still.start]), "stop_s": float(record.time[still.stop - 1])}
+    return (finding("orient.rest_turns", "warn", how=how, **span),)
 
 
 def _expected_drift(time: FloatArray, anchor: int, uncertainty: float, offset: str) -> Finding:

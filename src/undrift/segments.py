@@ -362,6 +362,8 @@ def _why_none(
     over = [f"{t.value:.3g} {t.unit}" for t in thresholds if t.basis == "limit" and t.value < t.noise_floor]
     if over:
         why = f"too restless: a device at rest varies less than {' and '.join(over)}"
+        if len(over) == 1 < len(thresholds) and over[0].endswith(" rad/s"):
+            why += " while the accelerometer rests: is the gyroscope in deg/s, not rad/s?"
     elif all(t.basis == "none" for t in thresholds):
         usual = " and ".join(
             f"{np.median(m.spread):.3g} {m.unit} against a floor of {t.noise_floor:.3g}"

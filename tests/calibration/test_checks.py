@@ -100,7 +100,7 @@ def _numbers(row):
 
 def test_left_handed_axes_are_refused_with_the_axis():
     with pytest.raises(
-        Implausible, match=r"gyroscope: wanted right-handed axes, got a left-handed triad \(reversed: y\)"
+        Implausible, match=r"gyroscope: wanted right-handed axes, got a left-handed triad: gyroscope reversed about y;"
     ):
         check_handedness(np.diag([1.0, -1.0, 1.0]), "gyroscope")
     with pytest.raises(Implausible, match=r"two axes exchanged"):

@@ -6,6 +6,7 @@ the first text that came. Outcomes::
     named      refused, or a finding that warns or fails, with the true cause
     refused    refused, with another cause
     warned     a new finding that warns or fails, which does not name the cause
+    noted       a finding for the record, shown with sound input too, states what to compare
     silent     a wrong result and no word about it
     broken     an internal error, or no end
     harmless   the result is right within twice the error of the sound input: no mistake
@@ -26,7 +27,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from mistakes.planting import Result, expected_of, false_alarms, judged
 from mistakes.routes import MISTAKES
 
-OUTCOMES = ("named", "refused", "warned", "silent", "broken", "harmless")
+OUTCOMES = ("named", "refused", "warned", "noted", "silent", "broken", "harmless")
 
 
 def line_of(one: Result) -> str:

@@ -378,7 +378,7 @@ CALIBRATE = [
         labelled_turns,
         "states 180 deg of full turns",
         _turns(lambda one: replace(one, angle=0.5 * (one.angle or 0.0))),
-        causes.TURN_ANGLE,
+        (*causes.TURN_ANGLE, *causes.SCALE_AS_STATED),
     ),
     mistake(
         labelled_turns,
@@ -435,7 +435,7 @@ CALIBRATE = [
         rate_table,
         "states twice the rates, for a gear of 2",
         _turns(lambda one: replace(one, turn_rate=2.0 * (one.turn_rate or 0.0))),
-        (r"rates?[^;]*2(?:\.0+)? times|half of the stated|gear",),
+        (r"rates?[^;]*2(?:\.0+)? times|half of the stated|gear", *causes.SCALE_AS_STATED),
     ),
     mistake(rate_table, "loses ten samples to -32768 in a turn", _session(lost_readings), causes.SATURATED),
     mistake(

@@ -109,6 +109,9 @@ TURN_ANGLE = (
     r"turn[^;]*(?:angle|deg)[^;]*(?:360|stated|wrong)[^;]*(?:not|got|but|by|times)[^;]*",
     r"--turn-deg",
 )
+SCALE_AS_STATED = (
+    r"rests on the stated turns alone[^;]*wrong angle, rate or sample rate",
+)  # A note: any turn may be wrong
 TURN_SIGN = (r"sign of the turns?|turns?[^;]*(?:opposite|reversed|wrong sign)|reversed[^;]*turns",)
 UPSIDE_DOWN = (
     r"--(?:forward|up)\b[^;]*--(?:forward|up)\b|upside down|pitch[^;]*(?:--up|--forward|wraps|beyond 100)",

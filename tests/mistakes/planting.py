@@ -309,6 +309,7 @@ def judged(one: Mistake) -> Result:
     new = tuple(text for text in told.warnings if _plain(text) not in usual)
     texts = (told.error,) if told.code >= 2 else new
     line = named_by((*texts, *(told.notes if one.noted else ())), one.named)
+    note = named_by(told.notes, one.named)
     right = all(value <= GOOD_ENOUGH * sound_wrong.get(name, 0.0) for name, value in wrong.items()) if wrong else False
     if "internal error" in told.error:
         outcome = "broken"
@@ -319,13 +320,13 @@ def judged(one: Mistake) -> Result:
     elif right:
         outcome = "harmless"
     else:
-        outcome = "warned" if new else "silent"
+        outcome = "warned" if new else "noted" if note else "silent"
     return Result(
         mistake=one.name,
         route=case.route,
         sound=one.sound.__name__,
         outcome=outcome,
-        line=line or next(iter(texts), ""),
+        line=line or next(iter(texts), note),
         wrong=wrong,
         command=f'python -m tests.mistakes "{case.route}" {one.sound.__name__} "{one.name}"',
     )

@@ -20,7 +20,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from undrift.calibration.adc import identify_record_adc, restored
-from undrift.calibration.checks import missing_faces, range_in_doubt
+from undrift.calibration.checks import missing_faces, range_in_doubt, scale_as_stated
 from undrift.calibration.creep import creep_of, offset_drift
 from undrift.calibration.known_rotation import calibrate_turns
 from undrift.calibration.multi_position import FEWEST_POSES, calibrate_moves, calibrate_poses
@@ -37,12 +37,13 @@ from undrift.model import AdcModel, Calibration, Provenance, Verdict, versions_u
 from undrift.plugins import load_named, names_in
 from undrift.record import FACES, GravitySource, Record, Reference, Session, Turn, check_local_gravity
 from undrift.sync import LagSettings
-from undrift.units import STANDARD_GRAVITY, is_physical, si_factor
+from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical, si_factor
 
 Mode = Literal["paper", "affine", "levelled"]
 Triad = Literal["accelerometer", "gyroscope"]
 
 _LEAST_POSES = 9  # free poses of a multi-position fit
+RADIANS = (0.4, 1.22)  # as degrees at the equator, as radians 23 to 70 deg, where people live
 
 
 # ---- registry of the fits
@@ -181,13 +182,20 @@ def calibrate(
     of_gyro = _calibrate_gyro(seen, gyro, mode, of_accel)
     triads: tuple[tuple[Triad, Outcome], ...] = (("accelerometer", of_accel), ("gyroscope", of_gyro))
     unused = tuple(item for triad, outcome in triads for item in _mode_not_used(mode, triad, outcome))
+    of_statements: tuple[Finding, ...] = ()
+    if settings.latitude_deg is not None and RADIANS[0] < abs(settings.latitude_deg) < RADIANS[1]:
+        as_radians_deg = settings.latitude_deg / RADIAN_PER_DEGREE
+        shown = {"latitude_deg": settings.latitude_deg, "as_radians_deg": as_radians_deg}
+        of_statements += (finding("session.latitude_in_radians", "warn", **shown),)
     if session.gravity_source == "standard" and of_accel.fit is not None:
-        other_temperatures += (finding("session.gravity_assumed", "warn", gravity_m_s2=session.gravity_m_s2),)
+        of_statements += (finding("session.gravity_assumed", "warn", gravity_m_s2=session.gravity_m_s2),)
     if of_gyro.fit is not None and of_gyro.fit.model.unit_in == "count":
         largest = max(float(np.nanmax(np.abs(r.gyro))) for r in session.records if r.gyro is not None)
-        other_temperatures += range_in_doubt(float(np.median(of_gyro.fit.model.scale_factor)), largest)
+        scale = float(np.median(of_gyro.fit.model.scale_factor))
+        of_statements += range_in_doubt(scale, largest)
+        of_statements += (scale_as_stated(scale),) if of_gyro.method in ("rate-table", "known-rotation") else ()
     drifted = () if of_gyro.fit is None else offset_drift(seen, float(np.linalg.norm(of_gyro.fit.model.matrix, 2)))
-    of_session = (*other_temperatures, *seen.findings, *drifted)
+    of_session = (*other_temperatures, *of_statements, *seen.findings, *drifted)
     found = each_once((*of_session, *of_accel.findings, *of_gyro.findings, *unused))
     if of_accel.fit is None and of_gyro.fit is None:
         reasons = "; ".join(item.text for item in found)

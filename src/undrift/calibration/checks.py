@@ -208,7 +208,8 @@ def check_gravity(means: FloatArray, gravity: float, *, factor: float = 1.6) -> 
         named = force_words(ratio, float(lengths.std()) if len(lengths) > 1 else 0.0)
         raise Implausible(
             f"accelerometer at rest: wanted |a| near {gravity:.4g} m/s2, got {ratio * gravity:.4g} m/s2 ({ratio:.3f} g); "
-            f"{f'{named}: ' if named else _likely_factor(ratio)}check the unit of the columns and the range setting",
+            f"{f'{named}: ' if named else _likely_factor(ratio)}check the unit of the columns, the range setting, and that no "
+            "other quantity is mapped as accelerometer",
             ratio=ratio,
         )
 
@@ -226,7 +227,7 @@ def check_faces(means: FloatArray, faces: Sequence[Face]) -> None:
                 faces=(faces[a], faces[b]),
                 apart_g=apart / radius,
             )
-    _check_repeats(means, faces, radius)
+    check_repeats(means, faces)
     present = [f for f in FACES if f in faces]
     before = _affine(means, up)[1]
     if len(present) < 5 or before < 0.2 * radius:
@@ -259,38 +260,58 @@ def _affine(means: FloatArray, up: FloatArray) -> tuple[float, float]:
 def check_handedness(forward: FloatArray, what: str) -> None:
     """Raise when a forward matrix (3, 3) turns a right-handed frame into a left-handed one."""
     if np.linalg.det(forward) < 0.0:
-        negative = [axis for k, axis in enumerate(AXES) if forward[k, k] < 0.0]
-        named = " and ".join(negative) if negative else "two axes exchanged"
+        negative, moved = _reversed_and_moved(nearest_signed_permutation(forward))
+        columns = f"{what} columns {' and '.join(moved)}" if moved else ""
+        named = f"{columns} are exchanged" if moved else f"{what} reversed about {' and '.join(negative)}"
         raise Implausible(
-            f"{what}: wanted right-handed axes, got a left-handed triad (reversed: {named}); "
+            f"{what}: wanted right-handed axes, got a left-handed triad: {named}; "
             "correct the labels, or the sign or order of the columns",
             reversed=tuple(negative),
         )
 
 
-def check_scale_factor(scale_factor: FloatArray | float, stated: float, tolerance: float, what: str) -> None:
-    """Raise when a fitted scale factor, one or (K,), is outside the tolerance of the stated sensitivity."""
+def check_scale_factor(
+    scale_factor: FloatArray | float, stated: float, tolerance: float, what: str, *, sample_rate_hz: float | None = None
+) -> None:
+    """Raise when a fitted scale factor, one or (K,), is outside the tolerance of the stated sensitivity.
+
+    A wrong sample rate scales angles: it is given where a fit integrates turns.
+    """
     ratio = np.atleast_1d(np.asarray(scale_factor, float)) / stated
     worst = float(ratio[int(np.argmax(np.abs(ratio - 1.0)))])
     if abs(worst - 1.0) > tolerance:
         raise Implausible(
             f"{what}: wanted a scale factor within {100 * tolerance:g} % of the stated sensitivity, got {worst:.4f} of it "
-            f"({100 * (worst - 1.0):+.1f} %); {_likely_factor(worst)}check the conversion from counts, the range setting "
-            "and the sample rate",
+            f"({100 * (worst - 1.0):+.1f} %); {_likely_factor(worst, sample_rate_hz)}check the conversion from counts, "
+            "the range setting and the sample rate",
             ratio=worst,
             tolerance=tolerance,
         )
 
 
 def check_own_scale(
-    scale_factor: FloatArray | float, unit: str, quantity: Quantity, tolerance: float, what: str
+    scale_factor: FloatArray | float,
+    unit: str,
+    quantity: Quantity,
+    tolerance: float,
+    what: str,
+    *,
+    sample_rate_hz: float | None = None,
 ) -> None:
     """Raise when a fitted scale factor, reading per SI unit, is outside the tolerance of the unit's own; counts have none."""
     if is_physical(unit):
-        check_scale_factor(scale_factor, 1.0 / si_factor(unit, quantity), tolerance, what)
+        check_scale_factor(
+            scale_factor, 1.0 / si_factor(unit, quantity), tolerance, what, sample_rate_hz=sample_rate_hz
+        )
 
 
 _LEAST_RANGE = 100.0 * RADIAN_PER_DEGREE  # rad/s; gyroscopes of 16 bit end at 125 deg/s or beyond
+
+
+def scale_as_stated(scale_factor: float) -> Finding:
+    """Return that nothing but the stated turns gives a scale factor, counts per rad/s, with the range that it means."""
+    range_dps = 2.0**15 / scale_factor / RADIAN_PER_DEGREE
+    return finding("gyro.scale_as_stated", "info", per_dps=scale_factor * RADIAN_PER_DEGREE, range_dps=range_dps)
 
 
 def range_in_doubt(scale_factor: float, largest: float) -> tuple[Finding, ...]:
@@ -328,7 +349,9 @@ def missing_faces(faces: Sequence[Face]) -> tuple[Face, ...]:
     return tuple(face for face in FACES if face not in faces)
 
 
-def _check_repeats(means: FloatArray, faces: Sequence[Face], radius: float) -> None:
+def check_repeats(means: FloatArray, faces: Sequence[Face]) -> None:
+    """Raise when a face is stated twice with readings of two."""
+    radius = 0.5 * float(np.max(means.max(axis=0) - means.min(axis=0)))
     for a, b in itertools.combinations(range(len(faces)), 2):
         apart = float(np.linalg.norm(means[a] - means[b])) / radius
         if faces[a] == faces[b] and apart > _REPEAT_APART:
@@ -344,17 +367,24 @@ def _check_repeats(means: FloatArray, faces: Sequence[Face], radius: float) -> N
 
 def _check_opposites(means: FloatArray, up: FloatArray) -> None:
     # The affine fit cannot see +x and -x exchanged: the gain merely turns negative. Axes are named by the readings' columns.
+    swapped: dict[str, float] = {}
     for axis, name in enumerate(AXES):
         plus, minus = means[up[:, axis] > 0.0], means[up[:, axis] < 0.0]
         if len(plus) and len(minus):
             gain = float(plus[:, axis].mean() - minus[:, axis].mean())
             span = float(np.abs(plus.mean(axis=0) - minus.mean(axis=0)).max())
             if gain < 0.0 and -gain > 0.5 * span:
-                raise Implausible(
-                    f"faces +{name} and -{name}: wanted the axis that points up to read the larger value, got {gain:.4g} less; "
-                    f"the two are swapped: a face names the axis that points up, which reads +g",
-                    swapped=(f"+{name}", f"-{name}"),
-                )
+                swapped[name] = gain
+    if not swapped:
+        return
+    name, gain = next(iter(swapped.items()))
+    every = "acceleration has the opposite sign, or " if len(swapped) == 3 else ""
+    names = " and ".join(f"faces +{one} and -{one}" for one in swapped)
+    raise Implausible(
+        f"{names}: wanted the axis that points up to read the larger value, got {gain:.4g} less; "
+        f"{every}the two are swapped: a face names the axis that points up, which reads +g",
+        swapped=(f"+{name}", f"-{name}"),
+    )
 
 
 FORCE_UNITS = {  # length of the specific force in g -> what is wrong
@@ -387,11 +417,17 @@ def _named(ratio: float, units: Mapping[float, str], within: float) -> str:
     return next(found, "")
 
 
-def _likely_factor(ratio: float) -> str:
+def _likely_factor(ratio: float, sample_rate_hz: float | None = None) -> str:
     if named := _named(ratio, RATE_UNITS, 1.1):
         return f"{named}: "
     size = max(abs(ratio), 1.0 / max(abs(ratio), 1e-12))
     for factor in _FACTORS:
         if abs(size / factor - 1.0) < 0.06:
-            return f"readings are {factor:g} times too {'small' if abs(ratio) < 1.0 else 'large'}: "
+            text = f"readings are {factor:g} times too {'small' if abs(ratio) < 1.0 else 'large'}"
+            true = (sample_rate_hz or 0.0) * abs(ratio)
+            return (
+                f"{text}, or the file has {true:.3g} samples a second, {sample_rate_hz:.3g} were stated: "
+                if true
+                else f"{text}: "
+            )
     return ""

@@ -594,7 +594,8 @@ def _as_triad(problem: _Problem, p: FloatArray, covariance: FloatArray, missed: 
         condition=scaled_condition(missed.jacobian[:, :9])[1],
         valid_range=(float(rate.min()), float(rate.max())),
     )
-    check_own_scale(fit.model.scale_factor, unit_in, "rate", _TOLERANCE, "gyro")
+    rate_hz = float(np.median((moves.last - moves.first) / moves.duration_s))
+    check_own_scale(fit.model.scale_factor, unit_in, "rate", _TOLERANCE, "gyro", sample_rate_hz=rate_hz)
     return fit
 
 

@@ -137,6 +137,7 @@ _SPREAD_LIMITS = (0.05, np.inf)
 _CUT_LIMITS = (0.2, 0.5)
 _NOISES = 8.0
 _SMOOTH_S = 0.1
+_END_S = 0.3  # a recording that turns throughout its last part is cut off
 
 
 def check_turns(session: Session, stills: tuple[Still, ...], settle_s: float) -> Iterator[Finding]:
@@ -238,12 +239,19 @@ def _sways(session: Session, stills: tuple[Still, ...], rate: bool) -> _Figure:
 
 
 def _tilts(session: Session, stills: tuple[Still, ...]) -> _Figure:
+    zero, limit = np.zeros(3), _TILT_LIMIT_DEG
+    if not is_physical(_unit(session, False)):  # counts: about the centre of the sphere, where rests enough show it
+        means = np.array([_mean(session.records[s.recording].accel, s.start, s.stop) for s in stills])
+        if len(means) < 6 or not np.isfinite(means).all():
+            return np.zeros(0), limit, "deg"
+        zero, radius = sphere_of(means)
+        limit += 2.0 * float(np.nan_to_num(code_steps(session.records, rate=False)).max()) / radius / RADIAN_PER_DEGREE
     tilts = []
-    for still in stills if is_physical(_unit(session, False)) else ():
+    for still in stills:
         accel, third = session.records[still.recording].accel, (still.stop - still.start) // 3
-        first, last = (_mean(accel, start, start + third) for start in (still.start, still.stop - third))
+        first, last = (_mean(accel, start, start + third) - zero for start in (still.start, still.stop - third))
         tilts.append(float(np.arctan2(np.linalg.norm(np.cross(first, last)), first @ last)) / RADIAN_PER_DEGREE)
-    return np.array(tilts), _TILT_LIMIT_DEG, "deg"
+    return np.array(tilts), limit, "deg"
 
 
 def _rates(session: Session, stills: tuple[Still, ...]) -> _Figure:
@@ -607,18 +615,20 @@ class Observed:
             factor = si_factor(record.gyro_unit, "rate") if physical else 1.0
             for turn, read in zip(search.rotations, search.rotation_angle, strict=True):
                 along = float(read[np.argmax(np.abs(read))]) * factor
-                near = abs(abs(along) - angle) < tolerance * angle if physical else whole and self._returns(turn)
+                returns = self._returns(turn)  # a move between faces, read twice as large, is none
+                near = abs(abs(along) - angle) < tolerance * angle and (returns is not False or not whole)
+                near = near if physical else whole and returns is True
                 if turn.axis is not None and near:
                     turned.append((replace(turn, angle=float(np.copysign(angle, along))), abs(along)))
         most = max((size for _, size in turned), default=0.0)
         return tuple(turn for turn, size in turned if size * (1.0 + tolerance) > most * (1.0 - tolerance))
 
-    def _returns(self, turn: Turn) -> bool:
-        """Tell whether gravity reads the same before a turn and after it, within about 15 deg."""
+    def _returns(self, turn: Turn) -> bool | None:
+        """Tell whether gravity reads the same before a turn and after it, within about 15 deg; None where that is unknown."""
         accel = self.session.records[turn.recording].accel
         own = [s for s in self.stills if s.recording == turn.recording]
         if accel is None or len(own) < 5:
-            return False
+            return None
         before, after = (s for s in own if turn.start == s.stop or turn.stop == s.start)
         moved = np.diff(still_means(accel, (before, after)), axis=0)
         return bool(np.linalg.norm(moved) < _SAME_POSE * sphere_of(still_means(accel, own))[1])
@@ -631,11 +641,37 @@ class Observed:
         turns = self.turns_of(angle_deg * RADIAN_PER_DEGREE)
         lacking = tuple(axis for axis in ("x", "y", "z") if axis not in {turn.axis for turn in turns})
         if lacking:
-            missing = finding("session.turns_missing", "warn", angle_deg=angle_deg, axes=lacking, count=len(turns))
+            why = self._why_missing(angle_deg)
+            missing = finding(
+                "session.turns_missing", "warn", angle_deg=angle_deg, axes=lacking, count=len(turns), why=why
+            )
             return replace(self, findings=(*self.findings, missing))
         shown = tuple(f"{turn.axis} {'+' if (turn.angle or 0.0) > 0.0 else '-'}" for turn in turns)
         found = finding("session.turns_found", "info", angle_deg=angle_deg, count=len(turns), turns=shown)
         return replace(self, session=replace(self.session, turns=turns), findings=(*self.findings, found))
+
+    def _why_missing(self, angle_deg: float) -> str:
+        """Return why turns by a known angle may be missing: the recording ends in one, or they read a multiple of it."""
+        for number, (record, search) in enumerate(self._turns()):
+            if record.gyro is None:
+                continue
+            last = np.linalg.norm(record.gyro[-round(_END_S * record.sample_rate_hz) :], axis=1)
+            if search.rotations and last.min() > _CUT_LIMITS[1] * np.linalg.norm(record.gyro, axis=1).max():
+                return f"; recording {number} still turns at its end: its last turn is cut off"
+            unit = si_factor(record.gyro_unit, "rate") if is_physical(record.gyro_unit) else np.nan
+            read = [
+                float(np.abs(angle).max()) * unit / RADIAN_PER_DEGREE / angle_deg
+                for turn, angle in zip(search.rotations, search.rotation_angle, strict=True)
+                if self._returns(turn)
+            ]
+            ratio = float(np.median(read)) if read else np.nan
+            if abs(ratio - 1.0) > self.settings.scale_tolerance:
+                rate_hz = record.sample_rate_hz
+                return (
+                    f"; turns back to the same pose read {ratio:.3g} times that angle: the angle, the unit or range of the "
+                    f"gyroscope or the sample rate is another ({rate_hz:.3g} samples a second stated, not {ratio * rate_hz:.3g})"
+                )
+        return ""
 
     def without_saturated_turns(self) -> tuple["Observed", tuple[Finding, ...]]:
         """Return it without the turns in which a gyroscope sticks at the end of its range, and the finding that names them."""

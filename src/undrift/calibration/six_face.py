@@ -25,6 +25,7 @@ from undrift.calibration.checks import (
     check_gravity,
     check_handedness,
     check_own_scale,
+    check_repeats,
     check_saturation,
     face_vectors,
     missing_faces,
@@ -381,6 +382,8 @@ def calibrate_faces(seen: Observed, mode: str | None, accel: TriadFit | None = N
     poses = face_means(
         seen.session.records, seen.stills, window_s=own.window_s, polynomial_degree=own.polynomial_degree
     )
+    if len(poses.faces) > 1:
+        check_repeats(poses.reading, poses.faces)
     creep = creep_of(seen, seen.faced, "accel")
     poses, found = replace(poses, creep=creep), creep.findings()
     if used == "levelled" and poses.noise is None:

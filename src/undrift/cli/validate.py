@@ -267,15 +267,17 @@ def _judged(
     from undrift.model import Verdict
     from undrift.report.validation import Method
     from undrift.validation.agreement import MOUNTING_ABOVE, validate_leave_one_out, validate_trials
+    from undrift.validation.trial import check_poses
 
     (paths, references), (calibration, model) = named, read
     records, held, names = [pair[0] for pair in pairs], [pair[1] for pair in pairs], [name_of(path) for path in paths]
-    for readings, path in zip(records, paths, strict=True):
+    for readings, reference, path in zip(records, held, paths, strict=True):
         if calibration is None and fit is None:
             check_physical(readings, path)
         if calibration is None:  # a fit would take exchanged or reversed columns for its own axes
             with named_columns(path):
                 check_triads(readings)
+                check_poses(readings, reference, settings)
     if fit is not None:
         place, session = where
         gravity_m_s2, source = place.gravity() if session is None else (session.gravity_m_s2, session.gravity_source)

@@ -43,6 +43,7 @@ LEAST_SCATTER = 0.01
 RIGHT = 0.9  # the better one keeps at least this share
 SAME = 0.01  # orders that keep alike: the motion does not tell them apart
 ORDINARY = 1.25  # a ratio of scales below it is a device's own
+LARGEST_SCALE, COUNTS = 200.0, 0.12  # that is tried; below the second the unit is another, not the sample rate
 LARGEST_OFFSET = 40.0 * RADIAN_PER_DEGREE  # rad/s, in a window whose spread of rates is
 QUIET = 0.2  # of the largest window's
 PLAUSIBLE_HZ = (4.0, 5000.0)  # of a recording that people move in; outside, the unit of time is tried too
@@ -258,14 +259,7 @@ def _changes(order: FloatArray) -> int:
 
 def _scales(seen: _Windows, record: Record) -> Iterator[tuple[Mistake, FloatArray]]:
     """Yield units of the gyroscope and other sample rates."""
-    unit = "correct the unit of the gyroscope in the map or the columns' names"
-    for scale, text in (
-        (RADIAN_PER_DEGREE, "gyroscope is in deg/s, not rad/s"),
-        (1.0 / RADIAN_PER_DEGREE, "gyroscope is in rad/s, not deg/s"),
-    ):
-        kept = seen.kept(np.eye(3), scale)
-        yield Mistake(text=text, action=unit), kept
-    grid = np.geomspace(0.1, 10.0, 81)
+    grid = np.geomspace(1.0 / LARGEST_SCALE, LARGEST_SCALE, 161)
     kept_on = [seen.kept(np.eye(3), float(scale)) for scale in grid]
     means = np.array([kept.mean() for kept in kept_on])
     at = int(means.argmax())
@@ -273,11 +267,27 @@ def _scales(seen: _Windows, record: Record) -> Iterator[tuple[Mistake, FloatArra
     if 0 < at < len(grid) - 1:  # the vertex of the parabola through three points
         low, mid, high = means[at - 1 : at + 2]
         scale *= float((grid[1] / grid[0]) ** (0.5 * (low - high) / min(low - 2.0 * mid + high, -1e-12)))
+    for unit, text in (
+        (RADIAN_PER_DEGREE, "gyroscope is in deg/s, not rad/s"),
+        (1.0 / RADIAN_PER_DEGREE, "gyroscope is in rad/s, not deg/s"),
+    ):
+        if max(scale / unit, unit / scale) < ORDINARY:
+            action = "correct the unit of the gyroscope in the map or the columns' names"
+            yield Mistake(text=text, action=action), seen.kept(np.eye(3), unit)
+            return
     if max(scale, 1.0 / scale) > ORDINARY:
         rate = record.sample_rate_hz / scale
-        text = (
-            f"turns {1.0 / scale:.3g} times as large as gravity shows: the file has {rate:.3g} samples a second, "
-            f"{record.sample_rate_hz:.3g} were declared, or the gyroscope's range is another"
+        text = f"turns {1.0 / scale:.3g} times as large as gravity shows: "
+        if scale < COUNTS:  # No person mistakes a sample rate by as much
+            text += f"gyroscope is in counts, not deg/s or rad/s ({1.0 / scale:.3g} counts for one of the unit stated)"
+            yield (
+                Mistake(text=text, action="state the sensitivity: unit count and its scale"),
+                seen.kept(np.eye(3), scale),
+            )
+            return
+        text += (
+            f"the file has {rate:.3g} samples a second, {record.sample_rate_hz:.3g} were declared, or the gyroscope's range is "
+            "another"
         )
         action = "state the true sample rate, unit of time or sensitivity"
         yield Mistake(text=text, action=action, sample_rate_hz=rate), seen.kept(np.eye(3), scale)

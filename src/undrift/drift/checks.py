@@ -197,6 +197,7 @@ def _factor(model: TriadModel | None, quantity: Quantity, unit: str) -> tuple[Fl
 
 TURN_ON_DPS = 2.0  # a shift from one switch-on to the next; consumer gyroscopes state less
 FAR_DPS = 10.0  # no switch-on moves an offset so far
+MOST_BEND, LEAST_MISS_DPS = 0.01, 0.25  # (deg/s)/K2, five times what consumer gyroscopes do [assumed]; what is reported
 MOST_BETWEEN_DPS = 5.0  # standard deviation between sessions of one device
 STATUS_BEFORE = "drift_status_before"  # setting: the calibration's status before a thermal fit
 _REASONS_BEFORE = "drift_reasons_before"  # the same in files whose reasons had no codes: status and number of reasons
@@ -211,6 +212,7 @@ _MOST_EXTRAPOLATED = 0.25  # of the nodes
 _SUPPOSED_LAG_S = 10.0
 _SHORTLY_S = 600.0  # after a recording began, with which power-on may have come
 _LEAST_LAG_S = 1.0  # a smaller one is not reported
+NARROW_C = 5.0  # a table over less is one of one temperature
 _APART_C = 1.0  # further from the last one, a temperature belongs to another set-point
 _WIDE_C = 2.0  # a wider one is a sweep
 _FEW = 5  # set-points: above, what lies between is known about as well as they are
@@ -291,13 +293,29 @@ def offsets_verdict(static: StaticFit, device: Calibration) -> Verdict:
     off = (offset[node] - model.offset) * per_raw
     sure = np.hypot(found.uncertainty[node], model.standard_uncertainty[9:12]) * per_raw
     beyond = np.abs(off) - np.abs(found.slope) * per_raw * (2.0 * away_c + _TEMPERATURE_OFF_C)
-    at = {"temp_c": float(nodes[node]), "offset_dps": off, "uncertainty_dps": sure}
+    at = {
+        "temp_c": float(nodes[node]),
+        "offset_dps": off,
+        "uncertainty_dps": sure,
+        "cause": _unit_of(offset[node], model.offset),
+    }
     if beyond.max() <= TURN_ON_DPS:
         return Verdict()
     if not ((beyond > TURN_ON_DPS) & (np.abs(off) > _SIGNIFICANT * sure)).any():
         return Verdict.of(finding("drift.offset_unclear", "info", **at, least_uncertainties=_SIGNIFICANT))
     far = ((beyond > FAR_DPS) & (np.abs(off) > _CERTAIN * sure)).any()
     return Verdict.of(finding("drift.offset_differs", "fail" if far else "warn", **at, turn_on_dps=TURN_ON_DPS))
+
+
+def _unit_of(seen: FloatArray, own: FloatArray) -> str:
+    """Return which unit makes a device's own offset (3,) of another one, along the same direction."""
+    size, along = float(np.linalg.norm(own)), float(seen @ own) / max(float(own @ own), 1e-300)
+    if size == 0.0 or np.linalg.norm(seen - along * own) > 0.2 * np.linalg.norm(seen):
+        return ""
+    for factor, text in ((1.0 / RADIAN_PER_DEGREE, "deg/s, not rad/s"), (RADIAN_PER_DEGREE, "rad/s, not deg/s")):
+        if abs(along / factor - 1.0) < 0.2:
+            return f"; the offset is {along:.3g} times the calibration's on every axis: gyroscope is in {text}"
+    return ""
 
 
 def poses_verdict(accel: AccelDriftFit | None, device: Calibration) -> Verdict:
@@ -367,12 +385,16 @@ def check_sessions(static: StaticFit, device: Calibration) -> None:
 
 def static_verdict(static: StaticFit, accel: AccelDriftFit | None) -> Verdict:
     """Return what the offsets' fit is worth; accelerometers of one pose count where no poses determined them."""
-    gyro, hidden = static.gyro, {"drift.no_hysteresis"}
+    gyro, hidden, narrow = static.gyro, {"drift.no_hysteresis"}, tuple[Finding, ...]()
     marginal = static.verdict.status != "good"
     if gyro is not None:
         few = gyro.extrapolated.mean() <= _MOST_EXTRAPOLATED
         marginal |= gyro.curve.loop is None or not few
         hidden |= {"drift.nodes_extrapolated"} if few else set()
+        low_c, high_c = gyro.span_c
+        narrow = (
+            (finding("drift.narrow_span", "warn", low_c=low_c, high_c=high_c),) if high_c - low_c < NARROW_C else ()
+        )
     of_accel = [item for item in static.verdict.findings if item.code.startswith("drift.accel_")]
     kept = [
         item
@@ -384,7 +406,7 @@ def static_verdict(static: StaticFit, accel: AccelDriftFit | None) -> Verdict:
     elif accel is None:
         kept += [item for item in of_accel if item.code == "drift.accel_one_pose"]
         marginal |= static.accel is not None and static.accel.mostly_unknown_scale
-    return Verdict(status="marginal" if marginal else "good", findings=tuple(kept))
+    return Verdict(status="marginal" if marginal or narrow else "good", findings=(*narrow, *kept))
 
 
 def single_sweep_verdict(
@@ -449,7 +471,38 @@ def with_set_points(verdict: Verdict, static: StaticFit, rests: RestBlocks, devi
     disagree = rests_verdict(static, device)
     if any(item.code.startswith("drift.poses_") for item in disagree.findings):  # says more than g_unknown
         verdict = replace(verdict, findings=tuple(f for f in verdict.findings if f.code != "drift.g_unknown"))
-    return verdict.also(disagree).also(set_points_verdict(static, rests, device))
+    return verdict.also(disagree).also(bends_verdict(static, device)).also(set_points_verdict(static, rests, device))
+
+
+def bends_verdict(static: StaticFit, device: Calibration) -> Verdict:
+    """Return which set-point is off the line between its neighbours by more than the offset of one device at rest bends.
+
+    Set-points t of a session with mean offset y, by the second divided difference::
+
+        bend = 2 (dy_2 / dt_2 - dy_1 / dt_1) / (dt_1 + dt_2)        miss = bend dt_1 dt_2 / 2
+    """
+    found, model = static.gyro, device.gyro
+    if found is None or model is None:
+        return Verdict()
+    blocks, worst = found.offsets.blocks, (0.0, 0.0, 0.0)
+    for session in np.unique(blocks.session):
+        own = blocks.session == session
+        temp_c, value = blocks.temp_c[own], found.offsets.value[own] * _dps_per_raw(model)
+        points = set_points_of(temp_c)
+        if len(points) <= _TOO_FEW:
+            continue
+        nearest = np.abs(temp_c[:, None] - points).argmin(axis=1)
+        means = np.array([value[nearest == k].mean(axis=0) for k in range(len(points))])
+        steps = np.diff(points)[:, None]
+        bend = 2.0 * np.diff(np.diff(means, axis=0) / steps, axis=0) / (steps[1:] + steps[:-1])
+        miss = np.abs(bend) * steps[1:] * steps[:-1] / 2.0
+        miss = np.where(np.abs(bend) > MOST_BEND, miss, 0.0).max(axis=1)
+        k = int(miss.argmax())
+        worst = max(worst, (float(miss[k]), float(points[k + 1]), float(np.abs(bend[k]).max())))
+    if worst[0] < LEAST_MISS_DPS:
+        return Verdict()
+    shown = {"miss_dps": worst[0], "temp_c": worst[1], "bend": worst[2], "limit": MOST_BEND}
+    return Verdict.of(finding("drift.bends", "warn", **shown))
 
 
 def rests_verdict(static: StaticFit, device: Calibration) -> Verdict:

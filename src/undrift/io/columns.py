@@ -6,6 +6,7 @@ Nothing is guessed: a foreign file needs a ColumnMap. A file with undrift's own 
 ``accel_y_m_s2``, ``temp_c``, ``mag_z_ut``, ...) needs none: :func:`native_map` recognises exactly those.
 """
 
+import itertools
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -29,6 +30,7 @@ Names: TypeAlias = tuple[str, ...] | list[str]
 CHANNELS: tuple[Channel, ...] = ("time", "gyro", "accel", "temp", "mag")
 QUANTITY: dict[Channel, Quantity] = {"time": "time", "gyro": "rate", "accel": "accel", "temp": "temp", "mag": "mag"}
 AXES = ("x", "y", "z")
+_SENSOR = {"time": "time", "gyro": "gyroscope", "accel": "accelerometer", "temp": "temperature", "mag": "magnetometer"}
 LM335_RANGE_C = (-40.0, 125.0)  # where the part works
 MOST_TRIM_C = 20.0  # an untrimmed part is within 9 K by its data sheet
 EXAMPLE = 'gyro = ["gx", "gy", "gz"], accel = ["ax", "ay", "az"], temp = "T"'
@@ -141,6 +143,13 @@ class ColumnMap:
             raise InputError(f"columns: wanted gyro or accel, got neither; for example columns = {{ {EXAMPLE} }}")
         for channel in CHANNELS:
             self._check_channel(channel)
+        for one, other in itertools.combinations(CHANNELS, 2):
+            both = [column for column in self.columns_of(one) if column in self.columns_of(other)]
+            if both:
+                raise InputError(
+                    f"columns: wanted other columns for {_SENSOR[one]} than for {_SENSOR[other]}, got {both[0]!r} mapped as "
+                    "both; name each column once"
+                )
         if self.temp_trim is not None and (self.temp is None or self.unit_of("temp") != "lm335_v"):
             raise InputError(
                 f'temp_trim: wanted units.temp = "lm335_v" beside it, got {self.temp_unit or "no temperature"}; a column in degC '
@@ -418,6 +427,7 @@ _LARGEST = {
     "rad/s": 500.0, "dps": 30_000.0, "m/s2": 20_000.0, "g": 2_000.0, "mg": 2_000_000.0, "degc": 300.0, "ut": 100_000.0,
     "count": 2.0**24, "v": 1000.0,
 }  # fmt: skip
+_KELVIN = (200.0, 420.0)  # temperatures of devices
 _RATE_AGREES = 0.05
 
 
@@ -535,9 +545,16 @@ def _check_values(table: Table, name: str, values: FloatArray, limit: float, uni
         row = table.row(int(wild[0]))
         raise FileFormatError(
             f"{table.source}: column {name!r}: wanted readings up to {limit:g} {unit}, got {values[wild[0]]:g} in data row {row} "
-            f"({len(wild)} such); repair the row or check unit and scale",
+            f"({len(wild)} such){_other_unit(values[wild], unit)}; repair the row or check unit and scale",
             row=row,
         )
+
+
+def _other_unit(wild: FloatArray, unit: str) -> str:
+    """Return which other unit readings beyond the largest of a unit may be in."""
+    if unit == "degc" and bool(((wild > _KELVIN[0]) & (wild < _KELVIN[1])).all()):
+        return ": is the temperature in K, not degC?"
+    return ": is the gyroscope in mdeg/s, not deg/s, or in counts?" if unit == "dps" else ""
 
 
 def _check_gaps(table: Table, name: str, values: FloatArray, columns: ColumnMap) -> BoolArray:

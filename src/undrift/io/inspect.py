@@ -87,7 +87,9 @@ def _gravity(record: Record) -> Iterator[Finding]:
     if not np.isnan(median) and not GRAVITY_RANGE[0] <= median <= GRAVITY_RANGE[1]:
         small = 0.0 < median < 1.0
         factor, direction = (1.0 / median, "small") if small else (median, "large")
-        yield finding("recording.gravity", "warn", median_g=median, factor=factor, direction=direction)
+        units = "g, not m/s2" if small else "m/s2, not g"
+        cause = f": acceleration is in {units}" if abs(factor / STANDARD_GRAVITY - 1.0) < 0.2 else ""
+        yield finding("recording.gravity", "warn", median_g=median, factor=factor, direction=direction, cause=cause)
 
 
 def _rest(record: Record) -> Iterator[Finding]:

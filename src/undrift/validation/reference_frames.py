@@ -59,9 +59,9 @@ def check_reference(record: Record, poses: Reference, lag_s: float) -> tuple[Fin
         shares = {
             text: rate_share(record, native_poses(replace(poses, q_nb=q)), lag_s)[0] for text, q in others.items()
         }
-        text = min(shares, key=lambda one: shares[one])
-        if shares[text] < EXPLAINED:
-            raise _other(poses, text, "convert them, or name their order in the file's map")
+        texts = [text for text in sorted(shares, key=lambda one: shares[one]) if shares[text] < EXPLAINED]
+        if texts:
+            raise _other(poses, ", or ".join(texts), "convert them, or name their order in the file's map")
     unlike = (finding("validate.rates_differ", "warn", percent=100.0 * share),) if share > UNLIKE else ()
     return unlike or _check_up(record, poses, lag_s, rotation)
 

@@ -50,7 +50,7 @@ from undrift.orientation import (
 )
 from undrift.record import Face, Record, Reference, Still
 from undrift.sync import Lag, LagSettings, Motion, RunningIntegral, find_lag, find_motion, native_poses, pose_rates
-from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
+from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical
 from undrift.validation.expected import ERROR_PRIOR, Course, ErrorPrior, Expected, OffsetSource, expected_errors
 from undrift.validation.reference_frames import check_reference
 from undrift.views import Shown
@@ -627,6 +627,14 @@ def _in_degrees(
         "rmse_total_after_lag_deg": rms(errors[1].total[moving]),
     }
     return {name: degrees(angle) for name, angle in angles.items()}
+
+
+def check_poses(record: Record, reference: Reference, settings: TrialSettings = TrialSettings()) -> tuple[Finding, ...]:
+    """Return what a reference shows against the axes of a record that no fit has turned yet; raise where it is clear."""
+    if not (is_physical(record.gyro_unit) and is_physical(record.accel_unit)):
+        return ()
+    done, poses = record.in_si(), native_poses(reference)
+    return check_reference(done, poses, _lag(done, poses, _gaps(done), settings).seconds)
 
 
 def _gaps(record: Record) -> BoolArray:
