@@ -377,13 +377,13 @@ def _check_opposites(means: FloatArray, up: FloatArray) -> None:
                 swapped[name] = gain
     if not swapped:
         return
-    name, gain = next(iter(swapped.items()))
+    first, gain = next(iter(swapped.items()))
     every = "acceleration has the opposite sign, or " if len(swapped) == 3 else ""
     names = " and ".join(f"faces +{one} and -{one}" for one in swapped)
     raise Implausible(
         f"{names}: wanted the axis that points up to read the larger value, got {gain:.4g} less; "
         f"{every}the two are swapped: a face names the axis that points up, which reads +g",
-        swapped=(f"+{name}", f"-{name}"),
+        swapped=(f"+{first}", f"-{first}"),
     )
 
 

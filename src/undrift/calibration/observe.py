@@ -239,7 +239,8 @@ def _sways(session: Session, stills: tuple[Still, ...], rate: bool) -> _Figure:
 
 
 def _tilts(session: Session, stills: tuple[Still, ...]) -> _Figure:
-    zero, limit = np.zeros(3), _TILT_LIMIT_DEG
+    zero: FloatArray = np.zeros(3)
+    limit = _TILT_LIMIT_DEG
     if not is_physical(_unit(session, False)):  # counts: about the centre of the sphere, where rests enough show it
         means = np.array([_mean(session.records[s.recording].accel, s.start, s.stop) for s in stills])
         if len(means) < 6 or not np.isfinite(means).all():
