@@ -14,6 +14,7 @@ from testkit.demo_session import demo_session
 from testkit.pages import browser, faults_of, seen_in
 from testkit.pictures import pictures_looked_at
 from testkit.remembered import folder_made_once, run_folder
+from undrift.base.summary import Origin
 from undrift.calibration.observe import CalibrateSettings
 from undrift.cli.app import run
 from undrift.io.formats import write_record
@@ -30,7 +31,6 @@ from undrift.report.certificate import (
 )
 from undrift.report.commands import judge_pieces, leverages, write_rig_report
 from undrift.report.figures import AXIS_COLOURS, AXIS_DASHES, AXIS_MARKERS, COMPARED_COLOURS, COMPARED_MARKERS
-from undrift.report.page import Origin
 from undrift.rig.folder import Piece
 from undrift.rig.run import RunResult
 from undrift.sim.motion.bench import BenchSettings

@@ -6,15 +6,12 @@ from typing import TYPE_CHECKING, Literal
 
 from cyclopts import Parameter
 
-from undrift.cli.common import (
-    Details,
-    Files,
-    Flag,
-    Json,
+from undrift.base.options import Details, Files, Flag, Json, OptionalOutput, Report
+from undrift.cli.common import say, say_next, show_table, show_verdict, waiting, write_json
+from undrift.cli.register import Register, say_registered
+from undrift.commands.files import (
     Opening,
-    OptionalOutput,
     Place,
-    Report,
     Rests,
     Sensitivity,
     check_figure,
@@ -23,15 +20,8 @@ from undrift.cli.common import (
     name_of,
     origin_of,
     recording_of,
-    say,
-    say_next,
     session_of,
-    show_table,
-    show_verdict,
-    waiting,
-    write_json,
 )
-from undrift.cli.register import Register, say_registered
 
 if TYPE_CHECKING:
     from undrift.calibration.observe import CalibrateSettings

@@ -2,8 +2,10 @@
 
 from pathlib import Path
 
-from undrift.cli.common import Details, Json, Output, check_output, say, show_verdict, write_json
+from undrift.base.options import Details, Json, Output
+from undrift.cli.common import say, show_verdict, write_json
 from undrift.cli.register import Register, say_registered
+from undrift.commands.files import check_output
 
 
 def certificate(

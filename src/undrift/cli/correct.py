@@ -6,14 +6,11 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from undrift.cli.common import (
-    CalibrationDetails,
-    Files,
-    Json,
+from undrift.base.options import CalibrationDetails, Files, Json, Output, Policy, Report
+from undrift.cli.common import progress, say, show_verdict, write_json
+from undrift.cli.register import Registered
+from undrift.commands.files import (
     Opening,
-    Output,
-    Policy,
-    Report,
     calibrated_part,
     check_folder,
     check_output,
@@ -21,12 +18,7 @@ from undrift.cli.common import (
     name_of,
     named_columns,
     origin_of,
-    progress,
-    say,
-    show_verdict,
-    write_json,
 )
-from undrift.cli.register import Registered
 from undrift.errors import InputError
 
 if TYPE_CHECKING:
@@ -34,6 +26,7 @@ if TYPE_CHECKING:
 
     from rich.progress import Progress
 
+    from undrift.base.summary import Origin
     from undrift.correction.correct import Corrector, CorrectorState
     from undrift.correction.coverage import Beyond
     from undrift.correction.rest import RestOffset, Stretch
@@ -41,7 +34,6 @@ if TYPE_CHECKING:
     from undrift.findings import Finding
     from undrift.model import Calibration
     from undrift.record import Record
-    from undrift.report.page import Origin
 
 NOT_COVERED = ("outside", "extrapolated", "without_temperature")  # of the tuning tables
 

@@ -3,7 +3,8 @@
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from undrift.cli.common import Json, OptionalOutput, group, say, show_table, write_json
+from undrift.base.options import Json, OptionalOutput
+from undrift.cli.common import group, say, show_table, write_json
 from undrift.cli.examples import examples
 
 if TYPE_CHECKING:

@@ -5,26 +5,10 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
-from undrift.cli.common import (
-    Details,
-    Files,
-    Flag,
-    Json,
-    Opening,
-    OptionalOutput,
-    Report,
-    check_output,
-    check_report,
-    origin_of,
-    progress,
-    recording_of,
-    say,
-    say_next,
-    show_table,
-    show_verdict,
-    write_json,
-)
+from undrift.base.options import Details, Files, Flag, Json, OptionalOutput, Report
+from undrift.cli.common import progress, say, say_next, show_table, show_verdict, write_json
 from undrift.cli.register import Register, say_registered
+from undrift.commands.files import Opening, check_output, check_report, origin_of, recording_of
 from undrift.errors import InputError
 
 if TYPE_CHECKING:
@@ -89,12 +73,13 @@ def drift(
     int
         0, or 1 when the verdict is bad.
     """
+    from undrift.base.summary import PICTURES
     from undrift.drift.checks import verdict_before
     from undrift.drift.fit import DriftSettings
     from undrift.drift.static import StaticSettings
     from undrift.io.store import calibration_json, read_calibration, write_calibration
     from undrift.report.drift import draw_offsets, write_drift_report
-    from undrift.report.figures import PICTURES, save_figure
+    from undrift.report.figures import save_figure
 
     if not 0.0 < step_c < float("inf"):
         raise InputError(f"step-c: wanted more than 0 degC, got {step_c:g}; 0.5 is the note's")

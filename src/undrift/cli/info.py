@@ -8,20 +8,9 @@ from typing import TYPE_CHECKING
 
 from cyclopts import Parameter
 
-from undrift.cli.common import (
-    Details,
-    Json,
-    Opening,
-    Rests,
-    Up,
-    check_figure,
-    check_output,
-    name_of,
-    say,
-    say_next,
-    show_verdict,
-    write_json,
-)
+from undrift.base.options import Details, Json, Up
+from undrift.cli.common import say, say_next, show_verdict, write_json
+from undrift.commands.files import Opening, Rests, check_figure, check_output, name_of
 from undrift.errors import InputError
 from undrift.units import RADIAN_PER_DEGREE
 

@@ -8,21 +8,9 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from undrift.cli.common import (
-    Details,
-    Files,
-    Json,
-    Opening,
-    OptionalOutput,
-    check_figure,
-    check_output,
-    progress,
-    say,
-    say_next,
-    show_table,
-    show_verdict,
-    write_json,
-)
+from undrift.base.options import Details, Files, Json, OptionalOutput
+from undrift.cli.common import progress, say, say_next, show_table, show_verdict, write_json
+from undrift.commands.files import Opening, check_figure, check_output
 from undrift.errors import InputError
 
 if TYPE_CHECKING:

@@ -7,7 +7,10 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
 from cyclopts import Parameter
 
-from undrift.cli.common import CALLED, Flag, Opening, say
+from undrift.base.options import Flag
+from undrift.base.summary import CALLED
+from undrift.cli.common import say
+from undrift.commands.files import Opening
 from undrift.errors import InputError, RegistryError
 
 if TYPE_CHECKING:

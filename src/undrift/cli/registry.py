@@ -7,22 +7,11 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from undrift.cli.common import (
-    Files,
-    Json,
-    OptionalOutput,
-    Report,
-    check_figure,
-    check_output,
-    check_report,
-    group,
-    origin_of,
-    say,
-    show_table,
-    write_json,
-)
+from undrift.base.options import Files, Json, OptionalOutput, Report
+from undrift.cli.common import group, say, show_table, write_json
 from undrift.cli.examples import examples
 from undrift.cli.register import Where, entry_json, open_place, say_registered
+from undrift.commands.files import check_figure, check_output, check_report, origin_of
 from undrift.errors import InputError, UndriftError
 
 if TYPE_CHECKING:
@@ -362,7 +351,7 @@ def _write(entry: "Entry", output: Path | None) -> None:
     """Write what an entry holds."""
     if output is None:
         return
-    from undrift.cli.common import save_json
+    from undrift.commands.files import save_json
     from undrift.files import write_whole
     from undrift.io.store import calibration_of, write_calibration
     from undrift.registry.documents import pdf_of

@@ -8,22 +8,11 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from undrift.cli.common import (
-    Flag,
-    Json,
-    Output,
-    Report,
-    check_report,
-    device_at,
-    group,
-    origin_of,
-    say,
-    say_over,
-    show_verdict,
-    write_json,
-)
+from undrift.base.options import Flag, Json, Output, Report
+from undrift.cli.common import group, say, say_over, show_verdict, write_json
 from undrift.cli.examples import examples
 from undrift.cli.register import Register, say_registered
+from undrift.commands.files import check_report, device_at, origin_of
 from undrift.errors import InputError
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 

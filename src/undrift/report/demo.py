@@ -6,12 +6,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from undrift.base.summary import Cells, Origin, Section, plain_words, table_section
+from undrift.commands.validate import trials_section
 from undrift.report.drift import drift_sections, plus_minus
 from undrift.report.figures import OPTICS, compared_style, entitle, envelope, legend_above, new_figure, svg_of
 from undrift.report.note import SLOPE_OF_THE_NOTE
-from undrift.report.page import Cells, Origin, Section, calibration_sections, plain_words, table_section, write_page
+from undrift.report.page import calibration_sections, write_page
 from undrift.report.study import NOTE, study_sections
-from undrift.report.validation import trials_section
 from undrift.units import RADIAN_PER_DEGREE
 
 if TYPE_CHECKING:

@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING
 
-from undrift.report.page import Cells, Section, interval, plain_words, rows_section, table_section
+from undrift.base.summary import Cells, Section, interval, plain_words, rows_section, table_section
 
 if TYPE_CHECKING:
     from undrift.study.outcome import StudyOutcome

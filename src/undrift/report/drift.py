@@ -8,11 +8,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from undrift.base.summary import Origin, Section
 from undrift.drift.hysteresis import SIGNIFICANT
 from undrift.errors import InputError
 from undrift.model import AXES
 from undrift.report.figures import DEVICE, ERROR, LIMIT, entitle, legend_outside, new_figure, stretches, svg_of
-from undrift.report.page import Origin, Section, write_page
+from undrift.report.page import write_page
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
 if TYPE_CHECKING:

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from undrift.base.summary import Section, interval, plain_words, rows_section
 from undrift.report import figures
 from undrift.report.figures import (
     COMPARED_COLOURS,
@@ -24,7 +25,6 @@ from undrift.report.figures import (
     compared_style,
     new_figure,
 )
-from undrift.report.page import Section, interval, plain_words, rows_section
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

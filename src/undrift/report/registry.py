@@ -6,10 +6,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from undrift.base.summary import Origin, Section, table_section
 from undrift.model import AXES
 from undrift.registry.trend import Change, Dated, Step, headline
 from undrift.report.figures import AXIS_COLOURS, AXIS_DASHES, AXIS_MARKERS, LIMIT, entitle, new_figure, svg_of
-from undrift.report.page import Origin, Section, table_section, write_page
+from undrift.report.page import write_page
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -5,21 +5,12 @@ from itertools import cycle
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from undrift.base.summary import Cells, Origin, Section, interval, number, plain_words, rows_section, table_section
 from undrift.report import figures
 from undrift.report.discussion import claims_section, rival_sections
 from undrift.report.figures import p_text, svg_of
 from undrift.report.note import note_sections
-from undrift.report.page import (
-    Cells,
-    Origin,
-    Section,
-    interval,
-    number,
-    plain_words,
-    rows_section,
-    table_section,
-    write_page,
-)
+from undrift.report.page import write_page
 from undrift.sim.motion.tasks import CATEGORIES
 from undrift.study.space import HEADINGS, OF_NOTE
 
