@@ -99,6 +99,7 @@ class Summary:
     notes: tuple[str, ...] = ()
     written: tuple[Path, ...] = ()  # Files and folders
     brief: bool = False  # A terminal shows verdict and findings on request: the sections have what matters
+    after: tuple[str, ...] = ()  # Lines of a terminal, below the names of what was written
     next: tuple[object, ...] = ()  # Words of the command that follows
     failed: bool = False  # The verdict is so bad that a script must stop
 

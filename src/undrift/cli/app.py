@@ -14,7 +14,7 @@ from contextlib import suppress
 from typing import TYPE_CHECKING
 
 from undrift import __version__
-from undrift.cli.examples import examples
+from undrift.cli import examples
 from undrift.commands import VERBS
 from undrift.errors import InputError, RigError, UndriftError
 

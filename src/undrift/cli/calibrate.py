@@ -8,7 +8,6 @@ from cyclopts import Parameter
 
 from undrift.base.options import Details, Files, Flag, Json, OptionalOutput, Report
 from undrift.cli.common import say, say_next, show_table, show_verdict, waiting, write_json
-from undrift.cli.register import Register, say_registered
 from undrift.commands.files import (
     Opening,
     Place,
@@ -22,6 +21,7 @@ from undrift.commands.files import (
     recording_of,
     session_of,
 )
+from undrift.commands.register import Register, registered_lines
 
 if TYPE_CHECKING:
     from undrift.calibration.observe import CalibrateSettings
@@ -187,7 +187,7 @@ def calibrate(
     else:
         _show(made)
         show_verdict(made.verdict, details=details)
-        say_registered(kept)
+        say(*registered_lines(kept))
         _say_next(files, output, (report, figure), lacking)
     return 1 if made.verdict.status == "bad" else 0
 

@@ -25,7 +25,7 @@ from cyclopts import App, Parameter
 from undrift import __version__
 from undrift.base.options import WRITTEN, Details, Json, Report
 from undrift.base.summary import Result, plain
-from undrift.cli.examples import examples
+from undrift.cli import examples
 from undrift.commands import VERBS
 from undrift.commands.files import check_report, origin_of
 from undrift.findings import SHOWN_FIRST, Finding, Verdict, most_consequential_first
@@ -238,7 +238,7 @@ def show(summary: "Summary", *, details: bool) -> None:
         show_verdict(summary.verdict, details=details)
     if not summary.brief:
         say(*(f"  warning: {one.text}" for one in summary.findings if one.level != "info"))
-    say(*(f"  note: {note}" for note in summary.notes), *(f"Wrote {path}" for path in summary.written))
+    say(*(f"  note: {note}" for note in summary.notes), *(f"Wrote {path}" for path in summary.written), *summary.after)
     if summary.next:
         say_next(*summary.next)
 

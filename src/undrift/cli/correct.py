@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Literal
 
 from undrift.base.options import CalibrationDetails, Files, Json, Output, Policy, Report
 from undrift.cli.common import progress, say, show_verdict, write_json
-from undrift.cli.register import Registered
 from undrift.commands.files import (
     Opening,
     calibrated_part,
@@ -19,6 +18,7 @@ from undrift.commands.files import (
     named_columns,
     origin_of,
 )
+from undrift.commands.register import Registered
 from undrift.errors import InputError
 
 if TYPE_CHECKING:

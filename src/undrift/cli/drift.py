@@ -7,8 +7,8 @@ from cyclopts import Parameter
 
 from undrift.base.options import Details, Files, Flag, Json, OptionalOutput, Report
 from undrift.cli.common import progress, say, say_next, show_table, show_verdict, write_json
-from undrift.cli.register import Register, say_registered
 from undrift.commands.files import Opening, check_output, check_report, origin_of, recording_of
+from undrift.commands.register import Register, registered_lines
 from undrift.errors import InputError
 
 if TYPE_CHECKING:
@@ -113,7 +113,7 @@ def drift(
         show_verdict(fit.verdict, details=details)
         if model is not None:
             say(f"calibration given: {calibration}, with {len(verdict_before(model).reasons)} findings of its own")
-        say_registered(kept)
+        say(*registered_lines(kept))
         _say_next(fit, output, (figure, report), (recording_of(sessions) if of_samples else None, seen))
     return 1 if fit.calibration.verdict.status == "bad" else 0
 

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cyclopts import Parameter
 
 from undrift.base.options import Files, Json, OptionalOutput, Report
+from undrift.cli import examples
 from undrift.cli.common import group, say, show_table, write_json
-from undrift.cli.examples import examples
-from undrift.cli.register import Where, entry_json, open_place, say_registered
 from undrift.commands.files import check_figure, check_output, check_report, origin_of
+from undrift.commands.register import Where, entry_json, open_place, registered_lines
 from undrift.errors import InputError, UndriftError
 
 if TYPE_CHECKING:
@@ -95,7 +95,7 @@ def add(
     if json:
         write_json({"entries": rows}, "registry add")
     else:
-        say_registered(rows)
+        say(*registered_lines(rows))
     return 0
 
 
@@ -262,8 +262,8 @@ def trend(
     ]
     steps, from_first = steps_of(models), course(models)
     if figure is not None or report is not None:
+        from undrift.report.drift import draw_trend, write_trend_report
         from undrift.report.figures import save_figure
-        from undrift.report.registry import draw_trend, write_trend_report
 
         if figure is not None:
             save_figure(draw_trend(serial, models[0], from_first), figure)
@@ -324,7 +324,7 @@ def import_folder(folder: Path, /, *, about: About = About(), where: Where = Non
     if json:
         write_json({"entries": rows, "refused": refused}, "registry import")
     else:
-        say_registered(rows)
+        say(*registered_lines(rows))
         say(*(f"Refused: {one['why']}" for one in refused))
     return 0
 

@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from undrift.base.options import Flag, Json, Output, Report
+from undrift.cli import examples
 from undrift.cli.common import group, say, say_over, show_verdict, write_json
-from undrift.cli.examples import examples
-from undrift.cli.register import Register, say_registered
 from undrift.commands.files import check_report, device_at, origin_of
+from undrift.commands.register import Register, registered_lines
 from undrift.errors import InputError
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
@@ -512,7 +512,7 @@ def _finish(
         f"{folder}: {len(result.pieces)} dwells, {result.added} of them now, in {_clock(result.duration_s)}; achieved rates "
         f"differ from nominal ones by up to {off:.3g} deg/s and stand in session.toml; {missing} readings missing"
     )
-    say_registered(kept)
+    say(*registered_lines(kept))
 
 
 def _show_check(found: "RigCheck", rig: str, settings: "CheckSettings", json: bool) -> None:

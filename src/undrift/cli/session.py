@@ -5,8 +5,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from undrift.base.options import Files, Json, Output
+from undrift.cli import examples
 from undrift.cli.common import group, say, say_next, waiting, write_json
-from undrift.cli.examples import examples
 from undrift.commands.files import Opening, Place, check_folder, named_columns, session_of
 from undrift.errors import InputError
 from undrift.units import RADIAN_PER_DEGREE

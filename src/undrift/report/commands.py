@@ -15,9 +15,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from undrift.base.summary import Cells, Origin, Section, number, table_section
+from undrift.commands.certificate import departures_words, expanded_words, gravity_uncertainty
 from undrift.model import AXES
 from undrift.report import figures
-from undrift.report.certificate import departures_words, draw_calibration, expanded_words, gravity_uncertainty
+from undrift.report.certificate import draw_calibration
 from undrift.report.figures import AXIS_MARKERS, DEVICE, ERROR, LIMIT, OPTICS, SHADE, envelope, new_figure, svg_of
 from undrift.report.page import calibration_sections, write_page
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY

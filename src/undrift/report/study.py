@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING
 
 from undrift.base.summary import Cells, Origin, Section, interval, number, plain_words, rows_section, table_section
 from undrift.report import figures
-from undrift.report.discussion import claims_section, rival_sections
 from undrift.report.figures import p_text, svg_of
-from undrift.report.note import note_sections
+from undrift.report.note import claims_section, note_sections, rival_sections
 from undrift.report.page import write_page
 from undrift.sim.motion.tasks import CATEGORIES
 from undrift.study.space import HEADINGS, OF_NOTE
