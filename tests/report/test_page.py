@@ -4,7 +4,7 @@ import re
 from html.parser import HTMLParser
 
 from undrift import __version__
-from undrift.base.summary import Section
+from undrift.base.summary import Section, Summary
 from undrift.findings import finding
 from undrift.model import Verdict
 from undrift.report.page import write_page
@@ -29,7 +29,7 @@ class Balance(HTMLParser):
 
 
 def page(tmp_path, **more):
-    write_page(tmp_path / "p.html", title="A <title>", answer="Lead & more", **more)
+    write_page(tmp_path / "p.html", Summary(title="A <title>", answer="Lead & more", **more))
     return (tmp_path / "p.html").read_text()
 
 

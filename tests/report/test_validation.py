@@ -17,7 +17,7 @@ from undrift.correction.correct import correct
 from undrift.findings import finding
 from undrift.model import AdcModel, Verdict
 from undrift.report.figures import trial_figure
-from undrift.report.page import write_summary
+from undrift.report.page import write_page
 from undrift.sim.device.presets import random_device
 from undrift.sim.device.truth import true_calibration
 from undrift.sim.sessions import simulate_trial
@@ -67,7 +67,7 @@ def test_an_error_smaller_than_stated_is_not_outside(result, tmp_path):
     assert (both.coverage.rmse_inside, both.coverage.trials) == (1, 2)  # the second is larger than stated
     assert "total error over the motion 1 of 1" in coverage_text(one.coverage)
     method = replace(METHOD, result=one, recordings=("a.csv",), references=("a.trc",))
-    write_summary(tmp_path / "page.html", method.summary())
+    write_page(tmp_path / "page.html", method.summary())
     page = (tmp_path / "page.html").read_text()
     assert "Not larger than expected (95 %, at most): end error 1 of 1" in page
     assert "inside" not in coverage_text(one.coverage)
@@ -199,7 +199,7 @@ def test_a_peak_in_the_table_is_a_peak_in_the_figure(result):
 
 
 def test_the_page_is_written_with_a_picture_for_each_trial(result, tmp_path):
-    write_summary(tmp_path / "r.html", replace(METHOD, result=result).summary())
+    write_page(tmp_path / "r.html", replace(METHOD, result=result).summary())
     text = (tmp_path / "r.html").read_text()
     assert "Against the reference: 3 recordings" in text
     assert "deg rms in total and" in text

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import is_dataclass
 from functools import wraps
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeAlias, TypeVar, get_type_hints
+from typing import Annotated, Any, Literal, TypeAlias, TypeVar, cast, get_type_hints
 
 from cyclopts import Parameter
 
@@ -20,10 +20,7 @@ Flag: TypeAlias = Annotated[bool, Parameter(show_default=False)]
 Files: TypeAlias = Annotated[Path, Parameter(required=True)]  # of *files: one or more
 Json: TypeAlias = Annotated[bool, Parameter(show_default=False, help="One JSON object on stdout.")]
 Details: TypeAlias = Annotated[
-    bool, Parameter(show_default=False, help="Show every finding, not only the first three.")
-]
-CalibrationDetails: TypeAlias = Annotated[
-    bool, Parameter(show_default=False, help="Show the findings of the calibration too.")
+    bool, Parameter(show_default=False, help="Show every finding, and those of a calibration that is read.")
 ]
 Output: TypeAlias = Annotated[Path, WRITTEN, Parameter(name=["--output", "-o"])]
 OptionalOutput: TypeAlias = Annotated[Path | None, WRITTEN, Parameter(name=["--output", "-o"])]
@@ -44,7 +41,7 @@ def verb(function: Callable[..., Value]) -> Callable[..., Value]:
             if name != "return" and is_dataclass(hint) and name not in stated:
                 kinds = get_type_hints(hint)
                 own = {key: _as(kinds[key], stated.pop(key)) for key in kinds.keys() & stated.keys()}
-                stated |= {name: hint(**own)} if own else {}
+                stated |= {name: cast(Any, hint)(**own)} if own else {}
         stated = {name: _as(hints[name], value) if name in hints else value for name, value in stated.items()}
         return function(*(_as(Path, value) for value in given), **stated)
 

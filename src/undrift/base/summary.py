@@ -6,7 +6,7 @@ figures are drawn by their place when a renderer asks for them (``at``), so that
 
 ::
 
-    commands/<verb>.py  ->  Summary  ->  cli/common.show | report/page.write_summary | data as JSON | as_html, in a notebook
+    commands/<verb>.py  ->  Summary  ->  cli/common.show | report/page.write_page | data as JSON | as_html, in a notebook
 """
 
 import importlib
@@ -91,7 +91,7 @@ class Summary:
 
     title: str
     answer: str  # A sentence with its numbers
-    data: Mapping[str, Any]  # What --json prints, units in the keys
+    data: Mapping[str, Any] = field(default_factory=dict)  # What --json prints, units in the keys
     pictures: tuple[Drawing | str, ...] = ()
     sections: tuple[Section, ...] = ()
     verdict: Verdict | None = None

@@ -279,9 +279,9 @@ def command_of(name: str, verb: Callable[..., Result]) -> Callable[..., int]:
             result = verb(*words, **more, **({"progress": stack.enter_context(Steps(name))} if steps else {}))
         summary = result.summary()
         if report is not None:
-            from undrift.report.page import write_summary
+            from undrift.report.page import write_page
 
-            write_summary(report, summary, origin)
+            write_page(report, summary, origin)
         if json:
             write_json(summary.data, name)
         else:

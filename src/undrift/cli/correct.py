@@ -6,7 +6,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from undrift.base.options import CalibrationDetails, Files, Json, Output, Policy, Report
+from undrift.base.options import Details, Files, Json, Output, Policy, Report
 from undrift.cli.common import progress, say, show_verdict, write_json
 from undrift.commands.files import (
     Opening,
@@ -52,7 +52,7 @@ def correct(
     opening: Opening = Opening(),
     scheduler: str | None = None,
     report: Report = None,
-    details: CalibrationDetails = False,
+    details: Details = False,
     json: Json = False,
 ) -> int:
     """Turn raw recordings into rad/s and m/s2; the ending of the output names the format. Parquet streams in constant memory.
@@ -63,8 +63,6 @@ def correct(
         One or more recordings of the calibrated device.
     calibration : Path or None
         calibration.json of the device.
-    registered : Registered
-        A calibration that the registry of devices knows, in place of a file.
     output : Path
         File for one recording: .parquet, .csv, .csv.gz, .mat, or sub-.._task-.._tracksys-.._motion.tsv (BIDS); folder for
         several, made where it is missing.
@@ -84,12 +82,8 @@ def correct(
         Start of a stretch at rest, s on the recording's own clock; without it the first still phase is found.
     still_stop_s : float or None
         End of that stretch.
-    opening : Opening
-        How to read a foreign recording.
     scheduler : str or None
         Address of a Dask scheduler, as in tcp://host:8786: its workers take a recording each; they see the same files.
-    report : Path or None
-        Report page to write: .html.
     """
     from undrift.correction.correct import Corrector
 

@@ -44,11 +44,6 @@ def demo(*, out: Path = Path("demo"), quick: Flag = False, report: Report = None
         Copy of report.html to write: .html.
     json : bool
         summary.json on stdout too.
-
-    Returns
-    -------
-    int
-        0, or 1 when a check fails.
     """
     from undrift.cli.study import study_summary
     from undrift.io.store import calibration_json

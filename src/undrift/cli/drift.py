@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Parameter
 
 from undrift.base.options import Details, Files, Flag, Json, OptionalOutput, Report
-from undrift.cli.common import progress, say, say_next, show_table, show_verdict, write_json
+from undrift.cli.common import Steps, say, say_next, show_table, show_verdict, write_json
 from undrift.commands.files import Opening, check_output, check_report, origin_of, recording_of
 from undrift.commands.register import Register, registered_lines
 from undrift.errors import InputError
@@ -46,8 +46,6 @@ def drift(
         calibration.json of the device. Without it physical units keep their nominal scale, and counts are refused.
     output : Path or None
         calibration.json to write, with the tables in it; may be the one that was read.
-    report : Path or None
-        Report page to write: .html.
     figure : Path or None
         Picture of the gyroscopes' offset over temperature to write: .svg, .png or .pdf.
     span : str or None
@@ -63,15 +61,6 @@ def drift(
         Thermometer lag, s; estimated from ramps at two speeds by default, 0 leaves it in.
     warm_up : bool
         Fit the power-on transient with which each recording, or each clock that begins anew, begins.
-    opening : Opening
-        How to read foreign recordings.
-    registering : Register
-        Whether the result is added to the registry of devices.
-
-    Returns
-    -------
-    int
-        0, or 1 when the verdict is bad.
     """
     from undrift.base.summary import PICTURES
     from undrift.drift.checks import verdict_before
@@ -128,11 +117,10 @@ def _fit(
     from undrift.drift.sessions import check_once, one_power_on
     from undrift.io.formats import detect
 
-    with progress() as shown:
-        task = shown.add_task("reading", total=1.0)
+    with Steps("drift") as shown:
         held = []
         for k, path in enumerate(sessions):
-            shown.update(task, description=f"reading {path.name}", completed=0.4 * k / len(sessions))
+            shown(f"reading {path.name}", 0.4 * k / len(sessions))
             session = read_thermal(path, opening, model)
             held.append((session, detect(path) == "session" or bool(session.means)))
         check_once([session for session, _ in held])
@@ -147,7 +135,7 @@ def _fit(
             ],  # together where their clock runs on
             model,
             settings=settings,
-            progress=lambda what, share: shown.update(task, description=what, completed=0.4 + 0.6 * share),
+            progress=shown.part(0.4, 1.0),
         )
         return fit, seen, not held[0][0].means
 

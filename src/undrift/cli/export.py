@@ -41,11 +41,6 @@ def export(
         The file; for c the header, whose source is written beside it.
     options : ExportOptions
         Options that some targets take.
-
-    Returns
-    -------
-    int
-        0, or 1 when the calibration's own verdict is bad.
     """
     from undrift.files import write_whole
     from undrift.io.store import findings_json, verdict_json

@@ -88,14 +88,10 @@ def info(
     ----------
     file : Path
         Any file or folder.
-    opening : Opening
-        How to read a foreign recording.
     reference_up : str or None
         Laboratory axis that points up, for markers in TRC or C3D.
     proposal : Proposal
         The map to write for a table with foreign columns.
-    rests : Rests
-        How stretches at rest are found.
     figure : Path or None
         Picture to write of a recording or session, with stills, faces, turns, gaps and saturation: .svg, .png or .pdf.
     """

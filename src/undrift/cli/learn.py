@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 from undrift.base.options import Details, Files, Json, OptionalOutput
-from undrift.cli.common import progress, say, say_next, show_table, show_verdict, write_json
+from undrift.cli.common import Steps, say, say_next, show_table, show_verdict, write_json
 from undrift.commands.files import Opening, check_figure, check_output
 from undrift.errors import InputError
 
@@ -47,13 +47,6 @@ def learn(
         Time since power-on when each recording begins, s; needed where the calibration holds a warm-up.
     figure : Path or None
         Picture of the offsets before and now with the rests: .svg, .png or .pdf.
-    opening : Opening
-        How to read foreign recordings.
-
-    Returns
-    -------
-    int
-        0, or 1 when the verdict is bad.
     """
     from undrift.cli.drift import read_thermal
     from undrift.drift.daily_rests import LearnSettings
@@ -72,12 +65,11 @@ def learn(
     dates, changed = dates_of(recordings, date)
     model = read_calibration(calibration)
     own, sessions = opening.like(model, calibration), []
-    with progress() as shown:
-        task = shown.add_task("reading", total=1.0)
+    with Steps("learn") as shown:
         for k, path in enumerate(recordings):
-            shown.update(task, description=f"reading {path.name}", completed=k / len(recordings))
+            shown(f"reading {path.name}", 0.8 * k / len(recordings))
             sessions.append(read_thermal(path, own, model))
-        shown.update(task, description="finding rests")
+        shown("finding rests", 0.8)
         fit = learn_drift(sessions, model, dates=dates, settings=LearnSettings(power_on_s=power_on_s))
     if changed:
         note = Verdict.of(finding("drift.learn_file_dates", "info", count=changed))

@@ -64,8 +64,6 @@ def add(
     ----------
     files : Path
         calibration.json, the certificate of a calibration that is known or named too, or the folder of a session or run.
-    about : About
-        What is stated of the files.
     valid_temp_c : str or None
         Where a calibration is valid, LOW:HIGH in degC; by default its table of offsets, else 5 K about its reference temperature.
     date : str or None
@@ -239,8 +237,6 @@ def trend(
         Serial number of the device.
     figure : Path or None
         Picture to write of scale factors and offsets over time: .svg, .png or .pdf.
-    report : Path or None
-        Report page to write: .html.
     details : bool
         Show every parameter of every step.
     """
@@ -298,8 +294,6 @@ def import_folder(folder: Path, /, *, about: About = About(), where: Where = Non
     ----------
     folder : Path
         Where to look.
-    about : About
-        What is stated of the files.
     """
     from undrift.registry.documents import candidates, new_entries
 

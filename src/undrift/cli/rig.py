@@ -95,10 +95,6 @@ def run(
     progress : Path or None
         File to append the run's progress to, a JSON object in a line, for a program that shows it; questions to the operator
         stand there too, with a number, and are answered by "NUMBER ANSWER" on the standard input.
-    registering : Register
-        Whether the run is added to the registry of devices.
-    report : Path or None
-        Report page to write: .html.
     """
     from undrift.rig.folder import RunFolder
     from undrift.rig.guard import Guard, StopWatch, stopping_on_signals

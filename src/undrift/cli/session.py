@@ -40,10 +40,6 @@ def new(
         One or several recordings of one device; they stay where they are.
     output : Path
         Folder for session.toml, made where it is missing.
-    place : Place
-        Local gravity, and the device.
-    opening : Opening
-        How to read foreign recordings.
     turn_deg : float or None
         Angle of the turns between rests, deg: 360 for full turns.
     rates : Path or None

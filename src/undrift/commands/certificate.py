@@ -94,8 +94,6 @@ def certificate(
         calibration.json of the device.
     output : Path
         The file, named *.pdf.
-    registering : Register
-        Whether the calibration and its certificate are added to the registry of devices.
     """
     from undrift.io.store import read_calibration
 
@@ -131,10 +129,10 @@ class Stated:
     names: tuple[str, ...]
     value: "FloatArray"
     shares: "Mapping[str, FloatArray]"  # (P,) of each source
-    standard: FloatArray  # combined standard uncertainty
-    freedom: FloatArray  # effective degrees of freedom
-    coverage: FloatArray  # k
-    expanded: FloatArray  # U
+    standard: "FloatArray"  # combined standard uncertainty
+    freedom: "FloatArray"  # effective degrees of freedom
+    coverage: "FloatArray"  # k
+    expanded: "FloatArray"  # U
 
     def of_block(self, block: str) -> list[int]:
         """Return the numbers of the parameters of a block of ``BLOCKS``."""

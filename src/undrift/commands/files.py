@@ -82,14 +82,14 @@ class Opening:
 
     def words(self) -> list[object]:
         """Return the options as they were given."""
-        held = {"map": self.column_map, "sample-rate-hz": self.sample_rate_hz, "sensor": self.sensor, "gaps": self.gaps}
-        held["clock"] = self.clock
+        stated = {"map": self.column_map} | self._options() | {"drop_bad_rows": None}
         flags: list[object] = ["--drop-bad-rows"] if self.drop_bad_rows else []
-        return flags + [word for name, value in held.items() if value is not None for word in (f"--{name}", value)]
+        named = {name.replace("_", "-"): value for name, value in stated.items() if value is not None}
+        return flags + [word for name, value in named.items() for word in (f"--{name}", value)]
 
     def _options(self) -> dict[str, Any]:
-        held = {"sample_rate_hz": self.sample_rate_hz, "sensor": self.sensor, "gaps": self.gaps, "clock": self.clock}
-        return held | {"drop_bad_rows": self.drop_bad_rows or None}
+        stated = {name: getattr(self, name) for name in ("sample_rate_hz", "sensor", "gaps", "clock")}
+        return stated | {"drop_bad_rows": self.drop_bad_rows or None}
 
     def _how(self, path: Path) -> "tuple[ColumnMap | None, ReadSettings]":
         """Return how to read a file: by the map that was named, else as it is, else by the map that the calibration keeps."""

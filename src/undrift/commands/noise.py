@@ -120,10 +120,6 @@ def noise(
         imu.yaml for Kalibr (.yaml, .yml), or the Allan plot (.svg, .png, .pdf).
     rostopic : str
         Topic of the sensor, for Kalibr.
-    opening : Opening
-        How to read a foreign recording.
-    progress : callable
-        Takes how far it is.
     """
     from undrift.calibration.noise import fit_noise
     from undrift.correction.consistency import check_force

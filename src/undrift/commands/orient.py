@@ -115,8 +115,6 @@ def orient(
     policy : str
         Temperatures outside a tuning table: refuse (raise), hold the table's end, or leave a gap (nan). Where no
         temperature was recorded the result is a gap under each, and a warning says for how long.
-    opening : Opening
-        How to read a foreign recording.
     """
     from undrift.correction.rest import named_rest
     from undrift.io.store import read_calibration

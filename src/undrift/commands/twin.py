@@ -35,18 +35,16 @@ class Twinned(Result):
 
     def summary(self) -> Summary:
         """Return the parameters, the residual against the reference, and how well the model predicts."""
+        import numpy as np
+
         fitted, held_out, count = self.fitted, self.held_out, len(self.names)
         known = sum(p.identifiable for p in fitted.parameters)
         answer = f"{known} of {len(fitted.parameters)} parameters of the device are identifiable"
-        notes: tuple[str, ...] = ()
         if held_out:
-            windows = _spread(_pitch_errors(held_out))
-            answer += (
-                f"; held out, its pitch differs from the real device's by {windows['median']:.2f} deg, median over "
-                f"{held_out[0].window_s:g} s"
-            )
-        else:
-            notes = ("one recording: none could be held out; add a second one to see how well the twin predicts",)
+            differences = np.concatenate([one.errors.pitch for one in held_out]) / RADIAN_PER_DEGREE
+            median = f"{_spread(differences)['median']:.2f} deg, median over {held_out[0].window_s:g} s"
+            answer += f"; held out, its pitch differs from the real device's by {median}"
+        alone = "one recording: none could be held out; add a second one to see how well the twin predicts"
         drawing = Drawing(place="undrift.report.figures:draw_held_out", of=(held_out,))
         found = (item for one in held_out if (item := one.excitation.finding(one.recording)) is not None)
         return Summary(
@@ -60,7 +58,7 @@ class Twinned(Result):
                 *(_held_out(self) if held_out else ()),
             ),
             findings=tuple({one.text: one for one in found}.values()),
-            notes=notes,
+            notes=() if held_out else (alone,),
             written=self.written,
         )
 
@@ -84,18 +82,12 @@ def twin(
     ----------
     records : Path
         Raw recordings of one device in one mounting; each begins with a rest.
-    optics : Optics
-        The reference of each recording.
     gravity_m_s2 : float
         Local gravity, m/s2; the accelerometer's scale is proportional to it.
     seed : int
         Seed of the noise of simulated devices.
     output : Path or None
         device.json to write.
-    opening : Opening
-        How to read foreign recordings.
-    progress : callable
-        Takes how far it is.
     """
     import numpy as np
 
@@ -179,13 +171,6 @@ def _twin_json(
     }
 
 
-def _pitch_errors(held_out: "tuple[HeldOutTrial, ...]") -> "FloatArray":
-    """Return the largest pitch differences of all windows, deg."""
-    import numpy as np
-
-    return np.concatenate([one.errors.pitch for one in held_out]) / RADIAN_PER_DEGREE
-
-
 def _spread(values: "FloatArray") -> dict[str, float]:
     """Return median, 95th percentile and largest of what is not a gap."""
     import numpy as np
@@ -205,7 +190,7 @@ def _parameters(fitted: "Twin") -> Section:
         if not p.identifiable:
             reasons.setdefault(p.reason, []).append(p.name)
     return Section(
-        title="parameters of the device",
+        title="parameters of the device (in brackets: not identifiable)",
         columns=("name", "value", "standard error", "unit"),
         rows=tuple(rows),
         text=tuple(f"not identifiable: {', '.join(lost)}: {reason}" for reason, lost in reasons.items()),

@@ -247,7 +247,7 @@ def _write(validated: Validated, folder: Path, origin: Origin) -> Validated:
     validated = replace(validated, output=folder)
     folder.mkdir(exist_ok=True)
     save_json(folder / "validation.json", validated.data)
-    at("undrift.report.page:write_summary")(folder / "report.html", validated.summary(), origin)
+    at("undrift.report.page:write_page")(folder / "report.html", validated.summary(), origin)
     if validated.calibration is not None and not validated.source:
         made_from = replace(validated.calibration.provenance, inputs=origin.inputs)
         write_calibration(replace(validated.calibration, provenance=made_from), folder / "calibration.json")
@@ -487,7 +487,7 @@ def _agreement(result: "Validation") -> tuple[Section, ...]:
         f"[{absolute.interval[0]:.3f}, {absolute.interval[1]:.3f}]; standard error of measurement "
         f"{absolute.standard_error_of_measurement:.2f} deg; an ICC depends on how much the trials differ"
     )
-    drawing = Drawing(place="undrift.report.figures:draw_trials_agreement", of=(result,))
+    drawing = Drawing(place="undrift.report.figures:draw_trials_agreement", of=(result, limits))
     return (Section(title="Agreement over trials", text=(text,), pictures=(drawing,)),)
 
 

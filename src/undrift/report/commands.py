@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from undrift.base.summary import Cells, Origin, Section, number, table_section
+from undrift.base.summary import Cells, Origin, Section, Summary, number, table_section
 from undrift.commands.certificate import departures_words, expanded_words, gravity_uncertainty
 from undrift.model import AXES
 from undrift.report import figures
@@ -130,8 +130,7 @@ def write_calibration_report(
         text = "Shaded: the stills that were used. Turns and handling lie between them."
         drawn = (svg_of(_draw_norm(records, judged, made.gravity_m_s2)),)
         sections.append(Section(title="Specific force over the session", text=(text,), pictures=drawn))
-    write_page(
-        path,
+    summary = Summary(
         title=f"Calibration of {made.device or 'a device'}",
         answer=f"Expanded uncertainty (95 %) at the temperature of the calibration: {doubts}.",
         pictures=(svg_of(draw_calibration(made)),),
@@ -142,8 +141,8 @@ def write_calibration_report(
             *calibration_sections(made),
             Section(title="What was calibrated", text=about),
         ),
-        origin=origin,
     )
+    write_page(path, summary, origin)
 
 
 def _residuals(judged: Sequence[Judged], made: "Calibration") -> tuple["FloatArray", "FloatArray"]:
@@ -252,8 +251,7 @@ def write_correct_report(
     table = tuple(
         (Path(row["recording"]).name, Path(row["output"]).name, *(str(row[key]) for key in keys)) for row in rows
     )
-    write_page(
-        path,
+    summary = Summary(
         title=f"Corrected: {table[0][0]}" + (f" and {len(rows) - 1} more" if len(rows) > 1 else ""),
         answer=f"{samples} samples are in rad/s and m/s2, {covered}.",
         pictures=(svg_of(figures.draw_record(record)),),
@@ -261,8 +259,8 @@ def write_correct_report(
             Section(title="Recordings", columns=heads, rows=table),
             Section(title="Warnings and notes", text=remarks),
         ),
-        origin=origin,
     )
+    write_page(path, summary, origin)
 
 
 def write_rig_report(path: Path, result: "RunResult", name: str, *, origin: Origin | None = None) -> None:
@@ -297,12 +295,11 @@ def write_rig_report(path: Path, result: "RunResult", name: str, *, origin: Orig
         ("achieved (deg/s)", lambda piece: f"{piece.turn_rate / DPS:+.4f}" if piece.purpose == "rate" else ""),
         ("temperature (degC)", lambda piece: "" if piece.device_c is None else f"{piece.device_c:.2f}"),
     )
-    write_page(
-        path,
+    summary = Summary(
         title=f"Rig run: {name}, on {result.rig}",
         answer=f"{len(result.pieces)} dwells are on the disk, {missing} readings are missing"
         + (f", and achieved rates differ from nominal ones by up to {max(map(abs, off)):.2g} deg/s." if turns else "."),
         pictures=(svg_of(figure),) if turns else (),
         sections=(table_section("Dwells", result.pieces, cells),),
-        origin=origin,
     )
+    write_page(path, summary, origin)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from undrift.base.summary import Origin, Section, table_section
+from undrift.base.summary import Origin, Section, Summary, table_section
 from undrift.drift.hysteresis import SIGNIFICANT
 from undrift.errors import InputError
 from undrift.model import AXES
@@ -347,15 +347,14 @@ def choice_rows(alternatives: "Alternatives") -> tuple[tuple[str, ...], ...]:
 def write_drift_report(fit: "DriftFit", path: Path, origin: Origin | None = None) -> None:
     """Write the page of a thermal fit."""
     device = fit.calibration.device or "device without a serial number"
-    write_page(
-        path,
+    summary = Summary(
         title=f"Thermal drift of {device}",
         answer=drift_answer(fit),
         pictures=(svg_of(draw_drift(fit)),) if fit.gyro_summary or fit.accel_summary else (),
         sections=(Section(title="Before and after", text=(drift_lead(fit),)), *drift_sections(fit, drawn=True)),
         verdict=fit.verdict,
-        origin=origin,
     )
+    write_page(path, summary, origin)
 
 
 def drift_answer(fit: "DriftFit") -> str:
@@ -490,14 +489,13 @@ def write_trend_report(
         text = _read((*step.sentences, *(f"not compared: {one}" for one in step.not_compared)))
         changes: tuple[Change, ...] = step.changes
         sections.append(table_section(title, changes, cells, text=text))
-    write_page(
-        path,
+    summary = Summary(
         title=f"Trend of {serial}",
         answer=f"{serial}: {headline(steps, course)}.",
         pictures=(svg_of(draw_trend(serial, first, course)),),
         sections=tuple(sections),
-        origin=origin,
     )
+    write_page(path, summary, origin)
 
 
 def _read(words: Sequence[str]) -> tuple[str, ...]:

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from undrift.study.outcome import StudyOutcome, TaskOutcome
     from undrift.study.plan import Timing
     from undrift.twin.heldout import HeldOutTrial
-    from undrift.validation.agreement import Validation
+    from undrift.validation.agreement import BlandAltman, Validation
     from undrift.validation.trial import Trial
 
 # ---- envelope: few enough points to draw, with the least and largest value of every column
@@ -666,12 +666,10 @@ def draw_validation(result: "Validation") -> "Figure":
     return draw_bars(names, values, title="Errors against the reference", label="rms over the motion (deg)")
 
 
-def draw_trials_agreement(result: "Validation") -> "Figure":
+def draw_trials_agreement(result: "Validation", limits: "BlandAltman") -> "Figure":
     """Draw the agreement of device and reference on the mean inclination of each trial."""
-    limits = None if result.agreement is None else result.agreement.limits
     pairs = np.array([trial.mean_inclination for trial in result.trials]) / RADIAN_PER_DEGREE
-    bias, ends = (float("nan"), (float("nan"),) * 2) if limits is None else (limits.bias, limits.limits)
-    return draw_agreement(pairs.mean(axis=1), pairs[:, 0] - pairs[:, 1], bias, ends, unit="trial")
+    return draw_agreement(pairs.mean(axis=1), pairs[:, 0] - pairs[:, 1], limits.bias, limits.limits, unit="trial")
 
 
 # ---- twin

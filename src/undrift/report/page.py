@@ -16,7 +16,7 @@ from undrift import __version__
 from undrift.base.summary import Drawing, Origin, Section, Summary, at, concise
 from undrift.files import write_whole
 from undrift.findings import SHOWN_FIRST, Finding, most_consequential_first
-from undrift.model import AXES, Verdict
+from undrift.model import AXES
 
 if TYPE_CHECKING:
     from undrift.model import Calibration, TriadModel
@@ -25,33 +25,24 @@ if TYPE_CHECKING:
 SCREEN_LINES = 3 * 32  # of text on three screens: longer pages have contents
 
 
-def write_page(
-    path: Path,
-    *,
-    title: str,
-    answer: str,
-    pictures: tuple[Drawing | str, ...] = (),
-    sections: tuple[Section, ...] = (),
-    verdict: Verdict | None = None,
-    findings: tuple[Finding, ...] = (),
-    origin: Origin | None = None,
-) -> None:
+def write_page(path: Path, summary: Summary, origin: Origin | None = None) -> None:
     """Write a report page; findings stand with those of the verdict. Sections without anything in them are left out."""
     from jinja2 import Environment, PackageLoader
 
     style = Path(__file__).with_name("page.css").read_text()
     template = Environment(loader=PackageLoader("undrift", "report"), autoescape=True).get_template("page.html.j2")
-    filled = [section for section in sections if section.text or section.findings or section.rows or section.pictures]
+    sections = (*summary.sections, Section(title="Notes", text=summary.notes))
+    filled = [
+        one for one in sections if one.on != "terminal" and (one.text or one.findings or one.rows or one.pictures)
+    ]
+    verdict = summary.verdict
     shown, number = [section for section in filled if not section.folded], count(1)
     lines = sum(4 + 2 * len(one.text) + len(one.rows) + 14 * len(one.pictures) for one in shown)
     text = template.render(
-        title=title,
-        answer=answer,
-        pictures=pictures,
+        summary=summary,
         shown=shown,
         folded=[section for section in filled if section.folded],
-        verdict=verdict,
-        findings=_each_code_first((*(verdict.findings if verdict else ()), *findings)),
+        findings=_each_code_first((*(verdict.findings if verdict else ()), *summary.findings)),
         contents=lines > SCREEN_LINES,
         ordered=most_consequential_first,
         first=SHOWN_FIRST,
@@ -61,21 +52,6 @@ def write_page(
         versions=_versions(),
     )
     write_whole(path, text.lstrip())
-
-
-def write_summary(path: Path, summary: Summary, origin: Origin | None = None) -> None:
-    """Write the report page of a summary."""
-    noted = Section(title="Notes", text=summary.notes)
-    write_page(
-        path,
-        title=summary.title,
-        answer=summary.answer,
-        pictures=summary.pictures,
-        sections=(*(section for section in summary.sections if section.on != "terminal"), noted),
-        verdict=summary.verdict,
-        findings=summary.findings,
-        origin=origin,
-    )
 
 
 def _drawn(picture: Drawing | str) -> str:

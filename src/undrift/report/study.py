@@ -5,7 +5,17 @@ from itertools import cycle
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from undrift.base.summary import Cells, Origin, Section, interval, number, plain_words, rows_section, table_section
+from undrift.base.summary import (
+    Cells,
+    Origin,
+    Section,
+    Summary,
+    interval,
+    number,
+    plain_words,
+    rows_section,
+    table_section,
+)
 from undrift.report import figures
 from undrift.report.figures import p_text, svg_of
 from undrift.report.note import claims_section, note_sections, rival_sections
@@ -39,15 +49,14 @@ TIMINGS: "dict[Timing, str]" = {
 
 def write_study_report(outcome: "StudyOutcome", path: Path, origin: Origin | None = None) -> None:
     """Write the page of a study."""
-    write_page(
-        path,
+    summary = Summary(
         title=f"Study: {outcome.study.name}",
         answer=_sentence(outcome),
         pictures=(svg_of(figures.draw_pareto(outcome, outcome.tasks[0])),),
         sections=(*study_sections(outcome), Section(title="The note", text=(NOTE,), folded=True)),
         findings=tuple(item for task in outcome.tasks for item in task.findings),
-        origin=origin,
     )
+    write_page(path, summary, origin)
 
 
 def _sentence(outcome: "StudyOutcome") -> str:
