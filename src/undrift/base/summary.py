@@ -60,10 +60,9 @@ class Drawing:
     of: tuple[Any, ...]  # What it draws
     options: Mapping[str, Any] = field(default_factory=dict)
 
-    def draw(self) -> Picture:
+    def draw(self) -> Any:
         """Return the figure of matplotlib."""
-        figure: Picture = at(self.place)(*self.of, **self.options)
-        return figure
+        return at(self.place)(*self.of, **self.options)
 
     def save(self, path: Path) -> None:
         """Write the figure as SVG, PNG or PDF, by the ending of the name."""

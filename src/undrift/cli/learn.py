@@ -1,8 +1,6 @@
 """``undrift learn``: update the offset over temperature by the rests of daily recordings, no chamber needed."""
 
-import re
 from dataclasses import replace
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -10,13 +8,11 @@ from cyclopts import Parameter
 
 from undrift.base.options import Details, Files, Json, OptionalOutput
 from undrift.cli.common import Steps, say, say_next, show_table, show_verdict, write_json
-from undrift.commands.files import Opening, check_figure, check_output
+from undrift.commands.files import Opening, check_figure, check_output, dates_of
 from undrift.errors import InputError
 
 if TYPE_CHECKING:
     from undrift.drift.learn import LearnFit
-
-_DATE = re.compile(r"((?:19|20)\d\d)([-_.]?)(\d\d)\2(\d\d)(?!\d)(?:[T_ -]*(\d\d)[-:.]?(\d\d)(?:[-:.]?(\d\d))?(?!\d))?")
 
 
 def learn(
@@ -90,43 +86,6 @@ def learn(
         else:
             say_next("correct", recordings[0], "--calibration", output, "-o", "corrected.parquet")
     return 1 if fit.verdict.status == "bad" else 0
-
-
-def dates_of(recordings: tuple[Path, ...], given: tuple[str, ...]) -> tuple[list[datetime], int]:
-    """Return the date of each recording, and how many are those of the file's last change."""
-    if given and len(given) != len(recordings):
-        raise InputError(
-            f"date: wanted one for each recording, got {len(given)} for {len(recordings)}; say --date once for each, in order"
-        )
-    found, changed = list[datetime](), 0
-    for k, path in enumerate(recordings):
-        held = _DATE.search(path.name)
-        if given:
-            found.append(stated_date(given[k]))
-        elif held is not None and (dated := _of_name(held)) is not None:
-            found.append(dated)
-        else:
-            found.append(datetime.fromtimestamp(path.stat().st_mtime, UTC))
-            changed += 1
-    return found, changed
-
-
-def stated_date(text: str) -> datetime:
-    """Return a date as a person states it, in UTC."""
-    try:
-        when = datetime.fromisoformat(text)
-    except ValueError:
-        raise InputError(f"date: wanted one as 2026-03-01 or 2026-03-01T08:30, got '{text}'; correct it") from None
-    return when if when.tzinfo else when.replace(tzinfo=UTC)
-
-
-def _of_name(held: re.Match[str]) -> datetime | None:
-    """Return the date in a name; None where its digits are none."""
-    year, _, month, day, hour, minute, second = (int(part) if (part or "").isdigit() else 0 for part in held.groups())
-    try:
-        return datetime(year, month, day, hour, minute, second, tzinfo=UTC)
-    except ValueError:
-        return None
 
 
 def _summary(fit: "LearnFit", output: Path | None) -> dict[str, object]:

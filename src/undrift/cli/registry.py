@@ -10,7 +10,7 @@ from cyclopts import Parameter
 from undrift.base.options import Files, Json, OptionalOutput, Report
 from undrift.cli import examples
 from undrift.cli.common import group, say, show_table, write_json
-from undrift.commands.files import check_figure, check_output, check_report, origin_of
+from undrift.commands.files import check_figure, check_output, check_report, origin_of, stated_date
 from undrift.commands.register import Where, entry_json, open_place, registered_lines
 from undrift.errors import InputError, UndriftError
 
@@ -73,7 +73,6 @@ def add(
     note : str
         Why, or what else should be known.
     """
-    from undrift.cli.learn import stated_date
     from undrift.registry.documents import new_entries
 
     if supersedes is not None and (len(files) > 1 or not note):
@@ -180,7 +179,6 @@ def find(
     output : Path or None
         calibration.json to write.
     """
-    from undrift.cli.learn import stated_date
 
     check_output(output, endings=(".json",))
     with open_place(where, there=True) as held:

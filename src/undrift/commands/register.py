@@ -9,7 +9,7 @@ from cyclopts import Parameter
 
 from undrift.base.options import Flag, options
 from undrift.base.summary import CALLED
-from undrift.commands.files import Opening
+from undrift.commands.files import Opening, dates_of
 from undrift.errors import InputError, RegistryError
 
 if TYPE_CHECKING:
@@ -109,7 +109,6 @@ class Registered:
 
     def _of(self, record: Path, opening: Opening) -> "Entry":
         from undrift.files import checked_file
-        from undrift.io.recording_dates import dates_of
         from undrift.io.store import calibration_of
         from undrift.registry.registry import covers
 
