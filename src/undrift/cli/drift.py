@@ -7,7 +7,7 @@ from cyclopts import Parameter
 
 from undrift.base.options import Details, Files, Flag, Json, OptionalOutput, Report
 from undrift.cli.common import Steps, say, say_next, show_table, show_verdict, write_json
-from undrift.commands.files import Opening, check_output, check_report, origin_of, recording_of
+from undrift.commands.files import Opening, check_figure, check_output, check_report, origin_of, recording_of
 from undrift.commands.register import Register, registered_lines
 from undrift.errors import InputError
 
@@ -62,7 +62,6 @@ def drift(
     warm_up : bool
         Fit the power-on transient with which each recording, or each clock that begins anew, begins.
     """
-    from undrift.base.summary import PICTURES
     from undrift.drift.checks import verdict_before
     from undrift.drift.fit import DriftSettings
     from undrift.drift.static import StaticSettings
@@ -82,7 +81,7 @@ def drift(
     read = (*(path for path in sessions if path.exists()), opening.column_map)
     check_output(output, endings=(".json",), reads=read)  # may be the calibration that was read: it is written whole
     check_report(report, reads=(*read, calibration))
-    check_output(figure, endings=PICTURES, reads=(*read, calibration))
+    check_figure(figure, reads=(*read, calibration))
     model = None if calibration is None else read_calibration(calibration)
     registering.check(None if model is None else model.device)
     fit, seen, of_samples = _fit(sessions, opening.like(model, calibration), model, settings)
