@@ -472,7 +472,8 @@ def _expected(result: "Validation") -> tuple[Section, ...]:
     rows = [dict(zip(heads, row, strict=True)) for row in expected_rows(result.trials)]
     text = (
         "Expected: root mean square of the errors that follow from the calibration's covariance and from what changes between "
-        f"recordings of a device. At most: 95 % of the errors are no larger. {coverage_text(result.coverage).capitalize()}.",
+        "recordings of a device. At most: 95 % of the errors are no larger.",
+        coverage_text(result.coverage),
     )
     return (rows_section("observed and expected errors in deg (at most: 95 %)", rows, text=text),)
 
