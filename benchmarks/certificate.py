@@ -17,9 +17,9 @@ from benchmarks.erring_bench.rate_table import ARM_M, RANGE, RATES, USUAL
 from undrift.arrays import FloatArray
 from undrift.calibration.calibrate import calibrate
 from undrift.calibration.observe import CalibrateSettings
+from undrift.commands.certificate import block_of, stated
 from undrift.model import Calibration
 from undrift.record import Session, Still, Turn
-from undrift.report.certificate import block_of, stated
 from undrift.sim.device.presets import random_device
 from undrift.sim.device.simulate import simulate_device
 from undrift.sim.device.truth import true_calibration

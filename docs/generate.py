@@ -49,8 +49,8 @@ def draw_all(folder: Path) -> None:
 
 def commands() -> dict[str, str]:
     """Return a page for each command, and the page that lists them."""
+    from undrift.cli import EXAMPLES
     from undrift.cli.app import COMMANDS, GROUPS, command_line
-    from undrift.cli.examples import EXAMPLES
 
     pages = {}
     whole = command_line().generate_docs(heading_level=1).replace("```console", "```text").replace("<", "&lt;")

@@ -15,8 +15,8 @@ import typst
 
 import undrift
 from undrift.cli.app import run
+from undrift.commands.certificate import certificate_content
 from undrift.io.store import read_calibration
-from undrift.report.certificate import certificate_content
 
 COMMANDS = """data fetch sample
 calibrate sample/bench -o c.json --report calibration.html

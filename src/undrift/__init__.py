@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from undrift.calibration.noise import NoiseFit as NoiseFit
     from undrift.calibration.noise import fit_noise as fit_noise
     from undrift.calibration.observe import CalibrateSettings as CalibrateSettings
+    from undrift.commands.validate import validate as validate
     from undrift.correction.correct import Corrected as Corrected
     from undrift.correction.correct import Corrector as Corrector
     from undrift.correction.correct import correct as correct
@@ -44,6 +45,7 @@ if TYPE_CHECKING:
     from undrift.export.programs import export_imucal as export_imucal
     from undrift.export.programs import export_ros as export_ros
     from undrift.findings import Finding as Finding
+    from undrift.findings import Verdict as Verdict
     from undrift.io.formats import read_record as read_record
     from undrift.io.formats import read_reference as read_reference
     from undrift.io.formats import write_record as write_record
@@ -52,7 +54,6 @@ if TYPE_CHECKING:
     from undrift.io.store import read_calibration as read_calibration
     from undrift.io.store import write_calibration as write_calibration
     from undrift.model import Calibration as Calibration
-    from undrift.model import Verdict as Verdict
     from undrift.orientation import Orientation as Orientation
     from undrift.orientation import integrate_strapdown as integrate_strapdown
     from undrift.orientation import orient as orient
@@ -86,14 +87,15 @@ _MODULES = {
     "segments": ("find_still", "find_turns", "StillSettings"),
     "calibration.calibrate": ("calibrate", "calibrate_to_references"),
     "calibration.observe": ("CalibrateSettings",),
-    "model": ("Calibration", "Verdict"),
-    "findings": ("Finding",),
+    "model": ("Calibration",),
+    "findings": ("Finding", "Verdict"),
     "io.store": ("read_calibration", "write_calibration"),
     "calibration.noise": ("fit_noise", "NoiseFit"),
     "drift.fit": ("fit_drift", "DriftSettings", "DriftFit"),
     "correction.correct": ("correct", "correct_checked", "Corrected", "Corrector"),
     "orientation": ("orient", "Orientation", "integrate_strapdown"),
     "validation.trial": ("compare_orientations", "validate_trial"),
+    "commands.validate": ("validate",),
     "validation.agreement": ("validate_trials", "validate_leave_one_out"),
     "twin.fit": ("fit_twin", "Twin"),
     "sim.device.presets": ("random_device",),

@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 Level = Literal["info", "warn", "fail"]
+Status = Literal["good", "marginal", "bad"]
 Value = float | int | str | bool | tuple[float, ...] | tuple[str, ...]
 
 _SENTENCES = Path(__file__).with_name("findings.toml")
@@ -128,6 +129,54 @@ def most_consequential_first(findings: Iterable[Finding]) -> tuple[Finding, ...]
     """Return findings by level and rank, each text once."""
     once = {item.text: item for item in findings}.values()
     return tuple(sorted(once, key=lambda item: (_LEVELS.index(item.level), catalogue()[item.code].rank)))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Verdict:
+    """What a fit is worth: good, marginal or bad, and the findings that say why.
+
+    Parameters
+    ----------
+    status : str
+        good, marginal or bad.
+    findings : tuple of Finding
+        Why; also what was not observable and which recording would show it.
+
+    Examples
+    --------
+    >>> import numpy as np, undrift
+    >>> rng = np.random.default_rng(7)
+    >>> device = undrift.random_device(rng)
+    >>> calibration = undrift.calibrate(undrift.simulate_session("six_face", device, rng=rng))
+    >>> calibration.verdict.status
+    'good'
+    """
+
+    status: Status = "good"
+    findings: tuple[Finding, ...] = ()
+
+    @property
+    def reasons(self) -> tuple[str, ...]:
+        """The findings as texts, most consequential first."""
+        return tuple(item.text for item in most_consequential_first(self.findings))
+
+    @classmethod
+    def of(cls, *findings: Finding) -> "Verdict":
+        """Return the verdict that follows from findings: bad with a fail, marginal with a warn, else good."""
+        levels = {item.level for item in findings}
+        return cls(status="bad" if "fail" in levels else "marginal" if "warn" in levels else "good", findings=findings)
+
+    def also(self, other: "Verdict") -> "Verdict":
+        """Return both verdicts as one: the worse status, all findings, each once."""
+        worse = max(self.status, other.status, key=("good", "marginal", "bad").index)
+        known = {item.text for item in self.findings}
+        others = (item for item in other.findings if item.text not in known)
+        return Verdict(status=worse, findings=(*self.findings, *others))
+
+
+def level_of(value: float, limits: tuple[float, float]) -> Level:
+    """Return warn above the first of two limits, fail above the second, else info."""
+    return "fail" if value > limits[1] else "warn" if value > limits[0] else "info"
 
 
 @cache

@@ -20,15 +20,17 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from undrift.arrays import BoolArray, FloatArray, IntArray, frozen
+from undrift.base.summary import Shown
 from undrift.errors import InputError
-from undrift.findings import Finding, Level, most_consequential_first
+from undrift.findings import Finding as Finding
+from undrift.findings import Status as Status
+from undrift.findings import Verdict as Verdict
+from undrift.findings import level_of as level_of
 from undrift.record import Axis, FileMap
 from undrift.units import Quantity, si_factor
-from undrift.views import Shown
 
 Rounding = Literal["nearest", "floor", "toward_zero"]
 Sensor = Literal["gyro", "accel"]
-Status = Literal["good", "marginal", "bad"]
 
 AXES: tuple[Axis, Axis, Axis] = ("x", "y", "z")
 SENSORS: tuple[Sensor, Sensor] = ("gyro", "accel")
@@ -40,54 +42,6 @@ SOURCES = (  # of uncertainty, in the order of a budget
     "rate", "angle", "axis", "ripple", "mounting", "level", "temperature", "noise", "adc", "instability", "repeatability", "fit",
 )  # fmt: skip
 _EXCEEDS = 1e-3  # of a variance: what linear parts may exceed a whole that was averaged over a grid
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Verdict:
-    """What a fit is worth: good, marginal or bad, and the findings that say why.
-
-    Parameters
-    ----------
-    status : str
-        good, marginal or bad.
-    findings : tuple of Finding
-        Why; also what was not observable and which recording would show it.
-
-    Examples
-    --------
-    >>> import numpy as np, undrift
-    >>> rng = np.random.default_rng(7)
-    >>> device = undrift.random_device(rng)
-    >>> calibration = undrift.calibrate(undrift.simulate_session("six_face", device, rng=rng))
-    >>> calibration.verdict.status
-    'good'
-    """
-
-    status: Status = "good"
-    findings: tuple[Finding, ...] = ()
-
-    @property
-    def reasons(self) -> tuple[str, ...]:
-        """The findings as texts, most consequential first."""
-        return tuple(item.text for item in most_consequential_first(self.findings))
-
-    @classmethod
-    def of(cls, *findings: Finding) -> "Verdict":
-        """Return the verdict that follows from findings: bad with a fail, marginal with a warn, else good."""
-        levels = {item.level for item in findings}
-        return cls(status="bad" if "fail" in levels else "marginal" if "warn" in levels else "good", findings=findings)
-
-    def also(self, other: "Verdict") -> "Verdict":
-        """Return both verdicts as one: the worse status, all findings, each once."""
-        worse = max(self.status, other.status, key=("good", "marginal", "bad").index)
-        known = {item.text for item in self.findings}
-        others = (item for item in other.findings if item.text not in known)
-        return Verdict(status=worse, findings=(*self.findings, *others))
-
-
-def level_of(value: float, limits: tuple[float, float]) -> Level:
-    """Return warn above the first of two limits, fail above the second, else info."""
-    return "fail" if value > limits[1] else "warn" if value > limits[0] else "info"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -523,7 +477,7 @@ class Calibration(Shown):
     drift: DriftTables | None = None
     adc: AdcModel | None = None
     noise: NoiseModel | None = None
-    verdict: Verdict = Verdict()
+    verdict: Verdict = Verdict()  # noqa: RUF009  frozen
     provenance: Provenance = Provenance()
     file_map: FileMap | None = None
 

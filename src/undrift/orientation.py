@@ -34,6 +34,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray, frozen
+from undrift.base.summary import Shown
 from undrift.correction.consistency import check_triads
 from undrift.correction.rest import FEWEST, force_covariances, mean_variance, no_rest, rests_from_first
 from undrift.errors import InputError
@@ -43,7 +44,6 @@ from undrift.model import AXES, TriadModel
 from undrift.record import FACES, Face, Record, Still
 from undrift.segments import StillSettings, find_still, runs
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, si_factor
-from undrift.views import Shown
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation

@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from undrift.arrays import BoolArray, FloatArray, frozen
+from undrift.base.summary import Shown, at
 from undrift.errors import InputError
 from undrift.frames import Frame
 from undrift.units import Quantity, canonical_unit, si_factor
-from undrift.views import Shown, at
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -5,7 +5,7 @@ import pytest
 
 from testkit.data import data_path, show
 from undrift.io.formats import read_record, read_reference
-from undrift.report.validation import trial_figure
+from undrift.report.figures import trial_figure
 from undrift.validation.trial import TrialSettings, validate_trial
 
 pytestmark = pytest.mark.usefixtures("computed_once")

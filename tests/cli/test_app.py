@@ -163,7 +163,7 @@ def test_a_reader_that_stops_early_makes_no_noise():
 def test_json_knows_what_results_are_made_of():
     import numpy as np
 
-    from undrift.cli.common import plain
+    from undrift.base.summary import plain
 
     held = {
         "a": np.array([1.0, np.nan]),

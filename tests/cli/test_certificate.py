@@ -5,8 +5,7 @@ import json
 import pytest
 
 from testkit.command_line import contents
-from undrift.io.store import read_calibration
-from undrift.report.certificate import content_hash
+from undrift.io.store import content_hash, read_calibration
 
 
 def test_writes_a_pdf_and_says_its_hash(undrift, bench, tmp_path):

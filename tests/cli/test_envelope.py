@@ -13,10 +13,9 @@ import pytest
 from testkit.command_line import at_rest
 from testkit.data import data_path, show
 from undrift import __version__
+from undrift.cli import EXAMPLES, common
 from undrift.cli import app as program
-from undrift.cli import common
 from undrift.cli.common import ENVELOPE, Steps
-from undrift.cli.examples import EXAMPLES
 from undrift.io.formats import write_record
 from undrift.io.session import read_session
 

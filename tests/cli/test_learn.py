@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from undrift.cli.app import run
-from undrift.cli.learn import dates_of
+from undrift.commands.files import dates_of
 from undrift.errors import InputError
 from undrift.io.formats import write_record
 from undrift.io.store import read_calibration, write_calibration

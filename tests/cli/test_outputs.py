@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from testkit.command_line import contents
-from undrift.cli.common import name_of
+from undrift.commands.files import name_of
 
 WRITERS = {  # the call, and the ending of what it writes
     "calibrate": (["calibrate", "{bench}/session"], ".json"),

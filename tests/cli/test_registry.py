@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from testkit.command_line import contents
-from undrift.cli.examples import EXAMPLES
+from undrift.cli import EXAMPLES
 from undrift.errors import RegistryError
 from undrift.io.formats import read_record, write_record
 from undrift.io.store import calibration_json, content_hash, hash_of, read_calibration, write_calibration

@@ -20,7 +20,7 @@ from testkit.terminal import WIDTHS, Terminal, differences, on
 from undrift import cli
 from undrift.cli import common
 from undrift.cli.app import run
-from undrift.cli.validate import SHOWN
+from undrift.commands.validate import SHOWN
 
 WORDS = st.text(st.characters(exclude_categories=("C", "Z", "M"), exclude_characters="─:"), min_size=1, max_size=30)
 CELLS = st.lists(WORDS, min_size=0, max_size=4).map(" ".join)

@@ -10,7 +10,8 @@ from pathlib import Path
 import pytest
 
 from undrift.cli.app import COMMANDS, run
-from undrift.cli.common import Opening
+from undrift.commands import VERBS
+from undrift.commands.files import Opening
 
 ROOT = Path(__file__).parents[2]
 HEAVY = {"numpy", "scipy", "pandas", "numba", "matplotlib", "pyarrow", "h5py", "ezc3d", "jinja2"}
@@ -29,14 +30,16 @@ def test_every_command_answers_help_with_each_of_its_options_explained(
         "--no-rivals",
         "--no-browser",
     }  # asked for by name; no flag has an automatic opposite
-    for held in (getattr(importlib.import_module(f"undrift.cli.{name}"), name), Opening):
+    home = "commands" if name in VERBS else "cli"
+    for held in (getattr(importlib.import_module(f"undrift.{home}.{name}"), name), Opening):
         together = re.findall(r"^ *(\w+(?:, \w+)+) : ", held.__doc__ or "", re.M)
         assert together == [], "options that share a paragraph lose their help"
 
 
 def test_every_command_has_a_file_and_a_test_of_its_own() -> None:
     for name in COMMANDS:
-        assert (ROOT / "src" / "undrift" / "cli" / f"{name}.py").is_file()
+        home = "commands" if name in VERBS else "cli"
+        assert (ROOT / "src" / "undrift" / home / f"{name}.py").is_file()
         assert (ROOT / "tests" / "cli" / f"test_{name}.py").is_file()
 
 

@@ -9,12 +9,12 @@ import pytest
 from testkit.data import show
 from testkit.guided import HandFeed, capture_faces, capture_turns
 from testkit.pictures import cut_texts
+from undrift.base.summary import Origin
 from undrift.calibration.calibrate import calibrate
 from undrift.model import Calibration, Provenance, TriadModel
 from undrift.registry.trend import MOVED, UNKNOWN_K, Dated, compare, course, headline, trend
+from undrift.report.drift import draw_trend, write_trend_report
 from undrift.report.figures import svg_of
-from undrift.report.page import Origin
-from undrift.report.registry import draw_trend, write_trend_report
 from undrift.sim.device.presets import random_device
 from undrift.units import RADIAN_PER_DEGREE
 from undrift.web.capture import Capture

@@ -14,23 +14,18 @@ from testkit.demo_session import demo_session
 from testkit.pages import browser, faults_of, seen_in
 from testkit.pictures import pictures_looked_at
 from testkit.remembered import folder_made_once, run_folder
+from undrift.base.summary import Origin
 from undrift.calibration.observe import CalibrateSettings
 from undrift.cli.app import run
+from undrift.commands.certificate import certificate_content, departures_words, expanded_words, stated
 from undrift.io.formats import write_record
 from undrift.io.reference import write_reference
 from undrift.io.session import read_session, write_session
 from undrift.io.store import read_calibration
 from undrift.record import Record
-from undrift.report.certificate import (
-    certificate_content,
-    departures_words,
-    draw_calibration,
-    expanded_words,
-    stated,
-)
+from undrift.report.certificate import draw_calibration
 from undrift.report.commands import judge_pieces, leverages, write_rig_report
 from undrift.report.figures import AXIS_COLOURS, AXIS_DASHES, AXIS_MARKERS, COMPARED_COLOURS, COMPARED_MARKERS
-from undrift.report.page import Origin
 from undrift.rig.folder import Piece
 from undrift.rig.run import RunResult
 from undrift.sim.motion.bench import BenchSettings

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from undrift import calibrate
-from undrift.report.page import calibration_sections, concise, triad_heads, triad_notes, triad_rows
+from undrift.base.summary import concise
+from undrift.report.page import calibration_sections, triad_heads, triad_notes, triad_rows
 from undrift.sim.device.presets import random_device
 from undrift.sim.sessions import simulate_session
 

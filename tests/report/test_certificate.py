@@ -10,20 +10,19 @@ from benchmarks.certificate import LEAST, MOST, drawn, held
 from testkit.data import show
 from testkit.plain_triad import plain_triad
 from undrift.calibration.calibrate import calibrate
-from undrift.errors import InputError
-from undrift.io.store import calibration_text, read_calibration, write_calibration
-from undrift.model import SOURCES, Budget, Calibration
-from undrift.report.certificate import (
+from undrift.commands.certificate import (
     SOURCE_ROWS,
     block_of,
     certificate_content,
-    content_hash,
     coverage_factors,
     rounded,
     stated,
     two_digits,
-    write_certificate,
 )
+from undrift.errors import InputError
+from undrift.io.store import calibration_text, content_hash, read_calibration, write_calibration
+from undrift.model import SOURCES, Budget, Calibration
+from undrift.report.certificate import write_certificate
 from undrift.sim.device.presets import random_device
 from undrift.sim.sessions import simulate_session
 

@@ -11,12 +11,12 @@ from testkit.pictures import cut_texts
 from undrift.calibration.pieces import Piece
 from undrift.errors import InputError
 from undrift.record import Record
-from undrift.report.commands import _draw_held_out
 from undrift.report.figures import (
     WIDTH,
     draw_agreement,
     draw_bars,
     draw_comparison,
+    draw_held_out,
     draw_record,
     draw_recording,
     legend_above,
@@ -161,7 +161,7 @@ def recording():
 
 def held_out():
     errors = SimpleNamespace(pitch=rng.normal(0.0, 0.01, 20) ** 2)
-    return _draw_held_out([SimpleNamespace(recording=LONG, window_s=10.0, errors=errors)] * 2)
+    return draw_held_out([SimpleNamespace(recording=LONG, window_s=10.0, errors=errors)] * 2)
 
 
 def long_comparison():

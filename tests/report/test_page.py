@@ -4,9 +4,10 @@ import re
 from html.parser import HTMLParser
 
 from undrift import __version__
+from undrift.base.summary import Section, Summary
 from undrift.findings import finding
 from undrift.model import Verdict
-from undrift.report.page import Section, write_page
+from undrift.report.page import write_page
 
 
 class Balance(HTMLParser):
@@ -28,17 +29,17 @@ class Balance(HTMLParser):
 
 
 def page(tmp_path, **more):
-    write_page(tmp_path / "p.html", title="A <title>", answer="Lead & more", **more)
+    write_page(tmp_path / "p.html", Summary(title="A <title>", answer="Lead & more", **more))
     return (tmp_path / "p.html").read_text()
 
 
 def test_sections_tables_and_pictures_are_shown_in_order(tmp_path):
-    first = Section(title="First", text=("one", "two"), columns=("axis", "m x"), rows=(("x", "1.0"), ("y", "2.0")))
+    first = Section(title="First", text=("One", "two"), columns=("axis", "m x"), rows=(("x", "1.0"), ("y", "2.0")))
     second = Section(title="Second", pictures=("<svg><text>drawn</text></svg>",))
     text = page(tmp_path, sections=(first, second))
     assert text.startswith("<!doctype html>")
     assert re.search(
-        r"First.*<p>one</p>.*<p>two</p>.*<th scope=.col.>m x</th>.*<td>2.0</td>.*Second.*<svg><text>drawn", text, re.S
+        r"First.*<p>One</p>.*<p>Two</p>.*<th scope=.col.>m x</th>.*<td>2.0</td>.*Second.*<svg><text>drawn", text, re.S
     )
     assert f"undrift {__version__}" in text
     assert text.count("<table>") == 1

@@ -5,20 +5,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from undrift.correction.correct import correct
-from undrift.findings import finding
-from undrift.model import AdcModel, Verdict
-from undrift.report.validation import (
+from undrift.commands.validate import (
     COLUMNS,
-    Method,
+    Validated,
     coverage_text,
     method_section,
     recordings_section,
-    trial_figure,
     trials_section,
-    validation_sections,
-    write_validation_report,
 )
+from undrift.correction.correct import correct
+from undrift.findings import finding
+from undrift.model import AdcModel, Verdict
+from undrift.report.figures import trial_figure
+from undrift.report.page import write_page
 from undrift.sim.device.presets import random_device
 from undrift.sim.device.truth import true_calibration
 from undrift.sim.sessions import simulate_trial
@@ -27,7 +26,8 @@ from undrift.validation.agreement import validate_trials
 from undrift.validation.expected import Expected
 from undrift.validation.trial import TrialSettings
 
-METHOD = Method(
+METHOD = Validated(
+    result=None,
     recordings=("a.csv", "b.csv", "c.csv"),
     references=("a.trc", "b.trc", "c.trc"),
     calibration=None,
@@ -66,8 +66,8 @@ def test_an_error_smaller_than_stated_is_not_outside(result, tmp_path):
     assert (one.coverage.rmse_inside, one.coverage.trials, one.coverage.end_inside) == (1, 1, 1)
     assert (both.coverage.rmse_inside, both.coverage.trials) == (1, 2)  # the second is larger than stated
     assert "total error over the motion 1 of 1" in coverage_text(one.coverage)
-    method = replace(METHOD, recordings=("a.csv",), references=("a.trc",))
-    write_validation_report(one, method, tmp_path / "page.html", None)
+    method = replace(METHOD, result=one, recordings=("a.csv",), references=("a.trc",))
+    write_page(tmp_path / "page.html", method.summary())
     page = (tmp_path / "page.html").read_text()
     assert "Not larger than expected (95 %, at most): end error 1 of 1" in page
     assert "inside" not in coverage_text(one.coverage)
@@ -86,7 +86,7 @@ def test_every_figure_of_the_table_is_a_field_of_the_result(result):
 
 
 def test_sections_are_errors_what_was_done_agreement_and_one_for_each_trial(result):
-    sections = validation_sections(result, METHOD)
+    sections = [one for one in replace(METHOD, result=result).summary().sections if one.on != "terminal"]
     assert [section.title for section in sections] == [
         "Errors",
         "Agreement over trials",
@@ -98,7 +98,7 @@ def test_sections_are_errors_what_was_done_agreement_and_one_for_each_trial(resu
     ]
     agreement = sections[1]
     assert f"bias {result.agreement.limits.bias:+.2f} deg" in agreement.text[0]
-    assert "An ICC depends on how much the trials differ." in agreement.text[0]
+    assert "an ICC depends on how much the trials differ" in agreement.text[0]
 
 
 def test_each_recording_is_shown_with_its_reference_its_lag_and_the_share_of_its_whole_file(result):
@@ -199,7 +199,7 @@ def test_a_peak_in_the_table_is_a_peak_in_the_figure(result):
 
 
 def test_the_page_is_written_with_a_picture_for_each_trial(result, tmp_path):
-    write_validation_report(result, METHOD, tmp_path / "r.html")
+    write_page(tmp_path / "r.html", replace(METHOD, result=result).summary())
     text = (tmp_path / "r.html").read_text()
     assert "Against the reference: 3 recordings" in text
     assert "deg rms in total and" in text

@@ -9,7 +9,7 @@ import pytest
 
 from testkit.surfaces import errors
 from undrift.arrays import FloatArray
-from undrift.report.discussion import claims_section, rival_sections
+from undrift.report.note import claims_section, rival_sections
 from undrift.study.claims import CLAIMS, ClaimRow, claims_of
 from undrift.study.figure3 import COMPARED, DrawnRow
 from undrift.study.judge import cohort_of, find_optimum, other_study

@@ -18,13 +18,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from undrift.arrays import FloatArray, IntArray, frozen
+from undrift.base.summary import Shown
 from undrift.errors import InputError
 from undrift.findings import Finding, Level, finding
 from undrift.model import AXES, NoiseModel, Verdict
 from undrift.record import Record
 from undrift.segments import BENCH_ACCEL_LIMIT, BENCH_RATE_LIMIT
 from undrift.units import RADIAN_PER_DEGREE, SI_UNIT, Quantity, is_physical, si_factor
-from undrift.views import Shown
 
 # ---- allan deviation and its relatives, each with confidence limits
 #

@@ -14,7 +14,8 @@ from contextlib import suppress
 from typing import TYPE_CHECKING
 
 from undrift import __version__
-from undrift.cli.examples import examples
+from undrift.cli import examples
+from undrift.commands import VERBS
 from undrift.errors import InputError, RigError, UndriftError
 
 if TYPE_CHECKING:
@@ -103,7 +104,7 @@ def _called(arguments: Sequence[str]) -> int:
         if list(arguments) in (["--version"], ["-V"]):
             sys.stdout.write(__version__ + "\n")
             return 0
-        from undrift.cli.common import CALLED
+        from undrift.base.summary import CALLED
 
         _check_names(arguments)
         CALLED.set(tuple(arguments))
@@ -150,7 +151,8 @@ def command_line() -> "App":
     )
     for place, (name, text) in enumerate(COMMANDS.items()):
         end = {} if name in GROUPS else {"help_epilogue": examples(name)}
-        called.command(f"undrift.cli.{name}:{name}", name=name, help=text, sort_key=place, **end)
+        home = "common" if name in VERBS else name
+        called.command(f"undrift.cli.{home}:{name}", name=name, help=text, sort_key=place, **end)
     called.register_install_completion_command(add_to_startup=False)  # the shell's own start file stays as it is
     return called
 

@@ -4,7 +4,8 @@ import secrets
 import sys
 from pathlib import Path
 
-from undrift.cli.common import Flag, Json, say, write_json
+from undrift.base.options import Flag, Json
+from undrift.cli.common import say, write_json
 from undrift.errors import InputError
 
 

@@ -6,15 +6,11 @@ from typing import TYPE_CHECKING, Literal
 
 from cyclopts import Parameter
 
-from undrift.cli.common import (
-    Details,
-    Files,
-    Flag,
-    Json,
+from undrift.base.options import Details, Files, Flag, Json, OptionalOutput, Report
+from undrift.cli.common import say, say_next, show_table, show_verdict, waiting, write_json
+from undrift.commands.files import (
     Opening,
-    OptionalOutput,
     Place,
-    Report,
     Rests,
     Sensitivity,
     check_figure,
@@ -23,15 +19,9 @@ from undrift.cli.common import (
     name_of,
     origin_of,
     recording_of,
-    say,
-    say_next,
     session_of,
-    show_table,
-    show_verdict,
-    waiting,
-    write_json,
 )
-from undrift.cli.register import Register, say_registered
+from undrift.commands.register import Register, registered_lines
 
 if TYPE_CHECKING:
     from undrift.calibration.observe import CalibrateSettings
@@ -124,16 +114,10 @@ def calibrate(
     ----------
     files : Path
         One folder with session.toml, or one or several recordings of one device: rests, faces and turns are found in them.
-    place : Place
-        Local gravity, and the device.
-    opening : Opening
-        How to read foreign recordings.
     turn_deg : float or None
         Angle of the turns between rests in bare recordings, deg, one or more about each axis: 360 for full turns.
     output : Path or None
         calibration.json to write.
-    report : Path or None
-        Report page to write: .html.
     accel : str or None
         How to calibrate the accelerometers; what the session allows by default.
     gyro : str or None
@@ -144,23 +128,8 @@ def calibrate(
         Mode paper, whose matrix has no offset column: the readings are free of it, remove none.
     adc : str
         "auto" looks for the step and rounding of the codes; "none" leaves them.
-    fitting : Fitting
-        How readings are averaged and fitted.
-    table : Table
-        How good the rate table is.
-    sensitivity : Sensitivity
-        How far the device may follow its temperature.
-    rests : Rests
-        How stretches at rest are found where the session states none.
-    registering : Register
-        Whether the result is added to the registry of devices.
     figure : Path or None
         Picture to write of the recordings, with what was used and what was left out: .svg, .png or .pdf.
-
-    Returns
-    -------
-    int
-        0, or 1 when the verdict is bad.
     """
     from undrift.calibration.calibrate import calibrate as fit
     from undrift.calibration.observe import CalibrateSettings
@@ -197,7 +166,7 @@ def calibrate(
     else:
         _show(made)
         show_verdict(made.verdict, details=details)
-        say_registered(kept)
+        say(*registered_lines(kept))
         _say_next(files, output, (report, figure), lacking)
     return 1 if made.verdict.status == "bad" else 0
 

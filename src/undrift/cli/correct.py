@@ -6,14 +6,10 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from undrift.cli.common import (
-    CalibrationDetails,
-    Files,
-    Json,
+from undrift.base.options import Details, Files, Json, Output, Policy, Report
+from undrift.cli.common import progress, say, show_verdict, write_json
+from undrift.commands.files import (
     Opening,
-    Output,
-    Policy,
-    Report,
     calibrated_part,
     check_folder,
     check_output,
@@ -21,12 +17,8 @@ from undrift.cli.common import (
     name_of,
     named_columns,
     origin_of,
-    progress,
-    say,
-    show_verdict,
-    write_json,
 )
-from undrift.cli.register import Registered
+from undrift.commands.register import Registered
 from undrift.errors import InputError
 
 if TYPE_CHECKING:
@@ -34,6 +26,7 @@ if TYPE_CHECKING:
 
     from rich.progress import Progress
 
+    from undrift.base.summary import Origin
     from undrift.correction.correct import Corrector, CorrectorState
     from undrift.correction.coverage import Beyond
     from undrift.correction.rest import RestOffset, Stretch
@@ -41,7 +34,6 @@ if TYPE_CHECKING:
     from undrift.findings import Finding
     from undrift.model import Calibration
     from undrift.record import Record
-    from undrift.report.page import Origin
 
 NOT_COVERED = ("outside", "extrapolated", "without_temperature")  # of the tuning tables
 
@@ -60,7 +52,7 @@ def correct(
     opening: Opening = Opening(),
     scheduler: str | None = None,
     report: Report = None,
-    details: CalibrationDetails = False,
+    details: Details = False,
     json: Json = False,
 ) -> int:
     """Turn raw recordings into rad/s and m/s2; the ending of the output names the format. Parquet streams in constant memory.
@@ -71,8 +63,6 @@ def correct(
         One or more recordings of the calibrated device.
     calibration : Path or None
         calibration.json of the device.
-    registered : Registered
-        A calibration that the registry of devices knows, in place of a file.
     output : Path
         File for one recording: .parquet, .csv, .csv.gz, .mat, or sub-.._task-.._tracksys-.._motion.tsv (BIDS); folder for
         several, made where it is missing.
@@ -92,12 +82,8 @@ def correct(
         Start of a stretch at rest, s on the recording's own clock; without it the first still phase is found.
     still_stop_s : float or None
         End of that stretch.
-    opening : Opening
-        How to read a foreign recording.
     scheduler : str or None
         Address of a Dask scheduler, as in tcp://host:8786: its workers take a recording each; they see the same files.
-    report : Path or None
-        Report page to write: .html.
     """
     from undrift.correction.correct import Corrector
 

@@ -3,8 +3,9 @@
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from undrift.cli.common import Json, OptionalOutput, group, say, show_table, write_json
-from undrift.cli.examples import examples
+from undrift.base.options import Json, OptionalOutput
+from undrift.cli import examples
+from undrift.cli.common import group, say, show_table, write_json
 
 if TYPE_CHECKING:
     from undrift.io.public_data import PublicSet

@@ -12,7 +12,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from undrift.cli.common import Flag, Report, check_folder, check_report, origin_of, save_json, say, say_over, write_json
+from undrift.base.options import Flag, Report
+from undrift.cli.common import say, say_over, write_json
+from undrift.commands.files import check_folder, check_report, origin_of, save_json
 from undrift.errors import InputError
 
 if TYPE_CHECKING:
@@ -42,11 +44,6 @@ def demo(*, out: Path = Path("demo"), quick: Flag = False, report: Report = None
         Copy of report.html to write: .html.
     json : bool
         summary.json on stdout too.
-
-    Returns
-    -------
-    int
-        0, or 1 when a check fails.
     """
     from undrift.cli.study import study_summary
     from undrift.io.store import calibration_json

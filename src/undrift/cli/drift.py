@@ -5,26 +5,10 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
-from undrift.cli.common import (
-    Details,
-    Files,
-    Flag,
-    Json,
-    Opening,
-    OptionalOutput,
-    Report,
-    check_output,
-    check_report,
-    origin_of,
-    progress,
-    recording_of,
-    say,
-    say_next,
-    show_table,
-    show_verdict,
-    write_json,
-)
-from undrift.cli.register import Register, say_registered
+from undrift.base.options import Details, Files, Flag, Json, OptionalOutput, Report
+from undrift.cli.common import Steps, say, say_next, show_table, show_verdict, write_json
+from undrift.commands.files import Opening, check_figure, check_output, check_report, origin_of, recording_of
+from undrift.commands.register import Register, registered_lines
 from undrift.errors import InputError
 
 if TYPE_CHECKING:
@@ -62,8 +46,6 @@ def drift(
         calibration.json of the device. Without it physical units keep their nominal scale, and counts are refused.
     output : Path or None
         calibration.json to write, with the tables in it; may be the one that was read.
-    report : Path or None
-        Report page to write: .html.
     figure : Path or None
         Picture of the gyroscopes' offset over temperature to write: .svg, .png or .pdf.
     span : str or None
@@ -79,22 +61,13 @@ def drift(
         Thermometer lag, s; estimated from ramps at two speeds by default, 0 leaves it in.
     warm_up : bool
         Fit the power-on transient with which each recording, or each clock that begins anew, begins.
-    opening : Opening
-        How to read foreign recordings.
-    registering : Register
-        Whether the result is added to the registry of devices.
-
-    Returns
-    -------
-    int
-        0, or 1 when the verdict is bad.
     """
     from undrift.drift.checks import verdict_before
     from undrift.drift.fit import DriftSettings
     from undrift.drift.static import StaticSettings
     from undrift.io.store import calibration_json, read_calibration, write_calibration
     from undrift.report.drift import draw_offsets, write_drift_report
-    from undrift.report.figures import PICTURES, save_figure
+    from undrift.report.figures import save_figure
 
     if not 0.0 < step_c < float("inf"):
         raise InputError(f"step-c: wanted more than 0 degC, got {step_c:g}; 0.5 is the note's")
@@ -108,7 +81,7 @@ def drift(
     read = (*(path for path in sessions if path.exists()), opening.column_map)
     check_output(output, endings=(".json",), reads=read)  # may be the calibration that was read: it is written whole
     check_report(report, reads=(*read, calibration))
-    check_output(figure, endings=PICTURES, reads=(*read, calibration))
+    check_figure(figure, reads=(*read, calibration))
     model = None if calibration is None else read_calibration(calibration)
     registering.check(None if model is None else model.device)
     fit, seen, of_samples = _fit(sessions, opening.like(model, calibration), model, settings)
@@ -128,7 +101,7 @@ def drift(
         show_verdict(fit.verdict, details=details)
         if model is not None:
             say(f"calibration given: {calibration}, with {len(verdict_before(model).reasons)} findings of its own")
-        say_registered(kept)
+        say(*registered_lines(kept))
         _say_next(fit, output, (figure, report), (recording_of(sessions) if of_samples else None, seen))
     return 1 if fit.calibration.verdict.status == "bad" else 0
 
@@ -143,11 +116,10 @@ def _fit(
     from undrift.drift.sessions import check_once, one_power_on
     from undrift.io.formats import detect
 
-    with progress() as shown:
-        task = shown.add_task("reading", total=1.0)
+    with Steps("drift") as shown:
         held = []
         for k, path in enumerate(sessions):
-            shown.update(task, description=f"reading {path.name}", completed=0.4 * k / len(sessions))
+            shown(f"reading {path.name}", 0.4 * k / len(sessions))
             session = read_thermal(path, opening, model)
             held.append((session, detect(path) == "session" or bool(session.means)))
         check_once([session for session, _ in held])
@@ -162,7 +134,7 @@ def _fit(
             ],  # together where their clock runs on
             model,
             settings=settings,
-            progress=lambda what, share: shown.update(task, description=what, completed=0.4 + 0.6 * share),
+            progress=shown.part(0.4, 1.0),
         )
         return fit, seen, not held[0][0].means
 

@@ -7,7 +7,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from undrift.cli.common import Details, Json, Output, check_output, say, show_table, show_verdict, write_json
+from undrift.base.options import Details, Json, Output
+from undrift.cli.common import say, show_table, show_verdict, write_json
+from undrift.commands.files import check_output
 from undrift.errors import FileFormatError, InputError
 from undrift.export import ExportOptions, find_target
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
@@ -39,11 +41,6 @@ def export(
         The file; for c the header, whose source is written beside it.
     options : ExportOptions
         Options that some targets take.
-
-    Returns
-    -------
-    int
-        0, or 1 when the calibration's own verdict is bad.
     """
     from undrift.files import write_whole
     from undrift.io.store import findings_json, verdict_json

@@ -8,20 +8,9 @@ from typing import TYPE_CHECKING
 
 from cyclopts import Parameter
 
-from undrift.cli.common import (
-    Details,
-    Json,
-    Opening,
-    Rests,
-    Up,
-    check_figure,
-    check_output,
-    name_of,
-    say,
-    say_next,
-    show_verdict,
-    write_json,
-)
+from undrift.base.options import Details, Json, Up
+from undrift.cli.common import say, say_next, show_verdict, write_json
+from undrift.commands.files import Opening, Rests, check_figure, check_output, name_of
 from undrift.errors import InputError
 from undrift.units import RADIAN_PER_DEGREE
 
@@ -99,14 +88,10 @@ def info(
     ----------
     file : Path
         Any file or folder.
-    opening : Opening
-        How to read a foreign recording.
     reference_up : str or None
         Laboratory axis that points up, for markers in TRC or C3D.
     proposal : Proposal
         The map to write for a table with foreign columns.
-    rests : Rests
-        How stretches at rest are found.
     figure : Path or None
         Picture to write of a recording or session, with stills, faces, turns, gaps and saturation: .svg, .png or .pdf.
     """

@@ -1,34 +1,18 @@
 """``undrift learn``: update the offset over temperature by the rests of daily recordings, no chamber needed."""
 
-import re
 from dataclasses import replace
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from undrift.cli.common import (
-    Details,
-    Files,
-    Json,
-    Opening,
-    OptionalOutput,
-    check_figure,
-    check_output,
-    progress,
-    say,
-    say_next,
-    show_table,
-    show_verdict,
-    write_json,
-)
+from undrift.base.options import Details, Files, Json, OptionalOutput
+from undrift.cli.common import Steps, say, say_next, show_table, show_verdict, write_json
+from undrift.commands.files import Opening, check_figure, check_output, dates_of
 from undrift.errors import InputError
 
 if TYPE_CHECKING:
     from undrift.drift.learn import LearnFit
-
-_DATE = re.compile(r"((?:19|20)\d\d)([-_.]?)(\d\d)\2(\d\d)(?!\d)(?:[T_ -]*(\d\d)[-:.]?(\d\d)(?:[-:.]?(\d\d))?(?!\d))?")
 
 
 def learn(
@@ -59,13 +43,6 @@ def learn(
         Time since power-on when each recording begins, s; needed where the calibration holds a warm-up.
     figure : Path or None
         Picture of the offsets before and now with the rests: .svg, .png or .pdf.
-    opening : Opening
-        How to read foreign recordings.
-
-    Returns
-    -------
-    int
-        0, or 1 when the verdict is bad.
     """
     from undrift.cli.drift import read_thermal
     from undrift.drift.daily_rests import LearnSettings
@@ -84,12 +61,11 @@ def learn(
     dates, changed = dates_of(recordings, date)
     model = read_calibration(calibration)
     own, sessions = opening.like(model, calibration), []
-    with progress() as shown:
-        task = shown.add_task("reading", total=1.0)
+    with Steps("learn") as shown:
         for k, path in enumerate(recordings):
-            shown.update(task, description=f"reading {path.name}", completed=k / len(recordings))
+            shown(f"reading {path.name}", 0.8 * k / len(recordings))
             sessions.append(read_thermal(path, own, model))
-        shown.update(task, description="finding rests")
+        shown("finding rests", 0.8)
         fit = learn_drift(sessions, model, dates=dates, settings=LearnSettings(power_on_s=power_on_s))
     if changed:
         note = Verdict.of(finding("drift.learn_file_dates", "info", count=changed))
@@ -110,43 +86,6 @@ def learn(
         else:
             say_next("correct", recordings[0], "--calibration", output, "-o", "corrected.parquet")
     return 1 if fit.verdict.status == "bad" else 0
-
-
-def dates_of(recordings: tuple[Path, ...], given: tuple[str, ...]) -> tuple[list[datetime], int]:
-    """Return the date of each recording, and how many are those of the file's last change."""
-    if given and len(given) != len(recordings):
-        raise InputError(
-            f"date: wanted one for each recording, got {len(given)} for {len(recordings)}; say --date once for each, in order"
-        )
-    found, changed = list[datetime](), 0
-    for k, path in enumerate(recordings):
-        held = _DATE.search(path.name)
-        if given:
-            found.append(stated_date(given[k]))
-        elif held is not None and (dated := _of_name(held)) is not None:
-            found.append(dated)
-        else:
-            found.append(datetime.fromtimestamp(path.stat().st_mtime, UTC))
-            changed += 1
-    return found, changed
-
-
-def stated_date(text: str) -> datetime:
-    """Return a date as a person states it, in UTC."""
-    try:
-        when = datetime.fromisoformat(text)
-    except ValueError:
-        raise InputError(f"date: wanted one as 2026-03-01 or 2026-03-01T08:30, got '{text}'; correct it") from None
-    return when if when.tzinfo else when.replace(tzinfo=UTC)
-
-
-def _of_name(held: re.Match[str]) -> datetime | None:
-    """Return the date in a name; None where its digits are none."""
-    year, _, month, day, hour, minute, second = (int(part) if (part or "").isdigit() else 0 for part in held.groups())
-    try:
-        return datetime(year, month, day, hour, minute, second, tzinfo=UTC)
-    except ValueError:
-        return None
 
 
 def _summary(fit: "LearnFit", output: Path | None) -> dict[str, object]:

@@ -7,22 +7,11 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from undrift.cli.common import (
-    Files,
-    Json,
-    OptionalOutput,
-    Report,
-    check_figure,
-    check_output,
-    check_report,
-    group,
-    origin_of,
-    say,
-    show_table,
-    write_json,
-)
-from undrift.cli.examples import examples
-from undrift.cli.register import Where, entry_json, open_place, say_registered
+from undrift.base.options import Files, Json, OptionalOutput, Report
+from undrift.cli import examples
+from undrift.cli.common import group, say, show_table, write_json
+from undrift.commands.files import check_figure, check_output, check_report, origin_of, stated_date
+from undrift.commands.register import Where, entry_json, open_place, registered_lines
 from undrift.errors import InputError, UndriftError
 
 if TYPE_CHECKING:
@@ -75,8 +64,6 @@ def add(
     ----------
     files : Path
         calibration.json, the certificate of a calibration that is known or named too, or the folder of a session or run.
-    about : About
-        What is stated of the files.
     valid_temp_c : str or None
         Where a calibration is valid, LOW:HIGH in degC; by default its table of offsets, else 5 K about its reference temperature.
     date : str or None
@@ -86,7 +73,6 @@ def add(
     note : str
         Why, or what else should be known.
     """
-    from undrift.cli.learn import stated_date
     from undrift.registry.documents import new_entries
 
     if supersedes is not None and (len(files) > 1 or not note):
@@ -106,7 +92,7 @@ def add(
     if json:
         write_json({"entries": rows}, "registry add")
     else:
-        say_registered(rows)
+        say(*registered_lines(rows))
     return 0
 
 
@@ -193,7 +179,6 @@ def find(
     output : Path or None
         calibration.json to write.
     """
-    from undrift.cli.learn import stated_date
 
     check_output(output, endings=(".json",))
     with open_place(where, there=True) as held:
@@ -250,8 +235,6 @@ def trend(
         Serial number of the device.
     figure : Path or None
         Picture to write of scale factors and offsets over time: .svg, .png or .pdf.
-    report : Path or None
-        Report page to write: .html.
     details : bool
         Show every parameter of every step.
     """
@@ -273,8 +256,8 @@ def trend(
     ]
     steps, from_first = steps_of(models), course(models)
     if figure is not None or report is not None:
+        from undrift.report.drift import draw_trend, write_trend_report
         from undrift.report.figures import save_figure
-        from undrift.report.registry import draw_trend, write_trend_report
 
         if figure is not None:
             save_figure(draw_trend(serial, models[0], from_first), figure)
@@ -309,8 +292,6 @@ def import_folder(folder: Path, /, *, about: About = About(), where: Where = Non
     ----------
     folder : Path
         Where to look.
-    about : About
-        What is stated of the files.
     """
     from undrift.registry.documents import candidates, new_entries
 
@@ -335,7 +316,7 @@ def import_folder(folder: Path, /, *, about: About = About(), where: Where = Non
     if json:
         write_json({"entries": rows, "refused": refused}, "registry import")
     else:
-        say_registered(rows)
+        say(*registered_lines(rows))
         say(*(f"Refused: {one['why']}" for one in refused))
     return 0
 
@@ -362,7 +343,7 @@ def _write(entry: "Entry", output: Path | None) -> None:
     """Write what an entry holds."""
     if output is None:
         return
-    from undrift.cli.common import save_json
+    from undrift.commands.files import save_json
     from undrift.files import write_whole
     from undrift.io.store import calibration_of, write_calibration
     from undrift.registry.documents import pdf_of

@@ -8,22 +8,11 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from undrift.cli.common import (
-    Flag,
-    Json,
-    Output,
-    Report,
-    check_report,
-    device_at,
-    group,
-    origin_of,
-    say,
-    say_over,
-    show_verdict,
-    write_json,
-)
-from undrift.cli.examples import examples
-from undrift.cli.register import Register, say_registered
+from undrift.base.options import Flag, Json, Output, Report
+from undrift.cli import examples
+from undrift.cli.common import group, say, say_over, show_verdict, write_json
+from undrift.commands.files import check_report, device_at, origin_of
+from undrift.commands.register import Register, registered_lines
 from undrift.errors import InputError
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
@@ -106,10 +95,6 @@ def run(
     progress : Path or None
         File to append the run's progress to, a JSON object in a line, for a program that shows it; questions to the operator
         stand there too, with a number, and are answered by "NUMBER ANSWER" on the standard input.
-    registering : Register
-        Whether the run is added to the registry of devices.
-    report : Path or None
-        Report page to write: .html.
     """
     from undrift.rig.folder import RunFolder
     from undrift.rig.guard import Guard, StopWatch, stopping_on_signals
@@ -523,7 +508,7 @@ def _finish(
         f"{folder}: {len(result.pieces)} dwells, {result.added} of them now, in {_clock(result.duration_s)}; achieved rates "
         f"differ from nominal ones by up to {off:.3g} deg/s and stand in session.toml; {missing} readings missing"
     )
-    say_registered(kept)
+    say(*registered_lines(kept))
 
 
 def _show_check(found: "RigCheck", rig: str, settings: "CheckSettings", json: bool) -> None:

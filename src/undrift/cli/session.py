@@ -4,22 +4,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from undrift.cli.common import (
-    Files,
-    Json,
-    Opening,
-    Output,
-    Place,
-    check_folder,
-    group,
-    named_columns,
-    say,
-    say_next,
-    session_of,
-    waiting,
-    write_json,
-)
-from undrift.cli.examples import examples
+from undrift.base.options import Files, Json, Output
+from undrift.cli import examples
+from undrift.cli.common import group, say, say_next, waiting, write_json
+from undrift.commands.files import Opening, Place, check_folder, named_columns, session_of
 from undrift.errors import InputError
 from undrift.units import RADIAN_PER_DEGREE
 
@@ -52,10 +40,6 @@ def new(
         One or several recordings of one device; they stay where they are.
     output : Path
         Folder for session.toml, made where it is missing.
-    place : Place
-        Local gravity, and the device.
-    opening : Opening
-        How to read foreign recordings.
     turn_deg : float or None
         Angle of the turns between rests, deg: 360 for full turns.
     rates : Path or None

@@ -4,19 +4,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
-from undrift.cli.common import (
-    Flag,
-    Json,
-    Output,
-    Up,
-    check_folder,
-    device_at,
-    labels_of,
-    say,
-    show_table,
-    waiting,
-    write_json,
-)
+from undrift.base.options import Flag, Json, Output, Up
+from undrift.cli.common import say, show_table, waiting, write_json
+from undrift.commands.files import check_folder, device_at, labels_of
 from undrift.errors import InputError
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 

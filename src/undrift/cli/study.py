@@ -6,22 +6,9 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, get_args
 
-from undrift.cli.common import (
-    Details,
-    Flag,
-    Json,
-    Output,
-    Report,
-    check_folder,
-    check_report,
-    origin_of,
-    progress,
-    save_json,
-    say,
-    show_table,
-    waiting,
-    write_json,
-)
+from undrift.base.options import Details, Flag, Json, Output, Report
+from undrift.cli.common import progress, say, show_table, waiting, write_json
+from undrift.commands.files import check_folder, check_report, origin_of, save_json
 from undrift.errors import InputError
 from undrift.units import RADIAN_PER_DEGREE
 

@@ -20,6 +20,7 @@ from typing import Literal
 import numpy as np
 
 from undrift.arrays import FloatArray
+from undrift.base.summary import Shown
 from undrift.calibration.observe import ROOM_C, in_one_unit
 from undrift.drift import checks
 from undrift.drift.accel import AccelDriftFit, fit_accel_drift, with_accel
@@ -45,7 +46,6 @@ from undrift.findings import finding
 from undrift.fit.least_squares import determined
 from undrift.model import BEYOND_SEEN_C, Calibration, DriftTables, Provenance, Verdict, seen_span, versions_used
 from undrift.record import Session
-from undrift.views import Shown
 
 RANGE_C = (18.0, 75.0)  # the note's
 STEP_C = 0.5

@@ -7,36 +7,32 @@ The page of a calibration judges it by its own recordings: readings of every pie
 
 """
 
-import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from undrift.calibration.noise import TERMS
+from undrift.base.summary import Cells, Origin, Section, Summary, number, table_section
+from undrift.commands.certificate import departures_words, expanded_words, gravity_uncertainty
 from undrift.model import AXES
 from undrift.report import figures
-from undrift.report.certificate import departures_words, draw_calibration, expanded_words, gravity_uncertainty
+from undrift.report.certificate import draw_calibration
 from undrift.report.figures import AXIS_MARKERS, DEVICE, ERROR, LIMIT, OPTICS, SHADE, envelope, new_figure, svg_of
-from undrift.report.page import Cells, Origin, Section, calibration_sections, number, table_section, write_page
+from undrift.report.page import calibration_sections, write_page
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from undrift.arrays import FloatArray
-    from undrift.calibration.noise import NoiseFit
     from undrift.calibration.observe import CalibrateSettings
     from undrift.calibration.pieces import Piece
     from undrift.model import Calibration
-    from undrift.orientation import Orientation
     from undrift.record import Record, Session
     from undrift.rig.folder import Piece as DwellPiece
     from undrift.rig.run import RunResult
-    from undrift.twin.fit import Twin
-    from undrift.twin.heldout import Ending, HeldOutTrial
 
 MG, DPS = STANDARD_GRAVITY / 1e3, RADIAN_PER_DEGREE
 
@@ -134,8 +130,7 @@ def write_calibration_report(
         text = "Shaded: the stills that were used. Turns and handling lie between them."
         drawn = (svg_of(_draw_norm(records, judged, made.gravity_m_s2)),)
         sections.append(Section(title="Specific force over the session", text=(text,), pictures=drawn))
-    write_page(
-        path,
+    summary = Summary(
         title=f"Calibration of {made.device or 'a device'}",
         answer=f"Expanded uncertainty (95 %) at the temperature of the calibration: {doubts}.",
         pictures=(svg_of(draw_calibration(made)),),
@@ -146,8 +141,8 @@ def write_calibration_report(
             *calibration_sections(made),
             Section(title="What was calibrated", text=about),
         ),
-        origin=origin,
     )
+    write_page(path, summary, origin)
 
 
 def _residuals(judged: Sequence[Judged], made: "Calibration") -> tuple["FloatArray", "FloatArray"]:
@@ -232,41 +227,6 @@ def _contributions(
     return Section(title="What each recording contributed", text=(text,), columns=heads, rows=tuple(rows))
 
 
-# ---- noise
-
-
-def write_noise_report(
-    found: "NoiseFit",
-    name: str,
-    path: Path,
-    *,
-    tables: "Mapping[str, tuple[str, tuple[str, ...], tuple[tuple[str, ...], ...]]]",
-    origin: Origin | None = None,
-) -> None:
-    """Write the page of a noise fit; tables: title, heads and rows of each triad, as the command prints them."""
-    seen = []
-    for triad in tables:
-        values = [axis.angle_random_walk for axis in getattr(found, triad)]
-        largest = max((one.value for one in values if np.isfinite(one.value)), default=float("nan"))
-        if np.isfinite(largest):
-            seen.append(f"{TERMS[triad]['angle_random_walk']} up to {largest:.2g} {values[0].unit}")
-    sections = [
-        Section(
-            title=title.capitalize(), columns=heads, rows=rows, pictures=(svg_of(figures.draw_allan_fit(found, triad)),)
-        )
-        for triad, (title, heads, rows) in tables.items()
-    ]
-    write_page(
-        path,
-        title=f"Noise of {name}",
-        answer=f"{found.duration_s:.4g} s at rest show {' and '.join(seen) or 'no coefficient'}.",
-        pictures=(svg_of(figures.draw_allan(found)),),
-        verdict=found.verdict,
-        sections=tuple(sections),
-        origin=origin,
-    )
-
-
 # ---- correct, orient, twin, rig run
 
 
@@ -291,8 +251,7 @@ def write_correct_report(
     table = tuple(
         (Path(row["recording"]).name, Path(row["output"]).name, *(str(row[key]) for key in keys)) for row in rows
     )
-    write_page(
-        path,
+    summary = Summary(
         title=f"Corrected: {table[0][0]}" + (f" and {len(rows) - 1} more" if len(rows) > 1 else ""),
         answer=f"{samples} samples are in rad/s and m/s2, {covered}.",
         pictures=(svg_of(figures.draw_record(record)),),
@@ -300,99 +259,8 @@ def write_correct_report(
             Section(title="Recordings", columns=heads, rows=table),
             Section(title="Warnings and notes", text=remarks),
         ),
-        origin=origin,
     )
-
-
-def write_orient_report(
-    path: Path, found: "Orientation", name: str, *, remarks: tuple[str, ...], origin: Origin | None = None
-) -> None:
-    """Write the page of an orientation; remarks: what the command prints of it."""
-    pitch, tilt = found.pitch / DPS, found.inclination / DPS
-    spans = [("inclination", tilt), ("pitch", pitch), ("heading", found.heading / DPS)]
-    rows = tuple(
-        (what, *(number(float(f(angle))) for f in (np.nanmin, np.nanmedian, np.nanmax))) for what, angle in spans
-    )
-    write_page(
-        path,
-        title=f"Orientation of {name}",
-        answer=f"The sagittal pitch goes from {np.nanmin(pitch):.1f} to {np.nanmax(pitch):.1f} deg; tilt at the start: "
-        f"{found.tilt.statement}.",
-        pictures=(svg_of(figures.draw_orientation(found)),),
-        findings=found.findings,
-        sections=(
-            Section(title="Angles", columns=("angle", "least (deg)", "median (deg)", "greatest (deg)"), rows=rows),
-            Section(title="How it was found", text=tuple(line[:1].upper() + line[1:] for line in remarks)),
-        ),
-        origin=origin,
-    )
-
-
-def write_twin_report(
-    path: Path,
-    fitted: "Twin",
-    held: Sequence["HeldOutTrial"],
-    endings: Sequence["Ending"],
-    *,
-    origin: Origin | None = None,
-) -> None:
-    """Write the page of a device model that was fitted to a real device."""
-    rows, reasons, count = [], dict[str, list[str]](), len(fitted.gyro_residual_rms)
-    for p in fitted.parameters:
-        value = p.value if isinstance(p.value, str) else number(p.value, ".6g")
-        rows.append((p.name, value, number(p.standard_error, ".2g"), p.unit, "yes" if p.identifiable else "no"))
-        if not p.identifiable:
-            reasons.setdefault(p.reason, []).append(p.name)
-    heads, known = (
-        ("name", "value", "standard error", "unit", "identifiable"),
-        sum(p.identifiable for p in fitted.parameters),
-    )
-    lost = tuple(f"Not identifiable: {', '.join(names)}: {reason}." for reason, names in reasons.items())
-    answer, sections = f"{known} of {len(rows)} parameters of the device are identifiable", []
-    if held:
-        errors = np.concatenate([one.errors.pitch for one in held]) / DPS
-        answer += (
-            f"; held out, its pitch differs from the real device's by {np.nanmedian(errors):.2f} deg, "
-            f"median over {held[0].window_s:g} s"
-        )
-        ends = [
-            (
-                f"{e.recording}, offset {'none' if e.row == 'raw' else 'rest'}",
-                *(f"{v / DPS:.1f}" for v in (e.real[0], *e.interval[0], e.real[1], *e.interval[1])),
-            )
-            for e in endings
-        ]
-        names = ("recording", "total (deg)", "simulated from", "to", "inclination (deg)", "simulated from", "to")
-        text = ("Real device, and the central 95 % of simulated devices.",)
-        sections.append(Section(title="End errors", text=text, columns=names, rows=tuple(ends)))
-    write_page(
-        path,
-        title=f"Twin of a real device, from {count} recording{'s' if count > 1 else ''}",
-        answer=answer + ".",
-        pictures=(svg_of(_draw_held_out(held)),) if held else (),
-        findings=tuple(f for one in held if (f := one.excitation.finding(one.recording)) is not None),
-        sections=(
-            *sections,
-            Section(title="Parameters of the device", text=lost, columns=heads, rows=tuple(rows), words=True),
-        ),
-        origin=origin,
-    )
-
-
-def _draw_held_out(held: Sequence["HeldOutTrial"]) -> "Figure":
-    """Draw the largest pitch differences in windows: every window, and the median of each recording."""
-    figure, (panel,) = new_figure(1, height=0.6 + 0.35 * len(held))
-    figures.entitle(figure, f"Held out: largest pitch difference in windows of {held[0].window_s:g} s")
-    for k, one in enumerate(held):
-        errors = one.errors.pitch[np.isfinite(one.errors.pitch)] / DPS
-        panel.plot(
-            errors, np.full(len(errors), k), "|", color=LIMIT, markersize=8.0, label="window" if k == 0 else None
-        )
-        panel.plot(np.median(errors), k, "D", color=DEVICE, label="median" if k == 0 else None)
-    panel.set_yticks(range(len(held)), [textwrap.fill(f"{one.recording} {one.window_s:g} s", 20) for one in held])
-    panel.set(xlabel="pitch, simulated less real (deg)", xlim=(0.0, None), ylim=(len(held) - 0.4, -0.6))
-    figures.legend_above(panel)
-    return figure
+    write_page(path, summary, origin)
 
 
 def write_rig_report(path: Path, result: "RunResult", name: str, *, origin: Origin | None = None) -> None:
@@ -427,12 +295,11 @@ def write_rig_report(path: Path, result: "RunResult", name: str, *, origin: Orig
         ("achieved (deg/s)", lambda piece: f"{piece.turn_rate / DPS:+.4f}" if piece.purpose == "rate" else ""),
         ("temperature (degC)", lambda piece: "" if piece.device_c is None else f"{piece.device_c:.2f}"),
     )
-    write_page(
-        path,
+    summary = Summary(
         title=f"Rig run: {name}, on {result.rig}",
         answer=f"{len(result.pieces)} dwells are on the disk, {missing} readings are missing"
         + (f", and achieved rates differ from nominal ones by up to {max(map(abs, off)):.2g} deg/s." if turns else "."),
         pictures=(svg_of(figure),) if turns else (),
         sections=(table_section("Dwells", result.pieces, cells),),
-        origin=origin,
     )
+    write_page(path, summary, origin)

@@ -6,12 +6,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from undrift.base.summary import Cells, Origin, Section, Summary, plain_words, table_section
+from undrift.commands.validate import trials_section
 from undrift.report.drift import drift_sections, plus_minus
 from undrift.report.figures import OPTICS, compared_style, entitle, envelope, legend_above, new_figure, svg_of
 from undrift.report.note import SLOPE_OF_THE_NOTE
-from undrift.report.page import Cells, Origin, Section, calibration_sections, plain_words, table_section, write_page
+from undrift.report.page import calibration_sections, write_page
 from undrift.report.study import NOTE, study_sections
-from undrift.report.validation import trials_section
 from undrift.units import RADIAN_PER_DEGREE
 
 if TYPE_CHECKING:
@@ -44,8 +45,7 @@ def write_demo_report(
         _study_lead(study),
         *study_sections(study),
     )
-    write_page(
-        path,
+    summary = Summary(
         title="undrift demo: the note's method on a virtual bench",
         answer=f"Largest pitch error over the {trials[0].figures.motion_s:.1f} s of a sit-to-stand: {none} with a constant "
         f"calibration, {rest} re-zeroed at a rest before the motion, {full} with tuning tables, {both} with both.",
@@ -53,8 +53,8 @@ def write_demo_report(
         verdict=fit.drift.verdict,
         findings=tuple(item for trial in trials for item in trial.findings),
         sections=(_worn(trials), _checks(checks), *(replace(section, folded=True) for section in sections)),
-        origin=origin,
     )
+    write_page(path, summary, origin)
 
 
 def _checks(checks: tuple["Check", ...]) -> Section:

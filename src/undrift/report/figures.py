@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray
+from undrift.base.summary import PICTURES
 from undrift.calibration.noise import FLICKER, TERMS, AxisNoise, NoiseFit
 from undrift.calibration.pieces import Piece
 from undrift.errors import InputError
@@ -35,6 +36,9 @@ if TYPE_CHECKING:
     from undrift.record import Record
     from undrift.study.outcome import StudyOutcome, TaskOutcome
     from undrift.study.plan import Timing
+    from undrift.twin.heldout import HeldOutTrial
+    from undrift.validation.agreement import BlandAltman, Validation
+    from undrift.validation.trial import Trial
 
 # ---- envelope: few enough points to draw, with the least and largest value of every column
 
@@ -61,7 +65,7 @@ def envelope(time: FloatArray, values: FloatArray, columns: int = COLUMNS_DRAWN)
 
 DEVICE, OPTICS, ERROR, LIMIT = "#1f5fa8", "#222222", "#c2500f", "#767676"
 SHADE = "#f1efe8"  # behind a stretch that the figures are taken over
-PICTURES = (".svg", ".png", ".pdf")
+
 _UNDATED: Any = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}  # the same bytes for the same figure
 AXIS_COLOURS = ("#cc3311", "#007d5e", "#2b62b3")  # x, y, z
 AXIS_DASHES, AXIS_MARKERS = ("-", "--", ":"), ("o", "s", "^")
@@ -636,4 +640,52 @@ def draw_pareto(outcome: "StudyOutcome", task: "TaskOutcome") -> "Figure":
     top = max(float(np.nanmax(mean)), float(front.interval_deg.max()))
     axes.set(ylim=(0.0, 1.1 * top), xlabel="session (min)", ylabel=label)
     legend_outside(figure, *axes.get_legend_handles_labels())
+    return figure
+
+
+# ---- validation
+
+
+def trial_figure(trial: "Trial") -> "Figure":
+    """Draw the course of one trial: pitch of device and optics, and the errors, the motion shaded."""
+    return draw_comparison(
+        trial.time,
+        trial.sensor_pitch / RADIAN_PER_DEGREE,
+        trial.reference_pitch / RADIAN_PER_DEGREE,
+        [(name, getattr(trial.error, name) / RADIAN_PER_DEGREE) for name in ("total", "inclination", "pitch")],
+        title=f"{trial.recording}: sagittal pitch",
+        moving=trial.moving,
+    )
+
+
+def draw_validation(result: "Validation") -> "Figure":
+    """Draw the errors of each trial: total, inclination and pitch, root mean square."""
+    names = [trial.recording for trial in result.trials]
+    keys = {"total": "rmse_total_deg", "inclination": "rmse_inclination_deg", "pitch": "rmse_pitch_deg"}
+    values = {name: [getattr(trial.figures, key) for trial in result.trials] for name, key in keys.items()}
+    return draw_bars(names, values, title="Errors against the reference", label="rms over the motion (deg)")
+
+
+def draw_trials_agreement(result: "Validation", limits: "BlandAltman") -> "Figure":
+    """Draw the agreement of device and reference on the mean inclination of each trial."""
+    pairs = np.array([trial.mean_inclination for trial in result.trials]) / RADIAN_PER_DEGREE
+    return draw_agreement(pairs.mean(axis=1), pairs[:, 0] - pairs[:, 1], limits.bias, limits.limits, unit="trial")
+
+
+# ---- twin
+
+
+def draw_held_out(held: Sequence["HeldOutTrial"]) -> "Figure":
+    """Draw the largest pitch differences in windows: every window, and the median of each recording."""
+    figure, (panel,) = new_figure(1, height=0.6 + 0.35 * len(held))
+    entitle(figure, f"Held out: largest pitch difference in windows of {held[0].window_s:g} s")
+    for k, one in enumerate(held):
+        errors = one.errors.pitch[np.isfinite(one.errors.pitch)] / RADIAN_PER_DEGREE
+        panel.plot(
+            errors, np.full(len(errors), k), "|", color=LIMIT, markersize=8.0, label="window" if k == 0 else None
+        )
+        panel.plot(np.median(errors), k, "D", color=DEVICE, label="median" if k == 0 else None)
+    panel.set_yticks(range(len(held)), [textwrap.fill(f"{one.recording} {one.window_s:g} s", 20) for one in held])
+    panel.set(xlabel="pitch, simulated less real (deg)", xlim=(0.0, None), ylim=(len(held) - 0.4, -0.6))
+    legend_above(panel)
     return figure

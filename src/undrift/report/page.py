@@ -5,111 +5,57 @@ tables, details folded (open in print), and provenance. A command brings the sen
 Colours of figures follow the scheme of the reader: page.css names their counterparts in the dark.
 """
 
-import math
-import os
 import platform
 import re
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field
-from datetime import UTC, datetime
+from collections.abc import Iterable
 from itertools import count
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING
 
 from undrift import __version__
+from undrift.base.summary import Drawing, Origin, Section, Summary, at, concise
 from undrift.files import write_whole
 from undrift.findings import SHOWN_FIRST, Finding, most_consequential_first
-from undrift.model import AXES, Verdict
+from undrift.model import AXES
 
 if TYPE_CHECKING:
     from undrift.model import Calibration, TriadModel
-
-Item = TypeVar("Item")
-Cells = Sequence[tuple[str, Callable[[Item], str]]]  # heads of a table, each with what makes its cells
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Section:
-    """A heading with text, findings, pictures and a table under it."""
-
-    title: str
-    text: tuple[str, ...] = ()  # Paragraphs
-    findings: tuple[Finding, ...] = ()  # The most consequential are shown, the others folded
-    columns: tuple[str, ...] = ()  # Heads of the table, with units
-    rows: tuple[tuple[str, ...], ...] = ()  # Cells
-    pictures: tuple[str, ...] = ()  # SVG elements
-    words: bool = False  # Cells hold words rather than figures: aligned at the left
-    folded: bool = False  # Among the details at the end
-
-
-def today() -> str:
-    """Return the date of a page, ISO 8601, UTC; SOURCE_DATE_EPOCH in the environment sets another, s since 1970."""
-    stated = os.environ.get("SOURCE_DATE_EPOCH", "")
-    made = datetime.fromtimestamp(int(stated), UTC) if stated.isdigit() else datetime.now(UTC)
-    return made.isoformat(timespec="seconds")
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Origin:
-    """What a page was made from and by."""
-
-    command: str = ""
-    inputs: tuple[tuple[str, str], ...] = ()  # File and sha256
-    date: str = field(default_factory=today)
-
-
-def rows_section(title: str, rows: Sequence[dict[str, str]], **more: Any) -> Section:
-    """Return a section with rows that all have the same heads, and more of its fields; without rows, with nothing."""
-    if not rows:
-        return Section(title=title)
-    return Section(title=title, columns=tuple(rows[0]), rows=tuple(tuple(row.values()) for row in rows), **more)
-
-
-def table_section(title: str, items: Iterable[Item], cells: Cells[Item], **more: Any) -> Section:
-    """Return a section with a row for each item; each column is a head and the function that makes its cell."""
-    rows = tuple(tuple(cell(item) for _, cell in cells) for item in items)
-    return Section(title=title, columns=tuple(head for head, _ in cells), rows=rows, **more)
 
 
 SCREEN_LINES = 3 * 32  # of text on three screens: longer pages have contents
 
 
-def write_page(
-    path: Path,
-    *,
-    title: str,
-    answer: str,
-    pictures: tuple[str, ...] = (),
-    sections: tuple[Section, ...] = (),
-    verdict: Verdict | None = None,
-    findings: tuple[Finding, ...] = (),
-    origin: Origin | None = None,
-) -> None:
+def write_page(path: Path, summary: Summary, origin: Origin | None = None) -> None:
     """Write a report page; findings stand with those of the verdict. Sections without anything in them are left out."""
     from jinja2 import Environment, PackageLoader
 
     style = Path(__file__).with_name("page.css").read_text()
     template = Environment(loader=PackageLoader("undrift", "report"), autoescape=True).get_template("page.html.j2")
-    filled = [section for section in sections if section.text or section.findings or section.rows or section.pictures]
+    sections = (*summary.sections, Section(title="Notes", text=summary.notes))
+    filled = [
+        one for one in sections if one.on != "terminal" and (one.text or one.findings or one.rows or one.pictures)
+    ]
+    verdict = summary.verdict
     shown, number = [section for section in filled if not section.folded], count(1)
     lines = sum(4 + 2 * len(one.text) + len(one.rows) + 14 * len(one.pictures) for one in shown)
     text = template.render(
-        title=title,
-        answer=answer,
-        pictures=pictures,
+        summary=summary,
         shown=shown,
         folded=[section for section in filled if section.folded],
-        verdict=verdict,
-        findings=_each_code_first((*(verdict.findings if verdict else ()), *findings)),
+        findings=_each_code_first((*(verdict.findings if verdict else ()), *summary.findings)),
         contents=lines > SCREEN_LINES,
         ordered=most_consequential_first,
         first=SHOWN_FIRST,
         style=style,
-        inlined=lambda svg: _inlined(svg, next(number), set(re.findall(r"--c([0-9a-f]{6}):", style))),
+        inlined=lambda picture: _inlined(_drawn(picture), next(number), set(re.findall(r"--c([0-9a-f]{6}):", style))),
         origin=origin or Origin(),
         versions=_versions(),
     )
     write_whole(path, text.lstrip())
+
+
+def _drawn(picture: Drawing | str) -> str:
+    return picture if isinstance(picture, str) else str(at("undrift.report.figures:svg_of")(picture.draw()))
 
 
 def _each_code_first(findings: Iterable[Finding]) -> list[Finding]:
@@ -143,34 +89,6 @@ def _versions() -> str:
     return (
         f"undrift {__version__}, Python {platform.python_version()}, numpy {np.__version__}, scipy {scipy.__version__}"
     )
-
-
-# ---- cells
-
-
-def number(value: float, form: str = ".2f") -> str:
-    """Return a figure, or a dash where there is none."""
-    return f"{value:{form}}" if math.isfinite(value) else "–"
-
-
-def interval(ends: Sequence[float], form: str = ".3f") -> str:
-    """Return an interval."""
-    return f"{ends[0]:{form}} to {ends[1]:{form}}"
-
-
-def plain_words(name: str) -> str:
-    """Return a name of the code as words."""
-    return name.replace("_", " ")
-
-
-def concise(value: float, uncertainty: float) -> str:
-    """Return a value with its standard uncertainty in brackets, in units of the last digits: 0.99643(11)."""
-    if not (uncertainty > 0.0 and math.isfinite(uncertainty)):
-        return f"{value:.6g}"
-    places = max(0, 1 - math.floor(math.log10(uncertainty)))
-    if places > 9:
-        return f"{value:.6g}({uncertainty:.1g})"
-    return f"{value:.{places}f}({round(uncertainty * 10.0**places)})"
 
 
 # ---- a calibration

@@ -5,21 +5,21 @@ from itertools import cycle
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from undrift.report import figures
-from undrift.report.discussion import claims_section, rival_sections
-from undrift.report.figures import p_text, svg_of
-from undrift.report.note import note_sections
-from undrift.report.page import (
+from undrift.base.summary import (
     Cells,
     Origin,
     Section,
+    Summary,
     interval,
     number,
     plain_words,
     rows_section,
     table_section,
-    write_page,
 )
+from undrift.report import figures
+from undrift.report.figures import p_text, svg_of
+from undrift.report.note import claims_section, note_sections, rival_sections
+from undrift.report.page import write_page
 from undrift.sim.motion.tasks import CATEGORIES
 from undrift.study.space import HEADINGS, OF_NOTE
 
@@ -49,15 +49,14 @@ TIMINGS: "dict[Timing, str]" = {
 
 def write_study_report(outcome: "StudyOutcome", path: Path, origin: Origin | None = None) -> None:
     """Write the page of a study."""
-    write_page(
-        path,
+    summary = Summary(
         title=f"Study: {outcome.study.name}",
         answer=_sentence(outcome),
         pictures=(svg_of(figures.draw_pareto(outcome, outcome.tasks[0])),),
         sections=(*study_sections(outcome), Section(title="The note", text=(NOTE,), folded=True)),
         findings=tuple(item for task in outcome.tasks for item in task.findings),
-        origin=origin,
     )
+    write_page(path, summary, origin)
 
 
 def _sentence(outcome: "StudyOutcome") -> str:

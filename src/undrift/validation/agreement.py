@@ -25,6 +25,7 @@ from typing import Literal
 import numpy as np
 
 from undrift.arrays import FloatArray
+from undrift.base.summary import Shown
 from undrift.calibration.calibrate import device_adc
 from undrift.calibration.reference import HeldOut, ReferenceSettings, leave_one_out
 from undrift.errors import InputError
@@ -34,7 +35,6 @@ from undrift.record import Record, Reference
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 from undrift.validation.expected import OffsetSource
 from undrift.validation.trial import TRIAL_SETTINGS, Figures, Trial, TrialSettings, of_known, rows_of, validate_trial
-from undrift.views import Shown
 
 # ---- two methods, or several raters
 

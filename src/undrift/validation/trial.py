@@ -27,6 +27,7 @@ from typing import Any, Literal
 import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray, frozen
+from undrift.base.summary import Shown
 from undrift.calibration.adc import identify_record_adc
 from undrift.correction.consistency import check_triads
 from undrift.correction.correct import Policy, correct_checked, correct_whole
@@ -53,7 +54,6 @@ from undrift.sync import Lag, LagSettings, Motion, RunningIntegral, find_lag, fi
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical
 from undrift.validation.expected import ERROR_PRIOR, Course, ErrorPrior, Expected, OffsetSource, expected_errors
 from undrift.validation.reference_frames import check_reference
-from undrift.views import Shown
 
 # ---- track: orientation from the readings alone, started from rest
 

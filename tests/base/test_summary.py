@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 import undrift
+from undrift.base.summary import DRAWN_BY, Shown, at
 from undrift.errors import InputError
 from undrift.model import Calibration
 from undrift.record import Record
-from undrift.views import PICTURES, Shown, at
 
 
 class Cells(HTMLParser):
@@ -62,11 +62,11 @@ def shown():
 
 
 def test_every_kind_that_has_a_picture_is_tried_here(shown):
-    assert shown.keys() == PICTURES.keys()
+    assert shown.keys() == DRAWN_BY.keys()
     assert all(isinstance(value, Shown) for value in shown.values())
 
 
-@pytest.mark.parametrize("kind", PICTURES)
+@pytest.mark.parametrize("kind", DRAWN_BY)
 def test_each_draws_a_figure_with_curves_and_units(shown, kind, tmp_path):
     figure = shown[kind].plot()
     figure.savefig(tmp_path / "a.png")
@@ -77,7 +77,7 @@ def test_each_draws_a_figure_with_curves_and_units(shown, kind, tmp_path):
     assert any(axes.lines or axes.patches or axes.collections for axes in figure.axes)
 
 
-@pytest.mark.parametrize("kind", PICTURES)
+@pytest.mark.parametrize("kind", DRAWN_BY)
 def test_each_is_a_small_closed_table_in_a_notebook(shown, kind):
     text = shown[kind]._repr_html_()
     cells = Cells(text)

@@ -1,27 +1,13 @@
 """``undrift orient``: from rate and specific force to angles."""
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from undrift.cli.common import (
-    CalibrationDetails,
-    Json,
-    Opening,
-    Output,
-    Policy,
-    Report,
-    Side,
-    check_output,
-    check_physical,
-    check_report,
-    named_columns,
-    origin_of,
-    say,
-    show_verdict,
-    write_json,
-)
+from undrift.base.options import Output, Policy, Side, verb
+from undrift.base.summary import Drawing, Result, Section, Summary, number
+from undrift.commands.files import Opening, check_output, check_physical, named_columns
 
 if TYPE_CHECKING:
     from undrift.arrays import FloatArray
@@ -31,6 +17,52 @@ if TYPE_CHECKING:
     from undrift.record import Record, Still
 
 
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Oriented(Result):
+    """The orientation of a recording, and what speaks against it."""
+
+    record: Path
+    output: Path
+    method: str
+    orientation: "Orientation"
+    calibration: "Calibration | None"
+    earlier: "tuple[Finding, ...]"  # of the correction
+    notes: tuple[str, ...]
+
+    def summary(self) -> Summary:
+        """Return angles, tilt and warnings."""
+        found, data = self.orientation, _data(self.orientation)
+        angles = (("inclination", found.inclination), ("pitch", found.pitch), ("heading", found.heading))
+        rows = tuple((name, *(number(one) for one in _spread(angle))) for name, angle in angles)
+        low, _, high = _spread(found.pitch)
+        lines = (
+            "tilt from the still phase {:.1f} to {:.1f} s".format(*data["still"]),
+            "inclination: {:.2f} to {:.2f} deg".format(*data["inclination_deg"]),
+            "pitch: {:.2f} to {:.2f} deg".format(*data["pitch_deg"]),
+        )
+        heads, files = ("angle", "least (deg)", "median (deg)", "greatest (deg)"), f"{self.record} -> {self.output}"
+        sections = [
+            Section(title="Files", text=(f"{files}: {len(found.time)} samples",), on="terminal"),
+            Section(title="Angles", columns=heads, rows=rows, on="page"),
+            Section(title="How it was found", text=lines),
+        ]
+        if self.calibration is not None:
+            verdict = self.calibration.verdict
+            title = f"Calibration, verdict: {verdict.status}"
+            sections.append(Section(title=title, findings=verdict.findings, folded=True))
+        named = {"method": self.method, "recording": str(self.record), "output": str(self.output)}
+        return Summary(
+            title=f"Orientation of {self.record.name}",
+            answer=f"The sagittal pitch goes from {low:.1f} to {high:.1f} deg; tilt at the start: {found.tilt.statement}.",
+            data=data | named | {"notes": (*(one.text for one in self.earlier), *self.notes)},
+            pictures=(Drawing(place="undrift.report.figures:draw_orientation", of=(found,)),),
+            sections=tuple(sections),
+            findings=found.findings,
+            notes=self.notes,
+        )
+
+
+@verb
 def orient(
     record: Path,
     /,
@@ -48,16 +80,13 @@ def orient(
     power_on_s: float | None = None,
     policy: Policy = "raise",
     opening: Opening = Opening(),
-    report: Report = None,
-    details: CalibrationDetails = False,
-    json: Json = False,
-) -> int:
+) -> Oriented:
     """Initial tilt, then strapdown or a filter: quaternions, inclination, heading, sagittal pitch.
 
     Parameters
     ----------
     record : Path
-        A corrected recording, or a raw one with --calibration.
+        A corrected recording, or a raw one with its calibration.
     output : Path
         Time, quaternion and angles as .parquet, .csv, .csv.gz or .mat; quaternions as .sto (OpenSense) or
         sub-.._task-.._tracksys-.._motion.tsv (BIDS).
@@ -76,7 +105,7 @@ def orient(
     heading_deg : float
         Heading at the still phase, deg.
     forward : str
-        Device axis that points forward on the upright segment: with --up it defines the pitch.
+        Device axis that points forward on the upright segment: with up it defines the pitch.
     up : str
         Device axis that points up on the upright segment.
     body : str
@@ -86,74 +115,45 @@ def orient(
     policy : str
         Temperatures outside a tuning table: refuse (raise), hold the table's end, or leave a gap (nan). Where no
         temperature was recorded the result is a gap under each, and a warning says for how long.
-    opening : Opening
-        How to read a foreign recording.
-    report : Path or None
-        Report page to write: .html.
     """
     from undrift.correction.rest import named_rest
     from undrift.io.store import read_calibration
     from undrift.io.write import ORIENTATION_WRITERS, files_of, write_orientation
     from undrift.orientation import OrientSettings
     from undrift.orientation import orient as find
-    from undrift.report.commands import write_orient_report
 
     reads = (record, calibration, opening.column_map)
     check_output(output, endings=tuple(ORIENTATION_WRITERS), reads=reads, beside=files_of(output)[1:])
-    check_report(report, reads=reads)
-    held = None if calibration is None else read_calibration(calibration)
-    readings = opening.like(held, calibration).read(record)
-    with named_columns(record):
-        readings, earlier, notes = _corrected(readings, record, held, policy, power_on_s)
-    models = {} if held is None else {"gyro_model": held.gyro}
+    model = None if calibration is None else read_calibration(calibration)
+    readings = opening.like(model, calibration).read(record)
     settings = OrientSettings(method=method, offset=offset, heading=math.radians(heading_deg), forward=forward, up=up)
     with named_columns(record):
-        found = find(readings, named_rest(readings, (still_start_s, still_stop_s)), settings, **models)
+        readings, earlier, notes = _corrected(readings, record, model, policy, power_on_s)
+        rest = named_rest(readings, (still_start_s, still_stop_s))
+        found = find(readings, rest, settings, gyro_model=None if model is None else model.gyro)
     found = replace(found, findings=tuple({one.text: one for one in (*earlier, *found.findings)}.values()))
-    angles = (found.inclination, found.heading, found.pitch)
-    write_orientation(found.time, found.q_nb, angles, output, body=body)
-    made = _as_json(found) | {"method": method}
-    lines = _lines(found, made, notes)
-    if report is not None:
-        write_orient_report(report, found, record.name, remarks=lines, origin=origin_of(*reads))
-    if json:
-        notes = (*(one.text for one in earlier), *notes)  # as files of scripts have it: both together
-        write_json(made | {"recording": str(record), "output": str(output), "notes": notes}, "orient")
-        return 0
-    wrote = [f"Wrote {report}"] if report else []
-    say(f"{record} -> {output}: {made['samples']} samples", *(f"  {line}" for line in lines), *wrote)
-    if details and held is not None:
-        show_verdict(held.verdict, details=True)
-    return 0
+    write_orientation(found.time, found.q_nb, (found.inclination, found.heading, found.pitch), output, body=body)
+    return Oriented(
+        record=record, output=output, method=method, orientation=found, calibration=model, earlier=earlier, notes=notes
+    )
 
 
 def _corrected(
-    readings: "Record", path: Path, held: "Calibration | None", policy: Policy, power_on_s: float | None
+    readings: "Record", path: Path, model: "Calibration | None", policy: Policy, power_on_s: float | None
 ) -> "tuple[Record, tuple[Finding, ...], tuple[str, ...]]":
     """Return the readings by their calibration, if there is one, what speaks against them, and notes."""
     from undrift.correction.correct import correct_checked
     from undrift.correction.coverage import find_beyond
 
-    if held is None:
+    if model is None:
         check_physical(readings, path)
         return readings, (), ()
-    done = correct_checked(readings, held, policy=policy, power_on_s=power_on_s)
-    beyond = (item for one in find_beyond(done.record, held) for item in one.findings)
+    done = correct_checked(readings, model, policy=policy, power_on_s=power_on_s)
+    beyond = (item for one in find_beyond(done.record, model) for item in one.findings)
     return done.record, (*(one for one in done.findings if one.level == "warn"), *beyond), done.notes
 
 
-def _lines(found: "Orientation", made: dict[str, Any], notes: tuple[str, ...]) -> tuple[str, ...]:
-    """Return what was found, in lines for a person."""
-    return (
-        "tilt from the still phase {:.1f} to {:.1f} s: ".format(*made["still"]) + found.tilt.statement,
-        "inclination: {:.2f} to {:.2f} deg".format(*made["inclination_deg"]),
-        "pitch: {:.2f} to {:.2f} deg".format(*made["pitch_deg"]),
-        *(f"warning: {one.text}" for one in found.findings if one.level != "info"),
-        *(f"note: {note}" for note in notes),
-    )
-
-
-def _as_json(found: "Orientation") -> dict[str, Any]:
+def _data(found: "Orientation") -> dict[str, Any]:
     from undrift.io.store import findings_json
 
     def times(still: "Still") -> list[float]:
@@ -170,14 +170,14 @@ def _as_json(found: "Orientation") -> dict[str, Any]:
         "offset_uncertainty_dps": math.degrees(found.offset_uncertainty),
         "rests": [times(still) for still in found.rests],
         "rest_offsets_dps": found.rest_offsets * (180.0 / math.pi),
-        "inclination_deg": _span(found.inclination),
-        "pitch_deg": _span(found.pitch),
+        "inclination_deg": _spread(found.inclination)[::2],
+        "pitch_deg": _spread(found.pitch)[::2],
         "findings": findings_json(found.findings),
     }
 
 
-def _span(angle: "FloatArray") -> tuple[float, float]:
-    """Return least and greatest, deg; pitch has gaps where the body's axis leaves its plane."""
+def _spread(angle: "FloatArray") -> list[float]:
+    """Return least, median and greatest, deg; pitch has gaps where the body's axis leaves its plane."""
     import numpy as np
 
-    return math.degrees(float(np.nanmin(angle))), math.degrees(float(np.nanmax(angle)))
+    return [math.degrees(float(f(angle))) for f in (np.nanmin, np.nanmedian, np.nanmax)]

@@ -1,26 +1,15 @@
 """``undrift noise``: noise coefficients of a device at rest."""
 
+import math
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from undrift.cli.common import (
-    Details,
-    Json,
-    Opening,
-    OptionalOutput,
-    Report,
-    calibrated_part,
-    check_output,
-    check_report,
-    named_columns,
-    origin_of,
-    say,
-    show_table,
-    show_verdict,
-    waiting,
-    write_json,
-)
+from undrift.base.options import OptionalOutput, Picture, verb
+from undrift.base.summary import PICTURES, Drawing, Result, Section, Summary
+from undrift.commands import Progress, silent
+from undrift.commands.files import Opening, calibrated_part, check_figure, check_output, named_columns
 from undrift.errors import InputError
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
@@ -50,6 +39,53 @@ DATA_SHEET = {
 }
 
 
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Noise(Result):
+    """Noise coefficients of a recording at rest."""
+
+    record: Path
+    fit: "NoiseFit"
+    verdict: "Verdict"
+    notes: tuple[str, ...]
+    written: tuple[Path, ...]
+
+    def summary(self) -> Summary:
+        """Return the coefficients of each axis, with their intervals."""
+        from undrift.calibration.noise import TERMS
+        from undrift.io.store import verdict_json
+
+        fit, seen, sections = self.fit, [], []
+        for name, triad, axes in (("gyroscopes", "gyro", fit.gyro), ("accelerometers", "accel", fit.accel)):
+            if not axes:
+                continue
+            walks = [axis.angle_random_walk for axis in axes]
+            largest = max((walk.value for walk in walks if math.isfinite(walk.value)), default=math.nan)
+            if math.isfinite(largest):
+                seen.append(f"{TERMS[triad]['angle_random_walk']} up to {largest:.2g} {walks[0].unit}")
+            drawing = Drawing(place="undrift.report.figures:draw_allan_fit", of=(fit, triad))
+            heads = (f"{term} ({getattr(axes[0], key).unit})" for key, term in TERMS[triad].items())
+            sections.append(
+                Section(
+                    title=f"{name}, in brackets the {100.0 * fit.confidence:g} % intervals",
+                    columns=("axis", *heads),
+                    rows=tuple((axis.axis, *(_cell(axis, key) for key in TERMS[triad])) for axis in axes),
+                    text=tuple(_data_sheet(axes, TERMS[triad])),
+                    pictures=(drawing,),
+                )
+            )
+        return Summary(
+            title=f"Noise of {self.record.name}",
+            answer=f"{fit.duration_s:.4g} s at rest show {' and '.join(seen) or 'no coefficient'}.",
+            data=_data(fit) | {"verdict": verdict_json(self.verdict), "notes": self.notes},
+            pictures=(Drawing(place="undrift.report.figures:draw_allan", of=(fit,)),),
+            sections=tuple(sections),
+            verdict=self.verdict,
+            notes=self.notes,
+            written=self.written,
+        )
+
+
+@verb
 def noise(
     record: Path,
     /,
@@ -58,14 +94,12 @@ def noise(
     start_s: float | None = None,
     stop_s: float | None = None,
     power_on_s: float | None = None,
-    figure: Path | None = None,
-    report: Report = None,
+    figure: Picture = None,
     output: OptionalOutput = None,
     rostopic: str = "/imu0",
     opening: Opening = Opening(),
-    details: Details = False,
-    json: Json = False,
-) -> int:
+    progress: Progress = silent,
+) -> Noise:
     """Angle random walk, bias instability, rate random walk of a device at rest, each with its 95 % interval.
 
     Parameters
@@ -82,54 +116,37 @@ def noise(
         Time since power-on at the first sample, s; without it no warm-up is subtracted.
     figure : Path or None
         Allan plot to write: .svg, .png or .pdf.
-    report : Path or None
-        Report page to write: .html.
     output : Path or None
         imu.yaml for Kalibr (.yaml, .yml), or the Allan plot (.svg, .png, .pdf).
     rostopic : str
         Topic of the sensor, for Kalibr.
-    opening : Opening
-        How to read a foreign recording.
     """
-    from undrift.calibration.noise import TERMS, fit_noise
+    from undrift.calibration.noise import fit_noise
     from undrift.correction.consistency import check_force
-    from undrift.io.store import read_calibration, verdict_json
-    from undrift.report.commands import write_noise_report
-    from undrift.report.figures import PICTURES, draw_allan, save_figure
+    from undrift.io.store import read_calibration
 
-    check_output(figure, endings=PICTURES, reads=(record, calibration))
-    check_output(output, endings=(*PICTURES, *YAML), reads=(record, calibration))
-    check_report(report, reads=(record, calibration))
-    with waiting("reading and fitting"):
-        model = None if calibration is None else read_calibration(calibration)
-        readings = opening.like(model, calibration).read(record)
-        since = None if power_on_s is None else float(power_on_s - readings.time[0])
-        if start_s is not None or stop_s is not None:
-            readings = _between(readings, start_s, stop_s)
-        with named_columns(record):
-            readings, notes = (readings, ()) if model is None else _corrected(readings, model, since)
-            check_force(readings)
-        found = fit_noise(readings)
-    tables, verdict = _tables(found), found.verdict
+    reads = (record, calibration, opening.column_map)
+    check_figure(figure, reads=reads)
+    check_output(output, endings=(*PICTURES, *YAML), reads=reads)
+    progress("reading", 0.0)
+    model = None if calibration is None else read_calibration(calibration)
+    readings = opening.like(model, calibration).read(record)
+    since = None if power_on_s is None else float(power_on_s - readings.time[0])
+    if start_s is not None or stop_s is not None:
+        readings = _between(readings, start_s, stop_s)
+    with named_columns(record):
+        readings, notes = (readings, ()) if model is None else _corrected(readings, model, since)
+        check_force(readings)
+    progress("fitting", 0.3)
+    fit = fit_noise(readings)
+    verdict, title = fit.verdict, f"{record.name}: overlapping Allan deviation"
     for path in (figure, output):
         if path is not None and path.name.lower().endswith(YAML):
-            verdict = verdict.also(_write_kalibr(found, path, readings.sample_rate_hz, rostopic))
+            verdict = verdict.also(_write_kalibr(fit, path, readings.sample_rate_hz, rostopic))
         elif path is not None:
-            save_figure(draw_allan(found, title=f"{record.name}: overlapping Allan deviation"), path)
-    if report is not None:
-        write_noise_report(found, record.name, report, tables=tables, origin=origin_of(record, calibration))
-    if json:
-        write_json(_json(found) | {"verdict": verdict_json(verdict), "notes": notes}, "noise")
-        return 0
-    for triad, shown in tables.items():
-        show_table(*shown)
-        say(*_data_sheet(getattr(found, triad), TERMS[triad]))
-    show_verdict(verdict, details=details)
-    say(
-        *(f"  note: {note}" for note in notes),
-        *(f"Wrote {path}" for path in (figure, report, output) if path is not None),
-    )
-    return 0
+            Drawing(place="undrift.report.figures:draw_allan", of=(fit,), options={"title": title}).save(path)
+    written = tuple(path for path in (figure, output) if path is not None)
+    return Noise(record=record, fit=fit, verdict=verdict, notes=notes, written=written)
 
 
 def _corrected(readings: "Record", model: "Calibration", since: float | None) -> "tuple[Record, tuple[str, ...]]":
@@ -141,26 +158,26 @@ def _corrected(readings: "Record", model: "Calibration", since: float | None) ->
     return done.record, (*left_out, *done.warnings, *done.notes)
 
 
-def _write_kalibr(found: "NoiseFit", path: Path, update_rate_hz: float, rostopic: str) -> "Verdict":
+def _write_kalibr(fit: "NoiseFit", path: Path, update_rate_hz: float, rostopic: str) -> "Verdict":
     """Write imu.yaml; the verdict says which of its numbers are limits."""
     from undrift.export.programs import kalibr_text
     from undrift.files import write_whole
     from undrift.model import Verdict
 
-    text, findings = kalibr_text(found, update_rate_hz=update_rate_hz, rostopic=rostopic)
+    text, findings = kalibr_text(fit, update_rate_hz=update_rate_hz, rostopic=rostopic)
     write_whole(path, text)
     return Verdict.of(*findings)
 
 
-def _json(found: "NoiseFit") -> dict[str, object]:
+def _data(fit: "NoiseFit") -> dict[str, object]:
     triads = ("gyro", "accel")
     return (
-        {name: [_axis_json(axis) for axis in getattr(found, name)] for name in triads}
+        {name: [_axis_json(axis) for axis in getattr(fit, name)] for name in triads}
         | {
-            key: {name: getattr(found, f"{name}_{of}") for name in triads}
+            key: {name: getattr(fit, f"{name}_{of}") for name in triads}
             for key, of in (("adev", "adev"), ("units", "unit"))
         }
-        | {key: getattr(found, key) for key in ("taus_s", "duration_s", "confidence")}
+        | {key: getattr(fit, key) for key in ("taus_s", "duration_s", "confidence")}
     )
 
 
@@ -187,29 +204,12 @@ def _axis_json(axis: "AxisNoise") -> dict[str, object]:
     return made
 
 
-def _tables(found: "NoiseFit") -> "dict[str, tuple[str, tuple[str, ...], tuple[tuple[str, ...], ...]]]":
-    """Return title, heads and rows of each triad."""
-    from undrift.calibration.noise import TERMS
-
-    tables = {}
-    for what, triad, axes in (("gyroscopes", "gyro", found.gyro), ("accelerometers", "accel", found.accel)):
-        rows = [
-            (
-                axis.axis,
-                *(
-                    f"{c.value:.3g} [{c.interval[0]:.3g}, {c.interval[1]:.3g}]"
-                    if c.value == c.value
-                    else f"not seen, under {c.interval[1]:.2g}"
-                    for c in (getattr(axis, term) for term in TERMS[triad])
-                ),
-            )
-            for axis in axes
-        ]
-        if axes:
-            heads = [f"{name} ({getattr(axes[0], term).unit})" for term, name in TERMS[triad].items()]
-            title = f"{what}, in brackets the {100.0 * found.confidence:g} % intervals"
-            tables[triad] = (title, ("axis", *heads), tuple(rows))
-    return tables
+def _cell(axis: "AxisNoise", term: str) -> str:
+    """Return a coefficient with its interval, or the limit below which it was not seen."""
+    one = getattr(axis, term)
+    if math.isnan(one.value):
+        return f"not seen, under {one.interval[1]:.2g}"
+    return f"{one.value:.3g} [{one.interval[0]:.3g}, {one.interval[1]:.3g}]"
 
 
 def _data_sheet(axes: tuple["AxisNoise", ...], names: dict[str, str]) -> "Iterator[str]":
@@ -219,6 +219,7 @@ def _data_sheet(axes: tuple["AxisNoise", ...], names: dict[str, str]) -> "Iterat
         if unit:
             values = ((axis.axis, getattr(axis, term)) for axis in axes)
             shown = (
-                f"{axis} {factor * c.value:.3g}" if c.value == c.value else f"{axis} not seen" for axis, c in values
+                f"{axis} {factor * c.value:.3g}" if not math.isnan(c.value) else f"{axis} not seen"
+                for axis, c in values
             )
             yield f"{name} in {unit}: {', '.join(shown)}"

@@ -7,7 +7,9 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
 from cyclopts import Parameter
 
-from undrift.cli.common import CALLED, Flag, Opening, say
+from undrift.base.options import Flag, options
+from undrift.base.summary import CALLED
+from undrift.commands.files import Opening, dates_of
 from undrift.errors import InputError, RegistryError
 
 if TYPE_CHECKING:
@@ -24,7 +26,7 @@ Where: TypeAlias = Annotated[
 ]
 
 
-@Parameter(name="*")
+@options
 @dataclass(frozen=True, kw_only=True)
 class Register:
     """Whether the result is added to the registry of devices.
@@ -69,7 +71,7 @@ class Register:
         return [entry_json(one.entry) | {"new": one.new} for one in added]
 
 
-@Parameter(name="*")
+@options
 @dataclass(frozen=True, kw_only=True)
 class Registered:
     """A calibration that the registry knows, in place of a file.
@@ -106,7 +108,6 @@ class Registered:
         return calibration_of(found[0].document, str(name)), name
 
     def _of(self, record: Path, opening: Opening) -> "Entry":
-        from undrift.cli.learn import dates_of
         from undrift.files import checked_file
         from undrift.io.store import calibration_of
         from undrift.registry.registry import covers
@@ -160,13 +161,12 @@ def entry_json(entry: "Entry", later: int | None = None) -> dict[str, Any]:
     )
 
 
-def say_registered(added: list[dict[str, Any]]) -> None:
-    """Print a line for each entry."""
+def registered_lines(added: list[dict[str, Any]]) -> tuple[str, ...]:
+    """Return a line for each entry."""
+    lines = []
     for one in added:
         what = f"{one['kind']} of {one['serial']}"
         due = f", due {one['due_at'][:10]}" if one["due_at"] else ""
-        say(
-            f"Registered as entry {one['entry']}: {what}{due}"
-            if one["new"]
-            else f"Already registered as entry {one['entry']}: {what}"
-        )
+        number = f"as entry {one['entry']}: {what}"
+        lines.append(f"Registered {number}{due}" if one["new"] else f"Already registered {number}")
+    return tuple(lines)

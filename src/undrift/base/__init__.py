@@ -1,0 +1,1 @@
+"""What every stage may use and what no stage decides: files as values, options, summaries, the clock."""

@@ -1,0 +1,55 @@
+"""Options: what the command line, forms and docs need to know of a parameter beside its name, type and default.
+
+A command is a function: its parameters, and the fields of its settings (dataclasses marked ``@options``), are the options of the
+command line under their own names, the keyword arguments of Python, and the fields of a form. Their help is the docstring.
+"""
+
+from collections.abc import Callable
+from dataclasses import is_dataclass
+from functools import wraps
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeAlias, TypeVar, cast, get_type_hints
+
+from cyclopts import Parameter
+
+Value = TypeVar("Value")
+options = Parameter(name="*")  # of a dataclass: each field is an option
+WRITTEN = "written"  # marks a parameter that names a file to write, which is no input
+
+Flag: TypeAlias = Annotated[bool, Parameter(show_default=False)]
+Files: TypeAlias = Annotated[Path, Parameter(required=True)]  # of *files: one or more
+Json: TypeAlias = Annotated[bool, Parameter(show_default=False, help="One JSON object on stdout.")]
+Details: TypeAlias = Annotated[
+    bool, Parameter(show_default=False, help="Show every finding, and those of a calibration that is read.")
+]
+Output: TypeAlias = Annotated[Path, WRITTEN, Parameter(name=["--output", "-o"])]
+OptionalOutput: TypeAlias = Annotated[Path | None, WRITTEN, Parameter(name=["--output", "-o"])]
+Picture: TypeAlias = Annotated[Path | None, WRITTEN]
+Side: TypeAlias = Annotated[Literal["+x", "-x", "+y", "-y", "+z", "-z"], Parameter(allow_leading_hyphen=True)]
+Up: TypeAlias = Literal["y", "z"] | None
+Policy: TypeAlias = Literal["raise", "hold", "nan"]
+Report: TypeAlias = Annotated[Path | None, WRITTEN, Parameter(help="Report page to write: .html.")]
+
+
+def verb(function: Callable[..., Value]) -> Callable[..., Value]:
+    """Let Python call a command as the command line does: files by their names, fields of settings as keywords."""
+
+    @wraps(function)
+    def called(*given: Any, **stated: Any) -> Value:
+        hints = get_type_hints(function)
+        for name, hint in hints.items():
+            if name != "return" and is_dataclass(hint) and name not in stated:
+                kinds = get_type_hints(hint)
+                own = {key: _as(kinds[key], stated.pop(key)) for key in kinds.keys() & stated.keys()}
+                stated |= {name: cast(Any, hint)(**own)} if own else {}
+        stated = {name: _as(hints[name], value) if name in hints else value for name, value in stated.items()}
+        return function(*(_as(Path, value) for value in given), **stated)
+
+    return called
+
+
+def _as(hint: Any, value: Any) -> Any:
+    """Return a value with names of files as paths, and one of several as several."""
+    if isinstance(value, str) and "Path" in str(hint):
+        value = Path(value)
+    return (value,) if "tuple[" in str(hint) and isinstance(value, str | Path) else value

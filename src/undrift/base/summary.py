@@ -1,0 +1,227 @@
+"""What a command has to say, once: the terminal, a page, JSON and a notebook are made of the same ``Summary``.
+
+A command returns its result; the result's ``summary()`` holds one answer in a sentence, sections with text, tables and figures,
+verdict and findings, and ``data``, which is what ``--json`` prints. A renderer decides how, never what: tables bring text cells,
+figures are drawn by their place when a renderer asks for them (``at``), so that nothing here imports matplotlib.
+
+::
+
+    commands/<verb>.py  ->  Summary  ->  cli/common.show | report/page.write_page | data as JSON | as_html, in a notebook
+"""
+
+import importlib
+import math
+import os
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextvars import ContextVar
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from html import escape
+from pathlib import Path
+from typing import Any, Literal, Protocol, TypeAlias, TypeVar
+
+from undrift.findings import SHOWN_FIRST, Finding, Verdict, most_consequential_first
+
+DRAWN_BY = {
+    "Record": "undrift.report.figures:draw_record",
+    "Calibration": "undrift.report.certificate:draw_calibration",
+    "NoiseFit": "undrift.report.figures:draw_allan",
+    "DriftFit": "undrift.report.drift:draw_drift",
+    "Orientation": "undrift.report.figures:draw_orientation",
+    "Trial": "undrift.report.figures:trial_figure",
+    "Validation": "undrift.report.figures:draw_validation",
+}
+PICTURES = (".svg", ".png", ".pdf")  # endings of figures
+CALLED: ContextVar[tuple[str, ...]] = ContextVar("CALLED", default=())  # the words of the command line, if it called
+Item = TypeVar("Item")
+Plain: TypeAlias = bool | int | float | str | Sequence["Plain"] | Mapping[str, "Plain"] | None
+Cells = Sequence[tuple[str, Callable[[Item], str]]]  # heads of a table, each with what makes its cells
+
+
+class Picture(Protocol):
+    """A matplotlib Figure, as far as one needs it without matplotlib's types."""
+
+    def savefig(self, fname: Any, **how: Any) -> None:
+        """Write the picture, by the ending of the name."""
+
+
+def at(place: str) -> Any:
+    """Return the object of a place, "package.module:name"."""
+    module, _, name = place.partition(":")
+    return getattr(importlib.import_module(module), name)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Drawing:
+    """A figure of a page, drawn when a renderer asks for it."""
+
+    place: str  # "undrift.report.figures:draw_orientation"
+    of: tuple[Any, ...]  # What it draws
+    options: Mapping[str, Any] = field(default_factory=dict)
+
+    def draw(self) -> Any:
+        """Return the figure of matplotlib."""
+        return at(self.place)(*self.of, **self.options)
+
+    def save(self, path: Path) -> None:
+        """Write the figure as SVG, PNG or PDF, by the ending of the name."""
+        at("undrift.report.figures:save_figure")(self.draw(), path)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Section:
+    """A heading with text, findings, figures and a table under it."""
+
+    title: str
+    text: tuple[str, ...] = ()  # Paragraphs
+    findings: tuple[Finding, ...] = ()  # The most consequential are shown, the others folded
+    columns: tuple[str, ...] = ()  # Heads of the table, with units
+    rows: tuple[tuple[str, ...], ...] = ()  # Cells
+    pictures: tuple[Drawing | str, ...] = ()  # To be drawn, or SVG elements
+    words: bool = False  # Cells hold words rather than figures: aligned at the left
+    folded: bool = False  # Among the details: at the end of a page, and on a terminal on request
+    on: Literal["both", "page", "terminal"] = "both"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Summary:
+    """One result: an answer and what stands behind it."""
+
+    title: str
+    answer: str  # A sentence with its numbers
+    data: Mapping[str, Any] = field(default_factory=dict)  # What --json prints, units in the keys
+    pictures: tuple[Drawing | str, ...] = ()
+    sections: tuple[Section, ...] = ()
+    verdict: Verdict | None = None
+    findings: tuple[Finding, ...] = ()  # Beside those of the verdict
+    notes: tuple[str, ...] = ()
+    written: tuple[Path, ...] = ()  # Files and folders
+    brief: bool = False  # A terminal shows verdict and findings on request: the sections have what matters
+    after: tuple[str, ...] = ()  # Lines of a terminal, below the names of what was written
+    next: tuple[object, ...] = ()  # Words of the command that follows
+    failed: bool = False  # The verdict is so bad that a script must stop
+
+
+def today() -> str:
+    """Return the date of a page, ISO 8601, UTC; SOURCE_DATE_EPOCH in the environment sets another, s since 1970."""
+    stated = os.environ.get("SOURCE_DATE_EPOCH", "")
+    made = datetime.fromtimestamp(int(stated), UTC) if stated.isdigit() else datetime.now(UTC)
+    return made.isoformat(timespec="seconds")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Origin:
+    """What a page was made from and by."""
+
+    command: str = ""
+    inputs: tuple[tuple[str, str], ...] = ()  # File and sha256
+    date: str = field(default_factory=today)
+
+
+class Result(ABC):
+    """What a command returns: values that show their summary, one line as text and tables in a notebook."""
+
+    __slots__ = ()
+
+    @abstractmethod
+    def summary(self) -> Summary:
+        """Return what came out, as every renderer shows it."""
+
+    def __repr__(self) -> str:
+        summary = self.summary()
+        verdict = f"; verdict: {summary.verdict.status}" if summary.verdict else ""
+        return f"<{type(self).__name__}: {summary.title}: {summary.answer.rstrip('.')}{verdict}>"
+
+    def _repr_html_(self) -> str:
+        return as_html(self.summary())
+
+
+class Shown(ABC):
+    """A value that draws itself and is a table in a notebook."""
+
+    __slots__ = ()
+
+    def plot(self) -> Picture:
+        """Draw the value as a matplotlib Figure: a notebook shows it, ``savefig`` writes it."""
+        drawn: Picture = at(DRAWN_BY[type(self).__name__])(self)
+        return drawn
+
+    @abstractmethod
+    def _rows(self) -> dict[str, str]:
+        """Return the rows of the table: what, and its value with unit."""
+
+    def _repr_html_(self) -> str:
+        rows = "".join(
+            f"<tr><th>{escape(name)}</th><td>{escape(value)}</td></tr>" for name, value in self._rows().items()
+        )
+        return f"<table><caption>{type(self).__name__}</caption>{rows}</table>"
+
+
+def table_section(title: str, items: Iterable[Item], cells: Cells[Item], **more: Any) -> Section:
+    """Return a section with a row for each item; each column is a head and the function that makes its cell."""
+    rows = tuple(tuple(cell(item) for _, cell in cells) for item in items)
+    return Section(title=title, columns=tuple(head for head, _ in cells), rows=rows, **more)
+
+
+def rows_section(title: str, rows: Sequence[dict[str, str]], **more: Any) -> Section:
+    """Return a section with rows that all have the same heads, and more of its fields; without rows, with nothing."""
+    if not rows:
+        return Section(title=title)
+    return Section(title=title, columns=tuple(rows[0]), rows=tuple(tuple(row.values()) for row in rows), **more)
+
+
+def number(value: float, form: str = ".2f") -> str:
+    """Return a figure, or a dash where there is none."""
+    return f"{value:{form}}" if math.isfinite(value) else "–"
+
+
+def interval(ends: Sequence[float], form: str = ".3f") -> str:
+    """Return an interval."""
+    return f"{ends[0]:{form}} to {ends[1]:{form}}"
+
+
+def plain_words(name: str) -> str:
+    """Return a name of the code as words."""
+    return name.replace("_", " ")
+
+
+def concise(value: float, uncertainty: float) -> str:
+    """Return a value with its standard uncertainty in brackets, in units of the last digits: 0.99643(11)."""
+    if not (uncertainty > 0.0 and math.isfinite(uncertainty)):
+        return f"{value:.6g}"
+    places = max(0, 1 - math.floor(math.log10(uncertainty)))
+    if places > 9:
+        return f"{value:.6g}({uncertainty:.1g})"
+    return f"{value:.{places}f}({round(uncertainty * 10.0**places)})"
+
+
+def plain(value: object) -> Plain:
+    """Return a value made of what JSON knows: arrays as lists, NaN and infinity as None."""
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if hasattr(value, "tolist"):  # arrays and numbers of numpy
+        return plain(value.tolist())
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if value is None or isinstance(value, str | int):
+        return value
+    if isinstance(value, Sequence | set | frozenset):
+        return [plain(item) for item in value]
+    return str(value)
+
+
+def as_html(summary: Summary) -> str:
+    """Return a summary as a part of a notebook: answer, tables, verdict with its first findings."""
+    parts = [f"<h4>{escape(summary.title)}</h4><p>{escape(summary.answer)}</p>"]
+    for section in (
+        section for section in summary.sections if section.rows and not section.folded and section.on != "page"
+    ):
+        head = "".join(f"<th>{escape(name)}</th>" for name in section.columns)
+        body = ("<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>" for row in section.rows)
+        parts.append(f"<table><caption>{escape(section.title)}</caption><tr>{head}</tr>{''.join(body)}</table>")
+    if summary.verdict is not None:
+        parts.append(f"<p>Verdict: {summary.verdict.status}</p>")
+    findings = (*(summary.verdict.findings if summary.verdict else ()), *summary.findings)
+    items = (f"<li>{escape(item.text)}</li>" for item in most_consequential_first(findings)[:SHOWN_FIRST])
+    return "".join((*parts, "<ul>", *items, "</ul>"))

@@ -1,0 +1,30 @@
+"""One file, one verb: options in, result and summary out. Command line, Python and the bench call the same function.
+
+A verb reads its inputs (``inputs``), checks the files that it will write before the work begins (``outputs``), computes by calling
+the stages, writes the files that were asked for, and returns its result. It prints nothing and draws nothing: the result's
+``summary()`` (``base/summary``) says what came out, and each renderer shows that::
+
+    orient(record, output=..., opening=Opening()) -> Oriented          a dataclass of values, with summary() and a short repr
+
+Parameters are the options of the command line (``base/options``): ``heading_deg`` is ``--heading-deg``, its help is the docstring.
+Settings that several verbs share are dataclasses marked ``@options``. A verb that takes long has a parameter ``progress``, which
+it calls with what is being done and the share of the whole that is done. Angles and rates of options are in the units that their
+names state; results hold SI.
+
+Open ``orient.py`` first: it is the shortest complete one. Nothing here imports numpy before a verb is called.
+"""
+
+from collections.abc import Callable
+from typing import TypeAlias
+
+VERBS = ("certificate", "noise", "orient", "twin", "validate")  # each a function in the module of its name
+Progress: TypeAlias = Callable[[str, float], None]  # what is being done, and the share of the whole that is done
+
+
+def silent(_what: str, _share: float) -> None:
+    """Take how far a verb is, and say nothing."""
+
+
+def part_of(progress: Progress, start: float, stop: float) -> Progress:
+    """Return how a part of a verb, from one share of the whole to another, says how far it is."""
+    return lambda what, share: progress(what, start + share * (stop - start))

@@ -1,0 +1,448 @@
+"""Calibration certificate: results with expanded uncertainty, budget by source, traceability and limits, as a PDF.
+
+    u^2 = sum_i u_i^2        the shares u_i that the fit kept; their sum is the variance of the calibration's covariance
+    nu  = n (u / u_r)^4      Welch-Satterthwaite; u_r repeatability, from the residuals of n spare equations, the others are known
+    U   = k u                k = 2, below 50 degrees of freedom Student's t for 95.45 %
+
+Scale factors and cross-axis terms are elements of the correction matrix, shares of a budget in per cent of its mean diagonal.
+"""
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from undrift import __version__
+from undrift.base.options import Output, verb
+from undrift.base.summary import Drawing, Result, Summary, at
+from undrift.commands.files import check_output
+from undrift.commands.register import Register, registered_lines
+from undrift.errors import InputError
+from undrift.findings import most_consequential_first
+from undrift.units import INHABITED_GRAVITY, RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical, si_factor
+
+if TYPE_CHECKING:
+    from undrift.arrays import FloatArray
+    from undrift.model import Calibration, DriftTables, TriadModel
+
+COVERAGE, ENOUGH, STUDENT_TAIL = 2.0, 50.0, 0.97725  # k; degrees of freedom from which it holds; quantile of 95.45 %
+
+# Row of the budget, how it is evaluated (GUM 4.2, 4.3), and which triads have it
+SOURCE_ROWS = {
+    "rate": ("Rig: stated rate", "B", "gyro"),
+    "angle": ("Rig: stated angle of turns", "B", "gyro"),
+    "axis": ("Rig: axis of turns", "B", "gyro"),
+    "ripple": ("Rig: ripple and settling of the rate", "A", "gyro"),
+    "mounting": ("Rig: mounting, level of the table and wobble", "A, B", "gyro"),
+    "level": ("Level of the faces", "A", "accel"),
+    "gravity": ("Local gravity", "B", "accel"),
+    "temperature": ("Temperature during the session", "B", ""),
+    "noise": ("Noise", "A", ""),
+    "adc": ("ADC: rounding to codes", "B", ""),
+    "instability": ("Fit: instability of the offset", "A", ""),
+    "repeatability": ("Repeatability: scatter beyond the noise", "A", ""),
+    "fit": ("Fit: sources not separated", "A, B", ""),
+}
+BLOCKS = {"scale": "scale factor", "cross": "cross-axis sensitivity", "offset": "offset", "g": "g-sensitivity"}
+OFFSETS = {"gyro": "zero-rate output", "accel": "zero-g offset"}
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Certified(Result):
+    """A calibration of which a certificate was written."""
+
+    calibration: "Calibration"
+    output: Path
+    registered: list[dict[str, Any]]
+
+    def summary(self) -> Summary:
+        """Return the largest expanded uncertainties, and each of them as the certificate has it."""
+        from undrift.io.store import content_hash, verdict_json
+
+        model, content = self.calibration, certificate_content(self.calibration)
+        named = {"file": str(self.output), "content_sha256": content_hash(model), "triads": content["triads"]}
+        kept = {"registered": self.registered} if self.registered else {}
+        return Summary(
+            title=f"Certificate of {model.device or 'a device'}",
+            answer=uncertainty_sentence(model),
+            data=named | kept | {"verdict": verdict_json(model.verdict)},
+            pictures=(Drawing(place="undrift.report.certificate:draw_calibration", of=(model,)),),
+            verdict=model.verdict,
+            written=(self.output,),
+            after=registered_lines(self.registered),
+            failed=model.verdict.status == "bad",
+        )
+
+
+@verb
+def certificate(
+    calibration: Path,
+    /,
+    *,
+    output: Output,
+    registering: Register = Register(),
+) -> Certified:
+    """Write a calibration certificate: results with expanded uncertainty, budget by source, traceability, limits.
+
+    The same calibration gives the same file, byte for byte.
+
+    Parameters
+    ----------
+    calibration : Path
+        calibration.json of the device.
+    output : Path
+        The file, named *.pdf.
+    """
+    from undrift.io.store import read_calibration
+
+    check_output(output, endings=(".pdf",), reads=(calibration,))
+    model = read_calibration(calibration)
+    registering.check(model.device)
+    at("undrift.report.certificate:write_certificate")(model, output)
+    return Certified(calibration=model, output=output, registered=registering.add(calibration, output))
+
+
+def uncertainty_sentence(calibration: "Calibration") -> str:
+    """Return the largest expanded uncertainty of each block of parameters in a sentence."""
+    triads = [(name, triad) for name in ("accel", "gyro") if (triad := getattr(calibration, name)) is not None]
+    words = "; ".join(expanded_words(*pair, gravity_uncertainty(calibration, pair[0])) for pair in triads)
+    return f"Expanded uncertainty (95 %) at the temperature of the calibration: {words}."
+
+
+def drawings_of(drift: "DriftTables | None") -> Iterator[tuple[str, Drawing]]:
+    """Yield the name and the figure of each table over temperature."""
+    if drift is not None and (drift.static is not None or drift.scale is not None):
+        yield "tables", Drawing(place="undrift.report.certificate:draw_tables", of=(drift,))
+    if drift is not None and drift.dynamic is not None:
+        yield "dynamic", Drawing(place="undrift.report.drift:draw_dynamic", of=(drift.dynamic,))
+
+
+# ---- results with their uncertainty
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Stated:
+    """The parameters of one triad with their uncertainty, in units of the triad; arrays are (P,)."""
+
+    names: tuple[str, ...]
+    value: "FloatArray"
+    shares: "Mapping[str, FloatArray]"  # (P,) of each source
+    standard: "FloatArray"  # combined standard uncertainty
+    freedom: "FloatArray"  # effective degrees of freedom
+    coverage: "FloatArray"  # k
+    expanded: "FloatArray"  # U
+
+    def of_block(self, block: str) -> list[int]:
+        """Return the numbers of the parameters of a block of ``BLOCKS``."""
+        return [n for n, name in enumerate(self.names) if block_of(name) == block]
+
+
+def block_of(name: str) -> str:
+    """Return the block that a parameter belongs to."""
+    head, _, end = name.partition("_")
+    return head if head != "m" else "scale" if end[0] == end[1] else "cross"
+
+
+def gravity_uncertainty(calibration: "Calibration", triad: str = "accel") -> float:
+    """Return the standard uncertainty of local gravity, relative: 0 where it was stated, or follows from a place."""
+    import numpy as np
+
+    known = triad == "gyro" or dict(calibration.provenance.settings).get("gravity") in ("stated", "latitude and height")
+    return 0.0 if known else float(np.ptp(INHABITED_GRAVITY)) / math.sqrt(12.0) / calibration.gravity_m_s2
+
+
+def stated(triad: "TriadModel", gravity: float = 0.0) -> Stated:
+    """Combine the shares of a triad's budget, and that of gravity's relative uncertainty in its matrix, and expand them."""
+    import numpy as np
+
+    sigma = triad.standard_uncertainty
+    budget = triad.budget
+    shares = {"fit": sigma} if budget is None else dict(zip(budget.sources, budget.uncertainty, strict=True))
+    if gravity > 0.0:
+        of_matrix = np.array([block_of(name) in ("scale", "cross") for name in triad.parameters])
+        shares["gravity"] = np.where(of_matrix, gravity * np.abs(np.resize(triad.matrix.ravel(), len(sigma))), 0.0)
+    combined = np.sqrt(np.sum([part**2 for part in shares.values()], axis=0))
+    freedom = np.full(len(sigma), np.inf)
+    if "repeatability" in shares:
+        spare, seen = max(1, triad.count - len(sigma)), shares["repeatability"] > 0.0
+        freedom[seen] = spare * (combined[seen] / shares["repeatability"][seen]) ** 4
+    coverage = coverage_factors(freedom)
+    g = np.zeros((3, 3)) if triad.g_sensitivity is None else triad.g_sensitivity
+    value = np.concatenate((triad.matrix.ravel(), triad.offset, g.ravel()))[: len(sigma)]
+    return Stated(
+        names=triad.parameters, value=value, shares=shares, standard=combined, freedom=freedom, coverage=coverage,
+        expanded=coverage * combined,
+    )  # fmt: skip
+
+
+def coverage_factors(freedom: "FloatArray") -> "FloatArray":
+    """Return k for degrees of freedom (P,)."""
+    import numpy as np
+    from scipy.special import stdtrit
+
+    return np.where(freedom >= ENOUGH, COVERAGE, stdtrit(np.minimum(freedom, 1e6), STUDENT_TAIL))
+
+
+def certificate_content(calibration: "Calibration") -> dict[str, Any]:
+    """Return what the template sets: texts, rows of tables, names of pictures."""
+    import numpy as np
+
+    from undrift.io.store import content_hash
+
+    triads = {name: triad for name in ("gyro", "accel") if (triad := getattr(calibration, name)) is not None}
+    if not triads:
+        raise InputError("certificate: wanted a calibrated gyroscope or accelerometer, got neither; calibrate first")
+    for name, triad in triads.items():
+        if not (triad.parameters and np.isfinite(triad.covariance).all() and triad.covariance.any()):
+            raise InputError(
+                f"certificate: wanted a covariance of the {NAMES[name].lower()}, got none; calibrate from recordings by undrift"
+            )
+    made = calibration.provenance
+    return {
+        "device": calibration.device or "without serial number",
+        "hash": content_hash(calibration),
+        "date": made.created[:10] or "not stated",
+        "day": _day(made.created),
+        "version": dict(made.versions).get("undrift", __version__),
+        "conditions": [*_conditions(calibration)],
+        "procedure": [*_procedure(calibration, triads)],
+        "triads": [_triad(name, triad, gravity_uncertainty(calibration, name)) for name, triad in triads.items()],
+        "pictures": [name for name, _ in drawings_of(calibration.drift)],
+        "traceability": [*_traceability(calibration, triads)],
+        "limits": [*_limits(calibration, triads)],
+        "verdict": calibration.verdict.status,
+        "findings": [
+            ": ".join(part for part in (item.headline, item.detail) if part)
+            for item in most_consequential_first(calibration.verdict.findings)
+            if item.level != "info"
+        ],
+        "inputs": [list(pair) for pair in made.inputs],
+        "software": ", ".join(f"{name} {version}" for name, version in made.versions) or "not stated",
+    }
+
+
+NAMES = {"gyro": "Gyroscopes", "accel": "Accelerometers"}
+
+
+def _day(created: str) -> list[int] | None:
+    try:
+        date = datetime.fromisoformat(created)
+    except ValueError:
+        return None
+    return [date.year, date.month, date.day]
+
+
+def _conditions(calibration: "Calibration") -> Iterator[tuple[str, str]]:
+    settings = dict(calibration.provenance.settings)
+    temp_c = calibration.reference_temp_c
+    yield "Reference temperature", "not recorded" if math.isnan(temp_c) else f"{temp_c:.2f} °C"
+    source = settings.get("gravity", "not stated")
+    yield "Local gravity", f"{calibration.gravity_m_s2:.5f} m/s² (source: {source})"
+    for name, label in (("stills", "Rests"), ("faces", "Faces up"), ("turns", "Turns")):
+        if name in settings:
+            yield label, settings[name]
+    if calibration.drift is not None and calibration.drift.static is not None:
+        nodes = calibration.drift.static.temp_c
+        yield "Temperature of the drift table", f"{nodes[0]:.1f} °C to {nodes[-1]:.1f} °C"
+
+
+_METHODS = {
+    "six-face": "six faces against gravity",
+    "rate-table": "steady rates of a rate table, about each axis",
+    "known-rotation": "turns by a known angle about each axis",
+    "multi-position": "rests in free poses against the size of gravity",
+    "reference": "motion against an orientation reference",
+    "rest": "rests alone: offset only, the scale factor is nominal",
+}
+
+
+def _procedure(calibration: "Calibration", triads: "Mapping[str, TriadModel]") -> Iterator[tuple[str, str]]:
+    for name, triad in triads.items():
+        method, _, mode = triad.method.partition("/")
+        fit = f"{_METHODS.get(method, method)}; {mode or 'default'} fit of {triad.count} equations"
+        rms, unit, factor = triad.rms_residual, *_shown(name)
+        yield NAMES[name], f"{fit}, rank {triad.rank}, residual {rms * factor:.3g} {unit} rms"
+    if calibration.adc is not None:
+        yield "ADC", f"gyroscopes {calibration.adc.gyro_rounding}, accelerometers {calibration.adc.accel_rounding}"
+
+
+def _shown(name: str) -> tuple[str, float]:
+    """Return the unit of corrected values that people read, and how many of it are one SI unit."""
+    return ("deg/s", 1.0 / RADIAN_PER_DEGREE) if name == "gyro" else ("mg", 1e3 / STANDARD_GRAVITY)
+
+
+# ---- results and budget of one triad
+
+
+def _units(name: str, triad: "TriadModel") -> tuple[dict[str, float], dict[str, str]]:
+    """Return how many units of the budget are one of the triad's, and the unit, by block."""
+    import numpy as np
+
+    scale = float(np.diag(triad.matrix).mean())
+    unit, factor = _shown(name)
+    per = {
+        "scale": 100.0 / scale,
+        "cross": 100.0 / scale,
+        "offset": abs(scale) * factor,
+        "g": factor * STANDARD_GRAVITY,
+    }
+    return per, {"scale": "%", "cross": "%", "offset": unit, "g": f"{unit} per g"}
+
+
+def expanded_words(name: str, triad: "TriadModel", gravity: float = 0.0) -> str:
+    """Return the largest expanded uncertainty of each block in words: what a user of the calibration gets."""
+    import numpy as np
+
+    made, (per, units) = stated(triad, gravity), _units(name, triad)
+    largest = {block: np.abs(per[block] * made.expanded[made.of_block(block)]).max(initial=0.0) for block in units}
+    if not 0.0 < sum(largest.values()) < math.inf:
+        return f"{NAMES[name].lower()} not known"
+    parts = [f"{two_digits(largest['offset'])} {units['offset']} of {OFFSETS[name]}"] if largest["offset"] else []
+    parts += [f"{two_digits(largest[block])} % of {BLOCKS[block]}" for block in ("scale", "cross") if largest[block]]
+    held = [BLOCKS[block] for block in ("scale", "cross") if not largest[block]]
+    return f"{NAMES[name].lower()} up to {', '.join(parts)}" + f" ({' and '.join(held)} not calibrated)" * bool(held)
+
+
+def _triad(name: str, triad: "TriadModel", gravity: float) -> dict[str, Any]:
+    made, (per, units) = stated(triad, gravity), _units(name, triad)
+    blocks = [block for block in BLOCKS if made.of_block(block)]
+    labels = BLOCKS | {"offset": OFFSETS[name]}
+    return {
+        "title": NAMES[name],
+        "model": "corrected = M (raw − o)" + ("" if triad.g_sensitivity is None else " − G a"),
+        "separated": triad.budget is not None,
+        "results": [_result(name, triad, made, n, per, units) for n in range(len(made.names))],
+        "blocks": [f"{labels[block]} ({units[block]})" for block in blocks],
+        "budget": [*_budget_rows(name, made, blocks, per)],
+        "shares": _share_rows(made, per, units),
+        "student": bool((made.coverage > COVERAGE).any()),
+    }
+
+
+def _result(
+    name: str, triad: "TriadModel", made: Stated, n: int, per: Mapping[str, float], units: Mapping[str, str]
+) -> list[str]:
+    """Return quantity, value with its unit, U, U in the units of the budget, k."""
+    block, parameter = block_of(made.names[n]), made.names[n]
+    unit_in, (shown_unit, per_si) = triad.unit_in, _shown(name)
+    unit, factor = unit_in, 1.0
+    if block == "g":
+        unit, factor = units["g"], per["g"]
+    elif block != "offset":
+        unit, factor = f"{shown_unit} per {unit_in}", per_si
+        if is_physical(unit_in):
+            unit, factor = "1", 1.0 / si_factor(unit_in, "rate" if name == "gyro" else "accel")
+    value, expanded = made.value[n] * factor, made.expanded[n] * abs(factor)
+    shown, less = rounded(value, expanded)
+    held = not expanded > 0.0
+    relative = "–" if held else f"{two_digits(made.expanded[n] * abs(per[block]))} {units[block]}"
+    return [parameter, shown, unit, "held" if held else less, relative, "–" if held else f"{made.coverage[n]:.2f}"]
+
+
+def rounded(value: float, uncertainty: float) -> tuple[str, str]:
+    """Return a value and its uncertainty to two digits of the uncertainty."""
+    if not uncertainty > 0.0:
+        return f"{value:.6g}", "0"
+    places = 1 - math.floor(math.log10(uncertainty))
+    if 0 <= places <= 7:
+        return f"{value:.{places}f}", f"{uncertainty:.{places}f}"
+    power = math.floor(math.log10(max(abs(value), uncertainty)))
+    digits = max(0, places + power)
+    return f"{value / 10.0**power:.{digits}f}e{power}", f"{uncertainty / 10.0**power:.{digits}f}e{power}"
+
+
+def two_digits(value: float) -> str:
+    """Return a size to two digits, a dash for none."""
+    mantissa, _, power = f"{value:#.2g}".partition("e")
+    return f"{mantissa.removesuffix('.')}{power and f'e{int(power)}'}" if value > 0.0 else "–"
+
+
+def _rms(values: "FloatArray") -> float:
+    import numpy as np
+
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def _budget_rows(name: str, made: Stated, blocks: list[str], per: Mapping[str, float]) -> Iterator[list[str]]:
+    """Yield a row for each source: how it is evaluated, rms over the parameters of each block; then combined and expanded."""
+    places = {block: made.of_block(block) for block in blocks}
+    for source, (label, kind, only) in SOURCE_ROWS.items():
+        if source == "gravity" and name == "accel" and source not in made.shares:
+            yield [label, kind, *("not included" if block == "scale" else "–" for block in blocks)]
+        share = made.shares.get(source)
+        if share is None and (
+            only not in ("", name) or source in ("angle", "axis", "fit", "gravity") or "fit" in made.shares
+        ):
+            continue
+        cells = (0.0 if share is None else abs(per[b]) * _rms(share[places[b]]) for b in blocks)
+        yield [label, kind, *map(two_digits, cells)]
+    for label, values in (("Combined standard uncertainty", made.standard), ("Expanded uncertainty", made.expanded)):
+        yield [label, "", *(two_digits(abs(per[b]) * _rms(values[places[b]])) for b in blocks)]
+
+
+def _share_rows(made: Stated, per: Mapping[str, float], units: Mapping[str, str]) -> dict[str, Any]:
+    """Return the same for each parameter, one column a source."""
+    heads = [source for source in SOURCE_ROWS if source in made.shares]
+    rows = []
+    for n, parameter in enumerate(made.names):
+        block = block_of(parameter)
+        factor = abs(per[block])
+        values = (*(made.shares[head][n] for head in heads), made.standard[n])
+        rows.append([parameter, units[block], *(two_digits(factor * value) for value in values)])
+    return {"heads": heads, "rows": rows}
+
+
+def departures_words(name: str, triad: "TriadModel") -> str:
+    """Return what the departures of ``draw_calibration`` are from."""
+    if is_physical(triad.unit_in):
+        return f"{NAMES[name]}: departures from the unit of the readings, {triad.unit_in}: what is wrong without calibration."
+    return f"{NAMES[name]}: departures from the mean scale factor of the three axes; readings in {triad.unit_in} state no other."
+
+
+# ---- words: nothing that the calibration does not state
+
+
+def _traceability(calibration: "Calibration", triads: "Mapping[str, TriadModel]") -> Iterator[str]:
+    settings = dict(calibration.provenance.settings)
+    yield "The results are traceable to the reference values below, and no further. The user stated them, or accepted defaults."
+    methods = {name: triad.method.partition("/")[0] for name, triad in triads.items()}
+    if methods.get("gyro") == "rate-table":
+        named = (
+            ("rate_uncertainty", "rates in common", "(relative)"), ("mount_tilt_deg", "mounting", "deg"),
+            ("table_level_deg", "level of the table", "deg"), ("wobble_deg", "wobble", "deg"),
+        )  # fmt: skip
+        each = ", ".join(f"{label} {settings[key]} {unit}" for key, label, unit in named if key in settings)
+        yield f"Rates: those stated for the rate table. Standard uncertainties: {each or 'not stated'}."
+    elif methods.get("gyro") == "known-rotation":
+        angle, axis = (settings.get(f"{name}_uncertainty_deg", "not stated") for name in ("angle", "axis"))
+        yield f"Angles: those stated for the turns. Standard uncertainties: angle {angle} deg, axis of the turns {axis} deg."
+    elif "gyro" in methods and methods["gyro"] != "rest":
+        yield f"Gyroscopes: {_METHODS.get(methods['gyro'], methods['gyro'])}; see the procedure."
+    if "accel" in triads:
+        source, how, (least, most) = settings.get("gravity", "not stated"), "taken as exact", INHABITED_GRAVITY
+        if u := gravity_uncertainty(calibration):
+            how = f"assumed; standard uncertainty {100.0 * u:.2f} % (uniform, {least:.3f} to {most:.3f} m/s²) is in the budget"
+        yield (
+            f"Local gravity: {calibration.gravity_m_s2:.5f} m/s² (source: {source}), {how}. "
+            "A relative error of it is the same relative error of the accelerometers' scale factor."
+        )
+    yield "This document states no certificate of these references and claims no accreditation."
+
+
+def _limits(calibration: "Calibration", triads: "Mapping[str, TriadModel]") -> Iterator[str]:
+    for name, triad in triads.items():
+        low, high = (value * (1.0 if name == "accel" else _shown(name)[1]) for value in triad.valid_range)
+        unit = "m/s²" if name == "accel" else "deg/s"
+        if high > low:
+            yield f"{NAMES[name]}: calibrated from {low:.4g} to {high:.4g} {unit}, at steady values; not covered beyond."
+    if "accel" in triads:
+        yield "The accelerometers are taken as linear within 1 g. A quadratic term is part of their offset, and not included in U."
+    tables = calibration.drift
+    if tables is None or tables.static is None:
+        yield "Offsets hold at the reference temperature. Change with temperature is not included in U."
+    else:
+        nodes = tables.static.temp_c
+        yield f"Drift tables hold from {nodes[0]:.1f} to {nodes[-1]:.1f} °C. U of the results is that at the reference temperature."
+    yield "Change with time, shock and supply voltage are not included. Calibrate again when a known rest reads otherwise."

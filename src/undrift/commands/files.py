@@ -1,0 +1,592 @@
+"""What commands read and write: recordings by their map or by the one that a calibration keeps, sessions, references, devices.
+
+Settings of reading are dataclasses marked ``@options``: the command line makes an option of each field. Nothing here imports numpy
+before a command runs: ``--help`` answers at once.
+"""
+
+import json
+import re
+import shlex
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from cyclopts import Parameter
+
+from undrift.base.options import Flag, Up, options
+from undrift.base.summary import CALLED, PICTURES, Origin, plain
+from undrift.errors import InputError
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from undrift.io.columns import ColumnMap, ReadSettings
+    from undrift.model import Calibration
+    from undrift.record import FileMap, GravitySource, Kind, Record, Reference, Session
+    from undrift.segments import StillSettings
+    from undrift.sim.device.model import DeviceModel
+
+
+@dataclass(frozen=True)
+class Kept:
+    """The map that a calibration keeps of its device."""
+
+    path: Path  # Of the calibration
+    file_map: "FileMap"
+
+
+@options
+@dataclass(frozen=True, kw_only=True)
+class Opening:
+    """How to read a foreign recording.
+
+    Parameters
+    ----------
+    column_map : Path or None
+        TOML file with columns, units and what else a foreign table needs: undrift info FILE --write-map writes it. With
+        undrift's own column names only sample_rate_hz, gaps, clock, repair_time or drop_bad_rows, without columns. Overrules the
+        map that a calibration keeps.
+    sample_rate_hz : float or None
+        Samples per second, for a file without time; overrules the map.
+    sensor : str or None
+        Which sensor, stream or topic, in a file of several.
+    gaps : str or None
+        "keep" takes NaN as a gap, "raise" refuses it; overrules the map. Without either it is refused.
+    clock : str or None
+        "regular" fits a rate and an offset to time stamps of a host, and marks what is missing; "file" takes them as they are;
+        overrules the map.
+    drop_bad_rows : bool
+        Leave out rows of text with other than numbers, or damaged blocks of a logger's file, and count them.
+    """
+
+    column_map: Annotated[Path | None, Parameter(name="--map")] = None  # overrules the map that a calibration keeps
+    sample_rate_hz: float | None = None
+    sensor: str | None = None
+    gaps: Literal["raise", "keep"] | None = None
+    clock: Literal["file", "regular"] | None = None
+    drop_bad_rows: Flag = False
+    kept: Annotated["Kept | None", Parameter(parse=False)] = None
+
+    def like(self, model: "Calibration | None", path: Path | None) -> "Opening":
+        """Return how to read the recordings of a calibrated device: by the map that its calibration keeps."""
+        if model is None or path is None or model.file_map is None:
+            return self
+        return replace(self, kept=Kept(path, model.file_map))
+
+    def file_map(self) -> "FileMap | None":
+        """Return the map with the options over it; None where neither states anything."""
+        from undrift.io.session import read_file_map
+
+        return read_file_map(self.column_map, **self._options())
+
+    def words(self) -> list[object]:
+        """Return the options as they were given."""
+        stated = {"map": self.column_map} | self._options() | {"drop_bad_rows": None}
+        flags: list[object] = ["--drop-bad-rows"] if self.drop_bad_rows else []
+        named = {name.replace("_", "-"): value for name, value in stated.items() if value is not None}
+        return flags + [word for name, value in named.items() for word in (f"--{name}", value)]
+
+    def _options(self) -> dict[str, Any]:
+        stated = {name: getattr(self, name) for name in ("sample_rate_hz", "sensor", "gaps", "clock")}
+        return stated | {"drop_bad_rows": self.drop_bad_rows or None}
+
+    def _how(self, path: Path) -> "tuple[ColumnMap | None, ReadSettings]":
+        """Return how to read a file: by the map that was named, else as it is, else by the map that the calibration keeps."""
+        if self.kept is None or self.column_map is not None:
+            return self.columns(), self.settings()
+        from undrift.io.inspect import needs_map
+        from undrift.io.session import entry_of, map_and_settings
+
+        if entry_of(self.kept.file_map).columns is not None and not needs_map(path):
+            return self.columns(), self.settings()
+        return map_and_settings(self.kept.file_map, **self._options())
+
+    @contextmanager
+    def _fitting(self, path: Path) -> Iterator[None]:
+        """Name file and calibration where a file does not fit the map that the calibration keeps."""
+        try:
+            yield
+        except InputError as error:
+            if self.kept is None or self.column_map is not None:
+                raise
+            text = str(error).removeprefix(f"{path}: ")
+            raise InputError(
+                f"{path}: does not fit the map that {self.kept.path} keeps of its device: {text}; name its own map with --map",
+                **error.numbers,
+            ) from error
+
+    def record(self, path: Path) -> "Record":
+        """Read one file, or folder of a device."""
+        from undrift.io.formats import read_record
+
+        with self._fitting(path):
+            columns, settings = self._how(path)
+            return read_record(path, columns, settings=settings)
+
+    def chunks(self, path: Path) -> "Iterator[Record]":
+        """Read one file in chunks."""
+        from undrift.io.formats import iter_record
+
+        with self._fitting(path):
+            columns, settings = self._how(path)
+            yield from iter_record(path, columns, settings=settings)
+
+    def columns(self) -> "ColumnMap | None":
+        """Return the column map; None where none was named, or where it names no columns."""
+        from undrift.io.session import read_column_map, read_map_settings
+
+        if self.column_map is None or read_map_settings(self.column_map) is not None:
+            return None
+        found = read_column_map(self.column_map, sample_rate_hz=self.sample_rate_hz)
+        layout = replace(found.layout, drop_bad_rows=found.layout.drop_bad_rows or self.drop_bad_rows)
+        return replace(found, layout=layout)
+
+    def settings(self) -> "ReadSettings":
+        """Return rate, sensor and gaps; options overrule a map without columns."""
+        from undrift.io.columns import ReadSettings
+        from undrift.io.session import read_map_settings, read_temp_file
+
+        held = (None if self.column_map is None else read_map_settings(self.column_map)) or ReadSettings()
+        return replace(
+            held,
+            sample_rate_hz=self.sample_rate_hz or held.sample_rate_hz,
+            sensor=self.sensor,
+            gaps=self.gaps or held.gaps,
+            temp_file=None if self.column_map is None else read_temp_file(self.column_map),
+            clock=self.clock or held.clock,
+            drop_bad_rows=self.drop_bad_rows or held.drop_bad_rows,
+        )
+
+    def read(self, path: Path) -> "Record":
+        """Read a recording; a session folder gives its only recording."""
+        from undrift.io.formats import detect
+        from undrift.io.session import read_session
+
+        if detect(path) != "session":
+            return self.record(path)
+        records = read_session(path, clock=self.clock).records
+        if len(records) > 1:
+            raise InputError(
+                f"{path}: wanted one recording, got a session of {len(records)}; name the file of one of them"
+            )
+        return records[0]
+
+
+@options
+@dataclass(frozen=True, kw_only=True)
+class Rests:
+    """How stretches at rest are found.
+
+    Parameters
+    ----------
+    still_window_s : float or None
+        Window in which the device must be quiet, s; 1 s by default, and 0.2 to 2 s where that finds too few poses.
+    still_threshold : float or None
+        Largest spread of a rest, in multiples of the noise floor, which is the spread of the quietest windows.
+    """
+
+    still_window_s: float | None = None
+    still_threshold: float | None = None
+
+    def settings(self) -> "StillSettings":
+        """Return the settings of the search; a window that is given is not adapted."""
+        from undrift.segments import StillSettings
+
+        window_s, floors = self.still_window_s, self.still_threshold
+        if window_s is None:
+            return StillSettings(threshold_floors=floors, adapt=True)
+        short = min(window_s, 1.0)  # a pause of two windows is long enough
+        return StillSettings(
+            window_s=window_s, smooth_s=min(0.1, 0.25 * window_s), min_duration_s=short, threshold_floors=floors
+        )
+
+
+@options
+@dataclass(frozen=True, kw_only=True)
+class Place:
+    """Where recordings were made, and of which device, as far as no session.toml states it.
+
+    Parameters
+    ----------
+    gravity_m_s2 : float or None
+        Local gravity, m/s2; standard gravity is assumed, and reported, where nothing is given.
+    latitude_deg : float or None
+        With --height-m: local gravity by WGS 84. Of a session: removes the Earth's rotation from a rate table that stands
+        level there.
+    height_m : float or None
+        Height above the ellipsoid, m.
+    serial : str
+        Serial number of the device, for bare recordings.
+    """
+
+    gravity_m_s2: float | None = None
+    latitude_deg: float | None = None
+    height_m: float | None = None
+    serial: str = ""
+
+    def gravity(self, *, of_session: bool = False) -> "tuple[float, GravitySource]":
+        """Return local gravity and where it comes from; beside a session a latitude alone is that of its rate table."""
+        from undrift.io.session import gravity_of
+
+        alone = of_session and self.height_m is None
+        return gravity_of(self.gravity_m_s2, None if alone else self.latitude_deg, self.height_m)
+
+
+@options
+@dataclass(frozen=True, kw_only=True)
+class Sensitivity:
+    """How far the device may follow its temperature within a session; a session.toml states it under [temperature].
+
+    Parameters
+    ----------
+    gyro_offset_dps_per_k : float or None
+        Standard deviation of the gyroscopes' offset drift, deg/s per K; as the session states, else 0.05.
+    accel_offset_mg_per_k : float or None
+        Standard deviation of the accelerometers' offset drift, mg per K; as the session states, else 0.5.
+    gyro_scale_percent_per_k : float or None
+        Standard deviation of the gyroscopes' change of scale, % per K; as the session states, else 0.02.
+    accel_scale_percent_per_k : float or None
+        Standard deviation of the accelerometers' change of scale, % per K; as the session states, else 0.02.
+    unrecorded_span_k : float or None
+        Change of temperature where nothing shows it, neither a temperature column nor rests in deg/s, K; else 1.
+    span_limit_k : float or None
+        Largest change of temperature within a session without a finding, K; as the session states, else 2.
+    """
+
+    gyro_offset_dps_per_k: float | None = None
+    accel_offset_mg_per_k: float | None = None
+    gyro_scale_percent_per_k: float | None = None
+    accel_scale_percent_per_k: float | None = None
+    unrecorded_span_k: float | None = None
+    span_limit_k: float | None = None
+
+
+def session_of(files: tuple[Path, ...], place: Place, opening: Opening, *, kind: "Kind" = "calibration") -> "Session":
+    """Read a session folder, or make a session of bare recordings."""
+    from undrift.io.session import NAME, read_session, session_from_files
+
+    stated = [file for file in files if (file / NAME).is_file() or file.name == NAME]
+    if not stated:
+        bare = [file for file in files if file.is_dir() and not _is_recording(file)]
+        if bare:  # says what a folder must hold
+            read_session(bare[0])
+        return _recorded(session_from_files(files, opening.file_map(), kind=kind, **asdict(place)), files[0])
+    if len(files) > 1:
+        raise InputError(
+            f"{stated[0]}: wanted one session, or recordings, got a session and {len(files) - 1} more; name the session alone, "
+            "or state the recordings in its session.toml"
+        )
+    session = _recorded(read_session(stated[0], clock=opening.clock), stated[0])
+    given: dict[str, object] = {"--map": opening.column_map, "--drop-bad-rows": opening.drop_bad_rows or None}
+    if session.gravity_source != "standard":
+        given |= {"--gravity-m-s2": place.gravity_m_s2, "--height-m": place.height_m}
+    given |= {"--sample-rate-hz": opening.sample_rate_hz, "--sensor": opening.sensor, "--gaps": opening.gaps}
+    used = [name for name, value in (given | {"--serial": place.serial or None}).items() if value is not None]
+    if used:
+        raise InputError(
+            f"{stated[0]}: wanted none of {', '.join(used)} beside a session, got {len(used)}; its session.toml states them"
+        )
+    if session.gravity_source == "standard":
+        gravity_m_s2, source = place.gravity(of_session=True)
+        session = replace(session, gravity_m_s2=gravity_m_s2, gravity_source=source)
+    return session
+
+
+def _recorded(session: "Session", path: Path) -> "Session":
+    """Refuse means of set-points where samples are wanted."""
+    if session.means:
+        raise InputError(f"{path}: wanted recordings, got a table of set-points; it is for undrift drift")
+    return session
+
+
+def _is_recording(folder: Path) -> bool:
+    """Tell whether a folder is a recording of a device that records into one."""
+    from undrift.io.formats import format_of
+
+    try:
+        return format_of(folder)[1].record is not None
+    except InputError:
+        return False
+
+
+def recording_of(files: tuple[Path, ...]) -> Path | None:
+    """Return a recording to name in the next command: a bare one, or the first of a session; None where it has two files."""
+    from undrift.files import read_toml
+    from undrift.io.session import NAME, SessionFile
+
+    folder = files[0] if files[0].is_dir() else files[0].parent
+    if not (folder / NAME).is_file() or files[0].name not in (NAME, folder.name):
+        return files[0]
+    first = read_toml(folder / NAME, SessionFile).recording[0].file
+    return folder / first if isinstance(first, str) else None
+
+
+def recordings_of(
+    files: tuple[Path, ...], opening: Opening, place: Place = Place()
+) -> "tuple[tuple[Path, ...], Session | None]":
+    """Return the recordings that are named, or those of the session that is named, and that session."""
+    from undrift.files import read_toml
+    from undrift.io.session import NAME, SessionFile
+
+    folder = files[0] if files[0].is_dir() else files[0].parent
+    if files[0].name != NAME and not (files[0] / NAME).is_file():
+        return files, None
+    held = session_of(files, place, opening)
+    stated = (entry.file for entry in read_toml(folder / NAME, SessionFile).recording)
+    return tuple(folder / (file if isinstance(file, str) else file[0]) for file in stated), held
+
+
+def check_physical(record: "Record", path: Path) -> None:
+    """Refuse counts and volts of a recording that no calibration gives a physical unit."""
+    from undrift.units import is_physical
+
+    for name, values, unit in (("gyro", record.gyro, record.gyro_unit), ("accel", record.accel, record.accel_unit)):
+        if values is not None and not is_physical(unit):
+            raise InputError(
+                f"{path}: wanted physical units, or the calibration of the device, got {name} in {unit}; "
+                "say --calibration calibration.json"
+            )
+
+
+def calibrated_part(record: "Record", model: "Calibration") -> "tuple[Record, tuple[str, ...]]":
+    """Leave out, with a note, the triad that stays in counts or volts because the calibration has no model of it."""
+    from undrift.units import is_physical
+
+    if record.gyro is None or record.accel is None or (model.gyro is None and model.accel is None):
+        return record, ()
+    for name, what, held, si in (
+        ("accel", "accelerometers", model.accel, "m/s2"),
+        ("gyro", "gyroscopes", model.gyro, "rad/s"),
+    ):
+        unit = getattr(record, f"{name}_unit")
+        if held is None and not is_physical(unit):
+            left: dict[str, Any] = {name: None, f"{name}_unit": si}
+            note = f"the {what} are left out of the result: their readings are in {unit}, and the calibration has no model of them"
+            return replace(record, **left), (note,)
+    return record, ()
+
+
+@contextmanager
+def named_columns(path: Path) -> Iterator[None]:
+    """Name the file, and the option that mends it, where its columns, units or sample rate cannot be those stated."""
+    from undrift.errors import Implausible
+
+    try:
+        yield
+    except Implausible as error:
+        rate, named = error.numbers.get("sample_rate_hz"), f"{path}: {str(error).removeprefix(f'{path}: ')}"
+        raise Implausible(named + (f": --sample-rate-hz {rate:.4g}" if rate else ""), **error.numbers) from error
+
+
+def labels_of(markers: str | None) -> tuple[str, ...] | None:
+    """Return the labels of ``--markers A,B,C``."""
+    return tuple(label.strip() for label in markers.split(",")) if markers else None
+
+
+@options
+@dataclass(frozen=True, kw_only=True)
+class Optics:
+    """The reference of each recording.
+
+    Parameters
+    ----------
+    reference : Path
+        The reference of each recording, in the same order; a BROAD file holds its own.
+    markers : str or None
+        Labels of one rigid cluster, with commas between, for C3D and TRC.
+    reference_up : str or None
+        Laboratory axis that points up, for C3D and TRC.
+    """
+
+    reference: Annotated[tuple[Path, ...], Parameter(show_default=False)] = ()
+    markers: str | None = None
+    reference_up: Up = None
+
+    def pairs(
+        self, records: tuple[Path, ...], opening: Opening, *, command: str, session: "Session | None" = None
+    ) -> list[tuple["Record", "Reference"]]:
+        """Read recordings, unless a session holds them, and the reference of each."""
+        from undrift.io.formats import detect
+
+        paths = self.reference
+        if not paths and all(detect(record) == "broad" for record in records):
+            paths = records
+        if len(paths) != len(records):
+            raise InputError(
+                f"{command}: wanted one reference for each recording, got {len(paths)} for {len(records)}; "
+                "say --reference once for each, in the same order"
+            )
+        labels, up = labels_of(self.markers), self.reference_up
+        read = [opening.read(record) for record in records] if session is None else session.records
+        return [(record, _poses(path, labels, up)) for record, path in zip(read, paths, strict=True)]
+
+
+def _poses(path: Path, labels: tuple[str, ...] | None, up: Up) -> "Reference":
+    """Read a reference; errors name the options that a file of markers needs."""
+    from undrift.io.formats import format_of, read_markers, read_reference
+    from undrift.io.mocap import pose_from_cluster
+
+    entry = format_of(path)[1]
+    if entry.markers is None:
+        return read_reference(path, labels=labels if entry.bodies else None, up=up)
+    try:
+        markers = read_markers(path, up=up)
+    except InputError as error:
+        if up is not None or error.numbers.get("missing") != "up":
+            raise
+        raise InputError(
+            f"{path}: wanted the axis that points up, got none; say --reference-up y or --reference-up z"
+        ) from error
+    if labels is None:
+        raise InputError(
+            f"{path}: wanted the labels of one rigid cluster, got none; say --markers with three or more, commas between, of "
+            f"{', '.join(markers.labels)}"
+        )
+    return pose_from_cluster(markers, labels)
+
+
+def device_at(name: str, rng: "np.random.Generator", *, draw: bool) -> "DeviceModel":
+    """Return a preset's typical unit, or one drawn within its tolerances, or the device of a file."""
+    from undrift.sim.device.model import read_device
+    from undrift.sim.device.presets import PRESETS, preset, random_device_of
+
+    if name in PRESETS:
+        return random_device_of(name, rng) if draw else preset(name)
+    if not Path(name).exists():
+        raise InputError(f"device: wanted a device.json or one of {', '.join(PRESETS)}, got '{name}'; name one of them")
+    if draw:
+        raise InputError(f"--draw: wanted a preset to draw a unit of, got {name}; leave it out for a device.json")
+    return read_device(Path(name))
+
+
+# ---- Dates of recordings
+
+_DATE = re.compile(r"((?:19|20)\d\d)([-_.]?)(\d\d)\2(\d\d)(?!\d)(?:[T_ -]*(\d\d)[-:.]?(\d\d)(?:[-:.]?(\d\d))?(?!\d))?")
+
+
+def dates_of(recordings: tuple[Path, ...], given: tuple[str, ...]) -> tuple[list[datetime], int]:
+    """Return the date of each recording, and how many are those of the file's last change."""
+    if given and len(given) != len(recordings):
+        raise InputError(
+            f"date: wanted one for each recording, got {len(given)} for {len(recordings)}; say --date once for each, in order"
+        )
+    found, changed = list[datetime](), 0
+    for k, path in enumerate(recordings):
+        held = _DATE.search(path.name)
+        if given:
+            found.append(stated_date(given[k]))
+        elif held is not None and (dated := _of_name(held)) is not None:
+            found.append(dated)
+        else:
+            found.append(datetime.fromtimestamp(path.stat().st_mtime, UTC))
+            changed += 1
+    return found, changed
+
+
+def stated_date(text: str) -> datetime:
+    """Return a date as a person states it, in UTC."""
+    try:
+        when = datetime.fromisoformat(text)
+    except ValueError:
+        raise InputError(f"date: wanted one as 2026-03-01 or 2026-03-01T08:30, got '{text}'; correct it") from None
+    return when if when.tzinfo else when.replace(tzinfo=UTC)
+
+
+def _of_name(held: re.Match[str]) -> datetime | None:
+    """Return the date in a name; None where its digits are none."""
+    year, _, month, day, hour, minute, second = (int(part) if (part or "").isdigit() else 0 for part in held.groups())
+    try:
+        return datetime(year, month, day, hour, minute, second, tzinfo=UTC)
+    except ValueError:
+        return None
+
+
+# ---- Files to write, checked before the work begins: a wrong name costs nothing and loses nothing
+
+
+def check_output(
+    path: Path | None, *, endings: tuple[str, ...], reads: Iterable[Path | None] = (), beside: Iterable[Path] = ()
+) -> None:
+    """Refuse a file whose ending does not fit, whose folder does not exist, or that is one of those read, as any beside it."""
+    if path is None:
+        return
+    if not path.name.lower().endswith(endings):
+        either = endings[0] if len(endings) == 1 else ", ".join(endings[:-1]) + " or " + endings[-1]
+        raise InputError(f"{path}: wanted a name ending in {either}, got another; name the format so")
+    if path.is_dir():
+        raise InputError(f"{path}: wanted the name of a file to write, got a folder; name a file in it")
+    if not path.parent.is_dir():
+        raise InputError(f"{path}: wanted a folder that exists, got none named {path.parent}; make it first")
+    held = [read for read in reads if read is not None]
+    for file in (path, *beside):
+        if file.exists() and any(_holds(read, file) for read in held):
+            raise InputError(f"{file}: wanted another file to write than those that are read; name another")
+
+
+def check_report(path: Path | None, *, reads: Iterable[Path | None] = ()) -> None:
+    """Refuse a page whose ending is not .html, and what ``check_output`` refuses."""
+    check_output(path, endings=(".html",), reads=reads)
+
+
+def check_figure(path: Path | None, *, reads: Iterable[Path | None]) -> None:
+    """Refuse a picture whose ending is not one of those that can be drawn, and what ``check_output`` refuses."""
+    check_output(path, endings=PICTURES, reads=reads)
+
+
+def check_folder(path: Path | None) -> None:
+    """Refuse a folder that cannot be written to, nor made in a folder that exists."""
+    if path is None:
+        return
+    if path.exists() and not path.is_dir():
+        raise InputError(f"{path}: wanted a folder to write to, got a file of that name; name another")
+    if not path.exists() and not path.parent.is_dir():
+        raise InputError(f"{path}: wanted a folder that exists, got none named {path.parent}; make it first")
+
+
+def name_of(path: Path) -> str:
+    """Return a recording's name without its endings, for rows and files: walk.v2 of walk.v2.csv.gz."""
+    name = path.resolve().name if path.name in ("", "..") else path.name
+    for ending in (".gz", ".csv", ".txt", ".log", ".parquet", ".npz", ".mat", ".hdf5", ".h5", ".tsv"):
+        if len(name) > len(ending):
+            name = name.removesuffix(ending)
+    return name
+
+
+def _holds(read: Path, target: Path) -> bool:
+    """Tell whether a file is the one read, or one of the folder read."""
+    from undrift.files import read_toml
+    from undrift.io.session import NAME, SessionFile
+
+    if not read.is_dir():
+        return read.exists() and target.samefile(read)
+    if (read / NAME).is_file():
+        files = [entry.file for entry in read_toml(read / NAME, SessionFile).recording]
+        names = [NAME, *(name for file in files for name in ([file] if isinstance(file, str) else file))]
+    else:
+        names = [file.name for file in read.iterdir()]  # of a device that records into a folder
+    return any((read / name).exists() and target.samefile(read / name) for name in names)
+
+
+def save_json(path: Path, value: object) -> None:
+    """Write one JSON object to a file; NaN is written as null."""
+    from undrift.files import write_whole
+
+    write_whole(path, json.dumps(plain(value), indent=1, allow_nan=False) + "\n")
+
+
+def origin_of(*read: Path | None) -> Origin:
+    """Return what a page was made from and by: files with their sha256, those of a folder one by one, and the command."""
+    from undrift.files import sha256_of
+
+    paths = [path for path in read if path is not None and path.exists()]
+    files = {
+        file: str(file.relative_to(path.parent)) if path.is_dir() else path.name
+        for path in paths
+        for file in (sorted(path.rglob("*")) if path.is_dir() else (path,))
+        if file.is_file()
+    }
+    inputs = tuple((name, sha256_of(file)) for file, name in files.items())
+    return Origin(command=shlex.join(("undrift", *CALLED.get())), inputs=inputs)

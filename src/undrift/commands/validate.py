@@ -1,0 +1,580 @@
+"""``undrift validate``: what a calibration is worth in degrees, against an orientation reference.
+
+The summary has a table of errors, how far they exceed what follows from the calibration's covariance, agreement over
+trials, what was done, and the course of each trial.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from undrift.base.options import Files, Flag, OptionalOutput, Policy, Side, verb
+from undrift.base.summary import Drawing, Origin, Result, Section, Summary, at, rows_section
+from undrift.commands import Progress, part_of, silent
+from undrift.commands.files import (
+    Opening,
+    Optics,
+    Place,
+    check_folder,
+    check_physical,
+    name_of,
+    named_columns,
+    origin_of,
+    recordings_of,
+    save_json,
+)
+from undrift.errors import InputError
+from undrift.findings import Verdict, told_apart
+from undrift.units import RADIAN_PER_DEGREE
+
+if TYPE_CHECKING:
+    from undrift.calibration.reference import ReferenceSettings
+    from undrift.model import Calibration
+    from undrift.record import Record, Reference, Session
+    from undrift.validation.agreement import Coverage, Validation
+    from undrift.validation.trial import Figures, Trial, TrialSettings
+
+SHOWN = {
+    "rmse_total_deg": "total",
+    "rmse_inclination_deg": "inclination",
+    "rmse_pitch_deg": "pitch",
+    "max_abs_pitch_deg": "pitch max",
+    "end_total_deg": "end total",
+    "end_inclination_deg": "end incl.",
+    "lag_ms": "lag ms",
+}
+ALL_FITTED = 0.25  # share of the time of leave-one-out that the fit to all recordings takes
+SHOWN_SHARE = 0.0005  # a difference between shares that a percentage with one digit shows
+_ALIGNED = {
+    "auto": "the rotation between the device's case and the reference's body, from their rates, is removed where it exceeds "
+    "{above_deg:g} deg",
+    "rates": "the rotation between the device's case and the reference's body, from their rates, is removed",
+    "none": "the device's case is assumed to be the reference's body",
+}
+COLUMNS = (
+    ("rmse_total_deg", "total rmse (deg)"),
+    ("rmse_inclination_deg", "inclination rmse (deg)"),
+    ("rmse_heading_deg", "heading rmse (deg)"),
+    ("rmse_pitch_deg", "pitch rmse (deg)"),
+    ("max_abs_pitch_deg", "pitch max (deg)"),
+    ("end_total_deg", "end total (deg)"),
+    ("end_inclination_deg", "end inclination (deg)"),
+    ("drift_deg_per_min", "drift (deg/min)"),
+)
+PITCH_DEFINED = (
+    "Pitch defined: share of the samples in which pitch is defined; it is left out where the body lies within 5 deg of its side, "
+    "and near there pitch max may exceed the error in space"
+)
+OPTICS_SEEN = "Optics seen: share of the motion in which the reference saw the body, where alone errors count;"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
+class Validated(Result):
+    """Recordings compared with their references, and how."""
+
+    result: "Validation"
+    recordings: tuple[str, ...]  # File of each recording
+    references: tuple[str, ...]  # File of each one's reference; empty where the recordings hold their own
+    # That judged the recordings; the fit to all of them in leave-one-out; None where they were judged as they come
+    calibration: "Calibration | None"
+    source: str  # File of the calibration; empty where it was fitted to the references
+    leave_one_out: bool  # Each recording was judged by a fit to the others
+    verdict: Verdict  # Of the calibration, or of the fits to the others
+    settings: "TrialSettings"  # Offset, ADC, axes of the pitch, search of the lag
+    output: Path | None = None
+
+    @property
+    def gravity(self) -> dict[str, Any]:
+        """Local gravity of a calibration that was fitted here, and where it comes from."""
+        if self.calibration is None or self.source:
+            return {"gravity_m_s2": None, "gravity_source": None}
+        source = dict(self.calibration.provenance.settings)["gravity"]
+        return {"gravity_m_s2": self.calibration.gravity_m_s2, "gravity_source": source}
+
+    @property
+    def data(self) -> dict[str, object]:
+        """What --json prints, and validation.json holds."""
+        fitted = self.calibration is not None and not self.source
+        named = {"calibration": "reference" if fitted else self.source or None, "offset": self.settings.offset}
+        asked = {"adc": self.settings.adc, "leave_one_out": self.leave_one_out}
+        return _validation_json(self.result) | named | asked | self.gravity
+
+    def summary(self) -> Summary:
+        """Return the errors of each recording, and what was done to get them."""
+        result, gravity = self.result, self.gravity
+        notes = ["gravity {:.5f} m/s2 ({})".format(*gravity.values())] if gravity["gravity_source"] else []
+        many, means = len(result.trials) > 1, [("mean", result.mean), ("median", result.median)]
+        first = (
+            Drawing(place="undrift.report.figures:draw_validation", of=(result,)) if many else drawn(result.trials[0])
+        )
+        courses = (
+            Section(title=one.recording, findings=one.findings, pictures=(drawn(one),), folded=True, on="page")
+            for one in result.trials
+        )
+        return Summary(
+            title=f"Against the reference: {len(result.trials)} recording{'s' * many}",
+            answer=_answer(result, self),
+            data=self.data,
+            pictures=(first,),
+            sections=(
+                errors_section(self),
+                trials_section(result.trials, means if many else ()),
+                *_expected(result),
+                *_agreement(result),
+                _remarks(self),
+                method_section(self),
+                recordings_section(self, result.trials),
+                *(courses if many else ()),
+            ),
+            findings=tuple(item for trial in result.trials for item in trial.findings),
+            verdict=None if self.calibration is None else self.verdict,
+            brief=True,
+            notes=tuple(notes),
+            written=() if self.output is None else (self.output,),
+        )
+
+
+@verb
+def validate(
+    *records: Files,
+    optics: Optics = Optics(),
+    place: Place = Place(),
+    calibration: Path | None = None,
+    calibrate_from: Literal["reference"] | None = None,
+    leave_one_out: Flag = False,
+    mounting: Literal["each", "one"] | None = None,
+    offset: Literal["none", "rest"] | None = None,
+    adc: Literal["auto", "none"] = "auto",
+    forward: Side = "+x",
+    up: Side = "+z",
+    power_on_s: float | None = None,
+    policy: Policy = "raise",
+    max_lag_s: float = 5.0,
+    output: OptionalOutput = None,
+    opening: Opening = Opening(),
+    progress: Progress = silent,
+) -> Validated:
+    """Compare recordings with an optical reference: lag, errors in degrees, agreement over trials.
+
+    Parameters
+    ----------
+    records : Path
+        One or more recordings, or one folder with session.toml.
+    optics : Optics
+        The reference of each recording.
+    place : Place
+        With --calibrate-from: local gravity, and the device.
+    calibration : Path or None
+        calibration.json of the device.
+    calibrate_from : str or None
+        "reference" fits the gyroscopes to the references of these recordings, which must be of one device.
+    leave_one_out : bool
+        With --calibrate-from: each recording is judged by a fit to the others.
+    mounting : str or None
+        With --calibrate-from: "each" fits a small rotation between device and reference body for each recording, "one" states that
+        they were mounted once. Without it: as session.toml says, or each.
+    offset : str or None
+        "rest" subtracts the mean rate of the first still phase, as correct and orient do, "none" does not. Without a
+        calibration: rest.
+    adc : str
+        "auto" corrects the quantisation of the codes where it shows and, with --calibrate-from, where that lowers the error on
+        recordings that a fit has not seen: by two recordings or more, the held-out one apart. "none" leaves them.
+    forward : str
+        Body axis that points forward on the upright segment: with --up it defines the pitch.
+    up : str
+        Body axis that points up on the upright segment.
+    power_on_s : float or None
+        Time since power-on at the first sample of each recording, s; without it no warm-up is subtracted.
+    policy : str
+        Temperatures outside a tuning table: refuse (raise), hold the table's end, or leave a gap (nan). Where no
+        temperature was recorded the result is a gap under each, and a warning says for how long.
+    max_lag_s : float
+        Largest lag between the clocks of recording and reference, either way, s.
+    output : Path or None
+        Folder for validation.json, report.html and, with --calibrate-from, calibration.json.
+    opening : Opening
+        How to read foreign recordings.
+    progress : callable
+        Takes how far it is.
+    """
+    from undrift.calibration.reference import ReferenceSettings
+    from undrift.io.store import read_calibration
+    from undrift.sync import LagSettings
+    from undrift.validation.trial import TrialSettings
+
+    _check_asked((leave_one_out, mounting, place), calibrate_from, calibration, max_lag_s)
+    check_folder(output)
+    chosen = offset or ("none" if calibration or calibrate_from else "rest")
+    settings = TrialSettings(
+        offset=chosen, adc=adc, forward=forward, up=up, power_on_s=power_on_s, policy=policy,
+        lag=LagSettings(longest_lag_s=max_lag_s),
+    )  # fmt: skip
+    progress("reading", 0.0)
+    model = None if calibration is None else read_calibration(calibration)
+    records, session = recordings_of(records, opening, place)
+    pairs = optics.pairs(records, opening.like(model, calibration), command="validate", session=session)
+    fit = ReferenceSettings(mounting=mounting or (session and session.mounting) or "each") if calibrate_from else None
+    progress("aligning and integrating", 0.02)
+    steps = part_of(progress, ALL_FITTED, 1.0) if leave_one_out else None
+    named = (records, optics.reference)
+    validated = _judged(pairs, named, (calibration, model), settings, steps, fit, (place, session))
+    if output is None:
+        return validated
+    return _write(validated, output, origin_of(*records, *optics.reference, calibration))
+
+
+def _check_asked(
+    of_fit: tuple[bool, str | None, Place], calibrate_from: str | None, calibration: Path | None, max_lag_s: float
+) -> None:
+    leave_one_out, mounting, place = of_fit
+    given = {"leave_one_out": leave_one_out or None, "mounting": mounting} | asdict(place)
+    asked = [name for name, value in given.items() if value not in (None, "")]
+    if calibrate_from is None and asked:
+        name = "--" + asked[0].replace("_", "-")
+        raise InputError(f"validate: {name} wants --calibrate-from reference; say both, or neither")
+    if calibrate_from is not None and calibration is not None:
+        raise InputError("validate: wanted --calibration or --calibrate-from, got both; choose one")
+    if not 0.0 < max_lag_s < math.inf:
+        raise InputError(f"--max-lag-s: wanted more than 0 s, got {max_lag_s:g}; say how far the clocks may differ")
+
+
+def _write(validated: Validated, folder: Path, origin: Origin) -> Validated:
+    """Write validation.json, the page, and the calibration that was fitted."""
+    from undrift.io.store import write_calibration
+
+    validated = replace(validated, output=folder)
+    folder.mkdir(exist_ok=True)
+    save_json(folder / "validation.json", validated.data)
+    at("undrift.report.page:write_page")(folder / "report.html", validated.summary(), origin)
+    if validated.calibration is not None and not validated.source:
+        made_from = replace(validated.calibration.provenance, inputs=origin.inputs)
+        write_calibration(replace(validated.calibration, provenance=made_from), folder / "calibration.json")
+    return validated
+
+
+def _validation_json(result: "Validation") -> dict[str, object]:
+    from undrift.io.store import findings_json
+
+    agreement = None
+    if result.agreement is not None:
+        limits, absolute = result.agreement.limits, result.agreement.absolute
+        agreement = {
+            "quantity": "mean inclination of a trial",
+            "bias_deg": limits.bias,
+            "bias_interval_deg": limits.bias_interval,
+            "limits_deg": limits.limits,
+            "icc": absolute.value,
+            "icc_interval": absolute.interval,
+            "icc_kind": absolute.kind,
+            "sem_deg": absolute.standard_error_of_measurement,
+            "mdc95_deg": absolute.minimal_detectable_change,
+        }
+    trials = [
+        {"recording": t.recording}
+        | asdict(t.figures)
+        | {"expected": None if t.expected is None else asdict(t.expected), "rest": t.rest and t.rest.figures}
+        | {"notes": [item.text for item in t.findings], "findings": findings_json(t.findings)}
+        for t in result.trials
+    ]
+    return {
+        "trials": trials,
+        "mean": asdict(result.mean),
+        "median": asdict(result.median),
+        "agreement": agreement,
+        "expected_inside": None if result.coverage is None else asdict(result.coverage),
+    }
+
+
+def _check_scale(trial: "Trial") -> None:
+    """Refuse a device with over twice or under half the rate of its reference: degrees for radians, most likely."""
+    import numpy as np
+
+    times = 1.0 / float(np.linalg.norm(trial.lag.matrix, ord=2))  # the matrix maps readings to the reference's rate
+    if not 0.5 < times < 2.0:
+        raise InputError(
+            f"{trial.recording}: wanted rates in the unit that is stated, got {times:.3g} times those of the reference; check the "
+            "unit and the scale of the gyroscope"
+        )
+
+
+def _judged(
+    pairs: list[tuple["Record", "Reference"]],
+    named: tuple[tuple[Path, ...], tuple[Path, ...]],
+    read: "tuple[Path | None, Calibration | None]",
+    settings: "TrialSettings",
+    leave_one_out: Progress | None,
+    fit: "ReferenceSettings | None",
+    where: "tuple[Place, Session | None]",
+) -> Validated:
+    """Return the validation by the calibration that was read or fitted to all recordings, or none."""
+    from undrift.calibration.calibrate import calibrate_to_references
+    from undrift.correction.consistency import check_triads
+    from undrift.validation.agreement import MOUNTING_ABOVE, validate_leave_one_out, validate_trials
+    from undrift.validation.trial import check_poses
+
+    (paths, references), (calibration, model) = named, read
+    records, held, names = [pair[0] for pair in pairs], [pair[1] for pair in pairs], [name_of(path) for path in paths]
+    for readings, reference, path in zip(records, held, paths, strict=True):
+        if calibration is None and fit is None:
+            check_physical(readings, path)
+        if calibration is None:  # a fit would take exchanged or reversed columns for its own axes
+            with named_columns(path):
+                check_triads(readings)
+                check_poses(readings, reference, settings)
+    if fit is not None:
+        place, session = where
+        gravity_m_s2, source = place.gravity() if session is None else (session.gravity_m_s2, session.gravity_source)
+        model = calibrate_to_references(
+            records,
+            held,
+            adc=settings.adc,
+            settings=fit,
+            lag_settings=settings.lag,
+            gravity_m_s2=None if source == "standard" else gravity_m_s2,
+            gravity_source=source,
+        )
+        model = replace(model, device=(place.serial if session is None else session.serial) or model.device)
+    result = (
+        validate_leave_one_out(pairs, settings=settings, fit_settings=fit, names=names, progress=leave_one_out)
+        if leave_one_out is not None and fit is not None
+        else validate_trials(pairs, calibrations=(model,), settings=settings, names=names)
+    )
+    for trial in result.trials:
+        _check_scale(trial)
+    if result.held_out and fit is not None and fit.mounting == "each":
+        settings = replace(settings, align_above=min(settings.align_above, MOUNTING_ABOVE))
+    verdict = Verdict() if model is None or result.held_out else model.verdict
+    for left_out in result.held_out:
+        verdict = verdict.also(left_out.fit.triad.verdict)
+    return Validated(
+        result=result,
+        recordings=tuple(path.name for path in paths),
+        references=tuple(path.name for path in references),
+        calibration=model,
+        source=calibration.name if calibration else "",
+        leave_one_out=bool(result.held_out),
+        verdict=verdict,
+        settings=settings,
+    )
+
+
+# ---- sections
+
+
+def drawn(trial: "Trial") -> Drawing:
+    """Return the course of one trial: pitch of device and optics, and the errors."""
+    return Drawing(place="undrift.report.figures:trial_figure", of=(trial,))
+
+
+def _answer(result: "Validation", method: Validated) -> str:
+    """Return what the orientation is worth, in a sentence."""
+    how = "with the offset of the first still phase removed"
+    if method.leave_one_out:
+        how = "calibrated with the other recordings"
+    elif method.calibration is not None:
+        how = f"calibrated with {method.source}" if method.source else "calibrated with these same recordings"
+    figures, over = result.median, f", median of {len(result.trials)} recordings" if len(result.trials) > 1 else ""
+    return (
+        f"Orientation is wrong by {figures.rmse_total_deg:.2g} deg rms in total and {figures.rmse_inclination_deg:.2g} deg in "
+        f"inclination over the motion{over}, {how if method.calibration or method.settings.offset == 'rest' else 'uncorrected'}."
+    )
+
+
+def errors_section(validated: Validated) -> Section:
+    """Return the errors as a terminal shows them, one row a recording."""
+    trials, result = validated.result.trials, validated.result
+    named = [(trial.recording, trial.figures) for trial in trials]
+    if len(named) > 1:
+        named += [("mean", result.mean), ("median", result.median)]
+    rows = (
+        (
+            name,
+            *(f"{getattr(figures, key):.2f}" for key in SHOWN),
+            *map(_percent, (figures.pitch_defined, figures.valid_optics)),
+        )
+        for name, figures in named
+    )
+    undefined = any(figures.pitch_defined < 1.0 for _, figures in named)
+    lines = [PITCH_DEFINED.replace("Pitch defined", "pitch %")] * undefined
+    least = min(trial.figures.valid_optics_file for trial in trials)
+    if least < min(trial.figures.valid_optics for trial in trials) - SHOWN_SHARE:
+        whole = f"{_percent(least)} %" + " or more" * (len(trials) > 1)
+        lines.append(f"{OPTICS_SEEN.replace('Optics seen', 'optics %')} of the whole file it is {whole}")
+    offset = validated.settings.offset
+    return Section(
+        title=f"error against the reference in deg: rmse over the motion, largest, median after it (offset: {offset})",
+        columns=("recording", *SHOWN.values(), "pitch %", "optics %"),
+        rows=tuple(rows),
+        text=tuple(lines),
+        on="terminal",
+    )
+
+
+def _remarks(validated: Validated) -> Section:
+    """Return what was noticed of each recording, as a terminal shows it."""
+    trials, lines = validated.result.trials, []
+    for note in dict.fromkeys(item.text for trial in trials for item in trial.findings):
+        noted = [trial.recording for trial in trials if note in (item.text for item in trial.findings)]
+        who = "every recording" if 1 < len(noted) == len(trials) else ", ".join(noted)
+        lines.append(f"{who}: {note}")
+    if validated.calibration is not None and not validated.source and not validated.leave_one_out:
+        lines.append("these recordings made the calibration that they judge: say --leave-one-out for an honest figure")
+    return Section(title="Remarks", text=tuple(lines), on="terminal")
+
+
+def _percent(share: float) -> str:
+    return f"{100.0 * share:.1f}"
+
+
+def trials_section(trials: "Sequence[Trial]", more: "Sequence[tuple[str, Figures]]" = ()) -> Section:
+    """Return the table of errors, one row a trial."""
+    rows = []
+    for name, figures in (*((trial.recording, trial.figures) for trial in trials), *more):
+        row = {"recording": name} | {head: f"{getattr(figures, key):.2f}" for key, head in COLUMNS}
+        shares = {"pitch defined (%)": figures.pitch_defined, "optics seen (%)": figures.valid_optics}
+        rows.append(row | {head: f"{100.0 * share:.1f}" for head, share in shares.items()})
+    text = (
+        "Root-mean-square over the motion; end errors are medians over the first three seconds after it.",
+        f"{PITCH_DEFINED}.",
+        f"{OPTICS_SEEN} rests and ends of the file do not count in it.",
+    )
+    return rows_section("Errors", rows, text=text, on="page")
+
+
+def expected_rows(trials: "Sequence[Trial]") -> list[tuple[str, ...]]:
+    """Return observed and expected errors, deg, one row a trial: end total, then total over the motion."""
+    rows = list[tuple[str, ...]]()
+    for trial in trials:
+        made, figures = trial.expected, trial.figures
+        if made is not None:
+            end = (figures.end_total_deg, made.end_total_deg, made.end_at_most_deg)
+            rmse = (figures.rmse_total_deg, made.rmse_total_deg, made.rmse_at_most_deg)
+            cells = [
+                (told_apart(seen, ".2f", most), f"{root:.2f}", told_apart(most, ".2f", seen))
+                for seen, root, most in (end, rmse)
+            ]
+            rows.append((trial.recording, *cells[0], *cells[1]))
+    return rows
+
+
+def coverage_text(coverage: "Coverage") -> str:
+    """Return how many of the observed errors are no larger than stated."""
+    return (
+        f"not larger than expected (95 %, at most): end error {coverage.end_inside} of {coverage.ends}, total error over the "
+        f"motion {coverage.rmse_inside} of {coverage.trials}"
+    )
+
+
+def _expected(result: "Validation") -> tuple[Section, ...]:
+    if result.coverage is None:
+        return ()
+    heads = ("recording", "end total (deg)", "expected", "at most", "total rmse (deg)", "expected rmse", "rmse at most")
+    rows = [dict(zip(heads, row, strict=True)) for row in expected_rows(result.trials)]
+    text = (
+        "Expected: root mean square of the errors that follow from the calibration's covariance and from what changes between "
+        "recordings of a device. At most: 95 % of the errors are no larger.",
+        coverage_text(result.coverage),
+    )
+    return (rows_section("observed and expected errors in deg (at most: 95 %)", rows, text=text),)
+
+
+def _agreement(result: "Validation") -> tuple[Section, ...]:
+    if result.agreement is None:
+        return ()
+    limits, absolute = result.agreement.limits, result.agreement.absolute
+    text = (
+        f"agreement on mean inclination over {limits.count} trials: bias {limits.bias:+.2f} deg, 95 % limits "
+        f"{limits.limits[0]:+.2f} to {limits.limits[1]:+.2f} deg; {absolute.kind} {absolute.value:.3f} "
+        f"[{absolute.interval[0]:.3f}, {absolute.interval[1]:.3f}]; standard error of measurement "
+        f"{absolute.standard_error_of_measurement:.2f} deg; an ICC depends on how much the trials differ"
+    )
+    drawing = Drawing(place="undrift.report.figures:draw_trials_agreement", of=(result, limits))
+    return (Section(title="Agreement over trials", text=(text,), pictures=(drawing,)),)
+
+
+def method_section(method: Validated) -> Section:
+    """Return what was done, one row a choice."""
+    settings, made = method.settings, method.calibration
+    verdict = Verdict() if made is None else method.verdict
+    rows = {
+        "calibration": _calibration(method),
+        "its verdict": "" if made is None else verdict.status,
+        "gyroscope's offset": _offset(method),
+        "ADC's rounding": _adc(method),
+        "start": f"tilt from the specific force, heading from the reference, both over the last {settings.rest_s:g} s of rest or "
+        f"less; from {settings.lead_s:g} s before the motion the gyroscope alone",
+        "pitch": f"in the body's plane of {settings.forward} (forward) and {settings.up} (up)",
+        "lag": f"searched up to {settings.lag.longest_lag_s:g} s either way; one up to {settings.undo_lag_above_s * 1e3:g} ms is "
+        "the sensor's own and stays in the figures, a longer one is removed",
+        "mounting": _ALIGNED[settings.align].format(above_deg=settings.align_above / RADIAN_PER_DEGREE),
+    }
+    return Section(
+        title="Method",
+        columns=("step", "choice"),
+        rows=tuple(row for row in rows.items() if row[1]),
+        words=True,
+        on="page",
+    )
+
+
+def recordings_section(method: Validated, trials: "tuple[Trial, ...]") -> Section:
+    """Return what was found of each recording before it was judged, one row a recording."""
+    references = method.references or ("the same file",) * len(trials)
+    rows = []
+    for file, reference, trial in zip(method.recordings, references, trials, strict=True):
+        mounting = "not observable"
+        if trial.mounting is not None:
+            angle_deg = trial.mounting.alignment.angle / RADIAN_PER_DEGREE
+            mounting = f"{angle_deg:.1f}, {'removed' if trial.mounting.applied else 'left in'}"
+        row = {
+            "recording": file,
+            "reference": reference,
+            "motion (s)": f"{trial.motion.start_s:.1f} to {trial.motion.stop_s:.1f}",
+            "lag found (ms)": f"{trial.lag.seconds * 1e3:.2f} +- {trial.lag.standard_uncertainty * 1e3:.2f}",
+            "lag in the figures": "removed" if trial.lag_undone else "left in",
+            "mounting (deg)": mounting,
+            "optics seen, whole file (%)": f"{100.0 * trial.figures.valid_optics_file:.1f}",
+        }
+        rows.append(row)
+    text = ("The motion, over which the errors count, is shaded in each figure of errors.",)
+    return rows_section("Recordings", rows, text=text, on="page")
+
+
+def _calibration(method: Validated) -> str:
+    made = method.calibration
+    if made is None:
+        return "none: readings in the unit of their file"
+    if method.leave_one_out:
+        return "leave-one-out: each recording judged by a gyroscope fit to the references of the others"
+    if not method.source:
+        return "gyroscope fitted to the references of these same recordings, so figures are optimistic: use --leave-one-out"
+    triads = [f"{name} by {t.method}" for name, t in (("gyroscope", made.gyro), ("accelerometer", made.accel)) if t]
+    tables = "" if made.drift is None else ", with tables over temperature"
+    return f"{method.source} of {made.device or 'a device without a name'}: {', '.join(triads)}{tables}"
+
+
+def _offset(method: Validated) -> str:
+    rest = "the mean rate of the first still phase is subtracted"
+    if method.leave_one_out:
+        return "the fit's: each recording's rest before the motion, and the motion of the others"
+    if method.settings.offset == "rest":
+        return rest if method.calibration is None else f"the calibration's, and {rest} after it"
+    return "not corrected" if method.calibration is None else "the calibration's alone"
+
+
+def _adc(method: Validated) -> str:
+    if method.settings.adc == "none":
+        return "left in"
+    made = method.calibration
+    if made is None:
+        return "corrected where the codes show it; see the notes of the recording"
+    if made.adc is None:
+        return "unknown to the calibration: left in"
+    triads = (
+        ("gyroscope", made.adc.gyro_lsb, made.adc.gyro_rounding),
+        ("accelerometer", made.adc.accel_lsb, made.adc.accel_rounding),
+    )
+    words = [f"{name} {rounding.replace('_', ' ')}" for name, lsb, rounding in triads if lsb is not None]
+    return f"corrected by the calibration ({', '.join(words)})"
