@@ -16,9 +16,10 @@ announce:
 export OPENBLAS_NUM_THREADS = 1  # the matrices are small, threads cost more than they save
 unexport PYTHONDONTWRITEBYTECODE  # the suite starts many processes: each would compile all of undrift and of its tests
 
-# A process for each core computes; beside them run what waits for sockets and processes, and the browser: tests/testkit/pools.py.
+# A process for each core computes; beside them run what waits for sockets and processes: tests/testkit/pools.py. The browser runs
+# after them: its pages answer late on a machine that computes.
 CORES := $(shell nproc 2>/dev/null || echo 2)
-POOLS = --dist loadscope --tx $(CORES)*popen//nice=5//env:TEST_POOL=compute --tx 2*popen//env:TEST_POOL=wait --tx 2*popen//env:TEST_POOL=browser
+POOLS = --dist loadscope --tx $(CORES)*popen//nice=5//env:TEST_POOL=compute --tx 2*popen//env:TEST_POOL=wait
 
 test: announce $(INSTALLED)
 	@command -v gcc >/dev/null || { apt-get update -qq && apt-get install -qq -y gcc libc6-dev; } || \
@@ -30,7 +31,8 @@ test: announce $(INSTALLED)
 	  DEBIAN_FRONTEND=noninteractive apt-get install -qq -y --no-install-recommends -o Dpkg::Options::=--force-confold postgresql; } || \
 	  echo "no PostgreSQL: the registry is tested on SQLite alone"
 	@echo "collecting the tests, up to a minute; then a dot for each, and the share done at the end of a line"
-	$(BIN)/python -m pytest tests --ignore=tests/house $(POOLS) --durations=12
+	$(BIN)/python -m pytest tests --ignore=tests/house --ignore=tests/web_browser $(POOLS) --durations=12
+	$(BIN)/python -m pytest tests/web_browser --durations=12
 
 # The bench in a browser alone: pages, wizards, the rate-table run, the emergency stop. Screenshots: build/screens.
 test-browser: $(INSTALLED)
@@ -40,7 +42,7 @@ test-browser: $(INSTALLED)
 
 # The order of the tests, by what each takes: commit the file that changes.
 durations: $(INSTALLED)
-	$(BIN)/python -m pytest tests --ignore=tests/house $(POOLS) --write-durations
+	$(BIN)/python -m pytest tests --ignore=tests/house --ignore=tests/web_browser $(POOLS) --write-durations
 
 # The same Monte Carlo runs with larger cohorts.
 test-long: $(INSTALLED)

@@ -40,13 +40,15 @@ def locked(path: Path) -> Iterator[None]:
 def remembered(function: Callable[..., T], folder: Path) -> Callable[..., T]:
     """Return a function that computes once in a run for equal arguments.
 
-    Only for pure functions whose results are not written to; a generator among the arguments may not be used afterwards.
+    Only for pure functions whose results are not written to; a generator among the arguments may not be used afterwards. Whom
+    ``progress`` tells makes no other result.
     """
     results: dict[Path, T] = {}
 
     @wraps(function)
     def once(*args: object, **words: object) -> T:
-        path = folder / f"{function.__name__}-{_hash_of((args, sorted(words.items())))}"
+        named = sorted((name, word) for name, word in words.items() if name != "progress")
+        path = folder / f"{function.__name__}-{_hash_of((args, named))}"
         if path not in results:
             with locked(path):
                 if not path.exists():
