@@ -16,8 +16,8 @@ announce:
 export OPENBLAS_NUM_THREADS = 1  # the matrices are small, threads cost more than they save
 unexport PYTHONDONTWRITEBYTECODE  # the suite starts many processes: each would compile all of undrift and of its tests
 
-# A process for each core computes, in what time is left by those that wait for sockets and processes: tests/testkit/pools.py. The browser runs
-# after them: its pages answer late on a machine that computes.
+# A process for each core computes in what time is left by those that wait for sockets and processes: tests/testkit/pools.py. The
+# browser runs after them: its pages answer late on a machine that computes.
 CORES := $(shell nproc 2>/dev/null || echo 2)
 POOLS = --dist loadscope --tx $(CORES)*popen//nice=19//env:TEST_POOL=compute --tx 2*popen//env:TEST_POOL=wait
 
