@@ -16,10 +16,12 @@ announce:
 export OPENBLAS_NUM_THREADS = 1  # the matrices are small, threads cost more than they save
 unexport PYTHONDONTWRITEBYTECODE  # the suite starts many processes: each would compile all of undrift and of its tests
 
-# A process for each core computes in what time is left by those that wait for sockets and processes: tests/testkit/pools.py. The
-# browser runs after them: its pages answer late on a machine that computes.
+# What computes, then what waits for sockets and processes, then the browser: tests/testkit/pools.py. They run one after the other, as
+# emulated machines answer late beside processes that compute.
 CORES := $(shell nproc 2>/dev/null || echo 2)
-POOLS = --dist loadscope --tx $(CORES)*popen//nice=19//env:TEST_POOL=compute --tx 2*popen//env:TEST_POOL=wait
+PYTEST = $(BIN)/python -m pytest tests --ignore=tests/house --ignore=tests/web_browser --dist loadscope
+COMPUTE = --tx $(CORES)*popen//env:TEST_POOL=compute
+WAIT = --tx 2*popen//env:TEST_POOL=wait
 
 test: announce $(INSTALLED)
 	@command -v gcc >/dev/null || { apt-get update -qq && apt-get install -qq -y gcc libc6-dev; } || \
@@ -31,7 +33,8 @@ test: announce $(INSTALLED)
 	  DEBIAN_FRONTEND=noninteractive apt-get install -qq -y --no-install-recommends -o Dpkg::Options::=--force-confold postgresql; } || \
 	  echo "no PostgreSQL: the registry is tested on SQLite alone"
 	@echo "collecting the tests, up to a minute; then a dot for each, and the share done at the end of a line"
-	$(BIN)/python -m pytest tests --ignore=tests/house --ignore=tests/web_browser $(POOLS) --durations=12
+	$(PYTEST) $(COMPUTE) --durations=12
+	$(PYTEST) $(WAIT) --durations=12
 	$(BIN)/python -m pytest tests/web_browser --durations=12
 
 # The bench in a browser alone: pages, wizards, the rate-table run, the emergency stop. Screenshots: build/screens.
@@ -42,7 +45,7 @@ test-browser: $(INSTALLED)
 
 # The order of the tests, by what each takes: commit the file that changes.
 durations: $(INSTALLED)
-	$(BIN)/python -m pytest tests --ignore=tests/house --ignore=tests/web_browser $(POOLS) --write-durations
+	$(PYTEST) $(COMPUTE) $(WAIT) --write-durations
 
 # The same Monte Carlo runs with larger cohorts.
 test-long: $(INSTALLED)
