@@ -133,7 +133,7 @@ def test_the_page_holds_every_table_and_picture(outcome: StudyOutcome, tmp_path:
         "p of Mauchly",
         "Figure 3: sit-to-stand, simulated and actual device",
         "Rates to dwell at: D- and I-optimal sets against the uniform grid",
-        "sit to stand, cubic: the I-optimal set reaches the error of the note&#39;s grid in",
+        "Sit to stand, cubic: the I-optimal set reaches the error of the note&#39;s grid in",
         "34 rates from -90 to 90, equal shares",
         "25 % at -90, 25 % at -40.3",
         "<strong>Other ways to calibrate</strong>: not asked for",
