@@ -143,13 +143,15 @@ def keys() -> str:
         "# Keys of every file\n\nMade from the models that check the files; [Files](../files.md) explains them. An unknown "
         "key is an error."
     ]
-    for title, source, first in (
-        ("session.toml and maps", "io/session.py", "SessionFile"),
-        ("protocol.toml", "rig/programme.py", "ProtocolFile"),
-        ("study.toml", "study/plan.py", "StudyFile"),
+    for title, *sources in (
+        ("session.toml and maps", ("io/session.py", "Entry"), ("record.py", "RateTable", "TemperatureSensitivity")),
+        ("protocol.toml", ("rig/programme.py", "Protocol")),
+        ("study.toml", ("study/plan.py", "Entry"), ("sim/table_sessions.py", "BenchErrors")),
     ):
         parts.append(f"## {title}")
-        for name, about, rows in _models(PACKAGE / source, first):
+        for name, about, rows in (
+            model for source, *names in sources for model in _models(PACKAGE / source, tuple(names))
+        ):
             parts.append(
                 f"### {name}\n\n{about}\n\n| key | type | default | meaning |\n|---|---|---|---|\n" + "\n".join(rows)
             )
@@ -159,14 +161,14 @@ def keys() -> str:
     )
     schema = calibration_schema()
     for name, held in {"(the file)": schema, **schema["$defs"]}.items():
-        if name.endswith("Entry"):
-            continue  # of the map, above
+        if name.endswith("Entry") or "properties" not in held:
+            continue  # of the map, above; or a table whose keys are names
         needed = set(held.get("required", ()))
         rows = [
             f"| `{key}` | {_type(value)}{'' if key in needed else ' (opt.)'} |"
             for key, value in held.get("properties", {}).items()
         ]
-        title = name.removesuffix("File").lower()
+        title = name.lower()
         parts.append(
             f"### calibration: {title}\n\n{held.get('description', '')}\n\n| key | type |\n|---|---|\n"
             + "\n".join(rows)
@@ -174,8 +176,8 @@ def keys() -> str:
     return "\n\n".join(parts) + "\n"
 
 
-def _models(path: Path, first: str):
-    """Yield name, docstring and rows of each model of a file that the first one holds, in the order of the file."""
+def _models(path: Path, endings: tuple[str, ...]):
+    """Yield name, docstring and rows of each class of a file whose name has one of some endings, in the order of the file."""
     module = __import__("undrift." + ".".join(path.relative_to(PACKAGE).with_suffix("").parts), fromlist=["_"])
     source = path.read_text(encoding="utf-8")
     notes = {
@@ -185,21 +187,21 @@ def _models(path: Path, first: str):
     }
     starts = {line for line, text in enumerate(source.splitlines(), 1) if text.strip().startswith("#")}
     for node in ast.parse(source).body:
-        if not isinstance(node, ast.ClassDef) or not node.name.endswith(("Entry", "File")) or node.name == first:
+        if not isinstance(node, ast.ClassDef) or not node.name.endswith(endings) or node.name == "Entry":
             continue
         model, rows = getattr(module, node.name), []
+        keys = _keys_of(model)
         for item in node.body:
             if not isinstance(item, ast.AnnAssign):
                 continue
-            key, field = item.target.id, model.model_fields[item.target.id]
+            key, default = keys[item.target.id]
             note = next(
                 (notes[k] for k in range(item.lineno, item.end_lineno + 1) if k in notes and k not in starts), ""
             )
             if not note and item.lineno - 1 in starts:
                 note = notes[item.lineno - 1]
-            default = "required" if field.is_required() else _default(field.get_default(call_default_factory=True))
             kind = ast.unparse(item.annotation)
-            kind = re.sub(r"Annotated\[(\w+(\[\w+\])?), .*\]", r"\1", kind)
+            kind = re.sub(r"Annotated\[(\w+(\[[\w, .]+\])?)( \| None)?, .*\]", r"\1", kind)
             rows.append(
                 f"| `{key}` | `{kind}` | {default} | {_cell(note)} |".replace(" | None`", "`").replace(
                     " | `str | int", " | `str or int"
@@ -212,6 +214,29 @@ def _models(path: Path, first: str):
                 _cell(re.sub(r":class:`[\w.]+\.(\w+)`", r"\1", about)),
                 [_escaped(r) for r in rows],
             )
+
+
+def _keys_of(model: type) -> dict[str, tuple[str, str]]:
+    """Return the key of each field of a class, and its default in words."""
+    from undrift.base.codec import default_tree, slots_of
+    from undrift.study.plan import NOTE_BENCH, bench_keys
+
+    if isinstance(NOTE_BENCH, model):  # the bench of study.toml: the preset's
+        return {slot.name: (slot.path[0], _default(bench_keys(NOTE_BENCH)[slot.path[0]])) for slot in slots_of(model)}
+
+    if hasattr(model, "model_fields"):
+        given = {
+            name: (field.is_required(), field.get_default(call_default_factory=True))
+            for name, field in model.model_fields.items()
+        }
+        return {name: (name, "required" if needed else _default(default)) for name, (needed, default) in given.items()}
+    return {
+        slot.name: (
+            ".".join(slot.path),
+            "required" if slot.required or slot.key.needed else _default(default_tree(slot)),
+        )
+        for slot in slots_of(model)
+    }
 
 
 def _escaped(row: str) -> str:

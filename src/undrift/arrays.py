@@ -1,6 +1,8 @@
 """Arrays as values: checked once at birth, read-only from then on. Time is always axis 0."""
 
-from typing import Any, TypeAlias
+from dataclasses import dataclass, fields
+from functools import cache
+from typing import Any, TypeAlias, get_args, get_type_hints
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -43,3 +45,71 @@ def window_sums(values: FloatArray, width: int) -> FloatArray:
     total = np.zeros((len(values) + 1, values.shape[1]))
     np.cumsum(values, axis=0, out=total[1:])
     return np.asarray(total[width:] - total[:-width])
+
+
+@dataclass(frozen=True, slots=True, init=False)
+class Shape:
+    """Mark of an array field: ``Annotated[FloatArray, Shape("n", 3)]``; a letter is one length within one value."""
+
+    dims: tuple[int | str, ...]
+    rising: bool  # Two nodes or more, increasing
+    gaps: bool  # Whether a file may have null in it, for NaN
+
+    def __init__(self, *dims: int | str, rising: bool = False, gaps: bool = True) -> None:
+        for name, value in (("dims", dims), ("rising", rising), ("gaps", gaps and not rising)):
+            object.__setattr__(self, name, value)
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
+        """Return pydantic's schema of the nested lists of a file: null for a gap."""
+        from pydantic_core import core_schema as cs
+
+        kind = _kind_of(source)
+        made: Any = {bool: cs.bool_schema(), int: cs.int_schema(ge=0), float: cs.float_schema()}[kind]
+        made = cs.nullable_schema(made) if self.gaps and kind is float else made
+        for length in reversed(self.dims):
+            most = length if isinstance(length, int) else None
+            made = cs.list_schema(made, min_length=2 if self.rising else most, max_length=most)
+        return made if type(None) not in get_args(source) else cs.nullable_schema(made)
+
+
+def freeze(value: Any, **lengths: int) -> None:
+    """Check the arrays of a dataclass by their shapes and make them read-only; known lengths by their letters."""
+    cls: Any = type(value)
+    for name, shape, kind in _shaped(cls):
+        given = getattr(value, name)
+        if given is None:
+            continue
+        what = f"{type(value).__name__}.{name}"
+        wanted = tuple(lengths.get(d) if isinstance(d, str) else d for d in shape.dims)
+        if (
+            isinstance(given, list) and not given and not wanted[0]
+        ):  # no rows, of a file: a list does not say how long they are
+            given = np.zeros((0, *(n or 0 for n in wanted[1:])))
+        array: NDArray[Any] = frozen(given, wanted, what) if kind is float else _frozen_marks(given, wanted, what, kind)
+        lengths |= {d: n for d, n in zip(shape.dims, array.shape, strict=True) if isinstance(d, str)}
+        if shape.rising and (len(array) < 2 or not (np.diff(array) > 0.0).all()):
+            raise InputError(f"{what}: wanted two or more increasing nodes, got {len(array)}; sort and merge them")
+        object.__setattr__(value, name, array)
+
+
+def _frozen_marks(x: ArrayLike, shape: tuple[int | None, ...], name: str, kind: type) -> NDArray[Any]:
+    array: NDArray[Any] = np.array(x, dtype=np.int64 if kind is int else kind)
+    if array.ndim != len(shape) or any(want not in (None, got) for want, got in zip(shape, array.shape, strict=True)):
+        raise InputError(f"{name}: wanted shape {shape}, got {array.shape}; one mark for each node")
+    array.flags.writeable = False
+    return array
+
+
+@cache
+def _shaped(cls: Any) -> tuple[tuple[str, Shape, type], ...]:
+    """Return the array fields of a dataclass, their shapes and what their elements are."""
+    hints = get_type_hints(cls, include_extras=True)
+    marks = (
+        (f.name, next((m for m in get_args(hints[f.name])[1:] if isinstance(m, Shape)), None)) for f in fields(cls)
+    )
+    return tuple((name, mark, _kind_of(get_args(hints[name])[0])) for name, mark in marks if mark is not None)
+
+
+def _kind_of(hint: Any) -> type:
+    arrays = (hint, *get_args(hint))
+    return bool if BoolArray in arrays else int if IntArray in arrays else float

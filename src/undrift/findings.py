@@ -10,19 +10,23 @@ Templates are ``str.format`` strings over the finding's values; a tuple prints e
 ``{span_k:.1f|{limit_k}}`` has as many digits more as show on which side of the limit it is: 2.04 K beside 2 K, not 2.0 K.
 """
 
+import math
 import string
 import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
+
+from undrift.base.codec import Key, stored
 
 Level = Literal["info", "warn", "fail"]
 Status = Literal["good", "marginal", "bad"]
 Value = float | int | str | bool | tuple[float, ...] | tuple[str, ...]
 
 _SENTENCES = Path(__file__).with_name("findings.toml")
+EARLIER = "earlier.text"  # code of a text that an earlier version wrote
 SHOWN_FIRST = 3  # findings that a person sees without asking for details
 _LEVELS = ("fail", "warn", "info")
 
@@ -62,6 +66,24 @@ def told_apart(value: float, form: str, limit: float) -> str:
 _TEMPLATE = _Template()
 
 
+def _read(keys: dict[str, Any]) -> "Finding":
+    """Return a finding of a file by its code; by its text where this version knows no such code, or other values of it."""
+    made = finding(keys["code"], keys["level"], **_filled(keys["values"]))
+    try:
+        _ = made.text
+    except (KeyError, IndexError, TypeError, ValueError, AttributeError):
+        return finding(EARLIER, keys["level"], text=keys["text"])
+    return made
+
+
+def _filled(held: Any) -> Any:
+    """Return values of a file with NaN for null."""
+    if isinstance(held, dict | list):
+        return {k: _filled(v) for k, v in held.items()} if isinstance(held, dict) else [_filled(v) for v in held]
+    return math.nan if held is None else held
+
+
+@stored(whole=True, keys=("code", "level", "values", "text", "action"), read=_read)
 @dataclass(frozen=True, slots=True)
 class Finding:
     """What a fit noticed: a code, how much it matters, and its numbers.
@@ -88,7 +110,7 @@ class Finding:
 
     code: str
     level: Level
-    values: Mapping[str, Value] = field(default_factory=dict)
+    values: Annotated[Mapping[str, Value], Key(form=dict[str, Any])] = field(default_factory=dict)
 
     @property
     def headline(self) -> str:
@@ -131,6 +153,7 @@ def most_consequential_first(findings: Iterable[Finding]) -> tuple[Finding, ...]
     return tuple(sorted(once, key=lambda item: (_LEVELS.index(item.level), catalogue()[item.code].rank)))
 
 
+@stored(whole=True, keys=("status", "reasons", "findings"))
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Verdict:
     """What a fit is worth: good, marginal or bad, and the findings that say why.
@@ -153,7 +176,7 @@ class Verdict:
     """
 
     status: Status = "good"
-    findings: tuple[Finding, ...] = ()
+    findings: Annotated[tuple[Finding, ...], Key(optional=True)] = ()
 
     @property
     def reasons(self) -> tuple[str, ...]:

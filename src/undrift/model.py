@@ -13,15 +13,17 @@ In symbols, for a reading u (3,) at temperature T::
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
-from typing import Literal
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike
+from annotated_types import Ge
 
-from undrift.arrays import BoolArray, FloatArray, IntArray, frozen
+from undrift.arrays import BoolArray, FloatArray, IntArray, Shape, freeze
+from undrift.base.codec import AnyNumber, Gap, Key, Named, Rows, stored, tree_of
 from undrift.base.summary import Shown
 from undrift.errors import InputError
+from undrift.findings import EARLIER
 from undrift.findings import Finding as Finding
 from undrift.findings import Status as Status
 from undrift.findings import Verdict as Verdict
@@ -41,18 +43,30 @@ G_NAMES = tuple(f"g_{row}{column}" for row in AXES for column in AXES)
 SOURCES = (  # of uncertainty, in the order of a budget
     "rate", "angle", "axis", "ripple", "mounting", "level", "temperature", "noise", "adc", "instability", "repeatability", "fit",
 )  # fmt: skip
+Triple = Annotated[FloatArray, Shape(3)]
+Vector = Annotated[FloatArray | None, Shape(3)]
+Rows3 = Annotated[FloatArray | None, Shape("n", 3)]
+Matrices = Annotated[FloatArray | None, Shape("n", 3, 3)]
+Marks = Annotated[BoolArray | None, Shape("n")]
+Nodes = Annotated[FloatArray, Shape("n", rising=True)]
+LATER = Key(later=True)
 _EXCEEDS = 1e-3  # of a variance: what linear parts may exceed a whole that was averaged over a grid
 
 
+@stored(
+    form=dict[str, list[float]],
+    read=lambda rows: Budget(sources=tuple(rows), uncertainty=np.array([*rows.values()]).reshape(len(rows), -1)),
+    write=lambda budget: dict(zip(budget.sources, tree_of(budget.uncertainty), strict=True)),
+)
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Budget:
     """Standard uncertainty of each parameter by source: the squares of a parameter sum to its variance."""
 
     sources: tuple[str, ...]  # names of ``SOURCES``
-    uncertainty: FloatArray  # (S, P), one row a source, unit of the parameter
+    uncertainty: Annotated[FloatArray, Shape("s", "p")]  # One row a source, unit of the parameter
 
     def __post_init__(self) -> None:
-        _freeze(self, (len(self.sources), None), "uncertainty")
+        freeze(self, s=len(self.sources))
 
     @classmethod
     def of(cls, covariance: FloatArray, parts: Mapping[str, FloatArray], rest: str) -> "Budget":
@@ -77,6 +91,7 @@ class Budget:
         )
 
 
+@stored(whole=True)
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TriadModel:
     """Inverse model of three sensors: corrected = matrix @ (raw - offset) - g_sensitivity @ accel.
@@ -114,23 +129,20 @@ class TriadModel:
     method: str
     unit_in: str
     unit_out: str
-    matrix: FloatArray
-    offset: FloatArray
-    g_sensitivity: FloatArray | None = None
+    matrix: Annotated[FloatArray, Shape(3, 3)]
+    offset: Triple
+    g_sensitivity: Annotated[FloatArray | None, Shape(3, 3)] = None
     parameters: tuple[str, ...] = (*MATRIX_NAMES, *OFFSET_NAMES)
-    covariance: FloatArray
-    rms_residual: float
+    covariance: Annotated[FloatArray, Shape("p", "p")]
+    rms_residual: AnyNumber
     count: int
     rank: int
-    condition: float
-    valid_range: tuple[float, float]
-    budget: Budget | None = None
+    condition: AnyNumber
+    valid_range: tuple[AnyNumber, AnyNumber]
+    budget: Annotated[Budget | None, LATER] = None
 
     def __post_init__(self) -> None:
-        p = len(self.parameters)
-        _freeze(self, (3, 3), "matrix", "g_sensitivity")
-        _freeze(self, (3,), "offset")
-        _freeze(self, (p, p), "covariance")
+        freeze(self, p=len(self.parameters))
         if self.budget is not None:
             stated, summed = np.diag(self.covariance), (self.budget.uncertainty**2).sum(axis=0)
             if summed.shape != stated.shape or not np.allclose(summed, stated, rtol=1e-9, atol=0.0):
@@ -168,16 +180,16 @@ class TriadModel:
         return float((self.standard_uncertainty[:9].reshape(3, 3) @ np.abs(self.forward_matrix)).max())
 
 
+@stored()
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class WarmUp:
     """Extra offset of a device after power-on; it decays to zero."""
 
-    power_on_s: FloatArray  # (k,), nodes of the time since power-on, s, increasing from 0
-    gyro_offset: FloatArray  # (k, 3), added to the settled offset, raw unit; the last row is zero
+    power_on_s: Nodes  # Of the time since power-on, s, from 0
+    gyro_offset: Annotated[FloatArray, Shape("n", 3)]  # Added to the settled offset, raw unit; the last row is zero
 
     def __post_init__(self) -> None:
-        _freeze_nodes(self, "warm-up", "power_on_s")
-        _freeze(self, (len(self.power_on_s), 3), "gyro_offset")
+        freeze(self)
         if self.power_on_s[0] != 0.0 or self.gyro_offset[-1].any():
             raise InputError(
                 f"warm-up: wanted nodes from 0 s to an offset of zero, got {self.power_on_s[0]:g} s and "
@@ -185,19 +197,20 @@ class WarmUp:
             )
 
 
+@stored()
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Hysteresis:
     """Loop of the offset over temperature about the static table: drift/hysteresis.py has the model."""
 
     crossing_k: float  # change of temperature that crosses the loop, K
     crossing_uncertainty_k: float  # standard uncertainty, K
-    temp_c: FloatArray  # (n,), degC, increasing; between them the half-width is straight, beyond them it is held
-    gyro_half_width: FloatArray  # (n, 3), offset while cooling minus offset while warming, over two, raw unit
-    gyro_uncertainty: FloatArray  # (n, 3), standard uncertainty, raw unit
+    temp_c: Nodes  # degC; between them the half-width is straight, beyond them it is held
+    # Offset while cooling minus offset while warming, over two, and its standard uncertainty, raw unit
+    gyro_half_width: Annotated[FloatArray, Shape("n", 3)]
+    gyro_uncertainty: Annotated[FloatArray, Shape("n", 3)]
 
     def __post_init__(self) -> None:
-        _freeze_nodes(self, "hysteresis", "temp_c")
-        _freeze(self, (len(self.temp_c), 3), "gyro_half_width", "gyro_uncertainty")
+        freeze(self)
         if not 0.0 < self.crossing_k < np.inf:
             raise InputError(f"hysteresis: wanted crossing_k above 0 K, got {self.crossing_k:g}; leave the loop out")
 
@@ -218,103 +231,96 @@ class OverTemperature:
     extrapolated: BoolArray | None  # (n,), true where no data were near the node
 
 
+@stored()
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class StaticDrift:
     """Tuning table of absolute offsets over temperature, linear between nodes."""
 
-    temp_c: FloatArray  # (n,), nodes, degC, increasing
-    gyro_offset: FloatArray | None = None  # (n, 3), reading at zero input, raw unit
-    accel_offset: FloatArray | None = None
-    # (n, 3), standard uncertainty of each node for a visit to come, raw unit
-    gyro_uncertainty: FloatArray | None = None
-    accel_uncertainty: FloatArray | None = None
-    gyro_extrapolated: BoolArray | None = None  # (n,), true where no data were near the node
-    accel_extrapolated: BoolArray | None = None
-    # (3,), half-width: offset while cooling minus offset while warming, over two, raw unit; the table holds the mean
-    gyro_hysteresis: FloatArray | None = None
-    # (3,), what one visit to a temperature adds and the next does not: standard deviation, raw unit; part of the uncertainty
-    gyro_visit: FloatArray | None = None
-    accel_visit: FloatArray | None = None
-    hysteresis: Hysteresis | None = None  # where it can be corrected: its half-width is the one above
-    warm_up: WarmUp | None = None
+    temp_c: Nodes  # degC
+    gyro_offset: Rows3 = None  # Reading at zero input, raw unit
+    accel_offset: Rows3 = None
+    # Standard uncertainty of each node for a visit to come, raw unit
+    gyro_uncertainty: Annotated[Rows3, LATER] = None
+    accel_uncertainty: Annotated[Rows3, LATER] = None
+    gyro_extrapolated: Annotated[Marks, LATER] = None  # True where no data were near the node
+    accel_extrapolated: Annotated[Marks, LATER] = None
+    # Half-width: offset while cooling minus offset while warming, over two, raw unit; the table holds the mean
+    gyro_hysteresis: Annotated[Vector, LATER] = None
+    # What one visit to a temperature adds and the next does not: standard deviation, raw unit; part of the uncertainty
+    gyro_visit: Annotated[Vector, LATER] = None
+    accel_visit: Annotated[Vector, LATER] = None
+    # Where it can be corrected: its half-width is the one above
+    hysteresis: Annotated[Hysteresis | None, LATER] = None
+    warm_up: Annotated[WarmUp | None, LATER] = None
 
     def __post_init__(self) -> None:
-        _freeze_nodes(self, "static drift", "temp_c")
-        n = len(self.temp_c)
-        _freeze(self, (n, 3), "gyro_offset", "accel_offset", "gyro_uncertainty", "accel_uncertainty")
-        _freeze(self, (3,), "gyro_hysteresis", "gyro_visit", "accel_visit")
-        _freeze_marks(self, (n,), "gyro_extrapolated", "accel_extrapolated")
+        freeze(self)
 
     def of(self, sensor: Sensor) -> OverTemperature | None:
         """Return the offsets of one sensor, None where the table has none."""
         return _part_of(self, sensor, "offset")
 
 
+@stored()
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ScaleDrift:
     """Matrix over temperature (thermal scale factor and cross-axis), linear between nodes."""
 
-    temp_c: FloatArray  # (n,), nodes, degC, increasing
-    gyro_matrix: FloatArray | None = None  # (n, 3, 3), unit_out per unit_in
-    accel_matrix: FloatArray | None = None
-    gyro_uncertainty: FloatArray | None = None  # (n, 3, 3), standard uncertainty of each element
-    accel_uncertainty: FloatArray | None = None
-    gyro_extrapolated: BoolArray | None = None  # (n,), true where no data were near the node
-    accel_extrapolated: BoolArray | None = None
+    temp_c: Nodes  # degC
+    gyro_matrix: Matrices = None  # unit_out per unit_in
+    accel_matrix: Matrices = None
+    gyro_uncertainty: Annotated[Matrices, LATER] = None  # Standard uncertainty of each element
+    accel_uncertainty: Annotated[Matrices, LATER] = None
+    gyro_extrapolated: Annotated[Marks, LATER] = None  # True where no data were near the node
+    accel_extrapolated: Annotated[Marks, LATER] = None
 
     def __post_init__(self) -> None:
-        _freeze_nodes(self, "scale drift", "temp_c")
-        n = len(self.temp_c)
-        _freeze(self, (n, 3, 3), "gyro_matrix", "accel_matrix", "gyro_uncertainty", "accel_uncertainty")
-        _freeze_marks(self, (n,), "gyro_extrapolated", "accel_extrapolated")
+        freeze(self)
 
     def of(self, sensor: Sensor) -> OverTemperature | None:
         """Return the matrices of one sensor, None where the table has none."""
         return _part_of(self, sensor, "matrix")
 
 
+@stored()
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class DynamicDrift:
     """Rate error that remains after static and matrix correction: e(measured rate, T), bilinear."""
 
-    temp_c: FloatArray  # (m,), nodes, degC, increasing
-    turn_rate: FloatArray  # (k,), nodes of the measured rate, rad/s, increasing
-    error: FloatArray  # (m, k, 3), measured minus true rate per axis, rad/s
-    uncertainty: FloatArray | None = None  # (m, k, 3), standard uncertainty of each node, rad/s
-    extrapolated: BoolArray | None = None  # (m, k), true where no data were near the node
+    temp_c: Annotated[FloatArray, Shape("m", rising=True)]  # degC
+    turn_rate: Annotated[FloatArray, Shape("k", rising=True)]  # Nodes of the measured rate, rad/s
+    error: Annotated[FloatArray, Shape("m", "k", 3)]  # Measured minus true rate per axis, rad/s
+    uncertainty: Annotated[FloatArray | None, Shape("m", "k", 3), LATER] = None  # Of each node, standard, rad/s
+    extrapolated: Annotated[BoolArray | None, Shape("m", "k"), LATER] = None  # True where no data were near the node
 
     def __post_init__(self) -> None:
-        _freeze_nodes(self, "dynamic drift", "temp_c", "turn_rate")
-        m, k = len(self.temp_c), len(self.turn_rate)
-        _freeze(self, (m, k, 3), "error", "uncertainty")
-        _freeze_marks(self, (m, k), "extrapolated")
+        freeze(self)
 
 
+@stored()
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Learnt:
     """Rests of daily use behind a static table, n of them, and the tables before: all that is needed to learn more."""
 
-    temp_c: FloatArray  # (n,), mean temperature, degC
-    gyro_offset: FloatArray  # (n, 3), reading at rest, raw unit
-    gyro_variance: FloatArray  # (n, 3), of it, raw unit squared
-    recording: IntArray  # (n,), which of ``recordings``
-    recordings: tuple[tuple[str, str], ...]  # sha256 of the readings and date (ISO 8601, UTC) of each
-    since: str  # date of the tables before, ISO 8601, UTC
+    temp_c: Annotated[FloatArray, Shape("n", gaps=False)]  # Mean temperature, degC
+    gyro_offset: Annotated[FloatArray, Shape("n", 3)]  # Reading at rest, raw unit
+    gyro_variance: Annotated[FloatArray, Shape("n", 3)]  # Of it, raw unit squared
+    recording: Annotated[IntArray, Shape("n")]  # Which of ``recordings``
+    # sha256 of the readings and date (ISO 8601, UTC) of each
+    recordings: Annotated[tuple[tuple[str, str], ...], Rows(("sha256", "date"))]
+    since: str  # Date of the tables before, ISO 8601, UTC
     before: "DriftTables | None" = None  # None for constant offsets
 
     def __post_init__(self) -> None:
-        n = len(self.temp_c)
-        _freeze(self, (n,), "temp_c")
-        _freeze(self, (n, 3), "gyro_offset", "gyro_variance")
-        rows = np.array(self.recording, dtype=np.int64)
-        if rows.shape != (n,) or (n and not 0 <= rows.min() <= rows.max() < len(self.recordings)):
+        freeze(self)
+        rows, known = self.recording, len(self.recordings)
+        if len(rows) and not 0 <= rows.min() <= rows.max() < known:
             raise InputError(
-                f"learnt rests: wanted {n} numbers of {len(self.recordings)} recordings, got others; write the file anew"
+                f"learnt rests: wanted {len(rows)} numbers of {known} recordings, got others; write the file anew"
             )
-        rows.flags.writeable = False
-        object.__setattr__(self, "recording", rows)
 
 
+@stored()
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class DriftTables:
     """The tuning tables of one device.
@@ -338,9 +344,9 @@ class DriftTables:
     static: StaticDrift | None = None
     scale: ScaleDrift | None = None
     dynamic: DynamicDrift | None = None
-    lag_s: float = 0.0
-    lag_smooth_s: float = 0.0
-    learnt: Learnt | None = None
+    lag_s: Annotated[float, Ge(0.0), LATER] = 0.0
+    lag_smooth_s: Annotated[float, Ge(0.0), LATER] = 0.0
+    learnt: Annotated[Learnt | None, LATER] = None
 
     def __post_init__(self) -> None:
         lag, smooth = self.lag_s, self.lag_smooth_s
@@ -351,6 +357,7 @@ class DriftTables:
             )
 
 
+@stored(whole=True, keys=("gyro_lsb", "gyro_rounding", "accel_lsb", "accel_rounding"))
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class AdcModel:
     """Step and rounding of the codes of each triad.
@@ -363,30 +370,32 @@ class AdcModel:
         nearest, floor or toward_zero.
     """
 
-    gyro_lsb: FloatArray | None = None
-    accel_lsb: FloatArray | None = None
-    gyro_rounding: Rounding = "nearest"
+    gyro_lsb: Annotated[Vector, Key("lsb")] = None
+    accel_lsb: Vector = None
+    gyro_rounding: Annotated[Rounding, Key("rounding")] = "nearest"
     accel_rounding: Rounding = "nearest"
 
     def __post_init__(self) -> None:
-        _freeze(self, (3,), "gyro_lsb", "accel_lsb")
+        freeze(self)
 
 
+@stored(whole=True)
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class NoiseModel:
     """Noise coefficients of both triads at rest, as IEEE Std 952 names them, (3,) each; NaN where not observable."""
 
-    angle_random_walk: FloatArray  # rad/s/sqrt(Hz)
-    bias_instability: FloatArray  # rad/s
-    rate_random_walk: FloatArray  # rad/s/sqrt(s)
-    velocity_random_walk: FloatArray  # m/s2/sqrt(Hz)
-    accel_bias_instability: FloatArray  # m/s2
-    accel_random_walk: FloatArray  # m/s2/sqrt(s)
+    angle_random_walk: Triple  # rad/s/sqrt(Hz)
+    bias_instability: Triple  # rad/s
+    rate_random_walk: Triple  # rad/s/sqrt(s)
+    velocity_random_walk: Triple  # m/s2/sqrt(Hz)
+    accel_bias_instability: Triple  # m/s2
+    accel_random_walk: Triple  # m/s2/sqrt(s)
 
     def __post_init__(self) -> None:
-        _freeze(self, (3,), *(one.name for one in fields(self)))
+        freeze(self)
 
 
+@stored(whole=True)
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Provenance:
     """Where a calibration came from.
@@ -403,10 +412,10 @@ class Provenance:
         ISO 8601 time, UTC.
     """
 
-    inputs: tuple[tuple[str, str], ...] = ()
-    settings: tuple[tuple[str, str], ...] = ()
-    versions: tuple[tuple[str, str], ...] = ()
-    created: str = ""
+    inputs: Annotated[tuple[tuple[str, str], ...], Rows(("file", "sha256"))] = ()
+    settings: Annotated[tuple[tuple[str, str], ...], Named("settings")] = ()
+    versions: Annotated[tuple[tuple[str, str], ...], Named("versions")] = ()
+    created: Annotated[str, Key("time")] = ""
 
     def text(self, name: str) -> str:
         """Return a setting, empty where it was not made."""
@@ -433,6 +442,23 @@ def versions_used() -> tuple[tuple[str, str], ...]:
     return tuple((name, version(name)) for name in ("undrift", "numpy", "scipy"))
 
 
+def _with_codes(tree: dict[str, Any]) -> dict[str, Any]:
+    """Return the tree of a calibration file whose reasons are findings: before these had codes, a reason was a text alone."""
+    verdict = tree.get("verdict")
+    reasons, known = (
+        ([], []) if not isinstance(verdict, dict) else (verdict.get("reasons"), verdict.get("findings", []))
+    )
+    if not (isinstance(reasons, list) and isinstance(known, list) and all(isinstance(item, dict) for item in known)):
+        return tree  # not a verdict: refused by its keys
+    texts = [item.get("text") for item in known]
+    bare = [text for text in reasons if isinstance(text, str) and text not in texts]
+    earlier = [
+        {"code": EARLIER, "level": "info", "values": {"text": text}, "text": text, "action": ""} for text in bare
+    ]
+    return tree | ({"verdict": verdict | {"findings": known + earlier}} if isinstance(verdict, dict) and bare else {})
+
+
+@stored(kind="undrift.calibration", whole=True, upgrade=_with_codes)
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Calibration(Shown):
     """Everything that is needed to turn one device's readings into rad/s and m/s2.
@@ -470,7 +496,7 @@ class Calibration(Shown):
     """
 
     device: str
-    reference_temp_c: float
+    reference_temp_c: Gap
     gravity_m_s2: float
     gyro: TriadModel | None = None
     accel: TriadModel | None = None
@@ -479,7 +505,7 @@ class Calibration(Shown):
     noise: NoiseModel | None = None
     verdict: Verdict = Verdict()  # noqa: RUF009  frozen
     provenance: Provenance = Provenance()
-    file_map: FileMap | None = None
+    file_map: Annotated[FileMap | None, LATER] = None
 
     def triad(self, sensor: Sensor) -> "Triad":
         """Return all that is known of one sensor: model, tables, codes."""
@@ -566,33 +592,3 @@ def _part_of(table: StaticDrift | ScaleDrift, sensor: Sensor, what: str) -> Over
     if value is None:
         return None
     return OverTemperature(temp_c=table.temp_c, value=value, uncertainty=uncertainty, extrapolated=marks)
-
-
-def _freeze(value: object, shape: tuple[int | None, ...], *names: str) -> None:
-    for name in names:
-        array: ArrayLike | None = getattr(value, name)
-        if array is not None:
-            object.__setattr__(value, name, frozen(array, shape, f"{type(value).__name__}.{name}"))
-
-
-def _freeze_nodes(value: object, table: str, *names: str) -> None:
-    _freeze(value, (None,), *names)
-    for name in names:
-        nodes = getattr(value, name)
-        if len(nodes) < 2 or not (np.diff(nodes) > 0.0).all():
-            raise InputError(
-                f"{table} {name}: wanted two or more increasing nodes, got {len(nodes)}; sort and merge them"
-            )
-
-
-def _freeze_marks(value: object, shape: tuple[int, ...], *names: str) -> None:
-    for name in names:
-        marks = getattr(value, name)
-        if marks is not None:
-            held = np.array(marks, dtype=bool)
-            if held.shape != shape:
-                raise InputError(
-                    f"{type(value).__name__}.{name}: wanted shape {shape}, got {held.shape}; one mark for each node"
-                )
-            held.flags.writeable = False
-            object.__setattr__(value, name, held)

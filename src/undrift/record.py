@@ -8,12 +8,13 @@ Ranges are sample numbers, half-open [start, stop). A face names the sensor axis
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from undrift.arrays import BoolArray, FloatArray, frozen
+from undrift.arrays import BoolArray, FloatArray, Shape, freeze, frozen
+from undrift.base.codec import stored, tree_of
 from undrift.base.summary import Shown, at
 from undrift.errors import InputError
 from undrift.frames import Frame
@@ -25,25 +26,22 @@ if TYPE_CHECKING:
 State = Literal["raw", "corrected"]
 
 
+@stored()
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ForceUncertainty:
     """What the calibration of a corrected record knows of its accelerometers; the error of a specific force f is E f + d."""
 
-    covariance: FloatArray  # (12, 12), of E row by row, and of d, m/s2
-    offset_temp_c: (
-        FloatArray  # (2,), least and greatest temperature that the offsets are made for, degC; NaN: not known
-    )
-    matrix_temp_c: FloatArray  # (2,), likewise of the matrix
-    per_k: (
-        FloatArray  # (2,), standard deviation of what a kelvin beyond them does: offset, m/s2; scale factor, relative
-    )
-    step: FloatArray  # (3,), one code, m/s2; 0 where it is not known
+    covariance: Annotated[FloatArray, Shape(12, 12)]  # Of E row by row, and of d, m/s2
+    # Least and greatest temperature that the offsets and the matrix are made for, degC; NaN: not known
+    offset_temp_c: Annotated[FloatArray, Shape(2)]
+    matrix_temp_c: Annotated[FloatArray, Shape(2)]
+    # Standard deviation of what a kelvin beyond them does: offset, m/s2; scale factor, relative
+    per_k: Annotated[FloatArray, Shape(2)]
+    step: Annotated[FloatArray, Shape(3)]  # One code, m/s2; 0 where it is not known
     calibrated: str = ""  # ISO 8601 time, UTC; "" where it is not stated
 
     def __post_init__(self) -> None:
-        shapes = {"covariance": (12, 12), "offset_temp_c": (2,), "matrix_temp_c": (2,), "per_k": (2,), "step": (3,)}
-        for name, shape in shapes.items():
-            object.__setattr__(self, name, frozen(getattr(self, name), shape, f"ForceUncertainty.{name}"))
+        freeze(self)
         if np.isnan([*self.covariance.ravel(), *self.per_k, *self.step]).any() or not isinstance(self.calibrated, str):
             raise InputError(
                 "ForceUncertainty: wanted numbers and a date, got NaN or others; correct the recording anew"
@@ -51,10 +49,7 @@ class ForceUncertainty:
 
     def as_json(self) -> dict[str, Any]:
         """Return the fields as JSON has them, null for NaN; ``ForceUncertainty(**fields)`` takes them back."""
-        held = {one.name: getattr(self, one.name) for one in fields(self)}
-        return {
-            k: v if isinstance(v, str) else np.asarray(np.where(np.isnan(v), None, v)).tolist() for k, v in held.items()
-        }
+        return dict(tree_of(self))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -575,6 +570,7 @@ class FileMap:
     text: str  # One JSON object
 
 
+@stored()
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TemperatureSensitivity:
     """How far a device may follow temperature: standard deviations of its sensitivities, from data sheets.
@@ -598,6 +594,7 @@ class TemperatureSensitivity:
                 raise InputError(f"temperature: wanted {item.name} from 0 to 100, got {value:g}; correct it")
 
 
+@stored()
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RateTable:
     """Standard uncertainties of a rate table and of the mounting on it; an axis that gravity shows is measured instead."""
@@ -618,23 +615,17 @@ class RateTable:
 class SetPointMeans:
     """What a table of means states beside its readings: a row is the mean over a set-point, not a sample; N rows."""
 
-    count: FloatArray  # (N,), readings in each mean; NaN where not stated
-    rate_b: FloatArray  # (N, 3), imposed rate, rad/s; 0 at rest
-    gyro_uncertainty: FloatArray  # (N, 3), standard uncertainty of the mean, in ``gyro_unit``; NaN where not stated
-    accel_uncertainty: FloatArray  # (N, 3), likewise
+    count: Annotated[FloatArray, Shape("n")]  # Readings in each mean; NaN where not stated
+    rate_b: Annotated[FloatArray, Shape("n", 3)]  # Imposed rate, rad/s; 0 at rest
+    # Standard uncertainty of the mean, in the unit of the triad; NaN where not stated
+    gyro_uncertainty: Annotated[FloatArray, Shape("n", 3)]
+    accel_uncertainty: Annotated[FloatArray, Shape("n", 3)]
     gyro_unit: str
     accel_unit: str
     from_spread: bool = False  # Whether uncertainties are spread over the root of the count: noise taken as white
 
     def __post_init__(self) -> None:
-        shapes: tuple[tuple[str, tuple[int | None, ...]], ...] = (
-            ("count", (None,)),
-            ("rate_b", (len(self.count), 3)),
-            ("gyro_uncertainty", (len(self.count), 3)),
-            ("accel_uncertainty", (len(self.count), 3)),
-        )
-        for name, shape in shapes:
-            object.__setattr__(self, name, frozen(getattr(self, name), shape, f"SetPointMeans.{name}"))
+        freeze(self)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

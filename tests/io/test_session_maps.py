@@ -5,8 +5,8 @@ import pyarrow as pa
 import pytest
 from pyarrow import csv, parquet
 
+from undrift.base.codec import entry_name, line_of
 from undrift.errors import FileFormatError, InputError
-from undrift.files import entry_name, line_of
 from undrift.io.columns import ColumnMap, ReadSettings, Scale, TextLayout
 from undrift.io.formats import iter_record, read_record
 from undrift.io.session import read_column_map, read_map_settings

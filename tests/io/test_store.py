@@ -370,4 +370,4 @@ def test_the_schema_names_every_key_that_is_written() -> None:
     schema = calibration_schema()
     assert set(schema["properties"]) == {*calibration_json(example()), "file_map"}  # written where there is one
     assert schema["additionalProperties"] is False
-    assert set(schema["$defs"]["TriadFile"]["required"]) == set(calibration_json(example())["accel"])
+    assert set(schema["$defs"]["TriadModel"]["required"]) == set(calibration_json(example())["accel"])

@@ -11,8 +11,7 @@ from alembic.script import ScriptDirectory
 
 from undrift.errors import RegistryError
 from undrift.registry import registry as module
-from undrift.registry.registry import NewEntry, Registry, open_registry
-from undrift.registry.tables import HEAD, VERSION_TABLE, Base
+from undrift.registry.registry import HEAD, VERSION_TABLE, Base, NewEntry, Registry, open_registry
 
 NEW = NewEntry(kind="run", serial="B2", document={"a": 1}, made_at=datetime(2026, 3, 1, tzinfo=UTC))
 OLD = (

@@ -11,16 +11,17 @@ import pytest
 
 from testkit.data import data_path, show
 from testkit.surfaces import candidates
+from undrift.base.codec import value_of
 from undrift.errors import FileFormatError, InputError
 from undrift.io.reference import write_reference
 from undrift.record import Reference
+from undrift.sim.bench_errors import BenchErrors
 from undrift.sim.device.model import write_device
 from undrift.sim.device.presets import preset
 from undrift.sim.motion.tasks import draw_task
 from undrift.study.case import device_of, make_case
 from undrift.study.plan import (
     NOTE_BENCH,
-    BenchEntry,
     ProtocolEntry,
     StudyFile,
     bench_keys,
@@ -100,8 +101,8 @@ def test_what_the_bench_does_wrong_arrives_and_an_error_below_zero_is_refused(tm
     stated = "[study.bench]\nmount_tilt_deg = 0.5\nencoder_lines = 0\ntable_rate_percent = 0.2\n[[task]]\nname"
     bench = read_study(written(tmp_path, TEXT.replace("[[task]]\nname", stated))).bench
     assert bench == replace(NOTE_BENCH, mount_tilt=0.5 * DPS, encoder_lines=0, table_rate=0.002)
-    assert note_study().bench == BenchEntry().errors()
-    assert BenchEntry.model_validate(bench_keys(bench)).errors() == bench  # as summary.json has it
+    assert note_study().bench == NOTE_BENCH
+    assert value_of(BenchErrors, bench_keys(bench), "bench") == bench  # as summary.json has it
     assert read_study(written(tmp_path, TEXT.replace("seed = 5", "chain_percent = 2.0"))).chain_sd == 0.02
     assert read_study(written(tmp_path, TEXT)).chain_sd == note_study().chain_sd == 0.01
     with pytest.raises(FileFormatError, match=r"wobble_deg.*greater than or equal to 0"):
@@ -201,12 +202,12 @@ def test_the_example_of_the_page_is_one_and_its_defaults_are_the_notes() -> None
     page = (Path(__file__).parents[2] / "docs" / "study.md").read_text()
     found = re.search(r"```toml\n(.*?)```", page, re.S)
     assert found
-    held = StudyFile.model_validate(tomllib.loads(found.group(1)))
+    held = value_of(StudyFile, tomllib.loads(found.group(1)), "docs/study.md")
     assert held.task[0].protocol == ProtocolEntry()
-    assert held.study.bench == BenchEntry()
+    assert held.study.bench == NOTE_BENCH
     base = note_study().tasks[0].base
     assert (base.dwell_s, base.bracket_s, base.face_s, base.grid) == (2.0, 6.0, 6.0, "paper")
-    assert list(base.temperatures_c) == held.task[0].protocol.set_points_c
+    assert base.temperatures_c == held.task[0].protocol.set_points_c
 
 
 def test_two_tasks_of_one_name_are_refused(tmp_path: Path) -> None:

@@ -16,8 +16,7 @@ from undrift.errors import InputError, UndriftError
 
 if TYPE_CHECKING:
     from undrift.registry.documents import Stated
-    from undrift.registry.registry import Known
-    from undrift.registry.tables import Entry
+    from undrift.registry.registry import Entry, Known
     from undrift.registry.trend import Step
 
 registry = group(

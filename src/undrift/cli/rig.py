@@ -451,7 +451,7 @@ class _Shown:
     """Watches a run and shows where it is, in a file and on stderr: on a terminal one line, elsewhere one for each step."""
 
     def __init__(self, file: Path | None) -> None:
-        from undrift.rig.progress import ProgressFile
+        from undrift.rig.run import ProgressFile
 
         self.watch: Watch | None = None
         self._file, self._live = None if file is None else ProgressFile(file), sys.stderr.isatty()

@@ -314,13 +314,13 @@ def _is_recording(folder: Path) -> bool:
 
 def recording_of(files: tuple[Path, ...]) -> Path | None:
     """Return a recording to name in the next command: a bare one, or the first of a session; None where it has two files."""
-    from undrift.files import read_toml
+    from undrift.base.codec import read
     from undrift.io.session import NAME, SessionFile
 
     folder = files[0] if files[0].is_dir() else files[0].parent
     if not (folder / NAME).is_file() or files[0].name not in (NAME, folder.name):
         return files[0]
-    first = read_toml(folder / NAME, SessionFile).recording[0].file
+    first = read(SessionFile, folder / NAME).recording[0].file
     return folder / first if isinstance(first, str) else None
 
 
@@ -328,14 +328,14 @@ def recordings_of(
     files: tuple[Path, ...], opening: Opening, place: Place = Place()
 ) -> "tuple[tuple[Path, ...], Session | None]":
     """Return the recordings that are named, or those of the session that is named, and that session."""
-    from undrift.files import read_toml
+    from undrift.base.codec import read
     from undrift.io.session import NAME, SessionFile
 
     folder = files[0] if files[0].is_dir() else files[0].parent
     if files[0].name != NAME and not (files[0] / NAME).is_file():
         return files, None
     held = session_of(files, place, opening)
-    stated = (entry.file for entry in read_toml(folder / NAME, SessionFile).recording)
+    stated = (entry.file for entry in read(SessionFile, folder / NAME).recording)
     return tuple(folder / (file if isinstance(file, str) else file[0]) for file in stated), held
 
 
@@ -557,13 +557,13 @@ def name_of(path: Path) -> str:
 
 def _holds(read: Path, target: Path) -> bool:
     """Tell whether a file is the one read, or one of the folder read."""
-    from undrift.files import read_toml
+    from undrift.base.codec import read as read_stated
     from undrift.io.session import NAME, SessionFile
 
     if not read.is_dir():
         return read.exists() and target.samefile(read)
     if (read / NAME).is_file():
-        files = [entry.file for entry in read_toml(read / NAME, SessionFile).recording]
+        files = [entry.file for entry in read_stated(SessionFile, read / NAME).recording]
         names = [NAME, *(name for file in files for name in ([file] if isinstance(file, str) else file))]
     else:
         names = [file.name for file in read.iterdir()]  # of a device that records into a folder

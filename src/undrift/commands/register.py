@@ -14,8 +14,7 @@ from undrift.errors import InputError, RegistryError
 
 if TYPE_CHECKING:
     from undrift.model import Calibration
-    from undrift.registry.registry import Registry
-    from undrift.registry.tables import Entry
+    from undrift.registry.registry import Entry, Registry
 
 Where: TypeAlias = Annotated[
     str | None,

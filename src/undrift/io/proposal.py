@@ -8,18 +8,18 @@ reader guesses nothing; the map states what was proposed, and why.
 import json
 import os
 import tomllib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from undrift.arrays import FloatArray
+from undrift.base.codec import toml_block, toml_text, tree_of
 from undrift.errors import InputError
 from undrift.io.formats import read_record
 from undrift.io.inspect import Description
-from undrift.io.session import KeptEntry, piece_lines
+from undrift.io.session import HeadEntry, KeptEntry, piece_toml, stated_piece
 from undrift.record import FileMap, Record, Session, Still, Turn
 from undrift.units import RADIAN_PER_DEGREE
 
@@ -143,46 +143,28 @@ def session_text(
     Logged turns have the standard uncertainty of their rate beside them, rad/s.
     """
     width = len(files) // len(session.records)
-    gravity = f"gravity_m_s2 = {session.gravity_m_s2!r}"
-    if session.gravity_source == "standard":
-        gravity = (
-            "# gravity_m_s2 = ?   # not stated: standard gravity is assumed; state yours, or latitude_deg and height_m"
-        )
-    lines = ["# Made by undrift session new from what was found; edit what is not so.", "[session]"]
-    lines += [
-        f'kind = "{session.kind}"',
-        f"serial = {_toml(session.serial)}",
-        gravity,
+    standard = session.gravity_source == "standard"
+    head = HeadEntry(kind=session.kind, serial=session.serial, gravity_m_s2=None if standard else session.gravity_m_s2)
+    blocks = [
+        "# Made by undrift session new from what was found; edit what is not so.\n"
+        + toml_text({"session": tree_of(head)})
     ]
+    if standard:
+        blocks[0] += (
+            "# gravity_m_s2 = ?   # not stated: standard gravity is assumed; state yours, or latitude_deg and height_m\n"
+        )
+    stated = {} if file_map is None else json.loads(file_map.text)
     for number in range(len(session.records)):
         own = [os.path.relpath(file, folder) for file in files[number * width : (number + 1) * width]]
-        lines += ["", "[[recording]]", f"file = {_toml(own[0] if width == 1 else own)}", *_map_lines(file_map)]
+        blocks.append(toml_block("recording", {"file": own[0] if width == 1 else own, **stated}))
+    times = [record.time for record in session.records]
     pieces: list[Still | Turn] = [*session.stills, *session.turns]
-    for piece in pieces:
-        lines += ["", *piece_lines(piece, session.records[piece.recording].time)]
+    blocks += [piece_toml(stated_piece(piece, times[piece.recording])) for piece in pieces]
     for turn, uncertainty in logged:
-        note = f"# by the table's log; standard uncertainty {uncertainty / RADIAN_PER_DEGREE:.2g} deg/s"
-        lines += ["", *piece_lines(turn, session.records[turn.recording].time), note]
+        note = f"# by the table's log; standard uncertainty {uncertainty / RADIAN_PER_DEGREE:.2g} deg/s\n"
+        blocks.append(piece_toml(stated_piece(turn, times[turn.recording])) + note)
     for turn in steady:
-        own = piece_lines(turn, session.records[turn.recording].time)
-        lines += [
-            "",
-            "# a steady turn: state its achieved rate and take the marks away",
-            *(f"# {line}" for line in own),
-        ]
-        lines.append("# turn_rate_dps = ?")
-    return "\n".join(lines) + "\n"
-
-
-def _map_lines(file_map: FileMap | None) -> Iterator[str]:
-    held = {} if file_map is None else json.loads(file_map.text)
-    return (f"{key} = {_toml(value)}" for key, value in held.items())
-
-
-def _toml(value: Any) -> str:
-    """Return a value of JSON as TOML on one line."""
-    if isinstance(value, dict):
-        return "{ " + ", ".join(f"{key} = {_toml(item)}" for key, item in value.items() if item is not None) + " }"
-    if isinstance(value, list):
-        return "[" + ", ".join(map(_toml, value)) + "]"
-    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+        lines = piece_toml(stated_piece(turn, times[turn.recording])).splitlines()
+        marked = "".join(f"# {line}\n" for line in [*lines, "turn_rate_dps = ?"])
+        blocks.append("# a steady turn: state its achieved rate and take the marks away\n" + marked)
+    return "\n".join(blocks)

@@ -41,18 +41,32 @@ clock = "file"       # or "regular" for stamps of a host; columns.counter names 
 """
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import Field
+from annotated_types import Ge, MinLen
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from undrift.arrays import FloatArray
+from undrift.base.codec import (
+    Key,
+    Refused,
+    Stored,
+    entry_name,
+    line_of,
+    stored,
+    toml_block,
+    toml_of,
+    toml_text,
+    tree_of,
+    value_of,
+)
 from undrift.errors import FileFormatError, InputError
-from undrift.files import Entry, checked_file, entry_name, line_of, read_toml, sha256_of
+from undrift.files import checked_file, sha256_of
 from undrift.io.columns import Clock, ColumnMap, Gaps, ReadSettings, Scale, TempFile, TextLayout, Trim
 from undrift.io.formats import read_record
 from undrift.io.parquet import write_parquet
@@ -89,6 +103,12 @@ NATIVE_KEYS = {
 _OF_ONE_FILE = ("file", "temp_file")  # keys that no other recording of the device shares
 ROW_S = 60.0  # from row to row of a table of set-points without times
 _LAYOUT = {"delimiter", "header", "skip_rows", "decimal"}
+
+
+class Entry(BaseModel):
+    """A TOML table: unknown keys are an error, and nothing is converted on the quiet."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
 
 
 class ColumnsEntry(Entry):
@@ -209,9 +229,18 @@ class MapEntry(Entry):
         return tuple(ColumnMap(**{key: _columns(key, value) for key, value in table}, **shared) for table in tables)
 
 
+def _read_map(path: str | Path) -> MapEntry:
+    """Read a map."""
+    tree, text = toml_of(path)
+    try:
+        return MapEntry.model_validate(tree)
+    except ValidationError as error:
+        raise FileFormatError(f"{path}: {Refused(list(error.errors())).explained(Stored(), text)}") from error
+
+
 def read_column_map(path: str | Path, *, sample_rate_hz: float | None = None) -> ColumnMap:
     """Read a column map from a TOML file; a rate that is given overrules its own."""
-    held = read_toml(path, MapEntry)
+    held = _read_map(path)
     maps = (held if sample_rate_hz is None else held.model_copy(update={"sample_rate_hz": sample_rate_hz})).maps()
     if len(maps) != 1:
         raise InputError(f"{path}: wanted one table of columns, got {len(maps)}; add columns = {{ ... }}")
@@ -220,12 +249,12 @@ def read_column_map(path: str | Path, *, sample_rate_hz: float | None = None) ->
 
 def read_temp_file(path: str | Path) -> TempFile | None:
     """Return the thermometer that a map names, its file beside the map."""
-    return read_toml(path, MapEntry).thermometer(Path(path).parent)
+    return _read_map(path).thermometer(Path(path).parent)
 
 
 def read_map_settings(path: str | Path) -> ReadSettings | None:
     """Read a map without columns: settings for a file with undrift's own names; None where the map has columns."""
-    entry = read_toml(path, MapEntry)
+    entry = _read_map(path)
     if entry.columns is not None:
         return None
     given = entry.model_fields_set
@@ -271,7 +300,7 @@ class KeptEntry(MapEntry):
 
 def read_file_map(path: str | Path | None = None, **choices: Any) -> FileMap | None:
     """Return the map of a TOML file with the choices of a call over it; None where there is neither."""
-    held = {} if path is None else read_toml(path, MapEntry).model_dump(exclude_unset=True)
+    held = {} if path is None else _read_map(path).model_dump(exclude_unset=True)
     if path is not None and held.get("temp_file"):  # beside the map, wherever the recordings are
         held["temp_file"]["file"] = str((Path(path).parent / held["temp_file"]["file"]).resolve())
     held |= {key: value for key, value in choices.items() if value is not None}
@@ -311,40 +340,22 @@ def shared_map(entries: Sequence[KeptEntry]) -> FileMap | None:
 # ---- session
 
 NAME = "session.toml"
-Celsius = Annotated[float, Field(ge=-273.15, allow_inf_nan=False)]
+DEFAULT_TABLE, DEFAULT_SENSITIVITY = RateTable(), TemperatureSensitivity()
 Times = tuple[FloatArray, float]  # times and their step, s
 _SLACK = 1e-3  # of a sample: a time written with fewer digits still finds its sample
 
 
-class HeadEntry(Entry):
+@stored()
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HeadEntry:
     """[session]."""
 
     kind: Kind  # calibration, thermal, static or set-points
     serial: str  # Device serial number
-    gravity_m_s2: Finite | None = None  # Local gravity, m/s2; or the next two; standard gravity is assumed without any
-    latitude_deg: Finite | None = None  # Where it was recorded
-    height_m: Finite | None = None
+    gravity_m_s2: float | None = None  # Local gravity, m/s2; or the next two; standard gravity is assumed without any
+    latitude_deg: float | None = None  # Where it was recorded
+    height_m: float | None = None
     mounting: Mounting | None = None  # Of a fit to references: "one" for all recordings, or "each" its own
-
-
-class RateTableEntry(Entry):
-    """[rate_table]: standard uncertainties of table and mounting."""
-
-    table_level_deg: Finite = RateTable().table_level_deg  # Of the table's axis against the vertical, deg
-    mount_tilt_deg: Finite = RateTable().mount_tilt_deg  # Of the device against that axis, about each axis across, deg
-    rate_uncertainty: Finite = RateTable().rate_uncertainty  # Of all stated rates in common, relative
-    wobble_deg: Finite = RateTable().wobble_deg  # Of the table's axis from dwell to dwell, deg
-
-
-class TemperatureEntry(Entry):
-    """[temperature]: how far the device may follow it, standard deviations; the defaults are those of consumer parts."""
-
-    gyro_offset_dps_per_k: Finite = TemperatureSensitivity().gyro_offset_dps_per_k  # deg/s/K
-    accel_offset_mg_per_k: Finite = TemperatureSensitivity().accel_offset_mg_per_k  # mg/K
-    gyro_scale_percent_per_k: Finite = TemperatureSensitivity().gyro_scale_percent_per_k  # %/K
-    accel_scale_percent_per_k: Finite = TemperatureSensitivity().accel_scale_percent_per_k  # %/K
-    unrecorded_span_k: Finite = TemperatureSensitivity().unrecorded_span_k  # Where nothing shows the temperature, K
-    span_limit_k: Finite = TemperatureSensitivity().span_limit_k  # A larger change within the session is a finding, K
 
 
 class RecordingEntry(KeptEntry):
@@ -353,38 +364,44 @@ class RecordingEntry(KeptEntry):
     file: str | list[str]  # Beside session.toml; several files are joined side by side
 
 
-class PieceEntry(Entry):
-    """What [[still]] and [[turn]] share."""
-
-    start_s: Finite  # On the recording's own clock
-    stop_s: Finite  # Likewise, left out itself
-    recording: int = 0  # Which [[recording]], from 0
-    temp_c: Celsius | None = None  # Chamber set-point, degC
-
-
-class StillEntry(PieceEntry):
+@stored()
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StillEntry:
     """[[still]]."""
 
+    recording: int = 0  # Which [[recording]], from 0
+    start_s: float  # On the recording's own clock
+    stop_s: float  # Likewise, left out itself
+    temp_c: Annotated[float, Ge(-273.15)] | None = None  # Chamber set-point, degC
     face: Face | None = None  # Sensor axis that points up: "+x" ... "-z"; none for a free pose
 
 
-class TurnEntry(PieceEntry):
+@stored()
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TurnEntry:
     """[[turn]]."""
 
+    recording: int = 0  # Which [[recording]], from 0
+    start_s: float  # On the recording's own clock
+    stop_s: float  # Likewise, left out itself
+    temp_c: Annotated[float, Ge(-273.15)] | None = None  # Chamber set-point, degC
     axis: Axis | None = None  # "x", "y" or "z"; none for a free rotation
-    turn_rate_dps: Finite | None = None  # Achieved steady rate about +axis, deg/s
-    angle_deg: Finite | None = None  # Angle turned about +axis, deg
+    # Achieved steady rate about +axis
+    turn_rate: Annotated[float | None, Key("turn_rate_dps", unit=RADIAN_PER_DEGREE)] = None
+    angle: Annotated[float | None, Key("angle_deg", unit=RADIAN_PER_DEGREE)] = None  # Turned about +axis
 
 
-class SessionFile(Entry):
+@stored()
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SessionFile:
     """The whole file."""
 
     session: HeadEntry  # Of which device, and where
-    rate_table: RateTableEntry = Field(default_factory=RateTableEntry)  # May be left out
-    temperature: TemperatureEntry = Field(default_factory=TemperatureEntry)
-    recording: list[RecordingEntry] = Field(min_length=1)  # One or more
-    still: list[StillEntry] = Field(default_factory=list)  # May be left out
-    turn: list[TurnEntry] = Field(default_factory=list)
+    rate_table: Annotated[RateTable, Key(later=True)] = DEFAULT_TABLE  # May be left out
+    sensitivity: Annotated[TemperatureSensitivity, Key("temperature", later=True)] = DEFAULT_SENSITIVITY
+    recording: Annotated[tuple[RecordingEntry, ...], MinLen(1)]  # One or more
+    still: tuple[StillEntry, ...] = ()  # May be left out
+    turn: tuple[TurnEntry, ...] = ()
 
 
 def read_session(folder: str | Path, *, clock: Clock | None = None) -> Session:
@@ -422,8 +439,8 @@ def read_session(folder: str | Path, *, clock: Clock | None = None) -> Session:
     path = path / NAME if path.is_dir() else path
     if not path.exists():
         raise InputError(f"{folder}: wanted a folder with {NAME}, got none; write one or check the path")
-    held = read_toml(path, SessionFile)
-    text = path.read_text(encoding="utf-8")
+    tree, text = toml_of(path)
+    held = value_of(SessionFile, tree, str(path), text)
     inputs = [(path.name, sha256_of(path))]
     records, stills, turns, files = list[Record](), list[Still](), list[Turn](), list[list[str]]()
     for number, entry in enumerate(held.recording):
@@ -439,10 +456,6 @@ def read_session(folder: str | Path, *, clock: Clock | None = None) -> Session:
     for number, turn in enumerate(held.turn):
         with _at(path, text, "turn", number):
             turns.append(_turn(turn, clocks))
-    with _at(path, text, "rate_table"):
-        table = RateTable(**held.rate_table.model_dump())
-    with _at(path, text, "temperature"):
-        sensitivity = TemperatureSensitivity(**held.temperature.model_dump())
     with _at(path, text, "session"):
         head = held.session
         gravity_m_s2, source = gravity_of(head.gravity_m_s2, head.latitude_deg, head.height_m)
@@ -457,8 +470,8 @@ def read_session(folder: str | Path, *, clock: Clock | None = None) -> Session:
             file_map=None if head.kind == "set-points" else shared_map(held.recording),
             means=_all_means(path.parent, held.recording, files, records),
             gravity_source=source,
-            rate_table=table,
-            sensitivity=sensitivity,
+            rate_table=held.rate_table,
+            sensitivity=held.sensitivity,
             mounting=head.mounting,
         )
 
@@ -531,25 +544,21 @@ def write_session(session: Session, folder: str | Path) -> None:
     if session.means:
         raise InputError("session: wanted recordings to write, got means of set-points; keep their table and its map")
     folder = Path(folder)
-    quoted = json.dumps(session.serial, ensure_ascii=False).replace("\x7f", "\\u007f")
-    lines = ["[session]", f'kind = "{session.kind}"', f"serial = {quoted}"]
-    if session.gravity_source != "standard":  # what nobody stated is not written
-        lines += [f"gravity_m_s2 = {float(session.gravity_m_s2)!r}"]
-    lines += [] if session.mounting is None else [f'mounting = "{session.mounting}"']
-    for name, stated in (("rate_table", session.rate_table), ("temperature", session.sensitivity)):
-        if stated != type(stated)():
-            lines += ["", f"[{name}]"]
-            lines += [f"{item.name} = {float(getattr(stated, item.name))!r}" for item in fields(stated)]
+    head = HeadEntry(
+        kind=session.kind,
+        serial=session.serial,
+        gravity_m_s2=None if session.gravity_source == "standard" else session.gravity_m_s2,  # nobody stated it
+        mounting=session.mounting,
+    )
     try:
         folder.mkdir(parents=True, exist_ok=True)
         for number, record in enumerate(session.records):
-            name = f"recording_{number}.parquet"
-            write_parquet(record, folder / name)
-            lines += ["", "[[recording]]", f'file = "{name}"']
-        pieces: list[Still | Turn] = [*session.stills, *session.turns]
-        for piece in pieces:
-            lines += ["", *piece_lines(piece, session.records[piece.recording].time)]
-        (folder / NAME).write_text("\n".join(lines) + "\n", encoding="utf-8")
+            write_parquet(record, folder / f"recording_{number}.parquet")
+        files = [f"recording_{number}.parquet" for number in range(len(session.records))]
+        pieces: tuple[Still | Turn, ...] = (*session.stills, *session.turns)
+        stated = [stated_piece(piece, session.records[piece.recording].time) for piece in pieces]
+        text = session_toml(head, [{"file": file} for file in files], stated, session.rate_table, session.sensitivity)
+        (folder / NAME).write_text(text, encoding="utf-8")
     except OSError as error:
         raise InputError(
             f"{folder}: cannot be written: {error.strerror or error}; check the folder and its rights"
@@ -677,19 +686,14 @@ def gravity_of(
 
 
 def _turn(entry: TurnEntry, clocks: list[Times]) -> Turn:
-    if entry.turn_rate_dps is not None and entry.angle_deg is not None:
+    if entry.turn_rate is not None and entry.angle is not None:
         raise FileFormatError("wanted turn_rate_dps or angle_deg, got both; keep the one that was measured")
-    if entry.angle_deg == 0.0:
+    if entry.angle == 0.0:
         raise FileFormatError("wanted angle_deg other than 0, got 0; state the angle turned, 360 for a full turn")
-    return Turn(
-        axis=entry.axis,
-        turn_rate=None if entry.turn_rate_dps is None else entry.turn_rate_dps * RADIAN_PER_DEGREE,
-        angle=None if entry.angle_deg is None else entry.angle_deg * RADIAN_PER_DEGREE,
-        **_samples(entry, clocks),
-    )
+    return Turn(axis=entry.axis, turn_rate=entry.turn_rate, angle=entry.angle, **_samples(entry, clocks))
 
 
-def _samples(entry: PieceEntry, clocks: list[Times]) -> dict[str, Any]:
+def _samples(entry: StillEntry | TurnEntry, clocks: list[Times]) -> dict[str, Any]:
     """Return the samples [start, stop) of a stated span of time, and what else both kinds of piece have."""
     if not 0 <= entry.recording < len(clocks):
         raise FileFormatError(f"wanted recording 0 to {len(clocks) - 1}, got {entry.recording}")
@@ -705,16 +709,30 @@ def _samples(entry: PieceEntry, clocks: list[Times]) -> dict[str, Any]:
     return {"start": int(start), "stop": int(stop), "recording": entry.recording, "temp_c": entry.temp_c}
 
 
-def piece_lines(piece: Still | Turn, time: FloatArray) -> list[str]:
-    """Return the lines of a [[still]] or [[turn]]."""
+def stated_piece(piece: Still | Turn, time: FloatArray) -> StillEntry | TurnEntry:
+    """Return a piece as [[still]] or [[turn]] state it: in seconds."""
     stop = time[piece.stop] if piece.stop < len(time) else time[-1] + np.median(np.diff(time))
-    held: dict[str, Any] = {"recording": piece.recording, "start_s": float(time[piece.start]), "stop_s": float(stop)}
-    held["temp_c"] = None if piece.temp_c is None else float(piece.temp_c)
+    shared: dict[str, Any] = {"recording": piece.recording, "start_s": float(time[piece.start]), "stop_s": float(stop)}
+    shared["temp_c"] = None if piece.temp_c is None else float(piece.temp_c)
     if isinstance(piece, Turn):
-        held["axis"] = piece.axis
-        for key, value in (("turn_rate_dps", piece.turn_rate), ("angle_deg", piece.angle)):
-            held[key] = None if value is None else float(value / RADIAN_PER_DEGREE)
-    else:
-        held["face"] = piece.face
-    head = "[[turn]]" if isinstance(piece, Turn) else "[[still]]"
-    return [head, *(f"{key} = {json.dumps(value)}" for key, value in held.items() if value is not None)]
+        return TurnEntry(axis=piece.axis, turn_rate=piece.turn_rate, angle=piece.angle, **shared)
+    return StillEntry(face=piece.face, **shared)
+
+
+def piece_toml(piece: StillEntry | TurnEntry) -> str:
+    """Return the text of a [[still]] or [[turn]]."""
+    return toml_block("turn" if isinstance(piece, TurnEntry) else "still", tree_of(piece))
+
+
+def session_toml(
+    head: HeadEntry,
+    recordings: Iterable[Mapping[str, Any]],
+    pieces: Iterable[StillEntry | TurnEntry],
+    rate_table: RateTable = DEFAULT_TABLE,
+    sensitivity: TemperatureSensitivity = DEFAULT_SENSITIVITY,
+) -> str:
+    """Return the text of session.toml; recordings by their keys."""
+    stated = {"rate_table": rate_table, "temperature": sensitivity}
+    tables = {"session": head} | {name: table for name, table in stated.items() if table != type(table)()}
+    blocks = [toml_block("recording", dict(recording)) for recording in recordings]
+    return "\n".join([toml_text(tree_of(tables)), *blocks, *map(piece_toml, pieces)])

@@ -28,10 +28,10 @@ from typing import Any, BinaryIO
 from undrift.errors import FileFormatError, InputError
 from undrift.files import errno_of, take_lock, write_whole
 from undrift.io.parquet import write_parquet
+from undrift.io.session import HeadEntry, StillEntry, TurnEntry, session_toml
 from undrift.record import Axis, Face, Kind, Record
 from undrift.rig.guard import uninterrupted
 from undrift.rig.programme import Protocol, Purpose, write_protocol
-from undrift.units import RADIAN_PER_DEGREE
 
 # ---- Journal: one line for each thing done, appended and brought to the disk before the next begins.
 
@@ -379,20 +379,18 @@ def read_entries(path: Path, entries: tuple[dict[str, object], ...]) -> tuple[He
 
 def session_text(head: Head, pieces: tuple[Piece, ...]) -> str:
     """Return session.toml: each piece a recording, each rest a still, each rate a turn at the rate that was achieved."""
-    lines = ["[session]", f'kind = "{head.kind}"', f"serial = {json.dumps(head.serial)}"]
-    lines += [] if head.gravity_m_s2 is None else [f"gravity_m_s2 = {head.gravity_m_s2!r}"]
-    for piece in pieces:
-        lines += ["", "[[recording]]", f'file = "{piece.name}"']
+    stated: list[StillEntry | TurnEntry] = []
     for number, piece in enumerate(pieces):
-        span = [f"recording = {number}", f"start_s = {piece.start_s!r}", f"stop_s = {piece.stop_s!r}"]
-        temp_c = piece.temp_c if piece.device_c is None else piece.device_c
-        span += [] if piece.temp_c is None else [f"temp_c = {temp_c!r}"]
+        measured_c = piece.temp_c if piece.device_c is None else piece.device_c
+        span: dict[str, Any] = {"recording": number, "start_s": piece.start_s, "stop_s": piece.stop_s}
+        span["temp_c"] = None if piece.temp_c is None else measured_c
         if piece.angle is None and piece.purpose != "rate":
-            lines += ["", "[[still]]", *span, f'face = "{piece.up}"']
-            continue
-        turned, key = (piece.turn_rate, "turn_rate_dps") if piece.angle is None else (piece.angle, "angle_deg")
-        lines += ["", "[[turn]]", *span, f'axis = "{piece.axis}"', f"{key} = {turned / RADIAN_PER_DEGREE!r}"]
-    return "\n".join(lines) + "\n"
+            stated.append(StillEntry(face=piece.up, **span))
+        else:
+            turn_rate = piece.turn_rate if piece.angle is None else None
+            stated.append(TurnEntry(axis=piece.axis, turn_rate=turn_rate, angle=piece.angle, **span))
+    about = HeadEntry(kind=head.kind, serial=head.serial, gravity_m_s2=head.gravity_m_s2)
+    return session_toml(about, [{"file": piece.name} for piece in pieces], stated)
 
 
 def _free(path: Path) -> Path:

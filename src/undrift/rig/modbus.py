@@ -9,16 +9,14 @@ states; ``words=low-first`` or ``high-first`` for a controller that was set othe
 import importlib
 import math
 import struct
-import tomllib
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import cache
-from importlib.resources import files
+from pathlib import Path
 from typing import Any, Literal
 
-from pydantic import Field
-
+from undrift.base.codec import stored, toml_of, value_of
 from undrift.errors import InputError, LinkError, RigFault
-from undrift.files import Entry
 from undrift.plugins import split_address
 from undrift.rig.chamber import CHAMBERS, GROUP, Chamber, ChamberSettings
 
@@ -27,7 +25,9 @@ COLDEST_C, HOTTEST_C = -120.0, 400.0  # of any air; beyond, a reading is none
 TINIEST = 1e-6  # a number of 32 bits that is nearer 0 has its words the wrong way round
 
 
-class Register(Entry):
+@stored()
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Register:
     """One number of a controller."""
 
     at: int  # Address, from 0
@@ -35,7 +35,9 @@ class Register(Entry):
     value: float = 0.0  # What is written there, or must be found
 
 
-class Model(Entry):
+@stored()
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Model:
     """What a controller keeps where."""
 
     source: str  # Where the registers come from, and what was tried
@@ -44,16 +46,16 @@ class Model(Entry):
     words: Literal["low-first", "high-first"] = "high-first"  # Of numbers of 32 bits
     decimals: int | None = None  # Register of the decimal places of whole numbers
     identity: Register | None = None  # What tells the model
-    on: list[Register] = Field(default_factory=list)  # Written before a set-point
-    off: list[Register] = Field(default_factory=list)  # Written at the end; none: the set-point goes to rest_c
+    on: tuple[Register, ...] = ()  # Written before a set-point
+    off: tuple[Register, ...] = ()  # Written at the end; none: the set-point goes to rest_c
     rest_c: float = 25.0
 
 
 @cache
 def models() -> dict[str, Model]:
     """Return the tables of all models."""
-    held = tomllib.loads((files("undrift.rig") / "chambers.toml").read_text(encoding="utf-8"))
-    return {name: Model.model_validate(table) for name, table in held.items()}
+    tables, text = toml_of(Path(__file__).with_name("chambers.toml"))
+    return {name: value_of(Model, table, name, text) for name, table in tables.items()}
 
 
 class ModbusChamber(Chamber):

@@ -12,7 +12,6 @@ temperature in it, and the rates about an axis where its + side is up. No rig is
 Keys of protocol.toml: docs/rig.md.
 """
 
-import json
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -21,11 +20,11 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, TypeAlias
 
 import numpy as np
-from pydantic import Field
+from annotated_types import Gt, MinLen
 
 from undrift.arrays import FloatArray
-from undrift.errors import FileFormatError, InputError
-from undrift.files import Entry, read_toml, write_whole
+from undrift.base.codec import Key, read, stored, tree_by_keys, write
+from undrift.errors import InputError
 from undrift.record import FACES, Axis, Face
 from undrift.units import RADIAN_PER_DEGREE
 
@@ -34,34 +33,72 @@ from undrift.units import RADIAN_PER_DEGREE
 GridRule = Literal["paper", "inclusive"]
 Order = Literal["alternating", "random"]
 AXES: tuple[Axis, ...] = ("x", "y", "z")
+DPS = RADIAN_PER_DEGREE
 
 
+def _as_stated(tree: dict[str, Any]) -> dict[str, Any]:
+    """Return the keys of protocol.toml with what a table, there or not, means."""
+    tree = {name: dict(table) if isinstance(table, dict) else table for name, table in tree.items()}
+    tree.setdefault("faces", {"order": []})  # without it the accelerometers are left out
+    rates, turns = tree.get("rates"), tree.get("turns")
+    if isinstance(turns, dict):
+        tree["turns"] = {"angle_deg": 360.0, "axes": list(AXES)} | turns
+    if isinstance(rates, dict):
+        if "turn_rate_uncertainty_dps" in rates:
+            rates.setdefault("seconds", None)  # a dwell is as long as that needs
+        stated = [rates.get(f"{name}_dps") for name in ("turn_rate_min", "turn_rate_max", "turn_rate_step")]
+        known = [float(v) for v in stated if isinstance(v, int | float) and not isinstance(v, bool)]
+        if len(known) == 3 and all(map(math.isfinite, known)) and known[2] > 0.0:
+            rate_grid(*known)  # an error message in deg/s, as in the file
+    return tree
+
+
+def _tables(protocol: "Protocol") -> dict[str, Any]:
+    """Return the tables of protocol.toml that say something."""
+    said = {"faces": protocol.faces, "rates": protocol.turn_rate_step > 0.0, "turns": protocol.turn_axes}
+    said |= {"temperatures": protocol.temperatures_c}
+    return {name: table for name, table in tree_by_keys(protocol).items() if said.get(name, True)}
+
+
+@stored(upgrade=_as_stated, write=_tables)
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Protocol:
-    """What a calibration session is to do."""
+    """What a calibration session is to do; its keys are those of protocol.toml."""
 
-    name: str = ""  # For people
-    faces: tuple[Face, ...] = FACES  # Faces to rest on, in order; none leaves the accelerometers out
-    face_s: float = 6.0  # Rest on each, s
-    turn_rate_min: float = 0.0  # omega_m, omega_M and d of the note, rad/s; a step of 0 leaves the rates out
-    turn_rate_max: float = 0.0
-    turn_rate_step: float = 0.0
-    grid: GridRule = "inclusive"  # paper leaves omega_m itself out, as the note's count does; inclusive keeps it
-    axes: tuple[Axis, ...] = AXES  # Case axes to turn about, in order; the device is mounted anew for each
-    order: Order = "alternating"  # alternating takes the rates upward, each both ways; random draws the order
-    dwell_s: float | None = 6.0  # Steady part of each rate, s; None is as long as ``turn_rate_uncertainty`` needs
-    turn_rate_uncertainty: float | None = None  # Wanted standard uncertainty of a dwell's mean rate, rad/s
+    name: Annotated[str, Key("protocol.name")] = ""  # For people
+    # Bandwidth of the device's low-pass, Hz: says how long it settles
+    cutoff_hz: Annotated[float, Key("protocol.cutoff_hz")] = 11.1
+    # Sensor axis that points up, one face after the other; without the table the accelerometers are left out
+    faces: Annotated[tuple[Face, ...], Key("faces.order")] = FACES
+    face_s: Annotated[float, Key("faces.seconds")] = 6.0  # Rest on each, s
+    # Least and greatest rate and the step, omega_m, omega_M and d of the note; a step of 0 leaves the rates out
+    turn_rate_min: Annotated[float, Key("rates.turn_rate_min_dps", unit=DPS, needed=True)] = 0.0
+    turn_rate_max: Annotated[float, Key("rates.turn_rate_max_dps", unit=DPS, needed=True)] = 0.0
+    turn_rate_step: Annotated[float, Key("rates.turn_rate_step_dps", unit=DPS, needed=True), Gt(0.0)] = 0.0
+    # paper leaves omega_m itself out, as the note's count does; inclusive keeps it
+    grid: Annotated[GridRule, Key("rates.grid")] = "inclusive"
+    # Case axes to turn about, in order; the device is mounted anew for each
+    axes: Annotated[tuple[Axis, ...], MinLen(1), Key("rates.axes")] = AXES
+    # alternating takes the rates upward, each both ways; random draws the order
+    order: Annotated[Order, Key("rates.order")] = "alternating"
+    seed: Annotated[int, Key("rates.seed")] = 0  # Of the random order
+    # Steady part of each rate, s; without it as long as turn_rate_uncertainty_dps needs
+    dwell_s: Annotated[float | None, Key("rates.seconds")] = 6.0
+    # Wanted standard uncertainty of a dwell's mean rate
+    turn_rate_uncertainty: Annotated[float | None, Key("rates.turn_rate_uncertainty_dps", unit=DPS)] = None
+    # Rest at zero rate before and after each block of rates, s: shows the drift
+    bracket_s: Annotated[float, Key("rates.bracket_s")] = 6.0
     # Lengthen dwells to whole turns, where gravity or the Earth's rate would not average out
-    whole_turns: bool = False
-    bracket_s: float = 6.0  # Rest at zero rate before and after each block of rates, s: shows the drift
-    cutoff_hz: float = 11.1  # Bandwidth of the device's low-pass, Hz: says how long it settles
-    temperatures_c: tuple[float, ...] = ()  # Chamber set-points, degC; none stays at room temperature
-    soak_c_per_min: float = 0.1  # A set-point counts as reached below this slope, K/min
-    acceleration: float = 40.0  # Of the table, rad/s2
-    seed: int = 0  # Of the random order
-    turn_angle: float = 0.0  # Turn by a known angle about each of `turn_axes`, rad; 0 leaves the turns out
-    turn_axes: tuple[Axis, ...] = ()  # Case axes of those turns, in order
-    turn_rest_s: float = 3.0  # Rest before and after each of those turns, s
+    whole_turns: Annotated[bool, Key("rates.whole_turns")] = False
+    acceleration: Annotated[float, Key("rates.acceleration_dps2", unit=DPS)] = 40.0  # Of the table
+    # Of each turn by a known angle; what the operator then states is recorded; 360 deg where the table says none
+    turn_angle: Annotated[float, Key("turns.angle_deg", unit=DPS)] = 0.0
+    turn_axes: Annotated[tuple[Axis, ...], MinLen(1), Key("turns.axes")] = ()  # Case axes of those turns, in order
+    turn_rest_s: Annotated[float, Key("turns.rest_s")] = 3.0  # Rest before and after each of those turns, s
+    # Chamber set-points, degC, rising; without the table the chamber stays at room temperature
+    temperatures_c: Annotated[tuple[float, ...], MinLen(1), Key("temperatures.set_points_c", needed=True)] = ()
+    # A set-point counts as reached below this slope, K/min
+    soak_c_per_min: Annotated[float, Key("temperatures.soak_c_per_min")] = 0.1
 
     def __post_init__(self) -> None:
         least_of = {"turn_rest_s": 0.5, "face_s": 0.0, "bracket_s": 0.0, "cutoff_hz": 1e-3, "soak_c_per_min": 1e-6}
@@ -106,123 +143,14 @@ def rate_grid(rate_min: float, rate_max: float, step: float, *, rule: GridRule =
     return np.concatenate((-positive[::-1], positive))
 
 
-# ---- protocol.toml: what a calibration session is to do.
-
-Finite = Annotated[float, Field(allow_inf_nan=False)]
-DEFAULTS = Protocol()
-RATES = ("turn_rate_min", "turn_rate_max", "turn_rate_step")
-
-
-class HeadEntry(Entry):
-    """[protocol]."""
-
-    name: str = ""  # For people
-    cutoff_hz: Finite = DEFAULTS.cutoff_hz  # Bandwidth of the device's low-pass, Hz
-
-
-class FacesEntry(Entry):
-    """[faces]."""
-
-    order: list[Face] = Field(default_factory=lambda: list(FACES))  # Sensor axis that points up, one after the other
-    seconds: Finite = DEFAULTS.face_s  # Rest on each, s
-
-
-class RatesEntry(Entry):
-    """[rates]."""
-
-    turn_rate_min_dps: Finite  # Least and greatest rate and the step, deg/s
-    turn_rate_max_dps: Finite
-    # Least and greatest rate and the step, deg/s
-    turn_rate_step_dps: Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
-    grid: GridRule = DEFAULTS.grid  # paper or inclusive
-    axes: list[Axis] = Field(default_factory=lambda: list(AXES), min_length=1)  # Axes to turn about
-    order: Order = DEFAULTS.order  # alternating or random
-    seed: int = 0  # Of the random order
-    seconds: Finite | None = None  # Of a dwell, s
-    turn_rate_uncertainty_dps: Finite | None = None  # Wanted standard uncertainty of a dwell, deg/s
-    bracket_s: Finite = DEFAULTS.bracket_s  # Rest before and after each block, s
-    whole_turns: bool = False  # Lengthen dwells to whole turns
-    acceleration_dps2: Finite = DEFAULTS.acceleration / RADIAN_PER_DEGREE  # Of the table, deg/s2
-
-
-class TurnsEntry(Entry):
-    """[turns]."""
-
-    angle_deg: Finite = 360.0  # Of each turn; what the operator then states is recorded
-    axes: list[Axis] = Field(default_factory=lambda: list(AXES), min_length=1)  # Axes to turn about
-    rest_s: Finite = DEFAULTS.turn_rest_s  # Rest before and after each, s
-
-
-class TemperaturesEntry(Entry):
-    """[temperatures]."""
-
-    set_points_c: list[Finite] = Field(min_length=1)  # degC, rising
-    soak_c_per_min: Finite = DEFAULTS.soak_c_per_min  # Slope below which a set-point counts as reached, K/min
-
-
-class ProtocolFile(Entry):
-    """The whole file."""
-
-    protocol: HeadEntry = HeadEntry()  # Name and filter
-    faces: FacesEntry | None = None  # For the accelerometers
-    rates: RatesEntry | None = None  # For the gyroscopes
-    turns: TurnsEntry | None = None  # For the gyroscopes, without a rate table
-    temperatures: TemperaturesEntry | None = None  # For the drift tables
-
-
 def read_protocol(path: str | Path) -> Protocol:
     """Read a protocol."""
-    held = read_toml(path, ProtocolFile)
-    faces, rates, heat = held.faces, held.rates, held.temperatures
-    dps = RADIAN_PER_DEGREE
-    fields: dict[str, Any] = {"name": held.protocol.name, "cutoff_hz": held.protocol.cutoff_hz, "faces": ()}
-    if faces is not None:
-        fields |= {"faces": tuple(faces.order), "face_s": faces.seconds}
-    if heat is not None:
-        fields |= {"temperatures_c": tuple(heat.set_points_c), "soak_c_per_min": heat.soak_c_per_min}
-    if rates is not None:
-        uncertainty_dps = rates.turn_rate_uncertainty_dps
-        stated = rates.seconds is not None or uncertainty_dps is not None
-        fields |= {name: getattr(rates, name) for name in ("grid", "order", "seed", "bracket_s", "whole_turns")}
-        fields |= {name: getattr(rates, f"{name}_dps") * dps for name in RATES}
-        fields |= {
-            "axes": tuple(rates.axes),
-            "dwell_s": rates.seconds if stated else DEFAULTS.dwell_s,
-            "turn_rate_uncertainty": None if uncertainty_dps is None else uncertainty_dps * dps,
-            "acceleration": rates.acceleration_dps2 * dps,
-        }
-    if held.turns is not None:
-        turns = held.turns
-        fields |= {"turn_angle": turns.angle_deg * dps, "turn_axes": tuple(turns.axes), "turn_rest_s": turns.rest_s}
-    try:
-        if rates is not None:  # an error message in deg/s, as in the file
-            rate_grid(rates.turn_rate_min_dps, rates.turn_rate_max_dps, rates.turn_rate_step_dps)
-        return Protocol(**fields)
-    except InputError as error:
-        raise FileFormatError(f"{path}: {error}") from error
+    return read(Protocol, path)
 
 
 def write_protocol(protocol: Protocol, path: str | Path) -> None:
     """Write a protocol; it reads back as it was, to the rounding of rad/s in deg/s."""
-    p, dps = protocol, RADIAN_PER_DEGREE
-    uncertainty_dps = None if p.turn_rate_uncertainty is None else p.turn_rate_uncertainty / dps
-    tables: dict[str, dict[str, Any]] = {"protocol": {"name": p.name, "cutoff_hz": p.cutoff_hz}}
-    if p.faces:
-        tables["faces"] = {"order": p.faces, "seconds": p.face_s}
-    if p.turn_rate_step > 0.0:
-        tables["rates"] = {f"{name}_dps": round(getattr(p, name) / dps, 12) for name in RATES}
-        tables["rates"] |= {"grid": p.grid, "axes": p.axes, "order": p.order, "seed": p.seed, "seconds": p.dwell_s}
-        tables["rates"] |= {"turn_rate_uncertainty_dps": uncertainty_dps, "bracket_s": p.bracket_s}
-        tables["rates"] |= {"whole_turns": p.whole_turns, "acceleration_dps2": p.acceleration / dps}
-    if p.turn_axes:
-        tables["turns"] = {"angle_deg": p.turn_angle / dps, "axes": p.turn_axes, "rest_s": p.turn_rest_s}
-    if p.temperatures_c:
-        tables["temperatures"] = {"set_points_c": p.temperatures_c, "soak_c_per_min": p.soak_c_per_min}
-    parts = []
-    for name, table in tables.items():
-        keys = (f"{key} = {json.dumps(value)}\n" for key, value in table.items() if value is not None)
-        parts.append(f"[{name}]\n" + "".join(keys))
-    write_whole(Path(path), "\n".join(parts))
+    write(protocol, path)
 
 
 # ---- How long a device settles after the rate changed, and how long a dwell must be.

@@ -7,35 +7,57 @@ of the errors: rigs share mountings, level and clock, and a dwell has the same d
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
+from annotated_types import Ge
 
 from undrift.arrays import FloatArray
+from undrift.base.codec import Key, stored
 from undrift.sim.device.simulate import Streams
 from undrift.sim.motion.motion import turn_quaternion
+from undrift.units import RADIAN_PER_DEGREE
+
+OF_TABLE = (
+    "face_tilt",
+    "mount_tilt",
+    "level",
+    "wobble",
+    "table_rate",
+    "servo",
+    "encoder_lines",
+    "soak_k",
+    "board_lag_s",
+)
 
 
+@stored(keys=OF_TABLE)  # of [study.bench]
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BenchErrors:
     """Standard deviations of what a bench does wrong; all zero is an ideal one."""
 
-    face_tilt: float = 0.0  # Of each face against level, about each axis, rad
+    # Of each face against level, about each axis, rad
+    face_tilt: Annotated[float, Ge(0.0), Key("face_tilt_deg", unit=RADIAN_PER_DEGREE)] = 0.0
     hand_axis: float = 0.0  # Of the axis of a turn by hand, about each axis across it, rad
-    mount_tilt: float = 0.0  # Of the device against the rig, about each axis, rad; each mounting anew
-    level: float = 0.0  # Of the rig's axis against the vertical, about each horizontal axis, rad; one rig, one draw
+    # Of the device against the rig, about each axis, rad; each mounting anew
+    mount_tilt: Annotated[float, Ge(0.0), Key("mount_tilt_deg", unit=RADIAN_PER_DEGREE)] = 0.0
+    # Of the rig's axis against the vertical, about each horizontal axis, rad; one rig, one draw
+    level: Annotated[float, Ge(0.0), Key("level_deg", unit=RADIAN_PER_DEGREE)] = 0.0
     # Of a table's axis from dwell to dwell, or a plane's from angle to angle, about each axis, rad
-    wobble: float = 0.0
-    table_rate: float = 0.0  # Of the true rate or frequency against the stated one, relative; one rig, one draw
+    wobble: Annotated[float, Ge(0.0), Key("wobble_deg", unit=RADIAN_PER_DEGREE)] = 0.0
+    # Of the true rate or frequency against the stated one, relative; one rig, one draw
+    table_rate: Annotated[float, Ge(0.0), Key("table_rate_percent", unit=0.01)] = 0.0
     ripple: float = 0.0  # Of the rate once a turn, amplitude, relative
     excess: float = 0.0  # Of the rate at the start of a dwell, relative; a transient
     settle_s: float = 0.5  # Time constant of that transient, s
-    servo: float = 0.0  # Of the angle turned in a dwell against the commanded one, rad
-    encoder_lines: int = 0  # Of the table's encoder, four counts a line; 0 reads rates without steps
+    # Of the angle turned in a dwell against the commanded one, rad
+    servo: Annotated[float, Ge(0.0), Key("servo_deg", unit=RADIAN_PER_DEGREE)] = 0.0
+    encoder_lines: Annotated[int, Ge(0)] = 0  # Of the table's encoder, four counts a line; 0 reads rates without steps
     inclination: float = 0.0  # Of each inclination of a plane, rad
     stroke: float = 0.0  # Of the stroke of each run of a drive, relative
     harmonic: float = 0.0  # Of its second harmonic, in displacement, relative
-    soak_k: float = 0.0  # Of the board's settled temperature against the set-point, K
-    board_lag_s: float = 0.0  # With which the board follows the chamber, s; 0 has settled
+    soak_k: Annotated[float, Ge(0.0)] = 0.0  # Of the board's settled temperature against the set-point, K
+    board_lag_s: Annotated[float, Ge(0.0)] = 0.0  # With which the board follows the chamber, s; 0 has settled
 
 
 IDEAL = BenchErrors()

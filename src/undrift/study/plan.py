@@ -15,18 +15,18 @@ import hashlib
 import json
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 from itertools import chain
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple, cast, get_args
 
 import numpy as np
-from pydantic import Field
+from annotated_types import Ge, Gt, Lt, MinLen
 
 from undrift.arrays import FloatArray
+from undrift.base.codec import Key, read, stored, tree_of
 from undrift.errors import FileFormatError, InputError
-from undrift.files import Entry, read_toml
 from undrift.frames import quaternion_conjugate, rotate
 from undrift.io.formats import read_markers, read_reference
 from undrift.io.mocap import Up
@@ -44,54 +44,26 @@ from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
 # ---- what the bench does wrong
 
-Finite = Annotated[float, Field(allow_inf_nan=False)]
-Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
-NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
+Positive = Annotated[float, Gt(0.0)]
 
 
-class BenchEntry(Entry):
-    """[study.bench]: standard deviations of what the bench does wrong; 0 leaves an error out. The defaults are the preset's.
-
-    The note gives its encoder and its servo; the rest is assumed but where a source stands.
-    """
-
-    # Of each face against level, about each axis, deg; assumed: a squared block on a plate, as of the rival methods
-    face_tilt_deg: NotNegative = 0.1
-    # Of the device on the table, about each axis, deg; each mounting anew; assumed: the same block
-    mount_tilt_deg: NotNegative = 0.1
-    # Of the table's axis against the vertical, about each horizontal axis, deg; assumed: a bubble level
-    level_deg: NotNegative = 0.05
-    # Of the turning axis from dwell to dwell, deg; assumed: a motor's bearings; precision tables state a few arc seconds
-    wobble_deg: NotNegative = 0.01
-    # Of the true rate against the read one; one table; known: crystals of a controller and a computer differ by 50 to 100 ppm
-    table_rate_percent: NotNegative = 0.01
-    # Of the angle turned in a dwell against the commanded one, deg; the encoder reads it; note: largest error of the angle
-    servo_deg: NotNegative = 0.012
-    # Of the encoder, four counts a line; 0 reads without steps; note: N = 10,000, read as lines
-    encoder_lines: Annotated[int, Field(ge=0)] = 10_000
-    # Of the board's settled temperature against the set-point, K; assumed: a small chamber is even to some tenths of a kelvin
-    soak_k: NotNegative = 0.3
-    # With which the board follows the chamber, s; assumed: a board in its box, 1 K behind at the soak's limit of 0.1 K/min
-    board_lag_s: NotNegative = 600.0
-
-    def errors(self) -> BenchErrors:
-        """Return the same in rad and as ratios."""
-        return BenchErrors(**{name: getattr(self, key) * unit for key, (name, unit) in _BENCH_UNITS.items()})
-
-
-_BENCH_UNITS: dict[str, tuple[str, Any]] = {  # key of a file: field, and its unit; 1 keeps whole numbers whole
-    **{f"{name}_deg": (name, RADIAN_PER_DEGREE) for name in ("face_tilt", "mount_tilt", "level", "wobble", "servo")},
-    "table_rate_percent": ("table_rate", 0.01),
-    **{name: (name, 1) for name in ("encoder_lines", "soak_k", "board_lag_s")},
-}
-OF_BENCH = tuple(name for name, _ in _BENCH_UNITS.values())  # the errors of a study's bench
-NOTE_BENCH = BenchEntry().errors()
+# [study.bench] where a key is left out. The note gives its encoder and its servo; the rest is assumed but where a source stands.
+NOTE_BENCH = BenchErrors(
+    face_tilt=0.1 * RADIAN_PER_DEGREE,  # Assumed: a squared block on a plate, as of the rival methods
+    mount_tilt=0.1 * RADIAN_PER_DEGREE,  # Assumed: the same block
+    level=0.05 * RADIAN_PER_DEGREE,  # Assumed: a bubble level
+    wobble=0.01 * RADIAN_PER_DEGREE,  # Assumed: a motor's bearings; precision tables state a few arc seconds
+    table_rate=0.01 * 0.01,  # Known: crystals of a controller and a computer differ by 50 to 100 ppm
+    servo=0.012 * RADIAN_PER_DEGREE,  # Note: largest error of the angle; the encoder reads it
+    encoder_lines=10_000,  # Note: N = 10,000, read as lines
+    soak_k=0.3,  # Assumed: a small chamber is even to some tenths of a kelvin
+    board_lag_s=600.0,  # Assumed: a board in its box, 1 K behind at the soak's limit of 0.1 K/min
+)
 
 
 def bench_keys(errors: BenchErrors) -> dict[str, float]:
     """Return what a bench does wrong by the keys of [study.bench]."""
-    held = {key: (getattr(errors, name), unit) for key, (name, unit) in _BENCH_UNITS.items()}
-    return {key: value if unit == 1 else float(f"{value / unit:.12g}") for key, (value, unit) in held.items()}
+    return dict(tree_of(errors))
 
 
 # ---- the plan
@@ -476,11 +448,13 @@ def sha256_of(path: Path) -> str:
 
 # ---- study.toml
 
-Values = Annotated[list[Positive], Field(min_length=1)]
-MoreValues = list[Positive]
+Values = Annotated[tuple[Positive, ...], MinLen(1)]
+MoreValues = tuple[Positive, ...]
 
 
-class SpaceEntry(Entry):
+@stored()
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SpaceEntry:
     """[task.space]."""
 
     cutoff_hz: Values  # Of the low-pass, Hz
@@ -488,19 +462,21 @@ class SpaceEntry(Entry):
     turn_rate_min_dps: Values  # omega_m
     turn_rate_max_dps: Values  # omega_M
     # Left out: the device's or the protocol's own value alone
-    gain: MoreValues = Field(default_factory=list)  # Of the gyroscopes' amplifier
-    quality: MoreValues = Field(default_factory=list)  # Q of the low-pass of both triads, 0.5 or more
-    dwell_s: MoreValues = Field(default_factory=list)  # At a rate
-    bracket_s: MoreValues = Field(default_factory=list)  # At rest around a block of rates
-    face_s: MoreValues = Field(default_factory=list)  # On a face
-    faces: MoreValues = Field(default_factory=list)  # How many: 6, or 5 without -z
+    gain: MoreValues = ()  # Of the gyroscopes' amplifier
+    quality: MoreValues = ()  # Q of the low-pass of both triads, 0.5 or more
+    dwell_s: MoreValues = ()  # At a rate
+    bracket_s: MoreValues = ()  # At rest around a block of rates
+    face_s: MoreValues = ()  # On a face
+    faces: MoreValues = ()  # How many: 6, or 5 without -z
     # How many, evenly from the protocol's first to its last; 1 stays at room temperature
-    set_points: MoreValues = Field(default_factory=list)
-    static_step_c: MoreValues = Field(default_factory=list)  # Between nodes of the static table, K
-    dynamic_step_c: MoreValues = Field(default_factory=list)  # Of the dynamic table, K
+    set_points: MoreValues = ()
+    static_step_c: MoreValues = ()  # Between nodes of the static table, K
+    dynamic_step_c: MoreValues = ()  # Of the dynamic table, K
 
 
-class ProtocolEntry(Entry):
+@stored()
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ProtocolEntry:
     """[task.protocol]."""
 
     dwell_s: Positive = 2.0  # At a rate
@@ -508,21 +484,25 @@ class ProtocolEntry(Entry):
     face_s: Positive = 6.0  # On a face
     grid: GridRule = "paper"  # paper or inclusive
     # Of the chamber, degC, rising; empty stays at room temperature
-    set_points_c: list[Finite] = Field(default_factory=lambda: list(SET_POINTS_C))
+    set_points_c: tuple[float, ...] = SET_POINTS_C
 
 
-class MotionEntry(Entry):
+@stored()
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MotionEntry:
     """[task.motion]."""
 
     file: str  # Poses or markers, from the folder of study.toml
     rest_s: Positive  # Rest at the beginning, s
-    markers: list[str] = Field(default_factory=list)  # Labels of one rigid cluster, for TRC or C3D
+    markers: tuple[str, ...] = ()  # Labels of one rigid cluster, for TRC or C3D
     body: BodyName | None = None  # Or pelvis, thorax or trunk, found by its markers
     up: Literal["y", "z"] | None = None  # Laboratory axis that points up, for markers
     hold: bool = False  # Hold the first pose for ``rest_s`` before a recording that has no rest
 
 
-class TaskEntry(Entry):
+@stored()
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TaskEntry:
     """[[task]]."""
 
     name: str  # Of the task
@@ -531,49 +511,57 @@ class TaskEntry(Entry):
     motion: MotionEntry | None = None  # In place of a drawn performance
 
 
-class StudyEntry(Entry):
+@stored()
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StudyEntry:
     """[study]."""
 
     name: str = ""  # For people
     device: str = DEVICE  # Preset, or path of a device.json
-    subjects: Annotated[int, Field(ge=3)] = 30  # How many
+    subjects: Annotated[int, Ge(3)] = 30  # How many
     group: Group = "simulation"  # simulation or testing
     # Of the subjects: level_2 (the note's), young, elderly, impaired, parkinson; each performs every task
-    categories: list[str] = Field(default_factory=lambda: [str(DEFAULT)])
+    categories: tuple[str, ...] = (DEFAULT,)
     # Least and greatest, K
-    excursion_k: Annotated[list[Finite], Field(min_length=2, max_length=2)] = Field(
-        default_factory=lambda: [10.0, 15.0]
-    )
+    excursion_k: tuple[float, float] = (10.0, 15.0)
     objective: Objective = "rms"  # rms, maximum or end
     timing: Timing = "real time"  # or offline
     # halving: the better part of the protocols meets more subjects; cma: evolution of a few at a time
     search: Search = "grid"
     # Most protocols that halving draws from a wider space, or that cma tries, for a task; all and 600 where not given
-    candidates: Annotated[int, Field(ge=4)] | None = None
-    level: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.05  # Of the tests
+    candidates: Annotated[int, Ge(4)] | None = None
+    level: Annotated[float, Gt(0.0), Lt(1.0)] = 0.05  # Of the tests
     # Smallest difference that matters; from the note's Figure 3 where not given: 0.087 for rms, 0.15 for maximum and end
     margin_deg: Positive | None = None
     rig_minutes_max: Positive | None = None  # Longest session, min
-    seed: Annotated[int, Field(ge=0)] = 0  # Same seed, same bits
+    seed: Annotated[int, Ge(0)] = 0  # Same seed, same bits
     # Tolerance of an amplifier's gain and null and of its converter's reference; 1 % parts are assumed
-    chain_percent: NotNegative = 1.0
-    bench: BenchEntry = BenchEntry()  # What the bench does wrong; the default is the preset's
+    chain_sd: Annotated[float, Ge(0.0), Key("chain_percent", unit=0.01)] = 0.01
+    bench: BenchErrors = NOTE_BENCH  # What the bench does wrong; the default is the preset's
 
 
-class StudyFile(Entry):
+def _with_bench(tree: dict[str, Any]) -> dict[str, Any]:
+    """Return the tree of study.toml with the preset's bench where keys of it are left out."""
+    study = tree.get("study", {})
+    bench = study.get("bench", {}) if isinstance(study, dict) else None
+    return tree if not isinstance(bench, dict) else tree | {"study": study | {"bench": bench_keys(NOTE_BENCH) | bench}}
+
+
+@stored(upgrade=_with_bench)
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StudyFile:
     """The whole file."""
 
     study: StudyEntry = StudyEntry()  # What holds for all tasks
-    task: Annotated[list[TaskEntry], Field(min_length=1)]  # One or more
+    task: Annotated[tuple[TaskEntry, ...], MinLen(1)]  # One or more
 
 
 def read_study(path: str | Path) -> Study:
     """Read a study."""
-    held, folder = read_toml(path, StudyFile), Path(path).parent
+    held, folder = read(StudyFile, path), Path(path).parent
     head = held.study
-    given = head.model_dump() | {"name": head.name or Path(path).stem, "excursion_k": tuple(head.excursion_k)}
+    given = {item.name: getattr(head, item.name) for item in fields(head)} | {"name": head.name or Path(path).stem}
     categories = given.pop("categories")
-    given |= {"bench": head.bench.errors(), "chain_sd": 0.01 * given.pop("chain_percent")}
     given["margin_deg"] = head.margin_deg or MARGIN_DEG[head.objective]
     try:
         if head.device not in PRESETS:
@@ -590,17 +578,26 @@ def read_study(path: str | Path) -> Study:
 
 
 def _task_of(entry: TaskEntry, folder: Path) -> StudyTask:
-    base = entry.protocol.model_dump(exclude={"set_points_c"})
+    base, space = entry.protocol, entry.space
     motion = None
     if entry.motion is not None:
         file = (folder / entry.motion.file).resolve()
-        given = entry.motion.model_dump(exclude={"file"}) | {"markers": tuple(entry.motion.markers)}
+        given = {item.name: getattr(entry.motion, item.name) for item in fields(entry.motion) if item.name != "file"}
         motion = OwnMotion(path=str(file), sha256=sha256_of(file), **given)
         read_motion(motion)  # refused now rather than by a worker
-    first, *others = ((key, tuple(values)) for key, values in entry.space.model_dump().items())
+    further = {name: getattr(space, name) for name in FURTHER}
     return StudyTask(
         name=entry.name,
-        space=_space(first[1], *(values for _, values in others[:3]), **dict(others[3:])),
-        base=Protocol(name=entry.name, temperatures_c=tuple(entry.protocol.set_points_c), **base),
+        space=_space(
+            space.cutoff_hz, space.turn_rate_step_dps, space.turn_rate_min_dps, space.turn_rate_max_dps, **further
+        ),
+        base=Protocol(
+            name=entry.name,
+            temperatures_c=base.set_points_c,
+            dwell_s=base.dwell_s,
+            bracket_s=base.bracket_s,
+            face_s=base.face_s,
+            grid=base.grid,
+        ),
         motion=motion,
     )

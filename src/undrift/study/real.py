@@ -20,11 +20,12 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
-from pydantic import Field
+from annotated_types import Gt, MinLen
 
 from undrift.arrays import FloatArray
+from undrift.base.codec import read, stored
 from undrift.errors import FileFormatError, InputError, UndriftError
-from undrift.files import Entry, read_bytes, read_toml
+from undrift.files import read_bytes
 from undrift.findings import Finding, finding
 from undrift.frames import rotate
 from undrift.io.formats import detect, read_record, read_reference
@@ -512,38 +513,46 @@ def _after_rest(motion: Motion) -> Motion:
 Given = TypeVar("Given")
 
 
-class TrialEntry(Entry):
+@stored()
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrialEntry:
     """[[trial]]."""
 
     recording: str  # Readings of the device
     device: str  # Which
     map: str | None = None  # Columns, units and sample rate of a foreign recording, a file as for --map
     reference: str | None = None  # Poses; None where the recording is a BROAD file
-    markers: list[str] = Field(default_factory=list)  # Labels of one rigid cluster, for TRC or C3D
+    markers: tuple[str, ...] = ()  # Labels of one rigid cluster, for TRC or C3D
     up: Literal["y", "z"] | None = None  # Laboratory axis that points up, for markers
 
 
-class CaptureEntry(Entry):
+@stored()
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CaptureEntry:
     """[[capture]]."""
 
     file: str  # Poses or markers
     task: Captured  # sit_to_stand, squat or stairs
     body: BodyName | None = None  # pelvis, thorax or trunk, found by its markers
-    markers: list[str] = Field(default_factory=list)  # Or labels of one rigid cluster
+    markers: tuple[str, ...] = ()  # Or labels of one rigid cluster
     up: Literal["y", "z"] | None = None  # Laboratory axis that points up, for markers
     category: CategoryName = DEFAULT  # Of the person
 
 
-class StanceEntry(Entry):
+@stored()
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StanceEntry:
     """[[stance]]."""
 
     file: str  # Table of a force plate
-    mass_kg: Annotated[float, Field(gt=0.0, allow_inf_nan=False)]  # Of the person
+    mass_kg: Annotated[float, Gt(0.0)]  # Of the person
     condition: Condition  # Eyes and surface
     category: CategoryName = DEFAULT  # Of the person
 
 
-class ActualEntry(Entry):
+@stored()
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ActualEntry:
     """[actual]."""
 
     device: str  # device.json of a twin
@@ -551,16 +560,18 @@ class ActualEntry(Entry):
     map: str | None = None  # Its columns and units, a file as for --map
     kind: str  # Preset of the simulated device
     room_c: float  # Of the bench, degC
-    set_points_c: Annotated[list[float], Field(min_length=2)]  # Of the chamber, degC
+    set_points_c: Annotated[tuple[float, ...], MinLen(2)]  # Of the chamber, degC
 
 
-class RealFile(Entry):
+@stored()
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RealFile:
     """The whole file."""
 
     actual: ActualEntry | None = None  # Figure 3's actual device; any of the four may be left out
-    trial: list[TrialEntry] = Field(default_factory=list)
-    capture: list[CaptureEntry] = Field(default_factory=list)
-    stance: list[StanceEntry] = Field(default_factory=list)
+    trial: tuple[TrialEntry, ...] = ()
+    capture: tuple[CaptureEntry, ...] = ()
+    stance: tuple[StanceEntry, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -598,7 +609,7 @@ class RealOutcome:
 
 def read_real(path: str | Path) -> RealData:
     """Read all recordings that a file names."""
-    held, folder = read_toml(path, RealFile), Path(path).parent
+    held, folder = read(RealFile, path), Path(path).parent
     if not (held.trial or held.capture or held.stance or held.actual):
         raise FileFormatError(
             f"{path}: wanted a [[trial]], a [[capture]], a [[stance]] or [actual], got none; name a recording"
@@ -623,7 +634,7 @@ def read_real(path: str | Path) -> RealData:
 def _actual(entry: ActualEntry, folder: Path) -> ActualTwin:
     columns = None if entry.map is None else read_column_map(folder / entry.map)
     found = fit_warm_up(read_record(folder / entry.warm_up, columns), reference_c=entry.room_c)
-    climate = Climate(room_c=entry.room_c, set_points_c=tuple(entry.set_points_c))
+    climate = Climate(room_c=entry.room_c, set_points_c=entry.set_points_c)
     (low, high), asked = found.range_c, (entry.room_c, *entry.set_points_c)
     if min(asked) < low or max(asked) > high:
         raise InputError(
@@ -641,7 +652,7 @@ def _worn_by_twin(twin: ActualTwin, *, seed: int, excursion_k: float) -> Figure3
     return figure3(twin.model, actual=twin.device, climate=twin.climate, seed=seed, excursion_k=excursion_k)
 
 
-def _devices(entries: list[TrialEntry], folder: Path) -> tuple[DeviceTrials, ...]:
+def _devices(entries: tuple[TrialEntry, ...], folder: Path) -> tuple[DeviceTrials, ...]:
     devices = []
     for name in dict.fromkeys(entry.device for entry in entries):
         own = [entry for entry in entries if entry.device == name]
@@ -664,7 +675,7 @@ def _pair(entry: TrialEntry, folder: Path) -> tuple[Record, Reference]:
 
 
 def _capture(entry: CaptureEntry, folder: Path) -> Capture:
-    poses = read_poses(folder / entry.file, body=entry.body, markers=tuple(entry.markers), up=entry.up)
+    poses = read_poses(folder / entry.file, body=entry.body, markers=entry.markers, up=entry.up)
     if poses.position is None:
         raise InputError(f"{entry.file}: wanted poses with positions, got none; risings are found by the height")
     name = Path(entry.file).name.split(".")[0]

@@ -21,8 +21,9 @@ import numpy as np
 from undrift.arrays import FloatArray, IntArray
 from undrift.errors import InputError, UndriftError
 from undrift.files import write_whole
+from undrift.sim.bench_errors import OF_TABLE
 from undrift.study.case import COLUMNS, Unit, run_unit, units_of
-from undrift.study.plan import ERRORS, OF_BENCH, Aim, Objective, Study, StudyTask, Timing, column_of
+from undrift.study.plan import ERRORS, Aim, Objective, Study, StudyTask, Timing, column_of
 
 # ---- executors: where units of work are done
 
@@ -170,7 +171,7 @@ class RunStore:
         except OSError as error:
             raise InputError(f"{folder}: wanted a folder to write to, got {error.strerror}; choose another") from error
         held = asdict(study) | {"tasks": [asdict(task) for task in only or study.tasks]}
-        held["bench"] = {name: held["bench"][name] for name in OF_BENCH}
+        held["bench"] = {name: held["bench"][name] for name in OF_TABLE}
         if study.search == "grid":  # all errors are kept, whatever is minimised
             del held["objective"], held["timing"]
         del held["margin_deg"]  # verdicts alone depend on it

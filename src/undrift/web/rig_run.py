@@ -34,7 +34,7 @@ from urllib.parse import urlencode
 from undrift.errors import InputError, RigFault
 from undrift.files import take_lock, write_whole
 from undrift.rig.folder import JOURNAL
-from undrift.rig.progress import ProgressReader
+from undrift.rig.run import ProgressReader
 from undrift.rig.standby import Standby, stop_now
 
 SESSION, PLACE = "session", "run"

@@ -26,7 +26,7 @@ from types import FrameType
 from urllib.parse import parse_qs, urlsplit
 
 from undrift.files import take_lock, write_whole
-from undrift.rig.progress import append
+from undrift.rig.run import append
 from undrift.rig.standby import Standby, stop_now
 from undrift.web.rig_run import ANSWER, LOCK, LOG, PLACE, PROGRESS, STANDBY, command_of, read_order
 

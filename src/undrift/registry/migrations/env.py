@@ -2,7 +2,7 @@
 
 from alembic import context
 
-from undrift.registry.tables import VERSION_TABLE, Base
+from undrift.registry.registry import VERSION_TABLE, Base
 
 context.configure(
     connection=context.config.attributes["connection"],

@@ -1,0 +1,582 @@
+"""Codec: frozen dataclasses <-> JSON and TOML. The class is the file: no second class, no list of keys.
+
+::
+
+    @stored(kind="undrift.loop", format=1)
+    @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+    class Loop:
+        temp_c: Annotated[FloatArray, Shape("n", rising=True)]
+        turn_rate: Annotated[float, Key("table.turn_rate_dps", unit=RADIAN_PER_DEGREE)] = 0.0
+        half_width: Annotated[FloatArray | None, Key(later=True)] = None
+
+    write(loop, "loop.json")      {"kind": "undrift.loop", "format": 1, "temp_c": [20.0, 30.0], "table": {"turn_rate_dps": 5.0}}
+    read(Loop, "loop.json")       the same value, to the last bit
+
+value -> tree (plain dicts and lists) -> text is written here. text -> tree -> value goes through pydantic: for each class a table
+of its keys (``_table_of``), strict and closed, then the class itself, whose ``__post_init__`` has the last word. A key is required
+where its field has no default, and in a ``whole`` class also where it has one, unless its mark says otherwise.
+"""
+
+import difflib
+import json
+import math
+import re
+import tomllib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import MISSING, Field, dataclass, fields
+from functools import cache, partial
+from pathlib import Path
+from typing import Annotated, Any, TypeVar, get_args, get_origin, get_type_hints
+
+from undrift.errors import FileFormatError, InputError
+from undrift.files import read_bytes, write_whole
+
+Value = TypeVar("Value")
+Result = TypeVar("Result")
+Tree = dict[str, Any]
+_STRICT: Any = {"strict": True, "allow_inf_nan": False}
+
+
+# ---- marks of classes and fields
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Stored:
+    """How a class stands in a file."""
+
+    kind: str = ""  # Of a whole file, its first key; "" where files of the class state none
+    format: int = 1  # Of a whole file, its second key
+    whole: bool = False  # Every key must be there, but for later ones
+    keys: tuple[str, ...] = ()  # Fields and properties in the order of the file; all fields where empty
+    form: Any = None  # A type that stands in the file in place of the class, with the next two
+    read: Callable[[Any], Any] | None = None  # From the checked keys, or the form, to the value
+    write: Callable[[Any], Any] | None = None  # From the value to its tree
+    upgrade: Callable[[Tree], Tree] | None = None  # From the tree of an earlier version to today's
+
+
+@dataclass(frozen=True, slots=True)
+class Key:
+    """Where and how a field stands in a file; mark of an annotated field."""
+
+    path: str = ""  # Key, after those of its tables: "units.gyro"; the field's own name where empty
+    unit: float = 1.0  # SI units in one unit of the file
+    optional: bool = False  # May be left out, in a whole class too
+    needed: bool = False  # Required where its table is there
+    later: bool = False  # Likewise, and is written only where it is not the default
+    form: Any = None  # Type in the file, where it is another
+
+
+@dataclass(frozen=True, slots=True)
+class Number:
+    """Mark of a float that may be NaN, null in a file; or infinite, "inf" or "-inf"."""
+
+    infinite: bool = True
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
+        from pydantic_core import core_schema as cs
+
+        known: list[Any] = [cs.float_schema(), cs.none_schema()]
+        known += [cs.literal_schema(["inf", "-inf"])] * self.infinite
+        return cs.no_info_after_validator_function(
+            lambda x: math.nan if x is None else float(x), cs.union_schema(known)
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Rows:
+    """Mark of a tuple of tuples of str that is a list of tables: the names of their keys."""
+
+    names: tuple[str, ...]
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
+        from pydantic_core import core_schema as cs
+
+        keys = {name: cs.typed_dict_field(cs.str_schema()) for name in self.names}
+        row = cs.typed_dict_schema(keys, extra_behavior="forbid", config={"title": "row"})
+        return cs.no_info_after_validator_function(
+            lambda rows: tuple(tuple(row[name] for name in self.names) for row in rows), cs.list_schema(row)
+        )
+
+    def tree(self, rows: Sequence[Sequence[str]]) -> list[Tree]:
+        """Return the list of tables."""
+        return [dict(zip(self.names, row, strict=True)) for row in rows]
+
+
+@dataclass(frozen=True, slots=True)
+class Named:
+    """Mark of pairs of str that are one table, by their names."""
+
+    what: str  # For errors
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
+        from pydantic_core import core_schema as cs
+
+        table = cs.dict_schema(cs.str_schema(), cs.str_schema())
+        return cs.no_info_after_validator_function(lambda table: tuple(table.items()), table)
+
+    def tree(self, pairs: Sequence[tuple[str, str]]) -> dict[str, str]:
+        """Return the table."""
+        table = dict(pairs)
+        if len(table) != len(pairs):
+            raise InputError(f"wanted each of the {self.what} once, got a name twice; name them apart")
+        return table
+
+
+Gap = Annotated[float, Number(infinite=False)]
+AnyNumber = Annotated[float, Number()]
+_STORED: dict[type, Stored] = {}
+
+
+def _cached(function: Callable[[Any], Result]) -> Callable[[Any], Result]:
+    """Return a function of a class that works once for each."""
+    return cache(function)
+
+
+def stored(**how: Any) -> Callable[[type[Value]], type[Value]]:
+    """Return a decorator that makes a dataclass its own file; the keywords are the fields of ``Stored``."""
+
+    def mark(cls: type[Value]) -> type[Value]:
+        _STORED[cls] = Stored(**how)
+        cls.__get_pydantic_core_schema__ = classmethod(_schema_of)  # type: ignore[attr-defined]
+        return cls
+
+    return mark
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Slot:
+    """One key of a class."""
+
+    name: str  # Of the field or property
+    path: tuple[str, ...]  # Where it stands
+    hint: Any  # Its type in the file
+    key: Key
+    required: bool
+    default: Any = MISSING  # Of the field; MISSING where there is none
+    given: bool = True  # Handed to the class; a property is written alone
+
+
+@_cached
+def slots_of(cls: Any) -> tuple[Slot, ...]:
+    """Return the keys of a class in the order of its file."""
+    how, hints = _STORED[cls], get_type_hints(cls, include_extras=True)
+    known: dict[str, Field[Any]] = {item.name: item for item in fields(cls) if item.init}
+    made = []
+    for name in how.keys or known:
+        field = known.get(name)
+        hint = get_type_hints(getattr(cls, name).fget)["return"] if field is None else hints[name]
+        marks = get_args(hint)[1:] if get_origin(hint) is Annotated else ()
+        key = next((mark for mark in marks if isinstance(mark, Key)), Key())
+        default = MISSING if field is None else _default_of(field)
+        required = default is MISSING or (how.whole and not (key.optional or key.later))
+        made.append(
+            Slot(
+                name=name,
+                path=tuple((key.path or name).split(".")),
+                hint=hint if key.form is None else key.form,
+                key=key,
+                required=required,
+                default=default,
+                given=field is not None,
+            )
+        )
+    return tuple(made)
+
+
+def _default_of(field: "Field[Any]") -> Any:
+    return field.default if field.default_factory is MISSING else field.default_factory()
+
+
+# ---- from tree to value
+
+
+@_cached
+def _adapter(cls: Any) -> Any:
+    from pydantic import TypeAdapter
+
+    return TypeAdapter(cls)
+
+
+_BEGUN: list[type] = []  # classes whose tables are being made: one that holds itself refers to its own name
+
+
+def _schema_of(cls: type, source: Any, handler: Any) -> Any:
+    """Return pydantic's schema of a class: its table of keys, then the class made of them."""
+    from pydantic_core import core_schema as cs
+
+    how, ref = _STORED[cls], f"{cls.__module__}.{cls.__qualname__}"
+    if cls in _BEGUN:
+        return cs.definition_reference_schema(ref)
+    _BEGUN.append(cls)
+    try:
+        table = _table_of(cls, handler) if how.form is None else handler.generate_schema(how.form)
+    finally:
+        _BEGUN.pop()
+    make = partial(_made, cls) if how.form is None else how.read
+    about = (cls.__doc__ or "").partition("\n")[0]
+    metadata = {"pydantic_js_updates": {"title": cls.__name__, "description": about}}
+    return cs.no_info_after_validator_function(make, table, ref=ref, metadata=metadata)  # type: ignore[arg-type]
+
+
+def _table_of(cls: type, handler: Any) -> Any:
+    """Return the table of the keys of a class; keys with a dot in their path stand in tables of it."""
+    from pydantic_core import core_schema as cs
+
+    tables: dict[tuple[str, ...], Tree] = {(): {}}
+    for key, value in _head_of(_STORED[cls]).items():
+        tables[()][key] = cs.typed_dict_field(cs.literal_schema([value]))
+    for slot in slots_of(cls):
+        shown = {} if slot.required or slot.default is MISSING else {"default": default_tree(slot)}
+        field = cs.typed_dict_field(
+            handler.generate_schema(slot.hint),
+            required=slot.required or slot.key.needed,
+            metadata={"pydantic_js_updates": shown},
+        )
+        for depth in range(1, len(slot.path)):
+            tables.setdefault(slot.path[:depth], {})
+            tables[slot.path[: depth - 1]].setdefault(slot.path[depth - 1], None)  # in its place; made below
+        tables[slot.path[:-1]][slot.path[-1]] = field
+    for path in sorted(tables, key=len, reverse=True):
+        made = cs.typed_dict_schema(tables[path], extra_behavior="forbid", config=_STRICT)
+        if path:
+            needed = any(slot.required for slot in slots_of(cls) if slot.path[: len(path)] == path)
+            tables[path[:-1]][path[-1]] = cs.typed_dict_field(made, required=needed)
+    return made
+
+
+def _head_of(how: Stored) -> Tree:
+    return {"kind": how.kind, "format": how.format} if how.kind else {}
+
+
+def default_tree(slot: Slot) -> Any:
+    """Return the default of a key as a file would state it."""
+    return _in_unit(tree_of(slot.default), slot.key.unit)
+
+
+def _made(cls: type[Value], table: Tree) -> Value:
+    """Make a value of its checked keys."""
+    how, given = _STORED[cls], Tree()
+    for slot in slots_of(cls):
+        spot: Any = table
+        for name in slot.path:
+            spot = MISSING if spot is MISSING else spot.get(name, MISSING)
+        if spot is not MISSING and (slot.given or how.read):
+            given[slot.name] = _at_unit(spot, slot.key.unit)
+    return cls(**given) if how.read is None else how.read(given)
+
+
+def _at_unit(held: Any, factor: float) -> Any:
+    """Return a number, or each of several, times a factor."""
+    if factor == 1.0 or held is None:
+        return held
+    return type(held)(_at_unit(item, factor) for item in held) if isinstance(held, list | tuple) else held * factor
+
+
+def value_of(cls: type[Value], tree: Any, name: str, text: str = "") -> Value:
+    """Return the value of a tree; messages call it by a name, and by lines where its text in TOML is given."""
+    how = _STORED[cls]
+    if how.kind:
+        kind, version = (tree.get("kind"), tree.get("format")) if isinstance(tree, dict) else (None, None)
+        if kind != how.kind:
+            raise FileFormatError(
+                f"{name}: wanted kind {how.kind!r}, got {kind!r}; give {_called(how)} that undrift wrote"
+            )
+        if version != how.format or isinstance(version, bool):
+            raise FileFormatError(
+                f"{name}: wanted format {how.format}, got {version!r}; read it with the undrift that wrote it"
+            )
+    try:
+        tree = how.upgrade(tree) if how.upgrade and isinstance(tree, dict) else tree
+        made: Value = _checked(cls, tree)
+    except Refused as refused:
+        raise FileFormatError(f"{name}: {refused.explained(how, text)}") from refused
+    except (InputError, OverflowError) as error:  # of an upgrade
+        raise FileFormatError(f"{name}: {error}") from error
+    return made
+
+
+class Refused(ValueError):
+    """What pydantic found: places, kinds of problem, and the names of the keys that it knows."""
+
+    def __init__(self, problems: list[Any], known: frozenset[str] = frozenset()) -> None:
+        # a list without its bad item is not too short; unknown keys first: they explain the rest
+        places = [problem["loc"] for problem in problems]
+        real = [
+            p for p in problems if p["type"] != "too_short" or not any(_within(place, p["loc"]) for place in places)
+        ]
+        self.problems = sorted(real, key=lambda problem: problem["type"] != "extra_forbidden")
+        self.known = known
+        problem = self.problems[0]
+        self.place = tuple(part for part in problem["loc"] if not _is_branch(part))
+        self.cause = problem.get("ctx", {}).get("error") if problem["type"] == "value_error" else None
+        self.near = ""
+        if problem["type"] == "extra_forbidden":
+            near = difflib.get_close_matches(str(self.place[-1]), sorted(known - {self.place[-1]}), n=1, cutoff=0.7)
+            self.near = f" (nearest known key: {near[0]})" if near else ""
+        super().__init__(self.in_json())
+
+    def explained(self, how: Stored, text: str) -> str:
+        """Return the text of the error: by line and entry in TOML, by the path of the key in JSON."""
+        if text:
+            return self.in_toml(text)
+        if self.cause is not None:
+            return self.in_json()
+        wanted = f"{_called(how)} of format {how.format}" if how.kind else "known keys"
+        return f"wanted {wanted}, got {self.in_json()}; repair the file"
+
+    def in_json(self) -> str:
+        """Return the first problem by the path of its key."""
+        where = f"at {'.'.join(map(str, self.place))}: " if self.place else ""
+        return f"{where}{self.problems[0]['msg'] if self.cause is None else self.cause}{self.near}"
+
+    def in_toml(self, text: str) -> str:
+        """Return the first problem by its line and entry."""
+        problem = self.problems[0]
+        more = f" (and {len(self.problems) - 1} more)" if len(self.problems) > 1 else ""
+        if self.cause is not None and not self.place:
+            return f"{self.cause}{more}"
+        message = problem["msg"].replace("Input should be ", "wanted ").splitlines()[0]
+        what = {
+            "extra_forbidden": f"wanted a known key, got this one; check its spelling{self.near}",
+            "missing": "wanted this key, got none; add it",
+            "value_error": str(self.cause),
+        }.get(problem["type"], f"{message}, got {problem['input']!r}")
+        return f"line {line_of(text, self.place)}: {entry_name(self.place)}: {what}{more}"
+
+
+def _within(place: tuple[Any, ...], outer: tuple[Any, ...]) -> bool:
+    return len(place) > len(outer) and place[: len(outer)] == outer
+
+
+def _checked(cls: type[Value], tree: Any) -> Value:
+    from pydantic import ValidationError
+
+    try:
+        # as JSON: strict, and lists are tuples there
+        made: Value = _adapter(cls).validate_json(json.dumps(tree, default=str))
+    except ValidationError as error:
+        raise Refused(list(error.errors(include_url=False)), _names_of(cls)) from error
+    except (OverflowError, RecursionError, TypeError) as error:
+        raise Refused([{"type": "value_error", "loc": (), "msg": str(error), "ctx": {"error": error}}]) from error
+    return made
+
+
+@_cached
+def _names_of(cls: Any) -> frozenset[str]:
+    """Return the names of all keys of a class and of what it holds."""
+    names, seen, todo = set[str](), set[type](), [cls]
+    while todo:
+        one = todo.pop()
+        if one in seen:
+            continue
+        seen.add(one)
+        if _STORED[one].form is not None:
+            todo += _classes_in(_STORED[one].form)
+            continue
+        for slot in slots_of(one):
+            names |= set(slot.path)
+            todo += _classes_in(slot.hint)
+    return frozenset(names)
+
+
+def _classes_in(hint: Any) -> list[type]:
+    """Return the stored classes of a type."""
+    own = [hint] if isinstance(hint, type) and hint in _STORED else []
+    return [*own, *(found for part in get_args(hint) for found in _classes_in(part))]
+
+
+def _called(how: Stored) -> str:
+    return f"a {how.kind.rpartition('.')[2]}"
+
+
+def _is_branch(part: Any) -> bool:
+    """Tell pydantic's names for the branches of a union from keys of the file."""
+    return isinstance(part, str) and (
+        part in ("str", "int", "float", "bool", "nullable", "none") or "[" in part or "-" in part or part[:1].isupper()
+    )
+
+
+# ---- from value to tree
+
+
+def tree_of(value: Any) -> Any:
+    """Return a value as plain dicts, lists, numbers and texts: NaN is None, infinity "inf"."""
+    if value is None or isinstance(value, str | int):
+        return value
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None if math.isnan(value) else "inf" if value > 0.0 else "-inf"
+    if hasattr(value, "tolist"):
+        return tree_of(value.tolist())
+    if isinstance(value, Mapping):
+        return {name: tree_of(item) for name, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [tree_of(item) for item in value]
+    write = _STORED[type(value)].write
+    return tree_by_keys(value) if write is None else write(value)
+
+
+def tree_by_keys(value: Any) -> Tree:
+    """Return a stored value by its keys."""
+    tree = _head_of(_STORED[type(value)])
+    for slot in slots_of(type(value)):
+        held = getattr(value, slot.name)
+        if slot.key.later and (held is slot.default or (not hasattr(held, "tolist") and held == slot.default)):
+            continue
+        spot = tree
+        for name in slot.path[:-1]:
+            spot = spot.setdefault(name, {})
+        spot[slot.path[-1]] = _written(held, slot)
+    return tree
+
+
+def _written(held: Any, slot: Slot) -> Any:
+    if held is not None:
+        for mark in get_args(slot.hint)[1:]:
+            if isinstance(mark, Rows | Named):
+                return mark.tree(held)
+    return _in_unit(tree_of(held), slot.key.unit)
+
+
+def _in_unit(held: Any, unit: float) -> Any:
+    """Return numbers in the unit of the file, by the fewest digits that read back the same."""
+    if unit == 1.0 or held is None:
+        return held
+    if isinstance(held, list):
+        return [_in_unit(item, unit) for item in held]
+    short = (float(f"{held / unit:.{digits}g}") for digits in range(12, 18))
+    return next((number for number in short if number * unit == held), held / unit)
+
+
+# ---- files
+
+
+def _is_json(cls: type, path: Path) -> bool:
+    """Tell JSON from TOML by the ending of a name; by another ending, a class that states its kind is JSON."""
+    return path.suffix == ".json" or (path.suffix != ".toml" and bool(_STORED[cls].kind))
+
+
+def read(cls: type[Value], path: Path | str) -> Value:
+    """Read a value from a file of JSON or TOML."""
+    tree, text = (json_of(Path(path), cls), "") if _is_json(cls, Path(path)) else toml_of(path)
+    return value_of(cls, tree, str(path), text)
+
+
+def toml_of(path: Path | str) -> tuple[Tree, str]:
+    """Return what a file of TOML holds, and its text."""
+    try:
+        text = read_bytes(path).decode("utf-8")
+        return tomllib.loads(text), text
+    except UnicodeDecodeError as error:
+        raise FileFormatError(
+            f"{path}: wanted UTF-8 text, got other bytes at {error.start}; save the file as UTF-8"
+        ) from error
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
+        raise FileFormatError(f"{path}: wanted TOML, got a line that is not: {error}") from error
+
+
+def json_of(path: Path, cls: type) -> Any:
+    """Return what a file of JSON holds; NaN and Infinity are no JSON."""
+    try:
+        return json.loads(path.read_text(encoding="utf-8"), parse_constant=_refuse_constant)
+    except OSError as error:
+        raise FileFormatError(
+            f"{path}: wanted {_called(_STORED[cls])} file, got {error.strerror}; check the path"
+        ) from error
+    except (ValueError, RecursionError) as error:  # broken JSON, or text that is not UTF-8
+        raise FileFormatError(f"{path}: wanted JSON, got {error}; write the file anew") from error
+
+
+def _refuse_constant(name: str) -> float:
+    raise ValueError(f"{name}, which is no JSON number")
+
+
+def write(value: Any, path: Path | str) -> None:
+    """Write a value to a file of JSON or TOML, whole or not at all."""
+    as_json = _is_json(type(value), Path(path))
+    write_whole(Path(path), json_text(value, str(path)) if as_json else toml_text(tree_of(value)))
+
+
+def json_text(value: Any, name: str) -> str:
+    """Return the text of a JSON file, once it is sure to read back; the name stands in errors."""
+    try:
+        tree = tree_of(value)
+        _checked(type(value), tree)
+    except Refused as refused:
+        called = _called(_STORED[type(value)])
+        raise InputError(f"{name}: wanted {called} that reads back, got {refused}; mend the value") from refused
+    text = json.dumps(tree, indent=2, allow_nan=False)
+    # lists of plain values on one line: raw line breaks never stand inside a JSON string
+    lists = re.compile(r"\[\n\s*([^\[\]{}]*?)\n\s*\]")
+    return lists.sub(lambda found: "[" + re.sub(r"\n\s*", " ", found[1]) + "]", text) + "\n"
+
+
+def toml_text(tree: Tree) -> str:
+    """Return the text of a TOML file; what is None is left out, and a list of tables stands as [[name]] ones."""
+    import tomli_w
+
+    tree = _stated(tree)
+    several = {
+        name: held for name, held in tree.items() if isinstance(held, list) and held and isinstance(held[0], dict)
+    }
+    parts = [_laid_out(tomli_w.dumps({name: held for name, held in tree.items() if name not in several}))]
+    for name, tables in several.items():
+        parts += [toml_block(name, table) for table in tables]
+    return "\n".join(part for part in parts if part)
+
+
+def toml_block(name: str, table: Tree) -> str:
+    """Return the text of one of several tables: [[name]] and its keys."""
+    import tomli_w
+
+    head, _, rest = tomli_w.dumps({name: _stated(table)}).partition("\n")
+    return _laid_out(f"[{head}]\n{rest}")
+
+
+def _laid_out(text: str) -> str:
+    """Return TOML with each list on one line: raw line breaks never stand inside its strings."""
+    lists = re.compile(r"\[\n\s*([^\[\]]*?),?\n\s*\]")
+    return lists.sub(lambda found: "[" + re.sub(r"\n\s*", " ", found[1]) + "]", text)
+
+
+def _stated(tree: Tree) -> Tree:
+    return {name: _stated(held) if isinstance(held, dict) else held for name, held in tree.items() if held is not None}
+
+
+def schema_of(cls: type) -> Tree:
+    """Return the JSON Schema of the files of a class."""
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **_adapter(cls).json_schema()}
+
+
+# ---- places in a text of TOML
+
+
+def line_of(text: str, place: tuple[Any, ...]) -> int:
+    """Return the line of an entry in a TOML text."""
+    lines, start, keys = text.splitlines(), -1, [part for part in place if isinstance(part, str)]
+    if keys:
+        head = rf"^\s*\[+\s*{re.escape(keys[0])}\s*\]+"
+        hits = [number for number, line in enumerate(lines) if re.match(head, line)]
+        wanted = place[1] if len(place) > 1 and isinstance(place[1], int) else 0
+        if wanted < len(hits):
+            start, keys = hits[wanted], keys[1:]
+    for key in reversed(keys):
+        for number in range(start + 1, len(lines)):
+            if lines[number].lstrip().startswith("["):
+                break
+            if re.search(rf'(^|[\s{{,"]){re.escape(key)}"?\s*=', lines[number]):
+                return number + 1
+    return max(start, 0) + 1
+
+
+def entry_name(place: tuple[Any, ...]) -> str:
+    """Return an entry's name for a message: "[[turn]] 2, angle_deg"."""
+    parts: list[str] = []
+    for k, part in enumerate(place):
+        if isinstance(part, int):
+            continue
+        follows = place[k + 1] if k + 1 < len(place) else None
+        number = f" {follows + 1}" if isinstance(follows, int) else ""
+        parts.append(
+            (f"[[{part}]]" if number and k == 0 else f"[{part}]" if k == 0 and len(place) > 1 else part) + number
+        )
+    return ", ".join(parts)

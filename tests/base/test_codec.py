@@ -1,0 +1,195 @@
+"""A stored class is its own file: what it writes it reads, and what is damaged is refused by the key."""
+
+import json
+import math
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+import pytest
+from annotated_types import Gt
+
+from undrift.arrays import BoolArray, FloatArray, Shape, freeze
+from undrift.base.codec import (
+    AnyNumber,
+    Gap,
+    Key,
+    Named,
+    Rows,
+    read,
+    schema_of,
+    stored,
+    toml_block,
+    tree_of,
+    value_of,
+    write,
+)
+from undrift.errors import FileFormatError, InputError
+
+DEGREE = math.pi / 180.0
+
+
+@stored()
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sensor:
+    """One of several."""
+
+    name: str  # Of the maker
+    gain: Annotated[float, Gt(0.0)] = 1.0
+
+
+def _renamed(tree: dict) -> dict:
+    return {"temp_c" if key == "temperature" else key: held for key, held in tree.items()}
+
+
+@stored(kind="undrift.loop", format=3, upgrade=_renamed)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Loop:
+    """A loop over temperature."""
+
+    temp_c: Annotated[FloatArray, Shape("n", rising=True)]
+    width: Annotated[FloatArray | None, Shape("n", 3), Key(later=True)] = None
+    marks: Annotated[BoolArray | None, Shape("n"), Key(later=True)] = None
+    rate: Annotated[float, Key("table.rate_dps", unit=DEGREE)] = 90.0 * DEGREE
+    steps: Annotated[tuple[float, ...], Key("table.steps_dps", unit=DEGREE)] = ()
+    order: Annotated[Literal["up", "down"], Key("table.order")] = "up"
+    rms: AnyNumber = math.inf
+    reference_c: Gap = math.nan
+    files: Annotated[tuple[tuple[str, str], ...], Rows(("file", "sha256")), Key(later=True)] = ()
+    settings: Annotated[tuple[tuple[str, str], ...], Named("settings"), Key(later=True)] = ()
+    sensors: Annotated[tuple[Sensor, ...], Key("sensor", later=True)] = ()
+    inner: Annotated["Loop | None", Key(later=True)] = None
+
+    def __post_init__(self) -> None:
+        freeze(self)
+
+
+def example(**changes: object) -> Loop:
+    wide = np.array([[0.1, np.nan, 1.0 / 3.0], [1e-300, -0.0, 3.0]])
+    values = {"temp_c": [20.0, 30.0], "width": wide, "marks": [True, False], **changes}
+    return Loop(**values)
+
+
+def full() -> Loop:
+    return example(
+        rate=0.1,
+        steps=(0.3 * DEGREE, 7.0 * DEGREE),
+        files=(("a.csv", "00"),),
+        settings=(("mode", 'a "b"\\\x7f é'),),
+        sensors=(Sensor(name="x"), Sensor(name="y", gain=2.0)),
+        inner=example(width=None),
+    )
+
+
+@pytest.mark.parametrize("ending", ["json", "toml"])
+def test_what_is_written_reads_back_to_the_last_bit(ending: str, tmp_path: Path) -> None:
+    value = full() if ending == "json" else example(width=[[1.0, 2.0, 3.0]] * 2, reference_c=1.0)  # TOML has no null
+    path = tmp_path / f"loop.{ending}"
+    write(value, path)
+    again = read(Loop, path)
+    assert tree_of(again) == tree_of(value)
+    np.testing.assert_array_equal(again.width, value.width)
+    assert not again.width.flags.writeable
+    assert again.rate == value.rate
+    assert (again.rms, again.marks.dtype) == (math.inf, bool)
+
+
+def test_a_file_has_kind_format_units_and_no_later_key_that_states_nothing(tmp_path: Path) -> None:
+    write(example(width=None, marks=None), tmp_path / "loop.json")
+    text = (tmp_path / "loop.json").read_text()
+    assert json.loads(text) == {
+        "kind": "undrift.loop",
+        "format": 3,
+        "temp_c": [20.0, 30.0],
+        "table": {"rate_dps": 90.0, "steps_dps": [], "order": "up"},
+        "rms": "inf",
+        "reference_c": None,
+    }
+    assert '"temp_c": [20.0, 30.0]' in text, "a list of numbers stands on one line"
+
+
+def test_toml_has_lists_on_one_line_and_a_block_for_each_of_several_tables(tmp_path: Path) -> None:
+    write(example(sensors=full().sensors, width=None, marks=None), tmp_path / "loop.toml")
+    text = (tmp_path / "loop.toml").read_text()
+    assert "temp_c = [20.0, 30.0]\n" in text
+    assert "[table]\n" in text
+    assert text.count("[[sensor]]\n") == 2
+    assert tomllib.loads(text)["sensor"][1] == {"name": "y", "gain": 2.0}
+    block = toml_block("recording", {"file": "a\n[[b]]", "columns": {"gyro": ["x", 1]}, "gaps": None})
+    assert tomllib.loads(block) == {"recording": [{"file": "a\n[[b]]", "columns": {"gyro": ["x", 1]}}]}
+
+
+def test_a_file_of_an_earlier_version_is_read() -> None:
+    tree = tree_of(example())
+    tree["temperature"] = tree.pop("temp_c")
+    assert tree_of(value_of(Loop, tree, "a")) == tree_of(example())
+
+
+@pytest.mark.parametrize(
+    ("change", "text"),
+    [
+        ({"kind": "undrift.map"}, "a.json: wanted kind 'undrift.loop', got 'undrift.map'; give a loop that undrift wrote"),
+        ({"format": 4}, "a.json: wanted format 3, got 4; read it with the undrift that wrote it"),
+        ({"format": True}, "wanted format 3, got True"),
+        ({"widht": 1}, r"at widht: Extra inputs are not permitted \(nearest known key: width\); repair the file"),
+        ({"table": {"rate": 1.0}}, r"at table.rate: Extra inputs are not permitted"),
+        ({"temp_c": None}, "wanted a loop of format 3, got at temp_c: Input should be a valid array"),
+        ({"temp_c": [1.0, None]}, "at temp_c.1: Input should be a valid number"),
+        ({"temp_c": [2.0, 1.0]}, "a.json: Loop.temp_c: wanted two or more increasing nodes, got 2; sort and merge them"),
+        ({"width": [[1.0, 2.0, 3.0]]}, r"Loop.width: wanted shape \(2, 3\), got \(1, 3\)"),
+        ({"width": []}, r"Loop.width: wanted shape \(2, 3\), got \(0,\)"),
+        ({"marks": [True]}, r"Loop.marks: wanted shape \(2,\), got \(1,\); one mark for each node"),
+        ({"marks": [1, 0]}, "at marks.0: Input should be a valid boolean"),
+        ({"rms": "wide"}, "at rms"),
+        ({"reference_c": "inf"}, "at reference_c"),
+        ({"table": {"rate_dps": 10**400}}, "at table.rate_dps: Input should be a finite number"),
+        ({"sensor": [{"name": "x", "gain": 0.0}]}, "at sensor.0.gain: Input should be greater than 0"),
+        ({"sensor": [{"gain": 1.0}]}, "at sensor.0.name: Field required"),
+        ({"files": [{"file": "a"}]}, "at files.0.sha256: Field required"),
+        ({"settings": {"mode": 1}}, "at settings.mode: Input should be a valid string"),
+    ],
+)  # fmt: skip
+def test_a_damaged_file_is_refused_by_its_key(change: dict, text: str) -> None:
+    with pytest.raises(FileFormatError, match=text) as caught:
+        value_of(Loop, tree_of(example()) | change, "a.json")
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("line", "text"),
+    [
+        (
+            "widht = 1",
+            r"line 6: widht: wanted a known key, got this one; check its spelling \(nearest known key: width\)",
+        ),
+        ("sensor = [{ gain = 2.0 }]", r"line 6: \[\[sensor\]\] 1, name: wanted this key, got none; add it"),
+        ("table = { order = 'left' }", r"line 6: \[table\], order: wanted 'up' or 'down', got 'left'"),
+        ("rms = 2026-01-01", "line 6: rms: wanted .*got '2026-01-01'"),
+        ("table = 1 2", "loop.toml: wanted TOML, got a line that is not: "),
+    ],
+)
+def test_a_damaged_file_of_toml_is_refused_by_line_and_entry(line: str, text: str, tmp_path: Path) -> None:
+    path = tmp_path / "loop.toml"
+    path.write_text(f"# by hand\nkind = 'undrift.loop'\nformat = 3\n\ntemp_c = [20.0, 30.0]\n{line}\n")
+    with pytest.raises(FileFormatError, match=text):
+        read(Loop, path)
+
+
+def test_a_value_that_would_not_read_back_is_not_written(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"wanted a loop that reads back, got at table.rate_dps.*; mend the value"):
+        write(example(rate=math.nan), tmp_path / "loop.json")
+    with pytest.raises(InputError, match="wanted each of the settings once, got a name twice; name them apart"):
+        write(example(settings=(("a", "1"), ("a", "2"))), tmp_path / "loop.json")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_schema_says_what_the_reader_wants() -> None:
+    schema = schema_of(Loop)
+    whole = schema["$defs"]["Loop"] if "$ref" in schema else schema
+    assert whole["required"] == ["kind", "format", "temp_c"]
+    assert whole["additionalProperties"] is False
+    assert whole["properties"]["format"] == {"const": 3, "title": "Format", "type": "integer"}
+    assert whole["properties"]["temp_c"]["minItems"] == 2
+    assert whole["properties"]["table"]["properties"]["rate_dps"]["default"] == pytest.approx(90.0)
