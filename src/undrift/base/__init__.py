@@ -7,8 +7,8 @@
 ``summary``
     What a command has to say, once: the terminal, a page, JSON and a notebook show it.
 
-Files: a file has the keys of its fields; ``Key`` states another place (``units.gyro``), another unit (deg/s in the file, rad/s in
-the value), or that a key may be left out. Numbers read back to the last bit. NaN is null; infinity, which JSON does not know, is "inf".
+A file has the keys of its fields; ``Key`` states another place (``units.gyro``), another unit (deg/s in the file, rad/s in the
+value), or that a key may be left out. Numbers read back to the last bit. NaN is null; infinity, which JSON does not know, is "inf".
 An unknown key, a missing key and a value of another type are errors that name the key, what was wanted, what came and what to do.
 Files written by earlier versions are read: ``upgrade`` of ``@stored`` takes their tree and returns today's.
 
