@@ -146,7 +146,7 @@ def keys() -> str:
     for title, *sources in (
         ("session.toml and maps", ("io/session.py", "Entry"), ("record.py", "RateTable", "TemperatureSensitivity")),
         ("protocol.toml", ("rig/programme.py", "Protocol")),
-        ("study.toml", ("study/plan.py", "Entry"), ("sim/table_sessions.py", "BenchErrors")),
+        ("study.toml", ("study/plan.py", "Entry"), ("sim/bench_errors.py", "BenchErrors")),
     ):
         parts.append(f"## {title}")
         for name, about, rows in (
@@ -192,7 +192,7 @@ def _models(path: Path, endings: tuple[str, ...]):
         model, rows = getattr(module, node.name), []
         keys = _keys_of(model)
         for item in node.body:
-            if not isinstance(item, ast.AnnAssign):
+            if not isinstance(item, ast.AnnAssign) or item.target.id not in keys:
                 continue
             key, default = keys[item.target.id]
             note = next(
@@ -200,6 +200,8 @@ def _models(path: Path, endings: tuple[str, ...]):
             )
             if not note and item.lineno - 1 in starts:
                 note = notes[item.lineno - 1]
+            if key.endswith("_deg"):  # the file's unit; the field is in rad
+                note = note.replace(", rad", ", deg")
             kind = ast.unparse(item.annotation)
             kind = re.sub(r"Annotated\[(\w+(\[[\w, .]+\])?)( \| None)?, .*\]", r"\1", kind)
             rows.append(
