@@ -29,8 +29,8 @@ from undrift.errors import FileFormatError, InputError
 from undrift.files import errno_of, take_lock, write_whole
 from undrift.io.parquet import write_parquet
 from undrift.record import Axis, Face, Kind, Record
-from undrift.rig.guard import uninterrupted
 from undrift.rig.programme import Protocol, Purpose, write_protocol
+from undrift.rig.watch import uninterrupted
 from undrift.units import RADIAN_PER_DEGREE
 
 # ---- Journal: one line for each thing done, appended and brought to the disk before the next begins.
