@@ -250,6 +250,7 @@ def test_a_status_is_read_beside_the_one_who_drives(tmp_path):
         try:
             rig.enable(True)
             rig.turn(30.0 * DPS)
+            emulator.clock.wait(1.0)  # the axis is at its rate
             found = read_status(f"galil:tcp://{emulator.host}:{emulator.port}", RigSettings(clock=emulator.clock))
             assert (found.moving, found.motor_on, found.fault) == (True, True, None)
             assert found.identity.startswith("DMC")
