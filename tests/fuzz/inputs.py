@@ -15,6 +15,7 @@ import numpy as np
 import undrift
 from testkit.data import DATA
 from testkit.full_calibration import device, tables
+from undrift.base.clock import Clock
 from undrift.cli.app import run
 from undrift.errors import UndriftError
 from undrift.files import LIMITS
@@ -26,7 +27,7 @@ from undrift.rate_log import read_rate_log
 from undrift.rig.programme import read_protocol
 from undrift.sim.device.model import read_device, write_device
 from undrift.sim.device.presets import preset
-from undrift.sim.rig.axes import HostClock, ServoSettings
+from undrift.sim.rig.axes import ServoSettings
 from undrift.sim.rig.emulator import AirSettings, EmulatedChamber
 from undrift.sim.rig.galil_card import CardSettings
 from undrift.sim.rig.galil_language import GalilMachine
@@ -135,7 +136,7 @@ def by_machine(kind: str) -> Callable[[Path], Outcome]:
 
 @cache
 def _machines() -> dict[str, Callable[[], object]]:
-    clock = HostClock()
+    clock = Clock.started()
     with EmulatedChamber(AirSettings(), clock) as chamber:
         pass  # its thread and socket end: sessions are fed by hand
     return {

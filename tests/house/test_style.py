@@ -29,7 +29,7 @@ TRACKED_TEXT = [
 ]
 
 # These limits go down with every cut, and up only by what a new ability needs.
-FILES_AT_MOST, LINES_AT_MOST, CODE_AT_MOST = 243, 74_819, 53_674
+FILES_AT_MOST, LINES_AT_MOST, CODE_AT_MOST = 240, 74_819, 53_600
 FILE_LINES, FUNCTION_LINES, CLASS_LINES, PARAMETERS = 900, 60, 250, 8
 
 # Types that exported functions take or return: documented like the functions themselves.

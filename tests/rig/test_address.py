@@ -5,7 +5,6 @@ import pytest
 from testkit.scripted_server import Card, Scripted
 from undrift.errors import InputError, LimitError, LinkError
 from undrift.rig.galil import GalilRig
-from undrift.rig.link import Clock
 from undrift.rig.manual import ManualRig
 from undrift.rig.rig import Limits, RigSettings, open_rig, parse_address
 
@@ -82,13 +81,3 @@ def test_limits_refuse_what_goes_beyond_and_allow_what_meets_them():
         limits.check_travel(3.1)
     with pytest.raises(LimitError, match="turn rate"):
         limits.check_turn_rate(float("nan"))
-
-
-def test_a_clock_that_stands_still_is_refused_and_a_fast_one_runs_ahead():
-    with pytest.raises(InputError, match="clock: wanted a speed above 0, got 0"):
-        Clock(speed=0.0)
-    clock = Clock(speed=100.0)
-    start = clock.now()
-    clock.wait(1.0)
-    clock.wait(-1.0)
-    assert 1.0 <= clock.now() - start < 50.0

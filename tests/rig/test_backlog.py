@@ -1,7 +1,6 @@
 """A device whose readings come late: what it took before a mounting was done is in no dwell of that face."""
 
 import bisect
-import time
 from dataclasses import replace
 
 import numpy as np
@@ -18,7 +17,6 @@ from undrift.live.recorder import DwellReadings, Recorder, RecorderSettings
 from undrift.rig.programme import Protocol
 from undrift.units import STANDARD_GRAVITY
 
-SPEED = 50.0
 RATE = 100.0
 BEFORE = "-z"  # how the device lay before the first mounting
 FACES = Protocol(faces=("+x", "-x", "+z"), face_s=1.0)
@@ -27,16 +25,16 @@ FACES = Protocol(faces=("+x", "-x", "+z"), face_s=1.0)
 class TimedHands(Hands):
     """Mount, and remember when."""
 
-    def __init__(self):
+    def __init__(self, clock):
         super().__init__()
-        self.since = []  # host s
+        self.clock, self.since = clock, []
 
     def mount(self, up):
         super().mount(up)
-        self.since.append(time.monotonic())
+        self.since.append(self.clock.now())
 
-    def up_at(self, host):
-        return (BEFORE, *self.mounted)[bisect.bisect(self.since, host)]
+    def up_at(self, moment):
+        return (BEFORE, *self.mounted)[bisect.bisect(self.since, moment)]
 
 
 class Late:
@@ -46,34 +44,36 @@ class Late:
 
     def __init__(self, hands, behind_s, speed):
         channels = ("count", "accel_x", "accel_y", "accel_z")
-        self.description = StreamDescription(channels=channels, rate=RATE, clock_speed=SPEED, accel_unit="m/s2")
+        self.description = StreamDescription(channels=channels, rate=RATE, accel_unit="m/s2")
         self.hands, self.behind_s, self.speed = hands, behind_s, speed
         self.sent = 0
 
     def open(self):
-        self.opened = time.monotonic()
+        self.opened = self.hands.clock.now()
 
     def close(self):
         pass
 
     def read(self, deadline_s):
-        time.sleep(0.005)
-        now = time.monotonic()
+        clock = self.hands.clock
+        clock.jump(clock.now() + 0.1)
+        now = clock.now()
         begun = self.opened - self.behind_s
-        due = int(min(now - begun, self.speed * (now - self.opened)) * SPEED * RATE)
+        due = int(min(now - begun, self.speed * (now - self.opened)) * RATE)
         counts = np.arange(self.sent, due)
         self.sent = due
-        values = [STANDARD_GRAVITY * UP[self.hands.up_at(begun + k / (SPEED * RATE))] for k in counts]
-        return Chunk(host_time=np.full(len(counts), time.monotonic()), counter=counts + 0.0, values=np.array(values))
+        values = [STANDARD_GRAVITY * UP[self.hands.up_at(begun + k / RATE)] for k in counts]
+        return Chunk(host_time=np.full(len(counts), now), counter=counts + 0.0, values=np.array(values))
 
 
 def test_a_backlog_of_the_pose_before_the_mounting_is_in_no_dwell(tmp_path, monkeypatch):
-    hands = TimedHands()
+    emulator = emulated()
+    clock, hands = emulator.clock, TimedHands(emulator.clock)
     monkeypatch.setattr(rig_bench, "Hands", lambda: hands)
     late = Late(
-        hands, behind_s=3.0, speed=4.0
-    )  # caught up 1 s after the connection; the first dwell would be over by then
-    with emulated(SPEED) as emulator, Recorder(late, settings=RecorderSettings(silence_s=LONG_S)) as recorder:
+        hands, behind_s=30.0, speed=4.0
+    )  # caught up 10 s after the connection; the first dwell would be over by then
+    with emulator, Recorder(late, RecorderSettings(silence_s=LONG_S), clock) as recorder:
         result, _ = run(emulator, tmp_path, FACES, readings=DwellReadings(recorder, deadline_s=LONG_S))
     session = read_session(tmp_path)
     assert [still.face for still in session.stills] == ["+x", "-x", "+z"] == hands.mounted

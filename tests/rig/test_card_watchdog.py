@@ -4,7 +4,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
@@ -15,8 +14,8 @@ from testkit.scripted_server import Card
 from testkit.waiting import eventually
 from undrift.cli.app import run
 from undrift.errors import LinkError, RigFault
-from undrift.rig import card_watchdog
-from undrift.rig.card_watchdog import LEFT, LIMIT_S, program_for
+from undrift.rig import galil as card_watchdog
+from undrift.rig.galil import LEFT, LIMIT_S, program_for
 from undrift.rig.link import GclibPort
 from undrift.rig.programme import Protocol, write_protocol
 from undrift.sim.rig.emulator import EmulatedBenchSettings, EmulatorSettings, start_bench
@@ -46,7 +45,7 @@ def guard_of(process):
     for folder in Path("/proc").glob("[0-9]*"):
         try:
             parent = int((folder / "stat").read_text().rpartition(")")[2].split()[1])
-            if parent == process.pid and "undrift.rig.guard" in (folder / "cmdline").read_text():
+            if parent == process.pid and "undrift.rig.watch" in (folder / "cmdline").read_text():
                 return int(folder.name)
         except OSError:
             continue  # it has just ended
@@ -83,7 +82,7 @@ def test_an_axis_is_not_stopped_while_its_host_lives_and_the_card_is_left_as_it_
         assert on_card(emulator) == program_for("X")
         rig.enable(True)
         rig.turn(30.0 * DPS)
-        time.sleep(1.2)
+        emulator.clock.wait(1.2)
         assert abs(axis_rate(emulator)) > 20.0 * DPS
         rig.close()
         assert on_card(emulator) == []
@@ -110,7 +109,7 @@ def test_a_host_that_hangs_finds_its_table_stopped_and_says_by_what(quick):
                 )
             return False
 
-        eventually(is_refused, "the rig refuses to go on")
+        assert emulator.clock.until(is_refused, 5.0), "the rig goes on"
         rig.close()
 
 
@@ -122,7 +121,7 @@ def test_what_a_killed_run_left_on_the_card_does_not_stop_the_next_one(quick):
         assert not emulator.machine.program.running
         again.enable(True)
         again.turn(30.0 * DPS)
-        time.sleep(1.0)
+        emulator.clock.wait(1.0)
         assert abs(axis_rate(emulator)) > 20.0 * DPS
         again.close()
         opened(emulator, card_watchdog=lambda: True).close()  # and is replaced
@@ -156,7 +155,7 @@ def test_a_link_that_fails_is_reported_as_it_began(quick):
         rig.enable(True)
         rig.turn(30.0 * DPS)
         emulator.inject("disconnect")
-        eventually(lambda: rig._axis.broken is not None, "the watchdog's thread meets the lost link")
+        assert emulator.clock.until(lambda: rig._axis.broken is not None, 5.0), "the watchdog has not met the lost link"
         with pytest.raises(LinkError, match=f"wanted an answer to 'MG {LEFT}'|lost"):
             rig.position()
         assert at_rest(emulator)

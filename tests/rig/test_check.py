@@ -5,8 +5,7 @@ Most tests drive the real driver and the emulated card without a socket, on a cl
 
 import cmath
 import math
-import time
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -15,10 +14,10 @@ from testkit.data import show
 from testkit.emulated_axis import axis_rate
 from testkit.galil_bench import GalilBench
 from testkit.loop_margins import loop_margins
+from undrift.base.clock import Clock, VirtualClock
 from undrift.errors import InputError, LimitError, LinkError, RigFault
 from undrift.rig.check import CheckSettings, check_rig, steady_part
 from undrift.rig.galil import GalilRig
-from undrift.rig.link import Clock
 from undrift.rig.rig import Gains, Limits, RigSettings, Trace, open_rig
 from undrift.sim.rig.axes import ServoSettings
 from undrift.sim.rig.emulator import Emulator, EmulatorSettings
@@ -26,19 +25,6 @@ from undrift.sim.rig.emulator import Emulator, EmulatorSettings
 DEGREE = math.pi / 180.0
 LIMITS = Limits(turn_rate=100.0 * DEGREE, acceleration=2300.0 * DEGREE)
 SHORT = CheckSettings(duration_s=4.0)
-
-
-@dataclass(frozen=True)
-class BenchClock(Clock):
-    """The clock of a card in hand: it moves when somebody waits."""
-
-    bench: GalilBench | None = None
-
-    def now(self) -> float:
-        return self.bench.clock.now()
-
-    def wait(self, duration_s: float) -> None:
-        self.bench.clock.advance(max(duration_s, 0.0))
 
 
 class BenchPort:
@@ -71,16 +57,14 @@ class BenchPort:
 
 
 @pytest.fixture
-def in_hand(monkeypatch):
+def in_hand():
     """Return what opens a rig on a card in hand, with waits that move its clock."""
 
     def opened(servo=None, *, motor_on=False, limits=LIMITS, **card):
         bench = GalilBench(servo or ServoSettings(), **card)
-        monkeypatch.setattr(time, "sleep", bench.clock.advance)
         if motor_on:
             assert bench.say("SH") == ":"
-        clock = BenchClock(bench=bench)
-        return bench, GalilRig(BenchPort(bench), RigSettings(limits=limits), clock), clock
+        return bench, GalilRig(BenchPort(bench), RigSettings(limits=limits, clock=bench.clock)), bench.clock
 
     return opened
 
@@ -194,7 +178,7 @@ def test_the_table_is_left_as_it_was_found(in_hand, motor_on):
     bench, rig, clock = in_hand(motor_on=motor_on)
     bench.say("AC 102400;DC 204800")
     found = (bench.card.values["AC"], bench.card.values["DC"])
-    rig = GalilRig(BenchPort(bench), RigSettings(limits=LIMITS), clock)
+    rig = GalilRig(BenchPort(bench), RigSettings(limits=LIMITS, clock=clock))
     check_rig(rig, clock, SHORT)
     assert bench.card.motor_on is motor_on
     clock.wait(0.3)
@@ -283,13 +267,14 @@ def test_a_wave_that_is_none_is_refused(settings):
 
 
 def test_a_stepper_shows_its_reported_positions_and_what_is_not_observable():
-    with Emulator(EmulatorSettings(kind="grbl")) as emulator:
-        rig = open_rig(f"grbl:tcp://{emulator.host}:{emulator.port}", RigSettings(limits=LIMITS, reply_timeout_s=10.0))
+    clock = VirtualClock()
+    with Emulator(EmulatorSettings(kind="grbl"), clock) as emulator:
+        rig = open_rig(f"grbl:tcp://{emulator.host}:{emulator.port}", RigSettings(limits=LIMITS, clock=clock))
         found = check_rig(
-            rig, Clock(), CheckSettings(duration_s=2.0, turn_rate=30.0 * DEGREE, acceleration=400.0 * DEGREE)
+            rig, clock, CheckSettings(duration_s=2.0, turn_rate=30.0 * DEGREE, acceleration=400.0 * DEGREE)
         )
         assert axis_rate(emulator) == pytest.approx(0.0, abs=1e-3)
-        again = open_rig(f"grbl:tcp://{emulator.host}:{emulator.port}", RigSettings(reply_timeout_s=10.0))
+        again = open_rig(f"grbl:tcp://{emulator.host}:{emulator.port}", RigSettings(clock=clock))
         assert again._axis._found_asleep is False  # awake, as it was
         again.close()
     assert (found.loop, found.gains, found.suggested) == (None, None, None)
@@ -298,10 +283,12 @@ def test_a_stepper_shows_its_reported_positions_and_what_is_not_observable():
     assert math.isnan(found.error.in_run_up)
 
 
-def test_over_a_socket_the_notes_loop_passes():
-    with Emulator(EmulatorSettings()) as emulator:
-        rig = open_rig(f"galil:tcp://{emulator.host}:{emulator.port}", RigSettings(limits=LIMITS, reply_timeout_s=10.0))
-        found = check_rig(rig, Clock(), CheckSettings(duration_s=2.0))
+@pytest.mark.parametrize("clock", [VirtualClock(), pytest.param(Clock.started(), marks=pytest.mark.long)])
+def test_over_a_link_the_notes_loop_passes(clock):
+    with Emulator(EmulatorSettings(), clock) as emulator:
+        settings = RigSettings(limits=LIMITS, reply_timeout_s=10.0, clock=clock)
+        rig = open_rig(f"galil:tcp://{emulator.host}:{emulator.port}", settings)
+        found = check_rig(rig, clock, CheckSettings(duration_s=2.0))
         assert not emulator.motor_on
         assert emulator.machine.card.arrays == {}
     assert found.passed

@@ -1,7 +1,7 @@
 """The emulated card and a client that is not ours: a motor record as control systems keep one, written from the command reference.
 
 It shares nothing with the driver: several commands in a line, a prompt for each; axis A by name; states by MG of many operands;
-TC1 after a refusal; what the card says by itself told apart by its high bit; a homing program downloaded, started and polled.
+TC1 after a refusal; what the card says by itself told apart by its high bit; a program downloaded, started and polled.
 """
 
 import contextlib
@@ -102,7 +102,7 @@ class Motor:
 
 @pytest.fixture
 def emulator():
-    settings = EmulatorSettings(speed=20.0, card=CardSettings(home_deg=-20.0))
+    settings = EmulatorSettings(speed=20.0, card=CardSettings())
     with start_emulator(settings) as running:
         yield running
 
@@ -148,19 +148,6 @@ def test_what_the_card_says_by_itself_does_not_get_into_answers(motor):
     motor.poll()  # what came last
     assert motor.controller.messages.count("AT") == 20
     assert motor.controller.messages.endswith("001111\r\n")
-
-
-def test_it_homes_by_the_command_and_by_a_program_of_its_own(motor):
-    for begin in (lambda: motor.controller.command("HMA", "BGA"), lambda: motor.controller.command("XQ #HOME,0")):
-        motor.controller.download("#HOME", "HMA", "BGA", "AMA", 'MG "HOMED"', "EN")
-        begin()
-        while motor.controller.values("_HX0")[0]:
-            time.sleep(0.01)
-        state = motor.wait()
-        assert (state["_SCA"], state["_RPA"], state["_HMA"]) == (10, 0, 1)
-        motor.move(30.0)
-        motor.wait()
-    assert "HOMED" in motor.controller.messages
 
 
 def test_many_clients_poll_while_one_moves(emulator, motor):

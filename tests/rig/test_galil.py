@@ -10,10 +10,11 @@ import pytest
 from testkit.rig_bench import mean_turn_rate
 from testkit.scripted_server import Card, Scripted
 from testkit.waiting import eventually
+from undrift.base.clock import Clock
 from undrift.errors import InputError, LimitError, LinkError, RigFault, RigTimeout
 from undrift.rig import galil as axis_module
 from undrift.rig.galil import GalilRig, open_from
-from undrift.rig.link import Clock, LinkPort, LinkSettings
+from undrift.rig.link import LinkPort, LinkSettings
 from undrift.rig.rig import Limits, RigSettings
 
 DEGREE = math.pi / 180.0
@@ -26,11 +27,11 @@ LOST = "it is NOT CONFIRMED that the table stopped: cut the amplifier's power"
 class Bench:
     """A rig on a scripted card."""
 
-    def __init__(self, clock: Clock | None = None, **settings) -> None:
+    def __init__(self, **settings) -> None:
         self.card = Card()
         self.server = Scripted(self.card)
         self.port = LinkPort(self.server.url, PATIENT)
-        self.rig = GalilRig(self.port, RigSettings(**settings), clock)
+        self.rig = GalilRig(self.port, RigSettings(**settings))
         self.server.heard.clear()
 
     def expect_silence(self) -> None:

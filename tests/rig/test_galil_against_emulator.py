@@ -1,9 +1,8 @@
-"""The real drivers against the emulators, over real sockets and a pseudo terminal."""
+"""The real drivers against the emulators, on a virtual clock; over a pseudo terminal, and over sockets in the long run."""
 
 import contextlib
 import math
 import threading
-import time
 from dataclasses import replace
 
 import numpy as np
@@ -11,25 +10,32 @@ import pytest
 
 from testkit.emulated_axis import axis_angle, axis_rate, axis_state
 from testkit.rig_bench import mean_turn_rate
-from testkit.waiting import eventually
+from testkit.waiting import LONG_S
+from undrift.base.clock import Clock, VirtualClock
 from undrift.errors import LinkError, RigError, RigTimeout
-from undrift.rig.link import Clock
 from undrift.rig.rig import Gains, Limits, RigSettings, open_rig
 from undrift.sim.rig.emulator import Emulator, EmulatorSettings
 
 DEGREE = math.pi / 180.0
 SPEED = 10.0
+CLOCKS = [VirtualClock, pytest.param(lambda: Clock.started(SPEED), marks=pytest.mark.long)]
 
 
-@pytest.fixture
-def emulator():
-    with Emulator(EmulatorSettings(speed=SPEED)) as emulator:
+@pytest.fixture(params=CLOCKS, ids=["virtual", "sockets"])
+def emulator(request):
+    with Emulator(EmulatorSettings(), request.param()) as emulator:
+        yield emulator
+
+
+@pytest.fixture(params=CLOCKS, ids=["virtual", "sockets"])
+def board(request):
+    with Emulator(EmulatorSettings(kind="grbl"), request.param()) as emulator:
         yield emulator
 
 
 def opened(emulator, kind: str = "galil", url: str = "", **settings):
     url = url or f"tcp://{emulator.host}:{emulator.port}"
-    return open_rig(f"{kind}:{url}", RigSettings(**{"clock_speed": SPEED, "reply_timeout_s": 10.0, **settings}))
+    return open_rig(f"{kind}:{url}", RigSettings(**{"clock": emulator.clock, "reply_timeout_s": 10.0, **settings}))
 
 
 def positions(rig) -> None:
@@ -38,7 +44,7 @@ def positions(rig) -> None:
 
 
 def settled(emulator) -> None:
-    eventually(lambda: abs(axis_rate(emulator)) < 1e-3, "it rests")
+    assert emulator.clock.host.until(lambda: abs(axis_rate(emulator)) < 1e-3, LONG_S), "it never rests"
 
 
 def turning(emulator, dps) -> None:
@@ -48,7 +54,7 @@ def turning(emulator, dps) -> None:
         now = emulator.now()
         return now > 0.3 and axis_state(emulator, now, mean_s=0.3)[1] / DEGREE == pytest.approx(dps, rel=0.02, abs=0.05)
 
-    eventually(is_so, f"it turns at {dps} deg/s")
+    assert emulator.clock.host.until(is_so, LONG_S), f"it never turns at {dps} deg/s"
 
 
 def impatient(rig) -> None:
@@ -56,7 +62,7 @@ def impatient(rig) -> None:
     rig.card.port.settings = replace(rig.card.port.settings, reply_timeout_s=0.3)
 
 
-def measured(rig, duration_s: float) -> tuple[float, float]:
+def measured(rig, clock, duration_s: float) -> tuple[float, float]:
     """Return the measured rate, and how far the times of its two positions leave it open, as a part of it."""
     within, ask = [], rig.position
 
@@ -66,7 +72,7 @@ def measured(rig, duration_s: float) -> tuple[float, float]:
         return said
 
     rig.position = position
-    rate = mean_turn_rate(rig, Clock(speed=SPEED), duration_s)
+    rate = mean_turn_rate(rig, clock, duration_s)
     del rig.position
     return rate, sum(within) / duration_s
 
@@ -103,7 +109,7 @@ def test_the_achieved_rate_is_the_one_the_axis_turns_at(emulator, nominal_dps, a
         assert rig.turn(nominal_dps * DEGREE) / DEGREE == pytest.approx(achieved_dps, rel=1e-9)
         turning(emulator, achieved_dps)
         start = emulator.now()
-        rate, open_part = measured(rig, 5.0)
+        rate, open_part = measured(rig, emulator.clock, 5.0)
         stop = emulator.now()
         true_dps = (
             np.diff(emulator.axis_states(np.array([start + 0.5, stop - 0.5]))[0])[0] / (stop - start - 1.0) / DEGREE
@@ -132,7 +138,7 @@ def test_the_card_itself_keeps_the_travel(emulator):
     try:
         rig.enable(True)
         rig.turn(90.0 * DEGREE)
-        eventually(lambda: axis_angle(emulator) > 20.0 * DEGREE, "came near its limit")
+        assert emulator.clock.host.until(lambda: axis_angle(emulator) > 20.0 * DEGREE, LONG_S)
         settled(emulator)
         assert axis_angle(emulator) / DEGREE < 33.0
         assert "forward limit" in rig.fault()
@@ -148,10 +154,10 @@ def test_a_failing_link_ends_with_the_table_at_rest_or_a_cry_for_help(emulator, 
         rig.turn(20.0 * DEGREE)
         impatient(rig)
         emulator.inject(fault)
-        start = time.monotonic()
+        start = emulator.clock.host.now()
         with pytest.raises((LinkError, RigTimeout)) as raised:
             positions(rig)
-        assert time.monotonic() - start < 60.0  # four answers that do not come, and a busy machine
+        assert emulator.clock.host.now() - start < 60.0  # four answers that do not come, and a busy machine
         told = str(raised.value)
         assert told.endswith("the table was stopped and its motor switched off") or "NOT CONFIRMED" in told
         settled(emulator)
@@ -170,7 +176,7 @@ def test_a_failing_rig_is_reported_in_words(emulator, fault):
         rig.turn(90.0 * DEGREE)
         turning(emulator, 90.0)
         emulator.inject(fault)
-        eventually(rig.fault, "the rig says what is wrong")
+        assert emulator.clock.host.until(rig.fault, LONG_S), "the rig never says what is wrong"
     finally:
         emulator.clear()
         rig.close()
@@ -211,13 +217,13 @@ def test_text_that_nobody_asked_for_does_not_disturb(emulator):
             said.append(rig.card.port.unsolicited())
             return "".join(said) == "EMULATED MESSAGE\r\n"
 
-        eventually(heard, "the message")
+        assert emulator.clock.host.until(heard, LONG_S), "the message never comes"
     finally:
         rig.close()
 
 
-def test_a_stepper_board_moves_and_sleeps():
-    with Emulator(EmulatorSettings(kind="grbl", speed=SPEED)) as emulator:
+def test_a_stepper_board_moves_and_sleeps(board):
+    with board as emulator:
         rig = opened(emulator, kind="grbl")
         try:
             assert rig.identify().startswith("Grbl 1.1")
@@ -231,15 +237,15 @@ def test_a_stepper_board_moves_and_sleeps():
         assert not emulator.motor_on
 
 
-def test_a_stepper_board_turns_at_the_rate_it_was_told():
-    with Emulator(EmulatorSettings(kind="grbl", speed=SPEED)) as emulator:
+def test_a_stepper_board_turns_at_the_rate_it_was_told(board):
+    with board as emulator:
         rig = opened(emulator, kind="grbl")
         try:
             rig.enable(True)
             rig.set_acceleration(2.0)
             achieved = rig.turn(-45.0 * DEGREE)
             turning(emulator, achieved / DEGREE)
-            rate, open_part = measured(rig, 5.0)
+            rate, open_part = measured(rig, emulator.clock, 5.0)
             assert rate == pytest.approx(achieved, rel=0.01 + open_part)  # two positions, each told to a step
             rig.stop()
             assert rig.fault() is None

@@ -1,18 +1,17 @@
-"""The Galil driver against the emulator on a socket: all that it can be told, and all that the card can refuse."""
+"""The Galil driver against the emulator: all that it can be told, and all that the card can refuse."""
 
 import contextlib
 import math
 import re
-import time
 
 import pytest
 
 from testkit.emulated_axis import axis_angle, axis_rate, axis_state
 from testkit.rig_bench import mean_turn_rate
-from testkit.waiting import eventually
+from undrift.base.clock import VirtualClock
 from undrift.errors import RigFault
 from undrift.rig.galil import Gains, GalilRig, open_from, read_status
-from undrift.rig.link import Clock, LinkPort, LinkSettings
+from undrift.rig.link import LinkPort, LinkSettings
 from undrift.rig.rig import Limits, RigSettings, codes, in_words
 from undrift.sim.rig.emulator import Emulator, EmulatorSettings
 
@@ -29,8 +28,9 @@ def address(emulator):
 @contextlib.contextmanager
 def connected(**settings):
     """An emulator, and a rig that is connected to it; the emulator is mended before the rig is closed."""
-    with Emulator(EmulatorSettings(speed=SPEED)) as emulator:
-        rig = open_from(address(emulator), RigSettings(clock_speed=SPEED, reply_timeout_s=PATIENT_S, **settings))
+    clock = VirtualClock()
+    with Emulator(EmulatorSettings(), clock) as emulator:
+        rig = open_from(address(emulator), RigSettings(clock=clock, **settings))
         try:
             yield emulator, rig
         finally:
@@ -45,11 +45,11 @@ def turning(emulator, dps):
         now = emulator.now()
         return now > 0.2 and abs(axis_state(emulator, now, mean_s=0.2)[1] / DEGREE - dps) < 1.0
 
-    eventually(is_so, f"it turns at {dps} deg/s")
+    assert emulator.clock.until(is_so, 20.0), f"it never turns at {dps} deg/s"
 
 
 def resting(emulator):
-    eventually(lambda: abs(axis_rate(emulator)) < 1e-3, "it rests")
+    assert emulator.clock.until(lambda: abs(axis_rate(emulator)) < 1e-3, 20.0), "it never rests"
 
 
 def says_limits(emulator, rig):
@@ -72,7 +72,7 @@ def measures_rate(emulator, rig):
     rig.turn(-45.0 * DEGREE)
     turning(emulator, -45.0)
     start = emulator.now()
-    measured = mean_turn_rate(rig, Clock(speed=SPEED), 5.0)
+    measured = mean_turn_rate(rig, emulator.clock, 5.0)
     stop = emulator.now()
     angles = [axis_state(emulator, time)[0] for time in (start, stop)]
     assert (angles[1] - angles[0]) / (stop - start) / DEGREE == pytest.approx(-45.0, abs=0.2)
@@ -90,7 +90,7 @@ def says_fault(emulator, rig):
     assert rig.fault() is None
     rig.enable(True)
     emulator.inject("amplifier_fault")
-    eventually(lambda: not emulator.motor_on, "the motor is off")
+    assert emulator.clock.until(lambda: not emulator.motor_on, 20.0)
     assert rig.fault() == (
         "the motor is off though it was switched on; switched off because the following error passed its limit (stop code 8)"
     )
@@ -178,7 +178,7 @@ def test_the_status_is_read_beside_whoever_drives():
     with connected() as (emulator, rig):
         rig.enable(True)
         rig.turn(20.0 * DEGREE)
-        status = read_status(f"galil:{address(emulator)}")
+        status = read_status(f"galil:{address(emulator)}", RigSettings(clock=emulator.clock))
         assert (status.moving, status.motor_on, status.fault) == (True, True, None)
         assert status.identity == rig.identify()
         turning(emulator, 20.0)  # being asked beside changed nothing
@@ -266,12 +266,12 @@ def test_a_motion_towards_a_closed_limit_switch_is_refused_and_one_away_from_it_
 
 
 def test_code_3_is_met_by_a_program_only_and_its_line_comes_unasked():
-    with connected() as (_, rig):
+    with connected() as (emulator, rig):
         port = rig.card.port
         for line in ("DL", "#A;LS", "EN"):
             port.shout(line)
         port.shout("\\")
-        time.sleep(0.1)  # their prompts come before the port asks again
+        emulator.clock.wait(0.1)  # their prompts come before the port asks again
         port.resynchronise()
         rig.card.do("XQ #A")
         said = []
@@ -281,7 +281,7 @@ def test_code_3_is_met_by_a_program_only_and_its_line_comes_unasked():
             said.append(port.unsolicited())
             return "".join(said).endswith("\n")
 
-        eventually(heard, "the card says why")
+        assert emulator.clock.until(heard, 20.0), "the card never says why"
         assert "".join(said) == "?000 LS\r\n"
         code = int(re.match(r"\d+", rig.card.text("TC1").strip()).group())
         assert (code, in_words("galil_error", code)) == (3, "the command does not work inside a program")

@@ -16,9 +16,10 @@ import pytest
 from testkit.data import show
 from testkit.rig_bench import mean_turn_rate
 from testkit.scripted_server import Card, Scripted
+from undrift.base.clock import Clock
 from undrift.errors import LimitError, LinkError, RigError, RigFault, RigTimeout
 from undrift.rig.galil import GalilRig
-from undrift.rig.link import Clock, LinkPort, LinkSettings
+from undrift.rig.link import LinkPort, LinkSettings
 from undrift.rig.rig import Gains, RigSettings
 from undrift.units import RADIAN_PER_DEGREE
 

@@ -11,9 +11,10 @@ import pytest
 from testkit.rig_bench import mean_turn_rate
 from testkit.scripted_server import Scripted
 from testkit.waiting import eventually
+from undrift.base.clock import Clock
 from undrift.errors import InputError, LimitError, LinkError, RigFault, RigTimeout
 from undrift.rig.grbl import GrblRig, open_from, parse_status, reply_end
-from undrift.rig.link import Clock, Link, LinkSettings
+from undrift.rig.link import Link, LinkSettings
 from undrift.rig.rig import Limits, RigSettings, codes, in_words
 
 ERRORS, ALARMS = (
@@ -87,7 +88,7 @@ class Bench:
             self.server.url, LinkSettings(reply_end=reply_end, reply_timeout_s=timeout_s, connect_timeout_s=20.0)
         )
         try:
-            self.rig = GrblRig(self.link, RigSettings(**settings), clock)
+            self.rig = GrblRig(self.link, RigSettings(clock=clock, **settings))
         except BaseException:
             self.server.close()
             raise

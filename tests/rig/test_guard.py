@@ -8,13 +8,13 @@ import time
 
 import pytest
 
-from testkit.rig_bench import at_rest, emulated, opened
+from testkit.rig_bench import at_rest, on_host, opened
 from undrift.errors import LinkError, RigFault
-from undrift.rig import guard as guard_file
-from undrift.rig.guard import Guard, StopWatch, mark_stop, watch
+from undrift.rig import watch as guard_file
 from undrift.rig.programme import Protocol, programme_of
 from undrift.rig.rig import open_rig
 from undrift.rig.run import Progress, Watch
+from undrift.rig.watch import Guard, StopWatch, mark_stop, watch
 from undrift.sim.rig.emulator import EmulatedBenchSettings, start_bench
 from undrift.units import RADIAN_PER_DEGREE as DPS
 
@@ -71,7 +71,7 @@ def test_silence_is_an_end(monkeypatch):
 
 
 def test_a_program_that_breaks_its_promise_is_taken_for_hanging_and_the_table_stops():
-    with emulated() as emulator, Guard(address(emulator)) as guard:
+    with on_host() as emulator, Guard(address(emulator)) as guard:
         rig = opened(emulator)
         rig.enable(True)
         rig.turn(30.0 * DPS)

@@ -11,21 +11,20 @@ from testkit.rig_bench import SHORT, Device, Hands, at_rest, emulated, opened
 from undrift.cli.app import run
 from undrift.errors import InputError, RigFault
 from undrift.io.session import read_session
-from undrift.rig import guard
+from undrift.rig import watch as guard
 from undrift.rig.chamber import ChamberSettings, SoakSettings, open_chamber
 from undrift.rig.folder import RunFolder
-from undrift.rig.guard import Guard
 from undrift.rig.judge import RunSettings
-from undrift.rig.link import Clock
 from undrift.rig.programme import programme_of
 from undrift.rig.run import Bench, run_programme
+from undrift.rig.watch import Guard
 from undrift.sim.rig.emulator import AirSettings, EmulatedBenchSettings, EmulatedChamber, EmulatorSettings, start_bench
 from undrift.units import STANDARD_GRAVITY
 
 SPEED = 40.0
 QUICK = AirSettings(ramp_c_per_min=300.0, period_s=1.0, board_lag_s=1.0)
 RISE_C = 1.5  # of the board above the air, by its own power
-SETTINGS = ChamberSettings(clock_speed=SPEED, soak=SoakSettings(window_s=10.0))
+SOAK = SoakSettings(window_s=10.0)
 
 
 class WithThermometer(Device):
@@ -42,18 +41,21 @@ class WithThermometer(Device):
 
 def hand_run(tmp_path, temperatures, person, *, thermometer=True):
     """Run a protocol at a bench whose chamber obeys nobody but the person at it."""
-    with emulated(SPEED) as emulator:
+    with emulated() as emulator:
         chamber = EmulatedChamber(QUICK, emulator.clock)
         hands = Hands()
         readings = WithThermometer(emulator, hands, chamber) if thermometer else Device(emulator, hands)
-        protocol = replace(SHORT, temperatures_c=temperatures)
+        protocol, settings = (
+            replace(SHORT, temperatures_c=temperatures),
+            ChamberSettings(clock=emulator.clock, soak=SOAK),
+        )
         try:
             with (
                 RunFolder(tmp_path, protocol) as folder,
-                open_chamber("manual:", SETTINGS, ask=lambda line: person(line, chamber)) as by_hand,
+                open_chamber("manual:", settings, ask=lambda line: person(line, chamber)) as by_hand,
             ):
                 bench = Bench(
-                    rig=opened(emulator), readings=readings, mounting=hands, chamber=by_hand, clock=Clock(speed=SPEED)
+                    rig=opened(emulator), readings=readings, mounting=hands, chamber=by_hand, clock=emulator.clock
                 )
                 run_programme(
                     programme_of(protocol),

@@ -63,7 +63,7 @@ def test_bytes_that_come_between_two_exchanges_are_kept_aside():
     with Scripted(echo) as server, Link(server.url, LINK) as link:
         link.exchange("a")
         server.say(b"by the way\n")
-        eventually(lambda: len(link._receiver._received) == len(b"by the way\n"), "the bytes come")
+        eventually(lambda: link.is_open and len(link._received) == len(b"by the way\n"), "the bytes come")
         assert link.exchange("b") == "b!\n"
         assert link.unsolicited() == "by the way\n"
 

@@ -11,13 +11,12 @@ from contextlib import closing
 import numpy as np
 import pytest
 
-from testkit.rig_bench import PROTOCOL, emulated, opened
+from testkit.rig_bench import PROTOCOL, on_host, opened
 from undrift.cli.app import run
 from undrift.errors import LinkError, RigFault
 from undrift.io.session import read_session
-from undrift.rig.guard import stop_rig
-from undrift.rig.lock import check_free, one_run, place_of
 from undrift.rig.rig import RigSettings, open_rig
+from undrift.rig.watch import check_free, one_run, place_of, stop_rig
 from undrift.sim.rig.emulator import EmulatedBenchSettings, EmulatorSettings, start_bench
 from undrift.units import RADIAN_PER_DEGREE as DPS
 
@@ -34,7 +33,7 @@ def test_the_spelling_of_an_address_does_not_matter(tmp_path):
 
 
 def test_a_lock_is_held_by_one_and_free_after_it():
-    with emulated() as emulator:
+    with on_host() as emulator:
         address = f"galil:tcp://127.0.0.1:{emulator.port}"
         with (
             one_run(address, "the first"),
@@ -49,7 +48,7 @@ def test_a_lock_is_held_by_one_and_free_after_it():
 
 
 def test_a_table_whose_motor_is_on_or_that_moves_is_refused_and_goes_on():
-    with emulated() as emulator:
+    with on_host() as emulator:
         address = f"galil:tcp://127.0.0.1:{emulator.port}"
         check_free(address)
         with closing(opened(emulator)) as rig:
@@ -70,7 +69,7 @@ def test_a_table_whose_motor_is_on_or_that_moves_is_refused_and_goes_on():
 
 
 def test_a_stepper_board_that_moves_is_refused():
-    with emulated(kind="grbl") as emulator:
+    with on_host(kind="grbl") as emulator:
         address = f"grbl:tcp://127.0.0.1:{emulator.port}"
         check_free(address)
         with closing(open_rig(f"{address}?clock_speed=20", RigSettings(reply_timeout_s=20.0))) as rig:

@@ -9,11 +9,11 @@ import pytest
 import undrift
 from testkit.data import show
 from testkit.rig_bench import GAIN, OFFSET, UP
+from undrift.base.clock import Clock
 from undrift.errors import InputError, LimitError, LinkError, RigFault
 from undrift.io.session import read_session
 from undrift.record import Record
 from undrift.rig.folder import RunFolder
-from undrift.rig.link import Clock
 from undrift.rig.manual import AskedOperator, ManualRig
 from undrift.rig.programme import programme_of, read_protocol
 from undrift.rig.rig import Limits, RigSettings, check_programme, open_rig

@@ -8,16 +8,17 @@ import time
 import pytest
 
 from testkit.modbus_server import Controller
+from undrift.base.clock import Clock
 from undrift.errors import InputError, LimitError, LinkError, RigFault
 from undrift.rig.chamber import ChamberSettings, SoakSettings, open_chamber
-from undrift.rig.guard import stop_chamber
 from undrift.rig.modbus import models
+from undrift.rig.watch import stop_chamber
 
 F4 = {"read": 100, "wanted": 300, "kind": "int16", "gain": 0.1, "held": {0: 5270, 606: 1}}
 EZ_ZONE = {"read": 360, "wanted": 2160, "kind": "float32", "low_first": True, "on": (1880, 10)}
 EUROTHERM = {"read": 32770, "wanted": 32772, "kind": "float32", "on": (273, 0), "held": {273: 1}}
 KINDS = {"watlow-f4": F4, "watlow-ez-zone": EZ_ZONE, "eurotherm": EUROTHERM}
-SETTINGS = ChamberSettings(clock_speed=200.0, soak=SoakSettings(window_s=20.0))
+SETTINGS = ChamberSettings(clock=Clock(200.0), soak=SoakSettings(window_s=20.0))
 
 
 def address(controller, model, more=""):

@@ -14,6 +14,7 @@ from undrift.rig.galil import read_status
 from undrift.rig.judge import RunSettings
 from undrift.rig.manual import AskedOperator
 from undrift.rig.programme import Protocol
+from undrift.rig.rig import RigSettings
 from undrift.units import RADIAN_PER_DEGREE as DPS
 
 
@@ -48,7 +49,7 @@ def test_a_run_is_a_session_with_the_rates_that_were_achieved(tmp_path):
 def test_nominal_rates_would_bias_the_scale_factor_where_the_card_rounds(
     tmp_path, capsys, name, low, high, step, dwell_s
 ):
-    with emulated(speed=40.0) as emulator:
+    with emulated() as emulator:
         result, _ = run(emulator, tmp_path, grid(low, high, step, dwell_s=dwell_s))
     pieces = result.pieces
     gain, uncertainty = gain_of(read_session(tmp_path))
@@ -170,7 +171,7 @@ def heated(emulator, path, monkeypatch, device, chamber=None):
 
 
 def test_a_soak_waits_until_the_devices_own_thermometer_stands_still_and_its_mean_is_written(tmp_path, monkeypatch):
-    with emulated(200.0) as emulator:
+    with emulated() as emulator:
         devices = []
         monkeypatch.setattr(rig_bench, "Device", lambda *a: devices.append(Warm(*a)) or devices[-1])
         piece = run(emulator, tmp_path, HEATED, chamber=Oven())[0].pieces[0]
@@ -182,7 +183,7 @@ def test_a_soak_waits_until_the_devices_own_thermometer_stands_still_and_its_mea
 
 
 def test_a_device_without_a_thermometer_is_given_five_of_its_stated_time_constants(tmp_path):
-    with emulated(50.0) as emulator:
+    with emulated() as emulator:
         begun, said = emulator.now(), []
         run(
             emulator,
@@ -217,7 +218,7 @@ def test_a_door_that_opens_while_the_table_dwells_ends_the_run_at_rest(tmp_path)
 
 @pytest.mark.parametrize("away", [lambda t: -0.5 * t, lambda t: np.where(t > 1.5, 3.0, 0.0)], ids=["slope", "jump"])
 def test_a_thermometer_that_drifts_or_jumps_in_a_dwell_ends_the_run(tmp_path, monkeypatch, away):
-    with emulated(200.0) as emulator:
+    with emulated() as emulator:
         with pytest.raises(RigFault, match=r"device: wanted its thermometer steady within 0.5 K throughout step 2"):
             heated(emulator, tmp_path, monkeypatch, lambda *a: Warm(*a, away))
         assert at_rest(emulator)
@@ -249,7 +250,8 @@ def test_a_status_is_read_beside_the_one_who_drives(tmp_path):
         try:
             rig.enable(True)
             rig.turn(30.0 * DPS)
-            found = read_status(f"galil:tcp://{emulator.host}:{emulator.port}?clock_speed=20")
+            emulator.clock.wait(1.0)  # the axis is at its rate
+            found = read_status(f"galil:tcp://{emulator.host}:{emulator.port}", RigSettings(clock=emulator.clock))
             assert (found.moving, found.motor_on, found.fault) == (True, True, None)
             assert found.identity.startswith("DMC")
             assert abs(axis_rate(emulator)) > 0.1

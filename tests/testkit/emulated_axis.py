@@ -1,25 +1,6 @@
-"""What tests ask of an emulated axis, and the clock that they move by hand."""
+"""What tests ask of an emulated axis."""
 
 import numpy as np
-
-from undrift.errors import InputError
-
-
-class HandClock:
-    """A clock that stands still until ``advance`` moves it, for tests that must repeat to the last bit."""
-
-    def __init__(self) -> None:
-        self._time = 0.0
-
-    def now(self) -> float:
-        """Return emulated time, s."""
-        return self._time
-
-    def advance(self, duration_s: float) -> None:
-        """Move on."""
-        if duration_s < 0.0:
-            raise InputError(f"clock: wanted zero or more seconds, got {duration_s}; a clock does not go back")
-        self._time += duration_s
 
 
 def present(machine):

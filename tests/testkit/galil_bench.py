@@ -2,7 +2,8 @@
 
 import math
 
-from testkit.emulated_axis import HandClock, present
+from testkit.emulated_axis import present
+from undrift.base.clock import VirtualClock
 from undrift.sim.rig.axes import ServoSettings
 from undrift.sim.rig.galil_card import CardSettings
 from undrift.sim.rig.galil_language import GalilMachine
@@ -10,14 +11,14 @@ from undrift.sim.rig.galil_language import GalilMachine
 
 class GalilBench:
     def __init__(self, servo: ServoSettings | None = None, serial: bool = False, **card):
-        self.clock = HandClock()
+        self.clock = VirtualClock()
         self.machine = GalilMachine(servo or ServoSettings(), CardSettings(**card), self.clock, 100.0)
         self.session = self.machine.open_session(serial=serial)
         self.card = self.machine.card
 
     def say(self, line: str, wait_s: float = 0.0) -> str:
         """Wait, send a line and return the answer."""
-        self.clock.advance(wait_s)
+        self.clock.wait(wait_s)
         return b"".join(self.session.feed(line.encode("latin-1") + b"\r")).decode("latin-1")
 
     def number(self, line: str) -> float:

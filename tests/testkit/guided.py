@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.stats import chi2
 
-from testkit.emulated_axis import HandClock
+from undrift.base.clock import VirtualClock
 from undrift.record import FACES, Record
 from undrift.sim.motion.motion import facing, unit_vector
 from undrift.sim.rig.hand_held import start_hand_held
@@ -21,7 +21,7 @@ class HandFeed:
     """Readings of a hand-held device, as a source would keep them."""
 
     def __init__(self, seed=3, device=None, lossy=0.0, **settings):
-        self.clock = HandClock()
+        self.clock = VirtualClock()
         self.lost = np.random.default_rng(seed).random(100_000) < lossy  # readings that the link loses
         stream = StreamSettings(seed=seed, **settings)
         self.held = start_hand_held(seed=seed, device=device, stream=stream, clock=self.clock)
@@ -38,7 +38,7 @@ class HandFeed:
 
     def go(self, duration_s=STEP_S):
         with self.held.stream.lock:
-            self.clock.advance(duration_s)
+            self.clock.wait(duration_s)
             self.held.stream._go_on()
             self.moves |= {(move.start, move.stop) for move in self.held.stream._moves if move.stop > 0.0}
 

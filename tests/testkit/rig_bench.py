@@ -7,11 +7,11 @@ import time
 import numpy as np
 
 from testkit.emulated_axis import axis_rate
+from undrift.base.clock import VirtualClock
 from undrift.record import Record
 from undrift.rig.chamber import SoakSettings
 from undrift.rig.folder import RunFolder
 from undrift.rig.judge import RunSettings
-from undrift.rig.link import Clock
 from undrift.rig.programme import Protocol, programme_of
 from undrift.rig.rig import Limits, RigSettings, open_rig
 from undrift.rig.run import Bench, run_programme
@@ -136,15 +136,22 @@ def streaming(emulator, seed=1):
     )
 
 
-def emulated(speed=20.0, **settings):
+def emulated(**settings):
+    """Return an emulated table on a clock of its own, on which no time passes but what the test waits for."""
+    return Emulator(EmulatorSettings(**settings), clock=VirtualClock())
+
+
+def on_host(speed=20.0, **settings):
+    """Return one behind real sockets, on the host's clock, for other processes."""
     return Emulator(EmulatorSettings(speed=speed, **settings))
 
 
 def opened(emulator, **settings):
-    speed = emulator.settings.speed
+    """Open the table; on the host's clock answers have time, as other programs may keep the computer busy."""
+    reply_timeout_s = 2.0 if isinstance(emulator.clock, VirtualClock) else 20.0
     return open_rig(
-        f"galil:tcp://{emulator.host}:{emulator.port}",
-        RigSettings(**{"clock_speed": speed, "reply_timeout_s": 20.0, "limits": LIMITS, **settings}),
+        f"{emulator.settings.kind}:tcp://{emulator.host}:{emulator.port}",
+        RigSettings(**{"clock": emulator.clock, "reply_timeout_s": reply_timeout_s, "limits": LIMITS, **settings}),
     )
 
 
@@ -168,7 +175,7 @@ def run(
             readings=readings or Device(emulator, hands),
             mounting=hands,
             chamber=chamber,
-            clock=Clock(speed=emulator.settings.speed),
+            clock=emulator.clock,
         )
         made = run_programme(
             programme_of(protocol),
@@ -192,12 +199,9 @@ def mean_turn_rate(rig, clock, duration_s):
 
 def at_rest(emulator, within_s=60.0):
     """Wait until the true axis is at rest with its motor off; False when it never is."""
-    last = time.monotonic() + within_s
-    while abs(axis_rate(emulator)) > 1e-3 or emulator.motor_on:
-        if time.monotonic() > last:
-            return False
-        time.sleep(0.005)
-    return True
+    return emulator.clock.host.until(
+        lambda: abs(axis_rate(emulator)) <= 1e-3 and not emulator.motor_on, within_s, 0.005
+    )
 
 
 def gain_of(session, turn_rates=None):

@@ -11,11 +11,10 @@ from contextlib import closing
 import numpy as np
 import pytest
 
-from testkit.rig_bench import emulated, opened
+from testkit.rig_bench import on_host, opened
 from testkit.web_run import at_end, emulated_bench, ended_at_last, is_dwelling, new_run, wait
-from undrift.rig.guard import StopWatch, stop_rig
 from undrift.rig.rig import RigSettings, open_rig
-from undrift.rig.standby import Standby, stop_now
+from undrift.rig.watch import Standby, StopWatch, stop_now, stop_rig
 from undrift.units import RADIAN_PER_DEGREE as DPS
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="locks and signals of POSIX")
@@ -104,7 +103,7 @@ def test_a_stop_works_without_the_supervisor(bench, tmp_path):
 
 
 def test_a_hung_run_is_killed_and_the_table_stopped(capsys):
-    with emulated() as emulator, closing(opened(emulator)) as rig:
+    with on_host() as emulator, closing(opened(emulator)) as rig:
         rig.enable(True)
         rig.turn(60.0 * DPS)
         time.sleep(0.1)
@@ -120,7 +119,7 @@ def test_a_hung_run_is_killed_and_the_table_stopped(capsys):
 
 
 def test_a_table_that_does_not_slow_down_is_aborted(capsys):
-    with emulated() as emulator, closing(opened(emulator)) as rig:
+    with on_host() as emulator, closing(opened(emulator)) as rig:
         rig.enable(True)
         rig.set_acceleration(0.7)
         rig.turn(60.0 * DPS)
@@ -141,7 +140,7 @@ def test_a_table_that_does_not_slow_down_is_aborted(capsys):
 def test_a_stepper_board_is_stopped_over_its_second_client_or_the_same_port(pty):
     if pty:
         pytest.importorskip("serial")
-    with emulated(kind="grbl", with_pty=True) as emulator:
+    with on_host(kind="grbl", with_pty=True) as emulator:
         place = f"serial://{emulator.pty_path}" if pty else f"tcp://127.0.0.1:{emulator.port}"
         address = f"grbl:{place}?clock_speed={emulator.settings.speed}"
         with closing(open_rig(address, RigSettings(reply_timeout_s=20.0))) as rig:
@@ -162,7 +161,7 @@ def test_a_stepper_board_is_stopped_over_its_second_client_or_the_same_port(pty)
 
 def test_a_galil_card_on_a_serial_port_is_stopped_between_the_runs_own_commands():
     pytest.importorskip("serial")
-    with emulated(with_pty=True) as emulator:
+    with on_host(with_pty=True) as emulator:
         address = f"galil:serial://{emulator.pty_path}?clock_speed={emulator.settings.speed}"
         with closing(open_rig(address, RigSettings())) as rig:
             rig.enable(True)

@@ -1,4 +1,4 @@
-"""What every stage may use and what no stage decides: values as files, options, summaries.
+"""What every stage may use and what no stage decides: values as files, options, summaries, the clock.
 
 ``codec``
     A frozen dataclass is its own file: ``@stored`` marks the class, ``read`` and ``write`` carry it from and to JSON or TOML.
@@ -6,6 +6,8 @@
     The fields of a dataclass are the options of a command.
 ``summary``
     What a command has to say, once: the terminal, a page, JSON and a notebook show it.
+``clock``
+    The time of rigs and emulators: the host's, faster, or virtual.
 
 A file has the keys of its fields; ``Key`` states another place (``units.gyro``), another unit (deg/s in the file, rad/s in the
 value), or that a key may be left out. Numbers read back to the last bit. NaN is null; infinity, which JSON does not know, is "inf".

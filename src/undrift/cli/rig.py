@@ -97,12 +97,11 @@ def run(
         stand there too, with a number, and are answered by "NUMBER ANSWER" on the standard input.
     """
     from undrift.rig.folder import RunFolder
-    from undrift.rig.guard import Guard, StopWatch, stopping_on_signals
     from undrift.rig.judge import RunSettings
-    from undrift.rig.lock import one_run
     from undrift.rig.programme import ProgrammeSettings, programme_of, read_protocol
     from undrift.rig.rig import RigSettings, check_programme, parse_address
     from undrift.rig.run import Watch, run_programme
+    from undrift.rig.watch import Guard, StopWatch, one_run, stopping_on_signals
 
     check_report(report, reads=(protocol,))
     registering.check()
@@ -235,7 +234,7 @@ def _emulate(
     """Run what is emulated until Ctrl-C, its device written and its addresses printed first."""
     import threading
 
-    from undrift.rig.guard import stopping_on_signals
+    from undrift.rig.watch import stopping_on_signals
     from undrift.sim.device.model import write_device
     from undrift.sim.rig.hand_held import HandHeld
 
@@ -268,7 +267,7 @@ def stop(*, rig: str, json: Json = False) -> int:
     rig : str
         Address of the table.
     """
-    from undrift.rig.guard import mark_stop, stop_rig
+    from undrift.rig.watch import mark_stop, stop_rig
 
     mark_stop(rig)  # first, so that a run that mounts or soaks ends even where the table does not answer
     stop_rig(rig)
@@ -339,10 +338,8 @@ def check(
         Upload a program to a Galil card that stops the axis when this computer has been silent for 5 s; cleared at the end.
     """
     from undrift.rig.check import CheckSettings, check_rig
-    from undrift.rig.guard import Guard, StopWatch, stopping_on_signals
-    from undrift.rig.link import Clock
-    from undrift.rig.lock import check_free, one_run
     from undrift.rig.rig import RigSettings, open_rig, parse_address
+    from undrift.rig.watch import Guard, StopWatch, check_free, one_run, stopping_on_signals
 
     limits = _limits(turn_rate_dps, acceleration_dps2, travel_deg)
     settings = CheckSettings(
@@ -371,7 +368,7 @@ def check(
         table = open_rig(rig, replace(asked, card_watchdog=guard.promise_holds if card_watchdog else None))
         stack.callback(table.close)
         guard.arm()
-        found = check_rig(table, Clock(speed=parse_address(rig)[2].clock_speed), settings, report)
+        found = check_rig(table, parse_address(rig)[2].timing, settings, report)
     _show_check(found, rig, settings, json)
     return 1 if found.passed is False else 0
 
@@ -394,17 +391,16 @@ def _bench(
     from undrift.live.recorder import DwellReadings, Recorder, RecorderSettings
     from undrift.live.transports import source_at
     from undrift.rig.chamber import ChamberSettings, SoakSettings, open_chamber
-    from undrift.rig.link import Clock
-    from undrift.rig.lock import check_free
     from undrift.rig.manual import AskedOperator
     from undrift.rig.programme import Soak
     from undrift.rig.rig import open_rig, parse_address
     from undrift.rig.run import Bench
+    from undrift.rig.watch import check_free
     from undrift.sim.rig.emulator import BenchHands
 
     rig, device, chamber, operator = addresses
     source = source_at(device)
-    clock = Clock(speed=parse_address(rig, settings)[2].clock_speed)
+    clock = parse_address(rig, settings)[2].timing
     longest_s = max(dwell.duration_s for dwell in programme.dwells)
     recorder = Recorder(source, RecorderSettings(keep_s=max(600.0, 2.0 * longest_s)))
     recorder.start()
@@ -414,7 +410,7 @@ def _bench(
     if chamber is not None:
         slopes = [step.slope_c_per_min for step in programme.steps if isinstance(step, Soak)]
         soak = SoakSettings(slope_c_per_min=min(slopes, default=SoakSettings().slope_c_per_min))
-        oven = open_chamber(chamber, ChamberSettings(soak=soak, clock_speed=clock.speed), ask=settings.ask)
+        oven = open_chamber(chamber, ChamberSettings(soak=soak, clock=clock), ask=settings.ask)
         stack.callback(oven.close)
     mounting = AskedOperator(settings.ask or _asked) if operator is None else BenchHands(operator)
     check_free(rig)

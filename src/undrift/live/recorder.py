@@ -10,14 +10,13 @@
 
 import itertools
 import logging
-import threading
-import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
 
+from undrift.base.clock import HOST, Clock, Repeat
 from undrift.errors import InputError, LinkError, RigTimeout, UndriftError
 from undrift.live.clock import Block, ClockSettings, Timeline
 from undrift.live.transports import Source
@@ -52,12 +51,13 @@ class RecorderSettings:
 class Recorder:
     """Records a device from ``start`` to ``stop``; a context manager does both. One thread brings readings, any other asks."""
 
-    def __init__(self, source: Source, settings: RecorderSettings = RecorderSettings()) -> None:
+    def __init__(self, source: Source, settings: RecorderSettings = RecorderSettings(), clock: Clock = HOST) -> None:
         self.source, self.settings = source, settings
         self.timeline = Timeline(source.description, settings.clock)
-        self._thread: threading.Thread | None = None
-        self._stopping = threading.Event()
-        self._news = threading.Condition()
+        self._clock = clock
+        self._reader: Repeat | None = None
+        self._stopping, self._heard = False, clock.now()
+        self._news = clock.condition()
         self._ring: deque[Block] = deque()
         self._forgotten = -np.inf  # device time up to which blocks have left the ring
         self._failure: UndriftError | None = None
@@ -69,19 +69,18 @@ class Recorder:
     def __exit__(self, *failure: object) -> None:
         self.stop()
 
-    @staticmethod
-    def now() -> float:
+    def now(self) -> float:
         """Return the host's monotonic clock, s."""
-        return time.monotonic()
+        return self._clock.now()
 
     def start(self) -> None:
         """Open the device and wait for its first reading."""
-        if self._thread is not None:
+        if self._reader is not None:
             raise InputError("recorder: wanted a fresh one, got one that was started before; make another")
         self.source.open()
         try:
-            self._thread = threading.Thread(target=self._run, name="device-reader", daemon=True)
-            self._thread.start()
+            self._heard = self.now()
+            self._reader = self._clock.repeat(self._read, "device-reader")
             self._wait(lambda: bool(self._ring), self.settings.silence_s + 2.0 * READ_S, "a first reading")
         except BaseException:  # Ctrl-C too: nothing is left running
             self.stop()
@@ -109,7 +108,7 @@ class Recorder:
             fit = self.timeline.clock() if self._ring else None
             return fit is not None and fit.settled >= certain and fit.host_time(float(self._ring[-1].time[-1])) >= stop
 
-        self._wait(complete, max(stop - time.monotonic(), 0.0) + deadline_s, "readings up to the end of a dwell")
+        self._wait(complete, max(stop - self.now(), 0.0) + deadline_s, "readings up to the end of a dwell")
         with self._news:
             fit = self.timeline.clock()
             last = fit.device_time(stop)
@@ -117,7 +116,7 @@ class Recorder:
             if first < self._forgotten:
                 keep_s = self.settings.keep_s
                 raise InputError(
-                    f"readings: wanted those since {time.monotonic() - start:.1f} s ago, got a recorder that keeps "
+                    f"readings: wanted those since {self.now() - start:.1f} s ago, got a recorder that keeps "
                     f"{keep_s:g} device seconds; keep more",
                     keep_s=keep_s,
                 )
@@ -168,33 +167,29 @@ class Recorder:
     def stop(self) -> None:
         """Stop and let go of the device; harmless when called again."""
         with self._news:
-            self._stopping.set()
+            self._stopping = True
             self._news.notify_all()
-        if self._thread is not None:
-            self._thread.join(STOP_S)
+        if self._reader is not None:
+            self._reader.end(STOP_S)
         self.source.close()
 
-    def _run(self) -> None:
-        heard = time.monotonic()
+    def _read(self) -> float | None:
+        """Read what comes; return how long to rest until the next, None after a failure."""
+        began = self.now()
         try:
-            while not self._stopping.is_set():
-                began = time.monotonic()
-                try:
-                    chunk = self.source.read(READ_S)
-                except RigTimeout:
-                    if time.monotonic() - heard > self.settings.silence_s:
-                        raise
-                    continue
-                heard = time.monotonic()
-                with self._news:
-                    self._keep(self.timeline.add(chunk))
-                if self.settings.gather_s and heard - began > WAITED_S:
-                    self._stopping.wait(self.settings.gather_s)
+            chunk = self.source.read(READ_S)
         except UndriftError as error:
+            if isinstance(error, RigTimeout) and self.now() - self._heard <= self.settings.silence_s:
+                return 0.0
             log.info("recorder: %s", error)
             with self._news:
                 self._failure = error
                 self._news.notify_all()
+            return None
+        self._heard = self.now()
+        with self._news:
+            self._keep(self.timeline.add(chunk))
+        return self.settings.gather_s if self._heard - began > WAITED_S else 0.0
 
     def _keep(self, block: Block) -> None:
         if not len(block.time):
@@ -212,14 +207,14 @@ class Recorder:
         return fit.device_time(moment + fit.jitter_s + period_s) if fit.settled else np.inf
 
     def _wait(self, ready: Callable[[], bool], deadline_s: float, what: str) -> None:
-        last = time.monotonic() + deadline_s
+        last = self.now() + deadline_s
         with self._news:
             while True:
                 self.check()
                 if ready():
                     return
-                left = last - time.monotonic()
-                if self._stopping.is_set():
+                left = last - self.now()
+                if self._stopping:
                     raise LinkError(
                         f"{self.source.name}: wanted {what}, got a recorder that was stopped; start another"
                     )

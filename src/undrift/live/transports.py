@@ -16,7 +16,6 @@ import queue
 import socket
 import tempfile
 import threading
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -26,6 +25,7 @@ from urllib.parse import urlsplit
 import numpy as np
 
 from undrift.arrays import FloatArray
+from undrift.base.clock import HOST, Clock, Port
 from undrift.errors import InputError, LinkError, RigTimeout
 from undrift.live.decoder import COUNTER, Chunk, StreamDescription, decoder_for, described, finite, read_description
 from undrift.plugins import Options, load_named, split_address
@@ -70,6 +70,7 @@ class Address:
     place: str  # What stands between the colon and the question mark
     options: Options = ()  # What stands behind it
     description: StreamDescription | None = None  # What the options change
+    clock: Clock = HOST  # By which its source waits, and says when readings came
 
     def option(self, name: str, default: str) -> str:
         """Return an option that belongs to the kind of source."""
@@ -82,15 +83,15 @@ class Address:
         return described(base, tuple(pair for pair in self.options if pair[0] not in (*own, "description")))
 
 
-def parse_address(text: str, description: StreamDescription | None = None) -> Address:
+def parse_address(text: str, description: StreamDescription | None = None, clock: Clock = HOST) -> Address:
     """Take an address apart."""
     kind, place, options = split_address(text, "device", SOURCES, GROUP, "name how it is connected")
-    return Address(kind=kind, place=place, options=options, description=description)
+    return Address(kind=kind, place=place, options=options, description=description, clock=clock)
 
 
-def source_at(text: str, description: StreamDescription | None = None) -> Source:
+def source_at(text: str, description: StreamDescription | None = None, clock: Clock = HOST) -> Source:
     """Return the source of an address, not opened yet."""
-    address = parse_address(text, description)
+    address = parse_address(text, description, clock)
     source: Source = load_named(address.kind, SOURCES, GROUP)(address)
     return source
 
@@ -107,10 +108,10 @@ class SocketPort:
 
     def receive(self, wait_s: float) -> bytes:
         """Return what has come."""
-        self._socket.settimeout(max(wait_s, 1e-4))
+        self._socket.settimeout(max(wait_s, 0.0))
         try:
             data = self._socket.recv(LARGEST)
-        except TimeoutError:
+        except (TimeoutError, BlockingIOError):
             return b""
         if not data and not self.datagrams:
             raise EOFError("the other side closed the connection")
@@ -131,6 +132,15 @@ class SocketPort:
         self._socket.close()
 
 
+def tcp_port(host: str, port: int, longest_s: float, clock: Clock = HOST) -> Port:
+    """Connect over TCP, or to an emulator on the same virtual clock."""
+    if (way := clock.connection(host, port)) is not None:
+        return way
+    connection = socket.create_connection((host, port), timeout=longest_s)
+    connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    return SocketPort(connection)
+
+
 class SerialPort:
     """Bytes over whatever pyserial opens: a port, a pty, ``socket://`` or ``loop://``."""
 
@@ -142,6 +152,8 @@ class SerialPort:
 
     def receive(self, wait_s: float) -> bytes:
         """Return what has come."""
+        if wait_s <= 0.0:
+            return bytes(self._port.read(self._port.in_waiting)) if self._port.in_waiting else b""
         if self._port.timeout != wait_s:
             self._port.timeout = wait_s
         first: bytes = self._port.read(1)
@@ -260,9 +272,11 @@ class ByteSource:
     way = "link"
     ending = "close"  # what its port calls that
 
-    def __init__(self, name: str, description: StreamDescription, connect: Callable[[], Any]) -> None:
+    def __init__(
+        self, name: str, description: StreamDescription, connect: Callable[[], Any], clock: Clock = HOST
+    ) -> None:
         self.name, self.description, self.errors = name, description, 0
-        self._connect = connect
+        self._connect, self._clock = connect, clock
         self._port: Any = None
         self._came = 0  # bytes of this read
         self._decoder = decoder_for(description)
@@ -283,10 +297,11 @@ class ByteSource:
         """Return what has come."""
         if self._port is None:
             raise LinkError(f"{self.name}: wanted an open {self.way}, got a closed one; open it first")
-        last, self._came = time.monotonic() + deadline_s, 0
+        now = self._clock.now
+        last, self._came = now() + deadline_s, 0
         while True:
-            rows = self._poll(min(max(last - time.monotonic(), 0.0), POLL_S))
-            arrived = time.monotonic()
+            rows = self._poll(min(max(last - now(), 0.0), POLL_S))
+            arrived = now()
             if len(rows):
                 counter, values = self.description.split(rows)
                 return Chunk(host_time=np.full(len(rows), arrived), counter=counter, values=values)
@@ -365,10 +380,10 @@ def tcp_source(address: Address) -> Source:
     if not host:
         raise InputError(f"device: wanted tcp://host:port, got no host in '{address.place}'; name it")
 
-    def connect() -> SocketPort:
-        return SocketPort(socket.create_connection((host, port), timeout=CONNECT_S))
+    def connect() -> Port:
+        return tcp_port(host, port, CONNECT_S, address.clock)
 
-    return ByteSource(f"tcp://{host}:{port}", address.describe(), connect)
+    return ByteSource(f"tcp://{host}:{port}", address.describe(), connect, address.clock)
 
 
 def udp_source(address: Address) -> Source:

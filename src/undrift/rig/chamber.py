@@ -19,7 +19,6 @@ stated time constants of steady air (exp(-5) = 0.7 % of the step left).
 
 import contextlib
 import math
-import time
 from abc import abstractmethod
 from collections import deque
 from collections.abc import Callable
@@ -30,11 +29,12 @@ from typing import Protocol
 import numpy as np
 
 from undrift.arrays import FloatArray
+from undrift.base.clock import HOST, Clock
 from undrift.errors import InputError, LimitError, LinkError, RigError, RigFault
 from undrift.live.transports import number_of
 from undrift.plugins import load_named, names_in
 from undrift.record import Face, Record
-from undrift.rig.link import Clock, Link, LinkSettings
+from undrift.rig.link import Link, LinkSettings
 from undrift.rig.programme import Soak
 
 FEWEST_READINGS = 6
@@ -65,16 +65,15 @@ class ChamberSettings:
     soak: SoakSettings = field(default_factory=SoakSettings)  # When its temperature counts as steady
     reply_timeout_s: float = 2.0  # Longest wait for an answer, host s
     baud: int = 9600  # Bits per second of a serial port
-    clock_speed: float = 1.0  # Chamber seconds per host second: 1 for hardware, an emulator's speed otherwise
+    clock: Clock = HOST  # The chamber's
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.lowest_c) and math.isfinite(self.highest_c) and self.lowest_c < self.highest_c):
             raise InputError(
                 f"chamber: wanted a lowest set-point below the highest, got {self.lowest_c} and {self.highest_c} degC; state both"
             )
-        for name in ("reply_timeout_s", "clock_speed"):
-            if not getattr(self, name) > 0.0:
-                raise InputError(f"chamber: wanted {name} above 0, got {getattr(self, name)}; state it")
+        if not self.reply_timeout_s > 0.0:
+            raise InputError(f"chamber: wanted reply_timeout_s above 0, got {self.reply_timeout_s}; state it")
 
 
 class Steadiness:
@@ -137,7 +136,7 @@ class Chamber(AbstractContextManager["Chamber"]):
     def read(self) -> float | None:
         """Return the temperature of its air now, degC; None where it has no thermometer that can be asked."""
         temp = self._measure()
-        self._steadiness.add(time.monotonic() * self.settings.clock_speed, temp)
+        self._steadiness.add(self.settings.clock.now(), temp)
         return temp
 
     def soaked(self) -> bool:
@@ -187,7 +186,8 @@ class ScpiChamber(Chamber):
 
     def __init__(self, url: str, settings: ChamberSettings = ChamberSettings()) -> None:
         super().__init__(settings)
-        self._link = Link(url, LinkSettings(reply_timeout_s=settings.reply_timeout_s, baud=settings.baud))
+        waits = LinkSettings(reply_timeout_s=settings.reply_timeout_s, baud=settings.baud, clock=settings.clock.host)
+        self._link = Link(url, waits)
         try:
             self.identity = self._ask("*IDN?")
             if self.identity.count(",") != 3:

@@ -24,12 +24,12 @@ from dataclasses import asdict, dataclass, field
 import numpy as np
 
 from undrift.arrays import FloatArray
+from undrift.base.clock import Clock
 from undrift.errors import InputError, RigError, RigTimeout
 from undrift.findings import Finding, finding
 from undrift.model import Verdict
-from undrift.rig.guard import uninterrupted
-from undrift.rig.link import Clock
 from undrift.rig.rig import Gains, Position, Rig, Servo, Trace, achieved_turn_rate
+from undrift.rig.watch import uninterrupted
 from undrift.units import RADIAN_PER_DEGREE
 
 Report = Callable[[str], None]

@@ -30,8 +30,8 @@ from undrift.files import errno_of, take_lock, write_whole
 from undrift.io.parquet import write_parquet
 from undrift.io.session import HeadEntry, StillEntry, TurnEntry, session_toml
 from undrift.record import Axis, Face, Kind, Record
-from undrift.rig.guard import uninterrupted
 from undrift.rig.programme import Protocol, Purpose, write_protocol
+from undrift.rig.watch import uninterrupted
 
 # ---- Journal: one line for each thing done, appended and brought to the disk before the next begins.
 

@@ -12,10 +12,10 @@ Sources: command references DMC-1400, 2x00 and 40x0; user manuals DMC-1700/1800 
 """
 
 import cmath
+import contextlib
 import logging
 import math
 import re
-import time
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
@@ -23,9 +23,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from undrift.arrays import FloatArray
+from undrift.base.clock import HOST, Clock, Repeat
 from undrift.errors import InputError, LimitError, LinkError, RigError, RigFault, RigTimeout
-from undrift.rig.card_watchdog import CardWatchdog, halt_left_over
-from undrift.rig.link import CardClock, Clock, GalilPort, GclibPort, LinkedRig, LinkPort, link_settings
+from undrift.rig.link import CardClock, GalilPort, GclibPort, LinkedRig, LinkPort, ask_until, link_settings
 from undrift.rig.rig import (
     ACCELERATION,
     JOG,
@@ -56,8 +56,8 @@ STOPS_THAT_ARE_FAULTS = (2, 3, 6, 8, 99)
 class GalilCard:
     """Commands and questions to one axis of a card."""
 
-    def __init__(self, port: GalilPort, axis: str = "X") -> None:
-        self.port, self.axis = port, axis
+    def __init__(self, port: GalilPort, axis: str = "X", clock: Clock = HOST) -> None:
+        self.port, self.axis, self.clock = port, axis, clock
         self.commas = "," * (AXES.index(axis) if axis in AXES else "XYZW".index(axis))
         self._digits: int | None = None
         self._tells_signs: bool | None = None  # of a jog speed that is read back
@@ -152,7 +152,7 @@ log = logging.getLogger(__name__)
 class GalilAxis:
     """What the axis does, in counts."""
 
-    def __init__(self, card: GalilCard, clock: Clock, fastest: float, slack: float) -> None:
+    def __init__(self, card: GalilCard, fastest: float, slack: float) -> None:
         self.card, self.name = card, card.port.name
         self.deceleration = 256_000.0  # counts/s2, the card's own default
         self.found = (False, 0.0, 0.0)  # motor on, AC and DC, before the driver changed them
@@ -162,7 +162,7 @@ class GalilAxis:
         self.watchdog: CardWatchdog | None = None
         self.last: int | None = None  # position
         self.when = (0.0, 0.0)  # s of the clock, and by how much that may be off
-        self._clock, self._fastest, self._slack = clock, fastest, slack
+        self._clock, self._fastest, self._slack = card.clock, fastest, slack
         self._read_at = 0.0
         self._card_clock: CardClock | None = None
         self._both = f"MG _TP{card.axis}{{F10.0}},TIME{{F10.0}}"  # ten digits each: a lost byte shows
@@ -173,10 +173,13 @@ class GalilAxis:
         if answer is None or not BOTH.fullmatch(answer.strip("\r\n")):
             return
         self._card_clock = CardClock(self.card.number("MG _TM"))
-        end = time.monotonic() + FINDING_S
-        while self._card_clock.tick_s is None and time.monotonic() < end:
+        card_clock = self._card_clock
+
+        def found() -> bool:
             self.read()
-            time.sleep(0.02)
+            return card_clock.tick_s is not None
+
+        self._clock.host.until(found, FINDING_S)
 
     def read(self) -> int:
         """Return where it is, and note when that was."""
@@ -240,14 +243,11 @@ class GalilAxis:
     def wait_for_rest(self, expected_s: float) -> None:
         """Poll until the profile is complete: at most twice as long as it should take, and 2 s."""
         allowed_s = 2.0 * expected_s + STOP_MARGIN_S
-        last = time.monotonic() + max(allowed_s / self._clock.speed, 0.5 * STOP_MARGIN_S)
-        while self.is_moving():
-            if time.monotonic() > last:
-                raise RigTimeout(
-                    f"{self.name}: wanted the axis at rest within {allowed_s:.3g} s, got it still moving; look at the table",
-                    deadline_s=allowed_s,
-                )
-            time.sleep(min(0.02, 0.05 / self._clock.speed))
+        if not ask_until(lambda: not self.is_moving(), self._clock, allowed_s):
+            raise RigTimeout(
+                f"{self.name}: wanted the axis at rest within {allowed_s:.3g} s, got it still moving; look at the table",
+                deadline_s=allowed_s,
+            )
 
     def stop(self) -> None:
         """Slow down (ST) and wait for the end of the profile; the motor stays on."""
@@ -282,7 +282,7 @@ class GalilAxis:
             # the card may still listen; MO is refused until AB has ended the motion
             for command in (f"ST{self.card.axis}", "AB", f"MO{self.card.axis}", f"MO{self.card.axis}"):
                 port.shout(command)
-                time.sleep(0.05)
+                self._clock.host.wait(0.05)
             return False
 
     def restore(self) -> bool:
@@ -310,8 +310,120 @@ class GalilAxis:
             except LinkError:
                 if attempt == RECONNECTIONS - 1:
                     raise
-                time.sleep(0.3)
+                self._clock.host.wait(0.3)
         return None
+
+
+# ---- Card watchdog: a program on a Galil card that stops the axis when this computer has not written a variable for 5 s.
+#
+# The guard (rig/watch.py) stops the table when the program that drives it is gone; this helps where both are. It is uploaded on
+# request alone, since DL replaces what the card holds: a card with a program of its own is refused. Nothing is burned.
+#
+#     #UNDRWD                       the program: every 200 ms (WT) a variable goes down by 1
+#     UNDRLEFT=UNDRLEFT-1
+#     WT 200
+#     JP #UNDRWD,(UNDRLEFT>0)       written every second by this computer, to 25
+#     STX                           else stop, after that (AM) motor off, and a mark that it was so
+#     AMX
+#     MOX
+#     UNDRLEFT=-1
+#     EN
+#
+# Each command is carried out whole before the next, so that the card's subtraction and our writing do not mix. Source: DMC-1400,
+# 2x00 and 4103 command references (DL, LS, XQ, HX, WT, JP, AM, ST with an axis, MO). ST and AB without an axis halt programs.
+
+LIMIT_S, COUNT_MS, BEAT_S = 5.0, 200, 1.0  # s of the host without a word; ms of the card; s of the host
+LABEL, LEFT = "#UNDRWD", "UNDRLEFT"
+TRIPPED = -1
+STARTS_S = 5.0  # within which it must count
+
+
+def program_for(axis: str) -> list[str]:
+    """Return the lines of the program."""
+    again, stop = (
+        [f"{LEFT}={LEFT}-1", f"WT {COUNT_MS}", f"JP {LABEL},({LEFT}>0)"],
+        [f"ST{axis}", f"AM{axis}", f"MO{axis}"],
+    )
+    return [LABEL, *again, *stop, f"{LEFT}={TRIPPED}", "EN"]
+
+
+def halt_left_over(card: GalilCard) -> None:
+    """End the program of a run that was killed, which would stop the next one."""
+    if card.port.ask(f"MG {LEFT}") is not None and LABEL in (_listed(card) or ()):
+        card.tries("HX")
+
+
+def _listed(card: GalilCard) -> list[str] | None:
+    """Return the lines of the program on the card; None where they cannot be read."""
+    try:
+        lines = [re.sub(r"^\s*\d+ ?", "", line).strip() for line in card.text("LS").splitlines()]
+    except RigError:  # too long, or with what looks like a refusal: none of ours
+        card.port.resynchronise()
+        return None
+    return [line for line in lines if line]
+
+
+class CardWatchdog:
+    """The program on the card from `start` to `clear`, and the beats that write its variable."""
+
+    def __init__(self, card: GalilCard, axis: GalilAxis, alive: Callable[[], bool]) -> None:
+        self._card, self._axis, self._alive = card, axis, alive
+        self._full = round(LIMIT_S * 1000.0 / COUNT_MS * card.clock.speed)  # an emulated card counts faster
+        self._heart: Repeat | None = None
+
+    def start(self) -> None:
+        """Upload the program, start it and see it count."""
+        card, lines = self._card, program_for(self._card.axis)
+        held = _listed(card)
+        if held is None or (held and held[0] != LABEL):
+            raise RigFault(
+                f"{card.port.name}: wanted a card without a program for --card-watchdog, got one that it would replace; save and "
+                "clear that one, or leave the option out"
+            )
+        card.tries("HX")
+        card.port.download("\r".join(lines))
+        if _listed(card) != lines:
+            raise LinkError(
+                f"{card.port.name}: wanted the watchdog's program on the card, got another one; check the link"
+            )
+        self._write()
+        card.do(f"XQ {LABEL},0")
+        if not card.clock.host.until(lambda: 0 < self._left() < self._full, STARTS_S):
+            raise RigFault(f"{card.port.name}: wanted the card's watchdog counting, got it at rest; leave it out")
+        self._write()
+        self._heart = card.clock.host.repeat(self._beat, "card watchdog")
+
+    def clear(self) -> None:
+        """End the beats, halt the program and take it from the card; a card that does not answer stops by itself."""
+        if self._heart is not None:
+            self._heart.end()
+        with contextlib.suppress(RigError):
+            self._card.tries("HX")
+            self._card.port.download("")
+            return
+        log.warning("%s: the watchdog's program could not be taken from the card", self._card.port.name)
+
+    def _left(self) -> int:
+        return self._card.integer(f"MG {LEFT}", TRIPPED, self._full)
+
+    def _write(self) -> None:
+        self._card.do(f"{LEFT}={self._full}")
+
+    def _beat(self) -> float | None:
+        """Write the variable where the program is alive; return when to write it again, None where that is no use."""
+        if not self._alive():
+            return BEAT_S
+        try:
+            if self._left() <= 0:
+                self._axis.refused = (
+                    f"its card watchdog stopped it, not having heard of this computer for {LIMIT_S:g} s"
+                )
+                return None
+            self._write()
+        except RigError as error:  # whoever drives the axis meets it too, and reports how it began
+            self._axis.broken = self._axis.broken or error
+            return None
+        return BEAT_S
 
 
 # ---- The servo filter, and what the card records of its own loop (RA, RD, RC).
@@ -399,13 +511,11 @@ class GalilServo:
 
     def trace(self) -> Trace:
         """Wait for the end of the record and return it."""
-        last = time.monotonic() + 2.0 * self._records * self._period_s + UPLOAD_S
-        while self.recording():
-            if time.monotonic() > last:
-                raise RigTimeout(
-                    f"{self._card.port.name}: wanted the end of a record, got it still running; look at the card"
-                )
-            time.sleep(0.002)
+        longest_s = 2.0 * self._records * self._period_s + UPLOAD_S
+        if not self._card.clock.host.until(lambda: not self.recording(), longest_s, 0.002):
+            raise RigTimeout(
+                f"{self._card.port.name}: wanted the end of a record, got it still running; look at the card"
+            )
         with self._guarded():
             position, error = (self._scale.angle(1.0) * self._upload(array) for array, _ in RECORDED)
         return Trace(period_s=self._period_s, position=position, error=error)
@@ -458,14 +568,13 @@ class GalilReports(LinkedRig):
     unconfirmed = "it is NOT CONFIRMED that the table stopped: cut the amplifier's power"
     _axis: GalilAxis
 
-    def __init__(self, port: GalilPort, settings: RigSettings = RigSettings(), clock: Clock | None = None) -> None:
-        clock = clock or Clock(speed=settings.clock_speed)
-        self.card = GalilCard(port, settings.axis or "X")
+    def __init__(self, port: GalilPort, settings: RigSettings = RigSettings()) -> None:
+        self.card = GalilCard(port, settings.axis or "X", settings.timing)
         self._settings = settings
         self._scale = CountScale.from_lines(settings.encoder_lines)
         self._move_speed = SLEW.round(self._scale.counts(min(MOVE_TURN_RATE, settings.limits.turn_rate)))
         fastest = max(self._scale.counts(settings.limits.turn_rate), self._move_speed)
-        axis = GalilAxis(self.card, clock, fastest, slack=self._scale.counts_per_turn / 36.0)
+        axis = GalilAxis(self.card, fastest, slack=self._scale.counts_per_turn / 36.0)
         super().__init__(axis, settings.limits)
         self._home = 0
 
@@ -513,8 +622,8 @@ def wrong_switches(byte: int, enabled: bool) -> list[str]:
 class GalilRig(GalilReports):
     """A rate table on a Galil card; nothing moves until `turn` or `move_by`."""
 
-    def __init__(self, port: GalilPort, settings: RigSettings = RigSettings(), clock: Clock | None = None) -> None:
-        super().__init__(port, settings, clock)
+    def __init__(self, port: GalilPort, settings: RigSettings = RigSettings()) -> None:
+        super().__init__(port, settings)
         try:
             self._prepare()
         except RigError:
@@ -613,7 +722,7 @@ class GalilRig(GalilReports):
             card.set("BL", reverse, tolerance=2)
             halt_left_over(card)
             if self._settings.card_watchdog is not None:
-                axis.watchdog = CardWatchdog(card, axis, self._settings.card_watchdog, self._settings.clock_speed)
+                axis.watchdog = CardWatchdog(card, axis, self._settings.card_watchdog)
                 axis.watchdog.start()
 
 
@@ -647,9 +756,9 @@ class Status:
     fault: str | None  # In words
 
 
-def read_status(address: str) -> Status:
+def read_status(address: str, settings: RigSettings = RigSettings()) -> Status:
     """Ask a table on a connection of its own."""
-    kind, url, settings = parse_address(address, RigSettings())
+    kind, url, settings = parse_address(address, settings)
     if kind != "galil" or url.startswith("gclib:"):
         raise InputError(
             f"status: wanted a Galil card on TCP or serial, got '{address}'; others cannot be asked unharmed"

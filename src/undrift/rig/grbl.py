@@ -12,13 +12,13 @@ import contextlib
 import math
 import re
 import threading
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
+from undrift.base.clock import Clock
 from undrift.errors import InputError, LimitError, LinkError, RigError, RigFault, RigTimeout
 from undrift.live.transports import number_of
-from undrift.rig.link import Clock, Link, LinkedRig, end_of, link_settings
+from undrift.rig.link import Link, LinkedRig, ask_until, end_of, link_settings
 from undrift.rig.rig import Position, RigSettings, in_words
 from undrift.units import RADIAN_PER_DEGREE
 
@@ -92,16 +92,18 @@ class GrblController:
     def wait_for(self, states: tuple[str, ...], expected_s: float = 0.0) -> Status:
         """Poll the status until it is one of these: at most twice as long as it should take, and 2 s."""
         allowed_s, wanted = 2.0 * expected_s + 2.0, " or ".join(states)
-        last = time.monotonic() + max(allowed_s / self.clock.speed, 1.0)
-        while (status := self.status()).state not in states:
-            if status.state in ("Alarm", "Door"):
+
+        def reached() -> Status | None:
+            status = self.status()
+            if status.state in ("Alarm", "Door") and status.state not in states:
                 raise RigFault(f"{self.name}: wanted {wanted}, got {self.alarm_text(status)}; look at the table")
-            if time.monotonic() > last:
-                raise RigTimeout(
-                    f"{self.name}: wanted {wanted} within {allowed_s:.3g} s, got {status.state}; look at the table",
-                    deadline_s=allowed_s,
-                )
-            time.sleep(min(0.02, 0.05 / self.clock.speed))
+            return status if status.state in states else None
+
+        if (status := ask_until(reached, self.clock, allowed_s)) is None:
+            raise RigTimeout(
+                f"{self.name}: wanted {wanted} within {allowed_s:.3g} s, got {self.status().state}; look at the table",
+                deadline_s=allowed_s,
+            )
         return status
 
     def sleep(self) -> bool:
@@ -174,30 +176,29 @@ class Feeder:
 
     def __init__(self, jog: Callable[[], None], duration_s: float, clock: Clock, most: float) -> None:
         self.failure: RigError | None = None
-        self._jog, self._duration_s, self._clock, self._most = jog, duration_s, clock, most
-        self._end = threading.Event()
-        self._thread = threading.Thread(target=self._feed, name="grbl feeder", daemon=True)
-        self._thread.start()
+        self._jog, self._duration_s, self._clock, self._left = jog, duration_s, clock, most
+        self._planned = clock.now()
+        self._feeding = clock.repeat(self._feed, "grbl feeder")
 
     def end(self) -> None:
-        """Send no more, and wait for the thread; harmless when called again."""
-        self._end.set()
-        self._thread.join(timeout=10.0)
+        """Send no more; harmless when called again."""
+        self._feeding.end(10.0)
 
-    def _feed(self) -> None:
-        sent, planned = 0, self._clock.now()
-        while not self._end.is_set() and sent < self._most:
-            now = self._clock.now()
-            if planned - now > QUEUED_JOGS * self._duration_s:
-                self._end.wait(0.25 * self._duration_s / self._clock.speed)
-                continue
-            try:
-                self._jog()
-            except RigError as error:
-                self.failure = error
-                return
-            planned = max(planned, now) + self._duration_s
-            sent += 1
+    def _feed(self) -> float | None:
+        """Queue a jog unless enough wait; return when to look again, None at the end."""
+        now = self._clock.now()
+        if self._left <= 0:
+            return None
+        if self._planned - now > QUEUED_JOGS * self._duration_s:
+            return 0.25 * self._duration_s
+        try:
+            self._jog()
+        except RigError as error:
+            self.failure = error
+            return None
+        self._planned = max(self._planned, now) + self._duration_s
+        self._left -= 1
+        return 0.0
 
 
 class GrblAxis(GrblController):
@@ -354,9 +355,9 @@ class GrblRig(LinkedRig):
     unconfirmed = "it is NOT CONFIRMED that the table stopped: cut the motor's power"
     _axis: GrblAxis
 
-    def __init__(self, link: Link, settings: RigSettings = RigSettings(), clock: Clock | None = None) -> None:
+    def __init__(self, link: Link, settings: RigSettings = RigSettings()) -> None:
         try:
-            axis = GrblAxis(link, settings.axis or "A", clock or Clock(speed=settings.clock_speed))
+            axis = GrblAxis(link, settings.axis or "A", settings.timing)
         except RigError:
             link.close()
             raise

@@ -1,33 +1,33 @@
 """Links to rigs: questions and answers with a deadline each, over TCP, a serial port or a card maker's library.
 
-One thread reads; everything else happens in the caller. Bytes that nobody asked for are kept aside: those that come between two
-exchanges, and, where the device marks them, those whose high bit is set (Galil CW1). After an answer that did not come in time the
-link is out of step - the answer may still come, and would be taken for the next one - so it refuses to go on until `ask_anew`.
+Who asks also reads. Bytes that nobody asked for are kept aside: those that come between two exchanges, and, where the device marks
+them, those whose high bit is set (Galil CW1). After an answer that did not come in time the link is out of step - the answer may
+still come, and would be taken for the next one - so it refuses to go on until `ask_anew`.
 
 A place is a URL: ``tcp://host:port``; ``serial:///dev/ttyUSB0`` or a bare path (a pty too); and what pyserial itself understands:
 ``socket://host:port``, ``loop://``. A Galil card is also reached by its maker's library gclib (USB, PCI, UDP), on no package index.
-Two clocks: the table's, t = speed * (host's monotonic time), faster for an emulator, and a card's own.
 """
 
 import contextlib
 import logging
 import math
 import re
-import socket
 import threading
-import time
 from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, replace
-from typing import Any, Protocol, TypeAlias
+from typing import Any, Protocol, TypeAlias, TypeVar
 
+from undrift.base.clock import HOST, Clock, Port
 from undrift.errors import InputError, LinkError, RigError, RigTimeout
-from undrift.live.transports import POLL_S, SerialPort, SocketPort, host_and_port, reason_of
+from undrift.live.transports import POLL_S, SerialPort, host_and_port, reason_of, tcp_port
 from undrift.rig.rig import Limits, RigSettings
 
+T = TypeVar("T")
 ReplyEnd = Callable[[bytes], int]  # where a reply ends in what has come; 0 while it is not whole
 LONGEST_REPLY = 65536  # bytes without an end: no device of ours says so much
+CLOSE_S = 5.0  # that whoever waits for an answer is given to notice that the link is closed
 
 log = logging.getLogger(__name__)
 
@@ -57,6 +57,7 @@ class LinkSettings:
     connect_timeout_s: float = 5.0  # Longest wait for a connection, s
     baud: int = 19200  # Bits per second of a serial port
     hardware_handshake: bool = False  # RTS/CTS of a serial port
+    clock: Clock = HOST  # By which it waits
 
     def __post_init__(self) -> None:
         for name in ("reply_timeout_s", "connect_timeout_s", "baud"):
@@ -70,10 +71,11 @@ def link_settings(settings: RigSettings, baud: int = 19200) -> LinkSettings:
         reply_timeout_s=settings.reply_timeout_s,
         baud=settings.baud or baud,
         hardware_handshake=settings.hardware_handshake,
+        clock=settings.timing.host,
     )
 
 
-def open_port(url: str, settings: LinkSettings) -> SocketPort | SerialPort:
+def open_port(url: str, settings: LinkSettings) -> Port:
     """Open a way for bytes."""
     wanted = "wanted tcp://host:port, serial:///path, a path, socket://host:port or loop://"
     host, port = host_and_port(url.removeprefix("tcp:")) if url.startswith("tcp://") else ("", 0)
@@ -86,102 +88,20 @@ def open_port(url: str, settings: LinkSettings) -> SocketPort | SerialPort:
     try:
         if not host:
             return SerialPort(url.removeprefix("serial://"), settings.baud, settings.hardware_handshake)
-        connection = socket.create_connection((host, port), timeout=settings.connect_timeout_s)
-        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        return SocketPort(connection)
+        return tcp_port(host, port, settings.connect_timeout_s, settings.clock)
     except (OSError, ValueError) as error:  # pyserial's SerialException is an OSError
         got = reason_of(error)
         raise LinkError(f"{url}: wanted a connection, got '{got}'; check power, cable and address") from error
 
 
-class Receiver:
-    """What comes from a port, read by a thread from birth until `stop`, and waited for with a deadline."""
-
-    def __init__(self, port: SocketPort | SerialPort, name: str) -> None:
-        self.lost: str | None = None
-        self.high_bit_is_unsolicited = False
-        self._name, self._port = name, port
-        self._change = threading.Condition()
-        self._received = bytearray()
-        self._aside: deque[int] = deque(maxlen=LONGEST_REPLY)
-        self._thread = threading.Thread(target=self._read_all, name=f"link {name}", daemon=True)
-        self._thread.start()
-
-    def take(self, reply_end: ReplyEnd, wait_s: float, question: str) -> bytes:
-        """Wait for a whole reply and take it out."""
-        last = time.monotonic() + wait_s
-        with self._change:
-            while not (length := reply_end(bytes(self._received))):
-                self._check_hope(question, wait_s, last)
-                self._change.wait(max(last - time.monotonic(), 0.0))
-            reply = bytes(self._received[:length])
-            del self._received[:length]
-        return reply
-
-    def set_aside(self) -> None:
-        """Move what came without being asked for to the unsolicited text."""
-        with self._change:
-            self._aside.extend(self._received)
-            self._received.clear()
-
-    def unsolicited(self) -> str:
-        """Return what came without being asked for, once."""
-        with self._change:
-            text = bytes(byte & 0x7F for byte in self._aside).decode("ascii")
-            self._aside.clear()
-        return text
-
-    def lose(self, reason: str) -> None:
-        """Note that the connection is gone, and wake whoever waits."""
-        with self._change:
-            self.lost = self.lost or reason
-            self._change.notify_all()
-        log.info("link %s: %s", self._name, reason)
-
-    def stop(self) -> None:
-        """End the reading thread and let go of the port; harmless when called again."""
-        self.lose("closed")
-        self._port.wake()
-        self._thread.join(timeout=5.0)
-        self._port.close()
-
-    def _read_all(self) -> None:
-        while self.lost is None:
-            try:
-                data = self._port.receive(POLL_S)
-            except (OSError, EOFError) as error:
-                return self.lose(reason_of(error))
-            if data:
-                with self._change:
-                    if self.high_bit_is_unsolicited:
-                        self._aside.extend(byte for byte in data if byte & 0x80)
-                        data = bytes(byte for byte in data if not byte & 0x80)
-                    self._received.extend(data)
-                    self._change.notify_all()
-        return None
-
-    def _check_hope(self, question: str, wait_s: float, last: float) -> None:
-        """Raise when waiting on cannot help; called with the lock held."""
-        came, wanted = bytes(self._received[:80]), f"an answer to '{question}'"
-        if len(self._received) > LONGEST_REPLY:
-            wanted = f"an end of the answer to '{question}'"
-            raise LinkError(f"{self._name}: wanted {wanted}, got {came!r} and more; check baud")
-        if self.lost is not None:
-            raise LinkError(f"{self._name}: wanted {wanted}, got a lost link: {self.lost}; reconnect")
-        if time.monotonic() >= last:
-            got = f"only {came!r}" if came else "nothing"
-            raise RigTimeout(
-                f"{self._name}: wanted {wanted} within {wait_s:g} s, got {got}; check power and cable",
-                deadline_s=wait_s,
-            )
-
-
 class Link(AbstractContextManager["Link"]):
-    """A connection that is open from birth until `close`."""
+    """A connection that is open from birth until `close`; whoever asks reads."""
 
     def __init__(self, url: str, settings: LinkSettings = LinkSettings()) -> None:
         self.name, self.settings = url, settings
         self._one_at_a_time = threading.RLock()
+        self._high_bit_is_unsolicited = False
+        self._aside: deque[int] = deque(maxlen=LONGEST_REPLY)
         self._connect()
 
     def __exit__(self, *failure: object) -> None:
@@ -190,11 +110,16 @@ class Link(AbstractContextManager["Link"]):
     @property
     def is_open(self) -> bool:
         """Whether the connection stands, as far as is known here."""
-        return self._receiver.lost is None
+        if self._one_at_a_time.acquire(blocking=False):  # else somebody waits for an answer, and sees it too
+            try:
+                self._listen(0.0)
+            finally:
+                self._one_at_a_time.release()
+        return self._lost is None
 
     def mask_unsolicited(self) -> None:
         """Keep bytes whose high bit is set out of the replies from now on, until the link is opened again."""
-        self._receiver.high_bit_is_unsolicited = True
+        self._high_bit_is_unsolicited = True
 
     def exchange(
         self,
@@ -227,18 +152,20 @@ class Link(AbstractContextManager["Link"]):
 
     def send(self, data: bytes) -> None:
         """Send bytes without waiting for an answer."""
-        lost = self._receiver.lost
-        if lost is not None:
-            raise LinkError(f"{self.name}: wanted an open link, got one lost: {lost}; reconnect")
+        if self._lost is not None:
+            raise LinkError(f"{self.name}: wanted an open link, got one lost: {self._lost}; reconnect")
         try:
             self._port.write(data)
         except OSError as error:
-            self._receiver.lose(reason_of(error))
+            self._lose(reason_of(error))
             raise LinkError(f"{self.name}: wanted to send, got '{error}'; check the cable, reconnect") from error
 
     def unsolicited(self) -> str:
         """Return what came without being asked for since the last time."""
-        return self._receiver.unsolicited()
+        with self._one_at_a_time:
+            text = bytes(byte & 0x7F for byte in self._aside).decode("ascii")
+            self._aside.clear()
+        return text
 
     def reconnect(self) -> None:
         """Close and open again, with nothing left over from before."""
@@ -247,23 +174,75 @@ class Link(AbstractContextManager["Link"]):
             self._connect()
 
     def close(self) -> None:
-        """Let go of the connection and end the reading thread; harmless when called again."""
-        self._receiver.stop()
+        """Let go of the connection; whoever waits for an answer is refused it. Harmless when called again."""
+        self._lose("closed")
+        self._port.wake()
+        alone = self._one_at_a_time.acquire(timeout=CLOSE_S)
+        try:
+            self._port.close()
+        finally:
+            if alone:
+                self._one_at_a_time.release()
+
+    def _connect(self) -> None:
+        self._port = open_port(self.name, self.settings)
+        self._lost: str | None = None
+        self._received, self._in_step = bytearray(), True
+        self._high_bit_is_unsolicited = False
+        self._aside.clear()
+
+    def _lose(self, reason: str) -> None:
+        self._lost = self._lost or reason
+        log.info("link %s: %s", self.name, reason)
+
+    def _listen(self, wait_s: float) -> bool:
+        """Take in what comes within a while; return whether anything did."""
+        if self._lost is not None:
+            return False
+        try:
+            data = self._port.receive(wait_s)
+        except (OSError, EOFError) as error:
+            self._lose(reason_of(error))
+            return False
+        if self._high_bit_is_unsolicited:
+            self._aside.extend(byte for byte in data if byte & 0x80)
+        self._received.extend(byte for byte in data if not (byte & 0x80 and self._high_bit_is_unsolicited))
+        return bool(data)
 
     def _ask(self, text: str, deadline_s: float | None, until: ReplyEnd | None, terminator: str | None) -> bytes:
         wait_s = self.settings.reply_timeout_s if deadline_s is None else deadline_s
         end = self.settings.terminator if terminator is None else terminator
-        self._receiver.set_aside()
         self._in_step = False  # and stays so when anything, Ctrl-C included, keeps the answer from being read
+        while self._listen(0.0) and len(self._received) < LONGEST_REPLY:
+            pass
+        self._aside.extend(self._received)  # nobody asked for it
+        self._received.clear()
         self.send((text + end).encode("latin-1"))
-        reply = self._receiver.take(until or self.settings.reply_end, wait_s, text)
+        reply = self._take(until or self.settings.reply_end, wait_s, text)
         self._in_step = True
         return reply
 
-    def _connect(self) -> None:
-        self._port = open_port(self.name, self.settings)
-        self._receiver = Receiver(self._port, self.name)
-        self._in_step = True
+    def _take(self, reply_end: ReplyEnd, wait_s: float, question: str) -> bytes:
+        """Wait for a whole reply and take it out."""
+        clock, wanted = self.settings.clock, f"an answer to '{question}'"
+        last = clock.now() + wait_s
+        while not (length := reply_end(bytes(self._received))):
+            came, left_s = bytes(self._received[:80]), last - clock.now()
+            if len(self._received) > LONGEST_REPLY:
+                wanted = f"an end of the answer to '{question}'"
+                raise LinkError(f"{self.name}: wanted {wanted}, got {came!r} and more; check baud")
+            if self._lost is not None:
+                raise LinkError(f"{self.name}: wanted {wanted}, got a lost link: {self._lost}; reconnect")
+            if left_s <= 0.0:
+                got = f"only {came!r}" if came else "nothing"
+                raise RigTimeout(
+                    f"{self.name}: wanted {wanted} within {wait_s:g} s, got {got}; check power and cable",
+                    deadline_s=wait_s,
+                )
+            self._listen(min(left_s, POLL_S))
+        reply = bytes(self._received[:length])
+        del self._received[:length]
+        return reply
 
 
 # ---- Ports to a Galil card. A command ends with a carriage return; the answer is ``:``, or text and ``:``, or ``?``.
@@ -397,28 +376,7 @@ class GclibPort:
 GalilPort: TypeAlias = LinkPort | GclibPort
 
 
-# ---- Clocks.
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Clock:
-    """Seconds of the table."""
-
-    speed: float = 1.0  # Table seconds per host second: 1 for hardware; what the emulator was started with otherwise
-
-    def __post_init__(self) -> None:
-        if not 0.0 < self.speed < 1e6:
-            raise InputError(f"clock: wanted a speed above 0, got {self.speed:g}; hardware runs at 1")
-
-    def now(self) -> float:
-        """Return the time, s."""
-        return self.speed * time.monotonic()
-
-    def wait(self, duration_s: float) -> None:
-        """Wait."""
-        if duration_s > 0.0:
-            time.sleep(duration_s / self.speed)
-
+# ---- A card's own clock.
 
 MILLISECOND = 1e-3
 OLD_SECOND = 1000.0 / 1024.0  # a card's second that is divided by 1024
@@ -484,7 +442,13 @@ class CardClock:
         return self._offset + tick * (ticks + 0.5), 0.5 * tick
 
 
-# ---- What rigs behind a link share: commands refused once they are closed or lost, and rest before a failure is reported.
+# ---- What rigs behind a link share: waiting for a state, commands refused once they are closed or lost, rest before a failure is
+# reported.
+
+
+def ask_until(ask: Callable[[], T], clock: Clock, within_s: float) -> T | None:
+    """Ask a controller until the answer is true, and return it; None where it is not in time, a second of the host at least."""
+    return clock.host.until(ask, max(within_s / clock.speed, 1.0), min(0.02, 0.05 / clock.speed))
 
 
 class RigAxis(Protocol):

@@ -9,11 +9,11 @@ import logging
 import math
 from collections.abc import Callable
 
+from undrift.base.clock import HOST, Clock
 from undrift.errors import InputError, LinkError, RigFault
 from undrift.live.transports import number_of
 from undrift.record import Face
 from undrift.rig.chamber import Chamber, ChamberSettings
-from undrift.rig.link import Clock
 from undrift.rig.rig import Limits, Position, RigSettings
 from undrift.units import RADIAN_PER_DEGREE
 
@@ -87,9 +87,7 @@ class ManualRig:
 
     servo = None
 
-    def __init__(
-        self, ask: Callable[[str], str], limits: Limits = Limits(turn_rate=1e3), clock: Clock = Clock()
-    ) -> None:
+    def __init__(self, ask: Callable[[str], str], limits: Limits = Limits(turn_rate=1e3), clock: Clock = HOST) -> None:
         self.limits = limits
         self._ask, self._clock = ask, clock
         self._angle = 0.0
@@ -162,4 +160,4 @@ def open_from(url: str, settings: RigSettings) -> ManualRig:
         raise InputError(f"manual rig: wanted the address 'manual:', got 'manual:{url}'; a person has no port")
     if settings.ask is None:
         raise InputError("manual rig: wanted a way to ask a person, got none; give RigSettings(ask=...)")
-    return ManualRig(settings.ask, settings.limits, Clock(speed=settings.clock_speed))
+    return ManualRig(settings.ask, settings.limits, settings.timing)

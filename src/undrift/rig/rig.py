@@ -21,6 +21,7 @@ from typing import Protocol
 import numpy as np
 
 from undrift.arrays import FloatArray
+from undrift.base.clock import Clock
 from undrift.errors import InputError, LimitError
 from undrift.plugins import load_named, split_address
 from undrift.rig.programme import Dwell, Programme
@@ -370,10 +371,16 @@ class RigSettings:
     hardware_handshake: bool = False  # RTS/CTS of a serial port
     reply_timeout_s: float = 2.0  # Longest wait for an answer, s
     clock_speed: float = 1.0  # Table seconds per host second: 1 for hardware, an emulator's speed otherwise
+    clock: Clock | None = None  # The table's; None is the host's, at clock_speed
     # Shows a person a line and returns what they typed; a manual rig needs it
     ask: Callable[[str], str] | None = None
     # Whether the program that drives the rig is alive: a Galil card's own watchdog depends on it; None uploads none
     card_watchdog: Callable[[], bool] | None = None
+
+    @property
+    def timing(self) -> Clock:
+        """The table's clock."""
+        return self.clock or Clock(self.clock_speed)
 
 
 OPTIONS: dict[str, Callable[[str], object]] = {

@@ -18,12 +18,12 @@ from typing import Any, Literal
 
 import numpy as np
 
+from undrift.base.clock import Clock
 from undrift.errors import InputError, RigError, RigFault, RigTimeout
 from undrift.io.parquet import read_own_parquet
 from undrift.record import Face, Kind, Record
 from undrift.rig.chamber import Board, Chamber, Mounting, Readings, mean_temp
 from undrift.rig.folder import Head, Piece, RunFolder
-from undrift.rig.guard import Guard, StopWatch, uninterrupted
 from undrift.rig.judge import (
     Contradiction,
     Disturbed,
@@ -35,10 +35,10 @@ from undrift.rig.judge import (
     check_readings,
     link_hides,
 )
-from undrift.rig.link import Clock
 from undrift.rig.manual import ManualRig
 from undrift.rig.programme import TURN_S, Dwell, Mount, Programme, Soak, Step
 from undrift.rig.rig import Achieved, Position, Rig, achieved_turn_rate, check_programme
+from undrift.rig.watch import Guard, StopWatch, uninterrupted
 
 # ---- run
 
@@ -449,11 +449,11 @@ class Watch:
             )
 
 
-# ---- progress as JSON lines in a file (``rig run --progress FILE``), for a program that shows it and answers its questions.
+# ---- Progress as JSON lines in a file (``rig run --progress FILE``), for a program that shows it and answers its questions.
 #
-#    {"event": "plan", "pid": 12, "speed": 1.0, "steps": [{"kind": "mount", "text": "mount +x up", ...}, ...], "done": []}
-#    {"event": "at", "phase": "dwelling", "number": 3, "left_s": 120.0, "live": "...", "air_c": null, "device_c": null, ...}
-#    {"event": "question", "number": 1, "text": "Motor off. Mount the device with +x up ..."}
+#     {"event": "plan", "pid": 12, "speed": 1.0, "steps": [{"kind": "mount", "text": "mount +x up", ...}, ...], "done": []}
+#     {"event": "at", "phase": "dwelling", "number": 3, "left_s": 120.0, "live": "...", "air_c": null, "device_c": null, ...}
+#     {"event": "question", "number": 1, "text": "Motor off. Mount the device with +x up ..."}
 #
 # Each has ``time``, s since 1970. A question is answered by its number and the answer in one line on the standard input ("1 ",
 # "1 q"); lines with another number are left out, so that a button that is pressed twice answers nothing that was not asked.

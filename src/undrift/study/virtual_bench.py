@@ -21,6 +21,7 @@ from typing import NamedTuple
 import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray
+from undrift.base.clock import Clock
 from undrift.calibration.calibrate import calibrate
 from undrift.drift.fit import DriftFit, fit_drift
 from undrift.errors import InputError, LinkError, RigTimeout
@@ -31,11 +32,10 @@ from undrift.model import Calibration, DriftTables, TriadModel
 from undrift.record import FACES, Record, Reference, Session
 from undrift.rig.chamber import ChamberSettings, SoakSettings, open_chamber
 from undrift.rig.folder import RunFolder
-from undrift.rig.guard import stopping_on_signals
-from undrift.rig.link import Clock
 from undrift.rig.programme import Programme, ProgrammeSettings, Protocol, programme_of
 from undrift.rig.rig import RigSettings, open_rig
 from undrift.rig.run import Bench, Progress, RunResult, run_programme
+from undrift.rig.watch import stopping_on_signals
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.presets import random_device_of
 from undrift.sim.device.truth import true_calibration, true_tables
@@ -207,7 +207,7 @@ def _record(
         recorder.start()
         chamber = None
         if protocol.temperatures_c:
-            watched = ChamberSettings(soak=SOAK, clock_speed=plan.speed, reply_timeout_s=patience_s)
+            watched = ChamberSettings(soak=SOAK, clock=Clock(plan.speed), reply_timeout_s=patience_s)
             chamber = open_chamber(bench.chamber_address, watched)
             stack.callback(chamber.close)
         rig = open_rig(bench.rig_address, RigSettings(reply_timeout_s=patience_s))

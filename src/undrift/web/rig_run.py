@@ -35,7 +35,7 @@ from undrift.errors import InputError, RigFault
 from undrift.files import take_lock, write_whole
 from undrift.rig.folder import JOURNAL
 from undrift.rig.run import ProgressReader
-from undrift.rig.standby import Standby, stop_now
+from undrift.rig.watch import Standby, stop_now
 
 SESSION, PLACE = "session", "run"
 ORDER, PROTOCOL, PROGRESS, STANDBY, LOCK = "run.json", "protocol.toml", "progress.jsonl", "standby.json", "lock"

@@ -2,7 +2,7 @@
 
     python -m undrift.web.supervisor FOLDER
 
-It holds a standby connection to the table (rig/standby.py) and listens on a port of its own, so that an emergency stop waits for
+It holds a standby connection to the table (rig/watch.py) and listens on a port of its own, so that an emergency stop waits for
 neither the bench's event loop nor the run. Its requests are POSTs with the key that stands in FOLDER/../run/standby.json::
 
     /stop?key=K                     stop at once, end the run
@@ -27,7 +27,7 @@ from urllib.parse import parse_qs, urlsplit
 
 from undrift.files import take_lock, write_whole
 from undrift.rig.run import append
-from undrift.rig.standby import Standby, stop_now
+from undrift.rig.watch import Standby, stop_now
 from undrift.web.rig_run import ANSWER, LOCK, LOG, PLACE, PROGRESS, STANDBY, command_of, read_order
 
 NICE = -10  # where the system allows it

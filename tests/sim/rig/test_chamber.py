@@ -6,7 +6,7 @@ import socket
 import numpy as np
 import pytest
 
-from testkit.emulated_axis import HandClock
+from undrift.base.clock import Clock, VirtualClock
 from undrift.errors import InputError
 from undrift.sim.rig.emulator import Air, AirSettings, EmulatedChamber
 
@@ -74,7 +74,7 @@ def test_air_that_cannot_be_is_refused(name):
 
 @pytest.fixture
 def chamber():
-    made = EmulatedChamber(AirSettings(), HandClock())
+    made = EmulatedChamber(AirSettings(), VirtualClock())
     try:
         yield made
     finally:
@@ -104,13 +104,16 @@ def test_each_command_is_answered_by_the_letter(chamber, said, answer):
     assert chamber.obey(said) == answer
 
 
-def test_lines_come_whole_out_of_pieces_over_a_socket(chamber):
-    host, port = chamber.address.removeprefix("tcp://").split(":")
-    with socket.create_connection((host, int(port)), timeout=60.0) as link:
-        for byte in b"TEMP:SPO 31\nTEMP:SPO?\r\n\xff\n":
-            link.sendall(bytes([byte]))
-        assert link.makefile().readline() == "31.0\n"
-    assert chamber.obey("SYST:ERR?") == '-113,"Undefined header"'
+def test_lines_come_whole_out_of_pieces_over_a_socket():
+    chamber = EmulatedChamber(AirSettings(), Clock.started())
+    try:
+        with socket.create_connection((chamber.host, chamber.port), timeout=60.0) as link:
+            for byte in b"TEMP:SPO 31\nTEMP:SPO?\r\n\xff\n":
+                link.sendall(bytes([byte]))
+            assert link.makefile().readline() == "31.0\n"
+        assert chamber.obey("SYST:ERR?") == '-113,"Undefined header"'
+    finally:
+        chamber.close()
 
 
 def test_random_lines_crash_nothing(chamber):

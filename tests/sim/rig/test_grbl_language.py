@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from testkit.data import show
-from testkit.emulated_axis import HandClock, present
+from testkit.emulated_axis import present
+from undrift.base.clock import VirtualClock
 from undrift.errors import InputError
 from undrift.sim.rig.grbl import GrblMachine, GrblSettings
 
@@ -16,12 +17,12 @@ class Bench:
     """A board and one client, with emulated time in hand."""
 
     def __init__(self, **settings):
-        self.clock = HandClock()
+        self.clock = VirtualClock()
         self.machine = GrblMachine(GrblSettings(**settings), self.clock)
         self.session = self.machine.open_session(serial=True)
 
     def say(self, text, wait_s=0.0):
-        self.clock.advance(wait_s)
+        self.clock.wait(wait_s)
         data = text.encode("latin-1") if isinstance(text, str) else text
         return b"".join(self.session.feed(data)).decode()
 
@@ -37,11 +38,11 @@ def test_a_jog_runs_is_reported_and_ends_on_a_step():
     assert bench.session.greet() == b"\r\nGrbl 1.1h ['$' for help]\r\n"
     assert bench.say("?") == "<Idle|MPos:0.000,0.000,0.000,0.000|FS:0,0>\r\n"
     assert bench.say("$J=G91 A360 F5400\n") == "ok\r\n"
-    bench.clock.advance(1.0)
+    bench.clock.wait(1.0)
     assert bench.say("?").startswith("<Jog|MPos:0.000,0.000,0.000,81.8")
     assert "|FS:5400,0>" in bench.say("?")
     assert bench.rate_dps() == pytest.approx(90.0, rel=2e-5)  # $103 is rounded to 8.889
-    bench.clock.advance(5.0)
+    bench.clock.wait(5.0)
     assert (
         bench.say("?") == "<Idle|MPos:0.000,0.000,0.000,359.996|FS:0,0>\r\n"
     )  # 3200 steps of 1/8.889 deg, as $103 says
@@ -51,64 +52,49 @@ def test_a_jog_runs_is_reported_and_ends_on_a_step():
 def test_a_cancelled_jog_slows_down_and_forgets_what_waits():
     bench = Bench()
     bench.say("$J=G91A3600F5400\n$J=G91A100F5400\n")
-    bench.clock.advance(2.0)
+    bench.clock.wait(2.0)
     assert bench.say(b"\x85") == ""
     assert bench.rate_dps() > 80.0
-    bench.clock.advance(0.3)
+    bench.clock.wait(0.3)
     assert bench.rate_dps() == 0.0
     assert bench.say("?").startswith("<Idle|")
     at = bench.angle_deg()
-    bench.clock.advance(5.0)
+    bench.clock.wait(5.0)
     assert bench.angle_deg() == at
 
 
 def test_jogs_that_wait_follow_each_other():
     bench = Bench(ripple_deg=0.0)
     assert bench.say("$J=G91A10F5400\n$J=G91A-4F5400\n$J=G90A20F600\n") == "ok\r\nok\r\nok\r\n"
-    bench.clock.advance(10.0)
+    bench.clock.wait(10.0)
     assert bench.angle_deg() == pytest.approx(20.0, abs=0.06)
 
 
 def test_moves_the_same_way_join_without_a_rest_and_a_full_board_holds_its_answers_back():
     bench = Bench(ripple_deg=0.0)
     assert bench.say("$J=G91A9F5400\n" * 30) == "ok\r\n" * 16
-    bench.clock.advance(1.0)
+    bench.clock.wait(1.0)
     assert bench.session.unasked() == b"ok\r\n" * 9  # 81 deg are behind it
-    bench.clock.advance(0.5)
+    bench.clock.wait(0.5)
     assert bench.rate_dps() == pytest.approx(90.0, rel=2e-5)
     assert bench.session.unasked() == b"ok\r\n" * 5
     rates = np.degrees(bench.machine.states(np.linspace(0.2, 1.5, 500))[1])
     assert np.ptp(rates) < 1e-6
-    bench.clock.advance(5.0)
+    bench.clock.wait(5.0)
     assert bench.angle_deg() == pytest.approx(270.0, abs=0.06)
     bench.say("$J=G91A9F5400\n$J=G91A9F1800\n")
-    bench.clock.advance(0.25)
+    bench.clock.wait(0.25)
     assert bench.rate_dps() == pytest.approx(30.0, rel=2e-5)
-    bench.clock.advance(5.0)
+    bench.clock.wait(5.0)
     assert bench.angle_deg() == pytest.approx(288.0, abs=0.06)
-
-
-def test_hold_and_resume_end_where_the_move_was_to_end():
-    bench = Bench(ripple_deg=0.0)
-    bench.say("G91\nG1 A90 F1800\n", 0.0)
-    bench.clock.advance(1.0)
-    bench.say("!")
-    assert bench.say("?").startswith("<Hold:1|")
-    bench.clock.advance(1.0)
-    assert bench.say("?").startswith("<Hold:0|")
-    assert bench.rate_dps() == 0.0
-    bench.say("~")
-    bench.clock.advance(5.0)
-    assert bench.angle_deg() == pytest.approx(90.0, abs=0.06)
-    assert bench.say("?").startswith("<Idle|")
 
 
 def test_a_reset_in_motion_alarms_and_locks_until_unlocked():
     bench = Bench()
     bench.say("$J=G91A3600F5400\n")
-    bench.clock.advance(1.0)
+    bench.clock.wait(1.0)
     assert bench.say(b"\x18") == "ALARM:3\r\n\r\nGrbl 1.1h ['$' for help]\r\n"
-    bench.clock.advance(0.01)
+    bench.clock.wait(0.01)
     assert bench.rate_dps() == 0.0
     assert bench.say("$J=G91A1F60\n") == "error:9\r\n"
     assert bench.say("?").startswith("<Alarm|")
@@ -117,9 +103,9 @@ def test_a_reset_in_motion_alarms_and_locks_until_unlocked():
 
 
 ERRORS = [
-    ("1A\n", 1), ("G\n", 2), ("A1.2.3F5\n", 1), ("$foo\n", 3), ("$999=1\n", 3), ("$103=-1\n", 4), ("$103=x\n", 2),
-    ("$103=0\n", 4), ("$H\n", 5), ("x" * 100 + "\n", 11), ("$J=G91A1F60M3\n", 16), ("M3\n", 20), ("G2A1F5\n", 20),
-    ("G90G91\n", 21), ("G1A10\n", 22), ("$J=G91A10\n", 22), ("G1A1A2F5\n", 25), ("$J=G91F5\n", 26), ("$J=A1F-5\n", 4),
+    ("$J=1A\n", 1), ("$J=G\n", 2), ("$J=A1.2.3F5\n", 1), ("$foo\n", 3), ("$999=1\n", 3), ("$103=-1\n", 4), ("$103=x\n", 2),
+    ("$103=0\n", 4), ("$H\n", 5), ("x" * 100 + "\n", 11), ("$J=G91A1F60M3\n", 16), ("M3\n", 20), ("G1A1F5\n", 20),
+    ("$J=G90G91A1F5\n", 21), ("$J=G91A10\n", 22), ("$J=A1A2F5\n", 25), ("$J=G91F5\n", 26), ("$J=A1F-5\n", 4),
 ]  # fmt: skip
 
 
@@ -145,14 +131,13 @@ def test_settings_are_listed_and_kept():
     bench.say("$100=100\n")
     assert "$100=100.000\r\n" in bench.say("$$\n")
     assert bench.say("$I\n").endswith("ok\r\n")
-    assert "G90" in bench.say("$G\n")
     assert bench.say("$\n").startswith("[HLP:")
 
 
 def test_a_wrong_steps_per_degree_turns_the_shaft_too_far():
     bench = Bench(ripple_deg=0.0)
     bench.say("$103=17.778\n$J=G91A90F5400\n")
-    bench.clock.advance(10.0)
+    bench.clock.wait(10.0)
     assert bench.angle_deg() == pytest.approx(180.0, abs=0.06)
 
 
@@ -160,9 +145,9 @@ def test_the_motor_has_current_while_it_moves_or_for_ever():
     bench = Bench()
     assert not bench.machine.motor_on
     bench.say("$J=G91A9F5400\n", 1.0)
-    bench.clock.advance(0.1)
+    bench.clock.wait(0.1)
     assert bench.machine.motor_on
-    bench.clock.advance(2.0)
+    bench.clock.wait(2.0)
     assert not bench.machine.motor_on
     bench.say("$1=255\n")
     assert bench.machine.motor_on
@@ -173,7 +158,7 @@ def test_the_motor_has_current_while_it_moves_or_for_ever():
 def test_detents_ripple_the_rate_and_not_the_mean():
     bench = Bench(ripple_deg=0.02)
     bench.say("$J=G91A360F5400\n")
-    bench.clock.advance(2.0)
+    bench.clock.wait(2.0)
     times = np.linspace(1.0, 1.0 + 10 * 1.8 / 90.0, 2001)[:-1]  # ten full steps
     _, rate = bench.machine.states(times)
     rate = np.degrees(rate)
@@ -187,9 +172,9 @@ def test_detents_ripple_the_rate_and_not_the_mean():
 def test_a_limit_switch_alarms_and_stops_at_once():
     bench = Bench()
     bench.say("$J=G91A3600F5400\n")
-    bench.clock.advance(1.0)
+    bench.clock.wait(1.0)
     bench.machine.set_fault("limit_switch", True)
-    bench.clock.advance(0.01)
+    bench.clock.wait(0.01)
     assert bench.session.unasked() == b"ALARM:1\r\n[MSG:Reset to continue]\r\n"
     assert bench.rate_dps() == 0.0
     assert "|Pn:A>" in bench.say("?")
@@ -199,18 +184,18 @@ def test_a_limit_switch_alarms_and_stops_at_once():
 def test_without_current_the_shaft_coasts_to_rest(fault):
     bench = Bench(ripple_deg=0.0)
     bench.say("$J=G91A3600F5400\n")
-    bench.clock.advance(1.0)
+    bench.clock.wait(1.0)
     bench.machine.set_fault(fault, True)
-    bench.clock.advance(0.1)
+    bench.clock.wait(0.1)
     assert bench.rate_dps() == pytest.approx(50.0, abs=2e-3)  # 400 deg/s2
-    bench.clock.advance(1.0)
+    bench.clock.wait(1.0)
     assert bench.rate_dps() == 0.0
     assert not bench.machine.motor_on
     assert (bench.say("?") == "") == (fault == "power_cut")
     rested = bench.angle_deg()
     bench.machine.set_fault(fault, False)
     bench.say("$J=G91A9F5400\n", 60.0)
-    bench.clock.advance(60.0)
+    bench.clock.wait(60.0)
     assert bench.angle_deg() == pytest.approx(rested + 9.0, abs=0.06)
 
 
@@ -256,7 +241,7 @@ def test_ten_thousand_random_lines_crash_nothing_and_are_answered():
         )
         answer = bench.say(line + "\n", rng.random() * 0.2)
         if not answer:  # the board was full
-            bench.clock.advance(1e7)
+            bench.clock.wait(1e7)
             answer = bench.session.unasked().decode()
         assert answer.endswith("ok\r\n") or answer.startswith("error:"), line
         if rng.random() < 0.05:

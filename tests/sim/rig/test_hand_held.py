@@ -6,8 +6,8 @@ import socket
 import numpy as np
 import pytest
 
-from testkit.emulated_axis import HandClock
 from testkit.waiting import eventually
+from undrift.base.clock import VirtualClock
 from undrift.errors import InputError
 from undrift.frames import quaternion_conjugate, quaternion_of, quaternion_product, rotate
 from undrift.live.recorder import Recorder
@@ -26,7 +26,7 @@ UP = np.array([0.0, 0.0, 1.0])
 
 @pytest.fixture
 def held():
-    with start_hand_held(seed=4, device=DEVICE, clock=HandClock()) as made:
+    with start_hand_held(seed=4, device=DEVICE, clock=VirtualClock()) as made:
         yield made
 
 
@@ -35,7 +35,7 @@ def truth(held, duration_s, step_s=0.01):
     clock = held.stream.clock
     start = clock.now()
     with held.stream.lock:
-        clock.advance(duration_s)
+        clock.wait(duration_s)
         times = start + step_s * np.arange(1, round(duration_s / step_s) + 1)
         scene, mean = held.stream._scene(times)
         held.stream._go_on()
@@ -87,10 +87,10 @@ def test_what_the_gyroscopes_feel_turns_gravity_as_the_accelerometers_feel_it(he
 def test_a_rate_is_the_mean_rate_of_a_short_step(held):
     held.turn("y", TURN)
     _, rate, _, _ = truth(held, 3.0, step_s=0.001)
-    with start_hand_held(seed=4, device=DEVICE, clock=HandClock()) as other:
+    with start_hand_held(seed=4, device=DEVICE, clock=VirtualClock()) as other:
         other.turn("y", TURN)
         with other.stream.lock:
-            other.stream.clock.advance(3.0)
+            other.stream.clock.wait(3.0)
             other.stream._step = 1e-5  # the mean over this ends at the moment: behind by half of it
             mean = other.stream._scene(0.001 * np.arange(1, 3001))[1]
     # the rate changes by up to 1 rad/s of tremor and turn within 1/20 s: half of 1e-5 s makes 1e-4 rad/s
@@ -123,7 +123,7 @@ def test_a_turn_goes_beyond_the_mark_and_comes_back(held):
 
 def test_a_slow_gyroscope_is_turned_within_its_range():
     slow = random_device_of("enc03j_3031", np.random.default_rng(2))
-    with start_hand_held(seed=4, device=slow, clock=HandClock()) as held:
+    with start_hand_held(seed=4, device=slow, clock=VirtualClock()) as held:
         held.turn("z", TURN)
         assert np.abs(truth(held, 20.0)[1]).max() < slow.gyro.full_scale
 
@@ -131,13 +131,13 @@ def test_a_slow_gyroscope_is_turned_within_its_range():
 def test_the_readings_do_not_depend_on_how_often_the_device_is_looked_at():
     said = []
     for steps in ([3.0], [0.07] * 30 + [0.9]):
-        with start_hand_held(seed=4, device=DEVICE.without_noise(), clock=HandClock()) as held:
+        with start_hand_held(seed=4, device=DEVICE.without_noise(), clock=VirtualClock()) as held:
             rows = []
             held.stream._send = lambda counts, values, rows=rows: rows.append(values)
             held.turn("x", TURN)
             for step in steps:
                 with held.stream.lock:
-                    held.stream.clock.advance(step)
+                    held.stream.clock.wait(step)
                     held.stream._go_on()
             said.append(np.vstack(rows))
     assert len(said[0]) == 300

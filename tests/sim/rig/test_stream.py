@@ -8,9 +8,9 @@ import time
 import numpy as np
 import pytest
 
-from testkit.emulated_axis import HandClock
 from testkit.waiting import eventually
 from undrift.arrays import frozen
+from undrift.base.clock import Clock, VirtualClock
 from undrift.errors import InputError, RigFault, RigTimeout
 from undrift.live.decoder import FrameDecoder, LineDecoder, StreamDescription
 from undrift.live.recorder import DwellReadings, Recorder
@@ -43,14 +43,11 @@ class Heard:
     """A device on a clock that is moved by hand, and what it says."""
 
     def __init__(self, table=None, device=DEVICE, **settings) -> None:
-        self.clock = HandClock()
+        self.clock = VirtualClock()
         warm = lambda times: np.full(len(times), 25.0)  # noqa: E731
         self.device = EmulatedDevice(device, table or Table(), warm, self.clock, StreamSettings(**settings))
-        self.source = source_at(self.device.address(1.0))
+        self.source = source_at(self.device.address(1.0), clock=self.clock)
         self.source.open()
-        end = time.monotonic() + 60.0
-        while not self.device.sessions and time.monotonic() < end:
-            time.sleep(0.002)
 
     def __enter__(self) -> "Heard":
         return self
@@ -61,7 +58,7 @@ class Heard:
 
     def next(self, duration_s: float) -> tuple[np.ndarray, np.ndarray]:
         """Go on so long, and return counters and readings of it."""
-        self.clock.advance(duration_s)
+        self.clock.wait(duration_s)
         last, counts, values = round(self.clock.now() * 100.0), [], []
         while not counts or counts[-1] < last:
             chunk = self.source.read(60.0)
@@ -71,15 +68,15 @@ class Heard:
 
 
 def test_a_stream_does_not_begin_with_a_backlog_of_what_its_first_reading_compiled(monkeypatch):
-    read, hand_clock, clocks = CausalDevice.read, HandClock, []
+    read, hand_clock, clocks = CausalDevice.read, VirtualClock, []
 
     def slow_once(device, scene, mean):
         if clocks and not clocks[0].now():
-            clocks[0].advance(25.0)
+            clocks[0].wait(25.0)
         return read(device, scene, mean)
 
     monkeypatch.setattr(CausalDevice, "read", slow_once)
-    monkeypatch.setitem(globals(), "HandClock", lambda: clocks.append(hand_clock()) or clocks[-1])
+    monkeypatch.setitem(globals(), "VirtualClock", lambda: clocks.append(hand_clock()) or clocks[-1])
     with Heard() as heard:
         assert heard.next(0.1)[0].tolist() == list(range(2501, 2511))
 
@@ -161,7 +158,7 @@ def test_a_clock_that_runs_fast_counts_more():
 
     fast = replace(DEVICE, sampling=replace(DEVICE.sampling, clock_error=0.01, sample_rate_hz=100.0))
     with Heard(device=fast) as heard:
-        heard.clock.advance(10.0)
+        heard.clock.wait(10.0)
         counts = []
         while not counts or counts[-1] < 1010:
             counts += heard.source.read(2.0).counter.tolist()
@@ -183,12 +180,12 @@ def test_lost_and_garbled_readings_are_found_out():
 def test_a_silent_device_is_a_timeout_and_its_numbers_go_on():
     with Heard() as heard:
         heard.device.inject("silence")
-        heard.clock.advance(0.5)
+        heard.clock.wait(0.5)
         heard.device.tick()
         with pytest.raises(RigTimeout, match=r"got nothing"):
             heard.source.read(0.05)
         heard.device.clear()
-        assert heard.next(0.05)[0][0] == 51
+        assert heard.next(0.05)[0][0] == 56  # 0.5 s and the wait that ended
 
 
 def test_what_cannot_be_is_refused():
@@ -229,7 +226,7 @@ def test_a_whole_bench_works_over_its_sockets(kind):
         finally:
             rig.close()
         soak = SoakSettings(window_s=20.0)
-        with open_chamber(bench.chamber_address, ChamberSettings(clock_speed=SPEED, soak=soak)) as chamber:
+        with open_chamber(bench.chamber_address, ChamberSettings(clock=Clock(SPEED), soak=soak)) as chamber:
             chamber.set(35.0)
             eventually(chamber.soaked, "the air is steady")
             dwells.start()

@@ -1,4 +1,4 @@
-"""Axis: the emulated shaft and its servo, brought up to a moment when someone looks; and the clocks of an emulated rig.
+"""Axis: the emulated shaft and its servo, brought up to a moment when someone looks.
 
 The state is advanced in whole samples of the card. Where the axis was is kept in a ring of 1 ms steps, read back by cubic
 interpolation from angle and rate. The position loop is that of a sampled motion controller::
@@ -15,9 +15,8 @@ crossover 522.8 rad/s, phase margin 44.2 deg, poles -189.4 +- 403.3j.
 """
 
 import math
-import time
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -113,30 +112,6 @@ def resting_coefficients(servo: ServoSettings) -> Coefficients:
     )
 
 
-# ---- Clocks of an emulated rig: the host's, sped up, or one that whoever made it moves.
-
-
-class Clock(Protocol):
-    """Emulated time, s from the start."""
-
-    def now(self) -> float:
-        """Return emulated time, s."""
-
-
-class HostClock:
-    """The host's monotonic clock, faster by a factor."""
-
-    def __init__(self, speed: float = 1.0) -> None:
-        if not speed > 0.0:
-            raise InputError(f"emulator speed: wanted a positive factor, got {speed}; 1 is real time")
-        self.speed = speed
-        self._start = time.monotonic()
-
-    def now(self) -> float:
-        """Return emulated time since the clock was made, s."""
-        return (time.monotonic() - self._start) * self.speed
-
-
 # ---- axes
 
 TELL_VELOCITY_S = 0.25  # TV is a mean over about a quarter of a second
@@ -186,14 +161,6 @@ class Axis:
         """Position register, counts: what TP tells."""
         return round(float(self.values[k.COUNT]) + self.coefficients.offset)
 
-    @property
-    def velocity_counts(self) -> int:
-        """Mean speed of the last quarter of a second, counts/s: what TV tells."""
-        newest: int = (int(self.values[k.SAMPLES]) - 1) % self._tell.size
-        oldest = (newest + 1) % self._tell.size
-        span = (self._tell.size - 1) * self.coefficients.period
-        return round(float(self._tell[newest] - self._tell[oldest]) / span)
-
     def define(self, counts: int) -> None:
         """Call where the axis stands a number; the axis and its loop notice nothing."""
         shift = counts - (self.values[k.COUNT] + self.coefficients.offset)
@@ -211,7 +178,7 @@ class Axis:
             )
         right = np.clip(np.searchsorted(time, t), 1, len(time) - 1)
         left = right - 1
-        h = time[right] - time[left]
+        h = np.maximum(time[right] - time[left], 1e-12)  # at time zero there is one moment
         u = (t - time[left]) / h
         rise = angle[right] - angle[left]
         v0, v1 = rate[left] * h, rate[right] * h

@@ -13,26 +13,26 @@ leaves r where it is and drifts up. Each step of time is solved with the trapezo
 
 import contextlib
 import math
-import socket
-import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Literal, cast, get_args
-from urllib.parse import urlsplit
 
 import numpy as np
 
 from undrift.arrays import FloatArray
-from undrift.errors import InputError, RigFault
+from undrift.base.clock import HOST, Clock
+from undrift.errors import InputError, RigError, RigFault
+from undrift.live.transports import host_and_port
 from undrift.record import Face
+from undrift.rig.link import Link, LinkSettings
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.presets import random_device
-from undrift.sim.rig.axes import Axis, Clock, HostClock, ServoSettings
+from undrift.sim.rig.axes import Axis, ServoSettings
 from undrift.sim.rig.galil_card import CardSettings
 from undrift.sim.rig.galil_language import GalilMachine
 from undrift.sim.rig.grbl import GrblMachine, GrblSettings
-from undrift.sim.rig.server import LINK_FAULTS, Closed, FaultyLink, LineMachine, Served, Server
+from undrift.sim.rig.server import LINK_FAULTS, Closed, FaultyLink, LineMachine, Served, server_of
 from undrift.sim.rig.stream import EmulatedDevice, StreamSettings
 
 # ---- Emulated rig
@@ -81,7 +81,7 @@ class Emulator(Served):
                 f"emulator host: wanted one of {', '.join(LOOPBACK)}, got '{settings.host}'; it serves this computer only"
             )
         Axis(settings.servo, 1.0).warm()
-        chosen = clock or HostClock(settings.speed)
+        chosen = clock or Clock.started(settings.speed)
         self.settings, self.clock = settings, chosen
         self.machine: GalilMachine | GrblMachine = (
             GalilMachine(settings.servo, settings.card, chosen, settings.history_s)
@@ -306,7 +306,7 @@ class Bench(Closed):
             self.stream = EmulatedDevice(chosen, self.rig, self.chamber.board_temp, self.rig.clock, settings.stream)
             opened.callback(self.stream.close)
             operator = LineMachine(self.rig.clock, self._mounted)
-            hands = Server(operator, FaultyLink(), (host, settings.hands_port))
+            hands = server_of(operator, FaultyLink(operator.clock), (host, settings.hands_port))
             opened.callback(hands.close)
             self._opened = opened.pop_all()
         options = f"?clock_speed={settings.rig.speed!r}"
@@ -322,10 +322,10 @@ class Bench(Closed):
     def break_as(self, planned: "PlannedFault") -> None:
         """Break a part when its time has come, and mend it again; waits for both."""
         part: Served = self.chamber if planned.name in CHAMBER_FAULTS else self.rig
-        time.sleep(planned.after_s / self.settings.rig.speed)
+        self.rig.clock.wait(planned.after_s)
         part.inject(planned.name)
         if planned.for_s is not None:
-            time.sleep(planned.for_s / self.settings.rig.speed)
+            self.rig.clock.wait(planned.for_s)
             part.clear(planned.name)
 
     def mount(self, face: Face) -> None:
@@ -377,19 +377,17 @@ def planned_fault(text: str) -> PlannedFault:
 class BenchHands:
     """Hands of an emulated bench in another process, as a run asks for them."""
 
-    def __init__(self, address: str) -> None:
-        parts = urlsplit(address)
-        if parts.scheme != "tcp" or not parts.hostname or not parts.port:
+    def __init__(self, address: str, clock: Clock = HOST) -> None:
+        if not address.startswith("tcp:") or not all(host_and_port(address.removeprefix("tcp:"))):
             raise InputError(f"hands: wanted tcp://host:port, got '{address}'; rig emulate prints it")
-        self._place = (parts.hostname, parts.port)
+        self._address, self._waits = address, LinkSettings(reply_timeout_s=HANDS_TIMEOUT_S, clock=clock.host)
 
     def mount(self, up: Face) -> None:
         """Have the device mounted."""
         try:
-            with socket.create_connection(self._place, timeout=HANDS_TIMEOUT_S) as link:
-                link.sendall(f"MOUNT {up}\n".encode("ascii"))
-                answer = link.makefile("r", encoding="ascii", errors="replace").readline().strip()
-        except OSError as error:
+            with Link(self._address, self._waits) as link:
+                answer = link.exchange(f"MOUNT {up}").strip()
+        except RigError as error:
             raise RigFault(f"hands: wanted {up} up, got '{error}'; is the emulated bench running?") from error
         if answer != f"OK {up}":
             raise RigFault(f"hands: wanted {up} up, got '{answer}'; mount it with a face that there is")

@@ -3,8 +3,8 @@ r"""Galil: the ASCII language of a one-axis card, read by a parser of its own, a
 Two upper-case letters and arguments; `;` or a carriage return ends a command. Each command is answered by its text, if it has
 one, with CR LF, and `:`; or by `?`, after which the rest of the line is dropped and TC tells why.
 
-A program is lines kept on the card and run there, with trippoints: DL .. \ loads, LS and UL list, XQ runs from a label, HX halts,
-as ST and AB without an argument do. JP, IF, ELSE, ENDIF, EN, AM, WT and AT mean something only here. What a program prints nobody
+A program is lines kept on the card and run there, with trippoints: DL .. \ loads, LS lists, XQ runs from a label, HX halts,
+as ST and AB without an argument do. JP, EN, AM and WT mean something only here. What a program prints nobody
 asked for; a command that fails ends it with `?`, the line number and the line.
 """
 
@@ -14,8 +14,9 @@ from collections.abc import Callable
 from typing import cast
 
 from undrift.arrays import FloatArray
+from undrift.base.clock import Clock
 from undrift.kernels import device as k
-from undrift.sim.rig.axes import Clock, ServoSettings
+from undrift.sim.rig.axes import ServoSettings
 from undrift.sim.rig.galil_card import (
     ERROR_TEXT,
     SETTINGS,
@@ -27,10 +28,8 @@ from undrift.sim.rig.galil_card import (
     Error,
     Recording,
     Refused,
-    check_motor_type,
     evaluate,
     places,
-    record,
     refuse_if,
     reported,
     set_sample_time,
@@ -39,8 +38,8 @@ from undrift.sim.rig.galil_card import (
 )
 from undrift.sim.rig.server import Machine, Session
 
-ONLY_PROGRAM_WORDS = ("AM", "WT", "MC", "AD", "AT", "JP", "JS", "IF", "EN", "RE")
-NOT_PROGRAM_WORDS = ("DL", "LS", "UL", "ED", "RS", "QR")
+ONLY_PROGRAM_WORDS = ("AM", "WT", "MC", "JP", "EN")
+NOT_PROGRAM_WORDS = ("DL", "LS", "UL", "ED", "RS")
 REVISION = "\x12\x16"
 CRLF = "\r\n"
 
@@ -49,7 +48,7 @@ _MESSAGE_ITEM = re.compile(r"(\"[^\"]*\"|[^\"{}]*)((?:\{[^{}]*\}\s*)*)")
 _ITEM = re.compile(r'(?:[^,"]|"[^"]*")+')
 _FORM = re.compile(r"\{([^{}]*)\}")
 _ASSIGNMENT = re.compile(r"([A-Z][A-Z0-9]*)\s*=(.*)", re.S)
-_WITH_VALUE = (*SETTINGS, "JG", "PR", "PA", "DP", "DE")
+_WITH_VALUE = (*SETTINGS, "JG", "PR", "PA", "DP")
 
 
 def execute(card: Card, command: str, in_program: bool = False) -> str:
@@ -116,8 +115,6 @@ def _valued(card: Card, word: str, rest: str) -> str:
         card.jog(value)
     elif word in ("PR", "PA", "DP"):
         card.aim(word, value)
-    elif word == "DE":
-        card.auxiliary = math.trunc(value)
     else:
         _set(card, word, value)
     return ""
@@ -127,8 +124,6 @@ def _set(card: Card, word: str, value: float) -> None:
     setting = SETTINGS[word]
     refuse_if(not setting.low <= value <= setting.high, Error.OUT_OF_RANGE)
     refuse_if(card.motion.running and not setting.while_running, Error.RUNNING)
-    if word == "MT":
-        check_motor_type(card, value)
     rounded = math.trunc(value / setting.step + math.copysign(1e-9, value)) * setting.step
     if word == "TM":
         set_sample_time(card, rounded)
@@ -143,7 +138,6 @@ def _reset(card: Card) -> None:
 
 
 _ACTS: dict[str, Callable[[Card], None]] = {
-    "HM": Card.home,
     "SH": lambda card: card.motor(True),
     "MO": lambda card: card.motor(False),
     "BG": Card.begin,
@@ -153,8 +147,6 @@ _ACTS: dict[str, Callable[[Card], None]] = {
 
 
 def _abort(card: Card, rest: str) -> str:
-    if rest.strip() == "?":
-        return reported(card, "AB") + CRLF
     if rest.strip() not in ("", "0", "1"):
         raise Refused(Error.OUT_OF_RANGE if rest.strip().isdigit() else Error.OPERAND)
     card.abort()
@@ -172,10 +164,6 @@ def _tell_code(card: Card, rest: str) -> str:
 def _nothing(_card: Card, rest: str) -> str:
     refuse_if("?" in rest, Error.NO_QUESTION)
     return ""
-
-
-def _no_editor(_card: Card, _rest: str) -> str:
-    raise Refused(Error.UNKNOWN)
 
 
 def _message(card: Card, rest: str) -> str:
@@ -297,8 +285,7 @@ def _upload(card: Card, rest: str) -> str:
 
 _WORDS: dict[str, Callable[[Card, str], str]] = {
     "AB": _abort, "TC": _tell_code, "MG": _message, "DM": _define_arrays, "DA": _free_arrays, "RA": _record_into,
-    "RD": _record_what, "RC": _record, "QU": _upload, "BN": _nothing, "BV": _nothing, "CF": _nothing, "ED": _no_editor,
-    "QR": lambda card, rest: record(card) + _nothing(card, rest),
+    "RD": _record_what, "RC": _record, "QU": _upload, "BN": _nothing, "BV": _nothing, "CF": _nothing,
     "ID": lambda card, rest: card.settings.revision + CRLF + _nothing(card, rest),
 }  # fmt: skip
 
@@ -320,10 +307,8 @@ class Program:
         self._lines: list[str] = []
         self._todo: list[tuple[int, str]] = []
         self._next: int | None = None  # next line; None when nothing runs
-        self._until: float | None = None  # operand TIME that WT and AT wait for
+        self._until: float | None = None  # operand TIME that WT waits for
         self._waiting = False  # AM
-        self._since = 0.0  # operand TIME that AT counts from
-        self._skipped = 0  # how deep in branches of IF that are not taken
         card.program_status = self._status
 
     @property
@@ -333,7 +318,7 @@ class Program:
 
     def halt(self) -> None:
         """Stop executing lines."""
-        self._next, self._todo, self._until, self._waiting, self._skipped = None, [], None, False, 0
+        self._next, self._todo, self._until, self._waiting = None, [], None, False
 
     def _status(self) -> tuple[int, int]:
         """Return operands _HX0 (0 at rest, 1 runs, 2 at a trippoint) and _XQ0 (line, or -1)."""
@@ -354,15 +339,13 @@ class Program:
         if word == "DL" and not rest:
             refuse_if(self.running, Error.PROGRAM_RUNNING)
             return "DL"
-        if word == "UL" and not rest:
-            return CRLF.join(self._lines) + CRLF + "\x1a"
         if word == "LS" and not rest:
             return "".join(f"{number} {line}{CRLF}" for number, line in enumerate(self._lines))
         if word == "XQ":
             label, _, thread = rest.partition(",")
             refuse_if(self.running, Error.STRAND_RUNNING)
             refuse_if(thread.strip() not in ("", "0"), Error.OUT_OF_RANGE)  # there is one
-            self._next, self._since = self._label(label) if label else 0, float(self._card.ticks)
+            self._next = self._label(label) if label else 0
             return ""
         if word == "HX" and rest in ("", "0"):
             refuse_if(not self.running, Error.NOT_RUNNING)
@@ -395,7 +378,6 @@ class Program:
             self._waiting, self._until = False, None
             if not self._todo:
                 if self._next >= len(self._lines):
-                    self._card.error_code = Error.NO_ENDIF.value[0] if self._skipped else self._card.error_code
                     self.halt()
                     return
                 number, self._next = self._next, self._next + 1
@@ -406,19 +388,13 @@ class Program:
 
     def _do(self, number: int, text: str) -> None:
         word, rest = text[:2], text[2:].strip()
-        branches = word == "IF" and rest.startswith("(")
         try:
-            if self._skipped:
-                self._skipped += branches - (text == "ENDIF")
-                self._skipped -= text == "ELSE" and self._skipped == 1
-            elif branches or text in ("ELSE", "ENDIF"):  # to ELSE comes only who took the branch before it
-                self._skipped = int(text == "ELSE" or (branches and not evaluate(self._card, rest)))
-            elif word == "EN":
+            if word == "EN":
                 self.halt()
             elif word in ("AM", "MC"):
                 self._waiting = True
-            elif word in ("WT", "AT"):
-                self._wait(word, rest)
+            elif word == "WT":
+                self._until = self._card.ticks + evaluate(self._card, rest)
             elif word == "JP":
                 label, _, condition = rest.partition(",")
                 if not condition or evaluate(self._card, condition):
@@ -431,20 +407,6 @@ class Program:
             self._card.error_code = refusal.code
             self._card.unsolicited.append(f"?{number:03d} {text}{CRLF}")
             self.halt()
-
-    def _wait(self, word: str, rest: str) -> None:
-        """WT n: from now on; AT n: from the reference, AT 0 sets it, AT -n sets it anew at the end; n,1 counts samples."""
-        number, _, unit = rest.partition(",")
-        ticks = evaluate(self._card, number) * (self._card.values["TM"] / 1000.0 if unit.strip() == "1" else 1.0)
-        if word == "WT":
-            self._until = self._card.ticks + ticks
-            return
-        if ticks == 0.0:
-            self._since = float(self._card.ticks)
-            return
-        self._until = self._since + abs(ticks)
-        if ticks < 0.0:
-            self._since = self._until
 
     def _label(self, text: str) -> int:
         for number, line in enumerate(self._lines):

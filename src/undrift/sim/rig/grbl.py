@@ -1,6 +1,6 @@
 """Grbl: an emulated stepper board behind the bytes of its clients, its planner, and the faults it may suffer.
 
-Lines end with a line feed and are answered `ok` or `error:n`; `?` `!` `~` 0x18 0x85 are taken at once, wherever they stand. What
+Lines end with a line feed and are answered `ok` or `error:n`; `?` `!` 0x18 0x85 are taken at once, wherever they stand. What
 the pulses say and what the shaft does are two paths of constant accelerations, since a motor without current loses steps; a ripple
 of its detents adds to the shaft. Moves that go the same way follow each other without a rest between. The speed at a joint is the
 slower feed of the two moves, or zero where the way turns; no move may be entered faster than it can be left, v_in^2 <= v_out^2 +
@@ -18,44 +18,25 @@ from itertools import pairwise
 import numpy as np
 
 from undrift.arrays import FloatArray
+from undrift.base.clock import Clock
 from undrift.errors import InputError
-from undrift.sim.rig.axes import Clock
 from undrift.sim.rig.server import Machine, Session
 from undrift.units import RADIAN_PER_DEGREE
 
 # ---- Words of a stepper board: lines of letters and numbers, `$n=value`, and the codes of what is wrong with them.
 
-ERROR_MEANING = {
-    1: "a word without its letter",
-    2: "a number that is missing or not one",
-    3: "a $ command that is not known",
-    4: "a negative setting",
-    5: "homing is not enabled",
-    8: "not unless idle",
-    9: "locked: an alarm, or a jog in progress",
-    11: "line too long",
-    15: "jog beyond the travel of the table",
-    16: "jog with a forbidden word, or without `=`",
-    20: "a command that is not supported",
-    21: "two commands of one group",
-    22: "no feed rate",
-    25: "a word twice",
-    26: "no axis word",
-}
-
 _WORD = re.compile(r"([A-Z])([-+]?(?:\d+\.?\d*|\.\d+))")
 _WORDS = re.compile(f"(?:{_WORD.pattern})*")
 _SETTING = re.compile(r"\$(\d+)=(.*)")
-_DISTANCE = {"G90": False, "G91": True}
-_HARMLESS = ("G21", "G94", "G54", "G17", "M5", "M9")
-_MOVES = {"G0": True, "G1": False}
+_RELATIVE = {"G90": False, "G91": True}
+_HARMLESS = ("G21", "G94", "G54", "G17")
 
 
 class Denied(Exception):
     """The board answers `error:n`."""
 
     def __init__(self, code: int) -> None:
-        super().__init__(ERROR_MEANING[code])
+        super().__init__(f"error:{code}")
         self.code = code
 
 
@@ -67,38 +48,32 @@ def deny_if(wrong: object, code: int) -> None:
 
 @dataclass(slots=True)
 class Move:
-    """What a line asks for."""
+    """What a jog asks for."""
 
     target: dict[str, float] = field(default_factory=dict)  # Axis letter to angle, deg
-    feed: float = 0.0  # deg/min; 0 where the line gives none
-    relative: bool | None = None  # G91, G90, or neither
-    rapid: bool = False  # G0
+    feed: float = 0.0  # deg/min
+    relative: bool = False  # G91
 
 
-def parse_line(text: str, axes: str, *, jog: bool) -> Move:
-    """Read a line, or what stands behind `$J=`."""
+def parse_jog(text: str, axes: str) -> Move:
+    """Read what stands behind `$J=`."""
     move, seen = Move(), set[str]()
     for letter, number in _words(text):
         name = f"{letter}{number:g}"
-        key = name if letter in "GM" else letter
-        deny_if(key in seen, 25)
+        key = "distance" if name in _RELATIVE else name if letter in "GM" else letter
+        deny_if(key in seen, 21 if key == "distance" else 25)
         seen.add(key)
         if letter in axes:
             move.target[letter] = number
         elif letter == "F":
             deny_if(number < 0.0, 4)
             move.feed = number
-        elif name in _DISTANCE or (name in _MOVES and not jog):
-            group = "distance" if name in _DISTANCE else "motion"
-            deny_if(group in seen, 21)
-            seen.add(group)
-            move.relative = _DISTANCE.get(name, move.relative)
-            move.rapid = _MOVES.get(name, move.rapid)
-        elif name not in _HARMLESS:
-            raise Denied(16 if jog else 20)
-    if jog:
-        deny_if(not move.target, 26)
-        deny_if(not move.feed, 22)
+        elif name in _RELATIVE:
+            move.relative = _RELATIVE[name]
+        else:
+            deny_if(name not in _HARMLESS, 16)
+    deny_if(not move.target, 26)
+    deny_if(not move.feed, 22)
     return move
 
 
@@ -319,8 +294,6 @@ class Board:
     def start(self) -> None:
         """Start afresh: idle, nothing waiting, settings kept."""
         self.state = "Idle"
-        self.relative = False
-        self.feed = 0.0
         self._queue: deque[tuple[float, float]] = deque()  # goal, deg, and feed, deg/s; the first is under way
         self._joints: deque[float] = deque()  # when each is over, s
         self._ends = -1e9  # when the pulses rest
@@ -333,7 +306,7 @@ class Board:
         """Come up to now: moves that are over leave the queue."""
         now = self.clock.now()
         self._drop_done(now)
-        if self.state in ("Jog", "Run") and not self._queue and now >= self._ends:
+        if self.state == "Jog" and not self._queue and now >= self._ends:
             self.state = "Idle"
 
     @property
@@ -368,18 +341,12 @@ class Board:
         if text.startswith("$J="):
             if self.state not in ("Idle", "Jog"):
                 raise Denied(9 if self.state in ("Alarm", "Sleep") else 8)
-            self._add(parse_line(text[3:], self.settings.axes, jog=True), "Jog")
+            self._add(parse_jog(text[3:], self.settings.axes))
             return ""
         if text.startswith("$"):
             return self._dollar(text)
         deny_if(self.state in ("Alarm", "Sleep", "Jog"), 9)
-        move = parse_line(text, self.settings.axes, jog=False)
-        if move.relative is not None:
-            self.relative = move.relative
-        self.feed = move.feed or self.feed
-        if move.target:
-            self._add(move, "Run")
-        return ""
+        raise Denied(20)  # programs of G-code
 
     def _dollar(self, text: str) -> str:
         if text in _INFORMATION:
@@ -396,22 +363,15 @@ class Board:
         self.values[number] = value
         return ""
 
-    def _add(self, move: Move, state: str) -> None:
-        feed = (move.feed or self.feed) if state == "Run" and not move.rapid else move.feed
-        if move.rapid:
-            feed = self.of_axis(110)
-        deny_if(not feed, 22)
+    def _add(self, move: Move) -> None:
         wanted = move.target.get(self.settings.axis)
         end = self._queue[-1][0] if self._queue else self.stepper.pulses.at(max(self.clock.now(), self._ends))[0]
-        relative = self.relative if move.relative is None else move.relative
-        goal = end if wanted is None else (end + wanted if relative else wanted)
-        deny_if(state == "Jog" and self.values[20] == 1.0 and not -self.of_axis(130) <= goal <= 0.0, 15)
+        goal = end if wanted is None else (end + wanted if move.relative else wanted)
+        deny_if(self.values[20] == 1.0 and not -self.of_axis(130) <= goal <= 0.0, 15)
         steps = self.of_axis(100)
-        self._queue.append((round(goal * steps) / steps, min(feed, self.of_axis(110)) / 60.0))
-        if self.state == "Idle":
-            self.state = state
-        if self.state == state:
-            self._plan()
+        self._queue.append((round(goal * steps) / steps, min(move.feed, self.of_axis(110)) / 60.0))
+        self.state = "Jog"
+        self._plan()
 
     def _plan(self) -> None:
         # from where the pulses are now, or from where they will rest after a stop
@@ -445,14 +405,6 @@ class Board:
             return _report(self)
         if letter in ("!", "\x85") and self.state == "Jog":
             self._slow(self.of_axis(120))
-        elif letter == "!" and self.state == "Run":
-            waiting = list(self._queue)
-            self._slow(self.of_axis(120))
-            self._queue.extend(waiting)
-            self.state = "Hold"
-        elif letter == "~" and self.state == "Hold" and not self.moving:
-            self.state = "Run"
-            self._plan()
         elif letter == "\x18":
             return self.reset()
         return ""
@@ -483,10 +435,9 @@ def _report(board: Board) -> str:
     now, axis, steps = board.clock.now(), board.settings.axis, board.of_axis(100)
     angle, rate = board.stepper.pulses.at(now)
     places = [round(angle * steps) / steps if letter == axis else 0.0 for letter in board.settings.axes]
-    state = f"Hold:{int(board.moving)}" if board.state == "Hold" else board.state
     pins = f"|Pn:{axis}" if board.limit_pressed else ""
     shown = ",".join(f"{place:.3f}" for place in places)
-    return f"<{state}|MPos:{shown}|FS:{round(abs(rate) * 60.0)},0{pins}>{EOL}"
+    return f"<{board.state}|MPos:{shown}|FS:{round(abs(rate) * 60.0)},0{pins}>{EOL}"
 
 
 def _list_settings(board: Board) -> str:
@@ -496,11 +447,8 @@ def _list_settings(board: Board) -> str:
 
 _INFORMATION: dict[str, Callable[[Board], str]] = {
     "$$": _list_settings,
-    "$": lambda board: f"[HLP:$$ $# $G $I $N $x=val $Nx=line $J=line $SLP $C $X $H ~ ! ? ctrl-x]{EOL}",
+    "$": lambda board: f"[HLP:$$ $I $x=val $Nx=line $J=line $SLP $C $X $H ~ ! ? ctrl-x]{EOL}",
     "$I": lambda board: f"[VER:{board.settings.version}.20190825:]{EOL}[OPT:V,15,128]{EOL}",
-    "$G": lambda board: (
-        f"[GC:G0 G54 G17 G21 {'G91' if board.relative else 'G90'} G94 M5 M9 T0 F{board.feed:g} S0]{EOL}"
-    ),
 }
 
 

@@ -21,6 +21,7 @@ import numpy as np
 from numpy.polynomial import Polynomial
 
 from undrift.arrays import FloatArray
+from undrift.base.clock import Clock
 from undrift.errors import InputError
 from undrift.frames import quaternion_conjugate, quaternion_of, quaternion_product, rotate, rotation_vector
 from undrift.record import FACES, Axis, Face
@@ -29,8 +30,7 @@ from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.presets import random_device
 from undrift.sim.motion.bench import earth_rate
 from undrift.sim.motion.motion import SMOOTH, UNEVEN, facing, turn_quaternion, unit_vector
-from undrift.sim.rig.axes import Clock, HostClock
-from undrift.sim.rig.server import Closed, FaultyLink, LineMachine, Server
+from undrift.sim.rig.server import Closed, FaultyLink, LineMachine, server_of
 from undrift.sim.rig.stream import EmulatedDevice, StreamSettings
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
@@ -248,10 +248,10 @@ class HandHeld(Closed):
     def __init__(
         self, device: DeviceModel, hands: HandSettings, stream: StreamSettings, speed: float, clock: Clock | None
     ) -> None:
-        self.device, chosen = device, clock or HostClock(speed)
+        self.device, chosen = device, clock or Clock.started(speed)
         self.stream = HandHeldDevice(device, hands, chosen, stream)
         try:
-            self._operator = Server(LineMachine(chosen, self._answered), FaultyLink(), (stream.host, 0))
+            self._operator = server_of(LineMachine(chosen, self._answered), FaultyLink(chosen), (stream.host, 0))
         except OSError:
             self.stream.close()
             raise

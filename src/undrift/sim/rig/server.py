@@ -1,7 +1,7 @@
-"""Server: one thread that carries bytes between clients and an emulated machine, over TCP on the loopback and over a pty.
+"""Server: carries bytes between clients and an emulated machine, over TCP on the loopback, over a pty, or within a virtual clock.
 
-The thread also brings the machine up to now every few milliseconds, so that it goes on while no client says anything. Faults of the
-link change the bytes of answers between machine and client.
+On the host's clock it is a thread, which also brings the machine up to now every few milliseconds, so that it goes on while no
+client says anything. Faults of the link change the bytes of answers between machine and client.
 """
 
 import contextlib
@@ -11,14 +11,13 @@ import random
 import selectors
 import socket
 import threading
-import time
 import tty
 from collections import deque
 from collections.abc import Callable
 from typing import Self
 
+from undrift.base.clock import Clock, VirtualClock
 from undrift.errors import InputError
-from undrift.sim.rig.axes import Clock
 
 LINK_FAULTS = {
     "drop_bytes": "every third byte of each answer is lost",
@@ -36,7 +35,8 @@ LATE_S = 0.5
 class FaultyLink:
     """What the link does to answers."""
 
-    def __init__(self, seed: int = 0) -> None:
+    def __init__(self, clock: Clock, seed: int = 0) -> None:
+        self.now = clock.host.now
         self._active: dict[str, int | None] = {}  # answers that it still lasts for; None without end
         self._random = random.Random(seed)
         self._lock = threading.Lock()
@@ -65,7 +65,7 @@ class FaultyLink:
 
     def pass_on(self, answer: bytes, free_at: float) -> list[tuple[float, bytes]]:
         """Return an answer as it arrives: pieces with the host's time at which each is sent."""
-        now = max(time.monotonic(), free_at)
+        now = max(self.now(), free_at)
         with self._lock:
             if self._struck("garbage"):
                 letters = [byte for byte in range(256) if byte not in b":?"]
@@ -76,7 +76,7 @@ class FaultyLink:
                 kept = bytes(byte for place, byte in enumerate(answer, start=1) if place % 3)
                 answer = kept if len(answer) > 1 else b""
             if self._struck("late_reply"):
-                now = max(time.monotonic() + LATE_S, free_at)
+                now = max(self.now() + LATE_S, free_at)
             if self._struck("slow_link"):
                 step = 1.0 / SLOW_BYTES_PER_S
                 return [(now + step * (place + 1), answer[place : place + 1]) for place in range(len(answer))]
@@ -204,8 +204,8 @@ class Served(Closed):
     def serve(self, machine: Machine, address: tuple[str, int], seed: int, with_pty: bool = False) -> None:
         """Begin to listen."""
         self._lock, self._broken = machine.lock, set[str]()
-        self._link = FaultyLink(seed)
-        self._server = Server(machine, self._link, address, with_pty)
+        self._link = FaultyLink(machine.clock, seed)
+        self._server = server_of(machine, self._link, address, with_pty)
         self.host, self.port = self._server.host, self._server.port
 
     def set_fault(self, fault: str, on: bool) -> None:
@@ -255,14 +255,32 @@ UNREAD = 4096
 
 
 class _Client:
-    def __init__(self, session: Session, connection: socket.socket | None, descriptor: int) -> None:
-        self.session, self.connection, self.descriptor = session, connection, descriptor
+    """Who talks to a machine, and what is under way to them."""
+
+    def __init__(
+        self, session: Session, link: FaultyLink, connection: socket.socket | None = None, descriptor: int = -1
+    ) -> None:
+        self.session, self._link = session, link
+        self.connection, self.descriptor = connection, descriptor
         self.inbox = b""  # what was read and is still to be obeyed
-        self.pending: deque[tuple[float, bytes]] = deque()
+        self.pending: deque[tuple[float, bytes]] = deque()  # and when each is due
+
+    def queue(self, answer: bytes) -> None:
+        if answer:
+            self.pending.extend(self._link.pass_on(answer, self.pending[-1][0] if self.pending else 0.0))
+
+    def feed(self, data: bytes) -> None:
+        for answer in self.session.feed(data):
+            self.queue(answer)
+
+    @property
+    def is_due(self) -> bool:
+        """Whether the first answer that is under way arrives now."""
+        return bool(self.pending) and not self._link.stalled and self.pending[0][0] <= self._link.now()
 
 
 class Server:
-    """Serves until closed."""
+    """Serves until closed, from a thread."""
 
     def __init__(self, machine: Machine, link: FaultyLink, address: tuple[str, int], with_pty: bool = False) -> None:
         self._machine, self._link = machine, link
@@ -284,7 +302,7 @@ class Server:
             tty.setraw(far)
             os.set_blocking(near, False)
             self.pty_path = os.ttyname(far)
-            self._welcome(_Client(self._machine.open_session(serial=True), None, near))
+            self._welcome(_Client(self._machine.open_session(serial=True), link, None, near))
         self._thread = threading.Thread(target=self._serve, name="emulated-rig", daemon=True)
         self._thread.start()
 
@@ -309,7 +327,7 @@ class Server:
                 settling = not self._settled.is_set()
                 due = min((client.pending[0][0] for client in self._clients if client.pending), default=math.inf)
                 due = 0.0 if any(client.inbox for client in self._clients) else due
-                for key, _ in self._selector.select(min(max(due - time.monotonic(), 0.0), TICK_S)):
+                for key, _ in self._selector.select(min(max(due - self._link.now(), 0.0), TICK_S)):
                     key.data()
                 self._machine.tick()
                 if self.dark or self._link.take_disconnect():
@@ -338,9 +356,9 @@ class Server:
             return
         connection.setblocking(False)
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        client = _Client(self._machine.open_session(serial=False), connection, connection.fileno())
+        client = _Client(self._machine.open_session(serial=False), self._link, connection, connection.fileno())
         self._welcome(client)
-        self._queue(client, client.session.greet())
+        client.queue(client.session.greet())
 
     def _welcome(self, client: _Client) -> None:
         self._clients.append(client)
@@ -358,12 +376,11 @@ class Server:
 
     def _obey(self, client: _Client) -> None:
         """Give a client its turn; the rest of what it sent waits for the next."""
-        until = time.monotonic() + TURN_S
+        until = self._link.now() + TURN_S
         while client.inbox:
             mouthful, client.inbox = client.inbox[:MOUTHFUL], client.inbox[MOUTHFUL:]
-            for answer in client.session.feed(mouthful):
-                self._queue(client, answer)
-            if time.monotonic() > until:
+            client.feed(mouthful)
+            if self._link.now() > until:
                 return
 
     def _listen(self, client: _Client) -> None:
@@ -376,15 +393,9 @@ class Server:
         elif not wanted and client.descriptor in self._selector.get_map():
             self._selector.unregister(client.descriptor)
 
-    def _queue(self, client: _Client, answer: bytes) -> None:
-        if answer:
-            client.pending.extend(self._link.pass_on(answer, client.pending[-1][0] if client.pending else 0.0))
-
     def _speak(self, client: _Client) -> None:
-        self._queue(client, client.session.unasked())
-        if self._link.stalled:
-            return
-        while client.pending and client.pending[0][0] <= time.monotonic():
+        client.queue(client.session.unasked())
+        while client.is_due:
             due, data = client.pending.popleft()
             try:
                 sent = os.write(client.descriptor, data) if data else 0
@@ -411,3 +422,102 @@ class Server:
         client.connection.close()
         self._machine.close_session(client.session)
         self._clients.remove(client)
+
+
+# ---- Within a virtual clock: who waits for an answer takes the time that it needs, and nobody else does.
+
+WIRE_S = 2e-4  # that bytes are under way, either way
+
+
+class Wire:
+    """One client's way to a machine on the same virtual clock."""
+
+    datagrams = False
+
+    def __init__(self, machine: Machine, link: FaultyLink, clock: VirtualClock) -> None:
+        self.cut = False
+        self._machine, self._clock = machine, clock
+        self._client = _Client(machine.open_session(serial=False), link)
+        self._client.queue(self._client.session.greet())
+
+    def receive(self, wait_s: float) -> bytes:
+        """Return what has come, after as long as that takes."""
+        clock, client = self._clock, self._client
+        last = clock.now() + wait_s
+        while True:
+            self._machine.tick()
+            client.queue(client.session.unasked())
+            if self.cut:
+                raise EOFError("the other side closed the connection")
+            if client.is_due:
+                clock.jump(clock.now() + WIRE_S)
+                data = b""
+                while client.is_due:
+                    data += client.pending.popleft()[1]
+                return data
+            if clock.now() >= last:
+                return b""
+            due = client.pending[0][0] if client.pending else math.inf
+            clock.jump(min(last, due if due > clock.now() else math.inf, clock.now() + TICK_S))
+
+    def write(self, data: bytes) -> None:
+        """Send all of it."""
+        if self.cut:
+            raise BrokenPipeError("Broken pipe")
+        self._clock.jump(self._clock.now() + WIRE_S)
+        self._machine.tick()
+        self._client.feed(data)
+
+    def wake(self) -> None:
+        """Nothing to do: no other thread waits."""
+
+    def close(self) -> None:
+        """Let go of the machine."""
+        if not self.cut:
+            self.cut = True
+            self._machine.close_session(self._client.session)
+
+
+class VirtualServer:
+    """Serves those on the same virtual clock until closed."""
+
+    pty_path = None
+
+    def __init__(self, machine: Machine, link: FaultyLink, address: tuple[str, int], clock: VirtualClock) -> None:
+        self._machine, self._link, self._clock = machine, link, clock
+        self._wires: list[Wire] = []
+        self.dark = False
+        self.host = address[0]
+        self.port = clock.listen(*address, self._connect)
+
+    def close(self) -> None:
+        """Cut every wire; harmless when called again."""
+        self._clock.forget(self.host, self.port)
+        self._cut()
+
+    def settle(self, timeout_s: float = 0.0) -> None:
+        """Let a fault that begins or ends be felt."""
+        self._machine.tick()
+        if self.dark or self._link.take_disconnect():
+            self._cut()
+
+    def _connect(self) -> Wire:
+        if self.dark:
+            raise ConnectionRefusedError("Connection refused: no power")
+        self._wires = [wire for wire in self._wires if not wire.cut]
+        self._wires.append(Wire(self._machine, self._link, self._clock))
+        return self._wires[-1]
+
+    def _cut(self) -> None:
+        for wire in self._wires:
+            wire.close()
+        self._wires.clear()
+
+
+def server_of(
+    machine: Machine, link: FaultyLink, address: tuple[str, int], with_pty: bool = False
+) -> Server | VirtualServer:
+    """Return what carries bytes to a machine, by the clock that the machine goes by."""
+    if isinstance(machine.clock, VirtualClock):
+        return VirtualServer(machine, link, address, machine.clock)
+    return Server(machine, link, address, with_pty)

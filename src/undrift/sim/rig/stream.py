@@ -23,6 +23,7 @@ from urllib.parse import urlencode
 import numpy as np
 
 from undrift.arrays import FloatArray, IntArray
+from undrift.base.clock import Clock
 from undrift.errors import InputError
 from undrift.frames import quaternion_conjugate, quaternion_of, quaternion_product, rotate
 from undrift.record import FACES, Face
@@ -31,7 +32,6 @@ from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.simulate import draw_streams
 from undrift.sim.motion.bench import earth_rate
 from undrift.sim.motion.motion import facing, unit_vector
-from undrift.sim.rig.axes import Clock
 from undrift.sim.rig.server import Machine, Served, Session
 from undrift.units import STANDARD_GRAVITY
 
