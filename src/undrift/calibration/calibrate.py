@@ -184,8 +184,7 @@ def calibrate(
     unused = tuple(item for triad, outcome in triads for item in _mode_not_used(mode, triad, outcome))
     of_statements: tuple[Finding, ...] = ()
     if settings.latitude_deg is not None and RADIANS[0] < abs(settings.latitude_deg) < RADIANS[1]:
-        as_radians_deg = settings.latitude_deg / RADIAN_PER_DEGREE
-        shown = {"latitude_deg": settings.latitude_deg, "as_radians_deg": as_radians_deg}
+        shown = {"latitude_deg": settings.latitude_deg, "as_radians_deg": settings.latitude_deg / RADIAN_PER_DEGREE}
         of_statements += (finding("session.latitude_in_radians", "warn", **shown),)
     if session.gravity_source == "standard" and of_accel.fit is not None:
         of_statements += (finding("session.gravity_assumed", "warn", gravity_m_s2=session.gravity_m_s2),)

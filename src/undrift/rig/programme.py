@@ -55,9 +55,9 @@ def _as_stated(tree: dict[str, Any]) -> dict[str, Any]:
 
 def _tables(protocol: "Protocol") -> dict[str, Any]:
     """Return the tables of protocol.toml that say something."""
-    said = {"faces": protocol.faces, "rates": protocol.turn_rate_step > 0.0, "turns": protocol.turn_axes}
-    said |= {"temperatures": protocol.temperatures_c}
-    return {name: table for name, table in tree_by_keys(protocol).items() if said.get(name, True)}
+    stated = {"faces": protocol.faces, "rates": protocol.turn_rate_step > 0.0, "turns": protocol.turn_axes}
+    stated |= {"temperatures": protocol.temperatures_c}
+    return {name: table for name, table in tree_by_keys(protocol).items() if stated.get(name, True)}
 
 
 @stored(upgrade=_as_stated, write=_tables)
