@@ -12,7 +12,7 @@ WITH = {name: text for name in undrift.__all__ if ">>>" in (text := inspect.getd
 WITHOUT = {
     "read_reference", "write_session", "read_calibration", "calibrate_to_references", "NoiseFit", "DriftSettings", "DriftFit",
     "Corrected", "Orientation", "validate_leave_one_out", "fit_twin", "Twin", "export_px4", "export_ardupilot",
-    "export_fusion", "export_imucal",
+    "export_fusion", "export_imucal", "validate",
 }  # fmt: skip
 
 
