@@ -48,10 +48,10 @@ def test_a_row_as_long_as_a_file_is_refused_in_one_line(tmp_path):
 
 
 def test_a_column_of_empty_cells_is_all_gaps(tmp_path):
-    (tmp_path / "r.csv").write_text("t,w,x,y,z\n0,,1,2,3\n1,,1,2,3\n")
+    (tmp_path / "r.csv").write_text("t,u,v,w,x,y,z\n0,4,5,,1,2,3\n1,4,5,,1,2,3\n")
     assert read_csv(tmp_path / "r.csv", XYZ).record.accel.tolist() == [[1, 2, 3], [1, 2, 3]]
     unmapped = ColumnMap(
-        time="t", time_unit="s", accel=("x", "y", "z"), accel_unit="g", gyro=("w", "x", "y"), gyro_unit="dps"
+        time="t", time_unit="s", accel=("x", "y", "z"), accel_unit="g", gyro=("u", "v", "w"), gyro_unit="dps"
     )
     with pytest.raises(InputError, match="column 'w': wanted a number in every row, got 2 empty"):
         read_csv(tmp_path / "r.csv", unmapped)
