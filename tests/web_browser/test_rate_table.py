@@ -155,10 +155,12 @@ def test_the_emergency_stop_reaches_the_table_at_once(
     expect(page.locator(".run-end")).to_contain_text(
         "Stopped: the table is at rest and its motor is off", timeout=RUN_MS
     )
-    late_s = obeyed[0] + (time.time() - time.monotonic()) - page.evaluate("window.clicked") / 1e3
+    clicked_s = page.evaluate("window.clicked") / 1e3 - (time.time() - time.monotonic())
+    # stops of the run itself come before
+    late_s = next(moment - clicked_s for moment in obeyed if moment > clicked_s - 0.005)
     with capsys.disabled():
         print(f"\nstop by {way}: {1e3 * late_s:.0f} ms from the event in the browser to the table")
-    assert -0.005 < late_s < STOP_S
+    assert late_s < STOP_S
     assert not bench.rig.motor_on
     shoot(page, f"rate-table-stopped-{way}")
     page.get_by_role("button", name="Continue").click()
