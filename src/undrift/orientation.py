@@ -541,7 +541,7 @@ def _moved_at_rest(record: Record, still: Still) -> tuple[Finding, ...]:
     gyro, accel = record.gyro[still.start : still.stop], record.accel[still.start : still.stop]
     spread = float(np.linalg.norm(np.nanstd(gyro, axis=0)))
     third = max(len(accel) // 3, 1)
-    first, last = accel[:third].mean(axis=0), accel[-third:].mean(axis=0)
+    first, last = np.nanmean(accel[:third], axis=0), np.nanmean(accel[-third:], axis=0)
     turned = float(np.arctan2(np.linalg.norm(np.cross(first, last)), first @ last))
     if spread > MOVING_RATE:
         how = f"its rates vary by {spread / RADIAN_PER_DEGREE:.3g} deg/s rms"

@@ -29,9 +29,9 @@ TRACKED_TEXT = [
 ]
 
 # These limits go down with every cut, and up only by what a new ability needs.
-# They are 229 lines above those of the day before: checks that name users' mistakes, and a codec beside the map's classes that it
+# They are 225 lines above those of the day before: checks that name users' mistakes, and a codec beside the map's classes that it
 # has not replaced yet (docs/worklist.md).
-FILES_AT_MOST, LINES_AT_MOST, CODE_AT_MOST = 240, 75_145, 53_785
+FILES_AT_MOST, LINES_AT_MOST, CODE_AT_MOST = 240, 75_141, 53_783
 FILE_LINES, FUNCTION_LINES, CLASS_LINES, PARAMETERS = 900, 60, 250, 8
 
 # Types that exported functions take or return: documented like the functions themselves.

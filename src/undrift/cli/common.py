@@ -126,10 +126,6 @@ class Steps:
         self._what, self._share = what, share
         self._bar.update(self._task, description=what, completed=share)
 
-    def part(self, start: float, stop: float) -> Callable[[str, float], None]:
-        """Return how a part of the command, from one share of the whole to another, says how far it is."""
-        return lambda what, share: self(what, start + share * (stop - start))
-
     def _tell(self) -> None:
         while not self._stop.wait(SAID_EVERY_S):
             passed_s, share = time.monotonic() - self._began_s, self._share

@@ -7,6 +7,7 @@ from cyclopts import Parameter
 
 from undrift.base.options import Details, Files, Flag, Json, OptionalOutput, Report
 from undrift.cli.common import Steps, say, say_next, show_table, show_verdict, write_json
+from undrift.commands import part_of
 from undrift.commands.files import Opening, check_figure, check_output, check_report, origin_of, recording_of
 from undrift.commands.register import Register, registered_lines
 from undrift.errors import InputError
@@ -134,7 +135,7 @@ def _fit(
             ],  # together where their clock runs on
             model,
             settings=settings,
-            progress=shown.part(0.4, 1.0),
+            progress=part_of(shown, 0.4, 1.0),
         )
         return fit, seen, not held[0][0].means
 

@@ -224,9 +224,8 @@ _MORE = 2.0  # times what noise and bias instability explain: disagreement that 
 def verdict_before(calibration: Calibration) -> Verdict:
     """Return the verdict of a calibration without the findings of an earlier thermal fit."""
     before, (_, _, count) = calibration.provenance, calibration.provenance.text(_REASONS_BEFORE).partition(" ")
-    if (
-        status := before.status(_REASONS_BEFORE)
-    ) is not None and count.isdigit():  # texts without codes: those of the thermal fit come last
+    status = before.status(_REASONS_BEFORE)
+    if status is not None and count.isdigit():  # texts without codes: those of the thermal fit come last
         texts = calibration.verdict.reasons[: int(count)]
         return Verdict(status=status, findings=tuple(finding("earlier.text", "info", text=t) for t in texts))
     return verdict_without("drift.", calibration, STATUS_BEFORE)
