@@ -16,6 +16,7 @@ from undrift import __version__
 from undrift.cli import EXAMPLES, common
 from undrift.cli import app as program
 from undrift.cli.common import ENVELOPE, Steps
+from undrift.commands import part_of
 from undrift.io.formats import write_record
 from undrift.io.session import read_session
 
@@ -193,7 +194,7 @@ def test_progress_is_a_line_now_and_then_where_stderr_is_no_terminal(monkeypatch
     with Steps("twin") as shown:
         time.sleep(0.2)
         clock.now += 30.0
-        shown.part(0.5, 1.0)("held out: recording 2 of 4", 0.5)
+        part_of(shown, 0.5, 1.0)("held out: recording 2 of 4", 0.5)
         time.sleep(0.2)
     lines = capsys.readouterr().err.splitlines()
     assert lines[0] == "undrift twin: reading, 0 s so far, time left not known yet"
