@@ -2,8 +2,8 @@
 
 Dwells: normals (U, 3, 2 K + 2 or more) normal numbers, row (N,) which of them a dwell has; start, duration (N,) s; first (S + 1,)
 where each session begins; constants (K,) s, sd (K, 3) and walk (3,) the last per sqrt(s); out (N, 3). Servo: state (SIZE,) as
-indexed below; counts are encoder counts, angles rad, torque N m; tell (m,) the last m encoder counts, a ring; log_time, log_angle,
-log_rate (h,) a ring of s, rad, rad/s, one entry each ``stride`` samples.
+indexed below; counts are encoder counts, angles rad, torque N m; log_time, log_angle, log_rate (h,) a ring of s, rad, rad/s, one
+entry each ``stride`` samples.
 """
 
 import math
@@ -78,11 +78,10 @@ ANGLE, RATE = 0, 1  # the axis itself: rad, rad/s
 REFERENCE, SPEED = 2, 3  # commanded position, counts, and its speed, counts/s
 SUM, LAST, ERROR, VOLTAGE, COUNT = 4, 5, 6, 7, 8  # filter: sum and last of the error, error, output V, encoder count
 MODE, TARGET = 9, 10  # what the profile does, and its speed (counts/s) or position (counts)
-SAMPLES, LOGGED, OVER, TIME, PEAK = 11, 12, 13, 14, 15  # counters; error limit exceeded; s; largest abs error, counts
-BEHIND = 16  # by how much smoothing holds the commanded position behind the profile, counts
-SIZE = 17
+SAMPLES, LOGGED, OVER, TIME = 11, 12, 13, 14  # counters; error limit exceeded; s
+SIZE = 15
 
-REST, JOG, MOVE, STOPPING, SMOOTHING = 0.0, 1.0, 2.0, 3.0, 4.0  # MODE; the last: the profile is over, smoothing is not
+REST, JOG, MOVE, STOPPING = 0.0, 1.0, 2.0, 3.0  # MODE
 NOTHING, DONE, FORWARD_LIMIT, REVERSE_LIMIT, ERROR_LIMIT = 0, 1, 2, 3, 4  # what ended a call
 
 
@@ -105,24 +104,22 @@ class Coefficients(NamedTuple):
     viscous: float
     cogging: float
     cogging_periods: float
-    acceleration: float
-    deceleration: float
-    slew: float
-    smoothing: float  # IT: part of the way to the profile that a sample takes; 1 takes it all
-    error_limit: float
-    forward: float
-    reverse: float
-    forward_at: float  # encoder counts where the limit switches close
-    reverse_at: float
-    offset: float  # encoder register minus encoder count
     quantise: bool
-    powered: bool
-    motor_on: bool
-    amplifier_good: bool
-    encoder_good: bool
-    forward_closed: bool
-    reverse_closed: bool
     stride: int
+    # A healthy card with its motor off
+    acceleration: float = 256_000.0
+    deceleration: float = 256_000.0
+    slew: float = 25_000.0
+    error_limit: float = 16_384.0
+    forward: float = 2_147_483_647.0
+    reverse: float = -2_147_483_648.0
+    offset: float = 0.0  # encoder register minus encoder count
+    powered: bool = True
+    motor_on: bool = False
+    amplifier_good: bool = True
+    encoder_good: bool = True
+    forward_closed: bool = False
+    reverse_closed: bool = False
 
 
 @njit(cache=True, fastmath={"contract"}, nogil=True, error_model="numpy")
@@ -137,11 +134,10 @@ def approach(speed: float, wanted: float, up: float, down: float) -> float:
 
 @njit(cache=True, fastmath={"contract"}, nogil=True, error_model="numpy")
 def profile(state: FloatArray, c: Coefficients) -> bool:
-    # one sample of the trapezoid, counts and counts/s, and of its smoothing; True when the motion has just ended
-    mode, speed = state[MODE], state[SPEED]
+    # one sample of the trapezoid, counts and counts/s; True when the motion has just ended
+    mode, speed, over = state[MODE], state[SPEED], False
     up, down = c.acceleration * c.period, c.deceleration * c.period
-    place = state[REFERENCE] + state[BEHIND]
-    over = mode == SMOOTHING
+    place = state[REFERENCE]
     if mode == JOG:
         speed = approach(speed, state[TARGET], up, down)
     elif mode == STOPPING:
@@ -161,13 +157,9 @@ def profile(state: FloatArray, c: Coefficients) -> bool:
             forward = max(min(along + up, c.slew, brake), along - down)
             speed = way * (min(along + down, 0.0) if along < 0.0 else forward)
     place += 0.5 * (state[SPEED] + speed) * c.period
-    state[SPEED] = speed
-    behind = (1.0 - c.smoothing) * (place - state[REFERENCE])
+    state[SPEED], state[REFERENCE] = speed, place
     if over:
-        over = abs(behind) < 0.5
-        behind = 0.0 if over else behind
-        state[MODE] = REST if over else SMOOTHING
-    state[BEHIND], state[REFERENCE] = behind, place - behind
+        state[MODE] = REST
     return bool(over)
 
 
@@ -202,7 +194,6 @@ def control(state: FloatArray, c: Coefficients) -> float:
     register = state[COUNT] + c.offset
     if not (c.powered and c.motor_on):
         state[REFERENCE], state[SPEED], state[SUM], state[LAST], state[ERROR] = register, 0.0, 0.0, 0.0, 0.0
-        state[BEHIND] = 0.0
         return 0.0
     reference = math.floor(state[REFERENCE]) if c.quantise else state[REFERENCE]
     error = reference - register
@@ -216,14 +207,13 @@ def control(state: FloatArray, c: Coefficients) -> float:
 def check(state: FloatArray, c: Coefficients, done: bool) -> int:
     # what the card notices at the end of its sample: limits and following error, else the end of a motion
     if state[MODE] == JOG or state[MODE] == MOVE:
-        if state[SPEED] > 0.0 and (c.forward_closed or state[COUNT] >= c.forward_at or state[REFERENCE] > c.forward):
+        if state[SPEED] > 0.0 and (c.forward_closed or state[REFERENCE] > c.forward):
             state[MODE] = STOPPING
             return FORWARD_LIMIT
-        if state[SPEED] < 0.0 and (c.reverse_closed or state[COUNT] <= c.reverse_at or state[REFERENCE] < c.reverse):
+        if state[SPEED] < 0.0 and (c.reverse_closed or state[REFERENCE] < c.reverse):
             state[MODE] = STOPPING
             return REVERSE_LIMIT
     over = abs(state[ERROR]) > c.error_limit
-    state[PEAK] = max(state[PEAK], abs(state[ERROR]))
     fresh = over and state[OVER] == 0.0
     state[OVER] = 1.0 if over else 0.0
     if fresh:
@@ -233,16 +223,14 @@ def check(state: FloatArray, c: Coefficients, done: bool) -> int:
 
 @njit(cache=True, fastmath={"contract"}, nogil=True, error_model="numpy")
 def servo(
-    state: FloatArray, c: Coefficients, tell: FloatArray,
-    log_time: FloatArray, log_angle: FloatArray, log_rate: FloatArray, samples: int,
-) -> int:  # fmt: skip
+    state: FloatArray, c: Coefficients, log_time: FloatArray, log_angle: FloatArray, log_rate: FloatArray, samples: int
+) -> int:
     # up to `samples` samples; returns early with what happened, else NOTHING
     for _ in range(samples):
         if c.encoder_good:
             state[COUNT] = state[ANGLE] * c.counts_per_rad
             if c.quantise:
                 state[COUNT] = math.floor(state[COUNT])
-        tell[int(state[SAMPLES]) % tell.size] = state[COUNT]
         done = profile(state, c)
         voltage = control(state, c)
         state[VOLTAGE] = voltage

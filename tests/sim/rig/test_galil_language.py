@@ -27,8 +27,8 @@ TRANSCRIPT = [
     ("LZ 1;PR?", ": 4000\r\n:"),
     ("LZ 0;PF 7.2;TE", ":: 0000000.00\r\n:"),
     ("TPX;bad;TP", " 0000000.00\r\n:?"),
-    ('MG "at",_TPX{F6.0},1+2*3{Z4.1}', "at 000000 9.0\r\n:"),
-    ('MG "a;b"{N};MG "c"', "a;b:c\r\n:"),
+    ('MG "at",_TPX{F6.0},1+2*3{F4.1}', "at 000000 0009.0\r\n:"),
+    ('MG "a;b";MG "c"', "a;b\r\n:c\r\n:"),
     ("COUNT=12.5", ":"),
     ("COUNT=", " 0000000012.5000\r\n:"),
     ("MG COUNT/5", " 2.5000\r\n:"),
@@ -94,18 +94,11 @@ def test_a_serial_line_that_is_not_ended_times_out():
     assert network.heard() == b""
 
 
-def test_a_serial_link_echoes_when_told_to():
-    bench = GalilBench(serial=True, echo_serial=True)
-    assert bench.say("TP") == "TP\r 0000000000\r\n:"
-    bench.say("EO 0")
-    assert bench.say("TP") == " 0000000000\r\n:"
-
-
 @pytest.mark.parametrize(
     ("sent", "asked", "kept"),
     [("KP 12.2", "MG _KPX", 12.125), ("KD 3.99", "MG _KDX", 3.875), ("KI 0.01", "MG _KIX", 0.0078),
      ("AC 100000", "AC ?", 99_328), ("DC 1500", "DC ?", 1024), ("SP 25001", "SP ?", 25_000), ("JG 11.9", "JG ?", 11),
-     ("JG -333.3", "JG ?", -333), ("ER 100", "ER ?", 100), ("TL 5", "MG _TLX", 4.9999)],
+     ("JG -333.3", "JG ?", -333), ("ER 100", "ER ?", 100)],
 )  # fmt: skip
 def test_numbers_are_rounded_down_to_the_steps_of_the_card(sent, asked, kept):
     bench = GalilBench()
@@ -180,7 +173,7 @@ def test_the_card_records_positions_at_even_samples_of_its_own():
     bench, other = GalilBench(), GalilBench()
     for made in (bench, other):
         assert made.say("SH;DM P[40],E[40];RA P[],E[];RD _TPX,_TEX;JG 9000") == ":::::"
-    assert bench.say("BG;RC 2,40;RC ?;MG _RC{F1.0}") == "::1\r\n: 1\r\n:"
+    assert bench.say("BG;RC 2,40;MG _RC{F1.0}") == ":: 1\r\n:"
     assert other.say("BG") == ":"
     expected = []
     for _ in range(40):  # every 2^2 samples of 0.1 ms
@@ -188,8 +181,8 @@ def test_the_card_records_positions_at_even_samples_of_its_own():
         expected.append(other.number("TP"))
     for wait_s in (0.0031, 0.0007, 0.02):  # whenever someone looks
         bench.say("TP", wait_s)
-    assert bench.say("RC ?;MG _RD{F3.0}") == "0\r\n: 040\r\n:"
-    said = bench.say("QU P[],0,19,1") + bench.say("QU P[],20")
+    assert bench.say("MG _RC{F1.0};MG _RD{F3.0}") == " 0\r\n: 040\r\n:"
+    said = bench.say("QU P[],0,19,1") + bench.say("QU P[],20,39,1")
     assert [float(number) for number in re.split(r"[,\s]+", said.replace(":", " ").strip())] == expected
     assert expected[-1] > 20.0
 
@@ -205,7 +198,9 @@ def test_the_card_records_positions_at_even_samples_of_its_own():
         (("DM A[5]", "RA A[]", "RD _TPX", "RC 1", "RC 1"), 80),
         (("DM A[5]", "RA A[]", "RD _TPX,_TEX", "RC 1"), 82),
         (("DM A[5]", "RD _KPX"), 4),
-        (("QU A[]",), 82),
+        (("QU A[],0,4,1",), 82),
+        (("DM A[5]", "QU A[]"), 50),
+        (("DM A[5]", "QU A[],5,9,1"), 6),
         (("DM A",), 4),
     ],
 )
@@ -252,3 +247,46 @@ def test_ten_thousand_random_lines_crash_nothing_and_are_always_answered():
         noise.clock.wait(1e-3)
     noise.session.feed(b"\\\r")
     assert noise.say("TP").endswith(":")
+
+
+# ---- programs: trippoints, what an operand tells of them, and what halts them
+
+
+def loaded(*lines: str) -> GalilBench:
+    bench = GalilBench()
+    assert bench.session.feed(b"DL\r" + "\r".join(lines).encode() + b"\r\\") == [b":"]
+    return bench
+
+
+def test_an_operand_tells_what_a_program_does():
+    bench = loaded("#GO", "WT 1000", "#ON", "JP #ON")
+    assert bench.number("MG _HX0") == 0
+    bench.say("XQ #GO,0")
+    bench.clock.wait(0.1)
+    assert bench.number("MG _HX") == 2
+    bench.clock.wait(1.0)
+    assert bench.number("MG _HX0") == 1
+    assert bench.say("XQ") == "?"
+    assert bench.code() == 19
+    assert bench.say("HX0") == ":"
+    assert bench.say("XQ #GO,1") == "?"  # there is one thread
+    assert bench.code() == 6
+
+
+@pytest.mark.parametrize(("word", "halts"), [("ST", 1), ("STX", 0), ("AB", 1), ("AB 1", 0), ("HX", 1)])
+def test_a_stop_without_an_axis_and_an_abort_halt_programs(word, halts):
+    bench = loaded("#GO", "WT 2", "JP #GO")
+    bench.say("XQ")
+    bench.clock.wait(0.5)
+    assert bench.say(word)[-1] == ":"
+    assert (bench.number("MG _HX0") == 0) == halts
+
+
+def test_a_program_that_waits_costs_no_looks_at_it():
+    bench = loaded("#GO", "N=N+1;WT 200", "JP #GO,(N<500)", 'MG "DONE"', "EN")
+    bench.say("N=0;XQ")
+    steps, real = [], bench.machine.program._step
+    bench.machine.program._step = lambda: steps.append(None) or real()
+    bench.clock.wait(101.0)
+    assert bench.heard() == b"DONE\r\n"
+    assert len(steps) < 2500  # 500 waits of 200 looks each would be 100,000

@@ -91,30 +91,12 @@ def resting_coefficients(servo: ServoSettings) -> Coefficients:
         viscous=servo.viscous_friction,
         cogging=servo.cogging_torque,
         cogging_periods=float(servo.cogging_periods),
-        acceleration=256_000.0,
-        deceleration=256_000.0,
-        slew=25_000.0,
-        smoothing=1.0,
-        error_limit=16_384.0,
-        forward=2_147_483_647.0,
-        reverse=-2_147_483_648.0,
-        forward_at=math.inf,
-        reverse_at=-math.inf,
-        offset=0.0,
         quantise=servo.quantise,
-        powered=True,
-        motor_on=False,
-        amplifier_good=True,
-        encoder_good=True,
-        forward_closed=False,
-        reverse_closed=False,
         stride=max(1, round(1e-3 / servo.period_s)),
     )
 
 
 # ---- axes
-
-TELL_VELOCITY_S = 0.25  # TV is a mean over about a quarter of a second
 
 
 class Axis:
@@ -127,29 +109,21 @@ class Axis:
         length = max(16, round(history_s / (self.coefficients.stride * servo.period_s)))
         self._log: FloatArray = np.zeros((3, length))  # time, angle, rate: a ring
         self.values[k.LOGGED] = 1.0  # the axis at rest at time zero
-        self._tell: FloatArray = np.zeros(1)
-        self.set_period(servo.period_s)
 
     def change(self, **coefficients: Any) -> None:
         """Change coefficients of the loop or the state of its parts from the next sample on."""
         self.coefficients = self.coefficients._replace(**coefficients)
 
-    def set_period(self, period_s: float) -> None:
-        """Change the time between samples."""
-        self.change(period=period_s)
-        self._tell = np.full(max(2, round(TELL_VELOCITY_S / period_s)), self.values[k.COUNT])
-
     def warm(self) -> None:
         """Compile the loop, so that the first look does not wait for it."""
-        k.servo(np.zeros(k.SIZE), self.coefficients, np.zeros(2), np.zeros(2), np.zeros(2), np.zeros(2), 2)
+        k.servo(np.zeros(k.SIZE), self.coefficients, np.zeros(2), np.zeros(2), np.zeros(2), 2)
 
     def advance(self, time: float) -> int:
         """Bring the axis up to a moment, or to the first event before it."""
         samples = int((time - self.values[k.TIME]) / self.coefficients.period + 1e-6)
         if samples <= 0:
             return k.NOTHING
-        logs = (self._log[0], self._log[1], self._log[2])
-        return int(k.servo(self.values, self.coefficients, self._tell, *logs, samples))
+        return int(k.servo(self.values, self.coefficients, self._log[0], self._log[1], self._log[2], samples))
 
     @property
     def time(self) -> float:

@@ -97,12 +97,9 @@ SETTINGS = {
     "FL": Setting(default=LARGEST, low=-LARGEST - 1.0, high=LARGEST, digits=10),
     "BL": Setting(default=-LARGEST - 1.0, low=-LARGEST - 1.0, high=LARGEST, digits=10),
     "OE": Setting(default=0.0, low=0.0, high=3.0, digits=1),
-    "TL": Setting(default=9.9988, low=0.0, high=9.9988, step=20.0 / 65536.0, digits=1, decimals=4),
     "TM": Setting(default=1000.0, low=31.25, high=20_000.0, step=0.5, digits=5, while_running=False),
     "LZ": Setting(default=0.0, low=0.0, high=1.0, digits=1),
     "PF": Setting(default=10.0, low=1.0, high=10.4, step=0.1, digits=2, decimals=1),
-    "VF": Setting(default=10.4, low=1.0, high=10.4, step=0.1, digits=2, decimals=1),
-    "EO": Setting(default=0.0, low=0.0, high=1.0, digits=1),
     "CW": Setting(default=2.0, low=1.0, high=2.0, digits=1),
 }
 
@@ -132,7 +129,6 @@ class CardSettings:
     line_length: int = 80  # Longest command, characters; longer is error 5
     # A line begun over a serial link and not ended for so long is dropped with error 131, emulated s
     serial_timeout_s: float = 5.0
-    echo_serial: bool = False  # EO at power-up on a serial link
 
 
 @dataclass(slots=True)
@@ -181,14 +177,14 @@ class Card:
         self.axis = Axis(servo, history_s)
         self.wiring = Wiring()
         self.unsolicited: deque[str] = deque(maxlen=1000)
-        self.program_status: Callable[[], tuple[int, int]] = lambda: (0, -1)  # operands _HX0 and _XQ0
+        self.program_status: Callable[[], int] = lambda: 0  # operand _HX0
         self.set_up()
 
     def set_up(self) -> None:
         """Set everything to what it is at power-up: motor off, the burned gains, position zero where the axis stands."""
         self.values = {name: setting.default for name, setting in SETTINGS.items()}
         self.values |= dict(zip(("KP", "KD", "KI"), self.servo.gains, strict=True))
-        self.values |= {"TM": self.servo.period_s * 1e6, "TL": min(self.servo.voltage_limit, SETTINGS["TL"].high)}
+        self.values["TM"] = self.servo.period_s * 1e6
         self.motion = Motion()
         self.motor_on = False
         self.variables: dict[str, float] = {}
@@ -197,8 +193,7 @@ class Card:
         self.error_code = 0
         self.time_offset = self.axis.values[k.SAMPLES]
         self.axis.values[k.MODE] = k.REST
-        self.axis.change(motor_on=False)
-        self.axis.set_period(self.servo.period_s)
+        self.axis.change(motor_on=False, period=self.servo.period_s)
         self.apply()
         self.axis.define(0)
 
@@ -249,7 +244,7 @@ class Card:
         if self.motor_on:
             return
         values = self.axis.values
-        values[k.REFERENCE], values[k.SPEED], values[k.BEHIND] = self.axis.register, 0.0, 0.0
+        values[k.REFERENCE], values[k.SPEED] = self.axis.register, 0.0
         values[k.SUM] = values[k.LAST] = values[k.ERROR] = values[k.OVER] = 0.0
         values[k.MODE] = k.REST
         self.motor_on = True
@@ -298,7 +293,6 @@ class Card:
     def abort(self, stop_code: int = STOP_ABORTED) -> None:
         """Stop the profile at once; the motor stays on."""
         self.axis.values[k.MODE], self.axis.values[k.SPEED] = k.REST, 0.0
-        self.axis.values[k.BEHIND] = 0.0
         if self.motion.running:
             self.motion.running, self.motion.stop_code = False, stop_code
 
@@ -317,7 +311,7 @@ def set_sample_time(card: Card, microseconds: float) -> None:
     refuse_if(microseconds < card.settings.minimum_sample_us, Error.PERIOD_TIMEOUT)
     ticks = card.ticks
     old_card = microseconds % 125.0 == 0.0
-    card.axis.set_period(microseconds * (1e-3 / 1024.0 if old_card else 1e-6))
+    card.axis.change(period=microseconds * (1e-3 / 1024.0 if old_card else 1e-6))
     card.values["TM"] = microseconds
     card.time_offset = card.axis.values[k.SAMPLES] - ticks * 1000.0 / microseconds
     card.apply()
@@ -325,9 +319,8 @@ def set_sample_time(card: Card, microseconds: float) -> None:
 
 def limits_closed(card: Card) -> tuple[bool, bool]:
     """Tell whether the card may not go forward, or back: a switch is active, or the reference is beyond FL or BL."""
-    c, count, reference = card.axis.coefficients, card.axis.values[k.COUNT], card.axis.values[k.REFERENCE]
-    forward = c.forward_closed or count >= c.forward_at or reference > c.forward
-    return bool(forward), bool(c.reverse_closed or count <= c.reverse_at or reference < c.reverse)
+    c, reference = card.axis.coefficients, card.axis.values[k.REFERENCE]
+    return bool(c.forward_closed or reference > c.forward), bool(c.reverse_closed or reference < c.reverse)
 
 
 def _coefficients(card: Card) -> Coefficients:
@@ -336,7 +329,6 @@ def _coefficients(card: Card) -> Coefficients:
         proportional=4.0 * v["KP"],
         derivative=4.0 * v["KD"],
         integral=0.5 * v["KI"],
-        clip=card.servo.voltage_limit if v["TL"] >= SETTINGS["TL"].high else v["TL"],
         acceleration=v["AC"],
         deceleration=v["DC"],
         slew=max(v["SP"], 1e-9),
@@ -353,71 +345,49 @@ def _coefficients(card: Card) -> Coefficients:
 
 # ---- Expressions of the card's language: numbers, operands and variables, worked from left to right.
 
-BOUND = 2_147_483_648.0
-DEEPEST = 20  # nested parentheses
-
-_NUMBER = re.compile(r"\d+(?:\.\d*)?|\.\d+")
-_WORD = re.compile(r"_?[A-Z][A-Z0-9]*")
-_OPERATORS: dict[str, Callable[[float, float], float]] = {  # two letters before one
+_TOKEN = re.compile(r"<=|>=|<>|[-+*/<>=()]|\d+(?:\.\d*)?|\.\d+|_?[A-Z][A-Z0-9]*")
+_OPERATORS: dict[str, Callable[[float, float], float]] = {
     "<=": operator.le, ">=": operator.ge, "<>": operator.ne, "+": operator.add, "-": operator.sub, "*": operator.mul,
-    "/": operator.truediv, "&": lambda a, b: int(a) & int(b), "|": lambda a, b: int(a) | int(b), "%": math.fmod,
-    "<": operator.lt, ">": operator.gt, "=": operator.eq,
+    "/": operator.truediv, "<": operator.lt, ">": operator.gt, "=": operator.eq,
 }  # fmt: skip
 
 
 def evaluate(card: Card, text: str) -> float:
     """Return the value of an expression."""
-    reader = _Reader(card, text)
-    value = reader.expression(0)
-    if reader.rest():
-        raise Refused(Error.PARENTHESES if reader.rest()[0] in ")]" else Error.NOT_A_NUMBER)
+    refuse_if("@" in text, Error.UNKNOWN)  # a function
+    tokens = deque(_TOKEN.findall(text))
+    refuse_if("".join(tokens) != text.replace(" ", ""), Error.NOT_A_NUMBER)
+    value = _expression(card, tokens)
+    if tokens:
+        raise Refused(Error.PARENTHESES if tokens[0] == ")" else Error.NOT_A_NUMBER)
     return value
 
 
-class _Reader:
-    def __init__(self, card: Card, text: str) -> None:
-        self._card, self._text = card, text.strip()
+def _expression(card: Card, tokens: deque[str]) -> float:
+    value = _term(card, tokens)
+    while tokens and tokens[0] in _OPERATORS:
+        sign, other = tokens.popleft(), _term(card, tokens)
+        refuse_if(sign == "/" and other == 0.0, Error.OUT_OF_RANGE)
+        value = _bounded(float(_OPERATORS[sign](value, other)))
+    return value
 
-    def rest(self, taken: int = 0) -> str:
-        self._text = self._text[taken:].lstrip(" ")
-        return self._text
 
-    def expression(self, depth: int) -> float:
-        refuse_if(depth > DEEPEST, Error.PARENTHESES)
-        value = self._term(depth)
-        while (sign := next((s for s in _OPERATORS if self.rest().startswith(s)), None)) is not None:
-            self.rest(len(sign))
-            other = self._term(depth)
-            refuse_if(sign in "/%" and other == 0.0, Error.OUT_OF_RANGE)
-            value = _bounded(float(_OPERATORS[sign](value, other)))
+def _term(card: Card, tokens: deque[str]) -> float:
+    token = tokens.popleft() if tokens else ""
+    if token == "-":
+        return -_term(card, tokens)
+    if token == "(":
+        value = _expression(card, tokens)
+        refuse_if(not tokens or tokens.popleft() != ")", Error.PARENTHESES)
         return value
-
-    def _term(self, depth: int) -> float:
-        rest = self.rest()
-        if rest.startswith(("-", "+")):
-            self.rest(1)
-            value = self._term(depth + 1) if depth < DEEPEST else 0.0
-            return -value if rest[0] == "-" else value
-        if rest.startswith("("):
-            self.rest(1)
-            value = self.expression(depth + 1)
-            refuse_if(not self.rest().startswith(")"), Error.PARENTHESES)
-            self.rest(1)
-            return value
-        refuse_if(rest.startswith("@"), Error.UNKNOWN)  # a function
-        if match := _NUMBER.match(rest):
-            self.rest(match.end())
-            return _bounded(float(match.group()))
-        if match := _WORD.match(rest):
-            self.rest(match.end())
-            name = match.group()
-            wanted = operand_value if name.startswith("_") or name == "TIME" else variable_value
-            return wanted(self._card, name)
-        raise Refused(Error.OPERAND if rest.startswith("_") else Error.NOT_A_NUMBER)
+    refuse_if(token in ("", ")", *_OPERATORS), Error.NOT_A_NUMBER)
+    if token[0] in ".0123456789":
+        return _bounded(float(token))
+    return (operand_value if token[0] == "_" or token == "TIME" else variable_value)(card, token)
 
 
 def _bounded(value: float) -> float:
-    refuse_if(not abs(value) < BOUND, Error.OUT_OF_RANGE)
+    refuse_if(not abs(value) <= LARGEST + 0.9999, Error.OUT_OF_RANGE)
     return value
 
 
@@ -426,7 +396,7 @@ VARIABLE_NAME = re.compile(r"[A-Z][A-Z0-9]{0,7}")
 
 # ---- Tell: what the card says about itself, as words and as operands of MG.
 
-TELL = ("TP", "TE", "TT", "RP", "TS", "SC", "TB", "TI")
+TELL = ("TP", "TE", "RP", "TS", "SC")
 
 
 def switches(card: Card) -> int:
@@ -450,13 +420,11 @@ def value_of(card: Card, word: str) -> float:
     if word in card.values:
         return card.values[word]
     known = {
-        "TP": card.axis.register, "DP": card.axis.register, "TE": round(values[k.ERROR]),
-        "TT": values[k.VOLTAGE], "RP": int(values[k.REFERENCE] // 1),
+        "TP": card.axis.register, "TE": round(values[k.ERROR]), "RP": int(values[k.REFERENCE] // 1),
         "TS": switches(card), "SC": motion.stop_code, "TC": card.error_code, "BG": motion.running, "MO": not card.motor_on,
         "JG": motion.jog, "PR": motion.distance, "PA": motion.target,
         "RC": card.recording.running, "RD": card.recording.taken,
-        "LF": not limits_closed(card)[0], "LR": not limits_closed(card)[1], "HM": 1, "MT": 1, "TI": 255, "AB": 1,
-        "TB": (card.program_status()[0] > 0) << 7 | int(card.values["EO"]),
+        "LF": not limits_closed(card)[0], "LR": not limits_closed(card)[1], "HM": 1, "MT": 1,
     }  # fmt: skip
     refuse_if(word not in known, Error.OPERAND)
     return float(known[word])
@@ -467,8 +435,8 @@ def operand_value(card: Card, name: str) -> float:
     if name == "TIME":
         return float(card.ticks)
     word, axis = name[1:3], name[3:]
-    if name in ("_HX", "_HX0", "_XQ", "_XQ0"):
-        return float(card.program_status()[word == "XQ"])
+    if name in ("_HX", "_HX0"):
+        return float(card.program_status())
     refuse_if(len(word) < 2 or axis not in ("X", "A", ""), Error.OPERAND)
     return value_of(card, word)
 
@@ -485,13 +453,6 @@ def reported(card: Card, word: str) -> str:
     value = value_of(card, word)
     if word in SETTINGS:
         return shown(value, SETTINGS[word].digits, SETTINGS[word].decimals, bare)
-    if word in ("TP", "TE", "RP", "PR", "PA", "DP"):
-        return shown(value, *places(card.values["PF"]), bare)
-    digits = {"JG": (8, 0), "TT": (1, 4)}.get(word, (3, 0))
-    return shown(value, *digits, bare)
-
-
-def places(number: float) -> tuple[int, int]:
-    """Return digits and decimals of a format such as 10.4."""
-    tenths = round(number * 10.0)
-    return tenths // 10, tenths % 10
+    if word in ("TP", "TE", "RP", "PR", "PA"):
+        return shown(value, *divmod(round(card.values["PF"] * 10.0), 10), bare)
+    return shown(value, 8 if word == "JG" else 3, 0, bare)

@@ -29,7 +29,6 @@ from undrift.sim.rig.galil_card import (
     Recording,
     Refused,
     evaluate,
-    places,
     refuse_if,
     reported,
     set_sample_time,
@@ -39,14 +38,14 @@ from undrift.sim.rig.galil_card import (
 from undrift.sim.rig.server import Machine, Session
 
 ONLY_PROGRAM_WORDS = ("AM", "WT", "MC", "JP", "EN")
-NOT_PROGRAM_WORDS = ("DL", "LS", "UL", "ED", "RS")
+NOT_PROGRAM_WORDS = ("DL", "LS", "RS")
 REVISION = "\x12\x16"
 CRLF = "\r\n"
+VARIABLE_FORMAT = 10, 4  # digits before and behind the point
 
 _AXIS_EQUALS = re.compile(r"\s*([A-Z*])\s*=(.*)", re.S)
-_MESSAGE_ITEM = re.compile(r"(\"[^\"]*\"|[^\"{}]*)((?:\{[^{}]*\}\s*)*)")
 _ITEM = re.compile(r'(?:[^,"]|"[^"]*")+')
-_FORM = re.compile(r"\{([^{}]*)\}")
+_SHOWN = re.compile(r'("[^"]*"|[^"{}]+)(?:\{F(\d{1,2})(?:\.(\d))?\})?')
 _ASSIGNMENT = re.compile(r"([A-Z][A-Z0-9]*)\s*=(.*)", re.S)
 _WITH_VALUE = (*SETTINGS, "JG", "PR", "PA", "DP")
 
@@ -83,7 +82,7 @@ def _assign(card: Card, text: str) -> str:
     if expression:
         card.variables[name] = evaluate(card, expression)
         return ""
-    return shown(variable_value(card, name), *places(card.values["VF"]), card.values["LZ"] == 1.0) + CRLF
+    return shown(variable_value(card, name), *VARIABLE_FORMAT, card.values["LZ"] == 1.0) + CRLF
 
 
 def _argument(rest: str) -> str:
@@ -167,41 +166,21 @@ def _nothing(_card: Card, rest: str) -> str:
 
 
 def _message(card: Card, rest: str) -> str:
-    text, end = "", CRLF
-    items = _split(rest)
+    refuse_if(rest.count('"') % 2, Error.NOT_A_NUMBER)
+    text, items = "", [item.strip() for item in _ITEM.findall(rest) if item.strip()]
     refuse_if(not items, Error.NOT_ENOUGH)
-    for item in items:
-        match = _MESSAGE_ITEM.fullmatch(item)
+    for item in items:  # "text", a value, or a value with its digits: _TPX{F10.0}
+        match = _SHOWN.fullmatch(item)
         if match is None:
             raise Refused(Error.OPERAND)
-        forms = _FORM.findall(match.group(2))
-        if "N" in forms:
-            end = ""
-        text += _item(card, match.group(1).strip(), [form for form in forms if form != "N"])
-    return text + end
-
-
-def _item(card: Card, body: str, forms: list[str]) -> str:
-    form = forms[0] if forms else ""
-    if body.startswith('"'):
-        return body[1:-1]
-    if not body:
-        if form.startswith("^") and form[1:].isdigit() and int(form[1:]) < 256:
-            return chr(int(form[1:]))
-        return ""  # {N}, or the name of a port, of which there is one
-    value = evaluate(card, body)
-    if not form or form[0] in "PEU":
-        return shown(value, *places(card.values["VF"]), True)
-    match = re.fullmatch(r"([FZ])(\d{1,2})(?:\.(\d))?", form)
-    if match is None:
-        raise Refused(Error.OPERAND)
-    return shown(value, int(match.group(2)), int(match.group(3) or 0), match.group(1) == "Z")
-
-
-def _split(rest: str) -> list[str]:
-    # at commas, but not within quotes
-    refuse_if(rest.count('"') % 2, Error.NOT_A_NUMBER)
-    return [item.strip() for item in _ITEM.findall(rest) if item.strip()]
+        body, digits, decimals = match.groups()
+        if body.startswith('"'):
+            text += body[1:-1]
+        elif digits is None:
+            text += shown(evaluate(card, body), *VARIABLE_FORMAT, True)
+        else:
+            text += shown(evaluate(card, body), int(digits), int(decimals or 0), False)
+    return text + CRLF
 
 
 # ---- Arrays, and what the card records into them (manuals DMC-1700/1800 p. 159, DMC-1600 p. 142).
@@ -254,8 +233,6 @@ def _record_what(card: Card, rest: str) -> str:
 
 def _record(card: Card, rest: str) -> str:
     recording = card.recording
-    if rest.strip() == "?":
-        return f"{int(recording.running)}{CRLF}"
     exponent, _, count = rest.partition(",")
     power = int(evaluate(card, exponent))
     refuse_if(not 0 <= power <= 8, Error.OUT_OF_RANGE)
@@ -276,17 +253,16 @@ def _upload(card: Card, rest: str) -> str:
     name, *numbers = rest.split(",")
     ((array, _),) = _arrays(name, sized=False)
     refuse_if(array not in card.arrays, Error.NO_ARRAY)
-    first, last, commas = (int(evaluate(card, text)) for text in (*numbers[:3], *("0", "-1", "0")[len(numbers) :]))
-    values = card.arrays[array][first : last + 1 if last >= 0 else None]
-    refuse_if(not values, Error.OUT_OF_RANGE)
-    form = places(card.values["VF"])
-    return (", " if commas else CRLF).join(shown(value, *form, True) for value in values) + CRLF
+    refuse_if(len(numbers) != 3, Error.NOT_ENOUGH)
+    first, last, commas = (int(evaluate(card, text)) for text in numbers)
+    values = card.arrays[array][max(first, 0) : last + 1]
+    refuse_if(not values or commas != 1, Error.OUT_OF_RANGE)
+    return ", ".join(shown(value, *VARIABLE_FORMAT, True) for value in values) + CRLF
 
 
 _WORDS: dict[str, Callable[[Card, str], str]] = {
     "AB": _abort, "TC": _tell_code, "MG": _message, "DM": _define_arrays, "DA": _free_arrays, "RA": _record_into,
-    "RD": _record_what, "RC": _record, "QU": _upload, "BN": _nothing, "BV": _nothing, "CF": _nothing,
-    "ID": lambda card, rest: card.settings.revision + CRLF + _nothing(card, rest),
+    "RD": _record_what, "RC": _record, "QU": _upload, "CF": _nothing, "EO": _nothing,
 }  # fmt: skip
 
 
@@ -320,11 +296,9 @@ class Program:
         """Stop executing lines."""
         self._next, self._todo, self._until, self._waiting = None, [], None, False
 
-    def _status(self) -> tuple[int, int]:
-        """Return operands _HX0 (0 at rest, 1 runs, 2 at a trippoint) and _XQ0 (line, or -1)."""
-        if self._next is None:
-            return 0, -1
-        return 2 if self._waiting or self._until is not None else 1, max(self._next - 1, 0)
+    def _status(self) -> int:
+        """Return operand _HX0: 0 at rest, 1 runs, 2 at a trippoint."""
+        return 0 if self._next is None else 2 if self._waiting or self._until is not None else 1
 
     def load(self, text: str) -> None:
         """Replace the program."""
@@ -488,8 +462,6 @@ class GalilSession(Session):
         super().__init__()
         self._machine, self._serial = machine, serial
         self.forget()
-        if serial and machine.card.settings.echo_serial:
-            machine.card.values["EO"] = 1.0
 
     def forget(self) -> None:
         """Drop the line in progress."""
@@ -504,11 +476,7 @@ class GalilSession(Session):
             machine.tick()
             if not machine.card.wiring.powered:
                 return []
-            answers = []
-            for letter in data.decode("latin-1"):
-                if self._serial and machine.card.values["EO"] == 1.0:
-                    answers.append(letter.encode("latin-1"))
-                answers += self._take(letter)
+            answers = [answer for letter in data.decode("latin-1") for answer in self._take(letter)]
             machine.tick()
             return [answer for answer in answers if answer]
 

@@ -12,7 +12,7 @@ import math
 import re
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -23,13 +23,10 @@ from undrift.errors import InputError
 from undrift.sim.rig.server import Machine, Session
 from undrift.units import RADIAN_PER_DEGREE
 
-# ---- Words of a stepper board: lines of letters and numbers, `$n=value`, and the codes of what is wrong with them.
+# ---- Words of a stepper board: jogs as a driver sends them, `$n=value`, and the codes of what is wrong with them.
 
-_WORD = re.compile(r"([A-Z])([-+]?(?:\d+\.?\d*|\.\d+))")
-_WORDS = re.compile(f"(?:{_WORD.pattern})*")
+_JOG = re.compile(r"(?:G91|G21)+([A-Z])([-+]?\d+\.?\d*)F(\d+\.?\d*)")
 _SETTING = re.compile(r"\$(\d+)=(.*)")
-_RELATIVE = {"G90": False, "G91": True}
-_HARMLESS = ("G21", "G94", "G54", "G17")
 
 
 class Denied(Exception):
@@ -46,42 +43,13 @@ def deny_if(wrong: object, code: int) -> None:
         raise Denied(code)
 
 
-@dataclass(slots=True)
-class Move:
-    """What a jog asks for."""
-
-    target: dict[str, float] = field(default_factory=dict)  # Axis letter to angle, deg
-    feed: float = 0.0  # deg/min
-    relative: bool = False  # G91
-
-
-def parse_jog(text: str, axes: str) -> Move:
-    """Read what stands behind `$J=`."""
-    move, seen = Move(), set[str]()
-    for letter, number in _words(text):
-        name = f"{letter}{number:g}"
-        key = "distance" if name in _RELATIVE else name if letter in "GM" else letter
-        deny_if(key in seen, 21 if key == "distance" else 25)
-        seen.add(key)
-        if letter in axes:
-            move.target[letter] = number
-        elif letter == "F":
-            deny_if(number < 0.0, 4)
-            move.feed = number
-        elif name in _RELATIVE:
-            move.relative = _RELATIVE[name]
-        else:
-            deny_if(name not in _HARMLESS, 16)
-    deny_if(not move.target, 26)
-    deny_if(not move.feed, 22)
-    return move
-
-
-def _words(text: str) -> list[tuple[str, float]]:
-    end = _WORDS.match(text).end()  # type: ignore[union-attr]  # it matches nothing as well
-    if end < len(text):
-        raise Denied(2 if text[end].isalpha() else 1)
-    return [(letter, float(number)) for letter, number in _WORD.findall(text)]
+def parse_jog(text: str, axis: str) -> tuple[float, float]:
+    """Read what stands behind `$J=`: a distance, deg, and a feed, deg/min."""
+    match = _JOG.fullmatch(text)
+    if match is None or match.group(1) != axis:
+        raise Denied(20)
+    deny_if(not (feed := float(match.group(3))), 22)
+    return float(match.group(2)), feed
 
 
 def parse_setting(text: str, known: dict[int, float]) -> tuple[int, float]:
@@ -299,7 +267,7 @@ class Board:
         self._ends = -1e9  # when the pulses rest
 
     def of_axis(self, family: int) -> float:
-        """Return the axis's own value of a family of settings: 100 steps/deg, 110 deg/min, 120 deg/s2, 130 deg."""
+        """Return the axis's own value of a family of settings: 100 steps/deg, 110 deg/min, 120 deg/s2."""
         return self.values[family + self.settings.axes.index(self.settings.axis)]
 
     def advance(self) -> None:
@@ -341,7 +309,7 @@ class Board:
         if text.startswith("$J="):
             if self.state not in ("Idle", "Jog"):
                 raise Denied(9 if self.state in ("Alarm", "Sleep") else 8)
-            self._add(parse_jog(text[3:], self.settings.axes))
+            self._add(*parse_jog(text[3:], self.settings.axis))
             return ""
         if text.startswith("$"):
             return self._dollar(text)
@@ -354,7 +322,6 @@ class Board:
         if text == "$X":
             self.state = "Idle" if self.state == "Alarm" else self.state
             return f"[MSG:Caution: Unlocked]{EOL}"
-        deny_if(text == "$H", 5)
         deny_if(self.state not in ("Idle", "Alarm"), 8)
         if text == "$SLP":
             self.state = "Sleep"
@@ -363,13 +330,10 @@ class Board:
         self.values[number] = value
         return ""
 
-    def _add(self, move: Move) -> None:
-        wanted = move.target.get(self.settings.axis)
+    def _add(self, distance: float, feed: float) -> None:
         end = self._queue[-1][0] if self._queue else self.stepper.pulses.at(max(self.clock.now(), self._ends))[0]
-        goal = end if wanted is None else (end + wanted if move.relative else wanted)
-        deny_if(self.values[20] == 1.0 and not -self.of_axis(130) <= goal <= 0.0, 15)
         steps = self.of_axis(100)
-        self._queue.append((round(goal * steps) / steps, min(move.feed, self.of_axis(110)) / 60.0))
+        self._queue.append((round((end + distance) * steps) / steps, min(feed, self.of_axis(110)) / 60.0))
         self.state = "Jog"
         self._plan()
 
@@ -441,35 +405,19 @@ def _report(board: Board) -> str:
 
 
 def _list_settings(board: Board) -> str:
-    decimals = {number: 3 if number >= 100 or number in (11, 12, 24, 25, 27) else 0 for number in board.values}
-    return "".join(f"${number}={value:.{decimals[number]}f}{EOL}" for number, value in board.values.items())
+    return "".join(f"${number}={value:.{3 if number >= 100 else 0}f}{EOL}" for number, value in board.values.items())
 
 
 _INFORMATION: dict[str, Callable[[Board], str]] = {
     "$$": _list_settings,
-    "$": lambda board: f"[HLP:$$ $I $x=val $Nx=line $J=line $SLP $C $X $H ~ ! ? ctrl-x]{EOL}",
     "$I": lambda board: f"[VER:{board.settings.version}.20190825:]{EOL}[OPT:V,15,128]{EOL}",
 }
 
 
 def _defaults(s: GrblSettings) -> dict[int, float]:
-    zeros = dict.fromkeys((2, 3, 4, 5, 6, 13, 20, 22, 23, 31, 32), 0.0)
-    values = {
-        0: 10.0,
-        1: 25.0,
-        10: 1.0,
-        11: 0.01,
-        12: 0.002,
-        21: 1.0,
-        24: 25.0,
-        25: 500.0,
-        26: 250.0,
-        27: 1.0,
-        30: 1000.0,
-    }
-    families = (round(s.microsteps / s.full_step_deg, 3), s.max_rate_deg_per_min, s.acceleration_deg_s2, 360.0)
+    families = (round(s.microsteps / s.full_step_deg, 3), s.max_rate_deg_per_min, s.acceleration_deg_s2)
     own = {100 + 10 * k + place: value for k, value in enumerate(families) for place in range(len(s.axes))}
-    return dict(sorted((zeros | values | own).items()))
+    return {1: 25.0, 21: 1.0} | own  # ms of current after a motion; limit switches count
 
 
 # ---- Grbl: an emulated stepper board behind the bytes of its clients, and the faults it may suffer.
