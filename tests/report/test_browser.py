@@ -16,7 +16,9 @@ from testkit.pictures import pictures_looked_at
 from testkit.remembered import folder_made_once, run_folder
 from undrift.base.summary import Origin
 from undrift.calibration.observe import CalibrateSettings
+from undrift.calibration.pieces import pieces_of
 from undrift.cli.app import run
+from undrift.commands.calibrate import judge_pieces, leverages
 from undrift.commands.certificate import certificate_content, departures_words, expanded_words, stated
 from undrift.io.formats import write_record
 from undrift.io.reference import write_reference
@@ -24,7 +26,7 @@ from undrift.io.session import read_session, write_session
 from undrift.io.store import read_calibration
 from undrift.record import Record
 from undrift.report.certificate import draw_calibration
-from undrift.report.commands import judge_pieces, leverages, write_rig_report
+from undrift.report.commands import write_rig_report
 from undrift.report.figures import AXIS_COLOURS, AXIS_DASHES, AXIS_MARKERS, COMPARED_COLOURS, COMPARED_MARKERS
 from undrift.rig.folder import Piece
 from undrift.rig.run import RunResult
@@ -118,9 +120,10 @@ def test_a_page_says_what_it_was_made_from_and_when(pages: Path) -> None:
 
 def test_the_page_of_a_calibration_shows_what_each_recording_gave(pages: Path) -> None:
     session, made = read_session(pages / "session"), read_calibration(pages / "c.json")
-    records, judged, left_out = judge_pieces(session, CalibrateSettings(), made)
+    pieces, _ = pieces_of(session, CalibrateSettings(), made)
+    records, judged = judge_pieces(session, pieces, CalibrateSettings(), made)
     assert len(records) == len(session.records)
-    assert left_out == []
+    assert [piece for piece in pieces if piece.why] == []
     kinds = [one.piece.kind for one in judged]
     assert (kinds.count("still"), kinds.count("turn")) == (len(session.stills), len(session.turns))
     for one in judged:
@@ -179,7 +182,8 @@ def test_what_no_fit_has_shown_is_said_in_the_headline_and_a_unit_is_what_readin
 
 def test_repeated_poses_share_what_one_alone_would_give(pages: Path) -> None:
     made = read_calibration(pages / "c.json")
-    _, judged, _ = judge_pieces(read_session(pages / "session"), CalibrateSettings(), made)
+    session = read_session(pages / "session")
+    _, judged = judge_pieces(session, pieces_of(session, CalibrateSettings(), made)[0], CalibrateSettings(), made)
     first = leverages(judged, made)
     twice = leverages([*judged, judged[0]], made)
     assert twice[0] == pytest.approx(twice[-1], rel=1e-9)

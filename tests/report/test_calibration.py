@@ -7,7 +7,7 @@ import pytest
 
 from undrift import calibrate
 from undrift.base.summary import concise
-from undrift.report.page import calibration_sections, triad_heads, triad_notes, triad_rows
+from undrift.commands.calibrate import calibration_sections
 from undrift.sim.device.presets import random_device
 from undrift.sim.sessions import simulate_session
 
@@ -55,8 +55,8 @@ def calibration():
 
 
 def test_every_triad_has_three_rows_under_heads_with_units(calibration):
-    for triad in (calibration.gyro, calibration.accel):
-        heads, rows = triad_heads(triad), triad_rows(triad)
+    for triad, section in zip((calibration.accel, calibration.gyro), calibration_sections(calibration), strict=True):
+        heads, rows = section.columns, section.rows
         assert [row[0] for row in rows] == ["x", "y", "z"]
         assert all(len(row) == len(heads) == 6 for row in rows)
         assert triad.unit_in in heads[4]
@@ -70,14 +70,14 @@ def test_every_triad_has_three_rows_under_heads_with_units(calibration):
 
 
 def test_notes_give_residual_rank_range_and_g_sensitivity(calibration):
-    notes = triad_notes(calibration.gyro)
-    assert "rad/s rms over" in notes[0]
-    assert f"rank {calibration.gyro.rank}" in notes[0]
-    assert (len(notes) == 2) == (calibration.gyro.g_sensitivity is not None)
-    assert len(triad_notes(replace(calibration.gyro, g_sensitivity=np.full((3, 3), 1e-4)))) == 2
-    assert (
-        "up to 0.0001 rad/s per m/s2" in triad_notes(replace(calibration.gyro, g_sensitivity=np.full((3, 3), 1e-4)))[1]
-    )
+    (section,) = calibration_sections(replace(calibration, accel=None))
+    assert "rad/s rms over" in section.text[1]
+    assert f"rank {calibration.gyro.rank}" in section.text[1]
+    assert (len(section.text) == 3) == (calibration.gyro.g_sensitivity is not None)
+    gyro = replace(calibration.gyro, g_sensitivity=np.full((3, 3), 1e-4))
+    (section,) = calibration_sections(replace(calibration, accel=None, gyro=gyro))
+    assert len(section.text) == 3
+    assert "up to 0.0001 rad/s per m/s2" in section.text[2]
 
 
 def test_a_section_for_each_triad_that_was_fitted(calibration):

@@ -93,6 +93,7 @@ class Summary:
     data: Mapping[str, Any] = field(default_factory=dict)  # What --json prints, units in the keys
     pictures: tuple[Drawing | str, ...] = ()
     sections: tuple[Section, ...] = ()
+    page: Callable[[], Iterable[Section]] = tuple  # Sections after those, of a page alone: made when it is written
     verdict: Verdict | None = None
     findings: tuple[Finding, ...] = ()  # Beside those of the verdict
     notes: tuple[str, ...] = ()

@@ -17,7 +17,7 @@ Open ``orient.py`` first: it is the shortest complete one. Nothing here imports 
 from collections.abc import Callable
 from typing import TypeAlias
 
-VERBS = ("certificate", "noise", "orient", "twin", "validate")  # each a function in the module of its name
+VERBS = ("calibrate", "certificate", "noise", "orient", "twin", "validate")  # each a function in the module of its name
 Progress: TypeAlias = Callable[[str, float], None]  # what is being done, and the share of the whole that is done
 
 

@@ -1,6 +1,7 @@
-"""What a certificate and the page of a calibration draw, and the certificate as a PDF."""
+"""What a certificate and a calibration's summary draw, and the certificate as a PDF."""
 
 import json
+from collections.abc import Sequence
 from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,11 +13,27 @@ from undrift.commands.certificate import COVERAGE, NAMES, certificate_content, d
 from undrift.errors import InputError
 from undrift.files import write_whole
 from undrift.model import AXES, Calibration, DriftTables
-from undrift.report.figures import AXIS_COLOURS, DEVICE, OPTICS, entitle, legend_above, new_figure, svg_of
+from undrift.report.figures import (
+    AXIS_COLOURS,
+    AXIS_MARKERS,
+    DEVICE,
+    ERROR,
+    LIMIT,
+    OPTICS,
+    SHADE,
+    entitle,
+    envelope,
+    legend_above,
+    new_figure,
+    svg_of,
+)
 from undrift.units import is_physical, si_factor
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+    from undrift.commands.calibrate import Judged
+    from undrift.record import Record
 
 
 def write_certificate(calibration: Calibration, path: Path) -> None:
@@ -86,4 +103,60 @@ def draw_calibration(calibration: Calibration) -> "Figure":
         offset.set_ylabel(f"{name} offset\n({triad.unit_in})")
     entitle(figure, "Matrix as departures from ideal, and offsets")
     legend_above(panels[0])
+    return figure
+
+
+def draw_residuals(poses: FloatArray, dwells: FloatArray) -> "Figure":
+    """Draw the residual of each pose, mg (n,), and of each dwell, deg/s (n, 3)."""
+    figure, panels = new_figure(int(len(poses) > 0) + int(len(dwells) > 0), share_x=False)
+    entitle(figure, "Residual of each pose and dwell: the fit on its own readings")
+    if len(poses):
+        marks = np.arange(1, len(poses) + 1)
+        panels[0].vlines(marks, 0.0, poses, color=LIMIT, linewidth=0.8)
+        panels[0].plot(marks, poses, "o", color=DEVICE, markersize=4.0)
+        panels[0].set(xlabel="pose, in order of time", ylabel="|a| - g (mg)")
+    if len(dwells):
+        marks = np.arange(1, len(dwells) + 1)
+        for k, axis in enumerate(AXES):
+            panels[-1].plot(
+                marks + 0.2 * (k - 1),
+                dwells[:, k],
+                AXIS_MARKERS[k],
+                color=AXIS_COLOURS[k],
+                markersize=4.0,
+                label=f"gyro {axis}",
+            )
+        panels[-1].set(xlabel="dwell at a known rate, in order of time", ylabel="rate error (deg/s)")
+        legend_above(panels[-1])
+    for panel in panels:
+        panel.axhline(0.0, color=OPTICS, linewidth=0.6)
+    return figure
+
+
+def draw_norm(records: Sequence["Record"], judged: Sequence["Judged"], gravity_m_s2: float) -> "Figure":
+    """Draw |a| over the recordings, one after the other, with the stills shaded."""
+    figure, (panel,) = new_figure(1, height=2.4)
+    entitle(figure, "Norm of the specific force over the session, stills shaded")
+    start = 0.0
+    for number_, record in enumerate(records):
+        time = record.time - record.time[0] + start
+        if record.accel is not None:
+            panel.plot(*envelope(time, np.linalg.norm(record.accel, axis=1), 600), color=DEVICE, linewidth=0.8)
+        for one in judged:
+            if one.piece.recording == number_ and one.piece.kind == "still":
+                ends = float(time[one.piece.start]), float(time[one.piece.stop - 1])
+                panel.axvspan(*ends, facecolor=SHADE, linewidth=0.0, zorder=0)
+                panel.plot(
+                    ends,
+                    [np.linalg.norm(one.accel)] * 2,
+                    color=ERROR,
+                    linewidth=2.2,
+                    solid_capstyle="butt",
+                    label="mean of a still" if start == 0.0 else None,
+                )
+        start = float(time[-1]) + 1.0 / record.sample_rate_hz
+    panel.axhline(gravity_m_s2, color=OPTICS, linewidth=0.6, linestyle="--", label="local gravity")
+    where = "time, recordings one after the other (s)" if len(records) > 1 else "time (s)"
+    panel.set(xlabel=where, ylabel="|a| (m/s2)")
+    legend_above(panel)
     return figure

@@ -7,11 +7,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from undrift.base.summary import Cells, Origin, Section, Summary, plain_words, table_section
+from undrift.commands.calibrate import calibration_sections
 from undrift.commands.validate import trials_section
 from undrift.report.drift import drift_sections, plus_minus
 from undrift.report.figures import OPTICS, compared_style, entitle, envelope, legend_above, new_figure, svg_of
 from undrift.report.note import SLOPE_OF_THE_NOTE
-from undrift.report.page import calibration_sections, write_page
+from undrift.report.page import write_page
 from undrift.report.study import NOTE, study_sections
 from undrift.units import RADIAN_PER_DEGREE
 

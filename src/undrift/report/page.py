@@ -10,17 +10,11 @@ import re
 from collections.abc import Iterable
 from itertools import count
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from undrift import __version__
-from undrift.base.summary import Drawing, Origin, Section, Summary, at, concise
+from undrift.base.summary import Drawing, Origin, Section, Summary, at
 from undrift.files import write_whole
 from undrift.findings import SHOWN_FIRST, Finding, most_consequential_first
-from undrift.model import AXES
-
-if TYPE_CHECKING:
-    from undrift.model import Calibration, TriadModel
-
 
 SCREEN_LINES = 3 * 32  # of text on three screens: longer pages have contents
 
@@ -31,7 +25,7 @@ def write_page(path: Path, summary: Summary, origin: Origin | None = None) -> No
 
     style = Path(__file__).with_name("page.css").read_text()
     template = Environment(loader=PackageLoader("undrift", "report"), autoescape=True).get_template("page.html.j2")
-    sections = (*summary.sections, Section(title="Notes", text=summary.notes))
+    sections = (*summary.sections, *summary.page(), Section(title="Notes", text=summary.notes))
     filled = [
         one for one in sections if one.on != "terminal" and (one.text or one.findings or one.rows or one.pictures)
     ]
@@ -88,59 +82,4 @@ def _versions() -> str:
 
     return (
         f"undrift {__version__}, Python {platform.python_version()}, numpy {np.__version__}, scipy {scipy.__version__}"
-    )
-
-
-# ---- a calibration
-
-
-def triad_rows(triad: "TriadModel") -> tuple[tuple[str, ...], ...]:
-    """Return one row of cells for each axis: matrix, offset, scale factor, values with their uncertainty."""
-    sigma = dict(zip(triad.parameters, triad.standard_uncertainty, strict=True))
-    return tuple(
-        (
-            axis,
-            *(concise(triad.matrix[k, i], sigma.get(f"m_{axis}{other}", 0.0)) for i, other in enumerate(AXES)),
-            concise(triad.offset[k], sigma.get(f"offset_{axis}", 0.0)),
-            f"{triad.scale_factor[k]:.6g}",
-        )
-        for k, axis in enumerate(AXES)
-    )
-
-
-def triad_heads(triad: "TriadModel") -> tuple[str, ...]:
-    """Return the heads of ``triad_rows``."""
-    scale = f"scale factor ({triad.unit_in} per {triad.unit_out})"
-    return ("axis", "m x", "m y", "m z", f"offset ({triad.unit_in})", scale)
-
-
-def triad_notes(triad: "TriadModel") -> tuple[str, ...]:
-    """Return what goes with the rows: residual, rank, condition, range, g-sensitivity."""
-    low, high = triad.valid_range
-    notes = [
-        f"residual {triad.rms_residual:.3g} {triad.unit_out} rms over {triad.count} equations; rank {triad.rank}, "
-        f"condition {triad.condition:.3g}; valid {low:.3g} to {high:.3g} {triad.unit_out}"
-    ]
-    if triad.g_sensitivity is not None:
-        worst = float(abs(triad.g_sensitivity).max())
-        notes.append(f"g-sensitivity up to {worst:.2g} {triad.unit_out} per m/s2")
-    return tuple(notes)
-
-
-def calibration_sections(calibration: "Calibration") -> tuple[Section, ...]:
-    """Return the sections of a page that show a calibration."""
-    named = (("Accelerometers", calibration.accel), ("Gyroscopes", calibration.gyro))
-    return tuple(
-        Section(
-            title=f"{name}: {triad.method}",
-            text=(
-                f"corrected = matrix @ (raw - offset); matrix in {triad.unit_out} per {triad.unit_in}, standard uncertainty of "
-                "the last digits in brackets.",
-                *triad_notes(triad),
-            ),
-            columns=triad_heads(triad),
-            rows=triad_rows(triad),
-        )
-        for name, triad in named
-        if triad is not None
     )

@@ -1,0 +1,425 @@
+"""``undrift calibrate``: fit what a session, or bare recordings, allow.
+
+The summary judges a calibration by its own recordings: readings of every piece are corrected as any recording is, so that
+
+    residual of a pose      |a| - g                              of a dwell   w - rate * axis
+    leverage of piece i     x_i' (sum x x')^+ x_i / rank,        x = (a, 1) or (w, 1); of norms alone (a_j a_k, a_j) / |a|
+
+"""
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from undrift.base.options import Files, Flag, OptionalOutput, Picture, options, verb
+from undrift.base.summary import Drawing, Result, Section, Summary, concise, number
+from undrift.commands import Progress, silent
+from undrift.commands.certificate import departures_words, uncertainty_sentence
+from undrift.commands.files import (
+    Opening,
+    Place,
+    Rests,
+    Sensitivity,
+    check_figure,
+    check_output,
+    name_of,
+    recording_of,
+    session_of,
+)
+from undrift.commands.register import Register, registered_lines
+from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
+
+if TYPE_CHECKING:
+    from undrift.arrays import FloatArray
+    from undrift.calibration.observe import CalibrateSettings
+    from undrift.calibration.pieces import Piece
+    from undrift.model import Calibration, TriadModel
+    from undrift.record import Record, Session
+
+NAMES = {"accel": "accelerometers", "gyro": "gyroscopes"}
+BARS = "Bars: expanded uncertainty, 95 %, as in the certificate."
+RESIDUALS = (
+    "These are residuals of the fit, on its own readings: what they all share, as tilted faces or a wrong gravity, is not in them. "
+    "The uncertainty above is that of other readings at this temperature."
+)
+INFORMATION = "Information: share of its poses and dwells in the leverage on matrix and offsets, equal weights, mean of the triads."
+
+
+@options
+@dataclass(frozen=True, kw_only=True)
+class Table:
+    """How good the rate table of a session is, in place of what the session states.
+
+    Parameters
+    ----------
+    table_level_deg : float or None
+        Standard uncertainty of the rate table's axis against the vertical, deg; as the session states, else 0.1.
+    mount_tilt_deg : float or None
+        Standard uncertainty of the mounting on the table about each axis, deg; as the session states, else 0.1.
+    rate_uncertainty : float or None
+        Standard uncertainty of the stated rates in common, relative; as the session states, else 0.0001.
+    wobble_deg : float or None
+        Standard uncertainty of the table's axis from dwell to dwell, deg; as the session states, else 0.01.
+    """
+
+    table_level_deg: float | None = None
+    mount_tilt_deg: float | None = None
+    rate_uncertainty: float | None = None
+    wobble_deg: float | None = None
+
+
+@options
+@dataclass(frozen=True, kw_only=True)
+class Fitting:
+    """How readings are averaged and fitted.
+
+    Parameters
+    ----------
+    window_s : float
+        Longest stretch of each face that is averaged, s.
+    settle_s : float
+        Start of each dwell at a known rate that is left out, s.
+    angle_uncertainty_deg : float
+        Standard uncertainty of a turn by a known angle, deg.
+    axis_uncertainty_deg : float
+        Standard uncertainty of the axis of such turns against the case, about each axis across it, deg.
+    scale_tolerance : float
+        Largest relative difference of a scale factor from the stated unit; physical units only.
+    polynomial_degree : int
+        Degree of the polynomial in time that filters each face before it is averaged.
+    spline_cutoff_hz : float or None
+        Low-pass each dwell at a known rate by a spline with this cut-off, Hz; no filter by default.
+    cross_axis_prior : float
+        Standard deviation of a cross-axis term that the session does not show, relative to the scale; 0.01 is 1 %.
+    """
+
+    window_s: float = 6.0
+    settle_s: float = 0.3
+    angle_uncertainty_deg: float = 1.0
+    axis_uncertainty_deg: float = 0.5
+    scale_tolerance: float = 0.25
+    polynomial_degree: int = 1
+    spline_cutoff_hz: float | None = None
+    cross_axis_prior: float = 0.01
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Calibrated(Result):
+    """A calibration, and the session that it was made of."""
+
+    files: tuple[Path, ...]
+    calibration: "Calibration"
+    session: "Session"
+    settings: "CalibrateSettings"
+    registered: list[dict[str, Any]]
+    output: Path | None
+    figure: Path | None
+
+    @property
+    def lacking(self) -> list[str]:
+        """Triads with readings and without a model."""
+        records = self.session.records
+        left = [key for key in NAMES if getattr(self.calibration, key) is None]
+        return [NAMES[key] for key in left if any(getattr(record, key) is not None for record in records)]
+
+    @cached_property
+    def pieces(self) -> "tuple[Piece, ...]":
+        """What was found in the session; what was not used says why."""
+        from undrift.calibration.pieces import pieces_of
+
+        return pieces_of(self.session, self.settings, self.calibration)[0]
+
+    def summary(self) -> Summary:
+        """Return matrices and offsets with their uncertainty, what was used, and how the fit reproduces it."""
+        from undrift.io.store import calibration_json
+
+        made, output, lacking = self.calibration, self.output, self.lacking
+        recording, after = output and recording_of(self.files), [*registered_lines(self.registered)]
+        if lacking:
+            raw = f"no model of the {' and '.join(lacking)}, whose readings stay raw; the verdict says why"
+            after.append(f"Not complete: {raw}")
+        if output is None:
+            after.append("Nothing was written. To keep it, repeat the command with -o calibration.json")
+        follows = recording is not None and NAMES["accel"] not in lacking
+        shown, kept = calibration_summary(made), {"registered": self.registered} if self.registered else {}
+        return replace(
+            shown,
+            data=calibration_json(made) | {"lacking": lacking} | kept,
+            page=lambda: judged_sections(self),
+            written=tuple(path for path in (self.figure, output) if path is not None),
+            after=tuple(after),
+            next=("correct", recording, "--calibration", output, "-o", "corrected.parquet") if follows else (),
+        )
+
+
+@verb
+def calibrate(
+    *files: Files,
+    place: Place = Place(),
+    opening: Opening = Opening(),
+    turn_deg: float | None = None,
+    output: OptionalOutput = None,
+    accel: Literal["six-face", "multi-position"] | None = None,
+    gyro: Literal["rate-table", "known-rotation", "multi-position", "rest", "none"] | None = None,
+    mode: Literal["paper", "affine", "levelled"] | None = None,
+    keep_offset: Flag = False,
+    adc: Literal["auto", "none"] = "auto",
+    fitting: Fitting = Fitting(),
+    table: Table = Table(),
+    sensitivity: Sensitivity = Sensitivity(),
+    rests: Rests = Rests(),
+    registering: Register = Register(),
+    figure: Picture = None,
+    progress: Progress = silent,
+) -> Calibrated:
+    """Fit what a session, or bare recordings, allow, with verdict and findings.
+
+    Parameters
+    ----------
+    files : Path
+        One folder with session.toml, or one or several recordings of one device: rests, faces and turns are found in them.
+    turn_deg : float or None
+        Angle of the turns between rests in bare recordings, deg, one or more about each axis: 360 for full turns.
+    output : Path or None
+        calibration.json to write.
+    accel : str or None
+        How to calibrate the accelerometers; what the session allows by default.
+    gyro : str or None
+        How to calibrate the gyroscopes; what the session allows by default. rest takes their offset alone, none leaves them out.
+    mode : str or None
+        paper (the note's equations to the letter), affine, or levelled (six faces, weighted by how level they lay).
+    keep_offset : bool
+        Mode paper, whose matrix has no offset column: the readings are free of it, remove none.
+    adc : str
+        "auto" looks for the step and rounding of the codes; "none" leaves them.
+    figure : Path or None
+        Picture to write of the recordings, with what was used and what was left out: .svg, .png or .pdf.
+    """
+    from undrift.calibration.calibrate import calibrate as fit
+    from undrift.calibration.observe import CalibrateSettings
+    from undrift.io.store import write_calibration
+
+    check_output(output, endings=(".json",), reads=(*files, opening.column_map))
+    check_figure(figure, reads=files)
+    registering.check()
+    settings = CalibrateSettings(
+        still=rests.settings(),
+        latitude_deg=place.latitude_deg,
+        turn_angle_deg=turn_deg,
+        remove_offset=not keep_offset,
+        identify_adc=adc == "auto",
+        **(asdict(fitting) | asdict(table) | asdict(sensitivity)),
+    )
+    progress("reading", 0.0)
+    session = session_of(files, place, opening)
+    progress("fitting", 0.5)
+    made = fit(session, accel=accel, gyro=gyro, mode=mode, settings=settings)
+    calibrated = Calibrated(
+        files=files, calibration=made, session=session, settings=settings, output=output, figure=figure,
+        registered=registering.add(made, source=output),
+    )  # fmt: skip
+    if output is not None:
+        write_calibration(made, output)
+    if figure is not None:
+        how = {"title": f"{name_of(files[0])}: used", "used": True}
+        of = (session.records, calibrated.pieces)
+        Drawing(place="undrift.report.figures:draw_recording", of=of, options=how).save(figure)
+    return calibrated
+
+
+# ---- a calibration
+
+
+def calibration_summary(made: "Calibration") -> Summary:
+    """Return what a calibration holds, however it was made: uncertainty, origin, matrices and offsets."""
+    ideal = (*(departures_words(name, triad) for name, triad in _triads(made)), BARS)
+    return Summary(
+        title=f"Calibration of {made.device or 'a device'}",
+        answer=uncertainty_sentence(made),
+        pictures=(Drawing(place="undrift.report.certificate:draw_calibration", of=(made,)),),
+        sections=(
+            Section(title="What was calibrated", text=tuple(_origin(made))),
+            Section(title="Matrix and offsets: the picture above", text=ideal, on="page"),
+            *calibration_sections(made),
+        ),
+        verdict=made.verdict,
+        failed=made.verdict.status == "bad",
+    )
+
+
+def calibration_sections(made: "Calibration") -> tuple[Section, ...]:
+    """Return matrix, offset and scale factor of each triad, values with their uncertainty."""
+    return tuple(
+        Section(
+            title=f"{NAMES[name].capitalize()}: {triad.method}",
+            text=(
+                f"corrected = matrix @ (raw - offset); matrix in {triad.unit_out} per {triad.unit_in}, standard uncertainty of "
+                "the last digits in brackets.",
+                *_triad_notes(triad),
+            ),
+            columns=(
+                "axis", "m x", "m y", "m z", f"offset ({triad.unit_in})",
+                f"scale factor ({triad.unit_in} per {triad.unit_out})",
+            ),
+            rows=_triad_rows(triad),
+        )
+        for name, triad in _triads(made)
+    )  # fmt: skip
+
+
+def _triads(made: "Calibration") -> "tuple[tuple[str, TriadModel], ...]":
+    return tuple((name, triad) for name in NAMES if (triad := getattr(made, name)) is not None)
+
+
+def _triad_rows(triad: "TriadModel") -> tuple[tuple[str, ...], ...]:
+    sigma = dict(zip(triad.parameters, triad.standard_uncertainty, strict=True))
+    return tuple(
+        (
+            axis,
+            *(concise(triad.matrix[k, i], sigma.get(f"m_{axis}{other}", 0.0)) for i, other in enumerate("xyz")),
+            concise(triad.offset[k], sigma.get(f"offset_{axis}", 0.0)),
+            f"{triad.scale_factor[k]:.6g}",
+        )
+        for k, axis in enumerate("xyz")
+    )
+
+
+def _triad_notes(triad: "TriadModel") -> "Iterator[str]":
+    """Yield what goes with the rows: residual, rank, condition, range, g-sensitivity."""
+    low, high = triad.valid_range
+    yield (
+        f"residual {triad.rms_residual:.3g} {triad.unit_out} rms over {triad.count} equations; rank {triad.rank}, "
+        f"condition {triad.condition:.3g}; valid {low:.3g} to {high:.3g} {triad.unit_out}"
+    )
+    if triad.g_sensitivity is not None:
+        yield f"g-sensitivity up to {float(abs(triad.g_sensitivity).max()):.2g} {triad.unit_out} per m/s2"
+
+
+def _origin(made: "Calibration") -> Iterator[str]:
+    """Yield device and gravity, what was found and used, what was not calibrated, steps of the codes."""
+    known, settings = math.isfinite(made.reference_temp_c), dict(made.provenance.settings)
+    where = f" at {made.reference_temp_c:.1f} degC" if known else ""
+    source = settings.get("gravity", "stated")
+    how = {"standard": "standard, assumed", "latitude and height": "by latitude and height"}.get(source, source)
+    yield f"{made.device or 'device without a serial number'}{where}, gravity {made.gravity_m_s2:.5f} m/s2 ({how})"
+    if "stills" in settings:
+        yield f"still phases: {settings['stills']}; faces: {settings['faces']}; turns: {settings['turns']}"
+    yield from (f"{what}: not calibrated" for name, what in NAMES.items() if getattr(made, name) is None)
+    for triad in made.triads if made.adc is not None else ():
+        if triad.lsb is not None:
+            steps = ", ".join(f"{step:.6g}" for step in triad.lsb)
+            yield f"ADC {triad.sensor}: step {steps}, rounded {triad.rounding.replace('_', ' ')}"
+
+
+# ---- a calibration judged by its own recordings
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Judged:
+    """A piece that a calibration used, with what it reads when corrected."""
+
+    piece: "Piece"
+    accel: "FloatArray"  # (3,), mean, m/s2; NaN without accelerometers
+    gyro: "FloatArray"  # (3,), mean, rad/s; NaN without gyroscopes
+    stated: "FloatArray"  # (3,), turn rate that the table had, rad/s; NaN where none is stated
+
+
+def judge_pieces(
+    session: "Session", pieces: "Sequence[Piece]", settings: "CalibrateSettings", made: "Calibration"
+) -> tuple[list["Record"], list[Judged]]:
+    """Return the corrected records of a session, and those of its pieces that the calibration used."""
+    import numpy as np
+
+    from undrift.correction.correct import correct_whole
+
+    records = [correct_whole(_calibrated(record, made), made, policy="hold").record for record in session.records]
+    rates = {(turn.recording, turn.start): turn for turn in session.turns if turn.turn_rate is not None}
+    unknown, judged = np.full(3, np.nan), []
+    for piece in (piece for piece in pieces if not piece.why):
+        record, turn = records[piece.recording], rates.get((piece.recording, piece.start))
+        skip = round(settings.settle_s * record.sample_rate_hz) if piece.kind == "turn" else 0
+        inner = slice(piece.start + skip, max(piece.start + skip + 1, piece.stop - skip))
+        accel, gyro = (unknown if v is None else np.nanmean(v[inner], axis=0) for v in (record.accel, record.gyro))
+        stated = unknown if turn is None else (turn.turn_rate or 0.0) * np.eye(3)["xyz".index(turn.axis or "x")]
+        judged.append(Judged(piece=piece, accel=accel, gyro=gyro, stated=stated))
+    return records, judged
+
+
+def _calibrated(record: "Record", made: "Calibration") -> "Record":
+    """Leave out a triad that the calibration has no model of: its unit may be counts."""
+    left: dict[str, Any] = {} if made.gyro else {"gyro": None, "gyro_unit": "rad/s"}
+    return replace(record, **left | ({} if made.accel else {"accel": None, "accel_unit": "m/s2"}))
+
+
+def leverages(judged: Sequence[Judged], made: "Calibration") -> "FloatArray":
+    """Return the share of each piece in what is known: its leverage over the rank, mean over the triads; (n,)."""
+    import numpy as np
+
+    shares = []
+    for triad, name, kinds in ((made.accel, "accel", ("still",)), (made.gyro, "gyro", ("still", "turn"))):
+        rows = np.array([np.append(getattr(one, name), 1.0) for one in judged if one.piece.kind in kinds])
+        if triad is None or not len(rows) or np.isnan(rows).any():
+            continue
+        rows[:, :3] /= np.abs(rows[:, :3]).max()
+        if triad.method.startswith("multi-position") and name == "accel":
+            upper = np.triu_indices(3)
+            rows = np.column_stack(((rows[:, :3, None] * rows[:, None, :3])[:, upper[0], upper[1]], rows[:, :3]))
+        levers = np.einsum("ij,ji->i", rows, np.linalg.pinv(rows))
+        share = np.zeros(len(judged))
+        share[[k for k, one in enumerate(judged) if one.piece.kind in kinds]] = levers / levers.sum()
+        shares.append(share)
+    return np.mean(shares, axis=0) if shares else np.full(len(judged), np.nan)
+
+
+def residuals(judged: Sequence[Judged], made: "Calibration") -> tuple["FloatArray", "FloatArray"]:
+    """Return |a| - g of each pose, mg, and rate errors of each dwell, deg/s (n, 3)."""
+    import numpy as np
+
+    norms = np.array([np.linalg.norm(one.accel) - made.gravity_m_s2 for one in judged if one.piece.kind == "still"])
+    rates = np.array([one.gyro - one.stated for one in judged if one.piece.kind == "turn"]).reshape(-1, 3)
+    poses, dwells = norms[np.isfinite(norms)], rates[np.isfinite(rates).all(axis=1)]
+    return poses / (STANDARD_GRAVITY / 1e3), dwells / RADIAN_PER_DEGREE
+
+
+def judged_sections(calibrated: Calibrated) -> Iterator[Section]:
+    """Yield how the fit reproduces its readings, the specific force over the session, and what each recording brought."""
+    made = calibrated.calibration
+    records, judged = judge_pieces(calibrated.session, calibrated.pieces, calibrated.settings, made)
+    poses, dwells = residuals(judged, made)
+    parts = [f"gravity to {_rms(poses):.2g} mg rms in {len(poses)} poses"] if len(poses) else []
+    if len(dwells):
+        parts.append(f"the table's rates to {_rms(dwells):.2g} deg/s rms in {len(dwells)} dwells")
+    if parts:
+        text = f"The fit reproduces {' and '.join(parts)}. {RESIDUALS}"
+        drawing = Drawing(place="undrift.report.certificate:draw_residuals", of=(poses, dwells))
+        yield Section(title="Residuals of the fit", text=(text,), pictures=(drawing,))
+    if made.accel is not None:
+        text = "Shaded: the stills that were used. Turns and handling lie between them."
+        drawing = Drawing(place="undrift.report.certificate:draw_norm", of=(records, judged, made.gravity_m_s2))
+        yield Section(title="Specific force over the session", text=(text,), pictures=(drawing,))
+    yield _contributions(calibrated, judged)
+
+
+def _rms(values: "FloatArray") -> float:
+    return math.sqrt(float((values**2).mean()))
+
+
+def _contributions(calibrated: Calibrated, judged: Sequence[Judged]) -> Section:
+    """Return what each recording brought to the fit."""
+    session, shares = calibrated.session, leverages(judged, calibrated.calibration)
+    names, rows = [name for name, _ in session.inputs if not name.endswith(".toml")], []
+    for k, record in enumerate(session.records):
+        here = [place for place, one in enumerate(judged) if one.piece.recording == k]
+        used = [judged[place].piece for place in here]
+        kinds = [piece.kind for piece in used]
+        unused = sum(piece.recording == k and bool(piece.why) for piece in calibrated.pieces)
+        name = names[k] if len(names) == len(session.records) else f"recording {k + 1}"
+        samples = sum(piece.stop - piece.start for piece in used)
+        counted = (len(record), samples, kinds.count("still"), kinds.count("turn"), unused)
+        rows.append((name, *map(str, counted), number(100.0 * float(shares[here].sum()), ".1f")))
+    heads = ("recording", "samples", "of them used", "stills used", "turns used", "pieces left out", "information (%)")
+    title = "What each recording contributed"
+    return Section(title=title, text=(INFORMATION,), columns=heads, rows=tuple(rows))
