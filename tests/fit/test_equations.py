@@ -8,8 +8,9 @@ import pytest
 from undrift.fit.equations import (
     Equations,
     Inverse,
-    Linearised,
+    Rows,
     carried_own,
+    covariance_of,
     descend,
     diagonal,
     joined,
@@ -170,13 +171,16 @@ def test_deviations_and_their_cholesky_factors_give_one_solution() -> None:
     np.testing.assert_array_equal(roots(sigma[0], np.zeros((E, E))), sigma)
 
 
-def rows_of(exponents: np.ndarray, reading: np.ndarray) -> Callable[[np.ndarray], Linearised]:
+NONE = np.zeros((0, 2))  # no prior
+
+
+def rows_of(exponents: np.ndarray, reading: np.ndarray) -> Callable[[np.ndarray], Rows]:
     """Return the rows of reading = a exp(-b t), weighed alike; the residuals are their state."""
 
-    def rows(p: np.ndarray) -> Linearised:
+    def rows(p: np.ndarray) -> Rows:
         wave = np.exp(-p[1] * exponents)
         residual, design = p[0] * wave - reading, np.column_stack((wave, -p[0] * exponents * wave))
-        return Linearised(float(residual @ residual), design.T @ design, design.T @ residual, residual)
+        return Rows(residual, design, residual)
 
     return rows
 
@@ -184,7 +188,7 @@ def rows_of(exponents: np.ndarray, reading: np.ndarray) -> Callable[[np.ndarray]
 def test_a_descent_ends_at_the_minimum_with_the_rows_there() -> None:
     time = np.linspace(0.0, 3.0, 20)
     rows, start = rows_of(time, 2.0 * np.exp(-0.7 * time)), np.array([1.0, 0.1])
-    p, best, found = descend(rows, start, rows(start), tolerance=1e-12, size=np.ones(2))
+    p, best, found = descend(rows, start, NONE, tolerance=1e-12, size=np.ones(2))
     assert found
     np.testing.assert_allclose(p, [2.0, 0.7], rtol=1e-9)
     np.testing.assert_array_equal(best.state, rows(p).state)
@@ -194,7 +198,28 @@ def test_a_descent_that_runs_away_or_out_of_steps_gives_its_start_back() -> None
     time = np.linspace(0.0, 3.0, 20)
     rows, start = rows_of(time, 2.0 * np.exp(-0.7 * time)), np.array([1.0, 0.1])
     for limits in ({"farthest": 1.5}, {"steps": 1}):
-        p, best, found = descend(rows, start, first := rows(start), tolerance=1e-12, size=np.ones(2), **limits)
+        p, best, found = descend(
+            rows, start, NONE, first=(first := rows(start)), tolerance=1e-12, size=np.ones(2), **limits
+        )
         assert not found
         assert p is start
         assert best is first
+
+
+def test_a_prior_is_rows_among_the_others() -> None:
+    time, prior = np.linspace(0.0, 3.0, 20), np.array([[0.5, -0.3]])
+    rows, start = rows_of(time, 2.0 * np.exp(-0.7 * time)), np.array([1.0, 0.1])
+
+    def stacked(p: np.ndarray) -> Rows:
+        own = rows(p)
+        return Rows(np.append(own.residual, prior @ p), np.vstack((own.design, prior)), own.state)
+
+    (p, best, found), (q, other, _) = (
+        descend(each, start, known, tolerance=1e-12, size=np.ones(2))
+        for each, known in ((rows, prior), (stacked, NONE))
+    )
+    assert found
+    np.testing.assert_allclose(p, q, rtol=1e-12)
+    np.testing.assert_allclose(covariance_of(best.design), covariance_of(other.design), rtol=1e-9)
+    np.testing.assert_allclose(covariance_of(best.design), np.linalg.inv(best.design.T @ best.design), rtol=1e-9)
+    assert np.isnan(covariance_of(np.ones((5, 2)))).all()

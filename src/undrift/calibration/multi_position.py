@@ -25,7 +25,7 @@ from undrift.calibration.norm import WEAKEST, NormFit, check_count, fit_norm, ju
 from undrift.calibration.observe import Observed, Outcome
 from undrift.errors import InputError, NotObservable, PoorFit
 from undrift.findings import Finding, finding
-from undrift.fit.equations import Linearised, descend
+from undrift.fit.equations import Rows, covariance_of, descend
 from undrift.fit.least_squares import TriadFit, excess_variance, parameter_names, scaled_condition, triad_fit
 from undrift.model import MATRIX_NAMES, TriadModel, Verdict, level_of
 from undrift.record import Record, Still
@@ -335,6 +335,12 @@ class _Problem:
     codes: FloatArray  # (3,), variance that rounding leaves in the mean offset, raw unit squared
     creep: tuple[Creep, Creep] | None = None  # Of accelerometers and gyroscopes in the stills
 
+    @property
+    def known(self) -> FloatArray:
+        """Rows (R, P) by which the stills know the offset, in its standard deviations; none where it is not fitted."""
+        weight = self.unit / np.sqrt(np.maximum(self.prior.variance, 1e-30))
+        return np.hstack((np.zeros((3, 9)), np.diag(weight))) if self.free == 12 else np.zeros((0, self.free))
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Missed:
@@ -409,46 +415,40 @@ def _without_saturated(moves: Moves) -> tuple[Moves, tuple[Finding, ...]]:
 
 def _solve(problem: _Problem, p: FloatArray) -> tuple[FloatArray, FloatArray, _Missed]:
     """Return parameters, their covariance and the missed angles; the angles' covariance is renewed until it settles."""
-    count = 2 * len(problem.moves.first)
-    equal = problem.free == 9
-    whitener = np.eye(count)
-    p, missed = _descend(problem, p, _missed(problem, p), whitener, 1e-8 if equal else 1e-3)
-    if equal:
-        whitener /= np.sqrt(max(float(missed.angle @ missed.angle) / (count - 9), 1e-30))
+    count, free, equal = 2 * len(problem.moves.first), problem.free, problem.free == 9
+    p, rows = _descend(problem, p, _missed(problem, p), np.eye(count), 1e-8 if equal else 1e-3)
+    scatter = max(float(rows.residual @ rows.residual) / (count - 9), 1e-30) if equal else 1.0
     for _ in range(0 if equal else 4):
+        missed: _Missed = rows.state
         values, vectors = np.linalg.eigh(_covariance_of_angles(problem, missed, p))
         turned = vectors.T @ missed.angle
         variance = np.maximum(values, 0.0) + 1e-24
         variance += excess_variance(turned, variance, count - 9)
-        whitener = vectors.T / np.sqrt(variance)[:, None]
         before = p
-        p, missed = _descend(problem, p, missed, whitener, 1e-8)
+        p, rows = _descend(problem, p, missed, vectors.T / np.sqrt(variance)[:, None], 1e-8)
         if float(np.abs(p - before).max()) < 1e-5:
             break
-    _, design = _weighted(problem, missed, p, whitener)
-    covariance, size = np.zeros((12, 12)), np.linalg.norm(design, axis=0)
-    size[size == 0.0] = 1.0
-    inverse = np.linalg.pinv((design / size).T @ (design / size)) / np.outer(size, size)
-    covariance[: problem.free, : problem.free] = inverse
-    return p, covariance, missed
+    covariance = np.zeros((12, 12))
+    covariance[:free, :free] = scatter * covariance_of(rows.design)
+    return p, covariance, rows.state
 
 
 def _descend(
     problem: _Problem, p: FloatArray, missed: _Missed, whitener: FloatArray, tolerance: float
-) -> tuple[FloatArray, _Missed]:
-    """Return the best parameters of fixed weights, and what they miss, from p and what that misses."""
+) -> tuple[FloatArray, Rows]:
+    """Return the best parameters of fixed weights, and the rows there, from p and what that misses."""
     free = problem.free
 
-    def linearised(at: FloatArray, missed: _Missed) -> Linearised:
-        residual, design = _weighted(problem, missed, at, whitener)
-        return Linearised(float(residual @ residual), design.T @ design, design.T @ residual, missed)
-
-    def rows(values: FloatArray) -> Linearised:
-        at = np.concatenate((values, p[free:]))
-        return linearised(at, _missed(problem, at))
+    def white(missed: _Missed) -> Rows:
+        return Rows(whitener @ missed.angle, whitener @ missed.jacobian[:, :free], missed)
 
     values, best, found = descend(
-        rows, p[:free], linearised(p, missed), tolerance=tolerance, size=np.ones(free), steps=60
+        lambda values: white(_missed(problem, np.concatenate((values, p[free:])))),
+        p[:free],
+        problem.known,
+        first=white(missed),
+        tolerance=tolerance,
+        size=np.ones(free),
     )
     if not found:
         raise PoorFit(
@@ -456,7 +456,7 @@ def _descend(
             "convergence; check the gyroscope's columns and the time column",
             moves=len(problem.moves.first),
         )
-    return np.concatenate((values, p[free:])), best.state
+    return np.concatenate((values, p[free:])), best
 
 
 def _missed(problem: _Problem, p: FloatArray) -> _Missed:
@@ -472,16 +472,6 @@ def _missed(problem: _Problem, p: FloatArray) -> _Missed:
     jacobian = tangent.transpose(0, 2, 1) @ cross_matrix(arrived) @ small_turn
     angle = (tangent.transpose(0, 2, 1) @ (arrived - n[moves.before + 1])[:, :, None]).reshape(-1)
     return _Missed(angle=angle, jacobian=jacobian.reshape(-1, 12), turn=turn, tangent=tangent)
-
-
-def _weighted(problem: _Problem, missed: _Missed, p: FloatArray, whitener: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return whitened residuals and design, with the stills' observations of the offset where it is fitted."""
-    residual, design = whitener @ missed.angle, whitener @ missed.jacobian[:, : problem.free]
-    if problem.free == 9:
-        return residual, design
-    weight = problem.unit / np.sqrt(np.maximum(problem.prior.variance, 1e-30))
-    below = np.hstack((np.zeros((3, 9)), np.diag(weight)))
-    return np.concatenate((residual, weight * p[9:])), np.vstack((design, below))
 
 
 def _covariance_of_angles(problem: _Problem, missed: _Missed, p: FloatArray) -> FloatArray:

@@ -27,7 +27,7 @@ from undrift.calibration.checks import check_gravity, check_own_scale
 from undrift.calibration.creep import Creep
 from undrift.errors import NotObservable, PoorFit
 from undrift.findings import Finding, finding
-from undrift.fit.equations import Linearised, descend, roots
+from undrift.fit.equations import Rows, covariance_of, descend, roots, whitened
 from undrift.fit.least_squares import TriadFit, excess_variance, parameter_names, scaled_condition, triad_fit
 from undrift.model import AXES, Verdict, level_of
 from undrift.segments import sphere_of
@@ -106,7 +106,7 @@ def fit_norm(
                 break
     design, residuals = _linearised(v, p, gravity)
     size = np.array([gravity] * 6 + [1.0] * 3)
-    seen = _with(design[:, free], (np.sqrt(len(v)) * size * prior)[:, free])
+    seen = np.vstack((design[:, free], (np.sqrt(len(v)) * size * prior)[:, free]))
     _, singular, right = np.linalg.svd(seen / size[free], full_matrices=False)
     weak = np.append(np.flatnonzero(singular < WEAKEST * np.sqrt(len(v))), len(singular) - 1)
     share = np.linalg.norm(right[weak], axis=0)
@@ -118,10 +118,8 @@ def fit_norm(
             poses=len(v),
         )
     covariance = np.zeros((9, 9))
-    shared = stated.shared(v, p, design)
-    root = roots(np.sqrt(variance), np.zeros(1) if shared is None else shared @ shared.T)[0]
-    weighted = design[:, free] / root[:, None] if root.ndim == 1 else np.linalg.solve(root, design[:, free])
-    covariance[np.ix_(free, free)] = _inverse(_with(weighted, prior[:, free] / (prior_sd or 1.0)))
+    weighed = whitened(stated.root(variance, stated.shared(v, p, design)), design[:, free])
+    covariance[np.ix_(free, free)] = covariance_of(np.vstack((weighed, prior[:, free] / (prior_sd or 1.0))))
     return NormFit(
         center=center,
         scale=scale,
@@ -137,24 +135,22 @@ def fit_norm(
     )
 
 
-def _with(design: FloatArray, prior: FloatArray) -> FloatArray:
-    return (
-        np.vstack((design, prior)) if len(prior) else design
-    )  # without a prior the memory stays, and so does rounding
-
-
 class _Stated(NamedTuple):
     """What is stated of readings v (K, 3): variances (K, 3), (m/s2)^2, and how far they creep."""
 
     variances: FloatArray
     creep: Creep | None
 
-    def shared(self, v: FloatArray, p: FloatArray, design: FloatArray) -> FloatArray | None:
-        """Return N (K, 6), m/s2, at p and its design (K, 9); None without creep."""
+    def shared(self, v: FloatArray, p: FloatArray, design: FloatArray) -> FloatArray:
+        """Return N (K, 6), m/s2, at p and its design (K, 9); (K, 0) without creep."""
         if self.creep is None or self.creep.none:
-            return None
+            return np.zeros((len(v), 0))
         by_reading, columns = -design[:, 6:], [self.creep.columns(column) for column in (v - p[6:]).T]
         return np.hstack([by_reading[:, [j]] * columns[j] for j in range(3)])
+
+    def root(self, variance: FloatArray, shared: FloatArray) -> FloatArray:
+        """Return what whitens lengths of a variance each, (K,), that N moves together."""
+        return roots(np.sqrt(variance), shared @ shared.T if shared.size else np.zeros(1))[0]
 
 
 def _settled(
@@ -163,22 +159,15 @@ def _settled(
     """Return whether there is a minimum, p, and the variance of each length (K,); prior (R, 9) in standard deviations."""
     found, p, variance = True, _START, np.ones(len(v))
     for _ in range(rounds):
-        before, least = p, variance.min()
-        shared = stated.shared(v, p, _linearised(v, p, gravity)[0])
-        moved, spent, weight = (
-            np.zeros(len(v)),
-            0.0,
-            least / variance,
-        )  # of K lengths, (K,); (K, K) where they creep together
-        if shared is not None:
-            weight = least * np.linalg.inv(np.diag(variance) + shared @ shared.T)
-            spent = float(np.trace(shared.T @ weight @ shared)) / least  # degrees of freedom that N z takes
-        p, found = _descend(v, weight, p, gravity, free, prior * np.sqrt(least))
+        before, shared = p, stated.shared(v, p, _linearised(v, p, gravity)[0])
+        root = stated.root(variance, shared)
+        p, found = _descend(v, root, p, gravity, free, prior)
         design, residuals = _linearised(v, p, gravity)
-        if shared is not None:
-            moved = shared @ (shared.T @ (weight @ residuals)) / least  # the most likely N z
+        white = whitened(root, shared)
+        moved = shared @ (white.T @ whitened(root, residuals))  # the most likely N z
+        spare = len(v) - len(free) + len(prior) - float((white**2).sum())  # less the degrees of freedom that N z takes
         own = (design[:, 6:] ** 2 * stated.variances).sum(axis=1)  # d length / d reading = M'^T n
-        variance = own + excess_variance(residuals - moved, own, len(v) - len(free) + len(prior) - spent)
+        variance = own + excess_variance(residuals - moved, own, spare)
         variance = np.maximum(variance, (1e-12 * gravity) ** 2)
         if not found or float(np.abs(p - before).max()) < 1e-12 * gravity:
             break
@@ -206,27 +195,17 @@ def _upper(p: FloatArray) -> FloatArray:
 
 
 def _descend(
-    v: FloatArray, weight: FloatArray, start: FloatArray, gravity: float, free: IntArray, prior: FloatArray
+    v: FloatArray, root: FloatArray, start: FloatArray, gravity: float, free: IntArray, prior: FloatArray
 ) -> tuple[FloatArray, bool]:
     """Return the minimum and whether there is one; the start again where the steps run away."""
-    known, p = prior[:, free], start.copy()
+    p, size = start.copy(), np.array([1.0] * 6 + [gravity] * 3)[free]
 
-    def rows(values: FloatArray) -> Linearised:
+    def rows(values: FloatArray) -> Rows:
         p[free] = values
         design, residuals = _linearised(v, p, gravity)
-        columns = design.T[free]
-        weighted = columns * weight if weight.ndim == 1 else columns @ weight
-        cost = float(weight @ residuals**2 if weight.ndim == 1 else residuals @ weight @ residuals)
-        normal, gradient = weighted @ columns.T, weighted @ residuals
-        if not len(known):
-            return Linearised(cost, normal, gradient)
-        away = known @ values
-        return Linearised(cost + float(away @ away), normal + known.T @ known, gradient + known.T @ away)
+        return Rows(whitened(root, residuals), whitened(root, design[:, free]))
 
-    size = np.array([1.0] * 6 + [gravity] * 3)[free]
-    first = rows(start[free])
-    values, _, found = descend(rows, start[free], first, tolerance=1e-11, size=size, farthest=30.0, steps=100)
-    p[free] = values
+    p[free], _, found = descend(rows, start[free], prior[:, free], tolerance=1e-11, size=size, farthest=30.0, steps=100)
     return p, found
 
 
@@ -237,16 +216,6 @@ def _linearised(v: FloatArray, p: FloatArray, gravity: float) -> tuple[FloatArra
     length = np.sqrt((a * a).sum(axis=0))
     n = a / length
     return np.concatenate((n[ROW] * d[COLUMN], -matrix.T @ n)).T, length - gravity
-
-
-def _inverse(design: FloatArray) -> FloatArray:
-    """Return (J^T J)^-1 by singular values, NaN where they are short of rank."""
-    size = np.linalg.norm(design, axis=0)
-    _, singular, right = np.linalg.svd(design / np.where(size > 0.0, size, 1.0), full_matrices=False)
-    if len(singular) < design.shape[1] or len(design) < design.shape[1] or singular[-1] < 1e-9 * singular[0]:
-        return np.full((design.shape[1], design.shape[1]), np.nan)
-    root = right.T / singular / size[:, None]
-    return np.asarray(root @ root.T)
 
 
 # ---- is the solution one of free poses? a fit with its verdict, or a refusal

@@ -198,12 +198,10 @@ class Solutions:
 
 def solutions(design: FloatArray, reading: FloatArray, root: FloatArray) -> Solutions:
     """Solve design (E, P) and reading (E,) for T covariances: standard deviations (T, E), or Cholesky factors (T, E, E)."""
-    one_by_one = root.ndim == 2
-    white = design / root[0, :, None] if one_by_one else np.linalg.solve(root[0], design)
+    one_by_one, white = root.ndim == 2, whitened(root[0], design)
     length = np.linalg.norm(white, axis=0)
     # What the first covariance leaves of the readings is small, and so is rounding in the normal equations of all
-    first = reading / root[0] if one_by_one else np.linalg.solve(root[0], reading)
-    start = np.linalg.lstsq(white / length, first, rcond=None)[0]
+    start = np.linalg.lstsq(white / length, whitened(root[0], reading), rcond=None)[0]
     x = design / length
     rest = reading - x @ start
     if one_by_one:
@@ -237,6 +235,11 @@ def roots(sigma: FloatArray, in_common: FloatArray) -> FloatArray:
     if not in_common.any():
         return each
     return np.linalg.cholesky(each[:, :, None] ** 2 * np.eye(len(in_common)) + in_common)
+
+
+def whitened(root: FloatArray, rows: FloatArray) -> FloatArray:
+    """Return rows (E,) or (E, P) in standard deviations, by one of the ``roots``: (E,) or (E, E)."""
+    return np.linalg.solve(root, rows) if root.ndim == 2 else np.asarray((rows.T / root).T)
 
 
 def averaged(
@@ -406,48 +409,72 @@ def _at_sizes(
     return Components(theta=theta, covariance=covariance, variance=variance.copy(), likelihood=likelihood)
 
 
-# ---- rows that are not linear in the unknowns: Levenberg and Marquardt's steps of fixed weights
+# ---- rows that are not linear in the unknowns: Levenberg and Marquardt's steps of fixed weights, priors as rows among the others
 
 
 _MOST_DAMPING = 1e6  # no step makes the rows better: rounding
 
 
-class Linearised(NamedTuple):
-    """Weighed rows r at some p, with J = dr/dp."""
+class Rows(NamedTuple):
+    """Rows r at some p, in standard deviations, with J = dr/dp."""
 
-    cost: float  # r' W r
-    normal: FloatArray  # (P, P), J' W J
-    gradient: FloatArray  # (P,), J' W r
+    residual: FloatArray  # (E,)
+    design: FloatArray  # (E, P)
     state: Any = None  # What else was computed at p
+
+    @property
+    def cost(self) -> float:
+        """Sum of squares."""
+        return float(self.residual @ self.residual)
+
+    def known(self, prior: FloatArray, p: FloatArray) -> "Rows":
+        """Return them with the rows of a prior, (R, P): combinations of p that are 0 +- 1."""
+        if not len(prior):
+            return self
+        return Rows(np.concatenate((self.residual, prior @ p)), np.vstack((self.design, prior)), self.state)
 
 
 def descend(
-    rows: Callable[[FloatArray], Linearised],
+    rows: Callable[[FloatArray], Rows],
     start: FloatArray,
-    first: Linearised,
+    prior: FloatArray,
     *,
+    first: Rows | None = None,
     tolerance: float,
     size: FloatArray,
     farthest: float = np.inf,
     steps: int = 60,
-) -> tuple[FloatArray, Linearised, bool]:
-    """Return the minimum (P,), the rows there, and whether there is one; the start again where there is none.
+) -> tuple[FloatArray, Rows, bool]:
+    """Return the minimum (P,), the rows there with those of the prior, and whether there is one; else the start again.
 
     A step below the tolerance ends the search, in units of ``size`` (P,) like the farthest place where a minimum may lie.
     """
-    p, best, damping = start, first, 1e-9
+    p, damping = start, 1e-9
+    best = begun = (rows(start) if first is None else first).known(prior, start)
     for _ in range(steps):
-        length = np.sqrt(np.where(np.diag(best.normal) > 0.0, np.diag(best.normal), 1.0))
-        scaled = best.normal / (length[:, None] * length)
-        scaled.flat[:: len(p) + 1] += damping
-        step = -np.linalg.solve(scaled, best.gradient / length) / length
+        length = np.linalg.norm(best.design, axis=0)
+        length[length == 0.0] = 1.0
+        scaled = best.design / length
+        normal = scaled.T @ scaled
+        normal.flat[:: len(p) + 1] += damping
+        step = -np.linalg.solve(normal, scaled.T @ best.residual) / length
         if float(np.abs(step / size).max()) < tolerance or damping > _MOST_DAMPING:
             return p, best, True
-        trial = rows(p + step)
+        trial = rows(p + step).known(prior, p + step)
         if trial.cost <= best.cost:
             p, best, damping = p + step, trial, max(0.1 * damping, 1e-12)
         else:
             damping = max(10.0 * damping, 1e-6)
         if farthest < np.inf and float(np.abs(p / size).max()) > farthest:
             break
-    return start, first, False
+    return start, begun, False
+
+
+def covariance_of(design: FloatArray) -> FloatArray:
+    """Return (J' J)^-1 (P, P) of rows in standard deviations, by singular values; NaN where these are short of rank."""
+    size = np.linalg.norm(design, axis=0)
+    _, singular, right = np.linalg.svd(design / np.where(size > 0.0, size, 1.0), full_matrices=False)
+    if len(singular) < design.shape[1] or len(design) < design.shape[1] or singular[-1] < 1e-9 * singular[0]:
+        return np.full((design.shape[1], design.shape[1]), np.nan)
+    root = right.T / singular / size[:, None]
+    return np.asarray(root @ root.T)
