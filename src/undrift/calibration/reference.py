@@ -22,7 +22,7 @@ from undrift.calibration.adc import restored_gyro
 from undrift.errors import AlignmentError, Implausible, InputError, NotObservable
 from undrift.findings import Finding, finding
 from undrift.fit.equations import offset_of
-from undrift.fit.least_squares import TriadFit, scaled_condition
+from undrift.fit.least_squares import TriadFit, fit_huber, scaled_condition
 from undrift.fit.smooth import widening_of
 from undrift.frames import quaternion_conjugate, quaternion_of, quaternion_product, rotate, rotation_vector
 from undrift.model import G_NAMES, MATRIX_NAMES, OFFSET_NAMES, AdcModel, TriadModel, Verdict
@@ -128,9 +128,6 @@ def _whole(recording: Recording, reach: int) -> BoolArray:
 # (Satterthwaite 1946), but at least three times the windows that do not overlap, less the parameters. Intervals are Student's of as
 # many. Scores by themselves (Newey and West 1987) would say too little: some ten windows that do not overlap hold 18 parameters.
 
-_REWEIGHTINGS = 15
-_HUBER = 1.345  # k
-
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Solution:
@@ -161,7 +158,7 @@ def solve(recordings: Sequence[Recording], windows: Sequence[Windows], *, kept: 
         )
     rows = a.reshape(-1, len(kept))
     condition = _full_rank(rows)
-    x, weight, scale = _huber(rows, y.reshape(-1))
+    x, weight, scale = fit_huber(rows, y.reshape(-1))
     residual = y - a @ x
     weight = weight.reshape(-1, 3)
 
@@ -181,23 +178,6 @@ def _full_rank(design: FloatArray) -> float:
             rank=rank,
         )
     return condition
-
-
-def _huber(a: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray, float]:
-    """Return parameters, weights and robust scale (Huber, "Robust estimation of a location parameter", 1964)."""
-    length = np.linalg.norm(a, axis=0)
-    scaled = a / length
-    weight = np.ones(len(y))
-    x, scale = np.zeros(a.shape[1]), 0.0
-    for _ in range(_REWEIGHTINGS):
-        previous = x
-        x = np.linalg.solve((scaled.T * weight) @ scaled, scaled.T @ (weight * y))
-        size = np.abs(y - scaled @ x)
-        scale = 1.4826 * float(np.median(size))
-        weight = np.minimum(1.0, _HUBER * scale / np.maximum(size, 1e-15)) if scale > 0.0 else weight
-        if np.abs(x - previous).max() <= 1e-9 * max(float(np.abs(x).max()), 1e-12):
-            break
-    return x / length, weight, scale
 
 
 # Lags, in windows: from neighbours to windows that have nothing in common
@@ -295,7 +275,7 @@ def solve_chain(recordings: Sequence[Recording], steps: Sequence[Windows], *, ke
     condition = _full_rank(np.concatenate([t[:, :, 1:].reshape(-1, len(kept)) for t in tables]))
     white = _whitened(tables, links, _most_likely(tables, links))
     y, a = white[:, 0], white[:, 1:]
-    x, weight, scale = _huber(a, y)
+    x, weight, scale = fit_huber(a, y)
     length = np.linalg.norm(a, axis=0)
     scaled = a / length
     residual = y - scaled @ (x * length)

@@ -27,7 +27,7 @@ from undrift.calibration.pieces import check_gravity_length
 from undrift.errors import InputError, NotObservable
 from undrift.findings import Finding, finding
 from undrift.fit.equations import offset_of
-from undrift.fit.least_squares import TriadFit, scaled_condition, triad_fit
+from undrift.fit.least_squares import HUBER, TriadFit, huber_weight, scaled_condition, triad_fit
 from undrift.frames import rotation
 from undrift.model import MATRIX_NAMES, OFFSET_NAMES, TriadModel, Verdict
 from undrift.record import Record, Reference, Session, Still
@@ -39,7 +39,7 @@ _WINDOW_S, _STRIDE_S = 1.0, 0.5
 _POSE_SD = 2e-3  # rad: tilt of the reference at a rest
 _LEAST_SD = 1e-3  # m/s2: no window is better than this
 _PRIOR_MATRIX, _PRIOR_OFFSET = 0.05, 0.5  # relative; m/s2
-_HUBER, _PASSES = 1.345, 8
+_PASSES = 8
 _HELD = 0.5  # of the prior: a parameter that keeps more of it was not observed
 _WANTED = 0.005  # relative uncertainty
 _TURNED, _SPREAD = 12, 20.0  # equations, and their condition, with which counts show scale and null
@@ -240,8 +240,7 @@ def _solve(rows: Sequence[_Rows], nominal: FloatArray, factor: float, gravity: f
         scale = rest_sd
         if not rest.all():
             scale = max(_LEAST_SD, 1.4826 * float(np.median(np.abs(residual[~rest]))))
-        bound = np.minimum(1.0, _HUBER * scale / np.maximum(np.abs(residual), 1e-12))
-        weight = np.where(rest[:, None], rest_sd**-2.0, bound / scale**2)
+        weight = np.where(rest[:, None], rest_sd**-2.0, huber_weight(np.abs(residual), scale) / scale**2)
         flat = a.reshape(-1, size)
         normal = (flat.T * weight.reshape(-1)) @ flat + np.diag(sd**-2.0)
         x = np.linalg.solve(normal, flat.T @ (weight * wanted).reshape(-1) + mean / sd**2)
@@ -251,7 +250,7 @@ def _solve(rows: Sequence[_Rows], nominal: FloatArray, factor: float, gravity: f
     covariance = bread @ (np.diag(sd**-2.0) + rests.T @ rests) @ bread
     # Windows: the jackknife over blocks, x without block less x, whose few rests and turns would make a sandwich too narrow.
     # A residual beyond Huber's bound does not move x: normal equations of the others say how x follows the scores.
-    moving = np.where(rest[:, None], weight, (np.abs(residual) <= _HUBER * scale) / scale**2)
+    moving = np.where(rest[:, None], weight, (np.abs(residual) <= HUBER * scale) / scale**2)
     normal = (a.reshape(-1, size).T * moving.reshape(-1)) @ a.reshape(-1, size) + np.diag(sd**-2.0)
     block = np.concatenate([np.where(r.first < 0, -1, 100_000 * i + r.first // _BLOCK) for i, r in enumerate(rows)])
     for number in np.unique(block[~rest]):

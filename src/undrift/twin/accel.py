@@ -22,7 +22,8 @@ import numpy as np
 from undrift.arrays import BoolArray, FloatArray, IntArray
 from undrift.calibration.adc import restored_gyro
 from undrift.errors import AlignmentError, InputError, NotObservable
-from undrift.fit.least_squares import scaled_condition
+from undrift.fit.equations import offset_of
+from undrift.fit.least_squares import fit_huber, scaled_condition, triad_fit
 from undrift.frames import rotation
 from undrift.model import AdcModel, TriadModel
 from undrift.record import Record, Reference
@@ -120,8 +121,6 @@ def smoothed(values: FloatArray, cutoff_hz: float, sample_rate_hz: float) -> tup
 
 CUTOFF_HZ = 10.0  # above it the second derivative of the poses is noise
 BLOCK_S = 1.0
-HUBER = 1.345
-_REWEIGHTINGS = 10
 _PASSES = 2  # the second evaluates the motion at the delay found
 _LEAST_BLOCKS = 20
 
@@ -219,30 +218,25 @@ def solve_accel(prepared: PreparedAccel, *, chosen: Sequence[int] | None = None)
     rows = [prepared.rows[k] for k in (range(len(prepared.rows)) if chosen is None else chosen)]
     x, covariance, condition = _solve(rows)
     matrix = x[:9].reshape(3, 3)
-    inverse = np.linalg.inv(matrix)
-    offset = inverse @ x[9:12]
-    jacobian = np.eye(16)
-    jacobian[9:12, 9:12] = inverse
-    jacobian[9:12, :9] = -np.kron(inverse, offset)  # c = M o: do = M^-1 (dc - dM o)
+    offset, jacobian = offset_of(matrix, x[9:12], 16)
     covariance = jacobian @ covariance @ jacobian.T
     level = np.array([0.0, 0.0, prepared.gravity_m_s2])
     residuals = [r.force - r.design @ x for r in rows]
     force = np.concatenate([r.force for r in rows])
-    model = TriadModel(
+    fit = triad_fit(
+        np.concatenate(residuals),
         method="reference",
         unit_in="m/s2",
         unit_out="m/s2",
         matrix=matrix,
         offset=offset,
         covariance=covariance[:12, :12],
-        rms_residual=_rms(np.concatenate(residuals)),
-        count=force.size,
         rank=16,
         condition=condition,
         valid_range=(float(force.min()), float(force.max())),
     )
     return AccelFit(
-        model=model,
+        model=fit.model,
         lever_arm=x[12:15],
         delay=prepared.delay + float(x[15]),
         covariance=covariance,
@@ -267,22 +261,13 @@ def _solve(rows: Sequence[AccelRows]) -> tuple[FloatArray, FloatArray, float]:
             "about every axis",
             rank=rank,
         )
+    x, weight, _ = fit_huber(flat, y.reshape(-1), together=3, to_sigma=1.0, passes=10)
     scaled = flat / (length := np.linalg.norm(flat, axis=0))
-    weight = np.ones(len(y))
-    for _ in range(_REWEIGHTINGS):
-        each = np.repeat(weight, 3)
-        x = np.linalg.solve((scaled.T * each) @ scaled, scaled.T @ (each * y.reshape(-1)))
-        residual = y - (scaled @ x).reshape(-1, 3)
-        size = np.sqrt((residual**2).mean(axis=1))
-        scale = float(np.median(size))
-        if scale == 0.0:
-            break
-        weight = np.minimum(1.0, HUBER * scale / np.maximum(size, 1e-300))
-    bread: FloatArray = np.linalg.inv((scaled.T * np.repeat(weight, 3)) @ scaled)
-    scores = np.einsum("nap,na->np", scaled.reshape(-1, 3, 16), weight[:, None] * residual)
-    sums = np.add.reduceat(scores, blocks)
+    residual = y.reshape(-1) - flat @ x
+    bread: FloatArray = np.linalg.inv((scaled.T * weight) @ scaled)
+    sums = np.add.reduceat((scaled.T * (weight * residual)).T.reshape(-1, 3, 16).sum(axis=1), blocks)
     covariance: FloatArray = bread @ (sums.T @ sums) @ bread * (len(blocks) / max(len(blocks) - 16 / 3, 1.0))
-    return x / length, covariance / np.outer(length, length), condition
+    return x, covariance / np.outer(length, length), condition
 
 
 def _rms(values: FloatArray) -> float:
