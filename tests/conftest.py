@@ -46,7 +46,7 @@ def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> Non
 @pytest.fixture(scope="session")
 def shared(tmp_path_factory: pytest.TempPathFactory) -> list[tuple[Callable[..., object], Callable[..., object]]]:
     """Pure functions whose results tests share, each with one that remembers."""
-    from undrift.calibration.reference import prepare
+    from undrift.calibration.reference import align
     from undrift.drift.select import choose_tables
     from undrift.study.case import run_unit
     from undrift.study.figure3 import calibrated, effect_table, figure3
@@ -55,7 +55,7 @@ def shared(tmp_path_factory: pytest.TempPathFactory) -> list[tuple[Callable[...,
     from undrift.validation.agreement import validate_leave_one_out
     from undrift.validation.trial import validate_trial
 
-    poses = native_poses, find_lag, prepare
+    poses = native_poses, find_lag, align
     fits = choose_tables, fit_prepared, calibrated
     studies = run_unit, figure3, effect_table
     folder = run_folder(tmp_path_factory)

@@ -407,26 +407,51 @@ class HeldOut:
 
 # ---- recordings
 
-_MARGIN_S = 0.5  # of rest that belongs to the motion on either side
+MARGIN_S = 0.5  # of rest that belongs to the motion on either side
 
 
-def prepare(
-    record: Record, reference: Reference, settings: ReferenceSettings, adc: AdcModel | None, lag_settings: LagSettings
-) -> Recording:
-    """Find lag, motion, rest and poses of one recording."""
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Aligned:
+    """A record and its reference on one clock."""
+
+    record: Record
+    gyro: FloatArray  # (N, 3), its readings, corrected for the ADC's rounding where it is known
+    reference: Reference  # Poses at the frames that the cameras took
+    lag: Lag  # Of the gyroscope readings against the poses
+    span: Motion  # From the first to the last rest, on the record's clock
+
+    @property
+    def at_rest(self) -> BoolArray:
+        """True where there are readings of the rest before the motion, shape (N,)."""
+        before = self.record.time < self.span.start_s - MARGIN_S
+        return np.asarray(before & np.isfinite(self.gyro).all(axis=1))
+
+    def corrected(self, adc: AdcModel | None) -> "Aligned":
+        """Return it with readings corrected for the half steps that the rounding took."""
+        return replace(self, gyro=restored_gyro(self.gyro, adc))
+
+
+def align(record: Record, reference: Reference, lag_settings: LagSettings = LagSettings()) -> Aligned:
+    """Find lag and motion of one recording."""
     poses = native_poses(reference)
     lag = find_lag(record, poses, lag_settings)
-    if record.gyro is None or (settings.g_sensitivity and record.accel is None):
+    span = find_motion(record, poses, lag_s=lag.seconds)
+    return Aligned(record=record, gyro=np.asarray(record.gyro), reference=poses, lag=lag, span=span)
+
+
+def recording_of(aligned: Aligned, settings: ReferenceSettings) -> Recording:
+    """Return the rest of a recording, and its poses at the ends of windows."""
+    record, gyro, time, motion = aligned.record, aligned.gyro, aligned.record.time, aligned.span
+    if settings.g_sensitivity and record.accel is None:
         raise InputError("reference: wanted gyro and accel for a g-sensitivity, got one only; map the other's columns")
-    gyro, time = restored_gyro(record.gyro, adc), record.time
-    motion = find_motion(record, poses, lag_s=lag.seconds)
+    poses, lag = aligned.reference, aligned.lag
     gap: BoolArray = np.asarray(np.isnan(gyro).any(axis=1))
     step = np.diff(time)
     late = np.concatenate(([False], step > LONGEST_STEP * np.median(step)))
-    rest, rest_uncertainty = _rest(time, gyro, motion)
+    rest, rest_uncertainty = _rest(aligned)
     # Strapdown holds each reading over the step before its stamp: half a sample.
     at = poses.time + (lag.seconds - 0.5 * float(np.median(step)))
-    inside = (at >= max(motion.start_s - _MARGIN_S, time[0])) & (at <= min(motion.stop_s + _MARGIN_S, time[-1]))
+    inside = (at >= max(motion.start_s - MARGIN_S, time[0])) & (at <= min(motion.stop_s + MARGIN_S, time[-1]))
     chosen = np.flatnonzero(inside)[:: max(1, round(settings.stride_s * poses.sample_rate_hz))]
     return Recording(
         time=time,
@@ -442,9 +467,9 @@ def prepare(
     )
 
 
-def _rest(time: FloatArray, gyro: FloatArray, motion: Motion) -> tuple[FloatArray, FloatArray]:
-    at_rest = (time < motion.start_s - _MARGIN_S) & np.isfinite(gyro).all(axis=1)
-    readings, second = gyro[at_rest], np.floor(time[at_rest] - time[0]).astype(np.int64)
+def _rest(aligned: Aligned) -> tuple[FloatArray, FloatArray]:
+    time, at_rest = aligned.record.time, aligned.at_rest
+    readings, second = aligned.gyro[at_rest], np.floor(time[at_rest] - time[0]).astype(np.int64)
     if len(readings) < 2 or second[-1] == second[0]:
         raise InputError(
             "reference: wanted two seconds of rest readings before the motion, got fewer; record a rest first"
@@ -469,7 +494,12 @@ def fit_reference(
     lag_settings: LagSettings = LagSettings(),
 ) -> ReferenceFit:
     """Fit matrix, in-motion offset and, on request, g-sensitivity of a gyroscope to references."""
-    return _fit(prepare_all(records, references, settings, adc, lag_settings), settings, records[0].gyro_unit)
+    return fit_aligned([one.corrected(adc) for one in align_all(records, references, lag_settings)], settings)
+
+
+def fit_aligned(aligned: Sequence[Aligned], settings: ReferenceSettings) -> ReferenceFit:
+    """Fit the gyroscopes of one device to recordings whose lag and motion are known."""
+    return _fit([recording_of(one, settings) for one in aligned], settings, aligned[0].record.gyro_unit)
 
 
 def leave_one_out(
@@ -489,14 +519,12 @@ def leave_one_out(
         raise InputError(
             f"leave one out: wanted two recordings of a device or more, got {len(records)}; add recordings"
         )
-    plain = corrected = prepare_all(records, references, settings, None, lag_settings)
-    errors = None
+    unit, held, errors = records[0].gyro_unit, list[HeldOut](), None
+    aligned = align_all(records, references, lag_settings)
+    plain, corrected = ([recording_of(one.corrected(each), settings) for one in aligned] for each in (None, adc))
     if adc is not None:
         progress("cross-validating the correction of the ADC", 0.0)
-        corrected = prepare_all(records, references, settings, adc, lag_settings)
-        if len(records) > 2:
-            errors = _adc_errors((plain, corrected), settings, records[0].gyro_unit)
-    unit, held = records[0].gyro_unit, list[HeldOut]()
+        errors = _adc_errors((plain, corrected), settings, unit) if len(records) > 2 else None
     for i in range(len(records)):
         progress(f"fit without recording {i + 1} of {len(records)}", i / len(records))
         keep, why = (True, None) if adc is None else _adc_choice(errors, without=i)
@@ -519,8 +547,9 @@ def cross_validated_adc(
         return None, None
     errors = None
     if len(records) > 1:
-        both = [prepare_all(records, references, settings, one, lag_settings) for one in (None, adc)]
-        errors = _adc_errors((both[0], both[1]), settings, records[0].gyro_unit)
+        aligned = align_all(records, references, lag_settings)
+        plain, corrected = ([recording_of(one.corrected(each), settings) for one in aligned] for each in (None, adc))
+        errors = _adc_errors((plain, corrected), settings, records[0].gyro_unit)
     keep, why = _adc_choice(errors, without=None)
     return adc if keep else None, why
 
@@ -559,14 +588,8 @@ def _adc_choice(errors: FloatArray | None, *, without: int | None) -> tuple[bool
     return keep, finding("reference.adc", "info", choice="kept" if keep else "left out", **degrees)
 
 
-def prepare_all(
-    records: Sequence[Record],
-    references: Sequence[Reference],
-    settings: ReferenceSettings,
-    adc: AdcModel | None,
-    lag_settings: LagSettings,
-) -> list[Recording]:
-    """Prepare the recordings of one device for the fit."""
+def align_all(records: Sequence[Record], references: Sequence[Reference], lag_settings: LagSettings) -> list[Aligned]:
+    """Find lag and motion of the recordings of one device."""
     if not records or len(records) != len(references):
         raise InputError(
             f"reference: wanted one reference for each record, got {len(records)} records and {len(references)} references"
@@ -576,7 +599,7 @@ def prepare_all(
         raise InputError(
             f"reference: wanted one unit for all recordings of a device, got {', '.join(units)}; convert them"
         )
-    return [prepare(*pair, settings, adc, lag_settings) for pair in zip(records, references, strict=True)]
+    return [align(*pair, lag_settings) for pair in zip(records, references, strict=True)]
 
 
 def _fit(prepared: Sequence[Recording], settings: ReferenceSettings, unit: str) -> ReferenceFit:

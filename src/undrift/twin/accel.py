@@ -15,12 +15,12 @@ The motion is a spline through the poses (``sim.motion.poses``), evaluated at th
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray, IntArray
-from undrift.calibration.adc import restored_gyro
+from undrift.calibration.reference import MARGIN_S, Aligned, align
 from undrift.errors import AlignmentError, InputError, NotObservable
 from undrift.fit.equations import offset_of
 from undrift.fit.least_squares import fit_huber, scaled_condition, triad_fit
@@ -30,29 +30,21 @@ from undrift.record import Record, Reference
 from undrift.segments import runs
 from undrift.sim.motion.motion import Motion
 from undrift.sim.motion.poses import PoseSettings, PoseSpline, fit_pose_spline
-from undrift.sync import Lag, LagSettings, find_lag, find_motion, native_poses
-from undrift.sync import Motion as Span
 
 # ---- a recording and the ideal motion of its reference, on one time axis
 
 POSE_SETTINGS = PoseSettings(cutoff_hz=30.0, position_cutoff_hz=30.0)
-_LEAD_S = 0.5  # of rest that belongs to the motion on either side
 _SHORTEST_S = 1.0  # stretches shorter than this are not filtered
 _EDGE = 1.5  # periods of the cut-off left out at each end of a stretch
 _PER_CUTOFF = 4.0  # samples kept for each period of the cut-off
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Match:
-    """One recording and the motion of its reference."""
+class Match(Aligned):
+    """One recording in rad/s and m/s2, and the motion of its reference."""
 
     name: str
-    record: Record  # rad/s and m/s2
-    gyro: FloatArray  # (N, 3), readings with the mean loss of the ADC's rounding corrected, rad/s
-    reference: Reference  # Poses at the frames that the cameras took
-    spline: PoseSpline  # Through them
-    lag: Lag  # Of the gyroscope readings against the poses
-    span: Span  # The motion, on the record's clock
+    spline: PoseSpline  # Through the poses
     rest_offset: FloatArray  # (3,), mean of ``gyro`` at rest before the motion, rad/s
 
     def at(self, delay_s: float, gravity_m_s2: float) -> Motion:
@@ -63,13 +55,13 @@ class Match:
     def moving(self) -> BoolArray:
         """True within the motion, half a second of rest on either side included, shape (N,)."""
         return np.asarray(
-            (self.record.time >= self.span.start_s - _LEAD_S) & (self.record.time < self.span.stop_s + _LEAD_S)
+            (self.record.time >= self.span.start_s - MARGIN_S) & (self.record.time < self.span.stop_s + MARGIN_S)
         )
 
     @property
     def rest(self) -> Record:
         """Readings of the rest before the motion, the ADC's rounding corrected: truncation narrows noise about zero."""
-        return replace(self.record, gyro=self.gyro).between(float(self.record.time[0]), self.span.start_s - _LEAD_S)
+        return replace(self.record, gyro=self.gyro).between(float(self.record.time[0]), self.span.start_s - MARGIN_S)
 
 
 def match(record: Record, reference: Reference, *, adc: AdcModel | None = None, name: str = "") -> Match:
@@ -77,23 +69,15 @@ def match(record: Record, reference: Reference, *, adc: AdcModel | None = None, 
     done = record.in_si()
     if done.gyro is None:
         raise InputError("twin: wanted a record with a gyroscope, got none; map its columns")
-    frames = native_poses(reference)
-    lag = find_lag(done, frames, LagSettings())
-    span = find_motion(done, frames, lag_s=lag.seconds)
-    gyro = restored_gyro(done.gyro, adc)
-    at_rest = gyro[done.time < span.start_s - _LEAD_S]
-    at_rest = at_rest[np.isfinite(at_rest).all(axis=1)]
-    if not len(at_rest):
+    aligned = align(done, reference).corrected(adc)
+    rest = aligned.gyro[aligned.at_rest]
+    if not len(rest):
         raise AlignmentError("twin: wanted readings of a rest before the motion, got none; record a rest first")
     return Match(
+        **{field.name: getattr(aligned, field.name) for field in fields(aligned)},
         name=name or reference.name,
-        record=done,
-        gyro=gyro,
-        reference=frames,
-        spline=fit_pose_spline(frames, POSE_SETTINGS),
-        lag=lag,
-        span=span,
-        rest_offset=at_rest.mean(axis=0),
+        spline=fit_pose_spline(aligned.reference, POSE_SETTINGS),
+        rest_offset=rest.mean(axis=0),
     )
 
 

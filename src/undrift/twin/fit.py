@@ -21,7 +21,7 @@ import numpy as np
 from undrift.arrays import FloatArray
 from undrift.calibration.adc import AdcFinding, identify_adc
 from undrift.calibration.calibrate import device_adc
-from undrift.calibration.reference import ReferenceFit, ReferenceSettings, fit_reference
+from undrift.calibration.reference import ReferenceFit, ReferenceSettings, fit_aligned
 from undrift.errors import CalibrationError, InputError
 from undrift.findings import Finding, finding
 from undrift.frames import rotate
@@ -357,9 +357,8 @@ def fit_prepared(
 ) -> Twin:
     """Fit the device model to chosen recordings."""
     number = list(range(len(prepared.records)) if chosen is None else chosen)
-    records, references = [prepared.records[k] for k in number], [prepared.references[k] for k in number]
     matches = [prepared.matches[k] for k in number]
-    gyro = fit_reference(records, references, settings=ReferenceSettings(mounting="one"), adc=prepared.adc)
+    gyro = fit_aligned(matches, ReferenceSettings(mounting="one"))
     rests, codes = [m.rest for m in matches], prepared.accel_codes
     twin = Twin(
         gyro=gyro,
@@ -375,7 +374,7 @@ def fit_prepared(
     if brief:
         return twin
     left, signal = np.array([gyro_residual(m, gyro, settings) for m in matches]).T
-    parameters = _parameters(twin, prepared, records, references)
+    parameters = _parameters(twin, prepared, matches)
     return replace(twin, parameters=parameters, gyro_residual_rms=left, gyro_signal_rms=signal)
 
 
@@ -395,20 +394,18 @@ def gyro_residual(match: Match, fit: ReferenceFit, settings: TwinSettings) -> tu
     return float(np.sqrt(left)), float(np.sqrt(seen))
 
 
-def _parameters(
-    twin: Twin, prepared: Prepared, records: Sequence[Record], references: Sequence[Reference]
-) -> tuple[TwinParameter, ...]:
-    gyro, model = twin.gyro, twin.gyro.triad.model
+def _parameters(twin: Twin, prepared: Prepared, matches: Sequence[Match]) -> tuple[TwinParameter, ...]:
+    gyro, model, first = twin.gyro, twin.gyro.triad.model, matches[0].record
     found = [known("gyro_delay", *mean_with_error(gyro.lags_s, gyro.lag_uncertainties_s), "s")]
     found += triad_parameters("gyro", model, model.covariance, "rad/s")
     errors = np.sqrt(np.maximum(np.diag(model.covariance)[9:12], 0.0))
     moved = zip(AXES, gyro.motion_offset, errors, strict=True)
     found += [known(f"gyro_motion_offset_{a}", value, error, "rad/s") for a, value, error in moved]
-    found += _g_sensitivity(prepared, records, references)
+    found += _g_sensitivity(matches)
     found += _accel_parameters(twin, prepared.accel_refused)
-    found += _noise_parameters("gyro", twin.gyro_noise, "rad/s/sqrt(Hz)", records[0].sample_rate_hz)
-    found += _noise_parameters("accel", twin.accel_noise, "m/s2/sqrt(Hz)", records[0].sample_rate_hz)
-    codes = None if records[0].gyro is None else identify_adc(records[0].gyro)
+    found += _noise_parameters("gyro", twin.gyro_noise, "rad/s/sqrt(Hz)", first.sample_rate_hz)
+    found += _noise_parameters("accel", twin.accel_noise, "m/s2/sqrt(Hz)", first.sample_rate_hz)
+    codes = None if first.gyro is None else identify_adc(first.gyro)
     rounding = None if twin.adc is None or twin.adc.gyro_lsb is None else twin.adc.gyro_rounding
     return tuple(found + _adc("gyro", codes, rounding, "rad/s") + _adc("accel", prepared.accel_codes, None, "m/s2"))
 
@@ -417,14 +414,11 @@ def _step(lsb: FloatArray | None) -> float:
     return 0.0 if lsb is None else float(np.mean(lsb))
 
 
-def _g_sensitivity(
-    prepared: Prepared, records: Sequence[Record], references: Sequence[Reference]
-) -> list[TwinParameter]:
-    if any(record.accel is None for record in records):
+def _g_sensitivity(matches: Sequence[Match]) -> list[TwinParameter]:
+    if any(match.record.accel is None for match in matches):
         return [unknown("gyro_g_sensitivity", _PER_FORCE, finding("twin.no_accelerometer", "info"))]
     try:
-        settings = ReferenceSettings(g_sensitivity=True, mounting="one")
-        model = fit_reference(records, references, settings=settings, adc=prepared.adc).triad.model
+        model = fit_aligned(matches, ReferenceSettings(g_sensitivity=True, mounting="one")).triad.model
     except CalibrationError as error:
         return [unknown("gyro_g_sensitivity", _PER_FORCE, finding("twin.not_fitted", "warn", error=str(error)))]
     values = np.zeros(9) if model.g_sensitivity is None else model.g_sensitivity.ravel()
