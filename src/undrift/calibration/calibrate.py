@@ -163,6 +163,13 @@ def calibrate(
     >>> made.gyro.method, made.accel.method, made.verdict.status
     ('rate-table/affine', 'six-face/levelled', 'good')
     """
+    return calibrated(session, accel=accel, gyro=gyro, mode=mode, settings=settings)[0]
+
+
+def calibrated(
+    session: Session, *, accel: str | None, gyro: str | None, mode: Mode | None, settings: CalibrateSettings
+) -> tuple[Calibration, Observed]:
+    """Calibrate a device from a session, and return with it what was seen of rests and turns."""
     if accel is not None:
         find_fit(accel, "accel")  # an unknown name is an error before anything is fitted
     if gyro not in (None, "none"):
@@ -203,7 +210,7 @@ def calibrate(
     for outcome in (of_accel, of_gyro):
         verdict = verdict if outcome.fit is None else verdict.also(outcome.fit.verdict)
     thermal = session.kind == "thermal" or bool(other_temperatures)
-    return Calibration(
+    made = Calibration(
         device=session.serial or session.records[0].device,
         reference_temp_c=seen.mean_temperature(),
         gravity_m_s2=session.gravity_m_s2,
@@ -214,6 +221,7 @@ def calibrate(
         provenance=_provenance(session, seen, of_accel.method, of_gyro.method, mode),
         file_map=session.file_map,
     )
+    return made, seen
 
 
 def _observed(session: Session, settings: CalibrateSettings) -> tuple[AdcModel | None, Observed]:

@@ -150,7 +150,7 @@ class _Stated(NamedTuple):
 
     def root(self, variance: FloatArray, shared: FloatArray) -> FloatArray:
         """Return what whitens lengths of a variance each, (K,), that N moves together."""
-        return roots(np.sqrt(variance), shared @ shared.T if shared.size else np.zeros(1))[0]
+        return np.asarray(roots(np.sqrt(variance), shared @ shared.T if shared.size else np.zeros(1))[0])
 
 
 def _settled(

@@ -547,8 +547,9 @@ class Observed:
     settings: CalibrateSettings
     stills: tuple[Still, ...]  # Stated in the session, else found; found ones carry a face where gravity shows one
     found: bool  # True where they were found
-    findings: tuple[Finding, ...]
+    findings: tuple[Finding, ...] = ()
     searches: tuple[StillSearch, ...] = ()  # One for each recording where they were found
+    _turns: dict[int, TurnSearch] = field(default_factory=dict)  # Of a recording, once it was asked for
 
     @property
     def adapted(self) -> bool:
@@ -592,7 +593,7 @@ class Observed:
     def full_turns(self) -> tuple[Turn, ...]:
         """Return three full turns about x, y and z found between rests, with their angles."""
         full: list[Turn] = []
-        for record, search in self._turns():
+        for _, record, search in self.turn_searches():
             if not is_physical(record.gyro_unit):
                 continue
             angles = search.rotation_angle * si_factor(record.gyro_unit, "rate")
@@ -611,7 +612,7 @@ class Observed:
         """
         turned: list[tuple[Turn, float]] = []
         tolerance, whole = self.settings.scale_tolerance, abs(angle / _FULL_TURN - round(angle / _FULL_TURN)) < 1e-6
-        for record, search in self._turns():
+        for _, record, search in self.turn_searches():
             physical = is_physical(record.gyro_unit)
             factor = si_factor(record.gyro_unit, "rate") if physical else 1.0
             for turn, read in zip(search.rotations, search.rotation_angle, strict=True):
@@ -653,11 +654,10 @@ class Observed:
 
     def _why_missing(self, angle_deg: float) -> str:
         """Return why turns by a known angle may be missing: the recording ends in one, or they read a multiple of it."""
-        for number, (record, search) in enumerate(self._turns()):
-            if record.gyro is None:
-                continue
-            last = np.linalg.norm(record.gyro[-round(_END_S * record.sample_rate_hz) :], axis=1)
-            if search.rotations and last.min() > _CUT_LIMITS[1] * np.linalg.norm(record.gyro, axis=1).max():
+        for number, record, search in self.turn_searches():
+            gyro = np.asarray(record.gyro)
+            last = np.linalg.norm(gyro[-round(_END_S * record.sample_rate_hz) :], axis=1)
+            if search.rotations and last.min() > _CUT_LIMITS[1] * np.linalg.norm(gyro, axis=1).max():
                 return f"; recording {number} still turns at its end: its last turn is cut off"
             unit = si_factor(record.gyro_unit, "rate") if is_physical(record.gyro_unit) else np.nan
             read = [
@@ -692,45 +692,45 @@ class Observed:
 
     def plateaus(self) -> tuple[Turn, ...]:
         """Return the steady turns that the recordings hold."""
-        return tuple(turn for _, search in self._turns() for turn in search.plateaus)
+        return tuple(turn for _, _, search in self.turn_searches() for turn in search.plateaus)
 
-    def _turns(self) -> Iterator[tuple[Record, TurnSearch]]:
+    def turn_searches(self) -> Iterator[tuple[int, Record, TurnSearch]]:
+        """Yield the number of each recording with gyroscopes, the recording, and the turns found in it, searched once."""
         for number, record in enumerate(self.session.records):
             if record.gyro is not None:
-                yield record, find_turns(record, [s for s in self.stills if s.recording == number])
+                if number not in self._turns:
+                    self._turns[number] = find_turns(record, [s for s in self.stills if s.recording == number])
+                yield number, record, self._turns[number]
+
+
+def look(session: Session, settings: CalibrateSettings) -> Observed:
+    """Take a session's stills as stated, or find and label them; nothing is checked."""
+    session, searches = in_one_unit(session), tuple[StillSearch, ...]()
+    if not session.stills:
+        searches = find_poses(session.records, settings.still)
+    stills = session.stills or labelled(session, tuple(still for search in searches for still in search.stills))
+    return Observed(session=session, settings=settings, stills=stills, found=not session.stills, searches=searches)
 
 
 def observe(session: Session, settings: CalibrateSettings) -> Observed:
-    """Take a session's stills as stated, or find and label them."""
-    session = in_one_unit(session)
-    check_counted_once(session)
-    stills = session.stills
-    found: list[Finding] = []
-    searches: tuple[StillSearch, ...] = ()
-    if not stills:
-        searches = find_poses(session.records, settings.still)
-        for number, search in enumerate(searches):
-            stills = (*stills, *search.stills)
-            if not search.stills:
-                found.append(finding("session.no_still", "warn", recording=number, reason=search.reason))
-        stills = labelled(session, stills)
-        if len(stills) < _FEW and len({s.face for s in stills} - {None}) < len(FACES):
-            found += _pauses_left_out(session, searches)
+    """Take a session's stills as stated, or find and label them, and check that they are such."""
+    check_counted_once(in_one_unit(session))
+    seen = look(session, settings)
+    session, stills = seen.session, seen.stills
+    found = [
+        finding("session.no_still", "warn", recording=number, reason=search.reason)
+        for number, search in enumerate(seen.searches)
+        if not search.stills
+    ]
+    if seen.found and len(stills) < _FEW and len({s.face for s in stills} - {None}) < len(FACES):
+        found += _pauses_left_out(session, seen.searches)
     for number, record in enumerate(session.records):
         own = [s for s in stills if s.recording == number]
         if own and record.accel is not None and is_physical(record.accel_unit):
             check_gravity(still_means(record.accel, own) * si_factor(record.accel_unit, "accel"), session.gravity_m_s2)
-    found += check_stills(session, stills, stated=bool(session.stills))
+    found += check_stills(session, stills, stated=not seen.found)
     found += check_turns(session, stills, settings.settle_s)
-    seen = Observed(
-        session=session,
-        settings=settings,
-        stills=stills,
-        found=not session.stills,
-        findings=tuple(found),
-        searches=searches,
-    )
-    return seen.with_turns()
+    return replace(seen, findings=tuple(found)).with_turns()
 
 
 def in_one_unit(session: Session) -> Session:

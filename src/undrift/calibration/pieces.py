@@ -18,7 +18,7 @@ from undrift.calibration.observe import (
     Observed,
     at_one_temperature,
     in_one_unit,
-    labelled,
+    look,
     piece_name,
     piece_temperatures,
     saturated_turns,
@@ -28,7 +28,7 @@ from undrift.findings import Finding, finding, told_apart
 from undrift.fit.least_squares import block_size, noise_of_means
 from undrift.model import Calibration, TriadModel, level_of
 from undrift.record import Record, Session, Still, Turn
-from undrift.segments import LeftOut, find_poses, find_still, find_turns, left_out
+from undrift.segments import LeftOut, TurnSearch, find_still, left_out
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical, si_factor
 
 _SATURATED = "gyroscope saturated"
@@ -48,23 +48,24 @@ class Piece:
 
 
 def pieces_of(
-    session: Session, settings: CalibrateSettings = CalibrateSettings(), made: Calibration | None = None
+    session: Session,
+    settings: CalibrateSettings = CalibrateSettings(),
+    made: Calibration | None = None,
+    seen: Observed | None = None,
 ) -> tuple[tuple[Piece, ...], str]:
     """Return the pieces of a session, stated or found, in order of time, and why there is no still.
 
-    With the calibration that was made of it, pieces that it did not use say why.
+    With the calibration that was made of it, pieces that it did not use say why; with what it saw, they are not looked for again.
     """
+    seen = look(session, settings) if seen is None else seen
     session = in_one_unit(session)
-    stills, out, reason = session.stills, list[Piece](), ""
-    if not stills:
-        searches = find_poses(session.records, settings.still)
-        stills = labelled(session, tuple(still for search in searches for still in search.stills))
-        reason = next((search.reason for search in searches if search.reason), "")
-        out = [
-            Piece(kind="still", start=one.start, stop=one.stop, recording=number, why=_why(one))
-            for number, pair in enumerate(zip(session.records, searches, strict=True))
-            for one in left_out(*pair)
-        ]
+    stills = session.stills or seen.stills
+    reason = next((search.reason for search in seen.searches if search.reason), "")
+    out = [
+        Piece(kind="still", start=one.start, stop=one.stop, recording=number, why=_why(one))
+        for number, pair in enumerate(zip(seen.session.records, seen.searches, strict=False))
+        for one in left_out(*pair)
+    ]
     here = session if made is None else at_one_temperature(session)[0]
     stated: tuple[Still | Turn, ...] = (*here.stills, *here.turns)
     kept = {(piece.recording, piece.start, piece.stop) for piece in stated}
@@ -81,9 +82,8 @@ def pieces_of(
         for piece in found
     ]
     if not session.turns:
-        for number, record in enumerate(session.records):
-            own = [still for still in stills if still.recording == number]
-            found += [] if record.gyro is None else list(_turns(record, own, number, made))
+        for each in seen.turn_searches():
+            found += _turns(*each, made)
     return tuple(sorted((*found, *out), key=lambda piece: (piece.recording, piece.start))), reason if not stills else ""
 
 
@@ -126,9 +126,9 @@ def _of_turn(turn: Turn, made: Calibration | None) -> Piece:
     return Piece(kind="turn", start=turn.start, stop=turn.stop, recording=turn.recording, label=label, why=why)
 
 
-def _turns(record: Record, stills: list[Still], number: int, made: Calibration | None) -> Iterator[Piece]:
+def _turns(number: int, record: Record, found: TurnSearch, made: Calibration | None) -> Iterator[Piece]:
     """Return the steady turns and the moves between stills that the gyroscope shows."""
-    found, method = find_turns(record, stills), "" if made is None else _method(made)
+    method = "" if made is None else _method(made)
     known = is_physical(record.gyro_unit)
     factor = si_factor(record.gyro_unit, "rate") / RADIAN_PER_DEGREE if known else 1.0
     for turn, rate in zip(found.plateaus, found.plateau_rate * factor, strict=True):

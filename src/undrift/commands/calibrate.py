@@ -34,7 +34,7 @@ from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
 if TYPE_CHECKING:
     from undrift.arrays import FloatArray
-    from undrift.calibration.observe import CalibrateSettings
+    from undrift.calibration.observe import CalibrateSettings, Observed
     from undrift.calibration.pieces import Piece
     from undrift.model import Calibration, TriadModel
     from undrift.record import Record, Session
@@ -113,6 +113,7 @@ class Calibrated(Result):
     files: tuple[Path, ...]
     calibration: "Calibration"
     session: "Session"
+    seen: "Observed"
     settings: "CalibrateSettings"
     registered: list[dict[str, Any]]
     output: Path | None
@@ -130,7 +131,7 @@ class Calibrated(Result):
         """What was found in the session; what was not used says why."""
         from undrift.calibration.pieces import pieces_of
 
-        return pieces_of(self.session, self.settings, self.calibration)[0]
+        return pieces_of(self.session, self.settings, self.calibration, self.seen)[0]
 
     def summary(self) -> Summary:
         """Return matrices and offsets with their uncertainty, what was used, and how the fit reproduces it."""
@@ -198,7 +199,7 @@ def calibrate(
     figure : Path or None
         Picture to write of the recordings, with what was used and what was left out: .svg, .png or .pdf.
     """
-    from undrift.calibration.calibrate import calibrate as fit
+    from undrift.calibration.calibrate import calibrated as fit
     from undrift.calibration.observe import CalibrateSettings
     from undrift.io.store import write_calibration
 
@@ -216,9 +217,9 @@ def calibrate(
     progress("reading", 0.0)
     session = session_of(files, place, opening)
     progress("fitting", 0.5)
-    made = fit(session, accel=accel, gyro=gyro, mode=mode, settings=settings)
+    made, seen = fit(session, accel=accel, gyro=gyro, mode=mode, settings=settings)
     calibrated = Calibrated(
-        files=files, calibration=made, session=session, settings=settings, output=output, figure=figure,
+        files=files, calibration=made, session=session, seen=seen, settings=settings, output=output, figure=figure,
         registered=registering.add(made, source=output),
     )  # fmt: skip
     if output is not None:
