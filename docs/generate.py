@@ -27,6 +27,7 @@ def write_all(folder: Path) -> None:
     """Write every generated page."""
     folder.mkdir(exist_ok=True)
     pages = {"findings.md": findings(), "keys.md": keys(), "presets.md": presets(), "api.md": api(), **commands()}
+    pages["watch.md"] = watch()
     for name, text in pages.items():
         path = folder / name
         if not path.exists() or path.read_text(encoding="utf-8") != text:
@@ -303,6 +304,20 @@ def presets() -> str:
         ]
         parts.append(f"{title}:\n\n| {heads[side]} |\n|{'---|' * (heads[side].count('|') + 1)}\n" + "\n".join(rows))
     return "---\norphan: true\n---\n\n# Presets\n\n" + "\n\n".join(parts) + "\n"
+
+
+def watch() -> str:
+    """Return the table of what is watched while a rate table is driven."""
+    from undrift.rig.rig import WATCHED
+
+    rows = [f"| {row.by} | {row.what} | {row.limit:g} {row.unit} | {row.act} |" for row in WATCHED.values()]
+    return (
+        "---\norphan: true\n---\n\n# What is watched while a rate table is driven\n\nGuard, run, lock, standby, driver and card "
+        "read their limits from one table, `WATCHED` in `rig/rig.py`; this page is made from it. 0 s: at the next look. "
+        "[Rigs](../rig.md) says how a run goes.\n\n| who | looks at | limit | then |\n|---|---|---|---|\n"
+        + "\n".join(rows)
+        + "\n"
+    )
 
 
 STAGES = {

@@ -26,11 +26,12 @@ def paced(rows: int, period_s: float = 0.01, skip=()):
             yield b"%d,%d,2,3\n" % (k, k)
 
 
-def test_ten_minutes_at_two_kilohertz_and_ten_channels_come_without_a_loss():
+@pytest.mark.parametrize("minutes", [1, pytest.param(10, marks=pytest.mark.long)])
+def test_minutes_at_two_kilohertz_and_ten_channels_come_without_a_loss(minutes):
     rng = np.random.default_rng(0)
     block = rng.integers(-250, 250, (12_000, 10))
-    rows = 1_200_000
-    values = np.tile(block, (100, 1))
+    rows = 120_000 * minutes
+    values = np.tile(block, (10 * minutes, 1))
     body = np.zeros(rows, dtype=[("sync", "V2"), ("count", "<u4"), ("values", "<i2", 10), ("crc", "<u2")])
     body["sync"], body["count"], body["values"] = np.void(b"\xaa\x55"), np.arange(rows), values
     raw = body.view("u1").reshape(rows, -1)

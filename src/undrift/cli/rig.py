@@ -29,7 +29,6 @@ rig = group(
     "rig",
     "Run a protocol on a rate table, stop it from another shell, check a table, or emulate one; each takes --json.",
 )
-LONGEST_SILENCE_S = 60.0  # of a check, s of the host; then it hangs, and the guard stops the table
 
 
 @rig.command(help_epilogue=examples("rig run"))
@@ -338,7 +337,7 @@ def check(
         Upload a program to a Galil card that stops the axis when this computer has been silent for 5 s; cleared at the end.
     """
     from undrift.rig.check import CheckSettings, check_rig
-    from undrift.rig.rig import RigSettings, open_rig, parse_address
+    from undrift.rig.rig import WATCHED, RigSettings, open_rig, parse_address
     from undrift.rig.watch import Guard, StopWatch, check_free, one_run, stopping_on_signals
 
     limits = _limits(turn_rate_dps, acceleration_dps2, travel_deg)
@@ -360,7 +359,7 @@ def check(
         def report(line: str) -> None:
             stops.check()
             guard.check()
-            guard.expect(LONGEST_SILENCE_S)
+            guard.expect(WATCHED["progress"].limit)  # longer: it hangs, and the guard stops the table
             if sys.stderr.isatty():
                 say_over(line)
 

@@ -350,6 +350,49 @@ def in_words(kind: str, code: int) -> str:
     return codes(kind).get(str(code), codes(kind)["other"])
 
 
+# ---- What is watched while a table is driven: guard, run, lock, standby, driver and card read their limits here, and docs/rig.md
+# links the page that docs/generate.py makes of it.
+
+
+@dataclass(frozen=True, slots=True)
+class Watched:
+    """A row: who looks at what, when that is too much, and what follows."""
+
+    by: str
+    what: str
+    limit: float  # s of the host unless the unit says otherwise
+    act: str
+    unit: str = "s"
+
+
+WATCHED = {
+    "program": Watched(
+        "guard", "beats of the program that drives the table, one a second, and the pipe that they come by", 5.0,
+        "table stopped and motor off over a connection of its own, chamber off; at once where the pipe ends without a last word",
+    ),
+    "progress": Watched(
+        "run", "what a run or a check says of itself, beside ramps and settling", 60.0, "its beats end, so that the guard acts"
+    ),
+    "guard": Watched("run", "the guard's process, before each step and several times a second", 0.0, "the run ends"),
+    "mark": Watched("run", "marks that rig stop leaves on this computer, as often", 0.0, "the run ends"),
+    "lock": Watched("lock", "another run of the same table on this computer", 0.3, "refused before a byte is sent"),
+    "motor": Watched("lock", "the motor on, or moving, before a run begins", 0.0, "refused; nothing is set or stopped"),
+    "connection": Watched("standby", "its own connection to the table, between two looks", 2.0, "opened again"),
+    "slow-down": Watched("standby", "a table after ST, until MO is taken", 0.5, "AB, with MO every 50 ms"),
+    "stopped run": Watched("standby", "a run after SIGTERM", 4.0, "killed, so that its guard stops the table too"),
+    "ended run": Watched(
+        "standby", "a run after all that", 10.0,
+        "stop and motor off over a fresh connection, four times at most, else NOT CONFIRMED",
+    ),
+    "answer": Watched("driver", "an answer of the controller", 2.0, "stop, abort, motor off, else NOT CONFIRMED"),
+    "following error": Watched("Galil card", "commanded minus actual angle (ER, OE1)", 5.0, "motor off", "deg"),
+    "variable": Watched(
+        "card watchdog", "a variable of the card that this computer writes once a second", 5.0,
+        "ST, after that MO: by the card itself",
+    ),
+}  # fmt: skip
+
+
 # ---- Addresses.
 
 CONTROLLERS = {  # kind -> the function that opens a rig
@@ -369,7 +412,7 @@ class RigSettings:
     speed_step: int = 1  # Counts/s between two speeds of a Galil card: 1, or 2 on older ones
     baud: int = 0  # Bits per second of a serial port; 0 is the rig's usual
     hardware_handshake: bool = False  # RTS/CTS of a serial port
-    reply_timeout_s: float = 2.0  # Longest wait for an answer, s
+    reply_timeout_s: float = WATCHED["answer"].limit  # Longest wait for an answer, s
     clock_speed: float = 1.0  # Table seconds per host second: 1 for hardware, an emulator's speed otherwise
     clock: Clock | None = None  # The table's; None is the host's, at clock_speed
     # Shows a person a line and returns what they typed; a manual rig needs it

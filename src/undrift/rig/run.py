@@ -37,7 +37,7 @@ from undrift.rig.judge import (
 )
 from undrift.rig.manual import ManualRig
 from undrift.rig.programme import TURN_S, Dwell, Mount, Programme, Soak, Step
-from undrift.rig.rig import Achieved, Position, Rig, achieved_turn_rate, check_programme
+from undrift.rig.rig import WATCHED, Achieved, Position, Rig, achieved_turn_rate, check_programme
 from undrift.rig.watch import Guard, StopWatch, uninterrupted
 
 # ---- run
@@ -421,8 +421,6 @@ def check_air(chamber: Chamber | None, step: Dwell, where: str) -> float | None:
 
 # ---- Watch over a run: the guard stands by, nobody stopped the table from elsewhere, and the program does not hang.
 
-LONGEST_WORDLESS_S = 60.0  # that a run says nothing beside its ramp and settling, s of the host; then it hangs
-
 
 class Watch:
     """Receives the progress of a run, before each step and several times a second, and ends it by an exception."""
@@ -430,7 +428,7 @@ class Watch:
     def __init__(self, stops: StopWatch, guard: Guard | None, programme: Programme) -> None:
         waits = [step.ramp_s + step.settle_s for step in programme.steps if isinstance(step, Dwell)]
         self._stops, self._guard = stops, guard
-        self._within_s = LONGEST_WORDLESS_S + max(waits, default=0.0)
+        self._within_s = WATCHED["progress"].limit + max(waits, default=0.0)
 
     def arm(self) -> None:
         """Say that the rig is open from now on."""

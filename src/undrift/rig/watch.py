@@ -1,9 +1,11 @@
 """Watch over a table: one run at a time, a guard that stops it when its program is gone, and a stop that leaves at once.
 
+What is watched, by whom, with which limit and what follows is one table, ``WATCHED`` in rig/rig.py.
+
 **Guard.** A card that jogs keeps jogging when the program that started it is killed (kill -9, out of memory) or halted (kill -STOP,
 a computer that swaps). The guard is a second process that listens at a pipe from that program: a beat every second, "done" when all
-ended well. The end of the pipe without "done", or 5 s of silence, has it open the rig itself and close it again: stop, motor off,
-and the chamber off. That needs a rig that takes a second connection, or a port that is free again: TCP and serial.
+ended well. The end of the pipe without "done", or too long a silence, has it open the rig itself and close it again. That needs a
+rig that takes a second connection, or a port that is free again: TCP and serial.
 
 **Marks.** ``undrift rig stop`` leaves a mark in the user's temporary folder, so that a run that mounts or soaks, whose motor is
 off, does not switch it on again: on the same computer, by the same user and for the same address.
@@ -50,7 +52,7 @@ from undrift.rig.chamber import open_chamber
 from undrift.rig.galil import read_status
 from undrift.rig.grbl import JOG_CANCEL, GrblController, reply_end
 from undrift.rig.link import Link, LinkPort, link_settings
-from undrift.rig.rig import RigSettings, open_rig, parse_address
+from undrift.rig.rig import WATCHED, RigSettings, open_rig, parse_address
 
 log = logging.getLogger(__name__)
 
@@ -148,7 +150,7 @@ def _handled(handler: Callable[[int, FrameType | None], None]) -> Iterator[None]
 
 DONE, READY = "done", "ready"
 BEAT_S = 1.0
-SILENCE_S = 5.0  # after which the program counts as gone
+SILENCE_S = WATCHED["program"].limit
 LONGEST_S = 20.0  # that a guard is waited for
 
 
@@ -316,7 +318,7 @@ def one_run(address: str, what: str) -> Iterator[None]:
     handle = _opened(place_of(address))
     try:
         try:
-            take_lock(handle, 0.3)
+            take_lock(handle, WATCHED["lock"].limit)
         except OSError as error:
             holder = os.pread(handle, 300, 0).decode("utf-8", "replace").strip()
             raise RigFault(
@@ -382,11 +384,7 @@ def _grbl_state(url: str, settings: RigSettings) -> str:
 
 # ---- Standby.
 
-CHECK_S = 2.0  # between two questions whether the connection stands
 AGAIN_S = 0.05  # between two shouts
-ABORT_S = 0.5  # that a table is given to slow down
-PATIENCE_S = 4.0  # that a run is given to end by itself, before it is killed
-RUN_ENDS_S = 10.0  # that its end is waited for
 TRIES, PAUSE_S = 4, 1.5  # to confirm the stop: a guard may hold a serial port, a table slows down
 
 
@@ -423,7 +421,7 @@ class Standby:
         """Send a stop without waiting for an answer; return whether it left. Repeats switch off, and abort what goes on."""
         letter = self._settings.axis or "X"
         words = [f"ST{letter}"] if times == 0 else [f"MO{letter}"]
-        words = ["AB", *words] if since_s > ABORT_S else words
+        words = ["AB", *words] if since_s > WATCHED["slow-down"].limit else words
         data = JOG_CANCEL if self.kind == "grbl" else "".join(f"{word}\r" for word in words).encode()
         if self._serial:
             return times == 0 and self._write_serial(data)
@@ -465,7 +463,7 @@ class Standby:
                 self._link.resynchronise()
         except RigError:
             self._connect()
-        return CHECK_S
+        return WATCHED["connection"].limit
 
     def _write_serial(self, data: bytes) -> bool:
         try:
@@ -493,10 +491,10 @@ def stop_now(standby: Standby, ended: Callable[[], bool], pid: int | None) -> bo
         mark_stop(standby.address)
     _send(pid, signal.SIGTERM, signal.SIGCONT)
     began, times, killed = clock.now(), 0, False
-    while not ended() and (since_s := clock.now() - began) < RUN_ENDS_S:
+    while not ended() and (since_s := clock.now() - began) < WATCHED["ended run"].limit:
         times += 1
         standby.shout(times, since_s)
-        if since_s > PATIENCE_S and not killed:
+        if since_s > WATCHED["stopped run"].limit and not killed:
             killed = True
             _send(pid, signal.SIGKILL)
         clock.wait(AGAIN_S)

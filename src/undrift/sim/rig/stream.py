@@ -209,11 +209,10 @@ class EmulatedDevice(Served, Machine):
     def _scene(self, times: FloatArray) -> tuple[Scene, FloatArray]:
         """Return what surrounds the device at moments, and its mean rate over the step before each."""
         angle, mean_rate = self._table.axis_states(times, mean_s=self._step)
-        earth = np.broadcast_to(earth_rate(self.settings.latitude_deg), (len(times), 3))
-        turned = quaternion_of(angle[:, None] * np.array([0.0, 0.0, 1.0]))
-        rate = mean_rate[:, None] * self._up + rotate(
-            quaternion_conjugate(quaternion_product(turned, np.broadcast_to(self._mounted, (len(times), 4)))), earth
-        )
+        rate = mean_rate[:, None] * self._up
+        if self.settings.latitude_deg is not None:
+            q = quaternion_product(quaternion_of(angle[:, None] * np.array([0.0, 0.0, 1.0])), self._mounted)
+            rate = rate + rotate(quaternion_conjugate(q), earth_rate(self.settings.latitude_deg))
         before = np.vstack((rate[:1] if self._last_rate is None else self._last_rate, rate[:-1]))
         self._last_rate = rate[-1:]
         force = np.broadcast_to(self.settings.gravity_m_s2 * self._up, (len(times), 3))
