@@ -23,7 +23,13 @@ def test_one_recording_is_corrected_into_a_file_of_any_ending(undrift, bench, tm
     made, known = read_record(tmp_path / name), read_record(bench / "corrected.parquet")
     assert (made.state, made.gyro_unit, made.accel_unit) == ("corrected", "rad/s", "m/s2")
     np.testing.assert_allclose(made.gyro, known.gyro, atol=1e-12, rtol=0.0)  # rad/s, rounding alone
-    assert answer.out == f"{bench / 'trial.parquet'} -> {tmp_path / name}: {len(known)} samples in rad/s and m/s2\n"
+    lines = answer.out.splitlines()
+    answer_of_page = f"{len(known)} samples are in rad/s and m/s2, none outside the temperatures of the calibration."
+    assert (lines[0], lines[-1]) == (answer_of_page, f"Wrote {tmp_path / name}")
+    assert " ".join(next(line for line in lines if "trial.parquet" in line).split()) == (
+        f"trial.parquet {name} {len(known)} 0 0 0"
+    )
+    assert "  warning: " not in answer.out
     beside = [name + ".json"] if ".csv" in name else []
     assert sorted(path.name for path in tmp_path.iterdir()) == [name, *beside]
 
@@ -130,7 +136,7 @@ def test_time_outside_and_at_extrapolated_nodes_is_told_in_text_and_json(undrift
         out = tmp_path / f"out.{name}"
         rows.append(undrift.good("correct", tmp_path / name, *words, "-o", out, "--json").json()["recordings"][0])
         text = undrift.good("correct", tmp_path / name, *words, "-o", out).out
-        assert [line for line in text.splitlines() if line.startswith("  ")] == [
+        assert [line for line in text.splitlines() if line.startswith(("  warning", "  note"))] == [
             *(f"  warning: {said}" for said in rows[-1]["warnings"]),
             *(f"  note: {said}" for said in rows[-1]["notes"]),
         ]

@@ -156,7 +156,7 @@ def test_names_with_brackets_are_shown_as_they_are(undrift, bench, tmp_path):
     path.write_bytes((bench / "trial.parquet").read_bytes())
     assert str(path) in undrift.good("info", path).out
     assert (
-        str(path)
+        path.name
         in undrift.good("correct", path, "--calibration", bench / "calibration.json", "-o", tmp_path / "o").out
     )
 

@@ -7,6 +7,7 @@ command line under their own names, the keyword arguments of Python, and the fie
 from collections.abc import Callable
 from dataclasses import is_dataclass
 from functools import wraps
+from inspect import signature
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeAlias, TypeVar, cast, get_type_hints
 
@@ -42,14 +43,15 @@ def verb(function: Callable[..., Value]) -> Callable[..., Value]:
                 kinds = get_type_hints(hint)
                 own = {key: _as(kinds[key], stated.pop(key)) for key in kinds.keys() & stated.keys()}
                 stated |= {name: cast(Any, hint)(**own)} if own else {}
-        stated = {name: _as(hints[name], value) if name in hints else value for name, value in stated.items()}
-        return function(*(_as(Path, value) for value in given), **stated)
+        call = signature(function).bind(*given, **stated)
+        call.arguments.update({name: _as(hints[name], value) for name, value in call.arguments.items()})
+        return function(*call.args, **call.kwargs)
 
     return called
 
 
 def _as(hint: Any, value: Any) -> Any:
     """Return a value with names of files as paths, and one of several as several."""
-    if isinstance(value, str) and "Path" in str(hint):
-        value = Path(value)
+    if "Path" in str(hint) and isinstance(value, str | tuple | list):
+        value = Path(value) if isinstance(value, str) else tuple(map(Path, value))
     return (value,) if "tuple[" in str(hint) and isinstance(value, str | Path) else value

@@ -138,6 +138,17 @@ class Result(ABC):
         return as_html(self.summary())
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, repr=False)
+class Answer(Result):
+    """A result that is all in its summary: its figures are those of ``data``."""
+
+    shown: Summary
+
+    def summary(self) -> Summary:
+        """Return what came out."""
+        return self.shown
+
+
 class Shown(ABC):
     """A value that draws itself and is a table in a notebook."""
 
@@ -215,12 +226,12 @@ def plain(value: object) -> Plain:
 def as_html(summary: Summary) -> str:
     """Return a summary as a part of a notebook: answer, tables, verdict with its first findings."""
     parts = [f"<h4>{escape(summary.title)}</h4><p>{escape(summary.answer)}</p>"]
-    for section in (
-        section for section in summary.sections if section.rows and not section.folded and section.on != "page"
-    ):
+    for section in (one for one in summary.sections if not one.folded and one.on != "page"):
         head = "".join(f"<th>{escape(name)}</th>" for name in section.columns)
         body = ("<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>" for row in section.rows)
-        parts.append(f"<table><caption>{escape(section.title)}</caption><tr>{head}</tr>{''.join(body)}</table>")
+        if section.rows:
+            parts.append(f"<table><caption>{escape(section.title)}</caption><tr>{head}</tr>{''.join(body)}</table>")
+        parts += (f"<p>{escape(line)}</p>" for line in section.text)
     if summary.verdict is not None:
         parts.append(f"<p>Verdict: {summary.verdict.status}</p>")
     findings = (*(summary.verdict.findings if summary.verdict else ()), *summary.findings)

@@ -304,4 +304,5 @@ def _files(value: object) -> Iterator[Path]:
             yield from _files(one)
     elif is_dataclass(value):
         for one in fields(value):
-            yield from _files(getattr(value, one.name))
+            if WRITTEN not in getattr(one.type, "__metadata__", ()):
+                yield from _files(getattr(value, one.name))

@@ -17,7 +17,19 @@ Open ``orient.py`` first: it is the shortest complete one. Nothing here imports 
 from collections.abc import Callable
 from typing import TypeAlias
 
-VERBS = ("calibrate", "certificate", "noise", "orient", "twin", "validate")  # each a function in the module of its name
+# Each a function in the module of its name
+VERBS = (
+    "calibrate",
+    "certificate",
+    "correct",
+    "export",
+    "info",
+    "noise",
+    "orient",
+    "simulate",
+    "twin",
+    "validate",
+)
 Progress: TypeAlias = Callable[[str, float], None]  # what is being done, and the share of the whole that is done
 
 

@@ -1,4 +1,4 @@
-"""The pages of correct and rig run: what each brings to the frame."""
+"""The page of a rig run: what it brings to the frame."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -17,39 +17,6 @@ if TYPE_CHECKING:
     from undrift.rig.run import RunResult
 
 DPS = RADIAN_PER_DEGREE
-
-
-def write_correct_report(
-    path: Path,
-    record: "Record",
-    rows: Sequence[dict[str, Any]],
-    *,
-    remarks: tuple[str, ...],
-    origin: Origin | None = None,
-) -> None:
-    """Write the page of corrected recordings; the record is the first of them, or its beginning."""
-    samples = sum(row["samples"] for row in rows)
-    outside = sum(row["samples_outside"] + row["samples_without_temperature"] for row in rows)
-    far = sum(row["samples_extrapolated"] for row in rows)
-    covered = "none outside the temperatures of the calibration"
-    if far or outside:
-        shares = [f"{100.0 * count / samples:.3g} %" for count in (far, outside)]
-        covered = f"{shares[0]} of them where the tuning tables are extrapolated, {shares[1]} outside"
-    heads = ("recording", "output", "samples", "outside tables", "extrapolated", "without temperature")
-    keys = ("samples", "samples_outside", "samples_extrapolated", "samples_without_temperature")
-    table = tuple(
-        (Path(row["recording"]).name, Path(row["output"]).name, *(str(row[key]) for key in keys)) for row in rows
-    )
-    summary = Summary(
-        title=f"Corrected: {table[0][0]}" + (f" and {len(rows) - 1} more" if len(rows) > 1 else ""),
-        answer=f"{samples} samples are in rad/s and m/s2, {covered}.",
-        pictures=(svg_of(figures.draw_record(record)),),
-        sections=(
-            Section(title="Recordings", columns=heads, rows=table),
-            Section(title="Warnings and notes", text=remarks),
-        ),
-    )
-    write_page(path, summary, origin)
 
 
 def write_rig_report(path: Path, result: "RunResult", name: str, *, origin: Origin | None = None) -> None:

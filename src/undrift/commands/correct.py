@@ -1,32 +1,21 @@
 """``undrift correct``: many recordings, any size, constant memory."""
 
 from contextlib import nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
-from undrift.base.options import Details, Files, Json, Output, Policy, Report
-from undrift.cli.common import progress, say, show_verdict, write_json
-from undrift.commands.files import (
-    Opening,
-    calibrated_part,
-    check_folder,
-    check_output,
-    check_report,
-    name_of,
-    named_columns,
-    origin_of,
-)
+from undrift.base.options import Files, Output, Policy, verb
+from undrift.base.summary import Drawing, Result, Section, Summary, at
+from undrift.commands import Progress, part_of, silent
+from undrift.commands.files import Opening, calibrated_part, check_folder, check_output, name_of, named_columns
 from undrift.commands.register import Registered
 from undrift.errors import InputError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from rich.progress import Progress
-
-    from undrift.base.summary import Origin
     from undrift.correction.correct import Corrector, CorrectorState
     from undrift.correction.coverage import Beyond
     from undrift.correction.rest import RestOffset, Stretch
@@ -38,6 +27,96 @@ if TYPE_CHECKING:
 NOT_COVERED = ("outside", "extrapolated", "without_temperature")  # of the tuning tables
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class CorrectedFile:
+    """A recording that was corrected, and what a reader of it should know."""
+
+    record: Path
+    output: Path
+    state: "CorrectorState"
+    warnings: tuple[str, ...]  # Where the calibration did not cover it, and signs that it was not read rightly
+    notes: tuple[str, ...]
+    findings: "tuple[Finding, ...]"  # Signs of other columns or another unit; in the warnings too
+    beyond: "tuple[Beyond, ...]"  # Readings beyond the range of the fits; in the warnings too
+    rest: "RestOffset | None"  # What was subtracted because it was left at a rest; in the notes too
+
+    def row(self) -> dict[str, Any]:
+        """Return the recording as --json has it."""
+        from undrift.io.store import findings_json
+
+        outside = {f"samples_{kind}": getattr(self.state, f"samples_{kind}") for kind in NOT_COVERED}
+        outside |= {f"seconds_{kind}": getattr(self.state.reach, f"seconds_{kind}") for kind in NOT_COVERED}
+        return {
+            "recording": str(self.record),
+            "output": str(self.output),
+            "samples": self.state.samples,
+            **outside,
+            "beyond_range": [
+                {key: getattr(one, key) for key in ("sensor", "samples", "share", "worst")}
+                | {"range": one.seen, "unit": "rad/s" if one.sensor == "gyro" else "m/s2"}
+                for one in self.beyond
+                if one.samples
+            ],
+            "rest": self.rest and self.rest.figures,
+            "warnings": self.warnings,
+            "notes": self.notes,
+            "findings": findings_json(self.findings),
+        }
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class CorrectedFiles(Result):
+    """Corrected recordings."""
+
+    calibration: Path
+    model: "Calibration"
+    files: tuple[CorrectedFile, ...]
+
+    def summary(self) -> Summary:
+        """Return how much of each recording the calibration covers, with warnings and notes."""
+        rows, several, verdict = [file.row() for file in self.files], len(self.files) > 1, self.model.verdict
+        samples, far = (sum(row[key] for row in rows) for key in ("samples", "samples_extrapolated"))
+        outside = sum(row["samples_outside"] + row["samples_without_temperature"] for row in rows)
+        covered = "none outside the temperatures of the calibration"
+        if far or outside:
+            shares = [f"{100.0 * count / samples:.3g} %" for count in (far, outside)]
+            covered = f"{shares[0]} of them where the tuning tables are extrapolated, {shares[1]} outside"
+        keys = ("samples", *(f"samples_{kind}" for kind in NOT_COVERED))
+        remarks = tuple(
+            f"{file.record.name}, {what}: {text}" if several else f"{what}: {text}"
+            for file in self.files
+            for what, texts in (("warning", file.warnings), ("note", file.notes))
+            for text in texts
+        )
+        return Summary(
+            title=f"Corrected: {self.files[0].record.name}" + (f" and {len(rows) - 1} more" if several else ""),
+            answer=f"{samples} samples are in rad/s and m/s2, {covered}.",
+            data={"calibration": str(self.calibration), "recordings": rows},
+            pictures=(Drawing(place="undrift.commands.correct:draw_corrected", of=(self.files[0].output,)),),
+            sections=(
+                Section(
+                    title="Recordings",
+                    columns=("recording", "output", "samples", "outside tables", "extrapolated", "without temperature"),
+                    rows=tuple(
+                        (file.record.name, file.output.name, *(str(row[key]) for key in keys))
+                        for file, row in zip(self.files, rows, strict=True)
+                    ),
+                ),
+                Section(title="Warnings and notes", text=remarks),
+                Section(title=f"Calibration, verdict: {verdict.status}", findings=verdict.findings, folded=True),
+            ),
+            written=tuple(file.output for file in self.files),
+        )
+
+
+def draw_corrected(path: Path) -> Any:
+    """Draw a corrected recording, or its beginning where it is long."""
+    from undrift.io.formats import iter_record
+
+    return at("undrift.report.figures:draw_record")(next(iter_record(path)))
+
+
+@verb
 def correct(
     *records: Files,
     calibration: Path | None = None,
@@ -51,10 +130,8 @@ def correct(
     still_stop_s: float | None = None,
     opening: Opening = Opening(),
     scheduler: str | None = None,
-    report: Report = None,
-    details: Details = False,
-    json: Json = False,
-) -> int:
+    progress: Progress = silent,
+) -> CorrectedFiles:
     """Turn raw recordings into rad/s and m/s2; the ending of the output names the format. Parquet streams in constant memory.
 
     Parameters
@@ -92,7 +169,6 @@ def correct(
         raise InputError("--still-start-s, --still-stop-s: wanted --offset rest beside them, got none; add it")
     model, calibration = registered.read(calibration, records, opening)
     targets = _targets(records, output, (calibration, opening.column_map))
-    check_report(report, reads=(*records, calibration))
     folder = targets[0].parent
     opening = opening.like(model, calibration)
     made = not folder.exists()
@@ -106,41 +182,12 @@ def correct(
     if offset == "rest":
         corrected = partial(corrected, stretch=stretch)
     try:
-        results = _correct_all(records, targets, corrected, scheduler)
+        files = _correct_all(records, targets, corrected, scheduler, progress)
     except BaseException:
         if made:
             folder.rmdir()
         raise
-    rows = [_row(*result) for result in results]
-    if report is not None:
-        _write_report(report, rows, targets[0], origin_of(*records, calibration))
-    if json:
-        write_json({"calibration": str(calibration), "recordings": rows}, "correct")
-        return 0
-    for record, target, state, remarks in results:
-        say(
-            f"{record} -> {target}: {state.samples} samples in rad/s and m/s2",
-            *(f"  warning: {text}" for text in remarks.warnings),
-            *(f"  note: {text}" for text in remarks.notes),
-        )
-    if details:
-        show_verdict(model.verdict, details=True)
-    say(*([f"Wrote {report}"] if report else []))
-    return 0
-
-
-def _write_report(path: Path, rows: list[dict[str, object]], first: Path, origin: "Origin") -> None:
-    """Write the page, with a picture of the first recording, or of its beginning where it is long."""
-    from undrift.io.formats import iter_record
-    from undrift.report.commands import write_correct_report
-
-    remarks = [
-        f"{Path(str(row['recording'])).name}: {text}"
-        for row in rows
-        for key in ("warnings", "notes")
-        for text in row[key]  # type: ignore[attr-defined]
-    ]
-    write_correct_report(path, next(iter_record(first)), rows, remarks=tuple(remarks), origin=origin)
+    return CorrectedFiles(calibration=calibration, model=model, files=files)
 
 
 def _history(text: str, model: "Calibration") -> "TempHistory":
@@ -163,73 +210,39 @@ def _history(text: str, model: "Calibration") -> "TempHistory":
         ) from error
 
 
-def _row(record: Path, target: Path, state: "CorrectorState", remarks: "Remarks") -> dict[str, object]:
-    """Return a recording as --json has it."""
-    from undrift.io.store import findings_json
-
-    outside = {f"samples_{kind}": getattr(state, f"samples_{kind}") for kind in NOT_COVERED}
-    outside |= {f"seconds_{kind}": getattr(state.reach, f"seconds_{kind}") for kind in NOT_COVERED}
-    return {
-        "recording": str(record),
-        "output": str(target),
-        "samples": state.samples,
-        **outside,
-        "beyond_range": [
-            {key: getattr(one, key) for key in ("sensor", "samples", "share", "worst")}
-            | {"range": one.seen, "unit": "rad/s" if one.sensor == "gyro" else "m/s2"}
-            for one in remarks.beyond
-            if one.samples
-        ],
-        "rest": remarks.rest and remarks.rest.figures,
-        "warnings": remarks.warnings,
-        "notes": remarks.notes,
-        "findings": findings_json(remarks.findings),
-    }
-
-
 def _correct_all(
     records: tuple[Path, ...],
     targets: list[Path],
-    correct_one: "Callable[..., tuple[CorrectorState, Remarks]]",
+    correct_one: "Callable[..., CorrectedFile]",
     scheduler: str | None,
-) -> list[tuple[Path, Path, "CorrectorState", "Remarks"]]:
+    progress: Progress,
+) -> tuple[CorrectedFile, ...]:
     """Correct into a hidden folder beside the targets; they appear when all are whole."""
-    done = []
     from undrift.files import hidden_folder
 
-    with hidden_folder(targets[0].parent) as held, progress() as shown:
-        parts = [held / target.name for target in targets]
+    with hidden_folder(targets[0].parent) as hidden:
+        parts, done, count = [hidden / target.name for target in targets], dict[int, CorrectedFile](), len(records)
         if scheduler is not None:
-            done = _on_workers(list(zip(records, parts, strict=True)), correct_one, scheduler, shown)
+            from undrift.study.run import Dask
+
+            # Workers stand in folders of their own: absolute paths
+            jobs = [(record.resolve(), part.resolve()) for record, part in zip(records, parts, strict=True)]
+            for place, one in Dask(scheduler).run(partial(_job, correct_one), jobs):
+                done[place] = one
+                progress(records[place].name, len(done) / count)
         else:
-            for record, part in zip(records, parts, strict=True):
-                task = shown.add_task(record.name, total=_rows(record))
-                done.append(correct_one(record, part, advance=partial(shown.advance, task)))
-        for part in sorted(held.iterdir()):  # the recordings, and what is written beside them
+            for place, (record, part) in enumerate(zip(records, parts, strict=True)):
+                share = part_of(progress, place / count, (place + 1) / count)
+                done[place] = correct_one(record, part, progress=share)
+        for part in sorted(hidden.iterdir()):  # the recordings, and what is written beside them
             part.replace(targets[0].parent / part.name)
-    return [(record, target, *one) for record, target, one in zip(records, targets, done, strict=True)]
+    named = enumerate(zip(records, targets, strict=True))
+    return tuple(replace(done[place], record=record, output=target) for place, (record, target) in named)
 
 
-def _job(
-    correct_one: "Callable[..., tuple[CorrectorState, Remarks]]", job: tuple[Path, Path]
-) -> "tuple[CorrectorState, Remarks]":
-    """Correct on a worker: by absolute paths, since it stands in a folder of its own, and without a bar."""
-    return correct_one(*job, advance=bool)
-
-
-def _on_workers(
-    jobs: list[tuple[Path, Path]],
-    correct_one: "Callable[..., tuple[CorrectorState, Remarks]]",
-    scheduler: str,
-    shown: "Progress",
-) -> list[tuple["CorrectorState", "Remarks"]]:
-    from undrift.study.run import Dask
-
-    task, done = shown.add_task("recordings", total=len(jobs)), {}
-    for place, one in Dask(scheduler).run(partial(_job, correct_one), [(r.resolve(), p.resolve()) for r, p in jobs]):
-        done[place] = one
-        shown.advance(task)
-    return [done[place] for place in range(len(jobs))]
+def _job(correct_one: "Callable[..., CorrectedFile]", job: tuple[Path, Path]) -> CorrectedFile:
+    """Correct on a worker."""
+    return correct_one(*job)
 
 
 def _targets(records: tuple[Path, ...], output: Path, read: tuple[Path | None, ...]) -> list[Path]:
@@ -257,17 +270,6 @@ def _targets(records: tuple[Path, ...], output: Path, read: tuple[Path | None, .
     return targets
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Remarks:
-    """What a reader of a corrected recording should know."""
-
-    warnings: list[str]  # Where the calibration did not cover it, and signs that it was not read rightly
-    notes: list[str]
-    findings: "tuple[Finding, ...]"  # Signs of other columns or another unit; in the warnings too
-    beyond: "tuple[Beyond, ...]"  # Readings beyond the range of the fits; in the warnings too
-    rest: "RestOffset | None" = None  # What was subtracted because it was left at a rest; in the notes too
-
-
 def _correct_one(
     record: Path,
     part: Path,
@@ -277,8 +279,9 @@ def _correct_one(
     opening: Opening,
     made_by: "Callable[[Path], dict[str, object]]",
     stretch: "Stretch | None" = None,
-    advance: "Callable[[float], None]",
-) -> tuple["CorrectorState", Remarks]:
+    progress: Progress = silent,
+) -> CorrectedFile:
+    """Correct one recording, chunk by chunk where its target takes chunks."""
     from undrift.correction.consistency import check_corrected, check_force
     from undrift.correction.correct import read_ahead
     from undrift.correction.coverage import find_beyond
@@ -293,7 +296,8 @@ def _correct_one(
     suspicions: tuple[Finding, ...] = ()
     saturated: dict[object, Finding] = {}  # by channel and axis, over all chunks
     beyond: tuple[Beyond, ...] = ()
-    whole = not part.name.endswith(".parquet")
+    whole, total = not part.name.endswith(".parquet"), _rows(record)
+    progress(record.name, 0.0)
     with nullcontext() if whole else ParquetWriter(part) as writer:
         for read in (opening.read(record),) if whole else read_ahead(opening.chunks(record)):
             chunk, left_out = calibrated_part(read, model)
@@ -312,10 +316,13 @@ def _correct_one(
             notes.update(dict.fromkeys((*left_out, *done.notes)))
             found = find_beyond(done.record, model)
             beyond = tuple(a.joined(b) for a, b in zip(beyond, found, strict=True)) if beyond else found
-            advance(len(chunk))
+            progress(record.name, stream.state.samples / total if total else 0.0)
     suspicions = (*saturated.values(), *(one for one in suspicions if one.code != "recording.saturated"))
-    warnings = [*(one.text for one in suspicions), *stream.warnings, *(one.text for one in beyond if one.text)]
-    return stream.state, Remarks(warnings=warnings, notes=[*notes], findings=suspicions, beyond=beyond, rest=rest)
+    warnings = (*(one.text for one in suspicions), *stream.warnings, *(one.text for one in beyond if one.text))
+    return CorrectedFile(
+        record=record, output=part, state=stream.state, warnings=warnings, notes=tuple(notes), findings=suspicions,
+        beyond=beyond, rest=rest,
+    )  # fmt: skip
 
 
 def _rest_offset(

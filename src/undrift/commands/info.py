@@ -2,14 +2,12 @@
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from cyclopts import Parameter
-
-from undrift.base.options import Details, Json, Up
-from undrift.cli.common import say, say_next, show_verdict, write_json
+from undrift.base.options import Picture, Up, options, verb
+from undrift.base.summary import Answer, Drawing, Result, Section, Summary, at
 from undrift.commands.files import Opening, Rests, check_figure, check_output, name_of
 from undrift.errors import InputError
 from undrift.units import RADIAN_PER_DEGREE
@@ -19,6 +17,7 @@ if TYPE_CHECKING:
     from undrift.io.inspect import Description
     from undrift.model import Calibration, DriftTables
     from undrift.record import Session
+    from undrift.segments import StillSettings
 
 _KEYS = (
     *("kind", "format", "rows", "sample_rate_hz", "usual_rate_hz", "duration_s"),
@@ -26,8 +25,8 @@ _KEYS = (
 )
 
 
-@Parameter(name="*")
-@dataclass(frozen=True, slots=True, kw_only=True)
+@options
+@dataclass(frozen=True, kw_only=True)
 class Proposal:
     """The map to write for a table with foreign columns.
 
@@ -45,7 +44,7 @@ class Proposal:
         With --write-map: the same of the accelerometers.
     """
 
-    write_map: Path | None = None
+    write_map: Picture = None
     gyro_unit: str | None = None
     accel_unit: str | None = None
     gyro_gain: float | None = None
@@ -70,6 +69,48 @@ class Proposal:
 POSES = 9  # still phases of a recording that may calibrate a device
 
 
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Described(Result):
+    """What a file holds."""
+
+    found: "Description"
+    stills: tuple[tuple[float, float], ...] = ()  # Start and stop, s
+    no_still_because: str = ""
+    effects: "dict[str, list[str]]" = field(default_factory=dict)  # Of a device model; parts of a calibration
+    calibration: "Calibration | None" = None
+    pictures: tuple[Drawing, ...] = ()
+    next: tuple[object, ...] = ()  # Words of the command that follows
+    written: tuple[Path, ...] = ()
+
+    def summary(self) -> Summary:
+        """Return kind and format, units, spans, still phases and problems."""
+        from undrift.io.store import findings_json, verdict_json
+
+        found, verdict = self.found, None if self.calibration is None else self.calibration.verdict
+        parts = self.effects if verdict is None else self.effects | {"verdict": [verdict.status, *verdict.reasons]}
+        lines = (*_lines(self), *(f"{part}: {', '.join(texts)}" for part, texts in self.effects.items()))
+        return Summary(
+            title=f"What {Path(found.path).name} holds",
+            answer=f"{found.path}: {found.kind} ({found.format})",
+            data={key: getattr(found, key) for key in _KEYS}
+            | {
+                "units": dict(found.units),
+                "stills": self.stills,
+                "findings": findings_json(found.findings),
+                "map": found.example,
+                "no_still_because": self.no_still_because,
+                "effects": parts,
+                "verdict": None if verdict is None else verdict_json(verdict),
+            },
+            pictures=self.pictures,
+            sections=(Section(title="What was found", text=lines),),
+            verdict=verdict,
+            written=self.written,
+            next=self.next,
+        )
+
+
+@verb
 def info(
     file: Path,
     /,
@@ -78,10 +119,8 @@ def info(
     reference_up: Up = None,
     proposal: Proposal = Proposal(),
     rests: Rests = Rests(),
-    figure: Path | None = None,
-    details: Details = False,
-    json: Json = False,
-) -> int:
+    figure: Picture = None,
+) -> Result:
     """What a recording, session, calibration, reference or device holds: rates, units, spans, gaps, stills found.
 
     Parameters
@@ -97,54 +136,42 @@ def info(
     """
     from undrift.correction.consistency import find_disagreement
     from undrift.io.inspect import describe
-    from undrift.io.store import findings_json, read_calibration, verdict_json
+    from undrift.io.store import read_calibration
 
     check_figure(figure, reads=(file, opening.column_map))
     if _is_plain_folder(file):
         if figure is not None:
             raise InputError(f"--figure: wanted a recording or a session, got the folder {file}; name one of its files")
-        _show_folder(file, json=json)
-        return 0
+        return _folder(file)
     proposal.check(figure, reads=(file, opening.column_map))
     found = describe(file, opening.columns(), settings=opening.settings(), up=reference_up)
     if proposal.write_map is not None:
-        return _write_map(found, proposal.write_map, proposal, opening, json=json)
-    found, held = _set_points(found, opening) or (found, _session(file, found, opening))
-    records = () if held is None or held.means else held.records
+        return _write_map(found, proposal.write_map, proposal, opening)
+    found, session = _set_points(found, opening) or (found, _session(file, found, opening))
+    records = () if session is None or session.means else session.records
     disagree = tuple(one for record in records if (one := find_disagreement(record)) is not None)
     found = replace(found, findings=(*found.findings, *disagree))
-    stills, reason = _stills(held, rests)
-    _draw(held, found, rests, figure)
+    stills, reason = _stills(session, rests)
+    title = f"{name_of(Path(found.path))}: found"
+    drawing = Drawing(place="undrift.commands.info:draw_found", of=(session, rests.settings(), title))
+    if figure is not None:
+        if not records:
+            raise InputError(f"--figure: wanted a recording or a session, got {found.kind}: {found.path}; leave it out")
+        drawing.save(figure)
     effects = _effects(file) if found.kind == "device" else {}
     calibration = read_calibration(file) if found.kind == "calibration" else None
     if calibration is not None:
         effects, span = _parts(calibration)
         found = replace(found, temp_c=span)
-    if json:
-        verdict = None if calibration is None else calibration.verdict
-        write_json(
-            {key: getattr(found, key) for key in _KEYS}
-            | {
-                "units": dict(found.units),
-                "stills": stills,
-                "findings": findings_json(found.findings),
-                "map": found.example,
-                "no_still_because": reason,
-                "effects": effects if verdict is None else effects | {"verdict": [verdict.status, *verdict.reasons]},
-                "verdict": None if verdict is None else verdict_json(verdict),
-            },
-            "info",
-        )
-        return 0
-    _show(found, stills, reason, opening)
-    say(*(f"  {part}: {', '.join(texts)}" for part, texts in effects.items()))
-    say(*([] if figure is None else [f"Wrote {figure}"]))
-    if calibration is not None:
-        show_verdict(calibration.verdict, details=details)
-    return 0
+        drawing = Drawing(place="undrift.report.certificate:draw_calibration", of=(calibration,))
+    return Described(
+        found=found, stills=stills, no_still_because=reason, effects=effects, calibration=calibration,
+        pictures=(drawing,) if records or calibration else (), next=_next(found, len(stills), opening),
+        written=() if figure is None else (figure,),
+    )  # fmt: skip
 
 
-def _write_map(found: "Description", path: Path, proposal: Proposal, opening: Opening, *, json: bool) -> int:
+def _write_map(found: "Description", path: Path, proposal: Proposal, opening: Opening) -> Answer:
     """Write the map that a table seems to need, each unit with its reason."""
     from undrift.files import write_whole
     from undrift.io.proposal import map_of
@@ -161,17 +188,18 @@ def _write_map(found: "Description", path: Path, proposal: Proposal, opening: Op
         found = replace(found, example=(*found.example, f"scale = {{ {scale} }}"))
     text = map_of(found, sample_rate_hz=opening.sample_rate_hz, units=stated)
     write_whole(path, text)
-    complete = '"?"' not in text
-    if json:
-        made = {"kind": found.kind, "format": found.format, "output": str(path)}
-        write_json(made | {"map": text.splitlines(), "complete": complete}, "info")
-        return 0
-    say(f"Wrote {path}", *(f"  {line}" for line in text.splitlines()))
-    if complete:
-        say_next("info", found.path, "--map", path)
-    else:
-        say(f"put the true unit where {path} has ?, or repeat with --gyro-unit or --accel-unit")
-    return 0
+    lines, complete = text.splitlines(), '"?"' not in text
+    advice = f"put the true unit where {path} has ?, or repeat with --gyro-unit or --accel-unit"
+    made = {"kind": found.kind, "format": found.format, "output": str(path)}
+    shown = Summary(
+        title=f"Map of {Path(found.path).name}",
+        answer=f"The map of {found.path} is complete." if complete else f"The map lacks a unit: {advice}.",
+        data=made | {"map": lines, "complete": complete},
+        sections=(Section(title="Map", text=tuple(lines)),),
+        written=(path,),
+        next=("info", found.path, "--map", path) if complete else (),
+    )
+    return Answer(shown=shown)
 
 
 # ---- A calibration and a device model
@@ -247,33 +275,35 @@ def _is_plain_folder(path: Path) -> bool:
     return False
 
 
-def _show_folder(path: Path, *, json: bool) -> None:
-    """Show name, kind and summary of each entry; kind "damaged" where it cannot be read, with the reason."""
+def _folder(path: Path) -> Answer:
+    """Return name, kind and summary of each entry; kind "damaged" where it cannot be read, with the reason."""
     from undrift.io.inspect import describe
 
-    found = []
+    files = []
     for entry in sorted(entry for entry in path.iterdir() if not entry.name.startswith(".")):
         if _is_plain_folder(entry):
-            found.append((entry.name, "folder", "not looked into"))
+            files.append((entry.name, "folder", "not looked into"))
             continue
         try:
-            held = describe(entry)
-            found.append((entry.name, held.kind, held.summary))
+            found = describe(entry)
+            files.append((entry.name, found.kind, found.summary))
         except InputError as error:
-            found.append((entry.name, "damaged", str(error)))
-    if not found:
+            files.append((entry.name, "damaged", str(error)))
+    if not files:
         raise InputError(f"{path}: wanted a recording or a folder of recordings, got an empty folder; check the path")
-    kinds = Counter(kind for _, kind, _ in found)
-    summary = f"{len(found)} entries: " + ", ".join(f"{count} {kind}" for kind, count in sorted(kinds.items()))
-    if json:
-        head = {"kind": "folder", "format": "folder", "rows": None, "sample_rate_hz": None, "duration_s": None}
-        rest = {"columns": [], "units": {}, "gaps": 0, "temp_c": None, "stills": []}
-        problems = [text for _, kind, text in found if kind == "damaged"]
-        files = [{"name": name, "kind": kind, "summary": text} for name, kind, text in found]
-        write_json(head | rest | {"problems": problems, "findings": [], "summary": summary, "files": files}, "info")
-        return
-    lines = [f"  {name}: {kind}, {text}" for name, kind, text in found]
-    say(f"{path}: folder, {summary}", *lines, "  name one of them to see more")
+    kinds = Counter(kind for _, kind, _ in files)
+    summary = f"{len(files)} entries: " + ", ".join(f"{count} {kind}" for kind, count in sorted(kinds.items()))
+    head = {"kind": "folder", "format": "folder", "rows": None, "sample_rate_hz": None, "duration_s": None}
+    rest = {"columns": [], "units": {}, "gaps": 0, "temp_c": None, "stills": [], "findings": [], "summary": summary}
+    named = [{"name": name, "kind": kind, "summary": text} for name, kind, text in files]
+    lines = (f"{name}: {kind}, {text}" for name, kind, text in files)
+    shown = Summary(
+        title=f"What {path.name} holds",
+        answer=f"{path}: folder, {summary}",
+        data=head | rest | {"problems": [text for _, kind, text in files if kind == "damaged"], "files": named},
+        sections=(Section(title="Entries", text=(*lines, "name one of them to see more")),),
+    )
+    return Answer(shown=shown)
 
 
 # ---- A recording or session: still phases, and what a person sees
@@ -308,42 +338,39 @@ def _set_points(found: "Description", opening: Opening) -> "tuple[Description, S
     return replace(bare, sample_rate_hz=None, usual_rate_hz=None), held
 
 
-def _stills(held: "Session | None", rests: Rests) -> tuple[list[list[float]], str]:
-    """Return [start_s, stop_s] of every still phase, and why there is none; too short a recording is no error."""
+def _stills(session: "Session | None", rests: Rests) -> tuple[tuple[tuple[float, float], ...], str]:
+    """Return start_s and stop_s of every still phase, and why there is none; too short a recording is no error."""
     from undrift.segments import find_poses
 
-    if held is None or held.means:
-        return [], ""
-    stills, reason, settings = held.stills, "", rests.settings()
+    if session is None or session.means:
+        return (), ""
+    stills, reason, settings = session.stills, "", rests.settings()
     if not stills:
         try:
-            searches = find_poses(held.records, settings)
+            searches = find_poses(session.records, settings)
         except InputError:
-            shortest, window = min(record.duration_s for record in held.records), settings.window_s
-            return [], f"no still phase: {shortest:.3g} s are too short to look for one ({window:g} s and more)"
+            shortest, window = min(record.duration_s for record in session.records), settings.window_s
+            return (), f"no still phase: {shortest:.3g} s are too short to look for one ({window:g} s and more)"
         stills = tuple(still for search in searches for still in search.stills)
         reason = "" if stills else next(search.reason for search in searches)
-    clocks = [record.time for record in held.records]
-    return [[float(clocks[s.recording][k]) for k in (s.start, s.stop - 1)] for s in stills], reason
+    clocks = [record.time for record in session.records]
+    return tuple((float(clocks[s.recording][s.start]), float(clocks[s.recording][s.stop - 1])) for s in stills), reason
 
 
-def _draw(held: "Session | None", found: "Description", rests: Rests, path: Path | None) -> None:
+def draw_found(session: "Session", settings: "StillSettings", title: str) -> Any:
     """Draw a recording or session with what was found in it."""
-    if path is None:
-        return
     from undrift.calibration.observe import CalibrateSettings
     from undrift.calibration.pieces import pieces_of
-    from undrift.report.figures import draw_recording, save_figure
 
-    if held is None or held.means:
-        raise InputError(f"--figure: wanted a recording or a session, got {found.kind}: {found.path}; leave it out")
-    pieces, _ = pieces_of(held, CalibrateSettings(still=rests.settings()))
-    save_figure(draw_recording(held.records, pieces, title=f"{name_of(Path(found.path))}: found"), path)
+    pieces, _ = pieces_of(session, CalibrateSettings(still=settings))
+    return at("undrift.report.figures:draw_recording")(session.records, pieces, title=title)
 
 
-def _show(found: "Description", stills: list[list[float]], reason: str, opening: Opening) -> None:
-    summary = found.summary.partition(", for example")[0] if found.example else found.summary
-    lines = [summary, *(f"{name}: {unit}" for name, unit in found.units)]
+def _lines(described: Described) -> list[str]:
+    """Return what a person sees of a file."""
+    found, stills = described.found, described.stills
+    lines = [found.summary.partition(", for example")[0] if found.example else found.summary]
+    lines += [f"{name}: {unit}" for name, unit in found.units]
     if found.kind in ("recording", "session", "set-points"):
         lines += [f"{name}: none" for name in ("gyro", "accel") if name not in dict(found.units)]
     if found.columns and found.kind not in ("recording", "set-points"):
@@ -356,13 +383,9 @@ def _show(found: "Description", stills: list[list[float]], reason: str, opening:
     if stills:
         spans = ", ".join(f"{start:.1f}-{stop:.1f}" for start, stop in stills[:8])
         lines.append(f"still phases: {len(stills)} ({spans}{', ...' if len(stills) > 8 else ''} s)")
-    elif reason:
-        lines.append(reason)
-    lines += found.lines()
-    lines += _hints(found)
-    say(f"{found.path}: {found.kind} ({found.format})", *(f"  {line}" for line in lines))
-    if words := _next(found, len(stills), opening):
-        say_next(*words)
+    elif described.no_still_because:
+        lines.append(described.no_still_because)
+    return [*lines, *found.lines(), *_hints(found)]
 
 
 def _hints(found: "Description") -> list[str]:
@@ -377,22 +400,22 @@ def _hints(found: "Description") -> list[str]:
     ]
 
 
-def _next(found: "Description", stills: int, opening: Opening) -> list[object]:
+def _next(found: "Description", stills: int, opening: Opening) -> tuple[object, ...]:
     """Return the command to type next; none where nothing follows from what is known."""
     if found.example:
         ready = "sample_rate_hz = ?" not in found.example
-        return ["info", found.path, "--write-map", "map.toml"] if ready else []
+        return ("info", found.path, "--write-map", "map.toml") if ready else ()
     missing = next((item.values.get("missing") for item in found.findings if item.code == "recording.not_read"), "")
     if missing == "sensor":
-        return ["info", found.path, "--sensor", found.columns[0]]
+        return ("info", found.path, "--sensor", found.columns[0])
     if missing == "sample_rate_hz" and found.format == "ximu":
-        return ["info", found.path, "--sample-rate-hz", "256"]
+        return ("info", found.path, "--sample-rate-hz", "256")
     if found.kind == "markers" and any(item.code == "recording.up_axis" for item in found.findings):
-        return ["info", found.path, "--reference-up", "y"]
+        return ("info", found.path, "--reference-up", "y")
     if found.kind == "set-points":
-        return ["drift", found.path, *opening.words(), "-o", "calibration.json"]
+        return ("drift", found.path, *opening.words(), "-o", "calibration.json")
     if found.kind == "session" and found.summary.startswith("calibration"):
-        return ["calibrate", found.path, "-o", "calibration.json"]
+        return ("calibrate", found.path, "-o", "calibration.json")
     if found.kind == "recording" and stills >= POSES:
-        return ["calibrate", found.path, *opening.words(), "-o", "calibration.json"]
-    return []
+        return ("calibrate", found.path, *opening.words(), "-o", "calibration.json")
+    return ()

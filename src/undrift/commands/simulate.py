@@ -1,11 +1,12 @@
 """``undrift simulate``: simulated sensor output for recorded poses, a task, a thermal session, or days of use."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
-from undrift.base.options import Flag, Json, Output, Up
-from undrift.cli.common import say, show_table, waiting, write_json
+from undrift.base.options import Flag, Output, Up, verb
+from undrift.base.summary import Drawing, Result, Section, Summary, plain_words, rows_section
+from undrift.commands import Progress, silent
 from undrift.commands.files import check_folder, device_at, labels_of
 from undrift.errors import InputError
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
@@ -25,6 +26,38 @@ THERMAL = "thermal_"  # before the kind of a thermal session
 DAILY = "daily_use"
 
 
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Simulation(Result):
+    """Simulated sensor output, as files."""
+
+    motion: str
+    output: Path
+    device: "DeviceModel"
+    record: "Record"  # Of several the last
+    figures: dict[str, Any]  # Samples, rate, spans, and the size of each effect
+    line: str  # What was written, with its figures
+    text: tuple[str, ...] = ()  # Cut-offs and warnings
+
+    def summary(self) -> Summary:
+        """Return what was simulated, and the contribution of each effect of the device."""
+        device, rows = self.device, list[dict[str, str]]()
+        for key, unit, factor in (("gyro_rad_s", "deg/s", RADIAN_PER_DEGREE), ("accel_m_s2", "m/s2", 1.0)):
+            for effect, rms in self.figures.get(key, {"contribution_rms": {}})["contribution_rms"].items():
+                cells = zip("xyz", (f"{value:.4g}" for value in rms / factor), strict=True)
+                rows.append({"effect": f"{plain_words(effect)}, {unit}", **dict(cells)})
+        return Summary(
+            title=f"Simulated {plain_words(self.motion)} of {device.name} {device.serial}",
+            answer=f"{self.motion} -> {self.output}: {self.line}",
+            data={"motion": self.motion, "output": str(self.output), **self.figures},
+            pictures=(Drawing(place="undrift.report.figures:draw_record", of=(self.record,)),),
+            sections=(
+                rows_section(f"{device.name} {device.serial}: contribution of each effect (rms)", rows),
+                Section(title="Remarks", text=self.text),
+            ),
+        )
+
+
+@verb
 def simulate(
     motion: str,
     /,
@@ -44,8 +77,8 @@ def simulate(
     stamps: Literal["device", "host"] = "device",
     days: int | None = None,
     seed: int = 0,
-    json: Json = False,
-) -> int:
+    progress: Progress = silent,
+) -> Simulation:
     """Simulate the readings of a device in a motion.
 
     Parameters
@@ -98,33 +131,25 @@ def simulate(
 
     if sample_rate_hz is not None and not sample_rate_hz > 0.0:
         raise InputError(f"sample rate: wanted more than 0 Hz, got {sample_rate_hz:g}; give the rate of the device")
-    rng, simulated = np.random.default_rng(seed), None
+    rng = np.random.default_rng(seed)
     model, rate_hz = device_at(device, rng, draw=draw), sample_rate_hz or 100.0
+    progress(f"simulating {motion}", 0.0)
     if days is not None or motion == DAILY or motion.startswith(THERMAL):
         unused: dict[str, object] = {"temp_c": temp_c, "markers": markers, "reference_up": reference_up}
         given, unused = (sample_rate_hz, power_on_s, gravity_m_s2), unused | {"cutoff_hz": cutoff_hz, "truth": truth}
-        made, lines = _session(motion, stamps, model, output, days, given, unused, rng)
+        done = _session(motion, stamps, model, output, days, given, unused, rng, progress)
     else:
-        with waiting(f"simulating {motion}"):
-            moved, where, chosen = _motion(motion, rate_hz, gravity_m_s2, (markers, reference_up, cutoff_hz), rng)
-            simulated = simulate_device(model, moved, rng=rng, temp_c=temp_c, power_on_s=power_on_s or 0.0)
+        moved, where, chosen = _motion(motion, rate_hz, gravity_m_s2, (markers, reference_up, cutoff_hz), rng)
+        simulated = simulate_device(model, moved, rng=rng, temp_c=temp_c, power_on_s=power_on_s or 0.0)
         if stamps == "host":
             simulated = replace(simulated, record=stamp_on_host(simulated.record, rng=rng).record)
         write_record(simulated.record, output)
         if truth is not None:
             write_reference(Reference(time=moved.time, q_nb=moved.q_nb, position=where, moving=moved.moving), truth)
-        cutoffs = {signal: {"cutoff_hz": one.cutoff_hz, "method": one.method} for signal, one in chosen.items()}
-        made = ({"cutoff": cutoffs} if chosen else {}) | _figures(simulated, model)
-        lines = [f"cut-off of the {name}: {one.cutoff_hz:.1f} Hz, as {one.reason}" for name, one in chosen.items()]
-        lines.append(f"{motion} -> {output}: {made['samples']} samples at {made['sample_rate_hz']:.6g} Hz")
+        done = _simulation(motion, output, model, simulated, chosen)
     if save_device is not None:
         write_device(model, save_device)
-    if json:
-        write_json({"motion": motion, "output": str(output), **made}, "simulate")
-        return 0
-    say(*lines)
-    _show(model, simulated, made)
-    return 0
+    return done
 
 
 def _thermal(
@@ -133,8 +158,8 @@ def _thermal(
     output: Path,
     given: tuple[float | None, float | None, float],
     rng: "np.random.Generator",
-) -> tuple[dict[str, Any], list[str]]:
-    """Write a thermal session and return what it holds, for JSON and in a line."""
+) -> Simulation:
+    """Simulate a thermal session and write it."""
     from undrift.io.session import write_session
     from undrift.sim.thermal import ThermalSettings, simulate_thermal_session
 
@@ -148,18 +173,17 @@ def _thermal(
     bench = bench if sample_rate_hz is None else replace(bench, sample_rate_hz=sample_rate_hz)
     settings = ThermalSettings(bench=bench)
     settings = settings if power_on_s is None else replace(settings, power_on_s=power_on_s)
-    with waiting(f"simulating {THERMAL}{kind}"):
-        session = simulate_thermal_session(kind, model, rng=rng, settings=settings)
-        write_session(session, output)
-    temp_c = session.records[0].temp_c
+    session = simulate_thermal_session(kind, model, rng=rng, settings=settings)
+    write_session(session, output)
+    record, temp_c = session.records[0], session.records[0].temp_c
     span = None if temp_c is None else [float(temp_c.min()), float(temp_c.max())]
     counts = {"stills": len(session.stills), "turns": len(session.turns)}
-    made = _held(model, session.records[0]) | {"temp_c": span, **counts}
+    figures = _recorded(model, record) | {"temp_c": span, **counts}
     line = (
-        "{} -> {}: {samples} samples at {sample_rate_hz:.6g} Hz over {duration_s:.0f} s, {temp_c[0]:.1f} to {temp_c[1]:.1f} degC, "
-        "{stills} stills, {turns} turns"
-    )
-    return made, [line.format(f"{THERMAL}{kind}", output, **made)]
+        "{samples} samples at {sample_rate_hz:.6g} Hz over {duration_s:.0f} s, {temp_c[0]:.1f} to {temp_c[1]:.1f} degC, "
+        "{stills} stills, {turns} turns."
+    ).format(**figures)
+    return Simulation(motion=f"{THERMAL}{kind}", output=output, device=model, record=record, figures=figures, line=line)
 
 
 def _session(
@@ -171,8 +195,9 @@ def _session(
     given: tuple[float | None, float | None, float],
     unused: dict[str, object],
     rng: "np.random.Generator",
-) -> tuple[dict[str, Any], list[str]]:
-    """Write a thermal session or days of use, and return what they hold, for JSON and in a line."""
+    progress: Progress,
+) -> Simulation:
+    """Simulate a thermal session or days of use and write them."""
     from undrift.sim.thermal import ThermalKind
 
     unused["stamps"] = None if stamps == "device" else stamps
@@ -182,7 +207,7 @@ def _session(
             raise InputError(
                 f"{DAILY}: wanted --device, --days, --sample-rate-hz, --draw, --seed alone; leave the others out"
             )
-        return _daily(model, output, 10 if days is None else days, given[0], rng)
+        return _daily(model, output, 10 if days is None else days, given[0], rng, progress)
     if days is not None:
         raise InputError(f"{motion}: wanted no --days; only {DAILY} goes over days")
     kinds = {THERMAL + kind: kind for kind in get_args(ThermalKind)}
@@ -196,9 +221,14 @@ def _session(
 
 
 def _daily(
-    model: "DeviceModel", output: Path, days: int, sample_rate_hz: float | None, rng: "np.random.Generator"
-) -> tuple[dict[str, Any], list[str]]:
-    """Write a recording for each day, named by its date, and return what they hold, for JSON and in a line."""
+    model: "DeviceModel",
+    output: Path,
+    days: int,
+    sample_rate_hz: float | None,
+    rng: "np.random.Generator",
+    progress: Progress,
+) -> Simulation:
+    """Simulate a recording for each day and write it, named by its date."""
     from datetime import date, timedelta
 
     from undrift.io.formats import write_record
@@ -207,19 +237,19 @@ def _daily(
     check_folder(output)
     settings = DailyUseSettings(days=days, sample_rate_hz=sample_rate_hz or DailyUseSettings().sample_rate_hz)
     spans = list[float]()
-    with waiting(f"simulating {DAILY}"):
-        for day in simulate_daily_use(model, rng=rng, settings=settings):
-            record = day.session.records[0]
-            output.mkdir(exist_ok=True)
-            write_record(record, output / f"{date(2026, 1, 1) + timedelta(days=day.number)}.parquet")
-            temp_c = record.temp_c
-            spans += [] if temp_c is None else [float(temp_c.min()), float(temp_c.max())]
-    made = _held(model, record) | {"days": days, "temp_c": [min(spans), max(spans)]}
-    line = f"{DAILY} -> {output}: {days} recordings from 2026-01-01 on, {min(spans):.1f} to {max(spans):.1f} degC"
-    return made, [line]
+    for day in simulate_daily_use(model, rng=rng, settings=settings):
+        record = day.session.records[0]
+        output.mkdir(exist_ok=True)
+        write_record(record, output / f"{date(2026, 1, 1) + timedelta(days=day.number)}.parquet")
+        temp_c = record.temp_c
+        spans += [] if temp_c is None else [float(temp_c.min()), float(temp_c.max())]
+        progress(f"simulating {DAILY}", (day.number + 1) / days)
+    figures = _recorded(model, record) | {"days": days, "temp_c": [min(spans), max(spans)]}
+    line = f"{days} recordings from 2026-01-01 on, {min(spans):.1f} to {max(spans):.1f} degC."
+    return Simulation(motion=DAILY, output=output, device=model, record=record, figures=figures, line=line)
 
 
-def _held(model: "DeviceModel", record: "Record") -> dict[str, object]:
+def _recorded(model: "DeviceModel", record: "Record") -> dict[str, Any]:
     return {
         "device": {key: getattr(model, key) for key in ("name", "serial", "source_tag")},
         "samples": len(record),
@@ -289,39 +319,30 @@ def _pose_settings(reference: "Reference", cutoff_hz: str | None) -> tuple["Pose
     return PoseSettings(cutoff_hz=stated, position_cutoff_hz=stated), {}
 
 
-def _figures(made: "Simulated", model: "DeviceModel") -> dict[str, object]:
-    """Return the device, saturation, and the size of each effect, for JSON."""
+def _simulation(
+    motion: str, output: Path, model: "DeviceModel", simulated: "Simulated", chosen: "dict[str, Cutoff]"
+) -> Simulation:
+    """Return a simulated motion with the size of each effect, saturation and gaps."""
     import numpy as np
 
-    record = made.record
+    record, text = (
+        simulated.record,
+        [f"cut-off of the {name}: {one.cutoff_hz:.1f} Hz, as {one.reason}" for name, one in chosen.items()],
+    )
+    cutoffs = {signal: {"cutoff_hz": one.cutoff_hz, "method": one.method} for signal, one in chosen.items()}
     gaps = 0 if record.gyro is None else int(np.isnan(record.gyro[:, 0]).sum())
-    sides = {
-        key: {
-            "saturated_samples": int(triad.saturated.any(axis=1).sum()),
-            "contribution_rms": {c.effect: np.sqrt(np.nanmean(c.value**2, axis=0)) for c in triad.contributions},
-        }
-        for key, triad in (("gyro_rad_s", made.gyro), ("accel_m_s2", made.accel))
-    }
-    return _held(model, record) | {"gaps": gaps, **sides}
-
-
-def _show(model: "DeviceModel", simulated: "Simulated | None", made: dict[str, Any]) -> None:
-    """Show the size of each effect, saturation and gaps; nothing of a session."""
-    if simulated is None:
-        return
-    rows, lines = [], []
-    for name, key, unit, factor in (
-        ("gyroscope", "gyro_rad_s", "deg/s", RADIAN_PER_DEGREE),
-        ("accelerometer", "accel_m_s2", "m/s2", 1.0),
+    figures = ({"cutoff": cutoffs} if chosen else {}) | _recorded(model, record) | {"gaps": gaps}
+    for name, key, triad in (
+        ("gyroscope", "gyro_rad_s", simulated.gyro),
+        ("accelerometer", "accel_m_s2", simulated.accel),
     ):
-        side = made[key]
-        for effect, rms in side["contribution_rms"].items():
-            rows.append((f"{effect.replace('_', ' ')}, {unit}", *(f"{value:.4g}" for value in rms / factor)))
-        if side["saturated_samples"]:
-            lines.append(f"  warning: {name} saturated in {side['saturated_samples']} samples")
-    show_table(f"{model.name} {model.serial}: contribution of each effect (rms)", ("effect", "x", "y", "z"), rows)
-    if made["gaps"]:
-        lines.append(f"  warning: {made['gaps']} samples are gaps, where the poses are not known")
-    if simulated.record.accel is None:
-        lines.append("  no accelerometer: these poses hold no positions")
-    say(*lines)
+        saturated = int(triad.saturated.any(axis=1).sum())
+        contributions = {c.effect: np.sqrt(np.nanmean(c.value**2, axis=0)) for c in triad.contributions}
+        figures[key] = {"saturated_samples": saturated, "contribution_rms": contributions}
+        text += [f"warning: {name} saturated in {saturated} samples"] if saturated else []
+    text += [f"warning: {gaps} samples are gaps, where the poses are not known"] if gaps else []
+    text += ["no accelerometer: these poses hold no positions"] if record.accel is None else []
+    line = f"{len(record)} samples at {record.sample_rate_hz:.6g} Hz."
+    return Simulation(
+        motion=motion, output=output, device=model, record=record, figures=figures, line=line, text=tuple(text)
+    )

@@ -1,23 +1,66 @@
 """``undrift export``: what firmware and other programs read."""
 
 import re
-from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from undrift.base.options import Details, Json, Output
-from undrift.cli.common import say, show_table, show_verdict, write_json
+from undrift.base.options import Output, verb
+from undrift.base.summary import Drawing, Result, Section, Summary, rows_section
 from undrift.commands.files import check_output
 from undrift.errors import FileFormatError, InputError
 from undrift.export import ExportOptions, find_target
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
 if TYPE_CHECKING:
+    from undrift.export.losses import Exported
     from undrift.model import Calibration
 
+BUILD = {"table_bytes": "tables (bytes)", "flash_bytes": "flash (bytes, estimated)", "cycles": "cycles (estimated)"}
 
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class ExportedFiles(Result):
+    """A calibration for another program, as files."""
+
+    target: str
+    files: tuple[Path, ...]
+    exported: "Exported"
+    calibration: "Calibration"
+
+    def summary(self) -> Summary:
+        """Return what the files cannot carry, memory and time of C builds, and the verdict of the calibration."""
+        from undrift.io.store import findings_json, verdict_json
+
+        done, verdict = self.exported, self.calibration.verdict
+        lost = len(done.not_carried)
+        return Summary(
+            title=f"Calibration of {self.calibration.device or 'a device'} for {self.target}",
+            answer=f"{self.files[0].name} carries the calibration" + (f" but {lost} of its parts." if lost else "."),
+            data={
+                "target": self.target,
+                "files": [str(path) for path in self.files],
+                "not_carried": done.not_carried,
+                "notes": done.notes,
+                "findings": findings_json(done.findings),
+                **done.figures,
+                "verdict": verdict_json(verdict),
+            },
+            pictures=(Drawing(place="undrift.report.certificate:draw_calibration", of=(self.calibration,)),),
+            sections=(
+                *_builds(done.figures),
+                Section(title="Not carried", text=tuple(f"not carried: {text}" for text in done.not_carried)),
+            ),
+            verdict=verdict,
+            notes=done.notes,
+            written=self.files,
+            failed=verdict.status == "bad",
+        )
+
+
+@verb
 def export(
     calibration: Path,
     /,
@@ -25,9 +68,7 @@ def export(
     target: str,
     output: Output,
     options: Annotated[ExportOptions, Parameter(name="*")] = ExportOptions(),
-    details: Details = False,
-    json: Json = False,
-) -> int:
+) -> ExportedFiles:
     """Write calibrations for firmware and other programs, and list what they cannot carry.
 
     Parameters
@@ -43,7 +84,6 @@ def export(
         Options that some targets take.
     """
     from undrift.files import write_whole
-    from undrift.io.store import findings_json, verdict_json
 
     if options.fixed and options.double:
         raise InputError("export: wanted --fixed or --double, got both; the source holds both, name the default")
@@ -52,28 +92,10 @@ def export(
     for path, endings in zip(files, (chosen.endings, *((ending,) for ending in chosen.more)), strict=True):
         check_output(path, endings=endings, reads=(calibration,))
     model = _read(calibration)
-    made = chosen.write(model, options, output.name)
-    for path, text in zip(files, (made.text, *made.more), strict=True):
+    exported = chosen.write(model, options, output.name)
+    for path, text in zip(files, (exported.text, *exported.more), strict=True):
         write_whole(path, text)
-    if json:
-        write_json(
-            {
-                "target": target,
-                "files": [str(path) for path in files],
-                "not_carried": made.not_carried,
-                "notes": made.notes,
-                "findings": findings_json(made.findings),
-                **made.figures,
-                "verdict": verdict_json(model.verdict),
-            },
-            "export",
-        )
-    else:
-        _show_builds(made.figures)
-        say(*(f"not carried: {text}" for text in made.not_carried), *(f"note: {text}" for text in made.notes))
-        show_verdict(model.verdict, details=details)
-        say(*(f"Wrote {path}" for path in files))
-    return 1 if model.verdict.status == "bad" else 0
+    return ExportedFiles(target=target, files=files, exported=exported, calibration=model)
 
 
 def _read(path: Path) -> "Calibration":
@@ -93,18 +115,16 @@ def _read(path: Path) -> "Calibration":
         raise FileFormatError(f"{path}: {error}") from error
 
 
-def _show_builds(figures: Mapping[str, Any]) -> None:
-    """Show memory, time and the error bound of C builds."""
+def _builds(figures: Any) -> tuple[Section, ...]:
+    """Return memory, time and the error bound of C builds; nothing of other targets."""
     builds, bound = figures.get("builds"), figures.get("fixed_point_bound")
     if not builds or not bound:
-        return
-    keys = {"table_bytes": "tables (bytes)", "flash_bytes": "flash (bytes, estimated)", "cycles": "cycles (estimated)"}
-    if any(build["lead_cycles"] for build in builds):
-        keys["lead_cycles"] = "and of the lag (estimated)"
-    rows = [(build["arithmetic"], *(str(build[key]) for key in keys)) for build in builds]
-    show_table("builds", ("arithmetic", *keys.values()), rows)
+        return ()
+    keys = BUILD | ({"lead_cycles": "and of the lag (estimated)"} if any(one["lead_cycles"] for one in builds) else {})
+    rows = [{"arithmetic": one["arithmetic"]} | {head: str(one[key]) for key, head in keys.items()} for one in builds]
     gyro, accel = bound["gyro_rad_s"] / RADIAN_PER_DEGREE, bound["accel_m_s2"] / STANDARD_GRAVITY * 1e3
-    say(
+    text = (
         f"fixed point, gyroscopes: within {gyro:.2g} deg/s of exact arithmetic",
         f"fixed point, accelerometers: within {accel:.2g} mg of exact arithmetic",
     )
+    return (rows_section("builds", rows, text=text),)
