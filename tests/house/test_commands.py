@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from undrift.cli.app import COMMANDS, run
-from undrift.commands import VERBS
+from undrift.commands import GROUPS, VERBS
 from undrift.commands.files import Opening
 
 ROOT = Path(__file__).parents[2]
@@ -30,15 +30,15 @@ def test_every_command_answers_help_with_each_of_its_options_explained(
         "--no-rivals",
         "--no-browser",
     }  # asked for by name; no flag has an automatic opposite
-    home = "commands" if name in VERBS else "cli"
-    for held in (getattr(importlib.import_module(f"undrift.{home}.{name}"), name), Opening):
+    home = importlib.import_module(f"undrift.{'commands' if name in (*VERBS, *GROUPS) else 'cli'}.{name}")
+    for held in (*(getattr(home, function) for function in GROUPS.get(name, {name: name}).values()), Opening):
         together = re.findall(r"^ *(\w+(?:, \w+)+) : ", held.__doc__ or "", re.M)
         assert together == [], "options that share a paragraph lose their help"
 
 
 def test_every_command_has_a_file_and_a_test_of_its_own() -> None:
     for name in COMMANDS:
-        home = "commands" if name in VERBS else "cli"
+        home = "commands" if name in (*VERBS, *GROUPS) else "cli"
         assert (ROOT / "src" / "undrift" / home / f"{name}.py").is_file()
         assert (ROOT / "tests" / "cli" / f"test_{name}.py").is_file()
 

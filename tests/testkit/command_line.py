@@ -15,7 +15,7 @@ from undrift.io.store import read_calibration, write_calibration
 from undrift.model import DriftTables, StaticDrift
 from undrift.record import Record
 
-PROGRESS = re.compile(r"^undrift \w+: .+, \d+ s so far, .+\n", re.MULTILINE)  # of a slow machine
+PROGRESS = re.compile(r"^undrift \w+(?: \w+)?: .+, \d+ s so far, .+\n", re.MULTILINE)  # of a slow machine
 
 
 @dataclass(frozen=True)

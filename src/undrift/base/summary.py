@@ -84,9 +84,27 @@ class Section:
     on: Literal["both", "page", "terminal"] = "both"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Summary:
-    """One result: an answer and what stands behind it."""
+class Result(ABC):
+    """What a command returns: values that show their summary, one line as text and tables in a notebook."""
+
+    __slots__ = ()
+
+    @abstractmethod
+    def summary(self) -> "Summary":
+        """Return what came out, as every renderer shows it."""
+
+    def __repr__(self) -> str:
+        summary = self.summary()
+        verdict = f"; verdict: {summary.verdict.status}" if summary.verdict else ""
+        return f"<{type(self).__name__}: {summary.title}: {summary.answer.rstrip('.')}{verdict}>"
+
+    def _repr_html_(self) -> str:
+        return as_html(self.summary())
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, repr=False)
+class Summary(Result):
+    """One result: an answer and what stands behind it. Where that is all, a command returns it as its result."""
 
     title: str
     answer: str  # A sentence with its numbers
@@ -103,6 +121,10 @@ class Summary:
     next: tuple[object, ...] = ()  # Words of the command that follows
     failed: bool = False  # The verdict is so bad that a script must stop
 
+    def summary(self) -> "Summary":
+        """Return itself."""
+        return self
+
 
 def today() -> str:
     """Return the date of a page, ISO 8601, UTC; SOURCE_DATE_EPOCH in the environment sets another, s since 1970."""
@@ -118,35 +140,6 @@ class Origin:
     command: str = ""
     inputs: tuple[tuple[str, str], ...] = ()  # File and sha256
     date: str = field(default_factory=today)
-
-
-class Result(ABC):
-    """What a command returns: values that show their summary, one line as text and tables in a notebook."""
-
-    __slots__ = ()
-
-    @abstractmethod
-    def summary(self) -> Summary:
-        """Return what came out, as every renderer shows it."""
-
-    def __repr__(self) -> str:
-        summary = self.summary()
-        verdict = f"; verdict: {summary.verdict.status}" if summary.verdict else ""
-        return f"<{type(self).__name__}: {summary.title}: {summary.answer.rstrip('.')}{verdict}>"
-
-    def _repr_html_(self) -> str:
-        return as_html(self.summary())
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, repr=False)
-class Answer(Result):
-    """A result that is all in its summary: its figures are those of ``data``."""
-
-    shown: Summary
-
-    def summary(self) -> Summary:
-        """Return what came out."""
-        return self.shown
 
 
 class Shown(ABC):

@@ -26,7 +26,8 @@ from undrift import __version__
 from undrift.base.options import WRITTEN, Details, Json, Report
 from undrift.base.summary import Result, plain
 from undrift.cli import examples
-from undrift.commands import VERBS
+from undrift.cli.app import COMMANDS
+from undrift.commands import GROUPS, VERBS
 from undrift.commands.files import check_report, origin_of
 from undrift.findings import SHOWN_FIRST, Finding, Verdict, most_consequential_first
 
@@ -253,11 +254,18 @@ def _show_section(section: "Section", *, details: bool) -> None:
 OWN: dict[str, tuple[Any, Any]] = {"report": (Report, None), "details": (Details, False), "json": (Json, False)}
 
 
-def __getattr__(name: str) -> Callable[..., int]:
-    """Return a command of ``undrift.commands`` by its name, imported when it is called."""
-    if name not in VERBS:
+def __getattr__(name: str) -> Callable[..., int] | App:
+    """Return a command of ``undrift.commands``, or a group of them, by its name, imported when it is called."""
+    if name not in (*VERBS, *GROUPS):
         raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
-    return command_of(name, getattr(import_module(f"undrift.commands.{name}"), name))
+    module = import_module(f"undrift.commands.{name}")
+    if name in VERBS:
+        return command_of(name, getattr(module, name))
+    made = group(name, COMMANDS[name])
+    for word, function in GROUPS[name].items():
+        called = f"{name} {word}"
+        made.command(command_of(called, getattr(module, function)), name=word, help_epilogue=examples(called))
+    return made
 
 
 def command_of(name: str, verb: Callable[..., Result]) -> Callable[..., int]:
@@ -289,7 +297,7 @@ def command_of(name: str, verb: Callable[..., Result]) -> Callable[..., int]:
         inspect.Parameter(key, inspect.Parameter.KEYWORD_ONLY, default=value, annotation=hint)
         for key, (hint, value) in OWN.items()
     ]
-    command.__name__, command.__doc__ = name, verb.__doc__
+    command.__name__, command.__doc__ = verb.__name__, verb.__doc__
     command.__annotations__ = {one.name: one.annotation for one in (*kept, *own)}
     command.__signature__ = inspect.Signature([*kept, *own])  # type: ignore[attr-defined]
     return command

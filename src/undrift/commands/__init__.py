@@ -30,6 +30,10 @@ VERBS = (
     "twin",
     "validate",
 )
+GROUPS = {  # of commands in one module: the function of each
+    "data": {"list": "list_sets", "fetch": "fetch"},
+    "session": {"new": "new"},
+}
 Progress: TypeAlias = Callable[[str, float], None]  # what is being done, and the share of the whole that is done
 
 

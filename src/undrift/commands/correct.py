@@ -221,28 +221,23 @@ def _correct_all(
     from undrift.files import hidden_folder
 
     with hidden_folder(targets[0].parent) as hidden:
-        parts, done, count = [hidden / target.name for target in targets], dict[int, CorrectedFile](), len(records)
+        jobs, done = (
+            [(record, hidden / one.name) for record, one in zip(records, targets, strict=True)],
+            dict[int, CorrectedFile](),
+        )
         if scheduler is not None:
             from undrift.study.run import Dask
 
-            # Workers stand in folders of their own: absolute paths
-            jobs = [(record.resolve(), part.resolve()) for record, part in zip(records, parts, strict=True)]
-            for place, one in Dask(scheduler).run(partial(_job, correct_one), jobs):
+            there = [(record.resolve(), part.resolve()) for record, part in jobs]  # workers stand in other folders
+            for place, one in Dask(scheduler).run(correct_one, there):
                 done[place] = one
-                progress(records[place].name, len(done) / count)
+                progress(records[place].name, len(done) / len(jobs))
         else:
-            for place, (record, part) in enumerate(zip(records, parts, strict=True)):
-                share = part_of(progress, place / count, (place + 1) / count)
-                done[place] = correct_one(record, part, progress=share)
+            for k, job in enumerate(jobs):
+                done[k] = correct_one(job, progress=part_of(progress, k / len(jobs), (k + 1) / len(jobs)))
         for part in sorted(hidden.iterdir()):  # the recordings, and what is written beside them
             part.replace(targets[0].parent / part.name)
-    named = enumerate(zip(records, targets, strict=True))
-    return tuple(replace(done[place], record=record, output=target) for place, (record, target) in named)
-
-
-def _job(correct_one: "Callable[..., CorrectedFile]", job: tuple[Path, Path]) -> CorrectedFile:
-    """Correct on a worker."""
-    return correct_one(*job)
+    return tuple(replace(done[k], record=record, output=targets[k]) for k, record in enumerate(records))
 
 
 def _targets(records: tuple[Path, ...], output: Path, read: tuple[Path | None, ...]) -> list[Path]:
@@ -271,8 +266,7 @@ def _targets(records: tuple[Path, ...], output: Path, read: tuple[Path | None, .
 
 
 def _correct_one(
-    record: Path,
-    part: Path,
+    job: tuple[Path, Path],
     *,
     corrector: "Callable[..., Corrector]",
     model: "Calibration",
@@ -281,7 +275,7 @@ def _correct_one(
     stretch: "Stretch | None" = None,
     progress: Progress = silent,
 ) -> CorrectedFile:
-    """Correct one recording, chunk by chunk where its target takes chunks."""
+    """Correct a recording into a file, chunk by chunk where the file takes chunks."""
     from undrift.correction.consistency import check_corrected, check_force
     from undrift.correction.correct import read_ahead
     from undrift.correction.coverage import find_beyond
@@ -289,7 +283,7 @@ def _correct_one(
     from undrift.io.parquet import ParquetWriter
     from undrift.io.write import write_record_as
 
-    stream, notes, rest = corrector(), dict[str, None](), None
+    (record, part), stream, notes, rest = job, corrector(), dict[str, None](), None
     if stretch is not None:
         rest = _rest_offset(record, model, opening, corrector(), stretch)
         stream, notes = corrector(offset=rest), {rest.finding.text: None}

@@ -1,63 +1,22 @@
 """``undrift export``: what firmware and other programs read."""
 
 import re
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
 from undrift.base.options import Output, verb
-from undrift.base.summary import Drawing, Result, Section, Summary, rows_section
+from undrift.base.summary import Drawing, Section, Summary, rows_section
 from undrift.commands.files import check_output
 from undrift.errors import FileFormatError, InputError
 from undrift.export import ExportOptions, find_target
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
 if TYPE_CHECKING:
-    from undrift.export.losses import Exported
     from undrift.model import Calibration
 
 BUILD = {"table_bytes": "tables (bytes)", "flash_bytes": "flash (bytes, estimated)", "cycles": "cycles (estimated)"}
-
-
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class ExportedFiles(Result):
-    """A calibration for another program, as files."""
-
-    target: str
-    files: tuple[Path, ...]
-    exported: "Exported"
-    calibration: "Calibration"
-
-    def summary(self) -> Summary:
-        """Return what the files cannot carry, memory and time of C builds, and the verdict of the calibration."""
-        from undrift.io.store import findings_json, verdict_json
-
-        done, verdict = self.exported, self.calibration.verdict
-        lost = len(done.not_carried)
-        return Summary(
-            title=f"Calibration of {self.calibration.device or 'a device'} for {self.target}",
-            answer=f"{self.files[0].name} carries the calibration" + (f" but {lost} of its parts." if lost else "."),
-            data={
-                "target": self.target,
-                "files": [str(path) for path in self.files],
-                "not_carried": done.not_carried,
-                "notes": done.notes,
-                "findings": findings_json(done.findings),
-                **done.figures,
-                "verdict": verdict_json(verdict),
-            },
-            pictures=(Drawing(place="undrift.report.certificate:draw_calibration", of=(self.calibration,)),),
-            sections=(
-                *_builds(done.figures),
-                Section(title="Not carried", text=tuple(f"not carried: {text}" for text in done.not_carried)),
-            ),
-            verdict=verdict,
-            notes=done.notes,
-            written=self.files,
-            failed=verdict.status == "bad",
-        )
 
 
 @verb
@@ -68,7 +27,7 @@ def export(
     target: str,
     output: Output,
     options: Annotated[ExportOptions, Parameter(name="*")] = ExportOptions(),
-) -> ExportedFiles:
+) -> Summary:
     """Write calibrations for firmware and other programs, and list what they cannot carry.
 
     Parameters
@@ -84,6 +43,7 @@ def export(
         Options that some targets take.
     """
     from undrift.files import write_whole
+    from undrift.io.store import findings_json, verdict_json
 
     if options.fixed and options.double:
         raise InputError("export: wanted --fixed or --double, got both; the source holds both, name the default")
@@ -95,7 +55,29 @@ def export(
     exported = chosen.write(model, options, output.name)
     for path, text in zip(files, (exported.text, *exported.more), strict=True):
         write_whole(path, text)
-    return ExportedFiles(target=target, files=files, exported=exported, calibration=model)
+    lost = len(exported.not_carried)
+    return Summary(
+        title=f"Calibration of {model.device or 'a device'} for {target}",
+        answer=f"{output.name} carries the calibration" + (f" but {lost} of its parts." if lost else "."),
+        data={
+            "target": target,
+            "files": [str(path) for path in files],
+            "not_carried": exported.not_carried,
+            "notes": exported.notes,
+            "findings": findings_json(exported.findings),
+            **exported.figures,
+            "verdict": verdict_json(model.verdict),
+        },
+        pictures=(Drawing(place="undrift.report.certificate:draw_calibration", of=(model,)),),
+        sections=(
+            *_builds(exported.figures),
+            Section(title="Not carried", text=tuple(f"not carried: {text}" for text in exported.not_carried)),
+        ),
+        verdict=model.verdict,
+        notes=exported.notes,
+        written=files,
+        failed=model.verdict.status == "bad",
+    )
 
 
 def _read(path: Path) -> "Calibration":

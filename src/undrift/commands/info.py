@@ -2,12 +2,12 @@
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from undrift.base.options import Picture, Up, options, verb
-from undrift.base.summary import Answer, Drawing, Result, Section, Summary, at
+from undrift.base.summary import Drawing, Section, Summary, at
 from undrift.commands.files import Opening, Rests, check_figure, check_output, name_of
 from undrift.errors import InputError
 from undrift.units import RADIAN_PER_DEGREE
@@ -69,47 +69,6 @@ class Proposal:
 POSES = 9  # still phases of a recording that may calibrate a device
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class Described(Result):
-    """What a file holds."""
-
-    found: "Description"
-    stills: tuple[tuple[float, float], ...] = ()  # Start and stop, s
-    no_still_because: str = ""
-    effects: "dict[str, list[str]]" = field(default_factory=dict)  # Of a device model; parts of a calibration
-    calibration: "Calibration | None" = None
-    pictures: tuple[Drawing, ...] = ()
-    next: tuple[object, ...] = ()  # Words of the command that follows
-    written: tuple[Path, ...] = ()
-
-    def summary(self) -> Summary:
-        """Return kind and format, units, spans, still phases and problems."""
-        from undrift.io.store import findings_json, verdict_json
-
-        found, verdict = self.found, None if self.calibration is None else self.calibration.verdict
-        parts = self.effects if verdict is None else self.effects | {"verdict": [verdict.status, *verdict.reasons]}
-        lines = (*_lines(self), *(f"{part}: {', '.join(texts)}" for part, texts in self.effects.items()))
-        return Summary(
-            title=f"What {Path(found.path).name} holds",
-            answer=f"{found.path}: {found.kind} ({found.format})",
-            data={key: getattr(found, key) for key in _KEYS}
-            | {
-                "units": dict(found.units),
-                "stills": self.stills,
-                "findings": findings_json(found.findings),
-                "map": found.example,
-                "no_still_because": self.no_still_because,
-                "effects": parts,
-                "verdict": None if verdict is None else verdict_json(verdict),
-            },
-            pictures=self.pictures,
-            sections=(Section(title="What was found", text=lines),),
-            verdict=verdict,
-            written=self.written,
-            next=self.next,
-        )
-
-
 @verb
 def info(
     file: Path,
@@ -120,7 +79,7 @@ def info(
     proposal: Proposal = Proposal(),
     rests: Rests = Rests(),
     figure: Picture = None,
-) -> Result:
+) -> Summary:
     """What a recording, session, calibration, reference or device holds: rates, units, spans, gaps, stills found.
 
     Parameters
@@ -136,7 +95,7 @@ def info(
     """
     from undrift.correction.consistency import find_disagreement
     from undrift.io.inspect import describe
-    from undrift.io.store import read_calibration
+    from undrift.io.store import findings_json, read_calibration, verdict_json
 
     check_figure(figure, reads=(file, opening.column_map))
     if _is_plain_folder(file):
@@ -164,14 +123,24 @@ def info(
         effects, span = _parts(calibration)
         found = replace(found, temp_c=span)
         drawing = Drawing(place="undrift.report.certificate:draw_calibration", of=(calibration,))
-    return Described(
-        found=found, stills=stills, no_still_because=reason, effects=effects, calibration=calibration,
-        pictures=(drawing,) if records or calibration else (), next=_next(found, len(stills), opening),
+    verdict = None if calibration is None else calibration.verdict
+    parts = effects if verdict is None else effects | {"verdict": [verdict.status, *verdict.reasons]}
+    lines = (*_lines(found, stills, reason), *(f"{part}: {', '.join(texts)}" for part, texts in effects.items()))
+    more: dict[str, object] = {"units": dict(found.units), "stills": stills, "map": found.example, "effects": parts}
+    more |= {"findings": findings_json(found.findings), "no_still_because": reason}
+    return Summary(
+        title=f"What {name_of(file)} holds",
+        answer=f"{found.path}: {found.kind} ({found.format})",
+        data={key: getattr(found, key) for key in _KEYS} | more | {"verdict": verdict and verdict_json(verdict)},
+        pictures=(drawing,) if records or calibration else (),
+        sections=(Section(title="What was found", text=lines),),
+        verdict=verdict,
         written=() if figure is None else (figure,),
-    )  # fmt: skip
+        next=_next(found, len(stills), opening),
+    )
 
 
-def _write_map(found: "Description", path: Path, proposal: Proposal, opening: Opening) -> Answer:
+def _write_map(found: "Description", path: Path, proposal: Proposal, opening: Opening) -> Summary:
     """Write the map that a table seems to need, each unit with its reason."""
     from undrift.files import write_whole
     from undrift.io.proposal import map_of
@@ -191,7 +160,7 @@ def _write_map(found: "Description", path: Path, proposal: Proposal, opening: Op
     lines, complete = text.splitlines(), '"?"' not in text
     advice = f"put the true unit where {path} has ?, or repeat with --gyro-unit or --accel-unit"
     made = {"kind": found.kind, "format": found.format, "output": str(path)}
-    shown = Summary(
+    return Summary(
         title=f"Map of {Path(found.path).name}",
         answer=f"The map of {found.path} is complete." if complete else f"The map lacks a unit: {advice}.",
         data=made | {"map": lines, "complete": complete},
@@ -199,7 +168,6 @@ def _write_map(found: "Description", path: Path, proposal: Proposal, opening: Op
         written=(path,),
         next=("info", found.path, "--map", path) if complete else (),
     )
-    return Answer(shown=shown)
 
 
 # ---- A calibration and a device model
@@ -275,7 +243,7 @@ def _is_plain_folder(path: Path) -> bool:
     return False
 
 
-def _folder(path: Path) -> Answer:
+def _folder(path: Path) -> Summary:
     """Return name, kind and summary of each entry; kind "damaged" where it cannot be read, with the reason."""
     from undrift.io.inspect import describe
 
@@ -297,13 +265,12 @@ def _folder(path: Path) -> Answer:
     rest = {"columns": [], "units": {}, "gaps": 0, "temp_c": None, "stills": [], "findings": [], "summary": summary}
     named = [{"name": name, "kind": kind, "summary": text} for name, kind, text in files]
     lines = (f"{name}: {kind}, {text}" for name, kind, text in files)
-    shown = Summary(
+    return Summary(
         title=f"What {path.name} holds",
         answer=f"{path}: folder, {summary}",
         data=head | rest | {"problems": [text for _, kind, text in files if kind == "damaged"], "files": named},
         sections=(Section(title="Entries", text=(*lines, "name one of them to see more")),),
     )
-    return Answer(shown=shown)
 
 
 # ---- A recording or session: still phases, and what a person sees
@@ -366,9 +333,8 @@ def draw_found(session: "Session", settings: "StillSettings", title: str) -> Any
     return at("undrift.report.figures:draw_recording")(session.records, pieces, title=title)
 
 
-def _lines(described: Described) -> list[str]:
+def _lines(found: "Description", stills: Sequence[tuple[float, float]], no_still_because: str) -> list[str]:
     """Return what a person sees of a file."""
-    found, stills = described.found, described.stills
     lines = [found.summary.partition(", for example")[0] if found.example else found.summary]
     lines += [f"{name}: {unit}" for name, unit in found.units]
     if found.kind in ("recording", "session", "set-points"):
@@ -383,8 +349,8 @@ def _lines(described: Described) -> list[str]:
     if stills:
         spans = ", ".join(f"{start:.1f}-{stop:.1f}" for start, stop in stills[:8])
         lines.append(f"still phases: {len(stills)} ({spans}{', ...' if len(stills) > 8 else ''} s)")
-    elif described.no_still_because:
-        lines.append(described.no_still_because)
+    elif no_still_because:
+        lines.append(no_still_because)
     return [*lines, *found.lines(), *_hints(found)]
 
 

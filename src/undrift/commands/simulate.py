@@ -1,11 +1,11 @@
 """``undrift simulate``: simulated sensor output for recorded poses, a task, a thermal session, or days of use."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from undrift.base.options import Flag, Output, Up, verb
-from undrift.base.summary import Drawing, Result, Section, Summary, plain_words, rows_section
+from undrift.base.summary import Drawing, Section, Summary, plain_words, rows_section
 from undrift.commands import Progress, silent
 from undrift.commands.files import check_folder, device_at, labels_of
 from undrift.errors import InputError
@@ -24,37 +24,6 @@ if TYPE_CHECKING:
 
 THERMAL = "thermal_"  # before the kind of a thermal session
 DAILY = "daily_use"
-
-
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class Simulation(Result):
-    """Simulated sensor output, as files."""
-
-    motion: str
-    output: Path
-    device: "DeviceModel"
-    record: "Record"  # Of several the last
-    figures: dict[str, Any]  # Samples, rate, spans, and the size of each effect
-    line: str  # What was written, with its figures
-    text: tuple[str, ...] = ()  # Cut-offs and warnings
-
-    def summary(self) -> Summary:
-        """Return what was simulated, and the contribution of each effect of the device."""
-        device, rows = self.device, list[dict[str, str]]()
-        for key, unit, factor in (("gyro_rad_s", "deg/s", RADIAN_PER_DEGREE), ("accel_m_s2", "m/s2", 1.0)):
-            for effect, rms in self.figures.get(key, {"contribution_rms": {}})["contribution_rms"].items():
-                cells = zip("xyz", (f"{value:.4g}" for value in rms / factor), strict=True)
-                rows.append({"effect": f"{plain_words(effect)}, {unit}", **dict(cells)})
-        return Summary(
-            title=f"Simulated {plain_words(self.motion)} of {device.name} {device.serial}",
-            answer=f"{self.motion} -> {self.output}: {self.line}",
-            data={"motion": self.motion, "output": str(self.output), **self.figures},
-            pictures=(Drawing(place="undrift.report.figures:draw_record", of=(self.record,)),),
-            sections=(
-                rows_section(f"{device.name} {device.serial}: contribution of each effect (rms)", rows),
-                Section(title="Remarks", text=self.text),
-            ),
-        )
 
 
 @verb
@@ -78,7 +47,7 @@ def simulate(
     days: int | None = None,
     seed: int = 0,
     progress: Progress = silent,
-) -> Simulation:
+) -> Summary:
     """Simulate the readings of a device in a motion.
 
     Parameters
@@ -135,9 +104,18 @@ def simulate(
     model, rate_hz = device_at(device, rng, draw=draw), sample_rate_hz or 100.0
     progress(f"simulating {motion}", 0.0)
     if days is not None or motion == DAILY or motion.startswith(THERMAL):
-        unused: dict[str, object] = {"temp_c": temp_c, "markers": markers, "reference_up": reference_up}
-        given, unused = (sample_rate_hz, power_on_s, gravity_m_s2), unused | {"cutoff_hz": cutoff_hz, "truth": truth}
-        done = _session(motion, stamps, model, output, days, given, unused, rng, progress)
+        unused: dict[str, object] = {
+            "temp_c": temp_c,
+            "markers": markers,
+            "reference_up": reference_up,
+            "cutoff_hz": cutoff_hz,
+        }
+        unused |= {"truth": truth, "stamps": None if stamps == "device" else stamps}
+        _check_unused(motion, days, [name for name, value in unused.items() if value is not None], power_on_s)
+        if motion == DAILY:
+            answer = _daily(model, output, 10 if days is None else days, sample_rate_hz, rng, progress)
+        else:
+            answer = _thermal(motion, model, output, (sample_rate_hz, power_on_s, gravity_m_s2), rng)
     else:
         moved, where, chosen = _motion(motion, rate_hz, gravity_m_s2, (markers, reference_up, cutoff_hz), rng)
         simulated = simulate_device(model, moved, rng=rng, temp_c=temp_c, power_on_s=power_on_s or 0.0)
@@ -146,78 +124,62 @@ def simulate(
         write_record(simulated.record, output)
         if truth is not None:
             write_reference(Reference(time=moved.time, q_nb=moved.q_nb, position=where, moving=moved.moving), truth)
-        done = _simulation(motion, output, model, simulated, chosen)
+        answer = _moved(motion, model, output, simulated, chosen)
     if save_device is not None:
         write_device(model, save_device)
-    return done
+    return answer
+
+
+def _check_unused(motion: str, days: int | None, stated: list[str], power_on_s: float | None) -> None:
+    """Refuse what a thermal session or days of use have no use for; ``stated`` are names of options."""
+    from undrift.sim.thermal import ThermalKind
+
+    kinds = [THERMAL + kind for kind in get_args(ThermalKind)]
+    if motion == DAILY:
+        if stated or power_on_s is not None:
+            raise InputError(
+                f"{DAILY}: wanted --device, --days, --sample-rate-hz, --draw, --seed alone; leave the others out"
+            )
+    elif days is not None:
+        raise InputError(f"{motion}: wanted no --days; only {DAILY} goes over days")
+    elif motion not in kinds:
+        raise InputError(f"motion: wanted one of {', '.join(kinds)}, got '{motion}'; name one")
+    elif stated:
+        wrong = ", ".join(f"--{name.replace('_', '-')}" for name in stated)
+        raise InputError(f"{motion}: wanted none of {wrong}, which a thermal session has no use for; leave out")
+    elif motion == f"{THERMAL}warm_up" and power_on_s is not None:
+        raise InputError(
+            f"{motion}: wanted no --power-on-s, got {power_on_s:g}; this session begins at power-on, leave it out"
+        )
 
 
 def _thermal(
-    kind: "ThermalKind",
+    motion: str,
     model: "DeviceModel",
     output: Path,
     given: tuple[float | None, float | None, float],
     rng: "np.random.Generator",
-) -> Simulation:
-    """Simulate a thermal session and write it."""
+) -> Summary:
+    """Simulate a thermal session and write it; given are the sample rate, the time since power-on and gravity."""
     from undrift.io.session import write_session
     from undrift.sim.thermal import ThermalSettings, simulate_thermal_session
 
     check_folder(output)
     sample_rate_hz, power_on_s, gravity_m_s2 = given
-    if kind == "warm_up" and power_on_s is not None:
-        raise InputError(
-            f"{THERMAL}{kind}: wanted no --power-on-s, got {power_on_s:g}; this session begins at power-on, leave it out"
-        )
     bench = replace(ThermalSettings().bench, gravity_m_s2=gravity_m_s2)
     bench = bench if sample_rate_hz is None else replace(bench, sample_rate_hz=sample_rate_hz)
     settings = ThermalSettings(bench=bench)
     settings = settings if power_on_s is None else replace(settings, power_on_s=power_on_s)
+    kind: ThermalKind = motion.removeprefix(THERMAL)  # type: ignore[assignment]
     session = simulate_thermal_session(kind, model, rng=rng, settings=settings)
     write_session(session, output)
-    record, temp_c = session.records[0], session.records[0].temp_c
-    span = None if temp_c is None else [float(temp_c.min()), float(temp_c.max())]
-    counts = {"stills": len(session.stills), "turns": len(session.turns)}
-    figures = _recorded(model, record) | {"temp_c": span, **counts}
+    record, counts = session.records[0], {"stills": len(session.stills), "turns": len(session.turns)}
+    figures = _of_record(model, record) | {"temp_c": _span(record), **counts}
     line = (
         "{samples} samples at {sample_rate_hz:.6g} Hz over {duration_s:.0f} s, {temp_c[0]:.1f} to {temp_c[1]:.1f} degC, "
         "{stills} stills, {turns} turns."
-    ).format(**figures)
-    return Simulation(motion=f"{THERMAL}{kind}", output=output, device=model, record=record, figures=figures, line=line)
-
-
-def _session(
-    motion: str,
-    stamps: str,
-    model: "DeviceModel",
-    output: Path,
-    days: int | None,
-    given: tuple[float | None, float | None, float],
-    unused: dict[str, object],
-    rng: "np.random.Generator",
-    progress: Progress,
-) -> Simulation:
-    """Simulate a thermal session or days of use and write them."""
-    from undrift.sim.thermal import ThermalKind
-
-    unused["stamps"] = None if stamps == "device" else stamps
-    wrong = [f"--{name.replace('_', '-')}" for name, value in unused.items() if value is not None]
-    if motion == DAILY:
-        if wrong or given[1] is not None:
-            raise InputError(
-                f"{DAILY}: wanted --device, --days, --sample-rate-hz, --draw, --seed alone; leave the others out"
-            )
-        return _daily(model, output, 10 if days is None else days, given[0], rng, progress)
-    if days is not None:
-        raise InputError(f"{motion}: wanted no --days; only {DAILY} goes over days")
-    kinds = {THERMAL + kind: kind for kind in get_args(ThermalKind)}
-    if motion not in kinds:
-        raise InputError(f"motion: wanted one of {', '.join(kinds)}, got '{motion}'; name one")
-    if wrong:
-        raise InputError(
-            f"{motion}: wanted none of {', '.join(wrong)}, which a thermal session has no use for; leave out"
-        )
-    return _thermal(kinds[motion], model, output, given, rng)
+    )
+    return _answer(motion, output, model, record, figures, line.format(**figures))
 
 
 def _daily(
@@ -227,7 +189,7 @@ def _daily(
     sample_rate_hz: float | None,
     rng: "np.random.Generator",
     progress: Progress,
-) -> Simulation:
+) -> Summary:
     """Simulate a recording for each day and write it, named by its date."""
     from datetime import date, timedelta
 
@@ -241,15 +203,19 @@ def _daily(
         record = day.session.records[0]
         output.mkdir(exist_ok=True)
         write_record(record, output / f"{date(2026, 1, 1) + timedelta(days=day.number)}.parquet")
-        temp_c = record.temp_c
-        spans += [] if temp_c is None else [float(temp_c.min()), float(temp_c.max())]
+        spans += _span(record) or []
         progress(f"simulating {DAILY}", (day.number + 1) / days)
-    figures = _recorded(model, record) | {"days": days, "temp_c": [min(spans), max(spans)]}
+    figures = _of_record(model, record) | {"days": days, "temp_c": [min(spans), max(spans)]}
     line = f"{days} recordings from 2026-01-01 on, {min(spans):.1f} to {max(spans):.1f} degC."
-    return Simulation(motion=DAILY, output=output, device=model, record=record, figures=figures, line=line)
+    return _answer(DAILY, output, model, record, figures, line)
 
 
-def _recorded(model: "DeviceModel", record: "Record") -> dict[str, Any]:
+def _span(record: "Record") -> list[float] | None:
+    """Return the lowest and the highest temperature, degC."""
+    return None if record.temp_c is None else [float(record.temp_c.min()), float(record.temp_c.max())]
+
+
+def _of_record(model: "DeviceModel", record: "Record") -> dict[str, Any]:
     return {
         "device": {key: getattr(model, key) for key in ("name", "serial", "source_tag")},
         "samples": len(record),
@@ -319,30 +285,50 @@ def _pose_settings(reference: "Reference", cutoff_hz: str | None) -> tuple["Pose
     return PoseSettings(cutoff_hz=stated, position_cutoff_hz=stated), {}
 
 
-def _simulation(
-    motion: str, output: Path, model: "DeviceModel", simulated: "Simulated", chosen: "dict[str, Cutoff]"
-) -> Simulation:
+def _moved(
+    motion: str, model: "DeviceModel", output: Path, simulated: "Simulated", chosen: "dict[str, Cutoff]"
+) -> Summary:
     """Return a simulated motion with the size of each effect, saturation and gaps."""
     import numpy as np
 
-    record, text = (
-        simulated.record,
-        [f"cut-off of the {name}: {one.cutoff_hz:.1f} Hz, as {one.reason}" for name, one in chosen.items()],
-    )
+    record = simulated.record
     cutoffs = {signal: {"cutoff_hz": one.cutoff_hz, "method": one.method} for signal, one in chosen.items()}
+    text = [f"cut-off of the {name}: {one.cutoff_hz:.1f} Hz, as {one.reason}" for name, one in chosen.items()]
     gaps = 0 if record.gyro is None else int(np.isnan(record.gyro[:, 0]).sum())
-    figures = ({"cutoff": cutoffs} if chosen else {}) | _recorded(model, record) | {"gaps": gaps}
-    for name, key, triad in (
-        ("gyroscope", "gyro_rad_s", simulated.gyro),
-        ("accelerometer", "accel_m_s2", simulated.accel),
+    figures = ({"cutoff": cutoffs} if chosen else {}) | _of_record(model, record) | {"gaps": gaps}
+    rows = list[dict[str, str]]()
+    for name, key, unit, factor, triad in (
+        ("gyroscope", "gyro_rad_s", "deg/s", RADIAN_PER_DEGREE, simulated.gyro),
+        ("accelerometer", "accel_m_s2", "m/s2", 1.0, simulated.accel),
     ):
         saturated = int(triad.saturated.any(axis=1).sum())
-        contributions = {c.effect: np.sqrt(np.nanmean(c.value**2, axis=0)) for c in triad.contributions}
-        figures[key] = {"saturated_samples": saturated, "contribution_rms": contributions}
+        rms = {c.effect: np.sqrt(np.nanmean(c.value**2, axis=0)) for c in triad.contributions}
+        figures[key] = {"saturated_samples": saturated, "contribution_rms": rms}
         text += [f"warning: {name} saturated in {saturated} samples"] if saturated else []
+        for effect, value in rms.items():
+            cells = zip("xyz", (f"{axis:.4g}" for axis in value / factor), strict=True)
+            rows.append({"effect": f"{plain_words(effect)}, {unit}", **dict(cells)})
     text += [f"warning: {gaps} samples are gaps, where the poses are not known"] if gaps else []
     text += ["no accelerometer: these poses hold no positions"] if record.accel is None else []
+    effects = rows_section(f"{model.name} {model.serial}: contribution of each effect (rms)", rows)
     line = f"{len(record)} samples at {record.sample_rate_hz:.6g} Hz."
-    return Simulation(
-        motion=motion, output=output, device=model, record=record, figures=figures, line=line, text=tuple(text)
+    return _answer(motion, output, model, record, figures, line, (effects, Section(title="Remarks", text=tuple(text))))
+
+
+def _answer(
+    motion: str,
+    output: Path,
+    model: "DeviceModel",
+    record: "Record",
+    figures: dict[str, Any],
+    line: str,
+    sections: tuple[Section, ...] = (),
+) -> Summary:
+    """Return what was simulated, with the last recording."""
+    return Summary(
+        title=f"Simulated {plain_words(motion)} of {model.name} {model.serial}",
+        answer=f"{motion} -> {output}: {line}",
+        data={"motion": motion, "output": str(output), **figures},
+        pictures=(Drawing(place="undrift.report.figures:draw_record", of=(record,)),),
+        sections=sections,
     )

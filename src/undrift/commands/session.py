@@ -4,9 +4,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from undrift.base.options import Files, Json, Output
-from undrift.cli import examples
-from undrift.cli.common import group, say, say_next, waiting, write_json
+from undrift.base.options import Files, Output, verb
+from undrift.base.summary import Section, Summary
+from undrift.commands import Progress, silent
 from undrift.commands.files import Opening, Place, check_folder, named_columns, session_of
 from undrift.errors import InputError
 from undrift.units import RADIAN_PER_DEGREE
@@ -16,12 +16,8 @@ if TYPE_CHECKING:
     from undrift.rate_log import LoggedTurn
     from undrift.record import Session
 
-session = group(
-    "session", "Write a session.toml of bare recordings, with the rests, faces and turns found in them; --json."
-)
 
-
-@session.command(help_epilogue=examples("session new"))
+@verb
 def new(
     *files: Files,
     output: Output,
@@ -30,8 +26,8 @@ def new(
     turn_deg: float | None = None,
     rates: Path | None = None,
     rates_offset_s: float | None = None,
-    json: Json = False,
-) -> int:
+    progress: Progress = silent,
+) -> Summary:
     """Write a session.toml with the rests, faces and turns found in bare recordings, ready to edit.
 
     Parameters
@@ -61,15 +57,15 @@ def new(
         raise InputError("--rates-offset-s: wanted one recording and --rates beside it, got others; leave it out")
     if (output / NAME).exists():
         raise InputError(f"{output / NAME}: wanted a new session, got one that exists; edit it, or name another folder")
-    with waiting("reading and looking for rests and turns"):
-        if any((file / NAME).is_file() or file.name == NAME for file in files):
-            raise InputError(f"{files[0]}: wanted bare recordings, got a session; edit its session.toml")
-        bare = session_of(files, place, opening)
-        for file, record in zip(files, bare.records, strict=False):
-            with named_columns(file):
-                check_triads(record)
-        found, steady = find_pieces(bare, CalibrateSettings(turn_angle_deg=turn_deg))
-        log = None if rates is None else _logged(rates, found, rates_offset_s)
+    progress("reading and looking for rests and turns", 0.0)
+    if any((file / NAME).is_file() or file.name == NAME for file in files):
+        raise InputError(f"{files[0]}: wanted bare recordings, got a session; edit its session.toml")
+    bare = session_of(files, place, opening)
+    for file, record in zip(files, bare.records, strict=False):
+        with named_columns(file):
+            check_triads(record)
+    found, steady = find_pieces(bare, CalibrateSettings(turn_angle_deg=turn_deg))
+    log = None if rates is None else _logged(rates, found, rates_offset_s)
     if log is not None:
         found, steady = replace(found, turns=()), ()
     logged = [] if log is None else [(each.turn, each.uncertainty) for each in log[0]]
@@ -77,22 +73,32 @@ def new(
     output.mkdir(exist_ok=True)
     write_whole(output / NAME, text)
     faces = list(dict.fromkeys(still.face for still in found.stills if still.face is not None))
-    counts = {"stills": len(found.stills), "turns": len(found.turns), "steady_turns": len(steady)}
-    if json:
-        gravity = {"gravity_m_s2": found.gravity_m_s2, "gravity_source": found.gravity_source}
-        made = {"output": str(output / NAME), "recordings": len(found.records), "faces": faces}
-        stated = {} if log is None else {"rates": log[1], "findings": findings_json(log[2])}
-        write_json(made | counts | gravity | stated, "session new")
-        return 0
-    say(
-        f"Wrote {output / NAME}",
-        f"  still phases: {counts['stills']}; faces: {', '.join(faces) or 'not all six, free poses'}; turns by a known angle: "
-        f"{counts['turns']}; steady turns, their rate to be stated: {counts['steady_turns']}",
-        *([] if log is None else [*_log_lines(log[1]), *(f"  warning: {one.text}" for one in log[2])]),
-        f"  gravity {found.gravity_m_s2:.5f} m/s2 ({found.gravity_source})",
+    logs = {} if log is None else {"rates": log[1], "findings": findings_json(log[2])}
+    lines = (
+        f"faces: {', '.join(faces) or 'not all six, free poses'}",
+        f"steady turns, their rate to be stated: {len(steady)}",
+        *(() if log is None else _log_lines(log[1])),
+        f"gravity {found.gravity_m_s2:.5f} m/s2 ({found.gravity_source})",
     )
-    say_next("calibrate", output, "-o", "calibration.json")
-    return 0
+    return Summary(
+        title="A session of bare recordings",
+        answer=f"{len(found.stills)} still phases and {len(found.turns)} turns by a known angle were found.",
+        data={
+            "output": str(output / NAME),
+            "recordings": len(found.records),
+            "faces": faces,
+            "stills": len(found.stills),
+            "turns": len(found.turns),
+            "steady_turns": len(steady),
+            "gravity_m_s2": found.gravity_m_s2,
+            "gravity_source": found.gravity_source,
+            **logs,
+        },
+        sections=(Section(title="What was found", text=lines),),
+        findings=() if log is None else log[2],
+        written=(output / NAME,),
+        next=("calibrate", output, "-o", "calibration.json"),
+    )
 
 
 def _logged(
@@ -149,16 +155,16 @@ NOTABLE_DRIFT = 1e-3  # a scale factor is wrong by as much where the table's clo
 
 def _log_lines(log: dict[str, Any]) -> list[str]:
     lines = [
-        f"  dwells from the log: {log['dwells']}, left out {log['left_out']}; standard uncertainty of rates up to "
+        f"dwells from the log: {log['dwells']}, left out {log['left_out']}; standard uncertainty of rates up to "
         f"{log['largest_uncertainty_dps']:.2g} deg/s"
     ]
     for each in log["clocks"]:
         lines.append(
-            f"  recording - log: {each['offset_s']:.3f} +- {each['offset_uncertainty_s']:.3f} s, drift "
+            f"recording - log: {each['offset_s']:.3f} +- {each['offset_uncertainty_s']:.3f} s, drift "
             f"{each['drift'] * 1e6:+.0f} +- {each['drift_uncertainty'] * 1e6:.0f} ppm"
         )
         if abs(each["drift"]) > NOTABLE_DRIFT:
             lines.append(
-                f"  the clocks differ by {abs(each['drift']):.2%}; rates are by the table's: check which is right"
+                f"the clocks differ by {abs(each['drift']):.2%}; rates are by the table's: check which is right"
             )
     return lines
