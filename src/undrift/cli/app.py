@@ -13,10 +13,8 @@ from collections.abc import Sequence
 from contextlib import suppress
 from typing import TYPE_CHECKING
 
-from undrift import __version__
+from undrift import __version__, commands
 from undrift.cli import examples
-from undrift.commands import GROUPS as GROUPS_OF_VERBS
-from undrift.commands import VERBS
 from undrift.errors import InputError, RigError, UndriftError
 
 if TYPE_CHECKING:
@@ -46,7 +44,7 @@ COMMANDS = {  # one line of 80 columns each
     "data": "Recordings to try: list them, fetch one by checksum; --json.",
     "demo": "The whole flow on a small simulated session, as a report page.",
 }
-GROUPS = (*GROUPS_OF_VERBS, "registry", "rig")  # of commands
+GROUPS = (*commands.GROUPS, "registry", "rig")  # of commands
 EARLIER_NAMES = {  # options renamed since a release; both spellings work, help shows the standard one
     "drift": {"--range": "--range-c", "--step": "--step-c"},
     "rig": {"--hands": "--operator"},
@@ -152,7 +150,7 @@ def command_line() -> "App":
     )
     for place, (name, text) in enumerate(COMMANDS.items()):
         end = {} if name in GROUPS else {"help_epilogue": examples(name)}
-        home = "common" if name in (*VERBS, *GROUPS_OF_VERBS) else name
+        home = "common" if name in (*commands.VERBS, *commands.GROUPS) else name
         called.command(f"undrift.cli.{home}:{name}", name=name, help=text, sort_key=place, **end)
     called.register_install_completion_command(add_to_startup=False)  # the shell's own start file stays as it is
     return called
