@@ -1,10 +1,9 @@
 """The page of a rig run: what it brings to the frame."""
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from undrift.base.summary import Cells, Origin, Section, Summary, table_section
+from undrift.base.summary import Cells, Origin, Summary, table_section
 from undrift.model import AXES
 from undrift.report import figures
 from undrift.report.figures import AXIS_MARKERS, OPTICS, new_figure, svg_of
@@ -12,7 +11,6 @@ from undrift.report.page import write_page
 from undrift.units import RADIAN_PER_DEGREE
 
 if TYPE_CHECKING:
-    from undrift.record import Record
     from undrift.rig.folder import Piece as DwellPiece
     from undrift.rig.run import RunResult
 
