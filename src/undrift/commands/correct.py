@@ -279,8 +279,9 @@ def _correct_one(
     from undrift.correction.consistency import check_corrected, check_force
     from undrift.correction.correct import read_ahead
     from undrift.correction.coverage import find_beyond
+    from undrift.io.formats import detect
     from undrift.io.inspect import find_saturated
-    from undrift.io.parquet import ParquetWriter
+    from undrift.io.parquet import ParquetWriter, parquet_rows
     from undrift.io.write import write_record_as
 
     (record, part), stream, notes, rest = job, corrector(), dict[str, None](), None
@@ -290,7 +291,7 @@ def _correct_one(
     suspicions: tuple[Finding, ...] = ()
     saturated: dict[object, Finding] = {}  # by channel and axis, over all chunks
     beyond: tuple[Beyond, ...] = ()
-    whole, total = not part.name.endswith(".parquet"), _rows(record)
+    whole, total = not part.name.endswith(".parquet"), parquet_rows(record) if detect(record) == "parquet" else None
     progress(record.name, 0.0)
     with nullcontext() if whole else ParquetWriter(part) as writer:
         for read in (opening.read(record),) if whole else read_ahead(opening.chunks(record)):
@@ -365,10 +366,3 @@ def _suspicions(done: "Record", model: "Calibration") -> "tuple[Finding, ...]":
     if median < GRAVITY_RANGE[0] or median > GRAVITY_RANGE[1]:
         suspicions.append(finding("correct.gravity", "warn", median_g=median))
     return tuple(suspicions)
-
-
-def _rows(record: Path) -> int | None:
-    from undrift.io.formats import detect
-    from undrift.io.parquet import parquet_rows
-
-    return parquet_rows(record) if detect(record) == "parquet" else None

@@ -28,11 +28,9 @@ def list_sets() -> Summary:
         ("fetch", source),
         ("what", lambda one: one.what),
     )
-    rows = [
-        {key: getattr(one, key) for key in ("name", "licence", "what", "address", "why_not")}
-        | {"bytes": one.bytes or None, "fetch": source(one)}
-        for one in sets
-    ]
+    keys = ("name", "licence", "what", "address", "why_not")
+    more = ({"bytes": one.bytes or None, "fetch": source(one)} for one in sets)
+    rows = [{key: getattr(one, key) for key in keys} | row for one, row in zip(sets, more, strict=True)]
     return Summary(
         title="Recordings to try",
         answer=f"{len(sets)} sets of recordings to try.",

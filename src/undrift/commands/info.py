@@ -111,8 +111,7 @@ def info(
     disagree = tuple(one for record in records if (one := find_disagreement(record)) is not None)
     found = replace(found, findings=(*found.findings, *disagree))
     stills, reason = _stills(session, rests)
-    title = f"{name_of(Path(found.path))}: found"
-    drawing = Drawing(place="undrift.commands.info:draw_found", of=(session, rests.settings(), title))
+    drawing = Drawing(place="undrift.commands.info:draw_found", of=(session, rests.settings(), name_of(file)))
     if figure is not None:
         if not records:
             raise InputError(f"--figure: wanted a recording or a session, got {found.kind}: {found.path}; leave it out")
@@ -324,13 +323,13 @@ def _stills(session: "Session | None", rests: Rests) -> tuple[tuple[tuple[float,
     return tuple((float(clocks[s.recording][s.start]), float(clocks[s.recording][s.stop - 1])) for s in stills), reason
 
 
-def draw_found(session: "Session", settings: "StillSettings", title: str) -> Any:
+def draw_found(session: "Session", settings: "StillSettings", name: str) -> Any:
     """Draw a recording or session with what was found in it."""
     from undrift.calibration.observe import CalibrateSettings
     from undrift.calibration.pieces import pieces_of
 
     pieces, _ = pieces_of(session, CalibrateSettings(still=settings))
-    return at("undrift.report.figures:draw_recording")(session.records, pieces, title=title)
+    return at("undrift.report.figures:draw_recording")(session.records, pieces, title=f"{name}: found")
 
 
 def _lines(found: "Description", stills: Sequence[tuple[float, float]], no_still_because: str) -> list[str]:

@@ -46,7 +46,6 @@ def new(
     """
     from undrift.calibration.calibrate import find_pieces
     from undrift.calibration.observe import CalibrateSettings
-    from undrift.correction.consistency import check_triads
     from undrift.files import write_whole
     from undrift.io.proposal import session_text
     from undrift.io.session import NAME
@@ -58,13 +57,7 @@ def new(
     if (output / NAME).exists():
         raise InputError(f"{output / NAME}: wanted a new session, got one that exists; edit it, or name another folder")
     progress("reading and looking for rests and turns", 0.0)
-    if any((file / NAME).is_file() or file.name == NAME for file in files):
-        raise InputError(f"{files[0]}: wanted bare recordings, got a session; edit its session.toml")
-    bare = session_of(files, place, opening)
-    for file, record in zip(files, bare.records, strict=False):
-        with named_columns(file):
-            check_triads(record)
-    found, steady = find_pieces(bare, CalibrateSettings(turn_angle_deg=turn_deg))
+    found, steady = find_pieces(_bare(files, place, opening), CalibrateSettings(turn_angle_deg=turn_deg))
     log = None if rates is None else _logged(rates, found, rates_offset_s)
     if log is not None:
         found, steady = replace(found, turns=()), ()
@@ -99,6 +92,20 @@ def new(
         written=(output / NAME,),
         next=("calibrate", output, "-o", "calibration.json"),
     )
+
+
+def _bare(files: tuple[Path, ...], place: Place, opening: Opening) -> "Session":
+    """Read bare recordings as a session."""
+    from undrift.correction.consistency import check_triads
+    from undrift.io.session import NAME
+
+    if any((file / NAME).is_file() or file.name == NAME for file in files):
+        raise InputError(f"{files[0]}: wanted bare recordings, got a session; edit its session.toml")
+    bare = session_of(files, place, opening)
+    for file, record in zip(files, bare.records, strict=False):
+        with named_columns(file):
+            check_triads(record)
+    return bare
 
 
 def _logged(

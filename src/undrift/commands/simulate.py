@@ -91,7 +91,6 @@ def simulate(
     """
     import numpy as np
 
-    from undrift.io.formats import write_record
     from undrift.io.reference import write_reference
     from undrift.record import Reference
     from undrift.sim.device.model import write_device
@@ -121,7 +120,6 @@ def simulate(
         simulated = simulate_device(model, moved, rng=rng, temp_c=temp_c, power_on_s=power_on_s or 0.0)
         if stamps == "host":
             simulated = replace(simulated, record=stamp_on_host(simulated.record, rng=rng).record)
-        write_record(simulated.record, output)
         if truth is not None:
             write_reference(Reference(time=moved.time, q_nb=moved.q_nb, position=where, moving=moved.moving), truth)
         answer = _moved(motion, model, output, simulated, chosen)
@@ -288,10 +286,13 @@ def _pose_settings(reference: "Reference", cutoff_hz: str | None) -> tuple["Pose
 def _moved(
     motion: str, model: "DeviceModel", output: Path, simulated: "Simulated", chosen: "dict[str, Cutoff]"
 ) -> Summary:
-    """Return a simulated motion with the size of each effect, saturation and gaps."""
+    """Write a simulated motion, and return the size of each effect, saturation and gaps."""
     import numpy as np
 
+    from undrift.io.formats import write_record
+
     record = simulated.record
+    write_record(record, output)
     cutoffs = {signal: {"cutoff_hz": one.cutoff_hz, "method": one.method} for signal, one in chosen.items()}
     text = [f"cut-off of the {name}: {one.cutoff_hz:.1f} Hz, as {one.reason}" for name, one in chosen.items()]
     gaps = 0 if record.gyro is None else int(np.isnan(record.gyro[:, 0]).sum())
