@@ -89,10 +89,10 @@ def test_an_address_that_is_none_is_refused_before_anything_is_opened(address, t
 @pytest.mark.parametrize(
     ("content", "text"),
     [
-        ("rate = ", r"wanted a stream description, got"),
-        ("rate = 5", r"wanted \[stream\] with keys out of channels, rate"),
-        ("[stream]\nspeed = 5", r"wanted \[stream\] with keys out of channels, rate"),
-        ("[stream]\nrate = '5'", r"wanted float for rate, got '5'"),
+        ("rate = ", r"wanted TOML, got a line that is not"),
+        ("rate = 5", r"stream: wanted this key, got none; add it"),
+        ("[stream]\nspeed = 5", r"line 2: \[stream\], speed: wanted a known key, got this one; check its spelling"),
+        ("[stream]\nrate = '5'", r"line 2: \[stream\], rate: wanted a valid number, got '5'"),
         ("[stream]\nrate = 0", r"wanted rate above 0, got 0"),
     ],
 )
@@ -104,7 +104,7 @@ def test_a_file_that_is_no_description_is_refused(tmp_path, content, text):
 
 
 def test_a_file_that_is_not_there_is_refused(tmp_path):
-    with pytest.raises(FileFormatError, match=r"none.toml: wanted a stream description"):
+    with pytest.raises(InputError, match=r"none.toml: wanted a file, got nothing of that name"):
         read_description(tmp_path / "none.toml")
 
 

@@ -7,7 +7,6 @@ address, ``tcp://host:port?channels=count,gyro_x,gyro_y,gyro_z,accel_x,accel_y,a
 
 import binascii
 import re
-import tomllib
 import zlib
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
@@ -19,7 +18,8 @@ from typing import Any, Literal, NamedTuple, get_args
 import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray, frozen
-from undrift.errors import FileFormatError, InputError
+from undrift.base.codec import stored, toml_of, value_of
+from undrift.errors import InputError
 from undrift.record import Record
 from undrift.units import canonical_unit
 
@@ -51,6 +51,7 @@ TRIADS = ("gyro", "accel", "mag")
 MEASURED = (*(f"{triad}_{axis}" for triad in TRIADS for axis in "xyz"), "temp")
 
 
+@stored()
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StreamDescription:
     """What a device sends."""
@@ -166,21 +167,16 @@ def described(base: StreamDescription | None, options: tuple[tuple[str, str], ..
 
 def read_description(path: str | Path) -> StreamDescription:
     """Read a description from a TOML file."""
-    try:
-        held = tomllib.loads(Path(path).read_text(encoding="utf-8")).get("stream")
-    except (OSError, ValueError) as error:
-        raise FileFormatError(f"{path}: wanted a stream description, got '{error}'; check the file") from error
-    if not isinstance(held, dict) or not held.keys() <= KINDS.keys():
-        raise FileFormatError(f"{path}: wanted [stream] with keys out of {', '.join(KINDS)}, got others; mend the file")
-    given = {name: tuple(value) if isinstance(value, list) else value for name, value in held.items()}
-    for name, value in given.items():
-        number = isinstance(value, int) and not isinstance(value, bool) and KINDS[name] is float
-        if not number and type(value) is not KINDS[name]:
-            raise FileFormatError(f"{path}: wanted {KINDS[name].__name__} for {name}, got {value!r}; mend the file")
-    try:
-        return StreamDescription(**given)  # type: ignore[arg-type]
-    except InputError as error:
-        raise FileFormatError(f"{path}: {error}") from error
+    tables, text = toml_of(path)
+    return value_of(_File, {name: table for name, table in tables.items() if name == "stream"}, str(path), text).stream
+
+
+@stored()
+@dataclass(frozen=True, slots=True)
+class _File:
+    """A TOML file with a description; other tables in it are not for us."""
+
+    stream: StreamDescription
 
 
 # ---- Counters: what the device counted, made to go on for ever.

@@ -98,39 +98,7 @@ DPS, G, MG = RADIAN_PER_DEGREE, STANDARD_GRAVITY, 1e-3 * STANDARD_GRAVITY
 FLOOR = math.sqrt(2.0 * math.log(2.0) / math.pi)  # of the Allan deviation over B: data sheets state the floor
 ONE_SIDED = math.sqrt(2.0)  # a data sheet's density over the random walk: see WhiteNoise.random_walk
 
-FIGURES: dict[str, tuple[str, float, *tuple[float, ...]]] = {  # field of a triad's grade, factor, divisors
-    "range_dps": ("full_scale", DPS),
-    "range_g": ("full_scale", G),
-    "counts_per_dps": ("sensitivity", 1.0, DPS),
-    "counts_per_g": ("sensitivity", 1.0, G),
-    "v_per_dps": ("sensitivity", 1.0, DPS),
-    "v_per_g": ("sensitivity", 1.0, G),
-    "scale_percent": ("sensitivity_sd", 0.01),
-    "scale_percent_per_k": ("scale_per_k_sd", 0.01),
-    "nonlinearity_percent": ("nonlinearity_sd", 0.01),
-    "cross_percent": ("misalignment_sd", 0.01),
-    "offset_dps": ("offset_sd", DPS),
-    "offset_g": ("offset_sd", G),
-    "offset_mg": ("offset_sd", MG),
-    "offset_dps_per_k": ("offset_per_k_sd", DPS),
-    "offset_g_per_k": ("offset_per_k_sd", G),
-    "offset_mg_per_k": ("offset_per_k_sd", MG),
-    "offset_dps_per_k2": ("offset_per_k2_sd", DPS),
-    "g_dps_per_g": ("g_sensitivity_sd", DPS, G),
-    "warm_up_dps": ("warm_up_sd", DPS),
-    "hysteresis_dps": ("hysteresis_sd", DPS),
-    "noise_dps_per_sqrt_hz": ("random_walk", DPS, ONE_SIDED),
-    "noise_g_per_sqrt_hz": ("random_walk", G, ONE_SIDED),
-    "noise_mg_per_sqrt_hz": ("random_walk", MG, ONE_SIDED),
-    "noise_ug_per_sqrt_hz": ("random_walk", 1e-6 * G, ONE_SIDED),
-    "random_walk_dps": ("random_walk", DPS),
-    "random_walk_mg": ("random_walk", MG),
-    "instability_deg_per_h": ("instability", DPS, 3600.0, FLOOR),
-    "instability_g": ("instability", G, FLOOR),
-    "instability_mg": ("instability", MG, FLOOR),
-    "walk_dps_per_sqrt_s": ("bias_walk", DPS),
-    "walk_mg_per_sqrt_s": ("bias_walk", MG),
-}
+UNITS = {"dps": DPS, "g": G, "mg": MG, "ug": 1e-6 * G, "floor": FLOOR, "one_sided": ONE_SIDED}
 GradeName = Literal["consumer", "industrial", "wearable"]
 GRADES = ("consumer", "industrial", "wearable")
 _BOOK: dict[str, Any] = tomllib.loads(Path(__file__).with_name("presets.toml").read_text(encoding="utf-8"))
@@ -187,8 +155,8 @@ def _grade(name: str) -> Grade:
 def _triad(figures: Mapping[str, Any], si_unit: str, divisor: float) -> TriadGrade:
     known: dict[str, Any] = {"unit": "count", "adc": {"bits": 16, "reference": 2.0**15}}
     for key, figure in figures.items():
-        field_name, *scale = FIGURES.get(key, (key,))
-        for k, number in enumerate(scale):
+        field_name, *scale = _BOOK["figures"].get(key, (key,))
+        for k, number in enumerate(UNITS.get(unit, unit) for unit in scale):
             figure = figure / number if k else figure * number
         known[field_name] = figure / divisor if field_name.endswith("_sd") else figure
     if not known["sensitivity"]:
