@@ -7,16 +7,14 @@ all, a refusal, a hang-up. Spoilt commands: a byte or the end lost.
 import contextlib
 import random
 import re
-import threading
-import time
 from collections import Counter
 
 import pytest
 
 from testkit.data import show
 from testkit.rig_bench import mean_turn_rate
-from testkit.scripted_server import Card, Scripted
-from undrift.base.clock import Clock
+from testkit.scripted_server import Card, VirtualScripted
+from undrift.base.clock import VirtualClock
 from undrift.errors import LimitError, LinkError, RigError, RigFault, RigTimeout
 from undrift.rig.galil import GalilRig
 from undrift.rig.link import LinkPort, LinkSettings
@@ -25,7 +23,6 @@ from undrift.units import RADIAN_PER_DEGREE
 
 LETTERS = b"?:0123456789 .-\r\nTPXBG\x00\x07\xff\xc2"
 REPLY_S = 0.03
-SPEED = 500.0
 BOTH = "MG _TPX{F10.0},TIME{F10.0}"  # a position and when it was; older cards refuse it
 AT_OPENING = 0.3  # share of openings that are spoilt as well
 CALLS = {
@@ -39,7 +36,7 @@ CALLS = {
     "move": lambda rig: rig.move_by(0.9 * RADIAN_PER_DEGREE),
     "stop": lambda rig: rig.stop(),
     "position": lambda rig: rig.position(),
-    "measure": lambda rig: mean_turn_rate(rig, Clock(speed=SPEED), 0.1),
+    "measure": lambda rig: mean_turn_rate(rig, rig.card.clock, 0.1),
     "following error": lambda rig: rig.following_error(),
     "fault": lambda rig: rig.fault(),
     "gains": lambda rig: rig.servo.set_gains(Gains(kp=12.5, ki=0.5, kd=245.0)),
@@ -56,14 +53,15 @@ HARMLESS = re.compile(
 class Mover(Card):
     """Remembers what it held each time that it began."""
 
-    def __init__(self, tells_time):
+    def __init__(self, tells_time, clock):
         super().__init__(polls=3)
+        self.clock = clock
         self.held |= {"TM": "1000", "KP": "6", "KI": "0", "KD": "64"}
         self.last, self.begun, self.tells_time = "", [], tells_time
 
     def answer(self, command):
         if command == BOTH and self.tells_time:
-            return f"{int(self.held['TP']): 011d} {int(1e3 * SPEED * time.monotonic()) % 10**9: 011d}\r\n:".encode()
+            return f"{int(self.held['TP']): 011d} {int(1e3 * self.clock.now()) % 10**9: 011d}\r\n:".encode()
         try:
             said = super().answer(command)
         except (KeyError, ValueError):  # a word that lost a letter
@@ -84,16 +82,17 @@ class PoorLine:
     """A card at the end of a line that spoils a share of what passes."""
 
     def __init__(self, seed, share):
-        self.card, self.share = Mover(tells_time=seed % 2 == 0), share
+        self.clock = VirtualClock()
+        self.card, self.share = Mover(seed % 2 == 0, self.clock), share
         self.chance = random.Random(seed)
         self.armed, self.heard, self.spoilt = True, 0, Counter()
-        self.hang_up = lambda: None
-        self.threads, self.senseless = set(), []  # one for each connection; that of each answer that can be none
+        self.server = VirtualScripted(self, self.clock)
+        self.connections, self.senseless = set(), []  # all; and that of each answer that can be none
         self._unended, self._held_back = "", b""
 
     def __call__(self, command):
         self.heard += 1
-        self.threads.add(threading.current_thread())
+        self.connections.add(self.server.line)
         command, self._unended = self._unended + command, ""
         before, self._held_back = self._held_back, b""
         if not self.armed or self.chance.random() >= self.share:
@@ -101,7 +100,7 @@ class PoorLine:
         way = self.chance.choice(WAYS)
         self.spoilt[way.__name__] += 1
         if way in (PoorLine.rubbish, PoorLine.unanswered):
-            self.senseless.append(threading.current_thread())
+            self.senseless.append(self.server.line)
         said = way(self, command)
         return None if said is None else before + said
 
@@ -124,7 +123,7 @@ class PoorLine:
 
     def late(self, command):
         said = self.card(command)
-        time.sleep(REPLY_S * self.chance.uniform(0.5, 2.0))
+        self.clock.jump(self.clock.now() + REPLY_S * self.chance.uniform(0.5, 2.0))
         return said
 
     def held_back(self, command):
@@ -139,7 +138,7 @@ class PoorLine:
 
     def cut_off(self, command):
         self.card(command)
-        self.hang_up()
+        self.server.hang_up()
 
     def byte_lost(self, command):
         place = self.chance.randrange(len(command))
@@ -155,9 +154,9 @@ WAYS = (
 )  # fmt: skip
 
 
-def opened(url, sent):
+def opened(line, sent):
     """Open a rig, and keep in a list what it sends."""
-    port = LinkPort(url, LinkSettings(reply_timeout_s=REPLY_S, connect_timeout_s=5.0))
+    port = LinkPort(line.server.url, LinkSettings(reply_timeout_s=REPLY_S, clock=line.clock))
     send = port.send
 
     def noted(data):
@@ -165,7 +164,7 @@ def opened(url, sent):
         send(data)
 
     port.send = noted
-    return GalilRig(port, RigSettings(clock_speed=SPEED))
+    return GalilRig(port, RigSettings(clock=line.clock))
 
 
 def check_sent(name, sent, failure):
@@ -181,22 +180,22 @@ def check_sent(name, sent, failure):
         assert any(command.startswith("MO") for command in after), (name, sent)
 
 
-def converse(line, server, calls, failures):
+def converse(line, calls, failures):
     """Open a rig over a poor line and give it calls until it is of no use any more."""
-    sent, before = [], set(line.threads)
+    sent, before = [], set(line.connections)
     line.armed = line.chance.random() < AT_OPENING  # else a poor line would seldom be opened
-    rig = opened(server.url, sent)
+    rig = opened(line, sent)
     line.armed = True
     for name in calls:
         sent.clear()
         begun, senseless, failure = len(line.card.begun), len(line.senseless), None
-        start = time.monotonic()
+        start = line.clock.now()
         try:
             CALLS[name](rig)
         except (LinkError, RigTimeout, RigFault, LimitError) as error:
             failure = error
             failures[type(error).__name__] += 1
-        assert time.monotonic() - start < 60.0, f"{name} hangs"
+        assert line.clock.now() - start < 60.0, f"{name} hangs"
         check_sent(name, sent, failure)
         assert set(line.card.begun[begun:]) <= {ASKED.get(name)}, (name, sent)
         if failure is None and name not in TAKES_ANY:
@@ -210,27 +209,12 @@ def converse(line, server, calls, failures):
 
 @pytest.mark.parametrize("share", [0.02, 0.1, 0.4])
 def test_spoilt_answers_and_commands_end_in_words_and_nothing_is_begun_unconfirmed(share):
-    found, failures, lines = [], Counter(), [PoorLine(seed, share) for seed in range(12)]
-
-    def work(line):
-        try:
-            chance = random.Random(line.chance.random())
-            with Scripted(line) as server:
-                line.hang_up = server.hang_up
-                while line.heard < 400:
-                    with contextlib.suppress(RigError):  # of the opening
-                        converse(line, server, chance.choices([*CALLS], k=30), failures)
-        except BaseException as error:
-            found.append(error)
-            raise
-
-    workers = [threading.Thread(target=work, args=(line,), daemon=True) for line in lines]
-    for worker in workers:
-        worker.start()
-    for worker in workers:
-        worker.join(300.0)
-    assert not any(worker.is_alive() for worker in workers), "the driver hangs"
-    assert found == []
+    failures, lines = Counter(), [PoorLine(seed, share) for seed in range(12)]
+    for line in lines:
+        chance = random.Random(line.chance.random())
+        while line.heard < 400:
+            with contextlib.suppress(RigError):  # of the opening
+                converse(line, chance.choices([*CALLS], k=30), failures)
     spoilt = sum((line.spoilt for line in lines), Counter())
     begun = Counter(entry for line in lines for entry in line.card.begun)
     heard = sum(line.heard for line in lines)

@@ -3,15 +3,13 @@
 import contextlib
 import math
 import re
-import time
 from dataclasses import replace
 
 import pytest
 
 from testkit.rig_bench import mean_turn_rate
-from testkit.scripted_server import Scripted
-from testkit.waiting import eventually
-from undrift.base.clock import Clock
+from testkit.scripted_server import VirtualScripted
+from undrift.base.clock import VirtualClock
 from undrift.errors import InputError, LimitError, LinkError, RigFault, RigTimeout
 from undrift.rig.grbl import GrblRig, open_from, parse_status, reply_end
 from undrift.rig.link import Link, LinkSettings
@@ -22,7 +20,6 @@ ERRORS, ALARMS = (
     for kind in ("grbl_error", "grbl_alarm")
 )
 DEGREE = math.pi / 180.0
-FAST = Clock(speed=50.0)
 SAFE = "the table was stopped and its motor put to sleep"
 LOST = "it is NOT CONFIRMED that the table stopped: cut the motor's power"
 
@@ -81,14 +78,15 @@ class Board:
 
 
 class Bench:
-    def __init__(self, board: Board | None = None, timeout_s: float = 20.0, clock: Clock = FAST, **settings) -> None:
+    def __init__(self, board: Board | None = None, timeout_s: float = 20.0, **settings) -> None:
         self.board = board or Board()
-        self.server = Scripted(self.board, terminator=b"\n", at_once="?!~\x18\x85")
+        self.clock = VirtualClock()
+        self.server = VirtualScripted(self.board, self.clock, terminator=b"\n", at_once="?!~\x18\x85")
         self.link = Link(
-            self.server.url, LinkSettings(reply_end=reply_end, reply_timeout_s=timeout_s, connect_timeout_s=20.0)
+            self.server.url, LinkSettings(reply_end=reply_end, reply_timeout_s=timeout_s, clock=self.clock)
         )
         try:
-            self.rig = GrblRig(self.link, RigSettings(clock=clock, **settings))
+            self.rig = GrblRig(self.link, RigSettings(clock=self.clock, **settings))
         except BaseException:
             self.server.close()
             raise
@@ -113,10 +111,6 @@ def bench():
         yield bench
 
 
-def wait_until(holds) -> None:
-    eventually(holds, "what the board is waited for")
-
-
 def test_opening_resets_reads_the_settings_and_moves_nothing():
     board = Board()
     with Bench(board) as bench:
@@ -133,14 +127,14 @@ def test_a_move_is_a_whole_number_of_steps(bench):
 
 def test_a_steady_rate_is_a_chain_of_jogs_that_ends_with_a_cancel(bench):
     assert bench.rig.turn(-45.0 * DEGREE) / DEGREE == pytest.approx(-45.0)
-    wait_until(lambda: len(bench.board.jogs) > 12)
+    assert bench.clock.until(lambda: len(bench.board.jogs) > 12, 60.0)
     bench.rig.stop()
     jogs = len(bench.board.jogs)
     steps = {distance * 8.889 for distance, _ in bench.board.jogs}
     assert {rate for _, rate in bench.board.jogs} == {2700.0}
     assert all(step == pytest.approx(round(step), abs=1e-3) and step < 0 for step in steps)
     assert "\x85" in bench.server.heard
-    time.sleep(0.05)
+    bench.clock.wait(5.0)
     assert len(bench.board.jogs) == jogs
 
 
@@ -149,13 +143,13 @@ def queued_s(jogs) -> float:
 
 
 def test_no_more_jogs_are_queued_than_a_second_of_turning_needs():
-    with Bench(clock=Clock(speed=1.0)) as bench:
-        start = time.monotonic()
+    with Bench() as bench:
+        start = bench.clock.now()
         bench.rig.turn(45.0 * DEGREE)
-        wait_until(lambda: queued_s(bench.board.jogs) > 0.8)
-        time.sleep(0.3)
+        assert bench.clock.until(lambda: queued_s(bench.board.jogs) > 0.8, 60.0)
+        bench.clock.wait(0.3)
         jogs = list(bench.board.jogs)
-        turned_s = time.monotonic() - start  # that much of them is over
+        turned_s = bench.clock.now() - start  # that much of them is over
         assert queued_s(jogs) < 1.3 + turned_s
         assert len(jogs) <= 10 + 10 * turned_s
 
@@ -168,8 +162,8 @@ def test_a_rate_is_achieved_in_thousandths_of_a_degree_per_minute(bench):
 def test_a_chain_ends_where_the_travel_ends():
     with Bench(limits=Limits(travel=math.pi)) as bench:
         bench.rig.turn(45.0 * DEGREE)
-        wait_until(lambda: bench.board.place > 165.0)
-        time.sleep(0.1)
+        assert bench.clock.until(lambda: bench.board.place > 165.0, 60.0)
+        bench.clock.wait(10.0)
         assert bench.board.place <= 180.0
 
 
@@ -242,7 +236,7 @@ def test_an_open_door_is_a_fault(bench):
 def test_a_jog_that_is_refused_while_turning_is_the_fault_and_the_next_call_raises_it(bench):
     bench.board.spoilt["$J="] = [b"ok\r\n", b"error:15\r\n"]
     bench.rig.turn(1.0)
-    wait_until(lambda: bench.rig.fault() is not None)
+    assert bench.clock.until(lambda: bench.rig.fault() is not None, 60.0)
     assert "error 15: the jog would leave the machine's travel" in bench.rig.fault()
     with pytest.raises(RigFault, match="error 15"):
         bench.rig.stop()
@@ -360,7 +354,7 @@ def test_a_silent_port_is_a_timeout_and_an_axis_must_be_one():
 
 def test_a_stepper_does_not_know_its_following_error(bench):
     assert math.isnan(bench.rig.following_error())
-    assert mean_turn_rate(bench.rig, FAST, 0.5) == 0.0
+    assert mean_turn_rate(bench.rig, bench.clock, 0.5) == 0.0
 
 
 def test_a_position_that_no_axis_can_have_reached_is_garbage(bench):
@@ -378,7 +372,7 @@ def test_a_jog_that_was_not_answered_is_the_cause_that_is_told(bench, call):
     bench.board.spoilt["$J="] = [b"ok\r\n"] * 3 + [None] * 99
     bench.rig.turn(20.0 * DEGREE)
     feeder = bench.rig._axis.feeder
-    wait_until(lambda: feeder.failure is not None)
+    assert bench.clock.until(lambda: feeder.failure is not None, 60.0)
     with pytest.raises(RigTimeout, match=r"'\$J=G91G21A[\d.]+F1200.000'.*; " + SAFE):
         call(bench.rig)
     assert bench.board.state == "Sleep"

@@ -1,10 +1,13 @@
-"""Servers that answer as they are told to: for the rig's drivers, over a real socket on loopback."""
+"""Servers that answer as they are told to, for the rig's drivers: over a real socket on loopback, or within a virtual clock."""
 
 import contextlib
 import re
 import socket
 import threading
 from collections.abc import Callable, Iterable
+from typing import Any
+
+from undrift.base.clock import VirtualClock
 
 Answer = Callable[[str], bytes | None]
 
@@ -81,21 +84,92 @@ class Scripted:
             if self._greeting:
                 client.sendall(self._greeting)
             while data := client.recv(4096):
-                for byte in data:
-                    waiting += bytes([byte])
-                    if bytes([byte]) in self._at_once and self._at_once:
-                        self._do(client, chr(byte))
-                        waiting = waiting[:-1]
-                    elif waiting.endswith(self._terminator):
-                        self._do(client, waiting[: -len(self._terminator)].decode("latin-1"))
-                        waiting = b""
+                waiting = self._hear(client, waiting, data)
         except OSError:
             return
 
-    def _do(self, client: socket.socket, command: str) -> None:
+    def _hear(self, client: Any, waiting: bytes, data: bytes) -> bytes:
+        """Answer what bytes complete; return what waits for its end."""
+        for byte in data:
+            waiting += bytes([byte])
+            if bytes([byte]) in self._at_once and self._at_once:
+                self._do(client, chr(byte))
+                waiting = waiting[:-1]
+            elif waiting.endswith(self._terminator):
+                self._do(client, waiting[: -len(self._terminator)].decode("latin-1"))
+                waiting = b""
+        return waiting
+
+    def _do(self, client: Any, command: str) -> None:
         self.heard.append(command)
         if (answer := self._answer(command)) is not None:
             client.sendall(answer)
+
+
+class Line:
+    """One client's way to a scripted server on a virtual clock."""
+
+    datagrams = False
+
+    def __init__(self, server: "VirtualScripted", clock: VirtualClock) -> None:
+        self.cut = False
+        self._server, self._clock, self._waiting, self._said = server, clock, b"", b""
+
+    def sendall(self, data: bytes) -> None:
+        self._said += data
+
+    def receive(self, wait_s: float) -> bytes:
+        if not self._said:
+            if self.cut:
+                raise EOFError("the other side closed the connection")
+            self._clock.jump(self._clock.now() + wait_s)
+        data, self._said = self._said, b""
+        return data
+
+    def write(self, data: bytes) -> None:
+        if self.cut:
+            raise BrokenPipeError("Broken pipe")
+        self._clock.jump(self._clock.now() + 2e-4)
+        self._waiting = self._server._hear(self, self._waiting, data)
+
+    def wake(self) -> None:
+        pass
+
+    def close(self) -> None:
+        self.cut = True
+
+
+class VirtualScripted(Scripted):
+    """The same within a virtual clock: whoever waits for an answer takes the time that it needs, and nobody else does."""
+
+    def __init__(self, answer: Answer, clock: VirtualClock, terminator: bytes = b"\r", at_once: str = "") -> None:
+        self.heard: list[str] = []
+        self._answer, self._terminator, self._at_once = answer, terminator, at_once.encode("latin-1")
+        self._clock, self._lines = clock, list[Line]()
+        self._port = clock.listen("127.0.0.1", 0, self._connect)
+
+    @property
+    def url(self) -> str:
+        return f"tcp://127.0.0.1:{self._port}"
+
+    @property
+    def line(self) -> Line:
+        """Return that of the latest client."""
+        return self._lines[-1]
+
+    def hang_up(self) -> None:
+        self.line.cut = True
+
+    def refuse_from_now_on(self) -> None:
+        self._clock.forget("127.0.0.1", self._port)
+        self.hang_up()
+
+    def close(self) -> None:
+        self._clock.forget("127.0.0.1", self._port)
+
+    def _connect(self) -> Line:
+        self._lines.append(Line(self, self._clock))
+        return self.line
 
 
 def transcript(lines: Iterable[tuple[str, bytes]]) -> tuple[Answer, list[str]]:
