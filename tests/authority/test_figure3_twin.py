@@ -17,9 +17,8 @@ from undrift.io.session import read_column_map
 from undrift.record import Record
 from undrift.sim.device.presets import preset
 from undrift.study.figure3 import COMPARED, Climate, figure3
-from undrift.twin.fit import TwinSettings, fit_prepared, prepare_twin
+from undrift.twin.fit import TwinSettings, WarmUpFit, fit_prepared, fit_warm_up, prepare_twin, with_warm_up
 from undrift.twin.heldout import device_of
-from undrift.twin.warm_up import WarmUpFit, fit_warm_up, with_warm_up
 
 pytestmark = pytest.mark.usefixtures("computed_once")
 

@@ -42,10 +42,13 @@ RESULTS = {
     "ExportOptions",
     "Exported",
     "ExportedC",
+    "Fitting",  # with Sensitivity and Table the fields of CalibrateSettings
     "OrientSettings",
     "Provenance",
+    "Sensitivity",
     "Simulated",
     "SimulatedTrial",
+    "Table",
     "Trial",
     "TrialSettings",
     "TriadModel",

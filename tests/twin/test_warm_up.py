@@ -9,7 +9,7 @@ from undrift.errors import InputError
 from undrift.record import Record
 from undrift.sim.device.effects import Thermometer
 from undrift.sim.device.presets import preset
-from undrift.twin.warm_up import fit_warm_up, with_warm_up
+from undrift.twin.fit import fit_warm_up, with_warm_up
 
 GYRO = np.radians([[0.002, 0.03, -0.005], [1e-4, -3e-4, 4e-4], [-1e-5, 4e-6, -2e-5]])  # rad/s per K, K2, K3
 ACCEL = np.array([[2e-3, -1e-3, -0.02], [1e-5, 0.0, 1e-4], [0.0, 1e-6, -1e-5]])

@@ -1,5 +1,8 @@
 """From a session to a Calibration: one file a procedure, from what a session shows to a fit with covariance, budget and verdict.
 
+In: a ``Session``, raw recordings (N, 3) in the unit of the device, with stills and turns as stated in it, else found; or records
+with an orientation reference each. Out: a ``Calibration``: a TriadModel for each triad, the ADC's rounding, verdict, provenance.
+
     observe                      stills, faces, turns and temperature of a session; what every fit returns
     calibrate                    the fits that a session allows, in turn; FITS lists them
     six_face, multi_position     accelerometers against gravity: on faces, in free poses (norm: |M (u - o)| = g)
@@ -8,7 +11,9 @@
     creep, adc                   what moves within a session; what rounding to codes does
     noise                        of a device at rest, by Allan variance
     checks, pieces               answers that cannot be; what recordings hold and what was used of it
+    settings                     options of the command
 
-Readings (N, 3) keep the unit of the device; results are SI: rad/s, m/s2, axes of the case b. corrected = M (raw - o) - G accel, its
-covariance by parameter as in ``model.TriadModel``. Open calibrate first, then six_face.
+The method is alike in all: means over rests and turns, the errors of these means by source, least squares that weighs by them, and
+a verdict whose findings name what was not observable. Results are SI, rad/s and m/s2, in axes of the case b:
+corrected = M (raw - o) - G accel, its covariance by parameter as in ``model.TriadModel``. Open calibrate first, then six_face.
 """

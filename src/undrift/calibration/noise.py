@@ -88,13 +88,15 @@ def allan_deviation(
             f"one of {', '.join(get_args(Estimator))}, got {int(gap.sum())} gaps, {sample_rate_hz:g} Hz, {confidence:g} and "
             f"'{estimator}'; cut the record at its gaps, or use oadev"
         )
-    if gap.any():
-        return _with_gaps(y, sample_rate_hz, taus, estimator, confidence)
-    m = averages_of(taus, len(y), sample_rate_hz, estimator)
-    phase = np.concatenate(([0.0], np.cumsum(y - y.mean())))
-    deviation = _deviations(phase, m, estimator)
-    noise = _kinds(phase, m, _ORDER[estimator])
-    edf = np.array([_edf(int(mk), int(a), len(phase), estimator) for mk, a in zip(m, noise, strict=True)])
+    phase = np.concatenate(([0.0], np.cumsum(np.where(gap, 0.0, y - np.nanmean(y)))))
+    lost = np.concatenate(([0], np.cumsum(gap))) if gap.any() else None
+    m = averages_of(taus, int((~gap).sum()), sample_rate_hz, estimator)
+    if lost is None:
+        deviation, phases = _deviations(phase, m, estimator), np.full(len(m), len(phase))
+    else:
+        m, deviation, phases = _of_whole_terms(phase, lost, m, estimator)
+    noise = _kinds(phase, lost, m, _ORDER[estimator])
+    edf = np.array([_edf(*each, estimator) for each in zip(m.tolist(), noise.tolist(), phases.tolist(), strict=True)])
     lower, upper = _limits(deviation, edf, confidence)
     taus_s = m / sample_rate_hz
     return AllanDeviation(taus_s=taus_s, deviation=deviation, lower=lower, upper=upper, edf=edf, noise=noise)
@@ -103,38 +105,29 @@ def allan_deviation(
 _GAPPED = ("adev", "oadev", "hdev", "ohdev")
 
 
-def _with_gaps(y: FloatArray, rate: float, taus: Taus, estimator: Estimator, confidence: float) -> AllanDeviation:
-    """Return the deviation of readings (N,) with gaps, NaN, by the terms that are whole."""
-    gap, order, span = np.isnan(y), _ORDER[estimator], _SPAN[estimator]
-    phase = np.concatenate(([0.0], np.cumsum(np.where(gap, 0.0, y - np.nanmean(y)))))
-    lost = np.concatenate(([0], np.cumsum(gap)))
-    weights = {2: (1.0, -2.0, 1.0), 3: (-1.0, 3.0, -3.0, 1.0)}[order]
-    kept, squares, phases, kinds, kind = list[int](), list[float](), list[int](), list[int](), 0
-    for m in averages_of(taus, int((~gap).sum()), rate, estimator).tolist():
-        first = np.arange(0, len(phase) - order * m, m if estimator in ("adev", "hdev") else 1)
-        first = first[lost[first + order * m] == lost[first]]
-        whole = len(first) * (m if estimator in ("adev", "hdev") else 1)
-        if whole < span * m:
+def _of_whole_terms(
+    phase: FloatArray, lost: IntArray, m: IntArray, estimator: Estimator
+) -> tuple[IntArray, FloatArray, IntArray]:
+    """Return averaging times in samples, deviations, and phases of a record without gaps that has as many terms; lost (N + 1,)."""
+    order, weights = _ORDER[estimator], {2: (1.0, -2.0, 1.0), 3: (-1.0, 3.0, -3.0, 1.0)}[_ORDER[estimator]]
+    kept, squares, phases = list[int](), list[float](), list[int]()
+    for k in m.tolist():
+        every = k if estimator in ("adev", "hdev") else 1
+        first = np.arange(0, len(phase) - order * k, every)
+        first = first[lost[first + order * k] == lost[first]]
+        if len(first) * every < _SPAN[estimator] * k:
             continue
-        difference = sum(weight * phase[first + k * m] for k, weight in enumerate(weights))
-        average = np.diff(phase[::m])
-        average[np.diff(lost[::m]) > 0] = np.nan
-        if np.isfinite(average).sum() >= _LEAST_AVERAGES:
-            kind = int(np.clip(_power(average), -2 if order == 2 else -4, 2))
-        kept.append(m)
-        kinds.append(kind)
-        phases.append(whole + order * m)
+        difference = sum(weight * phase[first + j * k] for j, weight in enumerate(weights))
+        kept.append(k)
+        phases.append(len(first) * every + order * k)
         squares.append(float(np.mean(difference**2)) / (2.0 if order == 2 else 6.0))
     if not kept:
         raise InputError(
             "allan_deviation: wanted averaging times of which whole windows are left, got none between "
-            f"{int(gap.sum())} gaps; record longer without gaps"
+            f"{int(lost[-1])} gaps; record longer without gaps"
         )
-    averages, noise = np.array(kept, np.int64), np.array(kinds, np.int64)
-    deviation = np.sqrt(np.array(squares)) / averages
-    edf = np.array([_edf(m, a, n, estimator) for m, a, n in zip(kept, kinds, phases, strict=True)])
-    lower, upper = _limits(deviation, edf, confidence)
-    return AllanDeviation(taus_s=averages / rate, deviation=deviation, lower=lower, upper=upper, edf=edf, noise=noise)
+    averages = np.array(kept, np.int64)
+    return averages, np.sqrt(np.array(squares)) / averages, np.array(phases, np.int64)
 
 
 def averages_of(taus: Taus, count: int, rate: float, estimator: Estimator) -> IntArray:
@@ -182,12 +175,14 @@ def _deviations(phase: FloatArray, m: IntArray, estimator: Estimator) -> FloatAr
     return np.asarray(np.sqrt(np.array(square) / 2.0) / m.astype(float))
 
 
-def _kinds(phase: FloatArray, m: IntArray, order: int) -> IntArray:
+def _kinds(phase: FloatArray, lost: IntArray | None, m: IntArray, order: int) -> IntArray:
     """Return the power of frequency at each averaging time, from the lag-1 autocorrelation (SP 1065, 5.5.6)."""
     kinds, kind = [], 0
-    for k in m:
-        z = np.diff(phase[:: int(k)])
-        if len(z) >= _LEAST_AVERAGES:
+    for k in m.tolist():
+        z = np.diff(phase[::k])
+        if lost is not None:
+            z[np.diff(lost[::k]) > 0] = np.nan
+        if np.isfinite(z).sum() >= _LEAST_AVERAGES:
             kind = int(np.clip(_power(z), -2 if order == 2 else -4, 2))
         kinds.append(kind)
     return np.array(kinds, np.int64)

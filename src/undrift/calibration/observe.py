@@ -14,6 +14,7 @@ import numpy as np
 from undrift.arrays import FloatArray
 from undrift.calibration.adc import code_steps, code_variance
 from undrift.calibration.checks import check_gravity, stuck_at_rate, stuck_in_motion
+from undrift.calibration.settings import Fitting, Sensitivity, Table, documented
 from undrift.errors import Implausible, InputError
 from undrift.findings import Finding, finding
 from undrift.fit.least_squares import TriadFit, block_size, excess_variance, noise_of_means
@@ -417,57 +418,23 @@ _SAME_POSE = 0.26  # of gravity: 15 deg
 _FEW = 9  # stills: with fewer, pauses that were too short are reported
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CalibrateSettings:
+@documented
+@dataclass(frozen=True, kw_only=True)
+class CalibrateSettings(Fitting, Table, Sensitivity):
     """Choices that a session file does not make.
 
     Parameters
     ----------
     still : StillSettings
         How still phases are found where the session states none.
-    window_s : float
-        Longest stretch of each face that is averaged, s.
-    polynomial_degree : int
-        Degree of the polynomial in time that filters each face before it is averaged; it sets the noise of the mean.
-    settle_s : float
-        Start of each dwell that is discarded, s.
-    spline_cutoff_hz : float or None
-        Where the note's cubic smoothing spline halves the readings of a dwell, Hz; None takes the plain mean.
     latitude_deg : float or None
         For the Earth's rate on a rate table, deg; None leaves it out.
-    angle_uncertainty_deg : float
-        Standard uncertainty of a turn by a known angle, deg.
-    axis_uncertainty_deg : float
-        Standard uncertainty of the axis of such turns against the case, about each axis across it, deg; the same for all turns
-        about one axis, as a fixture or a straight edge errs.
     turn_angle_deg : float or None
         Angle of the turns between rests of a session that states none, deg; None takes three full turns, where there are.
-    scale_tolerance : float
-        How far a scale factor may be from the one the unit states, relative; physical units only.
     remove_offset : bool
         Mode paper has no offset column: take the offset off first, as the note's order of steps does.
     identify_adc : bool
         Look for the step and rounding of the codes.
-    cross_axis_prior : float
-        Standard deviation of a cross-axis term that a session does not show, relative to the scale factor.
-    gyro_offset_dps_per_k, accel_offset_mg_per_k : float or None
-        Standard deviation of the sensitivity of offsets to temperature, deg/s/K and mg/K; None takes the session's, 0.05 and 0.5 by
-        default.
-    gyro_scale_percent_per_k, accel_scale_percent_per_k : float or None
-        The same of scale factors, %/K; None likewise, 0.02.
-    unrecorded_span_k : float or None
-        Change of temperature in a session that records none, nor rests in deg/s that would show it, K; None likewise, 1.
-    span_limit_k : float or None
-        Largest change of temperature within a session without a finding, K; None likewise, 2.
-    table_level_deg : float or None
-        Standard uncertainty of a rate table's axis against the vertical, deg; None takes the session's, 0.1 by default.
-    mount_tilt_deg : float or None
-        Standard uncertainty of the device's mounting on it about each axis, deg; None likewise, 0.1. It stays in the
-        covariance in full where accelerometers do not show the table's axis.
-    rate_uncertainty : float or None
-        Standard uncertainty of all its stated rates in common, relative; None likewise, 0.0001.
-    wobble_deg : float or None
-        Standard uncertainty of its axis from dwell to dwell, deg; None likewise, 0.01. Scatter that shows more counts instead.
 
     Examples
     --------
@@ -477,28 +444,10 @@ class CalibrateSettings:
     """
 
     still: StillSettings = field(default_factory=lambda: StillSettings(adapt=True))
-    window_s: float = 6.0
-    polynomial_degree: int = 1
-    settle_s: float = 0.3
-    spline_cutoff_hz: float | None = None
     latitude_deg: float | None = None
-    angle_uncertainty_deg: float = 1.0
-    axis_uncertainty_deg: float = 0.5
     turn_angle_deg: float | None = None
-    scale_tolerance: float = 0.25
     remove_offset: bool = True
     identify_adc: bool = True
-    cross_axis_prior: float = 0.01
-    gyro_offset_dps_per_k: float | None = None
-    accel_offset_mg_per_k: float | None = None
-    gyro_scale_percent_per_k: float | None = None
-    accel_scale_percent_per_k: float | None = None
-    unrecorded_span_k: float | None = None
-    span_limit_k: float | None = None
-    table_level_deg: float | None = None
-    mount_tilt_deg: float | None = None
-    rate_uncertainty: float | None = None
-    wobble_deg: float | None = None
 
     def __post_init__(self) -> None:
         latitude, cutoff, angle = self.latitude_deg, self.spline_cutoff_hz, self.turn_angle_deg
@@ -529,14 +478,15 @@ class CalibrateSettings:
 
     def sensitivity(self, stated: TemperatureSensitivity) -> TemperatureSensitivity:
         """Return how the device follows temperature: as the session states it, save for what these settings state."""
-        names = [item.name for item in fields(TemperatureSensitivity)]
-        return replace(stated, **{name: getattr(self, name) for name in names if getattr(self, name) is not None})
+        return replace(stated, **self._chosen(Sensitivity))
 
     def rate_table(self, stated: RateTable) -> RateTable:
         """Return how good the rate table is: as the session states it, save for what these settings state."""
-        names = ("table_level_deg", "mount_tilt_deg", "rate_uncertainty", "wobble_deg")
-        chosen = {name: getattr(self, name) for name in names if getattr(self, name) is not None}
-        return replace(stated, **chosen)
+        return replace(stated, **self._chosen(Table))
+
+    def _chosen(self, kind: type[Sensitivity | Table]) -> dict[str, float]:
+        values = {item.name: getattr(self, item.name) for item in fields(kind)}
+        return {name: value for name, value in values.items() if value is not None}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

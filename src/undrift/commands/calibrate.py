@@ -16,13 +16,13 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from undrift.base.options import Files, Flag, OptionalOutput, Picture, options, verb
 from undrift.base.summary import Drawing, Result, Section, Summary, concise, number
+from undrift.calibration.settings import Fitting, Sensitivity, Table
 from undrift.commands import Progress, silent
 from undrift.commands.certificate import departures_words, uncertainty_sentence
 from undrift.commands.files import (
     Opening,
     Place,
     Rests,
-    Sensitivity,
     check_figure,
     check_output,
     name_of,
@@ -46,64 +46,8 @@ RESIDUALS = (
     "The uncertainty above is that of other readings at this temperature."
 )
 INFORMATION = "Information: share of its poses and dwells in the leverage on matrix and offsets, equal weights, mean of the triads."
-
-
-@options
-@dataclass(frozen=True, kw_only=True)
-class Table:
-    """How good the rate table of a session is, in place of what the session states.
-
-    Parameters
-    ----------
-    table_level_deg : float or None
-        Standard uncertainty of the rate table's axis against the vertical, deg; as the session states, else 0.1.
-    mount_tilt_deg : float or None
-        Standard uncertainty of the mounting on the table about each axis, deg; as the session states, else 0.1.
-    rate_uncertainty : float or None
-        Standard uncertainty of the stated rates in common, relative; as the session states, else 0.0001.
-    wobble_deg : float or None
-        Standard uncertainty of the table's axis from dwell to dwell, deg; as the session states, else 0.01.
-    """
-
-    table_level_deg: float | None = None
-    mount_tilt_deg: float | None = None
-    rate_uncertainty: float | None = None
-    wobble_deg: float | None = None
-
-
-@options
-@dataclass(frozen=True, kw_only=True)
-class Fitting:
-    """How readings are averaged and fitted.
-
-    Parameters
-    ----------
-    window_s : float
-        Longest stretch of each face that is averaged, s.
-    settle_s : float
-        Start of each dwell at a known rate that is left out, s.
-    angle_uncertainty_deg : float
-        Standard uncertainty of a turn by a known angle, deg.
-    axis_uncertainty_deg : float
-        Standard uncertainty of the axis of such turns against the case, about each axis across it, deg.
-    scale_tolerance : float
-        Largest relative difference of a scale factor from the stated unit; physical units only.
-    polynomial_degree : int
-        Degree of the polynomial in time that filters each face before it is averaged.
-    spline_cutoff_hz : float or None
-        Low-pass each dwell at a known rate by a spline with this cut-off, Hz; no filter by default.
-    cross_axis_prior : float
-        Standard deviation of a cross-axis term that the session does not show, relative to the scale; 0.01 is 1 %.
-    """
-
-    window_s: float = 6.0
-    settle_s: float = 0.3
-    angle_uncertainty_deg: float = 1.0
-    axis_uncertainty_deg: float = 0.5
-    scale_tolerance: float = 0.25
-    polynomial_degree: int = 1
-    spline_cutoff_hz: float | None = None
-    cross_axis_prior: float = 0.01
+for _options in (Fitting, Table, Sensitivity):
+    options(_options)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)

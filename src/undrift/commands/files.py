@@ -235,35 +235,6 @@ class Place:
         return gravity_of(self.gravity_m_s2, None if alone else self.latitude_deg, self.height_m)
 
 
-@options
-@dataclass(frozen=True, kw_only=True)
-class Sensitivity:
-    """How far the device may follow its temperature within a session; a session.toml states it under [temperature].
-
-    Parameters
-    ----------
-    gyro_offset_dps_per_k : float or None
-        Standard deviation of the gyroscopes' offset drift, deg/s per K; as the session states, else 0.05.
-    accel_offset_mg_per_k : float or None
-        Standard deviation of the accelerometers' offset drift, mg per K; as the session states, else 0.5.
-    gyro_scale_percent_per_k : float or None
-        Standard deviation of the gyroscopes' change of scale, % per K; as the session states, else 0.02.
-    accel_scale_percent_per_k : float or None
-        Standard deviation of the accelerometers' change of scale, % per K; as the session states, else 0.02.
-    unrecorded_span_k : float or None
-        Change of temperature where nothing shows it, neither a temperature column nor rests in deg/s, K; else 1.
-    span_limit_k : float or None
-        Largest change of temperature within a session without a finding, K; as the session states, else 2.
-    """
-
-    gyro_offset_dps_per_k: float | None = None
-    accel_offset_mg_per_k: float | None = None
-    gyro_scale_percent_per_k: float | None = None
-    accel_scale_percent_per_k: float | None = None
-    unrecorded_span_k: float | None = None
-    span_limit_k: float | None = None
-
-
 def session_of(files: tuple[Path, ...], place: Place, opening: Opening, *, kind: "Kind" = "calibration") -> "Session":
     """Read a session folder, or make a session of bare recordings."""
     from undrift.io.session import NAME, read_session, session_from_files

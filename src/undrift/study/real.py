@@ -54,7 +54,7 @@ from undrift.sim.table_sessions import ROOM_TEMP_C
 from undrift.study.case import REST_S, Case, delay_of, pitch_error, typical_unit
 from undrift.study.figure3 import LEVELS, SETTLED_S, Climate, Figure3, calibrated, figure3
 from undrift.study.plan import SAMPLE_RATE_HZ, SKIN, Study, read_poses, rest_of
-from undrift.twin.warm_up import fit_warm_up, with_warm_up
+from undrift.twin.fit import fit_warm_up, with_warm_up
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 from undrift.validation import agreement
 from undrift.validation.trial import Adc, Figures, Trial, TrialSettings
