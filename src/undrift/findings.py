@@ -202,6 +202,12 @@ def level_of(value: float, limits: tuple[float, float]) -> Level:
     return "fail" if value > limits[1] else "warn" if value > limits[0] else "info"
 
 
+def above(code: str, value: float, limits: tuple[float, float], **shown: Any) -> tuple[Finding, ...]:
+    """Return the finding of a value above the first of two limits, ``wanted``; none below it."""
+    level = level_of(value, limits)
+    return () if level == "info" else (finding(code, level, wanted=limits[0], **shown),)
+
+
 @cache
 def catalogue() -> dict[str, Entry]:
     """Return the sentences of every code."""

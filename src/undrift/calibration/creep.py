@@ -21,7 +21,7 @@ from typing import Any, Literal
 import numpy as np
 
 from undrift.arrays import FloatArray
-from undrift.calibration.observe import Observed, middles, piece_temperatures
+from undrift.calibration.observe import Observed, mean_reading, middles, piece_temperatures, whole_readings
 from undrift.findings import Finding, Level, finding
 from undrift.fit.least_squares import block_size, noise_of_means
 from undrift.fit.smooth import widening_of
@@ -158,13 +158,10 @@ def rest_drift(seen: Observed) -> RestDrift | None:
     records = seen.session.records
     windows, force, kept = list[FloatArray](), list[FloatArray](), []
     for still in seen.stills:
-        record, rows = records[still.recording], slice(still.start, still.stop)
-        window = np.empty((0, 3)) if record.gyro is None else record.gyro[rows]
-        window = window[np.isfinite(window).all(axis=1)]
+        record = records[still.recording]
+        window = whole_readings(record.gyro, still.start, still.stop)
         if len(window):
-            accel = np.empty((0, 3)) if record.accel is None else record.accel[rows]
-            accel = accel[np.isfinite(accel).all(axis=1)]
-            force.append(accel.mean(axis=0) if len(accel) else np.full(3, np.nan))
+            force.append(mean_reading(record.accel, still.start, still.stop))
             windows.append(window)
             kept.append(still)
     time, unit = middles(records, kept), records[0].accel_unit

@@ -14,10 +14,10 @@ from undrift.calibration.adc import code_steps, code_variance
 from undrift.calibration.checks import axis_vectors, check_saturation
 from undrift.calibration.observe import middles
 from undrift.errors import InputError, NotObservable
-from undrift.findings import Finding, finding
+from undrift.findings import Finding, above, finding
 from undrift.fit.equations import GROUP_SHOWS, fit_components
 from undrift.fit.least_squares import block_size, noise_of_means
-from undrift.model import AXES, TriadModel, level_of
+from undrift.model import AXES, TriadModel
 from undrift.record import Axis, Face, RateTable, Record, Still, Turn
 from undrift.units import EARTH_RATE, RADIAN_PER_DEGREE
 
@@ -507,11 +507,8 @@ def table_findings(axes: TableAxes, mount_tilt: float) -> Iterator[Finding]:
     if axes.size.any():
         ripple, settle = 100.0 * float(np.hypot(*axes.size[:2])), 100.0 * float(axes.size[2])
         yield finding("rate_table.ripple", "info", ripple_percent=ripple, settle_percent=settle)
-    worst = 100.0 * float(axes.uneven.max())
-    if worst > UNEVEN_PERCENT[0]:
-        axis, wanted = AXES[int(axes.uneven.argmax())], UNEVEN_PERCENT[0]
-        level = level_of(worst, UNEVEN_PERCENT)
-        yield finding("rate_table.uneven_rate", level, axis=axis, uncertainty_percent=worst, wanted=wanted)
+    worst, axis = 100.0 * float(axes.uneven.max()), AXES[int(axes.uneven.argmax())]
+    yield from above("rate_table.uneven_rate", worst, UNEVEN_PERCENT, axis=axis, uncertainty_percent=worst)
 
 
 def table_term(model: TriadModel, covariance: FloatArray) -> FloatArray:

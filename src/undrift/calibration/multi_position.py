@@ -24,10 +24,10 @@ from undrift.calibration.creep import Creep, Kind, creep_of
 from undrift.calibration.norm import WEAKEST, NormFit, check_count, fit_norm, judged
 from undrift.calibration.observe import Observed, Outcome
 from undrift.errors import InputError, NotObservable, PoorFit
-from undrift.findings import Finding, finding
+from undrift.findings import Finding, above, finding
 from undrift.fit.equations import Rows, covariance_of, descend
 from undrift.fit.least_squares import TriadFit, excess_variance, parameter_names, scaled_condition, triad_fit
-from undrift.model import MATRIX_NAMES, TriadModel, Verdict, level_of
+from undrift.model import MATRIX_NAMES, TriadModel, Verdict
 from undrift.record import Record, Still
 from undrift.segments import runs
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
@@ -590,18 +590,9 @@ def _as_triad(problem: _Problem, p: FloatArray, covariance: FloatArray, missed: 
 
 
 def _judged(rms_deg: float, percent: float, drift_dps: float) -> Iterator[Finding]:
-    miss, unsure, drift = (
-        level_of(rms_deg, MISS_DEG),
-        level_of(percent, UNCERTAIN_PERCENT),
-        level_of(drift_dps, DRIFT_DPS),
-    )
-    wanted = UNCERTAIN_PERCENT[0]
-    found = (
-        finding("multi_position.moves_miss", miss, rms_deg=rms_deg, wanted=MISS_DEG[0]),
-        finding("multi_position.gyro_uncertainty", unsure, uncertainty_percent=percent, wanted=wanted),
-        finding("multi_position.gyro_drift", drift, drift_dps=drift_dps, wanted=DRIFT_DPS[0]),
-    )
-    return (item for item in found if item.level != "info")
+    yield from above("multi_position.moves_miss", rms_deg, MISS_DEG, rms_deg=rms_deg)
+    yield from above("multi_position.gyro_uncertainty", percent, UNCERTAIN_PERCENT, uncertainty_percent=percent)
+    yield from above("multi_position.gyro_drift", drift_dps, DRIFT_DPS, drift_dps=drift_dps)
 
 
 # ---- the whole method

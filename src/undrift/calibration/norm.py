@@ -26,10 +26,10 @@ from undrift.arrays import FloatArray, IntArray
 from undrift.calibration.checks import check_gravity, check_own_scale
 from undrift.calibration.creep import Creep
 from undrift.errors import NotObservable, PoorFit
-from undrift.findings import Finding, finding
+from undrift.findings import Finding, above, finding
 from undrift.fit.equations import Rows, covariance_of, descend, roots, whitened
 from undrift.fit.least_squares import TriadFit, excess_variance, parameter_names, scaled_condition, triad_fit
-from undrift.model import AXES, Verdict, level_of
+from undrift.model import AXES, Verdict
 from undrift.segments import sphere_of
 from undrift.units import STANDARD_GRAVITY, canonical_unit, is_physical, si_factor
 
@@ -275,10 +275,9 @@ def judged(fit: NormFit, reading: FloatArray, unit_in: str) -> TriadFit:
 
 
 def _judged(fit: NormFit, rms_mg: float, corrected: FloatArray) -> Iterator[Finding]:
-    sigma, wanted = fit.uncertainty / MG, UNCERTAIN_MG[0]
-    off = finding("multi_position.residual", level_of(rms_mg, RESIDUAL_MG), rms_mg=rms_mg, wanted=RESIDUAL_MG[0])
-    unsure = finding("multi_position.uncertainty", level_of(sigma, UNCERTAIN_MG), uncertainty_mg=sigma, wanted=wanted)
-    yield from (item for item in (off, unsure) if item.level != "info")
+    sigma = fit.uncertainty / MG
+    yield from above("multi_position.residual", rms_mg, RESIDUAL_MG, rms_mg=rms_mg)
+    yield from above("multi_position.uncertainty", sigma, UNCERTAIN_MG, uncertainty_mg=sigma)
     if not np.triu(fit.matrix, 1).any():
         yield finding("multi_position.cross_axis_fixed", "info")
     if len(fit.prior):

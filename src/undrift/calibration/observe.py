@@ -243,7 +243,7 @@ def _tilts(session: Session, stills: tuple[Still, ...]) -> _Figure:
     zero: FloatArray = np.zeros(3)
     limit = _TILT_LIMIT_DEG
     if not is_physical(_unit(session, False)):  # counts: about the centre of the sphere, where rests enough show it
-        means = np.array([_mean(session.records[s.recording].accel, s.start, s.stop) for s in stills])
+        means = np.array([mean_reading(session.records[s.recording].accel, s.start, s.stop) for s in stills])
         if len(means) < 6 or not np.isfinite(means).all():
             return np.zeros(0), limit, "deg"
         zero, radius = sphere_of(means)
@@ -251,7 +251,7 @@ def _tilts(session: Session, stills: tuple[Still, ...]) -> _Figure:
     tilts = []
     for still in stills:
         accel, third = session.records[still.recording].accel, (still.stop - still.start) // 3
-        first, last = (_mean(accel, start, start + third) - zero for start in (still.start, still.stop - third))
+        first, last = (mean_reading(accel, start, start + third) - zero for start in (still.start, still.stop - third))
         tilts.append(float(np.arctan2(np.linalg.norm(np.cross(first, last)), first @ last)) / RADIAN_PER_DEGREE)
     return np.array(tilts), limit, "deg"
 
@@ -260,7 +260,7 @@ def _rates(session: Session, stills: tuple[Still, ...]) -> _Figure:
     unit = _unit(session, True)
     if len(stills) < 3 or not is_physical(unit) or session.kind == "thermal" or _warmed(session, stills):
         return np.zeros(0), np.inf, unit
-    means = np.array([_mean(session.records[s.recording].gyro, s.start, s.stop) for s in stills])
+    means = np.array([mean_reading(session.records[s.recording].gyro, s.start, s.stop) for s in stills])
     if not np.isfinite(means).any():
         return np.zeros(0), np.inf, unit
     off = np.linalg.norm(means - np.nanmedian(means, axis=0), axis=1)
@@ -273,9 +273,15 @@ def _warmed(session: Session, stills: tuple[Still, ...]) -> bool:
     return len(known) > 1 and float(np.ptp(known)) > _WARM
 
 
-def _mean(values: FloatArray | None, start: int, stop: int) -> FloatArray:
+def whole_readings(values: FloatArray | None, start: int, stop: int) -> FloatArray:
+    """Return the readings (n, 3) of a stretch of a triad, gaps left out; none of a triad that is not there."""
     part = np.zeros((0, 3)) if values is None else values[start:stop]
-    part = part[~np.isnan(part).any(axis=1)]
+    return part[~np.isnan(part).any(axis=1)]
+
+
+def mean_reading(values: FloatArray | None, start: int, stop: int) -> FloatArray:
+    """Return their mean (3,), NaN where there are none."""
+    part = whole_readings(values, start, stop)
     return np.asarray(part.mean(axis=0)) if len(part) else np.full(3, np.nan)
 
 
@@ -521,13 +527,11 @@ class Observed:
         windows, sizes, rows = [], [], []
         for row, still in enumerate(self.stills):
             record = self.session.records[still.recording]
-            if record.gyro is not None:
-                window = record.gyro[still.start : still.stop]
-                window = window[~np.isnan(window).any(axis=1)]
-                if len(window):
-                    windows.append(window)
-                    sizes.append(block_size(record.sample_rate_hz))
-                    rows.append(row)
+            window = whole_readings(record.gyro, still.start, still.stop)
+            if len(window):
+                windows.append(window)
+                sizes.append(block_size(record.sample_rate_hz))
+                rows.append(row)
         if not windows:
             return np.full(3, np.nan), np.full(3, np.nan)
         mean, variance = mean_of_rests(windows, sizes, None if creep is None else creep[rows])

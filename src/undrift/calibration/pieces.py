@@ -22,6 +22,7 @@ from undrift.calibration.observe import (
     piece_name,
     piece_temperatures,
     saturated_turns,
+    whole_readings,
 )
 from undrift.errors import InputError
 from undrift.findings import Finding, finding, told_apart
@@ -256,12 +257,10 @@ def _lengths(
     windows, kept = [], []
     for still in stills:
         record = records[still.recording]
-        if record.accel is not None and record.accel_unit == records[stills[0].recording].accel_unit:
-            window = record.accel[still.start : still.stop]
-            window = window[~np.isnan(window).any(axis=1)]
-            if len(window) > 1:
-                windows.append(window)
-                kept.append(still)
+        window = whole_readings(record.accel, still.start, still.stop)
+        if len(window) > 1 and record.accel_unit == records[stills[0].recording].accel_unit:
+            windows.append(window)
+            kept.append(still)
     if not kept:
         return _Lengths(miss=np.zeros(0), noise=np.zeros(0), design=np.zeros((0, 12))), kept
     sizes = [block_size(records[s.recording].sample_rate_hz) for s in kept]

@@ -35,7 +35,7 @@ from undrift.calibration.dwells import (
 )
 from undrift.calibration.observe import Observed, Outcome, middles, with_offset
 from undrift.errors import Implausible, InputError, NotObservable
-from undrift.findings import Finding, Level, finding
+from undrift.findings import Finding, Level, above, finding
 from undrift.fit.equations import Equations, Inverse, WalkFit, carried_own, diagonal, fit_with_walk, joined
 from undrift.fit.least_squares import (
     ForwardFit,
@@ -370,9 +370,7 @@ def _judged(
     uncertain = 100.0 * model.relative_uncertainty
     if dwells.axes is not None:
         yield from table_findings(dwells.axes, dwells.mount_tilt)
-    if uncertain > UNCERTAIN_PERCENT[0]:
-        level = level_of(uncertain, UNCERTAIN_PERCENT)
-        yield finding("rate_table.uncertainty", level, uncertainty_percent=uncertain, wanted=UNCERTAIN_PERCENT[0])
+    yield from above("rate_table.uncertainty", uncertain, UNCERTAIN_PERCENT, uncertainty_percent=uncertain)
 
 
 def _against(level: Level, limits: tuple[float, float]) -> dict[str, float | str]:

@@ -39,7 +39,7 @@ from undrift.calibration.creep import (
     size_unit,
 )
 from undrift.calibration.dwells import mountings
-from undrift.calibration.observe import Observed, Outcome, spans_of, with_offset
+from undrift.calibration.observe import Observed, Outcome, spans_of, whole_readings, with_offset
 from undrift.errors import InputError, NotObservable
 from undrift.findings import Finding, finding
 from undrift.fit.equations import (
@@ -331,8 +331,7 @@ def _window(record: Record, still: Still, unit: str, degree: int) -> FloatArray:
             f"six faces: wanted accelerometer readings in {unit} in every recording, got "
             f"{'none' if record.accel is None else record.accel_unit} in recording {still.recording}; map the columns alike"
         )
-    window = record.accel[still.start : still.stop]
-    window = window[~np.isnan(window).any(axis=1)]
+    window = whole_readings(record.accel, still.start, still.stop)
     if len(window) <= degree + 1:
         raise InputError(
             f"six faces: wanted more than {degree + 1} readings on face {still.face}, got {len(window)}; "
