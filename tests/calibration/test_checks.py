@@ -1,6 +1,7 @@
 """Plausibility: each refusal names the number and what to do."""
 
 import gzip
+import itertools
 
 import numpy as np
 import pytest
@@ -8,13 +9,19 @@ import pytest
 from testkit.data import data_path, show
 from undrift.calibration.checks import (
     axis_vectors,
+    cause_by_gravity,
+    cause_by_turns,
+    check_axis_order,
     check_faces,
     check_gravity,
     check_handedness,
+    check_range,
     check_saturation,
     check_scale_factor,
     face_vectors,
     missing_faces,
+    nearest_signed_permutation,
+    stuck_windows,
 )
 from undrift.errors import Implausible
 from undrift.record import FACES
@@ -137,3 +144,137 @@ def test_the_scale_factor_that_is_named_is_the_one_furthest_off_either_way():
         check_scale_factor(np.array([1.2, 0.7, 1.0]) * 16.4, 16.4, 0.25, "gyroscope")
     with pytest.raises(Implausible, match=r"got 1\.4000 of it \(\+40\.0 %\)"):
         check_scale_factor(np.array([1.4, 0.7, 1.0]) * 16.4, 16.4, 0.25, "gyroscope")
+
+
+# ---- what the columns of a gyroscope see, in words
+
+SKEW = np.array([[1.0, 0.1, -0.05], [0.02, 0.9, 0.12], [-0.08, 0.03, 1.1]])
+
+
+def rows(*axes):
+    """Signed permutation whose row i sees the axis named."""
+    seen = np.zeros((3, 3))
+    for i, axis in enumerate(axes):
+        seen[i, "xyz".index(axis[1])] = 1.0 if axis[0] == "+" else -1.0
+    return seen
+
+
+def test_every_one_of_the_48_orders_is_found_behind_a_skewed_triad():
+    for order in itertools.permutations("xyz"):
+        for signs in itertools.product("+-", repeat=3):
+            seen = rows(*(s + a for s, a in zip(signs, order, strict=True)))
+            np.testing.assert_array_equal(nearest_signed_permutation(800.0 * seen @ SKEW), seen)
+
+
+def test_the_order_as_it_should_be_passes():
+    check_axis_order(SKEW, "rate table", against="turns")
+    check_axis_order(SKEW, "gyro", against="accelerometer")
+
+
+@pytest.mark.parametrize(
+    ("seen", "cause"),
+    [
+        (rows("+x", "-y", "+z"), "gyroscope column y is reversed"),
+        (rows("-x", "-y", "+z"), "gyroscope columns x and y are reversed, or accelerometer column z is"),
+        (
+            rows("-x", "-y", "-z"),
+            "all gyroscope columns are reversed, or the same two columns of both triads are exchanged",
+        ),
+        (rows("+y", "+x", "+z"), "gyroscope columns x and y are exchanged"),
+        (
+            rows("-y", "-x", "-z"),
+            "accelerometer columns x and y are exchanged, or gyroscope columns x and y and all their",
+        ),
+        (
+            rows("+y", "+z", "+x"),
+            "columns x, y and z are exchanged in a ring, those of the gyroscope or those of the acc",
+        ),
+        (rows("+y", "-z", "-x"), "gyroscope columns x, y and z are exchanged in a ring, and y and z reversed"),
+    ],
+)
+def test_gravity_names_the_columns_of_either_triad(seen, cause):
+    assert cause_by_gravity(seen).startswith(cause)
+
+
+def test_exchanged_accelerometer_columns_show_as_the_cause_says():
+    exchanged = rows("+y", "+x", "+z")  # a' = A a; a turn seen in that frame is det(A) A w
+    forward = np.linalg.inv(np.linalg.det(exchanged) * exchanged)
+    assert cause_by_gravity(nearest_signed_permutation(forward)).startswith(
+        "accelerometer columns x and y are exchanged"
+    )
+
+
+def test_turns_name_the_columns_or_the_turns():
+    assert cause_by_turns(rows("+y", "+x", "+z")) == "columns x and y exchanged, or the axes of the turns"
+    assert cause_by_turns(rows("+y", "+z", "+x")) == "columns x, y and z exchanged in a ring, or the axes of the turns"
+    assert cause_by_turns(rows("+x", "+y", "-z")) == "column z reversed, or the sign of the turns about z"
+
+
+def test_an_even_exchange_is_right_handed_and_refused_all_the_same():
+    ring = rows("+y", "+z", "+x") @ SKEW
+    assert np.linalg.det(ring) > 0.0
+    with pytest.raises(
+        Implausible, match=r"of the accelerometer axes, got \+y, \+z, \+x: columns x, y and z"
+    ) as caught:
+        check_axis_order(ring, "gyro against accel", against="accelerometer")
+    assert caught.value.seen == "+y, +z, +x"
+    with pytest.raises(
+        Implausible, match=r"as stated, got \+y, \+z, \+x: .* or the axes of the turns; correct the order"
+    ):
+        check_axis_order(ring, "rate table", against="turns")
+
+
+# ---- runs at the end of the range, and steps too coarse to tell
+
+SWING = 3.0 * np.sin(np.arange(2000) / 40.0)[:, None] * np.ones(3)
+
+
+def noisy(seed=0):
+    return SWING + 0.01 * np.random.default_rng(seed).normal(size=SWING.shape)
+
+
+def test_readings_cut_off_at_the_top_are_named_with_their_axis():
+    cut = noisy()
+    cut[:, 1] = cut[:, 1].clip(None, 2.5)
+    check_range([noisy()], "gyroscope")
+    check_range([], "gyroscope")
+    with pytest.raises(
+        Implausible, match=r"gyroscope: wanted y readings inside the range, got \d+ samples stuck at 2.5"
+    ):
+        check_range([cut[:1000], cut[1000:]], "gyroscope")
+
+
+def test_coarse_steps_and_gaps_say_nothing():
+    check_range([np.round(noisy())], "gyroscope")
+    check_range([np.full((50, 3), np.nan)], "gyroscope")
+
+
+def test_the_rounded_top_of_a_turn_is_no_end_of_the_range():
+    turn = np.round(2000.0 * np.sin(np.linspace(0.0, np.pi, 620)))[:, None] * np.ones(3)
+    assert (turn == turn.max()).sum() >= 3 * 5  # a run long enough to be taken for one
+    check_range([turn], "gyroscope in the turn about z")
+    with pytest.raises(Implausible, match="stuck at 1990"):
+        check_range([turn.clip(None, 1990.0)], "gyroscope in the turn about z")
+
+
+def test_a_reading_that_jumps_to_the_end_of_the_range_is_seen_among_coarse_codes_at_rest():
+    """Codes of a rest repeat for long, but no code is left and reached in one sample from far away."""
+    coarse = np.round(np.concatenate((np.zeros((300, 3)), 100.0 * noisy(), np.zeros((300, 3)))))
+    check_range([coarse], "gyroscope")
+    spoilt = coarse.copy()
+    spoilt[1000:1010, 0] = -32768.0
+    with pytest.raises(Implausible, match=r"gyroscope: wanted x .* got 10 samples stuck at -32768"):
+        check_range([spoilt], "gyroscope")
+    assert stuck_windows([coarse[:1000], spoilt[900:1100], coarse[1000:]]).tolist() == [False, True, False]
+
+
+def test_samples_that_are_held_are_no_end_of_the_range():
+    check_range([np.repeat(100.0 * noisy(), 6, axis=0)], "gyroscope")
+
+
+def test_a_pose_that_sticks_as_a_whole_is_seen_among_the_others():
+    rng = np.random.default_rng(1)
+    poses = [up + 0.02 * rng.normal(size=(200, 3)) for up in 9.81 * np.vstack((np.eye(3), -np.eye(3)))]
+    check_range(poses, "accelerometer")
+    with pytest.raises(Implausible, match=r"accelerometer: wanted x .* stuck at 9\.5"):
+        check_range([pose.clip(None, 9.5) for pose in poses], "accelerometer")

@@ -4,8 +4,24 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.stats import binom
 
-from undrift.calibration.creep import Creep, creep_of
+import undrift
+from testkit.cohorts import COHORTS, FALSE_ALARM, share_limits
+from testkit.data import show
+from testkit.findings import codes, only
+from undrift.calibration.creep import (
+    SIZES,
+    Blocks,
+    Creep,
+    blocks_within,
+    creep_of,
+    flicker_about_mean,
+    flicker_of_means,
+    mean_square_size,
+    offset_drift,
+    size_unit,
+)
 from undrift.calibration.observe import CalibrateSettings, Observed, observe
 from undrift.errors import InputError
 from undrift.record import Record, Session, Still, TemperatureSensitivity
@@ -110,3 +126,206 @@ def test_settings_overrule_the_session_and_are_checked() -> None:
     assert creep_of(seen, seen.stills, "gyro").offset_per_k == pytest.approx(0.01 * RADIAN_PER_DEGREE)
     with pytest.raises(InputError, match="span_limit_k from 0 to 100, got -1"):
         CalibrateSettings(span_limit_k=-1.0)
+
+
+# ---- flicker: its covariance is that of exponential correlations, and rests that flicker show its size
+
+FLICKER_HZ = 10.0
+SPAN = np.array([[0.0, 6.0], [8.0, 14.0], [50.0, 54.0]])
+
+
+def correlation(time: np.ndarray) -> np.ndarray:
+    """Return the correlation of a process at times (N,), nine time constants evenly from 1 s to 10^4 s on a log scale."""
+    apart = np.abs(time[:, None] - time)
+    return np.asarray(np.mean([np.exp(-apart / 10.0**power) for power in np.linspace(0.0, 4.0, 9)], axis=0))
+
+
+def averages(span: np.ndarray, time: np.ndarray) -> np.ndarray:
+    """Return the rows (E, N) that average over stretches."""
+    inside = np.array([(time > start) & (time < stop) for start, stop in span], float)
+    return np.asarray(inside / inside.sum(axis=1)[:, None])
+
+
+def rests(flicker: float, seed: int, count: int = 12) -> list[np.ndarray]:
+    """Return rests of 20 s with white noise of 1 and flicker of a standard deviation, 30 s from start to start."""
+    rng = np.random.default_rng(seed)
+    time = np.arange(round(count * 30.0 * FLICKER_HZ)) / FLICKER_HZ
+    signal = rng.standard_normal((len(time), 3))
+    for power in np.linspace(0.0, 4.0, 9):
+        keep = np.exp(-1.0 / FLICKER_HZ / 10.0**power)
+        state = rng.standard_normal(3)
+        for row in range(len(time)):
+            state = keep * state + np.sqrt(1.0 - keep**2) * rng.standard_normal(3)
+            signal[row] += flicker / 3.0 * state
+    return [signal[k : k + 200] for k in range(0, len(time), 300)]
+
+
+def size_found(windows: list[np.ndarray]) -> float:
+    """Return the size of flicker, root mean square over its likelihood, in the unit of the readings."""
+    unit = 1.0 / np.sqrt(10.0 * FLICKER_HZ)
+    blocks = blocks_within(windows, [FLICKER_HZ] * len(windows))
+    return float(unit * np.sqrt(mean_square_size(blocks.likelihood(unit))))
+
+
+def test_the_covariance_of_means_is_the_correlation_averaged_over_both_stretches() -> None:
+    span = np.vstack((SPAN, [3.0, 52.0]))  # the last overlaps the others
+    time = np.arange(0.01, 54.0, 0.02)
+    rows = averages(span, time)
+    # the sum over steps of 0.02 s misses the integral by (0.02 s / 1 s)^2 / 12 or less
+    np.testing.assert_allclose(flicker_of_means(span), rows @ correlation(time) @ rows.T, atol=4e-5)
+
+
+def test_the_mean_from_the_first_to_the_last_stretch_is_taken_off() -> None:
+    time = np.arange(0.01, 54.0, 0.02)
+    extent = np.array([1.0, 1.0, 4.0])  # the last is an integral over 4 s
+    rows = extent[:, None] * (averages(SPAN, time) - averages(np.array([[0.0, 54.0]]), time))
+    np.testing.assert_allclose(flicker_about_mean(SPAN, extent), rows @ correlation(time) @ rows.T, atol=16 * 4e-5)
+    assert flicker_about_mean(np.array([[5.0, 9.0]])) == 0.0  # one stretch is its own mean
+
+
+def test_rests_that_flicker_show_the_size_and_white_ones_little() -> None:
+    white, flickering = (np.median([size_found(rests(size, seed)) for seed in range(5)]) for size in (0.0, 0.5))
+    assert 0.25 < flickering < 1.0  # a factor of two: 36 rests of 20 s are as long as the slow parts of flicker
+    assert white < 0.1  # of a reading's noise; a mean over 10 s has 0.1
+
+
+def test_blocks_of_white_noise_are_uncorrelated_with_one_variance() -> None:
+    rng = np.random.default_rng(3)
+    windows = [rng.standard_normal((size, 3)) for size in 200 * [60, 600]]  # the longer ones have longer blocks
+    blocks = blocks_within(windows, [FLICKER_HZ] * 400, removed=2)
+    long = blocks.reading[blocks.gain > np.median(blocks.gain)]
+    assert len(blocks.reading) == 200 * (12 - 2) + 200 * (33 - 2)
+    # a block of half a second has a variance of 1 / 5; 1.6 % at 12,000 degrees of freedom, five of them
+    np.testing.assert_allclose((blocks.reading**2).mean(axis=0), 0.2, rtol=0.08)
+    np.testing.assert_allclose((long**2).mean(axis=0), 0.2, rtol=0.1)
+
+
+def test_a_slope_that_the_filter_takes_out_is_no_flicker() -> None:
+    windows = rests(0.0, 6)
+    tilted = [window + 50.0 * np.linspace(-1.0, 1.0, len(window))[:, None] for window in windows]
+    plain, other = (blocks_within(w, [FLICKER_HZ] * len(w), removed=2) for w in (windows, tilted))
+    np.testing.assert_allclose(other.likelihood(0.1), plain.likelihood(0.1), rtol=1e-9, atol=1e-9)
+    assert size_found(tilted) > 10.0 * size_found(windows)  # where only the mean is taken out, it is
+
+
+def test_readings_without_noise_say_nothing() -> None:
+    blocks = blocks_within([np.ones((100, 3))] * 6, [FLICKER_HZ] * 6)
+    np.testing.assert_array_equal(blocks.likelihood(1.0), np.zeros(len(SIZES)))
+    none = Blocks(reading=np.zeros((0, 3)), gain=np.zeros(0))
+    np.testing.assert_array_equal(none.likelihood(1.0), np.zeros(len(SIZES)))
+
+
+def test_the_unit_is_the_noise_of_a_mean_over_ten_seconds() -> None:
+    noise = np.full((2, 3), 0.2)
+    assert size_unit(noise, np.array([[0.0, 2.5], [10.0, 12.5]])) == 0.1
+
+
+# ---- rest offsets that differ between start and end of a session: found where they drift, not where they scatter
+
+RATE, RESTS, HOLD, PAUSE = 50.0, 8, 400, 1600  # rests of 8 s, 40 s apart
+DPS = np.pi / 180.0
+
+
+def seen(rng, drift_dps=0.0, scatter_dps=0.002, temps=None, unit="rad/s", parts=1):
+    """Return rests between moves; their offset drifts in z by so much from the first to the last and scatters by rest."""
+    n = RESTS * PAUSE
+    gyro = 0.0002 * rng.standard_normal((n, 3))
+    accel = np.tile([0.0, 0.0, 9.81], (n, 1)) + 0.01 * rng.standard_normal((n, 3))
+    stills = [Still(start=k * PAUSE, stop=k * PAUSE + HOLD) for k in range(RESTS)]
+    for k, still in enumerate(stills):
+        rest = slice(still.start, still.stop)
+        gyro[rest] += DPS * scatter_dps * rng.standard_normal(3)
+        gyro[rest, 2] += DPS * drift_dps * k / (RESTS - 1)
+    scale = 1000.0 if unit == "count" else 1.0
+    temp = None if temps is None else np.linspace(*temps, n)
+    whole = Record(time=np.arange(n) / RATE, gyro=scale * gyro, accel=accel, temp_c=temp, gyro_unit=unit)
+    step = RESTS // parts
+    records = tuple(whole.between(k * step * PAUSE / RATE, (k + 1) * step * PAUSE / RATE) for k in range(parts))
+    stills = tuple(
+        Still(start=(k % step) * PAUSE, stop=(k % step) * PAUSE + HOLD, recording=k // step) for k in range(RESTS)
+    )
+    session = Session(kind="calibration", serial="A", gravity_m_s2=9.81, records=records, stills=stills)
+    return observe(session, CalibrateSettings())
+
+
+def test_a_drift_over_the_session_is_found_with_its_size():
+    (found,) = offset_drift(seen(np.random.default_rng(1), drift_dps=0.05), 1.0)
+    assert (found.code, found.level) == ("session.offset_drift", "warn")
+    assert found.values["axis"] == "z"
+    assert abs(found.values["change_dps"] - 0.05) < 1.5 * found.values["uncertainty_dps"]
+    assert found.values["rests"] == RESTS
+    assert found.values["minutes"] == pytest.approx((RESTS - 1) * PAUSE / RATE / 60.0)
+    assert found.action.startswith("switch on 20 min before the session")
+
+
+def test_a_significant_drift_that_is_small_leaves_the_verdict():
+    (found,) = offset_drift(seen(np.random.default_rng(2), drift_dps=-0.015, scatter_dps=0.0005), 1.0)
+    assert found.level == "info"
+    assert found.values["change_dps"] < 0.0
+
+
+@pytest.mark.parametrize("sessions", COHORTS)
+def test_offsets_that_only_scatter_are_no_drift_more_often_than_stated(sessions):
+    rng, false, covered = np.random.default_rng(3), 0, 0
+    for _ in range(sessions):
+        false += bool(offset_drift(seen(rng, scatter_dps=0.02), 1.0))
+        for item in offset_drift(seen(rng, drift_dps=0.5, scatter_dps=0.02), 1.0):
+            covered += abs(item.values["change_dps"] - 0.5) <= item.values["uncertainty_dps"]
+    most, (low, high) = binom.ppf(1.0 - FALSE_ALARM, sessions, 0.01), share_limits(sessions)
+    show(f"sessions of {sessions} without drift that are called drifting", false, most)
+    show("share of intervals that hold the drift", covered / sessions, (low, high))
+    assert false <= most  # one in a hundred by design
+    assert low <= covered / sessions <= high
+
+
+def test_the_temperature_is_told_where_it_changed():
+    rng = np.random.default_rng(4)
+    (warmer,) = offset_drift(seen(rng, drift_dps=0.05, temps=(24.0, 26.0)), 1.0)
+    assert warmer.code == "session.offset_drift_warming"
+    assert warmer.values["first_c"] == pytest.approx(24.03, abs=0.01)
+    assert warmer.values["last_c"] == pytest.approx(25.78, abs=0.01)
+    assert "undrift drift" in warmer.action
+    (steady,) = offset_drift(seen(rng, drift_dps=0.05, temps=(24.0, 24.2)), 1.0)
+    assert steady.code == "session.offset_drift"
+
+
+def test_counts_are_told_in_degrees_and_recordings_follow_each_other():
+    (one,) = offset_drift(seen(np.random.default_rng(1), drift_dps=0.05), 1.0)
+    (counts,) = offset_drift(seen(np.random.default_rng(1), drift_dps=0.05, unit="count", parts=4), 1e-3)
+    assert counts.values["change_dps"] == pytest.approx(one.values["change_dps"], rel=1e-4)
+    assert counts.values["minutes"] == pytest.approx(one.values["minutes"], rel=1e-3)  # a recording ends a sample early
+
+
+@pytest.mark.parametrize("unit", ["m/s2", "g", "count"])
+def test_poses_that_change_a_reading_by_g_sensitivity_are_no_drift_in_any_unit(unit):
+    made = seen(np.random.default_rng(5))
+    record, poses = made.session.records[0], np.vstack((np.eye(3), -np.eye(3), np.ones((2, 3)) / 3.0**0.5))
+    accel, gyro = np.array(record.accel), np.array(record.gyro)
+    for still, up in zip(made.stills, poses, strict=True):
+        accel[still.start : still.stop] = 9.81 * up
+        gyro[still.start : still.stop] += (
+            DPS * 0.1 * up[::-1]
+        )  # 0.1 deg/s/g: the last poses read otherwise than the first
+    scale, shift = {"m/s2": (1.0, 0.0), "g": (1.0 / 9.81, 0.0), "count": (330.0, 32768.0)}[unit]
+    turned = replace(record, accel=scale * accel + shift, gyro=gyro, accel_unit=unit)
+    assert offset_drift(replace(made, session=replace(made.session, records=(turned,))), 1.0) == ()
+    still_drifts = replace(turned, gyro=gyro + DPS * 0.5 * np.outer(record.time / record.time[-1], [0.0, 0.0, 1.0]))
+    (found,) = offset_drift(replace(made, session=replace(made.session, records=(still_drifts,))), 1.0)
+    assert found.values["axis"] == "z"
+
+
+def test_thermal_sessions_and_few_rests_have_no_such_finding():
+    made = seen(np.random.default_rng(1), drift_dps=0.5)
+    assert offset_drift(replace(made, session=replace(made.session, kind="thermal")), 1.0) == ()
+    assert offset_drift(replace(made, stills=made.stills[:3]), 1.0) == ()
+
+
+def test_calibrate_tells_of_a_bench_session_that_drifts():
+    device = undrift.random_device(np.random.default_rng(7))
+    session = undrift.simulate_session("bench", device, rng=np.random.default_rng(8))
+    assert not [code for code in codes(undrift.calibrate(session).verdict.findings) if "offset_drift" in code]
+    records = [replace(r, gyro=r.gyro + 2.0 * r.time[:, None] / r.time[-1] * [0.0, 0.0, 1.0]) for r in session.records]
+    drifting = undrift.calibrate(replace(session, records=tuple(records)))
+    found = only(drifting.verdict.findings, "session.offset_drift")
+    assert drifting.verdict.status != "good"
+    assert found.values["axis"] == "z"

@@ -6,9 +6,19 @@ import numpy as np
 import pytest
 
 from testkit.findings import only
-from undrift.calibration.checks import axis_vectors, check_scale_factor
+from undrift.calibration.checks import axis_vectors, check_scale_factor, nearest_signed_permutation
 from undrift.calibration.dwells import DwellMeans, dwell_means, imposed_rates, linearity, spline_filter
-from undrift.calibration.rate_table import RestMeans, fit_rate_axis, fit_rate_table, fit_with_rests
+from undrift.calibration.rate_table import (
+    RestMeans,
+    axis_finding,
+    check_dwells,
+    fit_rate_axes,
+    fit_rate_axis,
+    fit_rate_table,
+    fit_turned_axes,
+    fit_with_rests,
+    scale_verdict,
+)
 from undrift.errors import Implausible, InputError, NotObservable
 from undrift.fit.least_squares import block_size, noise_of_means
 from undrift.record import Record, Turn
@@ -415,3 +425,245 @@ def test_dwells_of_a_later_recording_come_later():
     means = dwell_means([made, made], [turns[0], replace(turns[1], recording=1)])
     # recordings of 6 s; dwells of 3 s, the first of the one and the second of the other; a step of 0.01 s either way
     np.testing.assert_allclose(means.time, [1.5, 6.0 + 4.5], atol=0.02)
+
+
+# ---- turns about one or two axes: what they show is a finding, and what they contradict is refused
+
+AXIS_RATES = np.array([-300.0, -100.0, 100.0, 300.0])
+
+
+def turned(gain=1.0, axis="y", unit="dps", column=None):
+    """Four dwells about one axis, read by one column."""
+    reading = np.zeros((4, 3))
+    reading[:, "xyz".index(column or axis)] = gain * AXIS_RATES
+    return DwellMeans(
+        reading=reading + 0.3, turn_rate=AXIS_RATES * DPS, axis=(axis,) * 4, unit=unit, time=np.arange(4.0), noise=None
+    )
+
+
+def test_scale_line_and_asymmetry_are_a_finding():
+    (fit,) = fit_rate_axes(turned(1.02))
+    shown = axis_finding(fit)
+    assert (shown.code, shown.level, shown.values["axis"]) == ("rate_table.axis", "info", "y")
+    assert shown.values["scale"] == pytest.approx(1.02, rel=1e-12)
+    assert shown.headline == "Turns about y: scale factor 1.02 of the nominal scale"
+    assert shown.values["nonlinearity_dps"] == pytest.approx(0.0, abs=1e-9)
+    bent = turned()
+    bent = replace(bent, reading=np.where(bent.reading > 1.0, 1.1 * bent.reading, bent.reading))
+    asymmetry = axis_finding(fit_rate_axes(bent)[0]).values["asymmetry_percent"]
+    assert asymmetry == pytest.approx(9.5, abs=0.05)  # 2 (1.1 - 1) / (1.1 + 1), less the offset of 0.3
+    counts = axis_finding(fit_rate_axes(turned(16.4, unit="count"))[0])
+    assert counts.headline == "Turns about y: scale factor 16.4 count per deg/s"
+
+
+def test_two_axes_are_fitted_each_and_one_rate_is_not():
+    x, y = turned(axis="x"), turned(axis="y")
+    both = replace(
+        x,
+        reading=np.vstack((x.reading, y.reading[:1])),
+        turn_rate=np.concatenate((x.turn_rate, y.turn_rate[:1])),
+        axis=("x",) * 4 + ("y",),
+        time=np.arange(5.0),
+    )
+    assert [fit.axis for fit in fit_rate_axes(both)] == ["x"]
+
+
+@pytest.mark.parametrize(
+    ("dwells", "reads"), [(turned(-1.0), "column y that reads them as -y"), (turned(column="z"), r"column z .* \+z")]
+)
+def test_a_reversed_or_foreign_column_is_refused_in_any_unit(dwells, reads):
+    for unit in ("dps", "count"):
+        with pytest.raises(Implausible, match=f"wanted the y gyroscope to read \\+ for turns about \\+y, got {reads}"):
+            fit_rate_axes(replace(dwells, unit=unit))
+
+
+def test_a_wrong_conversion_is_called_out_and_refused_where_a_tolerance_is_stated():
+    (fit,) = fit_rate_axes(turned(0.853))
+    verdict = scale_verdict(np.array([fit.scale_factor]), "dps", "y")
+    assert verdict.status == "bad"
+    off = only(verdict.findings, "gyro.scale_factor")
+    assert (off.level, off.values["axis"]) == ("fail", "y")
+    assert scale_verdict(np.array([0.93]) / DPS, "dps", "y").status == "marginal"
+    assert off.values["off_percent"] == pytest.approx(-14.7)
+    with pytest.raises(Implausible, match=r"within 3 % of the stated sensitivity, got 0\.8530"):
+        fit_rate_axes(turned(0.853), scale_tolerance=0.03)
+    assert scale_verdict(np.array([1.03, 0.97, 1.0]) / DPS, "dps").status == "good"
+    assert scale_verdict(np.array([12.0]), "count").status == "good"
+
+
+def test_one_axis_is_calibrated_and_the_others_keep_the_unit_s_scale_with_a_stated_uncertainty():
+    rng = np.random.default_rng(5)
+    one = turned(1.02)
+    one = replace(one, reading=one.reading + 0.01 * rng.normal(size=(4, 3)), noise=np.full((4, 3), 0.01))
+    fit = fit_turned_axes(one, cross_axis_prior=0.02)
+    share = fit.model.standard_uncertainty[:9].reshape(3, 3) @ np.abs(fit.model.forward_matrix)
+    np.testing.assert_allclose(fit.model.scale_factor * DPS, [1.0, 1.02, 1.0], atol=2e-4)  # 4 dwells, 0.01 of 300 deg/s
+    np.testing.assert_allclose(fit.model.offset, 0.3, atol=0.03)  # 0.01 deg/s, four dwells, 3 sigma and more
+    assert share[1, 1] < 1e-3
+    np.testing.assert_allclose(np.diag(share)[[0, 2]], 0.03, rtol=0.05)
+    cross = fit.model.standard_uncertainty.reshape(-1)[:9].reshape(3, 3)[[0, 2], [2, 0]] / DPS
+    np.testing.assert_allclose(cross, 0.02, rtol=0.05)
+    assert fit.verdict.status == "marginal"
+    kept = only(fit.verdict.findings, "rate_table.nominal_kept")
+    assert (kept.values["axes"], kept.values["scale_percent"], kept.values["cross_percent"]) == (("x", "z"), 3.0, 2.0)
+
+
+def test_counts_take_the_scale_of_the_turned_axes_for_the_others_within_a_fifth():
+    fit = fit_turned_axes(turned(16.4, unit="count"))
+    np.testing.assert_allclose(fit.model.scale_factor, 16.4 / DPS, rtol=1e-9)
+    kept = only(fit.verdict.findings, "rate_table.nominal_kept")
+    assert (kept.values["source"], kept.values["scale_percent"]) == ("that of the turned axes", 20.0)
+
+
+def test_a_dwell_at_one_rate_about_another_axis_is_left_out_of_the_fit():
+    x, y = turned(axis="x"), turned(1.5, axis="y")
+    both = replace(
+        x,
+        reading=np.vstack((x.reading, y.reading[:1])),
+        turn_rate=np.concatenate((x.turn_rate, y.turn_rate[:1])),
+        axis=("x",) * 4 + ("y",),
+        time=np.arange(5.0),
+    )
+    np.testing.assert_allclose(fit_turned_axes(both).model.offset, 0.3, rtol=1e-9)
+    still = replace(x, reading=x.reading[:1], turn_rate=x.turn_rate[:1], axis=("x",), time=np.zeros(1))
+    with pytest.raises(NotObservable, match="wanted dwells at two different rates about an axis, got one"):
+        fit_turned_axes(still)
+
+
+def test_the_scatter_of_turned_axes_is_over_their_spare_dwells():
+    rng = np.random.default_rng(5)
+    rates = np.tile(AXIS_RATES, 2)
+    reading = np.column_stack((0.0 * rates, rates, 0.0 * rates)) + [0.1, 1.0, 5.0] * rng.standard_normal((8, 3))
+    dwells = DwellMeans(reading=reading, turn_rate=rates * DPS, axis=("y",) * 8, unit="dps")
+    model = fit_turned_axes(dwells).model
+    design = np.column_stack((rates * DPS, np.ones(8)))
+    for k, own in enumerate(np.sqrt(np.diag(model.covariance)[9:])):
+        left = reading[:, k] - design @ np.linalg.lstsq(design, reading[:, k], rcond=None)[0]
+        # eight dwells less two parameters, and Student's widening v / (v - 2): over four
+        assert own == pytest.approx(
+            np.sqrt(np.linalg.inv(design.T @ design)[1, 1] * float(left @ left) / 4.0), rel=1e-9
+        )
+
+
+# ---- one dwell with a rate that is not its own: named before the fit, or a walk of the offset, bends to it
+
+SOUND_RATES = np.array([-90.0, -45.0, 45.0, 90.0]) * DPS
+SOUND_K = np.array([[900.0, 12.0, -9.0], [-11.0, 910.0, 7.0], [8.0, -6.0, 895.0]])
+SOUND_B = np.array([20.0, 95.0, 70.0])
+FELT = np.array([[0.3, -0.2, 0.1], [0.2, 0.25, -0.3], [-0.1, 0.3, 0.2]])  # count per m/s2: 0.2 (deg/s)/g
+
+
+def table(noise=0.5, seed=0, curve=0.0):
+    """Twelve dwells and six rests of gyroscopes that feel gravity."""
+    rng = np.random.default_rng(seed)
+    axis = tuple(a for a in "xyz" for _ in SOUND_RATES)
+    rate = np.tile(SOUND_RATES, 3)
+    up = 9.81 * np.eye(3)[["xyz".index(a) for a in axis]]
+    w = np.eye(3)[["xyz".index(a) for a in axis]] * rate[:, None]
+    w = w + curve * w * np.abs(w)
+    faces = 9.81 * np.vstack((np.eye(3), -np.eye(3)))
+    reading = w @ SOUND_K.T + up @ FELT.T + SOUND_B + noise * rng.normal(size=(12, 3))
+    rests = RestMeans(
+        dwell_force=up,
+        reading=faces @ FELT.T + SOUND_B + noise * rng.normal(size=(6, 3)),
+        force=faces,
+        noise=np.full((6, 3), max(noise, 1e-6)),
+        time=np.arange(6) * 8.0,
+    )
+    dwells = DwellMeans(
+        reading=reading,
+        turn_rate=rate,
+        axis=axis,
+        noise=np.full((12, 3), max(noise, 1e-6)),
+        up=np.ones(12),
+        unit="count",
+        time=48.0 + 4.0 * np.arange(12),
+    )
+    return dwells, rests
+
+
+def stated(dwells, k, rate_dps):
+    wrong = dwells.turn_rate.copy()
+    wrong[k] = rate_dps * DPS
+    return replace(dwells, turn_rate=wrong)
+
+
+def checked(dwells, rests, **more):
+    check_dwells(dwells, imposed_rates(dwells, None), rests=rests, **more)
+
+
+@pytest.mark.parametrize(
+    ("rate", "reads"),
+    [
+        (45.0, r"turn 6, y at \+45 deg/s: reads as -45[.0-9]*; check its sign, value"),
+        (-67.5, r"turn 6, y at -67.5 deg/s: reads as -4[45]"),
+        (0.0, r"turn 6, y at \+0 deg/s: reads as -4[45]"),
+        (-45.9, r"turn 6, y at -45.9 deg/s: reads as -4[45]"),
+    ],
+)
+def test_a_wrong_sign_or_value_is_named_with_what_it_reads(rate, reads):
+    dwells, rests = table()
+    with pytest.raises(Implausible, match=reads) as caught:
+        checked(stated(dwells, 5, rate), rests)
+    assert caught.value.turns == (6,)
+
+
+def test_a_wrong_axis_and_the_numbers_of_the_session_are_named():
+    dwells, rests = table()
+    wrong = replace(dwells, axis=(*dwells.axis[:5], "z", *dwells.axis[6:]))
+    with pytest.raises(Implausible, match=r"turn 26, z at -45 deg/s: reads as -45.* about y; check"):
+        checked(wrong, rests, numbers=tuple(range(21, 33)))
+
+
+def test_three_false_dwells_are_all_named_and_more_are_counted():
+    dwells, rests = table()
+    three = stated(stated(stated(dwells, 1, 45.0), 5, 45.0), 10, -45.0)
+    with pytest.raises(Implausible) as caught:
+        checked(three, rests)
+    assert caught.value.turns == (2, 6, 11)
+
+
+def test_without_rests_the_dwells_alone_tell():
+    dwells, _ = table()
+    with pytest.raises(Implausible, match=r"turn 6, y at \+45 deg/s"):
+        checked(stated(dwells, 5, 45.0), None)
+
+
+def test_sound_tables_pass_with_noise_curvature_and_without_anything():
+    for seed in range(40):
+        checked(*table(seed=seed))
+        checked(*table(noise=5.0, seed=seed))  # 0.3 deg/s
+    checked(*table(noise=0.0))
+    checked(*table(curve=0.003))  # 0.5 % of full scale at the ends
+
+
+def test_too_few_dwells_to_tell_are_left_alone():
+    dwells, _ = table()
+    few = [0, 3, 4, 7, 8, 11]
+    six = replace(
+        dwells,
+        reading=dwells.reading[few],
+        turn_rate=-dwells.turn_rate[few],
+        axis=tuple(dwells.axis[k] for k in few),
+        up=np.ones(6),
+    )
+    checked(six, None)
+
+
+def test_a_table_that_is_uncertain_drifts_or_scatters_is_not_good():
+    dwells, rests = table(noise=0.05)
+    assert fit_with_rests(fit_rate_table(dwells), dwells, rests).verdict.status == "good"
+    wrong = stated(dwells, 5, 45.0)  # as if nobody had looked for it
+    fit = fit_with_rests(fit_rate_table(wrong), wrong, rests)
+    assert np.array_equal(nearest_signed_permutation(fit.model.forward_matrix), np.eye(3))
+    assert fit.verdict.status == "bad"
+    scatter = only(fit.verdict.findings, "rate_table.scatter")
+    assert scatter.values["residual_percent"] > scatter.values["wanted"] == 0.5
+    uncertain = only(fit.verdict.findings, "rate_table.uncertainty")
+    assert uncertain.values["uncertainty_percent"] > uncertain.values["wanted"] == 0.5
+    drifting = replace(dwells, reading=dwells.reading + 0.4 * (dwells.time - 70.0)[:, None])  # 1.5 deg/s in a minute
+    walk = fit_with_rests(fit_rate_table(drifting), drifting, None)
+    assert walk.verdict.status == "marginal"
+    drift = only(walk.verdict.findings, "rate_table.drift")
+    assert drift.level == "warn"
+    assert drift.values["dps_per_minute"] > drift.values["wanted"] == 0.1

@@ -12,9 +12,11 @@ from undrift.fit.least_squares import (
     fit_paper,
     noise_of_means,
     offset_verdict,
+    parameter_names,
     student_variance,
     triad_from_forward,
 )
+from undrift.model import MATRIX_NAMES, OFFSET_NAMES
 
 RNG = np.random.default_rng(11)
 INPUTS = RNG.normal(0.0, 5.0, (30, 3))
@@ -166,3 +168,23 @@ def test_the_loss_of_an_offset_left_in_is_over_the_squares_of_one_axis():
     share = 6.0 / 32.0 * 0.4**2
     assert left.values["loss_percent"] == pytest.approx(100.0 * share / (1.0 + share), rel=1e-9)
     assert fit.model.matrix @ FORWARD @ [1.0, 0.0, 0.0] == pytest.approx([1.0 / (1.0 + share), 0.0, 0.0], abs=1e-12)
+
+
+# ---- parameters are named as a laboratory names them
+
+
+@pytest.mark.parametrize(
+    ("names", "shown"),
+    [
+        (("m_xy", "m_xz"), "cross-axis terms xy and xz"),
+        (("m_yz",), "cross-axis term yz"),
+        (("m_yy", "offset_y"), "scale of y, offset of y"),
+        (("offset_x", "offset_y", "offset_z"), "offset of x, y and z"),
+        (
+            (*MATRIX_NAMES, *OFFSET_NAMES),
+            "scale of x, y and z, cross-axis terms xy, xz, yx, yz, zx and zy, offset of x, y and z",
+        ),
+    ],
+)
+def test_names_of_one_kind_are_listed_together(names, shown):
+    assert parameter_names(names) == shown

@@ -1,0 +1,160 @@
+"""Parameters of a twin: their errors, noise and bandwidth at rest, offsets over temperature."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.signal import butter, sosfilt
+from scipy.spatial.transform import Rotation
+
+from undrift.errors import InputError
+from undrift.record import Record
+from undrift.sim.device.effects import Thermometer
+from undrift.sim.device.presets import preset
+from undrift.twin.fit import (
+    fit_warm_up,
+    g_sensitivity_parameters,
+    mean_with_error,
+    polar_rotation,
+    rest_noise,
+    spread_of,
+    with_warm_up,
+)
+
+# ---- parameters of a twin: rotations, spreads, means
+
+
+def test_the_polar_rotation_is_the_mounting_and_its_slope_the_antisymmetric_part():
+    turn = np.array([0.3, -0.2, 0.5])
+    stretch = np.diag((1.01, 0.98, 1.03))
+    vector, _ = polar_rotation(Rotation.from_rotvec(turn).as_matrix() @ stretch)
+    assert vector == pytest.approx(turn, abs=1e-9)
+    vector, slope = polar_rotation(np.eye(3))
+    small = np.array([[0.0, -3e-4, 2e-4], [3e-4, 0.0, -1e-4], [-2e-4, 1e-4, 0.0]])
+    assert slope @ small.ravel() == pytest.approx((1e-4, 2e-4, 3e-4), abs=1e-9)
+    assert slope @ np.diag((1.0, 2.0, 3.0)).ravel() == pytest.approx(np.zeros(3), abs=1e-9)
+
+
+def test_one_recording_has_the_spread_of_the_prior_and_many_their_own():
+    assert spread_of(np.ones((1, 3)), 0.01) == pytest.approx(np.full(3, 0.01))
+    many = np.random.default_rng(1).normal(0.0, 0.2, (500, 3))
+    assert spread_of(many, 0.01) == pytest.approx(np.full(3, 0.2), rel=0.1)
+
+
+def test_the_error_of_a_mean_is_the_larger_of_claim_and_scatter():
+    assert mean_with_error([1.0, 1.0], [0.3, 0.4])[1] == pytest.approx(0.25)
+    assert mean_with_error([0.0, 2.0], [0.1, 0.1])[1] == pytest.approx(1.0)
+
+
+def test_g_sensitivity_within_its_error_is_not_identified():
+    found = g_sensitivity_parameters(np.array([9e-4] + [1e-5] * 8), np.full(9, 1e-4))
+    assert [p.identifiable for p in found] == [True] + [False] * 8
+    assert (found[1].finding.code, found[1].finding.values) == ("twin.g_sensitivity_zero", {"sigmas": 4.0})
+    assert found[1].reason.startswith("Within 4 standard errors of zero")
+
+
+# ---- rest: white noise and bandwidth from a spectrum that is known
+
+RATE_HZ = 400.0
+
+
+def at_rest(seed, *, bandwidth_hz=None, walk=1e-4, step=0.0):
+    rng = np.random.default_rng(seed)
+    fine = 8 if bandwidth_hz else 1  # the filter is analogue: eight samples for one
+    noise = walk * np.sqrt(RATE_HZ * fine) * rng.standard_normal((24000 * fine, 3))
+    if bandwidth_hz:
+        noise = sosfilt(butter(2, bandwidth_hz, fs=RATE_HZ * fine, output="sos"), noise, axis=0)[::fine]
+    if step:
+        noise = np.rint(noise / step) * step
+    return Record(time=np.arange(len(noise)) / RATE_HZ, gyro=noise)
+
+
+def test_white_noise_is_told_to_its_standard_error():
+    found = rest_noise([at_rest(1)], "gyro")
+    assert np.abs((found.random_walk - 1e-4) / found.random_walk_error).max() < 4.0
+    assert found.random_walk_error.max() < 1.5e-6
+    assert np.isnan(found.bandwidth_hz)
+    assert found.bandwidth_above_hz > 150.0
+
+
+def test_the_noise_of_the_codes_is_taken_off():
+    step = 2e-3  # as large as the noise
+    found = rest_noise([at_rest(2, step=step)], "gyro", step=step)
+    assert found.random_walk == pytest.approx(np.full(3, 1e-4), rel=0.03)
+
+
+def test_a_bandwidth_within_the_band_is_told_to_its_standard_error():
+    found = rest_noise([at_rest(3, bandwidth_hz=90.0), at_rest(4, bandwidth_hz=90.0)], "gyro")
+    assert found.bandwidth_hz == pytest.approx(90.0, abs=max(4.0 * found.bandwidth_error_hz, 1.0))
+    assert found.bandwidth_error_hz < 2.0
+    assert found.random_walk == pytest.approx(np.full(3, 1e-4), rel=0.04)
+
+
+def test_short_rests_and_missing_triads_tell_nothing():
+    assert rest_noise([at_rest(5).part(0, 500)], "gyro") is None
+    assert rest_noise([at_rest(5)], "accel") is None
+    assert rest_noise([], "gyro") is None
+
+
+# ---- offsets of a device over temperature from a recording at rest: planted courses come back, what shows none is refused
+
+GYRO = np.radians([[0.002, 0.03, -0.005], [1e-4, -3e-4, 4e-4], [-1e-5, 4e-6, -2e-5]])  # rad/s per K, K2, K3
+ACCEL = np.array([[2e-3, -1e-3, -0.02], [1e-5, 0.0, 1e-4], [0.0, 1e-6, -1e-5]])
+NOISE, NOISE_C, STEP_C = np.radians(0.05), 0.0125, 1.0 / 340.0
+
+
+def warm_up(rate_hz: float = 30.0, duration_s: float = 1800.0) -> Record:
+    """A board that warms from 11 towards 29 degC, with noise; 2 s are missing, and another 2 s are gaps."""
+    rng = np.random.default_rng(5)
+    time = np.arange(round(rate_hz * duration_s)) / rate_hz
+    temp = 29.0 - 18.0 * np.exp(-time / 500.0)
+    d = temp[:, None] - 15.0
+    gyro = np.radians([0.3, -0.2, 0.1]) + sum(row * d ** (k + 1) for k, row in enumerate(GYRO))
+    accel = np.array([0.1, 0.2, 9.7]) + sum(row * d ** (k + 1) for k, row in enumerate(ACCEL))
+    gyro = gyro + rng.normal(0.0, NOISE, gyro.shape)
+    gyro[3000:3060] = np.nan
+    kept = (time < 600.0) | (time >= 602.0)
+    return Record(
+        time=time[kept],
+        gyro=np.degrees(gyro[kept]),
+        accel=(accel + rng.normal(0.0, 0.02, accel.shape))[kept],
+        temp_c=(np.round((temp + rng.normal(0.0, NOISE_C, len(temp))) / STEP_C) * STEP_C)[kept],
+        gyro_unit="dps",
+        accel_unit="m/s2",
+    )
+
+
+def test_planted_courses_over_temperature_come_back_within_their_noise() -> None:
+    found = fit_warm_up(warm_up(), reference_c=15.0)
+    assert found.range_c == pytest.approx((11.2, 28.5), abs=0.15)
+    d = np.linspace(*found.range_c, 50)[:, None] - 15.0
+    # Means of 300 readings scatter by NOISE / sqrt(300); a cubic over 180 of them is known to a quarter of that, its ends to half.
+    for got, planted, noise in ((found.gyro_per_k, GYRO, NOISE), (found.accel_per_k, ACCEL, 0.02)):
+        course = sum((one - other) * d ** (k + 1) for k, (one, other) in enumerate(zip(got, planted, strict=True)))
+        assert np.abs(course).max() < 4.0 * noise / np.sqrt(300.0)
+    np.testing.assert_allclose(found.gyro_residual, NOISE / np.sqrt(300.0), rtol=0.3)  # 180 means: 5 %, six sigma
+    assert found.thermometer.step_c == pytest.approx(STEP_C, rel=1e-6)
+    assert found.thermometer.noise_c == pytest.approx(NOISE_C, rel=0.05)
+
+
+def test_a_device_takes_the_course_and_keeps_its_offset_at_the_reference() -> None:
+    unit = preset("xsens_mti1")
+    unit = replace(unit, thermometer=Thermometer(lag_s=3.0))
+    found = fit_warm_up(warm_up(), reference_c=15.0)
+    twin = with_warm_up(unit, found)
+    assert unit.gyro.offset is not None
+    assert twin.gyro.offset is not None
+    np.testing.assert_array_equal(twin.gyro.offset.constant, unit.gyro.offset.constant)
+    np.testing.assert_array_equal(twin.gyro.offset.per_k, found.gyro_per_k)
+    assert (twin.reference_temp_c, twin.thermometer) == (15.0, found.thermometer)
+    assert twin.gyro.white_noise is unit.gyro.white_noise
+
+
+def test_a_recording_that_shows_no_course_is_refused() -> None:
+    whole = warm_up()
+    with pytest.raises(
+        InputError, match="wanted gyroscopes, accelerometers and temperature, got a recording without one"
+    ):
+        fit_warm_up(replace(whole, temp_c=None), reference_c=15.0)
+    with pytest.raises(InputError, match=r"wanted 5 K or more over 5 blocks of 10 s or more, got 0\.\d K over \d+"):
+        fit_warm_up(whole.part(45000, len(whole)), reference_c=15.0)
