@@ -268,20 +268,15 @@ class Creep:
             return ()
         accel = self.kind == "accel"
         unit = 1e-3 * STANDARD_GRAVITY if accel else RADIAN_PER_DEGREE
-        cost: dict[str, Any] = {
+        shown: dict[str, Any] = {
+            "span_k": self.span_k,
+            "limit_k": self.limit_k,
+            "triad": "accelerometer" if accel else "gyroscope",
             "offset": 0.5 * self.span_k * self.offset_per_k / unit,
             "unit": "mg" if accel else "deg/s",
             "scale_percent": 50.0 * self.span_k * self.scale_per_k,
         }
-        shown = {
-            "span_k": self.span_k,
-            "limit_k": self.limit_k,
-            "triad": "accelerometer" if accel else "gyroscope",
-            **cost,
-        }
-        if self.recorded:
-            return (finding("session.temperature_creep", "warn", **shown),)
-        return (finding("session.offset_creep", "warn", **shown),)
+        return (finding("session.temperature_creep" if self.recorded else "session.offset_creep", "warn", **shown),)
 
 
 def creep_of(seen: Observed, pieces: Sequence[Still | Turn], kind: Kind) -> Creep:

@@ -149,8 +149,8 @@ def _equations(
     ), unused
 
 
-def _columns(turned: FloatArray, force: FloatArray) -> FloatArray:
-    """Return R a for the matrix, row by row, and -R for c, (N, 3, 12)."""
+def pose_columns(turned: FloatArray, force: FloatArray) -> FloatArray:
+    """Return what R (M a - c) multiplies M by, row by row, and c, (N, 3, 12): rotations (N, 3, 3), readings (N, 3)."""
     matrix = turned[:, :, :, None] * force[:, None, None, :]
     return np.concatenate((matrix.reshape(len(force), 3, 9), -turned), axis=2)
 
@@ -159,7 +159,7 @@ def _rests(posed: Sequence[BoolArray], force: FloatArray, turned: FloatArray, gr
     count = len(posed)
     design, forces = np.zeros((count, 3, 15)), np.zeros((count, 3))
     for i, within in enumerate(posed):
-        design[i, :, :12] = _columns(turned[within], force[within]).mean(axis=0)
+        design[i, :, :12] = pose_columns(turned[within], force[within]).mean(axis=0)
         forces[i] = force[within].mean(axis=0)
     wanted = np.tile((0.0, 0.0, gravity), (count, 1))
     return _Rows(
@@ -184,8 +184,8 @@ def _windows(
     first = first[[bool(seen[k : k + width].all()) for k in first]]
     bent = np.zeros_like(force)
     bent[1:-1] = np.diff(force, 2, axis=0) / step**2
-    late = [_columns(turned, part)[:, :, :9] for part in (np.gradient(force, step, axis=0), bent)]
-    moments = np.concatenate((_columns(turned, force), *late), axis=2)
+    late = [pose_columns(turned, part)[:, :, :9] for part in (np.gradient(force, step, axis=0), bent)]
+    moments = np.concatenate((pose_columns(turned, force), *late), axis=2)
     design, delayed, wanted = (np.zeros((len(first), 3, n)) for n in (15, 18, 1))
     for i, k in enumerate(first):
         part = slice(k, k + width)

@@ -72,10 +72,8 @@ class Equations:
 
     def carried(self, gains: FloatArray, more: FloatArray | float = 0.0) -> FloatArray:
         """Return the covariance of the unknowns by all sources, and by more covariance (3, E, E) of each sensor on its own."""
-        total = carried_own(gains, np.asarray(more + sum(self.own.values())))
-        for columns in self.shared.values():
-            total += carried_shared(gains, columns)
-        return total
+        own = carried_own(gains, np.asarray(more + sum(self.own.values())))
+        return own + sum(carried_shared(gains, columns) for columns in self.shared.values())
 
     def budget(
         self,

@@ -21,6 +21,7 @@ import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray, IntArray
 from undrift.calibration.reference import MARGIN_S, Aligned, align
+from undrift.calibration.reference_accel import pose_columns
 from undrift.errors import AlignmentError, InputError, NotObservable
 from undrift.fit.equations import offset_of
 from undrift.fit.least_squares import fit_huber, scaled_condition, triad_fit
@@ -164,8 +165,7 @@ def force_columns(u: FloatArray, motion: Motion, lever: FloatArray, rows: slice,
     """Return columns of matrix row by row, c, lever arm, delay, and p'' + g z of a stretch, frame n, (K, 3, 17), of u and slope."""
     r_nb = rotation(motion.q_nb[rows]).as_matrix()
     turned = [
-        (r_nb[:, :, :, None] * u[:, None, None, :]).reshape(len(u), 3, 9),
-        -r_nb,
+        pose_columns(r_nb, u),
         -(r_nb @ lever[rows]),
         np.einsum("nij,nj->ni", r_nb, slope)[:, :, None],
         np.einsum("nij,nj->ni", r_nb, motion.force_b[rows])[:, :, None],

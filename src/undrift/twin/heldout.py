@@ -40,6 +40,7 @@ import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray, IntArray
 from undrift.calibration.adc import restored_gyro
+from undrift.calibration.reference_accel import pose_columns
 from undrift.errors import InputError
 from undrift.findings import Finding, finding
 from undrift.frames import quaternion_conjugate, quaternion_of, quaternion_product, rotate, rotation, rotation_vector
@@ -181,8 +182,7 @@ def motion_windows(match: Match) -> FloatArray:
     samples, stride, found = round(WINDOW_S * rate), max(1, round(STRIDE_S * rate)), [np.empty((0, 3, 12))]
     for rows in stretches(match, motion, match.gyro):
         r_nb, u = rotation(motion.q_nb[rows]).as_matrix(), match.gyro[rows] - match.rest_offset
-        by_matrix = (r_nb[:, :, :, None] * u[:, None, None, :]).reshape(len(u), 3, 9)
-        total = np.cumsum(np.concatenate((by_matrix, -r_nb), axis=2), axis=0) / rate
+        total = np.cumsum(pose_columns(r_nb, u), axis=0) / rate
         first = np.arange(0, len(total) - samples, stride)
         found.append(total[first + samples] - total[first])
     return np.concatenate(found)
