@@ -18,7 +18,7 @@ import numpy as np
 from undrift.arrays import FloatArray
 from undrift.calibration.adc import limited_by_codes
 from undrift.calibration.checks import axis_vectors, check_axis_order, check_own_scale
-from undrift.calibration.creep import Creep, creep_of
+from undrift.calibration.creep import creep_of
 from undrift.calibration.dwells import (
     SHOWS,
     DwellMeans,
@@ -680,16 +680,12 @@ def _on_table(seen: Observed, dwells: DwellMeans, accel: TriadModel | None) -> t
     )
     axes = table_axes(held, table, accel, session.gravity_m_s2)
     creep = creep_of(seen, turns, "gyro")
-    of_creep = _scale_creep(dwells, creep)
-    axes = replace(axes, covariance=axes.covariance + of_creep, creep=of_creep)
-    return replace(dwells, axes=axes, mount_tilt=table.mount_tilt_deg * RADIAN_PER_DEGREE), creep.findings()
-
-
-def _scale_creep(dwells: DwellMeans, creep: Creep) -> FloatArray:
-    """Return the covariance (9, 9) of what creep of the scale multiplies rates by: its slope by the mean warmth of an axis."""
+    # Creep of the scale multiplies rates by its slope times the mean warmth of the dwells about an axis
     square = np.where(np.array(dwells.axis)[:, None] == np.array(AXES), dwells.turn_rate[:, None] ** 2, 0.0)
     warmth = creep.warmth @ square / np.maximum(square.sum(axis=0), 1e-300)
-    return np.diag(np.diag(creep.scale_per_k * warmth).reshape(9) ** 2)
+    of_creep = np.diag(np.diag(creep.scale_per_k * warmth).reshape(9) ** 2)
+    axes = replace(axes, covariance=axes.covariance + of_creep, creep=of_creep)
+    return replace(dwells, axes=axes, mount_tilt=table.mount_tilt_deg * RADIAN_PER_DEGREE), creep.findings()
 
 
 def _rest_means(seen: Observed, dwells: DwellMeans, accel: TriadModel | None) -> RestMeans | None:

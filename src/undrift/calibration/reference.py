@@ -157,7 +157,7 @@ def solve(recordings: Sequence[Recording], windows: Sequence[Windows], *, kept: 
             windows=independent,
         )
     rows = a.reshape(-1, len(kept))
-    condition = _full_rank(rows)
+    condition = full_rank(rows)
     x, weight, scale = fit_huber(rows, y.reshape(-1))
     residual = y - a @ x
     weight = weight.reshape(-1, 3)
@@ -169,11 +169,12 @@ def solve(recordings: Sequence[Recording], windows: Sequence[Windows], *, kept: 
     return Solution(step=x, covariance=covariance, residuals=residual, scale=scale, condition=condition)
 
 
-def _full_rank(design: FloatArray) -> float:
+def full_rank(design: FloatArray, what: str = "reference") -> float:
+    """Return the condition number of a design (E, P) whose columns were scaled to one; raise where it is short of rank."""
     rank, condition = scaled_condition(design)
     if rank < design.shape[1]:
         raise NotObservable(
-            f"reference: wanted motion about all three axes, got a design of rank {rank} for {design.shape[1]} parameters; "
+            f"{what}: wanted motion about all three axes, got a design of rank {rank} for {design.shape[1]} parameters; "
             "turn the device about every axis",
             rank=rank,
         )
@@ -264,7 +265,9 @@ _GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
 
 def solve_chain(recordings: Sequence[Recording], steps: Sequence[Windows], *, kept: IntArray) -> Solution:
     """Solve the chains of several recordings for the parameters ``kept``, by number."""
-    tables = [_in_level(r, w, kept) for r, w in zip(recordings, steps, strict=True)]
+    # y and A side by side, (n, 3, 1 + P), turned from the body at the later pose into n
+    sides = [np.concatenate((w.turn[:, :, None], w.design[:, :, kept]), axis=2) for w in steps]
+    tables = [_level(r.q_nb[w.first + 1], side) for r, w, side in zip(recordings, steps, sides, strict=True)]
     links = [np.diff(w.first) == 1 for w in steps]
     rows = 3 * sum(len(t) for t in tables)
     if rows <= 2 * len(kept):
@@ -272,7 +275,7 @@ def solve_chain(recordings: Sequence[Recording], steps: Sequence[Windows], *, ke
             f"reference: wanted more than {2 * len(kept) // 3} steps between poses, got {rows // 3}; record longer motion",
             steps=rows // 3,
         )
-    condition = _full_rank(np.concatenate([t[:, :, 1:].reshape(-1, len(kept)) for t in tables]))
+    condition = full_rank(np.concatenate([t[:, :, 1:].reshape(-1, len(kept)) for t in tables]))
     white = _whitened(tables, links, _most_likely(tables, links))
     y, a = white[:, 0], white[:, 1:]
     x, weight, scale = fit_huber(a, y)
@@ -285,13 +288,6 @@ def solve_chain(recordings: Sequence[Recording], steps: Sequence[Windows], *, ke
     covariance = np.linalg.inv(scaled.T @ scaled) * variance / np.outer(length, length)
     residual = residual.reshape(-1, 3)
     return Solution(step=x, covariance=lambda: covariance, residuals=residual, scale=scale, condition=condition)
-
-
-def _in_level(recording: Recording, steps: Windows, kept: IntArray) -> FloatArray:
-    """Return y and A side by side, (n, 3, 1 + P), turned from the body at the later pose into n."""
-    return _level(
-        recording.q_nb[steps.first + 1], np.concatenate((steps.turn[:, :, None], steps.design[:, :, kept]), axis=2)
-    )
 
 
 def _most_likely(tables: Sequence[FloatArray], links: Sequence[BoolArray]) -> float:

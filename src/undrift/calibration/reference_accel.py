@@ -80,7 +80,10 @@ def fit_reference_accel(
         rows.append(made)
         unused += [replace(still, recording=number) for still in without_pose]
     factor, null = _nominal(rows, unit, gravity_m_s2)
-    rows = [_less(r, null) for r in rows] if null.any() else rows
+    for number, r in enumerate(rows if null.any() else ()):  # readings less a constant
+        own = r.design.copy()
+        own[:, :, :9] += (own[:, :, 9:12, None] * null).reshape(len(own), 3, 9)
+        rows[number] = replace(r, design=own, forces=r.forces - null)
     fit = _result(rows, _solve(rows, factor * left @ right, factor, gravity_m_s2), unit, factor, null)
     session = Session(kind="calibration", serial="", gravity_m_s2=gravity_m_s2, records=tuple(records))
     return replace(fit, verdict=fit.verdict.also(Verdict.of(*check_gravity_length(session, unused, fit.model))))
@@ -102,13 +105,6 @@ def _nominal(rows: Sequence[_Rows], unit: str, gravity: float) -> tuple[float, F
     if not len(rests):
         raise NotObservable("reference: wanted a rest for the scale of accelerometers in counts, got none", rests=0)
     return gravity / float(np.linalg.norm(rests, axis=1).mean()), np.zeros(3)
-
-
-def _less(rows: _Rows, null: FloatArray) -> _Rows:
-    """Return the equations of readings less a constant, (3,)."""
-    own = rows.design.copy()
-    own[:, :, :9] += (own[:, :, 9:12, None] * null).reshape(len(own), 3, 9)
-    return replace(rows, design=own, forces=rows.forces - null)
 
 
 # ---- equations

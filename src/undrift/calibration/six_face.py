@@ -295,7 +295,11 @@ def face_means(
     noise = noise_of_means([rest for _, rest in filtered], sizes, removed=polynomial_degree + 1)
     rounding = flicker = None
     if noise is not None:
-        flicker = _flicker(records, cut, windows, noise, polynomial_degree + 1)
+        # Of a likely size, by the blocks within the rests
+        span, rates_hz = spans_of(records, cut), [records[s.recording].sample_rate_hz for s in cut]
+        size = size_unit(noise, span)
+        likelihood = blocks_within(windows, rates_hz, polynomial_degree + 1).likelihood(size)
+        flicker = mean_square_size(likelihood) * size**2 * flicker_about_mean(span)
         every = [np.asarray(records[k].accel) for k in {s.recording for s in used}]
         rounding = mean_rounding(every, [rest for _, rest in filtered])
         noise = np.hypot(noise, rounding)
@@ -307,16 +311,6 @@ def face_means(
         unit=unit,
         flicker=flicker,
     )
-
-
-def _flicker(
-    records: Sequence[Record], rests: Sequence[Still], windows: Sequence[FloatArray], noise: FloatArray, removed: int
-) -> FloatArray:
-    """Return the covariance (P, P) of flicker of a likely size in means of rests."""
-    span = spans_of(records, rests)
-    blocks = blocks_within(windows, [records[s.recording].sample_rate_hz for s in rests], removed)
-    size = size_unit(noise, span)
-    return np.asarray(mean_square_size(blocks.likelihood(size)) * size**2 * flicker_about_mean(span))
 
 
 def _middle(record: Record, still: Still, window_s: float) -> Still:

@@ -20,11 +20,11 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray, IntArray
-from undrift.calibration.reference import MARGIN_S, Aligned, align
+from undrift.calibration.reference import MARGIN_S, Aligned, align, full_rank
 from undrift.calibration.reference_accel import pose_columns
 from undrift.errors import AlignmentError, InputError, NotObservable
 from undrift.fit.equations import offset_of
-from undrift.fit.least_squares import fit_huber, scaled_condition, triad_fit
+from undrift.fit.least_squares import fit_huber, triad_fit
 from undrift.frames import rotation
 from undrift.model import AdcModel, TriadModel
 from undrift.record import Record, Reference
@@ -238,13 +238,7 @@ def _solve(rows: Sequence[AccelRows]) -> tuple[FloatArray, FloatArray, float]:
             seconds=len(blocks),
         )
     flat = a.reshape(-1, 16)
-    rank, condition = scaled_condition(flat)
-    if rank < 16:
-        raise NotObservable(
-            f"accel fit: wanted motion about all three axes, got a design of rank {rank} for 16 parameters; turn the device "
-            "about every axis",
-            rank=rank,
-        )
+    condition = full_rank(flat, "accel fit")
     x, weight, _ = fit_huber(flat, y.reshape(-1), together=3, to_sigma=1.0, passes=10)
     scaled = flat / (length := np.linalg.norm(flat, axis=0))
     residual = y.reshape(-1) - flat @ x
