@@ -529,15 +529,6 @@ class Calibration(Shown):
         """Gyroscopes and accelerometers, as ``triad`` returns them."""
         return self.triad("gyro"), self.triad("accel")
 
-    def _rows(self) -> dict[str, str]:
-        lines = [line.partition("  ") for line in repr(self).splitlines()[1:]]
-        reasons = {f"finding {k}": text for k, text in enumerate(self.verdict.reasons[:3], 1)}
-        return (
-            {"device": self.device or "without serial number"}
-            | {name: text.strip() for name, _, text in lines}
-            | reasons
-        )
-
     def __repr__(self) -> str:
         where = "unknown temperature" if np.isnan(self.reference_temp_c) else f"{self.reference_temp_c:.1f} degC"
         count = len(self.verdict.reasons)

@@ -8,7 +8,7 @@ Ranges are sample numbers, half-open [start, stop). A face names the sensor axis
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -50,6 +50,12 @@ class ForceUncertainty:
     def as_json(self) -> dict[str, Any]:
         """Return the fields as JSON has them, null for NaN; ``ForceUncertainty(**fields)`` takes them back."""
         return dict(tree_of(self))
+
+
+class ArrowTable(Protocol):
+    """A table that speaks Arrow: a DataFrame of polars, a table of pyarrow."""
+
+    def __arrow_c_stream__(self, requested_schema: object | None = None) -> object: ...
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -192,7 +198,7 @@ class Record(Shown):
     @classmethod
     def from_frame(
         cls,
-        frame: "pd.DataFrame",
+        frame: "pd.DataFrame | ArrowTable",
         *,
         columns: Mapping[str, str | Sequence[str]] | None = None,
         units: Mapping[str, str] | None = None,
@@ -200,7 +206,7 @@ class Record(Shown):
         gaps: Literal["raise", "keep"] = "raise",
         device: str = "",
     ) -> "Record":
-        """Make a record of a pandas DataFrame.
+        """Make a record of a DataFrame of pandas or polars, or of a table of Arrow.
 
         Parameters
         ----------

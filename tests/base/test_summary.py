@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import undrift
-from undrift.base.summary import DRAWN_BY, Shown, at
+from undrift.base.summary import DRAWN_BY, SUMMARISED_BY, Shown, as_html, at
 from undrift.errors import InputError
 from undrift.model import Calibration
 from undrift.record import Record
@@ -77,8 +77,20 @@ def test_each_draws_a_figure_with_curves_and_units(shown, kind, tmp_path):
     assert any(axes.lines or axes.patches or axes.collections for axes in figure.axes)
 
 
-@pytest.mark.parametrize("kind", DRAWN_BY)
-def test_each_is_a_small_closed_table_in_a_notebook(shown, kind):
+@pytest.mark.parametrize("kind", SUMMARISED_BY)
+def test_calibrations_and_tables_show_what_their_command_shows(shown, kind):
+    text, summary = shown[kind]._repr_html_(), at(SUMMARISED_BY[kind])(shown[kind])
+    cells = Cells(text)
+    assert text == as_html(summary)
+    assert cells.open == []
+    assert cells.texts[:2] == [summary.title, summary.answer]
+    assert {cell for section in summary.sections for row in section.rows for cell in row} <= {*cells.texts}
+    assert f"Verdict: {summary.verdict.status}" in cells.texts
+    assert len(text) < 8000
+
+
+@pytest.mark.parametrize("kind", sorted(DRAWN_BY.keys() - SUMMARISED_BY.keys()))
+def test_each_other_is_a_small_closed_table_in_a_notebook(shown, kind):
     text = shown[kind]._repr_html_()
     cells = Cells(text)
     assert cells.open == []

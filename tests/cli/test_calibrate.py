@@ -159,16 +159,20 @@ def test_a_way_that_the_session_does_not_allow_is_refused_and_poor_ones_are_fitt
     assert all(undrift.good("calibrate", bench / "session", *way).out for way in ways)
 
 
+def judged(made, seen, verdict):
+    """What the stage returns, with another verdict."""
+    return replace(made, verdict=verdict), seen
+
+
 def test_a_bad_verdict_is_written_and_ends_with_one(undrift, bench, tmp_path, monkeypatch):
-    from dataclasses import replace
 
     from undrift.calibration import calibrate as procedure
     from undrift.findings import finding
     from undrift.model import Verdict
 
-    good = procedure.calibrate
+    good = procedure.calibrated
     bad = Verdict(status="bad", findings=(finding("earlier.text", "fail", text="the table slipped"),))
-    monkeypatch.setattr(procedure, "calibrate", lambda *a, **k: replace(good(*a, **k), verdict=bad))
+    monkeypatch.setattr(procedure, "calibrated", lambda *a, **k: judged(*good(*a, **k), bad))
     answer = undrift("calibrate", bench / "session", "-o", tmp_path / "c.json")
     assert (answer.code, answer.err) == (1, "")
     assert "verdict: bad\n  - the table slipped" in answer.out
@@ -176,7 +180,6 @@ def test_a_bad_verdict_is_written_and_ends_with_one(undrift, bench, tmp_path, mo
 
 
 def test_three_findings_are_shown_and_all_with_details(undrift, bench, monkeypatch):
-    from dataclasses import replace
 
     from undrift import findings
     from undrift.calibration import calibrate as procedure
@@ -194,9 +197,9 @@ def test_three_findings_are_shown_and_all_with_details(undrift, bench, monkeypat
         findings.finding("test.c", "warn"),
         findings.finding("test.a", "fail", x_deg=2.0),
     )
-    good = procedure.calibrate
+    good = procedure.calibrated
     bad = Verdict(status="bad", findings=found)
-    monkeypatch.setattr(procedure, "calibrate", lambda *a, **k: replace(good(*a, **k), verdict=bad))
+    monkeypatch.setattr(procedure, "calibrated", lambda *a, **k: judged(*good(*a, **k), bad))
     first = [
         "verdict: bad",
         "  - headline a", "    2.0 deg", "    -> record [more]",

@@ -1,6 +1,7 @@
 """undrift calibrate FILE...: bare recordings, what was found in them, gravity and its source, and the map a calibration keeps."""
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -11,8 +12,9 @@ from undrift.calibration.calibrate import calibrate
 from undrift.calibration.observe import CalibrateSettings
 from undrift.errors import InputError
 from undrift.io.formats import read_record, write_record
-from undrift.io.session import read_file_map, read_session, session_from_files, write_session
-from undrift.io.store import read_calibration
+from undrift.io.session import read_column_map, read_file_map, read_session, session_from_files, write_session
+from undrift.io.store import calibration_json, read_calibration
+from undrift.model import Calibration
 from undrift.record import Record
 from undrift.sim.device.presets import random_device
 from undrift.sim.sessions import simulate_session
@@ -263,3 +265,38 @@ def test_what_json_says_is_a_calibration_too(undrift, board):
     one, other = read_calibration(board / "said.json"), read_calibration(board / "board.json")
     np.testing.assert_array_equal(one.gyro.matrix, other.gyro.matrix)
     assert one.file_map == other.file_map
+
+
+def test_python_takes_what_the_command_line_takes_and_sees_the_same(undrift, board):
+    log, words = data_path("multipos_mpu9150", "imu0.log.gz"), {"column_map": board / "board.toml", "serial": "imu0"}
+    told = undrift.good("calibrate", log, "--map", board / "board.toml", "--serial", "imu0", "--json").json()
+    made = calibrate(str(log), **words)
+    record = read_record(log, read_column_map(board / "board.toml"))
+    frame = record.to_frame()
+    for one in (made, calibrate(record, serial="imu0"), calibrate(frame, serial="imu0")):
+        assert isinstance(one, Calibration)
+        same(told, calibration_json(one))
+        assert one.device == "imu0"
+        assert [item.code for item in one.verdict.findings] == [item["code"] for item in told["verdict"]["findings"]]
+    assert dict(calibrate(record, gravity_m_s2=9.81).provenance.settings)["gravity"] == "stated"
+    with pytest.raises(InputError, match="wanted none of units beside a Record"):
+        calibrate(record, units={"gyro": "rad/s"})
+    with pytest.raises(InputError, match="got a mixture"):
+        calibrate(record, log)
+    with pytest.raises(InputError, match="wanted a table of pandas, polars or Arrow, got int"):
+        calibrate(7)
+    with pytest.raises(InputError, match="wanted gravity_m_s2, or latitude_deg and height_m, got only one"):
+        calibrate(record, height_m=20.0)
+
+
+def test_python_takes_a_sessions_folder_with_the_checks_of_the_command(undrift, bench):
+    told = undrift.good("calibrate", bench / "session", "--json").json()
+    made = calibrate(bench / "session")
+    same(told, calibration_json(made))
+    turned = undrift.good("calibrate", bench / "session", "--latitude-deg", "45", "--json").json()
+    same(turned, calibration_json(calibrate(str(bench / "session"), latitude_deg=45.0)))
+    with pytest.raises(InputError, match="wanted none of --serial beside a session"):
+        calibrate(bench / "session", serial="A1")
+    shown = undrift.good("calibrate", bench / "session").out
+    assert all(cell in shown for cell in re.findall(r"<td>(.*?)</td>", made._repr_html_()))
+    assert len(repr(made).splitlines()) == 5

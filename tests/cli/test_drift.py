@@ -70,7 +70,7 @@ def test_a_warm_up_of_a_bare_board_gives_its_slopes_and_says_what_it_cannot_tell
     np.testing.assert_allclose(found, [-3.5, 27.9, -2.4], atol=0.5)
     for said in (
         "verdict: marginal",
-        "gyroscope offset over temperature: 10.8 to 28.9 degC seen, ",
+        "Gyroscope offset over temperature: 10.8 to 28.9 degC seen, ",
         "No calibration given",
         "Gyroscope scale over temperature not observable",
     ):
@@ -102,7 +102,7 @@ def test_two_plateaus_with_torn_lines_name_the_fourfold_error(undrift, tmp_path)
     show("BMI270, mdeg/s per degC", found, "+19.1 / +12.9 / -1.5")
     np.testing.assert_allclose(found, [19.1, 12.9, -1.5], atol=0.5)
     assert answer.out.count("readings are 4 times too small") == 1
-    assert "accelerometer offset over temperature: " not in answer.out
+    assert "Accelerometer offset over temperature: " not in answer.out
     assert "no data near them" in answer.out
     assert "verdict: marginal" in answer.out
     (tmp_path / "map.toml").write_text(BMI_MAP)
@@ -306,8 +306,8 @@ def test_accelerometers_alone_have_tables_and_no_picture_of_gyroscopes(undrift, 
     write_session(replace(made, records=(replace(made.records[0], gyro=None),)), tmp_path / "session")
     words = ["drift", tmp_path / "session", "--calibration", soaks / "calibration.json"]
     out = undrift.good(*words, "--details").out
-    assert "accelerometer offset over temperature: " in out
-    assert "gyroscope offset" not in out
+    assert "Accelerometer offset over temperature: " in out
+    assert "Gyroscope offset over temperature" not in out
     before = contents(tmp_path)
     line = undrift.refused(*words, "--figure", tmp_path / "f.png", "-o", tmp_path / "c.json")
     assert "wanted gyroscopes to draw, got none" in line

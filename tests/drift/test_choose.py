@@ -7,11 +7,11 @@ import pytest
 
 from testkit.data import show
 from testkit.rate_steps import GRID, SOAKS, computed
+from undrift.commands.drift import choice_rows
 from undrift.drift.fit import _requested
 from undrift.drift.observe import RestBlocks
 from undrift.drift.select import ALTERNATIVES, choose_tables
 from undrift.errors import NotObservable
-from undrift.report.drift import choice_rows
 from undrift.sim.device.effects import RateDrift, ThermalScale
 from undrift.sim.device.presets import random_device_of
 from undrift.sim.device.truth import true_calibration, true_tables
@@ -172,7 +172,7 @@ def test_nothing_is_called_held_out_that_was_fitted():
     assert np.isnan(table.left_out_rms_dps).all()
     assert np.isfinite(table.fitted_rms_dps[:2]).all()
     assert "fitted, nothing could be held out (2 set-points)" in table.reason
-    assert "nothing held out" in [row[2] for row in choice_rows(table)]
+    assert "nothing held out" in [row["held out (deg/s rms)"] for row in choice_rows(table)]
     asked = _requested(fitted, "scale")
     assert asked.alternatives.why.level == "warn"
     assert "fitted, nothing could be held out" in asked.alternatives.reason

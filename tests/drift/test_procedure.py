@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from testkit.data import show
+from undrift.commands.drift import drift_summary
 from undrift.correction.correct import correct, correct_checked
 from undrift.drift import fit as procedure_module
 from undrift.drift.checks import static_verdict, verdict_before
@@ -16,7 +17,7 @@ from undrift.errors import InputError, NotObservable
 from undrift.export.autopilots import export_ardupilot, export_px4
 from undrift.findings import finding
 from undrift.model import Verdict
-from undrift.report.drift import drift_lead, write_drift_report
+from undrift.report.page import write_page
 from undrift.sim.device.presets import preset
 from undrift.sim.device.truth import true_calibration
 from undrift.sim.motion.bench import BenchSettings
@@ -246,8 +247,9 @@ def test_tables_without_a_calibration_can_be_exported_where_matrix_and_offset_ar
 
 
 def test_the_page_opens_with_before_and_after_over_a_stated_motion_and_the_answer(fit, tmp_path):
-    write_drift_report(fit, tmp_path / "a.html")
-    lead = drift_lead(fit)
+    summary = drift_summary(fit)
+    write_page(tmp_path / "a.html", summary)
+    (lead,) = summary.sections[0].text
     assert lead.replace("'", "&#39;") in (tmp_path / "a.html").read_text()
     before, rest, after, both = (float(text) for text in re.findall(r"(\d+\.\d\d) deg", lead)[:4])
     assert both < after < rest < before  # the note's device: rest takes the offset, tables scale and dynamic drift too

@@ -4,6 +4,7 @@ import sys
 
 import numpy as np
 import pandas as pd
+import pyarrow as pa
 import pytest
 from hypothesis import given
 
@@ -22,6 +23,32 @@ def test_a_record_comes_back_from_its_frame_to_the_last_bit(record):
     if "v" in (record.gyro_unit, record.accel_unit):  # volts are a unit of columns like the others
         assert any(name.endswith("_v") for name in record.to_frame())
     assert_same(Record.from_frame(record.to_frame(), gaps="keep"), record)
+
+
+class Polars:
+    """What a polars DataFrame offers to a reader: its columns by Arrow, and no more."""
+
+    def __init__(self, columns):
+        self.table = pa.table(columns)
+
+    def __arrow_c_stream__(self, requested_schema=None):
+        return self.table.__arrow_c_stream__(requested_schema)
+
+
+def test_frames_of_polars_and_tables_of_arrow_are_those_of_pandas():
+    days = pd.date_range("2026-11-22", periods=N, freq="20ms")
+    columns = PLAIN | {"gyro_z": np.arange(N), "time": days}
+    wanted = Record.from_frame(pd.DataFrame(columns), units=UNITS)
+    for frame in (pa.table(columns), Polars(columns)):
+        assert_same(Record.from_frame(frame, units=UNITS), wanted)
+    empty = columns | {"accel_x": [None, *PLAIN["accel_x"][1:]]}
+    with pytest.raises(InputError, match="accel"):
+        Record.from_frame(Polars(empty), units=UNITS)
+    assert np.isnan(Record.from_frame(Polars(empty), units=UNITS, gaps="keep").accel[0, 0])
+    with pytest.raises(FileFormatError, match="DataFrame"):
+        Record.from_frame(Polars(columns | {"accel_x": ["a"] * N}), units=UNITS)
+    with pytest.raises(InputError, match="wanted a table of pandas, polars or Arrow, got int; make one"):
+        Record.from_frame(7)
 
 
 def test_plain_names_need_units_and_a_clock_alone():

@@ -7,21 +7,13 @@ import pytest
 from matplotlib.colors import to_hex
 
 from testkit.pictures import cut_texts
+from undrift.base.summary import plus_minus
+from undrift.commands.drift import choice_rows, offset_rows, offset_title, shown_unit
 from undrift.drift.checks import ScaleSummary, TriadSummary
 from undrift.drift.select import Alternatives
 from undrift.findings import finding
 from undrift.model import DynamicDrift
-from undrift.report.drift import (
-    choice_rows,
-    draw_alternatives,
-    draw_dynamic,
-    draw_offsets,
-    draw_scale,
-    offset_table,
-    offset_title,
-    plus_minus,
-    shown_unit,
-)
+from undrift.report.drift import draw_alternatives, draw_dynamic, draw_offsets, draw_scale
 from undrift.report.figures import svg_of
 
 NODES = np.arange(18.0, 30.1, 0.5)
@@ -54,14 +46,14 @@ def summary(**changes):
 
 
 def test_rows_are_in_the_units_that_people_read():
-    heads, rows = offset_table(summary())
-    assert heads[1] == "slope (deg/s per degC)"
-    assert all(len(row) == len(heads) for row in rows)
-    assert rows[0] == ("x", "+0.100 +- 0.012", "0.01", "0.02", "+0.0500 +- 0.0040", "0.1")
-    assert rows[1][3] == "too few"
-    assert offset_table(summary(turn_on=np.full(3, np.nan)))[1][2][5] == "not seen"
+    rows = offset_rows(summary())
+    assert [*rows[0]][1] == "slope (deg/s per degC)"
+    assert all(row.keys() == rows[0].keys() for row in rows)
+    assert [*rows[0].values()] == ["x", "+0.100 +- 0.012", "0.01", "0.02", "+0.0500 +- 0.0040", "0.1"]
+    assert rows[1]["held out, rms (deg/s)"] == "too few"
+    assert offset_rows(summary(turn_on=np.full(3, np.nan)))[2]["between sessions (deg/s)"] == "not seen"
     short = summary(half_loop=None, half_loop_uncertainty=None, turn_on=None)
-    assert [len(cells) for cells in (offset_table(short)[0], *offset_table(short)[1])] == [4] * 4
+    assert [len(row) for row in offset_rows(short)] == [4] * 3
     assert shown_unit("m/s2")[0] == "mg"
     assert shown_unit("count") == ("count", 1.0)
 
@@ -101,9 +93,9 @@ def alternatives():
 
 def test_the_choice_says_what_was_chosen_and_what_could_not_be_fitted():
     rows = choice_rows(alternatives())
-    assert [row[3] for row in rows] == ["", "chosen", "", ""]
-    assert rows[2][1:3] == ("not fitted", "not seen")
-    assert rows[1][2] == "0.0100 +- 0.0010"
+    assert [row["chosen"] for row in rows] == ["", "chosen", "", ""]
+    assert (rows[2]["fitted (deg/s rms)"], rows[2]["held out (deg/s rms)"]) == ("not fitted", "not seen")
+    assert rows[1]["held out (deg/s rms)"] == "0.0100 +- 0.0010"
 
 
 def scales():

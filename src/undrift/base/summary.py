@@ -32,6 +32,11 @@ DRAWN_BY = {
     "Trial": "undrift.report.figures:trial_figure",
     "Validation": "undrift.report.figures:draw_validation",
 }
+SUMMARISED_BY = {  # values that a notebook shows as the command does that makes them
+    "Calibration": "undrift.commands.calibrate:calibration_summary",
+    "DriftFit": "undrift.commands.drift:drift_summary",
+}
+NOTHING_WRITTEN = "No tables were written: add -o calibration.json to keep them"
 PICTURES = (".svg", ".png", ".pdf")  # endings of figures
 CALLED: ContextVar[tuple[str, ...]] = ContextVar("CALLED", default=())  # the words of the command line, if it called
 Item = TypeVar("Item")
@@ -115,7 +120,7 @@ class Summary(Result):
     verdict: Verdict | None = None
     findings: tuple[Finding, ...] = ()  # Beside those of the verdict
     notes: tuple[str, ...] = ()
-    written: tuple[Path, ...] = ()  # Files and folders
+    written: tuple[Path | None, ...] = ()  # Files and folders
     brief: bool = False  # A terminal shows verdict and findings on request: the sections have what matters
     after: tuple[str, ...] = ()  # Lines of a terminal, below the names of what was written
     next: tuple[object, ...] = ()  # Words of the command that follows
@@ -142,7 +147,7 @@ class Origin:
     date: str = field(default_factory=today)
 
 
-class Shown(ABC):
+class Shown:
     """A value that draws itself and is a table in a notebook."""
 
     __slots__ = ()
@@ -152,11 +157,13 @@ class Shown(ABC):
         drawn: Picture = at(DRAWN_BY[type(self).__name__])(self)
         return drawn
 
-    @abstractmethod
     def _rows(self) -> dict[str, str]:
         """Return the rows of the table: what, and its value with unit."""
+        return {}
 
     def _repr_html_(self) -> str:
+        if place := SUMMARISED_BY.get(type(self).__name__):
+            return as_html(at(place)(self))
         rows = "".join(
             f"<tr><th>{escape(name)}</th><td>{escape(value)}</td></tr>" for name, value in self._rows().items()
         )
@@ -199,6 +206,14 @@ def concise(value: float, uncertainty: float) -> str:
     if places > 9:
         return f"{value:.6g}({uncertainty:.1g})"
     return f"{value:.{places}f}({round(uncertainty * 10.0**places)})"
+
+
+def plus_minus(value: float, uncertainty: float) -> str:
+    """Return a value with its standard uncertainty, to the uncertainty's second digit: +0.0279 +- 0.0012."""
+    if not (uncertainty > 0.0 and math.isfinite(uncertainty)):
+        return f"{value:+.3g}" if math.isfinite(value) else "not seen"
+    places = min(9, max(0, 1 - math.floor(math.log10(uncertainty))))
+    return f"{value:+.{places}f} +- {uncertainty:.{places}f}"
 
 
 def plain(value: object) -> Plain:

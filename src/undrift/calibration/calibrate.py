@@ -15,10 +15,12 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import fields, replace
 from datetime import UTC, datetime
-from typing import Any, Literal, NamedTuple
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, cast
 
 import numpy as np
 
+from undrift.base.summary import at
 from undrift.calibration.adc import identify_record_adc, restored
 from undrift.calibration.checks import missing_faces, range_in_doubt, scale_as_stated
 from undrift.calibration.creep import creep_of, offset_drift
@@ -38,6 +40,11 @@ from undrift.plugins import load_named, names_in
 from undrift.record import FACES, GravitySource, Record, Reference, Session, Turn, check_local_gravity
 from undrift.sync import LagSettings
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical, si_factor
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from undrift.record import ArrowTable
 
 Mode = Literal["paper", "affine", "levelled"]
 Triad = Literal["accelerometer", "gyroscope"]
@@ -117,19 +124,23 @@ def find_fit(name: str, kind: Literal["accel", "gyro", "reference"]) -> Callable
 
 
 def calibrate(
-    session: Session,
-    *,
+    session: "Session | Record | str | Path | pd.DataFrame | ArrowTable",
+    *more: "Record | str | Path | pd.DataFrame | ArrowTable",
     accel: str | None = None,
     gyro: str | None = None,
     mode: Mode | None = None,
     settings: CalibrateSettings = CalibrateSettings(),
+    **reading: Any,
 ) -> Calibration:
-    """Calibrate a device from a session.
+    """Calibrate a device from a session, or from recordings as the command line takes them.
 
     Parameters
     ----------
-    session : Session
-        Recordings; stills and turns as stated in it, else found in the data.
+    session : Session, Record, str, Path or DataFrame
+        Recordings; stills and turns as stated in it, else found in the data. A name is that of a session's folder or of a
+        recording; a frame may be of pandas or polars.
+    more : Record, str, Path or DataFrame
+        Further recordings of the same device.
     accel : str, optional
         six-face, multi-position, or a fit that another package adds; None chooses.
     gyro : str, optional
@@ -139,6 +150,10 @@ def calibrate(
         paper, affine or levelled; None is levelled for six faces and affine for turns.
     settings : CalibrateSettings
         Further choices.
+    reading : dict
+        Of recordings that are no Session: gravity_m_s2, or latitude_deg and height_m, and serial. Of files also column_map,
+        sample_rate_hz, sensor, gaps, clock, drop_bad_rows, as the options of the command; of frames columns, units,
+        sample_rate_hz, gaps, as ``Record.from_frame`` takes them.
 
     Returns
     -------
@@ -163,6 +178,9 @@ def calibrate(
     >>> made.gyro.method, made.accel.method, made.verdict.status
     ('rate-table/affine', 'six-face/levelled', 'good')
     """
+    if not isinstance(session, Session) or more or reading:
+        session = cast(Session, at("undrift.commands.files:session_given")(session, *more, **reading))
+        settings = replace(settings, latitude_deg=reading.get("latitude_deg", settings.latitude_deg))
     return calibrated(session, accel=accel, gyro=gyro, mode=mode, settings=settings)[0]
 
 

@@ -220,11 +220,6 @@ def show_findings(findings: Iterable[Finding], *, details: bool) -> None:
         say(f"  {len(texts) - len(shown)} more: --details")
 
 
-def say_next(*words: object) -> None:
-    """Print the command to type next, as it works in this folder."""
-    say("Next: undrift " + shlex.join(map(str, words)))
-
-
 def show(summary: "Summary", *, details: bool) -> None:
     """Show a summary on a terminal: answer, sections, verdict or warnings, notes, what was written and what comes next."""
     say(summary.answer)
@@ -235,9 +230,10 @@ def show(summary: "Summary", *, details: bool) -> None:
         show_verdict(summary.verdict, details=details)
     if not summary.brief:
         say(*(f"  warning: {one.text}" for one in summary.findings if one.level != "info"))
-    say(*(f"  note: {note}" for note in summary.notes), *(f"Wrote {path}" for path in summary.written), *summary.after)
+    say(*(f"  note: {note}" for note in summary.notes), *(f"Wrote {path}" for path in summary.written if path))
+    say(*summary.after)
     if summary.next:
-        say_next(*summary.next)
+        say("Next: undrift " + shlex.join(map(str, summary.next)))
 
 
 def _show_section(section: "Section", *, details: bool) -> None:

@@ -19,17 +19,8 @@ from typing import TypeAlias
 
 # Each a function in the module of its name
 VERBS = (
-    "calibrate",
-    "certificate",
-    "correct",
-    "export",
-    "info",
-    "noise",
-    "orient",
-    "simulate",
-    "twin",
-    "validate",
-)
+    "calibrate", "certificate", "correct", "drift", "export", "info", "learn", "noise", "orient", "simulate", "twin", "validate",
+)  # fmt: skip
 GROUPS = {  # of commands in one module: the function of each
     "data": {"list": "list_sets", "fetch": "fetch"},
     "session": {"new": "new"},

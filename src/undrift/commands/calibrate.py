@@ -94,7 +94,7 @@ class Calibrated(Result):
             shown,
             data=calibration_json(made) | {"lacking": lacking} | kept,
             page=lambda: judged_sections(self),
-            written=tuple(path for path in (self.figure, output) if path is not None),
+            written=(self.figure, output),
             after=tuple(after),
             next=("correct", recording, "--calibration", output, "-o", "corrected.parquet") if follows else (),
         )

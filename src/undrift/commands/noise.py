@@ -47,7 +47,7 @@ class Noise(Result):
     fit: "NoiseFit"
     verdict: "Verdict"
     notes: tuple[str, ...]
-    written: tuple[Path, ...]
+    written: tuple[Path | None, ...]
 
     def summary(self) -> Summary:
         """Return the coefficients of each axis, with their intervals."""
@@ -145,8 +145,7 @@ def noise(
             verdict = verdict.also(_write_kalibr(fit, path, readings.sample_rate_hz, rostopic))
         elif path is not None:
             Drawing(place="undrift.report.figures:draw_allan", of=(fit,), options={"title": title}).save(path)
-    written = tuple(path for path in (figure, output) if path is not None)
-    return Noise(record=record, fit=fit, verdict=verdict, notes=notes, written=written)
+    return Noise(record=record, fit=fit, verdict=verdict, notes=notes, written=(figure, output))
 
 
 def _corrected(readings: "Record", model: "Calibration", since: float | None) -> "tuple[Record, tuple[str, ...]]":

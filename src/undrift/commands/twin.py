@@ -31,7 +31,7 @@ class Twinned(Result):
     endings: "tuple[Ending, ...]"
     parts: "tuple[Part, ...]"
     split: "Split | Finding"
-    written: tuple[Path, ...]
+    output: Path | None
 
     def summary(self) -> Summary:
         """Return the parameters, the residual against the reference, and how well the model predicts."""
@@ -59,7 +59,7 @@ class Twinned(Result):
             ),
             findings=tuple({one.text: one for one in found}.values()),
             notes=() if held_out else (alone,),
-            written=self.written,
+            written=(self.output,),
         )
 
 
@@ -117,8 +117,7 @@ def twin(
         first = prepared.records[0]
         write_device(device_of(fitted, sample_rate_hz=first.sample_rate_hz, serial=first.device), output)
     return Twinned(
-        names=tuple(names), fitted=fitted, held_out=held_out, endings=endings, parts=parts, split=split,
-        written=() if output is None else (output,),
+        names=tuple(names), fitted=fitted, held_out=held_out, endings=endings, parts=parts, split=split, output=output,
     )  # fmt: skip
 
 

@@ -132,7 +132,7 @@ class Validated(Result):
             verdict=None if self.calibration is None else self.verdict,
             brief=True,
             notes=tuple(notes),
-            written=() if self.output is None else (self.output,),
+            written=(self.output,),
         )
 
 

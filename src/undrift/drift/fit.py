@@ -135,12 +135,6 @@ class DriftFit(Shown):
     scale_summary: checks.ScaleSummary | None
     verdict: Verdict
 
-    def _rows(self) -> dict[str, str]:
-        tables = repr(self.calibration).splitlines()[3].removeprefix("drift").strip()
-        reasons = {f"finding {k}": text for k, text in enumerate(self.verdict.reasons[:3], 1)}
-        data = f"{len(self.rests)} blocks of rest, {len(self.steps)} dwells at known rates"
-        return {"tables": tables, "data": data, "verdict": self.verdict.status} | reasons
-
 
 @determined("drift")
 def fit_drift(

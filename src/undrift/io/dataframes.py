@@ -1,4 +1,4 @@
-"""pandas DataFrames as records and back; pandas is imported only where a frame is made."""
+"""DataFrames as records and back: of pandas, and of all that speak Arrow, as polars does; pandas is imported where one is made."""
 
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
@@ -47,12 +47,11 @@ def read_frame(
             raise InputError(
                 f"from_frame: wanted {what} of {', '.join(CHANNELS)}, got {', '.join(unknown)}; name the channels so"
             )
-    names = tuple(str(name) for name in frame.columns)
-    held = {name: frame.iloc[:, k] for k, name in enumerate(names)}
-    time, native = dict(columns or NAMES).get("time"), columns is None and is_native(names)
-    if sample_rate_hz is None and "time_s" not in held and time not in held and _is_clock(frame.index):
+    held, index, marks = _columns_of(frame)
+    time, native = dict(columns or NAMES).get("time"), columns is None and is_native(tuple(held))
+    if sample_rate_hz is None and "time_s" not in held and time not in held and index is not None and _is_clock(index):
         time = "time_s" if native else str(time or "time")
-        held[time] = frame.index.to_series()
+        held[time] = index.to_series()
         columns = None if columns is None else {**columns, "time": time}
     dated = [name for name, values in held.items() if values.dtype.kind in "Mm" or hasattr(values.dtype, "tz")]
     table = Table(source=SOURCE, names=tuple(held), columns=tuple(_numbers(held[name], name in dated) for name in held))
@@ -66,11 +65,26 @@ def read_frame(
         clock = {"time": "s"} if time in dated else {}
         stating |= {f"{key}_unit": unit for key, unit in {**units, **clock}.items()}
         found = ColumnMap(**stating, sample_rate_hz=sample_rate_hz, gaps=gaps)
-    marks = frame.attrs.get("undrift", {"frame": "s", "state": "raw"})
     found = stated(
         found, {**marks, "device": device or marks.get("device", "")}, f"{SOURCE}: wanted attrs of undrift, got others"
     )
     return build_record(table, found).record
+
+
+def _columns_of(frame: Any) -> tuple[dict[str, Any], Any, dict[str, Any]]:
+    """Return the columns by name, the index where there is one, and undrift's marks."""
+    raw = {"frame": "s", "state": "raw"}
+    if hasattr(frame, "iloc"):  # of pandas
+        columns = {str(name): frame.iloc[:, k] for k, name in enumerate(frame.columns)}
+        return columns, frame.index, frame.attrs.get("undrift", raw)
+    import pyarrow as pa
+
+    try:
+        table = pa.table(frame)
+    except TypeError as error:
+        got = type(frame).__name__
+        raise InputError(f"{SOURCE}: wanted a table of pandas, polars or Arrow, got {got}; make one") from error
+    return {name: table[name].to_numpy() for name in table.column_names}, None, raw
 
 
 def frame_of(record: Record) -> "pd.DataFrame":
@@ -96,9 +110,11 @@ def _plain(names: Sequence[str]) -> dict[str, str | tuple[str, ...]]:
 
 def _numbers(values: Any, dated: bool) -> Any:
     """Return a column as float64, dates as s from the first; text as it is, for the table to name it."""
+    arrow = isinstance(values, np.ndarray)
     if dated:
-        return (values - values.iloc[0]).to_numpy() / np.timedelta64(1, "s")
+        passed = values - values[0] if arrow else (values - values.iloc[0]).to_numpy()
+        return passed / np.timedelta64(1, "s")
     try:
-        return values.to_numpy(dtype=np.float64, na_value=np.nan)
+        return values.astype(np.float64) if arrow else values.to_numpy(dtype=np.float64, na_value=np.nan)
     except (TypeError, ValueError):
-        return values.to_numpy(dtype=object)
+        return values.astype(object) if arrow else values.to_numpy(dtype=object)

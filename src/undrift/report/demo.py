@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from undrift.base.summary import Cells, Origin, Section, Summary, plain_words, table_section
+from undrift.base.summary import Cells, Origin, Section, Summary, plain_words, plus_minus, table_section
 from undrift.commands.calibrate import calibration_sections
+from undrift.commands.drift import drift_sections
 from undrift.commands.validate import trials_section
-from undrift.report.drift import drift_sections, plus_minus
 from undrift.report.figures import OPTICS, compared_style, entitle, envelope, legend_above, new_figure, svg_of
 from undrift.report.note import SLOPE_OF_THE_NOTE
 from undrift.report.page import write_page

@@ -1,4 +1,4 @@
-"""The pages of a thermal fit and of a device over years: offset and scale over temperature, dynamic drift, errors of each choice.
+"""Pictures of thermal fits, and the page of a device over years: offset, scale and dynamic drift over temperature, choices.
 
 Warming is red and cooling blue; what no data were near is hatched.
 """
@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from undrift.base.summary import Origin, Section, Summary, table_section
+from undrift.commands.drift import shown_unit
 from undrift.drift.hysteresis import SIGNIFICANT
 from undrift.errors import InputError
 from undrift.model import AXES
@@ -28,7 +29,7 @@ from undrift.report.figures import (
     svg_of,
 )
 from undrift.report.page import write_page
-from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
+from undrift.units import RADIAN_PER_DEGREE
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -40,7 +41,6 @@ if TYPE_CHECKING:
     from undrift.drift.learn import LearnFit
     from undrift.drift.select import Alternatives
     from undrift.model import DynamicDrift
-    from undrift.validation.table_worth import TableWorth
 
 # ---- pictures
 
@@ -49,12 +49,6 @@ _MANY = 300  # of them: small marks
 NORMAL_95 = 1.96
 _CURVES = 5  # temperatures of the dynamic drift that are drawn
 _WARM, _COOL = "#c23b3b", "#2b62b3"
-_SHOWN = {"rad/s": ("deg/s", 1.0 / RADIAN_PER_DEGREE), "m/s2": ("mg", 1e3 / STANDARD_GRAVITY)}
-
-
-def shown_unit(unit: str) -> tuple[str, float]:
-    """Return the unit that people read, and how many of it the other is."""
-    return _SHOWN.get(unit, (unit, 1.0))
 
 
 def draw_offsets(summary: "TriadSummary") -> "Figure":
@@ -173,52 +167,21 @@ def draw_learnt(fit: "LearnFit") -> "Figure":
     return figure
 
 
-LEARN_HEADS = (
-    "temperature (degC)",
-    "offset (deg/s)",
-    "change (deg/s)",
-    "uncertainty before (deg/s)",
-    "uncertainty (deg/s)",
-)
-
-
-def learn_rows(fit: "LearnFit", most: int = 9) -> tuple[tuple[str, ...], ...]:
-    """Return one row of cells for some of the nodes: x, y and z in each."""
-    chosen = np.unique(np.linspace(0, len(fit.temp_c) - 1, min(most, len(fit.temp_c))).round().astype(int))
-
-    def cells(value: "FloatArray", form: str) -> str:
-        return " ".join(format(x, form) for x in value / RADIAN_PER_DEGREE)
-
-    return tuple(
-        (
-            f"{fit.temp_c[k]:g}{' extrapolated' if fit.extrapolated[k] else ''}",
-            cells(fit.after[k], "+.3f"),
-            cells(fit.after[k] - fit.before[k], "+.3f"),
-            cells(fit.before_uncertainty[k], ".3f"),
-            cells(fit.after_uncertainty[k], ".3f"),
-        )
-        for k in chosen
-    )
-
-
 def draw_scale(summary: "ScaleSummary") -> "Figure":
     """Draw scale factors over temperature: soaks with 95 % bars, table with its band, what is extrapolated; axes that turned."""
     turned = [k for k in range(3) if np.isfinite(summary.soak_percent[:, k]).any()]
     figure, panels = new_figure(len(turned), height=1.8)
     for k, axes in zip(turned, panels, strict=True):
-        axis = AXES[k]
-        value, doubt = summary.percent[:, k], NORMAL_95 * summary.uncertainty[:, k]
-        _shade(axes, summary.temp_c, summary.extrapolated)
-        temp = summary.temp_c
-        band: Any = {"color": LIMIT, "alpha": 0.3, "linewidth": 0.0}
+        temp, value, doubt = summary.temp_c, summary.percent[:, k], NORMAL_95 * summary.uncertainty[:, k]
+        _shade(axes, temp, summary.extrapolated)
         if np.isfinite(doubt).all():
-            axes.fill_between(temp, value - doubt, value + doubt, label="95 %", **band)
+            axes.fill_between(temp, value - doubt, value + doubt, label="95 %", color=LIMIT, alpha=0.3, linewidth=0.0)
         axes.plot(temp, value, color="black", marker=".", markersize=2.5, linewidth=0.9, label="table")
         soaks, bars = summary.soak_percent[:, k], NORMAL_95 * summary.soak_uncertainty[:, k]
         style: Any = {"fmt": "o", "markersize": 3.5, "color": DEVICE, "linewidth": 0.9}
         axes.errorbar(summary.soak_temp_c, soaks, yerr=bars, label="soaks, 95 %", **style)
-        axes.set_ylabel(f"{axis} (%)")
-        axes.set_xlim(float(summary.temp_c[0]), float(summary.temp_c[-1]))
+        axes.set_ylabel(f"{AXES[k]} (%)")
+        axes.set_xlim(float(temp[0]), float(temp[-1]))
     panels[-1].set_xlabel("temperature (degC)")
     panels[0].set_title("scale factor against the calibration's", loc="left", fontsize=10)
     legend_outside(figure, *panels[0].get_legend_handles_labels())
@@ -263,158 +226,6 @@ def draw_alternatives(alternatives: "Alternatives") -> "Figure":
     label = "error of held-out soaks and rates\n(deg/s rms, with standard error)"
     axes.set(ylim=(len(rows) - 0.4, -0.6), xscale="log", xlabel=label)
     return figure
-
-
-# ---- tables
-
-
-def offset_table(summary: "TriadSummary") -> tuple[tuple[str, ...], tuple[tuple[str, ...], ...]]:
-    """Return heads, and a row for each axis: slope, uncertainty of the table, cross-validated error, hysteresis, sessions."""
-    unit, factor = shown_unit(summary.unit)
-    rows = []
-    for k, axis in enumerate(AXES):
-        left = summary.left_out_rms[k] * factor
-        row = {
-            "axis": axis,
-            f"slope ({unit} per degC)": plus_minus(summary.slope[k] * factor, summary.slope_uncertainty[k] * factor),
-            f"table +- ({unit})": f"{summary.usual_uncertainty[k] * factor:.2g}",
-            f"held out, rms ({unit})": f"{left:.2g}" if np.isfinite(left) else "too few",
-        }
-        if summary.half_loop is not None and summary.half_loop_uncertainty is not None:
-            half = summary.half_loop[k] * factor, summary.half_loop_uncertainty[k] * factor
-            row[f"hysteresis half-width ({unit})"] = plus_minus(*half)
-        if summary.turn_on is not None:
-            between = summary.turn_on[k] * factor
-            row[f"between sessions ({unit})"] = f"{between:.2g}" if np.isfinite(between) else "not seen"
-        rows.append(row)
-    return tuple(rows[0]), tuple(tuple(row.values()) for row in rows)
-
-
-def plus_minus(value: float, uncertainty: float) -> str:
-    """Return a value with its standard uncertainty, to the uncertainty's second digit."""
-    if not (uncertainty > 0.0 and np.isfinite(uncertainty)):
-        return f"{value:+.3g}" if np.isfinite(value) else "not seen"
-    places = min(9, max(0, 1 - int(np.floor(np.log10(uncertainty)))))
-    return f"{value:+.{places}f} +- {uncertainty:.{places}f}"
-
-
-def offset_title(name: str, summary: "TriadSummary") -> str:
-    """Return what an offset table covers, in one line."""
-    low, high = summary.seen_c
-    seen = f"{name} offset over temperature: {low:.1f} to {high:.1f} degC seen"
-    if not summary.in_table:
-        return f"{seen}; the change alone is known, no table"
-    nodes = summary.temp_c
-    step = (nodes[-1] - nodes[0]) / (len(nodes) - 1)
-    count = int(summary.extrapolated.sum())
-    far = f", {count} of them extrapolated" if count else ""
-    return f"{seen}, {len(nodes)} nodes {nodes[0]:g} to {nodes[-1]:g} degC by {step:g}{far}"
-
-
-SCALE_HEADS = ("axis", "scale factor (% per degC)", "asymmetry (%)")
-
-
-def scale_rows(fit: "DriftFit") -> tuple[tuple[str, ...], ...]:
-    """Return one row of cells for each axis: thermal sensitivity of the scale factor, and asymmetry."""
-    scale = None if fit.choice is None else fit.choice.scale
-    if scale is None and fit.asymmetry is None:
-        return ()
-    columns = [["not seen"] * 3, ["not seen"] * 3]
-    if scale is not None:
-        columns[0] = list(map(plus_minus, scale.percent_per_k, scale.percent_per_k_uncertainty))
-    if fit.asymmetry is not None:
-        columns[1] = list(map(plus_minus, 100.0 * fit.asymmetry.mean, 100.0 * fit.asymmetry.mean_uncertainty))
-    return tuple(zip(AXES, *columns, strict=True))
-
-
-CHOICE_HEADS = ("tables with offsets", "fitted (deg/s rms)", "held out (deg/s rms)", "chosen")
-
-
-def choice_rows(alternatives: "Alternatives") -> tuple[tuple[str, ...], ...]:
-    """Return one row of cells for each choice of tables."""
-    held, doubt = alternatives.left_out_rms_dps, alternatives.standard_error_dps
-    return tuple(
-        (
-            name,
-            f"{fitted:.3g}" if np.isfinite(fitted) else "not fitted",
-            "nothing held out" if np.isnan(held).all() else plus_minus(held[k], doubt[k]).lstrip("+"),
-            "chosen" if name == alternatives.chosen else "",
-        )
-        for k, (name, fitted) in enumerate(zip(alternatives.name, alternatives.fitted_rms_dps, strict=True))
-    )
-
-
-def write_drift_report(fit: "DriftFit", path: Path, origin: Origin | None = None) -> None:
-    """Write the page of a thermal fit."""
-    device = fit.calibration.device or "device without a serial number"
-    summary = Summary(
-        title=f"Thermal drift of {device}",
-        answer=drift_answer(fit),
-        pictures=(svg_of(draw_drift(fit)),) if fit.gyro_summary or fit.accel_summary else (),
-        sections=(Section(title="Before and after", text=(drift_lead(fit),)), *drift_sections(fit, drawn=True)),
-        verdict=fit.verdict,
-    )
-    write_page(path, summary, origin)
-
-
-def drift_answer(fit: "DriftFit") -> str:
-    """Return what the tables are worth, in a sentence."""
-    if (found := _expected(fit)) is None:
-        return f"{len(fit.rests)} blocks of rest and {len(fit.steps)} dwells give no tuning table of gyroscope offsets."
-    before, after = f"{found.constant_deg:.2f} deg with constants", f"{found.tables_deg:.2f} deg with these tables"
-    return f"Largest error of {found.motion}: {before}, {after}."
-
-
-def _expected(fit: "DriftFit") -> "TableWorth | None":
-    from undrift.validation.table_worth import expected_errors
-
-    known = np.isfinite(fit.rests.gyro_variance).all(axis=1)
-    variance = np.median(fit.rests.gyro_variance[known], axis=0) if known.any() else np.zeros(3)
-    return expected_errors(fit.calibration, rest_variance=variance)
-
-
-def drift_lead(fit: "DriftFit") -> str:
-    """Return before and after in degrees over a stated motion, and the answer."""
-    data, found = f"{len(fit.rests)} blocks of rest, {len(fit.steps)} dwells at known rates.", _expected(fit)
-    if found is None:
-        return data
-    before = f"{found.constant_deg:.2f} deg with constants"
-    after = f"{found.tables_deg:.2f} deg with these tables"
-    if found.turned:
-        before += f", {found.rest_deg:.2f} deg re-zeroed at a rest before the motion"
-        after += f", {found.both_deg:.2f} deg with both"
-    return f"Before: {before}. After: {after} (95 %, as stated). Largest error of {found.motion}. {found.answer}. Fitted to {data}"
-
-
-def drift_sections(fit: "DriftFit", *, drawn: bool = False) -> tuple[Section, ...]:
-    """Return the sections of the page of a thermal fit; without the picture that was drawn before."""
-    sections = [
-        Section(
-            title=name,
-            text=(offset_title(name.lower(), summary) + ". Standard uncertainties behind +-.",),
-            columns=offset_table(summary)[0],
-            rows=offset_table(summary)[1],
-            pictures=()
-            if drawn and summary is (fit.gyro_summary or fit.accel_summary)
-            else (svg_of(draw_offsets(summary)),),
-        )
-        for name, summary in (("Gyroscopes", fit.gyro_summary), ("Accelerometers", fit.accel_summary))
-        if summary is not None
-    ]
-    if fit.scale_summary is not None and np.isfinite(fit.scale_summary.soak_percent).any():
-        picture, rows = svg_of(draw_scale(fit.scale_summary)), scale_rows(fit)
-        sections.append(Section(title="Scale over temperature", columns=SCALE_HEADS, rows=rows, pictures=(picture,)))
-    drift = fit.calibration.drift
-    if drift is not None and drift.dynamic is not None and drift.dynamic.error.any():
-        sections.append(Section(title="Dynamic drift", pictures=(svg_of(draw_dynamic(drift.dynamic)),)))
-    if fit.choice is not None:
-        held = fit.choice.alternatives
-        judged = int(np.isfinite(held.left_out_rms_dps).sum()) > 1  # one mark compares nothing
-        pictures, rows = (svg_of(draw_alternatives(held)),) if judged else (), choice_rows(held)
-        sections.append(
-            Section(title="Which tables", text=(held.reason,), columns=CHOICE_HEADS, rows=rows, pictures=pictures)
-        )
-    return tuple(sections)
 
 
 # ---- how a device changed between its calibrations

@@ -1,0 +1,301 @@
+"""``undrift drift``: tuning tables over temperature from thermal sessions, or from a mere warm-up log.
+
+The summary opens with the largest error of a stated motion, with constants and with these tables (``validation/table_worth``).
+"""
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from cyclopts import Parameter
+
+from undrift.base.options import Files, Flag, OptionalOutput, Picture, verb
+from undrift.base.summary import NOTHING_WRITTEN, Drawing, Section, Summary, plus_minus, rows_section
+from undrift.commands import Progress, part_of, silent
+from undrift.commands.files import Opening, check_figure, check_output, recording_of, thermal_session
+from undrift.commands.register import Register, registered_lines
+from undrift.errors import InputError
+from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
+
+if TYPE_CHECKING:
+    from undrift.drift.checks import TriadSummary
+    from undrift.drift.fit import DriftFit, DriftSettings
+    from undrift.drift.select import Alternatives
+    from undrift.model import Calibration
+    from undrift.record import Session
+    from undrift.validation.table_worth import TableWorth
+
+_SHOWN = {"rad/s": ("deg/s", 1.0 / RADIAN_PER_DEGREE), "m/s2": ("mg", 1e3 / STANDARD_GRAVITY)}
+
+
+@verb
+def drift(
+    *sessions: Files,
+    calibration: Path | None = None,
+    output: OptionalOutput = None,
+    figure: Picture = None,
+    span: Annotated[str | None, Parameter(name="--range-c", allow_leading_hyphen=True)] = None,
+    step_c: float = 0.5,
+    spline: Literal["smooth", "not-a-knot"] = "smooth",
+    tables: Literal["auto", "none", "scale", "dynamic", "scale+dynamic"] = "auto",
+    lag_s: float | None = None,
+    warm_up: Flag = False,
+    opening: Opening = Opening(),
+    registering: Register = Register(),
+    progress: Progress = silent,
+) -> Summary:
+    """Tuning tables over temperature: offsets, matrix and dynamic drift, from soaks, ramps or a warm-up.
+
+    Parameters
+    ----------
+    sessions : Path
+        One or more thermal sessions of the device: folders with session.toml, recordings at rest while the temperature
+        changes, or tables of set-points (a map with set_points). Several are combined; how far they differ counts as
+        uncertainty. Recordings whose clock runs on within 60 s are one session.
+    calibration : Path or None
+        calibration.json of the device. Without it physical units keep their nominal scale, and counts are refused.
+    output : Path or None
+        calibration.json to write, with the tables in it; may be the one that was read.
+    figure : Path or None
+        Picture of the gyroscopes' offset over temperature to write: .svg, .png or .pdf.
+    span : str or None
+        First and last node, LOW:HIGH in degC, wider or narrower than what was seen; by default what was seen, and 18 or 75 where
+        that is 3 degC away or less.
+    step_c : float
+        Step between nodes, degC.
+    spline : str
+        smooth (stiffness by restricted likelihood), or not-a-knot (through the set-points, as the note does).
+    tables : str
+        Which tables besides offsets: auto chooses by cross-validated error.
+    lag_s : float or None
+        Thermometer lag, s; estimated from ramps at two speeds by default, 0 leaves it in.
+    warm_up : bool
+        Fit the power-on transient with which each recording, or each clock that begins anew, begins.
+    """
+    from undrift.drift.fit import DriftSettings
+    from undrift.drift.static import StaticSettings
+    from undrift.io.store import calibration_json, read_calibration, write_calibration
+
+    if not 0.0 < step_c < math.inf:
+        raise InputError(f"step-c: wanted more than 0 degC, got {step_c:g}; 0.5 is the note's")
+    settings = DriftSettings(
+        range_c=None if span is None else _range(span),
+        step_c=step_c,
+        lag_s=lag_s,
+        tables="scale + dynamic" if tables == "scale+dynamic" else tables,
+        static=StaticSettings(not_a_knot=spline == "not-a-knot", warm_up=warm_up),
+    )
+    read = (*(path for path in sessions if path.exists()), opening.column_map)
+    check_output(output, endings=(".json",), reads=read)  # may be the calibration that was read: it is written whole
+    check_figure(figure, reads=(*read, calibration))
+    model = None if calibration is None else read_calibration(calibration)
+    registering.check(None if model is None else model.device)
+    fit, first = _fitted(sessions, opening.like(model, calibration), model, settings, progress)
+    if figure is not None and fit.gyro_summary is None:
+        raise InputError(f"{figure}: wanted gyroscopes to draw, got none; leave out --figure")
+    registered = registering.add(fit.calibration, source=output)
+    if figure is not None:
+        _drawn("draw_offsets", fit.gyro_summary).save(figure)
+    if output is not None:
+        write_calibration(fit.calibration, output)
+    return replace(
+        drift_summary(fit),
+        data=calibration_json(fit.calibration) | ({"registered": registered} if registered else {}),
+        notes=tuple(_notes(fit, model, calibration)),
+        written=(figure, output),
+        after=(*registered_lines(registered), *(() if output else (NOTHING_WRITTEN,))),
+        next=() if output is None or first.means else _next(recording_of(sessions), first, fit, output),
+        failed=fit.calibration.verdict.status == "bad",
+    )
+
+
+def _fitted(
+    sessions: tuple[Path, ...],
+    opening: Opening,
+    model: "Calibration | None",
+    settings: "DriftSettings",
+    progress: Progress,
+) -> "tuple[DriftFit, Session]":
+    """Read the sessions and fit; return the fit and the first session."""
+    from undrift.drift.fit import fit_drift
+    from undrift.drift.sessions import check_once, one_power_on
+    from undrift.io.formats import detect
+    from undrift.record import Session
+
+    read, bare, stated = list[Session](), list[Session](), list[Session]()
+    for k, path in enumerate(sessions):
+        progress(f"reading {path.name}", 0.4 * k / len(sessions))
+        read.append(thermal_session(path, opening, model))
+        (stated if detect(path) == "session" or read[-1].means else bare).append(read[-1])
+    check_once(read)
+    together = [*stated, *one_power_on(bare)]  # bare recordings are one where their clock runs on
+    return fit_drift(together, model, settings=settings, progress=part_of(progress, 0.4, 1.0)), read[0]
+
+
+def _notes(fit: "DriftFit", model: "Calibration | None", path: Path | None) -> Iterator[str]:
+    from undrift.drift.checks import verdict_before
+
+    drift = fit.calibration.drift
+    if drift is not None and drift.lag_s > 0.0:
+        yield f"thermometer lag removed: {drift.lag_s:.3g} s"
+    if model is not None:
+        yield f"calibration given: {path}, with {len(verdict_before(model).reasons)} findings of its own"
+
+
+def _next(recording: Path | None, session: "Session", fit: "DriftFit", output: Path) -> tuple[object, ...]:
+    """Return how a recording is corrected by the tables: from power-on where a warm-up is known, held where it is outside."""
+    static = None if fit.calibration.drift is None else fit.calibration.drift.static
+    how, temp_c = list[str](), session.records[0].temp_c
+    if static is not None and static.warm_up is not None:
+        how += ["--power-on-s", "0"]  # as it was recorded
+    if static is not None and temp_c is not None:
+        outside = (temp_c < static.temp_c[0]) | (temp_c > static.temp_c[-1])
+        how += ["--policy", "hold"] if outside.any() else []
+    return ("correct", recording, "--calibration", output, *how, "-o", "corrected.parquet") if recording else ()
+
+
+def _range(text: str) -> tuple[float, float]:
+    low, _, high = text.partition(":")
+    try:
+        ends = float(low), float(high)
+    except ValueError:
+        raise InputError(f"range-c: wanted LOW:HIGH in degC, got '{text}'; for example 18:75") from None
+    if not (-273.15 < ends[0] < ends[1] < math.inf):
+        raise InputError(f"range-c: wanted LOW below HIGH in degC, got '{text}'; for example 18:75")
+    return ends
+
+
+# ---- what the tables are worth, and what they hold
+
+
+def drift_summary(fit: "DriftFit") -> Summary:
+    """Return what a thermal fit holds, and what it is worth over a stated motion: the largest error before and after."""
+    worth, count, dwells = _worth(fit), len(fit.rests), len(fit.steps)
+    answer = f"{count} blocks of rest and {dwells} dwells give no tuning table of gyroscope offsets."
+    lead = f"{count} blocks of rest, {dwells} dwells at known rates. Behind +- stand standard uncertainties."
+    if worth is not None:
+        before, after = f"{worth.constant_deg:.2f} deg with constants", f"{worth.tables_deg:.2f} deg with these tables"
+        answer = f"Largest error of {worth.motion}: {before}, {after}."
+        if worth.turned:
+            before += f", {worth.rest_deg:.2f} deg re-zeroed at a rest before the motion"
+            after += f", {worth.both_deg:.2f} deg with both"
+        errors = f"Before: {before}. After: {after} (95 %, as stated). Largest error of {worth.motion}."
+        lead = f"{errors} {worth.answer}. Fitted to {lead}"
+    return Summary(
+        title=f"Thermal drift of {fit.calibration.device or 'device without a serial number'}",
+        answer=answer,
+        pictures=(_drawn("draw_drift", fit),) if fit.gyro_summary or fit.accel_summary else (),
+        sections=(Section(title="Before and after", text=(lead,)), *drift_sections(fit, drawn=True)),
+        verdict=fit.verdict,
+    )
+
+
+def _worth(fit: "DriftFit") -> "TableWorth | None":
+    """Return what the tables are worth; None without a table of the gyroscopes."""
+    import numpy as np
+
+    from undrift.validation.table_worth import expected_errors
+
+    known = np.isfinite(fit.rests.gyro_variance).all(axis=1)
+    variance = np.median(fit.rests.gyro_variance[known], axis=0) if known.any() else np.zeros(3)
+    return expected_errors(fit.calibration, rest_variance=variance)
+
+
+def _drawn(name: str, *of: Any) -> Drawing:
+    return Drawing(place=f"undrift.report.drift:{name}", of=of)
+
+
+def drift_sections(fit: "DriftFit", *, drawn: bool = False) -> tuple[Section, ...]:
+    """Return the sections of a thermal fit; without the picture that was drawn before."""
+    import numpy as np
+
+    first = fit.gyro_summary or fit.accel_summary
+    sections = []
+    for name, triad in (("Gyroscope", fit.gyro_summary), ("Accelerometer", fit.accel_summary)):
+        if triad is not None:
+            pictures = () if drawn and triad is first else (_drawn("draw_offsets", triad),)
+            sections.append(rows_section(offset_title(name, triad), offset_rows(triad), pictures=pictures))
+    scale, rows = fit.scale_summary, scale_rows(fit)
+    if rows or (scale is not None and np.isfinite(scale.soak_percent).any()):
+        pictures = () if scale is None else (_drawn("draw_scale", scale),)
+        sections.append(rows_section("Scale factor of the gyroscopes over temperature", rows, pictures=pictures))
+    dynamic = None if fit.calibration.drift is None else fit.calibration.drift.dynamic
+    if dynamic is not None and dynamic.error.any():
+        sections.append(Section(title="Dynamic drift", pictures=(_drawn("draw_dynamic", dynamic),)))
+    if fit.choice is not None:
+        choice = fit.choice.alternatives
+        judged = int(np.isfinite(choice.left_out_rms_dps).sum()) > 1  # one mark compares nothing
+        pictures = (_drawn("draw_alternatives", choice),) if judged else ()
+        sections.append(rows_section("Which tables", choice_rows(choice), text=(choice.reason,), pictures=pictures))
+    return tuple(sections)
+
+
+def shown_unit(unit: str) -> tuple[str, float]:
+    """Return the unit that people read, and how many of it the other is."""
+    return _SHOWN.get(unit, (unit, 1.0))
+
+
+def offset_rows(summary: "TriadSummary") -> list[dict[str, str]]:
+    """Return a row for each axis: slope, uncertainty of the table, cross-validated error, hysteresis, sessions."""
+    unit, factor = shown_unit(summary.unit)
+    rows = []
+    for k, axis in enumerate("xyz"):
+        left = summary.left_out_rms[k] * factor
+        row = {
+            "axis": axis,
+            f"slope ({unit} per degC)": plus_minus(summary.slope[k] * factor, summary.slope_uncertainty[k] * factor),
+            f"table +- ({unit})": f"{summary.usual_uncertainty[k] * factor:.2g}",
+            f"held out, rms ({unit})": f"{left:.2g}" if math.isfinite(left) else "too few",
+        }
+        if summary.half_loop is not None and summary.half_loop_uncertainty is not None:
+            half = summary.half_loop[k] * factor, summary.half_loop_uncertainty[k] * factor
+            row[f"hysteresis half-width ({unit})"] = plus_minus(*half)
+        if summary.turn_on is not None:
+            between = summary.turn_on[k] * factor
+            row[f"between sessions ({unit})"] = f"{between:.2g}" if math.isfinite(between) else "not seen"
+        rows.append(row)
+    return rows
+
+
+def offset_title(name: str, summary: "TriadSummary") -> str:
+    """Return what an offset table covers, in one line."""
+    low, high = summary.seen_c
+    seen = f"{name} offset over temperature: {low:.1f} to {high:.1f} degC seen"
+    if not summary.in_table:
+        return f"{seen}; the change alone is known, no table"
+    nodes = summary.temp_c
+    step = (nodes[-1] - nodes[0]) / (len(nodes) - 1)
+    count = int(summary.extrapolated.sum())
+    far = f", {count} of them extrapolated" if count else ""
+    return f"{seen}, {len(nodes)} nodes {nodes[0]:g} to {nodes[-1]:g} degC by {step:g}{far}"
+
+
+def scale_rows(fit: "DriftFit") -> list[dict[str, str]]:
+    """Return a row for each axis: thermal sensitivity of the scale factor, and asymmetry."""
+    scale, asymmetry = None if fit.choice is None else fit.choice.scale, fit.asymmetry
+    if scale is None and asymmetry is None:
+        return []
+    thermal = asymmetric = ["not seen"] * 3
+    if scale is not None:
+        thermal = list(map(plus_minus, scale.percent_per_k, scale.percent_per_k_uncertainty))
+    if asymmetry is not None:
+        asymmetric = list(map(plus_minus, 100.0 * asymmetry.mean, 100.0 * asymmetry.mean_uncertainty))
+    rows = zip("xyz", thermal, asymmetric, strict=True)
+    return [{"axis": a, "scale factor (% per degC)": t, "asymmetry (%)": s} for a, t, s in rows]
+
+
+def choice_rows(alternatives: "Alternatives") -> list[dict[str, str]]:
+    """Return a row for each choice of tables."""
+    tried = (alternatives.fitted_rms_dps, alternatives.left_out_rms_dps, alternatives.standard_error_dps)
+    none = all(map(math.isnan, alternatives.left_out_rms_dps))
+    return [
+        {
+            "tables with offsets": name,
+            "fitted (deg/s rms)": f"{fitted:.3g}" if math.isfinite(fitted) else "not fitted",
+            "held out (deg/s rms)": "nothing held out" if none else plus_minus(error, doubt).lstrip("+"),
+            "chosen": "chosen" * (name == alternatives.chosen),
+        }
+        for name, fitted, error, doubt in zip(alternatives.name, *tried, strict=True)
+    ]
