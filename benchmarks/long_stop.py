@@ -15,7 +15,7 @@ from pathlib import Path
 from benchmarks.figure import Figure
 from undrift.sim.rig import galil_language
 from undrift.sim.rig.emulator import Bench, EmulatedBenchSettings, EmulatorSettings, start_bench
-from undrift.web.protocol_form import ProtocolForm
+from undrift.web.rate_table import ProtocolForm
 from undrift.web.rig_run import RigRun, RunOrder, begin_run
 
 LIMIT_MS = 100

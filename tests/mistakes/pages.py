@@ -20,13 +20,14 @@ from mistakes.planting import (
 from mistakes.sound import poses, trial
 from undrift.frames import quaternion_conjugate
 from undrift.io.store import write_calibration
-from undrift.web.bench import Bench, Place
-from undrift.web.recordings import Stored
+from undrift.web.bench import Bench
+from undrift.web.recordings import StoredFile
+from undrift.web.start import Site
 
 # ---- what a page does
 
 
-async def _dropped(case: Case, folder: Path, bench: Bench) -> Stored:
+async def _dropped(case: Case, folder: Path, bench: Bench) -> StoredFile:
     """Drop the calibration and the file, and confirm the map that is proposed."""
     if case.calibration is not None:
         write_calibration(case.calibration, folder / "calibration.json")
@@ -56,7 +57,7 @@ async def _validated(case: Case, folder: Path, bench: Bench) -> None:
 
 async def _calibrated(case: Case, folder: Path, bench: Bench) -> None:
     latitude_deg, turn_deg = (None if word is None else float(str(word)) for word in (*case.words, None)[:2])
-    bench.set_place(Place(latitude_deg=latitude_deg))
+    bench.set_place(Site(latitude_deg=latitude_deg))
     held = await _dropped(case, folder, bench)
     if not held.error:
         await bench.recordings.calibrate(held, turn_deg=turn_deg, serial="A1")

@@ -18,8 +18,7 @@ from undrift.report.figures import svg_of
 from undrift.sim.device.presets import random_device
 from undrift.units import RADIAN_PER_DEGREE
 from undrift.web.capture import Capture
-from undrift.web.six_faces import SixFaces
-from undrift.web.turns import Turns
+from undrift.web.guides import SixFaces, Turns
 
 SIGMA = np.array([2e-4] * 9 + [0.5] * 3)  # of m relative to the scale; of the offset, counts
 SCALE = RADIAN_PER_DEGREE / 16.4  # rad/s per count

@@ -12,7 +12,7 @@ from undrift.sim.motion.motion import facing, unit_vector
 from undrift.sim.rig.hand_held import start_hand_held
 from undrift.sim.rig.stream import StreamSettings
 from undrift.units import STANDARD_GRAVITY
-from undrift.web.six_faces import ORDER
+from undrift.web.guides import ORDER
 
 STEP_S = 0.2
 

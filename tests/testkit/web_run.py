@@ -8,7 +8,7 @@ from contextlib import contextmanager
 
 from undrift.sim.rig import galil_language
 from undrift.sim.rig.emulator import EmulatedBenchSettings, EmulatorSettings, start_bench
-from undrift.web.protocol_form import ProtocolForm
+from undrift.web.rate_table import ProtocolForm
 from undrift.web.rig_run import RunOrder, begin_run
 
 SPEED = 20.0

@@ -10,10 +10,11 @@ pytest.importorskip("nicegui")
 
 from undrift.errors import InputError
 from undrift.units import STANDARD_GRAVITY, gravity_at
-from undrift.web.bench import Bench, BenchSettings, Place, place_of, towns
+from undrift.web.bench import Bench, BenchSettings
 from undrift.web.commands import Outcome
-from undrift.web.frame import page_words
-from undrift.web.recordings import Stored
+from undrift.web.parts import page_words
+from undrift.web.recordings import StoredFile
+from undrift.web.start import Site, place_of, towns
 
 FITTED = {"accel": {}, "gyro": {}, "provenance": {"settings": {"gravity": "standard"}}}
 
@@ -33,7 +34,7 @@ def bench(tmp_path):
 
 
 def test_a_town_a_latitude_or_gravity_state_the_place_and_nothing_states_none():
-    assert place_of(" vienna ") == Place(latitude_deg=48.2, height_m=170.0)
+    assert place_of(" vienna ") == Site(latitude_deg=48.2, height_m=170.0)
     assert place_of("48,2", "300").gravity_m_s2 == gravity_at(48.2, 300.0)
     assert place_of("", "", "9.81").words() == ("--gravity-m-s2", 9.81)
     assert (place_of("").words(), place_of("").gravity_m_s2) == ((), STANDARD_GRAVITY)
@@ -98,8 +99,8 @@ def test_a_calibration_without_accelerometers_is_not_used_unasked(bench):
 
 
 def test_sides_that_were_chosen_define_the_pitch_of_orient_and_validate(bench):
-    held, one = bench.recordings, Stored(path=bench.folder / "uploads" / "walk.csv")
-    held.axes = {"forward": "-z", "up": "+x"}
+    held, one = bench.recordings, StoredFile(path=bench.folder / "uploads" / "walk.csv")
+    held.sides.forward, held.sides.up = "-z", "+x"
     for work in (held.run(one, "orient"), held.validate(one, one, markers="", up=""), held.run(one, "correct")):
         asyncio.run(work)
     orient, validate, correct = bench.calls
@@ -110,7 +111,7 @@ def test_sides_that_were_chosen_define_the_pitch_of_orient_and_validate(bench):
 
 
 def test_a_rate_that_a_command_asks_for_can_be_stated_on_the_page(bench):
-    one = Stored(path=Path("walk.csv"), about={"kind": "recording"}, map=Path("map.toml"))
+    one = StoredFile(path=Path("walk.csv"), about={"kind": "recording"}, map=Path("map.toml"))
     one.error = "walk.csv: wanted 50 samples a second, got 100; say --sample-rate-hz 100"
     assert one.needs_rate
     assert page_words(one.error).endswith("say “Samples per second, Hz” 100")

@@ -11,7 +11,7 @@ from undrift.errors import InputError
 from undrift.io.session import read_session
 from undrift.record import Record
 from undrift.web.capture import KEEP_S, Capture
-from undrift.web.six_faces import SixFaces
+from undrift.web.guides import SixFaces
 
 
 def kept_s(capture):

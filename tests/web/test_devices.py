@@ -9,7 +9,7 @@ pytest.importorskip("nicegui")
 
 from undrift.web.bench import Bench, BenchSettings
 from undrift.web.commands import Outcome
-from undrift.web.pages.devices import state_words
+from undrift.web.devices import state_words
 
 
 class Answers:

@@ -7,12 +7,15 @@ import pytest
 from testkit.guided import HandFeed
 from undrift.io.session import read_session
 from undrift.web import guided as module
-from undrift.web.bench import Bench, BenchSettings, place_of
+from undrift.web.bench import Bench, BenchSettings
 from undrift.web.guided import UNSEEN_S, begin_anew, guided_of
+from undrift.web.start import place_of
 
 
 class Fed:
     """A connected source whose device is on a clock that is moved by hand."""
+
+    speed = 1.0
 
     def __init__(self, feed, name="A17"):
         self.feed, self.name = feed, name

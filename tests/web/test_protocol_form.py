@@ -8,7 +8,7 @@ from undrift.cli.app import run
 from undrift.errors import InputError
 from undrift.rig.programme import read_protocol
 from undrift.units import RADIAN_PER_DEGREE as DPS
-from undrift.web.protocol_form import ProtocolForm
+from undrift.web.rate_table import ProtocolForm
 
 NOBODY = "galil:tcp://127.0.0.1:9"
 

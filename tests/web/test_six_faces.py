@@ -17,7 +17,7 @@ from undrift.io.store import read_calibration
 from undrift.record import FACES, Record
 from undrift.sim.device.presets import random_device_of
 from undrift.web.capture import Capture
-from undrift.web.six_faces import ORDER, SixFaces
+from undrift.web.guides import ORDER, SixFaces
 
 
 @pytest.fixture

@@ -18,8 +18,7 @@ from undrift.sim.device.presets import random_device_of
 from undrift.sim.device.truth import true_calibration
 from undrift.units import STANDARD_GRAVITY
 from undrift.web.capture import Capture
-from undrift.web.six_faces import SixFaces
-from undrift.web.turns import WAYS, Turns
+from undrift.web.guides import WAYS, SixFaces, Turns
 
 TURN = 2.0 * math.pi
 

@@ -14,6 +14,8 @@ from testkit.bench import BenchServer, bench_process
 CHROMIUM = shutil.which("chromium")
 SCREENS = Path(__file__).parents[2] / "build" / "screens"
 WAIT_MS = 20_000
+# rests and turns of guided captures, six times as fast; `make test-long` has them in real time
+quick_and_real_time = pytest.mark.parametrize("practice_speed", [6.0, pytest.param(1.0, marks=pytest.mark.long)])
 # what a page must not have whatever its readings are: parts beyond the screen, parts that only a pointer scrolls, small buttons
 _MEASURED = """() => {
   const all = kind => [...document.querySelectorAll('.bench-main ' + kind)], page = document.documentElement
@@ -28,9 +30,16 @@ _MEASURED = """() => {
 
 
 @pytest.fixture
-def bench_server(tmp_path: Path) -> Iterator[BenchServer]:
+def practice_speed() -> float:
+    """How much faster than real time the practice device is; a test states another as its parameter."""
+    return 1.0
+
+
+@pytest.fixture
+def bench_server(tmp_path: Path, practice_speed: float) -> Iterator[BenchServer]:
     """Serve a bench that writes to a folder of its own, with the same practice device each time."""
-    with bench_process(tmp_path / "bench", "--practice-seed", "2007") as server:
+    words = ("--practice-seed", "2007", "--practice-speed", str(practice_speed))
+    with bench_process(tmp_path / "bench", *words) as server:
         yield server
 
 

@@ -5,7 +5,7 @@ from collections.abc import Callable
 import pytest
 from playwright.sync_api import Page
 
-from undrift.web.frame import PAGES
+from undrift.web.parts import PAGES
 from web_browser.conftest import faults_of, shoot
 
 

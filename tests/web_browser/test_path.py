@@ -9,9 +9,8 @@ from collections.abc import Callable
 from playwright.sync_api import Page, expect
 
 from testkit.bench import BenchServer, environment_of
-from undrift.web.six_faces import ORDER
-from undrift.web.turns import WAYS, named
-from web_browser.conftest import shoot
+from undrift.web.guides import ORDER, WAYS, named
+from web_browser.conftest import quick_and_real_time, shoot
 
 CAPTURE_MS, COMMAND_MS = 40_000, 90_000
 
@@ -32,6 +31,7 @@ def captured(page: Page, name: str) -> None:
     page.get_by_role("listitem").filter(has_text=name).filter(has_text="captured").wait_for(timeout=CAPTURE_MS)
 
 
+@quick_and_real_time
 def test_from_start_to_certificate_with_the_pointer_and_the_gravity(
     open_page: Callable[..., Page], bench_server: BenchServer
 ) -> None:
@@ -50,7 +50,6 @@ def test_from_start_to_certificate_with_the_pointer_and_the_gravity(
         seen = "counter-clockwise" if way[0] == "+" else "clockwise"
         if way[0] == "+":
             hand.click(f"+{way[1]} up")
-            page.wait_for_timeout(4000)  # it is being laid down
         page.locator(".light-words").filter(has_text="Turn it once").wait_for(timeout=CAPTURE_MS)
         hand.click(f"{way[1]} {seen}")
         captured(page, named(way).capitalize())

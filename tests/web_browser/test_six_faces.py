@@ -12,9 +12,8 @@ from undrift.io.session import read_session
 from undrift.io.store import read_calibration
 from undrift.sim.device.presets import random_device
 from undrift.sim.device.truth import true_calibration
-from undrift.web.six_faces import ORDER
-from undrift.web.turns import WAYS, named
-from web_browser.conftest import faults_of, shoot
+from undrift.web.guides import ORDER, WAYS, named
+from web_browser.conftest import faults_of, quick_and_real_time, shoot
 
 SEED = 2007  # of the practice device, as bench_server states it
 CAPTURE_MS = 40_000  # a face takes 12 s: a move of 2, a window, settling and a countdown of 6
@@ -43,6 +42,7 @@ def wait_for_step(page: Page, name: str) -> None:
     row.filter(has_text="captured").wait_for(timeout=CAPTURE_MS)
 
 
+@quick_and_real_time
 def test_six_faces_and_turns_by_keyboard_end_in_the_hidden_calibration(
     open_page: OpenPage, bench_server: BenchServer
 ) -> None:
@@ -73,7 +73,6 @@ def test_six_faces_and_turns_by_keyboard_end_in_the_hidden_calibration(
         page.get_by_text(f"Lay it with +{way[1]} up. Turn it once {seen}", exact=False).first.wait_for()
         if way[0] == "+":
             press(page, f"+{way[1]} up")
-            page.wait_for_timeout(4000)  # the longest move, and the light has seen it
         light.filter(has_text="Turn it once").wait_for(timeout=CAPTURE_MS)
         press(page, f"{way[1]} {seen}")
         wait_for_step(page, named(way).capitalize())

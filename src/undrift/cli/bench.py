@@ -19,6 +19,7 @@ def bench(
     registry: str | None = None,
     upload_mb: float = 500.0,
     practice_seed: int | None = None,
+    practice_speed: float = 1.0,
     no_browser: Flag = False,
     json: Json = False,
 ) -> int:
@@ -42,6 +43,8 @@ def bench(
         Largest file that the page Recordings takes, MB.
     practice_seed : int or None
         Draws the same practice device each time.
+    practice_speed : float
+        How much faster than real time the practice device is, for a quick look.
     no_browser : bool
         Do not open a browser.
     """
@@ -74,6 +77,7 @@ def bench(
         registry=registry if registry is None or "://" in registry else str(Path(registry).absolute()),
         upload_mb=upload_mb,
         practice_seed=practice_seed,
+        practice_speed=practice_speed,
     )
 
     def ready(address: str) -> None:

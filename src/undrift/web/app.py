@@ -2,7 +2,6 @@
 
 import asyncio
 import contextlib
-import importlib
 import socket
 from collections.abc import AsyncIterator, Callable
 from functools import partial
@@ -16,14 +15,25 @@ from starlette.requests import Request
 from starlette.responses import FileResponse, JSONResponse, PlainTextResponse, RedirectResponse, Response
 
 from undrift.errors import InputError, UndriftError
+from undrift.web import devices, guided, live, rate_table, recordings, result, start, temperature
 from undrift.web.access import Access, allowed
 from undrift.web.bench import Bench, BenchSettings
 from undrift.web.feed import Feed
-from undrift.web.frame import PAGES
+from undrift.web.parts import PAGES
 from undrift.web.uploads import receive_upload
 
 STATIC = Path(__file__).parent / "static"
-MODULES = {"/": "start"}  # of pages whose file is not called as their path
+BUILT: dict[str, Callable[[Bench], None]] = {
+    "/": start.page,
+    "/six-faces": guided.faces_page,
+    "/turns": guided.turns_page,
+    "/rate-table": rate_table.page,
+    "/temperature": temperature.page,
+    "/result": result.page,
+    "/live": live.page,
+    "/recordings": recordings.page,
+    "/devices": devices.page,
+}
 
 
 def serve(settings: BenchSettings, ready: Callable[[str], None]) -> None:
@@ -118,12 +128,10 @@ def application(bench: Bench, ready: Callable[[], None]) -> FastAPI:
 
 
 def _add_page(bench: Bench, path: str, name: str) -> None:
-    module = importlib.import_module(f"undrift.web.pages.{MODULES.get(path, path.strip('/').replace('-', '_'))}")
-
     def build() -> None:
         ui.add_head_html(
             '<link rel="stylesheet" href="/static/bench.css"><script src="/static/bench.js" defer></script>'
         )
-        module.page(bench)
+        BUILT[path](bench)
 
     ui.page(path, title=f"{name} - undrift bench")(build)

@@ -8,26 +8,24 @@ A folder holds everything that the bench writes::
 """
 
 import asyncio
-import csv
 import json
 import tomllib
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from datetime import datetime
-from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
 from undrift.errors import InputError, UndriftError
 from undrift.files import write_whole
-from undrift.units import STANDARD_GRAVITY, gravity_at
-from undrift.web.commands import Outcome, run_command
+from undrift.web.commands import Outcome, run_command, stated
 from undrift.web.devices import Devices
 from undrift.web.rate_table import RateTable
 from undrift.web.recordings import Recordings
+from undrift.web.start import PRACTICE, Site
+from undrift.web.temperature import WarmUp
 from undrift.web.uploads import safe_name
-from undrift.web.warm_up import WarmUp
 
 if TYPE_CHECKING:
     from undrift.web.rig_run import RigRun
@@ -36,7 +34,6 @@ if TYPE_CHECKING:
 PLACE = "place.json"
 SENSORS = {"accel": "accelerometers", "gyro": "gyroscopes"}
 CALLED = "calibrate.json"  # the words that a job was calibrated by
-PRACTICE = "emulator"  # the address of the practice device
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -50,6 +47,7 @@ class BenchSettings:
     registry: str | None = None  # None: the user's own
     upload_mb: float = 500.0  # Largest upload, 1e6 bytes
     practice_seed: int | None = None  # of the practice device; None draws one
+    practice_speed: float = 1.0  # of its clock, times real time
 
 
 @dataclass(slots=True, kw_only=True)
@@ -86,36 +84,6 @@ class Job:
         return self.answer.get("accel") is not None and settings.get("gravity", "standard") == "standard"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Place:
-    """Where the bench stands; gravity follows by WGS 84 where it is not stated itself."""
-
-    latitude_deg: float | None = None
-    height_m: float = 0.0
-    stated_m_s2: float | None = None  # local gravity, before that of the latitude
-
-    def __post_init__(self) -> None:
-        if self.latitude_deg is not None and not -90.0 <= self.latitude_deg <= 90.0:
-            raise InputError(f"latitude: wanted -90 to 90 deg, got {self.latitude_deg:g}; north is positive")
-        if not -500.0 <= self.height_m <= 9000.0:
-            raise InputError(f"height: wanted -500 to 9000 m, got {self.height_m:g}; state metres above the sea")
-        if self.stated_m_s2 is not None and not 9.7 < self.stated_m_s2 < 9.9:
-            raise InputError(f"gravity: wanted 9.7 to 9.9 m/s2, got {self.stated_m_s2:g}; state it in m/s2, or a town")
-
-    @property
-    def gravity_m_s2(self) -> float:
-        """Return local gravity, m/s2; standard gravity where the place is not known."""
-        if self.stated_m_s2 is not None or self.latitude_deg is None:
-            return self.stated_m_s2 or STANDARD_GRAVITY
-        return gravity_at(self.latitude_deg, self.height_m)
-
-    def words(self) -> tuple[object, ...]:
-        """Return the options of ``calibrate`` for recordings that state no gravity."""
-        if self.stated_m_s2 is not None:
-            return ("--gravity-m-s2", self.stated_m_s2)
-        return () if self.latitude_deg is None else ("--latitude-deg", self.latitude_deg, "--height-m", self.height_m)
-
-
 @dataclass(slots=True)
 class Working:
     """A command that runs now."""
@@ -140,9 +108,11 @@ class Bench:
         self.recordings, self.devices = Recordings(self), Devices(self)
         for name in ("jobs", "uploads"):
             (self.folder / name).mkdir(parents=True, exist_ok=True)
-        self.table = RateTable(self)  # with the run that an earlier bench left
+        self.table = RateTable(self)
+        if (run := self.table.take_up()) is not None:  # that an earlier bench left
+            self.rig_run, self.job = run, Job(folder=run.folder.parent, serial=run.order.serial)
         self.warm_up = WarmUp(self)
-        self.place = Place(**_held_in(self.folder / PLACE))
+        self.place = Site(**_held_in(self.folder / PLACE))
 
     # ---- The device
 
@@ -188,12 +158,15 @@ class Bench:
         if self._practice is None:
             from undrift.sim.rig.hand_held import start_hand_held
 
-            self._practice = start_hand_held(seed=self.settings.practice_seed, gravity_m_s2=self.place.gravity_m_s2)
+            s = self.settings
+            self._practice = start_hand_held(
+                seed=s.practice_seed, speed=s.practice_speed, gravity_m_s2=self.place.gravity_m_s2
+            )
         return str(self._practice.address)
 
     # ---- The work
 
-    def set_place(self, place: Place) -> None:
+    def set_place(self, place: Site) -> None:
         """State where the bench stands; it is kept for the next time."""
         self.place = place
         write_whole(self.folder / PLACE, json.dumps(asdict(place)) + "\n")
@@ -235,7 +208,7 @@ class Bench:
     async def fit_drift(self, job: Job, *words: object) -> Outcome:
         """Run ``undrift drift`` for a job, on top of the calibration that is used; the tables are used from then on."""
         made, report = job.folder / "calibration.json", job.folder / "report.html"
-        known = () if self.calibration is None else ("--calibration", self.calibration)
+        known = stated(calibration=self.calibration)
         (job.folder / CALLED).unlink(missing_ok=True)  # it is made by other words
         job.words = ()
         outcome = await self.command("drift", *words, *known, "-o", made, "--report", report)
@@ -243,7 +216,7 @@ class Bench:
         return outcome
 
     def _take(self, job: Job, outcome: Outcome) -> None:
-        job.error = "" if outcome.done else outcome.error
+        job.error = outcome.error
         if outcome.done:
             job.calibration, job.report = job.folder / "calibration.json", job.folder / "report.html"
             job.answer, job.later, job.certificate, job.registered = outcome.answer, [], None, ""
@@ -266,10 +239,6 @@ class Bench:
     def _below(self, words: Sequence[object]) -> tuple[str, ...]:
         """Return the words of a command with files by their paths below the folder, in which it runs."""
         return tuple(str(word).removeprefix(f"{self.folder}/") for word in words)
-
-    def registry_words(self) -> tuple[str, ...]:
-        """Return the option that names the registry, where the bench was given one."""
-        return () if self.settings.registry is None else ("--registry", self.settings.registry)
 
     def inside(self, name: str) -> Path:
         """Return a file of the bench by its path below the folder; InputError for what is not there, or elsewhere."""
@@ -312,29 +281,3 @@ def _states_gravity(path: Path) -> bool:
     except (OSError, ValueError, KeyError):
         return False
     return "gravity_m_s2" in head or "latitude_deg" in head
-
-
-def place_of(town: str, height: str = "", gravity: str = "") -> Place:
-    """Return the place by what was typed: a town of the list or a latitude in deg, height in m, gravity in m/s2."""
-    latitude_deg, height_m = towns().get(town.strip().casefold(), (None, 0.0))
-    if latitude_deg is None and town.strip():
-        latitude_deg = _number("town", town, "a town of the list, or its latitude in deg")
-    return Place(
-        latitude_deg=latitude_deg,
-        height_m=_number("height", height, "metres above the sea") if height.strip() else height_m,
-        stated_m_s2=_number("gravity", gravity, "m/s2") if gravity.strip() else None,
-    )
-
-
-@cache
-def towns() -> dict[str, tuple[float, float]]:
-    """Return latitude, deg, and height, m, of some towns by name."""
-    rows = csv.reader(Path(__file__).with_name("towns.csv").read_text(encoding="utf-8").splitlines())
-    return {town.casefold(): (float(latitude), float(height)) for town, latitude, height in rows}
-
-
-def _number(name: str, text: str, wanted: str) -> float:
-    try:
-        return float(text.replace(",", "."))
-    except ValueError as error:
-        raise InputError(f"{name}: wanted {wanted}, got '{text.strip()}'; type it so") from error

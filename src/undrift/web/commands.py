@@ -72,6 +72,12 @@ def without_folders(text: str, folder: Path) -> str:
     return FOLDERS.sub("", text.replace(f"{folder}/", ""))
 
 
+def stated(**options: object) -> tuple[object, ...]:
+    """Return options as the words of a command; those that are None or "" are not stated."""
+    known = {name: value for name, value in options.items() if value not in (None, "")}
+    return tuple(word for name, value in known.items() for word in (f"--{name.replace('_', '-')}", value))
+
+
 def command_words(words: Sequence[object]) -> list[str]:
     """Return the words of a child process that runs a command with --json."""
     return [sys.executable, "-m", "undrift", *map(str, words), "--json"]

@@ -1,8 +1,16 @@
-"""The registry on the page Devices: what the commands ``undrift registry`` answer, and the files that they wrote for it."""
+"""The page Devices: which are known to the registry, what is due, what each one's calibrations were, and how it changed.
 
+It shows what the commands ``undrift registry`` answer; the files that they wrote for it stand in a folder of the bench.
+"""
+
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from nicegui import ui
+
+from undrift.web import parts
+from undrift.web.commands import stated
 from undrift.web.uploads import safe_name
 
 if TYPE_CHECKING:
@@ -10,6 +18,7 @@ if TYPE_CHECKING:
 
 FOLDER = "registry"  # of the bench: calibrations, certificates and pictures that were asked for
 ENDINGS = {"calibration": ".json", "certificate": ".pdf"}  # of the entries that are files
+SOON_DAYS = 30
 
 
 class Devices:
@@ -49,20 +58,18 @@ class Devices:
         if answer is None:
             return
         picture = self._file(f"trend-{safe_name(serial, 'device')}.svg")
-        outcome = await self.bench.command(
-            "registry", "trend", f"--serial={serial}", "--figure", picture, *self.bench.registry_words()
-        )
+        words = stated(figure=picture, registry=self.bench.settings.registry)
+        outcome = await self.bench.command("registry", "trend", f"--serial={serial}", *words)
         self.serial, self.entries = serial, list(answer.get("entries") or ())
         self.trend = outcome.answer if outcome.done else {}
         self.picture = picture if outcome.done else None
-        self.why_no_trend = "" if outcome.done else outcome.error
+        self.why_no_trend = outcome.error
         self.changes += 1
 
     async def fetch(self, entry: dict[str, Any]) -> Path | None:
         """Write the file of an entry into the bench's folder."""
         number = int(entry["entry"])
-        name = f"{safe_name(str(entry['serial']), 'device')}-{number}{ENDINGS[entry['kind']]}"
-        path = self._file(name)
+        path = self._file(f"{safe_name(str(entry['serial']), 'device')}-{number}{ENDINGS[entry['kind']]}")
         answer = await self._ask("show", number, "-o", path)
         return None if answer is None else path
 
@@ -75,8 +82,8 @@ class Devices:
 
     def is_used(self, entry: dict[str, Any]) -> bool:
         """Tell whether the bench corrects with this entry."""
-        held = self.bench.calibration
-        return self.used == entry["entry"] and held is not None and held.parent.name == FOLDER
+        calibration = self.bench.calibration
+        return self.used == entry["entry"] and calibration is not None and calibration.parent.name == FOLDER
 
     def _file(self, name: str) -> Path:
         folder = self.bench.folder / FOLDER
@@ -85,8 +92,8 @@ class Devices:
 
     async def _ask(self, *words: object) -> dict[str, Any] | None:
         """Run a command of the registry; what goes wrong stands in ``error``."""
-        outcome = await self.bench.command("registry", *words, *self.bench.registry_words())
-        self.error = "" if outcome.done else outcome.error
+        outcome = await self.bench.command("registry", *words, *stated(registry=self.bench.settings.registry))
+        self.error = outcome.error
         self.changes += 0 if outcome.done else 1
         return outcome.answer if outcome.done else None
 
@@ -95,3 +102,142 @@ def _urgency(row: dict[str, Any]) -> tuple[int, float, str]:
     """Return what sorts devices: overdue, then by the days that are left, then those without a calibration."""
     days = row.get("days_left")
     return (days is None, 0.0 if days is None else float(days), str(row["serial"]))
+
+
+# ---- The page
+
+
+def page(bench: "Bench") -> None:
+    """Build the page."""
+    devices, client = bench.devices, ui.context.client
+    with parts.frame(bench, "Devices"):
+        parts.error_line(lambda: devices.error)
+        parts.redrawn(lambda: (devices.changes, bench.calibration), lambda: _shown(devices, client))
+        ui.timer(0.05, devices.load, once=True)
+
+
+def _shown(devices: Devices, client: Any) -> None:
+    if devices.rows is None:
+        parts.text("p", "Loading ...", "soft")
+        return
+    if not devices.rows:
+        parts.text("p", "No device is registered yet. Calibrate one, then register it on the page Result.")
+        parts.next_step("Calibrate a device", "/")
+        return
+    heads = ("device", "state", "calibrated", "due", "entries")
+    parts.table(
+        "Devices, the most urgent first", heads, [_device_cells(devices, row) for row in devices.rows], "records"
+    )
+    if devices.chosen is None:
+        first = devices.rows[0]["serial"]
+        parts.next_step(f"Show {first}", partial(devices.choose, first))
+    else:
+        _device(devices, devices.chosen, client)
+
+
+def state_words(row: dict[str, Any]) -> tuple[str, str]:
+    """Return in words whether a device is due, and the class of their colour."""
+    days = row.get("days_left")
+    if days is None:
+        return ("no calibration", "bad") if row["calibration"] is None else ("valid", "good")
+    if days < 0:
+        return f"overdue by {-days} days", "bad"
+    return (f"due in {days} days", "marginal") if days < SOON_DAYS else (f"valid, {days} days left", "good")
+
+
+def _device_cells(devices: Devices, row: dict[str, Any]) -> tuple[Any, ...]:
+    serial, calibration = row["serial"], row["calibration"] or {}
+    choose = partial(parts.button, serial, partial(devices.choose, serial), pressed=serial == devices.serial)
+    return (
+        parts.Parts(choose),
+        state_words(row),
+        _day(calibration, "made_at"),
+        _day(calibration, "due_at"),
+        str(row["entries"]),
+    )
+
+
+def _device(devices: Devices, row: dict[str, Any], client: Any) -> None:
+    parts.text("h2", f"Device {row['serial']}")
+    calibration = row["calibration"]
+    if calibration is None or (row.get("days_left") or 0) < 0:
+        parts.next_step("Calibrate it", "/")
+    elif devices.is_used(calibration):
+        parts.status_line(f"Live and Recordings use entry {calibration['entry']}.", "")
+        parts.next_step("Correct recordings", "/recordings")
+    else:
+        parts.next_step("Use this calibration", partial(devices.use, calibration))
+    _trend(devices)
+    parts.text("h2", "Entries")
+    heads = ("entry", "file", "made", "due", "valid, °C", "verdict", "by", "note")
+    rows = [_entry_cells(devices, entry, client) for entry in reversed(devices.entries)]
+    parts.table(f"Entries of {row['serial']}, the newest first", heads, rows, "records")
+
+
+def _entry_cells(devices: Devices, entry: dict[str, Any], client: Any) -> tuple[Any, ...]:
+    span, later, number, kind = (entry[name] for name in ("valid_temp_c", "superseded_by", "entry", "kind"))
+
+    async def download() -> None:
+        path = await devices.fetch(entry)
+        if path is not None:
+            client.download(devices.bench.link(path) + "?download=1", path.name)
+
+    def actions() -> None:
+        if kind in ENDINGS:
+            parts.button("Download", download, name=f"Download entry {number}")
+        if kind == "calibration" and not later and entry["verdict"] != "bad":
+            if devices.is_used(entry):
+                parts.text("span", "in use", "good")
+            else:
+                parts.button("Use", partial(devices.use, entry), name=f"Use entry {number}")
+
+    return (
+        f"{number} {kind}",
+        parts.Parts(actions),
+        _day(entry, "made_at"),
+        _day(entry, "due_at"),
+        "–" if span is None else f"{span[0]:.1f} to {span[1]:.1f}",
+        str(entry["verdict"] or "–"),
+        str(entry["added_by"]),
+        ("; ".join(filter(None, (f"superseded by {later}" if later else "", str(entry["note"])))), "records-note"),
+    )
+
+
+def _trend(devices: Devices) -> None:
+    parts.text("h2", "Has it changed?")
+    if not devices.trend:
+        compared = devices.why_no_trend.partition("wanted two calibrations")[1]
+        parts.text("p", "Two calibrations are needed to compare." if compared else devices.why_no_trend, "soft")
+        return
+    headline, last = str(devices.trend["headline"]), devices.trend["steps"][-1]
+    parts.text("p", _sentence(headline))
+    if others := [words for words in last["sentences"] if words != headline]:
+        with parts.folded(f"{len(others)} more"), ui.element("ul"):
+            for words in others:
+                parts.text("li", _sentence(words))
+    if devices.picture is not None and devices.picture.exists():
+        drawn = devices.picture.read_text(encoding="utf-8").partition("?>")[2]
+        ui.html(drawn, sanitize=False).classes("picture")
+    with parts.folded(f"Every parameter since {last['since']['made_at'][:10]}"):
+        rows = [
+            (
+                f"{one['sensor']} {one['parameter']}",
+                f"{one['change']:+.3g}",
+                f"{one['uncertainty']:.2g}",
+                one["unit"],
+                f"{one['sigmas']:.1f}",
+            )
+            for one in last["changes"]
+        ]
+        heads = ("parameter", "change", "uncertainty", "unit", "sigma")
+        parts.table("Changes with their standard uncertainty", heads, rows, "records")
+        for words in last["not_compared"]:
+            parts.text("p", f"Not compared: {words}.", "soft")
+
+
+def _day(entry: dict[str, Any], name: str) -> str:
+    return str(entry.get(name) or "–")[:10]
+
+
+def _sentence(words: str) -> str:
+    return f"{words[:1].upper()}{words[1:]}."

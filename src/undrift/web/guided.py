@@ -1,18 +1,28 @@
-"""Guided: the guides of the pages Six faces and Turns by hand, fed from the connected device while someone works.
+"""The pages Six faces and Turns by hand: a guide at work on the server, what it asks for, its light, and what is captured.
 
-It runs on the server: a reload, a second browser or a closed one changes nothing. What is captured is written at once.
+A capture is fed from the connected device while someone works: a reload, a second browser or a closed one changes nothing. What is
+captured is written at once.
 """
 
 import asyncio
+import math
 import time
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Sequence
+from functools import partial
+from operator import methodcaller
+from typing import TYPE_CHECKING, Any
 
-from nicegui import background_tasks
+import numpy as np
+from nicegui import background_tasks, ui
 
+from undrift.arrays import FloatArray
 from undrift.errors import UndriftError
+from undrift.record import Face
+from undrift.web import parts
 from undrift.web.capture import Capture
-from undrift.web.six_faces import SixFaces
-from undrift.web.turns import Turns
+from undrift.web.drawings import box, lamp, ring
+from undrift.web.guides import ORDER, REST_S, WAYS, Guide, SixFaces, Turns, asked, named
+from undrift.web.start import connect_form
 
 if TYPE_CHECKING:
     from undrift.web.bench import Bench, Job
@@ -21,6 +31,9 @@ PERIOD_S = 0.2
 UNSEEN_S = 600.0  # host s without a page that looks, after which it pauses
 DONE_S = 5.0  # the same when all is captured
 MOST_S = 100.0  # of readings that are taken at once
+SAID_AT = (6, 3)  # seconds left that are read out
+UPS: dict[str, Face] = {"x": "+x", "y": "+y", "z": "+z"}
+Moves = Sequence[tuple[str, Callable[[Any], object]]]  # of the practice device, by their names
 
 
 class Guided:
@@ -30,11 +43,11 @@ class Guided:
         self._bench, self._job = bench, job
         self.capture = Capture(job.session, job.serial)
         self.faces, self.turns = SixFaces(self.capture), Turns(self.capture)
-        self.guide: SixFaces | Turns = self.faces
+        self.guide: Guide = self.faces
         self.error = self.refused = ""  # of the capture; of the last calibration
         self._seen_s, self._taken_s = -UNSEEN_S, time.monotonic()
 
-    def look(self, guide: SixFaces | Turns) -> None:
+    def look(self, guide: Guide) -> None:
         """Note that a page shows a guide: this one is at work from now on."""
         self.guide, self._seen_s = guide, time.monotonic()
 
@@ -48,7 +61,7 @@ class Guided:
 
     async def _step(self, now: float) -> None:
         source = self._bench.source
-        record = None if source is None else source.recent(min(now - self._taken_s + 1.0, MOST_S))
+        record = None if source is None else source.recent(min((now - self._taken_s + 1.0) * source.speed, MOST_S))
         self._taken_s = now if record is not None else self._taken_s
         self.error = ""
         try:
@@ -60,6 +73,12 @@ class Guided:
                 await asyncio.to_thread(self.capture.save, session)
         except UndriftError as error:
             self.error, self.capture.saved = str(error), False
+
+    async def calibrate(self) -> str | None:
+        """Calibrate from what is captured; return the page of the result."""
+        outcome = await self._bench.calibrate(self._job, self._job.session)
+        self.refused = outcome.error
+        return "/result" if outcome.done else None
 
 
 def guided_of(bench: "Bench") -> Guided | None:
@@ -82,3 +101,184 @@ def begin_anew(bench: "Bench") -> None:
     if bench.source is not None:
         bench.job = None
         guided_of(bench)
+
+
+# ---- The pages
+
+
+def faces_page(bench: "Bench") -> None:
+    """Build the page Six faces."""
+    _guided_page(
+        bench, "Six faces", "Lay the device on each of its six faces. It calibrates the accelerometers.", _faces
+    )
+
+
+def turns_page(bench: "Bench") -> None:
+    """Build the page Turns by hand."""
+    _guided_page(bench, "Turns by hand", "Turn the device once about each axis. It calibrates the gyroscopes.", _turns)
+
+
+def _guided_page(bench: "Bench", title: str, why: str, show: Callable[["Bench", Guided], None]) -> None:
+    def draw() -> None:
+        guided = guided_of(bench)
+        if guided is None:
+            parts.text("p", f"{why} Connect it first.")
+            connect_form(bench)
+        else:
+            show(bench, guided)
+
+    with parts.frame(bench, title):
+        parts.redrawn(lambda: (bench.source, None if bench.job is None else bench.job.capture), draw)
+
+
+def _faces(bench: "Bench", guided: Guided) -> None:
+    guide = guided.faces
+    _watched(bench, guided, guide)
+    _guide_part(
+        guide,
+        lambda: box(next((face for face in ORDER if face == guide.wanted), guide.light.face or "+z")),
+        lambda: f"Turn {guide.wanted} up" if guide.wanted else "All six faces are captured",
+        guided.capture.settings.countdown_s,
+    )
+    parts.redrawn(lambda: guide.complete, lambda: _after_faces(guide.complete))
+    _practice_part(bench, {"Practice device: turn it": [(f"{face} up", methodcaller("lay", face)) for face in ORDER]})
+    _progress_part("Faces", guide, {face: f"{face} up" for face in ORDER})
+    _readings_part(bench)
+    with parts.row():
+        parts.button("Start over", lambda: begin_anew(bench))
+
+
+def _after_faces(complete: bool) -> None:
+    if complete:
+        parts.next_step("Continue to turns by hand", "/turns")
+    else:
+        parts.text("p", "In any order. Lay the device down and let go; it is recorded automatically.", "soft")
+
+
+def _turns(bench: "Bench", guided: Guided) -> None:
+    if not guided.faces.complete:
+        parts.text("p", f"The six faces come first: {len(guided.capture.faces)} of 6 are captured.")
+        parts.next_step("Go to six faces", "/six-faces")
+        return
+    guide = guided.turns
+    _watched(bench, guided, guide)
+    _guide_part(
+        guide,
+        lambda: box(UPS[guide.wanted[1]], guide.wanted[0]) if guide.wanted else box("+z"),
+        lambda: asked(guide.wanted) if guide.wanted else "All turns are captured",
+        REST_S,
+    )
+    parts.redrawn(
+        lambda: (guide.complete, guide.enough, bool(bench.working), guided.refused),
+        lambda: _after_turns(bench, guided),
+    )
+    lays: Moves = [(f"{up} up", methodcaller("lay", up)) for up in UPS.values()]
+    turns: Moves = [
+        (f"{axis} {name}", methodcaller("turn", axis, sign * 2.0 * math.pi))
+        for axis in UPS
+        for name, sign in (("counter-clockwise", 1.0), ("clockwise", -1.0))
+    ]
+    _practice_part(bench, {"Practice device: lay it": lays, "Practice device: turn it once about": turns})
+    _progress_part("Turns", guide, {way: named(way).capitalize() for way in WAYS})
+    _readings_part(bench)
+
+
+def _after_turns(bench: "Bench", guided: Guided) -> None:
+    if bench.working:
+        parts.text("p", "Calibrating. The result opens when it is done.")
+        return
+    parts.refused(bench, bench.job, guided.refused, partial(setattr, guided, "refused"))
+    if guided.turns.complete:
+        parts.next_step("Calibrate", guided.calibrate)
+    else:
+        parts.text("p", "Leave it at rest, turn it along an edge back to the mark, and leave it at rest again.", "soft")
+        if guided.turns.enough:
+            parts.button("Calibrate with these turns", guided.calibrate)
+
+
+# ---- What both show
+
+
+def _watched(bench: "Bench", guided: Guided, guide: Guide) -> None:
+    """Keep a guide at work while the page is open, and show what goes wrong."""
+    parts.bound(lambda: guided.look(guide) if guided_of(bench) is guided else None)
+    parts.error_line(lambda: guided.error)
+
+
+def _guide_part(guide: Guide, drawing: Callable[[], str], words: Callable[[], str], countdown_s: float) -> None:
+    """Add what is asked for, as a drawing and in words, beside the light: shape, words, countdown; what changes is read out."""
+
+    def spoken() -> str:
+        left = math.ceil(guide.light.left_s or 0.0)
+        return f"{left} seconds" if left in SAID_AT else ""
+
+    with ui.element("div").classes("guide"):
+        parts.picture(drawing)
+        with ui.element("div"):
+            parts.text("p", words, "asked")
+            with ui.element("div").classes("light"):
+                parts.picture(lambda: lamp(guide.light))
+                parts.status_line(lambda: guide.light.text, "light-words").props('aria-live="polite"')
+                parts.picture(lambda: ring(guide.light.left_s, countdown_s))
+            parts.text("p", spoken, "unseen").props('aria-live="polite"')
+
+
+def _progress_part(title: str, guide: Guide, names: dict[str, str]) -> None:
+    """Add a list of what is to be captured, each with its state and a button to record again."""
+
+    def state(step: str) -> str:
+        return "record again" if step == guide.again else "✓ captured" if step in guide.done else "to do"
+
+    parts.text("h2", lambda: f"{title}: {len(guide.done)} of {len(names)}")
+    with ui.element("ol").classes("steps"):
+        for step, name in names.items():
+            with ui.element("li"):
+                with ui.element("div").classes("step"):
+                    parts.text("span", name, "step-name")
+                    parts.text("span", partial(state, step), "step-state")
+                press = parts.button(
+                    lambda step=step: "Cancel" if step == guide.again else "Redo",  # type: ignore[misc]
+                    lambda step=step: guide.redo(None if step == guide.again else step),  # type: ignore[misc]
+                    name=f"Redo {name}",
+                )
+                parts.disabled_if(press, lambda step=step: step not in guide.done)  # type: ignore[misc]
+
+
+def _readings_part(bench: "Bench") -> None:
+    """Add the newest readings as numbers, means of 0.2 s in the device's own units."""
+    means: dict[str, tuple[FloatArray | None, str]] = {}
+
+    def read() -> None:
+        record = None if bench.source is None else bench.source.recent(0.2)
+        for name, kind in (("Accelerometer", "accel"), ("Gyroscope", "gyro")):
+            values, unit = (None, "") if record is None else (getattr(record, kind), getattr(record, f"{kind}_unit"))
+            means[name] = (
+                None if values is None or np.isnan(values).all(axis=0).any() else np.nanmean(values, axis=0),
+                unit,
+            )
+
+    def cell(name: str, axis: int) -> str:
+        mean = means[name][0]
+        return f"{'xyz'[axis]} -" if mean is None else f"{'xyz'[axis]} {mean[axis]:.4g}"
+
+    parts.bound(read)
+    rows = [
+        [(name, "head"), *(partial(cell, name, k) for k in range(3)), partial(lambda name: means[name][1], name)]
+        for name in means
+    ]
+    parts.table("Readings now", (), rows, region="readings")
+
+
+def _practice_part(bench: "Bench", rows: dict[str, Moves]) -> None:
+    """Add buttons that move the practice device, where it is connected."""
+    with parts.shown_if(parts.section("Practice device", "practice"), lambda: bench.practice is not None):
+        for title, moves in rows.items():
+            parts.text("h2", title)
+            with parts.row():
+                for name, move in moves:
+                    parts.button(name, partial(_moved, bench, move))
+
+
+def _moved(bench: "Bench", move: Callable[[Any], object]) -> None:
+    if bench.practice is not None:
+        move(bench.practice)

@@ -1,18 +1,140 @@
-"""The rate table as the bench holds it: addresses, protocols, the emulated table, and the run; pages of all browsers show it."""
+"""The page Rate table: addresses, protocol with its forecast, the run with pause and emergency stop, then the calibration.
+
+A protocol is protocol.toml as fields that a person fills in. It is written as typed and read by undrift's own reader, so that the
+page says of a field what the command says of the file.
+"""
 
 import asyncio
+import json
+import math
+import re
+import tempfile
 from collections.abc import Awaitable, Callable
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
 from typing import TYPE_CHECKING
 
+from nicegui import ui
+
 from undrift.errors import InputError, UndriftError
-from undrift.rig.programme import Forecast
-from undrift.web.protocol_form import ProtocolForm
-from undrift.web.rig_run import GOING, EmulatedTable, RigRun, RunOrder, begin_run, find_run
+from undrift.rig.programme import Forecast, ProgrammeSettings, forecast_of, programme_of, read_protocol
+from undrift.rig.rig import Limits, check_programme, parse_address
+from undrift.units import RADIAN_PER_DEGREE
+from undrift.web import parts
+from undrift.web.commands import Outcome
+from undrift.web.rig_run import GOING, EmulatedTable, RigRun, RunOrder, View, begin_run, find_run
 
 if TYPE_CHECKING:
     from undrift.web.bench import Bench
 
-ADDRESSES = ("rig", "device", "chamber", "operator")
+LIMITS = Limits(turn_rate=360.0 * RADIAN_PER_DEGREE, acceleration=5000.0 * RADIAN_PER_DEGREE)  # of the command
+FACES = ("+x", "-x", "+y", "-y", "+z", "-z")
+NEXT_STEPS = 4
+SPEEDS = ("1", "10", "20", "100")  # of the emulated table
+ENDS = {
+    "paused": "Paused: the table is at rest and its motor is off. What was recorded is kept; the interrupted dwell is repeated.",
+    "stopped": "Stopped: the table is at rest and its motor is off. What was recorded is kept.",
+    "unconfirmed": "The stop is NOT CONFIRMED. Cut the amplifier's power, then look at the table.",
+    "failed": "The run ended early. What was recorded is kept.",
+    "done": "Complete: all dwells are recorded, the table is at rest and its motor is off.",
+}
+DOING = {
+    "mounting": "waiting until the device is mounted",
+    "setting": "waiting until the chamber is set",
+    "writing": "writing the readings",
+    "closing": "bringing the table to rest",
+}
+
+
+# ---- What is asked for
+
+
+@dataclass(slots=True, kw_only=True)
+class ProtocolForm:
+    """What was typed; numbers are text until they are read."""
+
+    name: str = "rate table"
+    cutoff_hz: str = parts.asked("Low-pass of the device, Hz", "11.1", hint="sets the settling time")
+    faces: tuple[str, ...] = FACES
+    face_s: str = parts.asked("Time on each face, s", "6")
+    axes: tuple[str, ...] = ("x", "y", "z")  # none leaves the rates out
+    turn_rate_min_dps: str = parts.asked("Lowest rate, deg/s", "15")
+    turn_rate_max_dps: str = parts.asked("Highest rate, deg/s", "90")
+    turn_rate_step_dps: str = parts.asked("Step, deg/s", "15")
+    order: str = "alternating"  # or random
+    dwell_s: str = parts.asked("Time at each rate, s", "6")
+    bracket_s: str = parts.asked("Rest before and after the rates, s", "6")
+    acceleration_dps2: str = parts.asked("Acceleration, deg/s2", "2300")
+    temperatures_c: str = parts.asked("Temperatures, degC", hint="rising, such as 18, 30, 45")  # none: room temperature
+    soak_c_per_min: str = parts.asked("Stable below, K/min", "0.1")
+
+    def toml(self) -> str:
+        """Return protocol.toml."""
+        lines = ["[protocol]", f"name = {json.dumps(self.name)}", f"cutoff_hz = {_typed(self.cutoff_hz)}"]
+        if self.faces:
+            lines += ["", "[faces]", f"order = {json.dumps(list(self.faces))}", f"seconds = {_typed(self.face_s)}"]
+        if self.axes:
+            lines += ["", "[rates]", f"axes = {json.dumps(list(self.axes))}", f"order = {json.dumps(self.order)}"]
+            for name in ("turn_rate_min_dps", "turn_rate_max_dps", "turn_rate_step_dps", "bracket_s"):
+                lines.append(f"{name} = {_typed(getattr(self, name))}")
+            lines += [f"seconds = {_typed(self.dwell_s)}", f"acceleration_dps2 = {_typed(self.acceleration_dps2)}"]
+        if points := [part for part in re.split(r"[,;\s]+", self.temperatures_c.strip()) if part]:
+            lines += ["", "[temperatures]", f"set_points_c = [{', '.join(map(_typed, points))}]"]
+            lines.append(f"soak_c_per_min = {_typed(self.soak_c_per_min)}")
+        return "\n".join(lines) + "\n"
+
+    def check(self, rig: str) -> Forecast:
+        """Return what it takes on a table; InputError says which field is wrong, and why."""
+        return forecast_of_text(self.toml(), rig)
+
+
+def forecast_of_text(words: str, rig: str, limits: Limits = LIMITS) -> Forecast:
+    """Return what a protocol takes on a table, by what ``rig run`` says before it asks whether to start."""
+    lines = parse_address(rig)[2].encoder_lines
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "protocol.toml"
+        path.write_text(words, encoding="utf-8")
+        try:
+            programme = programme_of(read_protocol(path), ProgrammeSettings(encoder_lines=lines))
+        except InputError as error:
+            words = str(error).removeprefix(f"{path}: ")
+            raise InputError(re.sub(r"^line \d+: ", "", words)) from error  # of a file that nobody sees
+    check_programme(programme, limits, by_hand=rig.startswith("manual:"))
+    return forecast_of(programme)
+
+
+def _typed(words: str) -> str:
+    """Return what was typed as a value of TOML: a number where it is one, else a text that the reader refuses by name."""
+    words = words.strip().replace(",", ".")
+    try:
+        value = float(words)
+    except ValueError:
+        return json.dumps(words)
+    return repr(value) if math.isfinite(value) else json.dumps(words)
+
+
+@dataclass(slots=True, kw_only=True)
+class Addresses:
+    """Of what a run needs; "" is none."""
+
+    rig: str = parts.asked(
+        "Address of the table", hint="galil:tcp://host:23?encoder_lines=10000, grbl:serial:///dev/ttyUSB0"
+    )
+    device: str = parts.asked(
+        "Address of the device", hint="serial:///dev/ttyUSB0?baud=115200&..., tcp://host:port?..."
+    )
+    chamber: str = parts.asked(
+        "Address of the chamber", hint="tcp://host:port, modbus-tcp://host:502?model=..., manual:"
+    )
+    operator: str = ""  # of an emulated operator; a person is asked on the page where there is none
+    serial: str = parts.asked("Serial number of the device", hint="empty: as the device states it")
+
+    def order(self, **more: str) -> RunOrder:
+        """Return them as a run is started with."""
+        return RunOrder(**{one.name: getattr(self, one.name).strip() for one in fields(self)} | more)
+
+
+# ---- What becomes of it
 
 
 class RateTable:
@@ -20,17 +142,15 @@ class RateTable:
 
     def __init__(self, bench: "Bench") -> None:
         self._bench = bench
-        self.addresses = dict.fromkeys(ADDRESSES, "")
+        self.addresses = Addresses()
         self.filled = 0  # how often they were filled in by other than typing
         self.rates = ProtocolForm()
         self.soaks = ProtocolForm(name="temperature", axes=(), temperatures_c="20, 35, 50")
         self.speed = "1"  # of the emulated table
-        self.serial = ""
         self.busy = ""  # what is being started, in words
         self.error = ""
         self.emulated = EmulatedTable(bench.folder)
         self._forecasts: dict[tuple[str, str], Forecast | str] = {}
-        self._take_up()
 
     @property
     def run(self) -> RigRun | None:
@@ -41,9 +161,9 @@ class RateTable:
         """Start the emulated table, chamber, device and operator, and fill in their addresses."""
         await self._doing("Starting the emulated table", self._use_emulated)
 
-    async def start(self, form: ProtocolForm) -> None:
+    async def start(self, typed: ProtocolForm) -> None:
         """Start a run, in a job of its own."""
-        await self._doing("Starting the run", lambda: self._start(form))
+        await self._doing("Starting the run", lambda: self._start(typed))
 
     async def go_on(self) -> None:
         """Continue a run that was paused or stopped, or that failed."""
@@ -56,49 +176,55 @@ class RateTable:
         if self.run is not None:
             await asyncio.to_thread(self.run.pause)
 
-    async def answer(self, number: int, text: str = "") -> None:
+    async def answer(self, number: int, words: str = "") -> None:
         """Answer a question of the run."""
         if self.run is not None:
-            await asyncio.to_thread(self.run.answer, number, text)
+            await asyncio.to_thread(self.run.answer, number, words)
 
     def forget(self) -> None:
         """Make room for another run; what the last one recorded stays in its folder."""
         if self.run is not None and not self.run.may_move:
             self._bench.rig_run, self._bench.job, self.error = None, None, ""
 
-    async def calibrate(self) -> bool:
-        """Calibrate from the run; return whether there is a calibration."""
-        job, run = self._bench.job_now(), self.run
-        if run is None:
-            return False
-        outcome = await self._bench.calibrate(job, run.folder, "--trust")  # the bench's own readings need no box
-        self.error = "" if outcome.done else outcome.error
-        return outcome.done
+    async def calibrate(self) -> str | None:
+        """Calibrate from the run; return the page of the result."""
+        return await self._made(self._bench.calibrate)
 
-    async def fit_drift(self) -> bool:
-        """Fit the drift over the temperatures of the run; return whether there is a calibration."""
-        job, run = self._bench.job_now(), self.run
-        if run is None:
-            return False
-        outcome = await self._bench.fit_drift(job, run.folder, "--trust")
-        self.error = "" if outcome.done else outcome.error
-        return outcome.done
+    async def fit_drift(self) -> str | None:
+        """Fit the drift over the temperatures of the run; return the page of the result."""
+        return await self._made(self._bench.fit_drift)
 
-    async def forecast(self, form: ProtocolForm) -> Forecast | str:
+    async def _made(self, make: Callable[..., Awaitable[Outcome]]) -> str | None:
+        if self.run is None:
+            return None
+        outcome = await make(self._bench.job_now(), self.run.folder, "--trust")  # the bench's own readings need no box
+        self.error = outcome.error
+        return "/result" if outcome.done else None
+
+    async def forecast(self, typed: ProtocolForm) -> Forecast | str:
         """Return what a protocol takes, or what is wrong with it."""
-        asked = form.toml(), self.addresses["rig"].strip() or "galil:"
-        if asked not in self._forecasts:
+        wanted = typed.toml(), self.addresses.rig.strip() or "galil:"
+        if wanted not in self._forecasts:
             try:
-                self._forecasts = {asked: await asyncio.to_thread(form.check, asked[1])}
+                self._forecasts = {wanted: await asyncio.to_thread(typed.check, wanted[1])}
             except UndriftError as error:
-                self._forecasts = {asked: str(error)}
-        return self._forecasts.get(asked, "")
+                self._forecasts = {wanted: str(error)}
+        return self._forecasts.get(wanted, "")
 
     def close(self) -> None:
         """Bring the table to rest and end what the bench started; the bench ends."""
         if self.run is not None:
             self.run.close()
         self.emulated.close()
+
+    def take_up(self) -> RigRun | None:
+        """Find the run that an earlier bench left."""
+        run = find_run(self._bench.folder / "jobs")
+        if run is not None:
+            self.addresses = Addresses(**{one.name: getattr(run.order, one.name) for one in fields(Addresses)})
+            if run.view.state in GOING:
+                run.follow()
+        return run
 
     async def _doing(self, what: str, work: Callable[[], Awaitable[None]]) -> None:
         if self.busy:
@@ -113,34 +239,29 @@ class RateTable:
 
     async def _use_emulated(self) -> None:
         self.emulated.words = ("--speed", self.speed)
-        self.addresses |= await asyncio.to_thread(self.emulated.start)
+        self.addresses = replace(self.addresses, **await asyncio.to_thread(self.emulated.start))
         self.filled += 1
 
-    async def _start(self, form: ProtocolForm) -> None:
-        bench, held = self._bench, {name: value.strip() for name, value in self.addresses.items()}
-        for name, what in (("rig", "table"), ("device", "device")):
-            if not held[name]:
-                raise InputError(f"rate table: wanted the address of the {what}, got none; fill it in")
-        if form.temperatures_c.strip() and not held["chamber"]:
-            raise InputError("rate table: wanted the address of a chamber for the temperatures, got none; fill it in")
-        await asyncio.to_thread(form.check, held["rig"])
+    async def _start(self, typed: ProtocolForm) -> None:
+        bench, at_temperatures = self._bench, bool(typed.temperatures_c.strip())
+        order = self.addresses.order(host=bench.settings.host)
+        for wanted, what, why in (
+            (order.rig, "the table", ""),
+            (order.device, "the device", ""),
+            (order.chamber or not at_temperatures, "a chamber", " for the temperatures"),
+        ):
+            if not wanted:
+                raise InputError(f"rate table: wanted the address of {what}{why}, got none; fill it in")
+        await asyncio.to_thread(typed.check, order.rig)
         if self.run is not None and self.run.may_move:
             raise InputError("rate table: wanted a table at rest, got a run that goes on; wait for it, or pause it")
-        if bench.source is not None and bench.source.address == held["device"]:
+        if bench.source is not None and bench.source.address == order.device:
             await bench.disconnect()  # a serial port has one owner
-        chamber = held["chamber"] if form.temperatures_c.strip() else ""
-        order = RunOrder(
-            rig=held["rig"],
-            device=held["device"],
-            chamber=chamber,
-            operator=held["operator"],
-            serial=self.serial.strip(),
-            host=bench.settings.host,
-        )
         job = bench.job
         if job is None or any(job.folder.iterdir()):
-            job = bench.new_job(self.serial.strip() or "rate-table")
-        await self._launch(begin_run(job.session, form.toml(), order))
+            job = bench.new_job(order.serial or "rate-table")
+        order = order if at_temperatures else replace(order, chamber="")
+        await self._launch(begin_run(job.session, typed.toml(), order))
 
     async def _launch(self, run: RigRun) -> None:
         self._bench.rig_run = run
@@ -149,13 +270,173 @@ class RateTable:
         finally:
             run.follow()
 
-    def _take_up(self) -> None:
-        """Find the run that an earlier bench left."""
-        from undrift.web.bench import Job
 
-        run = find_run(self._bench.folder / "jobs")
-        if run is not None:
-            self._bench.rig_run, self._bench.job = run, Job(folder=run.folder.parent, serial=run.order.serial)
-            self.addresses = {name: getattr(run.order, name) for name in ADDRESSES}
-            if run.view.state in GOING:
-                run.follow()
+# ---- The page
+
+
+def page(bench: "Bench") -> None:
+    """Build the page."""
+    with parts.frame(bench, "Rate table"):
+        parts.text("p", "The table turns the device at known rates about each axis, and rests on each face.")
+        parts.redrawn(lambda: run_state(bench), lambda: _part(bench))
+
+
+def run_state(bench: "Bench") -> tuple[object, ...]:
+    """Return what a page is drawn anew for."""
+    run = bench.rig_run
+    if run is None:
+        return ("none", bench.table.filled)
+    view = run.view
+    return (run.folder, view.state, view.question, view.error, view.confirmed, bool(view.steps), view.standby)
+
+
+def _part(bench: "Bench") -> None:
+    if bench.rig_run is None:
+        order_form(bench, bench.table.rates, chamber=False)
+    else:
+        run_part(bench, bench.rig_run, lambda: _after(bench, bench.rig_run))
+
+
+def _after(bench: "Bench", run: RigRun | None) -> None:
+    """Add the next step after a complete run."""
+    if run is not None and len(run.view.set_points()) > 1:
+        parts.next_step("Fit the drift over temperature", "/temperature")
+    else:
+        parts.next_step("Calibrate", bench.table.calibrate)
+
+
+def order_form(bench: "Bench", typed: ProtocolForm, *, chamber: bool) -> None:
+    """Add addresses, protocol, forecast and the start."""
+    table = bench.table
+    if not table.addresses.device and bench.source is not None:
+        table.addresses.device = bench.source.address
+    with parts.section("Table"):
+        parts.text("h2", "Table")
+        with parts.row():
+            parts.disabled_if(parts.button("Use the emulated table", table.use_emulated), lambda: bool(table.busy))
+            parts.Field(
+                "Speed of the emulated table",
+                table.speed,
+                options=SPEEDS,
+                hint="times real time",
+                keep=lambda speed: setattr(table, "speed", speed),
+            )
+        parts.form(table.addresses, "rig", "device", *(("chamber",) if chamber else ()), "serial")
+        by = "The emulated operator mounts the device."
+        you = "You mount the device when this page asks for it; the motor is off then."
+        parts.text("p", by if table.addresses.operator else you, "soft")
+    with parts.section("Protocol"):
+        parts.text("h2", "Protocol")
+        parts.form(typed, *(("temperatures_c", "soak_c_per_min") if chamber else ()))
+        parts.choices("Faces to rest on", FACES, typed, "faces")
+        parts.choices("Axes to turn about", ("x", "y", "z"), typed, "axes")
+        parts.form(typed, "turn_rate_min_dps", "turn_rate_max_dps", "turn_rate_step_dps", "dwell_s", "face_s")
+        with parts.folded("More"):
+            parts.form(typed, "bracket_s", "acceleration_dps2", "cutoff_hz")
+    found: list[Forecast | str] = [""]
+
+    async def forecast() -> None:
+        found[:] = [await table.forecast(typed)]
+
+    parts.bound(forecast)
+    parts.status_line(lambda: forecast_words(found[0]), "forecast")
+    parts.error_line(lambda: found[0] if isinstance(found[0], str) else "")
+    parts.error_line(lambda: table.error)
+    start = parts.next_step("Start", lambda: table.start(typed))
+    parts.status_line(lambda: table.busy and f"{table.busy} ...")
+    parts.disabled_if(start, lambda: isinstance(found[0], str) or bool(table.busy))
+
+
+def forecast_words(found: Forecast | str) -> str:
+    """Say what a protocol takes."""
+    if isinstance(found, str):
+        return ""
+    rate = f", up to {found.turn_rate / RADIAN_PER_DEGREE:g} deg/s" if found.turn_rate else ""
+    soaking = " and soaking" if found.total_s > found.rig_s + 600.0 else ""
+    return (
+        f"Forecast: {found.dwells} dwells{rate}, {_minutes(found.rig_s)} of table time; about "
+        f"{_minutes(found.total_s)} with {found.mountings} mountings{soaking}."
+    )
+
+
+def _minutes(seconds: float) -> str:
+    if seconds < 90.0:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60.0:.0f} min" if seconds < 5400.0 else f"{seconds / 3600.0:.1f} h"
+
+
+def run_part(bench: "Bench", run: RigRun, after: Callable[[], None]) -> None:
+    """Add the run: what it does, what it asks, how far it is, and what a person may do."""
+    table, view = bench.table, run.view
+    with parts.section("Run"):
+        if view.question is not None:
+            _question(bench, *view.question)
+        _progress(run)
+        if run.may_move:
+            with parts.row():
+                if view.state == "running":
+                    parts.button("Pause", table.pause)
+                parts.text("p", "Emergency stop: the red button, or the key Escape, on any page.", "soft")
+            parts.text("p", "The run continues when this page is closed.", "soft")
+            if view.standby:
+                parts.text("p", f"The stop has no connection of its own: {view.standby}.", "soft")
+        else:
+            unconfirmed = view.state == "stopped" and view.confirmed is False
+            parts.text("p", ENDS["unconfirmed" if unconfirmed else view.state], "run-end")
+            if view.error:
+                parts.error_line(view.error)
+    parts.error_line(lambda: table.error)
+    if not run.may_move:
+        if view.state == "done":
+            after()
+        else:
+            parts.next_step("Continue", table.go_on)
+        parts.button("New run", table.forget)
+
+
+def _question(bench: "Bench", number: int, words: str) -> None:
+    with parts.section("Your turn", "card question").props('role="alert"'):
+        parts.text("h2", "Your turn")
+        parts.text("p", words.split(", then press Enter")[0].split(", then type")[0] + ".")
+        angle = (
+            parts.Field("Angle turned, deg", hint="empty: the angle asked for") if "type the angle" in words else None
+        )
+        with parts.row():
+            parts.next_step("Done, continue", lambda: bench.table.answer(number, angle.value if angle else ""))
+            parts.button("End the run", lambda: bench.table.answer(number, "q"))
+
+
+def _progress(run: RigRun) -> None:
+    """Add a bar over the dwells, what is done now, the time left and the next steps; they change without a redraw."""
+
+    def show() -> None:
+        parts.set_prop(bar, "max", max(run.view.dwells, 1))
+        parts.set_prop(bar, "value", len(run.view.done))
+
+    def following() -> str:
+        after = [step["text"] for step in run.view.steps[run.view.number + 1 :][:NEXT_STEPS]]
+        return f"Next: {', '.join(after)}" if after and run.may_move else ""
+
+    parts.text("h2", lambda: heading_of(run.view))
+    bar = ui.element("progress").props('aria-label="Dwells on the disk"').classes("bar")
+    parts.bound(show)
+    parts.status_line(lambda: progress_words(run.view), "")
+    parts.text("p", lambda: run.view.live if run.may_move else "", "soft readings")
+    parts.text("p", following, "soft")
+
+
+def heading_of(view: View) -> str:
+    """Say how a run is."""
+    names = {"starting": "Starting", "running": "Running", "pausing": "Pausing", "stopping": "Stopping"}
+    return names.get(view.state, view.state.capitalize())
+
+
+def progress_words(view: View) -> str:
+    """Say where a run is."""
+    if not view.steps or view.phase == "starting":
+        return "Connecting table, device and chamber ..." if view.state in ("starting", "running") else ""
+    words = f"{len(view.done)} of {view.dwells} dwells"
+    if view.state in ("running", "pausing", "stopping"):
+        words += f"; step {view.number + 1} of {len(view.steps)}: {view.step}, {DOING.get(view.phase, view.phase)}"
+        words += f"; about {_minutes(60.0 * view.minutes_left)} left"
+    return words + "."

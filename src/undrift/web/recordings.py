@@ -1,20 +1,28 @@
-"""Files on the page Recordings: what each holds, the map it needs, and what the commands made of it."""
+"""The page Recordings: drop a file; its map is proposed, it is calibrated, corrected, oriented, validated; take the results."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from undrift.web.commands import Outcome, Remark, remarks_of
+from nicegui import ui
+
+from undrift.errors import InputError
+from undrift.record import FACES
+from undrift.web import parts
+from undrift.web.commands import Outcome, Remark, remarks_of, stated
+from undrift.web.drawings import worn
 from undrift.web.uploads import safe_name
 
 if TYPE_CHECKING:
-    from undrift.web.bench import Bench, Job
+    from undrift.web.bench import Bench
 
 UNITS = {"gyro": ("rad/s", "dps", "count", "v"), "accel": ("m/s2", "g", "mg", "count", "v")}
 
 
 @dataclass(slots=True, kw_only=True)
-class Stored:
+class StoredFile:
     """One file that was sent to the bench."""
 
     path: Path
@@ -54,8 +62,23 @@ class Stored:
 
     def options(self) -> tuple[object, ...]:
         """Return the options by which commands read it."""
-        rate = () if self.sample_rate_hz is None else ("--sample-rate-hz", self.sample_rate_hz)
-        return rate if self.map is None else ("--map", self.map, *rate)
+        return stated(map=self.map, sample_rate_hz=self.sample_rate_hz)
+
+
+@dataclass(slots=True, kw_only=True)
+class Sides:
+    """Of the device, on the upright segment: they define the pitch; "" is not chosen."""
+
+    forward: str = parts.asked("--forward", options=("", *FACES))
+    up: str = parts.asked("--up", options=("", *FACES))
+
+
+@dataclass(slots=True, kw_only=True)
+class MarkersForm:
+    """What is typed of an optical reference of markers."""
+
+    markers: str = parts.asked("--markers")
+    up: str = parts.asked("--reference-up", options=("", "y", "z"))
 
 
 class Recordings:
@@ -63,103 +86,313 @@ class Recordings:
 
     def __init__(self, bench: "Bench") -> None:
         self.bench = bench
-        self.files: list[Stored] = []
-        self.chosen: Stored | None = None
-        self.axes = {"forward": "", "up": ""}  # sides of the device on the upright segment; "": not chosen
+        self.files: list[StoredFile] = []
+        self.chosen: StoredFile | None = None
+        self.sides = Sides()
 
-    async def add(self, path: Path) -> Stored:
+    async def add(self, path: Path) -> StoredFile:
         """Take up a file that has been stored, and ask what it holds."""
-        held = Stored(path=path)
-        self.files.append(held)
-        self.chosen = held
-        await self.look(held)
-        if held.kind == "calibration":
+        stored = StoredFile(path=path)
+        self.files.append(stored)
+        self.chosen = stored
+        await self.look(stored)
+        if stored.kind == "calibration":
             self.bench.calibration = path
-        return held
+        return stored
 
-    async def look(self, held: Stored) -> None:
+    async def look(self, stored: StoredFile) -> None:
         """Ask what a file holds; draw it where it is a recording."""
-        outcome = await self.bench.command("info", held.path, *held.options())
-        held.about, held.error = (outcome.answer, "") if outcome.done else ({}, outcome.error)
-        held.remarks = {"info": [one for one in remarks_of(held.about) if one.text != held.about.get("summary")]}
-        if held.kind == "recording":
-            picture = held.path.parent / "recording.svg"
-            drawn = await self.bench.command("info", held.path, *held.options(), "--figure", picture)
-            held.picture = picture if drawn.done and picture.exists() else None
+        outcome = await self.bench.command("info", stored.path, *stored.options())
+        stored.about, stored.error = (outcome.answer if outcome.done else {}), outcome.error
+        noticed = [one for one in remarks_of(stored.about) if one.text != stored.about.get("summary")]
+        stored.remarks = {"info": noticed}
+        if stored.kind == "recording":
+            drawing = stored.path.parent / "recording.svg"
+            drawn = await self.bench.command("info", stored.path, *stored.options(), "--figure", drawing)
+            stored.picture = drawing if drawn.done and drawing.exists() else None
 
-    async def state_rate(self, held: Stored, sample_rate_hz: float) -> None:
+    async def state_rate(self, stored: StoredFile, sample_rate_hz: float) -> None:
         """State the sample rate of a file without time."""
-        held.sample_rate_hz = sample_rate_hz
-        await self.look(held)
+        stored.sample_rate_hz = sample_rate_hz
+        await self.look(stored)
 
-    async def write_map(self, held: Stored, *, sample_rate_hz: float | None, units: dict[str, str]) -> None:
+    async def write_map(self, stored: StoredFile, *, sample_rate_hz: float | None, units: Mapping[str, str]) -> None:
         """Write the map of a foreign table, with the units that a person confirmed."""
-        path = held.path.parent / "map.toml"
-        words: list[object] = ["--write-map", path]
-        words += [] if sample_rate_hz is None else ["--sample-rate-hz", sample_rate_hz]
-        words += [word for name, unit in units.items() if unit for word in (f"--{name}-unit", unit)]
-        outcome = await self.bench.command("info", held.path, *words)
-        held.error = "" if outcome.done else outcome.error
+        path = stored.path.parent / "map.toml"
+        words = stated(
+            write_map=path, sample_rate_hz=sample_rate_hz, **{f"{name}_unit": unit for name, unit in units.items()}
+        )
+        outcome = await self.bench.command("info", stored.path, *words)
+        stored.error = outcome.error
         if outcome.done:
-            held.map = path
-            held.made["map"] = path
-            await self.look(held)
+            stored.map = stored.made["map"] = path
+            await self.look(stored)
 
-    async def calibrate(self, held: Stored, *, turn_deg: float | None, serial: str) -> bool:
+    async def calibrate(self, stored: StoredFile, *, turn_deg: float | None, serial: str) -> bool:
         """Calibrate from a recording; the result is the bench's job."""
-        job: Job = self.bench.new_job(serial or held.path.stem)
-        words: list[object] = [held.path, *held.options()]
-        words += [] if turn_deg is None else ["--turn-deg", turn_deg]
-        outcome = await self.bench.calibrate(job, *words, *(("--serial", serial) if serial else ()))
-        held.error = "" if outcome.done else outcome.error
+        job = self.bench.new_job(serial or stored.path.stem)
+        words = stated(turn_deg=turn_deg, serial=serial)
+        outcome = await self.bench.calibrate(job, stored.path, *stored.options(), *words)
+        stored.error = outcome.error
         return outcome.done
 
-    async def run(self, held: Stored, command: str) -> None:
+    async def run(self, stored: StoredFile, command: str) -> None:
         """Correct or orient a recording; what is written can be downloaded."""
-        base, place = safe_name(held.path.name.split(".")[0], "recording"), held.path.parent
+        base, place = safe_name(stored.path.name.split(".")[0], "recording"), stored.path.parent
         made = place / f"{base}-{'corrected.parquet' if command == 'correct' else 'angles.csv'}"
-        page = place / f"{base}-{command}.html"
-        words = [*held.options(), *self._calibrated(), *(self._sides() if command == "orient" else ())]
-        outcome = await self.bench.command(command, held.path, *words, "-o", made, "--report", page)
-        self._take(held, command, outcome, [made, page])
+        report = place / f"{base}-{command}.html"
+        words = [*stored.options(), *self._calibrated(), *(self._sides() if command == "orient" else ())]
+        outcome = await self.bench.command(command, stored.path, *words, "-o", made, "--report", report)
+        self._take(stored, command, outcome, [made, report])
 
-    async def validate(self, held: Stored, reference: Stored, *, markers: str, up: str) -> None:
+    async def validate(self, stored: StoredFile, reference: StoredFile, *, markers: str, up: str) -> None:
         """Compare a recording with its optics, in degrees."""
-        place = held.path.parent / "validation"
-        words = [*self._optics(held, reference, markers=markers, up=up), *self._calibrated(), *self._sides()]
+        place = stored.path.parent / "validation"
+        words = *_optics(stored, reference, markers, up), *self._calibrated(), *self._sides()
         outcome = await self.bench.command("validate", *words, "-o", place)
-        self._take(held, "validate", outcome, sorted(place.glob("*")))
+        self._take(stored, "validate", outcome, sorted(place.glob("*")))
 
-    async def calibrate_by(self, held: Stored, reference: Stored, *, markers: str, up: str) -> bool:
+    async def calibrate_by(self, stored: StoredFile, reference: StoredFile, *, markers: str, up: str) -> bool:
         """Calibrate from a recording and its optics; the result is the bench's job."""
-        job: Job = self.bench.new_job(held.path.stem)
-        words = self._optics(held, reference, markers=markers, up=up)
-        words += ["--calibrate-from", "reference", *self.bench.place.words()]
+        job = self.bench.new_job(stored.path.stem)
+        words = *_optics(stored, reference, markers, up), "--calibrate-from", "reference", *self.bench.place.words()
         outcome = await self.bench.command("validate", *words, "-o", job.folder)
-        held.error = "" if outcome.done else outcome.error
+        stored.error = outcome.error
         if outcome.done:
             await self.bench.open_job(job.folder, outcome.answer)
             self.bench.calibration = job.folder / "calibration.json"
         return outcome.done
 
     def _calibrated(self) -> tuple[object, ...]:
-        return () if self.bench.calibration is None else ("--calibration", self.bench.calibration)
+        return stated(calibration=self.bench.calibration)
 
-    def _sides(self) -> list[object]:
-        return [word for name, side in self.axes.items() if side for word in (f"--{name}", side)]
+    def _sides(self) -> tuple[object, ...]:
+        return stated(forward=self.sides.forward, up=self.sides.up)
 
-    def _optics(self, held: Stored, reference: Stored, *, markers: str, up: str) -> list[object]:
-        words: list[object] = [held.path, *held.options()]
-        words += [] if reference is held else ["--reference", reference.path]
-        words += ["--markers", markers] if markers else []
-        return words + (["--reference-up", up] if up else [])
-
-    def _take(self, held: Stored, command: str, outcome: Outcome, files: list[Path]) -> None:
-        held.error = "" if outcome.done else outcome.error
-        held.remarks[command] = remarks_of(outcome.answer)
+    def _take(self, stored: StoredFile, command: str, outcome: Outcome, files: list[Path]) -> None:
+        stored.error, stored.remarks[command] = outcome.error, remarks_of(outcome.answer)
         if outcome.done:
-            held.made |= {f"{command}: {'report' if path.suffix == '.html' else path.name}": path for path in files}
+            stored.made |= {f"{command}: {'report' if path.suffix == '.html' else path.name}": path for path in files}
 
-    def references(self) -> list[Stored]:
+    def references(self) -> list[StoredFile]:
         """Return the files that hold optical poses."""
         return [one for one in self.files if one.kind in ("reference", "markers") or "optical" in one.summary]
+
+
+def _optics(stored: StoredFile, reference: StoredFile, markers: str, up: str) -> tuple[object, ...]:
+    other = None if reference is stored else reference.path
+    return stored.path, *stored.options(), *stated(reference=other, markers=markers, reference_up=up)
+
+
+# ---- The page
+
+
+def page(bench: "Bench") -> None:
+    """Build the page."""
+    with parts.frame(bench, "Recordings"):
+        parts.text("p", "Drop a recording, its optical reference or a calibration. Files stay on this computer.")
+        _drop(bench)
+        parts.redrawn(lambda: _state(bench), lambda: _shown(bench))
+
+
+def _state(bench: "Bench") -> object:
+    files = tuple(
+        (one.path, one.kind, one.map, one.error, one.picture, len(one.made), str(one.remarks))
+        for one in bench.recordings.files
+    )
+    return files, bench.recordings.chosen and bench.recordings.chosen.path, bench.calibration
+
+
+def _drop(bench: "Bench") -> None:
+    """Add the place to drop files on, which is a file chooser too."""
+    with ui.element("label").classes("drop bench-file") as drop:
+        parts.text("span", "Drop files here, or choose them: ")
+        chooser = ui.element("input").props('type="file" multiple aria-label="Choose files"')
+    status = parts.status_line("")
+    js = "(event) => { event.preventDefault(); benchUpload(event.currentTarget, %s); }"
+    chooser.on("change", js_handler=js % "event.target.files")
+    drop.on("drop", js_handler=js % "event.dataTransfer.files")
+    drop.on("dragover", js_handler="(event) => { event.preventDefault(); event.currentTarget.classList.add('over'); }")
+    drop.on("dragleave", js_handler="(event) => event.currentTarget.classList.remove('over')")
+
+    def sending(event: Any) -> None:
+        parts.set_text(status, f"Sending {event.args['detail']['name']} ...")
+
+    async def sent(event: Any) -> None:
+        detail = event.args["detail"]
+        if detail.get("error"):
+            parts.set_text(status, str(detail["error"]))
+            return
+        parts.set_text(status, f"Reading {detail['name']} ...")
+        await bench.recordings.add(bench.inside(str(detail["file"])))
+        parts.set_text(status, "")
+
+    for element in (chooser, drop):
+        element.on("sending", sending, ["detail"])
+        element.on("sent", sent, ["detail"])
+
+
+def _shown(bench: "Bench") -> None:
+    recordings = bench.recordings
+    if recordings.files:
+        parts.text("h2", "Files")
+        with ui.element("ul").classes("bench-list"):
+            for one in recordings.files:
+                with ui.element("li"):
+                    choose = partial(setattr, recordings, "chosen", one)
+                    parts.button(one.path.name, choose, pressed=one is recordings.chosen)
+                    parts.text("span", f" {one.summary}", "soft")
+    if recordings.chosen is not None:
+        _file(bench, recordings.chosen)
+
+
+def _file(bench: "Bench", one: StoredFile) -> None:
+    """Add what a file holds, what it needs, and what may be done with it."""
+    parts.text("h2", one.path.name)
+    if one.needs_rate:
+        _rate_form(bench, one)
+    else:
+        parts.refused(bench, bench.job, one.error, partial(setattr, one, "error"))
+    if one.needs_map:
+        _map_form(bench.recordings, one)
+    elif one.kind == "calibration":
+        parts.text("p", "Recordings are corrected with this calibration.")
+    elif one.kind == "recording" or (one.about and not one.needs_rate):
+        parts.text("p", one.summary)
+        parts.remarks_list(one.remarks["info"])
+    if one.kind == "recording":
+        if one.picture is not None:
+            ui.html(one.picture.read_text(encoding="utf-8").partition("?>")[2], sanitize=False).classes("picture")
+        _actions(bench, one)
+    for command, remarks in one.remarks.items():
+        if remarks and command != "info":
+            parts.text("h3", f"What {command} noticed")
+            parts.remarks_list(remarks)
+    if one.made:
+        parts.text("h3", "Results")
+        with ui.element("ul"):
+            for label, path in one.made.items():
+                opened = path.suffix in (".html", ".svg")
+                with ui.element("li"):
+                    ui.link(label, bench.link(path) + ("" if opened else "?download=1"), new_tab=opened)
+
+
+def _stated_rate(rate: parts.Field) -> float:
+    value = rate.number()
+    if value and value > 0.0:
+        return value
+    raise InputError(f"sample rate: wanted a number above 0, got '{rate.value}'; state the samples per second")
+
+
+def _rate_form(bench: "Bench", one: StoredFile) -> None:
+    """Ask for the sample rate of a file without time."""
+    if one.kind == "recording":
+        parts.refused(bench, None, one.error)
+    else:
+        parts.text(
+            "p", "This file has no time column. The data sheet or the settings of the device state its sample rate."
+        )
+    rate = parts.Field("Samples per second, Hz", kind="number")
+    parts.next_step("Read the file", lambda: bench.recordings.state_rate(one, _stated_rate(rate)))
+
+
+def _map_form(recordings: Recordings, one: StoredFile) -> None:
+    """Show the proposed map, and ask what nothing in the file shows."""
+    lines = [str(line) for line in one.about.get("map") or ()]
+    parts.text("p", "This table does not state its units. Check the proposal against the data sheet of the device.")
+    parts.text("pre", "\n".join(lines), "scroll").props('tabindex="0"')
+    wants_rate = any(line.startswith("sample_rate_hz") for line in lines)
+    parts.text("h3", "Confirm")
+    with parts.row():
+        rate = parts.Field("Samples per second, Hz", kind="number") if wants_rate else None
+        chosen: dict[str, parts.Field] = {}
+        for name, label in (("gyro", "Unit of the gyroscopes"), ("accel", "Unit of the accelerometers")):
+            if any(f"{name} =" in line for line in lines):
+                marked = (unit for unit in UNITS[name] if any(f'{name} = "{unit}"' in line for line in lines))
+                chosen[name] = parts.Field(label, next(marked, UNITS[name][0]), options=UNITS[name])
+
+    async def write() -> None:
+        units = {name: made.value for name, made in chosen.items()}
+        sample_rate_hz = None if rate is None else _stated_rate(rate)
+        await recordings.write_map(one, sample_rate_hz=sample_rate_hz, units=units)
+
+    parts.next_step("Read the file", write)
+
+
+def _actions(bench: "Bench", one: StoredFile) -> None:
+    recordings = bench.recordings
+    if bench.calibration is None:
+        parts.text("p", "No calibration chosen: drop a calibration.json, or calibrate from this recording.", "soft")
+    else:
+        parts.text("p", f"Calibration: {bench.calibration.parent.name}/{bench.calibration.name}", "soft")
+        parts.next_step("Correct", lambda: recordings.run(one, "correct"))
+    _sides_form(recordings)
+    parts.button("Orient", lambda: recordings.run(one, "orient") if _chosen(recordings, one) else None)
+    if recordings.references():
+        _optics_form(recordings, one)
+    with parts.folded("Calibrate from this recording") as more:
+        if bench.calibration is None:
+            more.props("open")
+        parts.text(
+            "p",
+            "It needs six faces or more, each at rest for some seconds; gyroscopes need full turns between rests too.",
+        )
+        with parts.row():
+            turn = parts.Field("Angle of its turns, deg (empty: none)", kind="number")
+            serial = parts.Field("Serial number")
+
+        async def calibrate() -> str | None:
+            done = await recordings.calibrate(one, turn_deg=turn.number(), serial=serial.value.strip())
+            return "/result" if done else None
+
+        parts.button("Calibrate", calibrate, "next" if bench.calibration is None else "")
+
+
+def _sides_form(recordings: Recordings) -> None:
+    """Ask how the device was worn, which defines the pitch; the drawing follows the choice."""
+    with parts.section("How it was worn", "worn"):
+        parts.picture(lambda: worn(recordings.sides.forward, recordings.sides.up))
+        with ui.element("div"):
+            parts.text(
+                "p", "Which sides of the device point forward and up when the wearer stands? They define the pitch."
+            )
+            parts.form(recordings.sides, "forward", "up")
+
+
+def _chosen(recordings: Recordings, one: StoredFile) -> bool:
+    """Return whether both sides are chosen; say so where they are not."""
+    forward, up = recordings.sides.forward, recordings.sides.up
+    wrong = not (forward and up) or forward[1] == up[1]
+    got = f"{forward or 'none'} and {up or 'none'}"
+    one.error = f"pitch: wanted a side that points forward and another that points up, got {got}" if wrong else ""
+    return not wrong
+
+
+def _optics_form(recordings: Recordings, one: StoredFile) -> None:
+    """Ask for the optics of a recording: its own, or a file of poses or markers."""
+    found = {
+        ("its own" if reference is one else reference.path.name): reference for reference in recordings.references()
+    }
+    typed = MarkersForm()
+    with parts.section("Optics"):
+        parts.text("h3", "Compare with optics")
+        with parts.row():
+            chosen = parts.Field("Optical reference", next(iter(found)), options=tuple(found))
+        if labels := next((other.about.get("columns") for other in found.values() if other.kind == "markers"), None):
+            parts.text(
+                "p", f"Markers: three or more of one rigid cluster: {', '.join(map(str, labels[:6]))} ...", "soft"
+            )
+            parts.form(typed, "markers", "up")
+
+        async def validate() -> None:
+            if _chosen(recordings, one):
+                await recordings.validate(one, found[chosen.value], markers=typed.markers.strip(), up=typed.up)
+
+        async def calibrate() -> str | None:
+            reference, markers = found[chosen.value], typed.markers.strip()
+            done = await recordings.calibrate_by(one, reference, markers=markers, up=typed.up)
+            return "/result" if done else None
+
+        with parts.row():
+            parts.button("Validate", validate)
+            parts.button("Calibrate by these optics", calibrate)

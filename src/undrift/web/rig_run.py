@@ -89,6 +89,13 @@ class Point:
     soaking: bool
 
 
+def add_point(curve: list[Point], point: Point) -> None:
+    """Add a point to a curve, which is thinned where it becomes long."""
+    curve.append(point)
+    if len(curve) > CURVE:
+        del curve[1::2]
+
+
 @dataclass(slots=True)
 class View:
     """What is known of a run; pages show it."""
@@ -165,11 +172,8 @@ class View:
         elif soaking:
             self.stable_since = None
         if entry["air_c"] is not None or entry["device_c"] is not None:
-            self.curve.append(
-                Point(time=entry["time"], air_c=entry["air_c"], device_c=entry["device_c"], soaking=soaking)
-            )
-            if len(self.curve) > CURVE:
-                del self.curve[1::2]
+            point = Point(time=entry["time"], air_c=entry["air_c"], device_c=entry["device_c"], soaking=soaking)
+            add_point(self.curve, point)
 
     def _ended(self, code: int) -> None:
         self.question, self.live, self.phase = None, "", ""

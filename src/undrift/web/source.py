@@ -107,6 +107,11 @@ class Source:
         return self._recorder.source.description.rate
 
     @property
+    def speed(self) -> float:
+        """Device seconds in one of the host's: 1 for hardware."""
+        return self._recorder.source.description.clock_speed
+
+    @property
     def axes(self) -> tuple[Face, Face]:
         """The device's axes that point forward and up on the upright segment, which define the pitch."""
         return self._axes

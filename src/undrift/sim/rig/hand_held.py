@@ -42,7 +42,7 @@ HELD = Polynomial.fromroots([0, 0, 1, 1]) * 16.0  # w
 LIFT = Polynomial.fromroots([0, 0, 0, 1, 1, 1]) * -64.0
 STEEPEST = 2.3  # largest rate of a turn over its mean
 REACH = 0.8  # of the gyroscope's range: a faster turn would be cut off
-TOGETHER_S = 0.02  # readings that are sent at once
+TOGETHER_S = 0.02  # readings that are sent at once, host s
 INSTANT_S = 1e-4  # over which a rate is taken from two orientations
 
 
@@ -123,7 +123,7 @@ class HandHeldDevice(EmulatedDevice):
 
     def tick(self) -> None:
         """Come up to now, several readings at a time: it costs less."""
-        if self.clock.now() - self._next * self._step > TOGETHER_S:
+        if self.clock.now() - self._next * self._step > TOGETHER_S * self.clock.speed:
             super().tick()
 
     def mount(self, face: Face) -> None:

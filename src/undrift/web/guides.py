@@ -1,6 +1,11 @@
-"""Turns by hand: a guided capture of whole turns about x, y and z, each between two rests. It is fed the newest readings.
+"""Guides: what a person is asked to do, step by step, in the captures by hand: six faces at rest, then whole turns about each axis.
 
-    rest, ready -> turning -> rest: the turn is judged -> rest, ready ...
+A guide is fed the newest readings. It says what to do next, judges what the device does, and captures a step that was done well.
+Any step may be done in any order, or again: what was captured stays until there is another. A gap in the readings over 0.1 s, a
+touch or a tilt spoils a step; a single reading that was lost does not.
+
+    faces: moving -> settling -> still, counting down -> captured -> the next
+    turns: rest, ready -> turning -> rest: the turn is judged -> rest, ready ...
 
 A turn counts where its axis is one of the device's, gravity reads the same before and after, and its angle is near a whole
 number of turns. In counts no scale is known: a turn then is one turn, and its length must be like that of the others. Its sign
@@ -8,17 +13,21 @@ is that of the reading. The gyroscopes are calibrated by the stated angles, not 
 """
 
 import math
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import cast
 
 import numpy as np
 
 from undrift.errors import InputError
-from undrift.record import Axis, Face, Record, Still
+from undrift.record import FACES, Axis, Face, Record, Still
 from undrift.segments import StillSettings, find_still, find_turns
 from undrift.units import RADIAN_PER_DEGREE, is_physical, si_factor
-from undrift.web.capture import UNKNOWN, Capture, CapturedTurn, Light, Piece, Rest, State, way_of
+from undrift.web.capture import UNKNOWN, Capture, CapturedFace, CapturedTurn, Light, Piece, Rest, State, way_of
 
-WAYS = ("+x", "-x", "+y", "-y", "+z", "-z")  # + is counter-clockwise, seen with the axis up
+ORDER: tuple[Face, ...] = ("+z", "+x", "-z", "-x", "+y", "-y")  # each a quarter turn from the one before
+WAYS = FACES  # + is counter-clockwise, seen with the axis up
 FULL_TURN = 2.0 * math.pi
 NEAR = 0.15  # of a whole turn, relative: an uncalibrated gyroscope reads it within that
 LIKE = 0.3  # readings of turns in counts differ by less than this, relative
@@ -32,6 +41,103 @@ LONGEST_S = 60.0  # of a turn with its rests
 GAP = "Gap in the readings: that turn does not count."
 
 
+class Guide(ABC):
+    """One kind of step; its state stays until all steps are captured."""
+
+    step: str  # what a step is
+    order: tuple[str, ...]
+
+    def __init__(self, capture: Capture) -> None:
+        self.capture = capture
+        self.again: str | None = None  # that is to be captured once more
+        self.light = Light(state="no readings", text="No readings. Connect a device.")
+
+    @property
+    @abstractmethod
+    def done(self) -> Mapping[str, Piece]:
+        """What is captured, by its step."""
+
+    @property
+    def wanted(self) -> str | None:
+        """The step to do next; None when all are captured."""
+        return self.again or next((step for step in self.order if step not in self.done), None)
+
+    @property
+    def complete(self) -> bool:
+        """Whether all steps are captured."""
+        return len(self.done) == len(self.order)
+
+    def redo(self, step: str | None) -> None:
+        """Ask for a step once more; None takes that back. What was captured stays until it is there."""
+        if step is not None and step not in self.order:
+            raise InputError(f"redo: wanted one of {', '.join(FACES)}, got '{step}'; name a {self.step}")
+        self.again = step
+
+    def update(self, record: Record | None, now_s: float, key: object = None) -> Light:
+        """Take the newest readings and return the light."""
+        self.capture.take(record, now_s, key)
+        if self.capture.silent(now_s):
+            self.light = Light(state="no readings", text="No readings. Check power and connection of the device.")
+        else:
+            self.light = self._judged(self.capture.rest())
+        return self.light
+
+    def _captured(self, step: str) -> None:
+        self.again = None if step == self.again else self.again
+
+    @abstractmethod
+    def _judged(self, rest: Rest | None) -> Light: ...
+
+
+class SixFaces(Guide):
+    """Rests with each face up."""
+
+    step, order = "face", ORDER
+
+    def __init__(self, capture: Capture) -> None:
+        super().__init__(capture)
+        self._asked = (-1, 0.0)  # stretch and time at which a face was asked for again: its countdown begins there
+
+    @property
+    def done(self) -> Mapping[str, CapturedFace]:
+        """What is captured, by the face that was up."""
+        return cast(Mapping[str, CapturedFace], self.capture.faces)
+
+    def redo(self, step: str | None) -> None:
+        """Ask for a face once more; None takes that back."""
+        super().redo(step)
+        self._asked = (self.capture.stretch, self.capture.newest_s)
+
+    def _judged(self, rest: Rest | None) -> Light:
+        settings, wanted = self.capture.settings, self.wanted
+        if rest is None:
+            return Light(state="moving", text=f"Moving. {_turn(wanted)}")
+        face, tilt_deg = self.capture.face_of(rest)
+        if face is None:
+            return Light(state="unknown face", text=UNKNOWN)
+        if tilt_deg:
+            return Light(state="tilted", face=face, text=f"Tilted by {tilt_deg:.0f} deg. Lay it flat with {face} up.")
+        if face in self.capture.faces and face != self.again:
+            if wanted is None:
+                return Light(state="captured", face=face, text="All six faces are captured.")
+            state: State = "wrong face" if self.again else "captured"
+            return Light(state=state, face=face, text=f"{face} is captured. {_turn(wanted)}")
+        fresh = self._asked[1] if self.again and self._asked[0] == self.capture.stretch else rest.start_s
+        rested_s = rest.stop_s - max(rest.start_s, fresh)
+        if rested_s < settings.settle_s:
+            return Light(state="settling", face=face, text=f"Settling, {face} up. Do not touch it.")
+        left_s = settings.settle_s + settings.countdown_s - rested_s
+        if left_s > 0.0:
+            return Light(state="still", face=face, text=f"Still, {face} up. Do not touch it.", left_s=left_s)
+        self.capture.add_face(face, rest)
+        self._captured(face)
+        return Light(state="captured", face=face, text=f"{face} is captured. {_turn(self.wanted)}")
+
+
+def _turn(face: str | None) -> str:
+    return "All six faces are captured." if face is None else f"Turn {face} up."
+
+
 @dataclass(frozen=True, slots=True)
 class _Before:
     stretch: int
@@ -39,55 +145,35 @@ class _Before:
     face: Face | None
 
 
-class Turns:
-    """The guide; its state stays until all turns are there."""
+class Turns(Guide):
+    """Whole turns about each axis, both ways: ``+x`` is one about x, counter-clockwise."""
+
+    step, order = "turn", WAYS
 
     def __init__(self, capture: Capture) -> None:
-        self.capture = capture
-        self.again: str | None = None  # that is to be made once more
-        self.light = Light(state="no readings", text="No readings. Connect a device.")
+        super().__init__(capture)
         self.outcome = ""  # about the last turn
         self._before: _Before | None = None
         self._moved = False
 
     @property
-    def done(self) -> dict[str, CapturedTurn]:
+    def done(self) -> Mapping[str, CapturedTurn]:
         """What is captured, by its way."""
         return {way_of(turn): turn for turn in self.capture.turns}
-
-    @property
-    def wanted(self) -> str | None:
-        """The turn to make next: ``+x`` is one about x, counter-clockwise; None when all are captured."""
-        return self.again or next((way for way in WAYS if way not in self.done), None)
 
     @property
     def enough(self) -> bool:
         """Whether each axis has one turn or more."""
         return {way[1] for way in self.done} == {"x", "y", "z"}
 
-    @property
-    def complete(self) -> bool:
-        """Whether all six turns are captured."""
-        return set(self.done) == set(WAYS)
-
-    def redo(self, way: str | None) -> None:
-        """Ask for a turn once more; None takes that back. What was captured stays until it is there."""
-        if way is not None and way not in WAYS:
-            raise InputError(f"redo: wanted one of {', '.join(WAYS)}, got '{way}'; name a turn")
-        self.again = way
-
     def update(self, record: Record | None, now_s: float, key: object = None) -> Light:
-        """Take the newest readings and return the light."""
-        self.capture.take(record, now_s, key)
-        if self.capture.silent(now_s):
-            self._before = None
-            self.light = Light(state="no readings", text="No readings. Check power and connection of the device.")
-        else:
-            self.light = self._judged()
-        return self.light
+        """Take the newest readings and return the light; after a silence a turn begins anew."""
+        light = super().update(record, now_s, key)
+        self._before = None if light.state == "no readings" else self._before
+        return light
 
-    def _judged(self) -> Light:
-        before, rest = self._before, self.capture.rest()
+    def _judged(self, rest: Rest | None) -> Light:
+        before = self._before
         if before is not None and before.stretch != self.capture.stretch:
             before = self._before = None
             self.outcome = GAP
@@ -151,7 +237,7 @@ class Turns:
         )
         self.capture.add_turn(piece)
         way = way_of(piece)
-        self.again = None if way == self.again else self.again
+        self._captured(way)
         return f"Captured: {named(way)}{'' if abs(whole) == 1 else f', {abs(whole)} turns'}."
 
     def _returned(self, before: _Before, after: Rest) -> bool:

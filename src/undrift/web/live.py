@@ -1,70 +1,51 @@
-"""Live: what the device reads now, raw against corrected, pitch and temperature; recorded to a file on request."""
+"""The page Live: what the device reads now, raw against corrected, pitch and temperature; recorded to a file on request."""
 
 import asyncio
 import math
 from datetime import datetime
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 from nicegui import ui
 
-from undrift.errors import UndriftError
-from undrift.record import FACES
-from undrift.web.bench import Bench
+from undrift.errors import InputError, UndriftError
+from undrift.record import FACES, Face
+from undrift.web import parts
 from undrift.web.commands import Remark, without_folders
 from undrift.web.feed import Panel
-from undrift.web.frame import (
-    Field,
-    button,
-    connect_form,
-    error_line,
-    frame,
-    next_step,
-    redrawn,
-    remarks_list,
-    set_text,
-    text,
-)
 from undrift.web.source import Source, Status
+from undrift.web.start import connect_form
 from undrift.web.uploads import safe_name
 
-LOOK_S = 0.5
+if TYPE_CHECKING:
+    from undrift.web.bench import Bench
+
 NONE = "none: raw readings"
-WAYS = ("forward", "up")
 
 
-def page(bench: Bench) -> None:
+def page(bench: "Bench") -> None:
     """Build the page."""
-    with frame(bench, "Live"):
-        words = text("p", "", "live-status")
-        doing: list[str] = []  # what went wrong with the last click
-        error_line(lambda: " ".join((*_wrong(bench), *doing)))
-        record = next_step("Start recording", lambda: start_or_stop(bench, doing))
-        hint = text("p", "Connect a device below. The practice device is a simulated sensor.")
-        redrawn(lambda: _remarks(bench), lambda _: remarks_list(_remarks(bench)))
-        redrawn(lambda: bench.recordings.chosen and bench.recordings.chosen.path, lambda _: _recorded(bench))
-        Panel()
-        shown: list[Field] = []  # the choice of a calibration; another browser may change it
-        redrawn(lambda: _files(bench), lambda _: _settings(bench, shown))
-        connect_form(bench)
 
-    def refresh() -> None:
-        status = None if bench.source is None else bench.source.status()
-        set_text(words, "" if status is None else status_line(status))
-        set_text(record, "Start recording" if status is None or status.file is None else "Stop recording")
-        record.set_visibility(status is not None)
-        hint.set_visibility(status is None)
-        if shown and shown[-1].value != (now := _name(bench.calibration)):
-            shown[-1].set(now)
-
-    async def look() -> None:
-        refresh()
+    async def use() -> None:
         source = bench.source
         if source is not None and source.calibration_file != bench.calibration:
             await asyncio.to_thread(source.use, bench.calibration)
 
-    refresh()
-    ui.timer(LOOK_S, look)
+    def label() -> str:
+        return "Start recording" if bench.source is None or bench.source.status().file is None else "Stop recording"
+
+    with parts.frame(bench, "Live"):
+        parts.text("p", lambda: "" if bench.source is None else status_line(bench.source.status()), "live-status")
+        parts.error_line(lambda: " ".join(_wrong(bench)))
+        parts.shown_if(parts.next_step(label, lambda: start_or_stop(bench)), lambda: bench.source is not None)
+        hint = parts.text("p", "Connect a device below. The practice device is a simulated sensor.")
+        parts.shown_if(hint, lambda: bench.source is None)
+        parts.redrawn(lambda: _remarks(bench), lambda: parts.remarks_list(_remarks(bench)))
+        parts.redrawn(lambda: bench.recordings.chosen and bench.recordings.chosen.path, lambda: _recorded(bench))
+        Panel()
+        parts.redrawn(lambda: _files(bench), lambda: _settings(bench))
+        connect_form(bench)
+        parts.bound(use)
 
 
 def status_line(status: Status) -> str:
@@ -84,7 +65,7 @@ def status_line(status: Status) -> str:
     return "; ".join(parts) + "."
 
 
-def _wrong(bench: Bench) -> list[str]:
+def _wrong(bench: "Bench") -> list[str]:
     """Return what is wrong in plain words: with the connection, the file."""
     if bench.source is None:
         return []
@@ -93,17 +74,16 @@ def _wrong(bench: Bench) -> list[str]:
     return [words for words in (lost, status.file_error) if words]
 
 
-def _remarks(bench: Bench) -> list[Remark]:
+def _remarks(bench: "Bench") -> list[Remark]:
     """Return what the correction warns of, and what a reader of it should know."""
     status = None if bench.source is None else bench.source.status()
     lines = {} if status is None else {"warn": status.correction, "info": status.notes}
     return [Remark(level=level, text=line) for level, words in lines.items() for line in words.splitlines()]
 
 
-async def start_or_stop(bench: Bench, wrong: list[str]) -> None:
+async def start_or_stop(bench: "Bench") -> None:
     """Begin a recording, or finish the one that is going on and add it to the page Recordings."""
     source = bench.source
-    wrong.clear()
     if source is None:
         return
     try:
@@ -112,21 +92,21 @@ async def start_or_stop(bench: Bench, wrong: list[str]) -> None:
         elif (path := await asyncio.to_thread(source.stop_writing)) is not None:
             await bench.recordings.add(path)
     except (UndriftError, OSError) as error:
-        wrong.append(without_folders(str(error), bench.folder))
+        raise InputError(without_folders(str(error), bench.folder)) from error
 
 
-def _recorded(bench: Bench) -> None:
+def _recorded(bench: "Bench") -> None:
     """Say where the last recording is."""
     chosen = bench.recordings.chosen
     if chosen is not None and chosen.path.name.startswith("live-"):
         with ui.element("p"):
-            text("span", f"Recorded: {chosen.path.name}. ")
+            parts.text("span", f"Recorded: {chosen.path.name}. ")
             ui.link("Download it", bench.link(chosen.path) + "?download=1")
-            text("span", " or ")
+            parts.text("span", " or ")
             ui.link("correct it", "/recordings")
 
 
-def start_recording(bench: Bench, source: Source) -> Path:
+def start_recording(bench: "Bench", source: Source) -> Path:
     """Begin a file of raw readings in a folder of its own among the recordings."""
     name = f"live-{datetime.now():%Y-%m-%d-%H%M%S}-{safe_name(source.name, 'device')}"
     folder = bench.folder / "uploads" / name
@@ -135,7 +115,7 @@ def start_recording(bench: Bench, source: Source) -> Path:
     return folder / f"{name}.parquet"
 
 
-def _files(bench: Bench) -> tuple[Path, ...]:
+def _files(bench: "Bench") -> tuple[Path, ...]:
     """Return the calibrations of the bench, newest first."""
     made = sorted(bench.folder.glob("jobs/*/calibration.json"), reverse=True)
     sent = [one.path for one in bench.recordings.files if one.kind == "calibration"]
@@ -147,28 +127,34 @@ def _name(path: Path | None) -> str:
     return NONE if path is None else f"{path.parent.name}/{path.name}"
 
 
-def _settings(bench: Bench, shown: list[Field]) -> None:
-    """Add the choice of a calibration, and the axes of the pitch."""
+def _settings(bench: "Bench") -> None:
+    """Add the choice of a calibration, which another browser may change, and the axes of the pitch."""
     paths = {_name(path): path for path in _files(bench)}
-    text("h2", "Correction and pitch")
-    with ui.element("div").classes("row"):
-        chosen = Field("Calibration", _name(bench.calibration), options=(NONE, *paths))
-        shown[:] = [chosen]
+    axes: list[Face] = [*(("+x", "+z") if bench.source is None else bench.source.axes)]
 
-        def choose(event: Any) -> None:
-            bench.calibration = paths.get(str(event.args))
-
-        chosen.element.on("change", choose, js_handler="(event) => emit(event.target.value)")
-        given = ("+x", "+z") if bench.source is None else bench.source.axes
-        axes = [Field(f"Axis that points {way}", axis, options=FACES) for way, axis in zip(WAYS, given, strict=True)]
-        button("Set axes", lambda: turn())  # noqa: PLW0108 (defined below, with the line that it writes to)
-    wrong = text("p", "", "bench-error").props('role="alert"')
+    def follow() -> None:
+        if chosen.value != (now := _name(bench.calibration)):
+            chosen.set(now)
 
     def turn() -> None:
-        forward, up = (next(face for face in FACES if face == axis.value) for axis in axes)
-        set_text(wrong, "" if bench.source is not None else "Wanted a device, got none; connect it first")
-        try:
-            if bench.source is not None:
-                bench.source.set_axes(forward, up)
-        except UndriftError as error:
-            set_text(wrong, str(error))
+        if bench.source is None:
+            raise InputError("Wanted a device, got none; connect it first")
+        bench.source.set_axes(*axes)
+
+    parts.text("h2", "Correction and pitch")
+    with parts.row():
+        chosen = parts.Field(
+            "Calibration",
+            _name(bench.calibration),
+            options=(NONE, *paths),
+            keep=lambda name: setattr(bench, "calibration", paths.get(name)),
+        )
+        for k, way in enumerate(("forward", "up")):
+            parts.Field(
+                f"Axis that points {way}",
+                axes[k],
+                options=FACES,
+                keep=lambda axis, k=k: axes.__setitem__(k, axis),  # type: ignore[misc]
+            )
+        parts.button("Set axes", turn)
+    parts.bound(follow)

@@ -1,0 +1,433 @@
+"""What pages are made of: parts that are bound to the state of the bench, and the frame around them.
+
+A page is a list of parts. What a part shows is a text, or a function of the state that one timer of the page asks again and again
+(``bound``); after each click it is asked at once. A handler of a button raises what it refuses, which is then shown beside the
+button, and returns the page that comes next, if there is one. Forms are made from dataclasses whose fields are ``asked``.
+"""
+
+import json
+import re
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import field, fields
+from functools import partial
+from inspect import isawaitable, iscoroutinefunction
+from typing import TYPE_CHECKING, Any
+from weakref import WeakKeyDictionary
+
+from nicegui import Client, ui
+
+from undrift.errors import UndriftError
+from undrift.web.commands import Remark
+
+if TYPE_CHECKING:
+    from undrift.web.bench import Bench, Job
+
+PAGES = {  # path -> name, in the order of the navigation
+    "/": "Start",
+    "/six-faces": "Six faces",
+    "/turns": "Turns by hand",
+    "/rate-table": "Rate table",
+    "/temperature": "Temperature",
+    "/result": "Result",
+    "/live": "Live",
+    "/recordings": "Recordings",
+    "/devices": "Devices",
+}
+REFRESH_S = 0.25
+ALONE = "Calibrate the accelerometers alone"
+SHOWN_FIRST = 3  # remarks that are open, and every one that is no mere note
+LEVEL_NAMES = {"fail": "Failed", "warn": "Warning", "info": "Note"}
+CONTROLS = {  # options of the commands that a page offers, and what they are called there
+    "--sample-rate-hz": "Samples per second, Hz",
+    "--turn-deg": "Angle of its turns, deg",
+    "--serial": "Serial number",
+    "--forward": "Side that points forward",
+    "--up": "Side that points up",
+    "--markers": "Markers",
+    "--reference-up": "Laboratory axis that points up",
+    "--gyro-unit": "Unit of the gyroscopes",
+    "--accel-unit": "Unit of the accelerometers",
+    "--gyro none": ALONE,
+    "--latitude-deg": "Town, or latitude in deg",
+    "--height-m": "Height above the sea, m",
+    "--gravity-m-s2": "Gravity, m/s2",
+}
+
+Words = str | Callable[[], str]  # Of a part: as they are, or as the state has them now
+Handler = Callable[[], Any]  # Of a click: may be awaited; returns the path of the page to open, if any
+_BOUND: WeakKeyDictionary[Client, list[tuple[ui.element, Callable[[], Any]]]] = WeakKeyDictionary()
+
+# ---- Parts that are bound to the state
+
+
+def bound(show: Callable[[], Any]) -> None:
+    """Show something now, and again with each look of the page, as long as the part of the page is there that it was added to."""
+    if not iscoroutinefunction(show):
+        show()
+    _BOUND.setdefault(ui.context.client, []).append((ui.context.slot.parent, show))
+
+
+async def look(client: Client) -> None:
+    """Show what is bound as it is now, what is drawn anew first."""
+    for parent, show in [*_BOUND.get(client, ())]:
+        if not parent.is_deleted:
+            with parent:
+                if isawaitable(waited := show()):
+                    await waited
+    _BOUND[client] = [each for each in _BOUND.get(client, ()) if not each[0].is_deleted]
+
+
+def text(tag: str, words: Words = "", classes: str = "", *, role: str = "") -> Any:
+    """Add an element with plain text: never markup, whatever the words hold."""
+    made = ui.element(tag).classes(classes)
+    if role:
+        made.props(f'role="{role}"')
+    if callable(words):
+        bound(lambda: set_text(made, words()))
+    else:
+        made._text = words
+    return made
+
+
+def set_text(element: Any, words: str) -> None:
+    """Change the text of an element, where it is another one."""
+    if element._text != words:
+        element._text = words
+        element.update()
+
+
+def set_prop(element: Any, name: str, value: object) -> None:
+    """Change an attribute of an element where it is another one; None takes it away."""
+    if element.props.get(name) != value:
+        if value is None:
+            element.props.pop(name)
+        else:
+            element.props[name] = value
+        element.update()
+
+
+def picture(svg: Callable[[], str], classes: str = "") -> Any:
+    """Add a drawing that is changed only where it is another one."""
+    made = ui.html("", sanitize=False).classes(classes)
+
+    def show() -> None:
+        if made.content != (drawn := svg()):
+            made.set_content(drawn)
+
+    bound(show)
+    return made
+
+
+def shown_if(element: Any, true: Callable[[], bool]) -> Any:
+    """Show an element while something is true."""
+    bound(lambda: element.set_visibility(true()))
+    return element
+
+
+def redrawn(state: Callable[[], object], draw: Callable[[], None]) -> None:
+    """Add a part that is drawn anew whenever the state changes, in this browser or another."""
+    seen = [state()]
+    part = ui.refreshable(draw)
+    part()
+
+    def show() -> None:
+        if (now := state()) != seen[0]:
+            seen[0] = now
+            part.refresh()
+
+    bound(show)
+
+
+def scrolling(label: str, classes: str = "") -> Any:
+    """Add a part that scrolls sideways where the screen is narrow, by the keyboard too."""
+    made = ui.element("div").classes(f"scroll {classes}").props('tabindex="0" role="region"')
+    made.props["aria-label"] = label  # a serial number in it may hold anything
+    return made
+
+
+def section(label: str, classes: str = "") -> Any:
+    """Add a part with a name of its own."""
+    return ui.element("section").classes(classes).props(f'aria-label="{label}"')
+
+
+def row(classes: str = "") -> Any:
+    """Add a row, which breaks where the screen is narrow."""
+    return ui.element("div").classes(f"row {classes}")
+
+
+def table(
+    caption: str, heads: Sequence[str], rows: Sequence[Sequence[Any]], classes: str = "", *, region: str = ""
+) -> None:
+    """Add a table that scrolls where the screen is narrow; a cell is words, words and a class ("head" names the row), or Parts."""
+    with scrolling(caption, region), ui.element("table").classes(classes):
+        text("caption", caption)
+        if heads:
+            with ui.element("thead"), ui.element("tr"):
+                for head in heads:
+                    text("th", head).props('scope="col"')
+        with ui.element("tbody"):
+            for cells in rows:
+                with ui.element("tr"):
+                    for cell in cells:
+                        _cell(cell)
+
+
+def _cell(cell: Any) -> None:
+    if isinstance(cell, Parts):
+        with ui.element("td"):
+            cell.add()
+        return
+    words, classes = cell if isinstance(cell, tuple) else (cell, "")
+    if classes == "head":
+        text("th", words).props('scope="row"')
+    else:
+        text("td", words, classes)
+
+
+class Parts:
+    """A cell of a table that is no text: what adds its parts."""
+
+    def __init__(self, add: Callable[[], object]) -> None:
+        self.add = add
+
+
+# ---- Controls
+
+
+def button(label: Words, handler: Handler, classes: str = "", *, name: str = "", pressed: bool | None = None) -> Any:
+    """Add a plain button: label, what it does, what a screen reader calls it, whether it is the chosen one of several."""
+    made = text("button", label, classes).props('type="button"')
+    if name:
+        made.props["aria-label"] = name
+    if pressed is not None:
+        made.props["aria-pressed"] = str(pressed).lower()
+    client, place, refusals = ui.context.client, ui.context.slot.parent, list[Any]()
+
+    async def click() -> None:
+        while refusals:
+            refusals.pop().delete()
+        try:
+            went = handler()
+            went = await went if isawaitable(went) else went
+        except UndriftError as error:
+            went = None
+            if not place.is_deleted:
+                with place:
+                    refusals.append(text("p", str(error), "bench-error", role="alert"))
+        if isinstance(went, str):
+            client.open(went)  # of the client: the button may be drawn anew by then
+        await look(client)
+
+    # the second click of a double click is ignored: it would undo the first
+    made.on("click", click, js_handler="(event) => { if (event.detail < 2) emit() }")
+    return made
+
+
+def next_step(label: Words, handler: Handler | str) -> Any:
+    """Add the one obvious next step of a page: a button that calls, or a link to another page."""
+    if isinstance(handler, str):
+        return ui.link(str(label), handler).classes("next")
+    return button(label, handler, "next")
+
+
+def disabled_if(element: Any, true: Callable[[], bool]) -> Any:
+    """Disable a plain button while something is true."""
+    bound(lambda: set_prop(element, "disabled", true() or None))
+    return element
+
+
+class Field:
+    """A labelled input, a choice, or (kind list) an input with proposals; ``value`` is what was typed or chosen."""
+
+    def __init__(
+        self,
+        label: str,
+        value: str = "",
+        *,
+        hint: str = "",
+        kind: str = "text",
+        options: Sequence[str] | Callable[[], Sequence[str]] = (),
+        keep: Callable[[str], Any] = bool,
+    ) -> None:
+        self.value, self._keep = value, keep
+        options = options() if callable(options) else options
+        with ui.element("label").classes("bench-field"):
+            text("span", label)
+            if options and kind != "list":
+                with ui.element("select") as self.element:
+                    for option in options:
+                        made = text("option", option).props("selected" if option == value else "")
+                        made.props["value"] = option
+            else:
+                self.element = ui.element("input").props(
+                    f'type="{kind}" autocomplete="off"' + (' step="any"' if kind == "number" else "")
+                )
+                # the attribute: the property would undo what is typed at each redraw
+                self.element.props["^value"] = value
+            if kind == "list":  # to type, or to choose
+                with ui.element("datalist") as listed:
+                    for option in options:
+                        ui.element("option").props["value"] = option
+                self.element.props["list"] = listed.html_id
+            if hint:
+                text("span", hint, "soft")
+        self.element.on("input", self._take, js_handler="(event) => emit(event.target.value)")
+
+    def set(self, value: str) -> None:
+        """Show another value."""
+        self.value = value
+        self.element.props["^value"] = value
+        self.element.update()
+        self.element.client.run_javascript(f"getHtmlElement({self.element.id}).value = {json.dumps(value)}")
+
+    def number(self) -> float | None:
+        """Return what was typed as a number; None where it is none."""
+        try:
+            return float(self.value.replace(",", "."))
+        except ValueError:
+            return None
+
+    def _take(self, event: Any) -> None:
+        self.value = str(event.args)
+        self._keep(self.value)
+
+
+def asked(label: str, value: str = "", **how: Any) -> Any:
+    """Return a field of a dataclass that a form asks for: its label, or the option of a command, and more of a ``Field``."""
+    return field(default=value, metadata={"label": CONTROLS.get(label, label), **how})
+
+
+def form(holder: Any, *names: str) -> dict[str, Field]:
+    """Add a row of inputs for fields of a dataclass that are ``asked``; what is typed is kept there."""
+    how = {one.name: one.metadata for one in fields(holder)}
+    with row("form"):
+        return {
+            name: Field(value=getattr(holder, name), keep=partial(setattr, holder, name), **how[name]) for name in names
+        }
+
+
+def choices(label: str, every: Sequence[str], holder: Any, name: str) -> None:
+    """Add boxes to tick; the chosen ones are kept in a field of a holder, in their order."""
+    with ui.element("fieldset").classes("row choices"):
+        text("legend", label)
+        for option in every:
+            with ui.element("label"):
+                box = ui.element("input").props(f'type="checkbox" value="{option}"')
+                if option in getattr(holder, name):
+                    box.props("checked")
+                text("span", option)
+
+                def take(event: Any, option: str = option) -> None:
+                    kept = {*getattr(holder, name)} - {option} | ({option} if event.args else set())
+                    setattr(holder, name, tuple(one for one in every if one in kept))
+
+                box.on("change", take, js_handler="(event) => emit(event.target.checked)")
+
+
+# ---- Words for a person
+
+
+def status_line(words: Words, classes: str = "soft") -> Any:
+    """Add a line that is read out when it changes."""
+    return text("p", words, classes, role="status")
+
+
+def error_line(words: Words) -> Any:
+    """Add a line for what went wrong; empty while nothing has."""
+    return text("p", words, "bench-error", role="alert")
+
+
+@contextmanager
+def folded(words: str) -> Iterator[Any]:
+    """Add parts that are folded below a line."""
+    with ui.element("details") as made:
+        text("summary", words)
+        yield made
+
+
+def remarks_list(remarks: Sequence[Remark]) -> None:
+    """List what a command noticed, each with what to do; notes after the first few are folded."""
+    count = max(SHOWN_FIRST, sum(one.level != "info" for one in remarks))
+    with ui.element("ul").classes("remarks"):
+        for one in remarks[:count]:
+            with ui.element("li").classes(one.level):
+                text("strong", f"{LEVEL_NAMES[one.level]}: ")
+                text("span", page_words(one.text).rstrip(".") + ".")
+                if action := page_words(one.action):
+                    text("p", f"{action[:1].upper()}{action[1:]}.", "soft")
+    if len(remarks) > count:
+        with folded(f"{len(remarks) - count} more"):
+            for one in remarks[count:]:
+                remarks_list([one])
+
+
+def page_words(words: str) -> str:
+    """Return a text of a command with the options that a page offers called as they are there."""
+    for option, label in CONTROLS.items():
+        words = re.sub(rf"{option}(?![\w-])", f"“{label}”", words)
+    return words
+
+
+def refused(bench: "Bench", job: "Job | None", error: str, keep: Callable[[str], object] = bool) -> None:
+    """Say what was refused; where gyroscopes, turns or rates spoilt a job's calibration, offer it without them."""
+    if error:
+        error_line(page_words(error))
+    if job is None or not job.words or "--gyro" in job.words or error != job.error:
+        return
+    if not re.search("gyro|turn|rotation|rate", error):
+        return
+
+    async def again() -> str | None:
+        turns = job.words.index("--turn-deg") if "--turn-deg" in job.words else len(job.words)  # not used then
+        outcome = await bench.calibrate(job, *job.words[:turns], *job.words[turns + 2 :], "--gyro", "none")
+        keep(outcome.error)
+        return "/result" if outcome.done else None
+
+    button(ALONE, again)
+
+
+# ---- What every page has: heading, navigation, what is connected, the emergency stop
+
+
+@contextmanager
+def frame(bench: "Bench", title: str) -> Iterator[None]:
+    """Build a page around what the block adds, with the one timer of what is bound."""
+    with ui.element("header").classes("bench-head"):
+        ui.link("undrift bench", "/").classes("bench-name")
+        with ui.element("nav").props('aria-label="Pages"'):
+            for path, name in PAGES.items():
+                link = ui.link(name, path)
+                if name == title:
+                    link.props('aria-current="page"')
+        status_line(lambda: device_line(bench), "bench-device")
+        _stop_button(bench)
+    with ui.element("div").classes("bench-main"):
+        text("h1", title)
+        yield
+        status_line(lambda: _work(bench), "bench-work")
+    ui.timer(REFRESH_S, partial(look, ui.context.client))
+
+
+def device_line(bench: "Bench") -> str:
+    """Return in words what is connected."""
+    if bench.connecting:
+        return f"Connecting {bench.connecting} ..."
+    if bench.source is None:
+        return (bench.source_error and f"No device: {bench.source_error}") or "No device connected"
+    return f"Device: {bench.source.name}" + (f" ({bench.source.error})" if bench.source.error else "")
+
+
+def _work(bench: "Bench") -> str:
+    now = bench.working[-1] if bench.working else None
+    return "" if now is None else f"Working: {now.what}. {now.line}"
+
+
+def _stop_button(bench: "Bench") -> None:
+    """Add the emergency stop: a form of its own, so that it works beside a page that is busy; shown while a table may move."""
+    stop = ui.element("form").props('method="post" action="/stop" id="bench-stop"').classes("bench-stop")
+    with stop:
+        label = text("button", "Emergency stop (Esc)", "stop").props('type="submit" aria-keyshortcuts="Escape"')
+        label.props('title="Stop the table at once and switch its motor off"')
+    bound(lambda: set_prop(stop, "data-place", "" if bench.rig_run is None else bench.rig_run.stop_url))
+    shown_if(stop, lambda: bench.rig_run is not None and bench.rig_run.may_move)

@@ -1,0 +1,135 @@
+"""The page Result: verdict and findings of a calibration, its report, its certificate, and its entry in the registry."""
+
+from functools import partial
+from typing import TYPE_CHECKING
+
+from nicegui import ui
+
+from undrift.errors import InputError
+from undrift.web import parts
+from undrift.web.commands import Outcome, remarks_of, stated
+from undrift.web.start import place_form
+
+if TYPE_CHECKING:
+    from undrift.web.bench import Bench, Job
+
+
+def page(bench: "Bench") -> None:
+    """Build the page."""
+    with parts.frame(bench, "Result"):
+        parts.redrawn(lambda: _state(bench), lambda: _shown(bench))
+
+
+def _state(bench: "Bench") -> tuple[object, ...]:
+    job = bench.job
+    if job is None:
+        return ()
+    return job.folder, id(job.answer), job.certificate, job.registered, job.error, len(job.later), bench.calibration
+
+
+def _shown(bench: "Bench") -> None:
+    if bench.job is None or bench.job.calibration is None:
+        parts.text("p", "No calibration yet. Record six faces, run the rate table, or open a recording.")
+        parts.next_step("Choose what to record", "/")
+    else:
+        _result(bench, bench.job)
+    now = None if bench.job is None else bench.job.folder
+    earlier = [path.parent for path in sorted(bench.folder.glob("jobs/*/calibration.json"), reverse=True)]
+    if earlier := [folder for folder in earlier if folder != now]:
+        parts.text("h2", "Earlier results")
+        with ui.element("ul"):
+            for folder in earlier[:20]:
+                with ui.element("li"):
+                    parts.button(f"Open {folder.name}", partial(bench.open_job, folder))
+
+
+def _result(bench: "Bench", job: "Job") -> None:
+    status = (job.answer.get("verdict") or {}).get("status", "")
+    with parts.section("Verdict", f"verdict {status}"):
+        parts.text("h2", f"Verdict: {status or 'unknown'}")
+        parts.text("p", f"Device {job.answer.get('device') or job.serial or 'without a serial number'}")
+        if job.lacks:
+            lacks = " and ".join(job.lacks)
+            parts.text(
+                "p", f"It lacks the {lacks}: their readings stay uncorrected; in counts they are left out.", "lacks"
+            )
+        parts.remarks_list(remarks_of({**job.answer, "later": job.later}))
+    parts.refused(bench, job, job.error)
+    if job.gravity_assumed and job.certificate is None:
+        _gravity(bench, job)
+    _step(bench, job)
+    with parts.row():
+        for label, path in (("Calibration", job.calibration), ("Certificate", job.certificate), ("Report", job.report)):
+            if path is not None and path.exists():
+                ui.link(f"Download {label.lower()}", bench.link(path) + "?download=1")
+        if bench.calibration == job.calibration:
+            parts.text("p", "Live and Recordings use this calibration.", "soft")
+        else:
+            without = f", without {' and '.join(job.lacks)}" if job.lacks else ""
+            parts.button(
+                f"Use it in Live and Recordings{without}", lambda: setattr(bench, "calibration", job.calibration)
+            )
+    if job.registered:
+        parts.text("p", job.registered, "soft")
+    if job.report is not None and job.report.exists():
+        parts.text("h2", "Report")
+        made = ui.element("iframe").classes("report").props('title="Report of the calibration" tabindex="0"')
+        made.props["src"] = bench.link(job.report)
+
+
+def _step(bench: "Bench", job: "Job") -> None:
+    """Add the one next step: register, then the certificate, then recordings."""
+    if not job.registered:
+        serial = None if job.answer.get("device") else parts.Field("Serial number of the device", job.serial)
+        parts.next_step(
+            "Register the calibration", lambda: register(bench, job, "" if serial is None else serial.value)
+        )
+    elif job.certificate is None:
+        unstated = ", gravity not stated" if job.gravity_assumed else ""
+        parts.next_step(f"Make the certificate{unstated}", lambda: certify(bench, job))
+    else:
+        parts.next_step("Correct recordings", "/recordings")
+
+
+def _gravity(bench: "Bench", job: "Job") -> None:
+    """Ask for gravity before the certificate: the scale of the accelerometers is known no better."""
+
+    async def again() -> None:
+        if not bench.place.words():
+            raise InputError("gravity: wanted a town, a latitude or gravity itself, got none; fill one in")
+        await bench.calibrate(job, *job.words)
+
+    with parts.section("Gravity", "card"):
+        parts.text("h2", "Where was it recorded?")
+        parts.text(
+            "p", "Nobody stated local gravity: the certificate carries 0.15 % for it, in the accelerometers' scale."
+        )
+        if job.words:
+            place_form(bench, "Calibrate with this gravity", again)
+        else:
+            parts.text("p", "State the place on the page Start, then calibrate again.")
+
+
+async def register(bench: "Bench", job: "Job", serial: str) -> None:
+    """Add the calibration to the registry; one that names no device, under a serial number."""
+    words = stated(serial=serial.strip(), registry=bench.settings.registry)
+    outcome = await bench.command("registry", "add", job.calibration, *words)
+    _heard(job, outcome)
+    if outcome.done:
+        (entry, *_) = outcome.answer["entries"]
+        due = f", due {entry['due_at'][:10]}" if entry.get("due_at") else ""
+        job.registered = f"Registered as entry {entry['entry']}{due}."
+
+
+async def certify(bench: "Bench", job: "Job") -> None:
+    """Write the certificate, and add it to the registry."""
+    path = job.folder / "certificate.pdf"
+    words = stated(registry=bench.settings.registry)
+    outcome = await bench.command("certificate", job.calibration, "-o", path, "--register", *words)
+    _heard(job, outcome)
+    if outcome.done:
+        job.certificate = path
+
+
+def _heard(job: "Job", outcome: Outcome) -> None:
+    job.error, job.later = outcome.error, [*job.later, outcome.answer]

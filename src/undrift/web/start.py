@@ -1,0 +1,230 @@
+"""The page Start: what do you have? Each answer leads to the recording it needs. The device is connected, the place stated."""
+
+import csv
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache, partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from nicegui import ui
+
+from undrift.errors import InputError
+from undrift.units import STANDARD_GRAVITY, gravity_at
+from undrift.web import parts
+from undrift.web.commands import stated
+
+if TYPE_CHECKING:
+    from undrift.web.bench import Bench
+
+PRACTICE = "emulator"  # the address of the practice device
+ADDRESSES = "serial:///dev/ttyUSB0?baud=115200&..., tcp://host:port?..., udp://:port, lsl:name, ble:id"  # examples
+
+# ---- Where the bench stands
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Site:
+    """Where the bench stands; gravity follows by WGS 84 where it is not stated itself."""
+
+    latitude_deg: float | None = None
+    height_m: float = 0.0
+    stated_m_s2: float | None = None  # local gravity, before that of the latitude
+
+    def __post_init__(self) -> None:
+        if self.latitude_deg is not None and not -90.0 <= self.latitude_deg <= 90.0:
+            raise InputError(f"latitude: wanted -90 to 90 deg, got {self.latitude_deg:g}; north is positive")
+        if not -500.0 <= self.height_m <= 9000.0:
+            raise InputError(f"height: wanted -500 to 9000 m, got {self.height_m:g}; state metres above the sea")
+        if self.stated_m_s2 is not None and not 9.7 < self.stated_m_s2 < 9.9:
+            raise InputError(f"gravity: wanted 9.7 to 9.9 m/s2, got {self.stated_m_s2:g}; state it in m/s2, or a town")
+
+    @property
+    def gravity_m_s2(self) -> float:
+        """Return local gravity, m/s2; standard gravity where the place is not known."""
+        if self.stated_m_s2 is not None or self.latitude_deg is None:
+            return self.stated_m_s2 or STANDARD_GRAVITY
+        return gravity_at(self.latitude_deg, self.height_m)
+
+    def words(self) -> tuple[object, ...]:
+        """Return the options of ``calibrate`` for recordings that state no gravity."""
+        if self.stated_m_s2 is not None:
+            return stated(gravity_m_s2=self.stated_m_s2)
+        return () if self.latitude_deg is None else stated(latitude_deg=self.latitude_deg, height_m=self.height_m)
+
+
+@cache
+def towns() -> dict[str, tuple[float, float]]:
+    """Return latitude, deg, and height, m, of some towns by name."""
+    rows = csv.reader(Path(__file__).with_name("towns.csv").read_text(encoding="utf-8").splitlines())
+    return {town.casefold(): (float(latitude), float(height)) for town, latitude, height in rows}
+
+
+@dataclass(slots=True, kw_only=True)
+class PlaceForm:
+    """What is typed of a place."""
+
+    town: str = parts.asked("--latitude-deg", hint="north is positive", kind="list", options=lambda: list(towns()))
+    height: str = parts.asked("--height-m", hint="empty: that of the town")
+    gravity: str = parts.asked("--gravity-m-s2", hint="in place of the town")
+
+
+def place_of(town: str, height: str = "", gravity: str = "") -> Site:
+    """Return the place by what was typed: a town of the list or a latitude in deg, height in m, gravity in m/s2."""
+    latitude_deg, height_m = towns().get(town.strip().casefold(), (None, 0.0))
+    if latitude_deg is None and town.strip():
+        latitude_deg = _number("town", town, "a town of the list, or its latitude in deg")
+    return Site(
+        latitude_deg=latitude_deg,
+        height_m=_number("height", height, "metres above the sea") if height.strip() else height_m,
+        stated_m_s2=_number("gravity", gravity, "m/s2") if gravity.strip() else None,
+    )
+
+
+def _number(name: str, words: str, wanted: str) -> float:
+    try:
+        return float(words.replace(",", "."))
+    except ValueError as error:
+        raise InputError(f"{name}: wanted {wanted}, got '{words.strip()}'; type it so") from error
+
+
+def place_form(bench: "Bench", label: str, then: Callable[[], Any] = bool) -> None:
+    """Ask where the bench stands, as the scale of the accelerometers is known no better than gravity."""
+    place = bench.place
+    latitude, height, gravity = (
+        "" if value is None else f"{value:g}" for value in (place.latitude_deg, place.height_m, place.stated_m_s2)
+    )
+    typed = PlaceForm(town=latitude, height=height if latitude else "", gravity=gravity)
+    parts.form(typed, "town", "height", "gravity")
+
+    def keep() -> Any:
+        bench.set_place(place_of(typed.town, typed.height, typed.gravity))
+        return then()
+
+    parts.button(label, keep)
+
+
+# ---- The device
+
+
+def connect_form(bench: "Bench") -> None:
+    """Add the form that connects a device, and say what is connected."""
+    with parts.section("Device"):
+        parts.text("h2", "Device")
+        parts.text("p", lambda: _connected(bench))
+        with parts.row():
+            address = parts.Field("Address of the device", hint=ADDRESSES)
+            parts.button("Connect", lambda: bench.connect(address.value))
+            parts.button("Use the practice device", partial(bench.connect, PRACTICE))
+            parts.button("Disconnect", bench.disconnect)
+        parts.error_line(lambda: bench.source_error)
+
+
+def _connected(bench: "Bench") -> str:
+    if bench.connecting:
+        return f"Connecting {bench.connecting} ..."
+    if bench.source is not None:
+        return f"Connected: {bench.source.name}"
+    return "None connected. Connect yours, or try the practice device, a simulated sensor that you turn with buttons."
+
+
+# ---- The page
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Way:
+    """One answer: what a person has, the recording that is needed, and where it is made."""
+
+    have: str
+    record: str
+    gives: str
+    minutes: str
+    path: str
+    next: str
+    drawing: str
+
+
+_LINE = 'fill="none" stroke="currentColor" stroke-width="2.5" stroke-linejoin="round" stroke-linecap="round"'
+_BOX = '<path d="M{x} 46 l22 -11 22 11 -22 11 z M{x} 46 v22 l22 11 22 -11 v-22 M{y} 57 v22"/>'
+
+
+def _drawn(inside: str) -> str:
+    return f'<svg viewBox="0 0 220 100" aria-hidden="true"><g {_LINE}>{inside}</g></svg>'
+
+
+_ARC = '<path d="M{a} 30 a34 14 0 1 1 58 8 l-9 -1 m9 1 l-1 9"/>'
+WAYS = (
+    Way(
+        have="My hands and a level surface",
+        record="Six faces, each at rest for 6 s; then full turns about each axis, back to the mark.",
+        gives="Scale, cross-axis and offset of accelerometers and gyroscopes.",
+        minutes="5 min",
+        path="/six-faces",
+        next="Record six faces",
+        drawing=_drawn(_BOX.format(x=38, y=60) + _BOX.format(x=138, y=160) + '<path d="M98 54 h24 l-7 -6 m7 6 l-7 6"/>'),
+    ),
+    Way(
+        have="A rate table",
+        record="Steps of constant rate about each axis, mounted on three faces or more.",
+        gives="Gyroscope scale to 0.01 %, and the drift with rate in a chamber.",
+        minutes="20 min and more",
+        path="/rate-table",
+        next="Run the rate table",
+        drawing=_drawn(_BOX.format(x=88, y=110) + '<path d="M70 84 h80 M84 94 h52"/>' + _ARC.format(a=82)),
+    ),
+    Way(
+        have="A chamber, or a device that warms up",
+        record="Rests at set-points of temperature, or one rest from cold to warm.",
+        gives="Tables of offset over temperature.",
+        minutes="30 min to hours",
+        path="/temperature",
+        next="Record temperatures",
+        drawing=_drawn('<path d="M40 86 V14 M40 86 H186 M46 80 C80 78 86 30 120 26 S170 24 182 24"/>'
+            '<path d="M196 30 v34 a9 9 0 1 0 10 0 v-34 a5 5 0 0 0 -10 0"/>'),
+    ),
+    Way(
+        have="A recording made already",
+        record="Any log with rests, or full turns, or a warm-up; makers' exports too.",
+        gives="What the recording allows, and what it does not show.",
+        minutes="1 min",
+        path="/recordings",
+        next="Open a recording",
+        drawing=_drawn('<path d="M62 10 h66 l26 26 v54 h-92 z M128 10 v26 h26 M74 66 l12 -14 10 20 14 -34 12 26 10 -8 h12"/>'),
+    ),
+    Way(
+        have="Optical motion capture",
+        record="The device and a marker cluster on one rigid plate, moved about all axes for 60 s.",
+        gives="Angle errors in degrees, before and after the calibration.",
+        minutes="5 min",
+        path="/recordings",
+        next="Open recording and optics",
+        drawing=_drawn('<path d="M24 18 l22 8 -8 18 -22 -8 z M46 34 l36 18 M196 18 l-22 8 8 18 22 -8 z M174 34 l-36 18"/>'
+            + _BOX.format(x=88, y=110)),
+    ),
+)  # fmt: skip
+
+
+def page(bench: "Bench") -> None:
+    """Build the page."""
+    with parts.frame(bench, "Start"):
+        parts.text("p", "What do you have? Each option names the recording it needs.")
+        with ui.element("div").classes("cards"):
+            for way in WAYS:
+                with parts.section(way.have, "card"):
+                    ui.html(way.drawing, sanitize=False)
+                    parts.text("h2", way.have)
+                    parts.text("p", way.record)
+                    parts.text("p", f"{way.gives} {way.minutes}.", "soft")
+                    parts.next_step(way.next, way.path)
+        connect_form(bench)
+        with parts.section("Place"):
+            parts.text("h2", "Place")
+            parts.text(
+                "p", "It gives local gravity. Without it, standard gravity is assumed: up to 0.3 % error of scale."
+            )
+            place_form(bench, "Save")
+            parts.status_line(lambda: _place_words(bench.place))
+
+
+def _place_words(place: Site) -> str:
+    return f"Saved: {place.gravity_m_s2:.4f} m/s2" if place.words() else "Not stated"

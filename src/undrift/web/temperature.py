@@ -1,0 +1,233 @@
+"""The page Temperature: rests at set-points of a chamber, or one rest during a warm-up: curve, soak, what is left; then the fit."""
+
+import asyncio
+import math
+import time
+from collections.abc import Sequence
+from functools import partial
+from typing import TYPE_CHECKING
+
+from undrift.errors import InputError
+from undrift.record import joined
+from undrift.rig.chamber import LOOKS, SoakSettings, Steadiness, mean_temp
+from undrift.web import parts
+from undrift.web.rate_table import order_form, run_part, run_state
+from undrift.web.rig_run import Point, RigRun, View, add_point
+from undrift.web.start import connect_form
+
+if TYPE_CHECKING:
+    from undrift.record import Record
+    from undrift.web.bench import Bench, Job
+    from undrift.web.source import Source
+
+LOOK_S = 0.5  # between two looks at what came
+WIDTH, HEIGHT, LEFT, BOTTOM = 640, 240, 56, 34
+DRAWN = 300  # points of a curve
+
+
+class WarmUp:
+    """One recording, from its start to the fit; ``curve`` and ``stable_since`` grow while it goes on."""
+
+    def __init__(self, bench: "Bench", settings: SoakSettings = SoakSettings()) -> None:
+        self._bench, self.settings = bench, settings
+        self.job: Job | None = None
+        self.error = ""
+        self.recording = False
+        self._task: asyncio.Task[None] | None = None
+        self._clear()
+
+    def _clear(self) -> None:
+        """Forget what was seen of an earlier recording."""
+        self.curve: list[Point] = []
+        self.slope_c_per_min: float | None = None  # None before a window is full
+        self.stable_since: float | None = None  # s since 1970
+        self._steadiness = Steadiness(self.settings)
+
+    def start(self) -> None:
+        """Begin to record the device that is connected."""
+        source = self._bench.source
+        if source is None:
+            raise InputError("warm-up: wanted a device that sends, got none; connect it first")
+        if math.isnan(source.status().temp_c):
+            raise InputError("warm-up: wanted a device with a thermometer, got none; use a chamber with one")
+        job = self._bench.new_job(source.name)
+        source.write_to(job.folder / "warm_up.parquet")
+        self._clear()
+        self.job, self.error, self.recording = job, "", True
+        self._task = asyncio.create_task(self._follow(source))
+
+    async def finish(self) -> str | None:
+        """End the recording and fit the drift over its temperatures; return the page of the result."""
+        source, job = self._bench.source, self.job
+        self.recording = False
+        if job is None or source is None:
+            self.error = "warm-up: wanted the device to the end, got it disconnected; record again"
+            return None
+        path = await asyncio.to_thread(source.stop_writing)
+        if path is None:
+            self.error = "warm-up: wanted readings, got none; record again"
+            return None
+        outcome = await self._bench.fit_drift(job, path, "--warm-up")
+        self.error = outcome.error
+        return "/result" if outcome.done else None
+
+    async def _follow(self, source: "Source") -> None:
+        last = max((update.number for update in source.updates()), default=0)
+        held: list[Record] = []
+        while self.recording and source is self._bench.source:
+            await asyncio.sleep(LOOK_S)
+            came = source.updates(last)
+            if came:
+                last = came[-1].number
+                held += [update.raw for update in came]
+            if held and held[-1].time[-1] - held[0].time[0] >= self.settings.window_s / LOOKS:
+                self._look(joined(held))
+                held = []
+        self.recording = False
+
+    def _look(self, record: "Record") -> None:
+        """Take the mean of a while, as a soak of a run does."""
+        temp_c = mean_temp(record)
+        if temp_c is None:
+            return
+        self._steadiness.add(0.5 * float(record.time[0] + record.time[-1]), temp_c)
+        slope = self._steadiness.slope_c_per_min()
+        self.slope_c_per_min = slope if math.isfinite(slope) else None
+        steady = slope < self.settings.slope_c_per_min
+        self.stable_since = (self.stable_since or time.time()) if steady else None
+        add_point(self.curve, Point(time=time.time(), air_c=None, device_c=temp_c, soaking=not steady))
+
+
+# ---- The page
+
+
+def page(bench: "Bench") -> None:
+    """Build the page."""
+    with parts.frame(bench, "Temperature"):
+        parts.text("p", "The device rests at known temperatures, so that its drift can be fitted and corrected.")
+        parts.redrawn(lambda: (run_state(bench), bench.warm_up.recording), lambda: _part(bench))
+
+
+def _part(bench: "Bench") -> None:
+    run, warm_up = bench.rig_run, bench.warm_up
+    if warm_up.recording:
+        parts.text("h2", "Recording a warm-up")
+        parts.text("p", "Leave the device at rest. The recording continues when this page is closed.")
+        limit = warm_up.settings.slope_c_per_min
+        parts.status_line(lambda: steadiness_words(warm_up.slope_c_per_min, limit, warm_up.stable_since), "soak")
+        parts.picture(lambda: curve_svg(warm_up.curve), "curve")
+        parts.text("p", _corrected(bench), "soft")
+        parts.error_line(lambda: warm_up.error)
+        parts.next_step("End and fit the drift", warm_up.finish)
+    elif run is None or (run.view.steps and not run.view.set_points() and not run.may_move):
+        parts.text("h2", "With a chamber")
+        order_form(bench, bench.table.soaks, chamber=True)
+        parts.text("h2", "Without a chamber")
+        parts.text("p", "Switch the cold device on, leave it at rest, and record until its temperature is stable.")
+        connect_form(bench)
+        parts.error_line(lambda: warm_up.error)
+        parts.button("Record a warm-up", warm_up.start)
+    elif run.view.steps and not run.view.set_points():
+        parts.text("p", "A run at room temperature is in progress.")
+        parts.next_step("Open the rate table", "/rate-table")
+    else:
+        run_part(bench, run, lambda: _fit(bench))
+        parts.status_line(lambda: soak_words(run.view), "soak")
+        parts.picture(lambda: curve_svg(run.view.curve, run.view.speed), "curve")
+        _set_points(run)
+
+
+def _fit(bench: "Bench") -> None:
+    parts.text("p", _corrected(bench), "soft")
+    parts.next_step("Fit the drift", bench.table.fit_drift)
+
+
+def _corrected(bench: "Bench") -> str:
+    if bench.calibration is None:
+        return (
+            "No calibration is chosen: a device that sends counts needs one from the rate table, at room temperature."
+        )
+    return f"The tables are added to the calibration {bench.calibration.parent.name}."
+
+
+def _set_points(run: RigRun) -> None:
+    """Add the set-points with what is done and what is left."""
+
+    def dwells(k: int) -> str:
+        _, done, count = run.view.set_points()[k]
+        return f"{done} of {count}"
+
+    def state(k: int) -> str:
+        _, done, count = run.view.set_points()[k]
+        return "done" if done == count else "begun" if done else "left"
+
+    rows = [
+        [(f"{temp_c:g} degC", "head"), partial(dwells, k), partial(state, k)]
+        for k, (temp_c, _, _) in enumerate(run.view.set_points())
+    ]
+    parts.table("Set-points", ("Temperature", "Dwells recorded", "State"), rows)
+
+
+# ---- Temperatures in words and drawn
+
+
+def soak_words(view: View) -> str:
+    """Say whether the set-point is reached, by the criterion of the run."""
+    soaks = [step for step in view.steps[: view.number + 1] if step["kind"] == "soak"]
+    if not soaks or view.state not in ("running", "pausing"):
+        return ""
+    aim = f"{soaks[-1]['temp_c']:g} degC"
+    if view.phase in ("soaking", "setting"):
+        return f"Soaking at {aim}: {steadiness_words(view.slope_c_per_min, soaks[-1]['slope_c_per_min'], None)}"
+    since = view.stable_since
+    return f"Stable at {aim}{'' if since is None else f' since {_clock(since)}'}."
+
+
+def steadiness_words(slope: float | None, limit: float, since: float | None) -> str:
+    """Say how fast a temperature changes, and since when it is stable."""
+    if since is not None:
+        return f"Stable since {_clock(since)}: it changes by less than {limit:g} K/min."
+    if slope is None:
+        return f"not stable yet; the slope is known after some minutes. Stable below {limit:g} K/min."
+    return f"it changes by {slope:.2f} K/min. Stable below {limit:g} K/min."
+
+
+def _clock(since: float) -> str:
+    return time.strftime("%H:%M:%S", time.localtime(since))
+
+
+def curve_svg(points: Sequence[Point], speed: float = 1.0) -> str:
+    """Draw the temperatures of air and device over the table's minutes; the device is the solid line."""
+    points = points[:: max(1, len(points) // DRAWN)]
+    known = [temp for point in points for temp in (point.air_c, point.device_c) if temp is not None]
+    if len(points) < 2 or not known:
+        return ""
+    start, low, high = points[0].time, min(known) - 0.5, max(known) + 0.5
+    span = max(points[-1].time - start, 1e-3)
+    at_x = partial(_scaled, low=0.0, high=span, first=LEFT, last=WIDTH - 10)
+    at_y = partial(_scaled, low=low, high=high, first=HEIGHT - BOTTOM, last=10)
+    lines = []
+    for name, dashes in (("air_c", "6 5"), ("device_c", "none")):
+        held = [(at_x(p.time - start), at_y(temp)) for p in points if (temp := getattr(p, name)) is not None]
+        path = " ".join(f"{x:.1f},{y:.1f}" for x, y in held)
+        lines.append(
+            f'<polyline points="{path}" fill="none" stroke="currentColor" stroke-width="2" stroke-dasharray="{dashes}"/>'
+        )
+    ticks = "".join(
+        f'<text x="{LEFT - 8}" y="{at_y(value) + 5:.1f}" text-anchor="end">{value:.1f}</text>' for value in (low, high)
+    ) + "".join(
+        f'<text x="{at_x(value):.1f}" y="{HEIGHT - 12}" text-anchor="{end}">{value * speed / 60.0:.1f} min</text>'
+        for value, end in ((0.0, "start"), (span, "end"))
+    )
+    frame_ = f'<path d="M{LEFT} 10 V{HEIGHT - BOTTOM} H{WIDTH - 10}" fill="none" stroke="currentColor" opacity=".4"/>'
+    now = next((f"{p.device_c:.2f} degC" for p in reversed(points) if p.device_c is not None), "not read")
+    label = f"Temperature over time: from {min(known):.1f} to {max(known):.1f} degC; device now {now}"
+    return (
+        f'<svg viewBox="0 0 {WIDTH} {HEIGHT}" role="img" aria-label="{label}" font-size="14" fill="currentColor">'
+        f"{frame_}{''.join(lines)}{ticks}</svg>"
+        f"<p class='soft'>Temperature, degC: device solid, air of the chamber dashed. Device: {now}.</p>"
+    )
+
+
+def _scaled(value: float, *, low: float, high: float, first: float, last: float) -> float:
+    return first + (value - low) / (high - low) * (last - first)
