@@ -13,7 +13,7 @@ import undrift
 from testkit.data import data_path
 from undrift.errors import FileFormatError, InputError
 from undrift.files import LIMITS, read_bytes
-from undrift.io.box import boxed, boxed_parts
+from undrift.io.box import boxed, boxed_parts, one_box
 from undrift.io.formats import read_markers, read_record
 
 needs_fork = pytest.mark.skipif(not hasattr(os, "fork"), reason="this system cannot fork: files are read without a box")
@@ -57,6 +57,31 @@ def hang(path):
 @boxed()
 def fail(path, error):
     raise error
+
+
+@boxed()
+def whose(path):
+    return os.getpid()
+
+
+@boxed()
+def busy(path, seconds):
+    start = time.process_time()
+    while time.process_time() - start < seconds:
+        pass
+    return os.getpid()
+
+
+@boxed()
+def crash_beside(path, process):
+    if os.getpid() == process:
+        ctypes.string_at(0)
+    return np.arange(3.0)
+
+
+@boxed()
+def swell_beside(path, process):
+    return np.ones(2 * 10**7 if os.getpid() == process else 10).sum()
 
 
 @boxed_parts()
@@ -119,6 +144,81 @@ def test_arrays_come_in_parts_from_another_process_and_it_ends_with_the_caller(f
     parts.close()
     with pytest.raises(ProcessLookupError):
         os.kill(child, 0)
+
+
+@needs_fork
+def test_one_box_reads_file_after_file_and_ends_with_its_block(file):
+    with one_box():
+        first = whose(file)
+        assert [whose(file), *(part["pid"] != first for part in arrays(file, (1, 2)))] == [first, True, True]
+        with one_box():
+            assert whose(file) == first
+        with pytest.raises(InputError, match=r"^wanted this$"):
+            fail(file, InputError("wanted this"))
+        assert whose(file) == first
+        os.kill(first, 0)
+    assert first != os.getpid()
+    with pytest.raises(ProcessLookupError):
+        os.kill(first, 0)
+    assert whose(file) != whose(file)
+
+
+@needs_fork
+def test_one_box_keeps_the_limits_of_each_file_and_names_the_one_that_breaks_them(tmp_path, limits):
+    limits.start_s, limits.memory_gb = 1.0, 0.5
+    files = [tmp_path / f"{name}.bin" for name in ("sound", "crash", "leave", "swell", "hang")]
+    for file in files:
+        file.write_bytes(b"content")
+    with one_box():
+        for reader, file, text in zip(
+            (crash, leave, swell, hang),
+            files[1:],
+            ("crash (SIGSEGV)", "crash (exit 3)", "within 0.5 GB of memory", "does not come to an end"),
+            strict=True,
+        ):
+            assert whose(files[0]) == whose(files[0])
+            with pytest.raises(FileFormatError) as caught:
+                reader(file)
+            assert str(caught.value).startswith(f"{file}: wanted ")
+            assert text in str(caught.value)
+
+
+@needs_fork
+def test_a_file_that_fails_beside_others_is_read_again_in_a_box_of_its_own(file, limits):
+    limits.memory_gb = 0.1
+    with one_box():
+        first = whose(file)
+        assert crash_beside(file, first).tolist() == [0.0, 1.0, 2.0]
+        second = whose(file)
+        assert second != first
+        assert swell_beside(file, second) == 10.0
+
+
+@needs_fork
+def test_the_time_of_one_box_is_that_of_each_file(file, limits):
+    limits.start_s = 1.0
+    with one_box():
+        first = whose(file)
+        assert [busy(file, 0.4) for _ in range(4)] == [first] * 4
+
+
+@needs_fork
+def test_a_session_is_read_in_one_box_and_a_damaged_recording_is_named(tmp_path, monkeypatch, capsys):
+    from undrift.cli.app import run
+
+    record = undrift.Record(time=np.arange(99) / 10.0, gyro=np.zeros((99, 3)), gyro_unit="dps")
+    session = undrift.Session(kind="static", serial="A", gravity_m_s2=9.81, records=(record,) * 6)
+    undrift.write_session(session, tmp_path)
+    forks, fork = [], os.fork
+    monkeypatch.setattr(os, "fork", lambda: forks.append(1) or fork())
+    read = undrift.read_session(tmp_path)
+    assert len(forks) == 1
+    assert all(np.array_equal(other.time, record.time) for other in read.records)
+    damaged = tmp_path / "recording_3.parquet"
+    damaged.write_bytes(damaged.read_bytes()[:-40])
+    assert run(["info", str(tmp_path)]) == 2
+    assert str(damaged) in (line := capsys.readouterr().err)
+    assert line.count("\n") == 1
 
 
 def test_trusted_files_are_read_in_the_callers_process(file, limits):

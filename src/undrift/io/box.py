@@ -2,7 +2,8 @@
 
 A damaged file can crash a library or make it take all memory; then the child dies, and the caller gets one line. What was read
 comes back as shared memory, so that large arrays are copied once. The child is forked; where the system cannot fork (Windows),
-and for files that the caller trusts, the parser runs in the caller's own process.
+and for files that the caller trusts, the parser runs in the caller's own process. A session of many files is read in one box
+(``one_box``): each file within its own limits, and one that fails beside others is read again in a box of its own.
 """
 
 import contextlib
@@ -15,8 +16,10 @@ import signal
 import socket
 import struct
 import tempfile
+import time
 import warnings
 from collections.abc import Callable, Generator, Iterator
+from contextvars import ContextVar
 from importlib import import_module
 from pathlib import Path
 from typing import Any, BinaryIO, NoReturn, ParamSpec, TypeVar
@@ -31,6 +34,8 @@ P = ParamSpec("P")
 T = TypeVar("T")
 
 _inside = False  # a box: what it calls is not boxed again
+_shared: ContextVar["list[_Box] | None"] = ContextVar("_shared", default=None)  # the box of a session, once it is made
+_LENGTH = struct.Struct("<Q")
 
 
 def boxed(*libraries: str) -> Callable[[Callable[P, T]], Callable[P, T]]:
@@ -42,9 +47,8 @@ def boxed(*libraries: str) -> Callable[[Callable[P, T]], Callable[P, T]]:
     def decorate(read: Callable[P, T]) -> Callable[P, T]:
         @functools.wraps(read)
         def in_box(*given: P.args, **named: P.kwargs) -> T:
-            made = _parts(given[0], libraries, lambda: iter((read(*given, **named),)))
-            with contextlib.closing(made) as parts:
-                return next(parts)
+            (value,) = _parts(given[0], libraries, lambda: iter((read(*given, **named),)), (in_box, given, named))
+            return value
 
         return in_box
 
@@ -65,7 +69,26 @@ def boxed_parts(*libraries: str) -> Callable[[Callable[P, Iterator[T]]], Callabl
     return decorate
 
 
-def _parts(file: Any, libraries: tuple[str, ...], read: Callable[[], Iterator[T]]) -> Generator[T, None, None]:
+@contextlib.contextmanager
+def one_box() -> Iterator[None]:
+    """Read the files of a ``with`` block, or of a function so decorated, in one box, which is made for the first of them."""
+    if _shared.get() is not None:
+        yield
+        return
+    boxes = list[_Box]()
+    token = _shared.set(boxes)
+    try:
+        yield
+    finally:
+        _shared.reset(token)
+        for box in boxes:
+            box.close()
+
+
+def _parts(
+    file: Any, libraries: tuple[str, ...], read: Callable[[], Iterator[T]], call: Any = None
+) -> Generator[T, None, None]:
+    """Yield what a reader yields; a call that can be sent goes into the box that stands, where there is one."""
     path = checked_file(file) if not Path(file).is_dir() else Path(file)
     if _inside or LIMITS.trust or not hasattr(os, "fork"):
         with _foreseen(path):
@@ -74,25 +97,22 @@ def _parts(file: Any, libraries: tuple[str, ...], read: Callable[[], Iterator[T]
     for library in libraries:
         with contextlib.suppress(ImportError):  # the reader says what to install
             import_module(library)
-    ours, theirs = socket.socketpair()
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DeprecationWarning)  # of a fork beside threads: the child runs the parser alone
-        child = os.fork()
-    if child == 0:
-        ours.close()
-        _run(path, read, theirs)
-    theirs.close()
-    ended = None
-    try:
-        if (yield from _received(ours)):
+    shared = _shared.get() if call is not None else None
+    if shared:
+        shared[0].ask(path, call)
+        if (yield from shared[0].received()):
             return
-        ended = os.waitpid(child, 0)[1]
-        raise FileFormatError(_death(path, os.waitstatus_to_exitcode(ended)))
+        shared.pop().close()  # it may have died of the files before: once more, in a box of its own
+    box, whole = _Box(path, read), False
+    try:
+        whole = yield from box.received()
+        if not whole:
+            raise FileFormatError(_death(path, box.ended()))
     finally:
-        ours.close()
-        if ended is None:
-            os.kill(child, signal.SIGKILL)
-            os.waitpid(child, 0)
+        if whole and shared is not None:
+            shared.append(box)
+        else:
+            box.close()
 
 
 @contextlib.contextmanager
@@ -116,7 +136,7 @@ def _foreseen(path: Path) -> Iterator[None]:
 
 
 def _run(path: Path, read: Callable[[], Iterator[Any]], channel: socket.socket) -> NoReturn:
-    """Send what the parser yields, or its error, and end this process at once: its buffers and handlers are the caller's."""
+    """Send what one parser after another yields, or its error, and end this process at once: its buffers are the caller's."""
     global _inside
     _inside = True
     status = 1
@@ -129,23 +149,42 @@ def _run(path: Path, read: Callable[[], Iterator[Any]], channel: socket.socket) 
         quiet = os.open(os.devnull, os.O_WRONLY)  # a library's own words, also those of its death
         os.dup2(quiet, 1)
         os.dup2(quiet, 2)
-        _set_limits(path)
-        try:
-            with _foreseen(path):
-                for part in read():
-                    _send(channel, (part, None))
-            _send(channel, (None, StopIteration()))
-        except Exception as error:  # noqa: BLE001 - the caller raises it again
-            _send(channel, (None, error))
+        memory, first = _held() + int(LIMITS.memory_gb * GIGABYTE), True
+        while True:
+            _set_limits(path, memory)
+            try:
+                with _foreseen(path):
+                    for part in read():
+                        _send(channel, (part, None))
+                _send(channel, (None, StopIteration()))
+            except Exception as error:
+                if not first and isinstance(error.__cause__, MemoryError):
+                    raise
+                _send(channel, (None, error))  # the caller raises it again
+            first, (path, (function, given, named)) = False, _asked(channel)
+            read = functools.partial(_once, function, given, named)
+    except EOFError:
         status = 0
     finally:
         os._exit(status)
 
 
-def _set_limits(path: Path) -> None:
-    seconds = int(LIMITS.start_s + LIMITS.megabyte_s * _size(path) / 1e6)
-    limits = {resource.RLIMIT_CPU: seconds, resource.RLIMIT_CORE: 0}
-    limits[resource.RLIMIT_DATA] = _held() + int(LIMITS.memory_gb * GIGABYTE)
+def _once(read: Callable[..., T], given: tuple[Any, ...], named: dict[str, Any]) -> Iterator[T]:
+    yield read(*given, **named)
+
+
+def _asked(channel: socket.socket) -> Any:
+    """Wait for the next file and its reader; EOFError where the caller has closed the box."""
+    size = channel.recv(_LENGTH.size, socket.MSG_WAITALL)
+    if not size:
+        raise EOFError
+    return pickle.loads(channel.recv(_LENGTH.unpack(size)[0], socket.MSG_WAITALL))
+
+
+def _set_limits(path: Path, memory: int) -> None:
+    """Limit this process to some bytes, and to the seconds of one file more than it has used."""
+    seconds = round(time.process_time() + LIMITS.start_s + LIMITS.megabyte_s * _size(path) / 1e6)
+    limits = {resource.RLIMIT_CPU: seconds, resource.RLIMIT_CORE: 0, resource.RLIMIT_DATA: memory}
     for kind, most in limits.items():
         hard = resource.getrlimit(kind)[1]
         resource.setrlimit(kind, (most if hard == resource.RLIM_INFINITY else min(most, hard), hard))
@@ -188,23 +227,59 @@ def _memory() -> BinaryIO:
 # ---- the caller
 
 
-def _received(channel: socket.socket) -> Generator[Any, None, bool]:
-    """Yield what the child sends; return whether it came to an end by itself."""
-    channel.sendall(b"+")  # the child may be one part ahead
-    while True:
-        try:
-            _, files, _, _ = socket.recv_fds(channel, 1, 1)
-        except ConnectionError:
-            return False
-        if not files:
-            return False
-        part, error = _unpacked(files[0])
-        if isinstance(error, StopIteration):
-            return True
-        if error is not None:
-            raise error
-        channel.sendall(b"+")
-        yield part
+class _Box:
+    """A child process, from the first file that it reads on."""
+
+    def __init__(self, path: Path, read: Callable[[], Iterator[Any]]) -> None:
+        self._channel, theirs = socket.socketpair()
+        self._status: int | None = None  # Of the process, once it has ended
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", DeprecationWarning)  # of a fork beside threads: the child runs the parser alone
+            self._child = os.fork()
+        if self._child == 0:
+            self._channel.close()
+            _run(path, read, theirs)
+        theirs.close()
+
+    def ask(self, path: Path, call: Any) -> None:
+        """Send the next file, and what reads it."""
+        head = pickle.dumps((path, call))
+        self._send(_LENGTH.pack(len(head)) + head)
+
+    def received(self) -> Generator[Any, None, bool]:
+        """Yield what the child sends of one file; return whether it came to an end by itself."""
+        self._send(b"+")  # the child may be one part ahead
+        while True:
+            try:
+                _, files, _, _ = socket.recv_fds(self._channel, 1, 1)
+            except ConnectionError:
+                return False
+            if not files:
+                return False
+            part, error = _unpacked(files[0])
+            if isinstance(error, StopIteration):
+                return True
+            if error is not None:
+                raise error
+            self._send(b"+")
+            yield part
+
+    def _send(self, data: bytes) -> None:
+        with contextlib.suppress(ConnectionError):  # it has died: nothing will come
+            self._channel.sendall(data)
+
+    def ended(self) -> int:
+        """Wait for the process to end, and return of what."""
+        if self._status is None:
+            self._status = os.waitpid(self._child, 0)[1]
+        return os.waitstatus_to_exitcode(self._status)
+
+    def close(self) -> None:
+        """End the process."""
+        self._channel.close()
+        if self._status is None:
+            os.kill(self._child, signal.SIGKILL)
+            self.ended()
 
 
 def _unpacked(number: int) -> Any:

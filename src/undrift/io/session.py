@@ -67,6 +67,7 @@ from undrift.base.codec import (
 )
 from undrift.errors import FileFormatError, InputError
 from undrift.files import checked_file, sha256_of
+from undrift.io.box import one_box
 from undrift.io.columns import Clock, ColumnMap, Gaps, ReadSettings, Scale, TempFile, TextLayout, Trim
 from undrift.io.formats import read_record
 from undrift.io.parquet import write_parquet
@@ -404,6 +405,7 @@ class SessionFile:
     turn: tuple[TurnEntry, ...] = ()
 
 
+@one_box()
 def read_session(folder: str | Path, *, clock: Clock | None = None) -> Session:
     """Read a session from a folder with session.toml.
 
@@ -476,6 +478,7 @@ def read_session(folder: str | Path, *, clock: Clock | None = None) -> Session:
         )
 
 
+@one_box()
 def session_from_files(
     files: Sequence[str | Path],
     file_map: FileMap | None = None,
