@@ -1,6 +1,7 @@
 """A session of 114 dwells, a file each: processor time of reading it, in a box and with ``--trust``.
 
-Of the library alone in this process, and of ``undrift info`` and ``undrift calibrate``, each a fresh process: theirs and their boxes'.
+Of the library alone in this process, and of ``undrift info`` and ``undrift calibrate``, each a fresh process, their boxes
+included.
 """
 
 import resource
@@ -10,6 +11,7 @@ import sys
 import tempfile
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +23,7 @@ from undrift.sim.device.presets import preset
 from undrift.sim.device.simulate import simulate_device
 from undrift.sim.motion.bench import BenchSettings, bench_motion
 
-RATES = np.radians(np.arange(5, 91, 5))  # both ways about three axes, and six rests: 114 dwells
+RATES = np.radians(np.arange(5, 91, 5))  # both ways about three axes, and three rests in halves: 114 dwells
 DWELL_S = 20.0
 ROUNDS = 3
 
@@ -55,7 +57,12 @@ def _write(folder: Path) -> int:
     settings = BenchSettings(turn_rates=tuple(RATES), dwell_s=DWELL_S, still_s=DWELL_S)
     motion = bench_motion("rate_table", rng=rng, settings=settings)
     record = simulate_device(preset("mpu6050"), motion, rng=rng, temp_c=25.0, power_on_s=3600.0).record
-    stills, turns = motion.stills, motion.turns
+    halves = [
+        replace(p, start=a, stop=b)
+        for p in motion.stills
+        for a, b in pairwise((p.start, (p.start + p.stop) // 2, p.stop))
+    ]
+    stills, turns = tuple(halves), motion.turns
     records = [record.part(piece.start, piece.stop) for piece in (*stills, *turns)]
     stills = tuple(replace(p, start=0, stop=len(records[k]), recording=k) for k, p in enumerate(stills))
     turns = tuple(

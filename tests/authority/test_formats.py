@@ -10,9 +10,10 @@ from testkit.data import DATA, data_path, show
 from undrift.errors import FileFormatError, InputError
 from undrift.io.arrays import read_npz
 from undrift.io.columns import ColumnMap, ReadSettings, Scale, TextLayout
+from undrift.io.dialects import DIALECTS
 from undrift.io.formats import read_record, read_reference
 from undrift.io.inspect import describe, find_symptoms
-from undrift.io.makers import apdm_sensors, read_actigraph, read_apdm, read_ngimu, read_ximu, read_ximu3
+from undrift.io.makers import apdm_sensors, read_apdm
 from undrift.io.mocap import fit_cluster, read_broad, read_c3d, read_trc
 from undrift.io.reference import ReferenceMap
 from undrift.io.session import read_session
@@ -216,8 +217,8 @@ def test_the_apdm_file_holds_four_sensors_and_its_bias_is_as_published():
 
 def test_the_x_io_folders_read_with_their_temperatures():
     folder = data_path("wearable_formats")
-    ngimu, ximu3 = read_ngimu(folder / "ngimu"), read_ximu3(folder / "ximu3")
-    ximu = read_ximu(folder / "ximu", sample_rate_hz=256.0)
+    ngimu, ximu3 = DIALECTS["ngimu"].read(folder / "ngimu").record, DIALECTS["ximu3"].read(folder / "ximu3").record
+    ximu = DIALECTS["ximu"].read(folder / "ximu", settings=ReadSettings(sample_rate_hz=256.0)).record
     for name, record, wanted in (("NGIMU", ngimu, 37.1), ("x-IMU3", ximu3, 30.0), ("x-IMU", ximu, 31.0)):
         show(f"{name}: rows, first degC", (len(record), record.temp_c[0]), wanted)
         assert record.temp_c[0] == pytest.approx(wanted, abs=0.1)
@@ -228,7 +229,7 @@ def test_the_x_io_folders_read_with_their_temperatures():
 
 def test_the_actigraph_is_warmer_than_a_room_and_that_is_said():
     path = data_path("wearable_formats", "agread_gt9x_example-IMU.csv.gz")
-    record = read_actigraph(path)
+    record = DIALECTS["actigraph"].read(path).record
     show("rows, bias deg/s", (len(record), record.gyro.mean(axis=0)), (2300, (-0.772, 0.245, 0.108)))
     assert len(record) == 2300
     assert record.sample_rate_hz == pytest.approx(100.0)

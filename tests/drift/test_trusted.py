@@ -9,7 +9,7 @@ from testkit.data import data_path, show
 from undrift.drift.temperature import check_span, step_of, trusted_temperature
 from undrift.errors import InputError, NotObservable
 from undrift.io.columns import ColumnMap, Scale, TextLayout
-from undrift.io.makers import read_actigraph
+from undrift.io.dialects import DIALECTS
 from undrift.io.text import read_csv
 from undrift.record import Record, Session, Still
 
@@ -237,7 +237,7 @@ def test_a_real_warm_up_keeps_its_shape_and_comes_back_from_whole_degrees(column
 
 
 def test_a_chip_that_reads_54_degrees_on_a_table_is_called_implausible():
-    record = read_actigraph(data_path("wearable_formats", "agread_gt9x_example-IMU.csv.gz"))
+    record = DIALECTS["actigraph"].read(data_path("wearable_formats", "agread_gt9x_example-IMU.csv.gz")).record
     found = trusted_temperature(of(record), 0)
     show("GT9X", [seen.text for seen in found.findings])
     assert any("implausible unless in a chamber: 51.6 to 54.7 degC throughout" in seen.text for seen in found.findings)

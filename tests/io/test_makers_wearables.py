@@ -7,7 +7,9 @@ from hypothesis import strategies as st
 
 from testkit.strategies import few, one_line
 from undrift.errors import FileFormatError, InputError
-from undrift.io.makers import apdm_sensors, read_actigraph, read_apdm, read_ngimu, read_ximu, read_ximu3
+from undrift.io.columns import ReadSettings
+from undrift.io.dialects import DIALECTS
+from undrift.io.makers import apdm_sensors, read_apdm
 
 
 def csv(header, rows):
@@ -95,35 +97,35 @@ def test_temperature_of_its_own_rate_is_interpolated_and_held_at_the_ends(tmp_pa
     clock, temp = start + np.arange(count), 30.0 + np.arange(count)
     names = ["Time (s)", "Processor (degC)", "Gyroscope And Accelerometer (degC)", "Environmental Sensor (degC)"]
     (folder / "temperature.csv").write_text(csv(names, np.column_stack((clock, temp + 20, temp, temp - 5))))
-    record = read_ngimu(folder)
+    record = DIALECTS["ngimu"].read(folder).record
     np.testing.assert_array_equal(record.gyro, values[:, :3])
     np.testing.assert_array_equal(record.accel, values[:, 3:6])
     np.testing.assert_array_equal(record.mag_ut, values[:, 6:9])
     np.testing.assert_allclose(record.temp_c, np.interp(time, clock, temp))
-    assert len(read_ngimu(folder / "sensors.csv")) == n
+    assert len(DIALECTS["ngimu"].read(folder / "sensors.csv").record) == n
 
 
 def test_ngimu_reads_without_a_temperature_file_and_refuses_other_folders(tmp_path):
     with pytest.raises(InputError, match=r"wanted a folder with sensors.csv, got none there"):
-        read_ngimu(tmp_path)
+        DIALECTS["ngimu"].read(tmp_path)
     (tmp_path / "sensors.csv").write_text("Time,W\n0,1\n1,1\n")
     with pytest.raises(FileFormatError, match=r"wanted column 'Time \(s\)', got Time, W; not the expected format"):
-        read_ngimu(tmp_path)
+        DIALECTS["ngimu"].read(tmp_path)
     header = ["Time (s)", *GYRO, *ACCEL, *(f"Magnetometer {a} (uT)" for a in "XYZ")]
     (tmp_path / "sensors.csv").write_text(csv(header, np.column_stack((np.arange(3), np.ones((3, 9))))))
-    assert read_ngimu(tmp_path).temp_c is None
+    assert DIALECTS["ngimu"].read(tmp_path).record.temp_c is None
     (tmp_path / "temperature.csv").write_text("Time (s),Gyroscope And Accelerometer (degC)\n")
     with pytest.raises(InputError, match="temperature: wanted one reading or more, got none"):
-        read_ngimu(tmp_path)
+        DIALECTS["ngimu"].read(tmp_path)
 
 
 def test_ximu3_microseconds_become_seconds(tmp_path):
     values = np.random.default_rng(2).normal(size=(5, 6))
     clock = 392_093_562 + 20_000 * np.arange(5)
     (tmp_path / "Inertial.csv").write_text(csv(["Timestamp (us)", *GYRO, *ACCEL], np.column_stack((clock, values))))
-    assert read_ximu3(tmp_path).temp_c is None
+    assert DIALECTS["ximu3"].read(tmp_path).record.temp_c is None
     (tmp_path / "Temperature.csv").write_text("Timestamp (us),Temperature (degC)\n392093562,30\n392173562,34\n")
-    record = read_ximu3(tmp_path)
+    record = DIALECTS["ximu3"].read(tmp_path).record
     np.testing.assert_allclose(record.time, clock * 1e-6)
     np.testing.assert_allclose(record.temp_c, [30, 31, 32, 33, 34], atol=1e-6)
     np.testing.assert_array_equal(record.gyro, values[:, :3])
@@ -136,13 +138,13 @@ def test_ximu_packets_place_the_temperature_and_the_rate_is_stated(tmp_path):
     (tmp_path / "7_CalBattAndTherm.csv").write_text(
         "Packet number,Battery voltage (V),Thermometer (degrees C)\n10,4,30\n18,4,34\n"
     )
-    record = read_ximu(tmp_path, sample_rate_hz=256.0)
+    record = DIALECTS["ximu"].read(tmp_path, settings=ReadSettings(sample_rate_hz=256.0)).record
     np.testing.assert_allclose(record.temp_c, [30, 31, 32, 33, 34])
     np.testing.assert_allclose(record.mag_ut, values[:, 6:] * 100)
     assert record.sample_rate_hz == pytest.approx(256.0)
     (tmp_path / "8_CalInertialAndMag.csv").write_text("x")
     with pytest.raises(InputError, match=r"wanted one \*_CalInertialAndMag.csv, got 7_CalInertialAndMag.csv, 8_Cal"):
-        read_ximu(tmp_path, sample_rate_hz=256.0)
+        DIALECTS["ximu"].read(tmp_path, settings=ReadSettings(sample_rate_hz=256.0))
 
 
 def actigraph(n=5, rate=100, clock=None):
@@ -157,7 +159,7 @@ def actigraph(n=5, rate=100, clock=None):
 def test_actigraph_timestamps_become_seconds_and_the_serial_is_the_device(tmp_path):
     text, values = actigraph(250)
     (tmp_path / "a.csv").write_text(text)
-    record = read_actigraph(tmp_path / "a.csv")
+    record = DIALECTS["actigraph"].read(tmp_path / "a.csv").record
     np.testing.assert_allclose(record.time, np.arange(250) / 100, atol=1e-9)
     np.testing.assert_array_equal(record.accel, values[:, :3])
     np.testing.assert_array_equal(record.gyro, values[:, 3:6])
@@ -168,13 +170,13 @@ def test_actigraph_timestamps_become_seconds_and_the_serial_is_the_device(tmp_pa
 def test_actigraph_files_that_are_not_are_refused(tmp_path):
     (tmp_path / "a.csv").write_text("a,b\n" * 20)
     with pytest.raises(
-        FileFormatError, match="wanted an ActiGraph IMU file with a Timestamp column in line 11"
+        FileFormatError, match="wanted column 'Timestamp', got a, b; not the expected format of ActiGraph"
     ) as caught:
-        read_actigraph(tmp_path / "a.csv")
+        DIALECTS["actigraph"].read(tmp_path / "a.csv")
     one_line(caught)
     (tmp_path / "b.csv").write_text(actigraph(2, clock=["noon", "later"])[0])
     with pytest.raises(FileFormatError, match=r"column 'Timestamp': wanted dates such as .*, got 'noon'"):
-        read_actigraph(tmp_path / "b.csv")
+        DIALECTS["actigraph"].read(tmp_path / "b.csv")
     (tmp_path / "c.csv").write_text(actigraph(50, rate=30)[0])
     with pytest.raises(InputError, match="wanted 30 Hz as stated, got 100 Hz"):
-        read_actigraph(tmp_path / "c.csv")
+        DIALECTS["actigraph"].read(tmp_path / "c.csv")

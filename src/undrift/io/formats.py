@@ -35,35 +35,20 @@ from undrift.io.containers import (
     read_ulog,
     read_xdf,
 )
+from undrift.io.dialects import DIALECTS, Dialect
 from undrift.io.labelled import is_labelled, read_labelled
 from undrift.io.makers import (
     is_bids,
     is_phone,
     is_set_points,
-    read_actigraph,
     read_apdm,
-    read_apdm7,
     read_bids_motion,
     read_bids_positions,
-    read_dot,
-    read_dot_poses,
-    read_mobgap,
-    read_ngimu,
-    read_noraxon,
     read_phone,
     read_qtm_bodies,
     read_qtm_markers,
-    read_sensor_logger,
-    read_sensorlog,
     read_set_points,
-    read_shimmer,
     read_sto,
-    read_trigno,
-    read_trigno_discover,
-    read_ximu,
-    read_ximu3,
-    read_xsens,
-    read_xsens_poses,
     with_thermometer,
 )
 from undrift.io.mocap import Markers, Up, is_c3d, pose_from_cluster, read_broad, read_c3d, read_trc
@@ -128,18 +113,6 @@ def _is_mat(path: Path, head: bytes) -> bool:
     return any(hdf5_names(path).values()) if head.startswith(_HDF5) else head.startswith(b"MATLAB")
 
 
-def _is_xio(folder: str, first: str) -> Callable[[Path, bytes], bool]:
-    """Recognise a folder by a file in it, and that file by the first word of its header."""
-
-    def recognise(path: Path, head: bytes) -> bool:
-        if not head:
-            return any(path.glob(folder))
-        header = _line(head, 0)
-        return header.startswith(first) and "Gyroscope X (deg/s)" in header
-
-    return recognise
-
-
 def _is_json(path: Path, head: bytes) -> bool:
     if _suffix(path) == ".json" or _line(head, 0).lstrip()[:1] not in ("{", "["):
         return _suffix(path) == ".json"
@@ -155,10 +128,12 @@ def _starts(mark: bytes) -> Callable[[Path, bytes], bool]:
     return lambda _, head: head.startswith(mark)
 
 
-def _has(pattern: bytes) -> Callable[[Path, bytes], bool]:
-    """Recognise a text by a pattern in its head."""
-    compiled = re.compile(pattern, re.MULTILINE)
-    return lambda _, head: b"\0" not in head and compiled.search(head) is not None
+def _has(pattern: bytes, file: str = "") -> Callable[[Path, bytes], bool]:
+    """Recognise a text by a pattern in its head, and a folder by a file in it."""
+    text = re.compile(pattern, re.MULTILINE)
+    return lambda path, head: (
+        (b"\0" not in head and text.search(head) is not None) if head else bool(file) and any(path.glob(file))
+    )
 
 
 def _is_labelled(path: Path, head: bytes) -> bool:
@@ -187,6 +162,15 @@ _STREAMS = frozenset({"sensor", "gaps", "repair_time"})
 _BLOCKS = frozenset({"gaps", "repair_time", "drop_bad_rows"})
 _MARKERS = "marker trajectories; read them as a reference (labels of one rigid cluster, and which axis is up)"
 _BAGS = (b"#ROSBAG V2.0", b"SQLite format 3\0", b"\x89MCAP0\r\n")
+
+
+def _format_of(dialect: Dialect) -> Format:
+    """Return a maker's dialect as a format."""
+    rate = frozenset({"sample_rate_hz"} if "time" not in (dialect.columns or {}) else ())
+    honours = _EXPORT if dialect.columns is None else rate
+    recognise = _has(dialect.head, dialect.folder)
+    return Format(recognise, record=dialect.read, reference=dialect.poses, honours=honours)
+
 
 FORMATS: dict[str, Format] = {
     "parquet": Format(
@@ -236,48 +220,13 @@ FORMATS: dict[str, Format] = {
         lambda path, head: not head and (path / "session.toml").is_file(),
         instead="a session of recordings; read it as a session",
     ),
-    "actigraph": Format(
-        lambda _, head: "Data File Created By ActiGraph" in _line(head, 0), record=lambda p, *_: read_actigraph(p)
-    ),
     "apdm": Format(
         lambda _, head: _line(head, 2).startswith("Time,") and "/Acceleration/X" in _line(head, 2),
         record=lambda path, _, settings: read_apdm(path, settings.sensor),
         honours=frozenset({"sensor"}),
     ),
-    "ngimu": Format(_is_xio("sensors.csv", "Time (s)"), record=lambda p, *_: read_ngimu(p), reference=read_text_poses),
-    "ximu3": Format(
-        _is_xio("Inertial.csv", "Timestamp (us)"), record=lambda p, *_: read_ximu3(p), reference=read_text_poses
-    ),
-    "ximu": Format(
-        _is_xio("*_CalInertialAndMag.csv", "Packet number"),
-        record=lambda path, _, settings: read_ximu(path, settings.sample_rate_hz),
-        honours=frozenset({"sample_rate_hz"}),
-    ),
-    "xsens": Format(
-        _has(rb"\A(\xef\xbb\xbf)?//[\s\S]*^(Packet)?Counter[\t,; ]"),
-        record=read_xsens,
-        reference=read_xsens_poses,
-        honours=_EXPORT,
-    ),
-    "dot": Format(
-        _has(rb"\A(\xef\xbb\xbf)?sep=[\s\S]*^PacketCounter,"),
-        record=read_dot,
-        reference=read_dot_poses,
-        honours=_EXPORT,
-    ),
-    "shimmer": Format(
-        _has(rb"\A.*\n?.*Timestamp_\w*(CAL|RAW)\b.*(Accel|Gyro)_\w*(CAL|RAW)\b"), record=read_shimmer, honours=_EXPORT
-    ),
-    "trigno": Format(_has(rb"\ALabel: .*Sampling frequency:"), record=read_trigno, honours=_EXPORT),
-    "trigno_discover": Format(_has(rb"\AApplication:.*Trigno"), record=read_trigno_discover, honours=_EXPORT),
-    "noraxon": Format(_has(rb"Accel Sensor [XYZ]|Noraxon MyoMotion-"), record=read_noraxon, honours=_EXPORT),
-    "sensor_logger": Format(_has(rb"\Atime,seconds_elapsed,"), record=read_sensor_logger, honours=_EXPORT),
-    "sensorlog": Format(
-        _has(rb"accelerometerAcceleration[XYZ]\(G\)|gyroRotation[XYZ]\(rad/s\)"), record=read_sensorlog, honours=_EXPORT
-    ),
+    **{name: _format_of(dialect) for name, dialect in DIALECTS.items()},
     "phone": Format(lambda path, head: not head and is_phone(path), record=read_phone, honours=_EXPORT),
-    "mobgap": Format(_has(rb"\Asamples,acc_x,acc_y,acc_z,gyr_x"), record=read_mobgap, honours=_EXPORT),
-    "apdm7": Format(_has(rb"\AFormat=7,"), record=read_apdm7, honours=_EXPORT),
     "bids_motion": Format(
         lambda path, _: "_motion.tsv" in path.name and is_bids(path, positions=False),
         record=read_bids_motion,

@@ -1,4 +1,4 @@
-"""Text exports of makers: what their manuals state and their files do not, mostly over :mod:`undrift.io.labelled`.
+"""Text exports of makers: what a row of :mod:`undrift.io.dialects` cannot say, mostly over :mod:`undrift.io.labelled`.
 
 Xsens MT      // lines, PacketCounter (16 bit) as the only clock; m/s2, rad/s by the manual
 Movella DOT   sep=, SampleTimeFine in us (32 bit), lost packets; m/s2, deg/s by the manual; FreeAcc has gravity removed
@@ -36,7 +36,7 @@ from undrift.files import read_bytes
 from undrift.frames import quaternion_product
 from undrift.io.columns import (
     AXES,
-    Column,
+    READ_SETTINGS,
     ColumnMap,
     ReadResult,
     ReadSettings,
@@ -53,10 +53,8 @@ from undrift.io.labelled import (
     label_of,
     labelled,
     open_sheet,
-    read_labelled,
     read_sheet,
     unit_for,
-    with_manual,
 )
 from undrift.io.mocap import Markers, Up, level_from, unique_labels
 from undrift.io.reference import ReferenceMap
@@ -64,36 +62,23 @@ from undrift.io.text import Text, open_text, parse_text
 from undrift.record import Record, Reference
 from undrift.units import canonical_unit, si_factor, temp_offset
 
-_SI = {"gyro": "rad/s", "accel": "m/s2", "temp": "degC"}
-_DOT = {"gyro": "dps", "accel": "m/s2"}
+SI = {"gyro": "rad/s", "accel": "m/s2", "temp": "degC"}
 _HALF = 2.0**-0.5
 _FROM_Y_UP = np.array([_HALF, _HALF, 0.0, 0.0])  # z up from y up, as level_from turns points
 _NEARLY_UNIT = 0.01
-_IOS = "acceleration multiplied by -1: iOS reads -1 g along an axis that points up"
+OPPOSITE = "acceleration multiplied by -1: iOS reads -1 g along an axis that points up"
 _NO_SIGN = "sign of acceleration not stated by the file (iOS and Android differ); rests and turns decide"
 
 # ---- Xsens MT and Movella DOT: packets that may be lost
 
 
-def read_xsens(path: Path, _: ColumnMap | None, settings: ReadSettings) -> ReadResult:
-    """Read an MT Manager export; time from the packet counter and the stated rate, so that lost packets are gaps."""
-    sheet = with_manual(open_xsens(path, settings.sample_rate_hz), "Xsens", _SI)
-    return read_sheet(_needs_sensors(sheet), settings)
-
-
-def read_dot(path: Path, _: ColumnMap | None, settings: ReadSettings) -> ReadResult:
-    """Read a DOT export; time from SampleTimeFine."""
-    return read_sheet(_needs_sensors(with_manual(open_dot(path), "Movella DOT", _DOT)), settings)
-
-
-def open_xsens(path: Path, sample_rate_hz: float | None = None) -> Sheet:
-    """Open an MT Manager export with its clock."""
-    sheet = open_sheet(path)
+def xsens_clock(sheet: Sheet, settings: ReadSettings) -> Sheet:
+    """Return an MT Manager export with its clock: the packet counter at the stated rate, so that lost packets are gaps."""
     counter = sheet.position(r"^(Packet)?Counter$")
     stated = sheet.stated(r"^// *(?:Update|Sample) rate: *(\d+(?:\.\d+)?) *Hz")
-    rate = sample_rate_hz or (float(stated) if stated else None)
-    device = sheet.stated(r"^// *DeviceId: *(\w+)") or (re.findall(r"_(00[0-9A-F]{6})\b", path.name) or [""])[-1]
-    sheet = replace(sheet, rate_hz=rate, device=device)
+    rate = settings.sample_rate_hz or (float(stated) if stated else None)
+    in_name = (re.findall(r"_(00[0-9A-F]{6})\b", sheet.path.name) or [""])[-1]
+    sheet = replace(sheet, rate_hz=rate, device=sheet.device or in_name)
     fine = sheet.position(r"^SampleTimeFine$")
     if rate is None and fine is not None and np.isfinite(sheet.array((fine,))).all():
 
@@ -112,21 +97,19 @@ def open_xsens(path: Path, sample_rate_hz: float | None = None) -> Sheet:
     return replace(sheet, clock=clock, counters=(counter,))
 
 
-def open_dot(path: Path) -> Sheet:
-    """Open a DOT export with its clock."""
-    sheet = open_sheet(path)
+def dot_clock(sheet: Sheet, _: ReadSettings = READ_SETTINGS) -> Sheet:
+    """Return a DOT export with its clock, SampleTimeFine."""
     fine, counter = sheet.position(r"^SampleTimeFine$"), sheet.position(r"^PacketCounter$")
     if fine is None or counter is None:
         raise FileFormatError(
-            f"{path}: wanted the columns PacketCounter and SampleTimeFine, got {', '.join(sheet.names[:8])}; export them too"
+            f"{sheet.path}: wanted the columns PacketCounter and SampleTimeFine, got {', '.join(sheet.names[:8])}; export "
+            "them too"
         )
 
     def clock(stamps: FloatArray, packets: FloatArray) -> tuple[FloatArray, tuple[str, ...]]:
         return 1e-6 * (stamps[0] + _unwrapped(stamps, 1 << 32)), _lost(_unwrapped(packets, 1 << 32))
 
-    return replace(
-        sheet, clock=clock, counters=(fine, counter), device=(sheet.stated(r"^DeviceTag:, *(.*)$") or "").strip(", ")
-    )
+    return replace(sheet, clock=clock, counters=(fine, counter))
 
 
 def _unwrapped(counts: FloatArray, size: int) -> FloatArray:
@@ -141,7 +124,7 @@ def _lost(packets: FloatArray) -> tuple[str, ...]:
     )
 
 
-def _needs_sensors(sheet: Sheet) -> Sheet:
+def with_readings(sheet: Sheet, _: ReadSettings) -> Sheet:
     """Refuse an export of orientations only, which is a reference."""
     if any(label and label.channel in ("gyro", "accel", "free") for label in sheet.labels):
         return sheet
@@ -151,31 +134,16 @@ def _needs_sensors(sheet: Sheet) -> Sheet:
     )
 
 
-# ---- Shimmer, Noraxon, Sensor Logger, mobgap
+# ---- Sensor Logger, SensorLog, mobgap
 
 
-def read_shimmer(path: Path, _: ColumnMap | None, settings: ReadSettings) -> ReadResult:
-    """Read a Consensys export; its stamps are whole ms, and those that repeat are left out and counted."""
-    return read_sheet(labelled(replace(open_sheet(path), repair_time=True)), settings)
-
-
-def read_noraxon(path: Path, _: ColumnMap | None, settings: ReadSettings) -> ReadResult:
-    """Read a Noraxon MR export; accelerations of segments are not those of a sensor and are left out."""
-    sheet = with_manual(open_sheet(path), "Noraxon", {"time": "s"})
-    segment = re.compile(r"(?i)segments-.*-acceleration")
-    kept = [None if segment.search(n) else x for n, x in zip(sheet.names, sheet.labels, strict=True)]
-    # "RT Hand" and "Hand RT" are one sensor
-    labels = [label and label._replace(sensor=re.sub(r"^([LR]T) (.+)", r"\2 \1", label.sensor)) for label in kept]
-    return read_sheet(replace(sheet, labels=tuple(labels)), settings)
-
-
-def read_sensor_logger(path: Path, _: ColumnMap | None, settings: ReadSettings) -> ReadResult:
-    """Read one sensor of the Sensor Logger app, as specific force: iOS writes its opposite unless frames are standardised."""
-    sheet, stem = open_sheet(path), path.name.split(".")[0]
+def sensor_logger_labels(sheet: Sheet, _: ReadSettings = READ_SETTINGS) -> Sheet:
+    """Label one sensor of the Sensor Logger app, as specific force: iOS writes its opposite unless frames are standardised."""
+    path, stem = sheet.path, sheet.path.name.split(".")[0]
     kind = "Linear acceleration" if stem == "Accelerometer" else stem
     names = tuple(f"{kind} {name}" if name in AXES else name for name in sheet.names)
     names = tuple(re.sub("^acceleration(?=[XYZ]$)", "Linear acceleration", name) for name in names)  # watch, headphones
-    labels = [label_of(name, "s" if name == "seconds_elapsed" else "", _SI) for name in names]
+    labels = [label_of(name, "s" if name == "seconds_elapsed" else "", SI) for name in names]
     labels = [None if name == "time" else label for name, label in zip(names, labels, strict=True)]
     notes = ["units by the manual of Sensor Logger, not in the file: accel m/s2, gyro rad/s"]
     in_g, apple = False, _of_ios(path.with_name("Metadata.csv"))
@@ -190,12 +158,12 @@ def read_sensor_logger(path: Path, _: ColumnMap | None, settings: ReadSettings) 
             )
         apple = in_g
     if any(label and label.channel == "accel" for label in labels):
-        notes += [_NO_SIGN] if apple is None else [_IOS] if apple else []
+        notes += [_NO_SIGN] if apple is None else [OPPOSITE] if apple else []
     labels = [
         x._replace(gain=-x.gain if apple else x.gain, unit="g" if in_g else x.unit) if x and x.channel == "accel" else x
         for x in labels
     ]
-    return read_sheet(replace(sheet, names=names, labels=tuple(labels), notes=tuple(notes)), settings)
+    return replace(sheet, names=names, labels=tuple(labels), notes=tuple(notes))
 
 
 def _of_ios(path: Path) -> bool | None:
@@ -206,13 +174,10 @@ def _of_ios(path: Path) -> bool | None:
     return ios and stated.get("standardisation") != "true" if android or ios else None
 
 
-def read_sensorlog(path: Path, _: ColumnMap | None, settings: ReadSettings) -> ReadResult:
-    """Read a log of the SensorLog app for iOS: the accelerometer has its sign, and of two gyroscopes the raw one is read."""
-    sheet = labelled(open_sheet(path))
+def one_gyroscope(sheet: Sheet, _: ReadSettings) -> Sheet:
+    """Leave the fused one of two gyroscopes of SensorLog out: the raw one is read."""
     fused = "motionRotationRate" if sheet.position("^gyroRotation") is not None else None
-    labels = [None if x and x.sensor == fused else x for x in sheet.labels]
-    labels = [x and (x._replace(gain=-x.gain) if x.channel == "accel" else x) for x in labels]
-    return read_sheet(replace(sheet, labels=tuple(labels), notes=(_IOS,)), settings)
+    return replace(sheet, labels=tuple(None if x and x.sensor == fused else x for x in sheet.labels))
 
 
 def _median_size(sheet: Sheet, names: tuple[str, ...]) -> float | None:
@@ -220,16 +185,15 @@ def _median_size(sheet: Sheet, names: tuple[str, ...]) -> float | None:
     return float(np.nanmedian(np.linalg.norm(sheet.array(columns), axis=1))) if len(columns) == 3 else None
 
 
-def read_mobgap(path: Path, _: ColumnMap | None, settings: ReadSettings) -> ReadResult:
-    """Read a mobgap example CSV: samples, acc_x..z in g, gyr_x..z in deg/s, no rate."""
-    sheet = with_manual(open_sheet(path), "mobgap", {"accel": "g", "gyro": "dps"})
+def in_g(sheet: Sheet, _: ReadSettings) -> Sheet:
+    """Refuse a mobgap example whose accelerations are not in g, as its manual has them."""
     size = _median_size(sheet, tuple(re.sub(r"^acc_", "acc ", name) for name in sheet.names))
     if size is None or not 0.5 < size < 2.0:
         raise InputError(
-            f"{path}: wanted accelerations in g (median near 1), got a median of {size or 0.0:.3g}; give the units in a map "
+            f"{sheet.path}: wanted accelerations in g (median near 1), got a median of {size or 0.0:.3g}; give the units in a map "
             "(--map FILE)"
         )
-    return read_sheet(sheet, settings)
+    return sheet
 
 
 # ---- the folder of a phone: a file for each sensor, all on one clock
@@ -248,9 +212,9 @@ def read_phone(path: Path, _: ColumnMap | None, settings: ReadSettings) -> ReadR
 
     def one(names: tuple[str, ...]) -> tuple[str, ReadResult]:
         name = next(name for name in names if (path / name).is_file())
-        first = open_sheet(path / name).names[:2]
-        reader = read_sensor_logger if first == ("time", "seconds_elapsed") else read_labelled
-        return name, reader(path / name, None, settings)
+        sheet = open_sheet(path / name)
+        labels = sensor_logger_labels if sheet.names[:2] == ("time", "seconds_elapsed") else labelled
+        return name, read_sheet(labels(sheet), settings)
 
     (name, found), notes = one(_PHONE_GYRO), list[str]()
     try:
@@ -275,9 +239,8 @@ def read_phone(path: Path, _: ColumnMap | None, settings: ReadSettings) -> ReadR
 # ---- Delsys Trigno
 
 
-def read_trigno(path: Path, _: ColumnMap | None, settings: ReadSettings) -> ReadResult:
-    """Read one sensor of an EMGworks export: "Label: ... Unit: g" lines, then pairs of X[s] and a channel."""
-    sheet = open_sheet(path)
+def trigno_labels(sheet: Sheet, _: ReadSettings) -> Sheet:
+    """Label an EMGworks export: "Label: ... Unit: g" lines, then pairs of X[s] and a channel."""
     line = re.compile(
         r"Label: (.*?) Sampling frequency: *(\d+(?:\.\d+)?(?:e[-+]\d+)?)\b.*Unit: *(\S+) Domain Unit: *(\S+)"
     )
@@ -290,16 +253,17 @@ def read_trigno(path: Path, _: ColumnMap | None, settings: ReadSettings) -> Read
             label = label_of(signal, unit)
             labels[k - 1] = Label("", "own time", unit=(unit_for(domain, "time") or ("s", 1.0))[0])
             labels[k] = label and label._replace(sensor=sensor, rate_hz=float(rate), time=k - 1)
-    return read_sheet(replace(sheet, labels=tuple(labels)), settings)
+    return replace(sheet, labels=tuple(labels))
 
 
-def read_trigno_discover(path: Path, _: ColumnMap | None, settings: ReadSettings) -> ReadResult:
-    """Read one sensor of a Trigno Discover export: names in line 4, signals in line 6, rates in line 7, no time."""
-    sheet = open_sheet(path, header=False)
+def trigno_discover_labels(sheet: Sheet, _: ReadSettings) -> Sheet:
+    """Label a Trigno Discover export: names in line 4, signals in line 6, rates in line 7, no time."""
     lines = [[cell.strip() for cell in text.split(",")] for text in (*sheet.preamble, ",".join(sheet.names))]
     heads = [k for k, cells in enumerate(lines) if cells and re.fullmatch(r"\d+(\.\d+)? Hz", cells[0])]
     if not heads or heads[0] < 3:
-        raise FileFormatError(f"{path}: wanted lines of sensors, modes, signals and rates, got none; export them too")
+        raise FileFormatError(
+            f"{sheet.path}: wanted lines of sensors, modes, signals and rates, got none; export them too"
+        )
     sensors, signals, rates = lines[heads[0] - 3], lines[heads[0] - 1], lines[heads[0]]
     labels: list[Label | None] = []
     for k in range(len(sheet.names)):
@@ -308,7 +272,7 @@ def read_trigno_discover(path: Path, _: ColumnMap | None, settings: ReadSettings
         rate = re.match(r"\d+(\.\d+)?(?= Hz)", rates[k]) if k < len(rates) else None
         labels.append(label and rate and label._replace(sensor=name, rate_hz=float(rate.group())))
     names = tuple(signals[: len(sheet.names)]) + ("",) * (len(sheet.names) - len(signals))
-    return read_sheet(replace(sheet, names=names, labels=tuple(labels)), settings)
+    return replace(sheet, names=names, labels=tuple(labels))
 
 
 # ---- APDM Opal: several sensors in one CSV
@@ -374,11 +338,12 @@ def _opals(text: Text) -> tuple[str, ...]:
 # ---- APDM, format 7
 
 
-def read_apdm7(path: Path, _: ColumnMap | None, settings: ReadSettings) -> ReadResult:
-    """Read one sensor of an APDM file in format 7; the barometer (the bits of a double as an integer) is left out."""
-    sheet = open_sheet(path)
+def apdm7_labels(sheet: Sheet, _: ReadSettings) -> Sheet:
+    """Label an APDM file in format 7; the barometer (the bits of a double as an integer) is left out."""
     if len(sheet.preamble) < 2 or not sheet.names:
-        raise FileFormatError(f"{path}: wanted three header lines of APDM format 7, got fewer; copy the file again")
+        raise FileFormatError(
+            f"{sheet.path}: wanted three header lines of APDM format 7, got fewer; copy the file again"
+        )
     first, second = (line.split(",") for line in sheet.preamble[-2:])
     kinds = {"Accelerometer": "accel", "Gyroscope": "gyro", "Magnetometer": "mag"}
     manual = {"accel": ("m/s2", 1.0), "gyro": ("rad/s", 1.0), "mag": ("ut", 1.0)}
@@ -393,80 +358,14 @@ def read_apdm7(path: Path, _: ColumnMap | None, settings: ReadSettings) -> ReadR
         channel, axis = kinds.get(kind), sheet.names[k].lower()
         labels.append(Label(sensor, channel, axis, *manual[channel]) if channel and axis in AXES else None)
     note = "units by the manual of APDM, not in the file: accel m/s2, gyro rad/s, mag uT"
-    return read_sheet(replace(sheet, labels=tuple(labels), preamble=(), notes=(note,)), settings)
+    return replace(sheet, labels=tuple(labels), preamble=(), notes=(note,))
 
 
-# ---- x-io sensors as their software writes them
-
-_GYRO: tuple[Column, ...] = tuple(f"Gyroscope {axis} (deg/s)" for axis in "XYZ")
-_ACCEL: tuple[Column, ...] = tuple(f"Accelerometer {axis} (g)" for axis in "XYZ")
-_XIO = ColumnMap(time="", time_unit="s", gyro=_GYRO, gyro_unit="dps", accel=_ACCEL, accel_unit="g")
-_PACKET = "Packet number"
+# ---- a thermometer of its own
 
 
-def read_ngimu(path: str | Path) -> Record:
-    """Read an NGIMU folder: sensors.csv, and temperature.csv where there is one."""
-    columns = replace(_XIO, time="Time (s)", mag=_magnetometer("uT"), mag_unit="uT")
-    return _xio_folder(path, ("sensors.csv", "temperature.csv"), columns, "Gyroscope And Accelerometer (degC)")
-
-
-def read_ximu3(path: str | Path) -> Record:
-    """Read an x-IMU3 folder: Inertial.csv, and Temperature.csv where there is one; its magnetometer has no unit."""
-    columns = replace(_XIO, time="Timestamp (us)", time_unit="us")
-    return _xio_folder(path, ("Inertial.csv", "Temperature.csv"), columns, "Temperature (degC)")
-
-
-def read_ximu(path: str | Path, sample_rate_hz: float | None = None) -> Record:
-    """Read x-IMU files, which number packets: NAME_CalInertialAndMag.csv, and NAME_CalBattAndTherm.csv where there is one."""
-    path = Path(path)
-    if sample_rate_hz is None:
-        raise InputError(
-            f"{path}: wanted the sample rate of this x-IMU recording, got none; give sample_rate_hz (--sample-rate-hz)"
-        )
-    if path.is_dir():
-        held = sorted(path.glob("*_CalInertialAndMag.csv"))
-        if len(held) != 1:
-            names = ", ".join(file.name for file in held) or "none"
-            raise InputError(f"{path}: wanted one *_CalInertialAndMag.csv, got {names}; name the file")
-        path = held[0]
-    columns = replace(_XIO, time=None, sample_rate_hz=sample_rate_hz, mag=_magnetometer("G"), mag_unit="gauss")
-    record, slow = _xio_record(path, columns), path.with_name(path.name.replace("CalInertialAndMag", "CalBattAndTherm"))
-    if slow == path or not slow.is_file():
-        return record
-    table = parse_text(open_text(slow), (_PACKET, "Thermometer (degrees C)"))
-    mine = parse_text(open_text(path), (_PACKET,)).numbers(_PACKET)
-    time = np.interp(table.numbers(_PACKET), mine, record.time)
-    return _with_temp(record, time, table.numbers("Thermometer (degrees C)"))
-
-
-def _magnetometer(unit: str) -> tuple[Column, ...]:
-    return tuple(f"Magnetometer {axis} ({unit})" for axis in "XYZ")
-
-
-def _xio_folder(path: str | Path, names: tuple[str, str], columns: ColumnMap, temp: str) -> Record:
-    """Return the record of a folder, with the temperature of a file of its own on the same clock, where there is one."""
-    path, clock = Path(path), str(columns.time)
-    if path.is_dir() and not (path / names[0]).is_file():
-        raise InputError(f"{path}: wanted a folder with {names[0]}, got none there; check the path")
-    path = path / names[0] if path.is_dir() else path
-    record, slow = _xio_record(path, columns), path.parent / names[1]
-    if not slow.is_file():
-        return record
-    table = parse_text(open_text(slow), (clock, temp))
-    return _with_temp(record, table.numbers(clock) * si_factor(columns.time_unit, "time"), table.numbers(temp))
-
-
-def _xio_record(path: Path, columns: ColumnMap) -> Record:
-    text = open_text(path)
-    missing = [column for column in columns.wanted() if column not in text.names]
-    if missing:
-        raise FileFormatError(
-            f"{path}: wanted column {missing[0]!r}, got {', '.join(text.names[:12])}; not the expected format"
-        )
-    return build_record(parse_text(text, columns.wanted()), columns).record
-
-
-def _with_temp(record: Record, time: FloatArray, temp_c: FloatArray) -> Record:
+def with_temp(record: Record, time: FloatArray, temp_c: FloatArray) -> Record:
+    """Return a record with temperatures (M,), degC, at times (M,), s, interpolated onto its samples and held at the ends."""
     known = np.isfinite(time) & np.isfinite(temp_c)
     if not known.any():
         raise InputError("temperature: wanted one reading or more, got none; leave the temperature file out")
@@ -490,44 +389,9 @@ def with_thermometer(record: Record, thermometer: TempFile) -> Record:
             f"got {known.min():.6g} to {known.max():.6g} s; set temp_file.shift_s, in s"
         )
     try:
-        return _with_temp(record, time, temp_c)
+        return with_temp(record, time, temp_c)
     except InputError as error:
         raise InputError(f"{thermometer.path}: {error}") from error
-
-
-# ---- ActiGraph GT9X Link: ten lines about the recording, then Timestamp and g, deg/s, uT, degC
-
-_HEADER_LINES = 10
-_STAMPS = "Timestamp"
-
-
-def read_actigraph(path: str | Path) -> Record:
-    """Read an ActiGraph IMU file. Its temperature is the chip's: 20 to 30 degC above the room."""
-    text = open_text(path, TextLayout(skip_rows=_HEADER_LINES))
-    lines = [line.decode("utf-8", "replace") for line in text.head.splitlines()[:_HEADER_LINES]]
-    if "ActiGraph" not in lines[0] or _STAMPS not in text.names:
-        raise FileFormatError(
-            f"{path}: wanted an ActiGraph IMU file with a Timestamp column in line 11, got {lines[0][:40]!r}; check the format"
-        )
-    rate = re.search(r"at (\d+(?:\.\d+)?) Hz", lines[0])
-    serial = re.search(r"Serial Number: *([A-Za-z0-9-]+)", "\n".join(lines))
-    gyro, accel, mag = (
-        tuple(f"{name} {axis}" for axis in "XYZ") for name in ("Gyroscope", "Accelerometer", "Magnetometer")
-    )
-    columns = replace(
-        _XIO,
-        time=_STAMPS,
-        time_unit="date",
-        gyro=gyro,
-        accel=accel,
-        mag=mag,
-        mag_unit="uT",
-        temp="Temperature",
-        temp_unit="degC",
-        sample_rate_hz=float(rate.group(1)) if rate else None,
-        device=serial.group(1) if serial else "",
-    )
-    return build_record(parse_text(text, columns.numeric()), columns).record
 
 
 # ---- BIDS-motion
@@ -804,12 +668,13 @@ def _qtm(path: Path, key: str, each: int) -> tuple[tuple[str, ...], FloatArray, 
 
 def read_xsens_poses(path: Path, columns: ReferenceMap | None = None) -> Reference:
     """Read the orientations of an MT Manager export; its rate must stand in the file, or in the map."""
-    return _xsens(open_xsens(path, None if columns is None else columns.sample_rate_hz))
+    settings = replace(READ_SETTINGS, sample_rate_hz=None if columns is None else columns.sample_rate_hz)
+    return _xsens(xsens_clock(open_sheet(path), settings))
 
 
 def read_dot_poses(path: Path, _: ReferenceMap | None = None) -> Reference:
     """Read the orientations of a DOT export."""
-    return _xsens(open_dot(path))
+    return _xsens(dot_clock(open_sheet(path)))
 
 
 def _xsens(sheet: Sheet) -> Reference:
