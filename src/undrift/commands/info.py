@@ -106,7 +106,8 @@ def info(
     found = describe(file, opening.columns(), settings=opening.settings(), up=reference_up)
     if proposal.write_map is not None:
         return _write_map(found, proposal.write_map, proposal, opening)
-    found, session = _set_points(found, opening) or (found, _session(file, found, opening))
+    found = _set_points(found, opening)
+    session = found.session
     records = () if session is None or session.means else session.records
     disagree = tuple(one for record in records if (one := find_disagreement(record)) is not None)
     found = replace(found, findings=(*found.findings, *disagree))
@@ -244,18 +245,20 @@ def _is_plain_folder(path: Path) -> bool:
 
 def _folder(path: Path) -> Summary:
     """Return name, kind and summary of each entry; kind "damaged" where it cannot be read, with the reason."""
+    from undrift.io.box import one_box
     from undrift.io.inspect import describe
 
     files = []
-    for entry in sorted(entry for entry in path.iterdir() if not entry.name.startswith(".")):
-        if _is_plain_folder(entry):
-            files.append((entry.name, "folder", "not looked into"))
-            continue
-        try:
-            found = describe(entry)
-            files.append((entry.name, found.kind, found.summary))
-        except InputError as error:
-            files.append((entry.name, "damaged", str(error)))
+    with one_box():
+        for entry in sorted(entry for entry in path.iterdir() if not entry.name.startswith(".")):
+            if _is_plain_folder(entry):
+                files.append((entry.name, "folder", "not looked into"))
+                continue
+            try:
+                found = describe(entry)
+                files.append((entry.name, found.kind, found.summary))
+            except InputError as error:
+                files.append((entry.name, "damaged", str(error)))
     if not files:
         raise InputError(f"{path}: wanted a recording or a folder of recordings, got an empty folder; check the path")
     kinds = Counter(kind for _, kind, _ in files)
@@ -275,33 +278,19 @@ def _folder(path: Path) -> Summary:
 # ---- A recording or session: still phases, and what a person sees
 
 
-def _session(file: Path, found: "Description", opening: Opening) -> "Session | None":
-    """Return a session, or a recording as a session of one; None for other files."""
-    from undrift.io.session import read_session
-    from undrift.record import Session
-    from undrift.units import STANDARD_GRAVITY
-
-    if found.kind == "session":
-        return read_session(file, clock=opening.clock)
-    if found.kind != "recording":
-        return None
-    record = opening.record(file)
-    return Session(kind="calibration", serial="", gravity_m_s2=STANDARD_GRAVITY, records=(record,))
-
-
-def _set_points(found: "Description", opening: Opening) -> "tuple[Description, Session] | None":
-    """Return a table of means, as its map says; what is looked for in samples is not looked for there."""
+def _set_points(found: "Description", opening: Opening) -> "Description":
+    """Return a table of means as its map says, without what is looked for in samples; other descriptions as they are."""
     from undrift.io.session import entry_of, session_from_files
 
     stated = opening.file_map()
     if found.kind != "recording" or stated is None or entry_of(stated).set_points is None:
-        return None
+        return found
     held = session_from_files([Path(found.path)], stated)
     turned = int(held.means[0].rate_b.any(axis=1).sum())
     summary = f"{found.rows} means over set-points, {turned} of them at known rates"
     units = tuple((name, unit) for name, unit in found.units if name != "time")
     bare = replace(found, kind="set-points", summary=summary, units=units, findings=(), duration_s=None)
-    return replace(bare, sample_rate_hz=None, usual_rate_hz=None), held
+    return replace(bare, sample_rate_hz=None, usual_rate_hz=None, session=held)
 
 
 def _stills(session: "Session | None", rests: Rests) -> tuple[tuple[tuple[float, float], ...], str]:

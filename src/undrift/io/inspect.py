@@ -7,7 +7,7 @@ A recording that reads well may still have a wrong unit, gaps, drop-outs, dead a
 import json
 import re
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
@@ -43,7 +43,7 @@ from undrift.io.parquet import parquet_names
 from undrift.io.reference import native_reference
 from undrift.io.session import read_column_map, read_session
 from undrift.io.text import MARK, Text, open_text, parse_text
-from undrift.record import Record, Reference
+from undrift.record import Record, Reference, Session
 from undrift.units import RADIAN_PER_DEGREE, SI_UNIT, STANDARD_GRAVITY, is_physical, si_factor
 
 # ---- symptoms
@@ -504,6 +504,9 @@ class Description:
     findings: tuple[Finding, ...] = ()
     # Lines of the map that a table of foreign names may need, "?" where a person must state the unit
     example: tuple[str, ...] = ()
+    session: Session | None = field(
+        default=None, repr=False
+    )  # What was read: a session, or a recording as a session of one
 
     @property
     def problems(self) -> tuple[str, ...]:
@@ -592,6 +595,7 @@ def describe_record(read: ReadResult, *, path: str = "", format_name: str = "csv
         summary=f"{len(record)} samples at {rate}, {record.duration_s:.6g} s"
         + f", {record.device}" * bool(record.device),
         findings=(*left_out, *find_symptoms(record)),
+        session=Session(kind="calibration", serial="", gravity_m_s2=STANDARD_GRAVITY, records=(record,)),
         **_of_records(record),
     )
 
@@ -746,6 +750,7 @@ def _session(path: Path, clock: Clock | None = None) -> Description:
         kind="session",
         format="session",
         summary=f"{session.kind} of {session.serial}: {held}",
+        session=session,
         findings=tuple(
             replace(item, values={**item.values, "recording": number})
             for number, record in enumerate(session.records)
