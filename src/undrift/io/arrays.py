@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from undrift.arrays import FloatArray
 from undrift.errors import FileFormatError, InputError
 from undrift.files import checked_file, first_line, read_bytes
-from undrift.io.box import boxed
+from undrift.io.box import boxed, load
 from undrift.io.columns import (
     READ_SETTINGS,
     Column,
@@ -37,10 +37,7 @@ from undrift.io.columns import (
 def open_hdf5(path: str | Path) -> Iterator[Any]:
     """Open an HDF5 file for reading."""
     path = checked_file(path)
-    try:
-        import h5py
-    except ImportError as error:  # pragma: no cover - the io extra is installed where the tests run
-        raise InputError(f"{path}: HDF5 needs h5py; install undrift[io]") from error
+    h5py = load("h5py", path)
     try:
         handle = h5py.File(path, "r")
     except OSError as error:
@@ -122,12 +119,9 @@ def mat_arrays(path: str | Path) -> Arrays:
 
 
 def _load_mat(path: Path) -> dict[str, Any]:
+    library = load("pymatreader", path)
     try:
-        from pymatreader import read_mat as load
-    except ImportError as error:  # pragma: no cover - the io extra is installed where the tests run
-        raise InputError(f"{path}: MAT files need pymatreader; install undrift[io]") from error
-    try:
-        return dict(load(str(path)))
+        return dict(library.read_mat(str(path)))
     except Exception as error:
         raise FileFormatError(
             f"{path}: wanted a MAT file, got something else or a damaged one; {first_line(error)}"

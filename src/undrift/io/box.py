@@ -24,7 +24,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, BinaryIO, NoReturn, ParamSpec, TypeVar
 
-from undrift.errors import FileFormatError, UndriftError
+from undrift.errors import FileFormatError, InputError, UndriftError
 from undrift.files import GIGABYTE, LIMITS, checked_file, first_line
 
 with contextlib.suppress(ImportError):  # Windows has none, and no fork
@@ -113,6 +113,17 @@ def _parts(
             shared.append(box)
         else:
             box.close()
+
+
+def load(module: str, path: Path, extra: str = "io") -> Any:
+    """Return a library that an extra installs."""
+    try:
+        return import_module(module)
+    except ImportError as error:
+        name = module.split(".")[0]
+        raise InputError(
+            f"{path}: wanted {name} to read it, got no such library; run pip install 'undrift[{extra}]'"
+        ) from error
 
 
 @contextlib.contextmanager

@@ -26,7 +26,6 @@ import zipfile
 import zlib
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -37,7 +36,7 @@ from undrift.arrays import BoolArray, FloatArray, IntArray
 from undrift.errors import FileFormatError, InputError
 from undrift.files import first_line, read_bytes
 from undrift.io.arrays import mat_arrays
-from undrift.io.box import boxed
+from undrift.io.box import boxed, load
 from undrift.io.columns import AXES, ColumnMap, ReadResult, ReadSettings, Table, build_record
 from undrift.io.labelled import EPOCH_S
 from undrift.units import canonical_unit
@@ -47,17 +46,6 @@ Channels = dict[str, tuple[Any, str]]
 
 
 # ---- what these readers share
-
-
-def load(module: str, path: Path, extra: str = "io") -> Any:
-    """Return a library that an extra installs."""
-    try:
-        return import_module(module)
-    except ImportError as error:
-        name = module.split(".")[0]
-        raise InputError(
-            f"{path}: wanted {name} to read it, got no such library; run pip install 'undrift[{extra}]'"
-        ) from error
 
 
 def chosen(path: Path, kind: str, names: tuple[str, ...], sensor: str | None) -> str:

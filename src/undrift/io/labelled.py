@@ -59,11 +59,11 @@ class Sheet:
     """A text export with its header read, and what a maker's reader adds to it."""
 
     path: Path
-    preamble: tuple[str, ...]  # Lines before the header
     names: tuple[str, ...]
-    units: tuple[str, ...]  # From the unit row, "" elsewhere
     layout: TextLayout
     rows: bytes  # From the first row of readings on
+    preamble: tuple[str, ...] = ()  # Lines before the header
+    units: tuple[str, ...] = ()  # From the unit row, "" elsewhere
     unit_row: bool = False
     labels: tuple[Label | None, ...] = ()
     rate_hz: float | None = None  # Hz, as the file states it

@@ -46,6 +46,7 @@ from undrift.io.columns import (
     in_seconds,
     is_number,
 )
+from undrift.io.containers import chosen
 from undrift.io.labelled import (
     Label,
     Sheet,
@@ -56,7 +57,7 @@ from undrift.io.labelled import (
     read_sheet,
     unit_for,
 )
-from undrift.io.mocap import Markers, Up, level_from, unique_labels
+from undrift.io.mocap import Markers, Up, level_from, markers_of
 from undrift.io.reference import ReferenceMap
 from undrift.io.text import Text, open_text, parse_text
 from undrift.record import Record, Reference
@@ -286,12 +287,7 @@ def trigno_discover_labels(sheet: Sheet, _: ReadSettings) -> Sheet:
 def read_apdm(path: str | Path, sensor: str | None = None) -> Record:
     """Read one sensor of an APDM Opal file."""
     text = open_text(path, TextLayout(skip_rows=2))
-    sensors = _opals(text)
-    if sensor is None and len(sensors) == 1:
-        (sensor,) = sensors
-    if sensor not in sensors:
-        wanted = "the name of one sensor" if sensor is None else f"sensor {sensor!r}"
-        raise InputError(f"{text.path}: wanted {wanted}, got a file with {', '.join(sensors)}; name one of them")
+    sensor = chosen(text.path, "sensor", _opals(text), sensor)
     lines = [line.decode("utf-8", "replace").split(",") for line in text.head.splitlines()[: text.skip + 1]]
     if len(lines) <= text.skip:
         raise FileFormatError(
@@ -425,22 +421,8 @@ def read_bids_positions(path: Path, up: Up | None = None) -> Markers:
         )
     points = np.stack([sheet.array(columns) for columns in whole.values()], axis=1)
     unit = channels[next(iter(whole.values()))[0]].get("units", "")
-    return markers_of(path, tuple(whole), points * si_factor(unit, "length"), rate_hz=sheet.rate_hz, up=up)
-
-
-def markers_of(
-    path: Path, labels: tuple[str, ...], points: FloatArray, *, rate_hz: float, up: Up | None, why: str = "the file"
-) -> Markers:
-    """Return marker trajectories in the level frame; an axis that points up must be stated."""
-    if up is None:
-        raise InputError(
-            f'{path}: wanted the axis that points up, got none; {why} does not say: state up = "y" or "z"', missing="up"
-        )
-    try:
-        time = np.arange(len(points)) / rate_hz
-        return Markers(labels=unique_labels(labels), time=time, points=level_from(points, up), name=path.name)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from error
+    time = np.arange(len(points)) / sheet.rate_hz
+    return markers_of(path, tuple(whole), points * si_factor(unit, "length"), time, up=up)
 
 
 def is_bids(path: Path, *, positions: bool) -> bool:
@@ -475,8 +457,7 @@ def _bids(path: Path) -> tuple[Sheet, list[dict[str, str]]]:
             f"{path}: wanted {len(names)} columns as in {channels.name}, got {width}; the two do not belong together"
         )
     layout = TextLayout(delimiter="\t", header=False)
-    sheet = Sheet(path=path, preamble=(), names=names, units=("",) * width, layout=layout, rows=content, rate_hz=rate)
-    return sheet, rows
+    return Sheet(path=path, names=names, layout=layout, rows=content, rate_hz=rate), rows
 
 
 # ---- a log of set-points: "BIN_DATA: 5, -10.1, 21652, 0.13, ..."
@@ -525,8 +506,7 @@ def read_set_points(path: Path, columns: ColumnMap | None, settings: ReadSetting
         )
     layout = replace(columns.layout, header=False, skip_rows=0, delimiter=",")
     names = tuple(str(k) for k in range(width))
-    rows = b"\n".join(found) + b"\n"
-    sheet = Sheet(path=path, preamble=(), names=names, units=("",) * width, layout=layout, rows=rows)
+    sheet = Sheet(path=path, names=names, layout=layout, rows=b"\n".join(found) + b"\n")
     table = sheet.columns(
         *(int(k) for k in columns.wanted()), drop_bad_rows=layout.drop_bad_rows or settings.drop_bad_rows
     )
@@ -555,7 +535,7 @@ def name_of(path: Path, names: tuple[str, ...], name: str | None) -> str:
 def _table(path: Path, rows: bytes, width: int) -> FloatArray:
     """Return rows of tab-separated numbers, (N, width)."""
     layout, names = TextLayout(delimiter="\t", header=False), tuple(str(k) for k in range(width))
-    sheet = Sheet(path=path, preamble=(), names=names, units=("",) * width, layout=layout, rows=rows)
+    sheet = Sheet(path=path, names=names, layout=layout, rows=rows)
     values = sheet.array(range(width)) if rows.strip() else np.empty((0, width))  # type: ignore[arg-type]
     if len(values) < 2:
         raise FileFormatError(f"{path}: wanted two frames or more, got {len(values)}; the file is cut")
@@ -607,7 +587,7 @@ def read_qtm_markers(path: Path, up: Up | None = None) -> Markers:
     labels, values, rate = _qtm(path, "MARKER_NAMES", 3)
     points = values.reshape(len(values), len(labels), 3) * 1e-3
     points[(points == 0.0).all(axis=2) | np.isnan(points).any(axis=2)] = np.nan
-    return markers_of(path, labels, points, rate_hz=rate, up=up, why="QTM")
+    return markers_of(path, labels, points, np.arange(len(points)) / rate, up=up, why="QTM")
 
 
 def read_qtm_bodies(path: Path, name: str | None = None, up: Up | None = None) -> Reference:

@@ -20,7 +20,7 @@ from undrift.arrays import BoolArray, FloatArray, frozen
 from undrift.errors import FileFormatError, InputError
 from undrift.files import checked_file, is_gzip, read_bytes
 from undrift.io.arrays import mat_arrays, open_hdf5, read_array
-from undrift.io.box import boxed
+from undrift.io.box import boxed, load
 from undrift.record import Record, Reference, check_time, sample_rate_of
 from undrift.units import si_factor
 
@@ -137,6 +137,26 @@ def unique_labels(labels: tuple[str, ...] | list[str]) -> tuple[str, ...]:
     return tuple(out)
 
 
+def stated_up(path: Path, up: Up | None, why: str) -> Up:
+    """Return the axis that points up; an error where nobody stated it."""
+    if up is None:
+        raise InputError(
+            f'{path}: wanted the axis that points up, got none; {why} does not say: state up = "y" or "z"', missing="up"
+        )
+    return up
+
+
+def markers_of(
+    path: Path, labels: tuple[str, ...], points: FloatArray, time: FloatArray, *, up: Up | None, why: str = "the file"
+) -> Markers:
+    """Return marker trajectories in the level frame; an axis that points up must be stated."""
+    points = level_from(points, stated_up(path, up, why))
+    try:
+        return Markers(labels=unique_labels(labels), time=time, points=points, name=path.name)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+
+
 def _mean_shape(points: FloatArray, whole: BoolArray) -> FloatArray:
     """Return the cluster's average shape over the frames that show all of it, in the axes of the first of them."""
     full = points[whole]
@@ -232,10 +252,7 @@ def is_c3d(head: bytes) -> bool:
 
 
 def _load(path: Path) -> Any:
-    try:
-        import ezc3d
-    except ImportError as error:  # pragma: no cover - the io extra is installed where the tests run
-        raise InputError(f"{path}: C3D files need ezc3d; install undrift[io]") from error
+    ezc3d = load("ezc3d", path)
     content = read_bytes(path)
     _check_size(content, path)
     try:
@@ -280,11 +297,7 @@ _HEAD = ("DataRate", "NumMarkers", "Units")
 
 def read_trc(path: str | Path, up: Up | None = None) -> Markers:
     """Read marker trajectories from a TRC file."""
-    path = Path(path)
-    if up is None:
-        raise InputError(
-            f'{path}: wanted the axis that points up, got none; TRC does not say: state up = "y" or "z"', missing="up"
-        )
+    path, up = Path(path), stated_up(Path(path), up, "TRC")
     try:
         lines = read_bytes(path).decode("utf-8").splitlines()
     except UnicodeDecodeError as error:
@@ -312,10 +325,7 @@ def read_trc(path: str | Path, up: Up | None = None) -> Markers:
         raise FileFormatError(f"{path}: wanted two frames or more, got {len(time)}; the file is cut")
     points = cells.reshape(len(time), wanted, 3) * si_factor(head["Units"], "length")
     points[~np.isfinite(points).all(axis=2) | (points == 0.0).all(axis=2)] = np.nan
-    try:
-        return Markers(labels=unique_labels(labels), time=time, points=level_from(points, up), name=path.name)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from error
+    return markers_of(path, labels, points, time, up=up, why="TRC")
 
 
 def _rows(lines: list[str], width: int, path: Path) -> tuple[FloatArray, FloatArray]:

@@ -17,6 +17,7 @@ import numpy as np
 from undrift.arrays import FloatArray
 from undrift.base.codec import toml_block, toml_text, tree_of
 from undrift.errors import InputError
+from undrift.frames import quaternion_of, rotate
 from undrift.io.formats import read_record
 from undrift.io.inspect import Description
 from undrift.io.session import HeadEntry, KeptEntry, piece_toml, stated_piece
@@ -104,7 +105,7 @@ def gyro_unit_of(record: Record) -> tuple[str, int, float, float] | None:
     turned = (gyro - np.nanmedian(record.gyro, axis=0)).mean(axis=1)[usable] * (size - part) / record.sample_rate_hz
     misses = {}
     for unit, factor in (("rad/s", 1.0), ("dps", RADIAN_PER_DEGREE)):
-        expected = _rotated(first[usable], -factor * turned)
+        expected = rotate(quaternion_of(-factor * turned), first[usable])
         apart = np.arccos(np.clip((expected * last[usable]).sum(axis=1), -1.0, 1.0))
         misses[unit] = float(np.nanmedian(apart)) / RADIAN_PER_DEGREE
     best, other = sorted(misses, key=lambda unit: misses[unit])
@@ -115,15 +116,6 @@ def gyro_unit_of(record: Record) -> tuple[str, int, float, float] | None:
 
 def _unit(vectors: FloatArray) -> FloatArray:
     return np.asarray(vectors / np.linalg.norm(vectors, axis=1, keepdims=True))
-
-
-def _rotated(vectors: FloatArray, by: FloatArray) -> FloatArray:
-    """Return vectors (N, 3) turned by rotation vectors (N, 3), by Rodrigues' formula."""
-    angle = np.linalg.norm(by, axis=1, keepdims=True)
-    axis = by / np.maximum(angle, np.finfo(float).tiny)
-    along = (axis * vectors).sum(axis=1, keepdims=True)
-    turned = vectors * np.cos(angle) + np.cross(axis, vectors) * np.sin(angle) + axis * along * (1.0 - np.cos(angle))
-    return np.asarray(turned)
 
 
 # ---- session.toml of bare recordings
