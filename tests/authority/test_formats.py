@@ -10,10 +10,9 @@ from testkit.data import DATA, data_path, show
 from undrift.errors import FileFormatError, InputError
 from undrift.io.arrays import read_npz
 from undrift.io.columns import ColumnMap, ReadSettings, Scale, TextLayout
-from undrift.io.dialects import DIALECTS
 from undrift.io.formats import read_record, read_reference
 from undrift.io.inspect import describe, find_symptoms
-from undrift.io.makers import apdm_sensors, read_apdm
+from undrift.io.makers import DIALECTS, apdm_sensors, read_apdm
 from undrift.io.mocap import fit_cluster, read_broad, read_c3d, read_trc
 from undrift.io.reference import ReferenceMap
 from undrift.io.session import read_session

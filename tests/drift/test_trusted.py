@@ -9,7 +9,7 @@ from testkit.data import data_path, show
 from undrift.drift.temperature import check_span, step_of, trusted_temperature
 from undrift.errors import InputError, NotObservable
 from undrift.io.columns import ColumnMap, Scale, TextLayout
-from undrift.io.dialects import DIALECTS
+from undrift.io.makers import DIALECTS
 from undrift.io.text import read_csv
 from undrift.record import Record, Session, Still
 

@@ -8,8 +8,7 @@ from hypothesis import strategies as st
 from testkit.strategies import few, one_line
 from undrift.errors import FileFormatError, InputError
 from undrift.io.columns import ReadSettings
-from undrift.io.dialects import DIALECTS
-from undrift.io.makers import apdm_sensors, read_apdm
+from undrift.io.makers import DIALECTS, apdm_sensors, read_apdm
 
 
 def csv(header, rows):

@@ -22,7 +22,7 @@ from collections.abc import Callable, Generator, Iterator
 from contextvars import ContextVar
 from importlib import import_module
 from pathlib import Path
-from typing import Any, BinaryIO, NoReturn, ParamSpec, TypeVar
+from typing import Any, NoReturn, ParamSpec, TypeVar
 
 from undrift.errors import FileFormatError, InputError, UndriftError
 from undrift.files import GIGABYTE, LIMITS, checked_file, first_line
@@ -47,7 +47,8 @@ def boxed(*libraries: str) -> Callable[[Callable[P, T]], Callable[P, T]]:
     def decorate(read: Callable[P, T]) -> Callable[P, T]:
         @functools.wraps(read)
         def in_box(*given: P.args, **named: P.kwargs) -> T:
-            (value,) = _parts(given[0], libraries, lambda: iter((read(*given, **named),)), (in_box, given, named))
+            once = functools.partial(_once, read, given, named)
+            (value,) = _parts(given[0], libraries, once, (in_box, given, named))
             return value
 
         return in_box
@@ -172,9 +173,11 @@ def _run(path: Path, read: Callable[[], Iterator[Any]], channel: socket.socket) 
                 if not first and isinstance(error.__cause__, MemoryError):
                     raise
                 _send(channel, (None, error))  # the caller raises it again
-            first, (path, (function, given, named)) = False, _asked(channel)
-            read = functools.partial(_once, function, given, named)
-    except EOFError:
+            size = channel.recv(_LENGTH.size, socket.MSG_WAITALL)
+            if not size:  # the caller has closed the box
+                break
+            path, call = pickle.loads(channel.recv(_LENGTH.unpack(size)[0], socket.MSG_WAITALL))
+            first, read = False, functools.partial(_once, *call)
         status = 0
     finally:
         os._exit(status)
@@ -184,17 +187,10 @@ def _once(read: Callable[..., T], given: tuple[Any, ...], named: dict[str, Any])
     yield read(*given, **named)
 
 
-def _asked(channel: socket.socket) -> Any:
-    """Wait for the next file and its reader; EOFError where the caller has closed the box."""
-    size = channel.recv(_LENGTH.size, socket.MSG_WAITALL)
-    if not size:
-        raise EOFError
-    return pickle.loads(channel.recv(_LENGTH.unpack(size)[0], socket.MSG_WAITALL))
-
-
 def _set_limits(path: Path, memory: int) -> None:
     """Limit this process to some bytes, and to the seconds of one file more than it has used."""
-    seconds = round(time.process_time() + LIMITS.start_s + LIMITS.megabyte_s * _size(path) / 1e6)
+    size = sum(p.stat().st_size for p in (path.rglob("*") if path.is_dir() else (path,)) if p.is_file())
+    seconds = round(time.process_time() + LIMITS.start_s + LIMITS.megabyte_s * size / 1e6)
     limits = {resource.RLIMIT_CPU: seconds, resource.RLIMIT_CORE: 0, resource.RLIMIT_DATA: memory}
     for kind, most in limits.items():
         hard = resource.getrlimit(kind)[1]
@@ -209,16 +205,13 @@ def _held() -> int:
     return 0
 
 
-def _size(path: Path) -> int:
-    return sum(p.stat().st_size for p in path.rglob("*") if p.is_file()) if path.is_dir() else path.stat().st_size
-
-
 def _send(channel: socket.socket, held: tuple[Any, BaseException | None]) -> None:
     """Send an object: its arrays as they are in a file in memory, and that file's number; wait while two are not taken."""
     buffers: list[pickle.PickleBuffer] = []
     head = pickle.dumps(held, protocol=5, buffer_callback=buffers.append)
     raw = [buffer.raw() for buffer in buffers]
-    with _memory() as file:
+    memory: Any = getattr(os, "memfd_create", None)  # Linux alone has it
+    with tempfile.TemporaryFile() if memory is None else os.fdopen(memory("undrift"), "w+b") as file:
         file.write(struct.pack(f"<{len(raw) + 2}Q", len(raw), len(head), *(view.nbytes for view in raw)))
         file.write(head)
         for view in raw:
@@ -227,12 +220,6 @@ def _send(channel: socket.socket, held: tuple[Any, BaseException | None]) -> Non
         file.flush()
         socket.send_fds(channel, [b"+"], [file.fileno()])
     channel.recv(1)
-
-
-def _memory() -> BinaryIO:
-    if hasattr(os, "memfd_create"):
-        return os.fdopen(os.memfd_create("undrift"), "w+b")
-    return tempfile.TemporaryFile()
 
 
 # ---- the caller

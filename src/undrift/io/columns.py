@@ -30,6 +30,7 @@ Names: TypeAlias = tuple[str, ...] | list[str]
 CHANNELS: tuple[Channel, ...] = ("time", "gyro", "accel", "temp", "mag")
 QUANTITY: dict[Channel, Quantity] = {"time": "time", "gyro": "rate", "accel": "accel", "temp": "temp", "mag": "mag"}
 AXES = ("x", "y", "z")
+KIND, FORMAT = "undrift.record", 1  # of undrift's own recordings, in Parquet and beside CSV
 _SENSOR = {"time": "time", "gyro": "gyroscope", "accel": "accelerometer", "temp": "temperature", "mag": "magnetometer"}
 LM335_RANGE_C = (-40.0, 125.0)  # where the part works
 MOST_TRIM_C = 20.0  # an untrimmed part is within 9 K by its data sheet

@@ -173,7 +173,8 @@ def read_xdf(path: Path, columns: Columns, settings: ReadSettings) -> ReadResult
         f"{float(info['nominal_srate'][0]):g} Hz"
     )
     if columns is not None:
-        return _mapped(path, (time, labels, values), columns, note)
+        table = Table(source=str(path), names=(*labels, "time_s"), columns=(*values.T, time))
+        return replace(build_record(table, columns), notes=(note,))
     found: Channels = {}
     for channel, pattern in _CHANNEL.items():
         at = [k for k in range(len(labels)) if re.search(pattern, f"{label[k]} {kind[k]}", re.IGNORECASE)]
@@ -190,12 +191,6 @@ def read_xdf(path: Path, columns: Columns, settings: ReadSettings) -> ReadResult
             example=('columns = { time = "time_s", gyro = [0, 1, 2] }', 'units = { time = "s", gyro = "?" }'),
         )
     return build(path, time, found, settings, [note], device=name)
-
-
-def _mapped(path: Path, held: tuple[FloatArray, list[str], FloatArray], columns: ColumnMap, note: str) -> ReadResult:
-    time, labels, values = held
-    table = Table(source=str(path), names=(*labels, "time_s"), columns=(*values.T, time))
-    return replace(build_record(table, columns), notes=(note,))
 
 
 # ---- ROS 1 bag, ROS 2 db3 and MCAP, or the folder of a ROS 2 bag

@@ -35,9 +35,10 @@ from undrift.io.containers import (
     read_ulog,
     read_xdf,
 )
-from undrift.io.dialects import DIALECTS, Dialect
 from undrift.io.labelled import is_labelled, read_labelled
 from undrift.io.makers import (
+    DIALECTS,
+    Dialect,
     is_bids,
     is_phone,
     is_set_points,
@@ -45,15 +46,20 @@ from undrift.io.makers import (
     read_bids_motion,
     read_bids_positions,
     read_phone,
-    read_qtm_bodies,
-    read_qtm_markers,
     read_set_points,
-    read_sto,
     with_thermometer,
 )
 from undrift.io.mocap import Markers, Up, is_c3d, pose_from_cluster, read_broad, read_c3d, read_trc
 from undrift.io.parquet import CHUNK_ROWS, iter_parquet, read_parquet
-from undrift.io.reference import ReferenceMap, read_array_poses, read_parquet_poses, read_text_poses
+from undrift.io.reference import (
+    ReferenceMap,
+    read_array_poses,
+    read_parquet_poses,
+    read_qtm_bodies,
+    read_qtm_markers,
+    read_sto,
+    read_text_poses,
+)
 from undrift.io.text import MARK, read_csv
 from undrift.io.write import write_record_as
 from undrift.plugins import load_named, names_in
@@ -156,7 +162,6 @@ def _is_prose(path: Path, head: bytes) -> bool:
 
 _TABLE = frozenset({"columns", "sample_rate_hz", "gaps", "repair_time", "drop_bad_rows", "clock"})
 _ARRAYS = frozenset({"columns", "sample_rate_hz", "gaps", "clock"})
-_SET_POINT = _has(rb"^[ \t]*[A-Za-z_]\w*:[ \t]*[-+.\d]+[ \t]*,")
 _EXPORT = frozenset({"sample_rate_hz", "sensor", "gaps", "repair_time", "drop_bad_rows"})
 _STREAMS = frozenset({"sensor", "gaps", "repair_time"})
 _BLOCKS = frozenset({"gaps", "repair_time", "drop_bad_rows"})
@@ -252,7 +257,7 @@ FORMATS: dict[str, Format] = {
         "is the .sto file of orientations (DataType=Quaternion)",
     ),
     "set_points": Format(
-        lambda path, head: _SET_POINT(path, head) and is_set_points(head),
+        lambda _, head: is_set_points(head),
         record=read_set_points,
         honours=frozenset({"columns", "sample_rate_hz", "drop_bad_rows"}),
     ),

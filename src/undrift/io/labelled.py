@@ -33,7 +33,7 @@ from undrift.io.columns import (
     is_date,
     is_number,
 )
-from undrift.io.text import Text, parse_text
+from undrift.io.text import Text, packed, parse_text
 from undrift.units import DEVICE_UNITS, canonical_unit, si_factor
 
 _HEAD = 1 << 16
@@ -148,16 +148,9 @@ def sheet_of(path: Path, content: bytes) -> Sheet | None:
         names=tuple(names) + ("",) * (width - len(names)),
         units=tuple(units[:width]) + ("",) * (width - len(units)),
         layout=TextLayout(delimiter=delimiter, decimal=decimal, header=False),
-        rows=first + _packed(content[offset:], delimiter),
+        rows=first + (packed(content[offset:]) if delimiter == " " else content[offset:]),
         unit_row=unit_row,
     )
-
-
-def _packed(rows: bytes, delimiter: str) -> bytes:
-    """Return rows with runs of blanks as one delimiter, as the parser takes them."""
-    if delimiter != " ":
-        return rows
-    return re.sub(rb"^ | $", b"", re.sub(rb"[ \t]+", b" ", rows.replace(b"\r\n", b"\n")), flags=re.MULTILINE)
 
 
 def as_utf8(content: bytes) -> bytes:

@@ -1,4 +1,4 @@
-"""Text exports of makers: what a row of :mod:`undrift.io.dialects` cannot say, mostly over :mod:`undrift.io.labelled`.
+"""Text exports of makers: what their manuals state and their files do not.
 
 Xsens MT      // lines, PacketCounter (16 bit) as the only clock; m/s2, rad/s by the manual
 Movella DOT   sep=, SampleTimeFine in us (32 bit), lost packets; m/s2, deg/s by the manual; FreeAcc has gravity removed
@@ -12,19 +12,28 @@ Sensor Logger the file's name says which sensor; Accelerometer.csv has gravity r
               acceleration is the opposite of specific force unless Metadata.csv says that units and frames are standardised
 SensorLog     iOS: g, the opposite of specific force. (phyphox turns the sign of iOS itself.)
 BIDS-motion   *_motion.tsv without header; *_channels.tsv and *_motion.json beside it
-OpenSim       .sto: cells "w,x,y,z", a column for each sensor
-QTM           TSV: markers (3D), or bodies (6D) with Rot[0..8] column by column; mm
 set-points    "BIN_DATA: 5, -10.1, 21652, ...": columns without names, read through a map by position
 
-A file of poses may hold several bodies, of which one is named. Quaternions are scalar first and turn the body to the
-laboratory; a lost body is zeros, NaN or empty cells. Temperature that comes in a file of its own, at its own rate, is
-interpolated onto the samples and held at the ends.
+Each is a row of DIALECTS, below: how a file is recognised, and what its manual states but the file does not. A dialect names
+its columns (``columns``), or it is labelled: names and unit rows state what each column is (io/labelled.py), and the row adds units
+of the manual, what is left out, and what a function of this file finds (``finish``). A new maker is a new row::
+
+    "step_logger": Dialect(
+        head=rb"\\A# StepLogger \\d",
+        maker="StepLogger",
+        units={"gyro": "dps", "accel": "g"},
+        device=r"^# unit (\\w+)",
+        rate=r"^# rate (\\d+)",
+    ),
+
+Temperature that comes in a file of its own, at its own rate, is interpolated onto the samples and held at the ends.
 """
 
 import csv
 import json
 import re
-from dataclasses import replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -33,7 +42,6 @@ import numpy as np
 from undrift.arrays import FloatArray
 from undrift.errors import FileFormatError, InputError
 from undrift.files import read_bytes
-from undrift.frames import quaternion_product
 from undrift.io.columns import (
     AXES,
     READ_SETTINGS,
@@ -44,7 +52,6 @@ from undrift.io.columns import (
     TextLayout,
     build_record,
     in_seconds,
-    is_number,
 )
 from undrift.io.containers import chosen
 from undrift.io.labelled import (
@@ -56,24 +63,22 @@ from undrift.io.labelled import (
     open_sheet,
     read_sheet,
     unit_for,
+    with_manual,
 )
-from undrift.io.mocap import Markers, Up, level_from, markers_of
-from undrift.io.reference import ReferenceMap
+from undrift.io.mocap import Markers, Up, markers_of
+from undrift.io.reference import NEARLY_UNIT, ReferenceMap, read_text_poses, reference_of
 from undrift.io.text import Text, open_text, parse_text
 from undrift.record import Record, Reference
 from undrift.units import canonical_unit, si_factor, temp_offset
 
-SI = {"gyro": "rad/s", "accel": "m/s2", "temp": "degC"}
-_HALF = 2.0**-0.5
-_FROM_Y_UP = np.array([_HALF, _HALF, 0.0, 0.0])  # z up from y up, as level_from turns points
-_NEARLY_UNIT = 0.01
-OPPOSITE = "acceleration multiplied by -1: iOS reads -1 g along an axis that points up"
+_SI = {"gyro": "rad/s", "accel": "m/s2", "temp": "degC"}
+_OPPOSITE = "acceleration multiplied by -1: iOS reads -1 g along an axis that points up"
 _NO_SIGN = "sign of acceleration not stated by the file (iOS and Android differ); rests and turns decide"
 
 # ---- Xsens MT and Movella DOT: packets that may be lost
 
 
-def xsens_clock(sheet: Sheet, settings: ReadSettings) -> Sheet:
+def _xsens_clock(sheet: Sheet, settings: ReadSettings) -> Sheet:
     """Return an MT Manager export with its clock: the packet counter at the stated rate, so that lost packets are gaps."""
     counter = sheet.position(r"^(Packet)?Counter$")
     stated = sheet.stated(r"^// *(?:Update|Sample) rate: *(\d+(?:\.\d+)?) *Hz")
@@ -98,7 +103,7 @@ def xsens_clock(sheet: Sheet, settings: ReadSettings) -> Sheet:
     return replace(sheet, clock=clock, counters=(counter,))
 
 
-def dot_clock(sheet: Sheet, _: ReadSettings = READ_SETTINGS) -> Sheet:
+def _dot_clock(sheet: Sheet, _: ReadSettings = READ_SETTINGS) -> Sheet:
     """Return a DOT export with its clock, SampleTimeFine."""
     fine, counter = sheet.position(r"^SampleTimeFine$"), sheet.position(r"^PacketCounter$")
     if fine is None or counter is None:
@@ -125,7 +130,7 @@ def _lost(packets: FloatArray) -> tuple[str, ...]:
     )
 
 
-def with_readings(sheet: Sheet, _: ReadSettings) -> Sheet:
+def _with_readings(sheet: Sheet, _: ReadSettings) -> Sheet:
     """Refuse an export of orientations only, which is a reference."""
     if any(label and label.channel in ("gyro", "accel", "free") for label in sheet.labels):
         return sheet
@@ -138,30 +143,32 @@ def with_readings(sheet: Sheet, _: ReadSettings) -> Sheet:
 # ---- Sensor Logger, SensorLog, mobgap
 
 
-def sensor_logger_labels(sheet: Sheet, _: ReadSettings = READ_SETTINGS) -> Sheet:
+def _sensor_logger_labels(sheet: Sheet, _: ReadSettings = READ_SETTINGS) -> Sheet:
     """Label one sensor of the Sensor Logger app, as specific force: iOS writes its opposite unless frames are standardised."""
     path, stem = sheet.path, sheet.path.name.split(".")[0]
     kind = "Linear acceleration" if stem == "Accelerometer" else stem
     names = tuple(f"{kind} {name}" if name in AXES else name for name in sheet.names)
     names = tuple(re.sub("^acceleration(?=[XYZ]$)", "Linear acceleration", name) for name in names)  # watch, headphones
-    labels = [label_of(name, "s" if name == "seconds_elapsed" else "", SI) for name in names]
+    labels = [label_of(name, "s" if name == "seconds_elapsed" else "", _SI) for name in names]
     labels = [None if name == "time" else label for name, label in zip(names, labels, strict=True)]
     notes = ["units by the manual of Sensor Logger, not in the file: accel m/s2, gyro rad/s"]
-    in_g, apple = False, _of_ios(path.with_name("Metadata.csv"))
+    _in_g, apple = False, _of_ios(path.with_name("Metadata.csv"))
     if stem.startswith("AccelerometerUncalibrated") and (size := _median_size(sheet, names)) is not None:
-        in_g = size < 3.0
-        if in_g:
+        _in_g = size < 3.0
+        if _in_g:
             notes = [f"acceleration in g: its median is {size:.3g}; iOS writes this file in g, Android in m/s2"]
-        if apple is not None and apple != in_g:
+        if apple is not None and apple != _in_g:
             raise FileFormatError(
                 f"{path}: wanted {'g' if apple else 'm/s2'} by platform and standardisation in Metadata.csv, got a median of "
                 f"{size:.3g}; the two do not belong together: leave Metadata.csv out"
             )
-        apple = in_g
+        apple = _in_g
     if any(label and label.channel == "accel" for label in labels):
-        notes += [_NO_SIGN] if apple is None else [OPPOSITE] if apple else []
+        notes += [_NO_SIGN] if apple is None else [_OPPOSITE] if apple else []
     labels = [
-        x._replace(gain=-x.gain if apple else x.gain, unit="g" if in_g else x.unit) if x and x.channel == "accel" else x
+        x._replace(gain=-x.gain if apple else x.gain, unit="g" if _in_g else x.unit)
+        if x and x.channel == "accel"
+        else x
         for x in labels
     ]
     return replace(sheet, names=names, labels=tuple(labels), notes=tuple(notes))
@@ -175,7 +182,7 @@ def _of_ios(path: Path) -> bool | None:
     return ios and stated.get("standardisation") != "true" if android or ios else None
 
 
-def one_gyroscope(sheet: Sheet, _: ReadSettings) -> Sheet:
+def _one_gyroscope(sheet: Sheet, _: ReadSettings) -> Sheet:
     """Leave the fused one of two gyroscopes of SensorLog out: the raw one is read."""
     fused = "motionRotationRate" if sheet.position("^gyroRotation") is not None else None
     return replace(sheet, labels=tuple(None if x and x.sensor == fused else x for x in sheet.labels))
@@ -186,7 +193,7 @@ def _median_size(sheet: Sheet, names: tuple[str, ...]) -> float | None:
     return float(np.nanmedian(np.linalg.norm(sheet.array(columns), axis=1))) if len(columns) == 3 else None
 
 
-def in_g(sheet: Sheet, _: ReadSettings) -> Sheet:
+def _in_g(sheet: Sheet, _: ReadSettings) -> Sheet:
     """Refuse a mobgap example whose accelerations are not in g, as its manual has them."""
     size = _median_size(sheet, tuple(re.sub(r"^acc_", "acc ", name) for name in sheet.names))
     if size is None or not 0.5 < size < 2.0:
@@ -214,7 +221,7 @@ def read_phone(path: Path, _: ColumnMap | None, settings: ReadSettings) -> ReadR
     def one(names: tuple[str, ...]) -> tuple[str, ReadResult]:
         name = next(name for name in names if (path / name).is_file())
         sheet = open_sheet(path / name)
-        labels = sensor_logger_labels if sheet.names[:2] == ("time", "seconds_elapsed") else labelled
+        labels = _sensor_logger_labels if sheet.names[:2] == ("time", "seconds_elapsed") else labelled
         return name, read_sheet(labels(sheet), settings)
 
     (name, found), notes = one(_PHONE_GYRO), list[str]()
@@ -240,7 +247,7 @@ def read_phone(path: Path, _: ColumnMap | None, settings: ReadSettings) -> ReadR
 # ---- Delsys Trigno
 
 
-def trigno_labels(sheet: Sheet, _: ReadSettings) -> Sheet:
+def _trigno_labels(sheet: Sheet, _: ReadSettings) -> Sheet:
     """Label an EMGworks export: "Label: ... Unit: g" lines, then pairs of X[s] and a channel."""
     line = re.compile(
         r"Label: (.*?) Sampling frequency: *(\d+(?:\.\d+)?(?:e[-+]\d+)?)\b.*Unit: *(\S+) Domain Unit: *(\S+)"
@@ -257,7 +264,7 @@ def trigno_labels(sheet: Sheet, _: ReadSettings) -> Sheet:
     return replace(sheet, labels=tuple(labels))
 
 
-def trigno_discover_labels(sheet: Sheet, _: ReadSettings) -> Sheet:
+def _trigno_discover_labels(sheet: Sheet, _: ReadSettings) -> Sheet:
     """Label a Trigno Discover export: names in line 4, signals in line 6, rates in line 7, no time."""
     lines = [[cell.strip() for cell in text.split(",")] for text in (*sheet.preamble, ",".join(sheet.names))]
     heads = [k for k, cells in enumerate(lines) if cells and re.fullmatch(r"\d+(\.\d+)? Hz", cells[0])]
@@ -334,7 +341,7 @@ def _opals(text: Text) -> tuple[str, ...]:
 # ---- APDM, format 7
 
 
-def apdm7_labels(sheet: Sheet, _: ReadSettings) -> Sheet:
+def _apdm7_labels(sheet: Sheet, _: ReadSettings) -> Sheet:
     """Label an APDM file in format 7; the barometer (the bits of a double as an integer) is left out."""
     if len(sheet.preamble) < 2 or not sheet.names:
         raise FileFormatError(
@@ -360,7 +367,7 @@ def apdm7_labels(sheet: Sheet, _: ReadSettings) -> Sheet:
 # ---- a thermometer of its own
 
 
-def with_temp(record: Record, time: FloatArray, temp_c: FloatArray) -> Record:
+def _with_temp(record: Record, time: FloatArray, temp_c: FloatArray) -> Record:
     """Return a record with temperatures (M,), degC, at times (M,), s, interpolated onto its samples and held at the ends."""
     known = np.isfinite(time) & np.isfinite(temp_c)
     if not known.any():
@@ -385,7 +392,7 @@ def with_thermometer(record: Record, thermometer: TempFile) -> Record:
             f"got {known.min():.6g} to {known.max():.6g} s; set temp_file.shift_s, in s"
         )
     try:
-        return with_temp(record, time, temp_c)
+        return _with_temp(record, time, temp_c)
     except InputError as error:
         raise InputError(f"{thermometer.path}: {error}") from error
 
@@ -516,145 +523,18 @@ def read_set_points(path: Path, columns: ColumnMap | None, settings: ReadSetting
     return replace(made, notes=notes, dropped_rows=made.dropped_rows + len(spoilt))
 
 
-# ---- poses of bodies
-
-
-def name_of(path: Path, names: tuple[str, ...], name: str | None) -> str:
-    """Return the body to read: the only one, or the one named."""
-    if name is None and len(names) == 1:
-        return names[0]
-    if name not in names:
-        got = "none" if name is None else repr(name)
-        raise InputError(
-            f"{path}: wanted the name of one body, got {got}; the file holds {', '.join(names)}: name one (--markers)",
-            names=names,
-        )
-    return name
-
-
-def _table(path: Path, rows: bytes, width: int) -> FloatArray:
-    """Return rows of tab-separated numbers, (N, width)."""
-    layout, names = TextLayout(delimiter="\t", header=False), tuple(str(k) for k in range(width))
-    sheet = Sheet(path=path, names=names, layout=layout, rows=rows)
-    values = sheet.array(range(width)) if rows.strip() else np.empty((0, width))  # type: ignore[arg-type]
-    if len(values) < 2:
-        raise FileFormatError(f"{path}: wanted two frames or more, got {len(values)}; the file is cut")
-    return values
-
-
-def _reference(
-    path: Path, time: FloatArray, q_nb: FloatArray, *, position: FloatArray | None = None, up: Up | None, name: str
-) -> Reference:
-    """Return poses in the level frame, lost frames as gaps, time from 0."""
-    size = np.linalg.norm(q_nb, axis=1)
-    seen = np.abs(size - 1.0) < _NEARLY_UNIT
-    if np.isfinite(size).any() and not seen.any():
-        raise FileFormatError(f"{path}: wanted unit quaternions, got length {np.nanmedian(size):.3g}; check the export")
-    q_nb = np.where(seen[:, None], q_nb / np.where(seen, size, 1.0)[:, None], np.nan)
-    try:
-        return Reference(
-            time=time,
-            q_nb=quaternion_product(_FROM_Y_UP, q_nb) if up == "y" else q_nb,
-            position=None if position is None else np.where(seen[:, None], level_from(position, up or "z"), np.nan),
-            name=f"{path.name} {name}".strip(),
-        )
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from error
-
-
-# ---- OpenSim
-
-
-def read_sto(path: Path, name: str | None = None, up: Up | None = None) -> Reference:
-    """Read one sensor of an OpenSense table: "endheader", names, then cells "w,x,y,z"; z is up unless stated."""
-    _, _, body = as_utf8(read_bytes(path)).replace(b"\r\n", b"\n").partition(b"endheader")
-    header, _, rows = body.lstrip(b" \t\n").partition(b"\n")
-    names = tuple(cell.strip() for cell in header.decode("utf-8", "replace").split("\t") if cell.strip())
-    if len(names) < 2 or names[0].lower() != "time":
-        raise FileFormatError(
-            f"{path}: wanted 'time' and sensor names after endheader, got {header[:40]!r}; check the export"
-        )
-    chosen = 1 + 4 * names[1:].index(name_of(path, names[1:], name))
-    values = _table(path, rows.replace(b",", b"\t"), 4 * len(names) - 3)
-    return _reference(path, values[:, 0], values[:, chosen : chosen + 4], up=up, name=names[1 + chosen // 4])
-
-
-# ---- QTM
-
-
-def read_qtm_markers(path: Path, up: Up | None = None) -> Markers:
-    """Read marker trajectories from a QTM TSV file of 3D data, mm; 0, 0, 0 is a lost marker."""
-    labels, values, rate = _qtm(path, "MARKER_NAMES", 3)
-    points = values.reshape(len(values), len(labels), 3) * 1e-3
-    points[(points == 0.0).all(axis=2) | np.isnan(points).any(axis=2)] = np.nan
-    return markers_of(path, labels, points, np.arange(len(points)) / rate, up=up, why="QTM")
-
-
-def read_qtm_bodies(path: Path, name: str | None = None, up: Up | None = None) -> Reference:
-    """Read one rigid body of a QTM TSV file of 6D data: mm, Rot[0..8] column by column; z is up unless stated."""
-    from scipy.spatial.transform import Rotation
-
-    labels, values, rate = _qtm(path, "BODY_NAMES", 16)
-    block = values.reshape(len(values), len(labels), 16)[:, labels.index(name_of(path, labels, name))]
-    turn = block[:, 7:].reshape(-1, 3, 3).transpose(0, 2, 1)
-    seen = np.abs(np.linalg.det(np.nan_to_num(turn)) - 1.0) < _NEARLY_UNIT
-    if not seen.any():
-        raise FileFormatError(f"{path}: wanted rotation matrices Rot[0..8], got none; export 6D data with the matrix")
-    q_nb = np.full((len(values), 4), np.nan)
-    q_nb[seen] = Rotation.from_matrix(turn[seen]).as_quat(scalar_first=True)
-    position = np.where(seen[:, None], block[:, :3] * 1e-3, np.nan)
-    time = np.arange(len(values)) / rate
-    return _reference(path, time, q_nb, position=position, up=up, name=name_of(path, labels, name))
-
-
-def _qtm(path: Path, key: str, each: int) -> tuple[tuple[str, ...], FloatArray, float]:
-    """Return names, the blocks of all names without frame, time and gap columns, and the frame rate."""
-    lines = as_utf8(read_bytes(path)).decode().splitlines()
-    head: dict[str, str] = {}
-    start = next((k for k, line in enumerate(lines) if not re.match(r"[A-Z_]{4,}(\s|$)", line)), len(lines))
-    for line in lines[:start]:
-        head[line.split("\t")[0]] = line.partition("\t")[2]
-    names = tuple(cell.strip() for cell in head.get(key, "").split("\t") if cell.strip())
-    rate = head.get("FREQUENCY", "").strip()
-    if not names or not is_number(rate) or not rate:
-        raise FileFormatError(
-            f"{path}: wanted {key} and FREQUENCY in Hz in the header, got none; export the TSV header too"
-        )
-    headed = ""
-    if start < len(lines) and not all(
-        is_number(cell) or cell.strip() in ("", "NULL", "-") for cell in lines[start].split("\t")
-    ):
-        headed, start = lines[start], start + 1  # a line of column names
-    rows = [re.sub(r"\t+$", "", line) for line in lines[start:] if line.strip()]
-    width = max((row.count("\t") + 1 for row in rows), default=0)
-    bare = len(names) * each
-    fits = [gap for gap in (0, 1) if width - bare - (len(names) - 1) * gap in (0, 2)]  # frame and time may stand before
-    if not fits:
-        raise FileFormatError(
-            f"{path}: wanted {each} columns for each of {len(names)} names, got {width} in all; check the export"
-        )
-    gap = fits[0]
-    if len(fits) > 1 and not headed.startswith("Frame"):  # of three names the two gaps are as wide as frame and time
-        gap = int(not any(cell.strip() for row in rows for cell in row.split("\t")[each : width : each + 1]))
-    bare += (len(names) - 1) * gap
-    padded = "".join(f"{row}{chr(9) * (width - row.count(chr(9)) - 1)}\n" for row in rows).encode()
-    first = width - bare
-    keep = [first + k * (each + gap) + j for k in range(len(names)) for j in range(each)]
-    return names, _table(path, padded, width)[:, keep], float(rate)
-
-
 # ---- Xsens
 
 
-def read_xsens_poses(path: Path, columns: ReferenceMap | None = None) -> Reference:
+def _xsens_poses(path: Path, columns: ReferenceMap | None = None) -> Reference:
     """Read the orientations of an MT Manager export; its rate must stand in the file, or in the map."""
     settings = replace(READ_SETTINGS, sample_rate_hz=None if columns is None else columns.sample_rate_hz)
-    return _xsens(xsens_clock(open_sheet(path), settings))
+    return _xsens(_xsens_clock(open_sheet(path), settings))
 
 
-def read_dot_poses(path: Path, _: ReferenceMap | None = None) -> Reference:
+def _dot_poses(path: Path, _: ReferenceMap | None = None) -> Reference:
     """Read the orientations of a DOT export."""
-    return _xsens(dot_clock(open_sheet(path)))
+    return _xsens(_dot_clock(open_sheet(path)))
 
 
 def _xsens(sheet: Sheet) -> Reference:
@@ -683,7 +563,7 @@ def _xsens(sheet: Sheet) -> Reference:
     if len(held) == 4:
         q_nb = values
     else:
-        if len(held) == 9 and (np.abs(np.linalg.det(values[seen].reshape(-1, 3, 3)) - 1.0) > _NEARLY_UNIT).any():
+        if len(held) == 9 and (np.abs(np.linalg.det(values[seen].reshape(-1, 3, 3)) - 1.0) > NEARLY_UNIT).any():
             raise FileFormatError(
                 f"{sheet.path}: wanted rotation matrices in Mat, got others; export orientations again"
             )
@@ -691,4 +571,185 @@ def _xsens(sheet: Sheet) -> Reference:
         turn = turn or Rotation.from_euler("ZYX", values[seen], degrees=True)
         q_nb[seen] = turn.as_quat(scalar_first=True)
     time, notes = sheet.counted(sheet.columns(*sheet.counters))
-    return _reference(sheet.path, time, q_nb, up=None, name=", ".join(notes))
+    return reference_of(sheet.path, time, q_nb, up=None, name=", ".join(notes))
+
+
+# ---- dialects
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Dialect:
+    """How one maker's software writes a table of text."""
+
+    head: bytes  # Pattern of the first 8 KiB of a file
+    folder: str = ""  # Which file of a folder is read: its name, or "*" and its ending
+    maker: str = ""  # Whose manual states the units
+    units: Mapping[str, str] = field(default_factory=dict)  # By the manual, of channels whose columns state none
+    device: str = ""  # Pattern in the lines before the header, whose group is the serial number
+    rate: str = ""  # Likewise the sample rate, Hz
+    omit: str = ""  # Pattern of columns that are not readings of a sensor
+    sensor: tuple[str, str] = ("", "")  # Pattern in a sensor's name, and what takes its place
+    opposite: bool = False  # Acceleration is the opposite of specific force
+    repair_time: bool = False  # Stamps may repeat: such rows are left out and counted
+    header: bool = True  # False where what stands over the readings is no line of names
+    finish: tuple[Callable[[Sheet, ReadSettings], Sheet], ...] = ()  # What the keys above do not say
+    # Name and unit of each channel, {} for X, Y and Z, where columns are fixed. They stand after so many lines; temperature, degC,
+    # may have a file of its own: its name, its columns of time (or packets, as in the table) and of temperature
+    columns: Mapping[str, tuple[str, str]] | None = None
+    skip_rows: int = 0
+    thermometer: tuple[str, str, str] | None = None
+    poses: Callable[[Path, ReferenceMap | None], Reference] | None = None  # Who reads a table of orientations
+
+    def read(self, path: Path, _: ColumnMap | None = None, settings: ReadSettings = READ_SETTINGS) -> ReadResult:
+        """Read a file, or a folder, of this dialect."""
+        if self.columns is not None:
+            return ReadResult(record=self._by_columns(self._file(path), settings))
+        return read_sheet(self._labelled(open_sheet(self._file(path), header=self.header), settings), settings)
+
+    def _file(self, path: Path) -> Path:
+        if not path.is_dir():
+            return path
+        files = sorted(path.glob(self.folder))
+        if not files:
+            raise InputError(f"{path}: wanted a folder with {self.folder}, got none there; check the path")
+        if len(files) > 1:
+            names = ", ".join(file.name for file in files)
+            raise InputError(f"{path}: wanted one {self.folder}, got {names}; name the file")
+        return files[0]
+
+    def _labelled(self, sheet: Sheet, settings: ReadSettings) -> Sheet:
+        """Return a sheet with its labels, clock, device and notes."""
+        stated = sheet.stated(self.rate) if self.rate else None
+        device = (sheet.stated(self.device) or "").strip(", ") if self.device else ""
+        sheet = replace(sheet, device=device, rate_hz=float(stated) if stated else None, repair_time=self.repair_time)
+        sheet = with_manual(sheet, self.maker, self.units)
+        labels: list[Label | None] = []
+        for name, label in zip(sheet.names, sheet.labels, strict=True):
+            if label and not (self.omit and re.search(self.omit, name)):
+                turned = self.opposite and label.channel == "accel"
+                sensor = re.sub(*self.sensor, label.sensor) if self.sensor[0] else label.sensor
+                labels.append(label._replace(sensor=sensor, gain=-label.gain if turned else label.gain))
+            else:
+                labels.append(None)
+        sheet = replace(sheet, labels=tuple(labels), notes=(*sheet.notes, *([_OPPOSITE] if self.opposite else [])))
+        for finish in self.finish:
+            sheet = finish(sheet, settings)
+        return sheet
+
+    def _by_columns(self, path: Path, settings: ReadSettings) -> Record:
+        """Return the record of fixed columns, with the temperature of a file of its own where there is one."""
+        text = open_text(path, TextLayout(skip_rows=self.skip_rows))
+        preamble = "\n".join(line.decode("utf-8", "replace") for line in text.head.splitlines()[: self.skip_rows])
+        rate, device = (re.search(pattern, preamble) if pattern else None for pattern in (self.rate, self.device))
+        keys: dict[str, Any] = {"device": device.group(1) if device else ""}
+        for channel, (name, unit) in (self.columns or {}).items():
+            three = tuple(name.format(axis) for axis in "XYZ")
+            keys |= {channel: three if "{}" in name else name, f"{channel}_unit": unit}
+        keys["sample_rate_hz"] = float(rate.group(1)) if rate else None if "time" in keys else settings.sample_rate_hz
+        if "time" not in keys and keys["sample_rate_hz"] is None:
+            raise InputError(
+                f"{path}: wanted the sample rate of this {self.maker} recording, got none; give sample_rate_hz (--sample-rate-hz)"
+            )
+        columns = ColumnMap(**keys)
+        missing = [column for column in columns.wanted() if column not in text.names]
+        if missing:
+            raise FileFormatError(
+                f"{path}: wanted column {missing[0]!r}, got {', '.join(text.names[:12])}; not the expected format of {self.maker}"
+            )
+        record = build_record(parse_text(text, columns.numeric()), columns).record
+        if self.thermometer is None:
+            return record
+        name, clock, temp = self.thermometer
+        slow = path.with_name(name.replace("*", path.name.removesuffix(self.folder.removeprefix("*"))))
+        if not slow.is_file():
+            return record
+        table = parse_text(open_text(slow), (clock, temp))
+        time = table.numbers(clock)
+        if clock == columns.time:
+            time = time * si_factor(columns.time_unit, "time")
+        else:  # numbers of packets: their times are those of the samples
+            time = np.interp(time, parse_text(text, (clock,)).numbers(clock), record.time)
+        return _with_temp(record, time, table.numbers(temp))
+
+
+_XIO = {"gyro": ("Gyroscope {} (deg/s)", "dps"), "accel": ("Accelerometer {} (g)", "g")}
+DIALECTS: dict[str, Dialect] = {
+    "actigraph": Dialect(  # its temperature is the chip's: 20 to 30 degC above the room
+        head=rb"\A.*Data File Created By ActiGraph",
+        maker="ActiGraph",
+        rate=r"\A.*?at (\d+(?:\.\d+)?) Hz",
+        device=r"Serial Number: *([A-Za-z0-9-]+)",
+        skip_rows=10,
+        columns={
+            "time": ("Timestamp", "date"),
+            "gyro": ("Gyroscope {}", "dps"),
+            "accel": ("Accelerometer {}", "g"),
+            "mag": ("Magnetometer {}", "uT"),
+            "temp": ("Temperature", "degC"),
+        },
+    ),
+    "ngimu": Dialect(
+        head=rb"\ATime \(s\).*Gyroscope X \(deg/s\)",
+        folder="sensors.csv",
+        maker="NGIMU",
+        columns=_XIO | {"time": ("Time (s)", "s"), "mag": ("Magnetometer {} (uT)", "uT")},
+        thermometer=("temperature.csv", "Time (s)", "Gyroscope And Accelerometer (degC)"),
+        poses=read_text_poses,
+    ),
+    "ximu3": Dialect(  # its magnetometer has no unit
+        head=rb"\ATimestamp \(us\).*Gyroscope X \(deg/s\)",
+        folder="Inertial.csv",
+        maker="x-IMU3",
+        columns=_XIO | {"time": ("Timestamp (us)", "us")},
+        thermometer=("Temperature.csv", "Timestamp (us)", "Temperature (degC)"),
+        poses=read_text_poses,
+    ),
+    "ximu": Dialect(
+        head=rb"\APacket number.*Gyroscope X \(deg/s\)",
+        folder="*_CalInertialAndMag.csv",
+        maker="x-IMU",
+        columns=_XIO | {"mag": ("Magnetometer {} (G)", "gauss")},
+        thermometer=("*_CalBattAndTherm.csv", "Packet number", "Thermometer (degrees C)"),
+    ),
+    "xsens": Dialect(
+        head=rb"\A(\xef\xbb\xbf)?//[\s\S]*^(Packet)?Counter[\t,; ]",
+        maker="Xsens",
+        units=_SI,
+        device=r"^// *DeviceId: *(\w+)",
+        finish=(_xsens_clock, _with_readings),
+        poses=_xsens_poses,
+    ),
+    "dot": Dialect(
+        head=rb"\A(\xef\xbb\xbf)?sep=[\s\S]*^PacketCounter,",
+        maker="Movella DOT",
+        units={"gyro": "dps", "accel": "m/s2"},
+        device=r"^DeviceTag:, *(.*)$",
+        finish=(_dot_clock, _with_readings),
+        poses=_dot_poses,
+    ),
+    "shimmer": Dialect(  # stamps of Consensys are whole ms
+        head=rb"\A.*\n?.*Timestamp_\w*(CAL|RAW)\b.*(Accel|Gyro)_\w*(CAL|RAW)\b", repair_time=True
+    ),
+    "trigno": Dialect(head=rb"\ALabel: .*Sampling frequency:", finish=(_trigno_labels,)),
+    "trigno_discover": Dialect(head=rb"\AApplication:.*Trigno", header=False, finish=(_trigno_discover_labels,)),
+    "noraxon": Dialect(  # "RT Hand" and "Hand RT" are one sensor
+        head=rb"Accel Sensor [XYZ]|Noraxon MyoMotion-",
+        maker="Noraxon",
+        units={"time": "s"},
+        omit=r"(?i)segments-.*-acceleration",
+        sensor=(r"^([LR]T) (.+)", r"\2 \1"),
+    ),
+    "sensor_logger": Dialect(head=rb"\Atime,seconds_elapsed,", finish=(_sensor_logger_labels,)),
+    "sensorlog": Dialect(
+        head=rb"accelerometerAcceleration[XYZ]\(G\)|gyroRotation[XYZ]\(rad/s\)",
+        opposite=True,
+        finish=(_one_gyroscope,),
+    ),
+    "mobgap": Dialect(
+        head=rb"\Asamples,acc_x,acc_y,acc_z,gyr_x",
+        maker="mobgap",
+        units={"accel": "g", "gyro": "dps"},
+        finish=(_in_g,),
+    ),
+    "apdm7": Dialect(head=rb"\AFormat=7,", finish=(_apdm7_labels,)),
+}

@@ -227,23 +227,15 @@ def read_c3d(path: str | Path, up: Up | None = None) -> Markers:
     if not unit.strip():
         raise FileFormatError(f"{path}: wanted the unit of length in POINT:UNITS, got none; the parameters are damaged")
     up = up or {"+Z": "z", "+Y": "y"}.get(str(screen))  # type: ignore[assignment]
-    if up is None:
-        raise InputError(
-            f'{path}: wanted the axis that points up, got no POINT:Y_SCREEN of +Y or +Z; state up = "y" or "z"',
-            missing="up",
-        )
     labels: list[str] = []
     for k in range(1, 100):  # LABELS2, LABELS3, ... continue LABELS
         key = "LABELS" if k == 1 else f"LABELS{k}"
         if key not in point or len(labels) >= count:
             break
         labels += [str(label).strip() for label in point[key]["value"]]
-    return Markers(
-        labels=unique_labels([label or "unlabelled" for label in (labels + [""] * count)[:count]]),
-        time=(first + np.arange(frames)) / rate,
-        points=level_from(np.moveaxis(xyz, 0, 1) * si_factor(unit, "length"), up),
-        name=path.name,
-    )
+    names = tuple(label or "unlabelled" for label in (labels + [""] * count)[:count])
+    points, time = np.moveaxis(xyz, 0, 1) * si_factor(unit, "length"), (first + np.arange(frames)) / rate
+    return markers_of(path, names, points, time, up=up, why="POINT:Y_SCREEN")
 
 
 def is_c3d(head: bytes) -> bool:

@@ -17,6 +17,8 @@ from undrift.errors import FileFormatError, InputError
 from undrift.files import checked_file, first_line, unwritten
 from undrift.io.box import boxed, boxed_parts
 from undrift.io.columns import (
+    FORMAT,
+    KIND,
     READ_SETTINGS,
     ColumnMap,
     ReadResult,
@@ -30,8 +32,6 @@ from undrift.io.columns import (
 )
 from undrift.record import Record
 
-KIND = "undrift.record"
-FORMAT = 1
 CHUNK_ROWS = 65_536  # 4 MB of seven channels: stays in the cache
 _KEY = b"undrift"
 _BUFFER = 1 << 20

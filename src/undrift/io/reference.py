@@ -1,4 +1,4 @@
-"""References: poses from tables of quaternions, and anatomical bodies from skin markers.
+"""References: poses from tables of quaternions, of named bodies (OpenSim, QTM), and anatomical bodies from skin markers.
 
 All axes of a body are x forward, y left, z up, as a device worn at the back would be mounted. With mid(.) the mean of markers::
 
@@ -10,8 +10,15 @@ All axes of a body are x forward, y left, z up, as a device worn at the back wou
 
 A cluster is fitted to all of its markers (io/mocap.py); the anatomical axes are those of its mean shape. A frame that
 lacks a marker of the body is a gap: a fit to fewer would jump by what the skin has moved.
+
+OpenSim       .sto: cells "w,x,y,z", a column for each sensor
+QTM           TSV: markers (3D), or bodies (6D) with Rot[0..8] column by column; mm
+
+A file of poses may hold several bodies, of which one is named. Quaternions are scalar first and turn the body to the
+laboratory; a lost body is zeros, NaN or empty cells.
 """
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -20,11 +27,13 @@ from typing import Literal, get_args
 import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray
-from undrift.errors import InputError
+from undrift.errors import FileFormatError, InputError
+from undrift.files import read_bytes
 from undrift.frames import quaternion_conjugate, quaternion_product, rotate
 from undrift.io.arrays import Arrays, table_of_arrays
-from undrift.io.columns import Column, Table, TextLayout
-from undrift.io.mocap import Markers, fit_cluster
+from undrift.io.columns import Column, Table, TextLayout, is_number
+from undrift.io.labelled import Sheet, as_utf8
+from undrift.io.mocap import Markers, Up, fit_cluster, level_from, markers_of
 from undrift.io.parquet import read_parquet_table
 from undrift.io.text import open_text, parse_text, write_rows
 from undrift.record import Reference
@@ -44,12 +53,6 @@ ALIASES = {
     "CLAV": ("CLAV", "IJ"),
     "STRN": ("STRN", "STERNUM", "PX"),
     "SACR": ("SACR", "SACRUM", "VSAC"),
-    "LMWT": ("LMWT",),
-    "RMWT": ("RMWT",),
-    "LBWT": ("LBWT",),
-    "RBWT": ("RBWT",),
-    "C7": ("C7",),
-    "T10": ("T10",),
 }
 # left front, right front, left rear, right rear
 _PELVES = (("LASI", "RASI", "LPSI", "RPSI"), ("LMWT", "RMWT", "LBWT", "RBWT"))
@@ -115,7 +118,7 @@ def find_label(markers: Markers, name: str) -> str | None:
         return "".join(c for c in label.rsplit(":", 1)[-1].upper() if c not in "._- ")
 
     known = {plain(label): label for label in reversed(markers.labels)}
-    return next((known[alias] for alias in ALIASES[name] if alias in known), None)
+    return next((known[alias] for alias in ALIASES.get(name, (name,)) if alias in known), None)
 
 
 def _needed(markers: Markers, names: tuple[str, ...], body: str) -> list[str]:
@@ -199,7 +202,7 @@ def _trunk(markers: Markers) -> Body:
 # undrift's own names, in CSV, Parquet, npz and mat: time_s, these, and optionally the position and moving.
 QUATERNION = ("q_w", "q_x", "q_y", "q_z")
 POSITION = ("pos_x_m", "pos_y_m", "pos_z_m")
-_NEARLY_UNIT = 0.01  # devices round, and some scale: such quaternions are made unit, others are refused
+NEARLY_UNIT = 0.01  # devices round, and some scale: such quaternions are made unit, others are refused
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -308,7 +311,7 @@ def _poses(table: Table, columns: ReferenceMap, path: Path) -> Reference:
 
     quat = read(columns.quaternion)
     norm = np.linalg.norm(quat, axis=1)[:, None]
-    quat = np.where(np.abs(norm - 1.0) < _NEARLY_UNIT, quat / np.where(norm > 0.0, norm, 1.0), quat)
+    quat = np.where(np.abs(norm - 1.0) < NEARLY_UNIT, quat / np.where(norm > 0.0, norm, 1.0), quat)
     length = si_factor(columns.position_unit, "length") if columns.position is not None else 1.0
     if columns.time is None:
         # ReferenceMap has checked that the rate is there
@@ -325,3 +328,133 @@ def _poses(table: Table, columns: ReferenceMap, path: Path) -> Reference:
         )
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
+
+
+# ---- poses of named bodies: OpenSim and QTM
+
+_HALF = 2.0**-0.5
+_FROM_Y_UP = np.array([_HALF, _HALF, 0.0, 0.0])  # z up from y up, as level_from turns points
+
+
+def name_of(path: Path, names: tuple[str, ...], name: str | None) -> str:
+    """Return the body to read: the only one, or the one named."""
+    if name is None and len(names) == 1:
+        return names[0]
+    if name not in names:
+        got = "none" if name is None else repr(name)
+        raise InputError(
+            f"{path}: wanted the name of one body, got {got}; the file holds {', '.join(names)}: name one (--markers)",
+            names=names,
+        )
+    return name
+
+
+def _table(path: Path, rows: bytes, width: int) -> FloatArray:
+    """Return rows of tab-separated numbers, (N, width)."""
+    layout, names = TextLayout(delimiter="\t", header=False), tuple(str(k) for k in range(width))
+    sheet = Sheet(path=path, names=names, layout=layout, rows=rows)
+    values = sheet.array(range(width)) if rows.strip() else np.empty((0, width))  # type: ignore[arg-type]
+    if len(values) < 2:
+        raise FileFormatError(f"{path}: wanted two frames or more, got {len(values)}; the file is cut")
+    return values
+
+
+def reference_of(
+    path: Path, time: FloatArray, q_nb: FloatArray, *, position: FloatArray | None = None, up: Up | None, name: str
+) -> Reference:
+    """Return poses in the level frame, lost frames as gaps, time from 0."""
+    size = np.linalg.norm(q_nb, axis=1)
+    seen = np.abs(size - 1.0) < NEARLY_UNIT
+    if np.isfinite(size).any() and not seen.any():
+        raise FileFormatError(f"{path}: wanted unit quaternions, got length {np.nanmedian(size):.3g}; check the export")
+    q_nb = np.where(seen[:, None], q_nb / np.where(seen, size, 1.0)[:, None], np.nan)
+    try:
+        return Reference(
+            time=time,
+            q_nb=quaternion_product(_FROM_Y_UP, q_nb) if up == "y" else q_nb,
+            position=None if position is None else np.where(seen[:, None], level_from(position, up or "z"), np.nan),
+            name=f"{path.name} {name}".strip(),
+        )
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+
+
+# ---- OpenSim
+
+
+def read_sto(path: Path, name: str | None = None, up: Up | None = None) -> Reference:
+    """Read one sensor of an OpenSense table: "endheader", names, then cells "w,x,y,z"; z is up unless stated."""
+    _, _, body = as_utf8(read_bytes(path)).replace(b"\r\n", b"\n").partition(b"endheader")
+    header, _, rows = body.lstrip(b" \t\n").partition(b"\n")
+    names = tuple(cell.strip() for cell in header.decode("utf-8", "replace").split("\t") if cell.strip())
+    if len(names) < 2 or names[0].lower() != "time":
+        raise FileFormatError(
+            f"{path}: wanted 'time' and sensor names after endheader, got {header[:40]!r}; check the export"
+        )
+    chosen = 1 + 4 * names[1:].index(name_of(path, names[1:], name))
+    values = _table(path, rows.replace(b",", b"\t"), 4 * len(names) - 3)
+    return reference_of(path, values[:, 0], values[:, chosen : chosen + 4], up=up, name=names[1 + chosen // 4])
+
+
+# ---- QTM
+
+
+def read_qtm_markers(path: Path, up: Up | None = None) -> Markers:
+    """Read marker trajectories from a QTM TSV file of 3D data, mm; 0, 0, 0 is a lost marker."""
+    labels, values, rate = _qtm(path, "MARKER_NAMES", 3)
+    points = values.reshape(len(values), len(labels), 3) * 1e-3
+    points[(points == 0.0).all(axis=2) | np.isnan(points).any(axis=2)] = np.nan
+    return markers_of(path, labels, points, np.arange(len(points)) / rate, up=up, why="QTM")
+
+
+def read_qtm_bodies(path: Path, name: str | None = None, up: Up | None = None) -> Reference:
+    """Read one rigid body of a QTM TSV file of 6D data: mm, Rot[0..8] column by column; z is up unless stated."""
+    from scipy.spatial.transform import Rotation
+
+    labels, values, rate = _qtm(path, "BODY_NAMES", 16)
+    block = values.reshape(len(values), len(labels), 16)[:, labels.index(name_of(path, labels, name))]
+    turn = block[:, 7:].reshape(-1, 3, 3).transpose(0, 2, 1)
+    seen = np.abs(np.linalg.det(np.nan_to_num(turn)) - 1.0) < NEARLY_UNIT
+    if not seen.any():
+        raise FileFormatError(f"{path}: wanted rotation matrices Rot[0..8], got none; export 6D data with the matrix")
+    q_nb = np.full((len(values), 4), np.nan)
+    q_nb[seen] = Rotation.from_matrix(turn[seen]).as_quat(scalar_first=True)
+    position = np.where(seen[:, None], block[:, :3] * 1e-3, np.nan)
+    time = np.arange(len(values)) / rate
+    return reference_of(path, time, q_nb, position=position, up=up, name=name_of(path, labels, name))
+
+
+def _qtm(path: Path, key: str, each: int) -> tuple[tuple[str, ...], FloatArray, float]:
+    """Return names, the blocks of all names without frame, time and gap columns, and the frame rate."""
+    lines = as_utf8(read_bytes(path)).decode().splitlines()
+    head: dict[str, str] = {}
+    start = next((k for k, line in enumerate(lines) if not re.match(r"[A-Z_]{4,}(\s|$)", line)), len(lines))
+    for line in lines[:start]:
+        head[line.split("\t")[0]] = line.partition("\t")[2]
+    names = tuple(cell.strip() for cell in head.get(key, "").split("\t") if cell.strip())
+    rate = head.get("FREQUENCY", "").strip()
+    if not names or not is_number(rate) or not rate:
+        raise FileFormatError(
+            f"{path}: wanted {key} and FREQUENCY in Hz in the header, got none; export the TSV header too"
+        )
+    headed = ""
+    if start < len(lines) and not all(
+        is_number(cell) or cell.strip() in ("", "NULL", "-") for cell in lines[start].split("\t")
+    ):
+        headed, start = lines[start], start + 1  # a line of column names
+    rows = [re.sub(r"\t+$", "", line) for line in lines[start:] if line.strip()]
+    width = max((row.count("\t") + 1 for row in rows), default=0)
+    bare = len(names) * each
+    fits = [gap for gap in (0, 1) if width - bare - (len(names) - 1) * gap in (0, 2)]  # frame and time may stand before
+    if not fits:
+        raise FileFormatError(
+            f"{path}: wanted {each} columns for each of {len(names)} names, got {width} in all; check the export"
+        )
+    gap = fits[0]
+    if len(fits) > 1 and not headed.startswith("Frame"):  # of three names the two gaps are as wide as frame and time
+        gap = int(not any(cell.strip() for row in rows for cell in row.split("\t")[each : width : each + 1]))
+    bare += (len(names) - 1) * gap
+    padded = "".join(f"{row}{chr(9) * (width - row.count(chr(9)) - 1)}\n" for row in rows).encode()
+    first = width - bare
+    keep = [first + k * (each + gap) + j for k in range(len(names)) for j in range(each)]
+    return names, _table(path, padded, width)[:, keep], float(rate)

@@ -22,6 +22,8 @@ from undrift.arrays import FloatArray
 from undrift.errors import FileFormatError, InputError
 from undrift.files import checked_file, is_gzip, read_bytes, unwritten, write_whole
 from undrift.io.columns import (
+    FORMAT,
+    KIND,
     READ_SETTINGS,
     Column,
     ColumnMap,
@@ -40,7 +42,6 @@ from undrift.io.columns import (
 from undrift.record import Record
 
 MARK = b"# undrift "
-KIND, FORMAT = "undrift.record", 1
 Provenance: TypeAlias = Mapping[str, Any]  # what a record was made from and by, as JSON
 EMPTY = ["", "NaN", "nan", "NAN", "NA", "N/A", "n/a", "null", "NULL", "None", "-nan", "#N/A"]
 _HEAD = 1 << 20
@@ -160,8 +161,8 @@ def open_text(path: str | Path, layout: TextLayout | None = None) -> Text:
     layout, path = layout or TextLayout(), checked_file(path)
     blanks = layout.delimiter == " "
     content = read_bytes(path) if blanks or is_gzip(path) else None
-    if content is not None and blanks:  # runs of blanks and tabs are one delimiter
-        content = re.sub(rb"^ | $", b"", re.sub(rb"[ \t]+", b" ", content.replace(b"\r\n", b"\n")), flags=re.MULTILINE)
+    if content is not None and blanks:
+        content = packed(content)
     head = content[:_HEAD] if content is not None else read_bytes(path, _HEAD)
     if b"\0" in head[:4096]:
         raise FileFormatError(f"{path}: wanted UTF-8 text, got binary data or UTF-16; save it as UTF-8 text")
@@ -184,6 +185,11 @@ def open_text(path: str | Path, layout: TextLayout | None = None) -> Text:
         counts = [line.count(layout.delimiter.encode()) + 1 for line in lines]
         names = tuple(str(i) for i in range(max(set(counts), key=counts.count)))
     return Text(path=path, content=content, head=head, names=names, layout=layout, skip=skip + layout.header, mark=mark)
+
+
+def packed(rows: bytes) -> bytes:
+    """Return rows with runs of blanks and tabs as one blank, as the parser takes them."""
+    return re.sub(rb"^ | $", b"", re.sub(rb"[ \t]+", b" ", rows.replace(b"\r\n", b"\n")), flags=re.MULTILINE)
 
 
 def _is_row(names: tuple[str, ...], decimal: str) -> bool:

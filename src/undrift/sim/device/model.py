@@ -18,7 +18,8 @@ from typing import Any
 
 import numpy as np
 
-from undrift.errors import FileFormatError, InputError
+from undrift.base import codec
+from undrift.errors import InputError
 from undrift.files import write_whole
 from undrift.sim.device.effects import Effect, Sampling, SensorChain, Thermometer, quantity
 
@@ -78,17 +79,7 @@ def write_device(device: DeviceModel, path: Path | str) -> None:
 
 def read_device(path: Path | str) -> DeviceModel:
     """Read a device file."""
-    path = Path(path)
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise FileFormatError(f"{path}: wanted a device file, got {error.strerror}; check the path") from error
-    except (ValueError, RecursionError) as error:  # broken JSON, or text that is not UTF-8
-        raise FileFormatError(f"{path}: wanted JSON, got {error}; write the file anew") from error
-    try:
-        return device_from_json(content)
-    except InputError as error:
-        raise FileFormatError(f"{path}: {error}") from error
+    return codec.read(DeviceModel, path)
 
 
 def device_json(device: DeviceModel) -> dict[str, Any]:
@@ -98,13 +89,13 @@ def device_json(device: DeviceModel) -> dict[str, Any]:
 
 def device_from_json(content: object) -> DeviceModel:
     """Return the device of plain values."""
-    kind, version = (content.get("kind"), content.get("format")) if isinstance(content, dict) else (None, None)
-    if not isinstance(content, dict) or kind != KIND:
-        raise InputError(f"device: wanted kind {KIND!r}, got {kind!r}; give a file that undrift wrote as a device")
-    if version != FORMAT or isinstance(version, bool):
-        raise InputError(f"device: wanted format {FORMAT}, got {version!r}; read it with the undrift that wrote it")
-    held = {key: value for key, value in content.items() if key not in ("kind", "format")}
-    return typing.cast(DeviceModel, _value(held, DeviceModel, {}, "device"))
+    return codec.value_of(DeviceModel, content, "device")
+
+
+def _device_of(content: dict[str, Any]) -> DeviceModel:
+    """Return the device of the keys of a file."""
+    keys = {key: value for key, value in content.items() if key not in ("kind", "format")}
+    return typing.cast(DeviceModel, _value(keys, DeviceModel, {}, "device"))
 
 
 def _units(owner: str, unit_out: str) -> dict[str, str]:
@@ -175,3 +166,7 @@ def _read(held: object, field: Any, hint: Any, units: Mapping[str, str], where: 
 
 def _refuse(held: object, wanted: str, where: str) -> Any:
     raise InputError(f"{where}: wanted {wanted}, got {held!r}; repair the file")
+
+
+# its keys depend on the unit of the sensor: they are read and written here, the file is the codec's
+codec.stored(kind=KIND, format=FORMAT, form=dict[str, Any], read=_device_of, write=device_json)(DeviceModel)
