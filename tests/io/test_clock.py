@@ -8,7 +8,7 @@ import pytest
 from testkit.data import data_path, show
 from testkit.findings import codes, only
 from undrift.errors import FileFormatError, InputError
-from undrift.io.clock import fit_clock, host_stamps, regular, unwrapped
+from undrift.io.clock import fit_clock, host_stamps, unwrapped
 from undrift.io.columns import ColumnMap, ReadSettings, TextLayout
 from undrift.io.formats import iter_record, read_counted, read_record, write_record
 from undrift.io.inspect import describe, find_symptoms
@@ -230,14 +230,8 @@ def test_the_packet_counter_of_a_real_sensor_gives_its_rate_where_half_of_the_pa
     assert read.clock.missing == round(5.85 * 60.0) - 195 + 1
     steps = np.rint(np.diff(read.record.time) * 60.0)
     assert (steps.min(), steps.max(), (steps == 2).sum()) == (1, 5, 126)
-
-
-def test_a_record_is_put_on_its_regular_clock() -> None:
-    made = stamped(7)
-    moved, found = regular(made.record)
-    np.testing.assert_array_equal(moved.time, found.time)
-    assert moved.accel is not None
-    np.testing.assert_array_equal(moved.accel, made.record.accel)
+    np.testing.assert_array_equal(read.record.time, read.clock.time)
+    np.testing.assert_array_equal(read.record.accel, read_record(path).accel)
 
 
 def test_a_host_needs_a_recording_longer_than_its_intervals() -> None:

@@ -62,8 +62,7 @@ def boxed_parts(*libraries: str) -> Callable[[Callable[P, Iterator[T]]], Callabl
     def decorate(read: Callable[P, Iterator[T]]) -> Callable[P, Iterator[T]]:
         @functools.wraps(read)
         def in_box(*given: P.args, **named: P.kwargs) -> Iterator[T]:
-            with contextlib.closing(_parts(given[0], libraries, lambda: read(*given, **named))) as parts:
-                yield from parts
+            return _parts(given[0], libraries, functools.partial(read, *given, **named))
 
         return in_box
 

@@ -12,14 +12,13 @@ A rate comes from the least delays in a hundred stretches by a line of least abs
 and the rate is fitted again, until both settle. What is lost within a step of 0.7 samples or less is not seen.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 
 from undrift.arrays import FloatArray, IntArray
 from undrift.errors import InputError
-from undrift.record import Record
 
 LEAST_SAMPLES = 100  # for a rate
 _SEEN = 0.7  # of a sample: a smaller step is not called a loss
@@ -93,12 +92,6 @@ def fit_clock(stamps: FloatArray, counter: FloatArray | None = None) -> ClockFit
         missing=int(lost.sum()),
         counted=counter is not None,
     )
-
-
-def regular(record: Record) -> tuple[Record, ClockFit]:
-    """Return a record on its regular clock, and the fit."""
-    found = fit_clock(record.time)
-    return replace(record, time=found.time), found
 
 
 def _width(own: FloatArray) -> int:

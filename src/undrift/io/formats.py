@@ -20,7 +20,7 @@ from pathlib import Path
 from undrift.errors import FileFormatError, InputError
 from undrift.files import checked_file, read_bytes
 from undrift.io.arrays import hdf5_names, mat_arrays, mat_names, npz_arrays, read_mat, read_npz
-from undrift.io.clock import regular
+from undrift.io.clock import fit_clock
 from undrift.io.columns import READ_SETTINGS, ColumnMap, ReadResult, ReadSettings, is_date, is_native, is_number
 from undrift.io.containers import (
     is_gt3x,
@@ -379,8 +379,8 @@ def read_counted(
     held = entry.record(path, columns, settings)
     found = held if isinstance(held, ReadResult) else ReadResult(record=held)
     if settings.clock == "regular" and "clock" not in entry.honours:  # a format with a clock of its own
-        record, clock = regular(found.record)
-        found = replace(found, record=record, clock=clock)
+        clock = fit_clock(found.record.time)
+        found = replace(found, record=replace(found.record, time=clock.time), clock=clock)
     if settings.temp_file is None:
         return found
     note = f"temperature of {settings.temp_file.path.name}, interpolated onto the samples"

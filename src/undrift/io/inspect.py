@@ -170,7 +170,6 @@ def _axes(channel: str, values: FloatArray) -> Iterator[Finding]:
             continue
         if column.min() == column.max():
             yield finding("recording.dead_axis", "warn", channel=channel, axis=axis)
-            continue
 
 
 # ---- readings at the end of the range

@@ -350,12 +350,6 @@ def triples_of(sheet: Sheet, channels: tuple[str, ...] = ("gyro", "accel", "mag"
     return {channel: held for channel, held in found.items() if held}
 
 
-def sensors_of(triples: Triples) -> tuple[str, ...]:
-    """Return the names of the sensors that hold gyroscopes or accelerometers."""
-    held = [sensor for channel in ("accel", "gyro") for sensor in triples.get(channel, {}) if sensor]
-    return tuple(dict.fromkeys(held))
-
-
 def read_sheet(sheet: Sheet, settings: ReadSettings) -> ReadResult:
     """Return the record of one sensor of a labelled sheet, and how it was read."""
     triples = triples_of(sheet)
@@ -409,7 +403,8 @@ def _check_readings(sheet: Sheet, triples: Triples) -> None:
 
 
 def _chosen(sheet: Sheet, triples: Triples, sensor: str | None) -> dict[str, tuple[int, ...]]:
-    names = sensors_of(triples)
+    named = [sensor for channel in ("accel", "gyro") for sensor in triples.get(channel, {}) if sensor]
+    names = tuple(dict.fromkeys(named))
     several = any(len(held) > 1 for channel, held in triples.items() if channel != "mag")
     wanted = None if sensor is None or not names else _match(names, sensor)
     if wanted is None and names and (several or sensor is not None):

@@ -528,13 +528,8 @@ def read_set_points(path: Path, columns: ColumnMap | None, settings: ReadSetting
 
 def _xsens_poses(path: Path, columns: ReferenceMap | None = None) -> Reference:
     """Read the orientations of an MT Manager export; its rate must stand in the file, or in the map."""
-    settings = replace(READ_SETTINGS, sample_rate_hz=None if columns is None else columns.sample_rate_hz)
+    settings = ReadSettings(sample_rate_hz=None if columns is None else columns.sample_rate_hz)
     return _xsens(_xsens_clock(open_sheet(path), settings))
-
-
-def _dot_poses(path: Path, _: ReferenceMap | None = None) -> Reference:
-    """Read the orientations of a DOT export."""
-    return _xsens(_dot_clock(open_sheet(path)))
 
 
 def _xsens(sheet: Sheet) -> Reference:
@@ -725,7 +720,7 @@ DIALECTS: dict[str, Dialect] = {
         units={"gyro": "dps", "accel": "m/s2"},
         device=r"^DeviceTag:, *(.*)$",
         finish=(_dot_clock, _with_readings),
-        poses=_dot_poses,
+        poses=lambda path, _: _xsens(_dot_clock(open_sheet(path))),
     ),
     "shimmer": Dialect(  # stamps of Consensys are whole ms
         head=rb"\A.*\n?.*Timestamp_\w*(CAL|RAW)\b.*(Accel|Gyro)_\w*(CAL|RAW)\b", repair_time=True

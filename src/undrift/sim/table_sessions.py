@@ -33,11 +33,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import lru_cache
 from itertools import pairwise
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 
-from undrift.arrays import FloatArray, IntArray, frozen
+from undrift.arrays import FloatArray, IntArray, Shape, freeze
 from undrift.errors import InputError
 from undrift.record import FACES
 from undrift.rig.programme import DAMPING, LEAST_SETTLE_S, Dwell, Protocol, programme_of, settle_time
@@ -126,18 +126,17 @@ def joined(sessions: Sequence[Sessions]) -> Sessions:
 class Dwells:
     """What is imposed, N dwells in the order of time, of one session or of several one after the other."""
 
-    start_s: FloatArray  # (N,), when each begins, settled, s since power-on
-    duration_s: FloatArray  # (N,), s
-    rate_b: FloatArray  # (N, 3), steady rate, rad/s
-    force_b: FloatArray  # (N, 3), mean specific force, m/s2
-    temp_c: FloatArray  # (N,), temperature of the board, degC
+    start_s: Annotated[FloatArray, Shape("n")]  # (N,), when each begins, settled, s since power-on
+    duration_s: Annotated[FloatArray, Shape("n")]  # (N,), s
+    rate_b: Annotated[FloatArray, Shape("n", 3)]  # (N, 3), steady rate, rad/s
+    force_b: Annotated[FloatArray, Shape("n", 3)]  # (N, 3), mean specific force, m/s2
+    temp_c: Annotated[FloatArray, Shape("n")]  # (N,), temperature of the board, degC
     # (S + 1,), first of each session, and N
     first: IntArray = field(default_factory=lambda: np.empty(0, dtype=np.int64))
 
     def __post_init__(self) -> None:
+        freeze(self)
         n = len(self.temp_c)
-        for name, width in (("start_s", ()), ("duration_s", ()), ("rate_b", (3,)), ("force_b", (3,)), ("temp_c", ())):
-            object.__setattr__(self, name, frozen(getattr(self, name), (n, *width), f"Dwells.{name}"))
         if not len(self.first):
             object.__setattr__(self, "first", np.array([0, n]))
         later = np.diff(self.start_s)

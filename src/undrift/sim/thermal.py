@@ -24,11 +24,11 @@ A leg is a stretch that is recorded without a break: a visit to a set-point, a w
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, Literal, cast, get_args
+from typing import Annotated, Any, Literal, cast, get_args
 
 import numpy as np
 
-from undrift.arrays import FloatArray, frozen
+from undrift.arrays import FloatArray, Shape, freeze
 from undrift.errors import InputError
 from undrift.record import FACES, Face, Record, Session, Still, Turn
 from undrift.sim.device.effects import Past, Scene, Thermometer
@@ -115,16 +115,14 @@ class Soak:
 class Profile:
     """Temperatures of a programme, n steps."""
 
-    time: FloatArray  # (n,), s, evenly spaced from 0
-    set_point_c: FloatArray  # (n,), degC; NaN where there is no chamber
-    air_c: FloatArray
-    board_c: FloatArray  # (n,), degC
+    time: Annotated[FloatArray, Shape("n")]  # (n,), s, evenly spaced from 0
+    set_point_c: Annotated[FloatArray, Shape("n")]  # (n,), degC; NaN where there is no chamber
+    air_c: Annotated[FloatArray, Shape("n")]
+    board_c: Annotated[FloatArray, Shape("n")]  # (n,), degC
     soaks: tuple[Soak, ...] = ()  # In order of time; none in a ramp or a warm-up
 
     def __post_init__(self) -> None:
-        n = len(self.time)
-        for name in ("time", "set_point_c", "air_c", "board_c"):
-            object.__setattr__(self, name, frozen(getattr(self, name), (n,), f"Profile.{name}"))
+        freeze(self)
 
     def turns_before(self, time_s: float) -> FloatArray:
         """Return the temperatures at which the board began and turned back: all that a play remembers, (k,) degC."""

@@ -30,12 +30,12 @@ a hand turn takes in the sample that ends it.
 
 import math
 from dataclasses import dataclass, field, replace
-from typing import Protocol
+from typing import Annotated, Protocol
 
 import numpy as np
 from numpy.polynomial import Polynomial
 
-from undrift.arrays import FloatArray, frozen
+from undrift.arrays import FloatArray, Shape, freeze
 from undrift.frames import quaternion_conjugate, quaternion_product, rotate
 from undrift.record import Axis, Face, Still, Turn
 
@@ -177,32 +177,26 @@ class Burst:
 class Motion:
     """True motion of a device."""
 
-    time: FloatArray  # (N,), s
-    q_nb: FloatArray  # (N, 4), orientation, w-x-y-z
-    rate_b: FloatArray  # (N, 3), angular rate at the sample, rad/s
+    time: Annotated[FloatArray, Shape("n")]  # (N,), s
+    q_nb: Annotated[FloatArray, Shape("n", 4)]  # (N, 4), orientation, w-x-y-z
+    rate_b: Annotated[FloatArray, Shape("n", 3)]  # (N, 3), angular rate at the sample, rad/s
     # (N, 3), rotation vector of the step from the sample before, over its duration, rad/s: what a gyroscope reads
     # that averages between samples
-    mean_rate_b: FloatArray
-    force_b: FloatArray  # (N, 3), specific force at the sample, m/s2
+    mean_rate_b: Annotated[FloatArray, Shape("n", 3)]
+    force_b: Annotated[FloatArray, Shape("n", 3)]  # (N, 3), specific force at the sample, m/s2
     gravity_m_s2: float  # Gravity in it, m/s2
     stills: tuple[Still, ...] = ()  # Where the device stood still, to the sample
     turns: tuple[Turn, ...] = ()  # Where it turned in a way the bench knows
-    moving: FloatArray  # (N,), 1 where the device moved, else 0
+    moving: Annotated[FloatArray, Shape("n")]  # (N,), 1 where the device moved, else 0
     # (N, 3), change of the angular rate, rad/s2; None where a motion does not tell
-    angular_acceleration_b: FloatArray | None = None
+    angular_acceleration_b: Annotated[FloatArray | None, Shape("n", 3)] = None
     # (N,), 1 where the motion is known, else 0; all 1 unless stated
-    valid: FloatArray = field(default_factory=lambda: np.ones(0))
+    valid: Annotated[FloatArray, Shape("n")] = field(default_factory=lambda: np.ones(0))
 
     def __post_init__(self) -> None:
-        n = len(self.time)
-        widths = {"time": None, "q_nb": 4, "rate_b": 3, "mean_rate_b": 3, "force_b": 3, "moving": None, "valid": None}
         if len(self.valid) == 0:
-            object.__setattr__(self, "valid", np.ones(n))
-        if self.angular_acceleration_b is not None:
-            widths["angular_acceleration_b"] = 3
-        for name, width in widths.items():
-            shape = (n,) if width is None else (n, width)
-            object.__setattr__(self, name, frozen(getattr(self, name), shape, f"Motion.{name}"))
+            object.__setattr__(self, "valid", np.ones(len(self.time)))
+        freeze(self)
 
     def __len__(self) -> int:
         return len(self.time)
