@@ -29,7 +29,9 @@ XYZ = ColumnMap(time="t", time_unit="s", accel=("x", "y", "z"), accel_unit="g")
 def test_a_reader_without_its_library_says_what_to_install(tmp_path, monkeypatch, module, read, content):
     (tmp_path / "f").write_bytes(content)
     monkeypatch.setitem(sys.modules, module, None)
-    with pytest.raises(InputError, match=rf"need.? {module}; install undrift\[io\]") as caught:
+    with pytest.raises(
+        InputError, match=rf"wanted {module} to read it, got no such library; run pip install 'undrift\[io\]'"
+    ) as caught:
         read(tmp_path / "f")
     one_line(caught)
 
