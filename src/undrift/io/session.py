@@ -93,14 +93,8 @@ from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, canonical_unit, g
 # ---- column maps
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
-NATIVE_KEYS = {
-    "sample_rate_hz",
-    "gaps",
-    "repair_time",
-    "drop_bad_rows",
-    "clock",
-    "temp_file",
-}  # for undrift's own names
+# For undrift's own names
+NATIVE_KEYS = {"sample_rate_hz", "gaps", "repair_time", "drop_bad_rows", "clock", "temp_file"}
 _OF_ONE_FILE = ("file", "temp_file")  # keys that no other recording of the device shares
 ROW_S = 60.0  # from row to row of a table of set-points without times
 _LAYOUT = {"delimiter", "header", "skip_rows", "decimal"}
