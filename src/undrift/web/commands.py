@@ -20,6 +20,23 @@ LARGEST_LINE = 1 << 26  # bytes: an envelope is one line
 LEVELS = ("fail", "warn", "info")
 FOLDERS = re.compile(r"\b(?:(?:uploads|jobs)/[^/\"]+/(?:session/(?:pieces/)?)?|registry/)")  # of the files of a bench
 
+ALONE = "Calibrate the accelerometers alone"
+CONTROLS = {  # options of the commands that a page offers, and what they are called there
+    "--sample-rate-hz": "Samples per second, Hz",
+    "--turn-deg": "Angle of its turns, deg",
+    "--serial": "Serial number",
+    "--forward": "Side that points forward",
+    "--up": "Side that points up",
+    "--markers": "Markers",
+    "--reference-up": "Laboratory axis that points up",
+    "--gyro-unit": "Unit of the gyroscopes",
+    "--accel-unit": "Unit of the accelerometers",
+    "--gyro none": ALONE,
+    "--latitude-deg": "Town, or latitude in deg",
+    "--height-m": "Height above the sea, m",
+    "--gravity-m-s2": "Gravity, m/s2",
+}
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Outcome:
@@ -78,9 +95,9 @@ def stated(**options: object) -> tuple[object, ...]:
     return tuple(word for name, value in known.items() for word in (f"--{name.replace('_', '-')}", value))
 
 
-def command_words(words: Sequence[object]) -> list[str]:
-    """Return the words of a child process that runs a command with --json."""
-    return [sys.executable, "-m", "undrift", *map(str, words), "--json"]
+def asked(label: str, value: str = "", **how: Any) -> Any:
+    """Return a field of a dataclass that a form asks for: its label, or the option of a command, and more of a ``Field``."""
+    return field(default=value, metadata={"label": CONTROLS.get(label, label), **how})
 
 
 async def run_command(
@@ -88,7 +105,7 @@ async def run_command(
 ) -> Outcome:
     """Run a command in a folder; each line of its stderr is handed on as it comes."""
     child = await asyncio.create_subprocess_exec(
-        *command_words(words),
+        *(sys.executable, "-m", "undrift", *map(str, words), "--json"),
         cwd=folder,
         stdin=asyncio.subprocess.DEVNULL,
         stdout=asyncio.subprocess.PIPE,

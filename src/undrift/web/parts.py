@@ -7,18 +7,20 @@ button, and returns the page that comes next, if there is one. Forms are made fr
 
 import json
 import re
+import tomllib
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import field, fields
-from functools import partial
+from dataclasses import fields
+from functools import cache, partial
 from inspect import isawaitable, iscoroutinefunction
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from weakref import WeakKeyDictionary
 
 from nicegui import Client, ui
 
 from undrift.errors import UndriftError
-from undrift.web.commands import Remark
+from undrift.web.commands import ALONE, CONTROLS, Remark
 
 if TYPE_CHECKING:
     from undrift.web.bench import Bench, Job
@@ -35,28 +37,19 @@ PAGES = {  # path -> name, in the order of the navigation
     "/devices": "Devices",
 }
 REFRESH_S = 0.25
-ALONE = "Calibrate the accelerometers alone"
 SHOWN_FIRST = 3  # remarks that are open, and every one that is no mere note
 LEVEL_NAMES = {"fail": "Failed", "warn": "Warning", "info": "Note"}
-CONTROLS = {  # options of the commands that a page offers, and what they are called there
-    "--sample-rate-hz": "Samples per second, Hz",
-    "--turn-deg": "Angle of its turns, deg",
-    "--serial": "Serial number",
-    "--forward": "Side that points forward",
-    "--up": "Side that points up",
-    "--markers": "Markers",
-    "--reference-up": "Laboratory axis that points up",
-    "--gyro-unit": "Unit of the gyroscopes",
-    "--accel-unit": "Unit of the accelerometers",
-    "--gyro none": ALONE,
-    "--latitude-deg": "Town, or latitude in deg",
-    "--height-m": "Height above the sea, m",
-    "--gravity-m-s2": "Gravity, m/s2",
-}
 
 Words = str | Callable[[], str]  # Of a part: as they are, or as the state has them now
 Handler = Callable[[], Any]  # Of a click: may be awaited; returns the path of the page to open, if any
 _BOUND: WeakKeyDictionary[Client, list[tuple[ui.element, Callable[[], Any]]]] = WeakKeyDictionary()
+
+
+@cache
+def texts() -> dict[str, Any]:
+    """Return the texts of pages that are data."""
+    return tomllib.loads(Path(__file__).with_name("pages.toml").read_text(encoding="utf-8"))
+
 
 # ---- Parts that are bound to the state
 
@@ -291,11 +284,6 @@ class Field:
     def _take(self, event: Any) -> None:
         self.value = str(event.args)
         self._keep(self.value)
-
-
-def asked(label: str, value: str = "", **how: Any) -> Any:
-    """Return a field of a dataclass that a form asks for: its label, or the option of a command, and more of a ``Field``."""
-    return field(default=value, metadata={"label": CONTROLS.get(label, label), **how})
 
 
 def form(holder: Any, *names: str) -> dict[str, Field]:

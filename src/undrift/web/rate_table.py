@@ -10,7 +10,7 @@ import math
 import re
 import tempfile
 from collections.abc import Awaitable, Callable
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -21,7 +21,7 @@ from undrift.rig.programme import Forecast, ProgrammeSettings, forecast_of, prog
 from undrift.rig.rig import Limits, check_programme, parse_address
 from undrift.units import RADIAN_PER_DEGREE
 from undrift.web import parts
-from undrift.web.commands import Outcome
+from undrift.web.commands import Outcome, asked
 from undrift.web.rig_run import GOING, EmulatedTable, RigRun, RunOrder, View, begin_run, find_run
 
 if TYPE_CHECKING:
@@ -31,19 +31,6 @@ LIMITS = Limits(turn_rate=360.0 * RADIAN_PER_DEGREE, acceleration=5000.0 * RADIA
 FACES = ("+x", "-x", "+y", "-y", "+z", "-z")
 NEXT_STEPS = 4
 SPEEDS = ("1", "10", "20", "100")  # of the emulated table
-ENDS = {
-    "paused": "Paused: the table is at rest and its motor is off. What was recorded is kept; the interrupted dwell is repeated.",
-    "stopped": "Stopped: the table is at rest and its motor is off. What was recorded is kept.",
-    "unconfirmed": "The stop is NOT CONFIRMED. Cut the amplifier's power, then look at the table.",
-    "failed": "The run ended early. What was recorded is kept.",
-    "done": "Complete: all dwells are recorded, the table is at rest and its motor is off.",
-}
-DOING = {
-    "mounting": "waiting until the device is mounted",
-    "setting": "waiting until the chamber is set",
-    "writing": "writing the readings",
-    "closing": "bringing the table to rest",
-}
 
 
 # ---- What is asked for
@@ -54,19 +41,19 @@ class ProtocolForm:
     """What was typed; numbers are text until they are read."""
 
     name: str = "rate table"
-    cutoff_hz: str = parts.asked("Low-pass of the device, Hz", "11.1", hint="sets the settling time")
+    cutoff_hz: str = asked("Low-pass of the device, Hz", "11.1", hint="sets the settling time")
     faces: tuple[str, ...] = FACES
-    face_s: str = parts.asked("Time on each face, s", "6")
+    face_s: str = asked("Time on each face, s", "6")
     axes: tuple[str, ...] = ("x", "y", "z")  # none leaves the rates out
-    turn_rate_min_dps: str = parts.asked("Lowest rate, deg/s", "15")
-    turn_rate_max_dps: str = parts.asked("Highest rate, deg/s", "90")
-    turn_rate_step_dps: str = parts.asked("Step, deg/s", "15")
+    turn_rate_min_dps: str = asked("Lowest rate, deg/s", "15")
+    turn_rate_max_dps: str = asked("Highest rate, deg/s", "90")
+    turn_rate_step_dps: str = asked("Step, deg/s", "15")
     order: str = "alternating"  # or random
-    dwell_s: str = parts.asked("Time at each rate, s", "6")
-    bracket_s: str = parts.asked("Rest before and after the rates, s", "6")
-    acceleration_dps2: str = parts.asked("Acceleration, deg/s2", "2300")
-    temperatures_c: str = parts.asked("Temperatures, degC", hint="rising, such as 18, 30, 45")  # none: room temperature
-    soak_c_per_min: str = parts.asked("Stable below, K/min", "0.1")
+    dwell_s: str = asked("Time at each rate, s", "6")
+    bracket_s: str = asked("Rest before and after the rates, s", "6")
+    acceleration_dps2: str = asked("Acceleration, deg/s2", "2300")
+    temperatures_c: str = asked("Temperatures, degC", hint="rising, such as 18, 30, 45")  # none: room temperature
+    soak_c_per_min: str = asked("Stable below, K/min", "0.1")
 
     def toml(self) -> str:
         """Return protocol.toml."""
@@ -84,23 +71,18 @@ class ProtocolForm:
         return "\n".join(lines) + "\n"
 
     def check(self, rig: str) -> Forecast:
-        """Return what it takes on a table; InputError says which field is wrong, and why."""
-        return forecast_of_text(self.toml(), rig)
-
-
-def forecast_of_text(words: str, rig: str, limits: Limits = LIMITS) -> Forecast:
-    """Return what a protocol takes on a table, by what ``rig run`` says before it asks whether to start."""
-    lines = parse_address(rig)[2].encoder_lines
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "protocol.toml"
-        path.write_text(words, encoding="utf-8")
-        try:
-            programme = programme_of(read_protocol(path), ProgrammeSettings(encoder_lines=lines))
-        except InputError as error:
-            words = str(error).removeprefix(f"{path}: ")
-            raise InputError(re.sub(r"^line \d+: ", "", words)) from error  # of a file that nobody sees
-    check_programme(programme, limits, by_hand=rig.startswith("manual:"))
-    return forecast_of(programme)
+        """Return what it takes on a table, as ``rig run`` states it; InputError says which field is wrong, and why."""
+        lines = parse_address(rig)[2].encoder_lines
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "protocol.toml"
+            path.write_text(self.toml(), encoding="utf-8")
+            try:
+                programme = programme_of(read_protocol(path), ProgrammeSettings(encoder_lines=lines))
+            except InputError as error:
+                words = str(error).removeprefix(f"{path}: ")
+                raise InputError(re.sub(r"^line \d+: ", "", words)) from error  # of a file that nobody sees
+        check_programme(programme, LIMITS, by_hand=rig.startswith("manual:"))
+        return forecast_of(programme)
 
 
 def _typed(words: str) -> str:
@@ -113,27 +95,6 @@ def _typed(words: str) -> str:
     return repr(value) if math.isfinite(value) else json.dumps(words)
 
 
-@dataclass(slots=True, kw_only=True)
-class Addresses:
-    """Of what a run needs; "" is none."""
-
-    rig: str = parts.asked(
-        "Address of the table", hint="galil:tcp://host:23?encoder_lines=10000, grbl:serial:///dev/ttyUSB0"
-    )
-    device: str = parts.asked(
-        "Address of the device", hint="serial:///dev/ttyUSB0?baud=115200&..., tcp://host:port?..."
-    )
-    chamber: str = parts.asked(
-        "Address of the chamber", hint="tcp://host:port, modbus-tcp://host:502?model=..., manual:"
-    )
-    operator: str = ""  # of an emulated operator; a person is asked on the page where there is none
-    serial: str = parts.asked("Serial number of the device", hint="empty: as the device states it")
-
-    def order(self, **more: str) -> RunOrder:
-        """Return them as a run is started with."""
-        return RunOrder(**{one.name: getattr(self, one.name).strip() for one in fields(self)} | more)
-
-
 # ---- What becomes of it
 
 
@@ -142,7 +103,7 @@ class RateTable:
 
     def __init__(self, bench: "Bench") -> None:
         self._bench = bench
-        self.addresses = Addresses()
+        self.addresses = RunOrder()
         self.filled = 0  # how often they were filled in by other than typing
         self.rates = ProtocolForm()
         self.soaks = ProtocolForm(name="temperature", axes=(), temperatures_c="20, 35, 50")
@@ -221,7 +182,7 @@ class RateTable:
         """Find the run that an earlier bench left."""
         run = find_run(self._bench.folder / "jobs")
         if run is not None:
-            self.addresses = Addresses(**{one.name: getattr(run.order, one.name) for one in fields(Addresses)})
+            self.addresses = replace(run.order, options=())
             if run.view.state in GOING:
                 run.follow()
         return run
@@ -239,12 +200,15 @@ class RateTable:
 
     async def _use_emulated(self) -> None:
         self.emulated.words = ("--speed", self.speed)
-        self.addresses = replace(self.addresses, **await asyncio.to_thread(self.emulated.start))
+        for name, address in (await asyncio.to_thread(self.emulated.start)).items():
+            setattr(self.addresses, name, address)
         self.filled += 1
 
     async def _start(self, typed: ProtocolForm) -> None:
         bench, at_temperatures = self._bench, bool(typed.temperatures_c.strip())
-        order = self.addresses.order(host=bench.settings.host)
+        order = replace(self.addresses, host=bench.settings.host)
+        for name, typed_address in order.named().items():
+            setattr(order, name, typed_address.strip())
         for wanted, what, why in (
             (order.rig, "the table", ""),
             (order.device, "the device", ""),
@@ -382,7 +346,7 @@ def run_part(bench: "Bench", run: RigRun, after: Callable[[], None]) -> None:
                 parts.text("p", f"The stop has no connection of its own: {view.standby}.", "soft")
         else:
             unconfirmed = view.state == "stopped" and view.confirmed is False
-            parts.text("p", ENDS["unconfirmed" if unconfirmed else view.state], "run-end")
+            parts.text("p", parts.texts()["ends"]["unconfirmed" if unconfirmed else view.state], "run-end")
             if view.error:
                 parts.error_line(view.error)
     parts.error_line(lambda: table.error)
@@ -437,6 +401,7 @@ def progress_words(view: View) -> str:
         return "Connecting table, device and chamber ..." if view.state in ("starting", "running") else ""
     words = f"{len(view.done)} of {view.dwells} dwells"
     if view.state in ("running", "pausing", "stopping"):
-        words += f"; step {view.number + 1} of {len(view.steps)}: {view.step}, {DOING.get(view.phase, view.phase)}"
+        phase = parts.texts()["phases"].get(view.phase, view.phase)
+        words += f"; step {view.number + 1} of {len(view.steps)}: {view.step}, {phase}"
         words += f"; about {_minutes(60.0 * view.minutes_left)} left"
     return words + "."

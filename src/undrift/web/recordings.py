@@ -11,7 +11,7 @@ from nicegui import ui
 from undrift.errors import InputError
 from undrift.record import FACES
 from undrift.web import parts
-from undrift.web.commands import Outcome, Remark, remarks_of, stated
+from undrift.web.commands import Outcome, Remark, asked, remarks_of, stated
 from undrift.web.drawings import worn
 from undrift.web.uploads import safe_name
 
@@ -69,16 +69,16 @@ class StoredFile:
 class Sides:
     """Of the device, on the upright segment: they define the pitch; "" is not chosen."""
 
-    forward: str = parts.asked("--forward", options=("", *FACES))
-    up: str = parts.asked("--up", options=("", *FACES))
+    forward: str = asked("--forward", options=("", *FACES))
+    up: str = asked("--up", options=("", *FACES))
 
 
 @dataclass(slots=True, kw_only=True)
 class MarkersForm:
     """What is typed of an optical reference of markers."""
 
-    markers: str = parts.asked("--markers")
-    up: str = parts.asked("--reference-up", options=("", "y", "z"))
+    markers: str = asked("--markers")
+    up: str = asked("--reference-up", options=("", "y", "z"))
 
 
 class Recordings:

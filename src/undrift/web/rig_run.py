@@ -36,6 +36,7 @@ from undrift.files import take_lock, write_whole
 from undrift.rig.folder import JOURNAL
 from undrift.rig.run import ProgressReader
 from undrift.rig.watch import Standby, stop_now
+from undrift.web.commands import asked, stated
 
 SESSION, PLACE = "session", "run"
 ORDER, PROTOCOL, PROGRESS, STANDBY, LOCK = "run.json", "protocol.toml", "progress.jsonl", "standby.json", "lock"
@@ -49,17 +50,21 @@ State = Literal["starting", "running", "pausing", "paused", "stopping", "stopped
 GOING: tuple[State, ...] = ("starting", "running", "pausing", "stopping")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(slots=True, kw_only=True)
 class RunOrder:
-    """What a run is started with."""
+    """What a run is started with: addresses, as the command takes them, "" for none; and the serial number of the device."""
 
-    rig: str  # Addresses, as the command takes them
-    device: str
-    chamber: str = ""
+    rig: str = asked("Address of the table", hint="galil:tcp://host:23?encoder_lines=10000, grbl:serial:///dev/ttyUSB0")
+    device: str = asked("Address of the device", hint="serial:///dev/ttyUSB0?baud=115200&..., tcp://host:port?...")
+    chamber: str = asked("Address of the chamber", hint="tcp://host:port, modbus-tcp://host:502?model=..., manual:")
     operator: str = ""  # of an emulated operator; a person is asked on the page where there is none
-    serial: str = ""
+    serial: str = asked("Serial number of the device", hint="empty: as the device states it")
     options: tuple[str, ...] = ()  # more words of the command
     host: str = "127.0.0.1"  # where the supervisor listens
+
+    def named(self) -> dict[str, str]:
+        """Return the options of the command by their names."""
+        return {name: getattr(self, name) for name in ("rig", "device", "chamber", "operator", "serial")}
 
 
 def command_of(order: RunOrder, folder: Path) -> list[str]:
@@ -67,10 +72,12 @@ def command_of(order: RunOrder, folder: Path) -> list[str]:
     place = folder.parent / PLACE
     words = [sys.executable, "-m", "undrift", "rig", "run", str(place / PROTOCOL), "-o", str(folder)]
     words += ["--yes", "--json", "--progress", str(place / PROGRESS)]
-    for name in ("rig", "device", "chamber", "operator", "serial"):
-        if value := getattr(order, name):
-            words += [f"--{name}", value]
-    return [*words, *order.options, *(["--resume"] if (folder / JOURNAL).exists() else [])]
+    return [
+        *words,
+        *map(str, stated(**order.named())),
+        *order.options,
+        *(["--resume"] if (folder / JOURNAL).exists() else []),
+    ]
 
 
 def read_order(folder: Path) -> RunOrder:

@@ -75,8 +75,8 @@ class Source:
 
     def __init__(self, address: str) -> None:
         self.address = address
-        self._recorder = self._fresh()  # refuses an address that is none
-        self.name = self._recorder.source.description.device or self._recorder.source.name
+        self.recorder = self._fresh()  # of the present connection; refuses an address that is none
+        self.name = self.recorder.source.description.device or self.recorder.source.name
         self.error = ""
         self._thread: threading.Thread | None = None
         self._stopping, self._lock, self._file_lock = threading.Event(), threading.RLock(), threading.RLock()
@@ -86,46 +86,34 @@ class Source:
         self._counted: deque[tuple[float, int]] = deque()
         self._before = np.zeros(3, dtype=int)  # readings, lost and garbled of earlier connections
         self._temp_c = math.nan
-        self._calibration: Calibration | None = None
+        self.calibration: Calibration | None = None  # that corrects the readings
         self.calibration_file: Path | None = None  # where it came from
         self._corrector: Corrector | None = None
         self._orient = OrientStream()
-        self._axes: tuple[Face, Face] = ("+x", "+z")  # forward and up on the upright segment
+        self.axes: tuple[Face, Face] = (
+            "+x",
+            "+z",
+        )  # that point forward and up on the upright segment: they define the pitch
         self._correction = self._notes = ""
         self._writer: ParquetWriter | None = None
         self._unwritten: list[Record] = []
         self._file_start, self._file_error = math.nan, ""
 
     @property
-    def recorder(self) -> Recorder:
-        """The recorder of the present connection."""
-        return self._recorder
-
-    @property
     def nominal_rate_hz(self) -> float:
         """Stated readings per second of the device."""
-        return self._recorder.source.description.rate
+        return self.recorder.source.description.rate
 
     @property
     def speed(self) -> float:
         """Device seconds in one of the host's: 1 for hardware."""
-        return self._recorder.source.description.clock_speed
-
-    @property
-    def axes(self) -> tuple[Face, Face]:
-        """The device's axes that point forward and up on the upright segment, which define the pitch."""
-        return self._axes
-
-    @property
-    def calibration(self) -> Calibration | None:
-        """What the readings are corrected by."""
-        return self._calibration
+        return self.recorder.source.description.clock_speed
 
     def start(self) -> None:
         """Connect and wait for a first reading; raises where none comes."""
         if self._thread is not None:
             raise InputError("source: wanted a fresh one, got one that was started before; make another")
-        self._recorder.start()
+        self.recorder.start()
         self._thread = threading.Thread(target=self._run, name="bench-source", daemon=True)
         self._thread.start()
 
@@ -134,7 +122,7 @@ class Source:
         self._stopping.set()
         if self._thread is not None:
             self._thread.join(STOP_S)
-        self._recorder.stop()
+        self.recorder.stop()
         return self.stop_writing()
 
     def recent(self, seconds: float) -> Record | None:
@@ -156,7 +144,7 @@ class Source:
     def status(self) -> Status:
         """Return how it is doing."""
         with self._lock:
-            rate, description, writer = math.nan, self._recorder.source.description, self._writer
+            rate, description, writer = math.nan, self.recorder.source.description, self._writer
             if len(self._counted) > 1 and time.monotonic() - self._heard < STALE_S:
                 (t0, n0), (t1, n1) = self._counted[0], self._counted[-1]
                 rate = (n1 - n0) / (t1 - t0) / description.clock_speed
@@ -183,7 +171,7 @@ class Source:
         """Correct by a calibration from now on, or by none."""
         corrector = None if calibration is None else Corrector(calibration, "hold")
         with self._lock:
-            self._calibration, self._corrector = calibration, corrector
+            self.calibration, self._corrector = calibration, corrector
             self._correction = self._notes = ""
             self._orient = OrientStream()
 
@@ -199,7 +187,7 @@ class Source:
     def set_axes(self, forward: Face, up: Face) -> None:
         """Count the pitch about other axes from now on."""
         sagittal_pitch(np.array([1.0, 0.0, 0.0, 0.0]), forward=forward, up=up)  # refuses what are no two axes
-        self._axes = forward, up
+        self.axes = forward, up
 
     def write_to(self, path: Path) -> None:
         """Write the raw readings from now on to a Parquet file, which appears when the writing is stopped."""
@@ -228,8 +216,8 @@ class Source:
         return Recorder(source_at(self.address), settings)
 
     def _tally(self) -> FloatArray:
-        timeline = self._recorder.timeline
-        return np.array([timeline.readings, timeline.marker.missing, self._recorder.source.errors])
+        timeline = self.recorder.timeline
+        return np.array([timeline.readings, timeline.marker.missing, self.recorder.source.errors])
 
     def _run(self) -> None:
         while not self._stopping.wait(PERIOD_S):
@@ -242,7 +230,7 @@ class Source:
     def _reconnect(self) -> None:
         """Make a new connection, until there is one or the source is stopped."""
         while not self._stopping.is_set():
-            self._recorder.stop()
+            self.recorder.stop()
             fresh = self._fresh()
             try:
                 fresh.start()
@@ -254,24 +242,24 @@ class Source:
                 self._before = self._before + self._tally()
                 speed = fresh.source.description.clock_speed
                 self._start = max(self._last, 0.0) + max(time.monotonic() - self._heard, PERIOD_S) * speed
-                self._recorder, self.error = fresh, ""
+                self.recorder, self.error = fresh, ""
                 self._counted.clear()
-                self.set_calibration(self._calibration)
+                self.set_calibration(self.calibration)
             return
 
     def _take(self) -> None:
         """Take what has come since the last look. The work is done outside the lock: a page never waits for it."""
-        came = self._recorder.since(self._last - self._start)
+        came = self.recorder.since(self._last - self._start)
         if came is None:
             return
         raw = came if not self._start else replace(came, time=came.time + self._start)
-        corrected, (forward, up) = self._corrected(raw), self._axes
+        corrected, (forward, up) = self._corrected(raw), self.axes
         q = _oriented(self._orient, corrected or raw)
         pitch = None if q is None else sagittal_pitch(q, forward=forward, up=up)
         with self._lock:
             now = time.monotonic()
             self._heard, self._last, self._number = now, float(raw.time[-1]), self._number + 1
-            self._counted.append((now, self._recorder.timeline.readings))
+            self._counted.append((now, self.recorder.timeline.readings))
             while self._counted[0][0] < now - RATE_OVER_S:
                 self._counted.popleft()
             if raw.temp_c is not None and (known := raw.temp_c[~np.isnan(raw.temp_c)]).size:
