@@ -121,7 +121,12 @@ def shown_if(element: Any, true: Callable[[], bool]) -> Any:
 def redrawn(state: Callable[[], object], draw: Callable[[], None]) -> None:
     """Add a part that is drawn anew whenever the state changes, in this browser or another."""
     seen = [state()]
-    part = ui.refreshable(draw)
+
+    @ui.refreshable
+    def part() -> None:
+        with ui.element("div"):  # what is bound in it goes with it
+            draw()
+
     part()
 
     def show() -> None:

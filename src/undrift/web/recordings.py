@@ -77,7 +77,7 @@ class Sides:
 class MarkersForm:
     """What is typed of an optical reference of markers."""
 
-    markers: str = asked("--markers")
+    markers: str = asked("Markers, commas between")
     up: str = asked("--reference-up", options=("", "y", "z"))
 
 

@@ -1,0 +1,67 @@
+"""Parts of pages: what is bound follows the state and goes with its part; a click shows its refusal, or opens the next page."""
+
+import asyncio
+
+import pytest
+
+pytest.importorskip("nicegui")
+
+from nicegui import Client
+from nicegui.page import page
+
+from undrift.errors import InputError
+from undrift.web import parts
+
+
+@pytest.fixture
+def client():
+    made = Client(page("/parts"), request=None)
+    made.opened = []
+    made.open = made.opened.append
+    with made:
+        yield made
+
+
+def look(client):
+    asyncio.run(parts.look(client))
+
+
+def click(client, button):
+    (listener,) = button._event_listeners.values()
+    asyncio.run(listener.handler())
+
+
+def words(client):
+    return [element._text for element in client.elements.values() if getattr(element, "_text", "")]
+
+
+def test_what_is_bound_follows_the_state_and_goes_with_the_part_that_is_drawn_anew(client):
+    state = {"part": 1, "line": "one"}
+    parts.redrawn(lambda: state["part"], lambda: parts.text("p", lambda: state["line"]))
+    bound = len(parts._BOUND[client])
+    state["line"] = "two"
+    look(client)
+    assert words(client) == ["two"]
+    for state["part"] in range(2, 6):
+        look(client)
+    look(client)
+    assert words(client) == ["two"]
+    assert len(parts._BOUND[client]) == bound
+
+
+def test_a_refusal_stands_beside_its_button_until_the_next_click(client):
+    answers = [InputError("wanted a device, got none; connect it"), "/result", None]
+
+    def handler():
+        answer = answers.pop(0)
+        if isinstance(answer, InputError):
+            raise answer
+        return answer
+
+    button = parts.button("Go", handler)
+    click(client, button)
+    assert words(client) == ["Go", "wanted a device, got none; connect it"]
+    click(client, button)
+    assert words(client) == ["Go"]
+    click(client, button)
+    assert client.opened == ["/result"]
