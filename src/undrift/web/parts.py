@@ -120,20 +120,19 @@ def shown_if(element: Any, true: Callable[[], bool]) -> Any:
 
 def redrawn(state: Callable[[], object], draw: Callable[[], None]) -> None:
     """Add a part that is drawn anew whenever the state changes, in this browser or another."""
-    seen = [state()]
+    seen, place = [state()], ui.element("div")
 
-    @ui.refreshable
-    def part() -> None:
-        with ui.element("div"):  # what is bound in it goes with it
+    def fill() -> None:
+        place.clear()
+        with place, ui.element("div"):  # what is bound in it goes with it
             draw()
-
-    part()
 
     def show() -> None:
         if (now := state()) != seen[0]:
             seen[0] = now
-            part.refresh()
+            fill()
 
+    fill()
     bound(show)
 
 
