@@ -1,6 +1,8 @@
 """Parts of pages: what is bound follows the state and goes with its part; a click shows its refusal, or opens the next page."""
 
 import asyncio
+import gc
+import weakref
 
 import pytest
 
@@ -38,7 +40,7 @@ def words(client):
 def test_what_is_bound_follows_the_state_and_goes_with_the_part_that_is_drawn_anew(client):
     state = {"part": 1, "line": "one"}
     parts.redrawn(lambda: state["part"], lambda: parts.text("p", lambda: state["line"]))
-    bound = len(parts._BOUND[client])
+    bound = len(parts.bound_in(client))
     state["line"] = "two"
     look(client)
     assert words(client) == ["two"]
@@ -46,7 +48,7 @@ def test_what_is_bound_follows_the_state_and_goes_with_the_part_that_is_drawn_an
         look(client)
     look(client)
     assert words(client) == ["two"]
-    assert len(parts._BOUND[client]) == bound
+    assert len(parts.bound_in(client)) == bound
 
 
 def test_a_refusal_stands_beside_its_button_until_the_next_click(client):
@@ -65,3 +67,15 @@ def test_a_refusal_stands_beside_its_button_until_the_next_click(client):
     assert words(client) == ["Go"]
     click(client, button)
     assert client.opened == ["/result"]
+
+
+def test_a_page_that_is_closed_is_forgotten():
+    closed = Client(page("/parts"), request=None)
+    with closed:
+        parts.text("p", lambda: "bound")
+        parts.button("Go", lambda: None)
+    closed.delete()
+    known = weakref.ref(closed)
+    del closed
+    gc.collect()
+    assert known() is None

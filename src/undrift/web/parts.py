@@ -15,7 +15,6 @@ from functools import cache, partial
 from inspect import isawaitable, iscoroutinefunction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-from weakref import WeakKeyDictionary
 
 from nicegui import Client, ui
 
@@ -42,7 +41,7 @@ LEVEL_NAMES = {"fail": "Failed", "warn": "Warning", "info": "Note"}
 
 Words = str | Callable[[], str]  # Of a part: as they are, or as the state has them now
 Handler = Callable[[], Any]  # Of a click: may be awaited; returns the path of the page to open, if any
-_BOUND: WeakKeyDictionary[Client, list[tuple[ui.element, Callable[[], Any]]]] = WeakKeyDictionary()
+Bound = list[tuple[ui.element, Callable[[], Any]]]  # A part of a page, and what shows something in it
 
 
 @cache
@@ -58,17 +57,23 @@ def bound(show: Callable[[], Any]) -> None:
     """Show something now, and again with each look of the page, as long as the part of the page is there that it was added to."""
     if not iscoroutinefunction(show):
         show()
-    _BOUND.setdefault(ui.context.client, []).append((ui.context.slot.parent, show))
+    bound_in(ui.context.client).append((ui.context.slot.parent, show))
+
+
+def bound_in(client: Client) -> Bound:
+    """Return what is bound in the page of a browser; the page holds it, and takes it along."""
+    bound: Bound = vars(client).setdefault("bound", [])
+    return bound
 
 
 async def look(client: Client) -> None:
     """Show what is bound as it is now, what is drawn anew first."""
-    for parent, show in [*_BOUND.get(client, ())]:
+    for parent, show in [*bound_in(client)]:
         if not parent.is_deleted:
             with parent:
                 if isawaitable(waited := show()):
                     await waited
-    _BOUND[client] = [each for each in _BOUND.get(client, ()) if not each[0].is_deleted]
+    bound_in(client)[:] = [each for each in bound_in(client) if not each[0].is_deleted]
 
 
 def text(tag: str, words: Words = "", classes: str = "", *, role: str = "") -> Any:
