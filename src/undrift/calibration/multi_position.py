@@ -17,7 +17,7 @@ from typing import Literal
 
 import numpy as np
 
-from undrift.arrays import FloatArray, IntArray, window_sums
+from undrift.arrays import BoolArray, FloatArray, IntArray
 from undrift.calibration.adc import code_steps, code_variance, limited_by_codes
 from undrift.calibration.checks import check_axis_order, check_own_scale, check_range, stuck_windows
 from undrift.calibration.creep import Creep, Kind, creep_of
@@ -37,7 +37,7 @@ from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 #     s2_k = |(var u_x, var u_y, var u_z)| over the window centred at k        sample variances, raw unit squared
 #
 # A turn about the vertical does not show in an accelerometer: where there are gyroscopes, a still is reduced to its core, in which
-# their variance is as low as in most of the stills.
+# their variance is as low as in most of the stills. Running sums make mean and variance of any stretch cost the same.
 
 FEWEST_POSES = 7  # with a prior on cross-axis terms: scale, offset, and one pose to check them
 QUIETEST = 0.05  # share of all windows that gives the level at rest
@@ -52,6 +52,8 @@ class StillVariance:
     level: FloatArray  # (N,), s2, raw unit squared; infinite at the ends and next to gaps
     gyro_level: FloatArray | None  # (N,), the same of the gyroscopes, their unit squared; None without gyroscopes
     at_rest: float  # Value of ``level`` at rest, raw unit squared
+    sums: FloatArray  # (2, N + 1, 3), running sums of the readings less ``centre``, and of their squares
+    centre: FloatArray  # (3,), raw unit
     step: FloatArray = field(default_factory=lambda: np.zeros(3))  # (3,), of the codes, raw unit; 0 or NaN for none
 
     def below(self, threshold: float, least: int) -> list[tuple[int, int]]:
@@ -71,26 +73,32 @@ def still_variance(record: Record, *, window_s: float, rest_s: float | None) -> 
             + ("" if rest_s is None else f" and its opening rest of {rest_s:g} s")
             + f", got {record.duration_s:.2f} s; shorten them"
         )
-    level = _windowed(record.accel, half)
+    level, sums, centre = _windowed(record.accel, half)
     if rest_s is None:
         finite = level[np.isfinite(level)]
         at_rest = float(np.quantile(finite, QUIETEST)) if len(finite) else np.inf
     else:
         rest = int(np.searchsorted(record.time, record.time[0] + rest_s))
         at_rest = float(np.linalg.norm(np.nanvar(record.accel[:rest], axis=0, ddof=1)))
-    gyro_level = None if record.gyro is None else _windowed(record.gyro, half)
-    return StillVariance(values=record.accel, level=level, gyro_level=gyro_level, at_rest=at_rest)
+    gyro_level = None if record.gyro is None else _windowed(record.gyro, half)[0]
+    return StillVariance(
+        values=record.accel, level=level, gyro_level=gyro_level, at_rest=at_rest, sums=sums, centre=centre
+    )
 
 
-def _windowed(values: FloatArray, half: int) -> FloatArray:
-    """Return the level (N,) over windows of 2 half + 1 samples."""
-    width, gap = 2 * half + 1, np.asarray(np.isnan(values).any(axis=1))
+def _windowed(values: FloatArray, half: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the level over windows of 2 half + 1 samples, running sums of first and second powers, and their centre."""
+    width = 2 * half + 1
+    gap: BoolArray = np.asarray(np.isnan(values).any(axis=1))
     centre = values[~gap].mean(axis=0) if not gap.all() else np.zeros(3)
-    u = np.where(gap[:, None], 0.0, values - centre)
-    s, q, lost = (window_sums(part, width) for part in (u, u * u, gap[:, None].astype(float)))
+    u, sums = np.where(gap[:, None], 0.0, values - centre), np.zeros((2, len(values) + 1, 3))
+    np.cumsum((u, u * u), axis=1, out=sums[:, 1:])
+    s, q = sums[:, width:] - sums[:, :-width]
+    lost = np.concatenate(([0], np.cumsum(gap)))
     level = np.full(len(u), np.inf)
-    level[half:-half] = np.where(lost[:, 0] > 0.0, np.inf, np.linalg.norm((q - s * s / width) / (width - 1), axis=1))
-    return level
+    level[half:-half] = np.linalg.norm((q - s * s / width) / (width - 1), axis=1)
+    level[half:-half][lost[width:] > lost[:-width]] = np.inf
+    return level, sums, centre
 
 
 # ---- gyroscopes from hand turns between still poses: integrate from one gravity direction to the next (Tedaldi et al., ICRA 2014)
@@ -798,8 +806,11 @@ def _poses(levels: list[StillVariance], stills: tuple[Still, ...]) -> tuple[Floa
     for number, level in enumerate(levels):
         rows = [k for k, s in enumerate(stills) if s.recording == number]
         start, stop = np.array([(stills[k].start, stills[k].stop) for k in rows], np.int64).reshape(-1, 2).T
-        means[rows], within, count = still_moments(level.values, start, stop)
-        variances[rows] = within / count[:, None] + code_variance(level.step, within)
+        count = (stop - start)[:, None].astype(float)
+        sums, squares = level.sums[:, stop] - level.sums[:, start]
+        within = (squares - sums**2 / count).sum(axis=0) / max(1.0, float(count.sum()) - len(rows))
+        within = np.maximum(within, 0.0)
+        means[rows], variances[rows] = sums / count + level.centre, within / count + code_variance(level.step, within)
     return means, variances
 
 
