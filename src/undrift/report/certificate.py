@@ -118,14 +118,8 @@ def draw_residuals(poses: FloatArray, dwells: FloatArray) -> "Figure":
     if len(dwells):
         marks = np.arange(1, len(dwells) + 1)
         for k, axis in enumerate(AXES):
-            panels[-1].plot(
-                marks + 0.2 * (k - 1),
-                dwells[:, k],
-                AXIS_MARKERS[k],
-                color=AXIS_COLOURS[k],
-                markersize=4.0,
-                label=f"gyro {axis}",
-            )
+            style: Any = {"color": AXIS_COLOURS[k], "markersize": 4.0, "label": f"gyro {axis}"}
+            panels[-1].plot(marks + 0.2 * (k - 1), dwells[:, k], AXIS_MARKERS[k], **style)
         panels[-1].set(xlabel="dwell at a known rate, in order of time", ylabel="rate error (deg/s)")
         legend_above(panels[-1])
     for panel in panels:
@@ -137,7 +131,7 @@ def draw_norm(records: Sequence["Record"], judged: Sequence["Judged"], gravity_m
     """Draw |a| over the recordings, one after the other, with the stills shaded."""
     figure, (panel,) = new_figure(1, height=2.4)
     entitle(figure, "Norm of the specific force over the session, stills shaded")
-    start = 0.0
+    start, bar = 0.0, dict[str, Any](color=ERROR, linewidth=2.2, solid_capstyle="butt")
     for number_, record in enumerate(records):
         time = record.time - record.time[0] + start
         if record.accel is not None:
@@ -146,14 +140,7 @@ def draw_norm(records: Sequence["Record"], judged: Sequence["Judged"], gravity_m
             if one.piece.recording == number_ and one.piece.kind == "still":
                 ends = float(time[one.piece.start]), float(time[one.piece.stop - 1])
                 panel.axvspan(*ends, facecolor=SHADE, linewidth=0.0, zorder=0)
-                panel.plot(
-                    ends,
-                    [np.linalg.norm(one.accel)] * 2,
-                    color=ERROR,
-                    linewidth=2.2,
-                    solid_capstyle="butt",
-                    label="mean of a still" if start == 0.0 else None,
-                )
+                panel.plot(ends, [np.linalg.norm(one.accel)] * 2, label=None if start else "mean of a still", **bar)
         start = float(time[-1]) + 1.0 / record.sample_rate_hz
     panel.axhline(gravity_m_s2, color=OPTICS, linewidth=0.6, linestyle="--", label="local gravity")
     where = "time, recordings one after the other (s)" if len(records) > 1 else "time (s)"
