@@ -14,7 +14,7 @@ from testkit.command_line import contents
 from testkit.pages import browser, faults_of, seen_in
 from testkit.pictures import cut_texts
 from testkit.remembered import folder_made_once, run_folder
-from undrift.cli import study as study_module
+from undrift.commands import study as study_module
 from undrift.errors import LinkError, RigTimeout
 from undrift.io import store as store_module
 from undrift.io.formats import read_record, read_reference
@@ -206,7 +206,7 @@ def test_a_failed_check_ends_with_one(undrift, tmp_path, monkeypatch):
     monkeypatch.setattr(virtual_bench, "compare_with_truth", lambda *_: worst)
     monkeypatch.setattr(demo_module, "write_demo_report", lambda *_: None)
     monkeypatch.setattr(store_module, "calibration_json", lambda _: {})
-    monkeypatch.setattr(study_module, "study_summary", lambda _: {})
+    monkeypatch.setattr(study_module, "study_json", lambda _: {})
     fit = type("Any", (), {"drift": type("Any", (), {"calibration": None})})()
     monkeypatch.setattr(demo, "_judged", lambda *_: (fit, ()))
     monkeypatch.setattr(demo, "_studied", lambda *_: None)

@@ -133,7 +133,9 @@ def test_trend_says_what_moved_since_when_with_table_picture_and_page(undrift, m
     answer = undrift.good(
         "registry", "trend", "--serial", SERIAL, "--figure", tmp_path / "t.svg", "--report", tmp_path / "t.html"
     )
-    moved = [line for line in answer.out.splitlines() if "scale of gyro" in line and "moved by" in line]
+    headline, *lines = (line.strip() for line in answer.out.splitlines())
+    assert headline.startswith(f"{SERIAL}: ")
+    moved = [line for line in lines if "scale of gyro" in line and "moved by" in line]
     assert [line.partition(":")[0] for line in moved] == [f"{NOW - timedelta(days=100):%Y-%m-%d}"] * 3 + [
         "since the first"
     ] * 3

@@ -14,6 +14,7 @@ import pytest
 from testkit.command_line import contents
 from testkit.data import data_path
 from testkit.pages import faults_of
+from undrift.commands.study import study
 from undrift.study import outcome as outcome_module
 from undrift.study.figure3 import COMPARED, DrawnRow
 from undrift.study.rivals import compare_rivals
@@ -40,7 +41,7 @@ def done(undrift, *words):
     """Return the answer to a study that succeeds; where stderr is no terminal it has a line for each stage."""
     answer = undrift(*words)
     assert answer.code == 0, answer
-    assert all(": " in line and "Traceback" not in line for line in answer.err.splitlines())
+    assert all(line.startswith("undrift study: ") for line in answer.err.splitlines())
     return answer
 
 
@@ -57,25 +58,28 @@ def test_a_plan_comes_to_a_surface_a_summary_and_a_page(undrift, plan, tmp_path)
     answer = done(undrift, "study", plan, "-o", out, "--workers", "1", "--no-rivals", "--report", copy)
     assert faults_of(copy.read_text()) == []
     assert re.search(r"Sit to stand: [\d.]+ Hz and rates of .* deg/s are enough, ", copy.read_text())
-    assert "small: 18 runs (sit_to_stand; 3 subjects) on 1 worker, in all about" in answer.out.splitlines()[0]
-    lines = [line.removeprefix("small: ").split(", about")[0] for line in answer.err.splitlines()]
-    # a busy machine also shows how far it is every ten seconds
-    stages = [
-        line
-        for line in lines
-        if not re.fullmatch(r"calibration sessions: [0-5] of 6 units of work|what .*: (?!48 )\d+ of 48 .*", line)
-    ]
-    assert stages == [
+    first, *stages = (line.removeprefix("undrift study: ") for line in answer.err.splitlines())
+    assert "small: 18 runs (sit_to_stand; 3 subjects) on 1 worker, in all about" in first
+    assert [line.split(", about")[0] for line in stages] == [
         "calibration sessions",
-        "calibration sessions: 6 of 6 units of work",
         "the other cohort",
         "what the error is made of",
-        "what the error is made of: 48 of 48 units of work",
         "rates to dwell at",
         "Figure 3",
     ]
-    assert "the note is not decidable: " in answer.out  # its values are at the ends of what is tried
-    assert "0.048 (its own)" in answer.out
+    # its values are at the ends of what is tried
+    assert "task: sit to stand\n  the note: not decidable\n" in answer.out
+    assert "0.048, its own" in answer.out
+    shares = []
+    studied = study(
+        plan, output=out, workers=1, no_rivals=True, progress=lambda what, share: shares.append((share, what))
+    )
+    assert [share for share, _ in shares] == sorted(share for share, _ in shares)
+    told = [what for _, what in shares]
+    assert {"calibration sessions: 6 of 6 units of work", "what the error is made of: 48 of 48 units of work"} <= {
+        *told
+    }
+    assert studied.summary().answer in answer.out
     assert {path.name for path in out.iterdir()} >= {"surface.parquet", "summary.json", "report.html"}
     table = pq.read_table(out / "surface.parquet")
     assert table.num_rows == 18
@@ -172,8 +176,7 @@ def test_halving_finds_the_optimum_of_the_grid_with_fewer_runs(undrift, searched
     assert {tuple(row.values())[:4] for row in last} <= {tuple(row.values())[:4] for row in first}
     table = pq.read_table(tmp_path / "h" / "surface.parquet")
     assert table.num_rows == 96 + front
-    assert "wide: step, round 2 of 3: 8 protocols on 6 subjects" in answer.err.splitlines()
-    assert f"calibration sessions: {96 + front} of {96 + front} runs" in answer.err
+    assert "undrift study: step, round 2 of 3: 8 protocols on 6 subjects" in answer.err.splitlines()
     assert f"Successive halving: 16, 8, 4 protocols met 3, 6, 12 subjects; {96 + front} runs, full grid 192" in (
         tmp_path / "h" / "report.html"
     ).read_text().replace("</strong>", "")
@@ -210,7 +213,7 @@ def test_a_study_of_the_dwell_and_the_gain_comes_to_its_end_by_every_search(undr
     path.write_text(TEXT.replace("sit_to_stand", "step").replace("[50.0, 70.0, 90.0]", lists))
     words = ("study", path, "-o", out, "--workers", "1", "--no-rivals", "--search", search, "--candidates", "24")
     answer = done(undrift, *words)
-    assert "step: optimum with dwell (s) " in answer.out
+    assert re.search(r"\bstep: optimum \(.*dwell \(s\) ", answer.out, re.M)
     for heading in ("gain of the gyroscopes&#39; amplifier", "faces", "dwell (s)"):
         assert heading in (out / "report.html").read_text()
     (task,) = json.loads((out / "summary.json").read_text())["tasks"]
@@ -222,12 +225,14 @@ def test_values_that_no_protocol_has_are_named_with_the_reason(undrift, plan, tm
     text = TEXT.replace("step_dps = [5.0]", "step_dps = [5.0, 70.0]").replace("[50.0, 70.0, 90.0]", "[5.0, 50.0, 90.0]")
     path = tmp_path / "more.toml"
     path.write_text(text)
-    answer = done(undrift, "study", path, "-o", tmp_path / "out", "--workers", "1", "--no-rivals")
+    words = ("study", path, "-o", tmp_path / "out", "--workers", "1", "--no-rivals")
+    answer = done(undrift, *words)
     for reason in (
         "step d 70 deg/s (divides no span from an omega_m to an omega_M)",
         "omega_M 5 deg/s (not above any omega_m)",
     ):
-        assert f"sit_to_stand: Not tried: {reason}" in answer.out
+        assert f"sit_to_stand: Not tried: {reason}" in answer.err
+        assert reason in done(undrift, *words, "--details").out
         assert f"<strong>Not tried</strong>: {reason}" in (tmp_path / "out" / "report.html").read_text()
     (task,) = json.loads((tmp_path / "out" / "summary.json").read_text())["tasks"]
     assert [(row["parameter"], row["value"]) for row in task["untried"]] == [
@@ -370,13 +375,13 @@ def test_real_recordings_are_judged_beside_the_study(undrift, plan, tmp_path):
     assert any("eyes closed on foam" in row["note"] == row["said"] for row in told["stances"])
     assert "agreement over trials: 3 trials or more are needed, 2 were given" in told["lacks"]
     page = (tmp_path / "out" / "report.html").read_text()
-    lines = [line for line in answer.out.splitlines() if line.startswith("real, ")]
     for name in names:
-        (line,) = (line for line in lines if name.split(".")[0] in line)
-        assert "total rms none" in line
-        assert "rounding undone" in line
-    assert any(line.startswith("real, STS1: pitch of the simulated device worn in it, rms none") for line in lines)
-    assert any(line.startswith("real, PDS13OF1grf: ") and "figures within the cohort's 95 %" in line for line in lines)
+        rows = re.findall(
+            rf"^ {name.split('.')[0]} +(none|rest|calibrated) +(undone|left in) +[\d.]+ ", answer.out, re.M
+        )
+        assert rows == [(level, how) for how in ("undone", "left in") for level in ("none", "rest", "calibrated")]
+    assert re.findall(r"^ STS1 +(none|static|full) +[\d.]+ ", answer.out, re.M) == ["none", "static", "full"]
+    assert re.search(r"^ PDS13OF1grf +posturography +.* (yes|no) *$", answer.out, re.M)
     assert "Real recordings: devices worn beside optics" in page
     assert "Real recordings: what is not there" in page
 

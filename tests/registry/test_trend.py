@@ -9,12 +9,14 @@ import pytest
 from testkit.data import show
 from testkit.guided import HandFeed, capture_faces, capture_turns
 from testkit.pictures import cut_texts
-from undrift.base.summary import Origin
+from undrift.base.summary import Origin, Summary
 from undrift.calibration.calibrate import calibrate
+from undrift.commands.registry import step_section
 from undrift.model import Calibration, Provenance, TriadModel
 from undrift.registry.trend import MOVED, UNKNOWN_K, Dated, compare, course, headline, trend
-from undrift.report.drift import draw_trend, write_trend_report
+from undrift.report.drift import draw_trend
 from undrift.report.figures import svg_of
+from undrift.report.page import write_page
 from undrift.sim.device.presets import random_device
 from undrift.units import RADIAN_PER_DEGREE
 from undrift.web.capture import Capture
@@ -204,12 +206,13 @@ def test_picture_and_page_show_what_moved(tmp_path):
     drawn = [line.get_ydata() for line in figure.axes[0].get_lines() if len(line.get_ydata()) == 3]
     assert drawn[0].tolist() == [0.0, *(found(step)["scale x"].change for step in course(three))]
     assert "A17: change since 2026-02-02" in svg_of(figure)
-    write_trend_report("A17", three[0], trend(three), course(three), tmp_path / "t.html", Origin())
+    sections = tuple(step_section(step, every=every) for step in trend(three) for every in (False, True))
+    write_page(tmp_path / "t.html", Summary(title="Trend of A17", answer="A17", sections=sections), Origin())
     text = (tmp_path / "t.html").read_text()
     for part in (
-        *(f"{words[:1].upper()}{words[1:]}." for words in trend(three)[-1].sentences),
+        *(f"{trend(three)[-1].until.made_at:%Y-%m-%d}: {words}" for words in trend(three)[-1].sentences),
         "2026-02-02 to 2026-03-02",
-        "accel: not calibrated in both.",
+        "not compared: accel: not calibrated in both",
         "gyro scale x",
     ):
         assert part in text

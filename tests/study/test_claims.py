@@ -9,8 +9,7 @@ import pytest
 
 from testkit.surfaces import errors
 from undrift.arrays import FloatArray
-from undrift.report.note import claims_section, rival_sections
-from undrift.study.claims import CLAIMS, ClaimRow, claims_of
+from undrift.study.claims import CLAIMS, ClaimRow, claims_of, claims_section, rival_sections
 from undrift.study.figure3 import COMPARED, DrawnRow
 from undrift.study.judge import cohort_of, find_optimum, other_study
 from undrift.study.outcome import StudyOutcome

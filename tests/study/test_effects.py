@@ -8,8 +8,9 @@ import pandas as pd
 import pytest
 
 from testkit.surfaces import errors
+from undrift.commands.study import Studied
 from undrift.findings import finding
-from undrift.report.study import write_study_report
+from undrift.report.page import write_page
 from undrift.rig.programme import Protocol
 from undrift.study.case import units_of
 from undrift.study.judge import ParameterEffect, effects_at
@@ -161,7 +162,7 @@ def test_a_subject_whose_device_nothing_calibrates_is_left_out_and_named(tmp_pat
     effect = effect_of(task, "turn_rate_max_dps")
     assert effect.anova is not None  # eleven subjects, none with a gap
     assert effect.anova.subjects == 11
-    write_study_report(outcome, tmp_path / "report.html")
+    write_page(tmp_path / "report.html", Studied(outcome=outcome, output=tmp_path).summary())
     page = (tmp_path / "report.html").read_text()
     assert (
         "<strong>Subjects left out</strong>: no protocol calibrated the device of subject 4 of surface.parquet" in page
@@ -189,7 +190,7 @@ def test_a_level_that_calibrates_fewer_than_half_is_left_out_of_its_effect(tmp_p
 def test_the_page_says_what_decides_which_values_differ_and_why_a_mixed_model_was_used(tmp_path: Path) -> None:
     plant(tmp_path, missing=((3, 11.4),))
     outcome = judge_study(STUDY, InProcess(), tmp_path)
-    write_study_report(outcome, tmp_path / "report.html")
+    write_page(tmp_path / "report.html", Studied(outcome=outcome, output=tmp_path).summary())
     page = (tmp_path / "report.html").read_text()
     assert page.index("Answer: the protocol to use") < page.index("Table 1: optimised parameters")
     for wanted in (

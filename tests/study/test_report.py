@@ -9,9 +9,10 @@ import pytest
 
 from testkit.pictures import pictures_looked_at
 from testkit.surfaces import errors
+from undrift.commands.study import Studied
 from undrift.findings import finding
 from undrift.report.figures import draw_effects, draw_pareto, svg_of
-from undrift.report.study import write_study_report
+from undrift.report.page import write_page
 from undrift.study.case import device_of
 from undrift.study.judge import compare_with_note, find_optimum, other_study
 from undrift.study.outcome import TOO_LONG, StudyOutcome, _too_long, forecast, judge_study
@@ -110,7 +111,7 @@ def test_an_outcome_says_how_surely(outcome: StudyOutcome) -> None:
 
 
 def test_the_page_holds_every_table_and_picture(outcome: StudyOutcome, tmp_path: Path) -> None:
-    write_study_report(outcome, tmp_path / "report.html")
+    write_page(tmp_path / "report.html", Studied(outcome=outcome, output=tmp_path).summary())
     text = (tmp_path / "report.html").read_text()
     for wanted in (
         "Table 1: optimised parameters",
@@ -146,7 +147,7 @@ def test_the_page_holds_every_table_and_picture(outcome: StudyOutcome, tmp_path:
     assert text.count("EMBC 2007") == 1  # what "the note" is
     assert "0.048, its own" in text
     without = replace(outcome, figure3=None, figure3_missing=finding("study.no_sit_to_stand", "info"))
-    write_study_report(without, tmp_path / "b.html")
+    write_page(tmp_path / "b.html", Studied(outcome=without, output=tmp_path).summary())
     wanted = "<strong>Figure 3</strong>: the study has no sit-to-stand of the library"
     assert wanted in (tmp_path / "b.html").read_text()
 
@@ -170,7 +171,7 @@ def test_no_picture_of_the_page_cuts_its_legend_or_a_label(outcome: StudyOutcome
     ]
     variants = [replace(one, optimum=replace(one.optimum, effects=tuple(further))) for one in variants]
     with pictures_looked_at() as cut:
-        write_study_report(outcome, tmp_path / "a.html")
+        write_page(tmp_path / "a.html", Studied(outcome=outcome, output=tmp_path).summary())
         for one in variants:
             svg_of(draw_pareto(outcome, one))
             svg_of(draw_effects(one))

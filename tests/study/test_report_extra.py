@@ -4,8 +4,9 @@ from dataclasses import fields
 
 import numpy as np
 
+from undrift.commands.study_sections import design_sections, real_sections
 from undrift.findings import finding
-from undrift.report.study import design_sections, real_sections, rival_sections
+from undrift.study.claims import rival_sections
 from undrift.study.judge import cohort_of, other_study
 from undrift.study.outcome import StudyOutcome
 from undrift.study.plan import note_study

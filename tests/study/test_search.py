@@ -14,10 +14,10 @@ from testkit.data import show
 from testkit.pages import faults_of
 from testkit.surfaces import errors
 from undrift.base.codec import slots_of
-from undrift.cli.study import _show as show_study
-from undrift.cli.study import study_summary
+from undrift.cli.common import show as show_summary
+from undrift.commands.study import Studied, study_json
 from undrift.errors import FileFormatError, InputError
-from undrift.report.study import write_study_report
+from undrift.report.page import write_page
 from undrift.rig.programme import Protocol
 from undrift.sim.bench_errors import BenchErrors
 from undrift.sim.device.effects import Nonlinearity
@@ -85,15 +85,15 @@ def test_a_study_of_any_parameter_comes_to_its_page_its_summary_and_its_lines(
     else:
         space |= {name: TWO[name]} if name in OF_NOTE else {"further": ((name, TWO[name]),)}
     outcome = judge_study(study_of(task_of("step", **space)), InProcess(), tmp_path)
-    write_study_report(outcome, tmp_path / "report.html")
+    write_page(tmp_path / "report.html", Studied(outcome=outcome, output=tmp_path).summary())
     text = (tmp_path / "report.html").read_text()
     assert faults_of(text) == ["provenance"]  # no command made it
     assert HEADINGS[name] in unescape(text)
     assert [split.parameter for split in outcome.tasks[0].splits] == [name]
-    (task,) = study_summary(outcome)["tasks"]
+    (task,) = study_json(outcome)["tasks"]
     assert name in task["optimum"]
     assert [row["parameter"] for row in task["made_of"]] == [name]
-    show_study(outcome, tmp_path, True)
+    show_summary(Studied(outcome=outcome, output=tmp_path).summary(), details=True)
     assert HEADINGS[name].split(" (")[0] in capsys.readouterr().out
 
 

@@ -44,7 +44,7 @@ COMMANDS = {  # one line of 80 columns each
     "data": "Recordings to try: list them, fetch one by checksum; --json.",
     "demo": "The whole flow on a small simulated session, as a report page.",
 }
-GROUPS = (*commands.GROUPS, "registry", "rig")  # of commands
+GROUPS = (*commands.GROUPS, "rig")  # of commands
 EARLIER_NAMES = {  # options renamed since a release; both spellings work, help shows the standard one
     "drift": {"--range": "--range-c", "--step": "--step-c"},
     "rig": {"--hands": "--operator"},

@@ -123,9 +123,11 @@ class Steps:
         self._bar.stop()
 
     def __call__(self, what: str, share: float) -> None:
-        """Take what is being done, and the share of the whole that is done, 0 to 1."""
-        self._what, self._share = what, share
-        self._bar.update(self._task, description=what, completed=share)
+        """Take what is being done, and the share of the whole that is done, 0 to 1; lines above the last are shown and stay."""
+        *lines, self._what = what.split("\n")
+        self._share = share
+        say(*(f"undrift {self._command}: {line}" for line in lines), err=True)
+        self._bar.update(self._task, description=self._what, completed=share)
 
     def _tell(self) -> None:
         while not self._stop.wait(SAID_EVERY_S):

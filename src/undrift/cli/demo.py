@@ -45,7 +45,7 @@ def demo(*, out: Path = Path("demo"), quick: Flag = False, report: Report = None
     json : bool
         summary.json on stdout too.
     """
-    from undrift.cli.study import study_summary
+    from undrift.commands.study import study_json
     from undrift.io.store import calibration_json
     from undrift.report.demo import write_demo_report
     from undrift.study.virtual_bench import bench_device, bench_plan, compare_with_truth, record_on_bench
@@ -69,7 +69,7 @@ def demo(*, out: Path = Path("demo"), quick: Flag = False, report: Report = None
         shown.end()
     summary = {
         "calibration": calibration_json(fit.drift.calibration),
-        "study": study_summary(study),
+        "study": study_json(study),
         "checks": [{"name": c.name, "value": c.value, "limit": c.limit, "pass": c.passed} for c in checks],
     }
     save_json(out / "summary.json", summary)
@@ -123,7 +123,7 @@ def _judged(device: "DeviceModel", out: Path) -> tuple["BenchFit", tuple["Trial"
 
 
 def _studied(quick: bool, out: Path, shown: "_Shown") -> "StudyOutcome":
-    from undrift.study.outcome import judge_study
+    from undrift.study.outcome import Course, judge_study
     from undrift.study.plan import note_study
     from undrift.study.run import InProcess, choose_executor
 
@@ -131,12 +131,11 @@ def _studied(quick: bool, out: Path, shown: "_Shown") -> "StudyOutcome":
     plan = note_study(subjects=4 if quick else 8, seed=SEED, quick=True)
     plan = replace(plan, tasks=plan.tasks[1:2]) if quick else plan
 
-    def advance(done: int, total: int) -> None:
-        left_s = (1.0 - 0.5 * done / total) * STUDY_HOST_S[quick] + 0.5 * REST_HOST_S[quick]
-        shown(f"study: {done} of {total} units of work", left_s)
+    def progress(what: str, share: float) -> None:
+        shown(f"study: {what}", (1.0 - 0.5 * share) * STUDY_HOST_S[quick] + 0.5 * REST_HOST_S[quick])
 
     executor = InProcess() if quick else choose_executor(None, None)
-    return judge_study(plan, executor, out / "study", advance=advance)
+    return judge_study(plan, executor, out / "study", course=Course(progress))
 
 
 def _tell(out: Path, trials: tuple["Trial", ...], checks: tuple["Check", ...]) -> None:

@@ -19,10 +19,16 @@ from typing import TypeAlias
 
 # Each a function in the module of its name
 VERBS = (
-    "calibrate", "certificate", "correct", "drift", "export", "info", "learn", "noise", "orient", "simulate", "twin", "validate",
+    "calibrate", "certificate", "correct", "drift", "export", "info", "learn", "noise", "orient", "simulate", "study", "twin",
+    "validate",
 )  # fmt: skip
 GROUPS = {  # of commands in one module: the function of each
     "data": {"list": "list_sets", "fetch": "fetch"},
+    "registry": {
+        **{name: name for name in ("add", "show", "find", "due", "trend")},
+        "list": "list_held",
+        "import": "import_folder",
+    },
     "session": {"new": "new"},
 }
 Progress: TypeAlias = Callable[[str, float], None]  # what is being done, and the share of the whole that is done

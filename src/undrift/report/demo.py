@@ -9,11 +9,10 @@ import numpy as np
 from undrift.base.summary import Cells, Origin, Section, Summary, plain_words, plus_minus, table_section
 from undrift.commands.calibrate import calibration_sections
 from undrift.commands.drift import drift_sections
+from undrift.commands.study_sections import NOTE, SLOPE_OF_THE_NOTE, sections_of
 from undrift.commands.validate import trials_section
 from undrift.report.figures import OPTICS, compared_style, entitle, envelope, legend_above, new_figure, svg_of
-from undrift.report.note import SLOPE_OF_THE_NOTE
 from undrift.report.page import write_page
-from undrift.report.study import NOTE, study_sections
 from undrift.units import RADIAN_PER_DEGREE
 
 if TYPE_CHECKING:
@@ -44,7 +43,7 @@ def write_demo_report(
         *calibration_sections(fit.constant),
         *(replace(section, title=f"Over temperature: {section.title}") for section in drift_sections(fit.drift)),
         _study_lead(study),
-        *study_sections(study),
+        *sections_of(study),
     )
     summary = Summary(
         title="undrift demo: the note's method on a virtual bench",

@@ -4,17 +4,15 @@ Warming is red and cooling blue; what no data were near is hatched.
 """
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from undrift.base.summary import Origin, Section, Summary, table_section
 from undrift.commands.drift import shown_unit
 from undrift.drift.hysteresis import SIGNIFICANT
 from undrift.errors import InputError
 from undrift.model import AXES
-from undrift.registry.trend import Change, Dated, Step, headline
+from undrift.registry.trend import Dated, Step
 from undrift.report.figures import (
     AXIS_COLOURS,
     AXIS_DASHES,
@@ -26,9 +24,7 @@ from undrift.report.figures import (
     legend_outside,
     new_figure,
     stretches,
-    svg_of,
 )
-from undrift.report.page import write_page
 from undrift.units import RADIAN_PER_DEGREE
 
 if TYPE_CHECKING:
@@ -278,37 +274,3 @@ def draw_trend(serial: str, first: Dated, course: Sequence[Step]) -> "Figure":
     with rc_context({"text.parse_math": False}):  # a serial number is no formula
         entitle(figure, f"{serial}: change since {first.made_at:%Y-%m-%d} (bars: k = 2)")
     return figure
-
-
-def write_trend_report(
-    serial: str, first: Dated, steps: Sequence[Step], course: Sequence[Step], path: Path, origin: Origin
-) -> None:
-    """Write the page: what moved last, the picture, a table for each step, and what is not compared."""
-    cells = (
-        ("parameter", lambda one: f"{one.sensor} {one.parameter}"),
-        ("change", lambda one: f"{one.change:+.3g}"),
-        ("standard uncertainty", lambda one: f"{one.uncertainty:.2g}"),
-        ("unit", lambda one: one.unit),
-        ("change / uncertainty", lambda one: f"{one.sigmas:.1f}"),
-    )
-    since_first = Section(
-        title=f"Since {first.made_at:%Y-%m-%d}", text=_read(course[-1].sentences) if len(course) > 1 else ()
-    )
-    sections: list[Section] = [since_first] if since_first.text else []
-    for step in reversed(steps):
-        title = f"{step.since.made_at:%Y-%m-%d} to {step.until.made_at:%Y-%m-%d}"
-        text = _read((*step.sentences, *(f"not compared: {one}" for one in step.not_compared)))
-        changes: tuple[Change, ...] = step.changes
-        sections.append(table_section(title, changes, cells, text=text))
-    summary = Summary(
-        title=f"Trend of {serial}",
-        answer=f"{serial}: {headline(steps, course)}.",
-        pictures=(svg_of(draw_trend(serial, first, course)),),
-        sections=tuple(sections),
-    )
-    write_page(path, summary, origin)
-
-
-def _read(words: Sequence[str]) -> tuple[str, ...]:
-    """Return what was found as sentences."""
-    return tuple(f"{one[:1].upper()}{one[1:]}." for one in words)

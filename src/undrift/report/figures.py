@@ -123,7 +123,11 @@ def svg_of(figure: "Figure", label: str = "", *, outlines: bool = False) -> str:
 
 def _described(figure: "Figure") -> str:
     """Return what a figure shows: its title, and the labels of its axes."""
-    heads = [figure.get_suptitle(), *(axes.get_title(loc) for axes in figure.axes for loc in ("left", "center"))]
+    heads = [
+        str(figure.get_label()),
+        figure.get_suptitle(),
+        *(axes.get_title(loc) for axes in figure.axes for loc in ("left", "center")),
+    ]
     title = next((head for head in heads if head), "")
     labels = (
         dict.fromkeys(filter(None, (getattr(axes, get)() for axes in figure.axes)))
@@ -523,12 +527,8 @@ def draw_allan_fit(found: NoiseFit, triad: str) -> "Figure":
 
 # ---- pictures of a study
 
-LEAST_P = 1e-4  # a smaller p value is shown as a bound
 LEAST_CONTRAST = 2.0  # of the ends of the colours: small differences are to look small
-LEVEL_NAMES = ("no compensation", "static", "static and dynamic")
-LEVEL_COLOURS = (LIMIT, ERROR, DEVICE)
-COMPARED_NAMES = (*LEVEL_NAMES, "offset re-zeroed at a rest", "static and dynamic, re-zeroed at a rest")
-COMPARED_COLOURS = (*LEVEL_COLOURS, "#9a6a00", "#3f8f4f")
+COMPARED_COLOURS = (LIMIT, ERROR, DEVICE, "#9a6a00", "#3f8f4f")
 COMPARED_MARKERS = ("o", "s", "^", "D", "v")
 
 
@@ -536,11 +536,6 @@ def compared_style(k: int) -> dict[str, Any]:
     """Return colour and a few markers of the line of a level of compensation."""
     style = {"color": COMPARED_COLOURS[k], "marker": COMPARED_MARKERS[k]}
     return {**style, "markevery": (0.03 * k, 0.15), "markersize": 4.0}
-
-
-def p_text(p: float) -> str:
-    """Return a p value for people."""
-    return f"{p:.2g}" if p >= LEAST_P else f"< {LEAST_P:.4f}"
 
 
 def draw_surface(outcome: "StudyOutcome", task: "TaskOutcome", timing: "Timing") -> "Figure":

@@ -1,4 +1,4 @@
-"""The note's figures: 1 and 2 as flow drawings with this program's functions, 3 with its table; its Discussion as an experiment.
+"""The note's figures: 1 and 2 as flow drawings with this program's functions, and 3.
 
 ``python -m undrift.report.note FOLDER`` draws the flows of docs/note.md. Drawings are 4.6 inches wide, so that their text keeps 9
 pixels on a screen of 390. The copy of the note at hand has the captions and the text of Figures 1 and 2 without the drawings: steps
@@ -11,11 +11,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from undrift.base.summary import Cells, Section, interval, plain_words, rows_section, table_section
 from undrift.report import figures
 from undrift.report.figures import (
     COMPARED_COLOURS,
-    COMPARED_NAMES,
     DEVICE,
     ERROR,
     LIMIT,
@@ -25,15 +23,13 @@ from undrift.report.figures import (
     compared_style,
     new_figure,
 )
+from undrift.study.space import COMPARED_NAMES
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
     from undrift.study.figure3 import DrawnRow, Figure3
-    from undrift.study.outcome import StudyOutcome
-    from undrift.study.rivals import RivalRow, Spread
-    from undrift.study.statistics import Decision
 
 # ---- Figures 1 and 2: flows
 
@@ -124,7 +120,7 @@ def draw_figure1() -> "Figure":
     """Draw the note's Figure 1, how the parameters of the calibration are optimised."""
     left, wide = _EDGE + 22.0, 72.0 * WIDTH - 2.0 * _EDGE - 22.0
     boxes, bottom = _stacked(FIGURE_1, left, _EDGE, wide)
-    figure, axes = _sheet(bottom + _EDGE)
+    figure, axes = _sheet(bottom + _EDGE, "Figure 1: how the parameters are optimised")
     _draw_boxes(axes, boxes)
     start, stop, word = LOOP
     ends = [0.5 * (boxes[k].top + boxes[k].bottom) for k in (start, stop)]
@@ -148,7 +144,7 @@ def draw_figure2() -> "Figure":
         ends.append(end + _EDGE)
     low = max(ends)
     after, bottom = _stacked(AFTER, _EDGE, low + _GAP, wide)
-    figure, axes = _sheet(bottom + _EDGE)
+    figure, axes = _sheet(bottom + _EDGE, "Figure 2: how the drift is compensated")
     for k, (branch, inner) in enumerate(zip((STATIC, DYNAMIC), sides, strict=True)):
         left = _EDGE + k * (half + _EDGE)
         middle = left + 0.5 * half
@@ -192,10 +188,11 @@ def _stacked(steps: Sequence[Step], left: float, top: float, width: float) -> tu
     return boxes, boxes[-1].bottom
 
 
-def _sheet(height: float) -> tuple["Figure", "Axes"]:
-    """Return an empty figure whose data are points from its upper left corner."""
+def _sheet(height: float, label: str) -> tuple["Figure", "Axes"]:
+    """Return an empty figure whose data are points from its upper left corner; its label says what it shows."""
     figure, (axes,) = new_figure(1, height=height / 72.0 - 0.4, width=WIDTH)
     figure.set_layout_engine("none")
+    figure.set_label(label)
     axes.set_position((0.0, 0.0, 1.0, 1.0))
     axes.set(xlim=(0.0, 72.0 * WIDTH), ylim=(height, 0.0))
     axes.set_axis_off()
@@ -228,118 +225,7 @@ def _arrow(axes: "Axes", start: tuple[float, float], stop: tuple[float, float], 
 FLOWS = {"note-figure-1.svg": draw_figure1, "note-figure-2.svg": draw_figure2}
 
 
-def flow_sections() -> tuple[Section, ...]:
-    """Return Figures 1 and 2 for a page."""
-    text = (
-        "In black the steps of the note's text, in blue the functions that do them here. Numbers of blocks stand where its text "
-        "has them; block 1 is not in it.",
-    )
-    titles = ("Figure 1: how the parameters are optimised", "Figure 2: how the drift is compensated")
-    return tuple(
-        Section(title=title, text=text, pictures=(figures.svg_of(draw(), title),))
-        for title, draw in zip(titles, FLOWS.values(), strict=True)
-    )
-
-
 # ---- Figure 3
-
-SLOPE_OF_THE_NOTE = (
-    "The preset's slope over temperature was inferred from the note's own Figure 3: the size of the error without compensation "
-    "confirms nothing, only what each compensation leaves of it."
-)
-
-
-def note_sections(outcome: "StudyOutcome") -> tuple[Section, ...]:
-    """Return the note's three figures."""
-    return (*flow_sections(), _figure3(outcome), _figure3_effects(outcome))
-
-
-def _figure3(outcome: "StudyOutcome") -> Section:
-    title, found, drawn = "Figure 3: sit-to-stand, simulated and actual device", outcome.figure3, outcome.figure3_drawn
-    if found is None:
-        return Section(title=title, findings=(outcome.figure3_missing,) if outcome.figure3_missing else ())
-    twin = None if outcome.real is None else outcome.real.figure3
-    rows = [
-        {"compensation": name}
-        | _columns("", found, k)
-        | (_drawn_columns(drawn[k]) if drawn else {})
-        | (_columns("twin of a real device: ", twin, k) if twin else {})
-        for k, name in enumerate(COMPARED_NAMES)
-    ]
-    text = (*_words(found, drawn), *((_twin_words(twin),) if twin else ()))
-    return rows_section(title, rows, text=text, pictures=(figures.svg_of(draw_figure3(found, drawn, twin)),))
-
-
-def _columns(of: str, found: "Figure3", k: int) -> dict[str, str]:
-    """Return the cells of one compensation for one pair of devices."""
-    return {
-        f"{of}simulated: largest, rms (deg)": f"{found.simulated_max_deg[k]:.2f}, {found.simulated_rms_deg[k]:.2f}",
-        f"{of}actual: largest, rms (deg)": f"{found.actual_max_deg[k]:.2f}, {found.actual_rms_deg[k]:.2f}",
-        f"{of}largest difference (deg)": f"{found.simulated_actual_max_deg[k]:.2f}",
-        f"{of}correlation": f"{found.correlation[k]:.2f}",
-    }
-
-
-def _drawn_columns(row: "DrawnRow") -> dict[str, str]:
-    """Return the cells of one compensation over drawn units."""
-    low, middle, high = row.simulated_deg
-    apart = row.apart_deg
-    return {
-        f"{row.units} drawn units, simulated: median (quartiles)": f"{middle:.2f} ({low:.2f} to {high:.2f})",
-        "actual: median (quartiles)": f"{row.median_deg:.2f} ({row.lower_deg:.2f} to {row.upper_deg:.2f})",
-        "difference: median (quartiles)": f"{apart[1]:.2f} ({apart[0]:.2f} to {apart[2]:.2f})",
-        "within 0.15 deg": f"{row.within} of {row.units}",
-        "correlation over time [95 %]": f"{row.correlation:.2f} [{interval(row.correlation_interval, '.2f')}]",
-        "of the largest errors over units [95 %]": f"{row.largest_correlation:.2f} [{interval(row.largest_interval, '.2f')}]",
-    }
-
-
-def _words(found: "Figure3", drawn: "tuple[DrawnRow, ...]") -> tuple[str, ...]:
-    text = [
-        f"Board {found.excursion_k:g} K above the bench. Compensation removes {found.decrease_deg:.2f} deg of the actual "
-        "device's largest error (the note: more than 3.2). With both tables the two errors differ by at most "
-        f"{found.simulated_actual_max_deg[2]:.2f} deg (the note: 0.15) and have a correlation coefficient of "
-        f"{found.correlation[2]:.2f}, without tables {found.correlation[0]:.2f} (the note: a correlation, no coefficient).",
-        "The actual device is the simulated one with hysteresis, thermometer lag, integral non-linearity of the converter and "
-        "g-sensitivity, which the study's model lacks. Noise is drawn anew for each: where it is most of an error, the correlation "
-        "falls although both errors are small.",
-        "A rest before the motion re-zeroes the offset without a chamber and leaves "
-        f"{found.actual_max_deg[3]:.2f} deg of the actual device's {found.actual_max_deg[0]:.2f}: scale and dynamic drift, "
-        f"which no rest shows. Both tables leave {found.actual_max_deg[2]:.2f} deg, with the rest "
-        f"{found.actual_max_deg[4]:.2f} deg. "
-        "Recommended: tables, and undrift correct --offset rest.",
-    ]
-    if drawn:
-        text.append(
-            f"Drawn units: {drawn[0].units} units of the kind's spread, each calibrated and worn by a person of its own, simulated "
-            "and actual. Correlation over time: of the two errors of a unit, mean over the units by Fisher's z. "
-            f"{SLOPE_OF_THE_NOTE}"
-        )
-    return tuple(text)
-
-
-def _twin_words(twin: "Figure3") -> str:
-    return (
-        "Twin of a real device: matrix, offset, noise and codes were found beside optics, offsets over temperature in a recording "
-        "at rest of this device or of another of its kind. Simulated is the typical unit of the kind, from its data sheet, which "
-        "does not know the sign of a unit's drift. With both tables the errors differ by at most "
-        f"{twin.simulated_actual_max_deg[2]:.2f} "
-        "deg. Not in the twin: dynamic drift, scale over temperature, hysteresis, flicker, lag of the thermometer."
-    )
-
-
-def _figure3_effects(outcome: "StudyOutcome") -> Section:
-    rows = [
-        {"effect": plain_words(row.effect)}
-        | {f"{name} (deg)": f"{v:.2f}" for name, v in zip(COMPARED_NAMES, row.simulated_actual_max_deg, strict=True)}
-        | {"largest error, both tables (deg)": f"{row.full_max_deg:.2f}"}
-        for row in outcome.figure3_effects
-    ]
-    text = (
-        "The actual device's effects one at a time: largest difference between the two errors at each level of compensation, and "
-        "the largest error with both tables. Noise alone is another recording of the same model.",
-    )
-    return rows_section("Figure 3: simulated against actual, effect by effect", rows, text=text)
 
 
 def draw_figure3(found: "Figure3", drawn: "Sequence[DrawnRow]" = (), twin: "Figure3 | None" = None) -> "Figure":
@@ -401,122 +287,6 @@ def main(folder: str) -> int:
     for name, draw in FLOWS.items():
         figures.save_figure(draw(), Path(folder) / name)
     return 0
-
-
-# ---- the note's Discussion: other ways to calibrate, each triad alone, and what becomes of its claims
-
-
-def rival_sections(outcome: "StudyOutcome") -> tuple[Section, ...]:
-    """Return the sections on other ways to calibrate."""
-    title = "The note's Discussion as an experiment: other ways to calibrate"
-    if not outcome.rivals:
-        missing = outcome.rivals_missing
-        return (Section(title=title, findings=(missing,) if missing else ()),)
-    first = outcome.rivals[0]
-    kind = "the note's kind, in place of the one device," if outcome.study.worn else outcome.study.device
-    cells: Cells[RivalRow] = (
-        ("task", lambda row: plain_words(row.task)),
-        ("method", lambda row: plain_words(row.method)),
-        ("calibrates", lambda row: ", ".join(row.observable) or "nothing"),
-        ("min", lambda row: f"{row.minutes:.1f}"),
-        ("rms (deg)", lambda row: _spread(row.error_rms_deg)),
-        ("max (deg)", lambda row: _spread(row.error_max_deg)),
-        ("max of the change (deg)", lambda row: _spread(row.change_max_deg)),
-        ("refused", lambda row: f"{row.refused} of {row.units}"),
-    )
-    text = (
-        f"{first.units} units of {kind} calibrated by each method in about the time of the note's rate table, then worn in the "
-        "same tasks at the temperature of the calibration: median [least to greatest] of the pitch error over the units.",
-        "The change of pitch since the motion began excludes the tilt at the start, which the accelerometers give. Where a "
-        "method cannot calibrate a triad, the data sheet is used. Refused units, whose gravity at rest is too far from the local "
-        "value, have no figure.",
-    )
-    limits: Cells[RivalRow] = (
-        ("method", lambda row: plain_words(row.method)),
-        ("findings of its fit, first unit", lambda row: "; ".join(row.notes)),
-    )
-    noted = [row for row in outcome.rivals if row.task == first.task and row.notes]
-    return (
-        table_section(title, outcome.rivals, cells, text=text),
-        *(_triads(outcome, name) for name in ("accel", "gyro")),
-        table_section("What each method cannot observe", noted, limits, words=True),
-    )
-
-
-def _triads(outcome: "StudyOutcome", name: str) -> Section:
-    """Return one triad by each method, against the truth."""
-    held = [row for row in outcome.rival_triads if row.triad == name]
-    if not held:
-        return Section(title="")
-    unit, gyro = ("deg/s", True) if name == "gyro" else ("m/s2", False)
-    rows = []
-    for row in held:
-        cells = {
-            "method": "six faces, of the table's session"
-            if row.method == "rate_table" and not gyro
-            else plain_words(row.method),
-            "calibrated": f"{row.calibrated} of {row.units}",
-            "scale (%)": _spread(row.scale_percent),
-            "cross-axis (%)": _spread(row.cross_axis_percent),
-            f"offset ({unit})": _spread(row.offset),
-        }
-        for worth in row.worth:
-            figure = f"change of pitch, {plain_words(worth.figure)}" if gyro else worth.figure
-            cells |= {f"{figure} (deg)": _spread(worth.error_deg), f"{figure}: verdict": _verdict(worth.decision)}
-        rows.append(cells)
-    text = (
-        "Errors against the true device: largest of the axes or terms of a unit, median [least to greatest] over the units. "
-        "Cross-axis terms include the alignment to the case. Not calibrated: the data sheet, with what rests add.",
-        "Largest change of pitch from the start, with accelerometers that are exact."
-        if gyro
-        else "Tilt: root-mean-square over 26 directions of gravity.",
-        f"Verdict against the {'rate table' if gyro else 'six faces'} with the margin of a largest error: difference, negative "
-        "where the method is worse, and its 95 % interval. All verdicts of this table together are wrong in at most "
-        f"{100.0 * outcome.study.level:g} % of studies.",
-    )
-    return rows_section("Gyroscopes alone" if gyro else "Accelerometers alone", rows, text=text)
-
-
-def _verdict(found: "Decision | None") -> str:
-    if found is None:
-        return ""
-    return f"{found.verdict}: {found.difference:.3f} [{interval(found.interval)}]"
-
-
-def _spread(spread: "Spread") -> str:
-    if spread.median != spread.median:
-        return "no unit"
-    return f"{spread.median:.3f} [{spread.least:.3f} to {spread.greatest:.3f}]"
-
-
-# ---- claims
-
-
-def claims_section(outcome: "StudyOutcome") -> Section:
-    """Return each claim of the note beside what the study shows of it."""
-    from undrift.study.claims import claims_of
-
-    rows = []
-    for row in claims_of(outcome):
-        head = {
-            "claim of the note": row.claim,
-            "stands in": row.stands,
-            "its number": row.printed,
-            "verdict": row.verdict,
-        }
-        if row.lacks is not None:
-            rows.append(head | {"here": row.lacks.text, "deg [95 %]": "", "test": "", "by itself": ""})
-        for each in row.evidence:
-            there = each.interval_deg[0] == each.interval_deg[0]
-            value = f"{each.value_deg:.3f}" + (f" [{interval(each.interval_deg)}]" if there else "")
-            rows.append(head | {"here": each.what, "deg [95 %]": value, "test": each.test, "by itself": each.verdict})
-            head = dict.fromkeys(head, "")
-    text = (
-        "A claim that one error is less than another holds where that is shown beyond the margin. It does not hold where the two "
-        "are shown to be equivalent, or the other way round. All comparisons of a claim have to hold; of a method that does not "
-        "suit, or an optimum that depends on the task, one has to.",
-    )
-    return rows_section("Claims of the note", rows, text=text, words=True)
 
 
 if __name__ == "__main__":

@@ -3,7 +3,7 @@
 A claim that one thing has less error than another holds where that is shown beyond the margin; it does not hold where the two are
 shown to be equivalent, or the other way round; else it is not decidable. A claim that two are alike holds where they are shown to
 be equivalent. Verdicts are the three of study/statistics.py. Of several comparisons all have to hold, or one where the claim is
-that something fails in some use.
+that something fails in some use. Below, the tables that show them, and the other ways to calibrate.
 """
 
 from collections.abc import Callable
@@ -13,13 +13,14 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from undrift.arrays import FloatArray
+from undrift.base.summary import Cells, Section, interval, plain_words, rows_section, table_section
 from undrift.findings import Finding, finding
 from undrift.sim.motion.tasks import TaskName
 from undrift.study import judge
 from undrift.study.figure3 import NOTE_APART_DEG, DrawnRow
 from undrift.study.outcome import StudyOutcome, TaskOutcome
 from undrift.study.plan import MARGIN_DEG
-from undrift.study.rivals import Method, TriadName
+from undrift.study.rivals import Method, RivalRow, Spread, TriadName
 from undrift.study.statistics import Decision, Pair, compare_pairs, decide, decide_between
 
 Holds = Literal["holds", "does not hold", "not decidable"]
@@ -131,12 +132,10 @@ def _largest_in_sit_to_stand(outcome: StudyOutcome) -> tuple[Evidence, ...] | Fi
             continue
         words: Any = {"margin": _largest_margin(outcome), "level": outcome.study.level, "tests": len(names) - 1}
         found = decide_between(errors[:, own], errors[:, k], **words)
-        rows.append(_judged(f"largest error, sit to stand less {_plain(name)}", found, MORE, len(errors), "subjects"))
+        rows.append(
+            _judged(f"largest error, sit to stand less {plain_words(name)}", found, MORE, len(errors), "subjects")
+        )
     return tuple(rows)
-
-
-def _plain(name: str) -> str:
-    return name.replace("_", " ")
 
 
 def _row_of_both(outcome: StudyOutcome) -> DrawnRow | Finding:
@@ -230,7 +229,7 @@ def _rival(
 ) -> Callable[[StudyOutcome], tuple[Evidence, ...] | Finding]:
     def ask(outcome: StudyOutcome) -> tuple[Evidence, ...] | Finding:
         rows = [
-            _judged(f"{_NAMES[row.triad]} {_plain(worth.figure)}, {_plain(method)} less {_AGAINST[row.triad]}",
+            _judged(f"{_NAMES[row.triad]} {plain_words(worth.figure)}, {plain_words(method)} less {_AGAINST[row.triad]}",
                     worth.decision, meaning, row.units, "units")
             for row in outcome.rival_triads
             if row.method == method and row.triad in triads
@@ -256,7 +255,7 @@ def _parameters_matter(outcome: StudyOutcome) -> tuple[Evidence, ...] | Finding:
         verdicts = {each.verdict for _, each in held}
         verdict: Holds = "holds" if "better" in verdicts else "not decidable"
         verdict = "does not hold" if verdicts == {"equivalent"} else verdict
-        what = f"{_plain(task.surface.task)}: {judge.SYMBOLS[effect.name]}, value against value"
+        what = f"{plain_words(task.surface.task)}: {judge.SYMBOLS[effect.name]}, value against value"
         row = _judged(what, judged.widest, {}, len(task.surface.error_rms_deg), "subjects")
         if row.value_deg < 0.0:  # which of the two values is the greater does not matter
             low, high = row.interval_deg
@@ -271,7 +270,7 @@ def _as_table_1(outcome: StudyOutcome) -> tuple[Evidence, ...] | Finding:
     for task in outcome.tasks:
         if (note := task.note) is None or note.place is None or not np.isfinite(note.error_deg):
             continue
-        what = f"{_plain(task.surface.task)}: the note's protocol less the optimum"
+        what = f"{plain_words(task.surface.task)}: the note's protocol less the optimum"
         verdict = meaning.get(note.verdict, "not decidable")
         if note.place == task.optimum.best:
             rows.append(
@@ -314,7 +313,7 @@ def _depends_on_task(outcome: StudyOutcome) -> tuple[Evidence, ...] | Finding:
     for task, other, place in asked:
         found = _against(outcome, task, place, len(asked))
         cutoff = f"{task.surface.cutoff_hz[place]:g} Hz"
-        what = f"{_plain(task.surface.task)}: cut-off {cutoff}, of {_plain(other.surface.task)}, less its own"
+        what = f"{plain_words(task.surface.task)}: cut-off {cutoff}, of {plain_words(other.surface.task)}, less its own"
         rows.append(_judged(what, found, MORE, len(task.surface.error_rms_deg), "subjects"))
     return tuple(rows) or _lacks("two tasks whose optima have different cut-offs")
 
@@ -365,3 +364,117 @@ CLAIMS = (
         lambda outcome: _lacks("prices: a study has errors and minutes"),
     ),
 )
+
+
+# ---- the note's Discussion: other ways to calibrate, each triad alone, and what becomes of its claims
+
+
+def rival_sections(outcome: StudyOutcome) -> tuple[Section, ...]:
+    """Return the sections on other ways to calibrate."""
+    title = "The note's Discussion as an experiment: other ways to calibrate"
+    if not outcome.rivals:
+        missing = outcome.rivals_missing
+        return (Section(title=title, findings=(missing,) if missing else ()),)
+    first = outcome.rivals[0]
+    kind = "the note's kind, in place of the one device," if outcome.study.worn else outcome.study.device
+    cells: Cells[RivalRow] = (
+        ("task", lambda row: plain_words(row.task)),
+        ("method", lambda row: plain_words(row.method)),
+        ("calibrates", lambda row: ", ".join(row.observable) or "nothing"),
+        ("min", lambda row: f"{row.minutes:.1f}"),
+        ("rms (deg)", lambda row: _over_units(row.error_rms_deg)),
+        ("max (deg)", lambda row: _over_units(row.error_max_deg)),
+        ("max of the change (deg)", lambda row: _over_units(row.change_max_deg)),
+        ("refused", lambda row: f"{row.refused} of {row.units}"),
+    )
+    text = (
+        f"{first.units} units of {kind} calibrated by each method in about the time of the note's rate table, then worn in the "
+        "same tasks at the temperature of the calibration: median [least to greatest] of the pitch error over the units.",
+        "The change of pitch since the motion began excludes the tilt at the start, which the accelerometers give. Where a "
+        "method cannot calibrate a triad, the data sheet is used. Refused units, whose gravity at rest is too far from the local "
+        "value, have no figure.",
+    )
+    limits: Cells[RivalRow] = (
+        ("method", lambda row: plain_words(row.method)),
+        ("findings of its fit, first unit", lambda row: "; ".join(row.notes)),
+    )
+    noted = [row for row in outcome.rivals if row.task == first.task and row.notes]
+    return (
+        table_section(title, outcome.rivals, cells, text=text),
+        *(_triads(outcome, name) for name in ("accel", "gyro")),
+        table_section("What each method cannot observe", noted, limits, words=True),
+    )
+
+
+def _triads(outcome: StudyOutcome, name: str) -> Section:
+    """Return one triad by each method, against the truth."""
+    held = [row for row in outcome.rival_triads if row.triad == name]
+    if not held:
+        return Section(title="")
+    unit, gyro = ("deg/s", True) if name == "gyro" else ("m/s2", False)
+    rows = []
+    for row in held:
+        cells = {
+            "method": "six faces, of the table's session"
+            if row.method == "rate_table" and not gyro
+            else plain_words(row.method),
+            "calibrated": f"{row.calibrated} of {row.units}",
+            "scale (%)": _over_units(row.scale_percent),
+            "cross-axis (%)": _over_units(row.cross_axis_percent),
+            f"offset ({unit})": _over_units(row.offset),
+        }
+        for worth in row.worth:
+            figure = f"change of pitch, {plain_words(worth.figure)}" if gyro else worth.figure
+            cells |= {f"{figure} (deg)": _over_units(worth.error_deg), f"{figure}: verdict": _verdict(worth.decision)}
+        rows.append(cells)
+    text = (
+        "Errors against the true device: largest of the axes or terms of a unit, median [least to greatest] over the units. "
+        "Cross-axis terms include the alignment to the case. Not calibrated: the data sheet, with what rests add.",
+        "Largest change of pitch from the start, with accelerometers that are exact."
+        if gyro
+        else "Tilt: root-mean-square over 26 directions of gravity.",
+        f"Verdict against the {'rate table' if gyro else 'six faces'} with the margin of a largest error: difference, negative "
+        "where the method is worse, and its 95 % interval. All verdicts of this table together are wrong in at most "
+        f"{100.0 * outcome.study.level:g} % of studies.",
+    )
+    return rows_section("Gyroscopes alone" if gyro else "Accelerometers alone", rows, text=text)
+
+
+def _verdict(found: Decision | None) -> str:
+    if found is None:
+        return ""
+    return f"{found.verdict}: {found.difference:.3f} [{interval(found.interval)}]"
+
+
+def _over_units(spread: Spread) -> str:
+    if spread.median != spread.median:
+        return "no unit"
+    return f"{spread.median:.3f} [{spread.least:.3f} to {spread.greatest:.3f}]"
+
+
+# ---- claims
+
+
+def claims_section(outcome: StudyOutcome) -> Section:
+    """Return each claim of the note beside what the study shows of it."""
+    rows = []
+    for row in claims_of(outcome):
+        head = {
+            "claim of the note": row.claim,
+            "stands in": row.stands,
+            "its number": row.printed,
+            "verdict": row.verdict,
+        }
+        if row.lacks is not None:
+            rows.append(head | {"here": row.lacks.text, "deg [95 %]": "", "test": "", "by itself": ""})
+        for each in row.evidence:
+            there = each.interval_deg[0] == each.interval_deg[0]
+            value = f"{each.value_deg:.3f}" + (f" [{interval(each.interval_deg)}]" if there else "")
+            rows.append(head | {"here": each.what, "deg [95 %]": value, "test": each.test, "by itself": each.verdict})
+            head = dict.fromkeys(head, "")
+    text = (
+        "A claim that one error is less than another holds where that is shown beyond the margin. It does not hold where the two "
+        "are shown to be equivalent, or the other way round. All comparisons of a claim have to hold; of a method that does not "
+        "suit, or an optimum that depends on the task, one has to.",
+    )
+    return rows_section("Claims of the note", rows, text=text, words=True)

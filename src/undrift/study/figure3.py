@@ -48,6 +48,7 @@ from undrift.sim.thermal import SET_POINTS_C, ThermalSettings, simulate_thermal_
 from undrift.study.case import WORN_S
 from undrift.study.plan import SAMPLE_RATE_HZ
 from undrift.study.run import Executor, InProcess
+from undrift.study.statistics import mean_interval
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 from undrift.validation.trial import TRIAL_SETTINGS, Trial, TrialSettings, validate_trial
 
@@ -181,16 +182,30 @@ def _figures(
     """Return a figure for each actual device; the simulated one, the person and the optics are the same in all."""
     person = np.random.default_rng([seed, 0])
     performed = draw_task("sit_to_stand", rng=person)
-    reference = see(performed, rng=person, settings=OPTICS)
+    worn = performed, see(performed, rng=person, settings=OPTICS)
 
     def judged(device: DeviceModel, stream: int) -> tuple[Trial, ...]:
-        sessions, trial = (np.random.default_rng([seed, stream, part]) for part in range(2))
-        levels = calibrated(device, rng=sessions, back=back, climate=climate)
-        record = worn_record(device, performed, excursion_k=excursion_k, rng=trial, room_c=climate.room_c)
-        return judge_compared(levels, record, reference, room_c=climate.room_c)
+        rngs = (np.random.default_rng([seed, stream, part]) for part in range(2))
+        return _judged(device, worn, *rngs, excursion_k=excursion_k, back=back, climate=climate)
 
     simulated = judged(model, 1)
     return tuple(_figure(simulated, judged(device, 2), excursion_k) for device in actual)
+
+
+def _judged(
+    device: DeviceModel,
+    worn: tuple[Task, Reference],
+    sessions: np.random.Generator,
+    trial: np.random.Generator,
+    *,
+    excursion_k: float,
+    back: bool = False,
+    climate: Climate = Climate(),
+) -> tuple[Trial, ...]:
+    """Calibrate a device, wear it in a task that optics saw, and judge it for each of ``COMPARED``."""
+    levels = calibrated(device, rng=sessions, back=back, climate=climate)
+    record = worn_record(device, worn[0], excursion_k=excursion_k, rng=trial, room_c=climate.room_c)
+    return judge_compared(levels, record, worn[1], room_c=climate.room_c)
 
 
 def judge_compared(
@@ -287,13 +302,9 @@ def _drawn_row(
     name: str, simulated: FloatArray, actual: FloatArray, apart: FloatArray, correlation: FloatArray
 ) -> DrawnRow:
     """Summarise one of ``COMPARED`` over U units; all are (U,)."""
-    from scipy.stats import t as t_distribution
-
     count = len(actual)
     of_errors, of_actual, of_apart = (_quartiles(x) for x in (simulated, actual, apart))
-    z = np.arctanh(correlation)
-    middle, largest = float(z.mean()), float(np.corrcoef(simulated, actual)[0, 1])
-    reach = float(t_distribution.ppf(0.975, count - 1) * z.std(ddof=1) / np.sqrt(count))
+    (middle, (low, high)), largest = mean_interval(np.arctanh(correlation)), float(np.corrcoef(simulated, actual)[0, 1])
     ends = np.full(2, np.nan)  # two or three units say nothing
     if count > 3:
         ends = np.tanh(np.arctanh(largest) + 1.96 / np.sqrt(count - 3) * np.array((-1.0, 1.0)))
@@ -307,7 +318,7 @@ def _drawn_row(
         apart_deg=of_apart,
         within=int((apart <= NOTE_APART_DEG).sum()),
         correlation=float(np.tanh(middle)),
-        correlation_interval=(float(np.tanh(middle - reach)), float(np.tanh(middle + reach))),
+        correlation_interval=(float(np.tanh(low)), float(np.tanh(high))),
         largest_correlation=largest,
         largest_interval=(float(ends[0]), float(ends[1])),
         largest_deg=tuple(actual.tolist()),
@@ -324,14 +335,10 @@ def drawn_errors(kind: str, seed: int, excursion_k: float, number: int) -> Float
     difference, deg, and their correlation."""
     device, person, *noise = (np.random.default_rng([seed, 3, number, part]) for part in range(6))
     unit, performed = random_device_of(kind, device), draw_task("sit_to_stand", rng=person)
-    reference = see(performed, rng=person, settings=OPTICS)
-
-    def judged(worn: DeviceModel, bench: np.random.Generator, trial: np.random.Generator) -> tuple[Trial, ...]:
-        levels = calibrated(worn, rng=bench, back=False)
-        return judge_compared(levels, worn_record(worn, performed, excursion_k=excursion_k, rng=trial), reference)
-
-    actual = judged(actual_device(unit), *noise[:2])
-    found = _figure(judged(actual_device(unit, ()), *noise[2:]), actual, excursion_k)
+    worn = performed, see(performed, rng=person, settings=OPTICS)
+    actual = _judged(actual_device(unit), worn, *noise[:2], excursion_k=excursion_k)
+    simulated = _judged(actual_device(unit, ()), worn, *noise[2:], excursion_k=excursion_k)
+    found = _figure(simulated, actual, excursion_k)
     return np.array((found.simulated_max_deg, found.actual_max_deg, found.simulated_actual_max_deg, found.correlation))
 
 

@@ -332,6 +332,47 @@ def forecast(study: Study, folder: Path, *, workers: int, rivals: bool, real: Re
     return tuple(stage for place, stage in enumerate(stages) if place < 4 or stage.seconds > 0.0)
 
 
+def duration(seconds: float) -> str:
+    """Return a time in s, min or h."""
+    if seconds < 90.0:
+        return f"{max(seconds, 1.0):.0f} s"
+    return f"{seconds / 60.0:.0f} min" if seconds < 5400.0 else f"{seconds / 3600.0:.1f} h"
+
+
+class Course:
+    """Says how far a study is: what is being done and the share of the whole, by the forecast of its stages.
+
+    Lines above the last of a text stay: each stage with its forecast, each round of a search.
+    """
+
+    def __init__(self, progress: Callable[[str, float], None], stages: tuple[Stage, ...] = ()) -> None:
+        self._progress, self._stages, self._stage = progress, stages, ""
+
+    def begin(self, stage: StageName) -> None:
+        """Take which stage begins; one without a forecast has nothing to do."""
+        names, self._stage = [each.name for each in self._stages], stage
+        if stage in names:
+            left = self._stages[names.index(stage) :]
+            rest = f"; {duration(sum(each.seconds for each in left))} left in all" if len(left) > 1 else ""
+            self.tell(f"{stage}, about {duration(left[0].seconds)}{rest}")
+
+    def tell(self, line: str) -> None:
+        """Take a line about the stage."""
+        self._progress(f"{line}\n{self._stage}", self._share(0.0))
+
+    def advance(self, done: int, total: int, counted: str = "units of work") -> None:
+        """Take how much of the stage is done."""
+        self._progress(f"{self._stage}: {done} of {total} {counted}", self._share(done / max(total, 1)))
+
+    def _share(self, part: float) -> float:
+        whole, before_s = sum(stage.seconds for stage in self._stages), 0.0
+        for stage in self._stages:
+            if stage.name == self._stage:
+                return (before_s + part * stage.seconds) / whole if whole > 0.0 else part
+            before_s += stage.seconds
+        return part
+
+
 def _has_figure3(study: Study) -> bool:
     return any(task.name == "sit_to_stand" and task.motion is None for task in study.tasks)
 
@@ -413,19 +454,19 @@ def judge_study(
     executor: run.Executor,
     folder: Path,
     *,
-    advance: Callable[[int, int], None] = lambda done, total: None,
+    course: Course = Course(lambda what, share: None),
     rivals: bool = False,
     real: RealData | None = None,
-    begin: Callable[[StageName], None] = lambda stage: None,
-    tell: Callable[[str], None] = lambda text: None,
 ) -> StudyOutcome:
-    """Run a study, or what is left of it, and judge it; ``begin`` gets each stage, ``tell`` each round of a halving."""
+    """Run a study, or what is left of it, and judge it."""
+    begin = course.begin
     begin("calibration sessions")
     halvings: tuple[search.Halving | None, ...] = (None,) * len(study.tasks)
     if study.search == "grid":
-        runs, met = search.count_runs(study), run.run_study(study, executor, folder, advance=advance)
+        runs, met = search.count_runs(study), run.run_study(study, executor, folder, advance=course.advance)
     else:
-        halvings = halved = search.search_study(study, executor, folder, advance=advance, tell=tell)
+        advance = partial(course.advance, counted="runs")
+        halvings = halved = search.search_study(study, executor, folder, advance=advance, tell=course.tell)
         runs, met = sum(each.runs for each in halved), tuple(each.surface for each in halved)
     surfaces = tuple(map(run.without_lost, met))
     optima = tuple(judge.find_optimum(surface, study) for surface in surfaces)
@@ -433,7 +474,7 @@ def judge_study(
     others, tested = judge.other_study(study), judge.run_testing(study, surfaces, optima, folder / TESTING)
     categories = judge.compare_categories(study, surfaces, optima, folder / TESTING)
     begin("what the error is made of")
-    splits = split_study(study, surfaces, optima, executor, advance=advance)
+    splits = split_study(study, surfaces, optima, executor, advance=course.advance)
     begin("rates to dwell at")
     designs = tuple(row for held in zip(study.tasks, surfaces, optima, strict=True) for row in _designs(study, *held))
     begin("Figure 3")
@@ -449,7 +490,7 @@ def judge_study(
         effects, drawn = _beside_figure3(study, warmer, executor, begin)
     if rivals:
         begin("rival methods")
-        compared, rivals_missing = tried("Other ways to calibrate", lambda: _rivals(study, executor, tell))
+        compared, rivals_missing = tried("Other ways to calibrate", lambda: _rivals(study, executor, course.advance))
     if real is not None:
         begin("real recordings")
     return StudyOutcome(
@@ -491,7 +532,7 @@ def _beside_figure3(
     return effects or (), drawn or ()
 
 
-def _rivals(study: Study, executor: run.Executor, tell: Callable[[str], None]) -> Rivals:
+def _rivals(study: Study, executor: run.Executor, advance: Callable[[int, int], None]) -> Rivals:
     """Compare the methods on units of the study's kind, or of the note's where every subject wears one device."""
     known = get_args(TaskName)
     held = (cast("TaskName", task.name) for task in study.tasks if task.motion is None and task.name in known)
@@ -504,10 +545,6 @@ def _rivals(study: Study, executor: run.Executor, tell: Callable[[str], None]) -
         margin_deg=study.margin_deg / MARGIN_DEG[study.objective] * MARGIN_DEG["maximum"],
         level=study.level,
     )
-
-    def advance(done: int, total: int) -> None:
-        tell(f"rival methods: {done} of {total} units")
-
     return compare_rivals(plan, executor=executor, advance=advance)
 
 

@@ -39,7 +39,7 @@ from undrift.sim.device.presets import PRESETS, preset
 from undrift.sim.motion.motion import Motion
 from undrift.sim.motion.poses import PoseSettings, PoseSpline, fit_pose_spline
 from undrift.sim.motion.tasks import DEFAULT, CategoryName, Group, TaskName
-from undrift.study.space import FURTHER, TURN_RATES, Space
+from undrift.study.space import FURTHER, OF_NOTE, TURN_RATES, Space
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
 # ---- what the bench does wrong
@@ -586,18 +586,10 @@ def _task_of(entry: TaskEntry, folder: Path) -> StudyTask:
         motion = OwnMotion(path=str(file), sha256=sha256_of(file), **given)
         read_motion(motion)  # refused now rather than by a worker
     further = {name: getattr(space, name) for name in FURTHER}
+    kept: dict[str, Any] = {name: getattr(base, name) for name in ("dwell_s", "bracket_s", "face_s", "grid")}
     return StudyTask(
         name=entry.name,
-        space=_space(
-            space.cutoff_hz, space.turn_rate_step_dps, space.turn_rate_min_dps, space.turn_rate_max_dps, **further
-        ),
-        base=Protocol(
-            name=entry.name,
-            temperatures_c=base.set_points_c,
-            dwell_s=base.dwell_s,
-            bracket_s=base.bracket_s,
-            face_s=base.face_s,
-            grid=base.grid,
-        ),
+        space=_space(*(getattr(space, name) for name in OF_NOTE), **further),
+        base=Protocol(name=entry.name, temperatures_c=base.set_points_c, **kept),
         motion=motion,
     )

@@ -48,6 +48,13 @@ OF_NOTE = {  # the first four, by their columns of a surface
 }
 # Every parameter that can be searched, as tables, figures and findings name it
 HEADINGS = OF_NOTE | {name: kind.heading for name, kind in FURTHER.items()}
+COMPARED_NAMES = (  # of the compensations of Figure 3, those of study/figure3.py
+    "no compensation",
+    "static",
+    "static and dynamic",
+    "offset re-zeroed at a rest",
+    "static and dynamic, re-zeroed at a rest",
+)
 OF_DEVICE = ("gain", "quality")  # the first of them
 
 

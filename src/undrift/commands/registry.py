@@ -1,5 +1,6 @@
 """``undrift registry``: devices and their sessions, calibrations, certificates and runs, in a database that only grows."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -7,26 +8,33 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from undrift.base.options import Files, Json, OptionalOutput, Report
-from undrift.cli import examples
-from undrift.cli.common import group, say, show_table, write_json
-from undrift.commands.files import check_figure, check_output, check_report, origin_of, stated_date
+from undrift.base.options import Files, OptionalOutput, Picture, options, verb
+from undrift.base.summary import Cells, Drawing, Result, Section, Summary, table_section
+from undrift.commands.files import check_figure, check_output, save_json, stated_date
 from undrift.commands.register import Where, entry_json, open_place, registered_lines
 from undrift.errors import InputError, UndriftError
 
 if TYPE_CHECKING:
     from undrift.registry.documents import Stated
     from undrift.registry.registry import Entry, Known
-    from undrift.registry.trend import Step
+    from undrift.registry.trend import Change, Step
 
-registry = group(
-    "registry",
-    "Devices and their calibrations: which is valid, what is due, how a device changed; each takes --json.",
-)
 HEADS = ("entry", "kind", "serial", "made", "due", "valid (degC)", "verdict", "by", "note")
 
 
-@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Registered(Result):
+    """What is in the registry, or was added: entries, devices or steps from calibration to calibration."""
+
+    values: tuple[Any, ...]
+    shown: Summary
+
+    def summary(self) -> Summary:
+        """Return what the registry has."""
+        return self.shown
+
+
+@options
 @dataclass(frozen=True, kw_only=True)
 class About:
     """What is stated of the files.
@@ -46,7 +54,7 @@ class About:
     station: str | None = None
 
 
-@registry.command(help_epilogue=examples("registry add"))
+@verb
 def add(
     *files: Files,
     about: About = About(),
@@ -55,8 +63,7 @@ def add(
     supersedes: int | None = None,
     note: str = "",
     where: Where = None,
-    json: Json = False,
-) -> int:
+) -> Registered:
     """Add calibrations, certificates, and folders of sessions or runs: all of them, or none. The same content is added once.
 
     Parameters
@@ -87,22 +94,16 @@ def add(
     )
     with open_place(where, station=about.station) as held:
         added = held.add(*new_entries(list(files), stated, held))
-    rows = [entry_json(one.entry) | {"new": one.new} for one in added]
-    if json:
-        write_json({"entries": rows}, "registry add")
-    else:
-        say(*registered_lines(rows))
-    return 0
+    return _added([one.entry for one in added], [entry_json(one.entry) | {"new": one.new} for one in added])
 
 
-@registry.command(name="list", help_epilogue=examples("registry list"))
+@verb
 def list_held(
     *,
     serial: str | None = None,
     kind: Literal["session", "calibration", "certificate", "run"] | None = None,
     where: Where = None,
-    json: Json = False,
-) -> int:
+) -> Registered:
     """List the devices with the calibration that counts, or the entries of one device or kind.
 
     Parameters
@@ -114,23 +115,14 @@ def list_held(
     """
     with open_place(where, there=True) as held:
         if serial is None and kind is None:
-            known = held.devices()
-            if json:
-                write_json({"registry": held.place, "devices": [_device_json(one) for one in known]}, "registry list")
-            else:
-                _show_devices(f"devices in {held.place}", known)
-            return 0
-        found = held.entries(serial, kind)
-        place = held.place
-    if json:
-        write_json({"registry": place, "entries": [entry_json(*one) for one in found]}, "registry list")
-    else:
-        show_table(f"entries in {place}", HEADS, [_cells(*one) for one in found])
-    return 0
+            return _devices(f"devices in {held.place}", held.devices(), {"registry": held.place})
+        rows, place = held.entries(serial, kind), held.place
+    data = {"registry": place, "entries": [entry_json(*row) for row in rows]}
+    return _entries(f"{len(rows)} entries in {place}", rows, data)
 
 
-@registry.command(help_epilogue=examples("registry show"))
-def show(entry: int, /, *, output: OptionalOutput = None, where: Where = None, json: Json = False) -> int:
+@verb
+def show(entry: int, /, *, output: OptionalOutput = None, where: Where = None) -> Registered:
     """Show an entry, and write what it holds; a hash shows that it is as it was added.
 
     Parameters
@@ -145,17 +137,20 @@ def show(entry: int, /, *, output: OptionalOutput = None, where: Where = None, j
         later = {one.id: corrected for one, corrected in held.entries(found.device.serial)}[found.id]
     check_output(output, endings=(".pdf",) if found.kind == "certificate" else (".json",))
     _write(found, output)
-    if json:
-        document = {key: value for key, value in found.document.items() if key != "pdf_base64"}
-        write_json(entry_json(found, later) | {"document": document, "output": output}, "registry show")
-        return 0
-    rows = entry_json(found, later)
-    say(*(f"{name.replace('_', ' '):14} {value}" for name, value in rows.items() if value not in (None, "")))
-    say(*([f"Wrote {output}"] if output else []))
-    return 0
+    document = {key: value for key, value in found.document.items() if key != "pdf_base64"}
+    values = entry_json(found, later)
+    lines = (f"{name.replace('_', ' '):14} {value}" for name, value in values.items() if value not in (None, ""))
+    shown = Summary(
+        title=f"Entry {entry} of the registry",
+        answer=f"Entry {entry} is a {found.kind} of {found.device.serial}.",
+        data=values | {"document": document, "output": output},
+        sections=(Section(title="Entry", text=tuple(lines)),),
+        written=(output,) if output else (),
+    )
+    return Registered(values=(found,), shown=shown)
 
 
-@registry.command(help_epilogue=examples("registry find"))
+@verb
 def find(
     *,
     serial: str,
@@ -163,8 +158,7 @@ def find(
     temp_c: Annotated[float | None, Parameter(allow_leading_hyphen=True)] = None,
     output: OptionalOutput = None,
     where: Where = None,
-    json: Json = False,
-) -> int:
+) -> Registered:
     """Find the calibration of a device that is valid at a date and a temperature: the newest, neither due, superseded nor bad.
 
     Parameters
@@ -178,21 +172,16 @@ def find(
     output : Path or None
         calibration.json to write.
     """
-
     check_output(output, endings=(".json",))
     with open_place(where, there=True) as held:
         found = held.find(serial, on=None if date is None else stated_date(date), temp_c=temp_c)
     _write(found, output)
-    if json:
-        write_json(entry_json(found) | {"output": output}, "registry find")
-    else:
-        show_table(f"valid calibration of {serial}", HEADS, [_cells(found)])
-        say(*([f"Wrote {output}"] if output else []))
-    return 0
+    rows = [(found, None)]
+    return _entries(f"valid calibration of {serial}", rows, entry_json(found) | {"output": output}, output)
 
 
-@registry.command(help_epilogue=examples("registry due"))
-def due(*, within_days: int = 30, where: Where = None, json: Json = False) -> int:
+@verb
+def due(*, within_days: int = 30, where: Where = None) -> Registered:
     """List the devices to calibrate again soon, and those that are overdue or never were calibrated.
 
     Parameters
@@ -204,28 +193,17 @@ def due(*, within_days: int = 30, where: Where = None, json: Json = False) -> in
         raise InputError(f"--within-days: wanted 0 to 36500 days, got {within_days}; 30 is the default")
     with open_place(where, there=True) as held:
         known, place = held.due(datetime.now(UTC) + timedelta(days=within_days)), held.place
-    if json:
-        write_json(
-            {"registry": place, "within_days": within_days, "devices": [_device_json(one) for one in known]},
-            "registry due",
-        )
-    elif known:
-        _show_devices(f"due within {within_days} days in {place}", known)
-    else:
-        say(f"nothing is due within {within_days} days in {place}")
-    return 0
+    title = f"{'' if known else 'nothing is '}due within {within_days} days in {place}"
+    return _devices(title, known, {"registry": place, "within_days": within_days})
 
 
-@registry.command(help_epilogue=examples("registry trend"))
+@verb
 def trend(
     *,
     serial: str,
-    figure: Path | None = None,
-    report: Report = None,
-    details: Annotated[bool, Parameter(show_default=False, help="Show every parameter of every step.")] = False,
+    figure: Picture = None,
     where: Where = None,
-    json: Json = False,
-) -> int:
+) -> Registered:
     """Show how a device changed from each calibration to the next, with the standard uncertainty of each change.
 
     Parameters
@@ -234,15 +212,12 @@ def trend(
         Serial number of the device.
     figure : Path or None
         Picture to write of scale factors and offsets over time: .svg, .png or .pdf.
-    details : bool
-        Show every parameter of every step.
     """
     from undrift.io.store import calibration_of
     from undrift.registry.trend import Dated, course, headline
     from undrift.registry.trend import trend as steps_of
 
     check_figure(figure, reads=())
-    check_report(report)
     with open_place(where, there=True) as held:
         entries = [held.entry(one.id) for one in held.calibrations(serial)]
     if len(entries) < 2:
@@ -254,37 +229,51 @@ def trend(
         for one in entries
     ]
     steps, from_first = steps_of(models), course(models)
-    if figure is not None or report is not None:
-        from undrift.report.drift import draw_trend, write_trend_report
-        from undrift.report.figures import save_figure
-
-        if figure is not None:
-            save_figure(draw_trend(serial, models[0], from_first), figure)
-        if report is not None:
-            write_trend_report(serial, models[0], steps, from_first, report, origin_of())
-    if json:
-        answer = {"serial": serial, "headline": headline(steps, from_first), "since_first": _step_json(from_first[-1])}
-        write_json(answer | {"steps": [_step_json(step) for step in steps]}, "registry trend")
-        return 0
-    for step in steps:
-        rows = [
-            (f"{c.sensor} {c.parameter}", f"{c.change:+.3g}", f"{c.uncertainty:.2g}", c.unit, f"{c.sigmas:.1f}")
-            for c in step.changes
-            if details or "cross" not in c.parameter
-        ]
-        title = f"{serial}: {step.since.made_at:%Y-%m-%d} to {step.until.made_at:%Y-%m-%d}"
-        if rows and (details or step is steps[-1]):
-            show_table(title, ("parameter", "change", "standard uncertainty", "unit", "sigma"), rows)
-        say(*(f"{f'{step.until.made_at:%Y-%m-%d}'}: {text}" for text in step.sentences))
-        say(*(f"  not compared: {text}" for text in step.not_compared))
-    if len(steps) > 1:
-        say(*(f"since the first: {text}" for text in from_first[-1].sentences))
-    say(*(f"Wrote {path}" for path in (figure, report) if path is not None))
-    return 0
+    drawing = Drawing(place="undrift.report.drift:draw_trend", of=(serial, models[0], from_first))
+    if figure is not None:
+        drawing.save(figure)
+    first = [f"since the first: {text}" for text in from_first[-1].sentences] if len(steps) > 1 else []
+    answer = headline(steps, from_first)
+    shown = Summary(
+        title=f"Trend of {serial}",
+        answer=f"{serial}: {answer}.",
+        data={
+            "serial": serial,
+            "headline": answer,
+            "since_first": _step_json(from_first[-1]),
+            "steps": [_step_json(step) for step in steps],
+        },
+        pictures=(drawing,),
+        sections=(
+            *(replace(step_section(step), columns=(), rows=()) for step in steps[:-1]),
+            step_section(steps[-1]),
+            Section(title=f"Since {models[0].made_at:%Y-%m-%d}", text=tuple(first)),
+            *(step_section(step, every=True) for step in steps),
+        ),
+        written=(figure,) if figure else (),
+    )
+    return Registered(values=tuple(steps), shown=shown)
 
 
-@registry.command(name="import", help_epilogue=examples("registry import"))
-def import_folder(folder: Path, /, *, about: About = About(), where: Where = None, json: Json = False) -> int:
+def step_section(step: "Step", *, every: bool = False) -> Section:
+    """Return what changed from one calibration to the next: in words, with all but the cross-axis terms; or every one, folded."""
+    cells: Cells[Change] = (
+        ("parameter", lambda one: f"{one.sensor} {one.parameter}"),
+        ("change", lambda one: f"{one.change:+.3g}"),
+        ("standard uncertainty", lambda one: f"{one.uncertainty:.2g}"),
+        ("unit", lambda one: one.unit),
+        ("change / uncertainty", lambda one: f"{one.sigmas:.1f}"),
+    )
+    since, until = f"{step.since.made_at:%Y-%m-%d}", f"{step.until.made_at:%Y-%m-%d}"
+    words = (*step.sentences, *(f"not compared: {one}" for one in step.not_compared))
+    changes = [one for one in step.changes if every or "cross" not in one.parameter]
+    text = () if every else tuple(f"{until}: {one}" for one in words)
+    title = f"{since} to {until}{', every parameter' * every}"
+    return table_section(title, changes, cells, text=text, folded=every)
+
+
+@verb
+def import_folder(folder: Path, /, *, about: About = About(), where: Where = None) -> Registered:
     """Add all sessions, runs, calibrations and certificates in a folder and those below; what is refused is listed.
 
     Parameters
@@ -293,12 +282,13 @@ def import_folder(folder: Path, /, *, about: About = About(), where: Where = Non
         Where to look.
     """
     from undrift.registry.documents import candidates, new_entries
+    from undrift.registry.registry import Entry
 
     if not folder.is_dir():
         raise InputError(
             f"{folder}: wanted a folder, got none of that name; name one, or add a file: undrift registry add FILE"
         )
-    stated, rows, refused = _stated(about), list[dict[str, Any]](), list[dict[str, str]]()
+    stated, rows, refused, entries = _stated(about), list[dict[str, Any]](), list[dict[str, str]](), list[Entry]()
     with open_place(where, station=about.station) as held:
         paths = list(candidates(folder))
         for path in sorted(paths, key=lambda one: one.suffix == ".pdf"):  # a certificate after its calibration
@@ -308,16 +298,12 @@ def import_folder(folder: Path, /, *, about: About = About(), where: Where = Non
                 refused.append({"file": str(path), "why": str(error)})
             else:
                 rows += [entry_json(one.entry) | {"new": one.new} for one in added]
+                entries += [one.entry for one in added]
     if not paths:
         raise InputError(
             f"{folder}: wanted sessions, runs, calibrations or certificates in it, got none; name another folder"
         )
-    if json:
-        write_json({"entries": rows, "refused": refused}, "registry import")
-    else:
-        say(*registered_lines(rows))
-        say(*(f"Refused: {one['why']}" for one in refused))
-    return 0
+    return _added(entries, rows, refused)
 
 
 def _stated(about: About) -> "Stated":
@@ -342,7 +328,6 @@ def _write(entry: "Entry", output: Path | None) -> None:
     """Write what an entry holds."""
     if output is None:
         return
-    from undrift.commands.files import save_json
     from undrift.files import write_whole
     from undrift.io.store import calibration_of, write_calibration
     from undrift.registry.documents import pdf_of
@@ -376,13 +361,44 @@ def _device_json(known: "Known") -> dict[str, Any]:
     }
 
 
-def _show_devices(title: str, known: "list[Known]") -> None:
-    rows = []
-    for one in known:
-        stated, held = _device_json(one), one.calibration
-        of_held = _cells(held) if held else ("–",) * len(HEADS)
-        rows.append((one.serial, str(stated["state"]), of_held[0], *of_held[3:5], str(one.entries)))
-    show_table(title, ("serial", "state", "calibration", "made", "due", "entries"), rows)
+def _devices(title: str, known: "list[Known]", data: dict[str, Any]) -> Registered:
+    """Return devices with the calibration that counts."""
+    stated, rows = [_device_json(one) for one in known], list[tuple[str, ...]]()
+    for one, values in zip(known, stated, strict=True):
+        cells = _cells(one.calibration) if one.calibration else ("–",) * len(HEADS)
+        rows.append((one.serial, str(values["state"]), cells[0], *cells[3:5], str(one.entries)))
+    heads = ("serial", "state", "calibration", "made", "due", "entries")
+    table = Section(title="Devices", columns=heads, rows=tuple(rows))
+    return _table(title, table, data | {"devices": stated}, tuple(known))
+
+
+def _entries(
+    title: str, rows: "Sequence[tuple[Entry, int | None]]", data: dict[str, Any], output: Path | None = None
+) -> Registered:
+    table = Section(title="Entries", columns=HEADS, rows=tuple(_cells(*row) for row in rows))
+    return _table(title, table, data, tuple(entry for entry, _ in rows), output)
+
+
+def _table(
+    answer: str, table: Section, data: dict[str, Any], values: tuple[Any, ...], output: Path | None = None
+) -> Registered:
+    written = (output,) if output else ()
+    shown = Summary(title="Registry", answer=answer, data=data, sections=(table,), written=written)
+    return Registered(values=values, shown=shown)
+
+
+def _added(
+    entries: "list[Entry]", rows: list[dict[str, Any]], refused: list[dict[str, str]] | None = None
+) -> Registered:
+    """Return what was added, and what was refused."""
+    lines = (*registered_lines(rows), *(f"Refused: {one['why']}" for one in refused or ()))
+    shown = Summary(
+        title="Added to the registry",
+        answer=lines[0],
+        data={"entries": rows} | ({} if refused is None else {"refused": refused}),
+        sections=(Section(title="Others", text=lines[1:]),),
+    )
+    return Registered(values=tuple(entries), shown=shown)
 
 
 def _step_json(step: "Step") -> dict[str, Any]:

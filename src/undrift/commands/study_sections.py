@@ -1,41 +1,49 @@
-"""The page of a study: the protocol to use, Table 1 with the note's rows, error surface, statistics."""
+"""What a study shows: the protocol to use, what speaks for it, Table 1 beside the note's, error surface, statistics, Figure 3.
 
+``answer_of`` is the sentence, ``sections_of`` everything under it. All but the answer, the findings, the note's tables and real
+recordings is folded. Rows are those of study/outcome.py; pictures are drawn by report/figures.py.
+"""
+
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import cycle
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from undrift.base.summary import (
     Cells,
-    Origin,
+    Drawing,
     Section,
-    Summary,
     interval,
     number,
     plain_words,
     rows_section,
     table_section,
 )
-from undrift.report import figures
-from undrift.report.figures import p_text, svg_of
-from undrift.report.note import claims_section, note_sections, rival_sections
-from undrift.report.page import write_page
 from undrift.sim.motion.tasks import CATEGORIES
-from undrift.study.space import HEADINGS, OF_NOTE
+from undrift.study.claims import claims_section, rival_sections
+from undrift.study.judge import needed_text
+from undrift.study.plan import bench_keys
+from undrift.study.space import COMPARED_NAMES, HEADINGS, OF_NOTE
 
 if TYPE_CHECKING:
+    from undrift.study.figure3 import DrawnRow, Figure3
     from undrift.study.judge import NoteValue, ParameterEffect
-    from undrift.study.outcome import EffectPower, StudyOutcome, TaskOutcome, Term
+    from undrift.study.outcome import EffectPower, StudyOutcome, TaskOutcome
     from undrift.study.plan import Objective, Timing
     from undrift.study.real import CohortComparison, Pairwise, RealErrors, RealOutcome, Worn, WornRow
     from undrift.study.run import TaskSurface
     from undrift.study.search import DesignRow, Halving, Round
-    from undrift.study.statistics import Anova, Decision, MixedModel
+    from undrift.study.statistics import Decision
 
 NOTE = (
     'The note, here and below: D. Giansanti et al., "Guidelines for calibration and drift compensation of a wearable device with '
     'rate-gyroscopes and accelerometers", EMBC 2007.'
 )
+SLOPE_OF_THE_NOTE = (
+    "The preset's slope over temperature was inferred from the note's own Figure 3: the size of the error without compensation "
+    "confirms nothing, only what each compensation leaves of it."
+)
+LEAST_P = 1e-4
 OBJECTIVES: "dict[Objective, str]" = {
     "rms": "the root-mean-square error",
     "maximum": "the largest error",
@@ -47,23 +55,11 @@ TIMINGS: "dict[Timing, str]" = {
 }
 
 
-def write_study_report(outcome: "StudyOutcome", path: Path, origin: Origin | None = None) -> None:
-    """Write the page of a study."""
-    summary = Summary(
-        title=f"Study: {outcome.study.name}",
-        answer=_sentence(outcome),
-        pictures=(svg_of(figures.draw_pareto(outcome, outcome.tasks[0])),),
-        sections=(*study_sections(outcome), Section(title="The note", text=(NOTE,), folded=True)),
-        findings=tuple(item for task in outcome.tasks for item in task.findings),
-    )
-    write_page(path, summary, origin)
-
-
-def _sentence(outcome: "StudyOutcome") -> str:
+def answer_of(outcome: "StudyOutcome") -> str:
     """Return the protocol of each task in a sentence."""
     parts = (
         f"{_name(task)}: {task.surface.cutoff_hz[task.optimum.cheapest]:.4g} Hz and rates of "
-        f"{rates_of(task.surface, task.optimum.cheapest)} deg/s are enough, {task.tested[1].error_rms_deg:.2f} deg rms after "
+        f"{_rates_of(task.surface, task.optimum.cheapest)} deg/s are enough, {task.tested[1].error_rms_deg:.2f} deg rms after "
         f"{task.surface.rig_minutes[task.optimum.cheapest]:.0f} min on the table"
         for task in outcome.tasks
     )
@@ -71,17 +67,24 @@ def _sentence(outcome: "StudyOutcome") -> str:
     return f"{text[:1].upper()}{text[1:]}."
 
 
-def study_sections(outcome: "StudyOutcome") -> tuple[Section, ...]:
-    """Return the sections of a study's page: the answer, the note's tables beside it, everything else folded."""
-    held = outcome.study
+def sections_of(outcome: "StudyOutcome") -> tuple[Section, ...]:
+    """Return the sections of a study: the answer, the note's tables beside it, everything else folded."""
+    study = outcome.study
     text = (
-        f"{outcome.runs} calibration sessions simulated, fitted and judged: {held.subjects} subjects, device {held.device}, "
-        f"seed {held.seed}; {OBJECTIVES[held.objective]} of the sagittal pitch is minimised, {TIMINGS[held.timing]}."
+        f"{outcome.runs} calibration sessions simulated, fitted and judged: {study.subjects} subjects, device {study.device}, "
+        f"seed {study.seed}; {OBJECTIVES[study.objective]} of the sagittal pitch is minimised, {TIMINGS[study.timing]}."
     )
     return (
         _answer(outcome),
+        *(_findings(task) for task in outcome.tasks),
         _table_1(outcome),
         _note(outcome),
+        *(
+            Section(title=f"{plain_words(each.task)}: categories", findings=(each.finding,))
+            for each in outcome.categories
+        ),
+        _figure3(outcome),
+        *real_sections(outcome.real),
         *(replace(section, folded=True) for section in _details(outcome)),
         Section(title="How the study was made", text=(text,), folded=True),
     )
@@ -99,25 +102,40 @@ def _details(outcome: "StudyOutcome") -> tuple[Section, ...]:
         _bench(outcome),
         *(section for task in outcome.tasks for section in _task_sections(outcome, task)),
         _tests(outcome),
-        *note_sections(outcome),
+        *_flows(),
+        _figure3_effects(outcome),
         *design_sections(outcome.designs),
         *rival_sections(outcome),
-        *real_sections(outcome.real),
     )
 
 
+def _drawing(name: str, *of: object) -> tuple[Drawing, ...]:
+    """Return a picture of report/figures.py, or of another module there."""
+    return (Drawing(place=f"undrift.report.{name}", of=of),)
+
+
+def _with(value: float, ends: Sequence[float], form: str = ".3f") -> str:
+    """Return a value with its interval."""
+    return f"{value:{form}} [{interval(ends, form)}]"
+
+
+def _p(p: float) -> str:
+    """Return a p value for people; one below ``LEAST_P`` as a bound."""
+    return f"{p:.2g}" if p >= LEAST_P else f"< {LEAST_P:.4f}"
+
+
 def _name(task: "TaskOutcome") -> str:
-    return task_words(task.surface.task)
+    return _task_words(task.surface.task)
 
 
-def task_words(key: str) -> str:
+def _task_words(key: str) -> str:
     """Return a task and the category of its subjects in words."""
     name, _, category = key.partition("-")
     label = next((held.label for kind, held in CATEGORIES.items() if kind == category), "")
     return f"{plain_words(name)}, {label}" if label else plain_words(name)
 
 
-def rates_of(surface: "TaskSurface", place: int) -> str:
+def _rates_of(surface: "TaskSurface", place: int) -> str:
     """Return the rates of a protocol in words."""
     step, low, high = (f"{getattr(surface, name)[place]:.4g}" for name in list(OF_NOTE)[1:])
     return f"{low} to {high} by {step}"
@@ -146,7 +164,7 @@ def _answer(outcome: "StudyOutcome") -> Section:
     cells: Cells[TaskOutcome] = (
         ("task", _name),
         ("low-pass (Hz)", lambda task: f"{task.surface.cutoff_hz[task.optimum.cheapest]:.4g}"),
-        ("rates of the table (deg/s)", lambda task: rates_of(task.surface, task.optimum.cheapest)),
+        ("rates of the table (deg/s)", lambda task: _rates_of(task.surface, task.optimum.cheapest)),
         ("session (min)", lambda task: f"{task.surface.rig_minutes[task.optimum.cheapest]:.0f}"),
         ("pitch error, rms (deg)", lambda task: f"{task.tested[1].error_rms_deg:.3f}"),
         ("95 % interval", lambda task: interval(task.tested[1].interval_rms_deg)),
@@ -161,10 +179,16 @@ def _answer(outcome: "StudyOutcome") -> Section:
     return table_section("Answer: the protocol to use", outcome.tasks, cells, text=text)
 
 
+def _findings(task: "TaskOutcome") -> Section:
+    """Return what a person should know of a task; what concerns the note stands beside its table."""
+    of_note = () if task.note is None else task.note.findings
+    return Section(title=f"{_name(task)}: findings", findings=tuple(f for f in task.findings if f not in of_note))
+
+
 def _rounds(outcome: "StudyOutcome", task: "TaskOutcome", halving: "Halving") -> Section:
     def best(each: "Round") -> str:
         place = each.candidates[each.mean_deg.argmin()]
-        return f"{halving.every.cutoff_hz[place]:.4g} Hz, {rates_of(halving.every, place)} deg/s{_further(halving.every, place)}"
+        return f"{halving.every.cutoff_hz[place]:.4g} Hz, {_rates_of(halving.every, place)} deg/s{_further(halving.every, place)}"
 
     cells: Cells[Round] = (
         ("protocols", lambda each: str(len(each.candidates))),
@@ -205,10 +229,10 @@ def _table_1(outcome: "StudyOutcome") -> Section:
         text.append(
             f"{_name(task)}: of {len(task.surface.cutoff_hz)} protocols {found.equivalent.sum()} are equivalent to the optimum "
             f"within {found.margin_deg:g} deg, {found.worse.sum()} are worse, {found.undecided.sum()} not decidable. Error of the "
-            f"optimum by subjects that did not choose it: {found.honest_error_deg:.3f} deg [{interval(found.honest_interval_deg)}]."
+            f"optimum by subjects that did not choose it, deg: {_with(found.honest_error_deg, found.honest_interval_deg)}."
         )
         further = _further(task.surface, found.best)
-        rows.append((f"{_name(task)}: optimum{further}", *_protocol(task.surface, found.best), p_text(found.p_value)))
+        rows.append((f"{_name(task)}: optimum{further}", *_protocol(task.surface, found.best), _p(found.p_value)))
         if found.cheapest != found.best:
             further = _further(task.surface, found.cheapest)
             rows.append((f"… shortest equivalent{further}", *_protocol(task.surface, found.cheapest), ""))
@@ -247,10 +271,7 @@ def _categories(outcome: "StudyOutcome") -> tuple[Section, ...]:
             f"than {each.margin_deg:g} deg. {DECISIONS}",
         )
         title = f"{plain_words(each.task)}: the optimum of each category, worn by the others"
-        sections += [
-            Section(title=f"{plain_words(each.task)}: categories", findings=(each.finding,)),
-            rows_section(title, rows, text=text),
-        ]
+        sections.append(rows_section(title, rows, text=text))
     return tuple(sections)
 
 
@@ -282,7 +303,9 @@ def _note_values(outcome: "StudyOutcome") -> Section:
         "Each value of the note against the next lower and higher that was tried, in the protocol that is nearest to the note's in "
         "the other three. " + DECISIONS,
     )
-    return rows_section("The note's values beside the next ones", rows, text=text)
+    values = (value for task in outcome.tasks for value in (task.note.values if task.note else ()))
+    agreeing = tuple(value.finding for value in values if value.verdict == "agrees")
+    return rows_section("The note's values beside the next ones", rows, text=text, findings=agreeing)
 
 
 def _beside(task: "TaskOutcome", value: "NoteValue", found: "Decision") -> str:
@@ -304,14 +327,12 @@ DECISIONS = (
 
 
 def _decision_cells(found: "Decision") -> dict[str, str]:
-    from undrift.study.judge import needed_text
-
     return {
         "difference (deg)": f"{found.difference:.3f}",
         "95 % interval": interval(found.interval),
-        "dz": f"{found.cohen_dz:.2f} [{interval(found.dz_interval, '.2f')}]" if found.sd > 0.0 else "–",
-        "p of better": p_text(found.p_better),
-        "p of equivalent": p_text(found.p_equivalent),
+        "dz": _with(found.cohen_dz, found.dz_interval, ".2f") if found.sd > 0.0 else "–",
+        "p of better": _p(found.p_better),
+        "p of equivalent": _p(found.p_equivalent),
         "verdict": found.verdict,
         "subjects for power 0.8": needed_text(found.subjects_needed),
     }
@@ -323,18 +344,17 @@ def _note_analysis(outcome: "StudyOutcome") -> Section:
         one, repeated, note = task.one_way, task.repeated, task.note
         if one is None or repeated is None:
             continue
-        low, high = repeated.partial_eta_squared_interval
         rows.append(
             {
                 "task": _name(task),
                 "the note's p": f"{note.row.p_value:.3f}" if note else "",
                 "one-way F (degrees of freedom)": f"{one.f:.2f} ({one.dof[0]:.0f}, {one.dof[1]:.0f})",
-                "its p": p_text(one.p_value),
-                "eta² [95 %]": f"{one.eta_squared:.3f} [{interval(one.eta_squared_interval)}]",
+                "its p": _p(one.p_value),
+                "eta² [95 %]": _with(one.eta_squared, one.eta_squared_interval),
                 "repeated measures F": f"{repeated.f:.2f} (epsilon {repeated.sphericity.greenhouse_geisser:.3f})",
-                "p, corrected": p_text(repeated.p_value),
-                "partial eta² [95 %]": f"{repeated.partial_eta_squared:.3f} [{low:.3f}, {high:.3f}]",
-                "least p of a parameter, after Holm": p_text(task.optimum.p_value),
+                "p, corrected": _p(repeated.p_value),
+                "partial eta² [95 %]": _with(repeated.partial_eta_squared, repeated.partial_eta_squared_interval),
+                "least p of a parameter, after Holm": _p(task.optimum.p_value),
             }
         )
     text = (
@@ -386,8 +406,6 @@ def _cohorts(outcome: "StudyOutcome") -> Section:
 
 
 def _bench(outcome: "StudyOutcome") -> Section:
-    from undrift.study.plan import bench_keys
-
     held = bench_keys(outcome.study.bench) | {"chain_percent": 100.0 * outcome.study.chain_sd}
     rows = [{"key of study.toml": key, "value": f"{value:g}"} for key, value in held.items()]
     text = (
@@ -402,7 +420,7 @@ def _bench(outcome: "StudyOutcome") -> Section:
 def _task_sections(outcome: "StudyOutcome", task: "TaskOutcome") -> tuple[Section, ...]:
     name, own = _name(task), outcome.study.timing
     timings = (own, *(timing for timing in TIMINGS if timing != own))
-    surfaces = tuple(svg_of(figures.draw_surface(outcome, task, timing)) for timing in timings)
+    surfaces = tuple(Drawing(place="undrift.report.figures:draw_surface", of=(outcome, task, each)) for each in timings)
     white = "not tried" if task.halving is None else "not tried, dropped in an earlier round"
     return (
         Section(
@@ -447,7 +465,7 @@ def _front(outcome: "StudyOutcome", task: "TaskOutcome") -> Section:
         text=(text,),
         columns=heads,
         rows=tuple(rows),
-        pictures=(svg_of(figures.draw_pareto(outcome, task)),),
+        pictures=_drawing("figures:draw_pareto", outcome, task),
     )
 
 
@@ -463,12 +481,10 @@ def _effects(outcome: "StudyOutcome", task: "TaskOutcome") -> Section:
     ]
     title = f"{_name(task)}: what each parameter does"
     rows = [_effect_row(effect, powers.get(effect.name)) for effect in task.optimum.effects]
-    return rows_section(title, rows, text=tuple(text), pictures=(svg_of(figures.draw_effects(task)),))
+    return rows_section(title, rows, text=tuple(text), pictures=_drawing("figures:draw_effects", task))
 
 
 def _effect_row(effect: "ParameterEffect", power: "EffectPower | None") -> dict[str, str]:
-    from undrift.study.judge import needed_text
-
     judged, test, values = effect.judged, effect.test, ", ".join(f"{value:.4g}" for value in effect.values)
     if len(effect.dropped):
         values += f" (left out, too few calibrated: {', '.join(f'{value:.4g}' for value in effect.dropped)})"
@@ -480,13 +496,15 @@ def _effect_row(effect: "ParameterEffect", power: "EffectPower | None") -> dict[
         "best to worst (deg)": f"{effect.span_deg:.3f}" if test else "",
         "test": f"none: {effect.untested.detail}" if effect.untested else named,
         "F (degrees of freedom)": f"{test.f:.2f} ({test.dof[0]:.0f}, {test.dof[1]:.0f})" if test else "",
-        "p after Holm": p_text(effect.p_holm) if test else "",
-        "partial eta² [95 %]": _eta(test) if test else "",
+        "p after Holm": _p(effect.p_holm) if test else "",
+        "partial eta² [95 %]": _with(test.partial_eta_squared, test.partial_eta_squared_interval, ".2f")
+        if test
+        else "",
         "power": f"{power.power:.2f}" if power else "",
         "subjects for power 0.8": needed if test else "",
         "verdict": judged.verdict if judged else "",
-        "p of better": p_text(judged.p_better) if judged else "",
-        "p of equivalent": p_text(judged.p_equivalent) if judged else "",
+        "p of better": _p(judged.p_better) if judged else "",
+        "p of equivalent": _p(judged.p_equivalent) if judged else "",
         "subjects for a verdict": needed_text(judged.subjects_needed) if judged else "",
     }
 
@@ -504,10 +522,6 @@ def _stopping(outcome: "StudyOutcome", task: "TaskOutcome") -> str:
         f"% of studies in place of {100.0 * level:g} % (looks from {first} to {last} subjects). Here p of "
         f"{HEADINGS[task.stopping_of]} crossed the level {held.crossings} times. Fix the number of subjects beforehand."
     )
-
-
-def _eta(test: "Anova | MixedModel") -> str:
-    return f"{test.partial_eta_squared:.2f} [{interval(test.partial_eta_squared_interval, '.2f')}]"
 
 
 def _decisions(task: "TaskOutcome") -> Section:
@@ -537,7 +551,9 @@ def _made_of(task: "TaskOutcome") -> Section:
     rows += [
         {
             "switched off": term.effect,
-            "share of the mean square": f"{100.0 * term.share:.1f} % [{interval(_percent(term), '.1f')}]",
+            "share of the mean square": "{:.1f} % [{:.1f} to {:.1f}]".format(
+                *(100.0 * share for share in (term.share, *term.share_interval))
+            ),
             "alone (deg)": f"{term.rms_deg:.3f}",
         }
         | {
@@ -555,10 +571,6 @@ def _made_of(task: "TaskOutcome") -> Section:
         "run.",
     )
     return rows_section(f"{_name(task)}: what the error is made of", rows, text=text)
-
-
-def _percent(term: "Term") -> tuple[float, float]:
-    return 100.0 * term.share_interval[0], 100.0 * term.share_interval[1]
 
 
 def _tests(outcome: "StudyOutcome") -> Section:
@@ -581,14 +593,14 @@ def _test_row(effect: "ParameterEffect") -> dict[str, str]:
     form = found.sphericity if found else None
     several = form if found and found.conditions > 2 else None
     return {
-        "p": p_text(found.p_uncorrected) if found else p_text(mixed.p_value) if mixed else "",
-        "p GG": p_text(found.p_greenhouse_geisser) if found else "",
-        "p HF": p_text(found.p_huynh_feldt) if found else "",
+        "p": _p(found.p_uncorrected) if found else _p(mixed.p_value) if mixed else "",
+        "p GG": _p(found.p_greenhouse_geisser) if found else "",
+        "p HF": _p(found.p_huynh_feldt) if found else "",
         "quoted": {"huynh-feldt": "HF", "greenhouse-geisser": "GG"}[found.correction] if found else "mixed model",
         "epsilon GG": f"{form.greenhouse_geisser:.2f}" if form else "",
         "epsilon HF": f"{form.huynh_feldt:.2f}" if form else "",
         "Mauchly's W": f"{several.mauchly_w:.2f}" if several else "",
-        "p of Mauchly": p_text(several.p_value) if several else "",
+        "p of Mauchly": _p(several.p_value) if several else "",
         "generalised eta²": f"{found.generalized_eta_squared:.3f}" if found else "",
         "residual sd (deg)": f"{effect.error_variance**0.5:.4f}",
     }
@@ -606,7 +618,7 @@ def design_sections(rows: "tuple[DesignRow, ...]") -> tuple[Section, ...]:
         return ()
     highest = max(row.degree for row in rows)
     cells: Cells[DesignRow] = (
-        ("task", lambda row: task_words(row.task)),
+        ("task", lambda row: _task_words(row.task)),
         ("curve", lambda row: _curve(row.degree)),
         ("set", lambda row: f"{row.grid} grid" if row.criterion == "uniform" else f"{row.criterion}-optimal"),
         ("time at rates of an axis (deg/s)", _rates),
@@ -631,7 +643,7 @@ def _meaning(best: "DesignRow", rows: "tuple[DesignRow, ...]") -> str:
     own = (best.task, best.degree, "uniform")
     even = next(row for row in rows if (row.task, row.degree, row.criterion) == own)
     text = (
-        f"{task_words(best.task)}, {_curve(best.degree)}: the I-optimal set reaches the error of {best.grid} grid in "
+        f"{_task_words(best.task)}, {_curve(best.degree)}: the I-optimal set reaches the error of {best.grid} grid in "
         f"{100.0 * best.i_efficiency_uniform:.0f} % of its dwelling time"
     )
     if best.error_dps is not None and even.error_dps is not None:
@@ -718,7 +730,7 @@ def _agreement(level: str, held: "Pairwise") -> str:
 def _compared(title: str, rows: "tuple[CohortComparison, ...]") -> Section:
     cells: Cells[CohortComparison] = (
         ("trial", lambda row: row.trial),
-        ("task", lambda row: task_words(row.task)),
+        ("task", lambda row: _task_words(row.task)),
         ("measure", lambda row: f"{row.measure} ({row.unit})"),
         ("real", lambda row: number(row.real)),
         ("cohort's median", lambda row: f"{row.median:.2f}"),
@@ -748,3 +760,107 @@ def _worn(worn: "Worn") -> Section:
     return table_section(
         "Real recordings: the simulated device worn in the captured motions", worn.rows, cells, text=text
     )
+
+
+# ---- Figures 1 to 3
+
+
+def _flows() -> tuple[Section, ...]:
+    """Return Figures 1 and 2."""
+    text = (
+        "In black the steps of the note's text, in blue the functions that do them here. Numbers of blocks stand where its text "
+        "has them; block 1 is not in it.",
+    )
+    titles = ("Figure 1: how the parameters are optimised", "Figure 2: how the drift is compensated")
+    drawings = (_drawing(f"note:draw_figure{k}") for k in (1, 2))
+    return tuple(
+        Section(title=title, text=text, pictures=drawing) for title, drawing in zip(titles, drawings, strict=True)
+    )
+
+
+def _figure3(outcome: "StudyOutcome") -> Section:
+    title, found, drawn = "Figure 3: sit-to-stand, simulated and actual device", outcome.figure3, outcome.figure3_drawn
+    if found is None:
+        return Section(title=title, findings=(outcome.figure3_missing,) if outcome.figure3_missing else ())
+    twin = None if outcome.real is None else outcome.real.figure3
+    rows = [
+        {"compensation": name}
+        | _columns("", found, k)
+        | (_drawn_columns(drawn[k]) if drawn else {})
+        | (_columns("twin of a real device: ", twin, k) if twin else {})
+        for k, name in enumerate(COMPARED_NAMES)
+    ]
+    text = (*_words(found, drawn), *((_twin_words(twin),) if twin else ()))
+    return rows_section(title, rows, text=text, pictures=_drawing("note:draw_figure3", found, drawn, twin))
+
+
+def _columns(of: str, found: "Figure3", k: int) -> dict[str, str]:
+    """Return the cells of one compensation for one pair of devices."""
+    return {
+        f"{of}simulated: largest, rms (deg)": f"{found.simulated_max_deg[k]:.2f}, {found.simulated_rms_deg[k]:.2f}",
+        f"{of}actual: largest, rms (deg)": f"{found.actual_max_deg[k]:.2f}, {found.actual_rms_deg[k]:.2f}",
+        f"{of}largest difference (deg)": f"{found.simulated_actual_max_deg[k]:.2f}",
+        f"{of}correlation": f"{found.correlation[k]:.2f}",
+    }
+
+
+def _drawn_columns(row: "DrawnRow") -> dict[str, str]:
+    """Return the cells of one compensation over drawn units."""
+    low, middle, high = row.simulated_deg
+    apart = row.apart_deg
+    return {
+        f"{row.units} drawn units, simulated: median (quartiles)": f"{middle:.2f} ({low:.2f} to {high:.2f})",
+        "actual: median (quartiles)": f"{row.median_deg:.2f} ({row.lower_deg:.2f} to {row.upper_deg:.2f})",
+        "difference: median (quartiles)": f"{apart[1]:.2f} ({apart[0]:.2f} to {apart[2]:.2f})",
+        "within 0.15 deg": f"{row.within} of {row.units}",
+        "correlation over time [95 %]": _with(row.correlation, row.correlation_interval, ".2f"),
+        "of the largest errors over units [95 %]": _with(row.largest_correlation, row.largest_interval, ".2f"),
+    }
+
+
+def _words(found: "Figure3", drawn: "tuple[DrawnRow, ...]") -> tuple[str, ...]:
+    text = [
+        f"Board {found.excursion_k:g} K above the bench. Compensation removes {found.decrease_deg:.2f} deg of the actual "
+        "device's largest error (the note: more than 3.2). With both tables the two errors differ by at most "
+        f"{found.simulated_actual_max_deg[2]:.2f} deg (the note: 0.15) and have a correlation coefficient of "
+        f"{found.correlation[2]:.2f}, without tables {found.correlation[0]:.2f} (the note: a correlation, no coefficient).",
+        "The actual device is the simulated one with hysteresis, thermometer lag, integral non-linearity of the converter and "
+        "g-sensitivity, which the study's model lacks. Noise is drawn anew for each: where it is most of an error, the correlation "
+        "falls although both errors are small.",
+        "A rest before the motion re-zeroes the offset without a chamber and leaves "
+        f"{found.actual_max_deg[3]:.2f} deg of the actual device's {found.actual_max_deg[0]:.2f}: scale and dynamic drift, "
+        f"which no rest shows. Both tables leave {found.actual_max_deg[2]:.2f} deg, with the rest "
+        f"{found.actual_max_deg[4]:.2f} deg. "
+        "Recommended: tables, and undrift correct --offset rest.",
+    ]
+    if drawn:
+        text.append(
+            f"Drawn units: {drawn[0].units} units of the kind's spread, each calibrated and worn by a person of its own, simulated "
+            "and actual. Correlation over time: of the two errors of a unit, mean over the units by Fisher's z. "
+            f"{SLOPE_OF_THE_NOTE}"
+        )
+    return tuple(text)
+
+
+def _twin_words(twin: "Figure3") -> str:
+    return (
+        "Twin of a real device: matrix, offset, noise and codes were found beside optics, offsets over temperature in a recording "
+        "at rest of this device or of another of its kind. Simulated is the typical unit of the kind, from its data sheet, which "
+        "does not know the sign of a unit's drift. With both tables the errors differ by at most "
+        f"{twin.simulated_actual_max_deg[2]:.2f} "
+        "deg. Not in the twin: dynamic drift, scale over temperature, hysteresis, flicker, lag of the thermometer."
+    )
+
+
+def _figure3_effects(outcome: "StudyOutcome") -> Section:
+    rows = [
+        {"effect": plain_words(row.effect)}
+        | {f"{name} (deg)": f"{v:.2f}" for name, v in zip(COMPARED_NAMES, row.simulated_actual_max_deg, strict=True)}
+        | {"largest error, both tables (deg)": f"{row.full_max_deg:.2f}"}
+        for row in outcome.figure3_effects
+    ]
+    text = (
+        "The actual device's effects one at a time: largest difference between the two errors at each level of compensation, and "
+        "the largest error with both tables. Noise alone is another recording of the same model.",
+    )
+    return rows_section("Figure 3: simulated against actual, effect by effect", rows, text=text)

@@ -1,0 +1,425 @@
+"""``undrift study``: which calibration protocol is enough for a task, found by simulation, tested on other subjects."""
+
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, get_args
+
+from undrift.base.options import Flag, Output, options, verb
+from undrift.base.summary import Drawing, Result, Section, Summary, at
+from undrift.commands import Progress, silent
+from undrift.commands.files import check_folder, origin_of, save_json
+from undrift.errors import InputError
+from undrift.units import RADIAN_PER_DEGREE
+
+if TYPE_CHECKING:
+    from undrift.study.figure3 import Figure3
+    from undrift.study.judge import ParameterEffect
+    from undrift.study.outcome import EffectPower, Split, Stage, StudyOutcome, TaskOutcome
+    from undrift.study.plan import Study
+    from undrift.study.real import CohortComparison, RealOutcome
+    from undrift.study.rivals import TriadRow
+    from undrift.study.run import TaskSurface
+
+QUICK_SUBJECTS = 8
+REAL_FIGURES = ("rmse_total_deg", "rmse_inclination_deg", "max_abs_pitch_deg", "end_total_deg")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Studied(Result):
+    """A study that was run to its end, and its folder."""
+
+    outcome: "StudyOutcome"
+    output: Path
+
+    def summary(self) -> Summary:
+        """Return the protocol to use for each task, and all that speaks for it."""
+        from undrift.commands.study_sections import NOTE, answer_of, sections_of
+
+        outcome = self.outcome
+        return Summary(
+            title=f"Study: {outcome.study.name}",
+            answer=answer_of(outcome),
+            data=study_json(outcome),
+            pictures=(Drawing(place="undrift.report.figures:draw_pareto", of=(outcome, outcome.tasks[0])),),
+            sections=(*sections_of(outcome), Section(title="The note", text=(NOTE,), folded=True)),
+            written=tuple(self.output / name for name in ("report.html", "summary.json", "surface.parquet")),
+        )
+
+
+@options
+@dataclass(frozen=True, kw_only=True)
+class Choices:
+    """What is other than in the plan.
+
+    Parameters
+    ----------
+    quick : bool
+        The ends of what is tried, on eight subjects: a first look.
+    search : str or None
+        "grid" runs every protocol on every subject; "halving" keeps the better half of the protocols and doubles the subjects,
+        round by round; "cma" evolves protocols by CMA-ES, for wide spaces (pip install undrift[search]). The plan's where not
+        given, else "grid".
+    categories : str or None
+        Categories of subjects, separated by commas, or "all": level_2 (the note's), young, elderly, impaired, parkinson. Each
+        performs every task, and each one's optimum is worn by the others. The plan's where not given, else level_2.
+    candidates : int or None
+        Most protocols of a task that halving draws from a wider space, or that cma tries; the plan's where not given, else all
+        and 600.
+    subjects : int or None
+        Other number of subjects than the plan's.
+    seed : int or None
+        Other seed than the plan's; the same seed gives the same bits on any machine and any number of workers.
+    """
+
+    quick: Flag = False
+    search: Literal["grid", "halving", "cma"] | None = None
+    categories: str | None = None
+    candidates: int | None = None
+    subjects: int | None = None
+    seed: int | None = None
+
+    def applied(self, plan: Path | None) -> "Study":
+        """Return the study of a plan, or the note's, with these choices."""
+        from undrift.sim.motion.tasks import CategoryName
+        from undrift.study.plan import ends_of, note_study, read_study, with_categories
+        from undrift.study.search import check_installed
+
+        if self.seed is not None and self.seed < 0:
+            raise InputError(f"seed: wanted 0 or more, got {self.seed}; give another")
+        if self.candidates is not None and self.candidates < 4:
+            raise InputError(f"candidates: wanted 4 or more, got {self.candidates}; give more")
+        study = note_study(quick=self.quick) if plan is None else read_study(plan)
+        if self.quick:
+            study = study if plan is None else ends_of(study)
+            study = replace(study, subjects=min(QUICK_SUBJECTS, study.subjects))
+        numbers: dict[str, Any] = {name: getattr(self, name) for name in ("subjects", "search", "seed", "candidates")}
+        study = replace(study, **{name: value for name, value in numbers.items() if value is not None})
+        check_installed(study)
+        if self.categories is None:
+            return study
+        known = get_args(CategoryName)
+        return with_categories(
+            study, known if self.categories == "all" else [name.strip() for name in self.categories.split(",")]
+        )
+
+
+@verb
+def study(
+    plan: Path | None = None,
+    /,
+    *,
+    output: Output = Path("study"),
+    preset: Literal["note"] | None = None,
+    choices: Choices = Choices(),
+    workers: int | None = None,
+    scheduler: str | None = None,
+    no_rivals: Flag = False,
+    real: Path | None = None,
+    progress: Progress = silent,
+) -> Studied:
+    """Try calibration protocols on simulated subjects; find which is enough, with its error and its minutes on the rig.
+
+    Parameters
+    ----------
+    plan : Path or None
+        study.toml: tasks, subjects, device, what is tried. See docs/study.md.
+    output : Path
+        Folder for surface.parquet, report.html and summary.json; an interrupted study in it resumes.
+    preset : str or None
+        "note" in place of a plan: the technical note's three tasks, thirty subjects, over 400 protocols each.
+    workers : int or None
+        Processes on this machine; all its processors where not given.
+    scheduler : str or None
+        Address of a Dask scheduler, as in tcp://host:8786, to work on its workers.
+    no_rivals : bool
+        Leave out the other ways to calibrate, which the note's Discussion names, 12 units of about 10 s, and Figure 3 effect by
+        effect, about 15 s, and its 30 drawn units, 12 s each on one processor. --quick implies it.
+    real : Path or None
+        real.toml: real recordings to judge too. See docs/study.md.
+    """
+    from undrift.study.outcome import Course, forecast, judge_study
+    from undrift.study.real import read_real
+    from undrift.study.run import HEAD, RunStore, choose_executor
+
+    if (plan is None) == (preset is None):
+        raise InputError(f"study: wanted a study.toml or --preset note, got {'both' if plan else 'neither'}; name one")
+    planned = choices.applied(plan)
+    if real is not None:
+        progress("reading real recordings", 0.0)
+    recordings = None if real is None else read_real(real)
+    executor, rivals = choose_executor(scheduler, workers), not (no_rivals or choices.quick)
+    check_folder(output)
+    if output.is_dir() and any(output.iterdir()) and not (output / HEAD).is_file():
+        raise InputError(
+            f"{output}: wanted a new folder, or that of this study, got one with other files; name another"
+        )
+    RunStore(output, planned)  # refuses the folder of another study before anything is computed
+    stages = forecast(planned, output, workers=executor.workers, rivals=rivals, real=recordings)
+    progress("\n".join((*_announced(planned, stages, executor.workers), stages[0].name)), 0.0)
+    course = Course(progress, stages)
+    result = Studied(
+        outcome=judge_study(planned, executor, output, course=course, rivals=rivals, real=recordings), output=output
+    )
+    summary = result.summary()
+    save_json(output / "summary.json", summary.data)
+    at("undrift.report.page:write_page")(output / "report.html", summary, origin_of(plan, real))
+    return result
+
+
+def _announced(planned: "Study", stages: "tuple[Stage, ...]", workers: int) -> tuple[str, ...]:
+    """Say how many runs there are, about how long all stages take, and which values no protocol has."""
+    from undrift.study.outcome import duration, untried_findings
+    from undrift.study.search import count_runs
+
+    tasks = ", ".join(task.key for task in planned.tasks)
+    most = sorted(stages, key=lambda stage: -stage.seconds)[:3]
+    parts = ", ".join(f"{stage.name} {duration(stage.seconds)}" for stage in stages if stage in most)
+    return (
+        f"{planned.name}: {count_runs(planned)} runs ({tasks}; {planned.subjects} subjects) on {workers} "
+        f"worker{'s' * (workers > 1)}, in all about {duration(sum(stage.seconds for stage in stages))} ({parts})",
+        *(f"{task.key}: {item.text}" for task in planned.tasks for item in untried_findings(task.space.untried())),
+    )
+
+
+# ---- summary.json
+
+
+FIGURE3_KEYS = ("none_max_deg", "static_max_deg", "full_max_deg", "rest_max_deg", "full_and_rest_max_deg")
+
+
+def study_json(outcome: "StudyOutcome") -> dict[str, object]:
+    """Return the JSON of a study."""
+    from undrift.study.claims import claims_of
+    from undrift.study.plan import bench_keys
+
+    held, figure = outcome.study, outcome.figure3
+    return {
+        **{
+            key: getattr(held, key)
+            for key in (
+                "name",
+                "device",
+                "subjects",
+                "seed",
+                "objective",
+                "timing",
+                "search",
+                "candidates",
+                "level",
+                "margin_deg",
+            )
+        },
+        "bench": bench_keys(held.bench) | {"chain_percent": 100.0 * held.chain_sd},
+        "runs": outcome.runs,
+        "tasks": [_task_json(task) for task in outcome.tasks],
+        "cohorts": [
+            {
+                "group": cohort.group,
+                "category": cohort.category,
+                "subjects": cohort.count,
+                "age_years": cohort.age_years,
+                "height_m": cohort.height,
+                "note_age_years": cohort.printed.age_years,
+                "note_height_m": cohort.printed.height,
+            }
+            for cohort in outcome.cohorts
+        ],
+        "figure3": figure and _figure3_json(figure),
+        "figure3_missing": outcome.figure3_missing and outcome.figure3_missing.detail,
+        "figure3_drawn": [asdict(row) for row in outcome.figure3_drawn] or None,
+        "figure3_effects": [asdict(row) for row in outcome.figure3_effects] or None,
+        "designs": [asdict(row) for row in outcome.designs],
+        "rivals": [asdict(row) | {"said": row.notes} for row in outcome.rivals] or None,  # binding key
+        "rival_triads": [_triad_json(row) for row in outcome.rival_triads] or None,
+        "claims": [asdict(row) | {"lacks": row.lacks and row.lacks.text} for row in claims_of(outcome)],
+        "rivals_missing": outcome.rivals_missing and outcome.rivals_missing.detail,
+        "real": outcome.real and _real_json(outcome.real),
+        "categories": [
+            asdict(each) | {"because": each.finding.text, "code": each.finding.code} for each in outcome.categories
+        ]
+        or None,
+    }
+
+
+def _triad_json(row: "TriadRow") -> dict[str, object]:
+    needed = [worth.decision and worth.decision.subjects_needed for worth in row.worth]
+    held = asdict(row)
+    for worth, units in zip(held["worth"], needed, strict=True):
+        if worth["decision"] is not None:
+            worth["decision"] |= {"units_needed": units}
+    return held
+
+
+def _figure3_json(figure: "Figure3") -> dict[str, object]:
+    from undrift.study.figure3 import COMPARED
+
+    return {
+        **dict(zip(FIGURE3_KEYS, figure.actual_max_deg, strict=True)),
+        "decrease_deg": figure.decrease_deg,
+        "simulated_actual_max_deg": figure.simulated_actual_max_deg[2],
+        "compared": COMPARED,
+        "actual_max_deg": figure.actual_max_deg,
+        "simulated_max_deg": figure.simulated_max_deg,
+        "simulated_actual_by_level_deg": figure.simulated_actual_max_deg,
+        "correlation": figure.correlation,
+    }
+
+
+def _real_json(real: "RealOutcome") -> dict[str, object]:
+    def compared(rows: "tuple[CohortComparison, ...]") -> list[dict[str, object]]:
+        return [asdict(row) | {"inside": row.inside, "said": row.note} for row in rows]  # binding key
+
+    return {
+        "trials": [
+            {
+                "level": level.level,
+                "rounding": level.rounding,
+                "median": {name: getattr(level.median, name) for name in REAL_FIGURES},
+                "trials": [{"recording": trial.recording} | asdict(trial.figures) for trial in level.trials],
+                "agreement": level.agreement and asdict(level.agreement),
+            }
+            for level in real.errors
+        ],
+        "captures": compared(real.motions),
+        "worn": real.worn
+        and {
+            "rows": [asdict(row) for row in real.worn.rows],
+            "agreement": {level: asdict(pairwise) for level, pairwise in real.worn.agreement},
+        },
+        "stances": compared(real.sways),
+        "lacks": [lack.text for lack in real.lacks],
+        "figure3": real.figure3 and _figure3_json(real.figure3),
+    }
+
+
+def _task_json(task: "TaskOutcome") -> dict[str, object]:
+    from undrift.io.store import findings_json
+    from undrift.study.plan import ERRORS
+
+    surface, found, stopping, front = task.surface, task.optimum, task.stopping, task.front
+    powers = {power.name: power for power in task.powers}
+    errors = ("error_rms_deg", "error_max_deg", "honest_error_deg", "honest_interval_deg", "p_value")
+    return {
+        "task": surface.task,
+        "optimum": _protocol(surface, found.best),
+        **{key: getattr(found, key) for key in errors},
+        "errors": {name: float(getattr(surface, name)[:, found.best].mean()) for name in ERRORS},
+        "equivalent_protocols": int(found.equivalent.sum()),
+        "protocols": len(surface.cutoff_hz),
+        "worse_protocols": int(found.worse.sum()),
+        "undecided_protocols": int(found.undecided.sum()),
+        "flat": found.flat,
+        "deciding": found.deciding,
+        "failed_runs": found.failed,
+        "rig_minutes": float(surface.rig_minutes[found.best]),
+        "cheapest": {
+            "protocol": _protocol(surface, found.cheapest),
+            "error_rms_deg": float(surface.error("rms", found.timing)[:, found.cheapest].mean()),
+            "rig_minutes": float(surface.rig_minutes[found.cheapest]),
+        },
+        "tested": dict(zip(("optimum", "cheapest"), map(asdict, task.tested), strict=True)),
+        "pareto": [
+            _protocol(front.surface, place)
+            | {"rig_minutes": float(front.surface.rig_minutes[place]), "interval_deg": interval}
+            | {key: float(getattr(front.surface, key)[:, place].mean()) for key in ERRORS}
+            for interval, place in zip(front.interval_deg.tolist(), front.places.tolist(), strict=True)
+        ],
+        "left_out": surface.left_out,
+        "untried": [
+            {
+                "parameter": f"{row.parameter}_dps",
+                "value": round(row.value / RADIAN_PER_DEGREE, 9),
+                "reason": row.reason,
+            }
+            for row in task.untried
+        ],
+        "made_of": [_split_json(split) for split in task.splits],
+        "effects": [_effect_json(effect, powers.get(effect.name)) for effect in found.effects],
+        "one_way": task.one_way and asdict(task.one_way),
+        "repeated_measures": task.repeated and asdict(task.repeated),
+        "optional_stopping": stopping
+        and {"parameter": task.stopping_of}
+        | {key: getattr(stopping, key) for key in ("looks", "crossings", "false_alarm")},
+        "note": _note_json(task),
+        "halving": _halving_json(task),
+        "findings": findings_json(task.findings),
+    }
+
+
+def _split_json(split: "Split") -> dict[str, object]:
+    terms = [
+        {key: getattr(term, key) for key in ("effect", "share", "share_interval", "rms_deg", "span_deg")}
+        | {"verdict": term.judged.verdict, "p_better": term.judged.p_better, "best": split.values[term.best]}
+        for term in split.terms
+    ]
+    return {
+        **{key: getattr(split, key) for key in ("parameter", "values", "rms_deg", "together")},
+        "verdict": split.judged.verdict,
+        "covering": [term.effect for term in split.covering],
+        "terms": terms,
+    }
+
+
+def _protocol(surface: "TaskSurface", place: int) -> dict[str, float]:
+    return {name: round(float(surface.column(name)[place]), 9) for name in surface.names}
+
+
+def _note_json(task: "TaskOutcome") -> dict[str, object] | None:
+    surface, note = task.surface, task.note
+    if note is None:
+        return None
+    values = [
+        {"parameter": each.name, "value": each.value, "verdict": each.verdict, "because": each.finding.text}
+        | {
+            name: found
+            and asdict(found) | {"other": _protocol(surface, found.other), "subjects_needed": found.subjects_needed}
+            for name, found in (("lower", each.lower), ("upper", each.upper))
+        }
+        for each in note.values
+    ]
+    figures = {key: getattr(note, key) for key in ("error_deg", "difference_deg", "verdict")}
+    return {**asdict(note.row), **figures, "because": note.finding.text, "values": values}
+
+
+def _halving_json(task: "TaskOutcome") -> dict[str, object] | None:
+    halving = task.halving
+    if halving is None:
+        return None
+    rounds = []
+    for each in halving.rounds:
+        means = zip(each.candidates, each.mean_deg.tolist(), strict=True)
+        rows = [_protocol(halving.every, int(place)) | {"mean_deg": mean} for place, mean in means]
+        rounds.append({"subjects": each.subjects, "protocols": rows})
+    numbers = {"runs": halving.runs, "runs_of_grid": halving.runs_of_grid, "generations": halving.generations}
+    return {**numbers, "rounds": rounds}
+
+
+def _effect_json(effect: "ParameterEffect", power: "EffectPower | None") -> dict[str, object]:
+    test, judged = effect.test, effect.judged
+    return {
+        "parameter": effect.name,
+        **{key: getattr(effect, key) for key in ("values", "means_deg", "span_deg", "missing", "dropped")},
+        "untested": effect.untested and effect.untested.detail,
+        "f": test and test.f,
+        "p_value": test and test.p_value,
+        "p_holm": effect.p_holm,
+        "partial_eta_squared": test and test.partial_eta_squared,
+        "partial_eta_squared_interval": test and test.partial_eta_squared_interval,
+        "judged": judged
+        and {key: getattr(judged, key) for key in ("verdict", "p_better", "p_equivalent", "subjects_needed")}
+        | {
+            "decisions": [
+                asdict(each) | {"other": effect.values[each.other], "subjects_needed": each.subjects_needed}
+                for each in judged.decisions
+            ]
+        },
+        "greenhouse_geisser": effect.anova and effect.epsilon,
+        "power": power and power.power,
+        "subjects_needed": power and power.subjects,
+        "anova": effect.anova and asdict(effect.anova),
+        "mixed_model": effect.mixed and asdict(effect.mixed),
+        "pairs": [
+            asdict(pair) | {"first": effect.values[pair.first], "second": effect.values[pair.second]}
+            for pair in effect.pairs
+        ],
+    }
