@@ -11,11 +11,12 @@
 import itertools
 import logging
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
+from undrift.arrays import FloatArray
 from undrift.base.clock import HOST, Clock, Repeat
 from undrift.errors import InputError, LinkError, RigTimeout, UndriftError
 from undrift.live.clock import Block, ClockSettings, Timeline
@@ -121,11 +122,10 @@ class Recorder:
                     keep_s=keep_s,
                 )
             blocks = [block for block in self._ring if block.time[-1] >= first and block.time[0] <= last]
-        times = np.concatenate([block.time for block in blocks]) if blocks else np.empty(0)
+        times, values = _joined(blocks)
         # in the host's time, as in `complete`: rounding there and back would leave the last one out
         inside = (times >= first) & (fit.host_zero + fit.rate * (times - fit.device_zero) <= stop)
         if (count := int(inside.sum())) >= 2:
-            values = np.concatenate([block.values for block in blocks])
             return self.source.description.record(times[inside], values[inside])
         if certain:
             raise RigTimeout(
@@ -140,13 +140,9 @@ class Recorder:
         with self._news:
             self.check()
             blocks = list(itertools.takewhile(lambda block: block.time[-1] > device_time, reversed(self._ring)))[::-1]
-        if not blocks:
-            return None
-        times = np.concatenate([block.time for block in blocks])
+        times, values = _joined(blocks)
         later = times > device_time
-        if int(later.sum()) < 2:
-            return None
-        return self.source.description.record(times[later], np.concatenate([block.values for block in blocks])[later])
+        return self.source.description.record(times[later], values[later]) if int(later.sum()) >= 2 else None
 
     def latest(self) -> str:
         """Return the newest reading in words."""
@@ -225,6 +221,12 @@ class Recorder:
                         f"{self.source.name}: wanted {what} within {deadline_s:g} s, got {got}", deadline_s=deadline_s
                     )
                 self._news.wait(min(left, WAKE_S))
+
+
+def _joined(blocks: Sequence[Block]) -> tuple[FloatArray, FloatArray]:
+    """Return device times (N,) and values (N, C) of blocks of the ring, one after the other."""
+    times, values = [np.empty(0), *(block.time for block in blocks)], [block.values for block in blocks]
+    return np.concatenate(times), np.concatenate(values) if values else np.empty((0, 0))
 
 
 class DwellReadings:

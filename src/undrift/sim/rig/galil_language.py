@@ -412,6 +412,11 @@ class GalilMachine(Machine):
                 self.tell(self.card.unsolicited.popleft())
 
     @property
+    def powered(self) -> bool:
+        """Whether it has power."""
+        return self.card.wiring.powered
+
+    @property
     def motor_on(self) -> bool:
         """Whether the servo holds the axis."""
         with self.lock:
@@ -459,8 +464,8 @@ class GalilSession(Session):
     """One client's bytes."""
 
     def __init__(self, machine: GalilMachine, serial: bool) -> None:
-        super().__init__()
-        self._machine, self._serial = machine, serial
+        super().__init__(machine)
+        self._card, self._program, self._serial = machine.card, machine.program, serial
         self.forget()
 
     def forget(self) -> None:
@@ -469,77 +474,60 @@ class GalilSession(Session):
         self._quoted = self._dropping = self._downloading = False
         self._begun: float | None = None
 
-    def feed(self, data: bytes) -> list[bytes]:
-        """Take bytes from the client."""
-        machine = self._machine
-        with machine.lock:
-            machine.tick()
-            if not machine.card.wiring.powered:
-                return []
-            answers = [answer for letter in data.decode("latin-1") for answer in self._take(letter)]
-            machine.tick()
-            return [answer for answer in answers if answer]
-
     def unasked(self) -> bytes:
         """Return what the card says without being asked, since the last look."""
         machine = self._machine
         with machine.lock:
-            late = (
-                self._begun is not None and machine.clock.now() - self._begun > machine.card.settings.serial_timeout_s
-            )
-            if self._serial and late:
-                self._unasked += self._refuse(Error.SERIAL_TIMEOUT.value[0], "\r")
+            open_s = 0.0 if self._begun is None else machine.clock.now() - self._begun
+            if self._serial and open_s > self._card.settings.serial_timeout_s:
+                self._unasked += self._refuse(Error.SERIAL_TIMEOUT.value[0], "\r").encode()
             return super().unasked()
 
     def tell(self, data: bytes) -> None:
         """Queue a message; CW1 sets the high bit of each character."""
-        super().tell(bytes(byte | 0x80 for byte in data) if self._machine.card.values["CW"] == 1.0 else data)
+        super().tell(bytes(byte | 0x80 for byte in data) if self._card.values["CW"] == 1.0 else data)
 
-    def _take(self, letter: str) -> list[bytes]:
+    def _take(self, letter: str) -> str:
         if letter == "\n":
-            return []
+            return ""
         if self._downloading:
             return self._download(letter)
         if letter == "\r" or (letter == ";" and not self._quoted):
             line, self._line, self._quoted, self._begun = self._line, "", False, None
             dropped, self._dropping = self._dropping, self._dropping and letter == ";"
-            return [] if dropped else [self._answer(line, letter)]
+            return "" if dropped else self._reply(line, letter)
         if self._dropping:
-            return []
+            return ""
         if not self._line:
             self._begun = self._machine.clock.now()
         self._line += letter
         self._quoted ^= letter == '"'
-        if len(self._line) > self._machine.card.settings.line_length:
-            return [self._refuse(Error.BUFFER_FULL.value[0], ";")]
-        return []
+        full = len(self._line) > self._card.settings.line_length
+        return self._refuse(Error.BUFFER_FULL.value[0], ";") if full else ""
 
-    def _answer(self, line: str, end: str) -> bytes:
-        card = self._machine.card
+    def _reply(self, line: str, end: str) -> str:
         try:
-            text = self._machine.program.command(line)
+            text = self._program.command(line)
             if text == "DL":  # no prompt until the program has come
                 self._downloading = True
-                return b""
-            if text is None:
-                text = execute(card, line)
+                return ""
+            return (execute(self._card, line) if text is None else text) + ":"
         except Refused as refusal:
             return self._refuse(refusal.code, end)
-        return (text + ":").encode("latin-1", "replace")
 
-    def _refuse(self, code: int, end: str) -> bytes:
-        self._machine.card.error_code = code
+    def _refuse(self, code: int, end: str) -> str:
+        self._card.error_code = code
         self._line, self._quoted, self._begun = "", False, None
         self._dropping = end == ";"
-        return b"?"
+        return "?"
 
-    def _download(self, letter: str) -> list[bytes]:
+    def _download(self, letter: str) -> str:
         if letter not in "\\\x1a":
             self._line += letter
-            return []
+            return ""
         text, self._line, self._downloading = self._line, "", False
         try:
-            self._machine.program.load(text)
+            self._program.load(text)
         except Refused as refusal:
-            return [self._refuse(refusal.code, "\r")]
-        return [b":"]
+            return self._refuse(refusal.code, "\r")
+        return ":"

@@ -505,24 +505,13 @@ class GrblSession(Session):
     """One client's bytes."""
 
     def __init__(self, machine: GrblMachine) -> None:
-        super().__init__()
-        self._machine, self._line = machine, ""
+        super().__init__(machine)
+        self._board, self._line = machine.board, ""
         self._lines: deque[str] = deque()  # those that wait for room among the moves
 
     def greet(self) -> bytes:
         """Return the greeting, as a board gives it when its port is opened."""
-        return greeting(self._machine.settings).encode()
-
-    def feed(self, data: bytes) -> list[bytes]:
-        """Take bytes from the client."""
-        machine = self._machine
-        with machine.lock:
-            machine.tick()
-            if not machine.powered:
-                return []
-            answers = [self._take(letter) for letter in data.decode("latin-1")]
-            machine.tick()
-            return [answer.encode("latin-1") for answer in answers if answer]
+        return greeting(self._board.settings).encode()
 
     def unasked(self) -> bytes:
         """Return what the board says without being asked, since the last look."""
@@ -534,7 +523,7 @@ class GrblSession(Session):
             if letter == "\x18":
                 self._line = ""
                 self._lines.clear()
-            return self._machine.board.at_once(letter)
+            return self._board.at_once(letter)
         if letter in "\r\n":
             line, self._line = self._line, ""
             if letter == "\r" and not line:
@@ -547,7 +536,7 @@ class GrblSession(Session):
 
     def _work(self) -> str:
         # a full board does not read on
-        board, answers = self._machine.board, ""
+        board, answers = self._board, ""
         board.advance()
         while self._lines and not board.full:
             line = self._lines.popleft()

@@ -97,16 +97,24 @@ class FaultyLink:
 class Session:
     """One client of a machine: this one reads nothing and sends what it is given."""
 
-    def __init__(self) -> None:
-        self._unasked = b""
+    def __init__(self, machine: "Machine") -> None:
+        self._machine, self._unasked = machine, b""
 
     def greet(self) -> bytes:
         """Return what a new client hears."""
         return b""
 
     def feed(self, data: bytes) -> list[bytes]:
-        """Take bytes, return answers."""
-        return []
+        """Take bytes letter by letter, return answers; without power there are none."""
+        machine = self._machine
+        with machine.lock:
+            machine.tick()
+            answers = [self._take(letter) for letter in data.decode("latin-1")] if machine.powered else []
+            machine.tick()
+            return [answer.encode("latin-1", "replace") for answer in answers if answer]
+
+    def _take(self, letter: str) -> str:
+        return ""
 
     def tell(self, data: bytes) -> None:
         """Queue a message."""
@@ -125,9 +133,14 @@ class Machine:
         self.clock, self.lock = clock, threading.RLock()
         self.sessions: list[Session] = []
 
+    @property
+    def powered(self) -> bool:
+        """Whether it has power."""
+        return True
+
     def new_session(self, serial: bool) -> Session:
         """Make what a client talks to."""
-        return Session()
+        return Session(self)
 
     def open_session(self, serial: bool) -> Session:
         """Return what a new client talks to."""
@@ -152,8 +165,8 @@ class Machine:
 class LineSession(Session):
     """One client that gives commands line by line."""
 
-    def __init__(self, obey: Callable[[str], str]) -> None:
-        super().__init__()
+    def __init__(self, machine: "Machine", obey: Callable[[str], str]) -> None:
+        super().__init__(machine)
         self._obey, self._held = obey, b""
 
     def feed(self, data: bytes) -> list[bytes]:
@@ -173,7 +186,7 @@ class LineMachine(Machine):
 
     def new_session(self, serial: bool) -> Session:
         """Make what a client talks to."""
-        return LineSession(self._answer)
+        return LineSession(self, self._answer)
 
     def _answer(self, line: str) -> str:
         try:

@@ -188,7 +188,7 @@ class EmulatedDevice(Served, Machine):
 
     def new_session(self, serial: bool) -> "DeviceSession":
         """Make what a client hears."""
-        return DeviceSession()
+        return DeviceSession(self)
 
     def _mount(self, face: Face) -> None:
         tilt = self._hands.normal(0.0, 1.0, 3) * self.settings.mount_tilt_sd
