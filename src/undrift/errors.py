@@ -91,3 +91,11 @@ class LimitError(RigError):
 
 class RegistryError(UndriftError):
     """The registry of devices and calibrations refused."""
+
+
+def check_positive(settings: object, what: str, advice: str, *names: str) -> None:
+    """Refuse settings of which a named number is not above 0 and finite; one that is None is left out."""
+    for name in names:
+        value = getattr(settings, name)
+        if value is not None and not 0.0 < value < float("inf"):
+            raise InputError(f"{what}: wanted {name} above 0, got {value}; {advice}")

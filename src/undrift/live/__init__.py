@@ -12,7 +12,7 @@ Out: a ``Record`` of a stretch of time, in the device's units and axes (frame s)
 Two clocks are at work: device time in s from the first reading, which is the time of a record, and the host's monotonic clock, by
 which dwells are asked for. A reading counts for a dwell only where it was certainly taken after its start. A garbled reading is
 counted and left out, a silent device is an error. Raw units are those that the address states (count, v, dps, g ...); nothing is
-scaled but the thermometer.
+scaled but the thermometer, and the volts of a sensor that a `daq` address names.
 
 Open ``recorder`` first; a new kind of source is a function from an ``Address`` and a row in ``transports.SOURCES``.
 """

@@ -173,10 +173,8 @@ def daq_source(address: Address) -> Source:
     described = replace(described, **units)  # type: ignore[arg-type]
     by_channel = tuple(scales.get(name.split("_")[0], Scale()) for name in described.channels)
 
-    def connect() -> Board:
-        return Board(address.place, described, low_v, high_v, terminal)
-
-    return DaqSource(f"daq:{address.place}", described, connect, by_channel)
+    place = address.place
+    return DaqSource(f"daq:{place}", described, lambda: Board(place, described, low_v, high_v, terminal), by_channel)
 
 
 def _scale(address: Address, triad: str) -> Scale | None:

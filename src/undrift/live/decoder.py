@@ -8,6 +8,7 @@ address, ``tcp://host:port?channels=count,gyro_x,gyro_y,gyro_z,accel_x,accel_y,a
 import binascii
 import re
 import zlib
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from functools import reduce
@@ -19,7 +20,7 @@ import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray, frozen
 from undrift.base.codec import stored, toml_of, value_of
-from undrift.errors import InputError
+from undrift.errors import InputError, check_positive
 from undrift.record import Record
 from undrift.units import canonical_unit
 
@@ -77,9 +78,7 @@ class StreamDescription:
 
     def __post_init__(self) -> None:
         self._check_channels()
-        for name in ("rate", "clock_speed"):
-            if not 0.0 < getattr(self, name) < float("inf"):
-                raise InputError(f"stream: wanted {name} above 0, got {getattr(self, name)}; there is no default")
+        check_positive(self, "stream", "there is no default", "rate", "clock_speed")
         object.__setattr__(self, "gyro_unit", canonical_unit(self.gyro_unit, "rate"))
         object.__setattr__(self, "accel_unit", canonical_unit(self.accel_unit, "accel"))
         if self.format not in get_args(Framing):
@@ -289,22 +288,38 @@ class Chunk:
 LONGEST_LINE = 4096
 
 
-class LineDecoder:
-    """Lines of numbers, ``12,0.5,-3`` or ``$12,0.5,-3*5C`` with a checksum of what stands between $ and *."""
+class Decoder(ABC):
+    """Bytes in, rows of numbers out; a framing finds the rows in what has come."""
 
     def __init__(self, description: StreamDescription) -> None:
         self.errors = 0
-        self._width = len(description.channels)
+        self._width, self._checksum = len(description.channels), CHECKSUMS[description.checksum]
+        self._rest = b""
+
+    def feed(self, data: bytes, *, whole: bool = False) -> FloatArray:
+        """Take bytes, return what they complete, (N, K); whole bytes are a datagram, of which nothing is kept."""
+        rows = self._rows(self._rest + data, whole)
+        sound = finite(rows)
+        self.errors += len(rows) - len(sound)
+        return sound
+
+    @abstractmethod
+    def _rows(self, held: bytes, whole: bool) -> FloatArray:
+        """Return the rows in what has come, and keep what may go on."""
+
+
+class LineDecoder(Decoder):
+    """Lines of numbers, ``12,0.5,-3`` or ``$12,0.5,-3*5C`` with a checksum of what stands between $ and *."""
+
+    def __init__(self, description: StreamDescription) -> None:
+        super().__init__(description)
         self._separator = description.separator.encode("ascii", errors="replace")
         if not self._separator:
             raise InputError("stream: wanted a separator between the numbers of a line, got none; name it")
-        self._checksum = None if description.checksum == "none" else CHECKSUMS[description.checksum]
-        self._rest = b""
         self._first = True
 
-    def feed(self, data: bytes, *, whole: bool = False) -> FloatArray:
-        """Take bytes, return what they complete, (N, K)."""
-        *lines, self._rest = (self._rest + data).split(b"\n")
+    def _rows(self, held: bytes, whole: bool) -> FloatArray:
+        *lines, self._rest = held.split(b"\n")
         if whole:
             lines.append(self._rest)
             self._rest, self._first = b"", False
@@ -319,15 +334,12 @@ class LineDecoder:
             elif stripped and not self._first:
                 self.errors += 1
             self._first = False
-        table = np.array(rows, dtype=float).reshape(-1, self._width)
-        sound = finite(table)
-        self.errors += len(table) - len(sound)
-        return sound
+        return np.array(rows, dtype=float).reshape(-1, self._width)
 
     def _row(self, line: bytes) -> list[float] | None:
         line = line.removeprefix(b"$")
         try:
-            if self._checksum is not None:
+            if self._checksum.size:
                 line, _, stated = line.rpartition(b"*")
                 if len(stated) != 2 * self._checksum.size or int(stated, 16) != self._checksum.of(line):
                     return None
@@ -339,26 +351,22 @@ class LineDecoder:
             return None
 
 
-class FrameDecoder:
+class FrameDecoder(Decoder):
     """Frames: sync bytes, fields of fixed width, checksum of the fields. After a bad one the next sync bytes are looked for."""
 
     def __init__(self, description: StreamDescription) -> None:
-        self.errors = 0
+        super().__init__(description)
         try:
             self._sync = bytes.fromhex(description.sync)
         except ValueError as error:
             raise InputError(f"stream: wanted sync bytes in hex, got '{description.sync}'; as in aa55") from error
         if not self._sync:
             raise InputError("stream: wanted sync bytes, got none; a frame that cannot be found again is not read")
-        self._fields = frame_fields(description.pack, len(description.channels))
-        self._checksum = CHECKSUMS[description.checksum]
+        self._fields = frame_fields(description.pack, self._width)
         self._order: str = "little" if description.pack.startswith("<") else "big"
-        self._rest = b""
         self._in_step = True  # what stands before the first sync bytes is a frame that was under way
 
-    def feed(self, data: bytes, *, whole: bool = False) -> FloatArray:
-        """Take bytes, return what they complete, (N, K)."""
-        held = self._rest + data
+    def _rows(self, held: bytes, whole: bool) -> FloatArray:
         head, body, tail = len(self._sync), self._fields.itemsize, self._checksum.size
         at, found = 0, []
         while len(held) - at >= head + body + tail:
@@ -375,11 +383,8 @@ class FrameDecoder:
         if whole and at < len(held):
             self.errors += 1
         table = np.frombuffer(b"".join(found), dtype=self._fields)
-        names = self._fields.names or ()
-        rows = np.array([table[name].astype(float) for name in names]).T.reshape(len(table), len(names))
-        sound = finite(rows)
-        self.errors += len(rows) - len(sound)
-        return sound
+        columns = [table[name].astype(float) for name in self._fields.names or ()]
+        return np.array(columns).T.reshape(len(table), self._width)
 
     def _resume(self, held: bytes, at: int) -> int:
         """Return where the next sync bytes may stand; a stretch of rubbish is one error."""
@@ -410,6 +415,6 @@ def finite(rows: FloatArray) -> FloatArray:
     return np.asarray(rows[~np.isinf(rows).any(axis=1)])
 
 
-def decoder_for(description: StreamDescription) -> LineDecoder | FrameDecoder:
+def decoder_for(description: StreamDescription) -> Decoder:
     """Return the decoder of a stream."""
     return LineDecoder(description) if description.format == "line" else FrameDecoder(description)

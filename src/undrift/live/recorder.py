@@ -18,7 +18,7 @@ import numpy as np
 
 from undrift.arrays import FloatArray
 from undrift.base.clock import HOST, Clock, Repeat
-from undrift.errors import InputError, LinkError, RigTimeout, UndriftError
+from undrift.errors import InputError, LinkError, RigTimeout, UndriftError, check_positive
 from undrift.live.clock import Block, ClockSettings, Timeline
 from undrift.live.transports import Source
 from undrift.record import Record
@@ -40,9 +40,7 @@ class RecorderSettings:
     gather_s: float = 0.0
 
     def __post_init__(self) -> None:
-        for name in ("silence_s", "keep_s"):
-            if not getattr(self, name) > 0.0:
-                raise InputError(f"recorder: wanted {name} above 0, got {getattr(self, name)}; every wait has an end")
+        check_positive(self, "recorder", "every wait has an end", "silence_s", "keep_s")
         if not 0.0 <= self.gather_s <= READ_S:
             raise InputError(
                 f"recorder: wanted gather_s from 0 to {READ_S:g} s, got {self.gather_s}; readings would pile up"

@@ -380,10 +380,8 @@ def tcp_source(address: Address) -> Source:
     if not host:
         raise InputError(f"device: wanted tcp://host:port, got no host in '{address.place}'; name it")
 
-    def connect() -> Port:
-        return tcp_port(host, port, CONNECT_S, address.clock)
-
-    return ByteSource(f"tcp://{host}:{port}", address.describe(), connect, address.clock)
+    way = f"tcp://{host}:{port}"
+    return ByteSource(way, address.describe(), lambda: tcp_port(host, port, CONNECT_S, address.clock), address.clock)
 
 
 def udp_source(address: Address) -> Source:

@@ -1,8 +1,8 @@
 """A rate table that calibrates a device by itself: from a protocol to readings on the disk, whatever controller stands behind it.
 
 In: a protocol (``programme``: faces, rates, temperatures), the addresses of a table, a device and, where it is warmed, a chamber.
-Out: a folder with a recording for each dwell and ``session.toml``, which `calibrate` and `drift` read; the rate of a dwell is the one
-that the encoder shows, not the one that was asked for.
+Out: a folder with a recording for each dwell and ``session.toml``, which `calibrate` and `drift` read; the rate of a dwell is the
+one that the encoder shows, not the one that was asked for.
 
 ``programme``   what is done step by step, and how long it takes; nothing is opened
 ``rig``         what every table can do, its limits, the rate achieved, and WATCHED: who watches what, and what follows
@@ -13,9 +13,9 @@ that the encoder shows, not the one that was asked for.
 ``check``       acceptance of a table: following error and the margin of its servo loop
 
 Angles are rad and rates rad/s about the table's own axis, +z up; a device is read in its own axes (frame s) and units. Times are
-those of the table's clock (base/clock.py): the host's, an emulator's that runs faster, or a virtual one in tests. deg, deg/s and degC
-appear in messages and files alone. Numbers are rounded as the controller rounds them before a byte is sent, and read back. Whatever
-ends a run, the table is at rest and its motor off, or the message says NOT CONFIRMED. No estimator is imported here.
+those of the table's clock (base/clock.py): the host's, an emulator's that runs faster, or a virtual one in tests. deg, deg/s and
+degC appear in messages and files alone. Numbers are rounded as the controller rounds them, before a byte is sent, and read back.
+Whatever ends a run, the table is at rest and its motor off, or the message says NOT CONFIRMED. No estimator is imported here.
 
 Open ``run`` first; a new controller is a file like ``grbl`` and a row in ``rig.CONTROLLERS``.
 """

@@ -30,7 +30,7 @@ import numpy as np
 
 from undrift.arrays import FloatArray
 from undrift.base.clock import HOST, Clock
-from undrift.errors import InputError, LimitError, LinkError, RigError, RigFault
+from undrift.errors import InputError, LimitError, LinkError, RigError, RigFault, check_positive
 from undrift.live.transports import number_of
 from undrift.plugins import load_named, names_in
 from undrift.record import Face, Record
@@ -49,11 +49,8 @@ class SoakSettings:
     tolerance_c: float = 0.5  # Largest distance from the set-point, K
 
     def __post_init__(self) -> None:
-        for name in ("slope_c_per_min", "window_s", "tolerance_c"):
-            if not getattr(self, name) > 0.0:
-                raise InputError(
-                    f"soak: wanted {name} above 0, got {getattr(self, name)}; nothing is steadier than steady"
-                )
+        names = ("slope_c_per_min", "window_s", "tolerance_c")
+        check_positive(self, "soak", "nothing is steadier than steady", *names)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -72,8 +69,7 @@ class ChamberSettings:
             raise InputError(
                 f"chamber: wanted a lowest set-point below the highest, got {self.lowest_c} and {self.highest_c} degC; state both"
             )
-        if not self.reply_timeout_s > 0.0:
-            raise InputError(f"chamber: wanted reply_timeout_s above 0, got {self.reply_timeout_s}; state it")
+        check_positive(self, "chamber", "state it", "reply_timeout_s")
 
 
 class Steadiness:

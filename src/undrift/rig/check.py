@@ -25,7 +25,7 @@ import numpy as np
 
 from undrift.arrays import FloatArray
 from undrift.base.clock import Clock
-from undrift.errors import InputError, RigError, RigTimeout
+from undrift.errors import InputError, RigError, RigTimeout, check_positive
 from undrift.findings import Finding, finding
 from undrift.model import Verdict
 from undrift.rig.rig import Gains, Position, Rig, Servo, Trace, achieved_turn_rate
@@ -62,9 +62,8 @@ class CheckSettings:
     set_gains: bool = False  # Leave the suggested gains on the controller
 
     def __post_init__(self) -> None:
-        for name in ("turn_rate", "duration_s", "acceleration", "limit", "half_period_s"):
-            if not 0.0 < getattr(self, name) < math.inf:
-                raise InputError(f"rig check: wanted {name} above 0, got {getattr(self, name)}; state another")
+        names = ("turn_rate", "duration_s", "acceleration", "limit", "half_period_s")
+        check_positive(self, "rig check", "state another", *names)
         if not self.turn_rate / self.acceleration < 0.2 * self.half_period_s:
             raise InputError(
                 f"rig check: wanted run-ups below {0.2 * self.half_period_s:g} s, got "

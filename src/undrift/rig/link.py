@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Protocol, TypeAlias, TypeVar
 
 from undrift.base.clock import HOST, Clock, Port
-from undrift.errors import InputError, LinkError, RigError, RigTimeout
+from undrift.errors import InputError, LinkError, RigError, RigTimeout, check_positive
 from undrift.live.transports import POLL_S, SerialPort, host_and_port, reason_of, tcp_port
 from undrift.rig.rig import Limits, RigSettings
 
@@ -60,9 +60,7 @@ class LinkSettings:
     clock: Clock = HOST  # By which it waits
 
     def __post_init__(self) -> None:
-        for name in ("reply_timeout_s", "connect_timeout_s", "baud"):
-            if not getattr(self, name) > 0:
-                raise InputError(f"link: wanted {name} above 0, got {getattr(self, name)}; every wait has an end")
+        check_positive(self, "link", "every wait has an end", "reply_timeout_s", "connect_timeout_s", "baud")
 
 
 def link_settings(settings: RigSettings, baud: int = 19200) -> LinkSettings:

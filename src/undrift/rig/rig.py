@@ -22,7 +22,7 @@ import numpy as np
 
 from undrift.arrays import FloatArray
 from undrift.base.clock import Clock
-from undrift.errors import InputError, LimitError
+from undrift.errors import InputError, LimitError, check_positive
 from undrift.plugins import load_named, split_address
 from undrift.rig.programme import Dwell, Programme
 from undrift.units import RADIAN_PER_DEGREE
@@ -105,10 +105,7 @@ class Limits:
     travel: float | None = None  # Largest angle either way from where it was connected, rad; None turns without end
 
     def __post_init__(self) -> None:
-        for name in ("turn_rate", "acceleration", "travel"):
-            value = getattr(self, name)
-            if value is not None and not (math.isfinite(value) and value > 0.0):
-                raise InputError(f"limits: wanted {name} above 0, got {value}; a rig without limits is not driven")
+        check_positive(self, "limits", "a rig without limits is not driven", "turn_rate", "acceleration", "travel")
 
     def check_turn_rate(self, turn_rate: float) -> None:
         """Refuse a rate beyond the limits."""

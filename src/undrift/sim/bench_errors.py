@@ -99,21 +99,16 @@ class BenchDraws:
 def draw_bench(rng: np.random.Generator, turns: Sequence[np.random.Generator], *, soaks: int) -> BenchDraws:
     """Draw a bench; each size of rate has a generator of its own, so that it meets the same draws beside any others."""
     kinds = 6 * soaks
-    mount, level, clock, face = (rng.standard_normal(shape) for shape in ((3, 3), 2, 1, (6, 3)))
-    soak, left = rng.standard_normal((3, soaks)), rng.uniform(size=(3, soaks))
-    drawn, start = [], []
-    for each in turns:
-        drawn.append(each.standard_normal((kinds, 4)))
-        start.append(each.uniform(size=(kinds, 2)))
-    wobble, servo = np.hsplit(np.concatenate(drawn), [3])
-    return BenchDraws(
-        mount=mount,
-        level=level,
-        clock=float(clock[0]),
-        face=face,
-        soak=soak,
-        left=left,
-        wobble=wobble,
-        servo=servo[:, 0],
-        start=np.concatenate(start),
+    drawn = [(each.standard_normal((kinds, 4)), each.uniform(size=(kinds, 2))) for each in turns]
+    normals, start = (np.concatenate(part) for part in zip(*drawn, strict=True))
+    return BenchDraws(  # in the order of the draws
+        mount=rng.standard_normal((3, 3)),
+        level=rng.standard_normal(2),
+        clock=float(rng.standard_normal(1)[0]),
+        face=rng.standard_normal((6, 3)),
+        soak=rng.standard_normal((3, soaks)),
+        left=rng.uniform(size=(3, soaks)),
+        wobble=normals[:, :3],
+        servo=normals[:, 3],
+        start=start,
     )

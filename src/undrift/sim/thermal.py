@@ -29,7 +29,7 @@ from typing import Annotated, Any, Literal, cast, get_args
 import numpy as np
 
 from undrift.arrays import FloatArray, Shape, freeze
-from undrift.errors import InputError
+from undrift.errors import InputError, check_positive
 from undrift.record import FACES, Face, Record, Session, Still, Turn
 from undrift.sim.device.effects import Past, Scene, Thermometer
 from undrift.sim.device.model import DeviceModel
@@ -59,9 +59,7 @@ class ChamberSettings:
     step_s: float = 1.0  # Step of the profile, s
 
     def __post_init__(self) -> None:
-        for name in self.__dataclass_fields__:
-            if not getattr(self, name) > 0.0:
-                raise InputError(f"chamber: wanted {name} above 0, got {getattr(self, name):g}; correct the settings")
+        check_positive(self, "chamber", "correct the settings", *self.__dataclass_fields__)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -240,7 +238,6 @@ Recorded = Literal["soaked", "throughout"]
 
 SET_POINTS_C = (18.0, *(float(temp) for temp in range(25, 76, 5)))  # the note's range, every 5 K from 25 degC on
 INCLUSIVE_RATES = tuple(rate * RADIAN_PER_DEGREE for rate in range(5, 91, 5))  # sit-to-stand, both ends: 36 both ways
-CHAMBER, RAMP, WARM_UP = ChamberSettings(), RampSettings(), WarmUpSettings()
 BENCH = BenchSettings(sample_rate_hz=50.0, turn_rates=INCLUSIVE_RATES)
 
 
@@ -252,7 +249,7 @@ class ThermalSettings:
     # 5, each both ways; none leaves the table out), ramp_s and dwell_s (0.5 and 3 s), tilt of the faces (0), poses
     # and first still of a multi-position session (24 poses, 20 s)
     bench: BenchSettings = BENCH
-    chamber: ChamberSettings = CHAMBER  # How fast temperatures follow, and when the board counts as soaked
+    chamber: ChamberSettings = ChamberSettings()  # How fast temperatures follow, and when the board counts as soaked
     # Of soaks and multi-position sessions, degC, in the order of the visits
     set_points_c: tuple[float, ...] = SET_POINTS_C
     back: bool = False  # Visit them once more in the opposite order: shows hysteresis, takes twice as long
@@ -263,8 +260,8 @@ class ThermalSettings:
     recorded: Recorded = "soaked"
     # One long record; else one for each set-point. The clock is that of the programme in either case
     one_record: bool = True
-    ramp: RampSettings = RAMP  # Of a ramp
-    warm_up: WarmUpSettings = WARM_UP  # Of a warm-up
+    ramp: RampSettings = RampSettings()  # Of a ramp
+    warm_up: WarmUpSettings = WarmUpSettings()  # Of a warm-up
     rest_face: Face = "+z"  # What points up in a ramp and a warm-up
     # Time since power-on when the programme begins, s: an hour, so that what the device owes to its age has gone. A
     # warm-up begins at power-on whatever this says

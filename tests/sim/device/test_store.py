@@ -61,7 +61,7 @@ def changed(change: Callable[[Any], object]) -> Any:
         (lambda c: c["gyro"]["adc"].update(bits=12.5), "device.gyro.adc.bits: wanted int, got 12.5"),
         (
             lambda c: c["gyro"]["adc"].update(rounding="up"),
-            "adc: wanted rounding nearest, floor, toward_zero, got 'up'",
+            "Adc.rounding: wanted nearest, floor, toward_zero, got 'up'",
         ),
     ],
 )

@@ -24,7 +24,7 @@ import math
 from collections.abc import Iterator, Mapping
 from dataclasses import MISSING, dataclass, field, fields, replace
 from functools import lru_cache
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 
@@ -37,9 +37,11 @@ from undrift.sim.motion.motion import Motion
 Shape = tuple[int | None, ...]
 
 
-def quantity(unit: str = "", shape: Shape | None = None, default: Any = MISSING, *, least: float | None = None) -> Any:
-    """Return a dataclass field that knows its unit and shape."""
-    return field(default=default, metadata={"unit": unit, "shape": shape, "least": least})
+def quantity(
+    unit: str = "", shape: Shape | None = None, default: Any = MISSING, *, least: float | None = None, of: Any = None
+) -> Any:
+    """Return a dataclass field that knows its unit and shape, or of which Literal it is."""
+    return field(default=default, metadata={"unit": unit, "shape": shape, "least": least, "of": get_args(of)})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -58,12 +60,13 @@ class Effect:
                 object.__setattr__(self, f.name, given)
             if least is not None and given is not None and not np.all(np.asarray(given) >= least):
                 raise InputError(f"{name}: wanted {least:g} or more, got {np.min(given):g}; correct the device")
+            if (known := f.metadata.get("of")) and given not in known:
+                raise InputError(f"{name}: wanted {', '.join(known)}, got '{given}'; name one of them")
 
 
 # ---- ADC: code = round(v / step + inl(v)), step = span / 2^bits; the inl is a bow of 4 p (1 - p) over the span
 
 Rounding = Literal["nearest", "floor", "toward_zero"]
-ROUNDINGS = ("nearest", "floor", "toward_zero")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -74,15 +77,10 @@ class Adc(Effect):
     reference: float = quantity("{out}", least=1e-300)  # Output unit of the stage before it
     # Codes run from -2^(bits - 1) to 2^(bits - 1) - 1, else from 0 to 2^bits - 1
     signed: bool = quantity("", None, True)
-    rounding: Rounding = quantity("", None, "nearest")  # nearest, floor or toward_zero
+    rounding: Rounding = quantity("", None, "nearest", of=Rounding)  # nearest, floor or toward_zero
     inl_lsb: FloatArray = quantity("", (3,), 0.0)  # (3,), height of the bow of the integral non-linearity, steps
     # The reading is the code (count); else the code times the step, in the unit of the stage before it
     codes: bool = quantity("", None, True)
-
-    def __post_init__(self) -> None:
-        Effect.__post_init__(self)
-        if self.rounding not in ROUNDINGS:
-            raise InputError(f"adc: wanted rounding {', '.join(ROUNDINGS)}, got '{self.rounding}'; name one of them")
 
     @property
     def step(self) -> float:
@@ -463,14 +461,8 @@ class Sampling(Effect):
     jitter_s: float = quantity("", None, 0.0, least=0.0)  # Standard deviation of the time of a sample, s
     gyro_delay_s: FloatArray = quantity("", (3,), 0.0)  # (3,), d, s
     accel_delay_s: FloatArray = quantity("", (3,), 0.0)  # (3,), d, s
-    gyro_averaging: Averaging = quantity("", None, "interval")  # instant or interval
-    accel_averaging: Averaging = quantity("", None, "instant")
-
-    def __post_init__(self) -> None:
-        Effect.__post_init__(self)
-        for name in ("gyro_averaging", "accel_averaging"):
-            if getattr(self, name) not in ("instant", "interval"):
-                raise InputError(f"{name}: wanted instant or interval, got '{getattr(self, name)}'; name one of them")
+    gyro_averaging: Averaging = quantity("", None, "interval", of=Averaging)  # instant or interval
+    accel_averaging: Averaging = quantity("", None, "instant", of=Averaging)
 
     @property
     def on_grid(self) -> bool:
@@ -605,7 +597,7 @@ class Thermometer(Effect):
     noise_c: float = quantity("", None, 0.0, least=0.0)  # Standard deviation of a sample, K
     step_c: float = quantity("", None, 0.0, least=0.0)  # Step of the reading, K; 0 for none
     zero_c: float = quantity("", None, 0.0)  # Temperature of code 0, degC
-    rounding: Rounding = quantity("", None, "nearest")  # nearest, floor or toward_zero
+    rounding: Rounding = quantity("", None, "nearest", of=Rounding)  # nearest, floor or toward_zero
 
     def shown(self, felt: FloatArray, rng: np.random.Generator) -> FloatArray:
         """Return the readings of a thermometer that feels a temperature: trim, slope, noise and steps, degC."""

@@ -22,7 +22,7 @@ import numpy as np
 
 from undrift.arrays import FloatArray
 from undrift.base.clock import HOST, Clock
-from undrift.errors import InputError, RigError, RigFault
+from undrift.errors import InputError, RigError, RigFault, check_positive
 from undrift.live.transports import host_and_port
 from undrift.record import Face
 from undrift.rig.link import Link, LinkSettings
@@ -143,9 +143,7 @@ class AirSettings:
     board_lag_s: float = 60.0  # Time constant of the device's board, s
 
     def __post_init__(self) -> None:
-        for name in ("ramp_c_per_min", "period_s", "damping", "board_lag_s"):
-            if not getattr(self, name) > 0.0:
-                raise InputError(f"emulated chamber: wanted {name} above 0, got {getattr(self, name)}; state it")
+        check_positive(self, "emulated chamber", "state it", "ramp_c_per_min", "period_s", "damping", "board_lag_s")
 
 
 class Air:

@@ -160,11 +160,6 @@ def _tell_code(card: Card, rest: str) -> str:
     return (f"{code} {ERROR_TEXT[code]}".rstrip() if argument == "1" else str(code)) + CRLF
 
 
-def _nothing(_card: Card, rest: str) -> str:
-    refuse_if("?" in rest, Error.NO_QUESTION)
-    return ""
-
-
 def _message(card: Card, rest: str) -> str:
     refuse_if(rest.count('"') % 2, Error.NOT_A_NUMBER)
     text, items = "", [item.strip() for item in _ITEM.findall(rest) if item.strip()]
@@ -262,7 +257,7 @@ def _upload(card: Card, rest: str) -> str:
 
 _WORDS: dict[str, Callable[[Card, str], str]] = {
     "AB": _abort, "TC": _tell_code, "MG": _message, "DM": _define_arrays, "DA": _free_arrays, "RA": _record_into,
-    "RD": _record_what, "RC": _record, "QU": _upload, "CF": _nothing, "EO": _nothing,
+    "RD": _record_what, "RC": _record, "QU": _upload, "CF": lambda card, rest: "", "EO": lambda card, rest: "",
 }  # fmt: skip
 
 

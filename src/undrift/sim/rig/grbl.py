@@ -180,17 +180,15 @@ def _merged(moves: list[tuple[float, float]]) -> tuple[list[tuple[float, float]]
     """Return the chain with moves shorter than a step joined to a neighbour, and how many of the chain end with each move."""
     todo: list[tuple[float, float]] = []
     part_of: list[int] = []
-    carried = 0.0
     for distance, feed in moves:
-        carried += distance
-        if abs(carried) >= DONE:
-            todo.append((carried, feed))
-            carried = 0.0
+        if todo and abs(todo[-1][0]) < DONE:
+            distance, part_of[-1] = distance + todo.pop()[0], len(todo)
+        todo.append((distance, feed))
         part_of.append(len(todo))
-    if todo:
-        todo[-1] = (todo[-1][0] + carried, todo[-1][1])
-        return todo, part_of
-    return [(carried, moves[-1][1])], [*part_of[:-1], 1]
+    if len(todo) > 1 and abs(todo[-1][0]) < DONE:
+        left, _ = todo.pop()
+        todo[-1], part_of[-1] = (todo[-1][0] + left, todo[-1][1]), len(todo)
+    return todo, part_of
 
 
 def _speeds(moves: list[tuple[float, float]], enter: float, acceleration: float) -> list[float]:
@@ -256,7 +254,10 @@ class Board:
         self.settings, self.clock = settings, clock
         self.stepper = Stepper()
         self.limit_pressed = False
-        self.values = _defaults(settings)
+        steps_per_deg = round(settings.microsteps / settings.full_step_deg, 3)
+        families = (steps_per_deg, settings.max_rate_deg_per_min, settings.acceleration_deg_s2)  # $100, $110, $120 on
+        own = {100 + 10 * k + n: value for k, value in enumerate(families) for n in range(len(settings.axes))}
+        self.values = {1: 25.0, 21: 1.0} | own  # ms of current after a motion; limit switches count
         self.start()
 
     def start(self) -> None:
@@ -404,20 +405,10 @@ def _report(board: Board) -> str:
     return f"<{board.state}|MPos:{shown}|FS:{round(abs(rate) * 60.0)},0{pins}>{EOL}"
 
 
-def _list_settings(board: Board) -> str:
-    return "".join(f"${number}={value:.{3 if number >= 100 else 0}f}{EOL}" for number, value in board.values.items())
-
-
 _INFORMATION: dict[str, Callable[[Board], str]] = {
-    "$$": _list_settings,
+    "$$": lambda board: "".join(f"${n}={value:.{3 if n >= 100 else 0}f}{EOL}" for n, value in board.values.items()),
     "$I": lambda board: f"[VER:{board.settings.version}.20190825:]{EOL}[OPT:V,15,128]{EOL}",
 }
-
-
-def _defaults(s: GrblSettings) -> dict[int, float]:
-    families = (round(s.microsteps / s.full_step_deg, 3), s.max_rate_deg_per_min, s.acceleration_deg_s2)
-    own = {100 + 10 * k + place: value for k, value in enumerate(families) for place in range(len(s.axes))}
-    return {1: 25.0, 21: 1.0} | own  # ms of current after a motion; limit switches count
 
 
 # ---- Grbl: an emulated stepper board behind the bytes of its clients, and the faults it may suffer.

@@ -24,7 +24,7 @@ import numpy as np
 
 from undrift.arrays import FloatArray, IntArray
 from undrift.base.clock import Clock
-from undrift.errors import InputError
+from undrift.errors import InputError, check_positive
 from undrift.frames import quaternion_conjugate, quaternion_of, quaternion_product, rotate
 from undrift.record import FACES, Face
 from undrift.sim.device.effects import Past, Scene, converted
@@ -123,8 +123,7 @@ class StreamSettings:
     def __post_init__(self) -> None:
         if self.framing not in get_args(Framing):
             raise InputError(f"emulated device: wanted format line or frame, got '{self.framing}'; name one of them")
-        if not self.sample_rate_hz > 0.0:
-            raise InputError(f"emulated device: wanted sample_rate_hz above 0, got {self.sample_rate_hz}; state it")
+        check_positive(self, "emulated device", "state it", "sample_rate_hz")
 
 
 class EmulatedDevice(Served, Machine):
