@@ -6,9 +6,9 @@ import time
 import numpy as np
 import pytest
 
-from testkit.byte_sender import Sender
+from testkit.byte_sender import Paced, Sender
 from testkit.tally import tally
-from testkit.waiting import eventually
+from undrift.base.clock import VirtualClock
 from undrift.errors import InputError, LinkError, RigTimeout
 from undrift.live.recorder import DwellReadings, Recorder, RecorderSettings
 from undrift.live.transports import source_at
@@ -19,11 +19,14 @@ QUICK = RecorderSettings(silence_s=1.0)
 
 
 def paced(rows: int, period_s: float = 0.01, skip=()):
-    start = time.monotonic()
-    for k in range(rows):
-        time.sleep(max(start + k * period_s - time.monotonic(), 0.0))
-        if k not in skip:
-            yield b"%d,%d,2,3\n" % (k, k)
+    return [(k * period_s, b"%d,%d,2,3\n" % (k, k)) for k in range(rows) if k not in skip]
+
+
+def on_virtual_clock(pieces, settings: RecorderSettings = QUICK, *, hang_up: bool = False):
+    """Return a recorder of a device that sends pieces when they are due, and their clock."""
+    clock = VirtualClock()
+    device = Paced(clock, pieces, hang_up)
+    return Recorder(source_at(f"tcp://127.0.0.1:{device.port}{THREE}", clock=clock), settings, clock), clock
 
 
 @pytest.mark.parametrize("minutes", [1, pytest.param(10, marks=pytest.mark.long)])
@@ -56,8 +59,9 @@ def test_minutes_at_two_kilohertz_and_ten_channels_come_without_a_loss(minutes):
 
 
 def test_a_dwell_is_what_came_between_two_moments():
-    with Sender(paced(300)) as device, Recorder(source_at(f"tcp://127.0.0.1:{device.port}{THREE}")) as recorder:
-        eventually(lambda: recorder.timeline.readings > 200, "200 readings, some of them prompt")
+    recorder, clock = on_virtual_clock(paced(300))
+    with recorder:
+        assert clock.until(lambda: recorder.timeline.readings > 200, 60.0)
         begin = recorder.timeline.clock().host_time(0.0)
         record = recorder.between(begin + 0.205, begin + 0.405)
         assert record.gyro[:, 0].tolist() == pytest.approx(np.arange(21, 41), abs=2)
@@ -67,14 +71,15 @@ def test_a_dwell_is_what_came_between_two_moments():
 
 
 def test_dwells_follow_each_other():
-    with Sender(paced(300)) as device, Recorder(source_at(f"tcp://127.0.0.1:{device.port}{THREE}")) as recorder:
+    recorder, clock = on_virtual_clock(paced(300))
+    with recorder:
         dwells = DwellReadings(recorder)
         with pytest.raises(InputError, match=r"dwell: wanted one that was started, got none; start it first"):
             dwells.stop()
         records = []
         for _ in range(2):
             dwells.start()
-            time.sleep(0.1)
+            clock.wait(0.1)
             records.append(dwells.stop())
         assert records[0].time[-1] < records[1].time[0]
         assert dwells.latest().endswith("gyro_y 2  gyro_z 3")
@@ -82,11 +87,9 @@ def test_dwells_follow_each_other():
 
 
 def test_drop_outs_are_rows_of_nan_in_dwells():
-    with (
-        Sender(paced(300, skip=(20, 21, 22))) as device,
-        Recorder(source_at(f"tcp://127.0.0.1:{device.port}{THREE}")) as recorder,
-    ):
-        eventually(lambda: recorder.timeline.readings > 200, "200 readings, some of them prompt")
+    recorder, clock = on_virtual_clock(paced(300, skip=(20, 21, 22)))
+    with recorder:
+        assert clock.until(lambda: recorder.timeline.readings > 200, 60.0)
         begin = recorder.timeline.clock().host_time(0.0)
         record = recorder.between(begin + 0.1, begin + 0.4)
         recorder.stop()
@@ -108,10 +111,8 @@ def test_a_device_that_never_sends_is_a_timeout_and_nothing_keeps_running():
 
 
 def test_a_device_that_falls_silent_is_told():
-    with (
-        Sender(paced(30)) as device,
-        Recorder(source_at(f"tcp://127.0.0.1:{device.port}{THREE}"), QUICK) as recorder,
-    ):
+    recorder, _ = on_virtual_clock(paced(30))
+    with recorder:
         with pytest.raises(RigTimeout, match=r"got nothing; check that the device sends"):
             recorder.between(recorder.now(), recorder.now() + 60.0)
         with pytest.raises(RigTimeout, match=r"got nothing"):
@@ -121,10 +122,8 @@ def test_a_device_that_falls_silent_is_told():
 
 
 def test_a_device_that_hangs_up_is_told():
-    with (
-        Sender(paced(30), hang_up=True) as device,
-        Recorder(source_at(f"tcp://127.0.0.1:{device.port}{THREE}"), QUICK) as recorder,
-    ):
+    recorder, _ = on_virtual_clock(paced(30), hang_up=True)
+    with recorder:
         with pytest.raises(LinkError, match=r"got a lost link: the other side closed the connection"):
             recorder.between(recorder.now(), recorder.now() + 60.0)
         with pytest.raises(LinkError, match=r"lost link"):
@@ -132,7 +131,8 @@ def test_a_device_that_hangs_up_is_told():
 
 
 def test_readings_that_do_not_come_in_time_are_a_timeout():
-    with Sender(paced(500)) as device, Recorder(source_at(f"tcp://127.0.0.1:{device.port}{THREE}")) as recorder:
+    recorder, _ = on_virtual_clock(paced(500))
+    with recorder:
         now = recorder.now()
         with pytest.raises(InputError, match=r"wanted a start before the stop"):
             recorder.between(now, now)
@@ -141,7 +141,8 @@ def test_readings_that_do_not_come_in_time_are_a_timeout():
 
 
 def test_a_stopped_recorder_does_not_let_anybody_wait():
-    with Sender(paced(500)) as device, Recorder(source_at(f"tcp://127.0.0.1:{device.port}{THREE}")) as recorder:
+    recorder, _ = on_virtual_clock(paced(500))
+    with recorder:
         recorder.stop()
         with pytest.raises(
             LinkError, match=r"wanted readings up to the end of a dwell, got a recorder that was stopped"
@@ -150,11 +151,8 @@ def test_a_stopped_recorder_does_not_let_anybody_wait():
 
 
 def test_what_is_no_longer_kept_is_refused():
-    settings = RecorderSettings(keep_s=0.1)
-    with (
-        Sender(paced(3000)) as device,
-        Recorder(source_at(f"tcp://127.0.0.1:{device.port}{THREE}"), settings) as recorder,
-    ):
+    recorder, _ = on_virtual_clock(paced(3000), RecorderSettings(keep_s=0.1))
+    with recorder:
         start = recorder.now()
         with pytest.raises(InputError, match=r"got a recorder that keeps 0.1 device seconds; keep more"):
             recorder.between(start, start + 0.4)
@@ -174,11 +172,9 @@ def test_readings_gather_where_that_is_asked_and_none_is_lost():
     blocks = {}
     for gather_s in (0.0, 0.05):
         settings = RecorderSettings(silence_s=1.0, gather_s=gather_s)
-        with (
-            Sender(paced(300, 0.005)) as device,
-            Recorder(source_at(f"tcp://127.0.0.1:{device.port}{THREE}"), settings) as recorder,
-        ):
-            eventually(lambda: recorder.timeline.readings == 300, "all readings")
+        recorder, clock = on_virtual_clock(paced(300, 0.005), settings)
+        with recorder:
+            assert clock.until(lambda recorder=recorder: recorder.timeline.readings == 300, 60.0), "all readings"
             record = recorder.since(0.495)
             blocks[gather_s] = len(recorder._ring)
         assert record.gyro[:, 0].tolist() == list(range(50, 300))

@@ -1,9 +1,13 @@
-"""A device in tests: listens on loopback, sends what it is given to who connects, as fast as the socket takes it."""
+"""Devices in tests: one on loopback, as fast as the socket takes it; and one on a virtual clock, each piece when it is due."""
 
 import contextlib
+import math
 import socket
 import threading
+from collections import deque
 from collections.abc import Iterable
+
+from undrift.base.clock import VirtualClock
 
 
 class Sender:
@@ -37,3 +41,40 @@ class Sender:
                         return
                 if not self._hang_up:
                     self._end.wait(30)
+
+
+class Paced:
+    """Sends pieces of bytes when they are due, s from the connection on, to its only client on a virtual clock."""
+
+    datagrams = False
+
+    def __init__(self, clock: VirtualClock, pieces: Iterable[tuple[float, bytes]], hang_up: bool = False) -> None:
+        self._clock, self._left, self._hang_up, self._start = clock, deque(pieces), hang_up, 0.0
+        self.port = clock.listen("127.0.0.1", 0, self._connect)
+
+    def receive(self, wait_s: float) -> bytes:
+        last = self._clock.now() + wait_s
+        while True:
+            data = b""
+            while self._left and self._start + self._left[0][0] <= self._clock.now():
+                data += self._left.popleft()[1]
+            if data:
+                return data
+            if self._hang_up and not self._left:
+                raise EOFError("the other side closed the connection")
+            if self._clock.now() >= last:
+                return b""
+            self._clock.jump(min(last, self._start + self._left[0][0] if self._left else math.inf))
+
+    def write(self, data: bytes) -> None:
+        pass
+
+    def wake(self) -> None:
+        pass
+
+    def close(self) -> None:
+        pass
+
+    def _connect(self) -> "Paced":
+        self._start = self._clock.now()
+        return self

@@ -6,16 +6,13 @@ one that the encoder shows, not the one that was asked for.
 
 ``programme``   what is done step by step, and how long it takes; nothing is opened
 ``rig``         what every table can do, its limits, the rate achieved, and WATCHED: who watches what, and what follows
-``galil``, ``grbl``, ``manual``   the controllers, behind ``link``: one question, one answer, each with a deadline
-``chamber``, ``modbus``           thermal chambers, and when air and board stand still
+``galil``, ``grbl``, ``manual``   controllers behind ``link``; ``chamber``, ``modbus``: when air and board of a chamber stand still
 ``run``         a programme on a rig, dwell by dwell; ``judge`` says which dwells are kept, ``folder`` brings them to the disk
-``watch``       one run for one table, a guard that outlives its program, and a stop that leaves at once
-``check``       acceptance of a table: following error and the margin of its servo loop
+``watch``       one run for one table, a guard that outlives its program, a stop that leaves at once; ``check``: its acceptance
 
 Angles are rad and rates rad/s about the table's own axis, +z up; a device is read in its own axes (frame s) and units. Times are
 those of the table's clock (base/clock.py): the host's, an emulator's that runs faster, or a virtual one in tests. deg, deg/s and
 degC appear in messages and files alone. Numbers are rounded as the controller rounds them, before a byte is sent, and read back.
-Whatever ends a run, the table is at rest and its motor off, or the message says NOT CONFIRMED. No estimator is imported here.
-
+Whatever ends a run, the table is at rest and its motor off, or the message says NOT CONFIRMED. No estimator is imported.
 Open ``run`` first; a new controller is a file like ``grbl`` and a row in ``rig.CONTROLLERS``.
 """

@@ -49,8 +49,7 @@ class SoakSettings:
     tolerance_c: float = 0.5  # Largest distance from the set-point, K
 
     def __post_init__(self) -> None:
-        names = ("slope_c_per_min", "window_s", "tolerance_c")
-        check_positive(self, "soak", "nothing is steadier than steady", *names)
+        check_positive(self, "soak", "nothing is steadier than steady", "slope_c_per_min", "window_s", "tolerance_c")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -14,7 +14,5 @@ effect added to it.
 Rates are rad/s, forces m/s2, temperatures degC; b is the case, n level with z up, quaternions turn b to n and are scalar first.
 Readings are in the unit of the device's data sheet. The forward equations are written here and nowhere else: nothing is imported
 from fits, correction, orientation or validation, so that a sign that is wrong in both cannot hide. Each effect draws from a stream
-of its own name: one more effect changes the noise of no other, and one seed gives the same numbers everywhere.
-
-Open ``device/effects`` first, then ``device/simulate``.
+of its own name. Open ``device/effects`` first, then ``device/simulate``.
 """
