@@ -33,9 +33,8 @@ test: announce $(INSTALLED)
 	  DEBIAN_FRONTEND=noninteractive apt-get install -qq -y --no-install-recommends -o Dpkg::Options::=--force-confold postgresql; } || \
 	  echo "no PostgreSQL: the registry is tested on SQLite alone"
 	@echo "collecting the tests, up to a minute; then a dot for each, and the share done at the end of a line"
-	$(PYTEST) $(COMPUTE) --durations=12
-	$(PYTEST) $(WAIT) --durations=12
-	$(BIN)/python -m pytest tests/web_browser --durations=12
+	@failed=0; for group in "$(PYTEST) $(COMPUTE)" "$(PYTEST) $(WAIT)" "$(BIN)/python -m pytest tests/web_browser"; do \
+	  echo "$$group"; $$group --durations=12 || failed=1; done; exit $$failed
 
 # The bench in a browser alone: pages, wizards, the rate-table run, the emergency stop. Screenshots: build/screens.
 test-browser: $(INSTALLED)

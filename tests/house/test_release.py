@@ -21,7 +21,7 @@ SCHEMAS = {
     ROOT / "CITATION.cff": "vendor.citation-file-format",
 }
 RECIPE = ROOT / "conda" / "recipe.yaml"
-OTHER_NAMES = {"matplotlib": "matplotlib-base", "typst": "typst-py"}  # of conda-forge
+OTHER_NAMES = {"matplotlib": "matplotlib-base"}  # of conda-forge
 
 
 def checked(*words: object) -> str:

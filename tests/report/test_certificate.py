@@ -1,6 +1,7 @@
 """The certificate: shares that sum to the covariance, GTC's combination, coverage of simulated truth, the same bytes twice."""
 
 import json
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -150,6 +151,13 @@ def test_the_same_calibration_gives_the_same_bytes(calibration: Calibration, tmp
     assert (tmp_path / "b.pdf").read_bytes() == first
     write_certificate(replace(calibration, device="another"), tmp_path / "b.pdf")
     assert (tmp_path / "b.pdf").read_bytes() != first
+
+
+def test_without_typst_the_line_names_what_to_install(calibration: Calibration, tmp_path, monkeypatch) -> None:
+    monkeypatch.setitem(sys.modules, "typst", None)
+    with pytest.raises(InputError, match=r"wanted the package typst .*got none; pip install 'undrift\[pdf\]'"):
+        write_certificate(calibration, tmp_path / "certificate.pdf")
+    assert not list(tmp_path.iterdir())
 
 
 def test_the_hash_follows_the_content_alone(calibration: Calibration) -> None:

@@ -38,7 +38,12 @@ if TYPE_CHECKING:
 
 def write_certificate(calibration: Calibration, path: Path) -> None:
     """Write the certificate of a calibration, the same bytes for the same calibration; fonts and date come with it."""
-    import typst
+    try:
+        import typst
+    except ModuleNotFoundError as error:
+        raise InputError(
+            f"{path}: wanted the package typst to write a PDF, got none; pip install 'undrift[pdf]'"
+        ) from error
 
     given = {"content": json.dumps(certificate_content(calibration))}
     given |= {name: svg_of(drawing.draw(), outlines=True) for name, drawing in drawings_of(calibration.drift)}
