@@ -190,7 +190,7 @@ def _rough_offset(log: RateLog, record: Record, rates: PoseRates, settings: Rate
         other = rivals[np.argmax(score[rivals])]
         raise AlignmentError(
             f"{log.name}: wanted one shift between the clocks, got {shift + lags[first]:.1f} and {shift + lags[other]:.1f} s "
-            "alike; state it to a second: --rates-offset-s"
+            "alike; state it to a second: `rates_offset_s`"
         )
     return shift + float(lags[first])
 

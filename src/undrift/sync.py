@@ -93,7 +93,7 @@ def coarse_lag(time: FloatArray, gyro: FloatArray, rates: PoseRates, longest_lag
     if not overlap.any():
         raise AlignmentError(
             f"lag: wanted record and reference to share {LEAST_OVERLAP:.0%} of the shorter one within {longest_lag_s:g} s "
-            "of search, got less; check their clocks, or widen longest_lag_s (--max-lag-s)"
+            "of search, got less; check their clocks, or widen `longest_lag_s`"
         )
     if not np.isfinite(correlation).any():
         raise AlignmentError(
@@ -312,7 +312,7 @@ def lag_of(
         raise AlignmentError(
             f"lag: wanted a correlation of {settings.least_correlation:g} or more between the record's rates and the "
             f"reference's, got {correlation:.2f} within {settings.longest_lag_s:g} s: no common motion; check that the two "
-            "files belong together, or widen longest_lag_s (--max-lag-s)",
+            "files belong together, or widen `longest_lag_s`",
             correlation=correlation,
         )
     return replace(fit, seconds=lag, correlation_before=0.0 if before is None else before.correlation_after)

@@ -188,7 +188,9 @@ def _refuse(arguments: Sequence[str], error: BaseException, text: str, *, code: 
 
 def complain(message: str, *, code: int) -> int:
     """Write one line to stderr (what was wanted, what came, what to do) and return the exit code."""
-    sys.stderr.write("undrift: " + " ".join(message.split()) + "\n")
+    from undrift.base.summary import spoken
+
+    sys.stderr.write("undrift: " + spoken(" ".join(message.split())) + "\n")
     return code
 
 

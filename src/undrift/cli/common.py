@@ -24,7 +24,7 @@ from cyclopts import App, Parameter
 
 from undrift import __version__
 from undrift.base.options import WRITTEN, Details, Json, Report
-from undrift.base.summary import Result, plain
+from undrift.base.summary import Result, plain, spoken
 from undrift.cli import examples
 from undrift.cli.app import COMMANDS
 from undrift.commands import GROUPS, VERBS
@@ -64,7 +64,7 @@ def console(*, err: bool = False) -> "Console":
 def say(*lines: str, err: bool = False, style: str = "") -> None:
     """Print lines as they are, brackets in names are not markup; a terminal's width breaks them at spaces and nowhere else."""
     out = console(err=err)
-    for line in (line for text in lines for line in text.split("\n")):
+    for line in (line for text in lines for line in spoken(text).split("\n")):
         for part in [line] if out.soft_wrap else _wrapped(line, out.width):
             out.print(part, markup=False, soft_wrap=True, style=style)
 
@@ -195,7 +195,7 @@ def write_json(value: Mapping[str, object], command: str, *, error: Mapping[str,
     own = {key: item for key, item in value.items() if key not in ENVELOPE}
     head = {"kind": value.get("kind", kind), "format": value.get("format", 1), "version": __version__}
     rest = {"verdict": verdict, "findings": findings, "result": None if error else own, "error": error}
-    sys.stdout.write(json.dumps(plain(head | own | rest), ensure_ascii=False, allow_nan=False) + "\n")
+    sys.stdout.write(spoken(json.dumps(plain(head | own | rest), ensure_ascii=False, allow_nan=False)) + "\n")
 
 
 def _of_parts(value: Mapping[str, object]) -> list[object]:

@@ -12,7 +12,7 @@ from itertools import count
 from pathlib import Path
 
 from undrift import __version__
-from undrift.base.summary import Drawing, Origin, Section, Summary, at
+from undrift.base.summary import Drawing, Origin, Section, Summary, at, spoken
 from undrift.files import write_whole
 from undrift.findings import SHOWN_FIRST, Finding, most_consequential_first
 
@@ -45,7 +45,7 @@ def write_page(path: Path, summary: Summary, origin: Origin | None = None) -> No
         origin=origin or Origin(),
         versions=_versions(),
     )
-    write_whole(path, text.lstrip())
+    write_whole(path, spoken(text.lstrip()))
 
 
 def _drawn(picture: Drawing | str) -> str:
