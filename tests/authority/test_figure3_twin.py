@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from testkit.broad_trials import DEVICES, trial
+from testkit.cohorts import first_and_long
 from testkit.data import data_path, show
 from undrift.io.formats import read_record
 from undrift.io.session import read_column_map
@@ -63,7 +64,7 @@ def test_the_warm_up_has_the_slopes_of_its_ten_second_means(board: Record, warm_
     np.testing.assert_allclose(1e3 * np.degrees(warm_up.gyro_residual), [5.3, 6.3, 4.6], atol=0.3)
 
 
-@pytest.mark.parametrize("device", DEVICES)
+@pytest.mark.parametrize("device", first_and_long(DEVICES))
 def test_a_twin_of_a_real_device_and_the_data_sheets_model_agree_once_tables_are_applied(
     device: str, warm_up: WarmUpFit
 ) -> None:

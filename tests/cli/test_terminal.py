@@ -22,6 +22,8 @@ from undrift.cli import common
 from undrift.cli.app import run
 from undrift.commands.validate import SHOWN
 
+pytestmark = pytest.mark.usefixtures("computed_once")
+
 WORDS = st.text(st.characters(exclude_categories=("C", "Z", "M"), exclude_characters="─:"), min_size=1, max_size=30)
 CELLS = st.lists(WORDS, min_size=0, max_size=4).map(" ".join)
 
@@ -140,7 +142,7 @@ def test_each_number_of_the_json_that_a_table_shows_is_there_to_its_last_digit(u
 def test_a_twin_and_a_simulation_show_the_same_on_every_terminal(undrift, tmp_path):
     made = undrift.good("simulate", "step", "--device", "mpu6050", "-o", tmp_path / "a.parquet").out
     assert "contribution of each effect (rms)" in made
-    files = ("32_disturbed_attached_magnet_1cm.hdf5", "02_undisturbed_slow_rotation_B.hdf5")
+    files = ("32_disturbed_attached_magnet_1cm.hdf5", "35_disturbed_attached_magnet_4cm.hdf5")
     told = undrift("twin", *(data_path("broad", file) for file in files))
     assert told.code == 0
     titles = (

@@ -10,6 +10,8 @@ from testkit.pages import faults_of
 from undrift.cli.app import run
 from undrift.sim.device.model import read_device
 
+pytestmark = pytest.mark.usefixtures("computed_once")
+
 KEYS = {"name", "value", "standard_error", "unit", "identifiable"}
 
 

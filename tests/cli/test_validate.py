@@ -26,6 +26,8 @@ from undrift.sim.device.truth import true_calibration
 from undrift.sim.sessions import simulate_trial
 from undrift.units import gravity_at
 
+pytestmark = pytest.mark.usefixtures("computed_once")
+
 B = [
     "02_undisturbed_slow_rotation_B.hdf5", "05_undisturbed_slow_rotation_with_breaks_B.hdf5", "07_undisturbed_fast_rotation_B.hdf5",
     "09_undisturbed_fast_rotation_with_breaks_B.hdf5",

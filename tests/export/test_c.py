@@ -128,7 +128,7 @@ def at(calibration, name, temp_c):
     return matrix, offset
 
 
-@settings(few, max_examples=20)
+@settings(few, max_examples=12)
 @given(calibrations(), st.integers(0, 1000))
 def test_fixed_point_stays_within_its_stated_bound(tmp_path_factory, calibration, seed):
     exported = export_c(calibration)

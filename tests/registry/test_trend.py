@@ -89,7 +89,7 @@ def test_without_a_change_the_sigmas_are_those_of_independent_draws():
     assert np.abs(np.mean(sigmas, axis=0)).max() < 4.0 / np.sqrt(400)
 
 
-DEVICES = 6
+DEVICES = 4
 
 
 def by_hand(device, seed, folder):

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from benchmarks.certificate import LEAST, MOST, drawn, held
 
+from testkit.cohorts import COHORTS
 from testkit.data import show
 from testkit.plain_triad import plain_triad
 from undrift.calibration.calibrate import calibrate
@@ -130,13 +131,9 @@ def coverage(devices: int) -> float:
     return share
 
 
-def test_the_truth_lies_inside_the_expanded_uncertainty_of_200_devices() -> None:
-    assert LEAST <= coverage(200) <= MOST
-
-
-@pytest.mark.long
-def test_the_truth_lies_inside_the_expanded_uncertainty_of_1000_devices() -> None:
-    assert LEAST <= coverage(1000) <= MOST
+@pytest.mark.parametrize("devices", COHORTS)
+def test_the_truth_lies_inside_the_expanded_uncertainty(devices: int) -> None:
+    assert LEAST <= coverage(devices) <= MOST
 
 
 # ---- the document

@@ -4,6 +4,8 @@
 see small faults.
 """
 
+from collections.abc import Iterable
+
 import numpy as np
 import pytest
 from scipy.stats import binom, chi2
@@ -14,6 +16,12 @@ LARGER_COHORTS = (300, pytest.param(1000, marks=pytest.mark.long))
 FALSE_ALARM = 1e-4  # how often a limit is passed by chance where all is right
 RATIO = 1.05  # of a root-mean-square error to its bound: what a method may lose
 SHARES = (0.93, 0.97)  # of nominal 95 % intervals that hold the truth: what a method may be off
+
+
+def first_and_long(each: Iterable[object]) -> list[object]:
+    """Return values of a parameter: the first in `make test`, the others in `make test-long`."""
+    first, *others = each
+    return [first, *(pytest.param(one, marks=pytest.mark.long) for one in others)]
 
 
 def share_limits(trials: int, nominal: float = 0.95) -> tuple[float, float]:

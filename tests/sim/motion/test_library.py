@@ -15,7 +15,7 @@ from undrift.frames import rotate
 from undrift.sim.motion.motion import Motion
 from undrift.sim.motion.tasks import Task, TaskName, cohort, draw_task
 
-DRAWS = 200
+DRAWS, STANCES = 200, 60
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ def drawn(name: TaskName) -> tuple[Drawn, ...]:
     rng = np.random.default_rng(10)
     people = cohort("simulation", rng=rng) + cohort("testing", rng=rng)
     found = []
-    for index in range(DRAWS):
+    for index in range(STANCES if name == "posturography" else DRAWS):
         task = draw_task(name, rng=rng, subject=people[index % len(people)])
         motion = task.at(np.arange(task.moving_s[0], task.moving_s[1], 0.01), 9.81)
         down = rotate(motion.q_nb * [1.0, -1.0, -1.0, -1.0], np.broadcast_to([0.0, 0.0, 1.0], (len(motion), 3)))
