@@ -151,7 +151,7 @@ def planted_study(worn: str, *, timing: Timing, cutoffs: tuple[float, ...], tops
         device="quiet",
         worn=worn,
         tasks=(StudyTask(name="sit_to_stand", space=space, base=base),),
-        subjects=10,
+        subjects=16,
         excursion_k=(-15.0, 15.0),
         bench=BenchErrors(),
         timing=timing,
@@ -170,6 +170,7 @@ def effect_of(optimum: Optimum, name: str):  # type: ignore[no-untyped-def]
 
 def test_a_filter_decides_in_real_time_and_is_better_the_higher_its_cut_off(tmp_path: Path) -> None:
     study = planted_study(device(), timing="real time", cutoffs=(5.0, 11.1, 20.0, 40.0), tops_dps=(90.0,))
+    study = replace(study, subjects=10)
     surface, optimum = found_in(study, tmp_path)
     mean = surface.error().mean(axis=0)
     judged = effect_of(optimum, "cutoff_hz").judged
