@@ -16,12 +16,10 @@ announce:
 export OPENBLAS_NUM_THREADS = 1  # the matrices are small, threads cost more than they save
 unexport PYTHONDONTWRITEBYTECODE  # the suite starts many processes: each would compile all of undrift and of its tests
 
-# What computes, then what waits for sockets and processes, then the browser: tests/testkit/pools.py. They run one after the other, as
-# emulated machines answer late beside processes that compute.
+# What computes gives way to what waits for sockets and processes and to the browser: tests/testkit/pools.py.
 CORES := $(shell nproc 2>/dev/null || echo 2)
-PYTEST = $(BIN)/python -m pytest tests --ignore=tests/house --ignore=tests/web_browser --dist loadscope
-COMPUTE = --tx $(CORES)*popen//env:TEST_POOL=compute
-WAIT = --tx 2*popen//env:TEST_POOL=wait
+POOLS = --dist loadscope --tx $(CORES)*popen//env:TEST_POOL=compute --tx 2*popen//env:TEST_POOL=wait --tx 1*popen//env:TEST_POOL=browser
+PYTEST = $(BIN)/python -m pytest tests --ignore=tests/house $(POOLS)
 
 test: announce $(INSTALLED)
 	@command -v gcc >/dev/null || { apt-get update -qq && apt-get install -qq -y gcc libc6-dev; } || \
@@ -33,8 +31,7 @@ test: announce $(INSTALLED)
 	  DEBIAN_FRONTEND=noninteractive apt-get install -qq -y --no-install-recommends -o Dpkg::Options::=--force-confold postgresql; } || \
 	  echo "no PostgreSQL: the registry is tested on SQLite alone"
 	@echo "collecting the tests, up to a minute; then a dot for each, and the share done at the end of a line"
-	@failed=0; for group in "$(PYTEST) $(COMPUTE)" "$(PYTEST) $(WAIT)" "$(BIN)/python -m pytest tests/web_browser"; do \
-	  echo "$$group"; $$group --durations=12 || failed=1; done; exit $$failed
+	$(PYTEST) --durations=12
 
 # The bench in a browser alone: pages, wizards, the rate-table run, the emergency stop. Screenshots: build/screens.
 test-browser: $(INSTALLED)
@@ -44,7 +41,7 @@ test-browser: $(INSTALLED)
 
 # The order of the tests, by what each takes: commit the file that changes.
 durations: $(INSTALLED)
-	$(PYTEST) $(COMPUTE) $(WAIT) --write-durations
+	$(PYTEST) --write-durations
 
 # The same Monte Carlo runs with larger cohorts.
 test-long: $(INSTALLED)
