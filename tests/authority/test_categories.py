@@ -72,6 +72,7 @@ def test_a_young_adult_climbs_as_the_young_category_does() -> None:
     judged([(row, row.real) for row in rows], "young, step")
 
 
+@cache
 def stood(name: str, mass_kg: float, category: CategoryName) -> dict[str, CohortComparison]:
     stance = read_stance(data_path("posturography", f"{name}.txt.gz"), mass_kg=mass_kg, condition="open on foam")
     rows = sway_rows((replace(stance, category=category),), subjects=PEOPLE)

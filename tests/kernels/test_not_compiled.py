@@ -10,7 +10,6 @@ CALLERS = (
     "correction/test_correct.py",
     "correction/test_stream.py",
     "test_orientation.py",
-    "test_tilt.py",
     "test_angles.py",
 )
 
