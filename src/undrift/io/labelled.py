@@ -406,7 +406,11 @@ def _chosen(sheet: Sheet, triples: Triples, sensor: str | None) -> dict[str, tup
     named = [sensor for channel in ("accel", "gyro") for sensor in triples.get(channel, {}) if sensor]
     names = tuple(dict.fromkeys(named))
     several = any(len(held) > 1 for channel, held in triples.items() if channel != "mag")
-    wanted = None if sensor is None or not names else _match(names, sensor)
+    same = [name for name in names if sensor is not None and name.lower() == sensor.lower()]
+    part = [name for name in names if sensor is not None and sensor.lower() in name.lower()]
+    wanted = (
+        same[0] if same else part[0] if len(part) == 1 else None
+    )  # of that name, or the only one whose name holds it
     if wanted is None and names and (several or sensor is not None):
         got = "none" if sensor is None else repr(sensor)
         raise InputError(
@@ -420,13 +424,6 @@ def _chosen(sheet: Sheet, triples: Triples, sensor: str | None) -> dict[str, tup
         if key in held and (channel != "mag" or len(held) == 1 or wanted is not None):
             chosen[channel] = held[key]
     return chosen
-
-
-def _match(names: tuple[str, ...], sensor: str) -> str | None:
-    """Return the sensor of that name, or the only one whose name holds it."""
-    same = [name for name in names if name.lower() == sensor.lower()]
-    part = [name for name in names if sensor.lower() in name.lower()]
-    return same[0] if same else part[0] if len(part) == 1 else None
 
 
 def _temperature(sheet: Sheet, sensor: str | None) -> int | None:

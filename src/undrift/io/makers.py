@@ -526,12 +526,6 @@ def read_set_points(path: Path, columns: ColumnMap | None, settings: ReadSetting
 # ---- Xsens
 
 
-def _xsens_poses(path: Path, columns: ReferenceMap | None = None) -> Reference:
-    """Read the orientations of an MT Manager export; its rate must stand in the file, or in the map."""
-    settings = ReadSettings(sample_rate_hz=None if columns is None else columns.sample_rate_hz)
-    return _xsens(_xsens_clock(open_sheet(path), settings))
-
-
 def _xsens(sheet: Sheet) -> Reference:
     """Return orientations as quaternion, matrix or Euler angles (roll, pitch, yaw; Z-Y-X), sensor to level."""
     from scipy.spatial.transform import Rotation
@@ -712,7 +706,10 @@ DIALECTS: dict[str, Dialect] = {
         units=_SI,
         device=r"^// *DeviceId: *(\w+)",
         finish=(_xsens_clock, _with_readings),
-        poses=_xsens_poses,
+        # its rate must stand in the file, or in the map
+        poses=lambda path, columns: _xsens(
+            _xsens_clock(open_sheet(path), ReadSettings(sample_rate_hz=columns and columns.sample_rate_hz))
+        ),
     ),
     "dot": Dialect(
         head=rb"\A(\xef\xbb\xbf)?sep=[\s\S]*^PacketCounter,",

@@ -332,8 +332,7 @@ def _poses(table: Table, columns: ReferenceMap, path: Path) -> Reference:
 
 # ---- poses of named bodies: OpenSim and QTM
 
-_HALF = 2.0**-0.5
-_FROM_Y_UP = np.array([_HALF, _HALF, 0.0, 0.0])  # z up from y up, as level_from turns points
+_FROM_Y_UP = 2.0**-0.5 * np.array([1.0, 1.0, 0.0, 0.0])  # z up from y up, as level_from turns points
 
 
 def name_of(path: Path, names: tuple[str, ...], name: str | None) -> str:
