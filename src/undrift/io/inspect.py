@@ -515,13 +515,10 @@ class Description:
     def lines(self) -> tuple[str, ...]:
         """Return every finding as a line that says what it is: how the file was read, a note, or a problem."""
         return tuple(
-            f"{_HEADS.get(item.code, 'note' if item.level == 'info' else 'problem')}: {_told(item)}"
+            f"{'read' if item.code == 'recording.how_read' else 'note' if item.level == 'info' else 'problem'}: {_told(item)}"
             for item in self.findings
             if item.text != self.summary
         )
-
-
-_HEADS = {"recording.how_read": "read"}
 
 
 def _told(item: Finding) -> str:

@@ -708,7 +708,7 @@ DIALECTS: dict[str, Dialect] = {
         finish=(_xsens_clock, _with_readings),
         # its rate must stand in the file, or in the map
         poses=lambda path, columns: _xsens(
-            _xsens_clock(open_sheet(path), ReadSettings(sample_rate_hz=columns and columns.sample_rate_hz))
+            _xsens_clock(open_sheet(path), ReadSettings(sample_rate_hz=columns.sample_rate_hz if columns else None))
         ),
     ),
     "dot": Dialect(

@@ -14,7 +14,6 @@ from pathlib import Path
 
 import numpy as np
 
-from undrift.arrays import FloatArray
 from undrift.base.codec import toml_block, toml_text, tree_of
 from undrift.errors import InputError
 from undrift.frames import quaternion_of, rotate
@@ -97,7 +96,8 @@ def gyro_unit_of(record: Record) -> tuple[str, int, float, float] | None:
         return None
     gyro, accel = (values[: count * size].reshape(count, size, 3) for values in (record.gyro, record.accel))
     part = max(1, size // 4)
-    first, last = (_unit(accel[:, cut].mean(axis=1)) for cut in (slice(None, part), slice(-part, None)))
+    means = (accel[:, cut].mean(axis=1) for cut in (slice(None, part), slice(-part, None)))
+    first, last = (mean / np.linalg.norm(mean, axis=1, keepdims=True) for mean in means)
     moved = np.arccos(np.clip((first * last).sum(axis=1), -1.0, 1.0))
     usable = (moved > _MOVED[0]) & (moved < _MOVED[1])
     if usable.sum() < _LEAST_WINDOWS:
@@ -112,10 +112,6 @@ def gyro_unit_of(record: Record) -> tuple[str, int, float, float] | None:
     if not misses[best] < _CLEARLY * misses[other]:
         return None
     return best, int(usable.sum()), misses[best], misses[other]
-
-
-def _unit(vectors: FloatArray) -> FloatArray:
-    return np.asarray(vectors / np.linalg.norm(vectors, axis=1, keepdims=True))
 
 
 # ---- session.toml of bare recordings

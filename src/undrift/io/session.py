@@ -95,7 +95,6 @@ from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, canonical_unit, g
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 # For undrift's own names
 NATIVE_KEYS = {"sample_rate_hz", "gaps", "repair_time", "drop_bad_rows", "clock", "temp_file"}
-_OF_ONE_FILE = ("file", "temp_file")  # keys that no other recording of the device shares
 ROW_S = 60.0  # from row to row of a table of set-points without times
 _LAYOUT = {"delimiter", "header", "skip_rows", "decimal"}
 
@@ -328,7 +327,7 @@ def map_and_settings(file_map: FileMap, **choices: Any) -> tuple[ColumnMap | Non
 
 def shared_map(entries: Sequence[KeptEntry]) -> FileMap | None:
     """Return the map that all recordings share; None where they differ or need none."""
-    held = [file_map_of(entry, without=_OF_ONE_FILE) for entry in entries]
+    held = [file_map_of(entry, without=("file", "temp_file")) for entry in entries]  # keys that no other one shares
     return held[0] if held[0].text != "{}" and held.count(held[0]) == len(held) else None
 
 
