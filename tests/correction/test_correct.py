@@ -1,5 +1,6 @@
 """correct: the five steps against a plain twin, buffers, threads, and what it refuses."""
 
+import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -219,6 +220,20 @@ def test_a_rate_beyond_the_dynamic_table_is_held_and_reported():
     fast = replace(record(), gyro=np.full((N, 3), 3000.0))
     with pytest.warns(DriftRangeWarning, match=r"the table ends at -90.0 and 90.0 deg/s and is held there"):
         correct(fast, c)
+
+
+def test_correct_warns_of_all_that_the_checked_correction_states():
+    """Of the temperature, of a rate beyond the table, and of a triad whose axes speak against the other."""
+    c = device(drift=tables())
+    far = replace(record(low=0.0, high=100.0), gyro=np.full((N, 3), 3000.0))
+    for raw, model in ((far, c), (record(low=20.0, high=40.0), device(drift=None))):
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            correct(raw, model, policy="hold")
+        stated = correct_checked(raw, model, policy="hold").warnings
+        assert stated
+        assert {str(one.message) for one in caught} >= {*stated}
+        assert {one.category for one in caught} == {DriftRangeWarning}
 
 
 def test_constant_offsets_far_from_their_temperature_are_reported():

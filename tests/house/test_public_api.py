@@ -1,6 +1,8 @@
-"""What ``import undrift`` offers: the whole flow, at most 70 names, with types, and nothing loaded before it is asked for."""
+"""What ``import undrift`` offers: the whole flow, few names, with types, commands, and nothing loaded before it is asked for."""
 
 import ast
+import importlib
+import inspect
 import json
 import os
 import subprocess
@@ -10,6 +12,7 @@ from pathlib import Path
 import pytest
 
 import undrift
+from undrift.commands import GROUPS, VERBS
 
 ROOT = Path(__file__).parents[2]
 FLOW = {
@@ -45,8 +48,22 @@ FLOW = {
 }
 
 
+def returned_types() -> set[type]:
+    """Return the package's own types that exported functions return."""
+    functions = [value for name in undrift.__all__ if inspect.isfunction(value := getattr(undrift, name))]
+    types = {inspect.signature(function).return_annotation for function in functions}
+    return {one for one in types if isinstance(one, type) and one.__module__.startswith("undrift")}
+
+
+def test_every_type_that_an_exported_function_returns_is_exported() -> None:
+    types = returned_types()
+    assert len(types) >= 18
+    assert [one for one in types if getattr(undrift, one.__name__, None) is not one] == []
+    assert {one.__name__ for one in types} <= {*undrift.__all__}
+
+
 def test_the_flow_is_there_and_the_names_are_few() -> None:
-    assert len(undrift.__all__) <= 70
+    assert len({*undrift.__all__} - {one.__name__ for one in returned_types()}) <= 55
     assert set(undrift.__all__) >= FLOW
     for name in undrift.__all__:
         assert getattr(undrift, name) is not None
@@ -64,7 +81,32 @@ def test_names_for_the_type_checker_are_the_names_that_are_loaded() -> None:
         if isinstance(node, ast.ImportFrom)
         for alias in node.names
     }
-    assert seen == undrift._HOME
+    commands = {name: f"commands.{name}" for name in VERBS if name not in undrift._HOME}
+    assert {name: module for name, module in seen.items() if name not in commands} == undrift._HOME
+    assert {name: module for name, module in seen.items() if name in commands}.items() <= commands.items()
+
+
+def test_every_command_is_reachable_and_a_package_of_its_name_stays_a_package() -> None:
+    for name in VERBS:
+        assert callable(getattr(undrift, name))
+        assert callable(getattr(importlib.import_module("undrift.commands"), name, undrift.twin))
+    for name, functions in GROUPS.items():
+        assert all(callable(getattr(getattr(undrift, name), function)) for function in functions.values())
+    with pytest.raises(AttributeError, match="has no attribute 'nothing'"):
+        undrift.nothing  # type: ignore[attr-defined]  # noqa: B018
+
+
+@pytest.mark.parametrize("first", ["assert callable(undrift.twin)", "import undrift.twin.fit as fit", "pass"])
+def test_a_command_and_a_package_of_one_name_are_the_same_in_every_order(first: str) -> None:
+    code = (
+        f"import undrift; {first}; import undrift.twin.fit; from undrift.twin import fit; import undrift.export.c;"
+        "assert undrift.twin.fit is fit and callable(undrift.twin) and callable(undrift.export);"
+        "import undrift.commands.correct as correct; assert callable(correct);"
+        "from undrift.commands.twin import twin; assert twin is not undrift.twin;"
+        "undrift.twin('a.csv', device='b')"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert "TypeError: got an unexpected keyword argument 'device'" in done.stderr, done.stderr
 
 
 def test_the_import_loads_nothing_heavy() -> None:

@@ -44,15 +44,19 @@ RESULTS = {
     "ExportedC",
     "Fitting",  # with Sensitivity and Table the fields of CalibrateSettings
     "OrientSettings",
+    "OrientationError",
     "Provenance",
     "Sensitivity",
     "Simulated",
     "SimulatedTrial",
+    "StillSearch",
     "Table",
     "Trial",
     "TrialSettings",
     "TriadModel",
+    "TurnSearch",
     "TwinSettings",
+    "Validated",
     "Validation",
 }
 

@@ -14,8 +14,11 @@ names state; results hold SI.
 Open ``orient.py`` first: it is the shortest complete one. Nothing here imports numpy before a verb is called.
 """
 
+import sys
 from collections.abc import Callable
-from typing import TypeAlias
+from importlib import import_module
+from types import ModuleType
+from typing import Any, TypeAlias
 
 # Each a function in the module of its name
 VERBS = (
@@ -31,6 +34,26 @@ GROUPS = {  # of commands in one module: the function of each
     },
     "session": {"new": "new"},
 }
+
+
+class Command(ModuleType):
+    """A module that is called as the command of its name: ``undrift.twin(...)``, ``undrift.commands.correct(...)``."""
+
+    def __call__(self, *given: Any, **stated: Any) -> Any:
+        name = self.__name__.rpartition(".")[2]
+        return getattr(import_module(f"undrift.commands.{name}"), name)(*given, **stated)
+
+
+class Commands(ModuleType):
+    """A package that makes each module that has the name of a command one that is called, as the import system binds it."""
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if name in VERBS and type(value) is ModuleType:
+            value.__class__ = Command
+        super().__setattr__(name, value)
+
+
+sys.modules[__name__].__class__ = Commands
 Progress: TypeAlias = Callable[[str, float], None]  # what is being done, and the share of the whole that is done
 
 

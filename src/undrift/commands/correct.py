@@ -4,7 +4,7 @@ from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, cast
 
 from undrift.base.options import Files, Output, Policy, verb
 from undrift.base.summary import Drawing, Result, Section, Summary, at
@@ -178,9 +178,8 @@ def correct(
     settings: dict[str, object] = {"policy": policy, "power_on_s": power_on_s, "offset": offset}
     settings |= {} if history is None else {"temp_history": temp_history}
     made_by = partial(_provenance, calibration=calibration, model=model, settings=settings)
-    corrected = partial(_correct_one, corrector=corrector, model=model, opening=opening, made_by=made_by)
-    if offset == "rest":
-        corrected = partial(corrected, stretch=stretch)
+    rest = stretch if offset == "rest" else None
+    corrected = partial(_correct_one, corrector=corrector, model=model, opening=opening, made_by=made_by, stretch=rest)
     try:
         files = _correct_all(records, targets, corrected, scheduler, progress)
     except BaseException:
@@ -192,17 +191,15 @@ def correct(
 
 def _history(text: str, model: "Calibration") -> "TempHistory":
     """Return the course of the temperature that was stated."""
-    if text == "none":
-        return "none"
     static = None if model.drift is None else model.drift.static
-    if static is None or static.hysteresis is None:
+    if text != "none" and (static is None or static.hysteresis is None):
         raise InputError(
             "--temp-history: wanted a calibration that corrects hysteresis, got one without; leave it out, or fit tables to "
             "sweeps both ways"
         )
     try:
-        if text in ("warming", "cooling"):
-            return "warming" if text == "warming" else "cooling"
+        if text in ("none", "warming", "cooling"):
+            return cast('Literal["none", "warming", "cooling"]', text)
         return tuple(float(part) for part in text.split(","))
     except ValueError as error:
         raise InputError(
@@ -272,7 +269,7 @@ def _correct_one(
     model: "Calibration",
     opening: Opening,
     made_by: "Callable[[Path], dict[str, object]]",
-    stretch: "Stretch | None" = None,
+    stretch: "Stretch | None",
     progress: Progress = silent,
 ) -> CorrectedFile:
     """Correct a recording into a file, chunk by chunk where the file takes chunks."""

@@ -122,16 +122,8 @@ def _logged(
             f"{path}: wanted steady dwells of {settings.least_s:g} s or more on the recording, got none ({missed} left out); "
             "check the log"
         )
-    shown = [
-        {
-            "offset_s": each.offset_s,
-            "offset_uncertainty_s": each.offset_uncertainty_s,
-            "drift": each.drift,
-            "drift_uncertainty": each.drift_uncertainty,
-            "correlation": each.correlation,
-        }
-        for each in clocks
-    ]
+    keys = ("offset_s", "offset_uncertainty_s", "drift", "drift_uncertainty", "correlation")
+    shown = [{key: getattr(each, key) for key in keys} for each in clocks]
     largest_dps = max(each.uncertainty for each in turns) / RADIAN_PER_DEGREE
     return (
         turns,
