@@ -28,10 +28,12 @@ if TYPE_CHECKING:
     from undrift.calibration.noise import fit_noise as fit_noise
     from undrift.calibration.observe import CalibrateSettings as CalibrateSettings
     from undrift.commands.certificate import certificate as certificate
+    from undrift.commands.demo import demo as demo
     from undrift.commands.export import export as export
     from undrift.commands.info import info as info
     from undrift.commands.noise import noise as noise
     from undrift.commands.simulate import simulate as simulate
+    from undrift.commands.study import study as study
     from undrift.commands.twin import twin as twin
     from undrift.commands.validate import Validated as Validated
     from undrift.commands.validate import validate as validate
@@ -156,11 +158,10 @@ if not TYPE_CHECKING:  # a type checker takes the names above, and no other
 
         if name in _HOME:
             value = getattr(importlib.import_module(f"undrift.{_HOME[name]}"), name)
-        elif name in VERBS and find_spec(f"undrift.{name}"):  # a package that has the name of a command
-            value = importlib.import_module(f"undrift.{name}")
-        elif name in (*VERBS, *GROUPS):
-            module = importlib.import_module(f"undrift.commands.{name}")
-            value = module if name in GROUPS else getattr(module, name)
+        elif name in (*VERBS, *GROUPS):  # where a package has the name of a command, that package is called
+            home = name if find_spec(f"undrift.{name}") else f"commands.{name}"
+            module = importlib.import_module(f"undrift.{home}")
+            value = module if home == name or name in GROUPS else getattr(module, name)
         else:
             raise AttributeError(f"module 'undrift' has no attribute '{name}'")
         globals()[name] = value

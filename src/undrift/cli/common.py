@@ -14,7 +14,7 @@ import textwrap
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, ExitStack, nullcontext
+from contextlib import ExitStack
 from dataclasses import fields, is_dataclass
 from importlib import import_module
 from pathlib import Path
@@ -135,12 +135,6 @@ class Steps:
             left = f"about {passed_s * (1.0 - share) / share:.0f} s left" if share > 0.0 else "time left not known yet"
             sys.stderr.write(f"undrift {self._command}: {self._what}, {passed_s:.0f} s so far, {left}\n")
             sys.stderr.flush()
-
-
-def waiting(what: str) -> AbstractContextManager[object]:
-    """Return a context that shows on a terminal's stderr what is being done."""
-    stderr = console(err=True)
-    return stderr.status(what) if stderr.is_terminal else nullcontext()
 
 
 def show_table(title: str, heads: Sequence[str], rows: Iterable[Sequence[str]]) -> None:

@@ -22,7 +22,8 @@ from typing import Any, TypeAlias
 
 # Each a function in the module of its name
 VERBS = (
-    "calibrate", "certificate", "correct", "drift", "export", "info", "learn", "noise", "orient", "simulate", "study", "twin",
+    "calibrate", "certificate", "correct", "demo", "drift", "export", "info", "learn", "noise", "orient", "simulate", "study",
+    "twin",
     "validate",
 )  # fmt: skip
 GROUPS = {  # of commands in one module: the function of each
@@ -37,18 +38,24 @@ GROUPS = {  # of commands in one module: the function of each
 
 
 class Command(ModuleType):
-    """A module that is called as the command of its name: ``undrift.twin(...)``, ``undrift.commands.correct(...)``."""
+    """A module of a command's name: ``undrift.twin(...)`` calls it, ``undrift.registry.add(...)`` one of a group."""
 
     def __call__(self, *given: Any, **stated: Any) -> Any:
         name = self.__name__.rpartition(".")[2]
         return getattr(import_module(f"undrift.commands.{name}"), name)(*given, **stated)
+
+    def __getattr__(self, name: str) -> Any:
+        group = self.__name__.rpartition(".")[2]
+        if name not in GROUPS.get(group, {}).values():
+            raise AttributeError(f"module '{self.__name__}' has no attribute '{name}'")
+        return getattr(import_module(f"undrift.commands.{group}"), name)
 
 
 class Commands(ModuleType):
     """A package that makes each module that has the name of a command one that is called, as the import system binds it."""
 
     def __setattr__(self, name: str, value: Any) -> None:
-        if name in VERBS and type(value) is ModuleType:
+        if name in (*VERBS, *GROUPS) and type(value) is ModuleType:
             value.__class__ = Command
         super().__setattr__(name, value)
 

@@ -538,6 +538,23 @@ def compared_style(k: int) -> dict[str, Any]:
     return {**style, "markevery": (0.03 * k, 0.15), "markersize": 4.0}
 
 
+def draw_levels(trials: Sequence["Trial"]) -> "Figure":
+    """Draw the pitch of the demo's worn trial, and its error at each level of correction, over the motion."""
+    figure, (angle, error) = new_figure(2)
+    seen = trials[0].moving > 0.0
+    angle.plot(*envelope(trials[0].time[seen], trials[0].reference_pitch[seen] / RADIAN_PER_DEGREE), color=OPTICS)
+    angle.set_ylabel("pitch (deg)")
+    entitle(figure, "Pitch over the motion of a sit-to-stand by the optics, and its error at each level of correction")
+    for k, trial in enumerate(trials):
+        moving = trial.moving > 0.0
+        course = envelope(trial.time[moving], trial.error.pitch[moving] / RADIAN_PER_DEGREE)
+        error.plot(*course, label=trial.recording, **compared_style(k))
+    error.axhline(0.0, color=OPTICS, linewidth=0.6)
+    error.set(xlabel="time (s)", ylabel="error (deg)")
+    legend_above(error)
+    return figure
+
+
 def draw_surface(outcome: "StudyOutcome", task: "TaskOutcome", timing: "Timing") -> "Figure":
     """Draw the mean error over the protocols: a column for each step d, what is not shown at its best."""
     surface = task.surface
