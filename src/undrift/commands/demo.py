@@ -175,10 +175,7 @@ def _details(
         _bench(run),
         _rates(run),
         *calibration_sections(fit.constant),
-        *(
-            replace(section, title=f"Over temperature: {section.title}")
-            for section in at("undrift.report.drift:drift_sections")(fit.drift)
-        ),
+        *(replace(section, title=f"Over temperature: {section.title}") for section in tables),
         Section(title="A reduced study", text=(lead,)),
         *sections_of(study),
     )
