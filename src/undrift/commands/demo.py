@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from undrift.base.options import WRITTEN, Flag, verb
-from undrift.base.summary import Cells, Drawing, Section, Summary, at, plain_words, table_section
+from undrift.base.summary import Cells, Drawing, Section, Summary, at, plain_words, plus_minus, table_section
 from undrift.commands import Progress, silent
 from undrift.commands.files import check_folder, origin_of, save_json
 from undrift.errors import InputError
@@ -161,6 +161,7 @@ def _details(
     run: "BenchRun", fit: "BenchFit", trials: tuple["Trial", ...], study: "StudyOutcome"
 ) -> tuple[Section, ...]:
     from undrift.commands.calibrate import calibration_sections
+    from undrift.commands.drift import drift_sections
     from undrift.commands.study_sections import sections_of
     from undrift.commands.validate import trials_section
 
@@ -169,13 +170,12 @@ def _details(
         f"{', '.join(plain_words(task.name) for task in study.study.tasks)} and {study.study.subjects} subjects; undrift study "
         "--preset note does all of it."
     )
-    tables: tuple[Section, ...] = at("undrift.report.drift:drift_sections")(fit.drift)
     sections = (
         trials_section(trials),
         _bench(run),
         _rates(run),
         *calibration_sections(fit.constant),
-        *(replace(section, title=f"Over temperature: {section.title}") for section in tables),
+        *(replace(section, title=f"Over temperature: {section.title}") for section in drift_sections(fit.drift)),
         Section(title="A reduced study", text=(lead,)),
         *sections_of(study),
     )
@@ -266,5 +266,4 @@ def _achieved(turns: "list[Piece]", rate: float, axis: str) -> str:
         return ""
     uncertainty = math.hypot(*(piece.turn_rate_uncertainty for piece in found)) / len(found)
     mean = math.fsum(piece.turn_rate for piece in found) / len(found)
-    shown: str = at("undrift.report.drift:plus_minus")(mean / RADIAN_PER_DEGREE, uncertainty / RADIAN_PER_DEGREE)
-    return shown
+    return plus_minus(mean / RADIAN_PER_DEGREE, uncertainty / RADIAN_PER_DEGREE)
