@@ -51,7 +51,7 @@ def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> Non
 def shared(tmp_path_factory: pytest.TempPathFactory) -> list[tuple[Callable[..., object], Callable[..., object]]]:
     """Pure functions whose results tests share, each with one that remembers."""
     from undrift.calibration.reference import align
-    from undrift.drift.select import choose_tables
+    from undrift.drift.fit import choose_tables
     from undrift.study.case import run_unit
     from undrift.study.figure3 import calibrated, effect_table, figure3
     from undrift.sync import find_lag, native_poses

@@ -379,6 +379,12 @@ class AdcModel:
         freeze(self)
 
 
+NO_TABLES, _NO_CODES = (
+    DriftTables(),
+    AdcModel(),
+)  # of a calibration without: made once, as ``correct`` asks for each triad
+
+
 @stored(whole=True)
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class NoiseModel:
@@ -509,7 +515,7 @@ class Calibration(Shown):
 
     def triad(self, sensor: Sensor) -> "Triad":
         """Return all that is known of one sensor: model, tables, codes."""
-        drift, adc, gyro = self.drift or DriftTables(), self.adc or AdcModel(), sensor == "gyro"
+        drift, adc, gyro = self.drift or NO_TABLES, self.adc or _NO_CODES, sensor == "gyro"
         static, scale = drift.static, drift.scale
         return Triad(
             sensor=sensor,

@@ -13,8 +13,13 @@ from characterisation.shared import Result, call, folder, text_file, undrift
 from testkit.data import data_path
 from undrift.drift.fit import fit_drift
 from undrift.drift.observe import observe_rests
-from undrift.drift.temperature import trusted_temperature
-from undrift.drift.thermometer_lag import default_smooth_s, estimate_lag, without_lag, without_lag_smooth
+from undrift.drift.temperature import (
+    default_smooth_s,
+    estimate_lag,
+    trusted_temperature,
+    without_lag,
+    without_lag_smooth,
+)
 from undrift.io.session import read_session
 from undrift.io.store import calibration_json, write_calibration
 from undrift.record import Record, Session, Still

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from testkit import twins
 from testkit.full_calibration import ROUNDINGS, STEPS, N, device, record, tables
 from undrift.correction.correct import Corrector, correct_checked
-from undrift.drift.thermometer_lag import without_lag
+from undrift.drift.temperature import without_lag
 from undrift.errors import DriftRangeError, InputError
 from undrift.model import DriftTables, StaticDrift, WarmUp
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from testkit.rate_steps import SOAKS, computed
-from undrift.drift.scale import scale_asymmetry
+from undrift.drift.rate_steps import scale_asymmetry
 from undrift.sim.device.effects import Nonlinearity
 from undrift.sim.device.presets import random_device_of
 from undrift.sim.device.truth import true_calibration

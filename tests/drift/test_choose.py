@@ -8,9 +8,8 @@ import pytest
 from testkit.data import show
 from testkit.rate_steps import GRID, SOAKS, computed
 from undrift.commands.drift import choice_rows
-from undrift.drift.fit import _requested
+from undrift.drift.fit import ALTERNATIVES, _requested, choose_tables
 from undrift.drift.observe import RestBlocks
-from undrift.drift.select import ALTERNATIVES, choose_tables
 from undrift.errors import NotObservable
 from undrift.sim.device.effects import RateDrift, ThermalScale
 from undrift.sim.device.presets import random_device_of

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from undrift.drift.select import widened
+from undrift.drift.fit import widened
 
 
 def test_nodes_go_on_at_their_step_until_they_span_what_was_seen():

@@ -7,9 +7,8 @@ import pytest
 
 from testkit.data import show
 from testkit.rate_steps import GRAVITY, GRID, SOAKS, computed, reading
-from undrift.drift.dynamic import fit_dynamic
 from undrift.drift.observe import RestBlocks
-from undrift.drift.scale import measured_rate, rests_of, steps_of
+from undrift.drift.rate_steps import fit_dynamic, measured_rate, rests_of, steps_of
 from undrift.errors import NotObservable
 from undrift.sim.device.effects import RateDrift
 from undrift.sim.device.presets import random_device_of

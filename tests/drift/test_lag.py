@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from undrift.drift.thermometer_lag import LagState, default_smooth_s, without_lag, without_lag_smooth
+from undrift.drift.temperature import LagState, default_smooth_s, without_lag, without_lag_smooth
 from undrift.errors import InputError
 
 TAU = 40.0

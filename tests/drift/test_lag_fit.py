@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from undrift.drift.observe import RestBlocks
-from undrift.drift.thermometer_lag import estimate_lag
+from undrift.drift.temperature import estimate_lag
 
 STEP_S = 10.0
 

@@ -12,9 +12,8 @@ from testkit.data import data_path, show
 from testkit.pictures import cut_texts
 from testkit.plain_triad import plain_triad
 from undrift.correction.correct import DriftRangeWarning, correct
-from undrift.drift.daily_rests import LearnSettings
 from undrift.drift.fit import fit_drift
-from undrift.drift.learn import learn_drift
+from undrift.drift.learn import LearnSettings, learn_drift
 from undrift.errors import InputError, NotObservable
 from undrift.io.store import read_calibration, write_calibration
 from undrift.model import Calibration, DriftTables, ScaleDrift, StaticDrift

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from undrift.drift.sessions import check_once, one_power_on
+from undrift.drift.observe import check_once, one_power_on
 from undrift.errors import InputError
 from undrift.record import Record, Session
 

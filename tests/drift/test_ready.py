@@ -5,8 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from undrift.drift.observe import observe_rests
-from undrift.drift.sessions import accel_unit_of, check_at_rest, in_units_of, nominal_models, since_power_on
+from undrift.drift.observe import (
+    accel_unit_of,
+    check_at_rest,
+    in_units_of,
+    nominal_models,
+    observe_rests,
+    since_power_on,
+)
 from undrift.errors import InputError, NotObservable
 from undrift.model import AdcModel
 from undrift.record import Record, Session, Still

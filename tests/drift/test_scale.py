@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from testkit.rate_steps import GRID, SOAKS, computed, reading
-from undrift.drift.scale import fit_scale, soak_matrices, steps_of
+from undrift.drift.rate_steps import fit_scale, soak_matrices, steps_of
 from undrift.errors import InputError, NotObservable
 from undrift.model import StaticDrift
 from undrift.sim.device.presets import random_device_of

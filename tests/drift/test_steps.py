@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from testkit.rate_steps import GRID, computed
-from undrift.drift.scale import offset_at, steps_of
+from undrift.drift.rate_steps import offset_at, steps_of
 from undrift.model import StaticDrift
 from undrift.sim.device.presets import random_device_of
 from undrift.sim.device.truth import true_calibration

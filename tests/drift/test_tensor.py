@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from undrift.drift.dynamic import Cubics, SurfacePoints, fit_surface
+from undrift.drift.rate_steps import Cubics, SurfacePoints, fit_surface
 from undrift.errors import NotObservable
 
 TEMPS = np.arange(20.0, 71.0, 10.0)

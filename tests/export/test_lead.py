@@ -10,7 +10,7 @@ from testkit.c_build import LAG_MAIN, STRICT, run_with_lag, write
 from testkit.data import show
 from testkit.full_calibration import device, record, tables
 from undrift.correction.correct import correct_checked
-from undrift.drift.thermometer_lag import without_lag
+from undrift.drift.temperature import without_lag
 from undrift.errors import InputError
 from undrift.export.c import export_c
 

@@ -14,10 +14,9 @@ from testkit.data import show
 from testkit.rate_steps import GRAVITY, GRID, SOAKS, computed, reading, soaked, table_motion
 from undrift.calibration.calibrate import calibrate
 from undrift.correction.correct import correct_checked
-from undrift.drift.dynamic import DynamicFit, fit_dynamic
+from undrift.drift.fit import choose_tables
 from undrift.drift.observe import RestBlocks
-from undrift.drift.scale import fit_scale
-from undrift.drift.select import choose_tables
+from undrift.drift.rate_steps import DynamicFit, fit_dynamic, fit_scale
 from undrift.fit.smooth import not_a_knot
 from undrift.model import Calibration, DriftTables, StaticDrift
 from undrift.sim.device.effects import Scale, SensorChain, Thermometer

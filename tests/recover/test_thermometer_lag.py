@@ -8,8 +8,13 @@ import pytest
 
 from testkit.data import show
 from undrift.drift.observe import observe_rests
-from undrift.drift.temperature import trusted_temperature
-from undrift.drift.thermometer_lag import default_smooth_s, estimate_lag, without_lag, without_lag_smooth
+from undrift.drift.temperature import (
+    default_smooth_s,
+    estimate_lag,
+    trusted_temperature,
+    without_lag,
+    without_lag_smooth,
+)
 from undrift.record import Session, Still
 from undrift.sim.device.presets import preset
 from undrift.sim.device.simulate import simulate_device

@@ -10,7 +10,7 @@ from testkit.pictures import cut_texts
 from undrift.base.summary import plus_minus
 from undrift.commands.drift import choice_rows, offset_rows, offset_title, shown_unit
 from undrift.drift.checks import ScaleSummary, TriadSummary
-from undrift.drift.select import Alternatives
+from undrift.drift.fit import Alternatives
 from undrift.findings import finding
 from undrift.model import DynamicDrift
 from undrift.report.drift import draw_alternatives, draw_dynamic, draw_offsets, draw_scale

@@ -48,7 +48,7 @@ from undrift.correction.rest import RestOffset, find_rest_offset, force_uncertai
 from undrift.drift.hysteresis import TempHistory
 from undrift.errors import InputError
 from undrift.findings import Finding
-from undrift.model import Calibration, DriftTables
+from undrift.model import NO_TABLES, Calibration
 from undrift.record import ForceUncertainty, Record
 
 Buffers: TypeAlias = tuple[FloatArray, FloatArray]  # rate, rad/s, and specific force, m/s2, (N, 3)
@@ -345,7 +345,7 @@ def correct_planned(
     temp_c = conditions.temp_c
     # A least value is NaN where any is. Masks stay None where nothing is marked: most records need no second pass over them.
     before, missing = carry.last_time, np.isnan(temp_c) if has_tables(plans) and np.isnan(temp_c.min()) else None
-    drift, allowed = calibration.drift or DriftTables(), policy != "raise"
+    drift, allowed = calibration.drift or NO_TABLES, policy != "raise"
     outside = coverage.find_outside(record, temp_c, plans, drift, allowed=allowed, before=before)
     outputs = _buffers(len(record), plans, out)
 
@@ -358,10 +358,7 @@ def correct_planned(
         for plan, values in zip(plans, outputs, strict=True):
             if plan is not None and plan.tables is not None:
                 values[outside] = np.nan
-    unmarked = np.zeros(
-        len(record), dtype=bool
-    )  # one for all masks: fresh memory costs as much as a tenth of the kernel
-    unmarked.flags.writeable = False
+    unmarked = np.broadcast_to(np.False_, len(record))  # fresh memory costs as much as a tenth of the kernel
     span_c, departure_c = coverage.temperature_reach(temp_c, calibration, plans)
     reach = coverage.Reach(
         temp_c=span_c,

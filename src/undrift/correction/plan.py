@@ -13,7 +13,7 @@ cell i, with f = (t - t_i) / (t_(i+1) - t_i)::
 
 Nodes that are whole multiples of one step (a rate grid with a gap around zero) are filled up to an even grid, which changes no
 value and finds the cell by one multiplication; others are searched. Tables are over the temperature of the sensors: where the
-thermometer lags (lag_s > 0), drift/thermometer_lag.py subtracts that lag, looking back only, with a state from chunk to chunk.
+thermometer lags (lag_s > 0), drift/temperature.py subtracts that lag, looking back only, with a state from chunk to chunk.
 """
 
 import os
@@ -26,7 +26,7 @@ import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray, interpolated
 from undrift.drift.hysteresis import LoopState, TempHistory, follow_loop, state_of
-from undrift.drift.thermometer_lag import LagState, without_lag
+from undrift.drift.temperature import LagState, without_lag
 from undrift.errors import InputError
 from undrift.model import Calibration, DynamicDrift, Sensor, Triad, TriadModel
 from undrift.record import Record
@@ -289,9 +289,25 @@ def has_tables(plans: Plans) -> bool:
 
 
 def _flat_plan(constants: Constants) -> TriadPlan:
+    g, used = constants.g_sensitivity, constants.tables
+    return TriadPlan(
+        matrix=np.ravel(constants.matrix),
+        offset=constants.offset,
+        half_step=np.zeros(3) if constants.half_step is None else constants.half_step,
+        g_sensitivity=None if g is None else np.ravel(g),
+        tables=_cells_of(constants) if used else None,
+        temp_range=(max(t.temp.start for t in used), min(t.temp.stop for t in used)) if used else EVERYWHERE,
+        marked=tuple(_marked(table, table.stated) for table in used if table.stated is not None),
+        warm_up=None if constants.warm_up_table is None else line_cells(constants.warm_up_table),
+        loop=None if constants.loop_table is None else line_cells(constants.loop_table),
+    )
+
+
+def _cells_of(constants: Constants) -> "Tables":
+    """Return the cells of all tables over temperature; empty where there is no such table."""
     from undrift.kernels.correct import Grid, Tables
 
-    unused, g = Grid(np.zeros(2), 0.0, 0.0, 1), constants.g_sensitivity
+    unused = Grid(np.zeros(2), 0.0, 0.0, 1)
     tables = Tables(NOTHING, unused, NOTHING, unused, NOTHING, unused, unused)
     if constants.offset_table is not None:
         grid, cells = line_cells(constants.offset_table)
@@ -302,18 +318,7 @@ def _flat_plan(constants: Constants) -> TriadPlan:
     if constants.error_table is not None:
         grid, rate, cells = plane_cells(constants.error_table)
         tables = tables._replace(error=cells, error_temp=grid, error_rate=rate)
-    used = constants.tables
-    return TriadPlan(
-        matrix=np.ravel(constants.matrix),
-        offset=constants.offset,
-        half_step=np.zeros(3) if constants.half_step is None else constants.half_step,
-        g_sensitivity=None if g is None else np.ravel(g),
-        tables=tables if used else None,
-        temp_range=(max(t.temp.start for t in used), min(t.temp.stop for t in used)) if used else EVERYWHERE,
-        marked=tuple(_marked(table, table.stated) for table in used if table.stated is not None),
-        warm_up=None if constants.warm_up_table is None else line_cells(constants.warm_up_table),
-        loop=None if constants.loop_table is None else line_cells(constants.loop_table),
-    )
+    return tables
 
 
 def line_cells(table: Table) -> "tuple[Grid, FloatArray]":

@@ -22,7 +22,7 @@ import numpy as np
 from undrift.arrays import FloatArray, frozen
 from undrift.errors import InputError
 from undrift.findings import Finding, finding
-from undrift.model import Calibration, DriftTables, TriadModel
+from undrift.model import NO_TABLES, Calibration, TriadModel
 from undrift.record import ForceUncertainty, Record, Still, TemperatureSensitivity, joined
 from undrift.segments import StillSettings, find_still
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, si_factor
@@ -220,7 +220,7 @@ _ABOVE = 3.0  # of the variance of such means of white noise: it reaches it in o
 
 def force_uncertainty(calibration: Calibration, unit: str) -> ForceUncertainty | None:
     """Return what a calibration knows of its accelerometers, for readings in a unit; None where it states no uncertainty."""
-    model, adc, tables = calibration.accel, calibration.adc, calibration.drift or DriftTables()
+    model, adc, tables = calibration.accel, calibration.adc, calibration.drift or NO_TABLES
     if model is None or not np.isfinite(model.covariance).all() or not model.covariance.any():
         return None
     matrix, covariance = model.matrix * si_factor(model.unit_out, "accel"), _of_error(model)

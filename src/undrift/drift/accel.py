@@ -21,8 +21,8 @@ import numpy as np
 from undrift.arrays import BoolArray, FloatArray, IntArray
 from undrift.calibration.norm import WEAKEST, NormFit, fit_norm
 from undrift.drift.observe import RestBlocks
+from undrift.drift.rate_steps import MATRIX_GAP_C
 from undrift.drift.rests import bins_of
-from undrift.drift.scale import MATRIX_GAP_C
 from undrift.drift.static import near_data
 from undrift.errors import CalibrationError, InputError, NotObservable, PoorFit
 from undrift.findings import Level, finding

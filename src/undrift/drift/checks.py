@@ -27,11 +27,10 @@ from undrift.arrays import BoolArray, FloatArray, interpolated
 from undrift.calibration.checks import check_axis_order, check_handedness
 from undrift.drift.accel import AccelDriftFit
 from undrift.drift.observe import RateSteps, RestBlocks
+from undrift.drift.rate_steps import ScaleFit, SoakMatrices, soak_matrices, steps_of
 from undrift.drift.rests import UNKNOWN_SCALE_PER_K
-from undrift.drift.scale import ScaleFit, SoakMatrices, soak_matrices, steps_of
 from undrift.drift.static import StaticFit, TriadDrift, cooling
-from undrift.drift.temperature import Temperature
-from undrift.drift.thermometer_lag import LagFit
+from undrift.drift.temperature import LagFit, Temperature
 from undrift.errors import CalibrationError, Implausible
 from undrift.findings import Finding, finding
 from undrift.model import AXES, Calibration, TriadModel, Verdict, level_of

@@ -1,5 +1,14 @@
 """Targets of ``undrift export``: a name, and the object that writes the file.
 
+    c            C source of the correction in float, double and fixed point
+    firmware     the constants of correction/plan.py on findable grids and in integers, error bounds, cost of a build
+    autopilots   PX4 and ArduPilot parameters
+    programs     Fusion, imucal, ROS, undrift
+    losses       what a target cannot carry, with figures
+
+In goes a ``Calibration``, readings in the device's unit and frame b; out comes the text of a file whose numbers are in the units
+that its program wants, rad/s and m/s2 for C. Open c first.
+
 A target is one file that ends in ``TARGET = Target(endings=(".bin",), write=write)`` and one line in ``TARGETS``; another package
 adds one through the entry-point group ``undrift.targets`` (see ``plugins.py``). ``write`` takes the calibration, the options of the
 command line and the name of the file, and returns ``Exported``.

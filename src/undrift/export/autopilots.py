@@ -27,7 +27,7 @@ from undrift.export import ExportOptions, Target
 from undrift.export.losses import Exported, Part, losses, texts_of
 from undrift.export.programs import ConstantPair, pair_at
 from undrift.findings import Finding, finding
-from undrift.model import Calibration, DriftTables
+from undrift.model import NO_TABLES, Calibration
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, Quantity, is_physical, si_factor
 
 CARRIED: frozenset[Part] = frozenset(("static", "accel gain"))
@@ -110,7 +110,7 @@ def autopilot_model(calibration: Calibration, settings: AutopilotSettings) -> Au
     """Return a calibration in an autopilot's form."""
     if not 0 <= settings.sensor <= 2:
         raise InputError(f"export: wanted sensor 0, 1 or 2 of the autopilot, got {settings.sensor}; choose one")
-    drift = calibration.drift or DriftTables()
+    drift = calibration.drift or NO_TABLES
     static, temp = drift.static, settings.temp_c
     if temp is None and drift.scale is None and static is not None:
         temp = float(static.temp_c.mean())  # the cubics hold the offsets of every temperature: nothing is frozen here

@@ -341,7 +341,7 @@ def cost_of(triads: tuple[Constants, ...], arithmetic: Arithmetic, table_bytes: 
     return Cost(arithmetic=arithmetic, table_bytes=table_bytes, code_bytes=code, cycles=cycles, lead_cycles=ahead)
 
 
-# ---- Lead: removes a thermometer's lag, the filter of drift/thermometer_lag.py rewritten
+# ---- Lead: removes a thermometer's lag, the filter of drift/temperature.py rewritten
 #
 # With d = x - z, how far the reading x is from its low-passed z, a = dt / smooth, and g = lag / smooth:
 #

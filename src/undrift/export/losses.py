@@ -7,7 +7,7 @@ from typing import Any, Literal
 import numpy as np
 
 from undrift.findings import Finding, finding
-from undrift.model import Calibration, DriftTables
+from undrift.model import NO_TABLES, Calibration, DriftTables
 from undrift.units import RADIAN_PER_DEGREE, si_factor
 
 # ---- Exported: a text for another program, and what that program cannot do with the calibration.
@@ -80,7 +80,7 @@ def _parts(calibration: Calibration) -> Iterator[tuple[Part, Finding]]:
     if gyro is not None and gyro.g_sensitivity is not None:
         rate = np.abs(gyro.g_sensitivity).max() * si_factor(gyro.unit_out, "rate") / RADIAN_PER_DEGREE
         yield "g", finding("export.g_sensitivity", "warn", most_dps_per_g=rate * si_factor("g", "accel"))
-    yield from _tables(calibration, calibration.drift or DriftTables())
+    yield from _tables(calibration, calibration.drift or NO_TABLES)
     yield "uncertainty", finding("export.uncertainty", "warn")
     if calibration.noise is not None:
         yield "noise", finding("export.noise", "warn")

@@ -33,9 +33,8 @@ if TYPE_CHECKING:
 
     from undrift.arrays import BoolArray, FloatArray
     from undrift.drift.checks import ScaleSummary, TriadSummary
-    from undrift.drift.fit import DriftFit
+    from undrift.drift.fit import Alternatives, DriftFit
     from undrift.drift.learn import LearnFit
-    from undrift.drift.select import Alternatives
     from undrift.model import DynamicDrift
 
 # ---- pictures

@@ -88,17 +88,19 @@ STATIC = Branch(
         Step("Output at rest, at each temperature", ("drift.observe.observe_rests",)),
         Step(
             "Function of the static drift, by splines",
-            ("drift.thermometer_lag.estimate_lag", "drift.static.fit_static"),
+            ("drift.temperature.estimate_lag", "drift.static.fit_static"),
         ),
-        Step("Tuning table, every 0.5 °C", ("drift.select.cropped_static",)),
+        Step("Tuning table, every 0.5 °C", ("drift.fit.cropped_static",)),
     ),
 )
 DYNAMIC = Branch(
     "block\N{NO-BREAK SPACE}6, block\N{NO-BREAK SPACE}7, block\N{NO-BREAK SPACE}8, block\N{NO-BREAK SPACE}9",
     (
         Step("Output at the imposed angular velocities", ("drift.observe.observe_steps",)),
-        Step("Function of the dynamic drift, by splines", ("drift.scale.fit_scale", "drift.dynamic.fit_dynamic")),
-        Step("Tuning table, over velocity and temperature", ("drift.select.choose_tables",)),
+        Step(
+            "Function of the dynamic drift, by splines", ("drift.rate_steps.fit_scale", "drift.rate_steps.fit_dynamic")
+        ),
+        Step("Tuning table, over velocity and temperature", ("drift.fit.choose_tables",)),
     ),
 )
 AFTER = (

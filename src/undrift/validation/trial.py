@@ -34,7 +34,7 @@ from undrift.correction.correct import Policy, correct_checked, correct_whole
 from undrift.correction.coverage import find_beyond
 from undrift.correction.rest import RestOffset, find_rest_offset, mean_variance
 from undrift.drift.hysteresis import TempHistory
-from undrift.drift.sessions import nominal_triad
+from undrift.drift.observe import nominal_triad
 from undrift.errors import AlignmentError, InputError
 from undrift.findings import Finding, finding
 from undrift.frames import quaternion_conjugate, quaternion_of, quaternion_product, rotation_vector
