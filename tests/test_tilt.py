@@ -8,7 +8,8 @@ import pytest
 
 from testkit.data import show
 from testkit.tilt_bench import ROWS, drawn
-from undrift.correction.rest import AGEING, TURN_ON, UNKNOWN_K, force_uncertainty, mean_variance
+from undrift.correction.plan import force_uncertainty
+from undrift.correction.rest import AGEING, TURN_ON, UNKNOWN_K, mean_variance
 from undrift.errors import InputError
 from undrift.frames import rotate
 from undrift.model import (

@@ -169,6 +169,10 @@ class TriadModel:
         """
         return np.asarray(np.linalg.norm(self.forward_matrix, axis=1))
 
+    def si_per_reading(self, quantity: Quantity) -> FloatArray:
+        """Return the SI units that one raw unit of each sensor is, shape (3,)."""
+        return np.asarray(si_factor(self.unit_out, quantity) / self.scale_factor)
+
     @property
     def sensor_axes(self) -> FloatArray:
         """Unit vector of each sensor's axis in b, one a row, shape (3, 3): K = diag(scale_factor) @ sensor_axes."""

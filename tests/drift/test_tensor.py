@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from undrift.drift.rate_steps import Cubics, SurfacePoints, fit_surface
+from undrift.drift.rate_steps import SurfacePoints, fit_surface
 from undrift.errors import NotObservable
+from undrift.fit.smooth import Cubics
 
 TEMPS = np.arange(20.0, 71.0, 10.0)
 RATES = np.concatenate((-np.linspace(0.2, 1.6, 8)[::-1], np.linspace(0.2, 1.6, 8)))

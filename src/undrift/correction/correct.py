@@ -40,11 +40,12 @@ from undrift.correction.plan import (
     carry_at_start,
     conditions_of,
     flat,
+    force_uncertainty,
     has_tables,
     in_pieces,
     plan_record,
 )
-from undrift.correction.rest import RestOffset, find_rest_offset, force_uncertainty
+from undrift.correction.rest import RestOffset, find_rest_offset
 from undrift.drift.hysteresis import TempHistory
 from undrift.errors import InputError
 from undrift.findings import Finding

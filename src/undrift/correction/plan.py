@@ -29,8 +29,8 @@ from undrift.drift.hysteresis import LoopState, TempHistory, follow_loop, state_
 from undrift.drift.temperature import LagState, without_lag
 from undrift.errors import InputError
 from undrift.model import Calibration, DynamicDrift, Sensor, Triad, TriadModel
-from undrift.record import Record
-from undrift.units import Quantity, is_physical, si_factor
+from undrift.record import ForceUncertainty, Record, TemperatureSensitivity
+from undrift.units import STANDARD_GRAVITY, Quantity, is_physical, si_factor
 
 if TYPE_CHECKING:
     from undrift.kernels.correct import Grid, Tables
@@ -229,6 +229,51 @@ def _stated(marks: BoolArray | None, uncertainty: FloatArray | None) -> FloatArr
         return np.where(marks, np.inf, -1.0)
     largest = uncertainty.reshape(*marks.shape, -1).max(axis=-1)
     return np.where(marks, np.nan_to_num(largest, nan=np.inf, posinf=np.inf), -1.0)
+
+
+# ---- what is known of the accelerometers' errors: rest.py turns it into that of a tilt
+
+
+def force_uncertainty(calibration: Calibration, unit: str) -> ForceUncertainty | None:
+    """Return what a calibration knows of its accelerometers, for readings in a unit; None where it states no uncertainty."""
+    triad = calibration.triad("accel")
+    model = triad.model
+    if model is None or not np.isfinite(model.covariance).all() or not model.covariance.any():
+        return None
+    matrix, covariance = model.matrix * triad.si, _of_error(model)
+    spans = [np.full(2, calibration.reference_temp_c)] * 2
+    if triad.offsets is not None:  # in the place of the constant
+        u = triad.offsets.uncertainty
+        stated = np.zeros((1, 3)) if u is None else np.nan_to_num(u)
+        covariance[9:], covariance[:, 9:] = 0.0, 0.0
+        covariance[9:, 9:] = matrix @ np.diag(stated.max(axis=0) ** 2) @ matrix.T  # of the worst node
+        spans[0] = triad.offsets.temp_c[[0, -1]]
+    if triad.matrices is not None:
+        spans[1] = triad.matrices.temp_c[[0, -1]]
+    known, usual = calibration.provenance, TemperatureSensitivity()
+    mg = known.number("accel_offset_mg_per_k", usual.accel_offset_mg_per_k)
+    percent = known.number("accel_scale_percent_per_k", usual.accel_scale_percent_per_k)
+    lsb = np.full(3, float(unit == "count")) if triad.lsb is None else triad.lsb
+    return ForceUncertainty(
+        covariance=covariance,
+        offset_temp_c=spans[0],
+        matrix_temp_c=spans[1],
+        per_k=np.array([mg * 1e-3 * STANDARD_GRAVITY, 0.01 * percent]),
+        step=np.abs(matrix) @ lsb,
+        calibrated=calibration.provenance.created,
+    )
+
+
+def _of_error(model: TriadModel) -> FloatArray:
+    """Return the covariance (12, 12) of E row by row and of d, m/s2."""
+    inverse, jacobian = np.linalg.inv(model.matrix), np.zeros((12, len(model.parameters)))
+    for column, name in enumerate(model.parameters):
+        kind, _, axes = name.partition("_")
+        if kind == "m":
+            jacobian[3 * "xyz".index(axes[0]) :, column][:3] = inverse["xyz".index(axes[1])]
+        elif kind == "offset":
+            jacobian[9:, column] = -model.matrix[:, "xyz".index(axes)] * si_factor(model.unit_out, "accel")
+    return np.asarray(jacobian @ model.covariance @ jacobian.T)
 
 
 # ---- the same, flat, as the kernels take it

@@ -22,10 +22,9 @@ import numpy as np
 from undrift.arrays import FloatArray, frozen
 from undrift.errors import InputError
 from undrift.findings import Finding, finding
-from undrift.model import NO_TABLES, Calibration, TriadModel
-from undrift.record import ForceUncertainty, Record, Still, TemperatureSensitivity, joined
+from undrift.record import Record, Still, joined
 from undrift.segments import StillSettings, find_still
-from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, si_factor
+from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
 Stretch = tuple[float | None, float | None]  # named start and end, s, on the recording's clock; both None: to be found
 NAMED_NONE: Stretch = (None, None)
@@ -216,47 +215,6 @@ UNKNOWN_K = 5.0  # K, departure where no temperature is known: for so far consta
 UNKNOWN_YEARS = 1.0  # since a calibration that states no date [assumed]
 _SWAY_S = 1.0  # means over it: shorter accelerations of a body are no tilt
 _ABOVE = 3.0  # of the variance of such means of white noise: it reaches it in one rest of a hundred
-
-
-def force_uncertainty(calibration: Calibration, unit: str) -> ForceUncertainty | None:
-    """Return what a calibration knows of its accelerometers, for readings in a unit; None where it states no uncertainty."""
-    model, adc, tables = calibration.accel, calibration.adc, calibration.drift or NO_TABLES
-    if model is None or not np.isfinite(model.covariance).all() or not model.covariance.any():
-        return None
-    matrix, covariance = model.matrix * si_factor(model.unit_out, "accel"), _of_error(model)
-    spans = [np.full(2, calibration.reference_temp_c)] * 2
-    static, scale = tables.static, tables.scale
-    if static is not None and static.accel_offset is not None:  # in the place of the constant
-        stated = np.zeros((1, 3)) if static.accel_uncertainty is None else np.nan_to_num(static.accel_uncertainty)
-        covariance[9:], covariance[:, 9:] = 0.0, 0.0
-        covariance[9:, 9:] = matrix @ np.diag(stated.max(axis=0) ** 2) @ matrix.T  # of the worst node
-        spans[0] = static.temp_c[[0, -1]]
-    if scale is not None and scale.accel_matrix is not None:
-        spans[1] = scale.temp_c[[0, -1]]
-    known, usual = calibration.provenance, TemperatureSensitivity()
-    mg = known.number("accel_offset_mg_per_k", usual.accel_offset_mg_per_k)
-    percent = known.number("accel_scale_percent_per_k", usual.accel_scale_percent_per_k)
-    lsb = np.full(3, float(unit == "count")) if adc is None or adc.accel_lsb is None else adc.accel_lsb
-    return ForceUncertainty(
-        covariance=covariance,
-        offset_temp_c=spans[0],
-        matrix_temp_c=spans[1],
-        per_k=np.array([mg * 1e-3 * STANDARD_GRAVITY, 0.01 * percent]),
-        step=np.abs(matrix) @ lsb,
-        calibrated=calibration.provenance.created,
-    )
-
-
-def _of_error(model: TriadModel) -> FloatArray:
-    """Return the covariance (12, 12) of E row by row and of d, m/s2."""
-    inverse, jacobian = np.linalg.inv(model.matrix), np.zeros((12, len(model.parameters)))
-    for column, name in enumerate(model.parameters):
-        kind, _, axes = name.partition("_")
-        if kind == "m":
-            jacobian[3 * "xyz".index(axes[0]) :, column][:3] = inverse["xyz".index(axes[1])]
-        elif kind == "offset":
-            jacobian[9:, column] = -model.matrix[:, "xyz".index(axes)] * si_factor(model.unit_out, "accel")
-    return np.asarray(jacobian @ model.covariance @ jacobian.T)
 
 
 def force_covariances(record: Record, still: Still, force: FloatArray) -> dict[str, FloatArray]:

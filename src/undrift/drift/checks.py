@@ -188,7 +188,7 @@ def _factor(model: TriadModel | None, quantity: Quantity, unit: str) -> tuple[Fl
     """Return the physical unit per raw unit of each sensor, and its name; the raw unit where no scale factor is known."""
     si = "rad/s" if quantity == "rate" else "m/s2"
     if model is not None:
-        return si_factor(model.unit_out, quantity) / model.scale_factor, si
+        return model.si_per_reading(quantity), si
     if is_physical(unit):
         return np.full(3, si_factor(unit, quantity)), si
     return np.ones(3), unit or "raw unit"
@@ -287,7 +287,7 @@ def offsets_verdict(static: StaticFit, device: Calibration) -> Verdict:
         away_c = float(abs(nodes[node] - reference))
     else:  # the best case for the device
         node, away_c = int(seen[np.abs(offset - model.offset)[seen].max(axis=1).argmin()]), 0.0
-    per_raw = _dps_per_raw(model)
+    per_raw = _in_dps(model)[0]
     off = (offset[node] - model.offset) * per_raw
     sure = np.hypot(found.uncertainty[node], model.standard_uncertainty[9:12]) * per_raw
     beyond = np.abs(off) - np.abs(found.slope) * per_raw * (2.0 * away_c + _TEMPERATURE_OFF_C)
@@ -330,7 +330,7 @@ def poses_verdict(accel: AccelDriftFit | None, device: Calibration) -> Verdict:
     sure = np.sqrt((accel.matrix_uncertainty[node] ** 2 + own**2) @ inverse**2)
     allowed = UNKNOWN_SCALE_PER_K * float(away.min()) * np.eye(3)
     beyond = np.where(np.abs(off) > _SIGNIFICANT * sure, np.abs(off) - allowed, 0.0)
-    per_g = 1.0 / (model.scale_factor * device.gravity_m_s2 / si_factor(model.unit_out, "accel"))
+    per_g = model.si_per_reading("accel") / device.gravity_m_s2
     shift = (accel.offset[node] - model.offset) * per_g
     shift_sure = np.hypot(accel.offset_uncertainty[node], model.standard_uncertainty[9:12]) * per_g
     moved = np.where(np.abs(shift) > _SIGNIFICANT * shift_sure, np.abs(shift), 0.0)
@@ -369,7 +369,7 @@ def check_sessions(static: StaticFit, device: Calibration) -> None:
     found, model = static.gyro, device.gyro
     if found is None or model is None or found.curve.turn_on is None:
         return
-    between = np.sqrt(found.curve.turn_on.variance) * _dps_per_raw(model)
+    between = np.sqrt(found.curve.turn_on.variance) * _in_dps(model)[0]
     if between.max() > MOST_BETWEEN_DPS:
         raise Implausible(
             f"sessions: wanted offsets of one device, within {MOST_BETWEEN_DPS:g} deg/s from session to session, got a standard "
@@ -485,7 +485,7 @@ def bends_verdict(static: StaticFit, device: Calibration) -> Verdict:
     blocks, worst = found.offsets.blocks, (0.0, 0.0, 0.0)
     for session in np.unique(blocks.session):
         own = blocks.session == session
-        temp_c, value = blocks.temp_c[own], found.offsets.value[own] * _dps_per_raw(model)
+        temp_c, value = blocks.temp_c[own], found.offsets.value[own] * _in_dps(model)[0]
         points = set_points_of(temp_c)
         if len(points) <= _TOO_FEW:
             continue
@@ -508,7 +508,7 @@ def rests_verdict(static: StaticFit, device: Calibration) -> Verdict:
     between = None if static.gyro is None else static.gyro.curve.cells.between
     if between is None:
         return Verdict()
-    factor, unit = (np.ones(3), "raw units") if device.gyro is None else (_dps_per_raw(device.gyro), "deg/s")
+    factor, unit = _in_dps(device.gyro)
     known, found = between.known * factor, list[Finding]()
     if (between.pose > _MORE * between.known).any():
         g_known = device.gyro is not None and device.gyro.g_sensitivity is not None
@@ -538,7 +538,7 @@ def set_points_verdict(static: StaticFit, rests: RestBlocks, device: Calibration
     between = found.uncertainty[(nodes >= points[0] - 1e-6) & (nodes <= points[-1] + 1e-6)].max(axis=0, initial=0.0)
     if len(points) > _TOO_FEW and (between < _MORE * at).all():
         return Verdict()
-    factor, unit = (np.ones(3), "raw units") if device.gyro is None else (_dps_per_raw(device.gyro), "deg/s")
+    factor, unit = _in_dps(device.gyro)
     gaps = np.argsort(-np.diff(points))[: max(_ENOUGH - len(points), 1)]
     few = finding(
         "drift.few_set_points",
@@ -562,8 +562,9 @@ def set_points_of(temp_c: FloatArray) -> FloatArray:
     return np.array([part.mean() for part in held])
 
 
-def _dps_per_raw(model: TriadModel) -> FloatArray:
-    return np.asarray(si_factor(model.unit_out, "rate") / model.scale_factor / RADIAN_PER_DEGREE)
+def _in_dps(model: TriadModel | None) -> tuple[FloatArray, str]:
+    """Return deg/s per raw unit of each gyroscope, and that unit; the raw unit where no scale factor is known."""
+    return (np.ones(3), "raw units") if model is None else (model.si_per_reading("rate") / RADIAN_PER_DEGREE, "deg/s")
 
 
 def _figures(values: FloatArray) -> str:

@@ -635,8 +635,7 @@ def check_at_rest(rests: RestBlocks, device: Calibration) -> None:
     """Refuse blocks of rest in which the device moved all the time: a log that never lies still looks even throughout."""
     if device.gyro is None or not np.isfinite(rests.gyro_variance).any():
         return
-    factor = si_factor(device.gyro.unit_out, "rate") / device.gyro.scale_factor
-    known = np.sqrt(np.nanmedian(rests.gyro_variance, axis=0)) * factor
+    known = np.sqrt(np.nanmedian(rests.gyro_variance, axis=0)) * device.gyro.si_per_reading("rate")
     if np.nanmax(known) > _RESTLESS:
         dps = float(np.nanmax(known)) / RADIAN_PER_DEGREE
         raise NotObservable(

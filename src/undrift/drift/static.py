@@ -40,7 +40,7 @@ from undrift.drift.rests import (
 from undrift.errors import NotObservable
 from undrift.findings import Finding, finding
 from undrift.fit.least_squares import determined
-from undrift.fit.smooth import NodeValues, Scatter, SmoothSpline, fit_smooth, not_a_knot
+from undrift.fit.smooth import Cubics, NodeValues, Scatter, SmoothSpline, fit_smooth, not_a_knot
 from undrift.model import AXES, Calibration, StaticDrift, TriadModel, Verdict, WarmUp
 
 _EDGE_C = 0.5  # a node this far outside the temperatures seen is extrapolated
@@ -54,7 +54,7 @@ _CHUNK_S = 120.0  # cells are cut there and at its doubles where a warm-up is fi
 _LEAST_OWN = 0.05  # of the variance of exp(-t / tau) that temperature does not explain
 _CHANCE = 1e-3  # of soaks that are missed by as much although the stated uncertainty is right
 _LEAST_LEFT_OUT, _FAR_BELOW = 5, 1.0 / 3.0  # soaks that are judged by; error over stated, on all axes
-_KNOTS = 6
+_INTERVALS = 5  # of the curve over temperature that a warm-up is told from
 _NODES = 13
 _SPAN = 5.0  # time constants that a table covers
 
@@ -469,9 +469,9 @@ def both_ways(blocks: RestBlocks, state: FloatArray) -> bool:
 
 def warm_up_time(blocks: RestBlocks, value: FloatArray) -> float:
     """Return the time constant of the warm-up of values (n, 3), s."""
-    x = (blocks.temp_c - blocks.temp_c.min()) / max(float(np.ptp(blocks.temp_c)), 1e-9)
-    bends = [np.maximum(x - knot, 0.0) ** 3 for knot in np.linspace(0.0, 1.0, _KNOTS)[1:-1]]
-    basis = np.column_stack([x**power for power in range(4)] + bends)
+    low = float(blocks.temp_c.min())
+    high = low + max(float(np.ptp(blocks.temp_c)), 1e-9)
+    basis = Cubics(low=low, high=high, intervals=_INTERVALS).at(blocks.temp_c)
 
     def unexplained(values: FloatArray) -> FloatArray:
         return np.asarray(values - basis @ np.linalg.lstsq(basis, values, rcond=None)[0])

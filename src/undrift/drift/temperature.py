@@ -44,6 +44,7 @@ from undrift.arrays import BoolArray, FloatArray, frozen
 from undrift.drift.observe import RestBlocks
 from undrift.errors import InputError, NotObservable
 from undrift.findings import Finding, finding
+from undrift.fit.smooth import Cubics
 from undrift.record import Session, Still, Turn
 
 BOARD_C = (-40.0, 125.0)  # where parts of a board work
@@ -765,13 +766,9 @@ def _turns(temp: FloatArray) -> tuple[list[int], list[float]]:
 
 
 def _spline(temp: FloatArray) -> FloatArray:
-    """Return a cubic B-spline basis over the temperatures, shape (n, k)."""
-    from scipy.interpolate import BSpline
-
+    """Return a cubic spline basis over the temperatures, (n, k)."""
     low, high = float(temp.min()), float(temp.max()) + 1e-9
-    cells = int(np.clip(round((high - low) / NODE_C), 1, MOST_KNOTS))
-    knots = np.concatenate(([low] * 3, np.linspace(low, high, cells + 1), [high] * 3))
-    return np.asarray(BSpline.design_matrix(np.clip(temp, low, high), knots, 3).toarray())
+    return Cubics(low=low, high=high, intervals=int(np.clip(round((high - low) / NODE_C), 1, MOST_KNOTS))).at(temp)
 
 
 def _independent(residual: FloatArray) -> float:

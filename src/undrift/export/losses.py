@@ -92,7 +92,7 @@ def _tables(calibration: Calibration, drift: DriftTables) -> Iterator[tuple[Part
         yield "static", finding("export.static", "warn")
         if static.gyro_hysteresis is not None:
             gyro, half = calibration.gyro, static.gyro_hysteresis
-            rate = half if gyro is None else half / gyro.scale_factor * si_factor(gyro.unit_out, "rate")
+            rate = half if gyro is None else half * gyro.si_per_reading("rate")
             widest = np.abs(rate).max() / RADIAN_PER_DEGREE
             yield "hysteresis", finding("export.hysteresis", "warn", half_width_dps=widest)
         if static.warm_up is not None:

@@ -154,7 +154,7 @@ def _stated(calibration: Calibration, temp_c: float, rest_variance: FloatArray) 
     drift, gyro = calibration.drift, calibration.gyro
     if drift is None or gyro is None or drift.static is None or drift.static.gyro_uncertainty is None:
         return math.nan, math.nan
-    per_raw = si_factor(gyro.unit_out, "rate") / np.abs(gyro.scale_factor)
+    per_raw = np.abs(gyro.si_per_reading("rate"))
     offset = interpolated(temp_c, drift.static.temp_c, drift.static.gyro_uncertainty) * per_raw * MOTION_S
     turning = np.zeros(3)
     scale, dynamic = drift.scale, drift.dynamic
