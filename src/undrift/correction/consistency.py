@@ -339,18 +339,17 @@ def check_device(
         for name, values in (("accel", record.accel), ("gyro", record.gyro))
         if values is not None
     }
-    for name, model, own, per_k in (
-        ("accel", calibration.accel, LEFT_ACCEL, usual.accel_offset_mg_per_k * 1e-3 * STANDARD_GRAVITY),
-        ("gyro", calibration.gyro, LEFT_RATE, usual.gyro_offset_dps_per_k * RADIAN_PER_DEGREE),
-    ):
+    per_k = usual.gyro_offset_dps_per_k * RADIAN_PER_DEGREE, usual.accel_offset_mg_per_k * 1e-3 * STANDARD_GRAVITY
+    tabled = calibration.drift is not None and calibration.drift.static is not None
+    for triad, own, of_temp in zip(calibration.triads, (LEFT_RATE, LEFT_ACCEL), per_k, strict=True):
+        name, model = triad.sensor, triad.model
         if model is None or name not in means:
             continue
         size = np.linalg.norm(means[name], axis=1) - (calibration.gravity_m_s2 if name == "accel" else 0.0)
         columns = [k for k, parameter in enumerate(model.parameters) if parameter.startswith("offset_")]
         offsets = model.matrix @ model.covariance[np.ix_(columns, columns)] @ model.matrix.T
-        fit = float(np.sqrt(np.trace(offsets))) * si_factor(model.unit_out, "rate" if name == "gyro" else "accel")
-        tabled = calibration.drift is not None and calibration.drift.static is not None
-        left[name] = float(np.sqrt(np.mean(size**2))), math.hypot(fit, own, 0.0 if tabled else per_k * departure)
+        fit = float(np.sqrt(np.trace(offsets))) * triad.si
+        left[name] = float(np.sqrt(np.mean(size**2))), math.hypot(fit, own, 0.0 if tabled else of_temp * departure)
     far = [name for name, (seen, expected) in left.items() if seen > FAR_SIGMAS * expected]
     accel_left = left.get("accel", (0.0, 0.0))[0]
     reversed_ = "gyro" not in far and accel_left > LEAST_LEFT and _reversed(means["accel"], calibration, accel_left)

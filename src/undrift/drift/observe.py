@@ -443,29 +443,22 @@ def _soaks(temp_c: FloatArray, apart_c: float, stated_c: FloatArray | None = Non
 
 def set_point_rests(session: Session, temps: Sequence[FloatArray], *, number: int, first_pose: int) -> RestBlocks:
     """Return the rows at rest of a session of set-points."""
-    parts, shown, begin_s = list[RestBlocks](), list[FloatArray | None](), 0.0
-    for record, means, temp_c in zip(session.records, session.means, temps, strict=True):
+    parts, shown = list[RestBlocks](), list[FloatArray | None]()
+    for k, (record, means, temp_c) in enumerate(zip(session.records, session.means, temps, strict=True)):
         rows = np.flatnonzero((means.rate_b == 0.0).all(axis=1) & np.isfinite(temp_c))
-        gyro, gyro_variance = _readings(record, means, "rate")
-        accel, accel_variance = _readings(record, means, "accel")
+        columns = _columns(session, k, temp_c, rows, number)
         count = len(rows)
         parts.append(
             RestBlocks(
-                session=np.full(count, number, np.int64),
-                pose=np.array([first_pose + _pose_among(shown, own) for own in accel[rows]], np.int64),
-                time=record.time[rows] - record.time[0] + begin_s,
+                **columns,
+                pose=np.array([first_pose + _pose_among(shown, own) for own in columns["accel"]], np.int64),
                 power_on_s=record.time[rows] - record.time[0],
-                temp_c=temp_c[rows],
                 ramp_c_per_min=np.zeros(count),
-                gyro=gyro[rows],
-                accel=accel[rows],
-                gyro_variance=gyro_variance[rows],
-                accel_variance=accel_variance[rows],
+                accel_variance=_readings(record, means, "accel")[1][rows],
                 gyro_step_error=np.zeros((count, 3)),
                 accel_step_error=np.zeros((count, 3)),
             )
         )
-        begin_s += record.duration_s
     return parts[0].followed_by(parts[1:])
 
 
@@ -473,26 +466,29 @@ def set_point_steps(
     session: Session, temps: Sequence[FloatArray], *, number: int, first_soak: int, soak_c: float
 ) -> RateSteps:
     """Return the rows with an imposed rate of a session of set-points."""
-    parts, begin_s = list[RateSteps](), 0.0
-    for record, means, temp_c in zip(session.records, session.means, temps, strict=True):
+    parts = list[RateSteps]()
+    for k, (means, temp_c) in enumerate(zip(session.means, temps, strict=True)):
         known = np.flatnonzero(np.isfinite(temp_c))
         soak, turning = _soaks(temp_c[known], soak_c), (means.rate_b[known] != 0.0).any(axis=1)
         rows = known[turning]
-        gyro, variance = _readings(record, means, "rate")
-        parts.append(
-            RateSteps(
-                session=np.full(len(rows), number, np.int64),
-                soak=first_soak + soak[turning],
-                time=record.time[rows] - record.time[0] + begin_s,
-                temp_c=temp_c[rows],
-                rate_b=means.rate_b[rows],
-                gyro=gyro[rows],
-                accel=_readings(record, means, "accel")[0][rows],
-                gyro_variance=variance[rows],
-            )
-        )
-        first_soak, begin_s = first_soak + int(soak.max(initial=-1)) + 1, begin_s + record.duration_s
+        columns = _columns(session, k, temp_c, rows, number)
+        parts.append(RateSteps(**columns, soak=first_soak + soak[turning], rate_b=means.rate_b[rows]))
+        first_soak += int(soak.max(initial=-1)) + 1
     return parts[0].followed_by(parts[1:])
+
+
+def _columns(session: Session, k: int, temp_c: FloatArray, rows: IntArray, number: int) -> dict[str, Any]:
+    """Return what rows of a table of set-points have in common, at rest and turning."""
+    record, means = session.records[k], session.means[k]
+    gyro, variance = _readings(record, means, "rate")
+    return {
+        "session": np.full(len(rows), number, np.int64),
+        "time": record.time[rows] - record.time[0] + session.begins_s[k],
+        "temp_c": temp_c[rows],
+        "gyro": gyro[rows],
+        "accel": _readings(record, means, "accel")[0][rows],
+        "gyro_variance": variance[rows],
+    }
 
 
 def _readings(record: Record, means: SetPointMeans, quantity: Quantity) -> tuple[FloatArray, FloatArray]:
@@ -550,19 +546,17 @@ def _prepared(record: Record, number: int, calibration: Calibration) -> Record:
         raise InputError(
             f"recording {number}: wanted raw readings, got a corrected record; a table is subtracted from the device's own readings"
         )
-    units = {}
-    for sensor, model in (("gyro", calibration.gyro), ("accel", calibration.accel)):
-        unit = units[f"{sensor}_unit"] = getattr(record, f"{sensor}_unit")
-        if getattr(record, sensor) is None or model is None or unit == model.unit_in:
-            continue
-        if not (is_physical(unit) and is_physical(model.unit_in)):
+    before, units = (record.gyro_unit, record.accel_unit), list[str]()
+    for triad, values, unit in zip(calibration.triads, (record.gyro, record.accel), before, strict=True):
+        wanted = unit if values is None or triad.model is None else triad.model.unit_in
+        if wanted != unit and not (is_physical(unit) and is_physical(wanted)):
             raise InputError(
-                f"recording {number}: wanted {sensor} readings in {model.unit_in}, the unit of the calibration, got {unit}; record "
+                f"recording {number}: wanted {triad.sensor} readings in {wanted}, the unit of the calibration, got {unit}; record "
                 "as for the calibration, or calibrate in this unit"
             )
-        units[f"{sensor}_unit"] = model.unit_in
-    if units != {"gyro_unit": record.gyro_unit, "accel_unit": record.accel_unit}:
-        record = replace(record.in_units(*units.values()), **units)
+        units.append(wanted)
+    if tuple(units) != before:
+        record = replace(record.in_units(*units), gyro_unit=units[0], accel_unit=units[1])
     return restored(record, calibration.adc)
 
 

@@ -54,7 +54,7 @@ _CHUNK_S = 120.0  # cells are cut there and at its doubles where a warm-up is fi
 _LEAST_OWN = 0.05  # of the variance of exp(-t / tau) that temperature does not explain
 _CHANCE = 1e-3  # of soaks that are missed by as much although the stated uncertainty is right
 _LEAST_LEFT_OUT, _FAR_BELOW = 5, 1.0 / 3.0  # soaks that are judged by; error over stated, on all axes
-_INTERVALS = 5  # of the curve over temperature that a warm-up is told from
+_INTERVALS = 5  # of the curve over temperature that a warm-up has to differ from
 _NODES = 13
 _SPAN = 5.0  # time constants that a table covers
 

@@ -1,15 +1,166 @@
-"""Tables of set-points: rows of means, as chamber software writes them, give the tables that their device has."""
+"""Rate steps made ready: soaks, mountings, offsets.
 
+Sessions made ready for a thermal fit: units, half steps, power-on, corrected records.
+
+Tables of set-points: rows of means, as chamber software writes them, give the tables that their device has.
+"""
+
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from testkit.data import show
+from testkit.rate_steps import GRID, computed
 from undrift.drift.fit import fit_drift
-from undrift.drift.observe import observe_steps
-from undrift.errors import InputError
+from undrift.drift.observe import (
+    accel_unit_of,
+    check_at_rest,
+    in_units_of,
+    nominal_models,
+    observe_rests,
+    observe_steps,
+    since_power_on,
+)
+from undrift.drift.rate_steps import offset_at, steps_of
+from undrift.errors import InputError, NotObservable
 from undrift.io.session import read_file_map, read_session, session_from_files, write_session
+from undrift.model import AdcModel, StaticDrift
+from undrift.record import Record, Session, Still
+from undrift.sim.device.presets import preset, random_device_of
+from undrift.sim.device.truth import true_calibration
+
+DEVICE = random_device_of("enc03j_3031", np.random.default_rng(0))
+
+
+def made(temps=(20.0, 40.0)):
+    return computed(DEVICE, np.array(temps), np.random.default_rng(1), rates=GRID[:3])
+
+
+def test_each_axis_of_each_soak_is_a_mounting_and_both_signs_belong_to_it():
+    steps = steps_of(made())
+    assert len(np.unique(steps.mounting)) == 6
+    for m in range(6):
+        own = steps.mounting == m
+        assert len(np.unique(steps.soak[own])) == 1
+        assert np.array_equal(np.sort(np.degrees(steps.along[own]).round(6)), [-15.0, -10.0, -5.0, 5.0, 10.0, 15.0])
+
+
+def test_a_wobble_of_the_axis_is_the_same_mounting():
+    given = made()
+    wobbling = replace(given, rate_b=given.rate_b + 0.01 * np.abs(given.rate_b).max(axis=1, keepdims=True))
+    assert len(np.unique(steps_of(wobbling).mounting)) == 6
+
+
+def test_soaks_of_one_number_in_two_sessions_are_two():
+    given = made()
+    split = replace(given, session=(np.arange(len(given)) % 2), soak=np.zeros(len(given), int))
+    assert len(np.unique(steps_of(split).soak)) == 2
+
+
+def test_dwells_at_rest_are_no_steps():
+    given = made()
+    rate = given.rate_b.copy()
+    rate[:4] = 0.0
+    assert len(steps_of(replace(given, rate_b=rate))) == len(given) - 4
+
+
+def test_the_offset_is_linear_between_nodes_held_beyond_and_constant_without_a_table():
+    calibration = true_calibration(DEVICE)
+    table = StaticDrift(temp_c=[20.0, 30.0], gyro_offset=[[0.0, 1.0, 2.0], [10.0, 1.0, 0.0]])
+    at = offset_at(np.array([10.0, 25.0, 40.0]), calibration, table)
+    assert np.allclose(at, [[0.0, 1.0, 2.0], [5.0, 1.0, 1.0], [10.0, 1.0, 0.0]])
+    assert np.array_equal(offset_at(np.array([10.0]), calibration, None)[0], calibration.gyro.offset)
+
+
+COUNTS = true_calibration(preset("enc03j_3031"))
+
+
+def record(*, begin_s=0.0, seconds=60.0, gyro_unit="count", accel_unit="count", state="raw"):
+    rng = np.random.default_rng(2)
+    n = round(50 * seconds)
+    return Record(
+        time=begin_s + np.arange(n) / 50.0,
+        gyro=rng.normal(0.0, 1.0, (n, 3)),
+        accel=rng.normal([0.0, 0.0, 10.0], 1.0, (n, 3)),
+        temp_c=np.linspace(20.0, 30.0, n),
+        gyro_unit=gyro_unit,
+        accel_unit=accel_unit,
+        state=state,
+    )
+
+
+def session(*records):
+    stills = tuple(Still(start=0, stop=len(r), recording=k) for k, r in enumerate(records))
+    return Session(kind="thermal", serial="A", gravity_m_s2=9.80665, records=records, stills=stills)
+
+
+def ages(*records):
+    held = [session(*records)]
+    blocks = observe_rests(held, temperatures=[[r.temp_c for r in records]])
+    return blocks, since_power_on(blocks, held).power_on_s
+
+
+def test_a_clock_that_runs_on_is_one_switch_on_and_one_that_begins_anew_is_another():
+    blocks, since = ages(record(), record(begin_s=300.0))
+    assert blocks.power_on_s[-1] == pytest.approx(since[-1] - 300.0)
+    assert (np.diff(since) > 0.0).all()
+    blocks, since = ages(record(), record(begin_s=300.0), record(begin_s=0.0), record(begin_s=100.0))
+    late = since.reshape(4, -1)
+    np.testing.assert_allclose(late[2], late[0])
+    np.testing.assert_allclose(late[3], late[0] + 100.0)
+    np.testing.assert_allclose(late[1], late[0] + 300.0)
+
+
+def test_readings_come_in_the_units_of_the_calibration_with_their_half_steps():
+    physical = replace(COUNTS, gyro=replace(COUNTS.gyro, unit_in="rad/s"))
+    ready = in_units_of(session(record(gyro_unit="dps")), physical).records[0]
+    assert ready.gyro_unit == "rad/s"
+    np.testing.assert_allclose(ready.gyro, np.radians(record().gyro))
+    cut = replace(COUNTS, adc=AdcModel(gyro_lsb=np.full(3, 0.5), gyro_rounding="floor"))
+    before, after = record(), in_units_of(session(record()), cut).records[0]
+    np.testing.assert_allclose(after.gyro, before.gyro + 0.25)
+    np.testing.assert_array_equal(after.accel, before.accel)
+
+
+def test_another_unit_and_a_corrected_record_are_refused():
+    with pytest.raises(
+        InputError, match="recording 0: wanted gyro readings in count, the unit of the calibration, got dps"
+    ):
+        in_units_of(session(record(gyro_unit="dps")), COUNTS)
+    corrected = record(gyro_unit="rad/s", accel_unit="m/s2", state="corrected")
+    with pytest.raises(InputError, match="recording 1: wanted raw readings, got a corrected record"):
+        in_units_of(session(record(), corrected), COUNTS)
+
+
+def test_a_log_that_never_lies_still_is_refused_however_even_it_looks():
+    held = [session(record())]
+    blocks = observe_rests(held, temperatures=[[held[0].records[0].temp_c]])
+    check_at_rest(blocks, COUNTS)
+    restless = replace(
+        blocks, gyro_variance=np.full((len(blocks), 3), (np.radians(2.0) * COUNTS.gyro.scale_factor) ** 2)
+    )
+    with pytest.raises(NotObservable, match=r"got none: .* the mean of ten seconds is known to 2 deg/s only"):
+        check_at_rest(restless, COUNTS)
+
+
+def test_a_nominal_model_keeps_the_unit_and_counts_have_none():
+    model = nominal_models([session(record(gyro_unit="dps"))])
+    np.testing.assert_allclose(model.gyro.matrix, np.radians(np.eye(3)))
+    assert model.accel is None
+    assert model.verdict.status == "marginal"
+    with pytest.raises(NotObservable, match="in a physical unit, got count; give --calibration"):
+        nominal_models([session(record())])
+
+
+def test_the_unit_of_the_accelerometers_is_the_calibrations_or_the_one_they_share():
+    physical = session(record(gyro_unit="dps", accel_unit="g"))
+    bare = nominal_models([physical])
+    assert accel_unit_of([physical], bare) == "g"
+    assert accel_unit_of([physical, session(record())], bare) == "count"
+    assert accel_unit_of([physical], COUNTS) == COUNTS.accel.unit_in
+
 
 TEMPS = np.concatenate((np.arange(20.0, 71.0, 10.0), np.arange(65.0, 24.0, -10.0)))
 SD, COUNT = 0.05, 400  # deg/s, readings in a mean

@@ -1,4 +1,9 @@
-"""A temperature is smoothed as a board warms, checked with numbers, and refused where no thermal fit could use it."""
+"""A temperature is smoothed as a board warms, checked with numbers, and refused where no thermal fit could use it.
+
+The thermometer's lag is taken off exactly, chunk by chunk, and said to be unknown where it is.
+
+The lag is found from blocks that ran both ways at two speeds, and reported as not observable otherwise.
+"""
 
 from dataclasses import replace
 
@@ -6,7 +11,17 @@ import numpy as np
 import pytest
 
 from testkit.data import data_path, show
-from undrift.drift.temperature import check_span, step_of, trusted_temperature
+from undrift.drift.observe import RestBlocks
+from undrift.drift.temperature import (
+    LagState,
+    check_span,
+    default_smooth_s,
+    estimate_lag,
+    step_of,
+    trusted_temperature,
+    without_lag,
+    without_lag_smooth,
+)
 from undrift.errors import InputError, NotObservable
 from undrift.io.columns import ColumnMap, Scale, TextLayout
 from undrift.io.makers import DIALECTS
@@ -283,3 +298,213 @@ def test_a_worn_sensor_without_a_thermometer_is_refused():
     record = read_csv(data_path("worn_lowback", "HA_001_Test11.csv.gz"), columns).record
     with pytest.raises(InputError, match="got neither; map the thermometer's column or state temp_c"):
         trusted_temperature(of(record), 0)
+
+
+TAU = 40.0
+
+
+def lagging(time, temp):
+    """Return what a thermometer reads whose temperature is straight between samples: the exact solution."""
+    said = np.empty_like(temp)
+    said[0] = temp[0]
+    for k in range(1, len(temp)):
+        step = time[k] - time[k - 1]
+        slope = (temp[k] - temp[k - 1]) / step
+        settled = temp[k - 1] - slope * TAU
+        said[k] = settled + slope * step + (said[k - 1] - settled) * np.exp(-step / TAU)
+    return said
+
+
+def ramp(seed=0, n=2000):
+    rng = np.random.default_rng(seed)
+    time = np.cumsum(rng.uniform(0.05, 1.5, n))
+    return time, 20.0 + 5.0 * np.sin(time / 150.0)
+
+
+def test_a_ramp_is_followed_with_the_small_lag_instead_of_the_large_one():
+    time = np.arange(0.0, 2000.0, 0.1)
+    temp = 20.0 + 0.05 * time  # 3 degC/min
+    said = lagging(time, temp)
+    found, _ = without_lag(said, time, lag_s=TAU, smooth_s=5.0)
+    assert temp[-1] - said[-1] == pytest.approx(0.05 * TAU, rel=1e-6)
+    assert temp[-1] - found[-1] == pytest.approx(
+        0.05 * 5.0, rel=1e-4
+    )  # the reading bends between samples: (dt / tau)^2
+
+
+def test_chunks_give_the_bits_of_the_batch():
+    time, temp = ramp()
+    temp[[7, 8, 500]] = np.nan
+    whole, last = without_lag(temp, time, lag_s=TAU, smooth_s=4.0)
+    state, parts = None, []
+    for part in np.split(np.arange(len(time)), [1, 8, 9, 500, 501, 1300]):
+        done, state = without_lag(temp[part], time[part], lag_s=TAU, smooth_s=4.0, state=state)
+        parts.append(done)
+    np.testing.assert_array_equal(np.concatenate(parts), whole)
+    assert state == last
+
+
+def test_a_gap_holds_and_the_next_reading_bridges_it():
+    time, temp = ramp()
+    gone = temp.copy()
+    gone[[0, 1, 700, 701]] = np.nan
+    found, _ = without_lag(gone, time, lag_s=TAU, smooth_s=4.0)
+    assert np.isnan(found[:2]).all()
+    assert (found[700:702] == found[699]).all()
+    kept = np.isfinite(gone)
+    np.testing.assert_array_equal(found[kept], without_lag(temp[kept], time[kept], lag_s=TAU, smooth_s=4.0)[0])
+
+
+def test_a_thermometer_without_lag_is_left_alone():
+    time, temp = ramp()
+    np.testing.assert_array_equal(without_lag(temp, time, lag_s=0.0, smooth_s=0.0)[0], temp)
+    np.testing.assert_array_equal(without_lag_smooth(temp, time, lag_s=0.0), temp)
+
+
+def test_an_empty_chunk_changes_nothing():
+    state = LagState(time=3.0, temp_c=20.0, smooth_c=20.0, output_c=20.0)
+    done, after = without_lag(np.empty(0), np.empty(0), lag_s=TAU, smooth_s=4.0, state=state)
+    assert len(done) == 0
+    assert after == state
+
+
+def test_for_a_fit_nothing_of_the_lag_is_left():
+    time = np.arange(0.0, 3000.0, 0.5)
+    temp = 20.0 + 5.0 * np.sin(time / 150.0)
+    found = without_lag_smooth(lagging(time, temp), time, lag_s=TAU)
+    left = np.abs(found - temp)[1:-1].max()
+    assert left < 1e-3  # central differences: tau T''' dt^2 / 6 and the bend of the input between samples, 0.3 mK
+    gone = lagging(time, temp)
+    gone[1000:1010] = np.nan
+    again = without_lag_smooth(gone, time, lag_s=TAU)
+    assert np.isnan(again[1000:1010]).all()
+    np.testing.assert_array_equal(again[:999], found[:999])
+
+
+def test_the_smoothing_balances_noise_and_the_lag_left():
+    assert default_smooth_s(0.0, noise_c=0.1, interval_s=0.1) == 0.0
+    assert default_smooth_s(80.0, noise_c=0.0, interval_s=0.1) == pytest.approx(4.0)  # a twentieth
+    assert default_smooth_s(80.0, noise_c=5.0, interval_s=1.0) == pytest.approx(40.0)  # a half
+    noise = 0.05 * np.sqrt(0.1)
+    assert default_smooth_s(80.0, noise_c=0.05, interval_s=0.1) == pytest.approx(np.sqrt(noise * 80.0 * 60.0))
+    stepped = default_smooth_s(80.0, noise_c=0.0, interval_s=0.1, step_c=0.1)
+    assert stepped == pytest.approx(np.sqrt(0.1 / np.sqrt(12.0) * 80.0 * 60.0))
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"lag_s": -1.0}, "wanted lag_s and smooth_s of 0 s or more, got -1 and 4"),
+        ({"smooth_s": float("nan")}, "wanted lag_s and smooth_s of 0 s or more, got 40 and nan"),
+        ({"smooth_s": 0.0}, "wanted smooth_s above 0 s to subtract 40 s, got 0"),
+        ({"time": np.arange(3.0)}, r"wanted a time for each temperature, got \(3,\) for \(4,\)"),
+        ({"state": LagState(time=2.0)}, "wanted readings from after 2 s, got 0 s; push chunks in order"),
+    ],
+)
+def test_a_wrong_call_is_refused(changes, words):
+    call = {"time": np.arange(4.0), "lag_s": TAU, "smooth_s": 4.0, **changes}
+    with pytest.raises(InputError, match=words):
+        without_lag(np.full(4, 20.0), **call)
+
+
+def test_noise_below_nothing_is_refused():
+    with pytest.raises(InputError, match="wanted noise and step of 0 K or more and an interval above 0 s, got -1"):
+        default_smooth_s(10.0, noise_c=-1.0, interval_s=0.1)
+
+
+STEP_S = 10.0
+
+
+def blocks(temp, *, lag_s=30.0, noise=0.005, loop=0.0, seed=0, sessions=None):
+    """Return blocks of a board at ``temp``, read by a thermometer that lags, of a gyro with offset 0.07 T + 0.002 T^2."""
+    read = np.empty_like(temp)
+    read[0] = temp[0]
+    for k in range(1, len(temp)):
+        read[k] = temp[k] + (read[k - 1] - temp[k]) * np.exp(-STEP_S / lag_s)
+    slope = (temp - read) / lag_s
+    x = temp - 25.0
+    true = np.column_stack((0.07 * x + 0.002 * x**2, -0.05 * x, 0.02 * x)) + loop * -np.sign(np.gradient(temp))[:, None]
+    n = len(temp)
+    return RestBlocks(
+        session=np.zeros(n, dtype=np.int64) if sessions is None else sessions,
+        pose=np.zeros(n, dtype=np.int64) if sessions is None else sessions,
+        time=STEP_S * np.arange(n),
+        power_on_s=np.full(n, 5000.0),
+        temp_c=read,
+        ramp_c_per_min=60.0 * slope,
+        gyro=true + np.random.default_rng(seed).normal(0.0, noise, (n, 3)),
+        accel=np.full((n, 3), np.nan),
+        gyro_variance=np.full((n, 3), noise**2),
+        accel_variance=np.full((n, 3), np.nan),
+    )
+
+
+def there_and_back(c_per_min, low=20.0, high=40.0):
+    n = round((high - low) / c_per_min * 60.0 / STEP_S)
+    return np.concatenate((np.linspace(low, high, n), np.linspace(high, low, n)))
+
+
+def two_ramps(**kwargs):
+    return blocks(np.concatenate((there_and_back(0.5), there_and_back(3.0))), **kwargs)
+
+
+@pytest.mark.parametrize("loop", [0.0, 0.05, -0.05])
+def test_a_loop_that_does_not_depend_on_speed_is_not_taken_for_lag(loop):
+    found = estimate_lag(two_ramps(loop=loop))
+    assert found.observable
+    assert found.findings == ()
+    assert abs(found.lag_s - 30.0) < 4.0 * found.uncertainty_s
+    assert found.uncertainty_s < 2.0
+    assert found.misfit[found.lags_s.searchsorted(found.lag_s)] < 2.0
+
+
+def test_the_uncertainty_is_what_the_estimates_scatter():
+    found = [estimate_lag(two_ramps(seed=seed, noise=0.02)) for seed in range(40)]
+    scatter = float(np.std([f.lag_s for f in found]))
+    stated = float(np.mean([f.uncertainty_s for f in found]))
+    assert 0.6 < scatter / stated < 1.5  # 40 draws know a standard deviation to 11 %; neighbours count as independent
+
+
+def test_without_lag_none_is_found():
+    found = estimate_lag(two_ramps(lag_s=1e-3))
+    assert found.lag_s < 4.0 * found.uncertainty_s
+
+
+def test_soaks_show_no_lag():
+    found = estimate_lag(blocks(np.repeat(np.arange(20.0, 60.0, 5.0), 40), lag_s=3.0))
+    assert not found.observable
+    assert found.lag_s == 0.0
+    assert np.isinf(found.uncertainty_s)
+    (why,) = found.findings
+    assert why.code == "drift.lag_few_blocks"
+    assert why.values["count"] < why.values["wanted"] == 24
+    assert "blocks of rest change by over 0.1 degC/min" in why.text
+
+
+def test_a_warm_up_alone_shows_no_lag():
+    time = STEP_S * np.arange(200)
+    found = estimate_lag(blocks(10.0 + 18.0 * (1.0 - np.exp(-time / 500.0))))
+    assert not found.observable
+    (why,) = found.findings
+    assert why.code == "drift.lag_one_way"
+    assert why.text.endswith("also cool through the same temperatures")
+
+
+def test_one_speed_both_ways_does_not_separate_lag_from_hysteresis():
+    found = estimate_lag(blocks(there_and_back(1.0)))
+    assert not found.observable
+    assert found.lag_s == pytest.approx(30.0, abs=3.0)
+    assert [why.code for why in found.findings] == ["drift.lag_or_hysteresis"]
+    assert found.findings[0].values["lag_s"] == found.lag_s
+
+
+def test_a_lag_beyond_the_search_is_not_observable():
+    found = estimate_lag(two_ramps(), longest_s=20.0)
+    assert not found.observable
+    assert [why.code for why in found.findings] == ["drift.lag_unbounded"]
+    assert found.findings[0].values["longest_s"] == 20.0
+
+
+def test_a_few_blocks_show_no_lag():
+    (why,) = estimate_lag(blocks(np.linspace(20.0, 30.0, 10))).findings
+    assert (why.code, why.values["wanted"]) == ("drift.lag_few_blocks", 24)
