@@ -260,10 +260,6 @@ class StaticDrift:
     def __post_init__(self) -> None:
         freeze(self)
 
-    def of(self, sensor: Sensor) -> OverTemperature | None:
-        """Return the offsets of one sensor, None where the table has none."""
-        return _part_of(self, sensor, "offset")
-
 
 @stored()
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -280,10 +276,6 @@ class ScaleDrift:
 
     def __post_init__(self) -> None:
         freeze(self)
-
-    def of(self, sensor: Sensor) -> OverTemperature | None:
-        """Return the matrices of one sensor, None where the table has none."""
-        return _part_of(self, sensor, "matrix")
 
 
 @stored()
@@ -520,13 +512,13 @@ class Calibration(Shown):
     def triad(self, sensor: Sensor) -> "Triad":
         """Return all that is known of one sensor: model, tables, codes."""
         drift, adc, gyro = self.drift or NO_TABLES, self.adc or _NO_CODES, sensor == "gyro"
-        static, scale = drift.static, drift.scale
+        static = drift.static
         return Triad(
             sensor=sensor,
             quantity="rate" if gyro else "accel",
             model=self.gyro if gyro else self.accel,
-            offsets=None if static is None else static.of(sensor),
-            matrices=None if scale is None else scale.of(sensor),
+            offsets=_part_of(drift.static, sensor, "offset"),
+            matrices=_part_of(drift.scale, sensor, "matrix"),
             errors=drift.dynamic if gyro else None,
             warm_up=static.warm_up if gyro and static is not None else None,
             hysteresis=static.hysteresis if gyro and static is not None else None,
@@ -588,7 +580,10 @@ def _tables_in_a_line(drift: DriftTables) -> str:
     return ", ".join(shown) or "no tables"
 
 
-def _part_of(table: StaticDrift | ScaleDrift, sensor: Sensor, what: str) -> OverTemperature | None:
+def _part_of(table: StaticDrift | ScaleDrift | None, sensor: Sensor, what: str) -> OverTemperature | None:
+    """Return one sensor's part of a table, None where there is none."""
+    if table is None:
+        return None
     value, uncertainty, marks = (getattr(table, f"{sensor}_{name}") for name in (what, "uncertainty", "extrapolated"))
     if value is None:
         return None

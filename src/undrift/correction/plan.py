@@ -353,17 +353,11 @@ def _cells_of(constants: Constants) -> "Tables":
     from undrift.kernels.correct import Grid, Tables
 
     unused = Grid(np.zeros(2), 0.0, 0.0, 1)
-    tables = Tables(NOTHING, unused, NOTHING, unused, NOTHING, unused, unused)
-    if constants.offset_table is not None:
-        grid, cells = line_cells(constants.offset_table)
-        tables = tables._replace(offset=cells, offset_temp=grid)
-    if constants.matrix_table is not None:
-        grid, cells = line_cells(constants.matrix_table)
-        tables = tables._replace(matrix=cells, matrix_temp=grid)
-    if constants.error_table is not None:
-        grid, rate, cells = plane_cells(constants.error_table)
-        tables = tables._replace(error=cells, error_temp=grid, error_rate=rate)
-    return tables
+    lines = (constants.offset_table, constants.matrix_table)
+    offset, matrix = ((unused, NOTHING) if table is None else line_cells(table) for table in lines)
+    plane = constants.error_table
+    error = (unused, unused, NOTHING) if plane is None else plane_cells(plane)
+    return Tables(*offset[::-1], *matrix[::-1], error[2], error[0], error[1])
 
 
 def line_cells(table: Table) -> "tuple[Grid, FloatArray]":

@@ -37,22 +37,13 @@ from undrift.arrays import BoolArray, FloatArray, IntArray
 from undrift.base.summary import Shown
 from undrift.calibration.observe import ROOM_C, in_one_unit
 from undrift.drift import checks, observe, rate_steps
+from undrift.drift import temperature as thermometer
 from undrift.drift.accel import AccelDriftFit, fit_accel_drift, with_accel
 from undrift.drift.observe import ObserveSettings, RateSteps, RestBlocks
 from undrift.drift.rate_steps import Asymmetry, DynamicFit, ScaleFit, Steps
 from undrift.drift.rests import with_g_sensitivity
 from undrift.drift.static import StaticFit, StaticSettings, TriadDrift, far_from_data, fit_static
-from undrift.drift.temperature import (
-    LagFit,
-    Temperature,
-    TemperatureSettings,
-    check_span,
-    default_smooth_s,
-    estimate_lag,
-    met_in_use,
-    sensor_course,
-    trusted_temperature,
-)
+from undrift.drift.temperature import LagFit, Temperature, TemperatureSettings
 from undrift.errors import CalibrationError, InputError, NotObservable
 from undrift.findings import Finding, finding
 from undrift.fit.least_squares import determined
@@ -286,10 +277,11 @@ def fit_drift(
     static_settings = replace(settings.static, accel_unit=observe.accel_unit_of(sessions, device))
     report("smoothing the temperature", 0.0)
     trusted = [
-        [trusted_temperature(s, k, settings=settings.temperature) for k in range(len(s.records))] for s in sessions
+        [thermometer.trusted_temperature(s, k, settings=settings.temperature) for k in range(len(s.records))]
+        for s in sessions
     ]
     together = tuple(temperature for of_session in trusted for temperature in of_session)
-    check_span(together, settings=settings.temperature)
+    thermometer.check_span(together, settings=settings.temperature)
     report("gathering rests and turns", 0.15)
     lag, lags_s, rests, course = _without_lag(sessions, trusted, settings)
     static_settings = replace(static_settings, lag_doubt_s=_lag_doubt(lag, lags_s[0]))
@@ -297,7 +289,7 @@ def fit_drift(
     device, g_estimated = with_g_sensitivity(rests, device)
     steps = observe.observe_steps(sessions, temperatures=course, settings=settings.observe)
     report("fitting offsets over temperature", 0.4)
-    seen = np.concatenate([rests.temp_c, steps.temp_c, *met_in_use(sessions, trusted, course, *lags_s)])
+    seen = np.concatenate([rests.temp_c, steps.temp_c, *thermometer.met_in_use(sessions, trusted, course, *lags_s)])
     nodes = table_nodes(seen, settings)
     wider = widened(nodes, _whole_range(seen, settings.step_c))  # the verdict does not depend on the range asked for
     wide = fit_static(rests, nodes=wider, calibration=device, settings=static_settings)
@@ -375,15 +367,17 @@ def _without_lag(
         for t, r in zip(own, session.records, strict=True)
     ]
     if settings.lag_s is None and any(temperature.source == "column" for temperature, _ in pairs):
-        lag = estimate_lag(rests)
+        lag = thermometer.estimate_lag(rests)
         # One speed alone does not tell lag from hysteresis: then it is reported and left in.
         if lag.observable and lag.lag_s > _SURE_LAG * lag.uncertainty_s:
             lag_s = lag.lag_s
     if lag_s == 0.0:
         return lag, (0.0, 0.0), rests, course
-    course = [sensor_course(own, session, lag_s) for own, session in zip(trusted, sessions, strict=True)]
+    course = [thermometer.sensor_course(own, session, lag_s) for own, session in zip(trusted, sessions, strict=True)]
     smooth_s = max(  # for the noisiest of the columns
-        default_smooth_s(lag_s, noise_c=t.noise_c, interval_s=float(np.median(np.diff(record.time))), step_c=t.step_c)
+        thermometer.default_smooth_s(
+            lag_s, noise_c=t.noise_c, interval_s=float(np.median(np.diff(record.time))), step_c=t.step_c
+        )
         for t, record in pairs
     )
     return lag, (lag_s, smooth_s), rests_at(course), course

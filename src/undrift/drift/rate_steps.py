@@ -58,14 +58,13 @@ _BENT = 8  # rows of a mounting from which a parabola and a cubic differ from no
 _OWN = 0.9  # share of the turning rate from which a row counts for one axis alone
 _SAME_DIRECTION = 0.98  # cosine
 _SAME_POSE = 0.2  # of the largest difference between two poses, or of gravity
-_SAME_RATE = 0.01  # of the greatest: rates of one mounting nearer to each other are one
+_SAME_RATE = 0.01  # of the greatest: rates of one mounting nearer to each other are one, and imposed rates one node
 _SAME_TEMPERATURE_C = 1.5
 # a node between soaks and further from both is extrapolated: matrices change more evenly than offsets
 MATRIX_GAP_C = 10.0
 # ---- and of the dynamic drift
 DEFAULT_STEP_C = 5.0
 _MAINLY = 0.5  # share of the turning rate from which a row counts for an axis
-_ONE_NODE = 0.01  # of the greatest: imposed rates nearer to each other are one node
 _NEAR_RATE = 0.02  # of the greatest: how far beyond the measured rates a node still counts as seen
 _LOOSE = 1e2  # variance of d_g about the mean of its rows, in units of the residuals' own: it is free
 _SOFTNESS = (1e-2, 1e-1, 1.0, 1e1, 1e2)  # prior size of a second derivative, in spans and in residuals; stiff first
@@ -587,7 +586,7 @@ def _points(
                 variance=variance[row[rows], axis],
                 soak=np.unique(steps.soak[row[rows]], return_inverse=True)[1].reshape(-1),
                 mounting=np.unique(steps.mounting[row[rows]], return_inverse=True)[1].reshape(-1),
-                level=np.round(size / (_ONE_NODE * size.max())).astype(np.int64),
+                level=np.round(size / (_SAME_RATE * size.max())).astype(np.int64),
             )
         )
     return found
@@ -609,7 +608,7 @@ def _nodes(
         temps = np.concatenate([p.temp_c for p in have]) / DEFAULT_STEP_C
         first, last = np.floor(np.round(temps.min(), 2)), np.ceil(np.round(temps.max(), 2))
         temp_c = DEFAULT_STEP_C * np.arange(first, last + 0.5)
-    tolerance = _ONE_NODE * float(np.abs(steps.along).max())
+    tolerance = _SAME_RATE * float(np.abs(steps.along).max())
     wanted = np.sort(np.concatenate((steps.along, [0.0])))
     groups = np.split(wanted, np.flatnonzero(np.diff(wanted) > tolerance) + 1)
     nodes = np.array([0.0 if (g == 0.0).any() else g.mean() for g in groups])

@@ -67,7 +67,6 @@ SAME_STEP = 0.02  # of a step: how far a column may be from whole steps
 # ---- and of the lag
 RAMP_C_PER_MIN = 1.0  # at which noise and the lag left are balanced
 AT_ONCE = 1e-300  # s: a low-pass so fast that it is not there
-DITHERED = 0.35  # of a step: more noise than this averages the steps away
 NODE_C = 5.0  # between the spline's knots
 MOST_KNOTS = 16
 FEWEST = 24  # blocks
@@ -604,7 +603,7 @@ def default_smooth_s(lag_s: float, *, noise_c: float, interval_s: float, step_c:
         )
     if lag_s == 0.0:
         return 0.0
-    blurred = noise_c >= DITHERED * step_c
+    blurred = noise_c >= BLURRED * step_c
     white = math.hypot(noise_c, step_c / math.sqrt(12.0) if blurred else 0.0) * math.sqrt(min(interval_s, 1.0))
     noise = white if blurred else math.hypot(white, step_c / math.sqrt(12.0))
     return min(0.5 * lag_s, max(0.05 * lag_s, math.sqrt(noise * lag_s / (RAMP_C_PER_MIN / 60.0)), interval_s))

@@ -29,12 +29,18 @@ LENGTH = (0.8, 1.2)  # of u, where the attitudes and the forces belong together
 LEAST_RATE = 2.0 * RADIAN_PER_DEGREE  # rad/s rms: below it noise is what is compared
 
 
+def common_rates(record: Record, poses: Reference, lag_s: float) -> tuple[FloatArray, FloatArray]:
+    """Return the rates of device and reference about their means, (K, 3) each, over the steps that both have seen."""
+    rates = pose_rates(poses)
+    gyro = np.empty((0, 3)) if record.gyro is None else record.gyro
+    mean, inside = RunningIntegral(record.time, gyro).mean(rates.start + lag_s, rates.stop + lag_s)
+    good = inside & rates.valid
+    return mean[good] - mean[good].mean(axis=0), rates.rate[good] - rates.rate[good].mean(axis=0)
+
+
 def rate_share(record: Record, poses: Reference, lag_s: float) -> tuple[float, FloatArray]:
     """Return the share of the rates' square that no rotation between the bodies explains, and the best rotation (3, 3)."""
-    rates = pose_rates(poses)
-    mean, inside = RunningIntegral(record.time, np.asarray(record.gyro)).mean(rates.start + lag_s, rates.stop + lag_s)
-    good = inside & rates.valid
-    u, w = mean[good] - mean[good].mean(axis=0), rates.rate[good] - rates.rate[good].mean(axis=0)
+    u, w = common_rates(record, poses, lag_s)
     left, _, right = np.linalg.svd(w.T @ u)
     rotation = left @ np.diag((1.0, 1.0, np.sign(np.linalg.det(left @ right)))) @ right
     total = float((w**2).sum() + (u**2).sum()) / 2.0

@@ -50,10 +50,10 @@ from undrift.orientation import (
     shortest_rotation_up,
 )
 from undrift.record import Face, Record, Reference, Still
-from undrift.sync import Lag, LagSettings, Motion, RunningIntegral, find_lag, find_motion, native_poses, pose_rates
+from undrift.sync import Lag, LagSettings, Motion, find_lag, find_motion, native_poses
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical
 from undrift.validation.expected import ERROR_PRIOR, Course, ErrorPrior, Expected, OffsetSource, expected_errors
-from undrift.validation.reference_frames import check_reference
+from undrift.validation.reference_frames import check_reference, common_rates
 
 # ---- track: orientation from the readings alone, started from rest
 
@@ -124,11 +124,7 @@ class Alignment:
 
 def align_rates(record: Record, reference: Reference, *, lag_s: float) -> Alignment:
     """Find how the device sits on the body that the reference tracks."""
-    rates = pose_rates(native_poses(reference))
-    gyro = np.empty((0, 3)) if record.gyro is None else record.gyro
-    mean, inside = RunningIntegral(record.time, gyro).mean(rates.start + lag_s, rates.stop + lag_s)
-    good = inside & rates.valid
-    u, w = mean[good] - mean[good].mean(axis=0), rates.rate[good] - rates.rate[good].mean(axis=0)
+    u, w = common_rates(record, native_poses(reference), lag_s)
     left, singular, right = np.linalg.svd(w.T @ u)
     if not singular[1] > _LEAST_SPREAD * singular[0]:
         raise AlignmentError(
