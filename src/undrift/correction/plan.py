@@ -357,7 +357,7 @@ def _cells_of(constants: Constants) -> "Tables":
     offset, matrix = ((unused, NOTHING) if table is None else line_cells(table) for table in lines)
     plane = constants.error_table
     error = (unused, unused, NOTHING) if plane is None else plane_cells(plane)
-    return Tables(*offset[::-1], *matrix[::-1], error[2], error[0], error[1])
+    return Tables(offset[1], offset[0], matrix[1], matrix[0], error[2], error[0], error[1])
 
 
 def line_cells(table: Table) -> "tuple[Grid, FloatArray]":
