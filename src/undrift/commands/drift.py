@@ -21,8 +21,7 @@ from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
 if TYPE_CHECKING:
     from undrift.drift.checks import TriadSummary
-    from undrift.drift.fit import DriftFit, DriftSettings
-    from undrift.drift.select import Alternatives
+    from undrift.drift.fit import Alternatives, DriftFit, DriftSettings
     from undrift.model import Calibration
     from undrift.record import Session
     from undrift.validation.table_worth import TableWorth
@@ -120,7 +119,7 @@ def _fitted(
 ) -> "tuple[DriftFit, Session]":
     """Read the sessions and fit; return the fit and the first session."""
     from undrift.drift.fit import fit_drift
-    from undrift.drift.sessions import check_once, one_power_on
+    from undrift.drift.observe import check_once, one_power_on
     from undrift.io.formats import detect
     from undrift.record import Session
 

@@ -49,8 +49,7 @@ def learn(
     figure : Path or None
         Picture of the offsets before and now with the rests: .svg, .png or .pdf.
     """
-    from undrift.drift.daily_rests import LearnSettings
-    from undrift.drift.learn import learn_drift
+    from undrift.drift.learn import LearnSettings, learn_drift
     from undrift.findings import finding
     from undrift.io.store import read_calibration, write_calibration
     from undrift.model import Verdict
@@ -89,7 +88,7 @@ def learn(
 
 def learn_summary(fit: "LearnFit") -> Summary:
     """Return how well the offset is known now, some of the nodes, turn-on repeatability and ageing."""
-    from undrift.drift.daily_rests import CELL_C
+    from undrift.drift.learn import CELL_C
 
     device, left = fit.calibration.device or "device without a serial number", int((~fit.rest_kept).sum())
     rests = f"{len(fit.rest_kept) - left} stretches at rest, each within {CELL_C:g} degC"
