@@ -29,6 +29,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
+from functools import partial
 from typing import Any, Literal, TypeVar
 
 import numpy as np
@@ -276,10 +277,8 @@ def fit_drift(
     sessions = [observe.in_units_of(session, device) for session in sessions]
     static_settings = replace(settings.static, accel_unit=observe.accel_unit_of(sessions, device))
     report("smoothing the temperature", 0.0)
-    trusted = [
-        [thermometer.trusted_temperature(s, k, settings=settings.temperature) for k in range(len(s.records))]
-        for s in sessions
-    ]
+    checked = partial(thermometer.trusted_temperature, settings=settings.temperature)
+    trusted = [[checked(s, k) for k in range(len(s.records))] for s in sessions]
     together = tuple(temperature for of_session in trusted for temperature in of_session)
     thermometer.check_span(together, settings=settings.temperature)
     report("gathering rests and turns", 0.15)
