@@ -89,7 +89,7 @@ def test_what_cannot_be_oriented_is_refused():
     shaken = Record(time=record.time, gyro=rng.normal(size=(600, 3)), accel=record.accel + rng.normal(size=(600, 3)))
     with pytest.raises(
         InputError,
-        match=r"orient: wanted a still phase, got none: .*; name a stretch at rest \(--still-start-s, --still-stop-s\), or record",
+        match=r"orient: wanted a still phase, got none: .*; name a stretch at rest \(`still_start_s`, `still_stop_s`\), or record",
     ):
         orient(shaken)
     with pytest.raises(InputError, match="rate: wanted a physical unit, got count"):
@@ -155,7 +155,7 @@ def test_the_drift_to_expect_is_the_rate_left_at_the_rests_times_the_time():
     assert item.level == "warn"
     assert item.values["offset_dps"] == pytest.approx(np.degrees(0.02 * np.sqrt(3.0)), rel=0.01)
     assert item.values["drift_deg"] == pytest.approx(item.values["offset_dps"] * item.values["duration_s"])
-    assert item.text.endswith("use --offset rest")
+    assert item.text.endswith("use `offset` rest")
     (item,) = orient(record, None, OrientSettings(offset="rest")).findings
     assert item.level == "info"
     assert item.values["offset_dps"] < 0.01  # of the scatter alone

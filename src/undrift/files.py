@@ -37,7 +37,7 @@ class Limits:
         """Say that a file takes more memory than this."""
         return (
             f"{path}: wanted a file that reads within {self.memory_gb:g} GB of memory, got one that takes more; it is damaged, or "
-            f"read it with --memory-limit-gb {2.0 * self.memory_gb:g}"
+            f"read it with `memory_limit_gb` {2.0 * self.memory_gb:g}"
         )
 
 
@@ -102,7 +102,7 @@ def _unpacked(packed: gzip.GzipFile, path: Path) -> bytes:
         if len(content) > max(_RATIO * size, _SMALL):
             raise FileFormatError(
                 f"{path}: wanted a packed recording, got a file that unpacks to more than {_RATIO} times its size; it is no "
-                "recording, or read it with --trust"
+                "recording, or read it with `trust`"
             )
     return bytes(content)
 

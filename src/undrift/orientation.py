@@ -562,7 +562,7 @@ def _expected_drift(time: FloatArray, anchor: int, uncertainty: float, offset: s
         drift_deg=uncertainty * duration / RADIAN_PER_DEGREE,
         offset_dps=uncertainty / RADIAN_PER_DEGREE,
         duration_s=duration,
-        option={"none": "--offset rest", "rest": "--offset still or --method vqf", "still": "--method vqf"}[offset],
+        option={"none": "`offset` rest", "rest": "`offset` still or `method` vqf", "still": "`method` vqf"}[offset],
     )
 
 

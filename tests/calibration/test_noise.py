@@ -119,7 +119,7 @@ def test_records_that_move_have_gaps_or_say_nothing_are_refused() -> None:
     with pytest.raises(InputError, match="one value throughout in gyro z"):
         fit_noise(Record(time=record.time, gyro=stuck))
     bursts = np.repeat(record.time[::5], 5)[: len(record)] + np.tile(np.arange(5) * 0.001, 600)
-    with pytest.raises(InputError, match=r"got 3000 with 599 drop-outs; record longer, or .* use --clock regular"):
+    with pytest.raises(InputError, match=r"got 3000 with 599 drop-outs; record longer, or .* use `clock` regular"):
         fit_noise(Record(time=bursts, gyro=record.gyro))
 
 

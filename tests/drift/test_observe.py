@@ -150,7 +150,7 @@ def test_a_nominal_model_keeps_the_unit_and_counts_have_none():
     np.testing.assert_allclose(model.gyro.matrix, np.radians(np.eye(3)))
     assert model.accel is None
     assert model.verdict.status == "marginal"
-    with pytest.raises(NotObservable, match="in a physical unit, got count; give --calibration"):
+    with pytest.raises(NotObservable, match="in a physical unit, got count; give `calibration`"):
         nominal_models([session(record())])
 
 

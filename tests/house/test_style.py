@@ -262,3 +262,27 @@ def test_the_extras_of_io_name_what_the_readers_import() -> None:
         for alias in node.names
     }
     assert imported & {"ezc3d", "h5py", "pymatreader"} <= named
+
+
+def _texts(path: Path) -> Iterator[tuple[int, str]]:
+    """Yield line and source of the strings of a file that are no docstrings."""
+    source = path.read_text()
+    bare = {
+        n.lineno for n in ast.walk(ast.parse(source)) if isinstance(n, ast.Expr) and isinstance(n.value, ast.Constant)
+    }
+    for token in tokenize.generate_tokens(io.StringIO(source).readline):
+        if token.type == tokenize.STRING and token.start[0] not in bare:
+            yield token.start[0], token.string
+
+
+def test_texts_name_arguments_and_the_command_line_makes_options_of_them() -> None:
+    """A text says `gravity_m_s2`; options stand in calls of the command line ("undrift ... --json") and as words of one."""
+    option = re.compile(r"(?<![\w-])--[a-z][a-z0-9-]+(?=[\s,;:)]|[\"']$)")
+    outside = [path for path in SOURCES if path.parent.name not in ("cli", "web")]
+    found = [
+        f"{path.relative_to(PACKAGE)}:{line}: {text}"
+        for path in outside
+        for line, text in _texts(path)
+        if option.search(text) and "undrift " not in text and not re.fullmatch(r"\w?([\"'])--[a-z0-9-]+[= ]?\1", text)
+    ]
+    assert found == []

@@ -102,7 +102,7 @@ def test_a_crash_is_one_line(file):
 def test_too_much_memory_is_one_line_and_the_setting_raises_it(file, limits):
     limits.memory_gb = 0.5
     with pytest.raises(
-        FileFormatError, match=r"within 0.5 GB of memory, got one that takes more.*--memory-limit-gb 1$"
+        FileFormatError, match=r"within 0.5 GB of memory, got one that takes more.*`memory_limit_gb` 1$"
     ):
         swell(file)
     limits.memory_gb = 4.0
@@ -235,7 +235,7 @@ def test_a_packed_file_that_swells_is_refused(tmp_path, limits):
         read_bytes(path)
     assert read_bytes(path, 10) == bytes(10)
     limits.memory_gb = 0.05
-    with pytest.raises(FileFormatError, match=r"--memory-limit-gb 0\.1$"):
+    with pytest.raises(FileFormatError, match=r"`memory_limit_gb` 0\.1$"):
         read_bytes(path)
     limits.trust = True
     assert len(read_bytes(path)) == 120 * 10**6

@@ -162,7 +162,7 @@ def test_equal_stamps_of_a_coarse_host_clock_stay_and_backward_ones_are_refused_
         np.savetxt(tmp_path / "t.csv", rows, delimiter=",", header="t,x,y,z", comments="")
         return read_counted(tmp_path / "t.csv", ColumnMap(**keys, **more))  # type: ignore[arg-type]
 
-    with pytest.raises(InputError, match="or use --clock regular where a host stamped them"):
+    with pytest.raises(InputError, match="or use `clock` regular where a host stamped them"):
         read()
     found = read(clock="regular")
     assert len(found.record) == len(rows)  # type: ignore[attr-defined]

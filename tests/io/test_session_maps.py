@@ -104,7 +104,7 @@ def test_rows_whose_time_goes_back_are_left_out_of_own_names_on_request(tmp_path
     time = np.array([0.0, 0.01, 0.02, 0.015, 0.03, 0.04])
     table = pa.table({"time_s": time} | {f"gyro_{axis}_dps": time for axis in "xyz"})
     (csv.write_csv if name == "r.csv" else parquet.write_table)(table, tmp_path / name)
-    with pytest.raises(InputError, match=r"set repair_time = true in a map \(--map FILE\)"):
+    with pytest.raises(InputError, match=r"set repair_time = true in a map \(`column_map` FILE\)"):
         read_record(tmp_path / name)
     settings = ReadSettings(repair_time=True)
     kept = [0.0, 0.01, 0.02, 0.03, 0.04]
@@ -114,7 +114,7 @@ def test_rows_whose_time_goes_back_are_left_out_of_own_names_on_request(tmp_path
 
 def test_rows_that_do_not_parse_are_left_out_of_own_names_on_request(tmp_path):
     (tmp_path / "r.csv").write_text("time_s,gyro_x_dps,gyro_y_dps,gyro_z_dps\n0,1,2,3\n0.1,1,x,3\n0.2,1,2,3\n")
-    with pytest.raises(FileFormatError, match=r"set drop_bad_rows = true in a map \(--map FILE\)"):
+    with pytest.raises(FileFormatError, match=r"set drop_bad_rows = true in a map \(`column_map` FILE\)"):
         read_record(tmp_path / "r.csv")
     assert len(read_record(tmp_path / "r.csv", settings=ReadSettings(drop_bad_rows=True))) == 2
 

@@ -200,7 +200,7 @@ def test_time_that_goes_back_is_repaired_on_request_and_counted(tmp_path):
 def test_gaps_are_kept_only_on_request(tmp_path):
     path = put(tmp_path, table(["0,1,2,3", "1,,2,3", "2,1,nan,3"]))
     with pytest.raises(
-        InputError, match=r"column 'x': .* got 1 empty or NaN cells, first in data row 2; use --gaps keep"
+        InputError, match=r"column 'x': .* got 1 empty or NaN cells, first in data row 2; use `gaps` keep"
     ):
         read_csv(path, XYZ)
     kept = read_csv(path, ColumnMap(time="t", time_unit="s", accel=("x", "y", "z"), accel_unit="g", gaps="keep")).record

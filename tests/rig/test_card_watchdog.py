@@ -134,7 +134,7 @@ def test_a_card_that_holds_another_program_is_refused_and_keeps_it(line):
     with emulated() as emulator:
         emulator.machine.program.load(line)
         with pytest.raises(
-            RigFault, match="wanted a card without a program for --card-watchdog, got one that it would"
+            RigFault, match="wanted a card without a program for `card_watchdog`, got one that it would"
         ):
             opened(emulator, card_watchdog=lambda: True)
         opened(emulator).close()

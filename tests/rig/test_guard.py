@@ -77,7 +77,7 @@ def test_a_program_that_breaks_its_promise_is_taken_for_hanging_and_the_table_st
         rig.turn(30.0 * DPS)
         guard.expect(0.0)
         assert at_rest(emulator), "the guard did not stop the table"
-        with pytest.raises(RigFault, match=r"guard: wanted it to stand by .* got it ended \(code 0\).*--resume"):
+        with pytest.raises(RigFault, match=r"guard: wanted it to stand by .* got it ended \(code 0\).*`resume`"):
             until_ended(guard)
         rig.close()
 
@@ -140,7 +140,7 @@ def test_a_stop_from_elsewhere_ends_a_run_of_that_rig_only(monkeypatch, tmp_path
     mark_stop("galil:tcp://h:1")
     other.check()
     for phase in ("enabling", "soaking", "ramping"):
-        with pytest.raises(RigFault, match="got it stopped from elsewhere by rig stop; continue with --resume"):
+        with pytest.raises(RigFault, match="got it stopped from elsewhere by rig stop; continue with `resume`"):
             Watch(mine, None, programme)(progress(phase))
     Watch(mine, None, programme)(progress("closing"))
     StopWatch("galil:tcp://h:1").check()

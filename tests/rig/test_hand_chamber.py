@@ -112,7 +112,7 @@ def test_the_command_asks_on_the_terminal_and_sets_no_guard_over_a_chamber_by_ha
 def test_a_device_without_a_thermometer_and_a_person_who_gives_up_end_the_run_in_one_line(tmp_path):
     with pytest.raises(InputError, match=r"wanted a thermometer in it, as the chamber is set by hand, got none"):
         hand_run(tmp_path / "a", (30.0, 42.0), lambda line, chamber: "", thermometer=False)
-    with pytest.raises(RigFault, match=r"chamber: wanted it set to 30 degC, got 'q'; continue with --resume"):
+    with pytest.raises(RigFault, match=r"chamber: wanted it set to 30 degC, got 'q'; continue with `resume`"):
         hand_run(tmp_path / "b", (30.0, 42.0), lambda line, chamber: "q")
     with pytest.raises(InputError, match=r"chamber: wanted a person to ask, got none"):
         open_chamber("manual:")

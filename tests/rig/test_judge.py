@@ -228,7 +228,7 @@ def test_a_run_takes_a_disturbed_rest_again_and_keeps_sound_ones_alone(tmp_path,
 def test_a_rest_that_is_always_disturbed_ends_the_run(tmp_path, monkeypatch):
     monkeypatch.setattr("testkit.rig_bench.Device", lambda emulator, hands: Clumsy(emulator, hands, pushed=range(99)))
     with emulated() as emulator:
-        with pytest.raises(RigFault, match=r"wanted it at rest in step 1 .*continue with --resume"):
+        with pytest.raises(RigFault, match=r"wanted it at rest in step 1 .*continue with `resume`"):
             run(emulator, tmp_path, FACES_ALONE)
         assert not emulator.motor_on
 

@@ -164,7 +164,7 @@ def test_a_full_disk_stops_the_table_and_says_what_to_do(tmp_path, monkeypatch):
         with monkeypatch.context() as patched:
             patched.setattr(folder_file, "synchronise", full)
             with pytest.raises(
-                InputError, match=r"No space left on device.*make room on the disk and continue with --resume"
+                InputError, match=r"No space left on device.*make room on the disk and continue with `resume`"
             ):
                 run(emulator, tmp_path / "run")
         assert at_rest(emulator)
@@ -206,7 +206,7 @@ def test_another_run_is_not_mixed_in(tmp_path):
     with emulated() as emulator:
         run(emulator, path)
         with pytest.raises(
-            InputError, match="wanted an empty folder, got one with a run in it; continue it with --resume"
+            InputError, match="wanted an empty folder, got one with a run in it; continue it with `resume`"
         ):
             RunFolder(path, SHORT)
         with pytest.raises(InputError, match="wanted the protocol that the run began with, got another"):

@@ -114,7 +114,7 @@ def test_hands_that_give_up_or_are_not_there_are_a_fault():
         raise EOFError
 
     for ask in (lambda line: "q", nobody):
-        with pytest.raises(RigFault, match=r"wanted the device mounted \+x up, got 'q'; continue with --resume"):
+        with pytest.raises(RigFault, match=r"wanted the device mounted \+x up, got 'q'; continue with `resume`"):
             AskedOperator(ask).mount("+x")
 
 

@@ -41,7 +41,10 @@ NOTHING_WRITTEN = "No tables were written: add -o calibration.json to keep them"
 PICTURES = (".svg", ".png", ".pdf")  # endings of figures
 CALLED: ContextVar[tuple[str, ...]] = ContextVar("CALLED", default=())  # the words of the command line, if it called
 _ARGUMENT = re.compile(r"`([a-z]\w*)`")  # in the texts of findings and errors
-OPTIONS = {"longest_lag_s": "max_lag_s"}  # of the command line, where it is not the argument's name
+OPTIONS = {
+    "longest_lag_s": "max_lag_s",
+    "column_map": "map",
+}  # of the command line, where it is not the argument's name
 Item = TypeVar("Item")
 Plain: TypeAlias = bool | int | float | str | Sequence["Plain"] | Mapping[str, "Plain"] | None
 Cells = Sequence[tuple[str, Callable[[Item], str]]]  # heads of a table, each with what makes its cells

@@ -704,7 +704,7 @@ def _first_guess(prepared: Sequence[Recording], mounted: FloatArray, settings: R
         raise AlignmentError(
             f"reference: wanted one {'mounting' if settings.mounting == 'one' else 'device'} for all recordings, got matrices that "
             f"differ by {worst:.0%}{'' if settings.mounting == 'one' else ' apart from a rotation'}; fit recordings with other "
-            "marker clusters (--mounting one) or other sensors apart",
+            "marker clusters (`mounting` one) or other sensors apart",
             difference=worst,
         )
     constants = [

@@ -166,7 +166,7 @@ def correct(
 
     stretch = (still_start_s, still_stop_s)
     if offset == "none" and stretch != (None, None):
-        raise InputError("--still-start-s, --still-stop-s: wanted --offset rest beside them, got none; add it")
+        raise InputError("`still_start_s`, `still_stop_s`: wanted `offset` rest beside them, got none; add it")
     model, calibration = registered.read(calibration, records, opening)
     targets = _targets(records, output, (calibration, opening.column_map))
     folder = targets[0].parent
@@ -194,7 +194,7 @@ def _history(text: str, model: "Calibration") -> "TempHistory":
     static = None if model.drift is None else model.drift.static
     if text != "none" and (static is None or static.hysteresis is None):
         raise InputError(
-            "--temp-history: wanted a calibration that corrects hysteresis, got one without; leave it out, or fit tables to "
+            "`temp_history`: wanted a calibration that corrects hysteresis, got one without; leave it out, or fit tables to "
             "sweeps both ways"
         )
     try:
@@ -203,7 +203,7 @@ def _history(text: str, model: "Calibration") -> "TempHistory":
         return tuple(float(part) for part in text.split(","))
     except ValueError as error:
         raise InputError(
-            f"--temp-history: wanted none, warming, cooling or temperatures as in 25,60, got '{text}'; state one of these"
+            f"`temp_history`: wanted none, warming, cooling or temperatures as in 25,60, got '{text}'; state one of these"
         ) from error
 
 

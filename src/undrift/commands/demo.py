@@ -168,7 +168,7 @@ def _details(
     lead = (
         f"Which calibration protocol is enough for a task? {study.runs} simulated calibrations for "
         f"{', '.join(plain_words(task.name) for task in study.study.tasks)} and {study.study.subjects} subjects; undrift study "
-        "--preset note does all of it."
+        "`preset` note does all of it."
     )
     sections = (
         trials_section(trials),

@@ -93,7 +93,7 @@ def drift(
     registering.check(None if model is None else model.device)
     fit, first = _fitted(sessions, opening.like(model, calibration), model, settings, progress)
     if figure is not None and fit.gyro_summary is None:
-        raise InputError(f"{figure}: wanted gyroscopes to draw, got none; leave out --figure")
+        raise InputError(f"{figure}: wanted gyroscopes to draw, got none; leave out `figure`")
     registered = registering.add(fit.calibration, source=output)
     if figure is not None:
         _drawn("draw_offsets", fit.gyro_summary).save(figure)

@@ -46,7 +46,7 @@ def export(
     from undrift.io.store import findings_json, verdict_json
 
     if options.fixed and options.double:
-        raise InputError("export: wanted --fixed or --double, got both; the source holds both, name the default")
+        raise InputError("export: wanted `fixed` or `double`, got both; the source holds both, name the default")
     chosen = find_target(target)
     files = (output, *(output.with_suffix(ending) for ending in chosen.more))
     for path, endings in zip(files, (chosen.endings, *((ending,) for ending in chosen.more)), strict=True):

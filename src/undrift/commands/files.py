@@ -114,7 +114,7 @@ class Opening:
                 raise
             text = str(error).removeprefix(f"{path}: ")
             raise InputError(
-                f"{path}: does not fit the map that {self.kept.path} keeps of its device: {text}; name its own map with --map",
+                f"{path}: does not fit the map that {self.kept.path} keeps of its device: {text}; name its own with `column_map`",
                 **error.numbers,
             ) from error
 
@@ -363,7 +363,7 @@ def check_physical(record: "Record", path: Path) -> None:
         if values is not None and not is_physical(unit):
             raise InputError(
                 f"{path}: wanted physical units, or the calibration of the device, got {name} in {unit}; "
-                "say --calibration calibration.json"
+                "say `calibration` calibration.json"
             )
 
 
@@ -394,7 +394,7 @@ def named_columns(path: Path) -> Iterator[None]:
         yield
     except Implausible as error:
         rate, named = error.numbers.get("sample_rate_hz"), f"{path}: {str(error).removeprefix(f'{path}: ')}"
-        raise Implausible(named + (f": --sample-rate-hz {rate:.4g}" if rate else ""), **error.numbers) from error
+        raise Implausible(named + (f": `sample_rate_hz` {rate:.4g}" if rate else ""), **error.numbers) from error
 
 
 def labels_of(markers: str | None) -> tuple[str, ...] | None:
@@ -433,7 +433,7 @@ class Optics:
         if len(paths) != len(records):
             raise InputError(
                 f"{command}: wanted one reference for each recording, got {len(paths)} for {len(records)}; "
-                "say --reference once for each, in the same order"
+                "say `reference` once for each, in the same order"
             )
         labels, up = labels_of(self.markers), self.reference_up
         read = [opening.read(record) for record in records] if session is None else session.records
@@ -454,11 +454,11 @@ def _poses(path: Path, labels: tuple[str, ...] | None, up: Up) -> "Reference":
         if up is not None or error.numbers.get("missing") != "up":
             raise
         raise InputError(
-            f"{path}: wanted the axis that points up, got none; say --reference-up y or --reference-up z"
+            f"{path}: wanted the axis that points up, got none; say `reference_up` y or `reference_up` z"
         ) from error
     if labels is None:
         raise InputError(
-            f"{path}: wanted the labels of one rigid cluster, got none; say --markers with three or more, commas between, of "
+            f"{path}: wanted the labels of one rigid cluster, got none; say `markers` with three or more, commas between, of "
             f"{', '.join(markers.labels)}"
         )
     return pose_from_cluster(markers, labels)
@@ -474,7 +474,7 @@ def device_at(name: str, rng: "np.random.Generator", *, draw: bool) -> "DeviceMo
     if not Path(name).exists():
         raise InputError(f"device: wanted a device.json or one of {', '.join(PRESETS)}, got '{name}'; name one of them")
     if draw:
-        raise InputError(f"--draw: wanted a preset to draw a unit of, got {name}; leave it out for a device.json")
+        raise InputError(f"`draw`: wanted a preset to draw a unit of, got {name}; leave it out for a device.json")
     return read_device(Path(name))
 
 
@@ -487,7 +487,7 @@ def dates_of(recordings: tuple[Path, ...], given: tuple[str, ...]) -> tuple[list
     """Return the date of each recording, and how many are those of the file's last change."""
     if given and len(given) != len(recordings):
         raise InputError(
-            f"date: wanted one for each recording, got {len(given)} for {len(recordings)}; say --date once for each, in order"
+            f"date: wanted one for each recording, got {len(given)} for {len(recordings)}; say `date` once for each, in order"
         )
     found, changed = list[datetime](), 0
     for k, path in enumerate(recordings):

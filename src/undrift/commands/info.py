@@ -58,11 +58,11 @@ class Proposal:
                 if getattr(self, name) is not None:
                     option = f"--{name.replace('_', '-')}"
                     raise InputError(
-                        f"{option}: wanted --write-map beside it, got none; add --write-map map.toml, or leave it out"
+                        f"{option}: wanted `write_map` beside it, got none; add `write_map` map.toml, or leave it out"
                     )
         elif figure is not None:
             raise InputError(
-                "--figure: wanted it without --write-map, got both; write the map first, then draw with --map"
+                "`figure`: wanted it without `write_map`, got both; write the map first, then draw with `column_map`"
             )
 
 
@@ -100,7 +100,7 @@ def info(
     check_figure(figure, reads=(file, opening.column_map))
     if _is_plain_folder(file):
         if figure is not None:
-            raise InputError(f"--figure: wanted a recording or a session, got the folder {file}; name one of its files")
+            raise InputError(f"`figure`: wanted a recording or a session, got the folder {file}; name one of its files")
         return _folder(file)
     proposal.check(figure, reads=(file, opening.column_map))
     found = describe(file, opening.columns(), settings=opening.settings(), up=reference_up)
@@ -115,7 +115,7 @@ def info(
     drawing = Drawing(place="undrift.commands.info:draw_found", of=(session, rests.settings(), name_of(file)))
     if figure is not None:
         if not records:
-            raise InputError(f"--figure: wanted a recording or a session, got {found.kind}: {found.path}; leave it out")
+            raise InputError(f"`figure`: wanted a recording or a session, got {found.kind}: {found.path}; leave it out")
         drawing.save(figure)
     effects = _effects(file) if found.kind == "device" else {}
     calibration = read_calibration(file) if found.kind == "calibration" else None
@@ -158,7 +158,7 @@ def _write_map(found: "Description", path: Path, proposal: Proposal, opening: Op
     text = map_of(found, sample_rate_hz=opening.sample_rate_hz, units=stated)
     write_whole(path, text)
     lines, complete = text.splitlines(), '"?"' not in text
-    advice = f"put the true unit where {path} has ?, or repeat with --gyro-unit or --accel-unit"
+    advice = f"put the true unit where {path} has ?, or repeat with `gyro_unit` or `accel_unit`"
     made = {"kind": found.kind, "format": found.format, "output": str(path)}
     return Summary(
         title=f"Map of {Path(found.path).name}",
@@ -346,10 +346,10 @@ def _hints(found: "Description") -> list[str]:
     """Return the map that a table may need, and what to do with it."""
     if not found.example:
         return []
-    rate = " and --sample-rate-hz" if "sample_rate_hz = ?" in found.example else ""
+    rate = " and `sample_rate_hz`" if "sample_rate_hz = ?" in found.example else ""
     return [
-        f"write the lines below into map.toml (--write-map map.toml{rate} does so, with what the readings show), put what is true "
-        "where it says ?, and give it with --map map.toml",
+        f"write the lines below into map.toml (`write_map` map.toml{rate} does so, with what the readings show), put what is true "
+        "where it says ?, and give it with `column_map` map.toml",
         *found.example,
     ]
 

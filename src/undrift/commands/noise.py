@@ -186,7 +186,7 @@ def _between(record: "Record", start_s: float | None, stop_s: float | None) -> "
     start, stop = first if start_s is None else start_s, float("inf") if stop_s is None else stop_s
     if not (start < stop and start < last and stop > first):
         raise InputError(
-            f"--start-s, --stop-s: wanted a stretch of the recording, which goes from {first:.6g} to {last:.6g} s, got {start:g} "
+            f"`start_s`, `stop_s`: wanted a stretch of the recording, which goes from {first:.6g} to {last:.6g} s, got {start:g} "
             f"to {stop:g} s; name times on its own clock"
         )
     return record.between(start, stop)

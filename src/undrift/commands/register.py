@@ -46,7 +46,7 @@ class Register:
         open_place(self.registry).close()
         if serial == "":
             raise InputError(
-                "--register: wanted the serial number of the device, got none; say --serial S, or state it in the session"
+                "`register`: wanted the serial number of the device, got none; say `serial` S, or state it in the session"
             )
 
     def add(self, *results: "Path | Calibration", source: Path | None = None) -> list[dict[str, Any]]:
@@ -94,7 +94,7 @@ class Registered:
 
         if (given is None) == (self.serial is None):
             got = "neither" if given is None else "both"
-            raise InputError(f"correct: wanted --calibration FILE or --serial S, got {got}; say one of them")
+            raise InputError(f"correct: wanted `calibration` FILE or `serial` S, got {got}; say one of them")
         if given is not None:
             return read_calibration(given), given
         found = [self._of(record, opening) for record in records]

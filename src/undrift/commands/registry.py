@@ -83,7 +83,7 @@ def add(
 
     if supersedes is not None and (len(files) > 1 or not note):
         raise InputError(
-            "--supersedes: wanted one file, and --note with the reason, got others; correct one entry at a time"
+            "`supersedes`: wanted one file, and `note` with the reason, got others; correct one entry at a time"
         )
     stated = replace(
         _stated(about),
@@ -190,7 +190,7 @@ def due(*, within_days: int = 30, where: Where = None) -> Registered:
         Due in so many days from now; 0 lists what is overdue.
     """
     if not 0 <= within_days <= 36500:
-        raise InputError(f"--within-days: wanted 0 to 36500 days, got {within_days}; 30 is the default")
+        raise InputError(f"`within_days`: wanted 0 to 36500 days, got {within_days}; 30 is the default")
     with open_place(where, there=True) as held:
         known, place = held.due(datetime.now(UTC) + timedelta(days=within_days)), held.place
     title = f"{'' if known else 'nothing is '}due within {within_days} days in {place}"
@@ -310,7 +310,7 @@ def _stated(about: About) -> "Stated":
     from undrift.registry.documents import Stated
 
     if not 1 <= about.valid_months <= 1200:
-        raise InputError(f"--valid-months: wanted 1 to 1200 months, got {about.valid_months}; 12 is the default")
+        raise InputError(f"`valid_months`: wanted 1 to 1200 months, got {about.valid_months}; 12 is the default")
     return Stated(serial=about.serial, valid_months=about.valid_months)
 
 
@@ -318,9 +318,9 @@ def _span(text: str) -> tuple[float, float]:
     try:
         low, high = (float(part) for part in text.split(":"))
     except ValueError:
-        raise InputError(f"--valid-temp-c: wanted LOW:HIGH in degC, got '{text}'; for example 15:35") from None
+        raise InputError(f"`valid_temp_c`: wanted LOW:HIGH in degC, got '{text}'; for example 15:35") from None
     if not -273.15 < low < high < 1000.0:
-        raise InputError(f"--valid-temp-c: wanted LOW below HIGH in degC, got '{text}'; for example 15:35")
+        raise InputError(f"`valid_temp_c`: wanted LOW below HIGH in degC, got '{text}'; for example 15:35")
     return low, high
 
 

@@ -53,7 +53,7 @@ def new(
 
     check_folder(output)
     if rates_offset_s is not None and (rates is None or len(files) > 1):
-        raise InputError("--rates-offset-s: wanted one recording and --rates beside it, got others; leave it out")
+        raise InputError("`rates_offset_s`: wanted one recording and `rates` beside it, got others; leave it out")
     if (output / NAME).exists():
         raise InputError(f"{output / NAME}: wanted a new session, got one that exists; edit it, or name another folder")
     progress("reading and looking for rests and turns", 0.0)

@@ -136,10 +136,10 @@ def _check_unused(motion: str, days: int | None, stated: list[str], power_on_s: 
     if motion == DAILY:
         if stated or power_on_s is not None:
             raise InputError(
-                f"{DAILY}: wanted --device, --days, --sample-rate-hz, --draw, --seed alone; leave the others out"
+                f"{DAILY}: wanted `device`, `days`, `sample_rate_hz`, `draw`, `seed` alone; leave the others out"
             )
     elif days is not None:
-        raise InputError(f"{motion}: wanted no --days; only {DAILY} goes over days")
+        raise InputError(f"{motion}: wanted no `days`; only {DAILY} goes over days")
     elif motion not in kinds:
         raise InputError(f"motion: wanted one of {', '.join(kinds)}, got '{motion}'; name one")
     elif stated:
@@ -147,7 +147,7 @@ def _check_unused(motion: str, days: int | None, stated: list[str], power_on_s: 
         raise InputError(f"{motion}: wanted none of {wrong}, which a thermal session has no use for; leave out")
     elif motion == f"{THERMAL}warm_up" and power_on_s is not None:
         raise InputError(
-            f"{motion}: wanted no --power-on-s, got {power_on_s:g}; this session begins at power-on, leave it out"
+            f"{motion}: wanted no `power_on_s`, got {power_on_s:g}; this session begins at power-on, leave it out"
         )
 
 
@@ -244,7 +244,7 @@ def _motion(
         if name == task:
             if cutoff_hz is not None:
                 raise InputError(
-                    f"{task}: wanted no --cutoff-hz, got {cutoff_hz}; a task has no camera noise, leave it out"
+                    f"{task}: wanted no `cutoff_hz`, got {cutoff_hz}; a task has no camera noise, leave it out"
                 )
             performed = draw_task(task, rng=rng)
             time = np.arange(round(performed.duration_s * sample_rate_hz)) / sample_rate_hz
@@ -278,7 +278,7 @@ def _pose_settings(reference: "Reference", cutoff_hz: str | None) -> tuple["Pose
         stated = float(cutoff_hz)
     except ValueError:
         raise InputError(
-            f"--cutoff-hz: wanted a number in Hz, auto or none, got '{cutoff_hz}'; give one of them"
+            f"`cutoff_hz`: wanted a number in Hz, auto or none, got '{cutoff_hz}'; give one of them"
         ) from None
     return PoseSettings(cutoff_hz=stated, position_cutoff_hz=stated), {}
 

@@ -142,7 +142,7 @@ def study(
     from undrift.study.run import HEAD, RunStore, choose_executor
 
     if (plan is None) == (preset is None):
-        raise InputError(f"study: wanted a study.toml or --preset note, got {'both' if plan else 'neither'}; name one")
+        raise InputError(f"study: wanted a study.toml or `preset` note, got {'both' if plan else 'neither'}; name one")
     planned = choices.applied(plan)
     if real is not None:
         progress("reading real recordings", 0.0)

@@ -233,11 +233,11 @@ def _check_asked(
     asked = [name for name, value in given.items() if value not in (None, "")]
     if calibrate_from is None and asked:
         name = "--" + asked[0].replace("_", "-")
-        raise InputError(f"validate: {name} wants --calibrate-from reference; say both, or neither")
+        raise InputError(f"validate: {name} wants `calibrate_from` reference; say both, or neither")
     if calibrate_from is not None and calibration is not None:
-        raise InputError("validate: wanted --calibration or --calibrate-from, got both; choose one")
+        raise InputError("validate: wanted `calibration` or `calibrate_from`, got both; choose one")
     if not 0.0 < max_lag_s < math.inf:
-        raise InputError(f"--max-lag-s: wanted more than 0 s, got {max_lag_s:g}; say how far the clocks may differ")
+        raise InputError(f"`max_lag_s`: wanted more than 0 s, got {max_lag_s:g}; say how far the clocks may differ")
 
 
 def _write(validated: Validated, folder: Path, origin: Origin) -> Validated:
@@ -420,7 +420,7 @@ def _remarks(validated: Validated) -> Section:
         who = "every recording" if 1 < len(noted) == len(trials) else ", ".join(noted)
         lines.append(f"{who}: {note}")
     if validated.calibration is not None and not validated.source and not validated.leave_one_out:
-        lines.append("these recordings made the calibration that they judge: say --leave-one-out for an honest figure")
+        lines.append("these recordings made the calibration that they judge: say `leave_one_out` for an honest figure")
     return Section(title="Remarks", text=tuple(lines), on="terminal")
 
 
@@ -549,7 +549,7 @@ def _calibration(method: Validated) -> str:
     if method.leave_one_out:
         return "leave-one-out: each recording judged by a gyroscope fit to the references of the others"
     if not method.source:
-        return "gyroscope fitted to the references of these same recordings, so figures are optimistic: use --leave-one-out"
+        return "gyroscope fitted to the references of these same recordings, so figures are optimistic: use `leave_one_out`"
     triads = [f"{name} by {t.method}" for name, t in (("gyroscope", made.gyro), ("accelerometer", made.accel)) if t]
     tables = "" if made.drift is None else ", with tables over temperature"
     return f"{method.source} of {made.device or 'a device without a name'}: {', '.join(triads)}{tables}"

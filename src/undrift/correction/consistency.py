@@ -163,7 +163,7 @@ def check_force(record: Record) -> None:
         named = "gyroscope and accelerometer columns are exchanged"
     raise Implausible(
         f"accelerometer: wanted a specific force of about 1 g, got a median of {median:.3g} g: {named}; correct the columns or "
-        "state their true unit in a map (units = { accel = ... }, --map FILE), or in the columns' names",
+        "state their true unit in a map (units = { accel = ... }, `column_map` FILE), or in the columns' names",
         mistake=named,
         median_g=median,
     )

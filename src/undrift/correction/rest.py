@@ -111,7 +111,7 @@ def named_rest(record: Record, stretch: Stretch) -> Still | None:
     if start_s is None or stop_s is None or not first <= start_s < stop_s <= last:
         got = " and ".join("none" if value is None else f"{value:g}" for value in (start_s, stop_s))
         raise InputError(
-            f"--still-start-s, --still-stop-s: wanted both, within the recording's {first:.6g} to {last:.6g} s and in that order, "
+            f"`still_start_s`, `still_stop_s`: wanted both, within the recording's {first:.6g} to {last:.6g} s and in that order, "
             f"got {got}; name a stretch at rest by its start and end"
         )
     start, stop = record.time.searchsorted((start_s, stop_s))
@@ -122,7 +122,7 @@ def no_rest(what: str, reason: str) -> InputError:
     """Return the refusal of a recording that never rests."""
     return InputError(
         f"{what}: wanted a still phase, got none: {reason.removeprefix('no still phase: ')}; name a stretch at rest "
-        "(--still-start-s, --still-stop-s), or record with a pause"
+        "(`still_start_s`, `still_stop_s`), or record with a pause"
     )
 
 
@@ -186,7 +186,7 @@ def _first(extended: Callable[[float], tuple[Record, int]], what: str) -> tuple[
 
 def _rotating(record: Record) -> Record:
     if record.gyro is None:
-        raise InputError("rest: wanted gyroscope readings and their calibration, got none; leave out --offset rest")
+        raise InputError("rest: wanted gyroscope readings and their calibration, got none; leave out `offset` rest")
     return record
 
 

@@ -567,7 +567,7 @@ def nominal_models(sessions: Sequence[Session]) -> Calibration:
     if unit is None or not is_physical(unit):
         raise NotObservable(
             f"drift: wanted a calibration, or gyroscope readings in a physical unit, got {unit or 'none'}; give "
-            "--calibration, or the scale of the columns"
+            "`calibration`, or the scale of the columns"
         )
     return Calibration(
         device=first.serial or first.records[0].device,

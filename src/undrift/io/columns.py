@@ -250,7 +250,7 @@ def native_map(names: Names, settings: ReadSettings = READ_SETTINGS, *, source: 
             more = f", ... ({len(names)} columns)" if len(names) > 12 else ""
             raise InputError(
                 f"columns: wanted names such as gyro_x_dps or accel_x_m_s2, got {shown}{more}; undrift info FILE "
-                "proposes a map of them, --write-map map.toml writes it; give it with --map"
+                "proposes a map of them, `write_map` map.toml writes it; give it with `column_map`"
             )
         temps = [(f"temp_{suffix}", unit) for unit, suffix in TEMP_SUFFIX.items() if f"temp_{suffix}" in names]
         if len(temps) > 1:
@@ -568,7 +568,7 @@ def _check_gaps(table: Table, name: str, values: FloatArray, columns: ColumnMap)
         )  # fmt: skip
         raise InputError(
             f"{table.source}: column {name!r}: wanted a number in every row, got {int(gap.sum())} empty or NaN cells, first in "
-            f'data row {row}{regular}; use --gaps keep, or gaps = "keep" in a map '
+            f'data row {row}{regular}; use `gaps` keep, or gaps = "keep" in a map '
             "or [[recording]], to keep them as gaps",
             row=row,
         )
@@ -610,7 +610,7 @@ def _forward(table: Table, time: FloatArray, columns: ColumnMap) -> BoolArray | 
     raise InputError(
         f"{table.source}: time column {columns.time!r}: wanted strictly increasing time, got {int((steps <= 0).sum())} steps back "
         f"or doubled, first in data row {table.row(row)} ({kind}: {time[row - 1]:.9g} s then {time[row]:.9g} s); set repair_time = "
-        "true in a map (--map FILE) or its [[recording]] to drop such rows, or use --clock regular where a host stamped them",
+        "true in a map (`column_map` FILE) or its [[recording]] to drop them, or use `clock` regular where a host stamped them",
         row=table.row(row),
     )
 

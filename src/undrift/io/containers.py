@@ -58,7 +58,7 @@ def chosen(path: Path, kind: str, names: tuple[str, ...], sensor: str | None) ->
         return hits[0]
     wanted = f"the name of one {kind}" if sensor is None else f"{kind} {sensor!r}"
     raise InputError(
-        f"{path}: wanted {wanted}, got a file with {', '.join(names)}; name one of them (--sensor)",
+        f"{path}: wanted {wanted}, got a file with {', '.join(names)}; name one of them (`sensor`)",
         missing="sensor",
         names=names,
     )
@@ -155,7 +155,7 @@ def read_xdf(path: Path, columns: Columns, settings: ReadSettings) -> ReadResult
     if asked is not None and not _has_numbers(asked):
         what = "no samples" if len(asked["time_stamps"]) == 0 else "text"
         raise InputError(
-            f"{path}: wanted a stream of readings, got {what} in {settings.sensor!r}; name another stream (--sensor)"
+            f"{path}: wanted a stream of readings, got {what} in {settings.sensor!r}; name another stream (`sensor`)"
         )
     name = chosen(path, "stream", tuple(n for n, s in streams.items() if _has_numbers(s)), settings.sensor)
     stream = streams[name]
@@ -186,7 +186,7 @@ def read_xdf(path: Path, columns: Columns, settings: ReadSettings) -> ReadResult
         shown = ", ".join(f"{a}{f' ({b})' if b else ''}" for a, b in zip(labels, unit, strict=True))
         raise InputError(
             f"{path}: wanted channels of {name} labelled as accelerometer or gyroscope with units, got {shown}; name them in a "
-            'map (--map), for example columns = { time = "time_s", gyro = [0, 1, 2] }, units = { time = "s", gyro = "dps" }',
+            '`column_map`, for example columns = { time = "time_s", gyro = [0, 1, 2] }, units = { time = "s", gyro = "dps" }',
             missing="columns",
             example=('columns = { time = "time_s", gyro = [0, 1, 2] }', 'units = { time = "s", gyro = "?" }'),
         )

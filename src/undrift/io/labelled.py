@@ -366,7 +366,7 @@ def read_sheet(sheet: Sheet, settings: ReadSettings) -> ReadResult:
     rate = settings.sample_rate_hz or sheet.rate_hz or next(iter(rates))
     if time is None and rate is None:
         raise InputError(
-            f"{sheet.path}: wanted the sample rate, got a file without time; give sample_rate_hz (--sample-rate-hz)",
+            f"{sheet.path}: wanted the sample rate, got a file without time; give `sample_rate_hz`",
             missing="sample_rate_hz",
         )
     table, trimmed = _trimmed(parsed, time, chosen) if None not in rates else (_timed(parsed, time), ())
@@ -397,7 +397,7 @@ def _check_readings(sheet: Sheet, triples: Triples) -> None:
     held = ", ".join(repr(name) for name in sheet.names[:8] if name)
     raise FileFormatError(
         f"{sheet.path}: wanted gyroscope or accelerometer columns x, y, z with a unit, got {held}; export them, or give a map "
-        "(--map FILE)",
+        "(`column_map` FILE)",
         missing="readings",
     )
 
@@ -414,7 +414,7 @@ def _chosen(sheet: Sheet, triples: Triples, sensor: str | None) -> dict[str, tup
     if wanted is None and names and (several or sensor is not None):
         got = "none" if sensor is None else repr(sensor)
         raise InputError(
-            f"{sheet.path}: wanted the name of one sensor, got {got}; the file holds {', '.join(names)}: name one (--sensor)",
+            f"{sheet.path}: wanted the name of one sensor, got {got}; the file holds {', '.join(names)}: name one (`sensor`)",
             missing="sensor",
             names=names,
         )

@@ -135,7 +135,7 @@ def _with_readings(sheet: Sheet, _: ReadSettings) -> Sheet:
     if any(label and label.channel in ("gyro", "accel", "free") for label in sheet.labels):
         return sheet
     raise FileFormatError(
-        f"{sheet.path}: wanted Acc_X or Gyr_X columns, got orientations only; read the file as a reference (--reference)",
+        f"{sheet.path}: wanted Acc_X or Gyr_X columns, got orientations only; read the file as a `reference`",
         missing="readings",
     )
 
@@ -199,7 +199,7 @@ def _in_g(sheet: Sheet, _: ReadSettings) -> Sheet:
     if size is None or not 0.5 < size < 2.0:
         raise InputError(
             f"{sheet.path}: wanted accelerations in g (median near 1), got a median of {size or 0.0:.3g}; give the units in a map "
-            "(--map FILE)"
+            "(`column_map` FILE)"
         )
     return sheet
 
@@ -498,12 +498,12 @@ def read_set_points(path: Path, columns: ColumnMap | None, settings: ReadSetting
         shown = spoilt[0][:40].decode("utf-8", "replace")
         raise FileFormatError(
             f"{path}: wanted numbers alone in every line of {word.decode()}, got {len(spoilt)} with other text, the first "
-            f"{shown!r}; repair them, or set drop_bad_rows = true in a map (--map FILE)"
+            f"{shown!r}; repair them, or set drop_bad_rows = true in a map (`column_map` FILE)"
         )
     if columns is None:
         raise InputError(
             f"{path}: wanted a map of its {width} columns by position (from 0, after the colon), got none; for example columns = "
-            "{ temp = 1, gyro = [3, 4, 5] } with units and sample_rate_hz (--map FILE)",
+            "{ temp = 1, gyro = [3, 4, 5] } with units and sample_rate_hz (`column_map` FILE)",
             missing="columns",
             example=(
                 "columns = { temp = 1, gyro = [3, 4, 5] }",
@@ -637,7 +637,7 @@ class Dialect:
         keys["sample_rate_hz"] = float(rate.group(1)) if rate else None if "time" in keys else settings.sample_rate_hz
         if "time" not in keys and keys["sample_rate_hz"] is None:
             raise InputError(
-                f"{path}: wanted the sample rate of this {self.maker} recording, got none; give sample_rate_hz (--sample-rate-hz)"
+                f"{path}: wanted the sample rate of this {self.maker} recording, got none; give `sample_rate_hz`"
             )
         columns = ColumnMap(**keys)
         missing = [column for column in columns.wanted() if column not in text.names]

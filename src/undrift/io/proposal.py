@@ -42,7 +42,7 @@ def map_of(
     if "sample_rate_hz = ?" in found.example:
         if sample_rate_hz is None:
             raise InputError(
-                f"{found.path}: wanted the sample rate of a table without time, got none; add --sample-rate-hz"
+                f"{found.path}: wanted the sample rate of a table without time, got none; add `sample_rate_hz`"
             )
         lines.append(f"sample_rate_hz = {sample_rate_hz:g}")
     stated = next(line for line in found.example if line.startswith("units"))

@@ -342,7 +342,7 @@ def name_of(path: Path, names: tuple[str, ...], name: str | None) -> str:
     if name not in names:
         got = "none" if name is None else repr(name)
         raise InputError(
-            f"{path}: wanted the name of one body, got {got}; the file holds {', '.join(names)}: name one (--markers)",
+            f"{path}: wanted the name of one body, got {got}; the file holds {', '.join(names)}: name one (`markers`)",
             names=names,
         )
     return name

@@ -258,7 +258,7 @@ def _parse_by_row(text: Text, positions: list[int]) -> Table:
         raise FileFormatError(
             f"{text.path}: wanted {row.expected_columns} columns in every row, got {row.actual_columns} in data row "
             f"{row.number - text.skip} ({row.text[:40]!r}; {len(ragged)} such rows); repair them, or set "
-            "drop_bad_rows = true in a map (--map FILE)",
+            "drop_bad_rows = true in a map (`column_map` FILE)",
             row=row.number - text.skip,
         )
     lost = np.array([row.number - text.skip - 1 for row in ragged], dtype=np.int64)
@@ -276,7 +276,7 @@ def _parse_by_row(text: Text, positions: list[int]) -> Table:
             raise FileFormatError(
                 f"{text.path}: column {text.names[i]!r}: wanted numbers, got {cell!r} in data row "
                 f"{rows[first] + 1} ({int((~fine).sum())} such rows); repair the file, or set drop_bad_rows = true "
-                "in a map (--map FILE)",
+                "in a map (`column_map` FILE)",
                 row=int(rows[first]) + 1,
             )
         good &= fine

@@ -111,7 +111,7 @@ def _orientation_sto(table: Columns, path: Path, body: str) -> None:
     """Write the quaternions, scalar first; OpenSense looks for a column BODY_imu and for a level frame with z up (see docs)."""
     time, *q = table[1][:5]
     if not re.fullmatch(r"\w+", body):
-        raise InputError(f"--body: wanted letters, digits and _ for a column of {path}, got '{body}'; name a body")
+        raise InputError(f"`body`: wanted letters, digits and _ for a column of {path}, got '{body}'; name a body")
     head = (
         f"DataRate={sample_rate_of(time):.6f}", "DataType=Quaternion", "version=3", "OpenSimVersion=4.5", "endheader",
         f"time\t{body.removesuffix('_imu')}_imu",

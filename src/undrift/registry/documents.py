@@ -208,11 +208,11 @@ def _is_pdf(path: Path) -> bool:
 def _serial(of_file: str, stated: Stated, source: str) -> str:
     """Return the serial number that a file states, or else a person; refuse two."""
     if not of_file and not stated.serial:
-        raise InputError(f"{source}: wanted the serial number of the device, got none; say --serial S")
+        raise InputError(f"{source}: wanted the serial number of the device, got none; say `serial` S")
     # a correction may state another, which is what it corrects
     if of_file and stated.serial and of_file != stated.serial and stated.supersedes is None:
         raise InputError(
-            f"{source}: wanted device {stated.serial}, got {of_file} in the file; leave out --serial, or name another file"
+            f"{source}: wanted device {stated.serial}, got {of_file} in the file; leave out `serial`, or name another file"
         )
     serial = (stated.serial or of_file).strip()
     if not 0 < len(serial) <= 200 or not serial.isprintable():
@@ -227,6 +227,6 @@ def _time_of(created: str, source: str) -> datetime:
         when = datetime.fromisoformat(created)
     except ValueError:
         raise InputError(
-            f"{source}: wanted the date at which the calibration was made, got '{created}'; say --date 2026-03-01"
+            f"{source}: wanted the date at which the calibration was made, got '{created}'; say `date` 2026-03-01"
         ) from None
     return when if when.tzinfo else when.replace(tzinfo=UTC)

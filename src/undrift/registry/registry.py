@@ -354,7 +354,7 @@ class Registry:
         last = before[-1]
         raise RegistryError(
             f"{wanted} entry {last.id}, due on {f'{last.due_at:%Y-%m-%d}' if last.due_at else ''}; calibrate the device again, or "
-            "name a file with --calibration"
+            "name a file with `calibration`"
         )
 
     def find(self, serial: str, *, on: datetime | None = None, temp_c: float | None = None) -> Entry:

@@ -163,7 +163,7 @@ def claim(path: Path) -> None:
     except FileExistsError as error:
         raise InputError(
             f"{path}: wanted no readings of this step yet, got some, which are kept; another program wrote them: "
-            "continue with --resume when it has ended"
+            "continue with `resume` when it has ended"
         ) from error
 
 
@@ -177,7 +177,7 @@ def room(path: Path) -> Iterator[None]:
         what = "make room on the disk" if full else "mend the disk"
         raise InputError(
             f"{path}: wanted to write a dwell, got '{error.strerror or error}'; all dwells before it are kept: "
-            f"{what} and continue with --resume"
+            f"{what} and continue with `resume`"
         ) from error
 
 
@@ -319,7 +319,7 @@ class RunFolder(AbstractContextManager["RunFolder"]):
         """Refuse a run that is not resumed, and readings without their journal; a start that never came to a run left nothing."""
         if self._journal.entries and not resume:
             raise InputError(
-                f"{self.path}: wanted an empty folder, got one with a run in it; continue it with --resume, or choose another"
+                f"{self.path}: wanted an empty folder, got one with a run in it; continue it with `resume`, or choose another"
             )
         if not self._journal.entries and any((self.path / PIECES).glob("*.parquet")):
             raise InputError(

@@ -382,7 +382,7 @@ class CardWatchdog:
         held = _listed(card)
         if held is None or (held and held[0] != LABEL):
             raise RigFault(
-                f"{card.port.name}: wanted a card without a program for --card-watchdog, got one that it would replace; save and "
+                f"{card.port.name}: wanted a card without a program for `card_watchdog`, got one that it would replace; save and "
                 "clear that one, or leave the option out"
             )
         card.tries("HX")

@@ -103,7 +103,7 @@ def check_readings(record: Record, dwell_s: float, settings: RunSettings, where:
     if finite < settings.least_part * wanted:
         raise RigTimeout(
             f"device: wanted {settings.least_part:.0%} of {wanted:.0f} readings in {where}, got {finite}, the others missing; look "
-            "at the device and its link, then continue with --resume",
+            "at the device and its link, then continue with `resume`",
             readings=finite,
         )
     return len(record) - finite
@@ -123,7 +123,7 @@ def check_board(record: Record, tolerance_c: float, where: str) -> None:
     if change_c > tolerance_c + step_c:
         raise RigFault(
             f"device: wanted its thermometer steady within {tolerance_c:g} K throughout {where}, got a change of {change_c:.2f} K; "
-            "look at the chamber and at the air around the device, then continue with --resume",
+            "look at the chamber and at the air around the device, then continue with `resume`",
             change_c=change_c,
         )
 
@@ -164,7 +164,7 @@ class Rests:
         if worst > STILL:
             raise Disturbed(
                 f"device: wanted it at rest in {where}, got {worst:.0f} times the spread of this rig's rests; nobody may touch the "
-                "table while it is read: continue with --resume",
+                "table while it is read: continue with `resume`",
                 spread=worst,
             )
         if step.purpose == "face" and record.accel is not None:
@@ -251,7 +251,7 @@ class Turns:
         if got:
             raise Disturbed(
                 f"device: wanted the readings of {where}, got {got}; look at the device's link and at what else this computer "
-                "does, then continue with --resume",
+                "does, then continue with `resume`",
                 turn_rate=turn_rate,
             )
 

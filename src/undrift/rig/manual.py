@@ -41,7 +41,7 @@ class AskedOperator:
     def mount(self, up: Face) -> None:
         """Have the device mounted."""
         line = f"Motor off. Mount the device with {up} up, step back, then press Enter (q gives up): "
-        _said(self._ask, line, f"mounting: wanted the device mounted {up} up", "continue with --resume when it is")
+        _said(self._ask, line, f"mounting: wanted the device mounted {up} up", "continue with `resume` when it is")
 
 
 class HandChamber(Chamber):
@@ -71,7 +71,7 @@ class HandChamber(Chamber):
 
     def _send(self, temp_c: float) -> float:
         line = f"Set the chamber to {temp_c:g} degC, then press Enter (q gives up): "
-        _said(self._ask, line, f"chamber: wanted it set to {temp_c:g} degC", "continue with --resume when it can be")
+        _said(self._ask, line, f"chamber: wanted it set to {temp_c:g} degC", "continue with `resume` when it can be")
         return temp_c
 
 

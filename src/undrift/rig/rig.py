@@ -452,5 +452,5 @@ def parse_address(address: str, settings: RigSettings = RigSettings()) -> tuple[
         except (ValueError, KeyError) as error:
             raise InputError(f"rig: wanted a value for {name}, got '{text}'; mend the address") from error
     if settings.card_watchdog is not None and kind != "galil":
-        raise InputError(f"card watchdog: wanted a Galil card, got '{address}'; leave --card-watchdog out")
+        raise InputError(f"card watchdog: wanted a Galil card, got '{address}'; leave `card_watchdog` out")
     return kind, url, settings

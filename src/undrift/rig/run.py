@@ -348,7 +348,7 @@ class _Run:
         raise RigTimeout(
             f"rig: wanted positions known to {self._settings.link_tolerance:.0%} of the dwell in step {self._number} ({step}), "
             f"got answers {achieved.delay_s:.3g} s late in {achieved.span_s:.3g} s, {reads} times; look at the link and at what "
-            "else this computer does, or dwell longer, then continue with --resume",
+            "else this computer does, or dwell longer, then continue with `resume`",
             delay_s=achieved.delay_s,
         )
 
@@ -413,7 +413,7 @@ def check_air(chamber: Chamber | None, step: Dwell, where: str) -> float | None:
     if air_c is not None and step.temp_c is not None and not abs(air_c - step.temp_c) <= tolerance_c:
         raise RigFault(
             f"chamber: wanted {step.temp_c:g} degC within {tolerance_c:g} K throughout {where}, got "
-            f"{air_c:.2f} degC; look at door and heater, then continue with --resume",
+            f"{air_c:.2f} degC; look at door and heater, then continue with `resume`",
             temp_c=air_c,
         )
     return air_c

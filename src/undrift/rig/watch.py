@@ -79,7 +79,7 @@ class StopWatch:
     def check(self) -> None:
         """Refuse to go on after a stop from elsewhere."""
         if self._read() != self._before:
-            raise RigFault("rig: wanted to continue, got it stopped from elsewhere by rig stop; continue with --resume")
+            raise RigFault("rig: wanted to continue, got it stopped from elsewhere by rig stop; continue with `resume`")
 
     def _read(self) -> str:
         try:
@@ -198,7 +198,7 @@ class Guard(AbstractContextManager["Guard"]):
         if code is not None:
             raise RigFault(
                 f"guard: wanted it to stand by while the table is driven, got it ended (code {code}): it was killed, or this "
-                "program was halted for too long; continue with --resume"
+                "program was halted for too long; continue with `resume`"
             )
 
     def release(self, *, well: bool) -> None:

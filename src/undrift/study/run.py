@@ -143,7 +143,7 @@ def _given_up(losses: int) -> UndriftError:
 def choose_executor(scheduler: str | None = None, workers: int | None = None) -> Executor:
     """Return the executor that a command line asks for."""
     if scheduler is not None and workers is not None:
-        raise InputError("study: wanted --scheduler or --workers, got both; the scheduler has its own workers")
+        raise InputError("study: wanted `scheduler` or `workers`, got both; the scheduler has its own workers")
     if scheduler is not None:
         return Dask(scheduler)
     count = len(os.sched_getaffinity(0)) if workers is None else workers

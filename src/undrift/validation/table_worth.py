@@ -58,10 +58,10 @@ class TableWorth:
         if self.constant_deg <= self.tables_deg:
             return "These tables do not improve on the constant calibration here: record more"
         if not self.turned:
-            return "Use the tables, and correct --offset rest; scale and dynamic drift, which no rest removes, were not measured"
+            return "Use the tables, and correct `offset` rest; scale and dynamic drift, which no rest removes, were not measured"
         if self.both_deg > _WORTH * self.rest_deg:
             return "A rest before the motion is as good as these tables here"
-        return "Use the tables, and correct --offset rest"
+        return "Use the tables, and correct `offset` rest"
 
 
 def expected_errors(calibration: Calibration, *, rest_variance: FloatArray) -> TableWorth | None:

@@ -294,7 +294,7 @@ def _by_rest(reference: Reference, signal: Signal) -> Cutoff:
     from scipy.signal import welch
 
     if reference.moving is None or reference.moving.all():
-        raise InputError("cut-off: wanted a rest, got no stretch marked as not moving; give --cutoff-hz a number")
+        raise InputError("cut-off: wanted a rest, got no stretch marked as not moving; give `cutoff_hz` a number")
     rest, spectra = reference.moving == 0.0, []
     for part in (rest, ~rest):
         time, values = _series(reference, signal, part)
@@ -303,7 +303,7 @@ def _by_rest(reference: Reference, signal: Signal) -> Cutoff:
         if len(time) < length:
             raise InputError(
                 f"cut-off: wanted {_SEGMENT_S:g} s or more of rest and of motion without a long gap, got "
-                f"{time[-1] - time[0]:.2g} s; record longer, or give --cutoff-hz a number"
+                f"{time[-1] - time[0]:.2g} s; record longer, or give `cutoff_hz` a number"
             )
         power = welch(values, rate, nperseg=length, axis=0, detrend="linear")[1].sum(axis=1)  # type: ignore[call-overload]  # its stub spells linear "literal"
         width = round(_SMOOTH_HZ * _SEGMENT_S) + 1
