@@ -16,10 +16,13 @@ announce:
 export OPENBLAS_NUM_THREADS = 1  # the matrices are small, threads cost more than they save
 unexport PYTHONDONTWRITEBYTECODE  # the suite starts many processes: each would compile all of undrift and of its tests
 
-# What computes gives way to what waits for sockets and processes and to the browser: tests/testkit/pools.py.
+# What computes, then what waits for sockets and processes, then the browser: tests/testkit/pools.py. They run one after the other, as
+# emulated machines and pages answer late beside processes that compute.
 CORES := $(shell nproc 2>/dev/null || echo 2)
-POOLS = --dist loadscope --tx $(CORES)*popen//env:TEST_POOL=compute --tx 2*popen//env:TEST_POOL=wait --tx 1*popen//env:TEST_POOL=browser
-PYTEST = $(BIN)/python -m pytest tests --ignore=tests/house $(POOLS)
+PYTEST = $(BIN)/python -m pytest tests --ignore=tests/house --dist loadscope
+COMPUTE = --tx $(CORES)*popen//env:TEST_POOL=compute
+WAIT = --tx 2*popen//env:TEST_POOL=wait
+BROWSER = --tx 1*popen//env:TEST_POOL=browser
 
 test: announce $(INSTALLED)
 	@command -v gcc >/dev/null || { apt-get update -qq && apt-get install -qq -y gcc libc6-dev; } || \
@@ -31,7 +34,8 @@ test: announce $(INSTALLED)
 	  DEBIAN_FRONTEND=noninteractive apt-get install -qq -y --no-install-recommends -o Dpkg::Options::=--force-confold postgresql; } || \
 	  echo "no PostgreSQL: the registry is tested on SQLite alone"
 	@echo "collecting the tests, up to a minute; then a dot for each, and the share done at the end of a line"
-	$(PYTEST) --durations=12
+	@failed=0; for group in "$(COMPUTE)" "$(WAIT)" "$(BROWSER)"; do \
+	  echo "$(PYTEST) $$group"; $(PYTEST) $$group --durations=12 || failed=1; done; exit $$failed
 
 # The bench in a browser alone: pages, wizards, the rate-table run, the emergency stop. Screenshots: build/screens.
 test-browser: $(INSTALLED)
@@ -41,7 +45,7 @@ test-browser: $(INSTALLED)
 
 # The order of the tests, by what each takes: commit the file that changes.
 durations: $(INSTALLED)
-	$(PYTEST) --write-durations
+	$(PYTEST) $(COMPUTE) $(WAIT) $(BROWSER) --write-durations
 
 # The same Monte Carlo runs with larger cohorts.
 test-long: $(INSTALLED)

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 from hypothesis import settings
 
-from testkit.pools import Pools, give_way, of_another_pool, write_durations
+from testkit.pools import Pools, of_another_pool, write_durations
 from testkit.remembered import put_everywhere, remembered, run_folder
 
 os.environ["UNDRIFT_REGISTRY"] = os.path.join(os.sep, "nowhere", "registry.sqlite")  # never that of a person
@@ -27,10 +27,6 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption(
         "--write-durations", action="store_true", help="write tests/durations.json, by which tests are ordered"
     )
-
-
-def pytest_configure() -> None:
-    give_way()
 
 
 @pytest.hookimpl(optionalhook=True)

@@ -238,7 +238,7 @@ def test_a_file_that_does_not_fit_the_kept_map_is_refused_in_one_line_that_names
     before = contents(board)
     line = undrift.refused(command, other, "--calibration", board / "board.json", *words[command])
     assert f"{other}: does not fit the map that {board / 'board.json'} keeps of its device: " in line
-    assert "name its own map with --map" in line
+    assert "name its own with --map" in line
     assert contents(board) == before
 
 

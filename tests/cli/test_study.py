@@ -298,7 +298,7 @@ def test_a_unit_without_runs_is_told_and_judged_by_a_mixed_model(undrift, plan, 
     assert "<strong>Runs missing</strong>: 3 of 30" in page
     assert "<strong>Mixed model for parameters with missing runs</strong>: cut-off." in page
     assert "Optional stopping: adding subjects until p falls below the level" in page
-    assert "Runs missing: 3 of 30" in " ".join(done(undrift, *words[:-1]).out.split())
+    assert "- Runs missing 3 of 30" in " ".join(done(undrift, *words[:-1]).out.split())
 
 
 def test_rivals_are_compared_unless_told_otherwise_and_come_to_the_summary(undrift, plan, tmp_path, monkeypatch):

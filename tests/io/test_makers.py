@@ -159,7 +159,11 @@ def test_free_acceleration_is_no_accelerometer():
         (("delsys_trigno", "discover164_basic_first12rows.csv"), "sensor", "EMG 01 04498 (54717), EMG 02"),
         (("apdm_csv", "apdm_format7.csv"), "sensor", "Lumbar, Right Ankle, Left Ankle, Left Foot, Chest, Right Foot"),
         (("stm_mems_logs", "unico_acc_only_driving.txt"), "sample_rate_hz", "wanted the sample rate"),
-        (("mobilised_mat", "mobgap_csv_HA001_TimeMeasure1_Test5_Trial1.csv"), "sample_rate_hz", "--sample-rate-hz"),
+        (
+            ("mobilised_mat", "mobgap_csv_HA001_TimeMeasure1_Test5_Trial1.csv"),
+            "sample_rate_hz",
+            "give `sample_rate_hz`",
+        ),
         (("xsens_mtmanager", "MT_01200454_000-000_00B40DE4.txt"), "sample_rate_hz", "wanted the sample rate"),
     ],
 )

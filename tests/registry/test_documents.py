@@ -131,10 +131,10 @@ def test_a_folder_gives_what_it_holds_for_the_registry_and_nothing_else(model, t
 @pytest.mark.parametrize(
     ("change", "stated", "text"),
     [
-        ({"device": ""}, {}, "wanted the serial number of the device, got none; say --serial S"),
-        ({}, {"serial": "B2"}, "wanted device B2, got A17 in the file; leave out --serial, or name another file"),
+        ({"device": ""}, {}, "wanted the serial number of the device, got none; say `serial` S"),
+        ({}, {"serial": "B2"}, "wanted device B2, got A17 in the file; leave out `serial`, or name another file"),
         ({"device": "A\n17"}, {}, "wanted a serial number of 1 to 200 printable characters, got 4; correct it"),
-        ({"provenance": Provenance()}, {}, "wanted the date at which the calibration was made, got ''; say --date 2026-03-01"),
+        ({"provenance": Provenance()}, {}, "wanted the date at which the calibration was made, got ''; say `date` 2026-03-01"),
     ],
 )  # fmt: skip
 def test_a_calibration_without_serial_or_date_is_refused(model, change, stated, text):

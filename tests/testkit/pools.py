@@ -39,12 +39,6 @@ def of_another_pool(path: Path) -> bool:
     return own is not None and path.name.startswith("test_") and path.suffix == ".py" and pool_of(path) != own
 
 
-def give_way() -> None:
-    """Let a process that computes take what those that wait and those with a browser leave of the cores."""
-    if os.environ.get(POOL) == "compute" and hasattr(os, "nice"):
-        os.nice(19)
-
-
 def read_durations(path: Path = DURATIONS) -> dict[str, float]:
     """Return seconds by test, and by module for its fixtures and its short tests together."""
     durations: dict[str, float] = json.loads(path.read_text())

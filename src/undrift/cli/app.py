@@ -11,6 +11,7 @@ import signal
 import sys
 from collections.abc import Sequence
 from contextlib import suppress
+from contextvars import copy_context
 from typing import TYPE_CHECKING
 
 from undrift import __version__, commands
@@ -59,7 +60,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     _stop_on_signals()
     words = sys.argv[1:] if arguments is None else arguments
     try:
-        code = _called(words)
+        code = copy_context().run(_called, words)  # the words of this call are known in it alone
     except KeyboardInterrupt as error:
         with suppress(KeyboardInterrupt):  # a second one
             _ignore_signals()
@@ -90,7 +91,7 @@ def _stop_on_signals() -> None:
 def run(arguments: Sequence[str]) -> int:
     """Run the command line and return its exit code: 0, 1, 2 or 3; 130 when interrupted."""
     try:
-        return _called(arguments)
+        return copy_context().run(_called, arguments)
     except KeyboardInterrupt as error:
         return _stopped(arguments, error)
 

@@ -186,7 +186,7 @@ def read_xdf(path: Path, columns: Columns, settings: ReadSettings) -> ReadResult
         shown = ", ".join(f"{a}{f' ({b})' if b else ''}" for a, b in zip(labels, unit, strict=True))
         raise InputError(
             f"{path}: wanted channels of {name} labelled as accelerometer or gyroscope with units, got {shown}; name them in a "
-            '`column_map`, for example columns = { time = "time_s", gyro = [0, 1, 2] }, units = { time = "s", gyro = "dps" }',
+            'map (`column_map`), for example columns = { time = "time_s", gyro = [0, 1, 2] }, units = { time = "s", gyro = "dps" }',
             missing="columns",
             example=('columns = { time = "time_s", gyro = [0, 1, 2] }', 'units = { time = "s", gyro = "?" }'),
         )

@@ -257,7 +257,7 @@ FORMATS: dict[str, Format] = {
         "is the .sto file of orientations (DataType=Quaternion)",
     ),
     "set_points": Format(
-        lambda _, head: is_set_points(head),
+        lambda _, head: b":" in head and is_set_points(head),
         record=read_set_points,
         honours=frozenset({"columns", "sample_rate_hz", "drop_bad_rows"}),
     ),
