@@ -21,7 +21,7 @@ from undrift.errors import InputError, RigError, UndriftError
 if TYPE_CHECKING:
     from cyclopts import App
 
-INTERRUPTED = 130
+INTERRUPTED, STOPPED = 130, "stopped; nothing was left half written"
 STOPS = ("SIGINT", "SIGTERM", "SIGHUP")
 ABOUT = "Calibrate a wearable inertial sensor, compensate its drift, and prove what that is worth in degrees."
 COMMANDS = {  # one line of 80 columns each
@@ -65,7 +65,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         with suppress(KeyboardInterrupt):  # a second one
             _ignore_signals()
         _ignore_signals()  # one more would spoil the message or the exit code
-        code = _stopped(words, error)
+        code = _refuse(words, error, STOPPED, code=INTERRUPTED)
     sys.exit(code)
 
 
@@ -93,7 +93,7 @@ def run(arguments: Sequence[str]) -> int:
     try:
         return copy_context().run(_called, arguments)
     except KeyboardInterrupt as error:
-        return _stopped(arguments, error)
+        return _refuse(arguments, error, STOPPED, code=INTERRUPTED)
 
 
 def _called(arguments: Sequence[str]) -> int:
@@ -169,10 +169,6 @@ def app(arguments: Sequence[str]) -> object:
             unused = " ".join(error.unused_tokens or ())
             raise InputError(f"wanted fewer words, got also {unused}; say {command} --help") from error
         raise InputError(f"{str(error).strip().splitlines()[0]} Say {command} --help.") from error
-
-
-def _stopped(arguments: Sequence[str], error: BaseException) -> int:
-    return _refuse(arguments, error, "stopped; nothing was left half written", code=INTERRUPTED)
 
 
 def _refuse(arguments: Sequence[str], error: BaseException, text: str, *, code: int) -> int:

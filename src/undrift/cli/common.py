@@ -190,9 +190,8 @@ def write_json(value: Mapping[str, object], command: str, *, error: Mapping[str,
     head = {"kind": value.get("kind", kind), "format": value.get("format", 1), "version": __version__}
     rest = {"verdict": verdict, "findings": findings, "result": None if error else own, "error": error}
     text = json.dumps(plain(head | own | rest), ensure_ascii=False, allow_nan=False)
-    sys.stdout.write(
-        (text if "document" in own else spoken(text)) + "\n"
-    )  # a document is that of its file, to the letter
+    # A document is that of its file, to the letter.
+    sys.stdout.write((text if "document" in own else spoken(text)) + "\n")
 
 
 def _of_parts(value: Mapping[str, object]) -> list[object]:
