@@ -180,13 +180,14 @@ def hidden_folder(beside: Path) -> Iterator[Path]:
 @contextmanager
 def _claimed(folder: Path) -> Iterator[None]:
     """Hold a lock beside a folder as long as this process works in it; the system frees it when the process dies."""
-    with folder.with_name(folder.name + _LOCK).open("wb") as lock:
-        with suppress(ImportError):  # Windows: nothing is swept there
-            take_lock(lock.fileno())
-        try:
+    lock = folder.with_name(folder.name + _LOCK)
+    try:
+        with lock.open("wb") as held:
+            with suppress(ImportError):  # Windows: nothing is swept there
+                take_lock(held.fileno())
             yield
-        finally:
-            Path(lock.name).unlink(missing_ok=True)
+    finally:
+        lock.unlink(missing_ok=True)
 
 
 def take_lock(handle: int, wait_s: float = 2.0) -> None:
