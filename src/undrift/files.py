@@ -170,9 +170,8 @@ def unwritten(path: Path, error: OSError, size: int) -> InputError:
 @contextmanager
 def hidden_folder(beside: Path) -> Iterator[Path]:
     """Make a folder for files that appear together when they are whole; those that a killed run left there are deleted."""
-    for stale in beside.glob(f"{_HIDDEN}*"):
-        if _is_left(stale):
-            shutil.rmtree(stale, ignore_errors=True)
+    for stale in filter(_is_left, beside.glob(f"{_HIDDEN}*")):
+        shutil.rmtree(stale, ignore_errors=True)
     with tempfile.TemporaryDirectory(dir=beside, prefix=_HIDDEN) as name, _claimed(Path(name)):
         yield Path(name)
 
