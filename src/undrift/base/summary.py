@@ -41,18 +41,16 @@ NOTHING_WRITTEN = "No tables were written: add -o calibration.json to keep them"
 PICTURES = (".svg", ".png", ".pdf")  # endings of figures
 CALLED: ContextVar[tuple[str, ...]] = ContextVar("CALLED", default=())  # the words of the command line, if it called
 _ARGUMENT = re.compile(r"`([a-z]\w*)`")  # in the texts of findings and errors
-OPTIONS = {
-    "longest_lag_s": "max_lag_s",
-    "column_map": "map",
-}  # of the command line, where it is not the argument's name
+OPTIONS = {"longest_lag_s": "max_lag_s", "column_map": "map"}  # where it is not the argument's name
 Item = TypeVar("Item")
 Plain: TypeAlias = bool | int | float | str | Sequence["Plain"] | Mapping[str, "Plain"] | None
 Cells = Sequence[tuple[str, Callable[[Item], str]]]  # heads of a table, each with what makes its cells
 
 
-def spoken(text: str) -> str:
+def spoken(text: str, *, called: bool = False) -> str:
     """Return a text with the arguments that it names, such as `gravity_m_s2`, as options, if the command line called."""
-    return _ARGUMENT.sub(lambda m: "--" + OPTIONS.get(m[1], m[1]).replace("_", "-"), text) if CALLED.get() else text
+    by_name = _ARGUMENT.sub(lambda m: "--" + OPTIONS.get(m[1], m[1]).replace("_", "-"), text)
+    return by_name if called or CALLED.get() else text
 
 
 class Picture(Protocol):

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 from nicegui import Client, ui
 
+from undrift.base.summary import spoken
 from undrift.errors import UndriftError
 from undrift.web.commands import ALONE, CONTROLS, Remark
 
@@ -332,7 +333,7 @@ def status_line(words: Words, classes: str = "soft") -> Any:
 
 def error_line(words: Words) -> Any:
     """Add a line for what went wrong; empty while nothing has."""
-    return text("p", words, "bench-error", role="alert")
+    return text("p", lambda: page_words(words() if callable(words) else words), "bench-error", role="alert")
 
 
 @contextmanager
@@ -360,7 +361,8 @@ def remarks_list(remarks: Sequence[Remark]) -> None:
 
 
 def page_words(words: str) -> str:
-    """Return a text of a command with the options that a page offers called as they are there."""
+    """Return a text of a command or of the library with the options that a page offers called as they are there."""
+    words = spoken(words, called=True)
     for option, label in CONTROLS.items():
         words = re.sub(rf"{option}(?![\w-])", f"“{label}”", words)
     return words
@@ -368,11 +370,9 @@ def page_words(words: str) -> str:
 
 def refused(bench: "Bench", job: "Job | None", error: str, keep: Callable[[str], object] = bool) -> None:
     """Say what was refused; where gyroscopes, turns or rates spoilt a job's calibration, offer it without them."""
-    if error:
-        error_line(page_words(error))
-    if job is None or not job.words or "--gyro" in job.words or error != job.error:
-        return
-    if not re.search("gyro|turn|rotation|rate", error):
+    error_line(error)
+    of_gyro = re.search("gyro|turn|rotation|rate", error)
+    if job is None or not job.words or "--gyro" in job.words or error != job.error or not of_gyro:
         return
 
     async def again() -> str | None:
