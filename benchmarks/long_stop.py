@@ -14,7 +14,7 @@ from pathlib import Path
 
 from benchmarks.figure import Figure
 from undrift.sim.rig import galil_language
-from undrift.sim.rig.emulator import Bench, EmulatedBenchSettings, EmulatorSettings, start_bench
+from undrift.sim.rig.emulator import EmulatedBench, EmulatedBenchSettings, EmulatorSettings, start_bench
 from undrift.web.rate_table import ProtocolForm
 from undrift.web.rig_run import RigRun, RunOrder, begin_run
 
@@ -99,7 +99,7 @@ def _noting(obeyed: list[float]) -> Iterator[None]:
         galil_language._ACTS["ST"] = before
 
 
-def _table() -> Bench:
+def _table() -> EmulatedBench:
     return start_bench(EmulatedBenchSettings(rig=EmulatorSettings(speed=20.0)))
 
 

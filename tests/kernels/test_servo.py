@@ -7,7 +7,7 @@ import pytest
 from numba import njit
 
 from undrift.kernels import device as k
-from undrift.sim.rig.axes import Axis, ServoSettings, resting_coefficients
+from undrift.sim.rig.axes import MotorAxis, ServoSettings, resting_coefficients
 
 
 def twin(servo: ServoSettings, target: float, samples: int) -> np.ndarray:
@@ -39,7 +39,7 @@ def test_a_jog_equals_the_plain_twin():
     servo = ServoSettings(
         gains=(12.5, 245.0, 0.5), coulomb_friction=0.0, viscous_friction=1e-4, cogging_torque=1e-3, payload_inertia=5e-5
     )
-    axis = Axis(servo)
+    axis = MotorAxis(servo)
     axis.change(motor_on=True)
     axis.values[k.MODE], axis.values[k.TARGET] = k.JOG, 5_000.0
     angles = []
@@ -91,7 +91,7 @@ def test_a_reversed_jog_rests_at_zero_before_it_turns():
 
 def test_friction_stops_a_coasting_axis_and_holds_it():
     servo = ServoSettings(coulomb_friction=2e-3)
-    axis = Axis(servo)
+    axis = MotorAxis(servo)
     axis.values[k.RATE] = 1.5
     axis.advance(1.0)
     assert axis.values[k.RATE] == 0.0
@@ -103,7 +103,7 @@ def test_friction_stops_a_coasting_axis_and_holds_it():
 
 def test_an_axis_without_friction_swings_in_its_cogging_and_keeps_its_energy():
     servo = ServoSettings(coulomb_friction=0.0, cogging_torque=1e-3, cogging_periods=10)
-    axis = Axis(servo)
+    axis = MotorAxis(servo)
     axis.values[k.ANGLE] = 0.1
     start = -1e-3 / 10 * math.cos(1.0)
     axis.advance(5.0)
@@ -114,7 +114,7 @@ def test_an_axis_without_friction_swings_in_its_cogging_and_keeps_its_energy():
 
 def test_a_runaway_is_bounded_by_the_supply():
     servo = ServoSettings(coulomb_friction=0.0)
-    axis = Axis(servo)
+    axis = MotorAxis(servo)
     axis.change(motor_on=True, encoder_good=False, error_limit=math.inf)
     axis.values[k.MODE], axis.values[k.TARGET] = k.JOG, 10_000.0
     axis.advance(5.0)

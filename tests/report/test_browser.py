@@ -28,7 +28,7 @@ from undrift.record import Record
 from undrift.report.certificate import draw_calibration
 from undrift.report.commands import write_rig_report
 from undrift.report.figures import AXIS_COLOURS, AXIS_DASHES, AXIS_MARKERS, COMPARED_COLOURS, COMPARED_MARKERS
-from undrift.rig.folder import Piece
+from undrift.rig.folder import RecordedDwell
 from undrift.rig.run import RunResult
 from undrift.sim.motion.bench import BenchSettings
 from undrift.sim.thermal import ChamberSettings, ThermalSettings, simulate_thermal_session
@@ -76,7 +76,7 @@ def make_pages(folder: Path) -> None:
             assert run([name, *shlex.split(words), "--report", f"{name}.html"]) in (0, 1), name
         assert run(["calibrate", "session", "--page", "again.html"]) in (0, 1)
         turns = [
-            Piece(
+            RecordedDwell(
                 step=k, purpose="rate", up="+z", axis="xyz"[k % 3], samples=300, start_s=0.0, stop_s=3.0, missing=k // 5,
                 nominal_turn_rate=rate * RADIAN_PER_DEGREE, turn_rate=1.0001 * rate * RADIAN_PER_DEGREE,
                 turn_rate_uncertainty=1e-5,

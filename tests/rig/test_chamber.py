@@ -10,12 +10,12 @@ import pytest
 from testkit.scripted_server import Scripted
 from undrift.base.clock import Clock
 from undrift.errors import InputError, LimitError, LinkError, RigError, RigFault, RigTimeout
-from undrift.rig.chamber import ChamberSettings, ScpiChamber, SoakSettings, Steadiness, open_chamber
+from undrift.rig.chamber import ChamberSetup, ScpiChamber, SoakSettings, Steadiness, open_chamber
 from undrift.sim.rig.emulator import AirSettings, EmulatedChamber
 
 SPEED = 200.0
 SOAK = SoakSettings(window_s=60.0)
-SETTINGS = ChamberSettings(clock=Clock(SPEED), soak=SOAK, reply_timeout_s=20.0)
+SETTINGS = ChamberSetup(clock=Clock(SPEED), soak=SOAK, reply_timeout_s=20.0)
 TRUE = {
     "*IDN?": b"maker,model,7,1.2\n",
     "TEMP:SPO 45.00;:OUTP ON;:TEMP:SPO?": b"45.0\n",
@@ -216,6 +216,6 @@ def test_settings_that_cannot_be_are_refused():
     with pytest.raises(InputError, match=r"soak: wanted window_s above 0, got 0"):
         SoakSettings(window_s=0)
     with pytest.raises(InputError, match=r"wanted a lowest set-point below the highest, got 80 and 80 degC"):
-        ChamberSettings(lowest_c=80, highest_c=80)
+        ChamberSetup(lowest_c=80, highest_c=80)
     with pytest.raises(InputError, match=r"chamber: wanted reply_timeout_s above 0, got 0; state it"):
-        ChamberSettings(reply_timeout_s=0)
+        ChamberSetup(reply_timeout_s=0)

@@ -12,11 +12,11 @@ from undrift.cli.app import run
 from undrift.errors import InputError, RigFault
 from undrift.io.session import read_session
 from undrift.rig import watch as guard
-from undrift.rig.chamber import ChamberSettings, SoakSettings, open_chamber
+from undrift.rig.chamber import ChamberSetup, SoakSettings, open_chamber
 from undrift.rig.folder import RunFolder
 from undrift.rig.judge import RunSettings
 from undrift.rig.programme import programme_of
-from undrift.rig.run import Bench, run_programme
+from undrift.rig.run import RigBench, run_programme
 from undrift.rig.watch import Guard
 from undrift.sim.rig.emulator import AirSettings, EmulatedBenchSettings, EmulatedChamber, EmulatorSettings, start_bench
 from undrift.units import STANDARD_GRAVITY
@@ -47,14 +47,14 @@ def hand_run(tmp_path, temperatures, person, *, thermometer=True):
         readings = WithThermometer(emulator, hands, chamber) if thermometer else Device(emulator, hands)
         protocol, settings = (
             replace(SHORT, temperatures_c=temperatures),
-            ChamberSettings(clock=emulator.clock, soak=SOAK),
+            ChamberSetup(clock=emulator.clock, soak=SOAK),
         )
         try:
             with (
                 RunFolder(tmp_path, protocol) as folder,
                 open_chamber("manual:", settings, ask=lambda line: person(line, chamber)) as by_hand,
             ):
-                bench = Bench(
+                bench = RigBench(
                     rig=opened(emulator), readings=readings, mounting=hands, chamber=by_hand, clock=emulator.clock
                 )
                 run_programme(

@@ -9,7 +9,7 @@ from testkit.rig_bench import DPS, GAIN, OFFSET, SHORT, UP, Device, emulated, ru
 from undrift.errors import RigFault
 from undrift.io.parquet import read_parquet
 from undrift.record import FACES, Record
-from undrift.rig.judge import APART, STILL, Contradiction, Disturbed, Rests, Turns
+from undrift.rig.judge import APART, STILL, Contradiction, Disturbed, RestCheck, TurnCheck
 from undrift.rig.programme import Dwell
 from undrift.units import STANDARD_GRAVITY
 
@@ -32,7 +32,7 @@ def read(rng, up="+z", *, noise=0.01, count=False, step=0.0, force=None):
 
 
 def test_constant_readings_in_g_are_faces_like_others():
-    rests, made = Rests(), {up: read(np.random.default_rng(5), up, noise=0.0) for up in FACES}
+    rests, made = RestCheck(), {up: read(np.random.default_rng(5), up, noise=0.0) for up in FACES}
     made = {up: replace(record, accel=record.accel / STANDARD_GRAVITY, accel_unit="g") for up, record in made.items()}
     for up, record in made.items():
         rests.check(rest(up), record, "step")
@@ -52,7 +52,7 @@ def bumped(record):
 def test_sound_rests_are_kept(how):
     rng = np.random.default_rng(1)
     for _ in range(100):
-        rests = Rests()
+        rests = RestCheck()
         for up in FACES:
             record = read(rng, up, **how)
             rests.check(rest(up), record, "step")
@@ -61,7 +61,7 @@ def test_sound_rests_are_kept(how):
 
 @pytest.mark.parametrize("count", [False, True])
 def test_a_bump_is_seen_in_the_first_rest_and_in_later_ones(count):
-    rng, rests = np.random.default_rng(2), Rests()
+    rng, rests = np.random.default_rng(2), RestCheck()
     with pytest.raises(Disturbed, match=r"wanted it at rest in step 1, got \d+ times the spread of this rig's rests"):
         rests.check(rest(), bumped(read(rng, count=count)), "step 1")
     for _ in range(3):
@@ -69,11 +69,11 @@ def test_a_bump_is_seen_in_the_first_rest_and_in_later_ones(count):
     loud = read(rng, noise=0.01 * 1.5 * STILL, count=count)  # from start to end: only other rests tell
     with pytest.raises(Disturbed):
         rests.check(rest(), loud, "step 2")
-    Rests().check(rest(), loud, "step 1")
+    RestCheck().check(rest(), loud, "step 1")
 
 
 def test_a_face_that_nobody_mounted_is_seen():
-    rng, rests = np.random.default_rng(3), Rests()
+    rng, rests = np.random.default_rng(3), RestCheck()
     rests.keep(rest("+z"), read(rng, "+z", count=True))
     with pytest.raises(
         Disturbed, match=r"wanted \+x up in step, got the readings of \+z; one of the two is not mounted"
@@ -89,19 +89,19 @@ def test_a_face_that_nobody_mounted_is_seen():
 
 def test_in_a_physical_unit_the_first_face_tells():
     rng = np.random.default_rng(4)
-    Rests().check(rest("+x"), read(rng, "+x"), "step")
+    RestCheck().check(rest("+x"), read(rng, "+x"), "step")
     for wrong in ("-x", "+y", "-z"):
         with pytest.raises(Disturbed, match="gravity along another axis"):
-            Rests().check(rest("+x"), read(rng, wrong), "step")
+            RestCheck().check(rest("+x"), read(rng, wrong), "step")
     slanted = np.array([np.cos(np.radians(40.0)), np.sin(np.radians(40.0)), 0.0])
     with pytest.raises(Disturbed):
-        Rests().check(rest("+x"), read(rng, force=slanted), "step")
+        RestCheck().check(rest("+x"), read(rng, force=slanted), "step")
     assert APART > 1.0
 
 
 def kept(*faces, read_as=()):
     """Return rests that hold faces in counts, some of them as another face reads."""
-    rng, rests = np.random.default_rng(6), Rests()
+    rng, rests = np.random.default_rng(6), RestCheck()
     for up in faces:
         rests.keep(rest(up), read(rng, dict(read_as).get(up, up), count=True))
     return rests, rng
@@ -268,7 +268,7 @@ def turning(rng, rates_dps, *, gain=GAIN, noise=0.05, step=0.0, limit=np.inf, n=
 
 def judge_turns(rng, pairs, **how):
     """Judge and keep a rest, then turns at the first rates whose readings are of the second."""
-    turns = Turns()
+    turns = TurnCheck()
     turns.keep(rest(), 0.0, turning(rng, 0.0, **how))
     for rate, read_dps in pairs:
         record = turning(rng, read_dps, **how)
@@ -330,7 +330,7 @@ def test_a_run_learns_from_the_disk_what_turns_read(tmp_path, monkeypatch):
     with emulated() as emulator:
         run(emulator, tmp_path / "run")
         monkeypatch.setattr(
-            Turns, "keep", lambda _, step, rate, record: shown.setdefault(step.purpose, []).append(rate)
+            TurnCheck, "keep", lambda _, step, rate, record: shown.setdefault(step.purpose, []).append(rate)
         )
         run(emulator, tmp_path / "run", resume=True)
     assert np.allclose(np.array(shown["rate"]) / DPS, [30.0, -30.0, 60.0, -60.0], atol=0.5)

@@ -17,7 +17,7 @@ from undrift.rig.folder import RunFolder
 from undrift.rig.manual import AskedOperator, ManualRig
 from undrift.rig.programme import programme_of, read_protocol
 from undrift.rig.rig import Limits, RigSettings, check_programme, open_rig
-from undrift.rig.run import Bench, run_programme
+from undrift.rig.run import RigBench, run_programme
 from undrift.units import STANDARD_GRAVITY
 
 DEGREE = math.pi / 180.0
@@ -176,7 +176,7 @@ def by_hand(tmp_path):
 
     def run(path, *, resume=False):
         rig = ManualRig(operator, clock=clock)
-        bench = Bench(rig=rig, readings=HeldDevice(operator), mounting=AskedOperator(operator), clock=clock)
+        bench = RigBench(rig=rig, readings=HeldDevice(operator), mounting=AskedOperator(operator), clock=clock)
         with RunFolder(path, protocol, resume=resume) as folder:
             return run_programme(
                 programme_of(protocol), bench, folder, report=lambda progress: None, gravity_m_s2=STANDARD_GRAVITY

@@ -10,7 +10,7 @@ import pytest
 from testkit.modbus_server import Controller
 from undrift.base.clock import Clock
 from undrift.errors import InputError, LimitError, LinkError, RigFault
-from undrift.rig.chamber import ChamberSettings, SoakSettings, open_chamber
+from undrift.rig.chamber import ChamberSetup, SoakSettings, open_chamber
 from undrift.rig.modbus import models
 from undrift.rig.watch import stop_chamber
 
@@ -18,7 +18,7 @@ F4 = {"read": 100, "wanted": 300, "kind": "int16", "gain": 0.1, "held": {0: 5270
 EZ_ZONE = {"read": 360, "wanted": 2160, "kind": "float32", "low_first": True, "on": (1880, 10)}
 EUROTHERM = {"read": 32770, "wanted": 32772, "kind": "float32", "on": (273, 0), "held": {273: 1}}
 KINDS = {"watlow-f4": F4, "watlow-ez-zone": EZ_ZONE, "eurotherm": EUROTHERM}
-SETTINGS = ChamberSettings(clock=Clock(200.0), soak=SoakSettings(window_s=20.0))
+SETTINGS = ChamberSetup(clock=Clock(200.0), soak=SoakSettings(window_s=20.0))
 
 
 def address(controller, model, more=""):
@@ -52,7 +52,7 @@ def test_a_controller_is_switched_on_set_read_until_soaked_and_switched_off(mode
 def test_temperatures_below_zero_pass_as_whole_numbers():
     with (
         Controller(**F4) as controller,
-        open_chamber(address(controller, "watlow-f4"), ChamberSettings(lowest_c=-40.0)) as chamber,
+        open_chamber(address(controller, "watlow-f4"), ChamberSetup(lowest_c=-40.0)) as chamber,
     ):
         assert chamber.set(-22.1) == pytest.approx(-22.1)
         assert controller.registers[300] == 65_536 - 221
@@ -120,7 +120,7 @@ def test_a_set_point_is_within_limits_and_held_by_the_controller():
 
 
 def test_a_refusal_and_silence_are_one_line():
-    quick = ChamberSettings(reply_timeout_s=0.2)
+    quick = ChamberSetup(reply_timeout_s=0.2)
     with Controller(**EZ_ZONE) as controller:
         with open_chamber(address(controller, "watlow-ez-zone"), quick) as chamber:
             controller.refuse.add(360)

@@ -14,7 +14,7 @@ from undrift.rig.folder import RunFolder
 from undrift.rig.judge import RunSettings
 from undrift.rig.programme import Protocol, programme_of
 from undrift.rig.rig import Limits, RigSettings, open_rig
-from undrift.rig.run import Bench, run_programme
+from undrift.rig.run import RigBench, run_programme
 from undrift.sim.device.effects import Offset, Scale, SensorChain, WhiteNoise
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.rig.emulator import Emulator, EmulatorSettings
@@ -170,7 +170,7 @@ def run(
     """Run a protocol on an emulator; return the result and the hands. Readings are the fake device's unless given."""
     hands = Hands()
     with RunFolder(path, protocol, resume=resume) as folder:
-        bench = Bench(
+        bench = RigBench(
             rig=opened(emulator, **settings),
             readings=readings or Device(emulator, hands),
             mounting=hands,

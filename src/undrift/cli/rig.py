@@ -20,9 +20,8 @@ if TYPE_CHECKING:
     from undrift.rig.check import CheckSettings, RigCheck
     from undrift.rig.programme import Programme
     from undrift.rig.rig import Limits, RigSettings
-    from undrift.rig.run import Bench, Progress, RunResult, Watch
-    from undrift.sim.rig.emulator import Bench as EmulatedBench
-    from undrift.sim.rig.emulator import PlannedFault
+    from undrift.rig.run import Progress, RigBench, RunResult, Watch
+    from undrift.sim.rig.emulator import EmulatedBench, PlannedFault
     from undrift.sim.rig.hand_held import HandHeld
 
 rig = group(
@@ -385,15 +384,15 @@ def _bench(
     addresses: tuple[str, str, str | None, str | None],
     settings: "RigSettings",
     programme: "Programme",
-) -> "tuple[Bench, str]":
+) -> "tuple[RigBench, str]":
     """Connect device, chamber, operator and, last, the table; return them and what the device is called."""
     from undrift.live.recorder import DwellReadings, Recorder, RecorderSettings
     from undrift.live.transports import source_at
-    from undrift.rig.chamber import ChamberSettings, SoakSettings, open_chamber
+    from undrift.rig.chamber import ChamberSetup, SoakSettings, open_chamber
     from undrift.rig.manual import AskedOperator
     from undrift.rig.programme import Soak
     from undrift.rig.rig import open_rig, parse_address
-    from undrift.rig.run import Bench
+    from undrift.rig.run import RigBench
     from undrift.rig.watch import check_free
     from undrift.sim.rig.emulator import BenchHands
 
@@ -409,13 +408,13 @@ def _bench(
     if chamber is not None:
         slopes = [step.slope_c_per_min for step in programme.steps if isinstance(step, Soak)]
         soak = SoakSettings(slope_c_per_min=min(slopes, default=SoakSettings().slope_c_per_min))
-        oven = open_chamber(chamber, ChamberSettings(soak=soak, clock=clock), ask=settings.ask)
+        oven = open_chamber(chamber, ChamberSetup(soak=soak, clock=clock), ask=settings.ask)
         stack.callback(oven.close)
     mounting = AskedOperator(settings.ask or _asked) if operator is None else BenchHands(operator)
     check_free(rig)
     table = open_rig(rig, settings)
     stack.callback(table.close)
-    made = Bench(rig=table, readings=readings, mounting=mounting, chamber=oven, clock=clock)
+    made = RigBench(rig=table, readings=readings, mounting=mounting, chamber=oven, clock=clock)
     return made, source.description.device
 
 

@@ -20,7 +20,7 @@ from undrift.errors import InputError
 from undrift.units import RADIAN_PER_DEGREE
 
 if TYPE_CHECKING:
-    from undrift.rig.folder import Piece
+    from undrift.rig.folder import RecordedDwell
     from undrift.rig.programme import Protocol
     from undrift.rig.run import RunResult
     from undrift.sim.device.model import DeviceModel
@@ -260,7 +260,7 @@ def _rates(run: "BenchRun") -> Section:
     )
 
 
-def _achieved(turns: "list[Piece]", rate: float, axis: str) -> str:
+def _achieved(turns: "list[RecordedDwell]", rate: float, axis: str) -> str:
     found = [piece for piece in turns if piece.axis == axis and piece.nominal_turn_rate == rate]
     if not found:
         return ""

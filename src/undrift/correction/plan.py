@@ -48,7 +48,7 @@ T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Axis:
+class TableAxis:
     """One axis of a table."""
 
     nodes: FloatArray  # (n,), increasing
@@ -81,7 +81,7 @@ class Axis:
 
         return Grid(np.array(self.nodes), self.start, float(self.inverse[0]) if self.even else 0.0, self.cells)
 
-    def evened(self, most: int = MOST_NODES) -> "Axis":
+    def evened(self, most: int = MOST_NODES) -> "TableAxis":
         """Return the even grid that holds all nodes, or the nodes where there is none of so many nodes at most."""
         span = self.stop - self.start
         cells = span / np.diff(self.nodes).min()
@@ -91,8 +91,8 @@ class Axis:
                 break
             places = (self.nodes - self.start) * (count / span)
             if np.abs(places - np.round(places)).max() < EVEN_WITHIN:
-                return Axis(nodes=np.linspace(self.nodes[0], self.nodes[-1], count + 1), even=True)
-        return Axis(nodes=self.nodes)
+                return TableAxis(nodes=np.linspace(self.nodes[0], self.nodes[-1], count + 1), even=True)
+        return TableAxis(nodes=self.nodes)
 
     def filled(self, nodes: FloatArray, values: FloatArray) -> FloatArray:
         """Values (n, ...) of fewer nodes (n,) at all of the axis: the straight line between them."""
@@ -105,8 +105,8 @@ class Axis:
 class Table:
     """Values over temperature, or over temperature and rate."""
 
-    temp: Axis  # temperatures, degC; of the warm-up the time since power-on, s
-    turn_rate: Axis | None = None  # measured rates, rad/s; None for a table over temperature alone
+    temp: TableAxis  # temperatures, degC; of the warm-up the time since power-on, s
+    turn_rate: TableAxis | None = None  # measured rates, rad/s; None for a table over temperature alone
     values: FloatArray  # (n, c), or (n, k, c), c values at each node
     # (n,) or (n, k), standard uncertainty of the result at nodes that no data were near, infinite where none is stated, and -1
     # where data were near; None where they were near all
@@ -187,7 +187,7 @@ def _input_factor(model: TriadModel, unit: str, sensor: Sensor, quantity: Quanti
 
 
 def _line(nodes: FloatArray, values: FloatArray, stated: FloatArray | None = None, kind: Kind = "rate") -> Table:
-    return Table(temp=Axis(nodes=nodes), values=values, stated=stated, kind=kind)
+    return Table(temp=TableAxis(nodes=nodes), values=values, stated=stated, kind=kind)
 
 
 def _offset_table(triad: Triad, model: TriadModel, factor: float, shift: FloatArray) -> Table | None:
@@ -214,8 +214,8 @@ def _matrix_table(triad: Triad, model: TriadModel, factor: float) -> Table | Non
 
 def _error_table(errors: DynamicDrift) -> Table:
     return Table(
-        temp=Axis(nodes=errors.temp_c),
-        turn_rate=Axis(nodes=errors.turn_rate),
+        temp=TableAxis(nodes=errors.temp_c),
+        turn_rate=TableAxis(nodes=errors.turn_rate),
         values=errors.error,
         stated=_stated(errors.extrapolated, errors.uncertainty),
     )

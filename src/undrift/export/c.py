@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from undrift.arrays import FloatArray, IntArray
-from undrift.correction.plan import Axis, Constants, Table, constants_of
+from undrift.correction.plan import Constants, Table, TableAxis, constants_of
 from undrift.errors import InputError
 from undrift.export import ExportOptions, Target
 from undrift.export.firmware import (
@@ -78,7 +78,7 @@ class Printer:
         self,
         triad: str,
         table: str,
-        axis: Axis | FixedAxis,
+        axis: TableAxis | FixedAxis,
         x: str,
         place: str,
         fraction: str,

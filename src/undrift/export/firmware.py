@@ -14,7 +14,7 @@ from typing import Any, Literal
 import numpy as np
 
 from undrift.arrays import FloatArray, IntArray
-from undrift.correction.plan import Axis, Constants, Table, constants_of
+from undrift.correction.plan import Constants, Table, TableAxis, constants_of
 from undrift.errors import InputError
 from undrift.model import SENSORS, Calibration
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
@@ -53,7 +53,7 @@ def _on_grids(constants: Constants) -> Constants:
     return replace(constants, **findable)
 
 
-def stride_of(axis: Axis) -> int:
+def stride_of(axis: TableAxis) -> int:
     """Return the first stride of a bisection: the largest power of two below the number of cells, at least 1."""
     return 1 << max(0, (axis.cells - 1).bit_length() - 1)
 
@@ -94,7 +94,7 @@ HALF = 0.5
 class FixedAxis:
     """One axis of a table in integers."""
 
-    axis: Axis  # The same in real numbers
+    axis: TableAxis  # The same in real numbers
     nodes: IntArray  # All nodes, Q16.16; of an even axis the first and the last
     inverse: IntArray  # round(2^shift / width), of each cell or of all
     shift: int  # Of ``inverse``
@@ -221,7 +221,7 @@ def _slope_error(axis: FixedAxis, values: FloatArray, place: int, step: FloatArr
     return worst
 
 
-def _fixed_axis(axis: Axis) -> FixedAxis:
+def _fixed_axis(axis: TableAxis) -> FixedAxis:
     nodes = _rounded(np.array([axis.start, axis.stop]) if axis.even else axis.nodes, 16)
     if int(np.abs(nodes).max()) >= 2**31 or not (np.diff(nodes) > 0).all():
         raise InputError(
@@ -320,7 +320,7 @@ def cost_of(triads: tuple[Constants, ...], arithmetic: Arithmetic, table_bytes: 
     steps = {name: row[("float", "double", "fixed").index(arithmetic)] for name, row in STEPS.items()}
     cycles, code = steps["call"], steps["code_base"] + steps["code_lead"] * lead
 
-    def place(axis: Axis) -> int:
+    def place(axis: TableAxis) -> int:
         return steps["place"] + (0 if axis.even else stride_of(axis).bit_length() * steps["stride"])
 
     for triad in triads:

@@ -80,7 +80,7 @@ class DaqSource(ByteSource):
         return np.column_stack((count, (volts - self._scale[:, 1]) / self._scale[:, 0]))
 
 
-class Board:
+class DaqTask:
     """A running task of the driver; its errors are OSErrors here."""
 
     def __init__(self, place: str, description: StreamDescription, low_v: float, high_v: float, terminal: str) -> None:
@@ -174,7 +174,7 @@ def daq_source(address: Address) -> Source:
     by_channel = tuple(scales.get(name.split("_")[0], Scale()) for name in described.channels)
 
     place = address.place
-    return DaqSource(f"daq:{place}", described, lambda: Board(place, described, low_v, high_v, terminal), by_channel)
+    return DaqSource(f"daq:{place}", described, lambda: DaqTask(place, described, low_v, high_v, terminal), by_channel)
 
 
 def _scale(address: Address, triad: str) -> Scale | None:

@@ -11,7 +11,7 @@ from undrift.report.page import write_page
 from undrift.units import RADIAN_PER_DEGREE
 
 if TYPE_CHECKING:
-    from undrift.rig.folder import Piece as DwellPiece
+    from undrift.rig.folder import RecordedDwell as DwellPiece
     from undrift.rig.run import RunResult
 
 DPS = RADIAN_PER_DEGREE

@@ -53,7 +53,7 @@ class SoakSettings:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ChamberSettings:
+class ChamberSetup:
     """Limits of a chamber, and how it is watched."""
 
     lowest_c: float = 0.0  # Set-points beyond are refused before a byte is sent, degC
@@ -105,7 +105,7 @@ class Chamber(AbstractContextManager["Chamber"]):
 
     near_c: float | None = None  # How near the set-point a device must come where the air has no thermometer, K
 
-    def __init__(self, settings: ChamberSettings) -> None:
+    def __init__(self, settings: ChamberSetup) -> None:
         self.settings, self.criterion = settings, settings.soak
         self._steadiness = Steadiness(settings.soak)
         self._set_point: float | None = None
@@ -179,7 +179,7 @@ class Chamber(AbstractContextManager["Chamber"]):
 class ScpiChamber(Chamber):
     """A chamber that understands the language above."""
 
-    def __init__(self, url: str, settings: ChamberSettings = ChamberSettings()) -> None:
+    def __init__(self, url: str, settings: ChamberSetup = ChamberSetup()) -> None:
         super().__init__(settings)
         waits = LinkSettings(reply_timeout_s=settings.reply_timeout_s, baud=settings.baud, clock=settings.clock.host)
         self._link = Link(url, waits)
@@ -235,7 +235,7 @@ GROUP = "undrift.chambers"
 
 
 def open_chamber(
-    address: str, settings: ChamberSettings = ChamberSettings(), *, ask: Callable[[str], str] | None = None
+    address: str, settings: ChamberSetup = ChamberSetup(), *, ask: Callable[[str], str] | None = None
 ) -> Chamber:
     """Open a chamber; its temperature is left as it is. ``ask`` shows a person a line and returns what they typed."""
     kind = address.partition(":")[0]
@@ -270,7 +270,7 @@ class Readings(Protocol):
         """Let go of the device; harmless when called again."""
 
 
-class Mounting(Protocol):
+class Operator(Protocol):
     """The operator, who mounts the device on the table."""
 
     def mount(self, up: Face) -> None:
@@ -284,7 +284,7 @@ FIRST_LOOK_S = 2.0  # tells whether there is a thermometer, table s
 LAGS = 5.0
 
 
-class Board:
+class SoakWatch:
     """Watches a board through a soak, from now on."""
 
     def __init__(self, readings: Readings, clock: Clock, step: Soak, chamber: Chamber, lag_s: float) -> None:

@@ -83,7 +83,7 @@ class WaveError:
 
 
 @dataclass(frozen=True, slots=True)
-class Loop:
+class OpenLoop:
     """The open loop near its crossover."""
 
     crossover: float  # rad/s
@@ -104,7 +104,7 @@ class RigCheck:
     identity: str
     error: WaveError
     passed: bool | None  # None where the link hides the error
-    loop: Loop | None  # None where it is not observable
+    loop: OpenLoop | None  # None where it is not observable
     gains: Gains | None  # As found
     suggested: Gains | None
     held: Gains | None  # By the controller at the end
@@ -237,7 +237,7 @@ def _polled_wave(rig: Rig, clock: Clock, settings: CheckSettings, report: Report
 # ---- Open loop
 
 
-def _measured_loop(rig: Rig, servo: Servo, clock: Clock, settings: CheckSettings, report: Report) -> Loop | None:
+def _measured_loop(rig: Rig, servo: Servo, clock: Clock, settings: CheckSettings, report: Report) -> OpenLoop | None:
     """Record the loop until crossover and margin are known well enough; None where they are not after many records."""
     traces: list[Trace] = []
     while len(traces) < MOST_RECORDS:
@@ -268,7 +268,7 @@ def _excited(rig: Rig, servo: Servo, clock: Clock, settings: CheckSettings, numb
     return servo.trace()
 
 
-def open_loop(traces: Sequence[Trace]) -> Loop | None:
+def open_loop(traces: Sequence[Trace]) -> OpenLoop | None:
     """Return crossover and margin of the open loop; None where the records do not show a crossover."""
     n, period_s = min(len(trace.position) for trace in traces), traces[0].period_s
     omega = 2.0 * math.pi * np.fft.rfftfreq(n - 1, period_s)[1:]
@@ -298,7 +298,7 @@ def open_loop(traces: Sequence[Trace]) -> Loop | None:
     if any(found is None for found in left_out):
         return None
     spread = np.sqrt((len(traces) - 1) * np.var(np.array(left_out, float), axis=0))
-    return Loop(whole[0], float(spread[0]), whole[1], float(spread[1]))
+    return OpenLoop(whole[0], float(spread[0]), whole[1], float(spread[1]))
 
 
 def _faster(commanded: FloatArray, over: int) -> FloatArray:
@@ -340,7 +340,7 @@ def _crossover(centre: FloatArray, forward: np.ndarray, backward: np.ndarray) ->
 def _findings(
     error: WaveError,
     passed: bool | None,
-    loop: Loop | None,
+    loop: OpenLoop | None,
     gains: tuple[Gains | None, Gains | None, Gains | None],
     settings: CheckSettings,
 ) -> list[Finding]:

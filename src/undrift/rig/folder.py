@@ -207,7 +207,7 @@ class Head:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Piece:
+class RecordedDwell:
     """A dwell that is on the disk."""
 
     step: int  # Of the programme
@@ -283,7 +283,7 @@ class RunFolder(AbstractContextManager["RunFolder"]):
         if self.pieces:
             self.write_session()
 
-    def keep(self, record: Record, piece: Piece) -> Piece:
+    def keep(self, record: Record, piece: RecordedDwell) -> RecordedDwell:
         """Bring a dwell to the disk: readings, line, session."""
         path = self.path / piece.name
         with uninterrupted():  # Ctrl-C waits: readings, line and session belong together
@@ -351,7 +351,7 @@ def protocol_digest(protocol: Protocol) -> str:
     return hashlib.sha256(json.dumps(fields, sort_keys=True).encode()).hexdigest()
 
 
-def read_entries(path: Path, entries: tuple[dict[str, object], ...]) -> tuple[Head | None, tuple[Piece, ...]]:
+def read_entries(path: Path, entries: tuple[dict[str, object], ...]) -> tuple[Head | None, tuple[RecordedDwell, ...]]:
     """Return what a journal's entries say."""
     if not entries:
         return None, ()
@@ -359,14 +359,14 @@ def read_entries(path: Path, entries: tuple[dict[str, object], ...]) -> tuple[He
         first = dict(entries[0])
         if (first.pop("entry"), first.pop("format")) != ("head", FORMAT):
             raise ValueError("another format")
-        pieces: list[Piece] = []
+        pieces: list[RecordedDwell] = []
         for entry in entries[1:]:
             fields = dict(entry)
             kind = fields.pop("entry")
             if kind == "withdrawn":
                 pieces = [piece for piece in pieces if piece.step != fields["step"]]
             elif kind == "dwell":
-                pieces.append(Piece(**fields))  # type: ignore[arg-type]
+                pieces.append(RecordedDwell(**fields))  # type: ignore[arg-type]
             else:
                 raise ValueError("another kind of entry")
         return Head(**first), tuple(pieces)  # type: ignore[arg-type]
@@ -377,7 +377,7 @@ def read_entries(path: Path, entries: tuple[dict[str, object], ...]) -> tuple[He
         ) from error
 
 
-def session_text(head: Head, pieces: tuple[Piece, ...]) -> str:
+def session_text(head: Head, pieces: tuple[RecordedDwell, ...]) -> str:
     """Return session.toml: each piece a recording, each rest a still, each rate a turn at the rate that was achieved."""
     stated: list[StillEntry | TurnEntry] = []
     for number, piece in enumerate(pieces):

@@ -752,7 +752,7 @@ def _port(url: str, settings: RigSettings) -> GalilPort:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Status:
+class TableStatus:
     """What a table says."""
 
     identity: str  # Model and firmware
@@ -763,7 +763,7 @@ class Status:
     fault: str | None  # In words
 
 
-def read_status(address: str, settings: RigSettings = RigSettings()) -> Status:
+def read_status(address: str, settings: RigSettings = RigSettings()) -> TableStatus:
     """Ask a table on a connection of its own."""
     kind, url, settings = parse_address(address, settings)
     if kind != "galil" or url.startswith("gclib:"):
@@ -774,7 +774,7 @@ def read_status(address: str, settings: RigSettings = RigSettings()) -> Status:
     try:
         port.resynchronise()
         rig = GalilReports(port, settings)
-        return Status(
+        return TableStatus(
             identity=rig.identify(),
             moving=rig._axis.is_moving(),
             motor_on=rig._axis.is_on(),

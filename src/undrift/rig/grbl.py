@@ -35,7 +35,7 @@ welcome_end = end_of(rb"Grbl[^\r\n]*\r?\n")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Status:
+class GrblStatus:
     """A status line."""
 
     state: str  # One of STATES
@@ -43,7 +43,7 @@ class Status:
     machine: tuple[float, ...] | None
 
 
-def parse_status(line: str, name: str) -> Status:
+def parse_status(line: str, name: str) -> GrblStatus:
     """Read a status line strictly."""
     fields = line.strip().removeprefix("<").removesuffix(">").split("|")
     state = fields[0].split(":")[0]
@@ -51,7 +51,7 @@ def parse_status(line: str, name: str) -> Status:
     place = labelled.get("MPos")
     if state not in STATES or not (place or "WPos" in labelled) or (place and not _PLACE.fullmatch(place)):
         raise LinkError(f"{name}: wanted a status line, got {line!r}; check cable and baud")
-    return Status(state=state, machine=tuple(float(number) for number in place.split(",")) if place else None)
+    return GrblStatus(state=state, machine=tuple(float(number) for number in place.split(",")) if place else None)
 
 
 class GrblController:
@@ -72,7 +72,7 @@ class GrblController:
             raise RigFault(f"{self.name}: {what}; see the controller's state", code=code, command=line)
         return answer
 
-    def status(self) -> Status:
+    def status(self) -> GrblStatus:
         """Ask for the status (``?``)."""
         return parse_status(self._ask("?", until=status_end, terminator="")[-1], self.name)
 
@@ -89,11 +89,11 @@ class GrblController:
         self.alarm = self.broken = None
         return answer.strip().splitlines()[-1]
 
-    def wait_for(self, states: tuple[str, ...], expected_s: float = 0.0) -> Status:
+    def wait_for(self, states: tuple[str, ...], expected_s: float = 0.0) -> GrblStatus:
         """Poll the status until it is one of these: at most twice as long as it should take, and 2 s."""
         allowed_s, wanted = 2.0 * expected_s + 2.0, " or ".join(states)
 
-        def reached() -> Status | None:
+        def reached() -> GrblStatus | None:
             status = self.status()
             if status.state in ("Alarm", "Door") and status.state not in states:
                 raise RigFault(f"{self.name}: wanted {wanted}, got {self.alarm_text(status)}; look at the table")
@@ -111,7 +111,7 @@ class GrblController:
         self.do("$SLP")
         return self.wait_for(("Sleep",)).state == "Sleep"
 
-    def alarm_text(self, status: Status) -> str:
+    def alarm_text(self, status: GrblStatus) -> str:
         """Say what keeps the controller from moving."""
         if status.state == "Door":
             return "the safety door is open"

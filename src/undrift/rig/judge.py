@@ -147,7 +147,7 @@ class Contradiction(Disturbed):
     surely: bool  # Other faces show that it is that one
 
 
-class Rests:
+class RestCheck:
     """Remembers how still this rig's first rests were and what each face read."""
 
     def __init__(self) -> None:
@@ -220,7 +220,7 @@ SHOWN = 6.0  # standard errors
 SLOWEST = 5.0 * RADIAN_PER_DEGREE  # rad/s: a slower turn may be less than a step of the converter
 
 
-class Turns:
+class TurnCheck:
     """Remembers what this device reads in turns about each axis, less what the last rest reads."""
 
     def __init__(self) -> None:

@@ -13,7 +13,7 @@ from undrift.base.clock import HOST, Clock
 from undrift.errors import InputError, LinkError, RigFault
 from undrift.live.transports import number_of
 from undrift.record import Face
-from undrift.rig.chamber import Chamber, ChamberSettings
+from undrift.rig.chamber import Chamber, ChamberSetup
 from undrift.rig.rig import Limits, Position, RigSettings
 from undrift.units import RADIAN_PER_DEGREE
 
@@ -49,7 +49,7 @@ class HandChamber(Chamber):
 
     near_c = 5.0  # self-heating of a board, and what an untrimmed thermometer is off
 
-    def __init__(self, ask: Callable[[str], str], settings: ChamberSettings = ChamberSettings()) -> None:
+    def __init__(self, ask: Callable[[str], str], settings: ChamberSetup = ChamberSetup()) -> None:
         super().__init__(settings)
         self._ask = ask
 
@@ -75,7 +75,7 @@ class HandChamber(Chamber):
         return temp_c
 
 
-def open_chamber_from(address: str, settings: ChamberSettings, ask: Callable[[str], str] | None) -> HandChamber:
+def open_chamber_from(address: str, settings: ChamberSetup, ask: Callable[[str], str] | None) -> HandChamber:
     """Take a person's word for a chamber."""
     if ask is None:
         raise InputError("chamber: wanted a person to ask, got none; a chamber by hand needs a terminal")

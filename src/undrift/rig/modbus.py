@@ -18,7 +18,7 @@ from typing import Any, Literal
 from undrift.base.codec import stored, toml_of, value_of
 from undrift.errors import InputError, LinkError, RigFault
 from undrift.plugins import split_address
-from undrift.rig.chamber import CHAMBERS, GROUP, Chamber, ChamberSettings
+from undrift.rig.chamber import CHAMBERS, GROUP, Chamber, ChamberSetup
 
 OPTIONS = ("model", "device", "unit", "words", "baud", "parity", "stop_bits")
 COLDEST_C, HOTTEST_C = -120.0, 400.0  # of any air; beyond, a reading is none
@@ -61,7 +61,7 @@ def models() -> dict[str, Model]:
 class ModbusChamber(Chamber):
     """A chamber behind a controller that speaks Modbus."""
 
-    def __init__(self, address: str, settings: ChamberSettings = ChamberSettings()) -> None:
+    def __init__(self, address: str, settings: ChamberSetup = ChamberSetup()) -> None:
         super().__init__(settings)
         kind, place, pairs = split_address(address, "chamber", CHAMBERS, GROUP, "name how it is connected")
         options = dict(pairs)
@@ -179,12 +179,12 @@ class ModbusChamber(Chamber):
         self._client.close()
 
 
-def open_from(address: str, settings: ChamberSettings, ask: Callable[[str], str] | None) -> ModbusChamber:
+def open_from(address: str, settings: ChamberSetup, ask: Callable[[str], str] | None) -> ModbusChamber:
     """Open what an address names; nobody is asked."""
     return ModbusChamber(address, settings)
 
 
-def _client(kind: str, place: str, options: dict[str, str], settings: ChamberSettings) -> Any:
+def _client(kind: str, place: str, options: dict[str, str], settings: ChamberSetup) -> Any:
     try:
         made = importlib.import_module("pymodbus.client")
     except ImportError as error:

@@ -61,7 +61,7 @@ class CountScale:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Grid:
+class CommandRange:
     """The values one command of a card accepts: multiples of a step within a range."""
 
     name: str  # The command, for messages: "JG", "AC",
@@ -84,11 +84,11 @@ class Grid:
 
 
 LONGEST_MOVE = 2_147_483_647  # counts, a signed word of 32 bits
-JOG = Grid(name="JG", step=1, smallest=1, largest=12_000_000)
-JOG_BY_TWO = Grid(name="JG", step=2, smallest=2, largest=12_000_000)
-SLEW = Grid(name="SP", step=2, smallest=2, largest=12_000_000)
-ACCELERATION = Grid(name="AC", step=1024, smallest=1024, largest=67_107_840)
-MOVE = Grid(name="PR", step=1, smallest=1, largest=LONGEST_MOVE)
+JOG = CommandRange(name="JG", step=1, smallest=1, largest=12_000_000)
+JOG_BY_TWO = CommandRange(name="JG", step=2, smallest=2, largest=12_000_000)
+SLEW = CommandRange(name="SP", step=2, smallest=2, largest=12_000_000)
+ACCELERATION = CommandRange(name="AC", step=1024, smallest=1024, largest=67_107_840)
+MOVE = CommandRange(name="PR", step=1, smallest=1, largest=LONGEST_MOVE)
 
 
 # ---- rig

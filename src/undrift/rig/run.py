@@ -22,14 +22,14 @@ from undrift.base.clock import Clock
 from undrift.errors import InputError, RigError, RigFault, RigTimeout
 from undrift.io.parquet import read_own_parquet
 from undrift.record import Face, Kind, Record
-from undrift.rig.chamber import Board, Chamber, Mounting, Readings, mean_temp
-from undrift.rig.folder import Head, Piece, RunFolder
+from undrift.rig.chamber import Chamber, Operator, Readings, SoakWatch, mean_temp
+from undrift.rig.folder import Head, RecordedDwell, RunFolder
 from undrift.rig.judge import (
     Contradiction,
     Disturbed,
-    Rests,
+    RestCheck,
     RunSettings,
-    Turns,
+    TurnCheck,
     check_board,
     check_rate,
     check_readings,
@@ -64,12 +64,12 @@ log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Bench:
+class RigBench:
     """All that a run works with; the run closes the rig, and only the rig."""
 
     rig: Rig  # Open
     readings: Readings  # Of the device
-    mounting: Mounting  # The operator
+    mounting: Operator  # The operator
     chamber: Chamber | None = None  # Needed where the programme soaks
     clock: Clock = field(default_factory=Clock)  # The rig's
 
@@ -93,7 +93,7 @@ class Progress:
 class RunResult:
     """What a run did."""
 
-    pieces: tuple[Piece, ...]  # All that is on the disk
+    pieces: tuple[RecordedDwell, ...]  # All that is on the disk
     added: int  # How many of them now
     duration_s: float  # How long this part took, table s
     rig: str  # What the rig calls itself
@@ -104,7 +104,7 @@ Report = Callable[[Progress], None]
 
 def run_programme(
     programme: Programme,
-    bench: Bench,
+    bench: RigBench,
     folder: RunFolder,
     *,
     report: Report,
@@ -145,18 +145,18 @@ def _air(air_c: float | None) -> str:
     return "air not read" if air_c is None else f"{air_c:.2f} degC"
 
 
-def _heat(run: "_Run", step: Soak, chamber: Chamber) -> Board:
+def _heat(run: "_Run", step: Soak, chamber: Chamber) -> SoakWatch:
     run._say("setting" if chamber.near_c is not None else "soaking")  # a person takes their time
     chamber.set(step.temp_c)
     run._say("soaking")
-    return Board(run._bench.readings, run._bench.clock, step, chamber, run._settings.device_lag_s)
+    return SoakWatch(run._bench.readings, run._bench.clock, step, chamber, run._settings.device_lag_s)
 
 
 class _Run:
     """A run that is going on."""
 
     def __init__(
-        self, programme: Programme, bench: Bench, folder: RunFolder, report: Report, settings: RunSettings
+        self, programme: Programme, bench: RigBench, folder: RunFolder, report: Report, settings: RunSettings
     ) -> None:
         self._programme, self._bench, self._folder = programme, bench, folder
         self._report, self._settings = report, settings
@@ -165,7 +165,7 @@ class _Run:
         self._temps: dict[str, float | None] = {}  # of Progress
         self._step: Step = programme.steps[0]
         self._began, self._number, self._left_s = bench.clock.now(), 0, 0.0
-        self._rests, self._turns = Rests(), Turns()
+        self._rests, self._turns = RestCheck(), TurnCheck()
         self.withdrawn: frozenset[int] = frozenset()  # steps
 
     def recall(self) -> None:
@@ -315,10 +315,10 @@ class _Run:
         self._turns.keep(step, achieved.turn_rate, record)
 
     def _keep(self, step: Dwell, record: Record, **found: Any) -> None:
-        """Bring a dwell to the disk, with what was found beside the readings: fields of a Piece."""
+        """Bring a dwell to the disk, with what was found beside the readings: fields of a RecordedDwell."""
         self._temps["device_c"] = mean_temp(record)
         self._say("writing")
-        piece = Piece(
+        piece = RecordedDwell(
             step=self._number,
             purpose=step.purpose,
             up=step.up,

@@ -30,19 +30,18 @@ from undrift.live.recorder import DwellReadings, Recorder, RecorderSettings
 from undrift.live.transports import source_at
 from undrift.model import Calibration, DriftTables, TriadModel
 from undrift.record import FACES, Record, Reference, Session
-from undrift.rig.chamber import ChamberSettings, SoakSettings, open_chamber
+from undrift.rig.chamber import ChamberSetup, SoakSettings, open_chamber
 from undrift.rig.folder import RunFolder
 from undrift.rig.programme import Programme, ProgrammeSettings, Protocol, programme_of
 from undrift.rig.rig import RigSettings, open_rig
-from undrift.rig.run import Bench, Progress, RunResult, run_programme
+from undrift.rig.run import Progress, RigBench, RunResult, run_programme
 from undrift.rig.watch import stopping_on_signals
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.presets import random_device_of
 from undrift.sim.device.truth import true_calibration, true_tables
 from undrift.sim.motion.poses import OpticsSettings, see
 from undrift.sim.motion.tasks import draw_task
-from undrift.sim.rig.emulator import AirSettings, BenchHands, EmulatedBenchSettings, EmulatorSettings, start_bench
-from undrift.sim.rig.emulator import Bench as EmulatedBench
+from undrift.sim.rig import emulator
 from undrift.sim.rig.stream import StreamSettings
 from undrift.sim.table_sessions import ROOM_TEMP_C
 from undrift.study.figure3 import judge_compared, levels_of, worn_record
@@ -55,7 +54,7 @@ KIND = "enc03j_3031"
 UNIT_SEED = 1  # its pitch gyroscope drifts by 0.1 deg/s per K, well inside what this kind spreads
 SET_POINTS_C = (18.0, 31.0, 38.0, 45.0)  # the worn board is at 37.5; the bench at 25
 THERMOMETER_LAG_S = 5.0  # in the chamber's moving air
-AIR = AirSettings(ramp_c_per_min=600.0, period_s=8.0, damping=0.8, board_lag_s=4.0)
+AIR = emulator.AirSettings(ramp_c_per_min=600.0, period_s=8.0, damping=0.8, board_lag_s=4.0)
 SOAK = SoakSettings(slope_c_per_min=0.5, window_s=20.0)
 SOAK_S = 25.0  # forecast of a soak: overshoot, then the window
 CRYSTAL = ClockSettings(memory_s=1e5, rate_tolerance=1e-4)  # the board samples by a crystal, whatever the host does
@@ -169,9 +168,11 @@ def _record_rest(
 ) -> None:
     """Run the protocols that are not done yet on a bench of their own, and add their results."""
     stream = StreamSettings(seed=0, framing="frame")  # costs half as much as text
-    emulated = EmulatedBenchSettings(rig=EmulatorSettings(speed=plan.speed), air=AIR, stream=stream, device=device)
+    emulated = emulator.EmulatedBenchSettings(
+        rig=emulator.EmulatorSettings(speed=plan.speed), air=AIR, stream=stream, device=device
+    )
     host_s = [p.duration_s / plan.speed + STEP_HOST_S * len(p.steps) for p in plan.programmes]
-    with start_bench(emulated) as bench:
+    with emulator.start_bench(emulated) as bench:
         for which in range(len(done), 2):
             what = ("faces and rates at room temperature", "set-points in the thermal chamber")[which]
             tell(f"virtual bench: {what}", sum(host_s[which:]))
@@ -181,7 +182,7 @@ def _record_rest(
 
 def _record(
     plan: BenchPlan,
-    bench: EmulatedBench,
+    bench: emulator.EmulatedBench,
     which: int,
     path: Path,
     tell: Tell,
@@ -207,13 +208,12 @@ def _record(
         recorder.start()
         chamber = None
         if protocol.temperatures_c:
-            watched = ChamberSettings(soak=SOAK, clock=Clock(plan.speed), reply_timeout_s=patience_s)
-            chamber = open_chamber(bench.chamber_address, watched)
-            stack.callback(chamber.close)
+            watched = ChamberSetup(soak=SOAK, clock=Clock(plan.speed), reply_timeout_s=patience_s)
+            chamber = stack.enter_context(open_chamber(bench.chamber_address, watched))
         rig = open_rig(bench.rig_address, RigSettings(reply_timeout_s=patience_s))
         stack.callback(rig.close)
-        hands, clock = BenchHands(bench.hands_address), Clock(speed=plan.speed)
-        connected = Bench(rig=rig, readings=readings, mounting=hands, chamber=chamber, clock=clock)
+        hands, clock = emulator.BenchHands(bench.hands_address), Clock(speed=plan.speed)
+        connected = RigBench(rig=rig, readings=readings, mounting=hands, chamber=chamber, clock=clock)
         serial = recorder.source.description.device
         return run_programme(programme, connected, folder, report=report, serial=serial, gravity_m_s2=STANDARD_GRAVITY)
 

@@ -7,7 +7,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from undrift.base.clock import VirtualClock
-from undrift.sim.rig.grbl import Board, GrblSettings, plan
+from undrift.sim.rig.grbl import GrblBoard, GrblSettings, plan
 
 MOVES = st.lists(st.tuples(st.floats(-400.0, 400.0), st.floats(0.02, 360.0)), min_size=1, max_size=16)
 
@@ -53,7 +53,7 @@ def test_a_joint_that_rounding_has_passed_does_not_disturb_a_steady_rate():
 @given(waits=st.lists(st.floats(0.0, 0.4), min_size=5, max_size=60))
 def test_a_steady_chain_never_leaves_its_rate_whenever_its_jogs_come(waits):
     clock = VirtualClock()
-    board = Board(GrblSettings(acceleration_deg_s2=2300.0), clock)
+    board = GrblBoard(GrblSettings(acceleration_deg_s2=2300.0), clock)
     goal = 0.0
     for wait in waits:
         if not board.full:
@@ -74,7 +74,7 @@ def test_a_steady_chain_never_leaves_its_rate_whenever_its_jogs_come(waits):
 @given(st.lists(st.tuples(st.sampled_from("jjjjc!~"), st.floats(-30.0, 30.0), st.floats(0.0, 0.3)), max_size=40))
 def test_whatever_jogs_and_cancels_come_the_axis_keeps_within_the_feed_and_rests(events):
     clock = VirtualClock()
-    board = Board(GrblSettings(acceleration_deg_s2=2300.0), clock)
+    board = GrblBoard(GrblSettings(acceleration_deg_s2=2300.0), clock)
     for what, distance, wait in events:
         if what == "j" and not board.full:
             board.do(f"$J=G91A{distance:.4f}F5400")

@@ -7,20 +7,20 @@ from testkit.data import show
 from testkit.loop_margins import loop_margins, ramp_error_counts
 from undrift.errors import InputError
 from undrift.kernels import device as k
-from undrift.sim.rig.axes import Axis, ServoSettings
+from undrift.sim.rig.axes import MotorAxis, ServoSettings
 
 DEG_PER_COUNT = 360.0 / 40_000
 IDEAL = ServoSettings(quantise=False, coulomb_friction=0.0)
 
 
-def jogging(servo: ServoSettings, speed: float) -> Axis:
-    axis = Axis(servo)
+def jogging(servo: ServoSettings, speed: float) -> MotorAxis:
+    axis = MotorAxis(servo)
     axis.change(motor_on=True)
     axis.values[k.MODE], axis.values[k.TARGET] = k.JOG, speed
     return axis
 
 
-def followed(axis: Axis, duration_s: float) -> np.ndarray:
+def followed(axis: MotorAxis, duration_s: float) -> np.ndarray:
     """Return reference minus axis at the instant of each sample, deg."""
     errors = []
     for _ in range(round(duration_s / axis.coefficients.period)):
@@ -70,7 +70,7 @@ def test_payload_slows_the_loop_and_an_integral_term_adds_a_pole():
 
 
 def test_the_time_simulation_has_the_poles_of_the_margins():
-    axis = Axis(IDEAL)
+    axis = MotorAxis(IDEAL)
     axis.change(motor_on=True)
     axis.values[k.REFERENCE] = 5.0  # a step of 5 counts: linear, no clip
     error = followed(axis, 0.03)[10:] / DEG_PER_COUNT  # the third pole has died after ten samples

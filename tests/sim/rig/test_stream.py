@@ -16,7 +16,7 @@ from undrift.live.decoder import FrameDecoder, LineDecoder, StreamDescription
 from undrift.live.recorder import DwellReadings, Recorder
 from undrift.live.transports import source_at
 from undrift.record import FACES
-from undrift.rig.chamber import ChamberSettings, SoakSettings, open_chamber
+from undrift.rig.chamber import ChamberSetup, SoakSettings, open_chamber
 from undrift.rig.rig import open_rig
 from undrift.sim.device.presets import random_device
 from undrift.sim.motion.bench import EARTH_RATE
@@ -226,7 +226,7 @@ def test_a_whole_bench_works_over_its_sockets(kind):
         finally:
             rig.close()
         soak = SoakSettings(window_s=20.0)
-        with open_chamber(bench.chamber_address, ChamberSettings(clock=Clock(SPEED), soak=soak)) as chamber:
+        with open_chamber(bench.chamber_address, ChamberSetup(clock=Clock(SPEED), soak=soak)) as chamber:
             chamber.set(35.0)
             eventually(chamber.soaked, "the air is steady")
             dwells.start()

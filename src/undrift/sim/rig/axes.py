@@ -99,7 +99,7 @@ def resting_coefficients(servo: ServoSettings) -> Coefficients:
 # ---- axes
 
 
-class Axis:
+class MotorAxis:
     """One shaft with motor, encoder and sampled loop."""
 
     def __init__(self, servo: ServoSettings, history_s: float = 1200.0) -> None:

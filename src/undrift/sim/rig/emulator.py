@@ -28,7 +28,7 @@ from undrift.record import Face
 from undrift.rig.link import Link, LinkSettings
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.presets import random_device
-from undrift.sim.rig.axes import Axis, ServoSettings
+from undrift.sim.rig.axes import MotorAxis, ServoSettings
 from undrift.sim.rig.galil_card import CardSettings
 from undrift.sim.rig.galil_language import GalilMachine
 from undrift.sim.rig.grbl import GrblMachine, GrblSettings
@@ -80,7 +80,7 @@ class Emulator(Served):
             raise InputError(
                 f"emulator host: wanted one of {', '.join(LOOPBACK)}, got '{settings.host}'; it serves this computer only"
             )
-        Axis(settings.servo, 1.0).warm()
+        MotorAxis(settings.servo, 1.0).warm()
         chosen = clock or Clock.started(settings.speed)
         self.settings, self.clock = settings, chosen
         self.machine: GalilMachine | GrblMachine = (
@@ -289,7 +289,7 @@ class EmulatedBenchSettings:
     hands_port: int = 0  # Where the hands listen; 0 takes a free one
 
 
-class Bench(Closed):
+class EmulatedBench(Closed):
     """A running bench; a context manager that closes it."""
 
     def __init__(self, settings: EmulatedBenchSettings, clock: Clock | None = None) -> None:
@@ -391,6 +391,6 @@ class BenchHands:
             raise RigFault(f"hands: wanted {up} up, got '{answer}'; mount it with a face that there is")
 
 
-def start_bench(settings: EmulatedBenchSettings | None = None, *, clock: Clock | None = None) -> Bench:
+def start_bench(settings: EmulatedBenchSettings | None = None, *, clock: Clock | None = None) -> EmulatedBench:
     """Start an emulated bench; use it in a `with` block, or close it."""
-    return Bench(settings or EmulatedBenchSettings(), clock)
+    return EmulatedBench(settings or EmulatedBenchSettings(), clock)

@@ -15,7 +15,7 @@ from enum import Enum
 
 from undrift.kernels import device as k
 from undrift.kernels.device import Coefficients
-from undrift.sim.rig.axes import Axis, ServoSettings
+from undrift.sim.rig.axes import MotorAxis, ServoSettings
 
 # ---- Words of the card's language: error texts, and the numbers that its settings take.
 
@@ -59,7 +59,7 @@ STOP_ABORT_INPUT, STOP_ABORTED, STOP_ERROR = 6, 7, 8
 LARGEST = 2_147_483_647.0
 
 
-class Refused(Exception):
+class CardError(Exception):
     """The card answers `?`; TC tells the code."""
 
     def __init__(self, error: Error) -> None:
@@ -70,11 +70,11 @@ class Refused(Exception):
 def refuse_if(wrong: object, error: Error) -> None:
     """Refuse where something is wrong."""
     if wrong:
-        raise Refused(error)
+        raise CardError(error)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Setting:
+class CardSetting:
     """One number that a command sets."""
 
     default: float  # At power-up
@@ -87,20 +87,20 @@ class Setting:
 
 
 SETTINGS = {
-    "KP": Setting(default=6.0, low=0.0, high=1023.875, step=0.125, digits=4, decimals=2),
-    "KI": Setting(default=0.0, low=0.0, high=2047.875, step=1.0 / 128.0, digits=4, decimals=4),
-    "KD": Setting(default=64.0, low=0.0, high=4095.875, step=0.125, digits=4, decimals=2),
-    "AC": Setting(default=256_000.0, low=1024.0, high=67_107_840.0, step=1024.0),
-    "DC": Setting(default=256_000.0, low=1024.0, high=67_107_840.0, step=1024.0),
-    "SP": Setting(default=25_000.0, low=0.0, high=12_000_000.0, step=2.0),
-    "ER": Setting(default=16_384.0, low=0.0, high=32_767.0),
-    "FL": Setting(default=LARGEST, low=-LARGEST - 1.0, high=LARGEST, digits=10),
-    "BL": Setting(default=-LARGEST - 1.0, low=-LARGEST - 1.0, high=LARGEST, digits=10),
-    "OE": Setting(default=0.0, low=0.0, high=3.0, digits=1),
-    "TM": Setting(default=1000.0, low=31.25, high=20_000.0, step=0.5, digits=5, while_running=False),
-    "LZ": Setting(default=0.0, low=0.0, high=1.0, digits=1),
-    "PF": Setting(default=10.0, low=1.0, high=10.4, step=0.1, digits=2, decimals=1),
-    "CW": Setting(default=2.0, low=1.0, high=2.0, digits=1),
+    "KP": CardSetting(default=6.0, low=0.0, high=1023.875, step=0.125, digits=4, decimals=2),
+    "KI": CardSetting(default=0.0, low=0.0, high=2047.875, step=1.0 / 128.0, digits=4, decimals=4),
+    "KD": CardSetting(default=64.0, low=0.0, high=4095.875, step=0.125, digits=4, decimals=2),
+    "AC": CardSetting(default=256_000.0, low=1024.0, high=67_107_840.0, step=1024.0),
+    "DC": CardSetting(default=256_000.0, low=1024.0, high=67_107_840.0, step=1024.0),
+    "SP": CardSetting(default=25_000.0, low=0.0, high=12_000_000.0, step=2.0),
+    "ER": CardSetting(default=16_384.0, low=0.0, high=32_767.0),
+    "FL": CardSetting(default=LARGEST, low=-LARGEST - 1.0, high=LARGEST, digits=10),
+    "BL": CardSetting(default=-LARGEST - 1.0, low=-LARGEST - 1.0, high=LARGEST, digits=10),
+    "OE": CardSetting(default=0.0, low=0.0, high=3.0, digits=1),
+    "TM": CardSetting(default=1000.0, low=31.25, high=20_000.0, step=0.5, digits=5, while_running=False),
+    "LZ": CardSetting(default=0.0, low=0.0, high=1.0, digits=1),
+    "PF": CardSetting(default=10.0, low=1.0, high=10.4, step=0.1, digits=2, decimals=1),
+    "CW": CardSetting(default=2.0, low=1.0, high=2.0, digits=1),
 }
 
 
@@ -132,7 +132,7 @@ class CardSettings:
 
 
 @dataclass(slots=True)
-class Motion:
+class CardMotion:
     """What the next BG starts, and what the last motion did."""
 
     kind: str = "PR"  # JG, PR or PA: the one commanded last
@@ -145,7 +145,7 @@ class Motion:
 
 
 @dataclass(slots=True)
-class Recording:
+class CardRecording:
     """What RA, RD and RC have the card record by itself."""
 
     arrays: tuple[str, ...] = ()
@@ -174,7 +174,7 @@ class Card:
     def __init__(self, servo: ServoSettings, settings: CardSettings, history_s: float = 1200.0) -> None:
         self.servo = servo
         self.settings = settings
-        self.axis = Axis(servo, history_s)
+        self.axis = MotorAxis(servo, history_s)
         self.wiring = Wiring()
         self.unsolicited: deque[str] = deque(maxlen=1000)
         self.program_status: Callable[[], int] = lambda: 0  # operand _HX0
@@ -185,11 +185,11 @@ class Card:
         self.values = {name: setting.default for name, setting in SETTINGS.items()}
         self.values |= dict(zip(("KP", "KD", "KI"), self.servo.gains, strict=True))
         self.values["TM"] = self.servo.period_s * 1e6
-        self.motion = Motion()
+        self.motion = CardMotion()
         self.motor_on = False
         self.variables: dict[str, float] = {}
         self.arrays: dict[str, list[float]] = {}
-        self.recording = Recording()
+        self.recording = CardRecording()
         self.error_code = 0
         self.time_offset = self.axis.values[k.SAMPLES]
         self.axis.values[k.MODE] = k.REST
@@ -359,7 +359,7 @@ def evaluate(card: Card, text: str) -> float:
     refuse_if("".join(tokens) != text.replace(" ", ""), Error.NOT_A_NUMBER)
     value = _expression(card, tokens)
     if tokens:
-        raise Refused(Error.PARENTHESES if tokens[0] == ")" else Error.NOT_A_NUMBER)
+        raise CardError(Error.PARENTHESES if tokens[0] == ")" else Error.NOT_A_NUMBER)
     return value
 
 

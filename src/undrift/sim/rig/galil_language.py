@@ -24,10 +24,10 @@ from undrift.sim.rig.galil_card import (
     TELL,
     VARIABLE_NAME,
     Card,
+    CardError,
+    CardRecording,
     CardSettings,
     Error,
-    Recording,
-    Refused,
     evaluate,
     refuse_if,
     reported,
@@ -35,7 +35,7 @@ from undrift.sim.rig.galil_card import (
     shown,
     variable_value,
 )
-from undrift.sim.rig.server import Machine, Session
+from undrift.sim.rig.server import ClientSession, Machine
 
 ONLY_PROGRAM_WORDS = ("AM", "WT", "MC", "JP", "EN")
 NOT_PROGRAM_WORDS = ("DL", "LS", "RS")
@@ -77,7 +77,7 @@ def execute(card: Card, command: str, in_program: bool = False) -> str:
 def _assign(card: Card, text: str) -> str:
     match = _ASSIGNMENT.fullmatch(text)
     if match is None or not VARIABLE_NAME.fullmatch(match.group(1)):
-        raise Refused(Error.UNKNOWN)
+        raise CardError(Error.UNKNOWN)
     name, expression = match.group(1), match.group(2).strip()
     if expression:
         card.variables[name] = evaluate(card, expression)
@@ -147,7 +147,7 @@ _ACTS: dict[str, Callable[[Card], None]] = {
 
 def _abort(card: Card, rest: str) -> str:
     if rest.strip() not in ("", "0", "1"):
-        raise Refused(Error.OUT_OF_RANGE if rest.strip().isdigit() else Error.OPERAND)
+        raise CardError(Error.OUT_OF_RANGE if rest.strip().isdigit() else Error.OPERAND)
     card.abort()
     return ""
 
@@ -155,7 +155,7 @@ def _abort(card: Card, rest: str) -> str:
 def _tell_code(card: Card, rest: str) -> str:
     argument = rest.strip()
     if argument not in ("", "0", "1"):
-        raise Refused(Error.NO_QUESTION if argument == "?" else Error.OUT_OF_RANGE)
+        raise CardError(Error.NO_QUESTION if argument == "?" else Error.OUT_OF_RANGE)
     code, card.error_code = card.error_code, 0
     return (f"{code} {ERROR_TEXT[code]}".rstrip() if argument == "1" else str(code)) + CRLF
 
@@ -167,7 +167,7 @@ def _message(card: Card, rest: str) -> str:
     for item in items:  # "text", a value, or a value with its digits: _TPX{F10.0}
         match = _SHOWN.fullmatch(item)
         if match is None:
-            raise Refused(Error.OPERAND)
+            raise CardError(Error.OPERAND)
         body, digits, decimals = match.groups()
         if body.startswith('"'):
             text += body[1:-1]
@@ -208,20 +208,20 @@ def _free_arrays(card: Card, rest: str) -> str:
 
 def _no_longer_recorded(card: Card) -> None:
     refuse_if(card.recording.running, Error.RECORDING_RUNS)
-    card.recording = Recording()
+    card.recording = CardRecording()
 
 
 def _record_into(card: Card, rest: str) -> str:
     names = tuple(name for name, _ in _arrays(rest, sized=False))
     refuse_if(any(name not in card.arrays for name in names), Error.NO_ARRAY)
-    card.recording = Recording(arrays=names)
+    card.recording = CardRecording(arrays=names)
     return ""
 
 
 def _record_what(card: Card, rest: str) -> str:
     operands = [item.strip() for item in rest.split(",")]
     if any(item[:1] != "_" or item[1:3] not in TELL or item[3:] not in ("A", "X") for item in operands):
-        raise Refused(Error.OPERAND)
+        raise CardError(Error.OPERAND)
     card.recording.operands = tuple(item[1:3] for item in operands)
     return ""
 
@@ -372,7 +372,7 @@ class Program:
                 answer = execute(self._card, text, in_program=True)
                 if answer:
                     self._card.unsolicited.append(answer)
-        except Refused as refusal:
+        except CardError as refusal:
             self._card.error_code = refusal.code
             self._card.unsolicited.append(f"?{number:03d} {text}{CRLF}")
             self.halt()
@@ -381,7 +381,7 @@ class Program:
         for number, line in enumerate(self._lines):
             if line.strip().split(";")[0].strip() == text.strip() and text.strip().startswith("#"):
                 return number
-        raise Refused(Error.NO_LABEL)
+        raise CardError(Error.NO_LABEL)
 
 
 # ---- Session: the bytes of one client of a card, in both directions, and the machine that clients share.
@@ -455,7 +455,7 @@ class GalilMachine(Machine):
             self.tick()
 
 
-class GalilSession(Session):
+class GalilSession(ClientSession):
     """One client's bytes."""
 
     def __init__(self, machine: GalilMachine, serial: bool) -> None:
@@ -507,7 +507,7 @@ class GalilSession(Session):
                 self._downloading = True
                 return ""
             return (execute(self._card, line) if text is None else text) + ":"
-        except Refused as refusal:
+        except CardError as refusal:
             return self._refuse(refusal.code, end)
 
     def _refuse(self, code: int, end: str) -> str:
@@ -523,6 +523,6 @@ class GalilSession(Session):
         text, self._line, self._downloading = self._line, "", False
         try:
             self._program.load(text)
-        except Refused as refusal:
+        except CardError as refusal:
             return self._refuse(refusal.code, "\r")
         return ":"

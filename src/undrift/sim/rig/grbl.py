@@ -20,7 +20,7 @@ import numpy as np
 from undrift.arrays import FloatArray
 from undrift.base.clock import Clock
 from undrift.errors import InputError
-from undrift.sim.rig.server import Machine, Session
+from undrift.sim.rig.server import ClientSession, Machine
 from undrift.units import RADIAN_PER_DEGREE
 
 # ---- Words of a stepper board: jogs as a driver sends them, `$n=value`, and the codes of what is wrong with them.
@@ -247,7 +247,7 @@ class GrblSettings:
             raise InputError(f"grbl axis: wanted one of {', '.join(self.axes)}, got '{self.axis}'; name one of them")
 
 
-class Board:
+class GrblBoard:
     """The controller; time is the clock's."""
 
     def __init__(self, settings: GrblSettings, clock: Clock) -> None:
@@ -396,7 +396,7 @@ def greeting(settings: GrblSettings) -> str:
     return f"{EOL}Grbl {settings.version} ['$' for help]{EOL}"
 
 
-def _report(board: Board) -> str:
+def _report(board: GrblBoard) -> str:
     now, axis, steps = board.clock.now(), board.settings.axis, board.of_axis(100)
     angle, rate = board.stepper.pulses.at(now)
     places = [round(angle * steps) / steps if letter == axis else 0.0 for letter in board.settings.axes]
@@ -405,7 +405,7 @@ def _report(board: Board) -> str:
     return f"<{board.state}|MPos:{shown}|FS:{round(abs(rate) * 60.0)},0{pins}>{EOL}"
 
 
-_INFORMATION: dict[str, Callable[[Board], str]] = {
+_INFORMATION: dict[str, Callable[[GrblBoard], str]] = {
     "$$": lambda board: "".join(f"${n}={value:.{3 if n >= 100 else 0}f}{EOL}" for n, value in board.values.items()),
     "$I": lambda board: f"[VER:{board.settings.version}.20190825:]{EOL}[OPT:V,15,128]{EOL}",
 }
@@ -422,7 +422,7 @@ class GrblMachine(Machine):
     def __init__(self, settings: GrblSettings, clock: Clock, history_s: float = 1200.0) -> None:
         super().__init__(clock)
         self.settings, self._history_s = settings, history_s
-        self.board = Board(settings, clock)
+        self.board = GrblBoard(settings, clock)
         self._broken: set[str] = set()
 
     def new_session(self, serial: bool) -> "GrblSession":
@@ -492,7 +492,7 @@ class GrblMachine(Machine):
                 self.tell(f"[MSG:Emulated message]{EOL}")
 
 
-class GrblSession(Session):
+class GrblSession(ClientSession):
     """One client's bytes."""
 
     def __init__(self, machine: GrblMachine) -> None:

@@ -94,7 +94,7 @@ class FaultyLink:
 # ---- What stands behind the server
 
 
-class Session:
+class ClientSession:
     """One client of a machine: this one reads nothing and sends what it is given."""
 
     def __init__(self, machine: "Machine") -> None:
@@ -131,24 +131,24 @@ class Machine:
 
     def __init__(self, clock: Clock) -> None:
         self.clock, self.lock = clock, threading.RLock()
-        self.sessions: list[Session] = []
+        self.sessions: list[ClientSession] = []
 
     @property
     def powered(self) -> bool:
         """Whether it has power."""
         return True
 
-    def new_session(self, serial: bool) -> Session:
+    def new_session(self, serial: bool) -> ClientSession:
         """Make what a client talks to."""
-        return Session(self)
+        return ClientSession(self)
 
-    def open_session(self, serial: bool) -> Session:
+    def open_session(self, serial: bool) -> ClientSession:
         """Return what a new client talks to."""
         with self.lock:
             self.sessions.append(self.new_session(serial))
             return self.sessions[-1]
 
-    def close_session(self, session: Session) -> None:
+    def close_session(self, session: ClientSession) -> None:
         """Forget a client; the machine goes on."""
         with self.lock:
             self.sessions = [kept for kept in self.sessions if kept is not session]
@@ -162,7 +162,7 @@ class Machine:
         """Come up to now."""
 
 
-class LineSession(Session):
+class LineSession(ClientSession):
     """One client that gives commands line by line."""
 
     def __init__(self, machine: "Machine", obey: Callable[[str], str]) -> None:
@@ -184,7 +184,7 @@ class LineMachine(Machine):
         super().__init__(clock)
         self._obey = obey
 
-    def new_session(self, serial: bool) -> Session:
+    def new_session(self, serial: bool) -> ClientSession:
         """Make what a client talks to."""
         return LineSession(self, self._answer)
 
@@ -271,7 +271,7 @@ class _Client:
     """Who talks to a machine, and what is under way to them."""
 
     def __init__(
-        self, session: Session, link: FaultyLink, connection: socket.socket | None = None, descriptor: int = -1
+        self, session: ClientSession, link: FaultyLink, connection: socket.socket | None = None, descriptor: int = -1
     ) -> None:
         self.session, self._link = session, link
         self.connection, self.descriptor = connection, descriptor

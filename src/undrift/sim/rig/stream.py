@@ -32,7 +32,7 @@ from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.simulate import draw_streams
 from undrift.sim.motion.bench import earth_rate
 from undrift.sim.motion.motion import facing, unit_vector
-from undrift.sim.rig.server import Machine, Served, Session
+from undrift.sim.rig.server import ClientSession, Machine, Served
 from undrift.units import STANDARD_GRAVITY
 
 # ---- Readings of a simulated device as time goes on, chunk by chunk
@@ -244,7 +244,7 @@ class EmulatedDevice(Served, Machine):
             session.tell(b"".join(pieces))
 
 
-class DeviceSession(Session):
+class DeviceSession(ClientSession):
     """One client of a device, which takes no notice of what it says."""
 
     def tell(self, data: bytes) -> None:
