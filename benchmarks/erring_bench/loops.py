@@ -16,7 +16,7 @@ from undrift.arrays import FloatArray
 from undrift.drift.fit import DriftFit, DriftSettings, fit_drift
 from undrift.drift.hysteresis import follow_loop, state_of, uncertain_share
 from undrift.errors import NotObservable
-from undrift.sim.device.effects import Hysteresis, Past, Scene
+from undrift.sim.device.effects import Past, Scene, ThermalHysteresis
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.presets import random_device_of
 from undrift.sim.device.truth import true_calibration
@@ -31,7 +31,7 @@ _STEP_C, _STEP_S = 0.05, 3.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Plays(Hysteresis):
+class Plays(ThermalHysteresis):
     """The mean of plays of several widths, which begin at a position from -1 to 1 of their own loop."""
 
     widths: tuple[float, ...] = (1.0,)  # times ``play_k``

@@ -376,7 +376,7 @@ LEAST_REST_S = 3.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Motion:
+class MotionSpan:
     """The stretch between the first and the last rest of a recording."""
 
     start_s: float  # On the record's clock, s: the first moment of motion
@@ -384,12 +384,12 @@ class Motion:
     basis: str  # "mark of the reference" or "still phases of the record"
 
 
-def find_motion(record: Record, reference: Reference, *, lag_s: float = 0.0) -> Motion:
+def find_motion(record: Record, reference: Reference, *, lag_s: float = 0.0) -> MotionSpan:
     """Find the stretch of motion between the first and the last rest."""
     if reference.moving is not None and (reference.moving > 0.0).any():
         marked = reference.time[np.flatnonzero(reference.moving > 0.0)] + lag_s
         step = float(np.median(np.diff(reference.time)))
-        motion = Motion(start_s=float(marked[0]), stop_s=float(marked[-1]) + step, basis="mark of the reference")
+        motion = MotionSpan(start_s=float(marked[0]), stop_s=float(marked[-1]) + step, basis="mark of the reference")
     else:
         motion = _between_stills(record)
     rest = motion.start_s - max(float(record.time[0]), float(reference.time[0]) + lag_s)
@@ -402,7 +402,7 @@ def find_motion(record: Record, reference: Reference, *, lag_s: float = 0.0) -> 
     return motion
 
 
-def _between_stills(record: Record) -> Motion:
+def _between_stills(record: Record) -> MotionSpan:
     search = find_still(record, StillSettings())
     search = search if search.stills else find_still(record)
     long = [s for s in search.stills if record.time[s.stop - 1] - record.time[s.start] >= LEAST_REST_S]
@@ -417,4 +417,4 @@ def _between_stills(record: Record) -> Motion:
     start, stop = float(record.time[first.stop - 1]), float(record.time[-1 if to_the_end else last.start])
     if stop - start < 1.0:
         raise AlignmentError("motion: wanted a motion after the first rest, got none; the device lay still throughout")
-    return Motion(start_s=start, stop_s=stop, basis="still phases of the record")
+    return MotionSpan(start_s=start, stop_s=stop, basis="still phases of the record")

@@ -17,7 +17,7 @@ from testkit.broad_trials import DEVICES, trial
 from testkit.data import show
 from undrift.twin.fit import Prepared, Twin, TwinSettings, fit_prepared, prepare_twin
 from undrift.twin.heldout import compare_held_out, contributions, end_errors
-from undrift.twin.witness import Split, split_twin
+from undrift.twin.witness import OpticsSplit, split_twin
 
 pytestmark = pytest.mark.usefixtures("computed_once")
 
@@ -132,7 +132,7 @@ def test_simulated_end_errors_cover_the_real_ones():
 @pytest.mark.parametrize("device", DEVICES)
 def test_accelerometers_lay_most_of_the_difference_to_the_optics(device):
     split = split_twin(prepared(device), fitted(device))
-    assert isinstance(split, Split)
+    assert isinstance(split, OpticsSplit)
     show(f"device {device}", split.text)
     low, high = split.interval
     # Poses at rest err by 0.02 deg an axis, in motion by no less; the 0.1 deg that would explain all of the windows is the ceiling.

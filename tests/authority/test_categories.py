@@ -23,7 +23,7 @@ from testkit.data import data_path, show
 from undrift.io.mocap import read_trc
 from undrift.io.reference import device_on, find_body
 from undrift.sim.motion.tasks import CategoryName
-from undrift.study.real import MEASURES, Capture, Captured, CohortComparison, motion_rows, read_stance, sway_rows
+from undrift.study.real import MEASURES, Captured, CapturedTrial, CohortComparison, motion_rows, read_stance, sway_rows
 
 SHARE, BEYOND, PEOPLE = 0.75, 1.25, 60
 STATED_CF = {  # PDS13, eyes closed on foam, and open on foam: the note of the data
@@ -53,7 +53,7 @@ def judged(rows: list[tuple[CohortComparison, float]], what: str) -> None:
 @cache
 def captured(name: str, task: Captured, folder: str, category: CategoryName) -> tuple[CohortComparison, ...]:
     poses = device_on(find_body(read_trc(data_path(folder, FILES.get(name, name) + ".trc.gz"), up="y"), "pelvis"))
-    return motion_rows((Capture(name=name, task=task, device=poses, category=category),), subjects=PEOPLE)
+    return motion_rows((CapturedTrial(name=name, task=task, device=poses, category=category),), subjects=PEOPLE)
 
 
 def test_young_people_rise_as_the_young_category_does_and_not_as_the_notes() -> None:

@@ -14,8 +14,8 @@ from testkit.data import data_path, show
 from undrift.io.mocap import read_c3d, read_trc
 from undrift.io.reference import device_on, find_body
 from undrift.study.real import (
-    Capture,
     Captured,
+    CapturedTrial,
     CohortComparison,
     Condition,
     DeviceTrials,
@@ -49,13 +49,13 @@ STANCES: tuple[tuple[str, float, Condition], ...] = (
 
 
 @cache
-def captures() -> tuple[Capture, ...]:
+def captures() -> tuple[CapturedTrial, ...]:
     """The six captured trials, a device at L5."""
     made = []
     for name, task, parts in TRIALS:
         read = read_c3d if name.endswith("c3d") else read_trc
         made.append(
-            Capture(name=name, task=task, device=device_on(find_body(read(data_path(*parts), up="y"), "pelvis")))
+            CapturedTrial(name=name, task=task, device=device_on(find_body(read(data_path(*parts), up="y"), "pelvis")))
         )
     return tuple(made)
 

@@ -8,12 +8,12 @@ from scipy.signal import lfilter
 
 from testkit.data import show
 from undrift.errors import InputError
-from undrift.sim.device.effects import BiasInstability, Hysteresis, RandomWalk, Thermometer, difference_equation
+from undrift.sim.device.effects import BiasInstability, RandomWalk, ThermalHysteresis, Thermometer, difference_equation
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.presets import random_device_of
 from undrift.sim.device.simulate import simulate_device
 from undrift.sim.motion.motion import Motion
-from undrift.sim.table_sessions import Dwells, board_readings, code_means, mean_readings, numbers_of_dwell
+from undrift.sim.table_sessions import ImposedDwells, board_readings, code_means, mean_readings, numbers_of_dwell
 
 G = 9.80665
 
@@ -22,9 +22,9 @@ def device(name: str, seed: int = 3) -> DeviceModel:
     return random_device_of(name, np.random.default_rng(seed))
 
 
-def dwells(n: int, *, duration_s: float = 2.0, seed: int = 4) -> Dwells:
+def dwells(n: int, *, duration_s: float = 2.0, seed: int = 4) -> ImposedDwells:
     draw = np.random.default_rng(seed)
-    return Dwells(
+    return ImposedDwells(
         start_s=600.0 + 5.0 * np.arange(n),
         duration_s=np.full(n, duration_s),
         rate_b=draw.uniform(-1.5, 1.5, (n, 3)),
@@ -33,7 +33,7 @@ def dwells(n: int, *, duration_s: float = 2.0, seed: int = 4) -> Dwells:
     )
 
 
-def drawn(made: DeviceModel, imposed: Dwells, seed: int = 0, name: str = "gyro") -> np.ndarray:
+def drawn(made: DeviceModel, imposed: ImposedDwells, seed: int = 0, name: str = "gyro") -> np.ndarray:
     chain = made.gyro if name == "gyro" else made.accel
     normals = np.random.default_rng(seed).standard_normal((len(imposed), 3, numbers_of_dwell(chain)))
     return mean_readings(made, name, imposed, normals, np.arange(len(imposed)))  # type: ignore[arg-type]
@@ -78,7 +78,7 @@ def test_without_noise_a_dwell_is_the_mean_of_the_samples(name: str) -> None:
 @pytest.mark.parametrize("name", ["enc03j_3031", "mpu6050"])
 def test_scatter_of_dwells_and_between_dwells_is_that_of_the_samples(name: str) -> None:
     noisy, n = device(name), 400
-    imposed = Dwells(
+    imposed = ImposedDwells(
         start_s=600.0 + 2.5 * np.arange(n),
         duration_s=np.full(n, 2.0),
         rate_b=np.zeros((n, 3)),
@@ -129,7 +129,7 @@ def test_the_drift_between_dwells_has_the_covariance_of_its_processes() -> None:
     quiet = replace(quiet, gyro=replace(quiet.gyro, **bare, instability=flicker, random_walk=RandomWalk(bias_walk=k)))
     start, length = np.array([0.0, 2.5, 40.0, 47.0]), np.array([2.0, 6.0, 2.0, 50.0])
     runs = 4000
-    imposed = Dwells(
+    imposed = ImposedDwells(
         start_s=np.tile(start, runs) + 600.0,
         duration_s=np.tile(length, runs),
         rate_b=np.zeros((4 * runs, 3)),
@@ -154,10 +154,10 @@ def test_the_drift_between_dwells_has_the_covariance_of_its_processes() -> None:
 
 def test_each_session_begins_anew_and_rows_of_one_number_have_the_same_draws() -> None:
     made = device("enc03j_3031")
-    made = replace(made, gyro=replace(made.gyro, hysteresis=Hysteresis(amplitude=np.full(3, 0.01))))
+    made = replace(made, gyro=replace(made.gyro, hysteresis=ThermalHysteresis(amplitude=np.full(3, 0.01))))
     one = dwells(5)
     fields = ("start_s", "duration_s", "rate_b", "force_b", "temp_c")
-    twice = Dwells(**{f: np.concatenate([getattr(one, f)] * 2) for f in fields}, first=np.array([0, 5, 10]))
+    twice = ImposedDwells(**{f: np.concatenate([getattr(one, f)] * 2) for f in fields}, first=np.array([0, 5, 10]))
     normals = np.random.default_rng(5).standard_normal((5, 3, numbers_of_dwell(made.gyro)))
     alone = mean_readings(made, "gyro", one, normals, np.arange(5))
     both = mean_readings(made, "gyro", twice, normals, np.tile(np.arange(5), 2))

@@ -12,7 +12,7 @@ from undrift.sim.table_sessions import (
     FACE,
     RATE,
     REST,
-    Dwells,
+    ImposedDwells,
     Sessions,
     impose,
     impose_faces,
@@ -47,7 +47,7 @@ def draws(seed: int = 0, **change: Any) -> BenchDraws:
 DRAWN = {"mount": (3, 3), "level": 2, "face": (6, 3), "soak": (3, 2), "wobble": (N, 3), "servo": N}
 
 
-def imposed(errors: BenchErrors, seed: int = 0, sessions: Sessions = SESSIONS) -> tuple[Dwells, np.ndarray]:
+def imposed(errors: BenchErrors, seed: int = 0, sessions: Sessions = SESSIONS) -> tuple[ImposedDwells, np.ndarray]:
     return impose(sessions, errors, draws(seed), ROWS, soak_c_per_min=0.1)
 
 

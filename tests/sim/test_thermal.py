@@ -11,7 +11,7 @@ from testkit.data import show
 from undrift.correction.correct import correct
 from undrift.errors import InputError
 from undrift.io.session import read_session, write_session
-from undrift.sim.device.effects import Hysteresis, RandomWalk, Sampling, Thermometer
+from undrift.sim.device.effects import RandomWalk, Sampling, ThermalHysteresis, Thermometer
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.presets import preset
 from undrift.sim.device.truth import true_calibration, true_tables
@@ -62,7 +62,7 @@ def test_the_true_tables_turn_the_dwells_into_the_imposed_rates(recorded: str) -
 
 def test_what_is_recorded_at_the_soaks_is_what_a_record_throughout_holds_there() -> None:
     device = quiet()
-    device = replace(device, accel=replace(device.accel, hysteresis=Hysteresis(amplitude=0.01, play_k=7.0)))
+    device = replace(device, accel=replace(device.accel, hysteresis=ThermalHysteresis(amplitude=0.01, play_k=7.0)))
     settings = replace(SHORT, set_points_c=(20.0, 35.0, 30.0))
     whole, soaked = (
         simulate_thermal_session("soak", device, rng=rng(), settings=replace(settings, recorded=recorded)).records[0]

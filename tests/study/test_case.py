@@ -21,8 +21,8 @@ from undrift.sim.device.model import device_json
 from undrift.sim.device.presets import preset
 from undrift.sim.table_sessions import FACE, RATE, REST, ROOM_TEMP_C, Sessions, joined
 from undrift.study.case import (
+    BenchReadings,
     NoteFits,
-    Readings,
     Unit,
     device_of,
     faces_of,
@@ -55,7 +55,7 @@ def study(temperatures: tuple[float, ...] = (18.0, 36.0, 54.0, 75.0), name: str 
 
 
 def calibrated_slowly(
-    sessions: Sessions, readings: Readings, fits: NoteFits, number: int, accel: object
+    sessions: Sessions, readings: BenchReadings, fits: NoteFits, number: int, accel: object
 ) -> Calibration:
     """The note's fit of one session, step by step with the fits of the product."""
     rows = np.arange(sessions.first[number], sessions.first[number + 1])

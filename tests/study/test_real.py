@@ -19,7 +19,7 @@ from undrift.study.plan import note_study
 from undrift.study.real import (
     MEASURES,
     REPETITION,
-    Capture,
+    CapturedTrial,
     CohortComparison,
     Stance,
     agreement_of,
@@ -37,12 +37,12 @@ from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 pytestmark = pytest.mark.usefixtures("computed_once")
 
 
-def captured(seed: int = 3) -> Capture:
+def captured(seed: int = 3) -> CapturedTrial:
     """A simulated rising as a camera would give it."""
     task = draw_task("sit_to_stand", rng=np.random.default_rng(seed))
     time = np.arange(round(task.duration_s * 100.0)) / 100.0
     reference = Reference(time=time, q_nb=task.at(time, 9.80665).q_nb, position=task.position(time))
-    return Capture(name="made", task="sit_to_stand", device=reference)
+    return CapturedTrial(name="made", task="sit_to_stand", device=reference)
 
 
 def test_repetitions_give_back_a_lean_its_rates_and_its_time() -> None:

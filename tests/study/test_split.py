@@ -16,7 +16,7 @@ from undrift.sim.device.model import device_json
 from undrift.sim.device.presets import preset
 from undrift.study.case import EFFECTS
 from undrift.study.judge import Optimum, find_optimum
-from undrift.study.outcome import Split, split_error, split_findings, split_study, units_without
+from undrift.study.outcome import ErrorBreakdown, split_error, split_findings, split_study, units_without
 from undrift.study.plan import Aim, Space, Study, StudyTask, Timing
 from undrift.study.run import InProcess, TaskSurface, run_study
 from undrift.units import STANDARD_GRAVITY
@@ -36,7 +36,7 @@ def planted(without: str = "", *, subjects: int = 40, values: np.ndarray = VALUE
     return np.sqrt(square)
 
 
-def split(values: np.ndarray = VALUES, margin_deg: float = 0.15) -> Split:
+def split(values: np.ndarray = VALUES, margin_deg: float = 0.15) -> ErrorBreakdown:
     without = {each: planted(each, values=values) for each in EFFECTS}
     return split_error(
         "turn_rate_max_dps",

@@ -8,7 +8,7 @@ import pytest
 from testkit.data import show
 from testkit.surfaces import errors
 from undrift.errors import InputError
-from undrift.study.judge import Judged, NoteComparison, Optimum, analyses_of, compare_with_note, find_optimum
+from undrift.study.judge import NoteComparison, Optimum, ParameterVerdict, analyses_of, compare_with_note, find_optimum
 from undrift.study.plan import Aim, NoteRow
 from undrift.study.run import TaskSurface
 from undrift.study.statistics import (
@@ -55,7 +55,7 @@ def optimum_of(held: TaskSurface, margin_deg: float = M) -> Optimum:
     return find_optimum(held, Aim(margin_deg=margin_deg))
 
 
-def judged_of(held: TaskSurface, name: str, margin_deg: float = M) -> Judged:
+def judged_of(held: TaskSurface, name: str, margin_deg: float = M) -> ParameterVerdict:
     effect = next(effect for effect in optimum_of(held, margin_deg).effects if effect.name == name)
     assert effect.judged is not None
     return effect.judged

@@ -11,7 +11,7 @@ from undrift.record import Record
 from undrift.sim.motion.poses import OpticsSettings, see
 from undrift.sim.motion.tasks import draw_task
 from undrift.twin.accel import Match, match
-from undrift.twin.witness import BAND_HZ, Split, split_difference
+from undrift.twin.witness import BAND_HZ, OpticsSplit, split_difference
 from undrift.units import STANDARD_GRAVITY
 
 RATE_HZ = 200.0
@@ -58,14 +58,14 @@ def seen(share: float, seed: int, *, scale: float = 1.0, origin_m: float = 0.0) 
     return match(Record(time=time, gyro=reading, accel=accel), poses, name="drawn")
 
 
-def split(found: Match) -> Split:
+def split(found: Match) -> OpticsSplit:
     made = split_difference(
         [found],
         [(np.eye(3), np.zeros(3), found.lag.seconds)],
         accel_delay=-0.5 / RATE_HZ,
         gravity_m_s2=STANDARD_GRAVITY,
     )
-    assert isinstance(made, Split)
+    assert isinstance(made, OpticsSplit)
     return made
 
 
@@ -110,6 +110,6 @@ def test_too_little_motion_gives_no_split() -> None:
     made = split_difference(
         [short], [(np.eye(3), np.zeros(3), found.lag.seconds)], accel_delay=0.0, gravity_m_s2=STANDARD_GRAVITY
     )
-    assert not isinstance(made, Split)
+    assert not isinstance(made, OpticsSplit)
     assert made.code == "twin.no_witness"
     assert made.values["wanted_s"] == 50.0

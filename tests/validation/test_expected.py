@@ -11,7 +11,7 @@ from testkit.hand_turns import Device, make_recording
 from undrift.model import TriadModel
 from undrift.orientation import integrate_strapdown
 from undrift.record import Record
-from undrift.validation.expected import Course, ErrorPrior, OffsetSource, expected_errors
+from undrift.validation.expected import ErrorPrior, OffsetSource, Strapdown, expected_errors
 from undrift.validation.trial import compare_orientations, validate_trial
 
 NOTHING = ErrorPrior(
@@ -51,7 +51,7 @@ def course_of(rate, q_nb=None, **more):
         q_nb = np.column_stack((np.cos(half), np.sin(half)[:, None] * axis))
     record = Record(time=t, gyro=gyro, accel=np.tile((0.0, 0.0, 9.81), (len(t), 1)))
     known = {"delay_s": 0.0, "rest_variance": np.zeros(3), "noise_density": 0.0, "tilt": 0.0, "mounting": 0.0}
-    return Course(record=record, q_nb=q_nb, stop_s=T, turned=np.eye(3), **(known | more))
+    return Strapdown(record=record, q_nb=q_nb, stop_s=T, turned=np.eye(3), **(known | more))
 
 
 def only(index, sd, size=12):

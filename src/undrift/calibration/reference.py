@@ -27,7 +27,7 @@ from undrift.fit.smooth import widening_of
 from undrift.frames import quaternion_conjugate, quaternion_of, quaternion_product, rotate, rotation_vector
 from undrift.model import G_NAMES, MATRIX_NAMES, OFFSET_NAMES, AdcModel, TriadModel, Verdict
 from undrift.record import Mounting, Record, Reference
-from undrift.sync import LONGEST_STEP, Lag, LagSettings, Motion, find_lag, find_motion, native_poses
+from undrift.sync import LONGEST_STEP, Lag, LagSettings, MotionSpan, find_lag, find_motion, native_poses
 
 # ---- window equations of a gyroscope against an orientation reference, and their solution
 #
@@ -414,7 +414,7 @@ class Aligned:
     gyro: FloatArray  # (N, 3), its readings, corrected for the ADC's rounding where it is known
     reference: Reference  # Poses at the frames that the cameras took
     lag: Lag  # Of the gyroscope readings against the poses
-    span: Motion  # From the first to the last rest, on the record's clock
+    span: MotionSpan  # From the first to the last rest, on the record's clock
 
     @property
     def at_rest(self) -> BoolArray:

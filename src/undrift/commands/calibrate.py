@@ -263,7 +263,7 @@ def _origin(made: "Calibration") -> Iterator[str]:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Judged:
+class CorrectedPiece:
     """A piece that a calibration used, with what it reads when corrected."""
 
     piece: "Piece"
@@ -274,7 +274,7 @@ class Judged:
 
 def judge_pieces(
     session: "Session", pieces: "Sequence[Piece]", settings: "CalibrateSettings", made: "Calibration"
-) -> tuple[list["Record"], list[Judged]]:
+) -> tuple[list["Record"], list[CorrectedPiece]]:
     """Return the corrected records of a session, and those of its pieces that the calibration used."""
     import numpy as np
 
@@ -289,7 +289,7 @@ def judge_pieces(
         inner = slice(piece.start + skip, max(piece.start + skip + 1, piece.stop - skip))
         accel, gyro = (unknown if v is None else np.nanmean(v[inner], axis=0) for v in (record.accel, record.gyro))
         stated = unknown if turn is None else (turn.turn_rate or 0.0) * np.eye(3)["xyz".index(turn.axis or "x")]
-        judged.append(Judged(piece=piece, accel=accel, gyro=gyro, stated=stated))
+        judged.append(CorrectedPiece(piece=piece, accel=accel, gyro=gyro, stated=stated))
     return records, judged
 
 
@@ -299,7 +299,7 @@ def _calibrated(record: "Record", made: "Calibration") -> "Record":
     return replace(record, **left | ({} if made.accel else {"accel": None, "accel_unit": "m/s2"}))
 
 
-def leverages(judged: Sequence[Judged], made: "Calibration") -> "FloatArray":
+def leverages(judged: Sequence[CorrectedPiece], made: "Calibration") -> "FloatArray":
     """Return the share of each piece in what is known: its leverage over the rank, mean over the triads; (n,)."""
     import numpy as np
 
@@ -319,7 +319,7 @@ def leverages(judged: Sequence[Judged], made: "Calibration") -> "FloatArray":
     return np.mean(shares, axis=0) if shares else np.full(len(judged), np.nan)
 
 
-def residuals(judged: Sequence[Judged], made: "Calibration") -> tuple["FloatArray", "FloatArray"]:
+def residuals(judged: Sequence[CorrectedPiece], made: "Calibration") -> tuple["FloatArray", "FloatArray"]:
     """Return |a| - g of each pose, mg, and rate errors of each dwell, deg/s (n, 3)."""
     import numpy as np
 
@@ -352,7 +352,7 @@ def _rms(values: "FloatArray") -> float:
     return math.sqrt(float((values**2).mean()))
 
 
-def _contributions(calibrated: Calibrated, judged: Sequence[Judged]) -> Section:
+def _contributions(calibrated: Calibrated, judged: Sequence[CorrectedPiece]) -> Section:
     """Return what each recording brought to the fit."""
     session, shares = calibrated.session, leverages(judged, calibrated.calibration)
     names, rows = [name for name, _ in session.inputs if not name.endswith(".toml")], []

@@ -123,7 +123,7 @@ def drawings_of(drift: "DriftTables | None") -> Iterator[tuple[str, Drawing]]:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Stated:
+class ParameterTable:
     """The parameters of one triad with their uncertainty, in units of the triad; arrays are (P,)."""
 
     names: tuple[str, ...]
@@ -153,7 +153,7 @@ def gravity_uncertainty(calibration: "Calibration", triad: str = "accel") -> flo
     return 0.0 if known else float(np.ptp(INHABITED_GRAVITY)) / math.sqrt(12.0) / calibration.gravity_m_s2
 
 
-def stated(triad: "TriadModel", gravity: float = 0.0) -> Stated:
+def stated(triad: "TriadModel", gravity: float = 0.0) -> ParameterTable:
     """Combine the shares of a triad's budget, and that of gravity's relative uncertainty in its matrix, and expand them."""
     import numpy as np
 
@@ -171,7 +171,7 @@ def stated(triad: "TriadModel", gravity: float = 0.0) -> Stated:
     coverage = coverage_factors(freedom)
     g = np.zeros((3, 3)) if triad.g_sensitivity is None else triad.g_sensitivity
     value = np.concatenate((triad.matrix.ravel(), triad.offset, g.ravel()))[: len(sigma)]
-    return Stated(
+    return ParameterTable(
         names=triad.parameters, value=value, shares=shares, standard=combined, freedom=freedom, coverage=coverage,
         expanded=coverage * combined,
     )  # fmt: skip
@@ -322,7 +322,7 @@ def _triad(name: str, triad: "TriadModel", gravity: float) -> dict[str, Any]:
 
 
 def _result(
-    name: str, triad: "TriadModel", made: Stated, n: int, per: Mapping[str, float], units: Mapping[str, str]
+    name: str, triad: "TriadModel", made: ParameterTable, n: int, per: Mapping[str, float], units: Mapping[str, str]
 ) -> list[str]:
     """Return quantity, value with its unit, U, U in the units of the budget, k."""
     block, parameter = block_of(made.names[n]), made.names[n]
@@ -365,7 +365,7 @@ def _rms(values: "FloatArray") -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def _budget_rows(name: str, made: Stated, blocks: list[str], per: Mapping[str, float]) -> Iterator[list[str]]:
+def _budget_rows(name: str, made: ParameterTable, blocks: list[str], per: Mapping[str, float]) -> Iterator[list[str]]:
     """Yield a row for each source: how it is evaluated, rms over the parameters of each block; then combined and expanded."""
     places = {block: made.of_block(block) for block in blocks}
     for source, (label, kind, only) in SOURCE_ROWS.items():
@@ -382,7 +382,7 @@ def _budget_rows(name: str, made: Stated, blocks: list[str], per: Mapping[str, f
         yield [label, "", *(two_digits(abs(per[b]) * _rms(values[places[b]])) for b in blocks)]
 
 
-def _share_rows(made: Stated, per: Mapping[str, float], units: Mapping[str, str]) -> dict[str, Any]:
+def _share_rows(made: ParameterTable, per: Mapping[str, float], units: Mapping[str, str]) -> dict[str, Any]:
     """Return the same for each parameter, one column a source."""
     heads = [source for source in SOURCE_ROWS if source in made.shares]
     rows = []

@@ -112,7 +112,7 @@ def _judged(device: "DeviceModel", out: Path) -> tuple["BenchFit", tuple["Trial"
 
 
 def _studied(quick: bool, out: Path, tell: "Callable[[str, float], None]") -> "StudyOutcome":
-    from undrift.study.outcome import Course, judge_study
+    from undrift.study.outcome import StudyProgress, judge_study
     from undrift.study.plan import note_study
     from undrift.study.run import InProcess, choose_executor
 
@@ -124,7 +124,7 @@ def _studied(quick: bool, out: Path, tell: "Callable[[str, float], None]") -> "S
         tell(f"study: {what}", (1.0 - 0.5 * share) * STUDY_HOST_S[quick] + 0.5 * REST_HOST_S[quick])
 
     executor = InProcess() if quick else choose_executor(None, None)
-    return judge_study(plan, executor, out / "study", course=Course(progress))
+    return judge_study(plan, executor, out / "study", course=StudyProgress(progress))
 
 
 def _summary(

@@ -14,7 +14,7 @@ from undrift.units import RADIAN_PER_DEGREE
 if TYPE_CHECKING:
     from undrift.study.figure3 import Figure3
     from undrift.study.judge import ParameterEffect
-    from undrift.study.outcome import EffectPower, Split, Stage, StudyOutcome, TaskOutcome
+    from undrift.study.outcome import EffectPower, ErrorBreakdown, Stage, StudyOutcome, TaskOutcome
     from undrift.study.plan import Study
     from undrift.study.real import CohortComparison, RealOutcome
     from undrift.study.rivals import TriadRow
@@ -137,7 +137,7 @@ def study(
     real : Path or None
         real.toml: real recordings to judge too. See docs/study.md.
     """
-    from undrift.study.outcome import Course, forecast, judge_study
+    from undrift.study.outcome import StudyProgress, forecast, judge_study
     from undrift.study.real import read_real
     from undrift.study.run import HEAD, RunStore, choose_executor
 
@@ -156,7 +156,7 @@ def study(
     RunStore(output, planned)  # refuses the folder of another study before anything is computed
     stages = forecast(planned, output, workers=executor.workers, rivals=rivals, real=recordings)
     progress("\n".join((*_announced(planned, stages, executor.workers), stages[0].name)), 0.0)
-    course = Course(progress, stages)
+    course = StudyProgress(progress, stages)
     result = Studied(
         outcome=judge_study(planned, executor, output, course=course, rivals=rivals, real=recordings), output=output
     )
@@ -346,7 +346,7 @@ def _task_json(task: "TaskOutcome") -> dict[str, object]:
     }
 
 
-def _split_json(split: "Split") -> dict[str, object]:
+def _split_json(split: "ErrorBreakdown") -> dict[str, object]:
     terms = [
         {key: getattr(term, key) for key in ("effect", "share", "share_interval", "rms_deg", "span_deg")}
         | {"verdict": term.judged.verdict, "p_better": term.judged.p_better, "best": split.values[term.best]}

@@ -15,8 +15,8 @@ from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 if TYPE_CHECKING:
     from undrift.arrays import FloatArray
     from undrift.twin.fit import Twin
-    from undrift.twin.heldout import Ending, HeldOutTrial, Part
-    from undrift.twin.witness import Split
+    from undrift.twin.heldout import Ending, ErrorSource, HeldOutTrial
+    from undrift.twin.witness import OpticsSplit
 
 HELD_OUT, END_ERRORS = (0.34, 0.55), (0.55, 0.85)  # shares of the time, of three recordings of two minutes
 
@@ -29,8 +29,8 @@ class Twinned(Result):
     fitted: "Twin"
     held_out: "tuple[HeldOutTrial, ...]"
     endings: "tuple[Ending, ...]"
-    parts: "tuple[Part, ...]"
-    split: "Split | Finding"
+    parts: "tuple[ErrorSource, ...]"
+    split: "OpticsSplit | Finding"
     output: Path | None
 
     def summary(self) -> Summary:
@@ -107,7 +107,7 @@ def twin(
     split = split_twin(prepared, fitted)
     held_out: tuple[HeldOutTrial, ...] = ()
     endings: tuple[Ending, ...] = ()
-    parts: tuple[Part, ...] = ()
+    parts: tuple[ErrorSource, ...] = ()
     if len(records) > 1:
         held_out = compare_held_out(prepared, rng=rng, progress=part_of(progress, *HELD_OUT))
         endings = end_errors(prepared, rng=rng, progress=part_of(progress, *END_ERRORS))
@@ -125,8 +125,8 @@ def _twin_json(
     fitted: "Twin",
     held: "tuple[HeldOutTrial, ...]",
     endings: "tuple[Ending, ...]",
-    parts: "tuple[Part, ...]",
-    split: "Split | Finding",
+    parts: "tuple[ErrorSource, ...]",
+    split: "OpticsSplit | Finding",
 ) -> dict[str, object]:
     deg = 1.0 / RADIAN_PER_DEGREE
     accel = fitted.accel
@@ -197,7 +197,7 @@ def _parameters(fitted: "Twin") -> Section:
     )
 
 
-def _residuals(fitted: "Twin", names: tuple[str, ...], split: "Split | Finding") -> Section:
+def _residuals(fitted: "Twin", names: tuple[str, ...], split: "OpticsSplit | Finding") -> Section:
     """Return residual and signal of each recording, and what the low-pass is."""
     deg, accel, rows = 1.0 / RADIAN_PER_DEGREE, fitted.accel, []
     for k, name in enumerate(names):

@@ -32,7 +32,7 @@ from undrift.units import is_physical, si_factor
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from undrift.commands.calibrate import Judged
+    from undrift.commands.calibrate import CorrectedPiece
     from undrift.record import Record
 
 
@@ -132,7 +132,7 @@ def draw_residuals(poses: FloatArray, dwells: FloatArray) -> "Figure":
     return figure
 
 
-def draw_norm(records: Sequence["Record"], judged: Sequence["Judged"], gravity_m_s2: float) -> "Figure":
+def draw_norm(records: Sequence["Record"], judged: Sequence["CorrectedPiece"], gravity_m_s2: float) -> "Figure":
     """Draw |a| over the recordings, one after the other, with the stills shaded."""
     figure, (panel,) = new_figure(1, height=2.4)
     entitle(figure, "Norm of the specific force over the session, stills shaded")

@@ -123,7 +123,7 @@ def joined(sessions: Sequence[Sessions]) -> Sessions:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Dwells:
+class ImposedDwells:
     """What is imposed, N dwells in the order of time, of one session or of several one after the other."""
 
     start_s: Annotated[FloatArray, Shape("n")]  # (N,), when each begins, settled, s since power-on
@@ -152,7 +152,7 @@ class Dwells:
 
 def impose(
     sessions: Sessions, errors: BenchErrors, draws: BenchDraws, row: IntArray, *, soak_c_per_min: float
-) -> tuple[Dwells, FloatArray]:
+) -> tuple[ImposedDwells, FloatArray]:
     """Return what is truly imposed by rests and rates, and the rates that the encoder reads, (N,) rad/s; row (N,) of the draws."""
     axis, length = sessions.axis, sessions.duration_s
     seat = _turned(np.eye(3), errors.mount_tilt * draws.mount)
@@ -171,7 +171,7 @@ def impose(
     if lag > 0.0:  # rising but from the last set-point of one mounting to the first of the next
         falls = np.where((sessions.soak == 0) & (axis > 0), -1.0, 1.0)
         temp_c = temp_c - falls * draws.left[visited] * (soak_c_per_min / 60.0 * lag) * np.exp(-since / lag)
-    dwells = Dwells(
+    dwells = ImposedDwells(
         start_s=sessions.start_s,
         duration_s=length,
         rate_b=rate[:, None] * about,
@@ -182,12 +182,12 @@ def impose(
     return dwells, angle / length * (1.0 - errors.table_rate * draws.clock)
 
 
-def impose_faces(sessions: Sessions, errors: BenchErrors, draws: BenchDraws) -> Dwells:
+def impose_faces(sessions: Sessions, errors: BenchErrors, draws: BenchDraws) -> ImposedDwells:
     """Return what is truly imposed by rests on faces."""
     up = _turned(
         np.array([unit_vector(FACES[face]) for face in sessions.face]), errors.face_tilt * draws.face[sessions.face]
     )
-    return Dwells(
+    return ImposedDwells(
         start_s=sessions.start_s,
         duration_s=sessions.duration_s,
         rate_b=np.zeros_like(up),
@@ -222,7 +222,7 @@ def numbers_of_dwell(chain: SensorChain) -> int:
 
 
 def mean_readings(
-    device: DeviceModel, name: Literal["gyro", "accel"], dwells: Dwells, normals: FloatArray, row: IntArray
+    device: DeviceModel, name: Literal["gyro", "accel"], dwells: ImposedDwells, normals: FloatArray, row: IntArray
 ) -> FloatArray:
     """Return the mean readings of a triad over dwells (N, 3), unit of the reading.
 
@@ -248,7 +248,7 @@ def board_readings(device: DeviceModel, temp_c: FloatArray, normals: FloatArray)
     return replace(device.thermometer, noise_c=0.0).shown(felt, np.random.default_rng(0))
 
 
-def _steady(chain: SensorChain, imposed: FloatArray, dwells: Dwells, reference_temp_c: float) -> FloatArray:
+def _steady(chain: SensorChain, imposed: FloatArray, dwells: ImposedDwells, reference_temp_c: float) -> FloatArray:
     """Return what every effect that is steady makes of dwells, nominal input units, (N, 3)."""
     age_s = dwells.start_s + 0.5 * dwells.duration_s
     scene = Scene(

@@ -100,7 +100,7 @@ class WarmUpSettings:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Soak:
+class SetPointVisit:
     """One visit to a set-point."""
 
     set_point_c: float  # degC
@@ -117,7 +117,7 @@ class Profile:
     set_point_c: Annotated[FloatArray, Shape("n")]  # (n,), degC; NaN where there is no chamber
     air_c: Annotated[FloatArray, Shape("n")]
     board_c: Annotated[FloatArray, Shape("n")]  # (n,), degC
-    soaks: tuple[Soak, ...] = ()  # In order of time; none in a ramp or a warm-up
+    soaks: tuple[SetPointVisit, ...] = ()  # In order of time; none in a ramp or a warm-up
 
     def __post_init__(self) -> None:
         freeze(self)
@@ -149,7 +149,7 @@ def soak_profile(
         chamber.wait_for_soak()
         soaked_s = chamber.now_s
         chamber.wait(measured_s)
-        soaks.append(Soak(set_point_c=set_point_c, begin_s=begin_s, soaked_s=soaked_s, end_s=chamber.now_s))
+        soaks.append(SetPointVisit(set_point_c=set_point_c, begin_s=begin_s, soaked_s=soaked_s, end_s=chamber.now_s))
     return chamber.profile(tuple(soaks))
 
 
@@ -225,7 +225,7 @@ class _Chamber:
             self.wait(self.settings.step_s)
             calm = calm + 1 if abs(self.board_rate) < limit else 0
 
-    def profile(self, soaks: tuple[Soak, ...]) -> Profile:
+    def profile(self, soaks: tuple[SetPointVisit, ...]) -> Profile:
         held = np.array(self.states)
         time = np.arange(len(held)) * self.settings.step_s
         return Profile(time=time, set_point_c=held[:, 3], air_c=held[:, 0], board_c=held[:, 2], soaks=soaks)
@@ -281,7 +281,7 @@ class ThermalSettings:
 # ---- Programme: what is done with the device at which temperature, as motions on the clock of the chamber.
 
 Work = Callable[[Script], Face | None]  # writes what is done at a set-point and returns the face that it leaves up
-Leg = tuple[Motion, Soak | None]  # recorded without a break, on the clock of the chamber; the visit it belongs to
+Leg = tuple[Motion, SetPointVisit | None]  # recorded without a break, on the chamber's clock; the visit it belongs to
 
 
 def programme_of(kind: ThermalKind, settings: ThermalSettings, streams: Streams) -> tuple[Profile, list[Leg]]:

@@ -368,7 +368,7 @@ def bench_of(study: Study, number: int, soaks: int, keys: Sequence[int]) -> Benc
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Readings:
+class BenchReadings:
     """What a bench reads of N rests and rates."""
 
     gyro: FloatArray  # (N, 3), mean, raw unit
@@ -376,7 +376,7 @@ class Readings:
     temp_c: FloatArray  # (N,), of the board's thermometer, degC
 
 
-def simulate_turns(study: Study, base: Protocol, device: DeviceModel, number: int, sessions: Sessions) -> Readings:
+def simulate_turns(study: Study, base: Protocol, device: DeviceModel, number: int, sessions: Sessions) -> BenchReadings:
     """Simulate the rests and rates of sessions, variants of one protocol, on the bench that calibrates a subject's device."""
     bench = study.bench if base.temperatures_c else replace(study.bench, soak_k=0.0, board_lag_s=0.0)  # no chamber
     soaks = int(sessions.soak.max()) + 1
@@ -392,7 +392,7 @@ def simulate_turns(study: Study, base: Protocol, device: DeviceModel, number: in
         [seeded(study, "dwells", number, key).standard_normal((6 * soaks, 3, width + 1)) for key in keyed]
     )
     dwells, rate = impose(sessions, bench, draws, row, soak_c_per_min=base.soak_c_per_min)
-    return Readings(
+    return BenchReadings(
         gyro=mean_readings(device, "gyro", dwells, normals[:, :, :width], row),
         rate=rate,
         temp_c=board_readings(device, dwells.temp_c, normals[row, 0, width]),
@@ -422,7 +422,7 @@ class NoteFits:
 
 def fit_as_the_note(
     sessions: Sessions,
-    readings: Readings,
+    readings: BenchReadings,
     grids: FloatArray,
     table_steps_c: tuple[float, float] = (STATIC_STEP_C, DYNAMIC_STEP_C),
 ) -> NoteFits:

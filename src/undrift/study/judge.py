@@ -65,7 +65,7 @@ FEWEST_SHARE = 0.5  # of the subjects whose device a level has to calibrate
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Judged:
+class ParameterVerdict:
     """Whether a parameter is worth setting, against the margin."""
 
     verdict: Verdict  # better: than one value or more; equivalent: all values are
@@ -96,7 +96,7 @@ class ParameterEffect:
     untested: Finding | None  # Why neither could be
     p_holm: float  # p after Holm over the parameters; NaN without a test
     pairs: tuple[Pair, ...]  # All pairs of values, by their places; empty unless that p is below the level
-    judged: Judged | None = (
+    judged: ParameterVerdict | None = (
         None  # Against the margin; None with one value, or where subjects with gaps cannot be tested
     )
 
@@ -170,7 +170,7 @@ def _pairs(effect: ParameterEffect, error: FloatArray) -> tuple[Pair, ...]:
     return compare_pairs(error) if len(effect.values) > 1 and len(error) > 2 and np.isfinite(error).all() else ()
 
 
-def judge_values(best: int, pairs: tuple[Pair, ...], subjects: int, aim: Aim, *, tests: int) -> Judged:
+def judge_values(best: int, pairs: tuple[Pair, ...], subjects: int, aim: Aim, *, tests: int) -> ParameterVerdict:
     """Judge a parameter of several ``tests`` by all pairs of its values."""
     level, margin = aim.level, aim.margin_deg
     own = tuple(
@@ -182,7 +182,7 @@ def judge_values(best: int, pairs: tuple[Pair, ...], subjects: int, aim: Aim, *,
     p_equivalent = min(tests * float(three_sided(apart, uncertainty, subjects - 1, margin=margin)[1].max()), 1.0)
     p_better = min(decision.p_better for decision in own)
     widest = max(pairs, key=lambda pair: abs(pair.difference))
-    return Judged(
+    return ParameterVerdict(
         verdict="better" if p_better <= level else "equivalent" if p_equivalent <= level else "not decidable",
         decisions=own,
         widest=decide(widest, subjects, of=widest.first, margin=margin, level=level, tests=tests),

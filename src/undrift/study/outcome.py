@@ -59,19 +59,19 @@ class Term:
     share: float  # Of the mean square that is lost without it; below 0 where the error grows
     share_interval: tuple[float, float]  # Its 95 % interval over the subjects
     rms_deg: float  # Root of that loss, deg; 0 where there is none
-    judged: judge.Judged  # The parameter's values without the effect
+    judged: judge.ParameterVerdict  # The parameter's values without the effect
     best: int  # Place of the value with the least error without it
     span_deg: float  # Greatest less least mean error over the values without it, deg
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Split:
+class ErrorBreakdown:
     """The error with one value of a parameter, by effect, and what each effect hides."""
 
     parameter: str  # One of the surface's ``names``
     values: FloatArray  # (k,), that were run, Hz or deg/s
     rms_deg: float  # With all effects, root of the mean square over the subjects, deg
-    judged: judge.Judged  # The parameter's values with all effects
+    judged: judge.ParameterVerdict  # The parameter's values with all effects
     terms: tuple[Term, ...]  # By falling share
     together: float  # Share that no single effect takes with it: several at once, or none of those switched off
 
@@ -100,7 +100,7 @@ class Split:
         )
 
 
-def split_findings(splits: tuple[Split, ...]) -> tuple[Finding, ...]:
+def split_findings(splits: tuple[ErrorBreakdown, ...]) -> tuple[Finding, ...]:
     """Say what the error of an optimum is made of, and what hides each parameter."""
     if not splits:
         return ()
@@ -125,7 +125,7 @@ def split_error(
     *,
     at: int,
     aim: Aim = AIM,
-) -> Split:
+) -> ErrorBreakdown:
     """Split the error at one of a parameter's values: error with all effects, and without each, (S, k) deg, k values."""
     wrong = [name for name, other in without.items() if other.shape != error.shape]
     if error.ndim != 2 or min(error.shape) < 2 or wrong or not without:
@@ -153,7 +153,7 @@ def split_error(
             )
         )
     terms.sort(key=lambda term: -term.share)
-    return Split(
+    return ErrorBreakdown(
         parameter=parameter,
         values=values,
         rms_deg=float(np.sqrt(total)),
@@ -163,7 +163,7 @@ def split_error(
     )
 
 
-def _verdict(error: FloatArray, aim: Aim, tests: int) -> judge.Judged:
+def _verdict(error: FloatArray, aim: Aim, tests: int) -> judge.ParameterVerdict:
     best, subjects = int(np.argmin(error.mean(axis=0))), len(error)
     return judge.judge_values(best, compare_pairs(error), subjects, aim, tests=tests)
 
@@ -194,7 +194,7 @@ def split_study(
     executor: run.Executor,
     *,
     advance: Callable[[int, int], None] = lambda done, total: None,
-) -> tuple[tuple[Split, ...], ...]:
+) -> tuple[tuple[ErrorBreakdown, ...], ...]:
     """Split the error of each task's optimum along its parameters; ``advance`` gets units done and units in all."""
     held = list(zip(study.tasks, surfaces, optima, strict=True))
     units = [(k, unit) for k, each in enumerate(held) for unit in units_without(study, *each)]
@@ -218,7 +218,7 @@ def split_study(
 
 def _split(
     study: Study, surface: run.TaskSurface, optimum: judge.Optimum, found: Mapping[EffectName, FloatArray]
-) -> tuple[Split, ...]:
+) -> tuple[ErrorBreakdown, ...]:
     """Split the error along each parameter with two values or more, by the subjects of whom every run is there."""
     every, splits = surface.aimed(study), []
     for name, line in _lines(surface, optimum).items():
@@ -339,7 +339,7 @@ def duration(seconds: float) -> str:
     return f"{seconds / 60.0:.0f} min" if seconds < 5400.0 else f"{seconds / 3600.0:.1f} h"
 
 
-class Course:
+class StudyProgress:
     """Says how far a study is: what is being done and the share of the whole, by the forecast of its stages.
 
     Lines above the last of a text stay: each stage with its forecast, each round of a search.
@@ -415,7 +415,7 @@ class TaskOutcome:
     one_way: OneWay | None  # All protocols as if other subjects had met each, as the note may have; None: not possible
     repeated: Anova | None  # The same by repeated measures
     note: judge.NoteComparison | None  # With the note's row; None for other tasks
-    splits: tuple[Split, ...]  # What the optimum's error is made of, by parameter; none of one that has a single value
+    splits: tuple[ErrorBreakdown, ...]  # Of the optimum's error, by parameter; none of one that has a single value
     untried: tuple[Untried, ...]  # Values of the plan that no protocol has, or none that is short enough
     halving: search.Halving | None  # Its rounds, where protocols were searched so
     front: search.Front  # Of error against minutes on the rig
@@ -454,7 +454,7 @@ def judge_study(
     executor: run.Executor,
     folder: Path,
     *,
-    course: Course = Course(lambda what, share: None),
+    course: StudyProgress = StudyProgress(lambda what, share: None),
     rivals: bool = False,
     real: RealData | None = None,
 ) -> StudyOutcome:
@@ -554,7 +554,7 @@ def _judge(
     surface: run.TaskSurface,
     optimum: judge.Optimum,
     tested: tuple[judge.Tested, judge.Tested],
-    splits: tuple[Split, ...],
+    splits: tuple[ErrorBreakdown, ...],
     halving: search.Halving | None,
 ) -> TaskOutcome:
     row = TABLE_1.get(cast("TaskName", surface.task))

@@ -308,7 +308,7 @@ MOST_TILT_ERROR = 1.0 * RADIAN_PER_DEGREE  # rad
 SKIN = PoseSettings(cutoff_hz=10.0, position_cutoff_hz=6.0)  # markers on skin: what is above is not the bone
 
 
-class Rest(NamedTuple):
+class RestQuality(NamedTuple):
     """How still a body is for a time from the first pose on, and how long it is."""
 
     turn_rate: float  # Largest, rad/s
@@ -317,7 +317,7 @@ class Rest(NamedTuple):
     still_s: float  # How long the body truly is still, s
 
 
-def measure_rest(spline: PoseSpline, rest_s: float) -> Rest:
+def measure_rest(spline: PoseSpline, rest_s: float) -> RestQuality:
     """Measure how still a body is at the beginning of its poses."""
     start, stop = spline.span_s
     count = int((stop - start) * SAMPLE_RATE_HZ)
@@ -331,7 +331,7 @@ def measure_rest(spline: PoseSpline, rest_s: float) -> Rest:
     kept = (rate <= MOST_TURN_RATE) & (acceleration <= MOST_ACCELERATION) & (tilt <= MOST_TILT_ERROR)
     last = min(round(rest_s * SAMPLE_RATE_HZ), count) - 1
     still_s = (int(np.flatnonzero(kept)[-1]) + 1) / SAMPLE_RATE_HZ if kept.any() else 0.0
-    return Rest(float(rate[last]), float(acceleration[last]), float(tilt[last]), still_s)
+    return RestQuality(float(rate[last]), float(acceleration[last]), float(tilt[last]), still_s)
 
 
 def check_rest(spline: PoseSpline, rest_s: float, path: Path) -> None:

@@ -148,7 +148,7 @@ REACH_S = 1.5  # lean peaks this near to the rise
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Capture:
+class CapturedTrial:
     """A captured trial."""
 
     name: str  # Of the trial
@@ -182,7 +182,7 @@ WHOLE = (("pitch range", "deg"), ("peak pitch rate", "deg/s"), ("peak roll rate"
 
 
 def motion_rows(
-    captures: tuple[Capture, ...], *, subjects: int = 30, seed: int = 0, group: Group = "simulation"
+    captures: tuple[CapturedTrial, ...], *, subjects: int = 30, seed: int = 0, group: Group = "simulation"
 ) -> tuple[CohortComparison, ...]:
     """Compare captures with the simulated cohort."""
     drawn: dict[tuple[TaskName, CategoryName], FloatArray] = {}
@@ -437,7 +437,7 @@ class Worn:
 
 
 def worn_in(
-    captures: tuple[Capture, ...], device: DeviceModel | None = None, *, seed: int = 0, excursion_k: float = 12.5
+    captures: tuple[CapturedTrial, ...], device: DeviceModel | None = None, *, seed: int = 0, excursion_k: float = 12.5
 ) -> Worn:
     """Wear a device in captured motions, at a board temperature above the bench's."""
     held = device or preset("enc03j_3031")
@@ -471,7 +471,7 @@ def worn_in(
 
 
 def _case(
-    capture: Capture, device: DeviceModel, excursion_k: float, rng: np.random.Generator
+    capture: CapturedTrial, device: DeviceModel, excursion_k: float, rng: np.random.Generator
 ) -> tuple[Case, FloatArray, float]:
     """Return the trial, the pitch that was captured, rad, and the share of readings at the end of the range."""
     spline = fit_pose_spline(capture.device, SKIN)
@@ -589,7 +589,7 @@ class RealData:
     """Real recordings, read."""
 
     devices: tuple[DeviceTrials, ...]  # Trials by device
-    captures: tuple[Capture, ...]  # Captured people
+    captures: tuple[CapturedTrial, ...]  # Captured people
     stances: tuple[Stance, ...]  # On a force plate
     actual: ActualTwin | None = None  # Figure 3's actual device
 
@@ -674,12 +674,12 @@ def _pair(entry: TrialEntry, folder: Path) -> tuple[Record, Reference]:
     return read_record(recording, columns), read_reference(poses, labels=entry.markers or None, up=entry.up)
 
 
-def _capture(entry: CaptureEntry, folder: Path) -> Capture:
+def _capture(entry: CaptureEntry, folder: Path) -> CapturedTrial:
     poses = read_poses(folder / entry.file, body=entry.body, markers=entry.markers, up=entry.up)
     if poses.position is None:
         raise InputError(f"{entry.file}: wanted poses with positions, got none; risings are found by the height")
     name = Path(entry.file).name.split(".")[0]
-    return Capture(name=name, task=entry.task, device=poses, category=entry.category)
+    return CapturedTrial(name=name, task=entry.task, device=poses, category=entry.category)
 
 
 def judge_real(data: RealData, study: Study) -> RealOutcome:

@@ -444,7 +444,7 @@ _MARGIN_S = 1.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Part:
+class ErrorSource:
     """One contribution."""
 
     name: str
@@ -454,7 +454,7 @@ class Part:
 
 def contributions(
     prepared: Prepared, number: int, *, rng: np.random.Generator, length_s: float = 5.0
-) -> tuple[Part, ...]:
+) -> tuple[ErrorSource, ...]:
     """Return what limits the twin on one held-out recording."""
     held = hold_out(prepared, number)
     bare, gyro = plain(held.device), held.device.gyro
@@ -481,7 +481,7 @@ def contributions(
         "found": whole,
         "found with a twin of this recording": _medians(itself.found(rng, length_s)),
     }
-    return tuple(Part(name=name, pitch=float(pitch), tilt=float(tilt)) for name, (pitch, tilt) in parts.items())
+    return tuple(ErrorSource(name=name, pitch=float(pitch), tilt=float(tilt)) for name, (pitch, tilt) in parts.items())
 
 
 def _medians(errors: WindowErrors) -> FloatArray:

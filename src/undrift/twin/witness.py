@@ -48,7 +48,7 @@ Gyro = tuple[FloatArray, FloatArray, float]  # Matrix (3, 3), offset in motion (
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Split:
+class OpticsSplit:
     """Difference of optics and gyroscopes, tilt per horizontal axis, 0.4 to 3 Hz."""
 
     tilt: float  # Root mean square, rad
@@ -96,7 +96,7 @@ class Split:
         )
 
 
-def split_twin(prepared: Prepared, twin: Twin) -> Split | Finding:
+def split_twin(prepared: Prepared, twin: Twin) -> OpticsSplit | Finding:
     """Split the difference over the recordings that a twin was fitted to."""
     gyro, accel = twin.gyro, twin.accel
     if accel is None:
@@ -111,7 +111,7 @@ def split_twin(prepared: Prepared, twin: Twin) -> Split | Finding:
 
 def split_difference(
     matches: Sequence[Match], gyros: Sequence[Gyro], *, accel_delay: float, gravity_m_s2: float
-) -> Split | Finding:
+) -> OpticsSplit | Finding:
     """Split the difference of optics and gyroscopes over recordings, with the gyroscope model of each.
 
     accel_delay is that of the accelerometers beyond the gyroscopes', s. Returns a finding where too little can be judged.
@@ -134,7 +134,7 @@ def split_difference(
     moved = share * ORIGIN_M * np.einsum("na,nak->k", seen, left[:, :, 2:]) / power
     error = float(np.sqrt((sums**2).sum() * count / (count - 1) / power**2 + moved @ moved))
     tilt = float(np.sqrt((seen**2).sum(axis=1).mean() / 2.0)) / gravity_m_s2
-    return Split(tilt=tilt, optics_share=share, standard_error=error, blocks=count)
+    return OpticsSplit(tilt=tilt, optics_share=share, standard_error=error, blocks=count)
 
 
 def _without(nuisance: FloatArray, values: FloatArray) -> FloatArray:

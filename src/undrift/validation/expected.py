@@ -76,8 +76,8 @@ class OffsetSource:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Course:
-    """A recording on its way through the motion, as it was integrated."""
+class Strapdown:
+    """A recording with the orientation integrated from it, through the motion."""
 
     record: Record  # Corrected, rad/s and m/s2, from the start of the integration on
     q_nb: FloatArray  # (N, 4), its orientation
@@ -90,15 +90,15 @@ class Course:
     mounting: float  # Of the device against the reference's body, each axis, rad
 
 
-def expected_errors(course: Course, model: TriadModel, source: OffsetSource, prior: ErrorPrior) -> Expected:
+def expected_errors(run: Strapdown, model: TriadModel, source: OffsetSource, prior: ErrorPrior) -> Expected:
     """Return the end error and the root-mean-square error to expect of a recording."""
-    at, gain, rate = _sensitivity(course, model, source)
-    covariance = _covariance(course, model, source, prior)
+    at, gain, rate = _sensitivity(run, model, source)
+    covariance = _covariance(run, model, source, prior)
     size, means = gain.shape[2], np.zeros_like(covariance)
     ends = np.concatenate((gain[-1], np.sqrt(at[-1] - at[0]) * np.eye(3), np.eye(3)), axis=1)
     means[:size, :size] = np.einsum("kap,kaq->pq", gain, gain) / len(gain)
     means[size:, size:] = np.diag(np.repeat((float((at - at[0]).mean()), 1.0), 3))
-    late = course.delay_s * rate  # (K, 3), rad, in earth axes
+    late = run.delay_s * rate  # (K, 3), rad, in earth axes
     linear = np.zeros(len(covariance))
     linear[:size] = np.einsum("kap,ka->p", gain, late) / len(late)
     end = _root(covariance, ends.T @ ends, 0.0 * linear, 0.0)
@@ -113,19 +113,17 @@ def expected_errors(course: Course, model: TriadModel, source: OffsetSource, pri
     )
 
 
-def _sensitivity(course: Course, model: TriadModel, source: OffsetSource) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _sensitivity(run: Strapdown, model: TriadModel, source: OffsetSource) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return times (K,), A (K, 3, P) without noise and pose, and the rate in earth axes (K, 3), through the motion."""
     from undrift.kernels.rotation import accumulate
 
-    gyro, time, q = np.asarray(course.record.gyro), course.record.time, course.q_nb
-    turned = si_factor(model.unit_out, "rate") * course.turned
+    gyro, time, q = np.asarray(run.record.gyro), run.record.time, run.q_nb
+    turned = si_factor(model.unit_out, "rate") * run.turned
     matrix = turned @ model.matrix
-    force = np.zeros_like(gyro) if course.record.accel is None else np.nan_to_num(course.record.accel)
-    regressors = np.concatenate(
-        (gyro @ np.linalg.inv(matrix).T, np.ones((len(gyro), 1)), force @ course.turned), axis=1
-    )
-    width = max(1, round(_STEP_S * course.record.sample_rate_hz))
-    last = max(1, int(np.searchsorted(time, course.stop_s, side="right")) - 1)
+    force = np.zeros_like(gyro) if run.record.accel is None else np.nan_to_num(run.record.accel)
+    regressors = np.concatenate((gyro @ np.linalg.inv(matrix).T, np.ones((len(gyro), 1)), force @ run.turned), axis=1)
+    width = max(1, round(_STEP_S * run.record.sample_rate_hz))
+    last = max(1, int(np.searchsorted(time, run.stop_s, side="right")) - 1)
     kept = np.append(np.arange(0, last, width), last)
     total, relative = np.zeros((len(kept), 3, 3, regressors.shape[1])), np.empty((len(kept), 4))
     flat = (np.ascontiguousarray(gyro).reshape(-1), np.ascontiguousarray(regressors).reshape(-1))
@@ -148,16 +146,16 @@ def _sensitivity(course: Course, model: TriadModel, source: OffsetSource) -> tup
     return time[kept], gain, rotate(q[kept], gyro[kept])
 
 
-def _covariance(course: Course, model: TriadModel, source: OffsetSource, prior: ErrorPrior) -> FloatArray:
+def _covariance(run: Strapdown, model: TriadModel, source: OffsetSource, prior: ErrorPrior) -> FloatArray:
     """Return the covariance of model, change of the offset, start, mounting, noise and pose, in this order."""
     more = 1.0 + 1.0 / source.recordings if source.in_motion else 1.0
     change = more * (prior.motion_offset if source.in_motion else prior.rest_to_motion) ** 2
-    day = np.full(3, prior.day_to_day**2) if source.rest == "other" else course.rest_variance
+    day = np.full(3, prior.day_to_day**2) if source.rest == "other" else run.rest_variance
     extra = (
         change + day,
-        np.array([course.tilt**2, course.tilt**2, prior.pose**2]),
-        np.full(3, course.mounting**2 + prior.mounting**2),
-        np.full(3, course.noise_density**2),
+        np.array([run.tilt**2, run.tilt**2, prior.pose**2]),
+        np.full(3, run.mounting**2 + prior.mounting**2),
+        np.full(3, run.noise_density**2),
         np.full(3, prior.pose**2),
     )
     size = len(model.parameters)

@@ -50,9 +50,9 @@ from undrift.orientation import (
     shortest_rotation_up,
 )
 from undrift.record import Face, Record, Reference, Still
-from undrift.sync import Lag, LagSettings, Motion, find_lag, find_motion, native_poses
+from undrift.sync import Lag, LagSettings, MotionSpan, find_lag, find_motion, native_poses
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical
-from undrift.validation.expected import ERROR_PRIOR, Course, ErrorPrior, Expected, OffsetSource, expected_errors
+from undrift.validation.expected import ERROR_PRIOR, ErrorPrior, Expected, OffsetSource, Strapdown, expected_errors
 from undrift.validation.reference_frames import check_reference, common_rates
 
 # ---- track: orientation from the readings alone, started from rest
@@ -69,7 +69,7 @@ def orientation_at(time: FloatArray, q_nb: FloatArray, times: FloatArray) -> Flo
 
 
 def track_from_rest(
-    record: Record, reference: Reference, motion: Motion, *, shift_s: float, rest_s: float, lead_s: float
+    record: Record, reference: Reference, motion: MotionSpan, *, shift_s: float, rest_s: float, lead_s: float
 ) -> tuple[FloatArray, FloatArray]:
     """Integrate the readings from the rest before the motion to the end of the record: time and orientation."""
     if record.gyro is None:
@@ -365,7 +365,7 @@ class Trial(Shown):
         As found, with correlation before and after.
     lag_undone : bool
         Whether the main figures have the lag taken out.
-    motion : Motion
+    motion : MotionSpan
         On the record's clock.
     mounting : Mounting or None
         Rotation between device case and the reference's body; None where it was not looked for.
@@ -392,7 +392,7 @@ class Trial(Shown):
     figures: Figures
     lag: Lag
     lag_undone: bool
-    motion: Motion
+    motion: MotionSpan
     mounting: Mounting | None
     mean_inclination: tuple[float, float]
     findings: tuple[Finding, ...]
@@ -548,7 +548,7 @@ def _expected(
     variance = np.array([mean_variance(axis) for axis in still.T]) if len(still) > 1 else np.zeros(3)
     applied = np.eye(3) if mounting is None or not mounting.applied else mounting.alignment.rotation
     left_in = 0.0 if mounting is None or mounting.applied else mounting.alignment.angle
-    course = Course(
+    course = Strapdown(
         record=done.part(len(done) - len(track[0]), len(done)),
         q_nb=track[1],
         stop_s=judged.motion.stop_s,
@@ -584,7 +584,7 @@ def _lag(record: Record, poses: Reference, gaps: BoolArray, settings: TrialSetti
 
 
 def _stretches(
-    reference: Reference, motion: Motion, lag_s: float, settings: TrialSettings
+    reference: Reference, motion: MotionSpan, lag_s: float, settings: TrialSettings
 ) -> tuple[BoolArray, BoolArray]:
     """Return which poses are within the motion, pauses left out where the reference marks them, and which just after it."""
     start_s, stop_s = motion.start_s - lag_s, motion.stop_s - lag_s
@@ -674,7 +674,7 @@ def nominal_calibration(record: Record, adc: AdcModel | None) -> Calibration:
 
 
 def _re_zeroed(
-    record: Record, motion: Motion, settings: TrialSettings
+    record: Record, motion: MotionSpan, settings: TrialSettings
 ) -> tuple[Record, RestOffset | None, tuple[Finding, ...]]:
     """Subtract what is left at the first still phase; where none is found, at what the reference marks before the motion."""
     if settings.offset != "rest":

@@ -5,7 +5,7 @@ import pytest
 
 from testkit.simulated_device import chain, device_of, motion_of, run, still_motion
 from undrift.errors import InputError
-from undrift.sim.device.effects import Hysteresis, Offset, ThermalScale, Thermometer, WarmUp, play
+from undrift.sim.device.effects import Offset, PowerOnTransient, ThermalHysteresis, ThermalScale, Thermometer, play
 
 
 def test_the_offset_is_a_polynomial_of_the_warmth_and_the_thermal_scale_acts_on_all_before_it() -> None:
@@ -25,7 +25,7 @@ def test_the_offset_is_a_polynomial_of_the_warmth_and_the_thermal_scale_acts_on_
 
 def test_a_young_device_settles_exponentially_from_power_on() -> None:
     motion = still_motion(1001, 10.0)
-    warm_up = WarmUp(amplitude=[0.1, 0.0, -0.2], time_constant_s=30.0, per_k=[0.01, 0.0, 0.0])  # type: ignore[arg-type]
+    warm_up = PowerOnTransient(amplitude=[0.1, 0.0, -0.2], time_constant_s=30.0, per_k=[0.01, 0.0, 0.0])  # type: ignore[arg-type]
     device = device_of(chain(warm_up=warm_up))
     gyro = run(device, motion, temp_c=35.0).record.gyro
     np.testing.assert_allclose(gyro[:, 0], -0.11 * np.exp(-motion.time / 30.0), atol=1e-15)  # type: ignore[index]
@@ -35,7 +35,7 @@ def test_a_young_device_settles_exponentially_from_power_on() -> None:
 
 
 def test_warming_and_cooling_trace_a_loop_of_the_stated_width_at_any_speed() -> None:
-    device = device_of(chain(hysteresis=Hysteresis(amplitude=[0.01, 0.0, -0.02], play_k=1.0)))  # type: ignore[arg-type]
+    device = device_of(chain(hysteresis=ThermalHysteresis(amplitude=[0.01, 0.0, -0.02], play_k=1.0)))  # type: ignore[arg-type]
     for samples in (400, 4000):
         up = np.linspace(20.0, 60.0, samples)
         temp = np.concatenate((up, up[::-1], up))

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from testkit.data import show
-from undrift.sim.motion.motion import Burst, Part, Step, Sway, ViaPoint, course_at, wave
+from undrift.sim.motion.motion import Burst, CourseTerm, Step, Sway, ViaPoint, course_at, wave
 
-PARTS: dict[str, Part] = {
+PARTS: dict[str, CourseTerm] = {
     "step": Step(0.4, 1.3, 0.7),
     "via-point": ViaPoint(0.4, 0.9, 1.4, 0.6, -0.5),
     "wave": wave(0.5, 0.8, 0.3, 0.2, 3.6),

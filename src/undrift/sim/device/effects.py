@@ -199,7 +199,7 @@ class GSensitivity(Effect):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Hysteresis(Effect):
+class ThermalHysteresis(Effect):
     """Offset between warming and cooling."""
 
     amplitude: FloatArray = quantity("{x}", (3,))  # (3,), half the width of the loop, rad/s or m/s2
@@ -634,7 +634,7 @@ class Thermometer(Effect):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class WarmUp(Effect):
+class PowerOnTransient(Effect):
     """Offset over time since power-on."""
 
     amplitude: FloatArray = quantity("{x}", (3,))  # (3,), change from power-on to the settled value, rad/s or m/s2
@@ -662,8 +662,8 @@ class SensorChain(Effect):
     offset: Offset | None = quantity("", None, None)  # With its thermal drift
     thermal_scale: ThermalScale | None = quantity("", None, None)  # Sensitivity over temperature
     rate_drift: RateDrift | None = quantity("", None, None)  # e(omega, T)
-    warm_up: WarmUp | None = quantity("", None, None)  # b(t, T)
-    hysteresis: Hysteresis | None = quantity("", None, None)  # Of the offset over temperature
+    warm_up: PowerOnTransient | None = quantity("", None, None)  # b(t, T)
+    hysteresis: ThermalHysteresis | None = quantity("", None, None)  # Of the offset over temperature
     white_noise: WhiteNoise | None = quantity("", None, None)  # Angle or velocity random walk
     instability: BiasInstability | None = quantity("", None, None)  # Flicker of the offset
     random_walk: RandomWalk | None = quantity("", None, None)  # Of the offset

@@ -68,7 +68,7 @@ class Contribution:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Triad:
+class SimulatedTriad:
     """One triad's side of a simulation, M samples."""
 
     # (M, 3), rate or specific force at the body's origin, rad/s or m/s2, frame b: of the step for a gyroscope that
@@ -91,7 +91,7 @@ class Simulated:
     ----------
     record : Record
         Readings of the device; NaN where the motion is unknown.
-    gyro, accel : Triad
+    gyro, accel : SimulatedTriad
         Truth, contributions, saturation.
     temp_c : array, shape (M,)
         True temperature of the board, degC.
@@ -100,8 +100,8 @@ class Simulated:
     """
 
     record: Record
-    gyro: Triad
-    accel: Triad
+    gyro: SimulatedTriad
+    accel: SimulatedTriad
     temp_c: FloatArray
     true_time: FloatArray
 
@@ -169,7 +169,7 @@ def simulate_device(
         accel_raw, accel = _triad(model, "accel", force, scene, streams, ticks)
     else:
         accel_raw = np.full((len(taken), 3), np.nan)
-        accel = Triad(true=accel_raw, contributions=(), saturated=np.zeros(accel_raw.shape, dtype=bool))
+        accel = SimulatedTriad(true=accel_raw, contributions=(), saturated=np.zeros(accel_raw.shape, dtype=bool))
     thermometer, past = model.thermometer, Past(streams.of("thermometer"))
     shown = thermometer.shown(thermometer.felt(scene, past), past.rng)
     seen = np.interp(taken, motion.time, known.astype(float)) > 1.0 - 1e-9
@@ -203,7 +203,7 @@ def filtered(record: Record, device: DeviceModel) -> Record:
 def _triad(
     model: DeviceModel, name: Literal["gyro", "accel"], true: FloatArray, scene: Scene, streams: Streams,
     ticks: tuple[FloatArray, FloatArray],
-) -> tuple[FloatArray, Triad]:  # fmt: skip
+) -> tuple[FloatArray, SimulatedTriad]:  # fmt: skip
     """Return the readings of one triad and the truth about them."""
     chain: SensorChain = getattr(model, name)
     clock, (stamped, taken_s), pasts = model.sampling, ticks, streams.pasts(chain, name)
@@ -236,7 +236,7 @@ def _triad(
         reading, beyond = converted(reading, chain.adc)
         found.append(Contribution(effect="adc", value=(reading - chain.null) / chain.gain - taken))
         held |= beyond
-    return reading, Triad(true=on_ticks(true), contributions=tuple(found), saturated=held)
+    return reading, SimulatedTriad(true=on_ticks(true), contributions=tuple(found), saturated=held)
 
 
 def _bridged(motion: Motion) -> Motion:

@@ -42,14 +42,14 @@ from undrift.record import Axis, Face, Still, Turn
 # ---- Course: one coordinate over time, a sum of parts whose derivatives are closed forms.
 
 
-class Part(Protocol):
+class CourseTerm(Protocol):
     """A function of time with its first two derivatives."""
 
     def at(self, time: FloatArray) -> FloatArray:
         """Return value, first and second derivative: time (N,) s -> (3, N)."""
 
 
-Course = tuple[Part, ...]
+Course = tuple[CourseTerm, ...]
 
 
 def course_at(course: Course, time: FloatArray) -> FloatArray:
@@ -270,7 +270,7 @@ Angle = Polynomial | UnevenAngle  # over local time s in [0, 1], rad
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Piece:
+class TurnSegment:
     """Samples [start, stop): a turn about one axis."""
 
     start: int  # Samples
@@ -287,7 +287,7 @@ class Script:
     def __init__(self, sample_rate_hz: float, up_b: FloatArray) -> None:
         self.sample_rate_hz = sample_rate_hz
         self.q = facing(np.array([1.0, 0.0, 0.0, 0.0]), up_b)
-        self.pieces: list[Piece] = []
+        self.pieces: list[TurnSegment] = []
         self.stills: list[Still] = []
         self.turns: list[Turn] = []
 
@@ -390,7 +390,7 @@ class Script:
     def _turn(self, duration_s: float, axis_b: FloatArray, angle: Angle) -> tuple[int, int]:
         start = self.samples
         stop = start + round(duration_s * self.sample_rate_hz)
-        self.pieces.append(Piece(start, stop, self.q, axis_b, angle))
+        self.pieces.append(TurnSegment(start, stop, self.q, axis_b, angle))
         if angle is not REST:
             self.q = quaternion_product(self.q, turn_quaternion(axis_b, np.asarray(angle(np.array(1.0)))))
             self.q = self.q / np.linalg.norm(self.q)

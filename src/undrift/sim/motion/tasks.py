@@ -62,8 +62,8 @@ from undrift.sim.device.simulate import Streams, draw_streams
 from undrift.sim.motion.motion import (
     Burst,
     Course,
+    CourseTerm,
     Motion,
-    Part,
     Step,
     Sway,
     ViaPoint,
@@ -404,7 +404,7 @@ def _sit_to_stand(who: Performance, rest_s: float) -> Task:
     )
 
 
-def _there_and_back(who: Performance, name: str, start_s: float, duration_s: float) -> Part:
+def _there_and_back(who: Performance, name: str, start_s: float, duration_s: float) -> CourseTerm:
     size = who.number(name, 0.0, 1.5, -3.0, 3.0) * DEGREE
     return ViaPoint(start_s, 0.45 * duration_s, 0.55 * duration_s, size, -size)
 

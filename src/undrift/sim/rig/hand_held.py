@@ -113,7 +113,7 @@ class HandHeldDevice(EmulatedDevice):
     def __init__(self, device: DeviceModel, hands: HandSettings, clock: Clock, settings: StreamSettings) -> None:
         self.hands = hands
         self._moves: list[Move] = []
-        super().__init__(device, _Bench(), self._warming, clock, settings)
+        super().__init__(device, _FixedBench(), self._warming, clock, settings)
 
     @property
     def moving(self) -> bool:
@@ -232,7 +232,7 @@ class HandHeldDevice(EmulatedDevice):
         return self._surroundings(times, rate, acceleration, rotate(to_b, gravity_n) + shake), mean_rate
 
 
-class _Bench:
+class _FixedBench:
     """What lies under the device does not turn."""
 
     def axis_states(self, times: FloatArray, *, mean_s: float = 0.0) -> tuple[FloatArray, FloatArray]:
