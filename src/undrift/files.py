@@ -25,7 +25,7 @@ _BLOCK = 1 << 20
 
 
 @dataclass(slots=True)
-class Limits:
+class ReadLimits:
     """What reading one file may take; one object, ``LIMITS``, for the whole process."""
 
     memory_gb: float = 2.0  # Of its parser, and of the file unpacked
@@ -41,7 +41,7 @@ class Limits:
         )
 
 
-LIMITS = Limits()
+LIMITS = ReadLimits()
 
 
 def data_folder() -> Path:

@@ -31,7 +31,7 @@ SHOWN_FIRST = 3  # findings that a person sees without asking for details
 _LEVELS = ("fail", "warn", "info")
 
 
-class Entry(NamedTuple):
+class FindingText(NamedTuple):
     """The sentences of one code."""
 
     rank: int  # 1 to 4, see the module
@@ -209,6 +209,6 @@ def above(code: str, value: float, limits: tuple[float, float], **shown: Any) ->
 
 
 @cache
-def catalogue() -> dict[str, Entry]:
+def catalogue() -> dict[str, FindingText]:
     """Return the sentences of every code."""
-    return {code: Entry(**entry) for code, entry in tomllib.loads(_SENTENCES.read_text(encoding="utf-8")).items()}
+    return {code: FindingText(**entry) for code, entry in tomllib.loads(_SENTENCES.read_text(encoding="utf-8")).items()}

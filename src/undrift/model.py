@@ -20,7 +20,7 @@ import numpy as np
 from annotated_types import Ge
 
 from undrift.arrays import BoolArray, FloatArray, IntArray, Shape, freeze
-from undrift.base.codec import AnyNumber, Gap, Key, Named, Rows, stored, tree_of
+from undrift.base.codec import AnyNumber, Gap, Key, Named, TableRows, stored, tree_of
 from undrift.base.summary import Shown
 from undrift.errors import InputError
 from undrift.findings import EARLIER
@@ -303,7 +303,7 @@ class Learnt:
     gyro_variance: Annotated[FloatArray, Shape("n", 3)]  # Of it, raw unit squared
     recording: Annotated[IntArray, Shape("n")]  # Which of ``recordings``
     # sha256 of the readings and date (ISO 8601, UTC) of each
-    recordings: Annotated[tuple[tuple[str, str], ...], Rows(("sha256", "date"))]
+    recordings: Annotated[tuple[tuple[str, str], ...], TableRows(("sha256", "date"))]
     since: str  # Date of the tables before, ISO 8601, UTC
     before: "DriftTables | None" = None  # None for constant offsets
 
@@ -414,7 +414,7 @@ class Provenance:
         ISO 8601 time, UTC.
     """
 
-    inputs: Annotated[tuple[tuple[str, str], ...], Rows(("file", "sha256"))] = ()
+    inputs: Annotated[tuple[tuple[str, str], ...], TableRows(("file", "sha256"))] = ()
     settings: Annotated[tuple[tuple[str, str], ...], Named("settings")] = ()
     versions: Annotated[tuple[tuple[str, str], ...], Named("versions")] = ()
     created: Annotated[str, Key("time")] = ""

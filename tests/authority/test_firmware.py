@@ -11,7 +11,7 @@ from testkit.data import data_path, show
 from testkit.full_calibration import device
 from undrift.correction.correct import correct_checked
 from undrift.export.c import export_c
-from undrift.io.columns import ColumnMap, Scale
+from undrift.io.columns import ChannelScale, ColumnMap
 from undrift.io.text import read_csv
 from undrift.model import AdcModel, DriftTables, StaticDrift
 from undrift.sim.device.presets import random_device_of
@@ -26,7 +26,7 @@ def warm_up():
     """The warm-up of an MPU-6050, in counts; offsets over temperature from the means of half-degree bins."""
     columns = ColumnMap(
         time="Time", gyro=("Gx", "Gy", "Gz"), accel=("Ax", "Ay", "Az"), temp="dTemp", time_unit="ms",
-        gyro_unit="count", accel_unit="count", temp_unit="degC", temp_scale=Scale(1.0 / 340.0, 36.53),
+        gyro_unit="count", accel_unit="count", temp_unit="degC", temp_scale=ChannelScale(1.0 / 340.0, 36.53),
     )  # fmt: skip
     record = read_csv(data_path("thermal_mpu6050_warmup", "Tempdata01-02-14.csv.gz"), columns).record
     nodes = np.arange(11.0, 28.6, 0.5)

@@ -9,7 +9,7 @@ import pytest
 from testkit.data import DATA, data_path, show
 from undrift.errors import FileFormatError, InputError
 from undrift.io.arrays import read_npz
-from undrift.io.columns import ColumnMap, ReadSettings, Scale, TextLayout
+from undrift.io.columns import ChannelScale, ColumnMap, ReadSettings, TextLayout
 from undrift.io.formats import read_record, read_reference
 from undrift.io.inspect import describe, find_symptoms
 from undrift.io.makers import DIALECTS, apdm_sensors, read_apdm
@@ -116,8 +116,8 @@ def test_a_header_of_settings_is_skipped_as_stated():
         gyro=("gx", "gy", "gz"),
         accel_unit="g",
         gyro_unit="dps",
-        accel_scale=Scale(1 / 16384),
-        gyro_scale=Scale(1 / 131),
+        accel_scale=ChannelScale(1 / 16384),
+        gyro_scale=ChannelScale(1 / 131),
         sample_rate_hz=100.0,
         layout=TextLayout(skip_rows=4),
     )
@@ -162,15 +162,15 @@ def test_the_warm_up_reads_in_spite_of_its_drop_outs():
     path = data_path("thermal_mpu6050_warmup", "Tempdata01-02-14.csv.gz")
     die = ColumnMap(
         **keys,
-        accel_scale=Scale(1 / 16384),
+        accel_scale=ChannelScale(1 / 16384),
         gyro=("Gx", "Gy", "Gz"),
         gyro_unit="dps",
-        gyro_scale=Scale(1 / 16.4),
+        gyro_scale=ChannelScale(1 / 16.4),
         temp="dTemp",
-        temp_scale=Scale(1 / 340, 36.53),
+        temp_scale=ChannelScale(1 / 340, 36.53),
     )
     record = read_csv(path, die).record
-    board = read_csv(path, ColumnMap(**keys, accel_scale=Scale(1 / 16384), temp="Temp ")).record
+    board = read_csv(path, ColumnMap(**keys, accel_scale=ChannelScale(1 / 16384), temp="Temp ")).record
     mean_hz = (len(record) - 1) / record.duration_s
     steps = np.diff(record.time)
     show("rows, s, mean Hz", (len(record), record.duration_s, mean_hz), (63792, 2158, 29.56))

@@ -17,7 +17,7 @@ from undrift.base.codec import (
     Gap,
     Key,
     Named,
-    Rows,
+    TableRows,
     read,
     schema_of,
     stored,
@@ -57,7 +57,7 @@ class Loop:
     order: Annotated[Literal["up", "down"], Key("table.order")] = "up"
     rms: AnyNumber = math.inf
     reference_c: Gap = math.nan
-    files: Annotated[tuple[tuple[str, str], ...], Rows(("file", "sha256")), Key(later=True)] = ()
+    files: Annotated[tuple[tuple[str, str], ...], TableRows(("file", "sha256")), Key(later=True)] = ()
     settings: Annotated[tuple[tuple[str, str], ...], Named("settings"), Key(later=True)] = ()
     sensors: Annotated[tuple[Sensor, ...], Key("sensor", later=True)] = ()
     inner: Annotated["Loop | None", Key(later=True)] = None

@@ -188,7 +188,7 @@ def test_three_findings_are_shown_and_all_with_details(undrift, bench, monkeypat
     for code, rank, action in (("a", 4, "record [more]"), ("b", 2, ""), ("c", 1, "")):
         detail = "{x_deg:.1f} deg" if code == "a" else ""
         monkeypatch.setitem(
-            findings.catalogue(), f"test.{code}", findings.Entry(rank, f"headline {code}", detail, action)
+            findings.catalogue(), f"test.{code}", findings.FindingText(rank, f"headline {code}", detail, action)
         )
     found = (
         findings.finding("test.a", "info", x_deg=1.0),

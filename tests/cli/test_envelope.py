@@ -15,7 +15,7 @@ from testkit.data import data_path, show
 from undrift import __version__
 from undrift.cli import EXAMPLES, common
 from undrift.cli import app as program
-from undrift.cli.common import ENVELOPE, Steps
+from undrift.cli.common import ENVELOPE, ProgressBar
 from undrift.commands import part_of
 from undrift.io.formats import write_record
 from undrift.io.session import read_session
@@ -191,7 +191,7 @@ def test_progress_is_a_line_now_and_then_where_stderr_is_no_terminal(monkeypatch
     clock = SimpleNamespace(now=100.0)  # a busy machine does not change what is printed
     monkeypatch.setattr(common, "time", SimpleNamespace(monotonic=lambda: clock.now))
     monkeypatch.setattr(common, "SAID_EVERY_S", 0.05)
-    with Steps("twin") as shown:
+    with ProgressBar("twin") as shown:
         time.sleep(0.2)
         clock.now += 30.0
         part_of(shown, 0.5, 1.0)("held out: recording 2 of 4", 0.5)

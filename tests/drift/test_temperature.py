@@ -23,7 +23,7 @@ from undrift.drift.temperature import (
     without_lag_smooth,
 )
 from undrift.errors import InputError, NotObservable
-from undrift.io.columns import ColumnMap, Scale, TextLayout
+from undrift.io.columns import ChannelScale, ColumnMap, TextLayout
 from undrift.io.makers import DIALECTS
 from undrift.io.text import read_csv
 from undrift.record import Record, Session, Still
@@ -227,7 +227,7 @@ def warm_up(column, scale=None):
     return read_csv(data_path("thermal_mpu6050_warmup", "Tempdata01-02-14.csv.gz"), columns).record
 
 
-@pytest.mark.parametrize(("column", "scale"), [("dTemp", Scale(1.0 / 340.0, 36.53)), ("Temp", None)])
+@pytest.mark.parametrize(("column", "scale"), [("dTemp", ChannelScale(1.0 / 340.0, 36.53)), ("Temp", None)])
 def test_a_real_warm_up_keeps_its_shape_and_comes_back_from_whole_degrees(column, scale):
     record = warm_up(column, scale)
     fine = trusted_temperature(of(record), 0)

@@ -173,6 +173,16 @@ def test_each_package_keeps_to_its_budget() -> None:
     assert sizes.keys() == BUDGET.keys()
 
 
+def test_no_class_name_is_declared_twice() -> None:
+    homes: dict[str, list[str]] = {}
+    for path in SOURCES:
+        for node in ast.parse(path.read_text()).body:
+            if isinstance(node, ast.ClassDef):
+                homes.setdefault(node.name, []).append(str(path.relative_to(PACKAGE)))
+    twice = {name: files for name, files in homes.items() if len(files) > 1}
+    assert not twice, f"one class name, one meaning: {twice}"
+
+
 def test_files_functions_and_classes_keep_their_size() -> None:
     wrong = [f"{p}: {n} lines" for p in SOURCES if (n := len(p.read_text().splitlines())) > FILE_LINES]
     for path, name, node, _ in ALL:

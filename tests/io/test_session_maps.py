@@ -7,7 +7,7 @@ from pyarrow import csv, parquet
 
 from undrift.base.codec import entry_name, line_of
 from undrift.errors import FileFormatError, InputError
-from undrift.io.columns import ColumnMap, ReadSettings, Scale, TextLayout
+from undrift.io.columns import ChannelScale, ColumnMap, ReadSettings, TextLayout
 from undrift.io.formats import iter_record, read_record
 from undrift.io.session import read_column_map, read_map_settings
 
@@ -35,8 +35,8 @@ def test_a_map_in_toml_is_the_map_in_python(tmp_path):
         gyro_unit="dps",
         accel_unit="g",
         temp_unit="degC",
-        gyro_scale=Scale((1.0, 1.0, -1.0), 0.0),
-        temp_scale=Scale(0.5, 23.0),
+        gyro_scale=ChannelScale((1.0, 1.0, -1.0), 0.0),
+        temp_scale=ChannelScale(0.5, 23.0),
         sample_rate_hz=50.0,
         layout=TextLayout(delimiter="\t", header=False, skip_rows=2, drop_bad_rows=True),
         gaps="keep",

@@ -9,7 +9,7 @@ from hypothesis import given
 
 from testkit.strategies import assert_same, few, one_line, records
 from undrift.errors import FileFormatError, InputError
-from undrift.io.columns import ColumnMap, ReadSettings, Scale, TextLayout
+from undrift.io.columns import ChannelScale, ColumnMap, ReadSettings, TextLayout
 from undrift.io.text import read_csv, write_csv
 from undrift.record import Record
 
@@ -127,10 +127,10 @@ def test_units_and_scales_are_applied_as_the_map_says(tmp_path):
         time_unit="ms",
         accel=("a", "b", "c"),
         accel_unit="g",
-        accel_scale=Scale((1 / 16384, 1 / 16384, -1 / 16384), (0.0, 0.5, 0.0)),
+        accel_scale=ChannelScale((1 / 16384, 1 / 16384, -1 / 16384), (0.0, 0.5, 0.0)),
         temp="T",
         temp_unit="degC",
-        temp_scale=Scale(1 / 340, 36.53),
+        temp_scale=ChannelScale(1 / 340, 36.53),
     )
     record = read_csv(path, columns).record
     np.testing.assert_allclose(record.time, [1.0, 1.01])

@@ -27,8 +27,8 @@ from undrift.io.session import write_session
 from undrift.io.store import write_calibration
 from undrift.sim.motion.motion import Motion
 from undrift.web import bench as bench_module
-from undrift.web.bench import Bench, BenchSettings
-from undrift.web.commands import Outcome, outcome_of
+from undrift.web.bench import Bench, ServerSettings
+from undrift.web.commands import CommandOutcome, outcome_of
 
 Wrong = Mapping[str, float]  # What is wrong by how much: name with its unit -> rms or largest error
 GOOD_ENOUGH = (
@@ -202,13 +202,13 @@ async def _page(case: Case, folder: Path) -> Told:
     """Do what a page does, with commands in this process: a child process of each would say the same."""
     assert case.page is not None
 
-    async def in_process(words: Any, place: Path, heard: Callable[[str], None], **_: object) -> Outcome:
+    async def in_process(words: Any, place: Path, heard: Callable[[str], None], **_: object) -> CommandOutcome:
         with contextlib.chdir(place):
             code, out, err = _called([*words, "--json"])
         return outcome_of(code, out, err.splitlines())
 
     before, bench_module.run_command = bench_module.run_command, in_process
-    bench = Bench(BenchSettings(folder=folder / "bench"))
+    bench = Bench(ServerSettings(folder=folder / "bench"))
     try:
         await case.page(case, folder, bench)
     finally:

@@ -10,8 +10,8 @@ pytest.importorskip("nicegui")
 
 from undrift.errors import InputError
 from undrift.units import STANDARD_GRAVITY, gravity_at
-from undrift.web.bench import Bench, BenchSettings
-from undrift.web.commands import Outcome
+from undrift.web.bench import Bench, ServerSettings
+from undrift.web.commands import CommandOutcome
 from undrift.web.parts import page_words
 from undrift.web.recordings import StoredFile
 from undrift.web.start import Site, place_of, towns
@@ -21,8 +21,8 @@ FITTED = {"accel": {}, "gyro": {}, "provenance": {"settings": {"gravity": "stand
 
 @pytest.fixture
 def bench(tmp_path):
-    made = Bench(BenchSettings(folder=tmp_path / "bench"))
-    made.calls, made.answer = [], Outcome(code=0, answer=FITTED)
+    made = Bench(ServerSettings(folder=tmp_path / "bench"))
+    made.calls, made.answer = [], CommandOutcome(code=0, answer=FITTED)
 
     async def command(*words, folder=None):
         made.calls.append([str(word) for word in words])
@@ -89,11 +89,11 @@ def test_a_job_of_an_earlier_day_is_calibrated_by_the_words_it_was(bench):
 
 def test_a_calibration_without_accelerometers_is_not_used_unasked(bench):
     job = bench.new_job()
-    bench.answer = Outcome(code=0, answer={"gyro": {}, "accel": None})
+    bench.answer = CommandOutcome(code=0, answer={"gyro": {}, "accel": None})
     asyncio.run(bench.calibrate(job, "walk.csv"))
     assert job.lacks == ("accelerometers",)
     assert bench.calibration is None
-    bench.answer = Outcome(code=0, answer=FITTED)
+    bench.answer = CommandOutcome(code=0, answer=FITTED)
     asyncio.run(bench.calibrate(job, "walk.csv"))
     assert (job.lacks, bench.calibration) == ((), job.calibration)
 

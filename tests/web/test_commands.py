@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from undrift.web.commands import Outcome, outcome_of, remarks_of, run_command
+from undrift.web.commands import CommandOutcome, outcome_of, remarks_of, run_command
 
 
 def test_a_command_answers_with_its_envelope(tmp_path: Path) -> None:
@@ -63,7 +63,7 @@ def test_a_command_that_does_not_end_is_ended(tmp_path: Path) -> None:
     began = time.monotonic()
     words = ["rig", "emulate", "--speed", "1"]  # goes on until Ctrl-C
     outcome = asyncio.run(run_command(words, tmp_path, lambda line: None, longest_s=3.0))
-    assert outcome == Outcome(code=2, error="rig: wanted an end within 3 s, got none; use a shorter recording")
+    assert outcome == CommandOutcome(code=2, error="rig: wanted an end within 3 s, got none; use a shorter recording")
     assert time.monotonic() - began < 30.0
 
 

@@ -7,8 +7,8 @@ import pytest
 
 pytest.importorskip("nicegui")
 
-from undrift.web.bench import Bench, BenchSettings
-from undrift.web.commands import Outcome
+from undrift.web.bench import Bench, ServerSettings
+from undrift.web.commands import CommandOutcome
 from undrift.web.devices import state_words
 
 
@@ -21,20 +21,20 @@ class Answers:
     async def __call__(self, *words, folder=None):
         self.calls.append([str(word) for word in words])
         given = self.answers[words[1] if len(words) < 3 or "=" not in str(words[2]) else f"{words[1]}_one"]
-        return given if isinstance(given, Outcome) else Outcome(code=0, answer=given)
+        return given if isinstance(given, CommandOutcome) else CommandOutcome(code=0, answer=given)
 
 
 def row(serial, days):
     return {"serial": serial, "days_left": days, "calibration": None if days is None else {"entry": 1}, "entries": 1}
 
 
-REFUSED = Outcome(code=2, error="A17: wanted two calibrations to compare, got 1; add another")
+REFUSED = CommandOutcome(code=2, error="A17: wanted two calibrations to compare, got 1; add another")
 ENTRY = {"entry": 3, "serial": "../A 17", "kind": "calibration"}
 
 
 @pytest.fixture
 def bench(tmp_path):
-    made = Bench(BenchSettings(folder=tmp_path / "bench", registry="postgresql://lab@host/lab"))
+    made = Bench(ServerSettings(folder=tmp_path / "bench", registry="postgresql://lab@host/lab"))
     yield made
     made.close()
 
@@ -77,7 +77,7 @@ def test_what_a_command_refuses_is_shown_and_nothing_is_used(bench):
 
 
 def test_a_registry_file_that_is_not_there_yet_has_no_devices(tmp_path):
-    held = Bench(BenchSettings(folder=tmp_path / "bench", registry=str(tmp_path / "new.sqlite")))
+    held = Bench(ServerSettings(folder=tmp_path / "bench", registry=str(tmp_path / "new.sqlite")))
     asyncio.run(held.devices.load())
     assert held.devices.rows == []
     held.close()

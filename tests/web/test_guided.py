@@ -7,7 +7,7 @@ import pytest
 from testkit.guided import HandFeed
 from undrift.io.session import read_session
 from undrift.web import guided as module
-from undrift.web.bench import Bench, BenchSettings
+from undrift.web.bench import Bench, ServerSettings
 from undrift.web.guided import UNSEEN_S, begin_anew, guided_of
 from undrift.web.start import place_of
 
@@ -28,7 +28,7 @@ class Fed:
 def bench(tmp_path, monkeypatch):
     began = []
     monkeypatch.setattr(module.background_tasks, "create", lambda task, name: (task.close(), began.append(name)))
-    made = Bench(BenchSettings(folder=tmp_path))
+    made = Bench(ServerSettings(folder=tmp_path))
     made.began = began
     return made
 

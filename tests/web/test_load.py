@@ -15,7 +15,7 @@ from testkit.data import show
 from undrift.live.decoder import Chunk, decoder_for
 from undrift.web import feed as feeds
 from undrift.web.feed import Feed
-from undrift.web.source import Source
+from undrift.web.source import LiveDevice
 
 RATE, PER_READ, PER_FRAME = 200, 4, 13  # readings a second, that come together, and in a frame: fifteen frames a second
 CHANNELS = "count,gyro_x,gyro_y,gyro_z,accel_x,accel_y,accel_z,temp"
@@ -50,7 +50,7 @@ class Way:
         device = undrift.random_device(rng)
         record = undrift.simulate_trial("sit_to_stand", device, rng=rng).record
         self.rows = np.column_stack((record.gyro, record.accel, np.full(len(record), 25.0))).tolist()
-        self.source = Source(f"{ADDRESS}&gyro_unit={record.gyro_unit}&accel_unit={record.accel_unit}")
+        self.source = LiveDevice(f"{ADDRESS}&gyro_unit={record.gyro_unit}&accel_unit={record.accel_unit}")
         self.source.set_calibration(undrift.calibrate(undrift.simulate_session("bench", device, rng=rng)))
         self.description = self.source.recorder.source.description
         self.decoder = decoder_for(self.description)

@@ -24,7 +24,7 @@ from undrift.record import Record, joined
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.rig.emulator import EmulatedBenchSettings, start_bench
 from undrift.sim.rig.stream import StreamSettings
-from undrift.web.source import Source
+from undrift.web.source import LiveDevice
 
 
 @pytest.fixture
@@ -34,19 +34,19 @@ def talker() -> Iterator[TalkingDevice]:
 
 
 @pytest.fixture
-def source(talker: TalkingDevice) -> Iterator[Source]:
-    made = Source(talker.address)
+def source(talker: TalkingDevice) -> Iterator[LiveDevice]:
+    made = LiveDevice(talker.address)
     made.start()
     yield made
     made.stop()
 
 
-def seconds(source: Source) -> float:
+def seconds(source: LiveDevice) -> float:
     held = source.updates()
     return held[-1].raw.time[-1] - held[0].raw.time[0] if held else 0.0
 
 
-def test_recent_readings_are_the_newest_in_the_units_of_the_device(source: Source):
+def test_recent_readings_are_the_newest_in_the_units_of_the_device(source: LiveDevice):
     eventually(lambda: seconds(source) > 2.0, "two seconds of readings")
     record, last = source.recent(1.0), source.updates()[-1].raw
     assert (source.name, record.gyro_unit, record.accel_unit, record.device) == ("talker", "dps", "m/s2", "talker")
@@ -63,7 +63,7 @@ def test_recent_readings_are_the_newest_in_the_units_of_the_device(source: Sourc
     assert status.temp_c == pytest.approx(25.0 + 1e-4 * status.readings, abs=0.05)
 
 
-def test_lost_readings_are_counted_and_marked(source: Source, talker: TalkingDevice):
+def test_lost_readings_are_counted_and_marked(source: LiveDevice, talker: TalkingDevice):
     talker.leave_out = lambda k: k % 10 == 3
     eventually(lambda: source.status().lost >= 20, "lost readings")
     record = source.recent(1.0)
@@ -72,7 +72,7 @@ def test_lost_readings_are_counted_and_marked(source: Source, talker: TalkingDev
     np.testing.assert_allclose(np.diff(record.time), 0.005, rtol=1e-6)
 
 
-def test_a_silent_device_is_an_error_in_one_line_and_comes_back_by_itself(source: Source, talker: TalkingDevice):
+def test_a_silent_device_is_an_error_in_one_line_and_comes_back_by_itself(source: LiveDevice, talker: TalkingDevice):
     eventually(lambda: seconds(source) > 0.5, "readings")
     talker.silent = True
     eventually(lambda: source.error, "an error")
@@ -92,7 +92,7 @@ def test_a_silent_device_is_an_error_in_one_line_and_comes_back_by_itself(source
     assert np.diff(whole.time).max() == pytest.approx(gap)
 
 
-def test_a_device_that_hangs_up_is_connected_again(source: Source, talker: TalkingDevice):
+def test_a_device_that_hangs_up_is_connected_again(source: LiveDevice, talker: TalkingDevice):
     eventually(lambda: seconds(source) > 0.2, "readings")
     first = source.recorder
     talker.hang_up()
@@ -101,16 +101,18 @@ def test_a_device_that_hangs_up_is_connected_again(source: Source, talker: Talki
     assert source.error == ""
 
 
-def test_what_is_no_address_and_who_is_not_there_are_refused(source: Source):
+def test_what_is_no_address_and_who_is_not_there_are_refused(source: LiveDevice):
     with pytest.raises(InputError, match="wanted"):
-        Source("pigeon:loft")
+        LiveDevice("pigeon:loft")
     with pytest.raises(LinkError, match="check power, cable and address"):
-        Source("tcp://127.0.0.1:9?channels=gyro_x,gyro_y,gyro_z&rate=100").start()
+        LiveDevice("tcp://127.0.0.1:9?channels=gyro_x,gyro_y,gyro_z&rate=100").start()
     with pytest.raises(InputError, match="wanted a fresh one, got one that was started before; make another"):
         source.start()
 
 
-def test_a_file_holds_all_that_came_while_it_was_open(source: Source, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_a_file_holds_all_that_came_while_it_was_open(
+    source: LiveDevice, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
     monkeypatch.setattr("undrift.web.source.WRITE_EVERY_S", 0.5)
     eventually(lambda: seconds(source) > 0.2, "readings")
     path = tmp_path / "live.parquet"
@@ -131,7 +133,7 @@ def test_a_file_holds_all_that_came_while_it_was_open(source: Source, tmp_path: 
 
 
 def test_a_full_disk_ends_the_file_with_a_reason_and_the_readings_go_on(
-    source: Source, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    source: LiveDevice, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
     monkeypatch.setattr("undrift.web.source.WRITE_EVERY_S", 0.3)
     write, calls = ParquetWriter.write, []
@@ -177,7 +179,7 @@ def test_other_ways_than_a_socket_bring_the_same_readings(kind: str):
                 send(line)
                 time.sleep(0.004)
 
-        source = Source(f"{kind}:{place}?{options}")
+        source = LiveDevice(f"{kind}:{place}?{options}")
         talker = threading.Thread(target=talk)
         timer = threading.Timer(0.3, talker.start)
         timer.start()
@@ -195,7 +197,7 @@ def test_other_ways_than_a_socket_bring_the_same_readings(kind: str):
 
 
 def test_a_file_of_nothing_is_no_file(talker: TalkingDevice, tmp_path: Path):
-    source = Source(talker.address)
+    source = LiveDevice(talker.address)
     source.write_to(tmp_path / "live.parquet")
     assert source.stop_writing() is None
     assert list(tmp_path.iterdir()) == []
@@ -210,7 +212,7 @@ def test_corrected_signals_and_orientation_are_those_of_the_batch(device: Device
     calibration = calibrate(simulate_session("bench", device, rng=np.random.default_rng(1)))
     settings = EmulatedBenchSettings(device=device, stream=StreamSettings(sample_rate_hz=200.0, framing="frame"))
     with start_bench(settings) as bench:
-        source = Source(bench.device_address)
+        source = LiveDevice(bench.device_address)
         source.start()
         try:
             source.set_calibration(calibration)
@@ -231,7 +233,7 @@ def test_corrected_signals_and_orientation_are_those_of_the_batch(device: Device
         assert np.isfinite(q[-1]).all()
 
 
-def test_a_calibration_of_another_unit_leaves_the_raw_readings_and_says_why(source: Source, device: DeviceModel):
+def test_a_calibration_of_another_unit_leaves_the_raw_readings_and_says_why(source: LiveDevice, device: DeviceModel):
     calibration = calibrate(simulate_session("bench", device, rng=np.random.default_rng(1)))
     source.set_calibration(replace(calibration, gyro=replace(calibration.gyro, unit_in="count")))
     eventually(lambda: source.status().correction, "a reason")
@@ -244,7 +246,7 @@ def test_a_calibration_of_another_unit_leaves_the_raw_readings_and_says_why(sour
 
 
 def test_a_calibration_of_another_device_is_a_warning_beside_the_corrected_readings(
-    source: Source, device: DeviceModel
+    source: LiveDevice, device: DeviceModel
 ):
     made = calibrate(simulate_session("bench", device, rng=np.random.default_rng(1)))
     gyro, accel = replace(made.gyro, unit_in="dps"), replace(made.accel, unit_in="m/s2")

@@ -83,7 +83,7 @@ class Number:
 
 
 @dataclass(frozen=True, slots=True)
-class Rows:
+class TableRows:
     """Mark of a tuple of tuples of str that is a list of tables: the names of their keys."""
 
     names: tuple[str, ...]
@@ -432,7 +432,7 @@ def tree_by_keys(value: Any) -> Tree:
 def _written(held: Any, slot: Slot) -> Any:
     if held is not None:
         for mark in get_args(slot.hint)[1:]:
-            if isinstance(mark, Rows | Named):
+            if isinstance(mark, TableRows | Named):
                 return mark.tree(held)
     return _in_unit(tree_of(held), slot.key.unit)
 

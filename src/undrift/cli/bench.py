@@ -54,7 +54,7 @@ def bench(
         raise InputError(f"bench: wanted nicegui, got none ({error.name}); pip install undrift[bench]") from error
     from undrift.files import data_folder
     from undrift.web.access import LOOPBACK
-    from undrift.web.bench import BenchSettings
+    from undrift.web.bench import ServerSettings
 
     if host not in LOOPBACK and not network:
         raise InputError(
@@ -69,7 +69,7 @@ def bench(
     if not upload_mb > 0.0:
         raise InputError(f"--upload-mb: wanted more than 0, got {upload_mb:g}; state the largest file in MB")
     held = folder or data_folder() / "bench"
-    settings = BenchSettings(
+    settings = ServerSettings(
         folder=held.absolute(),
         host=host,
         port=port,

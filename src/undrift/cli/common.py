@@ -102,7 +102,7 @@ def progress() -> "Progress":
 SAID_EVERY_S = 8.0  # where stderr is not a terminal
 
 
-class Steps:
+class ProgressBar:
     """Shows how far a long command is: a bar on a terminal; elsewhere a line on stderr every 8 s, with the time left."""
 
     def __init__(self, command: str) -> None:
@@ -112,7 +112,7 @@ class Steps:
         self._began_s = time.monotonic()
         self._teller = threading.Thread(target=self._tell, daemon=True)
 
-    def __enter__(self) -> "Steps":
+    def __enter__(self) -> "ProgressBar":
         self._bar.start()
         if not sys.stderr.isatty():
             self._teller.start()
@@ -274,7 +274,7 @@ def command_of(name: str, verb: Callable[..., Result]) -> Callable[..., int]:
         check_report(report, reads=files)
         origin = None if report is None else origin_of(*files)  # before the work, which may write over what it reads
         with ExitStack() as stack:
-            result = verb(*words, **more, **({"progress": stack.enter_context(Steps(name))} if steps else {}))
+            result = verb(*words, **more, **({"progress": stack.enter_context(ProgressBar(name))} if steps else {}))
         summary = result.summary()
         if report is not None:
             from undrift.report.page import write_page

@@ -12,7 +12,7 @@ from undrift.base.options import Flag, Json, Output, Report
 from undrift.cli import examples
 from undrift.cli.common import group, say, say_over, show_verdict, write_json
 from undrift.commands.files import check_report, device_at, origin_of
-from undrift.commands.register import Register, registered_lines
+from undrift.commands.register import Registration, registered_lines
 from undrift.errors import InputError
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
@@ -50,7 +50,7 @@ def run(
     resume: bool = False,
     yes: bool = False,
     progress: Path | None = None,
-    registering: Register = Register(),
+    registering: Registration = Registration(),
     report: Report = None,
     json: Json = False,
 ) -> int:

@@ -29,7 +29,7 @@ from undrift.commands.files import (
     recording_of,
     session_of,
 )
-from undrift.commands.register import Register, registered_lines
+from undrift.commands.register import Registration, registered_lines
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
 if TYPE_CHECKING:
@@ -116,7 +116,7 @@ def calibrate(
     table: Table = Table(),
     sensitivity: Sensitivity = Sensitivity(),
     rests: Rests = Rests(),
-    registering: Register = Register(),
+    registering: Registration = Registration(),
     figure: Picture = None,
     progress: Progress = silent,
 ) -> Calibrated:

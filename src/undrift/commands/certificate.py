@@ -18,7 +18,7 @@ from undrift import __version__
 from undrift.base.options import Output, verb
 from undrift.base.summary import Drawing, Result, Summary, at
 from undrift.commands.files import check_output
-from undrift.commands.register import Register, registered_lines
+from undrift.commands.register import Registration, registered_lines
 from undrift.errors import InputError
 from undrift.findings import most_consequential_first
 from undrift.units import INHABITED_GRAVITY, RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical, si_factor
@@ -82,7 +82,7 @@ def certificate(
     /,
     *,
     output: Output,
-    registering: Register = Register(),
+    registering: Registration = Registration(),
 ) -> Certified:
     """Write a calibration certificate: results with expanded uncertainty, budget by source, traceability, limits.
 

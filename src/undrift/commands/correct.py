@@ -10,7 +10,7 @@ from undrift.base.options import Files, Output, Policy, verb
 from undrift.base.summary import Drawing, Result, Section, Summary, at
 from undrift.commands import Progress, part_of, silent
 from undrift.commands.files import Opening, calibrated_part, check_folder, check_output, name_of, named_columns
-from undrift.commands.register import Registered
+from undrift.commands.register import RegistryLookup
 from undrift.errors import InputError
 
 if TYPE_CHECKING:
@@ -120,7 +120,7 @@ def draw_corrected(path: Path) -> Any:
 def correct(
     *records: Files,
     calibration: Path | None = None,
-    registered: Registered = Registered(),
+    registered: RegistryLookup = RegistryLookup(),
     output: Output,
     policy: Policy = "raise",
     power_on_s: float | None = None,

@@ -15,7 +15,7 @@ from undrift.base.options import Files, Flag, OptionalOutput, Picture, verb
 from undrift.base.summary import NOTHING_WRITTEN, Drawing, Section, Summary, plus_minus, rows_section
 from undrift.commands import Progress, part_of, silent
 from undrift.commands.files import Opening, check_figure, check_output, recording_of, thermal_session
-from undrift.commands.register import Register, registered_lines
+from undrift.commands.register import Registration, registered_lines
 from undrift.errors import InputError
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
@@ -42,7 +42,7 @@ def drift(
     lag_s: float | None = None,
     warm_up: Flag = False,
     opening: Opening = Opening(),
-    registering: Register = Register(),
+    registering: Registration = Registration(),
     progress: Progress = silent,
 ) -> Summary:
     """Tuning tables over temperature: offsets, matrix and dynamic drift, from soaks, ramps or a warm-up.

@@ -27,7 +27,7 @@ Where: TypeAlias = Annotated[
 
 @options
 @dataclass(frozen=True, kw_only=True)
-class Register:
+class Registration:
     """Whether the result is added to the registry of devices.
 
     Parameters
@@ -72,7 +72,7 @@ class Register:
 
 @options
 @dataclass(frozen=True, kw_only=True)
-class Registered:
+class RegistryLookup:
     """A calibration that the registry knows, in place of a file.
 
     Parameters

@@ -17,13 +17,13 @@ from undrift.errors import InputError, UndriftError
 if TYPE_CHECKING:
     from undrift.registry.documents import Stated
     from undrift.registry.registry import Entry, Known
-    from undrift.registry.trend import Change, Step
+    from undrift.registry.trend import Change, TrendStep
 
 HEADS = ("entry", "kind", "serial", "made", "due", "valid (degC)", "verdict", "by", "note")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class Registered(Result):
+class RegistryListing(Result):
     """What is in the registry, or was added: entries, devices or steps from calibration to calibration."""
 
     values: tuple[Any, ...]
@@ -63,7 +63,7 @@ def add(
     supersedes: int | None = None,
     note: str = "",
     where: Where = None,
-) -> Registered:
+) -> RegistryListing:
     """Add calibrations, certificates, and folders of sessions or runs: all of them, or none. The same content is added once.
 
     Parameters
@@ -103,7 +103,7 @@ def list_held(
     serial: str | None = None,
     kind: Literal["session", "calibration", "certificate", "run"] | None = None,
     where: Where = None,
-) -> Registered:
+) -> RegistryListing:
     """List the devices with the calibration that counts, or the entries of one device or kind.
 
     Parameters
@@ -122,7 +122,7 @@ def list_held(
 
 
 @verb
-def show(entry: int, /, *, output: OptionalOutput = None, where: Where = None) -> Registered:
+def show(entry: int, /, *, output: OptionalOutput = None, where: Where = None) -> RegistryListing:
     """Show an entry, and write what it holds; a hash shows that it is as it was added.
 
     Parameters
@@ -147,7 +147,7 @@ def show(entry: int, /, *, output: OptionalOutput = None, where: Where = None) -
         sections=(Section(title="Entry", text=tuple(lines)),),
         written=(output,) if output else (),
     )
-    return Registered(values=(found,), shown=shown)
+    return RegistryListing(values=(found,), shown=shown)
 
 
 @verb
@@ -158,7 +158,7 @@ def find(
     temp_c: Annotated[float | None, Parameter(allow_leading_hyphen=True)] = None,
     output: OptionalOutput = None,
     where: Where = None,
-) -> Registered:
+) -> RegistryListing:
     """Find the calibration of a device that is valid at a date and a temperature: the newest, neither due, superseded nor bad.
 
     Parameters
@@ -181,7 +181,7 @@ def find(
 
 
 @verb
-def due(*, within_days: int = 30, where: Where = None) -> Registered:
+def due(*, within_days: int = 30, where: Where = None) -> RegistryListing:
     """List the devices to calibrate again soon, and those that are overdue or never were calibrated.
 
     Parameters
@@ -203,7 +203,7 @@ def trend(
     serial: str,
     figure: Picture = None,
     where: Where = None,
-) -> Registered:
+) -> RegistryListing:
     """Show how a device changed from each calibration to the next, with the standard uncertainty of each change.
 
     Parameters
@@ -252,10 +252,10 @@ def trend(
         ),
         written=(figure,) if figure else (),
     )
-    return Registered(values=tuple(steps), shown=shown)
+    return RegistryListing(values=tuple(steps), shown=shown)
 
 
-def step_section(step: "Step", *, every: bool = False) -> Section:
+def step_section(step: "TrendStep", *, every: bool = False) -> Section:
     """Return what changed from one calibration to the next: in words, with all but the cross-axis terms; or every one, folded."""
     cells: Cells[Change] = (
         ("parameter", lambda one: f"{one.sensor} {one.parameter}"),
@@ -273,7 +273,7 @@ def step_section(step: "Step", *, every: bool = False) -> Section:
 
 
 @verb
-def import_folder(folder: Path, /, *, about: About = About(), where: Where = None) -> Registered:
+def import_folder(folder: Path, /, *, about: About = About(), where: Where = None) -> RegistryListing:
     """Add all sessions, runs, calibrations and certificates in a folder and those below; what is refused is listed.
 
     Parameters
@@ -361,7 +361,7 @@ def _device_json(known: "Known") -> dict[str, Any]:
     }
 
 
-def _devices(title: str, known: "list[Known]", data: dict[str, Any]) -> Registered:
+def _devices(title: str, known: "list[Known]", data: dict[str, Any]) -> RegistryListing:
     """Return devices with the calibration that counts."""
     stated, rows = [_device_json(one) for one in known], list[tuple[str, ...]]()
     for one, values in zip(known, stated, strict=True):
@@ -374,22 +374,22 @@ def _devices(title: str, known: "list[Known]", data: dict[str, Any]) -> Register
 
 def _entries(
     title: str, rows: "Sequence[tuple[Entry, int | None]]", data: dict[str, Any], output: Path | None = None
-) -> Registered:
+) -> RegistryListing:
     table = Section(title="Entries", columns=HEADS, rows=tuple(_cells(*row) for row in rows))
     return _table(title, table, data, tuple(entry for entry, _ in rows), output)
 
 
 def _table(
     answer: str, table: Section, data: dict[str, Any], values: tuple[Any, ...], output: Path | None = None
-) -> Registered:
+) -> RegistryListing:
     written = (output,) if output else ()
     shown = Summary(title="Registry", answer=answer, data=data, sections=(table,), written=written)
-    return Registered(values=values, shown=shown)
+    return RegistryListing(values=values, shown=shown)
 
 
 def _added(
     entries: "list[Entry]", rows: list[dict[str, Any]], refused: list[dict[str, str]] | None = None
-) -> Registered:
+) -> RegistryListing:
     """Return what was added, and what was refused."""
     lines = (*registered_lines(rows), *(f"Refused: {one['why']}" for one in refused or ()))
     shown = Summary(
@@ -398,10 +398,10 @@ def _added(
         data={"entries": rows} | ({} if refused is None else {"refused": refused}),
         sections=(Section(title="Others", text=lines[1:]),),
     )
-    return Registered(values=tuple(entries), shown=shown)
+    return RegistryListing(values=tuple(entries), shown=shown)
 
 
-def _step_json(step: "Step") -> dict[str, Any]:
+def _step_json(step: "TrendStep") -> dict[str, Any]:
     ends = {
         name: {"entry": end.entry, "made_at": end.made_at.isoformat()}
         for name, end in (("since", step.since), ("until", step.until))

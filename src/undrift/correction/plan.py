@@ -102,7 +102,7 @@ class TableAxis:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Table:
+class LookupTable:
     """Values over temperature, or over temperature and rate."""
 
     temp: TableAxis  # temperatures, degC; of the warm-up the time since power-on, s
@@ -113,7 +113,7 @@ class Table:
     stated: FloatArray | None = None
     kind: Kind = "rate"  # what it belongs to: rate (rad/s), specific force (m/s2), or either as a share of itself
 
-    def evened(self, most: Callable[[FloatArray], int] = lambda nodes: MOST_NODES) -> "Table":
+    def evened(self, most: Callable[[FloatArray], int] = lambda nodes: MOST_NODES) -> "LookupTable":
         """Return the table with its axes filled up to even grids where there are such."""
         temp, rate, values = self.temp.evened(most(self.temp.nodes)), self.turn_rate, self.values
         if self.turn_rate is not None:
@@ -132,15 +132,15 @@ class Constants:
     offset: FloatArray  # (3,), unit of the readings; less half a step where codes are rounded down
     half_step: FloatArray | None = None  # (3,), unit of the readings; None unless codes are cut off toward zero
     g_sensitivity: FloatArray | None = None  # (3, 3), rad/s per m/s2
-    offset_table: Table | None = None  # in the same units
-    matrix_table: Table | None = None
-    error_table: Table | None = None
+    offset_table: LookupTable | None = None  # in the same units
+    matrix_table: LookupTable | None = None
+    error_table: LookupTable | None = None
     # extra offset over the time since power-on, s, in the place of the temperature; zero from its last node on
-    warm_up_table: Table | None = None
-    loop_table: Table | None = None  # half-width of the hysteresis
+    warm_up_table: LookupTable | None = None
+    loop_table: LookupTable | None = None  # half-width of the hysteresis
 
     @property
-    def tables(self) -> list[Table]:
+    def tables(self) -> list[LookupTable]:
         """Those over temperature that are looked up for each sample."""
         return [t for t in (self.offset_table, self.matrix_table, self.error_table) if t is not None]
 
@@ -186,11 +186,11 @@ def _input_factor(model: TriadModel, unit: str, sensor: Sensor, quantity: Quanti
     return si_factor(unit, quantity) / si_factor(model.unit_in, quantity)
 
 
-def _line(nodes: FloatArray, values: FloatArray, stated: FloatArray | None = None, kind: Kind = "rate") -> Table:
-    return Table(temp=TableAxis(nodes=nodes), values=values, stated=stated, kind=kind)
+def _line(nodes: FloatArray, values: FloatArray, stated: FloatArray | None = None, kind: Kind = "rate") -> LookupTable:
+    return LookupTable(temp=TableAxis(nodes=nodes), values=values, stated=stated, kind=kind)
 
 
-def _offset_table(triad: Triad, model: TriadModel, factor: float, shift: FloatArray) -> Table | None:
+def _offset_table(triad: Triad, model: TriadModel, factor: float, shift: FloatArray) -> LookupTable | None:
     offsets = triad.offsets
     if offsets is None:
         return None
@@ -201,7 +201,7 @@ def _offset_table(triad: Triad, model: TriadModel, factor: float, shift: FloatAr
     return _line(offsets.temp_c, offsets.value / factor - shift, _stated(offsets.extrapolated, u), kind)
 
 
-def _matrix_table(triad: Triad, model: TriadModel, factor: float) -> Table | None:
+def _matrix_table(triad: Triad, model: TriadModel, factor: float) -> LookupTable | None:
     matrices = triad.matrices
     if matrices is None:
         return None
@@ -212,8 +212,8 @@ def _matrix_table(triad: Triad, model: TriadModel, factor: float) -> Table | Non
     return _line(matrices.temp_c, flat, _stated(matrices.extrapolated, u), "scale")
 
 
-def _error_table(errors: DynamicDrift) -> Table:
-    return Table(
+def _error_table(errors: DynamicDrift) -> LookupTable:
+    return LookupTable(
         temp=TableAxis(nodes=errors.temp_c),
         turn_rate=TableAxis(nodes=errors.turn_rate),
         values=errors.error,
@@ -289,7 +289,7 @@ class MarkedTable:
     kind: Kind
     temp: "Grid"
     rate: "Grid | None"
-    stated: FloatArray  # (halves,), as in ``Table``
+    stated: FloatArray  # (halves,), as in ``LookupTable``
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -360,14 +360,14 @@ def _cells_of(constants: Constants) -> "Tables":
     return Tables(offset[1], offset[0], matrix[1], matrix[0], error[2], error[0], error[1])
 
 
-def line_cells(table: Table) -> "tuple[Grid, FloatArray]":
+def line_cells(table: LookupTable) -> "tuple[Grid, FloatArray]":
     """Return the grid of a table over one axis and its cell coefficients, (cells * c * 2,)."""
     table = table.evened()
     cells = np.stack((table.values[:-1], np.diff(table.values, axis=0)), axis=-1)
     return table.temp.grid, cells.reshape(-1)
 
 
-def plane_cells(table: Table) -> "tuple[Grid, Grid, FloatArray]":
+def plane_cells(table: LookupTable) -> "tuple[Grid, Grid, FloatArray]":
     """Return the grids of a table over two axes and its cell coefficients, (temperature cells * rate cells * c * 4,)."""
     table = table.evened()
     values, over_rate = table.values, np.diff(table.values, axis=1)
@@ -375,7 +375,7 @@ def plane_cells(table: Table) -> "tuple[Grid, Grid, FloatArray]":
     return table.temp.grid, (table.turn_rate or table.temp).grid, np.stack(parts, axis=-1).reshape(-1)
 
 
-def _marked(table: Table, stated: FloatArray) -> MarkedTable:
+def _marked(table: LookupTable, stated: FloatArray) -> MarkedTable:
     """The halves of a table's own nodes: what is filled in between them draws on the same two."""
     temp, rate, halves = table.temp.evened(len(table.temp.nodes)).grid, None, _halves(stated)
     if table.turn_rate is not None:

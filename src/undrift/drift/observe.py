@@ -65,7 +65,7 @@ class ObserveSettings:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Rows:
+class StretchMeans:
     """Means over stretches of thermal sessions, n rows."""
 
     session: IntArray  # (n,), which session, from 0
@@ -92,7 +92,7 @@ class Rows:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class RestBlocks(Rows):
+class RestBlocks(StretchMeans):
     """Means over blocks of rest, n rows in the order of session and time."""
 
     pose: IntArray  # (n,), which orientation; numbers are not shared by sessions
@@ -105,7 +105,7 @@ class RestBlocks(Rows):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class RateSteps(Rows):
+class RateSteps(StretchMeans):
     """Means over dwells at a steady rate, n rows in the order of session and time."""
 
     soak: IntArray  # (n,), dwells of one number were made at one temperature

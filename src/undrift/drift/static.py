@@ -71,7 +71,7 @@ class StaticSettings:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Loop:
+class HysteresisLoop:
     """Hysteresis."""
 
     half: FloatArray  # (3,), h: offset while cooling minus offset while warming, over two, raw unit
@@ -84,7 +84,7 @@ class OffsetCurve:
 
     spline: SmoothSpline  # the middle curve
     cells: Cells  # what it was fitted to
-    loop: Loop | None  # hysteresis, significant or not; None where it does not show
+    loop: HysteresisLoop | None  # hysteresis, significant or not; None where it does not show
     kept_loop: bool  # whether the loop is part of the model
     choice: LoopChoice | None  # how it is corrected, gyroscopes; None where that was not tried
     warm_up: WarmUp | None  # where it was asked for and observable
@@ -350,8 +350,8 @@ def fit_curve(offsets: Offsets, *, warm_up: bool, lag_doubt_s: float | None = No
     )
 
 
-def _loop_of(spline: SmoothSpline) -> Loop:
-    return Loop(half=spline.coefficient[0], uncertainty=spline.coefficient_uncertainty[0])
+def _loop_of(spline: SmoothSpline) -> HysteresisLoop:
+    return HysteresisLoop(half=spline.coefficient[0], uncertainty=spline.coefficient_uncertainty[0])
 
 
 def _missed(spline: SmoothSpline, cells: Cells, ramp_c_per_s: FloatArray, lag_doubt_s: float) -> FloatArray:

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from undrift.arrays import FloatArray, IntArray
-from undrift.correction.plan import Constants, Table, TableAxis, constants_of
+from undrift.correction.plan import Constants, LookupTable, TableAxis, constants_of
 from undrift.errors import InputError
 from undrift.export import ExportOptions, Target
 from undrift.export.firmware import (
@@ -261,7 +261,7 @@ def _environment() -> Any:
     )
 
 
-def _axes(table: Table | FixedTable, what: str = "") -> list[tuple[str, Any]]:
+def _axes(table: LookupTable | FixedTable, what: str = "") -> list[tuple[str, Any]]:
     return [
         ("since" if what == "warm_up_table" else "temp", table.temp),
         *([("rate", table.turn_rate)] if table.turn_rate is not None else []),
@@ -312,7 +312,7 @@ def _header(
     return str(_environment().get_template("undrift.h.j2").render(about, comment=comment))
 
 
-def _span(tables: list[Table]) -> str:
+def _span(tables: list[LookupTable]) -> str:
     if not tables:
         return "without a table"
     low, high = max(t.temp.start for t in tables), min(t.temp.stop for t in tables)

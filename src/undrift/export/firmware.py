@@ -14,7 +14,7 @@ from typing import Any, Literal
 import numpy as np
 
 from undrift.arrays import FloatArray, IntArray
-from undrift.correction.plan import Constants, Table, TableAxis, constants_of
+from undrift.correction.plan import Constants, LookupTable, TableAxis, constants_of
 from undrift.errors import InputError
 from undrift.model import SENSORS, Calibration
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
@@ -22,7 +22,7 @@ from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 TABLES = ("offset_table", "matrix_table", "error_table", "warm_up_table")
 
 
-def named_tables(constants: Constants) -> list[tuple[str, Table]]:
+def named_tables(constants: Constants) -> list[tuple[str, LookupTable]]:
     """Return the tables that firmware has, by name."""
     return [(name, getattr(constants, name)) for name in TABLES if getattr(constants, name) is not None]
 
@@ -178,7 +178,7 @@ def fixed_triad(
     )
 
 
-def fixed_table(table: Table, bits: int) -> FixedTable:
+def fixed_table(table: LookupTable, bits: int) -> FixedTable:
     """Return a table in integers."""
     flat = table.values.reshape(-1, table.values.shape[-1])
     middle, half = (flat.max(axis=0) + flat.min(axis=0)) / 2.0, np.ptp(flat, axis=0) / 2.0

@@ -34,7 +34,7 @@ import numpy as np
 
 from undrift.arrays import FloatArray, interpolated
 from undrift.calibration.noise import NoiseFit
-from undrift.correction.plan import Constants, Table
+from undrift.correction.plan import Constants, LookupTable
 from undrift.errors import FileFormatError, InputError
 from undrift.export import Target
 from undrift.export.firmware import triads_of
@@ -80,7 +80,7 @@ def pair_at(calibration: Calibration, temp_c: float | None = None) -> ConstantPa
 
 
 def _at(triad: Constants, temp: float) -> Constants:
-    def read(table: Table) -> FloatArray:
+    def read(table: LookupTable) -> FloatArray:
         return interpolated(temp, table.temp.nodes, table.values)
 
     offset, matrix = triad.offset_table, triad.matrix_table

@@ -24,9 +24,9 @@ from undrift.io.columns import (
     READ_SETTINGS,
     Column,
     ColumnMap,
+    RawTable,
     ReadResult,
     ReadSettings,
-    Table,
     build_record,
     native_map,
     stated,
@@ -141,7 +141,7 @@ def mat_names(path: str | Path) -> set[str]:
         return set()
 
 
-def table_of_arrays(arrays: Arrays, path: str | Path, wanted: tuple[Column, ...]) -> Table:
+def table_of_arrays(arrays: Arrays, path: str | Path, wanted: tuple[Column, ...]) -> RawTable:
     """Return the arrays that are as long as the first wanted one, as a table."""
     lengths = {name: len(array) for name, array in arrays if array.ndim in (1, 2)}
     lengths |= {f"{name}[{k}]": len(array) for name, array in arrays if array.ndim == 2 for k in range(array.shape[1])}
@@ -158,7 +158,7 @@ def table_of_arrays(arrays: Arrays, path: str | Path, wanted: tuple[Column, ...]
     for name, array in arrays:
         if array.ndim in (1, 2) and len(array) == length:
             found |= {name: array} if array.ndim == 1 else {f"{name}[{k}]": array[:, k] for k in range(array.shape[1])}
-    return Table(source=str(path), names=tuple(found), columns=tuple(found.values()))
+    return RawTable(source=str(path), names=tuple(found), columns=tuple(found.values()))
 
 
 def _flat(prefix: str, value: Any) -> list[tuple[str, NDArray[Any]]]:

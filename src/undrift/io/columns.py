@@ -1,6 +1,6 @@
 """From the named columns of a file to a Record: which column is which channel, its unit, and every check that a reader owes.
 
-    value = gain * cell + offset          then the unit is applied; gain 1 and offset 0 unless a Scale is given
+    value = gain * cell + offset          then the unit is applied; gain 1 and offset 0 unless a ChannelScale is given
 
 Nothing is guessed: a foreign file needs a ColumnMap. A file with undrift's own column names (``time_s``, ``gyro_x_dps``,
 ``accel_y_m_s2``, ``temp_c``, ``mag_z_ut``, ...) needs none: :func:`native_map` recognises exactly those.
@@ -44,7 +44,7 @@ TEMP_SUFFIX = {"degc": "c", "lm335_v": "lm335_v", "count": "count", "v": "v"}
 
 
 @dataclass(frozen=True, slots=True)
-class Scale:
+class ChannelScale:
     """A linear conversion of one channel: value = gain * cell + offset."""
 
     # Unit of the channel per unit of the file; three for axes that differ in scale or sign
@@ -124,10 +124,10 @@ class ColumnMap:
     accel_unit: str = ""
     temp_unit: str = ""
     mag_unit: str = ""
-    gyro_scale: Scale | None = None  # Conversions from the file's numbers to those units
-    accel_scale: Scale | None = None
-    temp_scale: Scale | None = None
-    mag_scale: Scale | None = None
+    gyro_scale: ChannelScale | None = None  # Conversions from the file's numbers to those units
+    accel_scale: ChannelScale | None = None
+    temp_scale: ChannelScale | None = None
+    mag_scale: ChannelScale | None = None
     temp_trim: Trim | None = None  # Of an LM335, where ``temp_unit`` is "lm335_v"
     sample_rate_hz: float | None = None  # Hz. Never defaulted; beside a time column it is checked against it
     layout: TextLayout = field(default_factory=TextLayout)  # For text files
@@ -317,7 +317,7 @@ def _native_triple(names: Names, channel: str, suffixes: dict[str, str]) -> tupl
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Table:
+class RawTable:
     """Columns of one file."""
 
     source: str  # File, for the errors
@@ -365,7 +365,7 @@ def is_date(cell: str) -> bool:
     return _DATE.fullmatch(cell.strip().strip('"')) is not None
 
 
-def in_seconds(table: Table, column: Column) -> Table:
+def in_seconds(table: RawTable, column: Column) -> RawTable:
     """Return the table with a column of dates as s from the first; years first, time zones passed over."""
     at = table.position(column)
     values = table.columns[at]
@@ -443,7 +443,7 @@ class ReadResult:
     clock: ClockFit | None = None  # Where a regular clock was fitted
 
 
-def build_record(table: Table, columns: ColumnMap) -> ReadResult:
+def build_record(table: RawTable, columns: ColumnMap) -> ReadResult:
     """Return the record that a table holds, every value checked."""
     if len(table) < 2:
         raise FileFormatError(f"{table.source}: wanted two rows or more, got {len(table)}; the file holds no recording")
@@ -482,7 +482,7 @@ def _never_back(time: FloatArray, columns: ColumnMap) -> BoolArray | None:
     return None if keep.all() or not columns.repair_time else keep
 
 
-def _regular(table: Table, time: FloatArray, keep: BoolArray | None, columns: ColumnMap) -> ClockFit | None:
+def _regular(table: RawTable, time: FloatArray, keep: BoolArray | None, columns: ColumnMap) -> ClockFit | None:
     """Fit a regular clock, by the device's counter where one is mapped; without a time column the counter shows the gaps."""
     counter = None if columns.counter is None else table.numbers(columns.counter)
     counter = counter if counter is None or keep is None else counter[keep]
@@ -494,10 +494,10 @@ def _regular(table: Table, time: FloatArray, keep: BoolArray | None, columns: Co
         raise type(error)(f"{table.source}: {error}", **error.numbers) from error
 
 
-def _channel(table: Table, columns: ColumnMap, channel: Channel) -> FloatArray:
+def _channel(table: RawTable, columns: ColumnMap, channel: Channel) -> FloatArray:
     """Return the scaled values of one channel, shape (N, 1 or 3), in the unit that Record wants."""
     wanted, unit = columns.columns_of(channel), columns.unit_of(channel)
-    scale: Scale = getattr(columns, f"{channel}_scale") or Scale()
+    scale: ChannelScale = getattr(columns, f"{channel}_scale") or ChannelScale()
     if len(wanted) == 1 and channel != "temp":  # a two-dimensional array of an npz or mat file
         wanted = tuple(f"{wanted[0]}[{k}]" for k in range(3))
         if wanted[2] not in table.names or f"{columns.columns_of(channel)[0]}[3]" in table.names:
@@ -518,7 +518,7 @@ def _channel(table: Table, columns: ColumnMap, channel: Channel) -> FloatArray:
     return out
 
 
-def _lm335(table: Table, columns: ColumnMap, column: Column, scale: Scale) -> FloatArray:
+def _lm335(table: RawTable, columns: ColumnMap, column: Column, scale: ChannelScale) -> FloatArray:
     """Return the temperature by an LM335's voltage, trimmed, shape (N, 1), degC."""
     volts, name = scale.applied(table.numbers(column), 0), table.names[table.position(column)]
     _check_gaps(table, name, volts, columns)
@@ -536,7 +536,7 @@ def _lm335(table: Table, columns: ColumnMap, column: Column, scale: Scale) -> Fl
     return (kelvin + temp_offset("lm335_v"))[:, None]
 
 
-def _check_values(table: Table, name: str, values: FloatArray, limit: float, unit: str, columns: ColumnMap) -> None:
+def _check_values(table: RawTable, name: str, values: FloatArray, limit: float, unit: str, columns: ColumnMap) -> None:
     low, high = float(values.min()), float(values.max())  # NaN passes through both
     if low >= -limit and high <= limit:
         return
@@ -558,7 +558,7 @@ def _other_unit(wild: FloatArray, unit: str) -> str:
     return ": is the gyroscope in mdeg/s, not deg/s, or in counts?" if unit == "dps" else ""
 
 
-def _check_gaps(table: Table, name: str, values: FloatArray, columns: ColumnMap) -> BoolArray:
+def _check_gaps(table: RawTable, name: str, values: FloatArray, columns: ColumnMap) -> BoolArray:
     """Return where a column has gaps; raise where there are any and the map refuses them."""
     gap = np.isnan(values)
     if gap.any() and columns.gaps == "raise":
@@ -575,7 +575,7 @@ def _check_gaps(table: Table, name: str, values: FloatArray, columns: ColumnMap)
     return gap
 
 
-def _time(table: Table, columns: ColumnMap) -> FloatArray:
+def _time(table: RawTable, columns: ColumnMap) -> FloatArray:
     if columns.time is None:
         rows = np.arange(len(table)) if table.rows is None else table.rows - table.rows[0]
         return rows / (columns.sample_rate_hz or np.nan)  # ColumnMap has seen to it that the rate is there
@@ -592,7 +592,7 @@ def _time(table: Table, columns: ColumnMap) -> FloatArray:
     return time if factor == 1.0 else time * factor
 
 
-def _forward(table: Table, time: FloatArray, columns: ColumnMap) -> BoolArray | None:
+def _forward(table: RawTable, time: FloatArray, columns: ColumnMap) -> BoolArray | None:
     """Return the rows whose time goes forward, None when all do."""
     steps = np.diff(time)
     if (steps > 0.0).all():
@@ -615,7 +615,7 @@ def _forward(table: Table, time: FloatArray, columns: ColumnMap) -> BoolArray | 
     )
 
 
-def _check_rate(table: Table, time: FloatArray, columns: ColumnMap) -> None:
+def _check_rate(table: RawTable, time: FloatArray, columns: ColumnMap) -> None:
     if columns.time is None or len(time) < 2:
         return
     stated = columns.sample_rate_hz

@@ -37,7 +37,7 @@ from undrift.errors import FileFormatError, InputError
 from undrift.files import first_line, read_bytes
 from undrift.io.arrays import mat_arrays
 from undrift.io.box import boxed, load
-from undrift.io.columns import AXES, ColumnMap, ReadResult, ReadSettings, Table, build_record
+from undrift.io.columns import AXES, ColumnMap, RawTable, ReadResult, ReadSettings, build_record
 from undrift.io.labelled import EPOCH_S
 from undrift.units import canonical_unit
 
@@ -82,7 +82,7 @@ def build(
         held |= dict(zip(names, np.asarray(values, dtype=np.float64).reshape(len(time), -1).T, strict=True))
         columns |= {channel: names[0] if channel == "temp" else names, f"{channel}_unit": unit}
     columns |= {"gaps": settings.gaps or "raise", "repair_time": settings.repair_time}
-    table = Table(source=str(path), names=tuple(held), columns=tuple(held.values()))
+    table = RawTable(source=str(path), names=tuple(held), columns=tuple(held.values()))
     return replace(build_record(table, ColumnMap(time="time_s", time_unit="s", **columns)), notes=notes)
 
 
@@ -173,7 +173,7 @@ def read_xdf(path: Path, columns: Columns, settings: ReadSettings) -> ReadResult
         f"{float(info['nominal_srate'][0]):g} Hz"
     )
     if columns is not None:
-        table = Table(source=str(path), names=(*labels, "time_s"), columns=(*values.T, time))
+        table = RawTable(source=str(path), names=(*labels, "time_s"), columns=(*values.T, time))
         return replace(build_record(table, columns), notes=(note,))
     found: Channels = {}
     for channel, pattern in _CHANNEL.items():

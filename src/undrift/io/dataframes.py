@@ -11,8 +11,8 @@ from undrift.io.columns import (
     CHANNELS,
     ColumnMap,
     Gaps,
+    RawTable,
     ReadSettings,
-    Table,
     build_record,
     is_native,
     marks_of,
@@ -47,14 +47,14 @@ def read_frame(
             raise InputError(
                 f"from_frame: wanted {what} of {', '.join(CHANNELS)}, got {', '.join(unknown)}; name the channels so"
             )
-    held, index, marks = _columns_of(frame)
-    time, native = dict(columns or NAMES).get("time"), columns is None and is_native(tuple(held))
-    if sample_rate_hz is None and "time_s" not in held and time not in held and index is not None and _is_clock(index):
+    data, index, marks = _columns_of(frame)
+    time, native = dict(columns or NAMES).get("time"), columns is None and is_native(tuple(data))
+    if sample_rate_hz is None and "time_s" not in data and time not in data and index is not None and _is_clock(index):
         time = "time_s" if native else str(time or "time")
-        held[time] = index.to_series()
+        data[time] = index.to_series()
         columns = None if columns is None else {**columns, "time": time}
-    dated = [name for name, values in held.items() if values.dtype.kind in "Mm" or hasattr(values.dtype, "tz")]
-    table = Table(source=SOURCE, names=tuple(held), columns=tuple(_numbers(held[name], name in dated) for name in held))
+    dated = [name for name, values in data.items() if values.dtype.kind in "Mm" or hasattr(values.dtype, "tz")]
+    table = RawTable(source=SOURCE, names=tuple(data), columns=tuple(_numbers(x, k in dated) for k, x in data.items()))
     if native:
         found = native_map(table.names, ReadSettings(sample_rate_hz=sample_rate_hz, gaps=gaps), source=SOURCE)
     else:

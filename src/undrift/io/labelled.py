@@ -22,11 +22,11 @@ from undrift.files import read_bytes
 from undrift.io.columns import (
     AXES,
     QUANTITY,
+    ChannelScale,
     ColumnMap,
+    RawTable,
     ReadResult,
     ReadSettings,
-    Scale,
-    Table,
     TextLayout,
     build_record,
     in_seconds,
@@ -83,14 +83,14 @@ class Sheet:
         found = re.search(pattern, "\n".join(self.preamble), re.IGNORECASE | re.MULTILINE)
         return found.group(1).strip() if found else None
 
-    def columns(self, *positions: int, drop_bad_rows: bool = False) -> Table:
+    def columns(self, *positions: int, drop_bad_rows: bool = False) -> RawTable:
         """Parse the rows; the columns named hold numbers."""
         layout = replace(self.layout, drop_bad_rows=drop_bad_rows)
         head = self.rows[: 1 << 20]
         text = Text(path=self.path, content=self.rows, head=head, names=self.names, layout=layout, skip=0, mark="")
         return parse_text(text, positions)
 
-    def counted(self, table: Table) -> tuple[FloatArray, tuple[str, ...]]:
+    def counted(self, table: RawTable) -> tuple[FloatArray, tuple[str, ...]]:
         """Return the time that the counters of a parsed table state, s, and what the clock notes."""
         counts = [table.numbers(k) for k in self.counters]
         for k, held in zip(self.counters, counts, strict=True):
@@ -436,7 +436,7 @@ def _temperature(sheet: Sheet, sensor: str | None) -> int | None:
 
 def _time(
     sheet: Sheet, first: Label | None, settings: ReadSettings, positions: list[int]
-) -> tuple[FloatArray | None, Table, tuple[str, ...]]:
+) -> tuple[FloatArray | None, RawTable, tuple[str, ...]]:
     """Return the time in s, from 0 where the clock counts from 1970, the parsed columns, and what the clock noted."""
     own = first.time if first else None
     stated = next((k for k, x in enumerate(sheet.labels) if x and x.channel == "time" and x.unit), None)
@@ -457,15 +457,15 @@ def _time(
     return (cells - (cells[0] if epoch else 0.0)) * factor, table, ()
 
 
-def _timed(table: Table, time: FloatArray | None) -> Table:
+def _timed(table: RawTable, time: FloatArray | None) -> RawTable:
     if time is None:
         return table
     return replace(table, names=(*table.names, _TIME), columns=(*table.columns, time))
 
 
 def _trimmed(
-    table: Table, time: FloatArray | None, chosen: Mapping[str, tuple[int, ...]]
-) -> tuple[Table, tuple[str, ...]]:
+    table: RawTable, time: FloatArray | None, chosen: Mapping[str, tuple[int, ...]]
+) -> tuple[RawTable, tuple[str, ...]]:
     """Cut the rows that a slower channel does not fill, and the zeros with which it starts."""
     wanted = {k for columns in chosen.values() for k in columns}
     values = np.stack([table.numbers(k) for k in sorted(wanted)], axis=1)
@@ -486,7 +486,7 @@ def _channels(sheet: Sheet, chosen: Mapping[str, tuple[int, ...]], temp: int | N
         if label is not None:
             keys[f"{channel}_unit"] = label.unit
             if label.gain != 1.0:
-                keys[f"{channel}_scale"] = Scale(gain=label.gain)
+                keys[f"{channel}_scale"] = ChannelScale(gain=label.gain)
         if channel != "temp":
             keys[channel] = columns
     return keys

@@ -21,9 +21,9 @@ from undrift.io.columns import (
     KIND,
     READ_SETTINGS,
     ColumnMap,
+    RawTable,
     ReadResult,
     ReadSettings,
-    Table,
     build_record,
     marks_of,
     native_columns,
@@ -155,7 +155,7 @@ def parquet_names(path: str | Path) -> tuple[str, ...]:
 
 
 @boxed("pyarrow.parquet")
-def read_parquet_table(path: str | Path) -> Table:
+def read_parquet_table(path: str | Path) -> RawTable:
     """Return the columns of a Parquet file as they are."""
     with _open(path) as handle:
         return _table(path, _whole(path, handle))
@@ -212,8 +212,8 @@ def _batches(path: str | Path, handle: Any, rows: int) -> Iterator[Any]:
     yield pa.Table.from_batches(held, schema=handle.schema_arrow)
 
 
-def _table(path: str | Path, table: Any) -> Table:
-    return Table(source=str(path), names=tuple(table.column_names), columns=tuple(table.columns))
+def _table(path: str | Path, table: Any) -> RawTable:
+    return RawTable(source=str(path), names=tuple(table.column_names), columns=tuple(table.columns))
 
 
 def _native_map(path: Path, handle: Any, settings: ReadSettings) -> ColumnMap:

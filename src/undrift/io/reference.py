@@ -31,7 +31,7 @@ from undrift.errors import FileFormatError, InputError
 from undrift.files import read_bytes
 from undrift.frames import quaternion_conjugate, quaternion_product, rotate
 from undrift.io.arrays import Arrays, table_of_arrays
-from undrift.io.columns import Column, Table, TextLayout, is_number
+from undrift.io.columns import Column, RawTable, TextLayout, is_number
 from undrift.io.labelled import Sheet, as_utf8
 from undrift.io.mocap import Markers, Up, fit_cluster, level_from, markers_of
 from undrift.io.parquet import read_parquet_table
@@ -303,7 +303,7 @@ def _native_map(path: Path, names: tuple[str, ...]) -> ReferenceMap:
     return found
 
 
-def _poses(table: Table, columns: ReferenceMap, path: Path) -> Reference:
+def _poses(table: RawTable, columns: ReferenceMap, path: Path) -> Reference:
     def read(names: tuple[Column, ...]) -> FloatArray:
         values = np.stack([table.numbers(name) for name in names], axis=1)
         values[np.isnan(values).any(axis=1)] = np.nan

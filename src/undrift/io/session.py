@@ -68,7 +68,7 @@ from undrift.base.codec import (
 from undrift.errors import FileFormatError, InputError
 from undrift.files import checked_file, sha256_of
 from undrift.io.box import one_box
-from undrift.io.columns import Clock, ColumnMap, Gaps, ReadSettings, Scale, TempFile, TextLayout, Trim
+from undrift.io.columns import ChannelScale, Clock, ColumnMap, Gaps, ReadSettings, TempFile, TextLayout, Trim
 from undrift.io.formats import read_record
 from undrift.io.parquet import write_parquet
 from undrift.io.text import open_text, parse_text
@@ -99,13 +99,13 @@ ROW_S = 60.0  # from row to row of a table of set-points without times
 _LAYOUT = {"delimiter", "header", "skip_rows", "decimal"}
 
 
-class Entry(BaseModel):
+class TomlTable(BaseModel):
     """A TOML table: unknown keys are an error, and nothing is converted on the quiet."""
 
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
 
 
-class ColumnsEntry(Entry):
+class ColumnsEntry(TomlTable):
     """Which column is which channel: a name in the header, or a position from 0."""
 
     time: str | int | None = None  # Time column
@@ -116,7 +116,7 @@ class ColumnsEntry(Entry):
     counter: str | int | None = None  # The device's own counter of samples, for clock = "regular"
 
 
-class UnitsEntry(Entry):
+class UnitsEntry(TomlTable):
     """The unit of each mapped channel; needed for each that is mapped."""
 
     time: str = ""  # Any spelling of :mod:`undrift.units`
@@ -126,14 +126,14 @@ class UnitsEntry(Entry):
     mag: str = ""
 
 
-class LinearEntry(Entry):
+class LinearEntry(TomlTable):
     """A linear conversion: value = gain * cell + offset."""
 
     gain: float | list[float] = 1.0  # Unit of the channel per unit of the file
     offset: float | list[float] = 0.0  # In the unit of the channel
 
 
-class ScaleEntry(Entry):
+class ScaleEntry(TomlTable):
     """Conversions by channel."""
 
     gyro: LinearEntry | None = None  # From the file's numbers to the unit stated
@@ -142,14 +142,14 @@ class ScaleEntry(Entry):
     mag: LinearEntry | None = None
 
 
-class TrimEntry(Entry):
+class TrimEntry(TomlTable):
     """One-point trim of an LM335."""
 
     reads_c: float  # By its voltage, degC
     true_c: float  # True temperature, degC
 
 
-class TempFileEntry(Entry):
+class TempFileEntry(TomlTable):
     """A thermometer's file of its own."""
 
     file: str  # Text table, beside the map
@@ -164,7 +164,7 @@ class TempFileEntry(Entry):
     decimal: str = "."  # "." or ","
 
 
-class SetPointsEntry(Entry):
+class SetPointsEntry(TomlTable):
     """Columns of a table in which each row is the mean over a set-point, as chamber software writes it."""
 
     count: str | int | None = None  # Readings in each mean
@@ -179,7 +179,7 @@ class SetPointsEntry(Entry):
     rate_unit: str = "dps"  # Any spelling of :mod:`undrift.units`
 
 
-class MapEntry(Entry):
+class MapEntry(TomlTable):
     """All that a reader needs to know about a foreign file; each key as in :class:`undrift.io.columns.ColumnMap`."""
 
     sample_rate_hz: float | None = None  # Hz; required when there is no time column
@@ -274,13 +274,13 @@ def _columns(channel: str, value: Any) -> Any:
     return value if channel in ("time", "temp", "counter") or value is None else (value,)
 
 
-def _scale(entry: LinearEntry | None, channel: str) -> Scale | None:
+def _scale(entry: LinearEntry | None, channel: str) -> ChannelScale | None:
     if entry is None:
         return None
     for value in (entry.gain, entry.offset):
         if isinstance(value, list) and (len(value) != 3 or channel == "temp"):
             raise InputError(f"scale.{channel}: wanted one number or three for x, y, z, got {len(value)}")
-    return Scale(**{key: tuple(value) if isinstance(value, list) else value for key, value in entry})
+    return ChannelScale(**{key: tuple(value) if isinstance(value, list) else value for key, value in entry})
 
 
 # ---- a map as a value: of a file of TOML with the choices of a call, as a session and a calibration keep it

@@ -27,9 +27,9 @@ from undrift.io.columns import (
     READ_SETTINGS,
     Column,
     ColumnMap,
+    RawTable,
     ReadResult,
     ReadSettings,
-    Table,
     TextLayout,
     build_record,
     find_column,
@@ -198,18 +198,18 @@ def _is_row(names: tuple[str, ...], decimal: str) -> bool:
     return len(cells) > 1 and len(cells) >= len(names) - 1 and bool((np.diff(cells) != 1.0).any())
 
 
-def parse_text(text: Text, wanted: tuple[Column, ...]) -> Table:
+def parse_text(text: Text, wanted: tuple[Column, ...]) -> RawTable:
     """Parse the rows of a text table."""
     import pyarrow as pa
 
     positions = [find_column(text.names, column, str(text.path)) for column in wanted]
     if not any(line.strip() for line in text.head.splitlines()[text.skip :]):
-        return Table(source=str(text.path), names=text.names, columns=tuple(np.empty(0) for _ in text.names))
+        return RawTable(source=str(text.path), names=text.names, columns=tuple(np.empty(0) for _ in text.names))
     try:
         parsed = _parsed(text, {str(i): pa.float64() for i in positions}, block_size=1 << 22)
     except pa.ArrowInvalid:
         return _parse_by_row(text, positions)
-    return Table(source=str(text.path), names=text.names, columns=tuple(parsed.columns))
+    return RawTable(source=str(text.path), names=text.names, columns=tuple(parsed.columns))
 
 
 def _parsed(text: Text, types: dict[str, Any], *, bad_row: Any = None, **reading: Any) -> Any:
@@ -231,7 +231,7 @@ def _parsed(text: Text, types: dict[str, Any], *, bad_row: Any = None, **reading
     )
 
 
-def _parse_by_row(text: Text, positions: list[int]) -> Table:
+def _parse_by_row(text: Text, positions: list[int]) -> RawTable:
     """Find the bad rows, and drop them or name the first."""
     import pyarrow as pa
     from pyarrow import compute as pc
@@ -283,7 +283,7 @@ def _parse_by_row(text: Text, positions: list[int]) -> Table:
         clean = pc.if_else(pa.array(fine), cells, None)
         columns[i] = pc.cast(pc.utf8_trim_whitespace(pc.cast(clean, pa.string())), pa.float64())
     mask = pa.array(good)
-    return Table(
+    return RawTable(
         source=str(text.path),
         names=text.names,
         columns=tuple(column.filter(mask) for column in columns),

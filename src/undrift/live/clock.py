@@ -43,7 +43,7 @@ class ClockSettings:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ClockFit:
+class ClockLine:
     """A line between two clocks."""
 
     device_zero: float  # A point on it, s and s
@@ -106,7 +106,7 @@ class DeviceClock:
             self._blocks[-1].add(moved)
             self._recent.append(moved)
 
-    def fit(self) -> ClockFit:
+    def fit(self) -> ClockLine:
         """Return the line as it is known by now."""
         if self._zero is None:
             raise InputError("clock: wanted one packet or more, got none; wait for the device")
@@ -120,7 +120,7 @@ class DeviceClock:
         slope = min(max(_slope_at(hull, mean, self._nominal), low), high)
         offset = min(y - slope * x for x, y in hull)
         x, y = np.array(self._recent).T
-        return ClockFit(
+        return ClockLine(
             device_zero=self._zero[0],
             host_zero=self._zero[1] + offset,
             rate=slope,
@@ -215,6 +215,6 @@ class Timeline:
         self._clock.add(time, chunk.host_time[kept])
         return Block(*self.marker.mark(time, chunk.values[kept]))
 
-    def clock(self) -> ClockFit:
+    def clock(self) -> ClockLine:
         """Return how the device's clock stands to the host's."""
         return self._clock.fit()

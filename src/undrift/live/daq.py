@@ -39,7 +39,7 @@ RATE_OFF = 1e-3  # of the rate that the board makes of the one that was asked fo
 
 
 @dataclass(frozen=True, slots=True)
-class Scale:
+class VoltScale:
     """How volts become a unit."""
 
     v_per_unit: float = 1.0
@@ -58,7 +58,7 @@ class DaqSource(ByteSource):
     way = "board"
 
     def __init__(
-        self, name: str, description: StreamDescription, connect: Callable[[], Any], scale: tuple[Scale, ...]
+        self, name: str, description: StreamDescription, connect: Callable[[], Any], scale: tuple[VoltScale, ...]
     ) -> None:
         counted = replace(description, channels=(COUNTER, *description.channels), tick=0.0, counter_bits=0)
         super().__init__(name, counted, connect)
@@ -156,10 +156,10 @@ def daq_source(address: Address) -> Source:
     if terminal not in TERMINALS:
         raise InputError(f"daq: wanted terminal out of {', '.join(TERMINALS)}, got '{terminal}'; mend the address")
     low_v, high_v = _range(address.option("range_v", "5"))
-    scales, units = dict[str, Scale](), dict[str, str]()
+    scales, units = dict[str, VoltScale](), dict[str, str]()
     for triad, unit in zip(TRIADS, ("dps", "g"), strict=True):
         scale = _scale(address, triad)
-        scales[triad] = scale or Scale()
+        scales[triad] = scale or VoltScale()
         units[f"{triad}_unit"] = unit if scale else "v"
     temp = address.option("temp_sensor", "")
     if temp not in ("", "lm335"):
@@ -171,13 +171,13 @@ def daq_source(address: Address) -> Source:
             "daq: wanted the thermometer's scale, got none; state temp_sensor=lm335, or temp_scale and temp_zero"
         )
     described = replace(described, **units)  # type: ignore[arg-type]
-    by_channel = tuple(scales.get(name.split("_")[0], Scale()) for name in described.channels)
+    by_channel = tuple(scales.get(name.split("_")[0], VoltScale()) for name in described.channels)
 
     place = address.place
     return DaqSource(f"daq:{place}", described, lambda: DaqTask(place, described, low_v, high_v, terminal), by_channel)
 
 
-def _scale(address: Address, triad: str) -> Scale | None:
+def _scale(address: Address, triad: str) -> VoltScale | None:
     """Return the stated scale of a triad; None where it stays in volts."""
     name = address.option(f"{triad}_sensor", "")
     known = {key: held for key, held in sensors().items() if held["triad"] == triad}
@@ -193,7 +193,7 @@ def _scale(address: Address, triad: str) -> Scale | None:
     made = [_number(f"{triad}_{what}", text) if text else known[name][what] for what, text in stated.items()]
     if made[0] == 0.0:
         raise InputError(f"daq: wanted {triad}_v_per_unit other than 0, got 0; look into the data sheet")
-    return Scale(*made)
+    return VoltScale(*made)
 
 
 def _range(text: str) -> tuple[float, float]:

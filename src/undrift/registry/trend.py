@@ -61,7 +61,7 @@ class Change:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Step:
+class TrendStep:
     """From one calibration to the next."""
 
     since: Dated
@@ -85,24 +85,24 @@ class Step:
         return (f"nothing moved by {MOVED:g} sigma since {day}; largest: {top.name}, {top.sigmas:.1f} sigma",)
 
 
-def trend(calibrations: Sequence[Dated]) -> list[Step]:
+def trend(calibrations: Sequence[Dated]) -> list[TrendStep]:
     """Compare each calibration with the one before."""
     return [compare(before, after) for before, after in pairwise(calibrations)]
 
 
-def headline(steps: Sequence[Step], from_first: Sequence[Step]) -> str:
+def headline(steps: Sequence[TrendStep], from_first: Sequence[TrendStep]) -> str:
     """Return what to know first: what moved since the calibration before, else since the first, which shows a slow drift."""
     last, total = steps[-1], from_first[-1]
     moved = (step.sentences[0] for step in (last, total) if any(one.sigmas >= MOVED for one in step.changes))
     return next(moved, last.sentences[0])
 
 
-def course(calibrations: Sequence[Dated]) -> list[Step]:
+def course(calibrations: Sequence[Dated]) -> list[TrendStep]:
     """Compare each calibration with the first: what a picture shows."""
     return [compare(calibrations[0], later) for later in calibrations[1:]]
 
 
-def compare(before: Dated, after: Dated) -> Step:
+def compare(before: Dated, after: Dated) -> TrendStep:
     """Return what changed between two calibrations, and what cannot be compared."""
     a, b = before.model, after.model
     same = {digest for _, digest in a.provenance.inputs} & {digest for _, digest in b.provenance.inputs}
@@ -125,7 +125,7 @@ def compare(before: Dated, after: Dated) -> Step:
         left += [f"{name}: {', '.join(held)}: no uncertainty is stated"] if held else []
         if old.g_sensitivity is not None and new.g_sensitivity is not None:
             left.append(f"{name}: g-sensitivity is not part of the trend")
-    return Step(since=before, until=after, changes=tuple(changes), not_compared=tuple(left))
+    return TrendStep(since=before, until=after, changes=tuple(changes), not_compared=tuple(left))
 
 
 def _not_comparable(old: TriadModel | None, new: TriadModel | None, apart_k: float, same: int) -> str:

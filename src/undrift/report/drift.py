@@ -12,7 +12,7 @@ from undrift.commands.drift import shown_unit
 from undrift.drift.hysteresis import SIGNIFICANT
 from undrift.errors import InputError
 from undrift.model import AXES
-from undrift.registry.trend import Dated, Step
+from undrift.registry.trend import Dated, TrendStep
 from undrift.report.figures import (
     AXIS_COLOURS,
     AXIS_DASHES,
@@ -228,7 +228,7 @@ def draw_alternatives(alternatives: "Alternatives") -> "Figure":
 NAMES = {"gyro": "gyroscopes", "accel": "accelerometers"}
 
 
-def draw_trend(serial: str, first: Dated, course: Sequence[Step]) -> "Figure":
+def draw_trend(serial: str, first: Dated, course: Sequence[TrendStep]) -> "Figure":
     """Draw scale factors and offsets of later calibrations less those of the first, with expanded uncertainty (k = 2) as bars."""
     from matplotlib import rc_context
 

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 # ---- Figures 1 and 2: flows
 
 
-class Step(NamedTuple):
+class NoteStep(NamedTuple):
     """A step of the note's text and the functions that do it here."""
 
     note: str
@@ -45,70 +45,70 @@ class Branch(NamedTuple):
     """A column of Figure 2."""
 
     blocks: str  # Numbers, as the note's text has them
-    steps: tuple[Step, ...]
+    steps: tuple[NoteStep, ...]
 
 
 FIGURE_1 = (
-    Step("Task and category of subjects (Tinetti test)", ("study.plan.note_study", "sim.motion.tasks.cohort")),
-    Step(
+    NoteStep("Task and category of subjects (Tinetti test)", ("study.plan.note_study", "sim.motion.tasks.cohort")),
+    NoteStep(
         "Parameters to try: accelerations and angular velocities of the calibration (Δω, ω_m, ω_M), conditioning chain",
         ("study.space.Space.points",),
     ),
-    Step(
+    NoteStep(
         "Motion at L5 from the optics, input of the simulation",
         ("sim.motion.tasks.draw_task", "study.plan.read_motion"),
     ),
-    Step(
+    NoteStep(
         "Calibration: six faces (eqs. 1 to 3), motor (eqs. 4 to 6)",
         ("sim.table_sessions.lay_out", "study.case.fit_as_the_note"),
     ),
-    Step(
+    NoteStep(
         "Simulation with the model of the device: angle, and its error",
         ("study.case.make_case", "study.case.trial_errors"),
     ),
-    Step(
+    NoteStep(
         "Analysis of variance over the subjects: is p below 0.05?",
         ("study.judge.find_optimum", "study.judge.analyses_of"),
     ),
-    Step("Optimised parameters (Table 1)", ("study.judge.compare_with_note",)),
-    Step(
+    NoteStep("Optimised parameters (Table 1)", ("study.judge.compare_with_note",)),
+    NoteStep(
         "Test of the calibrated device on other subjects (Table 2), beside the optics (Figure 3)",
         ("study.judge.run_testing", "study.figure3.figure3"),
     ),
 )
 LOOP = (5, 1, "no: other values, more subjects")  # from one step of Figure 1 back to another
 
-BEFORE = Step(
+BEFORE = NoteStep(
     "Gyroscope output in calibrations at 18 to 75 °C",
     ("drift.fit.fit_drift", "drift.temperature.trusted_temperature"),
 )
 STATIC = Branch(
     "block\N{NO-BREAK SPACE}2, block\N{NO-BREAK SPACE}3, block\N{NO-BREAK SPACE}4, block\N{NO-BREAK SPACE}5",
     (
-        Step("Output at rest, at each temperature", ("drift.observe.observe_rests",)),
-        Step(
+        NoteStep("Output at rest, at each temperature", ("drift.observe.observe_rests",)),
+        NoteStep(
             "Function of the static drift, by splines",
             ("drift.temperature.estimate_lag", "drift.static.fit_static"),
         ),
-        Step("Tuning table, every 0.5 °C", ("drift.fit.cropped_static",)),
+        NoteStep("Tuning table, every 0.5 °C", ("drift.fit.cropped_static",)),
     ),
 )
 DYNAMIC = Branch(
     "block\N{NO-BREAK SPACE}6, block\N{NO-BREAK SPACE}7, block\N{NO-BREAK SPACE}8, block\N{NO-BREAK SPACE}9",
     (
-        Step("Output at the imposed angular velocities", ("drift.observe.observe_steps",)),
-        Step(
+        NoteStep("Output at the imposed angular velocities", ("drift.observe.observe_steps",)),
+        NoteStep(
             "Function of the dynamic drift, by splines", ("drift.rate_steps.fit_scale", "drift.rate_steps.fit_dynamic")
         ),
-        Step("Tuning table, over velocity and temperature", ("drift.fit.choose_tables",)),
+        NoteStep("Tuning table, over velocity and temperature", ("drift.fit.choose_tables",)),
     ),
 )
 AFTER = (
-    Step(
+    NoteStep(
         "In use, each sample: tables at the board temperature",
         ("correction.correct.correct", "correction.correct.Corrector"),
     ),
-    Step("Output less static drift, matrix, less dynamic drift", ("orientation.orient",)),
+    NoteStep("Output less static drift, matrix, less dynamic drift", ("orientation.orient",)),
 )
 
 
@@ -161,7 +161,7 @@ def draw_figure2() -> "Figure":
     return figure
 
 
-class _Box(NamedTuple):
+class _NoteBox(NamedTuple):
     left: float  # points, from the upper left corner
     top: float
     width: float
@@ -177,7 +177,7 @@ def place_of(dotted: str) -> tuple[str, str]:
     return ".".join(parts[first:]), "/".join(parts[:first]) + ".py"
 
 
-def _stacked(steps: Sequence[Step], left: float, top: float, width: float) -> tuple[list[_Box], float]:
+def _stacked(steps: Sequence[NoteStep], left: float, top: float, width: float) -> tuple[list[_NoteBox], float]:
     """Lay boxes out one under another; return them and where the last ends."""
     boxes, letters = [], int((width - 2.0 * _PAD) / _LETTER)
     for step in steps:
@@ -185,7 +185,7 @@ def _stacked(steps: Sequence[Step], left: float, top: float, width: float) -> tu
         named = [place_of(dotted) for dotted in step.ours]
         ours = tuple(line for name, file in named for line in textwrap.wrap(f"{name}  {file}", letters))
         bottom = top + 2.0 * _PAD + _LINE * (len(note) + len(ours))
-        boxes.append(_Box(left, top, width, bottom, note, ours))
+        boxes.append(_NoteBox(left, top, width, bottom, note, ours))
         top = bottom + _GAP
     return boxes, boxes[-1].bottom
 
@@ -207,7 +207,7 @@ def _patch(left: float, top: float, width: float, height: float, *, face: str, e
     return Rectangle((left, top), width, height, facecolor=face, edgecolor=edge, linewidth=0.8)
 
 
-def _draw_boxes(axes: "Axes", boxes: Sequence[_Box]) -> None:
+def _draw_boxes(axes: "Axes", boxes: Sequence[_NoteBox]) -> None:
     """Draw boxes with the note's words in black and this program's functions in blue, and arrows between them."""
     for k, box in enumerate(boxes):
         axes.add_patch(_patch(box.left, box.top, box.width, box.bottom - box.top, face="white", edge=OPTICS))

@@ -17,7 +17,7 @@ from starlette.responses import FileResponse, JSONResponse, PlainTextResponse, R
 from undrift.errors import InputError, UndriftError
 from undrift.web import devices, guided, live, rate_table, recordings, result, start, temperature
 from undrift.web.access import Access, allowed
-from undrift.web.bench import Bench, BenchSettings
+from undrift.web.bench import Bench, ServerSettings
 from undrift.web.feed import Feed
 from undrift.web.parts import PAGES
 from undrift.web.uploads import receive_upload
@@ -36,7 +36,7 @@ BUILT: dict[str, Callable[[Bench], None]] = {
 }
 
 
-def serve(settings: BenchSettings, ready: Callable[[str], None]) -> None:
+def serve(settings: ServerSettings, ready: Callable[[str], None]) -> None:
     """Serve the bench until Ctrl-C; the address is handed on as soon as it listens."""
     bench = Bench(settings)
     listener = listen(settings.host, settings.port)

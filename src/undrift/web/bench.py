@@ -19,17 +19,17 @@ from urllib.parse import quote
 
 from undrift.errors import InputError, UndriftError
 from undrift.files import write_whole
-from undrift.web.commands import Outcome, run_command, stated
+from undrift.web.commands import CommandOutcome, run_command, stated
 from undrift.web.devices import Devices
-from undrift.web.rate_table import RateTable
+from undrift.web.rate_table import RateTablePage
 from undrift.web.recordings import Recordings
 from undrift.web.start import PRACTICE, Site
-from undrift.web.temperature import WarmUp
+from undrift.web.temperature import WarmUpRecording
 from undrift.web.uploads import safe_name
 
 if TYPE_CHECKING:
     from undrift.web.rig_run import RigRun
-    from undrift.web.source import Source
+    from undrift.web.source import LiveDevice
 
 PLACE = "place.json"
 SENSORS = {"accel": "accelerometers", "gyro": "gyroscopes"}
@@ -37,7 +37,7 @@ CALLED = "calibrate.json"  # the words that a job was calibrated by
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class BenchSettings:
+class ServerSettings:
     """Where the bench listens and writes."""
 
     folder: Path  # of everything that it writes
@@ -95,9 +95,9 @@ class Working:
 class Bench:
     """What all pages share. Its methods are called on the server's event loop; none of them blocks it."""
 
-    def __init__(self, settings: BenchSettings) -> None:
+    def __init__(self, settings: ServerSettings) -> None:
         self.settings, self.folder = settings, settings.folder
-        self.source: Source | None = None
+        self.source: LiveDevice | None = None
         self.source_error = ""
         self.connecting = ""  # the address that is being connected
         self.rig_run: RigRun | None = None
@@ -108,23 +108,23 @@ class Bench:
         self.recordings, self.devices = Recordings(self), Devices(self)
         for name in ("jobs", "uploads"):
             (self.folder / name).mkdir(parents=True, exist_ok=True)
-        self.table = RateTable(self)
+        self.table = RateTablePage(self)
         if (run := self.table.take_up()) is not None:  # that an earlier bench left
             self.rig_run, self.job = run, Job(folder=run.folder.parent, serial=run.order.serial)
-        self.warm_up = WarmUp(self)
+        self.warm_up = WarmUpRecording(self)
         self.place = Site(**_held_in(self.folder / PLACE))
 
     # ---- The device
 
     async def connect(self, address: str) -> None:
         """Connect a device in place of the one before; what goes wrong stands in ``source_error``."""
-        from undrift.web.source import Source
+        from undrift.web.source import LiveDevice
 
         await self.disconnect()
         self.source_error, self.connecting = "", address
 
-        def opened() -> Source:
-            source = Source(self._address_of(address))
+        def opened() -> LiveDevice:
+            source = LiveDevice(self._address_of(address))
             source.start()
             return source
 
@@ -195,7 +195,7 @@ class Bench:
                 setattr(job, name, folder / file)
         self.job = job
 
-    async def calibrate(self, job: Job, *words: object) -> Outcome:
+    async def calibrate(self, job: Job, *words: object) -> CommandOutcome:
         """Run ``undrift calibrate`` for a job: a session, or recordings and options; the calibration is used from then on."""
         made, report = job.folder / "calibration.json", job.folder / "report.html"
         job.words = self._below(words)
@@ -205,7 +205,7 @@ class Bench:
         self._take(job, outcome)
         return outcome
 
-    async def fit_drift(self, job: Job, *words: object) -> Outcome:
+    async def fit_drift(self, job: Job, *words: object) -> CommandOutcome:
         """Run ``undrift drift`` for a job, on top of the calibration that is used; the tables are used from then on."""
         made, report = job.folder / "calibration.json", job.folder / "report.html"
         known = stated(calibration=self.calibration)
@@ -215,7 +215,7 @@ class Bench:
         self._take(job, outcome)
         return outcome
 
-    def _take(self, job: Job, outcome: Outcome) -> None:
+    def _take(self, job: Job, outcome: CommandOutcome) -> None:
         job.error = outcome.error
         if outcome.done:
             job.calibration, job.report = job.folder / "calibration.json", job.folder / "report.html"
@@ -223,7 +223,7 @@ class Bench:
             if "accelerometers" not in job.lacks:  # a person decides about one without
                 self.calibration = job.calibration
 
-    async def command(self, *words: object, folder: Path | None = None) -> Outcome:
+    async def command(self, *words: object, folder: Path | None = None) -> CommandOutcome:
         """Run a command of undrift; pages show what it does while it runs."""
         now = Working(" ".join(map(str, words[:2] if str(words[0]) in ("registry", "session", "rig") else words[:1])))
         self.working.append(now)

@@ -59,7 +59,7 @@ class Light:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Piece:
+class CapturedSpan:
     """A stretch of time in which something was captured."""
 
     stretch: int  # Number of the stretch of readings
@@ -68,7 +68,7 @@ class Piece:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class CapturedFace(Piece):
+class CapturedFace(CapturedSpan):
     """A rest with a face up."""
 
     face: Face
@@ -76,12 +76,12 @@ class CapturedFace(Piece):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class CapturedTurn(Piece):
+class CapturedTurn(CapturedSpan):
     """A turn between two rests."""
 
     turn: Turn  # Axis and angle; its samples are found anew when it is written
-    before: Piece
-    after: Piece
+    before: CapturedSpan
+    after: CapturedSpan
     reading: float  # Integral about the axis, raw unit times s
 
 
@@ -185,7 +185,7 @@ class Capture:
         now.parts = [part for part in now.parts if part.time[0] < last + BESIDE_S]
         self._stretches = [*(self._stretches if now.parts else self._stretches[:-1]), fresh]
 
-    def _pieces(self) -> Iterator[Piece]:
+    def _pieces(self) -> Iterator[CapturedSpan]:
         yield from self.faces.values()
         yield from self.turns
 
@@ -302,7 +302,7 @@ class Capture:
             number[each.number] = len(records)
             records.append(each.record(min(starts) - BESIDE_S, max(stops) + BESIDE_S))
 
-        def samples(piece: Piece) -> tuple[int, int]:
+        def samples(piece: CapturedSpan) -> tuple[int, int]:
             time = records[number[piece.stretch]].time
             start, stop = np.searchsorted(time, (piece.start_s, piece.stop_s)).tolist()
             return start, max(stop, start + 1)

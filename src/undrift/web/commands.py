@@ -39,7 +39,7 @@ CONTROLS = {  # options of the commands that a page offers, and what they are ca
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Outcome:
+class CommandOutcome:
     """What a command answered."""
 
     code: int  # 0 done, 1 done with a bad verdict, 2 refused, 3 a rig or device failed
@@ -102,7 +102,7 @@ def asked(label: str, value: str = "", **how: Any) -> Any:
 
 async def run_command(
     words: Sequence[object], folder: Path, heard: Callable[[str], None], *, longest_s: float = LONGEST_S
-) -> Outcome:
+) -> CommandOutcome:
     """Run a command in a folder; each line of its stderr is handed on as it comes."""
     child = await asyncio.create_subprocess_exec(
         *(sys.executable, "-m", "undrift", *map(str, words), "--json"),
@@ -125,7 +125,7 @@ async def run_command(
             text, _ = await asyncio.gather(answer.read(), listen())
             code = await child.wait()
     except TimeoutError:
-        return Outcome(
+        return CommandOutcome(
             code=2, error=f"{words[0]}: wanted an end within {longest_s:g} s, got none; use a shorter recording"
         )
     finally:
@@ -136,7 +136,7 @@ async def run_command(
     return outcome_of(code, without_folders(text.decode("utf-8", "replace"), folder), lines)
 
 
-def outcome_of(code: int, text: str, lines: Sequence[str]) -> Outcome:
+def outcome_of(code: int, text: str, lines: Sequence[str]) -> CommandOutcome:
     """Return what a command answered, of its exit code, its stdout and the lines of its stderr."""
     try:
         answer = json.loads(text) if text.strip() else {}
@@ -144,9 +144,9 @@ def outcome_of(code: int, text: str, lines: Sequence[str]) -> Outcome:
         answer = {}
     last = next((line for line in reversed(lines) if line), "")
     if code in (0, 1) and answer:
-        return Outcome(code=code, answer=answer)
+        return CommandOutcome(code=code, answer=answer)
     error = (answer.get("error") or {}).get("text") or last.removeprefix("undrift: ")
     if code in (0, 1) or code < 0:
         error = f"the command ended without an answer (exit {code}); repeat it, and report it if it ends so again"
         code = 2
-    return Outcome(code=code, answer=answer, error=error)
+    return CommandOutcome(code=code, answer=answer, error=error)

@@ -43,7 +43,7 @@ from undrift.arrays import FloatArray
 from undrift.errors import InputError
 from undrift.record import joined
 from undrift.units import RADIAN_PER_DEGREE, Quantity, is_physical, si_factor
-from undrift.web.source import Source, Update
+from undrift.web.source import LiveDevice, Update
 
 PLOTS = {"rate": "Turn rate", "accel": "Specific force", "pitch": "Pitch", "temp": "Temperature"}
 PERIOD_S = 1.0 / 15.0  # between frames
@@ -76,7 +76,7 @@ class _Group:
     head: str = ""
     lines: tuple[Line, ...] = ()
     kind: tuple[object, ...] = ()  # what the lines follow from
-    source: Source | None = None
+    source: LiveDevice | None = None
     update: int = 0  # the last one that was sent
     frames: int = 0
 
@@ -84,7 +84,7 @@ class _Group:
 class Feed:
     """Hands a source's readings to browsers; all of it runs on the server's event loop."""
 
-    def __init__(self, source: Callable[[], Source | None], allowed: Callable[[WebSocket], bool]) -> None:
+    def __init__(self, source: Callable[[], LiveDevice | None], allowed: Callable[[WebSocket], bool]) -> None:
         self._source, self._allowed = source, allowed
         self._groups: dict[tuple[str, ...], _Group] = {}
         self._pump: asyncio.Task[None] | None = None
@@ -187,7 +187,7 @@ async def _send(browser: _Browser) -> None:
             await browser.news.wait()
 
 
-def _head(source: Source | None, lines: tuple[Line, ...], plots: tuple[str, ...]) -> str:
+def _head(source: LiveDevice | None, lines: tuple[Line, ...], plots: tuple[str, ...]) -> str:
     held: dict[str, Any] = {"source": None, "rate": 0.0} if source is None else {}
     if source is not None:
         held = {"source": source.name, "rate": source.nominal_rate_hz}
@@ -196,7 +196,7 @@ def _head(source: Source | None, lines: tuple[Line, ...], plots: tuple[str, ...]
     return json.dumps(held | {"plots": shown})
 
 
-def _bucket(source: Source | None) -> int:
+def _bucket(source: LiveDevice | None) -> int:
     """Return how many samples become one row: 1, or so many that least and greatest together stay below the most."""
     rate = 0.0 if source is None else source.nominal_rate_hz
     return 1 if rate <= MOST_HZ else math.ceil(2.0 * rate / MOST_HZ)

@@ -24,7 +24,7 @@ from undrift.errors import InputError
 from undrift.record import FACES, Axis, Face, Record, Still
 from undrift.segments import StillSettings, find_still, find_turns
 from undrift.units import RADIAN_PER_DEGREE, is_physical, si_factor
-from undrift.web.capture import UNKNOWN, Capture, CapturedFace, CapturedTurn, Light, Piece, Rest, State, way_of
+from undrift.web.capture import UNKNOWN, Capture, CapturedFace, CapturedSpan, CapturedTurn, Light, Rest, State, way_of
 
 ORDER: tuple[Face, ...] = ("+z", "+x", "-z", "-x", "+y", "-y")  # each a quarter turn from the one before
 WAYS = FACES  # + is counter-clockwise, seen with the axis up
@@ -54,7 +54,7 @@ class Guide(ABC):
 
     @property
     @abstractmethod
-    def done(self) -> Mapping[str, Piece]:
+    def done(self) -> Mapping[str, CapturedSpan]:
         """What is captured, by its step."""
 
     @property
@@ -229,10 +229,10 @@ class Turns(Guide):
             start_s=float(time[first.stop]),
             stop_s=float(time[last.start]),
             turn=replace(turn, angle=whole * FULL_TURN),
-            before=Piece(
+            before=CapturedSpan(
                 stretch=self.capture.stretch, start_s=float(time[first.start]), stop_s=float(time[first.stop])
             ),
-            after=Piece(stretch=self.capture.stretch, start_s=float(time[last.start]), stop_s=after.stop_s),
+            after=CapturedSpan(stretch=self.capture.stretch, start_s=float(time[last.start]), stop_s=after.stop_s),
             reading=along / whole,
         )
         self.capture.add_turn(piece)

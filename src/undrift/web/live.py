@@ -13,7 +13,7 @@ from undrift.record import FACES, Face
 from undrift.web import parts
 from undrift.web.commands import Remark, without_folders
 from undrift.web.feed import Panel
-from undrift.web.source import Source, Status
+from undrift.web.source import LiveDevice, Status
 from undrift.web.start import connect_form
 from undrift.web.uploads import safe_name
 
@@ -106,7 +106,7 @@ def _recorded(bench: "Bench") -> None:
             ui.link("correct it", "/recordings")
 
 
-def start_recording(bench: "Bench", source: Source) -> Path:
+def start_recording(bench: "Bench", source: LiveDevice) -> Path:
     """Begin a file of raw readings in a folder of its own among the recordings."""
     name = f"live-{datetime.now():%Y-%m-%d-%H%M%S}-{safe_name(source.name, 'device')}"
     folder = bench.folder / "uploads" / name

@@ -21,7 +21,7 @@ from undrift.rig.programme import Forecast, ProgrammeSettings, forecast_of, prog
 from undrift.rig.rig import Limits, check_programme, parse_address
 from undrift.units import RADIAN_PER_DEGREE
 from undrift.web import parts
-from undrift.web.commands import Outcome, asked
+from undrift.web.commands import CommandOutcome, asked
 from undrift.web.rig_run import GOING, EmulatedTable, RigRun, RunOrder, View, begin_run, find_run
 
 if TYPE_CHECKING:
@@ -98,7 +98,7 @@ def _typed(words: str) -> str:
 # ---- What becomes of it
 
 
-class RateTable:
+class RateTablePage:
     """What a person has filled in, and what becomes of it. Its methods are called on the event loop and do not block it."""
 
     def __init__(self, bench: "Bench") -> None:
@@ -155,7 +155,7 @@ class RateTable:
         """Fit the drift over the temperatures of the run; return the page of the result."""
         return await self._made(self._bench.fit_drift)
 
-    async def _made(self, make: Callable[..., Awaitable[Outcome]]) -> str | None:
+    async def _made(self, make: Callable[..., Awaitable[CommandOutcome]]) -> str | None:
         if self.run is None:
             return None
         outcome = await make(self._bench.job_now(), self.run.folder, "--trust")  # the bench's own readings need no box

@@ -11,7 +11,7 @@ from nicegui import ui
 from undrift.errors import InputError
 from undrift.record import FACES
 from undrift.web import parts
-from undrift.web.commands import Outcome, Remark, asked, remarks_of, stated
+from undrift.web.commands import CommandOutcome, Remark, asked, remarks_of, stated
 from undrift.web.drawings import worn
 from undrift.web.uploads import safe_name
 
@@ -169,7 +169,7 @@ class Recordings:
     def _sides(self) -> tuple[object, ...]:
         return stated(forward=self.sides.forward, up=self.sides.up)
 
-    def _take(self, stored: StoredFile, command: str, outcome: Outcome, files: list[Path]) -> None:
+    def _take(self, stored: StoredFile, command: str, outcome: CommandOutcome, files: list[Path]) -> None:
         stored.error, stored.remarks[command] = outcome.error, remarks_of(outcome.answer)
         if outcome.done:
             stored.made |= {f"{command}: {'report' if path.suffix == '.html' else path.name}": path for path in files}

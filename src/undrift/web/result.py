@@ -7,7 +7,7 @@ from nicegui import ui
 
 from undrift.errors import InputError
 from undrift.web import parts
-from undrift.web.commands import Outcome, remarks_of, stated
+from undrift.web.commands import CommandOutcome, remarks_of, stated
 from undrift.web.start import place_form
 
 if TYPE_CHECKING:
@@ -131,5 +131,5 @@ async def certify(bench: "Bench", job: "Job") -> None:
         job.certificate = path
 
 
-def _heard(job: "Job", outcome: Outcome) -> None:
+def _heard(job: "Job", outcome: CommandOutcome) -> None:
     job.error, job.later = outcome.error, [*job.later, outcome.answer]

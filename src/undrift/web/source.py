@@ -70,7 +70,7 @@ class Status:
     file_s: float  # How much of it there is, device s
 
 
-class Source:
+class LiveDevice:
     """One device, from `start` to `stop`."""
 
     def __init__(self, address: str) -> None:

@@ -18,14 +18,14 @@ from undrift.web.start import connect_form
 if TYPE_CHECKING:
     from undrift.record import Record
     from undrift.web.bench import Bench, Job
-    from undrift.web.source import Source
+    from undrift.web.source import LiveDevice
 
 LOOK_S = 0.5  # between two looks at what came
 WIDTH, HEIGHT, LEFT, BOTTOM = 640, 240, 56, 34
 DRAWN = 300  # points of a curve
 
 
-class WarmUp:
+class WarmUpRecording:
     """One recording, from its start to the fit; ``curve`` and ``stable_since`` grow while it goes on."""
 
     def __init__(self, bench: "Bench", settings: SoakSettings = SoakSettings()) -> None:
@@ -71,7 +71,7 @@ class WarmUp:
         self.error = outcome.error
         return "/result" if outcome.done else None
 
-    async def _follow(self, source: "Source") -> None:
+    async def _follow(self, source: "LiveDevice") -> None:
         last = max((update.number for update in source.updates()), default=0)
         held: list[Record] = []
         while self.recording and source is self._bench.source:
