@@ -448,12 +448,12 @@ FITTED = random_device(np.random.default_rng(21), grade="consumer")
 OTHER_PACKAGE = '''
 from dataclasses import replace
 
-from undrift.calibration.calibrate import FITS, FitMethod
+from undrift.calibration.calibrate import FitMethod, find_fit
 
 
 def doubled(seen, mode, accel):
     """Six faces, with twice the matrix: no other fit gives that."""
-    found = FITS["six-face"].accel(seen, mode, accel)
+    found = find_fit("six-face", "accel")(seen, mode, accel)
     model = replace(found.fit.model, matrix=2.0 * found.fit.model.matrix, method="doubled")
     return replace(found, fit=replace(found.fit, model=model), method="doubled")
 
@@ -524,7 +524,7 @@ def test_an_unknown_name_is_answered_with_all_that_there_are(faces):
     ("kind", "names"),
     [
         ("accel", "six-face, multi-position"),
-        ("gyro", "multi-position, rate-table, known-rotation, rest"),
+        ("gyro", "rate-table, known-rotation, multi-position, rest"),
         ("reference", "reference"),
     ],
 )

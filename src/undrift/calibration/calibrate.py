@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import fields, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, cast
+from typing import TYPE_CHECKING, Any, Literal, cast
 
 import numpy as np
 
@@ -29,8 +29,9 @@ from undrift.calibration.multi_position import FEWEST_POSES, calibrate_moves, ca
 from undrift.calibration.observe import CalibrateSettings, Observed, Outcome, at_one_temperature, in_one_unit, observe
 from undrift.calibration.pieces import check_accel
 from undrift.calibration.rate_table import NOMINAL_SD, calibrate_rates, scale_verdict
-from undrift.calibration.reference import ReferenceFit, ReferenceSettings, cross_validated_adc, fit_reference
+from undrift.calibration.reference import ReferenceFit, ReferenceSettings, cross_validated_adc
 from undrift.calibration.reference_accel import fit_reference_accel
+from undrift.calibration.settings import FITS, FitMethod
 from undrift.calibration.six_face import calibrate_faces
 from undrift.errors import CalibrationError, Implausible, InputError, NotObservable, PoorFit
 from undrift.findings import Finding, Level, finding
@@ -53,7 +54,7 @@ _LEAST_POSES = 9  # free poses of a multi-position fit
 RADIANS = (0.4, 1.22)  # as degrees at the equator, as radians 23 to 70 deg, where people live
 
 
-# ---- registry of the fits
+# ---- fits by their names
 
 
 def calibrate_rest(seen: Observed, mode: str | None, accel: TriadFit | None) -> Outcome:
@@ -86,41 +87,16 @@ def calibrate_rest(seen: Observed, mode: str | None, accel: TriadFit | None) -> 
     return Outcome(fit=fit, method="rest", findings=creep.findings())
 
 
-class FitMethod(NamedTuple):
-    """A way to calibrate, by what it can fit; None where it cannot.
-
-    ``accel`` and ``gyro`` take what a session shows, the mode asked for, and the accelerometer's fit where there is one.
-    """
-
-    accel: Callable[[Observed, str | None, TriadFit | None], Outcome] | None = None
-    gyro: Callable[[Observed, str | None, TriadFit | None], Outcome] | None = None
-    reference: Callable[..., ReferenceFit] | None = None  # called as ``fit_reference``
-
-
-FITS: dict[str, FitMethod] = {
-    "six-face": FitMethod(accel=calibrate_faces),
-    "multi-position": FitMethod(accel=calibrate_poses, gyro=calibrate_moves),
-    "rate-table": FitMethod(gyro=calibrate_rates),
-    "known-rotation": FitMethod(gyro=calibrate_turns),
-    "rest": FitMethod(gyro=calibrate_rest),
-    "reference": FitMethod(reference=fit_reference),
-}
 ENTRY_POINTS = "undrift.fits"  # other packages add a FitMethod under this group
 
 
 def find_fit(name: str, kind: Literal["accel", "gyro", "reference"]) -> Callable[..., Any]:
     """Return the fit of a name from FITS, else from the entry points of other packages."""
-    method = FITS.get(name)
-    if method is None and name in names_in(FITS, ENTRY_POINTS):
-        method = load_named(name, {}, ENTRY_POINTS, FitMethod)
-    fit = None if method is None else getattr(method, kind)
-    if fit is None:
-        known = [own for own in names_in(FITS, ENTRY_POINTS) if own not in FITS or getattr(FITS[own], kind) is not None]
-        raise InputError(f"calibrate: wanted {kind} one of {', '.join(known)}, got '{name}'; name one of them")
-    return fit  # type: ignore[no-any-return]
-
-
-# ---- calibrate
+    names = [each for each in names_in(FITS, ENTRY_POINTS) if each not in FITS or getattr(FITS[each], kind)]
+    method = FITS.get(name) or (load_named(name, {}, ENTRY_POINTS, FitMethod) if name in names else FitMethod())
+    if (fit := getattr(method, kind)) is None:
+        raise InputError(f"calibrate: wanted {kind} one of {', '.join(names)}, got '{name}'; name one of them")
+    return cast(Callable[..., Any], at(f"undrift.calibration.{fit}") if isinstance(fit, str) else fit)
 
 
 def calibrate(
@@ -144,8 +120,7 @@ def calibrate(
     accel : str, optional
         six-face, multi-position, or a fit that another package adds; None chooses.
     gyro : str, optional
-        rate-table, known-rotation, multi-position, rest (the offset alone), a fit that another package adds, or "none" for no
-        gyroscope; None chooses.
+        Likewise rate-table, known-rotation, multi-position, or rest (the offset alone); "none" for no gyroscope.
     mode : str, optional
         paper, affine or levelled; None is levelled for six faces and affine for turns.
     settings : CalibrateSettings
@@ -205,8 +180,7 @@ def calibrated(
     if of_accel.fit is not None:
         of_accel = of_accel.after(*check_accel(seen, of_accel.fit.model, of_accel.used))
     of_gyro = _calibrate_gyro(seen, gyro, mode, of_accel)
-    triads: tuple[tuple[Triad, Outcome], ...] = (("accelerometer", of_accel), ("gyroscope", of_gyro))
-    unused = tuple(item for triad, outcome in triads for item in _mode_not_used(mode, triad, outcome))
+    unused = (*_mode_not_used(mode, "accelerometer", of_accel), *_mode_not_used(mode, "gyroscope", of_gyro))
     of_statements: tuple[Finding, ...] = ()
     if settings.latitude_deg is not None and RADIANS[0] < abs(settings.latitude_deg) < RADIANS[1]:
         shown = {"latitude_deg": settings.latitude_deg, "as_radians_deg": settings.latitude_deg / RADIAN_PER_DEGREE}

@@ -1,14 +1,45 @@
-"""Choices of a calibration that a session file does not make: options of the command, fields of ``CalibrateSettings``.
+"""Choices of a calibration that a session file does not make: its fits, options of the command, fields of ``CalibrateSettings``.
 
 Nothing here imports numpy: the command line shows its help from these classes.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from inspect import cleandoc
-from typing import TypeVar
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias, TypeVar
 
 Kind = TypeVar("Kind", bound=type)
 _HEAD = "Parameters\n----------\n"
+
+
+class FitMethod(NamedTuple):
+    """A way to calibrate: its words on a certificate, and what fits each triad, a function or its place in this package."""
+
+    words: str = ""
+    accel: str | Callable[..., Any] | None = (
+        None  # of what a session shows, the mode, and the accelerometer's fit if any
+    )
+    gyro: str | Callable[..., Any] | None = None  # likewise
+    reference: str | Callable[..., Any] | None = None  # called as ``fit_reference``
+
+
+FITS = {
+    "six-face": FitMethod("six faces against gravity", accel="six_face:calibrate_faces"),
+    "rate-table": FitMethod("steady rates of a rate table, about each axis", gyro="rate_table:calibrate_rates"),
+    "known-rotation": FitMethod("turns by a known angle about each axis", gyro="known_rotation:calibrate_turns"),
+    "multi-position": FitMethod(
+        "rests in free poses against the size of gravity",
+        *("multi_position:calibrate_poses", "multi_position:calibrate_moves"),
+    ),
+    "rest": FitMethod("rests alone: offset only, the scale factor is nominal", gyro="calibrate:calibrate_rest"),
+    "reference": FitMethod("motion against an orientation reference", reference="reference:fit_reference"),
+}
+if TYPE_CHECKING:
+    AccelFit: TypeAlias = str
+    GyroFit: TypeAlias = str
+else:
+    AccelFit = Literal[tuple(name for name, fit in FITS.items() if fit.accel)]
+    GyroFit = Literal[(*(name for name, fit in FITS.items() if fit.gyro), "none")]
 
 
 def documented(cls: Kind) -> Kind:

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from undrift.base.options import Files, Flag, OptionalOutput, Picture, options, verb
 from undrift.base.summary import Drawing, Result, Section, Summary, concise, number
-from undrift.calibration.settings import Fitting, Sensitivity, Table
+from undrift.calibration.settings import AccelFit, Fitting, GyroFit, Sensitivity, Table
 from undrift.commands import Progress, silent
 from undrift.commands.certificate import departures_words, uncertainty_sentence
 from undrift.commands.files import (
@@ -107,8 +107,8 @@ def calibrate(
     opening: Opening = Opening(),
     turn_deg: float | None = None,
     output: OptionalOutput = None,
-    accel: Literal["six-face", "multi-position"] | None = None,
-    gyro: Literal["rate-table", "known-rotation", "multi-position", "rest", "none"] | None = None,
+    accel: AccelFit | None = None,
+    gyro: GyroFit | None = None,
     mode: Literal["paper", "affine", "levelled"] | None = None,
     keep_offset: Flag = False,
     adc: Literal["auto", "none"] = "auto",

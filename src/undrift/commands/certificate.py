@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 from undrift import __version__
 from undrift.base.options import Output, verb
 from undrift.base.summary import Drawing, Result, Summary, at
+from undrift.calibration.settings import FITS
 from undrift.commands.files import check_output
 from undrift.commands.register import Registration, registered_lines
 from undrift.errors import InputError
@@ -248,20 +249,14 @@ def _conditions(calibration: "Calibration") -> Iterator[tuple[str, str]]:
         yield "Temperature of the drift table", f"{nodes[0]:.1f} °C to {nodes[-1]:.1f} °C"
 
 
-_METHODS = {
-    "six-face": "six faces against gravity",
-    "rate-table": "steady rates of a rate table, about each axis",
-    "known-rotation": "turns by a known angle about each axis",
-    "multi-position": "rests in free poses against the size of gravity",
-    "reference": "motion against an orientation reference",
-    "rest": "rests alone: offset only, the scale factor is nominal",
-}
+def _words(method: str) -> str:
+    return FITS[method].words if method in FITS else method
 
 
 def _procedure(calibration: "Calibration", triads: "Mapping[str, TriadModel]") -> Iterator[tuple[str, str]]:
     for name, triad in triads.items():
         method, _, mode = triad.method.partition("/")
-        fit = f"{_METHODS.get(method, method)}; {mode or 'default'} fit of {triad.count} equations"
+        fit = f"{_words(method)}; {mode or 'default'} fit of {triad.count} equations"
         rms, unit, factor = triad.rms_residual, *_shown(name)
         yield NAMES[name], f"{fit}, rank {triad.rank}, residual {rms * factor:.3g} {unit} rms"
     if calibration.adc is not None:
@@ -419,7 +414,7 @@ def _traceability(calibration: "Calibration", triads: "Mapping[str, TriadModel]"
         angle, axis = (settings.get(f"{name}_uncertainty_deg", "not stated") for name in ("angle", "axis"))
         yield f"Angles: those stated for the turns. Standard uncertainties: angle {angle} deg, axis of the turns {axis} deg."
     elif "gyro" in methods and methods["gyro"] != "rest":
-        yield f"Gyroscopes: {_METHODS.get(methods['gyro'], methods['gyro'])}; see the procedure."
+        yield f"Gyroscopes: {_words(methods['gyro'])}; see the procedure."
     if "accel" in triads:
         source, how, (least, most) = settings.get("gravity", "not stated"), "taken as exact", INHABITED_GRAVITY
         if u := gravity_uncertainty(calibration):
