@@ -152,7 +152,7 @@ def test_other_names_say_what_they_are_in_a_line_and_repeat_no_signature() -> No
         if {"cli", "commands"} & {*path.parts} or is_exported(path, top):  # a command's parameters are its help
             continue
         docstring = ast.get_docstring(node)
-        model = isinstance(node, ast.ClassDef) and {ast.unparse(b) for b in node.bases} & {"BaseModel", "Entry"}
+        model = isinstance(node, ast.ClassDef) and {ast.unparse(b) for b in node.bases} & {"BaseModel", "TomlTable"}
         if public and docstring is None and "kernels" not in path.parts and not model:
             wrong.append(f"{where(path, name)}: no docstring")
         if docstring and re.search(r"^(Parameters|Returns|Raises)\n-{3}", docstring, re.M):
