@@ -384,14 +384,14 @@ def steps(design: np.ndarray, turn: np.ndarray, first: np.ndarray) -> Windows:
 def test_too_few_steps_are_refused() -> None:
     few = steps(np.ones((3, 3, 12)), np.zeros((3, 3)), np.arange(3))
     with pytest.raises(NotObservable, match="wanted more than 8 steps between poses, got 3; record longer motion"):
-        solve_chain([recording(4)], [few], kept=np.arange(12))
+        solve_chain([recording(4)], [few], free=np.arange(12))
 
 
 def test_motion_about_one_axis_is_refused_with_its_rank() -> None:
     design = np.zeros((40, 3, 12))
     design[:, 0, 0] = np.random.default_rng(1).normal(size=40)
     with pytest.raises(NotObservable, match="design of rank 1 for 12 parameters; turn the device about every axis"):
-        solve_chain([recording(41)], [steps(design, np.zeros((40, 3)), np.arange(40))], kept=np.arange(12))
+        solve_chain([recording(41)], [steps(design, np.zeros((40, 3)), np.arange(40))], free=np.arange(12))
 
 
 def test_whitening_undoes_the_covariance_of_a_chain_with_a_gap() -> None:
@@ -411,7 +411,7 @@ def test_parameters_held_fixed_stay_and_one_bad_pose_moves_little() -> None:
     pose = rng.normal(0.0, 1e-3, (201, 3))
     pose[100] += 0.5
     turn = design @ truth + np.diff(pose, axis=0)
-    solution = solve_chain([recording(201)], [steps(design, turn, np.arange(200))], kept=np.arange(9))
+    solution = solve_chain([recording(201)], [steps(design, turn, np.arange(200))], free=np.arange(9))
     assert solution.step.shape == (9,)
     assert solution.covariance().shape == (9, 9)
     # Pose noise of 1e-3 over 200 steps gives 1e-4; plain least squares would err by some 0.01.
@@ -447,7 +447,7 @@ def windows_of(rng: np.random.Generator, error: np.ndarray) -> tuple[Recording, 
 
 def solved(rng: np.random.Generator, errors: list[np.ndarray]) -> Solution:
     pairs = [windows_of(rng, error) for error in errors]
-    return solve([p[0] for p in pairs], [p[1] for p in pairs], kept=np.arange(12), reach=REACH)
+    return solve([p[0] for p in pairs], [p[1] for p in pairs], free=np.arange(12), reach=REACH)
 
 
 @pytest.mark.parametrize("kind", ERRORS)

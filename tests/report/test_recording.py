@@ -127,7 +127,7 @@ def test_a_stated_turn_is_labelled_by_its_rate_or_angle(turn, label, why):
     made = calibrate(simulate_session("bench", device, rng=np.random.default_rng(8)))
     record = Record(time=np.arange(200) / 100.0, gyro=np.zeros((200, 3)), gyro_unit=made.gyro.unit_in)
     session = session_of(record, stills=(Still(start=60, stop=200),), turns=(turn,))
-    (piece,) = [piece for piece in pieces_of(session, made=made)[0] if piece.kind == "turn"]
+    (piece,) = [piece for piece in pieces_of(session, calibration=made)[0] if piece.kind == "turn"]
     assert (piece.label, piece.why) == (label, why)
 
 

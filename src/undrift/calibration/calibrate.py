@@ -202,7 +202,7 @@ def calibrated(
     for outcome in (of_accel, of_gyro):
         verdict = verdict if outcome.fit is None else verdict.also(outcome.fit.verdict)
     thermal = session.kind == "thermal" or bool(other_temperatures)
-    made = Calibration(
+    calibration = Calibration(
         device=session.serial or session.records[0].device,
         reference_temp_c=seen.mean_temperature(),
         gravity_m_s2=session.gravity_m_s2,
@@ -213,7 +213,7 @@ def calibrated(
         provenance=_provenance(session, seen, of_accel.method, of_gyro.method, mode),
         file_map=session.file_map,
     )
-    return made, seen
+    return calibration, seen
 
 
 def _observed(session: Session, settings: CalibrateSettings) -> tuple[AdcModel | None, Observed]:
@@ -337,13 +337,13 @@ def _best_gyro(seen: Observed, mode: Mode | None, accel: TriadFit | None) -> Out
     return calibrate_rest(seen, mode, accel).after(*steady)
 
 
-def _offset_in_counts(seen: Observed, found: Verdict) -> Iterator[Finding]:
+def _offset_in_counts(seen: Observed, verdict: Verdict) -> Iterator[Finding]:
     # A model turns readings into rad/s: an offset without a scale has no place in it, and an invented scale would be used.
     unit = seen.session.records[0].gyro_unit
     offset, variance = seen.rest_rate()
     if not is_physical(unit) and not np.isnan(offset).any():
         sigma = np.sqrt(variance.max())
-        level: Level = "info" if found.status == "good" else "warn"
+        level: Level = "info" if verdict.status == "good" else "warn"
         yield finding("gyro.offset_in_counts", level, offset=offset, unit=unit, uncertainty=sigma)
 
 
@@ -492,7 +492,7 @@ def _accel_of(
     if any(record.accel is None for record in records):
         return None, ()
     try:
-        made = fit_reference_accel(
+        accel_fit = fit_reference_accel(
             [restored(record, adc) for record in records],
             references,
             fit.triad.model,
@@ -502,21 +502,21 @@ def _accel_of(
         )
     except (CalibrationError, InputError) as error:
         return None, (finding("reference.accel_failed", "info", reason=str(error)),)
-    if (np.diag(made.model.matrix) < 0.0).all():
+    if (np.diag(accel_fit.model.matrix) < 0.0).all():
         raise Implausible(
             "reference: wanted accelerometers that read +g on the axis that points up, got -g on all three: acceleration has the "
             "opposite sign; reverse its columns"
         )
-    return made, ()
+    return accel_fit, ()
 
 
 def device_adc(records: Sequence[Record]) -> AdcModel | None:
     """Find how the gyroscope codes of one device were rounded, from all its recordings."""
-    found = [model for model in map(identify_record_adc, records) if model is not None and model.gyro_lsb is not None]
-    if not found:
+    models = [model for model in map(identify_record_adc, records) if model is not None and model.gyro_lsb is not None]
+    if not models:
         return None
-    ranked = Counter(model.gyro_rounding for model in found).most_common()
+    ranked = Counter(model.gyro_rounding for model in models).most_common()
     if len(ranked) > 1 and ranked[0][1] == ranked[1][1]:
         return None
-    chosen = [model for model in found if model.gyro_rounding == ranked[0][0]]
+    chosen = [model for model in models if model.gyro_rounding == ranked[0][0]]
     return min(chosen, key=lambda model: float(np.sum(np.asarray(model.gyro_lsb))))

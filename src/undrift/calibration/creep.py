@@ -156,27 +156,27 @@ class RestDrift:
 def rest_drift(seen: Observed) -> RestDrift | None:
     """Fit the drift of the gyroscopes' rest offsets; None where the rests are too few, or all at one time."""
     records = seen.session.records
-    windows, force, kept = list[FloatArray](), list[FloatArray](), []
+    windows, force, stills = list[FloatArray](), list[FloatArray](), []
     for still in seen.stills:
         record = records[still.recording]
         window = whole_readings(record.gyro, still.start, still.stop)
         if len(window):
             force.append(mean_reading(record.accel, still.start, still.stop))
             windows.append(window)
-            kept.append(still)
-    time, unit = middles(records, kept), records[0].accel_unit
-    if not kept or np.ptp(time) <= 0.0:
+            stills.append(still)
+    time, unit = middles(records, stills), records[0].accel_unit
+    if not stills or np.ptp(time) <= 0.0:
         return None
-    design = np.column_stack(((time - time.mean()) / np.ptp(time), np.ones(len(kept)), _poses(np.array(force), unit)))
-    free = len(kept) - design.shape[1]
+    design = np.column_stack(((time - time.mean()) / np.ptp(time), np.ones(len(stills)), _poses(np.array(force), unit)))
+    free = len(stills) - design.shape[1]
     if free < 1 or np.linalg.matrix_rank(design) < design.shape[1]:
         return None
     gyro, inverse = np.array([window.mean(axis=0) for window in windows]), np.linalg.inv(design.T @ design)
     theta = inverse @ design.T @ gyro
-    noise = noise_of_means(windows, [block_size(records[still.recording].sample_rate_hz) for still in kept])
+    noise = noise_of_means(windows, [block_size(records[still.recording].sample_rate_hz) for still in stills])
     return RestDrift(
         time=time,
-        temp_c=piece_temperatures(seen.session, kept),
+        temp_c=piece_temperatures(seen.session, stills),
         change=theta[0],
         scatter=((gyro - design @ theta) ** 2).sum(axis=0) / free,
         noise=np.zeros(3) if noise is None else (noise**2).mean(axis=0),
@@ -200,24 +200,24 @@ def offset_drift(seen: Observed, gain: float) -> tuple[Finding, ...]:
     """Return the finding of rest offsets that changed significantly over a session; gain in rad/s per unit of the readings."""
     from scipy.special import stdtr, stdtrit
 
-    made = None if seen.session.kind == "thermal" else rest_drift(seen)
-    if made is None or len(made.time) < _LEAST_RESTS:
+    drift = None if seen.session.kind == "thermal" else rest_drift(seen)
+    if drift is None or len(drift.time) < _LEAST_RESTS:
         return ()
-    change, dps = made.change, gain / RADIAN_PER_DEGREE
-    sigma = np.sqrt(np.maximum(made.scatter, made.noise) * made.lever)
-    sure = 3.0 * 2.0 * stdtr(made.free, -np.abs(change) / np.maximum(sigma, 1e-300)) < _CHANCE
+    change, dps = drift.change, gain / RADIAN_PER_DEGREE
+    sigma = np.sqrt(np.maximum(drift.scatter, drift.noise) * drift.lever)
+    sure = 3.0 * 2.0 * stdtr(drift.free, -np.abs(change) / np.maximum(sigma, 1e-300)) < _CHANCE
     if not sure.any():
         return ()
     axis = int(np.argmax(np.where(sure, np.abs(change), 0.0)))
     values = {
         "axis": AXES[axis],
         "change_dps": change[axis] * dps,
-        "uncertainty_dps": float(stdtrit(made.free, 0.975)) * sigma[axis] * dps,
-        "rests": len(made.time),
-        "minutes": float(np.ptp(made.time)) / 60.0,
+        "uncertainty_dps": float(stdtrit(drift.free, 0.975)) * sigma[axis] * dps,
+        "rests": len(drift.time),
+        "minutes": float(np.ptp(drift.time)) / 60.0,
     }
     level: Level = "warn" if abs(change[axis]) * gain > _LARGE else "info"
-    first, last = made.temp_c[0], made.temp_c[-1]
+    first, last = drift.temp_c[0], drift.temp_c[-1]
     if not abs(last - first) >= _WARMER_C:  # or unknown
         return (finding("session.offset_drift", level, **values),)
     return (finding("session.offset_drift_warming", level, first_c=first, last_c=last, **values),)
@@ -319,13 +319,13 @@ def _thermometer_variance(seen: Observed, pieces: Sequence[Still | Turn]) -> Flo
         if record.temp_c is None or not rows:
             continue
         parts = [record.temp_c[pieces[k].start : pieces[k].stop] for k in rows]
-        parts = [part[np.isfinite(part)] for part in parts]
-        windows = [np.repeat(part[:, None], 3, axis=1) for part in parts]
+        parts = [temps[np.isfinite(temps)] for temps in parts]
+        windows = [np.repeat(temps[:, None], 3, axis=1) for temps in parts]
         noise = noise_of_means(windows, [block_size(record.sample_rate_hz)] * len(rows))
         steps = np.diff(np.unique(np.concatenate(parts)))
         steps = steps[steps > 1e-6]
         step = float(steps.min()) if len(steps) else 0.0
-        within = float(np.sqrt(np.mean([part.var() for part in parts if len(part)] or [0.0])))
+        within = float(np.sqrt(np.mean([temps.var() for temps in parts if len(temps)] or [0.0])))
         variance[rows] = (0.0 if noise is None else noise[:, 0] ** 2) + (
             step**2 / 12.0 if within < _DITHER * step else 0.0
         )
@@ -353,15 +353,15 @@ def _rest_span(seen: Observed, length_s: float, prior: TemperatureSensitivity) -
     units = [record.gyro_unit for record in seen.session.records if record.gyro is not None]
     if not units or not seen.stills:
         return prior.unrecorded_span_k, 1.0
-    made = rest_drift(seen)
-    if made is None:
+    fit = rest_drift(seen)
+    if fit is None:
         return 0.0, 1.0
-    few = made.noise.any() and made.free <= _FEW
-    scatter = made.scatter * (1.0 if few else widening_of(made.free))
-    if float((made.change**2 / np.maximum(made.lever * np.fmax(scatter, made.noise), 1e-300)).sum()) <= _DRIFTS:
+    few = fit.noise.any() and fit.free <= _FEW
+    scatter = fit.scatter * (1.0 if few else widening_of(fit.free))
+    if float((fit.change**2 / np.maximum(fit.lever * np.fmax(scatter, fit.noise), 1e-300)).sum()) <= _DRIFTS:
         return 0.0, 1.0
     if not is_physical(units[0]) or prior.gyro_offset_dps_per_k == 0.0:
         return prior.unrecorded_span_k, 1.0
-    drift = made.change * length_s / float(np.ptp(made.time))
+    drift = fit.change * length_s / float(np.ptp(fit.time))
     slope = prior.gyro_offset_dps_per_k * RADIAN_PER_DEGREE / si_factor(units[0], "rate")
     return float(np.sqrt(np.mean(drift**2))) / slope, widening_of(3) ** 0.5

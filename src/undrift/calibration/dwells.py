@@ -186,36 +186,36 @@ def _measured(dwells: Dwells, pieces: list[_Piece], noise: FloatArray, ratio: Fl
 
 def _pieces(dwells: Dwells) -> tuple[list[_Piece], list[IntArray]]:
     """Return the dwells that show how even their rate is, and the places of the terms of each group."""
-    own, lines, rates, sizes = dwells.own, dwells.lines, dwells.turn_rate, dwells.sizes
+    axis, lines, rates, sizes = dwells.own, dwells.lines, dwells.turn_rate, dwells.sizes
     phases: list[tuple[list[int], list[FloatArray]]] = []
     for key in sorted({(t.recording, int(m)) for t, m in zip(dwells.turns, dwells.mounting, strict=True)}):
         rows = [n for n, t in enumerate(dwells.turns) if (t.recording, int(dwells.mounting[n])) == key]
-        for part in (rows, *([n] for n in rows)):  # a gap between dwells leaves each a phase of its own
-            angles = azimuths(dwells, part, lines[own[part[0]]])
+        for group in (rows, *([n] for n in rows)):  # a gap between dwells leaves each a phase of its own
+            angles = azimuths(dwells, group, lines[axis[group[0]]])
             if angles is not None:
-                phases.append((part, angles))
-                if part is rows:
+                phases.append((group, angles))
+                if group is rows:
                     break
     mounts = sorted(set(dwells.mounting.tolist()))
-    last, found = 4 * len(phases), []
-    for number, (part, angles) in enumerate(phases):
-        for n, psi in zip(part, angles, strict=True):
-            window, drive = dwells.settled(n), lines[own[n], 0] * rates[n]
+    last, pieces = 4 * len(phases), []
+    for number, (group, angles) in enumerate(phases):
+        for n, psi in zip(group, angles, strict=True):
+            window, drive = dwells.settled(n), lines[axis[n], 0] * rates[n]
             if rates[n] == 0.0 or len(psi) < _LEAST_BLOCKS * sizes[n]:
                 continue
             record = dwells.records[dwells.turns[n].recording]
             since = record.time[window] - record.time[dwells.turns[n].start]
             waves = [np.cos(psi), np.sin(psi), np.cos(2.0 * psi), np.sin(2.0 * psi)]
             terms = np.column_stack([*waves, *(np.exp(-since / settle) for settle in _SETTLES_S)])
-            means = block_means(np.column_stack((terms, np.asarray(record.gyro)[window, own[n]] / drive)), sizes[n])
+            means = block_means(np.column_stack((terms, np.asarray(record.gyro)[window, axis[n]] / drive)), sizes[n])
             late = last + len(_SETTLES_S) * mounts.index(dwells.mounting[n])
             places = [*range(4 * number, 4 * number + 4), *range(late, late + len(_SETTLES_S))]
             piece = _Piece(
-                dwell=n, own=int(own[n]), places=places, mean=terms.mean(axis=0), away=means - means.mean(axis=0), drive=abs(drive)
+                dwell=n, own=int(axis[n]), places=places, mean=terms.mean(axis=0), away=means - means.mean(axis=0), drive=abs(drive)
             )  # fmt: skip
-            found.append(piece)
+            pieces.append(piece)
     turned = np.arange(last).reshape(-1, 2, 2)
-    return found, [turned[:, 0].ravel(), turned[:, 1].ravel(), np.arange(last, last + len(_SETTLES_S) * len(mounts))]
+    return pieces, [turned[:, 0].ravel(), turned[:, 1].ravel(), np.arange(last, last + len(_SETTLES_S) * len(mounts))]
 
 
 def _left(pieces: list[_Piece], theta: FloatArray, covariance: FloatArray, noise: FloatArray) -> FloatArray:
@@ -236,15 +236,15 @@ def _left(pieces: list[_Piece], theta: FloatArray, covariance: FloatArray, noise
 
 def _jitter(dwells: Dwells, noise: FloatArray) -> FloatArray:
     """Return by how much the variance (3,) of block means about the own axis exceeds that about the others, where it shows."""
-    more, own = np.zeros(3), dwells.own
+    more, axis = np.zeros(3), dwells.own
     windows = [np.asarray(dwells.records[t.recording].gyro)[dwells.settled(n)] for n, t in enumerate(dwells.turns)]
     parts = [block_means(window, size) for window, size in zip(windows, dwells.sizes, strict=True)]
     for k in range(3):
-        others = [parts[n][:, k] for n in np.flatnonzero(own != k) if len(parts[n]) > 1]
+        others = [parts[n][:, k] for n in np.flatnonzero(axis != k) if len(parts[n]) > 1]
         spare = sum(len(part) - 1 for part in others)
-        if spare and (own == k).any():
+        if spare and (axis == k).any():
             usual = sum(float(((part - part.mean()) ** 2).sum()) for part in others) / spare
-            blocks = sum(len(parts[n]) - 1 for n in np.flatnonzero(own == k))
+            blocks = sum(len(parts[n]) - 1 for n in np.flatnonzero(axis == k))
             shows = 1.0 + SHOWS * (2.0 / spare + 2.0 / max(blocks, 1)) ** 0.5
             more[k] = noise[k] - usual if noise[k] > shows * usual else 0.0
     return more
@@ -292,15 +292,15 @@ class TableAxes:
         default_factory=lambda: np.zeros((9, 9))
     )  # of ``covariance``, by the session's temperature
 
-    def shares(self, own: IntArray, square: FloatArray, *, alone: bool) -> dict[str, FloatArray]:
-        """Return the covariances (9, 9) of D by source of a budget, where dwells (N,) about ``own`` weigh by ``square`` (N, 3).
+    def shares(self, axis: IntArray, square: FloatArray, *, alone: bool) -> dict[str, FloatArray]:
+        """Return the covariances (9, 9) of D by source of a budget, where dwells (N,) about ``axis`` weigh by ``square`` (N, 3).
 
         ``alone`` counts also what each dwell has on its own; a fit whose noise holds that leaves it out.
         """
-        share, rows = np.zeros((9, 3 * len(own))), np.arange(len(own))
+        share, rows = np.zeros((9, 3 * len(axis))), np.arange(len(axis))
         for a in range(3):
-            total = np.bincount(own, square[:, a], minlength=3)
-            share[3 * a + own, 3 * rows + a] = square[:, a] / np.maximum(total, 1e-300)[own]
+            total = np.bincount(axis, square[:, a], minlength=3)
+            share[3 * a + axis, 3 * rows + a] = square[:, a] / np.maximum(total, 1e-300)[axis]
         spread = share @ (self.spread - (0.0 if alone else np.diag(self.apart.ravel()))) @ share.T
         along = np.outer(np.eye(3), np.eye(3)) > 0.0
         ripple, mounting = np.where(along, spread, 0.0), np.where(along, 0.0, spread)
@@ -347,15 +347,15 @@ def mountings(pieces: Sequence[Still | Turn]) -> IntArray:
 
 def table_axes(dwells: Dwells, table: RateTable, accel: TriadModel | None, gravity_m_s2: float) -> TableAxes:
     """Return the axes about which the dwells turned the case, and at what part of the stated rates."""
-    own, lines, count = dwells.own, dwells.lines, len(dwells.own)
-    axis_b, off, spread = np.eye(3)[own], np.full(count, np.nan), np.zeros((3 * count, 3 * count))
+    axis, lines, count = dwells.own, dwells.lines, len(dwells.own)
+    axis_b, off, spread = np.eye(3)[axis], np.full(count, np.nan), np.zeros((3 * count, 3 * count))
     apart, beyond = np.zeros((count, 3)), 0.0
     wobble, mount = (np.square(deg * RADIAN_PER_DEGREE) for deg in (table.wobble_deg, table.mount_tilt_deg))
     codes = np.zeros(3) if accel is None else dwells.codes(rate=False)
     seen: list[_Mounted] = []
     blocks: dict[tuple[int, int, float], list[int]] = {}
     for n in sorted(range(count), key=lambda n: dwells.turns[n].recording):
-        blocks.setdefault((int(dwells.mounting[n]), int(own[n]), float(dwells.up[n])), []).append(n)
+        blocks.setdefault((int(dwells.mounting[n]), int(axis[n]), float(dwells.up[n])), []).append(n)
     for (_, k, up), rows in blocks.items():
         across = [(k + 1) % 3, (k + 2) % 3]
         felt = None if accel is None or up == 0.0 else _felt(dwells, rows, lines[k], table, accel, gravity_m_s2)
@@ -373,7 +373,7 @@ def table_axes(dwells: Dwells, table: RateTable, accel: TriadModel | None, gravi
         seen.append(_Mounted(rows=rows, tilt=felt[0], covariance=whole, of_accel=jacobian))
     if seen and accel is not None:
         tilts, found, beyond = _with_prior(seen, accel, mount)
-        axes = [np.array([3 * n + (own[n] + c) % 3 for n in one.rows for c in (1, 2)]) for one in seen]
+        axes = [np.array([3 * n + (axis[n] + c) % 3 for n in one.rows for c in (1, 2)]) for one in seen]
         places = np.concatenate(axes)
         axis_b.reshape(-1)[places] = tilts
         spread[np.ix_(places, places)] = found
@@ -383,11 +383,11 @@ def table_axes(dwells: Dwells, table: RateTable, accel: TriadModel | None, gravi
                 apart.reshape(-1)[place[c::2]] = _alone(spread[np.ix_(place[c::2], place[c::2])])
     axis_b /= np.linalg.norm(axis_b, axis=1)[:, None]
     rate = uneven_rate(dwells)
-    along = 3 * np.arange(count) + own
+    along = 3 * np.arange(count) + axis
     spread[np.ix_(along, along)] = rate.covariance
     for k in range(3):
-        apart.reshape(-1)[along[own == k]] = _alone(rate.covariance[np.ix_(own == k, own == k)])
-    share = np.where(own == np.arange(3)[:, None], dwells.turn_rate**2, 0.0)
+        apart.reshape(-1)[along[axis == k]] = _alone(rate.covariance[np.ix_(axis == k, axis == k)])
+    share = np.where(axis == np.arange(3)[:, None], dwells.turn_rate**2, 0.0)
     share /= np.maximum(share.sum(axis=1), 1e-300)[:, None]
     return TableAxes(
         axis_b=axis_b * (1.0 + rate.ratio)[:, None],
@@ -437,20 +437,20 @@ def _felt(
     for recording in recordings:
         own = [n for n in rows if dwells.turns[n].recording == recording]
         parts += _across(dwells, own, line, accel, up / gravity_m_s2) or [np.empty((0, 4))]
-    if any(len(part) == 0 for part in parts):
+    if any(len(block) == 0 for block in parts):
         return None
     designs, across, wobbles = [], [], 4 + 2 * len(recordings)
-    for number, (n, part) in enumerate(zip(rows, parts, strict=True)):
+    for number, (n, block) in enumerate(zip(rows, parts, strict=True)):
         square, place = dwells.turn_rate[n] ** 2 / gravity_m_s2, 4 + 2 * recordings.index(dwells.turns[n].recording)
-        design = np.zeros((len(part), 2, wobbles + 4 * len(rows)))
+        design = np.zeros((len(block), 2, wobbles + 4 * len(rows)))
         design[:, [0, 1], [0, 1]], design[:, [0, 1], [2, 3]] = 1.0, square
         e = wobbles + 4 * number
         design[:, [0, 1], [e, e + 1]] = 1.0
         for level in (place, e + 2):
-            design[:, [0, 1], [level, level + 1]] = part[:, :1]
-            design[:, 0, level + 1], design[:, 1, level] = part[:, 1], -part[:, 1]
+            design[:, [0, 1], [level, level + 1]] = block[:, :1]
+            design[:, 0, level + 1], design[:, 1, level] = block[:, 1], -block[:, 1]
         designs.append(design.reshape(-1, design.shape[2]))
-        across.append(part[:, 2:].ravel())
+        across.append(block[:, 2:].ravel())
     off_level = max(table.table_level_deg * RADIAN_PER_DEGREE, 1e-9)
     precision = np.zeros(wobbles + 4 * len(rows))
     precision[2:wobbles] = [ARM_SD_M**-2] * 2 + [off_level**-2] * 2 * len(recordings)
@@ -471,13 +471,13 @@ def _across(
     angles = azimuths(dwells, rows, line)
     if record.accel is None or angles is None:
         return None
-    found, sizes = [], dwells.sizes
+    blocks, sizes = [], dwells.sizes
     for n, angle in zip(rows, angles, strict=True):
         force = gain * (np.asarray(record.accel[dwells.settled(n)]) - accel.offset) @ accel.matrix.T
         parts = np.column_stack((np.cos(angle), np.sin(angle), force[:, [(k + 1) % 3, (k + 2) % 3]]))
         means = block_means(parts, sizes[n])
-        found.append(means[~np.isnan(means).any(axis=1)])
-    return found
+        blocks.append(means[~np.isnan(means).any(axis=1)])
+    return blocks
 
 
 def _posterior(
@@ -487,13 +487,13 @@ def _posterior(
     square, product = design.T @ design, design.T @ reading
     group = np.arange(wobbles, design.shape[1])
     plain = design[:, :wobbles]
-    left = reading - plain @ np.linalg.lstsq(plain, reading, rcond=None)[0]
-    noise = max(float(left @ left) / max(len(left) - wobbles, 1), _LEAST_TILT_VARIANCE)
+    residual = reading - plain @ np.linalg.lstsq(plain, reading, rcond=None)[0]
+    noise = max(float(residual @ residual) / max(len(residual) - wobbles, 1), _LEAST_TILT_VARIANCE)
     for _ in range(_PASSES):
         found = fit_components(square / noise, product / noise, precision, [group], np.array([stated]), _FIRST)
-        left = reading - design @ found.theta
+        residual = reading - design @ found.theta
         fitted = float((square * found.covariance).sum()) / noise  # parameters that the readings determine
-        noise = max(float(left @ left) / max(len(left) - fitted, 1.0), _LEAST_TILT_VARIANCE)
+        noise = max(float(residual @ residual) / max(len(residual) - fitted, 1.0), _LEAST_TILT_VARIANCE)
     return found.theta, found.covariance
 
 
@@ -562,10 +562,10 @@ def dwell_means(
     unit = records[used[0].recording].gyro_unit if used else "rad/s"
     blocks = {k: block_size(records[k].sample_rate_hz) for k in {t.recording for t in used}}
     parts = [_settled(records[t.recording], t, unit, settle_s) for t in used]
-    windows = [np.asarray(part.gyro) for part in parts]
+    windows = [np.asarray(record.gyro) for record in parts]
     smooth = [
-        w if cutoff_hz is None else spline_filter(part.time, w, cutoff_hz)
-        for part, w in zip(parts, windows, strict=True)
+        w if cutoff_hz is None else spline_filter(record.time, w, cutoff_hz)
+        for record, w in zip(parts, windows, strict=True)
     ]
     noise = _noise(windows, [blocks[t.recording] for t in used], [AXES.index(t.axis or "x") for t in used])
     step = code_steps([records[k] for k in blocks], rate=True)
@@ -575,7 +575,7 @@ def dwell_means(
         turn_rate=np.array([t.turn_rate for t in used], float),
         axis=tuple(t.axis for t in used if t.axis is not None),
         noise=None if noise is None else np.hypot(noise, np.sqrt(codes)),
-        up=np.array([_points_up(part, AXES.index(t.axis or "x")) for part, t in zip(parts, used, strict=True)]),
+        up=np.array([_points_up(record, AXES.index(t.axis or "x")) for record, t in zip(parts, used, strict=True)]),
         unit=unit,
         time=middles(records, used),
         step=step,
@@ -617,19 +617,19 @@ def _settled(record: Record, turn: Turn, unit: str, settle_s: float) -> Record:
             f"rate table: wanted gyroscope readings in {unit} in every recording, got "
             f"{'none' if record.gyro is None else record.gyro_unit} in recording {turn.recording}; map the columns alike"
         )
-    part = record.part(turn.start, turn.stop)
-    part = part.part(int(np.searchsorted(part.time, part.time[0] + settle_s)), len(part))
-    if len(part) < _LEAST_SAMPLES:
+    dwell = record.part(turn.start, turn.stop)
+    dwell = dwell.part(int(np.searchsorted(dwell.time, dwell.time[0] + settle_s)), len(dwell))
+    if len(dwell) < _LEAST_SAMPLES:
         raise InputError(
             f"dwell [{turn.start}, {turn.stop}): wanted {_LEAST_SAMPLES} samples or more after {settle_s:g} s of settling, got "
-            f"{len(part)}; dwell longer"
+            f"{len(dwell)}; dwell longer"
         )
-    values = np.asarray(part.gyro)
+    values = np.asarray(dwell.gyro)
     gaps = int(np.isnan(values).any(axis=1).sum())
     if gaps:
         raise InputError(f"dwell [{turn.start}, {turn.stop}): wanted readings without gaps, got {gaps}; shorten it")
     check_saturation(values, f"gyroscope at {turn.turn_rate:.4g} rad/s about {turn.axis}")
-    return part
+    return dwell
 
 
 def _points_up(part: Record, axis: int) -> float:

@@ -78,19 +78,19 @@ def check_turns_gravity(
     if len(moves.first) < _LEAST_MOVES:
         return
     n = gravity_directions(moves, accel)[0]
-    own = _miss_deg(moves, n, gyro.matrix, gyro.offset)
-    if own <= LARGEST_MISS_DEG:
+    miss = _miss_deg(moves, n, gyro.matrix, gyro.offset)
+    if miss <= LARGEST_MISS_DEG:
         return
     every = itertools.product(itertools.permutations(range(3)), itertools.product((1.0, -1.0), repeat=3))
     orders = [np.eye(3)[list(order)] * np.array(signs)[:, None] for order, signs in every]
     misses = [_miss_deg(moves, n, order.T @ gyro.matrix, gyro.offset) for order in orders]
     best = int(np.argmin(misses))
-    if misses[best] < _CLEARLY * own and not np.array_equal(orders[best], np.eye(3)):
+    if misses[best] < _CLEARLY * miss and not np.array_equal(orders[best], np.eye(3)):
         raise Implausible(
-            f"gyro against accel: wanted gyroscopes that turn gravity from rest to rest, got moves that miss it by {own:.0f} deg "
+            f"gyro against accel: wanted gyroscopes that turn gravity from rest to rest, got moves that miss it by {miss:.0f} deg "
             f"rms, and by {misses[best]:.0f} deg were the axes x, y, z of the gyroscopes {order_text(orders[best])} of the "
             f"accelerometer: {cause_by_gravity(orders[best])}; correct the order or the sign of the columns",
-            miss_deg=own,
+            miss_deg=miss,
             seen=order_text(orders[best]),
         )
 
@@ -151,8 +151,8 @@ def rotation_data(
             raise InputError(
                 f"known rotation: wanted readings at rest on face {still.face}, got {len(readings)}; choose another stretch"
             )
-    kept = [k for k, window in enumerate(gyro) if len(window) > 1]
-    windows, rests = [gyro[k] for k in kept], [rests[k] for k in kept]
+    usable = [k for k, window in enumerate(gyro) if len(window) > 1]
+    windows, rests = [gyro[k] for k in usable], [rests[k] for k in usable]
     count = np.array([len(w) for w in windows], float)
     sizes = [block_size(records[s.recording].sample_rate_hz) for s in rests]
     white, block = _sample_noise(windows, sizes)
@@ -175,7 +175,7 @@ def rotation_data(
         noise=noise,
         slip=np.array([one.slip for one in sums]),
         free=FaceMeans(reading=means[size:], faces=(), noise=rest_noise[size:], unit=unit) if number > size else None,
-        rest_force=np.array(force)[kept].reshape(-1, 3),
+        rest_force=np.array(force)[usable].reshape(-1, 3),
         span=spans_of(records, [*rests, *used]),
         blocks=blocks_within(windows, [records[s.recording].sample_rate_hz for s in rests]),
         rounding=mean_rounding([_both(records[k])[0] for k in {s.recording for s in rests}], windows)
@@ -302,20 +302,20 @@ def _equations(
     """Return the rows of rests and turns, and what is known of their errors: forward (3, 3), sigma of angle and axis, rad."""
     rests, turns = len(data.means), len(data.angle)
     extent = unknowns["offset"][:, 0]
-    own = {"noise": diagonal(_noise(data, extent) ** 2)}
+    covariances = {"noise": diagonal(_noise(data, extent) ** 2)}
     if data.rounding is not None:
         # One code for all rests errs alike in all; a turn's slow parts err by themselves.
         alike = np.zeros((rests + turns, rests + turns))
         alike[:rests, :rests] = 1.0
-        own["adc"] = (data.rounding**2)[:, None, None] * (alike + np.diag(extent**2))
+        covariances["adc"] = (data.rounding**2)[:, None, None] * (alike + np.diag(extent**2))
     if creep is not None:
         gain = np.linalg.norm(forward, axis=1)
         along = unknowns["matrix"] @ (forward / gain[:, None]).T
-        own["temperature"] = np.stack([creep.covariance(along[:, k], float(gain[k]), extent) for k in range(3)])
+        covariances["temperature"] = np.stack([creep.covariance(along[:, k], float(gain[k]), extent) for k in range(3)])
     shared = _shared(data, forward, sigma, rests)
     # So that V stays invertible; with flicker, which is the rest of the budget
-    own["instability"] = 1e-12 * diagonal(sum((columns**2).sum(axis=2).T for columns in shared.values()))
-    return Equations(unknowns=unknowns, reading=np.vstack((data.means, data.reading)), own=own, shared=shared)
+    covariances["instability"] = 1e-12 * diagonal(sum((columns**2).sum(axis=2).T for columns in shared.values()))
+    return Equations(unknowns=unknowns, reading=np.vstack((data.means, data.reading)), own=covariances, shared=shared)
 
 
 def _noise(data: RotationData, extent: FloatArray) -> FloatArray:
@@ -334,13 +334,13 @@ def _shared(data: RotationData, forward: FloatArray, sigma: tuple[float, float],
     turns, leans = [], []
     slip = np.zeros(len(data.angle)) if data.slip is None else data.slip
     for turn, axis in enumerate(data.axis):
-        own = AXES.index(axis)
+        about = AXES.index(axis)
         column = np.zeros((3, rests + len(data.angle)))
-        column[:, rests + turn] = forward[:, own] * np.hypot(sigma[0], slip[turn] / forward[own, own])
+        column[:, rests + turn] = forward[:, about] * np.hypot(sigma[0], slip[turn] / forward[about, about])
         turns.append(column)
-    for own, name in enumerate(AXES):  # all turns about one axis lean alike, as a fixture or an edge does
+    for about, name in enumerate(AXES):  # all turns about one axis lean alike, as a fixture or an edge does
         along = np.where(np.array(data.axis) == name, data.angle, 0.0)
-        for across in {0, 1, 2} - {own}:
+        for across in {0, 1, 2} - {about}:
             column = np.zeros((3, rests + len(data.angle)))
             column[:, rests:] = sigma[1] * np.outer(forward[:, across], along)
             leans.append(column)
@@ -415,7 +415,7 @@ def fit_known_rotation(
     covariance = inverse.carried(covariance)
     rank, condition = scaled_condition(np.column_stack((np.ones(len(up)), up)))
     fastest = float(np.abs(data.angle / data.duration).max())
-    known = data.rest.noise is not None and data.noise is not None
+    has_noise = data.rest.noise is not None and data.noise is not None
     return triad_fit(
         (reading - equations.design @ theta.T) @ inverse.matrix.T,
         Verdict.of(*_judged(data, angle_uncertainty, creep, np.diag(covariance)[9:12])),
@@ -426,8 +426,8 @@ def fit_known_rotation(
         offset=inverse.offset,
         g_sensitivity=inverse.g_sensitivity,
         parameters=inverse.parameters,
-        covariance=covariance if known else np.full((21, 21), np.nan),
-        budget=equations.budget(inverse, covariance, "instability", gains=gains) if known else None,
+        covariance=covariance if has_noise else np.full((21, 21), np.nan),
+        budget=equations.budget(inverse, covariance, "instability", gains=gains) if has_noise else None,
         rank=3 * rank + 9,
         condition=condition,
         valid_range=(-fastest, fastest),
@@ -515,20 +515,20 @@ def calibrate_turns(seen: Observed, mode: str | None, accel: TriadFit | None) ->
     if accel is None or missing:
         return Outcome(findings=(finding("known_rotation.needs_faces", "warn", missing=missing or "none"),))
     turns = tuple(t for t in seen.session.turns if t.angle is not None)
-    found: tuple[Finding, ...] = ()
+    findings: tuple[Finding, ...] = ()
     if not turns:
         turns = seen.full_turns()
         if not turns:
             return Outcome(findings=(finding("known_rotation.needs_turns", "warn"),))
         taken = tuple(f"{t.axis} {(t.angle or 0.0) / RADIAN_PER_DEGREE:+.0f} deg" for t in turns)
-        found = (finding("known_rotation.turns_found", "warn", turns=taken),)
+        findings = (finding("known_rotation.turns_found", "warn", turns=taken),)
     rests = seen.stills
     if _without_rest(seen.session.records, rests, turns):
         rests = (*rests, *unused_stills(seen, (*rests, *turns)))
         if len(rests) > len(seen.stills):
-            found = (*found, finding("known_rotation.rests_found", "info", rests=len(rests) - len(seen.stills)))
+            findings = (*findings, finding("known_rotation.rests_found", "info", rests=len(rests) - len(seen.stills)))
     if lacking := _without_rest(seen.session.records, rests, turns):
-        found = (*found, finding("known_rotation.no_rests", "warn", axes=lacking, within_s=_NEAR_S))
+        findings = (*findings, finding("known_rotation.no_rests", "warn", axes=lacking, within_s=_NEAR_S))
     data = rotation_data(seen.session.records, rests, turns, matrix=accel.model.matrix, offset=accel.model.offset)
     fit = fit_known_rotation(
         data,
@@ -540,4 +540,4 @@ def calibrate_turns(seen: Observed, mode: str | None, accel: TriadFit | None) ->
         scale_tolerance=seen.settings.scale_tolerance,
     )
     check_turns_gravity(seen.session.records, seen.stills, accel.model, fit.model)
-    return Outcome(fit=fit, method="known-rotation", findings=found)
+    return Outcome(fit=fit, method="known-rotation", findings=findings)

@@ -442,7 +442,7 @@ def _descend(
     def white(missed: _Missed) -> Rows:
         return Rows(whitener @ missed.angle, whitener @ missed.jacobian[:, :free], missed)
 
-    values, best, found = descend(
+    values, best, converged = descend(
         lambda values: white(_missed(problem, np.concatenate((values, p[free:])))),
         p[:free],
         problem.known,
@@ -450,7 +450,7 @@ def _descend(
         tolerance=tolerance,
         size=np.ones(free),
     )
-    if not found:
+    if not converged:
         raise PoorFit(
             f"multi-position gyro: wanted a matrix that turns gravity through {len(problem.moves.first)} moves, got no "
             "convergence; check the gyroscope's columns and the time column",
@@ -554,13 +554,13 @@ def _as_triad(problem: _Problem, p: FloatArray, covariance: FloatArray, missed: 
     matrix, offset = p[:9].reshape(3, 3) / problem.unit, problem.prior.mean + p[9:] * problem.unit
     carry = np.array([1.0 / problem.unit] * 9 + [problem.unit] * 3)
     total = covariance * np.outer(carry, carry)
-    left, known = problem.prior.drift, np.zeros(3)
+    residual, variance = problem.prior.drift, np.zeros(3)
     if problem.creep is not None and not problem.creep[1].none:  # the offset is that at the reference temperature
         warmth = _warmth_of_moves(problem, problem.creep[1])[:, None]
-        left = left - warmth @ np.linalg.pinv(warmth) @ left
-        known = np.diagonal(problem.prior.drift_covariance, axis1=1, axis2=2).mean(axis=1)
+        residual = residual - warmth @ np.linalg.pinv(warmth) @ residual
+        variance = np.diagonal(problem.prior.drift_covariance, axis1=1, axis2=2).mean(axis=1)
     # one offset stands for all of the session
-    total[9:, 9:] += np.diag(np.maximum((left**2).mean(axis=0) - known, 0.0))
+    total[9:, 9:] += np.diag(np.maximum((residual**2).mean(axis=0) - variance, 0.0))
     inside = [moves.gyro[a + 1 : b + 1] for a, b in zip(moves.first, moves.last, strict=True)]
     rate = (np.concatenate(inside) - offset) @ matrix.T
     residuals = missed.angle.reshape(-1, 2) / moves.duration_s[:, None]

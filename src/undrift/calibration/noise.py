@@ -110,7 +110,7 @@ def _of_whole_terms(
 ) -> tuple[IntArray, FloatArray, IntArray]:
     """Return averaging times in samples, deviations, and phases of a record without gaps that has as many terms; lost (N + 1,)."""
     order, weights = _ORDER[estimator], {2: (1.0, -2.0, 1.0), 3: (-1.0, 3.0, -3.0, 1.0)}[_ORDER[estimator]]
-    kept, squares, phases = list[int](), list[float](), list[int]()
+    lengths, squares, phases = list[int](), list[float](), list[int]()
     for k in m.tolist():
         every = k if estimator in ("adev", "hdev") else 1
         first = np.arange(0, len(phase) - order * k, every)
@@ -118,15 +118,15 @@ def _of_whole_terms(
         if len(first) * every < _SPAN[estimator] * k:
             continue
         difference = sum(weight * phase[first + j * k] for j, weight in enumerate(weights))
-        kept.append(k)
+        lengths.append(k)
         phases.append(len(first) * every + order * k)
         squares.append(float(np.mean(difference**2)) / (2.0 if order == 2 else 6.0))
-    if not kept:
+    if not lengths:
         raise InputError(
             "allan_deviation: wanted averaging times of which whole windows are left, got none between "
             f"{int(lost[-1])} gaps; record longer without gaps"
         )
-    averages = np.array(kept, np.int64)
+    averages = np.array(lengths, np.int64)
     return averages, np.sqrt(np.array(squares)) / averages, np.array(phases, np.int64)
 
 
@@ -516,7 +516,7 @@ def _axis(curve: AllanDeviation, axis: str, unit: str, record: Record, confidenc
 
     tau = curve.taus_s
     design = np.column_stack((3.0 / tau**2, 1.0 / tau, np.full(len(tau), FLICKER), tau / 3.0))
-    kept, squares, errors, departures, misfit = _fit(curve, design, record)
+    terms, squares, errors, departures, misfit = _fit(curve, design, record)
     wide = float(ndtri(0.5 + 0.5 * confidence))
     likelihood = _Likelihood.of(curve, design, departures, wide)
     rows: tuple[tuple[int, str, str, Finding], ...] = (
@@ -525,22 +525,22 @@ def _axis(curve: AllanDeviation, axis: str, unit: str, record: Record, confidenc
         (2, "bias_instability", unit, finding("noise.no_flat_part", "info")),
         (3, "rate_random_walk", f"{unit}/sqrt(s)", finding("noise.no_rise", "info", longest_s=tau[-1])),
     )
-    found: dict[str, NoiseCoefficient] = {}
+    coefficients: dict[str, NoiseCoefficient] = {}
     for term, name, of, why in rows:
         if term in _LONG:
             low, high = likelihood.interval(term)
-        elif term in kept:  # limits by the logarithm stay positive
+        elif term in terms:  # limits by the logarithm stay positive
             low, high = np.sqrt(squares[term]) * np.exp(np.array([-0.5, 0.5]) * wide * errors[term] / squares[term])
         else:
             high = float(np.sqrt(max(squares[term], 0.0) + wide * errors[term]))
-        if term in kept:
+        if term in terms:
             value = float(np.sqrt(squares[term]))
-            found[name] = NoiseCoefficient(
+            coefficients[name] = NoiseCoefficient(
                 value=value, interval=(min(float(low), value), max(float(high), value)), unit=of
             )
         else:
-            found[name] = NoiseCoefficient(value=np.nan, interval=(0.0, high), unit=of, finding=why)
-    return AxisNoise(axis=axis, model_error=misfit, **found)
+            coefficients[name] = NoiseCoefficient(value=np.nan, interval=(0.0, high), unit=of, finding=why)
+    return AxisNoise(axis=axis, model_error=misfit, **coefficients)
 
 
 def _fit(
@@ -550,20 +550,20 @@ def _fit(
     measured = curve.deviation**2
     spectra, squared_gain = _spectra(curve.taus_s, record)
     covariance: FloatArray = np.diag(2.0 * measured**2 / curve.edf)
-    total, misfit, kept, squares = _stretched(measured, design, covariance, measured)
+    total, misfit, terms, squares = _stretched(measured, design, covariance, measured)
     for _ in range(5):
         model: FloatArray = np.maximum(design @ squares, 1e-3 * measured)
         covariance = _covariance(squares, model, curve.edf, spectra, squared_gain)
-        total, misfit, kept, squares = _stretched(measured, design, covariance, model)
+        total, misfit, terms, squares = _stretched(measured, design, covariance, model)
     errors = np.zeros(4)
     for term in range(4):  # a dropped term's limit comes from a fit with it added
-        chosen = sorted({*kept, term})
+        chosen = sorted({*terms, term})
         value, cov, _ = _weighted(measured, design[:, chosen], total)
         at = chosen.index(term)
         errors[term] = float(np.sqrt(cov[at, at]))
-        if term not in kept:
+        if term not in terms:
             squares[term] = float(value[at])
-    return kept, squares, errors, total / np.outer(model, model), misfit
+    return terms, squares, errors, total / np.outer(model, model), misfit
 
 
 # ---- intervals of what long averaging times show

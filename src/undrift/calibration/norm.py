@@ -97,12 +97,12 @@ def fit_norm(
     free = np.arange(9) if cross_axis else np.array([0, 3, 5, 6, 7, 8])
     rounds = 1 if variances is None and prior_sd is None else 6
     prior: FloatArray = np.zeros((0, 9))
-    found, p, variance = _settled(v, stated, gravity, free, prior, rounds)
+    converged, p, variance = _settled(v, stated, gravity, free, prior, rounds)
     if prior_sd is not None:
         for at in (_START, p):  # the solution itself may have run away along what nothing shows
             prior = _unseen_cross_axis(_linearised(v, at, gravity)[0], gravity)
             if len(prior):
-                found, p, variance = _settled(v, stated, gravity, free, prior / prior_sd, rounds)
+                converged, p, variance = _settled(v, stated, gravity, free, prior / prior_sd, rounds)
                 break
     design, residuals = _linearised(v, p, gravity)
     size = np.array([gravity] * 6 + [1.0] * 3)
@@ -111,7 +111,7 @@ def fit_norm(
     weak = np.append(np.flatnonzero(singular < WEAKEST * np.sqrt(len(v))), len(singular) - 1)
     share = np.linalg.norm(right[weak], axis=0)
     weakest = float(singular[-1] / np.sqrt(len(v))) if len(seen) >= len(free) else 0.0
-    if not found and weakest > WEAKEST:
+    if not converged and weakest > WEAKEST:
         raise PoorFit(
             f"multi-position: wanted {len(v)} readings of length {gravity:g} m/s2, got none that a linear sensor could give; "
             "check that the device lay still and that the columns are the accelerometer's",
@@ -157,11 +157,11 @@ def _settled(
     v: FloatArray, stated: _Stated, gravity: float, free: IntArray, prior: FloatArray, rounds: int
 ) -> tuple[bool, FloatArray, FloatArray]:
     """Return whether there is a minimum, p, and the variance of each length (K,); prior (R, 9) in standard deviations."""
-    found, p, variance = True, _START, np.ones(len(v))
+    converged, p, variance = True, _START, np.ones(len(v))
     for _ in range(rounds):
         before, shared = p, stated.shared(v, p, _linearised(v, p, gravity)[0])
         root = stated.root(variance, shared)
-        p, found = _descend(v, root, p, gravity, free, prior)
+        p, converged = _descend(v, root, p, gravity, free, prior)
         design, residuals = _linearised(v, p, gravity)
         white = whitened(root, shared)
         moved = shared @ (white.T @ whitened(root, residuals))  # the most likely N z
@@ -169,9 +169,9 @@ def _settled(
         own = (design[:, 6:] ** 2 * stated.variances).sum(axis=1)  # d length / d reading = M'^T n
         variance = own + excess_variance(residuals - moved, own, spare)
         variance = np.maximum(variance, (1e-12 * gravity) ** 2)
-        if not found or float(np.abs(p - before).max()) < 1e-12 * gravity:
+        if not converged or float(np.abs(p - before).max()) < 1e-12 * gravity:
             break
-    return found, p, variance
+    return converged, p, variance
 
 
 def _unseen_cross_axis(design: FloatArray, gravity: float) -> FloatArray:
@@ -257,7 +257,7 @@ def judged(fit: NormFit, reading: FloatArray, unit_in: str) -> TriadFit:
     carry = np.zeros((12, 9))  # d (m_xx .. m_zz, offset) / d p
     carry[SEEN, np.arange(9)] = [fit.scale] * 6 + [1.0 / fit.scale] * 3
     rms_mg = float(np.sqrt(np.mean(fit.residuals**2))) / MG
-    made = triad_fit(
+    triad = triad_fit(
         fit.residuals,
         Verdict.of(*_judged(fit, rms_mg, corrected)),
         method="multi-position",
@@ -270,8 +270,8 @@ def judged(fit: NormFit, reading: FloatArray, unit_in: str) -> TriadFit:
         condition=fit.condition,
         valid_range=(float(corrected.min()), float(corrected.max())),
     )
-    check_own_scale(made.model.scale_factor, unit, "accel", TOLERANCE, "accel")
-    return made
+    check_own_scale(triad.model.scale_factor, unit, "accel", TOLERANCE, "accel")
+    return triad
 
 
 def _judged(fit: NormFit, rms_mg: float, corrected: FloatArray) -> Iterator[Finding]:

@@ -71,7 +71,7 @@ def check_stills(session: Session, stills: tuple[Still, ...], *, stated: bool) -
         }
     # Stills that were found in one recording may drift with its warming; whole recordings apart have different units.
     most = {"rate": np.inf if stated or len(session.records) > 1 else _FAR}
-    found: list[tuple[float, int, Finding]] = []
+    findings: list[tuple[float, int, Finding]] = []
     for kind, parts in figures.items():
         over = [
             (min(value / limit, most.get(kind, np.inf)), number, value, unit)
@@ -90,13 +90,13 @@ def check_stills(session: Session, stills: tuple[Still, ...], *, stated: bool) -
                 item = finding(
                     {"rate": "still.rate", "sway": "still.sway"}[kind], "warn", still=still, stills=of, **shown
                 )
-            found.append((multiple, number, item))
-    if found:
-        multiple, number, item = max(found, key=lambda one: one[0])
+            findings.append((multiple, number, item))
+    if findings:
+        multiple, number, item = max(findings, key=lambda one: one[0])
         if multiple > _FAR:
             at = item.values["still"]
             raise Implausible(f"{at}: wanted a device at rest, got {item.detail}; {item.action}", still=number)
-    return tuple(item for _, _, item in found)
+    return tuple(item for _, _, item in findings)
 
 
 def check_counted_once(session: Session) -> None:
@@ -200,14 +200,14 @@ def _smooth_rate(
     rates = np.array([t.turn_rate or 0.0 for t in alike])
     if not rests and not np.ptp(rates):
         return np.empty(0)  # nothing shows the offset
-    means = np.array([np.nanmean(part) for part in rests or [column[t.start : t.stop] for t in alike]])
+    means = np.array([np.nanmean(values) for values in rests or [column[t.start : t.stop] for t in alike]])
     offset = float(means.mean() if rests else np.polynomial.Polynomial.fit(rates, means, 1)(0.0))
     skip = 0 if turn.turn_rate is None else round(settle_s * rate_hz)
-    width, part = max(1, round(_SMOOTH_S * rate_hz)), column[turn.start + skip : turn.stop] - offset
-    if len(part) < 2 * width or np.isnan(part).any():
+    width, values = max(1, round(_SMOOTH_S * rate_hz)), column[turn.start + skip : turn.stop] - offset
+    if len(values) < 2 * width or np.isnan(values).any():
         return np.empty(0)
-    rate = np.convolve(part, np.full(width, 1.0 / width), mode="valid")
-    noise = float(np.diff(part).std()) / np.sqrt(2.0 * width)
+    rate = np.convolve(values, np.full(width, 1.0 / width), mode="valid")
+    noise = float(np.diff(values).std()) / np.sqrt(2.0 * width)
     return rate if np.quantile(np.abs(rate), 0.9) > _NOISES * noise else np.empty(0)
 
 
@@ -331,12 +331,12 @@ def mean_of_rests(
         return means[0], variances[0] + c[0] ** 2
     factor, mean, variance = widening_of(len(means) - 1), np.zeros(3), np.zeros(3)
     for axis in range(3):
-        value, own = means[:, axis], variances[:, axis]
+        value, within = means[:, axis], variances[:, axis]
         excess, middle, spent = 0.0, float(value.mean()), 0.0
         moved: FloatArray = np.zeros(len(value))
         for _ in range(_ROUNDS):
-            before, excess = excess, excess_variance(value - middle - moved, own, len(value) - 1 - spent)
-            total = own + excess
+            before, excess = excess, excess_variance(value - middle - moved, within, len(value) - 1 - spent)
+            total = within + excess
             known = (total > 0.0).all()
             weight = 1.0 / total if known else np.ones(len(value))
             seen = float(weight @ c**2) if known else np.inf
@@ -348,7 +348,7 @@ def mean_of_rests(
             moved = spent * float(slope @ (value - middle)) * c
             if abs(excess - before) <= 1e-6 * excess:
                 break
-        mean[axis], variance[axis] = middle, float(share**2 @ (own + factor * excess)) + float(share @ c) ** 2
+        mean[axis], variance[axis] = middle, float(share**2 @ (within + factor * excess)) + float(share @ c) ** 2
     return mean, variance
 
 
@@ -671,20 +671,20 @@ def observe(session: Session, settings: CalibrateSettings) -> Observed:
     check_counted_once(in_one_unit(session))
     seen = look(session, settings)
     session, stills = seen.session, seen.stills
-    found = [
+    findings = [
         finding("session.no_still", "warn", recording=number, reason=search.reason)
         for number, search in enumerate(seen.searches)
         if not search.stills
     ]
     if seen.found and len(stills) < _FEW and len({s.face for s in stills} - {None}) < len(FACES):
-        found += _pauses_left_out(session, seen.searches)
+        findings += _pauses_left_out(session, seen.searches)
     for number, record in enumerate(session.records):
         own = [s for s in stills if s.recording == number]
         if own and record.accel is not None and is_physical(record.accel_unit):
             check_gravity(still_means(record.accel, own) * si_factor(record.accel_unit, "accel"), session.gravity_m_s2)
-    found += check_stills(session, stills, stated=not seen.found)
-    found += check_turns(session, stills, settings.settle_s)
-    return replace(seen, findings=tuple(found)).with_turns()
+    findings += check_stills(session, stills, stated=not seen.found)
+    findings += check_turns(session, stills, settings.settle_s)
+    return replace(seen, findings=tuple(findings)).with_turns()
 
 
 def in_one_unit(session: Session) -> Session:
@@ -717,14 +717,14 @@ def _common_unit(session: Session, *, rate: bool) -> str:
 
 def _pauses_left_out(session: Session, searches: Sequence[StillSearch]) -> list[Finding]:
     """Report pauses that were too short or too restless for a still."""
-    found = []
+    findings = []
     for number, (record, search) in enumerate(zip(session.records, searches, strict=True)):
         if not search.stills:  # nothing shows what this device's rest looks like; the search has given the reason
             continue
         least = search.settings.window_s + search.settings.min_duration_s
         short = len(short_pauses(record, search, search.settings))
         if short >= 3:
-            found.append(finding("session.short_pauses", "warn", recording=number, pauses=short, least_s=least))
+            findings.append(finding("session.short_pauses", "warn", recording=number, pauses=short, least_s=least))
         restless = [one for one in left_out(record, search) if one.why == "too restless"]
         if restless:
             quietest = min(restless, key=lambda one: one.value / one.limit)
@@ -734,8 +734,8 @@ def _pauses_left_out(session: Session, searches: Sequence[StillSearch]) -> list[
                 "unit": quietest.unit,
                 "limit": quietest.limit,
             }
-            found.append(finding("session.restless_pauses", "warn", recording=number, **numbers))
-    return found
+            findings.append(finding("session.restless_pauses", "warn", recording=number, **numbers))
+    return findings
 
 
 def labelled(session: Session, stills: tuple[Still, ...]) -> tuple[Still, ...]:

@@ -51,7 +51,7 @@ class Piece:
 def pieces_of(
     session: Session,
     settings: CalibrateSettings = CalibrateSettings(),
-    made: Calibration | None = None,
+    calibration: Calibration | None = None,
     seen: Observed | None = None,
 ) -> tuple[tuple[Piece, ...], str]:
     """Return the pieces of a session, stated or found, in order of time, and why there is no still.
@@ -67,25 +67,25 @@ def pieces_of(
         for number, pair in enumerate(zip(seen.session.records, seen.searches, strict=False))
         for one in left_out(*pair)
     ]
-    here = session if made is None else at_one_temperature(session)[0]
+    here = session if calibration is None else at_one_temperature(session)[0]
     stated: tuple[Still | Turn, ...] = (*here.stills, *here.turns)
-    kept = {(piece.recording, piece.start, piece.stop) for piece in stated}
-    found = [_of_still(still, made, stated=bool(session.stills)) for still in stills]
-    spoilt = () if made is None else saturated_turns(session, settings.settle_s)
-    found += [
-        replace(_of_turn(turn, made), why=_SATURATED) if k in spoilt else _of_turn(turn, made)
+    spans = {(piece.recording, piece.start, piece.stop) for piece in stated}
+    parts = [_of_still(still, calibration, stated=bool(session.stills)) for still in stills]
+    spoilt = () if calibration is None else saturated_turns(session, settings.settle_s)
+    parts += [
+        replace(_of_turn(turn, calibration), why=_SATURATED) if k in spoilt else _of_turn(turn, calibration)
         for k, turn in enumerate(session.turns)
     ]
-    found = [
+    parts = [
         replace(piece, why="another temperature")
-        if (session.stills or piece.kind == "turn") and (piece.recording, piece.start, piece.stop) not in kept
+        if (session.stills or piece.kind == "turn") and (piece.recording, piece.start, piece.stop) not in spans
         else piece
-        for piece in found
+        for piece in parts
     ]
     if not session.turns:
         for each in seen.turn_searches():
-            found += _turns(*each, made)
-    return tuple(sorted((*found, *out), key=lambda piece: (piece.recording, piece.start))), reason if not stills else ""
+            parts += _turns(*each, calibration)
+    return tuple(sorted((*parts, *out), key=lambda piece: (piece.recording, piece.start))), reason if not stills else ""
 
 
 def _why(one: LeftOut) -> str:
@@ -109,15 +109,15 @@ def _method(made: Calibration) -> str:
     return "none" if made.gyro is None else made.gyro.method.partition("/")[0]
 
 
-def _of_turn(turn: Turn, made: Calibration | None) -> Piece:
+def _of_turn(turn: Turn, calibration: Calibration | None) -> Piece:
     label: str = turn.axis or ""
     why = ""
     if turn.turn_rate is not None:
         label = f"{label} {turn.turn_rate / RADIAN_PER_DEGREE:.0f} deg/s"
     elif turn.angle is not None:
         label = f"{label} {turn.angle / RADIAN_PER_DEGREE:.0f} deg"
-    if made is not None:
-        method = _method(made)
+    if calibration is not None:
+        method = _method(calibration)
         if method == "rate-table" and turn.turn_rate is None:
             why = "no stated rate"
         elif method == "known-rotation" and turn.angle is None:
@@ -127,27 +127,27 @@ def _of_turn(turn: Turn, made: Calibration | None) -> Piece:
     return Piece(kind="turn", start=turn.start, stop=turn.stop, recording=turn.recording, label=label, why=why)
 
 
-def _turns(number: int, record: Record, found: TurnSearch, made: Calibration | None) -> Iterator[Piece]:
+def _turns(number: int, record: Record, search: TurnSearch, made: Calibration | None) -> Iterator[Piece]:
     """Return the steady turns and the moves between stills that the gyroscope shows."""
     method = "" if made is None else _method(made)
-    known = is_physical(record.gyro_unit)
-    factor = si_factor(record.gyro_unit, "rate") / RADIAN_PER_DEGREE if known else 1.0
-    for turn, rate in zip(found.plateaus, found.plateau_rate * factor, strict=True):
-        inside = any(turn.start < other.stop and other.start < turn.stop for other in found.rotations)
+    physical = is_physical(record.gyro_unit)
+    factor = si_factor(record.gyro_unit, "rate") / RADIAN_PER_DEGREE if physical else 1.0
+    for turn, rate in zip(search.plateaus, search.plateau_rate * factor, strict=True):
+        inside = any(turn.start < other.stop and other.start < turn.stop for other in search.rotations)
         if inside and method in ("", "multi-position", "known-rotation"):
             continue  # part of a move, which is drawn
-        unit = "deg/s" if known else record.gyro_unit
+        unit = "deg/s" if physical else record.gyro_unit
         label = f"{turn.axis} {rate['xyz'.index(turn.axis or 'x')]:.0f} {unit}"
         why = "no stated rate" if method else ""
         yield Piece(kind="turn", start=turn.start, stop=turn.stop, recording=number, label=label, why=why)
-    windows = () if record.gyro is None else tuple(record.gyro[turn.start : turn.stop] for turn in found.rotations)
+    windows = () if record.gyro is None else tuple(record.gyro[turn.start : turn.stop] for turn in search.rotations)
     stuck = stuck_windows(windows)
-    for turn, angle, spoilt in zip(found.rotations, found.rotation_angle * factor, stuck, strict=True):
+    for turn, angle, spoilt in zip(search.rotations, search.rotation_angle * factor, stuck, strict=True):
         size = float(np.linalg.norm(angle))
-        if known and size < _TURNED_DEG:
+        if physical and size < _TURNED_DEG:
             continue
         along = angle[np.argmax(np.abs(angle))]
-        label = f"{turn.axis} {along:.0f} deg" if turn.axis and known else turn.axis or ""
+        label = f"{turn.axis} {along:.0f} deg" if turn.axis and physical else turn.axis or ""
         why = "" if method in ("", "multi-position") or _whole(method, turn, along) else "not a full turn"
         why = _SATURATED if spoilt and method else why
         yield Piece(kind="turn", start=turn.start, stop=turn.stop, recording=number, label=label, why=why)
@@ -189,24 +189,24 @@ def check_accel(seen: Observed, model: TriadModel, used: Sequence[Still]) -> Ite
 
 def unused_stills(seen: Observed, used: Sequence[Still | Turn]) -> tuple[Still, ...]:
     """Return the stills of a session, stated or found, that share nothing with what a fit used, at its temperature."""
-    session, found = seen.session, list(seen.stills)
+    session, stills = seen.session, list(seen.stills)
     if not seen.found:
         for number, record in enumerate(session.records):
             with suppress(InputError):  # shorter than a window
-                found += find_still(record, replace(seen.settings.still, adapt=False), recording=number).stills
+                stills += find_still(record, replace(seen.settings.still, adapt=False), recording=number).stills
     pieces: tuple[Still | Turn, ...] = (*used, *session.turns)
     taken = [(piece.recording, piece.start, piece.stop) for piece in pieces]
-    kept: list[Still] = []
-    for still in found:
+    unused: list[Still] = []
+    for still in stills:
         shares = any(r == still.recording and a < still.stop and still.start < b for r, a, b in taken)
         if not shares:
-            kept.append(still)
+            unused.append(still)
             taken.append((still.recording, still.start, still.stop))
-    temps, of_fit = piece_temperatures(session, kept), piece_temperatures(session, used)
+    temps, of_fit = piece_temperatures(session, unused), piece_temperatures(session, used)
     if session.kind == "thermal" and not np.isfinite(temps).all():
         return ()
     middle = float(np.mean(of_fit[np.isfinite(of_fit)])) if np.isfinite(of_fit).any() else np.nan
-    return tuple(still for still, temp_c in zip(kept, temps, strict=True) if not abs(temp_c - middle) > APART_C)
+    return tuple(still for still, temp_c in zip(unused, temps, strict=True) if not abs(temp_c - middle) > APART_C)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -254,16 +254,16 @@ def check_gravity_length(session: Session, stills: Sequence[Still], model: Triad
 def _lengths(
     records: Sequence[Record], stills: Sequence[Still], model: TriadModel, gravity: float
 ) -> tuple[_Lengths, list[Still]]:
-    windows, kept = [], []
+    windows, usable = [], []
     for still in stills:
         record = records[still.recording]
         window = whole_readings(record.accel, still.start, still.stop)
         if len(window) > 1 and record.accel_unit == records[stills[0].recording].accel_unit:
             windows.append(window)
-            kept.append(still)
-    if not kept:
-        return _Lengths(miss=np.zeros(0), noise=np.zeros(0), design=np.zeros((0, 12))), kept
-    sizes = [block_size(records[s.recording].sample_rate_hz) for s in kept]
+            usable.append(still)
+    if not usable:
+        return _Lengths(miss=np.zeros(0), noise=np.zeros(0), design=np.zeros((0, 12))), usable
+    sizes = [block_size(records[s.recording].sample_rate_hz) for s in usable]
     within = np.array([w.std(axis=0) / np.sqrt(len(w)) for w in windows])
     blocks = noise_of_means(windows, sizes)
     noise = within if blocks is None else np.maximum(within, blocks)
@@ -277,4 +277,4 @@ def _lengths(
         miss=length - gravity,
         noise=np.maximum(np.sqrt((by_reading**2 * noise**2).sum(axis=1)), 1e-9 * gravity),
         design=np.column_stack(((n[:, :, None] * apart[:, None, :]).reshape(-1, 9), -by_reading)),
-    ), kept
+    ), usable

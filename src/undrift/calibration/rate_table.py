@@ -207,13 +207,13 @@ def _with_scatter(dwells: DwellMeans, rates: FloatArray) -> FloatArray:
     noise = np.broadcast_to(np.asarray(dwells.noise), dwells.reading.shape)
     if dwells.axes is None:
         return noise
-    own = np.array(dwells.axis)[:, None] == np.array(AXES)[None, :]
-    design = np.column_stack((rates, own))
+    about = np.array(dwells.axis)[:, None] == np.array(AXES)[None, :]
+    design = np.column_stack((rates, about))
     theta = np.linalg.lstsq(design, dwells.reading, rcond=None)[0]
     square = (dwells.reading - design @ theta) ** 2
     drive = (np.abs(np.diag(theta[:3])) * np.abs(dwells.turn_rate)[:, None]) ** 2  # (N, 3), (K_kk w)^2
     variance = noise**2
-    for which in (own, ~own):
+    for which in (about, ~about):
         share = np.maximum(dwells.axes.apart, _share(drive[which], square[which], square[~which]))
         variance = variance + np.where(which, drive * share, 0.0)
     return np.asarray(np.sqrt(variance))
@@ -225,11 +225,11 @@ def _share(drive: FloatArray, square: FloatArray, others: FloatArray) -> float:
     It shows where they grow with it, or where they exceed those of the other sensors, which the same drift of offsets moves.
     The squares of normal residuals scatter by root two of their mean.
     """
-    root_two, found = 2.0**0.5, [0.0]
+    root_two, shares = 2.0**0.5, [0.0]
     more = float(square.mean() - others.mean())
     error = root_two * np.hypot(square.mean() / len(square) ** 0.5, others.mean() / len(others) ** 0.5)
     if more > SHOWS * error:
-        found.append(more / float(drive.mean()))
+        shares.append(more / float(drive.mean()))
     design = np.column_stack((drive, np.ones_like(drive)))
     if scaled_condition(design)[0] == 2:
         mean = np.full_like(square, square.mean())
@@ -238,8 +238,8 @@ def _share(drive: FloatArray, square: FloatArray, others: FloatArray) -> float:
             slope, floor = np.linalg.lstsq(weighted, square / mean, rcond=None)[0]
             spread = root_two * float(np.linalg.inv(weighted.T @ weighted)[0, 0]) ** 0.5
             mean = np.maximum(slope * drive + floor, 0.1 * square.mean())
-        found.append(float(slope) if slope > SHOWS * spread else 0.0)
-    return max(found)
+        shares.append(float(slope) if slope > SHOWS * spread else 0.0)
+    return max(shares)
 
 
 def _unknowns(
@@ -264,7 +264,7 @@ def _without_g(fit: RateTableFit) -> RateTableFit:
     model = fit.model
     g = np.zeros((3, 3)) if model.g_sensitivity is None else model.g_sensitivity
     apart = float(np.ptp(g, axis=1).max()) * STANDARD_GRAVITY / RADIAN_PER_DEGREE
-    kept = [one for one in fit.verdict.findings if one.code != "rate_table.g_sensitivity"]
+    findings = [one for one in fit.verdict.findings if one.code != "rate_table.g_sensitivity"]
     level = level_of(apart, DRIFT_DPS)
     moved = finding("rate_table.axis_offset", level, offset_dps=apart, **_against(level, DRIFT_DPS))
     kept_of = None if model.budget is None else replace(model.budget, uncertainty=model.budget.uncertainty[:, :12])
@@ -275,7 +275,7 @@ def _without_g(fit: RateTableFit) -> RateTableFit:
         covariance=model.covariance[:12, :12],
         budget=kept_of,
     )
-    return replace(fit, model=plain, verdict=Verdict.of(*kept, moved))
+    return replace(fit, model=plain, verdict=Verdict.of(*findings, moved))
 
 
 def _by_axis(dwells: DwellMeans, rates: FloatArray, sigma: FloatArray) -> list[WalkFit] | None:
@@ -283,13 +283,13 @@ def _by_axis(dwells: DwellMeans, rates: FloatArray, sigma: FloatArray) -> list[W
     if dwells.time is None:
         return None
     time = dwells.time
-    own = (np.array(dwells.axis)[:, None] == np.array(AXES)[None, :]).astype(float)
+    about = (np.array(dwells.axis)[:, None] == np.array(AXES)[None, :]).astype(float)
     away = time - time.mean()
-    design = np.column_stack((rates, own, away))
+    design = np.column_stack((rates, about, away))
     if scaled_condition(design)[0] < 7:
         return None
     solved = _walks(design, dwells.reading, sigma, time)
-    trend = np.array([one.theta[6] for one in solved]) * float(np.ptp(away @ own / own.sum(axis=0)))
+    trend = np.array([one.theta[6] for one in solved]) * float(np.ptp(away @ about / about.sum(axis=0)))
     apart = np.array([np.ptp(one.theta[3:6]) for one in solved])
     return None if (np.abs(trend) > _STAYS * apart)[np.argmax(apart)] else solved
 
@@ -561,22 +561,22 @@ def fit_rate_axis(
     axes = sorted(set(dwells.axis))
     if len(axes) != 1:
         raise InputError(f"rate axis: wanted turns about one axis, got {', '.join(axes) or 'none'}; use fit_rate_table")
-    axis, own = dwells.axis[0], AXES.index(dwells.axis[0])
-    table = linearity(dwells.reading[:, own], dwells.turn_rate, axis)
-    rate = imposed_rates(dwells, latitude_deg)[:, own]
+    axis, k = dwells.axis[0], AXES.index(dwells.axis[0])
+    table = linearity(dwells.reading[:, k], dwells.turn_rate, axis)
+    rate = imposed_rates(dwells, latitude_deg)[:, k]
     design = np.column_stack((rate, np.ones_like(rate)))
     theta = np.linalg.lstsq(design, dwells.reading, rcond=None)[0]
     residuals = dwells.reading - design @ theta
     variance = [student_variance(column, len(rate) - 2) for column in residuals.T]
     most = int(np.abs(theta[0]).argmax())
-    if most != own or theta[0, own] < 0.0:
+    if most != k or theta[0, k] < 0.0:
         reads = f"{'-' if theta[0, most] < 0.0 else '+'}{AXES[most]}"
         raise Implausible(
             f"turns about {axis}: wanted the {axis} gyroscope to read + for turns about +{axis}, got column {AXES[most]} "
             f"that reads them as {reads}; correct the sign or axis of the turns, or the order or sign of the columns",
             reads=reads,
         )
-    check_own_scale(float(theta[0, own]), dwells.unit, "rate", scale_tolerance, f"gyroscope {axis}")
+    check_own_scale(float(theta[0, k]), dwells.unit, "rate", scale_tolerance, f"gyroscope {axis}")
     return RateAxisFit(
         axis=axis,
         column=theta[0],
@@ -643,17 +643,17 @@ def calibrate_rates(seen: Observed, mode: str | None, accel: TriadFit | None) ->
     turned = tuple(sorted(set(dwells.axis)))
     if 0 < len(turned) < 3:
         prior = own.cross_axis_prior
-        dwells, found = _on_table(seen, dwells, None)
+        dwells, findings = _on_table(seen, dwells, None)
         part = fit_turned_axes(dwells, latitude_deg=latitude, scale_tolerance=tolerance, cross_axis_prior=prior)
-        return Outcome(fit=part, method="rate-table", findings=found)
-    dwells, found = _on_table(seen, dwells, None if accel is None else accel.model)
+        return Outcome(fit=part, method="rate-table", findings=findings)
+    dwells, findings = _on_table(seen, dwells, None if accel is None else accel.model)
     rests = _rest_means(seen, dwells, None if accel is None else accel.model)
     numbers = tuple(k for k, t in enumerate(session.turns, 1) if t.axis is not None and t.turn_rate is not None)
     check_dwells(dwells, imposed_rates(dwells, latitude), rests=rests, numbers=numbers)
     if mode != "paper":
         fit = fit_rate_table(dwells, latitude_deg=latitude, scale_tolerance=tolerance)
         fit = fit_with_rests(fit, dwells, rests, latitude_deg=latitude)
-        return Outcome(fit=fit, method="rate-table", findings=found)
+        return Outcome(fit=fit, method="rate-table", findings=findings)
     offset = None
     if own.remove_offset:
         offset, variance = seen.rest_rate()
@@ -663,14 +663,14 @@ def calibrate_rates(seen: Observed, mode: str | None, accel: TriadFit | None) ->
         dwells = replace(dwells, reading=dwells.reading - offset)
     paper: TriadFit = fit_rate_table(dwells, mode="paper", latitude_deg=latitude, scale_tolerance=tolerance)
     paper = paper if offset is None else with_offset(paper, offset, variance)
-    return Outcome(fit=paper, method="rate-table", findings=found)
+    return Outcome(fit=paper, method="rate-table", findings=findings)
 
 
 def _on_table(seen: Observed, dwells: DwellMeans, accel: TriadModel | None) -> tuple[DwellMeans, tuple[Finding, ...]]:
     """Return dwells with the axes about which the table turned the case, and what the temperature did."""
     session, table = seen.session, seen.settings.rate_table(seen.session.rate_table)
     turns = [t for t in session.turns if t.axis is not None and t.turn_rate is not None]
-    held = Dwells(
+    stretches = Dwells(
         records=session.records,
         turns=turns,
         mounting=mountings([*turns, *seen.stills])[: len(turns)],
@@ -678,7 +678,7 @@ def _on_table(seen: Observed, dwells: DwellMeans, accel: TriadModel | None) -> t
         up=np.array(dwells.up),
         settle_s=seen.settings.settle_s,
     )
-    axes = table_axes(held, table, accel, session.gravity_m_s2)
+    axes = table_axes(stretches, table, accel, session.gravity_m_s2)
     creep = creep_of(seen, turns, "gyro")
     # Creep of the scale multiplies rates by its slope times the mean warmth of the dwells about an axis
     square = np.where(np.array(dwells.axis)[:, None] == np.array(AXES), dwells.turn_rate[:, None] ** 2, 0.0)
@@ -700,15 +700,15 @@ def _rest_means(seen: Observed, dwells: DwellMeans, accel: TriadModel | None) ->
     parts = [records[s.recording].part(s.start, s.stop) for s in rests]
     if not parts or not turning or any(r.gyro is None or np.isnan(r.gyro).any() for r in parts):
         return None
-    windows = [part.gyro for part in parts if part.gyro is not None]
-    noise = noise_of_means(windows, [block_size(part.sample_rate_hz) for part in parts])
+    windows = [record.gyro for record in parts if record.gyro is not None]
+    noise = noise_of_means(windows, [block_size(record.sample_rate_hz) for record in parts])
     if noise is None:
         return None
     if accel is None:
         force = _stated_force(rests, turning, dwells) * seen.session.gravity_m_s2
     else:
         turns = [records[t.recording].part(t.start, t.stop).accel for t in turning]
-        felt = [values for values in (*turns, *(part.accel for part in parts)) if values is not None]
+        felt = [values for values in (*turns, *(record.accel for record in parts)) if values is not None]
         if len(felt) < len(turns) + len(parts):
             return None
         force = (np.array([np.nanmean(values, axis=0) for values in felt]) - accel.offset) @ accel.matrix.T

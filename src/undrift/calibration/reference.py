@@ -145,18 +145,18 @@ def independent_windows(windows: Sequence[Windows], reach: int) -> int:
     return sum(-(-len(w.first) // reach) for w in windows)
 
 
-def solve(recordings: Sequence[Recording], windows: Sequence[Windows], *, kept: IntArray, reach: int) -> Solution:
-    """Solve the window equations of several recordings for the parameters ``kept``, by number."""
-    a = np.concatenate([w.design for w in windows])[:, :, kept]
+def solve(recordings: Sequence[Recording], windows: Sequence[Windows], *, free: IntArray, reach: int) -> Solution:
+    """Solve the window equations of several recordings for the parameters ``free``, by number."""
+    a = np.concatenate([w.design for w in windows])[:, :, free]
     y = np.concatenate([w.turn for w in windows])
     independent = independent_windows(windows, reach)
-    if 3 * independent <= len(kept):
+    if 3 * independent <= len(free):
         raise NotObservable(
-            f"reference: wanted more than {len(kept) // 3} windows that do not overlap, got {independent}; "
+            f"reference: wanted more than {len(free) // 3} windows that do not overlap, got {independent}; "
             "record longer motion, or ask for shorter windows",
             windows=independent,
         )
-    rows = a.reshape(-1, len(kept))
+    rows = a.reshape(-1, len(free))
     condition = full_rank(rows)
     x, weight, scale = fit_huber(rows, y.reshape(-1))
     residual = y - a @ x
@@ -164,7 +164,7 @@ def solve(recordings: Sequence[Recording], windows: Sequence[Windows], *, kept: 
 
     def covariance() -> FloatArray:
         made, freedom = _covariance(recordings, windows, (a, weight * residual, weight == 1.0), reach)
-        return made * widening_of(max(freedom, 3.0 * independent) - len(kept))
+        return made * widening_of(max(freedom, 3.0 * independent) - len(free))
 
     return Solution(step=x, covariance=covariance, residuals=residual, scale=scale, condition=condition)
 
@@ -207,7 +207,7 @@ def _covariance(
         whole = _level(recording.q_nb[w.first + reach], own)
         cuts = np.flatnonzero(np.diff(w.first // _STRETCH)) + 1
         for first, part in zip(np.split(w.first, cuts), np.split(whole, cuts), strict=True):
-            c, held, p = part[:, :, :size], part[:, :, size:-1], part[:, :, -1]
+            c, design, p = part[:, :, :size], part[:, :, size:-1], part[:, :, -1]
             shapes = _shapes(first - first[:1], reach)
             moved = [np.tensordot(shape, c, axes=1) for shape in shapes]  # cov(residuals) C^T, (n, 3, P)
             carried += [np.einsum("nap,naq->pq", c, m) for m in moved]
@@ -215,11 +215,11 @@ def _covariance(
             traces += [np.trace(s) for s in shapes]
             for k, lag in enumerate(lags):
                 i, j = _apart(first, int(lag))
-                shifted = np.zeros_like(held)
-                shifted[i] += 0.5 * held[j]
-                shifted[j] += 0.5 * held[i]
+                shifted = np.zeros_like(design)
+                shifted[i] += 0.5 * design[j]
+                shifted[j] += 0.5 * design[i]
                 seen[k] += (p[i] * p[j]).sum()
-                taken[k] += np.einsum("nap,naq->pq", held, shifted)
+                taken[k] += np.einsum("nap,naq->pq", design, shifted)
                 made[k] += [3.0 * s[i, j].sum() - 2.0 * (shifted * m).sum() for s, m in zip(shapes, moved, strict=True)]
     made += np.einsum("lpq,kqp->lk", taken, carried)
     length = np.maximum(np.linalg.norm(made, axis=0), 1e-300)
@@ -263,19 +263,19 @@ _SEARCH = 24  # steps of golden section: kappa's logit to 1e-3
 _GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
 
 
-def solve_chain(recordings: Sequence[Recording], steps: Sequence[Windows], *, kept: IntArray) -> Solution:
-    """Solve the chains of several recordings for the parameters ``kept``, by number."""
+def solve_chain(recordings: Sequence[Recording], steps: Sequence[Windows], *, free: IntArray) -> Solution:
+    """Solve the chains of several recordings for the parameters ``free``, by number."""
     # y and A side by side, (n, 3, 1 + P), turned from the body at the later pose into n
-    sides = [np.concatenate((w.turn[:, :, None], w.design[:, :, kept]), axis=2) for w in steps]
+    sides = [np.concatenate((w.turn[:, :, None], w.design[:, :, free]), axis=2) for w in steps]
     tables = [_level(r.q_nb[w.first + 1], side) for r, w, side in zip(recordings, steps, sides, strict=True)]
     links = [np.diff(w.first) == 1 for w in steps]
     rows = 3 * sum(len(t) for t in tables)
-    if rows <= 2 * len(kept):
+    if rows <= 2 * len(free):
         raise NotObservable(
-            f"reference: wanted more than {2 * len(kept) // 3} steps between poses, got {rows // 3}; record longer motion",
+            f"reference: wanted more than {2 * len(free) // 3} steps between poses, got {rows // 3}; record longer motion",
             steps=rows // 3,
         )
-    condition = full_rank(np.concatenate([t[:, :, 1:].reshape(-1, len(kept)) for t in tables]))
+    condition = full_rank(np.concatenate([t[:, :, 1:].reshape(-1, len(free)) for t in tables]))
     white = _whitened(tables, links, _most_likely(tables, links))
     y, a = white[:, 0], white[:, 1:]
     x, weight, scale = fit_huber(a, y)
@@ -515,7 +515,7 @@ def leave_one_out(
         raise InputError(
             f"leave one out: wanted two recordings of a device or more, got {len(records)}; add recordings"
         )
-    unit, held, errors = records[0].gyro_unit, list[HeldOut](), None
+    unit, trials, errors = records[0].gyro_unit, list[HeldOut](), None
     aligned = align_all(records, references, lag_settings)
     plain, corrected = ([recording_of(one.corrected(each), settings) for one in aligned] for each in (None, adc))
     if adc is not None:
@@ -526,8 +526,8 @@ def leave_one_out(
         keep, why = (True, None) if adc is None else _adc_choice(errors, without=i)
         prepared = corrected if keep else plain
         fit = _fit([*prepared[:i], *prepared[i + 1 :]], settings, unit)
-        held.append(_held_out(i, prepared[i], fit, settings, (adc if keep else None, why)))
-    return tuple(held)
+        trials.append(_held_out(i, prepared[i], fit, settings, (adc if keep else None, why)))
+    return tuple(trials)
 
 
 def cross_validated_adc(
@@ -603,10 +603,10 @@ def _fit(prepared: Sequence[Recording], settings: ReferenceSettings, unit: str) 
     mounted = _first_mountings(prepared, settings)
     guess = _first_guess(prepared, mounted, settings)
     count = len(prepared) if settings.mounting == "each" else 1
-    own = 3 * (count - 1)
-    kept = np.arange(len(guess) + own)
+    extra = 3 * (count - 1)
+    free = np.arange(len(guess) + extra)
     if settings.offset == "rest":
-        kept = np.delete(kept, np.s_[9:12])
+        free = np.delete(free, np.s_[9:12])
     solution, used = None, settings.window_s
 
     def equations(reach: int) -> list[Windows]:
@@ -614,22 +614,22 @@ def _fit(prepared: Sequence[Recording], settings: ReferenceSettings, unit: str) 
         return [_of_device(p, guess, r, o, reach, (i, count)) for i, (p, r, o) in enumerate(each)]
 
     def step(found: Solution) -> None:
-        moved = np.zeros(len(guess) + own)
-        moved[kept] = found.step
+        moved = np.zeros(len(guess) + extra)
+        moved[free] = found.step
         guess[:] += moved[: len(guess)]
         turns = moved[len(guess) :].reshape(-1, 3)
-        for i, turn in enumerate((*turns, -turns.sum(axis=0)) if own else ()):
+        for i, turn in enumerate((*turns, -turns.sum(axis=0)) if extra else ()):
             mounted[i] = rotate(quaternion_of(turn), mounted[i].T).T
 
     for length in _lengths(settings):
         reach = max(1, round(length / settings.stride_s))
         windows = equations(reach)
-        if solution is not None and independent_windows(windows, reach) <= len(kept) / 3.0:
+        if solution is not None and independent_windows(windows, reach) <= len(free) / 3.0:
             break  # too short for longer windows: stay with the last ones
-        solution, used = solve(prepared, windows, kept=kept, reach=reach), length
+        solution, used = solve(prepared, windows, free=free, reach=reach), length
         step(solution)
     for _ in range(_REFINEMENTS if settings.weights == "noise" else 0):
-        solution, used = solve_chain(prepared, equations(1), kept=kept), settings.stride_s
+        solution, used = solve_chain(prepared, equations(1), free=free), settings.stride_s
         step(solution)
     determinant = np.linalg.det(guess[:9].reshape(3, 3))
     if solution is None or determinant <= 0.0:
@@ -637,7 +637,7 @@ def _fit(prepared: Sequence[Recording], settings: ReferenceSettings, unit: str) 
             f"reference: wanted a right-handed matrix, got a determinant of {determinant:.3g}; "
             "one axis of the readings or of the reference is reversed"
         )
-    return _result(prepared, mounted, settings, unit, guess, kept[: len(kept) - own], solution, used)
+    return _result(prepared, mounted, settings, unit, guess, free[: len(free) - extra], solution, used)
 
 
 def _of_device(
@@ -649,9 +649,9 @@ def _of_device(
     """
     (number, count), size = place, len(guess)
     to_body = np.stack([_turned(unit, mounted) for unit in np.eye(size)], axis=1)
-    made = window_equations(recording, to_body @ guess, offset, reach)
+    windows = window_equations(recording, to_body @ guess, offset, reach)
     if count < 2:
-        return replace(made, design=made.design @ to_body)
+        return replace(windows, design=windows.design @ to_body)
     cross = [np.cross(axis, np.eye(3)).T for axis in np.eye(3)]
     turns = np.stack([_turned(to_body @ guess, each) for each in cross], axis=1)  # (P, 3): by a rotation of the body
     columns = np.zeros((size, size + 3 * (count - 1)))
@@ -660,7 +660,7 @@ def _of_device(
         columns[:, size + 3 * number : size + 3 * number + 3] = turns
     else:
         columns[:, size:] = np.tile(-turns, count - 1)
-    return replace(made, design=made.design @ columns)
+    return replace(windows, design=windows.design @ columns)
 
 
 def _turned(parameters: FloatArray, rotation: FloatArray) -> FloatArray:
@@ -723,7 +723,7 @@ def _result(
     settings: ReferenceSettings,
     unit: str,
     guess: FloatArray,
-    kept: IntArray,
+    free: IntArray,
     solution: Solution,
     window_s: float,
 ) -> ReferenceFit:
@@ -734,7 +734,7 @@ def _result(
     rest = np.array([p.rest_offset for p in prepared])
     base = np.zeros(3) if settings.offset == "common" else rest.mean(axis=0)
     covariance = np.zeros((len(guess), len(guess)))
-    covariance[np.ix_(kept, kept)] = solution.covariance()[: len(kept), : len(kept)]
+    covariance[np.ix_(free, free)] = solution.covariance()[: len(free), : len(free)]
     covariance = jacobian @ covariance @ jacobian.T
     if settings.offset != "common":
         spread = np.array([p.rest_uncertainty for p in prepared])
@@ -751,7 +751,7 @@ def _result(
         covariance=covariance,
         rms_residual=float(np.sqrt((solution.residuals**2).mean())) / window_s,
         count=solution.residuals.size,
-        rank=len(kept),
+        rank=len(free),
         condition=solution.condition,
         valid_range=(min(float(w.min()) for w in seen), max(float(w.max()) for w in seen)),
     )

@@ -167,15 +167,15 @@ def _second_order(
     variance = np.stack([np.einsum("tii->ti", fit.covariance)[:, :3] for fit in fits], axis=1)
     more = []
     for row, fit in enumerate(fits):
-        own = up[:, row] != 0.0
-        sign = np.sign(up[own, row])
-        alike = np.outer(sign, sign) / max(1, own.sum()) - np.eye(own.sum())
-        errors = square[:, own, None] * square[:, None, own] * alike
+        faces = up[:, row] != 0.0
+        sign = np.sign(up[faces, row])
+        alike = np.outer(sign, sign) / max(1, faces.sum()) - np.eye(faces.sum())
+        errors = square[:, faces, None] * square[:, None, faces] * alike
         for across in {0, 1, 2} - {row}:
             size = variance[:, row, across] + variance[:, across, row]
-            seen = residuals[across][:, own]
+            seen = residuals[across][:, faces]
             errors += size[:, None, None] * seen[:, :, None] * seen[:, None, :]
-        gain = fit.gain[:, :, own]
+        gain = fit.gain[:, :, faces]
         more.append(gain @ errors @ gain.transpose(0, 2, 1))
     return more
 
@@ -226,21 +226,21 @@ def fit_six_face(poses: FaceMeans, *, gravity: float, mode: SixFaceMode = "level
     _check(poses, gravity, mode)
     up, reading, noise = gravity * face_vectors(poses.faces), poses.reading, poses.noise
     names = {"method": f"six-face/{mode}", "unit_in": poses.unit, "unit_out": "m/s2"}
-    known = None if noise is None else np.maximum(noise, _ROUNDING * np.abs(reading).max())
+    sigma = None if noise is None else np.maximum(noise, _ROUNDING * np.abs(reading).max())
     in_common = sum(poses.in_common(gravity).values(), np.zeros((3, len(up), len(up))))
-    plain, tilt = fit_forward(up, reading, known, in_common), float("nan")
+    plain, tilt = fit_forward(up, reading, sigma, in_common), float("nan")
     forward = plain
-    if known is not None and mode != "affine":
-        forward, tilt = fit_tilted(up, reading, known, plain, poses.tilt, in_common)
-    verdict = Verdict.of(*_judged(poses, plain, known, tilt, mode))
+    if sigma is not None and mode != "affine":
+        forward, tilt = fit_tilted(up, reading, sigma, plain, poses.tilt, in_common)
+    verdict = Verdict.of(*_judged(poses, plain, sigma, tilt, mode))
     if mode == "paper":
         fit, tilt = fit_paper(up, reading, noise, in_common, **names), float("nan")
         verdict = offset_verdict(fit, up, reading, noise).also(verdict)
     else:
         fit = triad_from_forward(forward, valid_range=(-gravity, gravity), **names)
-        if known is not None:
+        if sigma is not None:
             rest = "noise" if forward is plain else "level"  # of level faces the sources are all there is
-            budget = _equations(poses, up, known).budget(forward.inverse, fit.model.covariance, rest)
+            budget = _equations(poses, up, sigma).budget(forward.inverse, fit.model.covariance, rest)
             fit = replace(fit, model=replace(fit.model, budget=budget))
     check_handedness(fit.model.forward_matrix, "accelerometer")
     return SixFaceFit(model=fit.model, residuals=fit.residuals, verdict=verdict, tilt=tilt)
@@ -371,32 +371,32 @@ def _check(poses: FaceMeans, gravity: float, mode: SixFaceMode) -> None:
 
 def calibrate_faces(seen: Observed, mode: str | None, accel: TriadFit | None = None) -> Outcome:
     """Fit the accelerometer of a session to its faces; an entry of FITS."""
-    own, used = seen.settings, mode or "levelled"
+    settings, used = seen.settings, mode or "levelled"
     poses = face_means(
-        seen.session.records, seen.stills, window_s=own.window_s, polynomial_degree=own.polynomial_degree
+        seen.session.records, seen.stills, window_s=settings.window_s, polynomial_degree=settings.polynomial_degree
     )
     if len(poses.faces) > 1:
         check_repeats(poses.reading, poses.faces)
     creep = creep_of(seen, seen.faced, "accel")
-    poses, found = replace(poses, creep=creep), creep.findings()
+    poses, findings = replace(poses, creep=creep), creep.findings()
     if used == "levelled" and poses.noise is None:
-        used, found = "affine", (*found, finding("six_face.short_faces", "warn"))
+        used, findings = "affine", (*findings, finding("six_face.short_faces", "warn"))
     if used == "levelled":
         poses = _by_mounting(seen, poses)
     offset = None
-    if used == "paper" and own.remove_offset:
+    if used == "paper" and settings.remove_offset:
         # Opposite faces cancel: the mean over the six, each counted once, is an estimate of the offset.
         faces, moving = np.array(poses.faces), poses.in_common(seen.session.gravity_m_s2).values()
         share = np.array([1.0 / (faces == face).sum() for face in faces]) / len(set(poses.faces))
         offset = share @ poses.reading
         poses = replace(poses, reading=poses.reading - offset)
     fit: TriadFit = fit_six_face(poses, gravity=seen.session.gravity_m_s2, mode=used)  # type: ignore[arg-type]
-    check_own_scale(fit.model.scale_factor, poses.unit, "accel", own.scale_tolerance, "accelerometer")
+    check_own_scale(fit.model.scale_factor, poses.unit, "accel", settings.scale_tolerance, "accelerometer")
     if offset is not None:
         variance = np.full(3, np.nan) if poses.noise is None else (poses.noise**2).mean(axis=0) / len(poses.faces)
         variance = variance + sum((part @ share @ share for part in moving), np.zeros(3))
         fit = with_offset(fit, offset, variance)
-    return Outcome(fit=fit, method="six-face", findings=found, used=seen.faced)
+    return Outcome(fit=fit, method="six-face", findings=findings, used=seen.faced)
 
 
 def _by_mounting(seen: Observed, poses: FaceMeans) -> FaceMeans:
