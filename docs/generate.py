@@ -51,7 +51,8 @@ def draw_all(folder: Path) -> None:
 def commands() -> dict[str, str]:
     """Return a page for each command, and the page that lists them."""
     from undrift.cli import EXAMPLES
-    from undrift.cli.app import COMMANDS, GROUPS, command_line
+    from undrift.cli.app import COMMANDS, command_line
+    from undrift.commands import GROUPS
 
     pages = {}
     whole = command_line().generate_docs(heading_level=1).replace("```console", "```text").replace("<", "&lt;")

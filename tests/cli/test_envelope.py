@@ -89,7 +89,7 @@ BAD = {  # a call that is refused, and the kind that a good answer would have
     "study": ("study --preset note --quick --seed -1", STUDY),
     "demo": ("demo --out {here}", "undrift.demo"),
 }
-LEAVES = [name for name in EXAMPLES if name and name not in program.GROUPS]
+LEAVES = [name for name in EXAMPLES if name and name not in program.commands.GROUPS]
 WARM = (
     'columns = { time = "Time", gyro = ["Gx", "Gy", "Gz"], temp = "dTemp" }\n'
     'units = { time = "ms", gyro = "dps", temp = "degC" }\n'

@@ -13,6 +13,7 @@ import pytest
 from testkit.pages import faults_of
 from testkit.rig_bench import PROTOCOL
 from undrift.cli.app import run
+from undrift.errors import InputError
 from undrift.io.store import read_calibration
 from undrift.live.recorder import Recorder
 from undrift.live.transports import source_at
@@ -91,7 +92,8 @@ def test_emulate_run_and_calibrate_find_the_devices_hidden_parameters(emulated, 
     )
     text = (tmp_path / "run.html").read_text()
     assert faults_of(text) == []
-    assert "30 dwells are on the disk, 0 readings are missing" in text
+    assert "run: 30 dwells, 30 of them now, in 0:" in text
+    assert "session.toml; 0 readings missing" in text
     out, err = capsys.readouterr()
     said = json.loads(out)
     assert (said["dwells"], len(said["turns"])) == (30, 18)
@@ -257,3 +259,18 @@ def test_faults_are_listed_and_an_unknown_one_is_refused(capsys):
     for text in ("no_such", "stall:soon", "stall:-1", "stall:1:0", "stall:1:2:3"):
         assert run(["rig", "emulate", "--fault", text]) == 2
         assert f"got '{text}'; undrift rig emulate --fault list explains them" in capsys.readouterr().err
+
+
+def test_python_calls_the_commands_of_a_rig_whose_package_is_there_too(tmp_path, monkeypatch):
+    import undrift.rig.check
+    import undrift.rig.run
+
+    (tmp_path / "protocol.toml").write_text(PROTOCOL)
+    with undrift.rig.emulate(speed=20.0) as bench:
+        rig, device = bench.addresses["rig"], bench.addresses["device"]
+        assert undrift.rig.status(rig=rig).data["motor_on"] is False
+        assert undrift.rig.check(rig=rig, seconds=4.0, limit_deg=1e-4).summary().failed
+        monkeypatch.setattr("builtins.input", lambda line: "n")
+        with pytest.raises(InputError, match="wanted a yes to start"):
+            undrift.rig.run(tmp_path / "protocol.toml", rig=rig, device=device, output=tmp_path / "run")
+        assert undrift.rig.stop(rig=rig).data["stopped"]

@@ -72,8 +72,8 @@ def test_a_table_that_almost_fits_is_closer_and_one_that_does_not_is_stacked():
 def test_a_line_that_is_written_over_keeps_whole_words_and_says_that_there_is_more():
     place = Terminal()
     with on(place, 40):
-        common.say_over("[3/120] 0:12:01 left  dwell x, soaking  gyro 123.456 deg/s")
-        common.say_over("gyro 123.456 deg/s")
+        common.Terminal().over("[3/120] 0:12:01 left  dwell x, soaking  gyro 123.456 deg/s")
+        common.Terminal().over("gyro 123.456 deg/s")
     assert place.getvalue() == "\r\x1b[K[3/120] 0:12:01 left  dwell x, …\r\x1b[Kgyro 123.456 deg/s"
 
 

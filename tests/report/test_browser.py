@@ -20,14 +20,15 @@ from undrift.calibration.pieces import pieces_of
 from undrift.cli.app import run
 from undrift.commands.calibrate import judge_pieces, leverages
 from undrift.commands.certificate import certificate_content, departures_words, expanded_words, stated
+from undrift.commands.rig import Ran
 from undrift.io.formats import write_record
 from undrift.io.reference import write_reference
 from undrift.io.session import read_session, write_session
 from undrift.io.store import read_calibration
 from undrift.record import Record
 from undrift.report.certificate import draw_calibration
-from undrift.report.commands import write_rig_report
 from undrift.report.figures import AXIS_COLOURS, AXIS_DASHES, AXIS_MARKERS, COMPARED_COLOURS, COMPARED_MARKERS
+from undrift.report.page import write_page
 from undrift.rig.folder import RecordedDwell
 from undrift.rig.run import RunResult
 from undrift.sim.motion.bench import BenchSettings
@@ -85,7 +86,7 @@ def make_pages(folder: Path) -> None:
         ]  # fmt: skip
         result = RunResult(pieces=tuple(turns), added=6, duration_s=40.0, rig="a table")
         origin = Origin(command="undrift rig run", inputs=(("protocol.toml", "0" * 64),))
-        write_rig_report(Path("rig.html"), result, "run", origin=origin)
+        write_page(Path("rig.html"), Ran(output=Path("run"), result=result, registered=[]).summary(), origin)
     (folder / "cut.json").write_text(json.dumps(cut))
 
 

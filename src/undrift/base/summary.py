@@ -130,6 +130,7 @@ class Summary(Result):
     findings: tuple[Finding, ...] = ()  # Beside those of the verdict
     notes: tuple[str, ...] = ()
     written: tuple[Path | None, ...] = ()  # Files and folders
+    sources: tuple[Path, ...] = ()  # Files made meanwhile that the page names beside those read
     brief: bool = False  # A terminal shows verdict and findings on request: the sections have what matters
     after: tuple[str, ...] = ()  # Lines of a terminal, below the names of what was written
     next: tuple[object, ...] = ()  # Words of the command that follows

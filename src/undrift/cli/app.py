@@ -45,7 +45,6 @@ COMMANDS = {  # one line of 80 columns each
     "data": "Recordings to try: list them, fetch one by checksum; --json.",
     "demo": "The whole flow on a small simulated session, as a report page.",
 }
-GROUPS = (*commands.GROUPS, "rig")  # of commands
 EARLIER_NAMES = {  # options renamed since a release; both spellings work, help shows the standard one
     "drift": {"--range": "--range-c", "--step": "--step-c"},
     "rig": {"--hands": "--operator"},
@@ -150,7 +149,7 @@ def command_line() -> "App":
         default_parameter=Parameter(negative=(), json_list=False, json_dict=False),  # "[1] walk.csv" is a name
     )
     for place, (name, text) in enumerate(COMMANDS.items()):
-        end = {} if name in GROUPS else {"help_epilogue": examples(name)}
+        end = {} if name in commands.GROUPS else {"help_epilogue": examples(name)}
         home = "common" if name in (*commands.VERBS, *commands.GROUPS) else name
         called.command(f"undrift.cli.{home}:{name}", name=name, help=text, sort_key=place, **end)
     called.register_install_completion_command(add_to_startup=False)  # the shell's own start file stays as it is
@@ -177,7 +176,7 @@ def _refuse(arguments: Sequence[str], error: BaseException, text: str, *, code: 
         from undrift.cli.common import write_json
 
         words = [word for word in arguments[:2] if word.isidentifier()]
-        command = " ".join(words if words[:1] in ([group] for group in GROUPS) else words[:1])
+        command = " ".join(words if words[:1] in ([group] for group in commands.GROUPS) else words[:1])
         with suppress(BrokenPipeError):
             write_json({}, command, error={"kind": type(error).__name__, "text": " ".join(text.split())})
     return complain(text, code=code)

@@ -14,8 +14,8 @@ import textwrap
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import ExitStack
-from dataclasses import fields, is_dataclass
+from contextlib import AbstractContextManager, ExitStack, nullcontext, suppress
+from dataclasses import fields, is_dataclass, replace
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_type_hints
@@ -27,13 +27,12 @@ from undrift.base.options import WRITTEN, Details, Json, Report
 from undrift.base.summary import Result, plain, spoken
 from undrift.cli import examples
 from undrift.cli.app import COMMANDS
-from undrift.commands import GROUPS, VERBS
+from undrift.commands import GROUPS, VERBS, Progress, Screen
 from undrift.commands.files import check_report, origin_of
 from undrift.findings import SHOWN_FIRST, Finding, Verdict, most_consequential_first
 
 if TYPE_CHECKING:
     from rich.console import Console
-    from rich.progress import Progress
 
     from undrift.base.summary import Section, Summary
 
@@ -69,10 +68,29 @@ def say(*lines: str, err: bool = False, style: str = "") -> None:
             out.print(part, markup=False, soft_wrap=True, style=style)
 
 
-def say_over(line: str) -> None:
-    """Write over the last line of stderr, a terminal: as many whole words as fit."""
-    sys.stderr.write("\r\x1b[K" + _wrapped(line, console(err=True).width - 1, max_lines=1, placeholder=" …")[0])
-    sys.stderr.flush()
+class Terminal(Screen):
+    """Shows on stderr: on a terminal as many whole words of a line as fit, elsewhere a line for each step; asks on stdin."""
+
+    _step: int | None = None  # That has its line
+
+    def say(self, *lines: str) -> None:
+        say(*lines, err=True)
+
+    def over(self, line: str, *, step: int | None = None, last: bool = False) -> None:
+        if sys.stderr.isatty():
+            first = _wrapped(line, console(err=True).width - 1, max_lines=1, placeholder=" …")[0]
+            sys.stderr.write(f"\r\x1b[K{first}" + "\n" * last)
+            sys.stderr.flush()
+        elif step not in (None, self._step):
+            self._step = step
+            sys.stderr.write(f"{line}\n")
+
+    def ask(self, line: str) -> str:
+        sys.stderr.write(line)
+        sys.stderr.flush()
+        if answer := sys.stdin.readline():
+            return answer
+        raise EOFError
 
 
 def _wrapped(line: str, width: int, **options: Any) -> list[str]:
@@ -84,21 +102,6 @@ def _wrapped(line: str, width: int, **options: Any) -> list[str]:
     return textwrap.wrap(line, max(1, width - max(0, cell_len(line) - len(line))), **options) or [""]
 
 
-def progress() -> "Progress":
-    """Return a progress display on stderr, with the time left; silent where stderr is not a terminal."""
-    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
-    from rich.table import Column
-
-    stderr = console(err=True)
-    columns = (
-        TextColumn("{task.description}", markup=False, table_column=Column(overflow="fold")),  # wraps at spaces
-        BarColumn(max(4, min(40, stderr.width - 60))),
-        TextColumn("{task.percentage:>3.0f} %"),
-        TimeRemainingColumn(),
-    )
-    return Progress(*columns, console=stderr, transient=True, disable=not stderr.is_terminal)
-
-
 SAID_EVERY_S = 8.0  # where stderr is not a terminal
 
 
@@ -106,8 +109,22 @@ class ProgressBar:
     """Shows how far a long command is: a bar on a terminal; elsewhere a line on stderr every 8 s, with the time left."""
 
     def __init__(self, command: str) -> None:
+        from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
+        from rich.progress import Progress as Bar
+        from rich.table import Column
+
         self._command, self._what, self._share = command, "reading", 0.0
-        self._bar, self._stop = progress(), threading.Event()
+        columns = (
+            TextColumn("{task.description}", markup=False, table_column=Column(overflow="fold")),  # wraps at spaces
+            BarColumn(max(4, min(40, console(err=True).width - 60))),
+            TextColumn("{task.percentage:>3.0f} %"),
+            TimeRemainingColumn(),
+        )
+        hidden = not sys.stderr.isatty()
+        self._bar, self._stop = (
+            Bar(*columns, console=console(err=True), transient=True, disable=hidden),
+            threading.Event(),
+        )
         self._task = self._bar.add_task(self._what, total=1.0)
         self._began_s = time.monotonic()
         self._teller = threading.Thread(target=self._tell, daemon=True)
@@ -245,6 +262,7 @@ def _show_section(section: "Section", *, details: bool) -> None:
 
 # ---- Commands of undrift.commands: parse, call, show
 
+SHOWN_BY: dict[Any, Callable[[str], Any]] = {Progress: ProgressBar, Screen: lambda _: nullcontext(Terminal())}
 OWN: dict[str, tuple[Any, Any]] = {"report": (Report, None), "details": (Details, False), "json": (Json, False)}
 
 
@@ -265,8 +283,8 @@ def __getattr__(name: str) -> Callable[..., int] | App:
 def command_of(name: str, verb: Callable[..., Result]) -> Callable[..., int]:
     """Return a command of the command line: the parameters of the verb, then those of showing; it returns the exit code."""
     hints, given = get_type_hints(verb, include_extras=True), inspect.signature(verb).parameters
-    steps = "progress" in given
-    kept = [one.replace(annotation=hints[key]) for key, one in given.items() if key != "progress"]
+    own = {key for key in given if hints[key] in (Progress, Screen)}
+    kept = [one.replace(annotation=hints[key]) for key, one in given.items() if key not in own]
     read = [one.name for one in kept if WRITTEN not in getattr(one.annotation, "__metadata__", ())]
 
     def command(*words: Any, report: Path | None = None, details: bool = False, json: bool = False, **more: Any) -> int:
@@ -274,26 +292,35 @@ def command_of(name: str, verb: Callable[..., Result]) -> Callable[..., int]:
         check_report(report, reads=files)
         origin = None if report is None else origin_of(*files)  # before the work, which may write over what it reads
         with ExitStack() as stack:
-            result = verb(*words, **more, **({"progress": stack.enter_context(ProgressBar(name))} if steps else {}))
-        summary = result.summary()
-        if report is not None:
-            from undrift.report.page import write_page
+            result = verb(*words, **more, **{key: stack.enter_context(SHOWN_BY[hints[key]](name)) for key in own})
+        with ExitStack() as stack:
+            lasting = result if isinstance(result, AbstractContextManager) else None  # goes on until Ctrl-C
+            if lasting is not None:
+                stack.enter_context(lasting)
+                stack.enter_context(suppress(KeyboardInterrupt))
+            summary = result.summary()
+            if report is not None and origin is not None:
+                from undrift.report.page import write_page
 
-            write_page(report, summary, origin)
-        if json:
-            write_json(summary.data, name)
-        else:
-            show(summary, details=details)
-            say(*([] if report is None else [f"Wrote {report}"]))
+                made = origin_of(*summary.sources).inputs
+                write_page(report, summary, replace(origin, inputs=(*origin.inputs, *made)))
+            if json:
+                write_json(summary.data, name)
+            else:
+                show(summary, details=details)
+                say(*([] if report is None else [f"Wrote {report}"]))
+            if lasting is not None:
+                sys.stdout.flush()
+                threading.Event().wait()
         return int(summary.failed)
 
-    own = [
+    added = [
         inspect.Parameter(key, inspect.Parameter.KEYWORD_ONLY, default=value, annotation=hint)
         for key, (hint, value) in OWN.items()
     ]
     command.__name__, command.__doc__ = verb.__name__, verb.__doc__
-    command.__annotations__ = {one.name: one.annotation for one in (*kept, *own)}
-    command.__signature__ = inspect.Signature([*kept, *own])  # type: ignore[attr-defined]
+    command.__annotations__ = {one.name: one.annotation for one in (*kept, *added)}
+    command.__signature__ = inspect.Signature([*kept, *added])  # type: ignore[attr-defined]
     return command
 
 

@@ -32,16 +32,29 @@ GROUPS = {  # of commands in one module: the function of each
         "list": "list_held",
         "import": "import_folder",
     },
+    "rig": {name: name for name in ("run", "emulate", "stop", "status", "check")},
     "session": {"new": "new"},
 }
 
 
-class Command(ModuleType):
+class Commands(ModuleType):
+    """A package that makes each module that has the name of a command one that is called, as the import system binds it."""
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        home = self.__name__.rpartition(".")[2]
+        words = (*VERBS, *GROUPS) if home in ("undrift", "commands") else GROUPS.get(home, ())
+        if name in words and type(value) is ModuleType:
+            value.__class__ = Command
+        super().__setattr__(name, value)
+
+
+class Command(Commands):
     """A module of a command's name: ``undrift.twin(...)`` calls it, ``undrift.registry.add(...)`` one of a group."""
 
     def __call__(self, *given: Any, **stated: Any) -> Any:
-        name = self.__name__.rpartition(".")[2]
-        return getattr(import_module(f"undrift.commands.{name}"), name)(*given, **stated)
+        *_, group, name = self.__name__.split(".")
+        home = group if group in GROUPS else name
+        return getattr(import_module(f"undrift.commands.{home}"), name)(*given, **stated)
 
     def __getattr__(self, name: str) -> Any:
         group = self.__name__.rpartition(".")[2]
@@ -50,17 +63,22 @@ class Command(ModuleType):
         return getattr(import_module(f"undrift.commands.{group}"), name)
 
 
-class Commands(ModuleType):
-    """A package that makes each module that has the name of a command one that is called, as the import system binds it."""
-
-    def __setattr__(self, name: str, value: Any) -> None:
-        if name in (*VERBS, *GROUPS) and type(value) is ModuleType:
-            value.__class__ = Command
-        super().__setattr__(name, value)
-
-
 sys.modules[__name__].__class__ = Commands
 Progress: TypeAlias = Callable[[str, float], None]  # what is being done, and the share of the whole that is done
+
+
+class Screen:
+    """Where a command that goes on shows what it does, and who answers its questions: nowhere, and Python's ``input``."""
+
+    def say(self, *lines: str) -> None:
+        """Show lines that stay."""
+
+    def over(self, line: str, *, step: int | None = None, last: bool = False) -> None:
+        """Show a line over the one before; a log has one of each step, and none that has no number."""
+
+    def ask(self, line: str) -> str:
+        """Return the answer to a question; EOFError where there is nobody."""
+        return input(line)
 
 
 def silent(_what: str, _share: float) -> None:

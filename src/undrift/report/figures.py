@@ -34,6 +34,7 @@ if TYPE_CHECKING:
 
     from undrift.orientation import Orientation
     from undrift.record import Record
+    from undrift.rig.folder import RecordedDwell
     from undrift.study.outcome import StudyOutcome, TaskOutcome
     from undrift.study.plan import Timing
     from undrift.twin.heldout import HeldOutTrial
@@ -699,5 +700,27 @@ def draw_held_out(held: Sequence["HeldOutTrial"]) -> "Figure":
         panel.plot(np.median(errors), k, "D", color=DEVICE, label="median" if k == 0 else None)
     panel.set_yticks(range(len(held)), [textwrap.fill(f"{one.recording} {one.window_s:g} s", 20) for one in held])
     panel.set(xlabel="pitch, simulated less real (deg)", xlim=(0.0, None), ylim=(len(held) - 0.4, -0.6))
+    legend_above(panel)
+    return figure
+
+
+# ---- rig
+
+
+def draw_rig_run(turns: "Sequence[RecordedDwell]") -> "Figure":
+    """Draw achieved less nominal rate of each dwell of a rig run, with 95 % uncertainty."""
+    figure, (panel,) = new_figure(1, height=2.2)
+    entitle(figure, "Achieved less nominal rate of each dwell, 95 %")
+    for k, axis in enumerate(AXES):
+        about = [piece for piece in turns if piece.axis == axis]
+        nominal, achieved, uncertainty = (
+            np.array([getattr(piece, name) for piece in about]) / RADIAN_PER_DEGREE
+            for name in ("nominal_turn_rate", "turn_rate", "turn_rate_uncertainty")
+        )
+        style: Any = {"color": AXIS_COLOURS[k], "fmt": AXIS_MARKERS[k], "markersize": 4.0, "capsize": 2.0}
+        if about:
+            panel.errorbar(nominal, achieved - nominal, yerr=1.96 * uncertainty, label=f"about {axis}", **style)
+    panel.axhline(0.0, color=OPTICS, linewidth=0.6)
+    panel.set(xlabel="nominal rate (deg/s)", ylabel="difference (deg/s)")
     legend_above(panel)
     return figure

@@ -1,0 +1,558 @@
+"""``undrift rig run | emulate | stop | status | check``: a protocol on a rate table, and the table itself.
+
+A run shows where it is, and asks its operator, on a ``Screen``. An emulated bench goes on until it is closed.
+"""
+
+import threading
+from contextlib import ExitStack, suppress
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from undrift.base.options import WRITTEN, Flag, Output, options, verb
+from undrift.base.summary import Cells, Drawing, Result, Section, Summary, table_section
+from undrift.commands import Screen
+from undrift.commands.files import device_at
+from undrift.commands.register import Registration, registered_lines
+from undrift.errors import InputError
+from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
+
+if TYPE_CHECKING:
+    from undrift.rig.check import CheckSettings, RigCheck
+    from undrift.rig.folder import RecordedDwell
+    from undrift.rig.programme import Programme
+    from undrift.rig.rig import RigSettings
+    from undrift.rig.run import Progress, RigBench, RunResult, Watch
+    from undrift.sim.rig.emulator import EmulatedBench
+    from undrift.sim.rig.hand_held import HandHeld
+
+
+@options
+@dataclass(frozen=True, kw_only=True)
+class Shaft:
+    """How far a table may turn, and whether its controller watches this computer.
+
+    Parameters
+    ----------
+    travel_deg : float or None
+        How far the table may turn either way, deg; without end where not given.
+    card_watchdog : bool
+        Upload a program to a Galil card that stops the axis when this computer has been silent for 5 s; cleared at the end.
+    """
+
+    travel_deg: float | None = None
+    card_watchdog: bool = False
+
+    def settings(self, turn_rate_dps: float, acceleration_dps2: float) -> "RigSettings":
+        """Return the settings of a table with its limits."""
+        from undrift.rig.rig import Limits, RigSettings
+
+        dps = RADIAN_PER_DEGREE
+        travel = None if self.travel_deg is None else self.travel_deg * dps
+        limits = Limits(turn_rate=turn_rate_dps * dps, acceleration=acceleration_dps2 * dps, travel=travel)
+        return RigSettings(limits=limits, card_watchdog=(lambda: True) if self.card_watchdog else None)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Ran(Result):
+    """A protocol run on a rate table."""
+
+    output: Path  # Folder of the run
+    result: "RunResult"
+    registered: list[dict[str, Any]]  # Entries of the registry
+
+    def summary(self) -> Summary:
+        """Return how many dwells there are, and how far achieved rates are off the nominal ones."""
+        result, dps = self.result, RADIAN_PER_DEGREE
+        turns = [piece for piece in result.pieces if piece.purpose == "rate"]
+        missing = sum(piece.missing for piece in result.pieces)
+        off = max((abs(piece.turn_rate - piece.nominal_turn_rate) for piece in turns), default=0.0) / dps
+        rows = [
+            {"axis": one.axis, "nominal_dps": one.nominal_turn_rate / dps, "achieved_dps": one.turn_rate / dps}
+            | {"standard_uncertainty_dps": one.turn_rate_uncertainty / dps}
+            | {"temp_c": one.temp_c if one.device_c is None else one.device_c, "missing_readings": one.missing}
+            for one in turns
+        ]
+        data = {"folder": str(self.output), "rig": result.rig, "dwells": len(result.pieces), "added": result.added}
+        data |= {"registered": self.registered} if self.registered else {}
+        cells: Cells[RecordedDwell] = (
+            ("dwell", lambda piece: piece.name),
+            ("purpose", lambda piece: piece.purpose),
+            ("up", lambda piece: piece.up),
+            ("samples", lambda piece: str(piece.samples)),
+            ("missing", lambda piece: str(piece.missing)),
+            ("nominal (deg/s)", lambda piece: f"{piece.nominal_turn_rate / dps:+g}" if piece.purpose == "rate" else ""),
+            ("achieved (deg/s)", lambda piece: f"{piece.turn_rate / dps:+.4f}" if piece.purpose == "rate" else ""),
+            ("temperature (degC)", lambda piece: "" if piece.device_c is None else f"{piece.device_c:.2f}"),
+        )
+        return Summary(
+            title=f"Rig run: {self.output.name}, on {result.rig}",
+            answer=(
+                f"{self.output}: {len(result.pieces)} dwells, {result.added} of them now, in {_clock(result.duration_s)}; "
+                f"achieved rates differ from nominal ones by up to {off:.3g} deg/s and stand in session.toml; {missing} "
+                "readings missing"
+            ),
+            data=data | {"duration_s": result.duration_s, "missing_readings": missing, "turns": rows},
+            pictures=(Drawing(place="undrift.report.figures:draw_rig_run", of=(turns,)),) if turns else (),
+            sections=(table_section("Dwells", result.pieces, cells, on="page"),),
+            sources=(self.output / "session.toml",),
+            after=registered_lines(self.registered),
+        )
+
+
+@verb
+def run(
+    protocol: Path,
+    /,
+    *,
+    rig: str,
+    device: str,
+    output: Output,
+    chamber: str | None = None,
+    operator: str | None = None,
+    serial: str = "",
+    gravity_m_s2: float | None = None,
+    highest_turn_rate_dps: float = 360.0,
+    highest_acceleration_dps2: float = 5000.0,
+    shaft: Shaft = Shaft(),
+    device_lag_s: float = 120.0,
+    resume: bool = False,
+    yes: bool = False,
+    progress: Annotated[Path | None, WRITTEN] = None,
+    registering: Registration = Registration(),
+    screen: Screen = Screen(),
+) -> Ran:
+    """Run a protocol; the folder is a session for calibrate and drift, after every dwell.
+
+    Parameters
+    ----------
+    protocol : Path
+        protocol.toml.
+    rig : str
+        Address of the table: galil:tcp://host:port?encoder_lines=10000, grbl:serial:///dev/ttyUSB0, manual:
+    device : str
+        Address of the device: tcp://host:port?..., serial:///dev/ttyUSB0?baud=115200, udp://:port, lsl:name, ble:id
+    output : Path
+        Folder of the run.
+    chamber : str or None
+        Address of the thermal chamber, where the protocol has temperatures: tcp://host:port, serial:///dev/ttyUSB0,
+        modbus-tcp://host:502?model=watlow-f4 (or watlow-ez-zone, eurotherm), modbus-rtu:///dev/ttyUSB0?model=...; manual:
+        asks a person to set it, and the device's thermometer shows when it has soaked.
+    operator : str or None
+        Address of an emulated operator, who mounts the device; a person is asked where not given.
+    serial : str
+        Of the device; what its address says where not given.
+    gravity_m_s2 : float or None
+        Local gravity, m/s2; session.toml states none, and standard gravity is assumed, where it is not given.
+    highest_turn_rate_dps : float
+        Nothing faster is ever asked of the table, deg/s.
+    highest_acceleration_dps2 : float
+        Likewise, deg/s2.
+    device_lag_s : float
+        Time constant with which a device without thermometer follows the chamber's air, s; a soak waits five of them.
+    resume : bool
+        Go on in a folder in which a run was interrupted.
+    yes : bool
+        Start without asking.
+    progress : Path or None
+        File to append the run's progress to, a JSON object in a line, for a program that shows it; questions to the operator
+        stand there too, with a number, and are answered by "NUMBER ANSWER" on the standard input.
+    """
+    from undrift.rig.folder import RunFolder
+    from undrift.rig.judge import RunSettings
+    from undrift.rig.programme import ProgrammeSettings, programme_of, read_protocol
+    from undrift.rig.rig import check_programme, parse_address
+    from undrift.rig.run import Watch, run_programme
+    from undrift.rig.watch import Guard, StopWatch, one_run, stopping_on_signals
+
+    registering.check()
+    asked, settings = read_protocol(protocol), shaft.settings(highest_turn_rate_dps, highest_acceleration_dps2)
+    shown, judge = _Shown(screen, progress), RunSettings(device_lag_s=device_lag_s)
+    settings = replace(settings, ask=shown.ask)
+    options = parse_address(rig, settings)[2]
+    programme = programme_of(asked, ProgrammeSettings(encoder_lines=options.encoder_lines))
+    by_hand, limits = rig.startswith("manual:"), settings.limits
+    if not resume:
+        check_programme(programme, limits, by_hand=by_hand)  # before there is a folder
+    with ExitStack() as stack:
+        stack.enter_context(one_run(rig, f"undrift rig run into {output}"))
+        folder = stack.enter_context(RunFolder(output, asked, resume=resume))
+        check_programme(programme, limits, folder.done, by_hand=by_hand)
+        shown.plan(programme, folder.done, yes, options.clock_speed)
+        stack.enter_context(stopping_on_signals())
+        watched = ["" if place.startswith("manual:") else place for place in (rig, chamber or "")]
+        guard = stack.enter_context(Guard(*watched)) if any(watched) else None  # before they are opened: it goes last
+        shown.watch = watch = Watch(StopWatch(rig), guard, programme)
+        if shaft.card_watchdog and guard:
+            settings = replace(settings, card_watchdog=guard.promise_holds)
+        bench, called = _bench(stack, (rig, device, chamber, operator), settings, shown, programme)
+        registering.check(serial or called)
+        watch.arm()
+        result = run_programme(
+            programme, bench, folder, report=shown, serial=serial or called, gravity_m_s2=gravity_m_s2, settings=judge
+        )
+    return Ran(output=output, result=result, registered=registering.add(output))
+
+
+def _bench(
+    stack: ExitStack,
+    addresses: tuple[str, str, str | None, str | None],
+    settings: "RigSettings",
+    shown: "_Shown",
+    programme: "Programme",
+) -> "tuple[RigBench, str]":
+    """Connect device, chamber, operator and, last, the table; return them and what the device is called."""
+    from undrift.live.recorder import DwellReadings, Recorder, RecorderSettings
+    from undrift.live.transports import source_at
+    from undrift.rig.chamber import ChamberSetup, SoakSettings, open_chamber
+    from undrift.rig.manual import AskedOperator
+    from undrift.rig.programme import Soak
+    from undrift.rig.rig import open_rig, parse_address
+    from undrift.rig.run import RigBench
+    from undrift.rig.watch import check_free
+    from undrift.sim.rig.emulator import BenchHands
+
+    rig, device, chamber, operator = addresses
+    source = source_at(device)
+    clock = parse_address(rig, settings)[2].timing
+    longest_s = max(dwell.duration_s for dwell in programme.dwells)
+    recorder = Recorder(source, RecorderSettings(keep_s=max(600.0, 2.0 * longest_s)))
+    recorder.start()
+    readings = DwellReadings(recorder)
+    stack.callback(readings.close)
+    oven = None
+    if chamber is not None:
+        slopes = [step.slope_c_per_min for step in programme.steps if isinstance(step, Soak)]
+        soak = SoakSettings(slope_c_per_min=min(slopes, default=SoakSettings().slope_c_per_min))
+        oven = open_chamber(chamber, ChamberSetup(soak=soak, clock=clock), ask=shown.ask)
+        stack.callback(oven.close)
+    mounting = AskedOperator(shown.ask) if operator is None else BenchHands(operator)
+    check_free(rig)
+    table = open_rig(rig, settings)
+    stack.callback(table.close)
+    made = RigBench(rig=table, readings=readings, mounting=mounting, chamber=oven, clock=clock)
+    return made, source.description.device
+
+
+class _Shown:
+    """Watches a run and shows where it is, in a file and on a screen; the operator is asked through the file, if there is one."""
+
+    def __init__(self, screen: Screen, file: Path | None) -> None:
+        from undrift.rig.run import ProgressFile
+
+        self.watch: Watch | None = None
+        self._screen, self._file = screen, None if file is None else ProgressFile(file)
+        self.ask = screen.ask if self._file is None else self._file.ask
+
+    def plan(self, programme: "Programme", done: frozenset[int], yes: bool, speed: float) -> None:
+        """Show how long each step and the whole takes, and ask whether to start."""
+        from undrift.rig.programme import forecast_of
+
+        left = forecast_of(programme, done)
+        steps = ((number, step) for number, step in enumerate(programme.steps) if number not in done)
+        self._screen.say(
+            *(f"{number:5d}  {_clock(step.duration_s)}  {step}" for number, step in steps),
+            f"{left.dwells} dwells, {_clock(left.rig_s)} of rig time; with {left.mountings} mountings and the chamber about "
+            f"{_clock(left.total_s)}",
+            *([f"{len(done)} dwells are on the disk already"] if done else []),
+        )
+        answer = "yes" if yes else ""
+        with suppress(EOFError):
+            answer = answer or self._screen.ask("Start? (y/N) ").strip().lower()
+        if answer not in ("y", "yes"):
+            raise InputError("rig run: wanted a yes to start, got none; nothing moved, say y or `yes`")
+        if self._file is not None:
+            self._file.plan(programme, done, speed)
+
+    def __call__(self, progress: "Progress") -> None:
+        """Take where the run is; in a log a step is one line, once there are readings of it."""
+        if self.watch is not None:
+            self.watch(progress)
+        if self._file is not None:
+            self._file(progress)
+        line = f"[{progress.number + 1}/{progress.steps}] {_clock(progress.left_s)} left  {progress.step}, {progress.phase}"
+        logged = bool(progress.live) or progress.phase in ("mounting", "closing")
+        step = progress.number if logged else None
+        self._screen.over(f"{line}  {progress.live}".rstrip(), step=step, last=progress.phase == "closing")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Emulated(Result):
+    """An emulated bench on loopback ports; a context manager that closes it, as signals that end a program do."""
+
+    bench: "EmulatedBench | HandHeld"
+    addresses: dict[str, str]  # As `run` takes them
+    _entered: ExitStack = field(default_factory=ExitStack)
+
+    def summary(self) -> Summary:
+        """Return the addresses."""
+        earlier = (
+            {"hands": self.addresses["operator"]} if "rig" in self.addresses else {}
+        )  # its name in earlier releases
+        return Summary(
+            title="An emulated bench",
+            answer="\n".join(f"`{name}` '{address}'" for name, address in self.addresses.items()),
+            data=self.addresses | earlier,
+        )
+
+    def __enter__(self) -> "Emulated":
+        from undrift.rig.watch import stopping_on_signals
+
+        self._entered.enter_context(stopping_on_signals())
+        self._entered.enter_context(self.bench)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._entered.close()
+
+
+@verb
+def emulate(
+    *,
+    device: str = "",
+    kind: Literal["galil", "grbl"] = "galil",
+    speed: float = 1.0,
+    port: int = 0,
+    hand_held: Flag = False,
+    sample_rate_hz: float = 100.0,
+    room_c: float = 25.0,
+    mount_tilt_deg: float | None = None,
+    heating_c_per_min: float = 3.0,
+    gravity_m_s2: float = STANDARD_GRAVITY,
+    fault: tuple[str, ...] = (),
+    pty: Flag = False,
+    save_device: Annotated[Path | None, WRITTEN] = None,
+    seed: int = 0,
+) -> Emulated | Summary:
+    """Emulate a table, a chamber, a device and an operator on loopback ports; print their addresses and go on until Ctrl-C.
+
+    Parameters
+    ----------
+    device : str
+        A preset, such as mpu6050 or enc03j_3031, or a device.json; a device of consumer grade drawn by the seed where not
+        given.
+    kind : str
+        Servo card or stepper board.
+    speed : float
+        Emulated seconds in one of the host's.
+    port : int
+        Of the table; 0 takes a free one.
+    hand_held : bool
+        A device in an operator's hands instead, without a table: the operator's port takes lines such as "face +x" and
+        "turn z 360".
+    sample_rate_hz : float
+        Readings of the device a second.
+    room_c : float
+        Temperature around, degC.
+    mount_tilt_deg : float or None
+        Mounting error of the operator: standard deviation about each axis, deg; 0 where not given, 0.3 if hand-held.
+    heating_c_per_min : float
+        How fast the chamber changes its temperature, K/min.
+    gravity_m_s2 : float
+        Local gravity, m/s2.
+    fault : tuple of str
+        NAME, NAME:AFTER_S or NAME:AFTER_S:FOR_S, seconds of the emulated clock: a part of the link, the table or the chamber
+        breaks then and for so long; any number of them. "list" names them.
+    pty : bool
+        Open a pseudo terminal too, for clients that speak over a serial port; --rig of it is printed as pty.
+    save_device : Path or None
+        Write the device there, as device.json: the truth that a calibration should find.
+    seed : int
+        Of every random draw.
+    """
+    import numpy as np
+
+    from undrift.sim.device.model import write_device
+    from undrift.sim.device.presets import PRESETS
+    from undrift.sim.rig import emulator
+    from undrift.sim.rig.hand_held import HandSettings, start_hand_held
+    from undrift.sim.rig.stream import StreamSettings
+
+    faults = [emulator.planned_fault(text) for text in fault if text != "list"]
+    if "list" in fault:
+        lines = "\n".join(f"{name:22}{what}" for name, what in emulator.ALL_FAULTS.items())
+        return Summary(title="Faults of an emulated bench", answer=lines, data={"faults": emulator.ALL_FAULTS})
+    if hand_held and (faults or pty or port or kind != "galil"):
+        raise InputError(
+            "`hand_held`: wanted no table, got options of one; leave `kind`, `port`, `pty` and `fault` out"
+        )
+    tilt = (0.3 * hand_held if mount_tilt_deg is None else mount_tilt_deg) * RADIAN_PER_DEGREE
+    stream = StreamSettings(sample_rate_hz=sample_rate_hz, mount_tilt_sd=tilt, gravity_m_s2=gravity_m_s2, seed=seed)
+    drawn = device_at(device, np.random.default_rng(seed), draw=device in PRESETS) if device else None
+    bench: EmulatedBench | HandHeld
+    if hand_held:
+        hands = HandSettings(tilt_sd=tilt, temp_c=room_c)
+        bench = held = start_hand_held(seed=seed, device=drawn, hands=hands, stream=stream, speed=speed)
+        addresses = {"device": held.address, "operator": held.operator_address}
+    else:
+        settings = emulator.EmulatedBenchSettings(
+            rig=emulator.EmulatorSettings(kind=kind, speed=speed, port=port, with_pty=pty),
+            air=emulator.AirSettings(room_c=room_c, ramp_c_per_min=heating_c_per_min),
+            stream=stream,
+            device=drawn,
+        )
+        bench = table = emulator.start_bench(settings)
+        addresses = {"rig": table.rig_address, "device": table.device_address}
+        addresses |= {"chamber": table.chamber_address, "operator": table.hands_address}
+        addresses |= {} if table.pty_address is None else {"pty": table.pty_address}
+        for one in faults:
+            threading.Thread(target=table.break_as, args=(one,), name=one.name, daemon=True).start()
+    if save_device is not None:
+        write_device(bench.device, save_device)
+    return Emulated(bench=bench, addresses=addresses)
+
+
+@verb
+def stop(*, rig: str) -> Summary:
+    """Stop the table and switch its motor off, whoever drives it.
+
+    Parameters
+    ----------
+    rig : str
+        Address of the table.
+    """
+    from undrift.rig.watch import mark_stop, stop_rig
+
+    mark_stop(rig)  # first, so that a run that mounts or soaks ends even where the table does not answer
+    stop_rig(rig)
+    data = {"rig": rig, "stopped": True, "motor_on": False}
+    return Summary(title="A table stopped", answer=f"{rig}: at rest, motor off", data=data)
+
+
+@verb
+def status(*, rig: str) -> Summary:
+    """Say where a Galil table stands and what is wrong with it; whoever drives it is not disturbed.
+
+    Parameters
+    ----------
+    rig : str
+        Address of the table.
+    """
+    from undrift.rig.galil import read_status
+
+    found, dps = read_status(rig), RADIAN_PER_DEGREE
+    words = f"{'moves' if found.moving else 'at rest'}, motor {'on' if found.motor_on else 'off'}"
+    data = {"rig": rig, "identity": found.identity, "moving": found.moving, "motor_on": found.motor_on}
+    angles = {"angle_deg": found.angle / dps, "following_error_deg": found.following_error / dps}
+    answer = f"{found.identity}: {words}, at {found.angle / dps:.3f} deg, {found.fault or 'no fault'}"
+    return Summary(title="A table", answer=answer, data=data | angles | {"fault": found.fault})
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Accepted(Result):
+    """A table checked; whether it was accepted is in its verdict."""
+
+    rig: str  # Its address
+    settings: "CheckSettings"
+    found: "RigCheck"
+
+    def summary(self) -> Summary:
+        """Return the following error with its limit, and the servo loop where it is seen."""
+        from undrift.io.store import verdict_json
+
+        found, settings, dps = self.found, self.settings, RADIAN_PER_DEGREE
+        loop, error, gains, verdict = found.loop, found.error, found.gains, verdict_json(found.verdict)
+        rms_deg, max_deg, limit_deg = error.rms / dps, error.largest / dps, settings.limit / dps
+        lines = [
+            f"following error {rms_deg:.4f} deg rms, {max_deg:.4f} deg at most at steady rate; limit {limit_deg:g} deg"
+        ]
+        if loop is not None:
+            lines.append(
+                f"crossover {loop.crossover:.1f} +- {loop.crossover_uncertainty:.1f} rad/s, phase margin "
+                f"{loop.margin / dps:.1f} +- {loop.margin_uncertainty / dps:.1f} deg (standard uncertainties)"
+            )
+        if gains is not None:
+            lines.append(f"gains KP {gains.kp:g}, KD {gains.kd:g}, KI {gains.ki:g}")
+        wave = {"seconds": settings.duration_s, "turn_rate_dps": settings.turn_rate / dps}
+        wave |= {"achieved_dps": error.turn_rate / dps, "acceleration_dps2": settings.acceleration / dps}
+        errors = {"rms": rms_deg, "max": max_deg, "limit_deg": limit_deg, "run_up_max": error.in_run_up / dps}
+        sets = {"read": gains, "suggested": found.suggested, "held": found.held}
+        return Summary(
+            title="Acceptance of a table",
+            answer=f"{found.identity}: step wave of {settings.turn_rate / dps:g} deg/s for {settings.duration_s:g} s",
+            sections=(Section(title="Following error and servo loop", text=tuple(lines)),),
+            verdict=found.verdict,
+            failed=found.passed is False,
+            data={
+                "kind": "undrift.rig_check",
+                "format": 1,
+                "rig": self.rig,
+                "identity": found.identity,
+                "wave": wave,
+                "error_deg": errors | {"link_delay": error.unknown / dps, "pass": found.passed},
+                "crossover_rad_s": loop and loop.crossover,
+                "crossover_standard_uncertainty_rad_s": loop and loop.crossover_uncertainty,
+                "phase_margin_deg": loop and loop.margin / dps,
+                "phase_margin_standard_uncertainty_deg": loop and loop.margin_uncertainty / dps,
+                "gains": {name: each and asdict(each) for name, each in sets.items()},
+                "verdict": verdict,
+                "findings": verdict["findings"],
+            },
+        )
+
+
+@verb
+def check(
+    *,
+    rig: str,
+    seconds: float = 60.0,
+    turn_rate_dps: float = 90.0,
+    acceleration_dps2: float = 2300.0,
+    limit_deg: float = 0.012,
+    shaft: Shaft = Shaft(),
+    set_gains: bool = False,
+    screen: Screen = Screen(),
+) -> Accepted:
+    """Accept a table: following error in a step wave, crossover and phase margin of its servo loop. The table turns.
+
+    Parameters
+    ----------
+    rig : str
+        Address of the table: galil:tcp://host:port?encoder_lines=10000, grbl:serial:///dev/ttyUSB0
+    seconds : float
+        Length of the step wave, s of the table.
+    turn_rate_dps : float
+        Rate of the wave either way, deg/s; nothing faster is commanded.
+    acceleration_dps2 : float
+        Of the run-ups, deg/s2.
+    limit_deg : float
+        Largest following error at steady rate, deg; beyond it the exit code is 1.
+    set_gains : bool
+        Set the suggested gains, until the controller is switched off.
+    """
+    from undrift.rig.check import CheckSettings, check_rig
+    from undrift.rig.rig import WATCHED, open_rig, parse_address
+    from undrift.rig.watch import Guard, StopWatch, check_free, one_run, stopping_on_signals
+
+    asked = shaft.settings(turn_rate_dps, acceleration_dps2)
+    settings = CheckSettings(
+        turn_rate=asked.limits.turn_rate,
+        duration_s=seconds,
+        acceleration=asked.limits.acceleration,
+        limit=limit_deg * RADIAN_PER_DEGREE,
+        set_gains=set_gains,
+    )
+    if parse_address(rig, asked)[0] == "manual":
+        raise InputError("rig check: wanted a table with a motor, got manual:; name the address of a table")
+    with ExitStack() as stack:
+        stack.enter_context(one_run(rig, "undrift rig check"))
+        stack.enter_context(stopping_on_signals())
+        stops, guard = StopWatch(rig), stack.enter_context(Guard(rig))
+
+        def report(line: str) -> None:
+            stops.check()
+            guard.check()
+            guard.expect(WATCHED["progress"].limit)  # longer: it hangs, and the guard stops the table
+            screen.over(line)
+
+        check_free(rig, motor_on=True)
+        table = open_rig(rig, replace(asked, card_watchdog=guard.promise_holds if shaft.card_watchdog else None))
+        stack.callback(table.close)
+        guard.arm()
+        found = check_rig(table, parse_address(rig)[2].timing, settings, report)
+    return Accepted(rig=rig, settings=settings, found=found)
+
+
+def _clock(seconds: float) -> str:
+    whole = round(max(seconds, 0.0))
+    return f"{whole // 3600:d}:{whole // 60 % 60:02d}:{whole % 60:02d}"
