@@ -129,15 +129,13 @@ def check_triads(record: Record) -> tuple[Finding, ...]:
 
 def _agreeing(record: Record) -> tuple[Finding, ...]:
     found = find_disagreement(record)
-    if found is None:
-        return ()
-    if found.level == "fail":
+    if found is not None and found.level == "fail":
         raise Implausible(
             f"gyroscope and accelerometer: wanted columns, units and time that agree on one motion, got: {found.values['text']} "
             f"({found.detail}); {found.action}",
             **found.values,
         )
-    return (found,)
+    return () if found is None else (found,)
 
 
 FORCE_WITHIN = (1.0 / 3.0, 3.0)  # g: no motion keeps the median outside, nor an offset
@@ -200,6 +198,11 @@ def _mistake(record: Record, unit_s: float) -> tuple[Mistake, bool] | None:
         return None
     # A wrong unit of time is judged against time as stated, in which no window lasts as long: rotation is too fast or slow.
     stated = seen.kept(np.eye(3), 1.0 / unit_s)
+    longest = (
+        np.linalg.norm(seen.force, axis=2).mean(axis=1) ** 2
+    )  # a mean is no longer than its parts, whatever the rotation
+    if float((longest - stated).mean()) < max(UNCLEAR, SURE * LEAST_SCATTER / np.sqrt(len(stated))):
+        return None
     best = max(_candidates(seen, record, unit_s, stated), key=lambda one: float(one[1].mean()), default=None)
     if best is None:
         return None
@@ -244,9 +247,8 @@ def _candidates(
 
 def _orders() -> Iterator[FloatArray]:
     """Yield the 48 matrices that exchange and reverse axes."""
-    for places in itertools.permutations(range(3)):
-        for signs in itertools.product((1.0, -1.0), repeat=3):
-            yield np.eye(3)[list(places)] * np.array(signs)[:, None]
+    for places, signs in itertools.product(itertools.permutations(range(3)), itertools.product((1.0, -1.0), repeat=3)):
+        yield np.eye(3)[list(places)] * np.array(signs)[:, None]
 
 
 def _changes(order: FloatArray) -> int:
@@ -260,8 +262,7 @@ def _changes(order: FloatArray) -> int:
 def _scales(seen: _Windows, record: Record) -> Iterator[tuple[Mistake, FloatArray]]:
     """Yield units of the gyroscope and other sample rates."""
     grid = np.geomspace(1.0 / LARGEST_SCALE, LARGEST_SCALE, 161)
-    kept_on = [seen.kept(np.eye(3), float(scale)) for scale in grid]
-    means = np.array([kept.mean() for kept in kept_on])
+    means = np.array([seen.kept(np.eye(3), float(scale)).mean() for scale in grid])
     at = int(means.argmax())
     scale = float(grid[at])
     if 0 < at < len(grid) - 1:  # the vertex of the parabola through three points
@@ -359,9 +360,7 @@ def check_device(
     (accel, accel_usual), (rate, rate_usual) = left.get("accel", nothing), left.get("gyro", nothing)
     values = {"left_mg": accel / STANDARD_GRAVITY * 1e3, "usual_mg": accel_usual / STANDARD_GRAVITY * 1e3}
     values |= {"left_dps": rate / RADIAN_PER_DEGREE, "usual_dps": rate_usual / RADIAN_PER_DEGREE, "rests": len(rests)}
-    if reversed_:
-        return (finding("correct.accel_reversed", "warn", **values),)
-    return (finding("correct.other_device", "warn", **values),)
+    return (finding("correct.accel_reversed" if reversed_ else "correct.other_device", "warn", **values),)
 
 
 def _whole(record: Record, rest: Still) -> bool:
