@@ -2,6 +2,7 @@
 
 from collections import Counter
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -25,37 +26,40 @@ WARM = {"power_on_s": 1200.0}
 MILD = {"temp_c": (24.8, 25.2), **WARM}  # and faces 0.1 deg off level
 
 
-def sessions(kind, *, labelled=True, **more):
-    """Yield a session of each of twelve devices and its settings."""
-    for seed, name in enumerate(KINDS):
+@cache
+def sessions(kind, *, labelled=True, devices=len(KINDS), **more):
+    """Return a session of each of the devices."""
+    made = []
+    for seed, name in enumerate(KINDS[:devices]):
         grade = name in ("consumer", "industrial", "wearable")
         rng = np.random.default_rng(seed)
         device = random_device(rng, grade=name) if grade else random_device_of(name, rng)
         settings = BenchSettings(errors=BenchErrors(face_tilt=0.1 * DEG, hand_axis=0.5 * DEG))
         rng = np.random.default_rng(1000 + seed)
-        yield simulate_session(kind, device, rng=rng, settings=settings, labelled=labelled, **more)
+        made.append(simulate_session(kind, device, rng=rng, settings=settings, labelled=labelled, **more))
+    return made
 
 
 def verdicts(drawn, **settings):
     made = [calibrate(session, settings=CalibrateSettings(**settings)).verdict for session in drawn]
     reasons = Counter(item.code for one in made for item in one.findings if item.level != "info")
     counts = Counter(one.status for one in made)
-    show("verdicts of 12 devices", dict(counts), dict(reasons))
+    show(f"verdicts of {len(made)} devices", dict(counts), dict(reasons))
     return counts, reasons
 
 
+SOUND = [
+    (kind, labelled, 360.0 if kind == "ferraris" and not labelled else None, temperature)
+    for kind in ("six_face", "ferraris", "multi_position")
+    for labelled in (True, False)
+    for temperature in (labelled, not labelled)  # the second, where the other of both is missing, in `make test-long`
+]
+
+
 @pytest.mark.parametrize(
-    ("kind", "labelled", "angle"),
-    [
-        ("six_face", True, None),
-        ("six_face", False, None),
-        ("ferraris", True, None),
-        ("ferraris", False, 360.0),
-        ("multi_position", True, None),
-        ("multi_position", False, None),
-    ],
+    ("kind", "labelled", "angle", "temperature"),
+    [case if case[1] == case[3] else pytest.param(*case, marks=pytest.mark.long) for case in SOUND],
 )
-@pytest.mark.parametrize("temperature", [True, False])
 def test_a_sound_session_on_a_mildly_erring_bench_is_good_on_four_devices_of_five(kind, labelled, angle, temperature):
     drawn = sessions(kind, labelled=labelled, **MILD)
     if not temperature:
@@ -66,15 +70,16 @@ def test_a_sound_session_on_a_mildly_erring_bench_is_good_on_four_devices_of_fiv
 
 
 @pytest.mark.parametrize("kind", ["six_face", "ferraris", "multi_position"])
-def test_a_session_whose_numbers_are_in_doubt_is_never_good(kind):
-    counts, _ = verdicts(sessions(kind, temp_c=(22.0, 27.0)))  # 5 K within the session
+@pytest.mark.parametrize("devices", [6, pytest.param(len(KINDS), marks=pytest.mark.long)])
+def test_a_session_whose_numbers_are_in_doubt_is_never_good(kind, devices):
+    counts, _ = verdicts(sessions(kind, devices=devices, temp_c=(22.0, 27.0)))  # 5 K within the session
     assert counts["good"] == 0
-    counts, reasons = verdicts(replace(s, gravity_source="standard") for s in sessions(kind, **MILD))
-    assert (counts["good"], reasons["session.gravity_assumed"]) == (0, len(KINDS))
+    counts, reasons = verdicts(replace(s, gravity_source="standard") for s in sessions(kind, **MILD)[:devices])
+    assert (counts["good"], reasons["session.gravity_assumed"]) == (0, devices)
 
 
 def test_full_turns_that_give_no_scale_are_no_information_alone():
-    session = next(sessions("ferraris", **MILD))
+    session = sessions("ferraris", **MILD)[0]
     record, stop = session.records[0], session.turns[0].stop + 600  # six faces, one turn and the rest after it
     kept = {name: getattr(record, name)[:stop] for name in ("time", "gyro", "accel", "temp_c")}
     made = calibrate(replace(session, records=(replace(record, **kept),), stills=(), turns=()))
@@ -84,7 +89,7 @@ def test_full_turns_that_give_no_scale_are_no_information_alone():
 
 
 def test_the_scale_of_offset_alone_is_uncertain_as_a_part_s_is():
-    session = next(sessions("six_face", **MILD))
+    session = sessions("six_face", **MILD)[0]
     record = session.records[0]
     made = calibrate(replace(session, records=(replace(record, gyro=record.gyro / 16.4, gyro_unit="dps"),)))
     assert made.gyro.method == "rest"
@@ -93,10 +98,11 @@ def test_the_scale_of_offset_alone_is_uncertain_as_a_part_s_is():
     assert made.verdict.status == "good"
 
 
-def test_intervals_hold_where_a_bare_log_of_tilted_faces_is_good():
+@pytest.mark.parametrize("devices", [20, pytest.param(40, marks=pytest.mark.long)])
+def test_intervals_hold_where_a_bare_log_of_tilted_faces_is_good(devices):
     # Rests before and after a full turn lie on one face as they were laid down: they are one draw of its tilt, not two.
     inside = {"scale": [], "cross": [], "offset": []}
-    for seed in range(40):
+    for seed in range(devices):
         rng = np.random.default_rng(seed)
         device = random_device(rng)
         session = simulate_session(
@@ -117,5 +123,5 @@ def test_intervals_hold_where_a_bare_log_of_tilted_faces_is_good():
         inside["offset"] += (np.abs(made.accel.offset - truth.offset) <= 1.96 * sigma[9:12]).tolist()
     shares = {name: round(float(np.mean(each)), 3) for name, each in inside.items()}
     show("inside 95 % where good", shares, f"0.9 or more of {len(inside['cross'])}")
-    assert len(inside["scale"]) >= 3 * 32  # most are good
+    assert len(inside["scale"]) >= 3 * 0.8 * devices  # most are good
     assert min(shares.values()) >= 0.90

@@ -1,11 +1,12 @@
 """Offset over temperature of simulated devices: does the table find it, and do its intervals hold it?"""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
 
-from testkit.cohorts import share_limits
+from testkit.cohorts import ratio_limit, share_limits
 from testkit.data import show
 from testkit.simulated_device import motion_of
 from undrift.drift.observe import observe_rests
@@ -16,9 +17,9 @@ from undrift.sim.device.simulate import simulate_device
 from undrift.sim.device.truth import true_calibration
 from undrift.units import RADIAN_PER_DEGREE
 
-UP = np.append(np.arange(18.0, 75.0, 5.0), 75.0)
-UP_DOWN = np.concatenate((UP, UP[-2::-1]))
-NODES = np.arange(18.0, 75.1, 2.5)
+UP = (*np.arange(18.0, 75.0, 5.0), 75.0)
+UP_DOWN = (*UP, *UP[-2::-1])
+NODES = tuple(np.arange(18.0, 75.1, 2.5))
 
 
 def soaks(points, hold_s=700, ramp_s=60, rest_s=300):
@@ -33,52 +34,44 @@ def soaks(points, hold_s=700, ramp_s=60, rest_s=300):
     return np.concatenate(temp), tuple(stills)
 
 
+@cache
 def fitted(
-    seed,
-    points,
-    *,
-    hysteresis=False,
-    warm_up=False,
-    adc=False,
-    fit_warm_up=False,
-    on_the_loop=False,
-    kind="enc03j_3031",
-    nodes=NODES,
+    seed, points, *, hysteresis=False, warm_up=False, adc=False, fit_warm_up=False, kind="enc03j_3031", nodes=NODES
 ):
-    """Return the fit of one drawn device and the truth at its thermometer's nodes: in the middle of the loop, or on its way up."""
+    """Return the fit of a drawn device's gyroscopes, the truth at its thermometer's nodes, half the loop, units per deg/s."""
     rng = np.random.default_rng(seed)
     device = random_device_of(kind, rng)
-    gyro = replace(device.gyro, low_pass=None)  # one sample a second sees no filter
+    gyro = replace(device.gyro, low_pass=None, g_sensitivity=None)  # one sample a second sees no filter; one pose
     gyro = replace(
         gyro,
         hysteresis=gyro.hysteresis if hysteresis else None,
         warm_up=gyro.warm_up if warm_up else None,
         adc=gyro.adc if adc else None,
     )
-    accel = replace(device.accel, low_pass=None, adc=None, lever_arm=None)
-    device = replace(device, gyro=gyro, accel=accel)
+    device = replace(device, gyro=gyro, accel=replace(device.accel, low_pass=None, adc=None, lever_arm=None))
     temp, stills = soaks(points, *((2400, 300, 2100) if fit_warm_up else ()))
     motion = motion_of(np.arange(len(temp)) * 1.0, np.zeros((len(temp), 3)))
-    record = simulate_device(device, motion, rng=rng, temp_c=temp).record
+    record = replace(simulate_device(device, motion, rng=rng, temp_c=temp).record, accel=None)
     session = Session(kind="thermal", serial="A", gravity_m_s2=9.81, records=(record,), stills=stills)
     blocks = observe_rests([session], temperatures=[[record.temp_c]])
     fit = fit_static(
         blocks,
-        nodes=nodes,
+        nodes=np.array(nodes),
         calibration=true_calibration(device),
         settings=StaticSettings(warm_up=fit_warm_up),
     )
-    board = nodes - device.thermometer.trim_error_c - device.thermometer.self_heating_c
+    board = np.array(nodes) - device.thermometer.trim_error_c - device.thermometer.self_heating_c
     truth = np.array([true_calibration(device, temp_c=float(t)).gyro.offset for t in board])
-    if on_the_loop:
-        truth = truth - device.gyro.hysteresis.amplitude * device.gyro.gain
-    return fit, truth, device.gyro.gain * RADIAN_PER_DEGREE
+    half_loop = device.gyro.hysteresis.amplitude * device.gyro.gain if hysteresis else np.zeros(3)
+    return fit, truth, half_loop, device.gyro.gain * RADIAN_PER_DEGREE
 
 
-def coverage(devices, points, **effects):
+def coverage(devices, points, on_the_loop=False, **effects):
+    """Compare with the truth in the middle of the loop, or on its way up."""
     inside, square, stated = [], [], []
     for seed in range(devices):
-        fit, truth, per_dps = fitted(seed, points, **effects)
+        fit, truth, half_loop, per_dps = fitted(seed, points, **effects)
+        truth = truth - half_loop if on_the_loop else truth
         seen = ~fit.table.gyro_extrapolated
         error = (fit.table.gyro_offset - truth)[seen]
         own = fit.gyro.curve_uncertainty  # the truth is the curve: no visit of its own
@@ -88,7 +81,7 @@ def coverage(devices, points, **effects):
     return float(np.mean(inside)), 1e3 * float(np.sqrt(np.mean(square))), 1e3 * float(np.sqrt(np.mean(stated)))
 
 
-@pytest.mark.parametrize("devices", [40, pytest.param(300, marks=pytest.mark.long)])
+@pytest.mark.parametrize("devices", [25, pytest.param(300, marks=pytest.mark.long)])
 def test_intervals_of_the_nodes_hold_the_truth_of_many_axes(devices):
     # Truth: settled offset at the board temperature that belongs to the thermometer's reading; instability and noise are on.
     inside, error, stated = coverage(devices, UP)
@@ -103,22 +96,20 @@ def test_intervals_of_the_nodes_hold_the_truth_of_many_axes(devices):
     assert error < 6.0  # the wander of the offset in a run alone is 7: B sqrt(11 ln(sqrt(10)) / pi)
 
 
+@pytest.mark.parametrize("devices", [25, pytest.param(100, marks=pytest.mark.long)])
 @pytest.mark.parametrize(
-    ("kind", "low", "high", "between", "widest"),
-    [
-        ("enc03j_3031", 18.0, 75.0, 0.93, 2.0),
-        ("enc03j_3031", 20.0, 40.0, 0.93, 1.5),
-        ("icm20948", 18.0, 75.0, 0.93, 2.0),
-    ],
+    ("kind", "low", "high", "widest"),
+    [("enc03j_3031", 18.0, 75.0, 2.0), ("enc03j_3031", 20.0, 40.0, 1.5), ("icm20948", 18.0, 75.0, 2.0)],
 )
-def test_five_set_points_are_worth_what_their_nodes_state_between_them(kind, low, high, between, widest):
-    # 100 devices of three axes, at nodes a quarter of a step or more from any set-point. Without the parabola the stated
+def test_five_set_points_are_worth_what_their_nodes_state_between_them(kind, low, high, widest, devices):
+    # Devices of three axes, at nodes a quarter of a step or more from any set-point. Without the parabola the stated
     # uncertainty was four times the error over 18 to 75 degC (ENC-03J), and the error itself three times what it is now.
     points, error, stated = np.linspace(low, high, 5), [], []
+    between, _ = share_limits(4 * 3 * devices)  # an axis has four independent places between five set-points
     nodes = np.linspace(low, high, 25)
     far = np.abs(nodes[:, None] - points).min(axis=1) > 0.25 * (points[1] - points[0])
-    for seed in range(100):
-        fit, truth, per_dps = fitted(seed, points, kind=kind, nodes=nodes)
+    for seed in range(devices):
+        fit, truth, _, per_dps = fitted(seed, tuple(points), kind=kind, nodes=tuple(nodes))
         error.append(((fit.table.gyro_offset - truth) / per_dps)[far])
         stated.append((fit.gyro.curve_uncertainty / per_dps)[far])
     inside = float(np.mean(np.abs(error) <= 1.96 * np.array(stated)))
@@ -126,7 +117,7 @@ def test_five_set_points_are_worth_what_their_nodes_state_between_them(kind, low
     show(f"{kind}, five set-points {low:g} to {high:g} degC, nodes between: inside", f"{inside:.3f}", between)
     show("root-mean-square error and stated uncertainty, mdeg/s", f"{rms:.1f}, {u:.1f}, ratio {u / rms:.2f}", widest)
     assert inside >= between
-    assert u < widest * rms
+    assert u < widest * rms * ratio_limit(4 * 3 * devices)
 
 
 # Widest: stated uncertainty over error, both root-mean-square over 8 devices. 1 would be right. A loop seen both ways counts
@@ -167,13 +158,13 @@ def test_half_the_loop_is_what_a_device_on_its_way_up_is_off_by():
 
 
 def test_a_loop_seen_one_way_is_said_not_to_be_observable():
-    fit, _, _ = fitted(1, UP, hysteresis=True)
+    fit, *_ = fitted(1, UP, hysteresis=True)
     assert fit.table.gyro_hysteresis is None
     assert "drift.hysteresis_one_way" in {item.code for item in fit.verdict.findings}
 
 
 def test_half_the_loop_is_found_with_its_sign():
-    fit, _, _ = fitted(3, UP_DOWN, hysteresis=True)
+    fit, *_ = fitted(3, UP_DOWN, hysteresis=True)
     device = random_device_of("enc03j_3031", np.random.default_rng(3))
     true = device.gyro.hysteresis.amplitude * device.gyro.scale.nominal_sensitivity * device.gyro.amplifier.gain
     loop = fit.gyro.curve.loop  # while cooling the offset is higher by it; without a converter the reading is in volts
@@ -185,7 +176,7 @@ def test_half_the_loop_is_found_with_its_sign():
 
 
 def test_a_warm_up_is_told_from_temperature_where_soaks_begin_at_power_on():
-    fit, _, per_dps = fitted(5, UP_DOWN, warm_up=True, fit_warm_up=True)
+    fit, *_, per_dps = fitted(5, UP_DOWN, warm_up=True, fit_warm_up=True)
     device = random_device_of("enc03j_3031", np.random.default_rng(5))
     table = fit.table.warm_up
     found = np.array([np.interp(300.0, table.power_on_s, column) for column in table.gyro_offset.T]) / per_dps

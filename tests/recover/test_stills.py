@@ -52,9 +52,9 @@ def test_ten_poses_in_a_hand_are_found_at_every_tremor(level, sample_rate_hz):
 def test_a_wrong_sample_rate_does_not_change_the_poses(clock):
     """The clock runs ``clock`` times as fast: 400 to 25 samples per stated second."""
     for level in ("supported", "medium"):
-        found, elsewhere = found_again(*hand_held_log(np.random.default_rng(3), TREMORS[level], poses=33, clock=clock))
-        show(f"{level}, clock x {clock:g}: poses found of 33, stills elsewhere", (found, elsewhere), "32, 1")
-        assert found >= 32
+        found, elsewhere = found_again(*hand_held_log(np.random.default_rng(3), TREMORS[level], poses=20, clock=clock))
+        show(f"{level}, clock x {clock:g}: poses found of 20, stills elsewhere", (found, elsewhere), "19, 1")
+        assert found >= 19
         assert elsewhere <= 1
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.stats import binom, chi2
 
-FEW = 80
+FEW = 60
 COHORTS = (FEW, pytest.param(1000, marks=pytest.mark.long))
 LARGER_COHORTS = (300, pytest.param(1000, marks=pytest.mark.long))
 FALSE_ALARM = 1e-4  # how often a limit is passed by chance where all is right
