@@ -14,7 +14,8 @@ from undrift.sim.rig.stream import StreamSettings
 from undrift.units import STANDARD_GRAVITY
 from undrift.web.guides import ORDER
 
-STEP_S = 0.2
+STEP_S = 0.2  # between two looks of the page
+LONG_STEP_S = 0.5  # where only what is captured counts
 
 
 class HandFeed:
@@ -98,12 +99,12 @@ def accel_as_six_faces_see_it(device, gravity_m_s2=STANDARD_GRAVITY):
     return np.linalg.inv(forward), np.array([0.5 * (read[f"+{a}"][k] + read[f"-{a}"][k]) for k, a in enumerate("xyz")])
 
 
-def capture_faces(feed, guide, within_s=200.0):
+def capture_faces(feed, guide, step_s=LONG_STEP_S, within_s=200.0):
     """Do what the guide says until it has six faces."""
     end = feed.clock.now() + within_s
     while not guide.complete:
         assert feed.clock.now() < end, f"never complete: {guide.light}"
-        feed.go()
+        feed.go(step_s)
         light = guide.update(feed.recent(), feed.clock.now())
         if feed.held.moving:
             continue
@@ -113,12 +114,12 @@ def capture_faces(feed, guide, within_s=200.0):
             feed.held.lay(guide.wanted)
 
 
-def capture_turns(feed, guide, within_s=300.0):
+def capture_turns(feed, guide, step_s=LONG_STEP_S, within_s=300.0):
     """Do what the guide says until it has six turns."""
     end = feed.clock.now() + within_s
     while not guide.complete:
         assert feed.clock.now() < end, f"never complete: {guide.light}"
-        feed.go()
+        feed.go(step_s)
         light, way = guide.update(feed.recent(), feed.clock.now()), guide.wanted
         if way is None or light.state != "still" or feed.held.moving:
             continue

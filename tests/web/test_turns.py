@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import undrift
-from testkit.guided import HandFeed, accel_as_six_faces_see_it, capture_faces, capture_turns, joint_factor
+from testkit.guided import STEP_S, HandFeed, accel_as_six_faces_see_it, capture_faces, capture_turns, joint_factor
 from undrift.cli.app import run
 from undrift.errors import InputError
 from undrift.io.session import read_session
@@ -41,9 +41,18 @@ def turn(feed, guide, axis="z", angle=TURN, **lost):
     return lights + feed.watch(guide, 14.0, **lost)
 
 
-def test_six_faces_and_six_turns_calibrate_both_triads_within_their_uncertainty(guide, feed, capsys):
-    capture_faces(feed, SixFaces(guide.capture))
-    capture_turns(feed, guide)
+@pytest.fixture(scope="module")
+def complete(tmp_path_factory):
+    """A feed, and a guide that has six faces and six turns of it."""
+    with HandFeed(seed=5) as feed:
+        guide = Turns(Capture(tmp_path_factory.mktemp("complete") / "session"))
+        capture_faces(feed, SixFaces(guide.capture))
+        capture_turns(feed, guide, STEP_S)
+        yield feed, guide
+
+
+def test_six_faces_and_six_turns_calibrate_both_triads_within_their_uncertainty(complete, capsys):
+    feed, guide = complete
     assert list(guide.done) == list(WAYS)
     guide.capture.save()
     out = guide.capture.folder.parent / "calibration.json"
@@ -67,7 +76,11 @@ def test_six_faces_and_six_turns_calibrate_both_triads_within_their_uncertainty(
 
 
 @pytest.mark.parametrize(
-    ("preset", "seed"), [("enc03j_3031", 1), ("enc03j_3031", 2), ("enc03j_3031", 3), ("shimmer3", 1), ("bmi088", 2)]
+    ("preset", "seed"),
+    [
+        *[("enc03j_3031", 2), ("shimmer3", 1), ("bmi088", 2)],
+        *[pytest.param("enc03j_3031", seed, marks=pytest.mark.long) for seed in (1, 3)],
+    ],
 )
 def test_curved_devices_of_data_sheets_over_a_link_that_loses_readings(guide, preset, seed):
     """One reading in 500 is lost. A thermometer is off by up to 2 K: the truth is that of the board's own temperature."""
@@ -88,9 +101,8 @@ def test_curved_devices_of_data_sheets_over_a_link_that_loses_readings(guide, pr
     print(f"  {preset} {seed}: a quadratic term is {curved} of the accelerometers' offsets")
 
 
-def test_each_turn_lies_between_two_rests_and_all_are_apart_in_the_folder(guide, feed):
-    capture_faces(feed, SixFaces(guide.capture))
-    capture_turns(feed, guide)
+def test_each_turn_lies_between_two_rests_and_all_are_apart_in_the_folder(complete):
+    feed, guide = complete
     session = guide.capture.session()
     assert [(one.axis, round(math.degrees(one.angle))) for one in session.turns] == [
         (axis, angle) for axis in "xyz" for angle in (360, -360)
