@@ -91,7 +91,7 @@ def test_without_a_change_the_sigmas_are_those_of_independent_draws():
 
 def by_hand(device, seed, folder):
     """Calibrate a device as the bench guides it: faces off level, turns that err, a board that warms, flicker, codes."""
-    with HandFeed(seed=seed, device=device, step_s=0.5) as feed:
+    with HandFeed(seed=seed, device=device) as feed:
         capture = Capture(folder, device.serial)
         capture_faces(feed, SixFaces(capture))
         capture_turns(feed, Turns(capture))

@@ -21,8 +21,8 @@ LONG_STEP_S = 0.5  # where only what is captured counts
 class HandFeed:
     """Readings of a hand-held device, as a source would keep them."""
 
-    def __init__(self, seed=3, device=None, lossy=0.0, step_s=STEP_S, **settings):
-        self.clock, self.step_s = VirtualClock(), step_s
+    def __init__(self, seed=3, device=None, lossy=0.0, **settings):
+        self.clock = VirtualClock()
         self.lost = np.random.default_rng(seed).random(100_000) < lossy  # readings that the link loses
         stream = StreamSettings(seed=seed, **settings)
         self.held = start_hand_held(seed=seed, device=device, stream=stream, clock=self.clock)
@@ -37,8 +37,7 @@ class HandFeed:
     def __exit__(self, *failure):
         self.held.close()
 
-    def go(self, duration_s=None):
-        duration_s = self.step_s if duration_s is None else duration_s
+    def go(self, duration_s=STEP_S):
         with self.held.stream.lock:
             self.clock.wait(duration_s)
             self.held.stream._go_on()
@@ -46,7 +45,7 @@ class HandFeed:
 
     def recent(self, seconds=1.0, drop=None):
         """Return the newest readings; those in the span ``drop``, s, were lost."""
-        rows = np.concatenate(self.rows[-round(seconds / self.step_s) - 1 :])
+        rows = np.concatenate(self.rows[-round(seconds / STEP_S) - 1 :])
         if drop is not None:
             rows = rows[(rows[:, 0] < drop[0]) | (rows[:, 0] >= drop[1])]
         gone = self.lost[np.round(rows[:, 0] * self.held.stream.rate).astype(int)]
