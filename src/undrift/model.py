@@ -75,16 +75,16 @@ class Budget:
         A negative part is what the rest counts twice. Parts that exceed the whole are not separable: one line, ``fit``.
         """
         whole = np.diag(covariance)
-        held = {name: np.maximum(part, 0.0) for name, part in parts.items()}
-        left = whole - sum(held.values(), np.zeros(len(whole)))
+        shares = {name: np.maximum(part, 0.0) for name, part in parts.items()}
+        left = whole - sum(shares.values(), np.zeros(len(whole)))
         if not (left >= -_EXCEEDS * whole).all():
-            held, left, rest = {}, whole, "fit"
-        held[rest] = held.get(rest, 0.0) + np.maximum(left, 0.0)
-        variance = np.array([held[name] for name in SOURCES if name in held])
+            shares, left, rest = {}, whole, "fit"
+        shares[rest] = shares.get(rest, 0.0) + np.maximum(left, 0.0)
+        variance = np.array([shares[name] for name in SOURCES if name in shares])
         total = variance.sum(axis=0)
         variance *= np.divide(whole, total, out=np.ones_like(whole), where=total > 0.0)
         shown: BoolArray = np.any(variance > 0.0, axis=1)
-        names = [name for name in SOURCES if name in held]
+        names = [name for name in SOURCES if name in shares]
         return cls(
             sources=tuple(name for name, seen in zip(names, shown.tolist(), strict=True) if seen),
             uncertainty=np.sqrt(variance[shown]).reshape(-1, len(whole)),
@@ -447,17 +447,17 @@ def versions_used() -> tuple[tuple[str, str], ...]:
 def _with_codes(tree: dict[str, Any]) -> dict[str, Any]:
     """Return the tree of a calibration file whose reasons are findings: before these had codes, a reason was a text alone."""
     verdict = tree.get("verdict")
-    reasons, known = (
+    reasons, notes = (
         ([], []) if not isinstance(verdict, dict) else (verdict.get("reasons"), verdict.get("findings", []))
     )
-    if not (isinstance(reasons, list) and isinstance(known, list) and all(isinstance(item, dict) for item in known)):
+    if not (isinstance(reasons, list) and isinstance(notes, list) and all(isinstance(item, dict) for item in notes)):
         return tree  # not a verdict: refused by its keys
-    texts = [item.get("text") for item in known]
+    texts = [item.get("text") for item in notes]
     bare = [text for text in reasons if isinstance(text, str) and text not in texts]
     earlier = [
         {"code": EARLIER, "level": "info", "values": {"text": text}, "text": text, "action": ""} for text in bare
     ]
-    return tree | ({"verdict": verdict | {"findings": known + earlier}} if isinstance(verdict, dict) and bare else {})
+    return tree | ({"verdict": verdict | {"findings": notes + earlier}} if isinstance(verdict, dict) and bare else {})
 
 
 @stored(kind="undrift.calibration", whole=True, upgrade=_with_codes)

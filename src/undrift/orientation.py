@@ -262,11 +262,11 @@ def check_pitch_axes(q_nb: FloatArray, rest: slice | BoolArray, forward: Face, u
     """Return a finding where pitch wraps, is far from upright, or is taken about other axes than the rest (samples) shows."""
     vertical = rotate(quaternion_conjugate(q_nb), np.array([0.0, 0.0, 1.0]))
     pitch = sagittal_pitch(q_nb, forward=forward, up=up) / RADIAN_PER_DEGREE
-    known = pitch[np.isfinite(pitch)] if np.isfinite(pitch).any() else np.full(1, np.nan)
+    finite = pitch[np.isfinite(pitch)] if np.isfinite(pitch).any() else np.full(1, np.nan)
     at_rest, on_average = (np.nanmean(part, axis=0) for part in (vertical[rest], vertical))
     cosine = at_rest[AXES.index(up[1])] / np.linalg.norm(at_rest) * (1.0 if up[0] == "+" else -1.0)
-    off, wraps = float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))), (np.abs(np.diff(known)) > 180.0).any()
-    if off < _FAR_UP_DEG and not wraps and np.median(np.abs(known)) < _FAR_PITCH_DEG:
+    off, wraps = float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))), (np.abs(np.diff(finite)) > 180.0).any()
+    if off < _FAR_UP_DEG and not wraps and np.median(np.abs(finite)) < _FAR_PITCH_DEG:
         return ()
     upward = _nearest_face(at_rest)
     if upward == up and np.linalg.norm(on_average) > _CLEAR_UP:
@@ -282,8 +282,8 @@ def check_pitch_axes(q_nb: FloatArray, rest: slice | BoolArray, forward: Face, u
             "info" if upward == up else "warn",
             stated=f"forward {forward} and up {up}",
             off_deg=off,
-            least_deg=known.min(),
-            most_deg=known.max(),
+            least_deg=finite.min(),
+            most_deg=finite.max(),
             up=upward,
             forward=ways,
             choices=" or ".join(f"{way} ({a:.0f} to {b:.0f} deg)" for way, (a, b) in zip(ways, spans, strict=True)),
@@ -498,13 +498,13 @@ def _rests(record: Record, named: Still | None, *, every: bool) -> tuple[Still, 
         return (named,)
     if not every:
         return rests_from_first(record, "orient")
-    found = find_still(record, StillSettings())
-    found = found if found.stills else find_still(record)  # of a worn recording: adapts
-    stills = [one for one in found.stills if named is None or one.stop <= named.start or one.start >= named.stop]
+    search = find_still(record, StillSettings())
+    search = search if search.stills else find_still(record)  # of a worn recording: adapts
+    stills = [one for one in search.stills if named is None or one.stop <= named.start or one.start >= named.stop]
     if named is not None:
         return tuple(sorted((*stills, named), key=lambda one: one.start))
     if not stills:
-        raise no_rest("orient", found.reason)
+        raise no_rest("orient", search.reason)
     return tuple(stills)
 
 

@@ -202,7 +202,7 @@ def _lags(
     span = float(np.ptp(log.time))
     count = max(1, min(settings.windows, int(span / settings.window_s)))
     reach = LagSettings(longest_lag_s=APART_S + 0.5 * settings.largest_drift * span, average_s=0.1)
-    edges, at, found = np.linspace(log.time[0], log.time[-1], count + 1), list[float](), list[Lag]()
+    edges, at, lags = np.linspace(log.time[0], log.time[-1], count + 1), list[float](), list[Lag]()
     why = "no motion"
     for start, stop in pairwise(edges):
         inside = (rates.start >= start) & (rates.stop <= stop)
@@ -211,7 +211,7 @@ def _lags(
         )
         if inside.sum() < 30 or near.sum() < 30:
             continue
-        part = PoseRates(
+        window = PoseRates(
             start=rates.start[inside] + rough,
             stop=rates.stop[inside] + rough,
             rate=rates.rate[inside],
@@ -219,20 +219,20 @@ def _lags(
         )
         try:
             time, gyro = record.time[near], np.asarray(record.gyro)[near]
-            _, score, shifts = _scores(time, gyro, part, reach.longest_lag_s)
-            lag = lag_of(time, gyro, part, reach, near=float(shifts[np.argmax(score)]))
+            _, score, shifts = _scores(time, gyro, window, reach.longest_lag_s)
+            lag = lag_of(time, gyro, window, reach, near=float(shifts[np.argmax(score)]))
         except AlignmentError as error:
             why = str(error)
             continue
         if np.isfinite(lag.standard_uncertainty) and lag.standard_uncertainty < APART_S:
             moved = inside & (np.abs(rates.rate[:, 0]) > settings.least_rate)
             at.append(float(rates.start[moved].mean()) if moved.any() else 0.5 * (start + stop))
-            found.append(lag)
-    if not found:
+            lags.append(lag)
+    if not lags:
         raise AlignmentError(
             f"{log.name}: wanted turns that show how late it is, got none ({why[:120]}); log whole ramps"
         )
-    return np.array(at), [replace(lag, seconds=rough + lag.seconds) for lag in found]
+    return np.array(at), [replace(lag, seconds=rough + lag.seconds) for lag in lags]
 
 
 UNKNOWN_DRIFT = 1e-4  # of two quartz clocks that one window cannot compare
@@ -240,32 +240,32 @@ FLOOR_S = 1e-3  # of a lag: what the shape of a ramp hides
 JUMP_S = 0.3
 
 
-def _line(at: FloatArray, found: Sequence[Lag]) -> Clocks:
+def _line(at: FloatArray, lags: Sequence[Lag]) -> Clocks:
     """Fit a straight line to the lags; its uncertainty has their scatter in it."""
-    lag = np.array([each.seconds for each in found])
-    weight = 1.0 / np.hypot([each.standard_uncertainty for each in found], FLOOR_S) ** 2
+    lag = np.array([each.seconds for each in lags])
+    weight = 1.0 / np.hypot([each.standard_uncertainty for each in lags], FLOOR_S) ** 2
     middle = float(weight @ at / weight.sum())
     away = at - middle
     square = float(weight @ away**2)
-    known = len(at) >= 2 and square > 0.0
+    observable = len(at) >= 2 and square > 0.0
     offset = float(weight @ lag / weight.sum())
-    drift = float(weight @ (away * (lag - offset)) / square) if known else 0.0
-    left = lag - offset - drift * away
-    if np.abs(left).max() > JUMP_S:
-        worst = int(np.argmax(np.abs(left)))
+    drift = float(weight @ (away * (lag - offset)) / square) if observable else 0.0
+    miss = lag - offset - drift * away
+    if np.abs(miss).max() > JUMP_S:
+        worst = int(np.argmax(np.abs(miss)))
         raise AlignmentError(
-            f"clocks: wanted one offset and drift along the log, got a lag {left[worst]:+.2f} s off the line at {at[worst]:.0f} s; "
+            f"clocks: wanted one offset and drift along the log, got a lag {miss[worst]:+.2f} s off the line at {at[worst]:.0f} s; "
             "a clock jumped, or readings are missing: cut the files there"
         )
-    spread = max(1.0, float(weight @ left**2) / (len(at) - 2)) if len(at) > 2 else 1.0
+    spread = max(1.0, float(weight @ miss**2) / (len(at) - 2)) if len(at) > 2 else 1.0
     return Clocks(
         offset_s=offset,
         drift=drift,
         middle_s=middle,
         offset_uncertainty_s=float(np.sqrt(spread / weight.sum())),
-        drift_uncertainty=float(np.sqrt(spread / square)) if known else UNKNOWN_DRIFT,
+        drift_uncertainty=float(np.sqrt(spread / square)) if observable else UNKNOWN_DRIFT,
         windows=len(at),
-        correlation=min(each.correlation_after for each in found),
+        correlation=min(each.correlation_after for each in lags),
     )
 
 
@@ -278,33 +278,33 @@ def cut_dwells(
     log: RateLog, records: Sequence[tuple[Record, Clocks]], settings: RateLogSettings = RateLogSettings()
 ) -> tuple[tuple[LoggedTurn, ...], int]:
     """Return the steady dwells of a log on the recordings, and how many were left out as too uncertain or not recorded."""
-    made, missed, senses = list[LoggedTurn](), 0, dict[float, str]()
+    turns, missed, senses = list[LoggedTurn](), 0, dict[float, str]()
     for first, last in steady_stretches(log, settings):
         inner = np.searchsorted(log.time, (log.time[first] + settings.settle_s, log.time[last - 1] - settings.settle_s))
         turn_rate, uncertainty = _achieved(log, int(inner[0]), int(inner[1]))
         if uncertainty > settings.largest_uncertainty * abs(turn_rate):
             missed += 1
             continue
-        before = len(made)
+        before = len(turns)
         for number, (record, clocks) in enumerate(records):
             found = _on(record, clocks, (log, first, last), settings)
             if found is None:
                 continue
             begin, end, axis, sign = found
             turn = Turn(start=begin, stop=end, axis=AXES[axis], turn_rate=sign * turn_rate, recording=number)
-            made.append(LoggedTurn(turn=turn, uncertainty=uncertainty))
+            turns.append(LoggedTurn(turn=turn, uncertainty=uncertainty))
             if record.accel is not None:
                 up = np.nanmean(record.accel[begin:end], axis=0)
                 if abs(up[axis]) > 0.9 * np.linalg.norm(up):
                     senses.setdefault(sign * float(np.sign(up[axis])), AXES[axis])
-        missed += len(made) == before
+        missed += len(turns) == before
     if len(senses) > 1:
         one, other = senses.values()
         raise InputError(
             f"{log.name}: wanted gyroscopes that all take the table's positive sense alike, got {one} and {other} opposite; check "
             "the signs of the columns, or of the log between mountings"
         )
-    return tuple(made), missed
+    return tuple(turns), missed
 
 
 def steady_stretches(log: RateLog, settings: RateLogSettings) -> list[tuple[int, int]]:
@@ -317,7 +317,7 @@ def steady_stretches(log: RateLog, settings: RateLogSettings) -> list[tuple[int,
     breaks = np.cumsum(np.concatenate(([False], step > 5.0 * typical)))
     whole = breaks[width:] == breaks[:-width]
     shortest = max(3, int((2.0 * settings.settle_s + settings.least_s) / typical / 2.0))
-    found = list[tuple[int, int]]()
+    stretches = list[tuple[int, int]]()
     for start, stop in runs(whole & (np.abs(rate) > settings.least_rate)):
         k = int(start)
         while k < stop:
@@ -329,11 +329,11 @@ def steady_stretches(log: RateLog, settings: RateLogSettings) -> list[tuple[int,
             inside = np.abs(rate[k:stop] - level) <= limit
             end = k + (int(np.argmin(inside)) if not inside.all() else len(inside))
             if end - k >= 3 and log.time[end + width - 1] - log.time[k] >= 2.0 * settings.settle_s + settings.least_s:
-                found.append((k, end + width))
+                stretches.append((k, end + width))
                 k = end + width
             else:
                 k += max(1, (end - k) // 2)
-    return found
+    return stretches
 
 
 def _achieved(log: RateLog, first: int, last: int) -> tuple[float, float]:

@@ -181,19 +181,19 @@ def _moments(record: Record, settings: StillSettings) -> tuple[_Moments, ...]:
             f"find_still: wanted a record longer than one window of {settings.window_s:g} s, got {record.duration_s:.2f} s; "
             "record for longer, or find still phases with a shorter window_s"
         )
-    held: list[_Moments] = []
+    triads: list[_Moments] = []
     for is_gyro, values, unit in (
         (True, record.gyro, record.gyro_unit),
         (False, record.accel, record.accel_unit),
     ):
         if values is not None:
             mean, spread = sliding_moments(values, window, smooth)
-            held.append(
+            triads.append(
                 _Moments(
                     is_gyro=is_gyro, unit=unit, values=values, mean=mean, spread=spread, window=window, smooth=smooth
                 )
             )
-    return tuple(held)
+    return tuple(triads)
 
 
 def _find(
@@ -203,18 +203,18 @@ def _find(
     quiet = np.ones(len(triads[0].spread) if triads else 0, bool)
     thresholds: list[StillThreshold] = []
     for triad in triads:
-        found = _threshold(triad, settings, over_noise=over_noise)
-        if found.basis == "all still" and not is_physical(triad.unit):
+        threshold = _threshold(triad, settings, over_noise=over_noise)
+        if threshold.basis == "all still" and not is_physical(triad.unit):
             # The spread of white noise alone after smoothing, from the steps between neighbouring samples.
             steps = np.diff(triad.values, axis=0)
             white = float(np.sqrt(np.nanvar(steps, axis=0).sum() / 2.0 / triad.smooth))
             if float(np.median(triad.spread)) > _WHITE * white:
-                found = replace(found, value=np.nan, basis="none")
-        thresholds.append(found)
-        if found.basis != "none":
-            quiet &= triad.spread <= found.value
+                threshold = replace(threshold, value=np.nan, basis="none")
+        thresholds.append(threshold)
+        if threshold.basis != "none":
+            quiet &= triad.spread <= threshold.value
             if triad.is_gyro:
-                quiet &= ~_turning(triad.mean, triad.spread, found)
+                quiet &= ~_turning(triad.mean, triad.spread, threshold)
     if all(t.basis == "none" for t in thresholds) or any(t.value < t.noise_floor for t in thresholds):
         quiet[:] = False
     fs = record.sample_rate_hz
@@ -252,28 +252,28 @@ def _threshold(triad: _Moments, settings: StillSettings, *, over_noise: bool) ->
     given = settings.gyro_threshold if is_gyro else settings.accel_threshold
     finite = spread[np.isfinite(spread)]
     floor = float(np.quantile(finite, FLOOR_QUANTILE)) if len(finite) else np.inf
-    found = StillThreshold(
+    threshold = StillThreshold(
         channel="gyro" if is_gyro else "accel", value=np.nan, unit=unit, noise_floor=floor, basis="none"
     )
     if given is not None:
-        return replace(found, value=given, basis="given")
+        return replace(threshold, value=given, basis="given")
     if not len(finite):
-        return found
+        return threshold
     if settings.threshold_floors is not None:
         floor = max(floor, _quantisation(triad))
-        return replace(found, value=settings.threshold_floors * floor, noise_floor=floor, basis="given")
+        return replace(threshold, value=settings.threshold_floors * floor, noise_floor=floor, basis="given")
     if (value := _gap_above(finite, floor)) is not None:
-        found = replace(found, value=value, basis="gap")
+        threshold = replace(threshold, value=value, basis="gap")
     elif np.quantile(finite, 0.99) <= _PEAK * max(floor, np.finfo(float).tiny):
-        found = replace(found, value=max(float(finite.max()), _PEAK * floor), basis="all still")
+        threshold = replace(threshold, value=max(float(finite.max()), _PEAK * floor), basis="all still")
     if is_physical(unit):
         limit = BENCH_RATE_LIMIT / si_factor(unit, "rate") if is_gyro else BENCH_ACCEL_LIMIT / si_factor(unit, "accel")
         if over_noise and floor <= _ALL_NOISE * _white(triad):
             limit = _over_white(limit, triad)
-            found = replace(found, value=limit, basis="limit")
-        if found.value > limit:
-            found = replace(found, value=limit, basis="limit")
-    return found
+            threshold = replace(threshold, value=limit, basis="limit")
+        if threshold.value > limit:
+            threshold = replace(threshold, value=limit, basis="limit")
+    return threshold
 
 
 def _over_white(limit: float, triad: _Moments) -> float:
@@ -318,11 +318,11 @@ def _gap_above(spread: FloatArray, floor: float) -> float | None:
     return floor * float(10.0 ** centre[inside[np.flatnonzero(depth <= depth[least] + 1e-12)]].mean())
 
 
-def _turning(mean: FloatArray, spread: FloatArray, found: StillThreshold) -> BoolArray:
-    quiet = spread <= min(found.value, 2.0 * found.noise_floor)
-    if is_physical(found.unit):
+def _turning(mean: FloatArray, spread: FloatArray, threshold: StillThreshold) -> BoolArray:
+    quiet = spread <= min(threshold.value, 2.0 * threshold.noise_floor)
+    if is_physical(threshold.unit):
         x, y, z = np.abs(mean).T
-        small = np.maximum(np.maximum(x, y), z) <= LARGEST_OFFSET / si_factor(found.unit, "rate")
+        small = np.maximum(np.maximum(x, y), z) <= LARGEST_OFFSET / si_factor(threshold.unit, "rate")
         if not (quiet & small).any():
             return np.ones(len(mean), bool)
         quiet &= small
@@ -330,9 +330,9 @@ def _turning(mean: FloatArray, spread: FloatArray, found: StillThreshold) -> Boo
         return np.zeros(len(mean), bool)
     # A steady turn is off the offset throughout; the slow drift of a warm-up meets the offset somewhere in its stretch.
     x, y, z = np.abs(mean - np.median(mean[quiet], axis=0)).T
-    far = np.maximum(np.maximum(x, y), z) > max(_TURNING * found.noise_floor, found.value)
+    far = np.maximum(np.maximum(x, y), z) > max(_TURNING * threshold.noise_floor, threshold.value)
     turning = np.zeros(len(mean), bool)
-    for first, last in runs(spread <= found.value):
+    for first, last in runs(spread <= threshold.value):
         turning[first:last] = far[first:last].all()
     return turning
 
@@ -458,14 +458,14 @@ def find_poses(
     every window with every threshold: of the searches that find poses all around, the count of poses that most agree on is
     taken; among those that give it the one with fewest interruptions, the lowest threshold, and the longest window.
     """
-    held = [_moments(record, settings) for record in records]
-    first = tuple(_find(*pair, settings, number) for number, pair in enumerate(zip(records, held, strict=True)))
+    moments = [_moments(record, settings) for record in records]
+    first = tuple(_find(*pair, settings, number) for number, pair in enumerate(zip(records, moments, strict=True)))
     if not settings.adapt:
         return first
     poses = _Poses(records)
     over = tuple(
         own if own.stills else _find(record, triads, settings, number, over_noise=True)
-        for number, (record, triads, own) in enumerate(zip(records, held, first, strict=True))
+        for number, (record, triads, own) in enumerate(zip(records, moments, first, strict=True))
     )
     over = over if poses.count(over) > max(1, poses.count(first)) else first
     enough = poses.enough(first)
@@ -492,16 +492,16 @@ def _covered(records: Sequence[Record], searches: Sequence[StillSearch]) -> floa
 
 
 def _misses_poses(
-    records: Sequence[Record], found: Sequence[StillSearch], poses: _Poses, settings: StillSettings
+    records: Sequence[Record], searches: Sequence[StillSearch], poses: _Poses, settings: StillSettings
 ) -> bool:
     """Tell whether a search loses poses to noise near its limit, or in pauses shorter than its window."""
-    if any(t.basis == "limit" and t.value < _NOISE * t.noise_floor for own in found for t in own.thresholds):
+    if any(t.basis == "limit" and t.value < _NOISE * t.noise_floor for own in searches for t in own.thresholds):
         return True
     with_short = [
         replace(own, stills=tuple(sorted((*own.stills, *short_pauses(record, own, settings)), key=lambda s: s.start)))
-        for record, own in zip(records, found, strict=True)
+        for record, own in zip(records, searches, strict=True)
     ]
-    return poses.count(with_short) >= poses.count(found) + _LOST
+    return poses.count(with_short) >= poses.count(searches) + _LOST
 
 
 def _thinned(records: Sequence[Record]) -> tuple[tuple[Record, ...], int]:
@@ -572,7 +572,7 @@ def left_out(record: Record, search: StillSearch) -> tuple[LeftOut, ...]:
     if not used:
         return ()
     over = np.array([triads[k].spread / marks[k] for k in used])  # (triads, M)
-    worst, edge, found = over.max(axis=0), (triads[0].window + triads[0].smooth - 1) // 2, list[LeftOut]()
+    worst, edge, pauses = over.max(axis=0), (triads[0].window + triads[0].smooth - 1) // 2, list[LeftOut]()
     near: list[list[int]] = []
     for first, last in runs(worst <= _NEAR).tolist():
         if any(s.start < last + 2 * edge and first < s.stop for s in search.stills):
@@ -595,8 +595,8 @@ def left_out(record: Record, search: StillSearch) -> tuple[LeftOut, ...]:
             why = LeftOut(start=start, stop=stop, why="too short", value=rest / fs, unit="s", limit=least_s)
         else:
             why = LeftOut(start=start, stop=stop, why="turning", value=rate, unit=triads[0].unit, limit=np.nan)
-        found.append(why)
-    return tuple(found)
+        pauses.append(why)
+    return tuple(pauses)
 
 
 def _tries(records: Sequence[Record], settings: StillSettings) -> Iterator[tuple[float, tuple[StillSearch, ...]]]:
@@ -607,25 +607,25 @@ def _tries(records: Sequence[Record], settings: StillSettings) -> Iterator[tuple
         if shortest < 2.0 * (window_s + smooth_s):
             continue
         least_s = min(settings.min_duration_s, window_s)
-        own = replace(settings, window_s=window_s, smooth_s=smooth_s, min_duration_s=least_s)
-        held = [_moments(record, own) for record in records]
-        floors = [[_floor_and_limit(triad) for triad in triads] for triads in held]
+        trial = replace(settings, window_s=window_s, smooth_s=smooth_s, min_duration_s=least_s)
+        moments = [_moments(record, trial) for record in records]
+        floors = [[_floor_and_limit(triad) for triad in triads] for triads in moments]
         for multiple in FLOORS if given is None else (given,):
-            found = []
-            for number, (record, triads) in enumerate(zip(records, held, strict=True)):
+            searches = []
+            for number, (record, triads) in enumerate(zip(records, moments, strict=True)):
                 marks: dict[str, float] = {}
                 for triad, (floor, limit) in zip(triads, floors[number], strict=True):
                     name = "gyro_threshold" if triad.is_gyro else "accel_threshold"
                     if getattr(settings, name) is None:
                         marks[name] = multiple * floor if given is not None else min(multiple * floor, limit)
-                here = replace(own, threshold_floors=None, **{name: max(mark, _TINY) for name, mark in marks.items()})  # type: ignore[arg-type]
+                here = replace(trial, threshold_floors=None, **{name: max(mark, _TINY) for name, mark in marks.items()})  # type: ignore[arg-type]
                 search = _find(record, triads, here, number)
                 basis: Literal["given", "floors"] = "floors" if given is None else "given"
                 thresholds = tuple(
                     replace(t, basis=basis) if f"{t.channel}_threshold" in marks else t for t in search.thresholds
                 )
-                found.append(replace(search, thresholds=thresholds))
-            yield multiple, tuple(found)
+                searches.append(replace(search, thresholds=thresholds))
+            yield multiple, tuple(searches)
 
 
 def _floor_and_limit(triad: _Moments) -> tuple[float, float]:
@@ -789,12 +789,12 @@ def _plateaus(
 def _rotations(
     record: Record, stills: Sequence[Still], offset: FloatArray, least: float
 ) -> tuple[tuple[Turn, ...], FloatArray]:
-    found: list[tuple[Turn, FloatArray]] = []
+    rotations: list[tuple[Turn, FloatArray]] = []
     for before, after in itertools.pairwise(stills):
         reading = np.asarray(record.gyro)[before.stop : after.start] - offset
         if len(reading) and np.nanmax(np.linalg.norm(reading, axis=1)) > least:
             angle = np.asarray(np.trapezoid(np.nan_to_num(reading), record.time[before.stop : after.start], axis=0))
             share = np.abs(angle) / max(float(np.linalg.norm(angle)), np.finfo(float).tiny)
             axis: Axis | None = _AXES[int(np.argmax(share))] if share.max() > 0.9 else None
-            found.append((Turn(start=before.stop, stop=after.start, axis=axis, recording=before.recording), angle))
-    return tuple(turn for turn, _ in found), np.array([angle for _, angle in found]).reshape(-1, 3)
+            rotations.append((Turn(start=before.stop, stop=after.start, axis=axis, recording=before.recording), angle))
+    return tuple(turn for turn, _ in rotations), np.array([angle for _, angle in rotations]).reshape(-1, 3)

@@ -328,13 +328,13 @@ def _averaged(rates: PoseRates, average_s: float) -> PoseRates:
     return PoseRates(start=start, stop=stop, rate=turn[whole] / (stop - start)[:, None], valid=whole[whole])
 
 
-def _aligned(known: RunningIntegral, wanted: PoseRates, lag: float) -> tuple[Lag | None, float]:
+def _aligned(integral: RunningIntegral, wanted: PoseRates, lag: float) -> tuple[Lag | None, float]:
     """Fit A and c at a lag; return them with the step of the lag that reduces the residual most."""
-    mean, inside = known.mean(wanted.start + lag, wanted.stop + lag)
+    mean, inside = integral.mean(wanted.start + lag, wanted.stop + lag)
     if inside.sum() < 30:
         return None, 0.0
     width = 0.25 * float(np.median(wanted.stop - wanted.start))
-    late, early = (known.mean(wanted.start + lag + by, wanted.stop + lag + by) for by in (width, -width))
+    late, early = (integral.mean(wanted.start + lag + by, wanted.stop + lag + by) for by in (width, -width))
     inside &= late[1] & early[1]
     u, w = mean[inside], wanted.rate[inside]
     slope = (late[0][inside] - early[0][inside]) / (2.0 * width)

@@ -128,14 +128,14 @@ def check_triads(record: Record) -> tuple[Finding, ...]:
 
 
 def _agreeing(record: Record) -> tuple[Finding, ...]:
-    found = find_disagreement(record)
-    if found is not None and found.level == "fail":
+    conflict = find_disagreement(record)
+    if conflict is not None and conflict.level == "fail":
         raise Implausible(
-            f"gyroscope and accelerometer: wanted columns, units and time that agree on one motion, got: {found.values['text']} "
-            f"({found.detail}); {found.action}",
-            **found.values,
+            f"gyroscope and accelerometer: wanted columns, units and time that agree on one motion, got: {conflict.values['text']} "
+            f"({conflict.detail}); {conflict.action}",
+            **conflict.values,
         )
-    return () if found is None else (found,)
+    return () if conflict is None else (conflict,)
 
 
 FORCE_WITHIN = (1.0 / 3.0, 3.0)  # g: no motion keeps the median outside, nor an offset
@@ -206,14 +206,14 @@ def _mistake(record: Record, unit_s: float) -> tuple[Mistake, bool] | None:
     best = max(_candidates(seen, record, unit_s, stated), key=lambda one: float(one[1].mean()), default=None)
     if best is None:
         return None
-    mistake, kept = best
-    gain, over_none = float((kept - stated).mean()), float((kept - seen.kept(np.eye(3), 0.0)).mean())
-    scatter = max(float(np.sqrt(((kept - 1.0) ** 2).mean())), LEAST_SCATTER)
+    mistake, explained = best
+    gain, over_none = float((explained - stated).mean()), float((explained - seen.kept(np.eye(3), 0.0)).mean())
+    scatter = max(float(np.sqrt(((explained - 1.0) ** 2).mean())), LEAST_SCATTER)
     least = max(EXPLAINED, SCALE_EXPLAINED * gain if mistake.sample_rate_hz else 0.0)
-    if gain < max(UNCLEAR, SURE * scatter / np.sqrt(len(kept))) or kept.mean() < RIGHT or over_none < least:
+    if gain < max(UNCLEAR, SURE * scatter / np.sqrt(len(explained))) or explained.mean() < RIGHT or over_none < least:
         return None
-    ordinary = abs(seen.gravity / STANDARD_GRAVITY - 1.0) < 0.1 and len(kept) >= FEWEST_WINDOWS[WINDOWS_S[0]]
-    made = replace(mistake, kept=float(np.sqrt(kept.mean())), stated=float(np.sqrt(stated.mean())))
+    ordinary = abs(seen.gravity / STANDARD_GRAVITY - 1.0) < 0.1 and len(explained) >= FEWEST_WINDOWS[WINDOWS_S[0]]
+    made = replace(mistake, kept=float(np.sqrt(explained.mean())), stated=float(np.sqrt(stated.mean())))
     return made, bool(gain >= CLEAR and ordinary)
 
 
@@ -230,9 +230,9 @@ def _candidates(
         )
         return
     orders = [(order, seen.kept(order, 1.0)) for order in _orders()]
-    most = max(float(kept.mean()) for _, kept in orders)
-    alike = [(order, kept) for order, kept in orders if kept.mean() > most - SAME]
-    order, kept = min(alike, key=lambda one: _changes(one[0]))
+    most = max(float(explained.mean()) for _, explained in orders)
+    alike = [(order, explained) for order, explained in orders if explained.mean() > most - SAME]
+    order, explained = min(alike, key=lambda one: _changes(one[0]))
     if not np.array_equal(order, np.eye(3)):
         reads = order.T  # forward: column i reads + for a turn about +j
         others = (
@@ -241,7 +241,7 @@ def _candidates(
         text = (
             f"{cause_by_gravity(reads)} (they read turns about {order_text(reads)} of the accelerometer axes{others})"
         )
-        yield Mistake(text=text, action="correct the order or the sign of the columns"), kept
+        yield Mistake(text=text, action="correct the order or the sign of the columns"), explained
     yield from _scales(seen, record)
 
 
@@ -334,7 +334,7 @@ def check_device(
         return ()
     departure = _departure_k(record, calibration)
     usual = TemperatureSensitivity()
-    left: dict[str, tuple[float, float]] = {}
+    residuals: dict[str, tuple[float, float]] = {}
     means = {
         name: np.array([values[one.start : one.stop].mean(axis=0) for one in rests])
         for name, values in (("accel", record.accel), ("gyro", record.gyro))
@@ -350,14 +350,14 @@ def check_device(
         columns = [k for k, parameter in enumerate(model.parameters) if parameter.startswith("offset_")]
         offsets = model.matrix @ model.covariance[np.ix_(columns, columns)] @ model.matrix.T
         fit = float(np.sqrt(np.trace(offsets))) * triad.si
-        left[name] = float(np.sqrt(np.mean(size**2))), math.hypot(fit, own, 0.0 if tabled else of_temp * departure)
-    far = [name for name, (seen, expected) in left.items() if seen > FAR_SIGMAS * expected]
-    accel_left = left.get("accel", (0.0, 0.0))[0]
+        residuals[name] = float(np.sqrt(np.mean(size**2))), math.hypot(fit, own, 0.0 if tabled else of_temp * departure)
+    far = [name for name, (seen, expected) in residuals.items() if seen > FAR_SIGMAS * expected]
+    accel_left = residuals.get("accel", (0.0, 0.0))[0]
     reversed_ = "gyro" not in far and accel_left > LEAST_LEFT and _reversed(means["accel"], calibration, accel_left)
     if not far and not reversed_:
         return ()
     nothing = (float("nan"), float("nan"))
-    (accel, accel_usual), (rate, rate_usual) = left.get("accel", nothing), left.get("gyro", nothing)
+    (accel, accel_usual), (rate, rate_usual) = residuals.get("accel", nothing), residuals.get("gyro", nothing)
     values = {"left_mg": accel / STANDARD_GRAVITY * 1e3, "usual_mg": accel_usual / STANDARD_GRAVITY * 1e3}
     values |= {"left_dps": rate / RADIAN_PER_DEGREE, "usual_dps": rate_usual / RADIAN_PER_DEGREE, "rests": len(rests)}
     return (finding("correct.accel_reversed" if reversed_ else "correct.other_device", "warn", **values),)
@@ -376,11 +376,11 @@ def _departure_k(record: Record, calibration: Calibration) -> float:
     return float(np.nanmean(away)) if np.isfinite(away).any() else UNKNOWN_DEPARTURE_K
 
 
-def _reversed(force: FloatArray, calibration: Calibration, left: float) -> bool:
+def _reversed(force: FloatArray, calibration: Calibration, residual: float) -> bool:
     """Tell whether readings with the opposite sign would be gravity: M (-u - o) = -f - 2 M o, of f = M (u - o)."""
     model = calibration.accel
     if model is None:
         return False
     turned = -force - 2.0 * model.matrix @ model.offset * si_factor(model.unit_out, "accel")
     size = np.linalg.norm(turned, axis=1) - calibration.gravity_m_s2
-    return bool(np.sqrt(np.mean(size**2)) < REVERSED * left)
+    return bool(np.sqrt(np.mean(size**2)) < REVERSED * residual)

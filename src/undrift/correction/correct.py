@@ -399,7 +399,7 @@ def _buffers(n: int, plans: Plans, out: Buffers | None) -> Buffers:
     return out
 
 
-def _adopted(record: Record, plans: Plans, buffers: Buffers, known: ForceUncertainty | None) -> Record:
+def _adopted(record: Record, plans: Plans, buffers: Buffers, uncertainty: ForceUncertainty | None) -> Record:
     """The record with corrected readings; the kernels wrote them in the right shape: neither copied nor checked again."""
     done, values = object.__new__(Record), {name: getattr(record, name) for name in Record.__slots__}
     for name, plan, buffer in zip(("gyro", "accel"), plans, buffers, strict=True):
@@ -411,7 +411,7 @@ def _adopted(record: Record, plans: Plans, buffers: Buffers, known: ForceUncerta
         "accel_unit": "m/s2",
         "frame": "b",
         "state": "corrected",
-        "accel_uncertainty": known,
+        "accel_uncertainty": uncertainty,
     }
     for name, value in values.items():
         object.__setattr__(done, name, value)

@@ -187,24 +187,24 @@ def _extremes(temp: FloatArray) -> Span:
 
 def coverage_findings(reach: Reach, calibration: Calibration, reference_span_c: float) -> tuple[Finding, ...]:
     """Return where readings left the tables, or the temperatures at which constant offsets hold."""
-    drift, found = calibration.drift, list[Finding]()
+    drift, findings = calibration.drift, list[Finding]()
     if reach.seconds_without_temperature > 0.0:
-        found.append(finding("correct.no_temperature", "warn", seconds=reach.seconds_without_temperature))
+        findings.append(finding("correct.no_temperature", "warn", seconds=reach.seconds_without_temperature))
     if (seconds := reach.seconds_outside) > 0.0:
         low, high, lag_s = *reach.temp_c, drift.lag_s if drift else 0.0
-        found.append(finding("correct.outside", "warn", seconds=seconds, low_c=low, high_c=high, lag_s=lag_s))
+        findings.append(finding("correct.outside", "warn", seconds=seconds, low_c=low, high_c=high, lag_s=lag_s))
     if reach.seconds_extrapolated > 0.0:
-        found.append(_extrapolated(reach))
+        findings.append(_extrapolated(reach))
     if (away := reach.departure_c) > reference_span_c:
         at, span = calibration.reference_temp_c, reference_span_c
-        found.append(finding("correct.departure", "warn", departure_c=away, reference_c=at, span_c=span))
+        findings.append(finding("correct.departure", "warn", departure_c=away, reference_c=at, span_c=span))
     rates = drift.dynamic.turn_rate if drift and drift.dynamic else None
     if rates is not None and (reach.turn_rate[0] < rates[0] or reach.turn_rate[1] > rates[-1]):
         least, greatest, first, last = np.degrees((*reach.turn_rate, rates[0], rates[-1]))
-        found.append(
+        findings.append(
             finding("correct.turn_rate", "warn", least_dps=least, greatest_dps=greatest, first_dps=first, last_dps=last)
         )
-    return tuple(found)
+    return tuple(findings)
 
 
 def _extrapolated(reach: Reach) -> Finding:
@@ -219,22 +219,22 @@ def _extrapolated(reach: Reach) -> Finding:
 
 def model_findings(record: Record, calibration: Calibration, carry: Carry) -> tuple[Finding, ...]:
     """Return what a reader of the corrected record may not expect."""
-    found = [
+    findings = [
         finding("correct.no_model", "info", sensor=triad.sensor)
         for triad, values in zip(calibration.triads, (record.gyro, record.accel), strict=True)
         if values is not None and triad.model is None
     ]
     if record.device and calibration.device and record.device != calibration.device:
-        found.append(finding("correct.device", "warn", recorded=record.device, calibrated=calibration.device))
+        findings.append(finding("correct.device", "warn", recorded=record.device, calibrated=calibration.device))
     gyro, static = calibration.gyro, calibration.drift.static if calibration.drift else None
     if record.gyro is None or gyro is None or static is None:
-        return tuple(found)
+        return tuple(findings)
     if static.gyro_hysteresis is not None and static.gyro_offset is not None:
-        found.append(_loop_finding(gyro, static, static.gyro_hysteresis, carry))
+        findings.append(_loop_finding(gyro, static, static.gyro_hysteresis, carry))
     if static.warm_up is not None and carry.power_on_time is None:
         largest, end = _largest_dps(gyro, static.warm_up.gyro_offset), static.warm_up.power_on_s[-1]
-        found.append(finding("correct.warm_up", "info", largest_dps=largest, end_s=end))
-    return tuple(found)
+        findings.append(finding("correct.warm_up", "info", largest_dps=largest, end_s=end))
+    return tuple(findings)
 
 
 def _loop_finding(gyro: TriadModel, static: StaticDrift, half: FloatArray, carry: Carry) -> Finding:
@@ -299,7 +299,7 @@ class Beyond:
 
 def find_beyond(record: Record, calibration: Calibration) -> tuple[Beyond, ...]:
     """Find the corrected readings beyond what the fits have seen: extrapolation, which non-linearity does not follow."""
-    found = []
+    beyond = []
     for triad, values in zip(calibration.triads, (record.gyro, record.accel), strict=True):
         model = triad.model
         if values is None or model is None or not model.valid_range[0] < model.valid_range[1]:
@@ -313,8 +313,8 @@ def find_beyond(record: Record, calibration: Calibration) -> tuple[Beyond, ...]:
             mask = (values < low) | (values > high)
             samples = int(np.count_nonzero(mask[:, 0] | mask[:, 1] | mask[:, 2]))
             worst = _furthest(least, greatest, seen)
-        found.append(Beyond(sensor=triad.sensor, seen=seen, samples=samples, of=len(values), worst=worst))
-    return tuple(found)
+        beyond.append(Beyond(sensor=triad.sensor, seen=seen, samples=samples, of=len(values), worst=worst))
+    return tuple(beyond)
 
 
 def _furthest(one: float, two: float, seen: Span) -> float:

@@ -219,26 +219,26 @@ _ABOVE = 3.0  # of the variance of such means of white noise: it reaches it in o
 
 def force_covariances(record: Record, still: Still, force: FloatArray) -> dict[str, FloatArray]:
     """Return the covariance of the mean of a record's specific force at rest, m/s2 (N, 3), source by source."""
-    mean, known = force.mean(axis=0), record.accel_uncertainty
+    mean, error = force.mean(axis=0), record.accel_uncertainty
     width = max(1, min(round(_SWAY_S * record.sample_rate_hz), len(force) // 4))
     means = np.lib.stride_tricks.sliding_window_view(force, width, axis=0).mean(axis=-1)
     white = np.diff(force, axis=0).var(axis=0) / 2.0 / width
-    found = {
+    covariances = {
         "scatter": np.diag([mean_variance(axis) for axis in force.T]),
         "sway": np.diag(np.where(means.var(axis=0) > _ABOVE * white, means.var(axis=0), 0.0)),
     }
-    if known is None:
-        return found
+    if error is None:
+        return covariances
     temp_c = np.nan if record.temp_c is None else float(np.mean(record.temp_c[still.start : still.stop]))
     felt = np.hstack((np.kron(np.eye(3), mean), np.eye(3)))  # (3, 12): E f + d
-    offset, scale = known.per_k * [_beyond(temp_c, span) for span in (known.offset_temp_c, known.matrix_temp_c)]
-    noise = force.var(axis=0) / np.maximum(known.step, 1e-12) ** 2
+    offset, scale = error.per_k * [_beyond(temp_c, span) for span in (error.offset_temp_c, error.matrix_temp_c)]
+    noise = force.var(axis=0) / np.maximum(error.step, 1e-12) ** 2
     steady = np.exp(-2.0 * np.pi**2 * np.maximum(noise - 0.25, 0.0))  # what dither leaves of the rounding
-    return found | {
-        "calibration": felt @ known.covariance @ felt.T,
+    return covariances | {
+        "calibration": felt @ error.covariance @ felt.T,
         "temperature": np.diag(offset**2 + (scale * mean) ** 2),
-        "ageing": np.eye(3) * (TURN_ON**2 + AGEING**2 * _years_since(known.calibrated)),
-        "codes": np.diag((known.step * steady) ** 2 / 12.0),
+        "ageing": np.eye(3) * (TURN_ON**2 + AGEING**2 * _years_since(error.calibrated)),
+        "codes": np.diag((error.step * steady) ** 2 / 12.0),
     }
 
 

@@ -92,9 +92,9 @@ def fit_accel_drift(rests: RestBlocks, calibration: Calibration, *, temp_c: Floa
     i, j = _SYMMETRIC
     symmetric[:, i, j] = symmetric[:, j, i] = value[:, :6]
     spread[:, i, j] = spread[:, j, i] = deviation[:, :6]
-    own = np.zeros((3, 3))
+    cross_axis = np.zeros((3, 3))
     if (spread[:, 0, 1] == 0.0).all():  # not measured: the calibration's
-        own = model.standard_uncertainty[:9].reshape(3, 3) * (1.0 - np.eye(3))
+        cross_axis = model.standard_uncertainty[:9].reshape(3, 3) * (1.0 - np.eye(3))
     back = model.forward_matrix / si_factor(model.unit_out, "accel")
     slope = 100.0 * (symmetric[n + 1] - symmetric[n]).diagonal() / (high - low)
     doubt = 100.0 * np.hypot(spread[n + 1].diagonal(), spread[n].diagonal()) / (high - low)
@@ -107,7 +107,7 @@ def fit_accel_drift(rests: RestBlocks, calibration: Calibration, *, temp_c: Floa
         offset=model.offset + value[:n, 6:] @ back.T,
         offset_uncertainty=np.sqrt(deviation[:n, 6:] ** 2 @ (back**2).T),
         matrix=symmetric[:n] @ model.matrix,
-        matrix_uncertainty=np.sqrt(spread[:n] ** 2 @ model.matrix**2 + own**2),
+        matrix_uncertainty=np.sqrt(spread[:n] ** 2 @ model.matrix**2 + cross_axis**2),
         extrapolated=~near_data(temp_c, poses.temp_c, gap_c=MATRIX_GAP_C),
         percent_per_k=-slope,
         percent_per_k_uncertainty=doubt,
@@ -141,22 +141,22 @@ def with_accel(tables: DriftTables, fit: AccelDriftFit) -> DriftTables:
 def _by_temperature(poses: WarmPoses, gravity: float, at: FloatArray) -> tuple[FloatArray, FloatArray, Verdict] | None:
     """Return P's six elements and d at temperatures, each fitted by itself; None where fewer than two have poses enough."""
     for count in (_FULL, _DIAGONAL):
-        found = []
+        fits = []
         for s in np.unique(poses.group):
             rows = poses.group == s
             fit = _norm(poses.v[rows], poses.variance[rows], gravity, count)
             if fit is not None:
-                found.append((poses.temp_c[rows].mean(), *_symmetric(fit)))
-        if len(found) >= 2 and found[-1][0] - found[0][0] > 0.8 * np.ptp(poses.temp_c):
+                fits.append((poses.temp_c[rows].mean(), *_symmetric(fit)))
+        if len(fits) >= 2 and fits[-1][0] - fits[0][0] > 0.8 * np.ptp(poses.temp_c):
             break
     else:
         return None
     free = np.arange(9) if count == _FULL else _ON_AXES
-    temps, values, variances = (np.array(column) for column in zip(*found, strict=True))
+    temps, values, variances = (np.array(column) for column in zip(*fits, strict=True))
     curve = fit_smooth(temps, values[:, free], variances[:, free]).at(at)
     value, uncertainty = np.zeros((len(at), 9)), np.zeros((len(at), 9))
     value[:, free], uncertainty[:, free] = curve.value, curve.uncertainty
-    notes = [finding("drift.accel_two_temperatures", "warn")] if len(found) == 2 else []
+    notes = [finding("drift.accel_two_temperatures", "warn")] if len(fits) == 2 else []
     notes += [finding("drift.accel_faces_only", "info")] if count == _DIAGONAL else []
     return value, uncertainty, Verdict.of(*notes)
 

@@ -98,18 +98,18 @@ def summarise_accel(
     static: StaticFit, poses: AccelDriftFit | None, device: Calibration, unit: str
 ) -> TriadSummary | None:
     """Return the accelerometers' offsets over temperature: from several poses where possible, else from one."""
-    model, found, nodes = device.accel, static.accel, static.table.temp_c
+    model, triad, nodes = device.accel, static.accel, static.table.temp_c
     factor, name = _factor(model, "accel", unit)
     if poses is None or model is None:
-        if found is None:
+        if triad is None:
             return None
         reference = device.reference_temp_c if model is not None else np.nan
         if not np.isfinite(reference):
-            reference = 0.5 * (found.span_c[0] + found.span_c[1])
-        spline = found.curve.spline
+            reference = 0.5 * (triad.span_c[0] + triad.span_c[1])
+        spline = triad.curve.spline
         zero = spline.at(np.array([reference])).value[0]
         against = f"that at {reference:.1f} degC"
-        return _summary_of(found, nodes, spline.at(nodes).value - zero, zero, against, (factor, name))
+        return _summary_of(triad, nodes, spline.at(nodes).value - zero, zero, against, (factor, name))
     near = np.flatnonzero(~poses.extrapolated)
     first, last = (near[0], near[-1]) if len(near) > 1 else (0, -1)
     span, doubt = poses.temp_c[last] - poses.temp_c[first], poses.offset_uncertainty
@@ -129,7 +129,7 @@ def summarise_accel(
 
 
 def _summary_of(
-    found: TriadDrift,
+    triad: TriadDrift,
     nodes: FloatArray,
     departure: FloatArray,
     zero: FloatArray,
@@ -137,30 +137,30 @@ def _summary_of(
     units: tuple[FloatArray, str],
 ) -> TriadSummary:
     factor, unit = units
-    loop, turn_on, blocks = found.curve.loop, found.curve.turn_on, found.offsets.blocks
-    model = None if found.curve.choice is None else found.curve.choice.hysteresis
+    loop, turn_on, blocks = triad.curve.loop, triad.curve.turn_on, triad.offsets.blocks
+    model = None if triad.curve.choice is None else triad.curve.choice.hysteresis
     branch = None if loop is None else np.tile(loop.half, (len(nodes), 1))
     if model is not None:
         branch = interpolated(nodes, model.temp_c, model.gyro_half_width)
     return TriadSummary(
         unit=unit,
-        seen_c=found.span_c,
+        seen_c=triad.span_c,
         temp_c=nodes,
         against=against,
         departure=departure * factor,
-        uncertainty=found.uncertainty * factor,
-        extrapolated=found.extrapolated,
-        in_table=found.offset is not None,
-        slope=found.slope * factor,
-        slope_uncertainty=found.slope_uncertainty * factor,
-        left_out_rms=found.curve.spline.leave_out_rms * factor,
+        uncertainty=triad.uncertainty * factor,
+        extrapolated=triad.extrapolated,
+        in_table=triad.offset is not None,
+        slope=triad.slope * factor,
+        slope_uncertainty=triad.slope_uncertainty * factor,
+        left_out_rms=triad.curve.spline.leave_out_rms * factor,
         half_loop=None if loop is None else loop.half * factor,
         half_loop_uncertainty=None if loop is None else loop.uncertainty * factor,
         branch=None if branch is None else branch * factor,
-        loop_kept=found.curve.kept_loop,
+        loop_kept=triad.curve.kept_loop,
         turn_on=None if turn_on is None else np.sqrt(turn_on.variance) * factor,
         block_temp_c=blocks.temp_c,
-        block_departure=(found.offsets.value - zero) * factor,
+        block_departure=(triad.offsets.value - zero) * factor,
         block_cooling=cooling(blocks),
     )
 
@@ -170,17 +170,17 @@ def summarise_scale(fit: ScaleFit, device: Calibration) -> ScaleSummary | None:
     drift, soaks = fit.drift, fit.soaks
     if device.gyro is None or drift.gyro_matrix is None or drift.gyro_uncertainty is None:
         return None
-    kept = device.gyro.forward_matrix.diagonal() / si_factor(device.gyro.unit_out, "rate")
-    own = np.linalg.inv(drift.gyro_matrix).diagonal(axis1=1, axis2=2) / si_factor(device.gyro.unit_out, "rate")
+    constant = device.gyro.forward_matrix.diagonal() / si_factor(device.gyro.unit_out, "rate")
+    scale = np.linalg.inv(drift.gyro_matrix).diagonal(axis1=1, axis2=2) / si_factor(device.gyro.unit_out, "rate")
     share = drift.gyro_uncertainty.diagonal(axis1=1, axis2=2) / drift.gyro_matrix.diagonal(axis1=1, axis2=2)
     return ScaleSummary(
         temp_c=drift.temp_c,
-        percent=100.0 * (own / kept - 1.0),
+        percent=100.0 * (scale / constant - 1.0),
         uncertainty=100.0 * np.abs(share),
-        extrapolated=np.zeros(len(own), bool) if drift.gyro_extrapolated is None else drift.gyro_extrapolated,
+        extrapolated=np.zeros(len(scale), bool) if drift.gyro_extrapolated is None else drift.gyro_extrapolated,
         soak_temp_c=soaks.temp_c,
-        soak_percent=100.0 * (soaks.forward.diagonal(axis1=1, axis2=2) / kept - 1.0),
-        soak_uncertainty=100.0 * np.sqrt(soaks.variance.diagonal(axis1=1, axis2=2)) / np.abs(kept),
+        soak_percent=100.0 * (soaks.forward.diagonal(axis1=1, axis2=2) / constant - 1.0),
+        soak_uncertainty=100.0 * np.sqrt(soaks.variance.diagonal(axis1=1, axis2=2)) / np.abs(constant),
     )
 
 
@@ -276,10 +276,10 @@ def _scale_verdict(against: FloatArray, soaks: SoakMatrices, reference_temp_c: f
 
 def offsets_verdict(static: StaticFit, device: Calibration) -> Verdict:
     """Compare the offset table with the calibration's constants."""
-    model, found, offset = device.gyro, static.gyro, static.table.gyro_offset
-    if model is None or model.method == "nominal" or found is None or offset is None:
+    model, triad, offset = device.gyro, static.gyro, static.table.gyro_offset
+    if model is None or model.method == "nominal" or triad is None or offset is None:
         return Verdict()
-    nodes, reference, low_high = static.table.temp_c, device.reference_temp_c, np.array(found.span_c)
+    nodes, reference, low_high = static.table.temp_c, device.reference_temp_c, np.array(triad.span_c)
     seen = np.flatnonzero((nodes >= low_high[0] - 1.0) & (nodes <= low_high[1] + 1.0))
     seen = seen if len(seen) else np.arange(len(nodes))
     if np.isfinite(reference):
@@ -289,8 +289,8 @@ def offsets_verdict(static: StaticFit, device: Calibration) -> Verdict:
         node, away_c = int(seen[np.abs(offset - model.offset)[seen].max(axis=1).argmin()]), 0.0
     per_raw = _in_dps(model)[0]
     off = (offset[node] - model.offset) * per_raw
-    sure = np.hypot(found.uncertainty[node], model.standard_uncertainty[9:12]) * per_raw
-    beyond = np.abs(off) - np.abs(found.slope) * per_raw * (2.0 * away_c + _TEMPERATURE_OFF_C)
+    sure = np.hypot(triad.uncertainty[node], model.standard_uncertainty[9:12]) * per_raw
+    beyond = np.abs(off) - np.abs(triad.slope) * per_raw * (2.0 * away_c + _TEMPERATURE_OFF_C)
     at = {
         "temp_c": float(nodes[node]),
         "offset_dps": off,
@@ -334,11 +334,11 @@ def poses_verdict(accel: AccelDriftFit | None, device: Calibration) -> Verdict:
     shift = (accel.offset[node] - model.offset) * per_g
     shift_sure = np.hypot(accel.offset_uncertainty[node], model.standard_uncertainty[9:12]) * per_g
     moved = np.where(np.abs(shift) > _SIGNIFICANT * shift_sure, np.abs(shift), 0.0)
-    found: list[Finding] = []
+    findings: list[Finding] = []
     bad = bool(max(beyond.max() / _ACCEL_SCALE_OFF[1], moved.max() / _ACCEL_OFFSET_OFF[1]) > 1.0)
     if beyond.max() > _ACCEL_SCALE_OFF[0]:
         i, j = np.unravel_index(int(beyond.argmax()), (3, 3))
-        found.append(
+        findings.append(
             finding(
                 "drift.accel_matrix_differs",
                 "fail" if bad else "warn",
@@ -351,7 +351,7 @@ def poses_verdict(accel: AccelDriftFit | None, device: Calibration) -> Verdict:
             )
         )
     if moved.max() > _ACCEL_OFFSET_OFF[0]:
-        found.append(
+        findings.append(
             finding(
                 "drift.accel_offset_differs",
                 "fail" if bad else "warn",
@@ -361,7 +361,7 @@ def poses_verdict(accel: AccelDriftFit | None, device: Calibration) -> Verdict:
                 limit_mg=1e3 * _ACCEL_OFFSET_OFF[0],
             )
         )
-    return Verdict.of(*found)
+    return Verdict.of(*findings)
 
 
 def check_sessions(static: StaticFit, device: Calibration) -> None:
@@ -394,17 +394,17 @@ def static_verdict(static: StaticFit, accel: AccelDriftFit | None) -> Verdict:
             (finding("drift.narrow_span", "warn", low_c=low_c, high_c=high_c),) if high_c - low_c < NARROW_C else ()
         )
     of_accel = [item for item in static.verdict.findings if item.code.startswith("drift.accel_")]
-    kept = [
+    findings = [
         item
         for item in static.verdict.findings
         if item not in of_accel and item.values.get("sensor") != "accelerometer" and item.code not in hidden
     ]
     if accel is None and static.table.accel_offset is None:  # why there is no table, and nothing about the table
-        kept += [item for item in of_accel if item.code != "drift.accel_one_pose"][:1]
+        findings += [item for item in of_accel if item.code != "drift.accel_one_pose"][:1]
     elif accel is None:
-        kept += [item for item in of_accel if item.code == "drift.accel_one_pose"]
+        findings += [item for item in of_accel if item.code == "drift.accel_one_pose"]
         marginal |= static.accel is not None and static.accel.mostly_unknown_scale
-    return Verdict(status="marginal" if marginal or narrow else "good", findings=(*narrow, *kept))
+    return Verdict(status="marginal" if marginal or narrow else "good", findings=(*narrow, *findings))
 
 
 def single_sweep_verdict(
@@ -417,7 +417,7 @@ def single_sweep_verdict(
         return Verdict.of(finding("drift.hysteresis_excluded", "info"))
     ramp = float(np.quantile(np.abs(rests.ramp_c_per_min), 0.95))
     unit, factor = ("deg/s", RADIAN_PER_DEGREE) if gyro.unit == "rad/s" else (gyro.unit, 1.0)
-    found = [
+    findings = [
         finding(
             "drift.lag_and_hysteresis_excluded",
             "warn",
@@ -431,8 +431,8 @@ def single_sweep_verdict(
     part = max(len(ordered) // 4, 1)
     fastest_first = ordered[:part].mean() > 2.0 * ordered[-part:].mean()
     if not warm_up_fitted and (float(rests.power_on_s.min()) < _SHORTLY_S or fastest_first):
-        found.append(finding("drift.power_on_transient", "warn"))
-    return Verdict.of(*found)
+        findings.append(finding("drift.power_on_transient", "warn"))
+    return Verdict.of(*findings)
 
 
 def temperature_verdict(temperatures: tuple[Temperature, ...]) -> Verdict:
@@ -479,13 +479,13 @@ def bends_verdict(static: StaticFit, device: Calibration) -> Verdict:
 
         bend = 2 (dy_2 / dt_2 - dy_1 / dt_1) / (dt_1 + dt_2)        miss = bend dt_1 dt_2 / 2
     """
-    found, model = static.gyro, device.gyro
-    if found is None or model is None:
+    triad, model = static.gyro, device.gyro
+    if triad is None or model is None:
         return Verdict()
-    blocks, worst = found.offsets.blocks, (0.0, 0.0, 0.0)
+    blocks, worst = triad.offsets.blocks, (0.0, 0.0, 0.0)
     for session in np.unique(blocks.session):
         own = blocks.session == session
-        temp_c, value = blocks.temp_c[own], found.offsets.value[own] * _in_dps(model)[0]
+        temp_c, value = blocks.temp_c[own], triad.offsets.value[own] * _in_dps(model)[0]
         points = set_points_of(temp_c)
         if len(points) <= _TOO_FEW:
             continue
@@ -509,24 +509,24 @@ def rests_verdict(static: StaticFit, device: Calibration) -> Verdict:
     if between is None:
         return Verdict()
     factor, unit = _in_dps(device.gyro)
-    known, found = between.known * factor, list[Finding]()
+    expected, findings = between.known * factor, list[Finding]()
     if (between.pose > _MORE * between.known).any():
         g_known = device.gyro is not None and device.gyro.g_sensitivity is not None
         size, poses, no_accel = between.pose * factor, between.in_pose.shape[1], device.accel is None
-        found.append(
+        findings.append(
             finding(
                 "drift.poses_disagree" if g_known else "drift.poses_g_no_accel" if no_accel else "drift.poses_g",
                 "info",
                 deviation=size,
                 unit=unit,
                 poses=poses,
-                known=known,
+                known=expected,
             )
         )
     if (between.rest > _MORE * between.known).any():
         size, rests = between.rest * factor, len(between.rests)
-        found.append(finding("drift.rests_disagree", "info", deviation=size, unit=unit, rests=rests, known=known))
-    return Verdict(findings=tuple(found))
+        findings.append(finding("drift.rests_disagree", "info", deviation=size, unit=unit, rests=rests, known=expected))
+    return Verdict(findings=tuple(findings))
 
 
 def set_points_verdict(static: StaticFit, rests: RestBlocks, device: Calibration) -> Verdict:
@@ -573,7 +573,7 @@ def _figures(values: FloatArray) -> str:
 
 def set_point_verdict(sessions: Sequence[Session]) -> Verdict:
     """Return what tables of set-points do not state."""
-    found: list[Finding] = []
+    findings: list[Finding] = []
     for session in sessions:
         for record, means in zip(session.records, session.means, strict=bool(session.means)):
             for name, values, stated in (
@@ -582,11 +582,11 @@ def set_point_verdict(sessions: Sequence[Session]) -> Verdict:
             ):
                 missing = int(np.isnan(stated).any(axis=1).sum())
                 if values is not None and missing:
-                    found.append(
+                    findings.append(
                         finding("drift.rows_without_uncertainty", "warn", sensor=name, rows=missing, of=len(record))
                     )
             if np.isnan(means.count).any() and not means.from_spread and np.isfinite(means.gyro_uncertainty).any():
-                found.append(finding("drift.rows_without_count", "info"))
+                findings.append(finding("drift.rows_without_count", "info"))
             if means.from_spread:
-                found.append(finding("drift.rows_by_spread", "info"))
-    return Verdict.of(*found) if found else Verdict()
+                findings.append(finding("drift.rows_by_spread", "info"))
+    return Verdict.of(*findings) if findings else Verdict()

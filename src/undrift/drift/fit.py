@@ -468,13 +468,13 @@ def _calibrated(
     choice: Choice | None,
 ) -> Calibration:
     """Return a calibration with tuning tables; files and settings of an earlier thermal fit go with its tables."""
-    held = device.provenance
-    before = held.inputs[: held.count(_INPUTS, len(held.inputs))]
+    previous = device.provenance
+    before = previous.inputs[: previous.count(_INPUTS, len(previous.inputs))]
     chosen = "none" if choice is None else choice.alternatives.chosen
     provenance = Provenance(
         inputs=tuple(dict.fromkeys((*before, *(entry for session in sessions for entry in session.inputs)))),
         settings=(
-            *(entry for entry in held.settings if not entry[0].startswith("drift_")),
+            *(entry for entry in previous.settings if not entry[0].startswith("drift_")),
             ("drift_spline", "not-a-knot" if settings.static.not_a_knot else "smoothing"),
             ("drift_lag_s", f"{tables.lag_s:.4g}"),
             ("drift_tables", "static" if chosen == "none" else f"static, {chosen}"),
@@ -482,7 +482,7 @@ def _calibrated(
             (_INPUTS, f"{len(before)}"),
             (checks.STATUS_BEFORE, device.verdict.status),
         ),
-        versions=held.versions or versions_used(),
+        versions=previous.versions or versions_used(),
         created=datetime.now(UTC).isoformat(timespec="seconds"),
     )
     return replace(
@@ -718,11 +718,11 @@ def _cropped(table: T, old: FloatArray, at: FloatArray) -> T:
     """Return a table at temperatures within its own: linear between two nodes, marked where one of them is."""
     right = np.clip(np.searchsorted(old, at - 1e-9), 1, len(old) - 1)
     share = np.clip((at - old[right - 1]) / (old[right] - old[right - 1]), 0.0, 1.0)
-    kept: dict[str, Any] = {}
+    fields: dict[str, Any] = {}
     for name in table.__dataclass_fields__:
         values = getattr(table, name)
         if values is not None and name.removeprefix("gyro_").removeprefix("accel_") in _BY_NODE:
             w, left, over = share.reshape(-1, *[1] * (values.ndim - 1)), values[right - 1], values[right]
             made = np.where(w == 0.0, left, np.where(w == 1.0, over, (1.0 - w) * left + w * over))  # NaN times 0 is NaN
-            kept[name] = made > 0.0 if values.dtype == bool else made
-    return replace(table, **kept)
+            fields[name] = made > 0.0 if values.dtype == bool else made
+    return replace(table, **fields)

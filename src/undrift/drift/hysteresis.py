@@ -150,16 +150,16 @@ class LoopChoice:
 
 def courses(blocks: RestBlocks) -> FloatArray:
     """Return of each block the way since the last turn, K, and its positions in loops of each crossing, (n, 1 + 2 W)."""
-    found, way_k = np.zeros((2, len(CROSSINGS_K), len(blocks))), np.zeros(len(blocks))
+    places, way_k = np.zeros((2, len(CROSSINGS_K), len(blocks))), np.zeros(len(blocks))
     for session in np.unique(blocks.session):
         rows = np.flatnonzero(blocks.session == session)
         rows = rows[np.argsort(blocks.time[rows], kind="stable")]
-        found[:, :, rows] = positions(blocks.temp_c[rows], CROSSINGS_K)
-        side, begin = np.sign(found[:, 0, rows].mean(axis=0)), blocks.temp_c[rows[0]]
+        places[:, :, rows] = positions(blocks.temp_c[rows], CROSSINGS_K)
+        side, begin = np.sign(places[:, 0, rows].mean(axis=0)), blocks.temp_c[rows[0]]
         for leg in np.split(rows, np.flatnonzero(np.diff(side)) + 1):
             way_k[leg] = np.abs(blocks.temp_c[leg] - begin)
             begin = blocks.temp_c[leg][np.argmax(way_k[leg])]
-    return np.vstack((way_k, found.reshape(-1, len(blocks)))).T
+    return np.vstack((way_k, places.reshape(-1, len(blocks)))).T
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -202,13 +202,13 @@ def choose_loop(
     place = (mean - log[0]) / (log[1] - log[0])
     near = np.maximum(1.0 - np.abs(np.arange(len(log)) - place), 0.0)  # straight between two crossings
     position, away = near @ loops.middle, loops.middle - near @ loops.middle
-    known = np.tensordot(near, loops.began + (weight.sum(axis=0) @ _MISFITS**2) * loops.misfit, 1)
-    known = (half**2)[:, None, None] * (known + (of_crossing * away.T) @ away) + lag
+    covariance = np.tensordot(near, loops.began + (weight.sum(axis=0) @ _MISFITS**2) * loops.misfit, 1)
+    covariance = (half**2)[:, None, None] * (covariance + (of_crossing * away.T) @ away) + lag
     scaled = 2.0 * first.columns[0].x
     models = [position[:, None][:, :0], position[:, None], np.column_stack((position, position * scaled))]
     try:
         errors = [
-            _left_out(cells, first.columns, np.hstack((model, others)), (known, lag), position) for model in models
+            _left_out(cells, first.columns, np.hstack((model, others)), (covariance, lag), position) for model in models
         ]
     except NotObservable:
         return None
@@ -216,19 +216,19 @@ def choose_loop(
     for k in (1, 2):
         ratio = np.maximum(errors[k], 1e-300) / np.maximum(errors[best], 1e-300)
         best = k if np.log(ratio).mean() < math.log(_BETTER) else best
-    fitted = fit(replace(cells, regressors=np.hstack((models[max(best, 1)], others))), known)
+    fitted = fit(replace(cells, regressors=np.hstack((models[max(best, 1)], others))), covariance)
     if best == 2 and not shows(fitted[1], 1):
-        best, fitted = 1, fit(replace(cells, regressors=np.hstack((models[1], others))), known)
+        best, fitted = 1, fit(replace(cells, regressors=np.hstack((models[1], others))), covariance)
     hysteresis = None
     if best and shows(fitted[1], 0):
-        mid, own = (x[:best] for x in (fitted[1].coefficient, fitted[1].coefficient_uncertainty))
+        mid, deviation = (x[:best] for x in (fitted[1].coefficient, fitted[1].coefficient_uncertainty))
         ends = np.array([[1.0, -1.0], [1.0, 1.0]])[:, :best]
         hysteresis = Hysteresis(
             crossing_k=math.exp(mean),
             crossing_uncertainty_k=math.exp(mean) * doubt,
             temp_c=np.array([cells.temp_c.min(), cells.temp_c.max()]),
             gyro_half_width=ends @ mid,
-            gyro_uncertainty=np.sqrt(ends**2 @ own**2),
+            gyro_uncertainty=np.sqrt(ends**2 @ deviation**2),
         )
     return LoopChoice(fitted=fitted, hysteresis=hysteresis, left_out=errors[best], left_out_middle=errors[0])
 
@@ -262,12 +262,12 @@ def _left_out(
     cells: Cells,
     columns: Sequence[Column],
     regressors: FloatArray,
-    known: tuple[FloatArray, FloatArray],
+    errors: tuple[FloatArray, FloatArray],
     position: FloatArray,
 ) -> FloatArray:
     """Return the rms error, (3,), of means of a band of temperature and a side of the loop, every third band left out in turn.
 
-    Predicted are the curve, the loop and the lag, not what a visit or a branch adds; known: all that is beside the curve, and lag.
+    Predicted are the curve, the loop and the lag, not what a visit or a branch adds; errors: all that is beside the curve, and lag.
     """
     low, span = cells.temp_c.min(), np.ptp(cells.temp_c)
     band = np.minimum((cells.temp_c - low) * (_BANDS / span), _BANDS - 1).astype(np.int64)
@@ -275,20 +275,20 @@ def _left_out(
     means = list[list[FloatArray]]()
     for k, column in enumerate(columns):
         basis = np.column_stack((np.ones(len(column.x)), column.x, regressors))
-        bow, whole = parabola(column.x), column.covariance + known[0][k]
+        bow, whole = parabola(column.x), column.covariance + errors[0][k]
         signal = column.weight.sum(axis=0) @ column.bend * bending(column.x, column.x) + column.bow * np.outer(bow, bow)
-        signal = signal + known[1][k]
+        signal = signal + errors[1][k]
         means.append([])
         for turn in range(3):
-            held = (band % 3 == turn) & (band > 0) & (band < _BANDS - 1)  # the ends are not extrapolated
-            kept = np.flatnonzero(~held)
-            inverse = np.linalg.inv(whole[np.ix_(kept, kept)])
-            weighted = basis[kept].T @ inverse
-            if not held.any() or np.linalg.matrix_rank(weighted @ basis[kept]) < basis.shape[1]:
+            test = (band % 3 == turn) & (band > 0) & (band < _BANDS - 1)  # the ends are not extrapolated
+            train = np.flatnonzero(~test)
+            inverse = np.linalg.inv(whole[np.ix_(train, train)])
+            weighted = basis[train].T @ inverse
+            if not test.any() or np.linalg.matrix_rank(weighted @ basis[train]) < basis.shape[1]:
                 continue
-            left = column.y - basis @ np.linalg.solve(weighted @ basis[kept], weighted @ column.y[kept])
-            error = left[held] - signal[np.ix_(held, ~held)] @ inverse @ left[kept]
-            means[k] += [error[parts[held] == part].mean() for part in np.unique(parts[held])]
+            left = column.y - basis @ np.linalg.solve(weighted @ basis[train], weighted @ column.y[train])
+            error = left[test] - signal[np.ix_(test, ~test)] @ inverse @ left[train]
+            means[k] += [error[parts[test] == part].mean() for part in np.unique(parts[test])]
     if not means[0]:
         raise NotObservable("hysteresis: wanted temperatures between the ends, got none; record more set-points")
     return np.asarray(np.sqrt(np.mean(np.square(means), axis=1)))

@@ -134,26 +134,26 @@ def learn_drift(
 ) -> LearnFit:
     """Update the gyroscopes' offset over temperature by the rests of daily recordings; dates: one a session."""
     model = _checked(sessions, calibration, dates)
-    held = None if calibration.drift is None else calibration.drift.learnt
-    before = calibration.drift if held is None else held.before
+    earlier = None if calibration.drift is None else calibration.drift.learnt
+    before = calibration.drift if earlier is None else earlier.before
     verdict = verdict_without(_PREFIX, calibration, f"{_SETTINGS}status_before")  # that of earlier learning goes
     base = replace(calibration, drift=before, verdict=verdict)
-    new, found, used = daily_rests(sessions, calibration, base, dates, settings)
-    if not any(part is not None and len(part.temp_c) for part in (held, *new)):
+    new, findings, used = daily_rests(sessions, calibration, base, dates, settings)
+    if not any(part is not None and len(part.temp_c) for part in (earlier, *new)):
         raise NotObservable(
             "learn: wanted rests of some seconds with a known temperature, got none; "
-            + "; ".join(item.text for item in found)
+            + "; ".join(item.text for item in findings)
         )
-    evidence = in_order(held, new, base)
+    evidence = in_order(earlier, new, base)
     nodes = _nodes(before, base, evidence)
     prior = _Prior.of(base, nodes, evidence, settings)
-    kept = np.ones(len(evidence.temp_c), bool)
-    first = [_learnt(prior, evidence, axis, kept) for axis in range(3)]
-    kept = np.min([axis.kept for axis in first], axis=0) >= 0.5  # what moves about one axis is no rest
-    axes = first if kept.all() else [_learnt(prior, evidence, axis, kept) for axis in range(3)]
-    nothing = [_learnt(prior, evidence, axis, np.zeros(len(kept), bool)) for axis in range(3)]
+    at_rest = np.ones(len(evidence.temp_c), bool)
+    first = [_learnt(prior, evidence, axis, at_rest) for axis in range(3)]
+    at_rest = np.min([axis.kept for axis in first], axis=0) >= 0.5  # what moves about one axis is no rest
+    axes = first if at_rest.all() else [_learnt(prior, evidence, axis, at_rest) for axis in range(3)]
+    nothing = [_learnt(prior, evidence, axis, np.zeros(len(at_rest), bool)) for axis in range(3)]
     si = 1.0 / raw_per_si(model)
-    static, far = _table(before, nodes, axes, evidence.temp_c[kept])
+    static, far = _table(before, nodes, axes, evidence.temp_c[at_rest])
     fit = LearnFit(
         calibration=calibration,
         temp_c=nodes,
@@ -171,12 +171,12 @@ def learn_drift(
         rest_temp_c=evidence.temp_c,
         rest_offset=evidence.gyro_offset * si,
         rest_uncertainty=np.sqrt(evidence.gyro_variance) * si,
-        rest_kept=kept,
+        rest_kept=at_rest,
         recordings=len(evidence.recordings),
         verdict=Verdict(),
     )
     covered = before is not None and before.static is not None and before.static.gyro_offset is not None
-    verdict = Verdict.of(*found, *_findings(fit, evidence, covered))
+    verdict = Verdict.of(*findings, *_findings(fit, evidence, covered))
     made = _calibrated(base, calibration, _tables(before, static, evidence), verdict, used)
     return replace(fit, calibration=made, verdict=verdict)
 
@@ -295,14 +295,14 @@ class _Level:
         table, model = None if base.drift is None else base.drift.static, base.gyro
         if table is not None and table.gyro_offset is not None:
             temp, offset = table.temp_c, table.gyro_offset
-            own = np.full(offset.shape, np.nan) if table.gyro_uncertainty is None else table.gyro_uncertainty
+            sd = np.full(offset.shape, np.nan) if table.gyro_uncertainty is None else table.gyro_uncertainty
             loop = np.zeros(3) if table.gyro_hysteresis is None else table.gyro_hysteresis
-            own = np.where(np.isfinite(own), np.sqrt(np.maximum(own**2 - loop**2, 0.0)), settings.turn_on * raw)
+            sd = np.where(np.isfinite(sd), np.sqrt(np.maximum(sd**2 - loop**2, 0.0)), settings.turn_on * raw)
             ends = ((temp[0], min(temp[0] + _END_C, temp[-1])), (max(temp[-1] - _END_C, temp[0]), temp[-1]))
             change = [interpolated(np.array(pair), temp, offset) for pair in ends]
             slope = np.array([(b - a) / (pair[1] - pair[0]) for (a, b), pair in zip(change, ends, strict=True)])
-            doubt = 2.0**0.5 * own[[0, -1]] / np.array([pair[1] - pair[0] for pair in ends])[:, None]
-            return cls(temp_c=temp, offset=offset, deviation=own, slope=slope, slope_deviation=doubt, loop=loop)
+            doubt = 2.0**0.5 * sd[[0, -1]] / np.array([pair[1] - pair[0] for pair in ends])[:, None]
+            return cls(temp_c=temp, offset=offset, deviation=sd, slope=slope, slope_deviation=doubt, loop=loop)
         constant = np.zeros(3) if model is None else model.offset
         variance = np.full(3, np.nan) if model is None else np.diag(model.covariance)[9:12]
         variance = np.where(np.isfinite(variance) & (variance > 0.0), variance, (UNKNOWN * raw) ** 2)
@@ -325,14 +325,14 @@ class _Level:
 
     def covariance(self, x: FloatArray, h: FloatArray, length_c: float) -> FloatArray:
         """Return the covariance of its errors at x (d,), which lie h (d,) beyond, (3, d, d)."""
-        own = interpolated(x, self.temp_c, self.deviation)
+        sd = interpolated(x, self.temp_c, self.deviation)
         inside = np.clip(x, *self.span_c)  # the error at the end goes on
         ratio = 3.0**0.5 * np.abs(inside[:, None] - inside) / length_c
         alike = (1.0 + ratio) * np.exp(-ratio)
         same = np.ones((len(x), len(x))) if len(self.temp_c) == 1 else h[:, None] * h > 0.0
         slope = np.where(h[:, None] < 0.0, self.slope_deviation[0], self.slope_deviation[1]) * h[:, None]
         return np.asarray(
-            np.einsum("ik,jk,ij->kij", own, own, alike) + np.einsum("ik,jk,ij->kij", slope, slope, same.astype(float))
+            np.einsum("ik,jk,ij->kij", sd, sd, alike) + np.einsum("ik,jk,ij->kij", slope, slope, same.astype(float))
         )
 
 
@@ -363,8 +363,8 @@ def _learnt(prior: _Prior, evidence: Learnt, axis: int, used: BoolArray) -> _Axi
     z, width = unit, np.ones(len(unit))
     for last in (False, False, True) if used.any() else (True,):
         point = prior.at(axis, z)
-        made = _filtered(prior, evidence, axis, used, point)
-        score = made.score - 0.5 * (z**2).sum(axis=0)
+        fit = _filtered(prior, evidence, axis, used, point)
+        score = fit.score - 0.5 * (z**2).sum(axis=0)
         weight = np.exp(score - score.max())
         weight /= weight.sum()
         if last:
@@ -379,9 +379,9 @@ def _learnt(prior: _Prior, evidence: Learnt, axis: int, used: BoolArray) -> _Axi
     k, share = _places(prior.nodes, prior.x)
     rows = np.arange(len(k))
     at[rows, k], at[rows, k + 1], at[:, d] = 1.0 - share, share, 1.0
-    curves = made.mean @ at.T
+    curves = fit.mean @ at.T
     middle = weight @ curves
-    own = weight @ (np.einsum("nd,gde,ne->gn", at, made.covariance, at, optimize=True) + (curves - middle) ** 2)
+    own = weight @ (np.einsum("nd,gde,ne->gn", at, fit.covariance, at, optimize=True) + (curves - middle) ** 2)
     to_come = weight @ (point.turn_on**2 + (point.rest**2 if used.any() else 0.0)) + prior.loop[axis] ** 2
     return _Axis(
         offset=prior.at_nodes[:, axis] + middle,
@@ -390,7 +390,7 @@ def _learnt(prior: _Prior, evidence: Learnt, axis: int, used: BoolArray) -> _Axi
         turn_on=_weighed(weight, point.turn_on),
         ageing=_weighed(weight, point.ageing * _MONTH**0.5),
         rest=_weighed(weight, point.rest)[0],
-        kept=made.kept @ weight,
+        kept=fit.kept @ weight,
     )
 
 
@@ -409,7 +409,7 @@ def _filtered(prior: _Prior, evidence: Learnt, axis: int, used: BoolArray, point
     d, count = len(prior.x), len(point.turn_on)
     mean, spread = np.zeros((count, d + 2)), np.zeros((count, d + 2, d + 2))
     spread[:, :d, :d] = point.covariance
-    score, kept = np.zeros(count), np.ones((len(used), count))
+    score, at_rest = np.zeros(count), np.ones((len(used), count))
     misfit = evidence.gyro_offset[:, axis] - prior.at_rests[:, axis]
     variance = evidence.gyro_variance[:, axis] + prior.loop[axis] ** 2
     first, shares = _places(evidence.temp_c, prior.x)
@@ -427,12 +427,12 @@ def _filtered(prior: _Prior, evidence: Learnt, axis: int, used: BoolArray, point
             error = misfit[row] - mean[:, at] @ w
             near = np.log(1.0 - _OUTLIER) - 0.5 * (np.log(2.0 * np.pi * total) + error**2 / total)
             other = far - 0.5 * (error / outlier) ** 2
-            kept[row] = near > other
+            at_rest[row] = near > other
             score += np.maximum(near, other)
             weight = np.where(near > other, 1.0 / total, 0.0)[:, None] * gain
             mean += weight * error[:, None]
             spread -= weight[:, :, None] * gain[:, None, :]
-    return _Filtered(mean=mean, covariance=spread, score=score, kept=kept)
+    return _Filtered(mean=mean, covariance=spread, score=score, kept=at_rest)
 
 
 def _places(at: FloatArray, x: FloatArray) -> tuple[IntArray, FloatArray]:
@@ -457,20 +457,20 @@ def _table(
     old = None if before is None else before.static
     far = np.ones(len(nodes), bool) if not len(seen_c) else ~near_data(nodes, seen_c, gap_c=_GAP_C)
     if old is None:
-        held = StaticDrift(temp_c=nodes)
+        base = StaticDrift(temp_c=nodes)
     else:
-        held = _extended(old, nodes)
+        base = _extended(old, nodes)
         if old.gyro_offset is not None:
             marks = np.zeros(len(old.temp_c), bool) if old.gyro_extrapolated is None else old.gyro_extrapolated
             inside = (nodes >= old.temp_c[0]) & (nodes <= old.temp_c[-1])
             far &= ~inside | marks[np.abs(nodes[:, None] - old.temp_c).argmin(axis=1)]
-    made = replace(
-        held,
+    static = replace(
+        base,
         gyro_offset=np.stack([axis.offset for axis in axes], axis=1),
         gyro_uncertainty=np.stack([axis.deviation for axis in axes], axis=1),
         gyro_extrapolated=far,
     )
-    return made, far
+    return static, far
 
 
 def _tables(before: DriftTables | None, static: StaticDrift, evidence: Learnt) -> DriftTables:
@@ -491,7 +491,7 @@ def _extended(table: T, nodes: FloatArray) -> T:
 
     Beyond an end the uncertainty grows by the mean slope of the table, in quadrature.
     """
-    old, own = np.asarray(table.temp_c), dict[str, Any]()
+    old, fields = np.asarray(table.temp_c), dict[str, Any]()
     nearest, h = np.abs(nodes[:, None] - old).argmin(axis=1), np.abs(nodes - np.clip(nodes, old[0], old[-1]))
     for sensor, kind in itertools.product(("gyro_", "accel_", ""), ("offset", "matrix", "error")):
         value = getattr(table, sensor + kind, None)
@@ -499,14 +499,14 @@ def _extended(table: T, nodes: FloatArray) -> T:
             continue
         known, marks = getattr(table, f"{sensor}uncertainty"), getattr(table, f"{sensor}extrapolated")
         wide = h.reshape(-1, *[1] * (value.ndim - 1))
-        own[sensor + kind] = value[nearest]
+        fields[sensor + kind] = value[nearest]
         if known is not None:
             slope = np.ptp(value, axis=0) / (old[-1] - old[0])
-            own[f"{sensor}uncertainty"] = np.hypot(known[nearest], wide * slope)
-        beyond = np.broadcast_to(h.reshape(-1, *[1] * (value.ndim - 2)) > 0.0, own[sensor + kind].shape[:-1])
+            fields[f"{sensor}uncertainty"] = np.hypot(known[nearest], wide * slope)
+        beyond = np.broadcast_to(h.reshape(-1, *[1] * (value.ndim - 2)) > 0.0, fields[sensor + kind].shape[:-1])
         beyond = beyond if kind != "matrix" else h > 0.0
-        own[f"{sensor}extrapolated"] = beyond if marks is None else marks[nearest] | beyond
-    return replace(table, temp_c=nodes, **own)
+        fields[f"{sensor}extrapolated"] = beyond if marks is None else marks[nearest] | beyond
+    return replace(table, temp_c=nodes, **fields)
 
 
 def _calibrated(
@@ -517,21 +517,21 @@ def _calibrated(
     used: tuple[tuple[str, str], ...],
 ) -> Calibration:
     """Return a calibration with the tables; used: name and sha256 of the files that were learnt from."""
-    held = given.provenance
-    settings = {name: text for name, text in held.settings if not name.startswith(_SETTINGS)}
+    previous = given.provenance
+    settings = {name: text for name, text in previous.settings if not name.startswith(_SETTINGS)}
     count = 0 if tables.learnt is None else len(tables.learnt.recordings)
     settings |= {
         f"{_SETTINGS}recordings": f"{count}",
         f"{_SETTINGS}status_before": base.verdict.status,
     }
     # what learning adds goes with the tables when new ones are fitted
-    settings.setdefault(_INPUTS, f"{len(held.inputs)}")
+    settings.setdefault(_INPUTS, f"{len(previous.inputs)}")
     settings.setdefault(STATUS_BEFORE, base.verdict.status)
     provenance = replace(
-        held,
-        inputs=tuple(dict.fromkeys((*held.inputs, *used))),
+        previous,
+        inputs=tuple(dict.fromkeys((*previous.inputs, *used))),
         settings=tuple(settings.items()),
-        versions=held.versions or versions_used(),
+        versions=previous.versions or versions_used(),
         created=datetime.now(UTC).isoformat(timespec="seconds"),
     )
     return replace(given, drift=tables, verdict=base.verdict.also(verdict), provenance=provenance)
@@ -544,25 +544,25 @@ def _findings(fit: LearnFit, evidence: Learnt, covered: bool) -> list[Finding]:
     row, axis = np.unravel_index(int(change.argmax()), change.shape)
     uncertain = [np.sqrt(np.mean(u[near] ** 2)) / _DPS for u in (fit.before_uncertainty, fit.after_uncertainty)]
     where = {"largest_dps": change[row, axis], "axis": AXES[axis], "temp_c": fit.temp_c[near][row]}
-    found = [finding("drift.learn_changed", "info", before_dps=uncertain[0], after_dps=uncertain[1], **where)]
+    findings = [finding("drift.learn_changed", "info", before_dps=uncertain[0], after_dps=uncertain[1], **where)]
     sizes = {"dps": fit.turn_on / _DPS, "uncertainty_dps": fit.turn_on_uncertainty / _DPS}
     if fit.recordings < _FEW:
-        found.append(finding("drift.learn_few", "warn", recordings=fit.recordings, **sizes))
+        findings.append(finding("drift.learn_few", "warn", recordings=fit.recordings, **sizes))
     else:
-        found.append(
+        findings.append(
             finding("drift.learn_turn_on", "info", recordings=fit.recordings, rest_dps=fit.rest_scatter / _DPS, **sizes)
         )
     sizes = {"dps": fit.ageing / _DPS, "uncertainty_dps": fit.ageing_uncertainty / _DPS}
-    found.append(finding("drift.learn_ageing", "info", days=_days(evidence)[-1], **sizes))
+    findings.append(finding("drift.learn_ageing", "info", days=_days(evidence)[-1], **sizes))
     if not covered:
-        found.append(finding("drift.learn_no_table", "info"))
+        findings.append(finding("drift.learn_no_table", "info"))
     left, count = int((~fit.rest_kept).sum()), len(fit.rest_kept)
     level: Level = "warn" if left > _SOME_LEFT_OUT * count else "info"
     if left > _MOST_LEFT_OUT * count:
-        found.append(finding("drift.learn_most_left_out", "fail", count=left, cells=count))
+        findings.append(finding("drift.learn_most_left_out", "fail", count=left, cells=count))
     elif left:
-        found.append(finding("drift.learn_left_out", level, count=left, cells=count))
-    return found
+        findings.append(finding("drift.learn_left_out", level, count=left, cells=count))
+    return findings
 
 
 # ---- rests of daily recordings
@@ -663,7 +663,7 @@ def _cells(session: Session, base: Calibration, settings: LearnSettings) -> _Cel
     turn_raw = turn[useful][:, None] * raw_per_si(base.gyro)
     parts = [_parts(offsets, np.flatnonzero(of_still == number), turn_raw) for number in used]
     temp_c, mean, variance = (np.concatenate(columns) for columns in zip(*parts, strict=True))
-    made = Learnt(
+    cells = Learnt(
         temp_c=temp_c,
         gyro_offset=mean,
         gyro_variance=variance + offsets.common_variance,
@@ -672,7 +672,7 @@ def _cells(session: Session, base: Calibration, settings: LearnSettings) -> _Cel
         since="",
     )
     return _Cells(
-        learnt=made,
+        learnt=cells,
         rests=len(used),
         worn=int(worn[used].sum()),
         turning=turning,
@@ -683,13 +683,13 @@ def _cells(session: Session, base: Calibration, settings: LearnSettings) -> _Cel
 
 def _parts(offsets: Offsets, rows: IntArray, turn: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return temperature, offset and variance of each part of a rest; a part may turn as far as the whole, in less time."""
-    blocks, held = offsets.blocks, offsets.step_error
+    blocks, step = offsets.blocks, offsets.step_error
     rows = rows[np.argsort(blocks.temp_c[rows], kind="stable")]
     bins = bins_of(blocks.temp_c[rows], CELL_C)
     temp_c, mean, variance = list[float](), list[FloatArray](), list[FloatArray]()
     for number in range(bins.max() + 1):
         own = rows[bins == number]
-        noise = variance_of_mean(offsets.value[own], offsets.variance[own], None if held is None else held[own])
+        noise = variance_of_mean(offsets.value[own], offsets.variance[own], None if step is None else step[own])
         temp_c.append(float(blocks.temp_c[own].mean()))
         mean.append(offsets.value[own].mean(axis=0))
         variance.append(noise + (turn[own[0]] * len(rows) / len(own)) ** 2)
@@ -811,20 +811,20 @@ def _warm_up(base: Calibration, blocks: RestBlocks, power_on_s: float | None) ->
     return interpolated(since, table.power_on_s, table.gyro_offset)
 
 
-def in_order(held: Learnt | None, new: list[Learnt], base: Calibration) -> Learnt:
+def in_order(earlier: Learnt | None, new: list[Learnt], base: Calibration) -> Learnt:
     """Return all cells so far, recordings in order of date: what was learnt first makes no difference."""
-    parts = [*([] if held is None else [held]), *new]
-    recordings = [one for part in parts for one in part.recordings]
-    begins = np.cumsum([0, *(len(part.recordings) for part in parts)])
-    number = np.concatenate([part.recording + begin for part, begin in zip(parts, begins[:-1], strict=True)])
+    parts = [*([] if earlier is None else [earlier]), *new]
+    recordings = [one for batch in parts for one in batch.recordings]
+    begins = np.cumsum([0, *(len(batch.recordings) for batch in parts)])
+    number = np.concatenate([batch.recording + begin for batch, begin in zip(parts, begins[:-1], strict=True)])
     order = sorted(range(len(recordings)), key=lambda k: (recordings[k][1], recordings[k][0]))
     place = np.argsort(order)[number]
     rows = np.argsort(place, kind="stable")
-    since = base.provenance.created if held is None else held.since
+    since = base.provenance.created if earlier is None else earlier.since
     return Learnt(
-        temp_c=np.concatenate([part.temp_c for part in parts])[rows],
-        gyro_offset=np.concatenate([part.gyro_offset for part in parts])[rows],
-        gyro_variance=np.concatenate([part.gyro_variance for part in parts])[rows],
+        temp_c=np.concatenate([batch.temp_c for batch in parts])[rows],
+        gyro_offset=np.concatenate([batch.gyro_offset for batch in parts])[rows],
+        gyro_variance=np.concatenate([batch.gyro_variance for batch in parts])[rows],
         recording=place[rows],
         recordings=tuple(recordings[k] for k in order),
         since=since or recordings[order[0]][1],

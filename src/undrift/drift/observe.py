@@ -183,19 +183,19 @@ def find_rests(session: Session) -> tuple[Still, ...]:
     if session.stills:
         return tuple(sorted(session.stills, key=lambda s: (s.recording, s.start)))
     turning = [(t.recording, t.start, t.stop) for t in session.turns]
-    found: list[Still] = []
+    rests: list[Still] = []
     for number, record in enumerate(session.records):
         spans = [(a, b) for r, a, b in turning if r == number]
         if not spans and _never_moves(record):
-            found.append(Still(start=0, stop=len(record), recording=number))
+            rests.append(Still(start=0, stop=len(record), recording=number))
             continue
         stills = find_still(record, StillSettings(), recording=number).stills
-        found.extend(s for s in stills if all(s.stop <= a or s.start >= b for a, b in spans))
-    if not found:
+        rests.extend(s for s in stills if all(s.stop <= a or s.start >= b for a, b in spans))
+    if not rests:
         raise NotObservable(
             "rests: wanted stretches at rest, got none; leave the device still while its temperature changes, or state [[still]]"
         )
-    return tuple(found)
+    return tuple(rests)
 
 
 def _never_moves(record: Record) -> bool:
@@ -267,18 +267,18 @@ def rest_blocks(
     gyro, gyro_variance, gyro_step = _means(record.gyro, inside, edges, size, steps[0])
     accel, accel_variance, accel_step = _means(record.accel, inside, edges, size, steps[1])
     middle = np.array([0.5 * (time[a] + time[b - 1]) for a, b in pairwise(edges)])
-    own = np.full(count, np.nan)
+    temps = np.full(count, np.nan)
     for k, (a, b) in enumerate(pairwise(edges)):
         known = temp[a:b][np.isfinite(temp[a:b])]
         if len(known) >= _LEAST_SHARE * (b - a):
             off = np.abs(known - np.median(known))
-            own[k] = known[off <= _JUMP + _FAR * _ROBUST * np.median(off)].mean()
-    made = RestBlocks(
+            temps[k] = known[off <= _JUMP + _FAR * _ROBUST * np.median(off)].mean()
+    blocks = RestBlocks(
         session=np.full(count, session, np.int64),
         pose=np.full(count, pose, np.int64),
         time=middle - record.time[0] + begin_s,
         power_on_s=middle - record.time[0],
-        temp_c=own,
+        temp_c=temps,
         ramp_c_per_min=np.array([_slope(time, temp, at, settings.ramp_s) for at in middle]),
         gyro=gyro,
         accel=accel,
@@ -287,7 +287,7 @@ def rest_blocks(
         gyro_step_error=gyro_step,
         accel_step_error=accel_step,
     )
-    return made.taken(np.isfinite(own) & (np.isfinite(gyro).all(axis=1) | np.isfinite(accel).all(axis=1)))
+    return blocks.taken(np.isfinite(temps) & (np.isfinite(gyro).all(axis=1) | np.isfinite(accel).all(axis=1)))
 
 
 def _edges(time: FloatArray, block_s: float) -> IntArray:
@@ -308,14 +308,14 @@ def _means(
     counts = np.zeros(len(blocks))
     square, pairs = np.zeros(3), 0
     own_variance: list[FloatArray] = []
-    for k, (part, good) in enumerate(zip(blocks, _clean(blocks), strict=True)):
+    for k, (block, good) in enumerate(zip(blocks, _clean(blocks), strict=True)):
         if good.mean() < _LEAST_SHARE:
             continue
-        part = part[good]
-        means[k], counts[k] = part.mean(axis=0), len(part)
-        own_variance.append(part.var(axis=0))
-        own = min(size, max(1, len(part) // 2))
-        steps = np.diff(part[: len(part) // own * own].reshape(-1, own, 3).mean(axis=1), axis=0)
+        block = block[good]
+        means[k], counts[k] = block.mean(axis=0), len(block)
+        own_variance.append(block.var(axis=0))
+        own = min(size, max(1, len(block) // 2))
+        steps = np.diff(block[: len(block) // own * own].reshape(-1, own, 3).mean(axis=1), axis=0)
         square += (steps**2).sum(axis=0) * own
         pairs += len(steps)
     if not own_variance:

@@ -175,14 +175,14 @@ def _weighted(
 
 
 def _one_soak(
-    steps: Steps, own: FloatArray, rows: IntArray, kept: FloatArray
+    steps: Steps, own: FloatArray, rows: IntArray, matrix: FloatArray
 ) -> tuple[float, FloatArray, FloatArray, FloatArray]:
     """Return temperature, K, its variance, and residual of one soak."""
     rate, reading, variance = steps.rate_b[rows], own[rows], steps.gyro_variance[rows]
     main = np.abs(rate).max()
     turned = np.flatnonzero((np.abs(rate) > 0.5 * np.linalg.norm(rate, axis=1, keepdims=True)).any(axis=0))
     still = np.setdiff1d(np.arange(3), turned)
-    reading = reading - rate[:, still] @ kept[:, still].T
+    reading = reading - rate[:, still] @ matrix[:, still].T
     offsets, bends = _mountings(steps, rows)
     design = np.column_stack((rate[:, turned] / main, offsets))
     if np.linalg.matrix_rank(design, tol=1e-3) < design.shape[1]:
@@ -249,14 +249,14 @@ def _sensitivity(soaks: SoakMatrices, reference_temp_c: float) -> tuple[FloatArr
 
 
 def _verdict(soaks: SoakMatrices, slope: FloatArray, doubt: FloatArray) -> Verdict:
-    found, count = [], soaks.seen.sum(axis=0)
+    findings, count = [], soaks.seen.sum(axis=0)
     for axis, n, s, u in zip(AXES, count, slope, doubt, strict=True):
         if n < 2:
-            found.append(finding("drift.scale_not_observable", "warn", axis=axis, soaks=n))
+            findings.append(finding("drift.scale_not_observable", "warn", axis=axis, soaks=n))
         else:
-            found.append(finding("drift.scale", "info", axis=axis, percent_per_k=s, expanded_percent_per_k=2.0 * u))
+            findings.append(finding("drift.scale", "info", axis=axis, percent_per_k=s, expanded_percent_per_k=2.0 * u))
     two = tuple(axis for axis, n in zip(AXES, count, strict=True) if n == 2)
-    return Verdict.of(*found, *([finding("drift.scale_two_temperatures", "warn", axes=two)] if two else []))
+    return Verdict.of(*findings, *([finding("drift.scale_two_temperatures", "warn", axes=two)] if two else []))
 
 
 # ---- scale factor asymmetry
@@ -283,8 +283,8 @@ def scale_asymmetry(steps: RateSteps, calibration: Calibration, *, static: Stati
             spread = v + excess_variance(y - np.average(y, weights=1.0 / v), v, len(y) - 1)
             mean[axis], mean_doubt[axis] = np.average(y, weights=1.0 / spread), np.sqrt(1.0 / (1.0 / spread).sum())
     unseen = tuple(axis for axis, a in zip(AXES, mean, strict=True) if np.isnan(a))
-    found = [finding("drift.asymmetry_not_observable", "warn", axes=unseen)] if unseen else []
-    found += [
+    findings = [finding("drift.asymmetry_not_observable", "warn", axes=unseen)] if unseen else []
+    findings += [
         finding("drift.asymmetry", "info", axis=axis, percent=100.0 * a, expanded_percent=200.0 * u)
         for axis, a, u in zip(AXES, mean, mean_doubt, strict=True)
         if abs(a) > 3.0 * u
@@ -295,7 +295,7 @@ def scale_asymmetry(steps: RateSteps, calibration: Calibration, *, static: Stati
         uncertainty=doubt,
         mean=mean,
         mean_uncertainty=mean_doubt,
-        verdict=Verdict.of(*found).also(clean.verdict),
+        verdict=Verdict.of(*findings).also(clean.verdict),
     )
 
 
@@ -319,21 +319,21 @@ def steps_of(steps: RateSteps) -> Steps:
     """Return the usable rows of rate steps."""
     if isinstance(steps, Steps):
         return steps
-    known = np.isfinite(steps.gyro).all(axis=1) & np.isfinite(steps.rate_b).all(axis=1) & np.isfinite(steps.temp_c)
-    rows = np.flatnonzero(known & (np.abs(steps.rate_b).max(axis=1, initial=0.0) > 0.0))
+    finite = np.isfinite(steps.gyro).all(axis=1) & np.isfinite(steps.rate_b).all(axis=1) & np.isfinite(steps.temp_c)
+    rows = np.flatnonzero(finite & (np.abs(steps.rate_b).max(axis=1, initial=0.0) > 0.0))
     if not len(rows):
         raise InputError(
             f"rate steps: wanted dwells with rate, reading and temperature, got {len(steps)} rows and none of them usable; "
             "check turn_rate_dps, temp_c and gaps in the recording"
         )
-    kept = steps.taken(rows)
-    soak = np.unique(np.column_stack((kept.session, kept.soak)), axis=0, return_inverse=True)[1].reshape(-1)
-    direction, along = _directions(kept.rate_b)
+    usable = steps.taken(rows)
+    soak = np.unique(np.column_stack((usable.session, usable.soak)), axis=0, return_inverse=True)[1].reshape(-1)
+    direction, along = _directions(usable.rate_b)
     mounting = np.unique(np.column_stack((soak, direction)), axis=0, return_inverse=True)[1].reshape(-1)
-    lost = len(steps) - int(known.sum())
+    lost = len(steps) - int(finite.sum())
     gaps = [finding("drift.steps_left_out", "warn", count=lost, steps=len(steps))] if lost else []
-    own = {name: getattr(kept, name) for name in kept.__dataclass_fields__}
-    own |= {"soak": soak, "gyro_variance": _variance(kept.gyro_variance, kept.gyro)}
+    own = {name: getattr(usable, name) for name in usable.__dataclass_fields__}
+    own |= {"soak": soak, "gyro_variance": _variance(usable.gyro_variance, usable.gyro)}
     return Steps(**own, mounting=mounting, along=along, verdict=Verdict.of(*gaps))
 
 
@@ -373,15 +373,15 @@ def _directions(rate_b: FloatArray) -> tuple[IntArray, FloatArray]:
     """Return which direction each row turns about, up to its sign, and the rate along it."""
     length = np.linalg.norm(rate_b, axis=1)
     unit = rate_b / length[:, None]
-    found: list[FloatArray] = []
+    axes: list[FloatArray] = []
     number, sign = np.empty(len(rate_b), dtype=np.int64), np.empty(len(rate_b))
     for k, direction in enumerate(unit):
-        cosine = np.array([direction @ other for other in found])
+        cosine = np.array([direction @ other for other in axes])
         near = np.flatnonzero(np.abs(cosine) > _SAME_DIRECTION)
         if not len(near):
             axis = int(np.abs(direction).argmax())
-            found.append(direction * np.sign(direction[axis]))
-            near, cosine = np.array([len(found) - 1]), np.append(cosine, np.sign(direction[axis]))
+            axes.append(direction * np.sign(direction[axis]))
+            near, cosine = np.array([len(axes) - 1]), np.append(cosine, np.sign(direction[axis]))
         number[k], sign[k] = near[0], np.sign(cosine[near[0]])
     return number, length * sign
 
@@ -438,16 +438,16 @@ def rests_of(steps: Steps, blocks: RestBlocks | None) -> tuple[IntArray, IntArra
     span = np.linalg.norm(means[:, None] - means[None], axis=2).max()
     if not np.isfinite(span) or span == 0.0:
         return nothing, nothing
-    found, of = [], []
+    rests, of = [], []
     usable = np.isfinite(blocks.gyro).all(axis=1) & np.isfinite(blocks.accel).all(axis=1) & np.isfinite(blocks.temp_c)
     for b in np.flatnonzero(usable):
         off = np.linalg.norm(means - blocks.accel[b], axis=1) / span
         apart = np.abs(temps - blocks.temp_c[b])
         fits = (off < _SAME_POSE) & (apart < _SAME_TEMPERATURE_C) & (steps.session[firsts] == blocks.session[b])
         if fits.any():
-            found.append(b)
+            rests.append(b)
             of.append(firsts[np.flatnonzero(fits)[apart[fits].argmin()]])
-    return np.array(found, dtype=np.int64), np.array(of, dtype=np.int64)
+    return np.array(rests, dtype=np.int64), np.array(of, dtype=np.int64)
 
 
 # ---- dynamic drift
@@ -527,18 +527,18 @@ def fit_dynamic(
     w, t = np.tile(turn_rate, len(temp_c)), np.repeat(temp_c, len(turn_rate))
     before, after = np.full(3, np.nan), np.full(3, np.nan)
     surfaces: list[Surface | None] = [None, None, None]
-    for axis, own in enumerate(points):
-        if own is None:
+    for axis, data in enumerate(points):
+        if data is None:
             continue
         ends = (float(turn_rate[0]), float(turn_rate[-1])), (float(temp_c[0]), float(temp_c[-1]))
         earlier = None if like is None else like.surfaces[axis]
         alike = earlier.softness if earlier is not None else None if like is None else (_SOFTNESS[0], _SOFTNESS[0])
-        surface = surfaces[axis] = fit_surface(own, rate_span=ends[0], temp_span=ends[1], softness=alike)
+        surface = surfaces[axis] = fit_surface(data, rate_span=ends[0], temp_span=ends[1], softness=alike)
         error[:, :, axis] = surface.at(w, t).reshape(shape[:2])
         uncertainty[:, :, axis] = surface.uncertainty(w, t).reshape(shape[:2])
-        marks |= _unseen(own, turn_rate, temp_c)
-        means = np.bincount(own.mounting, own.value) / np.bincount(own.mounting)
-        before[axis] = np.sqrt(np.mean((own.value - means[own.mounting]) ** 2))
+        marks |= _unseen(data, turn_rate, temp_c)
+        means = np.bincount(data.mounting, data.value) / np.bincount(data.mounting)
+        before[axis] = np.sqrt(np.mean((data.value - means[data.mounting]) ** 2))
         after[axis] = np.sqrt(np.mean(surface.residuals**2))
     return DynamicFit(
         drift=DynamicDrift(
@@ -570,15 +570,15 @@ def _points(
     row, imposed = np.concatenate((np.arange(n), of)), np.concatenate((steps.rate_b, np.zeros((len(of), 3))))
     made = measured_rate(np.eye(4, 3, -1), np.zeros(4), calibration, static=None, scale=None)
     variance = steps.gyro_variance @ ((made[1:] - made[0]).T ** 2).T
-    found: list[SurfacePoints | None] = []
+    points: list[SurfacePoints | None] = []
     for axis in range(3):
         own = np.flatnonzero(np.abs(steps.rate_b[:, axis]) > _MAINLY * np.linalg.norm(steps.rate_b, axis=1))
         if len(np.unique(steps.soak[own])) < 2 or len(np.unique(steps.rate_b[own, axis])) < 2:
-            found.append(None)
+            points.append(None)
             continue
         rows = np.concatenate((own, n + np.flatnonzero(np.isin(steps.mounting[of], steps.mounting[own]))))
         size = np.abs(imposed[rows, axis])
-        found.append(
+        points.append(
             SurfacePoints(
                 turn_rate=np.where(rows < n, rate[rows, axis], 0.0),
                 temp_c=temp_c[rows],
@@ -589,7 +589,7 @@ def _points(
                 level=np.round(size / (_SAME_RATE * size.max())).astype(np.int64),
             )
         )
-    return found
+    return points
 
 
 def _nodes(
@@ -618,33 +618,33 @@ def _nodes(
     return np.concatenate((below, nodes, above)), temp_c
 
 
-def _unseen(own: SurfacePoints, turn_rate: FloatArray, temp_c: FloatArray) -> BoolArray:
+def _unseen(points: SurfacePoints, turn_rate: FloatArray, temp_c: FloatArray) -> BoolArray:
     """Mark nodes beyond the temperatures, or beyond the rates that were measured around their temperature."""
-    rows = [own.soak == s for s in np.unique(own.soak)]
-    at = np.array([own.temp_c[r].mean() for r in rows])
+    rows = [points.soak == s for s in np.unique(points.soak)]
+    at = np.array([points.temp_c[r].mean() for r in rows])
     order = np.argsort(at)
-    ends = [np.array([f(np.append(own.turn_rate[r], 0.0)) for r in rows])[order] for f in (np.min, np.max)]
-    slack = _NEAR_RATE * float(np.abs(own.turn_rate).max())
+    ends = [np.array([f(np.append(points.turn_rate[r], 0.0)) for r in rows])[order] for f in (np.min, np.max)]
+    slack = _NEAR_RATE * float(np.abs(points.turn_rate).max())
     low, high = (np.interp(temp_c, at[order], end)[:, None] for end in ends)
     outside = (turn_rate < low - slack) | (turn_rate > high + slack)
     return np.asarray(outside | ~near_data(temp_c, at, gap_c=MATRIX_GAP_C)[:, None])
 
 
 def _dynamic_verdict(points: list[SurfacePoints | None]) -> Verdict:
-    found, two = [], []
-    for axis, own in zip(AXES, points, strict=True):
-        if own is None:
-            found.append(finding("drift.dynamic_not_observable", "warn", axis=axis))
+    findings, two = [], []
+    for axis, data in zip(AXES, points, strict=True):
+        if data is None:
+            findings.append(finding("drift.dynamic_not_observable", "warn", axis=axis))
             continue
-        steady = own.turn_rate[own.level > 0]
+        steady = data.turn_rate[data.level > 0]
         if (steady > 0.0).all() or (steady < 0.0).all():
             way, other = ("+", "-") if steady[0] > 0.0 else ("-", "+")
-            found.append(finding("drift.dynamic_one_way", "warn", axis=axis, way=way + axis, other=other + axis))
-        if len(np.unique(own.soak)) == 2:
+            findings.append(finding("drift.dynamic_one_way", "warn", axis=axis, way=way + axis, other=other + axis))
+        if len(np.unique(data.soak)) == 2:
             two.append(axis)
     if two:
-        found.append(finding("drift.dynamic_two_temperatures", "warn", axes=two))
-    return Verdict.of(*found)
+        findings.append(finding("drift.dynamic_two_temperatures", "warn", axes=two))
+    return Verdict.of(*findings)
 
 
 # ---- the surface e(w, T) with e(0, T) = 0 through scattered points

@@ -117,7 +117,7 @@ def gyro_offsets(blocks: RestBlocks, calibration: Calibration | None, latitude_d
         return None
     model = None if calibration is None else calibration.gyro
     force = specific_force(blocks, calibration)
-    value, common, found = np.array(blocks.gyro), np.zeros(3), list[Finding]()
+    value, common, findings = np.array(blocks.gyro), np.zeros(3), list[Finding]()
     if latitude_deg is not None and (model is None or force is None):
         raise InputError(
             "Earth rate: wanted a calibration of both triads, got one of fewer; calibrate them, or give no latitude"
@@ -129,7 +129,7 @@ def gyro_offsets(blocks: RestBlocks, calibration: Calibration | None, latitude_d
             own = model.covariance[start : start + len(G_NAMES), start : start + len(G_NAMES)].reshape(3, 3, 3, 3)
             common += np.einsum("ka,kb,i,j,aibj->k", k, k, mean, mean, own)
     else:
-        found.append(finding("drift.g_unknown", "info"))
+        findings.append(finding("drift.g_unknown", "info"))
     if latitude_deg is not None and model is not None and force is not None:
         up = force / np.linalg.norm(force, axis=1, keepdims=True)
         latitude = latitude_deg * RADIAN_PER_DEGREE
@@ -141,7 +141,7 @@ def gyro_offsets(blocks: RestBlocks, calibration: Calibration | None, latitude_d
         variance=known_variance(blocks.gyro_variance),
         step_error=blocks.gyro_step_error,
         common_variance=common,
-        findings=tuple(found),
+        findings=tuple(findings),
     )
 
 
@@ -252,7 +252,7 @@ def gather(
     order = np.argsort(temp_c, kind="stable")
     groups = np.empty(len(members), np.int64)
     groups[order] = bins_of(temp_c[order], max(1.5 * width, float(np.ptp(temp_c)) / _MOST_GROUPS))
-    found = np.array(
+    variances = np.array(
         [
             variance_of_mean(value[rows], variance[rows], None if step_error is None else step_error[rows])
             for rows in members
@@ -276,7 +276,7 @@ def gather(
         session=np.array([blocks.session[rows[0]] for rows in members], np.int64),
         temp_c=temp_c,
         value=middle,
-        variance=found if between is None else found + between.own,
+        variance=variances if between is None else variances + between.own,
         regressors=np.array([regressors[rows].mean(axis=0) for rows in members]),
         visits=visits,
         instability=sure[:, None, None] * within,
@@ -523,7 +523,7 @@ def between_sessions(cells: Cells) -> TurnOn:
     if free == 0:
         return unknown
     try:
-        made = fit_smooth(
+        fit = fit_smooth(
             cells.temp_c,
             cells.value,
             cells.variance,
@@ -535,17 +535,17 @@ def between_sessions(cells: Cells) -> TurnOn:
         return unknown
     part = np.abs(shifts)
     seen = np.asarray(part.any(axis=1))
-    shift = np.where(seen[:, None], shifts @ made.coefficient[:free], np.nan)
-    own = part[seen] @ made.coefficient_uncertainty[:free] ** 2 / part[seen].sum(axis=1, keepdims=True)
-    found = np.array([excess_variance(shift[seen, axis], own[:, axis], free) for axis in range(3)])
-    known = own.mean(axis=0)
-    variance = np.maximum(found, known)
+    shift = np.where(seen[:, None], shifts @ fit.coefficient[:free], np.nan)
+    own = part[seen] @ fit.coefficient_uncertainty[:free] ** 2 / part[seen].sum(axis=1, keepdims=True)
+    excess = np.array([excess_variance(shift[seen, axis], own[:, axis], free) for axis in range(3)])
+    within = own.mean(axis=0)
+    variance = np.maximum(excess, within)
     return TurnOn(
         sessions=len(numbers),
         shift=shift,
         variance=variance,
         variance_to_come=widening_of(free) * variance,
-        bounded=found < known,
+        bounded=excess < within,
     )
 
 

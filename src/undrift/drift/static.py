@@ -100,22 +100,22 @@ class OffsetCurve:
     def through_set_points(self, nodes: FloatArray) -> NodeValues:
         """Return the note's curve: not-a-knot through the means of the set-points, effects subtracted."""
         cells = self.cells
-        left = cells.value - cells.regressors @ self.spline.coefficient
-        own = cells.variance + self.spline.visit_deviation**2
+        residual = cells.value - cells.regressors @ self.spline.coefficient
+        variance = cells.variance + self.spline.visit_deviation**2
         order = np.argsort(cells.temp_c, kind="stable")
         joined = np.empty(len(order), np.int64)
         joined[order] = bins_of(cells.temp_c[order], 1.0)
         rows = [np.flatnonzero(joined == k) for k in range(joined.max() + 1)]
-        found = not_a_knot(
+        curve = not_a_knot(
             np.array([cells.temp_c[r].mean() for r in rows]),
-            np.array([left[r].mean(axis=0) for r in rows]),
-            np.array([own[r].sum(axis=0) / len(r) ** 2 for r in rows]),
+            np.array([residual[r].mean(axis=0) for r in rows]),
+            np.array([variance[r].sum(axis=0) / len(r) ** 2 for r in rows]),
             nodes,
         )
         if cells.between is None:
-            return found
+            return curve
         usual = np.diagonal(cells.between.shared, axis1=1, axis2=2).mean(axis=1)  # all set-points share the poses
-        return replace(found, covariance=found.covariance + usual[:, None, None])
+        return replace(curve, covariance=curve.covariance + usual[:, None, None])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -167,21 +167,21 @@ def fit_static(
     settings: StaticSettings = StaticSettings(),
 ) -> StaticFit:
     """Fit offset over temperature of both triads, at nodes (n,), degC."""
-    found, gyro, accel = list[Finding](), None, None
+    findings, gyro, accel = list[Finding](), None, None
     rates = gyro_offsets(blocks, calibration, settings.latitude_deg)
     if rates is not None:
         gyro = _triad(rates, nodes, settings, correct_loop=True)
-        found += [*rates.findings, *gyro.curve.findings, *_triad_findings("gyroscope", gyro)]
+        findings += [*rates.findings, *gyro.curve.findings, *_triad_findings("gyroscope", gyro)]
     forces = accel_offsets(blocks, calibration, settings.accel_unit)
     if isinstance(forces, Finding):
-        found.append(forces)
+        findings.append(forces)
     else:
         accel, own = _accel(forces, nodes, calibration, settings)
-        found += [*forces.findings, *own] if accel else own
+        findings += [*forces.findings, *own] if accel else own
     if gyro is None and accel is None:
         raise NotObservable(
             "static drift: wanted readings at two temperatures or more, got none; "
-            + "; ".join(item.text for item in found)
+            + "; ".join(item.text for item in findings)
         )
     columns = {
         f"{sensor}_{name}": getattr(triad, name)
@@ -197,7 +197,7 @@ def fit_static(
         hysteresis=None if gyro is None or gyro.curve.choice is None else gyro.curve.choice.hysteresis,
         warm_up=None if gyro is None else gyro.curve.warm_up,
     )
-    return StaticFit(table=table, gyro=gyro, accel=accel, verdict=Verdict.of(*found))
+    return StaticFit(table=table, gyro=gyro, accel=accel, verdict=Verdict.of(*findings))
 
 
 def _triad(
@@ -213,27 +213,27 @@ def _triad(
     temp_c, n = offsets.blocks.temp_c, len(nodes)
     inside = np.quantile(temp_c, np.linspace(0.0, 1.0, _SLOPE_POINTS))
     at = np.concatenate((nodes, inside, [nodes[0] if reference is None else reference[0]]))
-    found = curve.through_set_points(at) if settings.not_a_knot else curve.spline.at(at)
-    every = np.diagonal(found.covariance, axis1=1, axis2=2).T
-    value, own = found.value[:n], every[:n]
+    at_nodes = curve.through_set_points(at) if settings.not_a_knot else curve.spline.at(at)
+    every = np.diagonal(at_nodes.covariance, axis1=1, axis2=2).T
+    value, variance = at_nodes.value[:n], every[:n]
     if reference is not None:  # the last point: its error is shared by both ends of the difference
         model = reference[1]
-        value = model.offset + found.value[:n] - found.value[-1]
-        own = own + every[-1] - 2.0 * found.covariance[:, :n, -1].T + np.diag(model.covariance)[9:12]
+        value = model.offset + at_nodes.value[:n] - at_nodes.value[-1]
+        variance = variance + every[-1] - 2.0 * at_nodes.covariance[:, :n, -1].T + np.diag(model.covariance)[9:12]
     # Beside that of the middle curve: the session to come, the hysteresis half-width
     extra = offsets.common_variance + (0.0 if curve.turn_on is None else curve.turn_on.variance_to_come)
     visit = curve.visit_variance
     if curve.kept_loop and curve.loop is not None:
         extra = extra + curve.loop.half**2
-    temps, rows = found.temp_c[n : n + _SLOPE_POINTS], slice(n, n + _SLOPE_POINTS)
+    temps, rows = at_nodes.temp_c[n : n + _SLOPE_POINTS], slice(n, n + _SLOPE_POINTS)
     weight = (temps - temps.mean()) / ((temps - temps.mean()) @ (temps - temps.mean()))
-    slope_variance = np.einsum("i,kij,j->k", weight, found.covariance[:, rows, rows], weight)
+    slope_variance = np.einsum("i,kij,j->k", weight, at_nodes.covariance[:, rows, rows], weight)
     return TriadDrift(
         offset=value,
-        uncertainty=np.sqrt(np.maximum(own, 0.0) + extra + visit),
+        uncertainty=np.sqrt(np.maximum(variance, 0.0) + extra + visit),
         visit=np.sqrt(visit),
         extrapolated=~near_data(nodes, temp_c, gap_c=_GAP_C),
-        slope=np.asarray(weight @ found.value[rows]),
+        slope=np.asarray(weight @ at_nodes.value[rows]),
         slope_uncertainty=np.sqrt(np.maximum(slope_variance, 0.0)),
         span_c=(float(temp_c.min()), float(temp_c.max())),
         curve=curve,
@@ -246,19 +246,19 @@ def _accel(
 ) -> tuple[TriadDrift | None, list[Finding]]:
     model = None if calibration is None else calibration.accel
     reference = calibration.reference_temp_c if calibration is not None else float("nan")
-    known = None if model is None or not np.isfinite(reference) else (reference, model)
+    anchor = None if model is None or not np.isfinite(reference) else (reference, model)
     try:
-        found = _triad(offsets, nodes, settings, known)
+        triad = _triad(offsets, nodes, settings, anchor)
     except NotObservable as error:
         return None, [finding("drift.accel_not_observable", "info", problem=str(error))]
     if model is None:
-        return replace(found, offset=None), [finding("drift.accel_uncalibrated", "info")]
-    if known is None:
-        return replace(found, offset=None), [finding("drift.accel_no_reference", "info")]
-    gravity = found.curve.spline.at(np.array([reference])).value[0] - model.offset
+        return replace(triad, offset=None), [finding("drift.accel_uncalibrated", "info")]
+    if anchor is None:
+        return replace(triad, offset=None), [finding("drift.accel_no_reference", "info")]
+    gravity = triad.curve.spline.at(np.array([reference])).value[0] - model.offset
     unknown = UNKNOWN_SCALE_PER_K * np.abs(nodes - reference)[:, None] * np.abs(gravity)
-    found = replace(found, uncertainty=np.hypot(found.uncertainty, unknown), unknown_scale=unknown)
-    return found, _triad_findings("accelerometer", found)
+    triad = replace(triad, uncertainty=np.hypot(triad.uncertainty, unknown), unknown_scale=unknown)
+    return triad, _triad_findings("accelerometer", triad)
 
 
 def near_data(nodes: FloatArray, temp_c: FloatArray, *, gap_c: float) -> BoolArray:
@@ -277,19 +277,19 @@ def far_from_data(sensor: str, found: TriadDrift) -> list[Finding]:
     ]
 
 
-def _triad_findings(sensor: str, found: TriadDrift) -> list[Finding]:
-    loop, kept = found.curve.loop, found.curve.kept_loop
+def _triad_findings(sensor: str, triad: TriadDrift) -> list[Finding]:
+    loop, has_loop = triad.curve.loop, triad.curve.kept_loop
     if loop is None:
-        return far_from_data(sensor, found)
+        return far_from_data(sensor, triad)
     size = {"half_width": loop.half, "uncertainty": loop.uncertainty}
-    choice = found.curve.choice
+    choice = triad.curve.choice
     if choice is not None and choice.hysteresis is not None:
         errors = {"left_out": choice.left_out, "left_out_middle": choice.left_out_middle}
         crossing = {"crossing_k": choice.hysteresis.crossing_k, "doubt_k": choice.hysteresis.crossing_uncertainty_k}
         seen = finding("drift.hysteresis_corrected", "info", sensor=sensor, **size, **crossing, **errors)
     else:
-        seen = finding("drift.hysteresis" if kept else "drift.no_hysteresis", "info", sensor=sensor, **size)
-    return [*far_from_data(sensor, found), seen]
+        seen = finding("drift.hysteresis" if has_loop else "drift.no_hysteresis", "info", sensor=sensor, **size)
+    return [*far_from_data(sensor, triad), seen]
 
 
 # ---- one triad: the curve with hysteresis, warm-up and sessions
@@ -298,55 +298,55 @@ def _triad_findings(sensor: str, found: TriadDrift) -> list[Finding]:
 @determined("offset over temperature")
 def fit_curve(offsets: Offsets, *, warm_up: bool, lag_doubt_s: float | None = None) -> OffsetCurve:
     """Fit offset over temperature and what goes beside it; a loop is corrected where a doubt about the lag is given."""
-    blocks, found, state = offsets.blocks, list[Finding](), cooling(offsets.blocks)
+    blocks, findings, state = offsets.blocks, list[Finding](), cooling(offsets.blocks)
     seen = both_ways(blocks, state)
     if not seen:
-        found.append(_no_loop(blocks, state))
+        findings.append(_no_loop(blocks, state))
     tau = None
     if warm_up:
         try:
             tau = warm_up_time(blocks, offsets.value)
         except NotObservable as error:
             own = error.numbers["share"]
-            found.append(finding("drift.warm_up_not_observable", "info", percent=100.0 * (1.0 - own)))  # type: ignore[operator]
+            findings.append(finding("drift.warm_up_not_observable", "info", percent=100.0 * (1.0 - own)))  # type: ignore[operator]
     decay = [] if tau is None else [np.exp(-blocks.power_on_s / tau)]
     tried = seen and lag_doubt_s is not None
     given = [*([state] if seen else []), *decay, *([blocks.ramp_c_per_min / 60.0, *courses(blocks).T] if tried else [])]
     cells = _cells(offsets, given, None if not seen else state, tau)
     count = int(seen) + len(decay)
     effects, of_course = cells.regressors[:, :count], cells.regressors[:, count:]
-    loop, choice, kept = None, None, False
+    loop, choice, has_loop = None, None, False
     cells = replace(cells, regressors=effects)
     if seen:
         full = _smoothed(cells)
         loop = _loop_of(full[1])
-        kept = shows(full[1], 0)
+        has_loop = shows(full[1], 0)
     if tried:
         missed = _missed(full[1], cells, of_course[:, 0], lag_doubt_s or 0.0)
         choice = choose_loop(cells, of_course[:, 1:], full[1], missed, _smoothed)
     if choice is not None:
         full = choice.fitted
         loop = _loop_of(full[1])
-        kept = kept or shows(full[1], 0)
-        choice = choice if kept else None
-    cells, spline, turn_on = full if kept else _smoothed(_cells(offsets, decay, None, tau))
+        has_loop = has_loop or shows(full[1], 0)
+        choice = choice if has_loop else None
+    cells, spline, turn_on = full if has_loop else _smoothed(_cells(offsets, decay, None, tau))
     if turn_on is None:
-        found.append(finding("drift.one_session", "info"))
+        findings.append(finding("drift.one_session", "info"))
     elif not np.isfinite(turn_on.variance).all():
-        found.append(finding("drift.sessions_apart", "info", sessions=turn_on.sessions))
+        findings.append(finding("drift.sessions_apart", "info", sessions=turn_on.sessions))
     elif turn_on.bounded.any():
         axes = tuple(axis for axis, held in zip(AXES, turn_on.bounded, strict=True) if held)
-        found.append(finding("drift.turn_on_bound", "info", sessions=turn_on.sessions, axes=axes))
-    found += _left_out_findings(spline)
+        findings.append(finding("drift.turn_on_bound", "info", sessions=turn_on.sessions, axes=axes))
+    findings += _left_out_findings(spline)
     return OffsetCurve(
         spline=spline,
         cells=cells,
         loop=loop,
-        kept_loop=kept,
+        kept_loop=has_loop,
         choice=choice,
         warm_up=None if tau is None else warm_up_table(tau, spline.coefficient[-1]),
         turn_on=turn_on,
-        findings=tuple(found),
+        findings=tuple(findings),
     )
 
 
@@ -476,20 +476,20 @@ def warm_up_time(blocks: RestBlocks, value: FloatArray) -> float:
     def unexplained(values: FloatArray) -> FloatArray:
         return np.asarray(values - basis @ np.linalg.lstsq(basis, values, rcond=None)[0])
 
-    constants, left = np.geomspace(30.0, 3600.0, 25), unexplained(value)
-    misfit, own = np.zeros(len(constants)), np.zeros(len(constants))
+    constants, residual = np.geomspace(30.0, 3600.0, 25), unexplained(value)
+    misfit, share = np.zeros(len(constants)), np.zeros(len(constants))
     for k, tau in enumerate(constants):
         decay = np.exp(-blocks.power_on_s / tau)[:, None]
         rest = unexplained(decay)
-        own[k] = rest.var() / max(float(decay.var()), 1e-300)
-        explained = (rest.T @ left)[0] ** 2 / max(float((rest**2).sum()), 1e-300)
-        misfit[k] = -float((explained / np.maximum(left.var(axis=0), 1e-300)).sum())
+        share[k] = rest.var() / max(float(decay.var()), 1e-300)
+        explained = (rest.T @ residual)[0] ** 2 / max(float((rest**2).sum()), 1e-300)
+        misfit[k] = -float((explained / np.maximum(residual.var(axis=0), 1e-300)).sum())
     best = int(np.argmin(misfit))
-    if own[best] < _LEAST_OWN:
+    if share[best] < _LEAST_OWN:
         raise NotObservable(
-            f"warm-up: wanted temperature and time since power-on that differ, got {100.0 * (1.0 - own[best]):.1f} % of the one "
+            f"warm-up: wanted temperature and time since power-on that differ, got {100.0 * (1.0 - share[best]):.1f} % of the one "
             "explained by the other; hold one temperature for half an hour after power-on, or warm up from two temperatures",
-            share=float(own[best]),
+            share=float(share[best]),
         )
     return float(constants[best])
 

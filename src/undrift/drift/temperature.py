@@ -176,28 +176,28 @@ def check_span(temperatures: Sequence[Temperature], *, settings: TemperatureSett
 def _from_column(
     raw: FloatArray, time: FloatArray, stated: list[tuple[slice, float]], index: int, settings: TemperatureSettings
 ) -> Temperature:
-    known = np.isfinite(raw)
-    missing = 1.0 - float(known.mean())
-    if missing > settings.most_missing or known.sum() < 2:
+    finite = np.isfinite(raw)
+    missing = 1.0 - float(finite.mean())
+    if missing > settings.most_missing or finite.sum() < 2:
         raise InputError(
             f"temperature of recording {index}: wanted readings in {100 * (1 - settings.most_missing):g} % of the rows or more, "
-            f"got {int(known.sum())} of {len(raw)} (the others NaN); map another column or leave it out and state set-points",
+            f"got {int(finite.sum())} of {len(raw)} (the others NaN); map another column or leave it out and state set-points",
             missing=missing,
         )
     _check_board(raw, time, index)
-    step, found = step_of(raw[known]), list[Finding]()
+    step, notes = step_of(raw[finite]), list[Finding]()
     spikes = _spikes(raw, step)
     if spikes.any():
         size = np.ptp(raw[spikes | np.roll(spikes, 1)])
         first, count = time[spikes][0], spikes.sum()
-        found.append(
+        notes.append(
             finding("drift.temperature_spikes", "info", recording=index, count=count, first_s=first, largest_c=size)
         )
     stale, repeated = _stale(np.where(spikes, np.nan, raw), time, step, index)
-    used = known & ~spikes & ~stale
+    used = finite & ~spikes & ~stale
     noise = noise_of(raw[used], step)
     course, uncertainty = _course(raw[used], time[used], step, noise)
-    found += [*repeated, *_suspicious(raw[used], time[used], step, noise, index), *_off_set_points(raw, stated, index)]
+    notes += [*repeated, *_suspicious(raw[used], time[used], step, noise, index), *_off_set_points(raw, stated, index)]
     temp_c = np.full(len(time), np.nan)
     temp_c[used] = course
 
@@ -207,7 +207,7 @@ def _from_column(
         after = np.searchsorted(ends, time[gone])
         short = gone[ends[after] - ends[after - 1] <= settings.longest_gap_s]
         temp_c[short] = np.interp(time[short], time[used], course)
-        found.append(
+        notes.append(
             finding(
                 "drift.temperature_gaps",
                 "info",
@@ -219,7 +219,7 @@ def _from_column(
             )
         )
     return Temperature(
-        temp_c=temp_c, uncertainty_c=uncertainty, noise_c=noise, step_c=step, source="column", findings=tuple(found)
+        temp_c=temp_c, uncertainty_c=uncertainty, noise_c=noise, step_c=step, source="column", findings=tuple(notes)
     )
 
 
@@ -250,8 +250,8 @@ def _spikes(temp_c: FloatArray, step_c: float) -> BoolArray:
 
 def _stale(temp_c: FloatArray, time: FloatArray, step_c: float, index: int) -> tuple[BoolArray, list[Finding]]:
     """Mark readings that repeat an old one, (N,)."""
-    known = np.flatnonzero(np.isfinite(temp_c))
-    values, at = temp_c[known], time[known]
+    finite = np.flatnonzero(np.isfinite(temp_c))
+    values, at = temp_c[finite], time[finite]
     first = np.flatnonzero(np.concatenate(([True], np.diff(values) != 0.0)))
     last = np.append(first[1:], len(values)) - 1
     stay = at[last] - at[first]
@@ -262,7 +262,7 @@ def _stale(temp_c: FloatArray, time: FloatArray, step_c: float, index: int) -> t
     long = (stay >= STALE_S) & (sudden | lively)
     stale = np.zeros(len(temp_c), dtype=bool)
     for run in np.flatnonzero(long):
-        stale[known[first[run] + 1 : last[run] + 1]] = True
+        stale[finite[first[run] + 1 : last[run] + 1]] = True
     if not long.any():
         return stale, []
     worst = int(np.flatnonzero(long)[np.argmax(stay[long])])
@@ -282,9 +282,9 @@ def _stale(temp_c: FloatArray, time: FloatArray, step_c: float, index: int) -> t
 
 def _suspicious(temp_c: FloatArray, time: FloatArray, step_c: float, noise_c: float, index: int) -> list[Finding]:
     """Look for coarse steps, jumps, and a temperature of no room."""
-    found: list[Finding] = []
+    findings: list[Finding] = []
     if step_c >= COARSE_C:
-        found.append(finding("drift.temperature_steps", "info", recording=index, step_c=step_c))
+        findings.append(finding("drift.temperature_steps", "info", recording=index, step_c=step_c))
     if len(temp_c) >= 2 * JUMP_SIDE:  # medians of five readings that differ from the next five
         middle = np.median(np.lib.stride_tricks.sliding_window_view(temp_c, JUMP_SIDE), axis=1)
         change = np.abs(middle[JUMP_SIDE:] - middle[:-JUMP_SIDE])
@@ -294,13 +294,13 @@ def _suspicious(temp_c: FloatArray, time: FloatArray, step_c: float, noise_c: fl
             groups = np.split(jumps, np.flatnonzero(np.diff(jumps) > JUMP_SIDE) + 1)
             first = time[groups[0][len(groups[0]) // 2] + JUMP_SIDE]  # medians differ while most of one side is past it
             size, count = change[jumps].max(), len(groups)
-            found.append(
+            findings.append(
                 finding("drift.temperature_jumps", "info", recording=index, largest_c=size, first_s=first, count=count)
             )
     if temp_c.min() > HOT_C:
         low, high = temp_c.min(), temp_c.max()
-        found.append(finding("drift.temperature_hot", "warn", recording=index, low_c=low, high_c=high))
-    return found
+        findings.append(finding("drift.temperature_hot", "warn", recording=index, low_c=low, high_c=high))
+    return findings
 
 
 def _off_set_points(raw: FloatArray, stated: list[tuple[slice, float]], index: int) -> list[Finding]:
@@ -392,7 +392,7 @@ def smoothing_spline(t: FloatArray, y: FloatArray, weight: FloatArray) -> tuple[
     second[2] = left**2 * v[:-2] + middle**2 * v[1:-1] + right**2 * v[2:]
     second[1, 1:] = middle[:-1] * left[1:] * v[1:-2] + right[:-1] * middle[1:] * v[2:-1]
     second[0, 2:] = right[:-2] * left[2:] * v[2:-2]
-    found = []
+    fits = []
     for stiffness in STIFFNESS:  # z = Q^T y has covariance s^2 (R / l + Q^T W^-1 Q)
         factor = cholesky_banded(tents / stiffness + second)
         c = cho_solve_banded((factor, False), z)
@@ -400,8 +400,8 @@ def smoothing_spline(t: FloatArray, y: FloatArray, weight: FloatArray) -> tuple[
         likelihood = -math.inf  # of a straight line without noise
         if variance > 0.0:
             likelihood = -0.5 * len(z) * math.log(variance) - float(np.log(factor[2]).sum())
-        found.append((likelihood, stiffness, np.asarray(c) / stiffness, variance))
-    _, stiffness, c, variance = max(found, key=lambda each: each[0])
+        fits.append((likelihood, stiffness, np.asarray(c) / stiffness, variance))
+    _, stiffness, c, variance = max(fits, key=lambda each: each[0])
 
     def half_log(x: float) -> float:
         return float(np.log(cholesky_banded(tents + x * second)[2]).sum())
@@ -449,14 +449,14 @@ def _crossings(level: FloatArray, time: FloatArray) -> tuple[FloatArray, FloatAr
     dwell = 0.5 * float(np.quantile(np.diff(passed), 0.1)) if len(passed) > 1 else 0.2 * span
     mean = _running_mean(level, time, 0.25 * dwell)
     code = np.floor(mean + 0.5)
-    found = []
+    crossings = []
     for k in np.flatnonzero(np.diff(code)):
         low, high = sorted(code[k : k + 2])
         rising = bool(code[k + 1] > code[k])
         for between in np.arange(low, high)[:: 1 if rising else -1] + 0.5:
             part = (between - mean[k]) / (mean[k + 1] - mean[k])
-            found.append((float(time[k] + part * (time[k + 1] - time[k])), between, rising))
-    at, height, up = np.array(found).reshape(-1, 3).T
+            crossings.append((float(time[k] + part * (time[k + 1] - time[k])), between, rising))
+    at, height, up = np.array(crossings).reshape(-1, 3).T
     return _without_chatter(at, height, up > 0.0, span)
 
 
@@ -634,13 +634,13 @@ def met_in_use(
     """Return the extremes, (2,) degC each, that ``correct`` would look up: readings are noisier than their smooth course."""
     ends: list[FloatArray] = []
     for session, own, smooth in zip(sessions, trusted, course, strict=True):
-        for record, found, settled in zip(session.records, own, smooth, strict=True):
-            if record.temp_c is None or found.source != "column":
+        for record, temperature, settled in zip(session.records, own, smooth, strict=True):
+            if record.temp_c is None or temperature.source != "column":
                 continue
             met, gain = record.temp_c, 1.0
             if lag_s > 0.0:
                 met, gain = without_lag(met, record.time, lag_s=lag_s, smooth_s=smooth_s)[0], lag_s / smooth_s
-            far = _STRAY * gain * max(found.noise_c, found.step_c, _LEAST_NOISE_C)
+            far = _STRAY * gain * max(temperature.noise_c, temperature.step_c, _LEAST_NOISE_C)
             near = met[np.abs(met - settled) <= far]  # a gap is near nothing
             if len(near):
                 ends.append(np.array([near.min(), near.max()]))
@@ -655,25 +655,25 @@ def estimate_lag(blocks: RestBlocks, *, longest_s: float = 300.0) -> LagFit:
     ramp = blocks.ramp_c_per_min
     direction, way = _directions(blocks)
     moved = np.isfinite(blocks.temp_c) & np.isfinite(ramp) & (direction != 0.0)
-    kept = moved & (way > TURN_C)
-    if kept.sum() < FEWEST or len(np.unique(direction[kept])) < 2:
-        kept = moved
-    readings = _readings(blocks, kept)
-    moving = np.abs(ramp[kept][np.abs(ramp[kept]) > MOVING_C_PER_MIN])
-    if kept.sum() < FEWEST or readings.shape[1] == 0 or len(moving) < FEWEST:
+    rows = moved & (way > TURN_C)
+    if rows.sum() < FEWEST or len(np.unique(direction[rows])) < 2:
+        rows = moved
+    readings = _readings(blocks, rows)
+    moving = np.abs(ramp[rows][np.abs(ramp[rows]) > MOVING_C_PER_MIN])
+    if rows.sum() < FEWEST or readings.shape[1] == 0 or len(moving) < FEWEST:
         few = {"count": len(moving), "least_c_per_min": MOVING_C_PER_MIN, "wanted": FEWEST}
         return LagFit(findings=(finding("drift.lag_few_blocks", "info", **few),))
-    temp, slope, pose = blocks.temp_c[kept], ramp[kept] / 60.0, blocks.pose[kept]
+    temp, slope, pose = blocks.temp_c[rows], ramp[rows] / 60.0, blocks.pose[rows]
     poses = np.asarray(pose[:, None] == np.unique(pose)[1:], dtype=np.float64)
     q, _ = np.linalg.qr(np.hstack((_spline(temp), poses)))
-    rest = ramp[kept] - q @ (q.T @ ramp[kept])
-    left = float(rest @ rest / max(float(ramp[kept] @ ramp[kept]), 1e-12))
+    rest = ramp[rows] - q @ (q.T @ ramp[rows])
+    left = float(rest @ rest / max(float(ramp[rows] @ ramp[rows]), 1e-12))
     if left < BOTH_WAYS:  # temperature and pose explain which way it went
         return LagFit(findings=(finding("drift.lag_one_way", "info", percent=100.0 * (1.0 - left)),))
     slow, fast = np.quantile(moving, (0.1, 0.9))
     two_speeds = bool(fast > TWO_SPEEDS * slow)
-    fixed = [poses, direction[kept][:, None]] if two_speeds else [poses]
-    power_on = np.exp(-blocks.power_on_s[kept] / WARM_UP_S)
+    fixed = [poses, direction[rows][:, None]] if two_speeds else [poses]
+    power_on = np.exp(-blocks.power_on_s[rows] / WARM_UP_S)
     if np.ptp(power_on) > 0.1:
         fixed.append(power_on[:, None])
 
@@ -700,12 +700,12 @@ def _judged(lag: float, lags: FloatArray, misfit: FloatArray, two_speeds: bool) 
     uncertainty = 1.0 / float(np.sqrt(curve)) if curve > 0.0 else float(np.ptp(lags[misfit <= 1.0]))
     if curve > 0.0:
         lag = float(np.clip(lag - 0.5 * tilt / curve, lags[i - 1], lags[i + 1]))
-    found: tuple[Finding, ...] = ()
+    findings: tuple[Finding, ...] = ()
     at_end = bool(misfit[-1] <= 4.0)  # within two standard deviations
     if at_end:
-        found = (finding("drift.lag_unbounded", "info", longest_s=lags[-1]),)
+        findings = (finding("drift.lag_unbounded", "info", longest_s=lags[-1]),)
     elif not two_speeds:
-        found = (finding("drift.lag_or_hysteresis", "info", lag_s=lag),)
+        findings = (finding("drift.lag_or_hysteresis", "info", lag_s=lag),)
     return LagFit(
         lag_s=0.0 if at_end else lag,
         uncertainty_s=uncertainty if two_speeds and not at_end else float("inf"),
@@ -713,7 +713,7 @@ def _judged(lag: float, lags: FloatArray, misfit: FloatArray, two_speeds: bool) 
         two_speeds=two_speeds,
         lags_s=lags,
         misfit=misfit,
-        findings=found,
+        findings=findings,
     )
 
 

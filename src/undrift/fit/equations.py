@@ -376,18 +376,18 @@ def _climbed(
     free: Sequence[int],
 ) -> Components:
     variance, least = sizes
-    made = _at_sizes(normal, moment, precision, groups, variance)
+    fit = _at_sizes(normal, moment, precision, groups, variance)
     for _ in range(_STEPS):
         before = variance.copy()
         for number in free:
             own = groups[number]
-            left = len(own) - float(made.covariance[own, own].sum()) / max(float(made.variance[number]), 1e-300)
-            size = float(made.theta[own] @ made.theta[own]) / max(left, 1e-3 * len(own))
-            variance[number] = max(size, least[number], 1e-6 * float(made.variance[number]))
-        made = _at_sizes(normal, moment, precision, groups, variance)
+            left = len(own) - float(fit.covariance[own, own].sum()) / max(float(fit.variance[number]), 1e-300)
+            size = float(fit.theta[own] @ fit.theta[own]) / max(left, 1e-3 * len(own))
+            variance[number] = max(size, least[number], 1e-6 * float(fit.variance[number]))
+        fit = _at_sizes(normal, moment, precision, groups, variance)
         if (np.abs(variance - before) <= 1e-3 * before).all():
             break
-    return made
+    return fit
 
 
 def _at_sizes(

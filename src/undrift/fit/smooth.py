@@ -237,16 +237,16 @@ def _weighed(
     x: FloatArray,
     y: FloatArray,
     basis: FloatArray,
-    known: FloatArray,
+    covariance: FloatArray,
     correlation: FloatArray,
     span: float,
     expected: float,
     size: float,
 ) -> Column:
     """Return a column with its hyperparameters; expected: sqrt(s2) before the data, 0 where nothing is known; size: usual range."""
-    noise = float(np.sqrt(np.median(np.diag(known))))
+    noise = float(np.sqrt(np.median(np.diag(covariance))))
     size = max(float(np.ptp(y)), size, 2.0 * noise, _NOTHING)
-    known = known + np.eye(len(y)) * _JITTER * max(float(np.var(y)), 0.01 * size**2)
+    covariance = covariance + np.eye(len(y)) * _JITTER * max(float(np.var(y)), 0.01 * size**2)
     bow = (span / (8.0 * _BOW_SPAN_C) * size) ** 2
     bent = np.column_stack((basis, parabola(x)))
     left = y - bent @ np.linalg.lstsq(bent, y, rcond=None)[0]
@@ -262,26 +262,26 @@ def _weighed(
     levels: FloatArray = np.geomspace(_LEAST * expected, _BESIDE * expected + visits, _LEVELS)
     roots: FloatArray = np.geomspace(_LEAST * usual, usual + bends / _PER_BEND, _BENDS)
     parts = contrasts(x, basis)
-    fixed = known + bow * np.outer(parabola(x), parabola(x))
+    fixed = covariance + bow * np.outer(parabola(x), parabola(x))
     for last in (False, True):
         eigen, turn, log = likelihood(parts, y, x, fixed, correlation, roots**2, levels**2)
         prior = _half_t(levels, _USUAL * expected)[:, None] + _half_t(roots, usual)
         weight = np.exp(log + prior - (log + prior).max())
         if not last:
             levels, roots = _finer(levels, weight.sum(axis=1)), _finer(roots, weight.sum(axis=0))
-    kept = weight.sum(axis=1) > _NEGLIGIBLE * weight.sum()
+    likely = weight.sum(axis=1) > _NEGLIGIBLE * weight.sum()
     return Column(
         x=x,
         y=y,
         basis=basis,
-        known=known,
+        known=covariance,
         correlation=correlation,
         bow=bow,
         bend=roots**2,
-        scatter=levels[kept] ** 2,
-        weight=weight[kept] / weight[kept].sum(),
-        size=eigen[kept],
-        turn=turn[kept],
+        scatter=levels[likely] ** 2,
+        weight=weight[likely] / weight[likely].sum(),
+        size=eigen[likely],
+        turn=turn[likely],
     )
 
 
@@ -338,10 +338,10 @@ def predicted(column: Column, nodes: FloatArray) -> tuple[FloatArray, FloatArray
     a, at_rows = contrasts(x, column.basis), parabola(x)
     if n:
         straight = np.column_stack((np.ones(n), nodes, np.zeros((n, p - 2))))
-        at_nodes, cross, own = parabola(nodes), bending(nodes, x), bending(nodes, nodes)
+        at_nodes, cross, gram = parabola(nodes), bending(nodes, x), bending(nodes, nodes)
     else:
         n = p - 2
-        straight, at_nodes, cross, own = np.eye(p)[2:], np.zeros(n), np.zeros((n, len(x))), np.zeros((n, n))
+        straight, at_nodes, cross, gram = np.eye(p)[2:], np.zeros(n), np.zeros((n, len(x))), np.zeros((n, n))
     by_trend = straight @ np.linalg.pinv(column.basis)
     rows, bow = bending(x, x), column.bow
     fixed = column.known + bow * np.outer(at_rows, at_rows)
@@ -360,7 +360,7 @@ def predicted(column: Column, nodes: FloatArray) -> tuple[FloatArray, FloatArray
     q_mean, s2_mean = column.weight.sum(axis=0) @ column.bend, column.weight.sum(axis=1) @ column.scatter
     tied = by_trend @ (q_mean * rows + fixed + s2_mean * column.correlation) @ by_trend.T
     crossed = (q_mean * cross + bow * np.outer(at_nodes, at_rows)) @ by_trend.T
-    covariance = q_mean * own + bow * np.outer(at_nodes, at_nodes) + tied - crossed - crossed.T + apart.T @ apart
+    covariance = q_mean * gram + bow * np.outer(at_nodes, at_nodes) + tied - crossed - crossed.T + apart.T @ apart
     both = _sum_of_products(of_rest * once[:, None], of_bends)
     covariance -= _sum_of_products(of_rest * none[:, None], of_rest) + both + both.T
     covariance -= _sum_of_products(of_bends * twice[:, None], of_bends)

@@ -316,7 +316,7 @@ def validate_leave_one_out(
     records, references = [pair[0] for pair in pairs], [pair[1] for pair in pairs]
     _check_different(records)
     adc = device_adc(records) if settings.adc == "auto" else None
-    held = leave_one_out(
+    fits = leave_one_out(
         records,
         references,
         settings=fit_settings,
@@ -334,7 +334,7 @@ def validate_leave_one_out(
             adc=h.adc,
             verdict=h.fit.triad.verdict,
         )
-        for record, h in zip(records, held, strict=True)
+        for record, h in zip(records, fits, strict=True)
     ]
     of_each = replace(settings, offset="none")
     if fit_settings.mounting == "each":
@@ -343,12 +343,12 @@ def validate_leave_one_out(
     source = OffsetSource(
         rest="other" if fit_settings.offset == "common" else "own", in_motion=in_motion, recordings=len(pairs) - 1
     )
-    apart, trials = _told_apart(held), list[Trial]()
-    for (record, reference), made, h, name in zip(pairs, calibrations, held, called, strict=True):
+    apart, trials = _told_apart(fits), list[Trial]()
+    for (record, reference), made, h, name in zip(pairs, calibrations, fits, called, strict=True):
         trial = validate_trial(record, reference, calibration=made, settings=of_each, name=name, source=source)
         more = (item for item in (h.extrapolation, h.rounding, apart) if item)
         trials.append(replace(trial, findings=(*trial.findings, *more)))
-    return replace(summed(tuple(trials)), held_out=held)
+    return replace(summed(tuple(trials)), held_out=fits)
 
 
 def _check_different(records: Sequence[Record]) -> None:

@@ -124,13 +124,13 @@ def _sensitivity(run: Strapdown, model: TriadModel, source: OffsetSource) -> tup
     regressors = np.concatenate((gyro @ np.linalg.inv(matrix).T, np.ones((len(gyro), 1)), force @ run.turned), axis=1)
     width = max(1, round(_STEP_S * run.record.sample_rate_hz))
     last = max(1, int(np.searchsorted(time, run.stop_s, side="right")) - 1)
-    kept = np.append(np.arange(0, last, width), last)
-    total, relative = np.zeros((len(kept), 3, 3, regressors.shape[1])), np.empty((len(kept), 4))
+    knots = np.append(np.arange(0, last, width), last)
+    total, relative = np.zeros((len(knots), 3, 3, regressors.shape[1])), np.empty((len(knots), 4))
     flat = (np.ascontiguousarray(gyro).reshape(-1), np.ascontiguousarray(regressors).reshape(-1))
     accumulate(
-        *flat, np.ascontiguousarray(time), np.ascontiguousarray(time[kept]), relative.reshape(-1), total.reshape(-1)
+        *flat, np.ascontiguousarray(time), np.ascontiguousarray(time[knots]), relative.reshape(-1), total.reshape(-1)
     )
-    axes = np.stack([rotate(q[kept], axis[None]) for axis in np.eye(3)], axis=2)  # (K, 3, 3), R_nb
+    axes = np.stack([rotate(q[knots], axis[None]) for axis in np.eye(3)], axis=2)  # (K, 3, 3), R_nb
     sums = np.einsum("ab,kbcd->kacd", axes[0], total)
     columns = []
     for name in model.parameters:
@@ -143,7 +143,7 @@ def _sensitivity(run: Strapdown, model: TriadModel, source: OffsetSource) -> tup
     moved = axes - axes[0]
     start = np.broadcast_to(np.eye(3), moved.shape)
     gain = np.concatenate((np.stack(columns, axis=2), sums[..., 3], start, moved), axis=2)
-    return time[kept], gain, rotate(q[kept], gyro[kept])
+    return time[knots], gain, rotate(q[knots], gyro[knots])
 
 
 def _covariance(run: Strapdown, model: TriadModel, source: OffsetSource, prior: ErrorPrior) -> FloatArray:

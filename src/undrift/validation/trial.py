@@ -470,14 +470,14 @@ def validate_trial(
     before = gaps[done.time < motion.start_s - settings.lead_s]  # after the rest, a gap is refused
     if before.any():
         findings += (finding("validate.gaps_before", "warn", gaps=int(before.sum()), samples=len(before)),)
-    done, left, more = _re_zeroed(done, motion, settings)
+    done, rest_offset, more = _re_zeroed(done, motion, settings)
     done, mounting = _aligned(done, poses, lag, settings)
-    held = 0.5 / done.sample_rate_hz  # strapdown holds each reading over the step before its stamp
+    half_step = 0.5 / done.sample_rate_hz  # strapdown holds each reading over the step before its stamp
     track = track_from_rest(
-        done, reference, motion, shift_s=lag.seconds - held, rest_s=settings.rest_s, lead_s=settings.lead_s
+        done, reference, motion, shift_s=lag.seconds - half_step, rest_s=settings.rest_s, lead_s=settings.lead_s
     )
     undone, axes = abs(lag.seconds) > settings.undo_lag_above_s, {"forward": settings.forward, "up": settings.up}
-    tracks = [orientation_at(*track, reference.time + shift) for shift in (0.0, lag.seconds - held)]
+    tracks = [orientation_at(*track, reference.time + shift) for shift in (0.0, lag.seconds - half_step)]
     errors = [compare_orientations(q, reference.q_nb, **axes) for q in tracks]
     error, sensor = errors[undone], tracks[undone]
     moving, after = _stretches(reference, motion, lag.seconds * undone, settings)
@@ -508,9 +508,9 @@ def validate_trial(
         sensor_pitch=pitches[0],
         reference_pitch=pitches[1],
         moving=moving.astype(float),
-        rest=left,
+        rest=rest_offset,
     )
-    late = (lag.seconds - held) * (not undone)
+    late = (lag.seconds - half_step) * (not undone)
     return replace(judged, expected=_expected(judged, done, track, late, calibration, settings, source))
 
 
@@ -692,12 +692,12 @@ def _aligned(record: Record, poses: Reference, lag: Lag, settings: TrialSettings
     if settings.align == "none":
         return record, None
     try:
-        found = align_rates(record, poses, lag_s=lag.seconds)
+        alignment = align_rates(record, poses, lag_s=lag.seconds)
     except AlignmentError:
         if settings.align == "rates":
             raise
         return record, None  # turning about one axis alone does not show the mounting; it is taken as stated
-    if settings.align == "auto" and found.angle <= settings.align_above:
-        return record, Mounting(alignment=found, applied=False)
-    gyro, accel = (x if x is None else x @ found.rotation.T for x in (record.gyro, record.accel))
-    return replace(record, gyro=gyro, accel=accel), Mounting(alignment=found, applied=True)
+    if settings.align == "auto" and alignment.angle <= settings.align_above:
+        return record, Mounting(alignment=alignment, applied=False)
+    gyro, accel = (x if x is None else x @ alignment.rotation.T for x in (record.gyro, record.accel))
+    return replace(record, gyro=gyro, accel=accel), Mounting(alignment=alignment, applied=True)
