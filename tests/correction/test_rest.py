@@ -14,6 +14,10 @@ from undrift.errors import InputError
 from undrift.model import Calibration
 from undrift.orientation import OrientSettings, orient
 from undrift.record import Record
+from undrift.sim.device.presets import random_device
+from undrift.sim.device.truth import true_calibration
+from undrift.sim.sessions import simulate_trial
+from undrift.validation.trial import TrialSettings, validate_trial
 
 FS = 100.0
 LEFT = np.array([0.02, -0.01, 0.005])  # rad/s
@@ -148,3 +152,18 @@ def test_a_recording_without_a_rest_or_without_gyroscopes_is_refused_in_one_line
         correct(only, CALIBRATION, offset="rest")
     with pytest.raises(InputError, match="rest: wanted a recording, got no samples"):
         find_rest_offset_in(iter(()))
+
+
+def test_correct_orient_and_validate_subtract_the_mean_of_the_same_rest():
+    rng = np.random.default_rng(5)
+    device = random_device(rng)
+    made = simulate_trial("sit_to_stand", device, rng=rng)
+    calibration = true_calibration(device)
+    done = correct_checked(made.record, calibration, offset="rest")
+    judged = validate_trial(made.record, made.reference, calibration=calibration, settings=TrialSettings(offset="rest"))
+    oriented = orient(correct(made.record, calibration), settings=OrientSettings(offset="rest"))
+    time = np.asarray(made.record.time)
+    assert (done.rest.start_s, done.rest.stop_s) == (judged.rest.start_s, judged.rest.stop_s)
+    assert (done.rest.start_s, done.rest.stop_s) == (time[oriented.still.start], time[oriented.still.stop - 1])
+    np.testing.assert_allclose(judged.rest.rate, done.rest.rate, rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(oriented.offset, done.rest.rate, rtol=0.0, atol=1e-12)
