@@ -180,7 +180,7 @@ def drift_summary(fit: "DriftFit") -> Summary:
         if worth.turned:
             before += f", {worth.rest_deg:.2f} deg re-zeroed at a rest before the motion"
             after += f", {worth.both_deg:.2f} deg with both"
-        errors = f"Before: {before}. After: {after} (95 %, as stated). Largest error of {worth.motion}."
+        errors = f"Before: {before}. After: {after} (95 %, as stated)."
         lead = f"{errors} {worth.answer}. Fitted to {lead}"
     return Summary(
         title=f"Thermal drift of {fit.calibration.device or 'device without a serial number'}",
