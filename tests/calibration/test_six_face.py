@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from testkit.cohorts import LARGER_COHORTS
+from testkit.cohorts import LARGER_COHORTS, first_and_long
 from testkit.data import show
 from testkit.findings import codes, only
 from undrift.calibration.checks import check_scale_factor, face_vectors
@@ -324,7 +324,7 @@ def test_levelled_does_not_depend_on_the_unit_of_the_readings(scale):
 
 
 @pytest.mark.parametrize("devices", LARGER_COHORTS)
-@pytest.mark.parametrize("tilt_deg", [0.005, 0.01, 0.02, 0.05, 0.25])
+@pytest.mark.parametrize("tilt_deg", [0.01, *first_and_long((0.02, 0.005, 0.05, 0.25))])
 def test_intervals_of_a_levelled_fit_hold_also_where_tilt_and_noise_are_alike(tilt_deg, devices):
     # 2 mm/s2 of noise are 0.012 deg of tilt.
     rng = np.random.default_rng(9)
@@ -340,7 +340,7 @@ def test_intervals_of_a_levelled_fit_hold_also_where_tilt_and_noise_are_alike(ti
         inside.append(np.abs(error) <= 1.959964 * model.standard_uncertainty)
     share = float(np.mean(inside))
     show(f"tilt {tilt_deg} deg: coverage of 95 % intervals", f"{share:.4f}", (0.93, 0.97))
-    assert 0.93 <= share <= 0.97  # 3,600 intervals, twelve a device share its tilt: standard error 0.5 %
+    assert 0.93 <= share <= 0.97  # 2,400 intervals, twelve a device share its tilt: standard error 0.6 %
 
 
 def closed_form(reading):
@@ -354,7 +354,7 @@ def errors_of(model, offset, forward, true_offset, directions):
     return np.sqrt(np.mean((np.linalg.norm(a, axis=1) - G) ** 2)), np.abs(offset - true_offset).mean()
 
 
-@pytest.mark.parametrize("tilt_deg", [0.0, 0.05, 0.1, 0.25, 0.5])
+@pytest.mark.parametrize("tilt_deg", [0.0, 0.1, *first_and_long((0.5, 0.05, 0.25))])
 def test_levelled_never_loses_to_the_closed_form_or_to_plain_least_squares(tilt_deg):
     # 250 devices with 1 % matrices, 0.2 m/s2 offsets and 2 mm/s2 noise; each face turned about a random axis by N(0, tilt).
     rng = np.random.default_rng(round(1000 * tilt_deg))

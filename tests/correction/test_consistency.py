@@ -137,7 +137,7 @@ def comma(text: str) -> float:
 @pytest.fixture(scope="module")
 def bench():
     rng = np.random.default_rng(11)
-    devices = [undrift.random_device(rng) for _ in range(6)]
+    devices = [undrift.random_device(rng) for _ in range(4)]
     calibrations = [undrift.calibrate(undrift.simulate_session("bench", device, rng=rng)) for device in devices]
     trials = [undrift.simulate_trial("sit_to_stand", device, rng=rng).record for device in devices]
     return calibrations, trials
@@ -155,8 +155,8 @@ def test_the_own_calibration_raises_no_suspicion(bench):
 
 def test_the_calibration_of_another_device_is_questioned(bench):
     calibrations, trials = bench
-    seen = [codes(calibrations[k], trials[(k + 1) % 6]) for k in range(6)]
-    show("questioned of 6", sum(one == ["correct.other_device"] for one in seen))
+    seen = [codes(calibrations[k], trials[(k + 1) % 4]) for k in range(4)]
+    show("questioned of 4", sum(one == ["correct.other_device"] for one in seen))
     assert all(one == ["correct.other_device"] for one in seen)
 
 

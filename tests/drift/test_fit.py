@@ -404,8 +404,9 @@ def chosen(made, seed=0, temps=TEMPS, steps=None, **kept):
         ("scale + dynamic", {"rate_drift": RateDrift(coefficients=CUBIC)}),
     ],
 )
-def test_a_device_gets_the_tables_that_it_needs(name, changes):
-    for seed in range(2):
+@pytest.mark.parametrize("devices", [1, pytest.param(2, marks=pytest.mark.long)])
+def test_a_device_gets_the_tables_that_it_needs(name, changes, devices):
+    for seed in range(devices):
         choice = chosen(device(seed, **changes), seed)
         table = choice.alternatives
         show(f"{name}: left out, deg/s rms of {', '.join(ALTERNATIVES)}", np.round(table.left_out_rms_dps, 4))

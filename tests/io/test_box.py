@@ -45,7 +45,7 @@ def leave(path):
 
 @boxed()
 def swell(path):
-    return np.ones(2 * 10**8).sum()
+    return np.ones(8 * 10**7).sum()
 
 
 @boxed()
@@ -106,7 +106,7 @@ def test_too_much_memory_is_one_line_and_the_setting_raises_it(file, limits):
     ):
         swell(file)
     limits.memory_gb = 4.0
-    assert swell(file) == 2e8
+    assert swell(file) == 8e7
 
 
 @needs_fork

@@ -36,7 +36,7 @@ def start(place, name, count, go):
     return subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 
-@pytest.mark.parametrize("each", [250, pytest.param(1000, marks=pytest.mark.long)])
+@pytest.mark.parametrize("each", [100, pytest.param(1000, marks=pytest.mark.long)])
 def test_four_stations_at_once_lose_nothing(place, tmp_path, each):
     go = tmp_path / "go"
     writers = [

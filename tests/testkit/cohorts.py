@@ -12,7 +12,7 @@ from scipy.stats import binom, chi2
 
 FEW = 60
 COHORTS = (FEW, pytest.param(1000, marks=pytest.mark.long))
-LARGER_COHORTS = (300, pytest.param(1000, marks=pytest.mark.long))
+LARGER_COHORTS = (200, pytest.param(1000, marks=pytest.mark.long))
 FALSE_ALARM = 1e-4  # how often a limit is passed by chance where all is right
 RATIO = 1.05  # of a root-mean-square error to its bound: what a method may lose
 SHARES = (0.93, 0.97)  # of nominal 95 % intervals that hold the truth: what a method may be off
