@@ -53,7 +53,7 @@ def test_a_jog_equals_the_plain_twin():
 def followed_to_its_end(state, c, way):
     """Return the greatest speed, change of speed in a sample, and place along the way, until the motion ends."""
     fastest = steepest = furthest = 0.0
-    for _ in range(1_000_000):
+    for _ in range(100_000):
         before = state[k.SPEED]
         done = k.profile(state, c)
         fastest, steepest = max(fastest, abs(state[k.SPEED])), max(steepest, abs(state[k.SPEED] - before))
@@ -66,8 +66,7 @@ def followed_to_its_end(state, c, way):
 @pytest.mark.parametrize("distance", [1.0, -1.0, 7.0, 400.0, -40_000.0, 123_457.0])
 @pytest.mark.parametrize("slew", [2.0, 2_000.0, 25_000.0])
 def test_a_move_ends_on_its_target_without_passing_it(distance, slew):
-    if abs(distance) / slew > 60.0:
-        distance = math.copysign(60.0 * slew, distance)
+    distance = math.copysign(min(abs(distance), 5.0 * slew), distance)  # short, as the tests also run without the compiler
     state = np.zeros(k.SIZE)
     c = resting_coefficients(ServoSettings())._replace(slew=slew, motor_on=True)
     state[k.MODE], state[k.TARGET] = k.MOVE, distance
