@@ -75,15 +75,20 @@ def computed_once(shared: list[tuple[Callable[..., object], Callable[..., object
 
 @pytest.fixture(scope="module")
 def described_once(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """Read and describe each public file once in a run of the suite, for modules with this fixture."""
+    """Read, describe and search each public file once in a run of the suite, for modules with this fixture."""
     from testkit.data import DATA
+    from undrift.correction.consistency import find_disagreement
     from undrift.io.inspect import Description, describe
+    from undrift.segments import find_poses
 
-    once = remembered(describe, run_folder(tmp_path_factory))
+    folder = run_folder(tmp_path_factory)
+    once = remembered(describe, folder)
 
     def description(path: Path, *args: Any, **words: Any) -> Description:
         return (once if Path(path).is_relative_to(DATA) else describe)(path, *args, **words)
 
     with pytest.MonkeyPatch.context() as patch:
         put_everywhere(patch, describe, description)
+        for search in (find_disagreement, find_poses):
+            put_everywhere(patch, search, remembered(search, folder))
         yield
