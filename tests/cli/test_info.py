@@ -3,7 +3,10 @@
 import json
 import re
 import shlex
+from collections import Counter
+from collections.abc import Iterator
 from html import unescape
+from typing import Any
 
 import numpy as np
 import pytest
@@ -39,7 +42,17 @@ KINDS = (  # the first pattern that fits
 )
 
 
-@pytest.mark.parametrize("name", [name for name in EVERY if name != CUT])
+def _files() -> Iterator[Any]:
+    """Yield the public files and folders, those after the second of one folder and ending for `make test-long`."""
+    alike: Counter[tuple[str, str]] = Counter()
+    for name in EVERY:
+        folder, _, own = name.rpartition("/")
+        alike[kind := (folder, own.partition(".")[2])] += 1
+        if name != CUT:
+            yield pytest.param(name, marks=pytest.mark.long) if alike[kind] > 2 and kind[1] else name
+
+
+@pytest.mark.parametrize("name", [*_files()])
 def test_every_public_file_and_folder_is_told(undrift, name):
     path = data_path(name)
     told = undrift.good("info", path, "--json").json()

@@ -85,10 +85,12 @@ def _hash_of(value: object) -> str:
     return blake2b(stream.getvalue(), digest_size=16).hexdigest()
 
 
-def put_everywhere(patch: pytest.MonkeyPatch, function: Callable[..., T], instead: Callable[..., T]) -> None:
-    """Put a function in the place of another in every module of undrift that has it by name."""
+def put_everywhere(
+    patch: pytest.MonkeyPatch, function: Callable[..., T], instead: Callable[..., T], within: str = "undrift"
+) -> None:
+    """Put a function in the place of another in every module of a package that has it by name."""
     for name, module in list(sys.modules.items()):
-        if name.partition(".")[0] == "undrift":
+        if name.startswith(within) and name[len(within) : len(within) + 1] in (".", ""):
             for attribute, value in list(vars(module).items()):
                 if value is function:
                     patch.setattr(module, attribute, instead)

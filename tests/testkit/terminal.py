@@ -55,7 +55,7 @@ class Widths:
             importlib.import_module(f"{cli.__name__}.{module.name}")
         with pytest.MonkeyPatch.context() as patch:
             for function in (common.say, common.show_table, common.show_verdict):
-                put_everywhere(patch, function, self._on_all(function))
+                put_everywhere(patch, function, self._on_all(function), within=cli.__name__)
             yield
 
     def differences(self) -> list[str]:
