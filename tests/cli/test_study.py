@@ -1,5 +1,6 @@
 """undrift study: from a study.toml to surface, summary and page; gone on with, refused, on a scheduler."""
 
+import inspect
 import json
 import math
 import re
@@ -15,6 +16,8 @@ from testkit.command_line import contents
 from testkit.data import data_path
 from testkit.pages import faults_of
 from undrift.commands.study import study
+from undrift.sim.device.truth import true_calibration
+from undrift.study import figure3 as figure3_module
 from undrift.study import outcome as outcome_module
 from undrift.study.figure3 import COMPARED, DrawnRow
 from undrift.study.rivals import compare_rivals
@@ -318,6 +321,11 @@ def test_rivals_are_compared_unless_told_otherwise_and_come_to_the_summary(undri
         return tuple(DrawnRow(correction=name, units=2, **spread, **apart, **over_units) for name in COMPARED)
 
     monkeypatch.setattr(outcome_module, "drawn_cohort", drawn)  # drawn_cohort itself: study/test_figure3.py
+    # no thermal fit, half a minute of wearing: the figure and its effects themselves are of study/test_figure3.py
+    monkeypatch.setattr(figure3_module, "calibrated", lambda device, **_: (true_calibration(device, temp_c=25.0),) * 3)
+    monkeypatch.setattr(figure3_module, "WORN_S", 30.0)
+    for name in ("figure3", "effect_table"):
+        monkeypatch.setattr(outcome_module, name, inspect.unwrap(getattr(outcome_module, name)))
     told = done(undrift, "study", plan, "-o", tmp_path / "out", "--workers", "1", "--json").json()
     assert [row["correction"] for row in told["figure3_drawn"]] == told["figure3"]["compared"]
     assert asked == [("enc03j_3031", 0, ("sit_to_stand",), pytest.approx(0.15))]
