@@ -66,7 +66,9 @@ def followed_to_its_end(state, c, way):
 @pytest.mark.parametrize("distance", [1.0, -1.0, 7.0, 400.0, -40_000.0, 123_457.0])
 @pytest.mark.parametrize("slew", [2.0, 2_000.0, 25_000.0])
 def test_a_move_ends_on_its_target_without_passing_it(distance, slew):
-    distance = math.copysign(min(abs(distance), 5.0 * slew), distance)  # short, as the tests also run without the compiler
+    distance = math.copysign(
+        min(abs(distance), 5.0 * slew), distance
+    )  # short, as the tests also run without the compiler
     state = np.zeros(k.SIZE)
     c = resting_coefficients(ServoSettings())._replace(slew=slew, motor_on=True)
     state[k.MODE], state[k.TARGET] = k.MOVE, distance

@@ -320,11 +320,8 @@ def _autocovariance(chain: SensorChain, axis: int) -> FloatArray:
     if chain.low_pass is None:
         return np.array([variance])
     b, a = chain.low_pass.equations(step_s)[axis]
-    # of the slowest part, 1/s
-    fading = math.pi * chain.low_pass.cutoff_hz[axis] / max(chain.low_pass.quality[axis], 0.5)
-    pulse = np.zeros(max(round(16.0 / (fading * step_s)), 8))
-    pulse[0] = 1.0
-    answer = lfilter(b, a, pulse)
+    slowest = math.pi * chain.low_pass.cutoff_hz[axis] / max(chain.low_pass.quality[axis], 0.5)  # part to fade, 1/s
+    answer = lfilter(b, a, np.eye(1, max(round(16.0 / (slowest * step_s)), 8))[0])
     lags: FloatArray = variance * np.correlate(answer, answer, "full")[len(answer) - 1 :]
     return lags[: int(np.flatnonzero(np.abs(lags) >= 1e-7 * lags[0])[-1]) + 1]
 
@@ -344,7 +341,7 @@ def code_means(covariance: FloatArray, samples: float) -> tuple[FloatArray, Floa
     return _code_means(covariance.tobytes(), samples)
 
 
-@lru_cache(maxsize=256)  # a unit's filters have the same noise whatever else of it is switched off
+@lru_cache(maxsize=4096)  # a unit's filters have the same noise whatever else of it is switched off
 def _code_means(held: bytes, samples: float) -> tuple[FloatArray, FloatArray]:
     covariance = np.frombuffer(held)
     weights, variance = _weights(covariance, samples), float(covariance[0])
@@ -356,11 +353,13 @@ def _code_means(held: bytes, samples: float) -> tuple[FloatArray, FloatArray]:
     bias, slope = sine @ (saw * shrink), cosine @ (2.0 * math.pi * k * saw * shrink)
     own = 1.0 / 12.0 + cosine @ ((-1.0) ** k / (math.pi * k) ** 2 * shrink) - bias**2
     total = (weights @ covariance) * (1.0 + 2.0 * slope) + weights[0] * own
-    one, two = k[:, None], k[None, :]
-    square, product = variance * (one**2 + two**2), 2.0 * np.multiply.outer(covariance[1:], one * two)
-    free = weights[1:].sum() * np.exp(-2.0 * math.pi**2 * square)
-    for sign, order in ((1.0, np.abs(one - two)), (-1.0, one + two)):
-        shared = np.tensordot(weights[1:], np.exp(-2.0 * math.pi**2 * (square - sign * product)), 1) - free
-        size = np.bincount(order.ravel(), (0.5 * sign * np.outer(saw, saw) * shared).ravel())
+    (one, two), after = k[np.array(np.triu_indices(terms))], covariance[1:]  # pairs, each once
+    square, product = 2.0 * math.pi**2 * variance * (one**2 + two**2), 4.0 * math.pi**2 * one * two
+    pair = np.where(one == two, 0.5, 1.0) * saw[one - 1] * saw[two - 1]
+    for sign, order in ((1.0, two - one), (-1.0, one + two)):
+        counts = square - (sign * after).max(initial=0.0) * product < 60.0  # others vanish: exp(-60)
+        kept, joint = square[counts], sign * np.multiply.outer(after, product[counts])
+        shared = weights[1:] @ np.exp(joint - kept) - weights[1:].sum() * np.exp(-kept)
+        size = np.bincount(order[counts], sign * pair[counts] * shared, 1)
         total = total + np.cos(np.outer(phase, np.arange(len(size)))) @ size
     return bias, np.sqrt(np.maximum(total, 0.0))
