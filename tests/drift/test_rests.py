@@ -48,7 +48,13 @@ def errors(seeds, **changes):
 
 
 @pytest.mark.parametrize(
-    ("poses", "by_pose", "by_rest"), [(3, 0.05, 0.0), (6, 0.05, 0.0), (3, 0.0, 0.02), (6, 0.05, 0.02)]
+    ("poses", "by_pose", "by_rest"),
+    [
+        (3, 0.05, 0.0),
+        (6, 0.05, 0.02),
+        pytest.param(3, 0.0, 0.02, marks=pytest.mark.long),
+        pytest.param(6, 0.05, 0.0, marks=pytest.mark.long),
+    ],
 )
 def test_the_table_s_intervals_hold_when_poses_or_rests_disagree(poses, by_pose, by_rest):
     # Truth: the offset without what poses add, whose mean is zero. Sixty devices of three axes.
