@@ -13,10 +13,10 @@ from contextlib import closing, contextmanager
 from pathlib import Path
 
 from benchmarks.figure import Figure
+from undrift.commands.bench.rig_run import RigRun, RunOrder, begin_run
 from undrift.sim.rig import galil_language
 from undrift.sim.rig.emulator import EmulatedBench, EmulatedBenchSettings, EmulatorSettings, start_bench
 from undrift.web.rate_table import ProtocolForm
-from undrift.web.rig_run import RigRun, RunOrder, begin_run
 
 LIMIT_MS = 100
 PROTOCOL = ProtocolForm(faces=(), axes=("z",), turn_rate_min_dps="30", bracket_s="1", dwell_s="60").toml()

@@ -1,6 +1,7 @@
 """House rules that a machine can check: docstrings, sizes, words, exports, constants, findings."""
 
 import ast
+import configparser
 import io
 import re
 import string
@@ -326,3 +327,20 @@ def test_texts_name_arguments_and_the_command_line_makes_options_of_them() -> No
         if option.search(text) and "undrift " not in text and not re.fullmatch(r"\w?([\"'])--[a-z0-9-]+[= ]?\1", text)
     ]
     assert found == []
+
+
+def test_a_stage_that_a_page_may_import_is_a_type_of_what_it_shows() -> None:
+    """The exceptions of the contract "shown": all but the named one stand under TYPE_CHECKING."""
+    contracts = configparser.ConfigParser()
+    contracts.read(ROOT / ".importlinter")
+    lines = contracts["importlinter:contract:shown"]["ignore_imports"].split("\n")
+    arrows = {tuple(line.split(" -> ")) for line in lines if line}
+    at_run_time = {
+        (module, node.module)
+        for module, _ in arrows
+        for node in ast.parse((ROOT / "src" / f"{module.replace('.', '/')}.py").read_text()).body
+        if isinstance(node, ast.ImportFrom)
+    }
+    print(f"  imports of stages in cli, web and report: {len(arrows)}, at run time {len(arrows & at_run_time)}")
+    assert arrows & at_run_time == {("undrift.report.figures", "undrift.io.inspect")}
+    assert len(arrows) <= 16

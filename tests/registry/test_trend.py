@@ -11,6 +11,8 @@ from testkit.guided import HandFeed, capture_faces, capture_turns
 from testkit.pictures import cut_texts
 from undrift.base.summary import Origin, Summary
 from undrift.calibration.calibrate import calibrate
+from undrift.commands.bench.capture import Capture
+from undrift.commands.bench.guides import SixFaces, Turns
 from undrift.commands.registry import step_section
 from undrift.model import Calibration, Provenance, TriadModel
 from undrift.registry.trend import MOVED, UNKNOWN_K, Dated, compare, course, headline, trend
@@ -19,8 +21,6 @@ from undrift.report.figures import svg_of
 from undrift.report.page import write_page
 from undrift.sim.device.presets import random_device
 from undrift.units import RADIAN_PER_DEGREE
-from undrift.web.capture import Capture
-from undrift.web.guides import SixFaces, Turns
 
 SIGMA = np.array([2e-4] * 9 + [0.5] * 3)  # of m relative to the scale; of the offset, counts
 SCALE = RADIAN_PER_DEGREE / 16.4  # rad/s per count

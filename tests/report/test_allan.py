@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 
-from undrift.calibration.noise import fit_noise
+from undrift.calibration.noise import TERMS, fit_noise
 from undrift.record import Record
 from undrift.report.figures import draw_allan, draw_allan_fit, svg_of
 
@@ -49,7 +49,7 @@ def test_each_coefficient_is_marked_where_it_is_read():
     time = np.arange(400_000) / 100.0
     rate = RNG.normal(0.0, 1e-3, (400_000, 3)) + np.cumsum(RNG.normal(0.0, 1e-5, (400_000, 3)), axis=0)
     found = fit_noise(Record(time=time, gyro=rate))
-    for panel, axis in zip(draw_allan_fit(found, "gyro").axes, found.gyro, strict=True):
+    for panel, axis in zip(draw_allan_fit(found, "gyro", TERMS["gyro"]).axes, found.gyro, strict=True):
         marks = {
             float(x): float(y) for line in panel.lines if len(line.get_xdata()) == 1 for x, y in [line.get_xydata()[0]]
         }

@@ -19,6 +19,7 @@ from undrift.study.outcome import TOO_LONG, StudyOutcome, _too_long, forecast, j
 from undrift.study.plan import TABLE_1, Space, ends_of, note_study
 from undrift.study.run import InProcess, TaskSurface, run_study
 from undrift.study.search import design_rows, task_rates
+from undrift.study.space import HEADINGS
 
 pytestmark = pytest.mark.usefixtures("computed_once")
 
@@ -174,7 +175,7 @@ def test_no_picture_of_the_page_cuts_its_legend_or_a_label(outcome: StudyOutcome
         write_page(tmp_path / "a.html", Studied(outcome=outcome, output=tmp_path).summary())
         for one in variants:
             svg_of(draw_pareto(outcome, one))
-            svg_of(draw_effects(one))
+            svg_of(draw_effects(one, HEADINGS))
     assert cut == []
 
 

@@ -7,12 +7,12 @@ import numpy as np
 from scipy.stats import chi2
 
 from undrift.base.clock import VirtualClock
+from undrift.commands.bench.guides import ORDER
 from undrift.record import FACES, Record
 from undrift.sim.motion.motion import facing, unit_vector
 from undrift.sim.rig.hand_held import start_hand_held
 from undrift.sim.rig.stream import StreamSettings
 from undrift.units import STANDARD_GRAVITY
-from undrift.web.guides import ORDER
 
 STEP_S = 0.2  # between two looks of the page
 LONG_STEP_S = 0.5  # where only what is captured counts

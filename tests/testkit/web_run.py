@@ -6,10 +6,10 @@ import signal
 import time
 from contextlib import contextmanager
 
+from undrift.commands.bench.rig_run import RunOrder, begin_run
 from undrift.sim.rig import galil_language
 from undrift.sim.rig.emulator import EmulatedBenchSettings, EmulatorSettings, start_bench
 from undrift.web.rate_table import ProtocolForm
-from undrift.web.rig_run import RunOrder, begin_run
 
 SPEED = 20.0
 SHORT = ProtocolForm(

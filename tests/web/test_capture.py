@@ -7,11 +7,11 @@ import pytest
 
 from testkit.guided import HandFeed, capture_faces
 from undrift.calibration.calibrate import calibrate
+from undrift.commands.bench.capture import KEEP_S, Capture
+from undrift.commands.bench.guides import SixFaces
 from undrift.errors import InputError
 from undrift.io.session import read_session
 from undrift.record import Record
-from undrift.web.capture import KEEP_S, Capture
-from undrift.web.guides import SixFaces
 
 
 def kept_s(capture):
@@ -74,7 +74,7 @@ def test_another_connection_with_a_later_clock_is_told_by_its_key(guide):
 @pytest.fixture
 def keep_s(monkeypatch):
     """How long readings are kept in which nothing is captured, s: a quarter of what is usual."""
-    monkeypatch.setattr("undrift.web.capture.KEEP_S", KEEP_S / 4.0)
+    monkeypatch.setattr("undrift.commands.bench.capture.KEEP_S", KEEP_S / 4.0)
     return KEEP_S / 4.0
 
 

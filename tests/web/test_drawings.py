@@ -7,9 +7,9 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
+from undrift.commands.bench.capture import Light, State
 from undrift.record import FACES
 from undrift.sim.motion.motion import unit_vector
-from undrift.web.capture import Light, State
 from undrift.web.drawings import box, lamp, ring, worn
 
 SVG = "{http://www.w3.org/2000/svg}"

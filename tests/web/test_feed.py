@@ -14,10 +14,10 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
 from testkit.web_server import listening
+from undrift.commands.bench.source import Update
 from undrift.record import Record
 from undrift.units import RADIAN_PER_DEGREE
 from undrift.web.feed import HISTORY_S, MOST_BROWSERS, MOST_WAITING, Feed, encoded
-from undrift.web.source import Update
 
 
 def decoded(data: bytes) -> dict[str, Any]:

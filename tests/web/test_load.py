@@ -12,10 +12,10 @@ import pytest
 
 import undrift
 from testkit.data import show
+from undrift.commands.bench.source import LiveDevice
 from undrift.live.decoder import Chunk, decoder_for
 from undrift.web import feed as feeds
 from undrift.web.feed import Feed
-from undrift.web.source import LiveDevice
 
 RATE, PER_READ, PER_FRAME = 200, 4, 13  # readings a second, that come together, and in a frame: fifteen frames a second
 CHANNELS = "count,gyro_x,gyro_y,gyro_z,accel_x,accel_y,accel_z,temp"
@@ -116,7 +116,11 @@ def test_two_hundred_hertz_to_two_browsers_take_little_of_a_core() -> None:
 
 
 def test_memory_does_not_grow_once_what_is_kept_is_full(monkeypatch: pytest.MonkeyPatch) -> None:
-    for name, value in (("web.source.KEEP_S", 4.0), ("web.source.RATE_OVER_S", 0.0), ("live.clock.KEPT_DELAYS", 50)):
+    for name, value in (
+        ("commands.bench.source.KEEP_S", 4.0),
+        ("commands.bench.source.RATE_OVER_S", 0.0),
+        ("live.clock.KEPT_DELAYS", 50),
+    ):
         monkeypatch.setattr(f"undrift.{name}", value)
     way = Way()
     object.__setattr__(way.source.recorder.timeline._clock._settings, "memory_s", 4.0)

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from testkit.web_run import SHORT, at_end, emulated_bench, ended_at_last, is_dwelling, new_run, order_of, wait
+from undrift.commands.bench.rig_run import EmulatedTable, RigRun, RunOrder, View, begin_run, command_of, find_run
+from undrift.commands.bench.supervisor import Supervisor
 from undrift.errors import InputError
 from undrift.io.session import read_session
 from undrift.sim.rig.emulator import BenchHands
-from undrift.web.rig_run import EmulatedTable, RigRun, RunOrder, View, begin_run, command_of, find_run
-from undrift.web.supervisor import Supervisor
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="locks and signals of POSIX")
 

@@ -12,13 +12,13 @@ from testkit.data import data_path
 from testkit.guided import STEP_S, HandFeed, accel_as_six_faces_see_it, capture_faces, joint_factor
 from testkit.hand_held import Tremor, hand_held_log, hand_waves
 from undrift.cli.app import run
+from undrift.commands.bench.capture import Capture
+from undrift.commands.bench.guides import ORDER, SixFaces
 from undrift.errors import InputError
 from undrift.io.session import read_session
 from undrift.io.store import read_calibration
 from undrift.record import FACES, Record
 from undrift.sim.device.presets import random_device_of
-from undrift.web.capture import Capture
-from undrift.web.guides import ORDER, SixFaces
 
 
 def in_long(*cases):

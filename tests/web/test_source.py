@@ -17,6 +17,7 @@ import pytest
 from testkit.talking_device import CHANNELS, TalkingDevice, resting
 from testkit.waiting import eventually
 from undrift import calibrate, correct, random_device, read_record, simulate_session
+from undrift.commands.bench.source import LiveDevice
 from undrift.errors import InputError, LinkError
 from undrift.io.parquet import ParquetWriter
 from undrift.orientation import OrientStream
@@ -24,7 +25,6 @@ from undrift.record import Record, joined
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.rig.emulator import EmulatedBenchSettings, start_bench
 from undrift.sim.rig.stream import StreamSettings
-from undrift.web.source import LiveDevice
 
 
 @pytest.fixture
@@ -113,7 +113,7 @@ def test_what_is_no_address_and_who_is_not_there_are_refused(source: LiveDevice)
 def test_a_file_holds_all_that_came_while_it_was_open(
     source: LiveDevice, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    monkeypatch.setattr("undrift.web.source.WRITE_EVERY_S", 0.5)
+    monkeypatch.setattr("undrift.commands.bench.source.WRITE_EVERY_S", 0.5)
     eventually(lambda: seconds(source) > 0.2, "readings")
     path = tmp_path / "live.parquet"
     source.write_to(path)
@@ -135,7 +135,7 @@ def test_a_file_holds_all_that_came_while_it_was_open(
 def test_a_full_disk_ends_the_file_with_a_reason_and_the_readings_go_on(
     source: LiveDevice, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    monkeypatch.setattr("undrift.web.source.WRITE_EVERY_S", 0.3)
+    monkeypatch.setattr("undrift.commands.bench.source.WRITE_EVERY_S", 0.3)
     write, calls = ParquetWriter.write, []
 
     def fill(self: ParquetWriter, record: Record) -> None:

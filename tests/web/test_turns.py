@@ -11,14 +11,14 @@ import pytest
 import undrift
 from testkit.guided import STEP_S, HandFeed, accel_as_six_faces_see_it, capture_faces, capture_turns, joint_factor
 from undrift.cli.app import run
+from undrift.commands.bench.capture import Capture
+from undrift.commands.bench.guides import WAYS, SixFaces, Turns
 from undrift.errors import InputError
 from undrift.io.session import read_session
 from undrift.io.store import read_calibration
 from undrift.sim.device.presets import random_device_of
 from undrift.sim.device.truth import true_calibration
 from undrift.units import STANDARD_GRAVITY
-from undrift.web.capture import Capture
-from undrift.web.guides import WAYS, SixFaces, Turns
 
 TURN = 2.0 * math.pi
 

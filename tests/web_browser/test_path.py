@@ -9,7 +9,7 @@ from collections.abc import Callable
 from playwright.sync_api import Page, expect
 
 from testkit.bench import BenchServer, environment_of
-from undrift.web.guides import ORDER, WAYS, named
+from undrift.commands.bench.guides import ORDER, WAYS, named
 from web_browser.conftest import quick_and_real_time, shoot
 
 CAPTURE_MS, COMMAND_MS = 40_000, 90_000

@@ -12,9 +12,9 @@ import pytest
 from playwright.sync_api import BrowserContext, Page, expect
 
 from testkit.web_run import emulated_bench
+from undrift.commands.bench.rig_run import RigRun, find_run
 from undrift.io.store import read_calibration
 from undrift.sim.device.truth import true_calibration
-from undrift.web.rig_run import RigRun, find_run
 from web_browser.conftest import BenchServer, bench_process, faults_of, shoot
 
 RUN_MS = 120_000

@@ -8,11 +8,11 @@ from playwright.sync_api import Page
 
 from testkit.bench import BenchServer
 from testkit.guided import accel_as_six_faces_see_it, joint_factor
+from undrift.commands.bench.guides import ORDER, WAYS, named
 from undrift.io.session import read_session
 from undrift.io.store import read_calibration
 from undrift.sim.device.presets import random_device
 from undrift.sim.device.truth import true_calibration
-from undrift.web.guides import ORDER, WAYS, named
 from web_browser.conftest import faults_of, quick_and_real_time, shoot
 
 SEED = 2007  # of the practice device, as bench_server states it

@@ -167,7 +167,9 @@ def slots_of(cls: Any) -> tuple[Slot, ...]:
         hint = get_type_hints(getattr(cls, name).fget)["return"] if field is None else hints[name]
         marks = get_args(hint)[1:] if get_origin(hint) is Annotated else ()
         key = next((mark for mark in marks if isinstance(mark, Key)), Key())
-        default = MISSING if field is None else _default_of(field)
+        default = MISSING if field is None else field.default
+        if field is not None and field.default_factory is not MISSING:
+            default = field.default_factory()
         required = default is MISSING or (how.whole and not (key.optional or key.later))
         made.append(
             Slot(
@@ -181,10 +183,6 @@ def slots_of(cls: Any) -> tuple[Slot, ...]:
             )
         )
     return tuple(made)
-
-
-def _default_of(field: "Field[Any]") -> Any:
-    return field.default if field.default_factory is MISSING else field.default_factory()
 
 
 # ---- from tree to value

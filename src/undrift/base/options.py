@@ -5,7 +5,7 @@ command line under their own names, the keyword arguments of Python, and the fie
 """
 
 from collections.abc import Callable
-from dataclasses import is_dataclass
+from dataclasses import field, is_dataclass
 from functools import wraps
 from inspect import signature
 from pathlib import Path
@@ -55,3 +55,14 @@ def _as(hint: Any, value: Any) -> Any:
     if "Path" in str(hint) and isinstance(value, str | tuple | list):
         value = Path(value) if isinstance(value, str) else tuple(map(Path, value))
     return (value,) if "tuple[" in str(hint) and isinstance(value, str | Path) else value
+
+
+def stated(**values: object) -> tuple[object, ...]:
+    """Return options as the words of a command; those that are None or "" are not stated."""
+    known = {name: value for name, value in values.items() if value not in (None, "")}
+    return tuple(word for name, value in known.items() for word in (f"--{name.replace('_', '-')}", value))
+
+
+def asked(label: str, value: str = "", **how: Any) -> Any:
+    """Return a field of a dataclass that a form asks for: its label, or the option of a command, and more of a form's field."""
+    return field(default=value, metadata={"label": label, **how})

@@ -291,6 +291,12 @@ class AxisNoise:
     quantization: NoiseCoefficient  # Q, of the angle (velocity)
     model_error: float  # Share of the Allan variance by which the curve departs from the model
 
+    def terms(self, taus_s: FloatArray) -> dict[str, FloatArray]:
+        """Return the terms of the Allan variance that the record shows, by name."""
+        shapes = {"angle_random_walk": 1.0 / taus_s, "bias_instability": FLICKER + 0.0 * taus_s}
+        shapes |= {"rate_random_walk": taus_s / 3.0, "quantization": 3.0 / taus_s**2}
+        return {name: np.nan_to_num(getattr(self, name).value) ** 2 * shape for name, shape in shapes.items()}
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class NoiseFit(Shown):

@@ -19,16 +19,7 @@ from undrift.base.summary import Drawing, Result, Section, Summary, concise, num
 from undrift.calibration.settings import AccelFit, Fitting, GyroFit, Sensitivity, Table
 from undrift.commands import Progress, silent
 from undrift.commands.certificate import departures_words, uncertainty_sentence
-from undrift.commands.files import (
-    Opening,
-    Place,
-    Rests,
-    check_figure,
-    check_output,
-    name_of,
-    recording_of,
-    session_of,
-)
+from undrift.commands.files import Opening, Place, Rests, check_figure, check_output, name_of, recording_of, session_of
 from undrift.commands.register import Registration, registered_lines
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 

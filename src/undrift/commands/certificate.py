@@ -78,13 +78,7 @@ class Certified(Result):
 
 
 @verb
-def certificate(
-    calibration: Path,
-    /,
-    *,
-    output: Output,
-    registering: Registration = Registration(),
-) -> Certified:
+def certificate(calibration: Path, /, *, output: Output, registering: Registration = Registration()) -> Certified:
     """Write a calibration certificate: results with expanded uncertainty, budget by source, traceability, limits.
 
     The same calibration gives the same file, byte for byte.

@@ -128,10 +128,7 @@ def _studied(quick: bool, out: Path, tell: "Callable[[str, float], None]") -> "S
 
 
 def _summary(
-    out: Path,
-    made: "tuple[BenchRun, BenchFit, tuple[Trial, ...]]",
-    checks: "tuple[Check, ...]",
-    study: "StudyOutcome",
+    out: Path, made: "tuple[BenchRun, BenchFit, tuple[Trial, ...]]", checks: "tuple[Check, ...]", study: "StudyOutcome"
 ) -> Summary:
     from undrift.commands.study import study_json
     from undrift.io.store import calibration_json

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from undrift.base.options import Flag, Up, options, verb
+from undrift.base.options import Flag, Up, options, stated, verb
 from undrift.base.summary import CALLED, PICTURES, Origin, plain
 from undrift.errors import InputError
 
@@ -84,10 +84,8 @@ class Opening:
 
     def words(self) -> list[object]:
         """Return the options as they were given."""
-        stated = {"map": self.column_map} | self._options() | {"drop_bad_rows": None}
         flags: list[object] = ["--drop-bad-rows"] if self.drop_bad_rows else []
-        named = {name.replace("_", "-"): value for name, value in stated.items() if value is not None}
-        return flags + [word for name, value in named.items() for word in (f"--{name}", value)]
+        return [*flags, *stated(map=self.column_map, **self._options() | {"drop_bad_rows": None})]
 
     def _options(self) -> dict[str, Any]:
         stated = {name: getattr(self, name) for name in ("sample_rate_hz", "sensor", "gaps", "clock")}

@@ -62,7 +62,7 @@ class Noise(Result):
             largest = max((walk.value for walk in walks if math.isfinite(walk.value)), default=math.nan)
             if math.isfinite(largest):
                 seen.append(f"{TERMS[triad]['angle_random_walk']} up to {largest:.2g} {walks[0].unit}")
-            drawing = Drawing(place="undrift.report.figures:draw_allan_fit", of=(fit, triad))
+            drawing = Drawing(place="undrift.report.figures:draw_allan_fit", of=(fit, triad, TERMS[triad]))
             heads = (f"{term} ({getattr(axes[0], key).unit})" for key, term in TERMS[triad].items())
             sections.append(
                 Section(

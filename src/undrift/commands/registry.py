@@ -198,12 +198,7 @@ def due(*, within_days: int = 30, where: Where = None) -> RegistryListing:
 
 
 @verb
-def trend(
-    *,
-    serial: str,
-    figure: Picture = None,
-    where: Where = None,
-) -> RegistryListing:
+def trend(*, serial: str, figure: Picture = None, where: Where = None) -> RegistryListing:
     """Show how a device changed from each calibration to the next, with the standard uncertainty of each change.
 
     Parameters

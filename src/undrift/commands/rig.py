@@ -20,11 +20,14 @@ from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 if TYPE_CHECKING:
     from undrift.rig.check import CheckSettings, RigCheck
     from undrift.rig.folder import RecordedDwell
-    from undrift.rig.programme import Programme
+    from undrift.rig.programme import Forecast, Programme
     from undrift.rig.rig import RigSettings
     from undrift.rig.run import Progress, RigBench, RunResult, Watch
     from undrift.sim.rig.emulator import EmulatedBench
     from undrift.sim.rig.hand_held import HandHeld
+
+
+HIGHEST_DPS, HIGHEST_DPS2 = 360.0, 5000.0  # that a table is asked for where nothing else is stated
 
 
 @options
@@ -112,8 +115,8 @@ def run(
     operator: str | None = None,
     serial: str = "",
     gravity_m_s2: float | None = None,
-    highest_turn_rate_dps: float = 360.0,
-    highest_acceleration_dps2: float = 5000.0,
+    highest_turn_rate_dps: float = HIGHEST_DPS,
+    highest_acceleration_dps2: float = HIGHEST_DPS2,
     shaft: Shaft = Shaft(),
     device_lag_s: float = 120.0,
     resume: bool = False,
@@ -169,9 +172,8 @@ def run(
     asked, settings = read_protocol(protocol), shaft.settings(highest_turn_rate_dps, highest_acceleration_dps2)
     shown, judge = _Shown(screen, progress), RunSettings(device_lag_s=device_lag_s)
     settings = replace(settings, ask=shown.ask)
-    options = parse_address(rig, settings)[2]
+    options, limits, by_hand = parse_address(rig, settings)[2], settings.limits, rig.startswith("manual:")
     programme = programme_of(asked, ProgrammeSettings(encoder_lines=options.encoder_lines))
-    by_hand, limits = rig.startswith("manual:"), settings.limits
     if not resume:
         check_programme(programme, limits, by_hand=by_hand)  # before there is a folder
     with ExitStack() as stack:
@@ -192,6 +194,18 @@ def run(
             programme, bench, folder, report=shown, serial=serial or called, gravity_m_s2=gravity_m_s2, settings=judge
         )
     return Ran(output=output, result=result, registered=registering.add(output))
+
+
+def forecast(protocol: Path, rig: str) -> "Forecast":
+    """Return what `run` takes for a protocol, within the limits of a table for which nothing is stated; nothing is opened."""
+    from undrift.rig.programme import ProgrammeSettings, forecast_of, programme_of, read_protocol
+    from undrift.rig.rig import check_programme, parse_address
+
+    lines = parse_address(rig)[2].encoder_lines
+    programme = programme_of(read_protocol(protocol), ProgrammeSettings(encoder_lines=lines))
+    limits = Shaft().settings(HIGHEST_DPS, HIGHEST_DPS2).limits
+    check_programme(programme, limits, by_hand=rig.startswith("manual:"))
+    return forecast_of(programme)
 
 
 def _bench(

@@ -9,16 +9,7 @@ from dataclasses import replace
 from itertools import cycle
 from typing import TYPE_CHECKING
 
-from undrift.base.summary import (
-    Cells,
-    Drawing,
-    Section,
-    interval,
-    number,
-    plain_words,
-    rows_section,
-    table_section,
-)
+from undrift.base.summary import Cells, Drawing, Section, interval, number, plain_words, rows_section, table_section
 from undrift.sim.motion.tasks import CATEGORIES
 from undrift.study.claims import claims_section, rival_sections
 from undrift.study.judge import needed_text
@@ -420,7 +411,9 @@ def _bench(outcome: "StudyOutcome") -> Section:
 def _task_sections(outcome: "StudyOutcome", task: "TaskOutcome") -> tuple[Section, ...]:
     name, own = _name(task), outcome.study.timing
     timings = (own, *(timing for timing in TIMINGS if timing != own))
-    surfaces = tuple(Drawing(place="undrift.report.figures:draw_surface", of=(outcome, task, each)) for each in timings)
+    surfaces = tuple(
+        Drawing(place="undrift.report.figures:draw_surface", of=(outcome, task, each, HEADINGS)) for each in timings
+    )
     white = "not tried" if task.halving is None else "not tried, dropped in an earlier round"
     return (
         Section(
@@ -481,7 +474,7 @@ def _effects(outcome: "StudyOutcome", task: "TaskOutcome") -> Section:
     ]
     title = f"{_name(task)}: what each parameter does"
     rows = [_effect_row(effect, powers.get(effect.name)) for effect in task.optimum.effects]
-    return rows_section(title, rows, text=tuple(text), pictures=_drawing("figures:draw_effects", task))
+    return rows_section(title, rows, text=tuple(text), pictures=_drawing("figures:draw_effects", task, HEADINGS))
 
 
 def _effect_row(effect: "ParameterEffect", power: "EffectPower | None") -> dict[str, str]:
@@ -791,7 +784,9 @@ def _figure3(outcome: "StudyOutcome") -> Section:
         for k, name in enumerate(COMPARED_NAMES)
     ]
     text = (*_words(found, drawn), *((_twin_words(twin),) if twin else ()))
-    return rows_section(title, rows, text=text, pictures=_drawing("note:draw_figure3", found, drawn, twin))
+    return rows_section(
+        title, rows, text=text, pictures=_drawing("note:draw_figure3", found, COMPARED_NAMES, drawn, twin)
+    )
 
 
 def _columns(of: str, found: "Figure3", k: int) -> dict[str, str]:

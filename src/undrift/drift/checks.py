@@ -70,6 +70,11 @@ class TriadSummary:
         near = self.uncertainty[~self.extrapolated] if not self.extrapolated.all() else self.uncertainty
         return np.asarray(np.median(near, axis=0))
 
+    def loop_shown(self, k: int) -> bool:
+        """Whether the loop of an axis is part of the table, and significant."""
+        half, own = self.half_loop, self.half_loop_uncertainty
+        return self.loop_kept and half is not None and own is not None and abs(half[k]) > _SIGNIFICANT * own[k]
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ScaleSummary:

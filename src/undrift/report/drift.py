@@ -9,10 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from undrift.commands.drift import shown_unit
-from undrift.drift.hysteresis import SIGNIFICANT
 from undrift.errors import InputError
 from undrift.model import AXES
-from undrift.registry.trend import Dated, TrendStep
 from undrift.report.figures import (
     AXIS_COLOURS,
     AXIS_DASHES,
@@ -36,6 +34,7 @@ if TYPE_CHECKING:
     from undrift.drift.fit import Alternatives, DriftFit
     from undrift.drift.learn import LearnFit
     from undrift.model import DynamicDrift
+    from undrift.registry.trend import Dated, TrendStep
 
 # ---- pictures
 
@@ -109,9 +108,8 @@ def _draw_level(axes: "Axes", summary: "TriadSummary", k: int, factor: float, va
     axes.fill_between(temp, value - doubt, value + doubt, color=LIMIT, alpha=0.3, linewidth=0.0, label="95 %", zorder=2)
     name = "table" if summary.in_table else "fit"
     axes.plot(temp, value, color="black", marker=".", markersize=2.5, linewidth=0.9, label=name, zorder=4)
-    half, own, branch = summary.half_loop, summary.half_loop_uncertainty, summary.branch
-    shown = summary.loop_kept and half is not None and own is not None and abs(half[k]) > SIGNIFICANT * own[k]
-    if shown and branch is not None:
+    branch = summary.branch
+    if summary.loop_shown(k) and branch is not None:
         for sign, colour, name in ((1.0, _COOL, "cooling branch"), (-1.0, _WARM, "warming branch")):
             course = value + sign * branch[:, k] * factor
             axes.plot(temp, course, color=colour, linestyle="--", linewidth=0.9, label=name, zorder=3)
@@ -228,7 +226,7 @@ def draw_alternatives(alternatives: "Alternatives") -> "Figure":
 NAMES = {"gyro": "gyroscopes", "accel": "accelerometers"}
 
 
-def draw_trend(serial: str, first: Dated, course: Sequence[TrendStep]) -> "Figure":
+def draw_trend(serial: str, first: "Dated", course: "Sequence[TrendStep]") -> "Figure":
     """Draw scale factors and offsets of later calibrations less those of the first, with expanded uncertainty (k = 2) as bars."""
     from matplotlib import rc_context
 

@@ -18,22 +18,20 @@ import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray
 from undrift.base.summary import PICTURES
-from undrift.calibration.noise import FLICKER, TERMS, AxisNoise, NoiseFit
-from undrift.calibration.pieces import Piece
 from undrift.errors import InputError
 from undrift.files import write_whole
 from undrift.io.inspect import STUCK, saturated_runs
 from undrift.model import AXES
 from undrift.record import Record
-from undrift.study.space import HEADINGS
 from undrift.units import RADIAN_PER_DEGREE
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from undrift.calibration.noise import NoiseFit
+    from undrift.calibration.pieces import Piece
     from undrift.orientation import Orientation
-    from undrift.record import Record
     from undrift.rig.folder import RecordedDwell
     from undrift.study.outcome import StudyOutcome, TaskOutcome
     from undrift.study.plan import Timing
@@ -289,7 +287,7 @@ _LEVELS = {"still": 2.0, "turn": 1.0, "left out": 0.0}
 _SHOWN_UNIT = {"dps": "deg/s", "count": "counts"}
 
 
-def draw_recording(records: Sequence[Record], pieces: Sequence[Piece], *, title: str, used: bool = False) -> "Figure":
+def draw_recording(records: Sequence[Record], pieces: Sequence["Piece"], *, title: str, used: bool = False) -> "Figure":
     """Draw readings over time with their stills, faces, turns, gaps and saturation; recordings one after the other.
     With ``used``, the pieces are those that a calibration used or left out."""
     from matplotlib.lines import Line2D
@@ -318,7 +316,7 @@ def draw_recording(records: Sequence[Record], pieces: Sequence[Piece], *, title:
     return figure
 
 
-def _strip_and_panels(panels: int, pieces: Sequence[Piece]) -> tuple["Figure", list["Axes"]]:
+def _strip_and_panels(panels: int, pieces: Sequence["Piece"]) -> tuple["Figure", list["Axes"]]:
     import matplotlib as mpl
     from matplotlib.figure import Figure
 
@@ -373,7 +371,7 @@ def _draw_gaps(panels: Sequence["Axes"], time: FloatArray, record: Record) -> di
 
 
 def _draw_pieces(
-    strip: "Axes", panels: Sequence["Axes"], time: FloatArray, pieces: Sequence[Piece], duration_s: float
+    strip: "Axes", panels: Sequence["Axes"], time: FloatArray, pieces: Sequence["Piece"], duration_s: float
 ) -> None:
     """Draw a bar for each piece, its label where there is room, and a shade behind each still."""
     reached = dict.fromkeys(_LEVELS.values(), -np.inf)
@@ -392,7 +390,7 @@ def _draw_pieces(
                 panel.axvspan(start, stop, color=SHADE, linewidth=0.0, zorder=0)
 
 
-def _add_legend(figure: "Figure", pieces: Sequence[Piece], marks: dict[str, Any], *, used: bool) -> None:
+def _add_legend(figure: "Figure", pieces: Sequence["Piece"], marks: dict[str, Any], *, used: bool) -> None:
     """Add a legend with counts, and under the picture the reasons for what was left out."""
     from matplotlib.patches import Patch
 
@@ -469,14 +467,14 @@ def draw_bars(names: Sequence[str], values: Mapping[str, Sequence[float]], *, ti
 # ---- Allan deviation
 
 
-def draw_allan(found: NoiseFit, *, title: str = "Overlapping Allan deviation") -> "Figure":
+def draw_allan(found: "NoiseFit", *, title: str = "Overlapping Allan deviation") -> "Figure":
     """Draw Allan deviation over averaging time, with the band of its intervals and the fitted model."""
     triads = [name for name in ("gyro", "accel") if getattr(found, name)]
     figure, panels = new_figure(len(triads), height=2.9)
     for panel, name in zip(panels, triads, strict=True):
         for k, axis in enumerate(getattr(found, name)):
             _draw_deviation(panel, found, name, k)
-            panel.plot(found.taus_s, np.sqrt(sum(_parts(axis, found.taus_s).values())), **axis_style(k), linewidth=0.9)
+            panel.plot(found.taus_s, np.sqrt(sum(axis.terms(found.taus_s).values())), **axis_style(k), linewidth=0.9)
         panel.set(xscale="log", yscale="log", ylabel=f"Allan deviation ({getattr(found, f'{name}_unit')})")
         legend_above(panel)
     entitle(figure, f"{title}, lines: fitted model, band: {100.0 * found.confidence:g} %")
@@ -484,7 +482,7 @@ def draw_allan(found: NoiseFit, *, title: str = "Overlapping Allan deviation") -
     return figure
 
 
-def _draw_deviation(panel: "Axes", found: NoiseFit, name: str, k: int) -> None:
+def _draw_deviation(panel: "Axes", found: "NoiseFit", name: str, k: int) -> None:
     """Draw the deviations of one axis and the band of their intervals."""
     axis, course = getattr(found, name)[k], getattr(found, f"{name}_adev")[:, k]
     style: Any = {"color": AXIS_COLOURS[k], "linewidth": 0.0}
@@ -492,24 +490,13 @@ def _draw_deviation(panel: "Axes", found: NoiseFit, name: str, k: int) -> None:
     panel.plot(found.taus_s, course, marker=AXIS_MARKERS[k], markersize=3.5, label=f"{name} {axis.axis}", **style)
 
 
-def _parts(axis: AxisNoise, taus_s: FloatArray) -> dict[str, FloatArray]:
-    """Return the terms of the fitted Allan variance that the record shows, by name: the equation of calibration.noise."""
-    terms = {
-        "angle_random_walk": 1.0 / taus_s,
-        "bias_instability": FLICKER + 0.0 * taus_s,
-        "rate_random_walk": taus_s / 3.0,
-    }
-    terms["quantization"] = 3.0 / taus_s**2
-    return {name: np.nan_to_num(getattr(axis, name).value) ** 2 * term for name, term in terms.items()}
-
-
-def draw_allan_fit(found: NoiseFit, triad: str) -> "Figure":
+def draw_allan_fit(found: "NoiseFit", triad: str, terms: Mapping[str, str]) -> "Figure":
     """Draw each axis of a triad with the fitted line of each term, and a mark where its coefficient is read."""
     figure, panels = new_figure(3, height=2.1)
-    dashes = dict(zip(TERMS[triad], (("-.", "D", 1.0), ("--", "s", None), (":", "^", 3.0)), strict=True))
+    dashes = dict(zip(terms, (("-.", "D", 1.0), ("--", "s", None), (":", "^", 3.0)), strict=True))
     for k, (panel, axis) in enumerate(zip(panels, getattr(found, triad), strict=True)):
         _draw_deviation(panel, found, triad, k)
-        parts, low = _parts(axis, found.taus_s), float(np.nanmin(getattr(found, f"{triad}_limits")[0, :, k]))
+        parts, low = axis.terms(found.taus_s), float(np.nanmin(getattr(found, f"{triad}_limits")[0, :, k]))
         total = np.sqrt(sum(parts.values()))
         panel.plot(found.taus_s, total, color=OPTICS, linewidth=0.9, label="model")
         for name, (dash, marker, at_s) in dashes.items():
@@ -517,8 +504,8 @@ def draw_allan_fit(found: NoiseFit, triad: str) -> "Figure":
                 at = float(found.taus_s[total.argmin()]) if at_s is None else at_s
                 far = (line > 0.5 * low) | (found.taus_s >= 0.5 * at if name == "rate_random_walk" else False)
                 shown = np.where(far, line, np.nan)
-                panel.plot(found.taus_s, shown, color=LIMIT, linestyle=dash, label=TERMS[triad][name])
-                panel.plot(at, np.sqrt(_parts(axis, np.array([at]))[name]), marker=marker, color=LIMIT, markersize=5.0)
+                panel.plot(found.taus_s, shown, color=LIMIT, linestyle=dash, label=terms[name])
+                panel.plot(at, np.sqrt(axis.terms(np.array([at]))[name]), marker=marker, color=LIMIT, markersize=5.0)
         panel.set(xscale="log", yscale="log", ylabel=f"{triad} {axis.axis} ({getattr(found, f'{triad}_unit')})")
         legend_above(panel)
     entitle(figure, "Allan deviation and its terms; marks: where a coefficient is read")
@@ -556,7 +543,9 @@ def draw_levels(trials: Sequence["Trial"]) -> "Figure":
     return figure
 
 
-def draw_surface(outcome: "StudyOutcome", task: "TaskOutcome", timing: "Timing") -> "Figure":
+def draw_surface(
+    outcome: "StudyOutcome", task: "TaskOutcome", timing: "Timing", headings: Mapping[str, str]
+) -> "Figure":
     """Draw the mean error over the protocols: a column for each step d, what is not shown at its best."""
     surface = task.surface
     mean = surface.error(outcome.study.objective, timing).mean(axis=0)
@@ -582,9 +571,9 @@ def draw_surface(outcome: "StudyOutcome", task: "TaskOutcome", timing: "Timing")
             panel.grid(False)
             panel.set_xticks(np.arange(len(xs)), [f"{x:.3g}" for x in xs])
             panel.set_yticks(np.arange(len(ys)), [f"{y:.3g}" for y in ys])
-            panel.set(ylabel=HEADINGS[name], title=f"d = {step:.3g} deg/s")
+            panel.set(ylabel=headings[name], title=f"d = {step:.3g} deg/s")
             if column == len(steps) - 1:
-                panel.set_xlabel(HEADINGS["turn_rate_max_dps"])
+                panel.set_xlabel(headings["turn_rate_max_dps"])
             for place, mark, colour, face, size in marks:
                 if step_of[place] == step:
                     style: Any = {"marker": mark, "s": size, "facecolor": face, "edgecolor": colour}
@@ -600,7 +589,7 @@ def draw_surface(outcome: "StudyOutcome", task: "TaskOutcome", timing: "Timing")
     return figure
 
 
-def draw_effects(task: "TaskOutcome") -> "Figure":
+def draw_effects(task: "TaskOutcome", headings: Mapping[str, str]) -> "Figure":
     """Draw the mean error over each parameter, the others at the optimum, with 95 % intervals within subjects."""
     every = task.optimum.effects
     figure, axes = new_figure(-(-len(every) // 2), columns=min(2, len(every)), height=2.2, share_x=False)
@@ -610,7 +599,7 @@ def draw_effects(task: "TaskOutcome") -> "Figure":
     for panel, effect, reach in zip(axes, every, task.effect_reach_deg, strict=False):
         bars = reach if reach > 0.0 else None
         panel.errorbar(effect.values, effect.means_deg, yerr=bars, color=DEVICE, marker="o", ms=3.5)
-        panel.set_xlabel(HEADINGS[effect.name])
+        panel.set_xlabel(headings[effect.name])
         panel.set_title("not tested" if effect.judged is None else effect.judged.verdict, fontsize=9)
         ends += [effect.means_deg.min() - reach, effect.means_deg.max() + reach]
         panel.set_xticks(effect.values if len(effect.values) < 6 else effect.values[:: -(-len(effect.values) // 5)])

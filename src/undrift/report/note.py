@@ -23,7 +23,6 @@ from undrift.report.figures import (
     compared_style,
     new_figure,
 )
-from undrift.study.space import COMPARED_NAMES
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -79,16 +78,14 @@ FIGURE_1 = (
 LOOP = (5, 1, "no: other values, more subjects")  # from one step of Figure 1 back to another
 
 BEFORE = NoteStep(
-    "Gyroscope output in calibrations at 18 to 75 °C",
-    ("drift.fit.fit_drift", "drift.temperature.trusted_temperature"),
+    "Gyroscope output in calibrations at 18 to 75 °C", ("drift.fit.fit_drift", "drift.temperature.trusted_temperature")
 )
 STATIC = Branch(
     "block\N{NO-BREAK SPACE}2, block\N{NO-BREAK SPACE}3, block\N{NO-BREAK SPACE}4, block\N{NO-BREAK SPACE}5",
     (
         NoteStep("Output at rest, at each temperature", ("drift.observe.observe_rests",)),
         NoteStep(
-            "Function of the static drift, by splines",
-            ("drift.temperature.estimate_lag", "drift.static.fit_static"),
+            "Function of the static drift, by splines", ("drift.temperature.estimate_lag", "drift.static.fit_static")
         ),
         NoteStep("Tuning table, every 0.5 °C", ("drift.fit.cropped_static",)),
     ),
@@ -230,7 +227,9 @@ FLOWS = {"note-figure-1.svg": draw_figure1, "note-figure-2.svg": draw_figure2}
 # ---- Figure 3
 
 
-def draw_figure3(found: "Figure3", drawn: "Sequence[DrawnRow]" = (), twin: "Figure3 | None" = None) -> "Figure":
+def draw_figure3(
+    found: "Figure3", names: Sequence[str], drawn: "Sequence[DrawnRow]" = (), twin: "Figure3 | None" = None
+) -> "Figure":
     """Draw the note's Figure 3: pitch, errors for each compensation, simulated against actual, largest errors."""
     from matplotlib.lines import Line2D
 
@@ -254,7 +253,7 @@ def draw_figure3(found: "Figure3", drawn: "Sequence[DrawnRow]" = (), twin: "Figu
         panel.set_title(title, loc="left", fontsize=_SIZE)
     apart.set_xlabel("time (s)")
     lines = [Line2D([], [], **compared_style(k) | {"markevery": None}) for k in range(len(COMPARED_COLOURS))]
-    figures.legend_outside(figure, lines, COMPARED_NAMES)
+    figures.legend_outside(figure, lines, names)
     return figure
 
 

@@ -17,9 +17,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
+from undrift.base.options import stated
+from undrift.commands.bench.rig_run import PracticeDevice, RigRun
 from undrift.errors import InputError, UndriftError
 from undrift.files import write_whole
-from undrift.web.commands import CommandOutcome, run_command, stated
+from undrift.web.commands import CommandOutcome, run_command
 from undrift.web.devices import Devices
 from undrift.web.rate_table import RateTablePage
 from undrift.web.recordings import Recordings
@@ -28,8 +30,7 @@ from undrift.web.temperature import WarmUpRecording
 from undrift.web.uploads import safe_name
 
 if TYPE_CHECKING:
-    from undrift.web.rig_run import RigRun
-    from undrift.web.source import LiveDevice
+    from undrift.commands.bench.source import LiveDevice
 
 PLACE = "place.json"
 SENSORS = {"accel": "accelerometers", "gyro": "gyroscopes"}
@@ -104,7 +105,7 @@ class Bench:
         self.calibration: Path | None = None  # what Live and Recordings correct with
         self.job: Job | None = None
         self.working: list[Working] = []
-        self._practice: Any = None
+        self._practice = PracticeDevice()
         self.recordings, self.devices = Recordings(self), Devices(self)
         for name in ("jobs", "uploads"):
             (self.folder / name).mkdir(parents=True, exist_ok=True)
@@ -118,7 +119,7 @@ class Bench:
 
     async def connect(self, address: str) -> None:
         """Connect a device in place of the one before; what goes wrong stands in ``source_error``."""
-        from undrift.web.source import LiveDevice
+        from undrift.commands.bench.source import LiveDevice
 
         await self.disconnect()
         self.source_error, self.connecting = "", address
@@ -146,23 +147,15 @@ class Bench:
     @property
     def practice(self) -> Any:
         """Return the practice device, where it is the one that is connected."""
-        return None if self.source is None else self._practice
+        return None if self.source is None else self._practice.device
 
     def _address_of(self, address: str) -> str:
         """Return an address to connect to; that of the practice device, which starts with it, for ``emulator``."""
-        if address.strip() != PRACTICE:
-            if self._practice is not None:
-                self._practice.close()
-                self._practice = None
-            return address.strip()
-        if self._practice is None:
-            from undrift.sim.rig.hand_held import start_hand_held
-
-            s = self.settings
-            self._practice = start_hand_held(
-                seed=s.practice_seed, speed=s.practice_speed, gravity_m_s2=self.place.gravity_m_s2
-            )
-        return str(self._practice.address)
+        s = self.settings
+        if address.strip() == PRACTICE:
+            return self._practice.start(s.practice_seed, s.practice_speed, self.place.gravity_m_s2)
+        self._practice.close()
+        return address.strip()
 
     # ---- The work
 
@@ -261,8 +254,7 @@ class Bench:
         self.table.close()
         if self.source is not None:
             self.source.stop()
-        if self._practice is not None:
-            self._practice.close()
+        self._practice.close()
 
 
 def _held_in(path: Path) -> dict[str, Any]:

@@ -89,17 +89,6 @@ def without_folders(text: str, folder: Path) -> str:
     return FOLDERS.sub("", text.replace(f"{folder}/", ""))
 
 
-def stated(**options: object) -> tuple[object, ...]:
-    """Return options as the words of a command; those that are None or "" are not stated."""
-    known = {name: value for name, value in options.items() if value not in (None, "")}
-    return tuple(word for name, value in known.items() for word in (f"--{name.replace('_', '-')}", value))
-
-
-def asked(label: str, value: str = "", **how: Any) -> Any:
-    """Return a field of a dataclass that a form asks for: its label, or the option of a command, and more of a ``Field``."""
-    return field(default=value, metadata={"label": CONTROLS.get(label, label), **how})
-
-
 async def run_command(
     words: Sequence[object], folder: Path, heard: Callable[[str], None], *, longest_s: float = LONGEST_S
 ) -> CommandOutcome:

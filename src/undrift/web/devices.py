@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 from nicegui import ui
 
+from undrift.base.options import stated
 from undrift.web import parts
-from undrift.web.commands import stated
 from undrift.web.uploads import safe_name
 
 if TYPE_CHECKING:

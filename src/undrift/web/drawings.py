@@ -3,8 +3,8 @@
 import math
 from collections.abc import Sequence
 
+from undrift.commands.bench.capture import Light
 from undrift.record import Face
-from undrift.web.capture import Light
 
 Vector = tuple[float, float, float]
 HALF: Vector = (62.0, 44.0, 22.0)  # of the box along x, y and z

@@ -40,10 +40,10 @@ from nicegui.element import Element
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from undrift.arrays import FloatArray
+from undrift.commands.bench.source import LiveDevice, Update
 from undrift.errors import InputError
 from undrift.record import joined
 from undrift.units import RADIAN_PER_DEGREE, Quantity, is_physical, si_factor
-from undrift.web.source import LiveDevice, Update
 
 PLOTS = {"rate": "Turn rate", "accel": "Specific force", "pitch": "Pitch", "temp": "Temperature"}
 PERIOD_S = 1.0 / 15.0  # between frames

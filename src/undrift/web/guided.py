@@ -16,12 +16,12 @@ import numpy as np
 from nicegui import background_tasks, ui
 
 from undrift.arrays import FloatArray
+from undrift.commands.bench.capture import Capture
+from undrift.commands.bench.guides import ORDER, REST_S, WAYS, Guide, SixFaces, Turns, asked, named
 from undrift.errors import UndriftError
 from undrift.record import Face
 from undrift.web import parts
-from undrift.web.capture import Capture
 from undrift.web.drawings import box, lamp, ring
-from undrift.web.guides import ORDER, REST_S, WAYS, Guide, SixFaces, Turns, asked, named
 from undrift.web.start import connect_form
 
 if TYPE_CHECKING:
@@ -169,8 +169,7 @@ def _turns(bench: "Bench", guided: Guided) -> None:
         REST_S,
     )
     parts.redrawn(
-        lambda: (guide.complete, guide.enough, bool(bench.working), guided.refused),
-        lambda: _after_turns(bench, guided),
+        lambda: (guide.complete, guide.enough, bool(bench.working), guided.refused), lambda: _after_turns(bench, guided)
     )
     lays: Moves = [(f"{up} up", methodcaller("lay", up)) for up in UPS.values()]
     turns: Moves = [

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING
 
 from nicegui import ui
 
+from undrift.commands.bench.source import LiveDevice, Status
 from undrift.errors import InputError, UndriftError
 from undrift.record import FACES, Face
 from undrift.web import parts
 from undrift.web.commands import Remark, without_folders
 from undrift.web.feed import Panel
-from undrift.web.source import LiveDevice, Status
 from undrift.web.start import connect_form
 from undrift.web.uploads import safe_name
 

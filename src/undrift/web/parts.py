@@ -256,7 +256,7 @@ class Field:
         self.value, self._keep = value, keep
         options = options() if callable(options) else options
         with ui.element("label").classes("bench-field"):
-            text("span", label)
+            text("span", CONTROLS.get(label, label))
             if options and kind != "list":
                 with ui.element("select") as self.element:
                     for option in options:

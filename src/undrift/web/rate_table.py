@@ -16,18 +16,18 @@ from typing import TYPE_CHECKING
 
 from nicegui import ui
 
+from undrift.base.options import asked
+from undrift.commands.bench.rig_run import GOING, EmulatedTable, RigRun, RunOrder, View, begin_run, find_run
+from undrift.commands.rig import forecast
 from undrift.errors import InputError, UndriftError
-from undrift.rig.programme import Forecast, ProgrammeSettings, forecast_of, programme_of, read_protocol
-from undrift.rig.rig import Limits, check_programme, parse_address
 from undrift.units import RADIAN_PER_DEGREE
 from undrift.web import parts
-from undrift.web.commands import CommandOutcome, asked
-from undrift.web.rig_run import GOING, EmulatedTable, RigRun, RunOrder, View, begin_run, find_run
+from undrift.web.commands import CommandOutcome
 
 if TYPE_CHECKING:
+    from undrift.rig.programme import Forecast
     from undrift.web.bench import Bench
 
-LIMITS = Limits(turn_rate=360.0 * RADIAN_PER_DEGREE, acceleration=5000.0 * RADIAN_PER_DEGREE)  # of the command
 FACES = ("+x", "-x", "+y", "-y", "+z", "-z")
 NEXT_STEPS = 4
 SPEEDS = ("1", "10", "20", "100")  # of the emulated table
@@ -70,19 +70,16 @@ class ProtocolForm:
             lines.append(f"soak_c_per_min = {_typed(self.soak_c_per_min)}")
         return "\n".join(lines) + "\n"
 
-    def check(self, rig: str) -> Forecast:
+    def check(self, rig: str) -> "Forecast":
         """Return what it takes on a table, as ``rig run`` states it; InputError says which field is wrong, and why."""
-        lines = parse_address(rig)[2].encoder_lines
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "protocol.toml"
             path.write_text(self.toml(), encoding="utf-8")
             try:
-                programme = programme_of(read_protocol(path), ProgrammeSettings(encoder_lines=lines))
+                return forecast(path, rig)
             except InputError as error:
                 words = str(error).removeprefix(f"{path}: ")
                 raise InputError(re.sub(r"^line \d+: ", "", words)) from error  # of a file that nobody sees
-        check_programme(programme, LIMITS, by_hand=rig.startswith("manual:"))
-        return forecast_of(programme)
 
 
 def _typed(words: str) -> str:
@@ -162,7 +159,7 @@ class RateTablePage:
         self.error = outcome.error
         return "/result" if outcome.done else None
 
-    async def forecast(self, typed: ProtocolForm) -> Forecast | str:
+    async def forecast(self, typed: ProtocolForm) -> "Forecast | str":
         """Return what a protocol takes, or what is wrong with it."""
         wanted = typed.toml(), self.addresses.rig.strip() or "galil:"
         if wanted not in self._forecasts:
@@ -299,10 +296,10 @@ def order_form(bench: "Bench", typed: ProtocolForm, *, chamber: bool) -> None:
             parts.form(typed, "bracket_s", "acceleration_dps2", "cutoff_hz")
     found: list[Forecast | str] = [""]
 
-    async def forecast() -> None:
+    async def look() -> None:
         found[:] = [await table.forecast(typed)]
 
-    parts.bound(forecast)
+    parts.bound(look)
     parts.status_line(lambda: forecast_words(found[0]), "forecast")
     parts.error_line(lambda: found[0] if isinstance(found[0], str) else "")
     parts.error_line(lambda: table.error)
@@ -311,7 +308,7 @@ def order_form(bench: "Bench", typed: ProtocolForm, *, chamber: bool) -> None:
     parts.disabled_if(start, lambda: isinstance(found[0], str) or bool(table.busy))
 
 
-def forecast_words(found: Forecast | str) -> str:
+def forecast_words(found: "Forecast | str") -> str:
     """Say what a protocol takes."""
     if isinstance(found, str):
         return ""

@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING, Any
 
 from nicegui import ui
 
+from undrift.base.options import asked, stated
 from undrift.errors import InputError
 from undrift.record import FACES
 from undrift.web import parts
-from undrift.web.commands import CommandOutcome, Remark, asked, remarks_of, stated
+from undrift.web.commands import CommandOutcome, Remark, remarks_of
 from undrift.web.drawings import worn
 from undrift.web.uploads import safe_name
 

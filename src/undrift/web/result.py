@@ -5,9 +5,10 @@ from typing import TYPE_CHECKING
 
 from nicegui import ui
 
+from undrift.base.options import stated
 from undrift.errors import InputError
 from undrift.web import parts
-from undrift.web.commands import CommandOutcome, remarks_of, stated
+from undrift.web.commands import CommandOutcome, remarks_of
 from undrift.web.start import place_form
 
 if TYPE_CHECKING:

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 from nicegui import ui
 
+from undrift.base.options import asked, stated
 from undrift.errors import InputError
 from undrift.units import STANDARD_GRAVITY, gravity_at
 from undrift.web import parts
-from undrift.web.commands import asked, stated
 
 if TYPE_CHECKING:
     from undrift.web.bench import Bench
@@ -154,8 +154,5 @@ def page(bench: "Bench") -> None:
                 "p", "It gives local gravity. Without it, standard gravity is assumed: up to 0.3 % error of scale."
             )
             place_form(bench, "Save")
-            parts.status_line(lambda: _place_words(bench.place))
-
-
-def _place_words(place: Site) -> str:
-    return f"Saved: {place.gravity_m_s2:.4f} m/s2" if place.words() else "Not stated"
+            saved = "Saved: {.gravity_m_s2:.4f} m/s2".format
+            parts.status_line(lambda: saved(bench.place) if bench.place.words() else "Not stated")

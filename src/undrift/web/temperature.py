@@ -7,18 +7,15 @@ from collections.abc import Sequence
 from functools import partial
 from typing import TYPE_CHECKING
 
+from undrift.commands.bench.rig_run import Point, RigRun, TempCourse, View
 from undrift.errors import InputError
-from undrift.record import joined
-from undrift.rig.chamber import LOOKS, SoakSettings, Steadiness, mean_temp
 from undrift.web import parts
 from undrift.web.rate_table import order_form, run_part, run_state
-from undrift.web.rig_run import Point, RigRun, View, add_point
 from undrift.web.start import connect_form
 
 if TYPE_CHECKING:
-    from undrift.record import Record
+    from undrift.commands.bench.source import LiveDevice
     from undrift.web.bench import Bench, Job
-    from undrift.web.source import LiveDevice
 
 LOOK_S = 0.5  # between two looks at what came
 WIDTH, HEIGHT, LEFT, BOTTOM = 640, 240, 56, 34
@@ -26,22 +23,15 @@ DRAWN = 300  # points of a curve
 
 
 class WarmUpRecording:
-    """One recording, from its start to the fit; ``curve`` and ``stable_since`` grow while it goes on."""
+    """One recording, from its start to the fit; its course of temperature grows while it goes on."""
 
-    def __init__(self, bench: "Bench", settings: SoakSettings = SoakSettings()) -> None:
-        self._bench, self.settings = bench, settings
+    def __init__(self, bench: "Bench") -> None:
+        self._bench = bench
         self.job: Job | None = None
         self.error = ""
         self.recording = False
         self._task: asyncio.Task[None] | None = None
-        self._clear()
-
-    def _clear(self) -> None:
-        """Forget what was seen of an earlier recording."""
-        self.curve: list[Point] = []
-        self.slope_c_per_min: float | None = None  # None before a window is full
-        self.stable_since: float | None = None  # s since 1970
-        self._steadiness = Steadiness(self.settings)
+        self.course = TempCourse()
 
     def start(self) -> None:
         """Begin to record the device that is connected."""
@@ -52,7 +42,7 @@ class WarmUpRecording:
             raise InputError("warm-up: wanted a device with a thermometer, got none; use a chamber with one")
         job = self._bench.new_job(source.name)
         source.write_to(job.folder / "warm_up.parquet")
-        self._clear()
+        self.course = TempCourse()
         self.job, self.error, self.recording = job, "", True
         self._task = asyncio.create_task(self._follow(source))
 
@@ -73,29 +63,13 @@ class WarmUpRecording:
 
     async def _follow(self, source: "LiveDevice") -> None:
         last = max((update.number for update in source.updates()), default=0)
-        held: list[Record] = []
         while self.recording and source is self._bench.source:
             await asyncio.sleep(LOOK_S)
             came = source.updates(last)
             if came:
                 last = came[-1].number
-                held += [update.raw for update in came]
-            if held and held[-1].time[-1] - held[0].time[0] >= self.settings.window_s / LOOKS:
-                self._look(joined(held))
-                held = []
+                self.course.take(update.raw for update in came)
         self.recording = False
-
-    def _look(self, record: "Record") -> None:
-        """Take the mean of a while, as a soak of a run does."""
-        temp_c = mean_temp(record)
-        if temp_c is None:
-            return
-        self._steadiness.add(0.5 * float(record.time[0] + record.time[-1]), temp_c)
-        slope = self._steadiness.slope_c_per_min()
-        self.slope_c_per_min = slope if math.isfinite(slope) else None
-        steady = slope < self.settings.slope_c_per_min
-        self.stable_since = (self.stable_since or time.time()) if steady else None
-        add_point(self.curve, Point(time=time.time(), air_c=None, device_c=temp_c, soaking=not steady))
 
 
 # ---- The page
@@ -113,9 +87,9 @@ def _part(bench: "Bench") -> None:
     if warm_up.recording:
         parts.text("h2", "Recording a warm-up")
         parts.text("p", "Leave the device at rest. The recording continues when this page is closed.")
-        limit = warm_up.settings.slope_c_per_min
-        parts.status_line(lambda: steadiness_words(warm_up.slope_c_per_min, limit, warm_up.stable_since), "soak")
-        parts.picture(lambda: curve_svg(warm_up.curve), "curve")
+        course = warm_up.course
+        parts.status_line(lambda: steadiness_words(course.slope_c_per_min, course.limit, course.stable_since), "soak")
+        parts.picture(lambda: curve_svg(course.curve), "curve")
         parts.text("p", _corrected(bench), "soft")
         parts.error_line(lambda: warm_up.error)
         parts.next_step("End and fit the drift", warm_up.finish)

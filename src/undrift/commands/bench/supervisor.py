@@ -1,6 +1,6 @@
 """Supervisor: the process that a run of the rate table lives in, apart from the bench: it starts the command, and stops the table.
 
-    python -m undrift.web.supervisor FOLDER
+    python -m undrift.commands.bench.supervisor FOLDER
 
 It holds a standby connection to the table (rig/watch.py) and listens on a port of its own, so that an emergency stop waits for
 neither the bench's event loop nor the run. Its requests are POSTs with the key that stands in FOLDER/../run/standby.json::
@@ -25,10 +25,10 @@ from pathlib import Path
 from types import FrameType
 from urllib.parse import parse_qs, urlsplit
 
+from undrift.commands.bench.rig_run import ANSWER, LOCK, LOG, PLACE, PROGRESS, STANDBY, command_of, read_order
 from undrift.files import take_lock, write_whole
 from undrift.rig.run import append
 from undrift.rig.watch import Standby, stop_now
-from undrift.web.rig_run import ANSWER, LOCK, LOG, PLACE, PROGRESS, STANDBY, command_of, read_order
 
 NICE = -10  # where the system allows it
 
@@ -50,11 +50,7 @@ class Supervisor:
         threading.Thread(target=self._server.serve_forever, name="stop", daemon=True).start()
         with (self._place / ANSWER).open("wb") as out, (self._place / LOG).open("ab") as err:
             self._child = subprocess.Popen(
-                command_of(order, folder),
-                stdin=subprocess.PIPE,
-                stdout=out,
-                stderr=err,
-                pass_fds=(self._lock,),
+                command_of(order, folder), stdin=subprocess.PIPE, stdout=out, stderr=err, pass_fds=(self._lock,)
             )
         with contextlib.suppress(OSError):
             os.nice(NICE)  # after the child was started

@@ -61,9 +61,7 @@ class Status:
     temp_c: float  # Newest; NaN where the device has none
     oriented: bool  # Whether the readings have both triads in physical units, so that there is a pitch
     rested_s: float  # Device time since the last rest, from which the pitch is counted; NaN where it is unknown
-    correction: (
-        str  # Why nothing is corrected, or what the calibration does not cover, a line each; "" where all is well
-    )
+    correction: str  # Why nothing is corrected, or what the calibration does not cover, a line each; "" if all is well
     notes: str  # What a reader of the corrected signals may not expect, a line each
     file: Path | None  # What is being written
     file_error: str  # Why the last file ended early; "" where it did not
@@ -90,10 +88,7 @@ class LiveDevice:
         self.calibration_file: Path | None = None  # where it came from
         self._corrector: Corrector | None = None
         self._orient = OrientStream()
-        self.axes: tuple[Face, Face] = (
-            "+x",
-            "+z",
-        )  # that point forward and up on the upright segment: they define the pitch
+        self.axes: tuple[Face, Face] = "+x", "+z"  # forward and up on the upright segment: they define the pitch
         self._correction = self._notes = ""
         self._writer: ParquetWriter | None = None
         self._unwritten: list[Record] = []

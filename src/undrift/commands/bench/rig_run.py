@@ -1,8 +1,8 @@
 """A run on the rate table as the bench sees it: started in a process of its own, followed, paused, continued, stopped.
 
 The run is the command ``undrift rig run`` itself, with ``--progress``; it lives in a session of its own beside a supervisor
-(web/supervisor.py), and neither a closed browser nor the end of the bench's own process touches it. What the bench knows of it
-stands beside the folder of the run, so that the next bench finds it::
+(supervisor.py), and neither a closed browser nor the end of the bench's own process touches it. What the bench knows of it stands
+beside the folder of the run, so that the next bench finds it::
 
     JOB/session/              the folder of the run
     JOB/run/run.json          the order: addresses and options
@@ -19,24 +19,30 @@ Continue is the command with --resume.
 import contextlib
 import http.client
 import json
+import math
 import os
 import signal
 import subprocess
 import sys
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 from urllib.parse import urlencode
 
+from undrift.base.options import asked, stated
 from undrift.errors import InputError, RigFault
 from undrift.files import take_lock, write_whole
+from undrift.record import Record, joined
+from undrift.rig.chamber import LOOKS, SoakSettings, Steadiness, mean_temp
 from undrift.rig.folder import JOURNAL
 from undrift.rig.run import ProgressReader
 from undrift.rig.watch import Standby, stop_now
-from undrift.web.commands import asked, stated
+
+if TYPE_CHECKING:
+    from undrift.sim.rig.hand_held import HandHeld
 
 SESSION, PLACE = "session", "run"
 ORDER, PROTOCOL, PROGRESS, STANDBY, LOCK = "run.json", "protocol.toml", "progress.jsonl", "standby.json", "lock"
@@ -72,12 +78,7 @@ def command_of(order: RunOrder, folder: Path) -> list[str]:
     place = folder.parent / PLACE
     words = [sys.executable, "-m", "undrift", "rig", "run", str(place / PROTOCOL), "-o", str(folder)]
     words += ["--yes", "--json", "--progress", str(place / PROGRESS)]
-    return [
-        *words,
-        *map(str, stated(**order.named())),
-        *order.options,
-        *(["--resume"] if (folder / JOURNAL).exists() else []),
-    ]
+    return [*words, *map(str, stated(**order.named())), *order.options, *["--resume"] * (folder / JOURNAL).exists()]
 
 
 def read_order(folder: Path) -> RunOrder:
@@ -101,6 +102,33 @@ def add_point(curve: list[Point], point: Point) -> None:
     curve.append(point)
     if len(curve) > CURVE:
         del curve[1::2]
+
+
+class TempCourse:
+    """Temperatures of a device that warms up: whether they are steady is judged as in a soak of a run."""
+
+    def __init__(self) -> None:
+        self.curve: list[Point] = []
+        self.slope_c_per_min: float | None = None  # None before a window is full
+        self.stable_since: float | None = None  # s since 1970
+        self.limit, self._every_s = SoakSettings().slope_c_per_min, SoakSettings().window_s / LOOKS
+        self._steadiness = Steadiness(SoakSettings())
+        self._held: list[Record] = []
+
+    def take(self, records: Iterable[Record]) -> None:
+        """Take readings; the mean of each while is a point."""
+        self._held += records
+        if not self._held or self._held[-1].time[-1] - self._held[0].time[0] < self._every_s:
+            return
+        record, self._held = joined(self._held), []
+        if (temp_c := mean_temp(record)) is None:
+            return
+        self._steadiness.add(0.5 * float(record.time[0] + record.time[-1]), temp_c)
+        slope = self._steadiness.slope_c_per_min()
+        self.slope_c_per_min = slope if math.isfinite(slope) else None
+        steady = slope < self.limit
+        self.stable_since = (self.stable_since or time.time()) if steady else None
+        add_point(self.curve, Point(time=time.time(), air_c=None, device_c=temp_c, soaking=not steady))
 
 
 @dataclass(slots=True)
@@ -239,7 +267,7 @@ class RigRun:
         self.view = replace(self.view, state="starting", error="", confirmed=None)
         with (self.place / LOG).open("ab") as log:
             self._supervisor = subprocess.Popen(
-                [sys.executable, "-m", "undrift.web.supervisor", str(self.folder)],
+                [sys.executable, "-m", "undrift.commands.bench.supervisor", str(self.folder)],
                 stdin=subprocess.DEVNULL,
                 stdout=log,
                 stderr=log,
@@ -391,7 +419,7 @@ def find_run(root: Path) -> RigRun | None:
     return None
 
 
-# ---- The emulated table: another process that stays while a run needs it.
+# ---- What is emulated where there is none: a table, in another process that stays while a run needs it; a device to practise with.
 
 
 class EmulatedTable:
@@ -437,3 +465,24 @@ class EmulatedTable:
             self._process.terminate()
             with contextlib.suppress(subprocess.TimeoutExpired):
                 self._process.wait(10.0)
+
+
+class PracticeDevice:
+    """The emulated device in an operator's hands that a bench starts where no other is there."""
+
+    def __init__(self) -> None:
+        self.device: HandHeld | None = None
+
+    def start(self, seed: int | None, speed: float, gravity_m_s2: float) -> str:
+        """Start it, unless it goes on; return its address."""
+        from undrift.sim.rig.hand_held import start_hand_held
+
+        if self.device is None:
+            self.device = start_hand_held(seed=seed, speed=speed, gravity_m_s2=gravity_m_s2)
+        return self.device.address
+
+    def close(self) -> None:
+        """End it; harmless when called again."""
+        if self.device is not None:
+            self.device.close()
+        self.device = None

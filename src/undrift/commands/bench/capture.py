@@ -229,7 +229,8 @@ class Capture:
         if self._swaying(within, mean, record.sample_rate_hz):
             return None
         made = Rest(start_s=float(record.time[start]), stop_s=float(record.time[-1]), mean=mean)
-        if made.duration_s >= s.settle_s and not any(_alike(mean, known) for known in self._rests):
+        alike = (np.linalg.norm(mean - known) < 0.05 * np.linalg.norm(known) for known in self._rests)
+        if made.duration_s >= s.settle_s and not any(alike):
             self._rests.append(mean)
         return made
 
@@ -387,7 +388,3 @@ def _without_lost(record: Record) -> Record | None:
 def way_of(held: CapturedTurn) -> str:
     """Return which turn it is: ``+x`` for one about x by a positive angle."""
     return f"{'+' if (held.turn.angle or 0.0) > 0.0 else '-'}{held.turn.axis}"
-
-
-def _alike(one: FloatArray, other: FloatArray) -> bool:
-    return bool(np.linalg.norm(one - other) < 0.05 * np.linalg.norm(other))

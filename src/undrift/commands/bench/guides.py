@@ -20,11 +20,21 @@ from typing import cast
 
 import numpy as np
 
+from undrift.commands.bench.capture import (
+    UNKNOWN,
+    Capture,
+    CapturedFace,
+    CapturedSpan,
+    CapturedTurn,
+    Light,
+    Rest,
+    State,
+    way_of,
+)
 from undrift.errors import InputError
 from undrift.record import FACES, Axis, Face, Record, Still
 from undrift.segments import StillSettings, find_still, find_turns
 from undrift.units import RADIAN_PER_DEGREE, is_physical, si_factor
-from undrift.web.capture import UNKNOWN, Capture, CapturedFace, CapturedSpan, CapturedTurn, Light, Rest, State, way_of
 
 ORDER: tuple[Face, ...] = ("+z", "+x", "-z", "-x", "+y", "-y")  # each a quarter turn from the one before
 WAYS = FACES  # + is counter-clockwise, seen with the axis up
