@@ -258,7 +258,7 @@ class Served(Closed):
 
 # ---- Server
 
-TICK_S = 0.005
+TICK_S, IDLE_S = 0.005, 0.02  # between two looks: of a client on a virtual clock, of a server that nobody asks (host s)
 READ_SIZE = 4096
 # Fair to all clients: each is obeyed for so long in a round, so many bytes at a time, and is read no further while it has not been
 # obeyed, or does not read so many answers of its own.
@@ -340,7 +340,7 @@ class Server:
                 settling = not self._settled.is_set()
                 due = min((client.pending[0][0] for client in self._clients if client.pending), default=math.inf)
                 due = 0.0 if any(client.inbox for client in self._clients) else due
-                for key, _ in self._selector.select(min(max(due - self._link.now(), 0.0), TICK_S)):
+                for key, _ in self._selector.select(min(max(due - self._link.now(), 0.0), IDLE_S)):
                     key.data()
                 self._machine.tick()
                 if self.dark or self._link.take_disconnect():
