@@ -132,7 +132,7 @@ class Capture:
         self.newest_s = -math.inf  # its time on the device's clock
         self._cloud: deque[FloatArray] = deque(maxlen=CLOUD_POINTS)
         self._rests: deque[FloatArray] = deque(maxlen=64)
-        self._noise = 0.0  # of a reading of the accelerometers at rest, raw
+        self._noise = self._extent = 0.0  # raw: of a reading of the accelerometers at rest; of the cloud's longest side
 
     # ---- Readings
 
@@ -151,8 +151,7 @@ class Capture:
             )
         if key is not self._key or record.time[-1] < self.newest_s:  # another connection, whose clock is its own
             self._key, self.newest_s = key, -math.inf
-        longest_s = _longest_s(record)
-        first = int(np.searchsorted(record.time, self.newest_s, side="right"))
+        longest_s, first = _longest_s(record), int(np.searchsorted(record.time, self.newest_s, side="right"))
         ends = [*(first + 1 + np.flatnonzero(np.diff(record.time[first:]) > longest_s)).tolist(), len(record)]
         for stop in ends:
             if stop - first >= 2:  # one alone waits for the next
@@ -168,9 +167,10 @@ class Capture:
         self._stretches[-1].parts.append(part)
         for first in range(0, len(part), step):
             mean = np.asarray(part.accel)[first : first + step].mean(axis=0)
-            extent = float(np.ptp(np.array(self._cloud), axis=0).max()) if self._cloud else 0.0
-            if np.isfinite(mean).all() and (not self._cloud or np.linalg.norm(mean - self._cloud[-1]) > 0.02 * extent):
+            moved = not self._cloud or np.linalg.norm(mean - self._cloud[-1]) > 0.02 * self._extent
+            if moved and np.isfinite(mean).all():
                 self._cloud.append(mean)
+                self._extent = float(np.ptp(np.array(self._cloud), axis=0).max())
 
     def _forget(self) -> None:
         """Drop readings in which nothing was captured for long."""
@@ -216,7 +216,7 @@ class Capture:
             return None
         start, stop = 0, len(record)
         try:
-            for still in (StillSettings(), StillSettings(threshold_floors=4.0)):
+            for still in (StillSettings(threshold_floors=4.0), StillSettings()):  # the quicker one first
                 found = find_still(record, still).stills
                 if not found or found[-1].stop != stop:
                     return None
