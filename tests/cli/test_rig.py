@@ -24,15 +24,16 @@ pytestmark = pytest.mark.waits
 NOBODY = "galil:tcp://127.0.0.1:9?reply_timeout_s=0.2"
 
 
-@pytest.fixture
-def emulated(tmp_path):
-    """Start `undrift rig emulate` in a process of its own; yield its addresses."""
-    calls = ["rig", "emulate", "--speed", "15", "--seed", "3", "--save-device", str(tmp_path / "device.json"), "--json"]
+@pytest.fixture(scope="module")
+def emulated(tmp_path_factory):
+    """Start `undrift rig emulate` in a process of its own; yield its addresses and the file of its device."""
+    device = tmp_path_factory.mktemp("emulated") / "device.json"
+    calls = ["rig", "emulate", "--speed", "15", "--seed", "3", "--save-device", str(device), "--json"]
     code = f"from undrift.cli.app import main; main({calls!r})"
     process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
     try:
         assert process.stdout is not None
-        yield json.loads(process.stdout.readline())
+        yield json.loads(process.stdout.readline()) | {"file": device}
         process.terminate()
         assert process.wait(20.0) == 0
     finally:
@@ -109,7 +110,7 @@ def test_emulate_run_and_calibrate_find_the_devices_hidden_parameters(emulated, 
     assert run(["calibrate", str(tmp_path / "run"), "-o", str(tmp_path / "calibration.json")]) == 0
     capsys.readouterr()
     found = read_calibration(tmp_path / "calibration.json")
-    true = true_calibration(read_device(tmp_path / "device.json"))
+    true = true_calibration(read_device(emulated["file"]))
     with capsys.disabled():
         for name in ("gyro", "accel"):
             ratio = getattr(found, name).matrix @ np.linalg.inv(getattr(true, name).matrix)
@@ -118,10 +119,10 @@ def test_emulate_run_and_calibrate_find_the_devices_hidden_parameters(emulated, 
 
 
 def test_check_accepts_a_table_by_its_limit_and_leaves_the_motor_as_it_was(emulated, capsys):
-    call = ["rig", "check", "--rig", emulated["rig"], "--seconds", "8", "--json"]
+    call = ["rig", "check", "--rig", emulated["rig"], "--seconds", "4", "--json"]
     assert run(call) == 0
     found = json.loads(capsys.readouterr().out)
-    assert (found["kind"], found["wave"]["seconds"]) == ("undrift.rig_check", 8.0)
+    assert (found["kind"], found["wave"]["seconds"]) == ("undrift.rig_check", 4.0)
     error = found["error_deg"]
     assert error["pass"] is True
     assert 0.0 < error["rms"] < error["max"] < error["limit_deg"] == pytest.approx(0.012)

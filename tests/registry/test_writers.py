@@ -64,15 +64,15 @@ def test_four_stations_at_once_lose_nothing(place, tmp_path, each):
 
 def test_a_killed_writer_loses_at_most_its_open_entry(place, tmp_path):
     go = tmp_path / "go"
-    victim, other = start(place, "victim", 100_000, go), start(place, "other", 200, go)
+    victim, other = start(place, "victim", 100_000, go), start(place, "other", 100, go)
     assert victim.stdout.readline() == other.stdout.readline() == "ready\n"
     go.touch()
-    lines = [victim.stdout.readline() for _ in range(100)]
+    lines = [victim.stdout.readline() for _ in range(50)]
     victim.kill()  # kill -9
     lines += victim.communicate()[0].splitlines(keepends=True)
     assert victim.returncode != 0
     out, err = other.communicate(timeout=60)
-    assert (other.returncode, err, len(out.split())) == (0, "", 200)
+    assert (other.returncode, err, len(out.split())) == (0, "", 100)
     reported = {int(line) for line in lines if line.endswith("\n")}  # the last line may be cut off
     with open_registry(place) as registry:
         present = {entry.id: entry.station for entry, _ in registry.entries()}
@@ -80,7 +80,7 @@ def test_a_killed_writer_loses_at_most_its_open_entry(place, tmp_path):
     assert reported <= {number for number, name in present.items() if name == "victim"}
     assert len(documents) - len(reported) in (0, 1)
     assert sorted(documents) == list(range(len(documents)))  # without a hole
-    assert sum(name == "other" for name in present.values()) == 200
+    assert sum(name == "other" for name in present.values()) == 100
     show("reported before the kill, present", (len(reported), len(documents)))
     if "://" not in place:
         with sqlite3.connect(place) as file:
