@@ -41,7 +41,7 @@ test: announce $(INSTALLED)
 test-browser: $(INSTALLED)
 	@command -v chromium >/dev/null || { apt-get update -qq && apt-get install -qq -y --no-install-recommends chromium; } || \
 	  { echo "the bench is tested in chromium: install it"; exit 2; }
-	$(BIN)/python -m pytest tests/web_browser --durations=12
+	UNDRIFT_SCREENS=build/screens $(BIN)/python -m pytest tests/web_browser --durations=12
 
 # The order of the tests, by what each takes: commit the file that changes.
 durations: $(INSTALLED)

@@ -1,10 +1,12 @@
 """``undrift bench``: calls that are refused; the pages have tests of their own (tests/web, tests/web_browser)."""
 
+import json
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
-from testkit.bench import bench_process
 from undrift.cli.app import run
 
 TOKEN = "a-token-of-sixteen"
@@ -29,8 +31,14 @@ def test_a_call_that_would_open_the_bench_by_mistake_is_refused(
 
 
 def test_a_port_in_use_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    with bench_process(tmp_path / "bench") as server:
-        assert run(["bench", "--folder", str(tmp_path / "other"), "--port", str(server.port), "--no-browser"]) == 2
-    assert (
-        f"bench: wanted to listen at 127.0.0.1:{server.port}, got 'Address already in use'" in capsys.readouterr().err
-    )
+    called = [sys.executable, "-m", "undrift", "bench", "--port", "0", "--no-browser", "--json"]
+    with subprocess.Popen(
+        [*called, "--folder", tmp_path / "bench"], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+    ) as server:
+        assert server.stdout is not None
+        port = json.loads(server.stdout.readline())["address"].split(":")[2].rstrip("/")
+        try:
+            assert run(["bench", "--folder", str(tmp_path / "other"), "--port", port, "--no-browser"]) == 2
+        finally:
+            server.terminate()
+    assert f"bench: wanted to listen at 127.0.0.1:{port}, got 'Address already in use'" in capsys.readouterr().err

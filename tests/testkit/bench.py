@@ -1,13 +1,27 @@
-"""A bench in a process of its own, on loopback."""
+"""A bench in a process of its own, on loopback.
 
+It and its commands are forks of a process that has imported all they need, which takes seconds; tests/cli/test_bench.py and
+tests/web/test_commands.py have both as they are called. A run on a rate table keeps its own processes.
+"""
+
+import asyncio
 import json
 import os
-import subprocess
-import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
+from multiprocessing import get_context
+from multiprocessing.connection import Connection
+from multiprocessing.context import ForkServerProcess
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+FORKS = get_context("forkserver")
+COMMANDS = ("calibrate", "certificate", "correct", "drift", "info", "orient", "register", "registry", "validate")
+IMPORTED = ("undrift.web.app", "undrift.cli.bench", "undrift.report.page", "undrift.report.figures", "scipy.stats")
+FORKS.set_forkserver_preload([*IMPORTED, *(f"undrift.commands.{name}" for name in COMMANDS)])
 
 
 @dataclass(frozen=True)
@@ -16,7 +30,7 @@ class BenchServer:
 
     address: str  # with a slash at its end
     folder: Path
-    process: subprocess.Popen[str]
+    process: ForkServerProcess
 
     @property
     def port(self) -> int:
@@ -29,23 +43,77 @@ def environment_of(folder: Path) -> dict[str, str]:
     return os.environ | {"UNDRIFT_REGISTRY": str(folder.parent / "registry.sqlite")}
 
 
+def _serve(words: list[str], environment: dict[str, str], log: Path, out: Connection) -> None:
+    """Be ``undrift bench``."""
+    from undrift.web import commands
+
+    commands.asyncio = SimpleNamespace(**vars(asyncio) | {"create_subprocess_exec": _ForkedCommand.start})
+    os.environ.update(environment)
+    with log.open("w") as err:
+        _called(["bench", *words], out, err)
+
+
+def _called(words: list[str], out: Connection, err: Any, folder: Path | None = None) -> None:
+    """Be a command."""
+    from undrift.cli.app import main
+
+    os.dup2(out.fileno(), 1)
+    os.dup2(err.fileno(), 2)
+    if folder is not None:
+        os.chdir(folder)
+    main(words)
+
+
+class _ForkedCommand:
+    """A command of the bench, as `asyncio.create_subprocess_exec` returns one."""
+
+    def __init__(self, process: ForkServerProcess, stdout: asyncio.StreamReader, stderr: asyncio.StreamReader) -> None:
+        self.process, self.stdout, self.stderr, self.kill = process, stdout, stderr, process.kill
+
+    @classmethod
+    async def start(cls, *called: str, cwd: Path, limit: int, **_: object) -> "_ForkedCommand":
+        """Start ``python -m undrift WORDS``."""
+        pipes = [FORKS.Pipe(duplex=False) for _ in range(2)]
+        process = FORKS.Process(target=_called, args=(list(called[3:]), *(far for _, far in pipes), cwd))
+        process.start()
+        readers = []
+        for near, far in pipes:
+            far.close()
+            readers.append(asyncio.StreamReader(limit))
+            protocol = partial(asyncio.StreamReaderProtocol, readers[-1])
+            await asyncio.get_running_loop().connect_read_pipe(protocol, os.fdopen(os.dup(near.fileno()), "rb", 0))
+            near.close()
+        return cls(process, *readers)
+
+    @property
+    def returncode(self) -> int | None:
+        """How it ended; None while it runs."""
+        return self.process.exitcode
+
+    async def wait(self) -> int | None:
+        """Wait for its end."""
+        await asyncio.to_thread(self.process.join)
+        return self.process.exitcode
+
+
 @contextmanager
 def bench_process(folder: Path, *words: str) -> Iterator[BenchServer]:
     """Run ``undrift bench`` on a free loopback port until the end of the block; its log stands beside the folder."""
-    called = [*(sys.executable, "-m", "undrift", "bench", "--port", "0", "--no-browser", "--json")]
-    called += ["--folder", str(folder), *words]
-    with (folder.parent / f"{folder.name}.log").open("w") as log:
-        process = subprocess.Popen(called, stdout=subprocess.PIPE, stderr=log, text=True, env=environment_of(folder))
-        assert process.stdout is not None
-        try:
-            line = process.stdout.readline()
-            assert line, Path(log.name).read_text()
+    called = ["--port", "0", "--no-browser", "--json", "--folder", str(folder), *words]
+    log = folder.parent / f"{folder.name}.log"
+    near, far = FORKS.Pipe(duplex=False)
+    process = FORKS.Process(target=_serve, args=(called, environment_of(folder), log, far))
+    process.start()
+    far.close()
+    try:
+        with open(os.dup(near.fileno())) as out:
+            near.close()
+            line = out.readline()
+            assert line, log.read_text()
             yield BenchServer(json.loads(line)["address"], folder, process)
-        finally:
-            process.terminate()
-            try:
-                process.wait(15.0)
-            except subprocess.TimeoutExpired:
-                process.kill()
-                process.wait()
-            process.stdout.close()
+    finally:
+        process.terminate()
+        process.join(15.0)
+        if process.is_alive():
+            process.kill()
+            process.join()

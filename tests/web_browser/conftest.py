@@ -1,5 +1,6 @@
 """The bench as a person meets it: ``undrift bench`` in a process of its own, pages in Debian's chromium."""
 
+import os
 import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -12,7 +13,7 @@ from playwright.sync_api import BrowserContext, Page
 from testkit.bench import BenchServer, bench_process
 
 CHROMIUM = shutil.which("chromium")
-SCREENS = Path(__file__).parents[2] / "build" / "screens"
+SCREENS = os.environ.get("UNDRIFT_SCREENS")  # a folder for pictures of the pages; `make test-browser` names one
 WAIT_MS = 20_000
 # rests and turns of guided captures, six times as fast; `make test-long` has them in real time
 quick_and_real_time = pytest.mark.parametrize("practice_speed", [6.0, pytest.param(1.0, marks=pytest.mark.long)])
@@ -56,7 +57,8 @@ def open_page(bench_server: BenchServer, new_context: Callable[..., BrowserConte
     """Return what opens a page of the bench by its path, in a browser of its own, and waits until it answers."""
 
     def make(path: str = "/", *, width: int = 1200, height: int = 900, **options: Any) -> Page:
-        page = new_context(viewport={"width": width, "height": height}, **options).new_page()
+        still = {"reduced_motion": "reduce"} | options
+        page = new_context(viewport={"width": width, "height": height}, **still).new_page()
         page.set_default_timeout(WAIT_MS)
         page.goto(bench_server.address + path.lstrip("/"))
         page.wait_for_function("window.socket && window.socket.connected")
@@ -66,15 +68,22 @@ def open_page(bench_server: BenchServer, new_context: Callable[..., BrowserConte
 
 
 def shoot(page: Page, name: str) -> None:
-    """Keep a screenshot of the whole page under build/screens."""
-    SCREENS.mkdir(parents=True, exist_ok=True)
-    page.screenshot(path=SCREENS / f"{name}.png", full_page=True)
+    """Keep a screenshot of the whole page, where they are wanted."""
+    if SCREENS:
+        page.screenshot(path=Path(SCREENS) / f"{name}.png", full_page=True)
 
 
 def faults_of(page: Page) -> list[str]:
     """Return what is wrong with a page: serious faults of accessibility, and what is measured of it."""
-    found = [one for one in Axe().run(page).response["violations"] if one["impact"] in ("serious", "critical")]
-    measured = page.evaluate(_MEASURED)
-    return [f"{one['id']}: {one['nodes'][0]['html'][:200]}" for one in found] + [
-        f"{number} {what}" for what, number in measured.items() if number
-    ]
+    options = {
+        "resultTypes": ["violations"],
+        "preload": False,
+    }  # a style sheet asked for again would be seen as loading
+    violations = Axe().run(page, options=options).response["violations"]
+    found = [one for one in violations if one["impact"] in ("serious", "critical")]
+    return [f"{one['id']}: {one['nodes'][0]['html'][:200]}" for one in found] + measured_faults_of(page)
+
+
+def measured_faults_of(page: Page) -> list[str]:
+    """Return what is measured of a page that should not be."""
+    return [f"{number} {what}" for what, number in page.evaluate(_MEASURED).items() if number]

@@ -14,19 +14,21 @@ import undrift
 from testkit.bench import BenchServer
 from undrift.registry.documents import Stated, of_calibration
 from undrift.registry.registry import open_registry
-from undrift.report.certificate import write_certificate
 from web_browser.conftest import faults_of, shoot
 
 COMMAND_MS = 40_000
 ODD = "B\"2' <b onclick=x>"
 
 
-@pytest.fixture
-def filled(bench_server: BenchServer, tmp_path: Path) -> BenchServer:
-    """Fill the registry of the bench: a device with three calibrations, one that is overdue, one with an odd name."""
+@pytest.fixture(scope="module")
+def known() -> undrift.Calibration:
     rng = np.random.default_rng(7)
-    session = undrift.simulate_session("bench", undrift.random_device(rng), rng=rng)
-    known = undrift.calibrate(session)
+    return undrift.calibrate(undrift.simulate_session("bench", undrift.random_device(rng), rng=rng))
+
+
+@pytest.fixture
+def filled(bench_server: BenchServer, known: undrift.Calibration, tmp_path: Path) -> BenchServer:
+    """Fill the registry of the bench: a device with three calibrations, one that is overdue, one with an odd name."""
     now = datetime.now(UTC)
     with open_registry(str(tmp_path / "registry.sqlite"), station="bench") as registry:
         for serial, days_ago, gain in (
@@ -45,7 +47,6 @@ def filled(bench_server: BenchServer, tmp_path: Path) -> BenchServer:
                 known, device=serial, provenance=made, gyro=replace(known.gyro, matrix=gain * known.gyro.matrix)
             )
             registry.add(of_calibration(model, Stated(note="each year"), source="test"))
-        write_certificate(model, tmp_path / "c.pdf")
     return bench_server
 
 

@@ -17,7 +17,7 @@ from web_browser.conftest import BenchServer, bench_process, faults_of, shoot
 
 
 def connected(open_page: Callable[..., Page], **options: object) -> Page:
-    page = open_page("/live", **options)
+    page = open_page("/live", **{"reduced_motion": "no-preference"} | options)
     page.get_by_role("button", name="Use the practice device").click()
     expect(page.locator(".panel-state")).to_have_text("Live.")
     return page

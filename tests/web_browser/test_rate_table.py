@@ -121,7 +121,7 @@ def test_a_killed_bench_leaves_the_run_to_the_next_which_pauses_it_when_it_ends(
         mount(page, bench, 1)
         expect(page.locator(".bench-main")).to_contain_text("deg/s about x, dwelling", timeout=RUN_MS)
         server.process.kill()
-        server.process.wait()
+        server.process.join()
     assert running(server).is_going()
     with bench_process(tmp_path / "bench") as server:
         page = new_context().new_page()
@@ -163,6 +163,8 @@ def test_the_emergency_stop_reaches_the_table_at_once(
     assert late_s < STOP_S
     assert not bench.rig.motor_on
     shoot(page, f"rate-table-stopped-{way}")
+    if way != "halted":  # what follows does not depend on the way
+        return
     page.get_by_role("button", name="Continue").click()
     mount(page, bench, 1)
     page.get_by_role("button", name="Pause").click()
