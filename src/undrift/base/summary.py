@@ -83,6 +83,11 @@ class Drawing:
         at("undrift.report.figures:save_figure")(self.draw(), path)
 
 
+def figure_of(name: str, *of: Any) -> Drawing:
+    """Return a figure by its name in the report, "figures:draw_record", and what it draws."""
+    return Drawing(place=f"undrift.report.{name}", of=of)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Section:
     """A heading with text, findings, figures and a table under it."""

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from undrift.base.options import Files, Flag, OptionalOutput, Picture, options, verb
-from undrift.base.summary import Drawing, Result, Section, Summary, concise, number
+from undrift.base.summary import Drawing, Result, Section, Summary, concise, figure_of, number
 from undrift.calibration.settings import AccelFit, Fitting, GyroFit, Sensitivity, Table
 from undrift.commands import Progress, silent
 from undrift.commands.certificate import departures_words, uncertainty_sentence
@@ -175,7 +175,7 @@ def calibration_summary(made: "Calibration") -> Summary:
     return Summary(
         title=f"Calibration of {made.device or 'a device'}",
         answer=uncertainty_sentence(made),
-        pictures=(Drawing(place="undrift.report.certificate:draw_calibration", of=(made,)),),
+        pictures=(figure_of("certificate:draw_calibration", made),),
         sections=(
             Section(title="What was calibrated", text=tuple(_origin(made))),
             Section(title="Matrix and offsets: the picture above", text=ideal, on="page"),
@@ -330,11 +330,11 @@ def judged_sections(calibrated: Calibrated) -> Iterator[Section]:
         parts.append(f"the table's rates to {_rms(dwells):.2g} deg/s rms in {len(dwells)} dwells")
     if parts:
         text = f"The fit reproduces {' and '.join(parts)}. {RESIDUALS}"
-        drawing = Drawing(place="undrift.report.certificate:draw_residuals", of=(poses, dwells))
+        drawing = figure_of("certificate:draw_residuals", poses, dwells)
         yield Section(title="Residuals of the fit", text=(text,), pictures=(drawing,))
     if made.accel is not None:
         text = "Shaded: the stills that were used. Turns and handling lie between them."
-        drawing = Drawing(place="undrift.report.certificate:draw_norm", of=(records, judged, made.gravity_m_s2))
+        drawing = figure_of("certificate:draw_norm", records, judged, made.gravity_m_s2)
         yield Section(title="Specific force over the session", text=(text,), pictures=(drawing,))
     yield _contributions(calibrated, judged)
 

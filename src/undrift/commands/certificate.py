@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from undrift import __version__
 from undrift.base.options import Output, verb
-from undrift.base.summary import Drawing, Result, Summary, at
+from undrift.base.summary import Drawing, Result, Summary, at, figure_of
 from undrift.calibration.settings import FITS
 from undrift.commands.files import check_output
 from undrift.commands.register import Registration, registered_lines
@@ -69,7 +69,7 @@ class Certified(Result):
             title=f"Certificate of {model.device or 'a device'}",
             answer=uncertainty_sentence(model),
             data=named | kept | {"verdict": verdict_json(model.verdict)},
-            pictures=(Drawing(place="undrift.report.certificate:draw_calibration", of=(model,)),),
+            pictures=(figure_of("certificate:draw_calibration", model),),
             verdict=model.verdict,
             written=(self.output,),
             after=registered_lines(self.registered),
@@ -109,9 +109,9 @@ def uncertainty_sentence(calibration: "Calibration") -> str:
 def drawings_of(drift: "DriftTables | None") -> Iterator[tuple[str, Drawing]]:
     """Yield the name and the figure of each table over temperature."""
     if drift is not None and (drift.static is not None or drift.scale is not None):
-        yield "tables", Drawing(place="undrift.report.certificate:draw_tables", of=(drift,))
+        yield "tables", figure_of("certificate:draw_tables", drift)
     if drift is not None and drift.dynamic is not None:
-        yield "dynamic", Drawing(place="undrift.report.drift:draw_dynamic", of=(drift.dynamic,))
+        yield "dynamic", figure_of("drift:draw_dynamic", drift.dynamic)
 
 
 # ---- results with their uncertainty

@@ -6,10 +6,19 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, cast
 
-from undrift.base.options import Files, Output, Policy, verb
+from undrift.base.options import Files, Output, verb
 from undrift.base.summary import Drawing, Result, Section, Summary, at
 from undrift.commands import Progress, part_of, silent
-from undrift.commands.files import Opening, calibrated_part, check_folder, check_output, name_of, named_columns
+from undrift.commands.files import (
+    NamedRest,
+    Opening,
+    TableUse,
+    calibrated_part,
+    check_folder,
+    check_output,
+    name_of,
+    named_columns,
+)
 from undrift.commands.register import RegistryLookup
 from undrift.errors import InputError
 
@@ -122,12 +131,10 @@ def correct(
     calibration: Path | None = None,
     registered: RegistryLookup = RegistryLookup(),
     output: Output,
-    policy: Policy = "raise",
-    power_on_s: float | None = None,
+    applying: TableUse = TableUse(),
     temp_history: str | None = None,
     offset: Literal["none", "rest"] = "none",
-    still_start_s: float | None = None,
-    still_stop_s: float | None = None,
+    named: NamedRest = NamedRest(),
     opening: Opening = Opening(),
     scheduler: str | None = None,
     progress: Progress = silent,
@@ -143,11 +150,6 @@ def correct(
     output : Path
         File for one recording: .parquet, .csv, .csv.gz, .mat, or sub-.._task-.._tracksys-.._motion.tsv (BIDS); folder for
         several, made where it is missing.
-    policy : str
-        Temperatures outside a tuning table: refuse (raise), hold the table's end, or leave a gap (nan). Where no
-        temperature was recorded the result is a gap under each, and a warning says for how long.
-    power_on_s : float
-        Time since power-on at the first sample of each recording, s; without it no warm-up is subtracted.
     temp_history : str
         Course of the temperature before each recording, for a calibration that corrects hysteresis: warming, cooling, or the
         temperatures at which it turned, oldest first, degC, as in 25,60. Without it hysteresis is corrected as far as a
@@ -155,17 +157,12 @@ def correct(
     offset : str
         "rest" also subtracts the mean rate that is left at the first still phase (or the named one), as --offset of orient
         does: best with tables, for what they cannot know.
-    still_start_s : float or None
-        Start of a stretch at rest, s on the recording's own clock; without it the first still phase is found.
-    still_stop_s : float or None
-        End of that stretch.
     scheduler : str or None
         Address of a Dask scheduler, as in tcp://host:8786: its workers take a recording each; they see the same files.
     """
     from undrift.correction.correct import Corrector
 
-    stretch = (still_start_s, still_stop_s)
-    if offset == "none" and stretch != (None, None):
+    if offset == "none" and named.stretch != (None, None):
         raise InputError("`still_start_s`, `still_stop_s`: wanted `offset` rest beside them, got none; add it")
     model, calibration = registered.read(calibration, records, opening)
     targets = _targets(records, output, (calibration, opening.column_map))
@@ -174,11 +171,11 @@ def correct(
     made = not folder.exists()
     folder.mkdir(exist_ok=True)
     history = None if temp_history is None else _history(temp_history, model)
-    corrector = partial(Corrector, model, policy, power_on_s=power_on_s, temp_history=history)
-    settings: dict[str, object] = {"policy": policy, "power_on_s": power_on_s, "offset": offset}
+    corrector = partial(Corrector, model, applying.policy, power_on_s=applying.power_on_s, temp_history=history)
+    settings: dict[str, object] = {"policy": applying.policy, "power_on_s": applying.power_on_s, "offset": offset}
     settings |= {} if history is None else {"temp_history": temp_history}
     made_by = partial(_provenance, calibration=calibration, model=model, settings=settings)
-    rest = stretch if offset == "rest" else None
+    rest = named.stretch if offset == "rest" else None
     corrected = partial(_correct_one, corrector=corrector, model=model, opening=opening, made_by=made_by, stretch=rest)
     try:
         files = _correct_all(records, targets, corrected, scheduler, progress)

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from undrift.base.options import WRITTEN, Flag, verb
-from undrift.base.summary import Cells, Drawing, Section, Summary, at, plain_words, plus_minus, table_section
+from undrift.base.summary import Cells, Section, Summary, at, figure_of, plain_words, plus_minus, table_section
 from undrift.commands import Progress, silent
 from undrift.commands.files import check_folder, origin_of, save_json
 from undrift.errors import InputError
@@ -144,7 +144,7 @@ def _summary(
             "study": study_json(study),
             "checks": [{"name": c.name, "value": c.value, "limit": c.limit, "pass": c.passed} for c in checks],
         },
-        pictures=(Drawing(place="undrift.report.figures:draw_levels", of=(trials,)),),
+        pictures=(figure_of("figures:draw_levels", trials),),
         verdict=fit.drift.verdict,
         findings=tuple(item for trial in trials for item in trial.findings),
         sections=(_worn(trials), _checks(checks), *_details(run, fit, trials, study)),

@@ -7,12 +7,12 @@ import math
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
 from undrift.base.options import Files, Flag, OptionalOutput, Picture, verb
-from undrift.base.summary import NOTHING_WRITTEN, Drawing, Section, Summary, plus_minus, rows_section
+from undrift.base.summary import NOTHING_WRITTEN, Section, Summary, figure_of, plus_minus, rows_section
 from undrift.commands import Progress, part_of, silent
 from undrift.commands.files import Opening, check_figure, check_output, recording_of, thermal_session
 from undrift.commands.register import Registration, registered_lines
@@ -96,7 +96,7 @@ def drift(
         raise InputError(f"{figure}: wanted gyroscopes to draw, got none; leave out `figure`")
     registered = registering.add(fit.calibration, source=output)
     if figure is not None:
-        _drawn("draw_offsets", fit.gyro_summary).save(figure)
+        figure_of("drift:draw_offsets", fit.gyro_summary).save(figure)
     if output is not None:
         write_calibration(fit.calibration, output)
     return replace(
@@ -185,7 +185,7 @@ def drift_summary(fit: "DriftFit") -> Summary:
     return Summary(
         title=f"Thermal drift of {fit.calibration.device or 'device without a serial number'}",
         answer=answer,
-        pictures=(_drawn("draw_drift", fit),) if fit.gyro_summary or fit.accel_summary else (),
+        pictures=(figure_of("drift:draw_drift", fit),) if fit.gyro_summary or fit.accel_summary else (),
         sections=(Section(title="Before and after", text=(lead,)), *drift_sections(fit, drawn=True)),
         verdict=fit.verdict,
     )
@@ -202,10 +202,6 @@ def _worth(fit: "DriftFit") -> "TableWorth | None":
     return expected_errors(fit.calibration, rest_variance=variance)
 
 
-def _drawn(name: str, *of: Any) -> Drawing:
-    return Drawing(place=f"undrift.report.drift:{name}", of=of)
-
-
 def drift_sections(fit: "DriftFit", *, drawn: bool = False) -> tuple[Section, ...]:
     """Return the sections of a thermal fit; without the picture that was drawn before."""
     import numpy as np
@@ -214,19 +210,19 @@ def drift_sections(fit: "DriftFit", *, drawn: bool = False) -> tuple[Section, ..
     sections = []
     for name, triad in (("Gyroscope", fit.gyro_summary), ("Accelerometer", fit.accel_summary)):
         if triad is not None:
-            pictures = () if drawn and triad is first else (_drawn("draw_offsets", triad),)
+            pictures = () if drawn and triad is first else (figure_of("drift:draw_offsets", triad),)
             sections.append(rows_section(offset_title(name, triad), offset_rows(triad), pictures=pictures))
     scale, rows = fit.scale_summary, scale_rows(fit)
     if rows or (scale is not None and np.isfinite(scale.soak_percent).any()):
-        pictures = () if scale is None else (_drawn("draw_scale", scale),)
+        pictures = () if scale is None else (figure_of("drift:draw_scale", scale),)
         sections.append(rows_section("Scale factor of the gyroscopes over temperature", rows, pictures=pictures))
     dynamic = None if fit.calibration.drift is None else fit.calibration.drift.dynamic
     if dynamic is not None and dynamic.error.any():
-        sections.append(Section(title="Dynamic drift", pictures=(_drawn("draw_dynamic", dynamic),)))
+        sections.append(Section(title="Dynamic drift", pictures=(figure_of("drift:draw_dynamic", dynamic),)))
     if fit.choice is not None:
         choice = fit.choice.alternatives
         judged = int(np.isfinite(choice.left_out_rms_dps).sum()) > 1  # one mark compares nothing
-        pictures = (_drawn("draw_alternatives", choice),) if judged else ()
+        pictures = (figure_of("drift:draw_alternatives", choice),) if judged else ()
         sections.append(rows_section("Which tables", choice_rows(choice), text=(choice.reason,), pictures=pictures))
     return tuple(sections)
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 
 from undrift.base.options import Output, verb
-from undrift.base.summary import Drawing, Section, Summary, rows_section
+from undrift.base.summary import Section, Summary, figure_of, rows_section
 from undrift.commands.files import check_output
 from undrift.errors import FileFormatError, InputError
 from undrift.export import ExportOptions, find_target
@@ -68,7 +68,7 @@ def export(
             **exported.figures,
             "verdict": verdict_json(model.verdict),
         },
-        pictures=(Drawing(place="undrift.report.certificate:draw_calibration", of=(model,)),),
+        pictures=(figure_of("certificate:draw_calibration", model),),
         sections=(
             *_builds(exported.figures),
             Section(title="Not carried", text=tuple(f"not carried: {text}" for text in exported.not_carried)),

@@ -16,13 +16,14 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from undrift.base.options import Flag, Up, options, stated, verb
+from undrift.base.options import Flag, Policy, Up, options, stated, verb
 from undrift.base.summary import CALLED, PICTURES, Origin, plain
 from undrift.errors import InputError
 
 if TYPE_CHECKING:
     import numpy as np
 
+    from undrift.correction.rest import Stretch
     from undrift.io.columns import ColumnMap, ReadSettings
     from undrift.model import Calibration
     from undrift.record import FileMap, GravitySource, Kind, Record, Reference, Session
@@ -200,6 +201,46 @@ class Rests:
         return StillSettings(
             window_s=window_s, smooth_s=min(0.1, 0.25 * window_s), min_duration_s=short, threshold_floors=floors
         )
+
+
+@options
+@dataclass(frozen=True, kw_only=True)
+class NamedRest:
+    """A stretch at rest that is named in place of the first still phase.
+
+    Parameters
+    ----------
+    still_start_s : float or None
+        Start of a stretch at rest, s on the recording's own clock; without it the first still phase is found.
+    still_stop_s : float or None
+        End of that stretch.
+    """
+
+    still_start_s: float | None = None
+    still_stop_s: float | None = None
+
+    @property
+    def stretch(self) -> "Stretch":
+        """Start and end, s."""
+        return self.still_start_s, self.still_stop_s
+
+
+@options
+@dataclass(frozen=True, kw_only=True)
+class TableUse:
+    """How the tables of a calibration are applied.
+
+    Parameters
+    ----------
+    power_on_s : float or None
+        Time since power-on at the first sample of each recording, s; without it no warm-up is subtracted.
+    policy : str
+        Temperatures outside a tuning table: refuse (raise), hold the table's end, or leave a gap (nan). Where no
+        temperature was recorded the result is a gap under each, and a warning says for how long.
+    """
+
+    power_on_s: float | None = None
+    policy: Policy = "raise"
 
 
 @options
@@ -411,8 +452,6 @@ class Optics:
         The reference of each recording, in the same order; a BROAD file holds its own.
     markers : str or None
         Labels of one rigid cluster, with commas between, for C3D and TRC.
-    reference_up : str or None
-        Laboratory axis that points up, for C3D and TRC.
     """
 
     reference: Annotated[tuple[Path, ...], Parameter(show_default=False)] = ()

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from undrift.base.options import Picture, Up, options, verb
-from undrift.base.summary import Drawing, Section, Summary, at
+from undrift.base.summary import Drawing, Section, Summary, at, figure_of
 from undrift.commands.files import Opening, Rests, check_figure, check_output, name_of
 from undrift.errors import InputError
 from undrift.units import RADIAN_PER_DEGREE
@@ -86,8 +86,6 @@ def info(
     ----------
     file : Path
         Any file or folder.
-    reference_up : str or None
-        Laboratory axis that points up, for markers in TRC or C3D.
     proposal : Proposal
         The map to write for a table with foreign columns.
     figure : Path or None
@@ -122,7 +120,7 @@ def info(
     if calibration is not None:
         effects, span = _parts(calibration)
         found = replace(found, temp_c=span)
-        drawing = Drawing(place="undrift.report.certificate:draw_calibration", of=(calibration,))
+        drawing = figure_of("certificate:draw_calibration", calibration)
     verdict = None if calibration is None else calibration.verdict
     parts = effects if verdict is None else effects | {"verdict": [verdict.status, *verdict.reasons]}
     lines = (*_lines(found, stills, reason), *(f"{part}: {', '.join(texts)}" for part, texts in effects.items()))

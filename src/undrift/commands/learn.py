@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 
 from undrift.base.options import Files, OptionalOutput, Picture, verb
-from undrift.base.summary import NOTHING_WRITTEN, Drawing, Section, Summary, rows_section
+from undrift.base.summary import NOTHING_WRITTEN, Section, Summary, figure_of, rows_section
 from undrift.commands import Progress, silent
 from undrift.commands.files import Opening, check_figure, check_output, dates_of, thermal_session
 from undrift.errors import InputError
@@ -71,7 +71,7 @@ def learn(
         note = Verdict.of(finding("drift.learn_file_dates", "info", count=changed))
         made = replace(fit.calibration, verdict=fit.calibration.verdict.also(note))
         fit = replace(fit, calibration=made, verdict=fit.verdict.also(note))
-    drawing = Drawing(place="undrift.report.drift:draw_learnt", of=(fit,))
+    drawing = figure_of("drift:draw_learnt", fit)
     if figure is not None:
         drawing.save(figure)
     if output is not None:

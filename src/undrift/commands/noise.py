@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from undrift.base.options import OptionalOutput, Picture, verb
-from undrift.base.summary import PICTURES, Drawing, Result, Section, Summary
+from undrift.base.summary import PICTURES, Drawing, Result, Section, Summary, figure_of
 from undrift.commands import Progress, silent
 from undrift.commands.files import Opening, calibrated_part, check_figure, check_output, named_columns
 from undrift.errors import InputError
@@ -62,7 +62,7 @@ class Noise(Result):
             largest = max((walk.value for walk in walks if math.isfinite(walk.value)), default=math.nan)
             if math.isfinite(largest):
                 seen.append(f"{TERMS[triad]['angle_random_walk']} up to {largest:.2g} {walks[0].unit}")
-            drawing = Drawing(place="undrift.report.figures:draw_allan_fit", of=(fit, triad, TERMS[triad]))
+            drawing = figure_of("figures:draw_allan_fit", fit, triad, TERMS[triad])
             heads = (f"{term} ({getattr(axes[0], key).unit})" for key, term in TERMS[triad].items())
             sections.append(
                 Section(
@@ -77,7 +77,7 @@ class Noise(Result):
             title=f"Noise of {self.record.name}",
             answer=f"{fit.duration_s:.4g} s at rest show {' and '.join(seen) or 'no coefficient'}.",
             data=_data(fit) | {"verdict": verdict_json(self.verdict), "notes": self.notes},
-            pictures=(Drawing(place="undrift.report.figures:draw_allan", of=(fit,)),),
+            pictures=(figure_of("figures:draw_allan", fit),),
             sections=tuple(sections),
             verdict=self.verdict,
             notes=self.notes,

@@ -5,9 +5,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from undrift.base.options import Output, Policy, Side, verb
-from undrift.base.summary import Drawing, Result, Section, Summary, number
-from undrift.commands.files import Opening, check_output, check_physical, named_columns
+from undrift.base.options import Output, Side, verb
+from undrift.base.summary import Result, Section, Summary, figure_of, number
+from undrift.commands.files import NamedRest, Opening, TableUse, check_output, check_physical, named_columns
 
 if TYPE_CHECKING:
     from undrift.arrays import FloatArray
@@ -55,7 +55,7 @@ class Oriented(Result):
             title=f"Orientation of {self.record.name}",
             answer=f"The sagittal pitch goes from {low:.1f} to {high:.1f} deg; tilt at the start: {found.tilt.statement}.",
             data=data | named | {"notes": (*(one.text for one in self.earlier), *self.notes)},
-            pictures=(Drawing(place="undrift.report.figures:draw_orientation", of=(found,)),),
+            pictures=(figure_of("figures:draw_orientation", found),),
             sections=tuple(sections),
             findings=found.findings,
             notes=self.notes,
@@ -71,14 +71,12 @@ def orient(
     calibration: Path | None = None,
     method: Literal["strapdown", "vqf"] = "strapdown",
     offset: Literal["none", "rest", "still"] = "none",
-    still_start_s: float | None = None,
-    still_stop_s: float | None = None,
+    named: NamedRest = NamedRest(),
     heading_deg: float = 0.0,
     forward: Side = "+x",
     up: Side = "+z",
     body: str = "sensor",
-    power_on_s: float | None = None,
-    policy: Policy = "raise",
+    applying: TableUse = TableUse(),
     opening: Opening = Opening(),
 ) -> Oriented:
     """Initial tilt, then strapdown or a filter: quaternions, inclination, heading, sagittal pitch.
@@ -98,10 +96,6 @@ def orient(
     offset : str
         "rest" subtracts the mean rate of the first still phase (or the named one), "still" that of every still phase, linear
         between them.
-    still_start_s : float or None
-        Start of a stretch at rest, s on the recording's own clock; without it the first still phase is found.
-    still_stop_s : float or None
-        End of that stretch.
     heading_deg : float
         Heading at the still phase, deg.
     forward : str
@@ -110,11 +104,6 @@ def orient(
         Device axis that points up on the upright segment.
     body : str
         Name of the body in .sto and BIDS, of the OpenSim model: pelvis heads the column pelvis_imu.
-    power_on_s : float or None
-        Time since power-on at the first sample, s; without it no warm-up is subtracted.
-    policy : str
-        Temperatures outside a tuning table: refuse (raise), hold the table's end, or leave a gap (nan). Where no
-        temperature was recorded the result is a gap under each, and a warning says for how long.
     """
     from undrift.correction.rest import named_rest
     from undrift.io.store import read_calibration
@@ -128,8 +117,8 @@ def orient(
     readings = opening.like(model, calibration).read(record)
     settings = OrientSettings(method=method, offset=offset, heading=math.radians(heading_deg), forward=forward, up=up)
     with named_columns(record):
-        readings, earlier, notes = _corrected(readings, record, model, policy, power_on_s)
-        rest = named_rest(readings, (still_start_s, still_stop_s))
+        readings, earlier, notes = _corrected(readings, record, model, applying)
+        rest = named_rest(readings, named.stretch)
         found = find(readings, rest, settings, gyro_model=None if model is None else model.gyro)
     found = replace(found, findings=tuple({one.text: one for one in (*earlier, *found.findings)}.values()))
     write_orientation(found.time, found.q_nb, (found.inclination, found.heading, found.pitch), output, body=body)
@@ -139,7 +128,7 @@ def orient(
 
 
 def _corrected(
-    readings: "Record", path: Path, model: "Calibration | None", policy: Policy, power_on_s: float | None
+    readings: "Record", path: Path, model: "Calibration | None", applying: TableUse
 ) -> "tuple[Record, tuple[Finding, ...], tuple[str, ...]]":
     """Return the readings by their calibration, if there is one, what speaks against them, and notes."""
     from undrift.correction.correct import correct_checked
@@ -148,7 +137,7 @@ def _corrected(
     if model is None:
         check_physical(readings, path)
         return readings, (), ()
-    done = correct_checked(readings, model, policy=policy, power_on_s=power_on_s)
+    done = correct_checked(readings, model, policy=applying.policy, power_on_s=applying.power_on_s)
     beyond = (item for one in find_beyond(done.record, model) for item in one.findings)
     return done.record, (*(one for one in done.findings if one.level == "warn"), *beyond), done.notes
 

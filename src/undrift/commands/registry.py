@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cyclopts import Parameter
 
 from undrift.base.options import Files, OptionalOutput, Picture, options, verb
-from undrift.base.summary import Cells, Drawing, Result, Section, Summary, table_section
+from undrift.base.summary import Cells, Result, Section, Summary, figure_of, table_section
 from undrift.commands.files import check_figure, check_output, save_json, stated_date
 from undrift.commands.register import Where, entry_json, open_place, registered_lines
 from undrift.errors import InputError, UndriftError
@@ -224,7 +224,7 @@ def trend(*, serial: str, figure: Picture = None, where: Where = None) -> Regist
         for one in entries
     ]
     steps, from_first = steps_of(models), course(models)
-    drawing = Drawing(place="undrift.report.drift:draw_trend", of=(serial, models[0], from_first))
+    drawing = figure_of("drift:draw_trend", serial, models[0], from_first)
     if figure is not None:
         drawing.save(figure)
     first = [f"since the first: {text}" for text in from_first[-1].sentences] if len(steps) > 1 else []

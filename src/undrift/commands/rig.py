@@ -7,10 +7,12 @@ import threading
 from contextlib import ExitStack, suppress
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 
-from undrift.base.options import WRITTEN, Flag, Output, options, verb
-from undrift.base.summary import Cells, Drawing, Result, Section, Summary, table_section
+from cyclopts import Parameter
+
+from undrift.base.options import WRITTEN, Flag, Gravity, Output, options, verb
+from undrift.base.summary import Cells, Result, Section, Summary, figure_of, table_section
 from undrift.commands import Screen
 from undrift.commands.files import device_at
 from undrift.commands.register import Registration, registered_lines
@@ -25,6 +27,8 @@ if TYPE_CHECKING:
     from undrift.rig.run import Progress, RigBench, RunResult, Watch
     from undrift.sim.rig.emulator import EmulatedBench
     from undrift.sim.rig.hand_held import HandHeld
+
+TableAddress: TypeAlias = Annotated[str, Parameter(help="Address of the table.")]
 
 
 HIGHEST_DPS, HIGHEST_DPS2 = 360.0, 5000.0  # that a table is asked for where nothing else is stated
@@ -96,7 +100,7 @@ class Ran(Result):
                 "readings missing"
             ),
             data=data | {"duration_s": result.duration_s, "missing_readings": missing, "turns": rows},
-            pictures=(Drawing(place="undrift.report.figures:draw_rig_run", of=(turns,)),) if turns else (),
+            pictures=(figure_of("figures:draw_rig_run", turns),) if turns else (),
             sections=(table_section("Dwells", result.pieces, cells, on="page"),),
             sources=(self.output / "session.toml",),
             after=registered_lines(self.registered),
@@ -332,7 +336,7 @@ def emulate(
     room_c: float = 25.0,
     mount_tilt_deg: float | None = None,
     heating_c_per_min: float = 3.0,
-    gravity_m_s2: float = STANDARD_GRAVITY,
+    gravity_m_s2: Gravity = STANDARD_GRAVITY,
     fault: tuple[str, ...] = (),
     pty: Flag = False,
     save_device: Annotated[Path | None, WRITTEN] = None,
@@ -362,8 +366,6 @@ def emulate(
         Mounting error of the operator: standard deviation about each axis, deg; 0 where not given, 0.3 if hand-held.
     heating_c_per_min : float
         How fast the chamber changes its temperature, K/min.
-    gravity_m_s2 : float
-        Local gravity, m/s2.
     fault : tuple of str
         NAME, NAME:AFTER_S or NAME:AFTER_S:FOR_S, seconds of the emulated clock: a part of the link, the table or the chamber
         breaks then and for so long; any number of them. "list" names them.
@@ -417,14 +419,8 @@ def emulate(
 
 
 @verb
-def stop(*, rig: str) -> Summary:
-    """Stop the table and switch its motor off, whoever drives it.
-
-    Parameters
-    ----------
-    rig : str
-        Address of the table.
-    """
+def stop(*, rig: TableAddress) -> Summary:
+    """Stop the table and switch its motor off, whoever drives it."""
     from undrift.rig.watch import mark_stop, stop_rig
 
     mark_stop(rig)  # first, so that a run that mounts or soaks ends even where the table does not answer
@@ -434,14 +430,8 @@ def stop(*, rig: str) -> Summary:
 
 
 @verb
-def status(*, rig: str) -> Summary:
-    """Say where a Galil table stands and what is wrong with it; whoever drives it is not disturbed.
-
-    Parameters
-    ----------
-    rig : str
-        Address of the table.
-    """
+def status(*, rig: TableAddress) -> Summary:
+    """Say where a Galil table stands and what is wrong with it; whoever drives it is not disturbed."""
     from undrift.rig.galil import read_status
 
     found, dps = read_status(rig), RADIAN_PER_DEGREE

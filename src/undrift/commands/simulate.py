@@ -4,8 +4,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
-from undrift.base.options import Flag, Output, Up, verb
-from undrift.base.summary import Drawing, Section, Summary, plain_words, rows_section
+from undrift.base.options import Flag, Gravity, Output, Up, verb
+from undrift.base.summary import Section, Summary, figure_of, plain_words, rows_section
 from undrift.commands import Progress, silent
 from undrift.commands.files import check_folder, device_at, labels_of
 from undrift.errors import InputError
@@ -37,7 +37,7 @@ def simulate(
     sample_rate_hz: float | None = None,
     temp_c: float | None = None,
     power_on_s: float | None = None,
-    gravity_m_s2: float = STANDARD_GRAVITY,
+    gravity_m_s2: Gravity = STANDARD_GRAVITY,
     markers: str | None = None,
     reference_up: Up = None,
     cutoff_hz: str | None = None,
@@ -67,12 +67,8 @@ def simulate(
         Temperature of the board, degC; the device's reference temperature where not given.
     power_on_s : float
         Time since power-on at the first sample, s; 0 where not given, an hour in a thermal session.
-    gravity_m_s2 : float
-        Local gravity, m/s2.
     markers : str or None
         Labels of one rigid cluster, comma between, for TRC or C3D.
-    reference_up : str or None
-        Laboratory axis that points up, for markers in TRC or C3D.
     cutoff_hz : str or None
         Low-pass of recorded poses, Hz: a number for orientation and position, auto to choose both from the recording, none to
         filter nothing; 20 Hz for orientation and 10 Hz for position where not given.
@@ -330,6 +326,6 @@ def _answer(
         title=f"Simulated {plain_words(motion)} of {model.name} {model.serial}",
         answer=f"{motion} -> {output}: {line}",
         data={"motion": motion, "output": str(output), **figures},
-        pictures=(Drawing(place="undrift.report.figures:draw_record", of=(record,)),),
+        pictures=(figure_of("figures:draw_record", record),),
         sections=sections,
     )

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from undrift.base.options import Flag, Output, options, verb
-from undrift.base.summary import Drawing, Result, Section, Summary, at
+from undrift.base.summary import Result, Section, Summary, at, figure_of
 from undrift.commands import Progress, silent
 from undrift.commands.files import check_folder, origin_of, save_json
 from undrift.errors import InputError
@@ -40,7 +40,7 @@ class Studied(Result):
             title=f"Study: {outcome.study.name}",
             answer=answer_of(outcome),
             data=study_json(outcome),
-            pictures=(Drawing(place="undrift.report.figures:draw_pareto", of=(outcome, outcome.tasks[0])),),
+            pictures=(figure_of("figures:draw_pareto", outcome, outcome.tasks[0]),),
             sections=(*sections_of(outcome), Section(title="The note", text=(NOTE,), folded=True)),
             written=tuple(self.output / name for name in ("report.html", "summary.json", "surface.parquet")),
         )

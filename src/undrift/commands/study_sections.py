@@ -9,7 +9,7 @@ from dataclasses import replace
 from itertools import cycle
 from typing import TYPE_CHECKING
 
-from undrift.base.summary import Cells, Drawing, Section, interval, number, plain_words, rows_section, table_section
+from undrift.base.summary import Cells, Section, figure_of, interval, number, plain_words, rows_section, table_section
 from undrift.sim.motion.tasks import CATEGORIES
 from undrift.study.claims import claims_section, rival_sections
 from undrift.study.judge import needed_text
@@ -98,11 +98,6 @@ def _details(outcome: "StudyOutcome") -> tuple[Section, ...]:
         *design_sections(outcome.designs),
         *rival_sections(outcome),
     )
-
-
-def _drawing(name: str, *of: object) -> tuple[Drawing, ...]:
-    """Return a picture of report/figures.py, or of another module there."""
-    return (Drawing(place=f"undrift.report.{name}", of=of),)
 
 
 def _with(value: float, ends: Sequence[float], form: str = ".3f") -> str:
@@ -411,9 +406,7 @@ def _bench(outcome: "StudyOutcome") -> Section:
 def _task_sections(outcome: "StudyOutcome", task: "TaskOutcome") -> tuple[Section, ...]:
     name, own = _name(task), outcome.study.timing
     timings = (own, *(timing for timing in TIMINGS if timing != own))
-    surfaces = tuple(
-        Drawing(place="undrift.report.figures:draw_surface", of=(outcome, task, each, HEADINGS)) for each in timings
-    )
+    surfaces = tuple(figure_of("figures:draw_surface", outcome, task, each, HEADINGS) for each in timings)
     white = "not tried" if task.halving is None else "not tried, dropped in an earlier round"
     return (
         Section(
@@ -458,7 +451,7 @@ def _front(outcome: "StudyOutcome", task: "TaskOutcome") -> Section:
         text=(text,),
         columns=heads,
         rows=tuple(rows),
-        pictures=_drawing("figures:draw_pareto", outcome, task),
+        pictures=(figure_of("figures:draw_pareto", outcome, task),),
     )
 
 
@@ -474,7 +467,7 @@ def _effects(outcome: "StudyOutcome", task: "TaskOutcome") -> Section:
     ]
     title = f"{_name(task)}: what each parameter does"
     rows = [_effect_row(effect, powers.get(effect.name)) for effect in task.optimum.effects]
-    return rows_section(title, rows, text=tuple(text), pictures=_drawing("figures:draw_effects", task, HEADINGS))
+    return rows_section(title, rows, text=tuple(text), pictures=(figure_of("figures:draw_effects", task, HEADINGS),))
 
 
 def _effect_row(effect: "ParameterEffect", power: "EffectPower | None") -> dict[str, str]:
@@ -765,10 +758,8 @@ def _flows() -> tuple[Section, ...]:
         "has them; block 1 is not in it.",
     )
     titles = ("Figure 1: how the parameters are optimised", "Figure 2: how the drift is compensated")
-    drawings = (_drawing(f"note:draw_figure{k}") for k in (1, 2))
-    return tuple(
-        Section(title=title, text=text, pictures=drawing) for title, drawing in zip(titles, drawings, strict=True)
-    )
+    drawings = (figure_of(f"note:draw_figure{k}") for k in (1, 2))
+    return tuple(Section(title=title, text=text, pictures=(one,)) for title, one in zip(titles, drawings, strict=True))
 
 
 def _figure3(outcome: "StudyOutcome") -> Section:
@@ -785,7 +776,7 @@ def _figure3(outcome: "StudyOutcome") -> Section:
     ]
     text = (*_words(found, drawn), *((_twin_words(twin),) if twin else ()))
     return rows_section(
-        title, rows, text=text, pictures=_drawing("note:draw_figure3", found, COMPARED_NAMES, drawn, twin)
+        title, rows, text=text, pictures=(figure_of("note:draw_figure3", found, COMPARED_NAMES, drawn, twin),)
     )
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from undrift.base.options import Files, OptionalOutput, verb
-from undrift.base.summary import Drawing, Result, Section, Summary, number
+from undrift.base.summary import Result, Section, Summary, figure_of, number
 from undrift.commands import Progress, part_of, silent
 from undrift.commands.files import Opening, Optics, check_output
 from undrift.findings import Finding
@@ -45,7 +45,7 @@ class Twinned(Result):
             median = f"{_spread(differences)['median']:.2f} deg, median over {held_out[0].window_s:g} s"
             answer += f"; held out, its pitch differs from the real device's by {median}"
         alone = "one recording: none could be held out; add a second one to see how well the twin predicts"
-        drawing = Drawing(place="undrift.report.figures:draw_held_out", of=(held_out,))
+        drawing = figure_of("figures:draw_held_out", held_out)
         found = (item for one in held_out if (item := one.excitation.finding(one.recording)) is not None)
         return Summary(
             title=f"Twin of a real device, from {count} recording{'s' if count > 1 else ''}",

@@ -10,13 +10,14 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from undrift.base.options import Files, Flag, OptionalOutput, Policy, Side, verb
-from undrift.base.summary import Drawing, Origin, Result, Section, Summary, at, rows_section
+from undrift.base.options import Files, Flag, OptionalOutput, Side, verb
+from undrift.base.summary import Origin, Result, Section, Summary, at, figure_of, rows_section
 from undrift.commands import Progress, part_of, silent
 from undrift.commands.files import (
     Opening,
     Optics,
     Place,
+    TableUse,
     check_folder,
     check_physical,
     name_of,
@@ -106,12 +107,11 @@ class Validated(Result):
         result, gravity = self.result, self.gravity
         notes = ["gravity {:.5f} m/s2 ({})".format(*gravity.values())] if gravity["gravity_source"] else []
         many, means = len(result.trials) > 1, [("mean", result.mean), ("median", result.median)]
-        first = (
-            Drawing(place="undrift.report.figures:draw_validation", of=(result,)) if many else drawn(result.trials[0])
-        )
+        drawn = [figure_of("figures:trial_figure", trial) for trial in result.trials]
+        first = figure_of("figures:draw_validation", result) if many else drawn[0]
         courses = (
-            Section(title=one.recording, findings=one.findings, pictures=(drawn(one),), folded=True, on="page")
-            for one in result.trials
+            Section(title=one.recording, findings=one.findings, pictures=(course,), folded=True, on="page")
+            for one, course in zip(result.trials, drawn, strict=True)
         )
         return Summary(
             title=f"Against the reference: {len(result.trials)} recording{'s' * many}",
@@ -149,8 +149,7 @@ def validate(
     adc: Literal["auto", "none"] = "auto",
     forward: Side = "+x",
     up: Side = "+z",
-    power_on_s: float | None = None,
-    policy: Policy = "raise",
+    applying: TableUse = TableUse(),
     max_lag_s: float = 5.0,
     output: OptionalOutput = None,
     opening: Opening = Opening(),
@@ -185,11 +184,8 @@ def validate(
         Body axis that points forward on the upright segment: with --up it defines the pitch.
     up : str
         Body axis that points up on the upright segment.
-    power_on_s : float or None
-        Time since power-on at the first sample of each recording, s; without it no warm-up is subtracted.
-    policy : str
-        Temperatures outside a tuning table: refuse (raise), hold the table's end, or leave a gap (nan). Where no
-        temperature was recorded the result is a gap under each, and a warning says for how long.
+    applying : TableUse
+        How the tables of the calibration are applied.
     max_lag_s : float
         Largest lag between the clocks of recording and reference, either way, s.
     output : Path or None
@@ -208,7 +204,7 @@ def validate(
     check_folder(output)
     chosen = offset or ("none" if calibration or calibrate_from else "rest")
     settings = TrialSettings(
-        offset=chosen, adc=adc, forward=forward, up=up, power_on_s=power_on_s, policy=policy,
+        offset=chosen, adc=adc, forward=forward, up=up, power_on_s=applying.power_on_s, policy=applying.policy,
         lag=LagSettings(longest_lag_s=max_lag_s),
     )  # fmt: skip
     progress("reading", 0.0)
@@ -363,11 +359,6 @@ def _judged(
 # ---- sections
 
 
-def drawn(trial: "Trial") -> Drawing:
-    """Return the course of one trial: pitch of device and optics, and the errors."""
-    return Drawing(place="undrift.report.figures:trial_figure", of=(trial,))
-
-
 def _answer(result: "Validation", method: Validated) -> str:
     """Return what the orientation is worth, in a sentence."""
     how = "with the offset of the first still phase removed"
@@ -490,7 +481,7 @@ def _agreement(result: "Validation") -> tuple[Section, ...]:
         f"[{absolute.interval[0]:.3f}, {absolute.interval[1]:.3f}]; standard error of measurement "
         f"{absolute.standard_error_of_measurement:.2f} deg; an ICC depends on how much the trials differ"
     )
-    drawing = Drawing(place="undrift.report.figures:draw_trials_agreement", of=(result, limits))
+    drawing = figure_of("figures:draw_trials_agreement", result, limits)
     return (Section(title="Agreement over trials", text=(text,), pictures=(drawing,)),)
 
 
