@@ -54,7 +54,7 @@ def test_a_row_that_ends_early_is_a_gap(tmp_path):
         (lambda t: t.replace("0.01\t1.0", "0.01\tlost"), "wanted numbers in line 8, got text"),
         (lambda t: t.replace("0.01\t1.0", "0.01\t1.0\t1.0"), "wanted 8 columns in line 8, got 9; the header disagrees"),
         (lambda t: t.replace("\t0.01\t", "\t0.0\t"), "wanted strictly increasing seconds"),
-        (lambda t: "\n".join(t.splitlines()[:7]), "wanted two frames or more, got 1"),
+        (lambda t: "\n".join(t.splitlines()[:7]), "wanted 3 frames .NumFrames in line 3., got 1; the file is cut"),
     ],
 )
 def test_a_file_that_is_not_what_it_says_is_refused_in_one_line(tmp_path, change, words):

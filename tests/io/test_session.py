@@ -1,5 +1,7 @@
 """session.toml: reads what DESIGN says, names line and entry of what is wrong, and comes back as it was written."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -8,7 +10,8 @@ from hypothesis import strategies as st
 from testkit.strategies import assert_same, few, one_line, records
 from undrift.errors import FileFormatError, InputError
 from undrift.files import sha256_of
-from undrift.io.session import read_session, write_session
+from undrift.io.parquet import write_parquet
+from undrift.io.session import read_session, sealed, write_session
 from undrift.io.text import write_csv
 from undrift.record import RateTable, Record, Session, Still, TemperatureSensitivity, Turn
 from undrift.units import gravity_at
@@ -321,3 +324,22 @@ def test_a_folder_that_cannot_be_made_is_one_line(tmp_path):
     )
     with pytest.raises(InputError, match="cannot be written"):
         write_session(session, tmp_path / "file" / "run")
+
+
+def test_readings_and_a_session_that_changed_since_they_were_written_are_refused(tmp_path):
+    record = Record(time=np.arange(200) / 100.0, gyro=np.ones((200, 3)), gyro_unit="dps")
+    still = Still(recording=0, start=0, stop=150)
+    session = Session(kind="calibration", serial="", gravity_m_s2=9.81, records=(record,), stills=(still,))
+    write_session(session, tmp_path)
+    text = (tmp_path / "session.toml").read_text()
+    (tmp_path / "session.toml").write_text(sealed(text))
+    assert len(read_session(tmp_path).records) == 1
+    (tmp_path / "session.toml").write_text(sealed(text).replace("stop_s = 1.5", "stop_s = 1.4"))
+    with pytest.raises(FileFormatError, match=r"wanted the session as the run wrote it, got it changed .sha256"):
+        read_session(tmp_path)
+    (tmp_path / "session.toml").write_text(text)
+    write_parquet(replace(record, gyro=np.full((200, 3), 1.001)), tmp_path / "recording_0.parquet")
+    with pytest.raises(
+        FileFormatError, match=r"recording_0.parquet: wanted the readings as they were written, got others"
+    ):
+        read_session(tmp_path)

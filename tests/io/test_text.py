@@ -2,6 +2,7 @@
 
 import gzip
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -178,6 +179,26 @@ def test_broken_rows_are_dropped_on_request_and_counted_and_their_time_is_kept(t
     assert built.record.time[:2].tolist() == pytest.approx([0.0, 0.2])
     with pytest.raises(FileFormatError, match="wanted 4 columns in every row, got 1 in data row 1"):
         read_csv(path, ColumnMap(gyro=(0, 1, 2), gyro_unit="dps", sample_rate_hz=10.0, layout=TextLayout(header=False)))
+
+
+@pytest.mark.parametrize(
+    "row", ['"0.040,0.1,0.04,1.0', '0.040,"0.1,0.04,1.0', '0.040,0.1,0.04,"1.0', '0.040,0.1,0.04,1.0"']
+)
+def test_a_quote_without_its_partner_takes_no_other_row_into_its_cell(tmp_path, row):
+    lines = rows()
+    lines[4] = row
+    path = put(tmp_path, table(lines))
+    with pytest.raises(
+        FileFormatError, match=r"wanted quotes that close in their row, got .* in data row 5 .1 such rows."
+    ):
+        read_csv(path, XYZ)
+    found = read_csv(path, replace(XYZ, layout=TextLayout(drop_bad_rows=True)))
+    assert (len(found.record), found.dropped_rows) == (7, 1)
+
+
+def test_quoted_cells_are_read(tmp_path):
+    lines = [",".join(f'"{cell}"' for cell in row.split(",")) for row in rows()]
+    np.testing.assert_array_equal(read_csv(put(tmp_path, table(lines)), XYZ).record.accel[:, 0], 0.1)
 
 
 def test_time_that_goes_back_is_repaired_on_request_and_counted(tmp_path):

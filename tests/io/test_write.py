@@ -121,6 +121,26 @@ def test_a_mat_file_of_undrift_with_a_broken_statement_is_refused(tmp_path):
         read_record(tmp_path / "r.mat")
 
 
+@pytest.mark.parametrize("name", ["r.parquet", "r.mat"])
+def test_a_flipped_bit_in_a_file_of_undrift_is_refused_or_changes_nothing(tmp_path, name):
+    rng = np.random.default_rng(16)
+    record = Record(
+        time=np.arange(60) / 100.0, gyro=rng.normal(size=(60, 3)), accel=rng.normal(size=(60, 3)), device="A7"
+    )
+    path = tmp_path / name
+    write_record(record, path)
+    whole, refused = path.read_bytes(), 0
+    for place in rng.integers(8 * len(whole), size=40):
+        changed = bytearray(whole)
+        changed[place // 8] ^= 1 << (place % 8)
+        path.write_bytes(changed)
+        try:
+            assert_same(read_record(path), record)
+        except InputError:
+            refused += 1
+    assert refused >= 20
+
+
 def test_opensense_gets_a_header_a_named_column_and_quaternions_scalar_first(tmp_path):
     """The header and the cells as in the example of "OpenSense - Kinematics with IMU Data", OpenSim documentation, read 2026-11."""
     time, q, angles = orientation()

@@ -261,7 +261,7 @@ def _comment(comment: object) -> dict[str, Any]:
         return {}
     try:
         found = json.loads(comment.removeprefix("undrift "))
-    except ValueError:
+    except (ValueError, RecursionError):
         return {}
     return found if isinstance(found, dict) else {}
 

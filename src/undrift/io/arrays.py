@@ -5,10 +5,11 @@ struct are ``struct.field``. An array of 3 or 4 rows and 16 columns or more has 
 Arrays of other lengths (a second clock, settings) are left out of the table.
 """
 
+import hashlib
 import json
 import zipfile
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -87,10 +88,25 @@ def read_mat(path: str | Path, columns: ColumnMap | None = None, settings: ReadS
         columns = native_map(tuple(name for name, _ in arrays), settings, source=str(path))
         try:
             statement = dict(json.loads(held["undrift"]))
-        except (ValueError, TypeError):
+        except (ValueError, TypeError, RecursionError):
             statement = {}
+        digest = held.get("undrift_sha256")
+        if digest is not None and digest != digest_of(
+            held["undrift"], {n: a for n, a in arrays if n in statement.get("columns", ())}
+        ):
+            raise FileFormatError(
+                f"{path}: wanted the readings as they were written, got others (sha256); restore the file"
+            )
         columns = stated(columns, statement, f"{path}: wanted frame, state and device in 'undrift', got others")
     return _record(arrays, path, columns, settings)
+
+
+def digest_of(statement: str, columns: Mapping[str, NDArray[Any]]) -> str:
+    """Return the sha256 of a statement and of columns of numbers with their names, however they lie."""
+    digest = hashlib.sha256(statement.encode())
+    for name in sorted(columns):
+        digest.update(name.encode() + np.ascontiguousarray(columns[name], dtype="<f8").tobytes())
+    return digest.hexdigest()
 
 
 def _record(arrays: Arrays, path: str | Path, columns: ColumnMap | None, settings: ReadSettings) -> ReadResult:

@@ -213,6 +213,12 @@ def read_ros(path: Path, _: Columns, settings: ReadSettings) -> ReadResult:
         topics = sorted({c.topic for c in bag.connections if c.msgtype == _IMU and c.msgcount})
         topic = chosen(path, "topic", tuple(topics), settings.sensor)
         rows = list(_messages(bag, topic, _IMU))
+        stated = sum(c.msgcount for c in bag.connections if c.topic == topic and c.msgtype == _IMU)
+        if len(rows) < stated and not settings.drop_bad_rows:
+            raise FileFormatError(
+                f"{path}: wanted {stated} messages of {topic} as the file states, got {len(rows)}; copy the file again, or set "
+                "drop_bad_rows = true in a map to read what is there"
+            )
         parent = topic.rpartition("/")[0]
         near = {c.topic for c in bag.connections if c.msgtype == _TEMPERATURE and c.topic.rpartition("/")[0] == parent}
         slow = sorted(
@@ -236,7 +242,8 @@ def read_ros(path: Path, _: Columns, settings: ReadSettings) -> ReadResult:
         clock = (np.array([stamp for stamp, _ in slow], dtype=np.int64) - stamps[0]) * 1e-9
         found["temp"] = (np.interp(time, clock, [temp_c for _, temp_c in slow]), "degC")
         notes.append(f"temperature of {min(near)}, interpolated")
-    return build(path, time, found, settings, notes, device=frame)
+    made = build(path, time, found, settings, notes, device=frame)
+    return replace(made, dropped_rows=made.dropped_rows + max(0, stated - len(rows)))
 
 
 def _messages(bag: Any, topic: str, kind: str) -> Iterator[Any]:

@@ -124,7 +124,7 @@ def _is_json(path: Path, head: bytes) -> bool:
         return _suffix(path) == ".json"
     try:
         json.loads(read_bytes(path))
-    except (UnicodeDecodeError, json.JSONDecodeError):
+    except (ValueError, RecursionError):
         return False
     return True
 

@@ -768,7 +768,7 @@ def _settings(path: Path, name: str, clock: Clock | None) -> Description:
         return Description(path=str(path), kind=kind, format=name, summary=summary)
     try:
         held = json.loads(read_bytes(path))
-    except (UnicodeDecodeError, json.JSONDecodeError) as error:
+    except (ValueError, RecursionError) as error:
         raise InputError(f"{path}: wanted JSON, got something else: {error}; repair the file") from error
     keys = held if isinstance(held, dict) else {}
     listed = ", ".join(list(keys)[:8])

@@ -454,7 +454,7 @@ def _bids(path: Path) -> tuple[Sheet, list[dict[str, str]]]:
     rows = [dict(zip(lines[0], (cell.strip() for cell in line), strict=False)) for line in lines[1:]]
     try:
         rate = float(json.loads(read_bytes(settings))["SamplingFrequency"])
-    except (ValueError, KeyError, TypeError) as error:
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise FileFormatError(f"{settings}: wanted SamplingFrequency in Hz, got none; add it") from error
     names = tuple(row.get("name", "") for row in rows)
     content = as_utf8(read_bytes(path))

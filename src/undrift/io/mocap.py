@@ -313,8 +313,11 @@ def read_trc(path: str | Path, up: Up | None = None) -> Markers:
     if len(labels) != wanted:
         raise FileFormatError(f"{path}: wanted {wanted} marker labels in line 4 (NumMarkers), got {len(labels)}")
     time, cells = _rows(lines, 2 + 3 * wanted, path)
-    if len(time) < 2:
-        raise FileFormatError(f"{path}: wanted two frames or more, got {len(time)}; the file is cut")
+    stated = int(head.get("NumFrames", "")) if head.get("NumFrames", "").isdigit() else 2
+    if len(time) < max(stated, 2):
+        raise FileFormatError(
+            f"{path}: wanted {max(stated, 2)} frames (NumFrames in line 3), got {len(time)}; the file is cut: copy it again"
+        )
     points = cells.reshape(len(time), wanted, 3) * si_factor(head["Units"], "length")
     points[~np.isfinite(points).all(axis=2) | (points == 0.0).all(axis=2)] = np.nan
     return markers_of(path, labels, points, time, up=up, why="TRC")

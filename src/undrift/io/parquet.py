@@ -2,11 +2,14 @@
 
 The schema metadata holds one key, ``undrift``: ``{"kind": "undrift.record", "format": 1, "gyro_unit": "dps", "accel_unit": "g",
 "frame": "s", "state": "raw", "device": "MTi-1"}``; of a corrected record also what its calibration knows of the accelerometers
-(``accel_uncertainty``, as record.ForceUncertainty has it). Files of any size are read and written in chunks of constant memory.
+(``accel_uncertainty``, as record.ForceUncertainty has it). A second key, ``undrift.crc32``, is the CRC-32 of the first and of the
+column names; each page carries its own, so that a changed byte is refused. Files of any size are read and written in chunks of
+constant memory.
 """
 
 import json
-from collections.abc import Iterator
+import zlib
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
@@ -33,7 +36,7 @@ from undrift.io.columns import (
 from undrift.record import Record
 
 CHUNK_ROWS = 65_536  # 4 MB of seven channels: stays in the cache
-_KEY = b"undrift"
+_KEY, _CRC = b"undrift", b"undrift.crc32"
 _BUFFER = 1 << 20
 
 
@@ -120,10 +123,11 @@ class ParquetWriter:
         for triad, unit in (("gyro", record.gyro_unit), ("accel", record.accel_unit)):
             held[f"{triad}_unit"] = None if getattr(record, triad) is None else unit
         metadata = {_KEY: json.dumps(held, sort_keys=True).encode()}
+        metadata[_CRC] = _crc(names, metadata[_KEY])
         schema = pa.schema([(name, pa.float64()) for name in names], metadata=metadata)
         if self._writer is None:
             with _room(self.path, 0):
-                self._writer = pq.ParquetWriter(self._part, schema, use_dictionary=False)
+                self._writer = pq.ParquetWriter(self._part, schema, use_dictionary=False, write_page_checksum=True)
             self._schema = schema
         if not schema.equals(self._schema, check_metadata=True):
             raise InputError(
@@ -176,7 +180,8 @@ def _open(path: str | Path, *, stream: bool = False) -> Any:
     path = checked_file(path)
     try:
         # Read ahead, Arrow keeps every row group it has read: as much memory as the file is long.
-        return pq.ParquetFile(path, pre_buffer=not stream, buffer_size=_BUFFER if stream else 0)
+        buffer = _BUFFER if stream else 0
+        return pq.ParquetFile(path, pre_buffer=not stream, buffer_size=buffer, page_checksum_verification=True)
     except (pa.ArrowInvalid, OSError) as error:
         raise FileFormatError(
             f"{path}: wanted a Parquet file, got something else or a cut one; {first_line(error)}"
@@ -216,11 +221,17 @@ def _table(path: str | Path, table: Any) -> RawTable:
     return RawTable(source=str(path), names=tuple(table.column_names), columns=tuple(table.columns))
 
 
+def _crc(names: Iterable[str], statement: bytes) -> bytes:
+    return b"%08x" % zlib.crc32(statement, zlib.crc32(",".join(names).encode()))
+
+
 def _native_map(path: Path, handle: Any, settings: ReadSettings) -> ColumnMap:
     columns = native_map(tuple(handle.schema_arrow.names), settings, source=str(path))
     metadata = handle.schema_arrow.metadata
     if not metadata or _KEY not in metadata:
         return columns
+    if metadata.get(_CRC, crc := _crc(handle.schema_arrow.names, metadata[_KEY])) != crc:
+        raise FileFormatError(f"{path}: wanted the head as it was written, got it changed (CRC-32); restore the file")
     held = json.loads(metadata[_KEY])
     if held.get("kind") != KIND or held.get("format") != FORMAT:
         raise FileFormatError(

@@ -40,6 +40,7 @@ temp_file = { file = "thermometer.csv", time = "t", temp = "T", time_unit = "s",
 clock = "file"       # or "regular" for stamps of a host; columns.counter names the device's own counter of samples
 """
 
+import hashlib
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -95,6 +96,7 @@ from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, canonical_unit, g
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 # For undrift's own names
 NATIVE_KEYS = {"sample_rate_hz", "gaps", "repair_time", "drop_bad_rows", "clock", "temp_file"}
+_SEAL = "# sha256 of all above: "
 ROW_S = 60.0  # from row to row of a table of set-points without times
 _LAYOUT = {"delimiter", "header", "skip_rows", "decimal"}
 
@@ -327,7 +329,7 @@ def map_and_settings(file_map: FileMap, **choices: Any) -> tuple[ColumnMap | Non
 
 def shared_map(entries: Sequence[KeptEntry]) -> FileMap | None:
     """Return the map that all recordings share; None where they differ or need none."""
-    held = [file_map_of(entry, without=("file", "temp_file")) for entry in entries]  # keys that no other one shares
+    held = [file_map_of(entry, without=("file", "temp_file", "sha256")) for entry in entries]  # keys that no other one shares
     return held[0] if held[0].text != "{}" and held.count(held[0]) == len(held) else None
 
 
@@ -356,6 +358,7 @@ class RecordingEntry(KeptEntry):
     """[[recording]]: these keys and those of a map."""
 
     file: str | list[str]  # Beside session.toml; several files are joined side by side
+    sha256: str = ""  # Of the file as it was written: another content is refused
 
 
 @stored()
@@ -436,6 +439,7 @@ def read_session(folder: str | Path, *, clock: Clock | None = None) -> Session:
         raise InputError(f"{folder}: wanted a folder with {NAME}, got none; write one or check the path")
     tree, text = toml_of(path)
     held = value_of(SessionFile, tree, str(path), text)
+    _check_seal(path, text)
     inputs = [(path.name, sha256_of(path))]
     records, stills, turns, files = list[Record](), list[Still](), list[Turn](), list[list[str]]()
     for number, entry in enumerate(held.recording):
@@ -443,7 +447,12 @@ def read_session(folder: str | Path, *, clock: Clock | None = None) -> Session:
         files.append(names)
         with _at(path, text, "recording", number):
             records.append(_read_recording(path.parent, names, entry, clock))
-        inputs += [(name, sha256_of(path.parent / name)) for name in names if (path.parent / name).is_file()]
+            digests = [(name, sha256_of(path.parent / name)) for name in names if (path.parent / name).is_file()]
+            if entry.sha256 and entry.sha256 not in (digest for _, digest in digests):
+                raise FileFormatError(
+                    f"{names[0]}: wanted the readings as they were written, got others (sha256); restore the file, or record again"
+                )
+        inputs += digests
     clocks = [(record.time, float(np.median(np.diff(record.time)))) for record in records]
     for number, still in enumerate(held.still):
         with _at(path, text, "still", number):
@@ -548,12 +557,13 @@ def write_session(session: Session, folder: str | Path) -> None:
     )
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        for number, record in enumerate(session.records):
-            write_parquet(record, folder / f"recording_{number}.parquet")
         files = [f"recording_{number}.parquet" for number in range(len(session.records))]
+        for file, record in zip(files, session.records, strict=True):
+            write_parquet(record, folder / file)
+        recordings = [{"file": file, "sha256": sha256_of(folder / file)} for file in files]
         pieces: tuple[Still | Turn, ...] = (*session.stills, *session.turns)
         stated = [stated_piece(piece, session.records[piece.recording].time) for piece in pieces]
-        text = session_toml(head, [{"file": file} for file in files], stated, session.rate_table, session.sensitivity)
+        text = session_toml(head, recordings, stated, session.rate_table, session.sensitivity)
         (folder / NAME).write_text(text, encoding="utf-8")
     except OSError as error:
         raise InputError(
@@ -635,7 +645,7 @@ def _read_recording(folder: Path, names: list[str], entry: RecordingEntry, clock
             f"wanted one table of columns for each file, got {len(maps)} for {len(names)} files; "
             "columns = [{ ... }, { ... }] in the order of the files"
         )
-    unused = entry.model_fields_set - {"file", "columns", "sensor"} - NATIVE_KEYS
+    unused = entry.model_fields_set - {"file", "columns", "sensor", "sha256"} - NATIVE_KEYS
     if not maps and unused:
         raise InputError(
             f"wanted columns beside {', '.join(sorted(unused))}, got none; a file without a map needs only its name"
@@ -718,6 +728,21 @@ def stated_piece(piece: Still | Turn, time: FloatArray) -> StillEntry | TurnEntr
 def piece_toml(piece: StillEntry | TurnEntry) -> str:
     """Return the text of a [[still]] or [[turn]]."""
     return toml_block("turn" if isinstance(piece, TurnEntry) else "still", tree_of(piece))
+
+
+def sealed(text: str) -> str:
+    """Return the text of a file with its own checksum in the last line."""
+    return f"{text}{_SEAL}{hashlib.sha256(text.encode()).hexdigest()}\n"
+
+
+def _check_seal(path: Path, text: str) -> None:
+    """Refuse a session that a run wrote and that was changed since."""
+    body, mark, _ = text.rpartition(_SEAL)
+    if mark and sealed(body) != text:
+        raise FileFormatError(
+            f"{path}: wanted the session as the run wrote it, got it changed (sha256 in its last line); restore it, or delete that "
+            "line where the change is meant"
+        )
 
 
 def session_toml(

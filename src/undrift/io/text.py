@@ -104,7 +104,7 @@ def _read_sidecar(path: Path, names: Sequence[str], columns: ColumnMap) -> Colum
         return columns
     try:
         held = json.loads(beside.read_bytes())
-    except (UnicodeDecodeError, json.JSONDecodeError):
+    except (ValueError, RecursionError):
         held = None
     if not isinstance(held, dict) or held.get("kind") != KIND:
         return columns  # of another program
@@ -205,11 +205,35 @@ def parse_text(text: Text, wanted: tuple[Column, ...]) -> RawTable:
     positions = [find_column(text.names, column, str(text.path)) for column in wanted]
     if not any(line.strip() for line in text.head.splitlines()[text.skip :]):
         return RawTable(source=str(text.path), names=text.names, columns=tuple(np.empty(0) for _ in text.names))
+    text = _with_closed_quotes(text)
     try:
         parsed = _parsed(text, {str(i): pa.float64() for i in positions}, block_size=1 << 22)
     except pa.ArrowInvalid:
         return _parse_by_row(text, positions)
     return RawTable(source=str(text.path), names=text.names, columns=tuple(parsed.columns))
+
+
+def _with_closed_quotes(text: Text) -> Text:
+    """Return a text whose rows close the quotes they open: a cell that does not would take in all rows after it, unseen."""
+    if text.content is None:
+        with text.path.open("rb") as handle:
+            quoted = any(b'"' in block for block in iter(lambda: handle.read(_HEAD), b""))
+    else:
+        quoted = b'"' in text.content
+    if not quoted:
+        return text
+    lines = (read_bytes(text.path) if text.content is None else text.content).split(b"\n")
+    torn = [i for i, line in enumerate(lines) if i >= text.skip and line.count(b'"') % 2]
+    if torn and not text.layout.drop_bad_rows:
+        raise FileFormatError(
+            f"{text.path}: wanted quotes that close in their row, got {lines[torn[0]][:40].decode('utf-8', 'replace')!r} in "
+            f"data row {torn[0] - text.skip + 1} ({len(torn)} such rows); repair them, or set drop_bad_rows = true in a map "
+            "(`column_map` FILE)",
+            row=torn[0] - text.skip + 1,
+        )
+    for i in torn:
+        lines[i] = b"?"  # a row without its columns: dropped and counted
+    return replace(text, content=b"\n".join(lines)) if torn else text
 
 
 def _parsed(text: Text, types: dict[str, Any], *, bad_row: Any = None, **reading: Any) -> Any:

@@ -27,6 +27,7 @@ import numpy as np
 from undrift.arrays import FloatArray
 from undrift.errors import InputError
 from undrift.files import write_whole
+from undrift.io.arrays import digest_of
 from undrift.io.columns import native_columns
 from undrift.io.parquet import write_parquet
 from undrift.io.text import Provenance, sidecar_of, statement_of, write_csv, write_rows
@@ -97,10 +98,10 @@ def _write_mat(table: Columns, path: Path, statement: str = "") -> None:
     """Write each column as a variable (N, 1) of its name, and the statement as the text ``undrift``."""
     from scipy.io import savemat
 
-    names, columns = table
-    held: dict[str, object] = {name: np.reshape(column, (-1, 1)) for name, column in zip(names, columns, strict=True)}
+    held: dict[str, Any] = {name: np.reshape(column, (-1, 1)) for name, column in zip(*table, strict=True)}
+    mark = {"undrift": statement, "undrift_sha256": digest_of(statement, held)} if statement else {}
     buffer: Any = io.BytesIO()
-    savemat(buffer, held | ({"undrift": statement} if statement else {}))
+    savemat(buffer, held | mark)
     write_whole(path, buffer.getvalue())
 
 

@@ -8,8 +8,10 @@
 
 A piece is written and synchronised first, then its line in the journal, then session.toml. What has no line was never done. A
 line is {"length": 123, "crc32": "89abcdef", "entry": {...}}: length and checksum of the entry's text tell a line torn by a power
-cut from a whole one. Only the last can be torn; one in the middle was damaged or edited, and is refused. One program at a time has
-a folder: its journal is locked, and the lock goes with the program however it ends.
+cut from a whole one. The checksum goes on from that of the line before, so that a line cannot be missing, twice, or in another
+place. Only the last can be torn; one in the middle was damaged or edited, and is refused. session.toml states the sha256 of each
+piece, and in its last line its own. One program at a time has a folder: its journal is locked, and the lock goes with the program
+however it ends.
 """
 
 import errno
@@ -28,7 +30,7 @@ from typing import Any, BinaryIO
 from undrift.errors import FileFormatError, InputError
 from undrift.files import errno_of, take_lock, write_whole
 from undrift.io.parquet import write_parquet
-from undrift.io.session import HeadEntry, StillEntry, TurnEntry, session_toml
+from undrift.io.session import HeadEntry, StillEntry, TurnEntry, sealed, session_toml
 from undrift.record import Axis, Face, Kind, Record
 from undrift.rig.programme import Protocol, Purpose, write_protocol
 from undrift.rig.watch import uninterrupted
@@ -36,6 +38,7 @@ from undrift.rig.watch import uninterrupted
 # ---- Journal: one line for each thing done, appended and brought to the disk before the next begins.
 
 Entry = dict[str, Any]  # what JSON knows; the values of rig/folder.py are made of it
+_FIRST = zlib.crc32(b"journal")  # from which the first line's checksum goes on
 
 
 class Journal:
@@ -46,7 +49,7 @@ class Journal:
         with ExitStack() as opened:
             # apart from the file that is written, which may have to be opened afresh
             self._lock = opened.enter_context(locked(path))
-            self.entries, whole = read_journal(path)
+            self.entries, whole, self._sum = read_journal(path)
             self._file: BinaryIO = opened.enter_context(path.open("ab"))
             self._file.truncate(whole)
             self._file.seek(whole)
@@ -57,7 +60,8 @@ class Journal:
         """Write an entry; it is on the disk when this returns, or not in the journal at all."""
         before = self._file.seek(0, os.SEEK_END)
         try:
-            self._file.write(line_of(entry))
+            line, following = line_of(entry, self._sum)
+            self._file.write(line)
             self._sync()
         except OSError:  # half a line is cut off; where even that fails, the checksum tells
             with suppress(OSError):  # the buffer is written again on closing, and fails again
@@ -65,7 +69,7 @@ class Journal:
             self._file = self.path.open("ab")
             os.truncate(self.path, before)
             raise
-        self.entries = (*self.entries, entry)
+        self.entries, self._sum = (*self.entries, entry), following
 
     def close(self) -> None:
         """Let go of the file; harmless when called again."""
@@ -99,38 +103,43 @@ def locked(path: Path) -> BinaryIO:
     return file
 
 
-def line_of(entry: Entry) -> bytes:
-    """Return an entry as a line."""
-    text = json.dumps(entry, sort_keys=True, separators=(",", ":"), allow_nan=False)
-    return f'{{"length":{len(text)},"crc32":"{zlib.crc32(text.encode()):08x}","entry":{text}}}\n'.encode()
+def line_of(entry: Entry, before: int | None) -> tuple[bytes, int | None]:
+    """Return an entry as a line, and its checksum, from which the next goes on; None where each stands alone (format 1)."""
+    text = json.dumps(entry, sort_keys=True, separators=(",", ":"), allow_nan=False).encode()
+    crc = zlib.crc32(text, 0 if before is None else before)
+    return b'{"length":%d,"crc32":"%08x","entry":%s}\n' % (len(text), crc, text), None if before is None else crc
 
 
-def read_journal(path: Path) -> tuple[tuple[Entry, ...], int]:
-    """Return the entries of a journal and where the last whole line ends."""
+def read_journal(path: Path) -> tuple[tuple[Entry, ...], int, int | None]:
+    """Return the entries of a journal, where the last whole line ends, and the checksum from which the next goes on."""
     data = path.read_bytes() if path.exists() else b""
     entries: list[Entry] = []
     place = 0
+    before: int | None = _FIRST
     for number, line in enumerate(data.splitlines(keepends=True), start=1):
         entry = _entry(line)
-        if entry is None:
-            if place + len(line) < len(data):
+        if number == 1 and entry is not None and line == line_of(entry, None)[0]:
+            before = None  # of format 1
+        whole, following = (b"", None) if entry is None else line_of(entry, before)
+        if entry is None or line != whole:
+            if place + len(line) < len(data) or (entry is not None and line.endswith(b"\n")):
                 raise FileFormatError(
-                    f"{path}: line {number}: wanted a line as it was written, got a damaged one in the middle; "
-                    "restore the file, or begin in another folder"
+                    f"{path}: line {number}: wanted a line as it was written after the one before, got another; restore the "
+                    "file, or begin in another folder"
                 )
             break
         entries.append(entry)
-        place += len(line)
-    return tuple(entries), place
+        place, before = place + len(line), following
+    return tuple(entries), place, before
 
 
 def _entry(line: bytes) -> Entry | None:
-    """Return the entry of a whole line, None for a torn one."""
+    """Return the entry of a line, None for a torn one."""
     try:
         entry = json.loads(line)["entry"]
-    except (ValueError, KeyError, TypeError):
+    except (ValueError, KeyError, TypeError, RecursionError):
         return None
-    return entry if isinstance(entry, dict) and line == line_of(entry) else None
+    return entry if isinstance(entry, dict) else None
 
 
 # ---- Files of a run on the disk: brought there with their names, never over another, and what it means when it is full.
@@ -191,7 +200,7 @@ def _write(record: Record, path: Path) -> None:
 
 # ---- folder
 
-FORMAT = 1
+FORMAT = 2  # 1: checksums that do not go on from the line before, and a session.toml without any
 JOURNAL, PIECES, ASIDE, PROTOCOL, SESSION = "journal.jsonl", "pieces", "aside", "protocol.toml", "session.toml"
 
 
@@ -357,7 +366,7 @@ def read_entries(path: Path, entries: tuple[dict[str, object], ...]) -> tuple[He
         return None, ()
     try:
         first = dict(entries[0])
-        if (first.pop("entry"), first.pop("format")) != ("head", FORMAT):
+        if first.pop("entry") != "head" or first.pop("format") not in (1, FORMAT):
             raise ValueError("another format")
         pieces: list[RecordedDwell] = []
         for entry in entries[1:]:
@@ -390,7 +399,7 @@ def session_text(head: Head, pieces: tuple[RecordedDwell, ...]) -> str:
             turn_rate = piece.turn_rate if piece.angle is None else None
             stated.append(TurnEntry(axis=piece.axis, turn_rate=turn_rate, angle=piece.angle, **span))
     about = HeadEntry(kind=head.kind, serial=head.serial, gravity_m_s2=head.gravity_m_s2)
-    return session_toml(about, [{"file": piece.name} for piece in pieces], stated)
+    return sealed(session_toml(about, [{"file": piece.name, "sha256": piece.sha256} for piece in pieces], stated))
 
 
 def _free(path: Path) -> Path:
