@@ -68,6 +68,18 @@ def test_a_database_of_a_later_program_is_refused_and_left_alone(place):
     assert told.value.revision == "0999"
 
 
+def test_a_revision_that_never_was_and_an_empty_file_are_refused(tmp_path):
+    path = tmp_path / "registry.sqlite"
+    with open_registry(str(path)) as held, held._engine.begin() as connection:
+        connection.execute(sa.text(f"UPDATE {VERSION_TABLE} SET version_num = '0000'"))
+    with pytest.raises(RegistryError, match="got 0000 which none has; restore a backup"):
+        open_registry(str(path))
+    path.write_bytes(b"")
+    with pytest.raises(RegistryError, match="wanted a registry, got an empty file; restore a backup, or delete it"):
+        open_registry(str(path))
+    assert path.read_bytes() == b""
+
+
 def test_a_migration_that_breaks_off_leaves_the_database_as_it_was(place, monkeypatch):
     closed_at(place, "0001", *OLD)
 

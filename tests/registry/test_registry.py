@@ -186,6 +186,8 @@ def test_other_content_than_was_added_is_noticed(held):
         RegistryError, match=f"wanted entry {number} as it was added, got other content; restore a backup"
     ):
         held.entry(number)
+    with pytest.raises(RegistryError, match=f"wanted entry {number} as it was added, got other content"):
+        held.add(calibration("2026-03-01"))
     with pytest.raises(RegistryError, match="wanted an entry of the registry, got 99"):
         held.entry(99)
 

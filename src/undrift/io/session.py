@@ -329,7 +329,9 @@ def map_and_settings(file_map: FileMap, **choices: Any) -> tuple[ColumnMap | Non
 
 def shared_map(entries: Sequence[KeptEntry]) -> FileMap | None:
     """Return the map that all recordings share; None where they differ or need none."""
-    held = [file_map_of(entry, without=("file", "temp_file", "sha256")) for entry in entries]  # keys that no other one shares
+    held = [
+        file_map_of(entry, without=("file", "temp_file", "sha256")) for entry in entries
+    ]  # keys that no other one shares
     return held[0] if held[0].text != "{}" and held.count(held[0]) == len(held) else None
 
 

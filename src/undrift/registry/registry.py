@@ -253,8 +253,10 @@ class Registry:
         same = select(Entry).where(*asked)
         if one.supersedes is not None:
             self._check_correction(session, one)
-        elif (held := session.scalar(same)) is not None:  # first, so that no number is lost
-            return Added(entry=held, new=False)
+        elif (
+            held := session.scalar(same.options(undefer(Entry.document)))
+        ) is not None:  # first, so that no number is lost
+            return Added(entry=self._as_added(held), new=False)
         low, high = one.temp_c or (None, None)
         values = rest | {name: getattr(one, name) for name in _AS_THEY_ARE}
         values |= {name: values[name].encode("utf-8", "backslashreplace").decode() for name in ("source", "note")}
@@ -294,7 +296,12 @@ class Registry:
                 .group_by(Device.serial)
                 .order_by(Device.serial)
             ).all()
-            newest = {entry.device.serial: entry for entry in session.scalars(_counting())}  # the last of each stays
+            last = func.row_number().over(
+                partition_by=Entry.device_id, order_by=(Entry.made_at.desc(), Entry.id.desc())
+            )
+            ranked = _counting().with_only_columns(Entry.id, last.label("place")).order_by(None).subquery()
+            asked = select(Entry).join(ranked, Entry.id == ranked.c.id).where(ranked.c.place == 1)
+            newest = {entry.device.serial: entry for entry in session.scalars(asked)}
         return [Known(serial=serial, entries=count, calibration=newest.get(serial)) for serial, count in counted]
 
     def entries(self, serial: str | None = None, kind: str | None = None) -> list[tuple[Entry, int | None]]:
@@ -316,9 +323,13 @@ class Registry:
             raise RegistryError(
                 f"{self.place}: wanted an entry of the registry, got {number}; see undrift registry list"
             )
+        return self._as_added(held)
+
+    def _as_added(self, held: Entry) -> Entry:
+        """Return an entry whose document was checked against its hash."""
         if hash_of(held.document) != held.sha256:
             raise RegistryError(
-                f"{self.place}: wanted entry {number} as it was added, got other content; restore a backup"
+                f"{self.place}: wanted entry {held.id} as it was added, got other content; restore a backup"
             )
         return held
 
@@ -390,7 +401,14 @@ class Registry:
 
     def migrate(self) -> None:
         """Make the tables, or bring those of an earlier version to this one."""
-        last = time.monotonic() + self._wait_s
+        file, began = Path(self.place), time.monotonic()
+        last = began + self._wait_s
+        while self._lite and file.is_file() and not file.stat().st_size:  # cut, or of a program that makes it now
+            if time.monotonic() > began + 1.0:
+                raise RegistryError(
+                    f"{file}: wanted a registry, got an empty file; restore a backup, or delete it to begin a new one"
+                )
+            time.sleep(0.05)
         while True:
             try:
                 with self._explained(), self._engine.connect() as connection:
@@ -423,9 +441,10 @@ class Registry:
                 )
             return None
         found: str | None = connection.scalar(text(f"SELECT version_num FROM {VERSION_TABLE}"))
-        if found is not None and found > HEAD:
+        if found is not None and not "0001" <= found <= HEAD:
+            what = "of a later undrift; update undrift" if found > HEAD else "which none has; restore a backup"
             raise RegistryError(
-                f"{self.place}: wanted a registry of revision {HEAD} or earlier, got {found} of a later undrift; update undrift",
+                f"{self.place}: wanted a registry of revision {HEAD} or earlier, got {found[:40]} {what}",
                 revision=found,
             )
         return found
