@@ -9,7 +9,7 @@ import shutil
 import tempfile
 import time
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -126,24 +126,34 @@ def sha256_of(path: str | Path) -> str:
 
 def write_whole(path: Path | str, content: bytes | str) -> None:
     """Write a file whole or not at all; one of that name is replaced."""
-    path = Path(path)
-    data = content.encode("utf-8") if isinstance(content, str) else content
+    write_together({Path(path): content})
+
+
+def write_together(files: Mapping[Path, bytes | str]) -> None:
+    """Write files that belong together, all of them whole before the first takes its name; those of these names are replaced."""
+    parts: dict[Path, Path] = {}
     try:
-        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name[:40]}.", suffix=".part")
-    except OSError as error:
-        raise InputError(f"{path}: wanted a folder to write to, got {error.strerror}; choose another") from error
-    temporary = Path(name)
-    try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
-        temporary.chmod(0o644)
-        temporary.replace(path)
+        for path, content in files.items():
+            data = content.encode("utf-8") if isinstance(content, str) else content
+            try:
+                handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name[:40]}.", suffix=".part")
+            except OSError as error:
+                raise InputError(
+                    f"{path}: wanted a folder to write to, got {error.strerror}; choose another"
+                ) from error
+            parts[path] = Path(name)
+            with os.fdopen(handle, "wb") as file:
+                file.write(data)
+                file.flush()
+                os.fsync(file.fileno())
+            parts[path].chmod(0o644)
+        for path, part in parts.items():
+            part.replace(path)
     except OSError as error:
         raise unwritten(path, error, len(data)) from error
     finally:
-        temporary.unlink(missing_ok=True)
+        for part in parts.values():
+            part.unlink(missing_ok=True)
 
 
 def errno_of(error: OSError) -> int | None:

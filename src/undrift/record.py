@@ -700,6 +700,10 @@ class Session:
                 f"session: wanted a table of means for each recording of kind set-points, and none for others, got kind "
                 f"{self.kind} with {len(self.means)} for {len(self.records)}; state set_points in the map"
             )
+        if len(self.serial) > 200 or not self.serial.isprintable():
+            raise InputError(
+                f"session: wanted a serial number of up to 200 printable characters, got {self.serial[:40]!r}; correct it"
+            )
         check_local_gravity(self.gravity_m_s2, "session")
         pieces: tuple[Still | Turn, ...] = (*self.stills, *self.turns)
         for piece in pieces:

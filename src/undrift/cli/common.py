@@ -54,7 +54,11 @@ def group(name: str, text: str) -> App:
 
 def console(*, err: bool = False) -> "Console":
     """Return the console for results (stdout) or messages (stderr), as wide as a table needs where that is not a terminal."""
-    from rich.console import Console
+    from rich import console as rich
+
+    class Console(rich.Console):
+        def on_broken_pipe(self) -> None:  # the reader of stdout, such as head, has seen enough: no failure
+            raise BrokenPipeError
 
     terminal = (sys.stderr if err else sys.stdout).isatty()
     return Console(stderr=err, width=None if terminal else 400, highlight=False, emoji=False, soft_wrap=not terminal)

@@ -42,7 +42,7 @@ def export(
     options : ExportOptions
         Options that some targets take.
     """
-    from undrift.files import write_whole
+    from undrift.files import write_together
     from undrift.io.store import findings_json, verdict_json
 
     if options.fixed and options.double:
@@ -53,8 +53,7 @@ def export(
         check_output(path, endings=endings, reads=(calibration,))
     model = _read(calibration)
     exported = chosen.write(model, options, output.name)
-    for path, text in zip(files, (exported.text, *exported.more), strict=True):
-        write_whole(path, text)
+    write_together(dict(zip(files, (exported.text, *exported.more), strict=True)))
     lost = len(exported.not_carried)
     return Summary(
         title=f"Calibration of {model.device or 'a device'} for {target}",

@@ -13,6 +13,7 @@ from nicegui import app as pages_app
 from nicegui import ui
 from starlette.requests import Request
 from starlette.responses import FileResponse, JSONResponse, PlainTextResponse, RedirectResponse, Response
+from uvicorn.protocols.http.auto import AutoHTTPProtocol
 
 from undrift.errors import InputError, UndriftError
 from undrift.web import devices, guided, live, rate_table, recordings, result, start, temperature
@@ -22,6 +23,7 @@ from undrift.web.feed import Feed
 from undrift.web.parts import PAGES
 from undrift.web.uploads import receive_upload
 
+FIRST_S = 10.0  # from a connection to its first request
 STATIC = Path(__file__).parent / "static"
 BUILT: dict[str, Callable[[Bench], None]] = {
     "/": start.page,
@@ -50,6 +52,7 @@ def serve(settings: ServerSettings, ready: Callable[[str], None]) -> None:
         ws_max_size=1 << 20,
         ws_per_message_deflate=False,  # noise does not shrink, and the time of it is missed
         timeout_graceful_shutdown=2,
+        http=Prompt,
         server_header=False,
     )
     try:
@@ -57,6 +60,20 @@ def serve(settings: ServerSettings, ready: Callable[[str], None]) -> None:
     finally:
         bench.close()
         listener.close()
+
+
+class Prompt(AutoHTTPProtocol):  # type: ignore[misc,valid-type]
+    """HTTP that closes a connection on which no request has come after ``FIRST_S``."""
+
+    def connection_made(self, transport: asyncio.Transport) -> None:
+        """Begin to wait."""
+        super().connection_made(transport)
+
+        def close_if_silent() -> None:
+            if self.cycle is None and transport.get_protocol() is self:  # a WebSocket has a protocol of its own
+                transport.close()
+
+        self.loop.call_later(FIRST_S, close_if_silent)
 
 
 def listen(host: str, port: int) -> socket.socket:
