@@ -13,6 +13,7 @@ import undrift
 from testkit.data import data_path
 from undrift.errors import FileFormatError, InputError
 from undrift.files import LIMITS, read_bytes
+from undrift.io import box
 from undrift.io.box import boxed, boxed_parts, one_box
 from undrift.io.formats import read_markers, read_record
 
@@ -281,3 +282,9 @@ def test_the_command_line_sets_the_limits_and_refuses_a_word(tmp_path, limits, c
     assert capsys.readouterr().err == (
         "undrift: --memory-limit-gb: wanted gigabytes above 0, got 'many'; write it as --memory-limit-gb 4\n"
     )
+
+
+@pytest.mark.parametrize("place", ["os:system", "undrift.files:write_whole", "undrift.errors:InputError"])
+def test_a_child_can_name_no_other_value_than_data_of_undrift(place):
+    with pytest.raises(FileFormatError, match=f"wanted a value of undrift, got {place}; copy the file again"):
+        box._value({"value": place, "fields": {}}, [])

@@ -1,14 +1,16 @@
 """A box for parsers: a child process reads a binary file, within limits of memory and time.
 
 A damaged file can crash a library or make it take all memory; then the child dies, and the caller gets one line. What was read
-comes back as shared memory, so that large arrays are copied once. The child is forked; where the system cannot fork (Windows),
-and for files that the caller trusts, the parser runs in the caller's own process. A session of many files is read in one box
-(``one_box``): each file within its own limits, and one that fails beside others is read again in a box of its own.
+comes back as data, JSON and arrays in shared memory: large arrays are copied once, and nothing that the child says is run. The
+child is forked; where the system cannot fork (Windows), and for files that the caller trusts, the parser runs in the caller's own
+process. A session of many files is read in one box (``one_box``): each file within its own limits, and one that fails beside
+others is read again in a box of its own.
 """
 
 import contextlib
 import faulthandler
 import functools
+import json
 import mmap
 import os
 import pickle
@@ -20,10 +22,14 @@ import time
 import warnings
 from collections.abc import Callable, Generator, Iterator
 from contextvars import ContextVar
+from dataclasses import fields, is_dataclass
 from importlib import import_module
 from pathlib import Path
 from typing import Any, NoReturn, ParamSpec, TypeVar
 
+import numpy as np
+
+from undrift import errors
 from undrift.errors import FileFormatError, InputError, UndriftError
 from undrift.files import GIGABYTE, LIMITS, checked_file, first_line
 
@@ -166,12 +172,12 @@ def _run(path: Path, read: Callable[[], Iterator[Any]], channel: socket.socket) 
             try:
                 with _foreseen(path):
                     for part in read():
-                        _send(channel, (part, None))
-                _send(channel, (None, StopIteration()))
+                        _send(channel, part)
+                _send(channel, None, end=True)
             except Exception as error:
                 if not first and isinstance(error.__cause__, MemoryError):
                     raise
-                _send(channel, (None, error))  # the caller raises it again
+                _send(channel, None, error)  # the caller raises it again
             size = channel.recv(_LENGTH.size, socket.MSG_WAITALL)
             if not size:  # the caller has closed the box
                 break
@@ -204,11 +210,11 @@ def _held() -> int:
     return 0
 
 
-def _send(channel: socket.socket, held: tuple[Any, BaseException | None]) -> None:
-    """Send an object: its arrays as they are in a file in memory, and that file's number; wait while two are not taken."""
-    buffers: list[pickle.PickleBuffer] = []
-    head = pickle.dumps(held, protocol=5, buffer_callback=buffers.append)
-    raw = [buffer.raw() for buffer in buffers]
+def _send(channel: socket.socket, part: Any, error: BaseException | None = None, *, end: bool = False) -> None:
+    """Send a value or an error: JSON, its arrays as they are in a file in memory, and that file's number."""
+    raw = list[Any]()
+    tree = {"part": _tree(part, raw), "error": None if error is None else _error_tree(error, raw), "end": end}
+    head = json.dumps(tree).encode()
     memory: Any = getattr(os, "memfd_create", None)  # Linux alone has it
     with tempfile.TemporaryFile() if memory is None else os.fdopen(memory("undrift"), "w+b") as file:
         file.write(struct.pack(f"<{len(raw) + 2}Q", len(raw), len(head), *(view.nbytes for view in raw)))
@@ -218,7 +224,101 @@ def _send(channel: socket.socket, held: tuple[Any, BaseException | None]) -> Non
             file.write(view)
         file.flush()
         socket.send_fds(channel, [b"+"], [file.fileno()])
-    channel.recv(1)
+    channel.recv(1)  # wait while two are not taken
+
+
+# ---- what is sent: data alone, whatever became of the child. Values of undrift are named by their class, arrays by their place.
+
+_PLAIN = (bool, int, float, str, type(None))
+_GROUPS: dict[str, type] = {"tuple": tuple, "list": list, "set": set, "frozenset": frozenset}
+
+
+def _tree(value: Any, raw: list[Any]) -> Any:
+    """Return a value as JSON knows it; the bytes of its arrays are added to ``raw``."""
+    kind = type(value)
+    if kind in _PLAIN:
+        return value
+    if kind.__name__ in _GROUPS:
+        return {kind.__name__: [_tree(item, raw) for item in value]}
+    if kind is dict:
+        return {"dict": [[_tree(key, raw), _tree(item, raw)] for key, item in value.items()]}
+    if isinstance(value, np.ndarray | np.generic):
+        array = np.asarray(value)
+        if array.dtype.hasobject:
+            return {"cells": [_tree(cell, raw) for cell in array.ravel().tolist()], "shape": array.shape}
+        turned = array.flags.f_contiguous and not array.flags.c_contiguous
+        raw.append(
+            memoryview(np.ascontiguousarray(array.T if turned else array)).cast("B") if array.size else memoryview(b"")
+        )
+        about = {
+            "shape": array.shape[::-1] if turned else array.shape,
+            "turned": turned,
+            "kept": not array.flags.writeable,
+        }
+        return {"array": len(raw) - 1, "type": array.dtype.str, **about}
+    if isinstance(value, Path):
+        return {"path": os.fspath(value)}
+    if is_dataclass(value) and kind.__module__.startswith("undrift."):
+        held = {item.name: _tree(getattr(value, item.name), raw) for item in fields(value)}
+        return {"value": f"{kind.__module__}:{kind.__qualname__}", "fields": held}
+    if kind.__module__.startswith("pyarrow"):  # a column
+        import pyarrow as pa
+
+        sink = pa.BufferOutputStream()
+        with pa.ipc.new_stream(sink, (table := pa.table({"": value})).schema) as stream:
+            stream.write_table(table)
+        raw.append(memoryview(sink.getvalue()))
+        return {"column": len(raw) - 1}
+    raise TypeError(f"box: wanted data, got {kind.__module__}.{kind.__qualname__}")
+
+
+def _error_tree(error: BaseException, raw: list[Any]) -> dict[str, Any]:
+    if isinstance(error, UndriftError):
+        return {"error": type(error).__name__, "text": str(error), "numbers": _tree(error.numbers, raw)}
+    number, text, file = (getattr(error, name, None) for name in ("errno", "strerror", "filename"))
+    return {"errno": number, "text": text or first_line(error), "file": None if file is None else os.fsdecode(file)}
+
+
+def _value(tree: Any, raw: list[memoryview]) -> Any:
+    """Return the value of a tree; its arrays stay in ``raw``."""
+    if not isinstance(tree, dict):
+        return tree
+    (kind, held), *_ = tree.items()
+    if kind in _GROUPS:
+        return _GROUPS[kind](_value(item, raw) for item in held)
+    if kind == "dict":
+        return {_value(key, raw): _value(item, raw) for key, item in held}
+    if kind == "cells":
+        cells = np.empty(len(held), dtype=object)
+        cells[:] = [_value(item, raw) for item in held]
+        return cells.reshape(tree["shape"])
+    if kind == "array":
+        array = np.frombuffer(raw[held], np.dtype(tree["type"])).reshape(tree["shape"])
+        array = array.T if tree["turned"] else array
+        array.flags.writeable = not tree["kept"]
+        return array
+    if kind == "path":
+        return Path(held)
+    if kind == "column":
+        import pyarrow as pa
+
+        return pa.ipc.open_stream(pa.py_buffer(raw[held])).read_all().column(0)
+    module, _, name = held.partition(":")
+    made = getattr(import_module(module), name) if module.startswith("undrift.") else None
+    if not (isinstance(made, type) and is_dataclass(made)):
+        raise FileFormatError(f"box: wanted a value of undrift, got {held}; copy the file again")
+    value = object.__new__(made)
+    for item in fields(made):
+        object.__setattr__(value, item.name, _value(tree["fields"][item.name], raw))
+    return value
+
+
+def _error(tree: dict[str, Any], raw: list[memoryview]) -> Exception:
+    if "errno" in tree:
+        return OSError(tree["errno"], tree["text"], tree["file"])
+    kind = getattr(errors, tree["error"], None)
+    kind = kind if isinstance(kind, type) and issubclass(kind, UndriftError) else FileFormatError
+    return kind(tree["text"], **_value(tree["numbers"], raw))
 
 
 # ---- the caller
@@ -255,13 +355,13 @@ class _Box:
                 return False
             if not files:
                 return False
-            part, error = _unpacked(files[0])
-            if isinstance(error, StopIteration):
+            tree, raw = _unpacked(files[0])
+            if tree["end"]:
                 return True
-            if error is not None:
-                raise error
+            if tree["error"] is not None:
+                raise _error(tree["error"], raw)
             self._send(b"+")
-            yield part
+            yield _value(tree["part"], raw)
 
     def _send(self, data: bytes) -> None:
         with contextlib.suppress(ConnectionError):  # it has died: nothing will come
@@ -281,8 +381,8 @@ class _Box:
             self.ended()
 
 
-def _unpacked(number: int) -> Any:
-    """Return the object in a file of memory; its arrays stay in it."""
+def _unpacked(number: int) -> tuple[Any, list[memoryview]]:
+    """Return the tree in a file of memory, and the bytes of its arrays, which stay in it."""
     try:
         held = memoryview(mmap.mmap(number, 0, access=mmap.ACCESS_COPY))
     finally:
@@ -295,7 +395,7 @@ def _unpacked(number: int) -> Any:
         at += -at % 64
         buffers.append(held[at : at + size])
         at += size
-    return pickle.loads(head, buffers=buffers)
+    return json.loads(bytes(head)), buffers
 
 
 def _death(path: Path, code: int) -> str:
