@@ -4,7 +4,7 @@ VENV ?= .venv
 BIN = $(VENV)/bin
 INSTALLED = $(VENV)/.installed
 
-.PHONY: announce demo docs durations test test-browser test-long test-all check check-types check-house check-style mutants fuzz mistakes benchmark clean
+.PHONY: announce demo docs durations test test-browser test-long test-all check check-types check-house check-style mutants fuzz mistakes sbom benchmark clean
 
 demo: $(VENV)/.base
 	$(BIN)/undrift demo --out demo
@@ -83,6 +83,14 @@ fuzz: $(INSTALLED)
 # Mistakes that users make, planted into simulated recordings: prints which are named, refused, warned of or silent. WORDS="orient rad/s" selects.
 mistakes: $(INSTALLED)
 	$(BIN)/python -m tests.mistakes $(WORDS)
+
+# What an install consists of, as a CycloneDX bill of materials: build/sbom.json.
+sbom:
+	$(PYTHON) -m venv build/sbom-env
+	build/sbom-env/bin/python -m pip install --quiet --disable-pip-version-check -c constraints.txt .
+	$(PYTHON) -m venv build/sbom-tool
+	build/sbom-tool/bin/python -m pip install --quiet --disable-pip-version-check 'cyclonedx-bom>=7'
+	build/sbom-tool/bin/cyclonedx-py environment build/sbom-env/bin/python --pyproject pyproject.toml -o build/sbom.json
 
 benchmark: $(INSTALLED)
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks
