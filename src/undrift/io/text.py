@@ -44,7 +44,7 @@ from undrift.record import Record
 MARK = b"# undrift "
 Provenance: TypeAlias = Mapping[str, Any]  # what a record was made from and by, as JSON
 EMPTY = ["", "NaN", "nan", "NAN", "NA", "N/A", "n/a", "null", "NULL", "None", "-nan", "#N/A"]
-_HEAD = 1 << 20
+_HEAD, _TAIL = 1 << 20, 1 << 14  # bytes at the start and at the end
 _NUMBER = r"^[ \t\r]*[-+]?(\d+\.?\d*([eE][-+]?\d+)?|\.\d+([eE][-+]?\d+)?|[iI][nN][fF](inity)?)[ \t\r]*$"
 
 
@@ -205,7 +205,7 @@ def parse_text(text: Text, wanted: tuple[Column, ...]) -> RawTable:
     positions = [find_column(text.names, column, str(text.path)) for column in wanted]
     if not any(line.strip() for line in text.head.splitlines()[text.skip :]):
         return RawTable(source=str(text.path), names=text.names, columns=tuple(np.empty(0) for _ in text.names))
-    text = _with_closed_quotes(text)
+    text = _without_cut_row(_with_closed_quotes(text))
     try:
         parsed = _parsed(text, {str(i): pa.float64() for i in positions}, block_size=1 << 22)
     except pa.ArrowInvalid:
@@ -234,6 +234,27 @@ def _with_closed_quotes(text: Text) -> Text:
     for i in torn:
         lines[i] = b"?"  # a row without its columns: dropped and counted
     return replace(text, content=b"\n".join(lines)) if torn else text
+
+
+def _without_cut_row(text: Text) -> Text:
+    """Refuse a text that ends within its last number: no line end, and fewer decimals than all rows before, which have as many."""
+    if text.content is None:
+        with text.path.open("rb") as handle:
+            handle.seek(-min(_TAIL, text.path.stat().st_size), 2)
+            tail = handle.read()
+    else:
+        tail = text.content[-_TAIL:]
+    rows = [line.split(text.layout.delimiter.encode()) for line in tail.splitlines()[-9:]]
+    decimals = [len(row[-1].strip(b' "').partition(text.layout.decimal.encode())[2]) for row in rows]
+    if tail.endswith(b"\n") or len(rows) < 9 or len({*decimals[:-1]}) > 1 or decimals[-1] >= decimals[0]:
+        return text
+    if not text.layout.drop_bad_rows:
+        raise FileFormatError(
+            f"{text.path}: wanted a whole last row, got {rows[-1][-1][:40].decode('utf-8', 'replace')!r} at its end, without the "
+            "decimals of the others: the file is cut; copy it again, or set drop_bad_rows = true in a map (`column_map` FILE)"
+        )
+    content = read_bytes(text.path) if text.content is None else text.content
+    return replace(text, content=content[: content.rfind(b"\n") + 1] + b"?")
 
 
 def _parsed(text: Text, types: dict[str, Any], *, bad_row: Any = None, **reading: Any) -> Any:
