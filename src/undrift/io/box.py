@@ -247,9 +247,7 @@ def _tree(value: Any, raw: list[Any]) -> Any:
         if array.dtype.hasobject:
             return {"cells": [_tree(cell, raw) for cell in array.ravel().tolist()], "shape": array.shape}
         turned = array.flags.f_contiguous and not array.flags.c_contiguous
-        raw.append(
-            memoryview(np.ascontiguousarray(array.T if turned else array)).cast("B") if array.size else memoryview(b"")
-        )
+        raw.append(np.ascontiguousarray(array.T if turned else array).reshape(-1).view(np.uint8).data)
         about = {
             "shape": array.shape[::-1] if turned else array.shape,
             "turned": turned,
