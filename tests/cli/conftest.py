@@ -1,37 +1,5 @@
-"""One simulated bench, made once, and the command line to call."""
+"""The bench and the command line of these tests."""
 
-import json
-from pathlib import Path
+from testkit.bench_and_commands import bench, undrift
 
-import numpy as np
-import pytest
-
-from testkit.command_line import Undrift
-from testkit.demo_session import demo_session
-from undrift.calibration.calibrate import calibrate
-from undrift.correction.correct import correct_checked
-from undrift.io.formats import write_record
-from undrift.io.reference import write_reference
-from undrift.io.session import read_session, write_session
-from undrift.io.store import write_calibration
-
-
-@pytest.fixture
-def undrift(capsys) -> Undrift:
-    return Undrift(capsys)
-
-
-@pytest.fixture(scope="session")
-def bench(tmp_path_factory) -> Path:
-    """session/, trial.parquet (counts), reference.parquet, calibration.json, corrected.parquet: read only."""
-    folder = tmp_path_factory.mktemp("bench")
-    made = demo_session(np.random.default_rng(2007), quick=True)
-    write_session(made.session, folder / "session")
-    write_record(made.trial.record, folder / "trial.parquet")
-    write_reference(made.trial.reference, folder / "reference.parquet")
-    calibration = calibrate(read_session(folder / "session"))
-    write_calibration(calibration, folder / "calibration.json")
-    write_record(correct_checked(made.trial.record, calibration).record, folder / "corrected.parquet")
-    (folder / "summary.json").write_text(json.dumps({"calibration": None, "study": None, "checks": []}))
-    (folder / "report.html").write_text("<!doctype html>\n")
-    return folder
+__all__ = ["bench", "undrift"]

@@ -44,7 +44,7 @@ def test_every_command_has_a_file_and_a_test_of_its_own() -> None:
     for name in COMMANDS:
         home = "commands" if name in (*VERBS, *GROUPS) else "cli"
         assert (ROOT / "src" / "undrift" / home / f"{name}.py").is_file()
-        assert (ROOT / "tests" / "cli" / f"test_{name}.py").is_file()
+        assert (ROOT / "tests" / home / f"test_{name}.py").is_file()
 
 
 @pytest.mark.parametrize("words", [["--help"], ["--version"], *([name, "--help"] for name in COMMANDS)])

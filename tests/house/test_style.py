@@ -179,6 +179,18 @@ def test_each_package_keeps_to_its_budget() -> None:
     assert sizes.keys() == BUDGET.keys()
 
 
+def test_a_module_finds_its_tests_by_its_name():
+    """Below a folder of tests that a package has, each module begins with the name of a module of that package."""
+    alone = {"examples", "suite", "not_compiled"}  # of the whole
+    astray = []
+    for path in sorted((ROOT / "tests").rglob("test_*.py")):
+        package, name = PACKAGE / path.parent.relative_to(ROOT / "tests"), path.stem.removeprefix("test_")
+        known = [p.stem for p in package.iterdir() if p.suffix == ".py" or p.is_dir()] if package.is_dir() else [name]
+        if name not in alone and not any(name == one or name.startswith(f"{one}_") for one in known):
+            astray.append(path.name)
+    assert not astray, f"no module of that name: {astray}"
+
+
 def test_no_class_name_is_declared_twice() -> None:
     homes: dict[str, list[str]] = {}
     for path in SOURCES:

@@ -6,7 +6,12 @@ import sys
 from pathlib import Path
 
 TESTS = Path(__file__).parents[1]
-CALLERS = ("correction/test_correct.py", "correction/test_stream.py", "test_orientation.py", "test_angles.py")
+CALLERS = (
+    "correction/test_correct.py",
+    "correction/test_correct_stream.py",
+    "test_orientation.py",
+    "test_orientation_angles.py",
+)
 # Every kernel and its corners once; the rest of the callers' tests says nothing more of the source.
 CHOSEN = (
     "kernels or test_angles or every_step_agrees and -g-truncated or more_than_one_block and 257 or gap or hold_keeps "

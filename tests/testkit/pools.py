@@ -23,7 +23,7 @@ POOL = "TEST_POOL"
 TESTS = Path(__file__).parents[1]
 DURATIONS = TESTS / "durations.json"
 ALONE_S = 4.0
-FOLDERS = {"rig": "wait", "web": "wait", "live": "wait", "web_browser": "browser"}
+FOLDERS = {"rig": "wait", "bench": "wait", "web": "wait", "live": "wait", "web_browser": "browser"}
 
 
 def pool_of(path: Path) -> str:

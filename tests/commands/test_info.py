@@ -22,7 +22,7 @@ KEYS = {
     "kind", "format", "rows", "sample_rate_hz", "duration_s", "columns", "units", "gaps", "temp_c", "stills", "problems",
 }  # fmt: skip
 EVERY = sorted(str(path.relative_to(DATA)) for path in DATA.rglob("*")) if DATA.is_dir() else []
-CUT = "makers/geneactiv_bin/GENEActiv_testfile.bin"  # cut by its author: tests/cli/test_info_containers.py
+CUT = "makers/geneactiv_bin/GENEActiv_testfile.bin"  # cut by its author: tests/commands/test_info_containers.py
 NO_GYRO = ("ax3_testfile.cwa", "gnactv_sample.bin", "sample.gt3x", "HighGAccelerometer.csv")
 KINDS = (  # the first pattern that fits
     (r"^makers/.*\.(ulg|xdf)$", {"table"}),  # several sensors, or channels without units
