@@ -147,13 +147,13 @@ def write_together(files: Mapping[Path, bytes | str]) -> None:
                 file.flush()
                 os.fsync(file.fileno())
             parts[path].chmod(0o644)
-        for path, part in parts.items():
-            part.replace(path)
+        for path, temporary in parts.items():
+            temporary.replace(path)
     except OSError as error:
         raise unwritten(path, error, len(data)) from error
     finally:
-        for part in parts.values():
-            part.unlink(missing_ok=True)
+        for temporary in parts.values():
+            temporary.unlink(missing_ok=True)
 
 
 def errno_of(error: OSError) -> int | None:

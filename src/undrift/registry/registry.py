@@ -242,11 +242,10 @@ class Registry:
         return done
 
     def _device(self, session: Session, serial: str, now: datetime, who: str) -> Device:
-        held = select(Device).where(Device.serial == serial)
-        if (found := session.scalar(held)) is not None:
-            return found
-        session.execute(self._insert(Device), {"serial": serial, "added_at": now, "added_by": who})
-        return session.scalars(held).one()
+        asked = select(Device).where(Device.serial == serial)
+        if session.scalar(asked) is None:
+            session.execute(self._insert(Device), {"serial": serial, "added_at": now, "added_by": who})
+        return session.scalars(asked).one()
 
     def _add_one(self, session: Session, one: NewEntry, rest: dict[str, Any]) -> Added:
         asked = Entry.kind == one.kind, Entry.sha256 == rest["sha256"], Entry.supersedes.is_(None)
@@ -256,7 +255,7 @@ class Registry:
         elif (
             held := session.scalar(same.options(undefer(Entry.document)))
         ) is not None:  # first, so that no number is lost
-            return Added(entry=self._as_added(held), new=False)
+            return Added(entry=_as_added(held, self.place), new=False)
         low, high = one.temp_c or (None, None)
         values = rest | {name: getattr(one, name) for name in _AS_THEY_ARE}
         values |= {name: values[name].encode("utf-8", "backslashreplace").decode() for name in ("source", "note")}
@@ -296,12 +295,7 @@ class Registry:
                 .group_by(Device.serial)
                 .order_by(Device.serial)
             ).all()
-            last = func.row_number().over(
-                partition_by=Entry.device_id, order_by=(Entry.made_at.desc(), Entry.id.desc())
-            )
-            ranked = _counting().with_only_columns(Entry.id, last.label("place")).order_by(None).subquery()
-            asked = select(Entry).join(ranked, Entry.id == ranked.c.id).where(ranked.c.place == 1)
-            newest = {entry.device.serial: entry for entry in session.scalars(asked)}
+            newest = {entry.device.serial: entry for entry in session.scalars(_newest())}
         return [Known(serial=serial, entries=count, calibration=newest.get(serial)) for serial, count in counted]
 
     def entries(self, serial: str | None = None, kind: str | None = None) -> list[tuple[Entry, int | None]]:
@@ -323,15 +317,7 @@ class Registry:
             raise RegistryError(
                 f"{self.place}: wanted an entry of the registry, got {number}; see undrift registry list"
             )
-        return self._as_added(held)
-
-    def _as_added(self, held: Entry) -> Entry:
-        """Return an entry whose document was checked against its hash."""
-        if hash_of(held.document) != held.sha256:
-            raise RegistryError(
-                f"{self.place}: wanted entry {held.id} as it was added, got other content; restore a backup"
-            )
-        return held
+        return _as_added(held, self.place)
 
     def calibrations(self, serial: str) -> list[Entry]:
         """Return the calibrations of a device that count, in the order in which they were made."""
@@ -401,14 +387,9 @@ class Registry:
 
     def migrate(self) -> None:
         """Make the tables, or bring those of an earlier version to this one."""
-        file, began = Path(self.place), time.monotonic()
-        last = began + self._wait_s
-        while self._lite and file.is_file() and not file.stat().st_size:  # cut, or of a program that makes it now
-            if time.monotonic() > began + 1.0:
-                raise RegistryError(
-                    f"{file}: wanted a registry, got an empty file; restore a backup, or delete it to begin a new one"
-                )
-            time.sleep(0.05)
+        if self._lite:
+            _refuse_empty(Path(self.place))
+        last = time.monotonic() + self._wait_s
         while True:
             try:
                 with self._explained(), self._engine.connect() as connection:
@@ -543,6 +524,31 @@ def _counting() -> Any:
         .where(Entry.kind == "calibration", Entry.id.not_in(later), func.coalesce(Entry.verdict, "") != "bad")
         .order_by(Entry.made_at, Entry.id)
     )
+
+
+def _newest() -> Any:
+    """Return the query of the last calibration that counts, one for each device."""
+    last = func.row_number().over(partition_by=Entry.device_id, order_by=(Entry.made_at.desc(), Entry.id.desc()))
+    ranked = _counting().with_only_columns(Entry.id, last.label("place")).order_by(None).subquery()
+    return select(Entry).join(ranked, Entry.id == ranked.c.id).where(ranked.c.place == 1)
+
+
+def _as_added(entry: Entry, place: str) -> Entry:
+    """Return an entry whose document was checked against its hash."""
+    if hash_of(entry.document) != entry.sha256:
+        raise RegistryError(f"{place}: wanted entry {entry.id} as it was added, got other content; restore a backup")
+    return entry
+
+
+def _refuse_empty(file: Path) -> None:
+    """Refuse a file that is empty, and stays so: one that a program makes now has a head within a second."""
+    last = time.monotonic() + 1.0
+    while file.is_file() and not file.stat().st_size:
+        if time.monotonic() > last:
+            raise RegistryError(
+                f"{file}: wanted a registry, got an empty file; restore a backup, or delete it to begin a new one"
+            )
+        time.sleep(0.05)
 
 
 def _engine(url: URL, wait_s: float) -> Engine:

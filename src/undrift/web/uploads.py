@@ -36,9 +36,9 @@ async def receive_upload(request: Request, folder: Path, largest_mb: float) -> P
         raise InputError(_too_large(name, largest_mb))
     place = folder / secrets.token_hex(6)  # one folder a file: names may repeat
     place.mkdir()
-    path, part, came = place / name, place / "sent.part", 0
+    path, arriving, came = place / name, place / "sent.part", 0
     try:
-        with part.open("xb") as file:
+        with arriving.open("xb") as file:
             async for piece in request.stream():
                 came += len(piece)
                 if came > largest:
@@ -46,9 +46,9 @@ async def receive_upload(request: Request, folder: Path, largest_mb: float) -> P
                 file.write(piece)
         if not came:
             raise InputError(f"upload: wanted readings in {name}, got an empty file; choose another")
-        part.replace(path)
+        arriving.replace(path)
     except BaseException as error:
-        part.unlink(missing_ok=True)
+        arriving.unlink(missing_ok=True)
         place.rmdir()
         if isinstance(error, ClientDisconnect):
             raise InputError(f"upload: wanted the whole of {name}, got {came} bytes; send it again") from error
