@@ -332,6 +332,8 @@ def test_readings_and_a_session_that_changed_since_they_were_written_are_refused
     session = Session(kind="calibration", serial="", gravity_m_s2=9.81, records=(record,), stills=(still,))
     write_session(session, tmp_path)
     text = (tmp_path / "session.toml").read_text()
+    digest = sha256_of(tmp_path / "recording_0.parquet")
+    text = text.replace('recording_0.parquet"', f'recording_0.parquet"\nsha256 = "{digest}"')
     (tmp_path / "session.toml").write_text(sealed(text))
     assert len(read_session(tmp_path).records) == 1
     (tmp_path / "session.toml").write_text(sealed(text).replace("stop_s = 1.5", "stop_s = 1.4"))

@@ -562,10 +562,9 @@ def write_session(session: Session, folder: str | Path) -> None:
         files = [f"recording_{number}.parquet" for number in range(len(session.records))]
         for file, record in zip(files, session.records, strict=True):
             write_parquet(record, folder / file)
-        recordings = [{"file": file, "sha256": sha256_of(folder / file)} for file in files]
         pieces: tuple[Still | Turn, ...] = (*session.stills, *session.turns)
         stated = [stated_piece(piece, session.records[piece.recording].time) for piece in pieces]
-        text = session_toml(head, recordings, stated, session.rate_table, session.sensitivity)
+        text = session_toml(head, [{"file": file} for file in files], stated, session.rate_table, session.sensitivity)
         (folder / NAME).write_text(text, encoding="utf-8")
     except OSError as error:
         raise InputError(
