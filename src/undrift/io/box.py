@@ -294,7 +294,7 @@ def _value(tree: Any, raw: list[memoryview]) -> Any:
         array = np.frombuffer(raw[held], np.dtype(tree["type"])).reshape(tree["shape"])
         array = array.T if tree["turned"] else array
         array.flags.writeable = not tree["kept"]
-        return array
+        return array if array.ndim else array[()]
     if kind == "path":
         return Path(held)
     if kind == "column":

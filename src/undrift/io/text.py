@@ -246,7 +246,8 @@ def _without_cut_row(text: Text) -> Text:
         tail = text.content[-_TAIL:]
     rows = [line.split(text.layout.delimiter.encode()) for line in tail.splitlines()[-9:]]
     decimals = [len(row[-1].strip(b' "').partition(text.layout.decimal.encode())[2]) for row in rows]
-    if tail.endswith(b"\n") or len(rows) < 9 or len({*decimals[:-1]}) > 1 or decimals[-1] >= decimals[0]:
+    alike = len(rows) == 9 and len({*map(len, rows)}) == 1 and len({*decimals[:-1]}) == 1
+    if tail.endswith(b"\n") or not alike or decimals[-1] >= decimals[0]:
         return text
     if not text.layout.drop_bad_rows:
         raise FileFormatError(
