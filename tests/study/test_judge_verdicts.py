@@ -27,6 +27,7 @@ from undrift.study.statistics import (
 DRAWS = 2000
 SIGMA = (0.05 * 0.95 / DRAWS) ** 0.5
 MOST_WRONG = 0.05 + 3.0 * SIGMA  # the level and three sigma of so many draws
+WHOLE_STUDIES = pytest.mark.parametrize("draws", [500, pytest.param(DRAWS, marks=pytest.mark.long)])
 COVERED = 0.95 - 3.0 * SIGMA, 0.95 + 3.0 * SIGMA
 M = 0.15
 NAMES = ("cutoff_hz", "turn_rate_step_dps", "turn_rate_min_dps", "turn_rate_max_dps")
@@ -263,6 +264,7 @@ def test_a_planted_study_that_is_too_small_says_so_and_how_many_subjects_would_d
     assert found.cheapest == found.best  # nothing shorter is shown to be equivalent
 
 
+@WHOLE_STUDIES
 @pytest.mark.parametrize(
     ("apart", "margin", "wrong"),
     [
@@ -271,15 +273,18 @@ def test_a_planted_study_that_is_too_small_says_so_and_how_many_subjects_would_d
         ([0.0, 0.0, 0.0, 0.0, M], M, "equivalent"),  # just not within
     ],
 )
-def test_wrong_verdicts_of_a_parameter_keep_to_the_level(apart: list[float], margin: float, wrong: str) -> None:
-    count = 0
-    for seed in range(DRAWS):
+def test_wrong_verdicts_of_a_parameter_keep_to_the_level(
+    apart: list[float], margin: float, wrong: str, draws: int
+) -> None:
+    count, most = 0, 0.05 + 3.0 * (0.05 * 0.95 / draws) ** 0.5
+    for seed in range(draws):
         held = surface(table(apart, subjects=12, sd=0.05, seed=seed), cutoff_hz=[5.0, 8.0, 11.1, 20.0, 40.0])
         count += judged_of(held, "cutoff_hz", margin_deg=margin).verdict == wrong
-    show(f"studies whose parameter is wrongly {wrong}, margin {margin:g}", count / DRAWS, f"at most {MOST_WRONG:.3f}")
-    assert count / DRAWS <= MOST_WRONG
+    show(f"studies whose parameter is wrongly {wrong}, margin {margin:g}", count / draws, f"at most {most:.3f}")
+    assert count / draws <= most
 
 
+@WHOLE_STUDIES
 @pytest.mark.parametrize(
     ("apart", "margin"),
     [
@@ -290,18 +295,18 @@ def test_wrong_verdicts_of_a_parameter_keep_to_the_level(apart: list[float], mar
     ids=["alike", "half", "all"],
 )
 def test_wrong_verdicts_of_protocols_keep_to_the_level_though_the_optimum_is_chosen(
-    apart: np.ndarray, margin: float
+    apart: np.ndarray, margin: float, draws: int
 ) -> None:
-    count = 0
-    for seed in range(DRAWS):
+    count, most = 0, 0.05 + 3.0 * (0.05 * 0.95 / draws) ** 0.5
+    for seed in range(draws):
         # two parameters at once, so that no protocol differs from the optimum in one alone: only protocols are judged
         y = table(0.5 + apart, subjects=12, sd=0.05, seed=seed)
         held = surface(y, cutoff_hz=5.0 + np.arange(20), turn_rate_max_dps=60.0 + np.arange(20))
         found = optimum_of(held, margin_deg=margin)
         more = apart - apart[found.best]
         count += bool((found.equivalent & (more >= margin)).any() or (found.worse & (more <= margin)).any())
-    show(f"studies with a wrong protocol, margin {margin:g} deg", count / DRAWS, f"at most {MOST_WRONG:.3f}")
-    assert count / DRAWS <= MOST_WRONG
+    show(f"studies with a wrong protocol, margin {margin:g} deg", count / draws, f"at most {most:.3f}")
+    assert count / draws <= most
 
 
 # ---- the note's row and its analysis of variance

@@ -75,7 +75,12 @@ TWO = {  # values of each parameter that can be searched, two each
 # ---- what is tried
 
 
-@pytest.mark.parametrize("name", HEADINGS)
+ONE_OF_A_KIND = {"cutoff_hz", "turn_rate_max_dps", "gain", "faces", "set_points", "dynamic_step_c"}
+
+
+@pytest.mark.parametrize(
+    "name", [name if name in ONE_OF_A_KIND else pytest.param(name, marks=pytest.mark.long) for name in HEADINGS]
+)
 def test_a_study_of_any_parameter_comes_to_its_page_its_summary_and_its_lines(
     name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
