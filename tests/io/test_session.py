@@ -261,7 +261,7 @@ def test_files_side_by_side_need_one_time_base_and_different_channels(tmp_path):
 
 
 @few
-@given(data=st.data(), serial=st.text(max_size=8), gravity=st.floats(9.71, 9.89))
+@given(data=st.data(), serial=st.text(max_size=8).filter(str.isprintable), gravity=st.floats(9.71, 9.89))
 def test_a_session_comes_back_as_it_was_written(tmp_path_factory, data, serial, gravity):
     held = tuple(data.draw(st.lists(records(gaps=True), min_size=1, max_size=3)))
 
@@ -345,3 +345,10 @@ def test_readings_and_a_session_that_changed_since_they_were_written_are_refused
         FileFormatError, match=r"recording_0.parquet: wanted the readings as they were written, got others"
     ):
         read_session(tmp_path)
+
+
+@pytest.mark.parametrize("serial", ["A\n1", "\x1f", "x" * 201])
+def test_a_serial_number_that_cannot_be_printed_is_refused(serial):
+    record = Record(time=[0.0, 1.0], gyro=np.zeros((2, 3)))
+    with pytest.raises(InputError, match="wanted a serial number of up to 200 printable characters, got"):
+        Session(kind="static", serial=serial, gravity_m_s2=9.81, records=(record,))
