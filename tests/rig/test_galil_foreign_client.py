@@ -97,7 +97,8 @@ class Motor:
         while not (state := self.poll())["dmov"]:
             assert time.monotonic() < last, state
             time.sleep(0.01)
-        return state
+        time.sleep(0.02)  # DLY, the settling time of a motor record: 0.4 s of the card
+        return self.poll()
 
 
 @pytest.fixture
