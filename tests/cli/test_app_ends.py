@@ -132,3 +132,11 @@ except InputError as error:
     assert done.stdout.startswith(f"{tmp_path / 'o.parquet'}: cannot be written: File too large; check")
     assert done.stdout.count("\n") == 1
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_reader_that_has_seen_enough_is_no_failure():
+    words = [sys.executable, "-m", "undrift", "data", "list"]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as child:
+        child.stdout.close()
+        assert child.wait(timeout=60.0) == 0
+        assert child.stderr.read() == b""
