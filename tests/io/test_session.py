@@ -339,6 +339,10 @@ def test_readings_and_a_session_that_changed_since_they_were_written_are_refused
     (tmp_path / "session.toml").write_text(sealed(text).replace("stop_s = 1.5", "stop_s = 1.4"))
     with pytest.raises(FileFormatError, match=r"wanted the session as the run wrote it, got it changed .sha256"):
         read_session(tmp_path)
+    cut = sealed(text)[: sealed(text).index("[[still]]")]
+    (tmp_path / "session.toml").write_text(cut)
+    with pytest.raises(FileFormatError, match="got it changed"):
+        read_session(tmp_path)
     (tmp_path / "session.toml").write_text(text)
     write_parquet(replace(record, gyro=np.full((200, 3), 1.001)), tmp_path / "recording_0.parquet")
     with pytest.raises(
@@ -350,5 +354,5 @@ def test_readings_and_a_session_that_changed_since_they_were_written_are_refused
 @pytest.mark.parametrize("serial", ["A\n1", "\x1f", "x" * 201])
 def test_a_serial_number_that_cannot_be_printed_is_refused(serial):
     record = Record(time=[0.0, 1.0], gyro=np.zeros((2, 3)))
-    with pytest.raises(InputError, match="wanted a serial number of up to 200 printable characters, got"):
+    with pytest.raises(InputError, match="wanted a serial number of 0 to 200 printable characters, got"):
         Session(kind="static", serial=serial, gravity_m_s2=9.81, records=(record,))

@@ -96,7 +96,7 @@ from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, canonical_unit, g
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 # For undrift's own names
 NATIVE_KEYS = {"sample_rate_hz", "gaps", "repair_time", "drop_bad_rows", "clock", "temp_file"}
-_SEAL = "# sha256 of all above: "
+_SEAL = "# sha256 of all below: "
 ROW_S = 60.0  # from row to row of a table of set-points without times
 _LAYOUT = {"delimiter", "header", "skip_rows", "decimal"}
 
@@ -329,9 +329,8 @@ def map_and_settings(file_map: FileMap, **choices: Any) -> tuple[ColumnMap | Non
 
 def shared_map(entries: Sequence[KeptEntry]) -> FileMap | None:
     """Return the map that all recordings share; None where they differ or need none."""
-    held = [
-        file_map_of(entry, without=("file", "temp_file", "sha256")) for entry in entries
-    ]  # keys that no other one shares
+    alone = ("file", "temp_file", "sha256")  # keys that no other recording shares
+    held = [file_map_of(entry, without=alone) for entry in entries]
     return held[0] if held[0].text != "{}" and held.count(held[0]) == len(held) else None
 
 
@@ -732,17 +731,16 @@ def piece_toml(piece: StillEntry | TurnEntry) -> str:
 
 
 def sealed(text: str) -> str:
-    """Return the text of a file with its own checksum in the last line."""
-    return f"{text}{_SEAL}{hashlib.sha256(text.encode()).hexdigest()}\n"
+    """Return the text of a file with its checksum in the first line, so that a cut file is noticed too."""
+    return f"{_SEAL}{hashlib.sha256(text.encode()).hexdigest()}\n{text}"
 
 
 def _check_seal(path: Path, text: str) -> None:
     """Refuse a session that a run wrote and that was changed since."""
-    body, mark, _ = text.rpartition(_SEAL)
-    if mark and sealed(body) != text:
+    if text.startswith(_SEAL) and sealed(text.partition("\n")[2]) != text:
         raise FileFormatError(
-            f"{path}: wanted the session as the run wrote it, got it changed (sha256 in its last line); restore it, or delete that "
-            "line where the change is meant"
+            f"{path}: wanted the session as the run wrote it, got it changed (sha256 in its first line); restore it, or delete "
+            "that line where the change is meant"
         )
 
 

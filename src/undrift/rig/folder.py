@@ -10,7 +10,7 @@ A piece is written and synchronised first, then its line in the journal, then se
 line is {"length": 123, "crc32": "89abcdef", "entry": {...}}: length and checksum of the entry's text tell a line torn by a power
 cut from a whole one. The checksum goes on from that of the line before, so that a line cannot be missing, twice, or in another
 place. Only the last can be torn; one in the middle was damaged or edited, and is refused. session.toml states the sha256 of each
-piece, and in its last line its own. One program at a time has a folder: its journal is locked, and the lock goes with the program
+piece, and in its first line its own. One program at a time has a folder: its journal is locked, and the lock goes with the program
 however it ends.
 """
 
