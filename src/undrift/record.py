@@ -700,10 +700,7 @@ class Session:
                 f"session: wanted a table of means for each recording of kind set-points, and none for others, got kind "
                 f"{self.kind} with {len(self.means)} for {len(self.records)}; state set_points in the map"
             )
-        if len(self.serial) > 200 or not self.serial.isprintable():
-            raise InputError(
-                f"session: wanted a serial number of up to 200 printable characters, got {self.serial[:40]!r}; correct it"
-            )
+        check_serial(self.serial, "session")
         check_local_gravity(self.gravity_m_s2, "session")
         pieces: tuple[Still | Turn, ...] = (*self.stills, *self.turns)
         for piece in pieces:
@@ -717,6 +714,14 @@ class Session:
     def begins_s(self) -> FloatArray:
         """When each recording begins on the clock of the session, (R,), s: recordings follow each other without a pause."""
         return np.cumsum([0.0, *(record.duration_s for record in self.records[:-1])])
+
+
+def check_serial(serial: str, what: str, least: int = 0) -> None:
+    """Refuse a serial number that no page, file name or registry can show."""
+    if not least <= len(serial) <= 200 or not serial.isprintable():
+        raise InputError(
+            f"{what}: wanted a serial number of {least} to 200 printable characters, got {len(serial)}; correct it"
+        )
 
 
 def check_local_gravity(gravity_m_s2: float, what: str) -> None:

@@ -21,7 +21,7 @@ from undrift.files import read_bytes, sha256_of
 from undrift.io.session import NAME, read_session
 from undrift.io.store import KIND, calibration_json, hash_of, read_calibration
 from undrift.model import Calibration
-from undrift.record import Record
+from undrift.record import Record, check_serial
 from undrift.registry.registry import NewEntry, Registry
 
 JOURNAL = "journal.jsonl"  # of a run folder
@@ -215,10 +215,7 @@ def _serial(of_file: str, stated: Stated, source: str) -> str:
             f"{source}: wanted device {stated.serial}, got {of_file} in the file; leave out `serial`, or name another file"
         )
     serial = (stated.serial or of_file).strip()
-    if not 0 < len(serial) <= 200 or not serial.isprintable():
-        raise InputError(
-            f"{source}: wanted a serial number of 1 to 200 printable characters, got {len(serial)}; correct it"
-        )
+    check_serial(serial, source, least=1)
     return serial
 
 

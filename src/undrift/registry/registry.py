@@ -252,9 +252,7 @@ class Registry:
         same = select(Entry).where(*asked)
         if one.supersedes is not None:
             self._check_correction(session, one)
-        elif (
-            held := session.scalar(same.options(undefer(Entry.document)))
-        ) is not None:  # first, so that no number is lost
+        elif held := session.scalar(same.options(undefer(Entry.document))):  # first, so that no number is lost
             return Added(entry=_as_added(held, self.place), new=False)
         low, high = one.temp_c or (None, None)
         values = rest | {name: getattr(one, name) for name in _AS_THEY_ARE}
