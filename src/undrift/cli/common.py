@@ -125,10 +125,8 @@ class ProgressBar:
             TimeRemainingColumn(),
         )
         hidden = not sys.stderr.isatty()
-        self._bar, self._stop = (
-            Bar(*columns, console=console(err=True), transient=True, disable=hidden),
-            threading.Event(),
-        )
+        self._bar = Bar(*columns, console=console(err=True), transient=True, disable=hidden)
+        self._stop = threading.Event()
         self._task = self._bar.add_task(self._what, total=1.0)
         self._began_s = time.monotonic()
         self._teller = threading.Thread(target=self._tell, daemon=True)

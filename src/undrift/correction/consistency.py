@@ -198,9 +198,8 @@ def _mistake(record: Record, unit_s: float) -> tuple[Mistake, bool] | None:
         return None
     # A wrong unit of time is judged against time as stated, in which no window lasts as long: rotation is too fast or slow.
     stated = seen.kept(np.eye(3), 1.0 / unit_s)
-    longest = (
-        np.linalg.norm(seen.force, axis=2).mean(axis=1) ** 2
-    )  # a mean is no longer than its parts, whatever the rotation
+    # A mean is no longer than its parts, whatever the rotation.
+    longest = np.linalg.norm(seen.force, axis=2).mean(axis=1) ** 2
     if float((longest - stated).mean()) < max(UNCLEAR, SURE * LEAST_SCATTER / np.sqrt(len(stated))):
         return None
     best = max(_candidates(seen, record, unit_s, stated), key=lambda one: float(one[1].mean()), default=None)
