@@ -152,8 +152,7 @@ def test_a_device_with_a_clock_of_its_own_is_read_with_the_motion() -> None:
 def test_tables_of_both_ways_with_hysteresis_bring_both_devices_within_the_notes_difference(
     typical: Figure3, others: int
 ) -> None:
-    climate = FEW if others == 1 else Climate()
-    drawn = [typical, *(figure3(back=True, seed=seed, climate=climate) for seed in range(1, 1 + others))]
+    drawn = [typical, *(figure3(back=True, seed=seed) for seed in range(1, 1 + others))]
     apart = np.array([figure.simulated_actual_max_deg[:3] for figure in drawn])
     show("simulated less actual over the draws, deg", np.round(apart, 3).tolist(), NOTE_DIFFERENCE_DEG)
     assert apart[:, 1:].max() < NOTE_DIFFERENCE_DEG
