@@ -112,9 +112,11 @@ def test_most_of_the_difference_is_there_with_a_twin_of_the_very_recording_too(d
     assert parts["found with a twin of this recording"] > 0.5 * parts["found"]
 
 
-def test_simulated_end_errors_cover_the_real_ones():
+# 95 % of 16 is 15.2, of 32 30.4; fewer is below 1 in 25 even with figures of a trial akin
+@pytest.mark.parametrize(("devices", "least"), [("CD", 13), pytest.param("BCD", 28, marks=pytest.mark.long)])
+def test_simulated_end_errors_cover_the_real_ones(devices, least):
     covered = total = 0
-    for device in DEVICES:
+    for device in devices:
         for e in end_errors(prepared(device), rng=np.random.default_rng(2), draws=40):
             real, interval = np.degrees(e.real), np.degrees(e.interval)
             row = "(a)" if e.row == "raw" else "(b)"
@@ -125,8 +127,8 @@ def test_simulated_end_errors_cover_the_real_ones():
             )
             covered += sum(e.covered)
             total += 2
-    show("real end errors within 95 % of 40 simulated devices", f"{covered} of {total}", 28)
-    assert covered >= 28  # 95 % of 32 is 30.4; fewer than 28 is below 1 in 25 even with figures of a trial akin
+    show("real end errors within 95 % of 40 simulated devices", f"{covered} of {total}", least)
+    assert covered >= least
 
 
 @pytest.mark.parametrize("device", DEVICES)

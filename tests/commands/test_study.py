@@ -309,7 +309,9 @@ def test_rivals_are_compared_unless_told_otherwise_and_come_to_the_summary(undri
 
     def few(planned, **words):
         asked.append((planned.kind, planned.seed, planned.tasks, planned.margin_deg))
-        return compare_rivals(replace(planned, units=1, methods=("data_sheet", "rate_table", "mocap")), **words)
+        return compare_rivals(
+            replace(planned, units=1, minutes=3.0, methods=("data_sheet", "rate_table", "mocap")), **words
+        )
 
     monkeypatch.setattr(outcome_module, "compare_rivals", few)
 

@@ -5,13 +5,14 @@ import re
 import shlex
 from dataclasses import replace
 from html import unescape
+from itertools import cycle, product
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from testkit.demo_session import demo_session
-from testkit.pages import browser, faults_of, seen_in
+from testkit.pages import CORNERS, SCHEMES, WIDTHS, browser, faults_of, seen_in
 from testkit.pictures import pictures_looked_at
 from testkit.remembered import folder_made_once, run_folder
 from undrift.base.summary import Origin
@@ -99,10 +100,17 @@ def test_a_page_has_its_parts_and_fetches_nothing(pages: Path, name: str) -> Non
     assert faults_of((pages / f"{name}.html").read_text()) == []
 
 
-@pytest.mark.parametrize("every", [False, pytest.param(True, marks=pytest.mark.long)])
-def test_every_page_reads_on_wide_and_narrow_screens_light_and_dark_and_on_paper(pages: Path, every: bool) -> None:
+def test_every_page_reads_on_wide_and_narrow_screens_light_and_dark_and_on_paper(pages: Path) -> None:
+    with browser() as held:  # the style is one: a page is judged at one of the corners
+        corners = zip(NAMES, cycle(CORNERS), strict=False)
+        assert [fault for name, at in corners for fault in seen_in(held, pages / f"{name}.html", judged=(at,))] == []
+
+
+@pytest.mark.long
+def test_every_page_reads_at_each_width_and_in_each_scheme(pages: Path) -> None:
     with browser() as held:
-        assert [fault for name in NAMES for fault in seen_in(held, pages / f"{name}.html", every=every)] == []
+        every = tuple(product(WIDTHS, SCHEMES))
+        assert [fault for name in NAMES for fault in seen_in(held, pages / f"{name}.html", judged=every)] == []
 
 
 def test_a_page_says_what_it_was_made_from_and_when(pages: Path) -> None:

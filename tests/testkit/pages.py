@@ -1,7 +1,7 @@
 """What every report page must have, in its text and in a browser."""
 
 import re
-from collections.abc import Iterator
+from collections.abc import Container, Iterator
 from contextlib import contextmanager
 from itertools import pairwise
 from pathlib import Path
@@ -11,6 +11,8 @@ import pytest
 
 CHROMIUM = ("/usr/bin/chromium", "/usr/bin/chromium-browser", "/usr/bin/google-chrome")
 WIDTHS, LEAST_PX = (1280, 390), 9.0  # CSS pixels; of the text of figures on the narrow screen
+SCHEMES = ("light", "dark")
+CORNERS = tuple(zip(WIDTHS, SCHEMES, strict=True))
 PRINTED_PX = 680  # an A4 page less two margins of 15 mm, at 96 px an inch
 
 _MEASURED = """() => {
@@ -70,11 +72,11 @@ def browser() -> Iterator[Any]:
             held.close()
 
 
-def seen_in(held: Any, page: Path, *, every: bool = False) -> list[str]:
+def seen_in(held: Any, page: Path, *, judged: Container[tuple[int, str]] = CORNERS) -> list[str]:
     """Return what is wrong with a page in the browser, at each width and in each scheme, and in print.
 
-    Accessibility, which takes most of the time, is judged where it is wide and light and where it is narrow and dark: what depends
-    on the width is seen in either scheme, and contrast at either width. ``every`` judges all four.
+    Accessibility, which takes most of the time, is ``judged`` at two corners: what depends on the width is seen in either
+    scheme, and contrast at either width.
     """
     from axe_playwright_python.sync_playwright import Axe
 
@@ -82,14 +84,14 @@ def seen_in(held: Any, page: Path, *, every: bool = False) -> list[str]:
     tab.goto(page.resolve().as_uri())
     for width in WIDTHS:
         tab.set_viewport_size({"width": width, "height": 900})
-        for scheme in ("light", "dark"):
+        for scheme in SCHEMES:
             tab.emulate_media(color_scheme=scheme)
             found, where = tab.evaluate(_MEASURED), f"{page.name} at {width} px, {scheme}"
             if found["beyond"] > 0:
                 wrong.append(f"{where}: {found['beyond']} px beyond the screen")
             if width == min(WIDTHS) and found["least"] < LEAST_PX:
                 wrong.append(f"{where}: text of {found['least']:.2f} px in a figure")
-            if not every and (width == max(WIDTHS)) != (scheme == "light"):
+            if (width, scheme) not in judged:
                 continue
             violations = Axe().run(tab, options={"resultTypes": ["violations"]}).response["violations"]
             wrong += [
