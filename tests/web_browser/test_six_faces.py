@@ -8,6 +8,7 @@ from playwright.sync_api import Page
 
 from testkit.bench import BenchServer
 from testkit.guided import accel_as_six_faces_see_it, joint_factor
+from testkit.waiting import eventually
 from undrift.commands.bench.guides import ORDER, WAYS, named
 from undrift.io.session import read_session
 from undrift.io.store import read_calibration
@@ -109,6 +110,7 @@ def test_a_second_browser_watches_and_a_narrow_one_redoes_a_face(
     shoot(page, "six-faces-practice-390-dark")
     assert faults_of(page) == []
     (session,) = bench_server.folder.glob("jobs/*/session")
+    eventually((session / "session.toml").exists, "the first face is kept")
     first = read_session(session).stills
     other.get_by_role("button", name="Redo +z up").click()
     page.get_by_text("record again").wait_for()
