@@ -17,6 +17,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, nullcontext, suppress
 from dataclasses import fields, is_dataclass, replace
 from importlib import import_module
+from itertools import zip_longest
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_type_hints
 
@@ -161,21 +162,26 @@ def show_table(title: str, heads: Sequence[str], rows: Iterable[Sequence[str]]) 
 
     Columns after the first are right-aligned, a unit in brackets goes on a line of its own. Nothing is cropped or broken.
     """
-    from rich import box
-    from rich.table import Table
+    from rich.cells import cell_len, set_cell_size
 
     out, held = console(), list(rows)
     say(title, style="table.title")
-    for space, parted in ((1, " ("), (0, " ("), (0, " ")):
-        made = Table(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, space))
-        for k, head in enumerate(heads):
-            made.add_column(head.replace(parted, f"\n{parted[1:]}"), justify="right" if k else "left", no_wrap=True)
-        for row in held:
-            made.add_row(*row)
-        if out.measure(made, options=out.options.update(width=sys.maxsize, markup=False)).maximum <= out.width:
-            out.print(made, markup=False)
-            return
-    say(*(_stacked(heads, row) for row in held))
+    for gap, parted in ((3, " ("), (1, " ("), (1, " ")):
+        names = [head.replace(parted, f"\n{parted[1:]}").split("\n") for head in heads]
+        tops = [*zip_longest(*map(reversed, names), fillvalue="")][::-1]
+        wide = [max(map(cell_len, column)) for column in zip(*tops, *held, strict=True)]
+        rule = "─" * (sum(wide) + gap * (len(wide) - 1))
+        if len(rule) + 2 <= out.width:
+            break
+    else:
+        return say(*(_stacked(heads, row) for row in held))
+
+    def laid(cells: Sequence[str]) -> str:
+        placed = (" " * (most - cell_len(cell)) + cell for cell, most in zip(cells[1:], wide[1:], strict=True))
+        return " " + (" " * gap).join((set_cell_size(cells[0], wide[0]), *placed)) + " "
+
+    out.print("", *map(laid, tops), sep="\n", markup=False, soft_wrap=True, style="table.header")
+    return out.print(f" {rule} ", *map(laid, held), "", sep="\n", markup=False, soft_wrap=True)
 
 
 def _stacked(heads: Sequence[str], row: Sequence[str]) -> str:
