@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from testkit.broad_trials import trial
 from testkit.data import show
@@ -10,7 +11,7 @@ from undrift.record import Record, Reference
 from undrift.sim.motion.poses import OpticsSettings, see
 from undrift.sim.motion.tasks import Task, draw_task
 from undrift.twin.fit import Prepared, fit_prepared, prepare_twin
-from undrift.twin.heldout import Excitation, excitation, motion_windows
+from undrift.twin.heldout import Excitation, excitation, motion_windows, not_excited
 from undrift.units import STANDARD_GRAVITY
 
 RATE_HZ = 100.0
@@ -67,6 +68,17 @@ def test_a_twin_of_translation_says_that_rotation_is_beyond_it() -> None:
     assert rotation.predicted / 3.0 < error < 2.0 * rotation.predicted  # nine elements of one draw
     assert excited(prepared, [0], 1).finding("again") is None
     assert excited(prepared, [2], 3).finding("rotation again") is None
+
+
+@pytest.mark.parametrize(("share", "axes"), [(0.08, ("x", "y", "z")), (1.0, None)])
+def test_a_twin_says_about_which_axes_it_was_never_turned(share: float, axes: tuple[str, ...] | None) -> None:
+    prepared = prepare_twin(*zip(*(drawn(seed, share) for seed in (11, 12)), strict=True))
+    found = not_excited(prepared, fit_prepared(prepared, brief=True))
+    assert (found and found.values["axes"]) == axes
+    if found is not None:
+        show("one turn in 5 s, by the fit's own uncertainty, deg", f"{found.values['off_deg']:.2f}")
+        assert found.code == "twin.not_excited"
+        assert 0.1 < found.values["off_deg"] < 1.0
 
 
 def test_a_real_twin_of_turns_about_x_says_that_those_about_y_are_beyond_it() -> None:

@@ -31,6 +31,7 @@ class Twinned(Result):
     endings: "tuple[Ending, ...]"
     parts: "tuple[ErrorSource, ...]"
     split: "OpticsSplit | Finding"
+    unseen: "tuple[Finding, ...]"  # Axes about which it was never turned
     output: Path | None
 
     def summary(self) -> Summary:
@@ -57,7 +58,7 @@ class Twinned(Result):
                 _residuals(fitted, self.names, self.split),
                 *(_held_out(self) if held_out else ()),
             ),
-            findings=tuple({one.text: one for one in found}.values()),
+            findings=tuple({one.text: one for one in (*self.unseen, *found)}.values()),
             notes=() if held_out else (alone,),
             written=(self.output,),
         )
@@ -93,7 +94,7 @@ def twin(
 
     from undrift.sim.device.model import write_device
     from undrift.twin.fit import TwinSettings, fit_prepared, prepare_twin
-    from undrift.twin.heldout import compare_held_out, contributions, device_of, end_errors
+    from undrift.twin.heldout import compare_held_out, contributions, device_of, end_errors, not_excited
     from undrift.twin.witness import split_twin
 
     check_output(output, endings=("",), reads=(*records, *optics.reference))
@@ -116,8 +117,10 @@ def twin(
     if output is not None:
         first = prepared.records[0]
         write_device(device_of(fitted, sample_rate_hz=first.sample_rate_hz, serial=first.device), output)
+    missing = not_excited(prepared, fitted)
     return Twinned(
         names=tuple(names), fitted=fitted, held_out=held_out, endings=endings, parts=parts, split=split, output=output,
+        unseen=() if missing is None else (missing,),
     )  # fmt: skip
 
 

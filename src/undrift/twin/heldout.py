@@ -121,6 +121,7 @@ _FRESH = 30  # samples: shorter stretches hold nothing
 # ---- excitation
 
 WINDOW_S = LENGTHS_S[0]
+FAR_BEYOND, _TURN_STEPS = 10.0, 360  # [assumed] leverage: a turn about three times as large as any of the training
 MOST_BEYOND = 0.5  # share of held-out windows beyond the training's largest leverage
 
 
@@ -170,6 +171,27 @@ def excitation(held_out: FloatArray, training: Sequence[FloatArray], model: Tria
         trained=float(np.sqrt(_traces(seen, covariance).mean())),
         axis_share=each[:9].reshape(3, 3).sum(axis=0) / each.sum(),
     )
+
+
+def not_excited(prepared: Prepared, twin: Twin) -> Finding | None:
+    """Return a finding on the axes about which a twin of all recordings was never turned; None where there are none.
+
+    One even turn about each axis in a window is held against the windows of the training, as another motion is.
+    """
+    model, share = twin.gyro.triad.model, (np.arange(_TURN_STEPS) + 0.5) / _TURN_STEPS
+    trained, beyond = [motion_windows(match) for match in prepared.matches], dict[str, float]()
+    for axis, turn in zip(AXES, 2.0 * np.pi * np.eye(3), strict=True):
+        r_nb, u = (
+            rotation(quaternion_of(np.outer(share, turn))).as_matrix(),
+            np.linalg.solve(model.matrix, turn / WINDOW_S),
+        )
+        d = WINDOW_S * pose_columns(r_nb, np.tile(u, (_TURN_STEPS, 1))).mean(axis=0)
+        found = excitation(d[None], trained, model)
+        if found.leverage > FAR_BEYOND:
+            beyond[axis] = found.predicted / RADIAN_PER_DEGREE
+    if not beyond:
+        return None
+    return finding("twin.not_excited", "warn", axes=[*beyond], off_deg=max(beyond.values()), seconds=WINDOW_S)
 
 
 def _traces(design: FloatArray, covariance: FloatArray) -> FloatArray:
