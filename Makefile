@@ -16,11 +16,11 @@ announce:
 export OPENBLAS_NUM_THREADS = 1  # the matrices are small, threads cost more than they save
 unexport PYTHONDONTWRITEBYTECODE  # the suite starts many processes: each would compile all of undrift and of its tests
 
-# What computes, what waits for sockets and processes, and the browser side by side: tests/testkit/pools.py. Emulated machines and pages
-# must answer in time, so what computes gives way.
+# What computes, then side by side what waits for sockets and processes, and the browser: tests/testkit/pools.py. Emulated machines and
+# pages answer late beside processes that compute.
 CORES := $(shell nproc 2>/dev/null || echo 2)
 PYTEST = $(BIN)/python -m pytest tests --ignore=tests/house --dist loadscope
-COMPUTE = --tx $(CORES)*popen//nice=19//env:TEST_POOL=compute
+COMPUTE = --tx $(CORES)*popen//env:TEST_POOL=compute
 WAIT = --tx 2*popen//env:TEST_POOL=wait
 BROWSER = --tx 1*popen//env:TEST_POOL=browser
 
@@ -34,7 +34,8 @@ test: announce $(INSTALLED)
 	  DEBIAN_FRONTEND=noninteractive apt-get install -qq -y --no-install-recommends -o Dpkg::Options::=--force-confold postgresql; } || \
 	  echo "no PostgreSQL: the registry is tested on SQLite alone"
 	@echo "collecting the tests, up to a minute; then a dot for each, and the share done at the end of a line"
-	$(PYTEST) $(COMPUTE) $(WAIT) $(BROWSER) --durations=12
+	@failed=0; for group in "$(COMPUTE)" "$(WAIT) $(BROWSER)"; do \
+	  echo "$(PYTEST) $$group"; $(PYTEST) $$group --durations=12 || failed=1; done; exit $$failed
 
 # The bench in a browser alone: pages, wizards, the rate-table run, the emergency stop. Screenshots: build/screens.
 test-browser: $(INSTALLED)
