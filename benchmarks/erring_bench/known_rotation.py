@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from benchmarks.erring_bench import Row, Tally, chain_that_errs, drawn_slope, even_rise
+from undrift.calibration.creep import offset_drift
 from undrift.calibration.known_rotation import calibrate_turns
 from undrift.calibration.observe import CalibrateSettings, observe
 from undrift.calibration.six_face import calibrate_faces
@@ -18,7 +19,7 @@ from undrift.model import Verdict
 from undrift.record import Session, Still, Turn
 from undrift.segments import StillSettings
 from undrift.sim.bench_errors import BenchErrors
-from undrift.sim.device.effects import LowPass
+from undrift.sim.device.effects import LowPass, PowerOnTransient
 from undrift.sim.device.presets import FLOOR, random_device
 from undrift.sim.device.simulate import simulate_device
 from undrift.sim.device.truth import true_calibration
@@ -28,6 +29,8 @@ from undrift.units import RADIAN_PER_DEGREE as DEG
 FLICKER = 8.0 * DEG / 3600.0 / FLOOR  # rad/s
 RANGE = 500.0 * DEG  # of 10 bits, rad/s
 ANGLE_DEG, AXIS_DEG = 1.0, 0.5
+SURE_ANGLE_DEG, SURE_AXIS_DEG = 0.05, 0.03
+WARM_UP_S = 60.0
 
 
 @dataclass(frozen=True)
@@ -45,6 +48,9 @@ class Case:
     whole_walk: bool = False  # Rate random walk of a consumer part
     faces_alone: bool = False  # No rest beside the turns is stated
     none_found: bool = False  # Nor does the search find one
+    warm_up_dps: float = 0.0  # Of the offset at the first sample, either way, with WARM_UP_S
+    creep_s: float | None = None  # Time constant of the rise; None rises evenly
+    sure: bool = False  # Turned to 0.05 deg about axes true to 0.03 deg, and stated as by hand
 
 
 CASES = {
@@ -60,6 +66,11 @@ CASES = {
     "time stamps jitter 2 ms": Case(jitter_s=2e-3),
     "angle 1 deg, axis 0.5 deg": Case(by_hand=True),
     "level 0.2 deg": Case(level=0.2 * DEG),
+    "stated as by hand, turned by a fixture": Case(by_hand=True, sure=True),
+    "warm-up of 0.1 deg/s, 60 s": Case(warm_up_dps=0.1),
+    "warm-up of 0.1 deg/s, 60 s, by hand": Case(warm_up_dps=0.1, by_hand=True),
+    "creep 1 degC with 60 s, no thermometer": Case(creep_c=1.0, thermometer=False, creep_s=60.0),
+    "creep 1 degC with 60 s": Case(creep_c=1.0, creep_s=60.0),
     "all but 10 bit": Case(
         creep_c=1.0, cutoff_hz=4.0, flicker=True, jitter_s=2e-3, by_hand=True, level=0.2 * DEG, whole_walk=True
     ),
@@ -86,35 +97,41 @@ def rows_of(name: str, devices: int, seed: int) -> Iterator[Row]:
     if case.none_found:
         settings = replace(settings, still=StillSettings(window_s=10.0))  # longer than any rest
     for _ in range(devices):
-        session, matrix, offset = drawn(case, rng)
+        session, matrix, offset, settled = drawn(case, rng)
         seen = observe(session, settings)
         accel = calibrate_faces(seen, None)
         made = calibrate_turns(seen, None, accel.fit)
         assert made.fit is not None
-        verdict = Verdict.of(*seen.findings, *made.findings).also(made.fit.verdict)
-        tally.add_model(verdict, made.fit.model, matrix, offset)
+        drifted = offset_drift(seen, float(np.linalg.norm(made.fit.model.matrix, 2)))
+        verdict = Verdict.of(*seen.findings, *made.findings, *drifted).also(made.fit.verdict)
+        settles = any(item.code == "known_rotation.warm_up" for item in verdict.findings)
+        tally.add_model(verdict, made.fit.model, matrix, settled if settles else offset)
     yield from tally.rows()
 
 
-def drawn(case: Case, rng: np.random.Generator) -> tuple[Session, np.ndarray, np.ndarray]:
-    """Return the session of a device, and its matrix and offset at the mean temperature of its rests and turns."""
+def drawn(case: Case, rng: np.random.Generator) -> tuple[Session, np.ndarray, np.ndarray, np.ndarray]:
+    """Return the session of a device, its matrix and offset at the mean temperature of its rests and turns, and the offset where
+    the rise ends, which a calibration states where it says that the offset settles."""
     device = random_device(rng)
     slope, flicker = drawn_slope(rng), FLICKER if case.flicker else None
     low_pass = None if case.cutoff_hz is None else LowPass(cutoff_hz=np.full(3, case.cutoff_hz))
     walk = device.gyro.random_walk if case.whole_walk else None
-    more = {"random_walk": walk, "thermal_scale": slope, "low_pass": low_pass}
+    warm_up = case.warm_up_dps * DEG * rng.choice((-1.0, 1.0), 3) if case.warm_up_dps else np.zeros(3)
+    transient = PowerOnTransient(amplitude=warm_up, time_constant_s=WARM_UP_S) if warm_up.any() else None
+    more = {"random_walk": walk, "thermal_scale": slope, "low_pass": low_pass, "warm_up": transient}
     gyro = chain_that_errs(device.gyro, bits=case.bits, span=RANGE, flicker=flicker, **more)
     accel = replace(device.accel, adc=None, random_walk=None, low_pass=low_pass)
     device = replace(device, gyro=gyro, accel=accel)
-    bench = BenchSettings(
-        sample_rate_hz=50.0, errors=BenchErrors(face_tilt=case.level, hand_axis=AXIS_DEG * DEG if case.by_hand else 0.0)
-    )
-    motion = bench_motion("ferraris", rng=rng, settings=bench)
+    angle_deg, axis_deg = (SURE_ANGLE_DEG, SURE_AXIS_DEG) if case.sure else (ANGLE_DEG, AXIS_DEG)
+    errors = BenchErrors(face_tilt=case.level, hand_axis=axis_deg * DEG * case.by_hand)
+    motion = bench_motion("ferraris", rng=rng, settings=BenchSettings(sample_rate_hz=50.0, errors=errors))
     temp_c = even_rise(case.creep_c, len(motion))
+    if case.creep_s is not None:
+        temp_c = 25.0 + case.creep_c * (0.5 - np.exp(-motion.time / case.creep_s))
     shown = simulate_device(device, motion, rng=rng, temp_c=temp_c)
     record = shown.record if case.thermometer else replace(shown.record, temp_c=None)
     record = replace(record, time=record.time + case.jitter_s * rng.standard_normal(len(record)))
-    off = ANGLE_DEG * DEG * rng.standard_normal(len(motion.turns)) * case.by_hand
+    off = angle_deg * DEG * rng.standard_normal(len(motion.turns)) * case.by_hand
     session = Session(
         kind="calibration",
         serial=device.serial,
@@ -130,4 +147,6 @@ def drawn(case: Case, rng: np.random.Generator) -> tuple[Session, np.ndarray, np
     drift = np.zeros(3)
     for name, on in (("instability", case.flicker), ("random_walk", case.whole_walk)):
         drift = drift + (device.gyro.gain * shown.gyro.of(name).mean(axis=0) if on else 0.0)
-    return session, truth.matrix, truth.offset + drift
+    ends = truth if case.creep_s is None else true_calibration(device, temp_c=25.0 + 0.5 * case.creep_c).gyro
+    assert ends is not None
+    return session, truth.matrix, truth.offset + drift, ends.offset + drift

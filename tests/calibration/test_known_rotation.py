@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from testkit.cohorts import share_limits
 from testkit.findings import codes, only
 from undrift.calibration.calibrate import calibrate
 from undrift.calibration.checks import axis_vectors, face_vectors
@@ -22,7 +23,10 @@ from undrift.errors import Implausible, InputError, NotObservable
 from undrift.model import TriadModel
 from undrift.record import FACES, Record, Still, Turn
 from undrift.segments import StillSettings
+from undrift.sim.bench_errors import BenchErrors
+from undrift.sim.device.effects import PowerOnTransient
 from undrift.sim.device.presets import random_device
+from undrift.sim.device.truth import true_calibration
 from undrift.sim.motion.bench import BenchSettings, bench_motion
 from undrift.sim.sessions import simulate_session
 
@@ -507,3 +511,53 @@ def test_a_session_by_known_angles_with_its_turns_named_after_the_columns_is_ref
     )
     with pytest.raises(Implausible, match="wanted gyroscopes that turn gravity from rest to rest"):
         calibrate(wrong)
+
+
+SESSIONS = 24
+HAND_AXIS = BenchSettings(sample_rate_hz=50.0, errors=BenchErrors(hand_axis=np.radians(0.5)))
+
+
+def gyro_by_hand(device, rng, settings=HAND_AXIS, **statement):
+    """Return the fit to a session whose angles are stated 1 deg off at random."""
+    session = simulate_session("ferraris", device, rng=rng, settings=settings)
+    off = tuple(replace(t, angle=t.angle + np.radians(1.0) * rng.normal()) for t in session.turns)
+    seen = observe(replace(session, turns=off), CalibrateSettings(identify_adc=False, **statement))
+    return calibrate_turns(seen, None, calibrate_faces(seen, None).fit).fit
+
+
+def plain(device, **more):
+    gyro = replace(device.gyro, adc=None, instability=None, random_walk=None, **more)
+    return replace(device, gyro=gyro, accel=replace(device.accel, adc=None, instability=None, random_walk=None))
+
+
+def test_moves_between_rests_show_the_matrix_that_turns_by_hand_show_to_a_percent():
+    rng, away, stated = np.random.default_rng(16), [], []
+    for _ in range(SESSIONS):
+        device = plain(random_device(rng))
+        fit, true = gyro_by_hand(device, rng), true_calibration(device).gyro
+        assert "known_rotation.moves_agree" in codes(fit.verdict.findings)
+        away.append((fit.model.matrix - true.matrix) / true.matrix[0, 0])
+        stated.append(fit.model.standard_uncertainty[:9].reshape(3, 3) / true.matrix[0, 0])
+    assert np.max(stated) < 1e-3  # the turns alone: 0.0028 along, 0.0087 across
+    low, high = share_limits(9 * SESSIONS)
+    assert low <= np.mean(np.abs(away) <= 1.96 * np.array(stated)) <= high
+
+
+def test_an_angle_beyond_its_uncertainty_is_named_by_the_moves():
+    rng = np.random.default_rng(17)
+    fit = gyro_by_hand(plain(random_device(rng)), rng, angle_uncertainty_deg=0.05, axis_uncertainty_deg=0.02)
+    assert "% off that of 11 moves" in only(fit.verdict.findings, "known_rotation.moves_disagree").detail
+    assert fit.verdict.status == "marginal"
+
+
+def test_the_offset_of_a_session_that_warms_up_is_the_settled_one():
+    rng, away, stated = np.random.default_rng(18), [], []
+    for _ in range(SESSIONS):
+        amplitude = np.radians(0.1) * rng.choice((-1.0, 1.0), 3)
+        device = plain(random_device(rng), warm_up=PowerOnTransient(amplitude=amplitude, time_constant_s=60.0))
+        fit, true = gyro_by_hand(device, rng), true_calibration(device).gyro
+        assert "known_rotation.warm_up" in codes(fit.verdict.findings)
+        away.append(fit.model.offset - true.offset)
+        stated.append(fit.model.standard_uncertainty[9:12])
+    low, high = share_limits(3 * SESSIONS)
+    assert low <= np.mean(np.abs(away) <= 1.96 * np.array(stated)) <= high

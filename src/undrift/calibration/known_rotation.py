@@ -16,7 +16,8 @@ rounding leaves, the angle of each turn, jitter of the clock, and the axis of th
 """
 
 import itertools
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
 
@@ -46,11 +47,17 @@ from undrift.calibration.creep import (
     mean_square_size,
     size_unit,
 )
-from undrift.calibration.multi_position import Moves, cut_moves, gravity_directions, turned_in
+from undrift.calibration.multi_position import (
+    Moves,
+    cut_moves,
+    fit_gyro_between_stills,
+    gravity_directions,
+    turned_in,
+)
 from undrift.calibration.observe import Observed, Outcome, spans_of
 from undrift.calibration.pieces import unused_stills
 from undrift.calibration.six_face import FaceMeans
-from undrift.errors import Implausible, InputError, NotObservable
+from undrift.errors import Implausible, InputError, NotObservable, PoorFit
 from undrift.findings import Finding, finding
 from undrift.fit.equations import Equations, Inverse, averaged, diagonal, parameter_order, solutions
 from undrift.fit.least_squares import TriadFit, block_size, noise_of_means, scaled_condition, triad_fit
@@ -177,7 +184,7 @@ def rotation_data(
         free=FaceMeans(reading=means[size:], faces=(), noise=rest_noise[size:], unit=unit) if number > size else None,
         rest_force=np.array(force)[usable].reshape(-1, 3),
         span=spans_of(records, [*rests, *used]),
-        blocks=blocks_within(windows, [records[s.recording].sample_rate_hz for s in rests]),
+        blocks=blocks_within(windows, [records[s.recording].sample_rate_hz for s in rests], removed=2),
         rounding=mean_rounding([_both(records[k])[0] for k in {s.recording for s in rests}], windows)
         if number
         else None,
@@ -289,6 +296,10 @@ def _both(record: Record) -> tuple[FloatArray, FloatArray]:
 #
 # F is flicker (creep.py), over whose size q the parameters are averaged: rests and turns show it, and block means within the rests.
 
+_WARM_UP = 0.2 * RADIAN_PER_DEGREE  # rad/s, one deviation at the start; found on gyroscopes: 0.05 to 0.25 deg/s
+_WARMER_K = 0.3  # what a thermometer shows moves the offset; less is no warm-up of 0.1 deg/s
+_DISAGREE = 27.9  # chi-square of nine terms that chance exceeds in one session of a thousand
+_SHORTEST_S, _TIME_CONSTANTS = 10.0, 8  # to the length of the session: a slower one has no end in it
 _ROUNDING = 1e-12  # of the largest reading: no mean is known better than its arithmetic
 
 
@@ -347,36 +358,70 @@ def _shared(data: RotationData, forward: FloatArray, sigma: tuple[float, float],
     return {"angle": np.stack(turns, axis=-1), "axis": np.stack(leans, axis=-1)}
 
 
-def _averaged(equations: Equations, data: RotationData) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return theta (3, 7) over all sizes of flicker, its covariance, and the covariance (E, E) of flicker of the mean q^2."""
-    count, rests = len(equations.reading), len(data.means)
-    flicker: FloatArray = np.zeros((count, count))
-    size = 0.0
-    if data.span is not None:
-        extent = equations.unknowns["offset"][:, 0]
-        size = size_unit(_noise(data, extent)[:rests], data.span[:rests])
-        flicker = flicker_about_mean(data.span, extent)  # the offset is the mean of the session
-    sizes = SIZES if flicker.any() else SIZES[:1]
-    family = (sizes[:, None, None] * size) ** 2 * flicker
-    stated = equations.covariance
-    fits = [
-        solutions(equations.design, equations.reading[:, k], np.linalg.cholesky(stated[k] + family)) for k in range(3)
-    ]
-    thetas = np.hstack([fit.theta for fit in fits])[:, parameter_order(7)]
+class _Average(NamedTuple):
+    """Unknowns over all sizes of flicker and all time constants of a warm-up."""
+
+    theta: FloatArray  # (21,), in the order of a model
+    covariance: FloatArray  # (21, 21)
+    flicker: FloatArray  # (E, E), covariance of flicker of the mean q^2
+    warm_up: float = 0.0  # Probability that the offset settles
+    settles_s: float = np.nan  # Its time constant, s
+
+
+def _averaged(equations: Equations, data: RotationData, scale: FloatArray, creep: Creep | None) -> _Average:
+    """Average over sizes of flicker, and over time constants of a warm-up; scale (3,), unit per rad/s.
+
+    A warm-up stands in place of an even creep of the offset that no thermometer shows; what a thermometer shows is none.
+    """
+    none, rests = np.zeros((len(equations.reading),) * 2), len(data.means)
+    if data.span is None:
+        theta, covariance, _ = _over_sizes(equations, none[None], 0.0)
+        return _Average(theta[0], covariance[0], none)
+    extent = equations.unknowns["offset"][:, 0]
+    size = size_unit(_noise(data, extent)[:rests], data.span[:rests])
+    flicker = flicker_about_mean(data.span, extent)  # the offset is the mean of the session
+    within = 0.0 if data.blocks is None else data.blocks.likelihood(size)
+    times, fading = _fading(data.span, extent)
+    if creep is not None and creep.recorded and np.ptp(creep.warmth) > _WARMER_K:
+        times, fading = times[:0], fading[:0]
+    even = none if creep is None else creep.covariance(0.0 * creep.warmth, 1.0, extent)
+    solved, evidence = [], []
+    largest = np.minimum(_WARM_UP, 1e5 * size / scale.max())  # without noise V stays invertible
+    for settling in (none, *(largest**2 * columns @ columns.T - even for columns in fading)):
+        more = (scale**2)[:, None, None] * settling
+        thetas, covariances, likelihood = _over_sizes(equations, (SIZES[:, None, None] * size) ** 2 * flicker, more)
+        solved.append((likelihood + within, thetas, covariances))
+        evidence.append(np.logaddexp.reduce(likelihood + within + np.log(np.gradient(SIZES) / PRIOR)))
+    share = np.exp(np.array(evidence) - max(evidence)) / np.append(1.0, np.full(len(times), max(1, len(times))))
+    share /= share.sum()
+    each = [averaged(SIZES, *one, (PRIOR, PRIOR)) for one in solved]
+    theta = share @ np.array([one[0] for one in each])
+    apart = np.array([one[0] for one in each]) - theta
+    covariance = np.einsum("t,tij->ij", share, [one[1] for one in each]) + (share[:, None] * apart).T @ apart
+    square, settles = mean_square_size(solved[0][0]) * size**2, float(share[1:].sum())
+    return _Average(theta, covariance, square * flicker, settles, float(share[1:] @ times) / max(settles, 1e-300))
+
+
+def _over_sizes(
+    equations: Equations, family: FloatArray, more: FloatArray | float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return theta (T, 21), covariances (T, 21, 21) and log likelihood (T,) of a family (T, E, E) and more beside the stated."""
+    root = [np.linalg.cholesky(family + part) for part in equations.covariance + more]
+    fits = [solutions(equations.design, reading, own) for reading, own in zip(equations.reading.T, root, strict=True)]
     gains = np.stack([fit.gain for fit in fits], axis=1)
-    covariances = np.array([equations.carried(gain, part) for gain, part in zip(gains, family, strict=True)])
-    if len(sizes) == 1:
-        theta, covariance, square = thetas[0], covariances[0], 0.0
-    else:
-        likelihood = np.sum([fit.likelihood for fit in fits], axis=0)
-        likelihood += 0.0 if data.blocks is None else data.blocks.likelihood(size)
-        theta, covariance = averaged(SIZES, likelihood, thetas, covariances, (PRIOR, PRIOR))
-        square = mean_square_size(likelihood) * size**2
-    return (
-        np.column_stack((theta[:9].reshape(3, 3), theta[9:12], theta[12:].reshape(3, 3))),
-        covariance,
-        square * flicker,
-    )
+    covariances = [equations.carried(gain, part + more) for gain, part in zip(gains, family, strict=True)]
+    thetas = np.hstack([fit.theta for fit in fits])[:, parameter_order(7)]
+    return thetas, np.array(covariances), np.sum([fit.likelihood for fit in fits], axis=0)
+
+
+def _fading(span: FloatArray, extent: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return time constants (T,), s, and what a warm-up adds to the rows (T, E, 2): exp(-t / time constant), and its deviation
+    for time constants between two of these."""
+    start, stop = (span - span.min()).T
+    times = np.geomspace(_SHORTEST_S, max(2.0 * _SHORTEST_S, float(stop.max())), 2 * _TIME_CONSTANTS + 1)[:, None]
+    part = np.maximum(stop - start, 1e-3) / times
+    mean = extent * np.exp(-start / times) * -np.expm1(-part) / part
+    return times[1::2, 0], np.stack((mean[1::2], (mean[2::2] - mean[:-1:2]) / 12.0**0.5), axis=-1)
 
 
 def fit_known_rotation(
@@ -388,8 +433,12 @@ def fit_known_rotation(
     axis_uncertainty: float = 0.0,
     scale_tolerance: float = 0.25,
     creep: Creep | None = None,
+    moves: Callable[[Inverse, FloatArray], TriadModel | None] = lambda inverse, covariance: None,
 ) -> TriadFit:
-    """Fit gyroscopes, with their g-sensitivity, to rests and turns; angle and axis have standard uncertainties, rad."""
+    """Fit gyroscopes, with their g-sensitivity, to rests and turns; angle and axis have standard uncertainties, rad.
+
+    ``moves`` returns what moves between the rests make of the matrix that the turns show, with its covariance.
+    """
     _check_complete(data)
     up = face_vectors(data.rest.faces)
     force = gravity * up if data.rest_force is None else data.rest_force
@@ -405,20 +454,24 @@ def fit_known_rotation(
     theta = (closed @ reading).T
     _check_turns(theta[:, :3], data, scale_tolerance)
     equations = _equations(data, unknowns, theta[:, :3], (angle_uncertainty, axis_uncertainty), creep)
-    fitted, covariance, flicker = _averaged(equations, data)
+    average = _averaged(equations, data, np.linalg.norm(theta[:, :3], axis=1), creep)
+    gains, moved = equations.gains(), None
     if mode == "paper":
         gains = np.stack((closed, closed, closed))
-        covariance = equations.carried(gains, flicker)
+        inverse = Inverse.of(theta)
+        covariance = inverse.carried(equations.carried(gains, average.flicker))
     else:
-        theta, gains = fitted, equations.gains()
-    inverse = Inverse.of(theta)
-    covariance = inverse.carried(covariance)
+        inverse = Inverse.of(average.theta[np.argsort(parameter_order(7))].reshape(3, 7))
+        covariance = inverse.carried(average.covariance)
+        moved = moves(inverse, covariance)
+    inverse, covariance, checked = _with_moves(inverse, covariance, moved)
+    theta = inverse.forward
     rank, condition = scaled_condition(np.column_stack((np.ones(len(up)), up)))
     fastest = float(np.abs(data.angle / data.duration).max())
     has_noise = data.rest.noise is not None and data.noise is not None
     return triad_fit(
         (reading - equations.design @ theta.T) @ inverse.matrix.T,
-        Verdict.of(*_judged(data, angle_uncertainty, creep, np.diag(covariance)[9:12])),
+        Verdict.of(checked, *_judged(data, angle_uncertainty, creep, average, np.diag(covariance)[9:12])),
         method=f"known-rotation/{mode}",
         unit_in=data.rest.unit,
         unit_out="rad/s",
@@ -451,12 +504,44 @@ def _closed_form(
     return made
 
 
-def _judged(data: RotationData, angle: float, creep: Creep | None, variance: FloatArray) -> Iterator[Finding]:
-    yield finding("known_rotation.no_spare_equations", "info")
+# Moves from rest to rest turn gravity (multi_position.py), whatever angle and axis of a turn were. The turns' matrix and its
+# covariance C enter their fit, which returns both joined, m and C_m; the other parameters x follow:
+#
+#     x + B (m - x_M)        B = cov(x, x_M) C^-1        and of errors e of x by the turns alone is left  (1 + B (C_m C^-1 - 1)) e
+
+
+def _with_moves(
+    inverse: Inverse, covariance: FloatArray, moved: TriadModel | None
+) -> tuple[Inverse, FloatArray, Finding]:
+    """Return model and covariance (21, 21) of rests, turns and moves together, and whether chance makes them differ so."""
+    if moved is None or inverse.g_sensitivity is None:
+        return inverse, covariance, finding("known_rotation.no_spare_equations", "info")
+    own, joint, away = covariance[:9, :9], moved.covariance[:9, :9], (moved.matrix - inverse.matrix).ravel()
+    gain, kept = np.linalg.solve(own, covariance[:9]).T, np.eye(21)
+    kept[:, :9] += gain @ (np.linalg.solve(own, joint).T - np.eye(9))
+    changed = Inverse(
+        matrix=moved.matrix,
+        offset=inverse.offset + gain[9:12] @ away,
+        g_sensitivity=inverse.g_sensitivity + (gain[12:] @ away).reshape(3, 3),
+        jacobian=kept @ inverse.jacobian,
+    )
+    shown = {"percent": 100.0 * float(np.abs(away).max() / np.linalg.norm(moved.matrix, 2)), "count": moved.count // 2}
+    apart = away @ np.linalg.solve((1.0 + 1e-6) * own - joint, away) > _DISAGREE
+    told = finding(
+        "known_rotation.moves_disagree" if apart else "known_rotation.moves_agree", "warn" if apart else "info", **shown
+    )
+    return changed, covariance + gain @ (joint - own) @ gain.T, told
+
+
+def _judged(
+    data: RotationData, angle: float, creep: Creep | None, average: _Average, variance: FloatArray
+) -> Iterator[Finding]:
     if angle == 0.0:
         yield finding("known_rotation.angles_exact", "info")
     if creep is not None:
         yield from creep.findings()
+    if average.warm_up > 0.5:
+        yield finding("known_rotation.warm_up", "info", time_constant_s=average.settles_s)
     if data.rounding is not None:
         yield from limited_by_codes("gyroscope", data.rounding**2, variance, data.rest.unit)
 
@@ -507,6 +592,24 @@ def _without_rest(records: Sequence[Record], rests: Sequence[Still], turns: Sequ
     return tuple(axis for axis in AXES if axis in lacking)
 
 
+def _by_moves(
+    seen: Observed, data: RotationData, accel: TriadModel, inverse: Inverse, covariance: FloatArray
+) -> TriadModel | None:
+    """Fit the matrix to turns and moves, readings freed of the g-sensitivity; None where moves show nothing."""
+    slope = inverse.forward[:, 4:]
+    records = [
+        replace(r, gyro=r.gyro - (r.accel - accel.offset) @ accel.matrix.T @ slope.T)
+        for r in seen.session.records
+        if r.gyro is not None and r.accel is not None
+    ]
+    stills = sorted((p for p in data.pieces if isinstance(p, Still)), key=lambda still: (still.recording, still.start))
+    creep = creep_of(seen, stills, "accel"), creep_of(seen, stills, "gyro")
+    with suppress(NotObservable, PoorFit):
+        known = inverse.matrix, covariance[:9, :9]
+        return fit_gyro_between_stills(records, stills, accel, creep=creep, known=known).model
+    return None
+
+
 def calibrate_turns(seen: Observed, mode: str | None, accel: TriadFit | None) -> Outcome:
     """Fit the gyroscopes of a session to its turns by known angles; an entry of FITS."""
     if all(r.accel is None for r in seen.session.records):
@@ -538,6 +641,7 @@ def calibrate_turns(seen: Observed, mode: str | None, accel: TriadFit | None) ->
         axis_uncertainty=seen.settings.axis_uncertainty_deg * RADIAN_PER_DEGREE,
         creep=creep_of(seen, data.pieces, "gyro"),
         scale_tolerance=seen.settings.scale_tolerance,
+        moves=lambda inverse, covariance: _by_moves(seen, data, accel.model, inverse, covariance),
     )
     check_turns_gravity(seen.session.records, seen.stills, accel.model, fit.model)
     return Outcome(fit=fit, method="known-rotation", findings=findings)

@@ -149,6 +149,7 @@ class Moves:
     stills: tuple[IntArray, IntArray]  # (K,), samples [start, stop) of the stills: the accelerometer is at rest
     cores: tuple[IntArray, IntArray]  # (K,), samples of their cores: the gyroscopes are at rest too
     duration_s: FloatArray  # (J,), length of each move, s
+    slip: FloatArray  # (J, 3, 3), covariance of the sum over each move by time stamps that jitter, (raw unit s)^2
 
 
 def cut_moves(records: Sequence[Record], stills: Sequence[Still], cores: Sequence[Still]) -> Moves:
@@ -176,6 +177,10 @@ def cut_moves(records: Sequence[Record], stills: Sequence[Still], cores: Sequenc
     lost = np.concatenate(([0], np.cumsum(broken)))
     before = np.flatnonzero((begin[:-1] == begin[1:]) & (lost[core_start[1:] + 1] == lost[core_stop[:-1]]))
     first, last = core_stop[before] - 1, core_start[before + 1]
+    slip = np.zeros((len(first), 3, 3))
+    for k, (a, b) in enumerate(zip(first, last + 1, strict=True)):
+        change = np.diff(gyro[a:b], axis=0)  # a stamp off by d moves the sum by d times that
+        slip[k] = 0.5 * np.diff(time[a:b]).var() * (change.T @ change)
     return Moves(
         gyro=gyro,
         accel=np.concatenate([accel for _, accel in pairs if accel is not None]),
@@ -186,6 +191,7 @@ def cut_moves(records: Sequence[Record], stills: Sequence[Still], cores: Sequenc
         stills=(edges[0], edges[1]),
         cores=(core_start, core_stop),
         duration_s=time[last] - time[first],
+        slip=slip,
     )
 
 
@@ -315,6 +321,7 @@ def turned_in(moves: Moves, matrix: FloatArray, offset: FloatArray, drift: Float
 # ---- fit
 
 WEAKEST_TURN = 0.05  # rad rms that one unit of relative gain must turn gravity by; random turns of 90 deg give 0.4
+_LOOSE = 0.01  # of the weight of turns by known angles while the scatter of the moves is sought
 _TOLERANCE = 0.25  # of the sensitivity that the unit states; a wrong sample rate shows as a factor
 # Limits of a verdict: marginal above the first, bad above the second.
 DRIFT_DPS = (0.2, 5.0)  # over the session: 0.2 deg/s is 12 deg in a minute; no warm-up of a sound part reaches 5 deg/s
@@ -334,6 +341,7 @@ class _Problem:
     free: int
     codes: FloatArray  # (3,), variance that rounding leaves in the mean offset, raw unit squared
     creep: tuple[Creep, Creep] | None = None  # Of accelerometers and gyroscopes in the stills
+    turned: Rows | None = None  # By which turns by known angles know the matrix, at p = 0
 
     @property
     def known(self) -> FloatArray:
@@ -361,10 +369,14 @@ def fit_gyro_between_stills(
     equal: bool = False,
     rest_s: float | None = None,
     creep: tuple[Creep, Creep] | None = None,
+    known: tuple[FloatArray, FloatArray] | None = None,
 ) -> TriadFit:
-    """Fit gyroscopes to the moves between still poses; creep of accelerometers and gyroscopes in these, in order of time."""
+    """Fit gyroscopes to the moves between still poses; creep of accelerometers and gyroscopes in these, in order of time.
+
+    ``known`` is what other readings show of the matrix (3, 3), with its covariance (9, 9): an observation beside the moves.
+    """
     moves, spoilt = _without_saturated(cut_moves(records, stills, stills if cores is None else cores))
-    if len(moves.first) < 5:
+    if len(moves.first) < (5 if known is None else 1):
         left_out = "".join(f" ({item.text})" for item in spoilt)
         raise NotObservable(
             f"multi-position gyro: wanted 5 moves or more between stills for {parameter_names(MATRIX_NAMES)}, got "
@@ -391,12 +403,20 @@ def fit_gyro_between_stills(
         free=9 if equal else 12,
         creep=creep,
         codes=codes,
+        turned=None if known is None else _known_matrix(*known, unit),
     )
-    start = np.concatenate((rough_matrix(moves, accel, prior.mean).reshape(-1) * unit, np.zeros(3)))
-    p, covariance, missed = _solve(problem, start)
-    _check_seen(missed, p)
+    first = rough_matrix(moves, accel, prior.mean) if known is None else known[0]
+    p, covariance, missed = _solve(problem, np.concatenate((first.reshape(-1) * unit, np.zeros(3))))
+    if known is None:
+        _check_seen(missed, p)
     fit = _as_triad(problem, p, covariance, missed, records[0].gyro_unit)
     return replace(fit, verdict=fit.verdict.also(Verdict.of(*spoilt)))
+
+
+def _known_matrix(matrix: FloatArray, covariance: FloatArray, unit: float) -> Rows:
+    """Return the rows (9,), (9, 12) of a known matrix at p = 0."""
+    root = np.linalg.inv(np.linalg.cholesky(covariance)) / unit
+    return Rows(-root @ matrix.reshape(-1) * unit, np.hstack((root, np.zeros((9, 3)))))
 
 
 def _without_saturated(moves: Moves) -> tuple[Moves, tuple[Finding, ...]]:
@@ -409,14 +429,19 @@ def _without_saturated(moves: Moves) -> tuple[Moves, tuple[Finding, ...]]:
         for before, first, last in zip(moves.before[spoilt], moves.first[spoilt], moves.last[spoilt], strict=True)
     )
     left = finding("gyro.saturated", "warn", what="moves", count=int(spoilt.sum()), of=len(spoilt), pieces=names)
-    cut = {name: getattr(moves, name)[~spoilt] for name in ("first", "last", "before", "duration_s")}
+    cut = {name: getattr(moves, name)[~spoilt] for name in ("first", "last", "before", "duration_s", "slip")}
     return replace(moves, **cut), (left,)
 
 
 def _solve(problem: _Problem, p: FloatArray) -> tuple[FloatArray, FloatArray, _Missed]:
     """Return parameters, their covariance and the missed angles; the angles' covariance is renewed until it settles."""
     count, free, equal = 2 * len(problem.moves.first), problem.free, problem.free == 9
-    p, rows = _descend(problem, p, _missed(problem, p), np.eye(count), 1e-8 if equal else 1e-3)
+    stated, loose = problem, problem.turned and Rows(_LOOSE * problem.turned.residual, _LOOSE * problem.turned.design)
+    problem, whitener = (
+        replace(problem, turned=loose),
+        np.eye(count),
+    )  # so that moves that turns contradict do not scatter more
+    p, rows = _descend(problem, p, _missed(problem, p), whitener, 1e-8 if equal else 1e-3)
     scatter = max(float(rows.residual @ rows.residual) / (count - 9), 1e-30) if equal else 1.0
     for _ in range(0 if equal else 4):
         missed: _Missed = rows.state
@@ -425,9 +450,12 @@ def _solve(problem: _Problem, p: FloatArray) -> tuple[FloatArray, FloatArray, _M
         variance = np.maximum(values, 0.0) + 1e-24
         variance += excess_variance(turned, variance, count - 9)
         before = p
-        p, rows = _descend(problem, p, missed, vectors.T / np.sqrt(variance)[:, None], 1e-8)
+        whitener = vectors.T / np.sqrt(variance)[:, None]
+        p, rows = _descend(problem, p, missed, whitener, 1e-8)
         if float(np.abs(p - before).max()) < 1e-5:
             break
+    if stated.turned is not None:
+        p, rows = _descend(stated, p, rows.state, whitener, 1e-8)
     covariance = np.zeros((12, 12))
     covariance[:free, :free] = scatter * covariance_of(rows.design)
     return p, covariance, rows.state
@@ -439,14 +467,18 @@ def _descend(
     """Return the best parameters of fixed weights, and the rows there, from p and what that misses."""
     free = problem.free
 
-    def white(missed: _Missed) -> Rows:
-        return Rows(whitener @ missed.angle, whitener @ missed.jacobian[:, :free], missed)
+    def white(values: FloatArray, missed: _Missed) -> Rows:
+        rows = Rows(whitener @ missed.angle, whitener @ missed.jacobian[:, :free], missed)
+        if (other := problem.turned) is None:
+            return rows
+        away = other.residual + other.design @ values
+        return Rows(np.concatenate((rows.residual, away)), np.vstack((rows.design, other.design)), missed)
 
     values, best, converged = descend(
-        lambda values: white(_missed(problem, np.concatenate((values, p[free:])))),
+        lambda values: white(values, _missed(problem, np.concatenate((values, p[free:])))),
         p[:free],
         problem.known,
-        first=white(missed),
+        first=white(p[:free], missed),
         tolerance=tolerance,
         size=np.ones(free),
     )
@@ -494,6 +526,9 @@ def _covariance_of_angles(problem: _Problem, missed: _Missed, p: FloatArray) -> 
         )
         total += shared @ shared.T
     matrix = p[:9].reshape(3, 3) / problem.unit
+    # Time stamps that jitter turn further about the axis of the move, which is alike in all of it
+    further = across @ cross_matrix(unit[moves.before + 1]) @ matrix
+    total.reshape(len(each), 2, -1, 2)[each, :, each] += further @ moves.slip @ further.transpose(0, 2, 1)
     noise = float((matrix**2 @ prior.noise).mean())  # (rad/s)^2 of one sample, mean of the axes
     return np.asarray(total + np.diag(np.repeat(noise * moves.duration_s**2 / (moves.last - moves.first), 2)))
 

@@ -152,6 +152,13 @@ class Inverse:
         return cls(matrix=matrix, offset=theta[:, 3], g_sensitivity=g, jacobian=jacobian)
 
     @property
+    def forward(self) -> FloatArray:
+        """The three sensors' unknowns, (3, P)."""
+        k = np.linalg.inv(self.matrix)
+        h = () if self.g_sensitivity is None else (k @ self.g_sensitivity,)
+        return np.column_stack((k, self.offset, *h))
+
+    @property
     def parameters(self) -> tuple[str, ...]:
         """Names of the parameters, in the order of ``jacobian``."""
         return (*MATRIX_NAMES, *OFFSET_NAMES, *(() if self.g_sensitivity is None else G_NAMES))
