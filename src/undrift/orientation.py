@@ -36,7 +36,14 @@ import numpy as np
 from undrift.arrays import BoolArray, FloatArray, frozen
 from undrift.base.summary import Shown
 from undrift.correction.consistency import check_triads
-from undrift.correction.rest import FEWEST, force_covariances, mean_variance, no_rest, rests_from_first
+from undrift.correction.rest import (
+    FEWEST,
+    force_covariances,
+    mean_variance,
+    no_rest,
+    rest_offset,
+    rests_from_first,
+)
 from undrift.errors import InputError
 from undrift.findings import Finding, finding
 from undrift.frames import quaternion_conjugate, quaternion_product, rotate
@@ -316,7 +323,7 @@ class OrientSettings:
     ----------
     offset : str
         "none"; "rest": the mean rate of the still phase is subtracted, and with it any true slow turn; "still": the mean
-        rate of every still phase, linear in between.
+        rate of every still phase, linear in between; "motion": what gravity shows of it while the device moves, from that rest.
     method : str
         "strapdown", or "vqf": a filter with accelerometers, which needs the package vqf (undrift[orientation]).
     heading : float
@@ -325,7 +332,7 @@ class OrientSettings:
         Device axes that point forward and up on the upright segment; they define the pitch.
     """
 
-    offset: Literal["none", "rest", "still"] = "none"
+    offset: Literal["none", "rest", "still", "motion"] = "none"
     method: Literal["strapdown", "vqf"] = "strapdown"
     heading: float = 0.0
     forward: Face = "+x"
@@ -465,15 +472,21 @@ def orient_unchecked(
     still = rests[0] if still is None else still
     tilt = initial_tilt(record, still, heading=settings.heading)
     means = np.stack([record.gyro[one.start : one.stop].mean(axis=0) for one in rests])
-    offsets = _offsets(record.time, rests, means, settings.offset, rests.index(still))
-    uncertainty = _offset_uncertainty(record.gyro, rests, means, offsets, gyro_model)
-    gyro, anchor = record.gyro - offsets, still.stop - 1
     findings: tuple[Finding, ...] = ()
+    if settings.offset == "motion":
+        from undrift.correction.motion import find_motion_offset  # scipy and a kernel, for this alone
+
+        moved = find_motion_offset(record, rest_offset(record, still))
+        offsets, uncertainty, findings = moved.at(record.time), moved.uncertainty, (moved.finding,)
+    else:
+        offsets = _offsets(record.time, rests, means, settings.offset, rests.index(still))
+        uncertainty = _offset_uncertainty(record.gyro, rests, means, offsets, gyro_model)
+    gyro, anchor = record.gyro - offsets, still.stop - 1
     if settings.method == "vqf":
         q = _levelled_at(_filtered(record, gyro, uncertainty), anchor, tilt.q_nb)
     else:
         q = _both_ways(gyro, record.time, tilt.q_nb, anchor)
-        findings = (_expected_drift(record.time, anchor, uncertainty, settings.offset),)
+        findings += (_expected_drift(record.time, anchor, uncertainty, settings.offset),)
     findings += _moved_at_rest(record, still)
     findings += check_pitch_axes(q, slice(still.start, still.stop), settings.forward, settings.up)
     return Orientation(
@@ -562,7 +575,7 @@ def _expected_drift(time: FloatArray, anchor: int, uncertainty: float, offset: s
         drift_deg=uncertainty * duration / RADIAN_PER_DEGREE,
         offset_dps=uncertainty / RADIAN_PER_DEGREE,
         duration_s=duration,
-        option={"none": "`offset` rest", "rest": "`offset` still or `method` vqf", "still": "`method` vqf"}[offset],
+        option={"none": "`offset` rest", "rest": "`offset` motion or `method` vqf"}.get(offset, "`method` vqf"),
     )
 
 

@@ -70,7 +70,7 @@ def orient(
     output: Output,
     calibration: Path | None = None,
     method: Literal["strapdown", "vqf"] = "strapdown",
-    offset: Literal["none", "rest", "still"] = "none",
+    offset: Literal["none", "rest", "still", "motion"] = "none",
     named: NamedRest = NamedRest(),
     heading_deg: float = 0.0,
     forward: Side = "+x",
@@ -95,7 +95,7 @@ def orient(
         undrift[orientation].
     offset : str
         "rest" subtracts the mean rate of the first still phase (or the named one), "still" that of every still phase, linear
-        between them.
+        between them; "motion" starts from that rest and adds what gravity shows while the device moves.
     heading_deg : float
         Heading at the still phase, deg.
     forward : str

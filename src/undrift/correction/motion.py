@@ -1,0 +1,191 @@
+"""Offset from motion: what gravity, carried along by the strapdown, shows of the gyroscopes' offset while the device moves.
+
+::
+
+    F(t) = R(t) f(t) = g u + a(t)          specific force f, turned by the strapdown R of the rates w into the first frame
+    R of w - b  =  (I - [J b]x) R          J(t) = integral of R dt: an offset b turns all that follows
+    <F>_k = g u - A_k b + P_k d + e_k      Hann means over 5 s; A_k = <[F]x J>_k, P_k = <R>_k, d offset of the accelerometers
+
+A body that comes back has no mean acceleration: what is left of a is white, and means that half overlap share a sixth. What the
+calibration leaves turns the frame at random with density q: horizontal means k and l share g^2 q min(t_k, t_l). Both sizes are
+those of greatest restricted likelihood. b, d and the vertical u are found by generalised least squares, linearised anew about
+the last b (Gauss-Newton). Long recordings are cut into stretches, each with a vertical, an offset and sizes of its own; offsets
+wander from one stretch to the next.
+
+The prior of b is the mean at a rest. Gravity shows no turn about the vertical: along an axis that stays upright b keeps its
+prior. A long push (lift, car, bend) is not told from a tilt: it enters the sizes, and widens what is stated.
+"""
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from scipy.linalg import cholesky, solve_triangular
+from scipy.optimize import minimize
+
+from undrift.arrays import FloatArray, frozen
+from undrift.correction.rest import RestOffset
+from undrift.errors import InputError
+from undrift.findings import Finding, finding
+from undrift.frames import rotation
+from undrift.kernels.rotation import strapdown
+from undrift.record import Record
+from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
+
+MEAN_S, STRETCH_S, LEAST_S = 5.0, 300.0, 20.0  # s, of a Hann mean, of a stretch, of a recording
+MOVED = (
+    0.02 * RADIAN_PER_DEGREE
+)  # rad/s, from rest to motion: two thirds of half a step of 16 bits over +-2000 deg/s [assumed]
+WANDERS = 2e-4 * RADIAN_PER_DEGREE  # rad/s/sqrt(s), of a consumer gyroscope's offset [assumed]
+ACCEL, SCALE = (
+    0.05,
+    0.005,
+)  # m/s2, offset of calibrated accelerometers; share by which their size of gravity is off [assumed]
+_SIZES = 2.0 * np.log(
+    (0.03, 0.1 * RADIAN_PER_DEGREE)
+)  # logarithms of both variances: of m/s2, of rad/sqrt(s); usual ones,
+_FACTOR = 4.0  # within e^2 each way, where few means say little [assumed]
+_LOOSE = 1.0 * RADIAN_PER_DEGREE  # rad/s, of the offset while the sizes are sought
+_SHARED = 1.0 / 6.0  # correlation of Hann means that half overlap
+_ROUNDS, _SETTLED = 8, 1e-7  # of linearisation; rad/s
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class MotionOffset:
+    """The offset that motion shows, in the middle of each stretch."""
+
+    time: FloatArray  # (S,), s
+    rate: FloatArray  # (S, 3), rad/s, frame b
+    covariance: FloatArray  # (S, 3, 3), (rad/s)^2
+    prior: FloatArray  # (3,), standard deviation of what was known before, rad/s
+    acceleration: float  # What is left of it in a mean, rms, m/s2
+
+    def __post_init__(self) -> None:
+        count = len(self.time)
+        for name, shape in (("time", (count,)), ("rate", (count, 3)), ("covariance", (count, 3, 3)), ("prior", (3,))):
+            object.__setattr__(self, name, frozen(getattr(self, name), shape, f"MotionOffset.{name}"))
+
+    def at(self, time: FloatArray) -> FloatArray:
+        """Return the offset (N, 3) at times (N,), linear between stretches."""
+        return np.stack([np.interp(time, self.time, axis) for axis in self.rate.T], axis=1)
+
+    @property
+    def uncertainty(self) -> float:
+        """Standard uncertainty of the worst stretch, all axes together, rad/s."""
+        return float(np.sqrt(np.trace(self.covariance, axis1=1, axis2=2).max()))
+
+    @property
+    def finding(self) -> Finding:
+        """What was subtracted, in words."""
+        return finding(
+            "correct.motion_offset",
+            "info",
+            offset_dps=self.rate.mean(axis=0) / RADIAN_PER_DEGREE,
+            uncertainty_dps=np.sqrt(np.diagonal(self.covariance, axis1=1, axis2=2).max(axis=0)) / RADIAN_PER_DEGREE,
+            prior_dps=self.prior / RADIAN_PER_DEGREE,
+            acceleration_m_s2=self.acceleration,
+        )
+
+
+def find_motion_offset(record: Record, rest: RestOffset) -> MotionOffset:
+    """Return the offset that the motion of a corrected record shows, beside the mean at one of its rests; one in five minutes."""
+    if record.gyro is None or record.accel is None:
+        raise InputError("offset from motion: wanted rates and specific force, got one of them; use `offset` rest")
+    gaps = int((~np.isfinite(np.hstack((record.gyro, record.accel)))).any(axis=1).sum())
+    if gaps or record.duration_s < LEAST_S:
+        got = f"{gaps} gaps (NaN)" if gaps else f"{record.duration_s:.3g} s"
+        raise InputError(f"offset from motion: wanted {LEAST_S:g} s or more without gaps, got {got}; use `offset` rest")
+    prior = rest.covariance + np.eye(3) * MOVED**2
+    edges = np.linspace(0, len(record), max(1, round(record.duration_s / STRETCH_S)) + 1).astype(int)
+    stretches = [_HannMeans(record.time[a:b], record.gyro[a:b], record.accel[a:b]) for a, b in pairwise(edges)]
+    middle = np.array([one.middle for one in stretches])
+    wander, count = _wandering(middle, prior), 3 * len(stretches)
+    start = np.concatenate(
+        (np.tile(rest.rate, len(stretches)), np.zeros(3))
+    )  # offsets of stretches, of the accelerometers
+    theta = start
+    for _ in range(_ROUNDS):
+        information, seen = wander.copy(), wander @ (start - theta)
+        for k, one in enumerate(stretches):
+            places = np.r_[3 * k : 3 * k + 3, count : count + 3]
+            own, towards = one.equations(*theta[places].reshape(2, 3))
+            information[np.ix_(places, places)] += own
+            seen[places] += towards
+        step = np.linalg.solve(information, seen)
+        theta = theta + step
+        if np.abs(step[:count]).max() < _SETTLED:
+            break
+    covariance = np.linalg.inv(information)
+    return MotionOffset(
+        time=middle,
+        rate=theta[:count].reshape(-1, 3),
+        covariance=np.stack([covariance[k : k + 3, k : k + 3] for k in range(0, count, 3)]),
+        prior=np.sqrt(np.diag(prior)),
+        acceleration=float(np.sqrt(np.mean([np.exp(one.sizes[0]) for one in stretches]))),
+    )
+
+
+def _wandering(middle: FloatArray, prior: FloatArray) -> FloatArray:
+    """Return what is known of offsets (S, 3) that begin with a prior and wander, and of the accelerometers': information."""
+    count = 3 * len(middle)
+    information = np.zeros((count + 3, count + 3))
+    information[:3, :3], information[count:, count:] = np.linalg.inv(prior), np.eye(3) / ACCEL**2
+    for k, length in enumerate(np.diff(middle)):
+        here = slice(3 * k, 3 * k + 6)
+        information[here, here] += np.kron([[1.0, -1.0], [-1.0, 1.0]], np.eye(3)) / (WANDERS**2 * length)
+    return information
+
+
+class _HannMeans:
+    """A stretch of a recording: its Hann means, and the sizes of what disturbs them."""
+
+    def __init__(self, time: FloatArray, rate: FloatArray, force: FloatArray) -> None:
+        self.time, self.rate, self.force = time, rate, force
+        self.middle = 0.5 * float(time[0] + time[-1])
+        width = max(4, round(MEAN_S * (len(time) - 1) / float(time[-1] - time[0])))
+        self.first = np.arange(0, len(self.time) - width + 1, width // 2)
+        self.weight = np.hanning(width + 2)[1:-1] / np.hanning(width + 2).sum()
+        self.sizes = _SIZES
+
+    def equations(self, offset: FloatArray, of_force: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return information (6, 6) and right side (6,) for changes of the offsets of both triads, the vertical eliminated."""
+        mean, design = self._means(offset, of_force)
+        up = mean.mean(axis=0)
+        frame = np.linalg.svd(up[None])[2][[1, 2, 0]]  # two horizontal axes, and the vertical
+        frame[2] *= np.sign(frame[2] @ up)
+        mean, design = mean @ frame.T, np.einsum("ij,kjp->kip", frame, design)
+        shared = np.eye(len(mean)) + _SHARED * (np.eye(len(mean), k=1) + np.eye(len(mean), k=-1))
+        when = MEAN_S * (0.5 + 0.5 * np.arange(len(mean)))
+        walk = STANDARD_GRAVITY**2 * np.minimum.outer(when, when)
+
+        def solved(sizes: FloatArray) -> tuple[float, FloatArray, FloatArray]:
+            white, density = np.exp(sizes)
+            information, seen, cost = np.zeros((9, 9)), np.zeros(9), 0.0
+            information[8, 8], seen[8] = 1.0 / (SCALE * STANDARD_GRAVITY) ** 2, 1.0 / (SCALE**2 * STANDARD_GRAVITY)
+            for axis in range(3):
+                root = cholesky(white * shared + (density * walk if axis < 2 else 0.0), lower=True)
+                columns = np.hstack((-design[:, axis], np.tile(np.eye(3)[axis], (len(mean), 1))))
+                columns, value = (solve_triangular(root, each, lower=True) for each in (columns, mean[:, axis]))
+                information, seen = information + columns.T @ columns, seen + columns.T @ value
+                cost += 2.0 * float(np.log(np.diag(root)).sum()) + float(value @ value)
+            whole = information + np.diag([1.0 / _LOOSE**2] * 3 + [1.0 / ACCEL**2] * 3 + [0.0] * 3)
+            cost += float(np.linalg.slogdet(whole)[1] - seen @ np.linalg.solve(whole, seen))
+            return cost + float((((sizes - _SIZES) / _FACTOR) ** 2).sum()), information, seen
+
+        close = {"xatol": 0.02, "fatol": 0.02}
+        self.sizes = minimize(lambda sizes: solved(sizes)[0], self.sizes, method="Nelder-Mead", options=close).x  # type: ignore[call-overload]
+        _, information, seen = solved(self.sizes)
+        gone = information[:6, 6:] @ np.linalg.inv(information[6:, 6:])
+        return information[:6, :6] - gone @ information[6:, :6], seen[:6] - gone @ seen[6:]
+
+    def _means(self, offset: FloatArray, of_force: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the means (K, 3) and what offsets of gyroscopes and accelerometers add to them (K, 3, 6)."""
+        q = np.empty((len(self.time), 4))
+        strapdown((self.rate - offset).reshape(-1), self.time, np.array([1.0, 0.0, 0.0, 0.0]), q.reshape(-1))
+        turned = rotation(q).as_matrix()
+        force = np.einsum("nij,nj->ni", turned, self.force - of_force)
+        total = np.cumsum(turned * np.gradient(self.time)[:, None, None], axis=0)
+        moved = np.cross(force[:, :, None], total, axis=1)  # [F]x J
+        every = np.concatenate((force[:, :, None], moved, -turned), axis=2)
+        means = np.stack([np.tensordot(self.weight, every[k : k + len(self.weight)], 1) for k in self.first])
+        return means[:, :, 0], means[:, :, 1:]

@@ -1,0 +1,155 @@
+"""The offset that motion shows: intervals hold on simulated people, it follows the device, gravity bears it out on real trials."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from scipy.stats import binom
+
+from testkit.broad_trials import FILES, trial
+from testkit.data import show
+from undrift.calibration.adc import identify_record_adc
+from undrift.correction.correct import correct_whole
+from undrift.correction.motion import MOVED, STRETCH_S, find_motion_offset
+from undrift.correction.rest import RestOffset, find_rest_offset
+from undrift.errors import InputError
+from undrift.orientation import OrientSettings, orient
+from undrift.record import Record
+from undrift.sim.device.presets import random_device
+from undrift.sim.device.simulate import simulate_device
+from undrift.sim.device.truth import true_calibration
+from undrift.sim.motion.tasks import TaskName, draw_task
+from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
+from undrift.validation.trial import TrialSettings, nominal_calibration, validate_trial
+
+RATE_HZ = 50.0
+
+
+def worn(seed: int, name: TaskName, scale: float = 1e-3) -> tuple[Record, np.ndarray, np.ndarray]:
+    """Return what a calibration with errors of its own leaves of a drawn task, its true mean offset, and one a rest would show."""
+    rng = np.random.default_rng(seed)
+    task = draw_task(name, rng=rng)
+    motion = task.at(np.arange(round(task.duration_s * RATE_HZ)) / RATE_HZ, STANDARD_GRAVITY)
+    device = random_device(rng)
+    made = true_calibration(device, temp_c=25.0)
+    assert made.gyro is not None
+    assert made.accel is not None
+    gyro = replace(made.gyro, matrix=made.gyro.matrix @ (np.eye(3) + scale * rng.standard_normal((3, 3))))
+    accel = replace(made.accel, offset=made.accel.offset + 0.02 * rng.standard_normal(3))
+    done = correct_whole(simulate_device(device, motion, rng=rng).record, replace(made, gyro=gyro, accel=accel)).record
+    moved = MOVED * rng.standard_normal(3)
+    rate = np.asarray(done.gyro) + moved
+    return replace(done, gyro=rate), (rate - motion.mean_rate_b).mean(axis=0), moved
+
+
+@pytest.mark.parametrize("devices", [15, pytest.param(300, marks=pytest.mark.long)])
+@pytest.mark.parametrize("name", ["free", "posturography"])
+def test_nineteen_of_twenty_intervals_hold_the_offset_of_people_who_move(name: TaskName, devices: int) -> None:
+    errors, stated, before = [], [], []
+    for seed in range(devices):
+        record, true, moved = worn(seed, name)
+        rest = find_rest_offset(record)
+        rest = replace(rest, rate=rest.rate - moved)  # at rest the offset was another
+        found = find_motion_offset(record, rest)
+        errors.append(found.rate[0] - true)
+        stated.append(np.sqrt(np.diag(found.covariance[0])))
+        before.append(rest.rate - true)
+    error, sigma, first = (np.degrees(each) for each in (errors, stated, before))
+    inside = int((np.abs(error) < 1.96 * sigma).sum())
+    ratio = float(np.sqrt((error**2).mean() / (sigma**2).mean()))
+    show(f"{name}, inside 95 %, rmse over stated", (inside / error.size, ratio), "0.90 to 0.98")
+    show(
+        "rmse by axis with the rest alone, with motion, deg/s",
+        np.sqrt([(first**2).mean(axis=0), (error**2).mean(axis=0)]).round(4).tolist(),
+    )
+    low = binom.ppf(0.001, error.size, 0.90)
+    assert inside >= low
+    assert 0.7 < ratio < 1.3
+    assert (error[:, :2] ** 2).sum() < 0.3 * (
+        first[:, :2] ** 2
+    ).sum()  # people stay upright: z keeps what the rest says
+
+
+def swaying(seconds: float, drift: np.ndarray) -> Record:
+    """Return somebody who leans to and fro by 10 deg about x and y, whose offset drifts evenly by a vector (3,), rad/s."""
+    time = np.arange(round(20.0 * seconds)) / 20.0
+    lean = np.stack((np.sin(0.7 * time), np.cos(0.5 * time), np.zeros_like(time)), axis=1) * np.radians(10.0)
+    turned = Rotation.from_rotvec(lean)
+    rate = np.vstack(((turned[:-1].inv() * turned[1:]).as_rotvec() * 20.0, np.zeros(3)))
+    rate = (
+        np.roll(rate, 1, axis=0) + np.linspace(-0.5, 0.5, len(time))[:, None] * drift
+    )  # a rate leads to its own sample
+    force = turned.inv().apply([0.0, 0.0, STANDARD_GRAVITY]) + 0.1 * np.random.default_rng(1).standard_normal(
+        (len(time), 3)
+    )
+    return Record(time=time, gyro=rate, accel=force, state="corrected")
+
+
+def test_the_offset_of_a_long_recording_is_followed_from_stretch_to_stretch() -> None:
+    drift = np.radians([0.03, -0.02, 0.0])
+    found = find_motion_offset(
+        swaying(4.0 * STRETCH_S, drift),
+        RestOffset(start_s=0.0, stop_s=1.0, rate=-0.5 * drift, covariance=np.zeros((3, 3))),
+    )
+    assert found.rate.shape == (4, 3)
+    true = ((np.arange(4) + 0.5) / 4.0 - 0.5)[:, None] * drift
+    off = np.degrees(found.rate - true)[:, :2]
+    show("errors of four stretches about x and y, deg/s", np.abs(off).max(), 0.003)
+    assert np.abs(off).max() < 0.003
+    np.testing.assert_allclose(found.at(found.time), found.rate)
+
+
+@pytest.mark.parametrize("numbers", [(3, 7, 24), pytest.param(tuple(FILES), marks=pytest.mark.long)])
+def test_gravity_in_motion_halves_the_inclination_that_a_rest_leaves_in_every_real_trial(
+    numbers: tuple[int, ...],
+) -> None:
+    ends = []
+    for number in numbers:
+        record, reference = trial(number)
+        codes = nominal_calibration(record, identify_record_adc(record))
+        done = correct_whole(record, codes).record
+        rest = find_rest_offset(done)
+        rates = (rest.rate, find_motion_offset(done, rest).at(done.time))
+        judged = [
+            validate_trial(
+                replace(done, gyro=np.asarray(done.gyro) - rate), reference, settings=TrialSettings(adc="none")
+            ).figures
+            for rate in rates
+        ]
+        ends.append([one.end_inclination_deg for one in judged])
+    show(
+        "end inclination of eight trials of two minutes, mean, deg: rest, motion",
+        np.mean(ends, axis=0).round(2).tolist(),
+    )
+    before, after = np.transpose(ends)
+    assert (after < before).all()
+    assert after.mean() < 0.6 * before.mean()
+
+
+def test_orient_states_what_motion_shows_and_drifts_less() -> None:
+    record, _, _ = worn(5, "free")
+    later = np.where(record.time > 8.0, 0.03 * RADIAN_PER_DEGREE, 0.0)[:, None] * np.array([1.0, 0.0, 0.0])
+    record = replace(record, gyro=np.asarray(record.gyro) + later)
+    rest, moved = (orient(record, settings=OrientSettings(offset=offset)) for offset in ("rest", "motion"))
+    assert "correct.motion_offset" in [one.code for one in moved.findings]
+    found = float((moved.offset - rest.offset)[0]) / RADIAN_PER_DEGREE
+    show("offset about x that came after the rest, deg/s", found, "0.03")
+    assert found == pytest.approx(0.03, abs=0.015)
+    assert 0.0 < moved.offset_uncertainty < 2.0 * MOVED
+
+
+def test_what_motion_cannot_show_is_refused() -> None:
+    record, rest = (
+        swaying(30.0, np.zeros(3)),
+        RestOffset(start_s=0.0, stop_s=1.0, rate=np.zeros(3), covariance=np.zeros((3, 3))),
+    )
+    with pytest.raises(InputError, match=re.escape("wanted 20 s or more without gaps, got 9.95 s")):
+        find_motion_offset(record.part(0, 200), rest)
+    gone = np.array(record.accel)
+    gone[7] = np.nan
+    with pytest.raises(InputError, match=r"got 1 gaps \(NaN\)"):
+        find_motion_offset(replace(record, accel=gone), rest)
+    with pytest.raises(InputError, match="wanted rates and specific force"):
+        find_motion_offset(replace(record, accel=None), rest)
