@@ -22,6 +22,7 @@ _GZIP = b"\x1f\x8b"
 _RATIO = 200  # A gzip that unpacks to more than so many times its size ...
 _SMALL = 10**8  # ... and to more bytes than these is no recording
 _BLOCK = 1 << 20
+_PARSED = 32  # times its bytes are the most that a text takes once it is parsed: a list of empty lists
 
 
 @dataclass(slots=True)
@@ -32,6 +33,10 @@ class ReadLimits:
     trust: bool = False  # No limits; parsers run in the caller's own process
     start_s: float = 60.0  # Processor time of a parser for a file of any size ...
     megabyte_s: float = 1.0  # ... and for each megabyte of it
+
+    def holds(self, size: int) -> bool:
+        """Tell whether a text of some bytes can be parsed within the memory, whatever it holds."""
+        return self.trust or _PARSED * size <= self.memory_gb * GIGABYTE
 
     def over(self, path: Path) -> str:
         """Say that a file takes more memory than this."""
@@ -75,6 +80,8 @@ def read_bytes(path: str | Path, limit: int = -1) -> bytes:
     path = checked_file(path)
     try:
         if not is_gzip(path):
+            if limit < 0 and not LIMITS.trust and path.stat().st_size > LIMITS.memory_gb * GIGABYTE:
+                raise FileFormatError(LIMITS.over(path))
             with path.open("rb") as handle:
                 return handle.read(limit)
         with gzip.open(path, "rb") as packed:
@@ -89,6 +96,14 @@ def read_bytes(path: str | Path, limit: int = -1) -> bytes:
         raise InputError(f"{path}: cannot be read: {error.strerror or error}; check its rights") from error
     if not content:
         raise FileFormatError(f"{path}: wanted a recording, got an empty file inside the gzip; record or copy it again")
+    return content
+
+
+def read_tree(path: str | Path) -> bytes:
+    """Return the content of a file of JSON or TOML, unless it may take too much memory once it is parsed."""
+    content = read_bytes(path)
+    if not LIMITS.holds(len(content)):
+        raise FileFormatError(LIMITS.over(Path(path)))
     return content
 
 

@@ -16,6 +16,9 @@ from undrift.files import LIMITS, read_bytes
 from undrift.io import box
 from undrift.io.box import boxed, boxed_parts, one_box
 from undrift.io.formats import read_markers, read_record
+from undrift.io.inspect import describe
+from undrift.io.session import read_column_map
+from undrift.io.store import read_calibration
 
 needs_fork = pytest.mark.skipif(not hasattr(os, "fork"), reason="this system cannot fork: files are read without a box")
 
@@ -240,6 +243,43 @@ def test_a_packed_file_that_swells_is_refused(tmp_path, limits):
         read_bytes(path)
     limits.trust = True
     assert len(read_bytes(path)) == 120 * 10**6
+
+
+@needs_fork
+def test_a_large_table_of_text_is_read_in_a_box_and_bit_by_bit(tmp_path, limits, monkeypatch):
+    head = "time_s,gyro_x_dps,gyro_y_dps,gyro_z_dps\n"
+    path = tmp_path / "r.csv"
+    path.write_text(head + "".join(f"{k / 100},{k / 7},2,3\n" for k in range(2000)))
+    made = []
+    monkeypatch.setattr(box, "_Box", lambda *given, kind=box._Box: made.append(given) or kind(*given))
+    small = read_record(path)
+    assert not made
+    limits.memory_gb = 31.9 * path.stat().st_size / 1e9
+    monkeypatch.setattr(box, "_set_limits", lambda *given: None)
+    large = read_record(path)
+    assert len(made) == 1
+    assert np.array_equal(small.gyro, large.gyro)
+    assert np.array_equal(small.time, large.time)
+
+
+@pytest.mark.parametrize(
+    ("name", "start", "read"),
+    [("a.json", "[", describe), ("a.toml", "a = [", read_column_map), ("calibration.json", "[", read_calibration)],
+)
+def test_json_and_toml_that_might_take_too_much_memory_are_refused(tmp_path, limits, name, start, read):
+    (tmp_path / name).write_text(start + "[], " * 30_000 + "[]]")
+    limits.memory_gb = 0.001
+    with pytest.raises(FileFormatError, match=rf"{name}: wanted a file that reads within 0.001 GB of memory"):
+        read(tmp_path / name)
+
+
+def test_a_file_larger_than_the_memory_is_not_begun(tmp_path, limits):
+    (tmp_path / "a.txt").write_bytes(bytes(2000))
+    limits.memory_gb = 1e-6
+    with pytest.raises(FileFormatError, match="wanted a file that reads within 1e-06 GB of memory"):
+        read_bytes(tmp_path / "a.txt")
+    limits.trust = True
+    assert len(read_bytes(tmp_path / "a.txt")) == 2000
 
 
 @needs_fork

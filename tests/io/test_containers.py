@@ -329,6 +329,31 @@ def test_a_nilspod_of_unknown_firmware_says_so_and_a_converted_one_is_read(tmp_p
     assert len(read_record(tmp_path / "a.bin")) == 635
 
 
+def test_a_nilspod_whose_samples_are_lost_says_how_many_and_one_that_disagrees_is_refused(tmp_path):
+    whole = data_path("makers", "nilspod_bin", "NilsPodX-6F13_20210109_162824.bin").read_bytes()
+    head, size = whole[0], whole[1]
+    lost, place = 40, head + 200 * size
+    content = bytearray(whole[:place] + whole[place + lost * size :])
+    content[23:27] = struct.pack("<I", 635 - lost)
+    path = tmp_path / "a.bin"
+    path.write_bytes(content)
+    found = describe(path)
+    assert "40 of 635 samples missing by the counter, seen as gaps in time" in [
+        f.values.get("what") for f in found.findings
+    ]
+    assert any(text.startswith("Drop-outs: 1, the longest 0.4004 s at 1.94336 s") for text in found.problems)
+    path.write_bytes(whole[:place] + whole[place : place + size] + whole[place:])
+    with pytest.raises(
+        FileFormatError, match="wanted 20372 bytes as its header states, got 20404; the file is damaged"
+    ):
+        read_record(path)
+    content = bytearray(whole)
+    content[19:23] = struct.pack("<I", struct.unpack_from("<I", whole, 19)[0] + 5)
+    path.write_bytes(content)
+    with pytest.raises(FileFormatError, match=r"wanted 12 s as its header states, got 6.191 s; it is damaged"):
+        read_record(path)
+
+
 def test_random_bytes_are_no_nilspod(tmp_path):
     for seed in range(200):
         (tmp_path / "a.bin").write_bytes(b"\x34\x20\0" + np.random.default_rng(seed).bytes(400))

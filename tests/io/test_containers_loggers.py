@@ -195,6 +195,7 @@ def test_a_missing_page_stays_a_gap_and_a_decimal_comma_is_read(tmp_path):
     record = read_record(tmp_path / "a.bin")
     assert (len(record), record.temp_c[0]) == (900, 21.5)
     assert np.diff(record.time).max() == pytest.approx(6.02)
+    assert "1 pages missing by their numbers, seen as gaps in time" in read_counted(tmp_path / "a.bin").notes
 
 
 @pytest.mark.parametrize(
@@ -206,6 +207,8 @@ def test_a_missing_page_stays_a_gap_and_a_decimal_comma_is_read(tmp_path):
         (pages(2).replace("50.0", "25.0", 1), r"wanted one sample rate and gains other than 0, got \[25.0, 50.0\] Hz"),
         (pages(2).replace("x gain:25600", "x gain:0"), "wanted one sample rate and gains other than 0"),
         ("Device Identity\n\0", "wanted whole pages, got none"),
+        (pages(4).replace("Number:1", "Number:5"), "wanted pages in order, .*, got page 0 at 0 s and then 5 at 6 s"),
+        (pages(4).replace("00:00:06", "00:40:06"), "wanted pages in order, .*, got page 0 at 0 s and then 1 at 2406 s"),
     ],
 )
 def test_a_geneactiv_header_that_disagrees_is_refused(tmp_path, text, words):

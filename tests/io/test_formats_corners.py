@@ -133,3 +133,8 @@ def test_a_single_slow_block_is_a_drop_out_and_not_a_second_rate():
 def test_uneven_blocks_are_not_two_rates():
     rng = np.random.default_rng(0)
     assert two_rates(np.cumsum(rng.uniform(0.001, 0.02, 2000))) is None
+
+
+def test_nothing_but_blank_lines_is_no_table(tmp_path):
+    (tmp_path / "blank.csv").write_text("\n \n\n")
+    assert describe(tmp_path / "blank.csv").kind == "text"

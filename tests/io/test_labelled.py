@@ -419,3 +419,16 @@ def test_a_damaged_row_that_is_no_utf_8_is_named_in_one_line(tmp_path, capfd):
     with pytest.raises(FileFormatError, match="wanted 4 columns in every row, got 6 in data row 10"):
         read_record(path, columns)
     assert capfd.readouterr().err == ""
+
+
+def test_a_header_with_fewer_names_than_columns_is_refused(tmp_path):
+    rows = "".join(f"{k},{k}.5,1,2,3\n" for k in range(4))
+    path = put(tmp_path, "n and t (s),gyro x (dps),gyro y (dps),gyro z (dps)\n" + rows)
+    with pytest.raises(FileFormatError, match="wanted a name for each of 5 columns, got fewer; repair the header"):
+        open_sheet(path)
+
+
+def test_a_channel_of_which_an_axis_is_not_named_is_left_out_with_a_note(tmp_path):
+    rows = "".join(f"{k / 100},1,2,3,0,0,1\n" for k in range(4))
+    path = put(tmp_path, "t (s),gyro x (dps),gyro ? (dps),gyro z (dps),acc x (g),acc y (g),acc z (g)\n" + rows)
+    assert "turn rate left out: it has axes x, z alone" in read_counted(path).notes

@@ -139,6 +139,13 @@ def test_a_dot_recording_with_sensors_has_metres_and_degrees_and_its_clock_overf
     assert read.notes[0] == "units by the manual of Movella DOT, not in the file: gyro dps, accel m/s2"
 
 
+def test_a_counter_that_goes_back_is_no_overflow(tmp_path):
+    rows = "".join(f"{k},{16667 * (k if k != 2 else 0)},0,0,9.81,0,90,0\n" for k in range(5))
+    (tmp_path / "dot.csv").write_text(f"{DOT}PacketCounter,SampleTimeFine,Acc_X,Acc_Y,Acc_Z,Gyr_X,Gyr_Y,Gyr_Z\n{rows}")
+    with pytest.raises(FileFormatError, match="wanted a counter that goes forward, got 16667 and then 0 in data row 3"):
+        read_record(tmp_path / "dot.csv")
+
+
 def test_free_acceleration_is_no_accelerometer():
     for name in ("LFemur_20210820_202113_831.csv", "Pelvis_20210820_202113_836.csv"):
         with pytest.raises(FileFormatError, match=r"got 'FreeAcc_X', in which gravity is removed; record or export"):
@@ -202,6 +209,13 @@ def test_trigno_starts_without_its_zeros_and_ends_where_the_slow_channel_ends():
     assert len(read.record) + 16 == 297
     assert (read.record.accel[0] != 0.0).all()
     assert read.record.time[0] == pytest.approx(16 * 0.00675)
+
+
+def test_an_apdm_header_that_names_fewer_accelerometers_than_sensors_is_refused(tmp_path):
+    text = maker("apdm_csv", "apdm_format7.csv").read_text()
+    (tmp_path / "a.csv").write_text(text.replace("Accelerometer", "Accelnrometer", 1))
+    with pytest.raises(FileFormatError, match="wanted 6 accelerometers, got 5; repair the header"):
+        read_record(tmp_path / "a.csv", settings=ReadSettings(sensor="Lumbar"))
 
 
 def test_apdm_format_7_counts_microseconds():
@@ -424,6 +438,14 @@ def test_a_mobgap_table_in_metres_is_not_taken_for_g(tmp_path):
         InputError, match=r"wanted accelerations in g \(median near 1\), got a median of 9.8; give the units"
     ):
         read_record(tmp_path / "m.csv", settings=ReadSettings(sample_rate_hz=100.0))
+
+
+def test_samples_that_a_mobgap_table_does_not_number_are_gaps(tmp_path):
+    rows = "".join(f"{k},1,0,0,1,2,{k % 2}\n" for k in range(20) if k not in (7, 8))
+    (tmp_path / "m.csv").write_text("samples,acc_x,acc_y,acc_z,gyr_x,gyr_y,gyr_z\n" + rows)
+    read = read_counted(tmp_path / "m.csv", settings=ReadSettings(sample_rate_hz=100.0))
+    assert np.diff(read.record.time).max() == pytest.approx(0.03)
+    assert "2 of 20 samples missing by their numbers, seen as gaps in time" in read.notes
 
 
 def test_two_rates_in_one_trigno_sensor_are_refused(tmp_path):

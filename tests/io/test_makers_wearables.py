@@ -71,6 +71,12 @@ def test_apdm_files_that_are_not_are_refused(tmp_path):
         read_apdm(tmp_path / "c.csv")
 
 
+def test_an_apdm_header_without_one_axis_is_refused(tmp_path):
+    (tmp_path / "a.csv").write_text(apdm(["Upper"])[0].replace("Velocity/Y", "Velocitx/Y"))
+    with pytest.raises(FileFormatError, match="wanted all axes of Upper/Angular Velocity, got some; repair the header"):
+        read_apdm(tmp_path / "a.csv")
+
+
 def test_an_apdm_row_of_units_that_ends_early_names_the_column_without_one(tmp_path):
     lines = apdm(["Upper", "Lower"], temp=False)[0].split("\n")
     cells = lines[2].split(",")

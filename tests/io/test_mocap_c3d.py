@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from testkit.data import data_path
 from testkit.strategies import few, one_line
 from undrift.errors import FileFormatError, InputError
 from undrift.io.mocap import is_c3d, read_c3d
@@ -64,6 +65,28 @@ def test_a_packed_file_reads_as_its_plain_one(tmp_path):
     write(tmp_path / "m.c3d", np.ones((5, 2, 3)), ("A", "B"))
     (tmp_path / "m.c3d.gz").write_bytes(gzip.compress((tmp_path / "m.c3d").read_bytes()))
     np.testing.assert_array_equal(read_c3d(tmp_path / "m.c3d.gz").points, read_c3d(tmp_path / "m.c3d").points)
+
+
+def test_a_file_longer_than_its_header_promises_is_refused(tmp_path):
+    path = tmp_path / "m.c3d"
+    write(path, np.arange(60.0).reshape(5, 4, 3), ("A", "B", "C", "D"))
+    whole = path.read_bytes()
+    for count in (1, 511, 512):  # bytes that came in among the points shift all that follow
+        path.write_bytes(whole[:-100] + bytes(count) + whole[-100:])
+        with pytest.raises(FileFormatError, match=r"bytes as its header promises, got \d+; the file is damaged"):
+            read_c3d(path)
+
+
+def test_points_farther_than_a_laboratory_and_parameters_against_the_header_are_refused(tmp_path):
+    path = tmp_path / "m.c3d"
+    write(path, np.full((5, 3, 3), 2e6), ("A", "B", "C"))
+    with pytest.raises(FileFormatError, match=r"wanted positions up to 1e\+06, got 2e\+06; the file is damaged"):
+        read_c3d(path)
+    content = bytearray(data_path("c3d", "dec_int.c3d").read_bytes())
+    content[5632:5774] = bytes(142)  # the end of its parameters: ANALOG:USED
+    path.write_bytes(content)
+    with pytest.raises(FileFormatError, match="wanted 64 analog values a frame, got others in the parameters"):
+        read_c3d(path, up="z")
 
 
 def test_cut_empty_and_foreign_files_are_refused(tmp_path):

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from testkit.strategies import few, numbers, one_line
 from testkit.trc_text import trc
 from undrift.errors import FileFormatError, InputError
+from undrift.io.inspect import describe
 from undrift.io.mocap import read_trc
 
 
@@ -41,6 +42,17 @@ def test_a_row_that_ends_early_is_a_gap(tmp_path):
     found = read_trc(tmp_path / "m.trc", up="z")
     assert np.isnan(found.points[1, 1]).all()
     assert np.isfinite(found.points[1, 0]).all()
+    assert found.short_rows == 1
+    (finding,) = describe(tmp_path / "m.trc").findings[1:]
+    assert finding.text.startswith("Rows end before the last marker: in 1 rows; their last markers are read as lost")
+
+
+def test_a_row_that_ends_within_a_marker_is_refused(tmp_path):
+    lines = trc(np.ones((4, 2, 3)), ("A", "B")).splitlines()
+    lines[7] = "\t".join(lines[7].split("\t")[:-2])
+    (tmp_path / "m.trc").write_text("\n".join(lines))
+    with pytest.raises(FileFormatError, match="wanted 8 columns in line 8, got 6; the header disagrees"):
+        read_trc(tmp_path / "m.trc", up="z")
 
 
 @pytest.mark.parametrize(

@@ -101,6 +101,15 @@ def test_a_statement_beside_a_table_that_does_not_fit_it_is_refused(tmp_path, ch
         read_csv(tmp_path / "r.csv")
 
 
+@pytest.mark.parametrize("damage", [lambda t: t[:60], lambda t: t.replace("undrift.record", "undrift.recorb")])
+def test_a_statement_beside_a_table_that_is_damaged_is_refused(tmp_path, damage):
+    write_csv(CORRECTED, tmp_path / "r.csv")
+    beside = tmp_path / "r.csv.json"
+    beside.write_text(damage(beside.read_text()))
+    with pytest.raises(FileFormatError, match="wanted JSON as undrift wrote it, got it changed; restore the file"):
+        read_csv(tmp_path / "r.csv")
+
+
 @pytest.mark.parametrize("content", ["not json", '{"Manufacturer": "other"}', "[1]"])
 def test_a_json_of_another_program_beside_a_table_is_not_ours(tmp_path, content):
     write_csv(Record(time=[0.0, 1.0], gyro=np.zeros((2, 3))), tmp_path / "r.csv")

@@ -29,7 +29,7 @@ from pathlib import Path
 from typing import Annotated, Any, TypeVar, get_args, get_origin, get_type_hints
 
 from undrift.errors import FileFormatError, InputError
-from undrift.files import read_bytes, write_whole
+from undrift.files import LIMITS, read_tree, write_whole
 
 Value = TypeVar("Value")
 Result = TypeVar("Result")
@@ -462,7 +462,7 @@ def read(cls: type[Value], path: Path | str) -> Value:
 def toml_of(path: Path | str) -> tuple[Tree, str]:
     """Return what a file of TOML holds, and its text."""
     try:
-        text = read_bytes(path).decode("utf-8")
+        text = read_tree(path).decode("utf-8")
         return tomllib.loads(text), text
     except UnicodeDecodeError as error:
         raise FileFormatError(
@@ -474,6 +474,8 @@ def toml_of(path: Path | str) -> tuple[Tree, str]:
 
 def json_of(path: Path, cls: type) -> Any:
     """Return what a file of JSON holds; NaN and Infinity are no JSON."""
+    if path.is_file() and not LIMITS.holds(path.stat().st_size):
+        raise FileFormatError(LIMITS.over(path))
     try:
         return json.loads(path.read_text(encoding="utf-8"), parse_constant=_refuse_constant)
     except OSError as error:

@@ -369,7 +369,8 @@ def in_seconds(table: RawTable, column: Column) -> RawTable:
     """Return the table with a column of dates as s from the first; years first, time zones passed over."""
     at = table.position(column)
     values = table.columns[at]
-    values = values if isinstance(values, np.ndarray) else values.to_numpy()
+    if not isinstance(values, np.ndarray):  # bytes that are no UTF-8 are named below
+        values = (values.cast("binary") if str(values.type) == "string" else values).to_numpy()
     if values.dtype.kind != "M":
         hits = [_DATE.fullmatch(str(_text(cell)).strip()) for cell in values]
         bad = next((k for k, hit in enumerate(hits) if hit is None), None)

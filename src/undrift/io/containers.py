@@ -370,9 +370,9 @@ def read_nilspod(path: Path, _: Columns, settings: ReadSettings) -> ReadResult:
     """Read a NilsPod file with the factory's scale applied; gaps of the counter stay gaps in time."""
     content = read_bytes(path)
     wanted = content[0] + content[1] * struct.unpack_from("<I", content, 23)[0]
-    if len(content) < wanted:
+    if len(content) != wanted:
         raise FileFormatError(
-            f"{path}: wanted {wanted} bytes as its header states, got {len(content)}; the file is cut, copy it again"
+            f"{path}: wanted {wanted} bytes as its header states, got {len(content)}; the file is damaged, copy it again"
         )
     nilspodlib, version = load("nilspodlib", path, "nilspod"), ".".join(map(str, content[content[0] - 3 : content[0]]))
     legacy = "error" if version == "0.17.255" else "resolve"  # that is what conversion makes of older ones
@@ -396,6 +396,14 @@ def read_nilspod(path: Path, _: Columns, settings: ReadSettings) -> ReadResult:
     notes = [
         f"firmware {firmware}, {rate_hz:g} Hz, factory scale applied, no user calibration; magnetometer left out (no unit)"
     ]
+    start, end = struct.unpack_from("<II", content, 15)
+    lasts_s = (counter[-1] - counter[0]) / rate_hz
+    if abs(end - start - lasts_s) > 2.0 + 0.05 * lasts_s:
+        raise FileFormatError(
+            f"{path}: wanted {end - start} s as its header states, got {lasts_s:.4g} s; it is damaged"
+        )
+    lost = int(counter[-1] - counter[0]) + 1 - len(counter)
+    notes += [f"{lost} of {len(counter) + lost} samples missing by the counter, seen as gaps in time"] * (lost > 0)
     notes += [first_line(w.message) for w in caught if isinstance(w.message, UserWarning)]
     return build(path, (counter - counter[0]) / rate_hz, found, settings, notes, device=f"NilsPod {device}")
 
@@ -616,7 +624,12 @@ def read_geneactiv(path: Path, _: Columns, settings: ReadSettings) -> ReadResult
     b = bits.reshape(-1, 6).astype(np.int64)
     counts = np.stack((b[:, 0] << 4 | b[:, 1] >> 4, (b[:, 1] & 15) << 8 | b[:, 2], b[:, 3] << 4 | b[:, 4] >> 4), axis=1)
     rate_hz = rates.pop()
-    starts, fitted = _page_starts((stamps - stamps[0]).astype(np.int64) * 1e-3, number, rate_hz)
+    seconds, leap = (stamps - stamps[0]).astype(np.int64) * 1e-3, np.diff(number)
+    away = np.flatnonzero((leap < 1) | (abs(np.diff(seconds) * rate_hz / 300.0 - leap) > 0.5 + 0.02 * leap))
+    if len(away):
+        got = " and then ".join(f"{number[k]} at {seconds[k]:g} s" for k in (away[0], away[0] + 1))
+        raise FileFormatError(f"{path}: wanted pages in order, times as their numbers, got page {got}; it is damaged")
+    starts, fitted = _page_starts(seconds, number, rate_hz)
     step = np.append(np.where(np.diff(starts) < 330.0 / rate_hz, np.diff(starts) / 300.0, 1.0 / rate_hz), 1.0 / rate_hz)
     time = (starts[:, None] + np.arange(300) * step[:, None]).ravel()
     channels: dict[str, tuple[FloatArray, str]] = {
@@ -626,6 +639,7 @@ def read_geneactiv(path: Path, _: Columns, settings: ReadSettings) -> ReadResult
     source = f"page stamps of {len(kept)} pages" if fitted else f"the stated {rate_hz:g} Hz (page stamps have 0.5 s)"
     notes = [_clock(stamps[0]), f"sample times by {source}", "gain and offset of the maker's calibration are applied"]
     notes += [f"{missing} of {announced} pages are missing: the file is cut"] * (missing > 0)
+    notes += [f"{leap.sum() - len(leap)} pages missing by their numbers, seen as gaps in time"] * bool((leap > 1).any())
     found = build(
         path, time, channels, settings, notes, device=f"GENEActiv {fields.get('Device Unique Serial Code', '')}"
     )

@@ -18,7 +18,7 @@ from functools import cache
 from pathlib import Path
 
 from undrift.errors import FileFormatError, InputError
-from undrift.files import checked_file, read_bytes
+from undrift.files import checked_file, read_bytes, read_tree
 from undrift.io.arrays import hdf5_names, mat_arrays, mat_names, npz_arrays, read_mat, read_npz
 from undrift.io.clock import fit_clock
 from undrift.io.columns import READ_SETTINGS, ColumnMap, ReadResult, ReadSettings, is_date, is_native, is_number
@@ -123,7 +123,7 @@ def _is_json(path: Path, head: bytes) -> bool:
     if _suffix(path) == ".json" or _line(head, 0).lstrip()[:1] not in ("{", "["):
         return _suffix(path) == ".json"
     try:
-        json.loads(read_bytes(path))
+        json.loads(read_tree(path))
     except (ValueError, RecursionError):
         return False
     return True
@@ -149,9 +149,9 @@ def _is_labelled(path: Path, head: bytes) -> bool:
 
 def _is_prose(path: Path, head: bytes) -> bool:
     """Tell prose from a table: most lines of a table have as many separators as each other, or are numbers."""
-    if _suffix(path) in _PROSE:
-        return True
     lines = [line for line in head.decode("utf-8", "replace").splitlines()[:64] if line.strip()]
+    if _suffix(path) in _PROSE or not lines:
+        return True
     body = lines[1:-1][len(lines) // 2 - 1 :] or lines  # lines of text may stand before the rows
     for delimiter in (",", "\t", ";"):
         counts = [line.count(delimiter) for line in body]

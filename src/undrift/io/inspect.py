@@ -17,7 +17,7 @@ import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray, IntArray
 from undrift.errors import InputError
-from undrift.files import read_bytes
+from undrift.files import read_bytes, read_tree
 from undrift.findings import Finding, finding
 from undrift.io.arrays import Arrays, mat_arrays, npz_arrays
 from undrift.io.clock import ClockFit, host_stamps
@@ -703,6 +703,7 @@ def _reference(path: Path, name: str) -> Description:
         summary=f"{len(reference)} poses at {reference.sample_rate_hz:.6g} Hz, {seen} seen{more.rstrip(', ')}",
         columns=names,
         gaps=len(reference) - seen,
+        findings=tuple(_sampling(reference.time)),
         **_of_clock(reference),
     )
 
@@ -719,6 +720,7 @@ def _markers(path: Path, name: str, up: Up | None) -> Description:
     gap: BoolArray = np.any(np.isnan(markers.points), axis=2)
     never = [label for k, label in enumerate(markers.labels) if gap[:, k].all()]
     findings += [finding("recording.markers_never_seen", "warn", labels=never)] if never else []
+    findings += [finding("recording.short_rows", "warn", count=markers.short_rows)] if markers.short_rows else []
     return Description(
         path=str(path),
         kind="markers",
@@ -766,8 +768,9 @@ def _settings(path: Path, name: str, clock: Clock | None) -> Description:
         except InputError:
             summary = "TOML settings, not a column map"
         return Description(path=str(path), kind=kind, format=name, summary=summary)
+    content = read_tree(path)
     try:
-        held = json.loads(read_bytes(path))
+        held = json.loads(content)
     except (ValueError, RecursionError) as error:
         raise InputError(f"{path}: wanted JSON, got something else: {error}; repair the file") from error
     keys = held if isinstance(held, dict) else {}

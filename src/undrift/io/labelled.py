@@ -116,6 +116,9 @@ def open_sheet(path: str | Path, *, header: bool = True) -> Sheet:
     sheet = sheet_of(path, read_bytes(path))
     if sheet is None or (header and not any(sheet.names)):
         raise FileFormatError(f"{path}: wanted a header line over rows of numbers, got none; check the export")
+    first = _cells(sheet.rows.split(b"\n", 1)[0].decode("utf-8", "replace"), sheet.layout.delimiter)
+    if header and not sheet.names[-1] and len(first) == len(sheet.names) and first[-1]:
+        raise FileFormatError(f"{path}: wanted a name for each of {len(first)} columns, got fewer; repair the header")
     return sheet
 
 
@@ -505,6 +508,9 @@ def _notes(sheet: Sheet, triples: Triples) -> tuple[str, ...]:
     for channel, what in (("gyro", "turn rate"), ("accel", "acceleration"), ("mag", "magnetic field")):
         held = zip(sheet.names, sheet.labels, strict=True)
         bare = next((name for name, x in held if x and x.channel == channel and not x.unit), None)
+        axes = {x.axis for x in sheet.labels if x and x.channel == channel and x.unit}
+        if axes and channel not in triples:
+            notes.append(f"{what} left out: it has axes {', '.join(sorted(axes))} alone")
         if bare and channel not in triples:
             notes.append(f"{bare!r} left out: it has no unit of {'an' if what[0] == 'a' else 'a'} {what}")
     return tuple(notes)

@@ -41,7 +41,7 @@ import numpy as np
 
 from undrift.arrays import FloatArray
 from undrift.errors import FileFormatError, InputError
-from undrift.files import read_bytes
+from undrift.files import read_bytes, read_tree
 from undrift.io.columns import (
     AXES,
     READ_SETTINGS,
@@ -89,7 +89,8 @@ def _xsens_clock(sheet: Sheet, settings: ReadSettings) -> Sheet:
     if rate is None and fine is not None and np.isfinite(sheet.array((fine,))).all():
 
         def ticks(stamps: FloatArray) -> tuple[FloatArray, tuple[str, ...]]:
-            return 1e-4 * _unwrapped(stamps, 1 << 32), ("time from SampleTimeFine, 10 kHz by the manual of Xsens",)
+            seconds = 1e-4 * _unwrapped(sheet, stamps, 1 << 32)
+            return seconds, ("time from SampleTimeFine, 10 kHz by the manual of Xsens",)
 
         return replace(sheet, clock=ticks, counters=(fine,))
     if counter is None or rate is None:
@@ -97,7 +98,7 @@ def _xsens_clock(sheet: Sheet, settings: ReadSettings) -> Sheet:
     step_s = 1.0 / rate
 
     def clock(counts: FloatArray) -> tuple[FloatArray, tuple[str, ...]]:
-        packets = _unwrapped(counts, 1 << 16)
+        packets = _unwrapped(sheet, counts, 1 << 16)
         return packets * step_s, _lost(packets)
 
     return replace(sheet, clock=clock, counters=(counter,))
@@ -113,21 +114,25 @@ def _dot_clock(sheet: Sheet, _: ReadSettings = READ_SETTINGS) -> Sheet:
         )
 
     def clock(stamps: FloatArray, packets: FloatArray) -> tuple[FloatArray, tuple[str, ...]]:
-        return 1e-6 * (stamps[0] + _unwrapped(stamps, 1 << 32)), _lost(_unwrapped(packets, 1 << 32))
+        return 1e-6 * (stamps[0] + _unwrapped(sheet, stamps, 1 << 32)), _lost(_unwrapped(sheet, packets, 1 << 32))
 
     return replace(sheet, clock=clock, counters=(fine, counter))
 
 
-def _unwrapped(counts: FloatArray, size: int) -> FloatArray:
-    """Return a counter from 0 on, with its overflows undone."""
-    return np.concatenate(([0.0], np.cumsum(np.mod(np.diff(counts), size))))
+def _unwrapped(sheet: Sheet, counts: FloatArray, size: int) -> FloatArray:
+    """Return a counter from 0 on, with its overflows undone; a step of half its range and more is a step back."""
+    steps = np.mod(np.diff(counts), size)
+    if (back := np.flatnonzero(steps > size // 2)).size:
+        raise FileFormatError(
+            f"{sheet.path}: wanted a counter that goes forward, got {counts[back[0]]:.10g} and then {counts[back[0] + 1]:.10g} in "
+            f"data row {back[0] + 2}; it is damaged, or holds two recordings: cut it there"
+        )
+    return np.concatenate(([0.0], np.cumsum(steps)))
 
 
-def _lost(packets: FloatArray) -> tuple[str, ...]:
+def _lost(packets: FloatArray, what: str = "packets lost by PacketCounter") -> tuple[str, ...]:
     lost = int(packets[-1]) + 1 - len(packets) if len(packets) else 0
-    return (
-        (f"{lost} of {int(packets[-1]) + 1} packets lost by PacketCounter, seen as gaps in time",) if lost > 0 else ()
-    )
+    return (f"{lost} of {int(packets[-1]) + 1} {what}, seen as gaps in time",) if lost > 0 else ()
 
 
 def _with_readings(sheet: Sheet, _: ReadSettings) -> Sheet:
@@ -138,6 +143,15 @@ def _with_readings(sheet: Sheet, _: ReadSettings) -> Sheet:
         f"{sheet.path}: wanted Acc_X or Gyr_X columns, got orientations only; read the file as a `reference`",
         missing="readings",
     )
+
+
+def _numbered(sheet: Sheet, settings: ReadSettings) -> Sheet:
+    """Return a table that numbers its samples with a clock by these numbers, so that lost rows are gaps."""
+    numbers, rate = sheet.position("^samples$"), settings.sample_rate_hz
+    if numbers is None or rate is None:
+        return sheet
+    what = "samples missing by their numbers"
+    return replace(sheet, counters=(numbers,), clock=lambda n: ((n - n[0]) / rate, _lost(n - n[0], what)))
 
 
 # ---- Sensor Logger, SensorLog, mobgap
@@ -316,7 +330,9 @@ def read_apdm(path: str | Path, sensor: str | None = None) -> Record:
     held: dict[str, Any] = {"time": "Time", "time_unit": unit_of("Time")}
     for channel, quantity in (("gyro", "Angular Velocity"), ("accel", "Acceleration"), ("mag", "Magnetic Field")):
         names = tuple(f"{sensor}/{quantity}/{axis.upper()}" for axis in AXES)
-        if all(name in text.names for name in names):
+        if 0 < sum(name in text.names for name in names) < 3:
+            raise FileFormatError(f"{text.path}: wanted all axes of {sensor}/{quantity}, got some; repair the header")
+        if names[0] in text.names:
             held |= {channel: names, f"{channel}_unit": unit_of(names[0])}
     if (temp := f"{sensor}/Temperature/Scalar") in text.names:
         held |= {"temp": temp, "temp_unit": unit_of(temp)}
@@ -354,8 +370,10 @@ def _apdm7_labels(sheet: Sheet, _: ReadSettings) -> Sheet:
     sensor, kind = "", ""
     starts = [k for k, cell in enumerate(second) if cell == "Accelerometer"]
     tags = [cell for cell in first[1:] if cell][1::2]
+    if len(starts) != len(tags):
+        raise FileFormatError(f"{sheet.path}: wanted {len(tags)} accelerometers, got {len(starts)}; repair the header")
     for k in range(1, len(sheet.names)):
-        if k in starts and starts.index(k) < len(tags):
+        if k in starts:
             sensor = tags[starts.index(k)]
         kind = second[k] if k < len(second) and second[k] else kind
         channel, axis = kinds.get(kind), sheet.names[k].lower()
@@ -453,7 +471,7 @@ def _bids(path: Path) -> tuple[Sheet, list[dict[str, str]]]:
     lines = [line.split("\t") for line in as_utf8(read_bytes(channels)).decode().splitlines() if line.strip()]
     rows = [dict(zip(lines[0], (cell.strip() for cell in line), strict=False)) for line in lines[1:]]
     try:
-        rate = float(json.loads(read_bytes(settings))["SamplingFrequency"])
+        rate = float(json.loads(read_tree(settings))["SamplingFrequency"])
     except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise FileFormatError(f"{settings}: wanted SamplingFrequency in Hz, got none; add it") from error
     names = tuple(row.get("name", "") for row in rows)
@@ -741,7 +759,7 @@ DIALECTS: dict[str, Dialect] = {
         head=rb"\Asamples,acc_x,acc_y,acc_z,gyr_x",
         maker="mobgap",
         units={"accel": "g", "gyro": "dps"},
-        finish=(_in_g,),
+        finish=(_in_g, _numbered),
     ),
     "apdm7": Dialect(head=rb"\AFormat=7,", finish=(_apdm7_labels,)),
 }

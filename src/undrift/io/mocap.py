@@ -10,7 +10,7 @@ by the singular value decomposition of sum_k x_k c_k^T (Kabsch); frames with few
 """
 
 import tempfile
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -37,6 +37,7 @@ class Markers:
     time: FloatArray  # (N,), s, strictly increasing
     points: FloatArray  # (N, M, 3), m, frame n; NaN is a gap
     name: str = ""  # File
+    short_rows: int = 0  # Rows that end before the last marker
 
     def __post_init__(self) -> None:
         set_ = object.__setattr__
@@ -202,7 +203,7 @@ def _continuous_quaternions(turn: FloatArray) -> FloatArray:
 
 # ---- C3D, plain or gzip: integer and real storage; Intel, DEC and MIPS byte orders
 
-_MAGIC = 0x50
+_MAGIC, _FARTHEST = 0x50, 1e6  # in the unit of the file: 1 km in mm
 
 
 @boxed("ezc3d")
@@ -220,6 +221,9 @@ def read_c3d(path: str | Path, up: Up | None = None) -> Markers:
     # A point with a negative residual, or at exactly 0, 0, 0, was not seen.
     lost = np.asarray(held["data"]["meta_points"]["residuals"])[0] < 0.0
     xyz[lost | ~np.isfinite(xyz).all(axis=2) | (xyz == 0.0).all(axis=2)] = np.nan
+    farthest = float(np.abs(xyz).max(initial=0.0, where=np.isfinite(xyz)))
+    if farthest > _FARTHEST:
+        raise FileFormatError(f"{path}: wanted positions up to {_FARTHEST:g}, got {farthest:.3g}; the file is damaged")
     rate, first = float(held["header"]["points"]["frame_rate"]), int(held["header"]["points"]["first_frame"])
     if not rate > 0.0:
         raise FileFormatError(f"{path}: wanted a frame rate above 0, got {rate:g} Hz; the header is damaged")
@@ -246,22 +250,28 @@ def is_c3d(head: bytes) -> bool:
 def _load(path: Path) -> Any:
     ezc3d = load("ezc3d", path)
     content = read_bytes(path)
-    _check_size(content, path)
+    analogs, plain = _check_size(content, path), path
     try:
-        if not is_gzip(checked_file(path)):
-            return ezc3d.c3d(str(path))
         with tempfile.TemporaryDirectory() as folder:
-            plain = Path(folder) / "unpacked.c3d"
-            plain.write_bytes(content)
-            return ezc3d.c3d(str(plain))
+            if is_gzip(checked_file(path)):
+                plain = Path(folder) / "unpacked.c3d"
+                plain.write_bytes(content)
+            trial = ezc3d.c3d(str(plain))
     except (OSError, RuntimeError, ValueError, IndexError, KeyError) as error:
         raise FileFormatError(
             f"{path}: wanted a sound C3D file, got a damaged one; {str(error).splitlines()[0]}"
         ) from error
+    if (
+        analogs * trial["data"]["points"].shape[2] != trial["data"]["analogs"].size
+    ):  # else points are read at other places
+        raise FileFormatError(
+            f"{path}: wanted {analogs} analog values a frame, got others in the parameters; it is damaged"
+        )
+    return trial
 
 
-def _check_size(content: bytes, path: Path) -> None:
-    """Refuse what is not C3D, and a file shorter than its header promises, before the parser sees it."""
+def _check_size(content: bytes, path: Path) -> int:
+    """Return the analog values of a frame; refuse what is not C3D, or not as long as its header promises, before it is parsed."""
     if not is_c3d(content):
         raise FileFormatError(f"{path}: wanted a C3D file, got other content; check the path")
     block = (content[0] - 1) * 512
@@ -273,10 +283,11 @@ def _check_size(content: bytes, path: Path) -> None:
     real = bool(words[7 if processor == 1 else 6] & 0x8000)  # a negative scale marks storage in reals
     frames = last - first + 1 if last < 65535 else 0  # longer trials state their length in the parameters
     need = 512 * (start - 1) + frames * (4 * points + analogs) * (4 if real else 2)
-    if len(content) < need:
+    if len(content) < need or (frames and len(content) not in (need, -(-need // 512) * 512)):
         raise FileFormatError(
-            f"{path}: wanted {need} bytes as its header promises, got {len(content)}; the file is cut, copy it again"
+            f"{path}: wanted {need} bytes as its header promises, got {len(content)}; the file is damaged, copy it again"
         )
+    return analogs
 
 
 # ---- TRC, plain or gzip: four or five header lines, then frame, time and x, y, z of every marker
@@ -312,7 +323,7 @@ def read_trc(path: str | Path, up: Up | None = None) -> Markers:
     wanted = int(head["NumMarkers"])
     if len(labels) != wanted:
         raise FileFormatError(f"{path}: wanted {wanted} marker labels in line 4 (NumMarkers), got {len(labels)}")
-    time, cells = _rows(lines, 2 + 3 * wanted, path)
+    time, cells, short = _rows(lines, 2 + 3 * wanted, path)
     stated = int(head.get("NumFrames", "")) if head.get("NumFrames", "").isdigit() else 2
     if len(time) < max(stated, 2):
         raise FileFormatError(
@@ -320,16 +331,17 @@ def read_trc(path: str | Path, up: Up | None = None) -> Markers:
         )
     points = cells.reshape(len(time), wanted, 3) * si_factor(head["Units"], "length")
     points[~np.isfinite(points).all(axis=2) | (points == 0.0).all(axis=2)] = np.nan
-    return markers_of(path, labels, points, time, up=up, why="TRC")
+    return replace(markers_of(path, labels, points, time, up=up, why="TRC"), short_rows=short)
 
 
-def _rows(lines: list[str], width: int, path: Path) -> tuple[FloatArray, FloatArray]:
-    """Return time (N,) and cells (N, width - 2), short rows filled with NaN."""
+def _rows(lines: list[str], width: int, path: Path) -> tuple[FloatArray, FloatArray, int]:
+    """Return time (N,), cells (N, width - 2), and how many rows are short: they end after a marker, and are filled with NaN."""
     rows = [(number, line.split("\t")) for number, line in enumerate(lines[5:], start=6) if line.strip()]
     out = np.full((len(rows), width), np.nan)
     for row, (number, cells) in enumerate(rows):
         extra = [cell for cell in cells[width:] if cell.strip()]
-        if extra or len(cells) < 2:
+        torn = len(cells) < width and len("\t".join(cells).rstrip().split("\t")) % 3 != 2
+        if extra or len(cells) < 2 or torn:
             raise FileFormatError(
                 f"{path}: wanted {width} columns in line {number}, got {len(cells)}; the header disagrees"
             )
@@ -339,7 +351,7 @@ def _rows(lines: list[str], width: int, path: Path) -> tuple[FloatArray, FloatAr
             raise FileFormatError(
                 f"{path}: wanted numbers in line {number}, got text ({error}); repair the line"
             ) from error
-    return out[:, 1], out[:, 2:]
+    return out[:, 1], out[:, 2:], sum(len(cells) < width for _, cells in rows)
 
 
 # ---- BROAD trials: one HDF5 file holds the sensor and the optics on one clock

@@ -20,7 +20,8 @@ import numpy as np
 
 from undrift.arrays import FloatArray
 from undrift.errors import FileFormatError, InputError
-from undrift.files import checked_file, is_gzip, read_bytes, unwritten, write_whole
+from undrift.files import LIMITS, checked_file, is_gzip, read_bytes, read_tree, unwritten, write_whole
+from undrift.io.box import boxed
 from undrift.io.columns import (
     FORMAT,
     KIND,
@@ -102,11 +103,14 @@ def _read_sidecar(path: Path, names: Sequence[str], columns: ColumnMap) -> Colum
     beside = sidecar_of(path)
     if not beside.is_file():
         return columns
+    content = read_tree(beside) if beside.stat().st_size else b""
     try:
-        held = json.loads(beside.read_bytes())
+        held = json.loads(content)
     except (ValueError, RecursionError):
         held = None
     if not isinstance(held, dict) or held.get("kind") != KIND:
+        if b'"undrift.' in content:
+            raise FileFormatError(f"{beside}: wanted JSON as undrift wrote it, got it changed; restore the file")
         return columns  # of another program
     if held.get("format") != FORMAT:
         raise FileFormatError(
@@ -199,7 +203,17 @@ def _is_row(names: tuple[str, ...], decimal: str) -> bool:
 
 
 def parse_text(text: Text, wanted: tuple[Column, ...]) -> RawTable:
-    """Parse the rows of a text table."""
+    """Parse the rows of a text table; in a box where they may take too much memory."""
+    small = LIMITS.holds(text.path.stat().st_size if text.content is None else len(text.content))
+    return _parse(text, wanted) if small else _parse_boxed(text.path, text, wanted)
+
+
+@boxed("pyarrow.csv")
+def _parse_boxed(_: Path, text: Text, wanted: tuple[Column, ...]) -> RawTable:
+    return _parse(text, wanted)
+
+
+def _parse(text: Text, wanted: tuple[Column, ...]) -> RawTable:
     import pyarrow as pa
 
     positions = [find_column(text.names, column, str(text.path)) for column in wanted]
