@@ -1,9 +1,12 @@
-"""Damage sound inputs and read them: ``python -m tests.fuzz [-n 20000] [-j JOBS] [--seed 1] [--first 0] [WORD ...]`` from the root.
+"""Damage sound inputs and read them: ``python -m tests.fuzz [-n 20000] [-j JOBS] [--seed 1] [--first 0] [--cuts] [WORD ...]``.
 
-Every input is read in a worker with limits of memory (1 GB) and time. Printed is, for each kind of input, how many were read and
-refused, and how many ended as they must not: a crash, a hang, more than 1 GB, an error that is not undrift's, a file half written.
-Those are kept in build/fuzz/ as NAME-NUMBER; the same number and seed make the same input. WORD selects inputs by name.
-The exit code is 1 where there is one. A run that SIGTERM or Ctrl-C ends prints what it has, and where --first would go on.
+Every input is read in a worker with limits of memory (1 GB) and time; every tenth goes through `info` and `calibrate`, too. What is
+read of a damaged recording is compared with the sound one (oracle.py). Printed is, for each input, how many were equal, refused,
+read with a finding, and so on, and how many ended as they must not: SILENT, a crash, a hang, more than 1 GB, an error that is not
+undrift's, a file half written. Those are kept in build/fuzz/ as NUMBER-NAME; the same number and seed make the same input.
+A header that states something else for all rows, and that nothing in the file contradicts, is printed by itself. WORD selects
+inputs by name; with --cuts every input is cut short instead, a small one at every point, a large one at some. The exit code is 1
+where one ended as it must not. A run that SIGTERM or Ctrl-C ends prints what it has, and where --first would go on.
 """
 
 import argparse
@@ -16,32 +19,50 @@ import sys
 import tempfile
 import time
 from collections import Counter
+from dataclasses import dataclass
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
-from fuzz.inputs import BAD, Outcome, Seed, damaged, limit_memory, outcome, seeds
+from fuzz.inputs import BAD, Outcome, Seed, cut, cut_points, damaged, limit_memory, outcome, seeds
+from fuzz.oracle import KINDS
 
 HERE = Path(__file__).parent
 KEPT = Path("build", "fuzz")
 
 
-def content_of(seed: Seed, number: int, start: int) -> bytes:
-    """Return the input of a number."""
-    return damaged(seed.content, random.Random(f"{start} {number} {seed.name}"))
+COMMANDS = 10  # of so many inputs one goes through the commands as well
 
 
-def work(
-    held: list[Seed], start: int, todo: "mp.Queue[int]", done: "mp.Queue[tuple[int, int, Outcome | None]]"
-) -> None:
+@dataclass(frozen=True)
+class Plan:
+    """Which input a number stands for."""
+
+    held: list[Seed]
+    start: int
+    cuts: list[tuple[int, int]]  # input and point; none where inputs are damaged at random
+
+    def seed_of(self, number: int) -> Seed:
+        """Return the sound input of a number."""
+        return self.held[self.cuts[number][0] if self.cuts else number % len(self.held)]
+
+    def content_of(self, number: int) -> bytes:
+        """Return the damaged input of a number."""
+        seed = self.seed_of(number)
+        if self.cuts:
+            return cut(seed.content, self.cuts[number][1])
+        return damaged(seed.content, random.Random(f"{self.start} {number} {seed.name}"))
+
+
+def work(plan: Plan, todo: "mp.Queue[int]", done: "mp.Queue[tuple[int, int, Outcome | None]]") -> None:
     """Read inputs until there are none; say which one begins before it does."""
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # of the terminal: the main process ends this one
     limit_memory(1.0)
     while (number := todo.get()) >= 0:
         done.put((os.getpid(), number, None))
-        seed = held[number % len(held)]
         folder = Path(tempfile.mkdtemp(prefix="fuzz-"))
-        found = outcome(seed, content_of(seed, number, start), folder)
+        commands = number // len(plan.held) % COMMANDS == 0 and not plan.cuts
+        found = outcome(plan.seed_of(number), plan.content_of(number), folder, commands=commands)
         shutil.rmtree(folder)
         done.put((os.getpid(), number, found))
 
@@ -54,16 +75,23 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--first", type=int, default=0, help="number of the first input")
     parser.add_argument("--limit-s", type=float, default=60.0)
+    parser.add_argument("--cuts", action="store_true", help="cut inputs short")
     given = parser.parse_args()
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     held = [seed for seed in seeds() if not given.words or any(word in seed.name for word in given.words)]
+    points = [(k, at) for k, seed in enumerate(held) for at in cut_points(seed.content)] if given.cuts else []
+    plan = Plan(held, given.seed, points)
+    given.inputs = len(points) if given.cuts else given.inputs
+    for seed in held:  # once, before there are workers
+        if seed.sound is not None:
+            _ = seed.sound.place if seed.sound.is_text else seed.sound.anchors
     todo: mp.Queue[int] = mp.Queue()
     done: mp.Queue[tuple[int, int, Outcome | None]] = mp.Queue()
     for number in [*range(given.first, given.first + given.inputs), *[-1] * given.jobs]:
         todo.put(number)
 
     def started() -> mp.Process:
-        worker = mp.Process(target=work, args=(held, given.seed, todo, done))
+        worker = mp.Process(target=work, args=(plan, todo, done))
         worker.start()
         return worker
 
@@ -75,12 +103,14 @@ def main() -> int:
     def count(number: int, found: Outcome) -> None:
         nonlocal finished
         finished += 1
-        seed = held[number % len(held)]
-        counts[seed.name][found.kind] += 1
+        name = plan.seed_of(number).name
+        counts[name][found.kind] += 1
         if found.kind in BAD:
             KEPT.mkdir(parents=True, exist_ok=True)
-            (KEPT / f"{number}-{seed.name}").write_bytes(content_of(seed, number, given.seed))
-            print(f"{found.kind}: {KEPT / f'{number}-{seed.name}'}: {found.text[:300]}", flush=True)
+            (KEPT / f"{number}-{name}").write_bytes(plan.content_of(number))
+            print(f"{found.kind}: {KEPT / f'{number}-{name}'}: {found.text[:300]}", flush=True)
+        elif found.kind == "header value":
+            print(f"{found.kind}: {number}-{name}: {found.text[:200]}", flush=True)
 
     try:
         while finished < given.inputs:
@@ -115,7 +145,7 @@ def main() -> int:
             worker.kill()
     for worker in workers:
         worker.join()
-    kinds = ("read", "refused", *BAD)
+    kinds = ("read", *KINDS, *(kind for kind in BAD if kind not in KINDS))
     print(f"{'input':44}" + "".join(f"{kind:>13}" for kind in kinds))
     total: Counter[str] = Counter()
     for name, found in counts.items():
