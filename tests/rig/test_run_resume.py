@@ -12,6 +12,7 @@ import sys
 import time
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from testkit.data import show
@@ -47,7 +48,16 @@ def started(calls, before=""):
 
 def killed_at_random(bench, folder, protocol, kills, rng, tell=lambda line: None):
     """Kill runs with kill -9 and resume them, in a new folder when one is complete; return what was counted."""
-    counted = {"kills": 0, "at rest": 0, "dwells kept": 0, "dwells lost": 0, "folders complete": 0}
+    counted = {
+        "kills": 0,
+        "at rest": 0,
+        "dwells kept": 0,
+        "dwells lost": 0,
+        "folders complete": 0,
+        "silently different": 0,
+    }
+    started(words(bench, protocol, folder / "whole")).communicate(timeout=240.0)
+    whole_run = dwells_of(folder / "whole")
     held: dict[str, str] = {}  # pieces on the disk: name -> sha256
     path = folder / "run1"
     while counted["kills"] < kills or held:
@@ -80,6 +90,7 @@ def killed_at_random(bench, folder, protocol, kills, rng, tell=lambda line: None
             assert json.loads(out)["dwells"] == 9
             session = read_session(path)
             assert (len(session.turns), len(session.stills)) == (6, 3)
+            counted["silently different"] += not alike(dwells_of(path), whole_run)
             counted["folders complete"] += 1
             counted["at rest"] -= 1
             path, held = folder / f"run{counted['folders complete'] + 1}", {}
@@ -91,13 +102,38 @@ def sha256_of(path):
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
-@pytest.mark.parametrize("kills", [3, pytest.param(50, marks=pytest.mark.long)])
+def dwells_of(path):
+    """Return axis or face of each dwell, its rate in deg/s, and the mean readings over it in counts."""
+    session, found = read_session(path), []
+    for part in (*session.stills, *session.turns):
+        record = session.records[part.recording]
+        means = [getattr(record, name)[part.start : part.stop].mean(axis=0) for name in ("gyro", "accel")]
+        turn = hasattr(part, "turn_rate")
+        found.append((part.axis if turn else part.face, part.turn_rate / DPS if turn else 0.0, means))
+    return sorted(found, key=lambda dwell: (str(dwell[0]), dwell[1]))
+
+
+def alike(one, other):
+    """Compare dwells: the rate to 0.1 deg/s, mean readings to 3 and 6 counts: 0.2 deg/s and 1.5 mg, five times their noise."""
+    return len(one) == len(other) and all(
+        str(a[0]) == str(b[0]) and abs(a[1] - b[1]) < 0.1
+        and all(np.abs(x - y).max() < limit for x, y, limit in zip(a[2], b[2], (3.0, 6.0), strict=True))
+        for a, b in zip(one, other, strict=True)
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("kills", [3, pytest.param(60, marks=pytest.mark.long)])
 def test_kill_9_at_random_instants_leaves_a_table_at_rest_and_loses_nothing(tmp_path, kills):
     write_protocol(LONGER, tmp_path / "protocol.toml")
     with start_bench(EmulatedBenchSettings(rig=EmulatorSettings(speed=SPEED))) as bench:
         counted = killed_at_random(bench, tmp_path, tmp_path / "protocol.toml", kills, random.Random(5))
     show("kill -9 at random instants", counted)
-    assert (counted["kills"], counted["at rest"], counted["dwells lost"]) == (kills, kills, 0)
+    assert (counted["kills"], counted["at rest"], counted["dwells lost"], counted["silently different"]) == (
+        kills,
+        kills,
+        0,
+        0,
+    )
     assert counted["folders complete"] >= 1
 
 
