@@ -308,7 +308,7 @@ class Refused(ValueError):
         self.place = tuple(part for part in problem["loc"] if not _is_branch(part))
         self.cause = problem.get("ctx", {}).get("error") if problem["type"] == "value_error" else None
         self.near = ""
-        if problem["type"] == "extra_forbidden":
+        if problem["type"] == "extra_forbidden" and self.place:
             near = difflib.get_close_matches(str(self.place[-1]), sorted(known - {self.place[-1]}), n=1, cutoff=0.7)
             self.near = f" (nearest known key: {near[0]})" if near else ""
         super().__init__(self.in_json())
