@@ -21,7 +21,7 @@ from undrift.arrays import BoolArray, FloatArray, IntArray
 from undrift.calibration.adc import code_steps, code_variance, limited_by_codes
 from undrift.calibration.checks import check_axis_order, check_own_scale, check_range, stuck_windows
 from undrift.calibration.creep import Creep, Kind, creep_of
-from undrift.calibration.norm import WEAKEST, NormFit, check_count, fit_norm, judged
+from undrift.calibration.norm import QUADRATIC_SD, WEAKEST, NormFit, check_count, fit_norm, judged
 from undrift.calibration.observe import Observed, Outcome
 from undrift.errors import InputError, NotObservable, PoorFit
 from undrift.findings import Finding, above, finding
@@ -824,6 +824,7 @@ def _attempt(
                 cross_axis=settings.cross_axis,
                 prior_sd=prior_sd,
                 creep=creep,
+                quadratic_sd=0.0 if published else QUADRATIC_SD,
             )
     trial = ThresholdTrial(
         multiple=multiple,

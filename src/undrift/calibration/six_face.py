@@ -9,9 +9,14 @@ The axis that points up reads +g: face "+x" is the column (g, 0, 0) of L, face "
 A face tilted by d reads g d on the two axes that should read nothing and g (1 - d^2 / 2) on its own: on-axis equations keep the
 sigma of the noise, cross-axis ones have hypot(noise, g sigma_tilt). Six spare equations hardly estimate sigma_tilt, so the fit
 is averaged over all values they allow; its 95 % intervals cover 93-97 % at any tilt.
+
+A quadratic term q_i of each sensor adds k_i q_i up_i^2: to its own two faces alike, and nothing to the other four. Only as far as
+these lie level do six faces tell it from the offset. It has the prior of norm.py, or what that finds where the session holds more
+rests, such as the eight corners of a cube.
 """
 
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Literal
@@ -39,8 +44,9 @@ from undrift.calibration.creep import (
     size_unit,
 )
 from undrift.calibration.dwells import mountings
+from undrift.calibration.norm import QUADRATIC_SD, fit_norm, quadratic_findings
 from undrift.calibration.observe import Observed, Outcome, spans_of, whole_readings, with_offset
-from undrift.errors import InputError, NotObservable
+from undrift.errors import InputError, NotObservable, PoorFit
 from undrift.findings import Finding, finding
 from undrift.fit.equations import (
     Equations,
@@ -93,6 +99,7 @@ from undrift.units import RADIAN_PER_DEGREE, is_physical, si_factor
 _EVIDENCE = 2.0  # twice the gain of log-likelihood of a tilt that is reported: 8 % false alarms on a level plane
 _LARGEST = 0.2  # rad
 _GRID = 120
+_CORNERS = 8  # rests beside the faces from which on their lengths are asked for the quadratic terms
 _SMALL_TILT = 0.1  # of noise / g: the tilt that E1 takes as none
 
 
@@ -201,15 +208,22 @@ class FaceMeans:
     tilt: FloatArray | None = None
     creep: Creep | None = None  # Of the session's temperature
     flicker: FloatArray | None = None  # (P, P), covariance of the offset by flicker, ``unit`` squared
+    quadratic_sd: FloatArray | None = None  # (3,), of what is left of the quadratic terms, 1/(m/s2); None for no such term
+
+    def gain(self, gravity: float) -> FloatArray:
+        """Return the reading per m/s2 of each sensor on its own axis, (3,)."""
+        design = np.column_stack((gravity * face_vectors(self.faces), np.ones(len(self.faces))))
+        return np.asarray(np.diag(np.linalg.lstsq(design, self.reading, rcond=None)[0][:3]))
 
     def in_common(self, gravity: float) -> dict[str, FloatArray]:
         """Return the covariances (3, P, P) of what moves the readings of a sensor together, ``unit`` squared, by source."""
         parts = {} if self.flicker is None else {"instability": np.stack((self.flicker, self.flicker, self.flicker))}
+        up, gain = gravity * face_vectors(self.faces), self.gain(gravity)
         if self.creep is not None and not self.creep.none:
-            up = gravity * face_vectors(self.faces)
-            design = np.column_stack((up, np.ones(len(up))))
-            gain = np.diag(np.linalg.lstsq(design, self.reading, rcond=None)[0][:3])
             parts["temperature"] = np.stack([self.creep.covariance(up[:, j], float(gain[j])) for j in range(3)])
+        if self.quadratic_sd is not None:
+            bend = (gain * self.quadratic_sd * up**2).T
+            parts["nonlinearity"] = bend[:, :, None] * bend[:, None, :]
         return parts
 
 
@@ -383,6 +397,8 @@ def calibrate_faces(seen: Observed, mode: str | None, accel: TriadFit | None = N
         used, findings = "affine", (*findings, finding("six_face.short_faces", "warn"))
     if used == "levelled":
         poses = _by_mounting(seen, poses)
+    poses, found = _straightened(seen, poses)
+    findings = (*findings, *found)
     offset = None
     if used == "paper" and settings.remove_offset:
         # Opposite faces cancel: the mean over the six, each counted once, is an estimate of the offset.
@@ -397,6 +413,25 @@ def calibrate_faces(seen: Observed, mode: str | None, accel: TriadFit | None = N
         variance = variance + sum((part @ share @ share for part in moving), np.zeros(3))
         fit = with_offset(fit, offset, variance)
     return Outcome(fit=fit, method="six-face", findings=findings, used=seen.faced)
+
+
+def _straightened(seen: Observed, poses: FaceMeans) -> tuple[FaceMeans, tuple[Finding, ...]]:
+    """Return poses without the quadratic terms that rests beside the faces show, with what is left of these."""
+    session, q, sd = seen.session, np.zeros(3), np.full(3, QUADRATIC_SD)
+    windows = [whole_readings(session.records[s.recording].accel, s.start, s.stop) for s in seen.stills]
+    noise = noise_of_means(windows, [block_size(session.records[s.recording].sample_rate_hz) for s in seen.stills])
+    if noise is not None and len(seen.stills) - len(seen.faced) >= _CORNERS:
+        with suppress(PoorFit):
+            fit = fit_norm(
+                np.array([window.mean(axis=0) for window in windows]), gravity=session.gravity_m_s2, variances=noise**2,
+                prior_sd=seen.settings.cross_axis_prior, creep=creep_of(seen, seen.stills, "accel"),
+                quadratic_sd=QUADRATIC_SD,
+            )  # fmt: skip
+            q, sd = fit.quadratic, fit.quadratic_sd
+    gravity = session.gravity_m_s2
+    bend = q * poses.gain(gravity) * (gravity * face_vectors(poses.faces)) ** 2
+    findings = tuple(quadratic_findings(q, sd, gravity, unseen="info"))
+    return replace(poses, reading=poses.reading - bend, quadratic_sd=sd), findings
 
 
 def _by_mounting(seen: Observed, poses: FaceMeans) -> FaceMeans:
