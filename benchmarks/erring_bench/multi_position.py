@@ -37,6 +37,7 @@ class Case:
     flicker: bool = False
     thermometer: bool = True
     warm_s: float | None = None  # Time constant of a rise that is not even
+    step_c: float | None = None  # Of the thermometer
     steep: float = 1.0  # Slopes over temperature, in those that the fit states
     quadratic: float = 0.0  # Standard deviation of the accelerometers' terms, per m/s2
     g_dps_per_g: float = 0.0  # Of each element of the gyroscopes' g-sensitivity
@@ -51,9 +52,10 @@ CASES = {
     "10 bit": Case(bits=10),
     "flicker 8 deg/h, 0.05 mg": Case(flicker=True),
     "creep 1 degC, 12 bit, flicker": Case(creep_c=1.0, bits=12, flicker=True),
+    "creep 1 degC, thermometer in steps of 1 degC": Case(creep_c=1.0, step_c=1.0),
     "creep 1 degC, slopes of 0.8 mg/K": Case(creep_c=1.0, steep=1.6),
     "creep 1 degC in 60 s": Case(creep_c=1.0, warm_s=60.0),
-    "12 poses, quadratic 1e-4": Case(quadratic=1e-4, poses=12),
+    "12 poses, quadratic 2e-4": Case(quadratic=2e-4, poses=12),
     "18 poses, quadratic 1e-4": Case(quadratic=1e-4),
     "18 poses, quadratic 5e-4": Case(quadratic=5e-4),
     "24 poses, quadratic 1e-4": Case(quadratic=1e-4, poses=24),
@@ -96,7 +98,8 @@ def drawn(case: Case, rng: np.random.Generator) -> tuple[Session, list[tuple[np.
         for k, chain in enumerate((device.gyro, device.accel))
     )
     if case.steep != 1.0:
-        assert accel.offset is not None and accel.thermal_scale is not None
+        assert accel.offset is not None
+        assert accel.thermal_scale is not None
         steeper = replace(accel.offset, per_k=case.steep * accel.offset.per_k)
         accel = replace(accel, offset=steeper, thermal_scale=ThermalScale(per_k=case.steep * accel.thermal_scale.per_k))
     bent = Nonlinearity(quadratic=rng.normal(0.0, case.quadratic, 3)) if case.quadratic else None
@@ -107,6 +110,8 @@ def drawn(case: Case, rng: np.random.Generator) -> tuple[Session, list[tuple[np.
     temp_c = even_rise(case.creep_c, len(motion))
     if case.warm_s is not None:
         temp_c = 25.0 - case.creep_c * np.exp(-motion.time / case.warm_s)
+    if case.step_c is not None:
+        device = replace(device, thermometer=replace(device.thermometer, step_c=case.step_c))
     shown = simulate_device(device, motion, rng=rng, temp_c=temp_c)
     assert shown.record.gyro is not None
     record = replace(shown.record, gyro=shown.record.gyro / COUNTS_PER_DPS, gyro_unit="dps")

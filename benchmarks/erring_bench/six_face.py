@@ -17,7 +17,7 @@ from undrift.calibration.six_face import calibrate_faces
 from undrift.model import Verdict
 from undrift.record import FACES, Session
 from undrift.sim.bench_errors import BenchErrors
-from undrift.sim.device.effects import Nonlinearity, ThermalScale
+from undrift.sim.device.effects import Nonlinearity
 from undrift.sim.device.presets import random_device
 from undrift.sim.device.simulate import simulate_device
 from undrift.sim.device.truth import true_calibration
@@ -41,7 +41,7 @@ class Case:
     bits: int | None = None
     flicker: bool = False
     thermometer: bool = True
-    steep: float = 1.0  # Slopes over temperature, in those that the fit states
+    step_c: float | None = None  # Of the thermometer
     quadratic: float = 0.0  # Standard deviation of the terms, per m/s2
     corners: bool = False  # Then a rest on each corner of a cube
 
@@ -57,8 +57,7 @@ CASES = {
     "10 bit": Case(bits=10),
     "flicker 0.05 mg": Case(flicker=True),
     "all together": Case(creep_c=1.0, level=0.2 * DEG, bits=10, flicker=True),
-    "creep 1 degC, slopes of 0.8 mg/K": Case(creep_c=1.0, steep=1.6),
-    "level 0.1 deg, creep 1 degC, slopes of 0.8 mg/K": Case(creep_c=1.0, level=0.1 * DEG, steep=1.6),
+    "creep 1 degC, thermometer in steps of 1 degC": Case(creep_c=1.0, step_c=1.0),
     "quadratic 1e-4": Case(quadratic=1e-4),
     "quadratic 2e-4, level 0.1 deg": Case(quadratic=2e-4, level=0.1 * DEG),
     "quadratic 1e-4, level 0.1 deg": Case(quadratic=1e-4, level=0.1 * DEG),
@@ -93,16 +92,14 @@ def drawn(case: Case, rng: np.random.Generator) -> tuple[Session, np.ndarray, np
     accel = chain_that_errs(
         device.accel, bits=case.bits, span=RANGE, flicker=flicker, random_walk=None, thermal_scale=drawn_slope(rng)
     )
-    if case.steep != 1.0:
-        assert accel.offset is not None and accel.thermal_scale is not None
-        steeper = replace(accel.offset, per_k=case.steep * accel.offset.per_k)
-        accel = replace(accel, offset=steeper, thermal_scale=ThermalScale(per_k=case.steep * accel.thermal_scale.per_k))
     if case.quadratic:
         accel = replace(accel, nonlinearity=Nonlinearity(quadratic=rng.normal(0.0, case.quadratic, 3)))
     device = replace(device, accel=accel)
     bench = BenchSettings(sample_rate_hz=50.0, errors=BenchErrors(face_tilt=case.level))
     motion = _with_corners(bench, rng) if case.corners else bench_motion("six_face", rng=rng, settings=bench)
     temp_c = even_rise(case.creep_c, len(motion))
+    if case.step_c is not None:
+        device = replace(device, thermometer=replace(device.thermometer, step_c=case.step_c))
     shown = simulate_device(device, motion, rng=rng, temp_c=temp_c)
     record = shown.record if case.thermometer else replace(shown.record, temp_c=None)
     assert record.gyro is not None

@@ -42,7 +42,7 @@ WEAKEST = 0.02  # rms change of length, in g, per unit of a parameter that still
 CROSS = np.array([1, 2, 4])  # of p: m_xy, m_xz, m_yz
 _START = np.array([1.0, 0.0, 0.0, 1.0, 0.0, 1.0, 0.0, 0.0, 0.0])
 PART = 0.3  # of a combination of parameters: a parameter with this part in it belongs to it
-QUADRATIC_SD = 2e-4  # s_q, 1/(m/s2): data sheets state 0.5 % of +-2 g and 2 % of +-8 g, 2.5e-4 as a bound or typical
+QUADRATIC_SD = 2e-4  # s_q, 1/(m/s2): MPU-6050, ICM-20948 and BMI160 state 0.5 % of the range, 2.5e-4 where that is 2 g
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -53,7 +53,7 @@ class NormFit:
     scale: float  # k, m/s2 per raw unit
     p: FloatArray  # (9,), m'_xx m'_xy m'_xz m'_yy m'_yz m'_zz (1), o'_x o'_y o'_z (m/s2)
     covariance: FloatArray  # (9, 9), of p; zeros where held, NaN where the equations are singular
-    residuals: FloatArray  # (K,), length less gravity, m/s2
+    residuals: FloatArray  # (K,), length less gravity and what quadratic terms make, m/s2
     condition: float  # Condition number of the design, columns scaled to one
     # Least rms change of length, in g, that one unit of any combination of parameters makes (1, and g for offsets)
     weakest: float
@@ -129,13 +129,14 @@ def fit_norm(
     root = stated.root(variance, shared)
     weighed = np.vstack((whitened(root, design[:, free]), prior[:, free] / (prior_sd or 1.0)))
     covariance[np.ix_(free, free)] = covariance_of(weighed)
-    left = _moved(root, shared, residuals, weighed)[1]
+    z, left = _moved(root, shared, residuals, weighed)
+    bent = shared[:, -3:] @ z[-3:] if quadratic_sd else 0.0
     return NormFit(
         center=center,
         scale=scale,
         p=p,
         covariance=covariance,
-        residuals=residuals,
+        residuals=residuals - bent,
         condition=scaled_condition(seen)[1],
         weakest=weakest,
         unseen=tuple(NAMES[i] for i in free[share > PART * share.max()]),
@@ -169,10 +170,11 @@ class _Stated(NamedTuple):
 
     def root(self, variance: FloatArray, shared: FloatArray) -> FloatArray:
         """Return what whitens lengths of a variance each, (K,), that N moves together."""
-        return np.asarray(roots(np.sqrt(variance), shared @ shared.T if shared.size else np.zeros(1))[0])
+        together = shared @ shared.T if shared.size else np.zeros(1)
+        return np.asarray(roots(np.sqrt(variance + 1e-13 * together.max()), together)[0])
 
 
-def _moved(root: FloatArray, shared: FloatArray, residuals: FloatArray, design: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _moved(root: FloatArray, shared: FloatArray, residuals: FloatArray, design: FloatArray) -> tuple[FloatArray, ...]:
     """Return the most likely z and its variance, which the parameters of a whitened design (R, P) share."""
     white = whitened(root, shared)
     rows = np.vstack((white, np.zeros((len(design) - len(white), white.shape[1]))))
@@ -187,15 +189,16 @@ def _settled(
     """Return whether there is a minimum, p, the variance of each length (K,) and q; prior (R, 9) in standard deviations."""
     converged, p, q = True, _START, np.zeros(3)
     # What is stated first: from a large excess the fit would explain quadratic terms by it
-    variance = np.where(stated.variances.all(), stated.variances.mean(axis=1), 1.0)
+    variance = np.asarray(stated.variances.mean(axis=1)) + float(not stated.variances.all())
     for _ in range(rounds):
         before, shared = p, stated.shared(v, p, _linearised(v, p, gravity)[0], q)
         root = stated.root(variance, shared)
         p, converged = _descend(v, root, p, gravity, free, prior)
         design, residuals = _linearised(v, p, gravity)
         z, left = _moved(root, shared, residuals, np.vstack((whitened(root, design[:, free]), prior[:, free])))
-        moved, q = shared @ z, stated.quadratic_sd * z[-3:] if stated.quadratic_sd else q
-        spare = len(v) - len(free) + len(prior) - float((1.0 - left).sum())  # less the degrees of freedom that N z takes
+        moved = shared @ z
+        q = np.asarray(stated.quadratic_sd * z[-3:]) if stated.quadratic_sd else q
+        spare = len(v) - len(free) + len(prior) - float((1.0 - left).sum())  # less what N z takes
         own = (design[:, 6:] ** 2 * stated.variances).sum(axis=1)  # d length / d reading = M'^T n
         variance = own + excess_variance(residuals - moved, own, spare)
         variance = np.maximum(variance, (1e-12 * gravity) ** 2)
@@ -335,18 +338,17 @@ def _advice(corrected: FloatArray, unseen: tuple[str, ...]) -> str:
     return "add poses on the sides, edges and corners that are missing"
 
 
-_UNSEEN = 0.2  # of s_q: with more of it left, the poses do not show the quadratic terms; 18 free poses leave 0.12, 12 leave 0.7
+_UNSEEN = 0.35  # of s_q: with more of it left, the poses do not show the quadratic terms; 18 free poses leave 0.12, 12 leave 0.7
 
 
-def quadratic_findings(
-    q: FloatArray, sd: FloatArray, gravity: float, *, unseen: Level = "warn"
-) -> Iterator[Finding]:
+def quadratic_findings(q: FloatArray, sd: FloatArray, gravity: float, *, unseen: Level = "warn") -> Iterator[Finding]:
     """Return what is known of quadratic terms (3,) with standard uncertainties, 1/(m/s2)."""
     mg = gravity**2 / MG
     if sd.max() > _UNSEEN * QUADRATIC_SD:
         tilt_deg = float(sd.max()) * gravity / RADIAN_PER_DEGREE
-        yield finding("accel.quadratic_unseen", unseen, size_mg=float(sd.max()) * mg, tilt_deg=tilt_deg)
+        yield finding("quadratic.unseen", unseen, size_mg=float(sd.max()) * mg, tilt_deg=tilt_deg)
     sure = np.abs(q) > 3.0 * sd
     if sure.any():
         axis = int(np.argmax(np.where(sure, np.abs(q), 0.0)))
-        yield finding("accel.quadratic", "info", axis=AXES[axis], size_mg=q[axis] * mg, uncertainty_mg=2.0 * sd[axis] * mg)
+        size_mg, uncertainty_mg = q[axis] * mg, 2.0 * sd[axis] * mg
+        yield finding("quadratic.fitted", "info", axis=AXES[axis], size_mg=size_mg, uncertainty_mg=uncertainty_mg)

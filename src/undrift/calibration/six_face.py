@@ -16,7 +16,6 @@ rests, such as the eight corners of a cube.
 """
 
 from collections.abc import Iterator, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Literal
@@ -208,7 +207,7 @@ class FaceMeans:
     tilt: FloatArray | None = None
     creep: Creep | None = None  # Of the session's temperature
     flicker: FloatArray | None = None  # (P, P), covariance of the offset by flicker, ``unit`` squared
-    quadratic_sd: FloatArray | None = None  # (3,), of what is left of the quadratic terms, 1/(m/s2); None for no such term
+    quadratic_sd: FloatArray | None = None  # (3,), of quadratic terms, 1/(m/s2); None for none
 
     def gain(self, gravity: float) -> FloatArray:
         """Return the reading per m/s2 of each sensor on its own axis, (3,)."""
@@ -223,7 +222,8 @@ class FaceMeans:
             parts["temperature"] = np.stack([self.creep.covariance(up[:, j], float(gain[j])) for j in range(3)])
         if self.quadratic_sd is not None:
             bend = (gain * self.quadratic_sd * up**2).T
-            parts["nonlinearity"] = bend[:, :, None] * bend[:, None, :]
+            least = (1e-6 * bend.max(axis=1)) ** 2  # readings without noise
+            parts["nonlinearity"] = bend[:, :, None] * bend[:, None, :] + least[:, None, None] * np.eye(len(up))
         return parts
 
 
@@ -417,21 +417,26 @@ def calibrate_faces(seen: Observed, mode: str | None, accel: TriadFit | None = N
 
 def _straightened(seen: Observed, poses: FaceMeans) -> tuple[FaceMeans, tuple[Finding, ...]]:
     """Return poses without the quadratic terms that rests beside the faces show, with what is left of these."""
-    session, q, sd = seen.session, np.zeros(3), np.full(3, QUADRATIC_SD)
+    session, gravity, q, unseen = seen.session, seen.session.gravity_m_s2, np.zeros(3), np.full(3, QUADRATIC_SD)
+    nothing = replace(poses, quadratic_sd=unseen), tuple(quadratic_findings(q, unseen, gravity, unseen="info"))
     windows = [whole_readings(session.records[s.recording].accel, s.start, s.stop) for s in seen.stills]
     noise = noise_of_means(windows, [block_size(session.records[s.recording].sample_rate_hz) for s in seen.stills])
-    if noise is not None and len(seen.stills) - len(seen.faced) >= _CORNERS:
-        with suppress(PoorFit):
-            fit = fit_norm(
-                np.array([window.mean(axis=0) for window in windows]), gravity=session.gravity_m_s2, variances=noise**2,
-                prior_sd=seen.settings.cross_axis_prior, creep=creep_of(seen, seen.stills, "accel"),
-                quadratic_sd=QUADRATIC_SD,
-            )  # fmt: skip
-            q, sd = fit.quadratic, fit.quadratic_sd
-    gravity = session.gravity_m_s2
-    bend = q * poses.gain(gravity) * (gravity * face_vectors(poses.faces)) ** 2
-    findings = tuple(quadratic_findings(q, sd, gravity, unseen="info"))
-    return replace(poses, reading=poses.reading - bend, quadratic_sd=sd), findings
+    if noise is None or poses.noise is None or len(seen.stills) - len(seen.faced) < _CORNERS:
+        return nothing
+    try:
+        fit = fit_norm(
+            np.array([window.mean(axis=0) for window in windows]), gravity=gravity, variances=noise**2,
+            prior_sd=seen.settings.cross_axis_prior, creep=creep_of(seen, seen.stills, "accel"), quadratic_sd=QUADRATIC_SD,
+        )  # fmt: skip
+    except PoorFit:
+        return nothing
+    gain = poses.gain(gravity)
+    bend = fit.quadratic * gain * (gravity * face_vectors(poses.faces)) ** 2
+    # The noise of the faces is in both: the offset shall be as uncertain as that of the lengths
+    variance = np.diag(fit.covariance)[6:] - 0.5 * (poses.noise**2).mean(axis=0) / gain**2
+    left = np.minimum(np.sqrt(np.maximum(variance, 0.0)) / gravity**2, QUADRATIC_SD)
+    findings = tuple(quadratic_findings(fit.quadratic, fit.quadratic_sd, gravity, unseen="info"))
+    return replace(poses, reading=poses.reading - bend, quadratic_sd=left), findings
 
 
 def _by_mounting(seen: Observed, poses: FaceMeans) -> FaceMeans:
