@@ -310,3 +310,19 @@ def test_a_range_that_is_too_small_leaves_the_accelerometer_and_says_why_there_i
     np.testing.assert_allclose(fit.accel.model.matrix, ACCEL, atol=0.005)
     with pytest.raises(Implausible, match=r"accelerometer in still poses: wanted [xyz] readings inside the range"):
         fit_multi_position(replace(record, accel=record.accel.clip(-8.5, 8.5)), gravity=G, stills=MOTION.stills)
+
+
+def test_rests_show_g_sensitivity_and_the_offset_is_that_under_no_force() -> None:
+    rng, scaled = np.random.default_rng(12), []
+    for seed in range(25):
+        record, h = recorded(seed), rng.normal(0.0, np.radians(0.1) / G, (3, 3))
+        assert record.gyro is not None
+        felt = replace(record, gyro=record.gyro + MOTION.force_b @ h.T)
+        gyro = fit_multi_position(felt, gravity=G, stills=MOTION.stills).gyro
+        assert gyro is not None
+        assert gyro.model.g_sensitivity is not None
+        sigma = gyro.model.standard_uncertainty
+        scaled.append((gyro.model.offset - GYRO_OFFSET) / sigma[9:12])
+        np.testing.assert_allclose(gyro.model.g_sensitivity, GYRO @ h, atol=5.0 * sigma[12:].max())
+    assert 0.87 < float((np.abs(scaled) < 1.96).mean()) <= 1.0  # 75 offsets: 2.5 % one sigma; 80 % without H
+    assert np.degrees(sigma[9:12]).max() < 0.002
