@@ -276,8 +276,8 @@ def offset_prior(
     for axis in range(3):
         stated = np.maximum(noise[axis] / count, 1e-30)
         for _ in range(3 if columns else 1):  # drift and jitter are those of what H leaves
-            left = reading[:, axis] - felt @ g[axis]
-            walk, jitter = _walk_and_jitter(left[rest], stated[rest], columns)
+            residual = reading[:, axis] - felt @ g[axis]
+            walk, jitter = _walk_and_jitter(residual[rest], stated[rest], columns)
             of_offset = np.eye(stills) if walk else np.ones((stills, 1))
             step = np.diff(of_offset, axis=0)
             known = step.T @ step / walk if walk else np.zeros((1, 1))

@@ -129,7 +129,7 @@ def fit_norm(
     root = stated.root(variance, shared)
     weighed = np.vstack((whitened(root, design[:, free]), prior[:, free] / (prior_sd or 1.0)))
     covariance[np.ix_(free, free)] = covariance_of(weighed)
-    z, left = _moved(root, shared, residuals, weighed)
+    z, variance_of_z = _moved(root, shared, residuals, weighed)
     bent = shared[:, -3:] @ z[-3:] if quadratic_sd else 0.0
     return NormFit(
         center=center,
@@ -144,7 +144,7 @@ def fit_norm(
         prior=prior,
         prior_sd=(prior_sd or 0.0) if len(prior) else 0.0,
         quadratic=q,
-        quadratic_sd=quadratic_sd * np.sqrt(left[-3:]) if quadratic_sd else q,
+        quadratic_sd=quadratic_sd * np.sqrt(variance_of_z[-3:]) if quadratic_sd else q,
     )
 
 
@@ -195,10 +195,10 @@ def _settled(
         root = stated.root(variance, shared)
         p, converged = _descend(v, root, p, gravity, free, prior)
         design, residuals = _linearised(v, p, gravity)
-        z, left = _moved(root, shared, residuals, np.vstack((whitened(root, design[:, free]), prior[:, free])))
+        z, variance_of_z = _moved(root, shared, residuals, np.vstack((whitened(root, design[:, free]), prior[:, free])))
         moved = shared @ z
         q = np.asarray(stated.quadratic_sd * z[-3:]) if stated.quadratic_sd else q
-        spare = len(v) - len(free) + len(prior) - float((1.0 - left).sum())  # less what N z takes
+        spare = len(v) - len(free) + len(prior) - float((1.0 - variance_of_z).sum())  # less what N z takes
         own = (design[:, 6:] ** 2 * stated.variances).sum(axis=1)  # d length / d reading = M'^T n
         variance = own + excess_variance(residuals - moved, own, spare)
         variance = np.maximum(variance, (1e-12 * gravity) ** 2)

@@ -434,9 +434,9 @@ def _straightened(seen: Observed, poses: FaceMeans) -> tuple[FaceMeans, tuple[Fi
     bend = fit.quadratic * gain * (gravity * face_vectors(poses.faces)) ** 2
     # The noise of the faces is in both: the offset shall be as uncertain as that of the lengths
     variance = np.diag(fit.covariance)[6:] - 0.5 * (poses.noise**2).mean(axis=0) / gain**2
-    left = np.minimum(np.sqrt(np.maximum(variance, 0.0)) / gravity**2, QUADRATIC_SD)
+    remaining_sd = np.minimum(np.sqrt(np.maximum(variance, 0.0)) / gravity**2, QUADRATIC_SD)
     findings = tuple(quadratic_findings(fit.quadratic, fit.quadratic_sd, gravity, unseen="info"))
-    return replace(poses, reading=poses.reading - bend, quadratic_sd=left), findings
+    return replace(poses, reading=poses.reading - bend, quadratic_sd=remaining_sd), findings
 
 
 def _by_mounting(seen: Observed, poses: FaceMeans) -> FaceMeans:
