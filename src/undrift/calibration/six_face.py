@@ -10,9 +10,9 @@ A face tilted by d reads g d on the two axes that should read nothing and g (1 -
 sigma of the noise, cross-axis ones have hypot(noise, g sigma_tilt). Six spare equations hardly estimate sigma_tilt, so the fit
 is averaged over all values they allow; its 95 % intervals cover 93-97 % at any tilt.
 
-A quadratic term q_i of each sensor adds k_i q_i up_i^2: to its own two faces alike, and nothing to the other four. Only as far as
-these lie level do six faces tell it from the offset. It has the prior of norm.py, or what that finds where the session holds more
-rests, such as the eight corners of a cube.
+A quadratic term q_i of each sensor adds k_i q_i up_i^2: to its own two faces alike, and nothing to the other four. Six faces cannot
+tell it from the offset, so the result is that of linear sensors and its covariance holds the prior of norm.py, or what that
+leaves where the session holds more rests, such as the eight corners of a cube: the faces are then freed of what these show.
 """
 
 from collections.abc import Iterator, Sequence
@@ -68,7 +68,7 @@ from undrift.fit.least_squares import (
     offset_verdict,
     triad_from_forward,
 )
-from undrift.model import Verdict
+from undrift.model import Budget, Verdict
 from undrift.record import Face, Record, Still
 from undrift.units import RADIAN_PER_DEGREE, is_physical, si_factor
 
@@ -98,6 +98,7 @@ from undrift.units import RADIAN_PER_DEGREE, is_physical, si_factor
 _EVIDENCE = 2.0  # twice the gain of log-likelihood of a tilt that is reported: 8 % false alarms on a level plane
 _LARGEST = 0.2  # rad
 _GRID = 120
+_SMALL = 1e-3  # of quadratic terms: a step by which the result moves in proportion
 _CORNERS = 8  # rests beside the faces from which on their lengths are asked for the quadratic terms
 _SMALL_TILT = 0.1  # of noise / g: the tilt that E1 takes as none
 
@@ -220,10 +221,6 @@ class FaceMeans:
         up, gain = gravity * face_vectors(self.faces), self.gain(gravity)
         if self.creep is not None and not self.creep.none:
             parts["temperature"] = np.stack([self.creep.covariance(up[:, j], float(gain[j])) for j in range(3)])
-        if self.quadratic_sd is not None:
-            bend = (gain * self.quadratic_sd * up**2).T
-            least = (1e-6 * bend.max(axis=1)) ** 2  # readings without noise
-            parts["nonlinearity"] = bend[:, :, None] * bend[:, None, :] + least[:, None, None] * np.eye(len(up))
         return parts
 
 
@@ -238,6 +235,25 @@ class SixFaceFit(TriadFit):
 def fit_six_face(poses: FaceMeans, *, gravity: float, mode: SixFaceMode = "levelled") -> SixFaceFit:
     """Fit accelerometers to mean readings of their faces."""
     _check(poses, gravity, mode)
+    fit = _fitted(poses, gravity, mode)
+    return fit if poses.quadratic_sd is None else _with_quadratic(fit, poses, poses.quadratic_sd, gravity, mode)
+
+
+def _with_quadratic(fit: SixFaceFit, poses: FaceMeans, sd: FloatArray, gravity: float, mode: SixFaceMode) -> SixFaceFit:
+    """Return a fit whose covariance also holds quadratic terms (3,), by what these move its result; the result stays as it is."""
+    bend, columns = _SMALL * sd * poses.gain(gravity) * (gravity * face_vectors(poses.faces)) ** 2, []
+    for axis in np.eye(3):
+        moved = _fitted(replace(poses, reading=poses.reading + axis * bend), gravity, mode).model
+        columns.append(np.append(moved.matrix - fit.model.matrix, moved.offset - fit.model.offset) / _SMALL)
+    errors, budget = np.transpose(columns) @ np.array(columns), fit.model.budget
+    covariance = fit.model.covariance + errors
+    if budget is not None:
+        parts = dict(zip(budget.sources, budget.uncertainty**2, strict=True)) | {"nonlinearity": np.diag(errors)}
+        budget = Budget.of(covariance, parts, budget.sources[-1])
+    return replace(fit, model=replace(fit.model, covariance=covariance, budget=budget))
+
+
+def _fitted(poses: FaceMeans, gravity: float, mode: SixFaceMode) -> SixFaceFit:
     up, reading, noise = gravity * face_vectors(poses.faces), poses.reading, poses.noise
     names = {"method": f"six-face/{mode}", "unit_in": poses.unit, "unit_out": "m/s2"}
     sigma = None if noise is None else np.maximum(noise, _ROUNDING * np.abs(reading).max())
