@@ -280,17 +280,17 @@ def offset_prior(
             walk, jitter = _walk_and_jitter(residual[rest], stated[rest], columns)
             of_offset = np.eye(stills) if walk else np.ones((stills, 1))
             step = np.diff(of_offset, axis=0)
-            known = step.T @ step / walk if walk else np.zeros((1, 1))
+            steadiness = step.T @ step / walk if walk else np.zeros((1, 1))
             design, weight = np.hstack((of_offset, felt)), rest / (stated + jitter)
-            prior = block_diag(known, np.eye(columns) / max(g_sd, 1e-300) ** 2)
+            prior = block_diag(steadiness, np.eye(columns) / max(g_sd, 1e-300) ** 2)
             posterior = np.linalg.inv(design.T @ (weight[:, None] * design) + prior)
             found = posterior @ design.T @ (weight * reading[:, axis])
-            own = slice(0, of_offset.shape[1])
-            g[axis], g_covariance[axis] = found[own.stop :], posterior[own.stop :, own.stop :]
-        mean[axis], variance[axis] = found[own].mean(), posterior[own, own].mean()
+            of_b = slice(0, of_offset.shape[1])
+            g[axis], g_covariance[axis] = found[of_b.stop :], posterior[of_b.stop :, of_b.stop :]
+        mean[axis], variance[axis] = found[of_b].mean(), posterior[of_b, of_b].mean()
         if walk:
-            drift[:, axis] = other @ found[own]
-            drift_covariance[axis] = other @ posterior[own, own] @ other.T + walk / 12.0 * np.eye(len(each))
+            drift[:, axis] = other @ found[of_b]
+            drift_covariance[axis] = other @ posterior[of_b, of_b] @ other.T + walk / 12.0 * np.eye(len(each))
     fitted = {"g": g, "g_covariance": g_covariance} if columns else {}
     return OffsetPrior(
         mean=mean, variance=variance, drift=drift, drift_covariance=drift_covariance, noise=noise, force=middle, **fitted

@@ -516,21 +516,21 @@ def _with_moves(
     """Return model and covariance (21, 21) of rests, turns and moves together, and whether chance makes them differ so."""
     if moved is None or inverse.g_sensitivity is None:
         return inverse, covariance, finding("known_rotation.no_spare_equations", "info")
-    own, joint, away = covariance[:9, :9], moved.covariance[:9, :9], (moved.matrix - inverse.matrix).ravel()
-    gain, kept = np.linalg.solve(own, covariance[:9]).T, np.eye(21)
-    kept[:, :9] += gain @ (np.linalg.solve(own, joint).T - np.eye(9))
+    of_turns, joint, away = covariance[:9, :9], moved.covariance[:9, :9], (moved.matrix - inverse.matrix).ravel()
+    gain, change = np.linalg.solve(of_turns, covariance[:9]).T, np.eye(21)
+    change[:, :9] += gain @ (np.linalg.solve(of_turns, joint).T - np.eye(9))
     changed = Inverse(
         matrix=moved.matrix,
         offset=inverse.offset + gain[9:12] @ away,
         g_sensitivity=inverse.g_sensitivity + (gain[12:] @ away).reshape(3, 3),
-        jacobian=kept @ inverse.jacobian,
+        jacobian=change @ inverse.jacobian,
     )
     shown = {"percent": 100.0 * float(np.abs(away).max() / np.linalg.norm(moved.matrix, 2)), "count": moved.count // 2}
-    apart = away @ np.linalg.solve((1.0 + 1e-6) * own - joint, away) > _DISAGREE
-    told = finding(
+    apart = away @ np.linalg.solve((1.0 + 1e-6) * of_turns - joint, away) > _DISAGREE
+    agreement = finding(
         "known_rotation.moves_disagree" if apart else "known_rotation.moves_agree", "warn" if apart else "info", **shown
     )
-    return changed, covariance + gain @ (joint - own) @ gain.T, told
+    return changed, covariance + gain @ (joint - of_turns) @ gain.T, agreement
 
 
 def _judged(
@@ -605,8 +605,8 @@ def _by_moves(
     stills = sorted((p for p in data.pieces if isinstance(p, Still)), key=lambda still: (still.recording, still.start))
     creep = creep_of(seen, stills, "accel"), creep_of(seen, stills, "gyro")
     with suppress(NotObservable, PoorFit):
-        known = inverse.matrix, covariance[:9, :9]
-        return fit_gyro_between_stills(records, stills, accel, creep=creep, known=known).model
+        by_turns = inverse.matrix, covariance[:9, :9]
+        return fit_gyro_between_stills(records, stills, accel, creep=creep, by_turns=by_turns).model
     return None
 
 

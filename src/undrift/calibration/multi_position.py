@@ -307,18 +307,18 @@ def fit_gyro_between_stills(
     accel: TriadModel,
     *,
     cores: Sequence[Still] | None = None,
-    equal: bool = False,
-    rest_s: float | None = None,
+    opening: FloatArray | None = None,
     creep: tuple[Creep, Creep] | None = None,
-    known: tuple[FloatArray, FloatArray] | None = None,
+    by_turns: tuple[FloatArray, FloatArray] | None = None,
     quadratic: FloatArray | float = 0.0,
 ) -> TriadFit:
     """Fit gyroscopes to the moves between still poses; creep of accelerometers and gyroscopes in these, in order of time.
 
-    ``known`` is what other readings show of the matrix (3, 3), with its covariance (9, 9): an observation beside the moves.
+    ``opening`` are readings (N, 3) whose mean is the offset, which is then not fitted; ``by_turns`` is what turns show of the
+    matrix (3, 3), with its covariance (9, 9): an observation beside the moves.
     """
     moves, spoilt = _without_saturated(cut_moves(records, stills, stills if cores is None else cores))
-    if len(moves.first) < (5 if known is None else 1):
+    if len(moves.first) < (5 if by_turns is None else 1):
         left_out = "".join(f" ({item.text})" for item in spoilt)
         raise NotObservable(
             f"multi-position gyro: wanted 5 moves or more between stills for {parameter_names(MATRIX_NAMES)}, got "
@@ -329,26 +329,23 @@ def fit_gyro_between_stills(
     directions = gravity_directions(moves, accel, quadratic)
     rests, force = still_moments(moves.gyro, *moves.cores), STANDARD_GRAVITY * directions[0]
     prior = offset_prior(rests, moves.before, force, 0.0)
-    rough = rough_matrix(moves, accel, prior.mean) if known is None else known[0]
+    rough = rough_matrix(moves, accel, prior.mean) if by_turns is None else by_turns[0]
     felt: FloatArray = np.zeros((len(moves.before), 3))
-    if not equal and known is None:
+    if opening is None and by_turns is None:
         prior = offset_prior(rests, moves.before, force, G_SENSITIVITY_SD / float(np.cbrt(abs(np.linalg.det(rough)))))
         moves, felt = _without_g(moves, accel, prior)
     within = [moves.gyro[a : b + 1] for a, b in zip(moves.first, moves.last, strict=True)]
     codes = code_variance(code_steps(records, rate=True), prior.noise)  # rests lie at one place between two codes
     prior = replace(prior, variance=prior.variance + codes, noise=prior.noise + codes)  # in motion it is noise again
-    if equal:
-        start = records[0].time[0]
-        rest = None if rest_s is None else records[0].between(start, start + rest_s).gyro
-        opening = moves.gyro[moves.cores[0][0] : moves.cores[1][0]] if rest is None else rest
+    if opening is not None:
         prior = replace(prior, mean=opening.mean(axis=0), drift=np.zeros_like(prior.drift))
     unit = float(np.sqrt(np.mean((np.concatenate([part[1:] for part in within]) - prior.mean) ** 2))) or 1.0
     problem = _Problem(
-        moves=moves, directions=directions, felt=felt, accel=accel, prior=prior, unit=unit, free=9 if equal else 12,
-        creep=creep, codes=codes, turned=None if known is None else _known_matrix(*known, unit),
+        moves=moves, directions=directions, felt=felt, accel=accel, prior=prior, unit=unit, free=12 if opening is None else 9,
+        creep=creep, codes=codes, turned=None if by_turns is None else _known_matrix(*by_turns, unit),
     )  # fmt: skip
     p, covariance, missed = _solve(problem, np.concatenate((rough.reshape(-1) * unit, np.zeros(3))))
-    if known is None:
+    if by_turns is None:
         _check_seen(missed, p)
     fit = _as_triad(problem, p, covariance, missed, records[0].gyro_unit)
     return replace(fit, verdict=fit.verdict.also(Verdict.of(*spoilt)))
@@ -745,7 +742,11 @@ def _fit_gyro(
     creep: Callable[[Sequence[Still], Kind], Creep] | None,
 ) -> TriadFit:
     if settings.rule == "published":
-        return fit_gyro_between_stills(records, used, model, cores=cores, equal=True, rest_s=settings.rest_s)
+        first = min(cores, key=lambda still: (still.recording, still.start))
+        rest, start = records[first.recording].part(first.start, first.stop), records[0].time[0]
+        if settings.rest_s is not None:
+            rest = records[0].between(start, start + settings.rest_s)
+        return fit_gyro_between_stills(records, used, model, cores=cores, opening=rest.gyro)
     ordered = sorted(used, key=lambda still: (still.recording, still.start))
     both = None if creep is None else (creep(ordered, "accel"), creep(ordered, "gyro"))
     return fit_gyro_between_stills(records, used, model, cores=cores, creep=both, quadratic=quadratic)

@@ -10,10 +10,10 @@ A body that comes back has no mean acceleration: what is left of a is white, and
 calibration leaves turns the frame at random with density q: horizontal means k and l share g^2 q min(t_k, t_l). Both sizes are
 those of greatest restricted likelihood. b, d and the vertical u are found by generalised least squares, linearised anew about
 the last b (Gauss-Newton). Long recordings are cut into stretches, each with a vertical, an offset and sizes of its own; offsets
-wander from one stretch to the next.
+follow a random walk from one stretch to the next.
 
 The prior of b is the mean at a rest. Gravity shows no turn about the vertical: along an axis that stays upright b keeps its
-prior. A long push (lift, car, bend) is not told from a tilt: it enters the sizes, and widens what is stated.
+prior. A long push (lift, car, bend) reads as a tilt: it enters the sizes, and widens what is stated.
 """
 
 from dataclasses import dataclass
@@ -36,7 +36,7 @@ MEAN_S, STRETCH_S, LEAST_S = 5.0, 300.0, 20.0  # s, of a Hann mean, of a stretch
 MOVED = (
     0.02 * RADIAN_PER_DEGREE
 )  # rad/s, from rest to motion: two thirds of half a step of 16 bits over +-2000 deg/s [assumed]
-WANDERS = 2e-4 * RADIAN_PER_DEGREE  # rad/s/sqrt(s), of a consumer gyroscope's offset [assumed]
+WALK = 2e-4 * RADIAN_PER_DEGREE  # rad/s/sqrt(s), of a consumer gyroscope's offset [assumed]
 ACCEL, SCALE = (
     0.05,
     0.005,
@@ -99,13 +99,13 @@ def find_motion_offset(record: Record, rest: RestOffset) -> MotionOffset:
     edges = np.linspace(0, len(record), max(1, round(record.duration_s / STRETCH_S)) + 1).astype(int)
     stretches = [_HannMeans(record.time[a:b], record.gyro[a:b], record.accel[a:b]) for a, b in pairwise(edges)]
     middle = np.array([one.middle for one in stretches])
-    wander, count = _wandering(middle, prior), 3 * len(stretches)
+    walk_of_offsets, count = _walk_information(middle, prior), 3 * len(stretches)
     start = np.concatenate(
         (np.tile(rest.rate, len(stretches)), np.zeros(3))
     )  # offsets of stretches, of the accelerometers
     theta = start
     for _ in range(_ROUNDS):
-        information, seen = wander.copy(), wander @ (start - theta)
+        information, seen = walk_of_offsets.copy(), walk_of_offsets @ (start - theta)
         for k, one in enumerate(stretches):
             places = np.r_[3 * k : 3 * k + 3, count : count + 3]
             own, towards = one.equations(*theta[places].reshape(2, 3))
@@ -125,14 +125,14 @@ def find_motion_offset(record: Record, rest: RestOffset) -> MotionOffset:
     )
 
 
-def _wandering(middle: FloatArray, prior: FloatArray) -> FloatArray:
-    """Return what is known of offsets (S, 3) that begin with a prior and wander, and of the accelerometers': information."""
+def _walk_information(middle: FloatArray, prior: FloatArray) -> FloatArray:
+    """Return what is known of offsets (S, 3) that begin with a prior and walk, and of the accelerometers': information."""
     count = 3 * len(middle)
     information = np.zeros((count + 3, count + 3))
     information[:3, :3], information[count:, count:] = np.linalg.inv(prior), np.eye(3) / ACCEL**2
     for k, length in enumerate(np.diff(middle)):
         here = slice(3 * k, 3 * k + 6)
-        information[here, here] += np.kron([[1.0, -1.0], [-1.0, 1.0]], np.eye(3)) / (WANDERS**2 * length)
+        information[here, here] += np.kron([[1.0, -1.0], [-1.0, 1.0]], np.eye(3)) / (WALK**2 * length)
     return information
 
 

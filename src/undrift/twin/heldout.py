@@ -176,7 +176,7 @@ def excitation(held_out: FloatArray, training: Sequence[FloatArray], model: Tria
 def not_excited(prepared: Prepared, twin: Twin) -> Finding | None:
     """Return a finding on the axes about which a twin of all recordings was never turned; None where there are none.
 
-    One even turn about each axis in a window is held against the windows of the training, as another motion is.
+    One even turn about each axis in a window is compared with the windows of the training, as another motion is.
     """
     model, share = twin.gyro.triad.model, (np.arange(_TURN_STEPS) + 0.5) / _TURN_STEPS
     trained, beyond = [motion_windows(match) for match in prepared.matches], dict[str, float]()
