@@ -1,13 +1,12 @@
-"""Six faces: temperature creep, level, 10 bit, flicker, quadratic terms, each alone and all together.
+"""Six faces: temperature creep, level, 10 bit, flicker, each alone and all together.
 
 Slopes of offset and scale over temperature are drawn as the fit states them, 0.5 mg/K and 0.02 %/K at one standard deviation; 10
 bits span +-2 g; accelerometers flicker by 0.05 mg, and their offset is then that of the whole session. A plate off level by more
-than 0.5 deg is a finding in any case. The offset is the reading at zero input, without what a quadratic term makes at 1 g.
+than 0.5 deg is a finding in any case.
 """
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from itertools import product
 
 import numpy as np
 
@@ -15,14 +14,12 @@ from benchmarks.erring_bench import Row, Tally, chain_that_errs, drawn_slope, ev
 from undrift.calibration.observe import CalibrateSettings, observe
 from undrift.calibration.six_face import calibrate_faces
 from undrift.model import Verdict
-from undrift.record import FACES, Session
+from undrift.record import Session
 from undrift.sim.bench_errors import BenchErrors
-from undrift.sim.device.effects import Nonlinearity
 from undrift.sim.device.presets import random_device
 from undrift.sim.device.simulate import simulate_device
 from undrift.sim.device.truth import true_calibration
-from undrift.sim.motion.bench import BenchSettings, bench_motion, rest_on_faces, script_motion
-from undrift.sim.motion.motion import Motion, Script, facing
+from undrift.sim.motion.bench import BenchSettings, bench_motion
 from undrift.units import RADIAN_PER_DEGREE as DEG
 from undrift.units import STANDARD_GRAVITY as G
 
@@ -41,9 +38,6 @@ class Case:
     bits: int | None = None
     flicker: bool = False
     thermometer: bool = True
-    step_c: float | None = None  # Of the thermometer
-    quadratic: float = 0.0  # Standard deviation of the terms, per m/s2
-    corners: bool = False  # Then a rest on each corner of a cube
 
 
 CASES = {
@@ -57,12 +51,6 @@ CASES = {
     "10 bit": Case(bits=10),
     "flicker 0.05 mg": Case(flicker=True),
     "all together": Case(creep_c=1.0, level=0.2 * DEG, bits=10, flicker=True),
-    "creep 1 degC, thermometer in steps of 1 degC": Case(creep_c=1.0, step_c=1.0),
-    "quadratic 1e-4": Case(quadratic=1e-4),
-    "quadratic 2e-4, level 0.1 deg": Case(quadratic=2e-4, level=0.1 * DEG),
-    "quadratic 1e-4, level 0.1 deg": Case(quadratic=1e-4, level=0.1 * DEG),
-    "quadratic 1e-4, level 0.3 deg": Case(quadratic=1e-4, level=0.3 * DEG),
-    "quadratic 1e-4, level 0.1 deg, corners": Case(quadratic=1e-4, level=0.1 * DEG, corners=True),
 }
 
 
@@ -92,14 +80,11 @@ def drawn(case: Case, rng: np.random.Generator) -> tuple[Session, np.ndarray, np
     accel = chain_that_errs(
         device.accel, bits=case.bits, span=RANGE, flicker=flicker, random_walk=None, thermal_scale=drawn_slope(rng)
     )
-    if case.quadratic:
-        accel = replace(accel, nonlinearity=Nonlinearity(quadratic=rng.normal(0.0, case.quadratic, 3)))
     device = replace(device, accel=accel)
-    bench = BenchSettings(sample_rate_hz=50.0, errors=BenchErrors(face_tilt=case.level))
-    motion = _with_corners(bench, rng) if case.corners else bench_motion("six_face", rng=rng, settings=bench)
+    motion = bench_motion(
+        "six_face", rng=rng, settings=BenchSettings(sample_rate_hz=50.0, errors=BenchErrors(face_tilt=case.level))
+    )
     temp_c = even_rise(case.creep_c, len(motion))
-    if case.step_c is not None:
-        device = replace(device, thermometer=replace(device.thermometer, step_c=case.step_c))
     shown = simulate_device(device, motion, rng=rng, temp_c=temp_c)
     record = shown.record if case.thermometer else replace(shown.record, temp_c=None)
     assert record.gyro is not None
@@ -120,13 +105,3 @@ def drawn(case: Case, rng: np.random.Generator) -> tuple[Session, np.ndarray, np
         else truth.offset + device.accel.gain * shown.accel.of("instability").mean(axis=0)
     )
     return session, truth.matrix, offset
-
-
-def _with_corners(bench: BenchSettings, rng: np.random.Generator) -> Motion:
-    """Return rests on six faces, then on the corners of a cube, a hand's 3 deg off each."""
-    script = Script(bench.sample_rate_hz, np.array([0.0, 0.0, 1.0]))
-    rest_on_faces(script, bench, FACES, rng)
-    for corner in product((1.0, -1.0), repeat=3):
-        script.lay(facing(script.q, np.array(corner) + rng.normal(0.0, 0.05 * np.sqrt(3.0), 3)), bench.move_s)
-        script.still(bench.still_s)
-    return script_motion(script, bench)

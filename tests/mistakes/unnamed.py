@@ -13,6 +13,9 @@ UNNAMED = {
         "warned",
         "39 degC is a temperature of a device, and 4 degC is outside the table; the offset left at rest speaks against both",
     ),
-    ("calibrate", "labelled_turns", "states 180 deg of full turns"): ("noted", NO_SENSITIVITY),
+    ("calibrate", "labelled_turns", "states 180 deg of full turns"): (
+        "warned",
+        "the moves between rests contradict the matrix by 50 %; which of the two is wrong they cannot say",
+    ),
     ("calibrate", "rate_table", "states twice the rates, for a gear of 2"): ("noted", NO_SENSITIVITY),
 }

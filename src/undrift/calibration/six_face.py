@@ -9,10 +9,6 @@ The axis that points up reads +g: face "+x" is the column (g, 0, 0) of L, face "
 A face tilted by d reads g d on the two axes that should read nothing and g (1 - d^2 / 2) on its own: on-axis equations keep the
 sigma of the noise, cross-axis ones have hypot(noise, g sigma_tilt). Six spare equations hardly estimate sigma_tilt, so the fit
 is averaged over all values they allow; its 95 % intervals cover 93-97 % at any tilt.
-
-A quadratic term q_i of each sensor adds k_i q_i up_i^2: to its own two faces alike, and nothing to the other four. Six faces cannot
-tell it from the offset, so the result is that of linear sensors and its covariance holds the prior of norm.py, or what that
-leaves where the session holds more rests, such as the eight corners of a cube: the faces are then freed of what these show.
 """
 
 from collections.abc import Iterator, Sequence
@@ -43,9 +39,8 @@ from undrift.calibration.creep import (
     size_unit,
 )
 from undrift.calibration.dwells import mountings
-from undrift.calibration.norm import QUADRATIC_SD, fit_norm, quadratic_findings
 from undrift.calibration.observe import Observed, Outcome, spans_of, whole_readings, with_offset
-from undrift.errors import InputError, NotObservable, PoorFit
+from undrift.errors import InputError, NotObservable
 from undrift.findings import Finding, finding
 from undrift.fit.equations import (
     Equations,
@@ -68,7 +63,7 @@ from undrift.fit.least_squares import (
     offset_verdict,
     triad_from_forward,
 )
-from undrift.model import Budget, Verdict
+from undrift.model import Verdict
 from undrift.record import Face, Record, Still
 from undrift.units import RADIAN_PER_DEGREE, is_physical, si_factor
 
@@ -98,8 +93,6 @@ from undrift.units import RADIAN_PER_DEGREE, is_physical, si_factor
 _EVIDENCE = 2.0  # twice the gain of log-likelihood of a tilt that is reported: 8 % false alarms on a level plane
 _LARGEST = 0.2  # rad
 _GRID = 120
-_SMALL = 1e-3  # of quadratic terms: a step by which the result moves in proportion
-_CORNERS = 8  # rests beside the faces from which on their lengths are asked for the quadratic terms
 _SMALL_TILT = 0.1  # of noise / g: the tilt that E1 takes as none
 
 
@@ -208,18 +201,14 @@ class FaceMeans:
     tilt: FloatArray | None = None
     creep: Creep | None = None  # Of the session's temperature
     flicker: FloatArray | None = None  # (P, P), covariance of the offset by flicker, ``unit`` squared
-    quadratic_sd: FloatArray | None = None  # (3,), of quadratic terms, 1/(m/s2); None for none
-
-    def gain(self, gravity: float) -> FloatArray:
-        """Return the reading per m/s2 of each sensor on its own axis, (3,)."""
-        design = np.column_stack((gravity * face_vectors(self.faces), np.ones(len(self.faces))))
-        return np.asarray(np.diag(np.linalg.lstsq(design, self.reading, rcond=None)[0][:3]))
 
     def in_common(self, gravity: float) -> dict[str, FloatArray]:
         """Return the covariances (3, P, P) of what moves the readings of a sensor together, ``unit`` squared, by source."""
         parts = {} if self.flicker is None else {"instability": np.stack((self.flicker, self.flicker, self.flicker))}
-        up, gain = gravity * face_vectors(self.faces), self.gain(gravity)
         if self.creep is not None and not self.creep.none:
+            up = gravity * face_vectors(self.faces)
+            design = np.column_stack((up, np.ones(len(up))))
+            gain = np.diag(np.linalg.lstsq(design, self.reading, rcond=None)[0][:3])
             parts["temperature"] = np.stack([self.creep.covariance(up[:, j], float(gain[j])) for j in range(3)])
         return parts
 
@@ -235,25 +224,6 @@ class SixFaceFit(TriadFit):
 def fit_six_face(poses: FaceMeans, *, gravity: float, mode: SixFaceMode = "levelled") -> SixFaceFit:
     """Fit accelerometers to mean readings of their faces."""
     _check(poses, gravity, mode)
-    fit = _fitted(poses, gravity, mode)
-    return fit if poses.quadratic_sd is None else _with_quadratic(fit, poses, poses.quadratic_sd, gravity, mode)
-
-
-def _with_quadratic(fit: SixFaceFit, poses: FaceMeans, sd: FloatArray, gravity: float, mode: SixFaceMode) -> SixFaceFit:
-    """Return a fit whose covariance also holds quadratic terms (3,), by what these move its result; the result stays as it is."""
-    bend, columns = _SMALL * sd * poses.gain(gravity) * (gravity * face_vectors(poses.faces)) ** 2, []
-    for axis in np.eye(3):
-        moved = _fitted(replace(poses, reading=poses.reading + axis * bend), gravity, mode).model
-        columns.append(np.append(moved.matrix - fit.model.matrix, moved.offset - fit.model.offset) / _SMALL)
-    errors, budget = np.transpose(columns) @ np.array(columns), fit.model.budget
-    covariance = fit.model.covariance + errors
-    if budget is not None:
-        parts = dict(zip(budget.sources, budget.uncertainty**2, strict=True)) | {"nonlinearity": np.diag(errors)}
-        budget = Budget.of(covariance, parts, budget.sources[-1])
-    return replace(fit, model=replace(fit.model, covariance=covariance, budget=budget))
-
-
-def _fitted(poses: FaceMeans, gravity: float, mode: SixFaceMode) -> SixFaceFit:
     up, reading, noise = gravity * face_vectors(poses.faces), poses.reading, poses.noise
     names = {"method": f"six-face/{mode}", "unit_in": poses.unit, "unit_out": "m/s2"}
     sigma = None if noise is None else np.maximum(noise, _ROUNDING * np.abs(reading).max())
@@ -413,8 +383,6 @@ def calibrate_faces(seen: Observed, mode: str | None, accel: TriadFit | None = N
         used, findings = "affine", (*findings, finding("six_face.short_faces", "warn"))
     if used == "levelled":
         poses = _by_mounting(seen, poses)
-    poses, found = _straightened(seen, poses)
-    findings = (*findings, *found)
     offset = None
     if used == "paper" and settings.remove_offset:
         # Opposite faces cancel: the mean over the six, each counted once, is an estimate of the offset.
@@ -429,30 +397,6 @@ def calibrate_faces(seen: Observed, mode: str | None, accel: TriadFit | None = N
         variance = variance + sum((part @ share @ share for part in moving), np.zeros(3))
         fit = with_offset(fit, offset, variance)
     return Outcome(fit=fit, method="six-face", findings=findings, used=seen.faced)
-
-
-def _straightened(seen: Observed, poses: FaceMeans) -> tuple[FaceMeans, tuple[Finding, ...]]:
-    """Return poses without the quadratic terms that rests beside the faces show, with what is left of these."""
-    session, gravity, q, unseen = seen.session, seen.session.gravity_m_s2, np.zeros(3), np.full(3, QUADRATIC_SD)
-    nothing = replace(poses, quadratic_sd=unseen), tuple(quadratic_findings(q, unseen, gravity, unseen="info"))
-    windows = [whole_readings(session.records[s.recording].accel, s.start, s.stop) for s in seen.stills]
-    noise = noise_of_means(windows, [block_size(session.records[s.recording].sample_rate_hz) for s in seen.stills])
-    if noise is None or poses.noise is None or len(seen.stills) - len(seen.faced) < _CORNERS:
-        return nothing
-    try:
-        fit = fit_norm(
-            np.array([window.mean(axis=0) for window in windows]), gravity=gravity, variances=noise**2,
-            prior_sd=seen.settings.cross_axis_prior, creep=creep_of(seen, seen.stills, "accel"), quadratic_sd=QUADRATIC_SD,
-        )  # fmt: skip
-    except PoorFit:
-        return nothing
-    gain = poses.gain(gravity)
-    bend = fit.quadratic * gain * (gravity * face_vectors(poses.faces)) ** 2
-    # The noise of the faces is in both: the offset shall be as uncertain as that of the lengths
-    variance = np.diag(fit.covariance)[6:] - 0.5 * (poses.noise**2).mean(axis=0) / gain**2
-    remaining_sd = np.minimum(np.sqrt(np.maximum(variance, 0.0)) / gravity**2, QUADRATIC_SD)
-    findings = tuple(quadratic_findings(fit.quadratic, fit.quadratic_sd, gravity, unseen="info"))
-    return replace(poses, reading=poses.reading - bend, quadratic_sd=remaining_sd), findings
 
 
 def _by_mounting(seen: Observed, poses: FaceMeans) -> FaceMeans:

@@ -283,7 +283,9 @@ def _check_size(content: bytes, path: Path) -> int:
     real = bool(words[7 if processor == 1 else 6] & 0x8000)  # a negative scale marks storage in reals
     frames = last - first + 1 if last < 65535 else 0  # longer trials state their length in the parameters
     need = 512 * (start - 1) + frames * (4 * points + analogs) * (4 if real else 2)
-    if len(content) < need or (frames and len(content) not in (need, -(-need // 512) * 512)):
+    whole = -(-need // 512) * 512
+    one_more = len(content) == whole + 512 and not any(content[whole:])  # some writers end with an empty block
+    if len(content) < need or (frames and len(content) not in (need, whole) and not one_more):
         raise FileFormatError(
             f"{path}: wanted {need} bytes as its header promises, got {len(content)}; the file is damaged, copy it again"
         )

@@ -170,7 +170,7 @@ class Air:
 
     def at(self, times: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return air and board at moments that have been reached: times (n,) s -> (n,) degC."""
-        first = max(int(float(times[0]) / STEP_S) - 1, 0)
+        first = max(min(int(float(times[0]) / STEP_S) - 1, len(self.time) - 2), 0)
         last = int(float(times[-1]) / STEP_S) + 3
         grid = self.time[first:last]
         return np.interp(times, grid, self.temp[first:last]), np.interp(times, grid, self.board[first:last])
