@@ -430,10 +430,8 @@ def _solve(problem: _Problem, p: FloatArray) -> tuple[FloatArray, FloatArray, _M
     """Return parameters, their covariance and the missed angles; the angles' covariance is renewed until it settles."""
     count, free, equal = 2 * len(problem.moves.first), problem.free, problem.free == 9
     stated, loose = problem, problem.turned and Rows(_LOOSE * problem.turned.residual, _LOOSE * problem.turned.design)
-    problem, whitener = (
-        replace(problem, turned=loose),
-        np.eye(count),
-    )  # so that moves that turns contradict do not scatter more
+    # Turns that contradict the moves shall not make these scatter more
+    problem, whitener = replace(problem, turned=loose), np.eye(count)
     p, rows = _descend(problem, p, _missed(problem, p), whitener, 1e-8 if equal else 1e-3)
     scatter = max(float(rows.residual @ rows.residual) / (count - 9), 1e-30) if equal else 1.0
     for _ in range(0 if equal else 4):

@@ -39,6 +39,7 @@ class Oriented(Result):
             "tilt from the still phase {:.1f} to {:.1f} s".format(*data["still"]),
             "inclination: {:.2f} to {:.2f} deg".format(*data["inclination_deg"]),
             "pitch: {:.2f} to {:.2f} deg".format(*data["pitch_deg"]),
+            *(one.text for one in found.findings if one.code == "correct.motion_offset"),
         )
         heads, files = ("angle", "least (deg)", "median (deg)", "greatest (deg)"), f"{self.record} -> {self.output}"
         sections = [

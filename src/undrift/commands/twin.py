@@ -38,6 +38,8 @@ class Twinned(Result):
         """Return the parameters, the residual against the reference, and how well the model predicts."""
         import numpy as np
 
+        from undrift.io.store import findings_json
+
         fitted, held_out, count = self.fitted, self.held_out, len(self.names)
         known = sum(p.identifiable for p in fitted.parameters)
         answer = f"{known} of {len(fitted.parameters)} parameters of the device are identifiable"
@@ -47,18 +49,20 @@ class Twinned(Result):
             answer += f"; held out, its pitch differs from the real device's by {median}"
         alone = "one recording: none could be held out; add a second one to see how well the twin predicts"
         drawing = figure_of("figures:draw_held_out", held_out)
-        found = (item for one in held_out if (item := one.excitation.finding(one.recording)) is not None)
+        beyond = (item for one in held_out if (item := one.excitation.finding(one.recording)) is not None)
+        findings = tuple({one.text: one for one in (*self.unseen, *beyond)}.values())
         return Summary(
             title=f"Twin of a real device, from {count} recording{'s' if count > 1 else ''}",
             answer=answer + ".",
-            data=_twin_json(fitted, held_out, self.endings, self.parts, self.split),
+            data=_twin_json(fitted, held_out, self.endings, self.parts, self.split)
+            | {"findings": findings_json(findings)},
             pictures=(drawing,) if held_out else (),
             sections=(
                 _parameters(fitted),
                 _residuals(fitted, self.names, self.split),
                 *(_held_out(self) if held_out else ()),
             ),
-            findings=tuple({one.text: one for one in (*self.unseen, *found)}.values()),
+            findings=findings,
             notes=() if held_out else (alone,),
             written=(self.output,),
         )

@@ -33,18 +33,13 @@ from undrift.record import Record
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
 MEAN_S, STRETCH_S, LEAST_S = 5.0, 300.0, 20.0  # s, of a Hann mean, of a stretch, of a recording
-MOVED = (
-    0.02 * RADIAN_PER_DEGREE
-)  # rad/s, from rest to motion: two thirds of half a step of 16 bits over +-2000 deg/s [assumed]
+# rad/s, from rest to motion: two thirds of half a step of 16 bits over +-2000 deg/s [assumed]
+MOVED = 0.02 * RADIAN_PER_DEGREE
 WALK = 2e-4 * RADIAN_PER_DEGREE  # rad/s/sqrt(s), of a consumer gyroscope's offset [assumed]
-ACCEL, SCALE = (
-    0.05,
-    0.005,
-)  # m/s2, offset of calibrated accelerometers; share by which their size of gravity is off [assumed]
-_SIZES = 2.0 * np.log(
-    (0.03, 0.1 * RADIAN_PER_DEGREE)
-)  # logarithms of both variances: of m/s2, of rad/sqrt(s); usual ones,
-_FACTOR = 4.0  # within e^2 each way, where few means say little [assumed]
+# m/s2, offset of accelerometers, and share by which their size of gravity is off: calibrated, and by data sheets [assumed]
+CALIBRATED, RAW = (0.05, 0.005), (0.5, 0.03)
+# Logarithms of both variances, of m/s2 and of rad/sqrt(s): usual ones, within e^2 each way where few means say little [assumed]
+_SIZES, _FACTOR = 2.0 * np.log((0.03, 0.1 * RADIAN_PER_DEGREE)), 4.0
 _LOOSE = 1.0 * RADIAN_PER_DEGREE  # rad/s, of the offset while the sizes are sought
 _SHARED = 1.0 / 6.0  # correlation of Hann means that half overlap
 _ROUNDS, _SETTLED = 8, 1e-7  # of linearisation; rad/s
@@ -97,12 +92,11 @@ def find_motion_offset(record: Record, rest: RestOffset) -> MotionOffset:
         raise InputError(f"offset from motion: wanted {LEAST_S:g} s or more without gaps, got {got}; use `offset` rest")
     prior = rest.covariance + np.eye(3) * MOVED**2
     edges = np.linspace(0, len(record), max(1, round(record.duration_s / STRETCH_S)) + 1).astype(int)
-    stretches = [_HannMeans(record.time[a:b], record.gyro[a:b], record.accel[a:b]) for a, b in pairwise(edges)]
+    accel = RAW if record.accel_uncertainty is None else CALIBRATED
+    stretches = [_HannMeans(record.time[a:b], record.gyro[a:b], record.accel[a:b], accel) for a, b in pairwise(edges)]
     middle = np.array([one.middle for one in stretches])
-    walk_of_offsets, count = _walk_information(middle, prior), 3 * len(stretches)
-    start = np.concatenate(
-        (np.tile(rest.rate, len(stretches)), np.zeros(3))
-    )  # offsets of stretches, of the accelerometers
+    walk_of_offsets, count = _walk_information(middle, prior, accel[0]), 3 * len(stretches)
+    start = np.append(np.tile(rest.rate, len(stretches)), np.zeros(3))  # offsets of stretches, of the accelerometers
     theta = start
     for _ in range(_ROUNDS):
         information, seen = walk_of_offsets.copy(), walk_of_offsets @ (start - theta)
@@ -125,11 +119,11 @@ def find_motion_offset(record: Record, rest: RestOffset) -> MotionOffset:
     )
 
 
-def _walk_information(middle: FloatArray, prior: FloatArray) -> FloatArray:
+def _walk_information(middle: FloatArray, prior: FloatArray, accel: float) -> FloatArray:
     """Return what is known of offsets (S, 3) that begin with a prior and walk, and of the accelerometers': information."""
     count = 3 * len(middle)
     information = np.zeros((count + 3, count + 3))
-    information[:3, :3], information[count:, count:] = np.linalg.inv(prior), np.eye(3) / ACCEL**2
+    information[:3, :3], information[count:, count:] = np.linalg.inv(prior), np.eye(3) / accel**2
     for k, length in enumerate(np.diff(middle)):
         here = slice(3 * k, 3 * k + 6)
         information[here, here] += np.kron([[1.0, -1.0], [-1.0, 1.0]], np.eye(3)) / (WALK**2 * length)
@@ -139,8 +133,8 @@ def _walk_information(middle: FloatArray, prior: FloatArray) -> FloatArray:
 class _HannMeans:
     """A stretch of a recording: its Hann means, and the sizes of what disturbs them."""
 
-    def __init__(self, time: FloatArray, rate: FloatArray, force: FloatArray) -> None:
-        self.time, self.rate, self.force = time, rate, force
+    def __init__(self, time: FloatArray, rate: FloatArray, force: FloatArray, accel: tuple[float, float]) -> None:
+        self.time, self.rate, self.force, self.accel = time, rate, force, accel
         self.middle = 0.5 * float(time[0] + time[-1])
         width = max(4, round(MEAN_S * (len(time) - 1) / float(time[-1] - time[0])))
         self.first = np.arange(0, len(self.time) - width + 1, width // 2)
@@ -158,17 +152,19 @@ class _HannMeans:
         when = MEAN_S * (0.5 + 0.5 * np.arange(len(mean)))
         walk = STANDARD_GRAVITY**2 * np.minimum.outer(when, when)
 
+        accel, scale = self.accel
+
         def solved(sizes: FloatArray) -> tuple[float, FloatArray, FloatArray]:
             white, density = np.exp(sizes)
             information, seen, cost = np.zeros((9, 9)), np.zeros(9), 0.0
-            information[8, 8], seen[8] = 1.0 / (SCALE * STANDARD_GRAVITY) ** 2, 1.0 / (SCALE**2 * STANDARD_GRAVITY)
+            information[8, 8], seen[8] = 1.0 / (scale * STANDARD_GRAVITY) ** 2, 1.0 / (scale**2 * STANDARD_GRAVITY)
             for axis in range(3):
                 root = cholesky(white * shared + (density * walk if axis < 2 else 0.0), lower=True)
                 columns = np.hstack((-design[:, axis], np.tile(np.eye(3)[axis], (len(mean), 1))))
                 columns, value = (solve_triangular(root, each, lower=True) for each in (columns, mean[:, axis]))
                 information, seen = information + columns.T @ columns, seen + columns.T @ value
                 cost += 2.0 * float(np.log(np.diag(root)).sum()) + float(value @ value)
-            whole = information + np.diag([1.0 / _LOOSE**2] * 3 + [1.0 / ACCEL**2] * 3 + [0.0] * 3)
+            whole = information + np.diag([1.0 / _LOOSE**2] * 3 + [1.0 / accel**2] * 3 + [0.0] * 3)
             cost += float(np.linalg.slogdet(whole)[1] - seen @ np.linalg.solve(whole, seen))
             return cost + float((((sizes - _SIZES) / _FACTOR) ** 2).sum()), information, seen
 

@@ -261,9 +261,8 @@ def _load(path: Path) -> Any:
         raise FileFormatError(
             f"{path}: wanted a sound C3D file, got a damaged one; {str(error).splitlines()[0]}"
         ) from error
-    if (
-        analogs * trial["data"]["points"].shape[2] != trial["data"]["analogs"].size
-    ):  # else points are read at other places
+    # With another count of analog values points are read at other places
+    if analogs * trial["data"]["points"].shape[2] != trial["data"]["analogs"].size:
         raise FileFormatError(
             f"{path}: wanted {analogs} analog values a frame, got others in the parameters; it is damaged"
         )

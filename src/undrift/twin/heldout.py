@@ -181,10 +181,8 @@ def not_excited(prepared: Prepared, twin: Twin) -> Finding | None:
     model, share = twin.gyro.triad.model, (np.arange(_TURN_STEPS) + 0.5) / _TURN_STEPS
     trained, beyond = [motion_windows(match) for match in prepared.matches], dict[str, float]()
     for axis, turn in zip(AXES, 2.0 * np.pi * np.eye(3), strict=True):
-        r_nb, u = (
-            rotation(quaternion_of(np.outer(share, turn))).as_matrix(),
-            np.linalg.solve(model.matrix, turn / WINDOW_S),
-        )
+        r_nb = rotation(quaternion_of(np.outer(share, turn))).as_matrix()
+        u = np.linalg.solve(model.matrix, turn / WINDOW_S)
         d = WINDOW_S * pose_columns(r_nb, np.tile(u, (_TURN_STEPS, 1))).mean(axis=0)
         found = excitation(d[None], trained, model)
         if found.leverage > FAR_BEYOND:
