@@ -39,13 +39,16 @@ class Oriented(Result):
             "tilt from the still phase {:.1f} to {:.1f} s".format(*data["still"]),
             "inclination: {:.2f} to {:.2f} deg".format(*data["inclination_deg"]),
             "pitch: {:.2f} to {:.2f} deg".format(*data["pitch_deg"]),
-            *(one.text for one in found.findings if one.code == "correct.motion_offset"),
         )
+        offset = tuple(
+            one.text for one in found.findings if one.code == "correct.motion_offset"
+        )  # a page shows all findings
         heads, files = ("angle", "least (deg)", "median (deg)", "greatest (deg)"), f"{self.record} -> {self.output}"
         sections = [
             Section(title="Files", text=(f"{files}: {len(found.time)} samples",), on="terminal"),
             Section(title="Angles", columns=heads, rows=rows, on="page"),
             Section(title="How it was found", text=lines),
+            Section(title="Offset", text=offset, on="terminal"),
         ]
         if self.calibration is not None:
             verdict = self.calibration.verdict
