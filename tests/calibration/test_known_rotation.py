@@ -561,3 +561,15 @@ def test_the_offset_of_a_session_that_warms_up_is_the_settled_one():
         stated.append(fit.model.standard_uncertainty[9:12])
     low, high = share_limits(3 * SESSIONS)
     assert low <= np.mean(np.abs(away) <= 1.96 * np.array(stated)) <= high
+
+
+def test_slow_moves_are_weighed_by_how_far_the_offset_wanders_in_them():
+    rng, over = np.random.default_rng(19), []
+    device = random_device(np.random.default_rng(2007), grade="consumer")
+    device = replace(device, gyro=replace(device.gyro, adc=None), accel=replace(device.accel, adc=None))
+    true, settings = true_calibration(device).gyro, replace(HAND_AXIS, move_s=12.0)
+    for _ in range(SESSIONS):
+        fit = gyro_by_hand(device, rng, settings)
+        over.append((fit.model.matrix - true.matrix).ravel() / fit.model.standard_uncertainty[:9])
+    low, high = share_limits(9 * SESSIONS)
+    assert low <= np.mean(np.abs(over) <= 1.96) <= high

@@ -19,6 +19,7 @@ import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -48,10 +49,13 @@ from undrift.calibration.creep import (
     size_unit,
 )
 from undrift.calibration.multi_position import (
+    ByTurns,
     Moves,
+    OffsetPrior,
     cut_moves,
     fit_gyro_between_stills,
     gravity_directions,
+    still_moments,
     turned_in,
 )
 from undrift.calibration.observe import Observed, Outcome, spans_of
@@ -592,6 +596,35 @@ def _without_rest(records: Sequence[Record], rests: Sequence[Still], turns: Sequ
     return tuple(axis for axis in AXES if axis in lacking)
 
 
+def _under_flicker(moves: Moves, blocks: Blocks | None) -> OffsetPrior:
+    """Return what rests show of the offset in each move, under flicker of the size q that they and their blocks show.
+
+    m = o + f + e,  cov f = q^2 F:  o by least squares, f of a move from the rests around it (best linear prediction).
+    """
+    reading, noise, count = still_moments(moves.gyro, *moves.cores)
+    number, white = len(reading), np.maximum(noise[:, None] / count, 1e-30)  # (3, K)
+    clock = np.concatenate(([0.0], np.cumsum(np.diff(moves.time).clip(0.0))))  # recordings follow each other
+    rests, between = np.stack((moves.cores[0], moves.cores[1] - 1)), np.stack((moves.first, moves.last))
+    span = clock[np.hstack((rests, between)).T]
+    unit, flicker, ones = size_unit(white.T**0.5, span[:number]), flicker_about_mean(span), np.ones((number, 1))
+    family = (SIZES[:, None, None] * unit) ** 2 * flicker[:number, :number]
+    likelihood = np.zeros(len(SIZES)) if blocks is None else blocks.likelihood(unit)
+    for values, own in zip(reading.T, white, strict=True):
+        likelihood = likelihood + solutions(ones, values, np.linalg.cholesky(family + np.diag(own))).likelihood
+    flicker *= mean_square_size(likelihood) * unit**2
+    inverse = np.linalg.inv(flicker[:number, :number] + np.eye(number) * white[:, None, :])  # (3, K, K)
+    variance = 1.0 / inverse.sum(axis=(1, 2))
+    mean = variance * np.einsum("kij,jk->k", inverse, reading)
+    to_moves = flicker[number:, :number] @ inverse
+    return OffsetPrior(
+        mean=mean,
+        variance=variance,
+        drift=np.einsum("kij,jk->ik", to_moves, reading - mean),
+        drift_covariance=flicker[number:, number:] - to_moves @ flicker[:number, number:],
+        noise=noise,
+    )
+
+
 def _by_moves(
     seen: Observed, data: RotationData, accel: TriadModel, inverse: Inverse, covariance: FloatArray
 ) -> TriadModel | None:
@@ -605,7 +638,7 @@ def _by_moves(
     stills = sorted((p for p in data.pieces if isinstance(p, Still)), key=lambda still: (still.recording, still.start))
     creep = creep_of(seen, stills, "accel"), creep_of(seen, stills, "gyro")
     with suppress(NotObservable, PoorFit):
-        by_turns = inverse.matrix, covariance[:9, :9]
+        by_turns = ByTurns(inverse.matrix, covariance[:9, :9], partial(_under_flicker, blocks=data.blocks))
         return fit_gyro_between_stills(records, stills, accel, creep=creep, by_turns=by_turns).model
     return None
 

@@ -13,7 +13,7 @@ smallest summed cost over the first second of each still, which may keep few pos
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -134,6 +134,19 @@ class OffsetPrior:
     drift: FloatArray  # (J, 3), offset of each move less the mean, raw unit; zeros where the stills show no drift
     drift_covariance: FloatArray  # (3, J, J), of the drift, per axis, raw unit squared
     noise: FloatArray  # (3,), variance of one sample at rest, raw unit squared
+
+
+class ByTurns(NamedTuple):
+    """What turns by known angles show beside the moves."""
+
+    matrix: FloatArray  # (3, 3), of the gyroscopes
+    covariance: FloatArray  # (9, 9), of the matrix row by row
+    prior: Callable[["Moves"], OffsetPrior]  # What rests show of the offset in each move
+
+    def rows(self, unit: float) -> Rows:
+        """Return the rows (9,), (9, 12) of the matrix at p = 0."""
+        root = np.linalg.inv(np.linalg.cholesky(self.covariance)) / unit
+        return Rows(-root @ self.matrix.reshape(-1) * unit, np.hstack((root, np.zeros((9, 3)))))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -369,23 +382,22 @@ def fit_gyro_between_stills(
     equal: bool = False,
     rest_s: float | None = None,
     creep: tuple[Creep, Creep] | None = None,
-    by_turns: tuple[FloatArray, FloatArray] | None = None,
+    by_turns: ByTurns | None = None,
 ) -> TriadFit:
     """Fit gyroscopes to the moves between still poses; creep of accelerometers and gyroscopes in these, in order of time.
 
-    ``by_turns`` is what other readings show of the matrix (3, 3), with its covariance (9, 9): an observation beside the moves.
+    ``by_turns`` is what turns by known angles show: an observation beside the moves.
     """
     moves, spoilt = _without_saturated(cut_moves(records, stills, stills if cores is None else cores))
     if len(moves.first) < (5 if by_turns is None else 1):
         left_out = "".join(f" ({item.text})" for item in spoilt)
         raise NotObservable(
-            f"multi-position gyro: wanted 5 moves or more between stills for {parameter_names(MATRIX_NAMES)}, got "
-            f"{len(moves.first)}{left_out}; "
-            "turn the device by 90 deg or more about another axis between still poses of one recording",
+            f"multi-position gyro: wanted 5 moves or more between stills for {parameter_names(MATRIX_NAMES)}, got {len(moves.first)}"
+            f"{left_out}; turn the device by 90 deg or more about another axis between still poses of one recording",
             moves=len(moves.first),
         )
     within = [moves.gyro[a : b + 1] for a, b in zip(moves.first, moves.last, strict=True)]
-    prior = offset_prior(moves)
+    prior = offset_prior(moves) if by_turns is None else by_turns.prior(moves)
     codes = code_variance(code_steps(records, rate=True), prior.noise)  # rests lie at one place between two codes
     prior = replace(prior, variance=prior.variance + codes, noise=prior.noise + codes)  # in motion it is noise again
     if equal:
@@ -396,20 +408,14 @@ def fit_gyro_between_stills(
     unit = float(np.sqrt(np.mean((np.concatenate([part[1:] for part in within]) - prior.mean) ** 2))) or 1.0
     problem = _Problem(
         moves=moves, directions=gravity_directions(moves, accel), accel=accel, prior=prior, unit=unit,
-        free=9 if equal else 12, creep=creep, codes=codes, turned=None if by_turns is None else _known_matrix(*by_turns, unit),
+        free=9 if equal else 12, creep=creep, codes=codes, turned=by_turns and by_turns.rows(unit),
     )  # fmt: skip
-    first = rough_matrix(moves, accel, prior.mean) if by_turns is None else by_turns[0]
+    first = rough_matrix(moves, accel, prior.mean) if by_turns is None else by_turns.matrix
     p, covariance, missed = _solve(problem, np.concatenate((first.reshape(-1) * unit, np.zeros(3))))
     if by_turns is None:
         _check_seen(missed, p)
     fit = _as_triad(problem, p, covariance, missed, records[0].gyro_unit)
     return replace(fit, verdict=fit.verdict.also(Verdict.of(*spoilt)))
-
-
-def _known_matrix(matrix: FloatArray, covariance: FloatArray, unit: float) -> Rows:
-    """Return the rows (9,), (9, 12) of a known matrix at p = 0."""
-    root = np.linalg.inv(np.linalg.cholesky(covariance)) / unit
-    return Rows(-root @ matrix.reshape(-1) * unit, np.hstack((root, np.zeros((9, 3)))))
 
 
 def _without_saturated(moves: Moves) -> tuple[Moves, tuple[Finding, ...]]:
@@ -668,17 +674,13 @@ class MultiPositionFit:
     accel: TriadFit  # Raw to m/s2
     gyro: TriadFit | None  # Raw to rad/s in the accelerometer's axes
     stills: tuple[Still, ...]  # Those that were used
-    # Threshold on the windowed variance, accelerometer unit squared; NaN where the stills were stated; of the first
-    # record
-    threshold: float
+    threshold: float  # On the windowed variance of the first record, its unit squared; NaN where the stills were stated
     trials: tuple[ThresholdTrial, ...]  # All thresholds tried
     verdict: Verdict  # Of both
     missing: tuple[Finding, ...] = ()  # Why there are no gyroscopes
 
 
 _Attempt = tuple[ThresholdTrial, tuple[Still, ...], FloatArray, NormFit | None]  # the third: readings that were fitted
-
-
 _NO_LENGTH = "multi-position: wanted poses of one length, got none that a linear sensor could give; check the columns"
 
 
