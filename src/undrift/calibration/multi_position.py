@@ -393,7 +393,8 @@ def fit_gyro_between_stills(
         left_out = "".join(f" ({item.text})" for item in spoilt)
         raise NotObservable(
             f"multi-position gyro: wanted 5 moves or more between stills for {parameter_names(MATRIX_NAMES)}, got "
-            f"{len(moves.first)}{left_out}; turn the device by 90 deg or more about another axis between still poses of one recording",
+            f"{len(moves.first)}{left_out}; turn the device by 90 deg or more about another axis between still poses of one "
+            "recording",
             moves=len(moves.first),
         )
     within = [moves.gyro[a : b + 1] for a, b in zip(moves.first, moves.last, strict=True)]
