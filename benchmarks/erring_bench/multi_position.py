@@ -1,7 +1,8 @@
-"""Free poses and hand moves between them: temperature creep, 10 bit, flicker, each alone and all together.
+"""Free poses and hand moves between them: temperature creep, 10 bit, flicker, quadratic terms, g-sensitivity, alone and together.
 
 Slopes of offset and scale over temperature are drawn as the fit states them: 0.5 mg/K, 0.05 deg/s/K and 0.02 %/K at one standard
-deviation. The axes are those of the fit: z of the accelerometers is the case's, y lies in the case's y-z plane.
+deviation; ``steep`` takes the bounds of data sheets, 0.8 mg/K and 0.032 %/K, for that. The axes are those of the fit: z of the
+accelerometers is the case's, y lies in the case's y-z plane. The offset is the reading at zero input.
 """
 
 from collections.abc import Iterator
@@ -13,6 +14,7 @@ from benchmarks.erring_bench import ACROSS, Row, Tally, chain_that_errs, drawn_s
 from undrift.calibration.calibrate import calibrate
 from undrift.calibration.observe import CalibrateSettings
 from undrift.record import Session
+from undrift.sim.device.effects import GSensitivity, Nonlinearity, ThermalScale
 from undrift.sim.device.presets import random_device
 from undrift.sim.device.simulate import simulate_device
 from undrift.sim.device.truth import true_calibration
@@ -34,6 +36,12 @@ class Case:
     bits: int | None = None
     flicker: bool = False
     thermometer: bool = True
+    warm_s: float | None = None  # Time constant of a rise that is not even
+    step_c: float | None = None  # Of the thermometer
+    steep: float = 1.0  # Slopes over temperature, in those that the fit states
+    quadratic: float = 0.0  # Standard deviation of the accelerometers' terms, per m/s2
+    g_dps_per_g: float = 0.0  # Of each element of the gyroscopes' g-sensitivity
+    poses: int = 18
 
 
 CASES = {
@@ -44,6 +52,17 @@ CASES = {
     "10 bit": Case(bits=10),
     "flicker 8 deg/h, 0.05 mg": Case(flicker=True),
     "creep 1 degC, 12 bit, flicker": Case(creep_c=1.0, bits=12, flicker=True),
+    "creep 1 degC, thermometer in steps of 1 degC": Case(creep_c=1.0, step_c=1.0),
+    "creep 1 degC, slopes of 0.8 mg/K": Case(creep_c=1.0, steep=1.6),
+    "creep 1 degC in 60 s": Case(creep_c=1.0, warm_s=60.0),
+    "12 poses, quadratic 2e-4": Case(quadratic=2e-4, poses=12),
+    "18 poses, quadratic 1e-4": Case(quadratic=1e-4),
+    "18 poses, quadratic 5e-4": Case(quadratic=5e-4),
+    "24 poses, quadratic 1e-4": Case(quadratic=1e-4, poses=24),
+    "48 poses, quadratic 1e-4": Case(quadratic=1e-4, poses=48),
+    "12 poses, g-sensitivity 0.1 deg/s/g": Case(g_dps_per_g=0.1, poses=12),
+    "g-sensitivity 0.1 deg/s/g": Case(g_dps_per_g=0.1),
+    "g-sensitivity 0.1 deg/s/g, creep 1 degC, flicker": Case(g_dps_per_g=0.1, creep_c=1.0, flicker=True),
 }
 
 
@@ -78,10 +97,21 @@ def drawn(case: Case, rng: np.random.Generator) -> tuple[Session, list[tuple[np.
         )
         for k, chain in enumerate((device.gyro, device.accel))
     )
-    device = replace(device, gyro=replace(gyro, g_sensitivity=None), accel=accel)
-    bench = BenchSettings(sample_rate_hz=50.0, poses=18, still_s=4.0, first_still_s=10.0)
+    if case.steep != 1.0:
+        assert accel.offset is not None
+        assert accel.thermal_scale is not None
+        steeper = replace(accel.offset, per_k=case.steep * accel.offset.per_k)
+        accel = replace(accel, offset=steeper, thermal_scale=ThermalScale(per_k=case.steep * accel.thermal_scale.per_k))
+    bent = Nonlinearity(quadratic=rng.normal(0.0, case.quadratic, 3)) if case.quadratic else None
+    feels = GSensitivity(matrix=rng.normal(0.0, case.g_dps_per_g * DEG / G, (3, 3))) if case.g_dps_per_g else None
+    device = replace(device, gyro=replace(gyro, g_sensitivity=feels), accel=replace(accel, nonlinearity=bent))
+    bench = BenchSettings(sample_rate_hz=50.0, poses=case.poses, still_s=4.0, first_still_s=10.0)
     motion = bench_motion("multi_position", rng=rng, settings=bench)
     temp_c = even_rise(case.creep_c, len(motion))
+    if case.warm_s is not None:
+        temp_c = 25.0 - case.creep_c * np.exp(-motion.time / case.warm_s)
+    if case.step_c is not None:
+        device = replace(device, thermometer=replace(device.thermometer, step_c=case.step_c))
     shown = simulate_device(device, motion, rng=rng, temp_c=temp_c)
     assert shown.record.gyro is not None
     record = replace(shown.record, gyro=shown.record.gyro / COUNTS_PER_DPS, gyro_unit="dps")

@@ -15,6 +15,7 @@ from undrift.calibration.multi_position import (
     fit_multi_position,
     gravity_directions,
     offset_prior,
+    still_moments,
     still_variance,
 )
 from undrift.errors import Implausible, InputError, NotObservable, PoorFit
@@ -62,7 +63,7 @@ def test_a_noisy_session_is_covered_by_its_intervals_stills_found() -> None:
         assert fit.gyro is not None
         truth = np.concatenate((GYRO.reshape(-1), GYRO_OFFSET))
         estimate = np.concatenate((fit.gyro.model.matrix.reshape(-1), fit.gyro.model.offset))
-        inside.append(np.abs(estimate - truth) < 1.96 * fit.gyro.model.standard_uncertainty)
+        inside.append(np.abs(estimate - truth) < 1.96 * fit.gyro.model.standard_uncertainty[:12])
         truth = np.concatenate((ACCEL.reshape(-1), ACCEL_OFFSET))
         estimate = np.concatenate((fit.accel.model.matrix.reshape(-1), fit.accel.model.offset))
         seen = fit.accel.model.standard_uncertainty > 0.0
@@ -253,7 +254,9 @@ def test_jitter_and_walk_of_the_offset_are_separated() -> None:
         swaying[still.start : still.stop] += 0.003 * rng.normal(size=3)
         warming[still.start : still.stop] += 0.002 * k
     for gyro, walks in ((record.gyro, False), (swaying, False), (warming, True)):
-        prior = offset_prior(cut_moves((replace(record, gyro=gyro),), MOTION.stills, MOTION.stills))
+        moves = cut_moves((replace(record, gyro=gyro),), MOTION.stills, MOTION.stills)
+        rests = still_moments(moves.gyro, *moves.cores)
+        prior = offset_prior(rests, moves.before, np.zeros((len(MOTION.stills), 3)), 0.0)
         assert bool(prior.drift.any()) is walks
 
 
@@ -274,7 +277,7 @@ def test_an_offset_that_drifts_is_a_finding_and_widens_its_uncertainty() -> None
     assert drift.level == "warn"
     assert drift.values["drift_dps"] == pytest.approx(1.0, abs=0.15)  # from one end of the session to the other
     assert drift.values["wanted"] == 0.2
-    sigma = fit.gyro.model.standard_uncertainty[9:]
+    sigma = fit.gyro.model.standard_uncertainty[9:12]
     # a straight drift of 1 deg/s has a standard deviation of 0.29 deg/s; the stills are not spread evenly
     np.testing.assert_allclose(np.degrees(sigma), 0.29, rtol=0.25)
     np.testing.assert_allclose(fit.gyro.model.matrix, GYRO, atol=0.005)  # followed, not taken for gain
@@ -307,3 +310,19 @@ def test_a_range_that_is_too_small_leaves_the_accelerometer_and_says_why_there_i
     np.testing.assert_allclose(fit.accel.model.matrix, ACCEL, atol=0.005)
     with pytest.raises(Implausible, match=r"accelerometer in still poses: wanted [xyz] readings inside the range"):
         fit_multi_position(replace(record, accel=record.accel.clip(-8.5, 8.5)), gravity=G, stills=MOTION.stills)
+
+
+def test_rests_show_g_sensitivity_and_the_offset_is_that_under_no_force() -> None:
+    rng, scaled = np.random.default_rng(12), []
+    for seed in range(25):
+        record, h = recorded(seed), rng.normal(0.0, np.radians(0.1) / G, (3, 3))
+        assert record.gyro is not None
+        felt = replace(record, gyro=record.gyro + MOTION.force_b @ h.T)
+        gyro = fit_multi_position(felt, gravity=G, stills=MOTION.stills).gyro
+        assert gyro is not None
+        assert gyro.model.g_sensitivity is not None
+        sigma = gyro.model.standard_uncertainty
+        scaled.append((gyro.model.offset - GYRO_OFFSET) / sigma[9:12])
+        np.testing.assert_allclose(gyro.model.g_sensitivity, GYRO @ h, atol=5.0 * sigma[12:].max())
+    assert 0.87 < float((np.abs(scaled) < 1.96).mean()) <= 1.0  # 75 offsets: 2.5 % one sigma; 80 % without H
+    assert np.degrees(sigma[9:12]).max() < 0.002

@@ -6,7 +6,7 @@ import pytest
 from testkit.findings import codes, only
 from testkit.poses import fit_poses
 from undrift.calibration.multi_position import still_variance
-from undrift.calibration.norm import NormFit, _linearised, fit_norm
+from undrift.calibration.norm import QUADRATIC_SD, NormFit, _linearised, fit_norm
 from undrift.errors import Implausible, NotObservable, PoorFit
 from undrift.fit.least_squares import excess_variance
 from undrift.record import Record
@@ -211,3 +211,19 @@ def test_the_level_of_a_window_is_the_sample_variance_of_its_readings() -> None:
     for k in (5, 30, 54):  # windows of eleven samples
         wanted = np.linalg.norm(np.var(accel[k - 5 : k + 6], axis=0, ddof=1))
         assert found.level[k] == pytest.approx(wanted, rel=1e-9)
+
+
+@pytest.mark.parametrize("size", [1e-4, 5e-4])
+def test_offsets_hold_beside_quadratic_terms_of_any_size(size: float) -> None:
+    rng, forward = np.random.default_rng(5), np.linalg.inv(MATRIX)
+    gain = np.linalg.norm(forward, axis=1)
+    scaled = []
+    for _ in range(80):
+        along = G * directions(18, int(rng.integers(1 << 30))) @ forward.T / gain  # what each sensor measures, m/s2
+        raw = OFFSET + gain * (along + rng.normal(0.0, size, 3) * along**2) + 0.3 * rng.normal(size=(18, 3))
+        fit = fit_norm(raw, gravity=G, variances=np.full(raw.shape, 0.09), quadratic_sd=QUADRATIC_SD)
+        assert (fit.quadratic_sd < QUADRATIC_SD).all()
+        scaled.append((fit.offset - OFFSET) * fit.scale / np.sqrt(np.diag(fit.covariance)[6:]))
+    inside = int((np.abs(scaled) < 1.96).sum())
+    assert 0.90 < inside / 240 < 0.99  # 95 % of 240: 1.4 % one sigma
+    assert 0.8 < float(np.sqrt(np.mean(np.square(scaled)))) < 1.15

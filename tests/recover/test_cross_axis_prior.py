@@ -77,7 +77,7 @@ def test_scales_offsets_cross_axis_terms_and_gyroscopes_lie_within_their_stated_
         scaled["cross-axis"].append(error[[0, 0, 1], [1, 2, 2]])
         scaled["offset"].append((model.offset - ACCEL_OFFSET) / model.standard_uncertainty[9:])
         scaled["gyro"].append(((gyro.matrix - GYRO).reshape(-1)) / gyro.standard_uncertainty[:9])
-        scaled["gyro offset"].append((gyro.offset - GYRO_OFFSET) / gyro.standard_uncertainty[9:])
+        scaled["gyro offset"].append((gyro.offset - GYRO_OFFSET) / gyro.standard_uncertainty[9:12])
         off = np.abs(np.diag(model.matrix - accel)).max(), np.abs(gyro.matrix - GYRO).max()
         worst = np.maximum(worst, off)
     show("largest error of a scale, accel and gyro matrix", np.round(worst, 4), "0.002 each")

@@ -360,8 +360,10 @@ def limits_of(accel: Outcome, gyro: Outcome, temp_c: float, *, thermal: bool) ->
     if accel.fit is not None and accel.method in ("multi-position", "six-face"):
         yield finding("multi_position.mounting" if accel.method == "multi-position" else "six_face.fixture", "info")
     if gyro.fit is not None and gyro.method in ("multi-position", "known-rotation"):
-        by_poses = gyro.method == "multi-position"
-        yield finding("multi_position.g_sensitivity" if by_poses else "known_rotation.other_rates", "info")
+        if gyro.method == "known-rotation":
+            yield finding("known_rotation.other_rates", "info")
+        elif gyro.fit.model.g_sensitivity is None:
+            yield finding("multi_position.g_sensitivity", "info")
     if gyro.fit is not None and gyro.method == "rate-table" and accel.fit is None:
         # An offset that differs between the axes asks for the same recording.
         shown = any(item.code == "rate_table.axis_offset" for item in gyro.fit.verdict.findings)

@@ -42,6 +42,7 @@ from undrift.calibration.creep import (
     SIZES,
     Blocks,
     Creep,
+    OffsetPrior,
     blocks_within,
     creep_of,
     flicker_about_mean,
@@ -51,7 +52,6 @@ from undrift.calibration.creep import (
 from undrift.calibration.multi_position import (
     ByTurns,
     Moves,
-    OffsetPrior,
     cut_moves,
     fit_gyro_between_stills,
     gravity_directions,
@@ -622,6 +622,7 @@ def _under_flicker(moves: Moves, blocks: Blocks | None) -> OffsetPrior:
         drift=np.einsum("kij,jk->ik", to_moves, reading - mean),
         drift_covariance=flicker[number:, number:] - to_moves @ flicker[:number, number:],
         noise=noise,
+        force=np.zeros(3),
     )
 
 

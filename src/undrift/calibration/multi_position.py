@@ -20,14 +20,14 @@ import numpy as np
 from undrift.arrays import BoolArray, FloatArray, IntArray
 from undrift.calibration.adc import code_steps, code_variance, limited_by_codes
 from undrift.calibration.checks import check_axis_order, check_own_scale, check_range, stuck_windows
-from undrift.calibration.creep import Creep, Kind, creep_of
-from undrift.calibration.norm import WEAKEST, NormFit, check_count, fit_norm, judged
+from undrift.calibration.creep import G_SENSITIVITY_SD, Creep, Kind, OffsetPrior, creep_of, offset_prior
+from undrift.calibration.norm import QUADRATIC_SD, WEAKEST, NormFit, check_count, fit_norm, judged
 from undrift.calibration.observe import Observed, Outcome
 from undrift.errors import InputError, NotObservable, PoorFit
 from undrift.findings import Finding, above, finding
 from undrift.fit.equations import Rows, covariance_of, descend
 from undrift.fit.least_squares import TriadFit, excess_variance, parameter_names, scaled_condition, triad_fit
-from undrift.model import MATRIX_NAMES, TriadModel, Verdict
+from undrift.model import G_NAMES, MATRIX_NAMES, OFFSET_NAMES, TriadModel, Verdict
 from undrift.record import Record, Still
 from undrift.segments import runs
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
@@ -125,17 +125,6 @@ def _windowed(values: FloatArray, half: int) -> tuple[FloatArray, FloatArray, Fl
 Directions = tuple[FloatArray, FloatArray, FloatArray]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class OffsetPrior:
-    """Offset, drift and noise of the gyroscopes from the stills."""
-
-    mean: FloatArray  # (3,), mean offset over the stills, raw unit
-    variance: FloatArray  # (3,), of the mean, raw unit squared
-    drift: FloatArray  # (J, 3), offset of each move less the mean, raw unit; zeros where the stills show no drift
-    drift_covariance: FloatArray  # (3, J, J), of the drift, per axis, raw unit squared
-    noise: FloatArray  # (3,), variance of one sample at rest, raw unit squared
-
-
 class ByTurns(NamedTuple):
     """What turns by known angles show beside the moves."""
 
@@ -208,10 +197,11 @@ def cut_moves(records: Sequence[Record], stills: Sequence[Still], cores: Sequenc
     )
 
 
-def gravity_directions(moves: Moves, accel: TriadModel) -> Directions:
-    """Return the direction of gravity in each still with its derivatives and covariance."""
+def gravity_directions(moves: Moves, accel: TriadModel, quadratic: FloatArray | float = 0.0) -> Directions:
+    """Return the direction of gravity in each still with its derivatives and covariance, without quadratic terms (3,)."""
     mean, variance, count = still_moments(moves.accel, *moves.stills)
-    d = mean - accel.offset
+    bent = mean - accel.offset
+    d = np.asarray(bent / (1.0 + quadratic * bent / accel.scale_factor))
     a = d @ accel.matrix.T
     length = np.linalg.norm(a, axis=1)
     n = a / length[:, None]
@@ -220,56 +210,6 @@ def gravity_directions(moves: Moves, accel: TriadModel) -> Directions:
     turned = across @ accel.matrix
     covariance = (turned * variance / count[:, None, None]) @ turned.transpose(0, 2, 1)
     return n, np.concatenate((by_matrix, -turned), axis=2), covariance
-
-
-def offset_prior(moves: Moves) -> OffsetPrior:
-    """Return offset, drift and noise of the gyroscopes from all stills.
-
-    The mean reading of still k is b_k plus jitter plus the noise within; the offset b_(k+1) = b_k + N(0, q) is a random
-    walk. A hand that sways makes jitter, a sensor that warms up drifts: von Neumann's ratio of the mean square successive
-    difference to the variance (1941) separates the two; where neighbours are not alike, q = 0 and the offset is constant. A move
-    has the mean offset of its two stills, uncertain by q / 12 more. Stills that turn about the vertical are left out.
-    """
-    reading, noise, count = still_moments(moves.gyro, *moves.cores)
-    away = np.abs(reading - np.median(reading, axis=0))
-    rest = np.all(away <= 8.0 * np.maximum(np.median(away, axis=0), 1e-12), axis=1)  # the others turn
-    stills, each = len(reading), np.arange(len(moves.first))
-    to_move = np.zeros((len(each), stills))
-    to_move[each, moves.before], to_move[each, moves.before + 1] = 0.5, 0.5
-    mean, variance = np.zeros(3), np.zeros(3)
-    drift, drift_covariance = np.zeros((len(each), 3)), np.zeros((3, len(each), len(each)))
-    for axis in range(3):
-        stated = np.maximum(noise[axis] / count, 1e-30)
-        walk, jitter = _walk_and_jitter(reading[rest, axis], stated[rest])
-        weight = rest / (stated + jitter)
-        if walk == 0.0:
-            variance[axis] = 1.0 / weight.sum()
-            mean[axis] = variance[axis] * (reading[:, axis] * weight).sum()
-            continue
-        step = np.diff(np.eye(stills), axis=0)
-        posterior = np.linalg.inv(step.T @ step / walk + np.diag(weight))
-        offset = posterior @ (reading[:, axis] * weight)
-        other = to_move - 1.0 / stills
-        mean[axis], variance[axis] = offset.mean(), posterior.mean()
-        drift[:, axis] = other @ offset
-        drift_covariance[axis] = other @ posterior @ other.T + walk / 12.0 * np.eye(len(each))
-    return OffsetPrior(mean=mean, variance=variance, drift=drift, drift_covariance=drift_covariance, noise=noise)
-
-
-def _walk_and_jitter(reading: FloatArray, stated: FloatArray) -> tuple[float, float]:
-    """Return q and the variance of the jitter."""
-    count, jitter, mean = len(reading), 0.0, float(np.mean(reading))
-    for _ in range(4):
-        jitter = excess_variance(reading - mean, stated, count - 1)
-        weight = 1.0 / (stated + jitter)
-        mean = float((weight * reading).sum() / weight.sum())
-    first = float(np.mean(np.diff(reading) ** 2)) if count > 1 else 0.0
-    ratio = first / max(float(np.mean((reading - reading.mean()) ** 2)), 1e-300)
-    if jitter == 0.0 or count < 6 or ratio > 2.0 - 2.0 * 2.0 / np.sqrt(count):  # white: 2 with deviation 2 / sqrt(K)
-        return 0.0, jitter
-    lag = min(5, count // 2)
-    walk = max((float(np.mean((reading[lag:] - reading[:-lag]) ** 2)) - first) / (lag - 1), 0.0)
-    return walk, max(0.5 * (first - walk) - float(np.median(stated)), 0.0)
 
 
 def rough_matrix(moves: Moves, accel: TriadModel, offset: FloatArray) -> FloatArray:
@@ -348,6 +288,7 @@ class _Problem:
 
     moves: Moves
     directions: Directions
+    felt: FloatArray  # (J, 3), mean specific force of each move less that of the stills, m/s2; the moves are freed of its effect
     accel: TriadModel
     prior: OffsetPrior
     unit: float
@@ -379,14 +320,15 @@ def fit_gyro_between_stills(
     accel: TriadModel,
     *,
     cores: Sequence[Still] | None = None,
-    equal: bool = False,
-    rest_s: float | None = None,
+    opening: FloatArray | None = None,
     creep: tuple[Creep, Creep] | None = None,
     by_turns: ByTurns | None = None,
+    quadratic: FloatArray | float = 0.0,
 ) -> TriadFit:
     """Fit gyroscopes to the moves between still poses; creep of accelerometers and gyroscopes in these, in order of time.
 
-    ``by_turns`` is what turns by known angles show: an observation beside the moves.
+    ``opening`` are readings (N, 3) whose mean is the offset, which is then not fitted; ``by_turns`` is what turns by known angles
+    show: an observation beside the moves.
     """
     moves, spoilt = _without_saturated(cut_moves(records, stills, stills if cores is None else cores))
     if len(moves.first) < (5 if by_turns is None else 1):
@@ -397,26 +339,38 @@ def fit_gyro_between_stills(
             "recording",
             moves=len(moves.first),
         )
+    directions = gravity_directions(moves, accel, quadratic)
+    rests, force = still_moments(moves.gyro, *moves.cores), STANDARD_GRAVITY * directions[0]
+    prior = offset_prior(rests, moves.before, force, 0.0) if by_turns is None else by_turns.prior(moves)
+    rough = rough_matrix(moves, accel, prior.mean) if by_turns is None else by_turns.matrix
+    felt: FloatArray = np.zeros((len(moves.before), 3))
+    if opening is None and by_turns is None:
+        prior = offset_prior(rests, moves.before, force, G_SENSITIVITY_SD / float(np.cbrt(abs(np.linalg.det(rough)))))
+        moves, felt = _without_g(moves, accel, prior)
     within = [moves.gyro[a : b + 1] for a, b in zip(moves.first, moves.last, strict=True)]
-    prior = offset_prior(moves) if by_turns is None else by_turns.prior(moves)
     codes = code_variance(code_steps(records, rate=True), prior.noise)  # rests lie at one place between two codes
     prior = replace(prior, variance=prior.variance + codes, noise=prior.noise + codes)  # in motion it is noise again
-    if equal:
-        start = records[0].time[0]
-        rest = None if rest_s is None else records[0].between(start, start + rest_s).gyro
-        opening = moves.gyro[moves.cores[0][0] : moves.cores[1][0]] if rest is None else rest
+    if opening is not None:
         prior = replace(prior, mean=opening.mean(axis=0), drift=np.zeros_like(prior.drift))
     unit = float(np.sqrt(np.mean((np.concatenate([part[1:] for part in within]) - prior.mean) ** 2))) or 1.0
     problem = _Problem(
-        moves=moves, directions=gravity_directions(moves, accel), accel=accel, prior=prior, unit=unit,
-        free=9 if equal else 12, creep=creep, codes=codes, turned=by_turns and by_turns.rows(unit),
+        moves=moves, directions=directions, felt=felt, accel=accel, prior=prior, unit=unit, free=12 if opening is None else 9,
+        creep=creep, codes=codes, turned=by_turns and by_turns.rows(unit),
     )  # fmt: skip
-    first = rough_matrix(moves, accel, prior.mean) if by_turns is None else by_turns.matrix
-    p, covariance, missed = _solve(problem, np.concatenate((first.reshape(-1) * unit, np.zeros(3))))
+    p, covariance, missed = _solve(problem, np.concatenate((rough.reshape(-1) * unit, np.zeros(3))))
     if by_turns is None:
         _check_seen(missed, p)
     fit = _as_triad(problem, p, covariance, missed, records[0].gyro_unit)
     return replace(fit, verdict=fit.verdict.also(Verdict.of(*spoilt)))
+
+
+def _without_g(moves: Moves, accel: TriadModel, prior: OffsetPrior) -> tuple[Moves, FloatArray]:
+    """Return the moves under the mean specific force of the stills, and that of each move less it, (J, 3)."""
+    if prior.g is None:
+        return moves, np.zeros((len(moves.before), 3))
+    felt = np.nan_to_num((moves.accel - accel.offset) @ accel.matrix.T - prior.force)
+    mean = np.array([felt[a + 1 : b + 1].mean(axis=0) for a, b in zip(moves.first, moves.last, strict=True)])
+    return replace(moves, gyro=moves.gyro - felt @ prior.g.T), mean
 
 
 def _without_saturated(moves: Moves) -> tuple[Moves, tuple[Finding, ...]]:
@@ -518,6 +472,9 @@ def _covariance_of_angles(problem: _Problem, missed: _Missed, p: FloatArray) -> 
     by_offset = missed.jacobian[:, 9:] / problem.unit
     for column, drift in zip(by_offset.T, prior.drift_covariance, strict=True):
         total += np.outer(column, column) * np.kron(drift, np.ones((2, 2)))
+    for column, of_g in zip(by_offset.T, prior.g_covariance, strict=True):
+        by_g = column[:, None] * np.repeat(problem.felt, 2, axis=0)
+        total += by_g @ of_g @ by_g.T
     if problem.creep is not None:
         shared = np.hstack(
             (_by_accel_creep(problem, problem.creep[0], by_still), _by_gyro_creep(problem, problem.creep[1], missed, p))
@@ -598,22 +555,25 @@ def _as_triad(problem: _Problem, p: FloatArray, covariance: FloatArray, missed: 
     rate = (np.concatenate(inside) - offset) @ matrix.T
     residuals = missed.angle.reshape(-1, 2) / moves.duration_s[:, None]
     check_axis_order(np.linalg.inv(matrix), "gyro against accel", against="accelerometer")
+    offset, g, names, total = _with_g(problem.prior, matrix, offset, total)
     size = float(np.cbrt(abs(np.linalg.det(p[:9].reshape(3, 3)))))
     uncertain = float(np.sqrt(np.diag(covariance)[:9].max())) / size * 100.0
     drift = float(np.abs(np.ptp(problem.prior.drift @ matrix.T, axis=0)).max()) / RADIAN_PER_DEGREE
     fit = triad_fit(
         residuals,
         Verdict.of(
-            *_judged(rms_angle, uncertain, drift),
-            *limited_by_codes("gyroscope", problem.codes, np.diag(total)[9:], unit_in),
+            *_judged(rms_angle, uncertain, drift, g),
+            *limited_by_codes("gyroscope", problem.codes, np.diag(total)[9:12], unit_in),
         ),
         method="multi-position",
         unit_in=unit_in,
         unit_out="rad/s",
         matrix=matrix,
         offset=offset,
+        g_sensitivity=g,
+        parameters=names,
         covariance=total,
-        rank=problem.free,
+        rank=problem.free + (0 if g is None else g.size),
         condition=scaled_condition(missed.jacobian[:, :9])[1],
         valid_range=(float(rate.min()), float(rate.max())),
     )
@@ -622,7 +582,29 @@ def _as_triad(problem: _Problem, p: FloatArray, covariance: FloatArray, missed: 
     return fit
 
 
-def _judged(rms_deg: float, percent: float, drift_dps: float) -> Iterator[Finding]:
+def _with_g(
+    prior: OffsetPrior, matrix: FloatArray, offset: FloatArray, covariance: FloatArray
+) -> tuple[FloatArray, FloatArray | None, tuple[str, ...], FloatArray]:
+    """Return the offset under no force, G, the names of all parameters and their covariance; of a fit under the mean force.
+
+    b = b_f - H f, G = M H: db = db_f - dH f, dG = dM H + M dH.
+    """
+    from scipy.linalg import block_diag
+
+    names = (*MATRIX_NAMES, *OFFSET_NAMES)
+    if prior.g is None:
+        return offset, None, names, covariance
+    jacobian = np.eye(21)
+    jacobian[9:12, 12:] = -np.kron(np.eye(3), prior.force)
+    jacobian[12:, :9], jacobian[12:, 12:] = np.kron(np.eye(3), prior.g.T), np.kron(matrix, np.eye(3))
+    total = jacobian @ block_diag(covariance, *prior.g_covariance) @ jacobian.T
+    return offset - prior.g @ prior.force, matrix @ prior.g, (*names, *G_NAMES), total
+
+
+def _judged(rms_deg: float, percent: float, drift_dps: float, g: FloatArray | None) -> Iterator[Finding]:
+    if g is not None:
+        most = float(np.abs(g).max()) * STANDARD_GRAVITY / RADIAN_PER_DEGREE
+        yield finding("multi_position.g_sensitivity_fitted", "info", dps_per_g=most)
     yield from above("multi_position.moves_miss", rms_deg, MISS_DEG, rms_deg=rms_deg)
     yield from above("multi_position.gyro_uncertainty", percent, UNCERTAIN_PERCENT, uncertainty_percent=percent)
     yield from above("multi_position.gyro_drift", drift_dps, DRIFT_DPS, drift_dps=drift_dps)
@@ -735,7 +717,8 @@ def fit_multi_position(
         cores = used if settings.rule == "published" or stills is not None else _cores(levels, used, shortest)
         try:
             model = axes if axes is not None and len(fit.prior) else accel.model
-            gyro = _fit_gyro(records, used, cores, model, settings, creep)
+            bend = fit.quadratic if model is accel.model else np.zeros(3)
+            gyro = _fit_gyro(records, used, cores, model, bend, settings, creep)
         except NotObservable as error:
             missing = (finding("session.fit_failed", "warn", triad="gyroscope", reason=str(error)),)
     verdict = accel.verdict if gyro is None else accel.verdict.also(gyro.verdict)
@@ -755,14 +738,19 @@ def _fit_gyro(
     used: Sequence[Still],
     cores: Sequence[Still],
     model: TriadModel,
+    quadratic: FloatArray,
     settings: MultiPositionSettings,
     creep: Callable[[Sequence[Still], Kind], Creep] | None,
 ) -> TriadFit:
     if settings.rule == "published":
-        return fit_gyro_between_stills(records, used, model, cores=cores, equal=True, rest_s=settings.rest_s)
+        first = min(cores, key=lambda still: (still.recording, still.start))
+        rest, start = records[first.recording].part(first.start, first.stop), records[0].time[0]
+        if settings.rest_s is not None:
+            rest = records[0].between(start, start + settings.rest_s)
+        return fit_gyro_between_stills(records, used, model, cores=cores, opening=rest.gyro)
     ordered = sorted(used, key=lambda still: (still.recording, still.start))
     both = None if creep is None else (creep(ordered, "accel"), creep(ordered, "gyro"))
-    return fit_gyro_between_stills(records, used, model, cores=cores, creep=both)
+    return fit_gyro_between_stills(records, used, model, cores=cores, creep=both, quadratic=quadratic)
 
 
 def _stills(levels: list[StillVariance], multiple: float, shortest: list[int]) -> tuple[Still, ...]:
@@ -812,13 +800,9 @@ def _attempt(
         with suppress(PoorFit):
             weights = None if published else variances
             fit = fit_norm(
-                reading,
-                gravity=gravity,
-                variances=weights,
-                cross_axis=settings.cross_axis,
-                prior_sd=prior_sd,
-                creep=creep,
-            )
+                reading, gravity=gravity, variances=weights, cross_axis=settings.cross_axis, prior_sd=prior_sd,
+                creep=creep, quadratic_sd=0.0 if published else QUADRATIC_SD,
+            )  # fmt: skip
     trial = ThresholdTrial(
         multiple=multiple,
         stills=len(stills),

@@ -427,7 +427,10 @@ def _limits(calibration: "Calibration", triads: "Mapping[str, TriadModel]") -> I
         if high > low:
             yield f"{NAMES[name]}: calibrated from {low:.4g} to {high:.4g} {unit}, at steady values; not covered beyond."
     if "accel" in triads:
-        yield "The accelerometers are taken as linear within 1 g. A quadratic term is part of their offset, and not included in U."
+        held = "is part of their offset, and not included in U"
+        if triads["accel"].method.startswith("multi-position"):
+            held = "of a data sheet's size (2e-4 per m/s²) is included in U of their offset, as far as the poses leave it open"
+        yield f"The accelerometers are taken as linear within 1 g. A quadratic term {held}."
     tables = calibration.drift
     if tables is None or tables.static is None:
         yield "Offsets hold at the reference temperature. Change with temperature is not included in U."
