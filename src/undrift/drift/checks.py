@@ -279,8 +279,8 @@ def _scale_verdict(against: FloatArray, soaks: SoakMatrices, reference_temp_c: f
     return Verdict.of(finding("drift.scale_differs", level, percent=100.0 * off, limit_percent=100.0 * _SCALE_OFF[0]))
 
 
-def offsets_verdict(static: StaticFit, device: Calibration) -> Verdict:
-    """Compare the offset table with the calibration's constants."""
+def offsets_verdict(static: StaticFit, device: Calibration, felt: FloatArray | float = 0.0) -> Verdict:
+    """Compare the offset table with the calibration's constants; ``felt`` (3,) is what gravity adds to readings at rest."""
     model, triad, offset = device.gyro, static.gyro, static.table.gyro_offset
     if model is None or model.method == "nominal" or triad is None or offset is None:
         return Verdict()
@@ -300,7 +300,7 @@ def offsets_verdict(static: StaticFit, device: Calibration) -> Verdict:
         "temp_c": float(nodes[node]),
         "offset_dps": off,
         "uncertainty_dps": sure,
-        "cause": _unit_of(offset[node], model.offset),
+        "cause": _unit_of(offset[node] + felt, model.offset + felt),
     }
     if beyond.max() <= TURN_ON_DPS:
         return Verdict()

@@ -42,7 +42,7 @@ from undrift.drift import temperature as thermometer
 from undrift.drift.accel import AccelDriftFit, fit_accel_drift, with_accel
 from undrift.drift.observe import ObserveSettings, RateSteps, RestBlocks
 from undrift.drift.rate_steps import Asymmetry, DynamicFit, ScaleFit, Steps
-from undrift.drift.rests import with_g_sensitivity
+from undrift.drift.rests import felt_by_gyro, with_g_sensitivity
 from undrift.drift.static import StaticFit, StaticSettings, TriadDrift, far_from_data, fit_static
 from undrift.drift.temperature import LagFit, Temperature, TemperatureSettings
 from undrift.errors import CalibrationError, InputError, NotObservable
@@ -293,7 +293,8 @@ def fit_drift(
     wider = widened(nodes, _whole_range(seen, settings.step_c))  # the verdict does not depend on the range asked for
     wide = fit_static(rests, nodes=wider, calibration=device, settings=static_settings)
     checks.check_sessions(wide, device)
-    agrees = checks.check_turns(steps, device, wide).also(checks.offsets_verdict(wide, device))
+    felt = felt_by_gyro(rests, device).mean(axis=0)
+    agrees = checks.check_turns(steps, device, wide).also(checks.offsets_verdict(wide, device, felt))
     report("cross-validating scale and dynamic tables", 0.5)
     choice, of_choice = _chosen(steps, device, wide, rests, settings)
     static, choice = cropped_static(wide, nodes), choice and cropped_choice(choice, nodes)

@@ -123,7 +123,7 @@ def gyro_offsets(blocks: RestBlocks, calibration: Calibration | None, latitude_d
             "Earth rate: wanted a calibration of both triads, got one of fewer; calibrate them, or give no latitude"
         )
     if model is not None and model.g_sensitivity is not None and force is not None:
-        value -= force @ (model.forward_matrix @ model.g_sensitivity).T
+        value -= felt_by_gyro(blocks, calibration)
         if G_NAMES[0] in model.parameters:  # the g-sensitivity's own uncertainty, at the mean specific force
             start, k, mean = model.parameters.index(G_NAMES[0]), model.forward_matrix, force.mean(axis=0)
             own = model.covariance[start : start + len(G_NAMES), start : start + len(G_NAMES)].reshape(3, 3, 3, 3)
@@ -184,6 +184,14 @@ def specific_force(blocks: RestBlocks, calibration: Calibration | None) -> Float
     if model is None or not np.isfinite(blocks.accel).all():
         return None
     return np.asarray((blocks.accel - model.offset) @ model.matrix.T)
+
+
+def felt_by_gyro(blocks: RestBlocks, calibration: Calibration | None) -> FloatArray:
+    """Return what specific force adds to the gyroscopes' readings of blocks, (n, 3), raw unit; 0 where that is not known."""
+    model, force = None if calibration is None else calibration.gyro, specific_force(blocks, calibration)
+    if model is None or model.g_sensitivity is None or force is None:
+        return np.zeros((len(blocks), 3))
+    return np.asarray(force @ (model.forward_matrix @ model.g_sensitivity).T)
 
 
 # ---- temperature cells
