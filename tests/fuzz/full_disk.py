@@ -79,9 +79,9 @@ CALLS = {
     "orient .mat": Call(ORIENT + "x.mat"),
     "orient BIDS": Call(ORIENT + BIDS, together=True),
     "validate": Call("validate {b}/corrected.parquet --reference {b}/reference.parquet -o {o}/v"),
-    "twin": Call("twin {b}/corrected.parquet --reference {b}/reference.parquet -o {o}/device.json", slow=True),
+    "twin": Call("twin {b}/broad.hdf5 -o {o}/device.json", slow=True),
     "export c": Call("export {b}/calibration.json --target c -o {o}/x.h", together=True),
-    "export px4": Call("export {b}/calibration.json --target px4 -o {o}/x.params"),
+    "export px4": Call("export {b}/calibration.json --target px4 --gyro-dps-per-unit 0.061 --accel-m-s2-per-unit 0.0048 -o {o}/x.params"),
     "export imucal": Call("export {b}/calibration.json --target imucal -o {o}/x.json"),
     "export ros": Call("export {b}/calibration.json --target ros -o {o}/x.yaml"),
     "certificate": Call("certificate {b}/calibration.json -o {o}/c.pdf"),
@@ -112,6 +112,7 @@ def make_inputs(folder: Path, *, soak: bool) -> str:
 
     from testkit.bench_and_commands import make_bench
     from testkit.command_line import at_rest
+    from testkit.data import data_path
     from undrift.cli.app import run
     from undrift.io.formats import read_record, write_record
     from undrift.io.store import read_calibration, write_calibration
@@ -135,6 +136,7 @@ def make_inputs(folder: Path, *, soak: bool) -> str:
     (folder / "study.toml").write_text(STUDY)
     (folder / "old").mkdir()
     shutil.copy(folder / "calibration.json", folder / "old")
+    (folder / "broad.hdf5").symlink_to(data_path("broad", "32_disturbed_attached_magnet_1cm.hdf5"))
     soaks = [f"simulate thermal_soak --device mpu6050 --sample-rate-hz 5 -o {folder}/soak"] * soak
     for words in (
         *soaks,
