@@ -81,7 +81,9 @@ CALLS = {
     "validate": Call("validate {b}/corrected.parquet --reference {b}/reference.parquet -o {o}/v"),
     "twin": Call("twin {b}/broad.hdf5 -o {o}/device.json", slow=True),
     "export c": Call("export {b}/calibration.json --target c -o {o}/x.h", together=True),
-    "export px4": Call("export {b}/calibration.json --target px4 --gyro-dps-per-unit 0.061 --accel-m-s2-per-unit 0.0048 -o {o}/x.params"),
+    "export px4": Call(
+        "export {b}/calibration.json --target px4 --gyro-dps-per-unit 0.061 --accel-g-per-unit 1 -o {o}/x.params"
+    ),
     "export imucal": Call("export {b}/calibration.json --target imucal -o {o}/x.json"),
     "export ros": Call("export {b}/calibration.json --target ros -o {o}/x.yaml"),
     "certificate": Call("certificate {b}/calibration.json -o {o}/c.pdf"),
