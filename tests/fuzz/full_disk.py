@@ -19,7 +19,7 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
@@ -95,7 +95,7 @@ CALLS = {
     "simulate session": Call("simulate thermal_ramp --device mpu6050 --sample-rate-hz 5 -o {o}/s", together=True),
     "simulate days": Call("simulate daily_use --device mpu6050 --days 2 --sample-rate-hz 5 -o {o}/days"),
     "study": Call("study {b}/study.toml -o {o}/study --workers 1 --no-rivals", fresh=True, slow=True),
-    "data": Call("data get sample -o {o}/sample", fresh=True, together=True),
+    "data": Call("data fetch sample -o {o}/sample", fresh=True, together=True),
     "registry add": Call("registry add {b}/calibration.json --registry {o}/r.sqlite", fresh=True),
     "registry show": Call("registry show 1 --registry {b}/r.sqlite -o {o}/c.json"),
     "registry find": Call("registry find --serial {serial} --registry {b}/r.sqlite -o {o}/c.json"),
@@ -138,15 +138,17 @@ def make_inputs(folder: Path, *, soak: bool) -> str:
     (folder / "study.toml").write_text(STUDY)
     (folder / "old").mkdir()
     shutil.copy(folder / "calibration.json", folder / "old")
+    first = read_calibration(folder / "calibration.json")
+    write_calibration(replace(first, gyro=replace(first.gyro, offset=1.01 * first.gyro.offset)), folder / "second.json")
     (folder / "broad.hdf5").symlink_to(data_path("broad", "32_disturbed_attached_magnet_1cm.hdf5"))
     soaks = [f"simulate thermal_soak --device mpu6050 --sample-rate-hz 5 -o {folder}/soak"] * soak
     for words in (
         *soaks,
-        f"registry add {folder}/calibration.json --registry {folder}/r.sqlite",
+        f"registry add {folder}/calibration.json {folder}/second.json --registry {folder}/r.sqlite",
     ):
         with contextlib.redirect_stdout(io.StringIO()):
             assert run(words.split()) in (0, 1), words
-    return read_calibration(folder / "calibration.json").device
+    return first.device
 
 
 def called(words: list[str]) -> tuple[int, str]:
@@ -167,8 +169,8 @@ def contents(folder: Path) -> dict[str, bytes]:
 
 
 def same(one: bytes | None, other: bytes) -> bool:
-    """Tell whether two contents are alike but for a date, or the time that something took."""
-    return one is not None and (one == other or (abs(len(one) - len(other)) <= 256 and len(one) > 512))
+    """Tell whether two contents are alike to their ends but for a date, or the time that something took."""
+    return one is not None and (one == other or (abs(len(one) - len(other)) <= 64 and one[-4:] == other[-4:]))
 
 
 def judge(
