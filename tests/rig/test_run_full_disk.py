@@ -1,4 +1,4 @@
-"""A run on a disk that is full at any write: it ends at rest with one clear line, keeps what it reported, and resumes to the end."""
+"""A run on a disk that is full at any write: it ends at rest with one clear line, keeps what it reported, and resumes."""
 
 import subprocess
 import sys
