@@ -418,7 +418,7 @@ def test_a_rest_is_named_by_its_times_and_refused_where_there_is_none(undrift, b
     told = undrift.good("correct", bench / "trial.parquet", *words, "--offset", "rest", *named, "--json").json()
     assert told["recordings"][0]["rest"]["rest_s"] == pytest.approx([0.5, 1.49], abs=0.011)
     (tmp_path / "a.parquet").unlink()
-    assert "wanted --offset rest beside them, got none" in undrift.refused(
+    assert "wanted --offset rest or motion beside them, got none" in undrift.refused(
         "correct", bench / "trial.parquet", *words, *named
     )
     raw = read_record(bench / "trial.parquet")

@@ -10,8 +10,7 @@ from scipy.stats import binom
 
 from testkit.broad_trials import FILES, trial
 from testkit.data import show
-from undrift.calibration.adc import identify_record_adc
-from undrift.correction.correct import correct_whole
+from undrift.correction.correct import Corrector, correct_checked, correct_whole
 from undrift.correction.motion import MOVED, STRETCH_S, find_motion_offset
 from undrift.correction.rest import RestOffset, find_rest_offset
 from undrift.errors import InputError
@@ -21,8 +20,9 @@ from undrift.sim.device.presets import random_device
 from undrift.sim.device.simulate import simulate_device
 from undrift.sim.device.truth import true_calibration
 from undrift.sim.motion.tasks import TaskName, draw_task
+from undrift.sim.sessions import simulate_trial
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
-from undrift.validation.trial import TrialSettings, nominal_calibration, validate_trial
+from undrift.validation.trial import TrialSettings, validate_trial
 
 RATE_HZ = 50.0
 
@@ -114,15 +114,9 @@ def test_gravity_in_motion_halves_the_inclination_that_a_rest_leaves_in_every_re
     ends = []
     for number in numbers:
         record, reference = trial(number)
-        codes = nominal_calibration(record, identify_record_adc(record))
-        done = correct_whole(record, codes).record
-        rest = find_rest_offset(done)
-        rates = (rest.rate, find_motion_offset(done, rest).at(done.time))
         judged = [
-            validate_trial(
-                replace(done, gyro=np.asarray(done.gyro) - rate), reference, settings=TrialSettings(adc="none")
-            ).figures
-            for rate in rates
+            validate_trial(record, reference, settings=TrialSettings(offset=offset)).figures
+            for offset in ("rest", "motion")
         ]
         ends.append([one.end_inclination_deg for one in judged])
     show(
@@ -159,3 +153,16 @@ def test_what_motion_cannot_show_is_refused() -> None:
         find_motion_offset(replace(record, accel=gone), rest)
     with pytest.raises(InputError, match="wanted rates and specific force"):
         find_motion_offset(replace(record, accel=None), rest)
+
+
+def test_a_stream_takes_the_offset_of_motion_as_the_whole_record_does() -> None:
+    rng = np.random.default_rng(6)
+    device = random_device(rng)
+    record, model = simulate_trial("posturography", device, rng=rng).record, true_calibration(device)
+    whole = correct_checked(record, model, offset="motion")
+    plain = correct_checked(record, model).record
+    np.testing.assert_array_equal(plain.gyro - whole.rest.at(record.time), whole.record.gyro)
+    assert whole.rest.finding in whole.findings
+    stream = Corrector(model, offset=whole.rest)
+    parts = [stream.push(record.part(a, min(a + 777, len(record)))).gyro for a in range(0, len(record), 777)]
+    np.testing.assert_array_equal(np.concatenate(parts), whole.record.gyro)

@@ -50,7 +50,7 @@ def course_of(rate, q_nb=None, **more):
         axis = np.asarray(rate) / max(np.linalg.norm(rate), 1e-12)
         q_nb = np.column_stack((np.cos(half), np.sin(half)[:, None] * axis))
     record = Record(time=t, gyro=gyro, accel=np.tile((0.0, 0.0, 9.81), (len(t), 1)))
-    known = {"delay_s": 0.0, "rest_variance": np.zeros(3), "noise_density": 0.0, "tilt": 0.0, "mounting": 0.0}
+    known = {"delay_s": 0.0, "offset_variance": np.zeros(3), "noise_density": 0.0, "tilt": 0.0, "mounting": 0.0}
     return Strapdown(record=record, q_nb=q_nb, stop_s=T, turned=np.eye(3), **(known | more))
 
 
@@ -100,7 +100,7 @@ def test_g_sensitivity_and_counts_are_taken_in_their_units():
 
 
 def test_a_subtracted_rest_takes_the_models_offset_with_it_and_brings_its_own_scatter():
-    still = course_of((0.0, 0.0, 0.0), rest_variance=np.full(3, 1e-10))
+    still = course_of((0.0, 0.0, 0.0), offset_variance=np.full(3, 1e-10))
     model = model_of(only(9, 1e-4))
     subtracted = OffsetSource(rest="subtracted", in_motion=False)
     made = expected_errors(still, model, subtracted, NOTHING)

@@ -25,9 +25,9 @@ from undrift.errors import InputError
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from undrift.correction.correct import Corrector, CorrectorState
+    from undrift.correction.correct import Corrector, CorrectorState, Left
     from undrift.correction.coverage import Beyond
-    from undrift.correction.rest import RestOffset, Stretch
+    from undrift.correction.rest import Stretch
     from undrift.drift.hysteresis import TempHistory
     from undrift.findings import Finding
     from undrift.model import Calibration
@@ -47,7 +47,7 @@ class CorrectedFile:
     notes: tuple[str, ...]
     findings: "tuple[Finding, ...]"  # Signs of other columns or another unit; in the warnings too
     beyond: "tuple[Beyond, ...]"  # Readings beyond the range of the fits; in the warnings too
-    rest: "RestOffset | None"  # What was subtracted because it was left at a rest; in the notes too
+    rest: "Left | None"  # What was subtracted of the offset; in the notes too
 
     def row(self) -> dict[str, Any]:
         """Return the recording as --json has it."""
@@ -133,7 +133,7 @@ def correct(
     output: Output,
     applying: TableUse = TableUse(),
     temp_history: str | None = None,
-    offset: Literal["none", "rest"] = "none",
+    offset: Literal["none", "rest", "motion"] = "none",
     named: NamedRest = NamedRest(),
     opening: Opening = Opening(),
     scheduler: str | None = None,
@@ -156,14 +156,17 @@ def correct(
         recording shows its own course; none leaves the middle of the loop.
     offset : str
         "rest" also subtracts the mean rate that is left at the first still phase (or the named one), as --offset of orient
-        does: best with tables, for what they cannot know.
+        does: best with tables, for what they cannot know. "motion" starts from that rest and adds what gravity shows while the
+        device moves; the whole recording is then in memory.
     scheduler : str or None
         Address of a Dask scheduler, as in tcp://host:8786: its workers take a recording each; they see the same files.
     """
     from undrift.correction.correct import Corrector
 
     if offset == "none" and named.stretch != (None, None):
-        raise InputError("`still_start_s`, `still_stop_s`: wanted `offset` rest beside them, got none; add it")
+        raise InputError(
+            "`still_start_s`, `still_stop_s`: wanted `offset` rest or motion beside them, got none; add it"
+        )
     model, calibration = registered.read(calibration, records, opening)
     targets = _targets(records, output, (calibration, opening.column_map))
     folder = targets[0].parent
@@ -175,8 +178,10 @@ def correct(
     settings: dict[str, object] = {"policy": applying.policy, "power_on_s": applying.power_on_s, "offset": offset}
     settings |= {} if history is None else {"temp_history": temp_history}
     made_by = partial(_provenance, calibration=calibration, model=model, settings=settings)
-    rest = named.stretch if offset == "rest" else None
-    corrected = partial(_correct_one, corrector=corrector, model=model, opening=opening, made_by=made_by, stretch=rest)
+    find_left = None if offset == "none" else partial(_offset_left, offset=offset, stretch=named.stretch)
+    corrected = partial(
+        _correct_one, corrector=corrector, model=model, opening=opening, made_by=made_by, find_left=find_left
+    )
     try:
         files = _correct_all(records, targets, corrected, scheduler, progress)
     except BaseException:
@@ -212,7 +217,7 @@ def _correct_all(
     progress: Progress,
 ) -> tuple[CorrectedFile, ...]:
     """Correct into a hidden folder beside the targets; they appear when all are whole."""
-    from undrift.files import hidden_folder, take_names
+    from undrift.files import hidden_folder
 
     with hidden_folder(targets[0].parent) as hidden:
         jobs, done = (
@@ -229,7 +234,8 @@ def _correct_all(
         else:
             for k, job in enumerate(jobs):
                 done[k] = correct_one(job, progress=part_of(progress, k / len(jobs), (k + 1) / len(jobs)))
-        take_names({hidden.parent / part.name: part for part in sorted(hidden.iterdir())})  # and what is beside them
+        for part in sorted(hidden.iterdir()):  # the recordings, and what is written beside them
+            part.replace(targets[0].parent / part.name)
     return tuple(replace(done[k], record=record, output=targets[k]) for k, record in enumerate(records))
 
 
@@ -265,7 +271,7 @@ def _correct_one(
     model: "Calibration",
     opening: Opening,
     made_by: "Callable[[Path], dict[str, object]]",
-    stretch: "Stretch | None",
+    find_left: "Callable[..., Left] | None",
     progress: Progress = silent,
 ) -> CorrectedFile:
     """Correct a recording into a file, chunk by chunk where the file takes chunks."""
@@ -278,8 +284,8 @@ def _correct_one(
     from undrift.io.write import write_record_as
 
     (record, part), stream, notes, rest = job, corrector(), dict[str, None](), None
-    if stretch is not None:
-        rest = _rest_offset(record, model, opening, corrector(), stretch)
+    if find_left is not None:
+        rest = find_left(record, model, opening, corrector())
         stream, notes = corrector(offset=rest), {rest.finding.text: None}
     suspicions: tuple[Finding, ...] = ()
     saturated: dict[object, Finding] = {}  # by channel and axis, over all chunks
@@ -313,15 +319,28 @@ def _correct_one(
     )  # fmt: skip
 
 
-def _rest_offset(
-    record: Path, model: "Calibration", opening: Opening, corrector: "Corrector", stretch: "Stretch"
-) -> "RestOffset":
-    """Return what the calibration leaves at a rest of a recording, of which no more is read than needed."""
+def _offset_left(
+    record: Path,
+    model: "Calibration",
+    opening: Opening,
+    corrector: "Corrector",
+    *,
+    offset: Literal["rest", "motion"],
+    stretch: "Stretch",
+) -> "Left":
+    """Return what the calibration leaves of the offset in a recording; at a rest no more of it is read than needed."""
+    from undrift.correction.correct import offset_left
     from undrift.correction.rest import find_rest_offset_in
+    from undrift.record import joined
 
     try:
         parts = (calibrated_part(read, model)[0] for read in opening.chunks(record))
-        return find_rest_offset_in((corrector.push_checked(part).record for part in parts), stretch)
+        corrected = (corrector.push_checked(part).record for part in parts)
+        return (
+            find_rest_offset_in(corrected, stretch)
+            if offset == "rest"
+            else offset_left(joined(list(corrected)), offset, stretch)
+        )
     except InputError as error:
         raise InputError(f"{record}: {error}", **error.numbers) from error
 

@@ -145,7 +145,7 @@ def validate(
     calibrate_from: Literal["reference"] | None = None,
     leave_one_out: Flag = False,
     mounting: Literal["each", "one"] | None = None,
-    offset: Literal["none", "rest"] | None = None,
+    offset: Literal["none", "rest", "motion"] | None = None,
     adc: Literal["auto", "none"] = "auto",
     forward: Side = "+x",
     up: Side = "+z",
@@ -175,8 +175,8 @@ def validate(
         With --calibrate-from: "each" fits a small rotation between device and reference body for each recording, "one" states that
         they were mounted once. Without it: as session.toml says, or each.
     offset : str or None
-        "rest" subtracts the mean rate of the first still phase, as correct and orient do, "none" does not. Without a
-        calibration: rest.
+        "rest" subtracts the mean rate of the first still phase, "motion" also what gravity shows from there on, as correct and
+        orient do; "none" does not. Without a calibration: rest.
     adc : str
         "auto" corrects the quantisation of the codes where it shows and, with --calibrate-from, where that lowers the error on
         recordings that a fit has not seen: by two recordings or more, the held-out one apart. "none" leaves them.
@@ -361,15 +361,21 @@ def _judged(
 
 def _answer(result: "Validation", method: Validated) -> str:
     """Return what the orientation is worth, in a sentence."""
-    how = "with the offset of the first still phase removed"
+    removed = {
+        "rest": "the offset of the first still phase removed",
+        "motion": "the offset that gravity shows in motion removed",
+    }
+    parts = []
     if method.leave_one_out:
-        how = "calibrated with the other recordings"
+        parts = ["calibrated with the other recordings"]
     elif method.calibration is not None:
-        how = f"calibrated with {method.source}" if method.source else "calibrated with these same recordings"
+        parts = [f"calibrated with {method.source}" if method.source else "calibrated with these same recordings"]
+    if method.settings.offset == "motion" or not parts:
+        parts += [f"with {removed[method.settings.offset]}" if method.settings.offset in removed else "uncorrected"]
     figures, over = result.median, f", median of {len(result.trials)} recordings" if len(result.trials) > 1 else ""
     return (
         f"Orientation is wrong by {figures.rmse_total_deg:.2g} deg rms in total and {figures.rmse_inclination_deg:.2g} deg in "
-        f"inclination over the motion{over}, {how if method.calibration or method.settings.offset == 'rest' else 'uncorrected'}."
+        f"inclination over the motion{over}, {', '.join(parts)}."
     )
 
 
@@ -548,9 +554,12 @@ def _calibration(method: Validated) -> str:
 
 def _offset(method: Validated) -> str:
     rest = "the mean rate of the first still phase is subtracted"
+    if method.settings.offset == "motion":
+        rest = "what gravity shows in motion, beside the first still phase, is subtracted"
     if method.leave_one_out:
-        return "the fit's: each recording's rest before the motion, and the motion of the others"
-    if method.settings.offset == "rest":
+        fitted = "the fit's: each recording's rest before the motion, and the motion of the others"
+        return f"{fitted}; {rest}" if method.settings.offset == "motion" else fitted
+    if method.settings.offset != "none":
         return rest if method.calibration is None else f"the calibration's, and {rest} after it"
     return "not corrected" if method.calibration is None else "the calibration's alone"
 

@@ -24,7 +24,7 @@ import warnings
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal, TypeAlias
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias, Union
 
 import numpy as np
 
@@ -45,16 +45,20 @@ from undrift.correction.plan import (
     in_pieces,
     plan_record,
 )
-from undrift.correction.rest import RestOffset, find_rest_offset
+from undrift.correction.rest import NAMED_NONE, RestOffset, Stretch, find_rest_offset
 from undrift.drift.hysteresis import TempHistory
 from undrift.errors import InputError
 from undrift.findings import Finding
 from undrift.model import NO_TABLES, Calibration
 from undrift.record import ForceUncertainty, Record
 
+if TYPE_CHECKING:
+    from undrift.correction.motion import MotionOffset
+
 Buffers: TypeAlias = tuple[FloatArray, FloatArray]  # rate, rad/s, and specific force, m/s2, (N, 3)
 Policy = Literal["raise", "hold", "nan"]
-Offset: TypeAlias = Literal["none", "rest"] | RestOffset
+Left: TypeAlias = Union[RestOffset, "MotionOffset"]  # What a calibration leaves of the offset
+Offset: TypeAlias = Literal["none", "rest", "motion"] | Left
 
 REFERENCE_SPAN_C = 5.0  # how far from the reference temperature constant offsets are taken to hold
 
@@ -133,7 +137,7 @@ class Corrected:
     findings: tuple[Finding, ...]
     reach: coverage.Reach
     carry: Carry
-    rest: RestOffset | None = None
+    rest: Left | None = None
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -188,9 +192,10 @@ def correct(
     power_on_s : float, optional
         Time since power-on at the first sample, s; without it no warm-up is subtracted, and a note of ``correct_checked`` says
         how large it is.
-    offset : str or RestOffset
-        "rest" subtracts the mean rate that is left at the first still phase, and with it any true slow turn; a RestOffset
-        subtracts one that was found before. A note of ``correct_checked`` states it with its uncertainty.
+    offset : str, RestOffset or MotionOffset
+        "rest" subtracts the mean rate that is left at the first still phase, and with it any true slow turn; "motion" also what
+        gravity shows while the device moves; an object subtracts one that was found before. A note of ``correct_checked``
+        states it with its uncertainty.
     temp_history : str or sequence of float, optional
         Course of the temperature before the first sample, for a calibration that corrects hysteresis: "warming", "cooling", or
         the temperatures at which it turned, oldest first, degC. Without it hysteresis is corrected as far as the record's own
@@ -260,7 +265,7 @@ def correct_checked(
         Default: all processors for long records, one for short ones. The bits of the result do not depend on it.
     power_on_s : float, optional
         As for ``correct``, s.
-    offset : str or RestOffset
+    offset : str, RestOffset or MotionOffset
         As for ``correct``.
     temp_history : str or sequence of float, optional
         As for ``correct``, degC.
@@ -315,19 +320,31 @@ def correct_whole(
 
 
 def re_zeroed(done: Corrected, offset: Offset, threads: int | None = None) -> Corrected:
-    """Subtract what is left at a rest from a record that was just corrected, in its own buffer: step 6."""
-    rate = done.record.gyro
-    rest = find_rest_offset(done.record) if offset == "rest" else offset if isinstance(offset, RestOffset) else None
-    if rest is None or rate is None:
+    """Subtract what is left of the offset from a record that was just corrected, in its own buffer: step 6."""
+    if offset == "none":
+        return done
+    remainder = offset_left(done.record, offset) if isinstance(offset, str) else offset
+    rate, time = done.record.gyro, done.record.time
+    if rate is None:
         return done
 
     def subtract(start: int, stop: int) -> None:
-        rate[start:stop] -= rest.rate
+        rate[start:stop] -= remainder.at(time[start:stop])
 
     rate.flags.writeable = True
     in_pieces(subtract, len(rate), threads)
     rate.flags.writeable = False
-    return replace(done, rest=rest, findings=(*done.findings, rest.finding))
+    return replace(done, rest=remainder, findings=(*done.findings, remainder.finding))
+
+
+def offset_left(record: Record, offset: Literal["rest", "motion"], stretch: Stretch = NAMED_NONE) -> Left:
+    """Return what a calibration leaves of the offset of a corrected record: at a rest, or from there on in motion."""
+    rest = find_rest_offset(record, stretch)
+    if offset == "rest":
+        return rest
+    from undrift.correction.motion import find_motion_offset  # scipy and a kernel, for this alone
+
+    return find_motion_offset(record, rest)
 
 
 def correct_planned(
@@ -450,8 +467,9 @@ class Corrector:
         Time since power-on at the first sample of the stream, s, as for ``correct``.
     temp_history : str or sequence of float, optional
         Course of the temperature before the first sample of the stream, degC, as for ``correct``.
-    offset : RestOffset, optional
-        What is left at a rest, to subtract from every chunk: ``find_rest_offset_in`` finds it in the first corrected chunks.
+    offset : RestOffset or MotionOffset, optional
+        What is left at a rest or in motion, to subtract from every chunk: ``find_rest_offset_in`` finds the former in the first
+        corrected chunks.
 
     Examples
     --------
@@ -475,7 +493,7 @@ class Corrector:
         reference_span_c: float = REFERENCE_SPAN_C,
         power_on_s: float | None = None,
         temp_history: TempHistory | None = None,
-        offset: RestOffset | None = None,
+        offset: Left | None = None,
     ) -> None:
         carry_at_start(0.0, power_on_s, calibration, temp_history)  # refused now rather than at the first chunk
         self._calibration, self._policy, self._span = calibration, policy, reference_span_c

@@ -18,6 +18,7 @@ prior. A long push (lift, car, bend) reads as a tilt: it enters the sizes, and w
 
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
@@ -29,7 +30,7 @@ from undrift.errors import InputError
 from undrift.findings import Finding, finding
 from undrift.frames import rotation
 from undrift.kernels.rotation import strapdown
-from undrift.record import Record
+from undrift.record import Record, Still
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
 MEAN_S, STRETCH_S, LEAST_S = 5.0, 300.0, 20.0  # s, of a Hann mean, of a stretch, of a recording
@@ -42,6 +43,7 @@ CALIBRATED, RAW = (0.05, 0.005), (0.5, 0.03)
 _SIZES, _FACTOR = 2.0 * np.log((0.03, 0.1 * RADIAN_PER_DEGREE)), 4.0
 _LOOSE = 1.0 * RADIAN_PER_DEGREE  # rad/s, of the offset while the sizes are sought
 _SHARED = 1.0 / 6.0  # correlation of Hann means that half overlap
+_SHOWN = ("offset_dps", "uncertainty_dps", "prior_dps", "acceleration_m_s2")
 _ROUNDS, _SETTLED = 8, 1e-7  # of linearisation; rad/s
 
 
@@ -54,6 +56,7 @@ class MotionOffset:
     covariance: FloatArray  # (S, 3, 3), (rad/s)^2
     prior: FloatArray  # (3,), standard deviation of what was known before, rad/s
     acceleration: float  # What is left of it in a mean, rms, m/s2
+    rest: RestOffset  # What it began with
 
     def __post_init__(self) -> None:
         count = len(self.time)
@@ -70,16 +73,32 @@ class MotionOffset:
         return float(np.sqrt(np.trace(self.covariance, axis1=1, axis2=2).max()))
 
     @property
+    def rest_s(self) -> tuple[float, float]:
+        """First and last sample of the rest, on the recording's clock."""
+        return self.rest.rest_s
+
+    @property
+    def stills(self) -> tuple[Still, ...] | None:
+        """Rests that were found on the way; None for a named stretch."""
+        return self.rest.stills
+
+    @property
+    def figures(self) -> dict[str, Any]:
+        """What was subtracted, as --json has it."""
+        spread = np.sqrt(np.diagonal(self.covariance, axis1=1, axis2=2).max(axis=0))
+        return {
+            "rest_s": self.rest_s,
+            "offset_dps": self.rate.mean(axis=0) / RADIAN_PER_DEGREE,
+            "offset_uncertainty_dps": spread / RADIAN_PER_DEGREE,
+            "prior_dps": self.prior / RADIAN_PER_DEGREE,
+            "acceleration_m_s2": self.acceleration,
+        }
+
+    @property
     def finding(self) -> Finding:
         """What was subtracted, in words."""
-        return finding(
-            "correct.motion_offset",
-            "info",
-            offset_dps=self.rate.mean(axis=0) / RADIAN_PER_DEGREE,
-            uncertainty_dps=np.sqrt(np.diagonal(self.covariance, axis1=1, axis2=2).max(axis=0)) / RADIAN_PER_DEGREE,
-            prior_dps=self.prior / RADIAN_PER_DEGREE,
-            acceleration_m_s2=self.acceleration,
-        )
+        _, *figures = self.figures.values()
+        return finding("correct.motion_offset", "info", **dict(zip(_SHOWN, figures, strict=True)))
 
 
 def find_motion_offset(record: Record, rest: RestOffset) -> MotionOffset:
@@ -116,6 +135,7 @@ def find_motion_offset(record: Record, rest: RestOffset) -> MotionOffset:
         covariance=np.stack([covariance[k : k + 3, k : k + 3] for k in range(0, count, 3)]),
         prior=np.sqrt(np.diag(prior)),
         acceleration=float(np.sqrt(np.mean([np.exp(one.sizes[0]) for one in stretches]))),
+        rest=rest,
     )
 
 

@@ -47,6 +47,15 @@ class RestOffset:
             object.__setattr__(self, name, frozen(getattr(self, name), shape, f"RestOffset.{name}"))
 
     @property
+    def rest_s(self) -> tuple[float, float]:
+        """First and last sample of the rest, on the recording's clock."""
+        return self.start_s, self.stop_s
+
+    def at(self, time: FloatArray) -> FloatArray:
+        """Return the offset at times (N,): the same at all, (3,)."""
+        return self.rate
+
+    @property
     def uncertainty(self) -> float:
         """Standard uncertainty, all axes together, rad/s."""
         return float(np.sqrt(np.trace(self.covariance)))
@@ -55,7 +64,7 @@ class RestOffset:
     def figures(self) -> dict[str, Any]:
         """What was subtracted, as --json has it."""
         rate, uncertainty = self.rate / RADIAN_PER_DEGREE, self.uncertainty / RADIAN_PER_DEGREE
-        return {"rest_s": (self.start_s, self.stop_s), "offset_dps": rate, "offset_uncertainty_dps": uncertainty}
+        return {"rest_s": self.rest_s, "offset_dps": rate, "offset_uncertainty_dps": uncertainty}
 
     @property
     def finding(self) -> Finding:

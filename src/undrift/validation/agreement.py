@@ -295,7 +295,7 @@ def validate_leave_one_out(
     pairs : sequence of (Record, Reference)
         Two or more recordings of one device.
     settings : TrialSettings
-        Of ``validate_trial``; its ``offset`` is not used: the fit brings the offset.
+        Of ``validate_trial``; the fit brings the offset, beside which ``offset`` "motion" takes what gravity shows.
     fit_settings : ReferenceSettings
         Of the fit.
     names : sequence of str
@@ -336,12 +336,14 @@ def validate_leave_one_out(
         )
         for record, h in zip(records, fits, strict=True)
     ]
-    of_each = replace(settings, offset="none")
+    of_each = replace(settings, offset="motion" if settings.offset == "motion" else "none")
     if fit_settings.mounting == "each":
         of_each = replace(of_each, align_above=min(settings.align_above, MOUNTING_ABOVE))
     in_motion, called = fit_settings.offset != "rest", list(names) or [""] * len(pairs)
     source = OffsetSource(
-        rest="other" if fit_settings.offset == "common" else "own", in_motion=in_motion, recordings=len(pairs) - 1
+        rest="shown" if of_each.offset == "motion" else "other" if fit_settings.offset == "common" else "own",
+        in_motion=in_motion,
+        recordings=len(pairs) - 1,
     )
     apart, trials = _told_apart(fits), list[Trial]()
     for (record, reference), made, h, name in zip(pairs, calibrations, fits, called, strict=True):

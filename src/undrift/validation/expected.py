@@ -64,13 +64,17 @@ class Expected:
     rmse_at_most_deg: float
 
 
+OffsetKind = Literal["other", "own", "subtracted", "shown"]
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OffsetSource:
     """Where the offset of a recording comes from."""
 
     # "other": the model's, of another recording. "own": that of the recording's own rest plus the model's change to motion.
-    # "subtracted": the mean of its own rest is subtracted after the correction, and the model's offset with it
-    rest: Literal["other", "own", "subtracted"]
+    # "subtracted": the mean of its own rest is subtracted after the correction, and the model's offset with it. "shown": what
+    # its motion shows is
+    rest: OffsetKind
     in_motion: bool  # The change from rest to motion was fitted
     recordings: int = 1  # That the fit pooled
 
@@ -84,7 +88,7 @@ class Strapdown:
     stop_s: float  # End of the motion, s, the record's clock
     delay_s: float  # By which the orientation lags the reference in the figures, s
     turned: FloatArray  # (3, 3), from the model's frame to the one that was integrated
-    rest_variance: FloatArray  # (3,), of the mean rate at rest, (rad/s)^2
+    offset_variance: FloatArray  # (3,), of the mean rate at rest, or of the offset that motion shows, (rad/s)^2
     noise_density: float  # Of the rate, rad/sqrt(s)
     tilt: float  # Standard uncertainty of the start, each level axis, rad
     mounting: float  # Of the device against the reference's body, each axis, rad
@@ -137,7 +141,7 @@ def _sensitivity(run: Strapdown, model: TriadModel, source: OffsetSource) -> tup
         kind, _, where = name.partition("_")
         row, last = "xyz".index(where[0]), "xyz".index(where[-1])
         if kind == "offset":
-            columns.append(-sums[..., 3] @ matrix[:, row] * (source.rest != "subtracted"))
+            columns.append(-sums[..., 3] @ matrix[:, row] * (source.rest not in ("subtracted", "shown")))
         else:
             columns.append(sums[..., last] @ turned[:, row] if kind == "m" else -sums[..., 4 + last] @ turned[:, row])
     moved = axes - axes[0]
@@ -149,8 +153,8 @@ def _sensitivity(run: Strapdown, model: TriadModel, source: OffsetSource) -> tup
 def _covariance(run: Strapdown, model: TriadModel, source: OffsetSource, prior: ErrorPrior) -> FloatArray:
     """Return the covariance of model, change of the offset, start, mounting, noise and pose, in this order."""
     more = 1.0 + 1.0 / source.recordings if source.in_motion else 1.0
-    change = more * (prior.motion_offset if source.in_motion else prior.rest_to_motion) ** 2
-    day = np.full(3, prior.day_to_day**2) if source.rest == "other" else run.rest_variance
+    change = more * (prior.motion_offset if source.in_motion else prior.rest_to_motion) ** 2 * (source.rest != "shown")
+    day = np.full(3, prior.day_to_day**2) if source.rest == "other" else run.offset_variance
     extra = (
         change + day,
         np.array([run.tilt**2, run.tilt**2, prior.pose**2]),

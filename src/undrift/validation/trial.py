@@ -30,9 +30,9 @@ from undrift.arrays import BoolArray, FloatArray, frozen
 from undrift.base.summary import Shown
 from undrift.calibration.adc import identify_record_adc
 from undrift.correction.consistency import check_triads
-from undrift.correction.correct import Policy, correct_checked, correct_whole
+from undrift.correction.correct import Left, Policy, correct_checked, correct_whole, offset_left
 from undrift.correction.coverage import find_beyond
-from undrift.correction.rest import RestOffset, find_rest_offset, mean_variance
+from undrift.correction.rest import NAMED_NONE, find_rest_offset, mean_variance
 from undrift.drift.hysteresis import TempHistory
 from undrift.drift.observe import nominal_triad
 from undrift.errors import AlignmentError, InputError
@@ -52,7 +52,15 @@ from undrift.orientation import (
 from undrift.record import Face, Record, Reference, Still
 from undrift.sync import Lag, LagSettings, MotionSpan, find_lag, find_motion, native_poses
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical
-from undrift.validation.expected import ERROR_PRIOR, ErrorPrior, Expected, OffsetSource, Strapdown, expected_errors
+from undrift.validation.expected import (
+    ERROR_PRIOR,
+    ErrorPrior,
+    Expected,
+    OffsetKind,
+    OffsetSource,
+    Strapdown,
+    expected_errors,
+)
 from undrift.validation.reference_frames import check_reference, common_rates
 
 # ---- track: orientation from the readings alone, started from rest
@@ -269,7 +277,7 @@ def degrees(angle: float) -> float:
 
 # ---- One trial
 
-OffsetChoice = Literal["none", "rest"]
+OffsetChoice = Literal["none", "rest", "motion"]
 Adc = Literal["auto", "none"]
 Align = Literal["auto", "none", "rates"]
 
@@ -284,8 +292,8 @@ class TrialSettings:
     Parameters
     ----------
     offset : str
-        "rest" subtracts the mean rate of the first still phase after correction, as ``correct`` and ``orient`` do; "none" uses
-        the calibration's offset.
+        "rest" subtracts the mean rate of the first still phase after correction, as ``correct`` and ``orient`` do; "motion" what
+        gravity shows from there on; "none" uses the calibration's offset.
     adc : str
         "auto" gives back what rounding took: as the calibration says, or, without one, as the record's own codes say.
         "none" leaves the codes as they are.
@@ -402,7 +410,7 @@ class Trial(Shown):
     reference_pitch: FloatArray
     moving: FloatArray
     expected: Expected | None = None
-    rest: RestOffset | None = None
+    rest: Left | None = None
 
     def __post_init__(self) -> None:
         n = len(self.time)
@@ -525,6 +533,9 @@ def _pitch_axes(sensor: FloatArray, before: BoolArray, settings: TrialSettings) 
     return tuple(one for one in found if one.level == "warn")
 
 
+_KINDS: dict[OffsetChoice, OffsetKind] = {"none": "other", "rest": "subtracted", "motion": "shown"}
+
+
 def _expected(
     judged: Trial,
     done: Record,
@@ -540,12 +551,15 @@ def _expected(
         return None
     if source is None:
         in_motion = model.method in ("reference/motion", "reference/common") and judged.rest is None
-        source = OffsetSource(rest="other" if judged.rest is None else "subtracted", in_motion=in_motion)
+        source = OffsetSource(rest=_KINDS[settings.offset], in_motion=in_motion)
     mounting, subtracted = judged.mounting, judged.rest
     before = (float(done.time[0]), judged.motion.start_s - settings.lead_s)
-    rest = done.between(*before if subtracted is None else (subtracted.start_s, subtracted.stop_s))
+    rest = done.between(*before if subtracted is None else subtracted.rest_s)
     still = np.asarray(rest.gyro)[np.isfinite(np.asarray(rest.gyro)).all(axis=1)]
     variance = np.array([mean_variance(axis) for axis in still.T]) if len(still) > 1 else np.zeros(3)
+    offset_variance = variance
+    if subtracted is not None and settings.offset == "motion":
+        offset_variance = np.diagonal(subtracted.covariance, axis1=1, axis2=2).mean(axis=0)
     applied = np.eye(3) if mounting is None or not mounting.applied else mounting.alignment.rotation
     left_in = 0.0 if mounting is None or mounting.applied else mounting.alignment.angle
     course = Strapdown(
@@ -554,7 +568,7 @@ def _expected(
         stop_s=judged.motion.stop_s,
         delay_s=delay_s,
         turned=applied,
-        rest_variance=variance,
+        offset_variance=offset_variance,
         noise_density=float(np.sqrt(variance.mean() * rest.duration_s)),
         tilt=_start_uncertainty(rest, calibration, settings),
         mounting=left_in / np.sqrt(3.0),
@@ -675,17 +689,19 @@ def nominal_calibration(record: Record, adc: AdcModel | None) -> Calibration:
 
 def _re_zeroed(
     record: Record, motion: MotionSpan, settings: TrialSettings
-) -> tuple[Record, RestOffset | None, tuple[Finding, ...]]:
-    """Subtract what is left at the first still phase; where none is found, at what the reference marks before the motion."""
-    if settings.offset != "rest":
+) -> tuple[Record, Left | None, tuple[Finding, ...]]:
+    """Subtract what is left from the first still phase on; where none is found, from what the reference marks before the motion."""
+    if settings.offset == "none":
         return record, None, ()
     more: tuple[Finding, ...] = ()
     try:
-        left = find_rest_offset(record)
+        find_rest_offset(record)
+        stretch = NAMED_NONE
     except InputError:
-        left = find_rest_offset(record, (float(record.time[0]), motion.start_s - settings.lead_s))
-        more = (finding("validate.no_still_phase", "warn", start_s=left.start_s, stop_s=left.stop_s),)
-    return replace(record, gyro=np.asarray(record.gyro) - left.rate), left, more
+        stretch = float(record.time[0]), motion.start_s - settings.lead_s
+        more = (finding("validate.no_still_phase", "warn", start_s=stretch[0], stop_s=stretch[1]),)
+    remainder = offset_left(record, settings.offset, stretch)
+    return replace(record, gyro=np.asarray(record.gyro) - remainder.at(record.time)), remainder, more
 
 
 def _aligned(record: Record, poses: Reference, lag: Lag, settings: TrialSettings) -> tuple[Record, Mounting | None]:
