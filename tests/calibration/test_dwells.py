@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from benchmarks.erring_bench import rate_table as rate_bench
 
 from testkit.cramer_rao import white_device
 from testkit.findings import codes, only
@@ -259,6 +260,19 @@ def test_a_mounting_far_off_the_stated_one_is_said_and_one_within_it_is_not_a_do
     assert only(wide.verdict.findings, "rate_table.mounting").level == "info"
     assert only(narrow.verdict.findings, "rate_table.mounting").level == "warn"
     assert narrow.verdict.status != "good"
+
+
+@pytest.mark.parametrize("devices", [16, pytest.param(100, marks=pytest.mark.long)])
+def test_a_mounting_three_times_the_stated_one_is_covered_where_tilted_faces_blur_gravity(devices):
+    case, rng, ratio = rate_bench.CASES["mounted 0.3 deg off, faces by 0.2 deg"], np.random.default_rng(31), []
+    for _ in range(devices):
+        device, session, _ = rate_bench.drawn(case, rng)
+        gyro = calibrate(session, settings=case.settings).gyro
+        off = gyro.matrix - np.linalg.inv(device.gyro.forward_matrix)
+        ratio.append((off / gyro.standard_uncertainty[:9].reshape(3, 3))[~np.eye(3, dtype=bool)])
+    inside = np.abs(ratio) <= 1.959964
+    # Nine tenths and three standard errors; the half of all terms is independent. With the stated size alone half of them hold
+    assert inside.mean() > 0.9 - 3.0 * (0.09 / (0.5 * inside.size)) ** 0.5
 
 
 def test_two_axes_keep_the_mountings_uncertainty_too():

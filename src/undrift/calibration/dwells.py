@@ -262,14 +262,18 @@ def _jitter(dwells: Dwells, noise: FloatArray) -> FloatArray:
 #
 # wobble is the stated one, or the larger one that the likelihood shows. psi is the integral of the gyroscope of the axis within a
 # recording, so dwells need no whole turns. All mountings share the accelerometers' errors; the mean axis of each is that felt and
-# k +- mount, by their covariances, and without accelerometers k +- mount. The mean rate is w_i (1 + rho_i) (above). Errors
-# of axis and rate that are left are those of dwells, weighed as the fit weighs them, and multiply every rate: w_true = (I + D) w::
+# k +- m, by their covariances, averaged over m by the likelihood of what is felt; without accelerometers it is k +- mount. The
+# mean rate is w_i (1 + rho_i) (above). Errors of axis and rate that are left are those of dwells, weighed as the fit weighs them,
+# and multiply every rate: w_true = (I + D) w::
 #
 #     dM = D M        dG = D G        D = sum_i c_i du_i k_i' + diag(relative error of the rate)
 
 ARM_SD_M = 0.1  # m, of the accelerometers from the table's axis: half the plate of a small table
 UNEVEN_PERCENT = (0.1, 2.0)  # of the scale factor, 1 sigma: marginal above the first, bad above the second
-_MOUNTED = 4.0  # standard uncertainties: 6 components beyond it: once in 2,600 sessions
+_MOUNTED = 2.0  # times the stated size, rms
+# Sizes of a mounting over the stated one, m, as likely beforehand as 1 / m^3: rms 1.08. A machined block is square to 0.1 deg,
+# a device mounted by hand to 0.3 deg [assumed]
+MOUNT_SIZES = np.geomspace(0.6, 3.0, 25)
 _SMALL_ANGLE = 1e-3  # rad: what every case lies off by, however well it is mounted
 _LEAST_TILT_VARIANCE = 1e-12  # variance of block means of the direction of gravity, rad2: 1 ug, and sound arithmetic
 
@@ -283,7 +287,7 @@ class TableAxes:
     apart: FloatArray  # (N, 3), variance that each dwell has on its own, on the diagonal of ``spread``
     covariance: FloatArray  # (9, 9), of D row by row, without ``spread``
     off: FloatArray  # (N,), measured angle between case axis and table axis, rad; NaN where gravity did not show it
-    beyond: float  # Largest d as felt, in standard deviations of mounting and measurement; 0 where nothing is felt
+    mounted: float  # Size of the mountings by what is felt, over the stated one; 0 where nothing is felt
     uneven: FloatArray  # (3,), standard uncertainty of the mean rate about x, y, z by ripple and settling, relative
     size: (
         FloatArray  # (3,), rms of ripple once a turn, twice a turn and of settling, relative; 0 where they do not show
@@ -349,7 +353,7 @@ def table_axes(dwells: Dwells, table: RateTable, accel: TriadModel | None, gravi
     """Return the axes about which the dwells turned the case, and at what part of the stated rates."""
     axis, lines, count = dwells.own, dwells.lines, len(dwells.own)
     axis_b, off, spread = np.eye(3)[axis], np.full(count, np.nan), np.zeros((3 * count, 3 * count))
-    apart, beyond = np.zeros((count, 3)), 0.0
+    apart, mounted = np.zeros((count, 3)), 0.0
     wobble, mount = (np.square(deg * RADIAN_PER_DEGREE) for deg in (table.wobble_deg, table.mount_tilt_deg))
     codes = np.zeros(3) if accel is None else dwells.codes(rate=False)
     seen: list[_Mounted] = []
@@ -372,7 +376,7 @@ def table_axes(dwells: Dwells, table: RateTable, accel: TriadModel | None, gravi
         whole = felt[1] + np.kron(np.ones((len(rows), len(rows))), (rounding * codes) @ rounding.T)
         seen.append(_Mounted(rows=rows, tilt=felt[0], covariance=whole, of_accel=jacobian))
     if seen and accel is not None:
-        tilts, found, beyond = _with_prior(seen, accel, mount)
+        tilts, found, mounted = _with_prior(seen, accel, mount)
         axes = [np.array([3 * n + (axis[n] + c) % 3 for n in one.rows for c in (1, 2)]) for one in seen]
         places = np.concatenate(axes)
         axis_b.reshape(-1)[places] = tilts
@@ -395,7 +399,7 @@ def table_axes(dwells: Dwells, table: RateTable, accel: TriadModel | None, gravi
         apart=apart,
         covariance=table.rate_uncertainty**2 * np.outer(np.eye(3), np.eye(3)),  # of all rates in common
         off=off,
-        beyond=beyond,
+        mounted=mounted,
         uneven=np.sqrt(np.diag(share @ rate.covariance @ share.T)),
         size=rate.size,
     )
@@ -411,7 +415,7 @@ def _alone(covariance: FloatArray) -> FloatArray:
 
 
 def _with_prior(seen: list[_Mounted], accel: TriadModel, mount: float) -> tuple[FloatArray, FloatArray, float]:
-    """Return the axes across k of all dwells (2N,), their covariance, and the largest mean as felt in its standard deviations."""
+    """Return the axes across k of all dwells (2N,), their covariance, and the size of the mounting over the stated one."""
     felt = np.concatenate([one.tilt for one in seen])
     jacobian = np.vstack([np.tile(one.of_accel, (len(one.rows), 1)) for one in seen])
     spread = jacobian @ accel.covariance[:12, :12] @ jacobian.T
@@ -421,10 +425,16 @@ def _with_prior(seen: list[_Mounted], accel: TriadModel, mount: float) -> tuple[
         spread[own, own] += one.covariance
         mean[2 * number : 2 * number + 2, own] = np.tile(np.eye(2), len(one.rows)) / len(one.rows)
         start = own.stop
-    total = mean @ spread @ mean.T + mount * np.eye(len(mean))
-    gain = np.linalg.solve(total, mean @ spread).T
-    beyond = float((np.abs(mean @ felt) / np.sqrt(np.diag(total))).max())
-    return felt - gain @ (mean @ felt), spread - gain @ mean @ spread, beyond
+    variance, basis = np.linalg.eigh(mean @ spread @ mean.T)
+    gain, off = spread @ mean.T @ basis, basis.T @ (mean @ felt)
+    total = variance.clip(1e-24) + mount * MOUNT_SIZES[:, None] ** 2  # (T, 2 mountings), of off: N(0, C + m^2 I)
+    likelihood = -0.5 * (np.log(total) + off**2 / total).sum(axis=1) - 2.0 * np.log(MOUNT_SIZES)
+    share = np.exp(likelihood - likelihood.max())
+    share /= share.sum()
+    correction = share @ (off / total)
+    apart = off / total - correction
+    left = (apart.T * share) @ apart - np.diag(share @ (1.0 / total))
+    return felt - gain @ correction, spread + gain @ left @ gain.T, float(share @ MOUNT_SIZES**2) ** 0.5
 
 
 def _felt(
@@ -501,7 +511,7 @@ def table_findings(axes: TableAxes, mount_tilt: float) -> Iterator[Finding]:
     """Yield what the axes of a table show that a user can act on."""
     if np.isfinite(axes.off).any():
         off = float(np.nanmax(axes.off))
-        beyond = axes.beyond > _MOUNTED and off > _SMALL_ANGLE
+        beyond = axes.mounted > _MOUNTED and off > _SMALL_ANGLE
         degrees, stated = off / RADIAN_PER_DEGREE, mount_tilt / RADIAN_PER_DEGREE
         yield finding("rate_table.mounting", "warn" if beyond else "info", angle_deg=degrees, stated_deg=stated)
     if axes.size.any():

@@ -34,6 +34,7 @@ from undrift.calibration.dwells import (
     with_errors,
 )
 from undrift.calibration.observe import Observed, Outcome, middles, with_offset
+from undrift.calibration.six_face import SixFaceFit
 from undrift.errors import Implausible, InputError, NotObservable
 from undrift.findings import Finding, Level, above, finding
 from undrift.fit.equations import Equations, Inverse, WalkFit, carried_own, diagonal, fit_with_walk, joined
@@ -646,7 +647,7 @@ def calibrate_rates(seen: Observed, mode: str | None, accel: TriadFit | None) ->
         dwells, findings = _on_table(seen, dwells, None)
         part = fit_turned_axes(dwells, latitude_deg=latitude, scale_tolerance=tolerance, cross_axis_prior=prior)
         return Outcome(fit=part, method="rate-table", findings=findings)
-    dwells, findings = _on_table(seen, dwells, None if accel is None else accel.model)
+    dwells, findings = _on_table(seen, dwells, accel)
     rests = _rest_means(seen, dwells, None if accel is None else accel.model)
     numbers = tuple(k for k, t in enumerate(session.turns, 1) if t.axis is not None and t.turn_rate is not None)
     check_dwells(dwells, imposed_rates(dwells, latitude), rests=rests, numbers=numbers)
@@ -666,7 +667,7 @@ def calibrate_rates(seen: Observed, mode: str | None, accel: TriadFit | None) ->
     return Outcome(fit=paper, method="rate-table", findings=findings)
 
 
-def _on_table(seen: Observed, dwells: DwellMeans, accel: TriadModel | None) -> tuple[DwellMeans, tuple[Finding, ...]]:
+def _on_table(seen: Observed, dwells: DwellMeans, accel: TriadFit | None) -> tuple[DwellMeans, tuple[Finding, ...]]:
     """Return dwells with the axes about which the table turned the case, and what the temperature did."""
     session, table = seen.session, seen.settings.rate_table(seen.session.rate_table)
     turns = [t for t in session.turns if t.axis is not None and t.turn_rate is not None]
@@ -678,7 +679,10 @@ def _on_table(seen: Observed, dwells: DwellMeans, accel: TriadModel | None) -> t
         up=np.array(dwells.up),
         settle_s=seen.settings.settle_s,
     )
-    axes = table_axes(stretches, table, accel, session.gravity_m_s2)
+    # Two joints, block on adapter and adapter on table, are no squarer than the block's faces on their plate [assumed]; 0 is exact
+    tilt = accel.tilt if isinstance(accel, SixFaceFit) and accel.tilt > 0.0 < table.mount_tilt_deg else 0.0
+    likely = replace(table, mount_tilt_deg=float(np.hypot(table.mount_tilt_deg, 2.0**0.5 * tilt / RADIAN_PER_DEGREE)))
+    axes = table_axes(stretches, likely, None if accel is None else accel.model, session.gravity_m_s2)
     creep = creep_of(seen, turns, "gyro")
     # Creep of the scale multiplies rates by its slope times the mean warmth of the dwells about an axis
     square = np.where(np.array(dwells.axis)[:, None] == np.array(AXES), dwells.turn_rate[:, None] ** 2, 0.0)

@@ -93,6 +93,7 @@ from undrift.units import RADIAN_PER_DEGREE, is_physical, si_factor
 _EVIDENCE = 2.0  # twice the gain of log-likelihood of a tilt that is reported: 8 % false alarms on a level plane
 _LARGEST = 0.2  # rad
 _GRID = 120
+_WORST_MOUNTED = 10.0  # times the stated uncertainty of a mounting: 1 deg, beyond what is mounted by hand [assumed]
 _SMALL_TILT = 0.1  # of noise / g: the tilt that E1 takes as none
 
 
@@ -402,7 +403,8 @@ def calibrate_faces(seen: Observed, mode: str | None, accel: TriadFit | None = N
 def _by_mounting(seen: Observed, poses: FaceMeans) -> FaceMeans:
     """Return poses in which the rests of one mounting are one: on a rate table, or on one face with no other rest between.
 
-    Where the other rests show all six faces by themselves, a mounting is off level as stated; else all show alike how far they are.
+    Where the other rests show all six faces by themselves, a mounting counts as far off level, so that what is felt on the table
+    is not known from it already; else all show alike how far they are.
     """
     turns = [turn for turn in seen.session.turns if turn.turn_rate is not None]
     of_rest = mountings([*seen.faced, *turns])[: len(poses.faces)]
@@ -421,7 +423,7 @@ def _by_mounting(seen: Observed, poses: FaceMeans) -> FaceMeans:
     for number, rows in enumerate(groups):
         to_group[number, rows] = weight[rows].mean(axis=1) / weight[rows].mean(axis=1).sum()
     alone = not missing_faces([face for face, mounting in zip(poses.faces, of_rest, strict=True) if mounting < 0])
-    tilt = float(alone) * np.hypot(table.mount_tilt_deg, table.table_level_deg) * RADIAN_PER_DEGREE
+    tilt = float(alone) * np.hypot(_WORST_MOUNTED * table.mount_tilt_deg, table.table_level_deg) * RADIAN_PER_DEGREE
     return replace(
         poses,
         reading=np.array([np.average(poses.reading[rows], axis=0, weights=weight[rows]) for rows in groups]),
