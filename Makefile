@@ -76,9 +76,11 @@ docs: $(INSTALLED)
 mutants: $(INSTALLED)
 	$(BIN)/python -m tests.mutants $(WORDS)
 
-# Damaged files, settings and lines for the emulated machines, in workers with limits: prints what crashes, hangs or is no clear line.
+# Damaged files, in workers with limits, and each command on a disk that is full at any write: prints what crashes, hangs, is lost or is
+# no clear line. WORDS selects damaged files by name.
 fuzz: $(INSTALLED)
 	$(BIN)/python -m tests.fuzz $(WORDS)
+	$(if $(WORDS),,$(BIN)/python -m tests.fuzz.full_disk)
 
 # Mistakes that users make, planted into simulated recordings: prints which are named, refused, warned of or silent. WORDS="orient rad/s" selects.
 mistakes: $(INSTALLED)

@@ -1,9 +1,12 @@
 """A file is there whole, or as it was."""
 
+import errno
+import os
 from pathlib import Path
 
 import pytest
 
+from undrift import files
 from undrift.errors import InputError
 from undrift.files import write_together, write_whole
 
@@ -37,3 +40,34 @@ def test_files_that_belong_together_appear_together_or_not_at_all(tmp_path: Path
     assert [path.name for path in tmp_path.iterdir()] == ["a.h"]
     write_together({tmp_path / "a.h": "new", tmp_path / "a.c": b"new"})
     assert [path.read_text() for path in sorted(tmp_path.iterdir())] == ["new", "new"]
+
+
+@pytest.mark.parametrize("old", [None, "old"])
+def test_a_name_that_is_refused_brings_back_those_before_it(tmp_path: Path, old: str | None) -> None:
+    if old is not None:
+        (tmp_path / "a.h").write_text(old)
+    (tmp_path / "a.txt").write_text("old")
+    (tmp_path / "a.c").mkdir()
+    with pytest.raises(InputError, match=r"a\.c: cannot be written: Is a directory"):
+        write_together({tmp_path / "a.h": "new", tmp_path / "a.txt": None, tmp_path / "a.c": "new"})
+    (tmp_path / "a.c").rmdir()
+    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {"a.txt": "old"} | (
+        {"a.h": old} if old else {}
+    )
+
+
+def test_a_full_disk_is_named_where_no_file_can_be_made(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object, **__: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(files.tempfile, "mkstemp", full)
+    with pytest.raises(
+        InputError, match=r"a\.txt: wanted room for more bytes on the disk, got \d+: too few, or a quota"
+    ):
+        write_whole(tmp_path / "a.txt", b"later")
+
+
+def test_what_a_function_writes_appears_whole_and_a_file_that_shall_not_be_is_deleted(tmp_path: Path) -> None:
+    (tmp_path / "a.csv.json").write_text("of another")
+    write_together({tmp_path / "a.csv": lambda part: part.write_text("rows"), tmp_path / "a.csv.json": None})
+    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {"a.csv": "rows"}

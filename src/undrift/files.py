@@ -9,8 +9,8 @@ import shutil
 import tempfile
 import time
 import zlib
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -139,36 +139,83 @@ def sha256_of(path: str | Path) -> str:
 # ---- writing
 
 
-def write_whole(path: Path | str, content: bytes | str) -> None:
+Content = bytes | str | Callable[[Path], object] | None  # Of a file, or what writes it; None: there shall be none
+
+
+def write_whole(path: Path | str, content: Content) -> None:
     """Write a file whole or not at all; one of that name is replaced."""
     write_together({Path(path): content})
 
 
-def write_together(files: Mapping[Path, bytes | str]) -> None:
-    """Write files that belong together, all of them whole before the first takes its name; those of these names are replaced."""
-    parts: dict[Path, Path] = {}
+def write_together(files: Mapping[Path, Content], size: int = 0) -> None:
+    """Write files that belong together, all of them whole before the first takes its name; those of these names are replaced.
+
+    A function writes into the file that it is given; `size` is then about how many bytes it writes, for the error.
+    """
+    parts: dict[Path, Path | None] = dict.fromkeys(files)
     try:
         for path, content in files.items():
-            data = content.encode("utf-8") if isinstance(content, str) else content
+            if content is None:
+                continue
             try:
                 handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name[:40]}.", suffix=".part")
             except OSError as error:
-                raise InputError(
-                    f"{path}: wanted a folder to write to, got {error.strerror}; choose another"
-                ) from error
-            parts[path] = Path(name)
-            with os.fdopen(handle, "wb") as file:
-                file.write(data)
-                file.flush()
+                raise no_folder(path, error) from error
+            parts[path] = part = Path(name)
+            os.close(handle)
+            if callable(content):
+                call_writer(content, part)
+            else:
+                data = content.encode("utf-8") if isinstance(content, str) else content
+                size = len(data)
+                part.write_bytes(data)
+            with part.open("r+b") as file:
                 os.fsync(file.fileno())
-            parts[path].chmod(0o644)
-        for path, temporary in parts.items():
-            temporary.replace(path)
+            part.chmod(0o644)
+        take_names(parts)
     except OSError as error:
-        raise unwritten(path, error, len(data)) from error
+        raise unwritten(path, error, size) from error
     finally:
-        for temporary in parts.values():
-            temporary.unlink(missing_ok=True)
+        for part in filter(None, parts.values()):
+            part.unlink(missing_ok=True)
+
+
+def call_writer(write: Callable[[Path], object], path: Path) -> None:
+    """Let a function write a file; the error of the disk is left to the caller to put into words."""
+    try:
+        write(path)
+    except InputError as error:
+        raise (error.__cause__ if isinstance(error.__cause__, OSError) else error) from None
+
+
+def take_names(parts: Mapping[Path, Path | None]) -> None:
+    """Let whole files take their names (name: file) or none of them; None deletes what has the name."""
+    before: dict[Path, Path | None] = {}  # what had a name, in a hidden folder
+    with hidden_folder(next(iter(parts)).parent) if len(parts) > 1 else nullcontext() as hidden:
+        try:
+            for number, (path, part) in enumerate(parts.items()):
+                if hidden is not None:
+                    before[path] = _linked(path, hidden / str(number)) if path.exists() else None
+                if part is None:
+                    path.unlink(missing_ok=True)
+                else:
+                    part.replace(path)
+        except OSError:
+            for path, old in before.items():
+                with suppress(OSError):
+                    path.unlink(missing_ok=True) if old is None else old.replace(path)
+            raise
+
+
+def _linked(path: Path, other: Path) -> Path:
+    """Give a file another name beside its own, or a copy on a disk that knows no links."""
+    try:
+        os.link(path, other)
+    except OSError as error:
+        if is_full(error):
+            raise
+        shutil.copyfile(path, other)
+    return other
 
 
 def errno_of(error: OSError) -> int | None:
@@ -177,17 +224,31 @@ def errno_of(error: OSError) -> int | None:
     return int(stated[1]) if stated and error.errno is None else error.errno
 
 
-def unwritten(path: Path, error: OSError, size: int) -> InputError:
-    """Return what to say when `size` bytes more of a file could not be written."""
-    number = errno_of(error)
-    if number not in (errno.ENOSPC, errno.EDQUOT):
+def is_full(error: OSError) -> bool:
+    """Tell a full disk, or a quota that is spent, from other errors."""
+    return errno_of(error) in (errno.ENOSPC, errno.EDQUOT)
+
+
+def no_folder(path: Path, error: OSError) -> InputError:
+    """Return what to say where nothing can be made in a folder."""
+    if is_full(error):
+        return unwritten(path, error)
+    return InputError(f"{path}: wanted a folder to write to, got {error.strerror}; choose another")
+
+
+def unwritten(path: Path, error: OSError, size: int = 0) -> InputError:
+    """Return what to say when `size` bytes more of a file could not be written; 0: it is not known how many."""
+    path = path.parent.parent / path.name if path.parent.name.startswith(_HIDDEN) else path
+    if not is_full(error):
+        number = errno_of(error)
         return InputError(
             f"{path}: cannot be written: {os.strerror(number) if number else error}; check the name, the folder and its rights"
         )
     free = shutil.disk_usage(path.parent).free
     lacks = f"{size - free} are missing" if size > free else "a quota is spent"
+    wanted, lacks = (f"for {size} bytes more", lacks) if size else ("for more bytes", "too few, or a quota is spent")
     return InputError(
-        f"{path}: wanted room for {size} bytes more on the disk, got {free}: {lacks}; make room and run it again",
+        f"{path}: wanted room {wanted} on the disk, got {free}: {lacks}; make room and run it again",
         missing=max(size - free, 0),
     )
 

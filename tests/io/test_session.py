@@ -1,8 +1,11 @@
 """session.toml: reads what DESIGN says, names line and entry of what is wrong, and comes back as it was written."""
 
+import errno
+import os
 from dataclasses import replace
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -356,3 +359,23 @@ def test_a_serial_number_that_cannot_be_printed_is_refused(serial):
     record = Record(time=[0.0, 1.0], gyro=np.zeros((2, 3)))
     with pytest.raises(InputError, match="wanted a serial number of 0 to 200 printable characters, got"):
         Session(kind="static", serial=serial, gravity_m_s2=9.81, records=(record,))
+
+
+def test_a_disk_that_fills_between_two_recordings_leaves_the_session_that_was_there(tmp_path, monkeypatch):
+    def session(rate):
+        records = tuple(Record(time=[0.0, 1.0], gyro=np.full((2, 3), rate)) for _ in range(2))
+        return Session(kind="static", serial="", gravity_m_s2=9.81, records=records)
+
+    write_session(session(1.0), tmp_path)
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    real, calls = pq.ParquetWriter.write_table, iter((True, False))
+
+    def full(*given):
+        if not next(calls):
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        real(*given)
+
+    monkeypatch.setattr(pq.ParquetWriter, "write_table", full)
+    with pytest.raises(InputError, match=r"recording_1\.parquet: wanted room"):
+        write_session(session(2.0), tmp_path)
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before

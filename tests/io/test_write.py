@@ -60,7 +60,7 @@ def test_another_ending_and_a_folder_that_is_not_there_are_refused(tmp_path):
     assert "wanted a name ending in .parquet, .csv, .csv.gz, .sto, .mat or _motion.tsv, got another" in one_line(error)
     with pytest.raises(InputError) as error:
         write_orientation(time, q, angles, tmp_path / "none" / "a.csv")
-    assert "cannot be written" in one_line(error)
+    assert "wanted a folder to write to" in one_line(error)
     assert list(tmp_path.iterdir()) == []
 
 

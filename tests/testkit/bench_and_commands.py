@@ -24,7 +24,11 @@ def undrift(capsys) -> Undrift:
 @pytest.fixture(scope="session")
 def bench(tmp_path_factory) -> Path:
     """session/, trial.parquet (counts), reference.parquet, calibration.json, corrected.parquet: read only."""
-    folder = tmp_path_factory.mktemp("bench")
+    return make_bench(tmp_path_factory.mktemp("bench"))
+
+
+def make_bench(folder: Path) -> Path:
+    """Write what the bench holds into a folder."""
     made = demo_session(np.random.default_rng(2007), quick=True)
     write_session(made.session, folder / "session")
     write_record(made.trial.record, folder / "trial.parquet")

@@ -5,7 +5,6 @@ failed. An unforeseen error is one line too, with code 2; UNDRIFT_TRACEBACK=1 in
 ``undrift --help`` is written without cyclopts and rich, and a command is imported only when it is called.
 """
 
-import errno
 import os
 import signal
 import sys
@@ -17,6 +16,7 @@ from typing import TYPE_CHECKING
 from undrift import __version__, commands
 from undrift.cli import examples
 from undrift.errors import InputError, RigError, UndriftError
+from undrift.files import is_full
 
 if TYPE_CHECKING:
     from cyclopts import App
@@ -116,8 +116,8 @@ def _called(arguments: Sequence[str]) -> int:
         return 0
     except OSError as error:
         text = f"{error.filename or 'file'}: {error.strerror or error}; "
-        full = error.errno in (errno.ENOSPC, errno.EDQUOT)
-        return _refuse(arguments, error, text + ("make room" if full else "check the path and its permissions"), code=2)
+        text += "make room and run it again" if is_full(error) else "check the path and its permissions"
+        return _refuse(arguments, error, text, code=2)
     except Exception as error:
         if os.environ.get("UNDRIFT_TRACEBACK") == "1":
             raise
@@ -177,7 +177,7 @@ def _refuse(arguments: Sequence[str], error: BaseException, text: str, *, code: 
 
         words = [word for word in arguments[:2] if word.isidentifier()]
         command = " ".join(words if words[:1] in ([group] for group in commands.GROUPS) else words[:1])
-        with suppress(BrokenPipeError):
+        with suppress(OSError):  # nobody reads it, or it is what is full
             write_json({}, command, error={"kind": type(error).__name__, "text": " ".join(text.split())})
     return complain(text, code=code)
 

@@ -217,7 +217,7 @@ def _correct_all(
     progress: Progress,
 ) -> tuple[CorrectedFile, ...]:
     """Correct into a hidden folder beside the targets; they appear when all are whole."""
-    from undrift.files import hidden_folder
+    from undrift.files import hidden_folder, take_names
 
     with hidden_folder(targets[0].parent) as hidden:
         jobs, done = (
@@ -234,8 +234,7 @@ def _correct_all(
         else:
             for k, job in enumerate(jobs):
                 done[k] = correct_one(job, progress=part_of(progress, k / len(jobs), (k + 1) / len(jobs)))
-        for part in sorted(hidden.iterdir()):  # the recordings, and what is written beside them
-            part.replace(targets[0].parent / part.name)
+        take_names({hidden.parent / part.name: part for part in sorted(hidden.iterdir())})  # and what is beside them
     return tuple(replace(done[k], record=record, output=targets[k]) for k, record in enumerate(records))
 
 

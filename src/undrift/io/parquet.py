@@ -95,6 +95,7 @@ class ParquetWriter:
         self.path = Path(path)
         self._part = self.path.with_name(self.path.name + ".part")
         self._writer: Any = None
+        self._sink: Any = None
         self._schema: Any = None
         self._last = float("-inf")
 
@@ -108,9 +109,13 @@ class ParquetWriter:
             if self._writer is not None:
                 with _room(self.path, 0) if kind is None else suppress(OSError):
                     self._writer.close()
+                    self._sink.close()
             if kind is None and self._writer is not None:
                 self._part.replace(self.path)
         finally:
+            if self._sink is not None:  # a writer that fails leaves it open, and its room on the disk taken
+                with suppress(OSError):
+                    self._sink.close()
             self._part.unlink(missing_ok=True)
 
     def write(self, record: Record) -> None:
@@ -127,7 +132,8 @@ class ParquetWriter:
         schema = pa.schema([(name, pa.float64()) for name in names], metadata=metadata)
         if self._writer is None:
             with _room(self.path, 0):
-                self._writer = pq.ParquetWriter(self._part, schema, use_dictionary=False, write_page_checksum=True)
+                self._sink = pa.OSFile(str(self._part), "wb")
+                self._writer = pq.ParquetWriter(self._sink, schema, use_dictionary=False, write_page_checksum=True)
             self._schema = schema
         if not schema.equals(self._schema, check_metadata=True):
             raise InputError(

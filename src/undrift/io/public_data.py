@@ -10,7 +10,7 @@ from pathlib import Path
 from urllib.parse import quote
 
 from undrift.errors import InputError
-from undrift.files import hidden_folder
+from undrift.files import hidden_folder, no_folder
 
 SAMPLE = "sample"
 REGISTRY = Path(__file__).with_suffix(".toml")
@@ -88,7 +88,7 @@ def _whole(folder: Path, fill: Callable[[Path], None]) -> None:
             fill(part)
             part.rename(folder)
     except OSError as error:
-        raise InputError(f"{folder}: wanted a folder to write to, got {error.strerror}; choose another") from error
+        raise no_folder(folder, error) from error
 
 
 def _copied(source: Path, part: Path) -> None:

@@ -28,7 +28,7 @@ import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray
 from undrift.errors import FileFormatError, InputError
-from undrift.files import read_bytes
+from undrift.files import read_bytes, write_whole
 from undrift.frames import quaternion_conjugate, quaternion_product, rotate
 from undrift.io.arrays import Arrays, table_of_arrays
 from undrift.io.columns import Column, RawTable, TextLayout, is_number
@@ -272,10 +272,7 @@ def write_reference(reference: Reference, path: str | Path) -> None:
         write_rows(path, names, columns)
     elif path.suffix.lower() == ".parquet":
         held = {name: pa.array(column, from_pandas=True) for name, column in zip(names, columns, strict=True)}
-        try:
-            pq.write_table(pa.table(held), str(path), use_dictionary=False)
-        except OSError as error:
-            raise InputError(f"{path}: cannot be written: {error}; check the folder and its rights") from error
+        write_whole(path, lambda part: pq.write_table(pa.table(held), str(part), use_dictionary=False))
     else:
         raise InputError(f"{path}: wanted a name ending in .parquet or .csv, got another; name the format so")
 

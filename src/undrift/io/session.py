@@ -45,6 +45,7 @@ import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -67,7 +68,7 @@ from undrift.base.codec import (
     value_of,
 )
 from undrift.errors import FileFormatError, InputError
-from undrift.files import checked_file, sha256_of
+from undrift.files import checked_file, sha256_of, unwritten, write_together
 from undrift.io.box import one_box
 from undrift.io.columns import ChannelScale, Clock, ColumnMap, Gaps, ReadSettings, TempFile, TextLayout, Trim
 from undrift.io.formats import read_record
@@ -558,17 +559,14 @@ def write_session(session: Session, folder: str | Path) -> None:
     )
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        files = [f"recording_{number}.parquet" for number in range(len(session.records))]
-        for file, record in zip(files, session.records, strict=True):
-            write_parquet(record, folder / file)
-        pieces: tuple[Still | Turn, ...] = (*session.stills, *session.turns)
-        stated = [stated_piece(piece, session.records[piece.recording].time) for piece in pieces]
-        text = session_toml(head, [{"file": file} for file in files], stated, session.rate_table, session.sensitivity)
-        (folder / NAME).write_text(text, encoding="utf-8")
     except OSError as error:
-        raise InputError(
-            f"{folder}: cannot be written: {error.strerror or error}; check the folder and its rights"
-        ) from error
+        raise unwritten(folder, error) from error
+    files = [f"recording_{number}.parquet" for number in range(len(session.records))]
+    pieces: tuple[Still | Turn, ...] = (*session.stills, *session.turns)
+    stated = [stated_piece(piece, session.records[piece.recording].time) for piece in pieces]
+    text = session_toml(head, [{"file": file} for file in files], stated, session.rate_table, session.sensitivity)
+    written = (partial(write_parquet, record) for record in session.records)
+    write_together({**{folder / file: write for file, write in zip(files, written, strict=True)}, folder / NAME: text})
 
 
 def _means(path: Path, entry: KeptEntry, rows: int) -> SetPointMeans:

@@ -12,6 +12,7 @@ import csv
 import json
 import re
 from collections.abc import Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -19,8 +20,8 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from undrift.arrays import FloatArray
-from undrift.errors import FileFormatError, InputError
-from undrift.files import LIMITS, checked_file, is_gzip, read_bytes, read_tree, unwritten, write_whole
+from undrift.errors import FileFormatError
+from undrift.files import LIMITS, checked_file, is_gzip, read_bytes, read_tree, write_together
 from undrift.io.box import boxed
 from undrift.io.columns import (
     FORMAT,
@@ -65,18 +66,10 @@ def read_csv(path: str | Path, columns: ColumnMap | None = None, settings: ReadS
 
 def write_csv(record: Record, path: str | Path, made_by: Provenance | None = None) -> None:
     """Write a record with undrift's own column names; every number reads back to the same bits."""
-    path, (names, columns) = Path(path), native_columns(record)
-    beside, content = sidecar_of(path), ""
+    path, (names, columns), beside = Path(path), native_columns(record), None
     if made_by or record.frame != "s" or record.state != "raw" or record.device:
-        content = json.dumps(statement_of(record, path, names) | {"provenance": made_by or None}, indent=1) + "\n"
-        write_whole(beside, content)
-    try:
-        write_rows(path, names, columns)
-    except InputError:
-        beside.unlink(missing_ok=True)
-        raise
-    if not content:
-        beside.unlink(missing_ok=True)  # of an earlier recording of this name
+        beside = json.dumps(statement_of(record, path, names) | {"provenance": made_by or None}, indent=1) + "\n"
+    write_rows(path, names, columns, {sidecar_of(path): beside})  # none also of an earlier recording of this name
 
 
 def sidecar_of(path: Path) -> Path:
@@ -124,27 +117,27 @@ def _read_sidecar(path: Path, names: Sequence[str], columns: ColumnMap) -> Colum
     return stated(columns, held, f"{beside}: wanted frame, state and device of a recording, got others")
 
 
-def write_rows(path: Path, names: Sequence[str], columns: Sequence[FloatArray]) -> None:
-    """Write named columns as CSV, gaps as empty cells; every number reads back to the same bits."""
+def write_rows(
+    path: Path, names: Sequence[str], columns: Sequence[FloatArray], beside: Mapping[Path, str | None] | None = None
+) -> None:
+    """Write named columns as CSV, gaps as empty cells, and the files beside it; every number reads back to the same bits."""
     import pyarrow as pa
     from pyarrow import csv as arrow_csv
 
     table = pa.table(
         [pa.array(np.ascontiguousarray(column), from_pandas=True) for column in columns], names=list(names)
     )
-    part = path.with_name(path.name + ".part")
-    try:
-        with pa.OSFile(str(part), "wb") as raw:
-            sink = pa.CompressedOutputStream(raw, "gzip") if path.suffix == ".gz" else raw
+
+    def write(part: Path) -> None:
+        packs = path.suffix == ".gz"
+        with (
+            pa.OSFile(str(part), "wb") as raw,
+            pa.CompressedOutputStream(raw, "gzip") if packs else nullcontext(raw) as sink,
+        ):
             sink.write(f"{','.join(names)}\n".encode())
             arrow_csv.write_csv(table, sink, arrow_csv.WriteOptions(include_header=False, quoting_style="none"))
-            if sink is not raw:
-                sink.close()
-        part.replace(path)
-    except OSError as error:
-        raise unwritten(path, error, table.nbytes) from error
-    finally:
-        part.unlink(missing_ok=True)
+
+    write_together({**(beside or {}), path: write}, table.nbytes)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -26,7 +26,7 @@ import numpy as np
 
 from undrift.arrays import FloatArray
 from undrift.errors import InputError
-from undrift.files import write_whole
+from undrift.files import write_together, write_whole
 from undrift.io.arrays import digest_of
 from undrift.io.columns import native_columns
 from undrift.io.parquet import write_parquet
@@ -215,12 +215,15 @@ def _write_bids(
     }
     table = "\n".join("\t".join(row) for row in ((*rows[0],), *(tuple(row.values()) for row in rows)))
     _, described, listed, frames = files_of(path)
-    write_whole(listed, table + "\n")
-    write_whole(frames, json.dumps({"reference_frame": {"Levels": levels}}, indent=1) + "\n")
-    write_whole(described, json.dumps(content, indent=1) + "\n")
     every = zip(*(column.tolist() for column in columns), strict=True)
     cells = ("\t".join("n/a" if value != value else repr(value) for value in row) for row in every)  # NaN is a gap
-    write_whole(path, "\n".join(cells) + "\n")
+    files = {
+        listed: table,
+        frames: json.dumps({"reference_frame": {"Levels": levels}}, indent=1),
+        described: json.dumps(content, indent=1),
+        path: "\n".join(cells),
+    }
+    write_together({name: text + "\n" for name, text in files.items()})
 
 
 RECORD_WRITERS: dict[str, Callable[[Record, Path, Provenance], None]] = {

@@ -11,14 +11,14 @@ import socket
 import sqlite3
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 from undrift.errors import RegistryError
-from undrift.files import data_folder, first_line
+from undrift.files import data_folder, first_line, hidden_folder
 from undrift.io.store import hash_of
 
 try:
@@ -386,7 +386,8 @@ class Registry:
     def migrate(self) -> None:
         """Make the tables, or bring those of an earlier version to this one."""
         if self._lite:
-            _refuse_empty(Path(self.place))
+            with self._explained():
+                _begin(Path(self.place))
         last = time.monotonic() + self._wait_s
         while True:
             try:
@@ -450,7 +451,7 @@ class Registry:
             ) from error
         except DBAPIError as error:
             raise _refusal(error.orig, self.place, self._wait_s) from error
-        except sqlite3.Error as error:  # of the first words to a file
+        except (sqlite3.Error, OSError) as error:  # of the first words to a file
             raise _refusal(error, self.place, self._wait_s) from error
         except SQLAlchemyError as error:
             raise RegistryError(f"{self.place}: the registry failed: {first_line(error)}; check its address") from error
@@ -473,14 +474,21 @@ _LINES: tuple[tuple[Callable[[str, str], bool], str], ...] = (
         "wanted to write within {wait} s, got a registry that another program holds; wait for it or end it, then try again",
     ),
     (
-        lambda answer, state: " full" in answer or state in ("53100", "53200"),
+        lambda answer, state: " full" in answer or "No space left" in answer or state in ("53100", "53200"),
         "wanted room for an entry, got a full disk; make room and add it again, nothing was added",
     ),
     (
         lambda answer, state: "readonly" in answer or state in ("42501", "25006"),
         "wanted to write, got a registry that may only be read; check its rights",
     ),
-    (lambda answer, state: "unable to open" in answer, "wanted a file in a folder that exists, got none; make the folder first"),
+    (
+        lambda answer, state: "disk I/O" in answer,
+        "wanted a disk that takes what is written, got: {answer}; make room or mend it and try again, nothing was added",
+    ),
+    (
+        lambda answer, state: "unable to open" in answer or "Permission denied" in answer,
+        "wanted a file in a folder that exists, got none; make the folder first, or make room on the disk",
+    ),
     (
         lambda answer, state: "not a database" in answer or "malformed" in answer,
         "wanted a registry, got a file that is no sound SQLite database; name another, or restore a backup",
@@ -538,15 +546,18 @@ def _as_added(entry: Entry, place: str) -> Entry:
     return entry
 
 
-def _refuse_empty(file: Path) -> None:
-    """Refuse a file that is empty, and stays so: one that a program makes now has a head within a second."""
-    last = time.monotonic() + 1.0
-    while file.is_file() and not file.stat().st_size:
-        if time.monotonic() > last:
-            raise RegistryError(
-                f"{file}: wanted a registry, got an empty file; restore a backup, or delete it to begin a new one"
-            )
-        time.sleep(0.05)
+def _begin(file: Path) -> None:
+    """Make the file of a new registry, with a head in it before it has its name; refuse one that lost its head."""
+    if file.is_file() and not file.stat().st_size:
+        raise RegistryError(
+            f"{file}: wanted a registry, got an empty file; restore a backup, or delete it to begin a new one"
+        )
+    if not file.exists() and file.parent.is_dir():
+        with hidden_folder(file.parent) as hidden:
+            with closing(sqlite3.connect(hidden / file.name)) as connection:
+                connection.execute("PRAGMA journal_mode = WAL")
+            with suppress(OSError):  # another program was quicker; or a disk that knows no links
+                os.link(hidden / file.name, file)
 
 
 def _engine(url: URL, wait_s: float) -> Engine:

@@ -23,12 +23,13 @@ import zlib
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from itertools import chain, count
 from pathlib import Path
 from typing import Any, BinaryIO
 
 from undrift.errors import FileFormatError, InputError
-from undrift.files import errno_of, take_lock, write_whole
+from undrift.files import call_writer, errno_of, take_lock, write_whole
 from undrift.io.parquet import write_parquet
 from undrift.io.session import HeadEntry, StillEntry, TurnEntry, sealed, session_toml
 from undrift.record import Axis, Face, Kind, Record
@@ -190,14 +191,6 @@ def room(path: Path) -> Iterator[None]:
         ) from error
 
 
-def _write(record: Record, path: Path) -> None:
-    """Write readings; the error of the disk is left to `room` to put into words."""
-    try:
-        write_parquet(record, path)
-    except InputError as error:
-        raise (error.__cause__ if isinstance(error.__cause__, OSError) else error) from None
-
-
 # ---- folder
 
 FORMAT = 2  # 1: checksums that do not go on from the line before, and a session.toml without any
@@ -298,7 +291,7 @@ class RunFolder(AbstractContextManager["RunFolder"]):
         with uninterrupted():  # Ctrl-C waits: readings, line and session belong together
             with room(self.path):
                 claim(path)
-                _write(record, path)
+                call_writer(partial(write_parquet, record), path)
                 synchronise(path)
                 kept = replace(piece, sha256=hashlib.sha256(path.read_bytes()).hexdigest())
                 self._journal.append({"entry": "dwell", **asdict(kept)})

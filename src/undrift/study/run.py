@@ -6,7 +6,6 @@ a folder of another study is refused, and an interrupted study resumes with the 
 """
 
 import hashlib
-import io
 import json
 import math
 import os
@@ -20,7 +19,7 @@ import numpy as np
 
 from undrift.arrays import FloatArray, IntArray
 from undrift.errors import InputError, UndriftError
-from undrift.files import write_whole
+from undrift.files import no_folder, write_whole
 from undrift.sim.bench_errors import OF_TABLE
 from undrift.study.case import COLUMNS, Unit, run_unit, units_of
 from undrift.study.plan import ERRORS, Aim, Objective, Study, StudyTask, Timing, column_of
@@ -169,7 +168,7 @@ class RunStore:
         try:
             self._pieces.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise InputError(f"{folder}: wanted a folder to write to, got {error.strerror}; choose another") from error
+            raise no_folder(folder, error) from error
         held = asdict(study) | {"tasks": [asdict(task) for task in only or study.tasks]}
         held["bench"] = {name: held["bench"][name] for name in OF_TABLE}
         if study.search == "grid":  # all errors are kept, whatever is minimised
@@ -249,9 +248,7 @@ def join_pieces(pieces: Sequence[Path], folder: Path) -> Path:
 def _write_table(path: Path, table: Any, *, compression: str) -> None:
     import pyarrow.parquet as pq
 
-    held = io.BytesIO()
-    pq.write_table(table, held, compression=compression)
-    write_whole(path, held.getvalue())
+    write_whole(path, lambda part: pq.write_table(table, str(part), compression=compression))
 
 
 def _study_in(head: Path) -> tuple[object, str]:

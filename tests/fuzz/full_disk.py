@@ -1,0 +1,278 @@
+"""Each command on a disk that is full: ``python -m tests.fuzz.full_disk [--few] [WORD ...]``.
+
+Every call of the system that takes room (a file made, written, brought to the disk or renamed, a folder made) below the folder of
+results and the one of temporary files fails once, and then with all after it, until the command succeeds without; also from
+libraries in C (testkit/disk.c). Each time it must end with exit code 2 and one line that says to make room, or succeed all the
+same; every file of the result is the old one, the new one or, where there was none, not there; files that belong together are all
+old or all new; no scrap is left; and the same call succeeds when there is room. Printed is a row for each command. With --few
+four commands and fewer faults. The exit code is 1 where one ended otherwise.
+"""
+
+import argparse
+import contextlib
+import io
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections import Counter
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+from testkit.disk import full_after, preloaded
+
+GOOD, BAD = ("clear", "succeeds"), ("unclear", "crash", "half file", "lost", "apart", "scrap", "not again")
+
+
+@dataclass(frozen=True)
+class Call:
+    """A command that writes."""
+
+    words: str  # {b} is the folder of what it reads, {o} that of its results
+    together: bool = False  # Its files belong together
+    fresh: bool = False  # It refuses to write over an older result, or goes on with it
+    slow: bool = False  # Fails once only
+
+
+STUDY = """[study]
+name = "small"
+subjects = 1
+[[task]]
+name = "sit_to_stand"
+[task.space]
+cutoff_hz = [5.0]
+turn_rate_step_dps = [5.0]
+turn_rate_min_dps = [5.0]
+turn_rate_max_dps = [50.0]
+[task.protocol]
+dwell_s = 1.0
+"""
+BIDS = "sub-01_task-walk_tracksys-imu_motion.tsv"
+CORRECT, ORIENT = (
+    "correct {b}/trial.parquet --calibration {b}/calibration.json -o {o}/",
+    "orient {b}/corrected.parquet -o {o}/",
+)
+CALLS = {
+    "info --write-map": Call(
+        "info {b}/foreign.csv --write-map {o}/map.toml --gyro-unit dps --accel-unit g --report {o}/r.html"
+    ),
+    "info --figure": Call("info {b}/trial.parquet --figure {o}/f.png"),
+    "calibrate": Call("calibrate {b}/session -o {o}/c.json --report {o}/c.html --figure {o}/c.svg"),
+    "session new": Call("session new {b}/poses.parquet -o {o}/session", fresh=True),
+    "drift": Call("drift {b}/soak --calibration {b}/mpu6050.json -o {o}/c.json --report {o}/c.html --figure {o}/c.pdf"),
+    "learn": Call("learn {b}/2026-03-01.parquet {b}/2026-03-02.parquet --calibration {b}/learn.json -o {o}/c.json"),
+    "correct .parquet": Call(CORRECT + "x.parquet --report {o}/r.html"),
+    "correct .csv": Call(CORRECT + "x.csv", together=True),
+    "correct .csv.gz": Call(CORRECT + "x.csv.gz", together=True),
+    "correct .mat": Call(CORRECT + "x.mat"),
+    "correct BIDS": Call(CORRECT + BIDS, together=True),
+    "correct several": Call(
+        "correct {b}/2026-03-01.parquet {b}/2026-03-02.parquet --calibration {b}/calibration.json -o {o}/all"
+    ),
+    "orient .parquet": Call(ORIENT + "x.parquet"),
+    "orient .csv": Call(ORIENT + "x.csv"),
+    "orient .sto": Call(ORIENT + "x.sto"),
+    "orient .mat": Call(ORIENT + "x.mat"),
+    "orient BIDS": Call(ORIENT + BIDS, together=True),
+    "validate": Call("validate {b}/corrected.parquet --reference {b}/reference.parquet -o {o}/v"),
+    "twin": Call("twin {b}/broad.hdf5 -o {o}/device.json", slow=True),
+    "export c": Call("export {b}/calibration.json --target c -o {o}/x.h", together=True),
+    "export px4": Call(
+        "export {b}/calibration.json --target px4 --gyro-dps-per-unit 0.061 --accel-g-per-unit 1 -o {o}/x.params"
+    ),
+    "export imucal": Call("export {b}/calibration.json --target imucal -o {o}/x.json"),
+    "export ros": Call("export {b}/calibration.json --target ros -o {o}/x.yaml"),
+    "certificate": Call("certificate {b}/calibration.json -o {o}/c.pdf"),
+    "noise": Call("noise {b}/rest.parquet -o {o}/imu.yaml --figure {o}/allan.svg --report {o}/r.html"),
+    "simulate task": Call(
+        "simulate sit_to_stand --device mpu6050 -o {o}/x.parquet --truth {o}/t.csv --save-device {o}/d.json --report {o}/r.html"
+    ),
+    "simulate .csv": Call("simulate sit_to_stand --device mpu6050 -o {o}/x.csv --truth {o}/t.parquet"),
+    "simulate session": Call("simulate thermal_ramp --device mpu6050 --sample-rate-hz 5 -o {o}/s", together=True),
+    "simulate days": Call("simulate daily_use --device mpu6050 --days 2 --sample-rate-hz 5 -o {o}/days"),
+    "study": Call("study {b}/study.toml -o {o}/study --workers 1 --no-rivals", fresh=True, slow=True),
+    "data": Call("data fetch sample -o {o}/sample", fresh=True, together=True),
+    "registry add": Call("registry add {b}/calibration.json --registry {o}/r.sqlite", fresh=True),
+    "registry show": Call("registry show 1 --registry {b}/r.sqlite -o {o}/c.json"),
+    "registry find": Call("registry find --serial {serial} --registry {b}/r.sqlite -o {o}/c.json"),
+    "registry import": Call("registry import {b}/old --registry {o}/r.sqlite", fresh=True),
+    "registry trend": Call(
+        "registry trend --serial {serial} --registry {b}/r.sqlite --figure {o}/t.svg --report {o}/t.html"
+    ),
+    "demo": Call("demo --quick -o {o}/demo", fresh=True, slow=True),
+}
+FEW = ("info --write-map", "correct .csv", "export c", "registry add")
+
+
+def make_inputs(folder: Path, *, soak: bool) -> str:
+    """Write what the calls read; return the serial number of the device."""
+    import numpy as np
+
+    from testkit.bench_and_commands import make_bench
+    from testkit.command_line import at_rest
+    from testkit.data import data_path
+    from undrift.cli.app import run
+    from undrift.io.formats import read_record, write_record
+    from undrift.io.store import read_calibration, write_calibration
+    from undrift.sim.daily_use import DailyUseSettings, draw_day, simulate_daily_use
+    from undrift.sim.device.presets import preset, random_device_of
+    from undrift.sim.device.truth import true_calibration
+
+    make_bench(folder)
+    rng = np.random.default_rng(8)
+    use = DailyUseSettings(days=2, rest_s=15.0, worn_s=20.0, sample_rate_hz=12.5)
+    device = random_device_of("mpu6050", rng)
+    for day in simulate_daily_use(device, rng=rng, settings=use, motions=[draw_day(rng, use)]):
+        write_record(day.session.records[0], folder / f"2026-03-0{day.number + 1}.parquet")
+    write_calibration(true_calibration(device), folder / "learn.json")
+    write_calibration(true_calibration(preset("mpu6050")), folder / "mpu6050.json")
+    at_rest(folder, Path("rest.parquet"))
+    write_record(read_record(next(folder.glob("session/*.parquet"))), folder / "poses.parquet")
+    trial = read_record(folder / "trial.parquet")
+    rows = np.column_stack((trial.time, trial.gyro, trial.accel))[:500]
+    np.savetxt(folder / "foreign.csv", rows, "%.6f", ",", header="t,gx,gy,gz,ax,ay,az", comments="")
+    (folder / "study.toml").write_text(STUDY)
+    (folder / "old").mkdir()
+    shutil.copy(folder / "calibration.json", folder / "old")
+    first = read_calibration(folder / "calibration.json")
+    write_calibration(replace(first, gyro=replace(first.gyro, offset=1.01 * first.gyro.offset)), folder / "second.json")
+    (folder / "broad.hdf5").symlink_to(data_path("broad", "32_disturbed_attached_magnet_1cm.hdf5"))
+    soaks = [f"simulate thermal_soak --device mpu6050 --sample-rate-hz 5 -o {folder}/soak"] * soak
+    for words in (
+        *soaks,
+        f"registry add {folder}/calibration.json {folder}/second.json --registry {folder}/r.sqlite",
+    ):
+        with contextlib.redirect_stdout(io.StringIO()):
+            assert run(words.split()) in (0, 1), words
+    return first.device
+
+
+def called(words: list[str]) -> tuple[int, str]:
+    """Return the exit code of a call, -1 for one that raises, and what it said on stderr."""
+    from undrift.cli.app import run
+
+    err = io.StringIO()
+    with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(err):
+        try:
+            return run(words), err.getvalue()
+        except BaseException as error:  # noqa: BLE001 - what it is told of
+            return -1, repr(error)
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    """Return each file below a folder."""
+    return {str(path.relative_to(folder)): path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
+
+
+def same(one: bytes | None, other: bytes) -> bool:
+    """Tell whether two contents are alike to their ends but for a date, or the time that something took."""
+    return one is not None and (one == other or (abs(len(one) - len(other)) <= 64 and one[-4:] == other[-4:]))
+
+
+def judge(
+    call: Call, before: dict[str, bytes], after: dict[str, bytes], sound: dict[str, bytes], answer: tuple[int, str]
+) -> str:
+    """Name what became of a call."""
+    code, err = answer
+    lines = [line for line in err.splitlines() if not re.match(r"undrift \w+(?: \w+)?: ", line)]
+    if code == -1 or "Traceback" in err:
+        return "crash"
+    database = [name for name in after if ".sqlite" in name]  # its own journal keeps it whole
+    rest = {name: content for name, content in after.items() if name not in database}
+    if any(name not in after for name in before):
+        return "lost"
+    if any(name not in sound and name not in before for name in rest):
+        return "scrap"
+    new = {name for name, content in rest.items() if content != before.get(name)}
+    if any(not same(rest[name], sound[name]) for name in new):
+        return "half file"
+    if call.together and 0 < len(new) < len([name for name in sound if name not in database]):
+        return "apart"
+    if code == 0:
+        return "succeeds" if all(name in after for name in sound) else "unclear"
+    return (
+        "clear"
+        if code == 2 and len(lines) == 1 and "make room" in lines[0] and "internal" not in lines[0]
+        else "unclear"
+    )
+
+
+def swept(name: str, folder: Path, serial: str, *, few: bool) -> tuple[int, Counter[str], float]:
+    """Return how many faults a command has room for, what became of it, and the seconds that it took."""
+    call, disk = CALLS[name], folder / "disk"
+    out = disk / "out"
+    words = [word.format(b=folder / "in", o=out, serial=serial) for word in call.words.split()]
+
+    def begin(held: dict[str, bytes]) -> None:
+        shutil.rmtree(disk, ignore_errors=True)
+        for path in (out, disk / "tmp"):
+            path.mkdir(parents=True)
+        for file, content in held.items():
+            (out / file).parent.mkdir(parents=True, exist_ok=True)
+            (out / file).write_bytes(content)
+
+    begin({})
+    answer = called(words)
+    if answer[0] not in (0, 1):
+        print(f"{name}: does not run: {answer}", flush=True)
+        return 0, Counter({"unclear": 1}), 0.0
+    begun = time.monotonic()
+    sound, found, faults = contents(out), Counter[str](), 0
+    shown = set[str]()
+    for stays in (True,) if call.slow or few else (True, False):
+        older = dict.fromkeys(sound, b"old\n")
+        for held in ({},) if call.fresh or call.slow else (older,) if few else ({}, older):
+            n = 0
+            while True:
+                begin(held)
+                with full_after(disk, n, stays=stays) as counted:
+                    answer = called(words)
+                if counted[0] <= n:
+                    break
+                faults, n = faults + 1, n + (5 if few and n > 12 else 1)
+                kind = judge(call, held, contents(out), sound, answer)
+                if kind == "clear" and call.fresh and not call.slow and called(words)[0] not in (0, 1):
+                    kind = "not again"
+                found[kind] += 1
+                if kind in BAD and (kind, answer[1]) not in shown:
+                    shown.add((kind, answer[1]))
+                    how = f"fault before {n}, {'stays' if stays else 'once'}, {'over' if held else 'new'}"
+                    print(f"{name}: {how}: {kind}: {answer[1].strip()[-400:]}", flush=True)
+    return faults, found, time.monotonic() - begun
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("words", nargs="*")
+    parser.add_argument("--few", action="store_true")
+    given = parser.parse_args()
+    if "LD_PRELOAD" not in os.environ:
+        with tempfile.TemporaryDirectory() as folder:
+            words = [sys.executable, "-m", "fuzz.full_disk", *sys.argv[1:]]
+            return subprocess.run(words, env=preloaded(UNDRIFT_FULL_DISK=folder), check=False).returncode
+    folder = Path(os.environ["UNDRIFT_FULL_DISK"])
+    (folder / "in").mkdir()
+    names = [name for name in CALLS if (not given.words or any(word in name for word in given.words))]
+    names = [name for name in names if not given.few or name in FEW]
+    serial = make_inputs(folder / "in", soak="drift" in names)
+    tempfile.tempdir = str(folder / "disk" / "tmp")
+    total, rows = Counter[str](), []
+    for name in names:
+        faults, found, seconds = swept(name, folder, serial, few=given.few)
+        total += found
+        rows.append((name, faults, found, seconds))
+        print(f"{name}: {faults} faults, {dict(found)}, {seconds:.1f} s", flush=True)
+    kinds = (*GOOD, *BAD)
+    print(f"{'command':20}{'faults':>8}" + "".join(f"{kind:>10}" for kind in kinds))
+    for name, faults, found, _ in rows:
+        print(f"{name:20}{faults:8}" + "".join(f"{found[kind]:10}" for kind in kinds))
+    print(f"{'all':20}{sum(row[1] for row in rows):8}" + "".join(f"{total[kind]:10}" for kind in kinds))
+    return int(any(total[kind] for kind in BAD))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

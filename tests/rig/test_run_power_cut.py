@@ -1,0 +1,90 @@
+"""What a power cut leaves of a run: at each fsync, with what was not brought to the disk lost, empty, zeros or torn."""
+
+import hashlib
+import random
+from collections import Counter
+
+import pytest
+
+from testkit.data import show
+from testkit.disk import cuts, logged
+from testkit.rig_bench import SHORT, emulated, run
+from undrift.errors import InputError
+from undrift.io.session import read_session
+from undrift.rig.folder import RunFolder
+
+WITHDRAWN = 1000
+RUN = """
+from testkit.disk import mark
+from testkit.rig_bench import SHORT, emulated, run
+from undrift.rig.folder import RunFolder
+
+def keep(folder, record, piece, real=RunFolder.keep):
+    kept = real(folder, record, piece)
+    mark(kept.step)
+    return kept
+
+RunFolder.keep = keep
+with emulated() as emulator:
+    run(emulator, {path})
+    with RunFolder({path}, SHORT, resume=True) as folder:
+        mark(1000)
+        folder.withdraw("+z")
+        mark(1001)
+    run(emulator, {path}, resume=True)
+"""
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory):
+    """Return the log of a run, of which all is taken back and done again, and the folder that it was in."""
+    folder = tmp_path_factory.mktemp("run") / "disk"
+    folder.mkdir()
+    path = f"__import__('pathlib').Path({str(folder / 'run')!r})"
+    logged(RUN.format(path=path), folder, folder.with_name("log"))
+    return folder.with_name("log"), folder
+
+
+@pytest.mark.parametrize("everywhere", [False, pytest.param(True, marks=pytest.mark.long)])
+def test_a_power_cut_at_each_fsync_loses_no_dwell_that_was_reported(log, tmp_path, everywhere):
+    counted, rng = Counter(), random.Random(3)
+    digests = set()
+    for number, cut in enumerate(cuts(*log, everywhere=everywhere)):
+        path = tmp_path / str(number)
+        for name, content in cut.files.items():
+            (path / name).parent.mkdir(parents=True, exist_ok=True)
+            (path / name).write_bytes(content)
+        path.mkdir(exist_ok=True)
+        reported = {mark for mark in cut.marks[cut.marks.index(1001) + 1 if 1001 in cut.marks else 0 :] if mark < 1000}
+        being_taken_back = cut.marks[-1:] == (1000,)
+        counted["cuts"] += 1
+        run_path = path / "run"
+        counted[f"session {before_resume(run_path)}"] += 1
+        with RunFolder(run_path, SHORT, resume=True) as folder:
+            assert being_taken_back or reported <= folder.done, cut
+            for piece in folder.pieces:
+                digests.add((piece.step, piece.sha256))
+                assert hashlib.sha256((run_path / piece.name).read_bytes()).hexdigest() == piece.sha256
+            if folder.pieces:
+                folder.begin(folder.head)
+        if folder.pieces:
+            assert len(read_session(run_path).records) == len(folder.pieces)
+        if rng.random() < 0.01 or number % 100 == 0:
+            with emulated() as emulator:
+                result, _ = run(emulator, run_path, resume=True)
+            assert len(result.pieces) == 7
+            counted["resumed to the end"] += 1
+    assert len(digests) <= 14  # none but those that were written: 7 dwells, and again
+    show("power cuts of a run", counted)
+    assert counted["cuts"] > 100
+
+
+def before_resume(path):
+    """Say what the session is before the run is resumed: whole, or refused."""
+    if not (path / "session.toml").exists():
+        return "none"
+    try:
+        read_session(path)
+    except InputError:
+        return "refused"
+    return "read"
