@@ -9,6 +9,7 @@ import getpass
 import os
 import socket
 import sqlite3
+import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing, contextmanager, suppress
@@ -18,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from undrift.errors import RegistryError
-from undrift.files import data_folder, first_line, hidden_folder
+from undrift.files import data_folder, first_line
 from undrift.io.store import hash_of
 
 try:
@@ -553,11 +554,11 @@ def _begin(file: Path) -> None:
             f"{file}: wanted a registry, got an empty file; restore a backup, or delete it to begin a new one"
         )
     if not file.exists() and file.parent.is_dir():
-        with hidden_folder(file.parent) as hidden:
-            with closing(sqlite3.connect(hidden / file.name)) as connection:
+        with tempfile.TemporaryDirectory(dir=file.parent, prefix=".undrift-") as hidden:
+            with closing(sqlite3.connect(Path(hidden, file.name))) as connection:
                 connection.execute("PRAGMA journal_mode = WAL")
             with suppress(OSError):  # another program was quicker; or a disk that knows no links
-                os.link(hidden / file.name, file)
+                os.link(Path(hidden, file.name), file)
 
 
 def _engine(url: URL, wait_s: float) -> Engine:
