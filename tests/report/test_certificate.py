@@ -51,7 +51,10 @@ def test_the_shares_combine_to_the_covariance(calibration: Calibration, name: st
     assert set(triad.budget.sources) <= set(SOURCES)
     assert len(triad.budget.sources) >= 4
     np.testing.assert_allclose((triad.budget.uncertainty**2).sum(axis=0), np.diag(triad.covariance), rtol=1e-12)
-    np.testing.assert_allclose(stated(triad).standard, triad.standard_uncertainty, rtol=1e-12)
+    made = stated(triad)  # beyond the covariance: opposite faces read a quadratic term of a data sheet's size as offset
+    bent = np.array([2e-4 * 9.80665**2] * 3) * triad.scale_factor * (name == "accel")
+    np.testing.assert_allclose(made.standard[:9], triad.standard_uncertainty[:9], rtol=1e-12)
+    np.testing.assert_allclose(made.standard[9:12], np.hypot(triad.standard_uncertainty[9:12], bent), rtol=1e-12)
 
 
 def test_the_stated_rate_is_that_of_the_table(calibration: Calibration) -> None:
@@ -104,7 +107,10 @@ def test_the_budget_equals_gtcs(calibration: Calibration, few: bool) -> None:
             k = reporting.k_factor(total.df, 95.45) if total.df < 50.0 else 2.0
             assert made.standard[n] == pytest.approx(total.u, rel=1e-6)
             assert made.expanded[n] == pytest.approx(k * total.u, rel=1e-6)
-            assert made.coverage[n] > 2.1 if few else made.coverage[n] == 2.0
+            bent = (
+                "nonlinearity" in made.shares and made.shares["nonlinearity"][n] > 0.0
+            )  # known by more than these readings
+            assert made.coverage[n] > 2.1 if few and not bent else 2.0 <= made.coverage[n] < 2.1
 
 
 def test_students_factor_is_that_of_the_gum() -> None:
@@ -206,7 +212,8 @@ def test_without_shares_one_line_states_all_sources(calibration: Calibration) ->
     accel = content["triads"][1]
     assert not accel["separated"]
     assert [row[0] for row in accel["budget"]] == [
-        "Local gravity", "Fit: sources not separated", "Combined standard uncertainty", "Expanded uncertainty",
+        "Local gravity", "Quadratic terms of a data sheet's size", "Fit: sources not separated",
+        "Combined standard uncertainty", "Expanded uncertainty",
     ]  # fmt: skip
 
 
