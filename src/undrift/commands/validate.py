@@ -46,7 +46,7 @@ SHOWN = {
     "end_inclination_deg": "end incl.",
     "lag_ms": "lag ms",
 }
-ALL_FITTED = 0.25  # share of the time of leave-one-out that the fit to all recordings takes
+READ, ALL_FITTED = 0.3, 0.45  # shares of the time when all is read, and when the fit to all recordings is made
 SHOWN_SHARE = 0.0005  # a difference between shares that a percentage with one digit shows
 _ALIGNED = {
     "auto": "the rotation between the device's case and the reference's body, from their rates, is removed where it exceeds "
@@ -212,10 +212,10 @@ def validate(
     records, session = recordings_of(records, opening, place)
     pairs = optics.pairs(records, opening.like(model, calibration), command="validate", session=session)
     fit = ReferenceSettings(mounting=mounting or (session and session.mounting) or "each") if calibrate_from else None
-    progress("aligning and integrating", 0.02)
-    steps = part_of(progress, ALL_FITTED, 1.0) if leave_one_out else None
+    progress("aligning and integrating" if fit is None else "fitting to all recordings", READ)
+    steps = part_of(progress, READ if fit is None else ALL_FITTED, 1.0)
     named = (records, optics.reference)
-    validated = _judged(pairs, named, (calibration, model), settings, steps, fit, (place, session))
+    validated = _judged(pairs, named, (calibration, model), settings, (leave_one_out, steps), fit, (place, session))
     if output is None:
         return validated
     return _write(validated, output, origin_of(*records, *optics.reference, calibration))
@@ -300,7 +300,7 @@ def _judged(
     named: tuple[tuple[Path, ...], tuple[Path, ...]],
     read: "tuple[Path | None, Calibration | None]",
     settings: "TrialSettings",
-    leave_one_out: Progress | None,
+    how: tuple[bool, Progress],
     fit: "ReferenceSettings | None",
     where: "tuple[Place, Session | None]",
 ) -> Validated:
@@ -310,7 +310,7 @@ def _judged(
     from undrift.validation.agreement import MOUNTING_ABOVE, validate_leave_one_out, validate_trials
     from undrift.validation.trial import check_poses
 
-    (paths, references), (calibration, model) = named, read
+    (paths, references), (calibration, model), (leave_one_out, progress) = named, read, how
     records, held, names = [pair[0] for pair in pairs], [pair[1] for pair in pairs], [name_of(path) for path in paths]
     for readings, reference, path in zip(records, held, paths, strict=True):
         if calibration is None and fit is None:
@@ -333,9 +333,9 @@ def _judged(
         )
         model = replace(model, device=(place.serial if session is None else session.serial) or model.device)
     result = (
-        validate_leave_one_out(pairs, settings=settings, fit_settings=fit, names=names, progress=leave_one_out)
-        if leave_one_out is not None and fit is not None
-        else validate_trials(pairs, calibrations=(model,), settings=settings, names=names)
+        validate_leave_one_out(pairs, settings=settings, fit_settings=fit, names=names, progress=progress)
+        if leave_one_out and fit is not None
+        else validate_trials(pairs, calibrations=(model,), settings=settings, names=names, progress=progress)
     )
     for trial in result.trials:
         _check_scale(trial)

@@ -225,6 +225,7 @@ def validate_trials(
     calibrations: Sequence[Calibration | None] = (None,),
     settings: TrialSettings = TRIAL_SETTINGS,
     names: Sequence[str] = (),
+    progress: Callable[[str, float], None] = lambda what, share: None,
 ) -> Validation:
     """Compare several recordings with their references.
 
@@ -238,6 +239,8 @@ def validate_trials(
         Of ``validate_trial``.
     names : sequence of str
         What to call each; empty for the references' names.
+    progress : callable
+        Called with what is done and the share that is.
 
     Returns
     -------
@@ -268,11 +271,11 @@ def validate_trials(
         )
     each = list(calibrations) * len(pairs) if len(calibrations) == 1 else list(calibrations)
     called = list(names) or [""] * len(pairs)
-    trials = tuple(
-        validate_trial(record, reference, calibration=calibration, settings=settings, name=name)
-        for (record, reference), calibration, name in zip(pairs, each, called, strict=True)
-    )
-    return summed(trials)
+    trials = list[Trial]()
+    for k, (record, reference) in enumerate(pairs):
+        progress(f"aligning and integrating recording {k + 1} of {len(pairs)}", k / len(pairs))
+        trials.append(validate_trial(record, reference, calibration=each[k], settings=settings, name=called[k]))
+    return summed(tuple(trials))
 
 
 _FITS = 0.8  # share of the time of leave-one-out that its fits take
