@@ -556,8 +556,23 @@ def _changed_ranges(sound: bytes, damaged: bytes) -> list[tuple[int, int]]:
     if len(sound) == len(damaged):
         at = np.flatnonzero(np.frombuffer(sound, np.uint8) != np.frombuffer(damaged, np.uint8))
         return [(int(k), int(k) + 1) for k in at]
+    if sound.startswith(b"Device Identity"):  # lines, of which two places may have changed
+        return _changed_lines(sound.splitlines(keepends=True), damaged.splitlines(keepends=True))
     least = min(len(sound), len(damaged))
     one, other = np.frombuffer(sound, np.uint8), np.frombuffer(damaged, np.uint8)
     head = next(iter(np.flatnonzero(one[:least] != other[:least])), least)
     tail = next(iter(np.flatnonzero(one[::-1][: least - head] != other[::-1][: least - head])), least - head)
     return [(int(head), max(int(head) + 1, len(sound) - int(tail)))]
+
+
+def _changed_lines(sound: list[bytes], damaged: list[bytes]) -> list[tuple[int, int]]:
+    """Return the ranges of the sound bytes that differ, line by line."""
+    start, ranges = np.concatenate(([0], np.cumsum([len(line) for line in sound]))).astype(int), list[tuple[int, int]]()
+    for kind, a, b, c, d in matched(sound, damaged):
+        if kind == "equal":
+            continue
+        pairs = list(zip(range(a, b), damaged[c:d], strict=False)) if b - a == d - c else []
+        for k, line in pairs:
+            ranges += [(int(start[k]) + first, int(start[k]) + last) for first, last in _changed_ranges(sound[k], line)]
+        ranges += [] if pairs else [(int(start[a]), max(int(start[a]) + 1, int(start[b])))]
+    return ranges
