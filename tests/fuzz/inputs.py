@@ -1,6 +1,7 @@
 """What is damaged and what reads it: recordings, sessions, settings, and lines for the emulated machines."""
 
 import contextlib
+import gc
 import gzip
 import io
 import os
@@ -164,6 +165,9 @@ def by_machine(kind: str) -> Callable[[Path], Outcome]:
                 session.unasked()
         except Exception as error:  # noqa: BLE001 - what the run looks for
             return Outcome("unforeseen", f"{type(error).__name__}: {error}")
+        finally:
+            del session
+            gc.collect()  # a machine holds itself, and 30 MB of its course
         return Outcome("read")
 
     return call
