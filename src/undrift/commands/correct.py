@@ -25,7 +25,7 @@ from undrift.errors import InputError
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from undrift.correction.correct import Corrector, CorrectorState, Left
+    from undrift.correction.correct import Corrector, CorrectorState, OffsetLeft
     from undrift.correction.coverage import Beyond
     from undrift.correction.rest import Stretch
     from undrift.drift.hysteresis import TempHistory
@@ -47,7 +47,7 @@ class CorrectedFile:
     notes: tuple[str, ...]
     findings: "tuple[Finding, ...]"  # Signs of other columns or another unit; in the warnings too
     beyond: "tuple[Beyond, ...]"  # Readings beyond the range of the fits; in the warnings too
-    rest: "Left | None"  # What was subtracted of the offset; in the notes too
+    rest: "OffsetLeft | None"  # What was subtracted of the offset; in the notes too
 
     def row(self) -> dict[str, Any]:
         """Return the recording as --json has it."""
@@ -155,7 +155,7 @@ def correct(
         temperatures at which it turned, oldest first, degC, as in 25,60. Without it hysteresis is corrected as far as a
         recording shows its own course; none leaves the middle of the loop.
     offset : str
-        "rest" also subtracts the mean rate that is left at the first still phase (or the named one), as --offset of orient
+        "rest" also subtracts the mean rate that is left at the first still phase (or the named one), as `offset` of orient
         does: best with tables, for what they cannot know. "motion" starts from that rest and adds what gravity shows while the
         device moves; the whole recording is then in memory.
     scheduler : str or None
@@ -178,9 +178,9 @@ def correct(
     settings: dict[str, object] = {"policy": applying.policy, "power_on_s": applying.power_on_s, "offset": offset}
     settings |= {} if history is None else {"temp_history": temp_history}
     made_by = partial(_provenance, calibration=calibration, model=model, settings=settings)
-    find_left = None if offset == "none" else partial(_offset_left, offset=offset, stretch=named.stretch)
+    find_offset = None if offset == "none" else partial(_offset_left, offset=offset, stretch=named.stretch)
     corrected = partial(
-        _correct_one, corrector=corrector, model=model, opening=opening, made_by=made_by, find_left=find_left
+        _correct_one, corrector=corrector, model=model, opening=opening, made_by=made_by, find_offset=find_offset
     )
     try:
         files = _correct_all(records, targets, corrected, scheduler, progress)
@@ -270,7 +270,7 @@ def _correct_one(
     model: "Calibration",
     opening: Opening,
     made_by: "Callable[[Path], dict[str, object]]",
-    find_left: "Callable[..., Left] | None",
+    find_offset: "Callable[..., OffsetLeft] | None",
     progress: Progress = silent,
 ) -> CorrectedFile:
     """Correct a recording into a file, chunk by chunk where the file takes chunks."""
@@ -283,8 +283,8 @@ def _correct_one(
     from undrift.io.write import write_record_as
 
     (record, part), stream, notes, rest = job, corrector(), dict[str, None](), None
-    if find_left is not None:
-        rest = find_left(record, model, opening, corrector())
+    if find_offset is not None:
+        rest = find_offset(record, model, opening, corrector())
         stream, notes = corrector(offset=rest), {rest.finding.text: None}
     suspicions: tuple[Finding, ...] = ()
     saturated: dict[object, Finding] = {}  # by channel and axis, over all chunks
@@ -326,20 +326,19 @@ def _offset_left(
     *,
     offset: Literal["rest", "motion"],
     stretch: "Stretch",
-) -> "Left":
+) -> "OffsetLeft":
     """Return what the calibration leaves of the offset in a recording; at a rest no more of it is read than needed."""
     from undrift.correction.correct import offset_left
-    from undrift.correction.rest import find_rest_offset_in
+    from undrift.correction.rest import find_rest_offset, find_rest_offset_in
     from undrift.record import joined
 
     try:
         parts = (calibrated_part(read, model)[0] for read in opening.chunks(record))
         corrected = (corrector.push_checked(part).record for part in parts)
-        return (
-            find_rest_offset_in(corrected, stretch)
-            if offset == "rest"
-            else offset_left(joined(list(corrected)), offset, stretch)
-        )
+        if offset == "rest":
+            return find_rest_offset_in(corrected, stretch)
+        whole = joined(list(corrected))
+        return offset_left(whole, offset, find_rest_offset(whole, stretch))
     except InputError as error:
         raise InputError(f"{record}: {error}", **error.numbers) from error
 

@@ -40,9 +40,8 @@ class Oriented(Result):
             "inclination: {:.2f} to {:.2f} deg".format(*data["inclination_deg"]),
             "pitch: {:.2f} to {:.2f} deg".format(*data["pitch_deg"]),
         )
-        offset = tuple(
-            one.text for one in found.findings if one.code == "correct.motion_offset"
-        )  # a page shows all findings
+        # A page shows all findings
+        offset = tuple(one.text for one in found.findings if one.code == "correct.motion_offset")
         heads, files = ("angle", "least (deg)", "median (deg)", "greatest (deg)"), f"{self.record} -> {self.output}"
         sections = [
             Section(title="Files", text=(f"{files}: {len(found.time)} samples",), on="terminal"),

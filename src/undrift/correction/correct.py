@@ -45,7 +45,7 @@ from undrift.correction.plan import (
     in_pieces,
     plan_record,
 )
-from undrift.correction.rest import NAMED_NONE, RestOffset, Stretch, find_rest_offset
+from undrift.correction.rest import RestOffset, find_rest_offset
 from undrift.drift.hysteresis import TempHistory
 from undrift.errors import InputError
 from undrift.findings import Finding
@@ -57,8 +57,8 @@ if TYPE_CHECKING:
 
 Buffers: TypeAlias = tuple[FloatArray, FloatArray]  # rate, rad/s, and specific force, m/s2, (N, 3)
 Policy = Literal["raise", "hold", "nan"]
-Left: TypeAlias = Union[RestOffset, "MotionOffset"]  # What a calibration leaves of the offset
-Offset: TypeAlias = Literal["none", "rest", "motion"] | Left
+OffsetLeft: TypeAlias = Union[RestOffset, "MotionOffset"]  # What a calibration leaves of the offset
+Offset: TypeAlias = Literal["none", "rest", "motion"] | OffsetLeft
 
 REFERENCE_SPAN_C = 5.0  # how far from the reference temperature constant offsets are taken to hold
 
@@ -126,8 +126,8 @@ class Corrected:
         How far temperature and rate went, where the calibration cares.
     carry : Carry
         What the next chunk of a stream needs.
-    rest : RestOffset or None
-        What was subtracted because it was left at a rest, with its uncertainty.
+    rest : RestOffset, MotionOffset or None
+        What was subtracted of the offset, left at a rest or shown by the motion, with its uncertainty.
     """
 
     record: Record
@@ -137,7 +137,7 @@ class Corrected:
     findings: tuple[Finding, ...]
     reach: coverage.Reach
     carry: Carry
-    rest: Left | None = None
+    rest: OffsetLeft | None = None
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -323,7 +323,7 @@ def re_zeroed(done: Corrected, offset: Offset, threads: int | None = None) -> Co
     """Subtract what is left of the offset from a record that was just corrected, in its own buffer: step 6."""
     if offset == "none":
         return done
-    remainder = offset_left(done.record, offset) if isinstance(offset, str) else offset
+    remainder = offset_left(done.record, offset, find_rest_offset(done.record)) if isinstance(offset, str) else offset
     rate, time = done.record.gyro, done.record.time
     if rate is None:
         return done
@@ -337,9 +337,8 @@ def re_zeroed(done: Corrected, offset: Offset, threads: int | None = None) -> Co
     return replace(done, rest=remainder, findings=(*done.findings, remainder.finding))
 
 
-def offset_left(record: Record, offset: Literal["rest", "motion"], stretch: Stretch = NAMED_NONE) -> Left:
-    """Return what a calibration leaves of the offset of a corrected record: at a rest, or from there on in motion."""
-    rest = find_rest_offset(record, stretch)
+def offset_left(record: Record, offset: Literal["rest", "motion"], rest: RestOffset) -> OffsetLeft:
+    """Return what a calibration leaves of the offset of a corrected record: at the rest, or from there on in motion."""
     if offset == "rest":
         return rest
     from undrift.correction.motion import find_motion_offset  # scipy and a kernel, for this alone
@@ -493,7 +492,7 @@ class Corrector:
         reference_span_c: float = REFERENCE_SPAN_C,
         power_on_s: float | None = None,
         temp_history: TempHistory | None = None,
-        offset: Left | None = None,
+        offset: OffsetLeft | None = None,
     ) -> None:
         carry_at_start(0.0, power_on_s, calibration, temp_history)  # refused now rather than at the first chunk
         self._calibration, self._policy, self._span = calibration, policy, reference_span_c

@@ -84,7 +84,7 @@ class MotionOffset:
 
     @property
     def figures(self) -> dict[str, Any]:
-        """What was subtracted, as --json has it."""
+        """What was subtracted, as JSON has it."""
         spread = np.sqrt(np.diagonal(self.covariance, axis1=1, axis2=2).max(axis=0))
         return {
             "rest_s": self.rest_s,

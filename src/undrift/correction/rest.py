@@ -62,7 +62,7 @@ class RestOffset:
 
     @property
     def figures(self) -> dict[str, Any]:
-        """What was subtracted, as --json has it."""
+        """What was subtracted, as JSON has it."""
         rate, uncertainty = self.rate / RADIAN_PER_DEGREE, self.uncertainty / RADIAN_PER_DEGREE
         return {"rest_s": self.rest_s, "offset_dps": rate, "offset_uncertainty_dps": uncertainty}
 

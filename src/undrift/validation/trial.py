@@ -30,9 +30,9 @@ from undrift.arrays import BoolArray, FloatArray, frozen
 from undrift.base.summary import Shown
 from undrift.calibration.adc import identify_record_adc
 from undrift.correction.consistency import check_triads
-from undrift.correction.correct import Left, Policy, correct_checked, correct_whole, offset_left
+from undrift.correction.correct import OffsetLeft, Policy, correct_checked, correct_whole, offset_left
 from undrift.correction.coverage import find_beyond
-from undrift.correction.rest import NAMED_NONE, find_rest_offset, mean_variance
+from undrift.correction.rest import find_rest_offset, mean_variance
 from undrift.drift.hysteresis import TempHistory
 from undrift.drift.observe import nominal_triad
 from undrift.errors import AlignmentError, InputError
@@ -392,8 +392,8 @@ class Trial(Shown):
         1 within the motion.
     expected : Expected or None
         Errors to expect by the calibration's uncertainty; None without a calibration of the gyroscopes.
-    rest : RestOffset or None
-        What was subtracted because it was left at the first still phase.
+    rest : RestOffset, MotionOffset or None
+        What was subtracted of the offset, left at the first still phase or shown by the motion.
     """
 
     recording: str
@@ -410,7 +410,7 @@ class Trial(Shown):
     reference_pitch: FloatArray
     moving: FloatArray
     expected: Expected | None = None
-    rest: Left | None = None
+    rest: OffsetLeft | None = None
 
     def __post_init__(self) -> None:
         n = len(self.time)
@@ -689,18 +689,17 @@ def nominal_calibration(record: Record, adc: AdcModel | None) -> Calibration:
 
 def _re_zeroed(
     record: Record, motion: MotionSpan, settings: TrialSettings
-) -> tuple[Record, Left | None, tuple[Finding, ...]]:
+) -> tuple[Record, OffsetLeft | None, tuple[Finding, ...]]:
     """Subtract what is left from the first still phase on; where none is found, from what the reference marks before the motion."""
     if settings.offset == "none":
         return record, None, ()
     more: tuple[Finding, ...] = ()
     try:
-        find_rest_offset(record)
-        stretch = NAMED_NONE
+        rest = find_rest_offset(record)
     except InputError:
-        stretch = float(record.time[0]), motion.start_s - settings.lead_s
-        more = (finding("validate.no_still_phase", "warn", start_s=stretch[0], stop_s=stretch[1]),)
-    remainder = offset_left(record, settings.offset, stretch)
+        rest = find_rest_offset(record, (float(record.time[0]), motion.start_s - settings.lead_s))
+        more = (finding("validate.no_still_phase", "warn", start_s=rest.start_s, stop_s=rest.stop_s),)
+    remainder = offset_left(record, settings.offset, rest)
     return replace(record, gyro=np.asarray(record.gyro) - remainder.at(record.time)), remainder, more
 
 
