@@ -438,7 +438,8 @@ def _limits(calibration: "Calibration", triads: "Mapping[str, TriadModel]") -> I
         method, size = triads["accel"].method, "of a data sheet's size (2e-4 per m/s²) is included in U of their offset"
         held = "is part of their offset, and not included in U"
         if method.startswith(("six-face", "multi-position")):
-            held = size if method.startswith("six-face") else f"{size}, as far as the poses leave it open"
+            six = method.startswith("six-face")
+            held = f"{size}; 18 free poses would show it" if six else f"{size}, as far as the poses leave it open"
         yield f"The accelerometers are taken as linear within 1 g. A quadratic term {held}."
     tables = calibration.drift
     if tables is None or tables.static is None:
