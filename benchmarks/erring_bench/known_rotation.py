@@ -104,7 +104,7 @@ def rows_of(name: str, devices: int, seed: int) -> Iterator[Row]:
         assert made.fit is not None
         drifted = offset_drift(seen, float(np.linalg.norm(made.fit.model.matrix, 2)))
         verdict = Verdict.of(*seen.findings, *made.findings, *drifted).also(made.fit.verdict)
-        settles = any(item.code == "known_rotation.warm_up" for item in verdict.findings)
+        settles = any(item.code == "gyro.warm_up" for item in verdict.findings)
         tally.add_model(verdict, made.fit.model, matrix, settled if settles else offset)
     yield from tally.rows()
 

@@ -17,6 +17,7 @@ from undrift.calibration.calibrate import calibrate
 from undrift.calibration.observe import CalibrateSettings
 from undrift.record import Session, Still, Turn
 from undrift.sim.bench_errors import BenchErrors
+from undrift.sim.device.effects import PowerOnTransient, RandomWalk
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.presets import random_device
 from undrift.sim.device.simulate import simulate_device
@@ -39,6 +40,8 @@ class Case:
     bits: int | None = None
     flicker: bool = False
     g_sensitivity: bool = False
+    warm_up_dps: float = 0.0  # of the offset at the first sample, either way, with 60 s
+    walk_dps: float | None = None  # deg/s/sqrt(s); None for a consumer part's
     alone_deg: float | None = None  # stated mounting where no accelerometers show it, deg; None for the default
     settings: CalibrateSettings = field(default_factory=lambda: CalibrateSettings(identify_adc=False))
 
@@ -62,6 +65,8 @@ CASES = {
     "mounted 0.3 deg off, faces by 0.2 deg": Case(
         replace(USUAL, mount_tilt=0.3 * DEG, face_tilt=0.2 * DEG), alone_deg=0.3
     ),
+    "walk of 5e-4 deg/s/sqrt(s)": Case(USUAL, walk_dps=5e-4),
+    "warm-up of 0.1 deg/s, 60 s": Case(USUAL, warm_up_dps=0.1),
     "all together, 12 bit, g-sensitivity": Case(WORST, bits=12, flicker=True, g_sensitivity=True),
 }
 
@@ -77,19 +82,21 @@ def rows_of(name: str, devices: int, seed: int) -> Iterator[Row]:
     case, rng = CASES[name], np.random.default_rng(seed)
     tallies = Tally("rate table, six faces", name), Tally("rate table alone", name)
     for _ in range(devices):
-        device, session, offset = drawn(case, rng)
+        device, session, offset, settled = drawn(case, rng)
         alone = case.settings if case.alone_deg is None else replace(case.settings, mount_tilt_deg=case.alone_deg)
         both = (session, case.settings), (_without_accel(session), alone)
         for tally, (given, settings) in zip(tallies, both, strict=True):
             made = calibrate(given, settings=settings)
             assert made.gyro is not None
-            tally.add_model(made.verdict, made.gyro, np.linalg.inv(device.gyro.forward_matrix), offset)
+            settles = any(item.code == "gyro.warm_up" for item in made.verdict.findings)
+            true = settled if settles else offset
+            tally.add_model(made.verdict, made.gyro, np.linalg.inv(device.gyro.forward_matrix), true)
     for tally in tallies:
         yield from tally.rows()
 
 
-def drawn(case: Case, rng: np.random.Generator) -> tuple[DeviceModel, Session, FloatArray]:
-    """Return a device, its session, and the raw offset of its gyroscopes in the middle of it."""
+def drawn(case: Case, rng: np.random.Generator) -> tuple[DeviceModel, Session, FloatArray, FloatArray]:
+    """Return a device, its session, and the raw offset of its gyroscopes in the middle of it, with and without a warm-up."""
     device = random_device(rng)
     flicker = FLICKER if case.flicker else (None, None)
     gyro, accel = (
@@ -97,6 +104,11 @@ def drawn(case: Case, rng: np.random.Generator) -> tuple[DeviceModel, Session, F
         for k, chain in enumerate((device.gyro, device.accel))
     )
     gyro = gyro if case.g_sensitivity else replace(gyro, g_sensitivity=None)
+    if case.walk_dps is not None:
+        gyro = replace(gyro, random_walk=RandomWalk(bias_walk=np.full(3, case.walk_dps * DEG)))
+    if case.warm_up_dps:
+        amplitude = case.warm_up_dps * DEG * rng.choice((-1.0, 1.0), 3)
+        gyro = replace(gyro, warm_up=PowerOnTransient(amplitude=amplitude, time_constant_s=60.0))
     device = replace(device, gyro=gyro, accel=accel)
     bench = BenchSettings(sample_rate_hz=50.0, turn_rates=RATES, errors=case.table, lever_arm_b=ARM_M)
     motion = bench_motion("bench", rng=rng, settings=bench)
@@ -108,7 +120,9 @@ def drawn(case: Case, rng: np.random.Generator) -> tuple[DeviceModel, Session, F
     pieces: list[Still | Turn] = [*motion.turns, *motion.stills]
     middle = (min(p.start for p in pieces) + max(p.stop for p in pieces)) // 2
     moved = shown.gyro.of("instability").mean(axis=0) + shown.gyro.of("random_walk")[middle]
-    return device, session, device.gyro.raw_offset + device.gyro.gain * moved
+    settled = device.gyro.raw_offset + device.gyro.gain * moved
+    warm = device.gyro.gain * shown.gyro.of("warm_up")[middle] if case.warm_up_dps else 0.0
+    return device, session, settled + warm, settled
 
 
 def _without_accel(session: Session) -> Session:

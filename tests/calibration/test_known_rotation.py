@@ -556,7 +556,7 @@ def test_the_offset_of_a_session_that_warms_up_is_the_settled_one():
         amplitude = np.radians(0.1) * rng.choice((-1.0, 1.0), 3)
         device = plain(random_device(rng), warm_up=PowerOnTransient(amplitude=amplitude, time_constant_s=60.0))
         fit, true = gyro_by_hand(device, rng), true_calibration(device).gyro
-        assert "known_rotation.warm_up" in codes(fit.verdict.findings)
+        assert "gyro.warm_up" in codes(fit.verdict.findings)
         away.append(fit.model.offset - true.offset)
         stated.append(fit.model.standard_uncertainty[9:12])
     low, high = share_limits(3 * SESSIONS)

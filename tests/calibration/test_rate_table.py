@@ -5,9 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from testkit.findings import only
+from testkit.cohorts import share_limits
+from testkit.findings import codes, only
+from undrift.calibration.calibrate import calibrate
 from undrift.calibration.checks import axis_vectors, check_scale_factor, nearest_signed_permutation
 from undrift.calibration.dwells import DwellMeans, dwell_means, imposed_rates, linearity, spline_filter
+from undrift.calibration.observe import CalibrateSettings
 from undrift.calibration.rate_table import (
     RestMeans,
     axis_finding,
@@ -23,6 +26,10 @@ from undrift.errors import Implausible, InputError, NotObservable
 from undrift.fit.least_squares import block_size, noise_of_means
 from undrift.record import Record, Turn
 from undrift.rig.programme import rate_grid
+from undrift.sim.device.effects import PowerOnTransient
+from undrift.sim.device.presets import random_device
+from undrift.sim.device.truth import true_calibration
+from undrift.sim.sessions import simulate_session
 from undrift.units import EARTH_RATE
 
 DPS = np.pi / 180.0
@@ -667,3 +674,19 @@ def test_a_table_that_is_uncertain_drifts_or_scatters_is_not_good():
     drift = only(walk.verdict.findings, "rate_table.drift")
     assert drift.level == "warn"
     assert drift.values["dps_per_minute"] > drift.values["wanted"] == 0.1
+
+
+def test_the_offset_of_a_session_that_warms_up_is_the_settled_one():
+    rng, away, stated = np.random.default_rng(28), [], []
+    for _ in range(20):
+        device = random_device(rng)
+        amplitude = np.radians(0.1) * rng.choice((-1.0, 1.0), 3)
+        steady = replace(device.gyro, adc=None, random_walk=None, instability=None)
+        gyro = replace(steady, warm_up=PowerOnTransient(amplitude=amplitude, time_constant_s=60.0))
+        device = replace(device, gyro=gyro)
+        found = calibrate(simulate_session("bench", device, rng=rng), settings=CalibrateSettings(identify_adc=False))
+        assert "gyro.warm_up" in codes(found.verdict.findings)
+        away.append(found.gyro.offset - true_calibration(device).gyro.offset)
+        stated.append(found.gyro.standard_uncertainty[9:12])
+    low, _ = share_limits(60)
+    assert low <= np.mean(np.abs(away) <= 1.96 * np.array(stated))

@@ -43,6 +43,7 @@ from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical, si_f
 #     var y_k = s^2 (1 + q^2 lambda_k / s0^2)        U, lambda of P F P'; s is profiled, s0 the scatter of y as it is
 
 
+WARM_UP = 0.2 * RADIAN_PER_DEGREE  # rad/s, one deviation at the start; found on gyroscopes: 0.05 to 0.25 deg/s
 SIZES = np.concatenate(([0.0], np.geomspace(0.02, 200.0, 60)))  # q in units of the white noise of a mean over 10 s
 _UNIT_S = 10.0
 PRIOR = (1.0 + SIZES) * (1.0 + SIZES**2)

@@ -40,6 +40,7 @@ from undrift.calibration.checks import (
 from undrift.calibration.creep import (
     PRIOR,
     SIZES,
+    WARM_UP,
     Blocks,
     Creep,
     OffsetPrior,
@@ -63,7 +64,15 @@ from undrift.calibration.pieces import unused_stills
 from undrift.calibration.six_face import FaceMeans
 from undrift.errors import Implausible, InputError, NotObservable, PoorFit
 from undrift.findings import Finding, finding
-from undrift.fit.equations import Equations, Inverse, averaged, diagonal, parameter_order, solutions
+from undrift.fit.equations import (
+    Equations,
+    Inverse,
+    averaged,
+    diagonal,
+    fading,
+    parameter_order,
+    solutions,
+)
 from undrift.fit.least_squares import TriadFit, block_size, noise_of_means, scaled_condition, triad_fit
 from undrift.model import AXES, TriadModel, Verdict
 from undrift.record import Axis, Record, Still, Turn
@@ -300,10 +309,8 @@ def _both(record: Record) -> tuple[FloatArray, FloatArray]:
 #
 # F is flicker (creep.py), over whose size q the parameters are averaged: rests and turns show it, and block means within the rests.
 
-_WARM_UP = 0.2 * RADIAN_PER_DEGREE  # rad/s, one deviation at the start; found on gyroscopes: 0.05 to 0.25 deg/s
 _WARMER_K = 0.3  # what a thermometer shows moves the offset; less is no warm-up of 0.1 deg/s
 _DISAGREE = 27.9  # chi-square of nine terms that chance exceeds in one session of a thousand
-_SHORTEST_S, _TIME_CONSTANTS = 10.0, 8  # to the length of the session: a slower one has no end in it
 _ROUNDING = 1e-12  # of the largest reading: no mean is known better than its arithmetic
 
 
@@ -385,14 +392,14 @@ def _averaged(equations: Equations, data: RotationData, scale: FloatArray, creep
     size = size_unit(_noise(data, extent)[:rests], data.span[:rests])
     flicker = flicker_about_mean(data.span, extent)  # the offset is the mean of the session
     within = 0.0 if data.blocks is None else data.blocks.likelihood(size)
-    times, fading = _fading(data.span, extent)
+    times, settling = fading(data.span, extent)
     if creep is not None and creep.recorded and np.ptp(creep.warmth) > _WARMER_K:
-        times, fading = times[:0], fading[:0]
+        times, settling = times[:0], settling[:0]
     even = none if creep is None else creep.covariance(0.0 * creep.warmth, 1.0, extent)
     solved, evidence = [], []
-    largest = np.minimum(_WARM_UP, 1e5 * size / scale.max())  # without noise V stays invertible
-    for settling in (none, *(largest**2 * columns @ columns.T - even for columns in fading)):
-        more = (scale**2)[:, None, None] * settling
+    largest = np.minimum(WARM_UP, 1e5 * size / scale.max())  # without noise V stays invertible
+    for warm in (none, *(largest**2 * columns @ columns.T - even for columns in settling)):
+        more = (scale**2)[:, None, None] * warm
         thetas, covariances, likelihood = _over_sizes(equations, (SIZES[:, None, None] * size) ** 2 * flicker, more)
         solved.append((likelihood + within, thetas, covariances))
         evidence.append(np.logaddexp.reduce(likelihood + within + np.log(np.gradient(SIZES) / PRIOR)))
@@ -416,16 +423,6 @@ def _over_sizes(
     covariances = [equations.carried(gain, part + more) for gain, part in zip(gains, family, strict=True)]
     thetas = np.hstack([fit.theta for fit in fits])[:, parameter_order(7)]
     return thetas, np.array(covariances), np.sum([fit.likelihood for fit in fits], axis=0)
-
-
-def _fading(span: FloatArray, extent: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return time constants (T,), s, and what a warm-up adds to the rows (T, E, 2): exp(-t / time constant), and its deviation
-    for time constants between two of these."""
-    start, stop = (span - span.min()).T
-    times = np.geomspace(_SHORTEST_S, max(2.0 * _SHORTEST_S, float(stop.max())), 2 * _TIME_CONSTANTS + 1)[:, None]
-    part = np.maximum(stop - start, 1e-3) / times
-    mean = extent * np.exp(-start / times) * -np.expm1(-part) / part
-    return times[1::2, 0], np.stack((mean[1::2], (mean[2::2] - mean[:-1:2]) / 12.0**0.5), axis=-1)
 
 
 def fit_known_rotation(
@@ -545,7 +542,7 @@ def _judged(
     if creep is not None:
         yield from creep.findings()
     if average.warm_up > 0.5:
-        yield finding("known_rotation.warm_up", "info", time_constant_s=average.settles_s)
+        yield finding("gyro.warm_up", "info", time_constant_s=average.settles_s)
     if data.rounding is not None:
         yield from limited_by_codes("gyroscope", data.rounding**2, variance, data.rest.unit)
 

@@ -18,7 +18,7 @@ import numpy as np
 from undrift.arrays import FloatArray
 from undrift.calibration.adc import limited_by_codes
 from undrift.calibration.checks import axis_vectors, check_axis_order, check_own_scale
-from undrift.calibration.creep import creep_of
+from undrift.calibration.creep import WARM_UP, creep_of
 from undrift.calibration.dwells import (
     SHOWS,
     DwellMeans,
@@ -37,7 +37,7 @@ from undrift.calibration.observe import Observed, Outcome, middles, with_offset
 from undrift.calibration.six_face import SixFaceFit
 from undrift.errors import Implausible, InputError, NotObservable
 from undrift.findings import Finding, Level, above, finding
-from undrift.fit.equations import Equations, Inverse, WalkFit, carried_own, diagonal, fit_with_walk, joined
+from undrift.fit.equations import Equations, Inverse, WalkFit, carried_own, diagonal, fit_with_walks, joined
 from undrift.fit.least_squares import (
     ForwardFit,
     TriadFit,
@@ -257,7 +257,10 @@ def _unknowns(
 
 
 def _walks(design: FloatArray, readings: FloatArray, sigma: FloatArray, time: FloatArray | None) -> list[WalkFit]:
-    return [fit_with_walk(design, readings[:, k], sigma[:, k], time) for k in range(3)]
+    gain = np.linalg.norm(
+        np.linalg.lstsq(design, readings, rcond=None)[0][:3], axis=0
+    )  # of each sensor, reading per rad/s
+    return fit_with_walks(design, readings, sigma, time, WARM_UP * gain)
 
 
 def _without_g(fit: RateTableFit) -> RateTableFit:
@@ -364,6 +367,9 @@ def _judged(
         apart = float(np.ptp(model.matrix @ offsets, axis=1).max()) / RADIAN_PER_DEGREE
         level = level_of(apart, DRIFT_DPS)
         yield finding("rate_table.axis_offset", level, offset_dps=apart, **_against(level, DRIFT_DPS))
+    settling = max(walks, key=lambda one: one.warm_up)
+    if settling.warm_up > 0.5:
+        yield finding("gyro.warm_up", "info", time_constant_s=settling.settles_s)
     if widen > 1.0 or residual > RESIDUAL_PERCENT[0]:
         level, shown = level_of(residual, RESIDUAL_PERCENT), {"ratio": widen**0.5, "residual_percent": residual}
         yield finding("rate_table.scatter", level, **shown, **_against(level, RESIDUAL_PERCENT))

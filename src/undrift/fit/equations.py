@@ -15,7 +15,7 @@ Sources whose size is not known make a family V(t): it is solved on a grid of t,
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -287,9 +287,17 @@ def geometric_peak(grid: FloatArray, likelihood: FloatArray, best: int) -> float
 # 1 / (q + q0), with q0 a walk that ends a tenth of one reading's noise off: without drift the error of the offset is then 1.1 times
 # the least possible, where E0 makes it 1.3 times.
 
+#
+# A warm-up may be beside the walk, of an amplitude ~ N(0, a^2) at the first reading, fading with a time constant from 10 s to the
+# length of the session: V(q) + a^2 f f', f = exp(-(t - t_0) / time constant). None is as likely beforehand as all these together.
+
+SHORTEST_S, TIME_CONSTANTS = 10.0, 8
+_LARGEST = 1e5  # of a warm-up, in units of the median sigma: V stays invertible
 _LEAST_SPARE_EQUATIONS = 4  # with fewer, the average over q has no finite variance
-_SPREADS = (0.02, 1e6, 180)  # q sqrt(half the session) in units of the median sigma: steps of a tenth
+# q sqrt(half the session) in units of the median sigma: steps of a tenth
+_SPREAD = np.concatenate(([0.0], np.geomspace(0.02, 1e6, 180)))
 _SMALL_WALK = 0.1  # q0, in the same unit
+_WEIGHT = np.log(np.gradient(_SPREAD) / (_SPREAD + _SMALL_WALK))
 _EVIDENCE = 3.84  # 95 %: chi-square of one degree of freedom
 
 
@@ -301,28 +309,87 @@ class WalkFit:
     covariance: FloatArray  # (P, P)
     walk: float  # most likely q, reading per root second; 0 where it is not significant
     square: float  # r' V^-1 r at the most likely q; E - P is expected
+    warm_up: float = 0.0  # probability that the offset settles
+    settles_s: float = np.nan  # its time constant, s
 
 
 def fit_with_walk(design: FloatArray, reading: FloatArray, sigma: FloatArray, time: FloatArray | None) -> WalkFit:
     """Fit one sensor whose offset may drift: design (E, P), reading, sigma and time (E,); no walk without times."""
-    if time is None or len(reading) < design.shape[1] + _LEAST_SPARE_EQUATIONS:
-        plain = solutions(design, reading, sigma[None])
-        return WalkFit(theta=plain.theta[0], covariance=plain.covariance[0], walk=0.0, square=float(plain.square[0]))
+    return fit_with_walks(design, reading[:, None], sigma[:, None], time, np.zeros(1))[0]
+
+
+def fit_with_walks(
+    design: FloatArray, readings: FloatArray, sigma: FloatArray, time: FloatArray | None, warm_up: FloatArray
+) -> list[WalkFit]:
+    """Fit sensors (E, S) whose offsets may drift, each by itself, and settle, all together; warm_up (S,) is a of each."""
+    of_each = list(zip(readings.T, sigma.T, warm_up, strict=True))
+    if time is None or len(readings) < design.shape[1] + _LEAST_SPARE_EQUATIONS:
+        plain = [solutions(design, reading, own[None]) for reading, own, _ in of_each]
+        return [
+            WalkFit(theta=one.theta[0], covariance=one.covariance[0], walk=0.0, square=float(one.square[0]))
+            for one in plain
+        ]
+    settling, warm = fading(np.column_stack((time, time)), np.ones(len(time)))
+    if not warm_up.any() or np.ptp(time) <= 2.0 * SHORTEST_S:
+        settling, warm = settling[:0], warm[:0]
+    fits = [[_over_walks(design, *one, time, columns) for columns in (warm[:0, :, 0].T, *warm)] for one in of_each]
+    evidence = np.sum([[np.logaddexp.reduce(each.likelihood + _WEIGHT) for each in one] for one in fits], axis=0)
+    share = np.exp(evidence - evidence.max()) / np.append(1.0, np.full(len(settling), max(1, len(settling))))
+    share /= share.sum()
+    return [_mixed(one, share, settling, _unit(own, time)) for one, (_, own, _) in zip(fits, of_each, strict=True)]
+
+
+def _unit(sigma: FloatArray, time: FloatArray) -> float:
+    return float(np.median(sigma) / max(0.5 * float(np.ptp(time)), 1e-9) ** 0.5)
+
+
+def fading(span: FloatArray, extent: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return time constants (T,), s, and what a warm-up adds to the rows (T, E, 2): exp(-t / time constant), and its deviation
+    for time constants between two of these."""
+    start, stop = (span - span.min()).T
+    times = np.geomspace(SHORTEST_S, max(2.0 * SHORTEST_S, float(stop.max())), 2 * TIME_CONSTANTS + 1)[:, None]
+    part = np.maximum(stop - start, 1e-3) / times
+    mean = extent * np.exp(-start / times) * -np.expm1(-part) / part
+    return times[1::2, 0], np.stack((mean[1::2], (mean[2::2] - mean[:-1:2]) / 12.0**0.5), axis=-1)
+
+
+def _over_walks(
+    design: FloatArray, reading: FloatArray, sigma: FloatArray, warm_up: float, time: FloatArray, columns: FloatArray
+) -> Solutions:
+    """Solve one sensor for every walk, beside a warm-up that adds columns (E, c) of one time constant."""
     away = time - 0.5 * (time.min() + time.max())
-    half = max(float(np.abs(away).max()), 1e-9)
-    unit = float(np.median(sigma)) / half**0.5
     same = np.sign(away)[:, None] == np.sign(away)[None, :]
     shape = np.where(same, np.minimum(np.abs(away)[:, None], np.abs(away)[None, :]), 0.0)
-    gain, basis = np.linalg.eigh(shape * unit**2 / np.outer(sigma, sigma))  # V(q) is diagonal in this basis for every q
-    spread = np.concatenate(([0.0], np.geomspace(*_SPREADS)))
-    root = np.sqrt(1.0 + spread[:, None] ** 2 * gain.clip(0.0))
-    each = solutions(basis.T @ (design / sigma[:, None]), basis.T @ (reading / sigma), root)
+    size = min(warm_up, _LARGEST * float(np.median(sigma)))
+    left, singular, _ = np.linalg.svd(size * columns / sigma[:, None], full_matrices=False)
+    spread = 1.0 + singular**2
+    whitener = np.eye(len(time)) + left * (spread**-0.5 - 1.0) @ left.T
+    # V(q) is diagonal in this basis for every q
+    gain, basis = np.linalg.eigh(whitener @ (shape * _unit(sigma, time) ** 2 / np.outer(sigma, sigma)) @ whitener)
+    root = np.sqrt(1.0 + _SPREAD[:, None] ** 2 * gain.clip(0.0))
+    each = solutions(basis.T @ (whitener @ (design / sigma[:, None])), basis.T @ (whitener @ (reading / sigma)), root)
+    return replace(each, likelihood=each.likelihood - 0.5 * np.log(spread).sum())
+
+
+def _mixed(fits: list[Solutions], share: FloatArray, settling: FloatArray, unit: float) -> WalkFit:
+    """Average one sensor over walks, then over none and all time constants of a warm-up, by their share."""
+    each = fits[int(np.argmax(share))]
     best = int(np.argmax(each.likelihood))
     shows = 2.0 * (each.likelihood[best] - each.likelihood[0]) > _EVIDENCE
-    theta, covariance = averaged(spread, each.likelihood, each.theta, each.covariance, (1.0, spread + _SMALL_WALK))
-    likely = float(spread[best]) if best < 2 else geometric_peak(spread, each.likelihood, best)
+    likely = float(_SPREAD[best]) if best < 2 else geometric_peak(_SPREAD, each.likelihood, best)
+    over = (1.0, _SPREAD + _SMALL_WALK)
+    thetas, covariances = zip(
+        *(averaged(_SPREAD, one.likelihood, one.theta, one.covariance, over) for one in fits), strict=True
+    )
+    theta, settles = share @ np.array(thetas), float(share[1:].sum())
+    apart = np.array(thetas) - theta
     return WalkFit(
-        theta=theta, covariance=covariance, walk=unit * likely if shows else 0.0, square=float(each.square[best])
+        theta=theta,
+        covariance=np.einsum("t,tij->ij", share, covariances) + (share[:, None] * apart).T @ apart,
+        walk=unit * likely if shows else 0.0,
+        square=float(each.square[best]),
+        warm_up=settles,
+        settles_s=float(share[1:] @ settling) / max(settles, 1e-300),
     )
 
 
