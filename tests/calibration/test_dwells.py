@@ -266,7 +266,7 @@ def test_a_mounting_far_off_the_stated_one_is_said_and_one_within_it_is_not_a_do
 def test_a_mounting_three_times_the_stated_one_is_covered_where_tilted_faces_blur_gravity(devices):
     case, rng, ratio = rate_bench.CASES["mounted 0.3 deg off, faces by 0.2 deg"], np.random.default_rng(31), []
     for _ in range(devices):
-        device, session, _ = rate_bench.drawn(case, rng)
+        device, session, *_ = rate_bench.drawn(case, rng)
         gyro = calibrate(session, settings=case.settings).gyro
         off = gyro.matrix - np.linalg.inv(device.gyro.forward_matrix)
         ratio.append((off / gyro.standard_uncertainty[:9].reshape(3, 3))[~np.eye(3, dtype=bool)])

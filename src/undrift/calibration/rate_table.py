@@ -257,9 +257,7 @@ def _unknowns(
 
 
 def _walks(design: FloatArray, readings: FloatArray, sigma: FloatArray, time: FloatArray | None) -> list[WalkFit]:
-    gain = np.linalg.norm(
-        np.linalg.lstsq(design, readings, rcond=None)[0][:3], axis=0
-    )  # of each sensor, reading per rad/s
+    gain = np.linalg.norm(np.linalg.lstsq(design, readings, rcond=None)[0][:3], axis=0)  # reading per rad/s
     return fit_with_walks(design, readings, sigma, time, WARM_UP * gain)
 
 

@@ -286,12 +286,11 @@ def geometric_peak(grid: FloatArray, likelihood: FloatArray, best: int) -> float
 # every q >= 0 as equally likely beforehand: nothing milder gives intervals that hold where the walk is too small to show. E1 takes
 # 1 / (q + q0), with q0 a walk that ends a tenth of one reading's noise off: without drift the error of the offset is then 1.1 times
 # the least possible, where E0 makes it 1.3 times.
-
 #
 # A warm-up may be beside the walk, of an amplitude ~ N(0, a^2) at the first reading, fading with a time constant from 10 s to the
 # length of the session: V(q) + a^2 f f', f = exp(-(t - t_0) / time constant). None is as likely beforehand as all these together.
 
-SHORTEST_S, TIME_CONSTANTS = 10.0, 8
+_SHORTEST_S, _TIME_CONSTANTS = 10.0, 8
 _LARGEST = 1e5  # of a warm-up, in units of the median sigma: V stays invertible
 _LEAST_SPARE_EQUATIONS = 4  # with fewer, the average over q has no finite variance
 # q sqrt(half the session) in units of the median sigma: steps of a tenth
@@ -330,7 +329,7 @@ def fit_with_walks(
             for one in plain
         ]
     settling, warm = fading(np.column_stack((time, time)), np.ones(len(time)))
-    if not warm_up.any() or np.ptp(time) <= 2.0 * SHORTEST_S:
+    if not warm_up.any() or np.ptp(time) <= 2.0 * _SHORTEST_S:
         settling, warm = settling[:0], warm[:0]
     fits = [[_over_walks(design, *one, time, columns) for columns in (warm[:0, :, 0].T, *warm)] for one in of_each]
     evidence = np.sum([[np.logaddexp.reduce(each.likelihood + _WEIGHT) for each in one] for one in fits], axis=0)
@@ -347,7 +346,7 @@ def fading(span: FloatArray, extent: FloatArray) -> tuple[FloatArray, FloatArray
     """Return time constants (T,), s, and what a warm-up adds to the rows (T, E, 2): exp(-t / time constant), and its deviation
     for time constants between two of these."""
     start, stop = (span - span.min()).T
-    times = np.geomspace(SHORTEST_S, max(2.0 * SHORTEST_S, float(stop.max())), 2 * TIME_CONSTANTS + 1)[:, None]
+    times = np.geomspace(_SHORTEST_S, max(2.0 * _SHORTEST_S, float(stop.max())), 2 * _TIME_CONSTANTS + 1)[:, None]
     part = np.maximum(stop - start, 1e-3) / times
     mean = extent * np.exp(-start / times) * -np.expm1(-part) / part
     return times[1::2, 0], np.stack((mean[1::2], (mean[2::2] - mean[:-1:2]) / 12.0**0.5), axis=-1)
