@@ -27,6 +27,7 @@ from undrift.sim.motion.bench import BenchSettings, bench_motion
 from undrift.units import RADIAN_PER_DEGREE as DEG
 
 LEAST, MOST = 93.0, 97.0  # percent
+BEYOND = "accel offset"  # its U has quadratic terms, which these devices have not: it is not in the share of all
 RISE_C, TILT = 1.0, 0.05 * DEG
 
 
@@ -84,7 +85,7 @@ def main() -> int:
         found.setdefault(kind, []).append(inside)
     for kind, each in found.items():
         print(f"{kind:14} {100.0 * np.mean(each):5.1f} % of {len(each)}")
-    share = 100.0 * float(np.mean([inside for each in found.values() for inside in each]))
+    share = 100.0 * float(np.mean([inside for kind, each in found.items() if kind != BEYOND for inside in each]))
     print(f"{'all':14} {share:5.1f} % inside U of {devices} devices; wanted {LEAST:g} to {MOST:g}")
     return int(not LEAST <= share <= MOST)
 

@@ -259,7 +259,14 @@ def averaged(
     step[[0, -1]] *= 0.5  # trapezoids
     by_likelihood = np.exp(likelihood - likelihood.max()) * step
     share, likely = (part / part.sum() for part in (by_likelihood / over[0], by_likelihood / over[1]))
-    theta = likely @ thetas
+    return mixed(thetas, covariances, share, likely)
+
+
+def mixed(
+    thetas: FloatArray, covariances: FloatArray, share: FloatArray, likely: FloatArray | None = None
+) -> tuple[FloatArray, FloatArray]:
+    """Return the mean of T alternatives by ``likely`` (``share`` if None), and the second moment about it by their share (T,)."""
+    theta = (share if likely is None else likely) @ thetas
     apart = thetas - theta
     return theta, np.einsum("t,tij->ij", share, covariances) + (share[:, None] * apart).T @ apart
 
@@ -321,9 +328,9 @@ def fit_with_walks(
     design: FloatArray, readings: FloatArray, sigma: FloatArray, time: FloatArray | None, warm_up: FloatArray
 ) -> list[WalkFit]:
     """Fit sensors (E, S) whose offsets may drift, each by itself, and settle, all together; warm_up (S,) is a of each."""
-    of_each = list(zip(readings.T, sigma.T, warm_up, strict=True))
+    sensors = list(zip(readings.T, sigma.T, warm_up, strict=True))
     if time is None or len(readings) < design.shape[1] + _LEAST_SPARE_EQUATIONS:
-        plain = [solutions(design, reading, own[None]) for reading, own, _ in of_each]
+        plain = [solutions(design, reading, noise[None]) for reading, noise, _ in sensors]
         return [
             WalkFit(theta=one.theta[0], covariance=one.covariance[0], walk=0.0, square=float(one.square[0]))
             for one in plain
@@ -331,11 +338,14 @@ def fit_with_walks(
     settling, warm = fading(np.column_stack((time, time)), np.ones(len(time)))
     if not warm_up.any() or np.ptp(time) <= 2.0 * _SHORTEST_S:
         settling, warm = settling[:0], warm[:0]
-    fits = [[_over_walks(design, *one, time, columns) for columns in (warm[:0, :, 0].T, *warm)] for one in of_each]
+    fits = [[_over_walks(design, *one, time, columns) for columns in (warm[:0, :, 0].T, *warm)] for one in sensors]
     evidence = np.sum([[np.logaddexp.reduce(each.likelihood + _WEIGHT) for each in one] for one in fits], axis=0)
     share = np.exp(evidence - evidence.max()) / np.append(1.0, np.full(len(settling), max(1, len(settling))))
     share /= share.sum()
-    return [_mixed(one, share, settling, _unit(own, time)) for one, (_, own, _) in zip(fits, of_each, strict=True)]
+    return [
+        _over_warm_ups(one, share, settling, _unit(noise, time))
+        for one, (_, noise, _) in zip(fits, sensors, strict=True)
+    ]
 
 
 def _unit(sigma: FloatArray, time: FloatArray) -> float:
@@ -370,7 +380,7 @@ def _over_walks(
     return replace(each, likelihood=each.likelihood - 0.5 * np.log(spread).sum())
 
 
-def _mixed(fits: list[Solutions], share: FloatArray, settling: FloatArray, unit: float) -> WalkFit:
+def _over_warm_ups(fits: list[Solutions], share: FloatArray, settling: FloatArray, unit: float) -> WalkFit:
     """Average one sensor over walks, then over none and all time constants of a warm-up, by their share."""
     each = fits[int(np.argmax(share))]
     best = int(np.argmax(each.likelihood))
@@ -380,11 +390,11 @@ def _mixed(fits: list[Solutions], share: FloatArray, settling: FloatArray, unit:
     thetas, covariances = zip(
         *(averaged(_SPREAD, one.likelihood, one.theta, one.covariance, over) for one in fits), strict=True
     )
-    theta, settles = share @ np.array(thetas), float(share[1:].sum())
-    apart = np.array(thetas) - theta
+    theta, covariance = mixed(np.array(thetas), np.array(covariances), share)
+    settles = float(share[1:].sum())
     return WalkFit(
         theta=theta,
-        covariance=np.einsum("t,tij->ij", share, covariances) + (share[:, None] * apart).T @ apart,
+        covariance=covariance,
         walk=unit * likely if shows else 0.0,
         square=float(each.square[best]),
         warm_up=settles,
