@@ -406,8 +406,8 @@ def _averaged(equations: Equations, data: RotationData, scale: FloatArray, creep
         evidence.append(np.logaddexp.reduce(likelihood + within + np.log(np.gradient(SIZES) / PRIOR)))
     share = np.exp(np.array(evidence) - max(evidence)) / np.append(1.0, np.full(len(times), max(1, len(times))))
     share /= share.sum()
-    each = zip(*(averaged(SIZES, *one, (PRIOR, PRIOR)) for one in solved), strict=True)
-    theta, covariance = mixed(*map(np.array, each), share)
+    means, spreads = zip(*(averaged(SIZES, *one, (PRIOR, PRIOR)) for one in solved), strict=True)
+    theta, covariance = mixed(np.array(means), np.array(spreads), share)
     square, settles = mean_square_size(solved[0][0]) * size**2, float(share[1:].sum())
     return _Average(theta, covariance, square * flicker, settles, float(share[1:] @ times) / max(settles, 1e-300))
 
