@@ -39,6 +39,7 @@ from undrift.calibration.creep import (
     size_unit,
 )
 from undrift.calibration.dwells import mountings
+from undrift.calibration.norm import MG, QUADRATIC_SD
 from undrift.calibration.observe import Observed, Outcome, spans_of, whole_readings, with_offset
 from undrift.errors import InputError, NotObservable
 from undrift.findings import Finding, finding
@@ -65,7 +66,7 @@ from undrift.fit.least_squares import (
 )
 from undrift.model import Verdict
 from undrift.record import Face, Record, Still
-from undrift.units import RADIAN_PER_DEGREE, is_physical, si_factor
+from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical, si_factor
 
 # ---- tilt of the faces
 #
@@ -379,7 +380,10 @@ def calibrate_faces(seen: Observed, mode: str | None, accel: TriadFit | None = N
     if len(poses.faces) > 1:
         check_repeats(poses.reading, poses.faces)
     creep = creep_of(seen, seen.faced, "accel")
-    poses, findings = replace(poses, creep=creep), creep.findings()
+    size = QUADRATIC_SD * STANDARD_GRAVITY
+    shown = {"size_mg": size * STANDARD_GRAVITY / MG, "tilt_deg": size / RADIAN_PER_DEGREE}
+    findings = (*creep.findings(), finding("six_face.quadratic", "info", **shown))
+    poses = replace(poses, creep=creep)
     if used == "levelled" and poses.noise is None:
         used, findings = "affine", (*findings, finding("six_face.short_faces", "warn"))
     if used == "levelled":
