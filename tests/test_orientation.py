@@ -9,8 +9,9 @@ import pytest
 
 from testkit.data import show
 from testkit.findings import only
+from testkit.hand_turns import Device, make_recording
 from undrift.errors import InputError
-from undrift.frames import quaternion_conjugate, quaternion_product
+from undrift.frames import quaternion_conjugate, quaternion_product, rotate
 from undrift.model import TriadModel
 from undrift.orientation import OrientSettings, OrientStream, heading_of, inclination_of, orient, sagittal_pitch
 from undrift.record import Record, Still
@@ -89,7 +90,7 @@ def test_what_cannot_be_oriented_is_refused():
     shaken = Record(time=record.time, gyro=rng.normal(size=(600, 3)), accel=record.accel + rng.normal(size=(600, 3)))
     with pytest.raises(
         InputError,
-        match=r"orient: wanted a still phase, got none: .*; name a stretch at rest \(`still_start_s`, `still_stop_s`\), or record",
+        match=r"a still phase, got none: .*; name a stretch at rest \(`still_start_s`, `still_stop_s`\), use `offset` motion",
     ):
         orient(shaken)
     with pytest.raises(InputError, match="rate: wanted a physical unit, got count"):
@@ -403,3 +404,39 @@ def test_a_pitch_that_wraps_about_the_right_axes_is_stated_and_is_no_warning():
     upright = ((1, 0, 0), (0, 1, 0), (0, 0, 1))
     item = only(orient(stood_up(upright, lean=4.0), Still(start=0, stop=200)).findings, "orient.pitch_axes")
     assert (item.level, item.values["up"]) == ("info", "+z")
+
+
+# ---- recordings that begin and end in motion
+
+
+def tumbled(duration_s=60.0, offset=(0.005, -0.004, 0.006)):
+    """Turned by hand without a rest, forces of a hand that comes back; and the true orientation."""
+    record, reference = make_recording(
+        np.random.default_rng(4), Device(noise=1e-3, offset=np.array(offset)), mark=False
+    )
+    rng, n = np.random.default_rng(5), len(record)
+    shaken = np.array(record.accel) + 0.3 * rng.normal(size=(n, 3))
+    return replace(record, accel=shaken).between(9.0, 9.0 + duration_s), reference
+
+
+def test_a_recording_that_never_rests_is_oriented_by_gravity_in_motion():
+    record, reference = tumbled(57.0)
+    found = orient(record, settings=OrientSettings(offset="motion"))
+    assert found.still is None
+    assert found.rests == ()
+    assert np.abs(found.offset - [0.005, -0.004, 0.006]).max() < 1e-3
+    true = np.stack([np.interp(record.time, reference.time, one) for one in reference.q_nb.T], axis=1)
+    vertical = [rotate(quaternion_conjugate(q), np.array([0.0, 0.0, 1.0])) for q in (found.q_nb, true)]
+    error = np.degrees(
+        np.arccos(np.clip((vertical[0] * vertical[1]).sum(axis=1) / np.linalg.norm(vertical[1], axis=1), -1, 1))
+    )
+    assert error.max() < 0.8  # forces of 0.3 m/s2, white; half a sample at 66 deg/s is 0.17
+    assert error[0] < 2.0 * np.degrees(found.tilt.expanded_uncertainty)
+    assert "orient.no_rest" in [one.code for one in found.findings]
+    raw = orient(record)  # tilt from motion, rates as they are
+    assert (raw.offset == 0.0).all()
+    assert only(raw.findings, "orient.drift").values["offset_dps"] > 0.3
+    with pytest.raises(InputError, match="wanted a still phase, got none"):
+        orient(record, settings=OrientSettings(offset="rest"))
+    with pytest.raises(InputError, match="wanted a still phase, got none"):
+        orient(record.between(9.0, 20.0), settings=OrientSettings(offset="motion"))

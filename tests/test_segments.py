@@ -9,7 +9,7 @@ from testkit.data import data_path, show
 from testkit.faces import faces_at
 from undrift.errors import InputError
 from undrift.record import Record, Still
-from undrift.segments import StillSettings, find_still, find_turns, sliding_moments, still_means
+from undrift.segments import StillSettings, find_still, find_turns, sliding_moments, still_means, unpadded
 
 FS = 100.0
 DPS = np.pi / 180.0
@@ -274,3 +274,39 @@ def test_counts_of_a_body_that_never_rests_are_not_taken_for_one_long_rest() -> 
     resting = np.round(rng.normal(0.0, 6.0, (1400, 3)))
     still = find_still(Record(time=time, gyro=resting, gyro_unit="count"))
     assert len(still.stills) == 1
+
+
+# ---- rows that fill a file up
+
+
+def padded(record, before, after):
+    rows = [np.repeat(v[:1], before, axis=0) for v in (record.gyro, record.accel)]
+    ends = [np.repeat(v[-1:], after, axis=0) for v in (record.gyro, record.accel)]
+    gyro, accel = (np.concatenate(each) for each in zip(rows, (record.gyro, record.accel), ends, strict=True))
+    return Record(time=np.arange(len(gyro)) / 100.0, gyro=gyro, accel=accel)
+
+
+@pytest.mark.parametrize("moving", [False, True])
+def test_rows_that_repeat_the_first_or_the_last_reading_are_left_out(moving):
+    rng, t = np.random.default_rng(3), np.arange(1000) / 100.0
+    swing = np.stack([np.sin(2.0 * t + k) for k in range(3)], axis=1) * moving
+    record = Record(
+        time=t, gyro=swing + 1e-3 * rng.normal(size=(1000, 3)), accel=9.81 + swing + 0.01 * rng.normal(size=(1000, 3))
+    )
+    assert unpadded(record) is record
+    done = unpadded(padded(record, 60, 150))
+    assert len(done) == len(record)
+    np.testing.assert_array_equal(done.gyro, record.gyro)
+    assert unpadded(padded(record, 5, 5)).duration_s > record.duration_s  # a chance repeat is none
+
+
+def test_a_device_that_repeats_its_codes_at_rest_is_not_padded():
+    t = np.arange(1000) / 100.0
+    smooth = np.where(t > 4.0, np.sin(t - 4.0) ** 3, 0.0)[:, None] * [1.0, 0.5, -0.3]
+    for record in (
+        Record(time=t, gyro=smooth, accel=9.81 + smooth),  # without noise
+        Record(
+            time=t, gyro=np.round(20.0 * smooth) / 20.0, accel=9.81 + np.round(20.0 * smooth) / 20.0
+        ),  # coarse codes
+    ):
+        assert unpadded(record) is record

@@ -1,6 +1,7 @@
 """Orientation q_nb of the device case: initial tilt at rest, strapdown from there, and the angles of the result.
 
-Tilt: at rest the specific force f in b points up, and the shortest rotation that takes f to n's z is, for f of length one::
+Tilt: the specific force f in b points up at rest (without one, correction/motion.py finds its vertical part in motion), and the
+shortest rotation that takes f to n's z is, for f of length one::
 
     q_nb ~ (1 + f_z, f_y, -f_x, 0)               then a turn about n's z to the wanted heading
 
@@ -38,6 +39,7 @@ from undrift.base.summary import Shown
 from undrift.correction.consistency import check_triads
 from undrift.correction.rest import (
     FEWEST,
+    LEAST_IN_MOTION_S,
     force_covariances,
     mean_variance,
     no_rest,
@@ -93,8 +95,6 @@ class Tilt:
 
 def initial_tilt(record: Record, still: Still, *, heading: float = 0.0) -> Tilt:
     """Find the orientation of a device at rest."""
-    from scipy.special import chdtri
-
     force = _readings_at_rest(record, still)
     mean = force.mean(axis=0)
     length = float(np.linalg.norm(mean))
@@ -105,8 +105,16 @@ def initial_tilt(record: Record, still: Still, *, heading: float = 0.0) -> Tilt:
             "stood still",
             length=length,
         )
+    return _tilt_of(record, mean, force_covariances(record, still, force), heading)
+
+
+def _tilt_of(record: Record, mean: FloatArray, covariances: dict[str, FloatArray], heading: float) -> Tilt:
+    """Return the tilt that a specific force (3,) shows, by its covariances (3, 3), source by source."""
+    from scipy.special import chdtri
+
+    length = float(np.linalg.norm(mean))
     level = (np.eye(3) - np.outer(mean, mean) / length**2) / length
-    parts = {name: level @ one @ level for name, one in force_covariances(record, still, force).items()}
+    parts = {name: level @ one @ level for name, one in covariances.items()}
     whole = np.sum([*parts.values()], axis=0)
     variance = float(np.trace(whole))
     freedom = max(variance**2 / max(float((whole**2).sum()), 1e-300), 1.0)  # 1: one component errs, 2: both do alike
@@ -356,9 +364,9 @@ class Orientation(Shown):
     pitch : array, shape (N,)
         Gravity in the sagittal plane, forward lean positive, rad.
     tilt : Tilt
-        Orientation at the still phase, with its uncertainty.
-    still : Still
-        That phase.
+        Orientation at the still phase, or at the first sample where there is none, with its uncertainty.
+    still : Still or None
+        That phase; None where the device never rests.
     offset : array, shape (3,)
         Rate that was subtracted at that phase, rad/s.
     rests : tuple of Still
@@ -377,7 +385,7 @@ class Orientation(Shown):
     heading: FloatArray
     pitch: FloatArray
     tilt: Tilt
-    still: Still
+    still: Still | None
     offset: FloatArray
     rests: tuple[Still, ...]
     rest_offsets: FloatArray
@@ -422,7 +430,8 @@ def orient(
     record : Record
         Rate and specific force in physical units, best corrected: the uncertainty of the tilt then counts the calibration's.
     still : Still, optional
-        Where the device stood still; the first still phase that is found when absent.
+        Where the device stood still; the first still phase that is found when absent. Where there is none, gravity in motion
+        shows tilt and offset.
     settings : OrientSettings
         Method, offset, heading and axes.
     gyro_model : TriadModel, optional
@@ -436,7 +445,8 @@ def orient(
     Raises
     ------
     InputError
-        No gyroscope, no still phase, gaps, holes in time, a dead axis, readings in counts, or no package for the method.
+        No gyroscope, no still phase (in less than 20 s, or for the offsets "rest" and "still"), gaps, holes in time, a dead axis,
+        readings in counts, or no package for the method.
     Implausible
         Columns, units or a sample rate that clearly are others than stated.
 
@@ -468,27 +478,36 @@ def orient_unchecked(
     if record.gyro is None:
         raise InputError("orient: wanted gyroscope readings, got none; map the columns that hold them")
     _check_whole(record.time, record.gyro)
-    rests = _rests(record, still, every=settings.offset == "still")
-    still = rests[0] if still is None else still
-    tilt = initial_tilt(record, still, heading=settings.heading)
-    means = np.stack([record.gyro[one.start : one.stop].mean(axis=0) for one in rests])
+    rests = _rests(record, still, settings.offset)
+    still = rests[0] if still is None and rests else still
+    means = np.reshape([record.gyro[one.start : one.stop].mean(axis=0) for one in rests], (-1, 3))
     findings: tuple[Finding, ...] = ()
-    if settings.offset == "motion":
+    if settings.offset == "motion" or still is None:
         from undrift.correction.motion import find_motion_offset  # scipy and a kernel, for this alone
 
-        moved = find_motion_offset(record, rest_offset(record, still))
-        offsets, uncertainty, findings = moved.at(record.time), moved.uncertainty, (moved.finding,)
+        moved = find_motion_offset(record, None if still is None else rest_offset(record, still), gyro_model)
+    if still is None:
+        tilt = _tilt_of(record, moved.vertical, {"motion": moved.vertical_covariance}, settings.heading)
+        findings = (finding("orient.no_rest", "info", tilt_deg=tilt.inclination_uncertainty / RADIAN_PER_DEGREE),)
+    else:
+        tilt = initial_tilt(record, still, heading=settings.heading)
+    if settings.offset == "motion":
+        offsets, uncertainty, findings = moved.at(record.time), moved.uncertainty, (*findings, moved.finding)
+    elif still is None:
+        offsets = np.zeros((len(record), 3))
+        uncertainty = math.hypot(moved.uncertainty, float(np.linalg.norm(moved.rate.mean(axis=0))))
     else:
         offsets = _offsets(record.time, rests, means, settings.offset, rests.index(still))
         uncertainty = _offset_uncertainty(record.gyro, rests, means, offsets, gyro_model)
-    gyro, anchor = record.gyro - offsets, still.stop - 1
+    gyro, anchor = record.gyro - offsets, 0 if still is None else still.stop - 1
     if settings.method == "vqf":
         q = _levelled_at(_filtered(record, gyro, uncertainty), anchor, tilt.q_nb)
     else:
         q = _both_ways(gyro, record.time, tilt.q_nb, anchor)
-        findings += (_expected_drift(record.time, anchor, uncertainty, settings.offset),)
-    findings += _moved_at_rest(record, still)
-    findings += check_pitch_axes(q, slice(still.start, still.stop), settings.forward, settings.up)
+        findings += (_expected_drift(record.time, anchor, uncertainty, settings.offset if rests else "rest"),)
+    findings += () if still is None else _moved_at_rest(record, still)
+    at_rest = slice(None) if still is None else slice(still.start, still.stop)
+    findings += check_pitch_axes(q, at_rest, settings.forward, settings.up)
     return Orientation(
         time=record.time,
         q_nb=q,
@@ -505,12 +524,18 @@ def orient_unchecked(
     )
 
 
-def _rests(record: Record, named: Still | None, *, every: bool) -> tuple[Still, ...]:
-    """Return the still phases: those found and the named one, or the named one alone where no others are needed."""
-    if named is not None and not every:
+def _rests(record: Record, named: Still | None, offset: str) -> tuple[Still, ...]:
+    """Return the still phases: those found and the named one, or that alone where no others are needed; none in motion."""
+    if named is not None and offset != "still":
         return (named,)
-    if not every:
-        return rests_from_first(record, "orient")
+    if offset != "still":
+        try:
+            return rests_from_first(record, "orient")
+        except InputError as error:
+            missing = error.numbers.get("missing") == "rest" and record.accel is not None
+            if offset == "rest" or not missing or record.duration_s < LEAST_IN_MOTION_S:
+                raise
+            return ()
     search = find_still(record, StillSettings())
     search = search if search.stills else find_still(record)  # of a worn recording: adapts
     stills = [one for one in search.stills if named is None or one.stop <= named.start or one.start >= named.stop]

@@ -345,6 +345,31 @@ def _phases(quiet: BoolArray, count: int, edge: int, shortest: int, recording: i
     return tuple(Still(start=a, stop=b, recording=recording) for a, b in spans if b - a >= shortest)
 
 
+# ---- rows that fill a file up: they repeat the first or the last reading, and nothing rests there
+
+_PADDED_S, _PADDED = 0.2, 10  # shorter runs of one reading are chance
+# The step from it and the changes of step beside it, over the steps there: a device that leaves its rest begins with smaller
+# steps, and one without noise has smooth ones
+_BREAKS = 0.1
+
+
+def unpadded(record: Record) -> Record:
+    """Return a record without the rows that repeat its first or last reading where others never repeat so long."""
+    steps = np.diff(np.hstack([values for values in (record.gyro, record.accel) if values is not None]), axis=0)
+    same, first, last = runs((steps == 0.0).all(axis=1)), 0, len(record)
+    inner = max((stop - start for start, stop in same if start > 0 and stop < len(steps)), default=0)
+    least = max(_PADDED, round(_PADDED_S * record.sample_rate_hz))
+    for start, stop in same:
+        edge = start == 0 or stop == len(steps)
+        if not edge or stop - start < max(least, 2 * inner) or stop - start == len(steps):
+            continue
+        beside = steps[stop : stop + least] if start == 0 else steps[start - least : start][::-1]
+        rough = np.minimum(np.abs(beside[0]), np.diff(beside[1:], 2, axis=0).std(axis=0))
+        if np.median(rough / np.maximum(np.sqrt((beside**2).mean(axis=0)), 1e-300)) > _BREAKS:
+            first, last = (stop, last) if start == 0 else (first, start + 1)
+    return record if last - first == len(record) else record.part(first, last)
+
+
 def runs(flag: BoolArray) -> IntArray:
     """Return the stretches [start, stop), (R, 2), where a flag (N,) is set."""
     change = np.flatnonzero(np.diff(np.concatenate(([False], flag, [False])).astype(np.int8)))

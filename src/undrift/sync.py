@@ -1,8 +1,8 @@
 """Sync: bring a record and a reference onto one clock, before any fit or comparison.
 
 ``native_poses`` undoes a linear up-sampling of the reference, ``pose_rates`` turns poses into mean rates, ``find_lag`` finds how
-late the record's samples are, ``find_motion`` where rest ends and begins again. With w the body rate of the reference and u the
-readings, both averaged over the same stretches::
+late the record's samples are, ``in_step`` whether that stays so, ``find_motion`` where rest ends and begins again. With w the body
+rate of the reference and u the readings, both averaged over the same stretches::
 
     w(t) = A u(t + lag) + c                    A (3 x 3) and c free: scale, mounting and offset do not disturb the lag
 
@@ -17,9 +17,11 @@ import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray, IntArray, window_sums
 from undrift.errors import AlignmentError, InputError
+from undrift.findings import Finding, finding
 from undrift.frames import quaternion_conjugate, quaternion_of, quaternion_product, rotation_vector
 from undrift.record import Record, Reference
-from undrift.segments import StillSettings, find_still
+from undrift.segments import StillSettings, find_still, runs
+from undrift.units import RADIAN_PER_DEGREE
 
 # ---- mean rates between neighbouring poses, and readings averaged over the same stretches
 #
@@ -370,51 +372,106 @@ def _lag_step(slope: FloatArray, u: FloatArray, residual: FloatArray, t: FloatAr
     return step, float(np.sqrt((np.add.reduceat(score, np.flatnonzero(block)) ** 2).sum()) / square)
 
 
+# ---- two clocks that do not run alike, and files that were filled up
+
+_PARTS, _LEAST_PART_S = 5, 6.0  # of a recording, each with a lag of its own
+# s, over the recording, and its standard uncertainties: BROAD's clocks, which run alike, differ by up to 0.1 ms and two of them
+_LEAST_SKEW, _CLEAR = 1e-3, 4.0
+_OUT_OF_STEP = 0.05  # s, off a line through the lags: samples were lost, or another trial's were put in [assumed]
+_TURNS = 5.0 * RADIAN_PER_DEGREE  # rad/s, median: no rest, whatever the device's offset
+
+
+def in_step(
+    record: Record, poses: Reference, settings: LagSettings = LagSettings()
+) -> tuple[Record, Lag, list[Finding]]:
+    """Return the record on a clock that runs like the reference's, its lag, and what was removed or cannot be."""
+    lag, findings, rates = find_lag(record, poses, settings), list[Finding](), pose_rates(poses)
+    parts = list[tuple[float, float, float]]()
+    there = (rates.start + lag.seconds >= record.time[0]) & (rates.stop + lag.seconds <= record.time[-1])
+    span_s = float(np.ptp(rates.start[there])) if there.any() else 0.0
+    for rows in np.array_split(np.flatnonzero(there), _PARTS) if span_s > _PARTS * _LEAST_PART_S else ():
+        some = PoseRates(start=rates.start[rows], stop=rates.stop[rows], rate=rates.rate[rows], valid=rates.valid[rows])
+        try:
+            of_part = lag_of(record.time, np.asarray(record.gyro), some, settings, near=lag.seconds)
+        except (AlignmentError, IndexError, ValueError):  # it lies still, or is not seen
+            return record, lag, findings
+        middle = float(np.average(some.start, weights=(some.rate**2).sum(axis=1)))
+        parts.append((middle, of_part.seconds, of_part.standard_uncertainty))
+    if not parts:
+        return record, lag, findings
+    when, late, spread = np.array(parts).T
+    weight = 1.0 / np.maximum(spread, 1e-6)
+    columns = weight[:, None] * np.stack((np.ones(_PARTS), when - when.mean()), axis=1)
+    line, square, *_ = np.linalg.lstsq(columns, weight * late, rcond=None)
+    uncertainty = np.sqrt(max(1.0, *square / (_PARTS - 2)) * np.linalg.inv(columns.T @ columns)[1, 1])
+    if abs(line[1]) * span_s > _LEAST_SKEW and abs(line[1]) > _CLEAR * uncertainty:
+        record = replace(record, time=record.time - line[1] * (record.time - lag.seconds - when.mean()))
+        findings.append(finding("sync.skew", "info", skew_ppm=1e6 * line[1], late_ms=1e3 * line[1] * span_s))
+        lag, late = find_lag(record, poses, settings), late - line[1] * (when - when.mean())
+    if np.ptp(late) > _OUT_OF_STEP:
+        findings.append(finding("sync.out_of_step", "warn", most_ms=1e3 * float(np.ptp(late))))
+    return record, lag, findings
+
+
+def seen_poses(record: Record, poses: Reference, lag: Lag) -> Reference:
+    """Return poses with a gap where the first or the last one is repeated while the record turns: the file was filled up."""
+    q_nb, time = np.array(poses.q_nb), record.time - lag.seconds
+    for start, stop in runs((np.diff(poses.q_nb, axis=0) == 0.0).all(axis=1)):
+        inside = (time >= poses.time[start]) & (time <= poses.time[stop])
+        rate = np.asarray(record.gyro)[inside] @ lag.matrix.T + lag.constant
+        edge = start == 0 or stop == len(poses) - 1
+        if edge and len(rate) and np.nanmedian(np.linalg.norm(rate, axis=1)) > _TURNS:
+            q_nb[start + (start > 0) : stop + (start > 0)] = np.nan
+    return poses if np.isfinite(q_nb[poses.valid]).all() else replace(poses, q_nb=q_nb)
+
+
 # ---- motion between the first and the last rest: the author's mark of the reference, else the record's still phases
 
-LEAST_REST_S = 3.0
+LEAST_REST_S, LEAST_MOTION_S = 3.0, 1.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MotionSpan:
-    """The stretch between the first and the last rest of a recording."""
+    """The stretch between the first and the last rest of a recording, or all that both have seen where it begins in motion."""
 
     start_s: float  # On the record's clock, s: the first moment of motion
     stop_s: float  # The first moment after it
-    basis: str  # "mark of the reference" or "still phases of the record"
+    basis: str  # "mark of the reference", "still phases of the record" or "no rest"
+    rested: bool = True  # The motion begins after a rest
 
 
 def find_motion(record: Record, reference: Reference, *, lag_s: float = 0.0) -> MotionSpan:
-    """Find the stretch of motion between the first and the last rest."""
+    """Find the stretch of motion between the first and the last rest; without a rest before it, all that both have seen of it."""
+    seen = reference.time[reference.valid] + lag_s
+    first, last = max(float(record.time[0]), float(seen[0])), min(float(record.time[-1]), float(seen[-1]))
     if reference.moving is not None and (reference.moving > 0.0).any():
         marked = reference.time[np.flatnonzero(reference.moving > 0.0)] + lag_s
         step = float(np.median(np.diff(reference.time)))
         motion = MotionSpan(start_s=float(marked[0]), stop_s=float(marked[-1]) + step, basis="mark of the reference")
     else:
-        motion = _between_stills(record)
-    rest = motion.start_s - max(float(record.time[0]), float(reference.time[0]) + lag_s)
-    if rest < LEAST_REST_S:
+        motion = _between_stills(record) or MotionSpan(start_s=first, stop_s=last, basis="no rest", rested=False)
+    if motion.start_s - max(float(record.time[0]), float(reference.time[0]) + lag_s) >= LEAST_REST_S:
+        return motion
+    motion = replace(motion, start_s=max(first, motion.start_s), stop_s=min(last, motion.stop_s), rested=False)
+    if motion.stop_s - motion.start_s < LEAST_MOTION_S:
         raise AlignmentError(
-            f"motion: wanted {LEAST_REST_S:g} s of rest or more before the motion, got {max(rest, 0.0):.1f} s "
-            f"({motion.basis}); record the device lying still first",
-            rest_s=rest,
+            f"motion: wanted {LEAST_MOTION_S:g} s or more in which record and reference share the motion, got "
+            f"{max(motion.stop_s - motion.start_s, 0.0):.1f} s; check that the two files belong together"
         )
     return motion
 
 
-def _between_stills(record: Record) -> MotionSpan:
+def _between_stills(record: Record) -> MotionSpan | None:
     search = find_still(record, StillSettings())
     search = search if search.stills else find_still(record)
     long = [s for s in search.stills if record.time[s.stop - 1] - record.time[s.start] >= LEAST_REST_S]
     if not long:
-        raise AlignmentError(
-            f"motion: wanted a still phase of {LEAST_REST_S:g} s before the motion, got none"
-            + (f" ({search.reason})" if search.reason else "")
-            + "; give a reference with a motion mark, or record a rest first"
-        )
+        return None
     first, last = long[0], search.stills[-1]
     to_the_end = last.stop < len(record) - 1 - record.sample_rate_hz * LEAST_REST_S or last is first
     start, stop = float(record.time[first.stop - 1]), float(record.time[-1 if to_the_end else last.start])
-    if stop - start < 1.0:
+    if stop - start < LEAST_MOTION_S:
+        if record.time[first.start] - record.time[0] > LEAST_MOTION_S:
+            return None  # it rests at the end alone
         raise AlignmentError("motion: wanted a motion after the first rest, got none; the device lay still throughout")
     return MotionSpan(start_s=start, stop_s=stop, basis="still phases of the record")

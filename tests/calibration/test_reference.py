@@ -9,20 +9,16 @@ from scipy.spatial.transform import Rotation
 
 from testkit.findings import only
 from testkit.hand_turns import Device, hidden, later, make_recording
-from undrift.calibration import reference
+from undrift.calibration import reference as reference_module
+from undrift.calibration import reference_windows
 from undrift.calibration.adc import restored_gyro
 from undrift.calibration.reference import (
-    Recording,
     ReferenceSettings,
-    Solution,
-    Windows,
-    _whitened,
     cross_validated_adc,
     fit_reference,
     leave_one_out,
-    solve,
-    solve_chain,
 )
+from undrift.calibration.reference_windows import Recording, Solution, Windows, _whitened, solve, solve_chain
 from undrift.errors import AlignmentError, Implausible, InputError, NotObservable
 from undrift.frames import rotate
 from undrift.model import AdcModel
@@ -477,8 +473,54 @@ def test_a_jump_of_the_poses_is_bounded_and_stated() -> None:
 def test_long_recordings_are_taken_stretch_by_stretch(monkeypatch: pytest.MonkeyPatch) -> None:
     error = ERRORS["readings"](np.random.default_rng(3), 500)
     whole = solved(np.random.default_rng(4), [error]).covariance()
-    monkeypatch.setattr(reference, "_STRETCH", 156)
+    monkeypatch.setattr(reference_windows, "_STRETCH", 156)
     parts = solved(np.random.default_rng(4), [error]).covariance()
     # Windows that overlap across two cuts are 2 x 32 of 468: their products with the others are left out.
     assert np.sqrt(np.diag(parts) / np.diag(whole)) == pytest.approx(1.0, abs=0.2)
     assert not np.allclose(parts, whole, rtol=1e-6)
+
+
+# ---- recordings that begin and end in motion
+
+
+def cut(pairs, start_s=9.0, stop_s=67.0):
+    return [record.between(start_s, stop_s) for record in pairs[0]], pairs[1]
+
+
+def test_recordings_without_a_rest_give_the_matrix_and_the_mean_of_their_offsets():
+    offsets = REST + np.array([[8e-4, -5e-4, 3e-4], [-6e-4, 9e-4, 2e-4]])
+    made = [
+        recordings((seed,), Device(forward=FORWARD, offset=o, noise=1e-3), optics_noise=1e-3, mark=False)
+        for seed, o in zip((91, 92), offsets, strict=True)
+    ]
+    pairs = cut(([one[0][0] for one in made], [one[1][0] for one in made]))
+    fit = fit_reference(*pairs)
+    spread = fit.triad.model.standard_uncertainty
+    assert np.isnan(fit.rest_offsets).all()
+    assert fit.triad.verdict.status == "good"
+    assert (np.abs(fit.triad.model.matrix - np.linalg.inv(FORWARD)).reshape(-1) < 4.0 * spread[:9]).all()
+    assert spread[:9].max() < 1e-3
+    # two recordings, each within 0.1 deg/s of what the device usually has: their mean is known to 0.07
+    assert np.abs(fit.triad.model.offset - offsets.mean(axis=0)).max() < 1e-4
+    assert spread[9:] == pytest.approx(reference_module.TURN_ON / np.sqrt(2.0), rel=0.1)
+    (held, _) = leave_one_out(*pairs)
+    assert np.abs(held.model.offset - offsets[1]).max() < 1e-4  # the other's: its own nobody knows
+
+
+def test_one_of_two_recordings_may_rest():
+    device = Device(forward=FORWARD, offset=REST, motion_offset=CHANGE, noise=1e-3)
+    records, references = recordings((93, 94), device, optics_noise=1e-3, mark=False)
+    fit = fit_reference([records[0], records[1].between(9.0, 67.0)], references)
+    np.testing.assert_array_equal(np.isnan(fit.rest_offsets).all(axis=1), [False, True])
+    assert np.abs(fit.triad.model.offset - REST - CHANGE).max() < 2e-4
+
+
+def test_a_planar_motion_keeps_a_prior_and_names_its_elements():
+    records, references = cut(recordings((95, 96), Device(noise=1e-3), mark=False, planar=True))
+    fit = fit_reference(records, references)
+    found = only(fit.triad.verdict.findings, "reference.prior")
+    assert (found.values["elements"], found.values["axes"]) == (("m_xz", "m_yz", "m_zz"), ("z",))
+    spread = fit.triad.model.standard_uncertainty[:9].reshape(3, 3)
+    assert spread[:, 2] == pytest.approx(reference_module.MATRIX_PRIOR, rel=0.1)
+    assert spread[:, :2].max() < 2e-3
+    assert np.abs(fit.triad.model.matrix - np.eye(3)).max() < 0.03

@@ -146,9 +146,12 @@ def test_a_worn_recording_without_a_still_phase_says_so(undrift, tmp_path):
     worn = data_path("worn_lowback", "HA_001_Test11.csv.gz")
     before = contents(tmp_path)
     assert "wanted a still phase" in undrift.refused(
-        "orient", worn, "--map", tmp_path / "map.toml", "-o", tmp_path / "o.csv"
+        "orient", worn, "--map", tmp_path / "map.toml", "--offset", "rest", "-o", tmp_path / "o.csv"
     )
     assert contents(tmp_path) == before
+    words = ("orient", worn, "--map", tmp_path / "map.toml", "--offset", "motion", "-o", tmp_path / "o.csv")
+    assert "tilt from gravity in motion" in undrift.good(*words).out
+    assert undrift.good(*words, "--json").json()["still"] is None
     stretch = (
         "--still-start-s",
         10,

@@ -47,12 +47,13 @@ def make_recording(
     mounting=None,
     mark=True,
     tilt=0.3,
+    planar=False,
 ):
     """Return the record of a device and the reference that cameras saw, optics on the true clock."""
     device = device or Device()
     total = 2.0 * rest_s + turn_s
     fine = np.arange(round((total + 1.0) * FINE_HZ)) / FINE_HZ
-    w = turning_rate(fine, rng, rest_s=rest_s, turn_s=turn_s, speed=speed)
+    w = turning_rate(fine, rng, rest_s=rest_s, turn_s=turn_s, speed=speed) * ((1.0, 1.0, 0.0) if planar else 1.0)
     middle = turning_rate_at_middle(w)
     steps = Rotation.from_rotvec(middle / FINE_HZ)
     start = Rotation.from_euler("xyz", (tilt, -0.5 * tilt, 0.7)).as_quat(scalar_first=True)

@@ -30,7 +30,7 @@ from undrift.calibration.observe import CalibrateSettings, Observed, Outcome, at
 from undrift.calibration.pieces import check_accel
 from undrift.calibration.rate_table import NOMINAL_SD, calibrate_rates, scale_verdict
 from undrift.calibration.reference import ReferenceFit, ReferenceSettings, cross_validated_adc
-from undrift.calibration.reference_accel import fit_reference_accel
+from undrift.calibration.reference_accel import fit_reference_accel, turned_like
 from undrift.calibration.settings import FITS, FitMethod
 from undrift.calibration.six_face import calibrate_faces
 from undrift.errors import CalibrationError, Implausible, InputError, NotObservable, PoorFit
@@ -423,7 +423,7 @@ def calibrate_to_references(
     Parameters
     ----------
     records : sequence of Record
-        Raw recordings of one device; each begins with a rest.
+        Raw recordings of one device, best with a rest of 3 s before the motion.
     references : sequence of Reference
         One for each record.
     adc : str
@@ -503,7 +503,9 @@ def _accel_of(
             lags_s=fit.lags_s,
         )
     except (CalibrationError, InputError) as error:
-        return None, (finding("reference.accel_failed", "info", reason=str(error)),)
+        nominal, why = turned_like(fit.triad.model, records[0].accel_unit), str(error)
+        failed = (finding("reference.accel_failed", "info", reason=why),)
+        return None if nominal is None else TriadFit(model=nominal, residuals=np.zeros(0), verdict=Verdict()), failed
     if (np.diag(accel_fit.model.matrix) < 0.0).all():
         raise Implausible(
             "reference: wanted accelerometers that read +g on the axis that points up, got -g on all three: acceleration has the "

@@ -7,8 +7,10 @@ rotation that an error of M or o causes does. Recordings of one device are poole
 drift with the pose; where pose and reading noise are white, ``weights="noise"`` reaches the least error that the poses allow, a
 quarter less. Offsets at rest and in motion differ (rounding, vibration, g-sensitivity: 0.01 to 0.05 deg/s), so a recording's
 offset is its own mean at rest plus a change to motion that all recordings share, fitted with M: a new recording needs its own
-rest alone. Each recording has a small rotation R of its own between device and body, w = R (M (u - o) - G a), whose mean over the
-recordings is none: markers are put on anew, and clusters are defined anew. Where one mounting is stated it is the same for all.
+rest alone. Where it never rests, its offset is that of all recordings and a change of its own, with a prior. Each recording has a
+small rotation R of its own between device and body, w = R (M (u - o) - G a), whose mean over the recordings is none: markers are
+put on anew, and clusters are defined anew. Where one mounting is stated it is the same for all. Motion that does not show the
+matrix leaves it a prior about the rotation that the rates show, and the verdict names the elements that keep it.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -19,314 +21,35 @@ import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray, IntArray
 from undrift.calibration.adc import restored_gyro
+from undrift.calibration.reference_windows import (
+    Recording,
+    Solution,
+    Windows,
+    independent_windows,
+    solve,
+    solve_chain,
+    window_equations,
+)
 from undrift.errors import AlignmentError, Implausible, InputError, NotObservable
 from undrift.findings import Finding, finding
 from undrift.fit.equations import offset_of
-from undrift.fit.least_squares import TriadFit, fit_huber, scaled_condition
-from undrift.fit.smooth import widening_of
+from undrift.fit.least_squares import TriadFit
 from undrift.frames import quaternion_conjugate, quaternion_of, quaternion_product, rotate, rotation_vector
 from undrift.model import G_NAMES, MATRIX_NAMES, OFFSET_NAMES, AdcModel, TriadModel, Verdict
 from undrift.record import Mounting, Record, Reference
-from undrift.sync import LONGEST_STEP, Lag, LagSettings, MotionSpan, find_lag, find_motion, native_poses
-
-# ---- window equations of a gyroscope against an orientation reference, and their solution
-#
-# Over a window from pose i to pose j, with M, offset and d at their present values:
-#
-#     w  = M (u - offset) - d - G a                         readings u, specific force a
-#     R_w = exp(w dt) ... exp(w dt)                         product over the window's samples
-#     y  = log(R_w^T R_i^T R_j)                             what is left, rad, in the body at j
-#     y  = J (dM, dd, dG) + pose noise                      J from one running sum of R regressor dt along the recording
-#
-# Poses are taken at their own times; the integration is read off there, the lag added. So no pose is ever interpolated.
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Recording:
-    """One recording prepared for the fit."""
-
-    time: FloatArray  # (N,), s, record clock
-    gyro: FloatArray  # (N, 3), readings, raw unit, after ADC correction; gaps are zero
-    accel: FloatArray | None  # (N, 3), m/s2, where a g-sensitivity is wanted
-    gaps: IntArray  # (N,), gaps counted from the start: a window without one has the same count at both ends
-    lag: Lag  # Of the record against the reference
-    moving: BoolArray  # (N,), between the first and the last rest
-    rest_offset: FloatArray  # (3,), mean reading at rest before the motion, raw unit
-    rest_uncertainty: FloatArray  # (3,), standard uncertainty of that mean, raw unit, from blocks of one second
-    at: FloatArray  # (L,), times of the poses at which windows start and end, s, record clock
-    q_nb: FloatArray  # (L, 4), those poses; NaN rows are gaps
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Windows:
-    """Equations of one recording."""
-
-    turn: FloatArray  # (n, 3), y, rad
-    # (n, 3, P), J: matrix row by row, then d, then G where accel readings are given, then the rotations of the recordings
-    design: FloatArray
-    first: IntArray  # (n,), number of the pose at which each window starts
-
-
-def window_equations(recording: Recording, guess: FloatArray, offset: FloatArray, reach: int) -> Windows:
-    """Return the equations of all windows that span ``reach`` strides, at M row by row, d and, with accel readings, G."""
-    from undrift.kernels.rotation import accumulate
-
-    u = recording.gyro - offset
-    rate = u @ guess[:9].reshape(3, 3).T - guess[9:12]
-    columns: list[FloatArray] = [u, np.ones((len(u), 1))]
-    if recording.accel is not None:
-        columns.append(np.nan_to_num(recording.accel))
-        rate = rate - columns[2] @ guess[12:].reshape(3, 3).T
-    regressors = np.concatenate(columns, axis=1)
-    points, channels = len(recording.at), regressors.shape[1]
-    q, total = np.empty((points, 4)), np.zeros((points, 3, 3, channels))
-    accumulate(
-        np.ascontiguousarray(rate).reshape(-1),
-        np.ascontiguousarray(regressors).reshape(-1),
-        np.ascontiguousarray(recording.time),
-        recording.at,
-        q.reshape(-1),
-        total.reshape(-1),
-    )
-    first = np.flatnonzero(_whole(recording, reach))
-    last = first + reach
-    turned = quaternion_product(quaternion_conjugate(q[first]), q[last])
-    seen = quaternion_product(quaternion_conjugate(recording.q_nb[first]), recording.q_nb[last])
-    turn = rotation_vector(quaternion_product(quaternion_conjugate(turned), seen))
-    gain = total[last] - total[first]
-    back = quaternion_conjugate(q[last])[:, None, None, :]
-    design = np.moveaxis(rotate(back, np.moveaxis(gain, 1, -1)), -1, 1)  # (n, 3 residual, 3 row, C regressor)
-    n = len(first)
-    blocks = (design[..., :3].reshape(n, 3, 9), -design[..., 3], -design[..., 4:].reshape(n, 3, 3 * (channels - 4)))
-    return Windows(turn=turn, design=np.concatenate(blocks, axis=2), first=first)
-
-
-def _whole(recording: Recording, reach: int) -> BoolArray:
-    if len(recording.at) <= reach:
-        return np.zeros(0, bool)
-    seen = np.isfinite(recording.q_nb[:, 0])
-    sample = np.clip(np.searchsorted(recording.time, recording.at), 0, len(recording.time) - 1)
-    count = recording.gaps[sample]
-    whole: BoolArray = seen[:-reach] & seen[reach:] & (count[:-reach] == count[reach:])
-    return whole
-
-
-# ---- robust least squares of overlapping windows
-#
-# Huber's estimate by reweighting: an equation whose residual r exceeds k s counts k s / |r|, s from the median. To first order it
-# errs by x = (A^T D A)^-1 A^T p, with p = w r the bounded residuals and D = 0 where the bound holds, else 1.
-#
-# Neighbouring windows share readings and pose errors. In n a window's residual is e_j - e_i, with e the error of orientation along
-# the recording, of three shapes alike for all axes and recordings of a device:
-#
-#     poses       e white                              cov e = I
-#     readings    e a random walk                      min(s, t)
-#     offset      e the integral of a random walk      min(s, t)^2 (3 max(s, t) - min(s, t)) / 6
-#
-# Their sizes, none negative, are those whose sums of products p_i . p_(i + lag) are nearest to the ones seen, less what the fit
-# took of them. The residuals' sum of squares is like a chi-square's of 3 tr(V)^2 / tr(V^2) degrees of freedom for a covariance V
-# (Satterthwaite 1946), but at least three times the windows that do not overlap, less the parameters. Intervals are Student's of as
-# many. Scores by themselves (Newey and West 1987) would say too little: some ten windows that do not overlap hold 18 parameters.
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Solution:
-    """One linear solution."""
-
-    step: FloatArray  # (P,), change of the parameters that were kept
-    covariance: Callable[[], FloatArray]  # (P, P), of the kept parameters; computed when called
-    residuals: FloatArray  # (n, 3), rad, all windows
-    scale: float  # Robust standard deviation of the residuals, rad
-    condition: float  # Of the design with columns scaled to one
-
-
-def independent_windows(windows: Sequence[Windows], reach: int) -> int:
-    """Return how many windows that do not overlap the recordings hold."""
-    return sum(-(-len(w.first) // reach) for w in windows)
-
-
-def solve(recordings: Sequence[Recording], windows: Sequence[Windows], *, free: IntArray, reach: int) -> Solution:
-    """Solve the window equations of several recordings for the parameters ``free``, by number."""
-    a = np.concatenate([w.design for w in windows])[:, :, free]
-    y = np.concatenate([w.turn for w in windows])
-    independent = independent_windows(windows, reach)
-    if 3 * independent <= len(free):
-        raise NotObservable(
-            f"reference: wanted more than {len(free) // 3} windows that do not overlap, got {independent}; "
-            "record longer motion, or ask for shorter windows",
-            windows=independent,
-        )
-    rows = a.reshape(-1, len(free))
-    condition = full_rank(rows)
-    x, weight, scale = fit_huber(rows, y.reshape(-1))
-    residual = y - a @ x
-    weight = weight.reshape(-1, 3)
-
-    def covariance() -> FloatArray:
-        made, freedom = _covariance(recordings, windows, (a, weight * residual, weight == 1.0), reach)
-        return made * widening_of(max(freedom, 3.0 * independent) - len(free))
-
-    return Solution(step=x, covariance=covariance, residuals=residual, scale=scale, condition=condition)
-
-
-def full_rank(design: FloatArray, what: str = "reference") -> float:
-    """Return the condition number of a design (E, P) whose columns were scaled to one; raise where it is short of rank."""
-    rank, condition = scaled_condition(design)
-    if rank < design.shape[1]:
-        raise NotObservable(
-            f"{what}: wanted motion about all three axes, got a design of rank {rank} for {design.shape[1]} parameters; "
-            "turn the device about every axis",
-            rank=rank,
-        )
-    return condition
-
-
-# Lags, in windows: from neighbours to windows that have nothing in common
-_LAGS = np.array((0.0, 1 / 32, 1 / 16, 1 / 8, 1 / 4, 1 / 2, 3 / 4, 1.0, 5 / 4, 3 / 2, 2.0))
-_STRETCH = 1200  # strides, 10 min: longer recordings are taken stretch by stretch, as if these were apart
-
-
-def _covariance(
-    recordings: Sequence[Recording],
-    windows: Sequence[Windows],
-    equations: tuple[FloatArray, FloatArray, BoolArray],  # A (n, 3, P), p (n, 3), D (n, 3), in the body
-    reach: int,
-) -> tuple[FloatArray, float]:
-    """Return the covariance of the solution, (P, P), and the degrees of freedom of the residuals before the fit."""
-    from scipy.optimize import nnls
-
-    a, bounded, free = equations
-    size, lags = a.shape[2], np.unique(np.rint(reach * _LAGS).astype(np.int64))
-    gain = a @ np.linalg.inv(np.einsum("nap,naq->pq", a, free[:, :, None] * a))
-    table = np.concatenate((gain, free[:, :, None] * a, bounded[:, :, None]), axis=2)
-    ends = np.cumsum([len(w.first) for w in windows])[:-1]
-    seen, taken = np.zeros(len(lags)), np.zeros((len(lags), size, size))
-    made, carried, products = np.zeros((len(lags), 3)), np.zeros((3, size, size)), np.zeros((3, 3))
-    traces = np.zeros(3)
-    for recording, w, own in zip(recordings, windows, np.split(table, ends), strict=True):
-        whole = _level(recording.q_nb[w.first + reach], own)
-        cuts = np.flatnonzero(np.diff(w.first // _STRETCH)) + 1
-        for first, part in zip(np.split(w.first, cuts), np.split(whole, cuts), strict=True):
-            c, design, p = part[:, :, :size], part[:, :, size:-1], part[:, :, -1]
-            shapes = _shapes(first - first[:1], reach)
-            moved = [np.tensordot(shape, c, axes=1) for shape in shapes]  # cov(residuals) C^T, (n, 3, P)
-            carried += [np.einsum("nap,naq->pq", c, m) for m in moved]
-            products += [[(s * t).sum() for t in shapes] for s in shapes]
-            traces += [np.trace(s) for s in shapes]
-            for k, lag in enumerate(lags):
-                i, j = _apart(first, int(lag))
-                shifted = np.zeros_like(design)
-                shifted[i] += 0.5 * design[j]
-                shifted[j] += 0.5 * design[i]
-                seen[k] += (p[i] * p[j]).sum()
-                taken[k] += np.einsum("nap,naq->pq", design, shifted)
-                made[k] += [3.0 * s[i, j].sum() - 2.0 * (shifted * m).sum() for s, m in zip(shapes, moved, strict=True)]
-    made += np.einsum("lpq,kqp->lk", taken, carried)
-    length = np.maximum(np.linalg.norm(made, axis=0), 1e-300)
-    sizes = nnls(made / length, seen)[0] / length
-    freedom = 3.0 * float(traces @ sizes) ** 2 / max(float(sizes @ products @ sizes), 1e-300)
-    return np.tensordot(sizes, carried, axes=1), freedom
-
-
-def _shapes(first: IntArray, reach: int) -> list[FloatArray]:
-    """Return the covariances (n, n) of e_j - e_i over windows from ``first`` (n,) that span ``reach``, of unit size each."""
-    t = np.concatenate((first, first + reach)).astype(np.float64)
-    low, high = np.minimum(t[:, None], t), np.maximum(t[:, None], t)
-    errors, n = ((low == high).astype(np.float64), low, low**2 * (3.0 * high - low) / 6.0), len(first)
-    return [of[n:, n:] - of[n:, :n] - of[:n, n:] + of[:n, :n] for of in errors]
-
-
-def _apart(first: IntArray, lag: int) -> tuple[IntArray, IntArray]:
-    """Return the numbers of the windows that have another one ``lag`` strides later, and of those."""
-    later = np.searchsorted(first, first + lag)
-    there = np.flatnonzero(first[np.minimum(later, len(first) - 1)] == first + lag) if len(first) else later
-    return there, later[there]
-
-
-def _level(q: FloatArray, table: FloatArray) -> FloatArray:
-    """Return columns (n, 3, C), turned from the bodies q_nb (n, 4) into n."""
-    return np.moveaxis(rotate(q[:, None, :], np.moveaxis(table, 1, 2)), 2, 1)
-
-
-# ---- all poses in one chain: as efficient as white noise allows
-#
-# From pose i to the next pose j the reference turns by what the gyroscope integrated, but for the noise of both poses and that of
-# the readings in between. In n, with e the noise of a pose and h that of one step:
-#
-#     y_j = A_j x + e_j - e_i + h_j        var e = s^2 (1 - kappa),  var h = s^2 kappa,  per axis
-#
-# Neighbouring equations share a pose, so their covariance is tridiagonal. kappa maximises the restricted likelihood: near 0 the
-# poses are noisier and the chain acts like one long window, near 1 the readings are and it acts like many short ones. Each
-# equation is whitened by the Cholesky factor; a whitened residual beyond k standard deviations counts k / |r|.
-
-_SEARCH = 24  # steps of golden section: kappa's logit to 1e-3
-_GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
-
-
-def solve_chain(recordings: Sequence[Recording], steps: Sequence[Windows], *, free: IntArray) -> Solution:
-    """Solve the chains of several recordings for the parameters ``free``, by number."""
-    # y and A side by side, (n, 3, 1 + P), turned from the body at the later pose into n
-    sides = [np.concatenate((w.turn[:, :, None], w.design[:, :, free]), axis=2) for w in steps]
-    tables = [_level(r.q_nb[w.first + 1], side) for r, w, side in zip(recordings, steps, sides, strict=True)]
-    links = [np.diff(w.first) == 1 for w in steps]
-    rows = 3 * sum(len(t) for t in tables)
-    if rows <= 2 * len(free):
-        raise NotObservable(
-            f"reference: wanted more than {2 * len(free) // 3} steps between poses, got {rows // 3}; record longer motion",
-            steps=rows // 3,
-        )
-    condition = full_rank(np.concatenate([t[:, :, 1:].reshape(-1, len(free)) for t in tables]))
-    white = _whitened(tables, links, _most_likely(tables, links))
-    y, a = white[:, 0], white[:, 1:]
-    x, weight, scale = fit_huber(a, y)
-    length = np.linalg.norm(a, axis=0)
-    scaled = a / length
-    residual = y - scaled @ (x * length)
-    # Covariance of Huber's estimate for normal noise.
-    fully = float(np.mean(weight == 1.0))
-    variance = float(((weight * residual) ** 2).sum()) / (len(y) - len(x)) / max(fully, 0.1) ** 2
-    covariance = np.linalg.inv(scaled.T @ scaled) * variance / np.outer(length, length)
-    residual = residual.reshape(-1, 3)
-    return Solution(step=x, covariance=lambda: covariance, residuals=residual, scale=scale, condition=condition)
-
-
-def _most_likely(tables: Sequence[FloatArray], links: Sequence[BoolArray]) -> float:
-    """Return kappa by golden section over its logit; sine waves diagonalise the covariance of an unbroken run."""
-    from scipy.fft import dst
-
-    runs = [run for t, linked in zip(tables, links, strict=True) for run in np.split(t, np.flatnonzero(~linked) + 1)]
-    waves = np.concatenate([dst(run, type=1, axis=0, norm="ortho").reshape(-1, run.shape[2]) for run in runs])
-    value = np.concatenate([2.0 - 2.0 * np.cos(np.pi * np.arange(1, len(r) + 1) / (len(r) + 1)) for r in runs])
-    y, a = waves[:, 0], waves[:, 1:]
-
-    def cost(logit: float) -> float:
-        kappa = 1.0 / (1.0 + np.exp(-logit))
-        variance = np.repeat((1.0 - kappa) * value + kappa, 3)
-        weighted = a / variance[:, None]
-        normal = weighted.T @ a
-        residual = y - a @ np.linalg.solve(normal, weighted.T @ y)
-        square = max(float((residual**2 / variance).sum()), 1e-300)
-        return float((len(y) - a.shape[1]) * np.log(square) + np.log(variance).sum() + np.linalg.slogdet(normal)[1])
-
-    low, high = -12.0, 12.0
-    for _ in range(_SEARCH):
-        inner, outer = high - _GOLDEN * (high - low), low + _GOLDEN * (high - low)
-        low, high = (low, outer) if cost(inner) < cost(outer) else (inner, high)
-    return float(1.0 / (1.0 + np.exp(-0.5 * (low + high))))
-
-
-def _whitened(tables: Sequence[FloatArray], links: Sequence[BoolArray], kappa: float) -> FloatArray:
-    """Return rows (3 n, 1 + P) with covariance s^2 I, each of them local in time, so that one bad pose stays few rows."""
-    from scipy.linalg import cholesky_banded, solve_banded
-
-    blocks = []
-    for table, linked in zip(tables, links, strict=True):
-        if len(table):
-            band = np.vstack((np.full(len(table), 2.0 - kappa), np.append((kappa - 1.0) * linked, 0.0)))
-            white = solve_banded((1, 0), cholesky_banded(band, lower=True), table.reshape(len(table), -1))
-            blocks.append(white.reshape(-1, table.shape[2]))
-    return np.concatenate(blocks)
-
+from undrift.segments import StillSettings, find_still, unpadded
+from undrift.sync import (
+    LONGEST_STEP,
+    Lag,
+    LagSettings,
+    MotionSpan,
+    RunningIntegral,
+    find_motion,
+    in_step,
+    native_poses,
+    seen_poses,
+)
+from undrift.units import RADIAN_PER_DEGREE, is_physical, si_factor
 
 # ---- settings and results
 
@@ -369,7 +92,7 @@ class ReferenceFit:
     triad: TriadFit
     # (3,), reading in motion less reading at rest, at zero rate, raw unit; zero unless ``offset`` is "motion"
     motion_offset: FloatArray
-    rest_offsets: FloatArray  # (R, 3), mean reading at rest of each recording, raw unit
+    rest_offsets: FloatArray  # (R, 3), mean reading at rest of each recording, raw unit; NaN where it never rests
     lags_s: FloatArray  # (R,), lag of each recording, s
     lag_uncertainties_s: FloatArray  # (R,), its standard uncertainty, s
     turn_rates_rms: FloatArray  # (R,), root-mean-square body rate of each recording in motion, rad/s
@@ -380,7 +103,7 @@ class ReferenceFit:
 
     def model_at_rest_offset(self, rest_offset: FloatArray) -> TriadModel:
         """Return the model for a recording that reads ``rest_offset`` (3,) at rest."""
-        if self.offset_mode == "common":
+        if self.offset_mode == "common" or not np.isfinite(rest_offset).all():
             return self.triad.model
         return replace(self.triad.model, offset=rest_offset + self.motion_offset)
 
@@ -403,6 +126,7 @@ class HeldOut:
 
 # ---- recordings
 
+_SHORT_BLOCK_S = 0.2  # whose means count as independent in a rest too short for blocks of a second
 MARGIN_S = 0.5  # of rest that belongs to the motion on either side
 
 
@@ -420,7 +144,7 @@ class Aligned:
     def at_rest(self) -> BoolArray:
         """True where there are readings of the rest before the motion, shape (N,)."""
         before = self.record.time < self.span.start_s - MARGIN_S
-        return np.asarray(before & np.isfinite(self.gyro).all(axis=1))
+        return np.asarray(self.span.rested & before & np.isfinite(self.gyro).all(axis=1))
 
     def corrected(self, adc: AdcModel | None) -> "Aligned":
         """Return it with readings corrected for the half steps that the rounding took."""
@@ -429,8 +153,8 @@ class Aligned:
 
 def align(record: Record, reference: Reference, lag_settings: LagSettings = LagSettings()) -> Aligned:
     """Find lag and motion of one recording."""
-    poses = native_poses(reference)
-    lag = find_lag(record, poses, lag_settings)
+    record, lag, _ = in_step(unpadded(record), native_poses(reference), lag_settings)
+    poses = seen_poses(record, native_poses(reference), lag)
     span = find_motion(record, poses, lag_s=lag.seconds)
     return Aligned(record=record, gyro=np.asarray(record.gyro), reference=poses, lag=lag, span=span)
 
@@ -458,14 +182,21 @@ def recording_of(aligned: Aligned, settings: ReferenceSettings) -> Recording:
         moving=(time >= motion.start_s) & (time < motion.stop_s),
         rest_offset=rest,
         rest_uncertainty=rest_uncertainty,
+        unit=record.gyro_unit,
         at=np.ascontiguousarray(at[chosen]),
         q_nb=np.ascontiguousarray(poses.q_nb[chosen]),
     )
 
 
 def _rest(aligned: Aligned) -> tuple[FloatArray, FloatArray]:
-    time, at_rest = aligned.record.time, aligned.at_rest
-    readings, second = aligned.gyro[at_rest], np.floor(time[at_rest] - time[0]).astype(np.int64)
+    time, at_rest, block_s = aligned.record.time, aligned.at_rest, 1.0
+    if not aligned.span.rested:  # a short rest shows the offset, if not the tilt
+        at_rest, block_s = np.zeros(len(time), bool), _SHORT_BLOCK_S
+        for still in find_still(aligned.record, StillSettings()).stills[:1]:
+            at_rest[still.start : still.stop] = np.isfinite(aligned.gyro[still.start : still.stop]).all(axis=1)
+        if not at_rest.any():
+            return np.full(3, np.nan), np.zeros(3)
+    readings, second = aligned.gyro[at_rest], np.floor((time[at_rest] - time[0]) / block_s).astype(np.int64)
     if len(readings) < 2 or second[-1] == second[0]:
         raise InputError(
             "reference: wanted two seconds of rest readings before the motion, got fewer; record a rest first"
@@ -477,7 +208,15 @@ def _rest(aligned: Aligned) -> tuple[FloatArray, FloatArray]:
 
 # ---- fit
 
+# Rates about the second and the third axis of turning, rms, as a share of those about the first: less does not show the mounting,
+# or the matrix
+_SECOND_AXIS, _THIRD_AXIS = 0.03, 0.1
 _REFINEMENTS = 2  # passes at the longest window
+# Where the motion does not show the matrix: each element of it about the rotation that the rates show, relative (data sheets of
+# consumer parts: scale factor 1 to 3 %, cross-axis sensitivity 1 to 2 %), and a mounting of its own, rad. A device is raw [assumed]
+MATRIX_PRIOR, MOUNTING_PRIOR = 0.03, 0.05
+_SHOWN = 1.0 / 3.0  # of the prior: a fit that states more is made again with it
+TURN_ON = 0.1 * RADIAN_PER_DEGREE  # rad/s, turn-on repeatability of the offset, of recordings without a rest [assumed]
 _MOUNTING = 0.05  # matrices of single recordings may differ by this share before their mounting is taken to differ
 
 
@@ -599,45 +338,152 @@ def align_all(records: Sequence[Record], references: Sequence[Reference], lag_se
 
 
 def _fit(prepared: Sequence[Recording], settings: ReferenceSettings, unit: str) -> ReferenceFit:
-    offsets = [np.zeros(3) if settings.offset == "common" else p.rest_offset for p in prepared]
-    mounted = _first_mountings(prepared, settings)
-    guess = _first_guess(prepared, mounted, settings)
-    count = len(prepared) if settings.mounting == "each" else 1
-    extra = 3 * (count - 1)
-    free = np.arange(len(guess) + extra)
-    if settings.offset == "rest":
-        free = np.delete(free, np.s_[9:12])
+    """Fit a device; where the motion does not show the matrix, with a prior for it."""
+    if not is_physical(unit):
+        return _fitted(_Estimate(prepared, settings), unit)
+    factor, fit = si_factor(unit, "rate"), None
+    try:
+        fit = _fitted(_Estimate(prepared, settings), unit)
+        if fit.triad.model.standard_uncertainty[:9].max() < _SHOWN * MATRIX_PRIOR * factor:
+            return fit
+    except (NotObservable, AlignmentError, Implausible) as error:
+        turned, weakest = _rotations(prepared)
+        if turned is None or weakest > _THIRD_AXIS or "windows" in error.numbers:
+            raise
+    turned, _ = _rotations(prepared)
+    if turned is not None:
+        return _with_prior(_fitted(_Estimate(prepared, settings, turned * factor), unit), turned[0])
+    if fit is None or fit.triad.model.standard_uncertainty[:9].max() > MATRIX_PRIOR * factor:
+        raise NotObservable(
+            "reference: wanted turning about two axes or more, got one; turn the device about another axis"
+        )
+    return fit
+
+
+def _rotations(prepared: Sequence[Recording]) -> tuple[FloatArray | None, float]:
+    """Return rotations (Kabsch) from readings to bodies, (R, 3, 3), None where one turns about one axis; the third's share."""
+    turned, weakest = np.empty((len(prepared), 3, 3)), 1.0
+    for k, p in enumerate(prepared):
+        turn = rotation_vector(quaternion_product(quaternion_conjugate(p.q_nb[:-1]), p.q_nb[1:]))
+        u, inside = RunningIntegral(p.time, p.gyro).mean(p.at[:-1], p.at[1:])
+        inside &= np.isfinite(turn).all(axis=1)
+        if not inside.any():
+            return None, 0.0
+        u, w = u[inside], turn[inside] / np.diff(p.at)[inside, None]
+        left, singular, right = np.linalg.svd((w - w.mean(axis=0)).T @ (u - u.mean(axis=0)))
+        if not singular[1] > _SECOND_AXIS**2 * singular[0]:
+            return None, 0.0
+        turned[k] = left @ np.diag((1.0, 1.0, np.sign(np.linalg.det(left @ right)))) @ right
+        weakest = min(weakest, float(np.sqrt(singular[2] / singular[0])))
+    return turned, weakest
+
+
+class _Estimate:
+    """M, d and G; turns of all recordings but the last; a change of the offset of each one without a rest, about the others'."""
+
+    def __init__(
+        self, prepared: Sequence[Recording], settings: ReferenceSettings, nominal: FloatArray | None = None
+    ) -> None:
+        """``nominal`` (R, 3, 3) are the matrices that a prior expects, rad/s per unit; None leaves the matrix free."""
+        self.prepared, self.settings, self.nominal = prepared, settings, nominal
+        rests = [p.rest_offset for p in prepared if p.rested and settings.offset != "common"]
+        usual = np.mean(rests, axis=0) if rests else np.zeros(3)
+        self.offsets = [p.rest_offset if p.rested and rests else usual for p in prepared]
+        apart = settings.offset != "common" and len(prepared) > 1
+        self.unrested = [i for i, p in enumerate(prepared) if apart and not p.rested]
+        if nominal is None:
+            self.mounted = _first_mountings(prepared, settings)
+            self.guess = _first_guess(prepared, self.mounted, self.offsets, settings)
+        else:
+            size = float(np.linalg.norm(nominal[0], 2))
+            each = nominal @ nominal[0].T / size**2
+            self.mounted = each if settings.mounting == "each" else np.tile(np.eye(3), (len(prepared), 1, 1))
+            self.guess = np.append(nominal[0].reshape(-1), np.zeros(12 if settings.g_sensitivity else 3))
+        self.turning = len(prepared) if settings.mounting == "each" else 1
+        self.size, self.turns = len(self.guess), np.zeros(3 * (self.turning - 1))
+        self.changes = np.zeros((len(self.unrested), 3))  # rad/s
+        self.free = np.arange(self.size + len(self.turns) + self.changes.size)
+        if settings.offset == "rest" and rests:
+            self.free = np.delete(self.free, np.s_[9:12])
+
+    def equations(self, reach: int) -> list[Windows]:
+        """Return the equations of all recordings at the present values."""
+        made = list[Windows]()
+        for i, (p, mounted, offset) in enumerate(zip(self.prepared, self.mounted, self.offsets, strict=True)):
+            here, change = self.guess.copy(), self.unrested.index(i) if i in self.unrested else None
+            if change is not None:
+                here[9:12] += self.changes[change]
+            windows = _of_device(p, here, mounted, offset, reach, (i, self.turning))
+            columns = np.zeros((*windows.turn.shape, self.changes.size))
+            if change is not None:
+                columns[..., 3 * change : 3 * change + 3] = windows.design[..., 9:12]
+            made.append(replace(windows, design=np.concatenate((windows.design, columns), axis=2)))
+        return made
+
+    def prior(self) -> tuple[FloatArray, FloatArray] | None:
+        """Return how far each parameter is below what is expected, and the standard deviation of that; None without any."""
+        if self.nominal is None and not self.unrested:
+            return None
+        most, last = self.size + len(self.turns), self.size
+        away, spread = np.zeros(most + self.changes.size), np.full(most + self.changes.size, np.inf)
+        away[most:], spread[most:] = -self.changes.reshape(-1), TURN_ON
+        if self.nominal is not None:
+            away[:9] = self.nominal[0].reshape(-1) - self.guess[:9]
+            spread[:9] = MATRIX_PRIOR * float(np.linalg.norm(self.nominal[0], 2))
+            away[last:most], spread[last:most] = -self.turns, MOUNTING_PRIOR
+        return away, spread
+
+    def step(self, found: Solution) -> None:
+        """Move by one solution."""
+        moved = np.zeros(self.size + len(self.turns) + self.changes.size)
+        moved[self.free] = found.step
+        self.guess += moved[: self.size]
+        turns = moved[self.size : self.size + len(self.turns)]
+        self.turns += turns
+        self.changes += moved[self.size + len(turns) :].reshape(-1, 3)
+        turns = turns.reshape(-1, 3)
+        for i, turn in enumerate((*turns, -turns.sum(axis=0)) if len(turns) else ()):
+            self.mounted[i] = rotate(quaternion_of(turn), self.mounted[i].T).T
+
+
+def _fitted(estimate: _Estimate, unit: str) -> ReferenceFit:
+    """Fit by windows that grow."""
+    prepared, settings, free = estimate.prepared, estimate.settings, estimate.free
     solution, used = None, settings.window_s
-
-    def equations(reach: int) -> list[Windows]:
-        each = zip(prepared, mounted, offsets, strict=True)
-        return [_of_device(p, guess, r, o, reach, (i, count)) for i, (p, r, o) in enumerate(each)]
-
-    def step(found: Solution) -> None:
-        moved = np.zeros(len(guess) + extra)
-        moved[free] = found.step
-        guess[:] += moved[: len(guess)]
-        turns = moved[len(guess) :].reshape(-1, 3)
-        for i, turn in enumerate((*turns, -turns.sum(axis=0)) if extra else ()):
-            mounted[i] = rotate(quaternion_of(turn), mounted[i].T).T
-
     for length in _lengths(settings):
         reach = max(1, round(length / settings.stride_s))
-        windows = equations(reach)
+        windows = estimate.equations(reach)
         if solution is not None and independent_windows(windows, reach) <= len(free) / 3.0:
             break  # too short for longer windows: stay with the last ones
-        solution, used = solve(prepared, windows, free=free, reach=reach), length
-        step(solution)
-    for _ in range(_REFINEMENTS if settings.weights == "noise" else 0):
-        solution, used = solve_chain(prepared, equations(1), free=free), settings.stride_s
-        step(solution)
-    determinant = np.linalg.det(guess[:9].reshape(3, 3))
+        solution, used = solve(prepared, windows, free=free, reach=reach, prior=estimate.prior()), length
+        estimate.step(solution)
+    for _ in range(_REFINEMENTS if settings.weights == "noise" and estimate.prior() is None else 0):
+        solution, used = solve_chain(prepared, estimate.equations(1), free=free), settings.stride_s
+        estimate.step(solution)
+    determinant = np.linalg.det(estimate.guess[:9].reshape(3, 3))
     if solution is None or determinant <= 0.0:
         raise Implausible(
             f"reference: wanted a right-handed matrix, got a determinant of {determinant:.3g}; "
             "one axis of the readings or of the reference is reversed"
         )
-    return _result(prepared, mounted, settings, unit, guess, free[: len(free) - extra], solution, used)
+    return _result(
+        prepared, estimate.mounted, settings, unit, estimate.guess, free[free < estimate.size], solution, used
+    )
+
+
+def _with_prior(fit: ReferenceFit, turned: FloatArray) -> ReferenceFit:
+    """Name the elements that keep their prior, in the device's axes: those of R^T M."""
+    model = fit.triad.model
+    back = np.kron(turned.T, np.eye(3)) / si_factor(model.unit_in, "rate")
+    spread = np.sqrt(np.diag(back @ model.covariance[:9, :9] @ back.T))
+    unseen = [k for k, one in enumerate(spread) if one > 0.5 * MATRIX_PRIOR]
+    if not unseen:
+        return fit
+    axes = sorted({"xyz"[k % 3] for k in unseen})
+    named = finding(
+        "reference.prior", "warn", elements=[MATRIX_NAMES[k] for k in unseen], axes=axes, percent=100.0 * MATRIX_PRIOR
+    )
+    return replace(fit, triad=replace(fit.triad, verdict=fit.triad.verdict.also(Verdict.of(named))))
 
 
 def _of_device(
@@ -695,7 +541,9 @@ def _difference(matrices: FloatArray) -> float:
     return float(np.abs(matrices - mean).max()) / float(np.linalg.norm(mean, 2))
 
 
-def _first_guess(prepared: Sequence[Recording], mounted: FloatArray, settings: ReferenceSettings) -> FloatArray:
+def _first_guess(
+    prepared: Sequence[Recording], mounted: FloatArray, offsets: Sequence[FloatArray], settings: ReferenceSettings
+) -> FloatArray:
     # The lag search has fitted rate = A u + c for every recording; no errors-in-variables care is needed for a start.
     back = np.swapaxes(mounted, 1, 2)
     matrices = back @ np.array([p.lag.matrix for p in prepared])
@@ -708,10 +556,8 @@ def _first_guess(prepared: Sequence[Recording], mounted: FloatArray, settings: R
             difference=worst,
         )
     constants = [
-        np.zeros(3)
-        if settings.offset == "rest"
-        else -r @ p.lag.constant - matrix @ p.rest_offset * (settings.offset == "motion")
-        for p, r in zip(prepared, back, strict=True)
+        np.zeros(3) if settings.offset == "rest" else -r @ p.lag.constant - matrix @ o * (settings.offset == "motion")
+        for p, r, o in zip(prepared, back, offsets, strict=True)
     ]
     g = np.zeros(9 if settings.g_sensitivity else 0)
     return np.concatenate((matrix.reshape(-1), np.mean(constants, axis=0), g))
@@ -732,13 +578,14 @@ def _result(
     matrix = guess[:9].reshape(3, 3)
     motion_offset, jacobian = offset_of(matrix, guess[9:12], len(guess))  # from (M, d, G) to (M, o, G)
     rest = np.array([p.rest_offset for p in prepared])
-    base = np.zeros(3) if settings.offset == "common" else rest.mean(axis=0)
+    rests = rest[np.isfinite(rest).all(axis=1)] if settings.offset != "common" else rest[:0]
+    base = rests.mean(axis=0) if len(rests) else np.zeros(3)
     covariance = np.zeros((len(guess), len(guess)))
     covariance[np.ix_(free, free)] = solution.covariance()[: len(free), : len(free)]
     covariance = jacobian @ covariance @ jacobian.T
-    if settings.offset != "common":
+    if len(rests):
         spread = np.array([p.rest_uncertainty for p in prepared])
-        covariance[range(9, 12), range(9, 12)] += (spread**2).sum(axis=0) / len(prepared) ** 2
+        covariance[range(9, 12), range(9, 12)] += (spread**2).sum(axis=0) / len(rests) ** 2
     seen = [(p.gyro[p.moving] - base - motion_offset) @ matrix.T for p in prepared]
     model = TriadModel(
         method=f"reference/{settings.offset}",
@@ -756,7 +603,7 @@ def _result(
         valid_range=(min(float(w.min()) for w in seen), max(float(w.max()) for w in seen)),
     )
     return ReferenceFit(
-        triad=TriadFit(model=model, residuals=solution.residuals, verdict=Verdict.of(*_judged(model, rest, settings))),
+        triad=TriadFit(model=model, residuals=solution.residuals, verdict=Verdict.of(*_judged(model, rests, settings))),
         motion_offset=np.zeros(3) if settings.offset == "common" else motion_offset,
         rest_offsets=rest,
         lags_s=np.array([p.lag.seconds for p in prepared]),
@@ -800,7 +647,7 @@ def _held_out(
     adc: tuple[AdcModel | None, Finding | None],
 ) -> HeldOut:
     model = fit.model_at_rest_offset(recording.rest_offset)
-    plain = replace(model, matrix=_rigid(model.matrix), offset=recording.rest_offset)
+    plain = replace(model, matrix=_rigid(model.matrix), offset=np.nan_to_num(recording.rest_offset))
     before, after = (_left(recording, one, np.eye(3), settings.window_s, settings) for one in (plain, model))
     rate = np.abs((recording.gyro[recording.moving] - model.offset) @ model.matrix.T)
     limit = max(abs(model.valid_range[0]), abs(model.valid_range[1]))

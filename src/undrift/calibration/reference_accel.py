@@ -33,7 +33,7 @@ from undrift.model import MATRIX_NAMES, OFFSET_NAMES, TriadModel, Verdict
 from undrift.record import Record, Reference, Session, Still
 from undrift.segments import StillSettings, find_still
 from undrift.sync import RunningIntegral, native_poses
-from undrift.units import is_physical, si_factor
+from undrift.units import RADIAN_PER_DEGREE, is_physical, si_factor
 
 _WINDOW_S, _STRIDE_S = 1.0, 0.5
 _POSE_SD = 2e-3  # rad: tilt of the reference at a rest
@@ -55,6 +55,32 @@ class _Rows:
     wanted: FloatArray  # (n, 3), m/s2
     first: IntArray  # (n,), number of each window; -1 of a rest
     forces: FloatArray  # (n, 3), mean readings
+
+
+_TURNED_ABOVE = 5.0 * RADIAN_PER_DEGREE  # of gyroscopes on the body of the reference
+
+
+def turned_like(gyro: TriadModel, unit: str) -> TriadModel | None:
+    """Return accelerometers that nothing shows, on the body that the gyroscopes were fitted to; None where that is the case."""
+    left, _, right = np.linalg.svd(gyro.matrix)
+    turn = left @ right
+    if not is_physical(unit) or np.trace(turn) > 1.0 + 2.0 * np.cos(_TURNED_ABOVE):
+        return None
+    factor = si_factor(unit, "accel")
+    spread = np.diag([(_PRIOR_MATRIX * factor) ** 2] * 9 + [(_PRIOR_OFFSET / factor) ** 2] * 3)
+    return TriadModel(
+        method="nominal",
+        unit_in=unit,
+        unit_out="m/s2",
+        matrix=turn * factor,
+        offset=np.zeros(3),
+        covariance=spread,
+        rms_residual=0.0,
+        count=0,
+        rank=0,
+        condition=1.0,
+        valid_range=(-np.inf, np.inf),
+    )
 
 
 def fit_reference_accel(

@@ -329,7 +329,7 @@ def _offset_left(
 ) -> "OffsetLeft":
     """Return what the calibration leaves of the offset in a recording; at a rest no more of it is read than needed."""
     from undrift.correction.correct import offset_left
-    from undrift.correction.rest import find_rest_offset, find_rest_offset_in
+    from undrift.correction.rest import find_rest_offset_in, known_rest_offset
     from undrift.record import joined
 
     try:
@@ -338,7 +338,7 @@ def _offset_left(
         if offset == "rest":
             return find_rest_offset_in(corrected, stretch)
         whole = joined(list(corrected))
-        return offset_left(whole, offset, find_rest_offset(whole, stretch))
+        return offset_left(whole, offset, known_rest_offset(whole, stretch), model.gyro)
     except InputError as error:
         raise InputError(f"{record}: {error}", **error.numbers) from error
 

@@ -36,7 +36,8 @@ class Oriented(Result):
         rows = tuple((name, *(number(one) for one in _spread(angle))) for name, angle in angles)
         low, _, high = _spread(found.pitch)
         lines = (
-            "tilt from the still phase {:.1f} to {:.1f} s".format(*data["still"]),
+            "tilt from "
+            + ("the still phase {:.1f} to {:.1f} s".format(*data["still"]) if found.still else "gravity in motion"),
             "inclination: {:.2f} to {:.2f} deg".format(*data["inclination_deg"]),
             "pitch: {:.2f} to {:.2f} deg".format(*data["pitch_deg"]),
         )
@@ -98,7 +99,7 @@ def orient(
         undrift[orientation].
     offset : str
         "rest" subtracts the mean rate of the first still phase (or the named one), "still" that of every still phase, linear
-        between them; "motion" starts from that rest and adds what gravity shows while the device moves.
+        between them; "motion" starts from that rest, where there is one, and adds what gravity shows while the device moves.
     heading_deg : float
         Heading at the still phase, deg.
     forward : str
@@ -153,7 +154,7 @@ def _data(found: "Orientation") -> dict[str, Any]:
 
     return {
         "samples": len(found.time),
-        "still": times(found.still),
+        "still": found.still and times(found.still),
         "tilt_uncertainty_deg": math.degrees(found.tilt.inclination_uncertainty),
         "tilt_expanded_uncertainty_deg": math.degrees(found.tilt.expanded_uncertainty),
         "tilt_uncertainty_parts_deg": {name: math.degrees(part) for name, part in found.tilt.parts},

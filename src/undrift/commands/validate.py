@@ -175,8 +175,8 @@ def validate(
         With --calibrate-from: "each" fits a small rotation between device and reference body for each recording, "one" states that
         they were mounted once. Without it: as session.toml says, or each.
     offset : str or None
-        "rest" subtracts the mean rate of the first still phase, "motion" also what gravity shows from there on, as correct and
-        orient do; "none" does not. Without a calibration: rest.
+        "rest" subtracts the mean rate of the first still phase, "motion" also what gravity shows from there on, or without any
+        rest, as correct and orient do; "none" does not. Without a calibration: rest.
     adc : str
         "auto" corrects the quantisation of the codes where it shows and, with --calibrate-from, where that lowers the error on
         recordings that a fit has not seen: by two recordings or more, the held-out one apart. "none" leaves them.
@@ -371,7 +371,8 @@ def _answer(result: "Validation", method: Validated) -> str:
     elif method.calibration is not None:
         parts = [f"calibrated with {method.source}" if method.source else "calibrated with these same recordings"]
     if method.settings.offset == "motion" or not parts:
-        parts += [f"with {removed[method.settings.offset]}" if method.settings.offset in removed else "uncorrected"]
+        done = method.settings.offset in removed and any(trial.rest for trial in result.trials)
+        parts += [f"with {removed[method.settings.offset]}" if done else "uncorrected"]
     figures, over = result.median, f", median of {len(result.trials)} recordings" if len(result.trials) > 1 else ""
     return (
         f"Orientation is wrong by {figures.rmse_total_deg:.2g} deg rms in total and {figures.rmse_inclination_deg:.2g} deg in "
@@ -501,7 +502,7 @@ def method_section(method: Validated) -> Section:
         "gyroscope's offset": _offset(method),
         "ADC's rounding": _adc(method),
         "start": f"tilt from the specific force, heading from the reference, both over the last {settings.rest_s:g} s of rest or "
-        f"less; from {settings.lead_s:g} s before the motion the gyroscope alone",
+        f"less; from {settings.lead_s:g} s before the motion the gyroscope alone; without a rest from the reference's first second",
         "pitch": f"in the body's plane of {settings.forward} (forward) and {settings.up} (up)",
         "lag": f"searched up to {settings.lag.longest_lag_s:g} s either way; one up to {settings.undo_lag_above_s * 1e3:g} ms is "
         "the sensor's own and stays in the figures, a longer one is removed",

@@ -45,11 +45,11 @@ from undrift.correction.plan import (
     in_pieces,
     plan_record,
 )
-from undrift.correction.rest import RestOffset, find_rest_offset
+from undrift.correction.rest import RestOffset, find_rest_offset, known_rest_offset
 from undrift.drift.hysteresis import TempHistory
 from undrift.errors import InputError
 from undrift.findings import Finding
-from undrift.model import NO_TABLES, Calibration
+from undrift.model import NO_TABLES, Calibration, TriadModel
 from undrift.record import ForceUncertainty, Record
 
 if TYPE_CHECKING:
@@ -316,14 +316,19 @@ def correct_whole(
     """Correct a record from its start, where power_on_s and temp_history are known or None; `how` is for correct_planned."""
     carry = carry_at_start(float(record.time[0]), start[0], calibration, start[1])
     done = correct_planned(record, calibration, plan_record(record, calibration), carry=carry, **how)
-    return re_zeroed(done, offset, how.get("threads"))
+    return re_zeroed(done, offset, how.get("threads"), calibration.gyro)
 
 
-def re_zeroed(done: Corrected, offset: Offset, threads: int | None = None) -> Corrected:
+def re_zeroed(
+    done: Corrected, offset: Offset, threads: int | None = None, model: TriadModel | None = None
+) -> Corrected:
     """Subtract what is left of the offset from a record that was just corrected, in its own buffer: step 6."""
     if offset == "none":
         return done
-    remainder = offset_left(done.record, offset, find_rest_offset(done.record)) if isinstance(offset, str) else offset
+    if isinstance(offset, str):
+        rest = find_rest_offset(done.record) if offset == "rest" else known_rest_offset(done.record)
+        offset = offset_left(done.record, offset, rest, model)
+    remainder: OffsetLeft = offset
     rate, time = done.record.gyro, done.record.time
     if rate is None:
         return done
@@ -337,13 +342,15 @@ def re_zeroed(done: Corrected, offset: Offset, threads: int | None = None) -> Co
     return replace(done, rest=remainder, findings=(*done.findings, remainder.finding))
 
 
-def offset_left(record: Record, offset: Literal["rest", "motion"], rest: RestOffset) -> OffsetLeft:
-    """Return what a calibration leaves of the offset of a corrected record: at the rest, or from there on in motion."""
-    if offset == "rest":
+def offset_left(
+    record: Record, offset: Literal["rest", "motion"], rest: RestOffset | None, model: TriadModel | None
+) -> OffsetLeft:
+    """Return what a calibration leaves of the offset of a corrected record: at the rest, or in motion, from a rest on if any."""
+    if offset == "rest" and rest is not None:
         return rest
     from undrift.correction.motion import find_motion_offset  # scipy and a kernel, for this alone
 
-    return find_motion_offset(record, rest)
+    return find_motion_offset(record, rest, model)
 
 
 def correct_planned(

@@ -12,8 +12,9 @@ those of greatest restricted likelihood. b, d and the vertical u are found by ge
 the last b (Gauss-Newton). Long recordings are cut into stretches, each with a vertical, an offset and sizes of its own; offsets
 follow a random walk from one stretch to the next.
 
-The prior of b is the mean at a rest. Gravity shows no turn about the vertical: along an axis that stays upright b keeps its
-prior. A long push (lift, car, bend) reads as a tilt: it enters the sizes, and widens what is stated.
+The prior of b is the mean at a rest; where there is none, what a calibration or a data sheet leaves of it. Gravity shows no turn
+about the vertical: along an axis that stays upright b keeps its prior. A long push (lift, car, bend) reads as a tilt: it enters the
+sizes, and widens what is stated.
 """
 
 from dataclasses import dataclass
@@ -25,15 +26,16 @@ from scipy.linalg import cholesky, solve_triangular
 from scipy.optimize import minimize
 
 from undrift.arrays import FloatArray, frozen
-from undrift.correction.rest import RestOffset
+from undrift.correction.rest import LEAST_IN_MOTION_S, RestOffset
 from undrift.errors import InputError
 from undrift.findings import Finding, finding
 from undrift.frames import rotation
 from undrift.kernels.rotation import strapdown
+from undrift.model import OFFSET_NAMES, TriadModel
 from undrift.record import Record, Still
-from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
+from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, si_factor
 
-MEAN_S, STRETCH_S, LEAST_S = 5.0, 300.0, 20.0  # s, of a Hann mean, of a stretch, of a recording
+MEAN_S, STRETCH_S, SHORT_S = 5.0, 300.0, 25.0  # s, of a Hann mean, of a stretch, of those from which a start is found
 # rad/s, from rest to motion: two thirds of half a step of 16 bits over +-2000 deg/s [assumed]
 MOVED = 0.02 * RADIAN_PER_DEGREE
 WALK = 2e-4 * RADIAN_PER_DEGREE  # rad/s/sqrt(s), of a consumer gyroscope's offset [assumed]
@@ -41,6 +43,8 @@ WALK = 2e-4 * RADIAN_PER_DEGREE  # rad/s/sqrt(s), of a consumer gyroscope's offs
 CALIBRATED, RAW = (0.05, 0.005), (0.5, 0.03)
 # Logarithms of both variances, of m/s2 and of rad/sqrt(s): usual ones, within e^2 each way where few means say little [assumed]
 _SIZES, _FACTOR = 2.0 * np.log((0.03, 0.1 * RADIAN_PER_DEGREE)), 4.0
+# rad/s, of an offset without a rest: turn-on repeatability of a calibrated device, and a raw one's zero-rate output [assumed]
+CALIBRATED_RATE, RAW_RATE = 0.1 * RADIAN_PER_DEGREE, 1.0 * RADIAN_PER_DEGREE
 _LOOSE = 1.0 * RADIAN_PER_DEGREE  # rad/s, of the offset while the sizes are sought
 _SHARED = 1.0 / 6.0  # correlation of Hann means that half overlap
 _SHOWN = ("offset_dps", "uncertainty_dps", "prior_dps", "acceleration_m_s2")
@@ -56,11 +60,17 @@ class MotionOffset:
     covariance: FloatArray  # (S, 3, 3), (rad/s)^2
     prior: FloatArray  # (3,), standard deviation of what was known before, rad/s
     acceleration: float  # What is left of it in a mean, rms, m/s2
-    rest: RestOffset  # What it began with
+    rest: RestOffset | None  # What it began with; None where it never rested
+    vertical: (
+        FloatArray  # (3,), specific force of a body at rest in the attitude of the first sample, m/s2, frame b there
+    )
+    vertical_covariance: FloatArray  # (3, 3), (m/s2)^2
 
     def __post_init__(self) -> None:
         count = len(self.time)
-        for name, shape in (("time", (count,)), ("rate", (count, 3)), ("covariance", (count, 3, 3)), ("prior", (3,))):
+        shapes = {"time": (count,), "rate": (count, 3), "covariance": (count, 3, 3), "prior": (3,)}
+        shapes |= {"vertical": (3,), "vertical_covariance": (3, 3)}
+        for name, shape in shapes.items():
             object.__setattr__(self, name, frozen(getattr(self, name), shape, f"MotionOffset.{name}"))
 
     def at(self, time: FloatArray) -> FloatArray:
@@ -73,14 +83,14 @@ class MotionOffset:
         return float(np.sqrt(np.trace(self.covariance, axis1=1, axis2=2).max()))
 
     @property
-    def rest_s(self) -> tuple[float, float]:
+    def rest_s(self) -> tuple[float, float] | None:
         """First and last sample of the rest, on the recording's clock."""
-        return self.rest.rest_s
+        return None if self.rest is None else self.rest.rest_s
 
     @property
     def stills(self) -> tuple[Still, ...] | None:
         """Rests that were found on the way; None for a named stretch."""
-        return self.rest.stills
+        return None if self.rest is None else self.rest.stills
 
     @property
     def figures(self) -> dict[str, Any]:
@@ -101,22 +111,51 @@ class MotionOffset:
         return finding("correct.motion_offset", "info", **dict(zip(_SHOWN, figures, strict=True)))
 
 
-def find_motion_offset(record: Record, rest: RestOffset) -> MotionOffset:
-    """Return the offset that the motion of a corrected record shows, beside the mean at one of its rests; one in five minutes."""
+def find_motion_offset(record: Record, rest: RestOffset | None, model: TriadModel | None = None) -> MotionOffset:
+    """Return the offset that the motion of a corrected record shows, beside the mean at a rest or what its model leaves."""
     if record.gyro is None or record.accel is None:
         raise InputError("offset from motion: wanted rates and specific force, got one of them; use `offset` rest")
     gaps = int((~np.isfinite(np.hstack((record.gyro, record.accel)))).any(axis=1).sum())
-    if gaps or record.duration_s < LEAST_S:
+    if gaps or record.duration_s < LEAST_IN_MOTION_S:
         got = f"{gaps} gaps (NaN)" if gaps else f"{record.duration_s:.3g} s"
-        raise InputError(f"offset from motion: wanted {LEAST_S:g} s or more without gaps, got {got}; use `offset` rest")
-    prior = rest.covariance + np.eye(3) * MOVED**2
-    edges = np.linspace(0, len(record), max(1, round(record.duration_s / STRETCH_S)) + 1).astype(int)
-    accel = RAW if record.accel_uncertainty is None else CALIBRATED
-    stretches = [_HannMeans(record.time[a:b], record.gyro[a:b], record.accel[a:b], accel) for a, b in pairwise(edges)]
-    middle = np.array([one.middle for one in stretches])
-    walk_of_offsets, count = _walk_information(middle, prior, accel[0]), 3 * len(stretches)
-    start = np.append(np.tile(rest.rate, len(stretches)), np.zeros(3))  # offsets of stretches, of the accelerometers
-    theta = start
+        raise InputError(
+            f"offset from motion: wanted {LEAST_IN_MOTION_S:g} s or more without gaps, got {got}; use `offset` rest"
+        )
+    prior = _unrested(model) if rest is None else rest.covariance + np.eye(3) * MOVED**2
+    usual = np.zeros(3) if rest is None else rest.rate
+    stretches, offsets, information = _fitted(record, usual, usual, prior, STRETCH_S)
+    if rest is None:  # over a whole recording the vertical may turn too far for a linearisation about no offset
+        short = _fitted(record, usual, usual, prior, SHORT_S)[1][:-3].reshape(-1, 3).mean(axis=0)
+        other = _fitted(record, short, usual, prior, STRETCH_S)
+        if sum(one.cost for one in other[0]) < sum(one.cost for one in stretches):
+            stretches, offsets, information = other
+    covariance, count = np.linalg.inv(information), 3 * len(stretches)
+    first = np.r_[:3, count : count + 3]
+    vertical, of_vertical = stretches[0].vertical(covariance[np.ix_(first, first)])
+    return MotionOffset(
+        vertical=vertical,
+        vertical_covariance=of_vertical,
+        time=np.array([one.middle for one in stretches]),
+        rate=offsets[:count].reshape(-1, 3),
+        covariance=np.stack([covariance[k : k + 3, k : k + 3] for k in range(0, count, 3)]),
+        prior=np.sqrt(np.diag(prior)),
+        acceleration=float(np.sqrt(np.mean([np.exp(one.sizes[0]) for one in stretches]))),
+        rest=rest,
+    )
+
+
+def _fitted(
+    record: Record, near: FloatArray, usual: FloatArray, prior: FloatArray, stretch_s: float
+) -> "tuple[list[_HannMeans], FloatArray, FloatArray]":
+    """Return stretches of about a length, offsets of each and of the accelerometers, and their information; near is a start."""
+    edges = np.linspace(0, len(record), max(1, round(record.duration_s / stretch_s)) + 1).astype(int)
+    force, rate, error = np.asarray(record.accel), np.asarray(record.gyro), record.accel_uncertainty
+    calibrated = error is not None and np.diag(error.covariance)[9:].max() < RAW[0] ** 2 / 4.0
+    accel = CALIBRATED if calibrated else RAW
+    stretches = [_HannMeans(record.time[a:b], rate[a:b], force[a:b], accel) for a, b in pairwise(edges)]
+    middle, count = np.array([one.middle for one in stretches]), 3 * len(stretches)
+    walk_of_offsets = _walk_information(middle, prior, accel[0])
+    start, theta = (np.append(np.tile(one, len(stretches)), np.zeros(3)) for one in (usual, near))
     for _ in range(_ROUNDS):
         information, seen = walk_of_offsets.copy(), walk_of_offsets @ (start - theta)
         for k, one in enumerate(stretches):
@@ -128,15 +167,17 @@ def find_motion_offset(record: Record, rest: RestOffset) -> MotionOffset:
         theta = theta + step
         if np.abs(step[:count]).max() < _SETTLED:
             break
-    covariance = np.linalg.inv(information)
-    return MotionOffset(
-        time=middle,
-        rate=theta[:count].reshape(-1, 3),
-        covariance=np.stack([covariance[k : k + 3, k : k + 3] for k in range(0, count, 3)]),
-        prior=np.sqrt(np.diag(prior)),
-        acceleration=float(np.sqrt(np.mean([np.exp(one.sizes[0]) for one in stretches]))),
-        rest=rest,
-    )
+    return stretches, theta, information
+
+
+def _unrested(model: TriadModel | None) -> FloatArray:
+    """Return the covariance of an offset that no rest shows: that of the calibration, and what a switch-on changes."""
+    if model is None or not model.covariance.any():
+        return np.eye(3) * RAW_RATE**2
+    offset = [model.parameters.index(name) for name in OFFSET_NAMES]
+    turned = model.matrix * si_factor(model.unit_out, "rate")
+    spread: FloatArray = turned @ model.covariance[np.ix_(offset, offset)] @ turned.T
+    return spread + np.eye(3) * CALIBRATED_RATE**2
 
 
 def _walk_information(middle: FloatArray, prior: FloatArray, accel: float) -> FloatArray:
@@ -190,9 +231,15 @@ class _HannMeans:
 
         close = {"xatol": 0.02, "fatol": 0.02}
         self.sizes = minimize(lambda sizes: solved(sizes)[0], self.sizes, method="Nelder-Mead", options=close).x  # type: ignore[call-overload]
-        _, information, seen = solved(self.sizes)
+        self.cost, information, seen = solved(self.sizes)
         gone = information[:6, 6:] @ np.linalg.inv(information[6:, 6:])
+        self.level = frame, np.linalg.inv(information[6:, 6:]), gone.T, seen[6:]
         return information[:6, :6] - gone @ information[6:, :6], seen[:6] - gone @ seen[6:]
+
+    def vertical(self, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the vertical (3,) by the last equations, and its covariance by that of both offsets (6, 6)."""
+        frame, alone, by_offsets, seen = self.level
+        return frame.T @ alone @ seen, frame.T @ (alone + by_offsets @ covariance @ by_offsets.T) @ frame
 
     def _means(self, offset: FloatArray, of_force: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the means (K, 3) and what offsets of gyroscopes and accelerometers add to them (K, 3, 6)."""

@@ -29,6 +29,7 @@ from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 Stretch = tuple[float | None, float | None]  # named start and end, s, on the recording's clock; both None: to be found
 NAMED_NONE: Stretch = (None, None)
 FOUND_IN_S = 600.0
+LEAST_IN_MOTION_S = 20.0  # of a recording whose motion shows the vertical, and what is left of the offset
 FEWEST = 10  # samples: below it their scatter says nothing
 
 
@@ -131,8 +132,19 @@ def no_rest(what: str, reason: str) -> InputError:
     """Return the refusal of a recording that never rests."""
     return InputError(
         f"{what}: wanted a still phase, got none: {reason.removeprefix('no still phase: ')}; name a stretch at rest "
-        "(`still_start_s`, `still_stop_s`), or record with a pause"
+        "(`still_start_s`, `still_stop_s`), use `offset` motion, or record with a pause",
+        missing="rest",
     )
+
+
+def known_rest_offset(record: Record, stretch: Stretch = NAMED_NONE) -> RestOffset | None:
+    """Return the same as ``find_rest_offset``, or None for a record that never rests."""
+    try:
+        return find_rest_offset(record, stretch)
+    except InputError as error:
+        if error.numbers.get("missing") != "rest":
+            raise
+        return None
 
 
 def find_rest_offset(record: Record, stretch: Stretch = NAMED_NONE) -> RestOffset:

@@ -100,9 +100,18 @@ def huber_weight(size: FloatArray, scale: float) -> FloatArray:
 
 
 def fit_huber(
-    design: FloatArray, reading: FloatArray, *, together: int = 1, to_sigma: float = 1.4826, passes: int = 15
+    design: FloatArray,
+    reading: FloatArray,
+    *,
+    together: int = 1,
+    to_sigma: float = 1.4826,
+    passes: int = 15,
+    prior: int = 0,
 ) -> tuple[FloatArray, FloatArray, float]:
-    """Return parameters (P,), weights (E,) and robust scale; ``together`` neighbouring rows weigh alike, by their rms."""
+    """Return parameters (P,), weights (E,) and robust scale; ``together`` neighbouring rows weigh alike, by their rms.
+
+    The last ``prior`` rows are no readings: they keep their weight and say nothing of the scale.
+    """
     length = np.linalg.norm(design, axis=0)
     scaled, weight = design / length, np.ones(len(reading))
     x, scale = np.zeros(design.shape[1]), 0.0
@@ -110,8 +119,9 @@ def fit_huber(
         previous = x
         x = np.linalg.solve((scaled.T * weight) @ scaled, scaled.T @ (weight * reading))
         size = np.sqrt(((reading - scaled @ x) ** 2).reshape(-1, together).mean(axis=1))
-        scale = to_sigma * float(np.median(size))
+        scale = to_sigma * float(np.median(size[: len(size) - prior]))
         weight = np.repeat(huber_weight(size, scale), together) if scale > 0.0 else weight
+        weight[len(weight) - prior :] = 1.0
         if np.abs(x - previous).max() <= 1e-9 * max(float(np.abs(x).max()), 1e-12):
             break
     return x / length, weight, scale

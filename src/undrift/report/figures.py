@@ -440,9 +440,9 @@ def draw_orientation(found: "Orientation") -> "Figure":
     figure, panels = new_figure(3, height=1.5)
     for axes, (name, angle) in zip(panels, named, strict=True):
         axes.plot(*envelope(found.time, _without_wraps(angle / RADIAN_PER_DEGREE)), color=DEVICE)
-        axes.axvspan(
-            float(found.time[found.still.start]), float(found.time[found.still.stop - 1]), color=SHADE, zorder=0
-        )
+        if found.still is not None:
+            rest_s = (float(found.time[k]) for k in (found.still.start, found.still.stop - 1))
+            axes.axvspan(*rest_s, color=SHADE, zorder=0)
         axes.set_ylabel(f"{name} (deg)")
     panels[-1].set_xlabel("time (s)")
     return figure

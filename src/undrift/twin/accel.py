@@ -20,8 +20,9 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray, IntArray
-from undrift.calibration.reference import MARGIN_S, Aligned, align, full_rank
+from undrift.calibration.reference import MARGIN_S, Aligned, align
 from undrift.calibration.reference_accel import pose_columns
+from undrift.calibration.reference_windows import full_rank
 from undrift.errors import AlignmentError, InputError, NotObservable
 from undrift.fit.equations import offset_of
 from undrift.fit.least_squares import fit_huber, triad_fit

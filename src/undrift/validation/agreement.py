@@ -28,6 +28,7 @@ from undrift.arrays import FloatArray
 from undrift.base.summary import Shown
 from undrift.calibration.calibrate import device_adc
 from undrift.calibration.reference import HeldOut, ReferenceSettings, leave_one_out
+from undrift.calibration.reference_accel import turned_like
 from undrift.errors import InputError
 from undrift.findings import Finding, finding
 from undrift.model import Calibration
@@ -334,6 +335,7 @@ def validate_leave_one_out(
             reference_temp_c=float("nan"),
             gravity_m_s2=STANDARD_GRAVITY,
             gyro=h.model,
+            accel=None if record.accel is None else turned_like(h.model, record.accel_unit),
             adc=h.adc,
             verdict=h.fit.triad.verdict,
         )

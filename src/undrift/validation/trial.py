@@ -38,7 +38,7 @@ from undrift.drift.observe import nominal_triad
 from undrift.errors import AlignmentError, InputError
 from undrift.findings import Finding, finding
 from undrift.frames import quaternion_conjugate, quaternion_of, quaternion_product, rotation_vector
-from undrift.model import AdcModel, Calibration
+from undrift.model import AdcModel, Calibration, TriadModel
 from undrift.orientation import (
     check_gaps,
     check_pitch_axes,
@@ -50,7 +50,8 @@ from undrift.orientation import (
     shortest_rotation_up,
 )
 from undrift.record import Face, Record, Reference, Still
-from undrift.sync import Lag, LagSettings, MotionSpan, find_lag, find_motion, native_poses
+from undrift.segments import unpadded
+from undrift.sync import Lag, LagSettings, MotionSpan, find_motion, in_step, native_poses, seen_poses
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical
 from undrift.validation.expected import (
     ERROR_PRIOR,
@@ -103,6 +104,27 @@ def track_from_rest(
     return time, integrate_strapdown(record.gyro[first:], time, start)
 
 
+START_S = 1.0  # over which the reference gives the start of a recording that begins in motion
+
+
+def track_from_reference(
+    record: Record, reference: Reference, motion: MotionSpan, *, shift_s: float
+) -> tuple[FloatArray, FloatArray]:
+    """Integrate the readings from the first pose on; the start is the mean of q_ref (x) q^-1 over a second, q from identity."""
+    if record.gyro is None:
+        raise InputError("validate: wanted a record with a gyroscope, got none; map its columns")
+    first = int(np.searchsorted(record.time, motion.start_s))
+    time, gyro = record.time[first:], record.gyro[first:]
+    check_gaps(gyro, time, "validate")
+    turned = orientation_at(
+        time, integrate_strapdown(gyro, time, np.array([1.0, 0.0, 0.0, 0.0])), reference.time + shift_s
+    )
+    start = quaternion_product(reference.q_nb, quaternion_conjugate(turned))
+    seen: BoolArray = np.asarray(np.isfinite(start).all(axis=1))
+    seen &= reference.time < reference.time[int(np.argmax(seen))] + START_S
+    return time, integrate_strapdown(gyro, time, _mean_of(start[seen]))
+
+
 def _mean_pose(reference: Reference, start_s: float, stop_s: float) -> FloatArray:
     seen: BoolArray = reference.valid & (reference.time >= start_s) & (reference.time < stop_s)
     if not seen.any():
@@ -110,7 +132,10 @@ def _mean_pose(reference: Reference, start_s: float, stop_s: float) -> FloatArra
             f"validate: wanted the reference to see the rest from {start_s:.1f} s to {stop_s:.1f} s, got no pose there; "
             "heading needs one"
         )
-    q = reference.q_nb[seen]
+    return _mean_of(reference.q_nb[seen])
+
+
+def _mean_of(q: FloatArray) -> FloatArray:
     q = (q * np.where(q @ q[0] < 0.0, -1.0, 1.0)[:, None]).mean(axis=0)
     mean: FloatArray = q / np.linalg.norm(q)
     return mean
@@ -457,7 +482,7 @@ def validate_trial(
     InputError
         No gyroscope, gaps in the rate, or a unit that nothing turns into rad/s.
     AlignmentError
-        No common motion, no rest before it, or no pose in that rest.
+        No common motion, or no pose in the rest before it.
 
     Examples
     --------
@@ -472,20 +497,20 @@ def validate_trial(
     """
     done, findings = _corrected(record, calibration, settings)
     gaps, poses = _gaps(done), native_poses(reference)
-    lag = _lag(done, poses, gaps, settings)
-    findings += check_reference(done, poses, lag.seconds)
+    done, lag, of_clocks = _in_step(done, poses, gaps, settings)
+    poses, reference = (seen_poses(done, each, lag) for each in (poses, reference))
+    findings += (*of_clocks, *check_reference(done, poses, lag.seconds))
     motion = find_motion(done, reference, lag_s=lag.seconds)
     before = gaps[done.time < motion.start_s - settings.lead_s]  # after the rest, a gap is refused
     if before.any():
         findings += (finding("validate.gaps_before", "warn", gaps=int(before.sum()), samples=len(before)),)
-    done, rest_offset, more = _re_zeroed(done, motion, settings)
+    done, rest_offset, more = _re_zeroed(done, motion, settings, None if calibration is None else calibration.gyro)
     done, mounting = _aligned(done, poses, lag, settings)
-    half_step = 0.5 / done.sample_rate_hz  # strapdown holds each reading over the step before its stamp
-    track = track_from_rest(
-        done, reference, motion, shift_s=lag.seconds - half_step, rest_s=settings.rest_s, lead_s=settings.lead_s
-    )
-    undone, axes = abs(lag.seconds) > settings.undo_lag_above_s, {"forward": settings.forward, "up": settings.up}
-    tracks = [orientation_at(*track, reference.time + shift) for shift in (0.0, lag.seconds - half_step)]
+    shift_s = lag.seconds - 0.5 / done.sample_rate_hz  # strapdown holds each reading over the step before its stamp
+    track, of_start = _track(done, (reference, poses), motion, shift_s, settings)
+    undone = max(abs(lag.seconds), abs(shift_s)) > settings.undo_lag_above_s
+    axes: dict[str, Face] = {"forward": settings.forward, "up": settings.up}
+    tracks = [orientation_at(*track, reference.time + shift) for shift in (0.0, shift_s)]
     errors = [compare_orientations(q, reference.q_nb, **axes) for q in tracks]
     error, sensor = errors[undone], tracks[undone]
     moving, after = _stretches(reference, motion, lag.seconds * undone, settings)
@@ -510,7 +535,7 @@ def validate_trial(
         motion=motion,
         mounting=mounting,
         mean_inclination=_mean_inclinations(sensor[both], reference.q_nb[both]),
-        findings=(*findings, *more),
+        findings=(*findings, *of_start, *more),
         time=reference.time,
         error=error,
         sensor_pitch=pitches[0],
@@ -518,8 +543,24 @@ def validate_trial(
         moving=moving.astype(float),
         rest=rest_offset,
     )
-    late = (lag.seconds - half_step) * (not undone)
+    late = shift_s * (not undone)
     return replace(judged, expected=_expected(judged, done, track, late, calibration, settings, source))
+
+
+def _track(
+    record: Record,
+    references: tuple[Reference, Reference],
+    motion: MotionSpan,
+    shift_s: float,
+    settings: TrialSettings,
+) -> tuple[tuple[FloatArray, FloatArray], tuple[Finding, ...]]:
+    """Return time and orientation from the rest on, or, without one, from the poses (second of both), and that it is so."""
+    reference, poses = references
+    if motion.rested:
+        how = {"rest_s": settings.rest_s, "lead_s": settings.lead_s}
+        return track_from_rest(record, reference, motion, shift_s=shift_s, **how), ()
+    track = track_from_reference(record, poses, motion, shift_s=shift_s)
+    return track, (finding("validate.no_rest", "info", start_s=float(track[0][0]), over_s=START_S),)
 
 
 def _mean_inclinations(sensor: FloatArray, reference: FloatArray) -> tuple[float, float]:
@@ -551,11 +592,13 @@ def _expected(
         return None
     if source is None:
         in_motion = model.method in ("reference/motion", "reference/common") and judged.rest is None
-        source = OffsetSource(rest=_KINDS[settings.offset], in_motion=in_motion)
+        source = OffsetSource(rest=_KINDS[settings.offset if judged.rest else "none"], in_motion=in_motion)
     mounting, subtracted = judged.mounting, judged.rest
-    before = (float(done.time[0]), judged.motion.start_s - settings.lead_s)
-    rest = done.between(*before if subtracted is None else subtracted.rest_s)
-    still = np.asarray(rest.gyro)[np.isfinite(np.asarray(rest.gyro)).all(axis=1)]
+    before: tuple[float, float] | None = (float(done.time[0]), judged.motion.start_s - settings.lead_s)
+    stretch = before if subtracted is None and judged.motion.rested else subtracted and subtracted.rest_s
+    rest = done.between(*stretch) if stretch else None
+    still = np.empty((0, 3)) if rest is None else np.asarray(rest.gyro)
+    still = still[np.isfinite(still).all(axis=1)]
     variance = np.array([mean_variance(axis) for axis in still.T]) if len(still) > 1 else np.zeros(3)
     offset_variance = variance
     if subtracted is not None and settings.offset == "motion":
@@ -569,16 +612,16 @@ def _expected(
         delay_s=delay_s,
         turned=applied,
         offset_variance=offset_variance,
-        noise_density=float(np.sqrt(variance.mean() * rest.duration_s)),
-        tilt=_start_uncertainty(rest, calibration, settings),
+        noise_density=0.0 if rest is None else float(np.sqrt(variance.mean() * rest.duration_s)),
+        tilt=_start_uncertainty(rest if judged.motion.rested else None, calibration, settings),
         mounting=left_in / np.sqrt(3.0),
     )
     return expected_errors(course, model, source, settings.prior)
 
 
-def _start_uncertainty(rest: Record, calibration: Calibration, settings: TrialSettings) -> float:
+def _start_uncertainty(rest: Record | None, calibration: Calibration, settings: TrialSettings) -> float:
     """Return the standard uncertainty of the tilt before the motion against the reference, each level axis, rad."""
-    if rest.accel is None:
+    if rest is None or rest.accel is None:
         return settings.prior.pose
     if calibration.accel is None or np.isnan(rest.accel).any():
         return settings.prior.tilt
@@ -588,9 +631,11 @@ def _start_uncertainty(rest: Record, calibration: Calibration, settings: TrialSe
     return math.hypot(of_start / math.sqrt(2.0), settings.prior.pose)
 
 
-def _lag(record: Record, poses: Reference, gaps: BoolArray, settings: TrialSettings) -> Lag:
+def _in_step(
+    record: Record, poses: Reference, gaps: BoolArray, settings: TrialSettings
+) -> tuple[Record, Lag, list[Finding]]:
     try:
-        return find_lag(record, poses, settings.lag)
+        return in_step(record, poses, settings.lag)
     except AlignmentError as unmatched:
         if gaps.any():
             raise AlignmentError(f"{unmatched}; {gaps.mean():.0%} of the samples are gaps (NaN)") from unmatched
@@ -605,7 +650,8 @@ def _stretches(
     moving = (reference.time >= start_s) & (reference.time < stop_s)
     if reference.moving is not None and (reference.moving > 0.0).any():
         moving = reference.moving > 0.0
-    return moving, (reference.time >= stop_s) & (reference.time < stop_s + settings.end_s)
+    after = (reference.time >= stop_s) & (reference.time < stop_s + settings.end_s)
+    return moving, after if motion.rested else moving & (reference.time >= stop_s - settings.end_s)
 
 
 def _in_degrees(
@@ -644,7 +690,8 @@ def check_poses(record: Record, reference: Reference, settings: TrialSettings = 
     if not (is_physical(record.gyro_unit) and is_physical(record.accel_unit)):
         return ()
     done, poses = record.in_si(), native_poses(reference)
-    return check_reference(done, poses, _lag(done, poses, _gaps(done), settings).seconds)
+    done, lag, _ = _in_step(done, poses, _gaps(done), settings)
+    return check_reference(done, poses, lag.seconds)
 
 
 def _gaps(record: Record) -> BoolArray:
@@ -658,12 +705,16 @@ def _gaps(record: Record) -> BoolArray:
 def _corrected(
     record: Record, calibration: Calibration | None, settings: TrialSettings
 ) -> tuple[Record, tuple[Finding, ...]]:
+    whole, record = record, unpadded(record)
+    padded = whole.duration_s - record.duration_s
+    words = (finding("recording.padded", "info", padded_s=padded),) if padded else ()
     if calibration is None:
         adc = identify_record_adc(record) if settings.adc == "auto" and record.state == "raw" else None
         if adc is None:
-            return record.in_si(), check_triads(record)
+            return record.in_si(), (*words, *check_triads(record))
         done = correct_whole(record, nominal_calibration(record, adc))
         return done.record, (
+            *words,
             *check_triads(record),
             finding("validate.adc", "info", rounding=adc.gyro_rounding.replace("_", " ")),
         )
@@ -672,7 +723,7 @@ def _corrected(
     since, history = settings.power_on_s, settings.temp_history
     done = correct_checked(record, calibration, policy=settings.policy, power_on_s=since, temp_history=history)
     beyond = (item for one in find_beyond(done.record, calibration) for item in one.findings)
-    return done.record.in_si(), (*done.findings, *beyond)
+    return done.record.in_si(), (*words, *done.findings, *beyond)
 
 
 def nominal_calibration(record: Record, adc: AdcModel | None) -> Calibration:
@@ -688,18 +739,21 @@ def nominal_calibration(record: Record, adc: AdcModel | None) -> Calibration:
 
 
 def _re_zeroed(
-    record: Record, motion: MotionSpan, settings: TrialSettings
+    record: Record, motion: MotionSpan, settings: TrialSettings, model: TriadModel | None
 ) -> tuple[Record, OffsetLeft | None, tuple[Finding, ...]]:
     """Subtract what is left from the first still phase on; where none is found, from what the reference marks before the motion."""
     if settings.offset == "none":
         return record, None, ()
-    more: tuple[Finding, ...] = ()
+    more, rest = tuple[Finding, ...](), None
     try:
         rest = find_rest_offset(record)
     except InputError:
-        rest = find_rest_offset(record, (float(record.time[0]), motion.start_s - settings.lead_s))
-        more = (finding("validate.no_still_phase", "warn", start_s=rest.start_s, stop_s=rest.stop_s),)
-    remainder = offset_left(record, settings.offset, rest)
+        if motion.rested:
+            rest = find_rest_offset(record, (float(record.time[0]), motion.start_s - settings.lead_s))
+            more = (finding("validate.no_still_phase", "warn", start_s=rest.start_s, stop_s=rest.stop_s),)
+        elif settings.offset == "rest":
+            return record, None, (finding("validate.no_rest_offset", "warn"),)
+    remainder = offset_left(record, settings.offset, rest, model)
     return replace(record, gyro=np.asarray(record.gyro) - remainder.at(record.time)), remainder, more
 
 

@@ -1,0 +1,341 @@
+"""Equations of a gyroscope against an orientation reference, over windows, and their solution."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from undrift.arrays import BoolArray, FloatArray, IntArray
+from undrift.errors import NotObservable
+from undrift.fit.least_squares import fit_huber, scaled_condition
+from undrift.fit.smooth import widening_of
+from undrift.frames import quaternion_conjugate, quaternion_product, rotate, rotation_vector
+from undrift.sync import Lag
+
+# ---- window equations
+#
+# Over a window from pose i to pose j, with M, offset and d at their present values:
+#
+#     w  = M (u - offset) - d - G a                         readings u, specific force a
+#     R_w = exp(w dt) ... exp(w dt)                         product over the window's samples
+#     y  = log(R_w^T R_i^T R_j)                             what is left, rad, in the body at j
+#     y  = J (dM, dd, dG) + pose noise                      J from one running sum of R regressor dt along the recording
+#
+# Poses are taken at their own times; the integration is read off there, the lag added. So no pose is ever interpolated.
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Recording:
+    """One recording prepared for the fit."""
+
+    time: FloatArray  # (N,), s, record clock
+    gyro: FloatArray  # (N, 3), readings, raw unit, after ADC correction; gaps are zero
+    accel: FloatArray | None  # (N, 3), m/s2, where a g-sensitivity is wanted
+    gaps: IntArray  # (N,), gaps counted from the start: a window without one has the same count at both ends
+    lag: Lag  # Of the record against the reference
+    moving: BoolArray  # (N,), between the first and the last rest
+    rest_offset: FloatArray  # (3,), mean reading at rest before the motion, raw unit; NaN where there is none
+    rest_uncertainty: FloatArray  # (3,), standard uncertainty of that mean, raw unit, from blocks of one second
+    unit: str  # Of the readings
+    at: FloatArray  # (L,), times of the poses at which windows start and end, s, record clock
+    q_nb: FloatArray  # (L, 4), those poses; NaN rows are gaps
+
+    @property
+    def rested(self) -> bool:
+        """Whether it has a rest before the motion."""
+        return bool(np.isfinite(self.rest_offset).all())
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Windows:
+    """Equations of one recording."""
+
+    turn: FloatArray  # (n, 3), y, rad
+    # (n, 3, P), J: matrix row by row, then d, then G where accel readings are given, then the rotations of the recordings
+    design: FloatArray
+    first: IntArray  # (n,), number of the pose at which each window starts
+
+
+def window_equations(recording: Recording, guess: FloatArray, offset: FloatArray, reach: int) -> Windows:
+    """Return the equations of all windows that span ``reach`` strides, at M row by row, d and, with accel readings, G."""
+    from undrift.kernels.rotation import accumulate
+
+    u = recording.gyro - offset
+    rate = u @ guess[:9].reshape(3, 3).T - guess[9:12]
+    columns: list[FloatArray] = [u, np.ones((len(u), 1))]
+    if recording.accel is not None:
+        columns.append(np.nan_to_num(recording.accel))
+        rate = rate - columns[2] @ guess[12:].reshape(3, 3).T
+    regressors = np.concatenate(columns, axis=1)
+    points, channels = len(recording.at), regressors.shape[1]
+    q, total = np.empty((points, 4)), np.zeros((points, 3, 3, channels))
+    accumulate(
+        np.ascontiguousarray(rate).reshape(-1),
+        np.ascontiguousarray(regressors).reshape(-1),
+        np.ascontiguousarray(recording.time),
+        recording.at,
+        q.reshape(-1),
+        total.reshape(-1),
+    )
+    first = np.flatnonzero(_whole(recording, reach))
+    last = first + reach
+    turned = quaternion_product(quaternion_conjugate(q[first]), q[last])
+    seen = quaternion_product(quaternion_conjugate(recording.q_nb[first]), recording.q_nb[last])
+    turn = rotation_vector(quaternion_product(quaternion_conjugate(turned), seen))
+    gain = total[last] - total[first]
+    back = quaternion_conjugate(q[last])[:, None, None, :]
+    design = np.moveaxis(rotate(back, np.moveaxis(gain, 1, -1)), -1, 1)  # (n, 3 residual, 3 row, C regressor)
+    n = len(first)
+    blocks = (design[..., :3].reshape(n, 3, 9), -design[..., 3], -design[..., 4:].reshape(n, 3, 3 * (channels - 4)))
+    return Windows(turn=turn, design=np.concatenate(blocks, axis=2), first=first)
+
+
+def _whole(recording: Recording, reach: int) -> BoolArray:
+    if len(recording.at) <= reach:
+        return np.zeros(0, bool)
+    seen = np.isfinite(recording.q_nb[:, 0])
+    sample = np.clip(np.searchsorted(recording.time, recording.at), 0, len(recording.time) - 1)
+    count = recording.gaps[sample]
+    whole: BoolArray = seen[:-reach] & seen[reach:] & (count[:-reach] == count[reach:])
+    return whole
+
+
+# ---- robust least squares of overlapping windows
+#
+# Huber's estimate by reweighting: an equation whose residual r exceeds k s counts k s / |r|, s from the median. To first order it
+# errs by x = (A^T D A)^-1 A^T p, with p = w r the bounded residuals and D = 0 where the bound holds, else 1.
+#
+# Neighbouring windows share readings and pose errors. In n a window's residual is e_j - e_i, with e the error of orientation along
+# the recording, of three shapes alike for all axes and recordings of a device:
+#
+#     poses       e white                              cov e = I
+#     readings    e a random walk                      min(s, t)
+#     offset      e the integral of a random walk      min(s, t)^2 (3 max(s, t) - min(s, t)) / 6
+#
+# Their sizes, none negative, are those whose sums of products p_i . p_(i + lag) are nearest to the ones seen, less what the fit
+# took of them. The residuals' sum of squares is like a chi-square's of 3 tr(V)^2 / tr(V^2) degrees of freedom for a covariance V
+# (Satterthwaite 1946), but at least three times the windows that do not overlap, less the parameters. Intervals are Student's of as
+# many. Scores by themselves (Newey and West 1987) would say too little: some ten windows that do not overlap hold 18 parameters.
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Solution:
+    """One linear solution."""
+
+    step: FloatArray  # (P,), change of the parameters that were kept
+    covariance: Callable[[], FloatArray]  # (P, P), of the kept parameters; computed when called
+    residuals: FloatArray  # (n, 3), rad, all windows
+    scale: float  # Robust standard deviation of the residuals, rad
+    condition: float  # Of the design with columns scaled to one
+
+
+def independent_windows(windows: Sequence[Windows], reach: int) -> int:
+    """Return how many windows that do not overlap the recordings hold."""
+    return sum(-(-len(w.first) // reach) for w in windows)
+
+
+def solve(
+    recordings: Sequence[Recording],
+    windows: Sequence[Windows],
+    *,
+    free: IntArray,
+    reach: int,
+    prior: tuple[FloatArray, FloatArray] | None = None,
+) -> Solution:
+    """Solve the window equations of several recordings for the parameters ``free``, by number.
+
+    ``prior`` is how far each parameter is below its expected value, and its standard deviation, (P,) each. Windows overlap
+    ``reach`` times, so that what they know counts once for all of these: prior rows are sigma sqrt(reach) / deviation.
+    """
+    a = np.concatenate([w.design for w in windows])[:, :, free]
+    y = np.concatenate([w.turn for w in windows])
+    independent = independent_windows(windows, reach)
+    expected = None if prior is None else (prior[0][free], prior[1][free])
+    if 3 * independent + (0 if expected is None else np.isfinite(expected[1]).sum()) <= len(free):
+        raise NotObservable(
+            f"reference: wanted more than {len(free) // 3} windows that do not overlap, got {independent}; "
+            "record longer motion, or ask for shorter windows",
+            windows=independent,
+        )
+    rows, turn, pull = a.reshape(-1, len(free)), y.reshape(-1), np.zeros(len(free))
+    scale = _USUAL
+    for _ in range(1 if expected is None else _PRIOR_PASSES):
+        whole, wanted = rows, turn
+        if expected is not None:
+            pull = scale * np.sqrt(reach) / expected[1]
+            whole, wanted = np.vstack((rows, np.diag(pull))), np.append(turn, pull * expected[0])
+        condition = full_rank(whole)
+        x, weight, scale = fit_huber(whole, wanted, prior=len(whole) - len(rows))
+    residual = y - a @ x
+    weight = weight[: len(rows)].reshape(-1, 3)
+
+    def covariance() -> FloatArray:
+        made, freedom = _covariance(recordings, windows, (a, weight * residual, weight == 1.0), reach, pull**2)
+        if expected is not None:
+            normal = np.einsum("nap,naq->pq", a, (weight == 1.0)[:, :, None] * a) + np.diag(pull**2)
+            by_prior = np.linalg.solve(normal, np.diag(pull**2)) * np.where(pull > 0.0, expected[1], 0.0)
+            made = made + by_prior @ by_prior.T
+        return made * widening_of(max(freedom, 3.0 * independent) - len(free))
+
+    return Solution(step=x, covariance=covariance, residuals=residual, scale=scale, condition=condition)
+
+
+def full_rank(design: FloatArray, what: str = "reference") -> float:
+    """Return the condition number of a design (E, P) whose columns were scaled to one; raise where it is short of rank."""
+    rank, condition = scaled_condition(design)
+    if rank < design.shape[1]:
+        raise NotObservable(
+            f"{what}: wanted motion about all three axes, got a design of rank {rank} for {design.shape[1]} parameters; "
+            "turn the device about every axis",
+            rank=rank,
+        )
+    return condition
+
+
+_USUAL, _PRIOR_PASSES = 5e-3, 3  # rad, of a window, from which the weight of a prior begins; passes that settle it
+# Lags, in windows: from neighbours to windows that have nothing in common
+_LAGS = np.array((0.0, 1 / 32, 1 / 16, 1 / 8, 1 / 4, 1 / 2, 3 / 4, 1.0, 5 / 4, 3 / 2, 2.0))
+_STRETCH = 1200  # strides, 10 min: longer recordings are taken stretch by stretch, as if these were apart
+
+
+def _covariance(
+    recordings: Sequence[Recording],
+    windows: Sequence[Windows],
+    equations: tuple[FloatArray, FloatArray, BoolArray],  # A (n, 3, P), p (n, 3), D (n, 3), in the body
+    reach: int,
+    known: FloatArray,  # (P,), what a prior adds to the normal equations
+) -> tuple[FloatArray, float]:
+    """Return the covariance of the solution, (P, P), and the degrees of freedom of the residuals before the fit."""
+    from scipy.optimize import nnls
+
+    a, bounded, free = equations
+    size, lags = a.shape[2], np.unique(np.rint(reach * _LAGS).astype(np.int64))
+    gain = a @ np.linalg.inv(np.einsum("nap,naq->pq", a, free[:, :, None] * a) + np.diag(known))
+    table = np.concatenate((gain, free[:, :, None] * a, bounded[:, :, None]), axis=2)
+    ends = np.cumsum([len(w.first) for w in windows])[:-1]
+    seen, taken = np.zeros(len(lags)), np.zeros((len(lags), size, size))
+    made, carried, products = np.zeros((len(lags), 3)), np.zeros((3, size, size)), np.zeros((3, 3))
+    traces = np.zeros(3)
+    for recording, w, own in zip(recordings, windows, np.split(table, ends), strict=True):
+        whole = _level(recording.q_nb[w.first + reach], own)
+        cuts = np.flatnonzero(np.diff(w.first // _STRETCH)) + 1
+        for first, part in zip(np.split(w.first, cuts), np.split(whole, cuts), strict=True):
+            c, design, p = part[:, :, :size], part[:, :, size:-1], part[:, :, -1]
+            shapes = _shapes(first - first[:1], reach)
+            moved = [np.tensordot(shape, c, axes=1) for shape in shapes]  # cov(residuals) C^T, (n, 3, P)
+            carried += [np.einsum("nap,naq->pq", c, m) for m in moved]
+            products += [[(s * t).sum() for t in shapes] for s in shapes]
+            traces += [np.trace(s) for s in shapes]
+            for k, lag in enumerate(lags):
+                i, j = _apart(first, int(lag))
+                shifted = np.zeros_like(design)
+                shifted[i] += 0.5 * design[j]
+                shifted[j] += 0.5 * design[i]
+                seen[k] += (p[i] * p[j]).sum()
+                taken[k] += np.einsum("nap,naq->pq", design, shifted)
+                made[k] += [3.0 * s[i, j].sum() - 2.0 * (shifted * m).sum() for s, m in zip(shapes, moved, strict=True)]
+    made += np.einsum("lpq,kqp->lk", taken, carried)
+    length = np.maximum(np.linalg.norm(made, axis=0), 1e-300)
+    sizes = nnls(made / length, seen)[0] / length
+    freedom = 3.0 * float(traces @ sizes) ** 2 / max(float(sizes @ products @ sizes), 1e-300)
+    return np.tensordot(sizes, carried, axes=1), freedom
+
+
+def _shapes(first: IntArray, reach: int) -> list[FloatArray]:
+    """Return the covariances (n, n) of e_j - e_i over windows from ``first`` (n,) that span ``reach``, of unit size each."""
+    t = np.concatenate((first, first + reach)).astype(np.float64)
+    low, high = np.minimum(t[:, None], t), np.maximum(t[:, None], t)
+    errors, n = ((low == high).astype(np.float64), low, low**2 * (3.0 * high - low) / 6.0), len(first)
+    return [of[n:, n:] - of[n:, :n] - of[:n, n:] + of[:n, :n] for of in errors]
+
+
+def _apart(first: IntArray, lag: int) -> tuple[IntArray, IntArray]:
+    """Return the numbers of the windows that have another one ``lag`` strides later, and of those."""
+    later = np.searchsorted(first, first + lag)
+    there = np.flatnonzero(first[np.minimum(later, len(first) - 1)] == first + lag) if len(first) else later
+    return there, later[there]
+
+
+def _level(q: FloatArray, table: FloatArray) -> FloatArray:
+    """Return columns (n, 3, C), turned from the bodies q_nb (n, 4) into n."""
+    return np.moveaxis(rotate(q[:, None, :], np.moveaxis(table, 1, 2)), 2, 1)
+
+
+# ---- all poses in one chain: as efficient as white noise allows
+#
+# From pose i to the next pose j the reference turns by what the gyroscope integrated, but for the noise of both poses and that of
+# the readings in between. In n, with e the noise of a pose and h that of one step:
+#
+#     y_j = A_j x + e_j - e_i + h_j        var e = s^2 (1 - kappa),  var h = s^2 kappa,  per axis
+#
+# Neighbouring equations share a pose, so their covariance is tridiagonal. kappa maximises the restricted likelihood: near 0 the
+# poses are noisier and the chain acts like one long window, near 1 the readings are and it acts like many short ones. Each
+# equation is whitened by the Cholesky factor; a whitened residual beyond k standard deviations counts k / |r|.
+
+_SEARCH = 24  # steps of golden section: kappa's logit to 1e-3
+_GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
+
+
+def solve_chain(recordings: Sequence[Recording], steps: Sequence[Windows], *, free: IntArray) -> Solution:
+    """Solve the chains of several recordings for the parameters ``free``, by number."""
+    # y and A side by side, (n, 3, 1 + P), turned from the body at the later pose into n
+    sides = [np.concatenate((w.turn[:, :, None], w.design[:, :, free]), axis=2) for w in steps]
+    tables = [_level(r.q_nb[w.first + 1], side) for r, w, side in zip(recordings, steps, sides, strict=True)]
+    links = [np.diff(w.first) == 1 for w in steps]
+    rows = 3 * sum(len(t) for t in tables)
+    if rows <= 2 * len(free):
+        raise NotObservable(
+            f"reference: wanted more than {2 * len(free) // 3} steps between poses, got {rows // 3}; record longer motion",
+            steps=rows // 3,
+        )
+    condition = full_rank(np.concatenate([t[:, :, 1:].reshape(-1, len(free)) for t in tables]))
+    white = _whitened(tables, links, _most_likely(tables, links))
+    y, a = white[:, 0], white[:, 1:]
+    x, weight, scale = fit_huber(a, y)
+    length = np.linalg.norm(a, axis=0)
+    scaled = a / length
+    residual = y - scaled @ (x * length)
+    # Covariance of Huber's estimate for normal noise.
+    fully = float(np.mean(weight == 1.0))
+    variance = float(((weight * residual) ** 2).sum()) / (len(y) - len(x)) / max(fully, 0.1) ** 2
+    covariance = np.linalg.inv(scaled.T @ scaled) * variance / np.outer(length, length)
+    residual = residual.reshape(-1, 3)
+    return Solution(step=x, covariance=lambda: covariance, residuals=residual, scale=scale, condition=condition)
+
+
+def _most_likely(tables: Sequence[FloatArray], links: Sequence[BoolArray]) -> float:
+    """Return kappa by golden section over its logit; sine waves diagonalise the covariance of an unbroken run."""
+    from scipy.fft import dst
+
+    runs = [run for t, linked in zip(tables, links, strict=True) for run in np.split(t, np.flatnonzero(~linked) + 1)]
+    waves = np.concatenate([dst(run, type=1, axis=0, norm="ortho").reshape(-1, run.shape[2]) for run in runs])
+    value = np.concatenate([2.0 - 2.0 * np.cos(np.pi * np.arange(1, len(r) + 1) / (len(r) + 1)) for r in runs])
+    y, a = waves[:, 0], waves[:, 1:]
+
+    def cost(logit: float) -> float:
+        kappa = 1.0 / (1.0 + np.exp(-logit))
+        variance = np.repeat((1.0 - kappa) * value + kappa, 3)
+        weighted = a / variance[:, None]
+        normal = weighted.T @ a
+        residual = y - a @ np.linalg.solve(normal, weighted.T @ y)
+        square = max(float((residual**2 / variance).sum()), 1e-300)
+        return float((len(y) - a.shape[1]) * np.log(square) + np.log(variance).sum() + np.linalg.slogdet(normal)[1])
+
+    low, high = -12.0, 12.0
+    for _ in range(_SEARCH):
+        inner, outer = high - _GOLDEN * (high - low), low + _GOLDEN * (high - low)
+        low, high = (low, outer) if cost(inner) < cost(outer) else (inner, high)
+    return float(1.0 / (1.0 + np.exp(-0.5 * (low + high))))
+
+
+def _whitened(tables: Sequence[FloatArray], links: Sequence[BoolArray], kappa: float) -> FloatArray:
+    """Return rows (3 n, 1 + P) with covariance s^2 I, each of them local in time, so that one bad pose stays few rows."""
+    from scipy.linalg import cholesky_banded, solve_banded
+
+    blocks = []
+    for table, linked in zip(tables, links, strict=True):
+        if len(table):
+            band = np.vstack((np.full(len(table), 2.0 - kappa), np.append((kappa - 1.0) * linked, 0.0)))
+            white = solve_banded((1, 0), cholesky_banded(band, lower=True), table.reshape(len(table), -1))
+            blocks.append(white.reshape(-1, table.shape[2]))
+    return np.concatenate(blocks)
