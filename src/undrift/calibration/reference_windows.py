@@ -203,14 +203,14 @@ def _covariance(
     windows: Sequence[Windows],
     equations: tuple[FloatArray, FloatArray, BoolArray],  # A (n, 3, P), p (n, 3), D (n, 3), in the body
     reach: int,
-    known: FloatArray,  # (P,), what a prior adds to the normal equations
+    pull: FloatArray,  # (P,), what a prior adds to the normal equations
 ) -> tuple[FloatArray, float]:
     """Return the covariance of the solution, (P, P), and the degrees of freedom of the residuals before the fit."""
     from scipy.optimize import nnls
 
     a, bounded, free = equations
     size, lags = a.shape[2], np.unique(np.rint(reach * _LAGS).astype(np.int64))
-    gain = a @ np.linalg.inv(np.einsum("nap,naq->pq", a, free[:, :, None] * a) + np.diag(known))
+    gain = a @ np.linalg.inv(np.einsum("nap,naq->pq", a, free[:, :, None] * a) + np.diag(pull))
     table = np.concatenate((gain, free[:, :, None] * a, bounded[:, :, None]), axis=2)
     ends = np.cumsum([len(w.first) for w in windows])[:-1]
     seen, taken = np.zeros(len(lags)), np.zeros((len(lags), size, size))
