@@ -180,6 +180,6 @@ def test_without_a_rest_the_offset_is_found_from_half_a_degree_per_second_away(d
         stated.append(np.sqrt(np.diagonal(found.covariance, axis1=1, axis2=2).mean(axis=0)))
     inside = np.abs(away) < 1.96 * np.array(stated)
     show("inside 95 %, without a rest", f"{inside.mean():.1%}")
-    # A start far away left walks of the attitude that explained it: of these 72 % held, errors of 0.3 deg/s about level axes.
+    # A start far away left walks of the attitude that explained it, with errors of 0.3 deg/s about level axes.
     assert np.median(np.abs(away)[:, :2]) < 0.01 * RADIAN_PER_DEGREE
     assert inside.mean() > 0.85

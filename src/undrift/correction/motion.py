@@ -45,6 +45,7 @@ CALIBRATED, RAW = (0.05, 0.005), (0.5, 0.03)
 _SIZES, _FACTOR = 2.0 * np.log((0.03, 0.1 * RADIAN_PER_DEGREE)), 4.0
 # rad/s, of an offset without a rest: turn-on repeatability of a calibrated device, and a raw one's zero-rate output [assumed]
 CALIBRATED_RATE, RAW_RATE = 0.1 * RADIAN_PER_DEGREE, 1.0 * RADIAN_PER_DEGREE
+_UNRESTED = 1.6  # error without a rest over what the equations state of it: 30 simulated people who move freely
 _LOOSE = 1.0 * RADIAN_PER_DEGREE  # rad/s, of the offset while the sizes are sought
 _SHARED = 1.0 / 6.0  # correlation of Hann means that half overlap
 _SHOWN = ("offset_dps", "uncertainty_dps", "prior_dps", "acceleration_m_s2")
@@ -130,6 +131,7 @@ def find_motion_offset(record: Record, rest: RestOffset | None, model: TriadMode
         if sum(one.cost for one in other[0]) < sum(one.cost for one in stretches):
             stretches, offsets, information = other
     covariance, count = np.linalg.inv(information), 3 * len(stretches)
+    covariance *= _UNRESTED**2 if rest is None else 1.0
     first = np.r_[:3, count : count + 3]
     vertical, of_vertical = stretches[0].vertical(covariance[np.ix_(first, first)])
     return MotionOffset(
