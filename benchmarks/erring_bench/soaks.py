@@ -28,14 +28,17 @@ from undrift.units import STANDARD_GRAVITY
 SCATTER_DPS = (0.0, 0.002, 0.005, 0.02)  # standard deviation from visit to visit
 SOAK_ROWS = (1, 60, 600)  # at 1 Hz
 POINTS = np.append(np.arange(18.0, 75.0, 5.0), 75.0)
+FEW = np.linspace(POINTS[0], POINTS[-1], 6)
 _HOLD_S, _RAMP_S = 400, 600  # before the rest of a soak, and between two
 
 
 def rows(devices: int, seed: int) -> Iterator[Row]:
     """Yield a row for each course, length of soak and scatter; one draw of devices serves all rows of a course."""
-    for visits, course in ((1, POINTS), (2, np.concatenate((POINTS, POINTS[-2::-1])))):
-        for effects in (False, True):
-            name = ("once" if visits == 1 else "twice") + (", loop, ADC, filter" if effects else "")
+    up_and_down = np.concatenate((POINTS, POINTS[-2::-1]))
+    courses = (("six soaks of an ICM-20948", FEW), ("once", POINTS), ("twice", up_and_down))
+    for visits, (name, course) in enumerate(courses):
+        for effects in (False, True) if visits else (False,):
+            name = name + (", loop, ADC, filter" if effects else "")
             tallies = {
                 (n, s): Tally("static drift", f"{name}: {n} rows, {1e3 * s:g} mdeg/s")
                 for n in SOAK_ROWS
@@ -51,7 +54,7 @@ def rows(devices: int, seed: int) -> Iterator[Row]:
 def _add_device(
     rng: np.random.Generator, course: FloatArray, effects: bool, tallies: dict[tuple[int, float], Tally]
 ) -> None:
-    device = random_device_of("enc03j_3031", rng)
+    device = random_device_of("icm20948" if course is FEW else "enc03j_3031", rng)
     own = {} if effects else {"hysteresis": None, "adc": None, "low_pass": None}
     device = replace(
         device, gyro=replace(device.gyro, warm_up=None, **own), accel=replace(device.accel, lever_arm=None)
@@ -69,7 +72,7 @@ def _add_device(
         blocks = replace(blocks, gyro=blocks.gyro + shift[visit])
         out = int(rng.choice(inner))
         left = blocks.taken(visit == out)
-        nodes = np.sort(np.append(POINTS, left.temp_c.mean()))
+        nodes = np.unique(np.append(POINTS, left.temp_c.mean()))
         fit = fit_static(blocks.taken(visit != out), nodes=nodes, calibration=calibration)
         _add_left_out(fit, left, branch[out], calibration, tally)
 

@@ -19,8 +19,8 @@ Visits: a cell that the device left by 2 degC and came back to is two. Cells tha
 are one leg, a soak or a ramp; a log through five soaks or more counts by its soaks, and the ramps between are left out. What one
 leg adds and the next does not (stress, moisture, what the law of the instability lacks over hours) does not average out with its
 rows: it has the variance s_v2, found by restricted likelihood over all legs (fit/smooth.py). The instability s2 C is known beside
-it where s2 is larger than twice its uncertainty. One leg alone, a ramp, shows no s_v2; then s2 is found by restricted likelihood,
-and what it makes in one visit stands for s_v2.
+it; s2 of each axis is drawn towards their mean as far as it is uncertain. One leg alone, a ramp, shows no s_v2; then s2 is found by
+restricted likelihood, and what it makes in one visit stands for s_v2.
 
 The size s2 of the instability comes from second differences of neighbouring blocks where the temperature is smooth: a ramp moves
 none of them::
@@ -83,7 +83,6 @@ _SMOOTH_C = 0.5  # second difference of the temperature: above, a new set-point 
 _STEP_PER_ERROR = 12.0**0.5  # step of a converter over the error that it leaves without noise
 _LEAST_WIDTH_C = 0.5  # narrowest cell
 _MOST_CELLS = 100  # cells are widened until there are about as many; the fit takes the cube of their number
-_SURE = 2.0  # standard uncertainties of s2, from which it is taken as known
 _LEFT_C = 2.0  # a cell that was left by this much and come back to is two visits; a step by as much begins another leg
 _HELD_C = 0.5  # a soak stays within this of its mean
 _LONG, _LEAST_SOAKS = 3.0, 5  # times as long as a stretch of a ramp; temperatures from which a log is one of soaks
@@ -278,7 +277,7 @@ def gather(
     usual = float(np.mean(np.diag(within)))
     if visits.all():  # what one leg adds is a constant: the size of the instability within it is found instead
         visits, within = within / usual, np.zeros_like(within)
-    sure = np.zeros(3) if seen is None else np.where(seen[0] > _SURE * seen[1], seen[0], 0.0)
+    size = np.zeros(3) if seen is None else _drawn_together(*seen)
     between = _rest_scatter(blocks, rests, labels, level, variance, instability)
     return Cells(
         session=np.array([blocks.session[rows[0]] for rows in members], np.int64),
@@ -287,7 +286,7 @@ def gather(
         variance=variances if between is None else variances + between.own,
         regressors=np.array([regressors[rows].mean(axis=0) for rows in members]),
         visits=visits,
-        instability=sure[:, None, None] * within,
+        instability=size[:, None, None] * within,
         groups=groups,
         expected=np.sqrt((np.zeros(3) if instability is None else instability) * usual),
         between=between,
@@ -370,6 +369,12 @@ def instability_of(blocks: RestBlocks, value: FloatArray, variance: FloatArray) 
     error = noise * np.sqrt(4.0 / len(middle))  # neighbouring differences share blocks
     share = 6.0 - 8.0 * _rho(np.array(usual)) + 2.0 * _rho(np.array(2.0 * usual))
     return (second.mean(axis=0) - noise) / share, error / share
+
+
+def _drawn_together(size: FloatArray, uncertainty: FloatArray) -> FloatArray:
+    """Return s2, (3,), drawn towards the mean of the axes as far as it is uncertain: they are alike by about their own size."""
+    mean = max(float(size.mean()), 1e-30)
+    return np.asarray(np.maximum(mean + (size - mean) / (1.0 + (uncertainty / mean) ** 2), 0.0))
 
 
 def _from_pairs(

@@ -5,10 +5,12 @@
     u: what one visit to a temperature adds and the next does not, variance s2, correlation C;  e: known covariance
 
 a, b, c have no prior; g, the bow, a wide one about 0, as drift curves are parabolas first of all: its slope changes by as much as
-its mean over 10 K. The two sizes that only the rows can show have half-t priors of three degrees of freedom (Gelman 2006). Scale of
-sqrt(s2): 3.1 times what is expected, which is 0.1 % of the range of the values and 0.78 times the noise of a row at least; of
-sqrt(q): bends by which a curve over 50 K departs from its parabola by 0.247 % of the range, rms. Neither is larger than
-the residuals about a parabola leave open.
+its mean over 10 K. The two sizes that only the rows can show lie, for each column, about a size that all columns share, by a factor
+of two: five rows of three axes show together what those of one cannot. The shared sizes have half-t priors (Gelman 2006).
+sqrt(s2): one degree of freedom, as he advises for few groups; scale 3.1 times what is expected, which is 0.1 % of the range of the
+values and 0.78 times the noise of a row at least. sqrt(q): three; bends by which a curve over 50 K departs from its parabola by
+0.247 % of the range, rms. Neither is larger than the residuals about a parabola leave open: larger ones would leave as little in
+one of ten fits.
 
 Restricted likelihood (Harville 1977): with A orthonormal, A' (1, x, Z) = 0, the contrasts A'y know nothing of a, b and c. For each
 s2, one eigendecomposition makes A' K A = q W^-T diag(l) W^-1 + W^-T W^-1, so that every q costs n products::
@@ -37,8 +39,9 @@ _DEPARTURE = 2.47e-3  # of the range of the values over 50 K: by which a curve u
 _PER_BEND = 0.0202  # that departure, root-mean-square, for q = 1
 _VISITS, _OF_NOISE = 1e-3, 0.78  # of the range, and of the noise of a row: scatter of visits that is expected at least
 _USUAL = 3.1  # times what is expected of visits: the scale of their prior
-_MOST = 1.5  # times the rms residuals about the parabola,
-_BESIDE = 1.29  # and times what is expected: visits add no more than both
+_CHANCE = 0.1  # of residuals about a parabola that are too small by as much as the upper limits allow [assumed]
+_BESIDE = 1.29  # times what is expected: visits may add that beside what residuals leave open
+_FACTOR = 2.0  # within which the sizes of the columns of one fit usually lie about a common one [assumed]
 _LEAST = 0.03  # of what is expected: the least
 _LEVELS, _BENDS = 8, 24  # of the grid over s2, in each of two rounds, and over q
 _NEGLIGIBLE = 1e-4  # weight
@@ -155,21 +158,19 @@ def fit_smooth(
         )
     groups = neighbours(temp_c, _GROUPS) if groups is None else groups
     correlation = np.eye(len(x)) if scatter.correlation is None else scatter.correlation
-    columns, effects, left_out = [], [], []
-    usual = float(np.sqrt(np.mean(np.ptp(value, axis=0) ** 2)))  # columns of one fit are alike
-    for k in range(value.shape[1]):
-        known = np.diag(variance[:, k]) + (0.0 if scatter.shared is None else scatter.shared[k])
-        expected = 0.0 if scatter.expected is None else float(scatter.expected[k])
-        columns.append(_weighed(x, value[:, k], basis, known, correlation, span, expected, usual))
-        mean, covariance = predicted(columns[-1], np.zeros(0))
+    covariance = np.array([np.diag(each) for each in variance.T]) + (0.0 if scatter.shared is None else scatter.shared)
+    expected = np.zeros(value.shape[1]) if scatter.expected is None else scatter.expected
+    columns, effects, left_out = _weighed(x, value, basis, covariance, correlation, span, expected), [], []
+    for column in columns:
+        mean, covariance = predicted(column, np.zeros(0))
         effects.append((mean, np.sqrt(np.maximum(np.diag(covariance), 0.0))))
-        left_out.append(leave_out(columns[-1], groups))
+        left_out.append(leave_out(column, groups))
     coefficient, doubt = (np.stack(each, axis=1) for each in zip(*effects, strict=True))
     rms, ratio = np.array(left_out).T
     return SmoothSpline(
         origin_c=origin,
         span_c=span,
-        columns=tuple(columns),
+        columns=columns,
         coefficient=coefficient,
         coefficient_uncertainty=doubt,
         visit_deviation=np.array([np.sqrt(c.weight.sum(axis=1) @ c.scatter) for c in columns]),
@@ -235,67 +236,108 @@ def parabola(x: FloatArray) -> FloatArray:
 
 def _weighed(
     x: FloatArray,
-    y: FloatArray,
+    value: FloatArray,
     basis: FloatArray,
-    covariance: FloatArray,
+    known: FloatArray,
     correlation: FloatArray,
     span: float,
-    expected: float,
-    size: float,
-) -> Column:
-    """Return a column with its hyperparameters; expected: sqrt(s2) before the data, 0 where nothing is known; size: usual range."""
-    noise = float(np.sqrt(np.median(np.diag(covariance))))
-    size = max(float(np.ptp(y)), size, 2.0 * noise, _NOTHING)
-    covariance = covariance + np.eye(len(y)) * _JITTER * max(float(np.var(y)), 0.01 * size**2)
+    expected: FloatArray,
+) -> tuple[Column, ...]:
+    """Return columns, value (n, k), with their hyperparameters; known (k, n, n); expected (k,): sqrt(s2) before the data, or 0."""
+    noise = np.sqrt(np.median(np.diagonal(known, axis1=1, axis2=2), axis=1))
+    spread = np.ptp(value, axis=0)  # columns of one fit are alike
+    size = np.maximum(np.maximum(spread, np.sqrt(np.mean(spread**2))), np.maximum(2.0 * noise, _NOTHING))
+    jitter = _JITTER * np.maximum(value.var(axis=0), 0.01 * size**2)
+    covariance = known + jitter[:, None, None] * np.eye(len(x))
     bow = (span / (8.0 * _BOW_SPAN_C) * size) ** 2
-    bent = np.column_stack((basis, parabola(x)))
-    left = y - bent @ np.linalg.lstsq(bent, y, rcond=None)[0]
-    rms = float(np.sqrt(left @ left / max(len(y) - bent.shape[1], 1)))
-    expected = max(expected, _VISITS * size, _OF_NOISE * noise)
+    expected = np.maximum(expected, np.maximum(_VISITS * size, _OF_NOISE * noise))
     usual = _DEPARTURE * size * np.sqrt(span / _BEND_SPAN_C) / _PER_BEND
+    visits, bends = _left_open(x, value, basis, correlation, noise)
+    # in units of what is expected and usual: a grid that all columns share, then one as fine where each has its weight
+    level: FloatArray = np.geomspace(_LEAST, _BESIDE + (visits / expected).max(), 2 * _LEVELS)
+    root: FloatArray = np.geomspace(_LEAST, 1.0 + (bends / _PER_BEND / usual).max(), _BENDS)
+    parts, bowed, columns = contrasts(x, basis), np.outer(parabola(x), parabola(x)), []
+
+    def likely(k: int, levels: FloatArray, roots: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        fixed = covariance[k] + bow[k] * bowed
+        return likelihood(
+            parts, value[:, k], x, fixed, correlation, (roots * usual[k]) ** 2, (levels * expected[k]) ** 2
+        )
+
+    visiting, bent = _half_t(level, _USUAL, 1.0), _half_t(root, 1.0, 3.0)
+    log = np.array([likely(k, level, root)[2] for k in range(len(size))])
+    of_level = _tied(np.logaddexp.reduce(log + bent, axis=2), level, visiting)
+    of_root = _tied(np.logaddexp.reduce(log + visiting[:, None], axis=1), root, bent)
+    for k, coarse in enumerate(_weights(log + of_level[:, :, None] + of_root[:, None, :])):
+        levels, roots = _finer(level, coarse.sum(axis=1), _LEVELS), _finer(root, coarse.sum(axis=0), _BENDS)
+        eigen, turn, log_k = likely(k, levels, roots)
+        prior = np.interp(np.log(levels), np.log(level), of_level[k])[:, None]
+        weight = _weights((log_k + prior + np.interp(np.log(roots), np.log(root), of_root[k]))[None])[0]
+        counts = weight.sum(axis=1) > _NEGLIGIBLE
+        columns.append(
+            Column(
+                x=x,
+                y=value[:, k],
+                basis=basis,
+                known=covariance[k],
+                correlation=correlation,
+                bow=float(bow[k]),
+                bend=(roots * usual[k]) ** 2,
+                scatter=(levels[counts] * expected[k]) ** 2,
+                weight=weight[counts] / weight[counts].sum(),
+                size=eigen[counts],
+                turn=turn[counts],
+            )
+        )
+    return tuple(columns)
+
+
+def _left_open(
+    x: FloatArray, value: FloatArray, basis: FloatArray, correlation: FloatArray, noise: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return sqrt(s2) of visits and the rms of bends, (k,), that residuals about a parabola fall short of by chance _CHANCE."""
+    from scipy.special import chdtri
+
+    bent = np.column_stack((basis, parabola(x)))
+    left = value - bent @ np.linalg.lstsq(bent, value, rcond=None)[0]
+    square, freedom = (left**2).sum(axis=0), max(left.size - bent.shape[1] * left.shape[1], left.shape[1])
+    most = square * left.shape[1] / float(chdtri(freedom, 1.0 - _CHANCE))
     # rows of one visit, which share u, show it by the mean of their residuals
-    shown = (
-        max(float(left @ correlation @ left), 0.0) * len(y) / max(float(left @ left), 1e-300) / (correlation**2).sum()
-    )
-    # with what is known, visits make no more than 1.5 times the residuals, bends no more than these
-    visits, bends = (float(np.sqrt(max(rms**2 * part - noise**2, 0.0))) for part in (_MOST**2 * shown, 1.0))
-    levels: FloatArray = np.geomspace(_LEAST * expected, _BESIDE * expected + visits, _LEVELS)
-    roots: FloatArray = np.geomspace(_LEAST * usual, usual + bends / _PER_BEND, _BENDS)
-    parts = contrasts(x, basis)
-    fixed = covariance + bow * np.outer(parabola(x), parabola(x))
-    for last in (False, True):
-        eigen, turn, log = likelihood(parts, y, x, fixed, correlation, roots**2, levels**2)
-        prior = _half_t(levels, _USUAL * expected)[:, None] + _half_t(roots, usual)
-        weight = np.exp(log + prior - (log + prior).max())
-        if not last:
-            levels, roots = _finer(levels, weight.sum(axis=1)), _finer(roots, weight.sum(axis=0))
-    likely = weight.sum(axis=1) > _NEGLIGIBLE * weight.sum()
-    return Column(
-        x=x,
-        y=y,
-        basis=basis,
-        known=covariance,
-        correlation=correlation,
-        bow=bow,
-        bend=roots**2,
-        scatter=levels[likely] ** 2,
-        weight=weight[likely] / weight[likely].sum(),
-        size=eigen[likely],
-        turn=turn[likely],
-    )
+    shown = np.maximum(np.einsum("ik,ij,jk->k", left, correlation, left), 0.0) * len(x)
+    shown /= np.maximum(square, 1e-300) * (correlation**2).sum()
+    return np.sqrt(np.maximum(most * shown - noise**2, 0.0)), np.sqrt(np.maximum(most - noise**2, 0.0))
 
 
-def _half_t(root: FloatArray, scale: float) -> FloatArray:
-    """Return the logarithm of the half-t density of three degrees of freedom, of log(root)."""
-    return np.asarray(np.log(root) - 2.0 * np.log1p((root / scale) ** 2 / 3.0))
+def _tied(log: FloatArray, size: FloatArray, prior: FloatArray) -> FloatArray:
+    """Return the log prior of sizes (m,) of each column by what the others show; log (k, m): likelihood of each by its own size.
+
+    Sizes of columns lie about a common one by a factor of two, Student's t of three degrees of freedom; that has the prior (m,).
+    """
+    apart = np.log(size[:, None] / size) / np.log(_FACTOR)
+    tie = -2.0 * np.log1p(apart**2 / 3.0)
+    tie -= np.logaddexp.reduce(tie, axis=1, keepdims=True)  # (common, own)
+    shown = np.logaddexp.reduce(tie + log[:, None, :], axis=2)
+    others = prior + shown.sum(axis=0) - shown
+    return np.asarray(np.logaddexp.reduce(tie.T + others[:, None, :], axis=2))
 
 
-def _finer(root: FloatArray, weight: FloatArray) -> FloatArray:
-    """Return a grid as fine over the values that count."""
-    log, share = np.log(root), weight / weight.sum()
-    inside = np.flatnonzero(np.cumsum(share) > 1e-3)[0], np.flatnonzero(np.cumsum(share[::-1]) > 1e-3)[0]
+def _weights(log: FloatArray) -> FloatArray:
+    """Return weights, (k, L, B), each of sum 1, from their logarithms."""
+    weight = np.exp(log - log.max(axis=(1, 2), keepdims=True))
+    return np.asarray(weight / weight.sum(axis=(1, 2), keepdims=True))
+
+
+def _half_t(root: FloatArray, scale: float, freedom: float) -> FloatArray:
+    """Return the logarithm of the half-t density, of log(root)."""
+    return np.asarray(np.log(root) - 0.5 * (freedom + 1.0) * np.log1p((root / scale) ** 2 / freedom))
+
+
+def _finer(root: FloatArray, weight: FloatArray, count: int) -> FloatArray:
+    """Return a grid of so many over the values that count, weight of sum 1."""
+    log = np.log(root)
+    inside = np.flatnonzero(np.cumsum(weight) > 1e-3)[0], np.flatnonzero(np.cumsum(weight[::-1]) > 1e-3)[0]
     low, high = max(inside[0] - 1, 0), min(len(log) - inside[1], len(log) - 1)
-    return np.asarray(np.exp(np.linspace(log[low], log[high], len(log))))
+    return np.asarray(np.exp(np.linspace(log[low], log[high], count)))
 
 
 def contrasts(x: FloatArray, basis: FloatArray) -> FloatArray:
