@@ -238,17 +238,17 @@ def _weighed(
     x: FloatArray,
     value: FloatArray,
     basis: FloatArray,
-    known: FloatArray,
+    stated: FloatArray,
     correlation: FloatArray,
     span: float,
     expected: FloatArray,
 ) -> tuple[Column, ...]:
-    """Return columns, value (n, k), with their hyperparameters; known (k, n, n); expected (k,): sqrt(s2) before the data, or 0."""
-    noise = np.sqrt(np.median(np.diagonal(known, axis1=1, axis2=2), axis=1))
+    """Return columns, value (n, k), with their hyperparameters; stated covariance (k, n, n); expected (k,): sqrt(s2) before the data, or 0."""
+    noise = np.sqrt(np.median(np.diagonal(stated, axis1=1, axis2=2), axis=1))
     spread = np.ptp(value, axis=0)  # columns of one fit are alike
     size = np.maximum(np.maximum(spread, np.sqrt(np.mean(spread**2))), np.maximum(2.0 * noise, _NOTHING))
     jitter = _JITTER * np.maximum(value.var(axis=0), 0.01 * size**2)
-    covariance = known + jitter[:, None, None] * np.eye(len(x))
+    covariance = stated + jitter[:, None, None] * np.eye(len(x))
     bow = (span / (8.0 * _BOW_SPAN_C) * size) ** 2
     expected = np.maximum(expected, np.maximum(_VISITS * size, _OF_NOISE * noise))
     usual = _DEPARTURE * size * np.sqrt(span / _BEND_SPAN_C) / _PER_BEND
