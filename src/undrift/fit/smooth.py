@@ -243,7 +243,7 @@ def _weighed(
     span: float,
     expected: FloatArray,
 ) -> tuple[Column, ...]:
-    """Return columns, value (n, k), with their hyperparameters; stated covariance (k, n, n); expected (k,): sqrt(s2) before the data, or 0."""
+    """Return columns of value (n, k); stated covariance (k, n, n); expected (k,): sqrt(s2) before the data, or 0."""
     noise = np.sqrt(np.median(np.diagonal(stated, axis1=1, axis2=2), axis=1))
     spread = np.ptp(value, axis=0)  # columns of one fit are alike
     size = np.maximum(np.maximum(spread, np.sqrt(np.mean(spread**2))), np.maximum(2.0 * noise, _NOTHING))
