@@ -162,8 +162,8 @@ def fit_smooth(
     expected = np.zeros(value.shape[1]) if scatter.expected is None else scatter.expected
     columns, effects, left_out = _weighed(x, value, basis, covariance, correlation, span, expected), [], []
     for column in columns:
-        mean, covariance = predicted(column, np.zeros(0))
-        effects.append((mean, np.sqrt(np.maximum(np.diag(covariance), 0.0))))
+        mean, uncertain = predicted(column, np.zeros(0))
+        effects.append((mean, np.sqrt(np.maximum(np.diag(uncertain), 0.0))))
         left_out.append(leave_out(column, groups))
     coefficient, doubt = (np.stack(each, axis=1) for each in zip(*effects, strict=True))
     rms, ratio = np.array(left_out).T
