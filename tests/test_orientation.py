@@ -433,9 +433,11 @@ def test_a_recording_that_never_rests_is_oriented_by_gravity_in_motion():
     assert error.max() < 0.8  # forces of 0.3 m/s2, white; half a sample at 66 deg/s is 0.17
     assert error[0] < 2.0 * np.degrees(found.tilt.expanded_uncertainty)
     assert "orient.no_rest" in [one.code for one in found.findings]
+    assert only(found.findings, "orient.drift").values["option"] == "`method` vqf"  # motion was taken already
     raw = orient(record)  # tilt from motion, rates as they are
     assert (raw.offset == 0.0).all()
     assert only(raw.findings, "orient.drift").values["offset_dps"] > 0.3
+    assert only(raw.findings, "orient.drift").values["option"] == "`offset` motion or `method` vqf"
     with pytest.raises(InputError, match="wanted a still phase, got none"):
         orient(record, settings=OrientSettings(offset="rest"))
     with pytest.raises(InputError, match="wanted a still phase, got none"):

@@ -504,10 +504,10 @@ def orient_unchecked(
         q = _levelled_at(_filtered(record, gyro, uncertainty), anchor, tilt.q_nb)
     else:
         q = _both_ways(gyro, record.time, tilt.q_nb, anchor)
-        findings += (_expected_drift(record.time, anchor, uncertainty, settings.offset if rests else "rest"),)
+        tried = "rest" if not rests and settings.offset == "none" else settings.offset
+        findings += (_expected_drift(record.time, anchor, uncertainty, tried),)
     findings += () if still is None else _moved_at_rest(record, still)
-    at_rest = slice(None) if still is None else slice(still.start, still.stop)
-    findings += check_pitch_axes(q, at_rest, settings.forward, settings.up)
+    findings += check_pitch_axes(q, slice(still and still.start, still and still.stop), settings.forward, settings.up)
     return Orientation(
         time=record.time,
         q_nb=q,
