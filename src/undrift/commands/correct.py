@@ -156,8 +156,8 @@ def correct(
         recording shows its own course; none leaves the middle of the loop.
     offset : str
         "rest" also subtracts the mean rate that is left at the first still phase (or the named one), as `offset` of orient
-        does: best with tables, for what they cannot know. "motion" starts from that rest and adds what gravity shows while the
-        device moves; the whole recording is then in memory.
+        does: best with tables, for what they cannot know. "motion" starts from that rest, if there is one, and adds what gravity
+        shows while the device moves; the whole recording is then in memory.
     scheduler : str or None
         Address of a Dask scheduler, as in tcp://host:8786: its workers take a recording each; they see the same files.
     """
