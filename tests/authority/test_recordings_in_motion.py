@@ -7,6 +7,9 @@ from benchmarks.in_motion import pairs, table
 from testkit.data import data_path, show
 from testkit.findings import only
 from undrift.calibration.reference import fit_reference
+from undrift.correction.correct import correct_whole
+from undrift.errors import InputError
+from undrift.model import Calibration
 
 FOLDERS = {"chain": "chain_with_optics", "carpus": "robot_arm_reference"}
 # Means over the recordings of a device, deg: end total raw (at least), by the fit to the others, with offset from motion
@@ -23,6 +26,20 @@ def test_the_fit_to_another_recording_and_the_offset_from_motion_correct_it(name
     assert ends["raw"] > raw
     assert ends["fit to the others"] < fitted
     assert ends["fit to the others + offset from motion"] < moved
+
+
+def test_correct_subtracts_the_offset_of_a_recording_that_never_rests():
+    data_path("chain_with_optics", "SOURCE.md")
+    (record, _), other = pairs("chain")
+    gyro = fit_reference([other[0]], [other[1]]).triad.model
+    made = Calibration(device="chain", gyro=gyro, reference_temp_c=25.0, gravity_m_s2=9.80665)
+    plain, moved = (correct_whole(record, made, offset=offset) for offset in ("none", "motion"))
+    assert moved.rest.rest is None
+    np.testing.assert_allclose(plain.record.gyro - moved.record.gyro, moved.rest.at(record.time), atol=1e-12)
+    # Turn-on repeatability is a tenth of a degree per second: what two recordings of one device differ by
+    assert np.abs(np.degrees(moved.rest.rate)).max() < 0.3
+    with pytest.raises(InputError, match="wanted a still phase, got none.*use `offset` motion"):
+        correct_whole(record, made, offset="rest")
 
 
 def test_planar_paths_of_a_robot_keep_a_prior_about_one_axis():
