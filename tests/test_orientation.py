@@ -230,14 +230,11 @@ def _at(times, time, values):
 def test_the_filter_is_told_how_well_the_offset_is_known(monkeypatch):
     given = {}
 
-    class Filter:
-        def __init__(self, step, **settings):
-            given.update(settings, step=step)
+    def filtered(gyro, accel, mag, step, settings):
+        given.update(settings, step=step)
+        return {"quat6D": np.tile([1.0, 0.0, 0.0, 0.0], (len(gyro), 1))}
 
-        def updateBatch(self, gyro, accel):
-            return {"quat6D": np.tile([1.0, 0.0, 0.0, 0.0], (len(gyro), 1))}
-
-    monkeypatch.setitem(sys.modules, "vqf", SimpleNamespace(VQF=Filter))
+    monkeypatch.setitem(sys.modules, "vqf", SimpleNamespace(offlineVQF=filtered))
     record, _ = moved(noise=1e-4, offset=0.002)
     found = orient(record, None, VQF)
     assert given["biasSigmaInit"] == pytest.approx(np.degrees(found.offset_uncertainty))

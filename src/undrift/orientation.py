@@ -608,9 +608,9 @@ def _expected_drift(time: FloatArray, anchor: int, uncertainty: float, offset: s
 
 
 def _filtered(record: Record, gyro: FloatArray, uncertainty: float) -> FloatArray:
-    """Return the orientation by VQF without a magnetometer, (N, 4), heading from where the record begins."""
+    """Return the orientation by VQF over the whole record, offline and without a magnetometer, (N, 4); heading from its start."""
     try:
-        from vqf import VQF
+        from vqf import offlineVQF
     except ImportError as error:
         raise InputError(
             "orient: wanted the package vqf for this method, got none; pip install 'undrift[orientation]'"
@@ -621,15 +621,15 @@ def _filtered(record: Record, gyro: FloatArray, uncertainty: float) -> FloatArra
             f"orient: wanted an accelerometer without gaps for the filter, got {got}; use the method strapdown"
         )
     time, values = record.time, np.hstack((gyro, record.accel))
-    steps = np.diff(time)
-    step, even = float(np.median(steps)), time
-    uneven = bool((np.abs(steps - step) > UNEVEN * step).any())
-    if uneven:
+    steps, even = np.diff(time), time
+    step = float(np.median(steps))
+    if uneven := bool((np.abs(steps - step) > UNEVEN * step).any()):
         even = np.arange(time[0], time[-1] + step, step)
         values = np.stack([np.interp(even, time, column) for column in values.T], axis=1)
     sigma = max(uncertainty / RADIAN_PER_DEGREE, LEAST_BIAS_SIGMA_DPS)  # VQF's own unit, deg/s
-    made = VQF(float(time[-1] - time[0]) / len(steps) if not uneven else step, biasSigmaInit=sigma)
-    q: FloatArray = made.updateBatch(*(np.ascontiguousarray(part) for part in (values[:, :3], values[:, 3:])))["quat6D"]
+    step = step if uneven else float(time[-1] - time[0]) / len(steps)
+    parts = (np.ascontiguousarray(part) for part in np.hsplit(values, 2))
+    q: FloatArray = offlineVQF(*parts, None, step, {"biasSigmaInit": sigma})["quat6D"]
     if not uneven:
         return q
     from scipy.spatial.transform import Rotation, Slerp
