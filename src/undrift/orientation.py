@@ -333,7 +333,7 @@ class OrientSettings:
         "none"; "rest": the mean rate of the still phase is subtracted, and with it any true slow turn; "still": the mean
         rate of every still phase, linear in between; "motion": what gravity shows of it while the device moves, from that rest.
     method : str
-        "strapdown", or "vqf": a filter with accelerometers, which needs the package vqf (undrift[orientation]).
+        "strapdown", or "vqf": a filter with accelerometers, over the whole record.
     heading : float
         Heading at the still phase, rad.
     forward, up : str
@@ -446,7 +446,7 @@ def orient(
     ------
     InputError
         No gyroscope, no still phase (in less than 20 s, or for the offsets "rest" and "still"), gaps, holes in time, a dead axis,
-        readings in counts, or no package for the method.
+        or readings in counts.
     Implausible
         Columns, units or a sample rate that clearly are others than stated.
 
@@ -609,12 +609,8 @@ def _expected_drift(time: FloatArray, anchor: int, uncertainty: float, offset: s
 
 def _filtered(record: Record, gyro: FloatArray, uncertainty: float) -> FloatArray:
     """Return the orientation by VQF over the whole record, offline and without a magnetometer, (N, 4); heading from its start."""
-    try:
-        from vqf import offlineVQF
-    except ImportError as error:
-        raise InputError(
-            "orient: wanted the package vqf for this method, got none; pip install 'undrift[orientation]'"
-        ) from error
+    from vqf import offlineVQF
+
     if record.accel is None or np.isnan(record.accel).any():
         got = "none" if record.accel is None else f"{int(np.isnan(record.accel).any(axis=1).sum())} gaps"
         raise InputError(

@@ -7,14 +7,12 @@ import re
 from pathlib import Path
 
 import numpy as np
-import pytest
 
 from testkit import vqf_trials
 from testkit.broad_trials import trial
 from testkit.data import show
 from undrift.orientation import OrientSettings, orient
 
-pytest.importorskip("vqf", reason="the extra orientation is not installed")
 PAGE = Path(__file__).parents[2] / "docs" / "orientation.md"
 KEYS = ("raw", "corrected", "prior", "strapdown")
 

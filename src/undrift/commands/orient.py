@@ -95,8 +95,8 @@ def orient(
     calibration : Path or None
         calibration.json of the device, for a raw recording.
     method : str
-        strapdown, or vqf: a filter that takes the inclination from the accelerometers and tracks the offset; it needs
-        undrift[orientation].
+        strapdown, or vqf: a filter that takes the inclination from the accelerometers and tracks the offset, over
+        the whole recording.
     offset : str
         "rest" subtracts the mean rate of the first still phase (or the named one), "still" that of every still phase, linear
         between them; "motion" starts from that rest, where there is one, and adds what gravity shows while the device moves.
