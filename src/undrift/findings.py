@@ -105,7 +105,7 @@ class Finding:
     >>> calibration = undrift.calibrate(undrift.simulate_session("six_face", device, rng=rng))
     >>> finding = calibration.verdict.findings[0]
     >>> finding.code, finding.level, finding.headline
-    ('gyro.offset_in_counts', 'info', 'Gyroscope offset not kept: no scale')
+    ('six_face.quadratic', 'info', 'Quadratic terms of the accelerometers are not in these uncertainties')
     """
 
     code: str
