@@ -18,7 +18,7 @@ from undrift.fit.equations import (
     descend,
     diagonal,
     fit_components,
-    fit_with_walk,
+    fit_with_walks,
     joined,
     offset_of,
     parameter_order,
@@ -280,6 +280,11 @@ TIME = np.arange(40.0) * 5.0
 WALK_DESIGN = np.column_stack((np.tile([1.0, -1.0, 0.5, -0.5], 10), np.repeat([1.0, -1.0, 0.0, 1.0], 10), np.ones(40)))
 WALK_THETA = np.array([2.0, -0.3, 0.7])
 SIGMA = np.where(np.arange(40) % 3 == 0, 0.02, 0.03)
+
+
+def fit_with_walk(design, reading, sigma, time):
+    """One sensor, without a warm-up."""
+    return fit_with_walks(design, reading[:, None], sigma[:, None], time, np.zeros(1))[0]
 
 
 def shape_of(time):

@@ -72,6 +72,7 @@ from undrift.fit.equations import (
     fading,
     mixed,
     parameter_order,
+    shares,
     solutions,
 )
 from undrift.fit.least_squares import TriadFit, block_size, noise_of_means, scaled_condition, triad_fit
@@ -404,12 +405,10 @@ def _averaged(equations: Equations, data: RotationData, scale: FloatArray, creep
         thetas, covariances, likelihood = _over_sizes(equations, (SIZES[:, None, None] * size) ** 2 * flicker, more)
         solved.append((likelihood + within, thetas, covariances))
         evidence.append(np.logaddexp.reduce(likelihood + within + np.log(np.gradient(SIZES) / PRIOR)))
-    share = np.exp(np.array(evidence) - max(evidence)) / np.append(1.0, np.full(len(times), max(1, len(times))))
-    share /= share.sum()
+    share, settles, settles_s = shares(np.array(evidence), times)
     means, spreads = zip(*(averaged(SIZES, *one, (PRIOR, PRIOR)) for one in solved), strict=True)
     theta, covariance = mixed(np.array(means), np.array(spreads), share)
-    square, settles = mean_square_size(solved[0][0]) * size**2, float(share[1:].sum())
-    return _Average(theta, covariance, square * flicker, settles, float(share[1:] @ times) / max(settles, 1e-300))
+    return _Average(theta, covariance, mean_square_size(solved[0][0]) * size**2 * flicker, settles, settles_s)
 
 
 def _over_sizes(

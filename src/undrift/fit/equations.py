@@ -319,33 +319,26 @@ class WalkFit:
     settles_s: float = np.nan  # its time constant, s
 
 
-def fit_with_walk(design: FloatArray, reading: FloatArray, sigma: FloatArray, time: FloatArray | None) -> WalkFit:
-    """Fit one sensor whose offset may drift: design (E, P), reading, sigma and time (E,); no walk without times."""
-    return fit_with_walks(design, reading[:, None], sigma[:, None], time, np.zeros(1))[0]
-
-
 def fit_with_walks(
     design: FloatArray, readings: FloatArray, sigma: FloatArray, time: FloatArray | None, warm_up: FloatArray
 ) -> list[WalkFit]:
-    """Fit sensors (E, S) whose offsets may drift, each by itself, and settle, all together; warm_up (S,) is a of each."""
+    """Fit sensors, sigma and readings (E, S), whose offsets may drift, each by itself, and settle, all together.
+
+    design (E, P), time (E,): no walk without times; warm_up (S,) is a of each sensor: none where all are 0.
+    """
     sensors = list(zip(readings.T, sigma.T, warm_up, strict=True))
     if time is None or len(readings) < design.shape[1] + _LEAST_SPARE_EQUATIONS:
         plain = [solutions(design, reading, noise[None]) for reading, noise, _ in sensors]
         return [
-            WalkFit(theta=one.theta[0], covariance=one.covariance[0], walk=0.0, square=float(one.square[0]))
-            for one in plain
+            WalkFit(theta=p.theta[0], covariance=p.covariance[0], walk=0.0, square=float(p.square[0])) for p in plain
         ]
     settling, warm = fading(np.column_stack((time, time)), np.ones(len(time)))
     if not warm_up.any() or np.ptp(time) <= 2.0 * _SHORTEST_S:
         settling, warm = settling[:0], warm[:0]
     fits = [[_over_walks(design, *one, time, columns) for columns in (warm[:0, :, 0].T, *warm)] for one in sensors]
     evidence = np.sum([[np.logaddexp.reduce(each.likelihood + _WEIGHT) for each in one] for one in fits], axis=0)
-    share = np.exp(evidence - evidence.max()) / np.append(1.0, np.full(len(settling), max(1, len(settling))))
-    share /= share.sum()
-    return [
-        _over_warm_ups(one, share, settling, _unit(noise, time))
-        for one, (_, noise, _) in zip(fits, sensors, strict=True)
-    ]
+    of_times, units = shares(evidence, settling), [_unit(noise, time) for noise in sigma.T]
+    return [_over_warm_ups(one, of_times, unit) for one, unit in zip(fits, units, strict=True)]
 
 
 def _unit(sigma: FloatArray, time: FloatArray) -> float:
@@ -360,6 +353,15 @@ def fading(span: FloatArray, extent: FloatArray) -> tuple[FloatArray, FloatArray
     part = np.maximum(stop - start, 1e-3) / times
     mean = extent * np.exp(-start / times) * -np.expm1(-part) / part
     return times[1::2, 0], np.stack((mean[1::2], (mean[2::2] - mean[:-1:2]) / 12.0**0.5), axis=-1)
+
+
+def shares(evidence: FloatArray, times: FloatArray) -> tuple[FloatArray, float, float]:
+    """Return shares of no warm-up and of each time constant (T,), s, by log evidence (1 + T,); that of all, and their mean."""
+    share = np.exp(evidence - evidence.max())
+    share[1:] /= max(1, len(times))
+    share /= share.sum()
+    settles = float(share[1:].sum())
+    return share, settles, float(share[1:] @ times) / max(settles, 1e-300)
 
 
 def _over_walks(
@@ -380,25 +382,24 @@ def _over_walks(
     return replace(each, likelihood=each.likelihood - 0.5 * np.log(spread).sum())
 
 
-def _over_warm_ups(fits: list[Solutions], share: FloatArray, settling: FloatArray, unit: float) -> WalkFit:
-    """Average one sensor over walks, then over none and all time constants of a warm-up, by their share."""
+def _over_warm_ups(fits: list[Solutions], of_times: tuple[FloatArray, float, float], unit: float) -> WalkFit:
+    """Average one sensor over walks, then over none and all time constants of a warm-up, by their ``shares``."""
+    share, settles, settles_s = of_times
     each = fits[int(np.argmax(share))]
     best = int(np.argmax(each.likelihood))
     shows = 2.0 * (each.likelihood[best] - each.likelihood[0]) > _EVIDENCE
     likely = float(_SPREAD[best]) if best < 2 else geometric_peak(_SPREAD, each.likelihood, best)
     over = (1.0, _SPREAD + _SMALL_WALK)
-    thetas, covariances = zip(
-        *(averaged(_SPREAD, one.likelihood, one.theta, one.covariance, over) for one in fits), strict=True
-    )
+    averages = (averaged(_SPREAD, one.likelihood, one.theta, one.covariance, over) for one in fits)
+    thetas, covariances = zip(*averages, strict=True)
     theta, covariance = mixed(np.array(thetas), np.array(covariances), share)
-    settles = float(share[1:].sum())
     return WalkFit(
         theta=theta,
         covariance=covariance,
         walk=unit * likely if shows else 0.0,
         square=float(each.square[best]),
         warm_up=settles,
-        settles_s=float(share[1:] @ settling) / max(settles, 1e-300),
+        settles_s=settles_s,
     )
 
 
