@@ -413,6 +413,12 @@ def in_step(
     return record, lag, findings
 
 
+def padding(whole: Record, record: Record) -> tuple[Finding, ...]:
+    """Return what ``segments.unpadded`` left out of a record."""
+    padded_s = whole.duration_s - record.duration_s
+    return (finding("recording.padded", "info", padded_s=padded_s),) if len(record) < len(whole) else ()
+
+
 def seen_poses(record: Record, poses: Reference, lag: Lag) -> Reference:
     """Return poses with a gap where the first or the last one is repeated while the record turns: the file was filled up."""
     q_nb, time = np.array(poses.q_nb), record.time - lag.seconds

@@ -47,6 +47,7 @@ from undrift.sync import (
     find_motion,
     in_step,
     native_poses,
+    padding,
     seen_poses,
 )
 from undrift.units import RADIAN_PER_DEGREE, is_physical, si_factor
@@ -139,6 +140,7 @@ class Aligned:
     reference: Reference  # Poses at the frames that the cameras took
     lag: Lag  # Of the gyroscope readings against the poses
     span: MotionSpan  # From the first to the last rest, on the record's clock
+    findings: tuple[Finding, ...]  # What was done to bring both on one clock, or cannot be
 
     @property
     def at_rest(self) -> BoolArray:
@@ -153,10 +155,13 @@ class Aligned:
 
 def align(record: Record, reference: Reference, lag_settings: LagSettings = LagSettings()) -> Aligned:
     """Find lag and motion of one recording."""
-    record, lag, _ = in_step(unpadded(record), native_poses(reference), lag_settings)
+    whole, record = record, unpadded(record)
+    named = padding(whole, record)
+    record, lag, findings = in_step(record, native_poses(reference), lag_settings)
     poses = seen_poses(record, native_poses(reference), lag)
     span = find_motion(record, poses, lag_s=lag.seconds)
-    return Aligned(record=record, gyro=np.asarray(record.gyro), reference=poses, lag=lag, span=span)
+    gyro = np.asarray(record.gyro)
+    return Aligned(record=record, gyro=gyro, reference=poses, lag=lag, span=span, findings=(*named, *findings))
 
 
 def recording_of(aligned: Aligned, settings: ReferenceSettings) -> Recording:
@@ -185,6 +190,7 @@ def recording_of(aligned: Aligned, settings: ReferenceSettings) -> Recording:
         unit=record.gyro_unit,
         at=np.ascontiguousarray(at[chosen]),
         q_nb=np.ascontiguousarray(poses.q_nb[chosen]),
+        findings=aligned.findings,
     )
 
 
@@ -602,8 +608,9 @@ def _result(
         condition=solution.condition,
         valid_range=(min(float(w.min()) for w in seen), max(float(w.max()) for w in seen)),
     )
+    verdict = Verdict.of(*_judged(model, rests, settings), *(one for p in prepared for one in p.findings))
     return ReferenceFit(
-        triad=TriadFit(model=model, residuals=solution.residuals, verdict=Verdict.of(*_judged(model, rests, settings))),
+        triad=TriadFit(model=model, residuals=solution.residuals, verdict=verdict),
         motion_offset=np.zeros(3) if settings.offset == "common" else motion_offset,
         rest_offsets=rest,
         lags_s=np.array([p.lag.seconds for p in prepared]),

@@ -7,6 +7,7 @@ import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray, IntArray
 from undrift.errors import NotObservable
+from undrift.findings import Finding
 from undrift.fit.least_squares import fit_huber, scaled_condition
 from undrift.fit.smooth import widening_of
 from undrift.frames import quaternion_conjugate, quaternion_product, rotate, rotation_vector
@@ -39,6 +40,7 @@ class Recording:
     unit: str  # Of the readings
     at: FloatArray  # (L,), times of the poses at which windows start and end, s, record clock
     q_nb: FloatArray  # (L, 4), those poses; NaN rows are gaps
+    findings: tuple[Finding, ...] = ()  # Of the clocks and ends of both files
 
     @property
     def rested(self) -> bool:

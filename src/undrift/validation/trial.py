@@ -51,7 +51,7 @@ from undrift.orientation import (
 )
 from undrift.record import Face, Record, Reference, Still
 from undrift.segments import unpadded
-from undrift.sync import Lag, LagSettings, MotionSpan, find_motion, in_step, native_poses, seen_poses
+from undrift.sync import Lag, LagSettings, MotionSpan, find_motion, in_step, native_poses, padding, seen_poses
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical
 from undrift.validation.expected import (
     ERROR_PRIOR,
@@ -706,15 +706,14 @@ def _corrected(
     record: Record, calibration: Calibration | None, settings: TrialSettings
 ) -> tuple[Record, tuple[Finding, ...]]:
     whole, record = record, unpadded(record)
-    padded = whole.duration_s - record.duration_s
-    words = (finding("recording.padded", "info", padded_s=padded),) if padded else ()
+    padded = padding(whole, record)
     if calibration is None:
         adc = identify_record_adc(record) if settings.adc == "auto" and record.state == "raw" else None
         if adc is None:
-            return record.in_si(), (*words, *check_triads(record))
+            return record.in_si(), (*padded, *check_triads(record))
         done = correct_whole(record, nominal_calibration(record, adc))
         return done.record, (
-            *words,
+            *padded,
             *check_triads(record),
             finding("validate.adc", "info", rounding=adc.gyro_rounding.replace("_", " ")),
         )
@@ -723,7 +722,7 @@ def _corrected(
     since, history = settings.power_on_s, settings.temp_history
     done = correct_checked(record, calibration, policy=settings.policy, power_on_s=since, temp_history=history)
     beyond = (item for one in find_beyond(done.record, calibration) for item in one.findings)
-    return done.record.in_si(), (*words, *done.findings, *beyond)
+    return done.record.in_si(), (*padded, *done.findings, *beyond)
 
 
 def nominal_calibration(record: Record, adc: AdcModel | None) -> Calibration:
