@@ -427,8 +427,13 @@ def test_a_recording_that_never_rests_is_oriented_by_gravity_in_motion():
     raw = orient(record)  # tilt from motion, rates as they are
     assert (raw.offset == 0.0).all()
     assert only(raw.findings, "orient.drift").values["offset_dps"] > 0.3
+    assert only(raw.findings, "orient.drift").values["start"] == "the first sample"
     assert only(raw.findings, "orient.drift").values["option"] == "`offset` motion or `method` vqf"
     with pytest.raises(InputError, match="wanted a still phase, got none"):
         orient(record, settings=OrientSettings(offset="rest"))
+    accel = np.array(record.accel)
+    accel[700] = np.nan
+    with pytest.raises(InputError, match=r"without gaps, got 1 gaps \(NaN\); record with a pause at rest"):
+        orient(replace(record, accel=accel), settings=OrientSettings(offset="motion"))
     with pytest.raises(InputError, match="wanted a still phase, got none"):
         orient(record.between(9.0, 20.0), settings=OrientSettings(offset="motion"))

@@ -273,12 +273,14 @@ _CLEAR_UP = 0.7  # length of the mean vertical: below it the device is turned ev
 _ONE_AXIS = 2.0  # so many times the lean along the other: the axis that points forward is known
 
 
-def check_pitch_axes(q_nb: FloatArray, rest: slice | BoolArray, forward: Face, up: Face) -> tuple[Finding, ...]:
-    """Return a finding where pitch wraps, is far from upright, or is taken about other axes than the rest (samples) shows."""
+def check_pitch_axes(q_nb: FloatArray, rest: slice | BoolArray | None, forward: Face, up: Face) -> tuple[Finding, ...]:
+    """Return a finding where pitch wraps, is far from upright, or is taken about other axes than rest, or all samples, show."""
     vertical = rotate(quaternion_conjugate(q_nb), np.array([0.0, 0.0, 1.0]))
     pitch = sagittal_pitch(q_nb, forward=forward, up=up) / RADIAN_PER_DEGREE
     finite = pitch[np.isfinite(pitch)] if np.isfinite(pitch).any() else np.full(1, np.nan)
-    at_rest, on_average = (np.nanmean(part, axis=0) for part in (vertical[rest], vertical))
+    at_rest, on_average = (
+        np.nanmean(part, axis=0) for part in (vertical[slice(None) if rest is None else rest], vertical)
+    )
     cosine = at_rest[AXES.index(up[1])] / np.linalg.norm(at_rest) * (1.0 if up[0] == "+" else -1.0)
     off, wraps = float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))), (np.abs(np.diff(finite)) > 180.0).any()
     if off < _FAR_UP_DEG and not wraps and np.median(np.abs(finite)) < _FAR_PITCH_DEG:
@@ -295,6 +297,7 @@ def check_pitch_axes(q_nb: FloatArray, rest: slice | BoolArray, forward: Face, u
         finding(
             "orient.pitch_axes",
             "info" if upward == up else "warn",
+            where="on average" if rest is None else "at rest",
             stated=f"forward {forward} and up {up}",
             off_deg=off,
             least_deg=finite.min(),
@@ -504,10 +507,10 @@ def orient_unchecked(
         q = _levelled_at(_filtered(record, gyro, uncertainty), anchor, tilt.q_nb)
     else:
         q = _both_ways(gyro, record.time, tilt.q_nb, anchor)
-        tried = "rest" if not rests and settings.offset == "none" else settings.offset
-        findings += (_expected_drift(record.time, anchor, uncertainty, tried),)
+        findings += (_expected_drift(record.time, anchor, uncertainty, settings.offset, rested=still is not None),)
     findings += () if still is None else _moved_at_rest(record, still)
-    findings += check_pitch_axes(q, slice(still and still.start, still and still.stop), settings.forward, settings.up)
+    at_rest = None if still is None else slice(still.start, still.stop)
+    findings += check_pitch_axes(q, at_rest, settings.forward, settings.up)
     return Orientation(
         time=record.time,
         q_nb=q,
@@ -591,8 +594,9 @@ def _moved_at_rest(record: Record, still: Still) -> tuple[Finding, ...]:
     return (finding("orient.rest_turns", "warn", how=how, **span),)
 
 
-def _expected_drift(time: FloatArray, anchor: int, uncertainty: float, offset: str) -> Finding:
-    """Return the angle by which strapdown is off at the end that is farther from the rest."""
+def _expected_drift(time: FloatArray, anchor: int, uncertainty: float, offset: str, *, rested: bool) -> Finding:
+    """Return the angle by which strapdown is off at the end that is farther from the rest, or from the first sample."""
+    tried = "rest" if offset == "none" and not rested else offset
     duration = max(float(time[-1] - time[anchor]), float(time[anchor] - time[0]))
     return finding(
         "orient.drift",
@@ -600,7 +604,8 @@ def _expected_drift(time: FloatArray, anchor: int, uncertainty: float, offset: s
         drift_deg=uncertainty * duration / RADIAN_PER_DEGREE,
         offset_dps=uncertainty / RADIAN_PER_DEGREE,
         duration_s=duration,
-        option={"none": "`offset` rest", "rest": "`offset` motion or `method` vqf"}.get(offset, "`method` vqf"),
+        start="the rest" if rested else "the first sample",
+        option={"none": "`offset` rest", "rest": "`offset` motion or `method` vqf"}.get(tried, "`method` vqf"),
     )
 
 

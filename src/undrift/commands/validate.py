@@ -400,7 +400,7 @@ def errors_section(validated: Validated) -> Section:
     if least < min(trial.figures.valid_optics for trial in trials) - SHOWN_SHARE:
         whole = f"{_percent(least)} %" + " or more" * (len(trials) > 1)
         lines.append(f"{OPTICS_SEEN.replace('Optics seen', 'optics %')} of the whole file it is {whole}")
-    offset = validated.settings.offset
+    offset = validated.settings.offset if any(trial.rest for trial in trials) else "none"
     return Section(
         title=f"error against the reference in deg: rmse over the motion, largest, median after it (offset: {offset})",
         columns=("recording", *SHOWN.values(), "pitch %", "optics %"),
@@ -434,7 +434,8 @@ def trials_section(trials: "Sequence[Trial]", more: "Sequence[tuple[str, Figures
         shares = {"pitch defined (%)": figures.pitch_defined, "optics seen (%)": figures.valid_optics}
         rows.append(row | {head: f"{100.0 * share:.1f}" for head, share in shares.items()})
     text = (
-        "Root-mean-square over the motion; end errors are medians over the first three seconds after it.",
+        "Root-mean-square over the motion; end errors are medians over the first three seconds after it, or, of a recording that "
+        "begins in motion, over its last three.",
         f"{PITCH_DEFINED}.",
         f"{OPTICS_SEEN} rests and ends of the file do not count in it.",
     )
@@ -558,7 +559,7 @@ def _offset(method: Validated) -> str:
     if method.settings.offset == "motion":
         rest = "what gravity shows in motion, beside the first still phase, is subtracted"
     if method.leave_one_out:
-        fitted = "the fit's: each recording's rest before the motion, and the motion of the others"
+        fitted = "the fit's: each recording's rest before the motion, if there is one, and the motion of the others"
         return f"{fitted}; {rest}" if method.settings.offset == "motion" else fitted
     if method.settings.offset != "none":
         return rest if method.calibration is None else f"the calibration's, and {rest} after it"
