@@ -393,7 +393,7 @@ def in_step(
         some = PoseRates(start=rates.start[rows], stop=rates.stop[rows], rate=rates.rate[rows], valid=rates.valid[rows])
         try:
             of_part = lag_of(record.time, np.asarray(record.gyro), some, settings, near=lag.seconds)
-        except (AlignmentError, IndexError, ValueError):  # it lies still, or is not seen
+        except AlignmentError:  # it lies still, or is not seen
             return record, lag, findings
         middle = float(np.average(some.start, weights=(some.rate**2).sum(axis=1)))
         parts.append((middle, of_part.seconds, of_part.standard_uncertainty))
