@@ -105,7 +105,7 @@ class Finding:
     >>> calibration = undrift.calibrate(undrift.simulate_session("six_face", device, rng=rng))
     >>> finding = calibration.verdict.findings[0]
     >>> finding.code, finding.level, finding.headline
-    ('six_face.quadratic', 'info', 'Quadratic terms of the accelerometers are not in these uncertainties')
+    ('six_face.quadratic', 'info', 'Six faces do not show quadratic terms of the accelerometers')
     """
 
     code: str
