@@ -182,4 +182,4 @@ def test_without_a_rest_the_offset_is_found_from_half_a_degree_per_second_away(d
     show("inside 95 %, without a rest", f"{inside.mean():.1%}")
     # A start far away left walks of the attitude that explained it, with errors of 0.3 deg/s about level axes.
     assert np.median(np.abs(away)[:, :2]) < 0.01 * RADIAN_PER_DEGREE
-    assert inside.mean() > 0.85
+    assert inside.mean() > 0.9  # of 30 other people 97.8 % held: 1.6 times of what the equations state is stated
