@@ -11,10 +11,12 @@ from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import BrowserContext, Page
 
 from testkit.bench import BenchServer, bench_process
+from undrift.commands.bench.guides import GAP, named
 
 CHROMIUM = shutil.which("chromium")
 SCREENS = os.environ.get("UNDRIFT_SCREENS")  # a folder for pictures of the pages; `make test-browser` names one
 WAIT_MS = 20_000
+CAPTURE_MS = 40_000  # a face takes 12 s: a move of 2, a window, settling and a countdown of 6
 # rests and turns of guided captures, six times as fast; `make test-long` has them in real time
 quick_and_real_time = pytest.mark.parametrize("practice_speed", [6.0, pytest.param(1.0, marks=pytest.mark.long)])
 # what a page must not have whatever its readings are: parts beyond the screen, parts that only a pointer scrolls, small buttons
@@ -87,3 +89,19 @@ def faults_of(page: Page) -> list[str]:
 def measured_faults_of(page: Page) -> list[str]:
     """Return what is measured of a page that should not be."""
     return [f"{number} {what}" for what, number in page.evaluate(_MEASURED).items() if number]
+
+
+def turn_until_captured(page: Page, way: str, turn: Callable[[], object]) -> int:
+    """Turn once, and again as the guide asks where the machine was too busy to keep each reading; return how often."""
+    captured = page.get_by_role("listitem").filter(has_text=named(way).capitalize()).filter(has_text="captured")
+    asked_again = page.locator(".light-words").filter(has_text=GAP)
+    for turned in range(1, 6):
+        page.locator(".light-words").filter(has_text="Turn it once").wait_for(timeout=CAPTURE_MS)
+        refused = asked_again.is_visible()
+        turn()
+        if refused:  # the words about the turn before
+            asked_again.wait_for(state="hidden", timeout=CAPTURE_MS)
+        captured.or_(asked_again).first.wait_for(timeout=CAPTURE_MS)
+        if captured.is_visible():
+            return turned
+    raise AssertionError(f"no turn {named(way)} was captured: {page.locator('.light-words').inner_text()}")

@@ -9,15 +9,14 @@ from playwright.sync_api import Page
 from testkit.bench import BenchServer
 from testkit.guided import accel_as_six_faces_see_it, joint_factor
 from testkit.waiting import eventually
-from undrift.commands.bench.guides import GAP, ORDER, WAYS, named
+from undrift.commands.bench.guides import ORDER, WAYS
 from undrift.io.session import read_session
 from undrift.io.store import read_calibration
 from undrift.sim.device.presets import random_device
 from undrift.sim.device.truth import true_calibration
-from web_browser.conftest import faults_of, quick_and_real_time, shoot
+from web_browser.conftest import CAPTURE_MS, faults_of, quick_and_real_time, shoot, turn_until_captured
 
 SEED = 2007  # of the practice device, as bench_server states it
-CAPTURE_MS = 40_000  # a face takes 12 s: a move of 2, a window, settling and a countdown of 6
 OpenPage = Callable[..., Page]
 
 
@@ -41,19 +40,6 @@ def step_of(page: Page, name: str) -> str:
 def wait_for_step(page: Page, name: str) -> None:
     row = page.get_by_role("listitem").filter(has_text=name)
     row.filter(has_text="captured").wait_for(timeout=CAPTURE_MS)
-
-
-def turn_until_captured(page: Page, way: str, seen: str) -> None:
-    """Turn once, and again as the guide asks where the machine was too busy to keep each reading."""
-    captured = page.get_by_role("listitem").filter(has_text=named(way).capitalize()).filter(has_text="captured")
-    asked_again = page.locator(".light-words").filter(has_text=GAP)
-    for _ in range(3):
-        page.locator(".light-words").filter(has_text="Turn it once").wait_for(timeout=CAPTURE_MS)
-        press(page, f"{way[1]} {seen}")
-        captured.or_(asked_again).first.wait_for(timeout=CAPTURE_MS)
-        if captured.is_visible():
-            return
-    raise AssertionError(f"no turn {named(way)} was captured: {page.locator('.light-words').inner_text()}")
 
 
 @quick_and_real_time
@@ -86,7 +72,7 @@ def test_six_faces_and_turns_by_keyboard_end_in_the_hidden_calibration(
         page.get_by_text(f"Lay it with +{way[1]} up. Turn it once {seen}", exact=False).first.wait_for()
         if way[0] == "+":
             press(page, f"+{way[1]} up")
-        turn_until_captured(page, way, seen)
+        turn_until_captured(page, way, lambda name=f"{way[1]} {seen}": press(page, name))
         if way == "+x":
             shoot(page, "turns-practice-1200")
             faults += faults_of(page)
