@@ -1,11 +1,12 @@
 """BROAD trials at hand: what each step of the correction leaves, what was expected, and what devices of a model share.
 
-``python -m benchmarks.broad`` prints three tables (some minutes), or those that are named: steps, expected, nested.
+``python -m benchmarks.broad`` prints four tables (some minutes), or those that are named: steps, expected, nested, offset.
 
 1. End error and root-mean-square error of each device, raw to calibrated on the *other* trials of the device.
 2. Expected against observed errors, over every fit to a part of a device's trials that is judged on another trial. Its prior
    (spread of matrix and in-motion offset between recordings) is learnt from the other devices.
 3. A hierarchical prior, nested: all that is chosen for a held-out trial comes from other trials (docs/decisions, 2026-11-22).
+4. The offset that motion shows of each trial as it was read, with its rest and without, and how long it takes.
 
 D. Laidig, M. Caruso, A. Cereatti, T. Seel, "BROAD - A benchmark for robust inertial orientation estimation", Data 2021, CC BY 4.0.
 """
@@ -17,12 +18,15 @@ from dataclasses import replace
 from functools import cache
 from itertools import combinations
 from pathlib import Path
+from time import perf_counter
 
 import numpy as np
 
 from undrift.arrays import FloatArray
 from undrift.calibration.calibrate import device_adc
 from undrift.calibration.reference import ReferenceFit, fit_reference
+from undrift.correction.motion import find_motion_offset
+from undrift.correction.rest import find_rest_offset
 from undrift.io.mocap import read_broad
 from undrift.model import AdcModel, Calibration
 from undrift.record import Record, Reference
@@ -224,8 +228,8 @@ def _row(name: str, figures: Sequence[Figures]) -> str:
 
 def main() -> None:
     """Print the tables."""
-    for part in sys.argv[1:] or ("steps", "expected", "nested"):
-        {"steps": print_steps, "expected": print_expected, "nested": print_nested}[part]()
+    for part in sys.argv[1:] or ("steps", "expected", "nested", "offset"):
+        {"steps": print_steps, "expected": print_expected, "nested": print_nested, "offset": print_offsets}[part]()
 
 
 def print_nested() -> None:
@@ -276,6 +280,24 @@ def print_expected() -> None:
                     flush=True,
                 )
     print(f"inside 95 %: end {inside[0]} of {seen[0]}, rmse {inside[1]} of {seen[1]}")
+
+
+def print_offsets() -> None:
+    """Print the offset from motion of each trial, deg/s, its standard uncertainty and the time that it takes, s."""
+    for number in (n for numbers in DEVICES.values() for n in numbers):
+        record = trial(number)[0]
+        for name, rest in (("with its rest", find_rest_offset(record)), ("without", None)):
+            find_motion_offset(record, rest)  # the compiler's time is not the estimator's
+            start = perf_counter()
+            found = find_motion_offset(record, rest)
+            took, sigma = perf_counter() - start, np.sqrt(np.diag(found.covariance[0]))
+            print(
+                f"  {number}, {record.duration_s:.0f} s, {name:13} {took:5.2f} s   "
+                + " ".join(
+                    f"{np.degrees(o):8.4f} +- {np.degrees(s):.4f}" for o, s in zip(found.rate[0], sigma, strict=True)
+                ),
+                flush=True,
+            )
 
 
 if __name__ == "__main__":

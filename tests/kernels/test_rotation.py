@@ -9,6 +9,7 @@ from testkit import twins
 from testkit.data import show
 from undrift.errors import InputError
 from undrift.frames import quaternion_conjugate, quaternion_product
+from undrift.kernels.rotation import carried_means
 from undrift.orientation import integrate_strapdown
 
 COMPILED = os.environ.get("NUMBA_DISABLE_JIT", "0") in ("", "0")
@@ -103,3 +104,27 @@ def test_shapes_that_disagree_and_gaps_are_refused():
         integrate_strapdown(gap, time, LEVEL)
     with pytest.raises(InputError, match=r"wanted a float64 buffer of shape \(5, 4\) in C order"):
         integrate_strapdown(np.ones((5, 3)), time, LEVEL, out=np.empty((4, 5)).T)
+
+
+@pytest.mark.parametrize("width", [4, 7, 40])  # of odd windows that half overlap, three share a sample
+def test_means_of_the_carried_force_and_what_changes_them_agree_with_the_plain_twin(width):
+    rng = np.random.default_rng(3)
+    n = 201
+    time = np.cumsum(rng.uniform(0.005, 0.02, n))
+    rate, force = rng.normal(size=(n, 3)), rng.normal(0.0, 5.0, size=(n, 3))
+    first, weight = np.arange(0, n - width + 1, width // 2), rng.uniform(size=width)
+    weight /= weight.sum()
+
+    def means(rate, force):
+        out = np.full((len(first), 21), np.nan)
+        carried_means(rate.reshape(-1), force.reshape(-1), time, first, weight, out.reshape(-1))
+        return out
+
+    out, twin = means(rate, force), twins.carried_means(rate, force, time, first, weight)
+    np.testing.assert_allclose(out, np.hstack([each.reshape(len(first), -1) for each in twin]), rtol=0, atol=1e-11)
+    # what they say of a change is what comes of it; J takes a step's end for its middle
+    turned, fixed = out[:, 3:12].reshape(-1, 3, 3), out[:, 12:].reshape(-1, 3, 3)
+    small = 1e-5 * rng.normal(size=3)
+    by_rate, by_force = (means(*each)[:, :3] - out[:, :3] for each in ((rate - small, force), (rate, force - small)))
+    np.testing.assert_allclose(by_rate, turned @ small, rtol=0, atol=0.02 * np.abs(by_rate).max())
+    np.testing.assert_allclose(by_force, -fixed @ small, rtol=0, atol=1e-12)

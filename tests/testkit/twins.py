@@ -84,3 +84,14 @@ def rotation_matrices(q: np.ndarray) -> np.ndarray:
         (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
     )
     return np.moveaxis(np.array([np.stack(row) for row in rows]), (0, 1), (-2, -1))
+
+
+def carried_means(rate, force, time, first, weight):
+    """Weighted sums (K, 3), (K, 3, 3), (K, 3, 3) over windows: R f, [R f]x J and R, J the integral of R dt up to each sample."""
+    q = strapdown(rate, time, np.array([1.0, 0.0, 0.0, 0.0]))
+    matrix = rotation_matrices(q)
+    carried = np.einsum("nij,nj->ni", matrix, force)
+    integral = np.cumsum(matrix * np.gradient(time)[:, None, None], axis=0)
+    turned = np.cross(carried[:, :, None], integral, axis=1)
+    sums = [[np.tensordot(weight, each[k : k + len(weight)], 1) for k in first] for each in (carried, turned, matrix)]
+    return tuple(np.array(each) for each in sums)

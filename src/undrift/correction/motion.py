@@ -22,15 +22,14 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from scipy.linalg import cholesky, solve_triangular
+from scipy.linalg import eigh
 from scipy.optimize import minimize
 
 from undrift.arrays import FloatArray, frozen
 from undrift.correction.rest import LEAST_IN_MOTION_S, RestOffset
 from undrift.errors import InputError
 from undrift.findings import Finding, finding
-from undrift.frames import rotation
-from undrift.kernels.rotation import strapdown
+from undrift.kernels.rotation import carried_means
 from undrift.model import OFFSET_NAMES, TriadModel
 from undrift.record import Record, Still
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, si_factor
@@ -204,6 +203,12 @@ class _HannMeans:
         self.first = np.arange(0, len(self.time) - width + 1, width // 2)
         self.weight = np.hanning(width + 2)[1:-1] / np.hanning(width + 2).sum()
         self.sizes = _SIZES
+        count = len(self.first)
+        shared = np.eye(count) + _SHARED * (np.eye(count, k=1) + np.eye(count, k=-1))
+        when = MEAN_S * (0.5 + 0.5 * np.arange(count))
+        # combinations of means that neither error correlates: their variance is white + density walk, none about the vertical
+        walk, self.apart = eigh(STANDARD_GRAVITY**2 * np.minimum.outer(when, when), shared)
+        self.walk = np.concatenate((walk, walk, np.zeros(count)))
 
     def equations(self, offset: FloatArray, of_force: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return information (6, 6) and right side (6,) for changes of the offsets of both triads, the vertical eliminated."""
@@ -212,22 +217,17 @@ class _HannMeans:
         frame = np.linalg.svd(up[None])[2][[1, 2, 0]]  # two horizontal axes, and the vertical
         frame[2] *= np.sign(frame[2] @ up)
         mean, design = mean @ frame.T, np.einsum("ij,kjp->kip", frame, design)
-        shared = np.eye(len(mean)) + _SHARED * (np.eye(len(mean), k=1) + np.eye(len(mean), k=-1))
-        when = MEAN_S * (0.5 + 0.5 * np.arange(len(mean)))
-        walk = STANDARD_GRAVITY**2 * np.minimum.outer(when, when)
-
+        columns = np.concatenate((-design, np.tile(np.eye(3), (len(mean), 1, 1)), mean[:, :, None]), axis=2)
+        rows = np.einsum("km,kie->ime", self.apart, columns).reshape(-1, 10)
         accel, scale = self.accel
 
         def solved(sizes: FloatArray) -> tuple[float, FloatArray, FloatArray]:
             white, density = np.exp(sizes)
-            information, seen, cost = np.zeros((9, 9)), np.zeros(9), 0.0
-            information[8, 8], seen[8] = 1.0 / (scale * STANDARD_GRAVITY) ** 2, 1.0 / (scale**2 * STANDARD_GRAVITY)
-            for axis in range(3):
-                root = cholesky(white * shared + (density * walk if axis < 2 else 0.0), lower=True)
-                columns = np.hstack((-design[:, axis], np.tile(np.eye(3)[axis], (len(mean), 1))))
-                columns, value = (solve_triangular(root, each, lower=True) for each in (columns, mean[:, axis]))
-                information, seen = information + columns.T @ columns, seen + columns.T @ value
-                cost += 2.0 * float(np.log(np.diag(root)).sum()) + float(value @ value)
+            variance = white + density * self.walk
+            known = rows.T @ (rows / variance[:, None])
+            information, seen, cost = known[:9, :9], known[:9, 9], float(known[9, 9] + np.log(variance).sum())
+            information[8, 8] += 1.0 / (scale * STANDARD_GRAVITY) ** 2
+            seen[8] += 1.0 / (scale**2 * STANDARD_GRAVITY)
             whole = information + np.diag([1.0 / _LOOSE**2] * 3 + [1.0 / accel**2] * 3 + [0.0] * 3)
             cost += float(np.linalg.slogdet(whole)[1] - seen @ np.linalg.solve(whole, seen))
             return cost + float((((sizes - _SIZES) / _FACTOR) ** 2).sum()), information, seen
@@ -246,12 +246,8 @@ class _HannMeans:
 
     def _means(self, offset: FloatArray, of_force: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the means (K, 3) and what offsets of gyroscopes and accelerometers add to them (K, 3, 6)."""
-        q = np.empty((len(self.time), 4))
-        strapdown((self.rate - offset).reshape(-1), self.time, np.array([1.0, 0.0, 0.0, 0.0]), q.reshape(-1))
-        turned = rotation(q).as_matrix()
-        force = np.einsum("nij,nj->ni", turned, self.force - of_force)
-        total = np.cumsum(turned * np.gradient(self.time)[:, None, None], axis=0)
-        moved = np.cross(force[:, :, None], total, axis=1)  # [F]x J
-        every = np.concatenate((force[:, :, None], moved, -turned), axis=2)
-        means = np.stack([np.tensordot(self.weight, every[k : k + len(self.weight)], 1) for k in self.first])
-        return means[:, :, 0], means[:, :, 1:]
+        out = np.empty((len(self.first), 21))
+        rate, force = ((a - b).reshape(-1) for a, b in ((self.rate, offset), (self.force, of_force)))
+        carried_means(rate, force, self.time, self.first, self.weight, out.reshape(-1))
+        turned, fixed = out[:, 3:12].reshape(-1, 3, 3), out[:, 12:].reshape(-1, 3, 3)
+        return out[:, :3], np.concatenate((turned, -fixed), axis=2)

@@ -2,7 +2,8 @@
 
 Shapes and units: gyro or rate flat (3 N,) rad/s, time (N,) s, q (4,) w-x-y-z, out flat (4 N,); regressors flat (C N,), at (L,) s
 increasing within the record, q_out flat (4 L,), sum_out flat (9 C L,): [a, b, c] holds the sum of R_mid[a, b] regressor_c dt from
-the start on.
+the start on. force flat (3 N,) m/s2; first (K,) and weight (W,), the first samples of K windows, ascending, and what each of its
+W samples weighs; out of carried_means flat (21 K,): of each window <R f>, then <[R f]x J> and <R> row by row.
 """
 
 import math
@@ -10,7 +11,7 @@ import math
 import numpy as np
 from numba import njit
 
-from undrift.arrays import FloatArray
+from undrift.arrays import FloatArray, IntArray
 
 # ---- rotation and its sensitivity, both read off at given times
 
@@ -151,3 +152,40 @@ def strapdown(gyro: FloatArray, time: FloatArray, q: FloatArray, out: FloatArray
             out[j], out[j + ONE], out[j + TWO], out[j + THREE] = qw, qx, qy, qz
         scale = 1.5 - 0.5 * (qw * qw + qx * qx + qy * qy + qz * qz)  # one Newton step back to length one
         qw, qx, qy, qz = qw * scale, qx * scale, qy * scale, qz * scale
+
+
+# ---- specific force, carried along
+
+
+@njit(cache=True, fastmath={"contract"}, nogil=True, error_model="numpy")
+def carried_means(
+    rate: FloatArray, force: FloatArray, time: FloatArray, first: IntArray, weight: FloatArray, out: FloatArray
+) -> None:
+    # Weighted sums over windows, in the frame of the first sample: R by strapdown from there, J the integral of R dt. A change b of
+    # the rates changes <R f> by <[R f]x J> b, one of the force by <R>.
+    n = time.size
+    q = np.empty(4 * n)
+    strapdown(rate, time, np.array([1.0, 0.0, 0.0, 0.0]), q)
+    out[:] = 0.0
+    total, one = np.zeros(9), np.empty(21)
+    p = 0
+    for k in range(n):
+        dt = 0.5 * (time[min(k + 1, n - 1)] - time[max(k - 1, 0)]) * (2.0 if k in (0, n - 1) else 1.0)
+        r = matrix_of(q[4 * k], q[4 * k + 1], q[4 * k + 2], q[4 * k + 3])
+        for e in range(9):
+            total[e] += r[e] * dt
+            one[12 + e] = r[e]
+        for a in range(3):
+            one[a] = r[3 * a] * force[3 * k] + r[3 * a + 1] * force[3 * k + 1] + r[3 * a + 2] * force[3 * k + 2]
+        for b in range(3):
+            one[3 + b] = one[1] * total[6 + b] - one[2] * total[3 + b]
+            one[6 + b] = one[2] * total[b] - one[0] * total[6 + b]
+            one[9 + b] = one[0] * total[3 + b] - one[1] * total[b]
+        while p < first.size and first[p] + weight.size <= k:
+            p += 1
+        for w in range(p, first.size):
+            if first[w] > k:
+                break
+            share = weight[k - first[w]]
+            for e in range(21):
+                out[21 * w + e] += share * one[e]
