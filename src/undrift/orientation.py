@@ -20,8 +20,9 @@ Angles of q_nb = (w, x, y, z)::
 The pitch has no singularity until the vertical leaves the sagittal plane, where it is a gap (NaN).
 
 Strapdown drifts by the offset's uncertainty times the time since the rest; the uncertainty is the largest rate left at a rest (the
-calibration's own where that is more), and the scatter of the mean. A filter (VQF [1]_, 6D: no magnetometer) takes the inclination
-from the accelerometers and tracks the offset, with that uncertainty as the prior of its bias; its heading is that of the rest.
+calibration's own where that is more), the scatter of the mean, and the change from rest to motion. A filter (VQF [1]_, 6D: no
+magnetometer) takes the inclination from the accelerometers and tracks the offset, with that uncertainty as the prior of its bias;
+its heading is that of the rest.
 
 .. [1] D. Laidig, T. Seel, "VQF: Highly accurate IMU orientation estimation with bias estimation and magnetic disturbance
    rejection", Information Fusion 91, 187-204, 2023; the package ``vqf``.
@@ -40,6 +41,7 @@ from undrift.correction.consistency import check_triads
 from undrift.correction.rest import (
     FEWEST,
     LEAST_IN_MOTION_S,
+    MOVED,
     force_covariances,
     mean_variance,
     no_rest,
@@ -572,7 +574,8 @@ def _offset_uncertainty(
     scatter = min(
         sum(mean_variance(axis) for axis in gyro[one.start : one.stop].T) for one in rests if one.stop - one.start > 1
     )
-    return math.hypot(worst, math.sqrt(scatter))
+    moving = 1.0 - sum(one.stop - one.start for one in rests) / len(gyro)
+    return math.hypot(worst, math.sqrt(scatter), math.sqrt(3.0) * MOVED * moving)
 
 
 def _moved_at_rest(record: Record, still: Still) -> tuple[Finding, ...]:

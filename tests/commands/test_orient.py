@@ -215,8 +215,7 @@ def test_the_drift_to_expect_is_said_and_every_rest_is_used_on_request(undrift, 
     assert "use --offset rest" in said
     told = undrift.good("orient", trial, "-o", tmp_path / "o.csv", "--offset", "still", "--json").json()
     assert len(told["rests"]) == len(told["rest_offsets_dps"]) == 5  # before, in the breaks, after
-    assert told["findings"][0]["level"] == "info"
-    assert told["offset_uncertainty_dps"] < 0.005
+    assert 0.015 < told["offset_uncertainty_dps"] < 0.035  # by rests the change to motion is not known: 0.02 an axis
     assert told["method"] == "strapdown"
 
 

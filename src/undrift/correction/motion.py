@@ -26,7 +26,7 @@ from scipy.linalg import eigh
 from scipy.optimize import minimize
 
 from undrift.arrays import FloatArray, frozen
-from undrift.correction.rest import LEAST_IN_MOTION_S, RestOffset
+from undrift.correction.rest import LEAST_IN_MOTION_S, MOVED, RestOffset
 from undrift.errors import InputError
 from undrift.findings import Finding, finding
 from undrift.kernels.rotation import carried_means
@@ -35,8 +35,6 @@ from undrift.record import Record, Still
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, si_factor
 
 MEAN_S, STRETCH_S, SHORT_S = 5.0, 300.0, 25.0  # s, of a Hann mean, of a stretch, of those from which a start is found
-# rad/s, from rest to motion: two thirds of half a step of 16 bits over +-2000 deg/s [assumed]
-MOVED = 0.02 * RADIAN_PER_DEGREE
 WALK = 2e-4 * RADIAN_PER_DEGREE  # rad/s/sqrt(s), of a consumer gyroscope's offset [assumed]
 # m/s2, offset of accelerometers, and share by which their size of gravity is off: calibrated, and by data sheets [assumed]
 CALIBRATED, RAW = (0.05, 0.005), (0.5, 0.03)

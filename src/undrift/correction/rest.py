@@ -31,6 +31,8 @@ NAMED_NONE: Stretch = (None, None)
 FOUND_IN_S = 600.0
 LEAST_IN_MOTION_S = 20.0  # of a recording whose motion shows the vertical, and what is left of the offset
 FEWEST = 10  # samples: below it their scatter says nothing
+# rad/s, of an axis' offset from rest to motion: two thirds of half a step of 16 bits over +-2000 deg/s [assumed]
+MOVED = 0.02 * RADIAN_PER_DEGREE
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -58,8 +60,8 @@ class RestOffset:
 
     @property
     def uncertainty(self) -> float:
-        """Standard uncertainty, all axes together, rad/s."""
-        return float(np.sqrt(np.trace(self.covariance)))
+        """Standard uncertainty in motion, all axes together, rad/s: of the mean, and of the change from rest to motion."""
+        return float(np.sqrt(np.trace(self.covariance) + 3.0 * MOVED**2))
 
     @property
     def figures(self) -> dict[str, Any]:
