@@ -184,6 +184,9 @@ def test_the_uncertainty_of_the_calibrations_offset_counts_where_nothing_better_
     assert np.degrees(found.offset_uncertainty) == pytest.approx(2.0 * sd * np.sqrt(3.0), rel=0.01)
     rest = orient(record, None, OrientSettings(offset="rest"), gyro_model=model)
     assert rest.offset_uncertainty < 0.1 * found.offset_uncertainty  # the rest's own mean took its place
+    models = [replace(model, method=method, covariance=np.zeros((12, 12))) for method in ("rest", "reference/motion")]
+    bench, optics = (orient(record, gyro_model=one).offset_uncertainty for one in models)
+    assert optics < 0.1 * bench  # an offset that was fitted in motion does not change from rest to motion
 
 
 def test_quaternions_come_as_a_rotation_of_scipy():

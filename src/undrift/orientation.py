@@ -40,6 +40,7 @@ from undrift.base.summary import Shown
 from undrift.correction.consistency import check_triads
 from undrift.correction.rest import (
     FEWEST,
+    IN_MOTION,
     LEAST_IN_MOTION_S,
     MOVED,
     force_covariances,
@@ -574,7 +575,8 @@ def _offset_uncertainty(
     scatter = min(
         sum(mean_variance(axis) for axis in gyro[one.start : one.stop].T) for one in rests if one.stop - one.start > 1
     )
-    moving = 1.0 - sum(one.stop - one.start for one in rests) / len(gyro)
+    unmoved = model is not None and model.method in IN_MOTION and not offsets.any()
+    moving = 0.0 if unmoved else 1.0 - sum(one.stop - one.start for one in rests) / len(gyro)
     return math.hypot(worst, math.sqrt(scatter), math.sqrt(3.0) * MOVED * moving)
 
 

@@ -33,6 +33,7 @@ LEAST_IN_MOTION_S = 20.0  # of a recording whose motion shows the vertical, and 
 FEWEST = 10  # samples: below it their scatter says nothing
 # rad/s, of an axis' offset from rest to motion: two thirds of half a step of 16 bits over +-2000 deg/s [assumed]
 MOVED = 0.02 * RADIAN_PER_DEGREE
+IN_MOTION = ("reference/motion", "reference/common")  # methods of a triad whose offset is that in motion already
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

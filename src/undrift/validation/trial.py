@@ -32,7 +32,7 @@ from undrift.calibration.adc import identify_record_adc
 from undrift.correction.consistency import check_triads
 from undrift.correction.correct import OffsetLeft, Policy, correct_checked, correct_whole, offset_left
 from undrift.correction.coverage import find_beyond
-from undrift.correction.rest import find_rest_offset, mean_variance
+from undrift.correction.rest import IN_MOTION, find_rest_offset, mean_variance
 from undrift.drift.hysteresis import TempHistory
 from undrift.drift.observe import nominal_triad
 from undrift.errors import AlignmentError, InputError
@@ -591,7 +591,7 @@ def _expected(
     if calibration is None or model is None or not model.covariance[:9, :9].any():
         return None
     if source is None:
-        in_motion = model.method in ("reference/motion", "reference/common") and judged.rest is None
+        in_motion = model.method in IN_MOTION and judged.rest is None
         source = OffsetSource(rest=_KINDS[settings.offset if judged.rest else "none"], in_motion=in_motion)
     mounting, subtracted = judged.mounting, judged.rest
     before: tuple[float, float] | None = (float(done.time[0]), judged.motion.start_s - settings.lead_s)
