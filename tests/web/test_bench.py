@@ -2,12 +2,15 @@
 
 import asyncio
 import json
+from dataclasses import fields
 from pathlib import Path
+from typing import get_args, get_type_hints
 
 import pytest
 
 pytest.importorskip("nicegui")
 
+from undrift.commands.correct import correct
 from undrift.errors import InputError
 from undrift.units import STANDARD_GRAVITY, gravity_at
 from undrift.web.bench import Bench, ServerSettings
@@ -108,6 +111,21 @@ def test_sides_that_were_chosen_define_the_pitch_of_orient_and_validate(bench):
         assert call[call.index("--forward") + 1] == "-z"
         assert call[call.index("--up") + 1] == "+x"
     assert "--forward" not in correct
+
+
+def test_the_offset_that_was_chosen_is_subtracted_by_correct_orient_and_validate_alone(bench):
+    held, one = bench.recordings, StoredFile(path=bench.folder / "uploads" / "walk.csv")
+    asyncio.run(held.run(one, "orient"))
+    assert "--offset" not in bench.calls[-1]  # each command then does what it does by itself
+    for chosen in get_args(get_type_hints(correct)["offset"]):
+        assert chosen in {field.name: field for field in fields(held.subtracted)}["offset"].metadata["options"]
+        held.subtracted.offset = chosen
+        for work in (held.run(one, "orient"), held.validate(one, one, markers="", up=""), held.run(one, "correct")):
+            asyncio.run(work)
+            call = bench.calls[-1]
+            assert call[call.index("--offset") + 1] == chosen
+    asyncio.run(held.calibrate_by(one, one, markers="", up=""))
+    assert "--offset" not in bench.calls[-1]
 
 
 def test_a_rate_that_a_command_asks_for_can_be_stated_on_the_page(bench):

@@ -92,6 +92,31 @@ def test_a_recording_with_optics_is_oriented_and_validated(open_page: Callable[.
     expect(page.get_by_text("Registered as entry 1")).to_be_visible(timeout=COMMAND_MS)
 
 
+def test_the_offset_that_motion_shows_is_subtracted_where_it_is_chosen(
+    open_page: Callable[..., Page], tmp_path: Path
+) -> None:
+    rng = np.random.default_rng(5)
+    device = undrift.random_device(rng)
+    undrift.write_calibration(
+        undrift.calibrate(undrift.simulate_session("bench", device, rng=rng)), tmp_path / "calibration.json"
+    )
+    write_parquet(undrift.simulate_trial("posturography", device, rng=rng).record, tmp_path / "stance.parquet")
+    page = open_page("/recordings", width=390)
+    page.set_default_timeout(COMMAND_MS)
+    for name in ("calibration.json", "stance.parquet"):
+        page.get_by_label("Choose files").set_input_files(tmp_path / name)
+        page.get_by_role("heading", name=name).wait_for()
+    page.get_by_label("Offset to subtract").select_option("motion")
+    page.get_by_label("Side that points forward").select_option("+x")
+    page.get_by_label("Side that points up").select_option("+z")
+    for command in ("Correct", "Orient"):
+        page.get_by_role("button", name=command, exact=True).click()
+        noticed = page.get_by_role("list").filter(has_text="Offset found from the motion")
+        expect(noticed).to_have_count(1 if command == "Correct" else 2, timeout=COMMAND_MS)
+    shoot(page, "recordings-offset-390")
+    assert faults_of(page) == []
+
+
 @needs_data
 def test_a_file_without_time_is_read_at_the_rate_that_is_stated(open_page: Callable[..., Page]) -> None:
     page = open_page("/recordings")

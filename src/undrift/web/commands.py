@@ -25,6 +25,7 @@ CONTROLS = {  # options of the commands that a page offers, and what they are ca
     "--sample-rate-hz": "Samples per second, Hz",
     "--turn-deg": "Angle of its turns, deg",
     "--serial": "Serial number",
+    "--offset": "Offset to subtract",
     "--forward": "Side that points forward",
     "--up": "Side that points up",
     "--markers": "Markers",

@@ -75,6 +75,13 @@ class Sides:
 
 
 @dataclass(slots=True, kw_only=True)
+class OffsetForm:
+    """What is subtracted of the offset that a calibration leaves; "" is what each command does by itself."""
+
+    offset: str = asked("--offset", options=("", "none", "rest", "motion"))
+
+
+@dataclass(slots=True, kw_only=True)
 class MarkersForm:
     """What is typed of an optical reference of markers."""
 
@@ -89,7 +96,7 @@ class Recordings:
         self.bench = bench
         self.files: list[StoredFile] = []
         self.chosen: StoredFile | None = None
-        self.sides = Sides()
+        self.sides, self.subtracted = Sides(), OffsetForm()
 
     async def add(self, path: Path) -> StoredFile:
         """Take up a file that has been stored, and ask what it holds."""
@@ -165,7 +172,7 @@ class Recordings:
         return outcome.done
 
     def _calibrated(self) -> tuple[object, ...]:
-        return stated(calibration=self.bench.calibration)
+        return stated(calibration=self.bench.calibration, offset=self.subtracted.offset)
 
     def _sides(self) -> tuple[object, ...]:
         return stated(forward=self.sides.forward, up=self.sides.up)
@@ -326,6 +333,13 @@ def _actions(bench: "Bench", one: StoredFile) -> None:
         parts.text("p", "No calibration chosen: drop a calibration.json, or calibrate from this recording.", "soft")
     else:
         parts.text("p", f"Calibration: {bench.calibration.parent.name}/{bench.calibration.name}", "soft")
+    parts.text(
+        "p",
+        "Gyroscopes keep an offset of each recording: none is subtracted, the mean of the first rest, or what gravity shows "
+        "while the device moves, worn or in the hand, for 20 s or more.",
+    )
+    parts.form(recordings.subtracted, "offset")
+    if bench.calibration is not None:
         parts.next_step("Correct", lambda: recordings.run(one, "correct"))
     _sides_form(recordings)
     parts.button("Orient", lambda: recordings.run(one, "orient") if _chosen(recordings, one) else None)
