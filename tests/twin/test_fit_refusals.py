@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from testkit.hand_turns import make_recording
-from undrift.errors import AlignmentError, InputError, NotObservable
+from undrift.errors import InputError, NotObservable
 from undrift.record import Reference
 from undrift.twin.accel import lever_matrix, match, prepare_accel, solve_accel
 from undrift.twin.fit import fit_twin, prepare_twin
@@ -42,7 +42,7 @@ def test_a_rest_of_gaps_alone_is_no_rest(pair):
     record, reference = pair
     gyro = np.array(record.gyro)
     gyro[record.time < 8.0] = np.nan
-    with pytest.raises(AlignmentError, match="wanted readings of a rest before the motion, got none"):
+    with pytest.raises(InputError, match="wanted two seconds of rest readings before the motion, got fewer"):
         match(replace(record, gyro=gyro), reference)
 
 

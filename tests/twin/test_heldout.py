@@ -7,11 +7,12 @@ import pytest
 
 from testkit.broad_trials import trial
 from testkit.data import show
+from testkit.hand_turns import Device, make_recording
 from undrift.record import Record, Reference
 from undrift.sim.motion.poses import OpticsSettings, see
 from undrift.sim.motion.tasks import Task, draw_task
 from undrift.twin.fit import Prepared, fit_prepared, prepare_twin
-from undrift.twin.heldout import Excitation, excitation, motion_windows, not_excited
+from undrift.twin.heldout import Excitation, compare_held_out, end_errors, excitation, motion_windows, not_excited
 from undrift.units import STANDARD_GRAVITY
 
 RATE_HZ = 100.0
@@ -101,3 +102,34 @@ def test_a_real_twin_of_turns_about_x_says_that_those_about_y_are_beyond_it() ->
         assert found.values["axis"] == "y"
     assert excited(prepared, [1], 2).finding("09") is None
     assert excited(prepared, [2], 1).finding("07") is None
+
+
+def test_recordings_that_begin_and_end_in_motion_make_a_twin_that_predicts_their_ends() -> None:
+    rng = np.random.default_rng(8)
+    forward, offset = np.eye(3) + 0.01 * rng.standard_normal((3, 3)), np.radians([0.5, -0.3, 0.8])
+    pairs = []
+    for change in np.radians([[0.03, 0.0, -0.03], [-0.03, 0.03, 0.0]]):
+        device = Device(forward=forward, offset=offset + change, noise=1e-3)
+        record, reference = make_recording(rng, device, turn_s=40.0, optics_hz=30.0, optics_noise=3e-4, mark=False)
+        pairs.append((record.between(10.0, 46.0), reference))
+    records, references = zip(*pairs, strict=True)
+    prepared = prepare_twin(records, references)
+    twin = fit_prepared(prepared)
+    assert [m.span.rested for m in prepared.matches] == [False, False]
+    model = twin.gyro.triad.model
+    error = model.matrix - np.linalg.inv(forward)
+    show("matrix off by", np.abs(error).max(), 2e-3)
+    assert np.abs(error).max() < 2e-3
+    np.testing.assert_allclose(np.degrees(model.offset - offset), 0.0, atol=0.1)  # 0.1 deg/s between switch-ons
+    (lost,) = (one for one in twin.parameters if one.name == "gyro_motion_offset")
+    assert "No recording rests" in lost.reason
+    assert twin.gyro_noise is None
+    ends = end_errors(prepared, rng=rng, draws=40)
+    assert [one.row for one in ends] == ["raw", "raw"]  # nothing at rest to subtract
+    show("end errors inside the draws", [one.covered for one in ends])
+    assert all(one.covered[0] for one in ends)
+    found = compare_held_out(prepared, rng=rng, lengths_s=(5.0,))
+    pitch = [np.degrees(np.nanmedian(one.errors.pitch)) for one in found]
+    show("held out, largest pitch difference in 5 s, deg", pitch, 0.5)
+    assert len(pitch) == 2
+    assert max(pitch) < 0.5

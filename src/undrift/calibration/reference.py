@@ -173,7 +173,7 @@ def recording_of(aligned: Aligned, settings: ReferenceSettings) -> Recording:
     gap: BoolArray = np.asarray(np.isnan(gyro).any(axis=1))
     step = np.diff(time)
     late = np.concatenate(([False], step > LONGEST_STEP * np.median(step)))
-    rest, rest_uncertainty = _rest(aligned)
+    rest, rest_uncertainty = rest_reading(aligned)
     # Strapdown holds each reading over the step before its stamp: half a sample.
     at = poses.time + (lag.seconds - 0.5 * float(np.median(step)))
     inside = (at >= max(motion.start_s - MARGIN_S, time[0])) & (at <= min(motion.stop_s + MARGIN_S, time[-1]))
@@ -194,7 +194,8 @@ def recording_of(aligned: Aligned, settings: ReferenceSettings) -> Recording:
     )
 
 
-def _rest(aligned: Aligned) -> tuple[FloatArray, FloatArray]:
+def rest_reading(aligned: Aligned) -> tuple[FloatArray, FloatArray]:
+    """Return the mean reading at rest (3,), NaN where a recording never rests, and its standard uncertainty."""
     time, at_rest, block_s = aligned.record.time, aligned.at_rest, 1.0
     if not aligned.span.rested:  # a short rest shows the offset, if not the tilt
         at_rest, block_s = np.zeros(len(time), bool), _SHORT_BLOCK_S

@@ -86,7 +86,7 @@ def twin(
     Parameters
     ----------
     records : Path
-        Raw recordings of one device in one mounting; each begins with a rest.
+        Raw recordings of one device in one mounting; one without a rest has the device's offset in motion.
     gravity_m_s2 : float
         Local gravity, m/s2; the accelerometer's scale is proportional to it.
     seed : int

@@ -20,10 +20,10 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray, IntArray
-from undrift.calibration.reference import MARGIN_S, Aligned, align
+from undrift.calibration.reference import MARGIN_S, Aligned, align, rest_reading
 from undrift.calibration.reference_accel import pose_columns
 from undrift.calibration.reference_windows import full_rank
-from undrift.errors import AlignmentError, InputError, NotObservable
+from undrift.errors import InputError, NotObservable
 from undrift.fit.equations import offset_of
 from undrift.fit.least_squares import fit_huber, triad_fit
 from undrift.frames import rotation
@@ -35,7 +35,8 @@ from undrift.sim.motion.poses import PoseSettings, PoseSpline, fit_pose_spline
 
 # ---- a recording and the ideal motion of its reference, on one time axis
 
-POSE_SETTINGS = PoseSettings(cutoff_hz=30.0, position_cutoff_hz=30.0)
+_POSE_CUTOFF_HZ = 30.0
+HIGHEST = 0.4  # of the sample rate: the highest cut-off at which slow poses or readings are low-passed
 _SHORTEST_S = 1.0  # stretches shorter than this are not filtered
 _EDGE = 1.5  # periods of the cut-off left out at each end of a stretch
 _PER_CUTOFF = 4.0  # samples kept for each period of the cut-off
@@ -47,7 +48,7 @@ class Match(Aligned):
 
     name: str
     spline: PoseSpline  # Through the poses
-    rest_offset: FloatArray  # (3,), mean of ``gyro`` at rest before the motion, rad/s
+    rest_offset: FloatArray  # (3,), mean of ``gyro`` at rest before the motion, rad/s; NaN where it never rests
 
     def at(self, delay_s: float, gravity_m_s2: float) -> Motion:
         """Return the motion that readings with a given delay stand for."""
@@ -72,15 +73,18 @@ def match(record: Record, reference: Reference, *, adc: AdcModel | None = None, 
     if done.gyro is None:
         raise InputError("twin: wanted a record with a gyroscope, got none; map its columns")
     aligned = align(done, reference).corrected(adc)
-    rest = aligned.gyro[aligned.at_rest]
-    if not len(rest):
-        raise AlignmentError("twin: wanted readings of a rest before the motion, got none; record a rest first")
     return Match(
         **{field.name: getattr(aligned, field.name) for field in fields(aligned)},
         name=name or reference.name,
-        spline=fit_pose_spline(aligned.reference, POSE_SETTINGS),
-        rest_offset=rest.mean(axis=0),
+        spline=pose_spline(aligned.reference, _POSE_CUTOFF_HZ),
+        rest_offset=rest_reading(aligned)[0],
     )
+
+
+def pose_spline(reference: Reference, cutoff_hz: float) -> PoseSpline:
+    """Return the motion through poses, low-passed as far as their sample rate allows."""
+    cutoff_hz = min(cutoff_hz, HIGHEST * reference.sample_rate_hz)
+    return fit_pose_spline(reference, PoseSettings(cutoff_hz=cutoff_hz, position_cutoff_hz=cutoff_hz))
 
 
 def stretches(match: Match, motion: Motion, readings: FloatArray) -> Iterator[slice]:

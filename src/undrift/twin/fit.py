@@ -31,6 +31,7 @@ from undrift.sim.device.effects import Offset, SensorChain, Thermometer
 from undrift.sim.device.model import DeviceModel
 from undrift.twin.accel import (
     CUTOFF_HZ,
+    HIGHEST,
     AccelFit,
     Match,
     PreparedAccel,
@@ -295,6 +296,7 @@ def prepare_twin(
             f"twin: wanted one reference for each record, got {len(records)} records and {len(references)} references"
         )
     adc, called = device_adc(records), list(names) or [""] * len(records)
+    settings = _as_slow(settings, records)
     records = [record.in_si() for record in records]
     matches = tuple(match(r, p, adc=adc, name=n) for r, p, n in zip(records, references, called, strict=True))
     accel, refused, codes = None, "", records[0].accel
@@ -313,6 +315,13 @@ def prepare_twin(
     )
 
 
+def _as_slow(settings: TwinSettings, records: Sequence[Record]) -> TwinSettings:
+    """Return settings whose cut-offs the slowest recording can have."""
+    highest = HIGHEST * min(record.sample_rate_hz for record in records)
+    gyro, accel = (min(each, highest) for each in (settings.gyro_cutoff_hz, settings.accel_cutoff_hz))
+    return replace(settings, gyro_cutoff_hz=gyro, accel_cutoff_hz=accel)
+
+
 def fit_twin(
     records: Sequence[Record],
     references: Sequence[Reference],
@@ -325,7 +334,7 @@ def fit_twin(
     Parameters
     ----------
     records : sequence of Record
-        Raw recordings of one device in one mounting; each begins with a rest.
+        Raw recordings of one device in one mounting. Without a rest, one has the device's offset in motion.
     references : sequence of Reference
         One for each record.
     settings : TwinSettings
@@ -359,9 +368,10 @@ def fit_prepared(
 ) -> Twin:
     """Fit the device model to chosen recordings."""
     number = list(range(len(prepared.records)) if chosen is None else chosen)
+    settings = _as_slow(settings, prepared.records)
     matches = [prepared.matches[k] for k in number]
     gyro = fit_aligned(matches, ReferenceSettings(mounting="one"))
-    rests, codes = [m.rest for m in matches], prepared.accel_codes
+    rests, codes = [m.rest for m in matches if m.span.rested], prepared.accel_codes
     twin = Twin(
         gyro=gyro,
         accel=None if prepared.accel is None else solve_accel(prepared.accel, chosen=number),
@@ -401,8 +411,11 @@ def _parameters(twin: Twin, prepared: Prepared, matches: Sequence[Match]) -> tup
     found = [known("gyro_delay", *mean_with_error(gyro.lags_s, gyro.lag_uncertainties_s), "s")]
     found += triad_parameters("gyro", model, model.covariance, "rad/s")
     errors = np.sqrt(np.maximum(np.diag(model.covariance)[9:12], 0.0))
-    moved = zip(AXES, gyro.motion_offset, errors, strict=True)
-    found += [known(f"gyro_motion_offset_{a}", value, error, "rad/s") for a, value, error in moved]
+    if np.isfinite(gyro.rest_offsets).all(axis=1).any():
+        moved = zip(AXES, gyro.motion_offset, errors, strict=True)
+        found += [known(f"gyro_motion_offset_{a}", value, error, "rad/s") for a, value, error in moved]
+    else:
+        found += [unknown("gyro_motion_offset", "rad/s", finding("twin.never_rests", "info"))]
     found += _g_sensitivity(matches)
     found += _accel_parameters(twin, prepared.accel_refused)
     found += _noise_parameters("gyro", twin.gyro_noise, "rad/s/sqrt(Hz)", first.sample_rate_hz)

@@ -40,6 +40,7 @@ import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray, IntArray
 from undrift.calibration.adc import restored_gyro
+from undrift.calibration.reference import TURN_ON
 from undrift.calibration.reference_accel import pose_columns
 from undrift.errors import InputError
 from undrift.findings import Finding, finding
@@ -51,8 +52,7 @@ from undrift.sim.device.effects import Adc, LeverArm, Offset, Sampling, Scale, S
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.simulate import simulate_device
 from undrift.sim.motion.motion import Motion
-from undrift.sim.motion.poses import PoseSettings, fit_pose_spline
-from undrift.twin.accel import Match, stretches
+from undrift.twin.accel import Match, pose_spline, stretches
 from undrift.twin.fit import Prepared, RestNoise, Twin, fit_prepared, spread_of
 from undrift.units import RADIAN_PER_DEGREE
 from undrift.validation.trial import TrialSettings, compare_orientations, validate_trial, wrapped
@@ -115,7 +115,7 @@ SHARED_CLOCK_S = 1e-3  # delays of a device's recordings agree to this where dev
 IN_PLANE = 0.5  # shortest part of the vertical in the sagittal plane
 STRIDE_S = 0.5  # from one window to the next
 POINTS_PER_S = 36.0  # at which a window is compared
-MOTION_SETTINGS = PoseSettings(cutoff_hz=20.0, position_cutoff_hz=10.0)
+_MOTION_CUTOFF_HZ = 20.0
 _FRESH = 30  # samples: shorter stretches hold nothing
 
 # ---- excitation
@@ -201,7 +201,7 @@ def motion_windows(match: Match) -> FloatArray:
     motion, rate = match.at(match.lag.seconds, 0.0), match.record.sample_rate_hz
     samples, stride, found = round(WINDOW_S * rate), max(1, round(STRIDE_S * rate)), [np.empty((0, 3, 12))]
     for rows in stretches(match, motion, match.gyro):
-        r_nb, u = rotation(motion.q_nb[rows]).as_matrix(), match.gyro[rows] - match.rest_offset
+        r_nb, u = rotation(motion.q_nb[rows]).as_matrix(), match.gyro[rows] - np.nan_to_num(match.rest_offset)
         total = np.cumsum(pose_columns(r_nb, u), axis=0) / rate
         first = np.arange(0, len(total) - samples, stride)
         found.append(total[first + samples] - total[first])
@@ -238,7 +238,7 @@ class HeldOutMotion:
     twin: Twin  # Of the others
     device: DeviceModel  # The twin without delay: the motion is evaluated at the delayed instants
     motion: Motion  # Of the poses, at those instants
-    # (3,), of the real readings in motion: their own rest plus the twin's change from rest to motion, rad/s
+    # (3,), of the real readings in motion: their own rest plus the twin's change from rest to motion, or the twin's, rad/s
     offset: FloatArray
 
     def corrected(self, readings: FloatArray, offset: FloatArray) -> FloatArray:
@@ -270,12 +270,11 @@ def hold_out(prepared: Prepared, number: int, *, twin: Twin | None = None) -> He
     match = prepared.matches[number]
     rate = match.record.sample_rate_hz
     lag = twin.delay if abs(match.lag.seconds - twin.delay) < SHARED_CLOCK_S else match.lag.seconds
-    spline = fit_pose_spline(replace(match.reference, position=None), MOTION_SETTINGS)
+    spline = pose_spline(replace(match.reference, position=None), _MOTION_CUTOFF_HZ)
     motion = spline.at(match.record.time - (lag - 0.5 / rate), twin.settings.gravity_m_s2)
     device = replace(device_of(twin, sample_rate_hz=rate), sampling=Sampling())
-    return HeldOutMotion(
-        match=match, twin=twin, device=device, motion=motion, offset=match.rest_offset + twin.gyro.motion_offset
-    )
+    offset = twin.gyro.model_at_rest_offset(match.rest_offset).offset
+    return HeldOutMotion(match=match, twin=twin, device=device, motion=motion, offset=offset)
 
 
 def compare_held_out(
@@ -350,7 +349,7 @@ def plain(device: DeviceModel) -> DeviceModel:
 
 Row = Literal["raw", "rest"]
 ROWS: tuple[Row, ...] = ("raw", "rest")
-SLOW_SETTINGS = PoseSettings(cutoff_hz=5.0)
+_SLOW_CUTOFF_HZ = 5.0
 _LEAD_S, _END_S, _EVERY_S = 0.5, 3.0, 0.25
 _WITHIN = (2.5, 97.5)  # per cent of the draws
 
@@ -383,13 +382,13 @@ def end_errors(
     draws: int = 60,
     progress: Callable[[str, float], None] = lambda what, share: None,
 ) -> tuple[Ending, ...]:
-    """Compare simulated and real end errors of every recording, each against the twin of the others."""
+    """Compare simulated and real end errors of every recording, each against the twin of the others; "rest" where it rests."""
     found: list[Ending] = []
     for number in range(len(prepared.records)):
         progress(f"end errors: recording {number + 1} of {len(prepared.records)}", number / len(prepared.records))
         held = hold_out(prepared, number)
         simulated = _simulated(held, rng, draws)
-        for k, row in enumerate(ROWS):
+        for k, row in enumerate(ROWS[: len(simulated)]):
             settings = TrialSettings(offset="none" if row == "raw" else "rest", adc="none")
             figures = validate_trial(prepared.records[number], prepared.references[number], settings=settings).figures
             real = np.array([figures.end_total_deg, figures.end_inclination_deg]) * RADIAN_PER_DEGREE
@@ -401,19 +400,23 @@ def _simulated(held: HeldOutMotion, rng: np.random.Generator, draws: int) -> Flo
     match, twin, span = held.match, held.twin, held.match.span
     last = int(np.searchsorted(match.record.time, span.stop_s + _END_S)) + 1
     time = match.record.time[:last]
-    slow = fit_pose_spline(replace(match.reference, position=None), SLOW_SETTINGS)
+    slow = pose_spline(replace(match.reference, position=None), _SLOW_CUTOFF_HZ)
     motion = slow.at(held.motion.time[:last], twin.settings.gravity_m_s2)
     inside = (time >= span.start_s) & (time < span.stop_s)
-    known = (np.asarray(motion.valid) > 0.0)[:, None]
-    rate = np.where(known, np.nan_to_num(motion.mean_rate_b), held.corrected(match.gyro[:last], held.offset))
+    with_pose = (np.asarray(motion.valid) > 0.0)[:, None]
+    rate = np.where(with_pose, np.nan_to_num(motion.mean_rate_b), held.corrected(match.gyro[:last], held.offset))
     rate = rate * inside[:, None]
-    first = int(np.searchsorted(time, span.start_s - _LEAD_S))
-    seen = motion.q_nb[:first][known[:first, 0]]
-    start = seen[-1] if len(seen) else np.array([1.0, 0.0, 0.0, 0.0])
+    if span.rested:
+        first, after = int(np.searchsorted(time, span.start_s - _LEAD_S)), span.stop_s
+        seen = motion.q_nb[:first][with_pose[:first, 0]]
+        start = seen[-1] if len(seen) else np.array([1.0, 0.0, 0.0, 0.0])
+    else:  # from the reference, to the last of the motion, as ``validate_trial`` has it
+        first, after = int(np.flatnonzero(with_pose[:, 0] & inside)[0]), span.stop_s - _END_S
+        start = motion.q_nb[first]
     truth = integrate_strapdown(rate[first:], time[first:], start)
-    ends = np.searchsorted(time[first:], np.arange(span.stop_s, min(span.stop_s + _END_S, time[-1]), _EVERY_S))
-    tilted, out = start, np.empty((2, draws, 2))
-    if twin.accel is not None:  # the tilt error of a start from the raw accelerometer at rest
+    ends = np.searchsorted(time[first:], np.arange(after, min(after + _END_S, time[-1]), _EVERY_S))
+    tilted, out = start, np.empty((len(ROWS) if span.rested else 1, draws, 2))
+    if twin.accel is not None and span.rested:  # the tilt error of a start from the raw accelerometer at rest
         up = rotate(quaternion_conjugate(start), np.array([0.0, 0.0, twin.settings.gravity_m_s2]))
         reading = np.linalg.solve(twin.accel.model.matrix, up) + twin.accel.model.offset
         turn = np.cross(reading / np.linalg.norm(reading), up / np.linalg.norm(up))
@@ -422,7 +425,7 @@ def _simulated(held: HeldOutMotion, rng: np.random.Generator, draws: int) -> Flo
         device, change = _drawn(held, rng)
         motion = _turning(time, rate + inside[:, None] * change)
         readings = _read(device, motion, rng)
-        for k, offset in enumerate((np.zeros(3), readings[:first].mean(axis=0))):
+        for k, offset in enumerate((np.zeros(3), readings[:first].mean(axis=0)) if span.rested else (np.zeros(3),)):
             q = integrate_strapdown(readings[first:] - offset, time[first:], tilted)
             error = compare_orientations(q[ends], truth[ends])
             out[k, d] = np.median(error.total), np.median(error.inclination)
@@ -435,8 +438,9 @@ def _drawn(held: HeldOutMotion, rng: np.random.Generator) -> tuple[DeviceModel, 
     step = rng.multivariate_normal(np.zeros(12), gyro.triad.model.covariance[:12, :12], method="eigh")
     matrix = gyro.triad.model.matrix + step[:9].reshape(3, 3)
     again = np.sqrt(1.0 + 1.0 / len(gyro.rest_offsets))  # the mean of n and one more recording
-    spread = spread_of(gyro.rest_offsets, twin.settings.offset_spread)
-    rest = gyro.rest_offsets.mean(axis=0) + again * spread * rng.standard_normal(3)
+    rests = gyro.rest_offsets[np.isfinite(gyro.rest_offsets).all(axis=1)]
+    spread = spread_of(rests, twin.settings.offset_spread) if len(rests) else np.full(3, TURN_ON)
+    rest = (rests.mean(axis=0) if len(rests) else 0.0) + again * spread * rng.standard_normal(3)
     moved = again * twin.settings.motion_offset_spread * rng.standard_normal(3)
     change = matrix @ (gyro.motion_offset + step[9:] + moved)
     chain = chain_of(matrix, rest, None, "rad/s")
@@ -501,6 +505,10 @@ def contributions(
         "found": whole,
         "found with a twin of this recording": _medians(itself.found(rng, length_s)),
     }
+    if not held.match.span.rested:
+        del parts["device and poses at rest"]
+    if gyro.white_noise is None:
+        del parts["white noise"]
     return tuple(ErrorSource(name=name, pitch=float(pitch), tilt=float(tilt)) for name, (pitch, tilt) in parts.items())
 
 

@@ -103,7 +103,10 @@ def split_twin(prepared: Prepared, twin: Twin) -> OpticsSplit | Finding:
         return finding("twin.no_witness", "info", seconds=0.0, wanted_s=BLOCK_S * _LEAST_BLOCKS)
     return split_difference(
         prepared.matches,
-        [(gyro.triad.model.matrix, m.rest_offset + gyro.motion_offset, m.lag.seconds) for m in prepared.matches],
+        [
+            (gyro.triad.model.matrix, gyro.model_at_rest_offset(m.rest_offset).offset, m.lag.seconds)
+            for m in prepared.matches
+        ],
         accel_delay=accel.delay,
         gravity_m_s2=twin.settings.gravity_m_s2,
     )
