@@ -54,7 +54,8 @@ from undrift.findings import Finding, finding
 from undrift.frames import quaternion_conjugate, quaternion_product, rotate
 from undrift.model import AXES, TriadModel
 from undrift.record import FACES, Face, Record, Still
-from undrift.segments import StillSettings, find_still, runs
+from undrift.segments import StillSettings, find_still, runs, unpadded
+from undrift.sync import padding
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, si_factor
 
 if TYPE_CHECKING:
@@ -484,17 +485,21 @@ def orient_unchecked(
     if record.gyro is None:
         raise InputError("orient: wanted gyroscope readings, got none; map the columns that hold them")
     _check_whole(record.time, record.gyro)
+    whole, record = record, unpadded(record)
+    if still is not None:
+        first = int(whole.time.searchsorted(record.time[0]))
+        still = replace(still, start=max(still.start - first, 0), stop=min(max(still.stop - first, 1), len(record)))
     rests = _rests(record, still, settings.offset)
     still = rests[0] if still is None and rests else still
     means = np.reshape([record.gyro[one.start : one.stop].mean(axis=0) for one in rests], (-1, 3))
-    findings: tuple[Finding, ...] = ()
+    findings = padding(whole, record)
     if settings.offset == "motion" or still is None:
         from undrift.correction.motion import find_motion_offset  # scipy and a kernel, for this alone
 
         moved = find_motion_offset(record, None if still is None else rest_offset(record, still), gyro_model)
     if still is None:
         tilt = _tilt_of(record, moved.vertical, {"motion": moved.vertical_covariance}, settings.heading)
-        findings = (finding("orient.no_rest", "info", tilt_deg=tilt.inclination_uncertainty / RADIAN_PER_DEGREE),)
+        findings += (finding("orient.no_rest", "info", tilt_deg=tilt.inclination_uncertainty / RADIAN_PER_DEGREE),)
     else:
         tilt = initial_tilt(record, still, heading=settings.heading)
     if settings.offset == "motion":

@@ -355,15 +355,21 @@ _BREAKS = 0.1
 
 def unpadded(record: Record) -> Record:
     """Return a record without the rows that repeat its first or last reading where others never repeat so long."""
-    steps = np.diff(np.hstack([values for values in (record.gyro, record.accel) if values is not None]), axis=0)
+    triads = [values for values in (record.gyro, record.accel) if values is not None]
+    least = max(_PADDED, round(_PADDED_S * record.sample_rate_hz))
+    ends = (slice(0, least + 1), slice(-least - 1, None))
+    if not any(all((np.diff(each[end], axis=0) == 0.0).all() for each in triads) for end in ends):
+        return record
+    steps = np.diff(np.hstack(triads), axis=0)
     same, first, last = runs((steps == 0.0).all(axis=1)), 0, len(record)
     inner = max((stop - start for start, stop in same if start > 0 and stop < len(steps)), default=0)
-    least = max(_PADDED, round(_PADDED_S * record.sample_rate_hz))
     for start, stop in same:
         edge = start == 0 or stop == len(steps)
         if not edge or stop - start < max(least, 2 * inner) or stop - start == len(steps):
             continue
         beside = steps[stop : stop + least] if start == 0 else steps[start - least : start][::-1]
+        if len(beside) < least:
+            continue
         rough = np.minimum(np.abs(beside[0]), np.diff(beside[1:], 2, axis=0).std(axis=0))
         if np.median(rough / np.maximum(np.sqrt((beside**2).mean(axis=0)), 1e-300)) > _BREAKS:
             first, last = (stop, last) if start == 0 else (first, start + 1)

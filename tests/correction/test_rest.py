@@ -13,7 +13,7 @@ from undrift.correction.rest import find_rest_offset, find_rest_offset_in
 from undrift.errors import InputError
 from undrift.model import Calibration
 from undrift.orientation import OrientSettings, orient
-from undrift.record import Record
+from undrift.record import Record, Still
 from undrift.sim.device.presets import random_device
 from undrift.sim.device.truth import true_calibration
 from undrift.sim.sessions import simulate_trial
@@ -167,3 +167,26 @@ def test_correct_orient_and_validate_subtract_the_mean_of_the_same_rest():
     assert (done.rest.start_s, done.rest.stop_s) == (time[oriented.still.start], time[oriented.still.stop - 1])
     np.testing.assert_allclose(judged.rest.rate, done.rest.rate, rtol=0.0, atol=1e-12)
     np.testing.assert_allclose(oriented.offset, done.rest.rate, rtol=0.0, atol=1e-12)
+
+
+def test_rows_that_fill_a_file_up_are_named_and_are_no_rest_on_any_route():
+    record, _ = worn()
+    order = np.r_[np.full(500, 3020), np.arange(3020, 4000), np.arange(2000), np.full(300, 1999)]
+    held = {name: np.asarray(getattr(record, name))[order] for name in ("gyro", "accel", "temp_c")}
+    padded = Record(time=np.arange(len(order)) / FS, **held)
+    first, last = 500 + 980, 500 + 980 + 2000  # of the true rest
+    done = correct_checked(padded, CALIBRATION, offset="rest")
+    assert "recording.padded" in [one.code for one in done.findings]
+    assert padded.time[first] <= done.rest.start_s < done.rest.stop_s < padded.time[last]
+    np.testing.assert_allclose(done.rest.rate, LEFT, atol=2e-4)
+    plain = correct(padded, CALIBRATION, check=False)
+    parts = (plain.part(a, min(a + 777, len(plain))) for a in range(0, len(plain), 777))
+    assert find_rest_offset_in(parts).rest_s == done.rest.rest_s
+    found = orient(plain, settings=OrientSettings(offset="rest"))
+    assert "recording.padded" in [one.code for one in found.findings]
+    assert (found.time[0], found.time[-1]) == (padded.time[500], padded.time[last - 1])
+    assert found.time[found.still.start] == done.rest.start_s
+    np.testing.assert_allclose(found.offset, done.rest.rate, atol=1e-12)
+    still = Still(start=first + 100, stop=last - 100)
+    named = orient(plain, still, OrientSettings(offset="rest"))
+    assert named.time[named.still.start] == padded.time[first + 100]

@@ -25,7 +25,8 @@ from undrift.findings import Finding, finding
 from undrift.frames import rotate
 from undrift.model import Calibration
 from undrift.record import Record, Still, TemperatureSensitivity
-from undrift.segments import StillSettings, find_still
+from undrift.segments import StillSettings, find_still, unpadded
+from undrift.sync import padding
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical, si_factor
 
 WINDOWS_S = (4.0, 1.0)  # long ones average motion out; a short recording has but short ones
@@ -315,7 +316,8 @@ def check_corrected(
     from undrift.io.inspect import find_saturated
 
     both = calibration.gyro is not None and calibration.accel is not None  # else they are in frames of their own
-    return (*find_saturated(raw), *(_agreeing(record) if both else ()), *check_device(record, calibration, stills))
+    named = (*find_saturated(raw), *padding(raw, unpadded(raw)))
+    return (*named, *(_agreeing(record) if both else ()), *check_device(record, calibration, stills))
 
 
 def check_device(

@@ -32,6 +32,7 @@ from undrift.findings import Finding, finding
 from undrift.kernels.rotation import carried_means
 from undrift.model import OFFSET_NAMES, TriadModel
 from undrift.record import Record, Still
+from undrift.segments import unpadded
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, si_factor
 
 MEAN_S, STRETCH_S, SHORT_S = 5.0, 300.0, 25.0  # s, of a Hann mean, of a stretch, of those from which a start is found
@@ -111,6 +112,7 @@ class MotionOffset:
 
 def find_motion_offset(record: Record, rest: RestOffset | None, model: TriadModel | None = None) -> MotionOffset:
     """Return the offset that the motion of a corrected record shows, beside the mean at a rest or what its model leaves."""
+    record = unpadded(record)
     advice = "record with a pause at rest" if rest is None else "use `offset` rest"
     if record.gyro is None or record.accel is None:
         raise InputError(f"offset from motion: wanted rates and specific force, got one of them; {advice}")

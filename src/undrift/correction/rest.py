@@ -23,7 +23,7 @@ from undrift.arrays import FloatArray, frozen
 from undrift.errors import InputError
 from undrift.findings import Finding, finding
 from undrift.record import Record, Still, joined
-from undrift.segments import StillSettings, find_still
+from undrift.segments import StillSettings, find_still, unpadded
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
 Stretch = tuple[float | None, float | None]  # named start and end, s, on the recording's clock; both None: to be found
@@ -200,9 +200,13 @@ def _first(extended: Callable[[float], tuple[Record, int]], what: str) -> tuple[
     while True:
         head, known = extended(span_s)
         whole = len(head) == known  # nothing comes after it
-        found = find_still(head, StillSettings())
-        if found.stills and (whole or found.stills[0].stop < len(head)):
-            return head, found.stills
+        inner = unpadded(head)
+        first = int(head.time.searchsorted(inner.time[0]))
+        inner = inner if whole else head.part(first, len(head))
+        found = find_still(inner, StillSettings())
+        stills = tuple(replace(one, start=one.start + first, stop=one.stop + first) for one in found.stills)
+        if stills and (whole or stills[0].stop < len(head)):
+            return head, stills
         if whole:
             raise no_rest(what, found.reason)
         span_s *= 2.0
