@@ -481,17 +481,18 @@ def orient_unchecked(
     gyro_model: TriadModel | None = None,
 ) -> Orientation:
     """Find the orientation of a record whose columns are known to be right."""
-    record = record.in_si()
-    if record.gyro is None:
+    whole = record.in_si()
+    if whole.gyro is None:
         raise InputError("orient: wanted gyroscope readings, got none; map the columns that hold them")
-    _check_whole(record.time, record.gyro)
-    whole, record = record, unpadded(record)
+    _check_whole(whole.time, whole.gyro)
+    record = unpadded(whole)
+    rates = np.asarray(record.gyro)
     if still is not None:
         first = int(whole.time.searchsorted(record.time[0]))
         still = replace(still, start=max(still.start - first, 0), stop=min(max(still.stop - first, 1), len(record)))
     rests = _rests(record, still, settings.offset)
     still = rests[0] if still is None and rests else still
-    means = np.reshape([record.gyro[one.start : one.stop].mean(axis=0) for one in rests], (-1, 3))
+    means = np.reshape([rates[one.start : one.stop].mean(axis=0) for one in rests], (-1, 3))
     findings = padding(whole, record)
     if settings.offset == "motion" or still is None:
         from undrift.correction.motion import find_motion_offset  # scipy and a kernel, for this alone
@@ -509,8 +510,8 @@ def orient_unchecked(
         uncertainty = math.hypot(moved.uncertainty, float(np.linalg.norm(moved.rate.mean(axis=0))))
     else:
         offsets = _offsets(record.time, rests, means, settings.offset, rests.index(still))
-        uncertainty = _offset_uncertainty(record.gyro, rests, means, offsets, gyro_model)
-    gyro, anchor = record.gyro - offsets, 0 if still is None else still.stop - 1
+        uncertainty = _offset_uncertainty(rates, rests, means, offsets, gyro_model)
+    gyro, anchor = rates - offsets, 0 if still is None else still.stop - 1
     if settings.method == "vqf":
         q = _levelled_at(_filtered(record, gyro, uncertainty), anchor, tilt.q_nb)
     else:
