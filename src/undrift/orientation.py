@@ -485,8 +485,7 @@ def orient_unchecked(
     if whole.gyro is None:
         raise InputError("orient: wanted gyroscope readings, got none; map the columns that hold them")
     _check_whole(whole.time, whole.gyro)
-    record = unpadded(whole)
-    rates = np.asarray(record.gyro)
+    rates = np.asarray((record := unpadded(whole)).gyro)
     if still is not None:
         first = int(whole.time.searchsorted(record.time[0]))
         still = replace(still, start=max(still.start - first, 0), stop=min(max(still.stop - first, 1), len(record)))
@@ -517,8 +516,8 @@ def orient_unchecked(
     else:
         q = _both_ways(gyro, record.time, tilt.q_nb, anchor)
         findings += (_expected_drift(record.time, anchor, uncertainty, settings.offset, rested=still is not None),)
-    findings += () if still is None else _moved_at_rest(record, still)
     at_rest = None if still is None else slice(still.start, still.stop)
+    findings += () if still is None else _moved_at_rest(record, still)
     findings += check_pitch_axes(q, at_rest, settings.forward, settings.up)
     return Orientation(
         time=record.time,
