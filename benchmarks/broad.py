@@ -28,7 +28,7 @@ from undrift.calibration.reference import ReferenceFit, fit_reference
 from undrift.correction.motion import find_motion_offset
 from undrift.correction.rest import find_rest_offset
 from undrift.io.mocap import read_broad
-from undrift.model import AdcModel, Calibration
+from undrift.model import AdcModel, Calibration, TriadModel
 from undrift.record import Record, Reference
 from undrift.units import STANDARD_GRAVITY
 from undrift.validation.agreement import Validation, summed, validate_leave_one_out, validate_trials
@@ -104,14 +104,12 @@ def adc_of(device: str) -> AdcModel | None:
 
 
 def estimates(devices: Sequence[str]) -> list[list[tuple[FloatArray, FloatArray]]]:
-    """Return what each trial of each device gives by itself: matrix and change to motion (12,), and their covariance."""
+    """Return what each trial of each device gives by itself: matrix and change to motion (12,), rad/s, and their covariance."""
     each = []
     for device in devices:
         adc = adc_of(device)
-        fits = [single(n, adc) for n in DEVICES[device]]
-        each.append(
-            [(np.append(f.triad.model.matrix.ravel(), f.motion_offset), f.triad.model.covariance) for f in fits]
-        )
+        models, own = [single(n, adc).triad.model for n in DEVICES[device]], np.r_[:9, 12:15]
+        each.append([(np.append(m.matrix.ravel(), m.moving_offset), m.covariance[np.ix_(own, own)]) for m in models])
     return each
 
 
@@ -168,15 +166,22 @@ def held_out(variant: str, device: str, number: str, others: Sequence[str]) -> F
     left = [n for n in numbers if n != number]
     if variant == "pooled":
         fit = _pooled(tuple(left), device)
-        model = fit.model_at_rest_offset(single(number, adc).rest_offsets[0])
+        model = fit.model_at_rest_offset(at_rest(number, adc, fit.triad.model))
     else:
         parts = [e for n, e in zip(numbers, estimates([device])[0], strict=True) if n != number]
         x = _posterior(parts, others, shared=variant == VARIANTS[2])
         model = single(left[0], adc).triad.model
-        offset = single(number, adc).rest_offsets[0] + x[9:]  # the rest alone is taken from the held-out trial
-        model = replace(model, matrix=x[:9].reshape(3, 3), offset=offset)
+        offset = at_rest(number, adc, model)  # the rest alone is taken from the held-out trial
+        model = replace(model, matrix=x[:9].reshape(3, 3), offset=offset, moving_offset=x[9:])
     made = Calibration(device="", reference_temp_c=float("nan"), gravity_m_s2=STANDARD_GRAVITY, gyro=model, adc=adc)
     return validate_trial(*trial(number), calibration=made).figures
+
+
+def at_rest(number: str, adc: AdcModel | None, model: TriadModel) -> FloatArray:
+    """Return what a trial reads at rest, codes corrected as a model has it."""
+    own = single(number, adc)
+    rest, codes, other = own.rest_offsets[0], own.triad.model.code_offset, model.code_offset
+    return rest if codes is None or other is None else rest + (own.triad.model.offset - rest) / codes * other
 
 
 @cache

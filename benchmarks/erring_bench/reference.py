@@ -12,12 +12,13 @@ import numpy as np
 
 from benchmarks.erring_bench import Row, Tally, chain_that_errs, drawn_slope, even_rise
 from undrift.arrays import FloatArray
-from undrift.calibration.reference import ReferenceSettings, fit_reference
+from undrift.calibration.reference import CODE_PRIOR, MOVING_PRIOR, ReferenceSettings, fit_reference
 from undrift.calibration.reference_accel import fit_reference_accel
 from undrift.fit.least_squares import TriadFit
 from undrift.frames import quaternion_of, quaternion_product
-from undrift.model import TriadModel
+from undrift.model import AdcModel, TriadModel
 from undrift.record import Record, Reference
+from undrift.segments import find_turning
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.presets import GradeName, random_device
 from undrift.sim.device.simulate import simulate_device
@@ -67,6 +68,43 @@ def rows(devices: int, seed: int) -> Iterator[Row]:
                     )
         yield from gyro.rows()
         yield from accel.rows()
+    yield from moving_rows(devices, seed)
+
+
+def moving_rows(devices: int, seed: int) -> Iterator[Row]:
+    """Yield the rows of the change to motion d and of what codes lose, c, both drawn from their priors.
+
+    Without g-sensitivity and creep, which change the offset from rest to motion in their own way: they are d of these recordings.
+    """
+    for bits in (12, 15):
+        rng, tally = (
+            np.random.default_rng(seed),
+            Tally("reference, motion and codes", f"consumer part, {bits} bits cut off"),
+        )
+        case = CASES["consumer part, 0.06 deg, mounting 0.5 deg"]
+        lsb = 2.0 * RANGE["gyro"] / 2**bits
+        for _ in range(devices):
+            device = random_device(rng, grade=case.grade)
+            device = replace(device, gyro=replace(device.gyro, g_sensitivity=None))
+            true, change = true_calibration(device).gyro, MOVING_PRIOR * rng.standard_normal(3)
+            lost = lsb * (0.5 + CODE_PRIOR * rng.standard_normal(3))
+            pairs = [_seen(device, rng, case) for _ in range(3)]
+            records = [_moved(record, true, change, (lsb, lost)) for record, _ in pairs]
+            adc = AdcModel(gyro_lsb=np.full(3, lsb), gyro_rounding="toward_zero")
+            fit = fit_reference(records, [p[1] for p in pairs], adc=adc).triad
+            left, _, right = np.linalg.svd(fit.model.matrix @ true.forward_matrix)  # the mean mounting turns d
+            sigma = fit.model.standard_uncertainty
+            moving, codes = fit.model.moving_offset - left @ right @ change, fit.model.code_offset - lost
+            tally.add(fit.verdict, moving=(moving, sigma[12:15]), codes=(codes, sigma[15:]))
+        yield from tally.rows()
+
+
+def _moved(record: Record, true: TriadModel, change: FloatArray, code: tuple[float, FloatArray]) -> Record:
+    """Return readings with a change of the offset while the device turns, as codes cut off toward zero that lose more or less."""
+    (lsb, lost), gyro = code, np.asarray(record.gyro)
+    turning = find_turning((gyro - true.offset) @ true.matrix.T, record.time)[0]
+    codes = np.trunc((gyro + turning[:, None] * (true.forward_matrix @ change)) / lsb)
+    return replace(record, gyro=codes * lsb - np.sign(codes) * (lost - 0.5 * lsb))
 
 
 def _erring(device: DeviceModel, rng: np.random.Generator) -> DeviceModel:

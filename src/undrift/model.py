@@ -2,11 +2,12 @@
 
 In symbols, for a reading u (3,) at temperature T::
 
-    u1 = u + rounding(u)          adc      half an LSB back for truncated codes
+    u1 = u + rounding(u)          adc      half an LSB back for truncated codes, or what a fit found of them
     u2 = u1 - offset(T) - o(t)    static   table of absolute offsets, else the constant offset; warm-up over time since power-on
     w  = M(T) u2                  matrix   constant, or a table over temperature
     w  = w - G a                  g-sensitivity, gyroscopes only
     w  = w - e(w, T)              dynamic  table over measured rate and temperature
+    w  = w - m(t) d               moving   m is 1 while the device turns; gyroscopes fitted to references only
 
 ``correction/correct.py`` is the only place that evaluates it. The maps are inverse models: raw to physical. A forward model
 (physical to raw) is S = K a + b with K = M^-1 and b = offset.
@@ -40,6 +41,7 @@ BEYOND_SEEN_C = 3.0  # tables reach so far beyond the temperatures seen without 
 MATRIX_NAMES = tuple(f"m_{row}{column}" for row in AXES for column in AXES)
 OFFSET_NAMES = tuple(f"offset_{axis}" for axis in AXES)
 G_NAMES = tuple(f"g_{row}{column}" for row in AXES for column in AXES)
+MOVING_NAMES, CODE_NAMES = tuple(f"moving_{axis}" for axis in AXES), tuple(f"code_{axis}" for axis in AXES)
 SOURCES = (  # of uncertainty, in the order of a budget
     "rate", "angle", "axis", "ripple", "mounting", "level", "temperature", "noise", "adc", "instability", "repeatability", "fit",
 )  # fmt: skip
@@ -94,7 +96,9 @@ class Budget:
 @stored(whole=True)
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TriadModel:
-    """Inverse model of three sensors: corrected = matrix @ (raw - offset) - g_sensitivity @ accel.
+    """Inverse model of three sensors: corrected = matrix @ (raw + code_offset sign(raw) - offset) - g_sensitivity @ accel.
+
+    While the device turns, ``moving_offset`` is subtracted as well.
 
     Parameters
     ----------
@@ -109,7 +113,7 @@ class TriadModel:
     g_sensitivity : array, shape (3, 3), or None
         Apparent rate for each m/s2 of specific force, unit_out per m/s2; gyroscopes only.
     parameters : tuple of str
-        Names of the rows of ``covariance``: m_xx..m_zz row by row, offset_x.., g_xx..
+        Names of the rows of ``covariance``: m_xx..m_zz row by row, offset_x.., g_xx.., moving_x.., code_x..
     covariance : array, shape (P, P)
         Of those parameters, in their units; a parameter that was held fixed has zeros.
     rms_residual : float
@@ -124,6 +128,11 @@ class TriadModel:
         Least and greatest corrected value per axis that the fit has seen, unit_out.
     budget : Budget or None
         Standard uncertainty of each parameter by source; None where the fit does not separate them.
+    moving_offset : array, shape (3,), or None
+        Offset while the device turns less that at rest, unit_out, along the axes of the result; None where it was not fitted.
+    code_offset : array, shape (3,), or None
+        What is added to a reading with its sign, unit_in: half a code step for codes cut off toward zero; None where it was not
+        fitted, and the codes are taken as the calibration's ``adc`` says.
     """
 
     method: str
@@ -140,6 +149,8 @@ class TriadModel:
     condition: AnyNumber
     valid_range: tuple[AnyNumber, AnyNumber]
     budget: Annotated[Budget | None, LATER] = None
+    moving_offset: Annotated[Vector, LATER] = None
+    code_offset: Annotated[Vector, LATER] = None
 
     def __post_init__(self) -> None:
         freeze(self, p=len(self.parameters))
@@ -154,6 +165,15 @@ class TriadModel:
     def standard_uncertainty(self) -> FloatArray:
         """Standard uncertainty of each parameter, shape (P,), in its own unit."""
         return np.sqrt(np.diag(self.covariance))
+
+    @property
+    def values(self) -> FloatArray:
+        """Value of each parameter, shape (P,), in its own unit."""
+        parts = (self.matrix, self.offset, self.g_sensitivity, self.moving_offset, self.code_offset)
+        known: dict[str, float] = {}
+        for names, part in zip((MATRIX_NAMES, OFFSET_NAMES, G_NAMES, MOVING_NAMES, CODE_NAMES), parts, strict=True):
+            known |= dict.fromkeys(names, 0.0) if part is None else dict(zip(names, part.ravel().tolist(), strict=True))
+        return np.array([known[name] for name in self.parameters])
 
     @property
     def forward_matrix(self) -> FloatArray:

@@ -42,9 +42,9 @@ from undrift.correction.rest import (
     FEWEST,
     IN_MOTION,
     LEAST_IN_MOTION_S,
-    MOVED,
     force_covariances,
     mean_variance,
+    moved_by,
     no_rest,
     rest_offset,
     rests_from_first,
@@ -580,9 +580,9 @@ def _offset_uncertainty(
     scatter = min(
         sum(mean_variance(axis) for axis in gyro[one.start : one.stop].T) for one in rests if one.stop - one.start > 1
     )
-    unmoved = model is not None and model.method in IN_MOTION and not offsets.any()
+    unmoved = model is not None and model.method in IN_MOTION and model.moving_offset is None and not offsets.any()
     moving = 0.0 if unmoved else 1.0 - sum(one.stop - one.start for one in rests) / len(gyro)
-    return math.hypot(worst, math.sqrt(scatter), math.sqrt(3.0) * MOVED * moving)
+    return math.hypot(worst, math.sqrt(scatter), moved_by(model) * moving)
 
 
 def _moved_at_rest(record: Record, still: Still) -> tuple[Finding, ...]:

@@ -1,6 +1,7 @@
 """BROAD (Laidig et al., Data 2021): a fit to the other trials of a device, judged on a trial that it has not seen.
 
-End total error, mean over the device's trials, degrees. Limits: a first prototype's figures, which this fit must stay below.
+End total error, mean over the device's trials, degrees. Limits: a tenth above what the fit reaches; those of its first version
+were 2.4, 1.3 and 1.2 with the codes as they are, and 1.4, 1.3 and 1.2.
 """
 
 from dataclasses import replace
@@ -22,14 +23,14 @@ from undrift.validation.trial import TrialSettings
 
 pytestmark = pytest.mark.usefixtures("computed_once")
 
-#         matrix and in-motion offset, codes as they are | codes given back
-LIMITS = {"B": (2.4, 1.4), "C": (1.3, 1.3), "D": (1.2, 1.2)}
+#         matrix and offset in motion, codes as they are | what they lose fitted
+LIMITS = {"B": (1.2, 1.0), "C": (1.2, 1.1), "D": (0.8, 0.7)}
 REST_AND_ROUNDING = {"B": 1.81, "C": 3.21, "D": 7.20}  # means of row (c); README and docs/accuracy.md print them
 REST_ALONE = {"B": 4.25, "C": 3.45, "D": 8.25}  # means of row (b) of test_broad_rows
 
 
 @pytest.mark.parametrize("device", DEVICES)
-def test_the_end_error_of_held_out_trials_stays_below_the_prototype(device):
+def test_the_end_error_of_held_out_trials_stays_below_its_limit(device):
     pairs, names = of_device(device)
     rest = agreement.validate_trials(pairs, settings=TrialSettings(adc="none", offset="rest"), names=names)
     undone = agreement.validate_trials(pairs, settings=TrialSettings(offset="rest"), names=names)
@@ -44,7 +45,7 @@ def test_the_end_error_of_held_out_trials_stays_below_the_prototype(device):
     )
     assert rest.mean.end_total_deg == pytest.approx(REST_ALONE[device], abs=0.1)  # printed to a tenth
     for what, result, limit in zip(
-        ("matrix and in-motion offset", "the same after ADC correction"),
+        ("matrix and in-motion offset", "the same with what codes lose"),
         (plain, given_back),
         LIMITS[device],
         strict=True,
@@ -55,9 +56,9 @@ def test_the_end_error_of_held_out_trials_stays_below_the_prototype(device):
     assert given_back.mean.end_total_deg < 0.5 * rest.mean.end_total_deg
 
 
-# Spread between recordings of one device as the *other* devices show it, by python -m benchmarks.broad on 2026-11-22:
+# Spread between recordings of one device as the *other* devices show it, by python -m benchmarks.broad on 2026-11-26:
 # elements of the matrix, and offset in motion less that at rest, deg/s.
-LEARNT = {"B": (2.1e-4, 0.0124), "C": (2.5e-4, 0.0051), "D": (3.3e-4, 0.0051)}
+LEARNT = {"B": (2.4e-4, 0.0128), "C": (3.7e-4, 0.0065), "D": (4.5e-4, 0.0065)}
 
 
 def test_nine_in_ten_errors_of_held_out_trials_are_where_they_were_expected():

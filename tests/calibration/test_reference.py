@@ -13,8 +13,8 @@ from undrift.calibration import reference as reference_module
 from undrift.calibration import reference_windows
 from undrift.calibration.adc import restored_gyro
 from undrift.calibration.reference import (
+    CODE_PRIOR,
     ReferenceSettings,
-    cross_validated_adc,
     fit_reference,
     leave_one_out,
 )
@@ -54,7 +54,8 @@ def test_matrix_offset_and_lag_come_back_without_noise(exact):
     # Strapdown holds each reading for 5 ms: what the corners of the motion lose between samples is all that is left.
     assert np.abs(model.matrix - np.linalg.inv(FORWARD)).max() < 5e-5
     assert np.abs(fit.motion_offset - CHANGE).max() < 3e-5  # the change rises at once, the motion over a second
-    assert np.abs(model.offset - REST - CHANGE).max() < 3e-5
+    assert np.abs(model.moving_offset - model.matrix @ CHANGE).max() < 3e-5
+    assert np.allclose(model.offset, REST, atol=1e-9)  # at rest
     assert fit.lags_s == pytest.approx([0.0041, 0.0041], abs=5e-6)
     assert np.allclose(fit.rest_offsets, REST, atol=1e-9)
     assert (model.rank, fit.window_s, model.method) == (12, 16.0, "reference/motion")
@@ -66,7 +67,10 @@ def test_matrix_offset_and_lag_come_back_without_noise(exact):
 def test_a_recording_gets_its_own_rest_offset(exact):
     fit = fit_reference(*exact)
     model = fit.model_at_rest_offset(np.array([0.1, 0.2, 0.3]))
-    assert np.allclose(model.offset, np.array([0.1, 0.2, 0.3]) + fit.motion_offset)
+    assert np.allclose(model.offset, [0.1, 0.2, 0.3])
+    throughout = fit_reference(*exact, settings=ReferenceSettings(turning=False))
+    assert throughout.triad.model.moving_offset is None
+    assert np.allclose(throughout.model_at_rest_offset(REST).offset, REST + CHANGE, atol=3e-5)
     common = fit_reference(*exact, settings=ReferenceSettings(offset="common"))
     assert common.model_at_rest_offset(np.ones(3)) is common.triad.model
     assert np.abs(common.triad.model.offset - REST - CHANGE).max() < 3e-5
@@ -87,8 +91,10 @@ def test_parameters_scatter_by_their_stated_uncertainty():
         device = Device(forward=FORWARD, offset=REST, motion_offset=CHANGE, noise=3e-3)
         fit = fit_reference(*recordings((seed, 50 + seed), device, optics_noise=2e-3, turn_s=40.0))
         model = fit.triad.model
-        error = np.concatenate(((model.matrix - np.linalg.inv(FORWARD)).reshape(-1), model.offset - REST - CHANGE))
-        z.append(error / model.standard_uncertainty)
+        error = np.concatenate(
+            ((model.matrix - np.linalg.inv(FORWARD)).reshape(-1), model.moving_offset - model.matrix @ CHANGE)
+        )
+        z.append(error / np.delete(model.standard_uncertainty, np.s_[9:12]))
     z = np.array(z)
     assert 0.6 < np.sqrt((z**2).mean()) < 1.5  # long-run covariance from some ten windows a fit is itself rough
     assert np.abs(z.mean(axis=0)).max() < 1.6  # no bias: eight fits, the mean of z has a deviation near 0.35
@@ -105,7 +111,7 @@ def test_longer_windows_make_pose_noise_matter_less():
     assert max(error) < 1e-3
     assert long.window_s == 16.0
     assert short.window_s == 2.0
-    assert (long.triad.model.standard_uncertainty[9:] < short.triad.model.standard_uncertainty[9:]).all()
+    assert (long.triad.model.standard_uncertainty[12:] < short.triad.model.standard_uncertainty[12:]).all()
 
 
 def test_optics_that_jump_are_outvoted(noisy):
@@ -328,29 +334,52 @@ def rounded(pairs, lsb, how):
     return [replace(r, gyro=how(np.array(r.gyro) / lsb) * lsb) for r in pairs[0]], pairs[1]
 
 
-@pytest.mark.parametrize(("how", "kept"), [(np.trunc, True), (np.round, False)])
-@pytest.mark.parametrize("count", [2, 3])
-def test_a_correction_of_the_adc_is_kept_where_it_helps_other_recordings(how, kept, count):
+def test_what_codes_lose_is_found_about_half_a_step():
+    # Codes cut off toward zero that lose a third of a step beyond half a step, as converters do that are not even about zero.
+    lsb, more = 8e-3, np.array([2e-3, -2e-3, -1e-3])
+    device = Device(forward=FORWARD, offset=REST, noise=2e-3)
+    plain = recordings((81, 82, 83), device, sample_rate_hz=100.0, turn_s=110.0)
+    records, references = rounded(plain, lsb, np.trunc)
+    records = [replace(r, gyro=np.asarray(r.gyro) - more * np.sign(r.gyro)) for r in records]
+    adc = AdcModel(gyro_lsb=np.full(3, lsb), gyro_rounding="toward_zero")
+    model = fit_reference(records, references, adc=adc).triad.model
+    sigma = dict(zip(model.parameters, model.standard_uncertainty, strict=True))
+    for k, axis in enumerate("xyz"):
+        assert sigma[f"code_{axis}"] < CODE_PRIOR * lsb  # two minutes add to the prior
+        assert abs(model.code_offset[k] - 0.5 * lsb - more[k]) < 3.0 * sigma[f"code_{axis}"]
+    assert model.values[-3:] == pytest.approx(model.code_offset)
+    # The offset is that of readings that are corrected so: at rest they are zero
+    rest = np.asarray(records[0].gyro)[:600]
+    left = (rest + model.code_offset * np.sign(rest)).mean(axis=0) - model.offset
+    assert np.abs(left).max() < 2e-4
+    without = fit_reference(records, references).triad.model
+    assert without.code_offset is None
+    assert without.parameters == model.parameters[:-3]
+
+
+def test_rounding_to_nearest_pulls_half_a_step_away():
     lsb = 8e-3
     device = Device(forward=FORWARD, offset=REST, noise=2e-3)
-    pairs = rounded(recordings((81, 82, 83)[:count], device, sample_rate_hz=100.0, turn_s=40.0), lsb, how)
-    adc = AdcModel(gyro_lsb=np.full(3, lsb), gyro_rounding="toward_zero")
-    chosen, why = cross_validated_adc(*pairs, adc)
-    assert (chosen is adc) is kept
-    assert why.values["choice"] == ("kept" if kept else "left out")
-    assert (why.values["with_deg"] <= why.values["without_deg"]) is kept
-    # Each recording left out in turn, two others decide; with one other the codes alone.
-    held = leave_one_out(*pairs, adc=adc)
-    assert [h.adc is adc for h in held] == [kept or count == 2] * count
-    codes = {2: "reference.adc_not_validated", 3: "reference.adc"}
-    assert [h.rounding.code for h in held] == [codes[count]] * count
+    pairs = rounded(recordings((81, 82, 83), device, sample_rate_hz=100.0, turn_s=40.0), lsb, np.round)
+    wrong = AdcModel(gyro_lsb=np.full(3, lsb), gyro_rounding="toward_zero")
+    model = fit_reference(*pairs, adc=wrong).triad.model
+    assert (np.abs(model.code_offset) < 0.25 * lsb).all()
+    fixed = fit_reference(*pairs, adc=wrong, settings=ReferenceSettings(turning=False)).triad.model
+    assert (fixed.code_offset == 0.5 * lsb).all()  # a twin takes the codes as they say
 
 
-def test_with_one_recording_the_codes_alone_say(exact):
-    adc = AdcModel(gyro_lsb=np.full(3, 1e-3), gyro_rounding="toward_zero")
-    chosen, why = cross_validated_adc(exact[0][:1], exact[1][:1], adc)
-    assert (chosen, why.code, why.level) == (adc, "reference.adc_not_validated", "info")
-    assert cross_validated_adc(*exact, None) == (None, None)
+def test_the_change_to_motion_acts_while_the_device_turns_alone():
+    # Pauses of 4 s after each 6 s: half of what is within the motion is rest, where the offset is that of the rest.
+    device = Device(forward=FORWARD, offset=REST, motion_offset=CHANGE, noise=3e-4)
+    pairs = recordings((5, 6), device, pauses=True)
+    fit, throughout = (fit_reference(*pairs, settings=ReferenceSettings(turning=turning)) for turning in (True, False))
+    model = fit.triad.model
+    true = np.linalg.inv(FORWARD) @ CHANGE
+    # It is taken to last half a second beyond the turn, of 6 s
+    assert (np.abs(model.moving_offset - true) < 0.16 * np.abs(true)).all()
+    assert (np.abs(throughout.motion_offset - CHANGE) > 0.3 * np.abs(CHANGE)).all()  # spread over the pauses
+    assert model.offset == pytest.approx(REST, abs=3e-5)
+    assert model.parameters[12:] == ("moving_x", "moving_y", "moving_z")
 
 
 def test_recordings_of_other_motions_do_not_fit(exact):
@@ -512,7 +541,8 @@ def test_one_of_two_recordings_may_rest():
     records, references = recordings((93, 94), device, optics_noise=1e-3, mark=False)
     fit = fit_reference([records[0], records[1].between(9.0, 67.0)], references)
     np.testing.assert_array_equal(np.isnan(fit.rest_offsets).all(axis=1), [False, True])
-    assert np.abs(fit.triad.model.offset - REST - CHANGE).max() < 2e-4
+    assert np.abs(fit.triad.model.offset - REST).max() < 1e-4
+    assert np.abs(fit.motion_offset - CHANGE).max() < 2e-4
 
 
 def test_a_planar_motion_keeps_a_prior_and_names_its_elements():

@@ -29,6 +29,7 @@ KINDS = {
     "filled": {"drift": tables(scale=np.array([10.0, 30.0, 80.0]), dynamic=(np.array([18.0, 20.0, 26.0, 75.0]), GAP))},
     "gyro table only": {"drift": tables(accel=False)},
     "physical": {"unit": "si", "drift": None},
+    "codes": {"drift": None, "codes": np.array([0.4, -0.3, 0.7])},
 }
 
 
@@ -59,8 +60,10 @@ def sizes_of(calibration, gyro, accel):
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_build_agrees_with_the_corrector(kind, tmp_path):
     options = dict(KINDS[kind])
-    unit = options.get("unit", "count")
-    calibration, exported = device(**options), export_c(device(**options))
+    unit, codes = options.get("unit", "count"), options.pop("codes", None)
+    calibration = device(**options)
+    calibration = replace(calibration, gyro=replace(calibration.gyro, code_offset=codes))
+    exported = export_c(calibration)
     r = record(4000, low=10.0, high=82.0, unit=unit)  # beyond the ends of the tables too
     bounds = {"fixed": (exported.gyro_bound, exported.accel_bound)}
     for arithmetic in ("double", "float", "fixed"):

@@ -48,12 +48,18 @@ def make_recording(
     mark=True,
     tilt=0.3,
     planar=False,
+    pauses=False,
 ):
     """Return the record of a device and the reference that cameras saw, optics on the true clock."""
     device = device or Device()
     total = 2.0 * rest_s + turn_s
     fine = np.arange(round((total + 1.0) * FINE_HZ)) / FINE_HZ
     w = turning_rate(fine, rng, rest_s=rest_s, turn_s=turn_s, speed=speed) * ((1.0, 1.0, 0.0) if planar else 1.0)
+    gate = np.ones(len(fine))
+    if pauses:  # 6 s of turning, 4 s of rest, with half a second from one to the other
+        place = np.mod(fine - rest_s, 10.0)
+        gate = np.clip(np.minimum(place, 6.0 - place) / 0.5, 0.0, 1.0)
+        w = w * gate[:, None]
     middle = turning_rate_at_middle(w)
     steps = Rotation.from_rotvec(middle / FINE_HZ)
     start = Rotation.from_euler("xyz", (tilt, -0.5 * tilt, 0.7)).as_quat(scalar_first=True)
@@ -66,7 +72,7 @@ def make_recording(
     f = np.stack([np.interp(true, fine, force[:, i]) for i in range(3)], axis=1)
     k = np.eye(3) if device.forward is None else device.forward
     g = np.zeros((3, 3)) if device.g_sensitivity is None else device.g_sensitivity
-    moving = ((true >= rest_s) & (true < rest_s + turn_s)).astype(float)
+    moving = ((true >= rest_s) & (true < rest_s + turn_s) & (np.interp(true, fine, gate) > 0.0)).astype(float)
     gyro = (rate + f @ g.T) @ k.T + device.noise * rng.normal(size=rate.shape)
     if device.offset is not None:
         gyro = gyro + device.offset

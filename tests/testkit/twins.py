@@ -65,6 +65,18 @@ def corrected(calibration: Calibration, gyro, accel, temp, since=None):
     return w, a
 
 
+def turning(rate, time):
+    """1 while the rate, low-passed over 0.1 s, is above 2 deg/s, and half a second beyond."""
+    low, last, out = rate[0], -np.inf, np.zeros(len(time))
+    for k in range(len(time)):
+        if k:
+            step = time[k] - time[k - 1]
+            low = low + (rate[k] - low) * step / (0.1 + step)
+        last = time[k] if np.linalg.norm(low) > np.radians(2.0) else last
+        out[k] = time[k] - last <= 0.5
+    return out
+
+
 def strapdown(gyro, time, q):
     """One scipy rotation after the other."""
     from scipy.spatial.transform import Rotation

@@ -67,10 +67,11 @@ def rows() -> tuple[Row, ...]:
     for device in DEVICES:
         pairs, names = of_device(device)
         records, references = zip(*pairs, strict=True)
-        held = leave_one_out(records, references, adc=device_adc(records))
+        adc = device_adc(records)
+        held = leave_one_out(records, references, adc=adc)
         for name, (record, reference), fit in zip(names, pairs, held, strict=True):
             model = Calibration(
-                device=device, reference_temp_c=np.nan, gravity_m_s2=STANDARD_GRAVITY, gyro=fit.model, adc=fit.adc
+                device=device, reference_temp_c=np.nan, gravity_m_s2=STANDARD_GRAVITY, gyro=fit.model, adc=adc
             )
             done = correct(record, model)
             tracks = {

@@ -203,11 +203,13 @@ def restored_gyro(gyro: FloatArray, adc: AdcModel | None) -> FloatArray:
     return without_truncation(gyro, adc.gyro_lsb, adc.gyro_rounding)
 
 
-def restored(record: Record, adc: AdcModel | None) -> Record:
-    """Return a record corrected for the half steps that the rounding took."""
+def restored(record: Record, adc: AdcModel | None, codes: FloatArray | None = None) -> Record:
+    """Return a record corrected for the half steps that the rounding took, gyroscopes by what a fit found of them, (3,)."""
     if adc is None:
         return record
     accel, gyro = record.accel, None if record.gyro is None else restored_gyro(record.gyro, adc)
+    if codes is not None and record.gyro is not None:
+        gyro = record.gyro + codes * np.sign(record.gyro)
     if accel is not None and adc.accel_lsb is not None:
         accel = without_truncation(accel, adc.accel_lsb, adc.accel_rounding)
     return replace(record, gyro=gyro, accel=accel)

@@ -29,7 +29,7 @@ from undrift.calibration.multi_position import FEWEST_POSES, calibrate_moves, ca
 from undrift.calibration.observe import CalibrateSettings, Observed, Outcome, at_one_temperature, in_one_unit, observe
 from undrift.calibration.pieces import check_accel
 from undrift.calibration.rate_table import NOMINAL_SD, calibrate_rates, scale_verdict
-from undrift.calibration.reference import ReferenceFit, ReferenceSettings, cross_validated_adc
+from undrift.calibration.reference import ReferenceFit, ReferenceSettings
 from undrift.calibration.reference_accel import fit_reference_accel, turned_like
 from undrift.calibration.settings import FITS, FitMethod
 from undrift.calibration.six_face import calibrate_faces
@@ -427,8 +427,7 @@ def calibrate_to_references(
     references : sequence of Reference
         One for each record.
     adc : str
-        "auto" corrects the ADC's rounding where it is identified and, from three recordings on, where that lowers the
-        cross-validated error; "none" leaves the codes.
+        "auto" fits what the codes lost where their rounding is identified; "none" leaves the codes.
     method : str
         reference, or a fit that another package adds.
     settings : ReferenceSettings
@@ -454,10 +453,8 @@ def calibrate_to_references(
         gravity_m_s2, gravity_source = STANDARD_GRAVITY, "standard"
     check_local_gravity(gravity_m_s2, "reference")
     rounding = device_adc(records) if adc == "auto" else None
-    rounding, why = cross_validated_adc(records, references, rounding, settings=settings, lag_settings=lag_settings)
     fit = find_fit(method, "reference")(records, references, settings=settings, adc=rounding, lag_settings=lag_settings)
     accel, more = _accel_of(records, references, rounding, fit, gravity_m_s2)
-    more += () if why is None else (why,)
     if accel is not None and gravity_source == "standard":
         more += (finding("session.gravity_assumed", "info", gravity_m_s2=gravity_m_s2),)
     temps = [float(np.nanmean(record.temp_c)) for record in records if record.temp_c is not None]

@@ -17,10 +17,11 @@ from undrift.sync import Lag
 #
 # Over a window from pose i to pose j, with M, offset and d at their present values:
 #
-#     w  = M (u - offset) - d - G a                         readings u, specific force a
+#     u  = y + c sign(y)                                    readings y; c of each sensor
+#     w  = M (u - offset) - m(t) d - G a                    m = 1 while the device turns, specific force a
 #     R_w = exp(w dt) ... exp(w dt)                         product over the window's samples
 #     y  = log(R_w^T R_i^T R_j)                             what is left, rad, in the body at j
-#     y  = J (dM, dd, dG) + pose noise                      J from one running sum of R regressor dt along the recording
+#     y  = J (dM, dd, dc, dG) + pose noise                      J from one running sum of R regressor dt along the recording
 #
 # Poses are taken at their own times; the integration is read off there, the lag added. So no pose is ever interpolated.
 
@@ -30,12 +31,14 @@ class Recording:
     """One recording prepared for the fit."""
 
     time: FloatArray  # (N,), s, record clock
-    gyro: FloatArray  # (N, 3), readings, raw unit, after ADC correction; gaps are zero
+    gyro: FloatArray  # (N, 3), readings, raw unit; gaps are zero
     accel: FloatArray | None  # (N, 3), m/s2, where a g-sensitivity is wanted
     gaps: IntArray  # (N,), gaps counted from the start: a window without one has the same count at both ends
     lag: Lag  # Of the record against the reference
     moving: BoolArray  # (N,), between the first and the last rest
+    turning: FloatArray  # (N,), m: 1 where d acts, else 0
     rest_offset: FloatArray  # (3,), mean reading at rest before the motion, raw unit; NaN where there is none
+    rest_sign: FloatArray  # (3,), mean sign of the readings there
     rest_uncertainty: FloatArray  # (3,), standard uncertainty of that mean, raw unit, from blocks of one second
     unit: str  # Of the readings
     at: FloatArray  # (L,), times of the poses at which windows start and end, s, record clock
@@ -47,27 +50,36 @@ class Recording:
         """Whether it has a rest before the motion."""
         return bool(np.isfinite(self.rest_offset).all())
 
+    def zero(self, codes: FloatArray) -> FloatArray:
+        """Return the mean at rest of readings that c (3,) corrects, raw unit."""
+        return self.rest_offset + self.rest_sign * codes
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Windows:
     """Equations of one recording."""
 
     turn: FloatArray  # (n, 3), y, rad
-    # (n, 3, P), J: matrix row by row, then d, then G where accel readings are given, then the rotations of the recordings
+    # (n, 3, P), J: matrix row by row, d, c, then G where accel readings are given, then the rotations of the recordings
     design: FloatArray
     first: IntArray  # (n,), number of the pose at which each window starts
 
 
 def window_equations(recording: Recording, guess: FloatArray, offset: FloatArray, reach: int) -> Windows:
-    """Return the equations of all windows that span ``reach`` strides, at M row by row, d and, with accel readings, G."""
+    """Return the equations of all windows that span ``reach`` strides, at M row by row, d, c and, with accel readings, G.
+
+    ``offset`` (3,) is that of readings without c: its own part of it goes with c, c sign(u) less what it is at rest.
+    """
     from undrift.kernels.rotation import accumulate
 
-    u = recording.gyro - offset
-    rate = u @ guess[:9].reshape(3, 3).T - guess[9:12]
-    columns: list[FloatArray] = [u, np.ones((len(u), 1))]
+    matrix, moving = guess[:9].reshape(3, 3), recording.turning[:, None]
+    sign = np.sign(recording.gyro) - recording.rest_sign
+    u = recording.gyro + sign * guess[12:15] - offset
+    rate = u @ matrix.T - moving * guess[9:12]
+    columns: list[FloatArray] = [u, moving, sign]
     if recording.accel is not None:
         columns.append(np.nan_to_num(recording.accel))
-        rate = rate - columns[2] @ guess[12:].reshape(3, 3).T
+        rate = rate - columns[3] @ guess[15:].reshape(3, 3).T
     regressors = np.concatenate(columns, axis=1)
     points, channels = len(recording.at), regressors.shape[1]
     q, total = np.empty((points, 4)), np.zeros((points, 3, 3, channels))
@@ -88,7 +100,9 @@ def window_equations(recording: Recording, guess: FloatArray, offset: FloatArray
     back = quaternion_conjugate(q[last])[:, None, None, :]
     design = np.moveaxis(rotate(back, np.moveaxis(gain, 1, -1)), -1, 1)  # (n, 3 residual, 3 row, C regressor)
     n = len(first)
-    blocks = (design[..., :3].reshape(n, 3, 9), -design[..., 3], -design[..., 4:].reshape(n, 3, 3 * (channels - 4)))
+    of_codes = np.einsum("narj,rj->naj", design[..., 4:7], matrix)
+    of_force = -design[..., 7:].reshape(n, 3, 3 * (channels - 7))
+    blocks = (design[..., :3].reshape(n, 3, 9), -design[..., 3], of_codes, of_force)
     return Windows(turn=turn, design=np.concatenate(blocks, axis=2), first=first)
 
 
@@ -172,12 +186,16 @@ def solve(
     weight = weight[: len(rows)].reshape(-1, 3)
 
     def covariance() -> FloatArray:
+        unknowns = float(len(free))
         made, freedom = _covariance(recordings, windows, (a, weight * residual, weight == 1.0), reach, pull**2)
         if expected is not None:
             normal = np.einsum("nap,naq->pq", a, (weight == 1.0)[:, :, None] * a) + np.diag(pull**2)
-            by_prior = np.linalg.solve(normal, np.diag(pull**2)) * np.where(pull > 0.0, expected[1], 0.0)
-            made = made + by_prior @ by_prior.T
-        return made * widening_of(max(freedom, 3.0 * independent) - len(free))
+            shares = np.linalg.solve(normal, np.diag(pull**2))
+            by_prior = shares * np.where(pull > 0.0, expected[1], 0.0)
+            unknowns -= float(np.trace(shares))
+            made = made * widening_of(max(freedom, 3.0 * independent) - unknowns)
+            return np.asarray(made + by_prior @ by_prior.T)
+        return made * widening_of(max(freedom, 3.0 * independent) - unknowns)
 
     return Solution(step=x, covariance=covariance, residuals=residual, scale=scale, condition=condition)
 

@@ -230,8 +230,18 @@ def _triad_notes(triad: "TriadModel") -> "Iterator[str]":
         f"residual {triad.rms_residual:.3g} {triad.unit_out} rms over {triad.count} equations; rank {triad.rank}, "
         f"condition {triad.condition:.3g}; valid {low:.3g} to {high:.3g} {triad.unit_out}"
     )
+    if triad.moving_offset is not None:
+        yield f"while it turns the offset is larger by {_each(triad, 'moving')} {triad.unit_out} (x, y, z) than at rest"
+    if triad.code_offset is not None:
+        yield f"added to readings with their sign, for what codes lose: {_each(triad, 'code')} {triad.unit_in} (x, y, z)"
     if triad.g_sensitivity is not None:
         yield f"g-sensitivity up to {float(abs(triad.g_sensitivity).max()):.2g} {triad.unit_out} per m/s2"
+
+
+def _each(triad: "TriadModel", kind: str) -> str:
+    """Return a parameter of each axis with its uncertainty."""
+    rows = zip(triad.parameters, triad.values, triad.standard_uncertainty, strict=True)
+    return ", ".join(concise(value, sigma) for name, value, sigma in rows if name.startswith(f"{kind}_"))
 
 
 def _origin(made: "Calibration") -> Iterator[str]:

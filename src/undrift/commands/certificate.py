@@ -47,7 +47,10 @@ SOURCE_ROWS = {
     "repeatability": ("Repeatability: scatter beyond the noise", "A", ""),
     "fit": ("Fit: sources not separated", "A, B", ""),
 }
-BLOCKS = {"scale": "scale factor", "cross": "cross-axis sensitivity", "offset": "offset", "g": "g-sensitivity"}
+BLOCKS = {
+    "scale": "scale factor", "cross": "cross-axis sensitivity", "offset": "offset", "g": "g-sensitivity",
+    "moving": "offset in motion less that at rest", "code": "offset of codes",
+}  # fmt: skip
 OFFSETS = {"gyro": "zero-rate output", "accel": "zero-g offset"}
 
 
@@ -170,10 +173,8 @@ def stated(triad: "TriadModel", gravity: float = 0.0) -> ParameterTable:
         spare, seen = max(1, triad.count - len(sigma)), shares["repeatability"] > 0.0
         freedom[seen] = spare * (combined[seen] / shares["repeatability"][seen]) ** 4
     coverage = coverage_factors(freedom)
-    g = np.zeros((3, 3)) if triad.g_sensitivity is None else triad.g_sensitivity
-    value = np.concatenate((triad.matrix.ravel(), triad.offset, g.ravel()))[: len(sigma)]
     return ParameterTable(
-        names=triad.parameters, value=value, shares=shares, standard=combined, freedom=freedom, coverage=coverage,
+        names=triad.parameters, value=triad.values, shares=shares, standard=combined, freedom=freedom, coverage=coverage,
         expanded=coverage * combined,
     )  # fmt: skip
 
@@ -282,8 +283,11 @@ def _units(name: str, triad: "TriadModel") -> tuple[dict[str, float], dict[str, 
         "cross": 100.0 / scale,
         "offset": abs(scale) * factor,
         "g": factor * STANDARD_GRAVITY,
+        "moving": factor,
+        "code": abs(scale) * factor,
     }
-    return per, {"scale": "%", "cross": "%", "offset": unit, "g": f"{unit} per g"}
+    units = {"scale": "%", "cross": "%", "offset": unit, "g": f"{unit} per g", "moving": unit, "code": unit}
+    return per, units
 
 
 def expanded_words(name: str, triad: "TriadModel", gravity: float = 0.0) -> str:
@@ -306,7 +310,9 @@ def _triad(name: str, triad: "TriadModel", gravity: float) -> dict[str, Any]:
     labels = BLOCKS | {"offset": OFFSETS[name]}
     return {
         "title": NAMES[name],
-        "model": "corrected = M (raw − o)" + ("" if triad.g_sensitivity is None else " − G a"),
+        "model": "corrected = M (raw − o)"
+        + ("" if triad.g_sensitivity is None else " − G a")
+        + ("" if triad.moving_offset is None else " − d in motion"),
         "separated": triad.budget is not None,
         "results": [_result(name, triad, made, n, per, units) for n in range(len(made.names))],
         "blocks": [f"{labels[block]} ({units[block]})" for block in blocks],
@@ -323,9 +329,9 @@ def _result(
     block, parameter = block_of(made.names[n]), made.names[n]
     unit_in, (shown_unit, per_si) = triad.unit_in, _shown(name)
     unit, factor = unit_in, 1.0
-    if block == "g":
-        unit, factor = units["g"], per["g"]
-    elif block != "offset":
+    if block in ("g", "moving"):
+        unit, factor = units[block], per[block]
+    elif block not in ("offset", "code"):
         unit, factor = f"{shown_unit} per {unit_in}", per_si
         if is_physical(unit_in):
             unit, factor = "1", 1.0 / si_factor(unit_in, "rate" if name == "gyro" else "accel")

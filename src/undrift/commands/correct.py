@@ -329,14 +329,14 @@ def _offset_left(
 ) -> "OffsetLeft":
     """Return what the calibration leaves of the offset in a recording; at a rest no more of it is read than needed."""
     from undrift.correction.correct import offset_left
-    from undrift.correction.rest import find_rest_offset_in, known_rest_offset
+    from undrift.correction.rest import find_rest_offset_in, known_rest_offset, moved_by
     from undrift.record import joined
 
     try:
         parts = (calibrated_part(read, model)[0] for read in opening.chunks(record))
         corrected = (corrector.push_checked(part).record for part in parts)
         if offset == "rest":
-            return find_rest_offset_in(corrected, stretch)
+            return replace(find_rest_offset_in(corrected, stretch), moved=moved_by(model.gyro))
         whole = joined(list(corrected))
         return offset_left(whole, offset, known_rest_offset(whole, stretch), model.gyro)
     except InputError as error:

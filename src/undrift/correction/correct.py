@@ -9,7 +9,9 @@ For a reading u (3,) at temperature T, in this order::
     3  w  = M(T) u2               matrix, constant or over temperature
     4  w  = w - G a               g-sensitivity, gyroscopes only, a the corrected specific force
     5  w  = w - e(w, T)           dynamic drift over the measured rate, bilinear, gyroscopes only
-    6  w  = w - r                 on request: the mean of w at a rest, which takes what steps 1 to 5 leave there (rest.py)
+    6  w  = w - m(t) d            where a fit to references has d: m is 1 while the device turns, else 0 (segments.py), which looks
+                                  back only: it lags the onset of 10 deg/s by 0.02 s, the end of 200 deg/s by 1 s; gyroscopes only
+    7  w  = w - r                 on request: the mean of w at a rest, which takes what steps 1 to 6 leave there (rest.py)
 
 A table takes the place of its constant, it is never added to one. T is the temperature of the sensors, with the thermometer's lag
 subtracted where the calibration knows it. Tables are held at their ends; a temperature beyond them is an error, is held, or becomes
@@ -17,7 +19,7 @@ a gap, as ``policy`` states. Without a temperature the result is a gap under eve
 
 ``_evaluate_triad`` is where these lines are. Around it: plan.py turns the calibration into what the kernels take, coverage.py
 finds what it does not cover, and ``Corrector`` does the same chunk by chunk: no step looks at another sample but those that
-subtract a thermometer's lag and follow a loop of hysteresis, which hand their states on.
+subtract a thermometer's lag, follow a loop of hysteresis and find turns, which look back only and hand their states on.
 """
 
 import warnings
@@ -45,12 +47,13 @@ from undrift.correction.plan import (
     in_pieces,
     plan_record,
 )
-from undrift.correction.rest import RestOffset, find_rest_offset, known_rest_offset
+from undrift.correction.rest import RestOffset, find_rest_offset, known_rest_offset, moved_by
 from undrift.drift.hysteresis import TempHistory
 from undrift.errors import InputError
 from undrift.findings import Finding
 from undrift.model import NO_TABLES, Calibration, TriadModel
 from undrift.record import ForceUncertainty, Record
+from undrift.segments import find_turning
 
 if TYPE_CHECKING:
     from undrift.correction.motion import MotionOffset
@@ -302,7 +305,7 @@ def correct_checked(
 
 
 def _suspicions(done: Corrected, calibration: Calibration, record: Record) -> tuple[Finding, ...]:
-    """Return what speaks against a record or its calibration; still phases that step 6 has found are not looked for again."""
+    """Return what speaks against a record or its calibration; still phases that step 7 has found are not looked for again."""
     return check_corrected(done.record, calibration, record, None if done.rest is None else done.rest.stills)
 
 
@@ -322,7 +325,7 @@ def correct_whole(
 def re_zeroed(
     done: Corrected, offset: Offset, threads: int | None = None, model: TriadModel | None = None
 ) -> Corrected:
-    """Subtract what is left of the offset from a record that was just corrected, in its own buffer: step 6."""
+    """Subtract what is left of the offset from a record that was just corrected, in its own buffer: step 7."""
     if offset == "none":
         return done
     if isinstance(offset, str):
@@ -347,7 +350,7 @@ def offset_left(
 ) -> OffsetLeft:
     """Return what a calibration leaves of the offset of a corrected record: at the rest, or in motion, from a rest on if any."""
     if offset == "rest" and rest is not None:
-        return rest
+        return replace(rest, moved=moved_by(model))
     from undrift.correction.motion import find_motion_offset  # scipy and a kernel, for this alone
 
     return find_motion_offset(record, rest, model)
@@ -377,6 +380,11 @@ def correct_planned(
         return _evaluate(record, plans, conditions, outputs, slice(start, stop))
 
     spans = in_pieces(evaluate, len(record), threads)
+    if plans[0] is not None and plans[0].at_rest is not None:  # step 6: the constants hold in motion
+        outputs[0][:] += plans[0].at_rest
+        turning, state = find_turning(outputs[0], record.time, carry.turning)
+        outputs[0][turning > 0.0] -= plans[0].at_rest
+        coming = replace(coming, turning=state)
     extrapolated, stated = coverage.find_extrapolated(record, temp_c, plans, outputs, threads)
     if policy == "nan" and outside is not None:
         for plan, values in zip(plans, outputs, strict=True):

@@ -2,7 +2,10 @@
 
 For readings in unit r, with c model units per r and s SI units per unit that the model gives ::
 
-    M' = s M c        offset' = offset / c        h' = half a code step / c        warm_up' = warm_up / c
+    M' = s M c        offset' = (offset + K d) / c        h' = half a code step / c        warm_up' = warm_up / c
+
+K d is the change of the offset while the device turns, K = M^-1, where a fit has it: constants hold in motion, and what is added at
+rest, d' = s d, stands apart.
 
 ``constants_of`` derives them, with the tables at the nodes that were fitted. ``plan_record`` lays them out flat for the kernels,
 export/firmware.py turns them into integers. A table over nodes t_0 < ... < t_n is linear between them and held at its ends. In
@@ -30,6 +33,7 @@ from undrift.drift.temperature import LagState, without_lag
 from undrift.errors import InputError
 from undrift.model import Calibration, DynamicDrift, Sensor, Triad, TriadModel
 from undrift.record import ForceUncertainty, Record, TemperatureSensitivity
+from undrift.segments import NOT_TURNING
 from undrift.units import STANDARD_GRAVITY, Quantity, is_physical, si_factor
 
 if TYPE_CHECKING:
@@ -130,7 +134,10 @@ class Constants:
     unit_in: str  # unit of the readings
     matrix: FloatArray  # (3, 3), SI per unit of the readings
     offset: FloatArray  # (3,), unit of the readings; less half a step where codes are rounded down
-    half_step: FloatArray | None = None  # (3,), unit of the readings; None unless codes are cut off toward zero
+    half_step: FloatArray | None = (
+        None  # (3,), unit of the readings; None unless codes are cut off toward zero, or fitted
+    )
+    at_rest: FloatArray | None = None  # (3,), rad/s, added while the device does not turn; None where it was not fitted
     g_sensitivity: FloatArray | None = None  # (3, 3), rad/s per m/s2
     offset_table: LookupTable | None = None  # in the same units
     matrix_table: LookupTable | None = None
@@ -155,16 +162,20 @@ def constants_of(calibration: Calibration, sensor: Sensor, unit: str = "") -> Co
         )
     factor = _input_factor(model, unit or model.unit_in, sensor, triad.quantity)
     half = None if triad.lsb is None else 0.5 * triad.lsb / factor
-    shift = half if half is not None and triad.rounding == "floor" else np.zeros(3)
+    shift = half if half is not None and triad.rounding == "floor" and model.code_offset is None else np.zeros(3)
+    half = half if triad.rounding == "toward_zero" else None
+    moving = model.moving_offset
+    change = np.zeros(3) if moving is None else model.forward_matrix @ moving / factor
     g, warm_up, loop = model.g_sensitivity if sensor == "gyro" else None, triad.warm_up, triad.hysteresis
     return Constants(
         name=sensor,
         unit_in=unit or model.unit_in,
         matrix=model.matrix * (factor * out),
-        offset=model.offset / factor - shift,
-        half_step=half if triad.rounding == "toward_zero" else None,
+        offset=model.offset / factor - shift if moving is None else model.offset / factor - shift + change,
+        half_step=half if model.code_offset is None else model.code_offset / factor,
+        at_rest=None if moving is None else moving * out,
         g_sensitivity=None if g is None else g * out,
-        offset_table=_offset_table(triad, model, factor, shift),
+        offset_table=_offset_table(triad, model, factor, shift - change),
         matrix_table=_matrix_table(triad, model, factor),
         error_table=None if triad.errors is None else _error_table(triad.errors),
         warm_up_table=None if warm_up is None else _line(warm_up.power_on_s, warm_up.gyro_offset / factor),
@@ -298,8 +309,9 @@ class TriadPlan:
 
     matrix: FloatArray  # (9,), row by row
     offset: FloatArray  # (3,)
-    half_step: FloatArray  # (3,), zero unless codes were truncated toward zero
+    half_step: FloatArray  # (3,), zero unless codes are corrected
     g_sensitivity: FloatArray | None  # (9,)
+    at_rest: FloatArray | None = None  # (3,), as in ``Constants``
     tables: "Tables | None" = None  # cell coefficients; None where the triad has no table
     temp_range: tuple[float, float] = EVERYWHERE  # temperatures that all its tables cover, degC
     marked: tuple[MarkedTable, ...] = ()  # those of the tables that have extrapolated nodes
@@ -340,6 +352,7 @@ def _flat_plan(constants: Constants) -> TriadPlan:
         offset=constants.offset,
         half_step=np.zeros(3) if constants.half_step is None else constants.half_step,
         g_sensitivity=None if g is None else np.ravel(g),
+        at_rest=constants.at_rest,
         tables=_cells_of(constants) if used else None,
         temp_range=(max(t.temp.start for t in used), min(t.temp.stop for t in used)) if used else EVERYWHERE,
         marked=tuple(_marked(table, table.stated) for table in used if table.stated is not None),
@@ -401,6 +414,7 @@ class Carry:
     lag: LagState | None = None  # of the thermometer; None before the first sample, or without lag
     last_time: float | None = None  # time of the last sample, s; None before the first
     loop: LoopState | None = None  # of the hysteresis; None where the calibration has none to correct
+    turning: tuple[float, ...] = NOT_TURNING  # of the search for turns; unused where the offset is the same in motion
 
 
 class Conditions(NamedTuple):

@@ -12,6 +12,7 @@ readings, or a named stretch: here, in orientation.py and in validation/trial.py
 and in twice as much until one ends there: a stream that is read in chunks finds the one that the whole recording shows.
 """
 
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
@@ -22,9 +23,10 @@ import numpy as np
 from undrift.arrays import FloatArray, frozen
 from undrift.errors import InputError
 from undrift.findings import Finding, finding
+from undrift.model import MOVING_NAMES, TriadModel
 from undrift.record import Record, Still, joined
 from undrift.segments import StillSettings, find_still, unpadded
-from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
+from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, si_factor
 
 Stretch = tuple[float | None, float | None]  # named start and end, s, on the recording's clock; both None: to be found
 NAMED_NONE: Stretch = (None, None)
@@ -33,6 +35,8 @@ LEAST_IN_MOTION_S = 20.0  # of a recording whose motion shows the vertical, and 
 FEWEST = 10  # samples: below it their scatter says nothing
 # rad/s, of an axis' offset from rest to motion: two thirds of half a step of 16 bits over +-2000 deg/s [assumed]
 MOVED = 0.02 * RADIAN_PER_DEGREE
+# rad/s, the same of one recording about that of its device, where a fit has that: BROAD, three devices, rounded up
+MOVED_AGAIN = 0.005 * RADIAN_PER_DEGREE
 IN_MOTION = ("reference/motion", "reference/common")  # methods of a triad whose offset is that in motion already
 
 
@@ -45,6 +49,7 @@ class RestOffset:
     rate: FloatArray  # (3,), mean, rad/s, frame b
     covariance: FloatArray  # (3, 3), of the mean by the scatter of the readings, (rad/s)^2
     stills: tuple[Still, ...] | None = None  # all that were found where it was looked for; None for a named stretch
+    moved: float = math.sqrt(3.0) * MOVED  # rad/s, standard uncertainty of the change in motion, all axes together
 
     def __post_init__(self) -> None:
         for name, shape in (("rate", (3,)), ("covariance", (3, 3))):
@@ -62,7 +67,7 @@ class RestOffset:
     @property
     def uncertainty(self) -> float:
         """Standard uncertainty in motion, all axes together, rad/s: of the mean, and of the change from rest to motion."""
-        return float(np.sqrt(np.trace(self.covariance) + 3.0 * MOVED**2))
+        return float(np.sqrt(np.trace(self.covariance) + self.moved**2))
 
     @property
     def figures(self) -> dict[str, Any]:
@@ -77,6 +82,15 @@ class RestOffset:
         return finding(
             "correct.rest_offset", "info", start_s=start_s, stop_s=stop_s, offset_dps=rate, uncertainty_dps=uncertainty
         )
+
+
+def moved_by(model: TriadModel | None) -> float:
+    """Return the standard uncertainty of the offset's change from rest to motion, all axes together, rad/s: fitted, or assumed."""
+    if model is None or model.moving_offset is None:
+        return math.sqrt(3.0) * MOVED
+    place = model.parameters.index(MOVING_NAMES[0])
+    variance = float(np.trace(model.covariance[place : place + 3, place : place + 3]))
+    return math.sqrt(variance * si_factor(model.unit_out, "rate") ** 2 + 3.0 * MOVED_AGAIN**2)
 
 
 def mean_variance(x: FloatArray) -> float:

@@ -557,7 +557,8 @@ def _prepared(record: Record, number: int, calibration: Calibration) -> Record:
         units.append(wanted)
     if tuple(units) != before:
         record = replace(record.in_units(*units), gyro_unit=units[0], accel_unit=units[1])
-    return restored(record, calibration.adc)
+    gyro = calibration.gyro
+    return restored(record, calibration.adc, None if gyro is None else gyro.code_offset)
 
 
 def nominal_models(sessions: Sequence[Session]) -> Calibration:

@@ -3,8 +3,8 @@
 The source evaluates the model of ``correction/correct.py`` in its order: rounding, static table and warm-up, matrix or scale table,
 g-sensitivity, dynamic table; a table is held at its ends. It allocates nothing, calls nothing, keeps no state, and looks a table
 up in a time that does not depend on the data. A thermometer's lag is removed by a function of its own, whose state the caller
-owns (export/firmware.py); the warm-up by a second entry, to which the caller gives the time since power-on. One source makes three
-builds: ``-DUNDRIFT_FLOAT``, ``-DUNDRIFT_DOUBLE``, ``-DUNDRIFT_FIXED``.
+owns (export/firmware.py), and the change of the offset from motion to rest likewise; the warm-up by a second entry, to which the
+caller gives the time since power-on. One source makes three builds: ``-DUNDRIFT_FLOAT``, ``-DUNDRIFT_DOUBLE``, ``-DUNDRIFT_FIXED``.
 """
 
 import re
@@ -23,6 +23,7 @@ from undrift.export.firmware import (
     ASSUMPTION,
     FULL_FORCE,
     FULL_RATE,
+    OUT_BITS,
     Arithmetic,
     Cost,
     FixedAxis,
@@ -39,6 +40,7 @@ from undrift.export.firmware import (
 from undrift.export.losses import Exported, Part, losses, texts_of
 from undrift.findings import Finding, finding
 from undrift.model import SENSORS, Calibration, Sensor
+from undrift.segments import TURNING_ABOVE, TURNING_HOLD_S, TURNING_MEAN_S
 from undrift.units import RADIAN_PER_DEGREE, SI_UNIT, STANDARD_GRAVITY, canonical_unit, is_physical
 
 # ---- C text: literals, arrays, lookups in a table, and comments that nothing can break out of.
@@ -126,7 +128,7 @@ def wrapped(line: str) -> list[str]:
 # ---- c
 
 CARRIED: frozenset[Part] = frozenset(
-    ("lag", "warm-up", "rounding", "static", "scale", "dynamic", "g", "gain", "cross", "accel gain", "accel cross")
+    ("lag", "warm-up", "moving", "rounding", "static", "scale", "dynamic", "g", "gain", "cross", "accel gain", "accel cross")
 )  # fmt: skip
 
 
@@ -212,6 +214,8 @@ def export_c(calibration: Calibration, settings: CSettings = CSettings()) -> Exp
     if gyro.warm_up_table is not None:
         over = gyro.warm_up_table.temp.stop
         notes.append(finding("export.warm_up_removed", "info", over_s=over, prefix=settings.prefix))
+    if gyro.at_rest is not None:
+        notes.append(finding("export.at_rest", "info", prefix=settings.prefix))
     texts = texts_of(losses(calibration, CARRIED), notes)
     source, sizes = _source(pairs, calibration, settings, lead)
     costs = tuple(cost_of((accel, gyro), each, size, lead=lead is not None) for each, size in sizes.items())
@@ -274,9 +278,12 @@ def _source(
     printer = Printer(settings.prefix)
     tables = [table for triad, _ in pairs for _, table in named_tables(triad)]
     axes = [axis for table in tables for _, axis in _axes(table)]
+    gyro, rule = pairs[1][0], (TURNING_ABOVE, TURNING_MEAN_S, TURNING_HOLD_S)
     text = _environment().get_template("undrift.c.j2").render(
         title=_title(calibration), header=settings.header_name, p=settings.prefix, P=settings.prefix.upper(),
-        triads=pairs, accel=pairs[0][0], gyro=pairs[1][0],
+        triads=pairs, accel=pairs[0][0], gyro=gyro, at_rest=gyro.at_rest, turning=rule,
+        fixed_at_rest=None if gyro.at_rest is None else np.round(gyro.at_rest * 2.0**OUT_BITS).astype(np.int64),
+        fixed_turning=[round(x * 2.0**bits) for x, bits in zip(rule, (24, 20, 20), strict=True)],
         any_even=any(axis.even for axis in axes), any_search=any(not axis.even for axis in axes),
         any_line=any(table.turn_rate is None for table in tables),
         any_plane=any(table.turn_rate is not None for table in tables),
@@ -305,7 +312,8 @@ def _header(
         "verdict": calibration.verdict.status, "costs": costs, "notes": notes, "assumption": ASSUMPTION, "span": _span,
         "lag_s": f"{lead.lag_s:g}" if lead else "", "smooth_s": f"{lead.smooth_s:g}" if lead else "",
         "warm_up": warm is not None, "warm_s": f"{warm.temp.stop:g}" if warm else "",
-        "dps": RADIAN_PER_DEGREE, "g": STANDARD_GRAVITY,
+        "dps": RADIAN_PER_DEGREE, "g": STANDARD_GRAVITY, "moving": pairs[1][0].at_rest is not None,
+        "above": f"{TURNING_ABOVE / RADIAN_PER_DEGREE:g}", "held": f"{TURNING_HOLD_S:g}",
     }  # fmt: skip
     lines = _environment().get_template("comment.j2").render(about).splitlines()
     comment = [comment_text(part) for line in lines for part in wrapped(line)]

@@ -52,7 +52,7 @@ def texts_of(lost: tuple[Finding, ...], notes: Iterable[Finding]) -> dict[str, A
 
 Part = Literal[
     "rounding", "static", "scale", "dynamic", "g", "gain", "cross", "accel gain", "accel cross", "hysteresis", "warm-up",
-    "lag", "uncertainty", "noise",
+    "lag", "uncertainty", "noise", "moving",
 ]  # fmt: skip
 
 
@@ -62,7 +62,8 @@ def losses(calibration: Calibration, carried: frozenset[Part]) -> tuple[Finding,
 
 
 def _parts(calibration: Calibration) -> Iterator[tuple[Part, Finding]]:
-    if any(triad.lsb is not None and triad.rounding == "toward_zero" for triad in calibration.triads):
+    coded = (triad.model is not None and triad.model.code_offset is not None for triad in calibration.triads)
+    if any(triad.lsb is not None and triad.rounding == "toward_zero" for triad in calibration.triads) or any(coded):
         yield "rounding", finding("export.rounding", "warn")
     parts: tuple[tuple[Part, Part, str], ...] = (
         ("gain", "cross", "gyroscopes"),
@@ -80,6 +81,9 @@ def _parts(calibration: Calibration) -> Iterator[tuple[Part, Finding]]:
     if gyro is not None and gyro.g_sensitivity is not None:
         rate = np.abs(gyro.g_sensitivity).max() * si_factor(gyro.unit_out, "rate") / RADIAN_PER_DEGREE
         yield "g", finding("export.g_sensitivity", "warn", most_dps_per_g=rate * si_factor("g", "accel"))
+    if gyro is not None and gyro.moving_offset is not None:
+        most = np.abs(gyro.moving_offset).max() * si_factor(gyro.unit_out, "rate") / RADIAN_PER_DEGREE
+        yield "moving", finding("export.moving_offset", "warn", most_dps=most)
     yield from _tables(calibration, calibration.drift or NO_TABLES)
     yield "uncertainty", finding("export.uncertainty", "warn")
     if calibration.noise is not None:

@@ -1,7 +1,7 @@
 """Correction kernels: raw readings to rate and specific force, one triad or both at a time.
 
 Shapes and units: x, a, out flat (3 N,); temp (N,) degC; since (N,) s since power-on, or empty; m flat (9,) row by row, unit_out
-per unit_in; o (3,) offset and h (3,) half a code step, unit_in; g flat (9,) unit_out per m/s2. Unsigned indices let the compiler
+per unit_in; o (3,) offset and h (3,) what a code lost, unit_in; g flat (9,) unit_out per m/s2. Unsigned indices let the compiler
 use the vector units.
 """
 
@@ -45,8 +45,14 @@ class Tables(NamedTuple):
 
 
 @njit(cache=True, fastmath={"contract"}, nogil=True, error_model="numpy")
+def of_code(x: float, h: float) -> float:
+    # h sign(x); code 0, |x| < |h|, stays
+    return (h if x > 0.0 else -h) if abs(x) > abs(h) else 0.0
+
+
+@njit(cache=True, fastmath={"contract"}, nogil=True, error_model="numpy")
 def affine(x: FloatArray, out: FloatArray, m: FloatArray, o: FloatArray, h: FloatArray) -> None:
-    # out = M (x + h sign(x) - o); h is zero unless codes were truncated toward zero, and code 0, |x| < h, stays
+    # out = M (x + h sign(x) - o); h is zero unless codes are corrected
     m0, m1, m2, m3, m4, m5, m6, m7, m8 = m[0], m[1], m[2], m[3], m[4], m[5], m[6], m[7], m[8]
     o0, o1, o2, h0, h1, h2 = o[0], o[1], o[2], h[0], h[1], h[2]
     if h0 == 0.0 and h1 == 0.0 and h2 == 0.0:  # the signs would cost half as much again
@@ -58,9 +64,9 @@ def affine(x: FloatArray, out: FloatArray, m: FloatArray, o: FloatArray, h: Floa
         return
     for k in range(ZERO, np.uint64(x.size), THREE):
         x0, x1, x2 = x[k], x[k + ONE], x[k + TWO]
-        x0 = x0 + (math.copysign(h0, x0) if abs(x0) > h0 else 0.0) - o0
-        x1 = x1 + (math.copysign(h1, x1) if abs(x1) > h1 else 0.0) - o1
-        x2 = x2 + (math.copysign(h2, x2) if abs(x2) > h2 else 0.0) - o2
+        x0 = x0 + of_code(x0, h0) - o0
+        x1 = x1 + of_code(x1, h1) - o1
+        x2 = x2 + of_code(x2, h2) - o2
         out[k] = m0 * x0 + m1 * x1 + m2 * x2
         out[k + ONE] = m3 * x0 + m4 * x1 + m5 * x2
         out[k + TWO] = m6 * x0 + m7 * x1 + m8 * x2
@@ -162,9 +168,9 @@ def rounded(x: FloatArray, out: FloatArray, h: FloatArray) -> None:
     h0, h1, h2 = h[0], h[1], h[2]
     for k in range(ZERO, np.uint64(x.size), THREE):
         x0, x1, x2 = x[k], x[k + ONE], x[k + TWO]
-        out[k] = x0 + (math.copysign(h0, x0) if abs(x0) > h0 else 0.0)
-        out[k + ONE] = x1 + (math.copysign(h1, x1) if abs(x1) > h1 else 0.0)
-        out[k + TWO] = x2 + (math.copysign(h2, x2) if abs(x2) > h2 else 0.0)
+        out[k] = x0 + of_code(x0, h0)
+        out[k + ONE] = x1 + of_code(x1, h1)
+        out[k + TWO] = x2 + of_code(x2, h2)
 
 
 @njit(cache=True, fastmath={"contract"}, nogil=True, error_model="numpy")
@@ -343,5 +349,24 @@ def without_line(
         i, f = cell(grid, at[k])
         for axis in range(THREE):
             q, j = THREE * k + axis, SIX * i + TWO * axis
-            u = x[q] + (math.copysign(h[axis], x[q]) if abs(x[q]) > h[axis] else 0.0)
+            u = x[q] + of_code(x[q], h[axis])
             out[q] = u - weight[k] * (cells[j] + f * cells[j + ONE])
+
+
+# ---- while the device turns: segments.py has the rule. rate flat (3 N,) rad/s, NaN in gaps; time (N,) s; out (N,) 1 or 0;
+# state (5,): low-passed rate, time of the last reading, last time at which it was above; written back
+
+
+@njit(cache=True, fastmath={"contract"}, nogil=True, error_model="numpy")
+def follow_turning(
+    rate: FloatArray, time: FloatArray, above: float, mean_s: float, hold_s: float, state: FloatArray, out: FloatArray
+) -> None:  # fmt: skip
+    m0, m1, m2, last, turned = state
+    for k in range(time.size):
+        w0, w1, w2, t = rate[3 * k], rate[3 * k + 1], rate[3 * k + 2], time[k]
+        if w0 == w0 and w1 == w1 and w2 == w2:
+            share = 1.0 if math.isnan(last) else (t - last) / (mean_s + t - last)
+            m0, m1, m2, last = m0 + share * (w0 - m0), m1 + share * (w1 - m1), m2 + share * (w2 - m2), t
+            turned = t if m0 * m0 + m1 * m1 + m2 * m2 > above * above else turned
+        out[k] = 1.0 if t - turned <= hold_s else 0.0
+    state[0], state[1], state[2], state[3], state[4] = m0, m1, m2, last, turned

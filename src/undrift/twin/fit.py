@@ -370,7 +370,7 @@ def fit_prepared(
     number = list(range(len(prepared.records)) if chosen is None else chosen)
     settings = _as_slow(settings, prepared.records)
     matches = [prepared.matches[k] for k in number]
-    gyro = fit_aligned(matches, ReferenceSettings(mounting="one"))
+    gyro = fit_aligned(matches, ReferenceSettings(mounting="one", turning=False))
     rests, codes = [m.rest for m in matches if m.span.rested], prepared.accel_codes
     twin = Twin(
         gyro=gyro,
@@ -433,7 +433,7 @@ def _g_sensitivity(matches: Sequence[Match]) -> list[TwinParameter]:
     if any(match.record.accel is None for match in matches):
         return [unknown("gyro_g_sensitivity", _PER_FORCE, finding("twin.no_accelerometer", "info"))]
     try:
-        model = fit_aligned(matches, ReferenceSettings(g_sensitivity=True, mounting="one")).triad.model
+        model = fit_aligned(matches, ReferenceSettings(g_sensitivity=True, mounting="one", turning=False)).triad.model
     except CalibrationError as error:
         return [unknown("gyro_g_sensitivity", _PER_FORCE, finding("twin.not_fitted", "warn", error=str(error)))]
     values = np.zeros(9) if model.g_sensitivity is None else model.g_sensitivity.ravel()

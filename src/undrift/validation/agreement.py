@@ -336,7 +336,7 @@ def validate_leave_one_out(
             gravity_m_s2=STANDARD_GRAVITY,
             gyro=h.model,
             accel=None if record.accel is None else turned_like(h.model, record.accel_unit),
-            adc=h.adc,
+            adc=adc,
             verdict=h.fit.triad.verdict,
         )
         for record, h in zip(records, fits, strict=True)
@@ -353,7 +353,7 @@ def validate_leave_one_out(
     apart, trials = _told_apart(fits), list[Trial]()
     for (record, reference), made, h, name in zip(pairs, calibrations, fits, called, strict=True):
         trial = validate_trial(record, reference, calibration=made, settings=of_each, name=name, source=source)
-        more = (item for item in (h.extrapolation, h.rounding, apart) if item)
+        more = (item for item in (h.extrapolation, apart) if item)
         trials.append(replace(trial, findings=(*trial.findings, *more)))
     return replace(summed(tuple(trials)), held_out=fits)
 
@@ -369,7 +369,7 @@ def _check_different(records: Sequence[Record]) -> None:
 
 def _told_apart(held: tuple[HeldOut, ...]) -> Finding | None:
     """Return a finding where the recordings do not look like one device, by what each reads at rest."""
-    rest = np.array([(h.model.offset - h.fit.motion_offset) for h in held])
+    rest = np.array([h.model.offset - h.fit.motion_offset * (h.model.moving_offset is None) for h in held])
     spread = float(np.linalg.norm(held[0].model.matrix @ (rest.max(axis=0) - rest.min(axis=0)))) / RADIAN_PER_DEGREE
     return finding("validate.devices_apart", "warn", spread_dps=spread) if spread > ONE_DEVICE_DPS else None
 

@@ -2,8 +2,8 @@
 
 To first order a strapdown orientation errs, in earth axes, by the start's error and the integral of the rate's error::
 
-    e(t) = e0 + int R_nb (dM (u - o) - M do - dG a) dt + h(t)              R_nb from the integration itself
-         = A(t) x + h(t)        x: errors of M, o, G; change of the offset; start; mounting; noise; pose.   h: lag left in
+    e(t) = e0 + int R_nb (dM (u - o) - M do - dG a - m dd + M dc sign(u)) dt + h(t)        R_nb from the integration itself
+         = A(t) x + h(t)        x: errors of M, o, G, d, c; change of the offset; start; mounting; noise; pose.   h: lag left in
 
     end    |e|^2 at the end of the motion      rms    mean of |e|^2 over the motion
 
@@ -21,9 +21,11 @@ from typing import Literal
 import numpy as np
 
 from undrift.arrays import FloatArray
+from undrift.correction.rest import MOVED_AGAIN
 from undrift.frames import rotate
 from undrift.model import TriadModel
 from undrift.record import Record
+from undrift.segments import find_turning
 from undrift.units import RADIAN_PER_DEGREE, si_factor
 
 _STEP_S = 0.25  # the error's course is taken at this interval
@@ -39,7 +41,7 @@ class ErrorPrior:
     """
 
     matrix: float = 3e-4  # Element of the matrix, relative to the scale: nonlinearity, speed of the motion
-    motion_offset: float = 0.005 * RADIAN_PER_DEGREE  # Offset in motion less that at rest, about its mean, rad/s
+    motion_offset: float = MOVED_AGAIN  # Offset in motion less that at rest, about its mean, rad/s
     rest_to_motion: float = 0.03 * RADIAN_PER_DEGREE  # The same of a device whose change to motion nobody fitted, rad/s
     day_to_day: float = 0.01 * RADIAN_PER_DEGREE  # Offset at rest, where the recording's own rest is not used, rad/s
     tilt: float = (
@@ -125,7 +127,13 @@ def _sensitivity(run: Strapdown, model: TriadModel, source: OffsetSource) -> tup
     turned = si_factor(model.unit_out, "rate") * run.turned
     matrix = turned @ model.matrix
     force = np.zeros_like(gyro) if run.record.accel is None else np.nan_to_num(run.record.accel)
-    regressors = np.concatenate((gyro @ np.linalg.inv(matrix).T, np.ones((len(gyro), 1)), force @ run.turned), axis=1)
+    u, shown = gyro @ np.linalg.inv(matrix).T, source.rest in ("subtracted", "shown")
+    sign = (
+        np.sign(u + model.offset) - np.sign(model.offset) * shown
+    )  # where an offset is subtracted, c at rest goes with it
+    moving = find_turning(gyro, time)[0][:, None] * (source.rest != "shown")
+    columns_of = (u, np.ones((len(gyro), 1)), force @ run.turned, moving, sign)
+    regressors = np.concatenate(columns_of, axis=1)
     width = max(1, round(_STEP_S * run.record.sample_rate_hz))
     last = max(1, int(np.searchsorted(time, run.stop_s, side="right")) - 1)
     knots = np.append(np.arange(0, last, width), last)
@@ -141,9 +149,12 @@ def _sensitivity(run: Strapdown, model: TriadModel, source: OffsetSource) -> tup
         kind, _, where = name.partition("_")
         row, last = "xyz".index(where[0]), "xyz".index(where[-1])
         if kind == "offset":
-            columns.append(-sums[..., 3] @ matrix[:, row] * (source.rest not in ("subtracted", "shown")))
+            columns.append(-sums[..., 3] @ matrix[:, row] * (not shown))
+        elif kind == "code":
+            columns.append(sums[..., 8 + row] @ matrix[:, row])
         else:
-            columns.append(sums[..., last] @ turned[:, row] if kind == "m" else -sums[..., 4 + last] @ turned[:, row])
+            place = {"m": last, "g": 4 + last, "moving": 7}[kind]
+            columns.append(sums[..., place] @ turned[:, row] * (1.0 if kind == "m" else -1.0))
     moved = axes - axes[0]
     start = np.broadcast_to(np.eye(3), moved.shape)
     gain = np.concatenate((np.stack(columns, axis=2), sums[..., 3], start, moved), axis=2)
@@ -155,8 +166,9 @@ def _covariance(run: Strapdown, model: TriadModel, source: OffsetSource, prior: 
     more = 1.0 + 1.0 / source.recordings if source.in_motion else 1.0
     change = more * (prior.motion_offset if source.in_motion else prior.rest_to_motion) ** 2 * (source.rest != "shown")
     day = np.full(3, prior.day_to_day**2) if source.rest == "other" else run.offset_variance
+    moving = [i for i, name in enumerate(model.parameters) if name.startswith("moving_")]
     extra = (
-        change + day,
+        change * (not moving) + day,
         np.array([run.tilt**2, run.tilt**2, prior.pose**2]),
         np.full(3, run.mounting**2 + prior.mounting**2),
         np.full(3, run.noise_density**2),
@@ -165,6 +177,7 @@ def _covariance(run: Strapdown, model: TriadModel, source: OffsetSource, prior: 
     size = len(model.parameters)
     covariance = np.diag(np.concatenate((np.zeros(size), *extra)))
     covariance[:size, :size] = model.covariance
+    covariance[moving, moving] += change / si_factor(model.unit_out, "rate") ** 2
     matrix = [i for i, name in enumerate(model.parameters) if name.startswith("m_")]
     covariance[matrix, matrix] += more * (prior.matrix * float(np.linalg.norm(model.matrix, 2))) ** 2
     return covariance

@@ -591,7 +591,7 @@ def _expected(
     if calibration is None or model is None or not model.covariance[:9, :9].any():
         return None
     if source is None:
-        in_motion = model.method in IN_MOTION and judged.rest is None
+        in_motion = (model.method in IN_MOTION and judged.rest is None) or model.moving_offset is not None
         source = OffsetSource(rest=_KINDS[settings.offset if judged.rest else "none"], in_motion=in_motion)
     mounting, subtracted = judged.mounting, judged.rest
     before: tuple[float, float] | None = (float(done.time[0]), judged.motion.start_s - settings.lead_s)
@@ -718,7 +718,8 @@ def _corrected(
             finding("validate.adc", "info", rounding=adc.gyro_rounding.replace("_", " ")),
         )
     if settings.adc == "none":
-        calibration = replace(calibration, adc=None)
+        gyro = calibration.gyro
+        calibration = replace(calibration, adc=None, gyro=None if gyro is None else replace(gyro, code_offset=None))
     since, history = settings.power_on_s, settings.temp_history
     done = correct_checked(record, calibration, policy=settings.policy, power_on_s=since, temp_history=history)
     beyond = (item for one in find_beyond(done.record, calibration) for item in one.findings)

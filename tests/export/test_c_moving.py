@@ -1,0 +1,110 @@
+"""The exported change of the offset from motion to rest against correction/correct.py, and the stated bytes of its source."""
+
+import re
+import subprocess
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from testkit.c_build import STRICT, TYPES, bits_of, write
+from testkit.full_calibration import device, record, tables
+from undrift.correction.correct import correct_checked
+from undrift.export.c import export_c
+from undrift.segments import find_turning
+
+N, STEP_S = 3000, 0.0078125  # a step that 20 bits hold
+MOVING = np.array([0.0011, -0.0007, 0.0009])
+MAIN = """
+#include <stdio.h>
+#include "undrift.h"
+int main(void)
+{
+    undrift_t in[8], out[6]; /* readings, temperature, step */
+    undrift_turning_t turning = {0};
+    while (fread(in, sizeof in, 1, stdin) == 1) {
+        (void)undrift_correct(in, in + 3, in[6], out, out + 3);
+        undrift_at_rest(&turning, out, in[7]);
+        fwrite(out, sizeof out, 1, stdout);
+    }
+    return 0;
+}
+"""
+
+
+def moving(drift):
+    made = device(drift=drift, g=False)
+    return replace(made, gyro=replace(made.gyro, moving_offset=MOVING))
+
+
+def turns_and_rests(calibration):
+    rng, rate, time = np.random.default_rng(5), np.zeros((N, 3)), np.arange(N) * STEP_S
+    for start, size in ((400, 2.0), (1100, 0.05), (1900, 0.3)):
+        rate[start : start + 200] = size * np.sin(np.linspace(0.0, 9.0, 200))[:, None] * rng.normal(size=3)
+    table = calibration.drift and calibration.drift.static.gyro_offset[0]
+    gyro = np.round(rate @ calibration.gyro.forward_matrix.T + (calibration.gyro.offset if table is None else table))
+    return record(N, gyro=gyro, time=time, temp_c=np.full(N, 18.0))
+
+
+@pytest.mark.parametrize("arithmetic", ["double", "float", "fixed"])
+@pytest.mark.parametrize("drift", [None, tables(dynamic=None)], ids=["constant", "tables"])
+def test_rates_at_rest_are_those_of_the_corrector(arithmetic, drift, tmp_path):
+    calibration = moving(drift)
+    exported, r = export_c(calibration), turns_and_rests(calibration)
+    write(exported, tmp_path)
+    (tmp_path / "main.c").write_text(MAIN)
+    words = ["gcc", *STRICT, "-fsanitize=undefined", "-O1", f"-DUNDRIFT_{arithmetic.upper()}"]
+    subprocess.run([*words, tmp_path / "undrift.c", tmp_path / "main.c", "-o", tmp_path / "run"], check=True)
+    kind, fixed = TYPES[arithmetic], arithmetic == "fixed"
+    scale = 2.0 ** np.array([*np.repeat(bits_of(exported), 3), 16, 20]) if fixed else np.ones(8)
+    parts = np.column_stack((r.gyro, r.accel, r.temp_c, np.full(N, STEP_S))) * scale
+    inputs = (np.round(parts) if fixed else parts).astype(kind)
+    done = subprocess.run([tmp_path / "run"], input=inputs.tobytes(), capture_output=True, check=True)
+    assert done.stderr == b""
+    got = np.frombuffer(done.stdout, kind).reshape(-1, 6)[:, :3] / (65536.0 if fixed else 1.0)
+    wanted = correct_checked(r, calibration).record.gyro
+    turning, _ = find_turning(wanted, r.time)
+    assert 0.1 < turning.mean() < 0.6
+    near = np.abs(np.diff(turning, prepend=0.0)) > 0.0  # the sample at which a turn begins or ends may be another
+    limit = exported.gyro_bound + 2.0**-16 if fixed else (2e-6 if arithmetic == "float" else 1e-12)
+    assert (np.abs(got - wanted) <= limit)[~near].all()
+    assert near.sum() == 6  # three turns
+
+
+def test_a_gap_is_bridged(tmp_path):
+    calibration = moving(None)
+    r = turns_and_rests(calibration)
+    gyro = np.array(r.gyro)
+    gyro[430:440] = np.nan
+    r = replace(r, gyro=gyro)
+    exported = export_c(calibration)
+    write(exported, tmp_path)
+    (tmp_path / "main.c").write_text(MAIN)
+    words = ["gcc", *STRICT, "-DUNDRIFT_DOUBLE", tmp_path / "undrift.c", tmp_path / "main.c", "-o", tmp_path / "run"]
+    subprocess.run(words, check=True)
+    inputs = np.column_stack((r.gyro, r.accel, r.temp_c, np.full(N, STEP_S)))
+    done = subprocess.run([tmp_path / "run"], input=inputs.tobytes(), capture_output=True, check=True)
+    got = np.frombuffer(done.stdout).reshape(-1, 6)[:, :3]
+    wanted = correct_checked(r, calibration).record.gyro
+    np.testing.assert_array_equal(np.isnan(got), np.isnan(wanted))
+    assert (np.abs(got - wanted) < 1e-12)[:470][np.isfinite(wanted[:470])].all()
+
+
+def test_header_and_notes_say_what_to_call():
+    exported = export_c(moving(None))
+    assert "undrift_at_rest adds to the rates what they are smaller at rest" in " ".join(exported.notes)
+    assert "6 by undrift_at_rest" in re.sub(r"[\s*]+", " ", exported.header)
+    assert "UNDRIFT_STEP_BITS 20" in exported.header
+    assert not any("change of the offset" in text for text in exported.not_carried)
+    assert "at_rest" not in export_c(device(drift=None)).header
+
+
+def test_its_constants_are_counted(tmp_path):
+    exported = export_c(moving(None))
+    write(exported, tmp_path)
+    for arithmetic in ("float", "double", "fixed"):
+        words = ["gcc", *STRICT, "-O0", "-c", f"-DUNDRIFT_{arithmetic.upper()}", tmp_path / "undrift.c"]
+        subprocess.run([*words, "-o", tmp_path / "u.o"], check=True)
+        symbols = subprocess.run(["nm", "-S", tmp_path / "u.o"], capture_output=True, text=True, check=True).stdout
+        stated = next(c for c in exported.costs if c.arithmetic == arithmetic)
+        assert sum(int(size, 16) for size in re.findall(r"^\S+ (\S+) r ", symbols, re.M)) == stated.table_bytes
