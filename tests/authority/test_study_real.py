@@ -95,7 +95,8 @@ def test_broad_trials_by_level_and_their_agreement() -> None:
     assert [level.rounding for level in left_in] == ["left in"] * 3
     # Truncated codes: half a step is an offset that turning reads differently from resting.
     assert left_in[1].median.rmse_total_deg > 1.2 * rest.median.rmse_total_deg
-    assert left_in[2].median.rmse_total_deg > calibrated.median.rmse_total_deg
+    # Where the change to motion acts while the device turns alone, they cost the end more than the rms, which tilt and poses make.
+    assert left_in[2].median.end_total_deg > calibrated.median.end_total_deg
     # A third at least: what the matrix and the offset in motion are worth beyond the rest and the half step given back, on
     # trials that the fit never saw.
     assert calibrated.median.rmse_total_deg < 0.67 * rest.median.rmse_total_deg
