@@ -1,7 +1,8 @@
 """Recordings that begin and end in motion, beside a reference: what each calibration leaves of their orientation, deg.
 
 ``python -m benchmarks.in_motion`` prints a table of each set (two minutes), or of those named: chain, carpus, radius, pendulum.
-Each recording is judged raw, by the fit to the others of its device, and each of both with the offset that its motion shows. Raw
+Each recording is judged raw, by the fit to the others of its device, by the motion of the others alone, and each of these with the
+offset that its own motion shows. Raw
 and calibrated readings start from the reference; the robot's rests at the start are cut to a second, so that accelerometers, which
 are off by 1 deg there, do not count.
 
@@ -19,12 +20,13 @@ from pathlib import Path
 import numpy as np
 
 from undrift.arrays import FloatArray
+from undrift.calibration.calibrate import calibrate_from_motion, calibrate_to_references
 from undrift.calibration.reference import fit_reference
 from undrift.errors import UndriftError
 from undrift.frames import quaternion_product
 from undrift.record import Record, Reference
 from undrift.validation.agreement import Validation, summed, validate_leave_one_out, validate_trials
-from undrift.validation.trial import Trial, TrialSettings
+from undrift.validation.trial import Trial, TrialSettings, validate_trial
 
 SETS = {
     "chain": ("seg2_trial1", "seg2_trial2"),
@@ -79,12 +81,26 @@ def table(name: str) -> Iterator[tuple[str, Validation]]:
         settings, more = TrialSettings(offset=offset), " + offset from motion" * (offset == "motion")
         yield f"raw{more}", validate_trials(held, settings=settings, names=called)
         yield f"fit to the others{more}", validate_leave_one_out(held, settings=settings, names=called)
+        yield f"motion of the others alone{more}", by_motion(held, settings, called)
+
+
+def by_motion(held: list[tuple[Record, Reference]], settings: TrialSettings, names: tuple[str, ...]) -> Validation:
+    """Return the trials of a device, each calibrated by the motion in the others, without their reference."""
+    return summed(
+        tuple(
+            validate_trial(
+                *pair,
+                calibration=calibrate_from_motion([record for record, _ in held if record is not pair[0]]),
+                settings=settings,
+                name=name,
+            )
+            for pair, name in zip(held, names, strict=True)
+        )
+    )
 
 
 def by_themselves(name: str) -> Validation:
     """Return the trials of a device, each by a fit to itself: what the reference and the model leave."""
-    from undrift.calibration.calibrate import calibrate_to_references
-    from undrift.validation.trial import validate_trial
 
     def judged(record: Record, reference: Reference) -> Trial:
         return validate_trial(record, reference, calibration=calibrate_to_references([record], [reference]))

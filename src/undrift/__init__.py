@@ -23,6 +23,7 @@ from undrift.commands import GROUPS, VERBS, Commands
 
 if TYPE_CHECKING:
     from undrift.calibration.calibrate import calibrate as calibrate
+    from undrift.calibration.calibrate import calibrate_from_motion as calibrate_from_motion
     from undrift.calibration.calibrate import calibrate_to_references as calibrate_to_references
     from undrift.calibration.noise import NoiseFit as NoiseFit
     from undrift.calibration.noise import fit_noise as fit_noise
@@ -114,7 +115,7 @@ _MODULES = {
     "io.formats": ("read_record", "write_record", "read_reference"),
     "io.session": ("read_session", "write_session"),
     "segments": ("find_still", "StillSearch", "find_turns", "TurnSearch", "StillSettings"),
-    "calibration.calibrate": ("calibrate", "calibrate_to_references"),
+    "calibration.calibrate": ("calibrate", "calibrate_from_motion", "calibrate_to_references"),
     "calibration.observe": ("CalibrateSettings",),
     "model": ("Calibration",),
     "findings": ("Finding", "Verdict"),

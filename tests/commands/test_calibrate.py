@@ -5,10 +5,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from benchmarks.in_motion import pairs
 
 from testkit.command_line import contents
 from testkit.data import data_path, show
 from testkit.stepper_jig import turned
+from undrift.io.formats import write_record
 from undrift.io.session import write_session
 from undrift.io.store import read_calibration
 from undrift.record import RateTable, Session, TemperatureSensitivity
@@ -368,3 +370,37 @@ def test_a_calibration_without_accelerometers_is_not_offered_for_correct_and_say
     assert first[0] == "  - Accelerometer not observable"
     assert first[1].endswith("faces without a rest: +x, -y")
     assert undrift.good("calibrate", tmp_path / "s", "--json").json()["lacking"] == ["accelerometers"]
+
+
+def test_recordings_in_motion_calibrate_both_triads_and_state_the_offset_of_each(undrift, tmp_path):
+    files = []
+    for number, (record, _) in enumerate(pairs("chain")):
+        files.append(tmp_path / f"{number}.csv")
+        write_record(record, files[-1])
+    made = tmp_path / "by_motion.json"
+    called = undrift("calibrate", *files, "--from", "motion", "-o", made, "--json")
+    printed = called.json()
+    assert (called.code, printed["verdict"]["status"]) == (0, "marginal")
+    assert printed["gyro"]["method"] == printed["accel"]["method"] == "motion"
+    assert [one["recording"] for one in printed["motion"]] == ["0.csv", "1.csv"]
+    show("offset of each recording, deg/s", [np.round(one["offset_dps"], 3).tolist() for one in printed["motion"]])
+    for one in printed["motion"]:
+        np.testing.assert_allclose(
+            one["offset_dps"], (-0.54, -0.20, -0.60), atol=3 * max(one["offset_uncertainty_dps"])
+        )
+    assert read_calibration(made).gyro.matrix[0, 0] == pytest.approx(1.0, abs=0.01)
+    words = undrift.good("calibrate", *files, "--from", "motion").out
+    assert "Gyroscopes' offset of each recording, deg/s" in words
+    assert "hold the device with each of these axes up, then down" in words
+
+
+def test_options_that_motion_alone_cannot_use_are_refused(undrift, tmp_path):
+    record, _ = pairs("chain")[0]
+    write_record(record, tmp_path / "walk.csv")
+    refused = undrift(
+        "calibrate", tmp_path / "walk.csv", "--from", "motion", "--turn-deg", "360", "-o", tmp_path / "c.json"
+    )
+    assert refused.code == 2
+    assert "has no use for" in refused.err
+    assert "--turn-deg" in refused.err
+    assert not (tmp_path / "c.json").exists()

@@ -107,24 +107,30 @@ def test_shapes_that_disagree_and_gaps_are_refused():
 
 
 @pytest.mark.parametrize("width", [4, 7, 40])  # of odd windows that half overlap, three share a sample
-def test_means_of_the_carried_force_and_what_changes_them_agree_with_the_plain_twin(width):
+@pytest.mark.parametrize("regressors", [(1, 1), (4, 3)])
+def test_means_of_the_carried_force_and_what_changes_them_agree_with_the_plain_twin(width, regressors):
     rng = np.random.default_rng(3)
     n = 201
     time = np.cumsum(rng.uniform(0.005, 0.02, n))
     rate, force = rng.normal(size=(n, 3)), rng.normal(0.0, 5.0, size=(n, 3))
+    of_rate, of_force = (rng.normal(size=(n, count)) for count in regressors)
     first, weight = np.arange(0, n - width + 1, width // 2), rng.uniform(size=width)
     weight /= weight.sum()
 
     def means(rate, force):
-        out = np.full((len(first), 21), np.nan)
-        carried_means(rate.reshape(-1), force.reshape(-1), time, first, weight, out.reshape(-1))
+        out = np.full((len(first), 3 + 9 * sum(regressors)), np.nan)
+        given = (rate, force, of_rate, of_force)
+        carried_means(*(each.reshape(-1) for each in given), time, first, weight, out.reshape(-1))
         return out
 
-    out, twin = means(rate, force), twins.carried_means(rate, force, time, first, weight)
+    out, twin = means(rate, force), twins.carried_means(rate, force, of_rate, of_force, time, first, weight)
     np.testing.assert_allclose(out, np.hstack([each.reshape(len(first), -1) for each in twin]), rtol=0, atol=1e-11)
-    # what they say of a change is what comes of it; J takes a step's end for its middle
-    turned, fixed = out[:, 3:12].reshape(-1, 3, 3), out[:, 12:].reshape(-1, 3, 3)
-    small = 1e-5 * rng.normal(size=3)
-    by_rate, by_force = (means(*each)[:, :3] - out[:, :3] for each in ((rate - small, force), (rate, force - small)))
-    np.testing.assert_allclose(by_rate, turned @ small, rtol=0, atol=0.02 * np.abs(by_rate).max())
-    np.testing.assert_allclose(by_force, -fixed @ small, rtol=0, atol=1e-12)
+    # what they say of a change is what comes of it
+    turned, fixed = np.split(out[:, 3:], [9 * regressors[0]], axis=1)
+    small, little = (1e-5 * rng.normal(size=(3, count)) for count in regressors)
+    for changed, shown, limit in (
+        ((rate + of_rate @ small.T, force), turned.reshape(len(first), 3, -1) @ small.ravel(), 1e-3),
+        ((rate, force + of_force @ little.T), fixed.reshape(len(first), 3, -1) @ little.ravel(), 1e-6),
+    ):
+        came = means(*changed)[:, :3] - out[:, :3]
+        np.testing.assert_allclose(came, shown, rtol=0, atol=limit * np.abs(came).max())

@@ -29,8 +29,12 @@ import undrift
 from undrift.cli.app import _standard, _with_limits, command_line, run
 from undrift.io.reference import write_reference
 from undrift.sim.device.model import DeviceModel, read_device
+from undrift.sim.device.simulate import simulate_device
+from undrift.sim.device.truth import true_calibration
 from undrift.sim.motion.bench import BenchKind, BenchSettings
+from undrift.sim.motion.tasks import draw_task
 from undrift.sim.thermal import BENCH, ThermalSettings
+from undrift.units import STANDARD_GRAVITY
 
 SAMPLE = "undrift data fetch sample"  # the one line that says where the data of the pages come from
 BLOCK = re.compile(r"((?:^<!--[^\n]*-->\n)*)^```(sh|python|toml|csv|text)\n(.*?)^```$", re.M | re.S)
@@ -176,6 +180,17 @@ def _walk(path: Path) -> None:
     undrift.write_record(undrift.simulate_trial("sit_to_stand", device, rng=rng).record, path)
 
 
+def _turned(path: Path) -> None:
+    device, rng = _device()
+    motion = draw_task("free", rng=rng).at(np.arange(3600) / 50.0, STANDARD_GRAVITY)
+    true, record = true_calibration(device, temp_c=25.0), simulate_device(device, motion, rng=rng).record
+    gyro, accel = (
+        np.asarray(raw) * np.trace(of.matrix) / 3.0
+        for raw, of in ((record.gyro, true.gyro), (record.accel, true.accel))
+    )
+    undrift.write_record(replace(record, gyro=gyro, accel=accel, gyro_unit="rad/s", accel_unit="m/s2"), path)
+
+
 def _optics(path: Path) -> None:
     device, rng = _device()
     write_reference(undrift.simulate_trial("sit_to_stand", device, rng=rng).reference, path)
@@ -247,6 +262,7 @@ FILES: dict[str, Callable[[Path], None]] = {
     "turns.csv": _bare("ferraris"),
     "logger.csv": _logger,
     "walk.csv": _walk,
+    "turned.csv": _turned,
     "optics.csv": _optics,
     "warm_up.csv": _warm_up,
     "rest.csv": _rest,

@@ -98,12 +98,13 @@ def rotation_matrices(q: np.ndarray) -> np.ndarray:
     return np.moveaxis(np.array([np.stack(row) for row in rows]), (0, 1), (-2, -1))
 
 
-def carried_means(rate, force, time, first, weight):
-    """Weighted sums (K, 3), (K, 3, 3), (K, 3, 3) over windows: R f, [R f]x J and R, J the integral of R dt up to each sample."""
-    q = strapdown(rate, time, np.array([1.0, 0.0, 0.0, 0.0]))
-    matrix = rotation_matrices(q)
+def carried_means(rate, force, of_rate, of_force, time, first, weight):
+    """Weighted sums over windows: R f (K, 3), of (integral of R x_c dt) x R f (K, 3, 3 C), of R y_c (K, 3, 3 D)."""
+    matrix = rotation_matrices(strapdown(rate, time, np.array([1.0, 0.0, 0.0, 0.0])))
     carried = np.einsum("nij,nj->ni", matrix, force)
-    integral = np.cumsum(matrix * np.gradient(time)[:, None, None], axis=0)
-    turned = np.cross(carried[:, :, None], integral, axis=1)
-    sums = [[np.tensordot(weight, each[k : k + len(weight)], 1) for k in first] for each in (carried, turned, matrix)]
+    middle = 0.5 * (matrix + np.roll(matrix, 1, axis=0))
+    by_rate = np.cumsum(np.einsum("nij,nc,n->nijc", middle, of_rate, np.diff(time, prepend=time[0])), axis=0)
+    turned = np.cross(by_rate.reshape(len(time), 3, -1), carried[:, :, None], axis=1)
+    fixed = np.einsum("nij,nc->nijc", matrix, of_force).reshape(len(time), 3, -1)
+    sums = [[np.tensordot(weight, each[k : k + len(weight)], 1) for k in first] for each in (carried, turned, fixed)]
     return tuple(np.array(each) for each in sums)

@@ -24,6 +24,7 @@ from undrift.base.summary import at
 from undrift.calibration.adc import identify_record_adc, restored
 from undrift.calibration.checks import missing_faces, range_in_doubt, scale_as_stated
 from undrift.calibration.creep import creep_of, offset_drift
+from undrift.calibration.in_motion import InMotion, fit_in_motion
 from undrift.calibration.known_rotation import calibrate_turns
 from undrift.calibration.multi_position import FEWEST_POSES, calibrate_moves, calibrate_poses
 from undrift.calibration.observe import CalibrateSettings, Observed, Outcome, at_one_temperature, in_one_unit, observe
@@ -87,6 +88,7 @@ def calibrate_rest(seen: Observed, mode: str | None, accel: TriadFit | None) -> 
     return Outcome(fit=fit, method="rest", findings=creep.findings())
 
 
+ASSUMED_GRAVITY = 0.02  # m/s2: standard gravity against that of any place, 9.78 to 9.83
 ENTRY_POINTS = "undrift.fits"  # other packages add a FitMethod under this group
 
 
@@ -169,11 +171,7 @@ def calibrated(
         find_fit(str(gyro), "gyro")
     if mode not in (None, "paper", "affine", "levelled"):
         raise InputError(f"calibrate: wanted mode one of paper, affine, levelled, got '{mode}'; name one of them")
-    if any(r.state == "corrected" for r in session.records):
-        raise InputError(
-            "calibrate: wanted raw readings, got a corrected record, whose offsets are gone; calibrate with the device's own "
-            "recording"
-        )
+    _check_raw(session.records)
     session, other_temperatures = at_one_temperature(in_one_unit(session))
     adc, seen = _observed(session, settings)
     of_accel = _calibrate_accel(seen, accel, mode)
@@ -478,6 +476,106 @@ def calibrate_to_references(
             created=datetime.now(UTC).isoformat(timespec="seconds"),
         ),
     )
+
+
+# ---- calibrate from recordings in motion: nothing else
+
+
+def calibrate_from_motion(
+    records: Sequence[Record],
+    *,
+    adc: Literal["auto", "none"] = "auto",
+    gravity_m_s2: float | None = None,
+    gravity_source: GravitySource = "stated",
+) -> Calibration:
+    """Calibrate one device from recordings in which it is turned: gravity in motion shows both triads.
+
+    Parameters
+    ----------
+    records : sequence of Record
+        Raw recordings of one device in physical units, 20 s and more each, best with a rest somewhere.
+    adc : str
+        "auto" corrects the codes' rounding where they show it; "none" leaves them.
+    gravity_m_s2 : float, optional
+        Local gravity, m/s2; None assumes standard gravity, and the verdict says so.
+    gravity_source : str
+        "stated", or "latitude and height" where it was computed from these.
+
+    Returns
+    -------
+    Calibration
+        Both triads; the gyroscopes' offset is that of all recordings. The verdict names what the motion did not show.
+
+    Raises
+    ------
+    InputError, NotObservable
+        As ``fit_in_motion``, or a corrected recording.
+
+    Examples
+    --------
+    >>> import numpy as np, undrift
+    >>> rng = np.random.default_rng(7)
+    >>> time = np.arange(3000) / 50.0
+    >>> angle = 1.5 * np.tanh(4.0 * np.sin(0.35 * time))  # about y, to and fro, with stops; about x and z the device never turns
+    >>> gyro = np.gradient(angle, time)[:, None] * [0.0, 1.01, 0.0] + 1e-3 * rng.standard_normal((3000, 3))
+    >>> accel = 9.8 * np.stack((-np.sin(angle), 0.0 * angle, np.cos(angle)), axis=1) + 0.05 * rng.standard_normal((3000, 3))
+    >>> record = undrift.Record(time=time, gyro=gyro, accel=accel)
+    >>> made = undrift.calibrate_from_motion([record], gravity_m_s2=9.8)
+    >>> [f"{scale:.2f}" for scale in made.gyro.scale_factor], made.verdict.findings[0].values["axes"]
+    (['1.00', '1.01', '1.00'], 'x, z')
+    """
+    if gravity_m_s2 is None:
+        gravity_m_s2, gravity_source = STANDARD_GRAVITY, "standard"
+    check_local_gravity(gravity_m_s2, "motion")
+    session = Session(
+        kind="calibration", serial="", records=tuple(records), gravity_m_s2=gravity_m_s2, gravity_source=gravity_source,
+    )  # fmt: skip
+    return from_motion(session, identify_adc=adc == "auto")[0]
+
+
+def from_motion(session: Session, *, identify_adc: bool) -> tuple[Calibration, InMotion]:
+    """Calibrate from the motion in a session, and return with it the fit: offsets of each recording, what disturbed it."""
+    _check_raw(session.records)
+    records = in_one_unit(session).records
+    rounding = device_adc(records) if identify_adc else None
+    assumed = session.gravity_source == "standard"
+    fit = fit_in_motion(
+        [restored(record, rounding) for record in records],
+        gravity_m_s2=session.gravity_m_s2,
+        gravity_uncertainty=ASSUMED_GRAVITY if assumed else 0.0,
+    )
+    temps = [float(np.nanmean(record.temp_c)) for record in records if record.temp_c is not None]
+    more = (finding("session.gravity_assumed", "info", gravity_m_s2=session.gravity_m_s2),) if assumed else ()
+    made = Calibration(
+        device=session.serial or records[0].device,
+        reference_temp_c=float(np.mean(temps)) if temps else float("nan"),
+        gravity_m_s2=session.gravity_m_s2,
+        gyro=fit.gyro.model,
+        accel=fit.accel.model,
+        adc=rounding,
+        verdict=fit.gyro.verdict.also(Verdict.of(*more)),
+        provenance=Provenance(
+            settings=(
+                ("gyro", "motion"),
+                ("accel", "motion"),
+                ("adc", "auto" if identify_adc else "none"),
+                ("gravity", session.gravity_source),
+                ("recordings", f"{len(records)}"),
+            ),
+            versions=versions_used(),
+            created=datetime.now(UTC).isoformat(timespec="seconds"),
+        ),
+        file_map=session.file_map,
+    )
+    return made, fit
+
+
+def _check_raw(records: Sequence[Record]) -> None:
+    if any(r.state == "corrected" for r in records):
+        raise InputError(
+            "calibrate: wanted raw readings, got a corrected record, whose offsets are gone; calibrate with the device's own "
+            "recording"
+        )
 
 
 def _accel_of(

@@ -33,6 +33,7 @@ FITS = {
     ),
     "rest": FitMethod("rests alone: offset only, the scale factor is nominal", gyro="calibrate:calibrate_rest"),
     "reference": FitMethod("motion against an orientation reference", reference="reference:fit_reference"),
+    "motion": FitMethod("gravity in free motion, nothing else"),  # both triads at once: calibrate_from_motion
 }
 if TYPE_CHECKING:
     AccelFit: TypeAlias = str

@@ -12,7 +12,9 @@ from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from cyclopts import Parameter
 
 from undrift.base.options import Files, Flag, OptionalOutput, Picture, options, verb
 from undrift.base.summary import Drawing, Result, Section, Summary, concise, figure_of, number
@@ -21,10 +23,12 @@ from undrift.commands import Progress, silent
 from undrift.commands.certificate import departures_words, uncertainty_sentence
 from undrift.commands.files import Opening, Place, Rests, check_figure, check_output, name_of, recording_of, session_of
 from undrift.commands.register import Registration, registered_lines
-from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
+from undrift.errors import InputError
+from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, si_factor
 
 if TYPE_CHECKING:
     from undrift.arrays import FloatArray
+    from undrift.calibration.in_motion import InMotion
     from undrift.calibration.observe import CalibrateSettings, Observed
     from undrift.calibration.pieces import Piece
     from undrift.model import Calibration, TriadModel
@@ -48,8 +52,9 @@ class Calibrated(Result):
     files: tuple[Path, ...]
     calibration: "Calibration"
     session: "Session"
-    seen: "Observed"
+    seen: "Observed | None"  # None of motion alone
     settings: "CalibrateSettings"
+    in_motion: "InMotion | None"  # Offsets of each recording, of a fit to motion alone
     registered: list[dict[str, Any]]
     output: Path | None
     figure: Path | None
@@ -66,6 +71,8 @@ class Calibrated(Result):
         """What was found in the session; what was not used says why."""
         from undrift.calibration.pieces import pieces_of
 
+        if self.seen is None:
+            return ()
         return pieces_of(self.session, self.settings, self.calibration, self.seen)[0]
 
     def summary(self) -> Summary:
@@ -80,11 +87,14 @@ class Calibrated(Result):
         if output is None:
             after.append("Nothing was written. To keep it, repeat the command with -o calibration.json")
         follows = recording is not None and NAMES["accel"] not in lacking
-        shown, kept = calibration_summary(made), {"registered": self.registered} if self.registered else {}
+        shown, more = calibration_summary(made), {"registered": self.registered} if self.registered else {}
+        if self.in_motion is not None:
+            shown = replace(shown, sections=(*shown.sections, _motion_section(self, self.in_motion)))
+            more |= {"motion": _motion_figures(self, self.in_motion)}
         return replace(
             shown,
-            data=calibration_json(made) | {"lacking": lacking} | kept,
-            page=lambda: judged_sections(self),
+            data=calibration_json(made) | {"lacking": lacking} | more,
+            page=lambda: judged_sections(self) if self.in_motion is None else (),
             written=(self.figure, output),
             after=tuple(after),
             next=("correct", recording, "--calibration", output, "-o", "corrected.parquet") if follows else (),
@@ -98,6 +108,7 @@ def calibrate(
     opening: Opening = Opening(),
     turn_deg: float | None = None,
     output: OptionalOutput = None,
+    calibrate_from: Annotated[Literal["pieces", "motion"], Parameter(name="--from")] = "pieces",
     accel: AccelFit | None = None,
     gyro: GyroFit | None = None,
     mode: Literal["paper", "affine", "levelled"] | None = None,
@@ -121,6 +132,9 @@ def calibrate(
         Angle of the turns between rests in bare recordings, deg, one or more about each axis: 360 for full turns.
     output : Path or None
         calibration.json to write.
+    calibrate_from : str
+        "pieces" takes rests, faces and turns; "motion" gravity while the device is turned in the hand or worn, 20 s and more, and
+        nothing else.
     accel : str or None
         How to calibrate the accelerometers; what the session allows by default.
     gyro : str or None
@@ -135,12 +149,15 @@ def calibrate(
         Picture to write of the recordings, with what was used and what was left out: .svg, .png or .pdf.
     """
     from undrift.calibration.calibrate import calibrated as fit
+    from undrift.calibration.calibrate import from_motion
     from undrift.calibration.observe import CalibrateSettings
     from undrift.io.store import write_calibration
 
     check_output(output, endings=(".json",), reads=(*files, opening.column_map))
     check_figure(figure, reads=files)
     registering.check()
+    if calibrate_from == "motion" and (idle := {"accel": accel, "gyro": gyro, "mode": mode, "turn_deg": turn_deg}):
+        _check_idle({name: value for name, value in idle.items() if value is not None})
     settings = CalibrateSettings(
         still=rests.settings(),
         latitude_deg=place.latitude_deg,
@@ -152,9 +169,14 @@ def calibrate(
     progress("reading", 0.0)
     session = session_of(files, place, opening)
     progress("fitting", 0.5)
-    made, seen = fit(session, accel=accel, gyro=gyro, mode=mode, settings=settings)
+    seen, in_motion = None, None
+    if calibrate_from == "motion":
+        made, in_motion = from_motion(session, identify_adc=adc == "auto")
+    else:
+        made, seen = fit(session, accel=accel, gyro=gyro, mode=mode, settings=settings)
     calibrated = Calibrated(
-        files=files, calibration=made, session=session, seen=seen, settings=settings, output=output, figure=figure,
+        files=files, calibration=made, session=session, seen=seen, settings=settings, in_motion=in_motion, output=output,
+        figure=figure,
         registered=registering.add(made, source=output),
     )  # fmt: skip
     if output is not None:
@@ -164,6 +186,41 @@ def calibrate(
         of = (session.records, calibrated.pieces)
         Drawing(place="undrift.report.figures:draw_recording", of=of, options=how).save(figure)
     return calibrated
+
+
+def _check_idle(stated: dict[str, object]) -> None:
+    """Refuse options that motion alone has no use for."""
+    if stated:
+        raise InputError(
+            f"calibrate: `calibrate_from` motion has no use for {' and '.join(f'`{name}`' for name in stated)}: leave "
+            f"{'it' if len(stated) == 1 else 'them'} out, or calibrate from pieces"
+        )
+
+
+def _motion_figures(calibrated: Calibrated, fit: "InMotion") -> list[dict[str, Any]]:
+    """Return what motion showed of each recording: offset and its uncertainty, deg/s, and acceleration, m/s2."""
+    per_dps = si_factor(fit.gyro.model.unit_in, "rate") / RADIAN_PER_DEGREE
+    names = [name for name, _ in calibrated.session.inputs if not name.endswith(".toml")]
+    named = names if len(names) == len(fit.offsets) else [f"recording {k + 1}" for k in range(len(fit.offsets))]
+    rows = zip(
+        named, fit.offsets * per_dps, fit.offset_uncertainty * per_dps, fit.acceleration, fit.rested, strict=True
+    )
+    keys = ("recording", "offset_dps", "offset_uncertainty_dps", "acceleration_m_s2", "rested")
+    return [dict(zip(keys, row, strict=True)) for row in rows]
+
+
+def _motion_section(calibrated: Calibrated, fit: "InMotion") -> Section:
+    """Return the offset of each recording, and how the body's own acceleration disturbed it."""
+    heads = ("recording", "x", "y", "z", "+-", "acceleration left in 5 s (m/s2)", "rest")
+    rows = tuple(
+        (
+            str(one["recording"]), *(number(float(axis), ".3f") for axis in one["offset_dps"]),
+            number(float(one["offset_uncertainty_dps"].max()), ".3f"), number(float(one["acceleration_m_s2"]), ".3f"),
+            "yes" if one["rested"] else "no",
+        )
+        for one in _motion_figures(calibrated, fit)
+    )  # fmt: skip
+    return Section(title="Gyroscopes' offset of each recording, deg/s", columns=heads, rows=rows)
 
 
 # ---- a calibration

@@ -2,19 +2,14 @@
 
 ::
 
-    F(t) = R(t) f(t) = g u + a(t)          specific force f, turned by the strapdown R of the rates w into the first frame
-    R of w - b  =  (I - [J b]x) R          J(t) = integral of R dt: an offset b turns all that follows
-    <F>_k = g u - A_k b + P_k d + e_k      Hann means over 5 s; A_k = <[F]x J>_k, P_k = <R>_k, d offset of the accelerometers
+    <F>_k = g u - A_k b + P_k d + e_k      A_k = <[F]x J>_k, J = the integral of R dt; P_k = <R>_k, d offset of the accelerometers
 
-A body that comes back has no mean acceleration: what is left of a is white, and means that half overlap share a sixth. What the
-calibration leaves turns the frame at random with density q: horizontal means k and l share g^2 q min(t_k, t_l). Both sizes are
-those of greatest restricted likelihood. b, d and the vertical u are found by generalised least squares, linearised anew about
-the last b (Gauss-Newton). Long recordings are cut into stretches, each with a vertical, an offset and sizes of its own; offsets
-follow a random walk from one stretch to the next.
+with the means, the walk of the attitude and the sizes of fit/carried.py. b, d and the vertical u are found by generalised least
+squares, linearised anew about the last b (Gauss-Newton). Long recordings are cut into stretches, each with a vertical, an offset
+and sizes of its own; offsets follow a random walk from one stretch to the next.
 
 The prior of b is the mean at a rest; where there is none, what a calibration or a data sheet leaves of it. Gravity shows no turn
-about the vertical: along an axis that stays upright b keeps its prior. A long push (lift, car, bend) reads as a tilt: it enters the
-sizes, and widens what is stated.
+about the vertical: along an axis that stays upright b keeps its prior.
 """
 
 from dataclasses import dataclass
@@ -22,30 +17,25 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from scipy.linalg import eigh
-from scipy.optimize import minimize
 
 from undrift.arrays import FloatArray, frozen
 from undrift.correction.rest import LEAST_IN_MOTION_S, MOVED, RestOffset
 from undrift.errors import InputError
 from undrift.findings import Finding, finding
-from undrift.kernels.rotation import carried_means
+from undrift.fit.carried import CarriedMeans
 from undrift.model import OFFSET_NAMES, TriadModel
 from undrift.record import Record, Still
 from undrift.segments import unpadded
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, si_factor
 
-MEAN_S, STRETCH_S, SHORT_S = 5.0, 300.0, 25.0  # s, of a Hann mean, of a stretch, of those from which a start is found
+STRETCH_S, SHORT_S = 300.0, 25.0  # s, of a stretch, of those from which a start is found
 WALK = 2e-4 * RADIAN_PER_DEGREE  # rad/s/sqrt(s), of a consumer gyroscope's offset [assumed]
 # m/s2, offset of accelerometers, and share by which their size of gravity is off: calibrated, and by data sheets [assumed]
 CALIBRATED, RAW = (0.05, 0.005), (0.5, 0.03)
-# Logarithms of both variances, of m/s2 and of rad/sqrt(s): usual ones, within e^2 each way where few means say little [assumed]
-_SIZES, _FACTOR = 2.0 * np.log((0.03, 0.1 * RADIAN_PER_DEGREE)), 4.0
 # rad/s, of an offset without a rest: turn-on repeatability of a calibrated device, and a raw one's zero-rate output [assumed]
 CALIBRATED_RATE, RAW_RATE = 0.1 * RADIAN_PER_DEGREE, 1.0 * RADIAN_PER_DEGREE
 _UNRESTED = 1.6  # error without a rest over what the equations state of it: 30 simulated people who move freely
 _LOOSE = 1.0 * RADIAN_PER_DEGREE  # rad/s, of the offset while the sizes are sought
-_SHARED = 1.0 / 6.0  # correlation of Hann means that half overlap
 _SHOWN = ("offset_dps", "uncertainty_dps", "prior_dps", "acceleration_m_s2")
 _ROUNDS, _SETTLED = 8, 1e-7  # of linearisation; rad/s
 
@@ -148,21 +138,27 @@ def find_motion_offset(record: Record, rest: RestOffset | None, model: TriadMode
 
 def _fitted(
     record: Record, near: FloatArray, usual: FloatArray, prior: FloatArray, stretch_s: float
-) -> "tuple[list[_HannMeans], FloatArray, FloatArray]":
+) -> tuple[list[CarriedMeans], FloatArray, FloatArray]:
     """Return stretches of about a length, offsets of each and of the accelerometers, and their information; near is a start."""
     edges = np.linspace(0, len(record), max(1, round(record.duration_s / stretch_s)) + 1).astype(int)
     force, rate, error = np.asarray(record.accel), np.asarray(record.gyro), record.accel_uncertainty
     calibrated = error is not None and np.diag(error.covariance)[9:].max() < RAW[0] ** 2 / 4.0
     accel = CALIBRATED if calibrated else RAW
-    stretches = [_HannMeans(record.time[a:b], rate[a:b], force[a:b], accel) for a, b in pairwise(edges)]
+    spans = [slice(a, b) for a, b in pairwise(edges)]
+    stretches = [CarriedMeans(record.time[span]) for span in spans]
+    loose = np.repeat((_LOOSE, accel[0]), 3)
     middle, count = np.array([one.middle for one in stretches]), 3 * len(stretches)
     walk_of_offsets = _walk_information(middle, prior, accel[0])
     start, theta = (np.append(np.tile(one, len(stretches)), np.zeros(3)) for one in (usual, near))
     for _ in range(_ROUNDS):
         information, seen = walk_of_offsets.copy(), walk_of_offsets @ (start - theta)
-        for k, one in enumerate(stretches):
+        for k, (one, span) in enumerate(zip(stretches, spans, strict=True)):
             places = np.r_[3 * k : 3 * k + 3, count : count + 3]
-            own, towards = one.equations(*theta[places].reshape(2, 3))
+            offset, of_force = theta[places].reshape(2, 3)
+            ones = np.ones((len(one.time), 1))
+            mean, turned, fixed = one.means(rate[span] - offset, force[span] - of_force, ones, ones)
+            design = -np.concatenate((turned, fixed), axis=2)[..., 0]
+            own, towards = one.equations(mean, design, loose, (STANDARD_GRAVITY, accel[1] * STANDARD_GRAVITY))
             information[np.ix_(places, places)] += own
             seen[places] += towards
         step = np.linalg.solve(information, seen)
@@ -191,63 +187,3 @@ def _walk_information(middle: FloatArray, prior: FloatArray, accel: float) -> Fl
         here = slice(3 * k, 3 * k + 6)
         information[here, here] += np.kron([[1.0, -1.0], [-1.0, 1.0]], np.eye(3)) / (WALK**2 * length)
     return information
-
-
-class _HannMeans:
-    """A stretch of a recording: its Hann means, and the sizes of what disturbs them."""
-
-    def __init__(self, time: FloatArray, rate: FloatArray, force: FloatArray, accel: tuple[float, float]) -> None:
-        self.time, self.rate, self.force, self.accel = time, rate, force, accel
-        self.middle = 0.5 * float(time[0] + time[-1])
-        width = max(4, round(MEAN_S * (len(time) - 1) / float(time[-1] - time[0])))
-        self.first = np.arange(0, len(self.time) - width + 1, width // 2)
-        self.weight = np.hanning(width + 2)[1:-1] / np.hanning(width + 2).sum()
-        self.sizes = _SIZES
-        count = len(self.first)
-        shared = np.eye(count) + _SHARED * (np.eye(count, k=1) + np.eye(count, k=-1))
-        when = MEAN_S * (0.5 + 0.5 * np.arange(count))
-        # combinations of means that neither error correlates: their variance is white + density walk, none about the vertical
-        walk, self.apart = eigh(STANDARD_GRAVITY**2 * np.minimum.outer(when, when), shared)
-        self.walk = np.concatenate((walk, walk, np.zeros(count)))
-
-    def equations(self, offset: FloatArray, of_force: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return information (6, 6) and right side (6,) for changes of the offsets of both triads, the vertical eliminated."""
-        mean, design = self._means(offset, of_force)
-        up = mean.mean(axis=0)
-        frame = np.linalg.svd(up[None])[2][[1, 2, 0]]  # two horizontal axes, and the vertical
-        frame[2] *= np.sign(frame[2] @ up)
-        mean, design = mean @ frame.T, np.einsum("ij,kjp->kip", frame, design)
-        columns = np.concatenate((-design, np.tile(np.eye(3), (len(mean), 1, 1)), mean[:, :, None]), axis=2)
-        rows = np.einsum("km,kie->ime", self.apart, columns).reshape(-1, 10)
-        accel, scale = self.accel
-
-        def solved(sizes: FloatArray) -> tuple[float, FloatArray, FloatArray]:
-            white, density = np.exp(sizes)
-            variance = white + density * self.walk
-            known = rows.T @ (rows / variance[:, None])
-            information, seen, cost = known[:9, :9], known[:9, 9], float(known[9, 9] + np.log(variance).sum())
-            information[8, 8] += 1.0 / (scale * STANDARD_GRAVITY) ** 2
-            seen[8] += 1.0 / (scale**2 * STANDARD_GRAVITY)
-            whole = information + np.diag([1.0 / _LOOSE**2] * 3 + [1.0 / accel**2] * 3 + [0.0] * 3)
-            cost += float(np.linalg.slogdet(whole)[1] - seen @ np.linalg.solve(whole, seen))
-            return cost + float((((sizes - _SIZES) / _FACTOR) ** 2).sum()), information, seen
-
-        close = {"xatol": 0.02, "fatol": 0.02}
-        self.sizes = minimize(lambda sizes: solved(sizes)[0], self.sizes, method="Nelder-Mead", options=close).x  # type: ignore[call-overload]
-        self.cost, information, seen = solved(self.sizes)
-        gone = information[:6, 6:] @ np.linalg.inv(information[6:, 6:])
-        self.level = frame, np.linalg.inv(information[6:, 6:]), gone.T, seen[6:]
-        return information[:6, :6] - gone @ information[6:, :6], seen[:6] - gone @ seen[6:]
-
-    def vertical(self, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the vertical (3,) by the last equations, and its covariance by that of both offsets (6, 6)."""
-        frame, alone, by_offsets, seen = self.level
-        return frame.T @ alone @ seen, frame.T @ (alone + by_offsets @ covariance @ by_offsets.T) @ frame
-
-    def _means(self, offset: FloatArray, of_force: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the means (K, 3) and what offsets of gyroscopes and accelerometers add to them (K, 3, 6)."""
-        out = np.empty((len(self.first), 21))
-        rate, force = ((a - b).reshape(-1) for a, b in ((self.rate, offset), (self.force, of_force)))
-        carried_means(rate, force, self.time, self.first, self.weight, out.reshape(-1))
-        turned, fixed = out[:, 3:12].reshape(-1, 3, 3), out[:, 12:].reshape(-1, 3, 3)
-        return out[:, :3], np.concatenate((turned, -fixed), axis=2)

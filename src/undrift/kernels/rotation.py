@@ -159,33 +159,45 @@ def strapdown(gyro: FloatArray, time: FloatArray, q: FloatArray, out: FloatArray
 
 @njit(cache=True, fastmath={"contract"}, nogil=True, error_model="numpy")
 def carried_means(
-    rate: FloatArray, force: FloatArray, time: FloatArray, first: IntArray, weight: FloatArray, out: FloatArray
+    rate: FloatArray,
+    force: FloatArray,
+    of_rate: FloatArray,
+    of_force: FloatArray,
+    time: FloatArray,
+    first: IntArray,
+    weight: FloatArray,
+    out: FloatArray,
 ) -> None:
-    # Weighted sums over windows, in the frame of the first sample: R by strapdown from there, J the integral of R dt. A change b of
-    # the rates changes <R f> by <[R f]x J> b, one of the force by <R>.
+    # Weighted sums over windows, in the frame of the first sample, R by strapdown from there: R f; what a rate x_c e_b adds to
+    # them, [a, b, c] of (the integral of R[:, b] x_c dt) x R f; what a force y_c e_b adds, R[a, b] y_c. Regressors as above.
     n = time.size
+    x, y = of_rate.size // n, of_force.size // n
+    width = 3 + 9 * x + 9 * y
     q = np.empty(4 * n)
     strapdown(rate, time, np.array([1.0, 0.0, 0.0, 0.0]), q)
     out[:] = 0.0
-    total, one = np.zeros(9), np.empty(21)
-    p = 0
+    total, one, before = np.zeros(9 * x), np.empty(width), np.eye(3).ravel()
+    p, row = 0, 3 * x
     for k in range(n):
-        dt = 0.5 * (time[min(k + 1, n - 1)] - time[max(k - 1, 0)]) * (2.0 if k in (0, n - 1) else 1.0)
+        half = 0.5 * (time[k] - time[max(k - 1, 0)])
         r = matrix_of(q[4 * k], q[4 * k + 1], q[4 * k + 2], q[4 * k + 3])
         for e in range(9):
-            total[e] += r[e] * dt
-            one[12 + e] = r[e]
+            for c in range(x):
+                total[e * x + c] += (before[e] + r[e]) * half * of_rate[k * x + c]
+            before[e] = r[e]
+            for c in range(y):
+                one[3 + 9 * x + e * y + c] = r[e] * of_force[k * y + c]
         for a in range(3):
             one[a] = r[3 * a] * force[3 * k] + r[3 * a + 1] * force[3 * k + 1] + r[3 * a + 2] * force[3 * k + 2]
-        for b in range(3):
-            one[3 + b] = one[1] * total[6 + b] - one[2] * total[3 + b]
-            one[6 + b] = one[2] * total[b] - one[0] * total[6 + b]
-            one[9 + b] = one[0] * total[3 + b] - one[1] * total[b]
+        for b in range(row):
+            one[3 + b] = total[row + b] * one[2] - total[2 * row + b] * one[1]
+            one[3 + row + b] = total[2 * row + b] * one[0] - total[b] * one[2]
+            one[3 + 2 * row + b] = total[b] * one[1] - total[row + b] * one[0]
         while p < first.size and first[p] + weight.size <= k:
             p += 1
         for w in range(p, first.size):
             if first[w] > k:
                 break
             share = weight[k - first[w]]
-            for e in range(21):
-                out[21 * w + e] += share * one[e]
+            for e in range(width):
+                out[width * w + e] += share * one[e]

@@ -136,10 +136,13 @@ class Recordings:
             stored.map = stored.made["map"] = path
             await self.look(stored)
 
-    async def calibrate(self, stored: StoredFile, *, turn_deg: float | None, serial: str) -> bool:
-        """Calibrate from a recording; the result is the bench's job."""
+    async def calibrate(self, stored: StoredFile, *, turn_deg: float | None, serial: str, motion: bool = False) -> bool:
+        """Calibrate from the rests and turns of a recording, or from its motion; the result is the bench's job."""
         job = self.bench.new_job(serial or stored.path.stem)
-        words = stated(turn_deg=turn_deg, serial=serial)
+        words = (
+            *stated(turn_deg=None if motion else turn_deg, serial=serial),
+            *(("--from", "motion") if motion else ()),
+        )
         outcome = await self.bench.calibrate(job, stored.path, *stored.options(), *words)
         stored.error = outcome.error
         return outcome.done
@@ -356,11 +359,14 @@ def _actions(bench: "Bench", one: StoredFile) -> None:
             turn = parts.Field("Angle of its turns, deg (empty: none)", kind="number")
             serial = parts.Field("Serial number")
 
-        async def calibrate() -> str | None:
-            done = await recordings.calibrate(one, turn_deg=turn.number(), serial=serial.value.strip())
+        async def calibrate(*, motion: bool = False) -> str | None:
+            named = serial.value.strip()
+            done = await recordings.calibrate(one, turn_deg=turn.number(), serial=named, motion=motion)
             return "/result" if done else None
 
         parts.button("Calibrate", calibrate, "next" if bench.calibration is None else "")
+        parts.text("p", "Or from motion alone: a minute in the hand, turned slowly about every axis; rests help.")
+        parts.button("Calibrate from its motion", lambda: calibrate(motion=True))
 
 
 def _sides_form(recordings: Recordings) -> None:

@@ -1,0 +1,300 @@
+"""Both triads from motion alone: gravity, carried along by the strapdown, must stay one vector of its own length.
+
+::
+
+    w = M (u - o)    f = A (s - p)        readings u and s; matrices M and A, offset p of a device; offset o of a recording
+    F(t) = R(t) f(t) = g u + a(t)         R by strapdown of w (fit/carried.py: what disturbs the means of F, and how much)
+
+Nothing else is asked: no rest, no rig, no optics. Where a recording rests, its offset is the mean there, within what it moves by
+afterwards. Elements of M and A are near those of the identity, each kind within a size that the device itself widens: what the
+motion did not show keeps that prior, and is named with the movement that would show it. How both triads lie to each other is seen,
+how they lie in the case is not: axes are those that the readings have, within the prior.
+
+Gauss-Newton, from short stretches of a recording, over which the first rates err little, to long ones.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from undrift.arrays import FloatArray
+from undrift.errors import InputError, NotObservable
+from undrift.findings import Finding, finding
+from undrift.fit.carried import MEAN_S, CarriedMeans
+from undrift.fit.least_squares import TriadFit, triad_fit
+from undrift.model import MATRIX_NAMES, OFFSET_NAMES, Verdict
+from undrift.record import Record
+from undrift.segments import StillSettings, find_still
+from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical, si_factor
+
+LEAST_S, LEAST_DPS = 20.0, 5.0  # of a recording, and rms of its rates less their mean
+STAGES_S = (15.0, 15.0, 40.0, 40.0, 300.0, 300.0, 300.0, 300.0, 300.0)  # of a stretch, s, in each step of the descent
+# Elements of a matrix against those of the identity: twice what is published of 16 units of one part (scale factors 0.12 to 0.20
+# and 0.07 to 0.14 %, cross-axis 0.5 to 2.4 mrad); cross-axis terms known as if from thirty elements, scales as if from six, since a
+# raw device's may be off by 3 % [assumed]
+ELEMENT, _AS_FROM = 0.004, np.array([30.0, 6.0, 30.0, 6.0])
+ACCEL_OFFSET = 0.3  # m/s2, by data sheets [assumed]
+# rad/s: from rest to motion, from one recording to another, and a raw device's zero-rate output [assumed]
+MOVED, DAILY, RAW_RATE = 0.02 * RADIAN_PER_DEGREE, 0.1 * RADIAN_PER_DEGREE, 1.0 * RADIAN_PER_DEGREE
+# Errors over what the equations state: gyroscopes 1.2 simulated and 1.5 in real trials, accelerometers 1.8 (docs/decisions)
+WIDENED = {"gyro": 1.5, "accel": 1.8}
+SHOWN = 0.5  # of the prior deviation, below which an element counts as seen
+_DIAGONAL = np.tile(np.eye(3, dtype=bool).reshape(-1), 2)
+_KINDS = np.array([2 * (k // 9) + _DIAGONAL[k] for k in range(18)])  # cross-axis and scale of each triad
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class InMotion:
+    """Both triads of a device, fitted to recordings in motion."""
+
+    gyro: TriadFit
+    accel: TriadFit
+    offsets: FloatArray  # (R, 3), reading at zero rate in the middle of each recording, in its unit
+    offset_uncertainty: FloatArray  # (R, 3), standard uncertainty of them
+    acceleration: FloatArray  # (R,), what is left of it in a mean over 5 s, rms, m/s2
+    rested: tuple[bool, ...]  # (R,), whether a recording has a rest
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Rest:
+    """Mean rate at the first rest, rad/s, and how near the offset in motion is to it: a body that sways is no rest."""
+
+    rate: FloatArray
+    spread: FloatArray
+
+    @classmethod
+    def of(cls, rates: FloatArray, rate_hz: float) -> "_Rest":
+        blocks = np.array_split(rates, max(2, min(len(rates), round(len(rates) / (0.25 * rate_hz)))))
+        scatter = np.std([block.mean(axis=0) for block in blocks], axis=0, ddof=1)
+        return cls(rates.mean(axis=0), np.hypot(MOVED, scatter / np.sqrt(len(blocks))))
+
+
+@dataclass(eq=False)
+class _Unit:
+    """A recording, or five minutes of a longer one: readings in rad/s and m/s2, what its offset is expected to be."""
+
+    recording: int
+    time: FloatArray
+    rate: FloatArray
+    force: FloatArray
+    moving: FloatArray
+    rest: _Rest | None
+    offset: FloatArray
+    stretches: list[tuple[slice, CarriedMeans]]
+
+    def cut(self, length_s: float) -> None:
+        """Cut it into stretches of about a length; their sizes begin as usual."""
+        pieces = max(1, round((self.time[-1] - self.time[0]) / length_s))
+        if pieces != len(self.stretches):
+            edges = np.linspace(0, len(self.time), pieces + 1).astype(int)
+            spans = [slice(a, b) for a, b in pairwise(edges)]
+            self.stretches = [(span, CarriedMeans(self.time[span], self.moving[span])) for span in spans]
+
+    def equations(
+        self, model: "_Model", usual: FloatArray, length: tuple[float, float]
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return information (24, 24) and right side (24,) for changes of M, A, p and o."""
+        total, towards = np.zeros((24, 24)), np.zeros(24)
+        for where, one in self.stretches:
+            rate, force = self.rate[where] - self.offset, self.force[where] - model.offset
+            ones = np.ones((len(rate), 1))
+            mean, by_rate, by_force = one.means(
+                rate @ model.gyro.T, force @ model.accel.T, np.hstack((rate, ones)), np.hstack((force, ones))
+            )
+            of_matrix = (each[..., :3].reshape(-1, 3, 9) for each in (by_rate, by_force))
+            of_offset = (-by_force[..., 3] @ model.accel, -by_rate[..., 3] @ model.gyro)
+            more, right = one.equations(mean, np.concatenate((*of_matrix, *of_offset), axis=2), usual, length)
+            total, towards = total + more, towards + right
+        return total, towards
+
+
+@dataclass(eq=False)
+class _Model:
+    """What the descent moves of a device, rad/s and m/s2."""
+
+    gyro: FloatArray
+    accel: FloatArray
+    offset: FloatArray  # p
+    usual: FloatArray  # (3,), gyroscopes' offset over its recordings
+    sizes: FloatArray  # (4,), deviation of each kind of element
+
+    @property
+    def deviation(self) -> FloatArray:
+        """M and A against the identity, (18,)."""
+        return (np.stack((self.gyro, self.accel)) - np.eye(3)).reshape(-1)
+
+    def move(self, step: FloatArray) -> None:
+        """Take a step (24,) of M, A, p and the usual offset."""
+        self.gyro, self.accel = self.gyro + step[:9].reshape(3, 3), self.accel + step[9:18].reshape(3, 3)
+        self.offset, self.usual = self.offset + step[18:21], self.usual + step[21:24]
+
+    def widen(self, covariance: FloatArray) -> None:
+        """Let the size of each kind of element follow this device: what it deviates by, and what is not known of that."""
+        square = self.deviation**2 + np.diag(covariance)[:18]
+        count, total = np.bincount(_KINDS), np.bincount(_KINDS, square)
+        self.sizes = np.sqrt((_AS_FROM * ELEMENT**2 + total) / (_AS_FROM + count))
+
+
+def fit_in_motion(
+    records: Sequence[Record], *, gravity_m_s2: float = STANDARD_GRAVITY, gravity_uncertainty: float = 0.0
+) -> InMotion:
+    """Fit both triads of one device to raw recordings of 20 s and more in which it is turned; gravity in m/s2.
+
+    Raises InputError for a triad that is missing, counts, gaps, short recordings or several units, NotObservable for a device that
+    is not turned.
+    """
+    units = _units(records)
+    rests = [one.rest.rate for one in units if one.rest is not None]
+    model = _Model(
+        gyro=np.eye(3), accel=np.eye(3), offset=np.zeros(3),
+        usual=np.mean(rests, axis=0) if rests else np.zeros(3), sizes=np.full(4, ELEMENT),
+    )  # fmt: skip
+    for one in units:
+        one.offset = model.usual if one.rest is None else one.rest.rate
+    length = gravity_m_s2, float(np.hypot(gravity_uncertainty, 1e-4 * gravity_m_s2))
+    covariance: FloatArray = np.eye(0)
+    for stage in STAGES_S:
+        information, towards = _prior(model, units)
+        usual = np.concatenate((model.sizes[_KINDS], np.full(3, ACCEL_OFFSET), np.full(3, RAW_RATE)))
+        for k, one in enumerate(units):
+            one.cut(stage)
+            places = np.r_[:21, 24 + 3 * k : 27 + 3 * k]
+            known, seen = one.equations(model, usual, length)
+            information[np.ix_(places, places)] += known
+            towards[places] += seen
+        covariance = np.linalg.inv(information)
+        step = covariance @ towards
+        model.move(step[:24])
+        for k, one in enumerate(units):
+            one.offset = one.offset + step[24 + 3 * k : 27 + 3 * k]
+        model.widen(covariance)
+    wide = np.full(len(covariance), WIDENED["gyro"])
+    wide[9:21] = WIDENED["accel"]
+    return _result(records, units, model, wide[:, None] * covariance * wide)
+
+
+def _units(records: Sequence[Record]) -> list[_Unit]:
+    if not records:
+        raise InputError("motion: wanted one recording or more, got none; name them")
+    kinds = {(record.gyro_unit, record.accel_unit) for record in records}
+    if len(kinds) > 1 or not all(is_physical(unit) for pair in kinds for unit in pair):
+        got = ", ".join(sorted({unit for pair in kinds for unit in pair}))
+        raise InputError(
+            f"motion: wanted all recordings in one physical unit of each triad, got {got}; state the scale of their columns"
+        )
+    units = []
+    for number, record in enumerate(records):
+        where = f"motion, recording {number + 1}"
+        if record.gyro is None or record.accel is None:
+            raise InputError(f"{where}: wanted gyroscopes and accelerometers, got one of them; map both")
+        gyro = np.asarray(record.gyro) * si_factor(record.gyro_unit, "rate")
+        accel = np.asarray(record.accel) * si_factor(record.accel_unit, "accel")
+        gaps = int((~np.isfinite(np.hstack((gyro, accel)))).any(axis=1).sum())
+        if gaps or record.duration_s < LEAST_S:
+            got = f"{gaps} gaps (NaN)" if gaps else f"{record.duration_s:.3g} s"
+            raise InputError(f"{where}: wanted {LEAST_S:g} s or more without gaps, got {got}; cut it, or leave it out")
+        still = find_still(record, StillSettings()).stills or find_still(record).stills
+        rest = _Rest.of(gyro[still[0].start : still[0].stop], record.sample_rate_hz) if still else None
+        moving = np.ones(len(record))
+        for one in still:
+            moving[one.start : one.stop] = 0.0
+        pieces = max(1, round(record.duration_s / STAGES_S[-1]))
+        for a, b in pairwise(np.linspace(0, len(record), pieces + 1).astype(int)):
+            here = np.asarray(record.time)[a:b]
+            units.append(_Unit(number, here, gyro[a:b], accel[a:b], moving[a:b], rest, np.zeros(3), []))
+    turned = np.degrees(max(float(np.sqrt(one.rate.var(axis=0).sum())) for one in units))
+    if turned < LEAST_DPS:
+        raise NotObservable(
+            f"motion: wanted a device that is turned, got rates of {turned:.2g} deg/s rms; turn it in the hand, slowly, about "
+            "every axis, for a minute"
+        )
+    return units
+
+
+def _prior(model: _Model, units: list[_Unit]) -> tuple[FloatArray, FloatArray]:
+    """Return information and right side of what is known before: elements, offsets of the device and of its recordings."""
+    count = 24 + 3 * len(units)
+    spread = np.concatenate((model.sizes[_KINDS], np.full(3, ACCEL_OFFSET), np.full(3, RAW_RATE)))
+    information = np.diag(np.append(1.0 / spread**2, np.zeros(3 * len(units))))
+    towards = np.zeros(count)
+    towards[:24] = -np.concatenate((model.deviation, model.offset, model.usual)) / spread**2
+    for k, one in enumerate(units):
+        at = np.arange(24 + 3 * k, 27 + 3 * k)
+        information[at, at] += 1.0 / DAILY**2
+        information[range(21, 24), range(21, 24)] += 1.0 / DAILY**2
+        information[at, range(21, 24)] -= 1.0 / DAILY**2
+        information[range(21, 24), at] -= 1.0 / DAILY**2
+        apart = (one.offset - model.usual) / DAILY**2
+        towards[at] -= apart
+        towards[21:24] += apart
+        if one.rest is not None:
+            information[at, at] += 1.0 / one.rest.spread**2
+            towards[at] += (one.rest.rate - one.offset) / one.rest.spread**2
+    return information, towards
+
+
+def _result(records: Sequence[Record], units: list[_Unit], model: _Model, covariance: FloatArray) -> InMotion:
+    """Return the model in the units of the readings, judged."""
+    unit_gyro, unit_accel = records[0].gyro_unit, records[0].accel_unit
+    per_gyro, per_accel = si_factor(unit_gyro, "rate"), si_factor(unit_accel, "accel")
+    verdict = Verdict.of(*_judged(model, covariance))
+    fits, force = [], np.concatenate([each.left for one in units for _, each in one.stretches])
+    for matrix, offset, rows, factor, unit, out in (
+        (model.gyro, model.usual, np.r_[:9, 21:24], per_gyro, unit_gyro, "rad/s"),
+        (model.accel, model.offset, np.r_[9:21], per_accel, unit_accel, "m/s2"),
+    ):
+        scale = np.repeat((factor, 1.0 / factor), (9, 3))
+        readings = [(one.rate - one.offset if out == "rad/s" else one.force - offset) @ matrix.T for one in units]
+        fits.append(
+            triad_fit(
+                force.ravel() if out == "m/s2" else force[:, :2].ravel() / (STANDARD_GRAVITY * MEAN_S),
+                verdict,
+                method="motion",
+                unit_in=unit,
+                unit_out=out,
+                matrix=factor * matrix,
+                offset=offset / factor,
+                parameters=(*MATRIX_NAMES, *OFFSET_NAMES),
+                covariance=scale[:, None] * covariance[np.ix_(rows, rows)] * scale,
+                rank=12,
+                condition=float(np.linalg.cond(covariance[np.ix_(rows[:9], rows[:9])])) ** 0.5,
+                valid_range=(min(float(each.min()) for each in readings), max(float(each.max()) for each in readings)),
+            )
+        )
+    firsts = [next(k for k, one in enumerate(units) if one.recording == r) for r in range(len(records))]
+    spread = np.sqrt(np.diag(covariance)[24:].reshape(-1, 3))
+    sizes = [
+        [np.exp(each.sizes[0]) for one in units if one.recording == r for _, each in one.stretches]
+        for r in range(len(records))
+    ]
+    return InMotion(
+        gyro=fits[0],
+        accel=fits[1],
+        offsets=np.array([units[k].offset for k in firsts]) / per_gyro,
+        offset_uncertainty=spread[firsts] / per_gyro,
+        acceleration=np.sqrt([np.mean(each) for each in sizes]),
+        rested=tuple(units[k].rest is not None for k in firsts),
+    )
+
+
+def _judged(model: _Model, covariance: FloatArray) -> Iterator[Finding]:
+    """Yield what the motion did not show, by axes, and how well the rest is known; how the case turns both triads is apart."""
+    spread, prior = np.sqrt(np.diag(covariance)), model.sizes[_KINDS]
+    for triad, first in (("gyro", 0), ("accel", 9)):
+        scale = first + np.array([0, 4, 8])
+        unseen = spread[scale] > SHOWN * WIDENED[triad] * prior[scale]
+        if unseen.any():
+            axes = ", ".join(axis for axis, hidden in zip("xyz", unseen, strict=True) if hidden)
+            most = 100.0 * float(spread[scale].max())
+            if triad == "gyro":
+                yield finding("motion.gyro_prior", "warn", axes=axes, uncertainty_percent=most)
+            else:
+                yield finding("motion.accel_prior", "warn", axes=axes, uncertainty_percent=most)
+        elif triad == "gyro":
+            pairs = [(1, 3), (2, 6), (5, 7)]
+            alike = [0.5 * float(np.sqrt(covariance[np.ix_(pair, pair)].sum())) for pair in pairs]
+            if (most := 100.0 * max(*alike, *spread[scale])) > 0.2:
+                yield finding("reference.uncertainty", "warn", uncertainty_percent=most)
+    yield finding("motion.case", "info", lean_deg=np.degrees(spread[:18][~_DIAGONAL].max()))

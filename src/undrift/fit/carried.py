@@ -1,0 +1,107 @@
+"""Gravity carried along by the strapdown: what a mean specific force says of rates and forces while a device moves.
+
+::
+
+    F(t) = R(t) f(t) = g u + a(t)          specific force f, turned by the strapdown R of the rates w into the first frame
+    <F>_k + D_k x = g u + e_k              Hann means over 5 s; D_k = what changes x of the model add to them
+
+A rate x e that was not there turns all that follows: it adds (the integral of R e x dt) x F; a force adds itself, turned by R. A
+body that comes back has no mean acceleration: what is left of a is white, and means that half overlap share a sixth. What the
+model leaves turns the frame at random with density q: horizontal means k and l share g^2 q min(t_k, t_l). Both sizes are those of
+greatest restricted likelihood. A long push (lift, car, bend) reads as a tilt: it enters the sizes, and widens what is stated.
+"""
+
+import numpy as np
+from scipy.linalg import eigh
+from scipy.optimize import minimize
+
+from undrift.arrays import FloatArray
+from undrift.kernels.rotation import carried_means
+from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
+
+MEAN_S = 5.0  # of a Hann mean
+# Logarithms of both variances, of m/s2 and of rad/sqrt(s): usual ones, within e^2 each way where few means say little [assumed]
+_SIZES, _FACTOR = 2.0 * np.log((0.03, 0.1 * RADIAN_PER_DEGREE)), 4.0
+_RESTING = 0.05  # of both variances, at rest [assumed]
+_SHARED = 1.0 / 6.0  # correlation of Hann means that half overlap
+
+
+class CarriedMeans:
+    """A stretch of a recording: its Hann means, and the sizes of what disturbs them."""
+
+    def __init__(self, time: FloatArray, moving: FloatArray | None = None) -> None:
+        """``time`` (N,) of its samples, s; ``moving`` (N,) is 1 in motion and 0 at rest, None where it never rests."""
+        self.time = time
+        self.middle = 0.5 * float(time[0] + time[-1])
+        width = max(4, round(MEAN_S * (len(time) - 1) / float(time[-1] - time[0])))
+        self.first = np.arange(0, len(time) - width + 1, width // 2)
+        self.weight = np.hanning(width + 2)[1:-1] / np.hanning(width + 2).sum()
+        self.sizes = _SIZES  # logarithms of both variances
+        moving = np.ones(len(time)) if moving is None else moving
+        share = np.maximum([self.weight @ moving[k : k + width] for k in self.first], _RESTING)
+        when = np.cumsum(0.5 * MEAN_S * share)
+        rests = share == _RESTING
+        taken = np.flatnonzero(~rests | ~np.append(False, rests[:-1]))  # a rest has one mean: more would set the sizes
+        self.first, scatter, when = self.first[taken], np.sqrt(share[taken]), when[taken]
+        apart = np.subtract.outer(taken, taken)
+        shared = np.outer(scatter, scatter) * ((apart == 0) + _SHARED * (abs(apart) == 1))
+        # combinations of means that neither error correlates: their variance is white + density walk, none about the vertical
+        walk, self.apart = eigh(STANDARD_GRAVITY**2 * np.minimum.outer(when, when), shared)
+        self.walk = np.concatenate((walk, walk, np.zeros(len(walk))))
+
+    def means(
+        self, rate: FloatArray, force: FloatArray, of_rate: FloatArray, of_force: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return means (K, 3) of F, and what is added to them by a rate x_c e_b (K, 3, 3, C) and by a force y_c e_b (K, 3, 3, D).
+
+        Rates w (N, 3), rad/s, forces f (N, 3), m/s2, and their regressors x (N, C) and y (N, D).
+        """
+        count, channels = len(self.first), (of_rate.shape[1], of_force.shape[1])
+        out = np.empty((count, 3 + 9 * sum(channels)))
+        w, f, x, y = (np.ascontiguousarray(each).reshape(-1) for each in (rate, force, of_rate, of_force))
+        carried_means(w, f, x, y, self.time, self.first, self.weight, out.reshape(-1))
+        by_rate, by_force = np.split(out[:, 3:], [9 * channels[0]], axis=1)
+        return out[:, :3], by_rate.reshape(count, 3, 3, -1), by_force.reshape(count, 3, 3, -1)
+
+    def equations(
+        self, mean: FloatArray, design: FloatArray, usual: FloatArray, length: tuple[float, float]
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return information (P, P) and right side (P,) for changes x of P parameters, the vertical eliminated.
+
+        Means (K, 3) and their ``design`` (K, 3, P); ``usual`` (P,) are deviations of x that hold while the sizes are sought; the
+        length of the vertical is gravity with a deviation, m/s2.
+        """
+        up, unknown = mean.mean(axis=0), design.shape[2]
+        frame = np.linalg.svd(up[None])[2][[1, 2, 0]]  # two horizontal axes, and the vertical
+        frame[2] *= np.sign(frame[2] @ up)
+        mean, design = mean @ frame.T, np.einsum("ij,kjp->kip", frame, design)
+        columns = np.concatenate((-design, np.tile(np.eye(3), (len(mean), 1, 1)), mean[:, :, None]), axis=2)
+        rows = np.einsum("km,kie->ime", self.apart, columns).reshape(-1, unknown + 4)
+        gravity, spread = length
+
+        def solved(sizes: FloatArray) -> tuple[float, FloatArray, FloatArray]:
+            white, density = np.exp(sizes)
+            variance = white + density * self.walk
+            known = rows.T @ (rows / variance[:, None])
+            information, seen, cost = known[:-1, :-1], known[:-1, -1], float(known[-1, -1] + np.log(variance).sum())
+            information[-1, -1] += 1.0 / spread**2
+            seen[-1] += gravity / spread**2
+            whole = information + np.diag(np.append(1.0 / usual**2, np.zeros(3)))
+            cost += float(np.linalg.slogdet(whole)[1] - seen @ np.linalg.solve(whole, seen))
+            return cost + float((((sizes - _SIZES) / _FACTOR) ** 2).sum()), information, seen
+
+        close = {"xatol": 0.02, "fatol": 0.02}
+        self.sizes = minimize(lambda sizes: solved(sizes)[0], self.sizes, method="Nelder-Mead", options=close).x  # type: ignore[call-overload]
+        self.cost, information, seen = solved(self.sizes)
+        inverse = np.linalg.inv(information[unknown:, unknown:])
+        gone = information[:unknown, unknown:] @ inverse
+        self.left = mean - inverse @ seen[unknown:]  # (K, 3), two horizontal components and the vertical one
+        self.level = frame, inverse, gone.T, seen[unknown:]
+        return information[:unknown, :unknown] - gone @ information[unknown:, :unknown], seen[:unknown] - gone @ seen[
+            unknown:
+        ]
+
+    def vertical(self, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the vertical (3,) by the last equations, and its covariance by that of the parameters (P, P)."""
+        frame, alone, by_parameters, seen = self.level
+        return frame.T @ alone @ seen, frame.T @ (alone + by_parameters @ covariance @ by_parameters.T) @ frame

@@ -1,0 +1,159 @@
+"""Both triads from motion alone: intervals hold on simulated hands, what the motion hides is named, real devices are told right."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from benchmarks.in_motion import pairs
+from scipy.stats import binom
+
+from testkit.data import show
+from undrift.calibration.calibrate import calibrate_from_motion
+from undrift.calibration.in_motion import InMotion, fit_in_motion
+from undrift.errors import InputError, NotObservable
+from undrift.model import Calibration
+from undrift.record import Record
+from undrift.sim.device.presets import random_device
+from undrift.sim.device.simulate import simulate_device
+from undrift.sim.device.truth import true_calibration
+from undrift.sim.motion.tasks import draw_task
+from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
+from undrift.validation.trial import validate_trial
+
+RATE_HZ = 50.0
+# by the data sheet of the consumer device: 65.5 or 131 codes per deg/s, 4096 codes per g
+NOMINAL_RATES = RADIAN_PER_DEGREE / np.array([16.4, 32.8, 65.5, 131.0])
+NOMINAL_FORCES = STANDARD_GRAVITY / np.array([2048.0, 4096.0, 8192.0, 16384.0])
+
+
+def nearest(values: np.ndarray, one: float) -> float:
+    return float(values[np.argmin(np.abs(np.log(values / one)))])
+
+
+def handled(seed: int, recordings: int = 3) -> tuple[list[Record], Calibration, tuple[float, float]]:
+    """Return recordings of a raw device in hands, in units by its data sheet; its true calibration, of codes; these units."""
+    rng = np.random.default_rng(seed)
+    device = random_device(rng, grade="consumer")
+    true = true_calibration(device, temp_c=25.0)
+    assert true.gyro is not None
+    assert true.accel is not None
+    units = (
+        nearest(NOMINAL_RATES, float(np.trace(true.gyro.matrix)) / 3.0),
+        nearest(NOMINAL_FORCES, float(np.trace(true.accel.matrix)) / 3.0),
+    )
+    records = []
+    for _ in range(recordings):
+        task = draw_task("free", rng=rng)
+        motion = task.at(np.arange(round(task.duration_s * RATE_HZ)) / RATE_HZ, STANDARD_GRAVITY)
+        record = simulate_device(device, motion, rng=rng).record
+        gyro, accel = np.asarray(record.gyro) * units[0], np.asarray(record.accel) * units[1]
+        records.append(replace(record, gyro=gyro, accel=accel, gyro_unit="rad/s", accel_unit="m/s2"))
+    return records, true, units
+
+
+SCALE, PAIRS = [0, 4, 8], [(1, 3), (2, 6), (5, 7)]
+SEEN = np.zeros(
+    (6, 9)
+)  # what the lie of the case does not touch: scale factors, and the symmetric part of the cross-axis terms
+SEEN[range(3), SCALE] = 1.0
+for _row, _pair in enumerate(PAIRS, 3):
+    SEEN[_row, list(_pair)] = 0.5
+
+
+def errors_of(fit: InMotion, true: Calibration, units: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
+    """Return errors of what motion shows of both triads and the accelerometers' offsets, and their standard uncertainties."""
+    assert true.gyro is not None
+    assert true.accel is not None
+    errors, spreads = [], []
+    for made, right, unit in ((fit.gyro.model, true.gyro, units[0]), (fit.accel.model, true.accel, units[1])):
+        errors.append(SEEN @ (made.matrix - right.matrix / unit).ravel())
+        spreads.append(np.sqrt(np.diag(SEEN @ made.covariance[:9, :9] @ SEEN.T)))
+    errors.append(fit.accel.model.offset - true.accel.offset * units[1])
+    spreads.append(fit.accel.model.standard_uncertainty[9:])
+    return np.concatenate(errors), np.concatenate(spreads)
+
+
+@pytest.mark.parametrize("devices", [8, pytest.param(100, marks=pytest.mark.long)])
+def test_nineteen_of_twenty_intervals_hold_raw_devices_that_hands_have_turned(devices: int) -> None:
+    found = [
+        errors_of(fit_in_motion(records), true, units) for records, true, units in map(handled, range(70, 70 + devices))
+    ]
+    error, spread = (np.array(each) for each in zip(*found, strict=True))
+    inside = np.abs(error) < 1.96 * spread
+    for name, part, wanted in (("gyroscopes", slice(0, 6), 0.0015), ("accelerometers", slice(6, 12), 0.005)):
+        rmse = float(np.sqrt((error[:, part] ** 2).mean()))
+        ratio = rmse / float(np.sqrt((spread[:, part] ** 2).mean()))
+        show(f"{name}: rmse of the matrix; over stated; inside 95 %", (rmse, ratio, inside[:, part].mean()), wanted)
+        assert rmse < wanted
+        assert ratio < 1.4
+    assert inside.sum() >= binom.ppf(0.001, inside.size, 0.90)
+
+
+def test_the_lie_of_the_case_is_not_seen_and_keeps_its_prior() -> None:
+    (records, _, _), turn = handled(70), np.radians(0.2)
+    rotation = np.array([[np.cos(turn), -np.sin(turn), 0.0], [np.sin(turn), np.cos(turn), 0.0], [0.0, 0.0, 1.0]])
+    turned = [replace(r, gyro=np.asarray(r.gyro) @ rotation.T, accel=np.asarray(r.accel) @ rotation.T) for r in records]
+    one, other = (fit_in_motion(each).gyro.model for each in (records, turned))
+    back = one.matrix @ rotation.T  # what fits the turned readings as well
+    lean = (other.matrix - back)[0, 1] - (other.matrix - back)[1, 0]
+    np.testing.assert_allclose(SEEN @ (other.matrix - back).ravel(), 0.0, atol=3e-4)
+    assert lean == pytest.approx(-2.0 * turn, rel=0.15)  # the prior draws the axes back to those of the readings
+    assert "motion.case" in [item.code for item in fit_in_motion(records).gyro.verdict.findings]
+
+
+def test_turns_about_one_axis_are_named_with_the_movement_that_is_missing() -> None:
+    time = np.arange(3000) / 50.0
+    angle = 1.5 * np.tanh(4.0 * np.sin(0.35 * time))  # to and fro about y, with stops
+    rng = np.random.default_rng(2)
+    gyro = np.column_stack((np.zeros(3000), np.gradient(angle, time), np.zeros(3000))) + 1e-3 * rng.standard_normal(
+        (3000, 3)
+    )
+    force = np.column_stack((-np.sin(angle), np.zeros(3000), np.cos(angle))) * STANDARD_GRAVITY
+    fit = fit_in_motion([Record(time=time, gyro=gyro, accel=force + 0.05 * rng.standard_normal((3000, 3)))])
+    named = {item.code: item.text for item in fit.gyro.verdict.findings if item.level == "warn"}
+    show("named", list(named.values()))
+    assert "about x, z" in named["motion.gyro_prior"]
+    assert "y" in named["motion.accel_prior"]
+    assert fit.gyro.verdict.status == "marginal"
+    assert np.sqrt(fit.gyro.model.covariance[4, 4]) < 0.5 * np.sqrt(fit.gyro.model.covariance[0, 0])
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"gyro": None}, "wanted gyroscopes and accelerometers"),
+        ({"gyro_unit": "count"}, "one physical unit of each triad, got count"),
+        ({"state": "corrected"}, "wanted raw readings"),
+    ],
+)
+def test_recordings_that_motion_cannot_use_are_refused_in_one_line(change: dict[str, object], words: str) -> None:
+    record = replace(handled(70, 1)[0][0], **change)
+    with pytest.raises(InputError, match=re.escape(words)):
+        calibrate_from_motion([record])
+
+
+def test_a_short_recording_gaps_and_a_device_at_rest_are_refused() -> None:
+    record = handled(70, 1)[0][0]
+    with pytest.raises(InputError, match="wanted 20 s or more without gaps, got 5 s"):
+        fit_in_motion([record.between(0.0, 5.01)])
+    lost = np.array(record.gyro)
+    lost[7] = np.nan
+    with pytest.raises(InputError, match=r"got 1 gaps \(NaN\)"):
+        fit_in_motion([replace(record, gyro=lost)])
+    with pytest.raises(NotObservable, match="wanted a device that is turned"):
+        fit_in_motion([replace(record, gyro=np.zeros_like(lost))])
+
+
+def test_a_real_segment_calibrated_by_the_motion_of_another_trial_ends_within_two_degrees() -> None:
+    trials, ends = pairs("chain"), []
+    for record, reference in trials:
+        (other,) = [each for each, _ in trials if each is not record]
+        made = calibrate_from_motion([other])
+        judged = [validate_trial(record, reference, calibration=one).figures for one in (None, made)]
+        ends.append([(one.end_total_deg, one.end_inclination_deg) for one in judged])
+    before, after = np.mean(ends, axis=0).round(2)
+    show("end total and inclination of 66 s in motion, deg: before, after", (before.tolist(), after.tolist()), 2.0)
+    assert before[0] > 40.0
+    assert after[0] < 2.0
+    assert after[1] < 0.5
