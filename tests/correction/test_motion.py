@@ -14,6 +14,7 @@ from undrift.correction.correct import Corrector, correct_checked, correct_whole
 from undrift.correction.motion import STRETCH_S, find_motion_offset
 from undrift.correction.rest import MOVED, RestOffset, find_rest_offset
 from undrift.errors import InputError
+from undrift.model import MATRIX_NAMES, MOVING_NAMES, OFFSET_NAMES
 from undrift.orientation import OrientSettings, orient
 from undrift.record import Record
 from undrift.sim.device.presets import random_device
@@ -183,3 +184,19 @@ def test_without_a_rest_the_offset_is_found_from_half_a_degree_per_second_away(d
     # A start far away left walks of the attitude that explained it, with errors of 0.3 deg/s about level axes.
     assert np.median(np.abs(away)[:, :2]) < 0.01 * RADIAN_PER_DEGREE
     assert inside.mean() > 0.9  # of 30 other people 97.8 % held: 1.6 times of what the equations state is stated
+
+
+@pytest.mark.parametrize(("stated_dps", "wanted_dps"), [(0.001, 0.0051), (1.0, 0.0206)])
+def test_a_fitted_change_to_motion_takes_the_place_of_the_assumed_one(stated_dps: float, wanted_dps: float) -> None:
+    record, _, _ = worn(5, "free")
+    rest = replace(find_rest_offset(record), covariance=np.zeros((3, 3)))
+    gyro = true_calibration(random_device(np.random.default_rng(5)), temp_c=25.0).gyro
+    assert gyro is not None
+    model = replace(
+        gyro,
+        parameters=(*MATRIX_NAMES, *OFFSET_NAMES, *MOVING_NAMES),
+        moving_offset=np.zeros(3),
+        covariance=np.diag(np.repeat((0.0, (stated_dps * RADIAN_PER_DEGREE) ** 2), (12, 3))),
+    )
+    before = [find_motion_offset(record, rest, one).prior / RADIAN_PER_DEGREE for one in (None, model)]
+    np.testing.assert_allclose(before, [[0.02] * 3, [wanted_dps] * 3], rtol=0.02)

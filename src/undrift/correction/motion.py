@@ -12,6 +12,7 @@ The prior of b is the mean at a rest; where there is none, what a calibration or
 about the vertical: along an axis that stays upright b keeps its prior.
 """
 
+import math
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
@@ -19,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from undrift.arrays import FloatArray, frozen
-from undrift.correction.rest import LEAST_IN_MOTION_S, MOVED, RestOffset
+from undrift.correction.rest import LEAST_IN_MOTION_S, MOVED, MOVED_AGAIN, RestOffset, moved_by
 from undrift.errors import InputError
 from undrift.findings import Finding, finding
 from undrift.fit.carried import CarriedMeans
@@ -112,7 +113,7 @@ def find_motion_offset(record: Record, rest: RestOffset | None, model: TriadMode
         raise InputError(
             f"offset from motion: wanted {LEAST_IN_MOTION_S:g} s or more without gaps, got {got}; {advice}"
         )
-    prior = _unrested(model) if rest is None else rest.covariance + np.eye(3) * MOVED**2
+    prior = _unrested(model) if rest is None else rest.covariance + np.eye(3) * _moved(model) ** 2
     usual = np.zeros(3) if rest is None else rest.rate
     stretches, offsets, information = _fitted(record, usual, usual, prior, STRETCH_S)
     if rest is None:  # over a whole recording the vertical may turn too far for a linearisation about no offset
@@ -166,6 +167,14 @@ def _fitted(
         if np.abs(step[:count]).max() < _SETTLED:
             break
     return stretches, theta, information
+
+
+def _moved(model: TriadModel | None) -> float:
+    """Return the standard deviation of an axis' change from rest to motion, rad/s: what a fit leaves of that of other devices."""
+    if model is None or model.moving_offset is None:
+        return MOVED
+    fitted = moved_by(model) / math.sqrt(3.0)
+    return math.hypot(fitted * MOVED / math.hypot(fitted, MOVED), MOVED_AGAIN)
 
 
 def _unrested(model: TriadModel | None) -> FloatArray:
