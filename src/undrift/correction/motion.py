@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from undrift.arrays import FloatArray, frozen
-from undrift.correction.rest import LEAST_IN_MOTION_S, MOVED, MOVED_AGAIN, RestOffset, moved_by
+from undrift.correction.rest import LEAST_IN_MOTION_S, MOVED, RestOffset, moved_by
 from undrift.errors import InputError
 from undrift.findings import Finding, finding
 from undrift.fit.carried import CarriedMeans
@@ -174,7 +174,7 @@ def _moved(model: TriadModel | None) -> float:
     if model is None or model.moving_offset is None:
         return MOVED
     fitted = moved_by(model) / math.sqrt(3.0)
-    return math.hypot(fitted * MOVED / math.hypot(fitted, MOVED), MOVED_AGAIN)
+    return fitted * MOVED / math.hypot(fitted, MOVED)
 
 
 def _unrested(model: TriadModel | None) -> FloatArray:
