@@ -15,7 +15,7 @@ from pathlib import Path
 from benchmarks.figure import Figure
 from undrift.commands.bench.rig_run import RigRun, RunOrder, begin_run
 from undrift.sim.rig import galil_language
-from undrift.sim.rig.emulator import EmulatedBench, EmulatedBenchSettings, EmulatorSettings, start_bench
+from undrift.sim.rig.emulator import EmulatedBench, EmulatedBenchSettings, EmulatorSettings
 from undrift.web.rate_table import ProtocolForm
 
 LIMIT_MS = 100
@@ -100,7 +100,7 @@ def _noting(obeyed: list[float]) -> Iterator[None]:
 
 
 def _table() -> EmulatedBench:
-    return start_bench(EmulatedBenchSettings(rig=EmulatorSettings(speed=20.0)))
+    return EmulatedBench(EmulatedBenchSettings(rig=EmulatorSettings(speed=20.0)))
 
 
 @contextmanager

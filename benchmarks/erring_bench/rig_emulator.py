@@ -19,7 +19,7 @@ from undrift.model import Calibration
 from undrift.rig.programme import Protocol, write_protocol
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.truth import true_calibration
-from undrift.sim.rig.emulator import EmulatedBenchSettings, EmulatorSettings, start_bench
+from undrift.sim.rig.emulator import EmulatedBench, EmulatedBenchSettings, EmulatorSettings
 from undrift.sim.rig.stream import StreamSettings
 from undrift.units import RADIAN_PER_DEGREE as DEG
 
@@ -55,7 +55,7 @@ def run_of(seed: int, mount_tilt_deg: float) -> tuple[DeviceModel, Calibration]:
     """Return the emulated device and what a run calibrates it to."""
     stream = StreamSettings(mount_tilt_sd=mount_tilt_deg * DEG, seed=seed)
     settings = EmulatedBenchSettings(rig=EmulatorSettings(speed=SPEED), stream=stream)
-    with tempfile.TemporaryDirectory() as held, start_bench(settings) as bench:
+    with tempfile.TemporaryDirectory() as held, EmulatedBench(settings) as bench:
         folder = Path(held)
         write_protocol(PROTOCOL, folder / "protocol.toml")
         addresses = ["--rig", bench.rig_address, "--device", bench.device_address, "--operator", bench.hands_address]

@@ -40,6 +40,12 @@ def interpolated(x: ArrayLike, nodes: FloatArray, values: FloatArray) -> FloatAr
     return np.stack(columns, axis=-1).reshape(*points.shape, *values.shape[1:])
 
 
+def runs(flag: BoolArray) -> IntArray:
+    """Return the stretches [start, stop), (R, 2), where a flag (N,) is set."""
+    change = np.flatnonzero(np.diff(np.concatenate(([False], flag, [False])).astype(np.int8)))
+    return change.reshape(-1, 2)
+
+
 def window_sums(values: FloatArray, width: int) -> FloatArray:
     """Return the sum over every window of ``width`` neighbouring rows of values (N, C): (N - width + 1, C)."""
     total = np.zeros((len(values) + 1, values.shape[1]))

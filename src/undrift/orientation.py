@@ -35,7 +35,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from undrift.arrays import BoolArray, FloatArray, frozen
+from undrift.arrays import BoolArray, FloatArray, frozen, runs
 from undrift.base.summary import Shown
 from undrift.correction.consistency import check_triads
 from undrift.correction.rest import (
@@ -54,7 +54,7 @@ from undrift.findings import Finding, finding
 from undrift.frames import quaternion_conjugate, quaternion_product, rotate
 from undrift.model import AXES, TriadModel
 from undrift.record import FACES, Face, Record, Still
-from undrift.segments import StillSettings, find_still, runs, unpadded
+from undrift.segments import StillSettings, find_still, unpadded
 from undrift.sync import padding
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, si_factor
 

@@ -17,13 +17,12 @@ from pathlib import Path
 
 import numpy as np
 
-from undrift.arrays import FloatArray
+from undrift.arrays import FloatArray, runs
 from undrift.errors import AlignmentError, FileFormatError, InputError
 from undrift.io.columns import TextLayout
 from undrift.io.text import open_text, parse_text
 from undrift.model import AXES
 from undrift.record import Record, Turn
-from undrift.segments import runs
 from undrift.sync import LONGEST_STEP, Lag, LagSettings, PoseRates, lag_correlation, lag_of
 from undrift.units import RADIAN_PER_DEGREE
 

@@ -21,7 +21,7 @@ from typing import Literal
 
 import numpy as np
 
-from undrift.arrays import BoolArray, FloatArray, IntArray, window_sums
+from undrift.arrays import BoolArray, FloatArray, runs, window_sums
 from undrift.errors import InputError
 from undrift.record import FACES, Axis, Face, Record, Still, Turn
 from undrift.units import RADIAN_PER_DEGREE, is_physical, si_factor
@@ -374,12 +374,6 @@ def unpadded(record: Record) -> Record:
         if np.median(rough / np.maximum(np.sqrt((beside**2).mean(axis=0)), 1e-300)) > _BREAKS:
             first, last = (stop, last) if start == 0 else (first, start + 1)
     return record if last - first == len(record) else record.part(first, last)
-
-
-def runs(flag: BoolArray) -> IntArray:
-    """Return the stretches [start, stop), (R, 2), where a flag (N,) is set."""
-    change = np.flatnonzero(np.diff(np.concatenate(([False], flag, [False])).astype(np.int8)))
-    return change.reshape(-1, 2)
 
 
 # Rates above this turn, rad/s, low-passed over 0.1 s and held for 0.5 s: noise and sway of a body stay below. 1 to 8 deg/s, 0.05 to

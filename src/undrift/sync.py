@@ -15,12 +15,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from undrift.arrays import BoolArray, FloatArray, IntArray, window_sums
+from undrift.arrays import BoolArray, FloatArray, IntArray, runs, window_sums
 from undrift.errors import AlignmentError, InputError
 from undrift.findings import Finding, finding
 from undrift.frames import quaternion_conjugate, quaternion_of, quaternion_product, rotation_vector
 from undrift.record import Record, Reference
-from undrift.segments import StillSettings, find_still, runs
+from undrift.segments import StillSettings, find_still
 from undrift.units import RADIAN_PER_DEGREE
 
 # ---- mean rates between neighbouring poses, and readings averaged over the same stretches

@@ -14,7 +14,14 @@ import pytest
 
 from testkit.broad_trials import FILES, trial
 from testkit.data import show
-from undrift.sim.motion.poses import ORDER, PoseSettings, choose_cutoff, fit_pose_spline, zero_phase
+from undrift.sim.motion.poses import (
+    ORDER,
+    PoseSettings,
+    cutoff_by_residual,
+    cutoff_by_rest,
+    fit_pose_spline,
+    zero_phase,
+)
 from undrift.sync import find_lag, native_poses
 
 pytestmark = pytest.mark.usefixtures("computed_once")
@@ -129,10 +136,11 @@ def test_the_accelerometer_differs_from_the_poses_by_less_than_0_17_m_s2_at_10_h
 @pytest.mark.parametrize("number", [2, 7])
 def test_cut_offs_are_those_of_a_hand_held_board(number):
     _, poses, _ = seen(number)
-    slow_or_fast = {method: choose_cutoff(poses, method=method) for method in ("residual", "rest")}
+    slow_or_fast = {"residual": cutoff_by_residual(poses, "orientation"), "rest": cutoff_by_rest(poses, "orientation")}
     for method, chosen in slow_or_fast.items():
-        show(f"trial {number:02d} orientation by {method}", f"{chosen.cutoff_hz:.1f} Hz: {chosen.reason}")
-    position = choose_cutoff(poses, method="residual", signal="position")
+        shown = "no crossing" if chosen is None else f"{chosen.cutoff_hz:.1f} Hz: {chosen.reason}"
+        show(f"trial {number:02d} orientation by {method}", shown)
+    position = cutoff_by_residual(poses, "position")
     show(f"trial {number:02d} position by residual", f"{position.cutoff_hz:.1f} Hz: {position.reason}")
     assert 1.0 < slow_or_fast["residual"].cutoff_hz < 42.0
 

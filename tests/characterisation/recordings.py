@@ -8,10 +8,10 @@ import numpy as np
 
 from testkit.axis_lag import find_axis_lag
 from testkit.data import data_path
+from undrift.arrays import runs
 from undrift.calibration.dwells import dwell_means
 from undrift.io.mocap import read_broad
 from undrift.record import Record, Reference, Session, Still, Turn
-from undrift.segments import runs
 from undrift.units import STANDARD_GRAVITY
 
 BICYCLE = (

@@ -18,7 +18,13 @@ from undrift.rig.judge import RunSettings
 from undrift.rig.programme import programme_of
 from undrift.rig.run import RigBench, run_programme
 from undrift.rig.watch import Guard
-from undrift.sim.rig.emulator import AirSettings, EmulatedBenchSettings, EmulatedChamber, EmulatorSettings, start_bench
+from undrift.sim.rig.emulator import (
+    AirSettings,
+    EmulatedBench,
+    EmulatedBenchSettings,
+    EmulatedChamber,
+    EmulatorSettings,
+)
 from undrift.units import STANDARD_GRAVITY
 
 SPEED = 40.0
@@ -98,7 +104,7 @@ def test_the_command_asks_on_the_terminal_and_sets_no_guard_over_a_chamber_by_ha
     (tmp_path / "protocol.toml").write_text(
         "[protocol]\n[faces]\nseconds = 1.0\n[temperatures]\nset_points_c = [30.0]\n"
     )
-    with start_bench(EmulatedBenchSettings(rig=EmulatorSettings(speed=SPEED))) as bench:
+    with EmulatedBench(EmulatedBenchSettings(rig=EmulatorSettings(speed=SPEED))) as bench:
         places = ["--rig", bench.rig_address, "--device", bench.device_address, "--operator", bench.hands_address]
         words = ["rig", "run", str(tmp_path / "protocol.toml"), *places, "-o", str(tmp_path / "run"), "--yes"]
         assert run([*words, "--chamber", "manual:"]) == 3

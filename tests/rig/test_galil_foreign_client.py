@@ -15,7 +15,7 @@ import pytest
 
 from testkit.data import show
 from testkit.emulated_axis import present
-from undrift.sim.rig.emulator import EmulatorSettings, start_emulator
+from undrift.sim.rig.emulator import Emulator, EmulatorSettings
 from undrift.sim.rig.galil_card import CardSettings
 
 
@@ -104,7 +104,7 @@ class Motor:
 @pytest.fixture
 def emulator():
     settings = EmulatorSettings(speed=20.0, card=CardSettings())
-    with start_emulator(settings) as running:
+    with Emulator(settings) as running:
         yield running
 
 

@@ -18,7 +18,7 @@ from undrift.rig import galil as card_watchdog
 from undrift.rig.galil import LEFT, LIMIT_S, program_for
 from undrift.rig.link import GclibPort
 from undrift.rig.programme import Protocol, write_protocol
-from undrift.sim.rig.emulator import EmulatedBenchSettings, EmulatorSettings, start_bench
+from undrift.sim.rig.emulator import EmulatedBench, EmulatedBenchSettings, EmulatorSettings
 from undrift.units import RADIAN_PER_DEGREE as DPS
 
 SPEED = 10.0
@@ -54,7 +54,7 @@ def guard_of(process):
 
 def test_guard_and_runner_killed_at_once_leave_an_axis_that_its_card_stops_in_the_stated_time(tmp_path):
     write_protocol(LONG, tmp_path / "protocol.toml")
-    with start_bench(EmulatedBenchSettings(rig=EmulatorSettings(speed=SPEED))) as bench:
+    with EmulatedBench(EmulatedBenchSettings(rig=EmulatorSettings(speed=SPEED))) as bench:
         addresses = ("--rig", bench.rig_address, "--device", bench.device_address, "--operator", bench.hands_address)
         calls = ["rig", "run", str(tmp_path / "protocol.toml"), *addresses, "-o", str(tmp_path / "run"), "--yes"]
         code = f"from undrift.cli.app import main; main({[*calls, '--card-watchdog']!r})"

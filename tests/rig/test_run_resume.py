@@ -24,7 +24,7 @@ from undrift.io.session import read_session
 from undrift.rig import folder as folder_file
 from undrift.rig.folder import JOURNAL, RunFolder, read_journal
 from undrift.rig.programme import Protocol, write_protocol
-from undrift.sim.rig.emulator import EmulatedBenchSettings, EmulatorSettings, start_bench
+from undrift.sim.rig.emulator import EmulatedBench, EmulatedBenchSettings, EmulatorSettings
 from undrift.units import RADIAN_PER_DEGREE as DPS
 
 SPEED = 10.0
@@ -125,7 +125,7 @@ def alike(one, other):
 @pytest.mark.parametrize("kills", [3, pytest.param(60, marks=pytest.mark.long)])
 def test_kill_9_at_random_instants_leaves_a_table_at_rest_and_loses_nothing(tmp_path, kills):
     write_protocol(LONGER, tmp_path / "protocol.toml")
-    with start_bench(EmulatedBenchSettings(rig=EmulatorSettings(speed=SPEED))) as bench:
+    with EmulatedBench(EmulatedBenchSettings(rig=EmulatorSettings(speed=SPEED))) as bench:
         counted = killed_at_random(bench, tmp_path, tmp_path / "protocol.toml", kills, random.Random(5))
     show("kill -9 at random instants", counted)
     assert (counted["kills"], counted["at rest"], counted["dwells lost"], counted["silently different"]) == (
@@ -140,7 +140,7 @@ def test_kill_9_at_random_instants_leaves_a_table_at_rest_and_loses_nothing(tmp_
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGTSTP])
 def test_ctrl_c_sigterm_and_ctrl_z_end_at_rest_with_what_was_done(tmp_path, number):
     write_protocol(LONGER, tmp_path / "protocol.toml")
-    with start_bench(EmulatedBenchSettings(rig=EmulatorSettings(speed=SPEED))) as bench:
+    with EmulatedBench(EmulatedBenchSettings(rig=EmulatorSettings(speed=SPEED))) as bench:
         process = started(words(bench, tmp_path / "protocol.toml", tmp_path / "run"))
         last = time.monotonic() + 120.0
         while len(read_journal(tmp_path / "run" / JOURNAL)[0]) < 4 and time.monotonic() < last:
@@ -155,7 +155,7 @@ def test_ctrl_c_sigterm_and_ctrl_z_end_at_rest_with_what_was_done(tmp_path, numb
 
 def test_more_signals_during_the_end_change_neither_it_nor_the_exit_code(tmp_path):
     write_protocol(LONGER, tmp_path / "protocol.toml")
-    with start_bench(EmulatedBenchSettings(rig=EmulatorSettings(speed=SPEED))) as bench:
+    with EmulatedBench(EmulatedBenchSettings(rig=EmulatorSettings(speed=SPEED))) as bench:
         process = started(words(bench, tmp_path / "protocol.toml", tmp_path / "run"))
         turning(bench.rig)
         last = time.monotonic() + 120.0
@@ -170,7 +170,7 @@ def test_more_signals_during_the_end_change_neither_it_nor_the_exit_code(tmp_pat
 
 def test_a_program_that_is_halted_has_its_table_stopped_and_does_not_go_on_afterwards(tmp_path):
     write_protocol(replace(LONGER, dwell_s=200.0), tmp_path / "protocol.toml")
-    with start_bench(EmulatedBenchSettings(rig=EmulatorSettings(speed=SPEED))) as bench:
+    with EmulatedBench(EmulatedBenchSettings(rig=EmulatorSettings(speed=SPEED))) as bench:
         process = started(words(bench, tmp_path / "protocol.toml", tmp_path / "run"))
         turning(bench.rig)
         process.send_signal(signal.SIGSTOP)
@@ -212,7 +212,7 @@ def test_a_full_disk_stops_the_table_and_says_what_to_do(tmp_path, monkeypatch):
 
 def test_a_file_that_may_not_grow_is_a_clear_error_in_a_process_of_its_own(tmp_path):
     write_protocol(LONGER, tmp_path / "protocol.toml")
-    with start_bench(EmulatedBenchSettings(rig=EmulatorSettings(speed=SPEED))) as bench:
+    with EmulatedBench(EmulatedBenchSettings(rig=EmulatorSettings(speed=SPEED))) as bench:
         process = started(words(bench, tmp_path / "protocol.toml", tmp_path / "run"), LIMIT_FILES)
         _, err = process.communicate(timeout=120.0)
         assert process.returncode == 2

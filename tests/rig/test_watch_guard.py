@@ -15,7 +15,7 @@ from undrift.rig.programme import Protocol, programme_of
 from undrift.rig.rig import open_rig
 from undrift.rig.run import Progress, Watch
 from undrift.rig.watch import Guard, StopWatch, mark_stop, watch
-from undrift.sim.rig.emulator import EmulatedBenchSettings, start_bench
+from undrift.sim.rig.emulator import EmulatedBench, EmulatedBenchSettings
 from undrift.units import RADIAN_PER_DEGREE as DPS
 
 NOBODY = "galil:tcp://127.0.0.1:9?reply_timeout_s=0.2"
@@ -124,7 +124,7 @@ def test_an_error_before_the_rig_is_open_troubles_nobody_and_one_after_it_has_th
 
 
 def test_the_chamber_is_off_when_the_program_is_gone():
-    with start_bench(EmulatedBenchSettings()) as bench:
+    with EmulatedBench(EmulatedBenchSettings()) as bench:
         bench.chamber.air.on = True
         Guard("", bench.chamber_address).release(well=True)
         assert bench.chamber.air.on

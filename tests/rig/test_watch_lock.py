@@ -18,7 +18,7 @@ from undrift.errors import LinkError, RigFault
 from undrift.io.session import read_session
 from undrift.rig.rig import RigSettings, open_rig
 from undrift.rig.watch import check_free, one_run, place_of, stop_rig
-from undrift.sim.rig.emulator import EmulatedBenchSettings, EmulatorSettings, start_bench
+from undrift.sim.rig.emulator import EmulatedBench, EmulatedBenchSettings, EmulatorSettings
 from undrift.units import RADIAN_PER_DEGREE as DPS
 
 
@@ -87,7 +87,7 @@ def test_ten_second_runs_are_refused_and_the_first_is_complete(tmp_path, capsys)
     """The first waits for its operator before each of six faces, so that it lasts, however busy the computer is."""
     (tmp_path / "p.toml").write_text(PROTOCOL)
     rng, refused = random.Random(1), 0
-    with start_bench(EmulatedBenchSettings(rig=EmulatorSettings(speed=20.0))) as bench:
+    with EmulatedBench(EmulatedBenchSettings(rig=EmulatorSettings(speed=20.0))) as bench:
         words = ["rig", "run", str(tmp_path / "p.toml"), "--yes", "--rig", bench.rig_address]
         words += ["--device", bench.device_address]
         other = [word.replace("127.0.0.1", "localhost") for word in words]

@@ -114,8 +114,7 @@ def test_the_number_of_subjects_needed_is_the_least_that_has_the_power() -> None
     means = [0.0, 0.2, 0.5]
     n = subjects_needed(means, 1.0)
     assert power_of_anova(means, 1.0, n) >= 0.8 > power_of_anova(means, 1.0, n - 1)
-    with pytest.raises(InputError, match="hardly differ"):
-        subjects_needed([0.0, 1e-4], 1.0)
+    assert subjects_needed([0.0, 1e-4], 1.0) is None
     with pytest.raises(InputError, match="variance above 0"):
         power_of_anova(means, 0.0, 10)
 

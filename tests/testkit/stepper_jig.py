@@ -4,8 +4,8 @@ import numpy as np
 
 from testkit.axis_lag import find_axis_lag
 from testkit.data import data_path
+from undrift.arrays import runs
 from undrift.record import Record, Turn
-from undrift.segments import runs
 
 RUNS = ("giro_test_filt", "giro_test_non_filt")
 # The stepper swings for about a second after each ramp: that second is left out for the BNO. On the LSM vibration of 10-50 deg/s

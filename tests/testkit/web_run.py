@@ -8,7 +8,7 @@ from contextlib import contextmanager
 
 from undrift.commands.bench.rig_run import RunOrder, begin_run
 from undrift.sim.rig import galil_language
-from undrift.sim.rig.emulator import EmulatedBenchSettings, EmulatorSettings, start_bench
+from undrift.sim.rig.emulator import EmulatedBench, EmulatedBenchSettings, EmulatorSettings
 from undrift.web.rate_table import ProtocolForm
 
 SPEED = 20.0
@@ -35,7 +35,7 @@ def emulated_bench(speed=SPEED):
 
     galil_language._ACTS["ST"] = stop
     try:
-        with start_bench(EmulatedBenchSettings(rig=EmulatorSettings(speed=speed))) as bench:
+        with EmulatedBench(EmulatedBenchSettings(rig=EmulatorSettings(speed=speed))) as bench:
             yield bench, obeyed
     finally:
         galil_language._ACTS["ST"] = before

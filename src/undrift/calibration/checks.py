@@ -9,12 +9,11 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from undrift.arrays import BoolArray, FloatArray
+from undrift.arrays import BoolArray, FloatArray, runs
 from undrift.errors import Implausible
 from undrift.findings import Finding, finding
 from undrift.model import AXES
 from undrift.record import FACES, Face
-from undrift.segments import runs
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, Quantity, is_physical, si_factor
 
 # ---- axis order: do a gyroscope's columns have the order and sense of the stated axes?

@@ -17,7 +17,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from undrift.arrays import BoolArray, FloatArray, IntArray
+from undrift.arrays import BoolArray, FloatArray, IntArray, runs
 from undrift.calibration.adc import code_steps, code_variance, limited_by_codes
 from undrift.calibration.checks import check_axis_order, check_own_scale, check_range, stuck_windows
 from undrift.calibration.creep import G_SENSITIVITY_SD, Creep, Kind, OffsetPrior, creep_of, offset_prior
@@ -29,7 +29,6 @@ from undrift.fit.equations import Rows, covariance_of, descend
 from undrift.fit.least_squares import TriadFit, excess_variance, parameter_names, scaled_condition, triad_fit
 from undrift.model import G_NAMES, MATRIX_NAMES, OFFSET_NAMES, TriadModel, Verdict
 from undrift.record import Record, Still
-from undrift.segments import runs
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
 # ---- stills: where the sliding variance of the accelerometer is below a threshold

@@ -11,7 +11,7 @@ from itertools import combinations, pairwise
 
 import numpy as np
 
-from undrift.arrays import FloatArray
+from undrift.arrays import FloatArray, runs
 from undrift.calibration.adc import code_steps, code_variance
 from undrift.calibration.checks import check_gravity, stuck_at_rate, stuck_in_motion
 from undrift.calibration.settings import Fitting, Sensitivity, Table, documented
@@ -31,7 +31,6 @@ from undrift.segments import (
     find_poses,
     find_turns,
     left_out,
-    runs,
     sample_count,
     short_pauses,
     sliding_moments,

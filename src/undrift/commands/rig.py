@@ -407,7 +407,7 @@ def emulate(
             stream=stream,
             device=drawn,
         )
-        bench = table = emulator.start_bench(settings)
+        bench = table = emulator.EmulatedBench(settings)
         addresses = {"rig": table.rig_address, "device": table.device_address}
         addresses |= {"chamber": table.chamber_address, "operator": table.hands_address}
         addresses |= {} if table.pty_address is None else {"pty": table.pty_address}

@@ -24,7 +24,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from undrift.arrays import BoolArray, FloatArray, IntArray
+from undrift.arrays import BoolArray, FloatArray, IntArray, runs
 from undrift.calibration.adc import restored
 from undrift.calibration.dwells import dwell_means
 from undrift.errors import InputError, NotObservable
@@ -710,8 +710,7 @@ def _same_readings(one: Record, other: Record) -> str:
         return ""
     _, at, there = np.intersect1d(one.time, other.time, assume_unique=True, return_indices=True)
     equal: BoolArray = (ours[at] == theirs[there]).all(axis=1)
-    edges = np.flatnonzero(np.diff(np.concatenate(([False], equal, [False])).astype(np.int8)))
-    for start, stop in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
+    for start, stop in runs(equal).tolist():
         if stop - start >= _RUN and _varies(ours[at[start:stop]]):
             return f"{stop - start} readings one after another are equal, from {one.time[at[start]]:g} s on"
     return ""

@@ -17,7 +17,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from undrift.arrays import FloatArray, IntArray
+from undrift.arrays import FloatArray, IntArray, runs
 from undrift.errors import InputError
 
 LEAST_SAMPLES = 100  # for a rate
@@ -141,8 +141,7 @@ def _line(own: FloatArray, number: IntArray, step: float, width: int) -> tuple[f
 def _losses(own: FloatArray, up: FloatArray, step: float, least: float) -> IntArray:
     """Return the samples lost between neighbours (N - 1,): where the least delay steps up and stays."""
     lost = np.zeros(len(up), np.int64)
-    ends = np.flatnonzero(np.diff(np.concatenate(([False], up > least * step, [False])).astype(np.int8)))
-    for first, last in ends.reshape(-1, 2).tolist():
+    for first, last in runs(up > least * step).tolist():
         at = first + int(np.diff(own)[first:last].argmax())
         lost[at] = round(float(up[at]) / step)  # further on, a second loss may add to it
     return lost

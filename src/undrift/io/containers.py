@@ -32,7 +32,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from undrift.arrays import BoolArray, FloatArray, IntArray
+from undrift.arrays import BoolArray, FloatArray, IntArray, runs
 from undrift.errors import FileFormatError, InputError
 from undrift.files import first_line, read_bytes
 from undrift.io.arrays import mat_arrays
@@ -618,11 +618,8 @@ def read_geneactiv(path: Path, _: Columns, settings: ReadSettings) -> ReadResult
         raise FileFormatError(
             f"{path}: wanted one sample rate and gains other than 0, got {sorted(rates)} Hz and {gain.tolist()}; it is damaged"
         )
-    bits = np.frombuffer(
-        bytes.fromhex("".join(line for line, fine in zip(lines, whole, strict=True) if fine)), np.uint8
-    )
-    b = bits.reshape(-1, 6).astype(np.int64)
-    counts = np.stack((b[:, 0] << 4 | b[:, 1] >> 4, (b[:, 1] & 15) << 8 | b[:, 2], b[:, 3] << 4 | b[:, 4] >> 4), axis=1)
+    samples = bytes.fromhex("".join(line for line, fine in zip(lines, whole, strict=True) if fine))
+    counts = _twelve_bit(samples).reshape(-1, 4)[:, :3]  # the fourth holds light and button
     rate_hz = rates.pop()
     seconds, leap = (stamps - stamps[0]).astype(np.int64) * 1e-3, np.diff(number)
     away = np.flatnonzero((leap < 1) | (abs(np.diff(seconds) * rate_hz / 300.0 - leap) > 0.5 + 0.02 * leap))
@@ -633,7 +630,7 @@ def read_geneactiv(path: Path, _: Columns, settings: ReadSettings) -> ReadResult
     step = np.append(np.where(np.diff(starts) < 330.0 / rate_hz, np.diff(starts) / 300.0, 1.0 / rate_hz), 1.0 / rate_hz)
     time = (starts[:, None] + np.arange(300) * step[:, None]).ravel()
     channels: dict[str, tuple[FloatArray, str]] = {
-        "accel": ((100.0 * _signed(counts, 12) - offset) / gain, "g"),
+        "accel": ((100.0 * counts - offset) / gain, "g"),
         "temp": (np.interp(time, starts, temp_c), "degC"),
     }
     source = f"page stamps of {len(kept)} pages" if fitted else f"the stated {rate_hz:g} Hz (page stamps have 0.5 s)"
@@ -707,10 +704,9 @@ def read_gt3x(path: Path, _: Columns, settings: ReadSettings) -> ReadResult:
     if name != "activity.bin":
         return _read_log(path, _records(path, content), device, settings)
     rate_hz = _number(info["Sample Rate"])
-    accel = _twelve_bit(content) / 341.0
-    edges = np.flatnonzero(np.diff(np.concatenate(([0], (accel == 0.0).all(axis=1), [0]))))
+    accel = _of_actigraph(content) / 341.0
     keep = np.ones(len(accel), dtype=np.bool_)
-    for start, stop in edges.reshape(-1, 2):
+    for start, stop in runs((accel == 0.0).all(axis=1)):
         keep[start:stop] = stop - start < rate_hz
     ticks = info.get("Start Date", "")
     notes = [_clock(np.datetime64((int(ticks) - _TICKS) // 10_000_000, "s"))] if ticks.isdigit() else []
@@ -722,12 +718,17 @@ def read_gt3x(path: Path, _: Columns, settings: ReadSettings) -> ReadResult:
     return build(path, time, {"accel": (accel[keep], "g")}, settings, notes, device=device)
 
 
-def _twelve_bit(content: bytes) -> FloatArray:
-    """Return x, y, z counts (N, 3) of 12 bits each, stored as y, x, z, high bits first."""
-    values = len(content) * 8 // 12 // 3 * 3
+def _of_actigraph(content: bytes) -> FloatArray:
+    """Return x, y, z counts (N, 3), stored as y, x, z."""
+    counts = _twelve_bit(content)
+    return counts[: len(counts) // 3 * 3].reshape(-1, 3)[:, [1, 0, 2]].astype(np.float64)
+
+
+def _twelve_bit(content: bytes) -> IntArray:
+    """Return whole counts of 12 bits each, high bits first."""
     b = np.frombuffer(content + bytes(-len(content) % 3), np.uint8).reshape(-1, 3).astype(np.int64)
     pairs = np.stack((b[:, 0] << 4 | b[:, 1] >> 4, (b[:, 1] & 15) << 8 | b[:, 2]), axis=1).ravel()
-    return _signed(pairs[:values], 12).reshape(-1, 3)[:, [1, 0, 2]].astype(np.float64)
+    return _signed(pairs[: len(content) * 8 // 12], 12)
 
 
 def _records(path: Path, content: bytes) -> list[tuple[int, int, bytes]]:
@@ -779,7 +780,7 @@ def _read_log(path: Path, records: list[tuple[int, int, bytes]], device: str, se
             raise FileFormatError(
                 f"{path}: wanted ACCEL_SCALE or a serial number NEO, CLE or MOS, got {device!r}; export it to CSV"
             )
-        found = [(when, _twelve_bit(body)) for when, body in held.get(_ACTIVITY, []) if len(body) > 1]
+        found = [(when, _of_actigraph(body)) for when, body in held.get(_ACTIVITY, []) if len(body) > 1]
         found += [
             (when, np.frombuffer(body, "<i2", len(body) // 6 * 3).reshape(-1, 3).astype(np.float64))
             for when, body in held.get(_ACTIVITY2, [])

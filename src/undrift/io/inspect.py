@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from undrift.arrays import BoolArray, FloatArray, IntArray
+from undrift.arrays import BoolArray, FloatArray, IntArray, runs
 from undrift.errors import InputError
 from undrift.files import read_bytes, read_tree
 from undrift.findings import Finding, finding
@@ -193,9 +193,7 @@ def saturated_runs(column: FloatArray) -> Iterator[tuple[float, IntArray]]:
     """Return each limit at which readings (N,) stick, and the stretches (R, 2) in which they do."""
     for limit in (np.nanmax(column), np.nanmin(column)):
         if np.count_nonzero(column == limit) >= STUCK:
-            stuck = np.flatnonzero(np.diff(np.concatenate(([0], (column == limit).astype(np.int8), [0])))).reshape(
-                -1, 2
-            )
+            stuck = runs(column == limit)
             stuck = stuck[stuck[:, 1] - stuck[:, 0] >= STUCK]
             if len(stuck) and _ends_range(column, float(limit), stuck):
                 yield float(limit), stuck

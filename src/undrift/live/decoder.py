@@ -14,11 +14,11 @@ from dataclasses import dataclass, fields, replace
 from functools import reduce
 from operator import xor
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, get_args
+from typing import Annotated, Any, Literal, NamedTuple, get_args
 
 import numpy as np
 
-from undrift.arrays import BoolArray, FloatArray, frozen
+from undrift.arrays import BoolArray, FloatArray, Shape, freeze
 from undrift.base.codec import stored, toml_of, value_of
 from undrift.errors import InputError, check_positive
 from undrift.record import Record
@@ -268,16 +268,14 @@ class Arrivals:
 class Chunk:
     """Readings that came together, N of them."""
 
-    host_time: FloatArray  # (N,), when each came, s, the host's monotonic clock
-    counter: FloatArray | None  # (N,), of the device's own counter, ticks; None for a device that sends none
-    values: FloatArray  # (N, C), raw readings in the order of ``StreamDescription.measured``, the device's units
+    host_time: Annotated[FloatArray, Shape("n")]  # (N,), when each came, s, the host's monotonic clock
+    # (N,), of the device's own counter, ticks; None for a device that sends none
+    counter: Annotated[FloatArray | None, Shape("n")]
+    # (N, C), raw readings in the order of ``StreamDescription.measured``, the device's units
+    values: Annotated[FloatArray, Shape("n", "c")]
 
     def __post_init__(self) -> None:
-        set_ = object.__setattr__
-        set_(self, "host_time", frozen(self.host_time, (None,), "host_time"))
-        if self.counter is not None:
-            set_(self, "counter", frozen(self.counter, (len(self.host_time),), "counter"))
-        set_(self, "values", frozen(self.values, (len(self.host_time), None), "values"))
+        freeze(self)
 
     def __len__(self) -> int:
         return len(self.host_time)

@@ -109,18 +109,8 @@ def _of_certificate(path: Path, stated: Stated, made: dict[str, NewEntry], regis
             f"{path}: wanted a certificate of this version of undrift, got another PDF; write it: undrift certificate"
         )
     digest = found[1].decode()
-    if (known := made.get(digest)) is not None:
-        serial, made_at, due_at, temp_c, verdict = (
-            known.serial,
-            known.made_at,
-            known.due_at,
-            known.temp_c,
-            known.verdict,
-        )
-    elif (held := registry.calibration_with(digest)) is not None:
-        serial, made_at, due_at, verdict = held.device.serial, held.made_at, held.due_at, held.verdict
-        temp_c = None if held.low_c is None or held.high_c is None else (held.low_c, held.high_c)
-    else:
+    known = made.get(digest) or registry.calibration_with(digest)
+    if known is None:
         raise RegistryError(
             f"{path}: wanted the calibration that it states in the registry, got none with content hash {digest[:12]}; add both: "
             "undrift registry add calibration.json certificate.pdf"
@@ -132,12 +122,12 @@ def _of_certificate(path: Path, stated: Stated, made: dict[str, NewEntry], regis
     }
     return NewEntry(
         kind="certificate",
-        serial=_serial(serial, stated, str(path)),
+        serial=_serial(known.serial, stated, str(path)),
         document=document,
-        made_at=stated.made_at or made_at,
-        due_at=due_at,
-        temp_c=temp_c,
-        verdict=verdict,
+        made_at=stated.made_at or known.made_at,
+        due_at=known.due_at,
+        temp_c=known.temp_c,
+        verdict=known.verdict,
         source=str(path.resolve()),
         supersedes=stated.supersedes,
         note=stated.note,

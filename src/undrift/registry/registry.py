@@ -122,6 +122,16 @@ class Entry(Base):
 
     device: Mapped[Device] = relationship(lazy="joined")
 
+    @property
+    def serial(self) -> str:
+        """Serial number of the device."""
+        return self.device.serial
+
+    @property
+    def temp_c(self) -> tuple[float, float] | None:
+        """Where it is valid, degC; None where that is not known."""
+        return None if self.low_c is None or self.high_c is None else (self.low_c, self.high_c)
+
     __table_args__ = (
         CheckConstraint("kind IN ('session', 'calibration', 'certificate', 'run')", name="known_kind"),
         Index("one_content", "kind", "sha256", unique=True, sqlite_where=text("supersedes IS NULL"),
@@ -450,10 +460,8 @@ class Registry:
             raise RegistryError(
                 f"{self.place}: wanted the package {error.name}, got none; pip install undrift[registry]"
             ) from error
-        except DBAPIError as error:
-            raise _refusal(error.orig, self.place, self._wait_s) from error
-        except (sqlite3.Error, OSError) as error:  # of the first words to a file
-            raise _refusal(error, self.place, self._wait_s) from error
+        except (DBAPIError, sqlite3.Error, OSError) as error:  # the last two: of the first words to a file
+            raise _refusal(getattr(error, "orig", error), self.place, self._wait_s) from error
         except SQLAlchemyError as error:
             raise RegistryError(f"{self.place}: the registry failed: {first_line(error)}; check its address") from error
 
@@ -513,13 +521,12 @@ _LINES: tuple[tuple[Callable[[str, str], bool], str], ...] = (
 
 def covers(entry: Entry, temp_c: float) -> bool:
     """Tell whether a calibration is valid at a temperature; one without known temperatures is not."""
-    return entry.low_c is not None and entry.high_c is not None and entry.low_c <= temp_c <= entry.high_c
+    return entry.temp_c is not None and entry.temp_c[0] <= temp_c <= entry.temp_c[1]
 
 
 def span_text(entry: Entry) -> str:
     """Return where an entry is valid."""
-    known = entry.low_c is not None and entry.high_c is not None
-    return f"{entry.low_c:.1f} to {entry.high_c:.1f} degC" if known else "temperature not known"
+    return "temperature not known" if entry.temp_c is None else "{:.1f} to {:.1f} degC".format(*entry.temp_c)
 
 
 def _counting() -> Any:

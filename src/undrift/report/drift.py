@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from undrift.arrays import runs
 from undrift.commands.drift import shown_unit
 from undrift.errors import InputError
 from undrift.model import AXES
@@ -21,7 +22,6 @@ from undrift.report.figures import (
     entitle,
     legend_outside,
     new_figure,
-    stretches,
 )
 from undrift.units import RADIAN_PER_DEGREE
 
@@ -124,8 +124,8 @@ def _shade(axes: "Axes", temp_c: "FloatArray", extrapolated: "BoolArray") -> Non
     """Hatch the spans of nodes that no data were near."""
     half = 0.5 * (temp_c[-1] - temp_c[0]) / (len(temp_c) - 1)
     hatched: Any = {"facecolor": "#f1f1ee", "edgecolor": "#cfcfca", "hatch": "///", "linewidth": 0.0, "zorder": 0}
-    for k, (start, stop) in enumerate(stretches(extrapolated)):
-        low, high = max(temp_c[start] - half, temp_c[0]), min(temp_c[stop] + half, temp_c[-1])
+    for k, (start, stop) in enumerate(runs(extrapolated)):
+        low, high = max(temp_c[start] - half, temp_c[0]), min(temp_c[stop - 1] + half, temp_c[-1])
         axes.axvspan(float(low), float(high), label="extrapolated" if k == 0 else None, **hatched)
 
 

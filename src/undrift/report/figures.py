@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from undrift.arrays import BoolArray, FloatArray
+from undrift.arrays import FloatArray, runs
 from undrift.base.summary import PICTURES
 from undrift.errors import InputError
 from undrift.files import write_whole
@@ -108,7 +108,7 @@ def _notebook_figure() -> type["Figure"]:
     return NotebookFigure
 
 
-def svg_of(figure: "Figure", label: str = "", *, outlines: bool = False) -> str:
+def svg_of(figure: "Figure", *, outlines: bool = False) -> str:
     """Return a figure as SVG text that says what it is, the same bytes for the same figure; letters as outlines without fonts."""
     from matplotlib.text import Text
 
@@ -116,7 +116,7 @@ def svg_of(figure: "Figure", label: str = "", *, outlines: bool = False) -> str:
         part.set_fontsize(max(part.get_fontsize(), LEAST_SIZE))
     fonts = {"svg.fonttype": "path"} if outlines else {}
     text = _saved(figure, fonts, format="svg", metadata={"Date": None, "Creator": "undrift"}).decode()
-    named = f'<svg role="img" aria-label="{escape(label or _described(figure))}" '
+    named = f'<svg role="img" aria-label="{escape(_described(figure))}" '
     return text[text.index("<svg") :].replace("<svg ", named, 1)
 
 
@@ -241,18 +241,12 @@ def draw_comparison(
     styles = zip((ERROR, DEVICE, LIMIT, OPTICS), ("-", "--", ":", "-."), strict=True)
     for (name, course), (colour, dash) in zip(errors_deg, styles, strict=False):
         error.plot(*envelope(time, course), color=colour, linestyle=dash, label=name)
-    for start, stop in () if moving is None else stretches(moving > 0.0):
-        error.axvspan(float(time[start]), float(time[stop]), color=SHADE, linewidth=0.0, zorder=0)
+    for start, stop in () if moving is None else runs(moving > 0.0):
+        error.axvspan(float(time[start]), float(time[stop - 1]), color=SHADE, linewidth=0.0, zorder=0)
     error.axhline(0.0, color=OPTICS, linewidth=0.6)
     error.set(xlabel="time (s)", ylabel="error (deg)")
     legend_above(error)
     return figure
-
-
-def stretches(chosen: BoolArray) -> list[tuple[int, int]]:
-    """Return the first and last place of each stretch of what is chosen (N,)."""
-    marks = np.diff(np.concatenate(([False], chosen, [False])).astype(int))
-    return list(zip(np.flatnonzero(marks > 0).tolist(), (np.flatnonzero(marks < 0) - 1).tolist(), strict=True))
 
 
 def _without_wraps(angle_deg: FloatArray) -> FloatArray:
@@ -363,7 +357,8 @@ def _draw_gaps(panels: Sequence["Axes"], time: FloatArray, record: Record) -> di
     for values in (record.gyro, record.accel):
         gap |= False if values is None else np.isnan(values).any(axis=1)
     steps = np.diff(record.time)
-    spans = [*stretches(gap), *((k, k + 1) for k in np.flatnonzero(steps > 1.5 * np.median(steps)).tolist())]
+    holes = np.flatnonzero(steps > 1.5 * np.median(steps))
+    spans = [*(runs(gap) - (0, 1)).tolist(), *np.stack((holes, holes + 1), axis=1).tolist()]
     for start, stop in spans:
         for panel in panels:
             panel.axvspan(float(time[start]), float(time[stop]), color=OPTICS, alpha=0.7, linewidth=0.8, zorder=3)

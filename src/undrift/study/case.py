@@ -275,17 +275,9 @@ def _unfiltered(
     return _record_of(study, task, number, replace(device, **chains), motion)
 
 
-def wear(
-    device: DeviceModel,
-    performed: Task | RecordedTask,
-    motion: Motion | None = None,
-    *,
-    rng: np.random.Generator,
-    temp_c: float,
-    power_on_s: float,
-) -> Case:
-    """Simulate a trial, whose motion at the samples may be known."""
-    motion = motion or performed.at(_samples(performed), STANDARD_GRAVITY)
+def wear(device: DeviceModel, performed: Task, *, rng: np.random.Generator, temp_c: float, power_on_s: float) -> Case:
+    """Simulate a trial."""
+    motion = performed.at(_samples(performed), STANDARD_GRAVITY)
     record = simulate_device(device, motion, rng=rng, temp_c=temp_c, power_on_s=power_on_s).record
     return _case_of(device, record, performed, motion)
 

@@ -601,10 +601,7 @@ def _reach(effect: judge.ParameterEffect) -> float:
 
 def _power(study: Study, effect: judge.ParameterEffect, found: Anova | MixedModel) -> EffectPower:
     means, variance, epsilon = found.means, effect.error_variance, effect.epsilon
-    try:
-        count: int | None = subjects_needed(means, variance, epsilon=epsilon, level=study.level)
-    except InputError:  # the means hardly differ: no number of subjects is enough
-        count = None
+    count = subjects_needed(means, variance, epsilon=epsilon, level=study.level)
     reached = power_of_anova(means, variance, found.subjects, epsilon=epsilon, level=study.level)
     return EffectPower(name=effect.name, power=reached, subjects=count)
 

@@ -328,7 +328,7 @@ class Stance:
     category: CategoryName = DEFAULT  # Of the person, as of a capture
 
 
-def read_stance(path: Path, *, mass_kg: float, condition: Condition) -> Stance:
+def read_stance(path: Path, *, mass_kg: float, condition: Condition, category: CategoryName = DEFAULT) -> Stance:
     """Read a stance from a public force-plate file, tab-separated, gzipped or not."""
     if not mass_kg > 0.0:
         raise InputError(f"{path.name}: wanted the person's mass in kg, got {mass_kg:g}; state it")
@@ -353,6 +353,7 @@ def read_stance(path: Path, *, mass_kg: float, condition: Condition) -> Stance:
                 time=table[:, at[0]],
                 acceleration=(force - force.mean(axis=0)) / mass_kg,
                 pressure=pressure,
+                category=category,
             )
     raise InputError(
         f"{path.name}: wanted columns GRFNET_X, GRFNET_Z, COPNET_X, COPNET_Z or Fx[N], Fy[N], COPx[cm], COPy[cm], got "
@@ -619,11 +620,8 @@ def read_real(path: str | Path) -> RealData:
             devices=_devices(held.trial, folder),
             captures=tuple(_capture(entry, folder) for entry in held.capture),
             stances=tuple(
-                replace(
-                    read_stance(folder / entry.file, mass_kg=entry.mass_kg, condition=entry.condition),
-                    category=entry.category,
-                )
-                for entry in held.stance
+                read_stance(folder / one.file, mass_kg=one.mass_kg, condition=one.condition, category=one.category)
+                for one in held.stance
             ),
             actual=None if held.actual is None else _actual(held.actual, folder),
         )

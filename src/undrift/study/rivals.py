@@ -80,8 +80,10 @@ PLANE_ANGLE_SD = 0.05 * RADIAN_PER_DEGREE  # a digital inclinometer
 STROKE_SD = {"trolley": 0.01, "piston": 0.005}  # a crank set by a ruler, 1 mm of 150; a transducer of class 0.5
 HARMONIC_SD = {"trolley": 0.01, "piston": 0.002}  # a crank with a short rod; a servo valve
 # Optics, whose cluster of markers gives way; an arm that repeats within 0.05 mm over a metre, and bends with its pose.
-OPTICS = OpticsSettings(slow_sd=0.05 * RADIAN_PER_DEGREE)
-ARM = OpticsSettings(angle_sd=5e-5, position_sd=5e-5, slow_sd=0.01 * RADIAN_PER_DEGREE)
+POSES = {
+    "mocap": OpticsSettings(slow_sd=0.05 * RADIAN_PER_DEGREE),
+    "robot_arm": OpticsSettings(angle_sd=5e-5, position_sd=5e-5, slow_sd=0.01 * RADIAN_PER_DEGREE),
+}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -104,7 +106,6 @@ class _Bench:
     budget_s: float
     rng: np.random.Generator
     errors: BenchErrors  # Of all rigs
-    poses: dict[str, OpticsSettings]
     state: Mapping[str, Any]  # Of the generator that every rig of this unit is drawn from
 
     def rig(self) -> np.random.Generator:
@@ -154,7 +155,6 @@ def calibrate_by(
             stroke=STROKE_SD.get(method, 0.0),
             harmonic=HARMONIC_SD.get(method, 0.0),
         ),
-        poses={"mocap": OPTICS, "robot_arm": ARM},
         state=np.random.default_rng(rng.integers(2**63)).bit_generator.state,
         rng=rng,
     )
@@ -174,11 +174,6 @@ def calibrate_by(
         observable=tuple(name for name, model in (("gyro", gyro), ("accel", accel)) if model is not None),
         notes=found.notes,
     )
-
-
-def _rate_table(bench: _Bench) -> _Found:
-    settings = replace(TABLE, errors=bench.errors)
-    return _fitted(bench, bench_motion("bench", rng=bench.rig(), settings=settings))
 
 
 def _inclined_plane(bench: _Bench, *, moves: bool = False) -> _Found:
@@ -230,7 +225,7 @@ def _referred(bench: _Bench, kind: Literal["mocap", "robot_arm"]) -> _Found:
         task = _within_range(bench)
         motions.append(motion_of_arm(task, HAND))
         records.append(bench.read(motions[-1]))
-        references.append(_seen(bench, task, motions[-1], bench.poses[kind]))
+        references.append(_seen(bench, task, motions[-1], POSES[kind]))
     seconds = sum(map(_length_s, motions))
     rests = tuple(record.part(m.stills[0].start, m.stills[0].stop) for record, m in zip(records, motions, strict=True))
     try:
@@ -266,7 +261,9 @@ _HOW: dict[Method, Callable[[_Bench], _Found]] = {
     "data_sheet": lambda bench: _Found(
         None, ("nothing was recorded: nominal sensitivities and nulls, square axes",), (), 0.0
     ),
-    "rate_table": _rate_table,
+    "rate_table": lambda bench: _fitted(
+        bench, bench_motion("bench", rng=bench.rig(), settings=replace(TABLE, errors=bench.errors))
+    ),
     "inclined_plane": _inclined_plane,
     "plane_and_moves": partial(_inclined_plane, moves=True),
     "trolley": partial(_driven, kind="trolley"),

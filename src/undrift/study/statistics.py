@@ -385,18 +385,19 @@ def power_to_decide(difference: float, sd: float, subjects: int, *, margin: floa
 
 def subjects_to_decide(difference: float, sd: float, *, margin: float, level: float = 0.05) -> int | None:
     """Return the fewest subjects that decide a true difference with a power of 0.8; None where no number is enough."""
-    return _fewest(lambda n: power_to_decide(difference, sd, n, margin=margin, level=level), POWER)
+    return _fewest(lambda n: power_to_decide(difference, sd, n, margin=margin, level=level))
 
 
-def _fewest(power: Callable[[int], float], wanted: float) -> int | None:
+def _fewest(power: Callable[[int], float]) -> int | None:
+    """Return the fewest subjects with a power of ``POWER``; None where no number is enough."""
     low, high = 2, 3
-    while power(high) < wanted:
+    while power(high) < POWER:
         low, high = high, 2 * high
         if high > MOST_SUBJECTS:
             return None
     while high - low > 1:
         middle = (low + high) // 2
-        low, high = (low, middle) if power(middle) >= wanted else (middle, high)
+        low, high = (low, middle) if power(middle) >= POWER else (middle, high)
     return max(high, 3)
 
 
@@ -561,16 +562,10 @@ def power_of_anova(
 
 
 def subjects_needed(
-    means: ArrayLike, error_variance: float, *, power: float = 0.8, epsilon: float = 1.0, level: float = 0.05
-) -> int:
-    """Return the fewest subjects with which the analysis has a stated power: means (k,)."""
-    found = _fewest(lambda n: power_of_anova(means, error_variance, n, epsilon=epsilon, level=level), power)
-    if found is None:
-        raise InputError(
-            f"power: wanted {100 * power:g} % with at most {MOST_SUBJECTS} subjects, got conditions that hardly differ; no "
-            "number of subjects is worth it"
-        )
-    return found
+    means: ArrayLike, error_variance: float, *, epsilon: float = 1.0, level: float = 0.05
+) -> int | None:
+    """Return the fewest subjects with which the analysis has a power of 0.8, None where no number is enough: means (k,)."""
+    return _fewest(lambda n: power_of_anova(means, error_variance, n, epsilon=epsilon, level=level))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

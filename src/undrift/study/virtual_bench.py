@@ -172,7 +172,7 @@ def _record_rest(
         rig=emulator.EmulatorSettings(speed=plan.speed), air=AIR, stream=stream, device=device
     )
     host_s = [p.duration_s / plan.speed + STEP_HOST_S * len(p.steps) for p in plan.programmes]
-    with emulator.start_bench(emulated) as bench:
+    with emulator.EmulatedBench(emulated) as bench:
         for which in range(len(done), 2):
             what = ("faces and rates at room temperature", "set-points in the thermal chamber")[which]
             tell(f"virtual bench: {what}", sum(host_s[which:]))

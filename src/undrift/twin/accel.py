@@ -19,7 +19,7 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from undrift.arrays import BoolArray, FloatArray, IntArray
+from undrift.arrays import BoolArray, FloatArray, IntArray, runs
 from undrift.calibration.reference import MARGIN_S, Aligned, align, rest_reading
 from undrift.calibration.reference_accel import pose_columns
 from undrift.calibration.reference_windows import full_rank
@@ -29,7 +29,6 @@ from undrift.fit.least_squares import fit_huber, triad_fit
 from undrift.frames import rotation
 from undrift.model import AdcModel, TriadModel
 from undrift.record import Record, Reference
-from undrift.segments import runs
 from undrift.sim.motion.motion import Motion
 from undrift.sim.motion.poses import PoseSettings, PoseSpline, fit_pose_spline
 

@@ -38,7 +38,7 @@ from typing import Literal
 
 import numpy as np
 
-from undrift.arrays import BoolArray, FloatArray, IntArray
+from undrift.arrays import BoolArray, FloatArray, IntArray, runs
 from undrift.calibration.adc import restored_gyro
 from undrift.calibration.reference import TURN_ON
 from undrift.calibration.reference_accel import pose_columns
@@ -47,7 +47,6 @@ from undrift.findings import Finding, finding
 from undrift.frames import quaternion_conjugate, quaternion_of, quaternion_product, rotate, rotation, rotation_vector
 from undrift.model import AXES, TriadModel
 from undrift.orientation import integrate_strapdown, sagittal_pitch
-from undrift.segments import runs
 from undrift.sim.device.effects import Adc, LeverArm, Offset, Sampling, Scale, SensorChain, WhiteNoise
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.simulate import simulate_device

@@ -378,18 +378,12 @@ def _progress(run: RigRun) -> None:
         after = [step["text"] for step in run.view.steps[run.view.number + 1 :][:NEXT_STEPS]]
         return f"Next: {', '.join(after)}" if after and run.may_move else ""
 
-    parts.text("h2", lambda: heading_of(run.view))
+    parts.text("h2", lambda: str.capitalize(run.view.state))
     bar = ui.element("progress").props('aria-label="Dwells on the disk"').classes("bar")
     parts.bound(show)
     parts.status_line(lambda: progress_words(run.view), "")
     parts.text("p", lambda: run.view.live if run.may_move else "", "soft readings")
     parts.text("p", following, "soft")
-
-
-def heading_of(view: View) -> str:
-    """Say how a run is."""
-    names = {"starting": "Starting", "running": "Running", "pausing": "Pausing", "stopping": "Stopping"}
-    return names.get(view.state, view.state.capitalize())
 
 
 def progress_words(view: View) -> str:

@@ -23,7 +23,7 @@ from undrift.io.parquet import ParquetWriter
 from undrift.orientation import OrientStream
 from undrift.record import Record, joined
 from undrift.sim.device.model import DeviceModel
-from undrift.sim.rig.emulator import EmulatedBenchSettings, start_bench
+from undrift.sim.rig.emulator import EmulatedBench, EmulatedBenchSettings
 from undrift.sim.rig.stream import StreamSettings
 
 
@@ -211,7 +211,7 @@ def device() -> DeviceModel:
 def test_corrected_signals_and_orientation_are_those_of_the_batch(device: DeviceModel):
     calibration = calibrate(simulate_session("bench", device, rng=np.random.default_rng(1)))
     settings = EmulatedBenchSettings(device=device, stream=StreamSettings(sample_rate_hz=200.0, framing="frame"))
-    with start_bench(settings) as bench:
+    with EmulatedBench(settings) as bench:
         source = LiveDevice(bench.device_address)
         source.start()
         try:

@@ -7,7 +7,9 @@ from testkit.data import show
 from undrift.errors import InputError
 from undrift.frames import quaternion_of, quaternion_product
 from undrift.record import Reference
-from undrift.sim.motion.poses import choose_cutoff
+from undrift.sim.motion.poses import choose_cutoff, cutoff_by_residual, cutoff_by_rest
+
+METHODS = {"residual": cutoff_by_residual, "rest": cutoff_by_rest}
 
 
 def swung(noise: float = 1e-3, highest_hz: float = 4.0) -> Reference:
@@ -23,46 +25,46 @@ def swung(noise: float = 1e-3, highest_hz: float = 4.0) -> Reference:
     return Reference(time=time, q_nb=q, position=position, moving=(time > 10.0).astype(float))
 
 
-@pytest.mark.parametrize("method", ["residual", "rest"])
+@pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("signal", ["orientation", "position"])
 def test_the_cut_off_lies_above_the_motion_and_well_below_half_the_sample_rate(method, signal):
-    chosen = choose_cutoff(swung(), method=method, signal=signal)
+    chosen = METHODS[method](swung(), signal)
     show(f"motion up to 4 Hz, {signal} by {method}", f"{chosen.cutoff_hz:.1f} Hz: {chosen.reason}", "4 to 15 Hz")
     assert 4.0 <= chosen.cutoff_hz <= 15.0  # products of angles reach beyond 4 Hz
 
 
 def test_more_noise_asks_for_a_lower_cut_off():
-    for method in ("residual", "rest"):
-        quiet, loud = (choose_cutoff(swung(noise), method=method).cutoff_hz for noise in (1e-4, 1e-2))
+    for method, choose in METHODS.items():
+        quiet, loud = (choose(swung(noise), "orientation").cutoff_hz for noise in (1e-4, 1e-2))
         show(f"{method}: noise of 0.1 and of 10 mrad, Hz", f"{quiet:.1f} {loud:.1f}")
         assert loud < quiet
 
 
 def test_the_noise_that_the_residual_points_to_is_the_noise_that_was_put_in():
     # Winter's straight line over-reaches for white noise, whose residual bends: sqrt(1 - f / f_N).
-    reason = choose_cutoff(swung(1e-3), method="residual", signal="position").reason
+    reason = cutoff_by_residual(swung(1e-3), "position").reason
     assert 0.2 < float(reason.split("noise of ")[1].split()[0]) < 0.4
 
 
-def test_cameras_that_are_noisier_in_motion_have_no_crossing_and_it_says_so():
+def test_cameras_that_are_noisier_in_motion_have_no_crossing_and_the_residual_is_taken():
     poses = swung(1e-3)
     rng = np.random.default_rng(9)
     shake = quaternion_of(rng.normal(0.0, 1e-2, (4000, 3)) * poses.moving[:, None])
     noisy = replace(poses, q_nb=quaternion_product(poses.q_nb, shake))
-    chosen = choose_cutoff(noisy, method="rest")
-    assert chosen.cutoff_hz == pytest.approx(35.0)
-    assert "no crossing, choose another method" in chosen.reason
-    assert choose_cutoff(noisy).method == "residual"  # left to itself it takes the other method
+    assert cutoff_by_rest(noisy, "orientation") is None
+    assert choose_cutoff(noisy).method == "residual"
     assert choose_cutoff(poses).method == "rest"
     assert choose_cutoff(replace(poses, moving=None)).method == "residual"
 
 
-def test_what_a_method_needs_is_asked_for():
+def test_without_a_rest_of_two_seconds_the_residual_is_taken():
     poses = swung()
-    with pytest.raises(InputError, match="wanted a rest, got no stretch marked as not moving"):
-        choose_cutoff(replace(poses, moving=None), method="rest")
+    short, shorter = (1.0 - ((poses.time >= 1.0) & (poses.time <= 1.0 + length_s)) for length_s in (1.0, 0.05))
+    for moving in (short, shorter, np.ones(len(poses.time))):
+        assert choose_cutoff(replace(poses, moving=moving)).method == "residual"
+
+
+def test_positions_are_asked_for_where_there_are_none():
+    poses = swung()
     with pytest.raises(InputError, match="wanted positions, got poses without"):
-        choose_cutoff(replace(poses, position=None), method="residual", signal="position")
-    short = 1.0 - ((poses.time >= 1.0) & (poses.time <= 2.0))
-    with pytest.raises(InputError, match=r"wanted 2 s or more of rest and of motion without a long gap, got 1 s"):
-        choose_cutoff(replace(poses, moving=short), method="rest")
+        choose_cutoff(replace(poses, position=None), signal="position")

@@ -16,13 +16,13 @@ from testkit.emulated_axis import axis_angle, axis_rate, axis_state
 from undrift.base.clock import VirtualClock
 from undrift.errors import InputError
 from undrift.sim.rig.axes import ServoSettings
-from undrift.sim.rig.emulator import RIG_FAULTS, Emulator, EmulatorSettings, start_emulator
+from undrift.sim.rig.emulator import RIG_FAULTS, Emulator, EmulatorSettings
 from undrift.sim.rig.server import LINK_FAULTS
 
 
 @pytest.fixture
 def emulator() -> Iterator[Emulator]:
-    with start_emulator(EmulatorSettings(speed=20.0)) as running:
+    with Emulator(EmulatorSettings(speed=20.0)) as running:
         yield running
 
 
@@ -172,7 +172,7 @@ def test_a_flood_is_obeyed_in_full_and_in_order(emulator):
 
 
 def test_a_pseudo_terminal_speaks_the_same_language():
-    with start_emulator(EmulatorSettings(with_pty=True, speed=5.0)) as emulator:
+    with Emulator(EmulatorSettings(with_pty=True, speed=5.0)) as emulator:
         assert emulator.pty_path is not None
         for _ in range(2):  # a client may come back
             descriptor = os.open(emulator.pty_path, os.O_RDWR | os.O_NOCTTY)
@@ -190,7 +190,7 @@ def test_a_virtual_clock_makes_a_conversation_repeatable():
     ends = []
     for _ in range(2):
         clock = VirtualClock()
-        with start_emulator(EmulatorSettings(), clock=clock) as emulator:
+        with Emulator(EmulatorSettings(), clock=clock) as emulator:
             say(emulator, "SH;JG 4321;BG", 3)
             clock.wait(1.5)
             say(emulator, "ST")
@@ -201,7 +201,7 @@ def test_a_virtual_clock_makes_a_conversation_repeatable():
 
 def test_a_mean_rate_is_free_of_the_ripple_of_the_servo():
     clock = VirtualClock()
-    with start_emulator(EmulatorSettings(), clock=clock) as emulator:
+    with Emulator(EmulatorSettings(), clock=clock) as emulator:
         say(emulator, "SH;JG 10000;BG", 3)
         clock.wait(2.0)
         times = np.linspace(1.0, 2.0, 101)
@@ -285,7 +285,7 @@ def test_clearing_everything_does_not_reset_a_card_that_kept_its_power(emulator)
 
 @pytest.mark.parametrize("kind", ["galil", "grbl"])
 def test_every_fault_can_begin_and_end_on_every_rig(kind):
-    with start_emulator(EmulatorSettings(kind=kind, speed=5.0)) as emulator:
+    with Emulator(EmulatorSettings(kind=kind, speed=5.0)) as emulator:
         for fault in (*LINK_FAULTS, *RIG_FAULTS):
             emulator.inject(fault)
             emulator.clear(fault)
@@ -295,7 +295,7 @@ def test_every_fault_can_begin_and_end_on_every_rig(kind):
 
 
 def test_a_board_greets_and_jogs_over_a_socket():
-    with start_emulator(EmulatorSettings(kind="grbl", speed=20.0)) as emulator, client(emulator) as c:
+    with Emulator(EmulatorSettings(kind="grbl", speed=20.0)) as emulator, client(emulator) as c:
         assert c.recv(100).startswith(b"\r\nGrbl")
         c.sendall(b"$J=G91A3600F5400\n")
         assert c.recv(100) == b"ok\r\n"
@@ -318,7 +318,7 @@ def test_random_bytes_over_the_socket_do_not_end_the_server(emulator):
 
 def test_closing_twice_is_harmless_and_ends_the_thread():
     before = set(threading.enumerate())  # other tests of this worker may hold emulators of their own
-    emulator = start_emulator()
+    emulator = Emulator()
     started = set(threading.enumerate()) - before
     assert "emulated-rig" in [thread.name for thread in started]
     emulator.close()
@@ -330,9 +330,9 @@ def test_closing_twice_is_harmless_and_ends_the_thread():
 
 def test_wrong_calls_are_refused(emulator):
     with pytest.raises(InputError, match="emulator kind: wanted galil or grbl, got 'plotter'"):
-        start_emulator(EmulatorSettings(kind="plotter"))
+        Emulator(EmulatorSettings(kind="plotter"))
     with pytest.raises(InputError, match=r"emulator host: wanted one of 127.0.0.1.*it serves this computer only"):
-        start_emulator(EmulatorSettings(host="0.0.0.0"))
+        Emulator(EmulatorSettings(host="0.0.0.0"))
     with pytest.raises(InputError, match=r"fault: wanted one of drop_bytes.*got 'flood'"):
         emulator.inject("flood")
     with pytest.raises(InputError, match="fault: wanted one of"):
@@ -340,13 +340,13 @@ def test_wrong_calls_are_refused(emulator):
     with pytest.raises(InputError, match="axis state: wanted times in"):
         axis_state(emulator, 1e6)
     with pytest.raises(InputError, match="clock: wanted a speed above 0, got 0"):
-        start_emulator(EmulatorSettings(speed=0.0))
+        Emulator(EmulatorSettings(speed=0.0))
 
 
 def test_ten_minutes_are_emulated_in_less_than_three_seconds():
     clock = VirtualClock()
     settings = EmulatorSettings(servo=ServoSettings(), history_s=10.0)
-    with start_emulator(settings, clock=clock) as emulator:
+    with Emulator(settings, clock=clock) as emulator:
         say(emulator, "SH;JG 10000;BG", 3)
         begun = time.process_time()  # of the processor: whatever else the machine does
         clock.wait(600.0)

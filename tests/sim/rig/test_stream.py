@@ -21,7 +21,7 @@ from undrift.rig.rig import open_rig
 from undrift.sim.device.presets import random_device
 from undrift.sim.motion.bench import EARTH_RATE
 from undrift.sim.motion.motion import unit_vector
-from undrift.sim.rig.emulator import AirSettings, BenchHands, EmulatedBenchSettings, EmulatorSettings, start_bench
+from undrift.sim.rig.emulator import AirSettings, BenchHands, EmulatedBench, EmulatedBenchSettings, EmulatorSettings
 from undrift.sim.rig.stream import CHANNELS, CausalDevice, EmulatedDevice, StreamSettings, frame_of, line_of
 from undrift.units import STANDARD_GRAVITY
 
@@ -209,7 +209,7 @@ def test_a_whole_bench_works_over_its_sockets(kind):
         air=AirSettings(ramp_c_per_min=60.0, period_s=20.0, board_lag_s=5.0),
         device=DEVICE,
     )
-    with start_bench(settings) as bench, Recorder(source_at(bench.device_address)) as recorder:
+    with EmulatedBench(settings) as bench, Recorder(source_at(bench.device_address)) as recorder:
         dwells = DwellReadings(recorder)
         BenchHands(bench.hands_address).mount("+x")
         rig = open_rig(bench.rig_address)
@@ -244,7 +244,7 @@ def test_a_whole_bench_works_over_its_sockets(kind):
 
 def test_hands_mount_over_their_socket_or_say_why_not():
     before = threading.active_count()
-    with start_bench(EmulatedBenchSettings(device=DEVICE)) as bench:
+    with EmulatedBench(EmulatedBenchSettings(device=DEVICE)) as bench:
         assert bench.device is DEVICE
         hands = BenchHands(bench.hands_address)
         hands.mount("-y")
@@ -267,15 +267,15 @@ def test_hands_mount_over_their_socket_or_say_why_not():
 
 def test_a_bench_that_cannot_open_all_its_parts_leaves_none_open():
     before = threading.active_count()
-    with start_bench(EmulatedBenchSettings(device=DEVICE)) as bench:
+    with EmulatedBench(EmulatedBenchSettings(device=DEVICE)) as bench:
         taken = int(bench.chamber_address.rpartition(":")[2])
         with pytest.raises(OSError):
-            start_bench(EmulatedBenchSettings(device=DEVICE, hands_port=taken))
+            EmulatedBench(EmulatedBenchSettings(device=DEVICE, hands_port=taken))
     assert threading.active_count() == before
 
 
 def test_a_bench_without_a_device_draws_one():
     settings = EmulatedBenchSettings(stream=StreamSettings(seed=5))
-    with start_bench(settings) as one, start_bench(settings) as other:
+    with EmulatedBench(settings) as one, EmulatedBench(settings) as other:
         assert one.device.serial == other.device.serial
         assert isinstance(one.stream._device, CausalDevice)

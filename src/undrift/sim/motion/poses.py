@@ -26,6 +26,7 @@ References
 """
 
 import math
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
@@ -248,30 +249,18 @@ class Cutoff:
     cutoff_hz: float  # 3 dB down after both passes, Hz
     method: Method
     reason: str  # One sentence with the figures it rests on
-    crossing: bool = True  # False where motion and rest have no crossing up to the highest tried
 
 
-def choose_cutoff(
-    reference: Reference,
-    *,
-    method: Method | None = None,
-    signal: Signal = "orientation",
-) -> Cutoff:
-    """Choose the cut-off of the low-pass for poses; None takes the rest where it has a crossing, else the residual."""
-    marked = reference.moving is not None and bool((reference.moving == 0.0).any())
-    if method == "rest" or (method is None and marked):
-        try:
-            found = _by_rest(reference, signal)
-        except InputError:  # too short a rest for a spectrum
-            if method == "rest":
-                raise
-        else:
-            if method == "rest" or found.crossing:
-                return found
-    return _by_residual(reference, signal)
+def choose_cutoff(reference: Reference, *, signal: Signal = "orientation") -> Cutoff:
+    """Choose the cut-off of the low-pass for poses: by the rest where it shows one, else by the residual."""
+    found = None
+    with suppress(InputError):  # no stretch of rest is long enough
+        found = cutoff_by_rest(reference, signal)
+    return found or cutoff_by_residual(reference, signal)
 
 
-def _by_residual(reference: Reference, signal: Signal) -> Cutoff:
+def cutoff_by_residual(reference: Reference, signal: Signal) -> Cutoff:
+    """Return where the residual of a low-pass equals the noise, as its course at high cut-offs shows it."""
     time, values = _series(reference, signal, np.ones(len(reference), dtype=np.bool_))
     rate = float((len(time) - 1) / (time[-1] - time[0]))
     tried = np.linspace(_LOWEST_HZ, _TOP * rate, _TRIES)
@@ -290,21 +279,19 @@ def _by_residual(reference: Reference, signal: Signal) -> Cutoff:
     )
 
 
-def _by_rest(reference: Reference, signal: Signal) -> Cutoff:
+def cutoff_by_rest(reference: Reference, signal: Signal) -> Cutoff | None:
+    """Return where the power of the motion falls to that of the rest; None without a rest, or one too short for a spectrum."""
     from scipy.signal import welch
 
     if reference.moving is None or reference.moving.all():
-        raise InputError("cut-off: wanted a rest, got no stretch marked as not moving; give `cutoff_hz` a number")
+        return None
     rest, spectra = reference.moving == 0.0, []
     for part in (rest, ~rest):
         time, values = _series(reference, signal, part)
         rate = float((len(time) - 1) / (time[-1] - time[0]))
         length = round(_SEGMENT_S * rate)
         if len(time) < length:
-            raise InputError(
-                f"cut-off: wanted {_SEGMENT_S:g} s or more of rest and of motion without a long gap, got "
-                f"{time[-1] - time[0]:.2g} s; record longer, or give `cutoff_hz` a number"
-            )
+            return None
         power = welch(values, rate, nperseg=length, axis=0, detrend="linear")[1].sum(axis=1)  # type: ignore[call-overload]  # its stub spells linear "literal"
         width = round(_SMOOTH_HZ * _SEGMENT_S) + 1
         spectra.append(np.convolve(power, np.full(width, 1.0 / width), mode="same"))
@@ -313,11 +300,9 @@ def _by_rest(reference: Reference, signal: Signal) -> Cutoff:
     above = np.flatnonzero(use & (spectra[1] > _NOISE_FACTOR * spectra[0]))
     last = float(frequency[use][-1])
     chosen = float(frequency[above[-1] + 1]) if above.size else _LOWEST_HZ
-    power_of_rest = f"than {_NOISE_FACTOR:g} times the power of the rest"
     if chosen > last:  # cameras are noisier in motion than at rest
-        reason = f"up to {last:.1f} Hz, the highest tried, the motion has more {power_of_rest}: no crossing, choose another method"
-        return Cutoff(cutoff_hz=last, method="rest", reason=reason, crossing=False)
-    reason = f"from {chosen:.1f} Hz on the motion has less {power_of_rest}"
+        return None
+    reason = f"from {chosen:.1f} Hz on the motion has less than {_NOISE_FACTOR:g} times the power of the rest"
     return Cutoff(cutoff_hz=chosen, method="rest", reason=reason)
 
 

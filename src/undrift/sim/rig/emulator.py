@@ -72,7 +72,7 @@ class Emulator(Served):
 
     faults = RIG_FAULTS
 
-    def __init__(self, settings: EmulatorSettings, clock: Clock | None = None) -> None:
+    def __init__(self, settings: EmulatorSettings = EmulatorSettings(), clock: Clock | None = None) -> None:
         if settings.kind not in get_args(EmulatorKind):
             wanted = " or ".join(get_args(EmulatorKind))
             raise InputError(f"emulator kind: wanted {wanted}, got '{settings.kind}'; name one of them")
@@ -117,11 +117,6 @@ class Emulator(Served):
         self.machine.set_fault(fault, on)
         if fault == "power_cut":
             self._server.dark = on
-
-
-def start_emulator(settings: EmulatorSettings | None = None, *, clock: Clock | None = None) -> Emulator:
-    """Start an emulated rig; use it in a `with` block, or close it."""
-    return Emulator(settings or EmulatorSettings(), clock)
 
 
 # ---- The air of an emulated chamber and the board in it.
@@ -297,7 +292,7 @@ class EmulatedBench(Closed):
         chosen = settings.device or random_device(np.random.default_rng(settings.stream.seed), grade="consumer")
         self.device: DeviceModel = chosen
         with contextlib.ExitStack() as opened:
-            self.rig: Emulator = opened.enter_context(start_emulator(settings.rig, clock=clock))
+            self.rig: Emulator = opened.enter_context(Emulator(settings.rig, clock))
             host = settings.rig.host
             self.chamber = EmulatedChamber(settings.air, self.rig.clock, host)
             opened.callback(self.chamber.close)
@@ -389,8 +384,3 @@ class BenchHands:
             raise RigFault(f"hands: wanted {up} up, got '{error}'; is the emulated bench running?") from error
         if answer != f"OK {up}":
             raise RigFault(f"hands: wanted {up} up, got '{answer}'; mount it with a face that there is")
-
-
-def start_bench(settings: EmulatedBenchSettings | None = None, *, clock: Clock | None = None) -> EmulatedBench:
-    """Start an emulated bench; use it in a `with` block, or close it."""
-    return EmulatedBench(settings or EmulatedBenchSettings(), clock)
