@@ -1,6 +1,7 @@
 """Both triads from motion alone: intervals hold on simulated hands, what the motion hides is named, real devices are told right."""
 
 import re
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +12,7 @@ from scipy.stats import binom
 from testkit.data import show
 from undrift.calibration.calibrate import calibrate_from_motion
 from undrift.calibration.in_motion import InMotion, fit_in_motion
-from undrift.errors import InputError, NotObservable
+from undrift.errors import Implausible, InputError, NotObservable
 from undrift.model import Calibration
 from undrift.record import Record
 from undrift.sim.device.presets import random_device
@@ -143,6 +144,35 @@ def test_a_short_recording_gaps_and_a_device_at_rest_are_refused() -> None:
         fit_in_motion([replace(record, gyro=lost)])
     with pytest.raises(NotObservable, match="wanted a device that is turned"):
         fit_in_motion([replace(record, gyro=np.zeros_like(lost))])
+
+
+@pytest.mark.parametrize(
+    ("mistake", "words"),
+    [
+        (
+            lambda r: replace(r, gyro=np.asarray(r.gyro)[:, [1, 0, 2]]),
+            "gyroscope columns x and y are exchanged",
+        ),
+        (lambda r: replace(r, gyro=-np.asarray(r.gyro)), "sign"),
+        (lambda r: replace(r, time=2.0 * np.asarray(r.time)), "time"),
+        (lambda r: replace(r, accel=np.asarray(r.accel) / STANDARD_GRAVITY), "got a median of"),
+    ],
+)
+def test_columns_that_are_mistaken_are_named_before_anything_is_fitted(
+    mistake: Callable[[Record], Record], words: str
+) -> None:
+    with pytest.raises(Implausible, match=words):
+        calibrate_from_motion([mistake(pairs("chain")[0][0])])
+
+
+def test_force_that_gravity_does_not_explain_is_refused_and_a_scale_far_from_its_unit_is_named() -> None:
+    record, _ = pairs("chain")[0]
+    with pytest.raises(Implausible, match="wanted specific force that stays gravity"):
+        fit_in_motion([replace(record, gyro=np.asarray(record.gyro)[:, [1, 0, 2]])])
+    off = fit_in_motion([replace(record, gyro=1.1 * np.asarray(record.gyro))])
+    (named,) = [item for item in off.gyro.verdict.findings if item.code == "motion.scale"]
+    assert named.text.startswith("The gyroscope's scale is ")
+    assert off.gyro.verdict.status == "marginal"
 
 
 def test_a_real_segment_calibrated_by_the_motion_of_another_trial_ends_within_two_degrees() -> None:

@@ -537,6 +537,7 @@ def from_motion(session: Session, *, identify_adc: bool) -> tuple[Calibration, I
     """Calibrate from the motion in a session, and return with it the fit: offsets of each recording, what disturbed it."""
     _check_raw(session.records)
     records = in_one_unit(session).records
+    against = each_once(one for each in records for one in at("undrift.correction.consistency:check_triads")(each))
     rounding = device_adc(records) if identify_adc else None
     assumed = session.gravity_source == "standard"
     fit = fit_in_motion(
@@ -553,7 +554,7 @@ def from_motion(session: Session, *, identify_adc: bool) -> tuple[Calibration, I
         gyro=fit.gyro.model,
         accel=fit.accel.model,
         adc=rounding,
-        verdict=fit.gyro.verdict.also(Verdict.of(*more)),
+        verdict=fit.gyro.verdict.also(Verdict.of(*against, *more)),
         provenance=Provenance(
             settings=(
                 ("gyro", "motion"),

@@ -20,7 +20,7 @@ from itertools import pairwise
 import numpy as np
 
 from undrift.arrays import FloatArray
-from undrift.errors import InputError, NotObservable
+from undrift.errors import Implausible, InputError, NotObservable
 from undrift.findings import Finding, finding
 from undrift.fit.carried import MEAN_S, CarriedMeans
 from undrift.fit.least_squares import TriadFit, triad_fit
@@ -40,6 +40,8 @@ ACCEL_OFFSET = 0.3  # m/s2, by data sheets [assumed]
 MOVED, DAILY, RAW_RATE = 0.02 * RADIAN_PER_DEGREE, 0.1 * RADIAN_PER_DEGREE, 1.0 * RADIAN_PER_DEGREE
 # Errors over what the equations state: gyroscopes 1.2 simulated and 1.5 in real trials, accelerometers 1.8 (docs/decisions)
 WIDENED = {"gyro": 1.5, "accel": 1.8}
+NOT_GRAVITY = 1.0  # m/s2, left in a mean over 5 s: people who walk leave 0.03, hands 0.1 [assumed]
+FAR = 0.05  # of a scale factor: data sheets state 3 % [assumed]
 SHOWN = 0.5  # of the prior deviation, below which an element counts as seen
 _DIAGONAL = np.tile(np.eye(3, dtype=bool).reshape(-1), 2)
 _KINDS = np.array([2 * (k // 9) + _DIAGONAL[k] for k in range(18)])  # cross-axis and scale of each triad
@@ -269,12 +271,19 @@ def _result(records: Sequence[Record], units: list[_Unit], model: _Model, covari
         [np.exp(each.sizes[0]) for one in units if one.recording == r for _, each in one.stretches]
         for r in range(len(records))
     ]
+    left = np.sqrt([np.mean(each) for each in sizes])
+    if (most := float(left.max())) > NOT_GRAVITY:
+        raise Implausible(
+            f"motion, recording {int(left.argmax()) + 1}: wanted specific force that stays gravity where the gyroscopes turn "
+            f"it, got {most:.2g} m/s2 of acceleration in means over 5 s; check sample rate, units and axes of both triads",
+            acceleration_m_s2=most,
+        )
     return InMotion(
         gyro=fits[0],
         accel=fits[1],
         offsets=np.array([units[k].offset for k in firsts]) / per_gyro,
         offset_uncertainty=spread[firsts] / per_gyro,
-        acceleration=np.sqrt([np.mean(each) for each in sizes]),
+        acceleration=left,
         rested=tuple(units[k].rest is not None for k in firsts),
     )
 
@@ -297,4 +306,7 @@ def _judged(model: _Model, covariance: FloatArray) -> Iterator[Finding]:
             alike = [0.5 * float(np.sqrt(covariance[np.ix_(pair, pair)].sum())) for pair in pairs]
             if (most := 100.0 * max(*alike, *spread[scale])) > 0.2:
                 yield finding("reference.uncertainty", "warn", uncertainty_percent=most)
+    for triad, matrix in (("gyroscope", model.gyro), ("accelerometer", model.accel)):
+        if (most := float(np.abs(1.0 / np.diag(matrix) - 1.0).max())) > FAR:
+            yield finding("motion.scale", "warn", triad=triad, percent=100.0 * most)
     yield finding("motion.case", "info", lean_deg=np.degrees(spread[:18][~_DIAGONAL].max()))
