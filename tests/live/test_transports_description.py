@@ -5,7 +5,7 @@ import pytest
 
 from undrift.errors import FileFormatError, InputError
 from undrift.live.decoder import StreamDescription, read_description
-from undrift.live.transports import parse_address, source_at
+from undrift.live.transports import source_at
 
 SIX = ("gyro_x", "gyro_y", "gyro_z", "accel_x", "accel_y", "accel_z")
 
@@ -110,5 +110,5 @@ def test_a_file_that_is_not_there_is_refused(tmp_path):
 
 def test_an_address_keeps_what_it_was_given():
     base = StreamDescription(channels=SIX, rate=7.0)
-    assert parse_address("udp://:1", base).describe() is not None
+    assert source_at("udp://:1", base).description == base
     assert source_at("udp://:1?rate=9", base).description.rate == 9.0

@@ -83,16 +83,11 @@ class Address:
         return described(base, tuple(pair for pair in self.options if pair[0] not in (*own, "description")))
 
 
-def parse_address(text: str, description: StreamDescription | None = None, clock: Clock = HOST) -> Address:
-    """Take an address apart."""
-    kind, place, options = split_address(text, "device", SOURCES, GROUP, "name how it is connected")
-    return Address(kind=kind, place=place, options=options, description=description, clock=clock)
-
-
 def source_at(text: str, description: StreamDescription | None = None, clock: Clock = HOST) -> Source:
     """Return the source of an address, not opened yet."""
-    address = parse_address(text, description, clock)
-    source: Source = load_named(address.kind, SOURCES, GROUP)(address)
+    kind, place, options = split_address(text, "device", SOURCES, GROUP, "name how it is connected")
+    address = Address(kind=kind, place=place, options=options, description=description, clock=clock)
+    source: Source = load_named(kind, SOURCES, GROUP)(address)
     return source
 
 
