@@ -1,0 +1,102 @@
+"""Both triads from motion alone on a bench that errs: three recordings of one device in hands, on three days, half without a rest.
+
+Readings are scaled by the data sheet. Their errors: turn-on offset of each recording, random walk of the grade, flicker, cross-axis
+terms, g-sensitivity, and codes cut off where the grade has them; gravity is assumed. The truth of a recording's offset is the mean
+of what these add to its rates. How the case turns both triads is not seen: of cross-axis terms the symmetric part counts.
+"""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import get_args
+
+import numpy as np
+
+from benchmarks.erring_bench import Row, Tally
+from undrift.arrays import FloatArray
+from undrift.calibration.calibrate import from_motion
+from undrift.model import TriadModel
+from undrift.record import Record, Session
+from undrift.sim.device.effects import BiasInstability
+from undrift.sim.device.model import DeviceModel
+from undrift.sim.device.presets import GradeName, random_device
+from undrift.sim.device.simulate import simulate_device
+from undrift.sim.device.truth import true_calibration
+from undrift.sim.motion.tasks import draw_task
+from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
+
+RATE_HZ, RECORDINGS, WITHOUT_REST = 50.0, 3, 0.5
+TURN_ON = 0.05 * RADIAN_PER_DEGREE  # rad/s, of each recording
+GRAVITY = 0.02  # m/s2, what is assumed of gravity is off by
+FLICKER = {"gyro": 8.0 / 3600.0 * RADIAN_PER_DEGREE, "accel": 5e-5 * STANDARD_GRAVITY}  # of an MPU-6050's data sheet
+SLOW = ("offset", "g_sensitivity", "instability", "random_walk")  # effects whose mean is a recording's offset
+SCALE = np.eye(9)[[0, 4, 8]]
+CROSS = 0.5 * (np.eye(9)[[1, 2, 5]] + np.eye(9)[[3, 6, 7]])
+
+
+def rows(devices: int, seed: int) -> Iterator[Row]:
+    """Yield the rows of each grade."""
+    for grade in get_args(GradeName):
+        rng, tally = np.random.default_rng(seed), Tally("motion alone", f"{grade} part, three recordings in hands")
+        for _ in range(devices):
+            device = erring(random_device(rng, grade=grade))
+            records, offsets = handled(device, rng)
+            session = Session(
+                kind="calibration", serial="", records=records, gravity_m_s2=STANDARD_GRAVITY, gravity_source="standard"
+            )
+            made, fit = from_motion(session, identify_adc=True)
+            true = true_calibration(device)
+            groups = {
+                f"{triad[0]}. {name}": _against(seen, *models)
+                for triad, models in (
+                    ("gyro", (made.gyro, true.gyro, device.gyro.gain)),
+                    ("accel", (made.accel, true.accel, device.accel.gain)),
+                )
+                for name, seen in (("scale", SCALE), ("cross", CROSS))
+            }
+            assert made.accel is not None
+            assert true.accel is not None
+            away = made.accel.offset - (true.accel.offset - device.accel.null) / device.accel.gain
+            tally.add(
+                made.verdict, **groups, **{"a. offset": (away, made.accel.standard_uncertainty[9:12])},
+                recordings=((fit.offsets - offsets) / RADIAN_PER_DEGREE, fit.offset_uncertainty / RADIAN_PER_DEGREE),
+            )  # fmt: skip
+        yield from tally.rows()
+
+
+def erring(device: DeviceModel) -> DeviceModel:
+    """Return a device with flicker; walk, g-sensitivity and codes are those of its grade."""
+    gyro, accel = (
+        replace(chain, instability=BiasInstability(instability=np.full(3, FLICKER[kind])))
+        for kind, chain in (("gyro", device.gyro), ("accel", device.accel))
+    )
+    return replace(device, gyro=gyro, accel=accel)
+
+
+def handled(device: DeviceModel, rng: np.random.Generator) -> tuple[tuple[Record, ...], FloatArray]:
+    """Return recordings of a device in hands, in rad/s and m/s2 by its data sheet, and the offset of each, (R, 3) rad/s."""
+    records, offsets, gravity = [], [], STANDARD_GRAVITY + GRAVITY * rng.standard_normal()
+    for _ in range(RECORDINGS):
+        task = draw_task("free", rng=rng)
+        today = replace(device, gyro=device.gyro.shifted(TURN_ON * rng.standard_normal(3)))
+        motion = task.at(np.arange(round(task.duration_s * RATE_HZ)) / RATE_HZ, gravity)
+        made = simulate_device(today, motion, rng=rng)
+        cut_s = task.moving_s if rng.uniform() < WITHOUT_REST else (0.0, np.inf)
+        seen = (made.record.time >= cut_s[0]) & (made.record.time < cut_s[1])
+        offsets.append(sum(made.gyro.of(effect)[seen].mean(axis=0) for effect in SLOW))
+        gyro, accel = (
+            (np.asarray(getattr(made.record, name)) - chain.null) / chain.gain
+            for name, chain in (("gyro", device.gyro), ("accel", device.accel))
+        )
+        si = replace(made.record, gyro=gyro, accel=accel, gyro_unit="rad/s", accel_unit="m/s2")
+        records.append(si.between(*cut_s))
+    return tuple(records), np.array(offsets)
+
+
+def _against(
+    seen: FloatArray, made: TriadModel | None, true: TriadModel | None, gain: float
+) -> tuple[FloatArray, FloatArray]:
+    """Return errors of what motion shows of a matrix and their standard uncertainties; the true one is of raw readings."""
+    assert made is not None
+    assert true is not None
+    error = seen @ (made.matrix - gain * true.matrix).ravel()
+    return error, np.sqrt(np.diag(seen @ made.covariance[:9, :9] @ seen.T))

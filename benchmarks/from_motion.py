@@ -1,0 +1,277 @@
+"""What motion alone gives: BROAD by each step, pitch of simulated tasks by each offset, and how long the fits take.
+
+``python -m benchmarks.from_motion`` prints three tables, or those that are named: broad, tasks, times.
+
+broad: end error, total / inclination, deg, of the eight trials at hand, each calibrated on the *other* trials of its device, by
+strapdown and by VQF (offline, as ``orient --method vqf`` has it) fed with the same readings; beside it the expected error.
+tasks: pitch error, rms over the motion, deg, of three simulated devices, each calibrated by a bench session, on another day.
+There is no walking in ``sim``: ten minutes are ten ``free`` tasks in one recording, and a walk of sinusoids that is made here.
+times: 30 recordings of two minutes through the fit of both triads; the offset of one of them.
+"""
+
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from time import perf_counter
+
+import numpy as np
+
+from benchmarks.broad import DEVICES, pairs, trial
+from undrift.arrays import FloatArray
+from undrift.calibration.calibrate import calibrate, calibrate_from_motion, device_adc
+from undrift.calibration.in_motion import fit_in_motion
+from undrift.calibration.reference import leave_one_out
+from undrift.correction.correct import correct
+from undrift.correction.motion import find_motion_offset
+from undrift.correction.rest import find_rest_offset
+from undrift.frames import quaternion_conjugate, quaternion_product
+from undrift.model import Calibration
+from undrift.orientation import OrientSettings, heading_of, orient
+from undrift.record import Record, Reference
+from undrift.sim.device.presets import random_device
+from undrift.sim.device.simulate import simulate_device
+from undrift.sim.motion.motion import Course, Step, wave
+from undrift.sim.motion.tasks import Task, draw_task
+from undrift.sim.sessions import simulate_session
+from undrift.sync import seen_poses
+from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
+from undrift.validation.agreement import validate_leave_one_out
+from undrift.validation.trial import (
+    OffsetChoice,
+    Trial,
+    TrialSettings,
+    compare_orientations,
+    orientation_at,
+    validate_trial,
+)
+
+# ---- BROAD
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Ended:
+    """End errors of one trial after one step, deg."""
+
+    number: str
+    strapdown: tuple[float, float]  # total, inclination
+    filtered: tuple[float, float]  # by VQF
+    expected: float = float("nan")  # of strapdown, total
+    interval: tuple[float, float] = (float("nan"), float("nan"))  # 95 %
+
+
+def steps(numbers: Sequence[str]) -> Iterator[tuple[str, list[Ended]]]:
+    """Yield the trials of a device after each step."""
+    every = pairs(numbers)
+    records, references = [p[0] for p in every], [p[1] for p in every]
+    adc = device_adc(records)
+    fits = [
+        Calibration(
+            device="", reference_temp_c=np.nan, gravity_m_s2=STANDARD_GRAVITY, gyro=one.model, adc=adc,
+            verdict=one.fit.triad.verdict,
+        )
+        for one in leave_one_out(records, references, adc=adc)
+    ]  # fmt: skip
+    in_motion = [calibrate_from_motion([other for other in records if other is not record]) for record in records]
+    without: list[Calibration | None] = [None] * len(records)
+    plain = TrialSettings(adc="none")
+    rows: tuple[tuple[str, Sequence[Calibration | None], OffsetChoice], ...] = (
+        ("raw", without, "none"),
+        ("rest", without, "rest"),
+        ("reference fit", fits, "none"),
+        ("reference fit, offset from motion", fits, "motion"),
+        ("motion of the others, rest", in_motion, "rest"),
+        ("motion of the others, offset from motion", in_motion, "motion"),
+    )
+    for name, calibrations, offset in rows:
+        settings = replace(plain if calibrations is without else TrialSettings(), offset=offset)
+        if calibrations is fits:  # the same, with the errors to expect of trials that were held out
+            trials = validate_leave_one_out(every, settings=settings, names=numbers).trials
+        else:
+            trials = tuple(
+                validate_trial(*pair, calibration=made, settings=settings)
+                for pair, made in zip(every, calibrations, strict=True)
+            )
+        yield (
+            name,
+            [
+                _ended(number, one, by_vqf(one, *pair, made, offset))
+                for number, one, pair, made in zip(numbers, trials, every, calibrations, strict=True)
+            ],
+        )
+
+
+def _ended(number: str, judged: Trial, filtered: tuple[float, float]) -> Ended:
+    ends = judged.figures.end_total_deg, judged.figures.end_inclination_deg
+    if judged.expected is None:
+        return Ended(number=number, strapdown=ends, filtered=filtered)
+    made = judged.expected
+    return Ended(
+        number=number, strapdown=ends, filtered=filtered, expected=made.end_total_deg, interval=made.end_interval_deg
+    )
+
+
+def by_vqf(
+    judged: Trial, record: Record, reference: Reference, calibration: Calibration | None, offset: OffsetChoice
+) -> tuple[float, float]:
+    """Return the end error of VQF, total and inclination, deg, where ``validate`` takes it; heading equal before the motion."""
+    done = record.in_si() if calibration is None else correct(record, calibration)
+    model = None if calibration is None else calibration.gyro
+    track = orient(done, None, OrientSettings(method="vqf", offset=offset), gyro_model=model)
+    poses, settings = seen_poses(done, reference, judged.lag), TrialSettings()
+    lag_s = judged.lag.seconds * judged.lag_undone
+    shift_s = (judged.lag.seconds - 0.5 / done.sample_rate_hz) * judged.lag_undone
+    q = orientation_at(track.time, track.q_nb, poses.time + shift_s)
+    start_s, stop_s = judged.motion.start_s - lag_s, judged.motion.stop_s - lag_s
+    seen = poses.valid & np.isfinite(q).all(axis=1)
+    before = seen & (poses.time >= start_s - settings.rest_s) & (poses.time < start_s - settings.lead_s)
+    off = heading_of(quaternion_product(q, quaternion_conjugate(poses.q_nb)))[before]
+    turn = -0.5 * float(np.angle(np.exp(1j * off).mean()))
+    q = quaternion_product(np.array([np.cos(turn), 0.0, 0.0, np.sin(turn)]), q)
+    after = seen & (poses.time >= stop_s) & (poses.time < stop_s + settings.end_s)
+    error = compare_orientations(q[after], poses.q_nb[after])
+    return float(np.degrees(np.median(error.total))), float(np.degrees(np.median(error.inclination)))
+
+
+def print_broad() -> None:
+    """Print the trials of each device and their means."""
+    every: dict[str, list[Ended]] = {}
+    for device, numbers in DEVICES.items():
+        for name, ended in steps(numbers):
+            every.setdefault(name, []).extend(ended)
+            print(f"{device}, {name}: {'; '.join(map(_words, ended))}", flush=True)
+    print(f"\n{'mean of eight, deg':42} {'strapdown':13} {'VQF':13} observed / expected (rms), inside 95 %")
+    for name, ended in every.items():
+        means = [
+            f"{np.mean([e[k] for e in each]):5.2f}" for each in zip(*map(_pairs, ended), strict=True) for k in (0, 1)
+        ]
+        known = [e for e in ended if np.isfinite(e.expected)]
+        text = ""
+        if known:
+            ratio = np.sqrt(np.mean([(e.strapdown[0] / e.expected) ** 2 for e in known]))
+            inside = sum(e.interval[0] <= e.strapdown[0] <= e.interval[1] for e in known)
+            below = sum(e.strapdown[0] < e.interval[0] for e in known)
+            text = f"{ratio:.2f}, {inside} of {len(known)}" + f" ({below} below)" * (below > 0)
+        print(f"{name:42} {means[0]} ({means[1]}) {means[2]} ({means[3]}) {text}")
+
+
+def _pairs(ended: Ended) -> tuple[tuple[float, float], tuple[float, float]]:
+    return ended.strapdown, ended.filtered
+
+
+def _words(ended: Ended) -> str:
+    expected = f", expected {ended.expected:.2f} [{ended.interval[0]:.2f}, {ended.interval[1]:.2f}]"
+    return (
+        f"{ended.number} {ended.strapdown[0]:.2f} / {ended.strapdown[1]:.2f}{expected * bool(np.isfinite(ended.expected))}, "
+        f"VQF {ended.filtered[0]:.2f} / {ended.filtered[1]:.2f}"
+    )
+
+
+# ---- tasks
+
+# Rests of 10 s: the offset from motion refuses recordings below 20 s, and a sit-to-stand lasts 3 s
+RATE_HZ, REST_S, MINUTES, SEEDS = 100.0, 10.0, 10, (1, 2, 3)
+TURN_ON = 0.05 * RADIAN_PER_DEGREE  # rad/s: what the offset moves by from the bench session to another day [assumed]
+CADENCE_HZ, COURSE_S = 1.8, 15.0  # steps of a walk; time between two turns about [assumed]
+# A walk [assumed]: amplitude, deg or m, and frequency over that of steps
+WALK = {
+    "roll": ((2.5, 0.5), (0.5, 1.5)),
+    "pitch": ((1.5, 1.0), (0.5, 0.5)),
+    "yaw": ((4.0, 0.5), (0.8, 1.5)),
+    "forward": ((0.015, 1.0), (0.004, 2.0)),
+    "left": ((0.02, 0.5), (0.003, 1.5)),
+    "up": ((0.02, 1.0), (0.003, 2.0)),
+}
+
+
+def ten_free(rng: np.random.Generator) -> Task:
+    """Return ten free tasks in one recording, one after another."""
+    each = [draw_task("free", rng=rng, rest_s=REST_S + 60.0 * k) for k in range(MINUTES)]
+    courses = {name: tuple(term for one in each for term in getattr(one, name)) for name in WALK}
+    stop = each[-1].moving_s[1]
+    return Task(name="free, 10 min", duration_s=stop + REST_S, moving_s=(REST_S, stop), **courses)
+
+
+def walk(rng: np.random.Generator) -> Task:
+    """Return ten minutes of walking to and fro: waves of the step's and the stride's frequency, turns about of 2 s."""
+    start, stop = REST_S, REST_S + 60.0 * MINUTES
+    cadence = CADENCE_HZ * rng.uniform(0.9, 1.1)
+    courses: dict[str, Course] = {
+        name: tuple(
+            wave(
+                size * rng.uniform(0.8, 1.2) * (RADIAN_PER_DEGREE if name in ("roll", "pitch", "yaw") else 1.0),
+                share * cadence, rng.uniform(0.0, 2.0 * np.pi), start, stop,
+            )
+            for size, share in WALK[name]
+        )
+        for name in WALK
+    }  # fmt: skip
+    about = np.arange(start + COURSE_S, stop - 3.0, COURSE_S)
+    courses["yaw"] = (*courses["yaw"], *(Step(float(at), 2.0, (-1.0) ** k * np.pi) for k, at in enumerate(about)))
+    return Task(name="walk, 10 min", duration_s=stop + REST_S, moving_s=(start, stop), arm_b=(0.1, 0.0, 0.0), **courses)
+
+
+TASKS: dict[str, Callable[[np.random.Generator], Task]] = {
+    "sit_to_stand": lambda rng: draw_task("sit_to_stand", rng=rng, rest_s=REST_S),
+    "step": lambda rng: draw_task("step", rng=rng, rest_s=REST_S),
+    "posturography, 50 s": lambda rng: draw_task("posturography", rng=rng, rest_s=REST_S),
+    "free, 10 min": ten_free,
+    "walk, 10 min": walk,
+}
+
+
+def pitch_errors(name: str, seed: int) -> list[float]:
+    """Return the pitch error of one device in a task, rms, deg: offset none, rest, motion."""
+    rng = np.random.default_rng(seed)
+    device = random_device(rng)
+    calibration = calibrate(simulate_session("bench", device, rng=rng))
+    today = replace(device, gyro=device.gyro.shifted(TURN_ON * rng.standard_normal(3)))
+    task = TASKS[name](rng)
+    motion = task.at(np.arange(round(task.duration_s * RATE_HZ)) / RATE_HZ, STANDARD_GRAVITY)
+    record = simulate_device(today, motion, rng=rng).record
+    truth = Reference(time=motion.time, q_nb=motion.q_nb, moving=motion.moving, name=name)
+    return [
+        validate_trial(
+            record, truth, calibration=calibration, settings=TrialSettings(offset=offset)
+        ).figures.rmse_pitch_deg
+        for offset in ("none", "rest", "motion")
+    ]
+
+
+def print_tasks() -> None:
+    """Print the pitch error of each task."""
+    print(f"{'pitch error, rms, deg':21} {'none':24} {'rest':24} motion")
+    for name in TASKS:
+        found: FloatArray = np.array([pitch_errors(name, seed) for seed in SEEDS]).T
+        cells = [f"{np.sqrt((row**2).mean()):.3f} ({' '.join(f'{e:.3f}' for e in row)})" for row in found]
+        print(f"{name:21} " + " ".join(f"{cell:27}" for cell in cells), flush=True)
+
+
+# ---- times
+
+
+def print_times() -> None:
+    """Print how long the fit of 30 recordings of two minutes takes, and the offset of one."""
+    records = [trial(n)[0].between(0.0, 120.0) for numbers in DEVICES.values() for n in numbers] * 4
+    fit_in_motion(records[:1])  # the compiler's time is not the estimator's
+    start = perf_counter()
+    fit_in_motion(records[:30])
+    took = perf_counter() - start
+    print(
+        f"fit_in_motion, 30 recordings of {records[0].duration_s:.0f} s at {records[0].sample_rate_hz:.0f} Hz: {took:.1f} s"
+    )
+    rest = find_rest_offset(records[0])
+    for name, known in (("with its rest", rest), ("without", None)):
+        find_motion_offset(records[0], known)
+        start = perf_counter()
+        find_motion_offset(records[0], known)
+        print(f"find_motion_offset, {records[0].duration_s:.0f} s, {name}: {perf_counter() - start:.2f} s")
+
+
+def main() -> None:
+    """Print the tables."""
+    for part in sys.argv[1:] or ("broad", "tasks", "times"):
+        {"broad": print_broad, "tasks": print_tasks, "times": print_times}[part]()
+
+
+if __name__ == "__main__":
+    main()
