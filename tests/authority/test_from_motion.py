@@ -29,7 +29,7 @@ def test_each_step_leaves_less_of_the_end_error_and_less_yet_by_a_filter():
         assert one[3] < 0.6  # a filter's inclination is that of its accelerometers
 
 
-def test_offset_from_motion_halves_the_pitch_error_of_fifty_seconds_of_stance():
+def test_rest_and_motion_leave_a_tenth_of_the_pitch_error_of_fifty_seconds_of_stance():
     none, rest, motion = np.sqrt(
         np.mean([np.square(pitch_errors("posturography, 50 s", seed)) for seed in (1, 2, 3)], axis=0)
     )
