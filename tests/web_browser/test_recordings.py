@@ -33,7 +33,7 @@ def test_a_table_is_mapped_calibrated_and_corrected_without_a_command_line(
     page.get_by_role("button", name="Read the file").click()
     page.get_by_label("Angle of its turns, deg").fill("360")
     shoot(page, "recordings-read")
-    page.get_by_role("button", name="Calibrate").click()
+    page.get_by_role("button", name="Calibrate", exact=True).click()
     page.wait_for_url("**/result")
     verdict = page.get_by_role("heading", name="Verdict:")
     expect(verdict).to_have_text("Verdict: marginal")
