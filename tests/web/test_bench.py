@@ -128,6 +128,16 @@ def test_the_offset_that_was_chosen_is_subtracted_by_correct_orient_and_validate
     assert "--offset" not in bench.calls[-1]
 
 
+def test_a_recording_is_calibrated_by_its_motion_where_that_is_chosen(bench):
+    held, one = bench.recordings, StoredFile(path=bench.folder / "uploads" / "walk.csv")
+    for motion in (False, True):
+        asyncio.run(held.calibrate(one, turn_deg=360.0, serial="A17", motion=motion))
+        call = [str(word) for word in bench.calls[-1]]
+        assert ("--from" in call, "--turn-deg" in call) == (motion, not motion)
+        assert call[call.index("--serial") + 1] == "A17"
+    assert call[call.index("--from") + 1] == "motion"
+
+
 def test_a_rate_that_a_command_asks_for_can_be_stated_on_the_page(bench):
     one = StoredFile(path=Path("walk.csv"), about={"kind": "recording"}, map=Path("map.toml"))
     one.error = "walk.csv: wanted 50 samples a second, got 100; say --sample-rate-hz 100"
