@@ -165,6 +165,18 @@ def test_columns_that_are_mistaken_are_named_before_anything_is_fitted(
         calibrate_from_motion([mistake(pairs("chain")[0][0])])
 
 
+def test_rows_that_fill_a_file_up_are_named_and_taken_for_no_rest() -> None:
+    record = pairs("chain")[0][0].between(3.0, 55.0)  # begins and ends in motion
+    time = np.append(record.time, record.time[-1] + np.arange(1, 121) / 40.0)
+    gyro, accel = (np.vstack((each, np.repeat(each[-1:], 120, axis=0))) for each in (record.gyro, record.accel))
+    plain, filled = (calibrate_from_motion([one]) for one in (record, Record(time=time, gyro=gyro, accel=accel)))
+    assert plain.gyro is not None
+    assert filled.gyro is not None
+    np.testing.assert_allclose(filled.gyro.offset, plain.gyro.offset, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(filled.gyro.matrix, plain.gyro.matrix, rtol=0, atol=1e-9)
+    assert "recording.padded" in [item.code for item in filled.verdict.findings]
+
+
 def test_force_that_gravity_does_not_explain_is_refused_and_a_scale_far_from_its_unit_is_named() -> None:
     record, _ = pairs("chain")[0]
     with pytest.raises(Implausible, match="wanted specific force that stays gravity"):

@@ -40,7 +40,8 @@ from undrift.fit.least_squares import TriadFit, triad_fit
 from undrift.model import AdcModel, Calibration, Provenance, Verdict, versions_used
 from undrift.plugins import load_named, names_in
 from undrift.record import FACES, GravitySource, Record, Reference, Session, Turn, check_local_gravity
-from undrift.sync import LagSettings
+from undrift.segments import unpadded
+from undrift.sync import LagSettings, padding
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical, si_factor
 
 if TYPE_CHECKING:
@@ -455,26 +456,36 @@ def calibrate_to_references(
     accel, more = _accel_of(records, references, rounding, fit, gravity_m_s2)
     if accel is not None and gravity_source == "standard":
         more += (finding("session.gravity_assumed", "info", gravity_m_s2=gravity_m_s2),)
-    temps = [float(np.nanmean(record.temp_c)) for record in records if record.temp_c is not None]
-    return Calibration(
-        device=records[0].device,
-        reference_temp_c=float(np.mean(temps)) if temps else float("nan"),
+    return _calibration(
+        records,
         gravity_m_s2=gravity_m_s2,
         gyro=fit.triad.model,
         accel=None if accel is None else accel.model,
         adc=rounding,
         verdict=fit.triad.verdict.also(Verdict.of(*more) if accel is None else Verdict.of(*more).also(accel.verdict)),
+        settings=(
+            ("gyro", method),
+            ("adc", adc),
+            ("mounting", settings.mounting),
+            ("gravity", gravity_source),
+        ),
+    )
+
+
+def _calibration(
+    records: Sequence[Record], serial: str = "", *, settings: tuple[tuple[str, str], ...], **fields: Any
+) -> Calibration:
+    """Return the calibration of whole recordings: at their mean temperature, with where it came from."""
+    temps = [float(np.nanmean(record.temp_c)) for record in records if record.temp_c is not None]
+    return Calibration(
+        device=serial or records[0].device,
+        reference_temp_c=float(np.mean(temps)) if temps else float("nan"),
         provenance=Provenance(
-            settings=(
-                ("gyro", method),
-                ("adc", adc),
-                ("mounting", settings.mounting),
-                ("gravity", gravity_source),
-                ("recordings", f"{len(records)}"),
-            ),
+            settings=(*settings, ("recordings", f"{len(records)}")),
             versions=versions_used(),
             created=datetime.now(UTC).isoformat(timespec="seconds"),
         ),
+        **fields,
     )
 
 
@@ -536,8 +547,10 @@ def calibrate_from_motion(
 def from_motion(session: Session, *, identify_adc: bool) -> tuple[Calibration, InMotion]:
     """Calibrate from the motion in a session, and return with it the fit: offsets of each recording, what disturbed it."""
     _check_raw(session.records)
-    records = in_one_unit(session).records
-    against = each_once(one for each in records for one in at("undrift.correction.consistency:check_triads")(each))
+    whole = in_one_unit(session).records
+    records = [unpadded(record) for record in whole]  # rows that fill a file up look like a rest
+    named = [one for pair in zip(whole, records, strict=True) for one in padding(*pair)]
+    named += [one for each in records for one in at("undrift.correction.consistency:check_triads")(each)]
     rounding = device_adc(records) if identify_adc else None
     assumed = session.gravity_source == "standard"
     fit = fit_in_motion(
@@ -545,30 +558,24 @@ def from_motion(session: Session, *, identify_adc: bool) -> tuple[Calibration, I
         gravity_m_s2=session.gravity_m_s2,
         gravity_uncertainty=ASSUMED_GRAVITY if assumed else 0.0,
     )
-    temps = [float(np.nanmean(record.temp_c)) for record in records if record.temp_c is not None]
     more = (finding("session.gravity_assumed", "info", gravity_m_s2=session.gravity_m_s2),) if assumed else ()
-    made = Calibration(
-        device=session.serial or records[0].device,
-        reference_temp_c=float(np.mean(temps)) if temps else float("nan"),
+    calibration = _calibration(
+        records,
+        session.serial,
         gravity_m_s2=session.gravity_m_s2,
         gyro=fit.gyro.model,
         accel=fit.accel.model,
         adc=rounding,
-        verdict=fit.gyro.verdict.also(Verdict.of(*against, *more)),
-        provenance=Provenance(
-            settings=(
-                ("gyro", "motion"),
-                ("accel", "motion"),
-                ("adc", "auto" if identify_adc else "none"),
-                ("gravity", session.gravity_source),
-                ("recordings", f"{len(records)}"),
-            ),
-            versions=versions_used(),
-            created=datetime.now(UTC).isoformat(timespec="seconds"),
+        verdict=fit.gyro.verdict.also(Verdict.of(*each_once(named), *more)),
+        settings=(
+            ("gyro", "motion"),
+            ("accel", "motion"),
+            ("adc", "auto" if identify_adc else "none"),
+            ("gravity", session.gravity_source),
         ),
         file_map=session.file_map,
     )
-    return made, fit
+    return calibration, fit
 
 
 def _check_raw(records: Sequence[Record]) -> None:

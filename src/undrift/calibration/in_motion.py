@@ -53,7 +53,7 @@ class InMotion:
 
     gyro: TriadFit
     accel: TriadFit
-    offsets: FloatArray  # (R, 3), reading at zero rate in the middle of each recording, in its unit
+    offsets: FloatArray  # (R, 3), reading at zero rate, mean over each recording, in its unit
     offset_uncertainty: FloatArray  # (R, 3), standard uncertainty of them
     acceleration: FloatArray  # (R,), what is left of it in a mean over 5 s, rms, m/s2
     rested: tuple[bool, ...]  # (R,), whether a recording has a rest
@@ -265,12 +265,9 @@ def _result(records: Sequence[Record], units: list[_Unit], model: _Model, covari
                 valid_range=(min(float(each.min()) for each in readings), max(float(each.max()) for each in readings)),
             )
         )
-    firsts = [next(k for k, one in enumerate(units) if one.recording == r) for r in range(len(records))]
     spread = np.sqrt(np.diag(covariance)[24:].reshape(-1, 3))
-    sizes = [
-        [np.exp(each.sizes[0]) for one in units if one.recording == r for _, each in one.stretches]
-        for r in range(len(records))
-    ]
+    of_each = [[k for k, one in enumerate(units) if one.recording == r] for r in range(len(records))]
+    sizes = [[np.exp(each.sizes[0]) for k in places for _, each in units[k].stretches] for places in of_each]
     left = np.sqrt([np.mean(each) for each in sizes])
     if (most := float(left.max())) > NOT_GRAVITY:
         raise Implausible(
@@ -281,10 +278,10 @@ def _result(records: Sequence[Record], units: list[_Unit], model: _Model, covari
     return InMotion(
         gyro=fits[0],
         accel=fits[1],
-        offsets=np.array([units[k].offset for k in firsts]) / per_gyro,
-        offset_uncertainty=spread[firsts] / per_gyro,
+        offsets=np.array([np.mean([units[k].offset for k in places], axis=0) for places in of_each]) / per_gyro,
+        offset_uncertainty=np.array([spread[places].max(axis=0) for places in of_each]) / per_gyro,
         acceleration=left,
-        rested=tuple(units[k].rest is not None for k in firsts),
+        rested=tuple(units[places[0]].rest is not None for places in of_each),
     )
 
 

@@ -21,7 +21,7 @@ from undrift.sync import Lag
 #     w  = M (u - offset) - m(t) d - G a                    m = 1 while the device turns, specific force a
 #     R_w = exp(w dt) ... exp(w dt)                         product over the window's samples
 #     y  = log(R_w^T R_i^T R_j)                             what is left, rad, in the body at j
-#     y  = J (dM, dd, dc, dG) + pose noise                      J from one running sum of R regressor dt along the recording
+#     y  = J (dM, dd, dc, dG) + pose noise                  J from one running sum of R regressor dt along the recording
 #
 # Poses are taken at their own times; the integration is read off there, the lag added. So no pose is ever interpolated.
 

@@ -8,7 +8,7 @@ The summary judges a calibration by its own recordings: readings of every piece 
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -156,8 +156,9 @@ def calibrate(
     check_output(output, endings=(".json",), reads=(*files, opening.column_map))
     check_figure(figure, reads=files)
     registering.check()
-    if calibrate_from == "motion" and (idle := {"accel": accel, "gyro": gyro, "mode": mode, "turn_deg": turn_deg}):
-        _check_idle({name: value for name, value in idle.items() if value is not None})
+    if calibrate_from == "motion":
+        idle = {"accel": accel, "gyro": gyro, "mode": mode, "turn_deg": turn_deg, "keep_offset": keep_offset or None}
+        _check_idle(idle, fitting, table, sensitivity, rests)
     settings = CalibrateSettings(
         still=rests.settings(),
         latitude_deg=place.latitude_deg,
@@ -182,14 +183,16 @@ def calibrate(
     if output is not None:
         write_calibration(made, output)
     if figure is not None:
-        how = {"title": f"{name_of(files[0])}: used", "used": True}
+        how = {"title": f"{name_of(files[0])}{': used' * (seen is not None)}", "used": seen is not None}
         of = (session.records, calibrated.pieces)
         Drawing(place="undrift.report.figures:draw_recording", of=of, options=how).save(figure)
     return calibrated
 
 
-def _check_idle(stated: dict[str, object]) -> None:
-    """Refuse options that motion alone has no use for."""
+def _check_idle(named: Mapping[str, object], *chosen: Any) -> None:
+    """Refuse options that motion alone has no use for, by themselves or in settings other than their defaults."""
+    stated = [name for name, value in named.items() if value is not None]
+    stated += [name for one in chosen for name, value in asdict(one).items() if value != getattr(type(one)(), name)]
     if stated:
         raise InputError(
             f"calibrate: `calibrate_from` motion has no use for {' and '.join(f'`{name}`' for name in stated)}: leave "
