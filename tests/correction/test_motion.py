@@ -11,7 +11,7 @@ from scipy.stats import binom
 from testkit.broad_trials import FILES, trial
 from testkit.data import show
 from undrift.correction.correct import Corrector, correct_checked, correct_whole
-from undrift.correction.motion import STRETCH_S, find_motion_offset
+from undrift.correction.motion import STRETCH_S, find_motion_offset, offset_answer
 from undrift.correction.rest import MOVED, RestOffset, find_rest_offset
 from undrift.errors import InputError
 from undrift.model import MATRIX_NAMES, MOVING_NAMES, OFFSET_NAMES
@@ -200,3 +200,25 @@ def test_a_fitted_change_to_motion_takes_the_place_of_the_assumed_one(stated_dps
     )
     before = [find_motion_offset(record, rest, one).prior / RADIAN_PER_DEGREE for one in (None, model)]
     np.testing.assert_allclose(before, [[0.02] * 3, [wanted_dps] * 3], rtol=0.05)
+
+
+def test_an_error_of_the_rates_moves_the_offset_by_what_is_stated() -> None:
+    record, *_ = worn(4, "free")
+    rest = find_rest_offset(record)
+    rates = np.asarray(record.gyro)
+    first = find_motion_offset(record, rest)
+    done = replace(record, gyro=rates - first.at(record.time))
+    answer = offset_answer(done, first.prior, np.asarray(done.gyro))
+    for axis, channel in ((0, 0), (1, 0), (2, 2)):
+        moved = []
+        for size in (5e-4, -5e-4):  # half the difference, as the sizes are sought anew each time
+            wrong = np.zeros((3, 3))
+            wrong[axis, channel] = size
+            other = find_motion_offset(replace(record, gyro=rates + np.asarray(done.gyro) @ wrong.T), rest)
+            moved.append(0.5 * other.rate[0] / size)
+        stated = answer[:, axis, channel]
+        show(f"offset by an error {'xyz'[axis]}{'xyz'[channel]}, found and stated", [sum(moved), stated], "0.01 apart")
+        assert sum(moved) == pytest.approx(stated, abs=0.01)
+        assert np.abs(stated).max() > 0.03
+    short = done.part(0, round(4.0 * RATE_HZ))
+    assert not offset_answer(short, first.prior, np.asarray(short.gyro)).any()

@@ -8,6 +8,8 @@ from scipy.stats import binom
 
 from testkit.data import show
 from testkit.hand_turns import Device, make_recording
+from undrift.correction.motion import find_motion_offset
+from undrift.correction.rest import MOVED, RestOffset
 from undrift.model import TriadModel
 from undrift.orientation import integrate_strapdown
 from undrift.record import Record
@@ -17,7 +19,7 @@ from undrift.validation.trial import compare_orientations, validate_trial
 NOTHING = ErrorPrior(
     matrix=0.0, motion_offset=0.0, rest_to_motion=0.0, day_to_day=0.0, tilt=0.0, mounting=0.0, pose=0.0
 )
-OTHER = OffsetSource(rest="other", in_motion=True)
+OTHER, SHOWN = OffsetSource(rest="other", in_motion=True), OffsetSource(rest="shown", in_motion=True)
 DEG = np.degrees(1.0)
 T = 40.0
 DRAWN = 100
@@ -50,7 +52,14 @@ def course_of(rate, q_nb=None, **more):
         axis = np.asarray(rate) / max(np.linalg.norm(rate), 1e-12)
         q_nb = np.column_stack((np.cos(half), np.sin(half)[:, None] * axis))
     record = Record(time=t, gyro=gyro, accel=np.tile((0.0, 0.0, 9.81), (len(t), 1)))
-    known = {"delay_s": 0.0, "offset_variance": np.zeros(3), "noise_density": 0.0, "tilt": 0.0, "mounting": 0.0}
+    known = {
+        "delay_s": 0.0,
+        "offset_covariance": np.zeros((3, 3)),
+        "offset_prior": np.zeros(3),
+        "noise_density": 0.0,
+        "tilt": 0.0,
+        "mounting": 0.0,
+    }
     return Strapdown(record=record, q_nb=q_nb, stop_s=T, turned=np.eye(3), **(known | more))
 
 
@@ -100,7 +109,7 @@ def test_g_sensitivity_and_counts_are_taken_in_their_units():
 
 
 def test_a_subtracted_rest_takes_the_models_offset_with_it_and_brings_its_own_scatter():
-    still = course_of((0.0, 0.0, 0.0), offset_variance=np.full(3, 1e-10))
+    still = course_of((0.0, 0.0, 0.0), offset_covariance=1e-10 * np.eye(3))
     model = model_of(only(9, 1e-4))
     subtracted = OffsetSource(rest="subtracted", in_motion=False)
     made = expected_errors(still, model, subtracted, NOTHING)
@@ -144,13 +153,17 @@ def test_a_trial_without_covariance_expects_nothing():
     assert validate_trial(*pair).expected is None
 
 
-def test_drawn_calibrations_err_as_often_as_their_intervals_say():
-    # Matrix and offset drawn from the stated covariance, correlated; the record itself is exact.
+@pytest.mark.parametrize("source", [OTHER, SHOWN])
+def test_drawn_calibrations_err_as_often_as_their_intervals_say(source):
+    # Matrix and offset drawn from the stated covariance, correlated; the record itself is exact. Where motion shows the offset, it
+    # is drawn about a rest by what moves it there, and each offset that is found answers the matrix drawn with it.
     rng = np.random.default_rng(8)
     forward = np.array([[1.012, 0.006, -0.004], [-0.005, 0.991, 0.007], [0.003, -0.006, 1.004]])
     device = Device(forward=forward, offset=np.array([0.004, -0.003, 0.002]))
     record, reference = make_recording(rng, device, turn_s=20.0, sample_rate_hz=100.0, optics_hz=100.0)
     root = rng.normal(size=(12, 12)) * np.repeat((1e-3, 5e-4), (9, 3))[:, None] / np.sqrt(12.0)
+    if source is SHOWN:
+        root[9:] = np.hstack((np.zeros((3, 9)), MOVED * np.eye(3)))
     truth = np.concatenate((np.linalg.inv(forward).ravel(), device.offset))
     true = integrate_strapdown((record.gyro - truth[9:]) @ truth[:9].reshape(3, 3).T, record.time, reference.q_nb[0])
     inside, ratio = np.zeros(2), []
@@ -158,11 +171,17 @@ def test_drawn_calibrations_err_as_often_as_their_intervals_say():
         drawn = truth + root @ rng.normal(size=12)
         model = replace(model_of(root @ root.T, matrix=drawn[:9].reshape(3, 3)), offset=drawn[9:])
         gyro = (record.gyro - model.offset) @ model.matrix.T
+        more = {}
+        if source is SHOWN:
+            nothing = RestOffset(rate=np.zeros(3), covariance=1e-12 * np.eye(3), start_s=0.0, stop_s=1.0)
+            shown = find_motion_offset(replace(record, gyro=gyro), nothing)
+            gyro = gyro - shown.at(record.time)
+            more = {"offset_covariance": shown.covariance.mean(axis=0), "offset_prior": shown.prior}
         q = integrate_strapdown(gyro, record.time, reference.q_nb[0])
         error = compare_orientations(q, true).total
-        course = course_of((0.0, 0.0, 0.0), q)
+        course = course_of((0.0, 0.0, 0.0), q, **more)
         course = replace(course, record=replace(record, gyro=gyro), stop_s=float(record.time[-1]))
-        made = expected_errors(course, model, OTHER, NOTHING)
+        made = expected_errors(course, model, source, NOTHING)
         end, rmse = np.degrees((error[-1], np.sqrt((error**2).mean())))
         inside += (
             made.end_interval_deg[0] <= end <= made.end_interval_deg[1],

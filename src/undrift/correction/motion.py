@@ -23,7 +23,7 @@ from undrift.arrays import FloatArray, frozen
 from undrift.correction.rest import LEAST_IN_MOTION_S, MOVED, RestOffset, moved_by
 from undrift.errors import InputError
 from undrift.findings import Finding, finding
-from undrift.fit.carried import CarriedMeans
+from undrift.fit.carried import MEAN_S, CarriedMeans
 from undrift.model import OFFSET_NAMES, TriadModel
 from undrift.record import Record, Still
 from undrift.segments import unpadded
@@ -38,6 +38,7 @@ CALIBRATED_RATE, RAW_RATE = 0.1 * RADIAN_PER_DEGREE, 1.0 * RADIAN_PER_DEGREE
 _UNRESTED = 1.6  # error without a rest over what the equations state of it: 30 simulated people who move freely
 _LOOSE = 1.0 * RADIAN_PER_DEGREE  # rad/s, of the offset while the sizes are sought
 _SHOWN = ("offset_dps", "uncertainty_dps", "prior_dps", "acceleration_m_s2")
+_FIXED = 1e-9  # of an error of the rates while the sizes are sought: it is part of what is left
 _ROUNDS, _SETTLED = 8, 1e-7  # of linearisation; rad/s
 
 
@@ -113,7 +114,7 @@ def find_motion_offset(record: Record, rest: RestOffset | None, model: TriadMode
         raise InputError(
             f"offset from motion: wanted {LEAST_IN_MOTION_S:g} s or more without gaps, got {got}; {advice}"
         )
-    prior = _unrested(model) if rest is None else rest.covariance + np.eye(3) * _moved(model) ** 2
+    prior = _unrested(model) if rest is None else rest.covariance + np.eye(3) * axis_moved_by(model) ** 2
     usual = np.zeros(3) if rest is None else rest.rate
     stretches, offsets, information = _fitted(record, usual, usual, prior, STRETCH_S)
     if rest is None:  # over a whole recording the vertical may turn too far for a linearisation about no offset
@@ -137,31 +138,59 @@ def find_motion_offset(record: Record, rest: RestOffset | None, model: TriadMode
     )
 
 
+def offset_answer(record: Record, prior: FloatArray, of_rate: FloatArray) -> FloatArray:
+    """Return what error of the offset from motion, mean of its stretches, an error of the rates makes: (3, 3, C).
+
+    Of an error x_c e_b rad/s, x (N, C), in a record corrected by that offset, with its prior (3,). A calibration's error of a scale
+    factor turns gravity as an offset does: where the offset answers it, less of it is left in the orientation.
+    """
+    none, unit = np.zeros(3), of_rate.shape[1]
+    if record.duration_s < 2.0 * MEAN_S:  # two means show nothing beside the prior
+        return np.zeros((3, 3, unit))
+    stretches, _, information = _fitted(record, none, none, np.diag(prior**2), STRETCH_S, of_rate)
+    own = 3 * len(stretches) + 3
+    answers = np.linalg.solve(information[:own, :own], information[:own, own:])[:-3]
+    mean: FloatArray = answers.reshape(-1, 3, 3, unit).mean(axis=0)
+    return mean
+
+
 def _fitted(
-    record: Record, near: FloatArray, usual: FloatArray, prior: FloatArray, stretch_s: float
+    record: Record,
+    near: FloatArray,
+    usual: FloatArray,
+    prior: FloatArray,
+    stretch_s: float,
+    of_rate: FloatArray | None = None,
 ) -> tuple[list[CarriedMeans], FloatArray, FloatArray]:
-    """Return stretches of about a length, offsets of each and of the accelerometers, and their information; near is a start."""
+    """Return stretches of about a length, offsets of each and of the accelerometers, and their information; near is a start.
+
+    With ``of_rate`` (N, C), in one step, information of errors x_c e_b of the rates too, which nobody seeks.
+    """
     edges = np.linspace(0, len(record), max(1, round(record.duration_s / stretch_s)) + 1).astype(int)
     force, rate, error = np.asarray(record.accel), np.asarray(record.gyro), record.accel_uncertainty
     calibrated = error is not None and np.diag(error.covariance)[9:].max() < RAW[0] ** 2 / 4.0
     accel = CALIBRATED if calibrated else RAW
     spans = [slice(a, b) for a, b in pairwise(edges)]
     stretches = [CarriedMeans(record.time[span]) for span in spans]
-    loose = np.repeat((_LOOSE, accel[0]), 3)
+    more = np.ones((len(rate), 1)) if of_rate is None else np.hstack((np.ones((len(rate), 1)), of_rate))
+    errors = 3 * (more.shape[1] - 1)
+    loose = np.concatenate((np.repeat((_LOOSE, accel[0]), 3), np.full(errors, _FIXED)))
     middle, count = np.array([one.middle for one in stretches]), 3 * len(stretches)
-    walk_of_offsets = _walk_information(middle, prior, accel[0])
-    start, theta = (np.append(np.tile(one, len(stretches)), np.zeros(3)) for one in (usual, near))
+    walk_of_offsets = np.pad(_walk_information(middle, prior, accel[0]), (0, errors))
+    start, theta = (np.append(np.tile(one, len(stretches)), np.zeros(3 + errors)) for one in (usual, near))
     for _ in range(_ROUNDS):
         information, seen = walk_of_offsets.copy(), walk_of_offsets @ (start - theta)
         for k, (one, span) in enumerate(zip(stretches, spans, strict=True)):
-            places = np.r_[3 * k : 3 * k + 3, count : count + 3]
-            offset, of_force = theta[places].reshape(2, 3)
-            ones = np.ones((len(one.time), 1))
-            mean, turned, fixed = one.means(rate[span] - offset, force[span] - of_force, ones, ones)
-            design = -np.concatenate((turned, fixed), axis=2)[..., 0]
+            places = np.r_[3 * k : 3 * k + 3, count : count + 3 + errors]
+            offset, of_force = theta[places[:6]].reshape(2, 3)
+            mean, turned, fixed = one.means(rate[span] - offset, force[span] - of_force, more[span], more[span, :1])
+            of_error = turned[..., 1:].reshape(len(mean), 3, errors)
+            design = -np.concatenate((turned[..., 0], fixed[..., 0], of_error), axis=2)
             own, towards = one.equations(mean, design, loose, (STANDARD_GRAVITY, accel[1] * STANDARD_GRAVITY))
             information[np.ix_(places, places)] += own
             seen[places] += towards
+        if errors:
+            break
         step = np.linalg.solve(information, seen)
         theta = theta + step
         if np.abs(step[:count]).max() < _SETTLED:
@@ -169,7 +198,7 @@ def _fitted(
     return stretches, theta, information
 
 
-def _moved(model: TriadModel | None) -> float:
+def axis_moved_by(model: TriadModel | None) -> float:
     """Return the standard deviation of an axis' change from rest to motion, rad/s: what a fit leaves of that of other devices."""
     if model is None or model.moving_offset is None:
         return MOVED

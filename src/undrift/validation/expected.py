@@ -90,7 +90,8 @@ class Strapdown:
     stop_s: float  # End of the motion, s, the record's clock
     delay_s: float  # By which the orientation lags the reference in the figures, s
     turned: FloatArray  # (3, 3), from the model's frame to the one that was integrated
-    offset_variance: FloatArray  # (3,), of the mean rate at rest, or of the offset that motion shows, (rad/s)^2
+    offset_covariance: FloatArray  # (3, 3), of the mean rate at rest, or of the offset that motion shows, (rad/s)^2
+    offset_prior: FloatArray  # (3,), of the offset that motion shows, standard deviation before it, rad/s
     noise_density: float  # Of the rate, rad/sqrt(s)
     tilt: float  # Standard uncertainty of the start, each level axis, rad
     mounting: float  # Of the device against the reference's body, each axis, rad
@@ -121,6 +122,7 @@ def expected_errors(run: Strapdown, model: TriadModel, source: OffsetSource, pri
 
 def _sensitivity(run: Strapdown, model: TriadModel, source: OffsetSource) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return times (K,), A (K, 3, P) without noise and pose, and the rate in earth axes (K, 3), through the motion."""
+    from undrift.correction.motion import offset_answer  # scipy and kernels, for this alone
     from undrift.kernels.rotation import accumulate
 
     gyro, time, q = np.asarray(run.record.gyro), run.record.time, run.q_nb
@@ -131,7 +133,7 @@ def _sensitivity(run: Strapdown, model: TriadModel, source: OffsetSource) -> tup
     sign = (
         np.sign(u + model.offset) - np.sign(model.offset) * shown
     )  # where an offset is subtracted, c at rest goes with it
-    moving = find_turning(gyro, time)[0][:, None] * (source.rest != "shown")
+    moving = find_turning(gyro, time)[0][:, None] * (source.rest != "shown" or model.moving_offset is not None)
     columns_of = (u, np.ones((len(gyro), 1)), force @ run.turned, moving, sign)
     regressors = np.concatenate(columns_of, axis=1)
     width = max(1, round(_STEP_S * run.record.sample_rate_hz))
@@ -144,12 +146,15 @@ def _sensitivity(run: Strapdown, model: TriadModel, source: OffsetSource) -> tup
     )
     axes = np.stack([rotate(q[knots], axis[None]) for axis in np.eye(3)], axis=2)  # (K, 3, 3), R_nb
     sums = np.einsum("ab,kbcd->kacd", axes[0], total)
+    steady = sums[..., 3]
+    if source.rest == "shown":  # the offset answers an error of the rates: A x becomes (A_w - A_o dO/dw) x
+        sums = sums - np.einsum("kab,bcd->kacd", steady, offset_answer(run.record, run.offset_prior, regressors))
     columns = []
     for name in model.parameters:
         kind, _, where = name.partition("_")
         row, last = "xyz".index(where[0]), "xyz".index(where[-1])
         if kind == "offset":
-            columns.append(-sums[..., 3] @ matrix[:, row] * (not shown))
+            columns.append(-steady @ matrix[:, row] * (not shown))
         elif kind == "code":
             columns.append(sums[..., 8 + row] @ matrix[:, row])
         else:
@@ -157,18 +162,23 @@ def _sensitivity(run: Strapdown, model: TriadModel, source: OffsetSource) -> tup
             columns.append(sums[..., place] @ turned[:, row] * (1.0 if kind == "m" else -1.0))
     moved = axes - axes[0]
     start = np.broadcast_to(np.eye(3), moved.shape)
-    gain = np.concatenate((np.stack(columns, axis=2), sums[..., 3], start, moved), axis=2)
+    gain = np.concatenate((np.stack(columns, axis=2), steady, start, moved), axis=2)
     return time[knots], gain, rotate(q[knots], gyro[knots])
 
 
 def _covariance(run: Strapdown, model: TriadModel, source: OffsetSource, prior: ErrorPrior) -> FloatArray:
     """Return the covariance of model, change of the offset, start, mounting, noise and pose, in this order."""
-    more = 1.0 + 1.0 / source.recordings if source.in_motion else 1.0
-    change = more * (prior.motion_offset if source.in_motion else prior.rest_to_motion) ** 2 * (source.rest != "shown")
-    day = np.full(3, prior.day_to_day**2) if source.rest == "other" else run.offset_variance
+    from undrift.correction.motion import axis_moved_by
+
     moving = [i for i, name in enumerate(model.parameters) if name.startswith("moving_")]
+    more = 1.0 + 1.0 / source.recordings if source.in_motion else 1.0
+    change = more * (prior.motion_offset if source.in_motion else prior.rest_to_motion) ** 2
+    day = prior.day_to_day**2 * np.eye(3) if source.rest == "other" else run.offset_covariance
+    if moving and source.rest == "shown":  # the prior's share of d is among the model's own
+        kept = day / run.offset_prior * axis_moved_by(model) / run.offset_prior
+        day = day - kept @ kept.T
     extra = (
-        change * (not moving) + day,
+        np.full(3, change * (not moving and source.rest != "shown")),
         np.array([run.tilt**2, run.tilt**2, prior.pose**2]),
         np.full(3, run.mounting**2 + prior.mounting**2),
         np.full(3, run.noise_density**2),
@@ -177,6 +187,7 @@ def _covariance(run: Strapdown, model: TriadModel, source: OffsetSource, prior: 
     size = len(model.parameters)
     covariance = np.diag(np.concatenate((np.zeros(size), *extra)))
     covariance[:size, :size] = model.covariance
+    covariance[size : size + 3, size : size + 3] += day
     covariance[moving, moving] += change / si_factor(model.unit_out, "rate") ** 2
     matrix = [i for i, name in enumerate(model.parameters) if name.startswith("m_")]
     covariance[matrix, matrix] += more * (prior.matrix * float(np.linalg.norm(model.matrix, 2))) ** 2

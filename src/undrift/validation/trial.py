@@ -32,7 +32,7 @@ from undrift.calibration.adc import identify_record_adc
 from undrift.correction.consistency import check_triads
 from undrift.correction.correct import OffsetLeft, Policy, correct_checked, correct_whole, offset_left
 from undrift.correction.coverage import find_beyond
-from undrift.correction.rest import IN_MOTION, find_rest_offset, mean_variance
+from undrift.correction.rest import IN_MOTION, RestOffset, find_rest_offset, mean_variance
 from undrift.drift.hysteresis import TempHistory
 from undrift.drift.observe import nominal_triad
 from undrift.errors import AlignmentError, InputError
@@ -600,10 +600,11 @@ def _expected(
     still = np.empty((0, 3)) if rest is None else np.asarray(rest.gyro)
     still = still[np.isfinite(still).all(axis=1)]
     variance = np.array([mean_variance(axis) for axis in still.T]) if len(still) > 1 else np.zeros(3)
-    offset_variance = variance
-    if subtracted is not None and settings.offset == "motion":
-        offset_variance = np.diagonal(subtracted.covariance, axis1=1, axis2=2).mean(axis=0)
     applied = np.eye(3) if mounting is None or not mounting.applied else mounting.alignment.rotation
+    offset_covariance, offset_prior = np.diag(variance), np.zeros(3)
+    if subtracted is not None and not isinstance(subtracted, RestOffset):
+        offset_covariance = applied @ subtracted.covariance.mean(axis=0) @ applied.T
+        offset_prior = np.sqrt(np.diag(applied @ np.diag(subtracted.prior**2) @ applied.T))
     left_in = 0.0 if mounting is None or mounting.applied else mounting.alignment.angle
     course = Strapdown(
         record=done.part(len(done) - len(track[0]), len(done)),
@@ -611,7 +612,8 @@ def _expected(
         stop_s=judged.motion.stop_s,
         delay_s=delay_s,
         turned=applied,
-        offset_variance=offset_variance,
+        offset_covariance=offset_covariance,
+        offset_prior=offset_prior,
         noise_density=0.0 if rest is None else float(np.sqrt(variance.mean() * rest.duration_s)),
         tilt=_start_uncertainty(rest if judged.motion.rested else None, calibration, settings),
         mounting=left_in / np.sqrt(3.0),
