@@ -222,11 +222,11 @@ def _models(path: Path, endings: tuple[str, ...]):
 
 def _keys_of(model: type) -> dict[str, tuple[str, str]]:
     """Return the key of each field of a class, and its default in words."""
-    from undrift.base.codec import default_tree, slots_of
-    from undrift.study.plan import NOTE_BENCH, bench_keys
+    from undrift.base.codec import default_tree, slots_of, tree_of
+    from undrift.study.plan import NOTE_BENCH
 
     if isinstance(NOTE_BENCH, model):  # the bench of study.toml: the preset's
-        return {slot.name: (slot.path[0], _default(bench_keys(NOTE_BENCH)[slot.path[0]])) for slot in slots_of(model)}
+        return {slot.name: (slot.path[0], _default(tree_of(NOTE_BENCH)[slot.path[0]])) for slot in slots_of(model)}
 
     if hasattr(model, "model_fields"):
         given = {

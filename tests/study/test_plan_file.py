@@ -11,7 +11,7 @@ import pytest
 
 from testkit.data import data_path, show
 from testkit.surfaces import candidates
-from undrift.base.codec import value_of
+from undrift.base.codec import tree_of, value_of
 from undrift.errors import FileFormatError, InputError
 from undrift.io.reference import write_reference
 from undrift.record import Reference
@@ -24,7 +24,6 @@ from undrift.study.plan import (
     NOTE_BENCH,
     ProtocolEntry,
     StudyFile,
-    bench_keys,
     note_study,
     read_motion,
     read_study,
@@ -102,7 +101,7 @@ def test_what_the_bench_does_wrong_arrives_and_an_error_below_zero_is_refused(tm
     bench = read_study(written(tmp_path, TEXT.replace("[[task]]\nname", stated))).bench
     assert bench == replace(NOTE_BENCH, mount_tilt=0.5 * DPS, encoder_lines=0, table_rate=0.002)
     assert note_study().bench == NOTE_BENCH
-    assert value_of(BenchErrors, bench_keys(bench), "bench") == bench  # as summary.json has it
+    assert value_of(BenchErrors, tree_of(bench), "bench") == bench  # as summary.json has it
     assert read_study(written(tmp_path, TEXT.replace("seed = 5", "chain_percent = 2.0"))).chain_sd == 0.02
     assert read_study(written(tmp_path, TEXT)).chain_sd == note_study().chain_sd == 0.01
     with pytest.raises(FileFormatError, match=r"wobble_deg.*greater than or equal to 0"):

@@ -136,9 +136,8 @@ _LEAST_RESTS = 4
 _LEAST_WITH_POSES = 6
 _LEAST_CHANGE = 0.5  # g, root sum of squares over the rests: poses that differ less show no g-sensitivity
 _CHANCE = 0.01
-_LARGE = (
-    0.05 * RADIAN_PER_DEGREE
-)  # rad/s: what 1 K makes of a consumer part; a mean offset is off by half of it at either end
+# rad/s: what 1 K makes of a consumer part; a mean offset is off by half of it at either end
+_LARGE = 0.05 * RADIAN_PER_DEGREE
 _WARMER_C = 0.3
 
 
@@ -192,9 +191,8 @@ def _poses(force: FloatArray, unit: str) -> FloatArray:
     if len(force) < _LEAST_WITH_POSES or np.isnan(force).any():
         return np.empty((len(force), 0))
     left, size, _ = np.linalg.svd(force - force.mean(axis=0), full_matrices=False)
-    gravity = (
-        STANDARD_GRAVITY / si_factor(unit, "accel") if is_physical(unit) else size[0]
-    )  # counts may have any offset
+    # counts may have any offset
+    gravity = STANDARD_GRAVITY / si_factor(unit, "accel") if is_physical(unit) else size[0]
     return np.asarray(left[:, size > _LEAST_CHANGE * gravity])
 
 

@@ -289,12 +289,9 @@ class TableAxes:
     off: FloatArray  # (N,), measured angle between case axis and table axis, rad; NaN where gravity did not show it
     mounted: float  # Size of the mountings by what is felt, over the stated one; 0 where nothing is felt
     uneven: FloatArray  # (3,), standard uncertainty of the mean rate about x, y, z by ripple and settling, relative
-    size: (
-        FloatArray  # (3,), rms of ripple once a turn, twice a turn and of settling, relative; 0 where they do not show
-    )
-    creep: FloatArray = field(
-        default_factory=lambda: np.zeros((9, 9))
-    )  # of ``covariance``, by the session's temperature
+    size: FloatArray  # (3,), rms of ripple once, twice a turn and of settling, relative; 0 where they do not show
+    # of ``covariance``, by the session's temperature
+    creep: FloatArray = field(default_factory=lambda: np.zeros((9, 9)))
 
     def shares(self, axis: IntArray, square: FloatArray, *, alone: bool) -> dict[str, FloatArray]:
         """Return the covariances (9, 9) of D by source of a budget, where dwells (N,) about ``axis`` weigh by ``square`` (N, 3).
@@ -689,9 +686,8 @@ class Linearity:
     offset: float  # Reading of the line at zero rate
     scale_factor_nonlinearity: float  # Largest departure from the line, rad/s
     scale_factor_nonlinearity_percent: float  # The same in per cent of the largest imposed rate
-    scale_factor_asymmetry: (
-        float  # 2 (S+ - S-) / (S+ + S-) of reading = o + S+ max(w, 0) + S- min(w, 0); NaN for one sign
-    )
+    # 2 (S+ - S-) / (S+ + S-) of reading = o + S+ max(w, 0) + S- min(w, 0); NaN for one sign
+    scale_factor_asymmetry: float
 
 
 def linearity(reading: FloatArray, turn_rate: FloatArray, axis: Axis) -> Linearity:

@@ -421,9 +421,8 @@ def check_dwells(
     error = np.linalg.norm(away, axis=1)
     typical = float(np.median(np.sort(error)[design.shape[1] :]))
     size = np.linalg.norm(rates, axis=1)
-    with_rate = (
-        np.median(error[: len(rates)] / np.maximum(size, 1e-300)) * size
-    )  # a table that wobbles errs with its rate
+    # a table that wobbles errs with its rate
+    with_rate = np.median(error[: len(rates)] / np.maximum(size, 1e-300)) * size
     limits = np.maximum(SCATTERS * np.maximum(typical, with_rate), SHARE * float(np.abs(rates).max()))
     wrong = np.flatnonzero(error[: len(rates)] > limits)
     if len(wrong):

@@ -189,8 +189,8 @@ FIGURE3_KEYS = ("none_max_deg", "static_max_deg", "full_max_deg", "rest_max_deg"
 
 def study_json(outcome: "StudyOutcome") -> dict[str, object]:
     """Return the JSON of a study."""
+    from undrift.base.codec import tree_of
     from undrift.study.claims import claims_of
-    from undrift.study.plan import bench_keys
 
     held, figure = outcome.study, outcome.figure3
     return {
@@ -209,7 +209,7 @@ def study_json(outcome: "StudyOutcome") -> dict[str, object]:
                 "margin_deg",
             )
         },
-        "bench": bench_keys(held.bench) | {"chain_percent": 100.0 * held.chain_sd},
+        "bench": tree_of(held.bench) | {"chain_percent": 100.0 * held.chain_sd},
         "runs": outcome.runs,
         "tasks": [_task_json(task) for task in outcome.tasks],
         "cohorts": [

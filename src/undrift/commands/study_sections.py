@@ -9,11 +9,11 @@ from dataclasses import replace
 from itertools import cycle
 from typing import TYPE_CHECKING
 
+from undrift.base.codec import tree_of
 from undrift.base.summary import Cells, Section, figure_of, interval, number, plain_words, rows_section, table_section
 from undrift.sim.motion.tasks import CATEGORIES
 from undrift.study.claims import claims_section, rival_sections
 from undrift.study.judge import needed_text
-from undrift.study.plan import bench_keys
 from undrift.study.space import COMPARED_NAMES, HEADINGS, OF_NOTE
 
 if TYPE_CHECKING:
@@ -392,7 +392,7 @@ def _cohorts(outcome: "StudyOutcome") -> Section:
 
 
 def _bench(outcome: "StudyOutcome") -> Section:
-    held = bench_keys(outcome.study.bench) | {"chain_percent": 100.0 * outcome.study.chain_sd}
+    held = tree_of(outcome.study.bench) | {"chain_percent": 100.0 * outcome.study.chain_sd}
     rows = [{"key of study.toml": key, "value": f"{value:g}"} for key, value in held.items()]
     text = (
         "Standard deviations, but for encoder_lines (lines) and board_lag_s (s). Every protocol of a subject has the same draws.",

@@ -329,9 +329,8 @@ class _Box:
         self._channel, theirs = socket.socketpair()
         self._status: int | None = None  # Of the process, once it has ended
         with warnings.catch_warnings():
-            warnings.simplefilter(
-                "ignore", DeprecationWarning
-            )  # of a fork beside threads: the child runs the parser alone
+            # of a fork beside threads: the child runs the parser alone
+            warnings.simplefilter("ignore", DeprecationWarning)
             self._child = os.fork()
         if self._child == 0:
             self._channel.close()

@@ -501,9 +501,8 @@ class Description:
     findings: tuple[Finding, ...] = ()
     # Lines of the map that a table of foreign names may need, "?" where a person must state the unit
     example: tuple[str, ...] = ()
-    session: Session | None = field(
-        default=None, repr=False
-    )  # What was read: a session, or a recording as a session of one
+    # What was read: a session, or a recording as a session of one
+    session: Session | None = field(default=None, repr=False)
 
     @property
     def problems(self) -> tuple[str, ...]:

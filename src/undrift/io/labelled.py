@@ -411,9 +411,8 @@ def _chosen(sheet: Sheet, triples: Triples, sensor: str | None) -> dict[str, tup
     several = any(len(held) > 1 for channel, held in triples.items() if channel != "mag")
     same = [name for name in names if sensor is not None and name.lower() == sensor.lower()]
     part = [name for name in names if sensor is not None and sensor.lower() in name.lower()]
-    wanted = (
-        same[0] if same else part[0] if len(part) == 1 else None
-    )  # of that name, or the only one whose name holds it
+    # of that name, or the only one whose name holds it
+    wanted = same[0] if same else part[0] if len(part) == 1 else None
     if wanted is None and names and (several or sensor is not None):
         got = "none" if sensor is None else repr(sensor)
         raise InputError(

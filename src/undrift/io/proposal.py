@@ -51,9 +51,8 @@ def map_of(
     proposed |= {key: unit for key, unit in given.items() if key in proposed}
     why |= dict.fromkeys(given, "as given")
     by_size = "gyro" in proposed and (proposed["gyro"] == "?" or why["gyro"].startswith("proposed"))
-    if by_size and (
-        turned := _turned(found, lines, proposed)
-    ):  # gravity is a better witness than the size of the readings
+    # gravity is a better witness than the size of the readings
+    if by_size and (turned := _turned(found, lines, proposed)):
         proposed["gyro"], why["gyro"] = turned
     text = [f"# How {Path(found.path).name} is read; the keys are in docs/files.md. Check each unit."]
     text += [f"# {key}: {unit}, {why[key]}" for key, unit in proposed.items()]

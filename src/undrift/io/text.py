@@ -290,9 +290,8 @@ def _parse_by_row(text: Text, positions: list[int]) -> RawTable:
     from pyarrow import compute as pc
 
     content = text.content if text.content is not None else read_bytes(text.path)
-    text = replace(
-        text, content=content.decode("utf-8", "replace").encode()
-    )  # damaged bytes are named, not met by Arrow
+    # damaged bytes are named, not met by Arrow
+    text = replace(text, content=content.decode("utf-8", "replace").encode())
     ragged: list[Any] = []  # rows with another number of columns
 
     def skip(row: Any) -> str:

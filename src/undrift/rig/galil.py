@@ -333,11 +333,8 @@ class GalilAxis:
 # Each command is carried out whole before the next, so that the card's subtraction and our writing do not mix. Source: DMC-1400,
 # 2x00 and 4103 command references (DL, LS, XQ, HX, WT, JP, AM, ST with an axis, MO). ST and AB without an axis halt programs.
 
-LIMIT_S, COUNT_MS, BEAT_S = (
-    WATCHED["variable"].limit,
-    200,
-    1.0,
-)  # s of the host without a word; ms of the card; s of the host
+# s of the host without a word; ms of the card; s of the host
+LIMIT_S, COUNT_MS, BEAT_S = WATCHED["variable"].limit, 200, 1.0
 LABEL, LEFT = "#UNDRWD", "UNDRLEFT"
 TRIPPED = -1
 STARTS_S = 5.0  # within which it must count
@@ -563,9 +560,8 @@ class GalilServo:
 # ---- The rig.
 
 MOVE_TURN_RATE = 90.0 * RADIAN_PER_DEGREE  # of `move_by`, rad/s
-ERROR_LIMIT = (
-    WATCHED["following error"].limit * RADIAN_PER_DEGREE
-)  # following error at which the card switches the motor off by itself (ER, OE1)
+# following error at which the card switches the motor off by itself (ER, OE1)
+ERROR_LIMIT = WATCHED["following error"].limit * RADIAN_PER_DEGREE
 
 
 class GalilReports(LinkedRig):

@@ -96,9 +96,8 @@ class ParameterEffect:
     untested: Finding | None  # Why neither could be
     p_holm: float  # p after Holm over the parameters; NaN without a test
     pairs: tuple[Pair, ...]  # All pairs of values, by their places; empty unless that p is below the level
-    judged: ParameterVerdict | None = (
-        None  # Against the margin; None with one value, or where subjects with gaps cannot be tested
-    )
+    # Against the margin; None with one value, or where subjects with gaps cannot be tested
+    judged: ParameterVerdict | None = None
 
     @property
     def test(self) -> Anova | MixedModel | None:
@@ -285,9 +284,8 @@ def _against_best(error: FloatArray, usable: BoolArray, best: int, aim: Aim) -> 
     others = len(places) - 1
     equivalent, worse = np.zeros((2, len(usable)), dtype=bool)
     equivalent[places] = others * p_equivalent <= aim.level  # chosen for its low mean, the best makes this harder
-    worse[places] = (
-        0.5 * others * (others + 1) * p_worse <= aim.level
-    )  # and this easier: any pair could have been compared
+    # and this easier: any pair could have been compared
+    worse[places] = 0.5 * others * (others + 1) * p_worse <= aim.level
     equivalent[best], worse[best] = True, False
     return equivalent, worse
 

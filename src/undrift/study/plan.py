@@ -61,11 +61,6 @@ NOTE_BENCH = BenchErrors(
 )
 
 
-def bench_keys(errors: BenchErrors) -> dict[str, float]:
-    """Return what a bench does wrong by the keys of [study.bench]."""
-    return dict(tree_of(errors))
-
-
 # ---- the plan
 
 Objective = Literal["rms", "maximum", "end"]  # Of the pitch error over the motion; end: median of its last half second
@@ -355,14 +350,11 @@ def check_rest(spline: PoseSpline, rest_s: float, path: Path) -> None:
 
 
 def _windowed(values: FloatArray) -> FloatArray:
-    """Return the size of the mean over the window that ends at each sample; over what there is before the first whole one."""
-    n, width = len(values), max(round(WINDOW_S * SAMPLE_RATE_HZ), 1)
+    """Return the size of the mean over the window that ends at each sample; 0 before the first whole one: cameras are noisy."""
+    width = round(WINDOW_S * SAMPLE_RATE_HZ)
     total = np.concatenate((np.zeros((1, 3)), np.cumsum(values, axis=0)))
-    ends = np.arange(1, n + 1)
-    first = np.maximum(ends - width, 0)
-    size: FloatArray = np.linalg.norm((total[ends] - total[first]) / (ends - first)[:, None], axis=1)
-    size[: min(width, n) - 1] = 0.0  # a shorter mean would let the noise of cameras count
-    return size
+    whole = np.linalg.norm((total[width:] - total[:-width]) / width, axis=1)
+    return np.concatenate((np.zeros(len(values) - len(whole)), whole))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -544,7 +536,7 @@ def _with_bench(tree: dict[str, Any]) -> dict[str, Any]:
     """Return the tree of study.toml with the preset's bench where keys of it are left out."""
     study = tree.get("study", {})
     bench = study.get("bench", {}) if isinstance(study, dict) else None
-    return tree if not isinstance(bench, dict) else tree | {"study": study | {"bench": bench_keys(NOTE_BENCH) | bench}}
+    return tree if not isinstance(bench, dict) else tree | {"study": study | {"bench": tree_of(NOTE_BENCH) | bench}}
 
 
 @stored(upgrade=_with_bench)

@@ -27,8 +27,8 @@ FIRST_S = 10.0  # from a connection to its first request
 STATIC = Path(__file__).parent / "static"
 BUILT: dict[str, Callable[[Bench], None]] = {
     "/": start.page,
-    "/six-faces": guided.faces_page,
-    "/turns": guided.turns_page,
+    "/six-faces": partial(guided.page, "Six faces"),
+    "/turns": partial(guided.page, "Turns by hand"),
     "/rate-table": rate_table.page,
     "/temperature": temperature.page,
     "/result": result.page,

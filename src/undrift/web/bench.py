@@ -174,10 +174,6 @@ class Bench:
         self.job = Job(folder=folder, serial=serial)
         return self.job
 
-    def job_now(self) -> Job:
-        """Return the job that is going on, a new one where there is none."""
-        return self.job or self.new_job(self.source.name if self.source is not None else "")
-
     async def open_job(self, folder: Path, *later: dict[str, Any]) -> None:
         """Take up a job of an earlier day: its calibration, report and certificate; and what commands answered."""
         job = Job(folder=folder, calibration=folder / "calibration.json", later=[*later])

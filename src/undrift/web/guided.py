@@ -106,19 +106,13 @@ def begin_anew(bench: "Bench") -> None:
 # ---- The pages
 
 
-def faces_page(bench: "Bench") -> None:
-    """Build the page Six faces."""
-    _guided_page(
-        bench, "Six faces", "Lay the device on each of its six faces. It calibrates the accelerometers.", _faces
-    )
+def page(title: str, bench: "Bench") -> None:
+    """Build one of the two pages, by its title."""
+    why, show = {
+        "Six faces": ("Lay the device on each of its six faces. It calibrates the accelerometers.", _faces),
+        "Turns by hand": ("Turn the device once about each axis. It calibrates the gyroscopes.", _turns),
+    }[title]
 
-
-def turns_page(bench: "Bench") -> None:
-    """Build the page Turns by hand."""
-    _guided_page(bench, "Turns by hand", "Turn the device once about each axis. It calibrates the gyroscopes.", _turns)
-
-
-def _guided_page(bench: "Bench", title: str, why: str, show: Callable[["Bench", Guided], None]) -> None:
     def draw() -> None:
         guided = guided_of(bench)
         if guided is None:

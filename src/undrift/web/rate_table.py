@@ -155,7 +155,9 @@ class RateTablePage:
     async def _made(self, make: Callable[..., Awaitable[CommandOutcome]]) -> str | None:
         if self.run is None:
             return None
-        outcome = await make(self._bench.job_now(), self.run.folder, "--trust")  # the bench's own readings need no box
+        bench = self._bench
+        job = bench.job or bench.new_job("" if bench.source is None else bench.source.name)
+        outcome = await make(job, self.run.folder, "--trust")  # the bench's own readings need no box
         self.error = outcome.error
         return "/result" if outcome.done else None
 
