@@ -75,7 +75,7 @@ def errors_of(fit: InMotion, true: Calibration, units: tuple[float, float]) -> t
     return np.concatenate(errors), np.concatenate(spreads)
 
 
-@pytest.mark.parametrize("devices", [8, pytest.param(100, marks=pytest.mark.long)])
+@pytest.mark.parametrize("devices", [16, pytest.param(100, marks=pytest.mark.long)])
 def test_nineteen_of_twenty_intervals_hold_raw_devices_that_hands_have_turned(devices: int) -> None:
     found = [
         errors_of(fit_in_motion(records), true, units) for records, true, units in map(handled, range(70, 70 + devices))

@@ -58,6 +58,7 @@ ELSEWHERE = {
     "registry show",
     "registry find",
     "registry trend",
+    "registry prior",
 }  # long, or on sockets, or of a registry with entries
 BAD = {  # a call that is refused, and the kind that a good answer would have
     **{name: (f"{name} nowhere.csv", f"undrift.{name}") for name in ("info", "noise")},
@@ -77,6 +78,7 @@ BAD = {  # a call that is refused, and the kind that a good answer would have
     "registry find": ("registry find --serial nobody", "undrift.registry_find"),
     "registry due": ("registry due --within-days -1", "undrift.registry_due"),
     "registry trend": ("registry trend --serial nobody", "undrift.registry_trend"),
+    "registry prior": ("registry prior nobody", "undrift.registry_prior"),
     "registry import": ("registry import nowhere", "undrift.registry_import"),
     "export": ("export nowhere.json --target ros -o {here}/c.yaml", "undrift.export"),
     "simulate": ("simulate nowhere --device mpu6050 -o {here}/s.parquet", "undrift.simulation"),

@@ -1,6 +1,7 @@
 """undrift registry: from a calibration to the recording that it corrects by serial number; answers for people and as JSON."""
 
 import json
+import re
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 
@@ -12,6 +13,8 @@ from undrift.cli import EXAMPLES
 from undrift.errors import RegistryError
 from undrift.io.formats import read_record, write_record
 from undrift.io.store import calibration_json, content_hash, hash_of, read_calibration, write_calibration
+from undrift.model import MATRIX_NAMES, OFFSET_NAMES
+from undrift.record import Record
 from undrift.registry.registry import Registry
 
 SERIAL, NOW = "A17", datetime.now(UTC)
@@ -150,6 +153,51 @@ def test_trend_says_what_moved_since_when_with_table_picture_and_page(undrift, m
     assert (tmp_path / "t.svg").read_text().count("<svg") == 1
     assert "moved by" in (tmp_path / "t.html").read_text()
     assert "cross-axis xy" in undrift.good("registry", "trend", "--serial", SERIAL, "--details").out
+
+
+def test_devices_of_a_part_are_the_prior_of_the_next_one_that_is_moved(undrift, made, tmp_path):
+    physical = {"unit_in": "rad/s", "method": "affine", "offset": np.zeros(3), "budget": None}
+    for k, gain in enumerate((1.01, 1.012, 1.011)):
+        path = made(f"{k}.json", serial=f"U{k}")
+        c = read_calibration(path)
+        gyro = replace(
+            c.gyro,
+            **physical,
+            matrix=gain * np.eye(3),
+            covariance=1e-8 * np.eye(12),
+            parameters=(*MATRIX_NAMES, *OFFSET_NAMES),
+        )
+        accel = replace(c.accel, **physical | {"unit_in": "m/s2"}, matrix=np.eye(3), covariance=1e-6 * np.eye(12))
+        write_calibration(replace(c, gyro=gyro, accel=accel), path)
+        undrift.good("registry", "add", path)
+    undrift.good("registry", "add", made("counts.json", serial="C0"))
+    shown = undrift.good("registry", "prior", "-o", tmp_path / "prior.json")
+    assert "from 3 devices" in shown.out
+    assert re.search(r"C0: wanted both triads in physical units", shown.out)
+    answer = undrift.good("registry", "prior", "U0", "U1", "U2", "--json").json()
+    assert answer["gyro_scale"]["mean"] == pytest.approx(
+        [0.0083, 0.0083, 0.0083], abs=3e-4
+    )  # 3/4 of it: it is one device more
+    assert answer["devices"] == 3
+    time = np.arange(2000) / 50.0
+    angle = 1.5 * np.tanh(4.0 * np.sin(0.35 * time))
+    rates = np.gradient(angle, time)[:, None] * [0.0, 1.0, 0.0] + 1e-3 * np.sin(time)[:, None]
+    force = 9.80665 * np.stack((-np.sin(angle), 0.0 * angle, np.cos(angle)), axis=1)
+    write_record(
+        Record(time=time, gyro=rates, accel=force + 0.01 * np.sin(3.0 * time)[:, None]), tmp_path / "moved.csv"
+    )
+    words = ("calibrate", tmp_path / "moved.csv", "--prior", tmp_path / "prior.json")
+    calibrated = undrift.good(*words, "--from", "motion", "--json").json()
+    (named,) = (one for one in calibrated["verdict"]["findings"] if one["code"] == "motion.prior")
+    assert named["values"]["source"] == "registry, 3 devices"
+    assert dict(calibrated["provenance"]["settings"])["prior"] == "registry, 3 devices"
+    assert calibrated["gyro"]["matrix"][2][2] == pytest.approx(
+        1.0083, abs=1e-3
+    )  # about z it was not turned: what the part has
+    assert "is for" in undrift.refused(*words)
+    assert "wanted calibrated devices of a part, got none (C0: wanted both" in undrift.refused(
+        "registry", "prior", "C0"
+    )
 
 
 def test_import_adds_a_folder_and_lists_what_it_refuses(undrift, made, bench, tmp_path):
@@ -319,5 +367,5 @@ def test_what_is_wrong_is_one_line_and_nothing_is_written(undrift, made, monkeyp
 
 def test_every_command_of_the_group_has_examples():
     assert {name.split()[1] for name in EXAMPLES if name.startswith("registry ")} == {
-        "add", "list", "show", "find", "due", "trend", "import"
+        "add", "list", "show", "find", "due", "trend", "prior", "import"
     }  # fmt: skip

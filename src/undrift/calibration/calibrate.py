@@ -24,6 +24,7 @@ from undrift.base.summary import at
 from undrift.calibration.adc import identify_record_adc, restored
 from undrift.calibration.checks import missing_faces, range_in_doubt, scale_as_stated
 from undrift.calibration.creep import creep_of, offset_drift
+from undrift.calibration.element_prior import PUBLISHED, ElementPrior
 from undrift.calibration.in_motion import InMotion, fit_in_motion
 from undrift.calibration.known_rotation import calibrate_turns
 from undrift.calibration.multi_position import FEWEST_POSES, calibrate_moves, calibrate_poses
@@ -498,6 +499,7 @@ def calibrate_from_motion(
     adc: Literal["auto", "none"] = "auto",
     gravity_m_s2: float | None = None,
     gravity_source: GravitySource = "stated",
+    prior: ElementPrior = PUBLISHED,
 ) -> Calibration:
     """Calibrate one device from recordings in which it is turned: gravity in motion shows both triads.
 
@@ -511,6 +513,8 @@ def calibrate_from_motion(
         Local gravity, m/s2; None assumes standard gravity, and the verdict says so.
     gravity_source : str
         "stated", or "latitude and height" where it was computed from these.
+    prior : ElementPrior
+        What devices of the part deviate by: published sizes, or those of calibrated devices by ``learn_prior``.
 
     Returns
     -------
@@ -541,10 +545,12 @@ def calibrate_from_motion(
     session = Session(
         kind="calibration", serial="", records=tuple(records), gravity_m_s2=gravity_m_s2, gravity_source=gravity_source,
     )  # fmt: skip
-    return from_motion(session, identify_adc=adc == "auto")[0]
+    return from_motion(session, identify_adc=adc == "auto", prior=prior)[0]
 
 
-def from_motion(session: Session, *, identify_adc: bool) -> tuple[Calibration, InMotion]:
+def from_motion(
+    session: Session, *, identify_adc: bool, prior: ElementPrior = PUBLISHED
+) -> tuple[Calibration, InMotion]:
     """Calibrate from the motion in a session, and return with it the fit: offsets of each recording, what disturbed it."""
     _check_raw(session.records)
     whole = in_one_unit(session).records
@@ -557,6 +563,7 @@ def from_motion(session: Session, *, identify_adc: bool) -> tuple[Calibration, I
         [restored(record, rounding) for record in records],
         gravity_m_s2=session.gravity_m_s2,
         gravity_uncertainty=ASSUMED_GRAVITY if assumed else 0.0,
+        prior=prior,
     )
     more = (finding("session.gravity_assumed", "info", gravity_m_s2=session.gravity_m_s2),) if assumed else ()
     calibration = _calibration(
@@ -570,6 +577,7 @@ def from_motion(session: Session, *, identify_adc: bool) -> tuple[Calibration, I
         settings=(
             ("gyro", "motion"),
             ("accel", "motion"),
+            ("prior", prior.source),
             ("adc", "auto" if identify_adc else "none"),
             ("gravity", session.gravity_source),
         ),

@@ -20,6 +20,7 @@ from itertools import pairwise
 import numpy as np
 
 from undrift.arrays import FloatArray
+from undrift.calibration.element_prior import ELEMENTS, KINDS, PUBLISHED, ElementPrior, by_kinds
 from undrift.errors import Implausible, InputError, NotObservable
 from undrift.findings import Finding, finding
 from undrift.fit.carried import MEAN_S, CarriedMeans
@@ -31,20 +32,14 @@ from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical, si_f
 
 LEAST_S, LEAST_DPS = 20.0, 5.0  # of a recording, and rms of its rates less their mean
 STAGES_S = (15.0, 15.0, 40.0, 40.0, 300.0, 300.0, 300.0, 300.0, 300.0)  # of a stretch, s, in each step of the descent
-# Elements of a matrix against those of the identity: twice what is published of 16 units of one part (scale factors 0.12 to 0.20
-# and 0.07 to 0.14 %, cross-axis 0.5 to 2.4 mrad); cross-axis terms known as if from thirty elements, scales as if from six, since a
-# raw device's may be off by 3 % [assumed]
-ELEMENT, _AS_FROM = 0.004, np.array([30.0, 6.0, 30.0, 6.0])
-ACCEL_OFFSET = 0.3  # m/s2, by data sheets [assumed]
 # rad/s: from rest to motion, from one recording to another, and a raw device's zero-rate output [assumed]
 MOVED, DAILY, RAW_RATE = 0.02 * RADIAN_PER_DEGREE, 0.1 * RADIAN_PER_DEGREE, 1.0 * RADIAN_PER_DEGREE
 # Errors over what the equations state: gyroscopes 1.2 simulated and 1.5 in real trials, accelerometers 1.8 (docs/decisions)
 WIDENED = {"gyro": 1.5, "accel": 1.8}
 NOT_GRAVITY = 1.0  # m/s2, left in a mean over 5 s: people who walk leave 0.03, hands 0.1 [assumed]
 FAR = 0.05  # of a scale factor: data sheets state 3 % [assumed]
-SHOWN = 0.5  # of the prior deviation, below which an element counts as seen
+SHOWN = 0.7  # of the prior deviation, below which an element counts as seen
 _DIAGONAL = np.tile(np.eye(3, dtype=bool).reshape(-1), 2)
-_KINDS = np.array([2 * (k // 9) + _DIAGONAL[k] for k in range(18)])  # cross-axis and scale of each triad
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -120,12 +115,21 @@ class _Model:
     accel: FloatArray
     offset: FloatArray  # p
     usual: FloatArray  # (3,), gyroscopes' offset over its recordings
-    sizes: FloatArray  # (4,), deviation of each kind of element
+    prior: ElementPrior
+    sizes: FloatArray  # (7,), deviation of each kind of element
 
     @property
     def deviation(self) -> FloatArray:
-        """M and A against the identity, (18,)."""
-        return (np.stack((self.gyro, self.accel)) - np.eye(3)).reshape(-1)
+        """M and A against the identity, and p, by kinds of elements, less what devices of the part share, (21,)."""
+        matrices = (np.stack((self.gyro, self.accel)) - np.eye(3)).reshape(-1)
+        deviation: FloatArray = ELEMENTS @ np.append(matrices, self.offset) - self.prior.mean
+        return deviation
+
+    @property
+    def weight(self) -> FloatArray:
+        """What is known of M, A and p before: information by kinds, (21, 21), of ``deviation``."""
+        known: FloatArray = ELEMENTS.T / np.repeat(self.sizes, 3) ** 2
+        return known
 
     def move(self, step: FloatArray) -> None:
         """Take a step (24,) of M, A, p and the usual offset."""
@@ -134,13 +138,15 @@ class _Model:
 
     def widen(self, covariance: FloatArray) -> None:
         """Let the size of each kind of element follow this device: what it deviates by, and what is not known of that."""
-        square = self.deviation**2 + np.diag(covariance)[:18]
-        count, total = np.bincount(_KINDS), np.bincount(_KINDS, square)
-        self.sizes = np.sqrt((_AS_FROM * ELEMENT**2 + total) / (_AS_FROM + count))
+        self.sizes = self.prior.sizes(self.deviation**2 + by_kinds(covariance))
 
 
 def fit_in_motion(
-    records: Sequence[Record], *, gravity_m_s2: float = STANDARD_GRAVITY, gravity_uncertainty: float = 0.0
+    records: Sequence[Record],
+    *,
+    gravity_m_s2: float = STANDARD_GRAVITY,
+    gravity_uncertainty: float = 0.0,
+    prior: ElementPrior = PUBLISHED,
 ) -> InMotion:
     """Fit both triads of one device to raw recordings of 20 s and more in which it is turned; gravity in m/s2.
 
@@ -151,30 +157,33 @@ def fit_in_motion(
     rests = [one.rest.rate for one in units if one.rest is not None]
     model = _Model(
         gyro=np.eye(3), accel=np.eye(3), offset=np.zeros(3),
-        usual=np.mean(rests, axis=0) if rests else np.zeros(3), sizes=np.full(4, ELEMENT),
+        usual=np.mean(rests, axis=0) if rests else np.zeros(3), prior=prior, sizes=prior.sizes(np.zeros((0, 21))),
     )  # fmt: skip
     for one in units:
         one.offset = model.usual if one.rest is None else one.rest.rate
     length = gravity_m_s2, float(np.hypot(gravity_uncertainty, 1e-4 * gravity_m_s2))
-    covariance: FloatArray = np.eye(0)
+    shown: FloatArray = np.eye(0)  # what the recordings add
     for stage in STAGES_S:
-        information, towards = _prior(model, units)
-        usual = np.concatenate((model.sizes[_KINDS], np.full(3, ACCEL_OFFSET), np.full(3, RAW_RATE)))
+        before, towards = _prior(model, units)
+        shown = np.zeros_like(before)
+        usual = np.append(np.sqrt(np.diag(np.linalg.inv(model.weight @ ELEMENTS))), np.full(3, RAW_RATE))
         for k, one in enumerate(units):
             one.cut(stage)
             places = np.r_[:21, 24 + 3 * k : 27 + 3 * k]
             known, seen = one.equations(model, usual, length)
-            information[np.ix_(places, places)] += known
+            shown[np.ix_(places, places)] += known
             towards[places] += seen
-        covariance = np.linalg.inv(information)
+        covariance: FloatArray = np.linalg.inv(before + shown)
         step = covariance @ towards
         model.move(step[:24])
         for k, one in enumerate(units):
             one.offset = one.offset + step[24 + 3 * k : 27 + 3 * k]
         model.widen(covariance)
-    wide = np.full(len(covariance), WIDENED["gyro"])
+    wide = np.full(len(shown), WIDENED["gyro"])
     wide[9:21] = WIDENED["accel"]
-    return _result(records, units, model, wide[:, None] * covariance * wide)
+    freedom = 3.0 + np.array([one.as_from for one in prior.kinds])
+    model.sizes = model.sizes * np.sqrt(freedom / (freedom - 2.0))  # Student's t: sizes are known from few elements
+    return _result(records, units, model, np.linalg.inv(_prior(model, units)[0] + shown / wide[:, None] / wide))
 
 
 def _units(records: Sequence[Record]) -> list[_Unit]:
@@ -218,10 +227,10 @@ def _units(records: Sequence[Record]) -> list[_Unit]:
 def _prior(model: _Model, units: list[_Unit]) -> tuple[FloatArray, FloatArray]:
     """Return information and right side of what is known before: elements, offsets of the device and of its recordings."""
     count = 24 + 3 * len(units)
-    spread = np.concatenate((model.sizes[_KINDS], np.full(3, ACCEL_OFFSET), np.full(3, RAW_RATE)))
-    information = np.diag(np.append(1.0 / spread**2, np.zeros(3 * len(units))))
-    towards = np.zeros(count)
-    towards[:24] = -np.concatenate((model.deviation, model.offset, model.usual)) / spread**2
+    information, towards = np.zeros((count, count)), np.zeros(count)
+    information[:21, :21] = model.weight @ ELEMENTS
+    information[range(21, 24), range(21, 24)] = 1.0 / RAW_RATE**2
+    towards[:24] = -np.append(model.weight @ model.deviation, model.usual / RAW_RATE**2)
     for k, one in enumerate(units):
         at = np.arange(24 + 3 * k, 27 + 3 * k)
         information[at, at] += 1.0 / DAILY**2
@@ -287,10 +296,10 @@ def _result(records: Sequence[Record], units: list[_Unit], model: _Model, covari
 
 def _judged(model: _Model, covariance: FloatArray) -> Iterator[Finding]:
     """Yield what the motion did not show, by axes, and how well the rest is known; how the case turns both triads is apart."""
-    spread, prior = np.sqrt(np.diag(covariance)), model.sizes[_KINDS]
-    for triad, first in (("gyro", 0), ("accel", 9)):
+    spread = np.sqrt(np.diag(covariance))
+    for triad, first, size in (("gyro", 0, model.sizes[0]), ("accel", 9, model.sizes[2])):
         scale = first + np.array([0, 4, 8])
-        unseen = spread[scale] > SHOWN * WIDENED[triad] * prior[scale]
+        unseen = spread[scale] > SHOWN * size
         if unseen.any():
             axes = ", ".join(axis for axis, hidden in zip("xyz", unseen, strict=True) if hidden)
             most = 100.0 * float(spread[scale].max())
@@ -307,3 +316,8 @@ def _judged(model: _Model, covariance: FloatArray) -> Iterator[Finding]:
         if (most := float(np.abs(1.0 / np.diag(matrix) - 1.0).max())) > FAR:
             yield finding("motion.scale", "warn", triad=triad, percent=100.0 * most)
     yield finding("motion.case", "info", lean_deg=np.degrees(spread[:18][~_DIAGONAL].max()))
+    after = np.sqrt(by_kinds(covariance).reshape(7, 3).mean(axis=1))
+    sizes = {
+        f"{name}_percent": (100.0 * a, 100.0 * b) for name, a, b in zip(KINDS[:5], model.sizes, after, strict=False)
+    }
+    yield finding("motion.prior", "info", source=model.prior.source, **sizes)

@@ -28,7 +28,7 @@ VERBS = (
 GROUPS = {  # of commands in one module: the function of each
     "data": {"list": "list_sets", "fetch": "fetch"},
     "registry": {
-        **{name: name for name in ("add", "show", "find", "due", "trend")},
+        **{name: name for name in ("add", "show", "find", "due", "trend", "prior")},
         "list": "list_held",
         "import": "import_folder",
     },

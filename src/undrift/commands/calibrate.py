@@ -109,6 +109,7 @@ def calibrate(
     turn_deg: float | None = None,
     output: OptionalOutput = None,
     calibrate_from: Annotated[Literal["pieces", "motion"], Parameter(name="--from")] = "pieces",
+    prior: Path | None = None,
     accel: AccelFit | None = None,
     gyro: GyroFit | None = None,
     mode: Literal["paper", "affine", "levelled"] | None = None,
@@ -135,6 +136,8 @@ def calibrate(
     calibrate_from : str
         "pieces" takes rests, faces and turns; "motion" gravity while the device is turned in the hand or worn, 20 s and more, and
         nothing else.
+    prior : Path or None
+        What devices of this part deviate by, from `undrift registry prior`, for motion; published sizes by default.
     accel : str or None
         How to calibrate the accelerometers; what the session allows by default.
     gyro : str or None
@@ -149,30 +152,27 @@ def calibrate(
         Picture to write of the recordings, with what was used and what was left out: .svg, .png or .pdf.
     """
     from undrift.calibration.calibrate import calibrated as fit
-    from undrift.calibration.calibrate import from_motion
     from undrift.calibration.observe import CalibrateSettings
     from undrift.io.store import write_calibration
 
-    check_output(output, endings=(".json",), reads=(*files, opening.column_map))
+    check_output(output, endings=(".json",), reads=(*files, opening.column_map, prior))
     check_figure(figure, reads=files)
     registering.check()
     if calibrate_from == "motion":
         idle = {"accel": accel, "gyro": gyro, "mode": mode, "turn_deg": turn_deg, "keep_offset": keep_offset or None}
         _check_idle(idle, fitting, table, sensitivity, rests)
+    elif prior is not None:
+        raise InputError("calibrate: `prior` is for `calibrate_from` motion: state that, or leave it out")
     settings = CalibrateSettings(
-        still=rests.settings(),
-        latitude_deg=place.latitude_deg,
-        turn_angle_deg=turn_deg,
-        remove_offset=not keep_offset,
-        identify_adc=adc == "auto",
-        **(asdict(fitting) | asdict(table) | asdict(sensitivity)),
-    )
+        still=rests.settings(), latitude_deg=place.latitude_deg, turn_angle_deg=turn_deg, remove_offset=not keep_offset,
+        identify_adc=adc == "auto", **(asdict(fitting) | asdict(table) | asdict(sensitivity)),
+    )  # fmt: skip
     progress("reading", 0.0)
     session = session_of(files, place, opening)
     progress("fitting", 0.5)
     seen, in_motion = None, None
     if calibrate_from == "motion":
-        made, in_motion = from_motion(session, identify_adc=adc == "auto")
+        made, in_motion = _by_motion(session, prior, identify_adc=adc == "auto")
     else:
         made, seen = fit(session, accel=accel, gyro=gyro, mode=mode, settings=settings)
     calibrated = Calibrated(
@@ -187,6 +187,15 @@ def calibrate(
         of = (session.records, calibrated.pieces)
         Drawing(place="undrift.report.figures:draw_recording", of=of, options=how).save(figure)
     return calibrated
+
+
+def _by_motion(session: "Session", prior: Path | None, *, identify_adc: bool) -> "tuple[Calibration, InMotion]":
+    from undrift.base.codec import read
+    from undrift.calibration.calibrate import from_motion
+    from undrift.calibration.element_prior import PUBLISHED, ElementPrior
+
+    part = PUBLISHED if prior is None else read(ElementPrior, prior)
+    return from_motion(session, identify_adc=identify_adc, prior=part)
 
 
 def _check_idle(named: Mapping[str, object], *chosen: Any) -> None:

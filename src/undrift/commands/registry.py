@@ -250,6 +250,69 @@ def trend(*, serial: str, figure: Picture = None, where: Where = None) -> Regist
     return RegistryListing(values=tuple(steps), shown=shown)
 
 
+@verb
+def prior(*serials: str, output: OptionalOutput = None, where: Where = None) -> RegistryListing:
+    """Learn what devices of one part deviate by, as a prior for `calibrate --from motion`.
+
+    Parameters
+    ----------
+    serials : str
+        Serial numbers of devices of the part; all devices by default.
+    output : Path or None
+        File of the prior to write: .json.
+    """
+    from undrift.base.codec import tree_of, write
+    from undrift.calibration.element_prior import KINDS, deviation_of, learn_prior
+    from undrift.io.store import calibration_of
+
+    check_output(output, endings=(".json",), reads=())
+    taken, others = list[Any](), list[dict[str, str]]()
+    with open_place(where, there=True) as held:
+        place = held.place
+        for serial in serials or [one.serial for one in held.devices()]:
+            why = "wanted a calibration that counts, got none"
+            for one in reversed(held.calibrations(serial)):  # the newest that can be counted
+                model = calibration_of(held.entry(one.id).document, f"entry {one.id}")
+                try:
+                    deviation_of(model)
+                except InputError as error:
+                    why = str(error)
+                else:
+                    taken.append(model)
+                    break
+            else:
+                others.append({"serial": serial, "why": why})
+    reasons = tuple(f"{one['serial']}: {one['why']}" for one in others)
+    if not taken:
+        raise InputError(
+            f"registry prior: wanted calibrated devices of a part, got none ({'; '.join(reasons) or 'it is empty'}); "
+            "register calibrations by faces, turns, a rate table or optics"
+        )
+    made = learn_prior(taken, f"registry, {len(taken)} devices")
+    if output is not None:
+        write(made, output)
+    kinds = zip(KINDS, made.kinds, strict=True)
+    shown = Summary(
+        title="Prior of a part",
+        answer=f"Prior of a part, from {len(taken)} devices of {place}.",
+        data=tree_of(made) | {"left_out": others},
+        sections=(
+            Section(
+                title="What devices deviate by: shares, rad, and m/s2 for the offset of accelerometers",
+                columns=("kind", "mean 1", "mean 2", "mean 3", "standard deviation"),
+                rows=tuple(
+                    (name.replace("_", " "), *(f"{axis:+.2g}" for axis in kind.mean), f"{kind.size:.2g}")
+                    for name, kind in kinds
+                ),
+            ),
+            Section(title="Left out", text=reasons),
+        ),
+        written=(output,) if output else (),
+        next=("calibrate", "--from", "motion", "A.csv", "--prior", output) if output else (),
+    )
+    return RegistryListing(values=(made,), shown=shown)
+
+
 def step_section(step: "TrendStep", *, every: bool = False) -> Section:
     """Return what changed from one calibration to the next: in words, with all but the cross-axis terms; or every one, folded."""
     cells: Cells[Change] = (
