@@ -65,3 +65,9 @@ def quaternion_of(vector: FloatArray) -> FloatArray:
     """Return the unit quaternion of rotation vectors, gaps (NaN) passing through. vector (..., 3) rad -> (..., 4)."""
     half = 0.5 * np.linalg.norm(vector, axis=-1, keepdims=True)
     return np.concatenate((np.cos(half), 0.5 * np.sinc(half / np.pi) * vector), axis=-1)
+
+
+def signed(q: FloatArray) -> FloatArray:
+    """Return quaternions (N, 4) without jumps of sign."""
+    flips = np.where((q[1:] * q[:-1]).sum(axis=1) < 0.0, -1.0, 1.0)
+    return np.asarray(q * np.append(1.0, np.cumprod(flips))[:, None])

@@ -40,8 +40,8 @@ Temperatures = Sequence[Sequence[FloatArray]]  # per session, per recording: (N,
 _SAME_POSE = 3.0 * RADIAN_PER_DEGREE  # between mean specific forces of one mounting; drift tilts them by 1-2 deg
 _STATED_C = 1.0  # a run states the mean that the thermometer read in a dwell, which varies within a soak, K
 _EVEN = 4.0  # a log that never moves: the spread of nearly all blocks lies within this factor of the median
-_FAR = 6.0  # robust standard deviations: further samples are outliers
-_ROBUST = 1.4826  # standard deviation of normal noise over its median absolute deviation
+FAR = 6.0  # robust standard deviations: further samples are outliers
+ROBUST = 1.4826  # standard deviation of normal noise over its median absolute deviation
 _LEAST_SHARE = 0.5  # of a block's samples that have to be there
 _JUMP = 1.0  # degC: a temperature this far off its block, and far off its scatter, is an outlier
 _RESTLESS = 0.5 * RADIAN_PER_DEGREE  # rad/s, standard uncertainty of the mean of a block
@@ -272,7 +272,7 @@ def rest_blocks(
         known = temp[a:b][np.isfinite(temp[a:b])]
         if len(known) >= _LEAST_SHARE * (b - a):
             off = np.abs(known - np.median(known))
-            temps[k] = known[off <= _JUMP + _FAR * _ROBUST * np.median(off)].mean()
+            temps[k] = known[off <= _JUMP + FAR * ROBUST * np.median(off)].mean()
     blocks = RestBlocks(
         session=np.full(count, session, np.int64),
         pose=np.full(count, pose, np.int64),
@@ -350,8 +350,8 @@ def _clean(blocks: list[FloatArray]) -> list[BoolArray]:
         if count:
             parts = np.array([blocks[k][good[k]] for k in members])
             off = np.abs(parts - np.median(parts, axis=1, keepdims=True))
-            deviation = np.maximum(_ROBUST * np.median(off, axis=1), _step(parts))
-            for k, inside in zip(members, (off <= _FAR * deviation[:, None]).all(axis=2), strict=True):
+            deviation = np.maximum(ROBUST * np.median(off, axis=1), _step(parts))
+            for k, inside in zip(members, (off <= FAR * deviation[:, None]).all(axis=2), strict=True):
                 good[k][good[k]] = inside
     return good
 

@@ -63,7 +63,7 @@ import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray, IntArray
 from undrift.calibration.checks import check_gravity
-from undrift.drift.observe import RestBlocks
+from undrift.drift.observe import FAR, ROBUST, RestBlocks
 from undrift.errors import Implausible, InputError, NotObservable
 from undrift.findings import Finding, finding
 from undrift.fit.least_squares import excess_variance
@@ -73,8 +73,6 @@ from undrift.units import EARTH_RATE, RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_ph
 
 UNKNOWN_SCALE_PER_K = 2e-4  # of an accelerometer that was seen in one pose: a capacitive one shifts by +-1 % in 50 K
 _TIME_CONSTANTS_S = 10.0 ** np.arange(1.0, 4.1, 0.5)
-_FAR = 6.0  # robust standard deviations: a block further from its cell is left out
-_ROBUST = 1.4826
 _MOST_PAIRED = 30  # blocks of a cell that its correlation is taken from
 _LEAST_TRIPLES = 8
 _LEAST_PAIRS = 4
@@ -364,7 +362,7 @@ def instability_of(blocks: RestBlocks, value: FloatArray, variance: FloatArray) 
         return None
     second = (value[middle + 1] - 2.0 * value[middle] + value[middle - 1]) ** 2
     typical = np.median(second, axis=0) / 0.455  # median of chi-square with one degree of freedom
-    second = np.minimum(second, _FAR**2 * typical)
+    second = np.minimum(second, FAR**2 * typical)
     noise = 6.0 * variance[middle].mean(axis=0)
     error = noise * np.sqrt(4.0 / len(middle))  # neighbouring differences share blocks
     share = 6.0 - 8.0 * _rho(np.array(usual)) + 2.0 * _rho(np.array(2.0 * usual))
@@ -414,7 +412,7 @@ def _good(value: FloatArray, pose: IntArray) -> BoolArray:
     for number in np.unique(pose):
         own = np.flatnonzero(pose == number)
         off = np.abs(value[own] - np.median(value[own], axis=0))
-        near = (off <= _FAR * _ROBUST * np.median(off, axis=0)).all(axis=1)
+        near = (off <= FAR * ROBUST * np.median(off, axis=0)).all(axis=1)
         if len(own) >= _LEAST_JUDGED and near.mean() > 0.5:
             good[own] = near
     return good

@@ -19,6 +19,7 @@ import numpy as np
 from undrift.arrays import BoolArray, FloatArray, frozen
 from undrift.errors import FileFormatError, InputError
 from undrift.files import checked_file, is_gzip, read_bytes
+from undrift.frames import signed
 from undrift.io.arrays import mat_arrays, open_hdf5, read_array
 from undrift.io.box import boxed, load
 from undrift.record import Record, Reference, check_time, sample_rate_of
@@ -85,6 +86,8 @@ def pose_from_cluster(markers: Markers, labels: tuple[str, ...] | list[str]) -> 
 
 def fit_cluster(markers: Markers, labels: tuple[str, ...] | list[str]) -> ClusterPose:
     """Fit a rigid body to a cluster of markers, frame by frame (W. Kabsch, Acta Cryst. A32, 1976)."""
+    from scipy.spatial.transform import Rotation
+
     if len(labels) < 3 or len(set(labels)) != len(labels):
         raise InputError(
             f"cluster: wanted three different markers or more, got {', '.join(labels) or 'none'}; name them"
@@ -107,7 +110,7 @@ def fit_cluster(markers: Markers, labels: tuple[str, ...] | list[str]) -> Cluste
     residual = np.where(good, np.sqrt(square / np.maximum(seen.sum(axis=1), 1)), np.nan)
     rms = float(np.sqrt(np.nanmean(residual**2)))
     q_nb = np.full((len(points), 4), np.nan)
-    q_nb[good] = _continuous_quaternions(turn[good])
+    q_nb[good] = signed(Rotation.from_matrix(turn[good]).as_quat(scalar_first=True))
     reference = Reference(
         time=markers.time,
         q_nb=q_nb,
@@ -190,15 +193,6 @@ def _fit(points: FloatArray, seen: BoolArray, template: FloatArray) -> tuple[Flo
     turn = (u * sign[:, None]) @ vt
     good = (seen.sum(axis=1) >= 3) & (s[:, 1] > _FLAT**2 * s[:, 0])
     return turn, centre_x - np.einsum("nij,nj->ni", turn, centre_c), good
-
-
-def _continuous_quaternions(turn: FloatArray) -> FloatArray:
-    """Return w-x-y-z of rotation matrices (N, 3, 3), each with the sign nearest to the one before."""
-    from scipy.spatial.transform import Rotation
-
-    q: FloatArray = Rotation.from_matrix(turn).as_quat(scalar_first=True)
-    q[1:] *= np.cumprod(np.where((q[1:] * q[:-1]).sum(axis=1) < 0.0, -1.0, 1.0))[:, None]
-    return q
 
 
 # ---- C3D, plain or gzip: integer and real storage; Intel, DEC and MIPS byte orders

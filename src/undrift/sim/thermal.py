@@ -30,12 +30,12 @@ import numpy as np
 
 from undrift.arrays import FloatArray, Shape, freeze
 from undrift.errors import InputError, check_positive
-from undrift.record import FACES, Face, Record, Session, Still, Turn
+from undrift.record import FACES, Face, Record, Session, Still, Turn, joined
 from undrift.sim.device.effects import Past, Scene, Thermometer
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.simulate import Simulated, Streams, draw_streams, simulate_device
 from undrift.sim.motion.bench import BenchSettings, free_poses, rest_on_faces, script_motion, steady_rates
-from undrift.sim.motion.motion import Motion, Script, unit_vector
+from undrift.sim.motion.motion import Motion, Script, after_rest, unit_vector
 from undrift.units import RADIAN_PER_DEGREE
 
 # ---- Chamber: the temperature of its set-point, its air and the board in it, over time.
@@ -446,9 +446,7 @@ def _read(
         records.append(record.part(first, len(record)))
     if not settings.one_record:
         return tuple(records), tuple(stills), tuple(turns)
-    columns = {name: [getattr(record, name) for record in records] for name in ("time", "gyro", "accel", "temp_c")}
-    joined: dict[str, Any] = {name: None if x[0] is None else np.concatenate(x) for name, x in columns.items()}
-    return (replace(records[0], **joined),), tuple(stills), tuple(turns)
+    return (joined(records),), tuple(stills), tuple(turns)
 
 
 def _simulated(
@@ -460,22 +458,13 @@ def _simulated(
     temp_c = np.interp(motion.time, profile.time, profile.board_c)
     if len(turns):
         count = len(turns) + round(RUN_IN_S / step_s)
-        motion = _with_rest_before(motion, count, step_s)
+        stated = ("q_nb", "rate_b", "mean_rate_b", "force_b", "moving", "angular_acceleration_b")
+        first = {name: x[:1] for name in stated if (x := getattr(motion, name)) is not None}
+        motion = after_rest(motion, first, np.arange(count, 0, -1) * step_s)
         temp_c = np.concatenate((turns, np.full(count - len(turns), temp_c[0]), temp_c))
     age_s = power_on_s + float(motion.time[0])
     made = simulate_device(replace(device, thermometer=PLAIN), motion, rng=rng, temp_c=temp_c, power_on_s=age_s)
     return made, int(np.searchsorted(made.true_time, start_s - 1e-3 * step_s))
-
-
-def _with_rest_before(motion: Motion, count: int, step_s: float) -> Motion:
-    """Return a motion that begins with a rest, with a longer one and no labels."""
-    columns: dict[str, Any] = {
-        name: np.concatenate((np.repeat(x[:1], count, axis=0), x))
-        for name in ("q_nb", "rate_b", "mean_rate_b", "force_b", "moving", "angular_acceleration_b")
-        if (x := getattr(motion, name)) is not None
-    }
-    time = np.concatenate((motion.time[0] - np.arange(count, 0, -1) * step_s, motion.time))
-    return Motion(time=time, gravity_m_s2=motion.gravity_m_s2, **columns)
 
 
 def _walked_on(device: DeviceModel, walked: Walks, gap_s: float, rng: np.random.Generator) -> Walks:

@@ -24,7 +24,7 @@ from typing import Annotated, Any, Literal, NamedTuple, cast, get_args
 import numpy as np
 from annotated_types import Ge, Gt, Lt, MinLen
 
-from undrift.arrays import FloatArray
+from undrift.arrays import FloatArray, window_sums
 from undrift.base.codec import Key, read, stored, tree_of
 from undrift.errors import FileFormatError, InputError
 from undrift.frames import quaternion_conjugate, rotate
@@ -352,8 +352,7 @@ def check_rest(spline: PoseSpline, rest_s: float, path: Path) -> None:
 def _windowed(values: FloatArray) -> FloatArray:
     """Return the size of the mean over the window that ends at each sample; 0 before the first whole one: cameras are noisy."""
     width = round(WINDOW_S * SAMPLE_RATE_HZ)
-    total = np.concatenate((np.zeros((1, 3)), np.cumsum(values, axis=0)))
-    whole = np.linalg.norm((total[width:] - total[:-width]) / width, axis=1)
+    whole = np.linalg.norm(window_sums(values, width) / width, axis=1)
     return np.concatenate((np.zeros(len(values) - len(whole)), whole))
 
 

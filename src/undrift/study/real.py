@@ -17,7 +17,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Literal, TypeVar
 
 import numpy as np
 from annotated_types import Gt, MinLen
@@ -36,7 +36,7 @@ from undrift.record import Record, Reference
 from undrift.sim.device.model import DeviceModel, read_device
 from undrift.sim.device.presets import preset
 from undrift.sim.device.simulate import simulate_device
-from undrift.sim.motion.motion import Motion
+from undrift.sim.motion.motion import after_rest
 from undrift.sim.motion.poses import PoseSpline, fit_pose_spline
 from undrift.sim.motion.tasks import (
     DEFAULT,
@@ -478,8 +478,10 @@ def _case(
     spline = fit_pose_spline(capture.device, SKIN)
     first, last = spline.pieces[0][:2]  # up to the first long gap
     time = first + np.arange(int((last - first) * SAMPLE_RATE_HZ)) / SAMPLE_RATE_HZ
-    motion = _after_rest(spline.at(time, STANDARD_GRAVITY))
-    before = len(motion) - len(time)
+    motion, before = spline.at(time, STANDARD_GRAVITY), round(REST_S * SAMPLE_RATE_HZ)
+    rest = rest_of(motion, motion.q_nb[:1]) | {"moving": np.zeros(1)}
+    motion = replace(motion, moving=np.ones(len(time)))
+    motion = after_rest(motion, rest, np.arange(before, 0, -1) / SAMPLE_RATE_HZ)
     made = simulate_device(device, motion, rng=rng, temp_c=ROOM_TEMP_C + excursion_k, power_on_s=SETTLED_S)
     pitch = np.unwrap(sagittal_pitch(motion.q_nb))
     late_s = delay_of(made.record, motion.q_nb)
@@ -493,20 +495,6 @@ def _case(
         moving=(before, len(motion)),
     )
     return case, pitch, float(made.gyro.saturated.any(axis=1).mean())
-
-
-def _after_rest(motion: Motion) -> Motion:
-    """Return a motion with a rest in its first pose before it."""
-    count, rest = round(REST_S * SAMPLE_RATE_HZ), rest_of(motion, motion.q_nb[:1])
-    joined: dict[str, Any] = {
-        name: np.concatenate((np.repeat(row, count, axis=0), getattr(motion, name))) for name, row in rest.items()
-    }
-    return Motion(
-        time=np.concatenate((motion.time[0] - np.arange(count, 0, -1) / SAMPLE_RATE_HZ, motion.time)),
-        moving=np.concatenate((np.zeros(count), np.ones(len(motion)))),
-        gravity_m_s2=motion.gravity_m_s2,
-        **joined,
-    )
 
 
 # ---- real.toml

@@ -39,12 +39,12 @@ from undrift.rig.watch import stopping_on_signals
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.presets import random_device_of
 from undrift.sim.device.truth import true_calibration, true_tables
-from undrift.sim.motion.poses import OpticsSettings, see
+from undrift.sim.motion.poses import see
 from undrift.sim.motion.tasks import draw_task
 from undrift.sim.rig import emulator
 from undrift.sim.rig.stream import StreamSettings
 from undrift.sim.table_sessions import ROOM_TEMP_C
-from undrift.study.figure3 import judge_compared, levels_of, worn_record
+from undrift.study.figure3 import OPTICS, judge_compared, levels_of, worn_record
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 from undrift.validation.trial import Trial
 
@@ -228,7 +228,6 @@ LEVELS = (
     "all tables, re-zeroed at a rest",
 )
 EXCURSION_K = 12.5  # between the note's 10 and 15
-OPTICS = OpticsSettings(gaps=0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

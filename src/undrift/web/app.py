@@ -5,7 +5,6 @@ import contextlib
 import socket
 from collections.abc import AsyncIterator, Callable
 from functools import partial
-from pathlib import Path
 
 import uvicorn
 from fastapi import FastAPI
@@ -19,12 +18,11 @@ from undrift.errors import InputError, UndriftError
 from undrift.web import devices, guided, live, rate_table, recordings, result, start, temperature
 from undrift.web.access import Access, allowed
 from undrift.web.bench import Bench, ServerSettings
-from undrift.web.feed import Feed
+from undrift.web.feed import STATIC, Feed
 from undrift.web.parts import PAGES
 from undrift.web.uploads import receive_upload
 
 FIRST_S = 10.0  # from a connection to its first request
-STATIC = Path(__file__).parent / "static"
 BUILT: dict[str, Callable[[Bench], None]] = {
     "/": start.page,
     "/six-faces": partial(guided.page, "Six faces"),

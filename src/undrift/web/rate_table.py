@@ -20,6 +20,7 @@ from undrift.base.options import asked
 from undrift.commands.bench.rig_run import GOING, EmulatedTable, RigRun, RunOrder, View, begin_run, find_run
 from undrift.commands.rig import forecast
 from undrift.errors import InputError, UndriftError
+from undrift.record import FACES
 from undrift.units import RADIAN_PER_DEGREE
 from undrift.web import parts
 from undrift.web.commands import CommandOutcome
@@ -28,7 +29,6 @@ if TYPE_CHECKING:
     from undrift.rig.programme import Forecast
     from undrift.web.bench import Bench
 
-FACES = ("+x", "-x", "+y", "-y", "+z", "-z")
 NEXT_STEPS = 4
 SPEEDS = ("1", "10", "20", "100")  # of the emulated table
 

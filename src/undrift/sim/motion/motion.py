@@ -29,8 +29,9 @@ a hand turn takes in the sample that ends it.
 """
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Annotated, Protocol
+from typing import Annotated, Any, Protocol
 
 import numpy as np
 from numpy.polynomial import Polynomial
@@ -205,6 +206,16 @@ class Motion:
     def sample_rate_hz(self) -> float:
         """Samples per second."""
         return float((len(self.time) - 1) / (self.time[-1] - self.time[0]))
+
+
+def after_rest(motion: Motion, rest: Mapping[str, FloatArray], before_s: FloatArray) -> Motion:
+    """Return a motion without labels behind a rest: one row by field, and by how much its samples come before the first, s."""
+    columns: dict[str, Any] = {
+        name: np.concatenate((np.repeat(row, len(before_s), axis=0), getattr(motion, name)))
+        for name, row in rest.items()
+    }
+    time = np.concatenate((motion.time[0] - before_s, motion.time))
+    return Motion(time=time, gravity_m_s2=motion.gravity_m_s2, **columns)
 
 
 def mean_rate(time: FloatArray, q_nb: FloatArray, first: FloatArray) -> FloatArray:

@@ -34,7 +34,7 @@ import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray, IntArray
 from undrift.errors import InputError
-from undrift.frames import quaternion_conjugate, quaternion_product, rotate
+from undrift.frames import quaternion_conjugate, quaternion_product, rotate, signed
 from undrift.record import Reference
 from undrift.sim.device.simulate import Streams, draw_streams
 from undrift.sim.motion.motion import Motion, mean_rate
@@ -205,12 +205,6 @@ def fit_pose_spline(reference: Reference, settings: PoseSettings = PoseSettings(
         pieces.append((start, stop, quaternion, position))
     moving = np.ones(len(time)) if reference.moving is None else reference.moving
     return PoseSpline(pieces=tuple(pieces), moving_time=time, moving=moving)
-
-
-def signed(q: FloatArray) -> FloatArray:
-    """Return quaternions without jumps of sign."""
-    flips = np.where((q[1:] * q[:-1]).sum(axis=1) < 0.0, -1.0, 1.0)
-    return np.asarray(q * np.append(1.0, np.cumprod(flips))[:, None])
 
 
 def evenly(time: FloatArray, values: FloatArray, step: float) -> tuple[FloatArray, FloatArray]:
