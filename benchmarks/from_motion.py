@@ -1,9 +1,11 @@
 """What motion alone gives: BROAD by each step, pitch of simulated tasks by each offset, and how long the fits take.
 
-``python -m benchmarks.from_motion`` prints three tables, or those that are named: broad, tasks, times.
+``python -m benchmarks.from_motion`` prints four tables, or those that are named: broad, heading, tasks, times.
 
 broad: end error, total / inclination, deg, of the eight trials at hand, each calibrated on the *other* trials of its device, by
 strapdown and by VQF (offline, as ``orient --method vqf`` has it) fed with the same readings; beside it the expected error.
+heading: error of the heading over the movement, rms, deg, by VQF with a magnetometer (9D), of raw readings and of those by the
+motion of the other trials; the mean error in the five seconds before the movement is taken away, or nothing.
 tasks: pitch error, rms over the motion, deg, of three simulated devices, each calibrated by a bench session, on another day.
 There is no walking in ``sim``: ten minutes are ten ``free`` tasks in one recording, and a walk of sinusoids that is made here.
 times: 30 recordings of two minutes through the fit of both triads; the offset of one of them.
@@ -72,6 +74,10 @@ def steps(numbers: Sequence[str]) -> Iterator[tuple[str, list[Ended]]]:
         for one in leave_one_out(records, references, adc=adc)
     ]  # fmt: skip
     in_motion = [calibrate_from_motion([other for other in records if other is not record]) for record in records]
+    with_field = [
+        calibrate_from_motion([other for other in records if other is not record], magnetometer=True)
+        for record in records
+    ]
     without: list[Calibration | None] = [None] * len(records)
     plain = TrialSettings(adc="none")
     rows: tuple[tuple[str, Sequence[Calibration | None], OffsetChoice], ...] = (
@@ -81,6 +87,8 @@ def steps(numbers: Sequence[str]) -> Iterator[tuple[str, list[Ended]]]:
         ("reference fit, offset from motion", fits, "motion"),
         ("motion of the others, rest", in_motion, "rest"),
         ("motion of the others, offset from motion", in_motion, "motion"),
+        ("and the magnetometer, rest", with_field, "rest"),
+        ("and the magnetometer, offset from motion", with_field, "motion"),
     )
     for name, calibrations, offset in rows:
         settings = replace(plain if calibrations is without else TrialSettings(), offset=offset)
@@ -113,10 +121,14 @@ def _ended(number: str, judged: Trial, filtered: tuple[float, float]) -> Ended:
 def by_vqf(
     judged: Trial, record: Record, reference: Reference, calibration: Calibration | None, offset: OffsetChoice
 ) -> tuple[float, float]:
-    """Return the end error of VQF, total and inclination, deg, where ``validate`` takes it; heading equal before the motion."""
+    """Return the end error of VQF, total and inclination, deg, where ``validate`` takes it; heading equal before the motion.
+
+    With the magnetometer where the calibration has one.
+    """
     done = record.in_si() if calibration is None else correct(record, calibration)
     model = None if calibration is None else calibration.gyro
-    track = orient(done, None, OrientSettings(method="vqf", offset=offset), gyro_model=model)
+    field = calibration is not None and calibration.magnetometer is not None
+    track = orient(done, None, OrientSettings(method="vqf", offset=offset, magnetometer=field), gyro_model=model)
     poses, settings = seen_poses(done, reference, judged.lag), TrialSettings()
     lag_s = judged.lag.seconds * judged.lag_undone
     shift_s = (judged.lag.seconds - 0.5 / done.sample_rate_hz) * judged.lag_undone
@@ -164,6 +176,44 @@ def _words(ended: Ended) -> str:
         f"{ended.number} {ended.strapdown[0]:.2f} / {ended.strapdown[1]:.2f}{expected * bool(np.isfinite(ended.expected))}, "
         f"VQF {ended.filtered[0]:.2f} / {ended.filtered[1]:.2f}"
     )
+
+
+# ---- heading
+
+UNDISTURBED = ("02", "05", "07", "09", "03")
+
+
+def heading_errors(record: Record, reference: Reference, calibration: Calibration | None) -> tuple[float, float]:
+    """Return the error of VQF's heading (9D), rms over the movement, deg: equal before it, and as it is."""
+    done = record.in_si() if calibration is None else correct(record, calibration)
+    model, offset = (None, "none") if calibration is None else (calibration.gyro, "motion")
+    track = orient(done, None, OrientSettings(method="vqf", offset=offset, magnetometer=True), gyro_model=model)
+    q = reference.q_nb[reference.time.searchsorted(track.time)]  # BROAD: one clock
+    off, moving = heading_of(quaternion_product(track.q_nb, quaternion_conjugate(q))), reference.moving > 0.0
+    begins = float(reference.time[moving][0])
+    before = np.isfinite(off) & (track.time < begins) & (track.time > begins - 5.0)
+    found = []
+    for angle in (np.angle(np.exp(1j * off[before]).mean()), 0.0):
+        left = np.angle(np.exp(1j * (off - angle)))[moving & np.isfinite(off)]
+        found.append(float(np.degrees(np.sqrt((left**2).mean()))))
+    return found[0], found[1]
+
+
+def print_heading() -> None:
+    """Print the heading's error of each trial, and means of the undisturbed ones and of all."""
+    rows = {}
+    for numbers in DEVICES.values():
+        for n in numbers:
+            others = [trial(o)[0] for o in numbers if o != n]
+            made = calibrate_from_motion(others, magnetometer=True)
+            rows[n] = (*heading_errors(*trial(n), None), *heading_errors(*trial(n), made))
+            print(
+                f"{n}: raw {rows[n][0]:.2f} ({rows[n][1]:.2f}), corrected {rows[n][2]:.2f} ({rows[n][3]:.2f})",
+                flush=True,
+            )
+    for name, chosen in (("five undisturbed trials", UNDISTURBED), ("eight trials", tuple(rows))):
+        means = np.mean([rows[n] for n in chosen], axis=0)
+        print(f"{name}: raw {means[0]:.2f} ({means[1]:.2f}), corrected {means[2]:.2f} ({means[3]:.2f})")
 
 
 # ---- tasks
@@ -269,8 +319,8 @@ def print_times() -> None:
 
 def main() -> None:
     """Print the tables."""
-    for part in sys.argv[1:] or ("broad", "tasks", "times"):
-        {"broad": print_broad, "tasks": print_tasks, "times": print_times}[part]()
+    for part in sys.argv[1:] or ("broad", "heading", "tasks", "times"):
+        {"broad": print_broad, "heading": print_heading, "tasks": print_tasks, "times": print_times}[part]()
 
 
 if __name__ == "__main__":

@@ -245,6 +245,24 @@ def test_the_filter_is_told_how_well_the_offset_is_known(monkeypatch):
     assert given["step"] == pytest.approx(0.01)
 
 
+def test_the_filter_with_a_magnetometer_turns_to_magnetic_east_and_bridges_gaps():
+    record, truth = worn(drift=0.0)
+    turn = np.array([np.cos(0.6), 0.0, 0.0, np.sin(0.6)])
+    true = quaternion_product(turn, truth)
+    field = rotate(quaternion_conjugate(true), np.array([0.0, 18.0, -44.0]))
+    field[1::2] = np.nan  # half as fast as the others
+    found = orient(replace(record, mag_ut=field), None, OrientSettings(method="vqf", magnetometer=True))
+    error = off(found.q_nb, true)
+    show("filter with a magnetometer, rad", error.max(), 0.02)
+    assert error.max() < 0.02
+    assert "to magnetic north" in only(found.findings, "orient.north").text
+    for change, got in (({}, "got no readings"), ({"mag_ut": field}, "got strapdown, heading 0 rad")):
+        with pytest.raises(InputError, match=got):
+            orient(replace(record, **change), None, OrientSettings(magnetometer=True, method="strapdown"))
+    with pytest.raises(InputError, match="wanted a magnetometer, got gaps alone"):
+        orient(replace(record, mag_ut=field * np.nan), None, OrientSettings(method="vqf", magnetometer=True))
+
+
 def test_without_whole_accelerometers_the_filter_is_refused():
     record, _ = moved(noise=1e-4)
     accel = record.accel.copy()

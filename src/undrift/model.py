@@ -206,6 +206,16 @@ class TriadModel:
 
 @stored()
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Magnetometer:
+    """Inverse model of a magnetometer: field = x - lag_s w x x, x = matrix (raw - offset), w the rate, axes of the gyroscopes."""
+
+    model: TriadModel  # uT to uT; its matrix has determinant 1: the size of the field is as it was read
+    lag_s: float  # By which its readings lag those of the gyroscopes
+    lag_uncertainty_s: float  # Standard uncertainty
+
+
+@stored()
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class WarmUp:
     """Extra offset of a device after power-on; it decays to zero."""
 
@@ -507,6 +517,8 @@ class Calibration(Shown):
         Where it came from.
     file_map : FileMap or None
         How the recordings of the device are read, where they needed a map.
+    magnetometer : Magnetometer or None
+        None where it was not fitted: its readings are then carried along as they are.
 
     Examples
     --------
@@ -528,6 +540,7 @@ class Calibration(Shown):
     verdict: Verdict = Verdict()  # noqa: RUF009  frozen
     provenance: Provenance = Provenance()
     file_map: Annotated[FileMap | None, LATER] = None
+    magnetometer: Annotated[Magnetometer | None, LATER] = None
 
     def triad(self, sensor: Sensor) -> "Triad":
         """Return all that is known of one sensor: model, tables, codes."""
@@ -558,6 +571,7 @@ class Calibration(Shown):
             f"Calibration of {self.device or 'a device without serial number'} at {where}",
             f"gyro     {_in_a_line(self.gyro)}",
             f"accel    {_in_a_line(self.accel)}",
+            *(() if self.magnetometer is None else (f"mag      {_in_a_line(self.magnetometer.model)}",)),
             f"drift    {'no tables' if self.drift is None else _tables_in_a_line(self.drift)}",
             f"verdict  {self.verdict.status}, {count} finding{'' if count == 1 else 's'}",
         ))  # fmt: skip

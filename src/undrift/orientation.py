@@ -20,9 +20,9 @@ Angles of q_nb = (w, x, y, z)::
 The pitch has no singularity until the vertical leaves the sagittal plane, where it is a gap (NaN).
 
 Strapdown drifts by the offset's uncertainty times the time since the rest; the uncertainty is the largest rate left at a rest (the
-calibration's own where that is more), the scatter of the mean, and the change from rest to motion. A filter (VQF [1]_, 6D: no
-magnetometer) takes the inclination from the accelerometers and tracks the offset, with that uncertainty as the prior of its bias;
-its heading is that of the rest.
+calibration's own where that is more), the scatter of the mean, and the change from rest to motion. A filter (VQF [1]_) takes the
+inclination from the accelerometers and tracks the offset, with that uncertainty as the prior of its bias; its heading is that of
+the rest (6D), or relative to magnetic east where it takes the magnetometer (9D).
 
 .. [1] D. Laidig, T. Seel, "VQF: Highly accurate IMU orientation estimation with bias estimation and magnetic disturbance
    rejection", Information Fusion 91, 187-204, 2023; the package ``vqf``.
@@ -341,14 +341,17 @@ class OrientSettings:
         rate of every still phase, linear in between; "motion": what gravity shows of it while the device moves, from that rest.
     method : str
         "strapdown", or "vqf": a filter with accelerometers, over the whole record.
+    magnetometer : bool
+        Whether the filter takes the magnetic field too: n is then magnetic east, magnetic north and up.
     heading : float
-        Heading at the still phase, rad.
+        Heading at the still phase, rad; with a magnetometer it is that of the field.
     forward, up : str
         Device axes that point forward and up on the upright segment; they define the pitch.
     """
 
     offset: Literal["none", "rest", "still", "motion"] = "none"
     method: Literal["strapdown", "vqf"] = "strapdown"
+    magnetometer: bool = False
     heading: float = 0.0
     forward: Face = "+x"
     up: Face = "+z"
@@ -482,9 +485,8 @@ def orient_unchecked(
 ) -> Orientation:
     """Find the orientation of a record whose columns are known to be right."""
     whole = record.in_si()
-    if whole.gyro is None:
-        raise InputError("orient: wanted gyroscope readings, got none; map the columns that hold them")
-    _check_whole(whole.time, whole.gyro)
+    _check_whole(whole)
+    _check_field(whole, settings)
     rates = np.asarray((record := unpadded(whole)).gyro)
     if still is not None:
         first = int(whole.time.searchsorted(record.time[0]))
@@ -512,7 +514,8 @@ def orient_unchecked(
         uncertainty = _offset_uncertainty(rates, rests, means, offsets, gyro_model)
     gyro, anchor = rates - offsets, 0 if still is None else still.stop - 1
     if settings.method == "vqf":
-        q = _levelled_at(_filtered(record, gyro, uncertainty), anchor, tilt.q_nb)
+        q, of_field = _filtered(record, gyro, uncertainty, magnetometer=settings.magnetometer)
+        q, findings = q if of_field else _levelled_at(q, anchor, tilt.q_nb), findings + of_field
     else:
         q = _both_ways(gyro, record.time, tilt.q_nb, anchor)
         findings += (_expected_drift(record.time, anchor, uncertainty, settings.offset, rested=still is not None),)
@@ -622,8 +625,13 @@ def _expected_drift(time: FloatArray, anchor: int, uncertainty: float, offset: s
 # ---- filter
 
 
-def _filtered(record: Record, gyro: FloatArray, uncertainty: float) -> FloatArray:
-    """Return the orientation by VQF over the whole record, offline and without a magnetometer, (N, 4); heading from its start."""
+def _filtered(
+    record: Record, gyro: FloatArray, uncertainty: float, *, magnetometer: bool
+) -> tuple[FloatArray, tuple[Finding, ...]]:
+    """Return the orientation by VQF over the whole record, offline, (N, 4), and what it says of the field.
+
+    Heading from its start, or where it takes a magnetometer from magnetic east, x of n.
+    """
     from vqf import offlineVQF
 
     if record.accel is None or np.isnan(record.accel).any():
@@ -632,6 +640,13 @@ def _filtered(record: Record, gyro: FloatArray, uncertainty: float) -> FloatArra
             f"orient: wanted an accelerometer without gaps for the filter, got {got}; use the method strapdown"
         )
     time, values = record.time, np.hstack((gyro, record.accel))
+    if magnetometer:
+        mag_ut = np.asarray(record.mag_ut)
+        seen = np.isfinite(mag_ut).all(axis=1)
+        if not seen.any():
+            raise InputError("orient: wanted a magnetometer, got gaps alone; leave it out")
+        bridged = (np.interp(time, time[seen], axis) for axis in mag_ut[seen].T)  # it may be slower
+        values = np.column_stack((values, *bridged))
     steps, even = np.diff(time), time
     step = float(np.median(steps))
     if uneven := bool((np.abs(steps - step) > UNEVEN * step).any()):
@@ -639,14 +654,18 @@ def _filtered(record: Record, gyro: FloatArray, uncertainty: float) -> FloatArra
         values = np.stack([np.interp(even, time, column) for column in values.T], axis=1)
     sigma = max(uncertainty / RADIAN_PER_DEGREE, LEAST_BIAS_SIGMA_DPS)  # VQF's own unit, deg/s
     step = step if uneven else float(time[-1] - time[0]) / len(steps)
-    parts = (np.ascontiguousarray(part) for part in np.hsplit(values, 2))
-    q: FloatArray = offlineVQF(*parts, None, step, {"biasSigmaInit": sigma})["quat6D"]
+    gyr, acc, *mag = (np.ascontiguousarray(part) for part in np.split(values, range(3, values.shape[1], 3), axis=1))
+    out = offlineVQF(gyr, acc, mag[0] if mag else None, step, {"biasSigmaInit": sigma})
+    q: FloatArray = out["quat9D" if mag else "quat6D"]
+    findings = (
+        () if not mag else (finding("orient.north", "info", percent=100.0 * float(out["magDistDetected"].mean())),)
+    )
     if not uneven:
-        return q
+        return q, findings
     from scipy.spatial.transform import Rotation, Slerp
 
     between = Slerp(even, Rotation.from_quat(q, scalar_first=True))
-    return np.asarray(between(np.minimum(time, even[-1])).as_quat(scalar_first=True))
+    return np.asarray(between(np.minimum(time, even[-1])).as_quat(scalar_first=True)), findings
 
 
 def _levelled_at(q_nb: FloatArray, anchor: int, wanted: FloatArray) -> FloatArray:
@@ -655,11 +674,24 @@ def _levelled_at(q_nb: FloatArray, anchor: int, wanted: FloatArray) -> FloatArra
     return quaternion_product(np.array([w, 0.0, 0.0, z]) / math.hypot(w, z), q_nb)
 
 
+def _check_field(record: Record, settings: OrientSettings) -> None:
+    """Raise where a magnetometer is asked for that the record has not, or that the settings have no use for."""
+    if settings.magnetometer and (settings.method != "vqf" or settings.heading != 0.0 or record.mag_ut is None):
+        got = "no readings" if record.mag_ut is None else f"{settings.method}, heading {settings.heading:.3g} rad"
+        raise InputError(
+            "orient: wanted a magnetometer's readings, the method vqf and no heading, which the field gives, "
+            f"got {got}; leave the magnetometer out, or correct this"
+        )
+
+
 _MOST_RATE = 4000.0 * RADIAN_PER_DEGREE  # rad/s: the widest range of gyroscopes that are worn
 
 
-def _check_whole(time: FloatArray, gyro: FloatArray) -> None:
+def _check_whole(record: Record) -> None:
     """Raise where readings are missing for longer than a motion can be bridged, or where an axis is dead."""
+    time, gyro = record.time, record.gyro
+    if gyro is None:
+        raise InputError("orient: wanted gyroscope readings, got none; map the columns that hold them")
     check_gaps(gyro, time, "orient")
     steps = np.diff(time)
     holes = np.flatnonzero(steps > max(LONGEST_HOLE_S, 5.0 * float(np.median(steps))))

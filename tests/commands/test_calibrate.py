@@ -5,14 +5,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from benchmarks.broad import DEVICES, trial
 from benchmarks.in_motion import pairs
 
 from testkit.command_line import contents
 from testkit.data import data_path, show
 from testkit.stepper_jig import turned
-from undrift.io.formats import write_record
+from undrift.frames import quaternion_conjugate, quaternion_product
+from undrift.io.formats import read_reference, write_record
 from undrift.io.session import write_session
 from undrift.io.store import read_calibration
+from undrift.orientation import heading_of
 from undrift.record import RateTable, Session, TemperatureSensitivity
 from undrift.sim.bench_errors import BenchErrors
 from undrift.sim.device.presets import random_device
@@ -392,6 +395,32 @@ def test_recordings_in_motion_calibrate_both_triads_and_state_the_offset_of_each
     words = undrift.good("calibrate", *files, "--from", "motion").out
     assert "Gyroscopes' offset of each recording, deg/s" in words
     assert "hold the device with each of these axes up, then down" in words
+
+
+def test_a_magnetometer_is_calibrated_by_the_same_motion_and_gives_a_heading_from_north(undrift, tmp_path):
+    for number in DEVICES["C"]:
+        record, _ = trial(number)
+        channels = {name: getattr(record, name)[::3] for name in ("time", "gyro", "accel", "mag_ut")}
+        write_record(replace(record, **channels), tmp_path / f"{number}.csv")
+    made, words = tmp_path / "c.json", ("calibrate", tmp_path / "03.csv", "--from", "motion")
+    shown = undrift.good(*words, "--magnetometer", "-o", made, "--report", tmp_path / "c.html").out
+    assert "axes of the gyroscopes, which it lags by 1" in shown
+    assert "Magnetic field of each recording" in shown
+    assert "Magnetometer: motion" in (tmp_path / "c.html").read_text()
+    mag = read_calibration(made).magnetometer
+    np.testing.assert_allclose(mag.model.offset, (-0.31, 1.02, -1.59), atol=0.15)
+    assert np.linalg.det(mag.model.matrix) == pytest.approx(1.0)
+    assert "--magnetometer are for" in undrift.refused("calibrate", tmp_path / "03.csv", "--magnetometer")
+    turned = ("orient", tmp_path / "24.csv", "--calibration", made, "-o", tmp_path / "o.csv", "--magnetometer")
+    shown = undrift.good(*turned, "--method", "vqf").out
+    assert "Heading is relative to magnetic east" in shown
+    found = read_reference(tmp_path / "o.csv")
+    apart = quaternion_product(found.q_nb[:2000], quaternion_conjugate(trial("24")[1].q_nb[: 3 * 2000 : 3]))
+    assert np.degrees(np.nanmedian(np.abs(heading_of(apart)))) < 4.0  # east-north-up of the optics
+    assert "the method vqf and no heading" in undrift.refused(*turned)
+    undrift.good(*words, "-o", tmp_path / "plain.json")
+    bare = [str(word).replace("c.json", "plain.json") for word in turned]
+    assert "The magnetometer is not calibrated" in undrift.good(*bare, "--method", "vqf").out
 
 
 def test_options_that_motion_alone_cannot_use_are_refused(undrift, tmp_path):

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from testkit import twins
-from testkit.full_calibration import GAP, ROUNDINGS, STEPS, WILD, N, device, record, tables
-from undrift.correction.correct import DriftRangeWarning, correct, correct_checked, correct_whole
+from testkit.full_calibration import GAP, ROUNDINGS, STEPS, WILD, N, device, record, tables, with_magnetometer
+from undrift.correction.correct import Corrector, DriftRangeWarning, correct, correct_checked, correct_whole
 from undrift.errors import DriftRangeError, InputError
 from undrift.model import AdcModel
 
@@ -295,3 +295,16 @@ def test_constant_offsets_far_from_their_temperature_are_reported_on_either_side
     done = correct_checked(record(4, temp_c=np.linspace(25.0, 25.0 + away, 4)), c)
     assert [found.code for found in done.findings] == ["correct.departure"]
     assert done.findings[0].values["departure_c"] == pytest.approx(12.0)
+
+
+def test_a_magnetometer_is_corrected_by_the_rate_in_whole_and_in_chunks():
+    c, r = with_magnetometer(device(drift=None)), record(temp_c=np.full(N, 25.0))
+    r = replace(r, mag_ut=np.random.default_rng(6).uniform(-50.0, 50.0, (len(r), 3)))
+    done, made = correct(r, c), c.magnetometer
+    x = (r.mag_ut - made.model.offset) @ made.model.matrix.T
+    np.testing.assert_allclose(done.mag_ut, x - made.lag_s * np.cross(done.gyro, x), rtol=0.0, atol=1e-12)
+    corrector = Corrector(c)
+    chunks = [corrector.push(r.part(first, min(first + 100, len(r)))).mag_ut for first in range(0, len(r), 100)]
+    np.testing.assert_array_equal(np.concatenate(chunks), done.mag_ut)
+    assert correct(replace(r, mag_ut=None), c).mag_ut is None
+    np.testing.assert_array_equal(correct(r, device(drift=None), check=False).mag_ut, r.mag_ut)  # carried along

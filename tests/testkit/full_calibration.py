@@ -1,8 +1,19 @@
 """A device with every term of the correction model, its tables, and readings to correct."""
 
+from dataclasses import replace
+
 import numpy as np
 
-from undrift.model import AdcModel, Calibration, DriftTables, DynamicDrift, ScaleDrift, StaticDrift, TriadModel
+from undrift.model import (
+    AdcModel,
+    Calibration,
+    DriftTables,
+    DynamicDrift,
+    Magnetometer,
+    ScaleDrift,
+    StaticDrift,
+    TriadModel,
+)
 from undrift.record import Record
 
 N = 203  # odd, so that no vector width divides it; small, so that the tests also run without the compiler
@@ -38,6 +49,12 @@ def device(*, g=True, unit="count", **changes):
         **changes,
     }
     return Calibration(**values)
+
+
+def with_magnetometer(made):
+    """Return a calibration that has one too."""
+    model = replace(triad(np.random.default_rng(9), "ut", "ut", 1.0, 20.0), rms_residual=0.4)
+    return replace(made, magnetometer=Magnetometer(model=model, lag_s=0.0128, lag_uncertainty_s=2e-4))
 
 
 STEPS = np.linspace(18.0, 75.0, 115)

@@ -15,6 +15,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import fields, replace
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, cast
 
@@ -27,6 +28,7 @@ from undrift.calibration.creep import creep_of, offset_drift
 from undrift.calibration.element_prior import PUBLISHED, ElementPrior
 from undrift.calibration.in_motion import InMotion, fit_in_motion
 from undrift.calibration.known_rotation import calibrate_turns
+from undrift.calibration.magnetometer import FieldFit, fit_magnetometer
 from undrift.calibration.multi_position import FEWEST_POSES, calibrate_moves, calibrate_poses
 from undrift.calibration.observe import CalibrateSettings, Observed, Outcome, at_one_temperature, in_one_unit, observe
 from undrift.calibration.pieces import check_accel
@@ -500,6 +502,7 @@ def calibrate_from_motion(
     gravity_m_s2: float | None = None,
     gravity_source: GravitySource = "stated",
     prior: ElementPrior = PUBLISHED,
+    magnetometer: bool = False,
 ) -> Calibration:
     """Calibrate one device from recordings in which it is turned: gravity in motion shows both triads.
 
@@ -515,6 +518,8 @@ def calibrate_from_motion(
         "stated", or "latitude and height" where it was computed from these.
     prior : ElementPrior
         What devices of the part deviate by: published sizes, or those of calibrated devices by ``learn_prior``.
+    magnetometer : bool
+        Whether to fit the magnetometer too, by the recordings that have one.
 
     Returns
     -------
@@ -545,11 +550,11 @@ def calibrate_from_motion(
     session = Session(
         kind="calibration", serial="", records=tuple(records), gravity_m_s2=gravity_m_s2, gravity_source=gravity_source,
     )  # fmt: skip
-    return from_motion(session, identify_adc=adc == "auto", prior=prior)[0]
+    return from_motion(session, identify_adc=adc == "auto", prior=prior, magnetometer=magnetometer)[0]
 
 
 def from_motion(
-    session: Session, *, identify_adc: bool, prior: ElementPrior = PUBLISHED
+    session: Session, *, identify_adc: bool, prior: ElementPrior = PUBLISHED, magnetometer: bool = False
 ) -> tuple[Calibration, InMotion]:
     """Calibrate from the motion in a session, and return with it the fit: offsets of each recording, what disturbed it."""
     _check_raw(session.records)
@@ -559,12 +564,10 @@ def from_motion(
     named += [one for each in records for one in at("undrift.correction.consistency:check_triads")(each)]
     rounding = device_adc(records) if identify_adc else None
     assumed = session.gravity_source == "standard"
-    fit = fit_in_motion(
-        [restored(record, rounding) for record in records],
-        gravity_m_s2=session.gravity_m_s2,
-        gravity_uncertainty=ASSUMED_GRAVITY if assumed else 0.0,
-        prior=prior,
-    )
+    readings = [restored(record, rounding) for record in records]
+    gravity_error = ASSUMED_GRAVITY if assumed else 0.0
+    fit_them = partial(fit_in_motion, gravity_m_s2=session.gravity_m_s2, gravity_uncertainty=gravity_error, prior=prior)
+    fit = fit_them(readings)
     more = (finding("session.gravity_assumed", "info", gravity_m_s2=session.gravity_m_s2),) if assumed else ()
     calibration = _calibration(
         records,
@@ -573,7 +576,6 @@ def from_motion(
         gyro=fit.gyro.model,
         accel=fit.accel.model,
         adc=rounding,
-        verdict=fit.gyro.verdict.also(Verdict.of(*each_once(named), *more)),
         settings=(
             ("gyro", "motion"),
             ("accel", "motion"),
@@ -583,7 +585,31 @@ def from_motion(
         ),
         file_map=session.file_map,
     )
-    return calibration, fit
+    of_field = Verdict()
+    if magnetometer:  # then once more, with the field as a second direction beside gravity
+        field = _field_in(records, calibration)
+        made, of_field = replace(calibration, magnetometer=field.magnetometer), field.verdict
+        mags = [at("undrift.correction.correct:correct")(record, made).mag_ut for record in records]
+        readings = [replace(record, mag_ut=mag) for record, mag in zip(readings, mags, strict=True)]
+        fit = replace(fit_them(readings, field=True), field=field)
+        calibration = replace(made, gyro=fit.gyro.model, accel=fit.accel.model)
+    verdict = fit.gyro.verdict.also(Verdict.of(*each_once(named), *more)).also(of_field)
+    return replace(calibration, verdict=verdict), fit
+
+
+def _field_in(records: Sequence[Record], calibration: Calibration) -> FieldFit:
+    """Fit the magnetometer to those recordings that have one, turned by gyroscopes and gravity."""
+    readings = []
+    for record in (one for one in records if one.mag_ut is not None):
+        done = at("undrift.correction.correct:correct")(record, calibration)
+        how = at("undrift.orientation:OrientSettings")(method="vqf", offset="motion")
+        track = at("undrift.orientation:orient_unchecked")(done, None, how, gyro_model=calibration.gyro)
+        readings.append((track.time, np.asarray(record.mag_ut)[record.time.searchsorted(track.time)], track.q_nb))
+    if not readings:
+        raise InputError(
+            "magnetometer: wanted its readings in a recording, got none; map their columns (mag), or leave the option out"
+        )
+    return fit_magnetometer(readings)
 
 
 def _check_raw(records: Sequence[Record]) -> None:

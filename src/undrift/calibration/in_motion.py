@@ -21,6 +21,7 @@ import numpy as np
 
 from undrift.arrays import FloatArray
 from undrift.calibration.element_prior import ELEMENTS, KINDS, PUBLISHED, ElementPrior, by_kinds
+from undrift.calibration.magnetometer import FieldFit
 from undrift.errors import Implausible, InputError, NotObservable
 from undrift.findings import Finding, finding
 from undrift.fit.carried import MEAN_S, CarriedMeans
@@ -39,6 +40,8 @@ WIDENED = {"gyro": 1.5, "accel": 1.8}
 NOT_GRAVITY = 1.0  # m/s2, left in a mean over 5 s: people who walk leave 0.03, hands 0.1 [assumed]
 FAR = 0.05  # of a scale factor: data sheets state 3 % [assumed]
 SHOWN = 0.7  # of the prior deviation, below which an element counts as seen
+FIELD_SIZE = 0.01  # of a corrected magnetic field: what its size may differ by in the means [assumed]
+_OF_GYRO = np.r_[:9, 21:24]
 _DIAGONAL = np.tile(np.eye(3, dtype=bool).reshape(-1), 2)
 
 
@@ -52,6 +55,7 @@ class InMotion:
     offset_uncertainty: FloatArray  # (R, 3), standard uncertainty of them
     acceleration: FloatArray  # (R,), what is left of it in a mean over 5 s, rms, m/s2
     rested: tuple[bool, ...]  # (R,), whether a recording has a rest
+    field: FieldFit | None = None  # Magnetometer, where it was asked for
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,7 +83,8 @@ class _Unit:
     moving: FloatArray
     rest: _Rest | None
     offset: FloatArray
-    stretches: list[tuple[slice, CarriedMeans]]
+    stretches: list[tuple[slice, CarriedMeans, CarriedMeans]]  # of gravity and of the magnetic field
+    field: FloatArray | None  # scaled to the size of gravity
 
     def cut(self, length_s: float) -> None:
         """Cut it into stretches of about a length; their sizes begin as usual."""
@@ -87,14 +92,17 @@ class _Unit:
         if pieces != len(self.stretches):
             edges = np.linspace(0, len(self.time), pieces + 1).astype(int)
             spans = [slice(a, b) for a, b in pairwise(edges)]
-            self.stretches = [(span, CarriedMeans(self.time[span], self.moving[span])) for span in spans]
+            timed = [(self.time[span], self.moving[span]) for span in spans]
+            self.stretches = [
+                (span, CarriedMeans(*one), CarriedMeans(*one)) for span, one in zip(spans, timed, strict=True)
+            ]
 
     def equations(
         self, model: "_Model", usual: FloatArray, length: tuple[float, float]
     ) -> tuple[FloatArray, FloatArray]:
         """Return information (24, 24) and right side (24,) for changes of M, A, p and o."""
         total, towards = np.zeros((24, 24)), np.zeros(24)
-        for where, one in self.stretches:
+        for where, one, other in self.stretches:
             rate, force = self.rate[where] - self.offset, self.force[where] - model.offset
             ones = np.ones((len(rate), 1))
             mean, by_rate, by_force = one.means(
@@ -104,6 +112,14 @@ class _Unit:
             of_offset = (-by_force[..., 3] @ model.accel, -by_rate[..., 3] @ model.gyro)
             more, right = one.equations(mean, np.concatenate((*of_matrix, *of_offset), axis=2), usual, length)
             total, towards = total + more, towards + right
+            if self.field is not None:  # a direction that shows turns about the vertical too; it says nothing of forces
+                mean, by_rate, _ = other.means(
+                    rate @ model.gyro.T, self.field[where], np.hstack((rate, ones)), np.empty((len(rate), 0))
+                )
+                design = np.concatenate((by_rate[..., :3].reshape(-1, 3, 9), -by_rate[..., 3] @ model.gyro), axis=2)
+                more, right = other.equations(mean, design, usual[_OF_GYRO], (length[0], FIELD_SIZE * length[0]))
+                total[np.ix_(_OF_GYRO, _OF_GYRO)] += more
+                towards[_OF_GYRO] += right
         return total, towards
 
 
@@ -147,13 +163,16 @@ def fit_in_motion(
     gravity_m_s2: float = STANDARD_GRAVITY,
     gravity_uncertainty: float = 0.0,
     prior: ElementPrior = PUBLISHED,
+    field: bool = False,
 ) -> InMotion:
     """Fit both triads of one device to raw recordings of 20 s and more in which it is turned; gravity in m/s2.
+
+    With ``field``, their magnetometer, corrected beforehand, is a second direction that the gyroscopes must carry along.
 
     Raises InputError for a triad that is missing, counts, gaps, short recordings or several units, NotObservable for a device that
     is not turned.
     """
-    units = _units(records)
+    units = _units(records, gravity_m_s2 if field else None)
     rests = [one.rest.rate for one in units if one.rest is not None]
     model = _Model(
         gyro=np.eye(3), accel=np.eye(3), offset=np.zeros(3),
@@ -186,7 +205,7 @@ def fit_in_motion(
     return _result(records, units, model, np.linalg.inv(_prior(model, units)[0] + shown / wide[:, None] / wide))
 
 
-def _units(records: Sequence[Record]) -> list[_Unit]:
+def _units(records: Sequence[Record], field_size: float | None) -> list[_Unit]:
     if not records:
         raise InputError("motion: wanted one recording or more, got none; name them")
     kinds = {(record.gyro_unit, record.accel_unit) for record in records}
@@ -211,10 +230,14 @@ def _units(records: Sequence[Record]) -> list[_Unit]:
         moving = np.ones(len(record))
         for one in still:
             moving[one.start : one.stop] = 0.0
+        mag = None
+        if field_size is not None and record.mag_ut is not None and np.isfinite(record.mag_ut).all():
+            mag = record.mag_ut * (field_size / float(np.median(np.linalg.norm(record.mag_ut, axis=1))))
         pieces = max(1, round(record.duration_s / STAGES_S[-1]))
         for a, b in pairwise(np.linspace(0, len(record), pieces + 1).astype(int)):
             here = np.asarray(record.time)[a:b]
-            units.append(_Unit(number, here, gyro[a:b], accel[a:b], moving[a:b], rest, np.zeros(3), []))
+            own = None if mag is None else mag[a:b]
+            units.append(_Unit(number, here, gyro[a:b], accel[a:b], moving[a:b], rest, np.zeros(3), [], own))
     turned = np.degrees(max(float(np.sqrt(one.rate.var(axis=0).sum())) for one in units))
     if turned < LEAST_DPS:
         raise NotObservable(
@@ -251,9 +274,9 @@ def _result(records: Sequence[Record], units: list[_Unit], model: _Model, covari
     unit_gyro, unit_accel = records[0].gyro_unit, records[0].accel_unit
     per_gyro, per_accel = si_factor(unit_gyro, "rate"), si_factor(unit_accel, "accel")
     verdict = Verdict.of(*_judged(model, covariance))
-    fits, force = [], np.concatenate([each.left for one in units for _, each in one.stretches])
+    fits, force = [], np.concatenate([each.left for one in units for _, each, _ in one.stretches])
     for matrix, offset, rows, factor, unit, out in (
-        (model.gyro, model.usual, np.r_[:9, 21:24], per_gyro, unit_gyro, "rad/s"),
+        (model.gyro, model.usual, _OF_GYRO, per_gyro, unit_gyro, "rad/s"),
         (model.accel, model.offset, np.r_[9:21], per_accel, unit_accel, "m/s2"),
     ):
         scale = np.repeat((factor, 1.0 / factor), (9, 3))
@@ -276,7 +299,7 @@ def _result(records: Sequence[Record], units: list[_Unit], model: _Model, covari
         )
     spread = np.sqrt(np.diag(covariance)[24:].reshape(-1, 3))
     of_each = [[k for k, one in enumerate(units) if one.recording == r] for r in range(len(records))]
-    sizes = [[np.exp(each.sizes[0]) for k in places for _, each in units[k].stretches] for places in of_each]
+    sizes = [[np.exp(each.sizes[0]) for k in places for _, each, _ in units[k].stretches] for places in of_each]
     left = np.sqrt([np.mean(each) for each in sizes])
     if (most := float(left.max())) > NOT_GRAVITY:
         raise Implausible(

@@ -29,6 +29,7 @@ from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, si_factor
 if TYPE_CHECKING:
     from undrift.arrays import FloatArray
     from undrift.calibration.in_motion import InMotion
+    from undrift.calibration.magnetometer import FieldFit
     from undrift.calibration.observe import CalibrateSettings, Observed
     from undrift.calibration.pieces import Piece
     from undrift.model import Calibration, TriadModel
@@ -89,7 +90,8 @@ class Calibrated(Result):
         follows = recording is not None and NAMES["accel"] not in lacking
         shown, more = calibration_summary(made), {"registered": self.registered} if self.registered else {}
         if self.in_motion is not None:
-            shown = replace(shown, sections=(*shown.sections, _motion_section(self, self.in_motion)))
+            fields = () if self.in_motion.field is None else (_field_section(self.in_motion.field),)
+            shown = replace(shown, sections=(*shown.sections, _motion_section(self, self.in_motion), *fields))
             more |= {"motion": _motion_figures(self, self.in_motion)}
         return replace(
             shown,
@@ -110,6 +112,7 @@ def calibrate(
     output: OptionalOutput = None,
     calibrate_from: Annotated[Literal["pieces", "motion"], Parameter(name="--from")] = "pieces",
     prior: Path | None = None,
+    magnetometer: Flag = False,
     accel: AccelFit | None = None,
     gyro: GyroFit | None = None,
     mode: Literal["paper", "affine", "levelled"] | None = None,
@@ -134,10 +137,11 @@ def calibrate(
     output : Path or None
         calibration.json to write.
     calibrate_from : str
-        "pieces" takes rests, faces and turns; "motion" gravity while the device is turned in the hand or worn, 20 s and more, and
-        nothing else.
+        "pieces" takes rests, faces and turns; "motion" gravity alone while the device is turned or worn, 20 s and more.
     prior : Path or None
         What devices of this part deviate by, from `undrift registry prior`, for motion; published sizes by default.
+    magnetometer : bool
+        With motion: fits hard and soft iron of the magnetometer, and its alignment to the gyroscopes.
     accel : str or None
         How to calibrate the accelerometers; what the session allows by default.
     gyro : str or None
@@ -161,8 +165,10 @@ def calibrate(
     if calibrate_from == "motion":
         idle = {"accel": accel, "gyro": gyro, "mode": mode, "turn_deg": turn_deg, "keep_offset": keep_offset or None}
         _check_idle(idle, fitting, table, sensitivity, rests)
-    elif prior is not None:
-        raise InputError("calibrate: `prior` is for `calibrate_from` motion: state that, or leave it out")
+    elif prior is not None or magnetometer:
+        raise InputError(
+            "calibrate: `prior` and `magnetometer` are for `calibrate_from` motion: state that, or leave it out"
+        )
     settings = CalibrateSettings(
         still=rests.settings(), latitude_deg=place.latitude_deg, turn_angle_deg=turn_deg, remove_offset=not keep_offset,
         identify_adc=adc == "auto", **(asdict(fitting) | asdict(table) | asdict(sensitivity)),
@@ -170,32 +176,38 @@ def calibrate(
     progress("reading", 0.0)
     session = session_of(files, place, opening)
     progress("fitting", 0.5)
-    seen, in_motion = None, None
     if calibrate_from == "motion":
-        made, in_motion = _by_motion(session, prior, identify_adc=adc == "auto")
+        (made, in_motion), seen = (
+            _by_motion(session, prior, identify_adc=adc == "auto", magnetometer=magnetometer),
+            None,
+        )
     else:
-        made, seen = fit(session, accel=accel, gyro=gyro, mode=mode, settings=settings)
+        (made, seen), in_motion = fit(session, accel=accel, gyro=gyro, mode=mode, settings=settings), None
     calibrated = Calibrated(
         files=files, calibration=made, session=session, seen=seen, settings=settings, in_motion=in_motion, output=output,
-        figure=figure,
-        registered=registering.add(made, source=output),
+        figure=figure, registered=registering.add(made, source=output),
     )  # fmt: skip
     if output is not None:
         write_calibration(made, output)
     if figure is not None:
-        how = {"title": f"{name_of(files[0])}{': used' * (seen is not None)}", "used": seen is not None}
-        of = (session.records, calibrated.pieces)
-        Drawing(place="undrift.report.figures:draw_recording", of=of, options=how).save(figure)
+        _draw(calibrated, figure)
     return calibrated
 
 
-def _by_motion(session: "Session", prior: Path | None, *, identify_adc: bool) -> "tuple[Calibration, InMotion]":
+def _draw(calibrated: Calibrated, figure: Path) -> None:
+    used = calibrated.seen is not None
+    how = {"title": f"{name_of(calibrated.files[0])}{': used' * used}", "used": used}
+    of = (calibrated.session.records, calibrated.pieces)
+    Drawing(place="undrift.report.figures:draw_recording", of=of, options=how).save(figure)
+
+
+def _by_motion(session: "Session", prior: Path | None, **how: bool) -> "tuple[Calibration, InMotion]":
     from undrift.base.codec import read
     from undrift.calibration.calibrate import from_motion
     from undrift.calibration.element_prior import PUBLISHED, ElementPrior
 
     part = PUBLISHED if prior is None else read(ElementPrior, prior)
-    return from_motion(session, identify_adc=identify_adc, prior=part)
+    return from_motion(session, prior=part, **how)
 
 
 def _check_idle(named: Mapping[str, object], *chosen: Any) -> None:
@@ -235,6 +247,21 @@ def _motion_section(calibrated: Calibrated, fit: "InMotion") -> Section:
     return Section(title="Gyroscopes' offset of each recording, deg/s", columns=heads, rows=rows)
 
 
+def _field_section(fit: "FieldFit") -> Section:
+    """Return the magnetic field of each recording with one."""
+    rows = tuple(
+        (
+            f"{k + 1}",
+            number(float(size), ".2f"),
+            number(float(dip) / RADIAN_PER_DEGREE, ".2f"),
+            number(100.0 * float(off), ".1f"),
+        )
+        for k, (size, dip, off) in enumerate(zip(fit.field_ut, fit.dip, fit.disturbed, strict=True))
+    )
+    heads = ("recording with a magnetometer", "size (uT)", "below the horizon (deg)", "left out as disturbed (%)")
+    return Section(title="Magnetic field of each recording", columns=heads, rows=rows)
+
+
 # ---- a calibration
 
 
@@ -259,11 +286,12 @@ def calibration_sections(made: "Calibration") -> tuple[Section, ...]:
     """Return matrix, offset and scale factor of each triad, values with their uncertainty."""
     return tuple(
         Section(
-            title=f"{NAMES[name].capitalize()}: {triad.method}",
+            title=f"{NAMES.get(name, name).capitalize()}: {triad.method}",
             text=(
                 f"corrected = matrix @ (raw - offset); matrix in {triad.unit_out} per {triad.unit_in}, standard uncertainty of "
                 "the last digits in brackets.",
                 *_triad_notes(triad),
+                *(_field_notes(made) if name == "magnetometer" else ()),
             ),
             columns=(
                 "axis", "m x", "m y", "m z", f"offset ({triad.unit_in})",
@@ -271,12 +299,23 @@ def calibration_sections(made: "Calibration") -> tuple[Section, ...]:
             ),
             rows=_triad_rows(triad),
         )
-        for name, triad in _triads(made)
+        for name, triad in (*_triads(made), *_magnetometer(made))
     )  # fmt: skip
 
 
 def _triads(made: "Calibration") -> "tuple[tuple[str, TriadModel], ...]":
     return tuple((name, triad) for name in NAMES if (triad := getattr(made, name)) is not None)
+
+
+def _magnetometer(made: "Calibration") -> "tuple[tuple[str, TriadModel], ...]":
+    return () if made.magnetometer is None else (("magnetometer", made.magnetometer.model),)
+
+
+def _field_notes(made: "Calibration") -> Iterator[str]:
+    """Yield what else is known of a magnetometer: its lag, its unit and its frame."""
+    if (mag := made.magnetometer) is not None:
+        lag = concise(1e3 * mag.lag_s, 1e3 * mag.lag_uncertainty_s)
+        yield f"axes of the gyroscopes, which it lags by {lag} ms; determinant 1: the size of the field is as it was read"
 
 
 def _triad_rows(triad: "TriadModel") -> tuple[tuple[str, ...], ...]:

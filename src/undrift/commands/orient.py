@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from undrift.base.options import Output, Side, verb
+from undrift.base.options import Flag, Output, Side, verb
 from undrift.base.summary import Result, Section, Summary, figure_of, number
 from undrift.commands.files import NamedRest, Opening, TableUse, check_output, check_physical, named_columns
 
@@ -42,13 +42,13 @@ class Oriented(Result):
             "pitch: {:.2f} to {:.2f} deg".format(*data["pitch_deg"]),
         )
         # A page shows all findings
-        offset = tuple(one.text for one in found.findings if one.code == "correct.motion_offset")
+        offset = tuple(one.text for one in found.findings if one.code in ("correct.motion_offset", "orient.north"))
         heads, files = ("angle", "least (deg)", "median (deg)", "greatest (deg)"), f"{self.record} -> {self.output}"
         sections = [
             Section(title="Files", text=(f"{files}: {len(found.time)} samples",), on="terminal"),
             Section(title="Angles", columns=heads, rows=rows, on="page"),
             Section(title="How it was found", text=lines),
-            Section(title="Offset", text=offset, on="terminal"),
+            Section(title="Offset and north", text=offset, on="terminal"),
         ]
         if self.calibration is not None:
             verdict = self.calibration.verdict
@@ -74,6 +74,7 @@ def orient(
     output: Output,
     calibration: Path | None = None,
     method: Literal["strapdown", "vqf"] = "strapdown",
+    magnetometer: Flag = False,
     offset: Literal["none", "rest", "still", "motion"] = "none",
     named: NamedRest = NamedRest(),
     heading_deg: float = 0.0,
@@ -97,11 +98,13 @@ def orient(
     method : str
         strapdown, or vqf: a filter that takes the inclination from the accelerometers and tracks the offset, over
         the whole recording.
+    magnetometer : bool
+        With vqf: takes the magnetic field too; heading is then relative to magnetic east.
     offset : str
         "rest" subtracts the mean rate of the first still phase (or the named one), "still" that of every still phase, linear
         between them; "motion" starts from that rest, where there is one, and adds what gravity shows while the device moves.
     heading_deg : float
-        Heading at the still phase, deg.
+        Heading at the still phase, deg; not with `magnetometer`.
     forward : str
         Device axis that points forward on the upright segment: with up it defines the pitch.
     up : str
@@ -110,6 +113,7 @@ def orient(
         Name of the body in .sto and BIDS, of the OpenSim model: pelvis heads the column pelvis_imu.
     """
     from undrift.correction.rest import named_rest
+    from undrift.findings import finding
     from undrift.io.store import read_calibration
     from undrift.io.write import ORIENTATION_WRITERS, files_of, write_orientation
     from undrift.orientation import OrientSettings
@@ -119,9 +123,18 @@ def orient(
     check_output(output, endings=tuple(ORIENTATION_WRITERS), reads=reads, beside=files_of(output)[1:])
     model = None if calibration is None else read_calibration(calibration)
     readings = opening.like(model, calibration).read(record)
-    settings = OrientSettings(method=method, offset=offset, heading=math.radians(heading_deg), forward=forward, up=up)
+    settings = OrientSettings(
+        method=method,
+        magnetometer=magnetometer,
+        offset=offset,
+        heading=math.radians(heading_deg),
+        forward=forward,
+        up=up,
+    )
     with named_columns(record):
         readings, earlier, notes = _corrected(readings, record, model, applying)
+        if magnetometer and model is not None and model.magnetometer is None:
+            earlier += (finding("orient.field", "warn"),)
         rest = named_rest(readings, named.stretch)
         found = find(readings, rest, settings, gyro_model=None if model is None else model.gyro)
     found = replace(found, findings=tuple({one.text: one for one in (*earlier, *found.findings)}.values()))

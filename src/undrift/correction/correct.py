@@ -12,6 +12,7 @@ For a reading u (3,) at temperature T, in this order::
     6  w  = w - m(t) d            where a fit to references has d: m is 1 while the device turns, else 0 (segments.py), which looks
                                   back only: it lags the onset of 10 deg/s by 0.02 s, the end of 200 deg/s by 1 s; gyroscopes only
     7  w  = w - r                 on request: the mean of w at a rest, which takes what steps 1 to 6 leave there (rest.py)
+    8  h  = x - l w x x           magnetometer, x = A (m - b) and w that of step 6; without a model m is carried along
 
 A table takes the place of its constant, it is never added to one. T is the temperature of the sensors, with the thermometer's lag
 subtracted where the calibration knows it. Tables are held at their ends; a temperature beyond them is an error, is held, or becomes
@@ -52,7 +53,7 @@ from undrift.drift.hysteresis import TempHistory
 from undrift.errors import InputError
 from undrift.findings import Finding
 from undrift.model import NO_TABLES, Calibration, TriadModel
-from undrift.record import ForceUncertainty, Record
+from undrift.record import Record
 from undrift.segments import find_turning
 
 if TYPE_CHECKING:
@@ -402,7 +403,7 @@ def correct_planned(
         seconds_without_temperature=coverage.seconds_of(missing, record.time, before),
     )
     return Corrected(
-        record=_adopted(record, plans, outputs, force_uncertainty(calibration, record.accel_unit)),
+        record=_adopted(record, plans, outputs, _field(record, calibration, outputs[0]), calibration),
         outside=unmarked if outside is None else outside,
         extrapolated=unmarked if extrapolated is None else extrapolated,
         missing=unmarked if missing is None else missing,
@@ -430,7 +431,20 @@ def _buffers(n: int, plans: Plans, out: Buffers | None) -> Buffers:
     return out
 
 
-def _adopted(record: Record, plans: Plans, buffers: Buffers, uncertainty: ForceUncertainty | None) -> Record:
+def _field(record: Record, calibration: Calibration, rate: FloatArray) -> FloatArray | None:
+    """Return the magnetic field in the axes of the gyroscopes, uT: step 8; without their rate its lag stays."""
+    made = calibration.magnetometer
+    if made is None or record.mag_ut is None:
+        return record.mag_ut
+    x = (record.mag_ut - made.model.offset) @ made.model.matrix.T
+    field: FloatArray = x - made.lag_s * np.cross(rate, x) if len(rate) else x
+    field.flags.writeable = False
+    return field
+
+
+def _adopted(
+    record: Record, plans: Plans, buffers: Buffers, field: FloatArray | None, calibration: Calibration
+) -> Record:
     """The record with corrected readings; the kernels wrote them in the right shape: neither copied nor checked again."""
     done, values = object.__new__(Record), {name: getattr(record, name) for name in Record.__slots__}
     for name, plan, buffer in zip(("gyro", "accel"), plans, buffers, strict=True):
@@ -442,7 +456,8 @@ def _adopted(record: Record, plans: Plans, buffers: Buffers, uncertainty: ForceU
         "accel_unit": "m/s2",
         "frame": "b",
         "state": "corrected",
-        "accel_uncertainty": uncertainty,
+        "accel_uncertainty": force_uncertainty(calibration, record.accel_unit),
+        "mag_ut": field,
     }
     for name, value in values.items():
         object.__setattr__(done, name, value)

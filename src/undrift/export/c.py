@@ -128,7 +128,8 @@ def wrapped(line: str) -> list[str]:
 # ---- c
 
 CARRIED: frozenset[Part] = frozenset(
-    ("lag", "warm-up", "moving", "rounding", "static", "scale", "dynamic", "g", "gain", "cross", "accel gain", "accel cross")
+    ("lag", "warm-up", "moving", "rounding", "static", "scale", "dynamic", "g", "gain", "cross", "accel gain", "accel cross",
+     "magnetometer")
 )  # fmt: skip
 
 
@@ -216,6 +217,8 @@ def export_c(calibration: Calibration, settings: CSettings = CSettings()) -> Exp
         notes.append(finding("export.warm_up_removed", "info", over_s=over, prefix=settings.prefix))
     if gyro.at_rest is not None:
         notes.append(finding("export.at_rest", "info", prefix=settings.prefix))
+    if calibration.magnetometer is not None:
+        notes.append(finding("export.magnetometer_apart", "info", prefix=settings.prefix))
     texts = texts_of(losses(calibration, CARRIED), notes)
     source, sizes = _source(pairs, calibration, settings, lead)
     costs = tuple(cost_of((accel, gyro), each, size, lead=lead is not None) for each, size in sizes.items())
@@ -278,6 +281,10 @@ def _source(
     printer = Printer(settings.prefix)
     tables = [table for triad, _ in pairs for _, table in named_tables(triad)]
     axes = [axis for table in tables for _, axis in _axes(table)]
+    mag, fixed_mag = calibration.magnetometer, None
+    if mag is not None:
+        parts = ((mag.model.matrix, 24), (mag.model.offset, OUT_BITS), (mag.lag_s, 24))
+        fixed_mag = [np.round(np.asarray(part) * 2.0**bits).astype(np.int64) for part, bits in parts]
     gyro, rule = pairs[1][0], (TURNING_ABOVE, TURNING_MEAN_S, TURNING_HOLD_S)
     text = _environment().get_template("undrift.c.j2").render(
         title=_title(calibration), header=settings.header_name, p=settings.prefix, P=settings.prefix.upper(),
@@ -288,7 +295,7 @@ def _source(
         any_line=any(table.turn_rate is None for table in tables),
         any_plane=any(table.turn_rate is not None for table in tables),
         tables_of=named_tables, ints=printer.ints, reals_of=printer.reals, axes_of=_axes, places=int,
-        lead=lead, literal=literal, lookup=printer.lookup,
+        lead=lead, literal=literal, lookup=printer.lookup, mag=mag, fixed_mag=fixed_mag,
     )  # fmt: skip
     return re.sub(r"\n{3,}", "\n\n", text), printer.sizes
 
@@ -313,6 +320,7 @@ def _header(
         "lag_s": f"{lead.lag_s:g}" if lead else "", "smooth_s": f"{lead.smooth_s:g}" if lead else "",
         "warm_up": warm is not None, "warm_s": f"{warm.temp.stop:g}" if warm else "",
         "dps": RADIAN_PER_DEGREE, "g": STANDARD_GRAVITY, "moving": pairs[1][0].at_rest is not None,
+        "mag": calibration.magnetometer is not None,
         "above": f"{TURNING_ABOVE / RADIAN_PER_DEGREE:g}", "held": f"{TURNING_HOLD_S:g}",
     }  # fmt: skip
     lines = _environment().get_template("comment.j2").render(about).splitlines()

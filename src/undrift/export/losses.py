@@ -52,7 +52,7 @@ def texts_of(lost: tuple[Finding, ...], notes: Iterable[Finding]) -> dict[str, A
 
 Part = Literal[
     "rounding", "static", "scale", "dynamic", "g", "gain", "cross", "accel gain", "accel cross", "hysteresis", "warm-up",
-    "lag", "uncertainty", "noise", "moving",
+    "lag", "uncertainty", "noise", "moving", "magnetometer",
 ]  # fmt: skip
 
 
@@ -84,6 +84,8 @@ def _parts(calibration: Calibration) -> Iterator[tuple[Part, Finding]]:
     if gyro is not None and gyro.moving_offset is not None:
         most = np.abs(gyro.moving_offset).max() * si_factor(gyro.unit_out, "rate") / RADIAN_PER_DEGREE
         yield "moving", finding("export.moving_offset", "warn", most_dps=most)
+    if calibration.magnetometer is not None:
+        yield "magnetometer", finding("export.magnetometer", "warn")
     yield from _tables(calibration, calibration.drift or NO_TABLES)
     yield "uncertainty", finding("export.uncertainty", "warn")
     if calibration.noise is not None:
