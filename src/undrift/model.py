@@ -325,6 +325,23 @@ class DynamicDrift:
 
 @stored()
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RestForces:
+    """Specific force in rests of daily use, k of them, by the accelerometers before: what these are updated from."""
+
+    force: Annotated[
+        FloatArray, Shape("k", 3, gaps=False)
+    ]  # Mean direction times mean length, m/s2, corrected as before
+    variance: Annotated[FloatArray, Shape("k", gaps=False)]  # Of the length, (m/s2)^2
+    temp_c: Annotated[FloatArray, Shape("k", gaps=False)]  # Mean temperature, degC
+    recording: Annotated[IntArray, Shape("k")]  # Which of the recordings learnt from
+    model: TriadModel  # Before
+
+    def __post_init__(self) -> None:
+        freeze(self)
+
+
+@stored()
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Learnt:
     """Rests of daily use behind a static table, n of them, and the tables before: all that is needed to learn more."""
 
@@ -336,6 +353,7 @@ class Learnt:
     recordings: Annotated[tuple[tuple[str, str], ...], TableRows(("sha256", "date"))]
     since: str  # Date of the tables before, ISO 8601, UTC
     before: "DriftTables | None" = None  # None for constant offsets
+    accel: Annotated[RestForces | None, LATER] = None  # None without accelerometers, or of an earlier version
 
     def __post_init__(self) -> None:
         freeze(self)

@@ -69,8 +69,10 @@ def test_day_by_day_writes_the_same_tables_as_all_at_once(folder, tmp_path, caps
     for k, day in enumerate(days):
         assert call(day, "--calibration", held, "-o", tmp_path / f"{k}.json") == 0
         held = tmp_path / f"{k}.json"
-    one, other = (json.loads(path.read_text())["drift"] for path in (tmp_path / "all.json", held))
-    assert one == other
+    whole, other = (json.loads(path.read_text()) for path in (tmp_path / "all.json", held))
+    one = whole["drift"]
+    assert (one, whole["accel"]) == (other["drift"], other["accel"])
+    assert one["learnt"]["accel"]["model"] == json.loads((folder / "c.json").read_text())["accel"]
     assert call(days[0], "--calibration", held, "-o", held) == 0  # in place, and a second time
     assert "knows already" in capsys.readouterr().out
     assert json.loads(held.read_text())["drift"] == one
@@ -87,6 +89,10 @@ def test_json_states_change_and_uncertainty_at_every_node(folder, capsys):
     near = [node for node in nodes if not node["extrapolated"]]
     assert max(max(node["after_uncertainty_dps"]) for node in near) < 0.2
     assert len(answer["turn_on_dps"]) == len(answer["ageing_dps"]) == 3
+    assert answer["accelerometers"]["changed"] is False  # one motion: too few poses
+    assert [row["axis"] for row in answer["accelerometers"]["axes"]] == ["x", "y", "z"]
+    assert all(row["offset (mg)"].startswith("+0.00 +- ") for row in answer["accelerometers"]["axes"])
+    assert "drift.learn_accel_sphere" in [item["code"] for item in answer["verdict"]["findings"]]
 
 
 def test_the_date_is_stated_or_that_of_the_name_or_of_the_files_last_change(tmp_path, folder, capsys):

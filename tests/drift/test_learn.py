@@ -177,6 +177,39 @@ def test_new_tables_of_a_thermal_session_leave_nothing_of_learning(used, learnt)
     assert fitted.provenance.inputs == plain.provenance.inputs
     assert dict(fitted.provenance.settings) == dict(plain.provenance.settings)
     assert fitted.verdict.reasons == plain.verdict.reasons
+    np.testing.assert_array_equal(fitted.accel.offset, plain.accel.offset)
+
+
+def test_the_same_rests_update_the_accelerometers_and_count_once(used):
+    device, calibration, _ = used
+    rng = np.random.default_rng(2)
+    pool = [draw_day(rng, USE) for _ in range(8)]  # each with other poses on the table
+    days = list(simulate_daily_use(device, rng=rng, settings=USE, motions=pool))
+    wrong = calibration.accel.offset + np.array([60.0, -40.0, 80.0])  # its covariance states nothing: a data sheet's
+    off = replace(calibration, accel=replace(calibration.accel, offset=wrong))
+    sessions, dates = [day.session for day in days], on_days(range(8))
+    fit = learn_drift(sessions, off, dates=dates)
+    show("accelerometers, rests left out, before and after, m/s2", fit.accel.held_out)
+    assert fit.accel.changed
+    assert "drift.learn_accel_changed" in [note.code for note in fit.calibration.verdict.findings]
+    up = rng.standard_normal((100, 3))
+    reading = (
+        calibration.accel.offset
+        + STANDARD_GRAVITY * up / np.linalg.norm(up, axis=1)[:, None] @ np.linalg.inv(calibration.accel.matrix).T
+    )
+    left = [
+        np.sqrt(np.mean((np.linalg.norm((reading - m.offset) @ m.matrix.T, axis=1) - STANDARD_GRAVITY) ** 2))
+        for m in (off.accel, fit.calibration.accel)
+    ]
+    show("length of gravity in all directions, m/s2 rms", left)
+    assert left[1] < 0.2 * left[0]
+    halves = learn_drift(sessions[:4], off, dates=dates[:4]).calibration
+    halves = learn_drift(sessions[4:], halves, dates=dates[4:]).calibration
+    again = learn_drift(sessions, halves, dates=dates).calibration
+    for made in (halves, again):
+        np.testing.assert_array_equal(made.accel.offset, fit.calibration.accel.offset)
+        np.testing.assert_array_equal(made.accel.covariance, fit.calibration.accel.covariance)
+        np.testing.assert_array_equal(made.drift.static.accel_offset, fit.calibration.drift.static.accel_offset)
 
 
 def turned(session, dps):

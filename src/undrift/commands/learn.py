@@ -1,4 +1,4 @@
-"""``undrift learn``: update the offset over temperature by the rests of daily recordings, no chamber needed."""
+"""``undrift learn``: update gyroscope offsets over temperature, and accelerometers, by the rests of daily recordings."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -15,6 +15,7 @@ from undrift.units import RADIAN_PER_DEGREE
 
 if TYPE_CHECKING:
     from undrift.arrays import FloatArray
+    from undrift.drift.accel_in_use import AccelUseFit
     from undrift.drift.learn import LearnFit
 
 ROWS = 9  # of the nodes, shown
@@ -32,6 +33,8 @@ def learn(
     progress: Progress = silent,
 ) -> Summary:
     """Update the gyroscopes' offset over temperature by the rests of daily recordings, with turn-on repeatability and ageing.
+
+    Where the rests point six ways or more, they also update offset and scale of the accelerometers.
 
     Parameters
     ----------
@@ -105,6 +108,11 @@ def learn_summary(fit: "LearnFit") -> Summary:
             ),
             rows_section("gyroscope offset, x y z, uncertainty of a switch-on to come", _nodes(fit)),
             rows_section("standard deviations", _deviations(fit)),
+            *(
+                ()
+                if fit.accel is None
+                else (rows_section("accelerometers, change and uncertainty", _accel(fit.accel)),)
+            ),
         ),
         verdict=fit.verdict,
         failed=fit.verdict.status == "bad",
@@ -129,8 +137,23 @@ def _data(fit: "LearnFit", output: Path | None) -> dict[str, Any]:
         "rests": {"count": len(fit.rest_kept), "left_out": int((~fit.rest_kept).sum())},
         **{f"{name}_dps": getattr(fit, name) / RADIAN_PER_DEGREE for name in figures},
         "nodes": nodes,
+        "accelerometers": None if fit.accel is None else {"changed": fit.accel.changed, "axes": _accel(fit.accel)},
         "verdict": verdict_json(fit.verdict),
     }
+
+
+def _accel(fit: "AccelUseFit") -> list[dict[str, Any]]:
+    """Return a row for each axis: what the rests say about offset and scale, zero where they change nothing."""
+    from undrift.calibration.norm import MG
+
+    sizes = {"offset (mg)": (6, 1.0 / MG), "scale (%)": (0, 100.0), "offset (mg/K)": (9, 1.0 / MG)}
+    doubt = fit.covariance.diagonal() ** 0.5 if fit.changed else fit.before
+    change = fit.change if fit.changed else abs(0.0 * fit.change)
+    return [
+        {"axis": axis}
+        | {name: f"{change[k + i] * unit:+.2f} +- {doubt[k + i] * unit:.2g}" for name, (k, unit) in sizes.items()}
+        for i, axis in enumerate("xyz")
+    ]
 
 
 def _nodes(fit: "LearnFit") -> list[dict[str, str]]:

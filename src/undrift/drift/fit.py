@@ -40,6 +40,7 @@ from undrift.calibration.observe import ROOM_C, in_one_unit
 from undrift.drift import checks, observe, rate_steps
 from undrift.drift import temperature as thermometer
 from undrift.drift.accel import AccelDriftFit, fit_accel_drift, with_accel
+from undrift.drift.accel_in_use import accel_before
 from undrift.drift.observe import ObserveSettings, RateSteps, RestBlocks
 from undrift.drift.rate_steps import Asymmetry, DynamicFit, ScaleFit, Steps
 from undrift.drift.rests import felt_by_gyro, with_g_sensitivity
@@ -273,7 +274,7 @@ def fit_drift(
     report = progress or (lambda what, share: None)
     sessions = _checked(sessions, calibration, settings)
     device = observe.nominal_models(sessions) if calibration is None else calibration
-    device = replace(device, verdict=checks.verdict_before(device))
+    device = replace(device, accel=accel_before(device), verdict=checks.verdict_before(device))
     sessions = [observe.in_units_of(session, device) for session in sessions]
     static_settings = replace(settings.static, accel_unit=observe.accel_unit_of(sessions, device))
     report("smoothing the temperature", 0.0)

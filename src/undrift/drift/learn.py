@@ -36,6 +36,7 @@ import numpy as np
 from undrift.arrays import BoolArray, FloatArray, IntArray, interpolated
 from undrift.calibration.observe import in_one_unit
 from undrift.drift import observe
+from undrift.drift.accel_in_use import AccelUseFit, accel_before, learn_accel, rest_forces, with_accel_in_use
 from undrift.drift.checks import STATUS_BEFORE, verdict_without
 from undrift.drift.observe import ObserveSettings, RestBlocks
 from undrift.drift.rests import Offsets, bins_of, gyro_offsets, variance_of_mean
@@ -51,6 +52,7 @@ from undrift.model import (
     DriftTables,
     DynamicDrift,
     Learnt,
+    RestForces,
     ScaleDrift,
     StaticDrift,
     TriadModel,
@@ -123,6 +125,7 @@ class LearnFit:
     rest_kept: BoolArray  # (m,), false where it was left out
     recordings: int  # behind the table, earlier ones included
     verdict: Verdict
+    accel: AccelUseFit | None = None  # None without accelerometers, or rests of them
 
 
 def learn_drift(
@@ -137,7 +140,7 @@ def learn_drift(
     earlier = None if calibration.drift is None else calibration.drift.learnt
     before = calibration.drift if earlier is None else earlier.before
     verdict = verdict_without(_PREFIX, calibration, f"{_SETTINGS}status_before")  # that of earlier learning goes
-    base = replace(calibration, drift=before, verdict=verdict)
+    base = replace(calibration, accel=accel_before(calibration), drift=before, verdict=verdict)
     new, findings, used = daily_rests(sessions, calibration, base, dates, settings)
     if not any(part is not None and len(part.temp_c) for part in (earlier, *new)):
         raise NotObservable(
@@ -176,9 +179,12 @@ def learn_drift(
         verdict=Verdict(),
     )
     covered = before is not None and before.static is not None and before.static.gyro_offset is not None
-    verdict = Verdict.of(*findings, *_findings(fit, evidence, covered))
+    accel = None if evidence.accel is None else learn_accel(base, evidence.accel, _days(evidence))
+    findings += _findings(fit, evidence, covered) + ([] if accel is None else list(accel.findings))
+    verdict = Verdict.of(*findings)
     made = _calibrated(base, calibration, _tables(before, static, evidence), verdict, used)
-    return replace(fit, calibration=made, verdict=verdict)
+    made = made if accel is None else with_accel_in_use(made, accel)
+    return replace(fit, calibration=made, verdict=verdict, accel=accel)
 
 
 def _checked(sessions: Sequence[Session], calibration: Calibration, dates: Sequence[datetime]) -> TriadModel:
@@ -534,7 +540,8 @@ def _calibrated(
         versions=previous.versions or versions_used(),
         created=datetime.now(UTC).isoformat(timespec="seconds"),
     )
-    return replace(given, drift=tables, verdict=base.verdict.also(verdict), provenance=provenance)
+    verdict = base.verdict.also(verdict)
+    return replace(given, accel=base.accel, drift=tables, verdict=verdict, provenance=provenance)
 
 
 def _findings(fit: LearnFit, evidence: Learnt, covered: bool) -> list[Finding]:
@@ -670,6 +677,7 @@ def _cells(session: Session, base: Calibration, settings: LearnSettings) -> _Cel
         recording=np.zeros(len(temp_c), np.int64),
         recordings=(("", ""),),
         since="",
+        accel=rest_forces(session, stills, worn, course, base),
     )
     return _Cells(
         learnt=cells,
@@ -815,18 +823,21 @@ def in_order(earlier: Learnt | None, new: list[Learnt], base: Calibration) -> Le
     """Return all cells so far, recordings in order of date: what was learnt first makes no difference."""
     parts = [*([] if earlier is None else [earlier]), *new]
     recordings = [one for batch in parts for one in batch.recordings]
-    begins = np.cumsum([0, *(len(batch.recordings) for batch in parts)])
-    number = np.concatenate([batch.recording + begin for batch, begin in zip(parts, begins[:-1], strict=True)])
+    begins = np.cumsum([0, *(len(batch.recordings) for batch in parts)])[:-1].tolist()
     order = sorted(range(len(recordings)), key=lambda k: (recordings[k][1], recordings[k][0]))
-    place = np.argsort(order)[number]
-    rows = np.argsort(place, kind="stable")
+
+    def joined(batches: list[tuple[Any, int]], *names: str) -> dict[str, Any]:
+        place = np.argsort(order)[np.concatenate([batch.recording + begin for batch, begin in batches])]
+        rows = np.argsort(place, kind="stable")
+        columns = {name: np.concatenate([getattr(batch, name) for batch, _ in batches])[rows] for name in names}
+        return columns | {"recording": place[rows]}
+
+    forces = [(batch.accel, begin) for batch, begin in zip(parts, begins, strict=True) if batch.accel is not None]
     since = base.provenance.created if earlier is None else earlier.since
     return Learnt(
-        temp_c=np.concatenate([batch.temp_c for batch in parts])[rows],
-        gyro_offset=np.concatenate([batch.gyro_offset for batch in parts])[rows],
-        gyro_variance=np.concatenate([batch.gyro_variance for batch in parts])[rows],
-        recording=place[rows],
+        **joined(list(zip(parts, begins, strict=True)), "temp_c", "gyro_offset", "gyro_variance"),
         recordings=tuple(recordings[k] for k in order),
         since=since or recordings[order[0]][1],
         before=base.drift,
+        accel=RestForces(**joined(forces, "force", "variance", "temp_c"), model=forces[0][0].model) if forces else None,
     )
