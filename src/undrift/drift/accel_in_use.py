@@ -225,9 +225,9 @@ def _linearised(force: FloatArray, warm: FloatArray, theta: FloatArray) -> tuple
 
 
 def _symmetric(six: FloatArray) -> FloatArray:
-    made = np.zeros((3, 3))
-    made[_ROW, _COLUMN] = made[_COLUMN, _ROW] = six
-    return made
+    full = np.zeros((3, 3))
+    full[_ROW, _COLUMN] = full[_COLUMN, _ROW] = six
+    return full
 
 
 def _directions(force: FloatArray) -> IntArray:
@@ -241,13 +241,13 @@ def _directions(force: FloatArray) -> IntArray:
 
 def _errors_of(model: TriadModel) -> FloatArray:
     """Return d (E, d, rotation) / d (m_xx .. m_zz, offset), (12, 12): what an error of a model is in corrected readings."""
-    back, made = np.linalg.inv(model.matrix), np.zeros((12, 12))
+    back, carried = np.linalg.inv(model.matrix), np.zeros((12, 12))
     for k in range(9):
         error = np.outer(np.eye(3)[k // 3], back[k % 3])
-        made[_E, k] = 0.5 * (error + error.T)[_ROW, _COLUMN]
-        made[9:, k] = 0.5 * (error - error.T)[_ROW[3:], _COLUMN[3:]]
-    made[_D, 9:] = model.matrix * si_factor(model.unit_out, "accel")
-    return made
+        carried[_E, k] = 0.5 * (error + error.T)[_ROW, _COLUMN]
+        carried[9:, k] = 0.5 * (error - error.T)[_ROW[3:], _COLUMN[3:]]
+    carried[_D, 9:] = model.matrix * si_factor(model.unit_out, "accel")
+    return carried
 
 
 def _judged(covariance: FloatArray, aged: FloatArray, errors: FloatArray, rests: int) -> tuple[bool, Finding]:
