@@ -368,6 +368,10 @@ def test_a_lag_below_zero_is_refused_in_value_and_file(name: str, tmp_path: Path
 
 def test_the_schema_names_every_key_that_is_written() -> None:
     schema = calibration_schema()
-    assert set(schema["properties"]) == {*calibration_json(example()), "file_map"}  # written where there is one
+    assert set(schema["properties"]) == {
+        *calibration_json(example()),
+        "file_map",
+        "magnetometer",
+    }  # these where there is one
     assert schema["additionalProperties"] is False
     assert set(schema["$defs"]["TriadModel"]["required"]) == set(calibration_json(example())["accel"])
