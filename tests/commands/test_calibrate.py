@@ -421,6 +421,8 @@ def test_a_magnetometer_is_calibrated_by_the_same_motion_and_gives_a_heading_fro
     undrift.good(*words, "-o", tmp_path / "plain.json")
     bare = [str(word).replace("c.json", "plain.json") for word in turned]
     assert "The magnetometer is not calibrated" in undrift.good(*bare, "--method", "vqf").out
+    alone = ("orient", tmp_path / "24.csv", "-o", tmp_path / "raw.csv", "--magnetometer", "--method", "vqf")
+    assert "The magnetometer is not calibrated" in undrift.good(*alone).out  # raw readings, as their file says
 
 
 def test_options_that_motion_alone_cannot_use_are_refused(undrift, tmp_path):

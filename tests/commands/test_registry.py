@@ -194,7 +194,7 @@ def test_devices_of_a_part_are_the_prior_of_the_next_one_that_is_moved(undrift, 
     assert calibrated["gyro"]["matrix"][2][2] == pytest.approx(
         1.0083, abs=1e-3
     )  # about z it was not turned: what the part has
-    assert "is for" in undrift.refused(*words)
+    assert "--prior and --magnetometer are for --calibrate-from motion" in undrift.refused(*words)
     assert "wanted calibrated devices of a part, got none (C0: wanted both" in undrift.refused(
         "registry", "prior", "C0"
     )

@@ -110,7 +110,7 @@ def calibrate(
     opening: Opening = Opening(),
     turn_deg: float | None = None,
     output: OptionalOutput = None,
-    calibrate_from: Annotated[Literal["pieces", "motion"], Parameter(name="--from")] = "pieces",
+    calibrate_from: Annotated[Literal["pieces", "motion"], Parameter(name=("--from", "--calibrate-from"))] = "pieces",
     prior: Path | None = None,
     magnetometer: Flag = False,
     accel: AccelFit | None = None,
