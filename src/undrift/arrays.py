@@ -33,6 +33,12 @@ def frozen(x: ArrayLike, shape: tuple[int | None, ...], name: str) -> FloatArray
     return array
 
 
+def bridged(time: FloatArray, columns: FloatArray) -> FloatArray:
+    """Return columns (N, c) whose gaps (NaN) are bridged by lines, held at their ends; one reading or more is there."""
+    seen = np.isfinite(columns).all(axis=1)
+    return np.column_stack([np.interp(time, time[seen], column) for column in columns[seen].T])
+
+
 def interpolated(x: ArrayLike, nodes: FloatArray, values: FloatArray) -> FloatArray:
     """Return values (n, ...) over nodes (n,) at points x (N,) or one point: straight lines between, held at the ends."""
     points = np.asarray(x, dtype=np.float64)

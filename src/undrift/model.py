@@ -560,6 +560,15 @@ class Calibration(Shown):
     file_map: Annotated[FileMap | None, LATER] = None
     magnetometer: Annotated[Magnetometer | None, LATER] = None
 
+    @property
+    def accel_in_use(self) -> int:
+        """Count of the daily recordings whose rests updated the accelerometers; 0 where they are as they were calibrated."""
+        learnt = None if self.drift is None else self.drift.learnt
+        if learnt is None or learnt.accel is None or self.accel is None:
+            return 0
+        changed = not np.array_equal(learnt.accel.model.offset, self.accel.offset)
+        return len(learnt.recordings) if changed else 0
+
     def triad(self, sensor: Sensor) -> "Triad":
         """Return all that is known of one sensor: model, tables, codes."""
         drift, adc, gyro = self.drift or NO_TABLES, self.adc or _NO_CODES, sensor == "gyro"

@@ -35,7 +35,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from undrift.arrays import BoolArray, FloatArray, frozen, runs
+from undrift.arrays import BoolArray, FloatArray, bridged, frozen, runs
 from undrift.base.summary import Shown
 from undrift.correction.consistency import check_triads
 from undrift.correction.rest import (
@@ -642,11 +642,9 @@ def _filtered(
     time, values = record.time, np.hstack((gyro, record.accel))
     if magnetometer:
         mag_ut = np.asarray(record.mag_ut)
-        seen = np.isfinite(mag_ut).all(axis=1)
-        if not seen.any():
+        if not np.isfinite(mag_ut).all(axis=1).any():
             raise InputError("orient: wanted a magnetometer, got gaps alone; leave it out")
-        bridged = (np.interp(time, time[seen], axis) for axis in mag_ut[seen].T)  # it may be slower
-        values = np.column_stack((values, *bridged))
+        values = np.hstack((values, bridged(time, mag_ut)))  # it may be slower
     steps, even = np.diff(time), time
     step = float(np.median(steps))
     if uneven := bool((np.abs(steps - step) > UNEVEN * step).any()):
@@ -657,9 +655,10 @@ def _filtered(
     gyr, acc, *mag = (np.ascontiguousarray(part) for part in np.split(values, range(3, values.shape[1], 3), axis=1))
     out = offlineVQF(gyr, acc, mag[0] if mag else None, step, {"biasSigmaInit": sigma})
     q: FloatArray = out["quat9D" if mag else "quat6D"]
-    findings = (
-        () if not mag else (finding("orient.north", "info", percent=100.0 * float(out["magDistDetected"].mean())),)
-    )
+    findings: tuple[Finding, ...] = ()
+    if mag:
+        findings += (finding("orient.north", "info", percent=100.0 * float(out["magDistDetected"].mean())),)
+        findings += (finding("orient.field", "warn"),) * (record.state == "raw")
     if not uneven:
         return q, findings
     from scipy.spatial.transform import Rotation, Slerp

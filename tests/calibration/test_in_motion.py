@@ -82,6 +82,10 @@ def test_nineteen_of_twenty_intervals_hold_raw_devices_that_hands_have_turned(de
     ]
     error, spread = (np.array(each) for each in zip(*found, strict=True))
     inside = np.abs(error) < 1.96 * spread
+    kinds = ("gyroscopes' scale", "cross-axis", "accelerometers' scale", "cross-axis", "offset, m/s2")
+    for name, part in zip(kinds, np.arange(15).reshape(5, 3), strict=True):
+        rms = [float(np.sqrt((each[:, part] ** 2).mean())) for each in (error, spread)]
+        show(f"{name}: rmse; over stated; inside 95 %", (rms[0], rms[0] / rms[1], inside[:, part].mean()))
     for name, part, wanted in (("gyroscopes", slice(0, 6), 0.0015), ("accelerometers", slice(6, 12), 0.005)):
         rmse = float(np.sqrt((error[:, part] ** 2).mean()))
         ratio = rmse / float(np.sqrt((spread[:, part] ** 2).mean()))

@@ -94,6 +94,22 @@ def test_a_magnet_that_comes_near_is_left_out_and_named() -> None:
         calibrate_from_motion([replace(record, mag_ut=wild)], magnetometer=True)
 
 
+def test_recordings_without_a_magnetometer_are_counted_too_and_a_slower_one_is_used() -> None:
+    record, _, b = worn(30)
+    mag = np.array(record.mag_ut)
+    mag[1000:1700] += [12.0, -20.0, 9.0]
+    mag[1::2] = np.nan
+    alone = calibrate_from_motion([replace(worn(32)[0], mag_ut=None), replace(record, mag_ut=mag)], magnetometer=True)
+    (named,) = (item for item in alone.verdict.findings if item.code == "magnetometer.disturbed")
+    assert named.values["recording"] == 2
+    assert alone.magnetometer is not None
+    assert alone.gyro is not None
+    assert np.abs(alone.magnetometer.model.offset - b).max() < 1.5
+    plain = calibrate_from_motion([replace(worn(32)[0], mag_ut=None), replace(record, mag_ut=None)]).gyro
+    assert plain is not None
+    assert np.abs(alone.gyro.matrix - plain.matrix).max() > 1e-6  # the second direction was taken
+
+
 def test_axes_that_lie_otherwise_are_found_and_named() -> None:
     record, a, b = worn(31)
     other = np.array(

@@ -153,6 +153,18 @@ def test_a_trial_without_covariance_expects_nothing():
     assert validate_trial(*pair).expected is None
 
 
+def test_an_offset_from_motion_takes_a_wrong_scale_back_where_gravity_shows_it():
+    # Turning at 0.5 rad/s about a level axis: a scale that is off by 1e-3 is a steady rate, which the offset takes for its own.
+    turning = course_of((0.5, 0.0, 0.0), offset_prior=np.full(3, MOVED))
+    lean = 0.5 * turning.record.time
+    force = 9.80665 * np.column_stack((np.zeros_like(lean), np.sin(lean), np.cos(lean)))
+    turning = replace(turning, record=replace(turning.record, accel=force))
+    plain, shown = (expected_errors(turning, model_of(only(0, 1e-3)), each, NOTHING) for each in (OTHER, SHOWN))
+    assert plain.end_total_deg == pytest.approx(1e-3 * 0.5 * T * DEG, rel=1e-3)
+    show("end error by scale, deg: other offset, offset from motion", (plain.end_total_deg, shown.end_total_deg))
+    assert shown.end_total_deg < 0.2 * plain.end_total_deg
+
+
 @pytest.mark.parametrize("source", [OTHER, SHOWN])
 def test_drawn_calibrations_err_as_often_as_their_intervals_say(source):
     # Matrix and offset drawn from the stated covariance, correlated; the record itself is exact. Where motion shows the offset, it

@@ -28,7 +28,7 @@ from undrift.calibration.creep import creep_of, offset_drift
 from undrift.calibration.element_prior import PUBLISHED, ElementPrior
 from undrift.calibration.in_motion import InMotion, fit_in_motion
 from undrift.calibration.known_rotation import calibrate_turns
-from undrift.calibration.magnetometer import FieldFit, fit_magnetometer
+from undrift.calibration.magnetometer import FieldFit, FieldReadings, fit_magnetometer
 from undrift.calibration.multi_position import FEWEST_POSES, calibrate_moves, calibrate_poses
 from undrift.calibration.observe import CalibrateSettings, Observed, Outcome, at_one_temperature, in_one_unit, observe
 from undrift.calibration.pieces import check_accel
@@ -599,13 +599,15 @@ def from_motion(
 
 def _field_in(records: Sequence[Record], calibration: Calibration) -> FieldFit:
     """Fit the magnetometer to those recordings that have one, turned by gyroscopes and gravity."""
-    readings = []
-    for record in (one for one in records if one.mag_ut is not None):
+    readings: list[FieldReadings | None] = [None] * len(records)
+    for number, record in enumerate(records):
+        if record.mag_ut is None:
+            continue
         done = at("undrift.correction.correct:correct")(record, calibration)
         how = at("undrift.orientation:OrientSettings")(method="vqf", offset="motion")
         track = at("undrift.orientation:orient_unchecked")(done, None, how, gyro_model=calibration.gyro)
-        readings.append((track.time, np.asarray(record.mag_ut)[record.time.searchsorted(track.time)], track.q_nb))
-    if not readings:
+        readings[number] = (track.time, record.mag_ut[record.time.searchsorted(track.time)], track.q_nb)
+    if not any(readings):
         raise InputError(
             "magnetometer: wanted its readings in a recording, got none; map their columns (mag), or leave the option out"
         )

@@ -8,7 +8,8 @@
 Nothing else is asked: no rest, no rig, no optics. Where a recording rests, its offset is the mean there, within what it moves by
 afterwards. Elements of M and A are near those of the identity, each kind within a size that the device itself widens: what the
 motion did not show keeps that prior, and is named with the movement that would show it. How both triads lie to each other is seen,
-how they lie in the case is not: axes are those that the readings have, within the prior.
+how they lie in the case is not: axes are those that the readings have, within the prior. A magnetic field, corrected beforehand
+(calibration/magnetometer.py), is a second direction that R must keep: it shows turns about the vertical.
 
 Gauss-Newton, from short stretches of a recording, over which the first rates err little, to long ones.
 """
@@ -19,7 +20,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from undrift.arrays import FloatArray
+from undrift.arrays import FloatArray, bridged
 from undrift.calibration.element_prior import ELEMENTS, KINDS, PUBLISHED, ElementPrior, by_kinds
 from undrift.calibration.magnetometer import FieldFit
 from undrift.errors import Implausible, InputError, NotObservable
@@ -231,8 +232,9 @@ def _units(records: Sequence[Record], field_size: float | None) -> list[_Unit]:
         for one in still:
             moving[one.start : one.stop] = 0.0
         mag = None
-        if field_size is not None and record.mag_ut is not None and np.isfinite(record.mag_ut).all():
-            mag = record.mag_ut * (field_size / float(np.median(np.linalg.norm(record.mag_ut, axis=1))))
+        if field_size is not None and record.mag_ut is not None:
+            mag = bridged(record.time, record.mag_ut)  # it may be slower
+            mag *= field_size / float(np.median(np.linalg.norm(mag, axis=1)))
         pieces = max(1, round(record.duration_s / STAGES_S[-1]))
         for a, b in pairwise(np.linspace(0, len(record), pieces + 1).astype(int)):
             here = np.asarray(record.time)[a:b]
@@ -340,7 +342,7 @@ def _judged(model: _Model, covariance: FloatArray) -> Iterator[Finding]:
             yield finding("motion.scale", "warn", triad=triad, percent=100.0 * most)
     yield finding("motion.case", "info", lean_deg=np.degrees(spread[:18][~_DIAGONAL].max()))
     after = np.sqrt(by_kinds(covariance).reshape(7, 3).mean(axis=1))
-    sizes = {
-        f"{name}_percent": (100.0 * a, 100.0 * b) for name, a, b in zip(KINDS[:5], model.sizes, after, strict=False)
-    }
-    yield finding("motion.prior", "info", source=model.prior.source, **sizes)
+    sizes = dict(zip(KINDS, np.stack((model.sizes, after), axis=1), strict=True))
+    shares = {f"{name}_percent": 100.0 * sizes[name] for name in KINDS[:4]}
+    between = np.degrees(sizes["between"])
+    yield finding("motion.prior", "info", source=model.prior.source, between_deg=between, **shares)

@@ -17,6 +17,7 @@ through; sizes of both, and of G p, by restricted likelihood. Stretches whose si
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import groupby, pairwise, permutations, product
+from typing import TypeAlias
 
 import numpy as np
 from scipy.linalg import block_diag, eigh
@@ -55,11 +56,15 @@ ROUGH = 2.0 * RADIAN_PER_DEGREE  # of a heading, 1 sigma
 _GLOBAL = 13  # K, b, l
 
 
+FieldReadings: TypeAlias = tuple[FloatArray, FloatArray, FloatArray]  # time (N,), readings (N, 3), orientation (N, 4)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class FieldFit:
-    """A magnetometer, and the field of each recording."""
+    """A magnetometer, and the field of each recording that has one."""
 
     magnetometer: Magnetometer
+    recording: tuple[int, ...]  # (R,), its place among all
     field_ut: FloatArray  # (R,), size of the field
     dip: FloatArray  # (R,), rad, below the horizon
     disturbed: FloatArray  # (R,), share of the time that was left out
@@ -101,12 +106,8 @@ class _FieldStretch:
 
     def field(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return h and its derivatives by d and c, (N, 3) each; that by the log of H is h."""
-        size, cd, sd, course = (
-            np.exp(self.local[0]),
-            np.cos(self.local[1]),
-            np.sin(self.local[1]),
-            self.knots @ self.local[17:],
-        )
+        size, cd, sd = np.exp(self.local[0]), np.cos(self.local[1]), np.sin(self.local[1])
+        course = self.knots @ self.local[17:]
         north, ahead = (np.stack((-np.sin(x), np.cos(x), 0.0 * x), axis=1) for x in (course, course + 0.5 * np.pi))
         up = np.array([0.0, 0.0, 1.0])
         return size * (cd * north + sd * up), size * (cd * up - sd * north), size * cd * ahead
@@ -178,13 +179,15 @@ class _FieldStretch:
         return more - apart @ more[:12], right - apart @ right[:12]
 
 
-def fit_magnetometer(readings: Sequence[tuple[FloatArray, FloatArray, FloatArray]]) -> FieldFit:
+def fit_magnetometer(readings: Sequence[FieldReadings | None]) -> FieldFit:
     """Fit the magnetometer of a device to recordings in motion.
 
-    Of each: time (N,), s; readings (N, 3), uT, NaN for gaps; orientation (N, 4), case to level, z up, whose heading may drift.
+    Of each: time (N,), s; readings (N, 3), uT, NaN for gaps; orientation (N, 4), case to level, z up, whose heading may drift; None
+    where a recording has no magnetometer.
     Raises InputError for recordings that are short, NotObservable for a device that is not turned.
     """
-    stretches = [stretch for number, each in enumerate(readings) for stretch in _cut(number, *each)]
+    numbered = [(number, each) for number, each in enumerate(readings) if each is not None]
+    stretches = [stretch for number, each in numbered for stretch in _cut(number, *each)]
     usual, k, b = _start(stretches)
     size = float(np.exp(np.mean([stretch.local[0] for stretch in stretches])))
     lag, spread = 0.0, np.repeat((SOFT_IRON, HARD_IRON * size, LAG_S), (9, 3, 1))
@@ -278,16 +281,16 @@ def _result(
     disturbed = np.array([1.0 - np.mean(np.concatenate([one.calm for one in each])) for each in of_each])
     verdict = Verdict.of(*_judged(covariance, usual, spread, means), *_disturbed(of_each))
     return FieldFit(
-        magnetometer=magnetometer, field_ut=np.exp(means[:, 0]), dip=-means[:, 1], disturbed=disturbed, verdict=verdict,
+        magnetometer=magnetometer, recording=tuple(each[0].recording for each in of_each), field_ut=np.exp(means[:, 0]),
+        dip=-means[:, 1], disturbed=disturbed, verdict=verdict,
     )  # fmt: skip
 
 
 def _judged(covariance: FloatArray, usual: FloatArray, spread: FloatArray, means: FloatArray) -> Iterator[Finding]:
     """Yield axes that the motion hides, what is left of a heading, and axes that lie otherwise than the gyroscopes'."""
     sigma, size = np.sqrt(np.diag(covariance)), np.exp(means[:, 0])
-    soft, hard = (
-        np.abs(usual).T @ one for one in (sigma[:9].reshape(3, 3).max(axis=0), sigma[9:12])
-    )  # gyroscopes' axes
+    widest = sigma[:9].reshape(3, 3).max(axis=0), sigma[9:12]
+    soft, hard = (np.abs(usual).T @ one for one in widest)  # gyroscopes' axes
     unseen = ((soft > SHOWN * spread[0]) | (hard > SHOWN * SOFT_IRON * size.mean())) & (hard > 0.2 * hard.max())
     heading = float((np.hypot(soft.max(), hard.max() / size) / np.cos(means[:, 1])).max())
     if unseen.any():
@@ -302,14 +305,11 @@ def _judged(covariance: FloatArray, usual: FloatArray, spread: FloatArray, means
 
 def _disturbed(of_each: list[list[_FieldStretch]]) -> Iterator[Finding]:
     """Yield the stretches of each recording in which the field was another."""
-    for number, each in enumerate(of_each):
+    for each in of_each:
         time, calm = np.concatenate([one.time for one in each]), np.concatenate([one.calm for one in each])
         if calm.all():
             continue
         first, stop = min(runs(~calm), key=lambda span: span[0] - span[1])
-        percent, span = (
-            100.0 * float(1.0 - calm.mean()),
-            {"start_s": float(time[first]), "stop_s": float(time[stop - 1])},
-        )
+        percent, span = 100.0 * float(1.0 - calm.mean()), {"start_s": time[first], "stop_s": time[stop - 1]}
         level: Level = "warn" if percent > 50.0 else "info"
-        yield finding("magnetometer.disturbed", level, recording=number + 1, percent=percent, **span)
+        yield finding("magnetometer.disturbed", level, recording=each[0].recording + 1, percent=percent, **span)

@@ -29,7 +29,6 @@ from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, si_factor
 if TYPE_CHECKING:
     from undrift.arrays import FloatArray
     from undrift.calibration.in_motion import InMotion
-    from undrift.calibration.magnetometer import FieldFit
     from undrift.calibration.observe import CalibrateSettings, Observed
     from undrift.calibration.pieces import Piece
     from undrift.model import Calibration, TriadModel
@@ -42,6 +41,7 @@ RESIDUALS = (
     "The uncertainty above is that of other readings at this temperature."
 )
 INFORMATION = "Information: share of its poses and dwells in the leverage on matrix and offsets, equal weights, mean of the triads."
+FIELD = ("field_ut", "below_horizon_deg", "disturbed_percent")
 for _options in (Fitting, Table, Sensitivity):
     options(_options)
 
@@ -90,9 +90,9 @@ class Calibrated(Result):
         follows = recording is not None and NAMES["accel"] not in lacking
         shown, more = calibration_summary(made), {"registered": self.registered} if self.registered else {}
         if self.in_motion is not None:
-            fields = () if self.in_motion.field is None else (_field_section(self.in_motion.field),)
-            shown = replace(shown, sections=(*shown.sections, _motion_section(self, self.in_motion), *fields))
-            more |= {"motion": _motion_figures(self, self.in_motion)}
+            figures = _motion_figures(self, self.in_motion)
+            shown = replace(shown, sections=(*shown.sections, _motion_section(figures), _field_section(figures)))
+            more |= {"motion": figures}
         return replace(
             shown,
             data=calibration_json(made) | {"lacking": lacking} | more,
@@ -177,10 +177,8 @@ def calibrate(
     session = session_of(files, place, opening)
     progress("fitting", 0.5)
     if calibrate_from == "motion":
-        (made, in_motion), seen = (
-            _by_motion(session, prior, identify_adc=adc == "auto", magnetometer=magnetometer),
-            None,
-        )
+        how = {"identify_adc": adc == "auto", "magnetometer": magnetometer}
+        (made, in_motion), seen = _by_motion(session, prior, **how), None
     else:
         (made, seen), in_motion = fit(session, accel=accel, gyro=gyro, mode=mode, settings=settings), None
     calibrated = Calibrated(
@@ -222,7 +220,9 @@ def _check_idle(named: Mapping[str, object], *chosen: Any) -> None:
 
 
 def _motion_figures(calibrated: Calibrated, fit: "InMotion") -> list[dict[str, Any]]:
-    """Return what motion showed of each recording: offset and its uncertainty, deg/s, and acceleration, m/s2."""
+    """Return what motion showed of each recording: offset and its uncertainty, acceleration, and the magnetic field."""
+    import numpy as np
+
     per_dps = si_factor(fit.gyro.model.unit_in, "rate") / RADIAN_PER_DEGREE
     names = [name for name, _ in calibrated.session.inputs if not name.endswith(".toml")]
     named = names if len(names) == len(fit.offsets) else [f"recording {k + 1}" for k in range(len(fit.offsets))]
@@ -230,10 +230,14 @@ def _motion_figures(calibrated: Calibrated, fit: "InMotion") -> list[dict[str, A
         named, fit.offsets * per_dps, fit.offset_uncertainty * per_dps, fit.acceleration, fit.rested, strict=True
     )
     keys = ("recording", "offset_dps", "offset_uncertainty_dps", "acceleration_m_s2", "rested")
-    return [dict(zip(keys, row, strict=True)) for row in rows]
+    figures = [dict(zip(keys, row, strict=True)) for row in rows]
+    if (of := fit.field) is not None:
+        for number, *field in zip(of.recording, of.field_ut, np.degrees(of.dip), 100.0 * of.disturbed, strict=True):
+            figures[number] |= dict(zip(FIELD, field, strict=True))
+    return figures
 
 
-def _motion_section(calibrated: Calibrated, fit: "InMotion") -> Section:
+def _motion_section(figures: list[dict[str, Any]]) -> Section:
     """Return the offset of each recording, and how the body's own acceleration disturbed it."""
     heads = ("recording", "x", "y", "z", "+-", "acceleration left in 5 s (m/s2)", "rest")
     rows = tuple(
@@ -242,23 +246,16 @@ def _motion_section(calibrated: Calibrated, fit: "InMotion") -> Section:
             number(float(one["offset_uncertainty_dps"].max()), ".3f"), number(float(one["acceleration_m_s2"]), ".3f"),
             "yes" if one["rested"] else "no",
         )
-        for one in _motion_figures(calibrated, fit)
+        for one in figures
     )  # fmt: skip
     return Section(title="Gyroscopes' offset of each recording, deg/s", columns=heads, rows=rows)
 
 
-def _field_section(fit: "FieldFit") -> Section:
-    """Return the magnetic field of each recording with one."""
-    rows = tuple(
-        (
-            f"{k + 1}",
-            number(float(size), ".2f"),
-            number(float(dip) / RADIAN_PER_DEGREE, ".2f"),
-            number(100.0 * float(off), ".1f"),
-        )
-        for k, (size, dip, off) in enumerate(zip(fit.field_ut, fit.dip, fit.disturbed, strict=True))
-    )
-    heads = ("recording with a magnetometer", "size (uT)", "below the horizon (deg)", "left out as disturbed (%)")
+def _field_section(figures: list[dict[str, Any]]) -> Section:
+    """Return the magnetic field of each recording that has one; no rows, no section."""
+    there = [one for one in figures if FIELD[0] in one]
+    rows = tuple((str(one["recording"]), *(number(float(one[key]), ".2f") for key in FIELD)) for one in there)
+    heads = ("recording", "size (uT)", "below the horizon (deg)", "left out as disturbed (%)")
     return Section(title="Magnetic field of each recording", columns=heads, rows=rows)
 
 

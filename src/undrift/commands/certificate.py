@@ -435,6 +435,10 @@ def _traceability(calibration: "Calibration", triads: "Mapping[str, TriadModel]"
 
 
 def _limits(calibration: "Calibration", triads: "Mapping[str, TriadModel]") -> Iterator[str]:
+    if in_use := calibration.accel_in_use:
+        yield f"Accelerometers: offset and scale updated since by rests of {in_use} daily recordings; in the results and in U."
+    if calibration.magnetometer is not None:
+        yield "The magnetometer is not part of this certificate."
     for name, triad in triads.items():
         low, high = (value * (1.0 if name == "accel" else _shown(name)[1]) for value in triad.valid_range)
         unit = "m/s²" if name == "accel" else "deg/s"

@@ -50,7 +50,7 @@ class CorrectedFile:
     rest: "OffsetLeft | None"  # What was subtracted of the offset; in the notes too
 
     def row(self) -> dict[str, Any]:
-        """Return the recording as --json has it."""
+        """Return the recording as JSON has it."""
         from undrift.io.store import findings_json
 
         outside = {f"samples_{kind}": getattr(self.state, f"samples_{kind}") for kind in NOT_COVERED}

@@ -111,7 +111,7 @@ def learn_summary(fit: "LearnFit") -> Summary:
             *(
                 ()
                 if fit.accel is None
-                else (rows_section("accelerometers, change and uncertainty", _accel(fit.accel)),)
+                else (rows_section("accelerometers, change and uncertainty", _accel_rows(fit.accel)),)
             ),
         ),
         verdict=fit.verdict,
@@ -137,21 +137,33 @@ def _data(fit: "LearnFit", output: Path | None) -> dict[str, Any]:
         "rests": {"count": len(fit.rest_kept), "left_out": int((~fit.rest_kept).sum())},
         **{f"{name}_dps": getattr(fit, name) / RADIAN_PER_DEGREE for name in figures},
         "nodes": nodes,
-        "accelerometers": None if fit.accel is None else {"changed": fit.accel.changed, "axes": _accel(fit.accel)},
+        "accelerometers": None if fit.accel is None else _accel(fit.accel),
         "verdict": verdict_json(fit.verdict),
     }
 
 
-def _accel(fit: "AccelUseFit") -> list[dict[str, Any]]:
-    """Return a row for each axis: what the rests say about offset and scale, zero where they change nothing."""
+def _accel(fit: "AccelUseFit") -> dict[str, Any]:
+    """Return what the rests say about the accelerometers, of three axes: no change where they stay as they were."""
     from undrift.calibration.norm import MG
 
-    sizes = {"offset (mg)": (6, 1.0 / MG), "scale (%)": (0, 100.0), "offset (mg/K)": (9, 1.0 / MG)}
-    doubt = fit.covariance.diagonal() ** 0.5 if fit.changed else fit.before
-    change = fit.change if fit.changed else abs(0.0 * fit.change)
+    doubt, change = (
+        (fit.covariance.diagonal() ** 0.5, fit.change) if fit.changed else (fit.before, 0.0 * abs(fit.change))
+    )
+    figures: dict[str, Any] = {"changed": fit.changed, "directions": fit.directions, "held_out_mg": fit.held_out / MG}
+    for name, k, unit in (("offset_mg", 6, MG), ("scale_percent", 0, 0.01), ("offset_mg_per_k", 9, MG)):
+        figures |= {name: change[k : k + 3] / unit, f"{name}_uncertainty": doubt[k : k + 3] / unit}
+    return figures
+
+
+def _accel_rows(fit: "AccelUseFit") -> list[dict[str, str]]:
+    """Return a row for each axis, in words."""
+    made, heads = (
+        _accel(fit),
+        {"offset (mg)": "offset_mg", "scale (%)": "scale_percent", "offset (mg/K)": "offset_mg_per_k"},
+    )
     return [
         {"axis": axis}
-        | {name: f"{change[k + i] * unit:+.2f} +- {doubt[k + i] * unit:.2g}" for name, (k, unit) in sizes.items()}
+        | {head: f"{made[key][i]:+.2f} +- {made[f'{key}_uncertainty'][i]:.2g}" for head, key in heads.items()}
         for i, axis in enumerate("xyz")
     ]
 

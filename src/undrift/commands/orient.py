@@ -104,7 +104,7 @@ def orient(
         "rest" subtracts the mean rate of the first still phase (or the named one), "still" that of every still phase, linear
         between them; "motion" starts from that rest, where there is one, and adds what gravity shows while the device moves.
     heading_deg : float
-        Heading at the still phase, deg; not with `magnetometer`.
+        Heading at the still phase, deg; a magnetometer gives its own.
     forward : str
         Device axis that points forward on the upright segment: with up it defines the pitch.
     up : str
@@ -123,13 +123,12 @@ def orient(
     check_output(output, endings=tuple(ORIENTATION_WRITERS), reads=reads, beside=files_of(output)[1:])
     model = None if calibration is None else read_calibration(calibration)
     readings = opening.like(model, calibration).read(record)
-    raw = readings.state != "corrected"
     settings = OrientSettings(
         method=method, magnetometer=magnetometer, offset=offset, heading=math.radians(heading_deg), forward=forward, up=up,
     )  # fmt: skip
     with named_columns(record):
         readings, earlier, notes = _corrected(readings, record, model, applying)
-        if magnetometer and (raw if model is None else model.magnetometer is None):
+        if magnetometer and model is not None and model.magnetometer is None:
             earlier += (finding("orient.field", "warn"),)
         rest = named_rest(readings, named.stretch)
         found = find(readings, rest, settings, gyro_model=None if model is None else model.gyro)

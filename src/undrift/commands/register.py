@@ -50,7 +50,7 @@ class Registration:
             )
 
     def add(self, *results: "Path | Calibration", source: Path | None = None) -> list[dict[str, Any]]:
-        """Add files, folders or a calibration that is written to `source`; return what became of them, as --json has it."""
+        """Add files, folders or a calibration that is written to `source`; return what became of them, as JSON has it."""
         if not self.register:
             return []
         from undrift.registry.documents import Stated, new_entries, of_calibration
@@ -146,7 +146,7 @@ def open_place(place: str | None, *, station: str | None = None, there: bool = F
 
 
 def entry_json(entry: "Entry", later: int | None = None) -> dict[str, Any]:
-    """Return an entry as --json has it, without its document."""
+    """Return an entry as JSON has it, without its document."""
     names = ("kind", "sha256", "verdict", "added_by", "station", "source", "supersedes", "note")
     dates = {name: getattr(entry, name) for name in ("made_at", "due_at", "added_at")}
     times = {name: when and when.isoformat(timespec="seconds") for name, when in dates.items()}

@@ -252,7 +252,7 @@ def trend(*, serial: str, figure: Picture = None, where: Where = None) -> Regist
 
 @verb
 def prior(*serials: str, output: OptionalOutput = None, where: Where = None) -> RegistryListing:
-    """Learn what devices of one part deviate by, as a prior for `calibrate --from motion`.
+    """Learn what devices of one part deviate by, as a prior for calibrating by motion alone.
 
     Parameters
     ----------

@@ -817,7 +817,7 @@ def _words(found: "Figure3", drawn: "tuple[DrawnRow, ...]") -> tuple[str, ...]:
         f"{found.actual_max_deg[3]:.2f} deg of the actual device's {found.actual_max_deg[0]:.2f}: scale and dynamic drift, "
         f"which no rest shows. Both tables leave {found.actual_max_deg[2]:.2f} deg, with the rest "
         f"{found.actual_max_deg[4]:.2f} deg. "
-        "Recommended: tables, and undrift correct --offset rest.",
+        "Recommended: tables, and the offset at that rest subtracted.",
     ]
     if drawn:
         text.append(

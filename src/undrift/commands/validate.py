@@ -96,7 +96,7 @@ class Validated(Result):
 
     @property
     def data(self) -> dict[str, object]:
-        """What --json prints, and validation.json holds."""
+        """What JSON has, and validation.json."""
         fitted = self.calibration is not None and not self.source
         named = {"calibration": "reference" if fitted else self.source or None, "offset": self.settings.offset}
         asked = {"adc": self.settings.adc, "leave_one_out": self.leave_one_out}
@@ -178,7 +178,7 @@ def validate(
         "rest" subtracts the mean rate of the first still phase, "motion" also what gravity shows from there on, or without any
         rest, as correct and orient do; "none" does not. Without a calibration: rest.
     adc : str
-        "auto" corrects the quantisation of the codes where it shows and, with --calibrate-from, where that lowers the error on
+        "auto" corrects the quantisation of the codes where it shows and, in a fit to references, where that lowers the error on
         recordings that a fit has not seen: by two recordings or more, the held-out one apart. "none" leaves them.
     forward : str
         Body axis that points forward on the upright segment: with --up it defines the pitch.
