@@ -20,7 +20,8 @@ import numpy as np
 
 from benchmarks.broad import DEVICES, pairs, trial
 from undrift.arrays import FloatArray
-from undrift.calibration.calibrate import calibrate, calibrate_from_motion, device_adc
+from undrift.calibration.calibrate import calibrate, calibrate_from_motion, calibrate_to_references, device_adc
+from undrift.calibration.element_prior import learn_prior
 from undrift.calibration.in_motion import fit_in_motion
 from undrift.calibration.reference import leave_one_out
 from undrift.correction.correct import correct
@@ -78,6 +79,13 @@ def steps(numbers: Sequence[str]) -> Iterator[tuple[str, list[Ended]]]:
         calibrate_from_motion([other for other in records if other is not record], magnetometer=True)
         for record in records
     ]
+    by_optics = [
+        calibrate_to_references(*zip(*pairs(other), strict=True)) for other in DEVICES.values() if other != numbers
+    ]
+    part = learn_prior(by_optics, "the other two devices, by optics")
+    with_prior = [
+        calibrate_from_motion([other for other in records if other is not record], prior=part) for record in records
+    ]
     without: list[Calibration | None] = [None] * len(records)
     plain = TrialSettings(adc="none")
     rows: tuple[tuple[str, Sequence[Calibration | None], OffsetChoice], ...] = (
@@ -87,6 +95,7 @@ def steps(numbers: Sequence[str]) -> Iterator[tuple[str, list[Ended]]]:
         ("reference fit, offset from motion", fits, "motion"),
         ("motion of the others, rest", in_motion, "rest"),
         ("motion of the others, offset from motion", in_motion, "motion"),
+        ("prior of the other two devices, offset from motion", with_prior, "motion"),
         ("and the magnetometer, rest", with_field, "rest"),
         ("and the magnetometer, offset from motion", with_field, "motion"),
     )
@@ -151,7 +160,7 @@ def print_broad() -> None:
         for name, ended in steps(numbers):
             every.setdefault(name, []).extend(ended)
             print(f"{device}, {name}: {'; '.join(map(_words, ended))}", flush=True)
-    print(f"\n{'mean of eight, deg':42} {'strapdown':13} {'VQF':13} observed / expected (rms), inside 95 %")
+    print(f"\n{'mean of eight, deg':50} {'strapdown':13} {'VQF':13} observed / expected (rms), inside 95 %")
     for name, ended in every.items():
         means = [
             f"{np.mean([e[k] for e in each]):5.2f}" for each in zip(*map(_pairs, ended), strict=True) for k in (0, 1)
@@ -163,7 +172,7 @@ def print_broad() -> None:
             inside = sum(e.interval[0] <= e.strapdown[0] <= e.interval[1] for e in known)
             below = sum(e.strapdown[0] < e.interval[0] for e in known)
             text = f"{ratio:.2f}, {inside} of {len(known)}" + f" ({below} below)" * (below > 0)
-        print(f"{name:42} {means[0]} ({means[1]}) {means[2]} ({means[3]}) {text}")
+        print(f"{name:50} {means[0]} ({means[1]}) {means[2]} ({means[3]}) {text}")
 
 
 def _pairs(ended: Ended) -> tuple[tuple[float, float], tuple[float, float]]:
