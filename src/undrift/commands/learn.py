@@ -157,13 +157,13 @@ def _accel(fit: "AccelUseFit") -> dict[str, Any]:
 
 def _accel_rows(fit: "AccelUseFit") -> list[dict[str, str]]:
     """Return a row for each axis, in words."""
-    made, heads = (
+    figures, heads = (
         _accel(fit),
         {"offset (mg)": "offset_mg", "scale (%)": "scale_percent", "offset (mg/K)": "offset_mg_per_k"},
     )
     return [
         {"axis": axis}
-        | {head: f"{made[key][i]:+.2f} +- {made[f'{key}_uncertainty'][i]:.2g}" for head, key in heads.items()}
+        | {head: f"{figures[key][i]:+.2f} +- {figures[f'{key}_uncertainty'][i]:.2g}" for head, key in heads.items()}
         for i, axis in enumerate("xyz")
     ]
 
