@@ -53,7 +53,7 @@ def device(*, g=True, unit="count", **changes):
 
 def with_magnetometer(made):
     """Return a calibration that has one too."""
-    model = replace(triad(np.random.default_rng(9), "ut", "ut", 1.0, 20.0), rms_residual=0.4)
+    model = replace(triad(np.random.default_rng(9), "uT", "uT", 1.0, 20.0), rms_residual=0.4)
     return replace(made, magnetometer=Magnetometer(model=model, lag_s=0.0128, lag_uncertainty_s=2e-4))
 
 

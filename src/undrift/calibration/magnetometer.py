@@ -273,7 +273,7 @@ def _result(
     fields = np.concatenate([(one.reading - b) @ matrix.T for one in stretches])
     model = triad_fit(
         np.concatenate(residuals).ravel(),
-        method="motion", unit_in="ut", unit_out="ut", matrix=matrix, offset=b, covariance=covariance[:12, :12], rank=12,
+        method="motion", unit_in="uT", unit_out="uT", matrix=matrix, offset=b, covariance=covariance[:12, :12], rank=12,
         condition=float(np.linalg.cond(covariance[:12, :12] / np.outer(spread[:12], spread[:12]))) ** 0.5,
         valid_range=(float(fields.min()), float(fields.max())),
     ).model  # fmt: skip
