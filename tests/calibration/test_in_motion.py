@@ -9,7 +9,7 @@ import pytest
 from benchmarks.in_motion import pairs
 from scipy.stats import binom
 
-from testkit.data import show
+from testkit.data import needs_data, show
 from undrift.calibration.calibrate import calibrate_from_motion
 from undrift.calibration.in_motion import InMotion, fit_in_motion
 from undrift.errors import Implausible, InputError, NotObservable
@@ -150,6 +150,7 @@ def test_a_short_recording_gaps_and_a_device_at_rest_are_refused() -> None:
         fit_in_motion([replace(record, gyro=np.zeros_like(lost))])
 
 
+@needs_data
 @pytest.mark.parametrize(
     ("mistake", "words"),
     [
@@ -169,6 +170,7 @@ def test_columns_that_are_mistaken_are_named_before_anything_is_fitted(
         calibrate_from_motion([mistake(pairs("chain")[0][0])])
 
 
+@needs_data
 def test_rows_that_fill_a_file_up_are_named_and_taken_for_no_rest() -> None:
     record = pairs("chain")[0][0].between(3.0, 55.0)  # begins and ends in motion
     time = np.append(record.time, record.time[-1] + np.arange(1, 121) / 40.0)
@@ -181,6 +183,7 @@ def test_rows_that_fill_a_file_up_are_named_and_taken_for_no_rest() -> None:
     assert "recording.padded" in [item.code for item in filled.verdict.findings]
 
 
+@needs_data
 def test_force_that_gravity_does_not_explain_is_refused_and_a_scale_far_from_its_unit_is_named() -> None:
     record, _ = pairs("chain")[0]
     with pytest.raises(Implausible, match="wanted specific force that stays gravity"):
@@ -191,6 +194,7 @@ def test_force_that_gravity_does_not_explain_is_refused_and_a_scale_far_from_its
     assert off.gyro.verdict.status == "marginal"
 
 
+@needs_data
 def test_a_real_segment_calibrated_by_the_motion_of_another_trial_ends_within_two_degrees() -> None:
     trials, ends = pairs("chain"), []
     for record, reference in trials:

@@ -9,7 +9,7 @@ from benchmarks.broad import DEVICES, trial
 from scipy.spatial.transform import Rotation
 from scipy.stats import binom
 
-from testkit.data import show
+from testkit.data import needs_data, show
 from undrift.calibration.calibrate import calibrate_from_motion
 from undrift.calibration.magnetometer import fit_magnetometer
 from undrift.errors import InputError, NotObservable
@@ -145,6 +145,7 @@ def test_recordings_without_a_magnetometer_and_short_ones_are_refused() -> None:
         calibrate_from_motion([replace(record, mag_ut=gone)], magnetometer=True)
 
 
+@needs_data
 def test_two_trials_of_a_real_device_agree_and_the_magnet_of_another_is_named() -> None:
     """BROAD: device C twice; a magnet was attached to D for a minute of trial 32."""
     found = [calibrate_from_motion([trial(n)[0]], magnetometer=True).magnetometer for n in DEVICES["C"]]

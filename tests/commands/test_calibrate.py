@@ -9,7 +9,7 @@ from benchmarks.broad import DEVICES, trial
 from benchmarks.in_motion import pairs
 
 from testkit.command_line import contents
-from testkit.data import data_path, show
+from testkit.data import data_path, needs_data, show
 from testkit.stepper_jig import turned
 from undrift.frames import quaternion_conjugate, quaternion_product
 from undrift.io.formats import read_reference, write_record
@@ -375,6 +375,7 @@ def test_a_calibration_without_accelerometers_is_not_offered_for_correct_and_say
     assert undrift.good("calibrate", tmp_path / "s", "--json").json()["lacking"] == ["accelerometers"]
 
 
+@needs_data
 def test_recordings_in_motion_calibrate_both_triads_and_state_the_offset_of_each(undrift, tmp_path):
     files = []
     for number, (record, _) in enumerate(pairs("chain")):
@@ -397,6 +398,7 @@ def test_recordings_in_motion_calibrate_both_triads_and_state_the_offset_of_each
     assert "hold the device with each of these axes up, then down" in words
 
 
+@needs_data
 def test_a_magnetometer_is_calibrated_by_the_same_motion_and_gives_a_heading_from_north(undrift, tmp_path):
     for number in DEVICES["C"]:
         record, _ = trial(number)
@@ -429,6 +431,7 @@ def test_a_magnetometer_is_calibrated_by_the_same_motion_and_gives_a_heading_fro
     assert "The magnetometer is not calibrated" in undrift.good(*alone).out  # raw readings, as their file says
 
 
+@needs_data
 def test_options_that_motion_alone_cannot_use_are_refused(undrift, tmp_path):
     record, _ = pairs("chain")[0]
     write_record(record, tmp_path / "walk.csv")

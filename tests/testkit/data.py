@@ -7,6 +7,8 @@ import pytest
 
 DATA = Path(os.environ.get("UNDRIFT_DATA", Path(__file__).parents[2] / ".." / "shared" / "data")).resolve()
 
+needs_data = pytest.mark.skipif(not DATA.is_dir(), reason="the folder of recordings is absent (UNDRIFT_DATA)")
+
 
 def data_path(*parts: str) -> Path:
     """Return a file of the public recordings; skip the test where the folder is absent."""

@@ -1,7 +1,6 @@
 """The page Recordings: a file dropped, its map proposed, corrected, oriented, validated, downloaded."""
 
 import json
-import os
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -12,12 +11,11 @@ from playwright.sync_api import Page, expect
 
 import undrift
 from testkit.bench import BenchServer
+from testkit.data import DATA, needs_data
 from undrift.io.parquet import write_parquet
 from undrift.units import gravity_at
 from web_browser.conftest import faults_of, shoot
 
-DATA = Path(os.environ.get("UNDRIFT_DATA", Path(__file__).parents[3] / "shared" / "data"))
-needs_data = pytest.mark.skipif(not DATA.is_dir(), reason="the folder of recordings is absent (UNDRIFT_DATA)")
 COMMAND_MS = 40_000
 
 
