@@ -139,7 +139,8 @@ def _said(template: str, before: str = "*", after: str = "*") -> str:
 
 def keys() -> str:
     """Return the keys of each file that undrift reads, from the models that check them."""
-    from undrift.io.store import calibration_schema
+    from undrift.base.codec import schema_of
+    from undrift.model import Calibration
 
     parts = [
         "# Keys of every file\n\nMade from the models that check the files; [Files](../files.md) explains them. An unknown "
@@ -161,7 +162,7 @@ def keys() -> str:
         '## calibration.json\n\nThe JSON Schema: <a href="../calibration.schema.json">calibration.schema.json</a>. A key with the mark '
         "opt. may be left out."
     )
-    schema = calibration_schema()
+    schema = schema_of(Calibration)
     for name, held in {"(the file)": schema, **schema["$defs"]}.items():
         if name.endswith("Entry") or "properties" not in held:
             continue  # of the map, above; or a table whose keys are names

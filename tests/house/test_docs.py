@@ -7,14 +7,15 @@ from pathlib import Path
 
 import pytest
 
-from undrift.io.store import calibration_schema
+from undrift.base.codec import schema_of
+from undrift.model import Calibration
 
 ROOT = Path(__file__).parents[2]
 
 
 def test_the_schema_in_docs_is_the_one_of_the_models() -> None:
     shipped = json.loads((ROOT / "docs" / "calibration.schema.json").read_text())
-    assert shipped == json.loads(json.dumps(calibration_schema()))
+    assert shipped == json.loads(json.dumps(schema_of(Calibration)))
 
 
 def test_every_source_file_that_docs_name_exists() -> None:

@@ -11,9 +11,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from undrift.base.codec import schema_of
 from undrift.errors import FileFormatError, InputError
 from undrift.findings import finding
-from undrift.io.store import calibration_json, calibration_schema, read_calibration, write_calibration
+from undrift.io.store import calibration_json, read_calibration, write_calibration
 from undrift.model import (
     AdcModel,
     Calibration,
@@ -367,7 +368,7 @@ def test_a_lag_below_zero_is_refused_in_value_and_file(name: str, tmp_path: Path
 
 
 def test_the_schema_names_every_key_that_is_written() -> None:
-    schema = calibration_schema()
+    schema = schema_of(Calibration)
     assert set(schema["properties"]) == {
         *calibration_json(example()),
         "file_map",

@@ -12,7 +12,6 @@ Intervals of B and K are those of the profile likelihood, with every other term 
 import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -26,19 +25,15 @@ from undrift.record import Record
 from undrift.segments import BENCH_ACCEL_LIMIT, BENCH_RATE_LIMIT
 from undrift.units import RADIAN_PER_DEGREE, SI_UNIT, Quantity, is_physical, si_factor
 
-# ---- allan deviation and its relatives, each with confidence limits
+# ---- overlapping Allan deviation with confidence limits
 #
-# With phase x_k = sum of the first k readings times the sample period, tau = m periods, D2 and D3 the second and third difference
-# over m samples, and S the running sum of x:
+# With phase x_k = sum of the first k readings times the sample period, tau = m periods and D2 the second difference over m samples:
 #
-#     ADEV^2  = mean D2(x)^2 / (2 tau^2)        every m-th k;  OADEV: every k
-#     HDEV^2  = mean D3(x)^2 / (6 tau^2)        every m-th k;  OHDEV: every k
-#     MDEV^2  = mean D3(S)^2 / (2 m^2 tau^2)    every k
-#     TOTDEV^2 = mean D2(x*)^2 / (2 tau^2)      x* the phase continued by point reflection at both ends
+#     sigma^2 = mean D2(x)^2 / (2 tau^2)        over every k
 #
 # Where samples are missing, only terms whose samples are all there count: the mean runs over them, averaging times go up to those
 # of which two windows' worth of terms are left, the kind of noise comes from neighbouring whole averages, and the degrees of
-# freedom are those of a record without gaps with as many terms. Overlapping and plain ADEV and HDEV can do so.
+# freedom are those of a record without gaps with as many terms.
 #
 # The estimate of a variance is distributed as chi-square with ``edf`` equivalent degrees of freedom [1]_, which depend on the kind
 # of noise; the kind is found at each tau from the lag-1 autocorrelation of the averaged readings [2]_.
@@ -47,10 +42,6 @@ from undrift.units import RADIAN_PER_DEGREE, SI_UNIT, Quantity, is_physical, si_
 # .. [2] W. J. Riley, "Handbook of frequency stability analysis", NIST SP 1065, 2008, sections 5.2-5.5.
 
 
-Estimator = Literal["adev", "oadev", "mdev", "hdev", "ohdev", "totdev"]
-_SPAN = {"adev": 2, "oadev": 2, "mdev": 3, "hdev": 3, "ohdev": 3, "totdev": 1}  # samples needed, in units of m
-_ORDER = {"adev": 2, "oadev": 2, "mdev": 2, "hdev": 3, "ohdev": 3, "totdev": 2}
-_TOTAL_EDF = {0: (1.5, 0.0), -1: (1.16832, 0.222), -2: (0.9285, 0.358)}  # SP 1065 table 7: edf = b T / tau - c
 _LEAST_AVERAGES = 30  # of a length, to tell the kind of noise
 _STRIDES = 64  # overlaps finer than this carry no more information
 
@@ -67,60 +58,43 @@ class AllanDeviation:
     noise: IntArray  # (M,), power of frequency: 2 white phase, 1 flicker phase, 0 white, -1 flicker, -2 random walk
 
 
-Taus = Literal["octave", "decade", "all"] | Sequence[float] | FloatArray
-
-
 def allan_deviation(
-    x: ArrayLike,
-    sample_rate_hz: float,
-    *,
-    taus: Taus = "octave",
-    estimator: Estimator = "oadev",
-    confidence: float = 0.95,
+    x: ArrayLike, sample_rate_hz: float, *, taus: Sequence[float] | None = None, confidence: float = 0.95
 ) -> AllanDeviation:
-    """Return the Allan deviation of one channel (N,), or a relative of it."""
+    """Return the overlapping Allan deviation of one channel (N,), NaN where samples are missing; taus in s, octaves by default."""
     y = frozen(x, (None,), "x")
-    able = estimator in get_args(Estimator) and sample_rate_hz > 0.0 and 0.0 < confidence < 1.0
     gap = np.isnan(y)
-    if not able or (gap.any() and estimator not in _GAPPED):
+    if not (sample_rate_hz > 0.0 and 0.0 < confidence < 1.0):
         raise InputError(
-            f"allan_deviation: wanted readings (without gaps for mdev and totdev), a sample rate, a confidence within (0, 1) and "
-            f"one of {', '.join(get_args(Estimator))}, got {int(gap.sum())} gaps, {sample_rate_hz:g} Hz, {confidence:g} and "
-            f"'{estimator}'; cut the record at its gaps, or use oadev"
+            f"allan_deviation: wanted a sample rate above 0 and a confidence within (0, 1), got {sample_rate_hz:g} Hz and "
+            f"{confidence:g}; state others"
         )
     phase = np.concatenate(([0.0], np.cumsum(np.where(gap, 0.0, y - np.nanmean(y)))))
     lost = np.concatenate(([0], np.cumsum(gap))) if gap.any() else None
-    m = averages_of(taus, int((~gap).sum()), sample_rate_hz, estimator)
+    m = averages_of(taus, int((~gap).sum()), sample_rate_hz)
     if lost is None:
-        deviation, phases = _deviations(phase, m, estimator), np.full(len(m), len(phase))
+        deviation, phases = _deviations(phase, m), np.full(len(m), len(phase))
     else:
-        m, deviation, phases = _of_whole_terms(phase, lost, m, estimator)
-    noise = _kinds(phase, lost, m, _ORDER[estimator])
-    edf = np.array([_edf(*each, estimator) for each in zip(m.tolist(), noise.tolist(), phases.tolist(), strict=True)])
+        m, deviation, phases = _of_whole_terms(phase, lost, m)
+    noise = _kinds(phase, lost, m)
+    edf = np.array([_edf(*each) for each in zip(m.tolist(), noise.tolist(), phases.tolist(), strict=True)])
     lower, upper = _limits(deviation, edf, confidence)
     taus_s = m / sample_rate_hz
     return AllanDeviation(taus_s=taus_s, deviation=deviation, lower=lower, upper=upper, edf=edf, noise=noise)
 
 
-_GAPPED = ("adev", "oadev", "hdev", "ohdev")
-
-
-def _of_whole_terms(
-    phase: FloatArray, lost: IntArray, m: IntArray, estimator: Estimator
-) -> tuple[IntArray, FloatArray, IntArray]:
+def _of_whole_terms(phase: FloatArray, lost: IntArray, m: IntArray) -> tuple[IntArray, FloatArray, IntArray]:
     """Return averaging times in samples, deviations, and phases of a record without gaps that has as many terms; lost (N + 1,)."""
-    order, weights = _ORDER[estimator], {2: (1.0, -2.0, 1.0), 3: (-1.0, 3.0, -3.0, 1.0)}[_ORDER[estimator]]
     lengths, squares, phases = list[int](), list[float](), list[int]()
     for k in m.tolist():
-        every = k if estimator in ("adev", "hdev") else 1
-        first = np.arange(0, len(phase) - order * k, every)
-        first = first[lost[first + order * k] == lost[first]]
-        if len(first) * every < _SPAN[estimator] * k:
+        first = np.arange(0, len(phase) - 2 * k)
+        first = first[lost[first + 2 * k] == lost[first]]
+        if len(first) < 2 * k:
             continue
-        difference = sum(weight * phase[first + j * k] for j, weight in enumerate(weights))
+        difference = phase[first] - 2.0 * phase[first + k] + phase[first + 2 * k]
         lengths.append(k)
-        phases.append(len(first) * every + order * k)
-        squares.append(float(np.mean(difference**2)) / (2.0 if order == 2 else 6.0))
+        phases.append(len(first) + 2 * k)
+        squares.append(float(np.mean(difference**2)) / 2.0)
     if not lengths:
         raise InputError(
             "allan_deviation: wanted averaging times of which whole windows are left, got none between "
@@ -130,52 +104,32 @@ def _of_whole_terms(
     return averages, np.sqrt(np.array(squares)) / averages, np.array(phases, np.int64)
 
 
-def averages_of(taus: Taus, count: int, rate: float, estimator: Estimator) -> IntArray:
-    """Return the averaging times in samples."""
-    longest = count // 4
-    if isinstance(taus, str):
-        grids = {
-            "octave": 2.0 ** np.arange(40),
-            "decade": np.outer(10.0 ** np.arange(12), (1, 2, 4)).reshape(-1),
-            "all": np.arange(1, longest + 1),
-        }
-        if taus not in grids or longest < 1:
-            raise InputError(
-                f"allan_deviation: wanted octave, decade, all or averaging times, and 4 samples or more, got '{taus}' and {count} "
-                "samples; record longer"
-            )
-        return grids[taus][grids[taus] <= longest].astype(np.int64)
+def averages_of(taus: Sequence[float] | None, count: int, rate: float) -> IntArray:
+    """Return the averaging times in samples: octaves up to a quarter of the record, or those that are stated."""
+    if taus is None:
+        if count < 4:
+            raise InputError(f"allan_deviation: wanted 4 samples or more, got {count}; record longer")
+        return np.asarray(2 ** np.arange((count // 4).bit_length()), np.int64)
     wanted = np.asarray(taus, float)
     m: IntArray = np.unique(np.rint(wanted * rate).astype(np.int64))
-    if not len(m) or m[0] < 1 or m[-1] * _SPAN[estimator] >= count + (estimator != "mdev"):
+    if not len(m) or m[0] < 1 or m[-1] * 2 > count:
         raise InputError(
-            f"allan_deviation: wanted averaging times from {1.0 / rate:g} s to under {count / _SPAN[estimator] / rate:g} s, got "
+            f"allan_deviation: wanted averaging times from {1.0 / rate:g} s to {count / 2 / rate:g} s, got "
             f"{wanted.min() if len(wanted) else np.nan:g} to {wanted.max() if len(wanted) else np.nan:g} s; record longer or ask "
             "for less"
         )
     return m
 
 
-def _deviations(phase: FloatArray, m: IntArray, estimator: Estimator) -> FloatArray:
+def _deviations(phase: FloatArray, m: IntArray) -> FloatArray:
     """Return deviations in the unit of the readings; the phase counts in readings, so tau is m."""
-    from undrift.kernels.calibrate import second_difference, third_difference
+    from undrift.kernels.calibrate import second_difference
 
-    if estimator in ("hdev", "ohdev"):
-        square = [third_difference(phase, int(k), int(k) if estimator == "hdev" else 1) / 3.0 for k in m]
-    elif estimator == "mdev":
-        sums = np.concatenate(([0.0], np.cumsum(phase - phase.mean())))
-        square = [third_difference(sums, int(k), 1) / float(k) ** 2 for k in m]
-    elif estimator == "totdev":
-        inner = len(phase) - 2
-        left, right = 2.0 * phase[0] - phase[inner:0:-1], 2.0 * phase[-1] - phase[-2 : -2 - inner : -1]
-        longer = np.concatenate((left, phase, right))  # differences are centred at the inner points of the phase
-        square = [second_difference(longer[inner + 1 - int(k) : 2 * inner + 1 + int(k)], int(k), 1) for k in m]
-    else:
-        square = [second_difference(phase, int(k), int(k) if estimator == "adev" else 1) for k in m]
-    return np.asarray(np.sqrt(np.array(square) / 2.0) / m.astype(float))
+    square = np.array([second_difference(phase, int(k)) for k in m])
+    return np.asarray(np.sqrt(square / 2.0) / m.astype(float))
 
 
-def _kinds(phase: FloatArray, lost: IntArray | None, m: IntArray, order: int) -> IntArray:
+def _kinds(phase: FloatArray, lost: IntArray | None, m: IntArray) -> IntArray:
     """Return the power of frequency at each averaging time, from the lag-1 autocorrelation (SP 1065, 5.5.6)."""
     kinds, kind = [], 0
     for k in m.tolist():
@@ -183,7 +137,7 @@ def _kinds(phase: FloatArray, lost: IntArray | None, m: IntArray, order: int) ->
         if lost is not None:
             z[np.diff(lost[::k]) > 0] = np.nan
         if np.isfinite(z).sum() >= _LEAST_AVERAGES:
-            kind = int(np.clip(_power(z), -2 if order == 2 else -4, 2))
+            kind = int(np.clip(_power(z), -2, 2))
         kinds.append(kind)
     return np.array(kinds, np.int64)
 
@@ -203,27 +157,21 @@ def _power(z: FloatArray) -> int:
         z, differences = np.diff(z), differences + 1
 
 
-def _edf(m: int, alpha: int, phases: int, estimator: Estimator) -> float:
-    """Return the equivalent degrees of freedom [1]; of totdev by SP 1065, at short tau those of oadev."""
-    if estimator == "totdev" and m >= 8:
-        b, c = _TOTAL_EDF[max(-2, min(0, alpha))]
-        return max(b * (phases - 1) / m - c, 1.0)
-    order = _ORDER[estimator]
-    strides = 1 if estimator in ("adev", "hdev") else min(m, _STRIDES)
-    filtered = 1 if estimator == "mdev" else min(m, 1000)
-    length = m / filtered + m * order if estimator != "mdev" else m * (order + 1)
-    terms = max(1, 1 + int(strides * (phases - length) / m))
-    j = np.arange(1, min(terms, (order + 1) * strides) + 1)
-    zero = float(_autocovariance(np.zeros(1), filtered, alpha, order)[0])
-    later = _autocovariance(j / strides, filtered, alpha, order)
+def _edf(m: int, alpha: int, phases: int) -> float:
+    """Return the equivalent degrees of freedom [1]."""
+    strides, filtered = min(m, _STRIDES), min(m, 1000)
+    terms = max(1, 1 + int(strides * (phases - m / filtered - 2.0 * m) / m))
+    j = np.arange(1, min(terms, 3 * strides) + 1)
+    zero = float(_autocovariance(np.zeros(1), filtered, alpha)[0])
+    later = _autocovariance(j / strides, filtered, alpha)
     weight = 2.0 * (1.0 - j / terms)
     weight[-1] /= 2.0
     total = zero**2 + float(weight @ later**2)
     return max(terms * zero**2 / total, 1.0)
 
 
-def _autocovariance(t: FloatArray, filtered: int, alpha: int, order: int) -> FloatArray:
-    """Return the generalised autocovariance of the differenced phase at shifts t (in units of m)."""
+def _autocovariance(t: FloatArray, filtered: int, alpha: int) -> FloatArray:
+    """Return the generalised autocovariance of the phase, differenced twice, at shifts t (in units of m)."""
     f = float(filtered)
 
     def power(t: FloatArray) -> FloatArray:
@@ -231,16 +179,13 @@ def _autocovariance(t: FloatArray, filtered: int, alpha: int, order: int) -> Flo
         value: FloatArray = size**exponent
         if exponent % 2 == 0:
             value = value * np.log(np.where(size > 0.0, size, 1.0))
-        return value if alpha in (0, 1, -3, -4) else -value
+        return value if alpha in (0, 1) else -value
 
     def averaged(t: FloatArray) -> FloatArray:
         return np.asarray(f * f * (2.0 * power(t) - power(t - 1.0 / f) - power(t + 1.0 / f)))
 
-    first, *rows = {2: (6.0, -4.0, 1.0), 3: (20.0, -15.0, 6.0, -1.0)}[order]
-    total = first * averaged(t)
-    for shift, weight in enumerate(rows, start=1):
-        total = total + weight * (averaged(t - shift) + averaged(t + shift))
-    return total
+    once, twice = (averaged(t - shift) + averaged(t + shift) for shift in (1, 2))
+    return np.asarray(6.0 * averaged(t) - 4.0 * once + twice)
 
 
 def _limits(deviation: FloatArray, edf: FloatArray, confidence: float) -> tuple[FloatArray, FloatArray]:
@@ -455,7 +400,7 @@ def _triad(
     what = "gyro" if quantity == "rate" else "accel"
     values, unit = getattr(record, what), getattr(record, f"{what}_unit")
     if values is None:
-        taus_s = averages_of("octave", len(record), record.sample_rate_hz, "oadev") / record.sample_rate_hz
+        taus_s = averages_of(None, len(record), record.sample_rate_hz) / record.sample_rate_hz
         return (), SI_UNIT[quantity], np.empty((3, len(taus_s), 0)), taus_s
     factor = si_factor(unit, quantity) if is_physical(unit) else None
     whole = np.isfinite(values).all(axis=1)

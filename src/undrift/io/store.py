@@ -111,8 +111,3 @@ def verdict_json(verdict: Verdict) -> dict[str, Any]:
 def findings_json(findings: Iterable[Finding]) -> list[dict[str, Any]]:
     """Return findings as files and ``--json`` hold them."""
     return [codec.tree_of(item) for item in findings]
-
-
-def calibration_schema() -> dict[str, Any]:
-    """Return the JSON Schema of a calibration file, made from the model that reads it."""
-    return codec.schema_of(Calibration)

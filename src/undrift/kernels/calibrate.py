@@ -13,26 +13,15 @@ from numba import njit
 from undrift.arrays import FloatArray, IntArray
 from undrift.kernels.rotation import matrix_of, turned
 
-# ---- Allan variance: mean square of second and third differences
+# ---- Allan variance: mean square of second differences
 
 
 @njit(cache=True, fastmath={"contract"}, nogil=True, error_model="numpy")
-def second_difference(phase: FloatArray, m: int, stride: int) -> float:
-    # Mean of (x_(k+2m) - 2 x_(k+m) + x_k)^2 over k = 0, stride, ...
+def second_difference(phase: FloatArray, m: int) -> float:
+    # Mean of (x_(k+2m) - 2 x_(k+m) + x_k)^2 over every k
     total, count = 0.0, 0
-    for k in range(0, phase.size - 2 * m, stride):
+    for k in range(phase.size - 2 * m):
         d = phase[k + 2 * m] - 2.0 * phase[k + m] + phase[k]
-        total += d * d
-        count += 1
-    return total / count
-
-
-@njit(cache=True, fastmath={"contract"}, nogil=True, error_model="numpy")
-def third_difference(phase: FloatArray, m: int, stride: int) -> float:
-    # Mean of (x_(k+3m) - 3 x_(k+2m) + 3 x_(k+m) - x_k)^2 over k = 0, stride, ...
-    total, count = 0.0, 0
-    for k in range(0, phase.size - 3 * m, stride):
-        d = (phase[k + 3 * m] - phase[k]) - 3.0 * (phase[k + 2 * m] - phase[k + m])
         total += d * d
         count += 1
     return total / count
