@@ -17,6 +17,7 @@ from undrift.calibration.observe import (
     check_turns,
     mean_of_rests,
     observe,
+    piece_temperatures,
 )
 from undrift.errors import Implausible, InputError
 from undrift.record import FACES, Record, Session, Still, Turn
@@ -323,6 +324,27 @@ def test_a_thermal_session_is_calibrated_at_the_set_point_nearest_to_room_temper
     np.testing.assert_allclose(
         made.gyro.matrix / truth.gyro.matrix.max(), truth.gyro.matrix / truth.gyro.matrix.max(), atol=2e-3
     )
+
+
+def test_faces_at_room_temperature_go_with_the_rates_at_the_nearest_set_point() -> None:
+    rng = np.random.default_rng(3)
+    device = random_device_of("bmi270", rng)
+    settings = ThermalSettings(set_points_c=(15.0, 22.0, 30.0, 45.0), faces="six")
+    whole = simulate_thermal_session("soak", device, rng=rng, settings=settings)
+    temps = piece_temperatures(whole, whole.stills)
+    session = replace(whole, stills=tuple(s for s, c in zip(whole.stills, temps, strict=True) if abs(c - 22.0) < 2.0))
+    turns = piece_temperatures(whole, whole.turns)
+    session = replace(session, turns=tuple(t for t, c in zip(whole.turns, turns, strict=True) if abs(c - 22.0) > 2.0))
+    kept, _ = at_one_temperature(session)
+    assert {still.face for still in kept.stills} == {"+x", "-x", "+y", "-y", "+z", "-z"}
+    assert abs(piece_temperatures(kept, kept.turns) - 30.0).max() < 1.5
+    made = calibrate(session)
+    assert made.accel is not None
+    truth = true_calibration(device, temp_c=22.0).accel
+    assert truth is not None
+    off = np.abs(np.diag(made.accel.matrix @ np.linalg.inv(truth.matrix)) - 1.0)
+    assert off.max() < 2e-3
+    assert "session.temperature_creep" in {item.code for item in made.verdict.findings}
 
 
 def test_a_session_that_warms_a_little_is_left_as_it_is() -> None:

@@ -97,6 +97,39 @@ def test_every_temperature_is_soaked_at_in_each_mounting():
     assert len(heated.dwells) == 2 * len(programme_of(SMALL).dwells)
 
 
+NOTES_SOAKS = replace(SIT_TO_STAND, dwell_s=2.0, temperatures_c=(18.0, 30.0, 45.0, 60.0, 75.0))
+
+
+@pytest.mark.parametrize(
+    ("at", "mountings", "soaks", "minutes"),
+    [("every", 6, 30, 946.2), ("first", 6, 18, 532.7), ("room", 9, 15, 474.2)],
+)
+def test_faces_at_few_temperatures_save_soaks(at, mountings, soaks, minutes):
+    programme = programme_of(replace(NOTES_SOAKS, faces_at=at))
+    assert sum(isinstance(step, Mount) for step in programme.steps) == mountings
+    assert sum(isinstance(step, Soak) for step in programme.steps) == soaks
+    assert round(programme.duration_s / 60.0, 1) == minutes
+    assert sum(dwell.purpose == "rate" for dwell in programme.dwells) == 5 * 102
+    faces = [(dwell.up, dwell.temp_c) for dwell in programme.dwells if dwell.purpose == "face"]
+    temps_c = {"every": NOTES_SOAKS.temperatures_c, "first": (18.0,), "room": (None,)}[at]
+    assert sorted(faces, key=str) == sorted(((up, c) for up in NOTES_SOAKS.faces for c in temps_c), key=str)
+
+
+def test_a_face_without_rates_is_mounted_before_those_that_are_heated():
+    programme = programme_of(replace(SMALL, faces_at="first", temperatures_c=(20.0, 40.0)))
+    steps = [
+        step.up if isinstance(step, Mount) else step.temp_c for step in programme.steps if not isinstance(step, Dwell)
+    ]
+    assert steps == ["-z", 20.0, "+x", 20.0, 40.0, "+z", 20.0, 40.0]
+
+
+def test_a_filter_that_rings_settles_later():
+    slow = replace(SMALL, cutoff_hz=2.0)
+    more = programme_of(replace(slow, damping=0.5)).duration_s - programme_of(slow).duration_s
+    per_dwell = math.log(1000.0) / (2.0 * math.pi * 2.0) * (2.0 - math.sqrt(2.0))
+    assert more == pytest.approx(len(programme_of(slow).dwells) * per_dwell)
+
+
 def test_dwells_are_as_long_as_asked_for_and_as_the_uncertainty_needs():
     stated = replace(SMALL, dwell_s=2.0, turn_rate_uncertainty=0.0009 * DPS)
     assert {round(d.dwell_s, 9) for d in programme_of(stated).dwells if d.purpose == "rate"} == {10.0}

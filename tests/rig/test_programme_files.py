@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from undrift.errors import FileFormatError
+from undrift.rig.folder import protocol_digest
 from undrift.rig.programme import Protocol, read_protocol, write_protocol
 
 DPS = np.pi / 180.0
@@ -15,6 +16,8 @@ def test_a_protocol_reads_back_as_it_was(tmp_path: Path) -> None:
     wanted = Protocol(
         name='so "called"',
         faces=("+x", "-z"),
+        faces_at="room",
+        damping=0.8,
         turn_rate_min=3 * DPS,
         turn_rate_max=45 * DPS,
         turn_rate_step=3 * DPS,
@@ -55,3 +58,13 @@ def test_what_is_wrong_is_named(tmp_path: Path, text: str, told: str) -> None:
     (tmp_path / "p.toml").write_text(text)
     with pytest.raises(FileFormatError, match=told):
         read_protocol(tmp_path / "p.toml")
+
+
+def test_what_came_later_is_written_and_counts_only_where_it_is_stated(tmp_path: Path) -> None:
+    write_protocol(Protocol(), tmp_path / "p.toml")
+    assert "damping" not in (text := (tmp_path / "p.toml").read_text())
+    assert "at =" not in text
+    # of a run of an earlier version: it resumes
+    assert protocol_digest(Protocol()) == "a1af89393e5aba8f6f4732da68ec4f96ff85f63276a2f3ea5e8a653d6e634a15"
+    changed = {protocol_digest(Protocol(faces_at="first")), protocol_digest(Protocol(damping=0.8))}
+    assert len(changed | {protocol_digest(Protocol())}) == 3

@@ -11,7 +11,7 @@ from testkit.rig_bench import GAIN, SHORT, Device, Hands, Oven, at_rest, emulate
 from undrift.errors import InputError, RigFault, RigTimeout
 from undrift.io.session import read_session
 from undrift.rig.galil import read_status
-from undrift.rig.judge import RunSettings
+from undrift.rig.judge import Contradiction, RestCheck, RunSettings
 from undrift.rig.manual import AskedOperator
 from undrift.rig.programme import Protocol
 from undrift.rig.rig import RigSettings
@@ -83,6 +83,42 @@ def test_a_chamber_is_set_and_waited_for_with_the_motor_off(tmp_path):
     assert {piece.temp_c for piece in result.pieces} == {30.0, 40.0}
     assert {turn.temp_c for turn in read_session(tmp_path).turns} == {30.0, 40.0}
     assert read_session(tmp_path).kind == "thermal"
+
+
+def test_faces_at_room_temperature_come_before_the_chamber_and_state_what_it_reads(tmp_path):
+    protocol = replace(SHORT, faces=("+x", "+z"), faces_at="room", temperatures_c=(30.0, 40.0))
+    with emulated() as emulator:
+        result, hands = run(emulator, tmp_path, protocol, chamber=Oven())
+    assert hands.mounted == ["+x", "+z", "+z"]
+    assert [(piece.purpose, piece.temp_c) for piece in result.pieces[:3]] == [
+        ("face", None),
+        ("face", None),
+        ("bracket", 30.0),
+    ]
+    session = read_session(tmp_path)
+    assert [still.temp_c for still in session.stills[:3]] == [25.0, 25.0, 30.0]
+
+
+def test_a_face_for_room_temperature_is_not_read_in_a_chamber_that_was_heated(tmp_path, monkeypatch):
+    heated = replace(SHORT, faces=("+x",), faces_at="room", temperatures_c=(40.0,))
+    spoilt = []
+
+    def withdraw(self, step, record, where):
+        if step.purpose == "rate" and not spoilt:
+            spoilt.append(step)
+            error = Contradiction("planted")
+            error.other, error.surely = "+x", True
+            raise error
+
+    monkeypatch.setattr(RestCheck, "check", withdraw)
+    with emulated() as emulator:
+        with pytest.raises(
+            RigFault, match=r"wanted it at room temperature for step \d+ \(rest, \+x up\), got it after a soak"
+        ):
+            run(emulator, tmp_path, heated, chamber=Oven())
+        assert at_rest(emulator)
+        result, _ = run(emulator, tmp_path, heated, chamber=Oven(), resume=True)
+    assert result.added == 1
 
 
 def test_temperatures_without_a_chamber_and_unsafe_rates_move_nothing(tmp_path):

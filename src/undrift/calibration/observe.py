@@ -361,7 +361,8 @@ def at_one_temperature(session: Session) -> tuple[Session, tuple[Finding, ...]]:
     """Return a session with the stated pieces of one temperature.
 
     Where stills and turns fall into groups more than 3 K apart, the group nearest to 25 degC is used, of those that hold at least
-    half as many pieces as the largest.
+    half as many pieces as the largest. Faces that it lacks come from the group with most faces, nearest to it: creep.py states
+    what their temperature adds.
     """
     temps = piece_temperatures(session, (*session.stills, *session.turns))
     if len(temps) < 2 or np.isnan(temps).any() or np.ptp(temps) <= APART_C:
@@ -375,19 +376,26 @@ def at_one_temperature(session: Session) -> tuple[Session, tuple[Finding, ...]]:
     means = np.bincount(group, temps) / counts
     able = np.flatnonzero(2 * counts >= counts.max())
     chosen = int(able[np.argmin(np.abs(means[able] - ROOM_C))])
-    kept = group == chosen
-    stills = tuple(s for s, keep in zip(session.stills, kept[: len(session.stills)], strict=True) if keep)
-    turns = tuple(t for t, keep in zip(session.turns, kept[len(session.stills) :], strict=True) if keep)
-    used = finding(
+    used = group == chosen
+    faces = [still.face for still in session.stills]
+    counted = [
+        len({face for face, of in zip(faces, group, strict=False) if of == k} - {None}) for k in range(len(counts))
+    ]
+    if counted[chosen] < max(counted):
+        nearest = min(range(len(counts)), key=lambda k: (-counted[k], abs(means[k] - means[chosen])))
+        used |= (group == nearest) & np.array([*(face is not None for face in faces), *(False for _ in session.turns)])
+    stills = tuple(s for s, keep in zip(session.stills, used[: len(session.stills)], strict=True) if keep)
+    turns = tuple(t for t, keep in zip(session.turns, used[len(session.stills) :], strict=True) if keep)
+    visited = finding(
         "session.temperatures",
         "warn",
         groups=len(counts),
         least_temp_c=means.min(),
         most_temp_c=means.max(),
-        pieces=counts[chosen],
-        temp_c=means[chosen],
+        pieces=int(used.sum()),
+        temp_c=temps[used].mean(),
     )
-    return replace(session, stills=stills, turns=turns), (used,)
+    return replace(session, stills=stills, turns=turns), (visited,)
 
 
 def piece_temperatures(session: Session, pieces: Sequence[Still | Turn]) -> FloatArray:

@@ -33,16 +33,18 @@ class Studied(Result):
 
     def summary(self) -> Summary:
         """Return the protocol to use for each task, and all that speaks for it."""
+        from undrift.commands.study_rig import rig_sections
         from undrift.commands.study_sections import NOTE, answer_of, sections_of
 
-        outcome = self.outcome
+        outcome, note = self.outcome, Section(title="The note", text=(NOTE,), folded=True)
+        files = ("report.html", "summary.json", "surface.parquet")
         return Summary(
             title=f"Study: {outcome.study.name}",
             answer=answer_of(outcome),
             data=study_json(outcome),
             pictures=(figure_of("figures:draw_pareto", outcome, outcome.tasks[0]),),
-            sections=(*sections_of(outcome), Section(title="The note", text=(NOTE,), folded=True)),
-            written=tuple(self.output / name for name in ("report.html", "summary.json", "surface.parquet")),
+            sections=(*sections_of(outcome), *rig_sections(outcome, self.output), note),
+            written=(*(self.output / name for name in files), *sorted(self.output.glob("protocol-*.toml"))),
         )
 
 
@@ -124,7 +126,8 @@ def study(
     plan : Path or None
         study.toml: tasks, subjects, device, what is tried. See docs/study.md.
     output : Path
-        Folder for surface.parquet, report.html and summary.json; an interrupted study in it resumes.
+        Folder for surface.parquet, report.html, summary.json and a protocol.toml for each task; an interrupted study in it
+        resumes.
     preset : str or None
         "note" in place of a plan: the technical note's three tasks, thirty subjects, over 400 protocols each.
     workers : int or None
@@ -137,6 +140,7 @@ def study(
     real : Path or None
         real.toml: real recordings to judge too. See docs/study.md.
     """
+    from undrift.commands.study_rig import write_protocols
     from undrift.study.outcome import StudyProgress, forecast, judge_study
     from undrift.study.real import read_real
     from undrift.study.run import HEAD, RunStore, choose_executor
@@ -160,6 +164,7 @@ def study(
     result = Studied(
         outcome=judge_study(planned, executor, output, course=course, rivals=rivals, real=recordings), output=output
     )
+    write_protocols(result.outcome, output)
     summary = result.summary()
     save_json(output / "summary.json", summary.data)
     at("undrift.report.page:write_page")(output / "report.html", summary, origin_of(plan, real))

@@ -33,7 +33,7 @@ from undrift.files import call_writer, errno_of, take_lock, write_whole
 from undrift.io.parquet import write_parquet
 from undrift.io.session import HeadEntry, StillEntry, TurnEntry, sealed, session_toml
 from undrift.record import Axis, Face, Kind, Record
-from undrift.rig.programme import Protocol, Purpose, write_protocol
+from undrift.rig.programme import DAMPING, Protocol, Purpose, write_protocol
 from undrift.rig.watch import uninterrupted
 
 # ---- Journal: one line for each thing done, appended and brought to the disk before the next begins.
@@ -194,6 +194,7 @@ def room(path: Path) -> Iterator[None]:
 # ---- folder
 
 FORMAT = 2  # 1: checksums that do not go on from the line before, and a session.toml without any
+LATER = {"damping": DAMPING, "faces_at": "every"}  # of Protocol: what runs of before did
 JOURNAL, PIECES, ASIDE, PROTOCOL, SESSION = "journal.jsonl", "pieces", "aside", "protocol.toml", "session.toml"
 
 
@@ -346,9 +347,10 @@ class RunFolder(AbstractContextManager["RunFolder"]):
 
 
 def protocol_digest(protocol: Protocol) -> str:
-    """Return what tells a protocol from another; turns count only where there are any, as in folders from before them."""
+    """Return what tells a protocol from another; what came later counts only where it is stated, as in folders from before."""
     left_out = () if protocol.turn_axes else ("turn_angle", "turn_axes", "turn_rest_s")
-    held = {name: value for name, value in asdict(protocol).items() if name not in left_out}
+    later = {name: value for name, value in LATER.items() if getattr(protocol, name) == value}
+    held = {name: value for name, value in asdict(protocol).items() if name not in left_out and name not in later}
     fields = {name: float(f"{value:.9g}") if isinstance(value, float) else value for name, value in held.items()}
     return hashlib.sha256(json.dumps(fields, sort_keys=True).encode()).hexdigest()
 
@@ -382,10 +384,11 @@ def read_entries(path: Path, entries: tuple[dict[str, object], ...]) -> tuple[He
 def session_text(head: Head, pieces: tuple[RecordedDwell, ...]) -> str:
     """Return session.toml: each piece a recording, each rest a still, each rate a turn at the rate that was achieved."""
     stated: list[StillEntry | TurnEntry] = []
+    heated = any(piece.temp_c is not None for piece in pieces)  # then faces at room temperature state it too
     for number, piece in enumerate(pieces):
-        measured_c = piece.temp_c if piece.device_c is None else piece.device_c
+        measured_c = next((c for c in (piece.device_c, piece.temp_c, piece.chamber_c) if c is not None), None)
         span: dict[str, Any] = {"recording": number, "start_s": piece.start_s, "stop_s": piece.stop_s}
-        span["temp_c"] = None if piece.temp_c is None else measured_c
+        span["temp_c"] = measured_c if heated else None
         if piece.angle is None and piece.purpose != "rate":
             stated.append(StillEntry(face=piece.up, **span))
         else:

@@ -3,7 +3,12 @@
     mount (operator)  ->  at each temperature: soak (chamber)  ->  rest on the face  ->  rest, dwells, rest (a block of rates)
 
 A person or a door disturbs more than a chamber does, so the device is mounted as seldom as can be: each face once, every
-temperature in it, and the rates about an axis where its + side is up. No rig is needed to make a programme.
+temperature in it, and the rates about an axis where its + side is up. No rig is needed to make a programme. Soaks take most of
+the time; faces calibrate the accelerometers and need few of them (``faces.at``)::
+
+    every    faces at every set-point, so that the accelerometers get tables too
+    first    at the first set-point alone: a face without rates is mounted first and soaked at once
+    room     before the chamber is used, each in a mounting of its own, as the study lays its sessions out
 
     grid     paper (omega_m, omega_M], inclusive [omega_m, omega_M], both ways on three axes: N = 102 or 108 in sit-to-stand
     settle   ln(1000) / (zeta omega_c), omega_c = 2 pi f_c, at least 0.3 s: a second-order low-pass is within 0.1 % of a step
@@ -32,8 +37,10 @@ from undrift.units import RADIAN_PER_DEGREE
 
 GridRule = Literal["paper", "inclusive"]
 Order = Literal["alternating", "random"]
+FacesAt = Literal["every", "first", "room"]
 AXES: tuple[Axis, ...] = ("x", "y", "z")
 DPS = RADIAN_PER_DEGREE
+DAMPING = math.sqrt(0.5)  # Butterworth, as the note's filters
 
 
 def _as_stated(tree: dict[str, Any]) -> dict[str, Any]:
@@ -68,9 +75,12 @@ class Protocol:
     name: Annotated[str, Key("protocol.name")] = ""  # For people
     # Bandwidth of the device's low-pass, Hz: says how long it settles
     cutoff_hz: Annotated[float, Key("protocol.cutoff_hz")] = 11.1
+    damping: Annotated[float, Key("protocol.damping", later=True)] = DAMPING  # Of that low-pass, 1; it settles by both
     # Sensor axis that points up, one face after the other; without the table the accelerometers are left out
     faces: Annotated[tuple[Face, ...], Key("faces.order")] = FACES
     face_s: Annotated[float, Key("faces.seconds")] = 6.0  # Rest on each, s
+    # Set-points at which the faces are read: every, the first alone, or room, before the chamber is used
+    faces_at: Annotated[FacesAt, Key("faces.at", later=True)] = "every"
     # Least and greatest rate and the step, omega_m, omega_M and d of the note; a step of 0 leaves the rates out
     turn_rate_min: Annotated[float, Key("rates.turn_rate_min_dps", unit=DPS, needed=True)] = 0.0
     turn_rate_max: Annotated[float, Key("rates.turn_rate_max_dps", unit=DPS, needed=True)] = 0.0
@@ -102,6 +112,7 @@ class Protocol:
 
     def __post_init__(self) -> None:
         least_of = {"turn_rest_s": 0.5, "face_s": 0.0, "bracket_s": 0.0, "cutoff_hz": 1e-3, "soak_c_per_min": 1e-6}
+        least_of |= {"damping": 1e-3}
         for name, least in least_of.items():
             if not least <= getattr(self, name) < np.inf:
                 raise InputError(f"protocol: wanted {name} of {least:g} or more, got {getattr(self, name):g}")
@@ -155,7 +166,6 @@ def write_protocol(protocol: Protocol, path: str | Path) -> None:
 
 # ---- How long a device settles after the rate changed, and how long a dwell must be.
 
-DAMPING = math.sqrt(0.5)  # Butterworth, as the note's filters
 LEAST_SETTLE_S = 0.3  # also the table's own servo
 REMAINDER = 1000.0
 
@@ -324,23 +334,22 @@ def forecast_of(programme: Programme, done: frozenset[int] = frozenset()) -> For
 def programme_of(protocol: Protocol, settings: ProgrammeSettings = ProgrammeSettings()) -> Programme:
     """Write a protocol out."""
     turning = protocol.axes if protocol.turn_rate_step > 0.0 else ()
-    mountings = tuple(dict.fromkeys((*protocol.faces, *(PLUS[axis] for axis in (*turning, *protocol.turn_axes)))))
     rng = np.random.default_rng(protocol.seed)
     steps: list[Step] = []
     before_c = settings.room_c
-    for up in mountings:
+    for up, visits in _mountings(protocol, tuple(PLUS[axis] for axis in (*turning, *protocol.turn_axes))):
         steps.append(Mount(up=up, duration_s=settings.mount_s))
-        for temp_c in protocol.temperatures_c or (None,):
+        for temp_c, with_face, turns in visits:
             if temp_c is not None:
                 seconds = 60.0 * abs(temp_c - before_c) / settings.heating_c_per_min + settings.soak_s
                 steps.append(Soak(temp_c=temp_c, slope_c_per_min=protocol.soak_c_per_min, duration_s=seconds))
                 before_c = temp_c
-            if up in protocol.faces:
+            if with_face:
                 steps.append(_rest("face", up, None, protocol.face_s, protocol, temp_c))
-            for axis in turning:
+            for axis in turning if turns else ():
                 if up == PLUS[axis]:
                     steps += _block(axis, protocol, settings, temp_c, rng)
-            for axis in protocol.turn_axes:
+            for axis in protocol.turn_axes if turns else ():
                 if up == PLUS[axis]:
                     rest = _rest("bracket", up, axis, protocol.turn_rest_s, protocol, temp_c)
                     turn = replace(
@@ -351,6 +360,27 @@ def programme_of(protocol: Protocol, settings: ProgrammeSettings = ProgrammeSett
         steps=tuple(step for step in steps if not isinstance(step, Dwell) or step.dwell_s > 0.0),
         acceleration=protocol.acceleration,
     )
+
+
+Visit: TypeAlias = tuple[
+    float | None, bool, bool
+]  # Set-point, degC; whether the face is read there; whether it is turned
+
+
+def _mountings(protocol: Protocol, turned: tuple[Face, ...]) -> Iterator[tuple[Face, list[Visit]]]:
+    """Return how the device is mounted, one mounting after the other, and what is done at which set-point of it."""
+    temps_c: tuple[float | None, ...] = protocol.temperatures_c or (None,)
+    if protocol.faces_at == "room":
+        for up in protocol.faces:
+            yield up, [(None, True, False)]
+        for up in dict.fromkeys(turned):
+            yield up, [(temp_c, False, True) for temp_c in temps_c]
+        return
+    ups = dict.fromkeys((*protocol.faces, *turned))
+    last = protocol.faces_at == "first"  # a chamber cools down once less
+    for up in sorted(ups, key=lambda up: last and up in turned):
+        visits = [(temp_c, up in protocol.faces and not (last and k), up in turned) for k, temp_c in enumerate(temps_c)]
+        yield up, [visit for visit in visits if visit[1] or visit[2]]
 
 
 def _block(
@@ -384,7 +414,7 @@ def _dwell_s(turn_rate: float, protocol: Protocol, settings: ProgrammeSettings) 
 def _rest(
     purpose: Purpose, up: Face, axis: Axis | None, seconds: float, protocol: Protocol, temp_c: float | None
 ) -> Dwell:
-    settle_s = settle_time(protocol.cutoff_hz)
+    settle_s = settle_time(protocol.cutoff_hz, protocol.damping)
     return Dwell(
         purpose=purpose, up=up, axis=axis, turn_rate=0.0, ramp_s=0.0, settle_s=settle_s, dwell_s=seconds, temp_c=temp_c
     )

@@ -147,6 +147,7 @@ def _air(air_c: float | None) -> str:
 
 def _heat(run: "_Run", step: Soak, chamber: Chamber) -> SoakWatch:
     run._say("setting" if chamber.near_c is not None else "soaking")  # a person takes their time
+    run._heated = True
     chamber.set(step.temp_c)
     run._say("soaking")
     return SoakWatch(run._bench.readings, run._bench.clock, step, chamber, run._settings.device_lag_s)
@@ -160,7 +161,7 @@ class _Run:
     ) -> None:
         self._programme, self._bench, self._folder = programme, bench, folder
         self._report, self._settings = report, settings
-        self._enabled, self._doubted = False, set[Face]()
+        self._enabled, self._heated, self._doubted = False, False, set[Face]()
         self._old_fault: str | None = None
         self._temps: dict[str, float | None] = {}  # of Progress
         self._step: Step = programme.steps[0]
@@ -253,6 +254,7 @@ class _Run:
         self._keep(step, record, missing=missing, chamber_c=chamber_c, angle=angle)
 
     def _dwell(self, step: Dwell) -> None:
+        check_unheated(step, self._heated, f"step {self._number} ({step})")
         self._enable()
         if step.purpose == "turn":
             self._turn(step)
@@ -288,8 +290,7 @@ class _Run:
         return True
 
     def _one_dwell(self, step: Dwell) -> None:
-        rig = self._bench.rig
-        held = 0.0
+        rig, held = self._bench.rig, 0.0
         if step.turn_rate != 0.0:
             self._say("ramping")
             held = rig.turn(step.turn_rate)
@@ -402,6 +403,14 @@ class _Run:
         number, steps, step = self._number, len(self._programme.steps), str(self._step)
         seen = self._temps | seen
         self._report(Progress(phase=phase, number=number, steps=steps, step=step, left_s=left_s, live=live, **seen))
+
+
+def check_unheated(step: Dwell, heated: bool, where: str) -> None:
+    """Refuse to read at a set-point what is to be read at room temperature, as a face that is taken again."""
+    if step.temp_c is None and heated:
+        raise RigFault(
+            f"chamber: wanted it at room temperature for {where}, got it after a soak; let it cool, then continue with `resume`"
+        )
 
 
 def check_air(chamber: Chamber | None, step: Dwell, where: str) -> float | None:

@@ -87,10 +87,7 @@ def lay_out(protocol: Protocol) -> Sessions:
     """Lay out the session of a protocol, with the shortest settling."""
     if protocol.turn_rate_step <= 0.0:
         raise InputError("study: wanted a protocol with rates, got none; state turn_rate_step and the two ends")
-    protocol = replace(protocol, cutoff_hz=QUICKEST_HZ)
-    steps = [*programme_of(replace(protocol, faces=())).steps]
-    if protocol.faces:
-        steps = [*programme_of(replace(protocol, turn_rate_step=0.0, temperatures_c=())).steps, *steps]
+    steps = programme_of(replace(protocol, cutoff_hz=QUICKEST_HZ, faces_at="room")).steps
     dwells: list[Dwell] = []
     starts, clock = [], WARMED_UP_S
     for step in steps:

@@ -176,7 +176,7 @@ def units_without(study: Study, task: StudyTask, surface: run.TaskSurface, optim
     lines = _lines(surface, optimum)
     places = np.unique(np.concatenate(list(lines.values()))) if lines else np.empty(0, dtype=np.int64)
     parts = dict[Setting, list[FloatArray]]()
-    for point in _points(task, surface)[places]:
+    for point in points_of(task, surface)[places]:
         parts.setdefault(task.space.setting_of(point), []).append(point)
     tasks = [(replace(task, space=task.space.narrowed(np.array(of))), setting) for setting, of in parts.items()]
     return tuple(
@@ -201,7 +201,7 @@ def split_study(
     tables = [{effect: np.full(surface.error_rms_deg.shape, np.nan) for effect in EFFECTS} for surface in surfaces]
     rows = [{subject: row for row, subject in enumerate(_subjects(study, surface))} for surface in surfaces]
     places = [
-        {tuple(point): place for place, point in enumerate(_points(task, surface).tolist())}
+        {tuple(point): place for place, point in enumerate(points_of(task, surface).tolist())}
         for task, surface, _ in held
     ]
     advance(0, len(units))
@@ -256,7 +256,7 @@ def _lines(surface: run.TaskSurface, optimum: judge.Optimum) -> dict[str, IntArr
     return lines
 
 
-def _points(task: StudyTask, surface: run.TaskSurface) -> FloatArray:
+def points_of(task: StudyTask, surface: run.TaskSurface) -> FloatArray:
     """Return the protocols of a surface as the plan has their values, (P, n)."""
     units = [RADIAN_PER_DEGREE if name.endswith("_dps") else 1.0 for name in surface.names]
     held = [surface.column(name) * unit for name, unit in zip(surface.names, units, strict=True)]
