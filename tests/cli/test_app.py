@@ -57,7 +57,7 @@ def test_a_defect_is_one_line_too_and_shows_its_place_on_request(undrift, monkey
         (["info"], "FILE requires an argument. Say undrift info --help."),
         (["info", "a", "b"], "wanted fewer words, got also b; say undrift info --help"),
         (["info", "--bogus", "a"], "Unknown option: --bogus"),
-        (["calibrate"], "FILES requires an argument. Say undrift calibrate --help."),
+        (["correct"], "RECORDS requires an argument. Say undrift correct --help."),
         (["calibrate", "s", "--gyro", "by-eye"], 'Invalid value "by-eye" for --gyro. Choose from: "rate-table"'),
         (["calibrate", "s", "--latitude-deg", "north"], 'unable to convert "north" into float'),
         (["correct", "a.csv", "--calibration", "c.json"], "--output requires an argument"),

@@ -74,7 +74,7 @@ def test_a_line_that_is_written_over_keeps_whole_words_and_says_that_there_is_mo
     with on(place, 40):
         common.Terminal().over("[3/120] 0:12:01 left  dwell x, soaking  gyro 123.456 deg/s")
         common.Terminal().over("gyro 123.456 deg/s")
-    assert place.getvalue() == "\r\x1b[K[3/120] 0:12:01 left  dwell x, …\r\x1b[Kgyro 123.456 deg/s"
+    assert place.getvalue() == "\r\x1b[J[3/120] 0:12:01 left  dwell x, …\r\x1b[Jgyro 123.456 deg/s"
 
 
 def test_every_command_shows_what_it_shows_in_one_way():

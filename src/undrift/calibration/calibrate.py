@@ -26,7 +26,7 @@ from undrift.calibration.adc import identify_record_adc, restored
 from undrift.calibration.checks import missing_faces, range_in_doubt, scale_as_stated
 from undrift.calibration.creep import creep_of, offset_drift
 from undrift.calibration.element_prior import PUBLISHED, ElementPrior
-from undrift.calibration.in_motion import InMotion, fit_in_motion
+from undrift.calibration.in_motion import InMotion, fit_in_motion, without_gaps
 from undrift.calibration.known_rotation import calibrate_turns
 from undrift.calibration.magnetometer import FieldFit, FieldReadings, fit_magnetometer
 from undrift.calibration.multi_position import FEWEST_POSES, calibrate_moves, calibrate_poses
@@ -558,9 +558,12 @@ def from_motion(
 ) -> tuple[Calibration, InMotion]:
     """Calibrate from the motion in a session, and return with it the fit: offsets of each recording, what disturbed it."""
     _check_raw(session.records)
-    whole = in_one_unit(session).records
+    given = in_one_unit(session).records
+    whole = [part for record in given for part in without_gaps(record)]
     records = [unpadded(record) for record in whole]  # rows that fill a file up look like a rest
     named = [one for pair in zip(whole, records, strict=True) for one in padding(*pair)]
+    missing = sum(map(len, given)) - sum(map(len, whole))
+    named += [finding("motion.gaps", "info", missing=missing, stretches=len(whole))] if missing else []
     named += [one for each in records for one in at("undrift.correction.consistency:check_triads")(each)]
     rounding = device_adc(records) if identify_adc else None
     assumed = session.gravity_source == "standard"

@@ -15,7 +15,7 @@ Gauss-Newton, from short stretches of a recording, over which the first rates er
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -33,6 +33,7 @@ from undrift.segments import StillSettings, find_still
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical, si_factor
 
 LEAST_S, LEAST_DPS = 20.0, 5.0  # of a recording, and rms of its rates less their mean
+BRIDGED_S = 0.05  # the longest gap over which a line is near enough to the readings [assumed]
 STAGES_S = (15.0, 15.0, 40.0, 40.0, 300.0, 300.0, 300.0, 300.0, 300.0)  # of a stretch, s, in each step of the descent
 # rad/s: from rest to motion, from one recording to another, and a raw device's zero-rate output [assumed]
 MOVED, DAILY, RAW_RATE = 0.02 * RADIAN_PER_DEGREE, 0.1 * RADIAN_PER_DEGREE, 1.0 * RADIAN_PER_DEGREE
@@ -204,6 +205,20 @@ def fit_in_motion(
     freedom = 3.0 + np.array([one.as_from for one in prior.kinds])
     model.sizes = model.sizes * np.sqrt(freedom / (freedom - 2.0))  # Student's t: sizes are known from few elements
     return _result(records, units, model, np.linalg.inv(_prior(model, units)[0] + shown / wide[:, None] / wide))
+
+
+def without_gaps(record: Record) -> list[Record]:
+    """Return the stretches between gaps (NaN, steps of time), of 20 s and more where there are any; short gaps are bridged."""
+    if record.gyro is None or record.accel is None:
+        return [record]
+    seen = np.flatnonzero(np.isfinite(np.hstack((record.gyro, record.accel))).all(axis=1))
+    ends = np.flatnonzero(np.diff(record.time[seen]) > max(BRIDGED_S, 1.5 / record.sample_rate_hz))
+    spans = zip(seen[np.append(0, ends + 1)], seen[np.append(ends, -1)] + 1, strict=True) if len(seen) else ()
+    parts = [record.part(int(a), int(b)) for a, b in spans if record.time[b - 1] - record.time[a] >= LEAST_S]
+    if len(parts) == 1 and len(parts[0]) == len(seen) == len(record):
+        return [record]
+    lines = [bridged(one.time, np.hstack((np.asarray(one.gyro), np.asarray(one.accel)))) for one in parts]
+    return [replace(one, gyro=x[:, :3], accel=x[:, 3:]) for one, x in zip(parts, lines, strict=True)] or [record]
 
 
 def _units(records: Sequence[Record], field_size: float | None) -> list[_Unit]:

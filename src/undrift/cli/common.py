@@ -74,21 +74,25 @@ def say(*lines: str, err: bool = False, style: str = "") -> None:
 
 
 class Terminal(Screen):
-    """Shows on stderr: on a terminal as many whole words of a line as fit, elsewhere a line for each step; asks on stdin."""
+    """Shows on stderr: on a terminal what fits of each line, elsewhere the lines above a blank one, once a step; asks on stdin."""
 
     _step: int | None = None  # That has its line
+    _lines = 1  # Shown last, over which the next ones are written
 
     def say(self, *lines: str) -> None:
         say(*lines, err=True)
 
     def over(self, line: str, *, step: int | None = None, last: bool = False) -> None:
         if sys.stderr.isatty():
-            first = _wrapped(line, console(err=True).width - 1, max_lines=1, placeholder=" …")[0]
-            sys.stderr.write(f"\r\x1b[K{first}" + "\n" * last)
+            width = console(err=True).width - 1
+            lines = [_wrapped(one, width, max_lines=1, placeholder=" …")[0] for one in line.split("\n")]
+            above = f"\x1b[{self._lines - 1}A" if self._lines > 1 else ""
+            sys.stderr.write(f"\r{above}\x1b[J" + "\n".join(lines) + "\n" * last)
             sys.stderr.flush()
+            self._lines = 1 if last else len(lines)
         elif step not in (None, self._step):
             self._step = step
-            sys.stderr.write(f"{line}\n")
+            sys.stderr.write(line.partition("\n\n")[0].replace("\n", ". ") + "\n")
 
     def ask(self, line: str) -> str:
         sys.stderr.write(line)
@@ -118,7 +122,7 @@ class ProgressBar:
         from rich.progress import Progress as Bar
         from rich.table import Column
 
-        self._command, self._what, self._share = command, "reading", 0.0
+        self._command, self._what, self._share, self._begun = command, "reading", 0.0, False
         columns = (
             TextColumn("{task.description}", markup=False, table_column=Column(overflow="fold")),  # wraps at spaces
             BarColumn(max(4, min(40, console(err=True).width - 60))),
@@ -133,9 +137,6 @@ class ProgressBar:
         self._teller = threading.Thread(target=self._tell, daemon=True)
 
     def __enter__(self) -> "ProgressBar":
-        self._bar.start()
-        if not sys.stderr.isatty():
-            self._teller.start()
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -144,6 +145,11 @@ class ProgressBar:
 
     def __call__(self, what: str, share: float) -> None:
         """Take what is being done, and the share of the whole that is done, 0 to 1; lines above the last are shown and stay."""
+        if not self._begun:  # what is shown on a screen before is not disturbed
+            self._begun = True
+            self._bar.start()
+            if not sys.stderr.isatty():
+                self._teller.start()
         *lines, self._what = what.split("\n")
         self._share = share
         say(*(f"undrift {self._command}: {line}" for line in lines), err=True)

@@ -74,7 +74,7 @@ class Screen:
         """Show lines that stay."""
 
     def over(self, line: str, *, step: int | None = None, last: bool = False) -> None:
-        """Show a line over the one before; a log has one of each step, and none that has no number."""
+        """Show lines over those before; a log has those of each step above a blank one, and none that has no number."""
 
     def ask(self, line: str) -> str:
         """Return the answer to a question; EOFError where there is nobody."""

@@ -16,12 +16,13 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from undrift.base.options import Files, Flag, OptionalOutput, Picture, options, verb
+from undrift.base.options import Flag, OptionalOutput, Picture, options, verb
 from undrift.base.summary import Drawing, Result, Section, Summary, concise, figure_of, number
 from undrift.calibration.settings import AccelFit, Fitting, GyroFit, Sensitivity, Table
-from undrift.commands import Progress, silent
+from undrift.commands import Progress, Screen, silent
 from undrift.commands.certificate import departures_words, uncertainty_sentence
 from undrift.commands.files import Opening, Place, Rests, check_figure, check_output, name_of, recording_of, session_of
+from undrift.commands.live_motion import LiveMotion, collect, motion_fit
 from undrift.commands.register import Registration, registered_lines
 from undrift.errors import InputError
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, si_factor
@@ -29,6 +30,7 @@ from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, si_factor
 if TYPE_CHECKING:
     from undrift.arrays import FloatArray
     from undrift.calibration.in_motion import InMotion
+    from undrift.calibration.live_motion import ElementKnown
     from undrift.calibration.observe import CalibrateSettings, Observed
     from undrift.calibration.pieces import Piece
     from undrift.model import Calibration, TriadModel
@@ -56,6 +58,7 @@ class Calibrated(Result):
     seen: "Observed | None"  # None of motion alone
     settings: "CalibrateSettings"
     in_motion: "InMotion | None"  # Offsets of each recording, of a fit to motion alone
+    live: dict[str, Any]  # What was collected of a device
     registered: list[dict[str, Any]]
     output: Path | None
     figure: Path | None
@@ -78,6 +81,7 @@ class Calibrated(Result):
 
     def summary(self) -> Summary:
         """Return matrices and offsets with their uncertainty, what was used, and how the fit reproduces it."""
+        from undrift.calibration.live_motion import elements_known
         from undrift.io.store import calibration_json
 
         made, output, lacking = self.calibration, self.output, self.lacking
@@ -88,11 +92,13 @@ class Calibrated(Result):
         if output is None:
             after.append("Nothing was written. To keep it, repeat the command with -o calibration.json")
         follows = recording is not None and NAMES["accel"] not in lacking
-        shown, more = calibration_summary(made), {"registered": self.registered} if self.registered else {}
+        shown, more = calibration_summary(made), dict[str, Any](registered=self.registered) if self.registered else {}
         if self.in_motion is not None:
-            figures = _motion_figures(self, self.in_motion)
-            shown = replace(shown, sections=(*shown.sections, _motion_section(figures), _field_section(figures)))
-            more |= {"motion": figures}
+            figures, known = _motion_figures(self, self.in_motion), elements_known(made, self.in_motion)
+            added = _motion_section(figures), _field_section(figures), _known_section(known)
+            shown = replace(shown, sections=(*shown.sections, *added))
+            more |= {"motion": figures, "elements": [asdict(one) for one in known]}
+            more |= {"live": self.live} if self.live else {}
         return replace(
             shown,
             data=calibration_json(made) | {"lacking": lacking} | more,
@@ -105,7 +111,8 @@ class Calibrated(Result):
 
 @verb
 def calibrate(
-    *files: Files,
+    *files: Path,
+    live: LiveMotion = LiveMotion(),
     place: Place = Place(),
     opening: Opening = Opening(),
     turn_deg: float | None = None,
@@ -125,6 +132,7 @@ def calibrate(
     registering: Registration = Registration(),
     figure: Picture = None,
     progress: Progress = silent,
+    screen: Screen = Screen(),
 ) -> Calibrated:
     """Fit what a session, or bare recordings, allow, with verdict and findings.
 
@@ -159,53 +167,59 @@ def calibrate(
     from undrift.calibration.observe import CalibrateSettings
     from undrift.io.store import write_calibration
 
+    live.check(files, output)
     check_output(output, endings=(".json",), reads=(*files, opening.column_map, prior))
     check_figure(figure, reads=files)
     registering.check()
-    if calibrate_from == "motion":
+    if calibrate_from == "motion" or live.live is not None:
         idle = {"accel": accel, "gyro": gyro, "mode": mode, "turn_deg": turn_deg, "keep_offset": keep_offset or None}
         _check_idle(idle, fitting, table, sensitivity, rests)
-    elif prior is not None or magnetometer:
-        raise InputError(
-            "calibrate: `prior` and `magnetometer` are for `calibrate_from` motion: state that, or leave it out"
-        )
+    else:
+        _check_pieces(prior, magnetometer)
     settings = CalibrateSettings(
         still=rests.settings(), latitude_deg=place.latitude_deg, turn_angle_deg=turn_deg, remove_offset=not keep_offset,
         identify_adc=adc == "auto", **(asdict(fitting) | asdict(table) | asdict(sensitivity)),
     )  # fmt: skip
+    by_motion = motion_fit(prior, identify_adc=adc == "auto", magnetometer=magnetometer)
+    if collected := collect(live, output, place, by_motion, screen):
+        files, opening = (Path(collected["recording"]),), replace(opening, gaps="keep")
     progress("reading", 0.0)
     session = session_of(files, place, opening)
     progress("fitting", 0.5)
-    if calibrate_from == "motion":
-        how = {"identify_adc": adc == "auto", "magnetometer": magnetometer}
-        (made, in_motion), seen = _by_motion(session, prior, **how), None
+    if calibrate_from == "motion" or collected:
+        (made, in_motion), seen = by_motion(session), None
     else:
         (made, seen), in_motion = fit(session, accel=accel, gyro=gyro, mode=mode, settings=settings), None
     calibrated = Calibrated(
         files=files, calibration=made, session=session, seen=seen, settings=settings, in_motion=in_motion, output=output,
-        figure=figure, registered=registering.add(made, source=output),
+        figure=figure, live=collected, registered=registering.add(made, source=output),
     )  # fmt: skip
     if output is not None:
         write_calibration(made, output)
-    if figure is not None:
-        _draw(calibrated, figure)
+    _draw(calibrated, figure)
     return calibrated
 
 
-def _draw(calibrated: Calibrated, figure: Path) -> None:
+def _draw(calibrated: Calibrated, figure: Path | None) -> None:
+    if figure is None:
+        return
     used = calibrated.seen is not None
     how = {"title": f"{name_of(calibrated.files[0])}{': used' * used}", "used": used}
     of = (calibrated.session.records, calibrated.pieces)
     Drawing(place="undrift.report.figures:draw_recording", of=of, options=how).save(figure)
 
 
-def _by_motion(session: "Session", prior: Path | None, **how: bool) -> "tuple[Calibration, InMotion]":
-    from undrift.base.codec import read
-    from undrift.calibration.calibrate import from_motion
-    from undrift.calibration.element_prior import PUBLISHED, ElementPrior
+def _known_section(known: "Sequence[ElementKnown]") -> Section:
+    """Return how far motion and prior know each element."""
+    rows = tuple((one.name, one.axis, f"{one.uncertainty:.2g} {one.unit}") for one in known)
+    return Section(title="Known to, 95 %", columns=("element", "axis", "uncertainty"), rows=rows, folded=True)
 
-    part = PUBLISHED if prior is None else read(ElementPrior, prior)
-    return from_motion(session, prior=part, **how)
+
+def _check_pieces(prior: Path | None, magnetometer: bool) -> None:
+    if prior is not None or magnetometer:
+        raise InputError(
+            "calibrate: `prior` and `magnetometer` are for `calibrate_from` motion: state that, or leave it out"
+        )
 
 
 def _check_idle(named: Mapping[str, object], *chosen: Any) -> None:

@@ -63,6 +63,8 @@ class StreamDescription:
     rate: float = 0.0  # Nominal readings per second of the device
     gyro_unit: str = "count"  # Units as sent: rad/s, dps, m/s2, g, mg, count or v
     accel_unit: str = "count"
+    gyro_gain: float = 1.0  # Of that unit in one of the numbers sent: 0.061 of a device that sends codes
+    accel_gain: float = 1.0
     temp_scale: float = 1.0  # degC = temp_scale * sent + temp_zero
     temp_zero: float = 0.0
     tick: float = 0.0  # Device seconds a step of the counter; 0 for a counter of readings
@@ -79,6 +81,7 @@ class StreamDescription:
     def __post_init__(self) -> None:
         self._check_channels()
         check_positive(self, "stream", "there is no default", "rate", "clock_speed")
+        check_positive(self, "stream", "state the unit of one number that is sent", "gyro_gain", "accel_gain")
         object.__setattr__(self, "gyro_unit", canonical_unit(self.gyro_unit, "rate"))
         object.__setattr__(self, "accel_unit", canonical_unit(self.accel_unit, "accel"))
         if self.format not in get_args(Framing):
@@ -110,14 +113,14 @@ class StreamDescription:
         """Return readings as a record: time (N,) s, values (N, C)."""
         place = {name: column for column, name in enumerate(self.measured)}
 
-        def triad(name: str) -> FloatArray | None:
+        def triad(name: str, gain: float = 1.0) -> FloatArray | None:
             names = [f"{name}_{axis}" for axis in "xyz"]
-            return values[:, [place[each] for each in names]] if names[0] in place else None
+            return values[:, [place[each] for each in names]] * gain if names[0] in place else None
 
         return Record(
             time=time,
-            gyro=triad("gyro"),
-            accel=triad("accel"),
+            gyro=triad("gyro", self.gyro_gain),
+            accel=triad("accel", self.accel_gain),
             mag_ut=triad("mag"),
             temp_c=values[:, place["temp"]] * self.temp_scale + self.temp_zero if "temp" in place else None,
             gyro_unit=self.gyro_unit,

@@ -23,6 +23,7 @@ from undrift.errors import InputError, UndriftError
 from undrift.files import write_whole
 from undrift.web.commands import CommandOutcome, run_command
 from undrift.web.devices import Devices
+from undrift.web.live import MotionCalibration
 from undrift.web.rate_table import RateTablePage
 from undrift.web.recordings import Recordings
 from undrift.web.start import PRACTICE, Site
@@ -112,7 +113,7 @@ class Bench:
         self.table = RateTablePage(self)
         if (run := self.table.take_up()) is not None:  # that an earlier bench left
             self.rig_run, self.job = run, Job(folder=run.folder.parent, serial=run.order.serial)
-        self.warm_up = WarmUpRecording(self)
+        self.warm_up, self.motion = WarmUpRecording(self), MotionCalibration(self)
         self.place = Site(**_held_in(self.folder / PLACE))
 
     # ---- The device

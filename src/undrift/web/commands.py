@@ -34,6 +34,8 @@ CONTROLS = {  # options of the commands that a page offers, and what they are ca
     "--accel-unit": "Unit of the accelerometers",
     "--gyro none": ALONE,
     "--latitude-deg": "Town, or latitude in deg",
+    "--prior": "Prior of the part",
+    "--magnetometer": "Magnetometer",
     "--height-m": "Height above the sea, m",
     "--gravity-m-s2": "Gravity, m/s2",
 }

@@ -1,14 +1,21 @@
-"""The page Live: what the device reads now, raw against corrected, pitch and temperature; recorded to a file on request."""
+"""The page Live: what the device reads now, raw against corrected, pitch and temperature; recorded to a file on request.
+
+A device may be calibrated from its motion there: ``MotionCalibration`` collects and fits until each element is known well enough.
+"""
 
 import asyncio
 import math
 from datetime import datetime
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from nicegui import ui
 
+from undrift.base.options import stated
 from undrift.commands.bench.source import LiveDevice, Status
+from undrift.commands.files import Place
+from undrift.commands.live_motion import LiveMotion, MotionWatch, motion_fit
 from undrift.errors import InputError, UndriftError
 from undrift.record import FACES, Face
 from undrift.web import parts
@@ -37,12 +44,14 @@ def page(bench: "Bench") -> None:
     with parts.frame(bench, "Live"):
         parts.text("p", lambda: "" if bench.source is None else status_line(bench.source.status()), "live-status")
         parts.error_line(lambda: " ".join(_wrong(bench)))
-        parts.shown_if(parts.next_step(label, lambda: start_or_stop(bench)), lambda: bench.source is not None)
+        step = parts.next_step(label, lambda: start_or_stop(bench))
+        parts.shown_if(step, lambda: bench.source is not None and bench.motion.watch is None)
         hint = parts.text("p", "Connect a device below. The practice device is a simulated sensor.")
         parts.shown_if(hint, lambda: bench.source is None)
         parts.redrawn(lambda: _remarks(bench), lambda: parts.remarks_list(_remarks(bench)))
         parts.redrawn(lambda: bench.recordings.chosen and bench.recordings.chosen.path, lambda: _recorded(bench))
-        Panel()
+        parts.shown_if(Panel(), lambda: bench.motion.watch is None)  # what to do next is at hand
+        _motion(bench)
         parts.redrawn(lambda: _files(bench), lambda: _settings(bench))
         connect_form(bench)
         parts.bound(use)
@@ -158,3 +167,103 @@ def _settings(bench: "Bench") -> None:
             )
         parts.button("Set axes", turn)
     parts.bound(follow)
+
+
+# ---- Calibration from motion
+
+
+class MotionCalibration:
+    """Calibrates the device that is connected while a person moves it; what it may use holds for recordings too."""
+
+    def __init__(self, bench: "Bench") -> None:
+        self._bench, self.error, self.done = bench, "", False
+        self.watch: MotionWatch | None = None
+        self.prior: Path | None = None
+        self.magnetometer: tuple[str, ...] = ()
+        self._task: asyncio.Task[None] | None = None
+
+    def words(self) -> tuple[object, ...]:
+        """Return the options of the command."""
+        return "--from", "motion", *stated(prior=self.prior), *(("--magnetometer",) if self.magnetometer else ())
+
+    def start(self) -> None:
+        """Begin to collect readings in a job of their own."""
+        source, place = self._bench.source, Place(gravity_m_s2=self._bench.place.gravity_m_s2)
+        if source is None:
+            raise InputError("motion: wanted a device that sends, got none; connect it first")
+        job, fit = (
+            self._bench.new_job(source.name),
+            motion_fit(self.prior, identify_adc=False, magnetometer=bool(self.magnetometer)),
+        )
+        self.watch = MotionWatch(source, job.folder / "motion.parquet", fit, place, LiveMotion.enough_percent)
+        self.error, self.done, self._task = "", False, asyncio.create_task(self._follow(self.watch))
+
+    async def finish(self) -> str | None:
+        """Calibrate from the readings that there are; return the page of the result."""
+        watch, self.watch, job = self.watch, None, self._bench.job
+        path = None if watch is None else await asyncio.to_thread(watch.source.stop_writing)
+        if path is None or job is None:
+            self.error = "motion: wanted readings, got none; begin again"
+            return None
+        self.error = (await self._bench.calibrate(job, path, "--gaps", "keep", *self.words())).error
+        self.done = not self.error
+        return "/result" if self.done else None
+
+    async def _follow(self, watch: MotionWatch) -> None:
+        while watch is self.watch and not (watch.enough or watch.lost):
+            await asyncio.sleep(watch.pause_s)
+            try:
+                await asyncio.to_thread(watch.look)
+            except UndriftError as error:
+                self.watch, self.error = None, str(error)
+                await asyncio.to_thread(watch.source.stop_writing)
+        if watch is self.watch:
+            await self.finish()
+
+
+def motion_controls(bench: "Bench") -> None:
+    """Ask what calibration from motion may use: the prior of a part, dropped on the page Recordings, and the magnetometer."""
+    motion, files = bench.motion, [one.path for one in bench.recordings.files if one.kind == "prior"]
+    paths = {"published sizes": None} | {path.name: path for path in files}
+    now = next(name for name, path in paths.items() if path == motion.prior)
+    with parts.row("form"):
+        parts.Field("--prior", now, options=tuple(paths), keep=lambda name: setattr(motion, "prior", paths[name]))
+        parts.choices("Magnetometer", ("calibrate it too",), motion, "magnetometer")
+
+
+def _motion(bench: "Bench") -> None:
+    """Add what calibrates the device from its motion: how far each element is known, and what to do next."""
+    motion = bench.motion
+    with parts.section("Calibrate from motion"):
+        parts.text("h2", "Calibrate from motion")
+        parts.text("p", "Turn the device by hand as the page asks. It ends when every element is known well enough.")
+        parts.redrawn(lambda: len(bench.recordings.files), lambda: motion_controls(bench))
+        parts.button(
+            lambda: "Start to calibrate" if motion.watch is None else "End and calibrate",
+            lambda: motion.start() if motion.watch is None else motion.finish(),
+        )
+        parts.status_line(lambda: "" if motion.watch is None else motion.watch.words.replace("\n", ". "), "asked")
+        parts.error_line(lambda: motion.error)
+        parts.shown_if(ui.link("See the result", "/result"), lambda: motion.done)
+        parts.redrawn(lambda: motion.watch and motion.watch.elements, lambda: _known(motion.watch))
+
+
+def _known(watch: MotionWatch | None) -> None:
+    elements = () if watch is None else watch.elements
+    groups = [elements[k : k + 3] for k in range(0, len(elements), 3)]
+    if groups:
+        rows = [
+            [
+                (f"{three[0].name}, {three[0].wanted:.2g} {three[0].unit}", "head"),
+                *(parts.Parts(partial(_bar, one)) for one in three),
+            ]
+            for three in groups
+        ]
+        parts.table("Known to, 95 %; a full bar is enough", ("Element, wanted", "", "", ""), rows)
+
+
+def _bar(one: Any) -> None:
+    share = min(1.0, one.wanted / one.uncertainty)
+    parts.text("span", f"{one.axis} {one.uncertainty:.2g}", "good" if one.enough else "").style("white-space: nowrap")
+    bar = ui.element("progress").classes("bar").props(f"max=1 value={share:.2f}")
+    bar.props["aria-label"] = f"{one.name} {one.axis}"

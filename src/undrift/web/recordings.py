@@ -14,6 +14,7 @@ from undrift.record import FACES
 from undrift.web import parts
 from undrift.web.commands import CommandOutcome, Remark, remarks_of
 from undrift.web.drawings import worn
+from undrift.web.live import motion_controls
 from undrift.web.uploads import safe_name
 
 if TYPE_CHECKING:
@@ -141,7 +142,7 @@ class Recordings:
         job = self.bench.new_job(serial or stored.path.stem)
         words = (
             *stated(turn_deg=None if motion else turn_deg, serial=serial),
-            *(("--from", "motion") if motion else ()),
+            *(self.bench.motion.words() if motion else ()),
         )
         outcome = await self.bench.calibrate(job, stored.path, *stored.options(), *words)
         stored.error = outcome.error
@@ -366,6 +367,7 @@ def _actions(bench: "Bench", one: StoredFile) -> None:
 
         parts.button("Calibrate", calibrate, "next" if bench.calibration is None else "")
         parts.text("p", "Or from motion alone: a minute in the hand, turned slowly about every axis; rests help.")
+        motion_controls(bench)
         parts.button("Calibrate from its motion", lambda: calibrate(motion=True))
 
 
