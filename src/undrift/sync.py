@@ -62,7 +62,9 @@ class RunningIntegral:
         late = step > LONGEST_STEP * np.median(step)
         self._gaps: IntArray = np.append(0, np.cumsum(gap[1:] | gap[:-1] | late))
         area = 0.5 * (self._values[1:] + self._values[:-1]) * step[:, None]
-        self._sum = np.concatenate((np.zeros((1, values.shape[1])), np.cumsum(area, axis=0)))
+        whole = np.cumsum(np.concatenate((0.0 * area[:1], area[:-1])), axis=0)
+        bend = 0.5 * (np.diff(self._values, axis=0) / step[:, None])
+        self._pieces = np.concatenate((whole, self._values[:-1], bend), axis=1)  # of the integral, from each sample on
 
     def mean(self, start: FloatArray, stop: FloatArray) -> tuple[FloatArray, BoolArray]:
         """Return the mean reading (K, C) of each stretch and whether it has no gap (K,)."""
@@ -74,9 +76,8 @@ class RunningIntegral:
 
     def _at(self, t: FloatArray) -> tuple[IntArray, FloatArray]:
         k = np.clip(np.searchsorted(self.time, t, side="right") - 1, 0, len(self.time) - 2)
-        dt = t - self.time[k]
-        slope = (self._values[k + 1] - self._values[k]) / (self.time[k + 1] - self.time[k])[:, None]
-        return k, self._sum[k] + self._values[k] * dt[:, None] + 0.5 * slope * (dt * dt)[:, None]
+        dt, (whole, value, bend) = (t - self.time[k])[:, None], np.split(self._pieces[k], 3, axis=1)
+        return k, whole + value * dt + bend * (dt * dt)
 
 
 # ---- coarse lag: where the lengths of the two rates correlate best, over a wide search and with gaps masked
@@ -197,9 +198,7 @@ def native_poses(reference: Reference) -> Reference:
     drawn = np.where(
         np.isfinite(before), before, _drawn_to(reference, rates, frames, after, (frames, frames + 1.0 / frequency))
     )
-    moving = None
-    if reference.moving is not None:
-        moving = reference.moving[np.clip(after, 0, len(reference) - 1)]
+    moving = None if reference.moving is None else reference.moving[np.clip(after, 0, len(reference) - 1)]
     position = None if reference.position is None else drawn[:, 4:]
     return Reference(time=frames, q_nb=drawn[:, :4], position=position, moving=moving, name=reference.name)
 
@@ -266,10 +265,8 @@ class LagSettings:
     least_correlation: float = 0.7
 
 
-_ONE_AXIS, _THREE_AXES = (
-    0.05,
-    1e-6,
-)  # least singular value kept, of the largest: with one axis the other readings are noise
+# Least singular value that counts, of the largest: with one axis the other readings are noise
+_ONE_AXIS, _THREE_AXES = 0.05, 1e-6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -297,8 +294,7 @@ def lag_of(
 ) -> Lag:
     """Find how late readings are against mean rates about three axes or one; ``near`` is where the search begins, if known."""
     lag = coarse_lag(time, gyro, rates, settings.longest_lag_s) if near is None else near
-    known = RunningIntegral(time, gyro)
-    wanted = _averaged(rates, settings.average_s)
+    known, wanted = RunningIntegral(time, gyro), _averaged(rates, settings.average_s)
     before, fit = _aligned(known, wanted, 0.0)[0], None
     limit = settings.average_s  # the linear model reaches about one averaging length
     for _ in range(_STEPS):

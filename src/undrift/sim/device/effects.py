@@ -30,6 +30,7 @@ import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray, frozen
 from undrift.errors import InputError
+from undrift.frames import cross
 from undrift.sim.motion.motion import Motion
 
 # ---- Fields that know their unit
@@ -278,7 +279,7 @@ class LeverArm(Effect):
                 "switch the lever arm off"
             )
         rate, arm = scene.rate_b[:, None, :], self.arms[None, :, :]
-        return np.asarray(np.cross(scene.angular_acceleration_b[:, None, :], arm) + np.cross(rate, np.cross(rate, arm)))
+        return np.asarray(cross(scene.angular_acceleration_b[:, None, :], arm) + cross(rate, cross(rate, arm)))
 
 
 # ---- Low-pass: H(s) = w^2 / (s^2 + w s / Q + w^2), exact for a first-order hold [2]

@@ -37,7 +37,7 @@ import numpy as np
 from numpy.polynomial import Polynomial
 
 from undrift.arrays import FloatArray, Shape, freeze
-from undrift.frames import quaternion_conjugate, quaternion_product, rotate
+from undrift.frames import cross, quaternion_conjugate, quaternion_product, rotate
 from undrift.record import Axis, Face, Still, Turn
 
 # ---- Course: one coordinate over time, a sum of parts whose derivatives are closed forms.
@@ -383,14 +383,13 @@ class Script:
             moving[cut] = 1.0
         inverse = quaternion_conjugate(q)
         earth_b = rotate(inverse, np.broadcast_to(earth_rate_n, (n, 3)))
-        arm = np.broadcast_to(lever_arm_b, (n, 3))
-        swing = np.cross(rotation_acceleration, arm) + np.cross(rate, np.cross(rate, arm))
+        swing = cross(rotation_acceleration, lever_arm_b) + cross(rate, cross(rate, lever_arm_b))
         return Motion(
             time=time,
             q_nb=q,
             rate_b=rate + earth_b,
             mean_rate_b=mean_rate(time, q, rate[0]) + earth_b,
-            angular_acceleration_b=rotation_acceleration - np.cross(rate, earth_b),
+            angular_acceleration_b=rotation_acceleration - cross(rate, earth_b),
             force_b=rotate(inverse, push_n + np.array([0.0, 0.0, gravity_m_s2])) + swing,
             gravity_m_s2=gravity_m_s2,
             stills=tuple(self.stills),

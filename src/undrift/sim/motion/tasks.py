@@ -57,7 +57,7 @@ import numpy as np
 
 from undrift.arrays import FloatArray
 from undrift.errors import InputError
-from undrift.frames import quaternion_conjugate, quaternion_product, rotate
+from undrift.frames import cross, quaternion_conjugate, quaternion_product, rotate
 from undrift.sim.device.simulate import Streams, draw_streams
 from undrift.sim.motion.motion import (
     Burst,
@@ -99,7 +99,7 @@ class Task:
         arm = np.array(self.arm_b)
         push = np.stack([course_at(course, time)[2] for course in (self.forward, self.left, self.up)], axis=1)
         force = rotate(quaternion_conjugate(q), push + np.array([0.0, 0.0, gravity_m_s2]))
-        force = force + np.cross(spin_up, arm) + np.cross(rate, np.cross(rate, arm))
+        force = force + cross(spin_up, arm) + cross(rate, cross(rate, arm))
         return Motion(
             time=time,
             q_nb=q,
