@@ -50,14 +50,15 @@ def shared(tmp_path_factory: pytest.TempPathFactory) -> list[tuple[Callable[...,
     from undrift.drift.fit import choose_tables
     from undrift.study.case import run_unit
     from undrift.study.figure3 import calibrated, effect_table, figure3
-    from undrift.sync import find_lag, native_poses
+    from undrift.study.search import optimal_rates
+    from undrift.sync import find_lag, in_step, native_poses
     from undrift.twin.fit import fit_prepared
     from undrift.validation.agreement import validate_leave_one_out
     from undrift.validation.trial import validate_trial
 
-    poses = native_poses, find_lag, align
+    poses = native_poses, find_lag, in_step, align
     fits = choose_tables, fit_prepared, calibrated
-    studies = run_unit, figure3, effect_table
+    studies = run_unit, figure3, effect_table, optimal_rates
     folder = run_folder(tmp_path_factory)
     return [
         (pure, remembered(pure, folder)) for pure in (*poses, *fits, *studies, validate_trial, validate_leave_one_out)

@@ -103,7 +103,7 @@ def test_a_perfect_bench_for_one_method_is_seen(monkeypatch: pytest.MonkeyPatch,
     )  # and no drive that errs
     tilt = 1.5 * np.pi / 180.0
     errors = BenchErrors(face_tilt=tilt, mount_tilt=tilt)
-    plan = RivalPlan(units=5, minutes=3.0, methods=("rate_table", "trolley"), tasks=("sit_to_stand",), errors=errors)
+    plan = RivalPlan(units=3, minutes=3.0, methods=("rate_table", "trolley"), tasks=("sit_to_stand",), errors=errors)
     (decision,) = (
         worth.decision
         for row in compare_rivals(plan).triads

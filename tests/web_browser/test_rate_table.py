@@ -221,7 +221,7 @@ def test_a_warm_up_is_recorded_from_the_practice_device_and_what_is_missing_is_s
     expect(page.locator(".bench-device")).to_contain_text("Device:")
     page.get_by_role("button", name="Record a warm-up").click()
     expect(page.get_by_role("heading", name="Recording a warm-up")).to_be_visible()
-    page.wait_for_timeout(6000)
+    page.wait_for_timeout(1500)
     shoot(page, "temperature-warm-up")
     watcher = open_page("/temperature")
     expect(watcher.get_by_role("heading", name="Recording a warm-up")).to_be_visible()

@@ -95,6 +95,7 @@ def test_six_faces_and_turns_by_keyboard_end_in_the_hidden_calibration(
         assert over.max() < joint_factor(12)
 
 
+@quick_and_real_time
 def test_a_second_browser_watches_and_a_narrow_one_redoes_a_face(
     open_page: OpenPage, bench_server: BenchServer
 ) -> None:
