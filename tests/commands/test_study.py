@@ -145,7 +145,9 @@ set_points_c = [18.0, 36.0, 54.0, 75.0]
 
 
 @pytest.mark.parametrize(
-    "rounds", [((16, 3), (8, 6)), pytest.param(((16, 3), (8, 6), (4, 12)), marks=pytest.mark.long)]
+    "rounds",
+    [((16, 3), (8, 6)), pytest.param(((16, 3), (8, 6), (4, 12)), marks=pytest.mark.long)],
+    ids=["6 subjects", "12 subjects"],
 )
 def test_halving_finds_the_optimum_of_the_grid_with_fewer_runs(undrift, rounds, tmp_path):
     plan, subjects, of_grid = tmp_path / "study.toml", rounds[-1][1], 16 * rounds[-1][1]

@@ -13,6 +13,7 @@ from websockets.sync.client import connect
 
 import undrift
 from testkit.talking_device import TalkingDevice
+from testkit.waiting import eventually
 from web_browser.conftest import BenchServer, bench_process, faults_of, shoot
 
 
@@ -43,13 +44,11 @@ def test_the_practice_device_is_drawn_and_its_values_are_said(open_page: Callabl
     faults: list[str] = []
     page.on("pageerror", lambda error: faults.append(str(error)))
     expect(page.locator(".live-status")).to_contain_text(" readings per second (100 stated); 0 lost, 0 damaged")
-    page.wait_for_timeout(1500)
-    assert drawn(page, "Turn rate") > 2000
+    eventually(lambda: drawn(page, "Turn rate") > 2000, "lines are drawn")
     force = values(page, "Specific force")
     assert set(force) == {"raw x", "raw y", "raw z"}
-    first = page.get_by_role("img", name=re.compile("Turn rate")).get_attribute("aria-label")
-    page.wait_for_timeout(1500)
-    assert page.get_by_role("img", name=re.compile("Turn rate")).get_attribute("aria-label") != first
+    picture = page.get_by_role("img", name=re.compile("Turn rate"))
+    expect(picture).not_to_have_attribute("aria-label", picture.get_attribute("aria-label") or "")
     shoot(page, "live-raw")
     assert faults == []
 
@@ -65,8 +64,7 @@ def test_pause_holds_the_picture_and_the_time_shown_changes(open_page: Callable[
     assert picture.evaluate("canvas => canvas.toDataURL()") == before
     page.get_by_role("button", name="Resume").press("Space")
     expect(page.locator(".panel-state")).to_have_text("Live.")
-    page.wait_for_timeout(600)
-    assert picture.evaluate("canvas => canvas.toDataURL()") != before
+    eventually(lambda: picture.evaluate("canvas => canvas.toDataURL()") != before, "the picture goes on")
     page.get_by_role("button", name="60 s").click()
     expect(page.get_by_role("button", name="60 s")).to_have_attribute("aria-pressed", "true")
     expect(page.get_by_role("button", name="10 s")).to_have_attribute("aria-pressed", "false")
@@ -103,8 +101,8 @@ def test_a_calibration_of_the_bench_corrects_and_the_pitch_follows(
     page.get_by_label("Axis that points forward").select_option("-z")
     page.get_by_role("button", name="Set axes").click()
     expect(page.get_by_role("alert").filter(has_text="two different axes")).to_have_count(0)
-    page.wait_for_timeout(2500)
-    assert abs(values(page, "Pitch")["pitch"] - 90.0) < 5.0  # +z, which is up, is what points back
+    # +z, which is up, is what points back
+    eventually(lambda: abs(values(page, "Pitch").get("pitch", np.nan) - 90.0) < 5.0, "the pitch is 90 deg")
     second = open_page("/live", width=390, color_scheme="dark")
     expect(second.get_by_role("img", name=re.compile("corrected x"))).to_have_count(2)
     second.wait_for_timeout(1500)
