@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+import undrift.io.store  # noqa: F401  (the map of a file is described as the store writes it)
 from undrift.base.codec import schema_of
 from undrift.model import Calibration
 
