@@ -140,7 +140,7 @@ def _said(template: str, before: str = "*", after: str = "*") -> str:
 def keys() -> str:
     """Return the keys of each file that undrift reads, from the models that check them."""
     from undrift.base.codec import schema_of
-    from undrift.model import Calibration
+    from undrift.io.store import Calibration  # with what a file map holds
 
     parts = [
         "# Keys of every file\n\nMade from the models that check the files; [Files](../files.md) explains them. An unknown "

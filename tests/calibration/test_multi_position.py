@@ -167,7 +167,7 @@ def test_records_without_accelerometer_or_shorter_than_the_window_are_refused() 
     with pytest.raises(InputError, match="wanted accel readings, got none"):
         still_variance(Record(time=record.time, gyro=record.gyro), window_s=1.0, rest_s=None)
     with pytest.raises(InputError, match="longer than its window of 1 s and its opening rest of 50 s"):
-        fit_multi_position(record.part(0, 1000), gravity=G, settings=MultiPositionSettings.published())
+        fit_multi_position(record.part(0, 1000), gravity=G, settings=MultiPositionSettings(rest_s=50.0))
     with pytest.raises(InputError, match="wanted gyro and accel readings in the same units"):
         fit_gyro_between_stills((Record(time=record.time, accel=record.accel),), MOTION.stills, accel)
 

@@ -17,14 +17,12 @@ from characterisation.recordings import (
     jig_lag,
     nist_points,
 )
-from characterisation.recordings import xsens as xsens_record
 from characterisation.shared import Result, call, new, text_file, undrift
 from testkit.data import data_path
 from undrift.calibration.adc import identify_adc, identify_record_adc, without_truncation
 from undrift.calibration.calibrate import calibrate_to_references
 from undrift.calibration.checks import face_vectors
 from undrift.calibration.dwells import dwell_means
-from undrift.calibration.multi_position import MultiPositionSettings, fit_multi_position
 from undrift.calibration.noise import allan_deviation
 from undrift.calibration.rate_table import fit_rate_axis, fit_rate_table
 from undrift.calibration.reference import fit_reference
@@ -132,17 +130,6 @@ def xsens() -> Result:
         'units = { time = "s", accel = "count", gyro = "count" }\n'
     )
     return undrift("calibrate", path)
-
-
-@call("xsens_published_rule", "the published multi-position set by the published rule of thresholds")
-def published_rule() -> Result:
-    found = fit_multi_position(xsens_record(), gravity=9.81744, settings=MultiPositionSettings.published(rest_s=50.0))
-    return {
-        "trials": [[t.multiple, t.stills, t.cost] for t in found.trials],
-        "stills": [[s.start, s.stop] for s in found.stills],
-        "accel": {"matrix": found.accel.model.matrix, "offset": found.accel.model.offset},
-        "gyro": None if found.gyro is None else {"matrix": found.gyro.model.matrix, "offset": found.gyro.model.offset},
-    }
 
 
 @call("hand_turned_real", "a board turned by hand, by the whole procedure")

@@ -9,7 +9,7 @@ import pytest
 
 import undrift.io.store  # noqa: F401  (the map of a file is described as the store writes it)
 from undrift.base.codec import schema_of
-from undrift.model import Calibration
+from undrift.io.store import Calibration  # with what a file map holds
 
 ROOT = Path(__file__).parents[2]
 

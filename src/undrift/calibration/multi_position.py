@@ -5,15 +5,14 @@
 
 A common rotation of all readings keeps their length, so three of twelve parameters are a choice of axes: the sensor's z axis is the
 case's, its y axis lies in the case's y-z plane. A still is where the sliding variance of the accelerometer is below a multiple of
-that at rest. Of several multiples, rule ``coverage`` takes, among those that keep nine tenths of the different poses, the one that
-leaves a corrected reading least uncertain: a low threshold loses poses, a high one lets motion in. Rule ``published`` takes the
-smallest summed cost over the first second of each still, which may keep few poses.
+that at rest. Of several multiples, that one is taken, among those that keep nine tenths of the different poses, which leaves a
+corrected reading least uncertain: a low threshold loses poses, a high one lets motion in.
 """
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -108,8 +107,7 @@ def _windowed(values: FloatArray, half: int) -> tuple[FloatArray, FloatArray, Fl
 # M is a full matrix in the accelerometer's axes. A turn shows two angles; the one about the vertical is not observable. Turns weigh
 # by the covariance of the missed angles: noise of both stills (a still between two turns ties them together), uncertainty of the
 # accelerometer's calibration, white noise over the turn, drift of the offset between stills, temperature creep (creep.py), and an
-# excess that the residuals show; the stills' readings are observations of the offset. With ``equal``, as published, every turn
-# counts alike and the offset is the mean of the opening rest.
+# excess that the residuals show; the stills' readings are observations of the offset.
 
 
 # ---- moves between stills; direction of gravity and offset in the stills
@@ -283,7 +281,7 @@ UNCERTAIN_PERCENT = (0.5, 5.0)
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Problem:
-    """Parameters p: M times ``unit`` row by row, then (o - prior mean) / ``unit``; ``free`` of them are fitted."""
+    """Parameters p: M times ``unit`` row by row, then (o - prior mean) / ``unit``."""
 
     moves: Moves
     directions: Directions
@@ -291,16 +289,15 @@ class _Problem:
     accel: TriadModel
     prior: OffsetPrior
     unit: float
-    free: int
     codes: FloatArray  # (3,), variance that rounding leaves in the mean offset, raw unit squared
     creep: tuple[Creep, Creep] | None = None  # Of accelerometers and gyroscopes in the stills
     turned: Rows | None = None  # By which turns by known angles know the matrix, at p = 0
 
     @property
     def known(self) -> FloatArray:
-        """Rows (R, P) by which the stills know the offset, in its standard deviations; none where it is not fitted."""
+        """Rows (3, 12) by which the stills know the offset, in its standard deviations."""
         weight = self.unit / np.sqrt(np.maximum(self.prior.variance, 1e-30))
-        return np.hstack((np.zeros((3, 9)), np.diag(weight))) if self.free == 12 else np.zeros((0, self.free))
+        return np.hstack((np.zeros((3, 9)), np.diag(weight)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -319,15 +316,13 @@ def fit_gyro_between_stills(
     accel: TriadModel,
     *,
     cores: Sequence[Still] | None = None,
-    opening: FloatArray | None = None,
     creep: tuple[Creep, Creep] | None = None,
     by_turns: ByTurns | None = None,
     quadratic: FloatArray | float = 0.0,
 ) -> TriadFit:
     """Fit gyroscopes to the moves between still poses; creep of accelerometers and gyroscopes in these, in order of time.
 
-    ``opening`` are readings (N, 3) whose mean is the offset, which is then not fitted; ``by_turns`` is what turns by known angles
-    show: an observation beside the moves.
+    ``by_turns`` is what turns by known angles show: an observation beside the moves.
     """
     moves, spoilt = _without_saturated(cut_moves(records, stills, stills if cores is None else cores))
     if len(moves.first) < (5 if by_turns is None else 1):
@@ -343,17 +338,15 @@ def fit_gyro_between_stills(
     prior = offset_prior(rests, moves.before, force, 0.0) if by_turns is None else by_turns.prior(moves)
     rough = rough_matrix(moves, accel, prior.mean) if by_turns is None else by_turns.matrix
     felt: FloatArray = np.zeros((len(moves.before), 3))
-    if opening is None and by_turns is None:
+    if by_turns is None:
         prior = offset_prior(rests, moves.before, force, G_SENSITIVITY_SD / float(np.cbrt(abs(np.linalg.det(rough)))))
         moves, felt = _without_g(moves, accel, prior)
     within = [moves.gyro[a : b + 1] for a, b in zip(moves.first, moves.last, strict=True)]
     codes = code_variance(code_steps(records, rate=True), prior.noise)  # rests lie at one place between two codes
     prior = replace(prior, variance=prior.variance + codes, noise=prior.noise + codes)  # in motion it is noise again
-    if opening is not None:
-        prior = replace(prior, mean=opening.mean(axis=0), drift=np.zeros_like(prior.drift))
     unit = float(np.sqrt(np.mean((np.concatenate([part[1:] for part in within]) - prior.mean) ** 2))) or 1.0
     problem = _Problem(
-        moves=moves, directions=directions, felt=felt, accel=accel, prior=prior, unit=unit, free=12 if opening is None else 9,
+        moves=moves, directions=directions, felt=felt, accel=accel, prior=prior, unit=unit,
         creep=creep, codes=codes, turned=by_turns and by_turns.rows(unit),
     )  # fmt: skip
     p, covariance, missed = _solve(problem, np.concatenate((rough.reshape(-1) * unit, np.zeros(3))))
@@ -388,13 +381,12 @@ def _without_saturated(moves: Moves) -> tuple[Moves, tuple[Finding, ...]]:
 
 def _solve(problem: _Problem, p: FloatArray) -> tuple[FloatArray, FloatArray, _Missed]:
     """Return parameters, their covariance and the missed angles; the angles' covariance is renewed until it settles."""
-    count, free, equal = 2 * len(problem.moves.first), problem.free, problem.free == 9
+    count = 2 * len(problem.moves.first)
     stated, loose = problem, problem.turned and Rows(_LOOSE * problem.turned.residual, _LOOSE * problem.turned.design)
     # Turns that contradict the moves shall not make these scatter more
     problem, whitener = replace(problem, turned=loose), np.eye(count)
-    p, rows = _descend(problem, p, _missed(problem, p), whitener, 1e-8 if equal else 1e-3)
-    scatter = max(float(rows.residual @ rows.residual) / (count - 9), 1e-30) if equal else 1.0
-    for _ in range(0 if equal else 4):
+    p, rows = _descend(problem, p, _missed(problem, p), whitener, 1e-3)
+    for _ in range(4):
         missed: _Missed = rows.state
         values, vectors = np.linalg.eigh(_covariance_of_angles(problem, missed, p))
         turned = vectors.T @ missed.angle
@@ -407,31 +399,28 @@ def _solve(problem: _Problem, p: FloatArray) -> tuple[FloatArray, FloatArray, _M
             break
     if stated.turned is not None:
         p, rows = _descend(stated, p, rows.state, whitener, 1e-8)
-    covariance = np.zeros((12, 12))
-    covariance[:free, :free] = scatter * covariance_of(rows.design)
-    return p, covariance, rows.state
+    return p, covariance_of(rows.design), rows.state
 
 
 def _descend(
     problem: _Problem, p: FloatArray, missed: _Missed, whitener: FloatArray, tolerance: float
 ) -> tuple[FloatArray, Rows]:
     """Return the best parameters of fixed weights, and the rows there, from p and what that misses."""
-    free = problem.free
 
     def white(values: FloatArray, missed: _Missed) -> Rows:
-        rows = Rows(whitener @ missed.angle, whitener @ missed.jacobian[:, :free], missed)
+        rows = Rows(whitener @ missed.angle, whitener @ missed.jacobian, missed)
         if (other := problem.turned) is None:
             return rows
         away = other.residual + other.design @ values
         return Rows(np.concatenate((rows.residual, away)), np.vstack((rows.design, other.design)), missed)
 
     values, best, converged = descend(
-        lambda values: white(values, _missed(problem, np.concatenate((values, p[free:])))),
-        p[:free],
+        lambda values: white(values, _missed(problem, values)),
+        p,
         problem.known,
-        first=white(p[:free], missed),
+        first=white(p, missed),
         tolerance=tolerance,
-        size=np.ones(free),
+        size=np.ones(12),
     )
     if not converged:
         raise PoorFit(
@@ -439,7 +428,7 @@ def _descend(
             "convergence; check the gyroscope's columns and the time column",
             moves=len(problem.moves.first),
         )
-    return np.concatenate((values, p[free:])), best
+    return values, best
 
 
 def _missed(problem: _Problem, p: FloatArray) -> _Missed:
@@ -572,7 +561,7 @@ def _as_triad(problem: _Problem, p: FloatArray, covariance: FloatArray, missed: 
         g_sensitivity=g,
         parameters=names,
         covariance=total,
-        rank=problem.free + (0 if g is None else g.size),
+        rank=12 + (0 if g is None else g.size),
         condition=scaled_condition(missed.jacobian[:, :9])[1],
         valid_range=(float(rate.min()), float(rate.max())),
     )
@@ -612,7 +601,6 @@ def _judged(rms_deg: float, percent: float, drift_dps: float, g: FloatArray | No
 # ---- the whole method
 
 SAME_POSE_DEG = 10.0  # directions nearer to each other than this count as one pose
-Rule = Literal["coverage", "published"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -625,17 +613,10 @@ class MultiPositionSettings:
     multiples: tuple[float, ...] = (2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0, 15.0, 20.0, 30.0, 50.0)
     # Length of an opening rest that gives the level at rest, s; None takes the quietest twentieth of all windows
     rest_s: float | None = None
-    rule: Rule = "coverage"  # coverage or published: how the threshold is chosen, and how poses and turns weigh
     cross_axis: bool = True  # False fits the accelerometer's scale and offset alone: for poses on the faces
     # Standard deviation of a cross-axis term that the poses do not show, of the scale; None refuses such poses
     cross_axis_prior: float | None = 0.01
     gyro: bool = True  # Fit the gyroscopes too, where the moves show them
-
-    @classmethod
-    def published(cls, rest_s: float = 50.0) -> "MultiPositionSettings":
-        """Return the settings of the published demonstration."""
-        multiples = tuple(float(m) for m in range(2, 11))
-        return cls(multiples=multiples, rest_s=rest_s, rule="published", cross_axis_prior=None)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -686,26 +667,27 @@ def fit_multi_position(
             "multi-position: wanted accel readings in one unit in every recording, got recordings without or in several units; "
             "map the accelerometer columns and their unit"
         )
-    levels = [still_variance(r, window_s=settings.window_s, rest_s=settings.rest_s) for r in records]
     step = code_steps(records, rate=False)
-    levels = [replace(level, step=step) for level in levels]
+    levels = [
+        replace(still_variance(r, window_s=settings.window_s, rest_s=settings.rest_s), step=step) for r in records
+    ]
     shortest = [max(2, round(settings.min_still_s * r.sample_rate_hz)) for r in records]
     stated = {} if stills is None else {np.nan: tuple(stills)}
     tried = stated or {m: _stills(levels, m, shortest) for m in settings.multiples}
     plain = replace(settings, cross_axis_prior=None)
-    attempts = [_attempt(levels, chosen, m, gravity, plain, shortest) for m, chosen in tried.items()]
-    trial, used, reading, fit = _choose(attempts, settings)
+    attempts = [_attempt(levels, chosen, m, gravity, plain) for m, chosen in tried.items()]
+    trial, used, reading, fit = _choose(attempts)
     if settings.cross_axis_prior is not None and settings.cross_axis and (fit is None or fit.weakest < WEAKEST):
-        known = [_attempt(levels, chosen, m, gravity, settings, shortest) for m, chosen in tried.items()]
-        better = _choose(known, settings)
+        known = [_attempt(levels, chosen, m, gravity, settings) for m, chosen in tried.items()]
+        better = _choose(known)
         if better[3] is not None and better[3].weakest >= WEAKEST:
             attempts, (trial, used, reading, fit) = known, better
     if fit is None:
         check_count(reading, 9 if settings.cross_axis else 6, known_noise=True)
         raise PoorFit(_NO_LENGTH)
-    if creep is not None and settings.rule != "published" and not (moved := creep(used, "accel")).none:
-        held = settings if len(fit.prior) else plain
-        trial, used, reading, fit = _attempt(levels, used, trial.multiple, gravity, held, shortest, moved)
+    if creep is not None and not (moved := creep(used, "accel")).none:
+        again = _attempt(levels, used, trial.multiple, gravity, settings if len(fit.prior) else plain, moved)
+        trial, used, reading, fit = again
         if fit is None:
             raise PoorFit(_NO_LENGTH)
     check_range([levels[s.recording].values[s.start : s.stop] for s in used], "accelerometer in still poses")
@@ -713,43 +695,20 @@ def fit_multi_position(
     gyro: TriadFit | None = None
     missing: tuple[Finding, ...] = ()
     if settings.gyro and all(r.gyro is not None for r in records):
-        cores = used if settings.rule == "published" or stills is not None else _cores(levels, used, shortest)
+        cores = used if stills is not None else _cores(levels, used, shortest)
         try:
             model = axes if axes is not None and len(fit.prior) else accel.model
             bend = fit.quadratic if model is accel.model else np.zeros(3)
-            gyro = _fit_gyro(records, used, cores, model, bend, settings, creep)
+            ordered = sorted(used, key=lambda still: (still.recording, still.start))
+            both = None if creep is None else (creep(ordered, "accel"), creep(ordered, "gyro"))
+            gyro = fit_gyro_between_stills(records, used, model, cores=cores, creep=both, quadratic=bend)
         except NotObservable as error:
             missing = (finding("session.fit_failed", "warn", triad="gyroscope", reason=str(error)),)
     verdict = accel.verdict if gyro is None else accel.verdict.also(gyro.verdict)
     return MultiPositionFit(
-        accel=accel,
-        gyro=gyro,
-        stills=used,
-        threshold=trial.multiple * levels[0].at_rest,
-        trials=tuple(one[0] for one in attempts),
-        verdict=verdict.also(Verdict.of(*missing)),
-        missing=missing,
-    )
-
-
-def _fit_gyro(
-    records: Sequence[Record],
-    used: Sequence[Still],
-    cores: Sequence[Still],
-    model: TriadModel,
-    quadratic: FloatArray,
-    settings: MultiPositionSettings,
-    creep: Callable[[Sequence[Still], Kind], Creep] | None,
-) -> TriadFit:
-    if settings.rule == "published":
-        first = min(cores, key=lambda still: (still.recording, still.start))
-        rest, start = records[first.recording].part(first.start, first.stop), records[0].time[0]
-        if settings.rest_s is not None:
-            rest = records[0].between(start, start + settings.rest_s)
-        return fit_gyro_between_stills(records, used, model, cores=cores, opening=rest.gyro)
-    ordered = sorted(used, key=lambda still: (still.recording, still.start))
-    both = None if creep is None else (creep(ordered, "accel"), creep(ordered, "gyro"))
-    return fit_gyro_between_stills(records, used, model, cores=cores, creep=both, quadratic=quadratic)
+        accel=accel, gyro=gyro, stills=used, threshold=trial.multiple * levels[0].at_rest,
+        trials=tuple(one[0] for one in attempts), verdict=verdict.also(Verdict.of(*missing)), missing=missing,
+    )  # fmt: skip
 
 
 def _stills(levels: list[StillVariance], multiple: float, shortest: list[int]) -> tuple[Still, ...]:
@@ -782,25 +741,17 @@ def _attempt(
     multiple: float,
     gravity: float,
     settings: MultiPositionSettings,
-    shortest: list[int],
     creep: Creep | None = None,
 ) -> _Attempt:
     means, variances = _poses(levels, stills)
-    published = settings.rule == "published"
-    reading = means
-    if published and stills:
-        reading = np.concatenate(
-            [levels[s.recording].values[s.start : s.start + shortest[s.recording]] for s in stills]
-        )
     fit: NormFit | None = None
     prior_sd = settings.cross_axis_prior
     least = 6 if not settings.cross_axis else 9 if prior_sd is None else FEWEST_POSES
-    if len(stills) >= least and np.ptp(reading, axis=0).any():
+    if len(stills) >= least and np.ptp(means, axis=0).any():
         with suppress(PoorFit):
-            weights = None if published else variances
             fit = fit_norm(
-                reading, gravity=gravity, variances=weights, cross_axis=settings.cross_axis, prior_sd=prior_sd,
-                creep=creep, quadratic_sd=0.0 if published else QUADRATIC_SD,
+                means, gravity=gravity, variances=variances, cross_axis=settings.cross_axis, prior_sd=prior_sd,
+                creep=creep, quadratic_sd=QUADRATIC_SD,
             )  # fmt: skip
     trial = ThresholdTrial(
         multiple=multiple,
@@ -809,7 +760,7 @@ def _attempt(
         cost=np.inf if fit is None else 0.5 * float(fit.residuals @ fit.residuals),
         uncertainty=np.inf if fit is None else fit.uncertainty,
     )
-    return trial, stills, reading, fit
+    return trial, stills, means, fit
 
 
 def _poses(levels: list[StillVariance], stills: tuple[Still, ...]) -> tuple[FloatArray, FloatArray]:
@@ -835,12 +786,10 @@ def _different(force: FloatArray) -> int:
     return len(kept)
 
 
-def _choose(attempts: list[_Attempt], settings: MultiPositionSettings) -> _Attempt:
+def _choose(attempts: list[_Attempt]) -> _Attempt:
     fitted = [a for a in attempts if a[3] is not None]
     if not fitted:
         return max(attempts, key=lambda a: len(a[1]))
-    if settings.rule == "published":
-        return min(fitted, key=lambda a: a[0].cost)
     # Thresholds that let motion in are far less certain; their false poses must not set the count to be reached.
     least = min(a[0].uncertainty for a in fitted)
     most = max(a[0].poses for a in fitted if a[0].uncertainty <= 2.0 * least or not np.isfinite(least))

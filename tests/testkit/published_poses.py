@@ -1,0 +1,65 @@
+"""The published rule of multi-position poses (Tedaldi, Pretto, Menegatti, ICRA 2014), as an oracle.
+
+Of the thresholds 2 to 10 times the level of the opening rest the one with the smallest summed cost over the first second of each
+still; gyroscopes by turns that count alike, their offset the mean of the opening rest.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from undrift.calibration.multi_position import (
+    cut_moves,
+    gravity_directions,
+    rough_matrix,
+    still_variance,
+    turned_in,
+)
+from undrift.calibration.norm import NormFit, fit_norm, judged
+from undrift.fit.least_squares import TriadFit
+from undrift.record import Record, Still
+
+
+@dataclass(frozen=True)
+class PublishedFit:
+    """What the published demonstration prints."""
+
+    multiples: tuple[float, ...]
+    stills: list[int]  # Found at each
+    costs: list[float]  # (m/s2)^2
+    accel: TriadFit
+    gyro_matrix: np.ndarray
+    gyro_offset: np.ndarray
+    moves: int
+
+
+def fit_as_published(record: Record, gravity: float, rest_s: float = 50.0) -> PublishedFit:
+    """Fit both triads of a recording by the published rule."""
+    level = still_variance(record, window_s=1.0, rest_s=rest_s)
+    shortest = round(record.sample_rate_hz)
+    multiples = tuple(float(m) for m in range(2, 11))
+    found: list[tuple[float, list[tuple[int, int]], np.ndarray, NormFit]] = []
+    for multiple in multiples:
+        stills = [(int(a), int(b)) for a, b in level.below(multiple * level.at_rest, shortest)]
+        reading = np.concatenate([level.values[a : a + shortest] for a, _ in stills])
+        fit = fit_norm(reading, gravity=gravity, variances=None, cross_axis=True, prior_sd=None, quadratic_sd=0.0)
+        found.append((0.5 * float(fit.residuals @ fit.residuals), stills, reading, fit))
+    _, stills, reading, fit = min(found, key=lambda one: one[0])
+    accel = judged(fit, reading, record.accel_unit)
+    used = [Still(start=a, stop=b) for a, b in stills]
+    moves = cut_moves([record], used, used)
+    n = gravity_directions(moves, accel.model)[0]
+    offset = np.asarray(record.between(record.time[0], record.time[0] + rest_s).gyro).mean(axis=0)
+    start, still = rough_matrix(moves, accel.model, offset), np.zeros((len(moves.first), 3))
+
+    def missed(x: np.ndarray) -> np.ndarray:
+        turn, _ = turned_in(moves, x.reshape(3, 3) * size, offset, still)
+        return (np.einsum("jab,jb->ja", turn, n[moves.before]) - n[moves.before + 1]).ravel()
+
+    size = float(np.cbrt(abs(np.linalg.det(start))))
+    solved = least_squares(missed, start.ravel() / size, method="lm", xtol=1e-12, ftol=1e-12)
+    return PublishedFit(
+        multiples=multiples, stills=[len(one[1]) for one in found], costs=[one[0] for one in found], accel=accel,
+        gyro_matrix=solved.x.reshape(3, 3) * size, gyro_offset=offset, moves=len(moves.first),
+    )  # fmt: skip
