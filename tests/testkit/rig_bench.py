@@ -71,13 +71,16 @@ class Device:
     def __init__(self, emulator, hands, seed=1):
         self.emulator, self.hands = emulator, hands
         self.rng = np.random.default_rng(seed)
-        self.began = None
+        self.began = self.ended = None
 
     def start(self, *, certain=True):
-        self.began = self.emulator.now()
+        self.began, self.ended = self.emulator.now(), None
+
+    def end(self):
+        self.ended = self.emulator.now()
 
     def stop(self):
-        times = np.arange(self.began, self.emulator.now(), 0.01)
+        times = np.arange(self.began, self.emulator.now() if self.ended is None else self.ended, 0.01)
         _, rate = self.emulator.axis_states(times, mean_s=0.01)
         up = UP[self.hands.up]
         gyro = (rate[:, None] / DPS * up) @ GAIN.T + OFFSET + NOISE_DPS * self.rng.normal(size=(len(times), 3))

@@ -20,11 +20,12 @@ from undrift.errors import InputError
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
 if TYPE_CHECKING:
+    from undrift.rig.chamber import Readings
     from undrift.rig.check import CheckSettings, RigCheck
-    from undrift.rig.folder import RecordedDwell
+    from undrift.rig.folder import RecordedDwell, RunFolder
     from undrift.rig.programme import Forecast, Programme
     from undrift.rig.rig import RigSettings
-    from undrift.rig.run import Progress, RigBench, RunResult, Watch
+    from undrift.rig.run import Mounted, Progress, RigBench, RunResult, Watch
     from undrift.sim.rig.emulator import EmulatedBench
     from undrift.sim.rig.hand_held import HandHeld
 
@@ -67,6 +68,7 @@ class Ran(Result):
     output: Path  # Folder of the run
     result: "RunResult"
     registered: list[dict[str, Any]]  # Entries of the registry
+    others: tuple[Path, ...] = ()  # Folders of the other devices on the table
 
     def summary(self) -> Summary:
         """Return how many dwells there are, and how far achieved rates are off the nominal ones."""
@@ -82,6 +84,10 @@ class Ran(Result):
         ]
         data = {"folder": str(self.output), "rig": result.rig, "dwells": len(result.pieces), "added": result.added}
         data |= {"registered": self.registered} if self.registered else {}
+        beside = tuple(zip(self.others, result.others, strict=True))
+        data |= (
+            {"others": [{"folder": str(path), "dwells": len(each.pieces)} for path, each in beside]} if beside else {}
+        )
         cells: Cells[RecordedDwell] = (
             ("dwell", lambda piece: piece.name),
             ("purpose", lambda piece: piece.purpose),
@@ -98,11 +104,12 @@ class Ran(Result):
                 f"{self.output}: {len(result.pieces)} dwells, {result.added} of them now, in {_clock(result.duration_s)}; "
                 f"achieved rates differ from nominal ones by up to {off:.3g} deg/s and stand in session.toml; {missing} "
                 "readings missing"
+                + "".join(f"; {path}: {len(each.pieces)} dwells of another device" for path, each in beside)
             ),
             data=data | {"duration_s": result.duration_s, "missing_readings": missing, "turns": rows},
             pictures=(figure_of("figures:draw_rig_run", turns),) if turns else (),
             sections=(table_section("Dwells", result.pieces, cells, on="page"),),
-            sources=(self.output / "session.toml",),
+            sources=tuple(path / "session.toml" for path in (self.output, *self.others)),
             after=registered_lines(self.registered),
         )
 
@@ -113,7 +120,7 @@ def run(
     /,
     *,
     rig: str,
-    device: str,
+    device: tuple[str, ...],
     output: Output,
     chamber: str | None = None,
     operator: str | None = None,
@@ -137,10 +144,11 @@ def run(
         protocol.toml.
     rig : str
         Address of the table: galil:tcp://host:port?encoder_lines=10000, grbl:serial:///dev/ttyUSB0, manual:
-    device : str
-        Address of the device: tcp://host:port?..., serial:///dev/ttyUSB0?baud=115200, udp://:port, lsl:name, ble:id
+    device : tuple of str
+        Address of the device: tcp://host:port?..., serial:///dev/ttyUSB0?baud=115200, udp://:port, lsl:name, ble:id. Several
+        devices that are mounted alike on one table are read in the same dwells: state it for each.
     output : Path
-        Folder of the run.
+        Folder of the run; of several devices, of their folders device-1, device-2.
     chamber : str or None
         Address of the thermal chamber, where the protocol has temperatures: tcp://host:port, serial:///dev/ttyUSB0,
         modbus-tcp://host:502?model=watlow-f4 (or watlow-ez-zone, eurotherm), modbus-rtu:///dev/ttyUSB0?model=...; manual:
@@ -180,24 +188,29 @@ def run(
     programme = programme_of(asked, ProgrammeSettings(encoder_lines=options.encoder_lines))
     if not resume:
         check_programme(programme, limits, by_hand=by_hand)  # before there is a folder
+    paths = _folders(output, device, serial)
     with ExitStack() as stack:
         stack.enter_context(one_run(rig, f"undrift rig run into {output}"))
-        folder = stack.enter_context(RunFolder(output, asked, resume=resume))
-        check_programme(programme, limits, folder.done, by_hand=by_hand)
-        shown.plan(programme, folder.done, yes, options.clock_speed)
+        folders = [stack.enter_context(RunFolder(path, asked, resume=resume)) for path in paths.values()]
+        done = frozenset.intersection(*(folder.done for folder in folders))
+        check_programme(programme, limits, done, by_hand=by_hand)
+        shown.plan(programme, done, yes, options.clock_speed)
         stack.enter_context(stopping_on_signals())
         watched = ["" if place.startswith("manual:") else place for place in (rig, chamber or "")]
         guard = stack.enter_context(Guard(*watched)) if any(watched) else None  # before they are opened: it goes last
         shown.watch = watch = Watch(StopWatch(rig), guard, programme)
         if shaft.card_watchdog and guard:
             settings = replace(settings, card_watchdog=guard.promise_holds)
-        bench, called = _bench(stack, (rig, device, chamber, operator), settings, shown, programme)
-        registering.check(serial or called)
+        first, *others = (_mounted(stack, *each, programme) for each in zip(paths, folders, strict=True))
+        first.serial = serial or first.serial
+        bench = _bench(stack, first.readings, (rig, chamber, operator), settings, shown, programme)
+        registering.check(min((each.serial for each in (first, *others)), key=len))  # none may lack it
         watch.arm()
-        result = run_programme(
-            programme, bench, folder, report=shown, serial=serial or called, gravity_m_s2=gravity_m_s2, settings=judge
-        )
-    return Ran(output=output, result=result, registered=registering.add(output))
+        how: dict[str, Any] = {"serial": first.serial, "gravity_m_s2": gravity_m_s2, "settings": judge}
+        result = run_programme(programme, bench, first.folder, report=shown, others=others, **how)
+    registered = [entry for path in paths.values() for entry in registering.add(path)]
+    main, *beside = paths.values()
+    return Ran(output=main, result=result, registered=registered, others=tuple(beside))
 
 
 def forecast(protocol: Path, rig: str) -> "Forecast":
@@ -212,16 +225,39 @@ def forecast(protocol: Path, rig: str) -> "Forecast":
     return forecast_of(programme)
 
 
+def _folders(output: Path, device: str | tuple[str, ...], serial: str) -> dict[str, Path]:
+    """Return the folder of each device by its address; from Python one may be a text."""
+    sources = (device,) if isinstance(device, str) else device
+    if len(sources) > 1 and (serial or len({*sources}) < len(sources)):
+        raise InputError(
+            "rig run: wanted another address for each of several devices and no `serial`, got other; each address states its own"
+        )
+    return {url: output / f"device-{k}" if len(sources) > 1 else output for k, url in enumerate(sources, start=1)}
+
+
+def _mounted(stack: ExitStack, address: str, folder: "RunFolder", programme: "Programme") -> "Mounted":
+    """Connect a device."""
+    from undrift.live.recorder import DwellReadings, Recorder, RecorderSettings
+    from undrift.live.transports import source_at
+    from undrift.rig.run import Mounted
+
+    source, longest_s = source_at(address), max(dwell.duration_s for dwell in programme.dwells)
+    recorder = Recorder(source, RecorderSettings(keep_s=max(600.0, 2.0 * longest_s)))
+    recorder.start()
+    readings = DwellReadings(recorder)
+    stack.callback(readings.close)
+    return Mounted(readings=readings, folder=folder, serial=source.description.device)
+
+
 def _bench(
     stack: ExitStack,
-    addresses: tuple[str, str, str | None, str | None],
+    readings: "Readings",
+    addresses: tuple[str, str | None, str | None],
     settings: "RigSettings",
     shown: "_Shown",
     programme: "Programme",
-) -> "tuple[RigBench, str]":
-    """Connect device, chamber, operator and, last, the table; return them and what the device is called."""
-    from undrift.live.recorder import DwellReadings, Recorder, RecorderSettings
-    from undrift.live.transports import source_at
+) -> "RigBench":
+    """Connect chamber, operator and, last, the table."""
     from undrift.rig.chamber import ChamberSetup, SoakSettings, open_chamber
     from undrift.rig.manual import AskedOperator
     from undrift.rig.programme import Soak
@@ -230,14 +266,8 @@ def _bench(
     from undrift.rig.watch import check_free
     from undrift.sim.rig.emulator import BenchHands
 
-    rig, device, chamber, operator = addresses
-    source = source_at(device)
+    rig, chamber, operator = addresses
     clock = parse_address(rig, settings)[2].timing
-    longest_s = max(dwell.duration_s for dwell in programme.dwells)
-    recorder = Recorder(source, RecorderSettings(keep_s=max(600.0, 2.0 * longest_s)))
-    recorder.start()
-    readings = DwellReadings(recorder)
-    stack.callback(readings.close)
     oven = None
     if chamber is not None:
         slopes = [step.slope_c_per_min for step in programme.steps if isinstance(step, Soak)]
@@ -248,8 +278,7 @@ def _bench(
     check_free(rig)
     table = open_rig(rig, settings)
     stack.callback(table.close)
-    made = RigBench(rig=table, readings=readings, mounting=mounting, chamber=oven, clock=clock)
-    return made, source.description.device
+    return RigBench(rig=table, readings=readings, mounting=mounting, chamber=oven, clock=clock)
 
 
 class _Shown:

@@ -5,11 +5,11 @@ forecast of ``rig run`` for it is the study's minutes.
 """
 
 import shlex
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from undrift.base.summary import Cells, Section, plain_words, spoken, table_section
+from undrift.base.summary import Section, plain_words, spoken
 
 if TYPE_CHECKING:
     from undrift.rig.programme import Protocol
@@ -37,33 +37,21 @@ def write_protocol(folder: Path, task: str, protocol: "Protocol") -> Path:
     return path
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PlannedMounting:
-    """What is done while the device is mounted one way."""
-
-    up: str  # Device axis that points up
-    temps_c: tuple[float, ...]  # Set-points, degC; none at room temperature
-    rests: int
-    rates: int
-    minutes: float  # With the mounting and the soaks
-
-
-def mountings_of(protocol: "Protocol") -> tuple[PlannedMounting, ...]:
-    """Return the plan of a session, mounting by mounting."""
+def _plan(protocol: "Protocol", title: str) -> tuple[Section, str]:
+    """Return the plan of a session, mounting by mounting, and its length."""
     from undrift.rig.programme import Dwell, Mount, Soak, programme_of
 
-    steps = programme_of(protocol).steps
-    first = [k for k, step in enumerate(steps) if isinstance(step, Mount)]
-    plan = []
-    for begin, end in zip(first, [*first[1:], len(steps)], strict=True):
-        part = steps[begin:end]
-        dwells = [step for step in part if isinstance(step, Dwell)]
-        turning = sum(dwell.purpose == "rate" for dwell in dwells)
-        temps_c = tuple(step.temp_c for step in part if isinstance(step, Soak))
-        minutes = sum(step.duration_s for step in part) / 60.0
-        up, rests = str(part[0]), len(dwells) - turning
-        plan.append(PlannedMounting(up=up, temps_c=temps_c, rests=rests, rates=turning, minutes=minutes))
-    return tuple(plan)
+    programme, rows = programme_of(protocol), []
+    first = [k for k, step in enumerate(programme.steps) if isinstance(step, Mount)]
+    for begin, end in zip(first, [*first[1:], None], strict=True):
+        steps = programme.steps[begin:end]
+        purposes = [step.purpose for step in steps if isinstance(step, Dwell)]
+        temps_c = ", ".join(f"{step.temp_c:g}" for step in steps if isinstance(step, Soak)) or "room"
+        counts = len(purposes) - purposes.count("rate"), purposes.count("rate")
+        rows.append((str(steps[0]), temps_c, *map(str, counts), f"{sum(step.duration_s for step in steps) / 60.0:.1f}"))
+    total = f"{len(rows)} mountings, {programme.duration_s / 60.0:.0f} min"
+    heads = ("step", "set-points (degC)", "rests", "rates", "time (min)")
+    return Section(title=f"{title}: plan of the session, {total}", columns=heads, rows=tuple(rows), folded=True), total
 
 
 def write_protocols(outcome: "StudyOutcome", folder: Path) -> None:
@@ -75,27 +63,15 @@ def write_protocols(outcome: "StudyOutcome", folder: Path) -> None:
 def rig_sections(outcome: "StudyOutcome", folder: Path) -> tuple[Section, ...]:
     """Return the commands that run the protocol of each task on a rate table and fit it, and the plans of these sessions."""
     lines, plans = [], []
-    cells: Cells[PlannedMounting] = (
-        ("step", lambda each: each.up),
-        ("set-points (degC)", lambda each: ", ".join(f"{temp_c:g}" for temp_c in each.temps_c) or "room"),
-        ("rests", lambda each: str(each.rests)),
-        ("rates", lambda each: str(each.rates)),
-        ("time (min)", lambda each: f"{each.minutes:.1f}"),
-    )
     for task in outcome.tasks:
         key, protocol = task.surface.task, protocol_of(outcome, task)
-        plan, oven = mountings_of(protocol), " `chamber` ADDRESS" * bool(protocol.temperatures_c)
-        session, path = f"session-{key}", folder / f"protocol-{key}.toml"
-        fits = [f"undrift calibrate {session} `output` {key}.json"]
-        fits += [f"undrift drift {session} `calibration` {key}.json `output` {key}.json"] * bool(
-            protocol.temperatures_c
-        )
-        total = f"{len(plan)} mountings, {sum(each.minutes for each in plan):.0f} min"
+        session, path, oven = f"session-{key}", folder / f"protocol-{key}.toml", bool(protocol.temperatures_c)
+        plan, total = _plan(protocol, plain_words(key))
+        plans.append(plan)
+        addresses = "`rig` ADDRESS `device` ADDRESS" + " `chamber` ADDRESS" * oven
         lines.append(f"On the rate table, {plain_words(key)}: {total}.")
-        lines.append(
-            f"undrift rig run {shlex.quote(str(path))} `rig` ADDRESS `device` ADDRESS{oven} `output` {session}"
-        )
-        lines += fits
-        plans.append(table_section(f"{plain_words(key)}: plan of the session, {total}", plan, cells, folded=True))
+        lines.append(f"undrift rig run {shlex.quote(str(path))} {addresses} `output` {session}")
+        lines.append(f"undrift calibrate {session} `output` {key}.json")
+        lines += [f"undrift drift {session} `calibration` {key}.json `output` {key}.json"] * oven
     text = tuple(spoken(line, called=True) for line in lines)
     return Section(title="Commands for the rate table", text=text), *plans

@@ -235,20 +235,26 @@ class DwellReadings:
         self._deadline_s = deadline_s
         self._start: float | None = None
         self._first: float | None = None  # by the device's clock, where that is certain
+        self._end: float | None = None
 
     def start(self, *, certain: bool = True) -> None:
         """Begin a dwell now."""
         self.recorder.check()
         start = self.recorder.now()
         self._first = self.recorder.begun(start, self._deadline_s) if certain else None
-        self._start = start
+        self._start, self._end = start, None
+
+    def end(self) -> None:
+        """Let the dwell end now, whenever ``stop`` is called."""
+        self._end = self.recorder.now()
 
     def stop(self) -> Record:
         """Return the readings since ``start``."""
         if self._start is None:
             raise InputError("dwell: wanted one that was started, got none; start it first")
         start, self._start = self._start, None
-        return self.recorder.between(start, self.recorder.now(), self._deadline_s, first=self._first)
+        stop = self.recorder.now() if self._end is None else self._end
+        return self.recorder.between(start, stop, self._deadline_s, first=self._first)
 
     def latest(self) -> str:
         """Return the newest reading in words."""

@@ -260,8 +260,11 @@ class Readings(Protocol):
     def start(self, *, certain: bool = True) -> None:
         """Begin to keep readings that the device takes from now on."""
 
+    def end(self) -> None:
+        """Let the dwell end now: what comes later is left out of ``stop``, where several devices are read one after the other."""
+
     def stop(self) -> Record:
-        """Return the readings since ``start`` and keep no more."""
+        """Return the readings since ``start``, to ``end`` where it was called, and keep no more."""
 
     def latest(self) -> str:
         """Return the latest reading in words, "" where there is none."""

@@ -3,6 +3,9 @@
 For each dwell: turn, wait for the ramp, let the device settle, read while positions are polled, stop, judge (rig/judge.py), and
 write. The rate that goes with the readings is the one that the encoder shows over that dwell. A rest that someone disturbed, or a
 face that was not mounted, is taken again.
+
+Several devices on one table are mounted alike and read in the same dwells, each into a folder of its own. A device that fails in a
+dwell misses it, and the others keep theirs; the run ends at once where no device is left that can read it, else at its end.
 """
 
 import contextlib
@@ -11,10 +14,11 @@ import logging
 import os
 import sys
 import time
-from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 
@@ -74,6 +78,61 @@ class RigBench:
     clock: Clock = field(default_factory=Clock)  # The rig's
 
 
+@dataclass(slots=True, kw_only=True, eq=False)
+class Mounted:
+    """A device on the table, its folder, and what its dwells so far say about the next."""
+
+    readings: Readings
+    folder: RunFolder
+    serial: str = ""
+    rests: RestCheck = field(default_factory=RestCheck)
+    turns: TurnCheck = field(default_factory=TurnCheck)
+    doubted: set[Face] = field(default_factory=set)
+    withdrawn: frozenset[int] = frozenset()  # Steps
+    missed: dict[int, RigError] = field(default_factory=dict)  # By step, why it was not read
+
+    def recall(self, programme: Programme) -> None:
+        """Learn from what is on the disk how still this rig is, and what the device reads in a turn."""
+        for piece in self.folder.pieces:
+            step = programme.steps[piece.step]
+            if isinstance(step, Dwell):
+                self.learn(step, piece.turn_rate, read_own_parquet(self.folder.path / piece.name))
+
+    def learn(self, step: Dwell, turn_rate: float, record: Record) -> None:
+        """Remember a dwell that was kept."""
+        self.rests.keep(step, record)
+        self.turns.keep(step, turn_rate, record)
+
+    def keep(self, number: int, step: Dwell, record: Record, **found: Any) -> None:
+        """Bring a dwell to the disk, with what was found beside the readings: fields of a RecordedDwell."""
+        piece = RecordedDwell(
+            step=number,
+            purpose=step.purpose,
+            up=step.up,
+            axis=step.axis,
+            samples=len(record),
+            start_s=float(record.time[0]),
+            stop_s=float(record.time[-1]) + float(np.median(np.diff(record.time))),
+            nominal_turn_rate=step.turn_rate,
+            temp_c=step.temp_c,
+            device_c=mean_temp(record),
+            **found,
+        )
+        self.folder.keep(record, piece)
+
+    def withdraw(self, face: Face) -> bool:
+        """Take back all that was read with a face up that others contradict; False where that was done before."""
+        if face in self.doubted:
+            return False
+        self.doubted.add(face)
+        log.warning(
+            "what was read with %s up does not fit the other faces: it is mounted and read again at the end", face
+        )
+        self.withdrawn |= self.folder.withdraw(face)
+        self.rests.forget(face)
+        return True
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Progress:
     """Where a run is."""
@@ -97,8 +156,10 @@ class RunResult:
     added: int  # How many of them now
     duration_s: float  # How long this part took, table s
     rig: str  # What the rig calls itself
+    others: tuple["RunResult", ...] = ()  # Of the other devices on the table
 
 
+Done = TypeVar("Done")
 Report = Callable[[Progress], None]
 
 
@@ -111,29 +172,54 @@ def run_programme(
     serial: str = "",
     gravity_m_s2: float | None = None,
     settings: RunSettings = RunSettings(),
+    others: Sequence[Mounted] = (),
 ) -> RunResult:
-    """Run what is not on the disk yet."""
-    run = _Run(programme, bench, folder, report, settings)
+    """Run what is not on the disk yet; other devices than the first bring their own folders."""
+    devices = (Mounted(readings=bench.readings, folder=folder, serial=serial), *others)
+    run = _Run(programme, bench, devices, report, settings)
+    before = [device.folder.done for device in devices]
     try:
-        done = folder.done
-        check_programme(programme, bench.rig.limits, done, by_hand=isinstance(bench.rig, ManualRig))
+        check_programme(programme, bench.rig.limits, run.done, by_hand=isinstance(bench.rig, ManualRig))
         if bench.chamber is None and any(isinstance(step, Soak) for step in programme.steps):
             raise InputError("run: wanted a chamber for the programme's temperatures, got none; give its address")
-        name = bench.rig.identify()
-        folder.begin(
-            Head(protocol=folder.digest, rig=name, serial=serial, gravity_m_s2=gravity_m_s2, kind=_kind_of(programme))
-        )
+        name, kind = bench.rig.identify(), _kind_of(programme)
+        for device in devices:
+            digest, serial = device.folder.digest, device.serial
+            device.folder.begin(Head(protocol=digest, rig=name, serial=serial, gravity_m_s2=gravity_m_s2, kind=kind))
         start = bench.clock.now()
-        run.recall()
-        run.all_but(done)
-        while run.withdrawn - folder.done:  # a face is taken back once at most
-            run.all_but(folder.done)
+        for device in devices:
+            device.recall(programme)
+        run.all_but(run.done)
+        while again := run.withdrawn():  # a face is taken back once at most
+            run.all_but(frozenset(range(len(programme.steps))) - again)
     except BaseException as error:
         run.close(error)
         raise
     run.close(None)
-    added = len(folder.done - (done - run.withdrawn))
-    return RunResult(pieces=folder.pieces, added=added, duration_s=bench.clock.now() - start, rig=name)
+    for device in devices:
+        _check_whole(programme, device)
+    took_s = bench.clock.now() - start
+    first, *more = (
+        RunResult(
+            pieces=device.folder.pieces,
+            added=len(device.folder.done - (done - device.withdrawn)),
+            duration_s=took_s,
+            rig=name,
+        )
+        for device, done in zip(devices, before, strict=True)
+    )
+    return replace(first, others=tuple(more))
+
+
+def _check_whole(programme: Programme, device: Mounted) -> None:
+    """Say which dwells a device missed beside others."""
+    steps = {number for number, step in enumerate(programme.steps) if isinstance(step, Dwell)}
+    if missing := sorted(steps - device.folder.done):
+        why = device.missed.get(missing[0], "it failed before")
+        raise RigTimeout(
+            f"{device.folder.path}: wanted {len(steps)} dwells, got {len(steps) - len(missing)}, without step {missing[0]} "
+            f"({programme.steps[missing[0]]}): {why}; all devices are read: look at this one and continue with `resume`"
+        )
 
 
 def _kind_of(programme: Programme) -> Kind:
@@ -145,38 +231,78 @@ def _air(air_c: float | None) -> str:
     return "air not read" if air_c is None else f"{air_c:.2f} degC"
 
 
-def _heat(run: "_Run", step: Soak, chamber: Chamber) -> SoakWatch:
+def _heat(run: "_Run", step: Soak, chamber: Chamber) -> dict[Mounted, SoakWatch]:
     run._say("setting" if chamber.near_c is not None else "soaking")  # a person takes their time
     run._heated = True
     chamber.set(step.temp_c)
     run._say("soaking")
-    return SoakWatch(run._bench.readings, run._bench.clock, step, chamber, run._settings.device_lag_s)
+    clock, lag_s = run._bench.clock, run._settings.device_lag_s
+    return run._sound(run._due, lambda one: SoakWatch(one.readings, clock, step, chamber, lag_s))
+
+
+def _refuse(disturbed: dict[Mounted, Disturbed], device: Mounted) -> None:
+    raise disturbed[device]
+
+
+def _start(device: Mounted) -> None:
+    device.readings.start()
+
+
+def _followed(boards: dict[Mounted, SoakWatch], steady: bool, device: Mounted) -> bool:
+    return boards[device].followed(steady)
+
+
+def _soak(run: "_Run", step: Soak, chamber: Chamber) -> None:
+    clock, run._due = run._bench.clock, run._devices
+    last, boards = clock.now() + run._settings.soak_timeout_s, _heat(run, step, chamber)
+    while True:
+        follow = partial(_followed, boards, chamber.soaked())
+        followed = run._sound(boards, follow)
+        boards = {device: boards[device] for device in followed}
+        board = next(iter(boards.values()))
+        if all(followed.values()):
+            return
+        if clock.now() > last:
+            raise RigTimeout(
+                f"chamber: wanted {step.temp_c:g} degC steady to {step.slope_c_per_min:g} K/min within "
+                f"{run._settings.soak_timeout_s:g} s, got {_air(chamber.read())}{board}; look at chamber and device"
+            )
+        if board.elsewhere():
+            log.warning("chamber: wanted %g degC, got a steady%s; set it again", step.temp_c, board)
+            boards = _heat(run, step, chamber)
+        clock.wait(max(AIR_POLL_S, 0.05 * clock.speed))
+        run._temps = {"air_c": (air_c := chamber.read()), "device_c": board.temp_c}
+        run._say("soaking", f"{_air(air_c)}{board}", slope_c_per_min=board.slope_c_per_min(chamber))
 
 
 class _Run:
     """A run that is going on."""
 
     def __init__(
-        self, programme: Programme, bench: RigBench, folder: RunFolder, report: Report, settings: RunSettings
+        self,
+        programme: Programme,
+        bench: RigBench,
+        devices: tuple[Mounted, ...],
+        report: Report,
+        settings: RunSettings,
     ) -> None:
-        self._programme, self._bench, self._folder = programme, bench, folder
+        self._programme, self._bench, self._devices = programme, bench, devices
         self._report, self._settings = report, settings
-        self._enabled, self._heated, self._doubted = False, False, set[Face]()
+        self._enabled, self._heated, self._due = False, False, devices
         self._old_fault: str | None = None
         self._temps: dict[str, float | None] = {}  # of Progress
         self._step: Step = programme.steps[0]
         self._began, self._number, self._left_s = bench.clock.now(), 0, 0.0
-        self._rests, self._turns = RestCheck(), TurnCheck()
-        self.withdrawn: frozenset[int] = frozenset()  # steps
 
-    def recall(self) -> None:
-        """Learn from what is on the disk how still this rig is, and what the device reads in a turn."""
-        for piece in self._folder.pieces:
-            step = self._programme.steps[piece.step]
-            if isinstance(step, Dwell):
-                record = read_own_parquet(self._folder.path / piece.name)
-                self._rests.keep(step, record)
-                self._turns.keep(step, piece.turn_rate, record)
+    @property
+    def done(self) -> frozenset[int]:
+        """Steps that are on the disk for all devices."""
+        return frozenset.intersection(*(device.folder.done for device in self._devices))
+
+    def withdrawn(self) -> frozenset[int]:
+        """Return the steps that were taken back and not tried again."""
+        parts = (each.withdrawn - each.folder.done - each.missed.keys() for each in self._devices)
+        return frozenset().union(*parts)
 
     def all_but(self, done: frozenset[int]) -> None:
         """Do the dwells that are not done, each with the mounting and the soak that it needs."""
@@ -216,80 +342,76 @@ class _Run:
             self._say("mounting")
             self._bench.mounting.mount(step.up)
         elif self._bench.chamber is not None:
-            self._soak(step, self._bench.chamber)
+            _soak(self, step, self._bench.chamber)
 
-    def _soak(self, step: Soak, chamber: Chamber) -> None:
-        clock = self._bench.clock
-        last, board = clock.now() + self._settings.soak_timeout_s, _heat(self, step, chamber)
-        while not board.followed(chamber.soaked()):
-            if clock.now() > last:
-                raise RigTimeout(
-                    f"chamber: wanted {step.temp_c:g} degC steady to {step.slope_c_per_min:g} K/min within "
-                    f"{self._settings.soak_timeout_s:g} s, got {_air(chamber.read())}{board}; look at chamber and device"
-                )
-            if board.elsewhere():
-                log.warning("chamber: wanted %g degC, got a steady%s; set it again", step.temp_c, board)
-                board = _heat(self, step, chamber)
-            clock.wait(max(AIR_POLL_S, 0.05 * clock.speed))
-            self._temps = {"air_c": (air_c := chamber.read()), "device_c": board.temp_c}
-            self._say("soaking", f"{_air(air_c)}{board}", slope_c_per_min=board.slope_c_per_min(chamber))
+    def _sound(self, devices: Iterable[Mounted], do: Callable[[Mounted], Done]) -> dict[Mounted, Done]:
+        """Do something with devices; those that fail miss this step, unless none is left that can do it."""
+        done = dict[Mounted, Done]()
+        for device in devices:
+            try:
+                done[device] = do(device)
+            except RigError as error:
+                device.missed[self._number] = error
+                if all(self._number in each.missed for each in self._due):
+                    raise
+                log.warning("%s: %s; the other devices go on", device.folder.path, error)
+        return done
 
     def _turn(self, step: Dwell) -> None:
         """Read a turn by a known angle with the rests around it; the angle is what the rig or the operator states."""
-        rig, readings, clock = self._bench.rig, self._bench.readings, self._bench.clock
-        rest_s = 0.5 * (step.dwell_s - TURN_S)
+        clock, rest_s, where = self._bench.clock, 0.5 * (step.dwell_s - TURN_S), f"step {self._number} ({step})"
         self._say("resting")
         clock.wait(step.settle_s)
         chamber_c = self._look_at_air(step)
-        readings.start()
+        devices = [*self._sound(self._due, _start)]
         clock.wait(rest_s)
         self._say("turning")
-        angle = rig.move_by(step.angle)
+        angle = self._bench.rig.move_by(step.angle)
         self._say("resting")
         clock.wait(rest_s)
-        record = readings.stop()
+        records = self._records(devices)
         self._check_fault()
         self._look_at_air(step)
-        missing = check_readings(record, 0.0, self._settings, f"step {self._number} ({step})")
-        self._keep(step, record, missing=missing, chamber_c=chamber_c, angle=angle)
+
+        def take(device: Mounted) -> None:
+            missing = check_readings(records[device], 0.0, self._settings, where)
+            self._temps["device_c"] = mean_temp(records[device])
+            device.keep(self._number, step, records[device], missing=missing, chamber_c=chamber_c, angle=angle)
+
+        self._say("writing")
+        self._sound(records, take)
 
     def _dwell(self, step: Dwell) -> None:
         check_unheated(step, self._heated, f"step {self._number} ({step})")
+        self._due = tuple(device for device in self._devices if self._number not in device.folder.done)
+        for device in self._due:
+            device.missed.pop(self._number, None)
         self._enable()
         if step.purpose == "turn":
             self._turn(step)
             return
-        left = READS
-        while left:
-            try:
-                self._one_dwell(step)
+        left, devices = READS, self._due
+        while disturbed := self._one_dwell(step, devices):
+            devices, doubts = tuple(disturbed), list[bool]()
+            for device, error in disturbed.items():
+                if isinstance(error, Contradiction) and (error.surely or left < READS):
+                    doubts.append(device.withdraw(error.other))
+            if sum(doubts) == len(disturbed):
+                continue
+            left -= 1
+            if not left:
+                self._sound(devices, partial(_refuse, disturbed))
                 return
-            except Disturbed as error:
-                if isinstance(error, Contradiction) and (error.surely or left < READS) and self._withdraw(error.other):
-                    continue
-                left -= 1
-                if not left:
-                    raise
+            for error in disturbed.values():
                 log.warning("%s; it is taken again", error)
-                if step.purpose == "face":
-                    self._disable()
-                    self._say("mounting")
-                    self._bench.mounting.mount(step.up)
-                    self._enable()
+            if step.purpose == "face":
+                self._disable()
+                self._say("mounting")
+                self._bench.mounting.mount(step.up)
+                self._enable()
 
-    def _withdraw(self, face: Face) -> bool:
-        """Take back all that was read with a face up that others contradict; False where that was done before."""
-        if face in self._doubted:
-            return False
-        self._doubted.add(face)
-        log.warning(
-            "what was read with %s up does not fit the other faces: it is mounted and read again at the end", face
-        )
-        self.withdrawn |= self._folder.withdraw(face)
-        self._rests.forget(face)
-        return True
-
-    def _one_dwell(self, step: Dwell) -> None:
+    def _one_dwell(self, step: Dwell, devices: Sequence[Mounted]) -> dict[Mounted, Disturbed]:
+        """Read a dwell with some devices and keep what is sound; return which were disturbed."""
         rig, held = self._bench.rig, 0.0
         if step.turn_rate != 0.0:
             self._say("ramping")
@@ -299,53 +421,44 @@ class _Run:
         self._say("settling")
         self._bench.clock.wait(step.settle_s)
         self._look_at_air(step)
-        record, achieved = self._read_seen(step)
+        records, achieved = self._read_seen(step, devices)
         chamber_c = self._look_at_air(step)
         if step.turn_rate != 0.0:
             rig.stop()
         where = f"step {self._number} ({step})"
         check_rate(achieved, held, self._settings, where)
-        missing = check_readings(record, step.dwell_s, self._settings, where)
-        if step.temp_c is not None and self._bench.chamber is not None:
-            check_board(record, self._bench.chamber.criterion.tolerance_c, where)
-        self._rests.check(step, record, where)
-        self._turns.check(step, achieved.turn_rate, record, where)
         rates = {"set_turn_rate": held, "turn_rate": achieved.turn_rate, "turn_rate_uncertainty": achieved.uncertainty}
-        self._keep(step, record, missing=missing, chamber_c=chamber_c, **rates)
-        self._rests.keep(step, record)
-        self._turns.keep(step, achieved.turn_rate, record)
 
-    def _keep(self, step: Dwell, record: Record, **found: Any) -> None:
-        """Bring a dwell to the disk, with what was found beside the readings: fields of a RecordedDwell."""
-        self._temps["device_c"] = mean_temp(record)
+        def take(device: Mounted) -> Disturbed | None:
+            record = records[device]
+            missing = check_readings(record, step.dwell_s, self._settings, where)
+            if step.temp_c is not None and self._bench.chamber is not None:
+                check_board(record, self._bench.chamber.criterion.tolerance_c, where)
+            try:
+                device.rests.check(step, record, where)
+                device.turns.check(step, achieved.turn_rate, record, where)
+            except Disturbed as error:
+                return error
+            self._temps["device_c"] = mean_temp(record)
+            device.keep(self._number, step, record, missing=missing, chamber_c=chamber_c, **rates)
+            device.learn(step, achieved.turn_rate, record)
+            return None
+
         self._say("writing")
-        piece = RecordedDwell(
-            step=self._number,
-            purpose=step.purpose,
-            up=step.up,
-            axis=step.axis,
-            samples=len(record),
-            start_s=float(record.time[0]),
-            stop_s=float(record.time[-1]) + float(np.median(np.diff(record.time))),
-            nominal_turn_rate=step.turn_rate,
-            temp_c=step.temp_c,
-            device_c=self._temps["device_c"],
-            **found,
-        )
-        self._folder.keep(record, piece)
+        return {device: error for device, error in self._sound(records, take).items() if error is not None}
 
-    def _read_seen(self, step: Dwell) -> tuple[Record, Achieved]:
+    def _read_seen(self, step: Dwell, devices: Sequence[Mounted]) -> tuple[dict[Mounted, Record], Achieved]:
         """Read until the encoder tells how fast the table turned, and the readings span the dwell; a rest needs no times."""
         turning = step.turn_rate != 0.0
         reads = 1 if turning and self._bench.rig.limits.travel is not None else READS  # turning on would leave it
         for left in range(reads, 0, -1):
-            record, achieved = self._read(step)
+            records, achieved = self._read(step, devices)
             if turning and link_hides(achieved, self._settings):
                 continue
             # readings that came too late to be certain are missing at its start; the last is for check_readings to refuse
-            spanned_s = record.duration_s + 1.0 / record.sample_rate_hz
+            spanned_s = min(record.duration_s + 1.0 / record.sample_rate_hz for record in records.values())
             if left == 1 or spanned_s >= self._settings.least_part * step.dwell_s:
-                return record, achieved
+                return records, achieved
         raise RigTimeout(
             f"rig: wanted positions known to {self._settings.link_tolerance:.0%} of the dwell in step {self._number} ({step}), "
             f"got answers {achieved.delay_s:.3g} s late in {achieved.span_s:.3g} s, {reads} times; look at the link and at what "
@@ -353,13 +466,20 @@ class _Run:
             delay_s=achieved.delay_s,
         )
 
-    def _read(self, step: Dwell) -> tuple[Record, Achieved]:
-        """Read the device and the encoder over a dwell."""
-        rig, readings, clock = self._bench.rig, self._bench.readings, self._bench.clock
+    def _records(self, devices: Sequence[Mounted]) -> dict[Mounted, Record]:
+        """Return what devices read until now."""
+        if len(devices) > 1:  # one that does not answer must not lengthen the others' dwells
+            for device in devices:
+                device.readings.end()
+        return self._sound(devices, lambda device: device.readings.stop())
+
+    def _read(self, step: Dwell, devices: Sequence[Mounted]) -> tuple[dict[Mounted, Record], Achieved]:
+        """Read devices and the encoder over a dwell."""
+        rig, clock = self._bench.rig, self._bench.clock
         phase: Phase = "dwelling" if step.turn_rate != 0.0 else "resting"
         every_s = min(POLL_S * clock.speed, step.dwell_s / POLLS)
         self._say(phase)
-        readings.start()
+        devices = [*self._sound(devices, _start)]
         positions: list[Position] = []
         looked = clock.now()
         stop = looked + step.dwell_s
@@ -369,10 +489,10 @@ class _Run:
                 looked = clock.now()
             clock.wait(every_s)  # before each alike, so that the delays of the link are alike
             positions.append(rig.position())
-            self._say(phase, readings.latest())
-        record = readings.stop()
+            self._say(phase, devices[0].readings.latest() if len(devices) == 1 else f"{len(devices)} devices")
+        records = self._records(devices)
         self._check_fault()
-        return record, achieved_turn_rate(positions)
+        return records, achieved_turn_rate(positions)
 
     def _check_fault(self) -> None:
         wrong, where = self._bench.rig.fault(), f"step {self._number} ({self._step})"
@@ -390,7 +510,8 @@ class _Run:
             self._enabled = True
             self._bench.rig.set_acceleration(self._programme.acceleration)
             self._old_fault = self._bench.rig.fault()  # why it stopped last: a card keeps it until it moves again
-            self._bench.readings.start()  # a backlog is waited out at rest, not while the table turns
+            # a backlog is waited out at rest, not while the table turns
+            self._due = tuple(self._sound(self._due, _start))
 
     def _disable(self) -> None:
         """Switch the motor off, for mounting and long waits."""

@@ -15,7 +15,7 @@ import contextlib
 import math
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal, cast, get_args
 
 import numpy as np
@@ -281,6 +281,7 @@ class EmulatedBenchSettings:
     air: AirSettings = field(default_factory=AirSettings)  # The chamber
     stream: StreamSettings = field(default_factory=StreamSettings)  # How the device is mounted and sends
     device: DeviceModel | None = None  # The hidden truth; None draws one of consumer grade from the stream's seed
+    others: tuple[DeviceModel, ...] = ()  # More devices on the table, mounted alike
     hands_port: int = 0  # Where the hands listen; 0 takes a free one
 
 
@@ -296,8 +297,12 @@ class EmulatedBench(Closed):
             host = settings.rig.host
             self.chamber = EmulatedChamber(settings.air, self.rig.clock, host)
             opened.callback(self.chamber.close)
-            self.stream = EmulatedDevice(chosen, self.rig, self.chamber.board_temp, self.rig.clock, settings.stream)
-            opened.callback(self.stream.close)
+            self.streams: list[EmulatedDevice] = []
+            for k, device in enumerate((chosen, *settings.others)):
+                sent = replace(settings.stream, seed=settings.stream.seed + k, port=settings.stream.port * (k == 0))
+                self.streams.append(EmulatedDevice(device, self.rig, self.chamber.board_temp, self.rig.clock, sent))
+                opened.callback(self.streams[-1].close)
+            self.stream = self.streams[0]
             operator = LineMachine(self.rig.clock, self._mounted)
             hands = server_of(operator, FaultyLink(operator.clock), (host, settings.hands_port))
             opened.callback(hands.close)
@@ -306,7 +311,8 @@ class EmulatedBench(Closed):
         if settings.rig.kind == "galil":
             options += f"&encoder_lines={settings.rig.servo.encoder_lines}"
         self.rig_address = f"{settings.rig.kind}:tcp://{self.rig.host}:{self.rig.port}{options}"
-        self.device_address = self.stream.address(settings.rig.speed)
+        self.device_addresses = [stream.address(settings.rig.speed) for stream in self.streams]
+        self.device_address = self.device_addresses[0]
         self.chamber_address = self.chamber.address
         self.hands_address = f"tcp://{hands.host}:{hands.port}"
         path = self.rig.pty_path
@@ -322,8 +328,9 @@ class EmulatedBench(Closed):
             part.clear(planned.name)
 
     def mount(self, face: Face) -> None:
-        """Mount the device with another face up."""
-        self.stream.mount(face)
+        """Mount the devices with another face up."""
+        for stream in self.streams:
+            stream.mount(face)
 
     def close(self) -> None:
         """Close every socket and end every thread; harmless when called again."""
