@@ -4,11 +4,8 @@
 
 A person or a door disturbs more than a chamber does, so the device is mounted as seldom as can be: each face once, every
 temperature in it, and the rates about an axis where its + side is up. No rig is needed to make a programme. Soaks take most of
-the time; faces calibrate the accelerometers and need few of them (``faces.at``)::
-
-    every    faces at every set-point, so that the accelerometers get tables too
-    first    at the first set-point alone: a face without rates is mounted first and soaked at once
-    room     before the chamber is used, each in a mounting of its own, as the study lays its sessions out
+the time, and faces need few: they are read at every set-point, at the first alone, or in mountings of their own before the chamber
+is used, as the study lays its sessions out.
 
     grid     paper (omega_m, omega_M], inclusive [omega_m, omega_M], both ways on three axes: N = 102 or 108 in sit-to-stand
     settle   ln(1000) / (zeta omega_c), omega_c = 2 pi f_c, at least 0.3 s: a second-order low-pass is within 0.1 % of a step

@@ -279,12 +279,7 @@ class _Run:
     """A run that is going on."""
 
     def __init__(
-        self,
-        programme: Programme,
-        bench: RigBench,
-        devices: tuple[Mounted, ...],
-        report: Report,
-        settings: RunSettings,
+        self, programme: Programme, bench: RigBench, devices: tuple[Mounted, ...], report: Report, settings: RunSettings
     ) -> None:
         self._programme, self._bench, self._devices = programme, bench, devices
         self._report, self._settings = report, settings

@@ -299,7 +299,7 @@ class EmulatedBench(Closed):
             opened.callback(self.chamber.close)
             self.streams: list[EmulatedDevice] = []
             for k, device in enumerate((chosen, *settings.others)):
-                sent = replace(settings.stream, seed=settings.stream.seed + k, port=settings.stream.port * (k == 0))
+                sent = replace(settings.stream, seed=settings.stream.seed + k, port=settings.stream.port * (not k))
                 self.streams.append(EmulatedDevice(device, self.rig, self.chamber.board_temp, self.rig.clock, sent))
                 opened.callback(self.streams[-1].close)
             self.stream = self.streams[0]
