@@ -80,10 +80,11 @@ def block(
 
 
 def slopes(rate: FloatArray, reading: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return reading per rate of each sensor (3,) and its standard uncertainty, by a line."""
-    design = np.column_stack((rate, np.ones_like(rate)))
+    """Return reading per rate of each sensor (3,) and its standard uncertainty, by a cubic: readings bend with the rate."""
+    top = np.abs(rate).max()
+    design = (rate / top)[:, None] ** np.arange(4)
     theta, squares, _, _ = np.linalg.lstsq(design, reading, rcond=None)
-    return theta[0], np.sqrt(squares / (len(rate) - 2) * np.linalg.inv(design.T @ design)[0, 0])
+    return theta[1] / top, np.sqrt(squares / (len(rate) - 4) * np.linalg.inv(design.T @ design)[1, 1]) / top
 
 
 def tilted(axis_b: FloatArray, rng: np.random.Generator, errors: BenchErrors) -> FloatArray:

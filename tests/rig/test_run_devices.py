@@ -135,6 +135,14 @@ def test_one_device_that_is_disturbed_for_good_misses_the_rest_and_the_other_goe
     assert len(read_session(tmp_path / "a").records) == 7
 
 
+def test_a_device_that_is_gone_before_its_rest_is_taken_again_misses_it(tmp_path):
+    with emulated() as emulator:
+        with pytest.raises(RigTimeout, match=r"b: wanted 7 dwells, got 6, without step 7 .*wanted a device that sends"):
+            run_two(emulator, tmp_path, second={"disturbed": (7,), "dead_from": 8})
+        assert at_rest(emulator)
+    assert len(read_session(tmp_path / "a").records) == 7
+
+
 def test_a_soak_goes_on_with_the_device_that_answers(tmp_path):
     heated = replace(SHORT, temperatures_c=(30.0, 40.0))
     with emulated() as emulator:

@@ -378,9 +378,7 @@ def at_one_temperature(session: Session) -> tuple[Session, tuple[Finding, ...]]:
     chosen = int(able[np.argmin(np.abs(means[able] - ROOM_C))])
     used = group == chosen
     faces = [still.face for still in session.stills]
-    counted = [
-        len({face for face, of in zip(faces, group, strict=False) if of == k} - {None}) for k in range(len(counts))
-    ]
+    counted = [len({f for f, k in zip(faces, group, strict=False) if k == g} - {None}) for g in range(len(counts))]
     if counted[chosen] < max(counted):
         nearest = min(range(len(counts)), key=lambda k: (-counted[k], abs(means[k] - means[chosen])))
         used |= (group == nearest) & np.array([*(face is not None for face in faces), *(False for _ in session.turns)])

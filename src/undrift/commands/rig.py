@@ -209,8 +209,7 @@ def run(
         how: dict[str, Any] = {"serial": first.serial, "gravity_m_s2": gravity_m_s2, "settings": judge}
         result = run_programme(programme, bench, first.folder, report=shown, others=others, **how)
     registered = [entry for path in paths.values() for entry in registering.add(path)]
-    main, *beside = paths.values()
-    return Ran(output=main, result=result, registered=registered, others=tuple(beside))
+    return Ran(output=first.folder.path, result=result, registered=registered, others=tuple(paths.values())[1:])
 
 
 def forecast(protocol: Path, rig: str) -> "Forecast":

@@ -4,8 +4,8 @@ For each dwell: turn, wait for the ramp, let the device settle, read while posit
 write. The rate that goes with the readings is the one that the encoder shows over that dwell. A rest that someone disturbed, or a
 face that was not mounted, is taken again.
 
-Several devices on one table are mounted alike and read in the same dwells, each into a folder of its own. A device that fails in a
-dwell misses it, and the others keep theirs; the run ends at once where no device is left that can read it, else at its end.
+Several devices on one table are mounted alike and read in the same dwells, a folder each. One that fails in a dwell misses it; the
+run ends at once where no device is left that can read it.
 """
 
 import contextlib
@@ -240,14 +240,6 @@ def _heat(run: "_Run", step: Soak, chamber: Chamber) -> dict[Mounted, SoakWatch]
     return run._sound(run._due, lambda one: SoakWatch(one.readings, clock, step, chamber, lag_s))
 
 
-def _refuse(disturbed: dict[Mounted, Disturbed], device: Mounted) -> None:
-    raise disturbed[device]
-
-
-def _start(device: Mounted) -> None:
-    device.readings.start()
-
-
 def _followed(boards: dict[Mounted, SoakWatch], steady: bool, device: Mounted) -> bool:
     return boards[device].followed(steady)
 
@@ -256,8 +248,7 @@ def _soak(run: "_Run", step: Soak, chamber: Chamber) -> None:
     clock, run._due = run._bench.clock, run._devices
     last, boards = clock.now() + run._settings.soak_timeout_s, _heat(run, step, chamber)
     while True:
-        follow = partial(_followed, boards, chamber.soaked())
-        followed = run._sound(boards, follow)
+        followed = run._sound(boards, partial(_followed, boards, chamber.soaked()))
         boards = {device: boards[device] for device in followed}
         board = next(iter(boards.values()))
         if all(followed.values()):
@@ -346,11 +337,14 @@ class _Run:
             try:
                 done[device] = do(device)
             except RigError as error:
-                device.missed[self._number] = error
-                if all(self._number in each.missed for each in self._due):
-                    raise
-                log.warning("%s: %s; the other devices go on", device.folder.path, error)
+                self._miss(device, error)
         return done
+
+    def _miss(self, device: Mounted, error: RigError) -> None:
+        device.missed[self._number] = error
+        if all(self._number in each.missed for each in self._due):
+            raise error
+        log.warning("%s: %s; the other devices go on", device.folder.path, error)
 
     def _turn(self, step: Dwell) -> None:
         """Read a turn by a known angle with the rests around it; the angle is what the rig or the operator states."""
@@ -358,7 +352,7 @@ class _Run:
         self._say("resting")
         clock.wait(step.settle_s)
         chamber_c = self._look_at_air(step)
-        devices = [*self._sound(self._due, _start)]
+        devices = [*self._sound(self._due, lambda device: device.readings.start())]
         clock.wait(rest_s)
         self._say("turning")
         angle = self._bench.rig.move_by(step.angle)
@@ -395,7 +389,8 @@ class _Run:
                 continue
             left -= 1
             if not left:
-                self._sound(devices, partial(_refuse, disturbed))
+                for device, error in disturbed.items():
+                    self._miss(device, error)
                 return
             for error in disturbed.values():
                 log.warning("%s; it is taken again", error)
@@ -451,7 +446,8 @@ class _Run:
             if turning and link_hides(achieved, self._settings):
                 continue
             # readings that came too late to be certain are missing at its start; the last is for check_readings to refuse
-            spanned_s = min(record.duration_s + 1.0 / record.sample_rate_hz for record in records.values())
+            spans_s = (record.duration_s + 1.0 / record.sample_rate_hz for record in records.values())
+            spanned_s = min(spans_s, default=np.inf)  # none: it failed when it was to be read again
             if left == 1 or spanned_s >= self._settings.least_part * step.dwell_s:
                 return records, achieved
         raise RigTimeout(
@@ -474,7 +470,7 @@ class _Run:
         phase: Phase = "dwelling" if step.turn_rate != 0.0 else "resting"
         every_s = min(POLL_S * clock.speed, step.dwell_s / POLLS)
         self._say(phase)
-        devices = [*self._sound(devices, _start)]
+        devices = [*self._sound(devices, lambda device: device.readings.start())]
         positions: list[Position] = []
         looked = clock.now()
         stop = looked + step.dwell_s
@@ -506,7 +502,7 @@ class _Run:
             self._bench.rig.set_acceleration(self._programme.acceleration)
             self._old_fault = self._bench.rig.fault()  # why it stopped last: a card keeps it until it moves again
             # a backlog is waited out at rest, not while the table turns
-            self._due = tuple(self._sound(self._due, _start))
+            self._due = tuple(self._sound(self._due, lambda device: device.readings.start()))
 
     def _disable(self) -> None:
         """Switch the motor off, for mounting and long waits."""
