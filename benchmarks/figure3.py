@@ -1,7 +1,7 @@
 """Figure 3 beside its rival without a chamber, typical unit and units of the kind, simulated and actual, as docs/note.md has it.
 
 ``python -m benchmarks.figure3 [--units 30] [--seed 0]`` prints both tables: the device 12.5 K above the bench, tables from rising
-soaks, each drawn unit on a person of its own. 12 s a unit.
+soaks, each drawn unit on a person of its own. 5 s a unit.
 """
 
 import argparse

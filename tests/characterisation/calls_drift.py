@@ -247,7 +247,7 @@ def details() -> Result:
         found[name] = {
             "slope": triad.slope,
             "slope_uncertainty": triad.slope_uncertainty,
-            "leave_out_rms": triad.curve.spline.leave_out_rms,
+            "leave_out_rms": triad.curve.spline.left_out[0],
             "scatter": triad.curve.spline.visit_deviation,
             "span_c": triad.span_c,
             "value": at.value,

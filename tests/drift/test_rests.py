@@ -149,7 +149,7 @@ def test_soaks_left_out_that_disagree_with_the_stated_uncertainty_are_a_finding(
     assert of(visit=0.02)[0] == []
     (above,), spline = of(jagged=0.02)
     assert (above.code, above.level, above.values["groups"]) == ("drift.left_out_above", "warn", 12)
-    assert above.values["ratio"] == pytest.approx(spline.leave_out_ratio)
+    assert above.values["ratio"] == pytest.approx(spline.left_out[1])
     assert above.text.startswith("Soaks left out in turn are missed by ")
     # the rows' noise stated thirty times too large: chance makes them agree as well once in a million
     (below,), _ = of(stated=30.0 * NOISE)

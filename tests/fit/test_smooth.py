@@ -146,6 +146,7 @@ def test_a_curve_is_conditioned_on_its_rows_as_any_gaussian_is(regressors):
     apart = np.array(means) - mean
     wanted = np.einsum("g,gmn->mn", share, np.array(covariances)) + (np.array(share)[:, None] * apart.T.T).T @ apart
     # the line's variance is 1e5, not infinite
+    np.testing.assert_array_equal(predicted(column, nodes, spread=False)[0], predicted(column, nodes)[0])
     for where, found in ((slice(0, 7), predicted(column, nodes)), (slice(7, None), predicted(column, np.zeros(0)))):
         np.testing.assert_allclose(found[0], mean[where], rtol=0, atol=2e-3)
         np.testing.assert_allclose(found[1], wanted[where, where], rtol=0, atol=2e-3)

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 from numba import njit
+from scipy.signal import lfilter
 
 from undrift.kernels import device as k
 from undrift.sim.rig.axes import MotorAxis, ServoSettings, resting_coefficients
@@ -120,3 +121,16 @@ def test_a_runaway_is_bounded_by_the_supply():
     axis.values[k.MODE], axis.values[k.TARGET] = k.JOG, 10_000.0
     axis.advance(5.0)
     assert 300.0 < axis.values[k.RATE] <= servo.supply_voltage / servo.torque_constant + 1e-6
+
+
+def test_a_gauss_markov_process_has_the_bits_of_a_filter_and_goes_on_from_its_state() -> None:
+    draws, sd = np.random.default_rng(1).standard_normal((50, 3)), np.array([0.1, 1.0, 7.0])
+    keep, fresh = 0.97, math.sqrt(1.0 - 0.97**2)
+    scaled = np.concatenate((draws[:1], fresh * draws[1:]))  # from a stationary start
+    wanted = 1.0 + sd * lfilter([1.0], [1.0, -keep], scaled, axis=0)
+    whole, halves, states = np.ones((50, 3)), np.ones((50, 3)), (np.zeros(3), np.zeros(3))
+    k.add_process(draws, keep, fresh, True, sd, states[0], whole)
+    for part in (slice(0, 20), slice(20, 50)):
+        k.add_process(draws[part], keep, fresh, part.start == 0, sd, states[1], halves[part])
+    np.testing.assert_array_equal(whole, wanted)
+    np.testing.assert_array_equal(halves, wanted)

@@ -82,7 +82,9 @@ def test_drawn_units_are_summarised_by_median_and_quartiles_of_each_correction(m
 
     monkeypatch.setattr(figure3_module, "calibrated", known)
     monkeypatch.setattr(figure3_module, "WORN_S", 60.0)
-    rows = drawn_cohort(units=2, seed=1)
+    told: list[tuple[int, int]] = []
+    rows = drawn_cohort(units=2, seed=1, advance=lambda done, total: told.append((done, total)))
+    assert told == [(1, 2), (2, 2)]
     assert [row.correction for row in rows] == list(COMPARED)
     assert all(row.units == 2 and row.lower_deg <= row.median_deg <= row.upper_deg for row in rows)
     none, _, _, rest, both = rows

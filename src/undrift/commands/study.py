@@ -136,7 +136,7 @@ def study(
         Address of a Dask scheduler, as in tcp://host:8786, to work on its workers.
     no_rivals : bool
         Leave out the other ways to calibrate, which the note's Discussion names, 12 units of about 10 s, and Figure 3 effect by
-        effect, about 15 s, and its 30 drawn units, 12 s each on one processor. --quick implies it.
+        effect, about 9 s, and its 30 drawn units, 5 s each on one processor. --quick implies it.
     real : Path or None
         real.toml: real recordings to judge too. See docs/study.md.
     """

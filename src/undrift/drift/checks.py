@@ -158,7 +158,7 @@ def _summary_of(
         in_table=triad.offset is not None,
         slope=triad.slope * factor,
         slope_uncertainty=triad.slope_uncertainty * factor,
-        left_out_rms=triad.curve.spline.leave_out_rms * factor,
+        left_out_rms=triad.curve.spline.left_out[0] * factor,
         half_loop=None if loop is None else loop.half * factor,
         half_loop_uncertainty=None if loop is None else loop.uncertainty * factor,
         branch=None if branch is None else branch * factor,

@@ -30,7 +30,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from functools import partial
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -102,13 +102,23 @@ class Alternatives:
         return self.why.text
 
 
+class Fits(NamedTuple):
+    """What alternatives predict rates by, fitted to one set of steps; None where not observable."""
+
+    scale: ScaleDrift | None
+    dynamic: DynamicFit | None  # with the constant matrix
+    both: DynamicFit | None  # on top of ``scale``
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Fits:
-    """The fits of all alternatives to one set of steps, whether taken or not; None where not observable."""
+class Choice:
+    """The fits of all alternatives, whether taken or not, None where not observable; and which were taken."""
 
     scale: ScaleFit | None
     dynamic: DynamicFit | None  # with the constant matrix
     both: DynamicFit | None  # on top of ``scale``
+    alternatives: Alternatives
+    verdict: Verdict  # of what was taken
 
     def taken(self, which: Alternative) -> tuple[ScaleFit | None, DynamicFit | None]:
         """Return the fits that an alternative takes."""
@@ -121,14 +131,6 @@ class Fits:
         for fit in self.taken(which):
             verdict = verdict if fit is None else verdict.also(fit.verdict)
         return verdict
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Choice(Fits):
-    """The tables that were taken, and those that were not."""
-
-    alternatives: Alternatives
-    verdict: Verdict  # of what was taken
 
     @property
     def scale_drift(self) -> ScaleDrift | None:
@@ -530,48 +532,50 @@ def choose_tables(
             soaks=len(numbers),
         )
 
-    def fitted(rows: Steps, like: Fits | None = None) -> Fits:
-        """Fit every alternative to some steps; as soft as earlier fits where these are given."""
-        scale = dynamic = both = None
-        with suppress(CalibrationError):  # the others may still be had
-            scale = rate_steps.fit_scale(rows, calibration, static=static, temp_c=temp_c)
-
-        def bent(matrix: ScaleDrift | None, earlier: DynamicFit | None) -> DynamicFit:
-            return rate_steps.fit_dynamic(
-                rows, calibration, static=static, scale=matrix, rests=rests, temp_c=nodes, like=earlier
-            )
-
-        with suppress(CalibrationError):
-            dynamic = bent(None, like.dynamic if like else None)
-            both = None if scale is None else bent(scale.drift, like.both if like else None)
-        return Fits(scale=scale, dynamic=dynamic, both=both)
-
-    fits = fitted(clean)
-    if fits.scale is None and fits.dynamic is None:
+    scale = dynamic = both = None
+    bent = partial(rate_steps.fit_dynamic, clean, calibration, static=static, rests=rests, temp_c=nodes)
+    with suppress(CalibrationError):  # the others may still be had
+        scale = rate_steps.fit_scale(clean, calibration, static=static, temp_c=temp_c)
+    with suppress(CalibrationError):
+        dynamic = bent(scale=None)
+        both = None if scale is None else bent(scale=scale.drift)
+    if scale is None and dynamic is None:
         raise NotObservable(
             f"scale and dynamic drift: wanted an axis turned at two rates at two soaks, got {len(clean)} steps at {len(numbers)} "
             "soaks without; repeat the same turns at another temperature",
             soaks=len(numbers),
         )
+    every = Fits(None if scale is None else scale.drift, dynamic, both)
+
+    def refitted(rows: Steps) -> Fits:
+        """Fit every alternative to some steps, as soft as to all; what the matrices are worth is not asked."""
+        matrix = plain = combined = None
+        like = partial(rate_steps.fit_dynamic, rows, calibration, static=static, rests=rests, temp_c=nodes)
+        with suppress(CalibrationError):
+            matrix = rate_steps.scale_matrices(rows, calibration, static=static, temp_c=temp_c)
+        with suppress(CalibrationError):
+            plain = like(scale=None, like=every.dynamic)
+            combined = None if matrix is None else like(scale=matrix, like=every.both)
+        return Fits(matrix, plain, combined)
+
     table = _cross_validated(
-        clean, fits, fitted, lambda of, which: _residuals(clean, of, which, calibration, static=static)
+        clean, every, refitted, lambda of, which: _residuals(clean, of, which, calibration, static=static)
     )
-    verdict, points = fits.verdict_of(table.chosen, table.why), int(point.max()) + 1
+    choice = Choice(scale=scale, dynamic=dynamic, both=both, alternatives=table, verdict=clean.verdict)
+    verdict, points = choice.verdict_of(table.chosen, table.why), int(point.max()) + 1
     if points < 3 and table.why.code != "drift.tables_unjudged":
         verdict = verdict.also(Verdict.of(finding("drift.tables_by_rates", "warn", set_points=points)))
-    return Choice(
-        scale=fits.scale, dynamic=fits.dynamic, both=fits.both, alternatives=table, verdict=verdict.also(clean.verdict)
-    )
+    return replace(choice, verdict=verdict.also(clean.verdict))
 
 
 def _residuals(
     steps: Steps, fits: Fits, which: Alternative, calibration: Calibration, *, static: StaticDrift | None
 ) -> FloatArray:
     """What an alternative leaves of all steps, rad/s, shape (n, 3); NaN where it has no fit."""
-    scale, dynamic = fits.taken(which)
-    if ("scale" in which and scale is None) or ("dynamic" in which and dynamic is None):
+    matrix = fits.scale if "scale" in which else None
+    dynamic = {"dynamic": fits.dynamic, "scale + dynamic": fits.both}.get(which)
+    if ("scale" in which and matrix is None) or ("dynamic" in which and dynamic is None):
         return np.full((len(steps), 3), np.nan)
-    matrix = None if scale is None else scale.drift
     w = rate_steps.measured_rate(steps.gyro, steps.temp_c, calibration, static=static, scale=matrix)
     for axis, surface in enumerate(dynamic.surfaces if dynamic else ()):
         if surface is not None:
@@ -582,7 +586,7 @@ def _residuals(
 def _cross_validated(
     steps: Steps,
     fits: Fits,
-    fitted: Callable[[Steps, Fits], Fits],
+    refitted: Callable[[Steps], Fits],
     residuals: Callable[[Fits, Alternative], FloatArray],
 ) -> Alternatives:
     by_soak, by_rate, everything = _soak_folds(steps), _rate_folds(steps), np.ones(len(steps), bool)
@@ -593,7 +597,7 @@ def _cross_validated(
 
     in_fit = np.array(squares(everything, fits, whole=True))
     soak, rate = (
-        np.array([squares(fold, fitted(steps.taken(~fold), fits), whole=whole) for fold in folds]).reshape(-1, 4)
+        np.array([squares(fold, refitted(steps.taken(~fold)), whole=whole) for fold in folds]).reshape(-1, 4)
         for folds, whole in ((by_soak, True), (by_rate, False))
     )
     every = np.concatenate((soak, rate))

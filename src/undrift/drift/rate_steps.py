@@ -40,6 +40,7 @@ References
 """
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -150,6 +151,15 @@ def fit_scale(
     )
 
 
+def scale_matrices(
+    steps: Steps, calibration: Calibration, *, static: StaticDrift | None, temp_c: FloatArray
+) -> ScaleDrift:
+    """Return the matrices of ``fit_scale`` alone."""
+    model = gyro_model(calibration)
+    forward, _ = _over_temperature(soak_matrices(steps, calibration, static=static), model, temp_c, spread=False)
+    return ScaleDrift(temp_c=temp_c, gyro_matrix=np.linalg.inv(forward) / si_factor(model.unit_out, "rate"))
+
+
 def soak_matrices(steps: Steps, calibration: Calibration, *, static: StaticDrift | None) -> SoakMatrices:
     """Fit the forward matrix at each soak."""
     kept = _forward(gyro_model(calibration))
@@ -215,8 +225,10 @@ def _mountings(steps: Steps, rows: IntArray) -> tuple[FloatArray, FloatArray]:
     return np.array(offsets).reshape(-1, len(rows)).T, np.array(bends).reshape(-1, len(rows)).T
 
 
-def _over_temperature(soaks: SoakMatrices, model: TriadModel, nodes: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return K at the nodes and the variance of each element; NaN variance for axes that were not turned."""
+def _over_temperature(
+    soaks: SoakMatrices, model: TriadModel, nodes: FloatArray, *, spread: bool = True
+) -> tuple[FloatArray, FloatArray]:
+    """Return K at the nodes and the variance of each element; NaN variance where unwanted and for axes that were not turned."""
     forward, variance = np.tile(_forward(model), (len(nodes), 1, 1)), np.full((len(nodes), 3, 3), np.nan)
     temperatures = [soaks.temp_c[soaks.seen[:, j]] for j in range(3)]
     most = max(len(t) for t in temperatures)
@@ -229,8 +241,10 @@ def _over_temperature(soaks: SoakMatrices, model: TriadModel, nodes: FloatArray)
     for j, temps in enumerate(temperatures):
         if len(temps) >= 2:  # one temperature, or none: nothing over temperature
             have = soaks.seen[:, j]
-            at = fit_smooth(temps, soaks.forward[have, :, j], soaks.variance[have, :, j]).at(nodes)
-            forward[:, :, j], variance[:, :, j] = at.value, at.uncertainty**2
+            at = fit_smooth(temps, soaks.forward[have, :, j], soaks.variance[have, :, j]).at(nodes, spread=spread)
+            forward[:, :, j] = at.value
+            if spread:
+                variance[:, :, j] = at.uncertainty**2
     return forward, variance
 
 
@@ -714,7 +728,7 @@ def _softnesses(
     """Return the pairs whose cross-validated error is small enough to count, and their weights."""
     groups, few = int(points.mounting.max()) + 1, len(np.unique(points.soak)) < 3
     pairs = [(of_rate, of_temp) for of_temp in _SOFTNESS[: 1 if few else None] for of_rate in _SOFTNESS]
-    scores = np.array([_held_out_square(points, x, v, _penalty(pair, size, bends, groups)) for pair in pairs])
+    scores = _held_out_squares(points, x, v, np.array([_penalty(pair, size, bends, groups) for pair in pairs]))
     if not scores.min() > 0.0:  # nothing could be left out: as stiff as may be; or what was is met exactly
         return [pairs[int(scores.argmin())]], np.ones(1)
     weights = (scores / scores.min()) ** (-0.5 * len(points))
@@ -722,16 +736,17 @@ def _softnesses(
     return [pair for pair, keep in zip(pairs, kept, strict=True) if keep], weights[kept] / weights[kept].sum()
 
 
-def _held_out_square(points: SurfacePoints, x: FloatArray, v: FloatArray, penalty: FloatArray) -> float:
-    """Return the weighted sum of squares of all rows when their soak, or their rate, is held out."""
-    z = np.linalg.inv(np.linalg.cholesky(x.T @ (x / v[:, None]) + penalty)) @ x.T
-    r = points.value - z.T @ (z @ (points.value / v))
+def _held_out_squares(points: SurfacePoints, x: FloatArray, v: FloatArray, penalties: FloatArray) -> FloatArray:
+    """Return the weighted sum of squares of all rows when their soak, or their rate, is held out, for penalties (k, P, P)."""
+    z = np.linalg.inv(np.linalg.cholesky(x.T @ (x / v[:, None]) + penalties)) @ x.T
+    r = points.value - ((z @ (points.value / v))[:, None, :] @ z)[:, 0]
 
     def missed(rows: IntArray) -> FloatArray:
-        hat = z[:, rows].T @ z[:, rows] / v[rows]
-        return np.asarray(np.linalg.solve(np.eye(len(rows)) - hat, r[rows]))
+        own = z[:, :, rows]
+        hat = own.swapaxes(1, 2) @ own / v[rows]
+        return np.asarray(np.linalg.solve(np.eye(len(rows)) - hat, r[:, rows, None])[..., 0])
 
-    total, soaks = 0.0, np.unique(points.soak)
+    total, soaks = np.zeros(len(penalties)), np.unique(points.soak)
     middle = np.array([points.temp_c[points.soak == s].mean() for s in soaks])
     for s in soaks[(middle > middle.min()) & (middle < middle.max())]:
         rows = np.flatnonzero(points.soak == s)
@@ -739,11 +754,11 @@ def _held_out_square(points: SurfacePoints, x: FloatArray, v: FloatArray, penalt
         for g in np.unique(points.mounting[rows]):  # its offset is its own: only how it differs over rate counts
             own = points.mounting[rows] == g
             w = 1.0 / v[rows][own]
-            off[own] -= (w * off[own]).sum() / w.sum()
-        total += float((off**2 / v[rows]).sum())
+            off[:, own] -= (off[:, own] @ w / w.sum())[:, None]
+        total += (off**2 / v[rows]).sum(axis=1)
     for level in np.unique(points.level[points.level > 0])[:-1]:
         rows = np.flatnonzero(points.level == level)
-        total += float((missed(rows) ** 2 / v[rows]).sum())
+        total += (missed(rows) ** 2 / v[rows]).sum(axis=1)
     return total
 
 
@@ -778,6 +793,7 @@ def _design(rate: Cubics, temp: Cubics, turn_rate: FloatArray, temp_c: FloatArra
     return np.asarray((over_temp[:, :, None] * over_rate[:, None, :]).reshape(len(turn_rate), -1))
 
 
+@lru_cache(maxsize=16)  # of the surfaces in hand: each is asked many times
 def _vanishing(rate: Cubics) -> FloatArray:
     """Return combinations of the splines, one a column, that are zero at rate zero."""
     return np.asarray(np.linalg.svd(rate.at(np.zeros(1)))[2][1:].T)

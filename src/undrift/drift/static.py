@@ -397,7 +397,7 @@ def _left_out_findings(spline: SmoothSpline) -> list[Finding]:
     """Return the finding that soaks, left out in turn, are missed by more or by far less than is stated."""
     from scipy.special import chdtri
 
-    count, ratio = spline.groups_left_out, spline.leave_out_ratio
+    count, ratio = len(np.unique(spline.groups)), spline.left_out[1]
     if count < _LEAST_LEFT_OUT or np.isnan(ratio).any():
         return []
     size = {"ratio": ratio, "groups": count}

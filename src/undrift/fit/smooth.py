@@ -104,27 +104,41 @@ class SmoothSpline:
     origin_c: float  # T_0, degC
     span_c: float  # of the scaled temperature, degC
     columns: tuple[Column, ...]
-    coefficient: FloatArray  # (p, k), of the regressors, unit of the values per unit of the regressor
-    coefficient_uncertainty: FloatArray  # (p, k), standard uncertainty of each
-    visit_deviation: FloatArray  # (k,), root of the mean s2: what a visit to come adds, unit of the values
-    leave_out_rms: FloatArray  # (k,), error of groups left out between others, unit of the values; NaN without any
-    leave_out_ratio: (
-        FloatArray  # (k,), rms of the errors of the means of all groups left out, each over its stated deviation
-    )
-    groups_left_out: int  # how many groups that ratio comes from
+    groups: IntArray  # (n,), rows of one number are left out together
 
-    def at(self, temp_c: FloatArray) -> NodeValues:
-        """Return the curves at nodes, (m,) degC; regressors count as 0 there."""
+    @property
+    def coefficient(self) -> FloatArray:
+        """Of the regressors, (p, k), unit of the values per unit of the regressor."""
+        return np.stack([predicted(column, np.zeros(0), spread=False)[0] for column in self.columns], axis=1)
+
+    @property
+    def coefficient_uncertainty(self) -> FloatArray:
+        """Standard uncertainty of each coefficient, (p, k)."""
+        variances = [np.diag(predicted(column, np.zeros(0))[1]) for column in self.columns]
+        return np.asarray(np.sqrt(np.maximum(np.stack(variances, axis=1), 0.0)))
+
+    @property
+    def visit_deviation(self) -> FloatArray:
+        """Root of the mean s2, (k,): what a visit to come adds, unit of the values."""
+        return np.array([np.sqrt(c.weight.sum(axis=1) @ c.scatter) for c in self.columns])
+
+    @property
+    def left_out(self) -> FloatArray:
+        """Of groups left out, (2, k): rms error between others, unit of the values, and over its deviation (``leave_out``)."""
+        return np.array([leave_out(column, self.groups) for column in self.columns]).T
+
+    def at(self, temp_c: FloatArray, *, spread: bool = True) -> NodeValues:
+        """Return the curves at nodes, (m,) degC, with their covariance unless unwanted; regressors count as 0 there."""
         nodes, n = (np.asarray(temp_c, float) - self.origin_c) / self.span_c, len(temp_c)
         beyond = 0.5 * np.maximum(np.abs(nodes) - 0.5, 0.0) ** 2
         asked = np.concatenate((nodes, _ENDS))
         values, covariances = [], []
         for column in self.columns:
-            mean, both = predicted(column, asked)
+            mean, both = predicted(column, asked, spread=spread)
             slopes = np.diff(mean[n:])[::2] / (_ENDS[1] - _ENDS[0])
             bow = beyond * (slopes[1] - slopes[0])  # the curvature continues outside
             values.append(mean[:n])
-            covariances.append(both[:n, :n] + np.outer(bow, bow))
+            covariances += [both[:n, :n] + np.outer(bow, bow)] if spread else []
         return NodeValues(
             temp_c=np.array(temp_c, float), value=np.stack(values, axis=1), covariance=np.array(covariances)
         )
@@ -160,24 +174,8 @@ def fit_smooth(
     correlation = np.eye(len(x)) if scatter.correlation is None else scatter.correlation
     covariance = np.array([np.diag(each) for each in variance.T]) + (0.0 if scatter.shared is None else scatter.shared)
     expected = np.zeros(value.shape[1]) if scatter.expected is None else scatter.expected
-    columns, effects, left_out = _weighed(x, value, basis, covariance, correlation, span, expected), [], []
-    for column in columns:
-        mean, uncertain = predicted(column, np.zeros(0))
-        effects.append((mean, np.sqrt(np.maximum(np.diag(uncertain), 0.0))))
-        left_out.append(leave_out(column, groups))
-    coefficient, doubt = (np.stack(each, axis=1) for each in zip(*effects, strict=True))
-    rms, ratio = np.array(left_out).T
-    return SmoothSpline(
-        origin_c=origin,
-        span_c=span,
-        columns=columns,
-        coefficient=coefficient,
-        coefficient_uncertainty=doubt,
-        visit_deviation=np.array([np.sqrt(c.weight.sum(axis=1) @ c.scatter) for c in columns]),
-        leave_out_rms=rms,
-        leave_out_ratio=ratio,
-        groups_left_out=len(np.unique(groups)),
-    )
+    columns = _weighed(x, value, basis, covariance, correlation, span, expected)
+    return SmoothSpline(origin_c=origin, span_c=span, columns=columns, groups=groups)
 
 
 def neighbours(temp_c: FloatArray, count: int) -> IntArray:
@@ -371,8 +369,8 @@ def likelihood(
 # ---- the mixture
 
 
-def predicted(column: Column, nodes: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the curve at nodes, (m,), with its covariance, (m, m); without nodes the p coefficients, with theirs.
+def predicted(column: Column, nodes: FloatArray, *, spread: bool = True) -> tuple[FloatArray, FloatArray]:
+    """Return the curve at nodes, (m,), with its covariance, (m, m), if wanted; without nodes the p coefficients, with theirs.
 
     f at the nodes less B y, B = H_nodes H^+, has no trend either: it is predicted from the contrasts alone.
     """
@@ -397,6 +395,8 @@ def predicted(column: Column, nodes: FloatArray) -> tuple[FloatArray, FloatArray
     values = (filtered * z[:, None]) @ of_rest.swapaxes(1, 2) + (filtered * q * z[:, None]) @ of_bends.swapaxes(1, 2)
     values = values.reshape(weight.size, n)
     mean = weight.ravel() @ values
+    if not spread:
+        return by_trend @ column.y + mean, np.zeros((0, 0))
     apart = np.sqrt(weight).reshape(-1, 1) * (values - mean)
     none, once, twice = (np.einsum("lb,lbr->lr", weight * column.bend**power, filtered) for power in range(3))
     q_mean, s2_mean = column.weight.sum(axis=0) @ column.bend, column.weight.sum(axis=1) @ column.scatter
@@ -441,7 +441,7 @@ def leave_out(column: Column, groups: IntArray) -> tuple[float, float]:
 # ---- curves of fixed stiffness: the basis that fits share
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Cubics:
     """Cubic B-splines on even knots."""
 

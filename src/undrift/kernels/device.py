@@ -63,6 +63,17 @@ def add_drift(
             spread[p] = 0.25 * length
 
 
+@njit(cache=True, nogil=True, error_model="numpy")  # not contracted: the same bits on any machine
+def add_process(
+    draws: FloatArray, keep: float, fresh: float, stationary: bool, sd: FloatArray, state: FloatArray, out: FloatArray
+) -> None:
+    # out (N, 3) += sd y, y_k = keep y_(k-1) + fresh draws_k, y_(-1) = state (3,), which moves on; stationary: y_0 = draws_0
+    for k in range(draws.shape[0]):
+        for i in range(3):
+            state[i] = (1.0 if k == 0 and stationary else fresh) * draws[k, i] + keep * state[i]
+            out[k, i] += sd[i] * state[i]
+
+
 @njit(cache=True, fastmath={"contract"}, nogil=True, error_model="numpy")
 def follow_with_play(temp: FloatArray, half_width: float, at: float, out: FloatArray) -> None:
     # out (N,): what follows a temperature with play, from where it was

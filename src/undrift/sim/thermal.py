@@ -458,9 +458,7 @@ def _simulated(
     temp_c = np.interp(motion.time, profile.time, profile.board_c)
     if len(turns):
         count = len(turns) + round(RUN_IN_S / step_s)
-        stated = ("q_nb", "rate_b", "mean_rate_b", "force_b", "moving", "angular_acceleration_b")
-        first = {name: x[:1] for name in stated if (x := getattr(motion, name)) is not None}
-        motion = after_rest(motion, first, np.arange(count, 0, -1) * step_s)
+        motion = after_rest(motion, np.arange(count, 0, -1) * step_s)
         temp_c = np.concatenate((turns, np.full(count - len(turns), temp_c[0]), temp_c))
     age_s = power_on_s + float(motion.time[0])
     made = simulate_device(replace(device, thermometer=PLAIN), motion, rng=rng, temp_c=temp_c, power_on_s=age_s)

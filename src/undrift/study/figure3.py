@@ -21,9 +21,9 @@ The study's model is a unit without the effects that a study leaves out; the act
     g_sensitivity   rate reading under specific force                        as the kind of device has it
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
-from operator import itemgetter
 from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
@@ -40,6 +40,7 @@ from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.presets import preset, random_device_of
 from undrift.sim.device.simulate import simulate_device
 from undrift.sim.motion.bench import BenchSettings
+from undrift.sim.motion.motion import after_rest
 from undrift.sim.motion.poses import OpticsSettings, see
 from undrift.sim.motion.tasks import Task, draw_task
 from undrift.sim.sessions import simulate_session
@@ -289,13 +290,17 @@ def drawn_cohort(
     seed: int = 0,
     excursion_k: float = 12.5,
     executor: Executor | None = None,
+    advance: Callable[[int, int], None] = lambda done, total: None,
 ) -> tuple[DrawnRow, ...]:
-    """Calibrate and wear drawn units as simulated and as actual devices of the figure, each on a person of its own."""
+    """Calibrate and wear drawn units as both devices of the figure, each on its person; ``advance`` gets units done and in all."""
     if units < 2:
         raise InputError(f"drawn units: wanted two or more, for quartiles, got {units}; 30 is the default")
     work = partial(drawn_errors, kind, seed, excursion_k)
-    found = np.array([row for _, row in sorted((executor or InProcess()).run(work, range(units)), key=itemgetter(0))])
-    return tuple(_drawn_row(name, *found[:, :, k].T) for k, name in enumerate(COMPARED))
+    rows = np.empty((units, 4, len(COMPARED)))
+    for done, (place, errors) in enumerate((executor or InProcess()).run(work, range(units)), 1):
+        rows[place] = errors
+        advance(done, units)
+    return tuple(_drawn_row(name, *rows[:, :, k].T) for k, name in enumerate(COMPARED))
 
 
 def _drawn_row(
@@ -372,11 +377,12 @@ def worn_record(
 ) -> Record:
     """Return what a device reads in a task after half an hour on a person, whose warmth it has taken on."""
     before = round(WORN_S * SAMPLE_RATE_HZ)
-    time = (np.arange(before + round(performed.duration_s * SAMPLE_RATE_HZ)) - before) / SAMPLE_RATE_HZ
-    share = -np.expm1(-(time + WORN_S) / WARMING_S) / -np.expm1(-WORN_S / WARMING_S)
+    moved = performed.at(np.arange(round(performed.duration_s * SAMPLE_RATE_HZ)) / SAMPLE_RATE_HZ, STANDARD_GRAVITY)
+    motion = after_rest(moved, np.arange(before, 0, -1) / SAMPLE_RATE_HZ)  # still until the task begins
+    share = -np.expm1(-(motion.time + WORN_S) / WARMING_S) / -np.expm1(-WORN_S / WARMING_S)
     record = simulate_device(
         device,
-        performed.at(time, STANDARD_GRAVITY),
+        motion,
         rng=rng,
         temp_c=room_c + excursion_k * share,
         power_on_s=SETTLED_S,

@@ -279,9 +279,9 @@ StageName = Literal[
 ]
 POOL_S = 3.0  # workers start
 DESIGNS_S = 0.4  # a task
-FIGURE3_S = 5.0
-EFFECTS_S = 18.0
-DRAWN_S = 12.0  # a unit of the drawn cohort: the thermal fits of its simulated and its actual device
+FIGURE3_S = 3.0
+EFFECTS_S = 9.0
+DRAWN_S = 5.0  # a unit of the drawn cohort: the thermal fits of its simulated and its actual device
 RIVALS_S = 10.0  # a unit, calibrated by every method once, for all tasks
 TRIAL_S, WORN_S, ROWS_S = 2.5, 3.5, 0.3  # a real trial; the device worn in captures; a capture or stance
 
@@ -487,7 +487,7 @@ def judge_study(
     compared: Rivals | None = None
     rivals_missing: Finding | None = finding("study.rivals_not_asked", "info")
     if rivals and figure is not None:
-        effects, drawn = _beside_figure3(study, warmer, executor, begin)
+        effects, drawn = _beside_figure3(study, warmer, executor, course)
     if rivals:
         begin("rival methods")
         compared, rivals_missing = tried("Other ways to calibrate", lambda: _rivals(study, executor, course.advance))
@@ -520,15 +520,15 @@ def _designs(
 
 
 def _beside_figure3(
-    study: Study, excursion_k: float, executor: run.Executor, begin: Callable[[StageName], None]
+    study: Study, excursion_k: float, executor: run.Executor, course: StudyProgress
 ) -> tuple[tuple[EffectRow, ...], tuple[DrawnRow, ...]]:
     """Return the figure effect by effect, and over units of the study's kind, or of the note's where all wear one device."""
     unit, kind = typical_unit(study), DEVICE if study.worn else study.device
     words: Any = {"seed": study.seed, "excursion_k": excursion_k}
-    begin("Figure 3, effect by effect")
+    course.begin("Figure 3, effect by effect")
     effects, _ = tried("Figure 3", lambda: effect_table(unit, back=False, **words))
-    begin("Figure 3, drawn units")
-    drawn, _ = tried("Figure 3", lambda: drawn_cohort(kind, executor=executor, **words))
+    course.begin("Figure 3, drawn units")
+    drawn, _ = tried("Figure 3", lambda: drawn_cohort(kind, executor=executor, advance=course.advance, **words))
     return effects or (), drawn or ()
 
 

@@ -481,7 +481,7 @@ def _case(
     motion, before = spline.at(time, STANDARD_GRAVITY), round(REST_S * SAMPLE_RATE_HZ)
     rest = rest_of(motion, motion.q_nb[:1]) | {"moving": np.zeros(1)}
     motion = replace(motion, moving=np.ones(len(time)))
-    motion = after_rest(motion, rest, np.arange(before, 0, -1) / SAMPLE_RATE_HZ)
+    motion = after_rest(motion, np.arange(before, 0, -1) / SAMPLE_RATE_HZ, rest)
     made = simulate_device(device, motion, rng=rng, temp_c=ROOM_TEMP_C + excursion_k, power_on_s=SETTLED_S)
     pitch = np.unwrap(sagittal_pitch(motion.q_nb))
     late_s = delay_of(made.record, motion.q_nb)

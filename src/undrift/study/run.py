@@ -56,9 +56,10 @@ class InProcess:
 
 @dataclass(frozen=True, slots=True)
 class Pool:
-    """Processes of this machine; fresh ones in place of those that are killed."""
+    """Processes of this machine, the same in all stages; fresh ones in place of those that are killed."""
 
     workers: int  # How many
+    _running: list[Any] = field(default_factory=list, init=False, compare=False, repr=False)  # one at most
 
     def run(self, work: Callable[[U], R], units: Sequence[U]) -> Iterator[tuple[int, R]]:
         """Do units of work."""
@@ -68,21 +69,23 @@ class Pool:
 
         left, losses = dict(enumerate(units)), 0
         while left:
+            if not self._running:
+                self._running.append(ProcessPoolExecutor(self.workers, mp_context=get_context("spawn")))
+            places = dict[Any, int]()
             try:
-                with ProcessPoolExecutor(self.workers, mp_context=get_context("spawn")) as pool:
-                    places = {pool.submit(work, unit): place for place, unit in left.items()}
-                    try:
-                        for done in as_completed(places):
-                            result, place = done.result(), places.pop(done)
-                            del left[place]
-                            yield place, result
-                    finally:
-                        for future in places:
-                            future.cancel()
+                places |= {self._running[0].submit(work, unit): place for place, unit in left.items()}
+                for done in as_completed(list(places)):
+                    result, place = done.result(), places.pop(done)
+                    del left[place]
+                    yield place, result
             except BrokenProcessPool:
+                self._running.clear()
                 losses += 1
                 if losses > MOST_LOSSES:
                     raise _given_up(losses) from None
+            finally:
+                for future in places:
+                    future.cancel()
 
 
 @dataclass(frozen=True, slots=True)

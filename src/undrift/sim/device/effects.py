@@ -245,19 +245,16 @@ class BiasInstability(Effect):
 
     def apply(self, x: FloatArray, scene: Scene, past: Past) -> FloatArray:
         """Return a signal whose offset flickers: from a stationary start, or from states (processes, 3)."""
-        from scipy.signal import lfilter
+        from undrift.kernels.device import add_process
 
         sd = self.instability * math.sqrt(math.log(RATIO) / math.pi)
-        total, states = np.array(x), past.state
+        total, draws, states = np.array(x, order="C"), np.empty(x.shape), past.state
         for k, constant in enumerate(self.time_constants_s.tolist()):
             keep = math.exp(-scene.step_s / constant)
-            draws = past.rng.standard_normal(x.shape)
-            draws[states is None :] *= math.sqrt(-math.expm1(-2.0 * scene.step_s / constant))
-            before = np.zeros((1, 3)) if states is None else keep * states[k : k + 1]
-            y = np.asarray(lfilter([1.0], [1.0, -keep], draws, axis=0, zi=before)[0])
-            if states is not None:
-                states[k] = y[-1]
-            total += sd * y
+            past.rng.standard_normal(out=draws)
+            fresh = math.sqrt(-math.expm1(-2.0 * scene.step_s / constant))
+            last = np.zeros(3) if states is None else states[k]
+            add_process(draws, keep, fresh, states is None, sd, last, total)
         return total
 
 

@@ -208,8 +208,10 @@ class Motion:
         return float((len(self.time) - 1) / (self.time[-1] - self.time[0]))
 
 
-def after_rest(motion: Motion, rest: Mapping[str, FloatArray], before_s: FloatArray) -> Motion:
-    """Return a motion without labels behind a rest: one row by field, and by how much its samples come before the first, s."""
+def after_rest(motion: Motion, before_s: FloatArray, rest: Mapping[str, FloatArray] | None = None) -> Motion:
+    """Return a motion without labels behind a rest, its first row or another by field, of samples so long before the first, s."""
+    names = ("q_nb", "rate_b", "mean_rate_b", "force_b", "moving", "angular_acceleration_b")
+    rest = rest or {name: x[:1] for name in names if (x := getattr(motion, name)) is not None}
     columns: dict[str, Any] = {
         name: np.concatenate((np.repeat(row, len(before_s), axis=0), getattr(motion, name)))
         for name, row in rest.items()
