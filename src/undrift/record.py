@@ -591,6 +591,8 @@ class TemperatureSensitivity:
     accel_scale_percent_per_k: float = 0.02  # Of the accelerometers' scale factor, %/K
     # Change of temperature in a session that records none, nor rests in deg/s that would show it, K
     unrecorded_span_k: float = 1.0
+    # Lag of the thermometer behind the sensors, s: 0 on one die with them [assumed]; LM335 in still air: 80
+    thermometer_lag_s: float = 0.0
     span_limit_k: float = 2.0  # A larger change within a session is a finding, K
 
     def __post_init__(self) -> None:

@@ -71,6 +71,27 @@ def test_an_integral_takes_the_angle_for_the_scale_and_the_duration_for_the_offs
     np.testing.assert_allclose(columns, [[4e-2, 6e-3], [-1e-1, -6e-3]])
 
 
+def test_what_a_thermometer_lags_behind_on_a_ramp_is_added_back_and_counts_in_the_reference() -> None:
+    per_s, lag_s = 1.2 / (STILL_S * len(UP)), 80.0
+    seen = seen_of(np.linspace(24.0, 25.2, N))  # as read: the sensors are warmer by lag times the rate
+    lagging = replace(seen, settings=CalibrateSettings(thermometer_lag_s=lag_s))
+    plain, added = (creep_of(each, each.stills, "gyro") for each in (seen, lagging))
+    np.testing.assert_allclose(added.warmth - plain.warmth, lag_s * per_s, rtol=1e-3)
+    assert added.span_k == pytest.approx(plain.span_k, rel=1e-6)  # the lag moves all alike
+    stated = replace(seen.session, stills=tuple(replace(s, temp_c=24.0 + 0.1 * k) for k, s in enumerate(seen.stills)))
+    of_points = creep_of(replace(lagging, session=stated, stills=stated.stills), stated.stills, "gyro")
+    np.testing.assert_allclose(
+        of_points.warmth, 0.1 * (np.arange(12) - 5.5), atol=2e-3
+    )  # stated set-points have no lag
+
+
+def test_steps_without_noise_leave_the_reference_unknown() -> None:
+    read = np.round(np.linspace(24.0, 25.2, N) / 0.4) * 0.4
+    assert creep_of(seen_of(read), seen_of(read).stills, "gyro").reference_k > 0.05
+    noisy = read + np.random.default_rng(4).normal(0.0, 0.2, N)
+    assert creep_of(seen_of(noisy), seen_of(noisy).stills, "gyro").reference_k == 0.0
+
+
 @pytest.mark.parametrize(("noise_c", "step_c"), [(0.05, 0.125), (0.0, 0.125), (0.3, 0.0), (0.01, 0.5)])
 def test_noise_and_steps_of_a_thermometer_are_no_creep(noise_c: float, step_c: float) -> None:
     shown = 0

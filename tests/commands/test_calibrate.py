@@ -330,6 +330,9 @@ def test_the_command_overrules_the_temperature_sensitivities_of_the_session(undr
     names = ("accel_offset_mg_per_k", "span_limit_k", "accel_scale_percent_per_k", "gyro_offset_dps_per_k")
     names += ("gyro_scale_percent_per_k", "unrecorded_span_k")
     assert [held[1][name] for name in names] == ["0.25", "8", "0.03", "0.04", "0.01", "2"]
+    named = dict(undrift.good("calibrate", folder, "--kind", "enc03j_3031", "--json").json()["provenance"]["settings"])
+    assert (named["gyro_scale_percent_per_k"], named["thermometer_lag_s"]) == ("0.175925", "80")
+    assert "wanted one of enc03j_3031" in undrift.refused("calibrate", folder, "--kind", "lm335")
     refused = undrift.refused("calibrate", folder, "--accel-offset-mg-per-k", "-1")
     assert "wanted accel_offset_mg_per_k from 0 to 100, got -1" in refused
 

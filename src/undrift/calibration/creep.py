@@ -9,10 +9,12 @@ S is the reading per SI unit; c_o and c_s are the standard deviations of the sen
 data sheets (``record.TemperatureSensitivity``). So the readings of one sensor have the covariance P = C C' beyond their noise, with
 two columns C. A fit that weighs by noise + P estimates both slopes with their prior: rests at several temperatures narrow them.
 
-w comes from the temperature column or from stated set-points. Where the pieces differ by no more than the thermometer's noise and
-steps make, w is even in time and rises by what these hide. Without temperatures w is even in time where the gyroscopes' rests
-drift. Its span is then the drift of three axes over the prior of their slope, widened for three observations. In counts, and
-without gyroscopes, it is the stated span.
+w comes from the temperature column or from stated set-points. A thermometer with a first-order lag reads less than the sensors have
+by lag times its rate of change; w adds that back: the reference is a reading of this thermometer. Its step, where no noise dithers
+it, stays unknown of the reference. Where the pieces differ by no more than the thermometer's noise and steps make, w is even in
+time and rises by what these hide. Without temperatures w is even in time where the gyroscopes' rests drift. Its span is then the
+drift of three axes over the prior of their slope, widened for three observations. In counts, and without gyroscopes, it is the
+stated span.
 """
 
 from collections.abc import Sequence
@@ -329,6 +331,7 @@ class Creep:
     warmth: FloatArray  # (P,), temperature of each piece less the reference, K
     offset_per_k: float  # c_o, rad/s/K or m/s2/K
     scale_per_k: float  # c_s, relative, 1/K
+    reference_k: float = 0.0  # Standard uncertainty of the reference by the thermometer's step, K
     span_k: float = 0.0  # Of all pieces, K
     limit_k: float = np.inf  # A larger span is a finding, K
     kind: Kind = "accel"
@@ -381,21 +384,33 @@ def creep_of(seen: Observed, pieces: Sequence[Still | Turn], kind: Kind) -> Cree
     every: tuple[Still | Turn, ...] = (*seen.stills, *seen.session.turns)
     every = every or tuple(pieces)
     reference = seen.mean_temperature()
-    recorded, widened = bool(np.isfinite(reference)), 1.0
+    recorded, widened, step_k = bool(np.isfinite(reference)), 1.0, 0.0
     if recorded:
         temps = np.concatenate([piece_temperatures(seen.session, part) for part in (every, pieces)])
         away: FloatArray = np.nan_to_num(temps - reference)
         noise, rounding = _thermometer_variance(seen, every)
         share = _share_of_temperature(away[: len(every)], noise + rounding)
         # Where no change shows, an even rise by what the thermometer hides: one step, of variance step^2 / 12
-        away = away * share**0.5 if share else _even_rise(seen, every, pieces) * (12.0 * rounding.mean()) ** 0.5
+        shown, step_k = away * share**0.5, float(rounding.mean()) ** 0.5
+        away = shown if share else _even_rise(seen, every, pieces) * 12.0**0.5 * step_k
+        if share and prior.thermometer_lag_s:
+            away = away + prior.thermometer_lag_s * _rise(seen, every, pieces, shown)
     else:
         away, widened = _even_in_time(seen, every, pieces, prior)
     span = float(np.ptp(away[: len(every)])) / widened if every else 0.0
     return Creep(
-        warmth=away[len(every) :], offset_per_k=offset, scale_per_k=0.01 * percent, span_k=span,
+        warmth=away[len(every) :], offset_per_k=offset, scale_per_k=0.01 * percent, reference_k=step_k, span_k=span,
         limit_k=prior.span_limit_k, kind=kind, recorded=recorded,
     )  # fmt: skip
+
+
+def _rise(
+    seen: Observed, every: Sequence[Still | Turn], pieces: Sequence[Still | Turn], away: FloatArray
+) -> FloatArray:
+    """Return how fast the thermometer rises in every piece, then in the chosen ones, K/s, by a parabola in time; 0 where stated."""
+    time, read = middles(seen.session.records, (*every, *pieces)), [p.temp_c is None for p in (*every, *pieces)]
+    course = np.polynomial.Polynomial.fit(time[: len(every)], away[: len(every)], min(2, len(every) - 1))
+    return np.where(read, course.deriv()(time), 0.0)
 
 
 def _share_of_temperature(away: FloatArray, variance: FloatArray) -> float:

@@ -690,7 +690,7 @@ def _on_table(seen: Observed, dwells: DwellMeans, accel: TriadFit | None) -> tup
     # Creep of the scale multiplies rates by its slope times the mean warmth of the dwells about an axis
     square = np.where(np.array(dwells.axis)[:, None] == np.array(AXES), dwells.turn_rate[:, None] ** 2, 0.0)
     warmth = creep.warmth @ square / np.maximum(square.sum(axis=0), 1e-300)
-    of_creep = np.diag(np.diag(creep.scale_per_k * warmth).reshape(9) ** 2)
+    of_creep = np.diag(np.diag(creep.scale_per_k * np.hypot(warmth, creep.reference_k)).reshape(9) ** 2)
     axes = replace(axes, covariance=axes.covariance + of_creep, creep=of_creep)
     return replace(dwells, axes=axes, mount_tilt=table.mount_tilt_deg * RADIAN_PER_DEGREE), creep.findings()
 

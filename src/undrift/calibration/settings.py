@@ -126,6 +126,8 @@ class Sensitivity:
         Standard deviation of the accelerometers' change of scale, % per K; as the session states, else 0.02.
     unrecorded_span_k : float or None
         Change of temperature where nothing shows it, neither a temperature column nor rests in deg/s, K; else 1.
+    thermometer_lag_s : float or None
+        Lag of the thermometer behind the sensors, s; as the session states, else 0, as on one die with them.
     span_limit_k : float or None
         Largest change of temperature within a session without a finding, K; as the session states, else 2.
     """
@@ -135,4 +137,5 @@ class Sensitivity:
     gyro_scale_percent_per_k: float | None = None
     accel_scale_percent_per_k: float | None = None
     unrecorded_span_k: float | None = None
+    thermometer_lag_s: float | None = None
     span_limit_k: float | None = None

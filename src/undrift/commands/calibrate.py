@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cyclopts import Parameter
 
 from undrift.base.options import Flag, OptionalOutput, Picture, options, verb
-from undrift.base.summary import Drawing, Result, Section, Summary, concise, figure_of, number
+from undrift.base.summary import Drawing, Result, Section, Summary, at, concise, figure_of, number
 from undrift.calibration.settings import AccelFit, Fitting, GyroFit, Sensitivity, Table
 from undrift.commands import Progress, Screen, silent
 from undrift.commands.certificate import departures_words, uncertainty_sentence
@@ -109,6 +109,9 @@ class Calibrated(Result):
         )
 
 
+PRIOR_OF = "undrift.sim.device.presets:sensitivity_of"  # of a part, over temperature
+
+
 @verb
 def calibrate(
     *files: Path,
@@ -119,6 +122,7 @@ def calibrate(
     output: OptionalOutput = None,
     calibrate_from: Annotated[Literal["pieces", "motion"], Parameter(name=("--from", "--calibrate-from"))] = "pieces",
     prior: Path | None = None,
+    kind: str | None = None,
     magnetometer: Flag = False,
     accel: AccelFit | None = None,
     gyro: GyroFit | None = None,
@@ -148,6 +152,8 @@ def calibrate(
         "pieces" takes rests, faces and turns; "motion" gravity alone while the device is turned or worn, 20 s and more.
     prior : Path or None
         What devices of this part deviate by, from `undrift registry prior`, for motion; published sizes by default.
+    kind : str or None
+        Preset of the device's part, as mpu6050: its sensitivity to temperature, and the lag of its thermometer, are the prior.
     magnetometer : bool
         With motion: fits hard and soft iron of the magnetometer, and its alignment to the gyroscopes.
     accel : str or None
@@ -173,18 +179,18 @@ def calibrate(
     registering.check()
     if calibrate_from == "motion" or live.live is not None:
         idle = {"accel": accel, "gyro": gyro, "mode": mode, "turn_deg": turn_deg, "keep_offset": keep_offset or None}
-        _check_idle(idle, fitting, table, sensitivity, rests)
+        _check_idle(idle | {"kind": kind}, fitting, table, sensitivity, rests)
     else:
         _check_pieces(prior, magnetometer)
     settings = CalibrateSettings(
         still=rests.settings(), latitude_deg=place.latitude_deg, turn_angle_deg=turn_deg, remove_offset=not keep_offset,
-        identify_adc=adc == "auto", **(asdict(fitting) | asdict(table) | asdict(sensitivity)),
-    )  # fmt: skip
+        identify_adc=adc == "auto", **(asdict(fitting) | asdict(table) | asdict(sensitivity)))  # fmt: skip
     by_motion = motion_fit(prior, identify_adc=adc == "auto", magnetometer=magnetometer)
     if collected := collect(live, output, place, by_motion, screen):
         files, opening = (Path(collected["recording"]),), replace(opening, gaps="keep")
     progress("reading", 0.0)
     session = session_of(files, place, opening)
+    session = session if kind is None else replace(session, sensitivity=at(PRIOR_OF)(kind))
     progress("fitting", 0.5)
     if calibrate_from == "motion" or collected:
         (made, in_motion), seen = by_motion(session), None
@@ -192,8 +198,7 @@ def calibrate(
         (made, seen), in_motion = fit(session, accel=accel, gyro=gyro, mode=mode, settings=settings), None
     calibrated = Calibrated(
         files=files, calibration=made, session=session, seen=seen, settings=settings, in_motion=in_motion, output=output,
-        figure=figure, live=collected, registered=registering.add(made, source=output),
-    )  # fmt: skip
+        figure=figure, live=collected, registered=registering.add(made, source=output))  # fmt: skip
     if output is not None:
         write_calibration(made, output)
     _draw(calibrated, figure)

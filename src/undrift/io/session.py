@@ -16,6 +16,7 @@ accel_offset_mg_per_k = 0.5
 gyro_scale_percent_per_k = 0.02
 accel_scale_percent_per_k = 0.02
 unrecorded_span_k = 1.0             # change of temperature where neither a column nor rests in deg/s show it
+thermometer_lag_s = 0.0             # of the thermometer behind the sensors: 80 for an LM335 in still air
 span_limit_k = 2.0                  # a larger change within the session is a finding
 [[recording]]
 file = "session.csv"                # and the keys of a map; none for undrift's own names and known formats

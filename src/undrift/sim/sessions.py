@@ -5,8 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from undrift.arrays import FloatArray
-from undrift.record import Record, Reference, Session
+from undrift.record import Record, Reference, Session, TemperatureSensitivity
 from undrift.sim.device.model import DeviceModel
+from undrift.sim.device.presets import PRESETS, sensitivity_of
 from undrift.sim.device.simulate import simulate_device
 from undrift.sim.motion.bench import BenchKind, BenchSettings, bench_motion
 from undrift.sim.motion.motion import Motion
@@ -87,6 +88,7 @@ def simulate_session(
         records=(reading.record,),
         stills=motion.stills if labelled else (),
         turns=motion.turns if labelled else (),
+        sensitivity=sensitivity_of(device.name) if device.name in PRESETS else TemperatureSensitivity(),
     )
 
 

@@ -8,7 +8,7 @@ import pytest
 from testkit.simulated_device import motion_of
 from undrift.correction.correct import correct
 from undrift.errors import InputError
-from undrift.sim.device.presets import PRESETS, preset, preset_grade, random_device_of
+from undrift.sim.device.presets import PRESETS, preset, preset_grade, random_device_of, sensitivity_of
 from undrift.sim.device.simulate import simulate_device
 from undrift.sim.device.truth import nominal_calibration, true_calibration, true_tables
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
@@ -87,3 +87,14 @@ def test_the_true_tables_undo_a_hot_device_that_bends() -> None:
 def test_a_preset_that_is_not_one_is_refused() -> None:
     with pytest.raises(InputError, match=r"preset: wanted one of enc03j_3031, mpu6050, .* got 'gold'"):
         preset("gold")
+
+
+@pytest.mark.parametrize("name", ["enc03j_3031", "mpu6050"])
+def test_the_prior_of_a_part_is_the_scatter_of_its_units_over_temperature(name: str) -> None:
+    prior, units = sensitivity_of(name), [random_device_of(name, np.random.default_rng(k)) for k in range(400)]
+    scales = [unit.gyro.thermal_scale.per_k for unit in units if unit.gyro.thermal_scale]
+    offsets = [unit.gyro.offset.per_k[0] / RADIAN_PER_DEGREE for unit in units if unit.gyro.offset]
+    # the standard error of a deviation of 1200 draws is 2 %
+    assert prior.gyro_scale_percent_per_k == pytest.approx(100.0 * np.std(scales), rel=0.08)
+    assert prior.gyro_offset_dps_per_k == pytest.approx(np.std(offsets), rel=0.08)
+    assert prior.thermometer_lag_s == preset_grade(name).thermometer.lag_s

@@ -18,6 +18,7 @@ import numpy as np
 
 from undrift.arrays import FloatArray
 from undrift.errors import InputError
+from undrift.record import TemperatureSensitivity
 from undrift.sim.device.effects import (
     Adc,
     Amplifier,
@@ -127,6 +128,20 @@ def preset_grade(name: str) -> Grade:
             f"preset: wanted one of {', '.join(PRESETS)}, got '{name}'; name one of them or give a device.json"
         )
     return _grade(name)
+
+
+def sensitivity_of(name: str) -> TemperatureSensitivity:
+    """Return how far units of a kind follow temperature; within a limit a they have var = 1 - 2 a phi(a) / erf(a / sqrt 2)."""
+    grade = preset_grade(name)
+    a = min(grade.limit_sd, 10.0)
+    within = math.sqrt(1.0 - a * math.exp(-0.5 * a**2) * math.sqrt(2.0 / math.pi) / math.erf(a * math.sqrt(0.5)))
+    return TemperatureSensitivity(
+        gyro_offset_dps_per_k=within * grade.gyro.offset_per_k_sd / DPS,
+        accel_offset_mg_per_k=within * grade.accel.offset_per_k_sd / MG,
+        gyro_scale_percent_per_k=100.0 * within * grade.gyro.scale_per_k_sd,
+        accel_scale_percent_per_k=100.0 * within * grade.accel.scale_per_k_sd,
+        thermometer_lag_s=grade.thermometer.lag_s,
+    )
 
 
 @cache
