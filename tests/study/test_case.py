@@ -10,10 +10,12 @@ from scipy.stats import ttest_1samp
 
 from testkit.data import show
 from testkit.surfaces import candidates
+from undrift.correction.correct import correct_whole
 from undrift.fit.least_squares import fit_paper
 from undrift.fit.smooth import not_a_knot
 from undrift.model import Calibration, DriftTables, DynamicDrift, StaticDrift
-from undrift.orientation import sagittal_pitch
+from undrift.orientation import orient_unchecked, sagittal_pitch
+from undrift.record import Still
 from undrift.rig.programme import Protocol
 from undrift.sim.bench_errors import BenchErrors
 from undrift.sim.device.effects import Offset
@@ -110,7 +112,7 @@ def test_many_sessions_fitted_at_once_leave_the_errors_of_each_fitted_alone(temp
     sessions = every.chosen(REST, RATE)
     readings = simulate_turns(made, task.base, case.device, 1, sessions)
     fits = fit_as_the_note(sessions, readings, np.array([(p.turn_rate_max, p.turn_rate_step) for p in protocols]))
-    found = trial_errors(case, accel, fits)
+    found = trial_errors(case, accel, fits, "none")
     assert len(found) == len(protocols) >= 6
     for number in range(len(protocols)):
         calibration = calibrated_slowly(sessions, readings, fits, number, accel)
@@ -118,6 +120,32 @@ def test_many_sessions_fitted_at_once_leave_the_errors_of_each_fitted_alone(temp
         np.testing.assert_allclose(
             found[number], np.ravel(wanted), rtol=1e-6
         )  # sums in another order, over 1,500 samples
+
+
+@pytest.mark.parametrize("temperatures", [(18.0, 36.0, 54.0, 75.0), ()])
+def test_the_offset_of_the_rest_is_what_the_corrected_readings_show_before_the_motion(
+    temperatures: tuple[float, ...],
+) -> None:
+    made = study(temperatures)
+    task, protocols = made.tasks[0], candidates(made.tasks[0], 20.0)[:2]
+    case = make_case(made, task, 1, Setting(20.0))
+    sessions = joined([session_of(protocol) for protocol in protocols]).chosen(REST, RATE)
+    accel = faces_of(made, case.device, 1, session_of(protocols[0]).chosen(FACE))
+    readings = simulate_turns(made, task.base, case.device, 1, sessions)
+    fits = fit_as_the_note(sessions, readings, np.array([(p.turn_rate_max, p.turn_rate_step) for p in protocols]))
+    found, drifting = (trial_errors(case, accel, fits, offset) for offset in ("rest", "none"))
+    for number in range(len(protocols)):
+        corrected = correct_whole(
+            case.record, calibrated_slowly(sessions, readings, fits, number, accel), policy="hold"
+        ).record
+        assert corrected.gyro is not None
+        still = Still(start=case.still[0], stop=case.still[1])
+        zeroed = replace(corrected, gyro=corrected.gyro - corrected.gyro[still.start : still.stop].mean(axis=0))
+        error = (orient_unchecked(zeroed, still).pitch - case.pitch)[slice(*case.moving)]
+        # the mean of the corrected readings against that of the readings, corrected: tables bend little over their noise
+        np.testing.assert_allclose(found[number, 3:], figures_of(error), rtol=1e-3)
+        show("rms offline, deg, rest and none", found[number, 3] / DPS, drifting[number, 3] / DPS)
+    assert (found[:, 3] < 0.7 * drifting[:, 3]).all()
 
 
 def figures_of(error: np.ndarray) -> tuple[float, float, float]:
@@ -137,14 +165,14 @@ def test_errors_are_counted_where_the_truth_is_known_and_not_round_the_circle() 
     calibration = calibrated_slowly(sessions, readings, fits, 0, accel)
     holed = case.pitch.copy()
     holed[case.moving[0] + 20 :: 3] = np.nan
-    (found,) = trial_errors(replace(case, pitch_now=holed, pitch=case.pitch + 2.0 * np.pi), accel, fits)
+    (found,) = trial_errors(replace(case, pitch_now=holed, pitch=case.pitch + 2.0 * np.pi), accel, fits, "none")
     np.testing.assert_allclose(found[:3], figures_of(pitch_error(replace(case, pitch=holed), calibration)), rtol=1e-6)
     np.testing.assert_allclose(found[3:], figures_of(pitch_error(case, calibration)), rtol=1e-6)
     holed[case.moving[1] - 50 :] = np.nan
-    (ended,) = trial_errors(replace(case, pitch_now=holed), accel, fits)
+    (ended,) = trial_errors(replace(case, pitch_now=holed), accel, fits, "none")
     assert np.isnan(ended[2])
     assert np.isfinite(ended[:2]).all()
-    lost = trial_errors(replace(case, pitch_now=np.full_like(case.pitch, np.nan)), accel, fits)[0]
+    lost = trial_errors(replace(case, pitch_now=np.full_like(case.pitch, np.nan)), accel, fits, "none")[0]
     assert np.isnan(lost[:3]).all()
 
 

@@ -333,37 +333,41 @@ def own_of(name: str) -> float:
     return float(getattr(ROW, name))
 
 
-def test_the_note_agrees_where_its_values_are_better_than_their_neighbours_or_equivalent() -> None:
+def test_the_note_is_confirmed_where_a_value_is_better_than_its_neighbours_and_indifferent_where_all_are_equivalent() -> (
+    None
+):
     found = compared({5.0: 1.0, 11.1: 0.5, 20.0: 0.9})
-    assert found.verdict == "agrees"
-    assert [value.verdict for value in found.values] == ["agrees"] * 4
+    assert found.verdict == "confirmed"
+    assert [value.verdict for value in found.values] == ["confirmed", *["indifferent"] * 3]
     first = found.values[0]
     assert first.lower is not None
     assert first.upper is not None
     assert (first.lower.verdict, first.upper.verdict, first.finding.code) == (
         "better",
         "better",
-        "study.note_value_agrees",
+        "study.note_value_confirmed",
     )
-    assert first.finding.text.startswith("The note's cut-off agrees: 11.1 Hz against 5, 20: better, better (by +0.")
+    assert first.finding.text.startswith(
+        "The note's cut-off is confirmed: 11.1 Hz against 5, 20: better, better (by +0."
+    )
     assert "margin 0.15 deg" in first.finding.text
     assert found.values[1].finding.values["verdicts"] == ("equivalent", "equivalent")
-    assert compared({5.0: 0.5, 11.1: 0.5, 20.0: 0.5}, sd=0.05).verdict == "agrees"
+    assert compared({5.0: 0.5, 11.1: 0.5, 20.0: 0.5}, sd=0.05).verdict == "indifferent"
 
 
-def test_the_note_differs_where_a_neighbour_is_better_by_the_margin() -> None:
+def test_the_note_is_contradicted_where_a_neighbour_is_better_by_the_margin() -> None:
     found = compared({5.0: 1.0, 11.1: 0.5, 20.0: 0.1})
-    assert found.verdict == "differs"
-    assert [value.verdict for value in found.values] == ["differs", "agrees", "agrees", "agrees"]
+    assert found.verdict == "contradicted"
+    assert [value.verdict for value in found.values] == ["contradicted", *["indifferent"] * 3]
     assert found.values[0].finding.values["verdicts"] == ("better", "worse")
     assert found.finding.code == "study.note_worse_by_one"
 
 
-def test_an_optimum_at_the_edge_of_what_was_tried_does_not_agree() -> None:
+def test_an_optimum_at_the_edge_of_what_was_tried_is_not_confirmed() -> None:
     found = compared({20.0: 4.0, 30.0: 3.0, 60.0: 0.5}, "turn_rate_max_dps", beside=1.0)
     assert found.finding.code == "study.note_is_optimum"
     assert found.verdict == "not decidable"
-    assert [value.verdict for value in found.values] == ["agrees", "agrees", "agrees", "not decidable"]
+    assert [value.verdict for value in found.values] == ["confirmed", "confirmed", "confirmed", "not decidable"]
     text = found.values[3].finding.text
     assert "60 deg/s is the greatest value with a protocol" in text
     assert text.endswith("try values on both sides")

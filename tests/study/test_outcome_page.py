@@ -66,10 +66,10 @@ def test_the_note_is_as_good_where_its_protocol_is_shown_to_be_and_agrees_where_
     assert (found.finding.code, found.place) == ("study.note_is_optimum", 0)
 
 
-def test_the_note_differs_for_the_parameter_that_makes_the_difference() -> None:
+def test_the_note_is_contradicted_for_the_parameter_that_makes_the_difference() -> None:
     held = surface(noisy([0.5, 0.48, 0.3, 0.28]))
     found = compare_with_note(held, find_optimum(held), ROW)
-    assert found.verdict == "differs"
+    assert found.verdict == "contradicted"
     assert found.difference_deg == pytest.approx(0.22, abs=0.02)  # 0.02 / sqrt(30) of each mean, a few sigma
     assert (found.finding.code, found.finding.level) == ("study.note_worse_by_one", "warn")
     assert re.search(r"omega_M 60 in place of 90 deg/s alone removes 0\.\d+ deg", found.finding.text)

@@ -26,7 +26,7 @@ from undrift.sim.device.presets import preset
 from undrift.study.case import columns_of, make_case, run_unit, units_of
 from undrift.study.judge import find_optimum
 from undrift.study.outcome import judge_study
-from undrift.study.plan import TABLE_1, Aim, SpaceEntry, Study, StudyTask, ends_of, note_study, read_study
+from undrift.study.plan import BESIDE, TABLE_1, Aim, SpaceEntry, Study, StudyTask, ends_of, note_study, read_study
 from undrift.study.run import InProcess, run_study
 from undrift.study.search import Lists, count_runs, drawn, estimated, front_of, search_study
 from undrift.study.space import HEADINGS, OF_NOTE, Setting, Space
@@ -42,6 +42,9 @@ OWN = (
     ("face_s", (6.0,)),
     ("faces", (6.0,)),
     ("set_points", (4.0,)),
+    ("warmest_c", (BASE.temperatures_c[-1],)),
+    ("soak_c_per_min", (0.1,)),
+    ("order", (1.0,)),
     ("static_step_c", (0.5,)),
     ("dynamic_step_c", (3.0,)),
 )
@@ -67,6 +70,9 @@ TWO = {  # values of each parameter that can be searched, two each
     "face_s": (2.0, 6.0),
     "faces": (5.0, 6.0),
     "set_points": (1.0, 4.0),
+    "warmest_c": (45.0, 75.0),
+    "soak_c_per_min": (0.1, 0.3),
+    "order": (1.0, 2.0),
     "static_step_c": (0.5, 8.0),
     "dynamic_step_c": (3.0, 9.0),
 }
@@ -114,6 +120,7 @@ def test_a_list_of_the_own_value_changes_nothing_and_one_of_others_does() -> Non
     for name, values in bare.items():
         np.testing.assert_array_equal(same[name], values)
     others = {"quality": 2.0, "dwell_s": 2.0, "bracket_s": 6.0, "face_s": 2.0, "faces": 5.0, "set_points": 3.0}
+    others |= {"warmest_c": 60.0, "soak_c_per_min": 0.3, "order": 2.0}
     for name, value in ({"gain": 10.0} | others | {"static_step_c": 8.0, "dynamic_step_c": 30.0}).items():
         unit = units_of(study_of(task_of(further=((name, (value,)),))))[0]
         other = run_unit(unit)
@@ -122,7 +129,16 @@ def test_a_list_of_the_own_value_changes_nothing_and_one_of_others_does() -> Non
         assert np.abs(other["error_rms_deg"] - bare["error_rms_deg"]).max() < 1.0, (
             name
         )  # deg: of the same unit and motion
-        session = name in {"quality", "dwell_s", "bracket_s", "face_s", "faces", "set_points"}
+        session = name in {
+            "quality",
+            "dwell_s",
+            "bracket_s",
+            "face_s",
+            "faces",
+            "set_points",
+            "warmest_c",
+            "soak_c_per_min",
+        }
         assert (other["rig_minutes"] != bare["rig_minutes"]).all() == session
 
 
@@ -185,13 +201,15 @@ def test_lists_of_a_file_arrive_and_the_search_and_its_size_do(tmp_path: Path) -
 
 def test_the_presets_grids_reach_beyond_the_notes_values_on_both_sides() -> None:
     study = note_study()
-    assert 35_000 <= count_runs(study) <= 40_000
+    assert 50_000 <= count_runs(study) <= 60_000
     for task in study.tasks:
         row, space = TABLE_1[task.name], task.space
         note = (row.turn_rate_step_dps, row.turn_rate_min_dps, row.turn_rate_max_dps)
         grids = {tuple(round(v / DPS, 9) for v in grid) for grid in space.grids()}
         assert note in grids
         assert space.untried() == ()
+        tried = np.array(space.rows())[:, 3:]
+        assert all(set(tried[:, k]) == set(values) for k, values in enumerate(BESIDE.values()))
         assert min(space.cutoff_hz) < row.cutoff_hz < max(space.cutoff_hz)
         for place, values in enumerate((space.turn_rate_step, space.turn_rate_min, space.turn_rate_max)):
             dps = [round(v / DPS, 9) for v in values]
@@ -229,7 +247,7 @@ def test_a_bend_needs_fast_turns(tmp_path: Path) -> None:
     accel = replace(made.accel, **quiet)
     worn = json.dumps(device_json(replace(made, gyro=bent, accel=accel)))
     task = task_of(turn_rate_max=(20.0 * DPS, 50.0 * DPS, 110.0 * DPS), cutoff_hz=(20.0,))
-    study = study_of(task, subjects=20, worn=worn, bench=BenchErrors(), excursion_k=(0.0, 0.1))
+    study = study_of(task, subjects=20, worn=worn, bench=BenchErrors(), excursion_k=(0.0, 0.1), offset="none")
     (surface,) = run_study(study, InProcess(), tmp_path)
     found = find_optimum(surface, Aim(timing="offline", margin_deg=0.01))  # the delay at 20 Hz is alike in all
     effect = next(each for each in found.effects if each.name == "turn_rate_max_dps")

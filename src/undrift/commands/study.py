@@ -21,6 +21,15 @@ if TYPE_CHECKING:
     from undrift.study.run import TaskSurface
 
 QUICK_SUBJECTS = 8
+NUMBERS = (
+    "subjects",
+    "search",
+    "offset",
+    "target_deg",
+    "confidence",
+    "seed",
+    "candidates",
+)  # of a study, in place of the plan's
 REAL_FIGURES = ("rmse_total_deg", "rmse_inclination_deg", "max_abs_pitch_deg", "end_total_deg")
 
 
@@ -69,6 +78,13 @@ class Choices:
         and 600.
     subjects : int or None
         Other number of subjects than the plan's.
+    offset : str or None
+        Of the gyroscopes in a trial: "rest" takes off the mean of the rest before it; "none" does not, as in the note. The plan's
+        where not given, else "rest".
+    target_deg : float or None
+        Mean error that is good enough, deg: the cheapest session whose upper limit on other people and devices is below it.
+    confidence : float or None
+        Of that limit, one-sided; the plan's where not given, else 0.95.
     seed : int or None
         Other seed than the plan's; the same seed gives the same bits on any machine and any number of workers.
     """
@@ -78,6 +94,9 @@ class Choices:
     categories: str | None = None
     candidates: int | None = None
     subjects: int | None = None
+    offset: Literal["rest", "none"] | None = None
+    target_deg: float | None = None
+    confidence: float | None = None
     seed: int | None = None
 
     def applied(self, plan: Path | None) -> "Study":
@@ -94,7 +113,7 @@ class Choices:
         if self.quick:
             study = study if plan is None else ends_of(study)
             study = replace(study, subjects=min(QUICK_SUBJECTS, study.subjects))
-        numbers: dict[str, Any] = {name: getattr(self, name) for name in ("subjects", "search", "seed", "candidates")}
+        numbers: dict[str, Any] = {name: getattr(self, name) for name in NUMBERS}
         study = replace(study, **{name: value for name, value in numbers.items() if value is not None})
         check_installed(study)
         if self.categories is None:
@@ -209,9 +228,12 @@ def study_json(outcome: "StudyOutcome") -> dict[str, object]:
                 "objective",
                 "timing",
                 "search",
+                "offset",
                 "candidates",
                 "level",
                 "margin_deg",
+                "target_deg",
+                "confidence",
             )
         },
         "bench": tree_of(held.bench) | {"chain_percent": 100.0 * held.chain_sd},
@@ -322,6 +344,7 @@ def _task_json(task: "TaskOutcome") -> dict[str, object]:
             "error_rms_deg": float(surface.error("rms", found.timing)[:, found.cheapest].mean()),
             "rig_minutes": float(surface.rig_minutes[found.cheapest]),
         },
+        "target": task.target and asdict(task.target) | {"protocol": _protocol(surface, task.target.place)},
         "tested": dict(zip(("optimum", "cheapest"), map(asdict, task.tested), strict=True)),
         "pareto": [
             _protocol(front.surface, place)

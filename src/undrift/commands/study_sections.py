@@ -18,7 +18,7 @@ from undrift.study.space import COMPARED_NAMES, HEADINGS, OF_NOTE
 
 if TYPE_CHECKING:
     from undrift.study.figure3 import DrawnRow, Figure3
-    from undrift.study.judge import NoteValue, ParameterEffect
+    from undrift.study.judge import NoteValue, ParameterEffect, Tested
     from undrift.study.outcome import EffectPower, StudyOutcome, TaskOutcome
     from undrift.study.plan import Objective, Timing
     from undrift.study.real import CohortComparison, Pairwise, RealErrors, RealOutcome, Worn, WornRow
@@ -48,14 +48,30 @@ TIMINGS: "dict[Timing, str]" = {
 
 def answer_of(outcome: "StudyOutcome") -> str:
     """Return the protocol of each task in a sentence."""
-    parts = (
-        f"{_name(task)}: {task.surface.cutoff_hz[task.optimum.cheapest]:.4g} Hz and rates of "
-        f"{_rates_of(task.surface, task.optimum.cheapest)} deg/s are enough, {task.tested[1].error_rms_deg:.2f} deg rms after "
-        f"{task.surface.rig_minutes[task.optimum.cheapest]:.0f} min on the table"
-        for task in outcome.tasks
-    )
-    text = "; ".join(parts)
+    text = "; ".join(map(_answer_of, outcome.tasks))
     return f"{text[:1].upper()}{text[1:]}."
+
+
+def _answer_of(task: "TaskOutcome") -> str:
+    surface, place, tested, target = task.surface, *_to_use(task), task.target
+    head = f"{_name(task)}: {surface.cutoff_hz[place]:.4g} Hz and rates of {_rates_of(surface, place)} deg/s"
+    minutes = f"{surface.rig_minutes[place]:.0f} min on the table"
+    if target is None:
+        best = "the best that were tried" if task.optimum.edges else "enough"
+        return f"{head} are {best}, {tested.error_rms_deg:.2f} deg rms after {minutes}"
+    upper, lower = tested.limits_deg
+    limit = f"with {100.0 * target.confidence:g} % confidence, on other people and devices"
+    if target.verdict == "not reached":
+        tried = f"no protocol that was tried reaches {target.target_deg:g} deg"
+        return f"{_name(task)}: {tried}; the best is above {lower:.2g} deg {limit}"
+    words = {"enough": "are enough for", "at the edge": "reach, at the edge of what was tried,"}
+    verdict = words.get(target.verdict, "are not shown to reach")
+    return f"{head}{_further(surface, place)} {verdict} {target.target_deg:g} deg after {minutes}: below {upper:.2g} deg {limit}"
+
+
+def _to_use(task: "TaskOutcome") -> "tuple[int, Tested]":
+    """Return the protocol to use, and what it does on the other cohort: by the target, or the cheapest equal of the optimum."""
+    return (task.optimum.cheapest, task.tested[1]) if task.target is None else (task.target.place, task.target.tested)
 
 
 def sections_of(outcome: "StudyOutcome") -> tuple[Section, ...]:
@@ -128,8 +144,9 @@ def _rates_of(surface: "TaskSurface", place: int) -> str:
 
 
 def _further(surface: "TaskSurface", place: int) -> str:
-    """Return what a protocol has of the further parameters, to be set behind a name."""
-    words = ", ".join(f"{HEADINGS[name]} {values[place]:.4g}" for name, values in surface.further.items())
+    """Return what a protocol has of the further parameters other than the plan's first, to be set behind a name."""
+    other = [n for n, values in surface.further.items() if values[place] != values[0] or n == "set_points"]
+    words = ", ".join(f"{HEADINGS[name]} {surface.further[name][place]:.4g}" for name in other)
     return f" ({words})" if words else ""
 
 
@@ -147,19 +164,31 @@ _PROTOCOL = (*OF_NOTE.values(), *(f"{timing}: rms, largest, end (deg)" for timin
 
 
 def _answer(outcome: "StudyOutcome") -> Section:
+    study = outcome.study
     cells: Cells[TaskOutcome] = (
         ("task", _name),
-        ("low-pass (Hz)", lambda task: f"{task.surface.cutoff_hz[task.optimum.cheapest]:.4g}"),
-        ("rates of the table (deg/s)", lambda task: _rates_of(task.surface, task.optimum.cheapest)),
-        ("session (min)", lambda task: f"{task.surface.rig_minutes[task.optimum.cheapest]:.0f}"),
-        ("pitch error, rms (deg)", lambda task: f"{task.tested[1].error_rms_deg:.3f}"),
-        ("95 % interval", lambda task: interval(task.tested[1].interval_rms_deg)),
-        ("largest error (deg)", lambda task: f"{task.tested[1].error_max_deg:.3f}"),
+        ("low-pass (Hz)", lambda task: f"{task.surface.cutoff_hz[_to_use(task)[0]]:.4g}"),
+        ("rates of the table (deg/s)", lambda task: _rates_of(task.surface, _to_use(task)[0])),
+        ("session (min)", lambda task: f"{task.surface.rig_minutes[_to_use(task)[0]]:.0f}"),
+        ("pitch error, rms (deg)", lambda task: f"{_to_use(task)[1].error_rms_deg:.3f}"),
+        ("95 % interval", lambda task: interval(_to_use(task)[1].interval_rms_deg)),
+        ("largest error (deg)", lambda task: f"{_to_use(task)[1].error_max_deg:.3f}"),
     )
+    if study.target_deg is None:
+        how = f"Of all protocols equivalent to the best within {study.margin_deg:g} deg, the one with the shortest session."
+    else:
+        cells = (
+            *cells,
+            (f"for {study.target_deg:g} deg", lambda task: "" if task.target is None else task.target.verdict),
+            ("upper limit (deg)", lambda task: f"{_to_use(task)[1].limits_deg[0]:.3f}"),
+            ("needs", lambda task: "" if task.target is None else ", ".join(task.target.needs)),
+        )
+        how = (
+            f"The cheapest session whose mean error is below {study.target_deg:g} deg with {100.0 * study.confidence:g} % "
+            "confidence; where none is, the best. Cheapest: the shortest to the minute, then what needs fewer instruments."
+        )
     text = (
-        f"Of all protocols that are equivalent to the best within {outcome.study.margin_deg:g} deg, the one with the shortest "
-        "session. Errors are means over subjects and "
-        "devices that had no part in the choice. Each rate is turned both ways.",
+        f"{how} Errors are means over subjects and devices that had no part in the choice. Each rate is turned both ways.",
         "Below, omega_m and omega_M are the least and greatest rate of the table, d is the step between rates.",
     )
     return table_section("Answer: the protocol to use", outcome.tasks, cells, text=text)
@@ -265,11 +294,12 @@ def _note(outcome: "StudyOutcome") -> Section:
     held = [(_name(task), task.note) for task in outcome.tasks if task.note]
     rows = []
     for name, note in held:
-        reasons = [each.finding.text for each in note.values if each.verdict != "agrees"]
+        reasons = [each.finding.text for each in note.values if each.verdict not in ("confirmed", "indifferent")]
         rows.append((name, note.verdict, ". ".join((note.finding.text, *reasons))))
     text = (
-        "A row agrees where each of its values is better than the next ones that were tried on both sides by more than the margin, "
-        f"or equivalent within it, and its protocol is equivalent to the optimum. Margin: {outcome.study.margin_deg:g} deg.",
+        "A value is confirmed where it is better than a next one that was tried by more than the margin, and not worse than the "
+        "other; indifferent where it is equivalent to both within it, so that any does. A row is where its values are and its "
+        f"protocol is equivalent to the optimum. Margin: {outcome.study.margin_deg:g} deg.",
     )
     title = "Against the note's Table 1"
     return Section(title=title, text=text, columns=("task", "the note", "because"), rows=tuple(rows), words=True)
@@ -290,7 +320,7 @@ def _note_values(outcome: "StudyOutcome") -> Section:
         "the other three. " + DECISIONS,
     )
     values = (value for task in outcome.tasks for value in (task.note.values if task.note else ()))
-    agreeing = tuple(value.finding for value in values if value.verdict == "agrees")
+    agreeing = tuple(value.finding for value in values if value.verdict in ("confirmed", "indifferent"))
     return rows_section("The note's values beside the next ones", rows, text=text, findings=agreeing)
 
 

@@ -216,15 +216,17 @@ def fit_sessions(
 
 @njit(cache=True, fastmath={"contract"}, nogil=True, error_model="numpy")
 def pitch_errors(
-    u: FloatArray, temp: FloatArray, time: FloatArray, q0: FloatArray, pitch: FloatArray, skip: int, last: int,
-    in_plane: float, static_c: FloatArray, dynamic_c: FloatArray, top: FloatArray, half: IntArray, plane_first: IntArray,
-    matrix: FloatArray, offset: FloatArray, line: FloatArray, plane: FloatArray, good: BoolArray, out: FloatArray,
+    u: FloatArray, temp: FloatArray, rest: FloatArray, rest_temp: FloatArray, time: FloatArray, q0: FloatArray,
+    pitch: FloatArray, skip: int, last: int, in_plane: float, static_c: FloatArray, dynamic_c: FloatArray, top: FloatArray,
+    half: IntArray, plane_first: IntArray, matrix: FloatArray, offset: FloatArray, line: FloatArray, plane: FloatArray,
+    good: BoolArray, out: FloatArray,
 ) -> None:  # fmt: skip
     # out (S, 3 V): for each of V true pitches, pitch (V, T) rad, the root-mean-square and the largest error over the samples
     # from ``skip`` on, and the size of the median of the ``last`` ones, rad; NaN where a fit is not good.
-    # u flat (3 T,) readings from the instant of q0 (4,) on.
+    # u flat (3 T,) readings from the instant of q0 (4,) on. rest (3,), rest_temp (1,): mean of a rest before, whose corrected
+    # rate is taken off; empty leaves it.
     w, q, none = np.empty(u.size), np.empty(4 * time.size), np.empty(0)
-    h, g, end = np.zeros(3), np.zeros(9), np.empty((pitch.shape[0], last))
+    h, g, end, still = np.zeros(3), np.zeros(9), np.empty((pitch.shape[0], last)), np.zeros(rest.size)
     square, largest = np.empty((2, pitch.shape[0]))
     count, ending = np.empty((2, pitch.shape[0]), np.int64)
     unused = Grid(none, 0.0, 0.0, 1)
@@ -242,6 +244,10 @@ def pitch_errors(
         error = plane[plane_first[session] : plane_first[session + 1]]
         tables = Tables(line[session], static, none, unused, error, dynamic, rates)
         tabulated(u, temp, none, w, matrix[session], offset[session], h, g, tables)
+        if rest.size > 0:
+            tabulated(rest, rest_temp, none, still, matrix[session], offset[session], h, g, tables)
+            for k in range(w.size):
+                w[k] -= still[k % 3]
         strapdown(w, time, q0, q)
         square[:], largest[:], count[:], ending[:] = 0.0, 0.0, 0, 0
         for k in range(skip, time.size):

@@ -630,11 +630,16 @@ def draw_pareto(outcome: "StudyOutcome", task: "TaskOutcome") -> "Figure":
         marks = [(found.best, "*", 130, ERROR, "optimum, and shortest equivalent")]
     if task.note is not None and task.note.place is not None:
         marks.append((task.note.place, "o", 90, "none", "the note"))
+    if (target := task.target) is not None:
+        axes.axhline(
+            target.target_deg, color=OPTICS, linewidth=0.8, linestyle="--", label=f"target, {target.target_deg:g} deg"
+        )
+        marks.append((target.place, "P", 110, ERROR, f"cheapest: {target.verdict}"))
     for place, mark, size, face, label in marks:
         style: Any = {"marker": mark, "s": size, "facecolor": face, "edgecolor": OPTICS}
         axes.scatter(minutes[place], mean[place], zorder=4, label=label, **style)
     label = f"mean {outcome.study.objective} error, {outcome.study.timing} (deg)"
-    top = max(float(np.nanmax(mean)), float(front.interval_deg.max()))
+    top = max(float(np.nanmax(mean)), float(front.interval_deg.max()), outcome.study.target_deg or 0.0)
     axes.set(ylim=(0.0, 1.1 * top), xlabel="session (min)", ylabel=label)
     legend_outside(figure, *axes.get_legend_handles_labels())
     return figure

@@ -207,7 +207,7 @@ class ProgrammeSettings:
     mount_s: float = 30.0  # How long a person takes to mount the device, s: only for the forecast
     room_c: float = 25.0  # Temperature of the chamber at the start, degC: only for the forecast
     heating_c_per_min: float = 2.0  # Slope of the chamber, K/min: only for the forecast
-    soak_s: float = 1200.0  # How long the device takes to follow, s: only for the forecast
+    soak_s: float = 1200.0  # How long the device takes to follow to 0.1 K/min, s: only for the forecast
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -338,7 +338,7 @@ def programme_of(protocol: Protocol, settings: ProgrammeSettings = ProgrammeSett
         steps.append(Mount(up=up, duration_s=settings.mount_s))
         for temp_c, with_face, turns in visits:
             if temp_c is not None:
-                seconds = 60.0 * abs(temp_c - before_c) / settings.heating_c_per_min + settings.soak_s
+                seconds = 60.0 * abs(temp_c - before_c) / settings.heating_c_per_min + soak_time(protocol, settings)
                 steps.append(Soak(temp_c=temp_c, slope_c_per_min=protocol.soak_c_per_min, duration_s=seconds))
                 before_c = temp_c
             if with_face:
@@ -378,6 +378,15 @@ def _mountings(protocol: Protocol, turned: tuple[Face, ...]) -> Iterator[tuple[F
     for up in sorted(ups, key=lambda up: last and up in turned):
         visits = [(temp_c, up in protocol.faces and not (last and k), up in turned) for k, temp_c in enumerate(temps_c)]
         yield up, [visit for visit in visits if visit[1] or visit[2]]
+
+
+def soak_time(protocol: Protocol, settings: ProgrammeSettings) -> float:
+    """Return how long a device takes to follow the chamber until it changes as slowly as is asked, s.
+
+    It follows with one time constant, of which ``soak_s`` states the time to 0.1 K/min: t ~ ln(heating slope / asked slope).
+    """
+    heating = max(settings.heating_c_per_min, 1.01 * max(protocol.soak_c_per_min, 0.1))
+    return settings.soak_s * math.log(heating / protocol.soak_c_per_min) / math.log(heating / 0.1)
 
 
 def _block(

@@ -66,7 +66,16 @@ from undrift.sim.table_sessions import (
     mean_readings,
     numbers_of_dwell,
 )
-from undrift.study.plan import ERRORS, SAMPLE_RATE_HZ, OwnMotion, RecordedTask, Study, StudyTask, read_motion
+from undrift.study.plan import (
+    ERRORS,
+    SAMPLE_RATE_HZ,
+    OffsetRule,
+    OwnMotion,
+    RecordedTask,
+    Study,
+    StudyTask,
+    read_motion,
+)
 from undrift.study.space import TURN_RATES, Setting
 from undrift.sync import lag_of, pose_rates
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
@@ -378,17 +387,21 @@ def simulate_turns(study: Study, base: Protocol, device: DeviceModel, number: in
     second[1:] |= (sessions.kind[1:] == REST) & (sessions.kind[:-1] == RATE)  # the rest after the rates
     block = np.where(size > 0.0, np.searchsorted(keys, size) + 1, 0)
     row = 6 * soaks * block + 2 * (soaks * sessions.axis + sessions.soak) + second
-    keyed, width = (0, *keys.astype(int).tolist()), numbers_of_dwell(device.gyro)
-    draws = bench_of(study, number, soaks, keyed)
-    normals = np.concatenate(
-        [seeded(study, "dwells", number, key).standard_normal((6 * soaks, 3, width + 1)) for key in keyed]
-    )
+    width = numbers_of_dwell(device.gyro)
+    draws, normals = _drawn(study, number, soaks, (0, *keys.astype(int).tolist()), width)
     dwells, rate = impose(sessions, bench, draws, row, soak_c_per_min=base.soak_c_per_min)
     return BenchReadings(
         gyro=mean_readings(device, "gyro", dwells, normals[:, :, :width], row),
         rate=rate,
         temp_c=board_readings(device, dwells.temp_c, normals[row, 0, width]),
     )
+
+
+@lru_cache(maxsize=16)  # the cut-off frequencies of a subject follow each other
+def _drawn(study: Study, number: int, soaks: int, keys: tuple[int, ...], width: int) -> tuple[BenchDraws, FloatArray]:
+    """Return the draws of bench and dwells, for rests (key 0) and for rates of given keys."""
+    blocks = [seeded(study, "dwells", number, key).standard_normal((6 * soaks, 3, width + 1)) for key in keys]
+    return bench_of(study, number, soaks, keys), np.concatenate(blocks)
 
 
 # ---- the note's calibration of many sessions, and the trial with each
@@ -453,8 +466,11 @@ def fit_as_the_note(
 END_S = 0.5  # before the motion's end, whose median error is that of the end
 
 
-def trial_errors(case: Case, accel: TriadModel | None, fits: NoteFits) -> FloatArray:
-    """Return the pitch errors with each calibration in the order of ``ERRORS``, (S, 6) rad; NaN without one."""
+def trial_errors(case: Case, accel: TriadModel | None, fits: NoteFits, offset: OffsetRule) -> FloatArray:
+    """Return the pitch errors with each calibration in the order of ``ERRORS``, (S, 6) rad; NaN without one.
+
+    With the offset of the rest, the mean corrected rate of the rest before the motion is taken off.
+    """
     from undrift.kernels.note import pitch_errors
 
     rest = case.record.part(*case.still)
@@ -465,11 +481,17 @@ def trial_errors(case: Case, accel: TriadModel | None, fits: NoteFits) -> FloatA
     gyro, out = case.record.gyro, np.full((len(fits.good), len(ERRORS)), np.nan)
     if gyro is None or case.record.temp_c is None:
         raise InputError("study: wanted rates and temperatures of the trial, got none")
+    rest_u, rest_c = np.empty(0), np.empty(0)
+    if offset == "rest":
+        rest_u, rest_c = (
+            gyro[slice(*case.still)].mean(axis=0),
+            case.record.temp_c[slice(*case.still)].mean(keepdims=True),
+        )
     pitch, last = np.stack((case.pitch_now[anchor:stop], case.pitch[anchor:stop])), round(END_S * SAMPLE_RATE_HZ)
     pitch_errors(
-        gyro[anchor:stop].reshape(-1), case.record.temp_c[anchor:stop], case.record.time[anchor:stop], q0, pitch,
-        case.moving[0] - anchor, last, IN_PLANE, fits.static_c, fits.dynamic_c, fits.top, fits.half, fits.plane_first,
-        fits.matrix, fits.offset, fits.line, fits.plane, fits.good, out,
+        gyro[anchor:stop].reshape(-1), case.record.temp_c[anchor:stop], rest_u, rest_c, case.record.time[anchor:stop], q0,
+        pitch, case.moving[0] - anchor, last, IN_PLANE, fits.static_c, fits.dynamic_c, fits.top, fits.half,
+        fits.plane_first, fits.matrix, fits.offset, fits.line, fits.plane, fits.good, out,
     )  # fmt: skip
     return out
 
@@ -539,12 +561,12 @@ def errors_with(
     sessions = every.chosen(REST, RATE)
     readings = simulate_turns(study, base, case.device, unit.subject, sessions)
     grids = np.array([(p.turn_rate_max, p.turn_rate_step) for p in protocols])
-    return trial_errors(case, accel, fit_as_the_note(sessions, readings, grids, steps_c))
+    return trial_errors(case, accel, fit_as_the_note(sessions, readings, grids, steps_c), study.offset)
 
 
 def alike(task: StudyTask, points: FloatArray) -> list[IntArray]:
     """Return the places of the candidates that are simulated and fitted at once: alike in all but rates, dwells and rests."""
-    names = ("faces", "face_s", "set_points", "static_step_c", "dynamic_step_c")
+    names = ("faces", "face_s", "set_points", "warmest_c", "soak_c_per_min", "static_step_c", "dynamic_step_c")
     columns = [k for k, name in enumerate(task.space.names) if name in names]
     group = np.unique(points[:, columns], axis=0, return_inverse=True)[1].ravel() if columns else np.zeros(len(points))
     return [np.flatnonzero(group == each) for each in np.unique(group)]

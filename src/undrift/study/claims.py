@@ -265,7 +265,7 @@ def _parameters_matter(outcome: StudyOutcome) -> tuple[Evidence, ...] | Finding:
 
 
 def _as_table_1(outcome: StudyOutcome) -> tuple[Evidence, ...] | Finding:
-    meaning: dict[str, Holds] = {"agrees": "holds", "differs": "does not hold"}
+    meaning: dict[str, Holds] = {"confirmed": "holds", "contradicted": "does not hold"}
     rows = []
     for task in outcome.tasks:
         if (note := task.note) is None or note.place is None or not np.isfinite(note.error_deg):

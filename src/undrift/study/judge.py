@@ -16,9 +16,9 @@ category: people, units and seed that no optimum was chosen with, so the choice 
 another category's optimum less that with its own is judged against the margin, p after Bonferroni over all such pairs of a task.
 "better" means that the own optimum is, by more than the margin: the categories need protocols of their own.
 
-A value of the note agrees where it is better than the next values that were tried on both sides, or equivalent to them. The next
-value's protocol is the one nearest to the note's in the other three. The row agrees where all its values do and its protocol is
-equivalent to the optimum.
+A value of the note is confirmed where it is better than a next value that was tried and equivalent or better on the other side too,
+indifferent where it is equivalent to both. The next value's protocol is the one nearest to the note's in all else. The row is
+confirmed, or indifferent, where its values are and its protocol is equivalent to the optimum.
 """
 
 import hashlib
@@ -30,7 +30,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from undrift.arrays import BoolArray, FloatArray
+from undrift.arrays import BoolArray, FloatArray, IntArray
 from undrift.errors import InputError, NotObservable
 from undrift.findings import Finding, finding
 from undrift.sim.motion.tasks import CATEGORIES, DEFAULT, CategoryName, Group, TableRow, table_row
@@ -53,6 +53,7 @@ from undrift.study.statistics import (
     decide,
     decide_between,
     mean_interval,
+    mean_limits,
     three_sided,
 )
 from undrift.units import RADIAN_PER_DEGREE
@@ -87,7 +88,8 @@ class ParameterEffect:
 
     name: str  # Of the parameter
     values: FloatArray  # (k,), its values, Hz or deg/s
-    best: int  # Place of the optimum among them
+    places: IntArray  # (k,), the protocols that have them, alike in all else
+    best: int  # Which of them is the optimum; the best of them where the optimum was tried with one value alone
     means_deg: FloatArray  # (k,), mean error at each, deg; the mixed model's where runs are missing
     missing: int  # Runs that are missing among them
     dropped: FloatArray  # Values left out, since they calibrate fewer than half of the devices
@@ -133,16 +135,18 @@ def effects_at(
     """Say what each parameter does about a protocol: error (S, P) deg, allowed (P,)."""
     effects = []
     for name in surface.names:
-        column, line = surface.column(name), surface.line(best, name)
+        column, line = surface.column(name), _line_of(surface, best, name, error)
         places = line[allowed[line]]
         enough = np.isfinite(error[:, places]).mean(axis=0) >= FEWEST_SHARE
         kept = places[enough]
         own = error[:, kept]
         test = _tested(own)
+        at = np.flatnonzero(kept == best)
         effect = ParameterEffect(
             name=name,
             values=column[kept],
-            best=int(np.flatnonzero(kept == best)[0]),
+            places=kept,
+            best=int(at[0] if len(at) else np.argmin(np.nanmean(own, axis=0))),
             means_deg=test.means if isinstance(test, MixedModel) else np.nanmean(own, axis=0),
             missing=int(np.isnan(own).sum()),
             dropped=column[places[~enough]],
@@ -161,6 +165,16 @@ def effects_at(
         judged = judge_values(effect.best, each, len(own), aim, tests=tests) if each else None
         made.append(replace(effect, p_holm=p, pairs=each if p < aim.level else (), judged=judged))
     return tuple(made)
+
+
+def _line_of(surface: TaskSurface, best: int, name: str, error: FloatArray) -> IntArray:
+    """Return the protocols that differ in one parameter alone: about the optimum, or about the best that has several values."""
+    line, mean = surface.line(best, name), error.mean(axis=0)
+    if len(line) == 1 and np.ptp(surface.column(name)) > 0.0:
+        for place in np.argsort(mean)[: np.isfinite(mean).sum()]:
+            if len(other := surface.line(int(place), name)) > 1:
+                return other
+    return line
 
 
 def _pairs(effect: ParameterEffect, error: FloatArray) -> tuple[Pair, ...]:
@@ -230,6 +244,7 @@ class Optimum:
     cheapest: int  # Of the equivalent ones, that with the shortest session
     flat: bool  # Whether a quarter of the other protocols or more are equivalent, and no parameter decides the error
     deciding: tuple[str, ...]  # Parameters whose verdict is better
+    edges: tuple[str, ...]  # Those of them whose error still falls at the first or last value that was tried
     effects: tuple[ParameterEffect, ...]  # One a parameter
     p_value: float  # Least p after Holm over the parameters: whether any of them matters
     failed: int  # Runs whose protocol could not calibrate the device
@@ -269,10 +284,18 @@ def find_optimum(surface: TaskSurface, aim: Aim = AIM) -> Optimum:
         cheapest=cheapest,
         flat=bool(equivalent.sum() - 1 >= max(FLAT_SHARE * (usable.sum() - 1), 1)) and not deciding,
         deciding=deciding,
+        edges=tuple(effect.name for effect in effects if effect.name in deciding and _at_edge(surface, effect)),
         effects=effects,
         p_value=min(tested) if tested else float("nan"),
         failed=int(np.isnan(error).sum()),
     )
+
+
+def _at_edge(surface: TaskSurface, effect: ParameterEffect) -> bool:
+    """Return whether the best value is the first or last that was tried, and the next one is not equivalent."""
+    beside = {each.other: each.verdict for each in effect.judged.decisions} if effect.judged else {}
+    flat = any(beside.get(effect.best + step) == "equivalent" for step in (-1, 1))
+    return not flat and surface.at_end(float(effect.values[effect.best]), effect.name)
 
 
 def _against_best(error: FloatArray, usable: BoolArray, best: int, aim: Aim) -> tuple[BoolArray, BoolArray]:
@@ -327,6 +350,9 @@ class Tested:
     error_max_deg: float
     interval_rms_deg: tuple[float, float]  # Their 95 % intervals, deg
     interval_max_deg: tuple[float, float]
+    limits_deg: tuple[
+        float, float
+    ]  # Upper and lower limit of what the study minimises, each at its confidence, one-sided, deg
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -349,18 +375,17 @@ def other_study(study: Study) -> Study:
 
 
 def run_testing(
-    study: Study, surfaces: tuple[TaskSurface, ...], optima: tuple[Optimum, ...], folder: Path
-) -> tuple[tuple[Tested, Tested], ...]:
-    """Run each task's optimum and its cheapest equal on the other cohort."""
+    study: Study, surfaces: tuple[TaskSurface, ...], chosen: Sequence[Sequence[int]], folder: Path
+) -> tuple[tuple[Tested, ...], ...]:
+    """Run a protocol of each task on the other cohort, for each of several choices."""
     other, found = other_study(study), list[list[Tested]]()
-    for name in ("best", "cheapest"):
-        places = [int(getattr(optimum, name)) for optimum in optima]
+    for places in chosen:
         tasks = tuple(map(only, study.tasks, surfaces, places))
         mark = hashlib.sha256(repr(tasks).encode()).hexdigest()[:12]  # another objective chooses other protocols
         # a few seconds' work: shorter than starting workers
         tried = run_study(replace(other, tasks=tasks), InProcess(), folder / mark)
-        found.append([_on_others(surface, study.timing) for surface in tried])
-    return tuple((best, cheapest) for best, cheapest in zip(*found, strict=True))
+        found.append([_on_others(surface, study) for surface in tried])
+    return tuple(zip(*found, strict=True))
 
 
 def cohort_of(study: Study, category: CategoryName = DEFAULT) -> Cohort:
@@ -379,7 +404,8 @@ def only(task: StudyTask, surface: TaskSurface, place: int) -> StudyTask:
     return replace(task, space=Space(cutoff_hz=(float(surface.cutoff_hz[place]),), further=further, **rates))
 
 
-def _on_others(surface: TaskSurface, timing: Timing) -> Tested:
+def _on_others(surface: TaskSurface, aim: Aim) -> Tested:
+    timing = aim.timing
     done = np.isfinite(surface.error_rms_deg[:, 0])
     error_rms, of_rms = mean_interval(surface.error("rms", timing)[done, 0])
     error_max, of_max = mean_interval(surface.error("maximum", timing)[done, 0])
@@ -390,6 +416,7 @@ def _on_others(surface: TaskSurface, timing: Timing) -> Tested:
         error_max_deg=error_max,
         interval_rms_deg=of_rms,
         interval_max_deg=of_max,
+        limits_deg=mean_limits(surface.aimed(aim)[done, 0], aim.confidence),
     )
 
 
@@ -489,7 +516,8 @@ def _crossed(
 # ---- comparison with the note's Table 1
 
 
-NoteVerdict = Literal["agrees", "differs", "not decidable", "not tried"]
+# Indifferent: equivalent to the values beside it, any of them does
+NoteVerdict = Literal["confirmed", "indifferent", "contradicted", "not decidable", "not tried"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -542,10 +570,13 @@ def compare_with_note(
     else:
         values = _note_values(table, errors, place, margin=optimum.margin_deg, level=aim.level)
         why = _against_optimum(table, errors, place, optimum, aim.level)
-        if optimum.worse[place] or any(value.verdict == "differs" for value in values):
-            verdict = "differs"
-        elif optimum.equivalent[place] and all(value.verdict == "agrees" for value in values):
-            verdict = "agrees"
+        if optimum.worse[place] or any(value.verdict == "contradicted" for value in values):
+            verdict = "contradicted"
+        elif optimum.equivalent[place] and (verdicts := {value.verdict for value in values}) <= {
+            "confirmed",
+            "indifferent",
+        }:
+            verdict = "confirmed" if "confirmed" in verdicts else "indifferent"
     return NoteComparison(
         row=row, place=place, error_deg=error, difference_deg=error - ours, verdict=verdict, finding=why, values=values
     )
@@ -623,7 +654,7 @@ def _of_value(
         "margin_deg": beside[0].margin if beside else 0.0,
     }
     if "worse" in verdicts:
-        return "differs", finding("study.note_value_differs", "warn", **numbers)
+        return "contradicted", finding("study.note_value_contradicted", "warn", **numbers)
     if len(beside) < 2:
         end = "only" if not beside else "least" if lower is None else "greatest"
         return "not decidable", finding("study.note_value_at_edge", "warn", end=end, **numbers)
@@ -631,7 +662,9 @@ def _of_value(
         open_ones = [each.subjects_needed for each in beside if each.verdict == "not decidable"]
         most = None if None in open_ones else max(n for n in open_ones if n is not None)
         return "not decidable", finding("study.note_value_undecided", "warn", needed=needed_text(most), **numbers)
-    return "agrees", finding("study.note_value_agrees", "info", **numbers)
+    if "better" in verdicts:
+        return "confirmed", finding("study.note_value_confirmed", "info", **numbers)
+    return "indifferent", finding("study.note_value_indifferent", "info", **numbers)
 
 
 def _quoted(found: Decision) -> float:

@@ -27,6 +27,7 @@ from undrift.errors import InputError
 from undrift.findings import Finding, finding
 from undrift.sim.motion.tasks import TaskName
 from undrift.study import judge, run, search
+from undrift.study import target as targets
 from undrift.study.case import EFFECTS, EffectName, Unit, run_unit, seeded, typical_unit, units_of
 from undrift.study.figure3 import DRAWN_UNITS, DrawnRow, EffectRow, Figure3, drawn_cohort, effect_table, figure3
 from undrift.study.plan import AIM, DEVICE, MARGIN_DEG, TABLE_1, Aim, Study, StudyTask, column_of
@@ -406,6 +407,7 @@ class TaskOutcome:
     surface: run.TaskSurface  # All errors; of the last round's protocols in a halving
     optimum: judge.Optimum  # With its equals
     tested: tuple[judge.Tested, judge.Tested]  # The optimum and its cheapest equal on the other cohort
+    target: targets.Target | None  # The cheapest session that is good enough; None where no target is stated
     # Half the 95 % interval of the means over each parameter, between-subject differences taken out (Loftus and
     # Masson, 1994); 0 where it could not be tested, deg
     effect_reach_deg: tuple[float, ...]
@@ -424,7 +426,8 @@ class TaskOutcome:
     def findings(self) -> tuple[Finding, ...]:
         """What a person should know of this task."""
         note = () if self.note is None else self.note.findings
-        return (*_findings(self), *split_findings(self.splits), *untried_findings(self.untried), *note)
+        target = () if self.target is None else (self.target.finding,)
+        return (*target, *_findings(self), *split_findings(self.splits), *untried_findings(self.untried), *note)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -471,7 +474,11 @@ def judge_study(
     surfaces = tuple(map(run.without_lost, met))
     optima = tuple(judge.find_optimum(surface, study) for surface in surfaces)
     begin("the other cohort")
-    others, tested = judge.other_study(study), judge.run_testing(study, surfaces, optima, folder / TESTING)
+    chosen = tuple(map(partial(targets.choose, aim=study), study.tasks, surfaces, optima))
+    tried_places = [[int(getattr(optimum, name)) for optimum in optima] for name in ("best", "cheapest")]
+    if study.target_deg is not None:
+        tried_places.append([o.best if place is None else place for o, place in zip(optima, chosen, strict=True)])
+    others, tested = judge.other_study(study), judge.run_testing(study, surfaces, tried_places, folder / TESTING)
     categories = judge.compare_categories(study, surfaces, optima, folder / TESTING)
     begin("what the error is made of")
     splits = split_study(study, surfaces, optima, executor, advance=course.advance)
@@ -496,7 +503,7 @@ def judge_study(
     return StudyOutcome(
         study=study,
         runs=runs,
-        tasks=tuple(map(partial(_judge, study), study.tasks, surfaces, optima, tested, splits, halvings)),
+        tasks=tuple(map(partial(_judge, study), study.tasks, surfaces, optima, tested, chosen, splits, halvings)),
         cohorts=tuple(judge.cohort_of(each, kind) for kind in study.categories for each in (study, others)),
         figure3=figure,
         figure3_missing=missing,
@@ -553,7 +560,8 @@ def _judge(
     task: StudyTask,
     surface: run.TaskSurface,
     optimum: judge.Optimum,
-    tested: tuple[judge.Tested, judge.Tested],
+    tested: tuple[judge.Tested, ...],
+    chosen: int | None,
     splits: tuple[ErrorBreakdown, ...],
     halving: search.Halving | None,
 ) -> TaskOutcome:
@@ -563,7 +571,8 @@ def _judge(
     return TaskOutcome(
         surface=surface,
         optimum=optimum,
-        tested=tested,
+        tested=(tested[0], tested[1]),
+        target=targets.judge_target(task, surface, optimum, chosen, tested[-1], _obstacle(splits), study),
         effect_reach_deg=tuple(map(_reach, optimum.effects)),
         powers=tuple(_power(study, effect, effect.test) for effect in optimum.effects if effect.test),
         stopping=stopping,
@@ -576,6 +585,11 @@ def _judge(
         halving=halving,
         front=search.front_of(surface if halving is None else run.without_lost(halving.every), study),
     )
+
+
+def _obstacle(splits: tuple[ErrorBreakdown, ...]) -> tuple[str, float] | None:
+    """Return the effect with the largest share of an optimum's error."""
+    return (splits[0].terms[0].effect, splits[0].terms[0].share) if splits else None
 
 
 def _too_long(study: Study, surface: run.TaskSurface) -> tuple[Untried, ...]:
@@ -612,9 +626,7 @@ def _stopping(study: Study, surface: run.TaskSurface, optimum: judge.Optimum) ->
     if not tested:
         return "", None
     least = min(tested, key=lambda effect: effect.p_holm)
-    line = surface.line(optimum.best, least.name)
-    line = line[np.isin(surface.column(least.name)[line], least.values)]
-    table = surface.aimed(study)[:, np.sort(line)]
+    table = surface.aimed(study)[:, np.sort(least.places)]
     table = table[np.isfinite(table).all(axis=1)]  # looks are at subjects with every run
     if len(table) <= FIRST_LOOK:
         return "", None
@@ -639,6 +651,10 @@ def _findings(task: TaskOutcome) -> tuple[Finding, ...]:
         saved = float(surface.rig_minutes[found.best] - surface.rig_minutes[found.cheapest])
         more = float(surface.error("rms", found.timing)[:, found.cheapest].mean()) - found.error_rms_deg
         rows.append(finding("study.shorter_session", "info", saved_min=saved, difference_deg=more, margin_deg=margin))
+    if found.edges:
+        edges = tuple(judge.SYMBOLS[name] for name in found.edges)
+        best = tuple(float(surface.column(name)[found.best]) for name in found.edges)
+        rows.append(finding("study.optimum_at_edge", "warn", parameters=edges, values=best))
     rows += _parameters(found, subjects)
     counts = {"alike": alike, "worse": found.worse.sum(), "open": found.undecided.sum(), "protocols": protocols}
     if found.flat:

@@ -17,7 +17,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from functools import lru_cache
-from itertools import chain
+from itertools import chain, product
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple, cast, get_args
 
@@ -67,6 +67,8 @@ Objective = Literal["rms", "maximum", "end"]  # Of the pitch error over the moti
 # The true pitch of the same instant, as who acts on the display needs it; or that of the instant which the readings belong to
 Timing = Literal["real time", "offline"]
 Search = Literal["grid", "halving", "cma"]
+# Of the gyroscopes in a trial: the mean of the rest before it is taken off, as for recordings; or not, as in the note
+OffsetRule = Literal["rest", "none"]
 
 # Smallest difference that matters, deg. The note's Figure 3: a simulated and an actual device differ by 0.15 deg at most, which it
 # calls very low; a simulation shows nothing finer of real devices. An error that grows evenly to 0.15 deg has 0.15 / sqrt(3) rms.
@@ -123,13 +125,21 @@ class StudyTask:
         """Return the protocol of a candidate; what it says of gain, quality and tables is not of a protocol."""
         held: dict[str, Any] = dict(zip(self.space.names, map(float, point), strict=True))
         given = {
-            name: held[name] for name in ("cutoff_hz", *TURN_RATES, "dwell_s", "bracket_s", "face_s") if name in held
+            name: held[name]
+            for name in ("cutoff_hz", *TURN_RATES, "dwell_s", "bracket_s", "face_s", "soak_c_per_min")
+            if name in held
         }
         if "faces" in held:
             given["faces"] = FACES[: int(held["faces"])]
-        if (count := int(held.get("set_points", len(self.base.temperatures_c)))) != len(self.base.temperatures_c):
-            ends = self.base.temperatures_c[0], self.base.temperatures_c[-1]
-            given["temperatures_c"] = tuple(np.linspace(*ends, count).tolist()) if count > 1 else ()
+        if "order" in held:
+            given["order"] = "random" if held["order"] == 2.0 else "alternating"
+        stated = self.base.temperatures_c
+        count, warmest_c = (
+            int(held.get("set_points", len(stated))),
+            held.get("warmest_c", stated[-1] if stated else 0.0),
+        )
+        if stated and (count, warmest_c) != (len(stated), stated[-1]):
+            given["temperatures_c"] = tuple(np.linspace(stated[0], warmest_c, count).tolist()) if count > 1 else ()
         return replace(self.base, **given)
 
 
@@ -142,6 +152,8 @@ class Aim:
     level: float = 0.05  # Of the tests
     margin_deg: float = MARGIN_DEG["rms"]  # Smallest difference of mean errors that matters, deg
     rig_minutes_max: float | None = None  # Longest session that is allowed, min
+    target_deg: float | None = None  # Mean error that is good enough: the cheapest session below it is looked for
+    confidence: float = 0.95  # Of the limit that has to be below it, one-sided
 
 
 AIM = Aim()
@@ -165,6 +177,7 @@ class Study(Aim):
     worn: str = ""  # Text of a device.json, which every subject wears; none draws units of ``device``
     bench: BenchErrors = NOTE_BENCH  # What the bench does wrong
     chain_sd: float = 0.01  # Of gain and null of a unit's amplifiers and of its converter's reference, relative
+    offset: OffsetRule = "rest"  # Of the gyroscopes in a trial; none is the note's
 
     def __post_init__(self) -> None:
         names = [task.key for task in self.tasks]
@@ -187,6 +200,11 @@ class Study(Aim):
                 raise InputError(
                     "study: wanted set_points_c whose number varies, got none; state the first and the last"
                 )
+        if not (self.target_deg is None or self.target_deg > 0.0) or not 0.5 <= self.confidence < 1.0:
+            raise InputError(
+                f"study: wanted a target_deg above 0 and a confidence from 0.5 to below 1, got {self.target_deg} and "
+                f"{self.confidence:g}; 1 deg and 0.95 are usual"
+            )
         if not self.margin_deg > 0.0:
             raise InputError(f"study: wanted a margin_deg above 0, got {self.margin_deg:g}; state what matters to you")
         if not self.excursion_k[0] <= self.excursion_k[1]:
@@ -229,6 +247,8 @@ def ends_of(study: Study) -> Study:
     for task in study.tasks:
         first, *lists = (v if len(v) < 3 else (v[0], v[-1]) for v in task.space.values)
         further = tuple(zip(task.space.names[4:], lists[3:], strict=True))
+        if task.space.only:  # not every combination was meant
+            further = tuple((name, values[:1]) for name, values in task.space.further)
         rates: Any = dict(zip(TURN_RATES, lists, strict=False))
         ends = Space(cutoff_hz=first, **rates, further=further)
         tasks.append(replace(task, space=ends) if any(True for _ in ends.grids()) else task)
@@ -239,7 +259,16 @@ def ends_of(study: Study) -> Study:
 
 DEVICE = "enc03j_3031"
 SET_POINTS_C = (18.0, 30.0, 45.0, 60.0, 75.0)
-CUTOFFS_HZ = (5.0, 7.0, 9.0, 11.1, 13.0, 16.0, 20.0, 25.0, 30.0, 40.0)  # 11.1: each task's own in its place
+CUTOFFS_HZ = (
+    5.0,
+    8.0,
+    11.1,
+    14.0,
+    20.0,
+    30.0,
+    40.0,
+    45.0,
+)  # 11.1: each task's own in its place; samples come at 100 Hz
 
 
 @dataclass(frozen=True, slots=True)
@@ -269,6 +298,19 @@ TRIED_DPS: dict[TaskName, tuple[Rates, Rates, Rates]] = {
 }
 
 
+# What else is tried at the note's rates, one at a time or as stated; the first value is the plan's own
+BESIDE: dict[str, tuple[float, ...]] = {
+    "dwell_s": (2.0, 0.5, 1.0, 4.0),
+    "bracket_s": (6.0, 2.0),
+    "face_s": (6.0, 2.0),
+    "faces": (6.0, 5.0),
+    "set_points": (5.0, 1.0, 2.0, 3.0),
+    "warmest_c": (75.0, 45.0),
+    "soak_c_per_min": (0.1, 0.3),
+    "order": (1.0, 2.0),
+}
+
+
 def note_study(*, subjects: int = 30, seed: int = 0, quick: bool = False) -> Study:
     """Return the note's study."""
     tasks = []
@@ -281,8 +323,31 @@ def note_study(*, subjects: int = 30, seed: int = 0, quick: bool = False) -> Stu
             steps, highs = steps[first : first + 2], highs[top - 1 : top + 1]
             lows, cutoffs = (row.turn_rate_min_dps,), (cutoffs[0], own)
         base = Protocol(name=name, grid="paper", dwell_s=2.0, bracket_s=6.0, temperatures_c=SET_POINTS_C)
-        tasks.append(StudyTask(name=name, space=_space(cutoffs, steps, lows, highs), base=base))
+        space = _space(cutoffs, steps, lows, highs)
+        if not quick:
+            own_rates = tuple(
+                v * RADIAN_PER_DEGREE for v in (row.turn_rate_step_dps, row.turn_rate_min_dps, row.turn_rate_max_dps)
+            )
+            space = _beside(space, own_rates)
+        tasks.append(StudyTask(name=name, space=space, base=base))
     return Study(name="note", device=DEVICE, tasks=tuple(tasks), subjects=subjects, seed=seed)
+
+
+def _beside(space: Space, rates: Rates) -> Space:
+    """Return a space with what else is tried at some rates: each of ``BESIDE`` alone, and set-points, dwells and rests together."""
+    base = tuple(values[0] for values in BESIDE.values())
+    names, rows = tuple(BESIDE), [(*grid, *base) for grid in space.grids()]
+    for k, values in enumerate(BESIDE.values()):
+        rows += [(*rates, *base[:k], value, *base[k + 1 :]) for value in values[1:]]
+    for count, warmest_c, dwell_s, bracket_s in product((1.0, 2.0, 3.0), (75.0, 45.0), (2.0, 0.5), (6.0, 2.0)):
+        changed = {"set_points": count, "warmest_c": warmest_c, "dwell_s": dwell_s, "bracket_s": bracket_s}
+        rows.append((*rates, *(changed.get(name, value) for name, value in zip(names, base, strict=True))))
+    few = [grid for grid in space.grids() if round((grid[2] - grid[1]) / grid[0]) <= 3]  # a coarse step
+    rows += [
+        (*grid, *(1.0 if name == "set_points" else value for name, value in zip(names, base, strict=True)))
+        for grid in few
+    ]
+    return replace(space, further=tuple(BESIDE.items()), only=tuple(dict.fromkeys(rows)))
 
 
 def _space(cutoff_hz: Rates, steps_dps: Rates, lows_dps: Rates, highs_dps: Rates, **further: Rates) -> Space:
@@ -461,6 +526,9 @@ class SpaceEntry:
     faces: MoreValues = ()  # How many: 6, or 5 without -z
     # How many, evenly from the protocol's first to its last; 1 stays at room temperature
     set_points: MoreValues = ()
+    warmest_c: MoreValues = ()  # The last of them; the protocol's where not given
+    soak_c_per_min: MoreValues = ()  # Slope at which a soak ends
+    order: MoreValues = ()  # Of the rates: 1 rising, 2 random
     static_step_c: MoreValues = ()  # Between nodes of the static table, K
     dynamic_step_c: MoreValues = ()  # Of the dynamic table, K
 
@@ -525,9 +593,13 @@ class StudyEntry:
     # Smallest difference that matters; from the note's Figure 3 where not given: 0.087 for rms, 0.15 for maximum and end
     margin_deg: Positive | None = None
     rig_minutes_max: Positive | None = None  # Longest session, min
+    # Mean error that is good enough, deg: the cheapest session whose upper limit on other subjects is below it is looked for
+    target_deg: Positive | None = None
+    confidence: Annotated[float, Ge(0.5), Lt(1.0)] = 0.95  # Of that limit, one-sided
     seed: Annotated[int, Ge(0)] = 0  # Same seed, same bits
     # Tolerance of an amplifier's gain and null and of its converter's reference; 1 % parts are assumed
     chain_sd: Annotated[float, Ge(0.0), Key("chain_percent", unit=0.01)] = 0.01
+    offset: OffsetRule = "rest"  # Of the gyroscopes: that of the rest before a motion is taken off; none is the note's
     bench: BenchErrors = NOTE_BENCH  # What the bench does wrong; the default is the preset's
 
 

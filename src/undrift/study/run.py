@@ -22,7 +22,8 @@ from undrift.errors import InputError, UndriftError
 from undrift.files import no_folder, write_whole
 from undrift.sim.bench_errors import OF_TABLE
 from undrift.study.case import COLUMNS, Unit, run_unit, units_of
-from undrift.study.plan import ERRORS, Aim, Objective, Study, StudyTask, Timing, column_of
+from undrift.study.plan import ERRORS, SAMPLE_RATE_HZ, Aim, Objective, Study, StudyTask, Timing, column_of
+from undrift.study.space import FURTHER
 
 # ---- executors: where units of work are done
 
@@ -176,7 +177,8 @@ class RunStore:
         held["bench"] = {name: held["bench"][name] for name in OF_TABLE}
         if study.search == "grid":  # all errors are kept, whatever is minimised
             del held["objective"], held["timing"]
-        del held["margin_deg"]  # verdicts alone depend on it
+        for name in ("margin_deg", "target_deg", "confidence"):  # verdicts alone depend on them
+            del held[name]
         text, head = json.dumps(held, sort_keys=True), folder / HEAD
         if not head.exists():
             content = {"kind": "undrift.study-runs", "format": FORMAT, "study": json.loads(text)}
@@ -265,6 +267,9 @@ def _study_in(head: Path) -> tuple[object, str]:
 
 # ---- grid search
 
+# Of the parameters that end by themselves: no cut-off is near the highest frequency that samples can have
+ENDS = {"cutoff_hz": (0.0, 0.45 * SAMPLE_RATE_HZ)} | {name: (kind.least, kind.most) for name, kind in FURTHER.items()}
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TaskSurface:
@@ -303,6 +308,12 @@ class TaskSurface:
         """Return what the protocols have of a parameter, (P,)."""
         values: FloatArray = self.further[name] if name in self.further else getattr(self, name)
         return values
+
+    def at_end(self, value: float, name: str) -> bool:
+        """Return whether a value of a parameter is the first or last of several that were tried, with more beyond it."""
+        column, least, most = self.column(name), *ENDS.get(name, (0.0, math.inf))
+        low, high = float(column.min()), float(column.max())
+        return low < high and ((value == low and low > least) or (value == high and high < most))
 
     def line(self, place: int, name: str) -> IntArray:
         """Return the protocols that differ from one in a parameter alone, by its rising values."""

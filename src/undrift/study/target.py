@@ -1,0 +1,153 @@
+"""The cheapest session that is good enough: a target in place of an optimum.
+
+Of each protocol S subjects, each with a device and a bench of its own, give the mean error m and their standard deviation s. With t
+the quantile of Student's distribution at the confidence c, one-sided::
+
+    upper limit      U = m + t s / sqrt(S)
+    reach            R = m + 2 t s / sqrt(S)     what the upper limit on as many other subjects is expected to keep below
+
+Of the protocols whose reach is below the target the one with the shortest session is chosen, to the minute; of those the one that
+needs fewer instruments, then that with the least error. It alone is then tried on the other cohort, whose people, devices and
+benches had no part in the choice: the session is enough where *their* upper limit is below the target, and every device was
+calibrated. So a session that is not enough is called enough in at most 1 - c of studies.
+
+The chosen one may have the first or the last value that was tried of a parameter that decides the error, with more beyond it. Then
+the best session may lie outside what was tried, and the verdict is not "enough". Where nothing reaches the target, the error of the
+optimum is split by its effects (study/outcome.py): the largest stands in the way.
+"""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from undrift.arrays import BoolArray
+from undrift.findings import Finding, finding
+from undrift.study.judge import SYMBOLS, Optimum, Tested, needed_text
+from undrift.study.plan import Aim, StudyTask
+from undrift.study.run import TaskSurface
+from undrift.study.statistics import MOST_SUBJECTS, mean_limits
+
+TargetVerdict = Literal["enough", "at the edge", "not reached", "not decidable"]
+
+# What makes each effect of study/case.py smaller
+REMEDIES: dict[str, str] = {
+    "noise": "a device of less noise removes it, and offline a lower cut-off",
+    "gyroscope offset": "take the offset from the rest before each motion, or from the motion itself",
+    "accelerometer offset": "calibrate on faces at the temperature of use, or close to it in time",
+    "scale": "calibrate at set-points about the temperature of use, on a table whose rate is exact",
+    "cross-axis": "square and level the block that the device is mounted on",
+    "dynamic drift": "turn at more rates, up to those of the motion",
+    "delay": "raise the cut-off, or judge offline",
+    "quantisation": "take a converter of more bits, or more gain",
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Target:
+    """The cheapest session that keeps a task's error below a target, or why there is none."""
+
+    target_deg: float  # Of the mean error, deg
+    confidence: float  # Of the limits, one-sided
+    place: int  # Of the protocol that was tried on the other cohort: the chosen one, or the optimum where none reaches
+    chosen: bool  # Whether one does reach on the subjects that choose
+    minutes: float  # On the rig
+    needs: tuple[str, ...]  # Instruments
+    edges: tuple[str, ...]  # Deciding parameters of which it has the first or last value that was tried
+    tested: Tested  # On the other cohort
+    subjects_needed: int | None  # For a reach below the target, were the other cohort's figures true
+    obstacle: tuple[str, float] | None  # Effect that stands in the way, and its share of the mean square
+    verdict: TargetVerdict
+
+    @property
+    def finding(self) -> Finding:
+        """The verdict in words."""
+        upper, lower = self.tested.limits_deg
+        words = {"target_deg": self.target_deg, "upper_deg": upper, "confidence_percent": 100.0 * self.confidence}
+        words |= {"minutes": self.minutes, "subjects": self.tested.subjects}
+        if self.verdict == "enough":
+            return finding("study.enough", "info", needs=self.needs, **words)
+        if self.verdict == "at the edge":
+            return finding(
+                "study.enough_at_edge", "warn", parameters=tuple(SYMBOLS[name] for name in self.edges), **words
+            )
+        if self.verdict == "not decidable":
+            needed = needed_text(self.subjects_needed)
+            return finding("study.target_undecided", "warn", lower_deg=lower, needed=needed, **words)
+        effect, share = self.obstacle or ("no single effect", float("nan"))
+        todo = REMEDIES.get(effect, "try a wider space")
+        return finding(
+            "study.target_not_reached",
+            "warn",
+            lower_deg=lower,
+            effect=effect,
+            share_percent=100.0 * share,
+            todo=todo,
+            **words,
+        )
+
+
+def needs_of(task: StudyTask, surface: TaskSurface, place: int) -> tuple[str, ...]:
+    """Return the instruments that a protocol needs."""
+    count = surface.further["set_points"][place] if "set_points" in surface.further else len(task.base.temperatures_c)
+    return ("rate table", "chamber") if count > 1 else ("rate table",)
+
+
+def choose(task: StudyTask, surface: TaskSurface, optimum: Optimum, aim: Aim) -> int | None:
+    """Return the protocol with the cheapest session whose reach is below the target; None: no target, or no protocol."""
+    if aim.target_deg is None:
+        return None
+    error = surface.aimed(aim)
+    usable: BoolArray = optimum.equivalent | optimum.worse | optimum.undecided
+    mean = error.mean(axis=0)
+    upper = np.array([mean_limits(column, aim.confidence)[0] for column in error.T])
+    places = np.flatnonzero(usable & (2.0 * upper - mean <= aim.target_deg))
+    if not len(places):
+        return None
+    count = np.array([len(needs_of(task, surface, int(place))) for place in places])
+    return int(places[np.lexsort((mean[places], count, np.round(surface.rig_minutes[places])))[0]])
+
+
+def judge_target(
+    task: StudyTask,
+    surface: TaskSurface,
+    optimum: Optimum,
+    chosen: int | None,
+    tested: Tested,
+    obstacle: tuple[str, float] | None,
+    aim: Aim,
+) -> Target | None:
+    """Judge what was chosen, or the optimum where nothing reaches, by the other cohort."""
+    if aim.target_deg is None:
+        return None
+    place = optimum.best if chosen is None else chosen
+    edges = tuple(name for name in optimum.edges if surface.at_end(surface.column(name)[place], name))
+    upper, lower = tested.limits_deg
+    verdict: TargetVerdict = "not decidable"
+    if chosen is not None and upper <= aim.target_deg and not tested.failed:
+        verdict = "at the edge" if edges else "enough"
+    elif lower > aim.target_deg and chosen is None:
+        verdict = "not reached"
+    return Target(
+        target_deg=aim.target_deg,
+        confidence=aim.confidence,
+        place=place,
+        chosen=chosen is not None,
+        minutes=float(surface.rig_minutes[place]),
+        needs=needs_of(task, surface, place),
+        edges=edges,
+        tested=tested,
+        subjects_needed=_needed(tested, aim.target_deg),
+        obstacle=obstacle,
+        verdict=verdict,
+    )
+
+
+def _needed(tested: Tested, target_deg: float) -> int | None:
+    """Return how many subjects bring the reach below the target; None where the mean is above it, or too many."""
+    upper, lower = tested.limits_deg
+    mean, half = 0.5 * (upper + lower), 0.5 * (upper - lower)
+    if not mean < target_deg:
+        return None
+    count = int(np.ceil((tested.subjects - tested.failed) * (2.0 * half / (target_deg - mean)) ** 2))
+    return max(count, tested.subjects + 1) if count <= MOST_SUBJECTS else None
