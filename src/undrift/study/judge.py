@@ -284,18 +284,18 @@ def find_optimum(surface: TaskSurface, aim: Aim = AIM) -> Optimum:
         cheapest=cheapest,
         flat=bool(equivalent.sum() - 1 >= max(FLAT_SHARE * (usable.sum() - 1), 1)) and not deciding,
         deciding=deciding,
-        edges=tuple(effect.name for effect in effects if effect.name in deciding and _at_edge(surface, effect)),
+        edges=tuple(effect.name for effect in effects if effect.name in deciding and _at_edge(surface, best, effect)),
         effects=effects,
         p_value=min(tested) if tested else float("nan"),
         failed=int(np.isnan(error).sum()),
     )
 
 
-def _at_edge(surface: TaskSurface, effect: ParameterEffect) -> bool:
-    """Return whether the best value is the first or last that was tried, and the next one is not equivalent."""
+def _at_edge(surface: TaskSurface, best: int, effect: ParameterEffect) -> bool:
+    """Return whether the optimum has the first or last value that was tried, and the next one is not equivalent."""
     beside = {each.other: each.verdict for each in effect.judged.decisions} if effect.judged else {}
     flat = any(beside.get(effect.best + step) == "equivalent" for step in (-1, 1))
-    return not flat and surface.at_end(float(effect.values[effect.best]), effect.name)
+    return not flat and best in effect.places and surface.at_end(float(effect.values[effect.best]), effect.name)
 
 
 def _against_best(error: FloatArray, usable: BoolArray, best: int, aim: Aim) -> tuple[BoolArray, BoolArray]:

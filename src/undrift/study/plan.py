@@ -39,7 +39,7 @@ from undrift.sim.device.presets import PRESETS, preset
 from undrift.sim.motion.motion import Motion
 from undrift.sim.motion.poses import PoseSettings, PoseSpline, fit_pose_spline
 from undrift.sim.motion.tasks import DEFAULT, CategoryName, Group, TaskName
-from undrift.study.space import FURTHER, OF_NOTE, TURN_RATES, Space
+from undrift.study.space import FURTHER, OF_NOTE, TURN_RATES, Grid, Space
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
 # ---- what the bench does wrong
@@ -325,28 +325,27 @@ def note_study(*, subjects: int = 30, seed: int = 0, quick: bool = False) -> Stu
         base = Protocol(name=name, grid="paper", dwell_s=2.0, bracket_s=6.0, temperatures_c=SET_POINTS_C)
         space = _space(cutoffs, steps, lows, highs)
         if not quick:
-            own_rates = tuple(
-                v * RADIAN_PER_DEGREE for v in (row.turn_rate_step_dps, row.turn_rate_min_dps, row.turn_rate_max_dps)
-            )
-            space = _beside(space, own_rates)
+            step, low, high = row.turn_rate_step_dps, row.turn_rate_min_dps, row.turn_rate_max_dps
+            space = _beside(space, (step * RADIAN_PER_DEGREE, low * RADIAN_PER_DEGREE, high * RADIAN_PER_DEGREE))
         tasks.append(StudyTask(name=name, space=space, base=base))
     return Study(name="note", device=DEVICE, tasks=tuple(tasks), subjects=subjects, seed=seed)
 
 
-def _beside(space: Space, rates: Rates) -> Space:
-    """Return a space with what else is tried at some rates: each of ``BESIDE`` alone, and set-points, dwells and rests together."""
-    base = tuple(values[0] for values in BESIDE.values())
-    names, rows = tuple(BESIDE), [(*grid, *base) for grid in space.grids()]
-    for k, values in enumerate(BESIDE.values()):
-        rows += [(*rates, *base[:k], value, *base[k + 1 :]) for value in values[1:]]
-    for count, warmest_c, dwell_s, bracket_s in product((1.0, 2.0, 3.0), (75.0, 45.0), (2.0, 0.5), (6.0, 2.0)):
-        changed = {"set_points": count, "warmest_c": warmest_c, "dwell_s": dwell_s, "bracket_s": bracket_s}
-        rows.append((*rates, *(changed.get(name, value) for name, value in zip(names, base, strict=True))))
-    few = [grid for grid in space.grids() if round((grid[2] - grid[1]) / grid[0]) <= 3]  # a coarse step
+def _beside(space: Space, rates: Grid) -> Space:
+    """Return a space with what else is tried at some rates, alone and together, and the fewest rates at room temperature."""
+
+    def row(grid: Grid, **changed: float) -> Rates:
+        return (*grid, *(changed.get(name, values[0]) for name, values in BESIDE.items()))
+
+    grids = sorted(space.grids(), key=lambda grid: round((grid[2] - grid[1]) / grid[0]))
+    rows = [row(grid) for grid in space.grids()]
+    rows += [row(rates, **{name: value}) for name, values in BESIDE.items() for value in values[1:]]
     rows += [
-        (*grid, *(1.0 if name == "set_points" else value for name, value in zip(names, base, strict=True)))
-        for grid in few
+        row(rates, set_points=count, warmest_c=warmest_c, dwell_s=dwell_s, bracket_s=bracket_s)
+        for count, warmest_c in ((1.0, 75.0), (2.0, 75.0), (2.0, 45.0), (3.0, 75.0), (3.0, 45.0))
+        for dwell_s, bracket_s in product((2.0, 0.5), (6.0, 2.0))
     ]
+    rows += [row(grid, set_points=1.0, dwell_s=dwell_s) for grid in grids[:3] for dwell_s in (2.0, 0.5)]
     return replace(space, further=tuple(BESIDE.items()), only=tuple(dict.fromkeys(rows)))
 
 
