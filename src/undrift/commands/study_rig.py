@@ -17,12 +17,12 @@ if TYPE_CHECKING:
 
 
 def protocol_of(outcome: "StudyOutcome", task: "TaskOutcome", place: int | None = None) -> "Protocol":
-    """Return what the rate table does for a protocol of a task, by default the cheapest that is equivalent to the optimum."""
+    """Return what the rate table does for a protocol of a task, by default the one to use."""
     from undrift.rig.programme import DAMPING
     from undrift.study.outcome import points_of
 
     plan = next(each for each in outcome.study.tasks if each.key == task.surface.task)
-    point = points_of(plan, task.surface)[task.optimum.cheapest if place is None else place]
+    point = points_of(plan, task.surface)[task.to_use[0] if place is None else place]
     quality = plan.space.setting_of(point).quality
     damping = DAMPING if quality is None else 0.5 / quality
     return replace(plan.protocol_of(point), name=task.surface.task, damping=damping, faces_at="room")

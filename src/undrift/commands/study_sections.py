@@ -18,7 +18,7 @@ from undrift.study.space import COMPARED_NAMES, HEADINGS, OF_NOTE
 
 if TYPE_CHECKING:
     from undrift.study.figure3 import DrawnRow, Figure3
-    from undrift.study.judge import NoteValue, ParameterEffect, Tested
+    from undrift.study.judge import NoteValue, ParameterEffect
     from undrift.study.outcome import EffectPower, StudyOutcome, TaskOutcome
     from undrift.study.plan import Objective, Timing
     from undrift.study.real import CohortComparison, Pairwise, RealErrors, RealOutcome, Worn, WornRow
@@ -53,7 +53,7 @@ def answer_of(outcome: "StudyOutcome") -> str:
 
 
 def _answer_of(task: "TaskOutcome") -> str:
-    surface, place, tested, target = task.surface, *_to_use(task), task.target
+    surface, place, tested, target = task.surface, *task.to_use, task.target
     head = f"{_name(task)}: {surface.cutoff_hz[place]:.4g} Hz and rates of {_rates_of(surface, place)} deg/s"
     minutes = f"{surface.rig_minutes[place]:.0f} min on the table"
     if target is None:
@@ -67,11 +67,6 @@ def _answer_of(task: "TaskOutcome") -> str:
     words = {"enough": "are enough for", "at the edge": "reach, at the edge of what was tried,"}
     verdict = words.get(target.verdict, "are not shown to reach")
     return f"{head}{_further(surface, place)} {verdict} {target.target_deg:g} deg after {minutes}: below {upper:.2g} deg {limit}"
-
-
-def _to_use(task: "TaskOutcome") -> "tuple[int, Tested]":
-    """Return the protocol to use, and what it does on the other cohort: by the target, or the cheapest equal of the optimum."""
-    return (task.optimum.cheapest, task.tested[1]) if task.target is None else (task.target.place, task.target.tested)
 
 
 def sections_of(outcome: "StudyOutcome") -> tuple[Section, ...]:
@@ -167,12 +162,12 @@ def _answer(outcome: "StudyOutcome") -> Section:
     study = outcome.study
     cells: Cells[TaskOutcome] = (
         ("task", _name),
-        ("low-pass (Hz)", lambda task: f"{task.surface.cutoff_hz[_to_use(task)[0]]:.4g}"),
-        ("rates of the table (deg/s)", lambda task: _rates_of(task.surface, _to_use(task)[0])),
-        ("session (min)", lambda task: f"{task.surface.rig_minutes[_to_use(task)[0]]:.0f}"),
-        ("pitch error, rms (deg)", lambda task: f"{_to_use(task)[1].error_rms_deg:.3f}"),
-        ("95 % interval", lambda task: interval(_to_use(task)[1].interval_rms_deg)),
-        ("largest error (deg)", lambda task: f"{_to_use(task)[1].error_max_deg:.3f}"),
+        ("low-pass (Hz)", lambda task: f"{task.surface.cutoff_hz[task.to_use[0]]:.4g}"),
+        ("rates of the table (deg/s)", lambda task: _rates_of(task.surface, task.to_use[0])),
+        ("session (min)", lambda task: f"{task.surface.rig_minutes[task.to_use[0]]:.0f}"),
+        ("pitch error, rms (deg)", lambda task: f"{task.to_use[1].error_rms_deg:.3f}"),
+        ("95 % interval", lambda task: interval(task.to_use[1].interval_rms_deg)),
+        ("largest error (deg)", lambda task: f"{task.to_use[1].error_max_deg:.3f}"),
     )
     if study.target_deg is None:
         how = f"Of all protocols equivalent to the best within {study.margin_deg:g} deg, the one with the shortest session."
@@ -180,7 +175,7 @@ def _answer(outcome: "StudyOutcome") -> Section:
         cells = (
             *cells,
             (f"for {study.target_deg:g} deg", lambda task: "" if task.target is None else task.target.verdict),
-            ("upper limit (deg)", lambda task: f"{_to_use(task)[1].limits_deg[0]:.3f}"),
+            ("upper limit (deg)", lambda task: f"{task.to_use[1].limits_deg[0]:.3f}"),
             ("needs", lambda task: "" if task.target is None else ", ".join(task.target.needs)),
         )
         how = (

@@ -423,6 +423,13 @@ class TaskOutcome:
     front: search.Front  # Of error against minutes on the rig
 
     @property
+    def to_use(self) -> tuple[int, judge.Tested]:
+        """The protocol to use, and what it does on the other cohort: by the target, or the cheapest equal of the optimum."""
+        return (
+            (self.optimum.cheapest, self.tested[1]) if self.target is None else (self.target.place, self.target.tested)
+        )
+
+    @property
     def findings(self) -> tuple[Finding, ...]:
         """What a person should know of this task."""
         note = () if self.note is None else self.note.findings
