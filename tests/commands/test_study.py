@@ -60,7 +60,9 @@ def test_a_plan_comes_to_a_surface_a_summary_and_a_page(undrift, plan, tmp_path)
     copy = tmp_path / "copy.html"
     answer = done(undrift, "study", plan, "-o", out, "--workers", "1", "--no-rivals", "--report", copy)
     assert faults_of(copy.read_text()) == []
-    assert re.search(r"Sit to stand: [\d.]+ Hz and rates of .* deg/s are (enough|the best that were tried), ", copy.read_text())
+    assert re.search(
+        r"Sit to stand: [\d.]+ Hz and rates of .* deg/s are (enough|the best that were tried), ", copy.read_text()
+    )
     first, *stages = (line.removeprefix("undrift study: ") for line in answer.err.splitlines())
     assert "small: 18 runs (sit_to_stand; 3 subjects) on 1 worker, in all about" in first
     assert [line.split(", about")[0] for line in stages] == [

@@ -19,7 +19,9 @@ from undrift.sim.bench_errors import BenchErrors
 from undrift.sim.device.model import write_device
 from undrift.sim.device.presets import preset
 from undrift.sim.motion.tasks import draw_task
+from undrift.study import judge
 from undrift.study.case import device_of, make_case
+from undrift.study.judge import find_optimum
 from undrift.study.plan import (
     NOTE_BENCH,
     ProtocolEntry,
@@ -30,6 +32,8 @@ from undrift.study.plan import (
 )
 from undrift.study.run import InProcess, run_study
 from undrift.study.space import Setting
+from undrift.study.statistics import mean_limits
+from undrift.study.target import leave_one_out
 
 DPS = np.pi / 180.0
 TEXT = """
@@ -59,14 +63,16 @@ def written(folder: Path, text: str) -> Path:
     return path
 
 
-def recorded(folder: Path, *, position: bool = True, gap: bool = False) -> Path:
+def recorded(
+    folder: Path, *, position: bool = True, gap: bool = False, name: str = "poses", seed: int = 3, rest_s: float = 2.0
+) -> Path:
     """A sit-to-stand as a camera system would store it, 100 Hz."""
-    task = draw_task("sit_to_stand", rng=np.random.default_rng(3), rest_s=2.0)
+    task = draw_task("sit_to_stand", rng=np.random.default_rng(seed), rest_s=rest_s)
     time = np.arange(round(task.duration_s * 100.0)) / 100.0
     q = task.at(time, 9.81).q_nb.copy()
     if gap:
         q[250:300] = np.nan
-    path = folder / "poses.parquet"
+    path = folder / f"{name}.parquet"
     write_reference(Reference(time=time, q_nb=q, position=task.position(time) if position else None), path)
     return path
 
@@ -137,6 +143,59 @@ def test_a_motion_of_ones_own_is_performed_by_every_subject_with_another_unit(tm
     (surface,) = run_study(study, InProcess(), tmp_path / "runs")
     assert np.isfinite(surface.error_rms_deg).all()
     assert 0.0 < surface.error_rms_deg.mean() < 1.5  # deg: with tables a sit-to-stand is good to that
+
+
+def test_a_folder_of_people_is_performed_one_by_each_subject_and_their_rests_are_found(tmp_path: Path) -> None:
+    own = TEXT.replace('"sit_to_stand"', '"rising"').replace("subjects = 3", "subjects = 30\ntarget_deg = 1.0")
+    own += '[task.motion]\nfolder = "captures"\n'
+    folder = tmp_path / "captures"
+    with pytest.raises(FileFormatError, match="wanted a folder of recorded people, got No such file"):
+        read_study(written(tmp_path, own))
+    folder.mkdir()
+    rests = (2.0, 3.0, 9.0, 1.5)
+    for number, rest_s in enumerate(rests):
+        if number == 2:
+            with pytest.raises(FileFormatError, match="wanted three people or more, a file each, got 2; record more"):
+                read_study(written(tmp_path, own))
+        recorded(folder, name=f"person{number}", seed=number, rest_s=rest_s)
+    study = read_study(written(tmp_path, own))
+    (task,) = study.tasks
+    assert task.motion is not None
+    assert (study.subjects, task.motion.people) == (4, 4)  # no person counts twice
+    found = [task.motion.of(number).rest_s for number in range(4)]
+    show("rests found, s, of 2, 3, 9 and 1.5", found[0], f"{found[1:]}")
+    for rest_s, wanted in zip(found, rests, strict=True):
+        assert min(wanted, 6.0) - 0.3 <= rest_s <= min(wanted + 0.5, 6.0)
+    lengths = [make_case(study, task, number, Setting(11.1)).pitch.shape for number in (0, 1, 4)]
+    assert lengths[0] == lengths[2] != lengths[1]
+    both = own.replace("folder =", 'file = "captures/person0.parquet"\nfolder =')
+    with pytest.raises(FileFormatError, match="a file, or a folder with one of each person, got both; name one"):
+        read_study(written(tmp_path, both))
+    with pytest.raises(FileFormatError, match="wanted a body at rest for its first rest_s = 4 s"):
+        read_study(written(tmp_path, f"{own}rest_s = 4.0\n"))
+
+
+def test_people_who_were_recorded_are_each_judged_with_what_the_others_choose(tmp_path: Path) -> None:
+    folder = tmp_path / "captures"
+    folder.mkdir()
+    for number in range(4):
+        recorded(folder, name=f"person{number}", seed=number)
+    own = (
+        TEXT.replace("rig_minutes_max = 100.0\n", "")
+        .replace('"sit_to_stand"', '"rising"')
+        .replace("subjects = 3", "subjects = 4\ntarget_deg = 3.0")
+    )
+    study = read_study(written(tmp_path, own + '[task.motion]\nfolder = "captures"\n'))
+    (surface,) = run_study(study, InProcess(), tmp_path / "runs")
+    error = surface.aimed(study)
+    poor = replace(surface, error_rms_deg=np.where(np.arange(error.shape[1]) == 0, error, error + 10.0))
+    optimum, nan = find_optimum(poor, study), float("nan")
+    other = judge.Tested(subjects=4, failed=0, error_rms_deg=nan, error_max_deg=nan, interval_rms_deg=(nan, nan),
+                   interval_max_deg=(nan, nan), limits_deg=(nan, nan))  # fmt: skip
+    alone = leave_one_out(study.tasks[0], poor, optimum, study, other)
+    assert alone.limits_deg == mean_limits(error[:, 0], study.confidence)  # every three choose the one that is good
+    drawn = replace(study.tasks[0], name="sit_to_stand", motion=None)
+    assert leave_one_out(drawn, poor, optimum, study, other) is other
 
 
 def test_a_captured_sit_to_stand_is_a_motion_of_ones_own(tmp_path: Path) -> None:

@@ -210,7 +210,7 @@ def _perform(
 ) -> tuple[Task | RecordedTask, Motion]:
     performed: Task | RecordedTask
     if motion is not None:
-        performed = read_motion(motion)
+        performed = read_motion(motion.of(number))
     else:
         rng, person = seeded(study, "task", name, number), subject_of(study, number, category)
         performed = draw_task(cast("TaskName", name), rng=rng, subject=person, rest_s=REST_S)

@@ -1,6 +1,6 @@
 """Judge the surface of a task: the optimum, what each parameter does, the other cohort, the note's row.
 
-The least of many noisy means is biased low. So the subjects are split in two: each half chooses, the other half gives the error.
+The least of many noisy means is biased low. So each subject gives the error of the protocol that all the others choose.
 A protocol is equivalent to the optimum where its mean error is shown to be less than the margin above (one-sided paired t test),
 worse where it is shown to be more than that above, else not decidable. The first is after Bonferroni over the protocols, the second
 over all their pairs, as the optimum is chosen. The equivalent one with the shortest session is the one to use.
@@ -314,14 +314,10 @@ def _against_best(error: FloatArray, usable: BoolArray, best: int, aim: Aim) -> 
 
 
 def _honest(error: FloatArray, usable: BoolArray) -> FloatArray:
-    """Return the error of the protocol that the other half of the subjects chose, each subject once."""
-    places = np.flatnonzero(usable)
-    half = np.arange(len(error)) % 2 == 0
-    judged = np.empty(len(error))
-    for choosing in (half, ~half):
-        chosen = places[int(np.argmin(error[np.ix_(choosing, places)].mean(axis=0)))]
-        judged[~choosing] = error[~choosing, chosen]
-    return judged
+    """Return the error of each subject with the protocol that all others chose: one person left out."""
+    places, every = np.flatnonzero(usable), np.arange(len(error))
+    table = error[:, places]
+    return np.asarray(table[every, np.argmin(table.sum(axis=0) - table, axis=1)])
 
 
 # ---- the note's analysis of variance

@@ -86,7 +86,7 @@ ERRORS = tuple(column_of(objective, timing) for timing in get_args(Timing) for o
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OwnMotion:
-    """A recorded motion: every subject performs it, each with another unit of the device."""
+    """A recorded motion: every subject performs it, or that of one of several people, each with another unit of the device."""
 
     path: str  # File of poses or markers; workers read it there
     sha256: str  # Of its content
@@ -96,6 +96,16 @@ class OwnMotion:
     body: BodyName | None = None
     up: Literal["y", "z"] | None = None  # Laboratory axis that points up, for markers
     hold: bool = False  # The recording has no rest: its first pose is held for ``rest_s`` before it
+    others: tuple["OwnMotion", ...] = ()  # Of further people
+
+    @property
+    def people(self) -> int:
+        """How many were recorded."""
+        return 1 + len(self.others)
+
+    def of(self, number: int) -> "OwnMotion":
+        """Return the motion that a subject performs."""
+        return (self, *self.others)[number % self.people]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -360,6 +370,7 @@ def _space(cutoff_hz: Rates, steps_dps: Rates, lows_dps: Rates, highs_dps: Rates
 SAMPLE_RATE_HZ = 100.0
 WINDOW_S = 0.25
 LEAST_REST_S = 0.5  # the tilt at the start is a mean over the rest
+LONGEST_REST_S = 6.0  # the note's; more of a recording is left to the motion
 # People who stand quietly keep to 1.4 deg/s, 0.03 m/s2 and 0.6 deg over 5 s at the pelvis; who has begun to rise is at 10 deg/s.
 MOST_TURN_RATE = 5.0 * RADIAN_PER_DEGREE  # rad/s
 MOST_ACCELERATION = 0.3  # m/s2
@@ -550,8 +561,9 @@ class ProtocolEntry:
 class MotionEntry:
     """[task.motion]."""
 
-    file: str  # Poses or markers, from the folder of study.toml
-    rest_s: Positive  # Rest at the beginning, s
+    file: str = ""  # Poses or markers, from the folder of study.toml
+    folder: str = ""  # Or of several people: every file in it, one a person
+    rest_s: Positive | None = None  # Rest at the beginning, s; found where not given, at most 6 s
     markers: tuple[str, ...] = ()  # Labels of one rigid cluster, for TRC or C3D
     body: BodyName | None = None  # Or pelvis, thorax or trunk, found by its markers
     up: Literal["y", "z"] | None = None  # Laboratory axis that points up, for markers
@@ -634,19 +646,17 @@ def read_study(path: str | Path) -> Study:
                 )
             text = json.dumps(device_json(read_device(worn)), sort_keys=True)  # in one spelling
             given |= {"device": Path(head.device).stem, "worn": text}
-        return with_categories(Study(**given, tasks=tuple(_task_of(entry, folder) for entry in held.task)), categories)
+        tasks = tuple(_task_of(entry, folder) for entry in held.task)
+        people = [task.motion.people for task in tasks if task.motion is not None and task.motion.others]
+        given["subjects"] = min(head.subjects, *people) if people else head.subjects  # no person counts twice
+        return with_categories(Study(**given, tasks=tasks), categories)
     except InputError as error:
         raise FileFormatError(f"{path}: {error}") from error
 
 
 def _task_of(entry: TaskEntry, folder: Path) -> StudyTask:
     base, space = entry.protocol, entry.space
-    motion = None
-    if entry.motion is not None:
-        file = (folder / entry.motion.file).resolve()
-        given = {item.name: getattr(entry.motion, item.name) for item in fields(entry.motion) if item.name != "file"}
-        motion = OwnMotion(path=str(file), sha256=sha256_of(file), **given)
-        read_motion(motion)  # refused now rather than by a worker
+    motion = None if entry.motion is None else _own_motion(entry.motion, folder)
     further = {name: getattr(space, name) for name in FURTHER}
     kept: dict[str, Any] = {name: getattr(base, name) for name in ("dwell_s", "bracket_s", "face_s", "grid")}
     return StudyTask(
@@ -655,3 +665,39 @@ def _task_of(entry: TaskEntry, folder: Path) -> StudyTask:
         base=Protocol(name=entry.name, temperatures_c=base.set_points_c, **kept),
         motion=motion,
     )
+
+
+def _own_motion(entry: MotionEntry, folder: Path) -> OwnMotion:
+    """Return the recorded motion of a plan; each file is read, so that one is refused now rather than by a worker."""
+    if bool(entry.file) == bool(entry.folder):
+        got = "both" if entry.file else "neither"
+        raise InputError(f"task.motion: wanted a file, or a folder with one of each person, got {got}; name one")
+    paths = [(folder / entry.file).resolve()]
+    if entry.folder:
+        try:
+            paths = sorted(path.resolve() for path in (folder / entry.folder).iterdir() if path.is_file())
+        except OSError as error:
+            raise InputError(
+                f"{folder / entry.folder}: wanted a folder of recorded people, got {error.strerror}"
+            ) from error
+        if len(paths) < 3:
+            raise InputError(
+                f"{folder / entry.folder}: wanted three people or more, a file each, got {len(paths)}; record more"
+            )
+    given = {item.name: getattr(entry, item.name) for item in fields(entry) if item.name not in ("file", "folder")}
+    first, *others = (
+        OwnMotion(path=str(path), sha256=sha256_of(path), **given | {"rest_s": _rest_in(path, entry)}) for path in paths
+    )
+    for motion in (first, *others):
+        read_motion(motion)
+    return replace(first, others=tuple(others))
+
+
+def _rest_in(path: Path, entry: MotionEntry) -> float:
+    """Return the rest that is stated, or that a recording begins with, s."""
+    if entry.rest_s is not None or entry.hold:
+        return entry.rest_s or LONGEST_REST_S
+    reference = read_poses(path, body=entry.body, markers=entry.markers, up=entry.up)
+    spline = fit_pose_spline(reference, SKIN if entry.body else PoseSettings())
+    still_s = float(np.floor(10.0 * measure_rest(spline, LEAST_REST_S).still_s) / 10.0)
+    return min(max(still_s, LEAST_REST_S), LONGEST_REST_S)  # one that is too short is refused when the motion is read

@@ -568,7 +568,7 @@ def design_rows(study: Study, task: StudyTask, found: Protocol) -> tuple[DesignR
 def task_rates(study: Study, task: StudyTask) -> FloatArray:
     """Return the rates that occur in a task about the axis of the pitch, (m,) rad/s."""
     seen = []
-    for number in range(1 if task.motion is not None else min(study.subjects, PERFORMED)):
+    for number in range(min(task.motion.people if task.motion else study.subjects, PERFORMED)):
         performed, _ = perform(study, task, number)
         start, stop = performed.moving_s
         time = np.arange(start, min(stop, performed.duration_s), 1.0 / RATE_HZ)

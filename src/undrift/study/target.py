@@ -9,19 +9,20 @@ the quantile of Student's distribution at the confidence c, one-sided::
 Of the protocols whose reach is below the target the one with the shortest session is chosen, to the minute; of those the one that
 needs fewer instruments, then that with the least error. It alone is then tried on the other cohort, whose people, devices and
 benches had no part in the choice: the session is enough where *their* upper limit is below the target, and every device was
-calibrated. So a session that is not enough is called enough in at most 1 - c of studies.
+calibrated. So a session that is not enough is called enough in at most 1 - c of studies. People who were recorded have no other
+cohort: each is then judged with the session that all the others choose.
 
 The chosen one may have the first or the last value that was tried of a parameter that decides the error, with more beyond it. Then
 the best session may lie outside what was tried, and the verdict is not "enough". Where nothing reaches the target, the error of the
 optimum is split by its effects (study/outcome.py): the largest stands in the way.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
-from undrift.arrays import BoolArray
+from undrift.arrays import BoolArray, FloatArray
 from undrift.findings import Finding, finding
 from undrift.study.judge import SYMBOLS, Optimum, Tested, needed_text
 from undrift.study.plan import Aim, StudyTask
@@ -97,15 +98,34 @@ def choose(task: StudyTask, surface: TaskSurface, optimum: Optimum, aim: Aim) ->
     """Return the protocol with the cheapest session whose reach is below the target; None: no target, or no protocol."""
     if aim.target_deg is None:
         return None
-    error = surface.aimed(aim)
     usable: BoolArray = optimum.equivalent | optimum.worse | optimum.undecided
+    return _cheapest(task, surface, surface.aimed(aim), usable, aim.target_deg, aim.confidence)
+
+
+def _cheapest(
+    task: StudyTask, surface: TaskSurface, error: FloatArray, usable: BoolArray, target_deg: float, confidence: float
+) -> int | None:
     mean = error.mean(axis=0)
-    upper = np.array([mean_limits(column, aim.confidence)[0] for column in error.T])
-    places = np.flatnonzero(usable & (2.0 * upper - mean <= aim.target_deg))
+    upper = np.array([mean_limits(column, confidence)[0] for column in error.T])
+    places = np.flatnonzero(usable & (2.0 * upper - mean <= target_deg))
     if not len(places):
         return None
     count = np.array([len(needs_of(task, surface, int(place))) for place in places])
     return int(places[np.lexsort((mean[places], count, np.round(surface.rig_minutes[places])))[0]])
+
+
+def leave_one_out(task: StudyTask, surface: TaskSurface, optimum: Optimum, aim: Aim, tested: Tested) -> Tested:
+    """Return what each recorded person gives with the session that all the others choose, in place of another cohort."""
+    if task.motion is None or not task.motion.others or aim.target_deg is None:
+        return tested
+    usable: BoolArray = optimum.equivalent | optimum.worse | optimum.undecided
+    error, places = surface.aimed(aim), []
+    for person in range(len(error)):
+        rest = np.delete(error, person, axis=0)
+        place = _cheapest(task, surface, rest, usable, aim.target_deg, aim.confidence)
+        places.append(optimum.best if place is None else place)
+    alone = error[np.arange(len(error)), places]
+    return replace(tested, subjects=len(error), failed=0, limits_deg=mean_limits(alone, aim.confidence))
 
 
 def judge_target(
@@ -117,9 +137,10 @@ def judge_target(
     obstacle: tuple[str, float] | None,
     aim: Aim,
 ) -> Target | None:
-    """Judge what was chosen, or the optimum where nothing reaches, by the other cohort."""
+    """Judge what was chosen, or the optimum where nothing reaches, by the other cohort, or by each recorded person left out."""
     if aim.target_deg is None:
         return None
+    tested = leave_one_out(task, surface, optimum, aim, tested)
     place = optimum.best if chosen is None else chosen
     edges = tuple(name for name in optimum.edges if surface.at_end(surface.column(name)[place], name))
     upper, lower = tested.limits_deg
