@@ -553,11 +553,10 @@ def compare_with_note(
     aim: Aim = AIM,
 ) -> NoteComparison:
     """Compare a row of the note with the optimum, and each of its values with the next that were tried."""
-    # what the note has no value of is as in the optimum
-    wanted = np.array([getattr(row, n) for n in PARAMETERS] + [v[optimum.best] for v in surface.further.values()])
     table = np.stack([surface.column(name) for name in surface.names], axis=1)
-    place, errors, best = _place(table, wanted), surface.aimed(aim), optimum.best
+    errors, best = surface.aimed(aim), optimum.best
     mean, values = errors.mean(axis=0), tuple[NoteValue, ...]()
+    place = _place_of_note(surface, table, row, mean)
     error, ours = float("nan") if place is None else float(mean[place]), float(mean[best])
     verdict: NoteVerdict = "not decidable"
     if place is None or not np.isfinite(error):
@@ -576,6 +575,14 @@ def compare_with_note(
     return NoteComparison(
         row=row, place=place, error_deg=error, difference_deg=error - ours, verdict=verdict, finding=why, values=values
     )
+
+
+def _place_of_note(surface: TaskSurface, table: FloatArray, row: NoteRow, mean: FloatArray) -> int | None:
+    """Return the protocol of the note's row: of several, alike but in what it has no value of, that with most values beside it."""
+    four = [getattr(row, name) for name in PARAMETERS]
+    places = np.flatnonzero(np.isclose(table[:, : len(four)], four, rtol=1e-6).all(axis=1))
+    beside = [sum(len(surface.line(int(place), name)) for name in PARAMETERS) for place in places]
+    return int(places[np.lexsort((mean[places], -np.array(beside)))[0]]) if len(places) else None
 
 
 def _against_optimum(table: FloatArray, errors: FloatArray, place: int, optimum: Optimum, level: float) -> Finding:
