@@ -13,7 +13,7 @@ from undrift.study.judge import find_optimum
 from undrift.study.plan import Aim, StudyTask, note_study
 from undrift.study.run import TaskSurface
 from undrift.study.statistics import mean_limits
-from undrift.study.target import REMEDIES, Target, choose, judge_target
+from undrift.study.target import REMEDIES, CheapestSession, choose, judge_target
 
 AIM = Aim(target_deg=1.0, margin_deg=0.1)
 TASK: StudyTask = note_study(quick=True).tasks[0]
@@ -46,7 +46,7 @@ def skewed(means: list[float], rng: np.random.Generator, subjects: int = 30) -> 
 
 def judged(
     error: np.ndarray, other: np.ndarray, minutes: list[float], aim: Aim = AIM, **columns: list[float]
-) -> Target:
+) -> CheapestSession:
     held = surface(error, minutes, **columns)
     optimum = find_optimum(held, aim)
     place = choose(TASK, held, optimum, aim)

@@ -69,8 +69,8 @@ class Claim(NamedTuple):
 
 
 def claims_of(outcome: StudyOutcome) -> tuple[ClaimRow, ...]:
-    """Return all claims with what a study shows of them."""
-    return tuple(_row(claim, claim.ask(outcome)) for claim in CLAIMS)
+    """Return all claims with what a study shows of them; none for another device than the note's."""
+    return () if not outcome.study.of_note else tuple(_row(claim, claim.ask(outcome)) for claim in CLAIMS)
 
 
 def _row(claim: Claim, found: tuple[Evidence, ...] | Finding) -> ClaimRow:
@@ -457,6 +457,8 @@ def _over_units(spread: Spread) -> str:
 
 def claims_section(outcome: StudyOutcome) -> Section:
     """Return each claim of the note beside what the study shows of it."""
+    if not outcome.study.of_note:
+        return Section(title="")
     rows = []
     for row in claims_of(outcome):
         head = {

@@ -407,7 +407,7 @@ class TaskOutcome:
     surface: run.TaskSurface  # All errors; of the last round's protocols in a halving
     optimum: judge.Optimum  # With its equals
     tested: tuple[judge.Tested, judge.Tested]  # The optimum and its cheapest equal on the other cohort
-    target: targets.Target | None  # The cheapest session that is good enough; None where no target is stated
+    target: targets.CheapestSession | None  # The cheapest session that is good enough; None where no target is stated
     # Half the 95 % interval of the means over each parameter, between-subject differences taken out (Loftus and
     # Masson, 1994); 0 where it could not be tested, deg
     effect_reach_deg: tuple[float, ...]
@@ -482,21 +482,15 @@ def judge_study(
     optima = tuple(judge.find_optimum(surface, study) for surface in surfaces)
     begin("the other cohort")
     chosen = tuple(map(partial(targets.choose, aim=study), study.tasks, surfaces, optima))
-    tried_places = [[int(getattr(optimum, name)) for optimum in optima] for name in ("best", "cheapest")]
-    if study.target_deg is not None:
-        tried_places.append([o.best if place is None else place for o, place in zip(optima, chosen, strict=True)])
-    others, tested = judge.other_study(study), judge.run_testing(study, surfaces, tried_places, folder / TESTING)
+    others, tested = judge.other_study(study), _on_others(study, surfaces, optima, chosen, folder / TESTING)
     categories = judge.compare_categories(study, surfaces, optima, folder / TESTING)
     begin("what the error is made of")
     splits = split_study(study, surfaces, optima, executor, advance=course.advance)
     begin("rates to dwell at")
     designs = tuple(row for held in zip(study.tasks, surfaces, optima, strict=True) for row in _designs(study, *held))
     begin("Figure 3")
-    unit, warmer = typical_unit(study), sum(study.excursion_k) / 2.0
-    figure: Figure3 | None = None
-    missing: Finding | None = finding("study.no_sit_to_stand", "info")
-    if _has_figure3(study):
-        figure, missing = tried("Figure 3", lambda: figure3(unit, seed=study.seed, excursion_k=warmer))
+    warmer = sum(study.excursion_k) / 2.0
+    figure, missing = _figure3_of(study, warmer)
     effects, drawn = tuple[EffectRow, ...](), tuple[DrawnRow, ...]()
     compared: Rivals | None = None
     rivals_missing: Finding | None = finding("study.rivals_not_asked", "info")
@@ -523,6 +517,27 @@ def judge_study(
         real=None if real is None else judge_real(real, study),
         categories=categories,
     )
+
+
+def _figure3_of(study: Study, excursion_k: float) -> tuple[Figure3 | None, Finding | None]:
+    """Return the figure of a study with a sit-to-stand, or why there is none."""
+    if not _has_figure3(study):
+        return None, finding("study.no_sit_to_stand", "info")
+    return tried("Figure 3", lambda: figure3(typical_unit(study), seed=study.seed, excursion_k=excursion_k))
+
+
+def _on_others(
+    study: Study,
+    surfaces: tuple[run.TaskSurface, ...],
+    optima: tuple[judge.Optimum, ...],
+    chosen: tuple[int | None, ...],
+    folder: Path,
+) -> tuple[tuple[judge.Tested, ...], ...]:
+    """Run each task's optimum, its cheapest equal and, with a target, what was chosen on the other cohort."""
+    places = [[int(getattr(optimum, name)) for optimum in optima] for name in ("best", "cheapest")]
+    if study.target_deg is not None:
+        places.append([o.best if place is None else place for o, place in zip(optima, chosen, strict=True)])
+    return judge.run_testing(study, surfaces, places, folder)
 
 
 def _designs(
@@ -572,7 +587,7 @@ def _judge(
     splits: tuple[ErrorBreakdown, ...],
     halving: search.Halving | None,
 ) -> TaskOutcome:
-    row = TABLE_1.get(cast("TaskName", surface.task))
+    row = TABLE_1.get(cast("TaskName", surface.task)) if study.of_note else None
     least, stopping = _stopping(study, surface, optimum)
     one_way, repeated = judge.analyses_of(surface, study)
     return TaskOutcome(

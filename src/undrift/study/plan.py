@@ -133,20 +133,20 @@ class StudyTask:
 
     def protocol_of(self, point: Sequence[float] | FloatArray) -> Protocol:
         """Return the protocol of a candidate; what it says of gain, quality and tables is not of a protocol."""
-        held: dict[str, Any] = dict(zip(self.space.names, map(float, point), strict=True))
-        given = {
-            name: held[name]
-            for name in ("cutoff_hz", *TURN_RATES, "dwell_s", "bracket_s", "face_s", "soak_c_per_min")
-            if name in held
-        }
-        if "faces" in held:
-            given["faces"] = FACES[: int(held["faces"])]
-        if "order" in held:
-            given["order"] = "random" if held["order"] == 2.0 else "alternating"
         stated = self.base.temperatures_c
+        values: dict[str, Any] = dict(zip(self.space.names, map(float, point), strict=True))
+        given = {
+            name: values[name]
+            for name in ("cutoff_hz", *TURN_RATES, "dwell_s", "bracket_s", "face_s", "soak_c_per_min")
+            if name in values
+        }
+        if "faces" in values:
+            given["faces"] = FACES[: int(values["faces"])]
+        if "order" in values:
+            given["order"] = "random" if values["order"] == 2.0 else "alternating"
         count, warmest_c = (
-            int(held.get("set_points", len(stated))),
-            held.get("warmest_c", stated[-1] if stated else 0.0),
+            int(values.get("set_points", len(stated))),
+            values.get("warmest_c", stated[-1] if stated else 0.0),
         )
         if stated and (count, warmest_c) != (len(stated), stated[-1]):
             given["temperatures_c"] = tuple(np.linspace(stated[0], warmest_c, count).tolist()) if count > 1 else ()
@@ -224,6 +224,11 @@ class Study(Aim):
 
     def _unit(self) -> DeviceModel:
         return device_from_json(json.loads(self.worn)) if self.worn else preset(self.device)
+
+    @property
+    def of_note(self) -> bool:
+        """Whether the note's device is studied: only then is it compared with the note's rows and claims."""
+        return self.device == DEVICE and not self.worn
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -45,7 +45,7 @@ REMEDIES: dict[str, str] = {
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Target:
+class CheapestSession:
     """The cheapest session that keeps a task's error below a target, or why there is none."""
 
     target_deg: float  # Of the mean error, deg
@@ -136,7 +136,7 @@ def judge_target(
     tested: Tested,
     obstacle: tuple[str, float] | None,
     aim: Aim,
-) -> Target | None:
+) -> CheapestSession | None:
     """Judge what was chosen, or the optimum where nothing reaches, by the other cohort, or by each recorded person left out."""
     if aim.target_deg is None:
         return None
@@ -149,7 +149,7 @@ def judge_target(
         verdict = "at the edge" if edges else "enough"
     elif lower > aim.target_deg and chosen is None:
         verdict = "not reached"
-    return Target(
+    return CheapestSession(
         target_deg=aim.target_deg,
         confidence=aim.confidence,
         place=place,
