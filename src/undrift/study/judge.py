@@ -37,7 +37,7 @@ from undrift.sim.motion.tasks import CATEGORIES, DEFAULT, CategoryName, Group, T
 from undrift.study import statistics
 from undrift.study.case import COLUMNS, subject_of
 from undrift.study.plan import AIM, Aim, NoteRow, Objective, Study, StudyTask, Timing
-from undrift.study.run import InProcess, TaskSurface, run_study
+from undrift.study.run import Executor, InProcess, TaskSurface, run_study
 from undrift.study.space import HEADINGS, TURN_RATES, Space
 from undrift.study.statistics import (
     MOST_SUBJECTS,
@@ -371,15 +371,14 @@ def other_study(study: Study) -> Study:
 
 
 def run_testing(
-    study: Study, surfaces: tuple[TaskSurface, ...], chosen: Sequence[Sequence[int]], folder: Path
+    study: Study, surfaces: tuple[TaskSurface, ...], chosen: Sequence[Sequence[int]], folder: Path, executor: Executor
 ) -> tuple[tuple[Tested, ...], ...]:
     """Run a protocol of each task on the other cohort, for each of several choices."""
     other, found = other_study(study), list[list[Tested]]()
     for places in chosen:
         tasks = tuple(map(only, study.tasks, surfaces, places))
         mark = hashlib.sha256(repr(tasks).encode()).hexdigest()[:12]  # another objective chooses other protocols
-        # a few seconds' work: shorter than starting workers
-        tried = run_study(replace(other, tasks=tasks), InProcess(), folder / mark)
+        tried = run_study(replace(other, tasks=tasks), executor, folder / mark)
         found.append([_on_others(surface, study) for surface in tried])
     return tuple(zip(*found, strict=True))
 

@@ -244,9 +244,14 @@ def _subjects(study: Study, surface: run.TaskSurface) -> list[int]:
 
 
 def _lines(surface: run.TaskSurface, optimum: judge.Optimum) -> dict[str, IntArray]:
-    """Return the places of the protocols that differ from the optimum in one parameter, by rising values; five at most."""
+    """Return the places of the protocols that differ from the optimum in one parameter, by rising values; five at most.
+
+    Of the further parameters those that are indifferent are left out: nothing is hidden there.
+    """
     lines = {}
     for effect in optimum.effects:
+        if effect.name in surface.further and effect.judged and effect.judged.verdict == "equivalent":
+            continue
         line = surface.line(optimum.best, effect.name)
         line = line[np.isin(surface.column(effect.name)[line], effect.values)]
         if len(line) > MOST_VALUES:
@@ -482,7 +487,7 @@ def judge_study(
     optima = tuple(judge.find_optimum(surface, study) for surface in surfaces)
     begin("the other cohort")
     chosen = tuple(map(partial(targets.choose, aim=study), study.tasks, surfaces, optima))
-    others, tested = judge.other_study(study), _on_others(study, surfaces, optima, chosen, folder / TESTING)
+    others, tested = judge.other_study(study), _on_others(study, surfaces, optima, chosen, folder / TESTING, executor)
     categories = judge.compare_categories(study, surfaces, optima, folder / TESTING)
     begin("what the error is made of")
     splits = split_study(study, surfaces, optima, executor, advance=course.advance)
@@ -532,12 +537,13 @@ def _on_others(
     optima: tuple[judge.Optimum, ...],
     chosen: tuple[int | None, ...],
     folder: Path,
+    executor: run.Executor,
 ) -> tuple[tuple[judge.Tested, ...], ...]:
     """Run each task's optimum, its cheapest equal and, with a target, what was chosen on the other cohort."""
     places = [[int(getattr(optimum, name)) for optimum in optima] for name in ("best", "cheapest")]
     if study.target_deg is not None:
         places.append([o.best if place is None else place for o, place in zip(optima, chosen, strict=True)])
-    return judge.run_testing(study, surfaces, places, folder)
+    return judge.run_testing(study, surfaces, places, folder, executor)
 
 
 def _designs(
