@@ -1,17 +1,18 @@
 """``undrift validate``: what a calibration is worth in degrees, against an orientation reference.
 
 The summary has a table of errors, how far they exceed what follows from the calibration's covariance, agreement over
-trials, what was done, and the course of each trial.
+trials, what was done, and the course of each trial; on request each level of correction, and what the device's twin predicts.
 """
 
+import csv
 import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from undrift.base.options import Files, Flag, OptionalOutput, Side, verb
-from undrift.base.summary import Origin, Result, Section, Summary, at, figure_of, rows_section
+from undrift.base.options import Files, Flag, OptionalOutput, Side, options, verb
+from undrift.base.summary import Origin, Result, Section, Summary, at, figure_of, interval, number, rows_section
 from undrift.commands import Progress, part_of, silent
 from undrift.commands.files import (
     Opening,
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
     from undrift.calibration.reference import ReferenceSettings
     from undrift.model import Calibration
     from undrift.record import Record, Reference, Session
+    from undrift.study.compare import LevelComparison
     from undrift.validation.agreement import Coverage, Validation
     from undrift.validation.trial import Figures, Trial, TrialSettings
 
@@ -46,7 +48,9 @@ SHOWN = {
     "end_inclination_deg": "end incl.",
     "lag_ms": "lag ms",
 }
-READ, ALL_FITTED = 0.3, 0.45  # shares of the time when all is read, and when the fit to all recordings is made
+# shares of the time when all is read, when the fit to all recordings is made, and when they are judged before levels are compared
+READ, ALL_FITTED, JUDGED = 0.3, 0.45, 0.55
+NOTE_APART_DEG = 0.15  # largest difference of simulated and actual device in the note's Figure 3
 SHOWN_SHARE = 0.0005  # a difference between shares that a percentage with one digit shows
 _ALIGNED = {
     "auto": "the rotation between the device's case and the reference's body, from their rates, is removed where it exceeds "
@@ -85,6 +89,7 @@ class Validated(Result):
     verdict: Verdict  # Of the calibration, or of the fits to the others
     settings: "TrialSettings"  # Offset, ADC, axes of the pitch, search of the lag
     output: Path | None = None
+    compared: "LevelComparison | None" = None  # Levels of correction, where asked for
 
     @property
     def gravity(self) -> dict[str, Any]:
@@ -100,7 +105,13 @@ class Validated(Result):
         fitted = self.calibration is not None and not self.source
         named = {"calibration": "reference" if fitted else self.source or None, "offset": self.settings.offset}
         asked = {"adc": self.settings.adc, "leave_one_out": self.leave_one_out}
-        return _validation_json(self.result) | named | asked | self.gravity
+        return (
+            _validation_json(self.result)
+            | named
+            | asked
+            | self.gravity
+            | ({"compared": asdict(self.compared)} if self.compared else {})
+        )
 
     def summary(self) -> Summary:
         """Return the errors of each recording, and what was done to get them."""
@@ -117,8 +128,9 @@ class Validated(Result):
             title=f"Against the reference: {len(result.trials)} recording{'s' * many}",
             answer=_answer(result, self),
             data=self.data,
-            pictures=(first,),
+            pictures=(figure_of("figures:draw_compared", self), first) if self.compared else (first,),
             sections=(
+                *_compared(self.compared),
                 errors_section(self),
                 trials_section(result.trials, means if many else ()),
                 *_expected(result),
@@ -136,6 +148,64 @@ class Validated(Result):
         )
 
 
+@options
+@dataclass(frozen=True, kw_only=True)
+class Comparing:
+    """Levels of correction, and the device's twin.
+
+    Parameters
+    ----------
+    compare : bool
+        Also judge the recordings at each level of correction: uncalibrated, constants, static tables, all tables, and the offset of
+        the rest and of the motion subtracted; and the readings that the twin of the device predicts for the same motion.
+    margin_deg : float
+        With --compare: smallest difference between two levels that matters, deg.
+    labels : Path or None
+        With --compare: CSV table with columns recording (a file's name, or a pattern such as p1/*), task and person, or
+        one of both; the statistics are over people.
+    """
+
+    compare: Flag = False
+    margin_deg: float = NOTE_APART_DEG
+    labels: Path | None = None
+
+    def check(self) -> None:
+        """Refuse a margin that is none, and what says nothing without a comparison."""
+        if not self.compare and (self.labels or self.margin_deg != Comparing.margin_deg):
+            raise InputError("validate: `labels` and `margin_deg` want `compare`; say both, or neither")
+        if not 0.0 < self.margin_deg < math.inf:
+            raise InputError(f"`margin_deg`: wanted more than 0 deg, got {self.margin_deg:g}; say what matters")
+
+    def of(
+        self, done: Validated, pairs: list[tuple["Record", "Reference"]], paths: Sequence[Path], progress: Progress
+    ) -> "LevelComparison":
+        """Compare the levels of what was validated; of leave-one-out each recording by the fit to the others."""
+        from undrift.study.compare import compare_levels
+
+        fitted = [replace(done.calibration, gyro=h.fit.triad.model) for h in done.result.held_out if done.calibration]
+        labels = (tuple(map(name_of, paths)), *self._known(paths))
+        how: Any = {"settings": done.settings, "margin_deg": self.margin_deg, "progress": progress}
+        return compare_levels(pairs, fitted or [done.calibration] * len(pairs), labels, **how)
+
+    def _known(self, paths: Sequence[Path]) -> tuple[tuple[str, ...], tuple[str, ...]]:
+        """Return tasks and people of recordings, empty where no labels say so."""
+        from undrift.files import read_bytes
+
+        if self.labels is None:
+            return (), ()
+        table = csv.DictReader(read_bytes(self.labels).decode("utf-8-sig", "replace").splitlines())
+        rows = [row for row in table if row.get("recording")]
+        found = [next((row for row in rows if path.resolve().match(row["recording"])), {}) for path in paths]
+        tasks, people = (tuple(row.get(key) or "" for row in found) for key in ("task", "person"))
+        if not all(tasks) and not all(people):
+            lacking = min(zip(tasks, people, paths, strict=True), key=lambda row: bool(row[0]) + bool(row[1]))[2]
+            raise InputError(
+                f"{self.labels}: wanted columns recording and task or person, with a row for each recording, got none for "
+                f"{lacking}; add it"
+            )
+        return tasks if all(tasks) else (), people if all(people) else ()
+
+
 @verb
 def validate(
     *records: Files,
@@ -151,6 +221,7 @@ def validate(
     up: Side = "+z",
     applying: TableUse = TableUse(),
     max_lag_s: float = 5.0,
+    comparing: Comparing = Comparing(),
     output: OptionalOutput = None,
     opening: Opening = Opening(),
     progress: Progress = silent,
@@ -188,6 +259,8 @@ def validate(
         How the tables of the calibration are applied.
     max_lag_s : float
         Largest lag between the clocks of recording and reference, either way, s.
+    comparing : Comparing
+        Levels of correction, and the device's twin.
     output : Path or None
         Folder for validation.json, report.html and, with --calibrate-from, calibration.json.
     opening : Opening
@@ -201,6 +274,7 @@ def validate(
     from undrift.validation.trial import TrialSettings
 
     _check_asked((leave_one_out, mounting, place), calibrate_from, calibration, max_lag_s)
+    comparing.check()
     check_folder(output)
     chosen = offset or ("none" if calibration or calibrate_from else "rest")
     settings = TrialSettings(
@@ -213,9 +287,11 @@ def validate(
     pairs = optics.pairs(records, opening.like(model, calibration), command="validate", session=session)
     fit = ReferenceSettings(mounting=mounting or (session and session.mounting) or "each") if calibrate_from else None
     progress("aligning and integrating" if fit is None else "fitting to all recordings", READ)
-    steps = part_of(progress, READ if fit is None else ALL_FITTED, 1.0)
+    steps = part_of(progress, READ if fit is None else ALL_FITTED, JUDGED if comparing.compare else 1.0)
     named = (records, optics.reference)
     validated = _judged(pairs, named, (calibration, model), settings, (leave_one_out, steps), fit, (place, session))
+    if comparing.compare:
+        validated = replace(validated, compared=comparing.of(validated, pairs, records, part_of(progress, JUDGED, 1.0)))
     if output is None:
         return validated
     return _write(validated, output, origin_of(*records, *optics.reference, calibration))
@@ -359,6 +435,48 @@ def _judged(
 # ---- sections
 
 
+def _compared(compared: "LevelComparison | None") -> tuple[Section, ...]:
+    """Return the levels of correction: their errors, the twins' beside them, and those of each trial and task."""
+    if compared is None:
+        return ()
+    import numpy as np
+
+    who, shown, rows = "people" if compared.people else "trials", False, list[tuple[str, ...]]()
+    twins, columns, tasks = list[tuple[str, ...]](), [row.actual_deg for row in compared.rows], np.array(compared.tasks)
+    for row in compared.rows:
+        judged, both = row.decision, np.isfinite(row.apart_deg)
+        less = (number(judged.difference), interval(judged.interval, ".2f")) if judged else ("–", "–")
+        verdict = judged.verdict if judged else "not decidable" if shown and np.isfinite(row.mean_deg) else "–"
+        spread = interval(row.interval_deg, ".2f") if np.isfinite(row.interval_deg).all() else "–"
+        rows.append((row.level, number(row.mean_deg), spread, *less, verdict))
+        seen = [
+            x[both] if both.any() else np.array([np.nan]) for x in (row.actual_deg, row.simulated_deg, row.apart_deg)
+        ]
+        within = f"{(seen[-1] <= NOTE_APART_DEG).sum()} of {both.sum()}"
+        twins.append((row.level, *(number(x.mean()) for x in seen), number(seen[-1].max()), within))
+        shown |= bool(np.isfinite(row.mean_deg))
+    each = [(name, *map(number, errors)) for name, errors in zip(compared.recordings, np.array(columns).T, strict=True)]
+    kinds = dict.fromkeys(compared.tasks)
+    each += [(f"mean of {kind}", *(number(x[tasks == kind].mean()) for x in columns)) for kind in kinds]
+    text = (
+        f"{compared.quantity} error, root mean square over the motion, mean over {who}; less: than in the row before, paired",
+        f"better, equivalent or worse by a margin of {compared.margin_deg:g} deg, at 5 % over all rows, from three {who} on",
+        *(f"{row.level}: {row.missing}" for row in compared.rows if row.missing),
+    )
+    of_twins = (
+        "simulated: the device by its calibration in the motion that the reference saw, corrected alike; difference: largest "
+        f"between the two errors in a trial, mean and most; the note states {NOTE_APART_DEG:g} deg over 4 s",
+    )
+    heads = ("level", "error (deg)", "95 %", "less (deg)", "95 %", "verdict")
+    beside = ("level", "actual (deg)", "simulated", "difference", "most", f"within {NOTE_APART_DEG:g} deg")
+    names = ("recording", *(row.level for row in compared.rows))
+    return (
+        Section(title="Levels of correction", columns=heads, rows=tuple(rows), text=text),
+        Section(title="Simulated against actual", columns=beside, rows=tuple(twins), text=of_twins),
+        Section(title="Error of each trial in deg, by level", columns=names, rows=tuple(each)),
+    )
+
+
 def _answer(result: "Validation", method: Validated) -> str:
     """Return what the orientation is worth, in a sentence."""
     removed = {
@@ -382,19 +500,12 @@ def _answer(result: "Validation", method: Validated) -> str:
 
 def errors_section(validated: Validated) -> Section:
     """Return the errors as a terminal shows them, one row a recording."""
-    trials, result = validated.result.trials, validated.result
+    trials, result, rows = validated.result.trials, validated.result, []
     named = [(trial.recording, trial.figures) for trial in trials]
-    if len(named) > 1:
-        named += [("mean", result.mean), ("median", result.median)]
-    rows = (
-        (
-            name,
-            *(f"{getattr(figures, key):.2f}" for key in SHOWN),
-            *map(_percent, (figures.pitch_defined, figures.valid_optics)),
-        )
-        for name, figures in named
-    )
-    undefined = any(figures.pitch_defined < 1.0 for _, figures in named)
+    for name, x in named if len(named) == 1 else (*named, ("mean", result.mean), ("median", result.median)):
+        cells = (f"{getattr(x, key):.2f}" for key in SHOWN)
+        rows.append((name, *cells, _percent(x.pitch_defined), _percent(x.valid_optics)))
+    undefined = any(x.pitch_defined < 1.0 for _, x in named)
     lines = [PITCH_DEFINED.replace("Pitch defined", "pitch %")] * undefined
     least = min(trial.figures.valid_optics_file for trial in trials)
     if least < min(trial.figures.valid_optics for trial in trials) - SHOWN_SHARE:
@@ -442,22 +553,6 @@ def trials_section(trials: "Sequence[Trial]", more: "Sequence[tuple[str, Figures
     return rows_section("Errors", rows, text=text, on="page")
 
 
-def expected_rows(trials: "Sequence[Trial]") -> list[tuple[str, ...]]:
-    """Return observed and expected errors, deg, one row a trial: end total, then total over the motion."""
-    rows = list[tuple[str, ...]]()
-    for trial in trials:
-        made, figures = trial.expected, trial.figures
-        if made is not None:
-            end = (figures.end_total_deg, made.end_total_deg, made.end_at_most_deg)
-            rmse = (figures.rmse_total_deg, made.rmse_total_deg, made.rmse_at_most_deg)
-            cells = [
-                (told_apart(seen, ".2f", most), f"{root:.2f}", told_apart(most, ".2f", seen))
-                for seen, root, most in (end, rmse)
-            ]
-            rows.append((trial.recording, *cells[0], *cells[1]))
-    return rows
-
-
 def coverage_text(coverage: "Coverage") -> str:
     """Return how many of the observed errors are no larger than stated."""
     return (
@@ -467,16 +562,26 @@ def coverage_text(coverage: "Coverage") -> str:
 
 
 def _expected(result: "Validation") -> tuple[Section, ...]:
+    """Return observed and expected errors, deg, one row a trial: end total, then total over the motion."""
     if result.coverage is None:
         return ()
-    heads = ("recording", "end total (deg)", "expected", "at most", "total rmse (deg)", "expected rmse", "rmse at most")
-    rows = [dict(zip(heads, row, strict=True)) for row in expected_rows(result.trials)]
+    heads, rows = (
+        ("recording", "end total (deg)", "expected", "at most", "total rmse (deg)", "expected rmse", "rmse at most"),
+        [],
+    )
+    for trial in result.trials:
+        if (made := trial.expected) is not None:
+            end = (trial.figures.end_total_deg, made.end_total_deg, made.end_at_most_deg)
+            rmse = (trial.figures.rmse_total_deg, made.rmse_total_deg, made.rmse_at_most_deg)
+            pairs = ((told_apart(x, ".2f", most), f"{y:.2f}", told_apart(most, ".2f", x)) for x, y, most in (end, rmse))
+            rows.append((trial.recording, *(cell for cells in pairs for cell in cells)))
     text = (
         "Expected: root mean square of the errors that follow from the calibration's covariance and from what changes between "
         "recordings of a device. At most: 95 % of the errors are no larger.",
         coverage_text(result.coverage),
     )
-    return (rows_section("observed and expected errors in deg (at most: 95 %)", rows, text=text),)
+    title = "observed and expected errors in deg (at most: 95 %)"
+    return (Section(title=title, columns=heads, rows=tuple(rows), text=text),)
 
 
 def _agreement(result: "Validation") -> tuple[Section, ...]:

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 
     from undrift.calibration.noise import NoiseFit
     from undrift.calibration.pieces import Piece
+    from undrift.commands.validate import Validated
     from undrift.orientation import Orientation
     from undrift.rig.folder import RecordedDwell
     from undrift.study.outcome import StudyOutcome, TaskOutcome
@@ -672,6 +673,27 @@ def draw_trials_agreement(result: "Validation", limits: "BlandAltman") -> "Figur
     """Draw the agreement of device and reference on the mean inclination of each trial."""
     pairs = np.array([trial.mean_inclination for trial in result.trials]) / RADIAN_PER_DEGREE
     return draw_agreement(pairs.mean(axis=1), pairs[:, 0] - pairs[:, 1], limits.bias, limits.limits, unit="trial")
+
+
+def draw_compared(validated: "Validated") -> "Figure":
+    """Draw the errors at each level of correction, simulated and actual: every trial, and the mean of the actual ones, 95 %."""
+    quantity, made = (validated.compared.quantity, validated.compared.rows) if validated.compared else ("", ())
+    rows = [row for row in made if np.isfinite(row.mean_deg)]
+    figure, (panel,) = new_figure(1, height=0.7 + 0.45 * len(rows))
+    entitle(figure, f"Levels of correction: {quantity} error, rms over the motion")
+    for name, at, colour, marker in (("actual", -0.18, DEVICE, "o"), ("simulated", 0.18, LIMIT, "d")):
+        values = np.array([getattr(row, f"{name}_deg") for row in rows])
+        places = np.repeat(np.arange(len(rows)) + at, values.shape[1])
+        panel.plot(values.ravel(), places, marker, color=colour, markersize=4.0, label=name)
+    mean = np.array([row.mean_deg for row in rows])
+    ends = np.nan_to_num(np.abs(np.array([row.interval_deg for row in rows]).T - mean))
+    ends[0] = np.minimum(ends[0], 0.9 * mean)  # an axis of logarithms has no zero
+    style: Any = {"fmt": "|", "color": OPTICS, "capsize": 2.0, "label": "mean of actual, 95 %"}
+    panel.errorbar(mean, np.arange(len(rows)), xerr=ends, **style)
+    panel.set_yticks(range(len(rows)), [row.level for row in rows])
+    panel.set(xlabel="error (deg)", xscale="log", ylim=(len(rows) - 0.5, -0.5))
+    legend_above(panel)
+    return figure
 
 
 # ---- twin

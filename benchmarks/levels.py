@@ -1,0 +1,160 @@
+"""Levels of correction and the twin, as ``undrift validate --compare`` has them, on trials of four kinds, deg.
+
+``python -m benchmarks.levels`` prints a table of each set, or of those named:
+
+    note     a note-like device (ENC-03J, hysteresis, thermometer lag, bow of the converter, g-sensitivity) on five simulated people
+    captured the same device in captured motions of three people: sit-to-stand, squats, stairs (mocap_*, c3d)
+    b, c, d  BROAD trials of a device, each by the reference fit to the others
+    chain    chain_with_optics, likewise: 40 Hz, optics at 30 Hz, no rest, no positions
+
+Simulated devices are calibrated on the simulated bench at 25 degC and by soaks while warming alone; trials are 12.5 K warmer.
+"""
+
+import os
+import sys
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.in_motion import pairs as pairs_in_motion
+from undrift.calibration.calibrate import calibrate_to_references
+from undrift.io.formats import read_record, read_reference
+from undrift.model import Calibration
+from undrift.record import Record, Reference
+from undrift.sim.device.presets import preset
+from undrift.sim.device.simulate import simulate_device
+from undrift.sim.motion.motion import after_rest
+from undrift.sim.motion.poses import fit_pose_spline, see
+from undrift.sim.motion.tasks import draw_task
+from undrift.study.case import REST_S
+from undrift.study.compare import LevelComparison, compare_levels
+from undrift.study.figure3 import NOTE_APART_DEG, OPTICS, SETTLED_S, actual_device, calibrated, worn_record
+from undrift.study.plan import SAMPLE_RATE_HZ, SKIN, read_poses, rest_of
+from undrift.units import STANDARD_GRAVITY
+from undrift.validation.agreement import MOUNTING_ABOVE, validate_leave_one_out
+from undrift.validation.trial import TrialSettings
+
+Pairs = list[tuple[Record, Reference]]
+DATA = Path(os.environ.get("UNDRIFT_DATA", "../shared/data"))
+EXCURSION_K, ROOM_C = 12.5, 25.0
+TASKS = ("sit_to_stand", "step")
+CAPTURES = (  # file, task, person
+    ("mocap_sit_to_stand/STS1.trc.gz", "sit-to-stand", "Subject4"),
+    ("mocap_sit_to_stand/STSAsym1.trc.gz", "sit-to-stand", "Subject4"),
+    ("mocap_sit_to_stand/squats1.trc.gz", "squat", "Subject4"),
+    ("mocap_stair_up/markers_Squat2.trc.gz", "squat", "stair"),
+    ("mocap_stair_up/markers_StairUp3.trc.gz", "stairs", "stair"),
+    ("c3d/squat.c3d.gz", "squat", "Vicon"),
+)
+BROAD = {
+    "b": ("02_undisturbed_slow_rotation_B", "05_undisturbed_slow_rotation_with_breaks_B", "07_undisturbed_fast_rotation_B",
+          "09_undisturbed_fast_rotation_with_breaks_B"),
+    "c": ("03_undisturbed_slow_rotation_C", "24_disturbed_tapping_A"),
+    "d": ("32_disturbed_attached_magnet_1cm", "35_disturbed_attached_magnet_4cm"),
+}  # fmt: skip
+
+
+def simulated(seed: int = 1, people: int = 5) -> LevelComparison:
+    """Compare the note-like device's levels on simulated people."""
+    device = actual_device(preset("enc03j_3031"))
+    full = calibrated(device, rng=np.random.default_rng(seed), back=False)[2]
+    pairs, tasks, whose = Pairs(), list[str](), list[str]()
+    for person in range(people):
+        for task in TASKS:
+            rng = np.random.default_rng([9, person, len(task)])
+            performed = draw_task(task, rng=rng)
+            record = worn_record(device, performed, excursion_k=EXCURSION_K, rng=rng)
+            pairs.append((record, see(performed, rng=rng, settings=OPTICS)))
+            tasks.append(task)
+            whose.append(f"p{person}")
+    return _compared(pairs, [full] * len(pairs), tasks, whose)
+
+
+def captured(seed: int = 2) -> LevelComparison:
+    """Compare them in captured motions, held still before."""
+    device = actual_device(preset("enc03j_3031"))
+    full = calibrated(device, rng=np.random.default_rng(seed), back=False)[2]
+    pairs = Pairs()
+    for k, (file, *_) in enumerate(CAPTURES):
+        spline = fit_pose_spline(
+            read_poses(DATA / file, body="pelvis", markers=(), up="z" if "c3d" in file else "y"), SKIN
+        )
+        first, last = spline.pieces[0][:2]
+        time, before = (
+            first + np.arange(int((last - first) * SAMPLE_RATE_HZ)) / SAMPLE_RATE_HZ,
+            round(REST_S * SAMPLE_RATE_HZ),
+        )
+        moving = spline.at(time, STANDARD_GRAVITY)
+        rest = rest_of(moving, moving.q_nb[:1]) | {"moving": np.zeros(1)}
+        moving = replace(moving, moving=np.ones(len(time)))
+        motion = after_rest(moving, rest, np.arange(before, 0, -1) / SAMPLE_RATE_HZ)
+        position = spline.position(time)
+        position = np.concatenate((np.repeat(position[:1], before, axis=0), position))
+        made = simulate_device(
+            device, motion, rng=np.random.default_rng([5, k]), temp_c=ROOM_C + EXCURSION_K, power_on_s=SETTLED_S
+        )
+        pairs.append(
+            (made.record, Reference(time=motion.time, q_nb=motion.q_nb, position=position, moving=motion.moving))
+        )
+    return _compared(pairs, [full] * len(pairs), [task for _, task, _ in CAPTURES], [who for *_, who in CAPTURES])
+
+
+def left_out(pairs: Pairs) -> LevelComparison:
+    """Compare the levels of a real device, each trial by the reference fit to the others."""
+    held = validate_leave_one_out(pairs).held_out
+    model = calibrate_to_references([one for one, _ in pairs], [poses for _, poses in pairs])
+    settings = TrialSettings(align_above=MOUNTING_ABOVE)
+    return _compared(pairs, [replace(model, gyro=one.fit.triad.model) for one in held], settings=settings)
+
+
+def _compared(
+    pairs: Pairs,
+    calibrations: Sequence[Calibration],
+    tasks: Sequence[str] = (),
+    people: Sequence[str] = (),
+    settings: TrialSettings = TrialSettings(),
+) -> LevelComparison:
+    labels = (tuple(f"{k + 1}" for k in range(len(pairs))), tuple(tasks), tuple(people))
+    return compare_levels(pairs, calibrations, labels, settings=settings, margin_deg=NOTE_APART_DEG)
+
+
+def show(name: str, found: LevelComparison) -> None:
+    """Print one table."""
+    print(
+        f"{name}: {found.quantity}, rms, deg; actual mean [95 %], less than before, verdict; simulated; difference mean, most"
+    )
+    for row in found.rows:
+        if not np.isfinite(row.mean_deg):
+            print(f"  {row.level:16} {row.missing}")
+            continue
+        both, judged = np.isfinite(row.apart_deg), row.decision
+        verdict = "" if judged is None else f"{judged.difference:6.2f} {judged.verdict}"
+        low, high = row.interval_deg
+        twin = (
+            f"{row.simulated_deg[both].mean():6.2f} {row.apart_deg[both].mean():5.2f} {row.apart_deg[both].max():5.2f}"
+            if both.any()
+            else ""
+        )
+        print(f"  {row.level:16} {row.mean_deg:6.2f} [{low:.2f}, {high:.2f}]  {verdict:22} {twin}  {row.missing}")
+        print(f"  {'':16} each: {' '.join(f'{x:.2f}' for x in row.actual_deg)}")
+
+
+def main(names: Sequence[str]) -> None:
+    """Print the tables of the sets that are named, or of all."""
+    for name in names or ("note", "captured", *BROAD, "chain"):
+        if name in BROAD:
+            files = [DATA / "broad" / f"{trial}.hdf5" for trial in BROAD[name]]
+            show(name, left_out([(read_record(file), read_reference(file)) for file in files]))
+        else:
+            show(
+                name,
+                {"note": simulated, "captured": captured, "chain": lambda: left_out(list(pairs_in_motion("chain")))}[
+                    name
+                ](),
+            )
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
