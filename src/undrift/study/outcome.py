@@ -244,14 +244,9 @@ def _subjects(study: Study, surface: run.TaskSurface) -> list[int]:
 
 
 def _lines(surface: run.TaskSurface, optimum: judge.Optimum) -> dict[str, IntArray]:
-    """Return the places of the protocols that differ from the optimum in one parameter, by rising values; five at most.
-
-    Of the further parameters those that are indifferent are left out: nothing is hidden there.
-    """
+    """Return the places of the protocols that differ from the optimum in one parameter, by rising values; five at most."""
     lines = {}
     for effect in optimum.effects:
-        if effect.name in surface.further and effect.judged and effect.judged.verdict == "equivalent":
-            continue
         line = surface.line(optimum.best, effect.name)
         line = line[np.isin(surface.column(effect.name)[line], effect.values)]
         if len(line) > MOST_VALUES:
