@@ -48,25 +48,24 @@ TIMINGS: "dict[Timing, str]" = {
 
 def answer_of(outcome: "StudyOutcome") -> str:
     """Return the protocol of each task in a sentence."""
-    text = "; ".join(map(_answer_of, outcome.tasks))
+    study, text = outcome.study, "; ".join(map(_answer_of, outcome.tasks))
+    if study.target_deg is not None:
+        return f"For {study.target_deg:g} deg, with {100.0 * study.confidence:g} % confidence on other people and devices: {text}."
     return f"{text[:1].upper()}{text[1:]}."
 
 
 def _answer_of(task: "TaskOutcome") -> str:
     surface, place, tested, target = task.surface, *task.to_use, task.target
-    head = f"{_name(task)}: {surface.cutoff_hz[place]:.4g} Hz and rates of {_rates_of(surface, place)} deg/s"
     minutes = f"{surface.rig_minutes[place]:.0f} min on the table"
     if target is None:
         best = "the best that were tried" if task.optimum.edges else "enough"
+        head = f"{_name(task)}: {surface.cutoff_hz[place]:.4g} Hz and rates of {_rates_of(surface, place)} deg/s"
         return f"{head} are {best}, {tested.error_rms_deg:.2f} deg rms after {minutes}"
     upper, lower = tested.limits_deg
-    limit = f"with {100.0 * target.confidence:g} % confidence, on other people and devices"
     if target.verdict == "not reached":
-        tried = f"no protocol that was tried reaches {target.target_deg:g} deg"
-        return f"{_name(task)}: {tried}; the best is above {lower:.2g} deg {limit}"
-    words = {"enough": "are enough for", "at the edge": "reach, at the edge of what was tried,"}
-    verdict = words.get(target.verdict, "are not shown to reach")
-    return f"{head}{_further(surface, place)} {verdict} {target.target_deg:g} deg after {minutes}: below {upper:.2g} deg {limit}"
+        return f"{_name(task)}: nothing that was tried, the best is above {lower:.2g} deg"
+    words = {"enough": "are enough", "at the edge": "do, at the edge of what was tried"}
+    return f"{_name(task)}: {minutes} {words.get(target.verdict, 'are not shown to do')}, below {upper:.2g} deg"
 
 
 def sections_of(outcome: "StudyOutcome") -> tuple[Section, ...]:
@@ -184,6 +183,7 @@ def _answer(outcome: "StudyOutcome") -> Section:
         )
     text = (
         f"{how} Errors are means over subjects and devices that had no part in the choice. Each rate is turned both ways.",
+        *(f"{_name(task)}{words}." for task in outcome.tasks if (words := _further(task.surface, task.to_use[0]))),
         "Below, omega_m and omega_M are the least and greatest rate of the table, d is the step between rates.",
     )
     return table_section("Answer: the protocol to use", outcome.tasks, cells, text=text)
