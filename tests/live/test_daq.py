@@ -57,6 +57,8 @@ def test_a_named_sensor_and_a_stated_scale_make_units(board):
     behind = recorded(f"{PLACE}&temp_scale=50&temp_zero=-100&gyro_v_per_unit=0.0134&gyro_zero_v=1.35")
     np.testing.assert_allclose(behind.gyro.mean(axis=0), [5.04, 0.04, -4.96], atol=0.01)
     assert behind.accel_unit == "v"
+    bridge = recorded(f"{PLACE}&temp_sensor=lm335&accel_sensor=icsensors_3031")
+    np.testing.assert_allclose(bridge.accel.mean(axis=0) * 10e-3, [2.5005, 2.1885, 2.8125], atol=1e-3)  # volts, from 0
     np.testing.assert_allclose(behind.temp_c.mean(), 49.1, atol=0.1)
 
 
