@@ -148,7 +148,7 @@ def study(
         Folder for surface.parquet, report.html, summary.json and a protocol.toml for each task; an interrupted study in it
         resumes.
     preset : str or None
-        "note" in place of a plan: the technical note's three tasks, thirty subjects, over 400 protocols each.
+        "note" in place of a plan: the technical note's three tasks, thirty subjects, over 600 protocols each.
     workers : int or None
         Processes on this machine; all its processors where not given.
     scheduler : str or None
