@@ -168,7 +168,7 @@ def test_every_help_ends_with_examples_that_parse(undrift, name):
 @pytest.mark.parametrize("name", LEAVES)
 def test_the_usage_line_names_what_is_required(undrift, name):
     shown = undrift.good(*name.split(), "--help").out
-    usage = shown.splitlines()[0]
+    usage = " ".join(shown.split("\n\n")[0].split())  # of one line or two
     required = re.findall(r"^│ \*  (--[\w-]+|[A-Z-]+)", shown, re.M)
     show(usage, required)
     for option in required:
