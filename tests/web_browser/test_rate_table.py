@@ -143,7 +143,7 @@ def test_the_emergency_stop_reaches_the_table_at_once(
     page.evaluate(CLICKED)
     page.get_by_role("button", name="Start").click()
     mount(page, bench, 1)
-    expect(page.locator(".bench-main")).to_contain_text("deg/s about x, dwelling", timeout=RUN_MS)
+    expect(page.locator(".bench-main")).to_contain_text("deg/s about x, ", timeout=RUN_MS)  # a busy page skips phases
     if way == "halted":
         os.kill(running(bench_server).view.pid or 0, signal.SIGSTOP)
     obeyed.clear()
