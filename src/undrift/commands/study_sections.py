@@ -61,7 +61,7 @@ def _answer_of(task: "TaskOutcome") -> str:
         best = "the best that were tried" if task.optimum.edges else "enough"
         head = f"{_name(task)}: {surface.cutoff_hz[place]:.4g} Hz and rates of {_rates_of(surface, place)} deg/s"
         return f"{head} are {best}, {tested.error_rms_deg:.2f} deg rms after {minutes}"
-    upper, lower = tested.limits_deg
+    lower, upper = tested.limits_deg
     if target.verdict == "not reached":
         return f"{_name(task)}: nothing that was tried, the best is above {lower:.2g} deg"
     words = {"enough": "are enough", "at the edge": "do, at the edge of what was tried"}
@@ -174,7 +174,7 @@ def _answer(outcome: "StudyOutcome") -> Section:
         cells = (
             *cells,
             (f"for {study.target_deg:g} deg", lambda task: "" if task.target is None else task.target.verdict),
-            ("upper limit (deg)", lambda task: f"{task.to_use[1].limits_deg[0]:.3f}"),
+            ("upper limit (deg)", lambda task: f"{task.to_use[1].limits_deg[1]:.3f}"),
             ("needs", lambda task: "" if task.target is None else ", ".join(task.target.needs)),
         )
         how = (

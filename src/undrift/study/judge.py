@@ -346,9 +346,8 @@ class Tested:
     error_max_deg: float
     interval_rms_deg: tuple[float, float]  # Their 95 % intervals, deg
     interval_max_deg: tuple[float, float]
-    limits_deg: tuple[
-        float, float
-    ]  # Upper and lower limit of what the study minimises, each at its confidence, one-sided, deg
+    # Lower and upper limit of the mean of what the study minimises, each at its confidence, one-sided, deg
+    limits_deg: tuple[float, float]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -291,13 +291,13 @@ def mean_interval(values: FloatArray) -> tuple[float, tuple[float, float]]:
 
 
 def mean_limits(values: FloatArray, confidence: float) -> tuple[float, float]:
-    """Return the upper and the lower limit of a mean, each alone at a confidence: mean +- t s / sqrt(n); NaN of too few."""
+    """Return the lower and the upper limit of a mean, each alone at a confidence: mean +- t s / sqrt(n); NaN of too few."""
     from scipy.stats import t as t_distribution
 
     if len(values) < 2:
         return float("nan"), float("nan")
     reach = float(t_distribution.ppf(confidence, len(values) - 1) * values.std(ddof=1) / np.sqrt(len(values)))
-    return float(values.mean()) + reach, float(values.mean()) - reach
+    return float(values.mean()) - reach, float(values.mean()) + reach
 
 
 # ---- verdicts against a margin

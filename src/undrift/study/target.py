@@ -63,7 +63,7 @@ class CheapestSession:
     @property
     def finding(self) -> Finding:
         """The verdict in words."""
-        upper, lower = self.tested.limits_deg
+        lower, upper = self.tested.limits_deg
         words = {"target_deg": self.target_deg, "upper_deg": upper, "confidence_percent": 100.0 * self.confidence}
         words |= {"minutes": self.minutes, "subjects": self.tested.subjects}
         if self.verdict == "enough":
@@ -106,7 +106,7 @@ def _cheapest(
     task: StudyTask, surface: TaskSurface, error: FloatArray, usable: BoolArray, target_deg: float, confidence: float
 ) -> int | None:
     mean = error.mean(axis=0)
-    upper = np.array([mean_limits(column, confidence)[0] for column in error.T])
+    upper = np.array([mean_limits(column, confidence)[1] for column in error.T])
     places = np.flatnonzero(usable & (2.0 * upper - mean <= target_deg))
     if not len(places):
         return None
@@ -143,7 +143,7 @@ def judge_target(
     tested = leave_one_out(task, surface, optimum, aim, tested)
     place = optimum.best if chosen is None else chosen
     edges = tuple(name for name in optimum.edges if surface.at_end(surface.column(name)[place], name))
-    upper, lower = tested.limits_deg
+    lower, upper = tested.limits_deg
     verdict: TargetVerdict = "not decidable"
     if chosen is not None and upper <= aim.target_deg and not tested.failed:
         verdict = "at the edge" if edges else "enough"
@@ -166,7 +166,7 @@ def judge_target(
 
 def _needed(tested: Tested, target_deg: float) -> int | None:
     """Return how many subjects bring the reach below the target; None where the mean is above it, or too many."""
-    upper, lower = tested.limits_deg
+    lower, upper = tested.limits_deg
     mean, half = 0.5 * (upper + lower), 0.5 * (upper - lower)
     if not mean < target_deg:
         return None
