@@ -127,16 +127,20 @@ def test_a_session_that_is_not_enough_is_called_enough_as_seldom_as_stated(
 
     subjects, means = 30, [0.3, 0.6, 1.0, 1.02]  # the true mean of the third is the target itself, of the fourth above
     minutes = [400.0, 200.0, 6.0, 5.0]
-    wrong = enough = 0
+    wrong = enough = alone = 0
     for _ in range(repeats):
         poor = judged(skewed(means[2:], rng, subjects), skewed(means[2:], rng, subjects), minutes[2:])
         wrong += poor.verdict in ("enough", "at the edge")
+        one = skewed([1.0], rng, subjects)[:, 0]  # the limit alone, without the choice before it
+        alone += mean_limits(one, AIM.confidence)[1] <= 1.0
         good = judged(skewed(means, rng, subjects), skewed(means, rng, subjects), minutes)
         enough += good.verdict == "enough" and good.place <= 1
     limit = int(binom.ppf(0.999, repeats, 1.0 - AIM.confidence))
     show("called enough of 200 that are not", wrong, limit)
+    show("of them by the limit alone", alone, "8 % expected of skewed errors")
     show("called enough of 200 that are", enough, f"{repeats}")
     assert wrong <= limit
+    assert 0 < alone <= int(binom.ppf(0.999, repeats, 0.084))
     assert enough >= 0.9 * repeats
 
 

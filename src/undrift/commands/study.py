@@ -21,15 +21,8 @@ if TYPE_CHECKING:
     from undrift.study.run import TaskSurface
 
 QUICK_SUBJECTS = 8
-NUMBERS = (
-    "subjects",
-    "search",
-    "offset",
-    "target_deg",
-    "confidence",
-    "seed",
-    "candidates",
-)  # of a study, in place of the plan's
+# Of a study, in place of the plan's
+NUMBERS = ("subjects", "search", "offset", "target_deg", "confidence", "seed", "candidates")
 REAL_FIGURES = ("rmse_total_deg", "rmse_inclination_deg", "max_abs_pitch_deg", "end_total_deg")
 
 

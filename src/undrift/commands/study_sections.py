@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 from undrift.base.codec import tree_of
 from undrift.base.summary import Cells, Section, figure_of, interval, number, plain_words, rows_section, table_section
+from undrift.rig.programme import ProgrammeSettings
 from undrift.sim.motion.tasks import CATEGORIES
 from undrift.study.claims import claims_section, rival_sections
 from undrift.study.judge import needed_text
@@ -181,8 +182,12 @@ def _answer(outcome: "StudyOutcome") -> Section:
             f"The cheapest session whose mean error is below {study.target_deg:g} deg with {100.0 * study.confidence:g} % "
             "confidence; where none is, the best. Cheapest: the shortest to the minute, then what needs fewer instruments."
         )
+    recorded = any(task.motion is not None for task in study.tasks)
+    who = "devices (of the people or motion that was recorded)" if recorded else "subjects and devices"
     text = (
-        f"{how} Errors are means over subjects and devices that had no part in the choice. Each rate is turned both ways.",
+        f"{how} Errors are means over {who} that had no part in the choice. Each rate is turned both ways.",
+        f"Minutes count {ProgrammeSettings().soak_s / 60.0:.0f} min for the device to follow the chamber at each set-point. A "
+        "board in its box can take twice that.",
         *(f"{_name(task)}{words}." for task in outcome.tasks if (words := _further(task.surface, task.to_use[0]))),
         "Below, omega_m and omega_M are the least and greatest rate of the table, d is the step between rates.",
     )

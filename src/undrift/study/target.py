@@ -9,8 +9,9 @@ the quantile of Student's distribution at the confidence c, one-sided::
 Of the protocols whose reach is below the target the one with the shortest session is chosen, to the minute; of those the one that
 needs fewer instruments, then that with the least error. It alone is then tried on the other cohort, whose people, devices and
 benches had no part in the choice: the session is enough where *their* upper limit is below the target, and every device was
-calibrated. So a session that is not enough is called enough in at most 1 - c of studies. People who were recorded have no other
-cohort: each is then judged with the session that all the others choose.
+calibrated. Errors of people are skewed, and Student's upper limit is low for these: of 30 lognormal ones (0.4) below the true mean
+in 8 % at a confidence of 95 %. The reach makes up for it: a session that is not enough is hardly ever tried. People who were
+recorded have no other cohort: each is then judged with the session that all the others choose.
 
 The chosen one may have the first or the last value that was tried of a parameter that decides the error, with more beyond it. Then
 the best session may lie outside what was tried, and the verdict is not "enough". Where nothing reaches the target, the error of the
@@ -123,9 +124,9 @@ def leave_one_out(task: StudyTask, surface: TaskSurface, optimum: Optimum, aim: 
     for person in range(len(error)):
         rest = np.delete(error, person, axis=0)
         place = _cheapest(task, surface, rest, usable, aim.target_deg, aim.confidence)
-        places.append(optimum.best if place is None else place)
+        places.append(int(np.argmin(np.where(usable, rest.mean(axis=0), np.inf))) if place is None else place)
     alone = error[np.arange(len(error)), places]
-    return replace(tested, subjects=len(error), failed=0, limits_deg=mean_limits(alone, aim.confidence))
+    return replace(tested, limits_deg=mean_limits(alone, aim.confidence))
 
 
 def judge_target(

@@ -88,7 +88,7 @@ def test_a_silent_device_is_an_error_in_one_line_and_comes_back_by_itself(source
     eventually(lambda: source.status().readings > before, "readings that go on counting")
     whole = joined([one.raw for one in source.updates()])  # refuses time that steps back
     gap = after[0].raw.time[0] - next(one for one in source.updates() if one.number == number).raw.time[-1]
-    assert 1.5 <= gap <= 60.0  # the error comes after 2 s of silence; a busy link holds readings back
+    assert 1.9 <= gap <= 60.0  # the error comes after 2 s of silence; a busy link holds readings back
     assert np.diff(whole.time).max() == pytest.approx(gap)
 
 
