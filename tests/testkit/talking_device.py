@@ -1,4 +1,4 @@
-"""A device in tests that talks at its rate to whoever connects, falls silent, hangs up, and comes back on the same port."""
+"""A device in tests that talks at its rate, from the first who connects on; falls silent, hangs up, comes back on the same port."""
 
 import contextlib
 import socket
@@ -58,6 +58,8 @@ class TalkingDevice:
                 self._clients.append(self._listener.accept()[0])
 
     def _talk(self) -> None:
+        while not self._clients and not self._end.wait(0.01):
+            pass
         start, k = time.monotonic(), 0
         while not self._end.wait(0.01):
             lines = []
