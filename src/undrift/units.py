@@ -67,7 +67,8 @@ _SPELLINGS = {
     "deg/s": "dps", "°/s": "dps", "degrees/s": "dps", "rad/sec": "rad/s", "deg/sec": "dps", "rps": "rad/s",
     "m/s^2": "m/s2", "m/s²": "m/s2", "m/s/s": "m/s2", "deg c": "degc", "°c": "degc", "c": "degc", "celsius": "degc",
     "sec": "s", "seconds": "s", "µs": "us", "µt": "ut", "counts": "count", "lsb": "count", "raw": "count",
-    "volt": "v", "volts": "v", "gs": "g", "millig": "mg", "degrees c": "degc",
+    "volt": "v", "volts": "v", "gs": "g", "millig": "mg", "degrees c": "degc", "cel": "degc",
+    "℃": "degc", "radians/s": "rad/s", "degrees/sec": "dps", "millis": "ms", "micros": "us",
 }  # fmt: skip
 SI_UNIT = {quantity: next(iter(units)) for quantity, units in _TO_SI.items()}
 

@@ -36,6 +36,7 @@ from undrift.io.containers import (
     read_xdf,
 )
 from undrift.io.labelled import is_labelled, read_labelled
+from undrift.io.log import is_log, read_log
 from undrift.io.makers import (
     DIALECTS,
     Dialect,
@@ -142,9 +143,14 @@ def _has(pattern: bytes, file: str = "") -> Callable[[Path, bytes], bool]:
     )
 
 
-def _is_labelled(path: Path, head: bytes) -> bool:
-    own = is_native(_line(head, 0).replace('"', "").split(",")) or head.startswith(MARK)
-    return not own and is_labelled(path, head)
+def _foreign(recognise: Callable[[Path, bytes], bool]) -> Callable[[Path, bytes], bool]:
+    """Recognise a text that is not undrift's own."""
+
+    def recognised(path: Path, head: bytes) -> bool:
+        own = is_native(_line(head, 0).replace('"', "").split(",")) or head.startswith(MARK)
+        return not own and recognise(path, head)
+
+    return recognised
 
 
 def _is_prose(path: Path, head: bytes) -> bool:
@@ -267,6 +273,7 @@ FORMATS: dict[str, Format] = {
         instead="a zip archive or an Excel workbook; unpack it and name the folder, or save the sheet as CSV",
         generic=True,
     ),
+    "log": Format(_foreign(is_log), record=read_log, honours=_TABLE, generic=True),
     "binary": Format(
         lambda _, head: b"\0" in head,
         instead="binary data of an unknown kind; export it to CSV, MAT or npz",
@@ -274,7 +281,9 @@ FORMATS: dict[str, Format] = {
     ),
     "json": Format(_is_json, instead="JSON, not a recording", generic=True),
     "toml": Format(lambda path, _: _suffix(path) == ".toml", instead="settings, not a recording", generic=True),
-    "labelled": Format(_is_labelled, record=read_labelled, reference=read_text_poses, honours=_EXPORT, generic=True),
+    "labelled": Format(
+        _foreign(is_labelled), record=read_labelled, reference=read_text_poses, honours=_EXPORT, generic=True
+    ),
     "text": Format(_is_prose, instead="prose, not a table", generic=True),
     "csv": Format(lambda *_: True, record=read_csv, reference=read_text_poses, honours=_TABLE, generic=True),
 }

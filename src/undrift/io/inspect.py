@@ -36,7 +36,8 @@ from undrift.io.columns import (
     native_columns,
 )
 from undrift.io.formats import Format, format_of, read_counted, read_markers, read_reference
-from undrift.io.labelled import label_of, marks_of
+from undrift.io.labelled import label_of, marks_of, states_units
+from undrift.io.log import log_sheet, log_text
 from undrift.io.makers import apdm_sensors
 from undrift.io.mocap import Markers, Up
 from undrift.io.parquet import parquet_names
@@ -222,7 +223,12 @@ _FORCE = re.compile(r"GRF|(?<![A-Za-z])COP|FREEMOMENT|^[FM][xyz]\[")
 _PLACE = re.compile(r"^(COG|.*[._](ankle|knee|hip))[._ ][xyz]$", re.IGNORECASE)
 _QUATERNION = re.compile(r"^(q_?)?[wxyz]( element)?$", re.IGNORECASE)
 _UNITS = {  # what a name may state of its unit; "?" where it states none, which a reader refuses
-    "time": (("us", r"\(?\bus\b|_us\b"), ("ms", r"\bms\b|_ms\b"), ("s", r"\bs\b|_s\b|sec")),
+    "time": (
+        ("us", r"\(?\bus\b|_us\b|micros"),
+        ("ms", r"\bms\b|_ms\b|millis"),
+        ("ns", r"\bns\b|_ns\b|nanos"),
+        ("s", r"\bs\b|_s\b|sec"),
+    ),
     "gyro": (("rad/s", r"rad[_/ ]?s"), ("dps", r"dps|deg[_/ ]?s"), ("count", r"raw|count|lsb")),
     "accel": (("m/s2", r"m[_/]?s\^?2"), ("mg", r"\bmg\b|_mg\b"), ("g", r"\(g\)|_g\b"), ("count", r"raw|count|lsb")),
     "temp": (("degC", r"deg ?c|celsius|degrees c"), ("count", r"raw|count|lsb")),
@@ -246,6 +252,12 @@ _STATED_RATE = re.compile(
 )
 _STATED_NAME = re.compile(r"(?i)(^|[._])(fs|sampl\w*_?(rate|freq\w*)(_hz)?)$")
 _OF_GYRO = re.compile(r"(?i)^(?!.*(acc|imu)).*(gyr|angular)")  # the name of a file of one sensor
+_NAMED = {
+    "time": re.compile(
+        r"(?i)(time|ts?|timestamp|millis|micros|zeit|tempo|temps|tiempo|tijd)([ _\[(].*)?$|时间|時間|時刻"
+    ),
+    "temp": re.compile(r"(?i)(board |die )?(temp(?!o\b|s\b)|tmp$|thermo|温度)"),
+}
 _LIKELY = {
     "gyro": re.compile(r"^(g|gyr|gyro|gyroscope|w|omega|rot)[ _.]?([xyz])\b", re.IGNORECASE),
     "accel": re.compile(r"^(a|acc|accel|accelerometer)[ _.]?([xyz])\b", re.IGNORECASE),
@@ -354,8 +366,8 @@ def _by_name(names: tuple[str, ...], text: Text | None, arrays: Arrays) -> dict[
         first = _likely(channel, tuple(quoted if threes else named)) or next(iter([*named, *others]), None)
         if first is not None:
             keys[channel] = quoted[first]
-    for channel, pattern in (("time", r"^(time|t|timestamp)([ _\[(].*)?$"), ("temp", r"^(board |die )?temp")):
-        name = next((n for n in names if re.match(pattern, n.strip().rpartition(".")[2], re.IGNORECASE)), None)
+    for channel, pattern in _NAMED.items():
+        name = next((n for n in names if pattern.match(n.strip().rpartition(".")[2])), None)
         if name is not None:
             keys = {channel: _quoted(name), **keys} if channel == "time" else {**keys, channel: _quoted(name)}
     return keys or {"gyro": '["gx", "gy", "gz"]', "accel": '["ax", "ay", "az"]'}
@@ -476,7 +488,7 @@ def _cells(line: str, delimiter: str, decimal: str = ".") -> list[str]:
 # ---- describe
 
 _MISSING = ("sensor", "sample_rate_hz", "columns", "readings")  # what an intact file may leave unstated
-_TABLES = ("npz", "mat", "parquet", "csv", "text")  # what a map makes a recording of
+_TABLES = ("npz", "mat", "parquet", "csv", "log", "text")  # what a map makes a recording of
 _REGULAR = 0.005  # mean and usual rate that differ by less are one figure
 
 
@@ -627,7 +639,12 @@ def needs_map(path: str | Path) -> bool:
     name, _ = format_of(path)
     if name not in _TABLES:
         return False
-    return name == "text" or not is_native(_table_names(path, name, sniff(path) if name == "csv" else None)[0])
+    return name == "text" or not is_native(_table_names(path, name, _text(path, name))[0])
+
+
+def _text(path: Path, name: str) -> Text | None:
+    """Return the text of a table, None of arrays."""
+    return sniff(path) if name == "csv" else log_text(path) if name == "log" else None
 
 
 def _table_names(path: Path, name: str, text: Text | None) -> tuple[tuple[str, ...], tuple[tuple[str, Any], ...]]:
@@ -648,7 +665,9 @@ def _needs(path: Path, name: str, settings: ReadSettings) -> Description | None:
         return _not_read(path, name, held, what, missing="sensor") if len(held) > 1 else None
     if name not in _TABLES or name == "text":
         return None
-    text = sniff(path) if name == "csv" else None
+    if name == "log" and states_units(log_sheet(path)):
+        return None
+    text = _text(path, name)
     names, arrays = _table_names(path, name, text)
     if native_reference(names) is not None:
         return _reference(path, name)

@@ -227,11 +227,15 @@ _KIND = tuple(
     (channel, re.compile(pattern, re.IGNORECASE))
     for channel, pattern in (
         ("free", r"linear|lineare|free_?acc|user_? ?acc|lin_acc|without.?g|ohne.?g|no.?gravity"),
-        ("gyro", r"gyr|angular.?(velocity|rate|speed)|turn.?rate|rotation.?rate|omega|winkelgeschw|^[gw][ _.]*$"),
+        (
+            "gyro",
+            r"gyr|gir[oó]|angular.?(velocity|rate|speed)|(velocit\w+|velocidade?|vitesse) ang(ular|olare|ulaire)|"
+            r"turn.?rate|rotation.?rate|omega|drehrate|winkelgeschw|hoeksnelheid|角速度|陀螺|ジャイロ|^(gy|[gw])[ _.]*$",
+        ),
         ("mag", r"magn|^mag|[ _.]mag|compass|^m[ _.]*$"),
-        ("accel", r"acc|beschleunigung|specific.?force|^(a|gF)[ _.]*$"),
-        ("temp", r"temp"),
-        ("time", r"^(t|zeit)$|time|seconds_elapsed"),
+        ("accel", r"acc|ac[eé]l|beschleunigung|versnelling|specific.?force|加速度|^(ac?|gF)[ _.]*$"),
+        ("temp", r"temp(?!o\b|s\b)|^tmp$|thermo|温度"),
+        ("time", r"^(ts?|zeit|tempo|temps|tiempo|tijd|millis|micros)\b|time|seconds_elapsed|时间|時間|時刻"),
     )
 )
 _NATIVE = {"dps": "dps", "rad_s": "rad/s", "m_s2": "m/s2"} | {unit: unit for unit in ("g", "mg", "ut", "s", "ms", "us")}
@@ -243,7 +247,7 @@ _AXIS = (
 )
 _WORDS = re.compile(  # of a name that do not tell sensors apart
     r"(?i)^(acc\w*|gyr\w*|mag\w*|sensor|angular|velocity|rate|magnetic|field|un|cal|raw|noraxon|myomotion|segments|[agwm]|gf|"
-    r"temp\w*|beschleunigung|turn|rotation|specific|force|total|uncalibrated|imu)$"
+    r"temp\w*|turn|rotation|specific|force|total|uncalibrated|imu|vitesse|angulaire|velocit\w*|velocidade?|angolare)$"
 )
 
 
@@ -297,8 +301,9 @@ def label_of(name: str, unit: str = "", assumed: Mapping[str, str] | None = None
     known = unit_for(unit or (assumed or {}).get(channel, ""), channel)
     if unit and known is None and channel in ("gyro", "accel") and is_unit(unit):
         return None  # the unit contradicts the name
-    tokens = re.split(r"[^A-Za-z0-9]+", stem) if channel not in ("time", "free") else []
-    tokens = [token for token in tokens if token and not _WORDS.match(token)]
+    tokens = re.split(r"[\W_]+", stem) if channel not in ("time", "free") else []
+    kind = dict(_KIND)[channel]
+    tokens = [token for token in tokens if token and not _WORDS.match(token) and not kind.search(token)]
     if known and known[0] in DEVICE_UNITS and channel in ("mag", "temp"):
         known = None  # they need a scale, which only a map states
     return Label(" ".join(tokens), channel, axis if channel not in ("time", "temp") else "", *(known or ("", 1.0)))
@@ -523,9 +528,11 @@ def is_labelled(path: Path, head: bytes) -> bool:
     if b"\0" in head or not head or path.suffix.lower() in (".md", ".rst", ".pdf", ".html", ".json", ".toml", ".xml"):
         return False
     sheet = sheet_of(path, head if len(head) < 8192 else head[: head.rfind(b"\n") + 1])
-    if sheet is None or not any(sheet.names):
-        return False
-    sheet = labelled(sheet)
+    return sheet is not None and any(sheet.names) and states_units(labelled(sheet))
+
+
+def states_units(sheet: Sheet) -> bool:
+    """Tell whether labels state a unit for a gyroscope or an accelerometer, and for the time where there is one."""
     clocks = [label for label in sheet.labels if label and label.channel == "time"]
     held = triples_of(sheet, ("gyro", "accel", "free"))
     bare = {label.channel for label in sheet.labels if label and not label.unit and label.channel in ("gyro", "accel")}

@@ -50,7 +50,7 @@ from undrift.sim.device.model import DeviceModel, device_from_json
 from undrift.sim.device.presets import preset, preset_grade, random_device_of
 from undrift.sim.device.simulate import filtered, simulate_device
 from undrift.sim.motion.motion import Motion
-from undrift.sim.motion.tasks import DEFAULT, Subject, Task, TaskName, cohort, draw_task
+from undrift.sim.motion.tasks import DEFAULT, CategoryName, Subject, Task, TaskName, cohort, draw_task
 from undrift.sim.table_sessions import (
     FACE,
     QUICKEST_HZ,
@@ -84,7 +84,14 @@ from undrift.validation.trial import LAG_SETTINGS
 # ---- effects switched off
 
 EffectName = Literal[
-    "noise", "gyroscope offset", "accelerometer offset", "scale", "cross-axis", "dynamic drift", "delay", "quantisation"
+    "noise",
+    "gyroscope offset",
+    "accelerometer offset",
+    "scale",
+    "cross-axis",
+    "dynamic drift",
+    "delay",
+    "quantisation",
 ]
 EFFECTS: tuple[EffectName, ...] = get_args(EffectName)
 
@@ -173,10 +180,9 @@ def seeded(study: Study, *words: str | int) -> np.random.Generator:
     return np.random.default_rng(np.random.SeedSequence(study.seed, spawn_key=keys))
 
 
-def subject_of(study: Study, number: int, category: str = DEFAULT) -> Subject:
+def subject_of(study: Study, number: int, category: CategoryName = DEFAULT) -> Subject:
     """Return one subject of the study's cohort of a category; numbers beyond its end start again."""
-    rng = seeded(study, "cohort", study.group, number // 30)
-    people = cohort(study.group, rng=rng, category=study.kind(category))
+    people = cohort(study.group, rng=seeded(study, "cohort", study.group, number // 30), category=category)
     return people[number % len(people)]
 
 
@@ -193,18 +199,18 @@ def typical_unit(study: Study) -> DeviceModel:
     return device_of(study, 0) if study.worn else preset(study.device)
 
 
-def perform(study: Study, task: StudyTask, number: int, trial: int = 0) -> tuple[Task | RecordedTask, Motion]:
-    """Return what a subject does in a trial, and its motion at the samples of a record."""
-    return _perform(study, task.name, task.category, task.motion and task.motion.of(number)[trial], number)
+def perform(study: Study, task: StudyTask, number: int) -> tuple[Task | RecordedTask, Motion]:
+    """Return what a subject does, and its motion at the samples of a record."""
+    return _perform(study, task.name, task.category, task.motion, number)
 
 
 @lru_cache(maxsize=2)  # units of one subject follow each other, whatever is tried on it
 def _perform(
-    study: Study, name: str, category: str, motion: OwnMotion | None, number: int
+    study: Study, name: str, category: CategoryName, motion: OwnMotion | None, number: int
 ) -> tuple[Task | RecordedTask, Motion]:
     performed: Task | RecordedTask
     if motion is not None:
-        performed = read_motion(motion)
+        performed = read_motion(motion.of(number))
     else:
         rng, person = seeded(study, "task", name, number), subject_of(study, number, category)
         performed = draw_task(cast("TaskName", name), rng=rng, subject=person, rest_s=REST_S)
@@ -221,18 +227,17 @@ def make_case(
     number: int,
     setting: Setting,
     without: EffectName | None = None,
-    trial: int = 0,
 ) -> Case:
     """Simulate a subject's trial with a device built for a setting out of the same parts.
 
     One of its effects may be switched off; in real time its delay is then not looked for.
     """
-    performed, motion = perform(study, task, number, trial)
-    device, name = unit_of(study, number, setting, without), f"{task.name} {trial + 1}" if trial else task.name
+    performed, motion = perform(study, task, number)
+    device = unit_of(study, number, setting, without)
     if without is None or not device.sampling.on_grid:
-        record = _record_of(study, name, number, device, motion)
+        record = _record_of(study, task.name, number, device, motion)
     else:
-        record = filtered(_unfiltered(study, name, motion, number, setting.gain, without), device)
+        record = filtered(_unfiltered(study, task.name, motion, number, setting.gain, without), device)
     if without == "delay":
         case = _case_of(device, record, performed, motion, delay_of_pitch(device, SAMPLE_RATE_HZ))
         return replace(case, pitch_now=case.pitch)
@@ -279,18 +284,11 @@ def _unfiltered(
     return _record_of(study, task, number, replace(device, **chains), motion)
 
 
-def wear(
-    device: DeviceModel,
-    performed: Task | RecordedTask,
-    *,
-    rng: np.random.Generator,
-    temp_c: float,
-    power_on_s: float,
-) -> tuple[Case, float]:
-    """Simulate a trial; return the share of samples in which a gyroscope was at the end of its range too."""
+def wear(device: DeviceModel, performed: Task, *, rng: np.random.Generator, temp_c: float, power_on_s: float) -> Case:
+    """Simulate a trial."""
     motion = performed.at(_samples(performed), STANDARD_GRAVITY)
-    made = simulate_device(device, motion, rng=rng, temp_c=temp_c, power_on_s=power_on_s)
-    return _case_of(device, made.record, performed, motion), float(made.gyro.saturated.any(axis=1).mean())
+    record = simulate_device(device, motion, rng=rng, temp_c=temp_c, power_on_s=power_on_s).record
+    return _case_of(device, record, performed, motion)
 
 
 def _case_of(
@@ -532,15 +530,15 @@ def units_of(study: Study) -> tuple[Unit, ...]:
 def run_unit(unit: Unit) -> dict[str, FloatArray]:
     """Run all candidates of a unit: an array (P,) for each column, errors NaN where the device was left uncalibrated."""
     task, setting = unit.task, unit.setting
-    points, trials = task.space.points_at(setting), len(task.motion.of(unit.subject)) if task.motion else 1
-    cases = [make_case(unit.study, task, unit.subject, setting, unit.without, trial) for trial in range(trials)]
+    points = task.space.points_at(setting)
+    case = make_case(unit.study, task, unit.subject, setting, unit.without)
     runs = columns_of(task, points) | {name: np.full(len(points), np.nan) for name in COLUMNS[4:]}
     for own in alike(task, points):
         protocols = tuple(map(task.protocol_of, points[own]))
         every = joined([session_of(protocol, setting.quality) for protocol in protocols])
         runs["rig_minutes"][own] = every.length_s / 60.0
         with suppress(CalibrationError):  # no protocol calibrates this device: no error to report, and not a zero
-            errors = errors_with(unit, cases, every, protocols, tables_of(task, points[own[0]]))
+            errors = errors_with(unit, case, every, protocols, tables_of(task, points[own[0]]))
             for name, column in zip(ERRORS, errors.T / RADIAN_PER_DEGREE, strict=True):
                 runs[name][own] = column
     return runs
@@ -553,19 +551,17 @@ def tables_of(task: StudyTask, point: FloatArray) -> tuple[float, float]:
 
 
 def errors_with(
-    unit: Unit, cases: Sequence[Case], every: Sessions, protocols: tuple[Protocol, ...], steps_c: tuple[float, float]
+    unit: Unit, case: Case, every: Sessions, protocols: tuple[Protocol, ...], steps_c: tuple[float, float]
 ) -> FloatArray:
-    """Calibrate a device in the sessions of protocols; return the pitch errors with each, means over its trials, (P, 6) rad."""
-    study, base, device = unit.study, protocols[0], cases[0].device
+    """Calibrate the device of a case in the sessions of protocols and return the pitch errors with each, (P, 6) rad."""
+    study, base = unit.study, protocols[0]
     if unit.without is not None:
         study = replace(study, bench=bench_without(study.bench, unit.without))
-    accel = faces_of(study, device, unit.subject, session_of(base, unit.setting.quality).chosen(FACE))
+    accel = faces_of(study, case.device, unit.subject, session_of(base, unit.setting.quality).chosen(FACE))
     sessions = every.chosen(REST, RATE)
-    readings = simulate_turns(study, base, device, unit.subject, sessions)
+    readings = simulate_turns(study, base, case.device, unit.subject, sessions)
     grids = np.array([(p.turn_rate_max, p.turn_rate_step) for p in protocols])
-    fits = fit_as_the_note(sessions, readings, grids, steps_c)
-    errors: FloatArray = np.mean([trial_errors(case, accel, fits, study.offset) for case in cases], axis=0)
-    return errors
+    return trial_errors(case, accel, fit_as_the_note(sessions, readings, grids, steps_c), study.offset)
 
 
 def alike(task: StudyTask, points: FloatArray) -> list[IntArray]:

@@ -1,0 +1,297 @@
+"""Logs of a serial port: what firmware prints, as a table. No maker is known here: the words around the numbers name them.
+
+A line is taken apart into numbers and what stands between them, its shape. Readings are the shapes that come again and again, in
+turn where a reading takes several lines. Lines of other shapes (boot messages, torn lines) are left out and counted. A heading
+without numbers that ends with a colon belongs to the lines under it. What stands before a line may be a stamp::
+
+    12:34:56.789 -> ...      [2026-11-27 12:34:56.789] ...      [00:00:01.234,567] <inf> imu: ...      I (1234) imu: ...
+
+A number takes its name from the word before it, its unit from the word behind it or, of three axes, behind the last::
+
+    ax:0.01,ay:...      a/g: -12 34 ...      Acceleration X: 0.12, Y: 0.03, Z: 9.81 m/s^2      {"acc": [0.1, 0.2, 9.8]}
+"""
+
+import re
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import reduce
+from itertools import chain, groupby, pairwise
+from operator import itemgetter, xor
+from pathlib import Path
+from typing import NamedTuple
+
+from undrift.errors import InputError
+from undrift.files import LIMITS, read_bytes
+from undrift.io.box import boxed
+from undrift.io.columns import AXES, ColumnMap, ReadResult, ReadSettings, TextLayout, build_record, is_date, is_number
+from undrift.io.labelled import Sheet, as_utf8, is_unit, label_of, labelled, read_sheet, sheet_of, states_units
+from undrift.io.text import Text, parse_text
+
+_HEAD = 1 << 16
+_LEAST = 5  # readings of a log, and lines of one that may be of one
+_SHARE = 0.5  # of the lines of the most frequent shape: as frequent, so that it comes in every reading
+_MOST_LINES = 24  # of one reading
+_NUMBER = re.compile(r"(?<![\w.^])[-+]?(?:(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?|(?:nan|inf)\b)")
+_DECIMAL_COMMA = re.compile(r'"([-+]?\d+),(\d+)"')
+_UNSEEN = re.compile(
+    r"\x1b\[[0-9;]*[A-Za-z]|[\x00-\x08\x0b\x0c\x0e-\x1f\x7f]"
+)  # colours of a terminal, noise of a port
+_DAY_S = 86400.0
+_STAMPS = (  # of a monitor or a system, the latter with level and part
+    re.compile(
+        r"\[?(?:\d{4}-\d\d-\d\d[ T])?(?P<h>\d{1,2}):(?P<m>\d\d):(?P<s>\d\d[.,]\d{3})(?:,?(?P<us>\d{3}))?Z?"
+        r"(?: ->|\]:?(?: <\w+> [\w./-]+:)?)"
+    ),
+    re.compile(r"\[ *(?P<s>\d+\.\d+)\]"),
+    re.compile(r"[EWIDV] \((?P<ms>\d+)\) [\w./-]+:"),
+)
+_CHECKED = re.compile(r"\$(.*)\*([0-9A-Fa-f]{2})")  # a sentence and its checksum
+_WORD = re.compile(r"[^\W\d_][^\s:=,;|\"'{}\[\]()]*")
+_IN_BRACKETS = re.compile(r"[\[(]([^\[\]()]*)[\])]")
+_UNITS_BEHIND = tuple(
+    re.compile(words + r"(?!\s*[:=\w])") for words in (r"\s*(\S+ [^\s,;|:=\"\]}]+)", r"\s*([^\s,;|:=\"\]}]+)")
+)
+_BOTH = re.compile(r"(?i)a/g|acc\w*[ /+&]+gyr\w*")  # before six numbers: of the accelerometers and of the gyroscopes
+
+
+class LogLine(NamedTuple):
+    """A line with numbers, taken apart."""
+
+    shape: tuple[str, ...]  # The heading above it, what stands before each number, what stands behind the last
+    values: tuple[str, ...]
+    stamp_s: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class SerialLog:
+    """The readings in a log, as a table."""
+
+    names: tuple[str, ...]  # Of each column; positions where nothing names a column
+    content: bytes  # CSV without a header
+    before: int  # Lines with numbers before the first reading
+    lost: int  # Lines with numbers after it that belong to no reading
+
+
+# ---- from text to lines to readings
+
+
+def lines_of(content: bytes) -> Iterator[LogLine]:
+    """Yield the lines that hold numbers; the last only where it ends."""
+    text = as_utf8(content).decode("utf-8", "replace")
+    heading, day, before = "", 0.0, 0.0
+    for raw in text[: text.rfind("\n") + 1].splitlines():
+        stamp, line = _stamp(_UNSEEN.sub("", raw).strip())
+        if stamp is not None:
+            day += _DAY_S * (stamp + day < before - 0.5 * _DAY_S)  # past midnight
+            before = stamp = stamp + day
+        if checked := _CHECKED.fullmatch(line):
+            sound = reduce(xor, checked.group(1).encode()) == int(checked.group(2), 16)
+            line = checked.group(1) if sound else f"damaged {line}"
+        line = _DECIMAL_COMMA.sub(r"\1.\2", line)
+        cells = _NUMBER.split(line)
+        if len(cells) > 1:
+            shape = (heading, *(" ".join(cell.split()) for cell in cells))
+            yield LogLine(shape, tuple(_NUMBER.findall(line)), stamp)
+        elif line.endswith(":") or line.startswith("---"):
+            heading = line.rstrip(":-")
+
+
+def _stamp(line: str) -> tuple[float | None, str]:
+    """Return the time of a stamp before a line, s, and the line without it."""
+    for pattern in _STAMPS:
+        if found := pattern.match(line):
+            clock = {key: float(cell.replace(",", ".")) for key, cell in found.groupdict().items() if cell}
+            seconds = {"h": 3600.0, "m": 60.0, "s": 1.0, "ms": 1e-3, "us": 1e-6}
+            return sum(seconds[key] * value for key, value in clock.items()), line[found.end() :].strip()
+    return None, line
+
+
+def find_readings(content: bytes) -> SerialLog | None:
+    """Return the readings of a log; None where no shape of a line comes again and again."""
+    every = list(lines_of(content))
+    counts = Counter(line.shape for line in every)
+    most = max(counts.values(), default=0)
+    frequent = [line for line in every if counts[line.shape] >= _SHARE * most]
+    cycle = list(dict.fromkeys(line.shape for line in frequent[: 4 * _MOST_LINES]))  # shapes in turn
+    if most < _LEAST or len(cycle) > _MOST_LINES:
+        return None
+    readings = list(_readings(frequent, cycle))
+    if len(readings) < _LEAST:
+        return None
+    names = names_of(*cycle)
+    if bare := all(name == "" for name in names):
+        names = [str(k) for k in range(len(names))]
+    clocks = [label for name in names if (label := label_of(name)) and label.channel == "time"]
+    stamped = not clocks and all(lines[0].stamp_s is not None for lines in readings)
+    rows = [[value for line in lines for value in line.values] for lines in readings]
+    if stamped:
+        names = [str(k) for k in range(len(names) + 1)] if bare else ["time (s)", *names]
+        rows = [[f"{lines[0].stamp_s:.6f}", *row] for lines, row in zip(readings, rows, strict=True)]
+    names, rows = _with_whole_seconds(names, rows)
+    named = tuple(name or f"column {k}" for k, name in enumerate(names))
+    before = every.index(readings[0][0])
+    lost = len(every) - before - len(readings) * len(cycle) + (not content.endswith(b"\n"))
+    return SerialLog(named, "".join(",".join(row) + "\n" for row in rows).encode(), before, lost)
+
+
+def _readings(lines: Sequence[LogLine], cycle: Sequence[tuple[str, ...]]) -> Iterator[list[LogLine]]:
+    """Yield the lines of each whole reading: every shape of the cycle in turn."""
+    reading: list[LogLine] = []
+    for line in lines:
+        if line.shape != cycle[len(reading)]:
+            reading = []
+        if line.shape == cycle[len(reading)]:
+            reading.append(line)
+        if len(reading) == len(cycle):
+            yield reading
+            reading = []
+
+
+def _with_whole_seconds(names: list[str], rows: list[list[str]]) -> tuple[list[str], list[list[str]]]:
+    """Return a table in which seconds and nanoseconds beside each other, as ROS prints a stamp, are one time."""
+    pairs = [(one[-5:], other) for one, other in pairwise(names)]
+    at = pairs.index(("(sec)", "nanosec")) if ("(sec)", "nanosec") in pairs else None
+    if at is None:
+        return names, rows
+    joined = [[*row[:at], f"{row[at]}.{row[at + 1]:0>9}", *row[at + 2 :]] for row in rows]
+    return [*names[:at], "time (s)", *names[at + 2 :]], joined
+
+
+# ---- from the words around numbers to names with units
+
+
+class NumberSlot(NamedTuple):
+    """Where a number stands in a shape."""
+
+    group: tuple[int, int]  # LogLine, and number of the word before: numbers behind one word make one group
+    word: str
+    axis: str
+    unit: str
+
+
+def names_of(*shapes: tuple[str, ...]) -> list[str]:
+    """Return a name for each number of the shapes: word, axis and unit as ``label_of`` reads them; "" where nothing names it."""
+    slots = list(chain.from_iterable(_slots(line, *shape) for line, shape in enumerate(shapes)))
+    force = any(slot.word == "angular_velocity" for slot in slots)  # ROS, whose linear_acceleration has gravity in it
+    names = list[str]()
+    for _, members in groupby(slots, key=itemgetter(0)):
+        group = list(members)
+        word, unit = group[0].word, next((slot.unit for slot in reversed(group) if slot.unit), "")
+        word = "acceleration" if word == "linear_acceleration" and force else word
+        axes = [slot.axis for slot in group]
+        if not any(axes) and len(group) == 6 and _BOTH.search(word):
+            names += [f"{channel} {axis}" for channel in ("acc", "gyr") for axis in AXES]
+            continue
+        if not any(axes) and len(group) == 3 and word:
+            axes = list(AXES)
+        nameless = not word or (len(group) > 1 and not all(axes))
+        names += ["" if nameless else f"{word} {axis}".strip() + f" ({unit})" * bool(unit) for axis in axes]
+    return names
+
+
+def _slots(line: int, heading: str, *cells: str) -> Iterator[NumberSlot]:
+    """Yield where each number stands, by the text before it and, for its unit, the text behind it."""
+    group, word, inner = 0, heading, ""
+    for cell, behind in pairwise(cells):
+        text = cell if cell is cells[0] else cell[len(_unit_of(cell)[1]) :]
+        units = [held for held in _IN_BRACKETS.findall(text) if is_unit(held)]
+        words = _WORD.findall(_IN_BRACKETS.sub(" ", text))
+        axis = words.pop().lower() if words and words[-1].lower() in AXES else ""
+        if heading and cell is cells[0] and is_unit(" ".join(words)):  # "Degrees C = 25.1" under "Thermometer:"
+            units, words = [" ".join(words)], []
+        if words or units:
+            group, word, inner = group + 1, _quantity(words) if words else word, units[0] if units else ""
+        yield NumberSlot((line, group), word, axis, _unit_of(behind)[0] or inner)
+
+
+def _unit_of(behind: str) -> tuple[str, str]:
+    """Return the unit with which the text behind a number begins, and as much of the text; "" where it begins with none."""
+    for pattern in _UNITS_BEHIND:
+        if (found := pattern.match(behind)) and is_unit(unit := found.group(1)):
+            return unit, found.group()
+    return "", ""
+
+
+def _quantity(words: Sequence[str]) -> str:
+    """Return the last words that name the same quantity as all of them do: "Acc" of "Scaled. Acc"."""
+
+    def channel(some: Sequence[str]) -> str:
+        label = label_of(f"{' '.join(some)} x")
+        return label.channel if label else ""
+
+    wanted = channel(words)
+    return " ".join(
+        next((words[k:] for k in reversed(range(len(words))) if wanted and channel(words[k:]) == wanted), words)
+    )
+
+
+# ---- as a format
+
+
+def is_log(path: Path, head: bytes) -> bool:
+    """Tell a log from a table: numbers with words, stamps or quotes around them, and no header that names its columns."""
+    if path.suffix.lower() in (".md", ".rst", ".pdf", ".html", ".toml", ".xml"):
+        return False
+    head = read_bytes(path, _HEAD)
+    head = head[: head.rfind(b"\n") + 1]
+    sheet = sheet_of(path, head)
+    if sheet is not None and sum(map(bool, sheet.names)) >= 0.5 * len(sheet.names):
+        return False
+    layout = TextLayout(delimiter=" ") if sheet is None else sheet.layout
+    first = head.lstrip().partition(b"\n")[0].decode("utf-8", "replace").replace(layout.decimal, ".")
+    if all(
+        is_number(cell, empty=True) or is_date(cell.strip())
+        for cell in first.split(layout.delimiter.strip(" ") or None)
+    ):
+        return False  # a table without names, damaged or not
+    log = find_readings(head)
+    return log is not None and len(log.names) >= 3 and log.lost <= 0.2 * log.content.count(b"\n")
+
+
+def read_readings(path: Path) -> SerialLog:
+    """Return the readings of a log; in a box where it may take too much memory."""
+    log = find_readings(read_bytes(path)) if LIMITS.holds(path.stat().st_size) else _boxed_readings(path)
+    if log is None:
+        raise InputError(f"{path}: wanted lines of one shape with numbers, got none; log only what the readings print")
+    return log
+
+
+@boxed()
+def _boxed_readings(path: Path) -> SerialLog | None:
+    return find_readings(read_bytes(path))
+
+
+def log_text(path: Path, log: SerialLog | None = None) -> Text:
+    """Return the readings of a log as a text table, for a map."""
+    log = log or read_readings(path)
+    layout = TextLayout(header=not log.names[-1].isdecimal())
+    return Text(
+        path=path, content=log.content, head=log.content[: 1 << 20], names=log.names, layout=layout, skip=0, mark=""
+    )
+
+
+def log_sheet(path: Path, log: SerialLog | None = None) -> Sheet:
+    """Return the readings of a log as a sheet, its columns labelled."""
+    log = log or read_readings(path)
+    layout, blank = TextLayout(header=False), ("",) * len(log.names)
+    return labelled(Sheet(path=path, names=log.names, units=blank, layout=layout, rows=log.content))
+
+
+def read_log(path: Path, columns: ColumnMap | None, settings: ReadSettings) -> ReadResult:
+    """Read a log by a map, or without one where it states its units."""
+    log = read_readings(path)
+    sheet = log_sheet(path, log)
+    if columns is not None:
+        found = build_record(parse_text(log_text(path, log), columns.numeric()), columns)
+    elif states_units(sheet):
+        found = read_sheet(sheet, settings)
+    else:
+        raise InputError(
+            f"{path}: wanted units in a log, got {', '.join(log.names[:8])} without; undrift info FILE proposes a map, "
+            "`write_map` map.toml writes it; give it with `column_map`"
+        )
+    note = f"a log of {len(found.record)} readings" + f"; lines before the first left out: {log.before}" * bool(
+        log.before
+    )
+    return replace(found, notes=(note, *found.notes), dropped_rows=found.dropped_rows + log.lost)
