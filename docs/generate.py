@@ -149,7 +149,12 @@ def keys() -> str:
     for title, *sources in (
         ("session.toml and maps", ("io/session.py", "Entry"), ("record.py", "RateTable", "TemperatureSensitivity")),
         ("protocol.toml", ("rig/programme.py", "Protocol")),
-        ("study.toml", ("study/plan.py", "Entry"), ("sim/bench_errors.py", "BenchErrors")),
+        (
+            "study.toml",
+            ("study/plan.py", "Entry"),
+            ("sim/bench_errors.py", "BenchErrors"),
+            ("sim/motion/worn.py", "WornErrors"),
+        ),
     ):
         parts.append(f"## {title}")
         for name, about, rows in (
@@ -179,6 +184,16 @@ def keys() -> str:
     return "\n\n".join(parts) + "\n"
 
 
+# End of a key, unit of its field, unit of the file
+_FILE_UNITS = (
+    ("_deg", "rad", "deg"),
+    ("_deg_per_m_s2", "rad per m/s2", "deg per m/s2"),
+    ("_g", "m/s2", "g"),
+    ("_ms", "s", "ms"),
+    ("_dps", "rad/s", "deg/s"),
+)
+
+
 def _models(path: Path, endings: tuple[str, ...]):
     """Yield name, docstring and rows of each class of a file whose name has one of some endings, in the order of the file."""
     module = __import__("undrift." + ".".join(path.relative_to(PACKAGE).with_suffix("").parts), fromlist=["_"])
@@ -203,8 +218,9 @@ def _models(path: Path, endings: tuple[str, ...]):
             )
             if not note and item.lineno - 1 in starts:
                 note = notes[item.lineno - 1]
-            if key.endswith("_deg"):  # the file's unit; the field is in rad
-                note = note.replace(", rad", ", deg")
+            for end, si, unit in _FILE_UNITS:
+                if key.endswith(end):
+                    note = note.replace(f", {si}", f", {unit}")
             kind = ast.unparse(item.annotation)
             kind = re.sub(r"Annotated\[(\w+(\[[\w, .]+\])?)( \| None)?, .*\]", r"\1", kind)
             rows.append(
@@ -224,10 +240,12 @@ def _models(path: Path, endings: tuple[str, ...]):
 def _keys_of(model: type) -> dict[str, tuple[str, str]]:
     """Return the key of each field of a class, and its default in words."""
     from undrift.base.codec import default_tree, slots_of, tree_of
+    from undrift.sim.motion.worn import AT_L5
     from undrift.study.plan import NOTE_BENCH
 
-    if isinstance(NOTE_BENCH, model):  # the bench of study.toml: the preset's
-        return {slot.name: (slot.path[0], _default(tree_of(NOTE_BENCH)[slot.path[0]])) for slot in slots_of(model)}
+    for own in (NOTE_BENCH, AT_L5):  # what study.toml takes where keys are left out
+        if isinstance(own, model):
+            return {slot.name: (slot.path[0], _default(tree_of(own)[slot.path[0]])) for slot in slots_of(model)}
 
     if hasattr(model, "model_fields"):
         given = {

@@ -36,7 +36,8 @@ BASE = Protocol(grid="paper", dwell_s=1.0, bracket_s=3.0, temperatures_c=(18.0, 
 RATES = {"turn_rate_step": (10.0 * DPS,), "turn_rate_min": (10.0 * DPS,), "turn_rate_max": (50.0 * DPS, 90.0 * DPS)}
 OWN = (
     ("gain", (20.0,)),
-    ("quality", (2.0**-0.5,)),
+    ("quality", (2.0**-0.5,)),  # not the sampling rate: a list of it is simulated on a finer grid
+    ("bits", (12.0,)),
     ("dwell_s", (1.0,)),
     ("bracket_s", (3.0,)),
     ("face_s", (6.0,)),
@@ -65,6 +66,8 @@ TWO = {  # values of each parameter that can be searched, two each
     "turn_rate_max_dps": (50.0, 90.0),
     "gain": (10.0, 20.0),
     "quality": (0.6, 2.0),
+    "sample_rate_hz": (50.0, 100.0),
+    "bits": (10.0, 12.0),
     "dwell_s": (0.5, 1.0),
     "bracket_s": (2.0, 3.0),
     "face_s": (2.0, 6.0),
@@ -120,7 +123,7 @@ def test_a_list_of_the_own_value_changes_nothing_and_one_of_others_does() -> Non
     for name, values in bare.items():
         np.testing.assert_array_equal(same[name], values)
     others = {"quality": 2.0, "dwell_s": 2.0, "bracket_s": 6.0, "face_s": 2.0, "faces": 5.0, "set_points": 3.0}
-    others |= {"warmest_c": 60.0, "soak_c_per_min": 0.3, "order": 2.0}
+    others |= {"warmest_c": 60.0, "soak_c_per_min": 0.3, "order": 2.0, "sample_rate_hz": 200.0, "bits": 10.0}
     for name, value in ({"gain": 10.0} | others | {"static_step_c": 8.0, "dynamic_step_c": 30.0}).items():
         unit = units_of(study_of(task_of(further=((name, (value,)),))))[0]
         other = run_unit(unit)

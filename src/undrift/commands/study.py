@@ -230,6 +230,7 @@ def study_json(outcome: "StudyOutcome") -> dict[str, object]:
             )
         },
         "bench": tree_of(held.bench) | {"chain_percent": 100.0 * held.chain_sd},
+        "trial": tree_of(held.trial) if held.trial.on else None,
         "runs": outcome.runs,
         "tasks": [_task_json(task) for task in outcome.tasks],
         "cohorts": [

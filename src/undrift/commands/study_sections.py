@@ -423,9 +423,11 @@ def _cohorts(outcome: "StudyOutcome") -> Section:
 
 def _bench(outcome: "StudyOutcome") -> Section:
     held = tree_of(outcome.study.bench) | {"chain_percent": 100.0 * outcome.study.chain_sd}
+    held |= tree_of(outcome.study.trial) if outcome.study.trial.on else {}
     rows = [{"key of study.toml": key, "value": f"{value:g}"} for key, value in held.items()]
     text = (
-        "Standard deviations, but for encoder_lines (lines) and board_lag_s (s). Every protocol of a subject has the same draws.",
+        "Standard deviations, but for encoder_lines (lines), board_lag_s (s) and what wearing does to the sensor (tissue, impact, "
+        "vibration). Every protocol of a subject has the same draws.",
     )
     return rows_section("Errors of bench and parts", rows, text=text)
 

@@ -24,6 +24,7 @@ not removed, so that it takes as many random numbers as before::
     dynamic drift          what grows with the rate: non-linearity, asymmetry, rate drift
     delay                  how late the readings are: nothing of the device, the truth is taken as late (``delay_of_pitch``)
     quantisation           steps of converter, thermometer and encoder
+    soft tissue            rotation of the sensor against the bone; this, impacts and vibration: sim/motion/worn.py
 """
 
 import json
@@ -51,6 +52,7 @@ from undrift.sim.device.presets import preset, preset_grade, random_device_of
 from undrift.sim.device.simulate import filtered, simulate_device
 from undrift.sim.motion.motion import Motion
 from undrift.sim.motion.tasks import DEFAULT, CategoryName, Subject, Task, TaskName, cohort, draw_task
+from undrift.sim.motion.worn import wear_on_skin
 from undrift.sim.table_sessions import (
     FACE,
     QUICKEST_HZ,
@@ -92,8 +94,13 @@ EffectName = Literal[
     "dynamic drift",
     "delay",
     "quantisation",
+    "soft tissue",
+    "impacts",
+    "vibration",
 ]
-EFFECTS: tuple[EffectName, ...] = get_args(EffectName)
+# Of wearing, and their sizes in ``WornErrors``; a study that has none does not split them
+_WORN: dict[EffectName, str] = {"soft tissue": "tissue", "impacts": "impact", "vibration": "vibration"}
+EFFECTS: tuple[EffectName, ...] = tuple(name for name in get_args(EffectName) if name not in _WORN)
 
 FINER_BITS = 16  # a converter of so many bits more has no steps to speak of
 _OFFSET: dict[str, tuple[str, ...]] = {
@@ -116,6 +123,11 @@ _BENCH: dict[EffectName, tuple[str, ...]] = {
     "cross-axis": ("face_tilt", "mount_tilt", "level", "wobble"),
     "quantisation": ("encoder_lines",),
 }
+
+
+def effects_of_study(study: Study) -> tuple[EffectName, ...]:
+    """Return the effects that a study has."""
+    return (*EFFECTS, *(effect for effect, size in _WORN.items() if getattr(study.trial, size)))
 
 
 def device_without(device: DeviceModel, effect: EffectName) -> DeviceModel:
@@ -158,7 +170,7 @@ def _chain_without(chain: SensorChain, triad: str, effect: EffectName) -> Sensor
 
 WORN_S = 1800.0  # the device has been on for half an hour
 REST_S = 6.0  # the note's initial rest
-LAG_STEP = 5  # samples between the poses that the delay is found by: what ``validate`` averages over
+LAG_STEP_S = 0.05  # between the poses that the delay is found by: what ``validate`` averages over
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -172,6 +184,7 @@ class Case:
     delay_s: float  # How late that is, s
     still: tuple[int, int]  # Samples of the rest before
     moving: tuple[int, int]  # Samples of the motion
+    sample_rate_hz: float = SAMPLE_RATE_HZ  # Hz
 
 
 def seeded(study: Study, *words: str | int) -> np.random.Generator:
@@ -232,27 +245,47 @@ def make_case(
 
     One of its effects may be switched off; in real time its delay is then not looked for.
     """
+    device, rate_hz = unit_of(study, number, setting, without), setting.sample_rate_hz or SAMPLE_RATE_HZ
     performed, motion = perform(study, task, number)
-    device = unit_of(study, number, setting, without)
-    if without is None or not device.sampling.on_grid:
+    if study.trial.on or setting.sample_rate_hz is not None:
+        effect = without if without in _WORN else None
+        worn = _worn(study, task.name, task.category, task.motion, number, effect)
+        device = replace(device, sampling=replace(device.sampling, sample_rate_hz=rate_hz))
+        record = _record_of(study, task.name, number, device, worn)
+        motion = performed.at(record.time, STANDARD_GRAVITY)  # of the bone
+    elif without is None or not device.sampling.on_grid:
         record = _record_of(study, task.name, number, device, motion)
     else:
         record = filtered(_unfiltered(study, task.name, motion, number, setting.gain, without), device)
-    if without == "delay":
-        case = _case_of(device, record, performed, motion, delay_of_pitch(device, SAMPLE_RATE_HZ))
-        return replace(case, pitch_now=case.pitch)
-    return _case_of(device, record, performed, motion, 0.0 if without and study.timing == "real time" else None)
+    if without == "delay" or study.trial.on:  # cross-correlation takes the delay of what rings for that of the body
+        late_s = delay_of_pitch(device, rate_hz)
+    else:
+        late_s = 0.0 if without and study.timing == "real time" else delay_of(record, motion.q_nb, rate_hz)
+    case = _case_of(device, record, performed, motion, late_s, rate_hz)
+    return replace(case, pitch_now=case.pitch) if without == "delay" else case
+
+
+@lru_cache(maxsize=2)  # settings of one subject follow each other
+def _worn(
+    study: Study, name: str, category: CategoryName, motion: OwnMotion | None, number: int, without: EffectName | None
+) -> Motion:
+    """Return the motion of the sensor that a subject wears."""
+    errors = study.trial if without is None else replace(study.trial, **{_WORN[without]: 0.0})
+    performed, _ = _perform(study, name, category, motion, number)
+    return wear_on_skin(performed, errors, seeded(study, "worn", name, number), STANDARD_GRAVITY)
 
 
 def unit_of(study: Study, number: int, setting: Setting, without: EffectName | None = None) -> DeviceModel:
     """Return the device that a subject wears, of parts of its own and as it is set."""
-    cutoff_hz, gain, quality = setting
+    cutoff_hz, gain, quality, bits = setting.cutoff_hz, setting.gain, setting.quality, setting.bits
     device = device_of(study, number)
     grade, parts = None if study.worn else preset_grade(study.device), seeded(study, "chain", number)
     spread, chains = 0.0 if without == "scale" else study.chain_sd, dict[str, Any]()
     for name, chain in (("gyro", device.gyro), ("accel", device.accel)):
         if name == "gyro" and gain is not None and chain.amplifier is not None:
             chain = replace(chain, amplifier=replace(chain.amplifier, gain=gain))
+        if bits is not None and chain.adc is not None:
+            chain = replace(chain, adc=replace(chain.adc, bits=int(bits)))
         if not study.worn:
             of_gain, of_null, of_reference = 1.0 + spread * parts.standard_normal(3)
             if (held := chain.amplifier) is not None:  # without one the chain is one part
@@ -288,49 +321,56 @@ def wear(device: DeviceModel, performed: Task, *, rng: np.random.Generator, temp
     """Simulate a trial."""
     motion = performed.at(_samples(performed), STANDARD_GRAVITY)
     record = simulate_device(device, motion, rng=rng, temp_c=temp_c, power_on_s=power_on_s).record
-    return _case_of(device, record, performed, motion)
+    return _case_of(device, record, performed, motion, delay_of(record, motion.q_nb))
 
 
 def _case_of(
-    device: DeviceModel, record: Record, performed: Task | RecordedTask, motion: Motion, late_s: float | None = None
+    device: DeviceModel,
+    record: Record,
+    performed: Task | RecordedTask,
+    motion: Motion,
+    late_s: float,
+    rate_hz: float = SAMPLE_RATE_HZ,
 ) -> Case:
-    """Return the case of a record, as late as is known, or as is found from its readings."""
-    start, stop = (round(moment * SAMPLE_RATE_HZ) for moment in performed.moving_s)
-    late_s, pitch = delay_of(record, motion.q_nb) if late_s is None else late_s, sagittal_pitch(motion.q_nb)
+    """Return the case of a record that is late by a time."""
+    start, stop = (round(moment * rate_hz) for moment in performed.moving_s)
+    pitch = sagittal_pitch(motion.q_nb)
     return Case(
         device=device,
         record=record,
         delay_s=late_s,
         pitch_now=pitch,
-        pitch=_delayed(pitch, late_s),
-        still=(0, max(start - round(0.2 * SAMPLE_RATE_HZ), 2)),
+        pitch=_delayed(pitch, late_s * rate_hz),
+        still=(0, max(start - round(0.2 * rate_hz), 2)),
         moving=(start, min(stop + 1, len(motion))),
+        sample_rate_hz=rate_hz,
     )
 
 
-def _delayed(pitch: FloatArray, late_s: float) -> FloatArray:
+def _delayed(pitch: FloatArray, samples: float) -> FloatArray:
     """Return a pitch (N,) as it was a time before each sample, rad; NaN near gaps."""
     from scipy.interpolate import CubicSpline
 
     known, place = np.isfinite(pitch), np.arange(len(pitch))
-    if known.sum() < 2 or late_s == 0.0:
+    if known.sum() < 2 or samples == 0.0:
         return pitch
-    at = np.clip(place - late_s * SAMPLE_RATE_HZ, 0, len(pitch) - 1)
+    at = np.clip(place - samples, 0, len(pitch) - 1)
     found = np.asarray(CubicSpline(place[known], np.unwrap(pitch[known]))(at))
     found[~(known[np.floor(at).astype(int)] & known[np.ceil(at).astype(int)])] = np.nan
     return found
 
 
-def delay_of(record: Record, q_nb: FloatArray) -> float:
+def delay_of(record: Record, q_nb: FloatArray, rate_hz: float = SAMPLE_RATE_HZ) -> float:
     """Return how late a record's pitch is against true poses (N, 4), as ``validate`` finds it; 0 where it cannot."""
     if record.gyro is None:
         return 0.0
-    poses = pose_rates(Reference(time=record.time[::LAG_STEP], q_nb=q_nb[::LAG_STEP]))
+    step = max(round(LAG_STEP_S * rate_hz), 1)
+    poses = pose_rates(Reference(time=record.time[::step], q_nb=q_nb[::step]))
     try:
         lag_s = lag_of(record.time, record.gyro, poses, LAG_SETTINGS).seconds
     except AlignmentError:  # it moves too little for a delay to matter
         return 0.0
-    return lag_s - 0.5 / SAMPLE_RATE_HZ  # strapdown holds each reading over the step before its stamp
+    return lag_s - 0.5 / rate_hz  # strapdown holds each reading over the step before its stamp
 
 
 def pitch_error(case: Case, calibration: Calibration) -> FloatArray:
@@ -487,7 +527,7 @@ def trial_errors(case: Case, accel: TriadModel | None, fits: NoteFits, offset: O
             gyro[slice(*case.still)].mean(axis=0),
             case.record.temp_c[slice(*case.still)].mean(keepdims=True),
         )
-    pitch, last = np.stack((case.pitch_now[anchor:stop], case.pitch[anchor:stop])), round(END_S * SAMPLE_RATE_HZ)
+    pitch, last = np.stack((case.pitch_now[anchor:stop], case.pitch[anchor:stop])), round(END_S * case.sample_rate_hz)
     pitch_errors(
         gyro[anchor:stop].reshape(-1), case.record.temp_c[anchor:stop], rest_u, rest_c, case.record.time[anchor:stop], q0,
         pitch, case.moving[0] - anchor, last, IN_PLANE, fits.static_c, fits.dynamic_c, fits.top, fits.half,

@@ -28,7 +28,7 @@ from undrift.findings import Finding, finding
 from undrift.sim.motion.tasks import TaskName
 from undrift.study import judge, run, search
 from undrift.study import target as targets
-from undrift.study.case import EFFECTS, EffectName, Unit, run_unit, seeded, typical_unit, units_of
+from undrift.study.case import EffectName, Unit, effects_of_study, run_unit, seeded, typical_unit, units_of
 from undrift.study.figure3 import DRAWN_UNITS, DrawnRow, EffectRow, Figure3, drawn_cohort, effect_table, figure3
 from undrift.study.plan import AIM, DEVICE, MARGIN_DEG, TABLE_1, Aim, Study, StudyTask, column_of
 from undrift.study.real import RealData, RealOutcome, judge_real, tried
@@ -56,7 +56,7 @@ MOST_VALUES = 5  # of a parameter that are run again: the optimum's with its nei
 class Term:
     """What one effect adds to the error, and whether it hides what a parameter does."""
 
-    effect: str  # One of ``EFFECTS``
+    effect: str  # One of ``effects_of_study``
     share: float  # Of the mean square that is lost without it; below 0 where the error grows
     share_interval: tuple[float, float]  # Its 95 % interval over the subjects
     rms_deg: float  # Root of that loss, deg; 0 where there is none
@@ -183,7 +183,7 @@ def units_without(study: Study, task: StudyTask, surface: run.TaskSurface, optim
     return tuple(
         Unit(study=study, task=part, subject=subject, setting=setting, without=effect)
         for subject in _subjects(study, surface)
-        for effect in EFFECTS
+        for effect in effects_of_study(study)
         for part, setting in tasks
     )
 
@@ -199,7 +199,10 @@ def split_study(
     """Split the error of each task's optimum along its parameters; ``advance`` gets units done and units in all."""
     held = list(zip(study.tasks, surfaces, optima, strict=True))
     units = [(k, unit) for k, each in enumerate(held) for unit in units_without(study, *each)]
-    tables = [{effect: np.full(surface.error_rms_deg.shape, np.nan) for effect in EFFECTS} for surface in surfaces]
+    tables = [
+        {effect: np.full(surface.error_rms_deg.shape, np.nan) for effect in effects_of_study(study)}
+        for surface in surfaces
+    ]
     rows = [{subject: row for row, subject in enumerate(_subjects(study, surface))} for surface in surfaces]
     places = [
         {tuple(point): place for place, point in enumerate(points_of(task, surface).tolist())}
@@ -305,7 +308,7 @@ def forecast(study: Study, folder: Path, *, workers: int, rivals: bool, real: Re
         crossed = sum(other.name == task.name for other in study.tasks)
         unit_s = _unit_s(one)
         cohort += (2.0 + (crossed if crossed > 1 else 0)) * study.subjects * unit_s
-        split += len(EFFECTS) * study.subjects * min(len(task.space.cutoff_hz), MOST_VALUES) * unit_s
+        split += len(effects_of_study(study)) * study.subjects * min(len(task.space.cutoff_hz), MOST_VALUES) * unit_s
         if study.search == "cma" or search.tried_of(study, task) < task.space.count:  # hardly two of one setting
             sessions += search.runs_of_task(study, task) * unit_s
         elif searched:

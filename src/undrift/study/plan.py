@@ -39,6 +39,7 @@ from undrift.sim.device.presets import PRESETS, preset
 from undrift.sim.motion.motion import Motion
 from undrift.sim.motion.poses import PoseSettings, PoseSpline, fit_pose_spline
 from undrift.sim.motion.tasks import DEFAULT, CategoryName, Group, TaskName
+from undrift.sim.motion.worn import AT_L5, FIXED, WornErrors
 from undrift.study.space import FURTHER, OF_NOTE, TURN_RATES, Grid, Space
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
@@ -188,6 +189,7 @@ class Study(Aim):
     bench: BenchErrors = NOTE_BENCH  # What the bench does wrong
     chain_sd: float = 0.01  # Of gain and null of a unit's amplifiers and of its converter's reference, relative
     offset: OffsetRule = "rest"  # Of the gyroscopes in a trial; none is the note's
+    trial: WornErrors = FIXED  # What wearing does to the sensor in a trial; the note has none of it
 
     def __post_init__(self) -> None:
         names = [task.key for task in self.tasks]
@@ -202,10 +204,10 @@ class Study(Aim):
                 raise InputError(
                     f"study: wanted protocols to try for {task.name}, got none; give cut-offs, and steps that divide the span"
                 )
-            if "gain" in task.space.names and self._unit().gyro.amplifier is None:
-                raise InputError(
-                    f"study: wanted a device with an amplifier to vary its gain, got {self.device}; leave gain out"
-                )
+            for name, part in (("gain", "amplifier"), ("bits", "adc")):
+                if name in task.space.names and getattr(self._unit().gyro, part) is None:
+                    what = f"a device with {'an amplifier' if name == 'gain' else 'a converter'} to vary its {name}"
+                    raise InputError(f"study: wanted {what}, got {self.device}; leave {name} out")
             if max(dict(task.space.further).get("set_points", (0.0,))) > 1.0 and not task.base.temperatures_c:
                 raise InputError(
                     "study: wanted set_points_c whose number varies, got none; state the first and the last"
@@ -450,6 +452,13 @@ class RecordedTask:
         start, stop = self.spline.span_s
         return self.held_s + stop - start
 
+    @property
+    def contacts_s(self) -> tuple[float, ...]:
+        """Where the body is accelerated upward most, s: a recording does not say when seat or foot takes load."""
+        time = np.arange(*self.moving_s, 1.0 / SAMPLE_RATE_HZ)
+        motion = self.at(time, STANDARD_GRAVITY)
+        return (float(time[np.nanargmax(rotate(motion.q_nb, motion.force_b)[:, 2])]),)
+
     def at(self, time: FloatArray, gravity_m_s2: float) -> Motion:
         """Return the motion at given instants: time (N,)."""
         start = self.spline.span_s[0]
@@ -535,6 +544,8 @@ class SpaceEntry:
     # Left out: the device's or the protocol's own value alone
     gain: MoreValues = ()  # Of the gyroscopes' amplifier
     quality: MoreValues = ()  # Q of the low-pass of both triads, 0.5 or more
+    sample_rate_hz: MoreValues = ()  # Of the trial, 25 to 400; 100 where not given
+    bits: MoreValues = ()  # Of the converter of both triads, over the same span
     dwell_s: MoreValues = ()  # At a rate
     bracket_s: MoreValues = ()  # At rest around a block of rates
     face_s: MoreValues = ()  # On a face
@@ -617,16 +628,22 @@ class StudyEntry:
     chain_sd: Annotated[float, Ge(0.0), Key("chain_percent", unit=0.01)] = 0.01
     offset: OffsetRule = "rest"  # Of the gyroscopes: that of the rest before a motion is taken off; none is the note's
     bench: BenchErrors = NOTE_BENCH  # What the bench does wrong; the default is the preset's
+    trial: WornErrors = (
+        AT_L5  # What wearing does to the sensor in a trial, as measured at the low back; the preset has none
+    )
 
 
-def _with_bench(tree: dict[str, Any]) -> dict[str, Any]:
-    """Return the tree of study.toml with the preset's bench where keys of it are left out."""
-    study = tree.get("study", {})
-    bench = study.get("bench", {}) if isinstance(study, dict) else None
-    return tree if not isinstance(bench, dict) else tree | {"study": study | {"bench": tree_of(NOTE_BENCH) | bench}}
+def _with_defaults(tree: dict[str, Any]) -> dict[str, Any]:
+    """Return the tree of study.toml with the default's bench and trial where keys of them are left out."""
+    if not isinstance(study := tree.get("study", {}), dict):
+        return tree
+    for name, default in (("bench", NOTE_BENCH), ("trial", AT_L5)):
+        if isinstance(stated := study.get(name, {}), dict):
+            study = study | {name: tree_of(default) | stated}
+    return tree | {"study": study}
 
 
-@stored(upgrade=_with_bench)
+@stored(upgrade=_with_defaults)
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StudyFile:
     """The whole file."""

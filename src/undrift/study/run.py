@@ -179,6 +179,8 @@ class RunStore:
             del held["objective"], held["timing"]
         for name in ("margin_deg", "target_deg", "confidence"):  # verdicts alone depend on them
             del held[name]
+        if not study.trial.on:
+            del held["trial"]
         text, head = json.dumps(held, sort_keys=True), folder / HEAD
         if not head.exists():
             content = {"kind": "undrift.study-runs", "format": FORMAT, "study": json.loads(text)}

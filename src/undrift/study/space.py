@@ -1,8 +1,9 @@
 """What a study tries: a parameter is a name and a list of values, a candidate one value of each.
 
 The first four are the note's: cut-off, step d, omega_m and omega_M; the step has to divide the span. The further ones keep the one
-value of the device or of the plan's protocol unless a list is given. Cut-off, gain and quality change the device, and so the trial;
-the rest changes the session or its fit alone. A point is a candidate's values in the order of ``Space.names``.
+value of the device or of the plan's protocol unless a list is given. Cut-off, gain, quality, sampling rate and bits change the
+device, and so the trial; the rest changes the session or its fit alone. A point is a candidate's values in the order of
+``Space.names``. Sessions are read at 100 Hz, whatever the rate of the trial.
 """
 
 from collections.abc import Iterator, Sequence
@@ -32,6 +33,8 @@ class Kind(NamedTuple):
 FURTHER: dict[str, Kind] = {
     "gain": Kind("gain of the gyroscopes' amplifier", 1e-6),  # clipped motion against few codes
     "quality": Kind("Q of the low-pass", 0.5, 10.0),  # 0.58 Bessel, 0.71 Butterworth
+    "sample_rate_hz": Kind("sampling rate (Hz)", 25.0, 400.0),
+    "bits": Kind("bits of the converter", 4, 24, whole=True),
     "dwell_s": Kind("dwell (s)", 0.1),
     "bracket_s": Kind("rest around rates (s)", 0.1),
     "face_s": Kind("rest on a face (s)", 0.1),
@@ -60,7 +63,7 @@ COMPARED_NAMES = (  # of the compensations of Figure 3, those of study/figure3.p
     "offset re-zeroed at a rest",
     "static and dynamic, re-zeroed at a rest",
 )
-OF_DEVICE = ("gain", "quality")  # the first of them
+OF_DEVICE = ("gain", "quality", "sample_rate_hz", "bits")  # the first of them
 
 
 class Setting(NamedTuple):
@@ -69,6 +72,8 @@ class Setting(NamedTuple):
     cutoff_hz: float
     gain: float | None = None
     quality: float | None = None
+    sample_rate_hz: float | None = None
+    bits: float | None = None
 
     @property
     def words(self) -> str:

@@ -42,6 +42,9 @@ REMEDIES: dict[str, str] = {
     "dynamic drift": "turn at more rates, up to those of the motion",
     "delay": "raise the cut-off, or judge offline",
     "quantisation": "take a converter of more bits, or more gain",
+    "soft tissue": "press the sensor to the bone, make it lighter, or judge offline with a cut-off below its resonance",
+    "impacts": "fix the sensor where it rings less, or judge offline with a cut-off below its resonance",
+    "vibration": "take a cut-off below half the sampling rate, or sample faster",
 }
 
 
