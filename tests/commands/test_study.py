@@ -210,7 +210,9 @@ def test_a_study_of_the_dwell_and_the_gain_comes_to_its_end_by_every_search(undr
         pytest.importorskip("cma")
     path, out = tmp_path / "study.toml", tmp_path / "out"
     lists = "[50.0, 70.0, 90.0]\ngain = [10.0, 20.0]\nfaces = [5, 6]\ndwell_s = [0.5, 1.0]"
-    path.write_text(TEXT.replace("sit_to_stand", "step").replace("[50.0, 70.0, 90.0]", lists))
+    fixed = "subjects = 3\n[study.trial]\ntissue_deg_per_m_s2 = 0\nimpact_g = 0"  # other draws, other finalists
+    text = TEXT.replace("subjects = 3", fixed).replace("sit_to_stand", "step")
+    path.write_text(text.replace("[50.0, 70.0, 90.0]", lists))
     words = ("study", path, "-o", out, "--workers", "1", "--no-rivals", "--search", search, "--candidates", "24")
     answer = done(undrift, *words)
     assert re.search(r"\bstep: optimum \(.*dwell \(s\) ", answer.out, re.M)
