@@ -71,6 +71,7 @@ class SerialLog:
     content: bytes  # CSV without a header
     before: int  # Lines with numbers before the first reading
     lost: int  # Lines with numbers after it that belong to no reading
+    plain: bool  # Nothing but marks of a table between the numbers
 
 
 # ---- from text to lines to readings
@@ -88,7 +89,7 @@ def lines_of(content: bytes) -> Iterator[LogLine]:
         if checked := _CHECKED.fullmatch(line):
             sound = reduce(xor, checked.group(1).encode()) == int(checked.group(2), 16)
             line = checked.group(1) if sound else f"damaged {line}"
-        line = _DECIMAL_COMMA.sub(r"\1.\2", line)
+        line = _DECIMAL_COMMA.sub(r'"\1.\2"', line)
         cells = _NUMBER.split(line)
         if len(cells) > 1:
             shape = (heading, *(" ".join(cell.split()) for cell in cells))
@@ -132,7 +133,8 @@ def find_readings(content: bytes) -> SerialLog | None:
     named = tuple(name or f"column {k}" for k, name in enumerate(names))
     before = every.index(readings[0][0])
     lost = len(every) - before - len(readings) * len(cycle) + (not content.endswith(b"\n"))
-    return SerialLog(named, "".join(",".join(row) + "\n" for row in rows).encode(), before, lost)
+    plain = not stamped and not "".join(chain.from_iterable(cycle)).strip(" ,;")
+    return SerialLog(named, "".join(",".join(row) + "\n" for row in rows).encode(), before, lost, plain)
 
 
 def _readings(lines: Sequence[LogLine], cycle: Sequence[tuple[str, ...]]) -> Iterator[list[LogLine]]:
@@ -230,7 +232,7 @@ def _quantity(words: Sequence[str]) -> str:
 
 
 def is_log(path: Path, head: bytes) -> bool:
-    """Tell a log from a table: numbers with words, stamps or quotes around them, and no header that names its columns."""
+    """Tell a log from a table: words, stamps, quotes or noise around its numbers, and no header that names its columns."""
     if path.suffix.lower() in (".md", ".rst", ".pdf", ".html", ".toml", ".xml"):
         return False
     head = read_bytes(path, _HEAD)
@@ -238,15 +240,13 @@ def is_log(path: Path, head: bytes) -> bool:
     sheet = sheet_of(path, head)
     if sheet is not None and sum(map(bool, sheet.names)) >= 0.5 * len(sheet.names):
         return False
-    layout = TextLayout(delimiter=" ") if sheet is None else sheet.layout
-    first = head.lstrip().partition(b"\n")[0].decode("utf-8", "replace").replace(layout.decimal, ".")
-    if all(
-        is_number(cell, empty=True) or is_date(cell.strip())
-        for cell in first.split(layout.delimiter.strip(" ") or None)
-    ):
-        return False  # a table without names, damaged or not
     log = find_readings(head)
-    return log is not None and len(log.names) >= 3 and log.lost <= 0.2 * log.content.count(b"\n")
+    if log is None or len(log.names) < 3 or log.lost > 0.2 * log.content.count(b"\n"):
+        return False
+    first = head.lstrip().partition(b"\n")[0].decode("utf-8", "replace").split(",")
+    return not (
+        all(is_number(cell, empty=True) or is_date(cell.strip()) for cell in first) or (log.plain and b"\0" not in head)
+    )
 
 
 def read_readings(path: Path) -> SerialLog:
