@@ -82,10 +82,13 @@ class Device:
     def stop(self):
         times = np.arange(self.began, self.emulator.now() if self.ended is None else self.ended, 0.01)
         _, rate = self.emulator.axis_states(times, mean_s=0.01)
-        up = UP[self.hands.up]
+        up = self.up()
         gyro = (rate[:, None] / DPS * up) @ GAIN.T + OFFSET + NOISE_DPS * self.rng.normal(size=(len(times), 3))
         accel = np.tile(STANDARD_GRAVITY * up, (len(times), 1)) + 1e-3 * self.rng.normal(size=(len(times), 3))
         return Record(time=times, gyro=gyro, accel=accel, gyro_unit="dps", accel_unit="m/s2", device="made")
+
+    def up(self):
+        return UP[self.hands.up]
 
     def latest(self):
         return ""
@@ -170,12 +173,12 @@ def run(
     readings=None,
     **settings,
 ):
-    """Run a protocol on an emulator; return the result and the hands. Readings are the fake device's unless given."""
-    hands = Hands()
+    """Run a protocol on an emulator; return the result and the hands. Readings are the fake device's, made likewise, or given."""
+    hands, readings = Hands(), readings or Device
     with RunFolder(path, protocol, resume=resume) as folder:
         bench = RigBench(
             rig=opened(emulator, **settings),
-            readings=readings or Device(emulator, hands),
+            readings=readings(emulator, hands) if callable(readings) else readings,
             mounting=hands,
             chamber=chamber,
             clock=emulator.clock,

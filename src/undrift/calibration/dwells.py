@@ -18,7 +18,7 @@ from undrift.findings import Finding, above, finding
 from undrift.fit.equations import GROUP_SHOWS, fit_components
 from undrift.fit.least_squares import block_size, noise_of_means
 from undrift.model import AXES, TriadModel
-from undrift.record import Axis, Face, RateTable, Record, Still, Turn
+from undrift.record import Axis, MountedFace, RateTable, Record, Still, Turn, TurnAxis
 from undrift.units import EARTH_RATE, RADIAN_PER_DEGREE
 
 # ---- table rate: a ripple of the table's rate with its angle, and how it settles, by the gyroscope of the turned axis
@@ -324,8 +324,8 @@ def mountings(pieces: Sequence[Still | Turn]) -> IntArray:
     Turns about one axis at stated rates and rests with that axis up belong together as long as nothing else comes between.
     """
     runs: list[list[int]] = [[]]
-    axis: Axis | None = None
-    face: Face | None = None
+    axis: TurnAxis | None = None
+    face: MountedFace | None = None
     for n in sorted(range(len(pieces)), key=lambda n: (pieces[n].recording, pieces[n].start)):
         piece = pieces[n]
         if isinstance(piece, Turn):
@@ -536,7 +536,7 @@ class DwellMeans:
 
     reading: FloatArray  # (N, 3), mean of each dwell, ``unit``
     turn_rate: FloatArray  # (N,), achieved rate about +axis, rad/s
-    axis: tuple[Axis, ...]  # Axis of each dwell
+    axis: tuple[TurnAxis, ...]  # Axis of each dwell
     noise: FloatArray | None = None  # (N, 3), standard deviation of each mean; None when it is not known
     # (N,), 1 where +axis points up, -1 where it points down, 0 where it is not vertical; all 1 by default
     up: FloatArray = field(default_factory=lambda: np.ones(1))
@@ -574,7 +574,8 @@ def dwell_means(
         w if cutoff_hz is None else spline_filter(record.time, w, cutoff_hz)
         for record, w in zip(parts, windows, strict=True)
     ]
-    noise = _noise(windows, [blocks[t.recording] for t in used], [AXES.index(t.axis or "x") for t in used])
+    about = [-1 if t.axis == "xyz" else AXES.index(t.axis or "x") for t in used]
+    noise = _noise(windows, [blocks[t.recording] for t in used], about)
     step = code_steps([records[k] for k in blocks], rate=True)
     codes = code_variance(step, np.median([w.var(axis=0) for w in windows], axis=0)) if used else np.zeros(3)
     return DwellMeans(
@@ -582,7 +583,7 @@ def dwell_means(
         turn_rate=np.array([t.turn_rate for t in used], float),
         axis=tuple(t.axis for t in used if t.axis is not None),
         noise=None if noise is None else np.hypot(noise, np.sqrt(codes)),
-        up=np.array([_points_up(record, AXES.index(t.axis or "x")) for record, t in zip(parts, used, strict=True)]),
+        up=np.array([_points_up(record, axis) for record, axis in zip(parts, about, strict=True)]),
         unit=unit,
         time=middles(records, used),
         step=step,
@@ -594,7 +595,7 @@ def _noise(windows: list[FloatArray], sizes: list[int], own: list[int]) -> Float
     """Return the noise of each mean; a sensor whose own dwells scatter more, since the rate ripples, by its other dwells."""
     noise = noise_of_means(windows, sizes)
     for k in range(3):
-        rows = [n for n, axis in enumerate(own) if axis != k]
+        rows = [n for n, axis in enumerate(own) if axis not in (k, -1)]
         others = noise_of_means([windows[n] for n in rows], [sizes[n] for n in rows])
         if noise is None or others is None:
             continue

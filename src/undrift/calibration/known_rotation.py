@@ -77,7 +77,7 @@ from undrift.fit.equations import (
 )
 from undrift.fit.least_squares import TriadFit, block_size, noise_of_means, scaled_condition, triad_fit
 from undrift.model import AXES, TriadModel, Verdict
-from undrift.record import Axis, Record, Still, Turn
+from undrift.record import Axis, Record, Still, Turn, TurnAxis
 from undrift.units import RADIAN_PER_DEGREE
 
 # ---- do the fitted gyroscopes turn gravity as the accelerometer measures it?
@@ -136,7 +136,7 @@ class RotationData:
     rest: FaceMeans  # Gyroscope means on the faces, ``unit``
     rest_samples: FloatArray  # (P,), samples behind each mean
     angle: FloatArray  # (R,), angle of each turn about +axis, rad
-    axis: tuple[Axis, ...]  # Axis of each turn
+    axis: tuple[TurnAxis, ...]  # Axis of each turn
     reading: FloatArray  # (R, 3), integral of the gyroscope readings over each turn, unit * s
     force: FloatArray  # (R, 3), integral of the calibrated specific force over each turn, m/s
     duration: FloatArray  # (R,), s
@@ -581,7 +581,7 @@ _NEAR_S = 5.0  # between a rest and the turn that it stands beside
 
 def _without_rest(records: Sequence[Record], rests: Sequence[Still], turns: Sequence[Turn]) -> tuple[Axis, ...]:
     """Return the axes of turns without a rest close before and one close after them, whatever face is up in it."""
-    lacking = set[Axis | None]()
+    lacking = set[TurnAxis | None]()
     for turn in turns:
         time, own = records[turn.recording].time, [s for s in rests if s.recording == turn.recording]
         before = (time[turn.start] - time[s.stop - 1] for s in own if s.start < turn.start)

@@ -565,7 +565,7 @@ def fit_rate_axis(
     axes = sorted(set(dwells.axis))
     if len(axes) != 1:
         raise InputError(f"rate axis: wanted turns about one axis, got {', '.join(axes) or 'none'}; use fit_rate_table")
-    axis, k = dwells.axis[0], AXES.index(dwells.axis[0])
+    axis = AXES[k := AXES.index(dwells.axis[0])]
     table = linearity(dwells.reading[:, k], dwells.turn_rate, axis)
     rate = imposed_rates(dwells, latitude_deg)[:, k]
     design = np.column_stack((rate, np.ones_like(rate)))

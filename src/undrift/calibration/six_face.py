@@ -65,7 +65,7 @@ from undrift.fit.least_squares import (
     triad_from_forward,
 )
 from undrift.model import Verdict
-from undrift.record import Face, Record, Still
+from undrift.record import MountedFace, Record, Still
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical, si_factor
 
 # ---- tilt of the faces
@@ -195,7 +195,7 @@ class FaceMeans:
     """Mean readings of a device on its faces."""
 
     reading: FloatArray  # (P, 3), mean of each pose, ``unit``
-    faces: tuple[Face, ...]  # Axis that points up in each
+    faces: tuple[MountedFace, ...]  # Axis that points up in each
     noise: FloatArray | None = None  # (P, 3), standard deviation of each mean, ``unit``; None when it is not known
     rounding: FloatArray | None = None  # (3,), what the codes leave in each mean, in ``noise`` too, ``unit``
     unit: str = "m/s2"  # Unit of the readings

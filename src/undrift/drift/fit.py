@@ -524,6 +524,7 @@ def choose_tables(
     )
     nodes = np.concatenate(([low], between[(between > low + 1e-9) & (between < high - 1e-9)], [high]))
     clean = rate_steps.with_rest_as_zero(rate_steps.steps_of(steps), rests, calibration, static)
+    clean = rate_steps.as_mounted(clean, calibration, static)
     numbers, point = _set_points(clean)
     if len(numbers) < 2:
         raise NotObservable(
@@ -584,10 +585,7 @@ def _residuals(
 
 
 def _cross_validated(
-    steps: Steps,
-    fits: Fits,
-    refitted: Callable[[Steps], Fits],
-    residuals: Callable[[Fits, Alternative], FloatArray],
+    steps: Steps, fits: Fits, refitted: Callable[[Steps], Fits], residuals: Callable[[Fits, Alternative], FloatArray]
 ) -> Alternatives:
     by_soak, by_rate, everything = _soak_folds(steps), _rate_folds(steps), np.ones(len(steps), bool)
     own_zero = np.where(rate_steps.of_one_rate(steps), -1, steps.mounting)

@@ -516,20 +516,13 @@ def _extended(table: T, nodes: FloatArray) -> T:
 
 
 def _calibrated(
-    base: Calibration,
-    given: Calibration,
-    tables: DriftTables,
-    verdict: Verdict,
-    used: tuple[tuple[str, str], ...],
+    base: Calibration, given: Calibration, tables: DriftTables, verdict: Verdict, used: tuple[tuple[str, str], ...]
 ) -> Calibration:
     """Return a calibration with the tables; used: name and sha256 of the files that were learnt from."""
     previous = given.provenance
     settings = {name: text for name, text in previous.settings if not name.startswith(_SETTINGS)}
     count = 0 if tables.learnt is None else len(tables.learnt.recordings)
-    settings |= {
-        f"{_SETTINGS}recordings": f"{count}",
-        f"{_SETTINGS}status_before": base.verdict.status,
-    }
+    settings |= {f"{_SETTINGS}recordings": f"{count}", f"{_SETTINGS}status_before": base.verdict.status}
     # what learning adds goes with the tables when new ones are fitted
     settings.setdefault(_INPUTS, f"{len(previous.inputs)}")
     settings.setdefault(STATUS_BEFORE, base.verdict.status)

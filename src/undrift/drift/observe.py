@@ -26,6 +26,7 @@ import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray, IntArray, runs
 from undrift.calibration.adc import restored
+from undrift.calibration.checks import axis_vectors
 from undrift.calibration.dwells import dwell_means
 from undrift.errors import InputError, NotObservable
 from undrift.findings import finding
@@ -408,14 +409,12 @@ def _steps(
         if values is not None and np.isfinite(values[turn.start : turn.stop]).any():
             accel[k] = np.nanmean(values[turn.start : turn.stop], axis=0)
     stated = np.array([np.nan if turn.temp_c is None else turn.temp_c for turn in turns])
-    imposed = np.zeros((count, 3))
-    imposed[np.arange(count), ["xyz".index(axis) for axis in dwells.axis]] = dwells.turn_rate
     return RateSteps(
         session=np.full(count, session_number, np.int64),
         soak=first_soak + _soaks(temp, settings.soak_c, stated),
         time=dwells.time if dwells.time is not None else np.zeros(count),
         temp_c=temp,
-        rate_b=imposed,
+        rate_b=axis_vectors(dwells.axis) * dwells.turn_rate[:, None],
         gyro=dwells.reading,
         accel=accel,
         gyro_variance=np.full((count, 3), np.nan) if dwells.noise is None else dwells.noise**2,

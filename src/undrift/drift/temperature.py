@@ -142,12 +142,7 @@ def trusted_temperature(
 def _as_stated(temp_c: FloatArray, time: FloatArray, index: int, source: Source, *findings: Finding) -> Temperature:
     _check_board(temp_c, time, index)
     return Temperature(
-        temp_c=temp_c,
-        uncertainty_c=SET_POINT_UNCERTAINTY_C,
-        noise_c=0.0,
-        step_c=0.0,
-        source=source,
-        findings=findings,
+        temp_c=temp_c, uncertainty_c=SET_POINT_UNCERTAINTY_C, noise_c=0.0, step_c=0.0, source=source, findings=findings
     )
 
 

@@ -78,10 +78,10 @@ from undrift.io.text import open_text, parse_text
 from undrift.model import AXES
 from undrift.record import (
     Axis,
-    Face,
     FileMap,
     GravitySource,
     Kind,
+    MountedFace,
     Mounting,
     RateTable,
     Record,
@@ -90,6 +90,7 @@ from undrift.record import (
     Still,
     TemperatureSensitivity,
     Turn,
+    TurnAxis,
 )
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, canonical_unit, gravity_at, si_factor
 
@@ -373,7 +374,8 @@ class StillEntry:
     start_s: float  # On the recording's own clock
     stop_s: float  # Likewise, left out itself
     temp_c: Annotated[float, Ge(-273.15)] | None = None  # Chamber set-point, degC
-    face: Face | None = None  # Sensor axis that points up: "+x" ... "-z"; none for a free pose
+    # Sensor axis that points up: "+x" ... "-z"; "+xyz" in a skew mounting, +x, +y and +z alike; none for a free pose
+    face: MountedFace | None = None
 
 
 @stored()
@@ -385,7 +387,7 @@ class TurnEntry:
     start_s: float  # On the recording's own clock
     stop_s: float  # Likewise, left out itself
     temp_c: Annotated[float, Ge(-273.15)] | None = None  # Chamber set-point, degC
-    axis: Axis | None = None  # "x", "y" or "z"; none for a free rotation
+    axis: TurnAxis | None = None  # "x", "y", "z", or "xyz" for (1, 1, 1) of the case; none for a free rotation
     # Achieved steady rate about +axis
     turn_rate: Annotated[float | None, Key("turn_rate_dps", unit=RADIAN_PER_DEGREE)] = None
     angle: Annotated[float | None, Key("angle_deg", unit=RADIAN_PER_DEGREE)] = None  # Turned about +axis

@@ -32,7 +32,7 @@ from undrift.errors import FileFormatError, InputError
 from undrift.files import call_writer, errno_of, take_lock, write_whole
 from undrift.io.parquet import write_parquet
 from undrift.io.session import HeadEntry, StillEntry, TurnEntry, sealed, session_toml
-from undrift.record import Axis, Face, Kind, Record
+from undrift.record import Kind, MountedFace, Record, TurnAxis
 from undrift.rig.programme import DAMPING, Protocol, Purpose, write_protocol
 from undrift.rig.watch import uninterrupted
 
@@ -194,7 +194,7 @@ def room(path: Path) -> Iterator[None]:
 # ---- folder
 
 FORMAT = 2  # 1: checksums that do not go on from the line before, and a session.toml without any
-LATER = {"damping": DAMPING, "faces_at": "every"}  # of Protocol: what runs of before did
+LATER = {"damping": DAMPING, "faces_at": "every", "heated_axis": None}  # of Protocol: what runs of before did
 JOURNAL, PIECES, ASIDE, PROTOCOL, SESSION = "journal.jsonl", "pieces", "aside", "protocol.toml", "session.toml"
 
 
@@ -215,8 +215,8 @@ class RecordedDwell:
 
     step: int  # Of the programme
     purpose: Purpose  # face, bracket, rate or turn
-    up: Face  # Device axis that points up
-    axis: Axis | None  # Axis of the turn
+    up: MountedFace  # Device axis that points up
+    axis: TurnAxis | None  # Axis of the turn
     samples: int  # Readings
     start_s: float  # On the device's clock, s; the stop is left out
     stop_s: float
@@ -300,7 +300,7 @@ class RunFolder(AbstractContextManager["RunFolder"]):
             self.write_session()
         return kept
 
-    def withdraw(self, face: Face) -> frozenset[int]:
+    def withdraw(self, face: MountedFace) -> frozenset[int]:
         """Take back the dwells with a face up: the journal says so, their readings go aside, the steps are to be done again."""
         steps = frozenset(piece.step for piece in self.pieces if piece.up == face)
         with uninterrupted(), room(self.path):

@@ -32,7 +32,7 @@ from undrift.commands.bench.capture import (
     way_of,
 )
 from undrift.errors import InputError
-from undrift.record import FACES, Axis, Face, Record, Still
+from undrift.record import FACES, Face, Record, Still, TurnAxis
 from undrift.segments import StillSettings, find_still, find_turns
 from undrift.units import RADIAN_PER_DEGREE, is_physical, si_factor
 
@@ -255,7 +255,7 @@ class Turns(Guide):
         up, down = self.capture.up(before.rest)[0], self.capture.up(after)[0]
         return up is not None and down is not None and float(up @ down) > SAME_POSE
 
-    def _whole(self, axis: Axis, along: float, unit: str) -> tuple[int, str]:
+    def _whole(self, axis: TurnAxis, along: float, unit: str) -> tuple[int, str]:
         """Return how many turns a reading is, 0 with the reason where it is none."""
         if is_physical(unit):
             turns = along * si_factor(unit, "rate") / FULL_TURN

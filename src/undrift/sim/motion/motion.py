@@ -38,7 +38,7 @@ from numpy.polynomial import Polynomial
 
 from undrift.arrays import FloatArray, Shape, freeze
 from undrift.frames import cross, quaternion_conjugate, quaternion_product, rotate
-from undrift.record import Axis, Face, Still, Turn
+from undrift.record import Axis, Face, MountedFace, Still, Turn, TurnAxis
 
 # ---- Course: one coordinate over time, a sum of parts whose derivatives are closed forms.
 
@@ -412,11 +412,11 @@ class Script:
         return round(duration_s * self.sample_rate_hz) / self.sample_rate_hz
 
 
-def unit_vector(name: Axis | Face) -> FloatArray:
+def unit_vector(name: TurnAxis | MountedFace) -> FloatArray:
     """Return the unit vector of an axis or face, (3,)."""
     vector = np.zeros(3)
-    vector["xyz".index(name[-1])] = -1.0 if name[0] == "-" else 1.0
-    return vector
+    vector[["xyz".index(axis) for axis in name.lstrip("+-")]] = -1.0 if name[0] == "-" else 1.0
+    return np.asarray(vector / np.linalg.norm(vector))
 
 
 def turn_quaternion(axis_b: FloatArray, angle: FloatArray) -> FloatArray:

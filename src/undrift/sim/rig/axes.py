@@ -157,10 +157,7 @@ class MotorAxis:
         rise = angle[right] - angle[left]
         v0, v1 = rate[left] * h, rate[right] * h
         square, cube = 3.0 * rise - 2.0 * v0 - v1, v0 + v1 - 2.0 * rise
-        return (
-            angle[left] + u * (v0 + u * (square + u * cube)),
-            (v0 + u * (2.0 * square + 3.0 * u * cube)) / h,
-        )
+        return (angle[left] + u * (v0 + u * (square + u * cube)), (v0 + u * (2.0 * square + 3.0 * u * cube)) / h)
 
     def history(self, last_s: float | None = None) -> FloatArray:
         """Return the kept past, the present last: time, angle and rate, (3, n) s, rad, rad/s."""

@@ -24,7 +24,7 @@ from undrift.arrays import FloatArray
 from undrift.base.clock import HOST, Clock
 from undrift.errors import InputError, RigError, RigFault, check_positive
 from undrift.live.transports import host_and_port
-from undrift.record import Face
+from undrift.record import MountedFace
 from undrift.rig.link import Link, LinkSettings
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.presets import random_device
@@ -327,7 +327,7 @@ class EmulatedBench(Closed):
             self.rig.clock.wait(planned.for_s)
             part.clear(planned.name)
 
-    def mount(self, face: Face) -> None:
+    def mount(self, face: MountedFace) -> None:
         """Mount the devices with another face up."""
         for stream in self.streams:
             stream.mount(face)
@@ -343,7 +343,7 @@ class EmulatedBench(Closed):
         word, _, face = line.partition(" ")
         if word != "MOUNT":
             raise InputError("hands: wanted MOUNT +x or FACE?, got another word; say one of them")
-        self.mount(cast(Face, face))
+        self.mount(cast(MountedFace, face))
         return f"OK {face}"
 
 
@@ -382,7 +382,7 @@ class BenchHands:
             raise InputError(f"hands: wanted tcp://host:port, got '{address}'; rig emulate prints it")
         self._address, self._waits = address, LinkSettings(reply_timeout_s=HANDS_TIMEOUT_S, clock=clock.host)
 
-    def mount(self, up: Face) -> None:
+    def mount(self, up: MountedFace) -> None:
         """Have the device mounted."""
         try:
             with Link(self._address, self._waits) as link:

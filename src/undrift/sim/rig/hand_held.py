@@ -24,7 +24,7 @@ from undrift.arrays import FloatArray
 from undrift.base.clock import Clock
 from undrift.errors import InputError
 from undrift.frames import quaternion_conjugate, quaternion_of, quaternion_product, rotate, rotation_vector
-from undrift.record import FACES, Axis, Face
+from undrift.record import FACES, Axis, Face, MountedFace
 from undrift.sim.device.effects import Scene
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.presets import random_device
@@ -126,7 +126,7 @@ class HandHeldDevice(EmulatedDevice):
         if self.clock.now() - self._next * self._step > TOGETHER_S * self.clock.speed:
             super().tick()
 
-    def mount(self, face: Face) -> None:
+    def mount(self, face: MountedFace) -> None:
         """Lay it on another face, with this one up."""
         if face not in FACES:
             raise InputError(f"face: wanted one of {', '.join(FACES)}, got '{face}'; name the axis that points up")
@@ -163,12 +163,12 @@ class HandHeldDevice(EmulatedDevice):
             duration = max(abs(turns) * draw.uniform(*hands.turn_s), quickest)
             self._add(start, duration, q, leaning, course, back=back, lift=0.0 if slid else hands.lift)
 
-    def _mount(self, face: Face) -> None:  # where it lies at the start
+    def _mount(self, face: MountedFace) -> None:  # where it lies at the start
         lying = self._laid(np.array([1.0, 0.0, 0.0, 0.0]), face)
         self.face = face
         self._moves.append(Move(-1.0, 1.0, lying, np.eye(3)[0], Polynomial([0.0])))
 
-    def _laid(self, q: FloatArray, face: Face) -> FloatArray:
+    def _laid(self, q: FloatArray, face: MountedFace) -> FloatArray:
         """Return the orientation nearest to one in which a face is up, off level as drawn."""
         up = unit_vector(face)
         return facing(q, up + np.cross(self._hands.normal(0.0, self.hands.tilt_sd, 3), up))
@@ -259,7 +259,7 @@ class HandHeld(Closed):
         self.operator_address = f"tcp://{self._operator.host}:{self._operator.port}"
 
     @property
-    def face(self) -> Face:
+    def face(self) -> MountedFace:
         """The face that is up, or will be after the move."""
         return self.stream.face
 

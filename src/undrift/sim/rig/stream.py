@@ -26,7 +26,7 @@ from undrift.arrays import FloatArray, IntArray
 from undrift.base.clock import Clock
 from undrift.errors import InputError, check_positive
 from undrift.frames import quaternion_conjugate, quaternion_of, quaternion_product, rotate
-from undrift.record import FACES, Face
+from undrift.record import MountedFace
 from undrift.sim.device.effects import Past, Scene, converted
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.simulate import draw_streams
@@ -111,7 +111,7 @@ class StreamSettings:
 
     sample_rate_hz: float = 100.0  # Readings per second of the device's clock, unless its own model states a rate
     framing: Framing = "line"  # line or frame
-    face: Face = "+z"  # Axis of the device that points up at the start
+    face: MountedFace = "+z"  # Axis of the device that points up at the start
     mount_tilt_sd: float = 0.0  # How well hands mount it: error about each axis, rad, drawn anew each time
     gravity_m_s2: float = STANDARD_GRAVITY  # Local gravity, m/s2
     latitude_deg: float | None = None  # For the Earth's rate; None leaves it out
@@ -172,10 +172,10 @@ class EmulatedDevice(Served, Machine):
         query = urlencode([pair for pair in options.items() if pair[1]], safe=",/")
         return f"tcp://{self.host}:{self.port}?{query}"
 
-    def mount(self, face: Face) -> None:
+    def mount(self, face: MountedFace) -> None:
         """Mount the device with another face up, from now on."""
-        if face not in FACES:
-            raise InputError(f"mount: wanted one of {', '.join(FACES)}, got '{face}'; name the axis that points up")
+        if face not in (faces := get_args(MountedFace)):
+            raise InputError(f"mount: wanted one of {', '.join(faces)}, got '{face}'; name the axis that points up")
         with self.lock:
             self._go_on()
             self._mount(face)
@@ -189,7 +189,7 @@ class EmulatedDevice(Served, Machine):
         """Make what a client hears."""
         return DeviceSession(self)
 
-    def _mount(self, face: Face) -> None:
+    def _mount(self, face: MountedFace) -> None:
         tilt = self._hands.normal(0.0, 1.0, 3) * self.settings.mount_tilt_sd
         up = unit_vector(face) + np.cross(tilt, unit_vector(face))
         self.face, self._up = face, up / np.linalg.norm(up)
