@@ -14,7 +14,7 @@ from undrift.sim.device.presets import preset
 from undrift.sim.motion.worn import WornErrors, wear_on_skin
 from undrift.study.case import EFFECTS, device_of, effects_of_study, make_case, perform
 from undrift.study.judge import Optimum, find_optimum
-from undrift.study.outcome import split_study
+from undrift.study.outcome import split_findings, split_study
 from undrift.study.plan import Space, Study, StudyTask, Timing
 from undrift.study.run import InProcess, TaskSurface, run_study
 from undrift.study.space import Setting
@@ -59,6 +59,18 @@ def test_soft_tissue_that_rings_chooses_a_cut_off_below_its_resonance(tmp_path) 
     ((split, *_),) = split_study(plan, (surface,), (optimum,), InProcess())
     assert {"soft tissue", "impacts"} <= {term.effect for term in split.terms}
     assert "vibration" not in {term.effect for term in split.terms}
+
+
+def test_where_no_filter_is_tried_the_findings_say_that_tissue_and_impacts_make_the_error(tmp_path) -> None:  # type: ignore[no-untyped-def]
+    plan = study(RINGING, cutoff_hz=(30.0, 45.0))
+    surface, optimum = optimum_of(plan, tmp_path)
+    (splits,) = split_study(plan, (surface,), (optimum,), InProcess())
+    first, second, *_ = splits[0].terms
+    assert {first.effect, second.effect} == {"soft tissue", "impacts"}  # one makes the other: each takes nearly all
+    assert min(first.share, second.share) > 0.5
+    text = split_findings(splits)[0].text
+    assert "soft tissue" in text
+    assert "impacts" in text
 
 
 @pytest.mark.parametrize("trial", [WornErrors(), WornErrors(impact=9.81)])
