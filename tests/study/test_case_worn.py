@@ -77,6 +77,7 @@ def test_where_no_filter_is_tried_the_findings_say_that_tissue_and_impacts_make_
 def test_a_sensor_that_is_fixed_to_the_bone_needs_no_filter(tmp_path, trial: WornErrors) -> None:  # type: ignore[no-untyped-def]
     surface, optimum = optimum_of(study(trial), tmp_path)
     assert "cutoff_hz" not in optimum.deciding
+    assert not surface.at_end(45.0, "cutoff_hz")  # 45 of 50 Hz ends by itself
     highest = int(np.argmax(surface.cutoff_hz))
     assert highest == optimum.best or bool(optimum.equivalent[highest])
 
@@ -88,6 +89,7 @@ def test_a_vibration_that_aliases_wants_a_cut_off_or_a_higher_sampling_rate(tmp_
     slow, fast = mean[rate_hz == 100.0], mean[rate_hz == 200.0]
     # real time at 100 Hz: what aliases to 5 Hz on one side, the delay of the filter on the other
     assert CUTOFFS[int(slow.argmin())] not in (CUTOFFS[0], CUTOFFS[-1])
+    assert surface.at_end(45.0, "cutoff_hz")  # samples of 200 Hz can have more
     assert fast[-1] < 0.75 * slow[-1]  # at 200 Hz it is read as it is, and integrates to next to nothing
 
 

@@ -314,6 +314,8 @@ class TaskSurface:
     def at_end(self, value: float, name: str) -> bool:
         """Return whether a value of a parameter is the first or last of several that were tried, with more beyond it."""
         column, least, most = self.column(name), *ENDS.get(name, (0.0, math.inf))
+        if name == "cutoff_hz" and "sample_rate_hz" in self.further:
+            most *= float(self.further["sample_rate_hz"].max()) / SAMPLE_RATE_HZ
         low, high = float(column.min()), float(column.max())
         return low < high and ((value == low and low > least) or (value == high and high < most))
 
