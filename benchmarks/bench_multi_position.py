@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.figure import Figure, stopwatch
-from undrift.calibration.multi_position import MultiPositionSettings, fit_multi_position, still_variance
+from undrift.calibration.multi_position import MULTIPLES, fit_multi_position, still_variance
 from undrift.record import Record
 
 DATA = Path(os.environ.get("UNDRIFT_DATA", Path(__file__).parents[1] / ".." / "shared" / "data")).resolve()
@@ -30,18 +30,17 @@ def run() -> list[Figure]:
         return []
     accel, gyro = (_loaded(f"xsens_{what}.txt.gz") for what in ("acc", "gyro"))
     record = Record(time=accel[:, 0], accel=accel[:, 1:], gyro=gyro[:, 1:], accel_unit="count", gyro_unit="count")
-    nine = tuple(float(m) for m in range(2, 11))
-    ours = MultiPositionSettings(rest_s=50.0, multiples=nine)
-    level = still_variance(record, window_s=1.0, rest_s=50.0)
-    rows = [np.concatenate([accel[a : a + 100, 1:] for a, _ in level.below(m * level.at_rest, 100)]) for m in nine]
+    level, nine = still_variance(record), MULTIPLES[:9]
+    at_rest = float(np.linalg.norm(accel[:5001, 1:].var(axis=0, ddof=1)))  # the opening 50 s
+    rows = [np.concatenate([accel[a : a + 100, 1:] for a, _ in level.below(m * at_rest, 100)]) for m in nine]
     seconds = stopwatch(
         {
-            "variance": lambda: still_variance(record, window_s=1.0, rest_s=50.0),
-            "ours": lambda: fit_multi_position(record, gravity=GRAVITY, settings=ours),
+            "variance": lambda: still_variance(record),
+            "ours": lambda: fit_multi_position(record, gravity=GRAVITY),
             "scipy": lambda: [_scipy(u) for u in rows],
         }
     )
-    what = "multi-position, Xsens session, accel + gyro, 9 thresholds, after segmentation"
+    what = f"multi-position, Xsens session, accel + gyro, {len(MULTIPLES)} thresholds, after segmentation"
     return [
         Figure(
             f"{what}: poses weighed, turns by covariance", 1e3 * (seconds["ours"] - seconds["variance"]), "ms", "<= 100"

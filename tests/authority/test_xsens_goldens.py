@@ -12,9 +12,9 @@ import numpy as np
 
 from testkit.data import data_path, show
 from testkit.poses import fit_poses
-from testkit.published_poses import PublishedFit, fit_as_published
+from testkit.published_poses import PublishedFit, fit_as_published, variance_with_rest
 from undrift.calibration.calibrate import calibrate
-from undrift.calibration.multi_position import MultiPositionFit, fit_multi_position, still_variance
+from undrift.calibration.multi_position import MultiPositionFit, fit_multi_position
 from undrift.model import TriadModel
 from undrift.record import Record, Session
 
@@ -80,7 +80,7 @@ def test_the_opening_rest_has_the_published_variance() -> None:
     rest = accel[:5001]
     variance = rest.var(axis=0, ddof=1)
     np.testing.assert_allclose(variance, [11.169194, 10.148628, 11.432989], atol=5e-7)
-    level = still_variance(session(), window_s=1.0, rest_s=50.0).at_rest
+    level = variance_with_rest(session()).at_rest
     show("level at rest, counts^2", level, 18.933007)
     assert abs(level - 18.933007) < 5e-7
 
@@ -117,7 +117,7 @@ def test_the_published_gyroscope_comes_back() -> None:
 
 
 def test_the_variant_with_means_comes_back() -> None:
-    level = still_variance(session(), window_s=1.0, rest_s=50.0)
+    level = variance_with_rest(session())
     accel = session().accel
     assert accel is not None
     means = [accel[a:b].mean(axis=0) for a, b in level.below(10.0 * level.at_rest, 100)]

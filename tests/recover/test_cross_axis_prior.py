@@ -1,13 +1,11 @@
 """Poses on the faces do not show the cross-axis terms: all others are recovered, and the stated uncertainty holds for all."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from testkit.data import show
 from testkit.findings import codes, only
-from undrift.calibration.multi_position import MultiPositionFit, MultiPositionSettings, fit_multi_position
+from undrift.calibration.multi_position import MultiPositionFit, fit_multi_position
 from undrift.errors import NotObservable
 from undrift.record import FACES, Record
 from undrift.sim.motion.bench import BenchSettings, script_motion
@@ -35,7 +33,9 @@ def faces_by_hand(seed: int, poses: int = 16) -> Motion:
 MOTION = faces_by_hand(1)
 
 
-def fitted(seed: int, motion: Motion = MOTION, **keys: object) -> tuple[MultiPositionFit, np.ndarray]:
+def fitted(
+    seed: int, motion: Motion = MOTION, cross_axis_prior: float | None = PRIOR
+) -> tuple[MultiPositionFit, np.ndarray]:
     """Return the fit to a device whose cross-axis terms are drawn from the prior, and its accelerometer's matrix."""
     rng = np.random.default_rng(seed)
     accel = np.diag(rng.normal(1.0, 0.02, 3))
@@ -47,8 +47,8 @@ def fitted(seed: int, motion: Motion = MOTION, **keys: object) -> tuple[MultiPos
         accel=force + 0.01 * rng.normal(size=force.shape),
         gyro=rate + 0.002 * rng.normal(size=rate.shape),
     )
-    settings = replace(MultiPositionSettings(), **keys)  # type: ignore[arg-type]
-    return fit_multi_position(record, gravity=G, settings=settings, stills=motion.stills), accel
+    fit = fit_multi_position(record, gravity=G, cross_axis_prior=cross_axis_prior, stills=motion.stills)
+    return fit, accel
 
 
 def test_without_a_prior_the_session_is_refused_and_with_it_all_is_fitted() -> None:

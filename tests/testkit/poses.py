@@ -13,10 +13,9 @@ def fit_poses(
     gravity: float,
     standard_errors: ArrayLike | None = None,
     unit_in: str = "count",
-    cross_axis: bool = True,
 ) -> TriadFit:
     """Fit to mean readings (K, 3) of any direction, with standard errors where known."""
     reading = np.asarray(means, float)
     variances = None if standard_errors is None else np.asarray(standard_errors, float) ** 2
-    check_count(reading, 9 if cross_axis else 6, known_noise=variances is not None)
-    return judged(fit_norm(reading, gravity=gravity, variances=variances, cross_axis=cross_axis), reading, unit_in)
+    check_count(reading, known_noise=variances is not None)
+    return judged(fit_norm(reading, gravity=gravity, variances=variances), reading, unit_in)

@@ -4,12 +4,13 @@ Of the thresholds 2 to 10 times the level of the opening rest the one with the s
 still; gyroscopes by turns that count alike, their offset the mean of the opening rest.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import least_squares
 
 from undrift.calibration.multi_position import (
+    StillVariance,
     cut_moves,
     gravity_directions,
     rough_matrix,
@@ -34,9 +35,16 @@ class PublishedFit:
     moves: int
 
 
+def variance_with_rest(record: Record, rest_s: float = 50.0) -> StillVariance:
+    """Return the windowed variance of a recording; its opening rest gives the level at rest."""
+    assert record.accel is not None
+    rest = record.accel[: int(np.searchsorted(record.time, record.time[0] + rest_s))]
+    return replace(still_variance(record), at_rest=float(np.linalg.norm(rest.var(axis=0, ddof=1))))
+
+
 def fit_as_published(record: Record, gravity: float, rest_s: float = 50.0) -> PublishedFit:
     """Fit both triads of a recording by the published rule."""
-    level = still_variance(record, window_s=1.0, rest_s=rest_s)
+    level = variance_with_rest(record, rest_s)
     shortest = round(record.sample_rate_hz)
     multiples = tuple(float(m) for m in range(2, 11))
     found: list[tuple[float, list[tuple[int, int]], np.ndarray, NormFit]] = []

@@ -38,6 +38,8 @@ from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 # their variance is as low as in most of the stills. Running sums make mean and variance of any stretch cost the same.
 
 FEWEST_POSES = 7  # with a prior on cross-axis terms: scale, offset, and one pose to check them
+WINDOW_S = 1.0  # of the sliding variance; each end of a still loses half of it
+MIN_STILL_S = 1.0  # shortest still after that loss
 QUIETEST = 0.05  # share of all windows that gives the level at rest
 CORE = 4.0  # variance of the gyroscopes in the core of a still, in units of their median variance in all stills
 
@@ -60,24 +62,19 @@ class StillVariance:
         return [(int(a), int(b)) for a, b in found[found[:, 1] - found[:, 0] >= least]]
 
 
-def still_variance(record: Record, *, window_s: float, rest_s: float | None) -> StillVariance:
+def still_variance(record: Record, window_s: float = WINDOW_S) -> StillVariance:
     """Return the windowed variance of a record's accelerometer and its level at rest."""
     if record.accel is None:
         raise InputError("still variance: wanted accel readings, got none; map the accelerometer columns")
     half = max(5, round(0.5 * window_s * record.sample_rate_hz))
-    if len(record) < 2 * half + 2 or (rest_s is not None and record.duration_s < rest_s):
+    if len(record) < 2 * half + 2:
         raise InputError(
-            f"still variance: wanted a record longer than its window of {window_s:g} s"
-            + ("" if rest_s is None else f" and its opening rest of {rest_s:g} s")
-            + f", got {record.duration_s:.2f} s; shorten them"
+            f"still variance: wanted a record longer than its window of {window_s:g} s, got {record.duration_s:.2f} s; "
+            "record longer"
         )
     level, sums, centre = _windowed(record.accel, half)
-    if rest_s is None:
-        finite = level[np.isfinite(level)]
-        at_rest = float(np.quantile(finite, QUIETEST)) if len(finite) else np.inf
-    else:
-        rest = int(np.searchsorted(record.time, record.time[0] + rest_s))
-        at_rest = float(np.linalg.norm(np.nanvar(record.accel[:rest], axis=0, ddof=1)))
+    finite = level[np.isfinite(level)]
+    at_rest = float(np.quantile(finite, QUIETEST)) if len(finite) else np.inf
     gyro_level = None if record.gyro is None else _windowed(record.gyro, half)[0]
     return StillVariance(
         values=record.accel, level=level, gyro_level=gyro_level, at_rest=at_rest, sums=sums, centre=centre
@@ -601,22 +598,8 @@ def _judged(rms_deg: float, percent: float, drift_dps: float, g: FloatArray | No
 # ---- the whole method
 
 SAME_POSE_DEG = 10.0  # directions nearer to each other than this count as one pose
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class MultiPositionSettings:
-    """How stills are found and what is fitted."""
-
-    window_s: float = 1.0  # Length of the sliding window, s; each end of a still loses half of it
-    min_still_s: float = 1.0  # Shortest still, s, after that loss
-    # Thresholds to try, in units of the level at rest
-    multiples: tuple[float, ...] = (2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0, 15.0, 20.0, 30.0, 50.0)
-    # Length of an opening rest that gives the level at rest, s; None takes the quietest twentieth of all windows
-    rest_s: float | None = None
-    cross_axis: bool = True  # False fits the accelerometer's scale and offset alone: for poses on the faces
-    # Standard deviation of a cross-axis term that the poses do not show, of the scale; None refuses such poses
-    cross_axis_prior: float | None = 0.01
-    gyro: bool = True  # Fit the gyroscopes too, where the moves show them
+# Thresholds to try, in units of the level at rest
+MULTIPLES = (2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0, 15.0, 20.0, 30.0, 50.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -652,14 +635,16 @@ def fit_multi_position(
     *,
     gravity: float,
     stills: Sequence[Still] | None = None,
-    settings: MultiPositionSettings = MultiPositionSettings(),
+    gyro: bool = True,
+    cross_axis_prior: float | None = 0.01,
     axes: TriadModel | None = None,
     creep: Callable[[Sequence[Still], Kind], Creep] | None = None,
 ) -> MultiPositionFit:
     """Calibrate from recordings of free poses and turns between them, all together; a recording may be a single pose.
 
-    ``axes`` is an accelerometer's model from elsewhere, to which the gyroscopes are fitted where the poses do not show its axes;
-    ``creep`` tells how far the temperature moves the readings of stills or moves of one triad.
+    ``cross_axis_prior`` is the standard deviation of a cross-axis term that the poses do not show, of the scale; None refuses such
+    poses. ``axes`` is an accelerometer's model from elsewhere, to which the gyroscopes are fitted where the poses do not show its
+    axes; ``creep`` tells how far the temperature moves the readings of stills or moves of one triad.
     """
     records = (recorded,) if isinstance(recorded, Record) else tuple(recorded)
     if any(r.accel is None for r in records) or len({r.accel_unit for r in records}) > 1:
@@ -668,45 +653,42 @@ def fit_multi_position(
             "map the accelerometer columns and their unit"
         )
     step = code_steps(records, rate=False)
-    levels = [
-        replace(still_variance(r, window_s=settings.window_s, rest_s=settings.rest_s), step=step) for r in records
-    ]
-    shortest = [max(2, round(settings.min_still_s * r.sample_rate_hz)) for r in records]
+    levels = [replace(still_variance(r), step=step) for r in records]
+    shortest = [max(2, round(MIN_STILL_S * r.sample_rate_hz)) for r in records]
     stated = {} if stills is None else {np.nan: tuple(stills)}
-    tried = stated or {m: _stills(levels, m, shortest) for m in settings.multiples}
-    plain = replace(settings, cross_axis_prior=None)
-    attempts = [_attempt(levels, chosen, m, gravity, plain) for m, chosen in tried.items()]
+    tried = stated or {m: _stills(levels, m, shortest) for m in MULTIPLES}
+    attempts = [_attempt(levels, chosen, m, gravity, None) for m, chosen in tried.items()]
     trial, used, reading, fit = _choose(attempts)
-    if settings.cross_axis_prior is not None and settings.cross_axis and (fit is None or fit.weakest < WEAKEST):
-        known = [_attempt(levels, chosen, m, gravity, settings) for m, chosen in tried.items()]
+    if cross_axis_prior is not None and (fit is None or fit.weakest < WEAKEST):
+        known = [_attempt(levels, chosen, m, gravity, cross_axis_prior) for m, chosen in tried.items()]
         better = _choose(known)
         if better[3] is not None and better[3].weakest >= WEAKEST:
             attempts, (trial, used, reading, fit) = known, better
     if fit is None:
-        check_count(reading, 9 if settings.cross_axis else 6, known_noise=True)
+        check_count(reading, known_noise=True)
         raise PoorFit(_NO_LENGTH)
     if creep is not None and not (moved := creep(used, "accel")).none:
-        again = _attempt(levels, used, trial.multiple, gravity, settings if len(fit.prior) else plain, moved)
+        again = _attempt(levels, used, trial.multiple, gravity, cross_axis_prior if len(fit.prior) else None, moved)
         trial, used, reading, fit = again
         if fit is None:
             raise PoorFit(_NO_LENGTH)
     check_range([levels[s.recording].values[s.start : s.stop] for s in used], "accelerometer in still poses")
     accel = judged(fit, reading, records[0].accel_unit)
-    gyro: TriadFit | None = None
+    between: TriadFit | None = None
     missing: tuple[Finding, ...] = ()
-    if settings.gyro and all(r.gyro is not None for r in records):
+    if gyro and all(r.gyro is not None for r in records):
         cores = used if stills is not None else _cores(levels, used, shortest)
         try:
             model = axes if axes is not None and len(fit.prior) else accel.model
             bend = fit.quadratic if model is accel.model else np.zeros(3)
             ordered = sorted(used, key=lambda still: (still.recording, still.start))
             both = None if creep is None else (creep(ordered, "accel"), creep(ordered, "gyro"))
-            gyro = fit_gyro_between_stills(records, used, model, cores=cores, creep=both, quadratic=bend)
+            between = fit_gyro_between_stills(records, used, model, cores=cores, creep=both, quadratic=bend)
         except NotObservable as error:
             missing = (finding("session.fit_failed", "warn", triad="gyroscope", reason=str(error)),)
-    verdict = accel.verdict if gyro is None else accel.verdict.also(gyro.verdict)
+    verdict = accel.verdict if between is None else accel.verdict.also(between.verdict)
     return MultiPositionFit(
-        accel=accel, gyro=gyro, stills=used, threshold=trial.multiple * levels[0].at_rest,
+        accel=accel, gyro=between, stills=used, threshold=trial.multiple * levels[0].at_rest,
         trials=tuple(one[0] for one in attempts), verdict=verdict.also(Verdict.of(*missing)), missing=missing,
     )  # fmt: skip
 
@@ -740,18 +722,15 @@ def _attempt(
     stills: tuple[Still, ...],
     multiple: float,
     gravity: float,
-    settings: MultiPositionSettings,
+    prior_sd: float | None,
     creep: Creep | None = None,
 ) -> _Attempt:
     means, variances = _poses(levels, stills)
     fit: NormFit | None = None
-    prior_sd = settings.cross_axis_prior
-    least = 6 if not settings.cross_axis else 9 if prior_sd is None else FEWEST_POSES
-    if len(stills) >= least and np.ptp(means, axis=0).any():
+    if len(stills) >= (9 if prior_sd is None else FEWEST_POSES) and np.ptp(means, axis=0).any():
         with suppress(PoorFit):
             fit = fit_norm(
-                means, gravity=gravity, variances=variances, cross_axis=settings.cross_axis, prior_sd=prior_sd,
-                creep=creep, quadratic_sd=QUADRATIC_SD,
+                means, gravity=gravity, variances=variances, prior_sd=prior_sd, creep=creep, quadratic_sd=QUADRATIC_SD,
             )  # fmt: skip
     trial = ThresholdTrial(
         multiple=multiple,
@@ -802,13 +781,13 @@ def _choose(attempts: list[_Attempt]) -> _Attempt:
 def _of_session(seen: Observed, axes: TriadFit | None = None, *, gyro: bool = True) -> MultiPositionFit:
     session = seen.session
     stills = session.stills or (seen.stills if seen.adapted else None)
-    settings = MultiPositionSettings(cross_axis_prior=seen.settings.cross_axis_prior, gyro=gyro)
     model = None if axes is None or axes.model.method.startswith("multi-position") else axes.model
     return fit_multi_position(
         session.records,
         gravity=session.gravity_m_s2,
         stills=stills,
-        settings=settings,
+        gyro=gyro,
+        cross_axis_prior=seen.settings.cross_axis_prior,
         axes=model,
         creep=lambda pieces, kind: creep_of(seen, pieces, kind),
     )

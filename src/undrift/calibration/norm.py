@@ -260,15 +260,14 @@ RESIDUAL_MG = (3.0, 20.0)  # limits of a verdict: marginal above the first, bad 
 UNCERTAIN_MG = (2.0, 20.0)
 
 
-def check_count(reading: FloatArray, parameters: int, *, known_noise: bool) -> None:
+def check_count(reading: FloatArray, *, known_noise: bool) -> None:
     """Raise unless there are enough different poses."""
-    wanted = parameters + (not known_noise)
-    names = parameter_names(NAMES if parameters == 9 else [NAMES[i] for i in (0, 3, 5, 6, 7, 8)])
+    wanted = len(NAMES) + (not known_noise)
     different = len(np.unique(reading, axis=0))
     if different < wanted:
         raise NotObservable(
-            f"multi-position: wanted {wanted} still poses or more for {names}, got {different}; record more poses, "
-            "each with another side, edge or corner up, and hold each still for two seconds",
+            f"multi-position: wanted {wanted} still poses or more for {parameter_names(NAMES)}, got {different}; record more "
+            "poses, each with another side, edge or corner up, and hold each still for two seconds",
             poses=different,
             wanted=wanted,
         )
@@ -311,8 +310,6 @@ def _judged(fit: NormFit, rms_mg: float, corrected: FloatArray) -> Iterator[Find
     sigma = fit.uncertainty / MG
     yield from above("multi_position.residual", rms_mg, RESIDUAL_MG, rms_mg=rms_mg)
     yield from above("multi_position.uncertainty", sigma, UNCERTAIN_MG, uncertainty_mg=sigma)
-    if not np.triu(fit.matrix, 1).any():
-        yield finding("multi_position.cross_axis_fixed", "info")
     if len(fit.prior):
         part = np.linalg.norm(fit.prior, axis=0)
         unseen = tuple(NAMES[i] for i in CROSS if part[i] > PART)
