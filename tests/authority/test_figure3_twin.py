@@ -14,7 +14,7 @@ from testkit.broad_trials import DEVICES, trial
 from testkit.cohorts import first_and_long
 from testkit.data import data_path, show
 from undrift.io.formats import read_record
-from undrift.io.session import read_column_map
+from undrift.io.session import read_map
 from undrift.record import Record
 from undrift.sim.device.presets import preset
 from undrift.study.figure3 import COMPARED, Climate, figure3
@@ -40,7 +40,7 @@ temp = { gain = 0.0029411764705882353, offset = 36.53 }
 def board(tmp_path_factory: pytest.TempPathFactory) -> Record:
     layout = tmp_path_factory.mktemp("map") / "warm_up.toml"
     layout.write_text(MAP)
-    return read_record(data_path("thermal_mpu6050_warmup", "Tempdata01-02-14.csv.gz"), read_column_map(layout))
+    return read_record(data_path("thermal_mpu6050_warmup", "Tempdata01-02-14.csv.gz"), read_map(layout)[0])
 
 
 @pytest.fixture(scope="module")

@@ -12,7 +12,7 @@ from undrift.calibration.calibrate import calibrate
 from undrift.calibration.observe import CalibrateSettings
 from undrift.errors import InputError
 from undrift.io.formats import read_record, write_record
-from undrift.io.session import read_column_map, read_file_map, read_session, session_from_files, write_session
+from undrift.io.session import read_file_map, read_map, read_session, session_from_files, write_session
 from undrift.io.store import calibration_json, read_calibration
 from undrift.model import Calibration
 from undrift.record import Record
@@ -271,7 +271,7 @@ def test_python_takes_what_the_command_line_takes_and_sees_the_same(undrift, boa
     log, words = data_path("multipos_mpu9150", "imu0.log.gz"), {"column_map": board / "board.toml", "serial": "imu0"}
     told = undrift.good("calibrate", log, "--map", board / "board.toml", "--serial", "imu0", "--json").json()
     made = calibrate(str(log), **words)
-    record = read_record(log, read_column_map(board / "board.toml"))
+    record = read_record(log, read_map(board / "board.toml")[0])
     frame = record.to_frame()
     for one in (made, calibrate(record, serial="imu0"), calibrate(frame, serial="imu0")):
         assert isinstance(one, Calibration)

@@ -27,7 +27,7 @@ from undrift.errors import UndriftError
 from undrift.io.columns import ColumnMap, ReadSettings
 from undrift.io.formats import read_markers, read_reference
 from undrift.io.inspect import Description, describe
-from undrift.io.session import read_column_map
+from undrift.io.session import read_map
 
 KINDS = ("equal", "refused", "finding", "own value", "header value", "SILENT")
 RATE_HZ = 100.0  # of sound files that state none
@@ -142,7 +142,7 @@ def how_read(content: bytes, name: str) -> How:
                 ]
                 lines = [line.replace("sample_rate_hz = ?", f"sample_rate_hz = {RATE_HZ}") for line in lines]
                 (Path(folder) / "map.toml").write_text("\n".join(lines))
-                how = How(read_column_map(Path(folder) / "map.toml"), how.settings)
+                how = How(read_map(Path(folder) / "map.toml")[0], how.settings)
             elif any(item.values.get("missing") == "sample_rate_hz" for item in held.findings):
                 how = How(settings=ReadSettings(sensor=SENSOR.get(name), sample_rate_hz=RATE_HZ))
         return how

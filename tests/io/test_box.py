@@ -17,7 +17,7 @@ from undrift.io import box
 from undrift.io.box import boxed, boxed_parts, one_box
 from undrift.io.formats import read_markers, read_record
 from undrift.io.inspect import describe
-from undrift.io.session import read_column_map
+from undrift.io.session import read_map
 from undrift.io.store import read_calibration
 
 needs_fork = pytest.mark.skipif(not hasattr(os, "fork"), reason="this system cannot fork: files are read without a box")
@@ -264,7 +264,7 @@ def test_a_large_table_of_text_is_read_in_a_box_and_bit_by_bit(tmp_path, limits,
 
 @pytest.mark.parametrize(
     ("name", "start", "read"),
-    [("a.json", "[", describe), ("a.toml", "a = [", read_column_map), ("calibration.json", "[", read_calibration)],
+    [("a.json", "[", describe), ("a.toml", "a = [", read_map), ("calibration.json", "[", read_calibration)],
 )
 def test_json_and_toml_that_might_take_too_much_memory_are_refused(tmp_path, limits, name, start, read):
     (tmp_path / name).write_text(start + "[], " * 30_000 + "[]]")

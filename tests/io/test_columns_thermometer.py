@@ -7,7 +7,7 @@ import undrift
 from undrift.errors import FileFormatError, InputError
 from undrift.io.columns import ReadSettings, TempFile, TextLayout
 from undrift.io.formats import iter_record, read_counted
-from undrift.io.session import read_map_settings, read_temp_file
+from undrift.io.session import read_map
 from undrift.record import Record
 
 
@@ -63,17 +63,17 @@ def test_a_thermometer_of_another_clock_or_without_readings_is_refused(folder):
 
 def test_a_map_names_the_thermometer_beside_it_with_columns_or_without(folder):
     (folder / "a.toml").write_text('temp_file = { file = "t.csv" }\n')
-    assert read_map_settings(folder / "a.toml").temp_file == TempFile(path=folder / "t.csv")
+    assert read_map(folder / "a.toml")[1].temp_file == TempFile(path=folder / "t.csv")
     (folder / "b.toml").write_text(
         'columns = { gyro = ["x", "y", "z"] }\nunits = { gyro = "dps" }\nsample_rate_hz = 1\n'
         'temp_file = { file = "t.csv", time = 0, temp = 1, shift_s = 2 }\n'
     )
-    assert read_temp_file(folder / "b.toml") == TempFile(path=folder / "t.csv", time=0, temp=1, shift_s=2.0)
+    assert read_map(folder / "b.toml")[1].temp_file == TempFile(path=folder / "t.csv", time=0, temp=1, shift_s=2.0)
     (folder / "c.toml").write_text("sample_rate_hz = 1\n")
-    assert read_temp_file(folder / "c.toml") is None
+    assert read_map(folder / "c.toml")[1].temp_file is None
     (folder / "d.toml").write_text("temp_file = { temp = 1 }\n")
     with pytest.raises(FileFormatError, match=r"\[temp_file\], file: wanted this key, got none; add it"):
-        read_temp_file(folder / "d.toml")
+        read_map(folder / "d.toml")
 
 
 def test_a_session_names_the_thermometer_of_a_recording(folder):

@@ -11,7 +11,7 @@ from undrift.io.columns import ColumnMap, ReadSettings, TempFile
 from undrift.io.formats import detect, iter_record, read_counted, read_record
 from undrift.io.inspect import describe
 from undrift.io.labelled import Label, label_of, open_sheet, split_unit
-from undrift.io.session import read_column_map
+from undrift.io.session import read_map
 
 
 def put(tmp_path, text, name="t.csv"):
@@ -340,7 +340,7 @@ def test_dates_of_a_table_without_names_are_proposed_and_read(tmp_path):
     assert example[0] == "columns = { time = 0, accel = [1, 2, 3] }"
     assert tomllib.loads(example[1])["units"] == {"time": "date", "accel": "g"}
     put(tmp_path, "\n".join(example), "map.toml")
-    record = read_record(path, read_column_map(tmp_path / "map.toml"))
+    record = read_record(path, read_map(tmp_path / "map.toml")[0])
     assert (len(record), record.sample_rate_hz) == (250, pytest.approx(100.0))
 
 
@@ -393,7 +393,7 @@ def test_a_decimal_comma_is_seen_and_stands_in_the_proposed_map(tmp_path, delimi
     assert 'decimal = ","' in example
     assert tomllib.loads(example[1])["units"] == {"time": "s", "gyro": "dps", "accel": "m/s2"}
     put(tmp_path, "\n".join(example), "map.toml")
-    record = read_record(tmp_path / "t.csv", read_column_map(tmp_path / "map.toml"))
+    record = read_record(tmp_path / "t.csv", read_map(tmp_path / "map.toml")[0])
     assert (record.accel[0].tolist(), record.sample_rate_hz) == ([0.12, 0.21, 9.79], pytest.approx(100.0))
 
 

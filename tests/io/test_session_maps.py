@@ -9,7 +9,7 @@ from undrift.base.codec import entry_name, line_of
 from undrift.errors import FileFormatError, InputError
 from undrift.io.columns import ChannelScale, ColumnMap, ReadSettings, TextLayout
 from undrift.io.formats import iter_record, read_record
-from undrift.io.session import read_column_map, read_map_settings
+from undrift.io.session import read_map
 
 TEXT = """sample_rate_hz = 50
 columns = { gyro = [3, 4, "gz"], accel = "acc", temp = 0 }
@@ -28,7 +28,7 @@ device = "A1"
 
 def test_a_map_in_toml_is_the_map_in_python(tmp_path):
     (tmp_path / "map.toml").write_text(TEXT)
-    assert read_column_map(tmp_path / "map.toml") == ColumnMap(
+    assert read_map(tmp_path / "map.toml")[0] == ColumnMap(
         gyro=(3, 4, "gz"),
         accel=("acc",),
         temp=0,
@@ -71,7 +71,7 @@ def test_a_map_in_toml_is_the_map_in_python(tmp_path):
 def test_a_slip_is_named(tmp_path, old, new, kind, words):
     (tmp_path / "map.toml").write_text(TEXT.replace(old, new))
     with pytest.raises(kind, match=words):
-        read_column_map(tmp_path / "map.toml")
+        read_map(tmp_path / "map.toml")[0]
 
 
 def test_lines_and_entries_are_found_in_the_text():
@@ -88,15 +88,13 @@ def test_lines_and_entries_are_found_in_the_text():
 def test_a_map_without_columns_says_what_own_names_leave_unsaid(tmp_path):
     path = tmp_path / "map.toml"
     path.write_text("repair_time = true\n")
-    assert read_map_settings(path) == ReadSettings(repair_time=True)
+    assert read_map(path) == (None, ReadSettings(repair_time=True))
     path.write_text('gaps = "keep"\nsample_rate_hz = 50.0\ndrop_bad_rows = true\n')
-    assert read_map_settings(path) == ReadSettings(gaps="keep", sample_rate_hz=50.0, drop_bad_rows=True)
-    path.write_text(TEXT)
-    assert read_map_settings(path) is None
+    assert read_map(path) == (None, ReadSettings(gaps="keep", sample_rate_hz=50.0, drop_bad_rows=True))
     for text, got in (("skip_rows = 2", "skip_rows"), ("# nothing", "no key")):
         path.write_text(text)
         with pytest.raises(InputError, match=f"wanted one table of columns, got 0 and {got}; add columns"):
-            read_map_settings(path)
+            read_map(path)
 
 
 @pytest.mark.parametrize("name", ["r.csv", "r.parquet"])

@@ -92,16 +92,17 @@ class Opening:
         stated = {name: getattr(self, name) for name in ("sample_rate_hz", "sensor", "gaps", "clock")}
         return stated | {"drop_bad_rows": self.drop_bad_rows or None}
 
-    def _how(self, path: Path) -> "tuple[ColumnMap | None, ReadSettings]":
+    def how(self, path: Path) -> "tuple[ColumnMap | None, ReadSettings]":
         """Return how to read a file: by the map that was named, else as it is, else by the map that the calibration keeps."""
-        if self.kept is None or self.column_map is not None:
-            return self.columns(), self.settings()
         from undrift.io.inspect import needs_map
-        from undrift.io.session import entry_of, map_and_settings
+        from undrift.io.session import entry_of, map_and_settings, read_map
 
-        if entry_of(self.kept.file_map).columns is not None and not needs_map(path):
-            return self.columns(), self.settings()
-        return map_and_settings(self.kept.file_map, **self._options())
+        if self.column_map is not None:
+            return read_map(self.column_map, **self._options())
+        kept = None if self.kept is None else self.kept.file_map
+        if entry_of(kept).columns is not None and not needs_map(path):
+            kept = None
+        return map_and_settings(kept, **self._options())
 
     @contextmanager
     def _fitting(self, path: Path) -> Iterator[None]:
@@ -122,7 +123,7 @@ class Opening:
         from undrift.io.formats import read_record
 
         with self._fitting(path):
-            columns, settings = self._how(path)
+            columns, settings = self.how(path)
             return read_record(path, columns, settings=settings)
 
     def chunks(self, path: Path) -> "Iterator[Record]":
@@ -130,34 +131,8 @@ class Opening:
         from undrift.io.formats import iter_record
 
         with self._fitting(path):
-            columns, settings = self._how(path)
+            columns, settings = self.how(path)
             yield from iter_record(path, columns, settings=settings)
-
-    def columns(self) -> "ColumnMap | None":
-        """Return the column map; None where none was named, or where it names no columns."""
-        from undrift.io.session import read_column_map, read_map_settings
-
-        if self.column_map is None or read_map_settings(self.column_map) is not None:
-            return None
-        found = read_column_map(self.column_map, sample_rate_hz=self.sample_rate_hz)
-        layout = replace(found.layout, drop_bad_rows=found.layout.drop_bad_rows or self.drop_bad_rows)
-        return replace(found, layout=layout)
-
-    def settings(self) -> "ReadSettings":
-        """Return rate, sensor and gaps; options overrule a map without columns."""
-        from undrift.io.columns import ReadSettings
-        from undrift.io.session import read_map_settings, read_temp_file
-
-        held = (None if self.column_map is None else read_map_settings(self.column_map)) or ReadSettings()
-        return replace(
-            held,
-            sample_rate_hz=self.sample_rate_hz or held.sample_rate_hz,
-            sensor=self.sensor,
-            gaps=self.gaps or held.gaps,
-            temp_file=None if self.column_map is None else read_temp_file(self.column_map),
-            clock=self.clock or held.clock,
-            drop_bad_rows=self.drop_bad_rows or held.drop_bad_rows,
-        )
 
     def read(self, path: Path) -> "Record":
         """Read a recording; a session folder gives its only recording."""
@@ -367,31 +342,37 @@ def _is_recording(folder: Path) -> bool:
         return False
 
 
-def recording_of(files: tuple[Path, ...]) -> Path | None:
-    """Return a recording to name in the next command: a bare one, or the first of a session; None where it has two files."""
+def _files_of(folder: Path) -> list[list[str]]:
+    """Return the files of each recording that a session states."""
     from undrift.base.codec import read
     from undrift.io.session import NAME, SessionFile
+
+    stated = (entry.file for entry in read(SessionFile, folder / NAME).recording)
+    return [[file] if isinstance(file, str) else file for file in stated]
+
+
+def recording_of(files: tuple[Path, ...]) -> Path | None:
+    """Return a recording to name in the next command: a bare one, or the first of a session; None where it has two files."""
+    from undrift.io.session import NAME
 
     folder = files[0] if files[0].is_dir() else files[0].parent
     if not (folder / NAME).is_file() or files[0].name not in (NAME, folder.name):
         return files[0]
-    first = read(SessionFile, folder / NAME).recording[0].file
-    return folder / first if isinstance(first, str) else None
+    first = _files_of(folder)[0]
+    return folder / first[0] if len(first) == 1 else None
 
 
 def recordings_of(
     files: tuple[Path, ...], opening: Opening, place: Place = Place()
 ) -> "tuple[tuple[Path, ...], Session | None]":
     """Return the recordings that are named, or those of the session that is named, and that session."""
-    from undrift.base.codec import read
-    from undrift.io.session import NAME, SessionFile
+    from undrift.io.session import NAME
 
     folder = files[0] if files[0].is_dir() else files[0].parent
     if files[0].name != NAME and not (files[0] / NAME).is_file():
         return files, None
     held = session_of(files, place, opening)
-    stated = (entry.file for entry in read(SessionFile, folder / NAME).recording)
-    return tuple(folder / (file if isinstance(file, str) else file[0]) for file in stated), held
+    return tuple(folder / names[0] for names in _files_of(folder)), held
 
 
 def check_physical(record: "Record", path: Path) -> None:
@@ -515,6 +496,18 @@ def device_at(name: str, rng: "np.random.Generator", *, draw: bool) -> "DeviceMo
     return read_device(Path(name))
 
 
+def temperatures(option: str, text: str) -> tuple[float, float]:
+    """Return the two ends of LOW:HIGH, degC."""
+    low, _, high = text.partition(":")
+    try:
+        ends = float(low), float(high)
+    except ValueError:
+        raise InputError(f"{option}: wanted LOW:HIGH in degC, got '{text}'; for example 15:35") from None
+    if not -273.15 < ends[0] < ends[1] < 1000.0:
+        raise InputError(f"{option}: wanted LOW below HIGH in degC, got '{text}'; for example 15:35")
+    return ends
+
+
 # ---- Dates of recordings
 
 _DATE = re.compile(r"((?:19|20)\d\d)([-_.]?)(\d\d)\2(\d\d)(?!\d)(?:[T_ -]*(\d\d)[-:.]?(\d\d)(?:[-:.]?(\d\d))?(?!\d))?")
@@ -610,14 +603,12 @@ def name_of(path: Path) -> str:
 
 def _holds(read: Path, target: Path) -> bool:
     """Tell whether a file is the one read, or one of the folder read."""
-    from undrift.base.codec import read as read_stated
-    from undrift.io.session import NAME, SessionFile
+    from undrift.io.session import NAME
 
     if not read.is_dir():
         return read.exists() and target.samefile(read)
     if (read / NAME).is_file():
-        files = [entry.file for entry in read_stated(SessionFile, read / NAME).recording]
-        names = [NAME, *(name for file in files for name in ([file] if isinstance(file, str) else file))]
+        names = [NAME, *(name for held in _files_of(read) for name in held)]
     else:
         names = [file.name for file in read.iterdir()]  # of a device that records into a folder
     return any((read / name).exists() and target.samefile(read / name) for name in names)

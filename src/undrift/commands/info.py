@@ -101,7 +101,8 @@ def info(
             raise InputError(f"`figure`: wanted a recording or a session, got the folder {file}; name one of its files")
         return _folder(file)
     proposal.check(figure, reads=(file, opening.column_map))
-    found = describe(file, opening.columns(), settings=opening.settings(), up=reference_up)
+    columns, settings = opening.how(file)
+    found = describe(file, columns, settings=settings, up=reference_up)
     if proposal.write_map is not None:
         return _write_map(found, proposal.write_map, proposal, opening)
     found = _set_points(found, opening)

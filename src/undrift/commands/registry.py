@@ -10,7 +10,7 @@ from cyclopts import Parameter
 
 from undrift.base.options import Files, OptionalOutput, Picture, options, verb
 from undrift.base.summary import Cells, Result, Section, Summary, figure_of, table_section
-from undrift.commands.files import check_figure, check_output, save_json, stated_date
+from undrift.commands.files import check_figure, check_output, save_json, stated_date, temperatures
 from undrift.commands.register import Where, entry_json, open_place, registered_lines
 from undrift.errors import InputError, UndriftError
 
@@ -87,7 +87,7 @@ def add(
         )
     stated = replace(
         _stated(about),
-        temp_c=None if valid_temp_c is None else _span(valid_temp_c),
+        temp_c=None if valid_temp_c is None else temperatures("`valid_temp_c`", valid_temp_c),
         made_at=None if date is None else stated_date(date),
         supersedes=supersedes,
         note=note,
@@ -370,16 +370,6 @@ def _stated(about: About) -> "Stated":
     if not 1 <= about.valid_months <= 1200:
         raise InputError(f"`valid_months`: wanted 1 to 1200 months, got {about.valid_months}; 12 is the default")
     return Stated(serial=about.serial, valid_months=about.valid_months)
-
-
-def _span(text: str) -> tuple[float, float]:
-    try:
-        low, high = (float(part) for part in text.split(":"))
-    except ValueError:
-        raise InputError(f"`valid_temp_c`: wanted LOW:HIGH in degC, got '{text}'; for example 15:35") from None
-    if not -273.15 < low < high < 1000.0:
-        raise InputError(f"`valid_temp_c`: wanted LOW below HIGH in degC, got '{text}'; for example 15:35")
-    return low, high
 
 
 def _write(entry: "Entry", output: Path | None) -> None:

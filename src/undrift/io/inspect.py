@@ -7,6 +7,7 @@ A recording that reads well may still have a wrong unit, gaps, drop-outs, dead a
 import json
 import re
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import pairwise
@@ -42,7 +43,7 @@ from undrift.io.makers import apdm_sensors
 from undrift.io.mocap import Markers, Up
 from undrift.io.parquet import parquet_names
 from undrift.io.reference import native_reference
-from undrift.io.session import read_column_map, read_session
+from undrift.io.session import read_map, read_session
 from undrift.io.text import MARK, Text, open_text, parse_text
 from undrift.record import Record, Reference, Session
 from undrift.units import RADIAN_PER_DEGREE, SI_UNIT, STANDARD_GRAVITY, is_physical, si_factor
@@ -779,10 +780,11 @@ def _settings(path: Path, name: str, clock: Clock | None) -> Description:
     if name == "toml":
         if path.name == "session.toml":
             return _session(path, clock)
-        try:
-            summary = f"a column map of {', '.join(read_column_map(path).mapped())}"
-        except InputError:
-            summary = "TOML settings, not a column map"
+        summary = "TOML settings, not a column map"
+        with suppress(InputError):
+            columns, _ = read_map(path)
+            if columns is not None:
+                summary = f"a column map of {', '.join(columns.mapped())}"
         return Description(path=str(path), kind=kind, format=name, summary=summary)
     content = read_tree(path)
     try:

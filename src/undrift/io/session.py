@@ -228,47 +228,55 @@ class MapEntry(TomlTable):
         return tuple(ColumnMap(**{key: _columns(key, value) for key, value in table}, **shared) for table in tables)
 
 
-def _read_map(path: str | Path) -> MapEntry:
+class KeptEntry(MapEntry):
+    """A map, and which sensor of a file of several it is for."""
+
+    sensor: str | None = None  # Which sensor, in a file of several (APDM)
+
+
+def _read_map(path: str | Path) -> KeptEntry:
     """Read a map."""
     tree, text = toml_of(path)
     try:
-        return MapEntry.model_validate(tree)
+        return KeptEntry.model_validate(MapEntry.model_validate(tree).model_dump(exclude_unset=True))
     except ValidationError as error:
         raise FileFormatError(f"{path}: {Refused(list(error.errors())).explained(Stored(), text)}") from error
 
 
-def read_column_map(path: str | Path, *, sample_rate_hz: float | None = None) -> ColumnMap:
-    """Read a column map from a TOML file; a rate that is given overrules its own."""
-    held = _read_map(path)
-    maps = (held if sample_rate_hz is None else held.model_copy(update={"sample_rate_hz": sample_rate_hz})).maps()
-    if len(maps) != 1:
-        raise InputError(f"{path}: wanted one table of columns, got {len(maps)}; add columns = {{ ... }}")
-    return maps[0]
-
-
-def read_temp_file(path: str | Path) -> TempFile | None:
-    """Return the thermometer that a map names, its file beside the map."""
-    return _read_map(path).thermometer(Path(path).parent)
-
-
-def read_map_settings(path: str | Path) -> ReadSettings | None:
-    """Read a map without columns: settings for a file with undrift's own names; None where the map has columns."""
+def read_map(path: str | Path, **choices: Any) -> tuple[ColumnMap | None, ReadSettings]:
+    """Return how one file is read by a map in TOML, with the choices of a call over it; no columns for undrift's own names."""
     entry = _read_map(path)
-    if entry.columns is not None:
-        return None
     given = entry.model_fields_set
-    if not given or given - NATIVE_KEYS:
+    if not entry.columns and (not given or given - NATIVE_KEYS):
         got = ", ".join(sorted(given - NATIVE_KEYS)) or "no key"
         raise InputError(
             f"{path}: wanted one table of columns, got 0 and {got}; add columns = {{ ... }}, or for a file with undrift's own "
             f"names only {', '.join(sorted(NATIVE_KEYS))}"
         )
-    return _settings(entry, Path(path).parent)
+    try:
+        return _chosen(entry, choices, Path(path).parent)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
 
 
-def _settings(entry: MapEntry, folder: Path) -> ReadSettings:
+def map_and_settings(file_map: FileMap | None, **choices: Any) -> tuple[ColumnMap | None, ReadSettings]:
+    """Return how one file is read by a map that is kept, with the choices of a call over it; no columns where it has none."""
+    return _chosen(entry_of(file_map), choices, Path())
+
+
+def _chosen(entry: KeptEntry, choices: Mapping[str, Any], folder: Path) -> tuple[ColumnMap | None, ReadSettings]:
+    entry = entry.model_copy(update={key: value for key, value in choices.items() if value is not None})
+    maps = entry.maps()
+    if len(maps) > 1:
+        raise InputError(
+            f"wanted {len(maps)} files side by side, got one; give a map of it, or state them together in session.toml"
+        )
+    return maps[0] if maps else None, _settings(entry, folder)
+
+
+def _settings(entry: KeptEntry, folder: Path) -> ReadSettings:
     given: dict[str, Any] = {key: getattr(entry, key) for key in ("gaps", "clock") if key in entry.model_fields_set}
-    held = {key: getattr(entry, key) for key in NATIVE_KEYS - {"gaps", "clock", "temp_file"}}
+    held = {key: getattr(entry, key) for key in ("sample_rate_hz", "repair_time", "drop_bad_rows", "sensor")}
     return ReadSettings(temp_file=entry.thermometer(folder), **given, **held)
 
 
@@ -291,12 +299,6 @@ def _scale(entry: LinearEntry | None, channel: str) -> ChannelScale | None:
 # ---- a map as a value: of a file of TOML with the choices of a call, as a session and a calibration keep it
 
 
-class KeptEntry(MapEntry):
-    """A map, and which sensor of a file of several it is for."""
-
-    sensor: str | None = None  # Which sensor, in a file of several (APDM)
-
-
 def read_file_map(path: str | Path | None = None, **choices: Any) -> FileMap | None:
     """Return the map of a TOML file with the choices of a call over it; None where there is neither."""
     held = {} if path is None else _read_map(path).model_dump(exclude_unset=True)
@@ -315,19 +317,6 @@ def file_map_of(entry: KeptEntry, *, without: Sequence[str] = ()) -> FileMap:
 def entry_of(file_map: FileMap | None) -> KeptEntry:
     """Return the keys of a map, checked."""
     return KeptEntry() if file_map is None else KeptEntry.model_validate_json(file_map.text)
-
-
-def map_and_settings(file_map: FileMap, **choices: Any) -> tuple[ColumnMap | None, ReadSettings]:
-    """Return how one file is read by a map, with the choices of a call over it; no columns where the map has none."""
-    entry = entry_of(file_map)
-    entry = entry.model_copy(update={key: value for key, value in choices.items() if value is not None})
-    maps = entry.maps()
-    if len(maps) > 1:
-        raise InputError(
-            f"wanted {len(maps)} files side by side, got one; give a map of it, or state them together in session.toml"
-        )
-    settings = replace(_settings(entry, Path()), sensor=entry.sensor)
-    return maps[0] if maps else None, replace(settings, repair_time=False, drop_bad_rows=False) if maps else settings
 
 
 def shared_map(entries: Sequence[KeptEntry]) -> FileMap | None:
@@ -651,10 +640,8 @@ def _read_recording(folder: Path, names: list[str], entry: RecordingEntry, clock
         raise InputError(
             f"wanted columns beside {', '.join(sorted(unused))}, got none; a file without a map needs only its name"
         )
-    settings = replace(_settings(entry, folder), sensor=entry.sensor)
+    settings = _settings(entry, folder)
     settings = settings if clock is None else replace(settings, clock=clock)
-    if maps:
-        settings = replace(settings, repair_time=False, drop_bad_rows=False)
     records = tuple(
         read_record(folder / name, columns, settings=settings if k == 0 else replace(settings, temp_file=None))
         for k, (name, columns) in enumerate(zip(names, maps or (None,) * len(names), strict=True))

@@ -30,7 +30,7 @@ from undrift.findings import Finding, finding
 from undrift.frames import rotate
 from undrift.io.formats import detect, read_record, read_reference
 from undrift.io.reference import BodyName
-from undrift.io.session import read_column_map
+from undrift.io.session import read_map
 from undrift.orientation import sagittal_pitch
 from undrift.record import Record, Reference
 from undrift.sim.device.model import DeviceModel, read_device
@@ -618,8 +618,9 @@ def read_real(path: str | Path) -> RealData:
 
 
 def _actual(entry: ActualEntry, folder: Path) -> ActualTwin:
-    columns = None if entry.map is None else read_column_map(folder / entry.map)
-    found = fit_warm_up(read_record(folder / entry.warm_up, columns), reference_c=entry.room_c)
+    columns, settings = (None, None) if entry.map is None else read_map(folder / entry.map)
+    record = read_record(folder / entry.warm_up, columns, settings=settings)
+    found = fit_warm_up(record, reference_c=entry.room_c)
     climate = Climate(room_c=entry.room_c, set_points_c=entry.set_points_c)
     (low, high), asked = found.range_c, (entry.room_c, *entry.set_points_c)
     if min(asked) < low or max(asked) > high:
@@ -656,8 +657,10 @@ def _pair(entry: TrialEntry, folder: Path) -> tuple[Record, Reference]:
     if entry.reference is None and detect(recording) != "broad":
         raise InputError(f"{recording}: wanted a reference, got none and no BROAD file, which holds its own; name one")
     poses = recording if entry.reference is None else folder / entry.reference
-    columns = None if entry.map is None else read_column_map(folder / entry.map)
-    return read_record(recording, columns), read_reference(poses, labels=entry.markers or None, up=entry.up)
+    columns, settings = (None, None) if entry.map is None else read_map(folder / entry.map)
+    return read_record(recording, columns, settings=settings), read_reference(
+        poses, labels=entry.markers or None, up=entry.up
+    )
 
 
 def _capture(entry: CaptureEntry, folder: Path) -> CapturedTrial:
