@@ -6,7 +6,7 @@ from itertools import product
 import pytest
 from playwright.sync_api import Page
 
-from undrift.web.parts import PAGES
+from undrift.web.parts import texts
 from web_browser.conftest import faults_of, measured_faults_of, shoot
 
 
@@ -20,7 +20,7 @@ def test_every_page_opens_and_is_accessible_wide_and_narrow_light_and_dark(
     page.on("request", lambda request: asked.append(request.url))
     faults: list[str] = []
     start, here = page.url.rstrip("/"), page.url.split("/")[2]
-    for path, name in PAGES.items():
+    for path, name in texts()["pages"].items():
         page.goto(start + path)
         page.wait_for_function("window.socket && window.socket.connected")
         page.get_by_role("heading", level=1, name=name).wait_for()

@@ -7,11 +7,13 @@ temperatures that it covers; the newest one counts, and never one with a bad ver
 
 import getpass
 import os
+import re
 import socket
 import sqlite3
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Mapping
+import tomllib
+from collections.abc import Iterator, Mapping
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -470,53 +472,12 @@ def _refusal(error: BaseException | None, place: str, wait_s: float) -> Registry
     """Return what to say of an error of the database."""
     answer = " ".join(str(error).split("CONTEXT:")[0].split()).replace("connection failed: ", "")
     state = getattr(error, "sqlstate", None) or ""
-    for fits, line in _LINES:
-        if fits(answer, state):
-            shown = line.format(wait=f"{wait_s:g}", answer=answer[:300])
-            return RegistryError(f"{place}: {shown}", locked="another program" in line)
+    rows = tomllib.loads(Path(__file__).with_name("refusals.toml").read_text(encoding="utf-8"))["refusal"]
+    for row in rows:
+        if re.search(row["seen"], f"[{state}] {answer}"):
+            shown = row["says"].format(wait=f"{wait_s:g}", answer=answer[:300])
+            return RegistryError(f"{place}: {shown}", locked="another program" in shown)
     return RegistryError(f"{place}: wanted the registry to answer, got: {answer[:300]}; check the database")
-
-
-_LINES: tuple[tuple[Callable[[str, str], bool], str], ...] = (
-    (
-        lambda answer, state: "locked" in answer or state in ("55P03", "57014", "40P01"),
-        "wanted to write within {wait} s, got a registry that another program holds; wait for it or end it, then try again",
-    ),
-    (
-        lambda answer, state: " full" in answer or "No space left" in answer or state in ("53100", "53200"),
-        "wanted room for an entry, got a full disk; make room and add it again, nothing was added",
-    ),
-    (
-        lambda answer, state: "readonly" in answer or state in ("42501", "25006"),
-        "wanted to write, got a registry that may only be read; check its rights",
-    ),
-    (
-        lambda answer, state: "disk I/O" in answer,
-        "wanted a disk that takes what is written, got: {answer}; make room or mend it and try again, nothing was added",
-    ),
-    (
-        lambda answer, state: "unable to open" in answer or "Permission denied" in answer,
-        "wanted a file in a folder that exists, got none; make the folder first, or make room on the disk",
-    ),
-    (
-        lambda answer, state: "not a database" in answer or "malformed" in answer,
-        "wanted a registry, got a file that is no sound SQLite database; name another, or restore a backup",
-    ),
-    (lambda answer, state: "only grows" in answer, "{answer}; undrift registry add FILE --supersedes ID"),
-    (
-        # psycopg states no code for what fails before there is a session
-        lambda answer, state: "authentication" in answer or "password" in answer or "role" in answer or "pg_hba" in answer,
-        "wanted a user that may log in, got a refusal: {answer}; check user and password",
-    ),
-    (
-        lambda answer, state: "database" in answer and "does not exist" in answer,
-        "wanted a database, got none of that name; create it on the server first: createdb",
-    ),
-    (
-        lambda answer, state: not state and any(word in answer for word in ("connect", "resolve", "server", "timeout")),
-        "wanted a connection to the server, got none: {answer}; check host and port",
-    ),
-)  # fmt: skip
 
 
 def covers(entry: Entry, temp_c: float) -> bool:

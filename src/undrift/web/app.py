@@ -19,7 +19,7 @@ from undrift.web import devices, guided, live, rate_table, recordings, result, s
 from undrift.web.access import Access, allowed
 from undrift.web.bench import Bench, ServerSettings
 from undrift.web.feed import STATIC, Feed
-from undrift.web.parts import PAGES
+from undrift.web.parts import texts
 from undrift.web.uploads import receive_upload
 
 FIRST_S = 10.0  # from a connection to its first request
@@ -128,7 +128,7 @@ def application(bench: Bench, ready: Callable[[], None]) -> FastAPI:
 
     Feed(lambda: bench.source, lambda socket: allowed(socket, bench.settings.token)).add_to(made)
     pages_app.add_static_files("/static", STATIC)
-    for path, name in PAGES.items():
+    for path, name in texts()["pages"].items():
         _add_page(bench, path, name)
     ui.run_with(
         made,

@@ -20,26 +20,6 @@ LARGEST_LINE = 1 << 26  # bytes: an envelope is one line
 LEVELS = ("fail", "warn", "info")
 FOLDERS = re.compile(r"\b(?:(?:uploads|jobs)/[^/\"]+/(?:session/(?:pieces/)?)?|registry/)")  # of the files of a bench
 
-ALONE = "Calibrate the accelerometers alone"
-CONTROLS = {  # options of the commands that a page offers, and what they are called there
-    "--sample-rate-hz": "Samples per second, Hz",
-    "--turn-deg": "Angle of its turns, deg",
-    "--serial": "Serial number",
-    "--offset": "Offset to subtract",
-    "--forward": "Side that points forward",
-    "--up": "Side that points up",
-    "--markers": "Markers",
-    "--reference-up": "Laboratory axis that points up",
-    "--gyro-unit": "Unit of the gyroscopes",
-    "--accel-unit": "Unit of the accelerometers",
-    "--gyro none": ALONE,
-    "--latitude-deg": "Town, or latitude in deg",
-    "--prior": "Prior of the part",
-    "--magnetometer": "Magnetometer",
-    "--height-m": "Height above the sea, m",
-    "--gravity-m-s2": "Gravity, m/s2",
-}
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CommandOutcome:

@@ -20,25 +20,13 @@ from nicegui import Client, ui
 
 from undrift.base.summary import spoken
 from undrift.errors import UndriftError
-from undrift.web.commands import ALONE, CONTROLS, Remark
+from undrift.web.commands import Remark
 
 if TYPE_CHECKING:
     from undrift.web.bench import Bench, Job
 
-PAGES = {  # path -> name, in the order of the navigation
-    "/": "Start",
-    "/six-faces": "Six faces",
-    "/turns": "Turns by hand",
-    "/rate-table": "Rate table",
-    "/temperature": "Temperature",
-    "/result": "Result",
-    "/live": "Live",
-    "/recordings": "Recordings",
-    "/devices": "Devices",
-}
 REFRESH_S = 0.25
 SHOWN_FIRST = 3  # remarks that are open, and every one that is no mere note
-LEVEL_NAMES = {"fail": "Failed", "warn": "Warning", "info": "Note"}
 
 Words = str | Callable[[], str]  # Of a part: as they are, or as the state has them now
 Handler = Callable[[], Any]  # Of a click: may be awaited; returns the path of the page to open, if any
@@ -256,7 +244,7 @@ class Field:
         self.value, self._keep = value, keep
         options = options() if callable(options) else options
         with ui.element("label").classes("bench-field"):
-            text("span", CONTROLS.get(label, label))
+            text("span", texts()["controls"].get(label, label))
             if options and kind != "list":
                 with ui.element("select") as self.element:
                     for option in options:
@@ -350,7 +338,7 @@ def remarks_list(remarks: Sequence[Remark]) -> None:
     with ui.element("ul").classes("remarks"):
         for one in remarks[:count]:
             with ui.element("li").classes(one.level):
-                text("strong", f"{LEVEL_NAMES[one.level]}: ")
+                text("strong", f"{texts()['levels'][one.level]}: ")
                 text("span", page_words(one.text).rstrip(".") + ".")
                 if action := page_words(one.action):
                     text("p", f"{action[:1].upper()}{action[1:]}.", "soft")
@@ -363,7 +351,7 @@ def remarks_list(remarks: Sequence[Remark]) -> None:
 def page_words(words: str) -> str:
     """Return a text of a command or of the library with the options that a page offers called as they are there."""
     words = spoken(words, called=True)
-    for option, label in CONTROLS.items():
+    for option, label in texts()["controls"].items():
         words = re.sub(rf"{option}(?![\w-])", f"“{label}”", words)
     return words
 
@@ -381,7 +369,7 @@ def refused(bench: "Bench", job: "Job | None", error: str, keep: Callable[[str],
         keep(outcome.error)
         return "/result" if outcome.done else None
 
-    button(ALONE, again)
+    button(texts()["controls"]["--gyro none"], again)
 
 
 # ---- What every page has: heading, navigation, what is connected, the emergency stop
@@ -393,7 +381,7 @@ def frame(bench: "Bench", title: str) -> Iterator[None]:
     with ui.element("header").classes("bench-head"):
         ui.link("undrift bench", "/").classes("bench-name")
         with ui.element("nav").props('aria-label="Pages"'):
-            for path, name in PAGES.items():
+            for path, name in texts()["pages"].items():
                 link = ui.link(name, path)
                 if name == title:
                     link.props('aria-current="page"')
