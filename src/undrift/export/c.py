@@ -18,25 +18,7 @@ import numpy as np
 from undrift.arrays import FloatArray, IntArray
 from undrift.correction.plan import Constants, LookupTable, TableAxis, constants_of
 from undrift.errors import InputError
-from undrift.export import ExportOptions, Target
-from undrift.export.firmware import (
-    ASSUMPTION,
-    FULL_FORCE,
-    FULL_RATE,
-    OUT_BITS,
-    Arithmetic,
-    Cost,
-    FixedAxis,
-    FixedTable,
-    FixedTriad,
-    Lead,
-    cost_of,
-    fixed_triad,
-    lead_of,
-    named_tables,
-    stride_of,
-    triads_of,
-)
+from undrift.export import ExportOptions, Target, firmware
 from undrift.export.losses import Exported, Part, losses, texts_of
 from undrift.findings import Finding, finding
 from undrift.model import SENSORS, Calibration, Sensor
@@ -46,7 +28,7 @@ from undrift.units import RADIAN_PER_DEGREE, SI_UNIT, STANDARD_GRAVITY, canonica
 # ---- C text: literals, arrays, lookups in a table, and comments that nothing can break out of.
 
 WIDTH = 116
-Pair = tuple[Constants, FixedTriad]  # in real numbers and in integers
+Pair = tuple[Constants, firmware.FixedTriad]  # in real numbers and in integers
 SMALLEST, LARGEST = 1e-37, 3e38  # what a float literal may be
 
 
@@ -55,7 +37,7 @@ class Printer:
 
     def __init__(self, prefix: str) -> None:
         self.prefix, self.upper = prefix, prefix.upper()
-        self.sizes: dict[Arithmetic, int] = {"float": 0, "double": 0, "fixed": 0}
+        self.sizes: dict[firmware.Arithmetic, int] = {"float": 0, "double": 0, "fixed": 0}
 
     def ints(self, kind: str, name: str, values: IntArray) -> str:
         """Return the definition of an array of integers."""
@@ -80,7 +62,7 @@ class Printer:
         self,
         triad: str,
         table: str,
-        axis: TableAxis | FixedAxis,
+        axis: TableAxis | firmware.FixedAxis,
         x: str,
         place: str,
         fraction: str,
@@ -89,7 +71,7 @@ class Printer:
     ) -> str:
         """Return the lines that find a cell and a position in it, and mark what lies outside."""
         name, c = f"{self.prefix}_{triad}_{table}_{place}", f"{self.upper}_C"
-        if isinstance(axis, FixedAxis):
+        if isinstance(axis, firmware.FixedAxis):
             real, start, stop = axis.axis, str(axis.nodes[0]), str(axis.nodes[-1])
             outside = f"{x} < {start} || {x} > {stop} ? {self.upper}_{what}_HELD : 0"
             even, uneven = f"{start}, {stop}, {axis.inverse[0]}u, {axis.shift}", f", {axis.shift}"
@@ -101,7 +83,7 @@ class Printer:
         held = f"status |= {outside};{pad}" if what else ""
         if real.even:
             return f"{held}{cell} = {self.prefix}_cell({x}, {even}, {real.cells}, &{fraction});"
-        inner = f"{x}, {name}, {name}_inverse{uneven}, {real.cells}, {stride_of(real)}, &{fraction}"
+        inner = f"{x}, {name}, {name}_inverse{uneven}, {real.cells}, {firmware.stride_of(real)}, &{fraction}"
         return f"{held}{cell} = {self.prefix}_search({inner});"
 
 
@@ -137,7 +119,7 @@ CARRIED: frozenset[Part] = frozenset(
 class CSettings:
     """How the source is written."""
 
-    default: Arithmetic = "float"  # Arithmetic of a build that defines none: float, double or fixed
+    default: firmware.Arithmetic = "float"  # Arithmetic of a build that defines none: float, double or fixed
     # Begins every name, so that two devices fit into one program: a C identifier in lower case
     prefix: str = "undrift"
     header_name: str = "undrift.h"  # File name that the source includes
@@ -158,7 +140,7 @@ class ExportedC:
     source: str
     not_carried: tuple[str, ...]  # What the calibration holds and the source does not
     notes: tuple[str, ...]  # What the firmware must know or do
-    costs: tuple[Cost, ...]  # Of the float, double and fixed builds
+    costs: tuple[firmware.Cost, ...]  # Of the float, double and fixed builds
     findings: tuple[Finding, ...]  # What is not carried, and the notes, as codes with numbers
     gyro_bound: FloatArray  # (3,), fixed point: worst error against exact arithmetic, rad/s
     accel_bound: FloatArray  # (3,), the same, m/s2
@@ -204,12 +186,16 @@ def export_c(calibration: Calibration, settings: CSettings = CSettings()) -> Exp
             raise InputError(f"export c: wanted 0 to 30 bits behind the point of a reading, got {bits}; choose fewer")
     notes: list[Finding] = []
     gyro, accel = (_triad_of(calibration, settings, name, notes) for name in SENSORS)
-    of_accel = fixed_triad(accel, raw_bits=settings.accel_raw_bits, full=FULL_FORCE)
-    of_gyro = fixed_triad(
-        gyro, raw_bits=settings.gyro_raw_bits, full=FULL_RATE, accel_bound=of_accel.bound, accel_full=FULL_FORCE
+    of_accel = firmware.fixed_triad(accel, raw_bits=settings.accel_raw_bits, full=firmware.FULL_FORCE)
+    of_gyro = firmware.fixed_triad(
+        gyro,
+        raw_bits=settings.gyro_raw_bits,
+        full=firmware.FULL_RATE,
+        accel_bound=of_accel.bound,
+        accel_full=firmware.FULL_FORCE,
     )
     pairs = [(accel, of_accel), (gyro, of_gyro)]
-    lead = lead_of(calibration)
+    lead = firmware.lead_of(calibration)
     if lead is not None:
         notes.append(finding("export.lag_removed", "info", lag_s=lead.lag_s, prefix=settings.prefix))
     if gyro.warm_up_table is not None:
@@ -221,7 +207,7 @@ def export_c(calibration: Calibration, settings: CSettings = CSettings()) -> Exp
         notes.append(finding("export.magnetometer_apart", "info", prefix=settings.prefix))
     texts = texts_of(losses(calibration, CARRIED), notes)
     source, sizes = _source(pairs, calibration, settings, lead)
-    costs = tuple(cost_of((accel, gyro), each, size, lead=lead is not None) for each, size in sizes.items())
+    costs = tuple(firmware.cost_of((accel, gyro), each, size, lead=lead is not None) for each, size in sizes.items())
     return ExportedC(
         header=_header(pairs, calibration, settings, costs, texts["not_carried"] + texts["notes"], lead),
         source=source,
@@ -234,7 +220,7 @@ def export_c(calibration: Calibration, settings: CSettings = CSettings()) -> Exp
 
 def _triad_of(calibration: Calibration, settings: CSettings, name: Sensor, notes: list[Finding]) -> Constants:
     """Return a triad, nominal where there is no model, with a note on that."""
-    triad = triads_of(calibration)[SENSORS.index(name)]
+    triad = firmware.triads_of(calibration)[SENSORS.index(name)]
     unit = settings.gyro_unit if name == "gyro" else settings.accel_unit
     if triad is not None and unit is not None:
         raise InputError(
@@ -268,7 +254,7 @@ def _environment() -> Any:
     )
 
 
-def _axes(table: LookupTable | FixedTable, what: str = "") -> list[tuple[str, Any]]:
+def _axes(table: LookupTable | firmware.FixedTable, what: str = "") -> list[tuple[str, Any]]:
     return [
         ("since" if what == "warm_up_table" else "temp", table.temp),
         *([("rate", table.turn_rate)] if table.turn_rate is not None else []),
@@ -276,25 +262,25 @@ def _axes(table: LookupTable | FixedTable, what: str = "") -> list[tuple[str, An
 
 
 def _source(
-    pairs: list[Pair], calibration: Calibration, settings: CSettings, lead: Lead | None
-) -> tuple[str, dict[Arithmetic, int]]:
+    pairs: list[Pair], calibration: Calibration, settings: CSettings, lead: firmware.Lead | None
+) -> tuple[str, dict[firmware.Arithmetic, int]]:
     printer = Printer(settings.prefix)
-    tables = [table for triad, _ in pairs for _, table in named_tables(triad)]
+    tables = [table for triad, _ in pairs for _, table in firmware.named_tables(triad)]
     axes = [axis for table in tables for _, axis in _axes(table)]
     mag, fixed_mag = calibration.magnetometer, None
     if mag is not None:
-        parts = ((mag.model.matrix, 24), (mag.model.offset, OUT_BITS), (mag.lag_s, 24))
+        parts = ((mag.model.matrix, 24), (mag.model.offset, firmware.OUT_BITS), (mag.lag_s, 24))
         fixed_mag = [np.round(np.asarray(part) * 2.0**bits).astype(np.int64) for part, bits in parts]
     gyro, rule = pairs[1][0], (TURNING_ABOVE, TURNING_MEAN_S, TURNING_HOLD_S)
     text = _environment().get_template("undrift.c.j2").render(
         title=_title(calibration), header=settings.header_name, p=settings.prefix, P=settings.prefix.upper(),
         triads=pairs, accel=pairs[0][0], gyro=gyro, at_rest=gyro.at_rest, turning=rule,
-        fixed_at_rest=None if gyro.at_rest is None else np.round(gyro.at_rest * 2.0**OUT_BITS).astype(np.int64),
+        fixed_at_rest=None if gyro.at_rest is None else np.round(gyro.at_rest * 2.0**firmware.OUT_BITS).astype(np.int64),
         fixed_turning=[round(x * 2.0**bits) for x, bits in zip(rule, (24, 20, 20), strict=True)],
         any_even=any(axis.even for axis in axes), any_search=any(not axis.even for axis in axes),
         any_line=any(table.turn_rate is None for table in tables),
         any_plane=any(table.turn_rate is not None for table in tables),
-        tables_of=named_tables, ints=printer.ints, reals_of=printer.reals, axes_of=_axes, places=int,
+        tables_of=firmware.named_tables, ints=printer.ints, reals_of=printer.reals, axes_of=_axes, places=int,
         lead=lead, literal=literal, lookup=printer.lookup, mag=mag, fixed_mag=fixed_mag,
     )  # fmt: skip
     return re.sub(r"\n{3,}", "\n\n", text), printer.sizes
@@ -308,15 +294,15 @@ def _header(
     pairs: list[Pair],
     calibration: Calibration,
     settings: CSettings,
-    costs: tuple[Cost, ...],
+    costs: tuple[firmware.Cost, ...],
     notes: tuple[str, ...],
-    lead: Lead | None,
+    lead: firmware.Lead | None,
 ) -> str:
     warm = pairs[1][0].warm_up_table
     about = {
         "title": _title(calibration), "default": settings.default, "date": settings.date, "p": settings.prefix,
         "P": settings.prefix.upper(), "triads": pairs, "created": calibration.provenance.created, "lead": lead,
-        "verdict": calibration.verdict.status, "costs": costs, "notes": notes, "assumption": ASSUMPTION, "span": _span,
+        "verdict": calibration.verdict.status, "costs": costs, "notes": notes, "assumption": firmware.ASSUMPTION, "span": _span,
         "lag_s": f"{lead.lag_s:g}" if lead else "", "smooth_s": f"{lead.smooth_s:g}" if lead else "",
         "warm_up": warm is not None, "warm_s": f"{warm.temp.stop:g}" if warm else "",
         "dps": RADIAN_PER_DEGREE, "g": STANDARD_GRAVITY, "moving": pairs[1][0].at_rest is not None,

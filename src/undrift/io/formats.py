@@ -19,37 +19,12 @@ from pathlib import Path
 
 from undrift.errors import FileFormatError, InputError
 from undrift.files import checked_file, read_bytes, read_tree
+from undrift.io import containers, makers
 from undrift.io.arrays import hdf5_names, mat_arrays, mat_names, npz_arrays, read_mat, read_npz
 from undrift.io.clock import fit_clock
 from undrift.io.columns import READ_SETTINGS, ColumnMap, ReadResult, ReadSettings, is_date, is_native, is_number
-from undrift.io.containers import (
-    is_gt3x,
-    is_mobilised,
-    is_nilspod,
-    read_cwa,
-    read_geneactiv,
-    read_gt3x,
-    read_mobilised,
-    read_nilspod,
-    read_ros,
-    read_ulog,
-    read_xdf,
-)
 from undrift.io.labelled import is_labelled, read_labelled
 from undrift.io.log import is_log, read_log
-from undrift.io.makers import (
-    DIALECTS,
-    Dialect,
-    is_bids,
-    is_phone,
-    is_set_points,
-    read_apdm,
-    read_bids_motion,
-    read_bids_positions,
-    read_phone,
-    read_set_points,
-    with_thermometer,
-)
 from undrift.io.mocap import Markers, Up, is_c3d, pose_from_cluster, read_broad, read_c3d, read_trc
 from undrift.io.parquet import CHUNK_ROWS, iter_parquet, read_parquet
 from undrift.io.reference import (
@@ -175,7 +150,7 @@ _MARKERS = "marker trajectories; read them as a reference (labels of one rigid c
 _BAGS = (b"#ROSBAG V2.0", b"SQLite format 3\0", b"\x89MCAP0\r\n")
 
 
-def _format_of(dialect: Dialect) -> Format:
+def _format_of(dialect: makers.Dialect) -> Format:
     """Return a maker's dialect as a format."""
     rate = frozenset({"sample_rate_hz"} if "time" not in (dialect.columns or {}) else ())
     honours = _EXPORT if dialect.columns is None else rate
@@ -196,7 +171,9 @@ FORMATS: dict[str, Format] = {
     ),
     "broad": Format(_is_broad, record=lambda p, *_: read_broad(p)[0], reference=lambda p, _: read_broad(p)[1]),
     "mobilised": Format(
-        lambda _, head: head.startswith(b"MATLAB") and is_mobilised(head), record=read_mobilised, honours=_STREAMS
+        lambda _, head: head.startswith(b"MATLAB") and containers.is_mobilised(head),
+        record=containers.read_mobilised,
+        honours=_STREAMS,
     ),
     "mat": Format(
         _is_mat, record=read_mat, reference=lambda p, c: read_array_poses(mat_arrays(p), p, c), honours=_ARRAYS
@@ -204,22 +181,26 @@ FORMATS: dict[str, Format] = {
     "hdf5": Format(_starts(_HDF5), instead="HDF5 of an unknown kind; only BROAD trials and MATLAB 7.3 files are read"),
     "cwa": Format(
         lambda path, head: head.startswith(b"MD") and (head[2:4] == b"\xfc\x03" or _suffix(path) == ".cwa"),
-        record=read_cwa,
+        record=containers.read_cwa,
         honours=_BLOCKS,
     ),
-    "geneactiv": Format(_starts(b"Device Identity"), record=read_geneactiv, honours=_BLOCKS),
+    "geneactiv": Format(_starts(b"Device Identity"), record=containers.read_geneactiv, honours=_BLOCKS),
     "gt3x": Format(
-        lambda path, head: head.startswith(b"PK\x03\x04") and is_gt3x(path), record=read_gt3x, honours=_STREAMS
-    ),
-    "xdf": Format(_starts(b"XDF:"), record=read_xdf, honours=_STREAMS | {"columns"}),
-    "ros": Format(
-        lambda path, head: head.startswith(_BAGS) or (not head and (path / "metadata.yaml").is_file()),
-        record=read_ros,
+        lambda path, head: head.startswith(b"PK\x03\x04") and containers.is_gt3x(path),
+        record=containers.read_gt3x,
         honours=_STREAMS,
     ),
-    "ulog": Format(_starts(b"ULog\x01\x12\x35"), record=read_ulog, honours=_STREAMS | {"drop_bad_rows"}),
+    "xdf": Format(_starts(b"XDF:"), record=containers.read_xdf, honours=_STREAMS | {"columns"}),
+    "ros": Format(
+        lambda path, head: head.startswith(_BAGS) or (not head and (path / "metadata.yaml").is_file()),
+        record=containers.read_ros,
+        honours=_STREAMS,
+    ),
+    "ulog": Format(_starts(b"ULog\x01\x12\x35"), record=containers.read_ulog, honours=_STREAMS | {"drop_bad_rows"}),
     "nilspod": Format(
-        lambda path, head: _suffix(path) == ".bin" and is_nilspod(head), record=read_nilspod, honours=_STREAMS
+        lambda path, head: _suffix(path) == ".bin" and containers.is_nilspod(head),
+        record=containers.read_nilspod,
+        honours=_STREAMS,
     ),
     "c3d": Format(
         lambda _, head: b"POINT" in head and is_c3d(head),
@@ -233,19 +214,19 @@ FORMATS: dict[str, Format] = {
     ),
     "apdm": Format(
         lambda _, head: _line(head, 2).startswith("Time,") and "/Acceleration/X" in _line(head, 2),
-        record=lambda path, _, settings: read_apdm(path, settings.sensor),
+        record=lambda path, _, settings: makers.read_apdm(path, settings.sensor),
         honours=frozenset({"sensor"}),
     ),
-    **{name: _format_of(dialect) for name, dialect in DIALECTS.items()},
-    "phone": Format(lambda path, head: not head and is_phone(path), record=read_phone, honours=_EXPORT),
+    **{name: _format_of(dialect) for name, dialect in makers.DIALECTS.items()},
+    "phone": Format(lambda path, head: not head and makers.is_phone(path), record=makers.read_phone, honours=_EXPORT),
     "bids_motion": Format(
-        lambda path, _: "_motion.tsv" in path.name and is_bids(path, positions=False),
-        record=read_bids_motion,
+        lambda path, _: "_motion.tsv" in path.name and makers.is_bids(path, positions=False),
+        record=makers.read_bids_motion,
         honours=_EXPORT,
     ),
     "bids_positions": Format(
-        lambda path, _: "_motion.tsv" in path.name and is_bids(path, positions=True),
-        markers=read_bids_positions,
+        lambda path, _: "_motion.tsv" in path.name and makers.is_bids(path, positions=True),
+        markers=makers.read_bids_positions,
         instead="positions, not readings of a sensor; read them as a reference (labels of one rigid cluster)",
     ),
     "qtm_markers": Format(_has(rb"^MARKER_NAMES\t"), markers=read_qtm_markers, instead=_MARKERS),
@@ -263,8 +244,8 @@ FORMATS: dict[str, Format] = {
         "is the .sto file of orientations (DataType=Quaternion)",
     ),
     "set_points": Format(
-        lambda _, head: b":" in head and is_set_points(head),
-        record=read_set_points,
+        lambda _, head: b":" in head and makers.is_set_points(head),
+        record=makers.read_set_points,
         honours=frozenset({"columns", "sample_rate_hz", "drop_bad_rows"}),
     ),
     # The formats of other packages come here.
@@ -393,7 +374,7 @@ def read_counted(
     if settings.temp_file is None:
         return found
     note = f"temperature of {settings.temp_file.path.name}, interpolated onto the samples"
-    return replace(found, record=with_thermometer(found.record, settings.temp_file), notes=(*found.notes, note))
+    return replace(found, record=makers.with_thermometer(found.record, settings.temp_file), notes=(*found.notes, note))
 
 
 def iter_record(

@@ -25,25 +25,7 @@ from undrift.files import data_folder, first_line
 from undrift.io.store import hash_of
 
 try:
-    from sqlalchemy import (
-        JSON,
-        CheckConstraint,
-        Connection,
-        DateTime,
-        Dialect,
-        Double,
-        Engine,
-        ForeignKey,
-        Index,
-        String,
-        Text,
-        create_engine,
-        event,
-        func,
-        inspect,
-        select,
-        text,
-    )  # fmt: skip
+    import sqlalchemy as sa
     from sqlalchemy.dialects import postgresql, sqlite
     from sqlalchemy.engine import URL, make_url
     from sqlalchemy.exc import ArgumentError, DBAPIError, SQLAlchemyError
@@ -71,14 +53,14 @@ KINDS = ("session", "calibration", "certificate", "run")
 class UtcTime(TypeDecorator[datetime]):
     """A time in UTC: SQLite keeps it without a zone, PostgreSQL with one; Python always sees UTC."""
 
-    impl = DateTime(timezone=True)
+    impl = sa.DateTime(timezone=True)
     cache_ok = True
 
-    def process_bind_param(self, value: datetime | None, dialect: Dialect) -> datetime | None:
+    def process_bind_param(self, value: datetime | None, dialect: sa.Dialect) -> datetime | None:
         """Return what the database keeps."""
         return None if value is None else value.astimezone(UTC)
 
-    def process_result_value(self, value: datetime | None, dialect: Dialect) -> datetime | None:
+    def process_result_value(self, value: datetime | None, dialect: sa.Dialect) -> datetime | None:
         """Return what was kept, in UTC."""
         if value is None:
             return None
@@ -95,9 +77,9 @@ class Device(Base):
     __tablename__ = "devices"
 
     id: Mapped[int] = mapped_column(primary_key=True)
-    serial: Mapped[str] = mapped_column(String(200), unique=True)
+    serial: Mapped[str] = mapped_column(sa.String(200), unique=True)
     added_at: Mapped[datetime] = mapped_column(UtcTime)
-    added_by: Mapped[str] = mapped_column(String(200))
+    added_by: Mapped[str] = mapped_column(sa.String(200))
 
 
 class Entry(Base):
@@ -106,21 +88,21 @@ class Entry(Base):
     __tablename__ = "entries"
 
     id: Mapped[int] = mapped_column(primary_key=True)
-    device_id: Mapped[int] = mapped_column(ForeignKey("devices.id"), index=True)
-    kind: Mapped[str] = mapped_column(String(20))
-    sha256: Mapped[str] = mapped_column(String(64))  # of the document: JSON with sorted keys, without spaces, UTF-8
-    document: Mapped[dict[str, Any]] = mapped_column(JSON, deferred=True)
-    verdict: Mapped[str | None] = mapped_column(String(20))  # good, marginal or bad; None where nothing was judged
-    low_c: Mapped[float | None] = mapped_column(Double)  # valid from this temperature, degC; None where it is not known
-    high_c: Mapped[float | None] = mapped_column(Double)  # to this one
+    device_id: Mapped[int] = mapped_column(sa.ForeignKey("devices.id"), index=True)
+    kind: Mapped[str] = mapped_column(sa.String(20))
+    sha256: Mapped[str] = mapped_column(sa.String(64))  # of the document: JSON with sorted keys, without spaces, UTF-8
+    document: Mapped[dict[str, Any]] = mapped_column(sa.JSON, deferred=True)
+    verdict: Mapped[str | None] = mapped_column(sa.String(20))  # good, marginal or bad; None where nothing was judged
+    low_c: Mapped[float | None] = mapped_column(sa.Double)  # valid from this temperature, degC; None: not known
+    high_c: Mapped[float | None] = mapped_column(sa.Double)  # to this one
     made_at: Mapped[datetime] = mapped_column(UtcTime)
     due_at: Mapped[datetime | None] = mapped_column(UtcTime)  # calibrate again by then
     added_at: Mapped[datetime] = mapped_column(UtcTime)
-    added_by: Mapped[str] = mapped_column(String(200))  # user@host
-    station: Mapped[str] = mapped_column(String(200))
-    source: Mapped[str] = mapped_column(Text)  # file or folder it came from
-    supersedes: Mapped[int | None] = mapped_column(ForeignKey("entries.id"))  # the entry that it corrects
-    note: Mapped[str] = mapped_column(Text)
+    added_by: Mapped[str] = mapped_column(sa.String(200))  # user@host
+    station: Mapped[str] = mapped_column(sa.String(200))
+    source: Mapped[str] = mapped_column(sa.Text)  # file or folder it came from
+    supersedes: Mapped[int | None] = mapped_column(sa.ForeignKey("entries.id"))  # the entry that it corrects
+    note: Mapped[str] = mapped_column(sa.Text)
 
     device: Mapped[Device] = relationship(lazy="joined")
 
@@ -135,10 +117,10 @@ class Entry(Base):
         return None if self.low_c is None or self.high_c is None else (self.low_c, self.high_c)
 
     __table_args__ = (
-        CheckConstraint("kind IN ('session', 'calibration', 'certificate', 'run')", name="known_kind"),
-        Index("one_content", "kind", "sha256", unique=True, sqlite_where=text("supersedes IS NULL"),
-              postgresql_where=text("supersedes IS NULL")),
-        Index("one_correction", "supersedes", unique=True),
+        sa.CheckConstraint("kind IN ('session', 'calibration', 'certificate', 'run')", name="known_kind"),
+        sa.Index("one_content", "kind", "sha256", unique=True, sqlite_where=sa.text("supersedes IS NULL"),
+                 postgresql_where=sa.text("supersedes IS NULL")),
+        sa.Index("one_correction", "supersedes", unique=True),
         {"sqlite_autoincrement": True},
     )  # fmt: skip
 
@@ -245,7 +227,7 @@ class Registry:
         hashed, done = [(one, hash_of(one.document)) for one in new], list[Added]()
         with self._session(writes=True) as session:
             if len(new) > 1 and not self._lite:  # two such programs would wait for each other's entries
-                session.execute(select(func.pg_advisory_xact_lock(_MANY)))
+                session.execute(sa.select(sa.func.pg_advisory_xact_lock(_MANY)))
             now, who = datetime.now(UTC), _who()
             devices = {name: self._device(session, name, now, who) for name in sorted({one.serial for one in new})}
             for one, digest in hashed:
@@ -255,14 +237,14 @@ class Registry:
         return done
 
     def _device(self, session: Session, serial: str, now: datetime, who: str) -> Device:
-        asked = select(Device).where(Device.serial == serial)
+        asked = sa.select(Device).where(Device.serial == serial)
         if session.scalar(asked) is None:
             session.execute(self._insert(Device), {"serial": serial, "added_at": now, "added_by": who})
         return session.scalars(asked).one()
 
     def _add_one(self, session: Session, one: NewEntry, rest: dict[str, Any]) -> Added:
         asked = Entry.kind == one.kind, Entry.sha256 == rest["sha256"], Entry.supersedes.is_(None)
-        same = select(Entry).where(*asked)
+        same = sa.select(Entry).where(*asked)
         if one.supersedes is not None:
             self._check_correction(session, one)
         elif held := session.scalar(same.options(undefer(Entry.document))):  # first, so that no number is lost
@@ -285,7 +267,7 @@ class Registry:
             raise RegistryError(
                 f"supersedes: wanted the {one.kind} that it corrects, got {got}; see undrift registry list"
             )
-        later = session.scalar(select(Entry.id).where(Entry.supersedes == old.id))
+        later = session.scalar(sa.select(Entry.id).where(Entry.supersedes == old.id))
         if later is not None:
             raise RegistryError(
                 f"supersedes: wanted an entry that nothing corrects yet, got {old.id}, which {later} supersedes; name {later}"
@@ -301,7 +283,7 @@ class Registry:
         """Return every device with its newest calibration that counts, by serial."""
         with self._session() as session:
             counted = session.execute(
-                select(Device.serial, func.count(Entry.id))
+                sa.select(Device.serial, sa.func.count(Entry.id))
                 .outerjoin(Entry)
                 .group_by(Device.serial)
                 .order_by(Device.serial)
@@ -311,19 +293,21 @@ class Registry:
 
     def entries(self, serial: str | None = None, kind: str | None = None) -> list[tuple[Entry, int | None]]:
         """Return entries in order of addition, each with the one that supersedes it."""
-        asked = select(Entry).order_by(Entry.id)
+        asked = sa.select(Entry).order_by(Entry.id)
         asked = asked if kind is None else asked.where(Entry.kind == kind)
         with self._session() as session:
             if serial is not None:
                 self._check_serial(session, serial)
                 asked = asked.join(Entry.device).where(Device.serial == serial)
-            later = dict(session.execute(select(Entry.supersedes, Entry.id).where(Entry.supersedes.is_not(None))).all())
+            later = dict(
+                session.execute(sa.select(Entry.supersedes, Entry.id).where(Entry.supersedes.is_not(None))).all()
+            )
             return [(entry, later.get(entry.id)) for entry in session.scalars(asked)]
 
     def entry(self, number: int) -> Entry:
         """Return an entry with its document, whose hash is checked."""
         with self._session() as session:
-            held = session.scalar(select(Entry).where(Entry.id == number).options(undefer(Entry.document)))
+            held = session.scalar(sa.select(Entry).where(Entry.id == number).options(undefer(Entry.document)))
         if held is None:
             raise RegistryError(
                 f"{self.place}: wanted an entry of the registry, got {number}; see undrift registry list"
@@ -338,7 +322,7 @@ class Registry:
 
     def calibration_with(self, digest: str) -> Entry | None:
         """Return the calibration with a content hash, as a certificate states it."""
-        asked = select(Entry).where(Entry.kind == "calibration", Entry.sha256 == digest).order_by(Entry.id.desc())
+        asked = sa.select(Entry).where(Entry.kind == "calibration", Entry.sha256 == digest).order_by(Entry.id.desc())
         with self._session() as session:
             return session.scalars(asked).first()
 
@@ -387,8 +371,8 @@ class Registry:
         return sorted(known, key=lambda one: (one.calibration.due_at if one.calibration else None) or end)
 
     def _check_serial(self, session: Session, serial: str) -> None:
-        if session.scalar(select(Device.id).where(Device.serial == serial)) is None:
-            known = list(session.scalars(select(Device.serial).order_by(Device.serial).limit(6)))
+        if session.scalar(sa.select(Device.id).where(Device.serial == serial)) is None:
+            known = list(session.scalars(sa.select(Device.serial).order_by(Device.serial).limit(6)))
             some = ", ".join(known[:5]) + (", ..." if len(known) > 5 else "")
             raise RegistryError(
                 f"{self.place}: wanted a device of the registry, got serial '{serial}'; known: {some or 'none yet, add one first'}"
@@ -414,7 +398,7 @@ class Registry:
                     connection.begin(),
                 ):
                     if not self._lite:
-                        connection.execute(select(func.pg_advisory_xact_lock(_MIGRATING)))
+                        connection.execute(sa.select(sa.func.pg_advisory_xact_lock(_MIGRATING)))
                     if self._revision(connection) != HEAD:  # not done meanwhile
                         _upgrade(connection, HEAD)
                 return
@@ -423,9 +407,9 @@ class Registry:
                     raise
                 time.sleep(0.05)
 
-    def _revision(self, connection: Connection) -> str | None:
+    def _revision(self, connection: sa.Connection) -> str | None:
         """Return the revision of the tables, None of an empty database; refuse one that is newer, or another program's."""
-        names = inspect(connection).get_table_names()
+        names = sa.inspect(connection).get_table_names()
         if VERSION_TABLE not in names:
             if names:
                 some = ", ".join(sorted(names)[:3])
@@ -433,7 +417,7 @@ class Registry:
                     f"{self.place}: wanted an empty database or a registry, got one with other tables ({some}); name another"
                 )
             return None
-        found: str | None = connection.scalar(text(f"SELECT version_num FROM {VERSION_TABLE}"))
+        found: str | None = connection.scalar(sa.text(f"SELECT version_num FROM {VERSION_TABLE}"))
         if found is not None and not "0001" <= found <= HEAD:
             what = "of a later undrift; update undrift" if found > HEAD else "which none has; restore a backup"
             raise RegistryError(
@@ -492,20 +476,20 @@ def span_text(entry: Entry) -> str:
 
 def _counting() -> Any:
     """Return the query of the calibrations that count: those not superseded, with a verdict that is not bad."""
-    later = select(Entry.supersedes).where(Entry.supersedes.is_not(None))
+    later = sa.select(Entry.supersedes).where(Entry.supersedes.is_not(None))
     return (
-        select(Entry)
+        sa.select(Entry)
         .join(Entry.device)
-        .where(Entry.kind == "calibration", Entry.id.not_in(later), func.coalesce(Entry.verdict, "") != "bad")
+        .where(Entry.kind == "calibration", Entry.id.not_in(later), sa.func.coalesce(Entry.verdict, "") != "bad")
         .order_by(Entry.made_at, Entry.id)
     )
 
 
 def _newest() -> Any:
     """Return the query of the last calibration that counts, one for each device."""
-    last = func.row_number().over(partition_by=Entry.device_id, order_by=(Entry.made_at.desc(), Entry.id.desc()))
+    last = sa.func.row_number().over(partition_by=Entry.device_id, order_by=(Entry.made_at.desc(), Entry.id.desc()))
     ranked = _counting().with_only_columns(Entry.id, last.label("place")).order_by(None).subquery()
-    return select(Entry).join(ranked, Entry.id == ranked.c.id).where(ranked.c.place == 1)
+    return sa.select(Entry).join(ranked, Entry.id == ranked.c.id).where(ranked.c.place == 1)
 
 
 def _as_added(entry: Entry, place: str) -> Entry:
@@ -529,30 +513,30 @@ def _begin(file: Path) -> None:
                 os.link(Path(hidden, file.name), file)
 
 
-def _engine(url: URL, wait_s: float) -> Engine:
+def _engine(url: URL, wait_s: float) -> sa.Engine:
     milliseconds = round(1000.0 * wait_s)
     if url.drivername != "sqlite":
         options = f"-c lock_timeout={milliseconds}"
-        return create_engine(
+        return sa.create_engine(
             url, connect_args={"connect_timeout": max(2, round(wait_s)), "options": options}, pool_size=2
         )
-    engine = create_engine(url, connect_args={"timeout": wait_s, "isolation_level": None})
+    engine = sa.create_engine(url, connect_args={"timeout": wait_s, "isolation_level": None})
 
-    @event.listens_for(engine, "connect")
+    @sa.event.listens_for(engine, "connect")
     def prepare(connection: sqlite3.Connection, _: object) -> None:
         connection.execute("PRAGMA foreign_keys = ON")
         connection.execute("PRAGMA synchronous = FULL")  # what was reported as added survives a power cut
         if connection.execute("PRAGMA journal_mode").fetchone()[0] != "wal":
             connection.execute("PRAGMA journal_mode = WAL")
 
-    @event.listens_for(engine, "begin")
-    def begin(connection: Connection) -> None:
+    @sa.event.listens_for(engine, "begin")
+    def begin(connection: sa.Connection) -> None:
         connection.exec_driver_sql("BEGIN IMMEDIATE" if connection.get_execution_options().get("writes") else "BEGIN")
 
     return engine
 
 
-def _upgrade(connection: Connection, revision: str) -> None:
+def _upgrade(connection: sa.Connection, revision: str) -> None:
     """Run the migrations in the transaction of a connection."""
     from alembic import command
     from alembic.config import Config

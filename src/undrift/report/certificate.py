@@ -13,20 +13,7 @@ from undrift.commands.certificate import COVERAGE, NAMES, certificate_content, d
 from undrift.errors import InputError
 from undrift.files import write_whole
 from undrift.model import AXES, Calibration, DriftTables
-from undrift.report.figures import (
-    AXIS_COLOURS,
-    AXIS_MARKERS,
-    DEVICE,
-    ERROR,
-    LIMIT,
-    OPTICS,
-    SHADE,
-    entitle,
-    envelope,
-    legend_above,
-    new_figure,
-    svg_of,
-)
+from undrift.report import figures
 from undrift.units import is_physical, si_factor
 
 if TYPE_CHECKING:
@@ -46,7 +33,7 @@ def write_certificate(calibration: Calibration, path: Path) -> None:
         ) from error
 
     given = {"content": json.dumps(certificate_content(calibration))}
-    given |= {name: svg_of(drawing.draw(), outlines=True) for name, drawing in drawings_of(calibration.drift)}
+    given |= {name: figures.svg_of(drawing.draw(), outlines=True) for name, drawing in drawings_of(calibration.drift)}
     template = files("undrift.report").joinpath("certificate.typ").read_bytes()
     write_whole(path, typst.compile(template, format="pdf", ignore_system_fonts=True, sys_inputs=given))
 
@@ -65,11 +52,11 @@ def draw_tables(drift: DriftTables) -> "Figure":
             relative = 100.0 * (own / own.mean(axis=0) - 1.0)
             doubt = None if doubt is None else 100.0 * np.einsum("nii->ni", doubt) / np.abs(own.mean(axis=0))
             panels.append((f"{triad}: scale factor (%)", drift.scale.temp_c, relative, doubt))
-    figure, axes = new_figure(len(panels), height=1.3, width=7.2, share_x=False)
+    figure, axes = figures.new_figure(len(panels), height=1.3, width=7.2, share_x=False)
     for panel, (title, temp_c, value, doubt) in zip(axes, panels, strict=True):
         for k, axis in enumerate(AXES):
             style: Any = {
-                "color": AXIS_COLOURS[k],
+                "color": figures.AXIS_COLOURS[k],
                 "marker": "os^"[k],
                 "markersize": 3.0,
                 "linestyle": ("-", "--", ":")[k],
@@ -77,7 +64,7 @@ def draw_tables(drift: DriftTables) -> "Figure":
             panel.plot(temp_c, value[:, k], label=axis, **style)
             if doubt is not None:
                 low, high = value[:, k] - COVERAGE * doubt[:, k], value[:, k] + COVERAGE * doubt[:, k]
-                panel.fill_between(temp_c, low, high, color=AXIS_COLOURS[k], alpha=0.12, linewidth=0.0)
+                panel.fill_between(temp_c, low, high, color=figures.AXIS_COLOURS[k], alpha=0.12, linewidth=0.0)
         panel.set_title(title, loc="left", fontsize=9)
     axes[-1].set_xlabel("temperature (°C)")
     axes[0].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, borderaxespad=0.2)
@@ -90,9 +77,9 @@ def draw_calibration(calibration: Calibration) -> "Figure":
     triads = [(name, triad) for name in ("gyro", "accel") if (triad := getattr(calibration, name)) is not None]
     if not triads:
         raise InputError("plot: wanted a calibrated gyroscope or accelerometer, got neither; nothing is there to draw")
-    figure, panels = new_figure(2 * len(triads), height=1.6, share_x=False)
+    figure, panels = figures.new_figure(2 * len(triads), height=1.6, share_x=False)
     elements = [row + column for row in AXES for column in AXES]
-    style: Any = {"fmt": "o", "color": DEVICE, "capsize": 3.0, "markersize": 4.0, "label": "estimate, 95 %"}
+    style: Any = {"fmt": "o", "color": figures.DEVICE, "capsize": 3.0, "markersize": 4.0, "label": "estimate, 95 %"}
     for (name, triad), matrix, offset in zip(triads, panels[::2], panels[1::2], strict=True):
         made = stated(triad)
         expanded = dict(zip(made.names, made.expanded, strict=True))
@@ -101,54 +88,56 @@ def draw_calibration(calibration: Calibration) -> "Figure":
             gain, ideal = 1.0 / si_factor(triad.unit_in, "rate" if name == "gyro" else "accel"), "unit"
         bars = [100.0 * gain * expanded.get(f"m_{one}", 0.0) for one in elements]
         matrix.errorbar(elements, 100.0 * (gain * triad.matrix - np.eye(3)).ravel(), yerr=bars, **style)
-        matrix.axhline(0.0, color=OPTICS, linewidth=0.6)
+        matrix.axhline(0.0, color=figures.OPTICS, linewidth=0.6)
         matrix.set_ylabel(f"{name} matrix\nless {ideal} (%)")
         offset.errorbar(AXES, triad.offset, yerr=[expanded.get(f"offset_{axis}", 0.0) for axis in AXES], **style)
         offset.margins(0.3)
         offset.set_ylabel(f"{name} offset\n({triad.unit_in})")
-    entitle(figure, "Matrix as departures from ideal, and offsets")
-    legend_above(panels[0])
+    figures.entitle(figure, "Matrix as departures from ideal, and offsets")
+    figures.legend_above(panels[0])
     return figure
 
 
 def draw_residuals(poses: FloatArray, dwells: FloatArray) -> "Figure":
     """Draw the residual of each pose, mg (n,), and of each dwell, deg/s (n, 3)."""
-    figure, panels = new_figure(int(len(poses) > 0) + int(len(dwells) > 0), share_x=False)
-    entitle(figure, "Residual of each pose and dwell: the fit on its own readings")
+    figure, panels = figures.new_figure(int(len(poses) > 0) + int(len(dwells) > 0), share_x=False)
+    figures.entitle(figure, "Residual of each pose and dwell: the fit on its own readings")
     if len(poses):
         marks = np.arange(1, len(poses) + 1)
-        panels[0].vlines(marks, 0.0, poses, color=LIMIT, linewidth=0.8)
-        panels[0].plot(marks, poses, "o", color=DEVICE, markersize=4.0)
+        panels[0].vlines(marks, 0.0, poses, color=figures.LIMIT, linewidth=0.8)
+        panels[0].plot(marks, poses, "o", color=figures.DEVICE, markersize=4.0)
         panels[0].set(xlabel="pose, in order of time", ylabel="|a| - g (mg)")
     if len(dwells):
         marks = np.arange(1, len(dwells) + 1)
         for k, axis in enumerate(AXES):
-            style: Any = {"color": AXIS_COLOURS[k], "markersize": 4.0, "label": f"gyro {axis}"}
-            panels[-1].plot(marks + 0.2 * (k - 1), dwells[:, k], AXIS_MARKERS[k], **style)
+            style: Any = {"color": figures.AXIS_COLOURS[k], "markersize": 4.0, "label": f"gyro {axis}"}
+            panels[-1].plot(marks + 0.2 * (k - 1), dwells[:, k], figures.AXIS_MARKERS[k], **style)
         panels[-1].set(xlabel="dwell at a known rate, in order of time", ylabel="rate error (deg/s)")
-        legend_above(panels[-1])
+        figures.legend_above(panels[-1])
     for panel in panels:
-        panel.axhline(0.0, color=OPTICS, linewidth=0.6)
+        panel.axhline(0.0, color=figures.OPTICS, linewidth=0.6)
     return figure
 
 
 def draw_norm(records: Sequence["Record"], judged: Sequence["CorrectedPiece"], gravity_m_s2: float) -> "Figure":
     """Draw |a| over the recordings, one after the other, with the stills shaded."""
-    figure, (panel,) = new_figure(1, height=2.4)
-    entitle(figure, "Norm of the specific force over the session, stills shaded")
-    start, bar = 0.0, dict[str, Any](color=ERROR, linewidth=2.2, solid_capstyle="butt")
+    figure, (panel,) = figures.new_figure(1, height=2.4)
+    figures.entitle(figure, "Norm of the specific force over the session, stills shaded")
+    start, bar = 0.0, dict[str, Any](color=figures.ERROR, linewidth=2.2, solid_capstyle="butt")
     for number_, record in enumerate(records):
         time = record.time - record.time[0] + start
         if record.accel is not None:
-            panel.plot(*envelope(time, np.linalg.norm(record.accel, axis=1), 600), color=DEVICE, linewidth=0.8)
+            panel.plot(
+                *figures.envelope(time, np.linalg.norm(record.accel, axis=1), 600), color=figures.DEVICE, linewidth=0.8
+            )
         for one in judged:
             if one.piece.recording == number_ and one.piece.kind == "still":
                 ends = float(time[one.piece.start]), float(time[one.piece.stop - 1])
-                panel.axvspan(*ends, facecolor=SHADE, linewidth=0.0, zorder=0)
+                panel.axvspan(*ends, facecolor=figures.SHADE, linewidth=0.0, zorder=0)
                 panel.plot(ends, [np.linalg.norm(one.accel)] * 2, label=None if start else "mean of a still", **bar)
         start = float(time[-1]) + 1.0 / record.sample_rate_hz
-    panel.axhline(gravity_m_s2, color=OPTICS, linewidth=0.6, linestyle="--", label="local gravity")
+    panel.axhline(gravity_m_s2, color=figures.OPTICS, linewidth=0.6, linestyle="--", label="local gravity")
     where = "time, recordings one after the other (s)" if len(records) > 1 else "time (s)"
     panel.set(xlabel=where, ylabel="|a| (m/s2)")
-    legend_above(panel)
+    figures.legend_above(panel)
     return figure

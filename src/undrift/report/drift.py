@@ -12,17 +12,7 @@ from undrift.arrays import runs
 from undrift.commands.drift import shown_unit
 from undrift.errors import InputError
 from undrift.model import AXES
-from undrift.report.figures import (
-    AXIS_COLOURS,
-    AXIS_DASHES,
-    AXIS_MARKERS,
-    DEVICE,
-    ERROR,
-    LIMIT,
-    entitle,
-    legend_outside,
-    new_figure,
-)
+from undrift.report import figures
 from undrift.units import RADIAN_PER_DEGREE
 
 if TYPE_CHECKING:
@@ -49,7 +39,7 @@ def draw_offsets(summary: "TriadSummary") -> "Figure":
     """Draw offset over temperature: blocks while warming and cooling, table with its nodes and 95 % band, what is
     extrapolated.
     """
-    figure, panels = new_figure(3, height=1.7, columns=2)
+    figure, panels = figures.new_figure(3, height=1.7, columns=2)
     unit, factor = shown_unit(summary.unit)
     margin = 0.02 * float(np.ptp(summary.temp_c))
     for k, axis in enumerate(AXES):
@@ -66,8 +56,8 @@ def draw_offsets(summary: "TriadSummary") -> "Figure":
     seen = "the same less the table" if len(summary.block_temp_c) else "uncertainty of the table"
     panels[1].set_title(seen if summary.in_table else "the same less the fit", loc="left", fontsize=10)
     if not len(summary.block_temp_c):
-        entitle(figure, "All poses together: a pose has no single offset")
-    legend_outside(figure, *panels[1].get_legend_handles_labels())
+        figures.entitle(figure, "All poses together: a pose has no single offset")
+    figures.legend_outside(figure, *panels[1].get_legend_handles_labels())
     return figure
 
 
@@ -90,7 +80,7 @@ def _draw_blocks(axes: "Axes", summary: "TriadSummary", k: int, factor: float, v
     marks = (
         (state < 0.0, "^", _WARM, "warming"),
         (state > 0.0, "v", _COOL, "cooling"),
-        (state == 0.0, "o", LIMIT, "direction not known"),
+        (state == 0.0, "o", figures.LIMIT, "direction not known"),
     )
     many = len(temp) > _MANY
     style: Any = {"linewidths": 0.0, "s": 9.0 if many else 14.0, "alpha": 0.4 if many else 0.75}
@@ -105,7 +95,9 @@ def _draw_level(axes: "Axes", summary: "TriadSummary", k: int, factor: float, va
     temp, doubt, near = summary.temp_c, NORMAL_95 * summary.uncertainty[:, k] * factor, ~summary.extrapolated
     _shade(axes, temp, summary.extrapolated)
     held = _draw_blocks(axes, summary, k, factor, value)
-    axes.fill_between(temp, value - doubt, value + doubt, color=LIMIT, alpha=0.3, linewidth=0.0, label="95 %", zorder=2)
+    axes.fill_between(
+        temp, value - doubt, value + doubt, color=figures.LIMIT, alpha=0.3, linewidth=0.0, label="95 %", zorder=2
+    )
     name = "table" if summary.in_table else "fit"
     axes.plot(temp, value, color="black", marker=".", markersize=2.5, linewidth=0.9, label=name, zorder=4)
     branch = summary.branch
@@ -131,22 +123,22 @@ def _shade(axes: "Axes", temp_c: "FloatArray", extrapolated: "BoolArray") -> Non
 
 def draw_learnt(fit: "LearnFit") -> "Figure":
     """Draw the offsets before and now with the 95 % band of a switch-on to come, and the rests with theirs; less the axis' mean."""
-    figure, panels = new_figure(3, height=2.0)
+    figure, panels = figures.new_figure(3, height=2.0)
     for k, (axes, axis) in enumerate(zip(panels, AXES, strict=True)):
         level = float(fit.after[:, k].mean())
         before, after, rests = ((v[:, k] - level) / RADIAN_PER_DEGREE for v in (fit.before, fit.after, fit.rest_offset))
         doubt = NORMAL_95 * fit.after_uncertainty[:, k] / RADIAN_PER_DEGREE
         _shade(axes, fit.temp_c, fit.extrapolated)
         axes.fill_between(
-            fit.temp_c, after - doubt, after + doubt, color=LIMIT, alpha=0.3, linewidth=0.0, label="now, 95 %"
+            fit.temp_c, after - doubt, after + doubt, color=figures.LIMIT, alpha=0.3, linewidth=0.0, label="now, 95 %"
         )
-        axes.plot(fit.temp_c, before, color=LIMIT, linestyle="--", linewidth=0.9, label="before")
+        axes.plot(fit.temp_c, before, color=figures.LIMIT, linestyle="--", linewidth=0.9, label="before")
         axes.plot(fit.temp_c, after, color="black", linewidth=0.9, label="now")
         kept, bars = fit.rest_kept, NORMAL_95 * fit.rest_uncertainty[:, k] / RADIAN_PER_DEGREE
-        style: Any = {"fmt": ".", "markersize": 4.5, "color": DEVICE, "linewidth": 0.6, "alpha": 0.7}
+        style: Any = {"fmt": ".", "markersize": 4.5, "color": figures.DEVICE, "linewidth": 0.6, "alpha": 0.7}
         axes.errorbar(fit.rest_temp_c[kept], rests[kept], yerr=bars[kept], label="rests, 95 %", **style)
         if not kept.all():
-            marked: Any = {"marker": "x", "s": 16.0, "linewidths": 0.9, "color": ERROR}
+            marked: Any = {"marker": "x", "s": 16.0, "linewidths": 0.9, "color": figures.ERROR}
             axes.scatter(fit.rest_temp_c[~kept], rests[~kept], label="left out", **marked)
         near = ~fit.extrapolated if not fit.extrapolated.all() else fit.extrapolated
         every = np.concatenate(((after - doubt)[near], (after + doubt)[near], rests[kept]))
@@ -156,35 +148,37 @@ def draw_learnt(fit: "LearnFit") -> "Figure":
         axes.set_ylabel(f"{axis} (deg/s)")
     panels[-1].set_xlabel("temperature (degC)")
     panels[0].set_title("gyroscope offset less the mean of the table", loc="left", fontsize=10)
-    legend_outside(figure, *panels[0].get_legend_handles_labels())
+    figures.legend_outside(figure, *panels[0].get_legend_handles_labels())
     return figure
 
 
 def draw_scale(summary: "ScaleSummary") -> "Figure":
     """Draw scale factors over temperature: soaks with 95 % bars, table with its band, what is extrapolated; axes that turned."""
     turned = [k for k in range(3) if np.isfinite(summary.soak_percent[:, k]).any()]
-    figure, panels = new_figure(len(turned), height=1.8)
+    figure, panels = figures.new_figure(len(turned), height=1.8)
     for k, axes in zip(turned, panels, strict=True):
         temp, value, doubt = summary.temp_c, summary.percent[:, k], NORMAL_95 * summary.uncertainty[:, k]
         _shade(axes, temp, summary.extrapolated)
         if np.isfinite(doubt).all():
-            axes.fill_between(temp, value - doubt, value + doubt, label="95 %", color=LIMIT, alpha=0.3, linewidth=0.0)
+            axes.fill_between(
+                temp, value - doubt, value + doubt, label="95 %", color=figures.LIMIT, alpha=0.3, linewidth=0.0
+            )
         axes.plot(temp, value, color="black", marker=".", markersize=2.5, linewidth=0.9, label="table")
         soaks, bars = summary.soak_percent[:, k], NORMAL_95 * summary.soak_uncertainty[:, k]
-        style: Any = {"fmt": "o", "markersize": 3.5, "color": DEVICE, "linewidth": 0.9}
+        style: Any = {"fmt": "o", "markersize": 3.5, "color": figures.DEVICE, "linewidth": 0.9}
         axes.errorbar(summary.soak_temp_c, soaks, yerr=bars, label="soaks, 95 %", **style)
         axes.set_ylabel(f"{AXES[k]} (%)")
         axes.set_xlim(float(temp[0]), float(temp[-1]))
     panels[-1].set_xlabel("temperature (degC)")
     panels[0].set_title("scale factor against the calibration's", loc="left", fontsize=10)
-    legend_outside(figure, *panels[0].get_legend_handles_labels())
+    figures.legend_outside(figure, *panels[0].get_legend_handles_labels())
     return figure
 
 
 def draw_dynamic(drift: "DynamicDrift") -> "Figure":
     """Draw dynamic drift over the measured rate for a few temperatures; axes that turned."""
     turned = [k for k in range(3) if drift.error[:, :, k].any()]
-    figure, panels = new_figure(len(turned), height=1.7)
+    figure, panels = figures.new_figure(len(turned), height=1.7)
     chosen = np.unique(np.linspace(0, len(drift.temp_c) - 1, min(_CURVES, len(drift.temp_c))).round().astype(int))
     rate = drift.turn_rate / RADIAN_PER_DEGREE
     for k, axes in zip(turned, panels, strict=True):
@@ -200,18 +194,18 @@ def draw_dynamic(drift: "DynamicDrift") -> "Figure":
             axes.plot(rate, near, color=colour, marker=marker, markersize=3.0, label=name)
         axes.set_ylabel(f"{axis}: correction (deg/s)")
     panels[-1].set_xlabel("measured rate (deg/s)")
-    legend_outside(figure, *panels[0].get_legend_handles_labels())
+    figures.legend_outside(figure, *panels[0].get_legend_handles_labels())
     return figure
 
 
 def draw_alternatives(alternatives: "Alternatives") -> "Figure":
     """Draw the cross-validated error of each choice of tables."""
-    figure, (axes,) = new_figure(1, height=1.9)
+    figure, (axes,) = figures.new_figure(1, height=1.9)
     rows = [k for k, value in enumerate(alternatives.left_out_rms_dps) if np.isfinite(value)]
     names = []
     for place, k in enumerate(rows):
         error, taken = alternatives.left_out_rms_dps[k], alternatives.name[k] == alternatives.chosen
-        style: Any = {"markersize": 7.0 if taken else 5.0, "color": ERROR if taken else DEVICE}
+        style: Any = {"markersize": 7.0 if taken else 5.0, "color": figures.ERROR if taken else figures.DEVICE}
         reach = min(alternatives.standard_error_dps[k], 0.9 * error)
         axes.errorbar(error, place, xerr=reach, fmt="o", capsize=3.0, **style)
         names.append(alternatives.name[k] + " (chosen)" * taken)
@@ -236,7 +230,7 @@ def draw_trend(serial: str, first: "Dated", course: "Sequence[TrendStep]") -> "F
         for what in ("scale", "offset")
         if any(one.sensor == sensor and one.parameter.startswith(what) for step in course for one in step.changes)
     ]
-    figure, axes = new_figure(max(1, len(panels)), height=1.6)
+    figure, axes = figures.new_figure(max(1, len(panels)), height=1.6)
     for panel, (sensor, what) in zip(axes, panels, strict=False):
         unit = ""
         for k, axis in enumerate(AXES):
@@ -254,13 +248,13 @@ def draw_trend(serial: str, first: "Dated", course: "Sequence[TrendStep]") -> "F
                 [0.0, *(2.0 * one.uncertainty for _, one in held)],
             )
             style: Any = {
-                "color": AXIS_COLOURS[k],
-                "linestyle": AXIS_DASHES[k],
-                "marker": AXIS_MARKERS[k],
+                "color": figures.AXIS_COLOURS[k],
+                "linestyle": figures.AXIS_DASHES[k],
+                "marker": figures.AXIS_MARKERS[k],
                 "markersize": 3.5,
             }
             panel.errorbar(days, values, yerr=spreads, capsize=2.0, label=axis, **style)
-        panel.axhline(0.0, color=LIMIT, linewidth=0.8)
+        panel.axhline(0.0, color=figures.LIMIT, linewidth=0.8)
         panel.set_ylabel(f"{what} ({unit})")
         panel.set_title(NAMES[sensor], loc="left", fontsize=9)
     if panels:
@@ -269,5 +263,5 @@ def draw_trend(serial: str, first: "Dated", course: "Sequence[TrendStep]") -> "F
         axes[0].text(0.5, 0.5, "no calibrations to compare", ha="center", transform=axes[0].transAxes)
     axes[-1].tick_params(axis="x", rotation=30)
     with rc_context({"text.parse_math": False}):  # a serial number is no formula
-        entitle(figure, f"{serial}: change since {first.made_at:%Y-%m-%d} (bars: k = 2)")
+        figures.entitle(figure, f"{serial}: change since {first.made_at:%Y-%m-%d} (bars: k = 2)")
     return figure

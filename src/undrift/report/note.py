@@ -12,17 +12,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from undrift.report import figures
-from undrift.report.figures import (
-    COMPARED_COLOURS,
-    DEVICE,
-    ERROR,
-    LIMIT,
-    OPTICS,
-    SHADE,
-    WIDTH,
-    compared_style,
-    new_figure,
-)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -117,21 +106,23 @@ _LETTER = 0.56 * _SIZE  # mean width of a letter
 
 def draw_figure1() -> "Figure":
     """Draw the note's Figure 1, how the parameters of the calibration are optimised."""
-    left, wide = _EDGE + 22.0, 72.0 * WIDTH - 2.0 * _EDGE - 22.0
+    left, wide = _EDGE + 22.0, 72.0 * figures.WIDTH - 2.0 * _EDGE - 22.0
     boxes, bottom = _stacked(FIGURE_1, left, _EDGE, wide)
     figure, axes = _sheet(bottom + _EDGE, "Figure 1: how the parameters are optimised")
     _draw_boxes(axes, boxes)
     start, stop, word = LOOP
     ends = [0.5 * (boxes[k].top + boxes[k].bottom) for k in (start, stop)]
-    axes.plot([left, _EDGE + 11.0, _EDGE + 11.0, left - 6.0], [ends[0], *ends, ends[1]], color=ERROR)
-    _arrow(axes, (left - 8.0, ends[1]), (left, ends[1]), ERROR)
-    axes.text(_EDGE + 8.0, sum(ends) / 2.0, word, rotation=90.0, ha="right", va="center", fontsize=_SIZE, color=ERROR)
+    axes.plot([left, _EDGE + 11.0, _EDGE + 11.0, left - 6.0], [ends[0], *ends, ends[1]], color=figures.ERROR)
+    _arrow(axes, (left - 8.0, ends[1]), (left, ends[1]), figures.ERROR)
+    axes.text(
+        _EDGE + 8.0, sum(ends) / 2.0, word, rotation=90.0, ha="right", va="center", fontsize=_SIZE, color=figures.ERROR
+    )
     return figure
 
 
 def draw_figure2() -> "Figure":
     """Draw the note's Figure 2, how the drift of the gyroscopes is compensated."""
-    width = 72.0 * WIDTH
+    width = 72.0 * figures.WIDTH
     wide, half = width - 2.0 * _EDGE, 0.5 * (width - 3.0 * _EDGE)
     before, bottom = _stacked((BEFORE,), _EDGE, _EDGE, wide)
     top = bottom + _GAP
@@ -147,9 +138,9 @@ def draw_figure2() -> "Figure":
     for k, (branch, inner) in enumerate(zip((STATIC, DYNAMIC), sides, strict=True)):
         left = _EDGE + k * (half + _EDGE)
         middle = left + 0.5 * half
-        axes.add_patch(_patch(left, top, half, low - top, face=SHADE, edge=LIMIT))
+        axes.add_patch(_patch(left, top, half, low - top, face=figures.SHADE, edge=figures.LIMIT))
         heads = textwrap.fill(f"{('static', 'dynamic')[k]} drift: {branch.blocks}", int((half - 8.0) / _LETTER))
-        axes.text(left + _EDGE, top + 3.0, heads, va="top", fontsize=_SIZE, color=OPTICS, weight="bold")
+        axes.text(left + _EDGE, top + 3.0, heads, va="top", fontsize=_SIZE, color=figures.OPTICS, weight="bold")
         _arrow(axes, (middle, before[0].bottom), (middle, top))
         _arrow(axes, (middle, low), (middle, after[0].top))
         _draw_boxes(axes, inner)
@@ -189,11 +180,11 @@ def _stacked(steps: Sequence[NoteStep], left: float, top: float, width: float) -
 
 def _sheet(height: float, label: str) -> tuple["Figure", "Axes"]:
     """Return an empty figure whose data are points from its upper left corner; its label says what it shows."""
-    figure, (axes,) = new_figure(1, height=height / 72.0 - 0.4, width=WIDTH)
+    figure, (axes,) = figures.new_figure(1, height=height / 72.0 - 0.4, width=figures.WIDTH)
     figure.set_layout_engine("none")
     figure.set_label(label)
     axes.set_position((0.0, 0.0, 1.0, 1.0))
-    axes.set(xlim=(0.0, 72.0 * WIDTH), ylim=(height, 0.0))
+    axes.set(xlim=(0.0, 72.0 * figures.WIDTH), ylim=(height, 0.0))
     axes.set_axis_off()
     return figure, axes
 
@@ -207,16 +198,18 @@ def _patch(left: float, top: float, width: float, height: float, *, face: str, e
 def _draw_boxes(axes: "Axes", boxes: Sequence[_NoteBox]) -> None:
     """Draw boxes with the note's words in black and this program's functions in blue, and arrows between them."""
     for k, box in enumerate(boxes):
-        axes.add_patch(_patch(box.left, box.top, box.width, box.bottom - box.top, face="white", edge=OPTICS))
+        axes.add_patch(_patch(box.left, box.top, box.width, box.bottom - box.top, face="white", edge=figures.OPTICS))
         for row, line in enumerate((*box.note, *box.ours)):
             at = box.left + _PAD, box.top + _PAD + row * _LINE
-            axes.text(*at, line, va="top", fontsize=_SIZE, color=OPTICS if row < len(box.note) else DEVICE)
+            axes.text(
+                *at, line, va="top", fontsize=_SIZE, color=figures.OPTICS if row < len(box.note) else figures.DEVICE
+            )
         if k:
             middle = box.left + 0.5 * box.width
             _arrow(axes, (middle, boxes[k - 1].bottom), (middle, box.top))
 
 
-def _arrow(axes: "Axes", start: tuple[float, float], stop: tuple[float, float], colour: str = OPTICS) -> None:
+def _arrow(axes: "Axes", start: tuple[float, float], stop: tuple[float, float], colour: str = figures.OPTICS) -> None:
     style: Any = {"arrowstyle": "-|>", "color": colour, "shrinkA": 0.0, "shrinkB": 0.0, "linewidth": 0.9}
     axes.annotate("", stop, start, arrowprops=style)
 
@@ -233,14 +226,14 @@ def draw_figure3(
     """Draw the note's Figure 3: pitch, errors for each compensation, simulated against actual, largest errors."""
     from matplotlib.lines import Line2D
 
-    figure, (pitch, error, apart, largest) = new_figure(4, height=1.75, width=WIDTH, share_x=False)
-    pitch.plot(found.time, found.reference_pitch, color=OPTICS)
-    for k in range(len(COMPARED_COLOURS)):
-        error.plot(found.time, found.actual[k], **compared_style(k))
-        error.plot(found.time, found.simulated[k], **compared_style(k), linestyle="--")
-        apart.plot(found.time, found.actual[k] - found.simulated[k], **compared_style(k))
+    figure, (pitch, error, apart, largest) = figures.new_figure(4, height=1.75, width=figures.WIDTH, share_x=False)
+    pitch.plot(found.time, found.reference_pitch, color=figures.OPTICS)
+    for k in range(len(figures.COMPARED_COLOURS)):
+        error.plot(found.time, found.actual[k], **figures.compared_style(k))
+        error.plot(found.time, found.simulated[k], **figures.compared_style(k), linestyle="--")
+        apart.plot(found.time, found.actual[k] - found.simulated[k], **figures.compared_style(k))
     for limit in (-0.15, 0.15):
-        apart.axhline(limit, color=OPTICS, linewidth=0.7, linestyle=":")
+        apart.axhline(limit, color=figures.OPTICS, linewidth=0.7, linestyle=":")
     _draw_largest(largest, found, drawn, twin)
     beside = ("diamond: typical unit", *(("bar: drawn units",) if drawn else ()), *(("cross: twin",) if twin else ()))
     for panel, label, title in (
@@ -252,14 +245,16 @@ def draw_figure3(
         panel.set_ylabel(label)
         panel.set_title(title, loc="left", fontsize=_SIZE)
     apart.set_xlabel("time (s)")
-    lines = [Line2D([], [], **compared_style(k) | {"markevery": None}) for k in range(len(COMPARED_COLOURS))]
+    lines = [
+        Line2D([], [], **figures.compared_style(k) | {"markevery": None}) for k in range(len(figures.COMPARED_COLOURS))
+    ]
     figures.legend_outside(figure, lines, names)
     return figure
 
 
 def _draw_largest(panel: "Axes", found: "Figure3", drawn: "Sequence[DrawnRow]", twin: "Figure3 | None") -> None:
     """Draw the largest error of each compensation, left the simulated and right the actual device; bars are quartiles."""
-    for k, colour in enumerate(COMPARED_COLOURS):
+    for k, colour in enumerate(figures.COMPARED_COLOURS):
         spreads = (
             (drawn[k].simulated_deg, (drawn[k].lower_deg, drawn[k].median_deg, drawn[k].upper_deg)) if drawn else ()
         )
@@ -268,13 +263,15 @@ def _draw_largest(panel: "Axes", found: "Figure3", drawn: "Sequence[DrawnRow]", 
             if spreads:
                 low, middle, high = spreads[side]
                 panel.bar(x, high - low, 0.3, bottom=low, facecolor=face, edgecolor=colour, alpha=0.55)
-                panel.plot([x - 0.15, x + 0.15], [middle, middle], color=OPTICS)
+                panel.plot([x - 0.15, x + 0.15], [middle, middle], color=figures.OPTICS)
             style: Any = {"markersize": 4.5, "markerfacecolor": face, "markeredgecolor": colour}
             panel.plot(x, getattr(found, name)[k], marker="D", **style)
             if twin is not None:
-                panel.plot(x, getattr(twin, name)[k], marker="x", markersize=5.5, color=OPTICS)
+                panel.plot(x, getattr(twin, name)[k], marker="x", markersize=5.5, color=figures.OPTICS)
     panel.set_axisbelow(True)
-    panel.set(yscale="log", xticks=range(len(COMPARED_COLOURS)), xticklabels=[""] * len(COMPARED_COLOURS))
+    panel.set(
+        yscale="log", xticks=range(len(figures.COMPARED_COLOURS)), xticklabels=[""] * len(figures.COMPARED_COLOURS)
+    )
     low, high = panel.get_ylim()
     ticks = [tick for tick in (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0) if low / 1.2 < tick < 1.2 * high]
     panel.set(ylim=(low / 1.2, 1.2 * high))
