@@ -55,19 +55,7 @@ from annotated_types import Ge, MinLen
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from undrift.arrays import FloatArray
-from undrift.base.codec import (
-    Key,
-    Refused,
-    Stored,
-    entry_name,
-    line_of,
-    stored,
-    toml_block,
-    toml_of,
-    toml_text,
-    tree_of,
-    value_of,
-)
+from undrift.base import codec
 from undrift.errors import FileFormatError, InputError
 from undrift.files import checked_file, sha256_of, unwritten, write_together
 from undrift.io.box import one_box
@@ -236,11 +224,13 @@ class KeptEntry(MapEntry):
 
 def _read_map(path: str | Path) -> KeptEntry:
     """Read a map."""
-    tree, text = toml_of(path)
+    tree, text = codec.toml_of(path)
     try:
         return KeptEntry.model_validate(MapEntry.model_validate(tree).model_dump(exclude_unset=True))
     except ValidationError as error:
-        raise FileFormatError(f"{path}: {Refused(list(error.errors())).explained(Stored(), text)}") from error
+        raise FileFormatError(
+            f"{path}: {codec.Refused(list(error.errors())).explained(codec.Stored(), text)}"
+        ) from error
 
 
 def read_map(path: str | Path, **choices: Any) -> tuple[ColumnMap | None, ReadSettings]:
@@ -334,7 +324,7 @@ Times = tuple[FloatArray, float]  # times and their step, s
 _SLACK = 1e-3  # of a sample: a time written with fewer digits still finds its sample
 
 
-@stored()
+@codec.stored()
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HeadEntry:
     """[session]."""
@@ -354,7 +344,7 @@ class RecordingEntry(KeptEntry):
     sha256: str = ""  # Of the file as it was written: another content is refused
 
 
-@stored()
+@codec.stored()
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StillEntry:
     """[[still]]."""
@@ -367,7 +357,7 @@ class StillEntry:
     face: MountedFace | None = None
 
 
-@stored()
+@codec.stored()
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TurnEntry:
     """[[turn]]."""
@@ -378,18 +368,18 @@ class TurnEntry:
     temp_c: Annotated[float, Ge(-273.15)] | None = None  # Chamber set-point, degC
     axis: TurnAxis | None = None  # "x", "y", "z", or "xyz" for (1, 1, 1) of the case; none for a free rotation
     # Achieved steady rate about +axis
-    turn_rate: Annotated[float | None, Key("turn_rate_dps", unit=RADIAN_PER_DEGREE)] = None
-    angle: Annotated[float | None, Key("angle_deg", unit=RADIAN_PER_DEGREE)] = None  # Turned about +axis
+    turn_rate: Annotated[float | None, codec.Key("turn_rate_dps", unit=RADIAN_PER_DEGREE)] = None
+    angle: Annotated[float | None, codec.Key("angle_deg", unit=RADIAN_PER_DEGREE)] = None  # Turned about +axis
 
 
-@stored()
+@codec.stored()
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SessionFile:
     """The whole file."""
 
     session: HeadEntry  # Of which device, and where
-    rate_table: Annotated[RateTable, Key(later=True)] = DEFAULT_TABLE  # May be left out
-    sensitivity: Annotated[TemperatureSensitivity, Key("temperature", later=True)] = DEFAULT_SENSITIVITY
+    rate_table: Annotated[RateTable, codec.Key(later=True)] = DEFAULT_TABLE  # May be left out
+    sensitivity: Annotated[TemperatureSensitivity, codec.Key("temperature", later=True)] = DEFAULT_SENSITIVITY
     recording: Annotated[tuple[RecordingEntry, ...], MinLen(1)]  # One or more
     still: tuple[StillEntry, ...] = ()  # May be left out
     turn: tuple[TurnEntry, ...] = ()
@@ -431,8 +421,8 @@ def read_session(folder: str | Path, *, clock: Clock | None = None) -> Session:
     path = path / NAME if path.is_dir() else path
     if not path.exists():
         raise InputError(f"{folder}: wanted a folder with {NAME}, got none; write one or check the path")
-    tree, text = toml_of(path)
-    held = value_of(SessionFile, tree, str(path), text)
+    tree, text = codec.toml_of(path)
+    held = codec.value_of(SessionFile, tree, str(path), text)
     _check_seal(path, text)
     inputs = [(path.name, sha256_of(path))]
     records, stills, turns, files = list[Record](), list[Still](), list[Turn](), list[list[str]]()
@@ -521,7 +511,7 @@ def _at(path: Path, text: str, *place: str | int) -> Iterator[None]:
     try:
         yield
     except InputError as error:
-        where = f"line {line_of(text, place)}: {entry_name(place) or place[0]}"
+        where = f"line {codec.line_of(text, place)}: {codec.entry_name(place) or place[0]}"
         raise type(error)(f"{checked_file(path)}: {where}: {error}") from error
 
 
@@ -715,7 +705,7 @@ def stated_piece(piece: Still | Turn, time: FloatArray) -> StillEntry | TurnEntr
 
 def piece_toml(piece: StillEntry | TurnEntry) -> str:
     """Return the text of a [[still]] or [[turn]]."""
-    return toml_block("turn" if isinstance(piece, TurnEntry) else "still", tree_of(piece))
+    return codec.toml_block("turn" if isinstance(piece, TurnEntry) else "still", codec.tree_of(piece))
 
 
 def sealed(text: str) -> str:
@@ -742,5 +732,5 @@ def session_toml(
     """Return the text of session.toml; recordings by their keys."""
     stated = {"rate_table": rate_table, "temperature": sensitivity}
     tables = {"session": head} | {name: table for name, table in stated.items() if table != type(table)()}
-    blocks = [toml_block("recording", dict(recording)) for recording in recordings]
-    return "\n".join([toml_text(tree_of(tables)), *blocks, *map(piece_toml, pieces)])
+    blocks = [codec.toml_block("recording", dict(recording)) for recording in recordings]
+    return "\n".join([codec.toml_text(codec.tree_of(tables)), *blocks, *map(piece_toml, pieces)])
