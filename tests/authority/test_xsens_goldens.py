@@ -177,6 +177,6 @@ def test_the_coverage_rule_keeps_every_pose_and_says_how_sure_it_is() -> None:
     relative = 100.0 * fit.accel.model.standard_uncertainty[[0, 4, 8]] / np.diag(fit.accel.model.matrix)
     show("standard uncertainty of scale, %", np.round(relative, 4), "0.0072 0.0036 0.0045")
     np.testing.assert_allclose(relative, [0.0072, 0.0036, 0.0045], rtol=0.1)
-    assert fit.verdict.status == "good"
+    assert fit.accel.verdict.status == fit.gyro.verdict.status == "good"
     near = np.abs(parts(fit.accel.model)[0] / parts(published().accel.model)[0] - 1.0)
     assert near.max() < 1e-4

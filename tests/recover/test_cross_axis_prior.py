@@ -57,8 +57,8 @@ def test_without_a_prior_the_session_is_refused_and_with_it_all_is_fitted() -> N
     fit, _ = fitted(0)
     assert fit.gyro is not None
     assert fit.accel.model.rank < 9
-    assert "multi_position.cross_axis_prior" in codes(fit.verdict.findings)
-    assert fit.verdict.status == "marginal"
+    assert "multi_position.cross_axis_prior" in codes(fit.accel.verdict.findings)
+    assert fit.accel.verdict.status == "marginal"
 
 
 def test_scales_offsets_cross_axis_terms_and_gyroscopes_lie_within_their_stated_uncertainty() -> None:

@@ -602,15 +602,14 @@ SAME_POSE_DEG = 10.0  # directions nearer to each other than this count as one p
 MULTIPLES = (2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0, 15.0, 20.0, 30.0, 50.0)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ThresholdTrial:
-    """One threshold and what came of it."""
+class Attempt(NamedTuple):
+    """The stills that one threshold finds, and the fit to them."""
 
     multiple: float  # Of the level at rest; NaN where the stills were stated
-    stills: int  # Still phases found
+    stills: tuple[Still, ...]
+    reading: FloatArray  # (K, 3), mean in each, raw unit
+    fit: NormFit | None  # None where nothing could be fitted
     poses: int  # Different poses among them, by direction
-    cost: float  # Half the sum of squared residuals, (m/s2)^2; infinite where nothing could be fitted
-    uncertainty: float  # Standard uncertainty of a corrected reading of gravity, rms over all directions, m/s2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -620,13 +619,10 @@ class MultiPositionFit:
     accel: TriadFit  # Raw to m/s2
     gyro: TriadFit | None  # Raw to rad/s in the accelerometer's axes
     stills: tuple[Still, ...]  # Those that were used
-    threshold: float  # On the windowed variance of the first record, its unit squared; NaN where the stills were stated
-    trials: tuple[ThresholdTrial, ...]  # All thresholds tried
-    verdict: Verdict  # Of both
+    attempts: tuple[Attempt, ...]  # All thresholds tried
     missing: tuple[Finding, ...] = ()  # Why there are no gyroscopes
 
 
-_Attempt = tuple[ThresholdTrial, tuple[Still, ...], FloatArray, NormFit | None]  # the third: readings that were fitted
 _NO_LENGTH = "multi-position: wanted poses of one length, got none that a linear sensor could give; check the columns"
 
 
@@ -657,19 +653,19 @@ def fit_multi_position(
     shortest = [max(2, round(MIN_STILL_S * r.sample_rate_hz)) for r in records]
     stated = {} if stills is None else {np.nan: tuple(stills)}
     tried = stated or {m: _stills(levels, m, shortest) for m in MULTIPLES}
-    attempts = [_attempt(levels, chosen, m, gravity, None) for m, chosen in tried.items()]
-    trial, used, reading, fit = _choose(attempts)
-    if cross_axis_prior is not None and (fit is None or fit.weakest < WEAKEST):
-        known = [_attempt(levels, chosen, m, gravity, cross_axis_prior) for m, chosen in tried.items()]
+    attempts = [_attempt(levels, found, m, gravity, None) for m, found in tried.items()]
+    chosen = _choose(attempts)
+    if cross_axis_prior is not None and (chosen.fit is None or chosen.fit.weakest < WEAKEST):
+        known = [_attempt(levels, found, m, gravity, cross_axis_prior) for m, found in tried.items()]
         better = _choose(known)
-        if better[3] is not None and better[3].weakest >= WEAKEST:
-            attempts, (trial, used, reading, fit) = known, better
+        if better.fit is not None and better.fit.weakest >= WEAKEST:
+            attempts, chosen = known, better
+    multiple, used, reading, fit, _ = chosen
     if fit is None:
         check_count(reading, known_noise=True)
         raise PoorFit(_NO_LENGTH)
     if creep is not None and not (moved := creep(used, "accel")).none:
-        again = _attempt(levels, used, trial.multiple, gravity, cross_axis_prior if len(fit.prior) else None, moved)
-        trial, used, reading, fit = again
+        fit = _attempt(levels, used, multiple, gravity, cross_axis_prior if len(fit.prior) else None, moved).fit
         if fit is None:
             raise PoorFit(_NO_LENGTH)
     check_range([levels[s.recording].values[s.start : s.stop] for s in used], "accelerometer in still poses")
@@ -686,11 +682,7 @@ def fit_multi_position(
             between = fit_gyro_between_stills(records, used, model, cores=cores, creep=both, quadratic=bend)
         except NotObservable as error:
             missing = (finding("session.fit_failed", "warn", triad="gyroscope", reason=str(error)),)
-    verdict = accel.verdict if between is None else accel.verdict.also(between.verdict)
-    return MultiPositionFit(
-        accel=accel, gyro=between, stills=used, threshold=trial.multiple * levels[0].at_rest,
-        trials=tuple(one[0] for one in attempts), verdict=verdict.also(Verdict.of(*missing)), missing=missing,
-    )  # fmt: skip
+    return MultiPositionFit(accel=accel, gyro=between, stills=used, attempts=tuple(attempts), missing=missing)
 
 
 def _stills(levels: list[StillVariance], multiple: float, shortest: list[int]) -> tuple[Still, ...]:
@@ -724,7 +716,7 @@ def _attempt(
     gravity: float,
     prior_sd: float | None,
     creep: Creep | None = None,
-) -> _Attempt:
+) -> Attempt:
     means, variances = _poses(levels, stills)
     fit: NormFit | None = None
     if len(stills) >= (9 if prior_sd is None else FEWEST_POSES) and np.ptp(means, axis=0).any():
@@ -732,14 +724,7 @@ def _attempt(
             fit = fit_norm(
                 means, gravity=gravity, variances=variances, prior_sd=prior_sd, creep=creep, quadratic_sd=QUADRATIC_SD,
             )  # fmt: skip
-    trial = ThresholdTrial(
-        multiple=multiple,
-        stills=len(stills),
-        poses=0 if fit is None else _different(fit.corrected(means)),
-        cost=np.inf if fit is None else 0.5 * float(fit.residuals @ fit.residuals),
-        uncertainty=np.inf if fit is None else fit.uncertainty,
-    )
-    return trial, stills, means, fit
+    return Attempt(multiple, stills, means, fit, poses=0 if fit is None else _different(fit.corrected(means)))
 
 
 def _poses(levels: list[StillVariance], stills: tuple[Still, ...]) -> tuple[FloatArray, FloatArray]:
@@ -765,14 +750,15 @@ def _different(force: FloatArray) -> int:
     return len(kept)
 
 
-def _choose(attempts: list[_Attempt]) -> _Attempt:
-    fitted = [a for a in attempts if a[3] is not None]
+def _choose(attempts: list[Attempt]) -> Attempt:
+    fitted = [(one.fit.uncertainty, one) for one in attempts if one.fit is not None]
     if not fitted:
-        return max(attempts, key=lambda a: len(a[1]))
+        return max(attempts, key=lambda one: len(one.stills))
     # Thresholds that let motion in are far less certain; their false poses must not set the count to be reached.
-    least = min(a[0].uncertainty for a in fitted)
-    most = max(a[0].poses for a in fitted if a[0].uncertainty <= 2.0 * least or not np.isfinite(least))
-    return min((a for a in fitted if a[0].poses >= 0.9 * most), key=lambda a: a[0].uncertainty)
+    least = min(uncertainty for uncertainty, _ in fitted)
+    most = max(one.poses for uncertainty, one in fitted if uncertainty <= 2.0 * least or not np.isfinite(least))
+    enough = [(uncertainty, one) for uncertainty, one in fitted if one.poses >= 0.9 * most]
+    return min(enough, key=lambda pair: pair[0])[1]
 
 
 # ---- from a session
