@@ -70,7 +70,7 @@ def pieces_of(
     here = session if calibration is None else at_one_temperature(session)[0]
     stated: tuple[Still | Turn, ...] = (*here.stills, *here.turns)
     spans = {(piece.recording, piece.start, piece.stop) for piece in stated}
-    parts = [_of_still(still, calibration, stated=bool(session.stills)) for still in stills]
+    parts = [_of_still(still, calibration) for still in stills]
     spoilt = () if calibration is None else saturated_turns(session, settings.settle_s)
     parts += [
         replace(_of_turn(turn, calibration), why=_SATURATED) if k in spoilt else _of_turn(turn, calibration)
@@ -97,12 +97,10 @@ def _why(one: LeftOut) -> str:
     return f"too restless: {value} {one.unit} rms, {'no gap above it' if np.isnan(one.limit) else f'limit {limit}'}"
 
 
-def _of_still(still: Still, made: Calibration | None, *, stated: bool) -> Piece:
+def _of_still(s: Still, made: Calibration | None) -> Piece:
     six = made is not None and made.accel is not None and made.accel.method.startswith("six-face")
-    why = "no face up" if six and still.face is None else ""
-    return Piece(
-        kind="still", start=still.start, stop=still.stop, recording=still.recording, label=still.face or "", why=why
-    )
+    why = "no face up" if six and s.face is None else ""
+    return Piece(kind="still", start=s.start, stop=s.stop, recording=s.recording, label=s.face or "", why=why)
 
 
 def _method(made: Calibration) -> str:

@@ -180,8 +180,10 @@ def calibrate(
     if calibrate_from == "motion" or live.live is not None:
         idle = {"accel": accel, "gyro": gyro, "mode": mode, "turn_deg": turn_deg, "keep_offset": keep_offset or None}
         _check_idle(idle | {"kind": kind}, fitting, table, sensitivity, rests)
-    else:
-        _check_pieces(prior, magnetometer)
+    elif prior is not None or magnetometer:
+        raise InputError(
+            "calibrate: `prior` and `magnetometer` are for `calibrate_from` motion: state that, or leave it out"
+        )
     settings = CalibrateSettings(
         still=rests.settings(), latitude_deg=place.latitude_deg, turn_angle_deg=turn_deg, remove_offset=not keep_offset,
         identify_adc=adc == "auto", **(asdict(fitting) | asdict(table) | asdict(sensitivity)))  # fmt: skip
@@ -218,13 +220,6 @@ def _known_section(known: "Sequence[ElementKnown]") -> Section:
     """Return how far motion and prior know each element."""
     rows = tuple((one.name, one.axis, f"{one.uncertainty:.2g} {one.unit}") for one in known)
     return Section(title="Known to, 95 %", columns=("element", "axis", "uncertainty"), rows=rows, folded=True)
-
-
-def _check_pieces(prior: Path | None, magnetometer: bool) -> None:
-    if prior is not None or magnetometer:
-        raise InputError(
-            "calibrate: `prior` and `magnetometer` are for `calibrate_from` motion: state that, or leave it out"
-        )
 
 
 def _check_idle(named: Mapping[str, object], *chosen: Any) -> None:
@@ -300,6 +295,7 @@ def calibration_summary(made: "Calibration") -> Summary:
 
 def calibration_sections(made: "Calibration") -> tuple[Section, ...]:
     """Return matrix, offset and scale factor of each triad, values with their uncertainty."""
+    field = () if made.magnetometer is None else (("magnetometer", made.magnetometer.model),)
     return tuple(
         Section(
             title=f"{NAMES.get(name, name).capitalize()}: {triad.method}",
@@ -315,16 +311,12 @@ def calibration_sections(made: "Calibration") -> tuple[Section, ...]:
             ),
             rows=_triad_rows(triad),
         )
-        for name, triad in (*_triads(made), *_magnetometer(made))
+        for name, triad in (*_triads(made), *field)
     )  # fmt: skip
 
 
 def _triads(made: "Calibration") -> "tuple[tuple[str, TriadModel], ...]":
     return tuple((name, triad) for name in NAMES if (triad := getattr(made, name)) is not None)
-
-
-def _magnetometer(made: "Calibration") -> "tuple[tuple[str, TriadModel], ...]":
-    return () if made.magnetometer is None else (("magnetometer", made.magnetometer.model),)
 
 
 def _field_notes(made: "Calibration") -> Iterator[str]:

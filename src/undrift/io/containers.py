@@ -423,20 +423,15 @@ def is_mobilised(head: bytes) -> bool:
 _UNIT = re.compile(r"^data\.(?P<trial>.+)\.(?P<kind>SU\w*)\.(?P<place>\w+)\.(Acc|Gyr)$")
 
 
-def _mobilised(path: Path) -> tuple[dict[str, str], dict[str, Any]]:
-    """Return the sensors' paths by name, and all arrays."""
-    arrays = dict(mat_arrays(path))
-    hits = [hit for name in arrays if (hit := _UNIT.match(name)) and arrays[name].ndim == 2]
-    return {
-        ".".join((h["trial"], *([] if h["kind"] == "SU" else [h["kind"]]), h["place"])): h.string.rpartition(".")[0]
-        for h in hits
-    }, arrays
-
-
 @boxed("pymatreader")
 def read_mobilised(path: Path, _: Columns, settings: ReadSettings) -> ReadResult:
     """Read one sensor of a Mobilise-D file: accel in g and gyro in deg/s, as Mobilise-D defines them."""
-    paths, arrays = _mobilised(path)
+    arrays = dict(mat_arrays(path))
+    hits = [hit for name in arrays if (hit := _UNIT.match(name)) and arrays[name].ndim == 2]
+    paths = {
+        ".".join((h["trial"], *([] if h["kind"] == "SU" else [h["kind"]]), h["place"])): h.string.rpartition(".")[0]
+        for h in hits
+    }
     name = chosen(path, "sensor", tuple(paths), settings.sensor)
     at = paths[name]
     found: Channels = {}

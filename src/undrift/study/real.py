@@ -619,8 +619,7 @@ def read_real(path: str | Path) -> RealData:
 
 def _actual(entry: ActualEntry, folder: Path) -> ActualTwin:
     columns, settings = (None, None) if entry.map is None else read_map(folder / entry.map)
-    record = read_record(folder / entry.warm_up, columns, settings=settings)
-    found = fit_warm_up(record, reference_c=entry.room_c)
+    found = fit_warm_up(read_record(folder / entry.warm_up, columns, settings=settings), reference_c=entry.room_c)
     climate = Climate(room_c=entry.room_c, set_points_c=entry.set_points_c)
     (low, high), asked = found.range_c, (entry.room_c, *entry.set_points_c)
     if min(asked) < low or max(asked) > high:
@@ -658,9 +657,8 @@ def _pair(entry: TrialEntry, folder: Path) -> tuple[Record, Reference]:
         raise InputError(f"{recording}: wanted a reference, got none and no BROAD file, which holds its own; name one")
     poses = recording if entry.reference is None else folder / entry.reference
     columns, settings = (None, None) if entry.map is None else read_map(folder / entry.map)
-    return read_record(recording, columns, settings=settings), read_reference(
-        poses, labels=entry.markers or None, up=entry.up
-    )
+    reference = read_reference(poses, labels=entry.markers or None, up=entry.up)
+    return read_record(recording, columns, settings=settings), reference
 
 
 def _capture(entry: CaptureEntry, folder: Path) -> CapturedTrial:

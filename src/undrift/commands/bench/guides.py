@@ -226,7 +226,8 @@ class Turns(Guide):
         if not found.rotations:
             return "That was no turn."
         turn, reading = found.rotations[0], found.rotation_angle[0]
-        if not self._returned(before, after):
+        up, down = self.capture.up(before.rest)[0], self.capture.up(after)[0]
+        if up is None or down is None or not float(up @ down) > SAME_POSE:
             return ""  # laid on another face
         if turn.axis is None:
             return "That was about no axis of the device. Lay it flat, and turn it on the bench."
@@ -249,11 +250,6 @@ class Turns(Guide):
         way = way_of(piece)
         self._captured(way)
         return f"Captured: {named(way)}{'' if abs(whole) == 1 else f', {abs(whole)} turns'}."
-
-    def _returned(self, before: _Before, after: Rest) -> bool:
-        """Whether gravity reads the same before and after."""
-        up, down = self.capture.up(before.rest)[0], self.capture.up(after)[0]
-        return up is not None and down is not None and float(up @ down) > SAME_POSE
 
     def _whole(self, axis: TurnAxis, along: float, unit: str) -> tuple[int, str]:
         """Return how many turns a reading is, 0 with the reason where it is none."""
