@@ -25,6 +25,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from undrift.arrays import FloatArray
+from undrift.calibration import multi_position
 from undrift.calibration.adc import limited_by_codes, mean_rounding
 from undrift.calibration.checks import (
     axis_vectors,
@@ -49,15 +50,6 @@ from undrift.calibration.creep import (
     flicker_about_mean,
     mean_square_size,
     size_unit,
-)
-from undrift.calibration.multi_position import (
-    ByTurns,
-    Moves,
-    cut_moves,
-    fit_gyro_between_stills,
-    gravity_directions,
-    still_moments,
-    turned_in,
 )
 from undrift.calibration.observe import Observed, Outcome, spans_of
 from undrift.calibration.pieces import unused_stills
@@ -96,10 +88,10 @@ def check_turns_gravity(
     records: Sequence[Record], stills: Sequence[Still], accel: TriadModel, gyro: TriadModel
 ) -> None:
     """Raise when fitted gyroscopes turn gravity far better with their axes in another order."""
-    moves = cut_moves(records, stills, stills)
+    moves = multi_position.cut_moves(records, stills, stills)
     if len(moves.first) < _LEAST_MOVES:
         return
-    n = gravity_directions(moves, accel)[0]
+    n = multi_position.gravity_directions(moves, accel)[0]
     miss = _miss_deg(moves, n, gyro.matrix, gyro.offset)
     if miss <= LARGEST_MISS_DEG:
         return
@@ -117,8 +109,8 @@ def check_turns_gravity(
         )
 
 
-def _miss_deg(moves: Moves, n: FloatArray, matrix: FloatArray, offset: FloatArray) -> float:
-    turn, _ = turned_in(moves, matrix, offset, np.zeros((len(moves.first), 3)))
+def _miss_deg(moves: multi_position.Moves, n: FloatArray, matrix: FloatArray, offset: FloatArray) -> float:
+    turn, _ = multi_position.turned_in(moves, matrix, offset, np.zeros((len(moves.first), 3)))
     arrived = (turn @ n[moves.before][:, :, None])[:, :, 0]
     cosine = np.clip((arrived * n[moves.before + 1]).sum(axis=1), -1.0, 1.0)
     return float(np.sqrt(np.mean(np.arccos(cosine) ** 2))) / RADIAN_PER_DEGREE
@@ -591,12 +583,12 @@ def _without_rest(records: Sequence[Record], rests: Sequence[Still], turns: Sequ
     return tuple(axis for axis in AXES if axis in lacking)
 
 
-def _under_flicker(moves: Moves, blocks: Blocks | None) -> OffsetPrior:
+def _under_flicker(moves: multi_position.Moves, blocks: Blocks | None) -> OffsetPrior:
     """Return what rests show of the offset in each move, under flicker of the size q that they and their blocks show.
 
     m = o + f + e,  cov f = q^2 F:  o by least squares, f of a move from the rests around it (best linear prediction).
     """
-    reading, noise, count = still_moments(moves.gyro, *moves.cores)
+    reading, noise, count = multi_position.still_moments(moves.gyro, *moves.cores)
     number, white = len(reading), np.maximum(noise[:, None] / count, 1e-30)  # (3, K)
     clock = np.concatenate(([0.0], np.cumsum(np.diff(moves.time).clip(0.0))))  # recordings follow each other
     rests, between = np.stack((moves.cores[0], moves.cores[1] - 1)), np.stack((moves.first, moves.last))
@@ -634,8 +626,10 @@ def _by_moves(
     stills = sorted((p for p in data.pieces if isinstance(p, Still)), key=lambda still: (still.recording, still.start))
     creep = creep_of(seen, stills, "accel"), creep_of(seen, stills, "gyro")
     with suppress(NotObservable, PoorFit):
-        by_turns = ByTurns(inverse.matrix, covariance[:9, :9], partial(_under_flicker, blocks=data.blocks))
-        return fit_gyro_between_stills(records, stills, accel, creep=creep, by_turns=by_turns).model
+        by_turns = multi_position.ByTurns(
+            inverse.matrix, covariance[:9, :9], partial(_under_flicker, blocks=data.blocks)
+        )
+        return multi_position.fit_gyro_between_stills(records, stills, accel, creep=creep, by_turns=by_turns).model
     return None
 
 

@@ -11,6 +11,7 @@ from itertools import combinations, pairwise
 
 import numpy as np
 
+from undrift import segments
 from undrift.arrays import FloatArray, runs
 from undrift.calibration.adc import code_steps, code_variance
 from undrift.calibration.checks import check_gravity, stuck_at_rate, stuck_in_motion
@@ -21,22 +22,6 @@ from undrift.fit.least_squares import TriadFit, block_size, excess_variance, noi
 from undrift.fit.smooth import widening_of
 from undrift.model import AXES, Verdict, level_of
 from undrift.record import FACES, RateTable, Record, Session, Still, TemperatureSensitivity, Turn
-from undrift.segments import (
-    BENCH_ACCEL_LIMIT,
-    BENCH_RATE_LIMIT,
-    StillSearch,
-    StillSettings,
-    TurnSearch,
-    faces_of,
-    find_poses,
-    find_turns,
-    left_out,
-    sample_count,
-    short_pauses,
-    sliding_moments,
-    sphere_of,
-    still_means,
-)
 from undrift.units import RADIAN_PER_DEGREE, is_physical, si_factor
 
 # ---- rest: does the device rest where a session states it, and is no stretch counted twice?
@@ -230,7 +215,9 @@ def _sways(session: Session, stills: tuple[Still, ...], rate: bool) -> _Figure:
     spreads = np.array([_spread(session.records[s.recording], s, rate) for s in stills])
     seen, unit, limit = spreads[np.isfinite(spreads)], _unit(session, rate), np.inf
     if is_physical(unit):
-        limit = (BENCH_RATE_LIMIT if rate else BENCH_ACCEL_LIMIT) / si_factor(unit, "rate" if rate else "accel")
+        limit = (segments.BENCH_RATE_LIMIT if rate else segments.BENCH_ACCEL_LIMIT) / si_factor(
+            unit, "rate" if rate else "accel"
+        )
     elif len(seen) > 2:
         limit = max(_OTHERS * float(np.median(seen)), 1e-300)
         if (seen > limit).any():  # a reading at rest may toggle between two codes
@@ -245,7 +232,7 @@ def _tilts(session: Session, stills: tuple[Still, ...]) -> _Figure:
         means = np.array([mean_reading(session.records[s.recording].accel, s.start, s.stop) for s in stills])
         if len(means) < 6 or not np.isfinite(means).all():
             return np.zeros(0), limit, "deg"
-        zero, radius = sphere_of(means)
+        zero, radius = segments.sphere_of(means)
         limit += 2.0 * float(np.nan_to_num(code_steps(session.records, rate=False)).max()) / radius / RADIAN_PER_DEGREE
     tilts = []
     for still in stills:
@@ -263,7 +250,7 @@ def _rates(session: Session, stills: tuple[Still, ...]) -> _Figure:
     if not np.isfinite(means).any():
         return np.zeros(0), np.inf, unit
     off = np.linalg.norm(means - np.nanmedian(means, axis=0), axis=1)
-    return off, BENCH_RATE_LIMIT / si_factor(unit, "rate"), unit
+    return off, segments.BENCH_RATE_LIMIT / si_factor(unit, "rate"), unit
 
 
 def _warmed(session: Session, stills: tuple[Still, ...]) -> bool:
@@ -287,10 +274,10 @@ def mean_reading(values: FloatArray | None, start: int, stop: int) -> FloatArray
 def _spread(record: Record, still: Still, rate: bool) -> float:
     values = record.gyro if rate else record.accel
     smooth = max(1, round(0.1 * record.sample_rate_hz))
-    window = min(sample_count(1.0, record.sample_rate_hz), still.stop - still.start - smooth + 1)
+    window = min(segments.sample_count(1.0, record.sample_rate_hz), still.stop - still.start - smooth + 1)
     if values is None or window < 2:
         return float("nan")
-    spread = sliding_moments(values[still.start : still.stop], window, smooth)[1]
+    spread = segments.sliding_moments(values[still.start : still.stop], window, smooth)[1]
     return float(spread.max(where=np.isfinite(spread), initial=-np.inf)) if np.isfinite(spread).any() else float("nan")
 
 
@@ -469,7 +456,7 @@ class CalibrateSettings(Fitting, Table, Sensitivity):
     6.0
     """
 
-    still: StillSettings = field(default_factory=lambda: StillSettings(adapt=True))
+    still: segments.StillSettings = field(default_factory=lambda: segments.StillSettings(adapt=True))
     latitude_deg: float | None = None
     turn_angle_deg: float | None = None
     remove_offset: bool = True
@@ -524,13 +511,13 @@ class Observed:
     stills: tuple[Still, ...]  # Stated in the session, else found; found ones carry a face where gravity shows one
     found: bool  # True where they were found
     findings: tuple[Finding, ...] = ()
-    searches: tuple[StillSearch, ...] = ()  # One for each recording where they were found
-    _turns: dict[int, TurnSearch] = field(default_factory=dict)  # Of a recording, once it was asked for
+    searches: tuple[segments.StillSearch, ...] = ()  # One for each recording where they were found
+    _turns: dict[int, segments.TurnSearch] = field(default_factory=dict)  # Of a recording, once it was asked for
 
     @property
     def adapted(self) -> bool:
         """Whether another window or threshold than the usual found them: a fit must not search with the usual ones."""
-        return any(replace(search.settings, adapt=False) != StillSettings() for search in self.searches)
+        return any(replace(search.settings, adapt=False) != segments.StillSettings() for search in self.searches)
 
     @property
     def faced(self) -> tuple[Still, ...]:
@@ -540,7 +527,7 @@ class Observed:
     def rest_means(self) -> FloatArray:
         """Return the mean rate reading of each still, shape (P, 3)."""
         own = [(r.gyro, [s for s in self.stills if s.recording == k]) for k, r in enumerate(self.session.records)]
-        return np.concatenate([still_means(gyro, stills) for gyro, stills in own if gyro is not None])
+        return np.concatenate([segments.still_means(gyro, stills) for gyro, stills in own if gyro is not None])
 
     def rest_rate(self, creep: FloatArray | None = None) -> tuple[FloatArray, FloatArray]:
         """Return the mean rate reading over all rests and its variance, (3,) each; creep (P,) of each rest, unit of the reading."""
@@ -606,8 +593,8 @@ class Observed:
         if accel is None or len(own) < 5:
             return None
         before, after = (s for s in own if turn.start == s.stop or turn.stop == s.start)
-        moved = np.diff(still_means(accel, (before, after)), axis=0)
-        return bool(np.linalg.norm(moved) < _SAME_POSE * sphere_of(still_means(accel, own))[1])
+        moved = np.diff(segments.still_means(accel, (before, after)), axis=0)
+        return bool(np.linalg.norm(moved) < _SAME_POSE * segments.sphere_of(segments.still_means(accel, own))[1])
 
     def with_turns(self) -> "Observed":
         """Return it with its turns by the known angle, where they are found about x, y and z; else the finding that says so."""
@@ -668,20 +655,20 @@ class Observed:
         """Return the steady turns that the recordings hold."""
         return tuple(turn for _, _, search in self.turn_searches() for turn in search.plateaus)
 
-    def turn_searches(self) -> Iterator[tuple[int, Record, TurnSearch]]:
+    def turn_searches(self) -> Iterator[tuple[int, Record, segments.TurnSearch]]:
         """Yield the number of each recording with gyroscopes, the recording, and the turns found in it, searched once."""
         for number, record in enumerate(self.session.records):
             if record.gyro is not None:
                 if number not in self._turns:
-                    self._turns[number] = find_turns(record, [s for s in self.stills if s.recording == number])
+                    self._turns[number] = segments.find_turns(record, [s for s in self.stills if s.recording == number])
                 yield number, record, self._turns[number]
 
 
 def look(session: Session, settings: CalibrateSettings) -> Observed:
     """Take a session's stills as stated, or find and label them; nothing is checked."""
-    session, searches = in_one_unit(session), tuple[StillSearch, ...]()
+    session, searches = in_one_unit(session), tuple[segments.StillSearch, ...]()
     if not session.stills:
-        searches = find_poses(session.records, settings.still)
+        searches = segments.find_poses(session.records, settings.still)
     stills = session.stills or labelled(session, tuple(still for search in searches for still in search.stills))
     return Observed(session=session, settings=settings, stills=stills, found=not session.stills, searches=searches)
 
@@ -701,7 +688,9 @@ def observe(session: Session, settings: CalibrateSettings) -> Observed:
     for number, record in enumerate(session.records):
         own = [s for s in stills if s.recording == number]
         if own and record.accel is not None and is_physical(record.accel_unit):
-            check_gravity(still_means(record.accel, own) * si_factor(record.accel_unit, "accel"), session.gravity_m_s2)
+            check_gravity(
+                segments.still_means(record.accel, own) * si_factor(record.accel_unit, "accel"), session.gravity_m_s2
+            )
     findings += check_stills(session, stills, stated=not seen.found)
     findings += check_turns(session, stills, settings.settle_s)
     return replace(seen, findings=tuple(findings)).with_turns()
@@ -735,17 +724,17 @@ def _common_unit(session: Session, *, rate: bool) -> str:
     return unit
 
 
-def _pauses_left_out(session: Session, searches: Sequence[StillSearch]) -> list[Finding]:
+def _pauses_left_out(session: Session, searches: Sequence[segments.StillSearch]) -> list[Finding]:
     """Report pauses that were too short or too restless for a still."""
     findings = []
     for number, (record, search) in enumerate(zip(session.records, searches, strict=True)):
         if not search.stills:  # nothing shows what this device's rest looks like; the search has given the reason
             continue
         least = search.settings.window_s + search.settings.min_duration_s
-        short = len(short_pauses(record, search, search.settings))
+        short = len(segments.short_pauses(record, search, search.settings))
         if short >= 3:
             findings.append(finding("session.short_pauses", "warn", recording=number, pauses=short, least_s=least))
-        restless = [one for one in left_out(record, search) if one.why == "too restless"]
+        restless = [one for one in segments.left_out(record, search) if one.why == "too restless"]
         if restless:
             quietest = min(restless, key=lambda one: one.value / one.limit)
             numbers = {
@@ -765,8 +754,8 @@ def labelled(session: Session, stills: tuple[Still, ...]) -> tuple[Still, ...]:
         return stills
     if not stills or (not is_physical(unit) and len(stills) < 5):
         return stills  # counts have no known zero, unless poses share a sphere
-    means = [still_means(np.asarray(session.records[still.recording].accel), [still])[0] for still in stills]
-    faces = faces_of(np.array(means), centred=is_physical(unit))
+    means = [segments.still_means(np.asarray(session.records[still.recording].accel), [still])[0] for still in stills]
+    faces = segments.faces_of(np.array(means), centred=is_physical(unit))
     return tuple(replace(still, face=face) for still, face in zip(stills, faces, strict=True))
 
 

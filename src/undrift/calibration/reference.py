@@ -20,6 +20,7 @@ from typing import Literal
 
 import numpy as np
 
+from undrift import sync
 from undrift.arrays import BoolArray, FloatArray
 from undrift.calibration.adc import restored_gyro
 from undrift.calibration.reference_windows import (
@@ -39,18 +40,6 @@ from undrift.frames import quaternion_conjugate, quaternion_of, quaternion_produ
 from undrift.model import CODE_NAMES, G_NAMES, MATRIX_NAMES, MOVING_NAMES, OFFSET_NAMES, AdcModel, TriadModel, Verdict
 from undrift.record import Mounting, Record, Reference
 from undrift.segments import StillSettings, find_still, find_turning, unpadded
-from undrift.sync import (
-    LONGEST_STEP,
-    Lag,
-    LagSettings,
-    MotionSpan,
-    RunningIntegral,
-    find_motion,
-    in_step,
-    native_poses,
-    padding,
-    seen_poses,
-)
 from undrift.units import RADIAN_PER_DEGREE, is_physical, si_factor
 
 # ---- settings and results
@@ -140,8 +129,8 @@ class Aligned:
     record: Record
     gyro: FloatArray  # (N, 3), its readings, corrected for the ADC's rounding where it is known and not fitted
     reference: Reference  # Poses at the frames that the cameras took
-    lag: Lag  # Of the gyroscope readings against the poses
-    span: MotionSpan  # From the first to the last rest, on the record's clock
+    lag: sync.Lag  # Of the gyroscope readings against the poses
+    span: sync.MotionSpan  # From the first to the last rest, on the record's clock
     findings: tuple[Finding, ...]  # What was done to bring both on one clock, or cannot be
 
     @property
@@ -155,13 +144,13 @@ class Aligned:
         return replace(self, gyro=restored_gyro(self.gyro, adc))
 
 
-def align(record: Record, reference: Reference, lag_settings: LagSettings = LagSettings()) -> Aligned:
+def align(record: Record, reference: Reference, lag_settings: sync.LagSettings = sync.LagSettings()) -> Aligned:
     """Find lag and motion of one recording."""
     whole, record = record, unpadded(record)
-    named = padding(whole, record)
-    record, lag, findings = in_step(record, native_poses(reference), lag_settings)
-    poses = seen_poses(record, native_poses(reference), lag)
-    span = find_motion(record, poses, lag_s=lag.seconds)
+    named = sync.padding(whole, record)
+    record, lag, findings = sync.in_step(record, sync.native_poses(reference), lag_settings)
+    poses = sync.seen_poses(record, sync.native_poses(reference), lag)
+    span = sync.find_motion(record, poses, lag_s=lag.seconds)
     gyro = np.asarray(record.gyro)
     return Aligned(record=record, gyro=gyro, reference=poses, lag=lag, span=span, findings=(*named, *findings))
 
@@ -174,7 +163,7 @@ def recording_of(aligned: Aligned, settings: ReferenceSettings) -> Recording:
     poses, lag = aligned.reference, aligned.lag
     gap: BoolArray = np.asarray(np.isnan(gyro).any(axis=1))
     step = np.diff(time)
-    late = np.concatenate(([False], step > LONGEST_STEP * np.median(step)))
+    late = np.concatenate(([False], step > sync.LONGEST_STEP * np.median(step)))
     rest, rest_uncertainty, rest_sign = rest_reading(aligned)
     turning: FloatArray = np.ones(len(time))
     if settings.turning and settings.offset == "motion" and np.isfinite(rest).all():
@@ -243,7 +232,7 @@ def fit_reference(
     *,
     settings: ReferenceSettings = ReferenceSettings(),
     adc: AdcModel | None = None,
-    lag_settings: LagSettings = LagSettings(),
+    lag_settings: sync.LagSettings = sync.LagSettings(),
 ) -> ReferenceFit:
     """Fit matrix, offset while it turns, what codes lose and, on request, g-sensitivity of a gyroscope to references."""
     return fit_aligned(align_all(records, references, lag_settings), settings, adc)
@@ -260,7 +249,7 @@ def leave_one_out(
     *,
     settings: ReferenceSettings = ReferenceSettings(),
     adc: AdcModel | None = None,
-    lag_settings: LagSettings = LagSettings(),
+    lag_settings: sync.LagSettings = sync.LagSettings(),
     progress: Callable[[str, float], None] = lambda what, share: None,
 ) -> tuple[HeldOut, ...]:
     """Fit each recording's model to all others of the device, and evaluate it there; progress takes what is done, and 0 to 1."""
@@ -277,7 +266,9 @@ def leave_one_out(
     return tuple(trials)
 
 
-def align_all(records: Sequence[Record], references: Sequence[Reference], lag_settings: LagSettings) -> list[Aligned]:
+def align_all(
+    records: Sequence[Record], references: Sequence[Reference], lag_settings: sync.LagSettings
+) -> list[Aligned]:
     """Find lag and motion of the recordings of one device."""
     if not records or len(records) != len(references):
         raise InputError(
@@ -321,7 +312,7 @@ def _rotations(prepared: Sequence[Recording]) -> tuple[FloatArray | None, float]
     turned, weakest = np.empty((len(prepared), 3, 3)), 1.0
     for k, p in enumerate(prepared):
         turn = rotation_vector(quaternion_product(quaternion_conjugate(p.q_nb[:-1]), p.q_nb[1:]))
-        u, inside = RunningIntegral(p.time, p.gyro).mean(p.at[:-1], p.at[1:])
+        u, inside = sync.RunningIntegral(p.time, p.gyro).mean(p.at[:-1], p.at[1:])
         inside &= np.isfinite(turn).all(axis=1)
         if not inside.any():
             return None, 0.0
