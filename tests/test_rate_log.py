@@ -7,7 +7,7 @@ from testkit.data import data_path, show
 from testkit.rate_table_log import bench
 from testkit.stepper_jig import RUNS, turned
 from undrift.errors import AlignmentError, FileFormatError, InputError
-from undrift.rate_log import RateLogSettings, align_clocks, cut_dwells, read_rate_log
+from undrift.rate_log import align_clocks, cut_dwells, read_rate_log
 from undrift.record import Record
 
 
@@ -89,7 +89,7 @@ def test_a_log_of_another_run_or_of_another_clock_is_refused_in_one_line(tmp_pat
     with pytest.raises(
         AlignmentError, match=r"wanted one offset and drift along the log, got a lag [+-]\d\.\d\d s off the line"
     ):
-        align_clocks(log, Record(time=jumped, gyro=record.gyro, gyro_unit="dps"), RateLogSettings(offset_s=1234.0))
+        align_clocks(log, Record(time=jumped, gyro=record.gyro, gyro_unit="dps"), 1234.0)
     with pytest.raises(InputError, match="wanted a recording with a gyroscope to align by, got none"):
         align_clocks(log, Record(time=record.time, accel=record.accel))
     reversed_z = Record(
@@ -117,7 +117,7 @@ def test_two_shifts_that_are_alike_are_not_guessed_between(tmp_path):
         AlignmentError, match=r"wanted one shift between the clocks, got .* alike; state it to a second"
     ):
         align_clocks(log, record)
-    clocks = align_clocks(log, record, RateLogSettings(offset_s=-13.5))
+    clocks = align_clocks(log, record, -13.5)
     assert abs(clocks.recorded(30.0) - 16.0) < 0.01
 
 

@@ -29,21 +29,13 @@ from undrift.units import RADIAN_PER_DEGREE
 TIMES = {"time_s": 1.0, "time_ms": 1e-3, "time_us": 1e-6}  # column -> factor to s
 RATES = {"turn_rate_dps": RADIAN_PER_DEGREE, "turn_rate_rad_s": 1.0, "turn_rate_rpm": np.pi / 30.0}  # to rad/s
 ANGLES = {"angle_deg": RADIAN_PER_DEGREE, "angle_rad": 1.0, "angle_turns": 2.0 * np.pi}  # to rad
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RateLogSettings:
-    """How a log is cut and aligned."""
-
-    settle_s: float = 0.5  # Left out at both ends of a dwell: the table swings out, the device's filter settles, s
-    least_s: float = 1.0  # Shortest dwell that is left, s
-    steady: float = 0.02  # Largest departure of a steady rate from its median, relative
-    least_rate: float = 0.05 * RADIAN_PER_DEGREE  # Below it the table rests, rad/s
-    largest_uncertainty: float = 0.01  # Of an achieved rate, relative; a dwell of more is left out
-    largest_drift: float = 0.01  # Between the clocks; more is a wrong unit of time
-    windows: int = 12  # At most, along the log; lags are found in each
-    window_s: float = 30.0  # At least
-    offset_s: float | None = None  # Time of the recording less that of the log, where it is known to a second
+SETTLE_S = 0.5  # left out at both ends of a dwell: the table swings out, the device's filter settles
+LEAST_S = 1.0  # shortest dwell that is left
+STEADY = 0.02  # largest departure of a steady rate from its median, relative
+LEAST_RATE = 0.05 * RADIAN_PER_DEGREE  # below it the table rests, rad/s
+LARGEST_UNCERTAINTY = 0.01  # of an achieved rate, relative; a dwell of more is left out
+LARGEST_DRIFT = 0.01  # between the clocks; more is a wrong unit of time
+WINDOWS, WINDOW_S = 12, 30.0  # at most, along the log, each at least so long; lags are found in each
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -130,16 +122,16 @@ def _decimal(path: str | Path) -> str:
     return "," if b"," in open_text(path).head.splitlines()[1] else "."
 
 
-def align_clocks(log: RateLog, record: Record, settings: RateLogSettings = RateLogSettings()) -> Clocks:
-    """Find offset and drift between the clock of a log and that of a recording."""
+def align_clocks(log: RateLog, record: Record, offset_s: float | None = None) -> Clocks:
+    """Find offset and drift between the clock of a log and that of a recording; the offset may be known to a second."""
     if record.gyro is None:
         raise InputError(f"{log.name}: wanted a recording with a gyroscope to align by, got none; map its columns")
     rates = _rates(log)
-    at, found = _lags(log, record, rates, _rough_offset(log, record, rates, settings), settings)
+    at, found = _lags(log, record, rates, _rough_offset(log, record, rates) if offset_s is None else offset_s)
     clocks = _line(at, found)
-    if abs(clocks.drift) > max(settings.largest_drift, 4.0 * clocks.drift_uncertainty):
+    if abs(clocks.drift) > max(LARGEST_DRIFT, 4.0 * clocks.drift_uncertainty):
         raise AlignmentError(
-            f"{log.name}: wanted clocks that agree to {settings.largest_drift:.0%}, got {clocks.drift:+.1%}; check the unit of time"
+            f"{log.name}: wanted clocks that agree to {LARGEST_DRIFT:.0%}, got {clocks.drift:+.1%}; check the unit of time"
         )
     return clocks
 
@@ -170,10 +162,8 @@ def _scores(
     return best, score, lags
 
 
-def _rough_offset(log: RateLog, record: Record, rates: PoseRates, settings: RateLogSettings) -> float:
+def _rough_offset(log: RateLog, record: Record, rates: PoseRates) -> float:
     """Return recording less log, s, to a cell, or refuse where two shifts are as good."""
-    if settings.offset_s is not None:
-        return settings.offset_s
     shift = float(record.time[0] - log.time[0])  # first samples together, then every shift
     moved = PoseRates(start=rates.start + shift, stop=rates.stop + shift, rate=rates.rate, valid=rates.valid)
     longest = float(max(np.ptp(record.time), np.ptp(log.time)))
@@ -194,13 +184,11 @@ def _rough_offset(log: RateLog, record: Record, rates: PoseRates, settings: Rate
     return shift + float(lags[first])
 
 
-def _lags(
-    log: RateLog, record: Record, rates: PoseRates, rough: float, settings: RateLogSettings
-) -> tuple[FloatArray, list[Lag]]:
+def _lags(log: RateLog, record: Record, rates: PoseRates, rough: float) -> tuple[FloatArray, list[Lag]]:
     """Return the moments of the log at which a lag was found, and the lags, recording less log."""
     span = float(np.ptp(log.time))
-    count = max(1, min(settings.windows, int(span / settings.window_s)))
-    reach = LagSettings(longest_lag_s=APART_S + 0.5 * settings.largest_drift * span, average_s=0.1)
+    count = max(1, min(WINDOWS, int(span / WINDOW_S)))
+    reach = LagSettings(longest_lag_s=APART_S + 0.5 * LARGEST_DRIFT * span, average_s=0.1)
     edges, at, lags = np.linspace(log.time[0], log.time[-1], count + 1), list[float](), list[Lag]()
     why = "no motion"
     for start, stop in pairwise(edges):
@@ -224,7 +212,7 @@ def _lags(
             why = str(error)
             continue
         if np.isfinite(lag.standard_uncertainty) and lag.standard_uncertainty < APART_S:
-            moved = inside & (np.abs(rates.rate[:, 0]) > settings.least_rate)
+            moved = inside & (np.abs(rates.rate[:, 0]) > LEAST_RATE)
             at.append(float(rates.start[moved].mean()) if moved.any() else 0.5 * (start + stop))
             lags.append(lag)
     if not lags:
@@ -273,20 +261,18 @@ def _line(at: FloatArray, lags: Sequence[Lag]) -> Clocks:
 RAMP_S = 3.0  # beside a dwell: in it the rate changes
 
 
-def cut_dwells(
-    log: RateLog, records: Sequence[tuple[Record, Clocks]], settings: RateLogSettings = RateLogSettings()
-) -> tuple[tuple[LoggedTurn, ...], int]:
+def cut_dwells(log: RateLog, records: Sequence[tuple[Record, Clocks]]) -> tuple[tuple[LoggedTurn, ...], int]:
     """Return the steady dwells of a log on the recordings, and how many were left out as too uncertain or not recorded."""
     turns, missed, senses = list[LoggedTurn](), 0, dict[float, str]()
-    for first, last in steady_stretches(log, settings):
-        inner = np.searchsorted(log.time, (log.time[first] + settings.settle_s, log.time[last - 1] - settings.settle_s))
+    for first, last in steady_stretches(log):
+        inner = np.searchsorted(log.time, (log.time[first] + SETTLE_S, log.time[last - 1] - SETTLE_S))
         turn_rate, uncertainty = _achieved(log, int(inner[0]), int(inner[1]))
-        if uncertainty > settings.largest_uncertainty * abs(turn_rate):
+        if uncertainty > LARGEST_UNCERTAINTY * abs(turn_rate):
             missed += 1
             continue
         before = len(turns)
         for number, (record, clocks) in enumerate(records):
-            found = _on(record, clocks, (log, first, last), settings)
+            found = _on(record, clocks, (log, first, last))
             if found is None:
                 continue
             begin, end, axis, sign = found
@@ -306,7 +292,7 @@ def cut_dwells(
     return tuple(turns), missed
 
 
-def steady_stretches(log: RateLog, settings: RateLogSettings) -> list[tuple[int, int]]:
+def steady_stretches(log: RateLog) -> list[tuple[int, int]]:
     """Return the stretches [first, last) of a log at one rate, resting left out."""
     step = np.diff(log.time)
     typical = float(np.median(step))
@@ -315,19 +301,19 @@ def steady_stretches(log: RateLog, settings: RateLogSettings) -> list[tuple[int,
     noise = 2.0 * log.resolution / (width * typical) if log.has_angle else 2.0 * log.resolution
     breaks = np.cumsum(np.concatenate(([False], step > 5.0 * typical)))
     whole = breaks[width:] == breaks[:-width]
-    shortest = max(3, int((2.0 * settings.settle_s + settings.least_s) / typical / 2.0))
+    shortest = max(3, int((2.0 * SETTLE_S + LEAST_S) / typical / 2.0))
     stretches = list[tuple[int, int]]()
-    for start, stop in runs(whole & (np.abs(rate) > settings.least_rate)):
+    for start, stop in runs(whole & (np.abs(rate) > LEAST_RATE)):
         k = int(start)
         while k < stop:
             level = float(np.median(rate[k : k + max(3, 2 * width)]))
-            limit, first = settings.steady * abs(level) + noise, min(stop, k + shortest)
+            limit, first = STEADY * abs(level) + noise, min(stop, k + shortest)
             if (np.abs(rate[k:first] - level) > limit).any():  # a ramp: one step on
                 k += max(1, width // 4)
                 continue
             inside = np.abs(rate[k:stop] - level) <= limit
             end = k + (int(np.argmin(inside)) if not inside.all() else len(inside))
-            if end - k >= 3 and log.time[end + width - 1] - log.time[k] >= 2.0 * settings.settle_s + settings.least_s:
+            if end - k >= 3 and log.time[end + width - 1] - log.time[k] >= 2.0 * SETTLE_S + LEAST_S:
                 stretches.append((k, end + width))
                 k = end + width
             else:
@@ -347,9 +333,7 @@ def _achieved(log: RateLog, first: int, last: int) -> tuple[float, float]:
     return slope, float(np.hypot(scatter, coarse / np.sqrt(6.0 if log.has_angle else 12.0)))
 
 
-def _on(
-    record: Record, clocks: Clocks, stretch: tuple[RateLog, int, int], settings: RateLogSettings
-) -> tuple[int, int, int, float] | None:
+def _on(record: Record, clocks: Clocks, stretch: tuple[RateLog, int, int]) -> tuple[int, int, int, float] | None:
     """Return samples, axis and sign of a dwell on a recording; None where the recording does not hold it.
 
     Axis and sign are those of the gyroscope that follows the log over the dwell and the ramps at its ends.
@@ -357,17 +341,17 @@ def _on(
     log, first, last = stretch
     ends = (float(log.time[first]), float(log.time[last - 1]))
     start, stop = (
-        clocks.recorded(end) + sign * (settings.settle_s + 3.0 * clocks.uncertainty_s(end))
+        clocks.recorded(end) + sign * (SETTLE_S + 3.0 * clocks.uncertainty_s(end))
         for end, sign in zip(ends, (1.0, -1.0), strict=True)
     )
     start, stop = max(start, float(record.time[0])), min(stop, float(record.time[-1]))
-    if stop - start < settings.least_s:
+    if stop - start < LEAST_S:
         return None
     begin, end = (int(k) for k in np.searchsorted(record.time, (start, stop)))
     inside = np.isfinite(np.asarray(record.gyro)[begin:end]).all(axis=1)
     if inside.sum() < 10 or inside.mean() < 0.8:
         return None
-    pad = settings.settle_s + RAMP_S
+    pad = SETTLE_S + RAMP_S
     near = slice(*np.searchsorted(record.time, (clocks.recorded(ends[0]) - pad, clocks.recorded(ends[1]) + pad)))
     shown = np.asarray(record.gyro)[near]
     # the angle of the log at the recording's samples, and its rate between them

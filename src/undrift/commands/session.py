@@ -112,14 +112,14 @@ def _logged(
     path: Path, session: "Session", offset_s: float | None
 ) -> "tuple[tuple[LoggedTurn, ...], dict[str, Any], tuple[Finding, ...]]":
     """Return the dwells of a table's log on the recordings, what is stated of them, and what speaks against their unit."""
-    from undrift.rate_log import RateLogSettings, align_clocks, cut_dwells, read_rate_log
+    from undrift.rate_log import LEAST_S, align_clocks, cut_dwells, read_rate_log
 
-    log, settings = read_rate_log(path), RateLogSettings(offset_s=offset_s)
-    clocks = [align_clocks(log, record, settings) for record in session.records]
-    turns, missed = cut_dwells(log, list(zip(session.records, clocks, strict=True)), settings)
+    log = read_rate_log(path)
+    clocks = [align_clocks(log, record, offset_s) for record in session.records]
+    turns, missed = cut_dwells(log, list(zip(session.records, clocks, strict=True)))
     if not turns:
         raise InputError(
-            f"{path}: wanted steady dwells of {settings.least_s:g} s or more on the recording, got none ({missed} left out); "
+            f"{path}: wanted steady dwells of {LEAST_S:g} s or more on the recording, got none ({missed} left out); "
             "check the log"
         )
     keys = ("offset_s", "offset_uncertainty_s", "drift", "drift_uncertainty", "correlation")

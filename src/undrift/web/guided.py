@@ -16,7 +16,7 @@ import numpy as np
 from nicegui import background_tasks, ui
 
 from undrift.arrays import FloatArray
-from undrift.commands.bench.capture import Capture
+from undrift.commands.bench.capture import COUNTDOWN_S, Capture
 from undrift.commands.bench.guides import ORDER, REST_S, WAYS, Guide, SixFaces, Turns, asked, named
 from undrift.errors import UndriftError
 from undrift.record import Face
@@ -132,7 +132,7 @@ def _faces(bench: "Bench", guided: Guided) -> None:
         guide,
         lambda: box(next((face for face in ORDER if face == guide.wanted), guide.light.face or "+z")),
         lambda: f"Turn {guide.wanted} up" if guide.wanted else "All six faces are captured",
-        guided.capture.settings.countdown_s,
+        COUNTDOWN_S,
     )
     parts.redrawn(lambda: guide.complete, lambda: _after_faces(guide.complete))
     _practice_part(bench, {"Practice device: turn it": [(f"{face} up", methodcaller("lay", face)) for face in ORDER]})

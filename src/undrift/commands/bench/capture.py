@@ -25,6 +25,9 @@ from undrift.segments import BENCH_ACCEL_LIMIT, StillSettings, find_still, sampl
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical
 
 State = Literal["no readings", "moving", "settling", "still", "captured", "wrong face", "tilted", "unknown face"]
+COUNTDOWN_S, SETTLE_S = 6.0, 1.5  # rest that is captured, and rest before that
+TILT_DEG = 12.0  # largest tilt of a face, as the uncalibrated accelerometers read it
+SILENCE_S = 1.0  # host time without a new reading that counts as none
 GAP_S, GAP_PERIODS = 0.1, 5.0  # a longer silence of the device ends a stretch of readings
 KEEP_S = 120.0  # of readings in which nothing is captured
 BESIDE_S = 10.0  # kept before the first piece of a stretch, and behind the last
@@ -36,16 +39,6 @@ LEAST_POINTS, NOISES, LOPSIDED, FLAT, THICK, OFF = 24, 10.0, 0.55, 0.05, 0.25, 0
 LOOSE_DEG = 25.0  # tilt that exceeds an error of the zero, of readings in counts
 LEAST_REST_S = 1.0
 UNKNOWN = "Which face is up is not known yet. Turn the device over all its sides once."
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CaptureSettings:
-    """How rest is judged."""
-
-    countdown_s: float = 6.0  # Rest that is captured, s
-    settle_s: float = 1.5  # Rest before that, s
-    tilt_deg: float = 12.0  # Largest tilt of a face, as the uncalibrated accelerometers read it
-    silence_s: float = 1.0  # Host time without a new reading that counts as none, s
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -114,15 +107,8 @@ class _Stretch:
 class Capture:
     """What a guided session keeps: readings, faces, turns; and where it is written."""
 
-    def __init__(
-        self,
-        folder: Path,
-        serial: str = "",
-        *,
-        gravity_m_s2: float | None = None,
-        settings: CaptureSettings = CaptureSettings(),
-    ) -> None:
-        self.folder, self.serial, self.gravity_m_s2, self.settings = folder, serial, gravity_m_s2, settings
+    def __init__(self, folder: Path, serial: str = "", *, gravity_m_s2: float | None = None) -> None:
+        self.folder, self.serial, self.gravity_m_s2 = folder, serial, gravity_m_s2
         self.faces: dict[Face, CapturedFace] = {}
         self.turns: list[CapturedTurn] = []
         self.saved = False  # whether the folder holds all that was captured
@@ -206,12 +192,11 @@ class Capture:
 
     def silent(self, now_s: float) -> bool:
         """Whether no reading has come for a while."""
-        return now_s - self._heard_s > self.settings.silence_s
+        return now_s - self._heard_s > SILENCE_S
 
     def rest(self, seconds: float | None = None) -> Rest | None:
         """Return the rest that lasts until now; None while the device moves, or where there are too few readings."""
-        s = self.settings
-        record = self.tail(2.0 * (s.countdown_s + s.settle_s) if seconds is None else seconds)
+        record = self.tail(2.0 * (COUNTDOWN_S + SETTLE_S) if seconds is None else seconds)
         if record is None:
             return None
         start, stop = 0, len(record)
@@ -230,7 +215,7 @@ class Capture:
             return None
         made = Rest(start_s=float(record.time[start]), stop_s=float(record.time[-1]), mean=mean)
         alike = (np.linalg.norm(mean - known) < 0.05 * np.linalg.norm(known) for known in self._rests)
-        if made.duration_s >= s.settle_s and not any(alike):
+        if made.duration_s >= SETTLE_S and not any(alike):
             self._rests.append(mean)
         return made
 
@@ -262,23 +247,22 @@ class Capture:
 
     def _zero(self, mean: FloatArray) -> tuple[FloatArray | None, float]:
         """Return the reading of the accelerometers in free fall, (3,); None where nothing shows it."""
-        limit_deg = self.settings.tilt_deg
         if is_physical(self._stretches[-1].parts[-1].accel_unit):
-            return np.zeros(3), limit_deg
+            return np.zeros(3), TILT_DEG
         if len(self.faces) >= 5:
-            return sphere_of(np.array([held.mean for held in self.faces.values()]))[0], limit_deg
+            return sphere_of(np.array([held.mean for held in self.faces.values()]))[0], TILT_DEG
         rests = np.array([*self._rests, mean])
         length = np.linalg.norm(rests, axis=1)
         along = np.abs(rests).max(axis=1) / np.where(length > 0.0, length, 1.0)
         if length.max() < ALIKE * length.min() and along.max() > math.cos(LOOSE_DEG * RADIAN_PER_DEGREE):
-            return np.zeros(3), limit_deg
+            return np.zeros(3), TILT_DEG
         return _turned_over(np.array(self._cloud), rests, self._noise), LOOSE_DEG
 
     # ---- What is captured
 
     def add_face(self, face: Face, rest: Rest) -> None:
         """Capture the newest of a rest as a face, in place of the one before."""
-        start_s, (x, y, z) = max(rest.start_s, rest.stop_s - self.settings.countdown_s), rest.mean.tolist()
+        start_s, (x, y, z) = max(rest.start_s, rest.stop_s - COUNTDOWN_S), rest.mean.tolist()
         held = CapturedFace(stretch=self.stretch, start_s=start_s, stop_s=rest.stop_s, face=face, mean=(x, y, z))
         self.faces = {**self.faces, face: held}
         self.saved = False

@@ -21,6 +21,8 @@ from typing import cast
 import numpy as np
 
 from undrift.commands.bench.capture import (
+    COUNTDOWN_S,
+    SETTLE_S,
     UNKNOWN,
     Capture,
     CapturedFace,
@@ -119,7 +121,7 @@ class SixFaces(Guide):
         self._asked = (self.capture.stretch, self.capture.newest_s)
 
     def _judged(self, rest: Rest | None) -> Light:
-        settings, wanted = self.capture.settings, self.wanted
+        wanted = self.wanted
         if rest is None:
             return Light(state="moving", text=f"Moving. {_turn(wanted)}")
         face, tilt_deg = self.capture.face_of(rest)
@@ -134,9 +136,9 @@ class SixFaces(Guide):
             return Light(state=state, face=face, text=f"{face} is captured. {_turn(wanted)}")
         fresh = self._asked[1] if self.again and self._asked[0] == self.capture.stretch else rest.start_s
         rested_s = rest.stop_s - max(rest.start_s, fresh)
-        if rested_s < settings.settle_s:
+        if rested_s < SETTLE_S:
             return Light(state="settling", face=face, text=f"Settling, {face} up. Do not touch it.")
-        left_s = settings.settle_s + settings.countdown_s - rested_s
+        left_s = SETTLE_S + COUNTDOWN_S - rested_s
         if left_s > 0.0:
             return Light(state="still", face=face, text=f"Still, {face} up. Do not touch it.", left_s=left_s)
         self.capture.add_face(face, rest)
