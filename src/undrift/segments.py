@@ -731,17 +731,10 @@ def sphere_of(points: FloatArray) -> tuple[FloatArray, float]:
 
 
 _AXES: tuple[Axis, Axis, Axis] = ("x", "y", "z")
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TurnSettings:
-    """How steady turns and rotations are found."""
-
-    window_s: float = 1.0  # Length over which a rate must be steady, s
-    smooth_s: float = 0.1  # Averaging before the spread is taken, s
-    min_duration_s: float = 1.0  # Shortest plateau kept, s
-    steadiness: float = 0.05  # Largest spread of a plateau as a share of its rate
-    least_floors: float = 10.0  # A plateau or rotation must exceed this many noise floors
+_STEADY_S = 1.0  # length over which a rate must be steady, and shortest plateau
+_AVERAGED_S = 0.1  # before the spread is taken
+_STEADINESS = 0.05  # largest spread of a plateau as a share of its rate
+_LEAST_FLOORS = 10.0  # a plateau or rotation must exceed this many noise floors
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -755,7 +748,7 @@ class TurnSearch:
     rotation_angle: FloatArray  # (R, 3), integral of each reading less the offset at rest, gyro unit times s
 
 
-def find_turns(record: Record, stills: Sequence[Still], settings: TurnSettings = TurnSettings()) -> TurnSearch:
+def find_turns(record: Record, stills: Sequence[Still]) -> TurnSearch:
     """Find plateaus of constant rate, and the rotations between still phases.
 
     Parameters
@@ -764,8 +757,6 @@ def find_turns(record: Record, stills: Sequence[Still], settings: TurnSettings =
         With gyroscope, any unit.
     stills : sequence of Still
         Still phases of this record, in order of time; they give the offset and bound the rotations.
-    settings : TurnSettings
-        Window and limits.
 
     Returns
     -------
@@ -791,14 +782,13 @@ def find_turns(record: Record, stills: Sequence[Still], settings: TurnSettings =
     if record.gyro is None:
         raise InputError("find_turns: wanted a gyroscope, got a record without; map the gyro columns")
     fs = record.sample_rate_hz
-    window, smooth = sample_count(settings.window_s, fs), max(1, round(settings.smooth_s * fs))
-    mean, spread = sliding_moments(record.gyro, window, smooth)
+    mean, spread = sliding_moments(record.gyro, sample_count(_STEADY_S, fs), max(1, round(_AVERAGED_S * fs)))
     seen = np.isfinite(spread)
     floor = float(np.quantile(spread[seen], FLOOR_QUANTILE))
     rest = [record.gyro[s.start : s.stop] for s in stills]
     offset = np.nanmean(np.concatenate(rest), axis=0) if rest else np.median(mean[seen], axis=0)
-    plateaus, rates = _plateaus(record, (mean, spread), (offset, floor), stills, settings)
-    rotations, angles = _rotations(record, stills, offset, settings.least_floors * floor)
+    plateaus, rates = _plateaus(record, (mean, spread), (offset, floor), stills)
+    rotations, angles = _rotations(record, stills, offset, _LEAST_FLOORS * floor)
     return TurnSearch(plateaus=plateaus, plateau_rate=rates, rotations=rotations, rotation_angle=angles)
 
 
@@ -807,13 +797,12 @@ def _plateaus(
     moments: tuple[FloatArray, FloatArray],
     rest: tuple[FloatArray, float],
     stills: Sequence[Still],
-    settings: TurnSettings,
 ) -> tuple[tuple[Turn, ...], FloatArray]:
     (mean, spread), (offset, floor), gyro = moments, rest, np.asarray(record.gyro)
-    rate, shortest = mean - offset, sample_count(settings.min_duration_s, record.sample_rate_hz)
+    rate, shortest = mean - offset, sample_count(_STEADY_S, record.sample_rate_hz)
     edge = (len(gyro) - len(rate)) // 2
     size = np.linalg.norm(rate, axis=1)
-    steady = (size > settings.least_floors * floor) & (spread <= np.maximum(settings.steadiness * size, 4.0 * floor))
+    steady = (size > _LEAST_FLOORS * floor) & (spread <= np.maximum(_STEADINESS * size, 4.0 * floor))
     for still in stills:
         steady[max(0, still.start - edge) : max(0, still.stop - edge)] = False
     turns: list[Turn] = []
