@@ -10,8 +10,10 @@ from testkit.autopilots import import_ardupilot, import_px4, read_parameters
 from testkit.data import show
 from testkit.full_calibration import STEPS, device, tables
 from undrift.errors import InputError
-from undrift.export.autopilots import AutopilotSettings, Cubic, export_ardupilot, export_px4, fit_cubic
+from undrift.export import ExportOptions
+from undrift.export.autopilots import Cubic, export_ardupilot, export_px4, fit_cubic
 from undrift.model import AdcModel, DriftTables, StaticDrift
+from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
 DEG = np.pi / 180.0
 
@@ -108,10 +110,12 @@ def test_counts_want_the_gain_of_the_driver():
         ):
             to(made)
         with pytest.raises(InputError, match="accel: wanted the gain"):
-            to(made, AutopilotSettings(gyro_nominal=1e-3))
+            to(made, ExportOptions(gyro_dps_per_unit=1e-3 / RADIAN_PER_DEGREE))
         with pytest.raises(InputError, match=r"got -1\.0; give the nominal gain"):
-            to(made, AutopilotSettings(gyro_nominal=-1.0))
-    text = export_px4(made, AutopilotSettings(gyro_nominal=1e-3, accel_nominal=5e-3)).text
+            to(made, ExportOptions(gyro_dps_per_unit=-1.0))
+    text = export_px4(
+        made, ExportOptions(gyro_dps_per_unit=1e-3 / RADIAN_PER_DEGREE, accel_g_per_unit=5e-3 / STANDARD_GRAVITY)
+    ).text
     table = made.drift.static
     fitted = fit_cubic(table.temp_c, table.gyro_offset * 1e-3)
     np.testing.assert_allclose(import_px4(text).gyro.coefficients, fitted.coefficients, rtol=1e-14)
@@ -120,7 +124,7 @@ def test_counts_want_the_gain_of_the_driver():
 
 @pytest.mark.parametrize("sensor", [0, 1, 2])
 def test_the_sensor_is_in_every_name(sensor):
-    made, settings = device(unit="si", drift=tables(dynamic=None)), AutopilotSettings(sensor=sensor)
+    made, settings = device(unit="si", drift=tables(dynamic=None)), ExportOptions(sensor=sensor)
     px4, ardupilot = export_px4(made, settings).text, export_ardupilot(made, settings).text
     assert set(re.findall(r"(?:TC_[GA]|GYRO|ACC)(\d)_", px4)) == {str(sensor)}
     number = "" if sensor == 0 else str(sensor + 1)
@@ -185,15 +189,15 @@ def test_few_nodes_make_a_lower_degree():
 
 def test_what_is_refused():
     with pytest.raises(InputError, match="wanted sensor 0, 1 or 2 of the autopilot, got 3"):
-        export_px4(fixture(), AutopilotSettings(sensor=3))
+        export_px4(fixture(), ExportOptions(sensor=3))
     scaled = replace(device(unit="si", drift=tables(scale=STEPS)), reference_temp_c=float("nan"))
     with pytest.raises(
         InputError, match="wanted a temperature from 18 to 75 degC to read the tables at, got nan; give temp_c"
     ):
         export_px4(scaled)
-    assert export_px4(scaled, AutopilotSettings(temp_c=30.0)).notes[0] == "tables over temperature are read at 30 degC"
+    assert export_px4(scaled, ExportOptions(temp_c=30.0)).notes[0] == "tables over temperature are read at 30 degC"
     scale = replace(scaled.drift.scale, accel_matrix=None, accel_uncertainty=None, accel_extrapolated=None)
     gyro_alone = replace(scaled, drift=replace(scaled.drift, scale=scale))
-    cold, hot = (export_px4(gyro_alone, AutopilotSettings(temp_c=t)) for t in (30.0, 60.0))
+    cold, hot = (export_px4(gyro_alone, ExportOptions(temp_c=t)) for t in (30.0, 60.0))
     assert cold.text == hot.text  # gains of gyroscopes have no place there: nothing is frozen, nothing is said of it
     assert "tables over temperature" not in " ".join((*cold.notes, *hot.notes))

@@ -16,7 +16,8 @@ from testkit.full_calibration import GAP, ROUNDINGS, STEPS, WILD, device, record
 from testkit.strategies import few
 from undrift.correction.correct import correct_checked
 from undrift.errors import InputError
-from undrift.export.c import CSettings, export_c, literal
+from undrift.export import ExportOptions
+from undrift.export.c import export_c, literal
 from undrift.export.firmware import FULL_FORCE, FULL_RATE
 from undrift.model import AdcModel, Hysteresis, Provenance, StaticDrift, Verdict, WarmUp
 
@@ -213,7 +214,7 @@ def test_a_reading_at_the_end_of_its_range_does_not_saturate_for_its_offset(tmp_
 
 
 def test_the_output_may_be_the_input_and_two_devices_fit_into_one_program(tmp_path):
-    one, two = export_c(device()), export_c(device(g=False), CSettings(prefix="other", header_name="other.h"))
+    one, two = export_c(device()), export_c(device(g=False), ExportOptions(prefix="other"), header_name="other.h")
     write(one, tmp_path)
     (tmp_path / "other.h").write_text(two.header)
     (tmp_path / "other.c").write_text(two.source)
@@ -259,7 +260,7 @@ def test_the_header_says_what_a_reader_must_know():
     calibration = device(
         drift=tables(), verdict=Verdict(status="marginal"), provenance=Provenance(created="2026-01-02T03:04:05Z")
     )
-    header = export_c(calibration, CSettings(date="2026-05-06", default="fixed")).header
+    header = export_c(calibration, ExportOptions(fixed=True), date="2026-05-06").header
     for text in ("sensor A", "2026-01-02", "2026-05-06", "marginal", "rad/s", "m/s2", "degC", "frame b", "count",
                  "18 to 75 degC", "Order of the steps", "bytes", "cycles", "Cortex-M4F", "at most"):  # fmt: skip
         assert text in header, text
@@ -298,7 +299,7 @@ def test_what_is_not_carried_is_listed():
 def test_a_triad_without_a_model_is_nominal_in_the_unit_that_is_named_as_it_is_in_python(arithmetic, tmp_path):
     for name, unit in (("accel", "g"), ("accel", None), ("gyro", "dps")):
         made = device(**{name: None})
-        exported = export_c(made, CSettings(**({} if unit is None else {f"{name}_unit": unit})))
+        exported = export_c(made, ExportOptions(**({} if unit is None else {f"{name}_unit": unit})))
         run = build(exported, tmp_path, arithmetic)
         r = record(300, **{f"{name}_unit": {"g": "g", "dps": "deg/s", None: "m/s2"}[unit]})
         r = replace(r, **{name: getattr(r, name) * 0.003, "temp_c": np.full(300, 25.0)})  # 3 g rms
@@ -316,7 +317,7 @@ def test_a_triad_without_a_model_is_nominal_in_the_unit_that_is_named_as_it_is_i
 
 
 def test_the_header_says_the_unit_of_a_triad_without_a_model_and_defines_its_bits():
-    exported = export_c(device(accel=None), CSettings(accel_unit="g"))
+    exported = export_c(device(accel=None), ExportOptions(accel_unit="g"))
     assert "accelerometers have no model: nominal values are passed on; accel_raw is taken as g" in exported.notes
     assert "accel_raw: g, temperatures without a table" in exported.header
     assert "#define UNDRIFT_ACCEL_RAW_BITS 16" in exported.header
@@ -327,9 +328,9 @@ def test_the_header_says_the_unit_of_a_triad_without_a_model_and_defines_its_bit
     with pytest.raises(
         InputError, match="wanted no unit of the accel, whose model is for count, got g; leave accel_unit out"
     ):
-        export_c(device(), CSettings(accel_unit="g"))
+        export_c(device(), ExportOptions(accel_unit="g"))
     with pytest.raises(InputError, match="wanted a physical unit of the accel, which has no model, got count"):
-        export_c(device(accel=None), CSettings(accel_unit="count"))
+        export_c(device(accel=None), ExportOptions(accel_unit="count"))
 
 
 def test_unsigned_codes_get_the_room_that_they_need(tmp_path):
@@ -343,7 +344,7 @@ def test_unsigned_codes_get_the_room_that_they_need(tmp_path):
     gyro, accel, temp_c = run.real(np.repeat(inputs, 2, axis=0))
     assert status.tolist() == [0]
     assert (np.abs(w[0] - corrected(made, gyro, accel, temp_c, "count")[0][0]) <= exported.gyro_bound).all()
-    assert bits_of(export_c(made, CSettings(gyro_raw_bits=10))) == (10, 16)
+    assert bits_of(export_c(made, ExportOptions(gyro_raw_bits=10))) == (10, 16)
 
 
 def test_what_is_refused():
@@ -356,14 +357,14 @@ def test_what_is_refused():
         export_c(replace(bad, gyro=replace(bad.gyro, offset=np.full(3, np.nan))))
     for prefix in ("Undrift", "1a", "a-b", "", "a" * 40):
         with pytest.raises(InputError, match="wanted a prefix of lower-case letters"):
-            export_c(bad, CSettings(prefix=prefix))
+            export_c(bad, ExportOptions(prefix=prefix))
     with pytest.raises(InputError, match="wanted 0 to 30 bits behind the point of a reading, got 31"):
-        export_c(bad, CSettings(accel_raw_bits=31))
+        export_c(bad, ExportOptions(accel_raw_bits=31))
     with pytest.raises(InputError, match="fixed point, gyro: wanted gains that 32 bits hold"):
         export_c(replace(bad, gyro=replace(bad.gyro, matrix=np.eye(3) * 1e9)))
     big = replace(bad, gyro=replace(bad.gyro, offset=np.full(3, 4e4)))
     with pytest.raises(InputError, match="wanted offsets that leave room in 32 bits with 16 bits behind the point"):
-        export_c(big, CSettings(gyro_raw_bits=16))
+        export_c(big, ExportOptions(gyro_raw_bits=16))
     close = StaticDrift(temp_c=[20.0, 20.0 + 1e-6, 75.0], gyro_offset=np.zeros((3, 3)))
     with pytest.raises(InputError, match="wanted nodes within 32767 and more than 1/65536 apart"):
         export_c(device(drift=replace(tables(), static=close)))
@@ -371,4 +372,4 @@ def test_what_is_refused():
         literal(1e300)
     adc = AdcModel(gyro_lsb=[1e12] * 3, gyro_rounding="floor")
     with pytest.raises(InputError, match="wanted offsets that leave room"):
-        export_c(device(drift=None, adc=adc), CSettings(gyro_raw_bits=0))
+        export_c(device(drift=None, adc=adc), ExportOptions(gyro_raw_bits=0))

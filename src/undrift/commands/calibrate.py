@@ -180,10 +180,8 @@ def calibrate(
     if calibrate_from == "motion" or live.live is not None:
         idle = {"accel": accel, "gyro": gyro, "mode": mode, "turn_deg": turn_deg, "keep_offset": keep_offset or None}
         _check_idle(idle | {"kind": kind}, fitting, table, sensitivity, rests)
-    elif prior is not None or magnetometer:
-        raise InputError(
-            "calibrate: `prior` and `magnetometer` are for `calibrate_from` motion: state that, or leave it out"
-        )
+    else:
+        _check_pieces(prior, magnetometer)
     settings = CalibrateSettings(
         still=rests.settings(), latitude_deg=place.latitude_deg, turn_angle_deg=turn_deg, remove_offset=not keep_offset,
         identify_adc=adc == "auto", **(asdict(fitting) | asdict(table) | asdict(sensitivity)))  # fmt: skip
@@ -220,6 +218,13 @@ def _known_section(known: "Sequence[ElementKnown]") -> Section:
     """Return how far motion and prior know each element."""
     rows = tuple((one.name, one.axis, f"{one.uncertainty:.2g} {one.unit}") for one in known)
     return Section(title="Known to, 95 %", columns=("element", "axis", "uncertainty"), rows=rows, folded=True)
+
+
+def _check_pieces(prior: Path | None, magnetometer: bool) -> None:
+    if prior is not None or magnetometer:
+        raise InputError(
+            "calibrate: `prior` and `magnetometer` are for `calibrate_from` motion: state that, or leave it out"
+        )
 
 
 def _check_idle(named: Mapping[str, object], *chosen: Any) -> None:

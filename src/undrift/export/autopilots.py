@@ -35,16 +35,6 @@ AXES = ("X", "Y", "Z")
 REFERENCE_OF_NO_TABLE_C = 25.0  # where a constant is written as a cubic and no reference temperature is known
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class AutopilotSettings:
-    """What an autopilot's parameters need besides the calibration."""
-
-    sensor: int = 0  # Which inertial sensor of the autopilot, from 0
-    gyro_nominal: float | None = None  # rad/s per raw unit of the autopilot's driver; for counts and volts only
-    accel_nominal: float | None = None  # m/s2 per raw unit of the autopilot's driver; for counts and volts only
-    temp_c: float | None = None  # Where tables that cannot be carried are read; None for the reference temperature
-
-
 # ---- Offsets over temperature as a cubic, fitted to the nodes of the static table that have data near them
 
 
@@ -106,12 +96,12 @@ class AutopilotModel:
     notes: tuple[Finding, ...]  # Misfits, and what was frozen
 
 
-def autopilot_model(calibration: Calibration, settings: AutopilotSettings) -> AutopilotModel:
+def autopilot_model(calibration: Calibration, options: ExportOptions) -> AutopilotModel:
     """Return a calibration in an autopilot's form."""
-    if not 0 <= settings.sensor <= 2:
-        raise InputError(f"export: wanted sensor 0, 1 or 2 of the autopilot, got {settings.sensor}; choose one")
+    if not 0 <= options.sensor <= 2:
+        raise InputError(f"export: wanted sensor 0, 1 or 2 of the autopilot, got {options.sensor}; choose one")
     drift = calibration.drift or NO_TABLES
-    static, temp = drift.static, settings.temp_c
+    static, temp = drift.static, options.temp_c
     if temp is None and drift.scale is None and static is not None:
         temp = float(static.temp_c.mean())  # the cubics hold the offsets of every temperature: nothing is frozen here
     pair = pair_at(calibration, temp)
@@ -121,8 +111,8 @@ def autopilot_model(calibration: Calibration, settings: AutopilotSettings) -> Au
     frozen_gains = pair.accel is not None and drift.scale is not None and drift.scale.accel_matrix is not None
     notes = list(pair.notes) if frozen_gains else []
     sides: tuple[tuple[str, Constants | None, Quantity, float | None], ...] = (
-        ("gyro", pair.gyro, "rate", settings.gyro_nominal),
-        ("accel", pair.accel, "accel", settings.accel_nominal),
+        ("gyro", pair.gyro, "rate", options.gyro_dps_per_unit),
+        ("accel", pair.accel, "accel", options.accel_g_per_unit),
     )
     for name, triad, quantity, stated in sides:
         if triad is None:
@@ -148,7 +138,7 @@ def _nominal(triad: Constants, quantity: Quantity, stated: float | None) -> floa
             f"export, {name}: wanted the gain that the autopilot's driver uses, since the calibration is for {triad.unit_in}, "
             f"got {'none' if stated is None else stated}; give the nominal gain: {option}"
         )
-    return stated
+    return stated * (RADIAN_PER_DEGREE if quantity == "rate" else STANDARD_GRAVITY)
 
 
 def _offsets(calibration: Calibration, pair: ConstantPair, triad: Constants, nominal: float) -> Cubic:
@@ -169,14 +159,14 @@ REFERENCE_C = 35.0
 UNIT = 1e-6
 
 
-def export_ardupilot(calibration: Calibration, settings: AutopilotSettings = AutopilotSettings()) -> Exported:
+def export_ardupilot(calibration: Calibration, options: ExportOptions = ExportOptions()) -> Exported:
     """Return a parameter file for ArduPilot.
 
     Parameters
     ----------
     calibration : Calibration
         The device's model.
-    settings : AutopilotSettings
+    options : ExportOptions
         Which sensor; nominal gains for counts and volts.
 
     Returns
@@ -189,8 +179,8 @@ def export_ardupilot(calibration: Calibration, settings: AutopilotSettings = Aut
     InputError
         A sensor that no autopilot has, tables without a temperature to read them at, counts or volts without a nominal gain.
     """
-    model = autopilot_model(calibration, settings)
-    n, number = settings.sensor + 1, "" if settings.sensor == 0 else str(settings.sensor + 1)
+    model = autopilot_model(calibration, options)
+    n, number = options.sensor + 1, "" if options.sensor == 0 else str(options.sensor + 1)
     triads = [(group, cubic) for group, cubic in (("ACC", model.accel), ("GYR", model.gyro)) if cubic is not None]
     tables = [cubic for _, cubic in triads if cubic.table]
     values: dict[str, float] = {f"INS_TCAL{n}_ENABLE": int(bool(tables))}
@@ -235,14 +225,14 @@ def _by_axis(name: str, values: FloatArray) -> dict[str, float]:
 REAL, INTEGER = 9, 6  # types of the parameter file
 
 
-def export_px4(calibration: Calibration, settings: AutopilotSettings = AutopilotSettings()) -> Exported:
+def export_px4(calibration: Calibration, options: ExportOptions = ExportOptions()) -> Exported:
     """Return a parameter file for PX4, as QGroundControl loads it.
 
     Parameters
     ----------
     calibration : Calibration
         The device's model.
-    settings : AutopilotSettings
+    options : ExportOptions
         Which sensor; nominal gains for counts and volts.
 
     Returns
@@ -255,8 +245,8 @@ def export_px4(calibration: Calibration, settings: AutopilotSettings = Autopilot
     InputError
         A sensor that no autopilot has, tables without a temperature to read them at, counts or volts without a nominal gain.
     """
-    model = autopilot_model(calibration, settings)
-    n, values = settings.sensor, dict[str, float]()
+    model = autopilot_model(calibration, options)
+    n, values = options.sensor, dict[str, float]()
     for letter, group, cubic in (("G", "GYRO", model.gyro), ("A", "ACC", model.accel)):
         if cubic is None:
             continue
@@ -282,18 +272,7 @@ def export_px4(calibration: Calibration, settings: AutopilotSettings = Autopilot
 # ---- Targets of ``undrift export``
 
 
-def _settings(options: ExportOptions) -> AutopilotSettings:
-    gyro, accel = options.gyro_dps_per_unit, options.accel_g_per_unit
-    return AutopilotSettings(
-        sensor=options.sensor,
-        gyro_nominal=None if gyro is None else gyro * RADIAN_PER_DEGREE,
-        accel_nominal=None if accel is None else accel * STANDARD_GRAVITY,
-        temp_c=options.temp_c,
-    )
-
-
-PX4 = Target(endings=(".params", ".param"), write=lambda model, options, _: export_px4(model, _settings(options)))
+PX4 = Target(endings=(".params", ".param"), write=lambda model, options, _: export_px4(model, options))
 ARDUPILOT = Target(
-    endings=(".param", ".parm", ".params"),
-    write=lambda model, options, _: export_ardupilot(model, _settings(options)),
+    endings=(".param", ".parm", ".params"), write=lambda model, options, _: export_ardupilot(model, options)
 )

@@ -115,23 +115,6 @@ CARRIED: frozenset[Part] = frozenset(
 )  # fmt: skip
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CSettings:
-    """How the source is written."""
-
-    default: firmware.Arithmetic = "float"  # Arithmetic of a build that defines none: float, double or fixed
-    # Begins every name, so that two devices fit into one program: a C identifier in lower case
-    prefix: str = "undrift"
-    header_name: str = "undrift.h"  # File name that the source includes
-    # Fixed point: bits behind the point of a reading; None chooses 16, fewer where the offsets show large codes
-    gyro_raw_bits: int | None = None
-    accel_raw_bits: int | None = None
-    # Physical unit of the readings of a triad that has no model; None for rad/s and m/s2
-    gyro_unit: str | None = None
-    accel_unit: str | None = None
-    date: str = ""  # When it was exported; written into the comment
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ExportedC:
     """A C99 header and source, and what they cost."""
@@ -146,15 +129,25 @@ class ExportedC:
     accel_bound: FloatArray  # (3,), the same, m/s2
 
 
-def export_c(calibration: Calibration, settings: CSettings = CSettings()) -> ExportedC:
+def export_c(
+    calibration: Calibration,
+    options: ExportOptions = ExportOptions(),
+    *,
+    header_name: str = "undrift.h",
+    date: str = "",
+) -> ExportedC:
     """Return the C99 header and source of a calibration.
 
     Parameters
     ----------
     calibration : Calibration
         The device's model.
-    settings : CSettings
-        Default arithmetic, names, room for codes.
+    options : ExportOptions
+        Default arithmetic, prefix of names, room for codes.
+    header_name : str
+        Name of the file that the source includes.
+    date : str
+        When it was exported, for the comment.
 
     Returns
     -------
@@ -177,19 +170,19 @@ def export_c(calibration: Calibration, settings: CSettings = CSettings()) -> Exp
     >>> "undrift_correct" in source.header
     True
     """
-    if not re.fullmatch(r"[a-z][a-z0-9_]{0,30}", settings.prefix):
+    if not re.fullmatch(r"[a-z][a-z0-9_]{0,30}", options.prefix):
         raise InputError(
-            f"export c: wanted a prefix of lower-case letters, digits and _, got {settings.prefix!r}; name it so"
+            f"export c: wanted a prefix of lower-case letters, digits and _, got {options.prefix!r}; name it so"
         )
-    for bits in (settings.gyro_raw_bits, settings.accel_raw_bits):
+    for bits in (options.gyro_raw_bits, options.accel_raw_bits):
         if bits is not None and not 0 <= bits <= 30:
             raise InputError(f"export c: wanted 0 to 30 bits behind the point of a reading, got {bits}; choose fewer")
     notes: list[Finding] = []
-    gyro, accel = (_triad_of(calibration, settings, name, notes) for name in SENSORS)
-    of_accel = firmware.fixed_triad(accel, raw_bits=settings.accel_raw_bits, full=firmware.FULL_FORCE)
+    gyro, accel = (_triad_of(calibration, options, name, notes) for name in SENSORS)
+    of_accel = firmware.fixed_triad(accel, raw_bits=options.accel_raw_bits, full=firmware.FULL_FORCE)
     of_gyro = firmware.fixed_triad(
         gyro,
-        raw_bits=settings.gyro_raw_bits,
+        raw_bits=options.gyro_raw_bits,
         full=firmware.FULL_RATE,
         accel_bound=of_accel.bound,
         accel_full=firmware.FULL_FORCE,
@@ -197,19 +190,19 @@ def export_c(calibration: Calibration, settings: CSettings = CSettings()) -> Exp
     pairs = [(accel, of_accel), (gyro, of_gyro)]
     lead = firmware.lead_of(calibration)
     if lead is not None:
-        notes.append(finding("export.lag_removed", "info", lag_s=lead.lag_s, prefix=settings.prefix))
+        notes.append(finding("export.lag_removed", "info", lag_s=lead.lag_s, prefix=options.prefix))
     if gyro.warm_up_table is not None:
         over = gyro.warm_up_table.temp.stop
-        notes.append(finding("export.warm_up_removed", "info", over_s=over, prefix=settings.prefix))
+        notes.append(finding("export.warm_up_removed", "info", over_s=over, prefix=options.prefix))
     if gyro.at_rest is not None:
-        notes.append(finding("export.at_rest", "info", prefix=settings.prefix))
+        notes.append(finding("export.at_rest", "info", prefix=options.prefix))
     if calibration.magnetometer is not None:
-        notes.append(finding("export.magnetometer_apart", "info", prefix=settings.prefix))
+        notes.append(finding("export.magnetometer_apart", "info", prefix=options.prefix))
     texts = texts_of(losses(calibration, CARRIED), notes)
-    source, sizes = _source(pairs, calibration, settings, lead)
+    source, sizes = _source(pairs, calibration, options, header_name, lead)
     costs = tuple(firmware.cost_of((accel, gyro), each, size, lead=lead is not None) for each, size in sizes.items())
     return ExportedC(
-        header=_header(pairs, calibration, settings, costs, texts["not_carried"] + texts["notes"], lead),
+        header=_header(pairs, calibration, options, costs, texts["not_carried"] + texts["notes"], lead, date),
         source=source,
         costs=costs,
         gyro_bound=of_gyro.bound,
@@ -218,10 +211,10 @@ def export_c(calibration: Calibration, settings: CSettings = CSettings()) -> Exp
     )
 
 
-def _triad_of(calibration: Calibration, settings: CSettings, name: Sensor, notes: list[Finding]) -> Constants:
+def _triad_of(calibration: Calibration, options: ExportOptions, name: Sensor, notes: list[Finding]) -> Constants:
     """Return a triad, nominal where there is no model, with a note on that."""
     triad = firmware.triads_of(calibration)[SENSORS.index(name)]
-    unit = settings.gyro_unit if name == "gyro" else settings.accel_unit
+    unit = options.gyro_unit if name == "gyro" else options.accel_unit
     if triad is not None and unit is not None:
         raise InputError(
             f"export c: wanted no unit of the {name}, whose model is for {triad.unit_in}, got {unit}; leave {name}_unit out",
@@ -262,9 +255,9 @@ def _axes(table: LookupTable | firmware.FixedTable, what: str = "") -> list[tupl
 
 
 def _source(
-    pairs: list[Pair], calibration: Calibration, settings: CSettings, lead: firmware.Lead | None
+    pairs: list[Pair], calibration: Calibration, options: ExportOptions, header_name: str, lead: firmware.Lead | None
 ) -> tuple[str, dict[firmware.Arithmetic, int]]:
-    printer = Printer(settings.prefix)
+    printer = Printer(options.prefix)
     tables = [table for triad, _ in pairs for _, table in firmware.named_tables(triad)]
     axes = [axis for table in tables for _, axis in _axes(table)]
     mag, fixed_mag = calibration.magnetometer, None
@@ -273,7 +266,7 @@ def _source(
         fixed_mag = [np.round(np.asarray(part) * 2.0**bits).astype(np.int64) for part, bits in parts]
     gyro, rule = pairs[1][0], (TURNING_ABOVE, TURNING_MEAN_S, TURNING_HOLD_S)
     text = _environment().get_template("undrift.c.j2").render(
-        title=_title(calibration), header=settings.header_name, p=settings.prefix, P=settings.prefix.upper(),
+        title=_title(calibration), header=header_name, p=options.prefix, P=options.prefix.upper(),
         triads=pairs, accel=pairs[0][0], gyro=gyro, at_rest=gyro.at_rest, turning=rule,
         fixed_at_rest=None if gyro.at_rest is None else np.round(gyro.at_rest * 2.0**firmware.OUT_BITS).astype(np.int64),
         fixed_turning=[round(x * 2.0**bits) for x, bits in zip(rule, (24, 20, 20), strict=True)],
@@ -293,15 +286,17 @@ def _title(calibration: Calibration) -> str:
 def _header(
     pairs: list[Pair],
     calibration: Calibration,
-    settings: CSettings,
+    options: ExportOptions,
     costs: tuple[firmware.Cost, ...],
     notes: tuple[str, ...],
     lead: firmware.Lead | None,
+    date: str,
 ) -> str:
+    default = "fixed" if options.fixed else "double" if options.double else "float"
     warm = pairs[1][0].warm_up_table
     about = {
-        "title": _title(calibration), "default": settings.default, "date": settings.date, "p": settings.prefix,
-        "P": settings.prefix.upper(), "triads": pairs, "created": calibration.provenance.created, "lead": lead,
+        "title": _title(calibration), "default": default, "date": date, "p": options.prefix,
+        "P": options.prefix.upper(), "triads": pairs, "created": calibration.provenance.created, "lead": lead,
         "verdict": calibration.verdict.status, "costs": costs, "notes": notes, "assumption": firmware.ASSUMPTION, "span": _span,
         "lag_s": f"{lead.lag_s:g}" if lead else "", "smooth_s": f"{lead.smooth_s:g}" if lead else "",
         "warm_up": warm is not None, "warm_s": f"{warm.temp.stop:g}" if warm else "",
@@ -330,14 +325,7 @@ def write_c(calibration: Calibration, options: ExportOptions, name: str) -> Expo
         raise InputError(
             f"{name}: wanted a file name of letters, digits, -, _ and . for a C header, got others; rename it"
         )
-    keys = ("prefix", "gyro_raw_bits", "accel_raw_bits", "gyro_unit", "accel_unit")
-    settings = CSettings(
-        default="fixed" if options.fixed else "double" if options.double else "float",
-        header_name=name,
-        date=datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
-        **{key: getattr(options, key) for key in keys},
-    )
-    made = export_c(calibration, settings)
+    made = export_c(calibration, options, header_name=name, date=datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"))
     cost_keys = ("arithmetic", "table_bytes", "flash_bytes", "cycles", "lead_cycles")
     bound = {"gyro_rad_s": float(made.gyro_bound.max()), "accel_m_s2": float(made.accel_bound.max())}
     builds = [{key: getattr(cost, key) for key in cost_keys} for cost in made.costs]
