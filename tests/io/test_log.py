@@ -10,7 +10,7 @@ from undrift.io.formats import format_of, read_counted
 from undrift.io.inspect import describe
 from undrift.io.log import find_readings, names_of
 from undrift.io.proposal import map_of
-from undrift.io.session import read_column_map
+from undrift.io.session import read_map
 from undrift.units import si_factor
 
 SHAPES = shapes()
@@ -31,7 +31,7 @@ def read_as_proposed(path) -> tuple[ReadResult, set[str]]:
     text = map_of(found, sample_rate_hz=100.0)
     where = path.with_name("map.toml")
     where.write_text(text)
-    return read_counted(path, read_column_map(where)), asks | ({"units"} if '"?"' in text else set())
+    return read_counted(path, read_map(where)[0]), asks | ({"units"} if '"?"' in text else set())
 
 
 @pytest.mark.parametrize("shape", [one for one in SHAPES if one.name not in REFUSED], ids=lambda one: one.name)
