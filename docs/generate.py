@@ -154,6 +154,7 @@ def keys() -> str:
             ("study/plan.py", "Entry"),
             ("sim/bench_errors.py", "BenchErrors"),
             ("sim/motion/worn.py", "WornErrors"),
+            ("sim/motion/tasks.py", "Category"),
         ),
     ):
         parts.append(f"## {title}")
@@ -204,12 +205,18 @@ def _models(path: Path, endings: tuple[str, ...]):
         if token.type == tokenize.COMMENT
     }
     starts = {line for line, text in enumerate(source.splitlines(), 1) if text.strip().startswith("#")}
-    for node in ast.parse(source).body:
-        if not isinstance(node, ast.ClassDef) or not node.name.endswith(endings):
+    classes = {node.name: node for node in ast.parse(source).body if isinstance(node, ast.ClassDef)}
+
+    def items(node: ast.ClassDef) -> list:
+        bases = [classes[base.id] for base in node.bases if isinstance(base, ast.Name) and base.id in classes]
+        return [*(item for base in bases for item in items(base)), *node.body]
+
+    for node in classes.values():
+        if not node.name.endswith(endings):
             continue
         model, rows = getattr(module, node.name), []
         keys = _keys_of(model)
-        for item in node.body:
+        for item in items(node):
             if not isinstance(item, ast.AnnAssign) or item.target.id not in keys:
                 continue
             key, default = keys[item.target.id]

@@ -58,7 +58,10 @@ def test_a_study_of_the_notes_category_is_the_study_that_it_was(tmp_path: Path) 
 
 @pytest.mark.parametrize("names", [["frail"], [], ["young", "young"]])
 def test_categories_that_are_none_are_refused(tmp_path: Path, names: list[str]) -> None:
-    with pytest.raises(InputError, match="wanted some of level_2, young, elderly, impaired, parkinson, each once"):
+    with pytest.raises(
+        InputError,
+        match="wanted some of level_1, level_2, level_3, level_4, young, elderly, impaired, parkinson, each once",
+    ):
         with_categories(note_study(), names)
     text = TEXT.replace('["level_2", "young"]', json.dumps(names))
     with pytest.raises(FileFormatError, match="categories: wanted some of"):

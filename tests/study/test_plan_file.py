@@ -149,27 +149,29 @@ def test_a_folder_of_people_is_performed_one_by_each_subject_and_their_rests_are
     own = TEXT.replace('"sit_to_stand"', '"rising"').replace("subjects = 3", "subjects = 30\ntarget_deg = 1.0")
     own += '[task.motion]\nfolder = "captures"\n'
     folder = tmp_path / "captures"
-    with pytest.raises(FileFormatError, match="wanted a folder of recorded people, got No such file"):
+    with pytest.raises(FileFormatError, match=r"wanted a folder of recorded people, got .*No such file"):
         read_study(written(tmp_path, own))
     folder.mkdir()
     rests = (2.0, 3.0, 9.0, 1.5)
     for number, rest_s in enumerate(rests):
         if number == 2:
-            with pytest.raises(FileFormatError, match="wanted three people or more, a file each, got 2; record more"):
+            with pytest.raises(FileFormatError, match="wanted three people or more, got 2; record more"):
                 read_study(written(tmp_path, own))
         recorded(folder, name=f"person{number}", seed=number, rest_s=rest_s)
     study = read_study(written(tmp_path, own))
     (task,) = study.tasks
     assert task.motion is not None
     assert (study.subjects, task.motion.people) == (4, 4)  # no person counts twice
-    found = [task.motion.of(number).rest_s for number in range(4)]
+    found = [task.motion.of(number)[0].rest_s for number in range(4)]
     show("rests found, s, of 2, 3, 9 and 1.5", found[0], f"{found[1:]}")
     for rest_s, wanted in zip(found, rests, strict=True):
         assert min(wanted, 6.0) - 0.3 <= rest_s <= min(wanted + 0.5, 6.0)
     lengths = [make_case(study, task, number, Setting(11.1)).pitch.shape for number in (0, 1, 4)]
     assert lengths[0] == lengths[2] != lengths[1]
     both = own.replace("folder =", 'file = "captures/person0.parquet"\nfolder =')
-    with pytest.raises(FileFormatError, match="a file, or a folder with one of each person, got both; name one"):
+    with pytest.raises(
+        FileFormatError, match=r"a file, a folder with one of each person, .* got file and folder; name one"
+    ):
         read_study(written(tmp_path, both))
     with pytest.raises(FileFormatError, match="wanted a body at rest for its first rest_s = 4 s"):
         read_study(written(tmp_path, f"{own}rest_s = 4.0\n"))

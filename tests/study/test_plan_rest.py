@@ -10,7 +10,7 @@ from testkit.data import data_path, show
 from undrift.errors import InputError
 from undrift.record import Reference
 from undrift.sim.motion.poses import PoseSpline, fit_pose_spline
-from undrift.study.plan import SKIN, OwnMotion, check_rest, measure_rest, read_motion, read_poses, sha256_of
+from undrift.study.plan import SKIN, OwnMotion, Posed, check_rest, measure_rest, read_motion, read_poses, sha256_of
 from undrift.units import STANDARD_GRAVITY
 
 DEG = np.pi / 180.0
@@ -59,7 +59,7 @@ def test_noise_of_cameras_is_no_motion() -> None:
 
 def test_people_who_stand_are_at_rest_and_a_squat_that_has_begun_is_not() -> None:
     stood = data_path("mocap_sit_to_stand", "static1.trc.gz")
-    standing = fit_pose_spline(read_poses(stood, body="pelvis", markers=(), up="y"), SKIN)
+    standing = fit_pose_spline(read_poses(stood, Posed(body="pelvis", up="y")), SKIN)
     found = measure_rest(standing, 4.5)
     show("standing, 4.5 s: deg/s, m/s2, deg", (found.turn_rate / DEG, found.acceleration, found.tilt_error / DEG))
     check_rest(standing, 4.5, stood)

@@ -553,12 +553,13 @@ def schema_of(cls: type) -> Tree:
 def line_of(text: str, place: tuple[Any, ...]) -> int:
     """Return the line of an entry in a TOML text."""
     lines, start, keys = text.splitlines(), -1, [part for part in place if isinstance(part, str)]
-    if keys:
-        head = rf"^\s*\[+\s*{re.escape(keys[0])}\s*\]+"
+    wanted, listed = (place[1], 1) if len(place) > 1 and isinstance(place[1], int) else (0, 2)
+    for depth in range(min(listed, len(keys)), 0, -1):  # [a.b], or [a]
+        head = rf"^\s*\[+\s*{re.escape('.'.join(keys[:depth]))}\s*\]+"
         hits = [number for number, line in enumerate(lines) if re.match(head, line)]
-        wanted = place[1] if len(place) > 1 and isinstance(place[1], int) else 0
         if wanted < len(hits):
-            start, keys = hits[wanted], keys[1:]
+            start, keys = hits[wanted], keys[depth:]
+            break
     for key in reversed(keys):
         for number in range(start + 1, len(lines)):
             if lines[number].lstrip().startswith("["):

@@ -2,7 +2,7 @@
 
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import TYPE_CHECKING, Any, Literal
 
 from undrift.base.options import Flag, Output, options, verb
 from undrift.base.summary import Result, Section, Summary, at, figure_of
@@ -64,8 +64,9 @@ class Choices:
         round by round; "cma" evolves protocols by CMA-ES, for wide spaces (pip install undrift[search]). The plan's where not
         given, else "grid".
     categories : str or None
-        Categories of subjects, separated by commas, or "all": level_2 (the note's), young, elderly, impaired, parkinson. Each
-        performs every task, and each one's optimum is worn by the others. The plan's where not given, else level_2.
+        Categories of subjects, separated by commas, or "all": level_1 to level_4 (level_2 is the note's), young, elderly,
+        impaired, parkinson, and those of the plan. Each performs every task, and each one's optimum is worn by the others. The
+        plan's where not given, else level_2.
     candidates : int or None
         Most protocols of a task that halving draws from a wider space, or that cma tries; the plan's where not given, else all
         and 600.
@@ -94,7 +95,6 @@ class Choices:
 
     def applied(self, plan: Path | None) -> "Study":
         """Return the study of a plan, or the note's, with these choices."""
-        from undrift.sim.motion.tasks import CategoryName
         from undrift.study.plan import ends_of, note_study, read_study, with_categories
         from undrift.study.search import check_installed
 
@@ -111,10 +111,8 @@ class Choices:
         check_installed(study)
         if self.categories is None:
             return study
-        known = get_args(CategoryName)
-        return with_categories(
-            study, known if self.categories == "all" else [name.strip() for name in self.categories.split(",")]
-        )
+        stated = [name.strip() for name in self.categories.split(",")]
+        return with_categories(study, study.known if self.categories == "all" else stated)
 
 
 @verb
@@ -201,6 +199,10 @@ def _announced(planned: "Study", stages: "tuple[Stage, ...]", workers: int) -> t
 # ---- summary.json
 
 
+HEAD_KEYS = (
+    "name", "device", "subjects", "seed", "objective", "timing", "search", "offset", "candidates", "level", "margin_deg",
+    "target_deg", "confidence",
+)  # fmt: skip
 FIGURE3_KEYS = ("none_max_deg", "static_max_deg", "full_max_deg", "rest_max_deg", "full_and_rest_max_deg")
 
 
@@ -211,24 +213,7 @@ def study_json(outcome: "StudyOutcome") -> dict[str, object]:
 
     held, figure = outcome.study, outcome.figure3
     return {
-        **{
-            key: getattr(held, key)
-            for key in (
-                "name",
-                "device",
-                "subjects",
-                "seed",
-                "objective",
-                "timing",
-                "search",
-                "offset",
-                "candidates",
-                "level",
-                "margin_deg",
-                "target_deg",
-                "confidence",
-            )
-        },
+        **{key: getattr(held, key) for key in HEAD_KEYS},
         "bench": tree_of(held.bench) | {"chain_percent": 100.0 * held.chain_sd},
         "trial": tree_of(held.trial) if held.trial.on else None,
         "runs": outcome.runs,

@@ -88,8 +88,22 @@ def sections_of(outcome: "StudyOutcome") -> tuple[Section, ...]:
         _figure3(outcome),
         *real_sections(outcome.real),
         *(replace(section, folded=True) for section in _details(outcome)),
-        Section(title="How the study was made", text=(text,), folded=True),
+        Section(title="How the study was made", text=(text, *_people(outcome)), folded=True),
     )
+
+
+def _people(outcome: "StudyOutcome") -> tuple[str, ...]:
+    """Say whose motions they are, where that is not as in the note."""
+    study, motions = outcome.study, [task.motion for task in outcome.study.tasks if task.motion is not None]
+    levels = [CATEGORIES[name].label for name in study.categories if name in ("level_1", "level_3", "level_4")]  # type: ignore[index]
+    return (
+        *(f"{label}: the note gives no more than its meaning. Ages and heights: its Table 2; all other numbers are assumed, "
+          "each with its reason in sim/motion/categories.toml." for label in levels),
+        *(f"{kind.label}: numbers of the plan; bounds 2.5 standard deviations from the mean where none are stated."
+          for name, kind in study.lab if name in study.categories),
+        *(f"{one.people} recorded people with {sum(len(one.of(k)) for k in range(one.people))} recordings: errors of one person's "
+          "recordings are averaged, and no person counts twice." for one in motions if one.others),
+    )  # fmt: skip
 
 
 def _details(outcome: "StudyOutcome") -> tuple[Section, ...]:
@@ -128,7 +142,7 @@ def _name(task: "TaskOutcome") -> str:
 def _task_words(key: str) -> str:
     """Return a task and the category of its subjects in words."""
     name, _, category = key.partition("-")
-    label = next((held.label for kind, held in CATEGORIES.items() if kind == category), "")
+    label = next((held.label for kind, held in CATEGORIES.items() if kind == category), plain_words(category))
     return f"{plain_words(name)}, {label}" if label else plain_words(name)
 
 
@@ -273,9 +287,8 @@ def _categories(outcome: "StudyOutcome") -> tuple[Section, ...]:
     """Return, for each task, the optimum of every category worn by the others."""
     sections = []
     for each in outcome.categories:
-        label = {kind: CATEGORIES[kind].label for kind in each.categories}
         rows = [
-            {"subjects": label[cell.worn], "optimum of": label[cell.chosen], "error (deg)": f"{cell.error_deg:.3f}"}
+            {"subjects": cell.labels[1], "optimum of": cell.labels[0], "error (deg)": f"{cell.error_deg:.3f}"}
             | {"with their own (deg)": f"{cell.own_deg:.3f}"}
             | _decision_cells(cell.decision)
             for cell in each.crossed
@@ -406,7 +419,7 @@ def _cohorts(outcome: "StudyOutcome") -> Section:
 
     rows = [
         {
-            "group": f"{cohort.group} ({did}), {CATEGORIES[cohort.category].label}",
+            "group": f"{cohort.group} ({did}), {cohort.label}",
             "subjects": str(cohort.count),
             "age (years)": span(cohort.age_years),
             "the note's ages": span(cohort.printed.age_years, form=".0f"),

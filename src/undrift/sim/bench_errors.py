@@ -19,16 +19,8 @@ from undrift.sim.motion.motion import turn_quaternion
 from undrift.units import RADIAN_PER_DEGREE
 
 OF_TABLE = (
-    "face_tilt",
-    "mount_tilt",
-    "level",
-    "wobble",
-    "table_rate",
-    "servo",
-    "encoder_lines",
-    "soak_k",
-    "board_lag_s",
-)
+    "face_tilt", "mount_tilt", "level", "wobble", "table_rate", "servo", "encoder_lines", "soak_k", "board_lag_s"
+)  # fmt: skip
 
 
 @stored(keys=OF_TABLE)  # of [study.bench]

@@ -51,7 +51,7 @@ from undrift.sim.device.model import DeviceModel, device_from_json
 from undrift.sim.device.presets import preset, preset_grade, random_device_of
 from undrift.sim.device.simulate import filtered, simulate_device
 from undrift.sim.motion.motion import Motion
-from undrift.sim.motion.tasks import DEFAULT, CategoryName, Subject, Task, TaskName, cohort, draw_task
+from undrift.sim.motion.tasks import DEFAULT, Subject, Task, TaskName, cohort, draw_task
 from undrift.sim.motion.worn import wear_on_skin
 from undrift.sim.table_sessions import (
     FACE,
@@ -193,9 +193,10 @@ def seeded(study: Study, *words: str | int) -> np.random.Generator:
     return np.random.default_rng(np.random.SeedSequence(study.seed, spawn_key=keys))
 
 
-def subject_of(study: Study, number: int, category: CategoryName = DEFAULT) -> Subject:
+def subject_of(study: Study, number: int, category: str = DEFAULT) -> Subject:
     """Return one subject of the study's cohort of a category; numbers beyond its end start again."""
-    people = cohort(study.group, rng=seeded(study, "cohort", study.group, number // 30), category=category)
+    rng = seeded(study, "cohort", study.group, number // 30)
+    people = cohort(study.group, rng=rng, category=study.kind(category))
     return people[number % len(people)]
 
 
@@ -212,18 +213,18 @@ def typical_unit(study: Study) -> DeviceModel:
     return device_of(study, 0) if study.worn else preset(study.device)
 
 
-def perform(study: Study, task: StudyTask, number: int) -> tuple[Task | RecordedTask, Motion]:
-    """Return what a subject does, and its motion at the samples of a record."""
-    return _perform(study, task.name, task.category, task.motion, number)
+def perform(study: Study, task: StudyTask, number: int, trial: int = 0) -> tuple[Task | RecordedTask, Motion]:
+    """Return what a subject does in a trial, and its motion at the samples of a record."""
+    return _perform(study, task.name, task.category, task.motion and task.motion.of(number)[trial], number)
 
 
 @lru_cache(maxsize=2)  # units of one subject follow each other, whatever is tried on it
 def _perform(
-    study: Study, name: str, category: CategoryName, motion: OwnMotion | None, number: int
+    study: Study, name: str, category: str, motion: OwnMotion | None, number: int
 ) -> tuple[Task | RecordedTask, Motion]:
     performed: Task | RecordedTask
     if motion is not None:
-        performed = read_motion(motion.of(number))
+        performed = read_motion(motion)
     else:
         rng, person = seeded(study, "task", name, number), subject_of(study, number, category)
         performed = draw_task(cast("TaskName", name), rng=rng, subject=person, rest_s=REST_S)
@@ -240,23 +241,25 @@ def make_case(
     number: int,
     setting: Setting,
     without: EffectName | None = None,
+    trial: int = 0,
 ) -> Case:
     """Simulate a subject's trial with a device built for a setting out of the same parts.
 
     One of its effects may be switched off; in real time its delay is then not looked for.
     """
     device, rate_hz = unit_of(study, number, setting, without), setting.sample_rate_hz or SAMPLE_RATE_HZ
-    performed, motion = perform(study, task, number)
+    performed, motion = perform(study, task, number, trial)
+    name, own = f"{task.name} {trial + 1}" if trial else task.name, task.motion and task.motion.of(number)[trial]
     if study.trial.on or setting.sample_rate_hz is not None:
         effect = without if without in _WORN else None
-        worn = _worn(study, task.name, task.category, task.motion, number, effect)
+        worn = _worn(study, name, task.category, own, number, effect)
         device = replace(device, sampling=replace(device.sampling, sample_rate_hz=rate_hz))
-        record = _record_of(study, task.name, number, device, worn)
+        record = _record_of(study, name, number, device, worn)
         motion = performed.at(record.time, STANDARD_GRAVITY)  # of the bone
     elif without is None or not device.sampling.on_grid:
-        record = _record_of(study, task.name, number, device, motion)
+        record = _record_of(study, name, number, device, motion)
     else:
-        record = filtered(_unfiltered(study, task.name, motion, number, setting.gain, without), device)
+        record = filtered(_unfiltered(study, name, motion, number, setting.gain, without), device)
     if without == "delay" or study.trial.on:  # cross-correlation takes the delay of what rings for that of the body
         late_s = delay_of_pitch(device, rate_hz)
     else:
@@ -267,7 +270,7 @@ def make_case(
 
 @lru_cache(maxsize=2)  # settings of one subject follow each other
 def _worn(
-    study: Study, name: str, category: CategoryName, motion: OwnMotion | None, number: int, without: EffectName | None
+    study: Study, name: str, category: str, motion: OwnMotion | None, number: int, without: EffectName | None
 ) -> Motion:
     """Return the motion of the sensor that a subject wears."""
     errors = study.trial if without is None else replace(study.trial, **{_WORN[without]: 0.0})
@@ -317,11 +320,19 @@ def _unfiltered(
     return _record_of(study, task, number, replace(device, **chains), motion)
 
 
-def wear(device: DeviceModel, performed: Task, *, rng: np.random.Generator, temp_c: float, power_on_s: float) -> Case:
-    """Simulate a trial."""
+def wear(
+    device: DeviceModel,
+    performed: Task | RecordedTask,
+    *,
+    rng: np.random.Generator,
+    temp_c: float,
+    power_on_s: float,
+) -> tuple[Case, float]:
+    """Simulate a trial; return the share of samples in which a gyroscope was at the end of its range too."""
     motion = performed.at(_samples(performed), STANDARD_GRAVITY)
-    record = simulate_device(device, motion, rng=rng, temp_c=temp_c, power_on_s=power_on_s).record
-    return _case_of(device, record, performed, motion, delay_of(record, motion.q_nb))
+    made = simulate_device(device, motion, rng=rng, temp_c=temp_c, power_on_s=power_on_s)
+    case = _case_of(device, made.record, performed, motion, delay_of(made.record, motion.q_nb))
+    return case, float(made.gyro.saturated.any(axis=1).mean())
 
 
 def _case_of(
@@ -570,15 +581,15 @@ def units_of(study: Study) -> tuple[Unit, ...]:
 def run_unit(unit: Unit) -> dict[str, FloatArray]:
     """Run all candidates of a unit: an array (P,) for each column, errors NaN where the device was left uncalibrated."""
     task, setting = unit.task, unit.setting
-    points = task.space.points_at(setting)
-    case = make_case(unit.study, task, unit.subject, setting, unit.without)
+    points, trials = task.space.points_at(setting), len(task.motion.of(unit.subject)) if task.motion else 1
+    cases = [make_case(unit.study, task, unit.subject, setting, unit.without, trial) for trial in range(trials)]
     runs = columns_of(task, points) | {name: np.full(len(points), np.nan) for name in COLUMNS[4:]}
     for own in alike(task, points):
         protocols = tuple(map(task.protocol_of, points[own]))
         every = joined([session_of(protocol, setting.quality) for protocol in protocols])
         runs["rig_minutes"][own] = every.length_s / 60.0
         with suppress(CalibrationError):  # no protocol calibrates this device: no error to report, and not a zero
-            errors = errors_with(unit, case, every, protocols, tables_of(task, points[own[0]]))
+            errors = errors_with(unit, cases, every, protocols, tables_of(task, points[own[0]]))
             for name, column in zip(ERRORS, errors.T / RADIAN_PER_DEGREE, strict=True):
                 runs[name][own] = column
     return runs
@@ -591,17 +602,19 @@ def tables_of(task: StudyTask, point: FloatArray) -> tuple[float, float]:
 
 
 def errors_with(
-    unit: Unit, case: Case, every: Sessions, protocols: tuple[Protocol, ...], steps_c: tuple[float, float]
+    unit: Unit, cases: Sequence[Case], every: Sessions, protocols: tuple[Protocol, ...], steps_c: tuple[float, float]
 ) -> FloatArray:
-    """Calibrate the device of a case in the sessions of protocols and return the pitch errors with each, (P, 6) rad."""
-    study, base = unit.study, protocols[0]
+    """Calibrate a device in the sessions of protocols; return the pitch errors with each, means over its trials, (P, 6) rad."""
+    study, base, device = unit.study, protocols[0], cases[0].device
     if unit.without is not None:
         study = replace(study, bench=bench_without(study.bench, unit.without))
-    accel = faces_of(study, case.device, unit.subject, session_of(base, unit.setting.quality).chosen(FACE))
+    accel = faces_of(study, device, unit.subject, session_of(base, unit.setting.quality).chosen(FACE))
     sessions = every.chosen(REST, RATE)
-    readings = simulate_turns(study, base, case.device, unit.subject, sessions)
+    readings = simulate_turns(study, base, device, unit.subject, sessions)
     grids = np.array([(p.turn_rate_max, p.turn_rate_step) for p in protocols])
-    return trial_errors(case, accel, fit_as_the_note(sessions, readings, grids, steps_c), study.offset)
+    fits = fit_as_the_note(sessions, readings, grids, steps_c)
+    errors: FloatArray = np.mean([trial_errors(case, accel, fits, study.offset) for case in cases], axis=0)
+    return errors
 
 
 def alike(task: StudyTask, points: FloatArray) -> list[IntArray]:

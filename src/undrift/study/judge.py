@@ -33,7 +33,7 @@ import numpy as np
 from undrift.arrays import BoolArray, FloatArray, IntArray
 from undrift.errors import InputError, NotObservable
 from undrift.findings import Finding, finding
-from undrift.sim.motion.tasks import CATEGORIES, DEFAULT, CategoryName, Group, TableRow, table_row
+from undrift.sim.motion.tasks import DEFAULT, Group, TableRow, numbers_of, table_row
 from undrift.study import statistics
 from undrift.study.case import COLUMNS, subject_of
 from undrift.study.plan import AIM, Aim, NoteRow, Objective, Study, StudyTask, Timing
@@ -356,7 +356,8 @@ class Cohort:
 
     group: Group  # simulation or testing
     count: int  # Subjects
-    category: CategoryName
+    category: str
+    label: str  # Of the category, for people
     age_years: tuple[float, float, float]  # Lowest, mean and highest, years and m
     height: tuple[float, float, float]
     printed: TableRow  # The note's Table 2; for another category what it is drawn by
@@ -382,13 +383,14 @@ def run_testing(
     return tuple(zip(*found, strict=True))
 
 
-def cohort_of(study: Study, category: CategoryName = DEFAULT) -> Cohort:
+def cohort_of(study: Study, category: str = DEFAULT) -> Cohort:
     """Return who was simulated."""
     people = [subject_of(study, number, category) for number in range(study.subjects)]
     ages, heights = (np.array([getattr(person, name) for person in people]) for name in ("age_years", "height"))
     age, height = ((float(x.min()), float(x.mean()), float(x.max())) for x in (ages, heights))
-    own, count = table_row(study.group, category), study.subjects
-    return Cohort(group=study.group, count=count, category=category, age_years=age, height=height, printed=own)
+    kind, of = study.kind(category), {"group": study.group, "count": study.subjects, "category": category}
+    more: Any = of | {"printed": table_row(study.group, kind), "label": numbers_of(kind).label}
+    return Cohort(age_years=age, height=height, **more)
 
 
 def only(task: StudyTask, surface: TaskSurface, place: int) -> StudyTask:
@@ -423,8 +425,9 @@ LEAST = 3  # subjects of a comparison
 class Crossed:
     """The optimum that was chosen for one category, worn by another."""
 
-    chosen: CategoryName  # Whose optimum
-    worn: CategoryName  # Who wears it
+    chosen: str  # Whose optimum
+    worn: str  # Who wears it
+    labels: tuple[str, str]  # Of the two, for people
     subjects: int  # Of the other cohort, whose device both protocols calibrate
     error_deg: float  # Mean error of the objective with it, deg
     own_deg: float  # With the wearers' own optimum
@@ -436,7 +439,7 @@ class CategoryComparison:
     """All categories of one task."""
 
     task: str  # As the library names it
-    categories: tuple[CategoryName, ...]
+    categories: tuple[str, ...]
     crossed: tuple[Crossed, ...]  # Every category's optimum worn by every other category
     margin_deg: float  # Smallest difference that matters
 
@@ -458,7 +461,7 @@ class CategoryComparison:
 
 def _worn(cells: Sequence[Crossed]) -> tuple[str, ...]:
     return tuple(
-        f"{CATEGORIES[cell.worn].label} with the optimum of {CATEGORIES[cell.chosen].label} "
+        f"{cell.labels[1]} with the optimum of {cell.labels[0]} "
         f"{cell.error_deg:.3f} deg, with their own {cell.own_deg:.3f} deg"
         for cell in cells
     )
@@ -475,7 +478,7 @@ def compare_categories(
         categories = tuple(task.category for task, _, _ in own)
         if len(own) < 2:
             continue
-        errors: dict[tuple[CategoryName, CategoryName], FloatArray] = {}
+        errors: dict[tuple[str, str], FloatArray] = {}
         for task, surface, optimum in own:
             single = only(task, surface, optimum.best)
             tasks = tuple(replace(single, category=category) for category in categories)
@@ -493,18 +496,16 @@ def compare_categories(
     return tuple(found)
 
 
-def _crossed(
-    chosen: CategoryName, worn: CategoryName, error: FloatArray, own: FloatArray, study: Study, tests: int
-) -> Crossed:
+def _crossed(chosen: str, worn: str, error: FloatArray, own: FloatArray, study: Study, tests: int) -> Crossed:
     both = np.stack((own, error), axis=1)
     both = both[np.isfinite(both).all(axis=1)]
     decision = None
     if len(both) >= LEAST:
         decision = decide_between(*both.T, margin=study.margin_deg, level=study.level, tests=tests)
     own_deg, error_deg = both.mean(axis=0).tolist() if len(both) else (float("nan"), float("nan"))
-    return Crossed(
-        chosen=chosen, worn=worn, subjects=len(both), error_deg=error_deg, own_deg=own_deg, decision=decision
-    )
+    first, second = (numbers_of(study.kind(category)).label for category in (chosen, worn))
+    words: Any = {"chosen": chosen, "worn": worn, "labels": (first, second), "subjects": len(both)}
+    return Crossed(error_deg=error_deg, own_deg=own_deg, decision=decision, **words)
 
 
 # ---- comparison with the note's Table 1

@@ -11,11 +11,12 @@ A recorded motion must begin at rest. Three figures of its first ``rest_s`` seco
     e    angle(mean of f_b, R_nb^T z)           tilt error of a device without errors at the end of that time
 """
 
+import csv
 import hashlib
 import json
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import lru_cache
 from itertools import chain, product
 from pathlib import Path
@@ -29,7 +30,6 @@ from undrift.base.codec import Key, read, stored, tree_of
 from undrift.errors import FileFormatError, InputError
 from undrift.frames import quaternion_conjugate, rotate
 from undrift.io.formats import read_markers, read_reference
-from undrift.io.mocap import Up
 from undrift.io.reference import L5_OFFSET, BodyName, device_on, find_body
 from undrift.record import FACES, Reference
 from undrift.rig.programme import GridRule, Protocol
@@ -38,7 +38,7 @@ from undrift.sim.device.model import DeviceModel, device_from_json, device_json,
 from undrift.sim.device.presets import PRESETS, preset
 from undrift.sim.motion.motion import Motion
 from undrift.sim.motion.poses import PoseSettings, PoseSpline, fit_pose_spline
-from undrift.sim.motion.tasks import DEFAULT, CategoryName, Group, TaskName
+from undrift.sim.motion.tasks import CATEGORIES, DEFAULT, Category, Group, Kind, TaskName, category_tree
 from undrift.sim.motion.worn import AT_L5, FIXED, WornErrors
 from undrift.study.space import FURTHER, OF_NOTE, TURN_RATES, Grid, Space
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
@@ -86,27 +86,35 @@ ERRORS = tuple(column_of(objective, timing) for timing in get_args(Timing) for o
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class OwnMotion:
+class Posed:
+    """How the poses of a device are found in a file of poses or markers."""
+
+    markers: tuple[str, ...] = ()  # Labels of one rigid cluster, for TRC or C3D
+    # Or the segment that the device is worn on, found by its markers: pelvis (the device sits at L5), thorax or trunk
+    body: BodyName | None = None
+    up: Literal["y", "z"] | None = None  # Laboratory axis that points up, for markers
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OwnMotion(Posed):
     """A recorded motion: every subject performs it, or that of one of several people, each with another unit of the device."""
 
     path: str  # File of poses or markers; workers read it there
     sha256: str  # Of its content
     rest_s: float  # How long the body is at rest at the beginning, s
-    markers: tuple[str, ...] = ()  # Labels of one rigid cluster, for TRC or C3D
-    # Or the segment that the device is worn on, found by its markers: pelvis (the device sits at L5), thorax or trunk
-    body: BodyName | None = None
-    up: Literal["y", "z"] | None = None  # Laboratory axis that points up, for markers
     hold: bool = False  # The recording has no rest: its first pose is held for ``rest_s`` before it
     others: tuple["OwnMotion", ...] = ()  # Of further people
+    again: tuple["OwnMotion", ...] = ()  # Further trials of the same person
 
     @property
     def people(self) -> int:
         """How many were recorded."""
         return 1 + len(self.others)
 
-    def of(self, number: int) -> "OwnMotion":
-        """Return the motion that a subject performs."""
-        return (self, *self.others)[number % self.people]
+    def of(self, number: int) -> tuple["OwnMotion", ...]:
+        """Return the trials of a subject."""
+        person = (self, *self.others)[number % self.people]
+        return (person, *person.again)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -117,7 +125,7 @@ class StudyTask:
     space: Space  # What is tried
     base: Protocol  # All that is not varied: dwell, brackets, temperatures
     motion: OwnMotion | None = None  # Performed in place of the library's task
-    category: CategoryName = DEFAULT  # Of the subjects who perform it
+    category: str = DEFAULT  # Of the subjects who perform it
 
     @property
     def key(self) -> str:
@@ -160,35 +168,47 @@ class Aim:
 
     objective: Objective = "rms"  # rms, maximum or end of the pitch error
     timing: Timing = "real time"  # or offline: once the delay is estimated and taken out
-    level: float = 0.05  # Of the tests
-    margin_deg: float = MARGIN_DEG["rms"]  # Smallest difference of mean errors that matters, deg
-    rig_minutes_max: float | None = None  # Longest session that is allowed, min
-    target_deg: float | None = None  # Mean error that is good enough: the cheapest session below it is looked for
-    confidence: float = 0.95  # Of the limit that has to be below it, one-sided
+    level: Annotated[float, Gt(0.0), Lt(1.0)] = 0.05  # Of the tests
+    # Smallest difference of mean errors that matters, deg; where not given 0.087 for rms, 0.15 for maximum and end: the note's
+    margin_deg: Positive = MARGIN_DEG["rms"]
+    rig_minutes_max: Positive | None = None  # Longest session that is allowed, min
+    # Mean error that is good enough, deg: the cheapest session whose upper limit on other subjects is below it is looked for
+    target_deg: Positive | None = None
+    confidence: Annotated[float, Ge(0.5), Lt(1.0)] = 0.95  # Of that limit, one-sided
 
 
 AIM = Aim()
+DEVICE = "enc03j_3031"  # the note's
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Study(Aim):
-    """A study."""
+class Frame(Aim):
+    """What holds for all tasks of a study."""
 
-    name: str  # For people
-    # Kind of device, one of the presets; every subject wears a unit of its own. For people where ``worn`` is given
-    device: str
-    tasks: tuple[StudyTask, ...]  # One or more
-    subjects: int = 30  # How many, from the cohort
+    name: str = ""  # For people
+    device: str = DEVICE  # Preset, of which every subject wears a unit of its own; or path of a device.json
+    subjects: Annotated[int, Ge(3)] = 30  # How many, from the cohort
     group: Group = "simulation"  # simulation or testing, as in the note's Table 2
     # Board temperature of the trials above the calibration's, least and greatest, K
     excursion_k: tuple[float, float] = (10.0, 15.0)
-    search: Search = "grid"  # Every protocol on every subject, successive halving, or evolution (CMA-ES)
-    candidates: int | None = None  # Most that halving draws or that evolution tries for a task; None: all, and 600
-    seed: int = 0  # Same seed, same bits
+    # grid: every protocol on every subject; halving: the better part meets more subjects; cma: evolution of a few at a time
+    search: Search = "grid"
+    # Most protocols that halving draws from a wider space, or that cma tries, for a task; all and 600 where not given
+    candidates: Annotated[int, Ge(4)] | None = None
+    seed: Annotated[int, Ge(0)] = 0  # Same seed, same bits
+    # Tolerance of an amplifier's gain and null and of its converter's reference; 1 % parts are assumed
+    chain_sd: Annotated[float, Ge(0.0), Key("chain_percent", unit=0.01)] = 0.01
+    offset: OffsetRule = "rest"  # Of the gyroscopes: that of the rest before a motion is taken off; none is the note's
+    bench: BenchErrors = NOTE_BENCH  # What the bench does wrong; the default is the preset's
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Study(Frame):
+    """A study; ``device`` is for people where ``worn`` is given."""
+
+    tasks: tuple[StudyTask, ...]  # One or more
     worn: str = ""  # Text of a device.json, which every subject wears; none draws units of ``device``
-    bench: BenchErrors = NOTE_BENCH  # What the bench does wrong
-    chain_sd: float = 0.01  # Of gain and null of a unit's amplifiers and of its converter's reference, relative
-    offset: OffsetRule = "rest"  # Of the gyroscopes in a trial; none is the note's
+    lab: tuple[tuple[str, Category], ...] = ()  # Categories of a lab's own, by name
     trial: WornErrors = FIXED  # What wearing does to the sensor in a trial; the note has none of it
 
     def __post_init__(self) -> None:
@@ -238,24 +258,34 @@ class Study(Aim):
         return tuple(dict.fromkeys(task.name for task in self.tasks))
 
     @property
-    def categories(self) -> tuple[CategoryName, ...]:
+    def categories(self) -> tuple[str, ...]:
         """Categories of the subjects."""
         return tuple(dict.fromkeys(task.category for task in self.tasks))
+
+    @property
+    def known(self) -> tuple[str, ...]:
+        """All categories that subjects can have."""
+        return (*CATEGORIES, *dict(self.lab))
+
+    def kind(self, category: str) -> Kind:
+        """Return a category by its name, or the numbers of a lab's own."""
+        return dict(self.lab).get(category) or cast("Kind", category)
 
 
 def with_categories(study: Study, categories: Sequence[str]) -> Study:
     """Return a study whose drawn tasks are performed by each of several categories; a recorded motion and ``free`` have none."""
-    known = get_args(CategoryName)
+    once = {task.name: task for task in study.tasks}.values()
+    crossed = (_performed_by(task, categories, study.known) for task in once)
+    return replace(study, tasks=tuple(chain.from_iterable(crossed)))
+
+
+def _performed_by(task: StudyTask, categories: Sequence[str], known: Sequence[str]) -> list[StudyTask]:
     unknown = [name for name in categories if name not in known]
     if unknown or not categories or len(set(categories)) < len(categories):
         got = ", ".join(unknown or categories) or "none"
         raise InputError(f"categories: wanted some of {', '.join(known)}, each once, got {got}; name one or more")
-    own = cast("Sequence[CategoryName]", categories)
-    tasks = (
-        (task,) if task.motion is not None or task.name == "free" else (replace(task, category=each) for each in own)
-        for task in {task.name: task for task in study.tasks}.values()
-    )
-    return replace(study, tasks=tuple(chain.from_iterable(tasks)))
+    drawn = task.motion is None and task.name != "free"
+    return [replace(task, category=each) for each in categories] if drawn else [task]
 
 
 def ends_of(study: Study) -> Study:
@@ -274,18 +304,9 @@ def ends_of(study: Study) -> Study:
 
 # ---- the note's study as a preset
 
-DEVICE = "enc03j_3031"
 SET_POINTS_C = (18.0, 30.0, 45.0, 60.0, 75.0)
-CUTOFFS_HZ = (
-    5.0,
-    8.0,
-    11.1,
-    14.0,
-    20.0,
-    30.0,
-    40.0,
-    45.0,
-)  # 11.1: each task's own in its place; samples come at 100 Hz
+# 11.1: each task's own in its place; samples come at 100 Hz
+CUTOFFS_HZ = (5.0, 8.0, 11.1, 14.0, 20.0, 30.0, 40.0, 45.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -487,7 +508,7 @@ def read_motion(own: OwnMotion) -> RecordedTask:
     path, rest_s = Path(own.path), own.rest_s
     if sha256_of(path) != own.sha256:
         raise InputError(f"{path}: wanted the file that the study began with, got another content; start a new study")
-    reference = read_poses(path, body=own.body, markers=own.markers, up=own.up)
+    reference = read_poses(path, own)
     spline = fit_pose_spline(reference, SKIN if own.body else PoseSettings())
     length = spline.span_s[1] - spline.span_s[0]
     refused = ""
@@ -508,14 +529,14 @@ def read_motion(own: OwnMotion) -> RecordedTask:
     return RecordedTask(spline=spline, moving_s=(rest_s, length))
 
 
-def read_poses(path: Path, *, body: BodyName | None, markers: tuple[str, ...], up: Up | None) -> Reference:
+def read_poses(path: Path, how: Posed) -> Reference:
     """Read the poses of a cluster or file, or of a device on a segment: at L5 on a pelvis, at the origin of another."""
-    if body is None:
-        return read_reference(path, labels=markers or None, up=up)
-    if markers or up is None:
-        raise InputError(f"{path}: wanted a body and up, got {'markers too' if markers else 'no up'}; name the two")
-    offset = L5_OFFSET if body == "pelvis" else (0.0, 0.0, 0.0)
-    return device_on(find_body(read_markers(path, up=up), body), offset_b=offset)
+    if how.body is None:
+        return read_reference(path, labels=how.markers or None, up=how.up)
+    if how.markers or how.up is None:
+        raise InputError(f"{path}: wanted a body and up, got {'markers too' if how.markers else 'no up'}; name the two")
+    offset = L5_OFFSET if how.body == "pelvis" else (0.0, 0.0, 0.0)
+    return device_on(find_body(read_markers(path, up=how.up), how.body), offset_b=offset)
 
 
 def sha256_of(path: Path) -> str:
@@ -574,15 +595,15 @@ class ProtocolEntry:
 
 @stored()
 @dataclass(frozen=True, slots=True, kw_only=True)
-class MotionEntry:
+class MotionEntry(Posed):
     """[task.motion]."""
 
     file: str = ""  # Poses or markers, from the folder of study.toml
     folder: str = ""  # Or of several people: every file in it, one a person
+    # Or a CSV table with columns file (from the table's folder) and person, which may have several files, and label
+    table: str = ""
+    label: str = ""  # Only the rows of the table with this label
     rest_s: Positive | None = None  # Rest at the beginning, s; found where not given, at most 6 s
-    markers: tuple[str, ...] = ()  # Labels of one rigid cluster, for TRC or C3D
-    body: BodyName | None = None  # Or pelvis, thorax or trunk, found by its markers
-    up: Literal["y", "z"] | None = None  # Laboratory axis that points up, for markers
     hold: bool = False  # Hold the first pose for ``rest_s`` before a recording that has no rest
 
 
@@ -595,61 +616,44 @@ class TaskEntry:
     space: SpaceEntry  # What is tried
     protocol: ProtocolEntry = ProtocolEntry()  # What is not varied
     motion: MotionEntry | None = None  # In place of a drawn performance
+    category: str = ""  # Of its subjects, in place of those of [study]
 
 
 @stored()
 @dataclass(frozen=True, slots=True, kw_only=True)
-class StudyEntry:
+class StudyEntry(Frame):
     """[study]."""
 
-    name: str = ""  # For people
-    device: str = DEVICE  # Preset, or path of a device.json
-    subjects: Annotated[int, Ge(3)] = 30  # How many
-    group: Group = "simulation"  # simulation or testing
-    # Of the subjects: level_2 (the note's), young, elderly, impaired, parkinson; each performs every task
+    # Of the subjects: level_1 to level_4 (2 is the note's), young, elderly, impaired, parkinson, or one of [category.NAME]
     categories: tuple[str, ...] = (DEFAULT,)
-    # Least and greatest, K
-    excursion_k: tuple[float, float] = (10.0, 15.0)
-    objective: Objective = "rms"  # rms, maximum or end
-    timing: Timing = "real time"  # or offline
-    # halving: the better part of the protocols meets more subjects; cma: evolution of a few at a time
-    search: Search = "grid"
-    # Most protocols that halving draws from a wider space, or that cma tries, for a task; all and 600 where not given
-    candidates: Annotated[int, Ge(4)] | None = None
-    level: Annotated[float, Gt(0.0), Lt(1.0)] = 0.05  # Of the tests
-    # Smallest difference that matters; from the note's Figure 3 where not given: 0.087 for rms, 0.15 for maximum and end
-    margin_deg: Positive | None = None
-    rig_minutes_max: Positive | None = None  # Longest session, min
-    # Mean error that is good enough, deg: the cheapest session whose upper limit on other subjects is below it is looked for
-    target_deg: Positive | None = None
-    confidence: Annotated[float, Ge(0.5), Lt(1.0)] = 0.95  # Of that limit, one-sided
-    seed: Annotated[int, Ge(0)] = 0  # Same seed, same bits
-    # Tolerance of an amplifier's gain and null and of its converter's reference; 1 % parts are assumed
-    chain_sd: Annotated[float, Ge(0.0), Key("chain_percent", unit=0.01)] = 0.01
-    offset: OffsetRule = "rest"  # Of the gyroscopes: that of the rest before a motion is taken off; none is the note's
-    bench: BenchErrors = NOTE_BENCH  # What the bench does wrong; the default is the preset's
-    trial: WornErrors = (
-        AT_L5  # What wearing does to the sensor in a trial, as measured at the low back; the preset has none
-    )
+    # What wearing does to the sensor in a trial, as measured at the low back; the preset has none
+    trial: WornErrors = AT_L5
 
 
-def _with_defaults(tree: dict[str, Any]) -> dict[str, Any]:
-    """Return the tree of study.toml with the default's bench and trial where keys of them are left out."""
-    if not isinstance(study := tree.get("study", {}), dict):
+def _with_all(tree: dict[str, Any]) -> dict[str, Any]:
+    """Return the tree of study.toml with all keys of bench, trial and categories, and the margin of its objective."""
+    study, lab = tree.get("study", {}), tree.get("category", {})
+    if isinstance(lab, dict) and all(isinstance(table, dict) for table in lab.values()):
+        tree = tree | {"category": {name: category_tree(name, table) for name, table in lab.items()}}
+    if not isinstance(study, dict):
         return tree
+    margins: dict[Any, float] = dict(MARGIN_DEG)
+    study = {"margin_deg": margins.get(study.get("objective", "rms"), 0.0)} | study
     for name, default in (("bench", NOTE_BENCH), ("trial", AT_L5)):
-        if isinstance(stated := study.get(name, {}), dict):
-            study = study | {name: tree_of(default) | stated}
+        stated: Any = study.get(name, {})
+        study = study | {name: tree_of(default) | stated if isinstance(stated, dict) else stated}
     return tree | {"study": study}
 
 
-@stored(upgrade=_with_defaults)
+@stored(upgrade=_with_all)
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StudyFile:
     """The whole file."""
 
     study: StudyEntry = StudyEntry()  # What holds for all tasks
     task: Annotated[tuple[TaskEntry, ...], MinLen(1)]  # One or more
+    # Of a lab's own: a table each, with what is other than in the category that it is `like`; [mean, standard deviation]
+    category: dict[str, Category] = field(default_factory=dict)
 
 
 def read_study(path: str | Path) -> Study:
@@ -658,7 +662,6 @@ def read_study(path: str | Path) -> Study:
     head = held.study
     given = {item.name: getattr(head, item.name) for item in fields(head)} | {"name": head.name or Path(path).stem}
     categories = given.pop("categories")
-    given["margin_deg"] = head.margin_deg or MARGIN_DEG[head.objective]
     try:
         if head.device not in PRESETS:
             if not (worn := folder / head.device).exists():
@@ -668,16 +671,25 @@ def read_study(path: str | Path) -> Study:
                 )
             text = json.dumps(device_json(read_device(worn)), sort_keys=True)  # in one spelling
             given |= {"device": Path(head.device).stem, "worn": text}
-        tasks = tuple(_task_of(entry, folder) for entry in held.task)
+        entries, kinds = (
+            [(_task_of(entry, folder), entry.category) for entry in held.task],
+            (*CATEGORIES, *held.category),
+        )
+        crossed = (_performed_by(task, (own,) if own else categories, kinds) for task, own in entries)
+        tasks = tuple(chain.from_iterable(crossed))
         people = [task.motion.people for task in tasks if task.motion is not None and task.motion.others]
         given["subjects"] = min(head.subjects, *people) if people else head.subjects  # no person counts twice
-        return with_categories(Study(**given, tasks=tasks), categories)
+        return Study(**given, tasks=tasks, lab=tuple(held.category.items()))
     except InputError as error:
         raise FileFormatError(f"{path}: {error}") from error
 
 
 def _task_of(entry: TaskEntry, folder: Path) -> StudyTask:
     base, space = entry.protocol, entry.space
+    if entry.motion is not None and entry.category:
+        raise InputError(
+            f"{entry.name}: wanted a category or a recorded motion, got both; recorded people are who they are, leave category out"
+        )
     motion = None if entry.motion is None else _own_motion(entry.motion, folder)
     further = {name: getattr(space, name) for name in FURTHER}
     kept: dict[str, Any] = {name: getattr(base, name) for name in ("dwell_s", "bracket_s", "face_s", "grid")}
@@ -691,35 +703,62 @@ def _task_of(entry: TaskEntry, folder: Path) -> StudyTask:
 
 def _own_motion(entry: MotionEntry, folder: Path) -> OwnMotion:
     """Return the recorded motion of a plan; each file is read, so that one is refused now rather than by a worker."""
-    if bool(entry.file) == bool(entry.folder):
-        got = "both" if entry.file else "neither"
-        raise InputError(f"task.motion: wanted a file, or a folder with one of each person, got {got}; name one")
-    paths = [(folder / entry.file).resolve()]
-    if entry.folder:
-        try:
-            paths = sorted(path.resolve() for path in (folder / entry.folder).iterdir() if path.is_file())
-        except OSError as error:
+    sources = ("file", "folder", "table")
+    if len(named := [name for name in sources if getattr(entry, name)]) != 1 or (entry.label and not entry.table):
+        got = " and ".join([*named, *["label"] * bool(entry.label)]) or "none"
+        raise InputError(
+            "task.motion: wanted a file, a folder with one of each person, or a table of files and people (and with it a label), "
+            f"got {got}; name one"
+        )
+    path = folder / str(getattr(entry, named[0]))
+    try:
+        if entry.table:
+            trials = _trials_in(path, entry.label)
+        else:
+            files = sorted(one for one in path.iterdir() if one.is_file()) if entry.folder else [path]
+            trials = [[one] for one in files]
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: wanted a {named[0]} of recorded people, got {error}") from error
+    if len(trials) < 3 and not entry.file:
+        raise InputError(f"{path}: wanted three people or more, got {len(trials)}; record more")
+    given = {item.name: getattr(entry, item.name) for item in fields(OwnMotion) if hasattr(entry, item.name)}
+    people = []
+    for files in trials:
+        paths = [one.resolve() for one in files]
+        first, *again = (
+            OwnMotion(path=str(one), sha256=sha256_of(one), **given | {"rest_s": _rest_in(one, entry)}) for one in paths
+        )
+        for motion in (first, *again):
+            read_motion(motion)
+        people.append(replace(first, again=tuple(again)))
+    return replace(people[0], others=tuple(people[1:]))
+
+
+def _trials_in(path: Path, label: str) -> list[list[Path]]:
+    """Return the files of each person in a table, of the rows with a label where one is given."""
+    rows = list(csv.DictReader(path.read_text("utf-8-sig").splitlines(), skipinitialspace=True))
+    wanted, people, seen = ["file", "person", *["label"] * bool(label)], dict[str, list[Path]](), set[str]()
+    for line, row in enumerate(rows, 2):
+        if missing := [name for name in wanted if not row.get(name)]:
             raise InputError(
-                f"{folder / entry.folder}: wanted a folder of recorded people, got {error.strerror}"
-            ) from error
-        if len(paths) < 3:
-            raise InputError(
-                f"{folder / entry.folder}: wanted three people or more, a file each, got {len(paths)}; record more"
+                f"{path}: wanted {', '.join(wanted)} in each row, got no {missing[0]} in line {line}; add it"
             )
-    given = {item.name: getattr(entry, item.name) for item in fields(entry) if item.name not in ("file", "folder")}
-    first, *others = (
-        OwnMotion(path=str(path), sha256=sha256_of(path), **given | {"rest_s": _rest_in(path, entry)}) for path in paths
-    )
-    for motion in (first, *others):
-        read_motion(motion)
-    return replace(first, others=tuple(others))
+        if row["file"] in seen:
+            raise InputError(f"{path}: wanted each file once, got {row['file']} again in line {line}; delete one")
+        seen.add(row["file"])
+        if not label or row["label"] == label:
+            people.setdefault(row["person"], []).append(path.parent / row["file"])
+    if rows and not people:
+        labels = ", ".join(dict.fromkeys(row["label"] for row in rows))
+        raise InputError(f"{path}: wanted one of its labels {labels}, got {label}; name one")
+    return list(people.values())
 
 
 def _rest_in(path: Path, entry: MotionEntry) -> float:
     """Return the rest that is stated, or that a recording begins with, s."""
     if entry.rest_s is not None or entry.hold:
         return entry.rest_s or LONGEST_REST_S
-    reference = read_poses(path, body=entry.body, markers=entry.markers, up=entry.up)
+    reference = read_poses(path, entry)
     spline = fit_pose_spline(reference, SKIN if entry.body else PoseSettings())
     still_s = float(np.floor(10.0 * measure_rest(spline, LEAST_REST_S).still_s) / 10.0)
     return min(max(still_s, LEAST_REST_S), LONGEST_REST_S)  # one that is too short is refused when the motion is read

@@ -29,14 +29,11 @@ from undrift.files import read_bytes
 from undrift.findings import Finding, finding
 from undrift.frames import rotate
 from undrift.io.formats import detect, read_record, read_reference
-from undrift.io.reference import BodyName
 from undrift.io.session import read_map
 from undrift.orientation import sagittal_pitch
 from undrift.record import Record, Reference
 from undrift.sim.device.model import DeviceModel, read_device
 from undrift.sim.device.presets import preset
-from undrift.sim.device.simulate import simulate_device
-from undrift.sim.motion.motion import after_rest
 from undrift.sim.motion.poses import PoseSpline, fit_pose_spline
 from undrift.sim.motion.tasks import (
     DEFAULT,
@@ -51,9 +48,9 @@ from undrift.sim.motion.tasks import (
     draw_task,
 )
 from undrift.sim.table_sessions import ROOM_TEMP_C
-from undrift.study.case import REST_S, Case, delay_of, pitch_error, typical_unit
+from undrift.study.case import REST_S, pitch_error, typical_unit, wear
 from undrift.study.figure3 import LEVELS, SETTLED_S, Climate, Figure3, calibrated, figure3
-from undrift.study.plan import SAMPLE_RATE_HZ, SKIN, Study, read_poses, rest_of
+from undrift.study.plan import SAMPLE_RATE_HZ, SKIN, Posed, RecordedTask, Study, read_poses
 from undrift.twin.fit import fit_warm_up, with_warm_up
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 from undrift.validation import agreement
@@ -94,30 +91,30 @@ class RealErrors:
 
 def real_errors(devices: Sequence[DeviceTrials]) -> tuple[RealErrors, ...]:
     """Judge real trials without calibration, with their rest alone, and with a calibration from the device's other trials."""
-    undone, left_in = _levels(devices, "auto"), _levels(devices, "none")
-    errors = [
-        [t.figures.rmse_total_deg for held in levels.values() for t in held.trials] for levels in (undone, left_in)
-    ]
-    treated: tuple[tuple[Rounding, dict[str, agreement.Validation]], ...] = (("undone", undone), ("left in", left_in))
+    undone, left_in = _levels(devices, "auto", "undone"), _levels(devices, "none", "left in")
+    errors = [[t.figures.rmse_total_deg for level in levels for t in level.trials] for levels in (undone, left_in)]
     if np.array_equal(errors[0], errors[1], equal_nan=True):
-        treated = (("none found", undone),)
-    return tuple(_at_level(level, rounding, held) for rounding, levels in treated for level, held in levels.items())
+        return tuple(replace(level, rounding="none found") for level in undone)
+    return (*undone, *left_in)
 
 
-def _levels(devices: Sequence[DeviceTrials], adc: Adc) -> dict[str, agreement.Validation]:
-    """Return the trials at the three levels, the codes treated alike in all."""
-    pairs = [pair for device in devices for pair in device.pairs]
-    names = [name for device in devices for name in device.names]
-    settings = TrialSettings(adc=adc)
-    held = [
-        agreement.validate_leave_one_out(device.pairs, settings=settings, names=device.names).trials
-        for device in devices
-    ]
-    return {
-        "none": agreement.validate_trials(pairs, settings=settings, names=names),
-        "rest": agreement.validate_trials(pairs, settings=replace(settings, offset="rest"), names=names),
-        "calibrated": agreement.summed(tuple(trial for of_device in held for trial in of_device)),
-    }
+def _levels(devices: Sequence[DeviceTrials], adc: Adc, rounding: Rounding) -> tuple[RealErrors, ...]:
+    """Judge the trials at the three levels, the codes treated alike in all."""
+    settings, levels = TrialSettings(adc=adc), dict[str, agreement.Validation]()
+    pairs, names = [pair for one in devices for pair in one.pairs], [name for one in devices for name in one.names]
+    for offset in ("none", "rest"):
+        levels[offset] = agreement.validate_trials(pairs, settings=replace(settings, offset=offset), names=names)
+    fitted = (agreement.validate_leave_one_out(one.pairs, settings=settings, names=one.names) for one in devices)
+    levels["calibrated"] = agreement.summed(tuple(trial for of_device in fitted for trial in of_device.trials))
+    return tuple(
+        RealErrors(level=level, rounding=rounding, trials=seen.trials, median=seen.median, agreement=_pairwise(seen))
+        for level, seen in levels.items()
+    )
+
+
+def _pairwise(seen: agreement.Validation) -> Pairwise | None:
+    both = seen.agreement
+    return None if both is None else Pairwise("mean inclination, deg", both.limits, both.absolute)
 
 
 def agreement_of(quantity: str, first: FloatArray, second: FloatArray) -> Pairwise | None:
@@ -126,12 +123,6 @@ def agreement_of(quantity: str, first: FloatArray, second: FloatArray) -> Pairwi
         return None
     icc = agreement.intraclass_correlation(np.stack((first, second), axis=1), "ICC(2,1)")
     return Pairwise(quantity, agreement.bland_altman(first, second), icc)
-
-
-def _at_level(level: str, rounding: Rounding, held: agreement.Validation) -> RealErrors:
-    both = held.agreement
-    pairwise = None if both is None else Pairwise("mean inclination, deg", both.limits, both.absolute)
-    return RealErrors(level=level, rounding=rounding, trials=held.trials, median=held.median, agreement=pairwise)
 
 
 # ---- captured people and the cohort
@@ -441,16 +432,22 @@ def worn_in(
     captures: tuple[CapturedTrial, ...], device: DeviceModel | None = None, *, seed: int = 0, excursion_k: float = 12.5
 ) -> Worn:
     """Wear a device in captured motions, at a board temperature above the bench's."""
-    held = device or preset("enc03j_3031")
-    levels = calibrated(held, rng=np.random.default_rng([seed, 0]))
+    worn = device or preset("enc03j_3031")
+    levels = calibrated(worn, rng=np.random.default_rng([seed, 0]))
     rows = []
     for number, capture in enumerate(captures):
-        case, pitch, saturated = _case(capture, held, excursion_k, np.random.default_rng([seed, 1, number]))
-        start, stop = case.moving
-        seen = pitch[start:stop] / RADIAN_PER_DEGREE
+        spline = fit_pose_spline(capture.device, SKIN)
+        start, stop, turned, moved = spline.pieces[0]  # up to the first long gap
+        length_s = int((stop - start) * SAMPLE_RATE_HZ) / SAMPLE_RATE_HZ
+        first = replace(spline, pieces=((start, start + length_s, turned, moved),))
+        task = RecordedTask(spline=first, moving_s=(REST_S, REST_S + length_s), held_s=REST_S)
+        rng, temp_c = np.random.default_rng([seed, 1, number]), ROOM_TEMP_C + excursion_k
+        case, saturated = wear(worn, task, rng=rng, temp_c=temp_c, power_on_s=SETTLED_S)
+        moving = slice(*case.moving)
+        seen = case.pitch_now[moving] / RADIAN_PER_DEGREE
         for level, calibration in zip(LEVELS, levels, strict=True):
             error = pitch_error(case, calibration) / RADIAN_PER_DEGREE
-            shown = case.pitch[start:stop] / RADIAN_PER_DEGREE + error
+            shown = case.pitch[moving] / RADIAN_PER_DEGREE + error
             rows.append(
                 WornRow(
                     trial=capture.name,
@@ -459,7 +456,7 @@ def worn_in(
                     error_max_deg=float(np.nanmax(np.abs(error))),
                     lean_optics_deg=float(np.nanmax(seen) - seen[0]),
                     lean_device_deg=float(np.nanmax(shown) - shown[0]),
-                    length_s=(stop - start) / SAMPLE_RATE_HZ,
+                    length_s=length_s,
                     saturated=saturated,
                 )
             )
@@ -469,32 +466,6 @@ def worn_in(
         if (pairwise := agreement_of("largest lean, deg", *leans.reshape(-1, 2).T)) is not None:
             agreed.append((level, pairwise))
     return Worn(rows=tuple(rows), agreement=tuple(agreed))
-
-
-def _case(
-    capture: CapturedTrial, device: DeviceModel, excursion_k: float, rng: np.random.Generator
-) -> tuple[Case, FloatArray, float]:
-    """Return the trial, the pitch that was captured, rad, and the share of readings at the end of the range."""
-    spline = fit_pose_spline(capture.device, SKIN)
-    first, last = spline.pieces[0][:2]  # up to the first long gap
-    time = first + np.arange(int((last - first) * SAMPLE_RATE_HZ)) / SAMPLE_RATE_HZ
-    motion, before = spline.at(time, STANDARD_GRAVITY), round(REST_S * SAMPLE_RATE_HZ)
-    rest = rest_of(motion, motion.q_nb[:1]) | {"moving": np.zeros(1)}
-    motion = replace(motion, moving=np.ones(len(time)))
-    motion = after_rest(motion, np.arange(before, 0, -1) / SAMPLE_RATE_HZ, rest)
-    made = simulate_device(device, motion, rng=rng, temp_c=ROOM_TEMP_C + excursion_k, power_on_s=SETTLED_S)
-    pitch = np.unwrap(sagittal_pitch(motion.q_nb))
-    late_s = delay_of(made.record, motion.q_nb)
-    case = Case(
-        device=device,
-        record=made.record,
-        delay_s=late_s,
-        pitch_now=pitch,
-        pitch=np.interp(motion.time - late_s, motion.time, pitch),
-        still=(0, before - round(0.2 * SAMPLE_RATE_HZ)),
-        moving=(before, len(motion)),
-    )
-    return case, pitch, float(made.gyro.saturated.any(axis=1).mean())
 
 
 # ---- real.toml
@@ -511,20 +482,17 @@ class TrialEntry:
     device: str  # Which
     map: str | None = None  # Columns, units and sample rate of a foreign recording, a file as for --map
     reference: str | None = None  # Poses; None where the recording is a BROAD file
-    markers: tuple[str, ...] = ()  # Labels of one rigid cluster, for TRC or C3D
-    up: Literal["y", "z"] | None = None  # Laboratory axis that points up, for markers
+    markers: tuple[str, ...] = ()  # As of a capture
+    up: Literal["y", "z"] | None = None
 
 
 @stored()
 @dataclass(frozen=True, slots=True, kw_only=True)
-class CaptureEntry:
+class CaptureEntry(Posed):
     """[[capture]]."""
 
     file: str  # Poses or markers
     task: Captured  # sit_to_stand, squat or stairs
-    body: BodyName | None = None  # pelvis, thorax or trunk, found by its markers
-    markers: tuple[str, ...] = ()  # Or labels of one rigid cluster
-    up: Literal["y", "z"] | None = None  # Laboratory axis that points up, for markers
     category: CategoryName = DEFAULT  # Of the person
 
 
@@ -662,7 +630,7 @@ def _pair(entry: TrialEntry, folder: Path) -> tuple[Record, Reference]:
 
 
 def _capture(entry: CaptureEntry, folder: Path) -> CapturedTrial:
-    poses = read_poses(folder / entry.file, body=entry.body, markers=entry.markers, up=entry.up)
+    poses = read_poses(folder / entry.file, entry)
     if poses.position is None:
         raise InputError(f"{entry.file}: wanted poses with positions, got none; risings are found by the height")
     name = Path(entry.file).name.split(".")[0]

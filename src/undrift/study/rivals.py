@@ -449,7 +449,7 @@ def _compare_unit(plan: RivalPlan, number: int) -> _Compared:
     for k, task in enumerate(plan.tasks):
         rng = np.random.default_rng([plan.seed, number, 1, k])
         performed = draw_task(task, rng=rng, rest_s=REST_S)
-        cases.append(wear(device, performed, rng=rng, temp_c=TEMP_C, power_on_s=SETTLED_S))
+        cases.append(wear(device, performed, rng=rng, temp_c=TEMP_C, power_on_s=SETTLED_S)[0])
     count, made, refusals = len(plan.methods), list[Rivalled](), list[tuple[int, str]]()
     errors, terms = np.full((len(cases), count, 3), np.nan), np.full((2, count, 3), np.nan)
     worth: dict[TriadName, FloatArray] = {"gyro": np.empty((len(cases), count)), "accel": np.empty((1, count))}

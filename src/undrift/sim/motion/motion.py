@@ -29,7 +29,6 @@ a hand turn takes in the sample that ends it.
 """
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Annotated, Any, Protocol
 
@@ -208,13 +207,13 @@ class Motion:
         return float((len(self.time) - 1) / (self.time[-1] - self.time[0]))
 
 
-def after_rest(motion: Motion, before_s: FloatArray, rest: Mapping[str, FloatArray] | None = None) -> Motion:
-    """Return a motion without labels behind a rest, its first row or another by field, of samples so long before the first, s."""
+def after_rest(motion: Motion, before_s: FloatArray) -> Motion:
+    """Return a motion without labels behind a rest in its first row, of samples so long before the first, s."""
     names = ("q_nb", "rate_b", "mean_rate_b", "force_b", "moving", "angular_acceleration_b")
-    rest = rest or {name: x[:1] for name in names if (x := getattr(motion, name)) is not None}
     columns: dict[str, Any] = {
-        name: np.concatenate((np.repeat(row, len(before_s), axis=0), getattr(motion, name)))
-        for name, row in rest.items()
+        name: np.concatenate((np.repeat(x[:1], len(before_s), axis=0), x))
+        for name in names
+        if (x := getattr(motion, name)) is not None
     }
     time = np.concatenate((motion.time[0] - before_s, motion.time))
     return Motion(time=time, gravity_m_s2=motion.gravity_m_s2, **columns)

@@ -51,11 +51,13 @@ import tomllib
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal, cast, get_args
+from typing import Annotated, Any, Literal, TypeAlias, cast, get_args
 
 import numpy as np
+from annotated_types import Gt
 
 from undrift.arrays import FloatArray
+from undrift.base.codec import Key, slots_of, stored, tree_of
 from undrift.errors import InputError
 from undrift.frames import cross, quaternion_conjugate, quaternion_product, rotate
 from undrift.sim.device.simulate import Streams, draw_streams
@@ -199,50 +201,103 @@ def draw_lines(
 
 # ---- Categories of subjects: numbers of the tasks' models.
 
-CategoryName = Literal["level_2", "young", "elderly", "impaired", "parkinson"]
+CategoryName = Literal["level_1", "level_2", "level_3", "level_4", "young", "elderly", "impaired", "parkinson"]
 DEFAULT: CategoryName = "level_2"
 Range = tuple[float, float, float]  # Lowest, mean, highest
 Spread = tuple[float, float, float, float]  # Mean, standard deviation, least, greatest
+BELOW_ZERO = ("sitting_deg", "standing_deg", "upright_deg")  # quantities that may be
 
 
+@stored()
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Category:
     """How people of one category perform the three tasks."""
 
     label: str  # For people
-    age_years: Range | None = None  # None: the note's Table 2, by group
-    height: Range | None = None  # m, as above
-    typical_age_years: float  # That the numbers below hold for; a year more adds 0.3 % to durations and 1 % to sway
+    age_years: Range | None = None  # Lowest, mean, highest; the note's Table 2, by group, where not given
+    height: Annotated[Range | None, Key("height_m")] = None  # m, as above
+    typical_age_years: Annotated[
+        float, Gt(0.0)
+    ]  # That the numbers below hold for; a year more adds 0.3 % to durations and 1 % to sway
     # Greatest rate about any axis in sit-to-stand, step and posturography, deg/s; beyond it a performance is drawn again
     most_dps: tuple[float, float, float] = (90.0, 45.0, 5.0)
-    # Sit-to-stand: duration, s; instant of the turn as a share of it; flexion at L5, first and last pitch, deg
-    rise_s: Spread = (2.3, 0.5, 1.5, 4.0)
-    turn: Spread = (0.40, 0.05, 0.3, 0.5)
-    flexion_deg: Spread = (32.0, 7.0, 15.0, 50.0)
-    sitting_deg: Spread = (5.0, 5.0, -10.0, 20.0)
-    standing_deg: Spread = (3.0, 3.0, -6.0, 12.0)
-    settling: float = 1.0  # Sway after it, in that of level_2
-    # Step: duration, s; forward lean and roll to one side, deg
-    step_s: Spread = (2.0, 0.4, 1.2, 3.2)
-    lean_deg: Spread = (12.0, 4.0, 3.0, 25.0)
-    roll_deg: Spread = (5.0, 2.0, 1.0, 10.0)
-    # Quiet stance, eyes closed on foam: rms of pitch, roll and yaw, pitch, deg; what sets the spectrum: stiffness in m g h and
-    # time constant of the torque's noise, s
+    # Mean, standard deviation, least and greatest; where a lab states the first two alone, the others are 2.5 deviations away
+    rise_s: Spread = (2.3, 0.5, 1.5, 4.0)  # Sit-to-stand: duration, s
+    turn: Annotated[Spread, Key("turn_share")] = (
+        0.40,
+        0.05,
+        0.3,
+        0.5,
+    )  # Instant at which the trunk turns back, of duration
+    flexion_deg: Spread = (32.0, 7.0, 15.0, 50.0)  # At L5, deg
+    sitting_deg: Spread = (5.0, 5.0, -10.0, 20.0)  # First pitch, deg
+    standing_deg: Spread = (3.0, 3.0, -6.0, 12.0)  # Last pitch, and that of a step, deg
+    settling: Annotated[float, Gt(0.0), Key("settling_ratio")] = 1.0  # Sway after it, in that of level_2
+    step_s: Spread = (2.0, 0.4, 1.2, 3.2)  # Step: duration, s
+    lean_deg: Spread = (12.0, 4.0, 3.0, 25.0)  # Forward, deg
+    roll_deg: Spread = (5.0, 2.0, 1.0, 10.0)  # To one side, deg
+    # Quiet stance, eyes closed on foam: rms of pitch, roll and yaw, deg
     sway_deg: tuple[Spread, Spread, Spread] = ((0.9, 0.3, 0.3, 1.8), (0.6, 0.2, 0.2, 1.2), (0.4, 0.1, 0.1, 0.8))
-    upright_deg: Spread = (3.0, 2.0, -3.0, 9.0)
-    stiffness: Spread = (1.45, 0.08, 1.25, 1.6)
-    noise_s: float = 1.5
+    upright_deg: Spread = (3.0, 2.0, -3.0, 9.0)  # Its pitch, deg
+    stiffness: Annotated[Spread, Key("stiffness_mgh")] = (
+        1.45,
+        0.08,
+        1.25,
+        1.6,
+    )  # In m g h: sets the spectrum, with the next
+    noise_s: Annotated[float, Gt(0.0)] = 1.5  # Time constant of the torque's noise, s
+
+    def __post_init__(self) -> None:
+        values: dict[str, Any] = {slot.path[0]: getattr(self, slot.name) for slot in slots_of(Category)}
+        for name, value in values.items():
+            for row in value if name == "sway_deg" else (value,) * isinstance(value, tuple):
+                least, mean, greatest = row if len(row) == 3 else (row[2], row[0], row[3])
+                rising = least <= mean <= greatest or name == "most_dps"
+                if not rising or min(row[1:2] if name in BELOW_ZERO else row) <= 0.0:
+                    raise InputError(
+                        f"{name}: wanted least, mean and greatest that rise, above 0, got {list(row)}; state mean, standard "
+                        "deviation, least and greatest, or least, mean and greatest of ages and heights"
+                    )
 
 
-def _numbers(value: object) -> Any:
-    """Return lists of a TOML file as tuples."""
-    return tuple(_numbers(item) for item in value) if isinstance(value, list) else value
+def _numbers(value: Any) -> Any:
+    return tuple(map(_numbers, value)) if isinstance(value, list) else value
 
 
+_NAMES = {slot.path[0]: slot.name for slot in slots_of(Category)}
 CATEGORIES: dict[CategoryName, Category] = {
-    cast(CategoryName, name): Category(**{key: _numbers(value) for key, value in entry.items()})
+    cast(CategoryName, name): Category(**{_NAMES[key]: _numbers(value) for key, value in entry.items()})
     for name, entry in tomllib.loads(Path(__file__).with_name("categories.toml").read_text("utf-8")).items()
 }
+Kind: TypeAlias = CategoryName | Category  # by its name, or of a lab's own
+
+
+def numbers_of(category: Kind) -> Category:
+    """Return the numbers of a category."""
+    return category if isinstance(category, Category) else CATEGORIES[category]
+
+
+REACH_SD = 2.5  # least and greatest about a mean, where a lab states the standard deviation alone
+
+
+def category_tree(name: str, table: dict[str, Any]) -> dict[str, Any]:
+    """Return all keys of a category of which a table states some: the others as of the one that it is ``like``."""
+
+    def bounded(value: Any) -> Any:
+        if not isinstance(value, list) or not all(isinstance(one, int | float) for one in value):
+            return [bounded(one) for one in value] if isinstance(value, list) else value
+        return [*value, *(value[0] + side * REACH_SD * value[1] for side in (-1, 1))] if len(value) == 2 else value
+
+    like = table.get("like", DEFAULT)
+    if name in CATEGORIES or not name.isidentifier() or like not in CATEGORIES:
+        raise InputError(
+            f"category.{name}: wanted a name of letters and digits other than {', '.join(CATEGORIES)}, like one of them, got "
+            f"{name} like {like}; rename it"
+        )
+    stated = {key: bounded(value) for key, value in table.items() if key != "like"}
+    if isinstance(ages := stated.get("age_years"), list) and len(ages) == 3:
+        stated = {"typical_age_years": ages[1]} | stated
+    return {**tree_of(CATEGORIES[like]), "label": name.replace("_", " "), **stated}
 
 
 # ---- Subjects: who performs a task, and the two groups of thirty of the note's Table 2.
@@ -261,7 +316,7 @@ class Subject:
     age_years: float  # Years
     height: float  # m
     habits: Streams  # What this person always does the same way
-    category: CategoryName = DEFAULT  # Which numbers the performances are drawn with
+    category: Kind = DEFAULT  # Which numbers the performances are drawn with
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -279,18 +334,18 @@ TABLE_2: dict[Group, TableRow] = {  # [note] Table 2; both groups Tinetti level 
 TYPICAL_HEIGHT = 1.665  # between the two groups' means, as is the typical age; who performs where no subject is named
 
 
-def table_row(group: Group, category: CategoryName = DEFAULT) -> TableRow:
+def table_row(group: Group, category: Kind = DEFAULT) -> TableRow:
     """Return the ages and heights that a cohort is to have."""
-    held = CATEGORIES[category]
+    held = numbers_of(category)
     if held.age_years is None or held.height is None:
         return TABLE_2[group]
     return TableRow(age_years=held.age_years, height=held.height)
 
 
-def cohort(group: Group, *, rng: np.random.Generator, category: CategoryName = DEFAULT) -> tuple[Subject, ...]:
+def cohort(group: Group, *, rng: np.random.Generator, category: Kind = DEFAULT) -> tuple[Subject, ...]:
     """Draw the thirty subjects of one group; the same generator gives the same habits in every category."""
     for got, known in ((group, get_args(Group)), (category, get_args(CategoryName))):
-        if got not in known:
+        if got not in known and not isinstance(got, Category):
             raise InputError(f"cohort: wanted one of {', '.join(known)}, got '{got}'; name one of them")
     streams, row = draw_streams(rng), table_row(group, category)
     ages = _spread(row.age_years, streams.of(f"{group} age")).tolist()
@@ -323,7 +378,7 @@ class Performance:
     @property
     def category(self) -> Category:
         """Numbers that performances are drawn with."""
-        return CATEGORIES[self.subject.category if self.subject else DEFAULT]
+        return numbers_of(self.subject.category if self.subject else DEFAULT)
 
     @property
     def older(self) -> float:
@@ -358,6 +413,7 @@ def _bounded_normal(draw: np.random.Generator) -> float:
 TaskName = Literal["sit_to_stand", "posturography", "free", "step"]
 DEGREE = RADIAN_PER_DEGREE
 POSTUROGRAPHY_S = 50.0
+MOST_DRAWS = 1000  # of a performance within the bound of its category
 # Peak of the acceleration's spectrum over the sine's frequency, where the envelope peaks at half a period
 LOUDEST = 1.385
 
@@ -374,10 +430,14 @@ def draw_task(name: TaskName, *, rng: np.random.Generator, subject: Subject | No
         "step": (_step, who.category.most_dps[1]),
         "posturography": (_posturography, who.category.most_dps[2]),
     }[name]
-    while True:
+    for _ in range(MOST_DRAWS):
         task = perform(who, rest_s)
         if np.abs(task.at(np.arange(*task.moving_s, 0.02), STANDARD_GRAVITY).rate_b).max() <= most_dps * DEGREE:
             return task
+    raise InputError(
+        f"{name}, {who.category.label}: wanted motions of {most_dps:g} deg/s or less, got none in {MOST_DRAWS}; raise most_dps, "
+        "or take longer durations or smaller angles"
+    )
 
 
 def _slowness(who: Performance) -> float:
