@@ -33,7 +33,7 @@ def write_protocol(folder: Path, task: str, protocol: "Protocol") -> Path:
     from undrift.rig.programme import write_protocol as write
 
     path = folder / f"protocol-{task}.toml"
-    write(protocol, path)
+    write(replace(protocol, faces=tuple(pose for pose in protocol.faces if " " not in pose)), path)  # no inclined ones
     return path
 
 
@@ -70,6 +70,10 @@ def rig_sections(outcome: "StudyOutcome", folder: Path) -> tuple[Section, ...]:
         plans.append(plan)
         addresses = "`rig` ADDRESS `device` ADDRESS" + " `chamber` ADDRESS" * oven
         lines.append(f"On the rate table, {plain_words(key)}: {total}.")
+        if inclined := [pose for pose in protocol.faces if " " in pose]:
+            lines.append(
+                f"The file has level faces alone. By hand, {protocol.face_s:g} s in each: {', '.join(inclined)}."
+            )
         lines.append(f"undrift rig run {shlex.quote(str(path))} {addresses} `output` {session}")
         lines.append(f"undrift calibrate {session} `output` {key}.json")
         lines += [f"undrift drift {session} `calibration` {key}.json `output` {key}.json"] * oven

@@ -36,6 +36,7 @@ SLOPE_OF_THE_NOTE = (
     "confirms nothing, only what each compensation leaves of it."
 )
 LEAST_P = 1e-4
+ASSUMED = ("level_1", "level_3", "level_4")  # categories of which the note has no number
 OBJECTIVES: "dict[Objective, str]" = {
     "rms": "the root-mean-square error",
     "maximum": "the largest error",
@@ -93,16 +94,18 @@ def sections_of(outcome: "StudyOutcome") -> tuple[Section, ...]:
 
 
 def _people(outcome: "StudyOutcome") -> tuple[str, ...]:
-    """Say whose motions they are, where that is not as in the note."""
+    """Say whose motions they are, where that is not as in the note, and in which poses accelerometers were read."""
     study, motions = outcome.study, [task.motion for task in outcome.study.tasks if task.motion is not None]
-    levels = [CATEGORIES[name].label for name in study.categories if name in ("level_1", "level_3", "level_4")]  # type: ignore[index]
+    sets = {task.poses: None for task in study.tasks if "poses" in task.space.names}
+    levels = [held.label for name, held in CATEGORIES.items() if name in study.categories and name in ASSUMED]
     return (
-        *(f"{label}: the note gives no more than its meaning. Ages and heights: its Table 2; all other numbers are assumed, "
-          "each with its reason in sim/motion/categories.toml." for label in levels),
+        *(f"{label}: the note gives no more than its meaning. Ages and heights: its Table 2; all other numbers are assumed, each "
+          "with its reason in sim/motion/categories.toml." for label in levels),
         *(f"{kind.label}: numbers of the plan; bounds 2.5 standard deviations from the mean where none are stated."
           for name, kind in study.lab if name in study.categories),
-        *(f"{one.people} recorded people with {sum(len(one.of(k)) for k in range(one.people))} recordings: errors of one person's "
-          "recordings are averaged, and no person counts twice." for one in motions if one.others),
+        *(f"{one.people} recorded people, {sum(len(one.of(k)) for k in range(one.people))} recordings: one person's are averaged."
+          for one in motions if one.others),
+        *(f"Poses of the accelerometers, {k}: {', '.join(poses)}." for each in sets for k, poses in enumerate(each, 1)),
     )  # fmt: skip
 
 

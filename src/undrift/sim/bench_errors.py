@@ -19,7 +19,8 @@ from undrift.sim.motion.motion import turn_quaternion
 from undrift.units import RADIAN_PER_DEGREE
 
 OF_TABLE = (
-    "face_tilt", "mount_tilt", "level", "wobble", "table_rate", "servo", "encoder_lines", "soak_k", "board_lag_s"
+    "face_tilt", "mount_tilt", "level", "wobble", "table_rate", "servo", "encoder_lines", "soak_k", "board_lag_s",
+    "inclination",
 )  # fmt: skip
 
 
@@ -45,7 +46,8 @@ class BenchErrors:
     # Of the angle turned in a dwell against the commanded one, rad
     servo: Annotated[float, Ge(0.0), Key("servo_deg", unit=RADIAN_PER_DEGREE)] = 0.0
     encoder_lines: Annotated[int, Ge(0)] = 0  # Of the table's encoder, four counts a line; 0 reads rates without steps
-    inclination: float = 0.0  # Of each inclination of a plane, rad
+    # Of each inclination of a plane, and of each inclined pose, rad
+    inclination: Annotated[float, Ge(0.0), Key("inclination_deg", unit=RADIAN_PER_DEGREE)] = 0.0
     stroke: float = 0.0  # Of the stroke of each run of a drive, relative
     harmonic: float = 0.0  # Of its second harmonic, in displacement, relative
     soak_k: Annotated[float, Ge(0.0)] = 0.0  # Of the board's settled temperature against the set-point, K

@@ -61,7 +61,7 @@ class Sessions:
 
     kind: IntArray  # (N,), FACE, REST or RATE
     axis: IntArray  # (N,), of the case, 0 to 2: that points up, and that the table turns about
-    face: IntArray  # (N,), which of FACES points up
+    face: IntArray  # (N,), which of FACES points up, or is inclined
     rate: FloatArray  # (N,), commanded about +axis, rad/s
     soak: IntArray  # (N,), which set-point
     set_c: FloatArray  # (N,), of the chamber, or the room's, degC
@@ -101,7 +101,7 @@ def lay_out(protocol: Protocol) -> Sessions:
     return Sessions(
         kind=kind,
         axis=np.array(["xyz".index(dwell.up[1]) for dwell in dwells]),
-        face=np.array([FACES.index(dwell.up) for dwell in dwells]),
+        face=np.array([FACES.index(dwell.up[:2]) for dwell in dwells]),
         rate=np.array([dwell.turn_rate for dwell in dwells]),
         soak=np.where(kind == FACE, 0, np.searchsorted(protocol.temperatures_c or (ROOM_TEMP_C,), set_c)),
         set_c=set_c,
@@ -179,11 +179,12 @@ def impose(
     return dwells, angle / length * (1.0 - errors.table_rate * draws.clock)
 
 
-def impose_faces(sessions: Sessions, errors: BenchErrors, draws: BenchDraws) -> ImposedDwells:
-    """Return what is truly imposed by rests on faces."""
-    up = _turned(
-        np.array([unit_vector(FACES[face]) for face in sessions.face]), errors.face_tilt * draws.face[sessions.face]
-    )
+def impose_faces(
+    sessions: Sessions, errors: BenchErrors, draws: BenchDraws, up: FloatArray | None = None
+) -> ImposedDwells:
+    """Return what is truly imposed by rests on faces, or by other poses whose directions are stated, (N, 3)."""
+    level = np.array([unit_vector(FACES[face]) for face in sessions.face]) if up is None else up
+    up = _turned(level, errors.face_tilt * draws.face[sessions.face])
     return ImposedDwells(
         start_s=sessions.start_s,
         duration_s=sessions.duration_s,

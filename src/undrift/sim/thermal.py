@@ -133,10 +133,7 @@ class Profile:
 
 
 def soak_profile(
-    set_points_c: tuple[float, ...],
-    *,
-    measured_s: float,
-    settings: ChamberSettings | None = None,
+    set_points_c: tuple[float, ...], *, measured_s: float, settings: ChamberSettings | None = None
 ) -> Profile:
     """Return a programme of soaks: at each set-point wait until the board is soaked, then stay as long as measuring takes."""
     if not set_points_c:
@@ -355,11 +352,7 @@ Walks = tuple[FloatArray, FloatArray]  # of the gyroscopes and the accelerometer
 
 
 def simulate_thermal_session(
-    kind: ThermalKind,
-    device: DeviceModel,
-    *,
-    rng: np.random.Generator,
-    settings: ThermalSettings | None = None,
+    kind: ThermalKind, device: DeviceModel, *, rng: np.random.Generator, settings: ThermalSettings | None = None
 ) -> Session:
     """Return a thermal session of a simulated device.
 

@@ -41,6 +41,7 @@ from undrift.arrays import BoolArray, FloatArray, IntArray
 from undrift.calibration.six_face import FaceMeans, fit_six_face
 from undrift.correction.correct import correct_whole
 from undrift.errors import AlignmentError, CalibrationError, InputError
+from undrift.fit.least_squares import fit_forward, triad_from_forward
 from undrift.model import Calibration, TriadModel
 from undrift.orientation import IN_PLANE, initial_tilt, orient_unchecked, sagittal_pitch
 from undrift.record import FACES, Record, Reference, Still
@@ -50,7 +51,7 @@ from undrift.sim.device.effects import BUTTERWORTH, LowPass, SensorChain
 from undrift.sim.device.model import DeviceModel, device_from_json
 from undrift.sim.device.presets import preset, preset_grade, random_device_of
 from undrift.sim.device.simulate import filtered, simulate_device
-from undrift.sim.motion.motion import Motion
+from undrift.sim.motion.motion import Motion, unit_vector
 from undrift.sim.motion.tasks import DEFAULT, Subject, Task, TaskName, cohort, draw_task
 from undrift.sim.motion.worn import wear_on_skin
 from undrift.sim.table_sessions import (
@@ -86,18 +87,9 @@ from undrift.validation.trial import LAG_SETTINGS
 # ---- effects switched off
 
 EffectName = Literal[
-    "noise",
-    "gyroscope offset",
-    "accelerometer offset",
-    "scale",
-    "cross-axis",
-    "dynamic drift",
-    "delay",
-    "quantisation",
-    "soft tissue",
-    "impacts",
-    "vibration",
-]
+    "noise", "gyroscope offset", "accelerometer offset", "scale", "cross-axis", "dynamic drift", "delay", "quantisation",
+    "soft tissue", "impacts", "vibration",
+]  # fmt: skip
 # Of wearing, and their sizes in ``WornErrors``; a study that has none does not split them
 _WORN: dict[EffectName, str] = {"soft tissue": "tissue", "impacts": "impact", "vibration": "vibration"}
 EFFECTS: tuple[EffectName, ...] = tuple(name for name in get_args(EffectName) if name not in _WORN)
@@ -120,7 +112,7 @@ _ZEROED: dict[EffectName, dict[str, tuple[str, ...]]] = {
 }
 _BENCH: dict[EffectName, tuple[str, ...]] = {
     "scale": ("table_rate", "servo"),
-    "cross-axis": ("face_tilt", "mount_tilt", "level", "wobble"),
+    "cross-axis": ("face_tilt", "inclination", "mount_tilt", "level", "wobble"),
     "quantisation": ("encoder_lines",),
 }
 
@@ -236,12 +228,7 @@ def _samples(performed: Task | RecordedTask) -> FloatArray:
 
 
 def make_case(
-    study: Study,
-    task: StudyTask,
-    number: int,
-    setting: Setting,
-    without: EffectName | None = None,
-    trial: int = 0,
+    study: Study, task: StudyTask, number: int, setting: Setting, without: EffectName | None = None, trial: int = 0
 ) -> Case:
     """Simulate a subject's trial with a device built for a setting out of the same parts.
 
@@ -321,12 +308,7 @@ def _unfiltered(
 
 
 def wear(
-    device: DeviceModel,
-    performed: Task | RecordedTask,
-    *,
-    rng: np.random.Generator,
-    temp_c: float,
-    power_on_s: float,
+    device: DeviceModel, performed: Task | RecordedTask, *, rng: np.random.Generator, temp_c: float, power_on_s: float
 ) -> tuple[Case, float]:
     """Simulate a trial; return the share of samples in which a gyroscope was at the end of its range too."""
     motion = performed.at(_samples(performed), STANDARD_GRAVITY)
@@ -398,18 +380,29 @@ def pitch_error(case: Case, calibration: Calibration) -> FloatArray:
 KEY_STEP = 1e-9  # rad/s: rates nearer than this are one
 
 
-def faces_of(study: Study, device: DeviceModel, number: int, sessions: Sessions) -> TriadModel | None:
-    """Return the accelerometers as the faces of a session calibrate them; None without faces."""
+def faces_of(
+    study: Study, device: DeviceModel, number: int, sessions: Sessions, poses: Sequence[str] = ()
+) -> TriadModel | None:
+    """Return the accelerometers as the faces of a session, or stated poses, calibrate them; None without any."""
     if not len(sessions.kind):
         return None
+    poses, bench = poses or [FACES[face] for face in sessions.face], bench_of(study, number, 1, (0,))
     normals = seeded(study, "faces", number).standard_normal((6, 3, numbers_of_dwell(device.accel)))
-    dwells = impose_faces(sessions, study.bench, bench_of(study, number, 1, (0,)))
-    poses = FaceMeans(
-        reading=mean_readings(device, "accel", dwells, normals, sessions.face),
-        faces=tuple(FACES[face] for face in sessions.face),
-        unit=device.accel.unit,
-    )
-    return fit_six_face(poses, gravity=STANDARD_GRAVITY, mode="affine").model
+    row, tilt, up = sessions.face.copy(), bench.face, np.array([unit_vector(pose) for pose in poses])
+    for k, pose in enumerate(poses):
+        if pose not in FACES:  # draws of its own, the same in every set that has it
+            rng = seeded(study, f"pose {pose}", number)
+            row[k], up[k] = len(tilt), unit_vector(pose, study.bench.inclination * rng.standard_normal())
+            tilt = np.concatenate((tilt, rng.standard_normal((1, 3))))
+            normals = np.concatenate((normals, rng.standard_normal((1, *normals.shape[1:]))))
+    dwells = impose_faces(replace(sessions, face=row), study.bench, replace(bench, face=tilt), up)
+    reading, unit = mean_readings(device, "accel", dwells, normals, row), device.accel.unit
+    if set(poses) <= set(FACES):
+        means = FaceMeans(reading=reading, faces=tuple(FACES[face] for face in row), unit=unit)
+        return fit_six_face(means, gravity=STANDARD_GRAVITY, mode="affine").model
+    forward = fit_forward(STANDARD_GRAVITY * np.array([unit_vector(pose) for pose in poses]), reading, None)
+    limits, names = (-STANDARD_GRAVITY, STANDARD_GRAVITY), {"method": "poses", "unit_in": unit, "unit_out": "m/s2"}
+    return triad_from_forward(forward, valid_range=limits, **names).model
 
 
 def bench_of(study: Study, number: int, soaks: int, keys: Sequence[int]) -> BenchDraws:
@@ -608,7 +601,8 @@ def errors_with(
     study, base, device = unit.study, protocols[0], cases[0].device
     if unit.without is not None:
         study = replace(study, bench=bench_without(study.bench, unit.without))
-    accel = faces_of(study, device, unit.subject, session_of(base, unit.setting.quality).chosen(FACE))
+    faces = session_of(base, unit.setting.quality).chosen(FACE)
+    accel = faces_of(study, device, unit.subject, faces, base.faces)
     sessions = every.chosen(REST, RATE)
     readings = simulate_turns(study, base, device, unit.subject, sessions)
     grids = np.array([(p.turn_rate_max, p.turn_rate_step) for p in protocols])
@@ -619,7 +613,7 @@ def errors_with(
 
 def alike(task: StudyTask, points: FloatArray) -> list[IntArray]:
     """Return the places of the candidates that are simulated and fitted at once: alike in all but rates, dwells and rests."""
-    names = ("faces", "face_s", "set_points", "warmest_c", "soak_c_per_min", "static_step_c", "dynamic_step_c")
+    names = ("faces", "poses", "face_s", "set_points", "warmest_c", "soak_c_per_min", "static_step_c", "dynamic_step_c")
     columns = [k for k, name in enumerate(task.space.names) if name in names]
     group = np.unique(points[:, columns], axis=0, return_inverse=True)[1].ravel() if columns else np.zeros(len(points))
     return [np.flatnonzero(group == each) for each in np.unique(group)]

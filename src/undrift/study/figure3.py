@@ -368,23 +368,12 @@ def levels_of(constant: Calibration, full: Calibration) -> tuple[Calibration, Ca
 
 
 def worn_record(
-    device: DeviceModel,
-    performed: Task,
-    *,
-    excursion_k: float,
-    rng: np.random.Generator,
-    room_c: float = ROOM_TEMP_C,
+    device: DeviceModel, performed: Task, *, excursion_k: float, rng: np.random.Generator, room_c: float = ROOM_TEMP_C
 ) -> Record:
     """Return what a device reads in a task after half an hour on a person, whose warmth it has taken on."""
     before = round(WORN_S * SAMPLE_RATE_HZ)
     moved = performed.at(np.arange(round(performed.duration_s * SAMPLE_RATE_HZ)) / SAMPLE_RATE_HZ, STANDARD_GRAVITY)
     motion = after_rest(moved, np.arange(before, 0, -1) / SAMPLE_RATE_HZ)  # still until the task begins
     share = -np.expm1(-(motion.time + WORN_S) / WARMING_S) / -np.expm1(-WORN_S / WARMING_S)
-    record = simulate_device(
-        device,
-        motion,
-        rng=rng,
-        temp_c=room_c + excursion_k * share,
-        power_on_s=SETTLED_S,
-    ).record
+    record = simulate_device(device, motion, rng=rng, temp_c=room_c + excursion_k * share, power_on_s=SETTLED_S).record
     return record.part(before, len(record))

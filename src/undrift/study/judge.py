@@ -125,12 +125,7 @@ class ParameterEffect:
 
 
 def effects_at(
-    surface: TaskSurface,
-    best: int,
-    *,
-    error: FloatArray,
-    allowed: BoolArray,
-    aim: Aim = AIM,
+    surface: TaskSurface, best: int, *, error: FloatArray, allowed: BoolArray, aim: Aim = AIM
 ) -> tuple[ParameterEffect, ...]:
     """Say what each parameter does about a protocol: error (S, P) deg, allowed (P,)."""
     effects = []
@@ -545,12 +540,7 @@ class NoteComparison:
         return (self.finding, *(value.finding for value in self.values))
 
 
-def compare_with_note(
-    surface: TaskSurface,
-    optimum: Optimum,
-    row: NoteRow,
-    aim: Aim = AIM,
-) -> NoteComparison:
+def compare_with_note(surface: TaskSurface, optimum: Optimum, row: NoteRow, aim: Aim = AIM) -> NoteComparison:
     """Compare a row of the note with the optimum, and each of its values with the next that were tried."""
     table = np.stack([surface.column(name) for name in surface.names], axis=1)
     errors, best = surface.aimed(aim), optimum.best

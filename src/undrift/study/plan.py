@@ -59,10 +59,20 @@ NOTE_BENCH = BenchErrors(
     encoder_lines=10_000,  # Note: N = 10,000, read as lines
     soak_k=0.3,  # Assumed: a small chamber is even to some tenths of a kelvin
     board_lag_s=600.0,  # Assumed: a board in its box, 1 K behind at the soak's limit of 0.1 K/min
+    inclination=0.05 * RADIAN_PER_DEGREE,  # Assumed: a digital inclinometer, as of the rival methods
 )
 
 
 # ---- the plan
+
+# Poses in which accelerometers are read: a face up, or one inclined by an angle, deg, toward another. The preset's: the note's
+# six faces, five without -z, without -x or without +z; four inclined ones about +z with +z, and with all faces; the twelve edges.
+POSE = r"[+-]([xyz])( \d+(?:\.\d+)? [+-]([xyz]))?"
+_ABOUT_Z = tuple(f"+z 45 {side}" for side in FACES[:4])
+_EDGES = tuple(f"{one} 45 {other}" for k, one in enumerate(FACES) for other in FACES[2 * (k // 2) + 2 :])
+POSES: tuple[tuple[str, ...], ...] = (
+    FACES, FACES[:5], FACES[:1] + FACES[2:], FACES[:4] + FACES[5:], ("+z", *_ABOUT_Z), FACES + _ABOUT_Z, _EDGES
+)  # fmt: skip
 
 Objective = Literal["rms", "maximum", "end"]  # Of the pitch error over the motion; end: median of its last half second
 # The true pitch of the same instant, as who acts on the display needs it; or that of the instant which the readings belong to
@@ -126,6 +136,7 @@ class StudyTask:
     base: Protocol  # All that is not varied: dwell, brackets, temperatures
     motion: OwnMotion | None = None  # Performed in place of the library's task
     category: str = DEFAULT  # Of the subjects who perform it
+    poses: tuple[tuple[str, ...], ...] = POSES  # Sets in which the accelerometers are read, to choose from by number
 
     @property
     def key(self) -> str:
@@ -135,6 +146,16 @@ class StudyTask:
     def __post_init__(self) -> None:
         if not re.fullmatch(r"[A-Za-z0-9_]+", self.name):
             raise InputError(f"task: wanted a name of letters, digits and _, got '{self.name}'; rename it")
+        for pose in chain.from_iterable(self.poses):
+            if not (form := re.fullmatch(POSE, pose)) or form[1] == form[3]:
+                raise InputError(
+                    f'poses: wanted a face as "+z" or an inclined one as "+z 45 +x", got "{pose}"; write it so'
+                )
+        count = max(dict(self.space.further).get("poses", (0.0,)))
+        if count > len(self.poses) or any(len(set(one)) < max(len(one), 4) for one in self.poses):
+            raise InputError(
+                "poses: wanted sets of four poses or more, each pose once, and numbers of these sets, got others"
+            )
         if self.motion is None and self.name not in get_args(TaskName):
             raise InputError(
                 f"task: wanted one of {', '.join(get_args(TaskName))}, got '{self.name}'; name one, or give a motion of your own"
@@ -151,6 +172,8 @@ class StudyTask:
         }
         if "faces" in values:
             given["faces"] = FACES[: int(values["faces"])]
+        if "poses" in values:
+            given["faces"] = self.poses[int(values["poses"]) - 1]
         if "order" in values:
             given["order"] = "random" if values["order"] == 2.0 else "alternating"
         count, warmest_c = (
@@ -341,7 +364,7 @@ BESIDE: dict[str, tuple[float, ...]] = {
     "dwell_s": (2.0, 0.5, 1.0, 4.0),
     "bracket_s": (6.0, 2.0),
     "face_s": (6.0, 2.0),
-    "faces": (6.0, 5.0),
+    "poses": (1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0),
     "set_points": (5.0, 1.0, 2.0, 3.0),
     "warmest_c": (75.0, 45.0),
     "soak_c_per_min": (0.1, 0.3),
@@ -571,6 +594,8 @@ class SpaceEntry:
     bracket_s: MoreValues = ()  # At rest around a block of rates
     face_s: MoreValues = ()  # On a face
     faces: MoreValues = ()  # How many: 6, or 5 without -z
+    # In place of faces: sets of poses, each a list of faces ("+z") and inclined ones ("+z 45 +x": +z up, 45 deg toward +x)
+    poses: tuple[tuple[str, ...], ...] = ()
     # How many, evenly from the protocol's first to its last; 1 stays at room temperature
     set_points: MoreValues = ()
     warmest_c: MoreValues = ()  # The last of them; the protocol's where not given
@@ -691,20 +716,22 @@ def _task_of(entry: TaskEntry, folder: Path) -> StudyTask:
             f"{entry.name}: wanted a category or a recorded motion, got both; recorded people are who they are, leave category out"
         )
     motion = None if entry.motion is None else _own_motion(entry.motion, folder)
-    further = {name: getattr(space, name) for name in FURTHER}
+    further: dict[str, Any] = {name: getattr(space, name) for name in FURTHER}
+    further["poses"] = tuple(map(float, range(1, len(space.poses) + 1)))
     kept: dict[str, Any] = {name: getattr(base, name) for name in ("dwell_s", "bracket_s", "face_s", "grid")}
     return StudyTask(
         name=entry.name,
         space=_space(*(getattr(space, name) for name in OF_NOTE), **further),
         base=Protocol(name=entry.name, temperatures_c=base.set_points_c, **kept),
         motion=motion,
+        poses=space.poses or POSES,
     )
 
 
 def _own_motion(entry: MotionEntry, folder: Path) -> OwnMotion:
     """Return the recorded motion of a plan; each file is read, so that one is refused now rather than by a worker."""
-    sources = ("file", "folder", "table")
-    if len(named := [name for name in sources if getattr(entry, name)]) != 1 or (entry.label and not entry.table):
+    named = [name for name in ("file", "folder", "table") if getattr(entry, name)]
+    if len(named) != 1 or (entry.label and not entry.table):
         got = " and ".join([*named, *["label"] * bool(entry.label)]) or "none"
         raise InputError(
             "task.motion: wanted a file, a folder with one of each person, or a table of files and people (and with it a label), "
@@ -712,11 +739,8 @@ def _own_motion(entry: MotionEntry, folder: Path) -> OwnMotion:
         )
     path = folder / str(getattr(entry, named[0]))
     try:
-        if entry.table:
-            trials = _trials_in(path, entry.label)
-        else:
-            files = sorted(one for one in path.iterdir() if one.is_file()) if entry.folder else [path]
-            trials = [[one] for one in files]
+        files = sorted(one for one in path.iterdir() if one.is_file()) if entry.folder else [path]
+        trials = _trials_in(path, entry.label) if entry.table else [[one] for one in files]
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: wanted a {named[0]} of recorded people, got {error}") from error
     if len(trials) < 3 and not entry.file:

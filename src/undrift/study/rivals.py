@@ -150,10 +150,7 @@ def calibrate_by(
         nominal=nominal_calibration(preset_grade(kind)),
         budget_s=(rate_table_minutes() if minutes is None else minutes) * SECONDS_PER_MINUTE,
         errors=replace(
-            errors,
-            inclination=PLANE_ANGLE_SD,
-            stroke=STROKE_SD.get(method, 0.0),
-            harmonic=HARMONIC_SD.get(method, 0.0),
+            errors, inclination=PLANE_ANGLE_SD, stroke=STROKE_SD.get(method, 0.0), harmonic=HARMONIC_SD.get(method, 0.0)
         ),
         state=np.random.default_rng(rng.integers(2**63)).bit_generator.state,
         rng=rng,

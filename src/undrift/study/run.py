@@ -271,6 +271,7 @@ def _study_in(head: Path) -> tuple[object, str]:
 
 # Of the parameters that end by themselves: no cut-off is near the highest frequency that samples can have
 ENDS = {"cutoff_hz": (0.0, 0.45 * SAMPLE_RATE_HZ)} | {name: (kind.least, kind.most) for name, kind in FURTHER.items()}
+ENDS["poses"] = math.inf, -math.inf  # sets have no order: none is at an end
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -210,12 +210,7 @@ def count_runs(study: Study) -> int:
 
 
 def search_study(
-    study: Study,
-    executor: Executor,
-    folder: Path,
-    *,
-    advance: Callable[[int, int], None],
-    tell: Callable[[str], None],
+    study: Study, executor: Executor, folder: Path, *, advance: Callable[[int, int], None], tell: Callable[[str], None]
 ) -> tuple[Halving, ...]:
     """Search every task, or resume that; ``advance`` gets runs done and runs in all at most, ``tell`` each round."""
     check_installed(study)

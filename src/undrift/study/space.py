@@ -39,9 +39,8 @@ FURTHER: dict[str, Kind] = {
     "bracket_s": Kind("rest around rates (s)", 0.1),
     "face_s": Kind("rest on a face (s)", 0.1),
     "faces": Kind("faces", 5, 6, whole=True),  # five leave out -z
-    "set_points": Kind(
-        "set-points", 1, whole=True
-    ),  # evenly from the plan's first to the warmest; 1 is room temperature
+    "poses": Kind("poses (number of the set)", 1, whole=True),  # of the plan's sets: faces, inclined ones, any number
+    "set_points": Kind("set-points", 1, whole=True),  # evenly from the plan's first to the warmest; 1: room temperature
     "warmest_c": Kind("warmest set-point (degC)", -40.0, 150.0),  # the plan's last where not given
     "soak_c_per_min": Kind("slope at the end of a soak (K/min)", 0.005, 1.0),
     "order": Kind("order of the rates (1 rising, 2 random)", 1, 2, whole=True),

@@ -95,7 +95,9 @@ class CheapestSession:
 def needs_of(task: StudyTask, surface: TaskSurface, place: int) -> tuple[str, ...]:
     """Return the instruments that a protocol needs."""
     count = surface.further["set_points"][place] if "set_points" in surface.further else len(task.base.temperatures_c)
-    return ("rate table", "chamber") if count > 1 else ("rate table",)
+    chosen = task.poses[int(surface.further["poses"][place]) - 1] if "poses" in surface.further else ()
+    inclined = any(" " in pose for pose in chosen)
+    return ("rate table", *["inclined plane"] * inclined, *["chamber"] * bool(count > 1))
 
 
 def choose(task: StudyTask, surface: TaskSurface, optimum: Optimum, aim: Aim) -> int | None:

@@ -168,7 +168,4 @@ def _stated(calibration: Calibration, temp_c: float, rest_variance: FloatArray) 
         inside = np.abs(dynamic.turn_rate) <= np.abs(_rate()).max()
         turning = turning + (MOTION_S * np.median(of_rate[inside] if inside.any() else of_rate, axis=0)) ** 2
     noise = np.nan_to_num(rest_variance) * per_raw**2 * MOTION_S**2
-    return (
-        _NORMAL_95 * float(np.sqrt(offset**2 + turning).max()),
-        _NORMAL_95 * float(np.sqrt(noise + turning).max()),
-    )
+    return (_NORMAL_95 * float(np.sqrt(offset**2 + turning).max()), _NORMAL_95 * float(np.sqrt(noise + turning).max()))

@@ -548,11 +548,7 @@ def validate_trial(
 
 
 def _track(
-    record: Record,
-    references: tuple[Reference, Reference],
-    motion: MotionSpan,
-    shift_s: float,
-    settings: TrialSettings,
+    record: Record, references: tuple[Reference, Reference], motion: MotionSpan, shift_s: float, settings: TrialSettings
 ) -> tuple[tuple[FloatArray, FloatArray], tuple[Finding, ...]]:
     """Return time and orientation from the rest on, or, without one, from the poses (second of both), and that it is so."""
     reference, poses = references

@@ -80,11 +80,7 @@ def nominal_calibration(grade: Grade, *, gravity_m_s2: float = STANDARD_GRAVITY)
         for chain, unit_out in ((device.gyro, "rad/s"), (device.accel, "m/s2"))
     )
     return Calibration(
-        device="nominal",
-        reference_temp_c=float("nan"),
-        gravity_m_s2=gravity_m_s2,
-        gyro=gyro,
-        accel=accel,
+        device="nominal", reference_temp_c=float("nan"), gravity_m_s2=gravity_m_s2, gyro=gyro, accel=accel
     )
 
 
