@@ -53,7 +53,9 @@ def test_two_devices_are_calibrated_in_the_time_of_one_each_to_its_own_truth(tmp
         assert max(off) < 3e-3  # as one device alone: tests/commands/test_rig.py
     with capsys.disabled():
         print(f"one device {minutes[0]:.1f} min, two at once {minutes[1]:.1f} min of the table")
-    assert minutes[1] < 1.2 * minutes[0]  # not twice; a busy host delays both
+    assert (
+        ran.result.added == beside["dwells"] == 30
+    )  # one course of the table for both; its minutes hang on the machine too
 
 
 def test_devices_without_addresses_or_a_serial_of_their_own_are_refused(tmp_path):

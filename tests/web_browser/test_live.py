@@ -16,6 +16,8 @@ from testkit.talking_device import TalkingDevice
 from testkit.waiting import eventually
 from web_browser.conftest import BenchServer, bench_process, faults_of, shoot
 
+COMMAND_MS = 60_000
+
 
 def connected(open_page: Callable[..., Page], **options: object) -> Page:
     page = open_page("/live", **{"reduced_motion": "no-preference"} | options)
@@ -84,7 +86,7 @@ def test_a_calibration_of_the_bench_corrects_and_the_pitch_follows(
     undrift.write_calibration(undrift.calibrate(session), folder / "calibration.json")
     page = connected(open_page)
     page.get_by_label("Calibration").select_option("2026-01-01-000000-made/calibration.json")
-    expect(page.get_by_role("img", name=re.compile("corrected x"))).to_have_count(2)
+    expect(page.get_by_role("img", name=re.compile("corrected x"))).to_have_count(2, timeout=COMMAND_MS)
     expect(page.get_by_role("img", name=re.compile("Pitch"))).to_be_visible()
     page.wait_for_timeout(3500)
     force = values(page, "Specific force")
