@@ -7,7 +7,7 @@ import pytest
 from undrift.commands.rig import forecast
 from undrift.commands.study import study
 from undrift.commands.study_rig import protocol_of, rig_sections, write_protocol
-from undrift.rig.programme import read_protocol
+from undrift.rig.programme import Protocol, read_protocol
 from undrift.study.outcome import points_of
 
 pytestmark = pytest.mark.usefixtures("computed_once")
@@ -73,3 +73,10 @@ def test_the_file_of_a_task_is_its_cheapest_equal_and_the_commands_name_it(studi
     assert len(plan.rows) == len(written.faces) + 3
     minutes = sum(float(row[-1]) for row in plan.rows)  # each to 0.05
     assert minutes == pytest.approx(task.surface.rig_minutes[place], abs=0.05 * len(plan.rows))
+
+
+def test_the_file_leaves_inclined_poses_to_the_hand(tmp_path):
+    poses = ("+x", "+z", "+z 45 +x", "-y", "+z 45 -x")
+    rates = {"turn_rate_min": 0.1, "turn_rate_max": 0.2, "turn_rate_step": 0.1}
+    path = write_protocol(tmp_path, "step", Protocol(name="step", faces=poses, faces_at="room", **rates))
+    assert read_protocol(path).faces == ("+x", "+z", "-y")

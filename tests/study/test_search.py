@@ -86,7 +86,7 @@ TWO = {  # values of each parameter that can be searched, two each
 # ---- what is tried
 
 
-ONE_OF_A_KIND = {"cutoff_hz", "turn_rate_max_dps", "gain", "faces", "set_points", "dynamic_step_c"}
+ONE_OF_A_KIND = {"cutoff_hz", "turn_rate_max_dps", "gain", "poses", "set_points", "dynamic_step_c"}
 
 
 @pytest.mark.parametrize(
@@ -105,6 +105,7 @@ def test_a_study_of_any_parameter_comes_to_its_page_its_summary_and_its_lines(
     text = (tmp_path / "report.html").read_text()
     assert faults_of(text) == ["provenance"]  # no command made it
     assert HEADINGS[name] in unescape(text)
+    assert ("Poses of the accelerometers, 5: +z, +z 45 +x, +z 45 -x" in unescape(text)) == (name == "poses")
     assert [split.parameter for split in outcome.tasks[0].splits] == [name]
     (task,) = study_json(outcome)["tasks"]
     assert name in task["optimum"]
