@@ -13,7 +13,7 @@ from undrift.io.session import read_session
 from undrift.rig.galil import read_status
 from undrift.rig.judge import Contradiction, RestCheck, RunSettings
 from undrift.rig.manual import AskedOperator
-from undrift.rig.programme import Protocol
+from undrift.rig.programme import Protocol, programme_of
 from undrift.rig.rig import RigSettings
 from undrift.units import RADIAN_PER_DEGREE as DPS
 
@@ -40,6 +40,36 @@ def test_a_run_is_a_session_with_the_rates_that_were_achieved(tmp_path):
     assert phases == {"mounting", "enabling", "ramping", "settling", "dwelling", "resting", "writing", "closing"}
     left = [progress.left_s for progress in said]
     assert left[0] > left[-1] >= 0.0
+
+
+class Slow(Oven):
+    """A chamber that takes as long as it is told for each soak."""
+
+    def __init__(self, clock, takes_s):
+        super().__init__(window_s=15.0)
+        self.clock, self.takes_s, self.since_s = clock, takes_s, 0.0
+
+    def set(self, temp_c):
+        self.since_s = self.clock.now()
+        return super().set(temp_c)
+
+    def soaked(self):
+        return self.clock.now() - self.since_s > self.takes_s
+
+
+@pytest.mark.parametrize("takes_s", [300.0, 3000.0])
+def test_soaks_that_are_over_correct_the_forecast_of_those_to_come(tmp_path, takes_s):
+    protocol, said = replace(SHORT, temperatures_c=(35.0, 45.0, 55.0)), []
+    programme = programme_of(protocol)
+    with emulated() as emulator:
+        oven = Slow(emulator.clock, takes_s)
+        result, _ = run(emulator, tmp_path, protocol, chamber=oven, report=said.append)
+    begun = {progress.step: progress.left_s for progress in reversed(said) if progress.phase == "soaking"}
+    dwells_s = sum(dwell.duration_s for dwell in programme.dwells)
+    assert begun["soak at 35 degC"] == pytest.approx(programme.duration_s - 30.0, abs=1.0)  # as the protocol says
+    assert begun["soak at 45 degC"] == pytest.approx(2.0 * takes_s + dwells_s * 2.0 / 3.0, rel=0.1)
+    assert begun["soak at 55 degC"] == pytest.approx(takes_s + dwells_s / 3.0, rel=0.1)
+    assert result.duration_s == pytest.approx(3.0 * takes_s + dwells_s, rel=0.1)
 
 
 @pytest.mark.parametrize(

@@ -182,13 +182,13 @@ def run_programme(
         check_programme(programme, bench.rig.limits, run.done, by_hand=isinstance(bench.rig, ManualRig))
         if bench.chamber is None and any(isinstance(step, Soak) for step in programme.steps):
             raise InputError("run: wanted a chamber for the programme's temperatures, got none; give its address")
-        name, kind = bench.rig.identify(), _kind_of(programme)
+        name, temps_c = bench.rig.identify(), {step.temp_c for step in programme.steps if isinstance(step, Soak)}
+        kind: Kind = "thermal" if len(temps_c) > 1 else "calibration"  # one temperature makes no tables
         for device in devices:
             digest, serial = device.folder.digest, device.serial
             device.folder.begin(Head(protocol=digest, rig=name, serial=serial, gravity_m_s2=gravity_m_s2, kind=kind))
-        start = bench.clock.now()
-        for device in devices:
             device.recall(programme)
+        start = bench.clock.now()
         run.all_but(run.done)
         while again := run.withdrawn():  # a face is taken back once at most
             run.all_but(frozenset(range(len(programme.steps))) - again)
@@ -222,11 +222,6 @@ def _check_whole(programme: Programme, device: Mounted) -> None:
         )
 
 
-def _kind_of(programme: Programme) -> Kind:
-    """Return what a session of this programme is for: one temperature makes no tables, room or chamber."""
-    return "thermal" if len({step.temp_c for step in programme.steps if isinstance(step, Soak)}) > 1 else "calibration"
-
-
 def _air(air_c: float | None) -> str:
     return "air not read" if air_c is None else f"{air_c:.2f} degC"
 
@@ -252,6 +247,7 @@ def _soak(run: "_Run", step: Soak, chamber: Chamber) -> None:
         boards = {device: boards[device] for device in followed}
         board = next(iter(boards.values()))
         if all(followed.values()):
+            run._soaks_s = run._soaks_s[0] + step.duration_s, run._soaks_s[1] + clock.now() - run._began
             return
         if clock.now() > last:
             raise RigTimeout(
@@ -264,6 +260,12 @@ def _soak(run: "_Run", step: Soak, chamber: Chamber) -> None:
         clock.wait(max(AIR_POLL_S, 0.05 * clock.speed))
         run._temps = {"air_c": (air_c := chamber.read()), "device_c": board.temp_c}
         run._say("soaking", f"{_air(air_c)}{board}", slope_c_per_min=board.slope_c_per_min(chamber))
+
+
+def _forecast_s(step: Step, soaks_s: tuple[float, float]) -> float:
+    """Return how long a step takes; a soak by what those of this run were to take and took."""
+    wanted_s, taken_s = soaks_s if isinstance(step, Soak) and soaks_s[0] else (1.0, 1.0)
+    return step.duration_s * taken_s / wanted_s
 
 
 class _Run:
@@ -279,6 +281,7 @@ class _Run:
         self._temps: dict[str, float | None] = {}  # of Progress
         self._step: Step = programme.steps[0]
         self._began, self._number, self._left_s = bench.clock.now(), 0, 0.0
+        self._soaks_s = 0.0, 0.0  # of those that are over: forecast and taken
 
     @property
     def done(self) -> frozenset[int]:
@@ -287,23 +290,22 @@ class _Run:
 
     def withdrawn(self) -> frozenset[int]:
         """Return the steps that were taken back and not tried again."""
-        parts = (each.withdrawn - each.folder.done - each.missed.keys() for each in self._devices)
-        return frozenset().union(*parts)
+        return frozenset().union(*(each.withdrawn - each.folder.done - each.missed.keys() for each in self._devices))
 
     def all_but(self, done: frozenset[int]) -> None:
         """Do the dwells that are not done, each with the mounting and the soak that it needs."""
-        left = {n: s.duration_s for n, s in enumerate(self._programme.steps) if n not in done}
+        left = {n: s for n, s in enumerate(self._programme.steps) if n not in done}
         waiting: dict[type, tuple[int, Step]] = {}  # a mounting and a soak are due only when a dwell follows
         for number, step in enumerate(self._programme.steps):
             if not isinstance(step, Dwell):
                 waiting[type(step)] = (number, step)
-                continue
-            if number in done:
-                continue
-            due = [waiting.pop(kind) for kind in (Mount, Soak) if kind in waiting]
-            for place, what in (*due, (number, step)):
-                self._left_s = sum(seconds for later, seconds in left.items() if later >= place)
-                self._do(place, what)
+            elif number not in done:
+                due = [waiting.pop(kind) for kind in (Mount, Soak) if kind in waiting]
+                for place, what in (*due, (number, step)):
+                    self._left_s = sum(
+                        _forecast_s(each, self._soaks_s) for later, each in left.items() if later >= place
+                    )
+                    self._do(place, what)
 
     def close(self, cause: BaseException | None) -> None:
         """Stop the table and switch the motor off; a second Ctrl-C does not disturb it."""
@@ -511,7 +513,7 @@ class _Run:
             self._bench.rig.enable(False)
 
     def _say(self, phase: Phase, live: str = "", **seen: float | None) -> None:
-        left_s = self._left_s - min(self._bench.clock.now() - self._began, self._step.duration_s)
+        left_s = self._left_s - min(self._bench.clock.now() - self._began, _forecast_s(self._step, self._soaks_s))
         number, steps, step = self._number, len(self._programme.steps), str(self._step)
         seen = self._temps | seen
         self._report(Progress(phase=phase, number=number, steps=steps, step=step, left_s=left_s, live=live, **seen))

@@ -112,6 +112,24 @@ def test_a_step_wave_of_90_dps_for_60_s_ends_within_the_notes_error(servo):
     assert ends < 1.2e-2
 
 
+def test_the_notes_supply_of_12_v_limits_a_runaway_and_nothing_that_a_protocol_asks_for():
+    ends, runaways = [], []
+    for volts in (12.0, 48.0):
+        axis = jogging(ServoSettings(supply_voltage=volts), 10_000.0)  # 90 deg/s
+        axis.advance(0.5)
+        axis.values[k.TARGET] = -10_000.0
+        axis.advance(1.0)
+        ends.append(axis.values.copy())
+        axis.change(encoder_good=False)
+        axis.advance(3.0)
+        runaways.append(abs(axis.values[k.RATE]))
+    assert np.array_equal(*ends)
+    show(
+        "rates of a motor that runs away at 12 and 48 V, rad/s", [round(float(rate), 1) for rate in runaways], "V / Kt"
+    )
+    assert runaways == pytest.approx([12.0 / 0.1, 48.0 / 0.1], rel=0.02)  # less what friction takes
+
+
 def test_coefficients_that_make_no_loop_are_refused():
     with pytest.raises(InputError, match=r"servo inertia: wanted a positive number, got 0.0"):
         ServoSettings(inertia=0.0)

@@ -43,7 +43,7 @@ class ServoSettings:
     # R of the winding, ohm; a current amplifier hides it from the loop until its supply is used up
     resistance: float = 2.0
     amplifier_gain: float = 4.0  # Ka, A/V
-    supply_voltage: float = 48.0  # Supply of the amplifier, V: sets the speed at which a motor runs away
+    supply_voltage: float = 12.0  # Of the amplifier, V, +-12 in the note: sets the speed at which a motor runs away
     encoder_lines: int = 10_000  # N, lines a turn; 4 N counts
     period_s: float = 1.0e-4  # T, time between samples, s
     gains: tuple[float, float, float] = (12.5, 245.0, 0.0)  # KP, KD, KI as the card's commands take them
