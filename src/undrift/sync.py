@@ -96,7 +96,8 @@ def coarse_lag(time: FloatArray, gyro: FloatArray, rates: PoseRates, longest_lag
     if not overlap.any():
         raise AlignmentError(
             f"lag: wanted record and reference to share {LEAST_OVERLAP:.0%} of the shorter one within {longest_lag_s:g} s "
-            "of search, got less; check their clocks, or widen `longest_lag_s`"
+            f"of search, got less; they begin at {time[0]:.6g} and {rates.start[0]:.6g} s: check their clocks, or widen "
+            "`longest_lag_s`"
         )
     if not np.isfinite(correlation).any():
         raise AlignmentError(

@@ -85,7 +85,7 @@ def test_a_session_a_reference_and_markers_are_told_apart(tmp_path):
         ("a.md", "\n# Words\n\nmore\n", "text", "prose, not a table: # Words"),
         ("f.txt", "Time[s]\tFx[N]\tFy[N]\tFz[N]\n0\t1\t2\t3\n1\t1\t2\t3\n", "table", "a force plate's table"),
         ("p.csv", "Time,COG_X,COG_Y,COG_Z\n0,1,2,3\n1,1,2,3\n", "table", "a table of positions"),
-        ("q.csv", "t,W,X,Y,Z\n0,1,0,0,0\n1,1,0,0,0\n", "table", 'read it as a reference with quaternion=("W", "X", "Y", "Z")'),
+        ("q.csv", "t,W,X,Y,Z\n0,1,0,0,0\n1,1,0,0,0\n", "table", "a table of orientations, to be read as a reference"),
         ("w.csv", "name,place,colour\na,b,c\nd,e,f\n", "table", "a table of text (3 columns"),
         ("b.csv", "Time (s),Voltage (V)\n0,4\n1,4\n", "table", "a table without three axes"),
         ("n.csv", "t,X (a.u.),Y (a.u.),Z (a.u.)\n0,4,4,4\n1,4,4,4\n", "table", "a magnetometer's table"),

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from testkit.data import data_path
 from testkit.strategies import few, references
 from testkit.trc_text import trc
+from undrift.base.codec import read
 from undrift.errors import FileFormatError, InputError
 from undrift.frames import quaternion_conjugate
 from undrift.io.formats import read_markers, read_reference
@@ -112,3 +113,21 @@ def test_a_reference_cannot_be_written_under_another_ending_or_nowhere(tmp_path)
         write_reference(reference, tmp_path / "r.txt")
     with pytest.raises(InputError, match="wanted a folder to write to"):
         write_reference(reference, tmp_path / "none" / "r.csv")
+
+
+def test_a_map_in_toml_reads_a_table_of_foreign_names_and_repairs_its_time(tmp_path):
+    q = np.array([[1.0, 0.0, 0.0, 0.0], [0.8, 0.6, 0.0, 0.0], [0.8, 0.6, 0.0, 0.0], [0.6, 0.8, 0.0, 0.0]])
+    rows = "".join(f"{t};{';'.join(map(str, one))}\n" for t, one in zip((0, 10, 10, 20), q, strict=True))
+    (tmp_path / "optics.csv").write_text(f"t;Orientation;;;\nms;W;X;Y;Z\n{rows}")
+    text = 'columns = { time = 0, quaternion = [1, 2, 3, 4] }\nunits = { time = "ms" }\n'
+    text += 'layout = { delimiter = ";", header = false, skip_rows = 2 }\n'
+    (tmp_path / "map.toml").write_text(text)
+    with pytest.raises(InputError, match="strictly increasing"):
+        read_reference(tmp_path / "optics.csv", read(ReferenceMap, tmp_path / "map.toml"))
+    (tmp_path / "map.toml").write_text(text + "repair_time = true\n")
+    back = read_reference(tmp_path / "optics.csv", read(ReferenceMap, tmp_path / "map.toml"))
+    np.testing.assert_allclose(back.time, [0.0, 0.01, 0.02])
+    np.testing.assert_allclose(back.q_nb, q[[0, 1, 3]])
+    (tmp_path / "map.toml").write_text(text.replace("time = 0", "tme = 0"))
+    with pytest.raises(InputError, match="nearest known key: time"):
+        read(ReferenceMap, tmp_path / "map.toml")

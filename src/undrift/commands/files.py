@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
     from undrift.correction.rest import Stretch
     from undrift.io.columns import ColumnMap, ReadSettings
+    from undrift.io.reference import ReferenceMap
     from undrift.model import Calibration
     from undrift.record import FileMap, GravitySource, Kind, Record, Reference, Session
     from undrift.segments import StillSettings
@@ -431,11 +432,14 @@ class Optics:
     ----------
     reference : Path
         The reference of each recording, in the same order; a BROAD file holds its own.
+    reference_map : Path or None
+        Map of a table of orientations under other names than undrift's own, as `info` proposes it.
     markers : str or None
         Labels of one rigid cluster, with commas between, for C3D and TRC.
     """
 
     reference: Annotated[tuple[Path, ...], Parameter(show_default=False)] = ()
+    reference_map: Path | None = None
     markers: str | None = None
     reference_up: Up = None
 
@@ -453,19 +457,23 @@ class Optics:
                 f"{command}: wanted one reference for each recording, got {len(paths)} for {len(records)}; "
                 "say `reference` once for each, in the same order"
             )
+        from undrift.base.codec import read as read_stored
+        from undrift.io.reference import ReferenceMap
+
         labels, up = labels_of(self.markers), self.reference_up
+        columns = None if self.reference_map is None else read_stored(ReferenceMap, self.reference_map)
         read = [opening.read(record) for record in records] if session is None else session.records
-        return [(record, _poses(path, labels, up)) for record, path in zip(read, paths, strict=True)]
+        return [(record, _poses(path, columns, labels, up)) for record, path in zip(read, paths, strict=True)]
 
 
-def _poses(path: Path, labels: tuple[str, ...] | None, up: Up) -> "Reference":
+def _poses(path: Path, columns: "ReferenceMap | None", labels: tuple[str, ...] | None, up: Up) -> "Reference":
     """Read a reference; errors name the options that a file of markers needs."""
     from undrift.io.formats import format_of, read_markers, read_reference
     from undrift.io.mocap import pose_from_cluster
 
     entry = format_of(path)[1]
     if entry.markers is None:
-        return read_reference(path, labels=labels if entry.bodies else None, up=up)
+        return read_reference(path, columns, labels=labels if entry.bodies else None, up=up)
     try:
         markers = read_markers(path, up=up)
     except InputError as error:

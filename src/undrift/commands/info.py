@@ -165,7 +165,7 @@ def _write_map(found: "Description", path: Path, proposal: Proposal, opening: Op
         data=made | {"map": lines, "complete": complete},
         sections=(Section(title="Map", text=tuple(lines)),),
         written=(path,),
-        next=("info", found.path, "--map", path) if complete else (),
+        next=("info", found.path, "--map", path) if complete and not of_poses(found) else (),
     )
 
 
@@ -341,6 +341,11 @@ def _lines(found: "Description", stills: Sequence[tuple[float, float]], no_still
     return [*lines, *found.lines(), *_hints(found)]
 
 
+def of_poses(found: "Description") -> bool:
+    """Tell whether the map that a table needs is one of orientations."""
+    return bool(found.example) and "quaternion = " in found.example[0]
+
+
 def _hints(found: "Description") -> list[str]:
     """Return the map that a table may need, and what to do with it."""
     if not found.example:
@@ -348,7 +353,7 @@ def _hints(found: "Description") -> list[str]:
     rate = " and `sample_rate_hz`" if "sample_rate_hz = ?" in found.example else ""
     return [
         f"write the lines below into map.toml (`write_map` map.toml{rate} does so, with what the readings show), put what is true "
-        "where it says ?, and give it with `column_map` map.toml",
+        f"where it says ?, and give it with {'`reference_map`' if of_poses(found) else '`column_map`'} map.toml",
         *found.example,
     ]
 

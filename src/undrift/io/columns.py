@@ -16,6 +16,7 @@ from typing import Any, Literal, TypeAlias, get_args
 import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray, IntArray
+from undrift.base.codec import stored
 from undrift.errors import FileFormatError, InputError
 from undrift.frames import Frame
 from undrift.io.clock import ClockFit, fit_clock, unwrapped
@@ -87,6 +88,7 @@ class Trim:
         return (self.true_c + ZERO_CELSIUS_K) / (self.reads_c + ZERO_CELSIUS_K)
 
 
+@stored()
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TextLayout:
     """How the text of a table is laid out."""

@@ -37,12 +37,12 @@ from undrift.io.columns import (
     native_columns,
 )
 from undrift.io.formats import Format, format_of, read_counted, read_markers, read_reference
-from undrift.io.labelled import label_of, marks_of, states_units
+from undrift.io.labelled import is_unit, label_of, marks_of, states_units
 from undrift.io.log import log_sheet, log_text
 from undrift.io.makers import apdm_sensors
 from undrift.io.mocap import Markers, Up
 from undrift.io.parquet import parquet_names
-from undrift.io.reference import native_reference
+from undrift.io.reference import NEARLY_UNIT, native_reference
 from undrift.io.session import read_map, read_session
 from undrift.io.text import MARK, Text, open_text, parse_text
 from undrift.record import Record, Reference, Session
@@ -222,7 +222,10 @@ def _ends_range(column: FloatArray, limit: float, stuck: IntArray) -> bool:
 
 _FORCE = re.compile(r"GRF|(?<![A-Za-z])COP|FREEMOMENT|^[FM][xyz]\[")
 _PLACE = re.compile(r"^(COG|.*[._](ankle|knee|hip))[._ ][xyz]$", re.IGNORECASE)
-_QUATERNION = re.compile(r"^(q_?)?[wxyz]( element)?$", re.IGNORECASE)
+_QUATERNION = re.compile(
+    r"(?i)^(?P<stem>.*?)(?P<part>[wxyz]|[0-3])\]?( element)?$"
+)  # w, qw, q0, seg2_quat_w, QUATERNION_0
+_TURNS = re.compile(r"(?i)^$|quat|^q[_.\[]*$|[_. ]q[_.\[]*$|orient|rotat")  # what stands before w, x, y, z
 _UNITS = {  # what a name may state of its unit; "?" where it states none, which a reader refuses
     "time": (
         ("us", r"\(?\bus\b|_us\b|micros"),
@@ -278,7 +281,20 @@ def sniff(path: object) -> Text:
     width = max(len(_cells(line, delimiter)) for line in body)
     skip = next((k for k, line in zip(at, lines, strict=True) if len(_cells(line, delimiter)) == width), 0)
     header = not all(is_number(cell, empty=True) or is_date(cell) for cell in _cells(raw[skip], delimiter, decimal))
+    if header and (names := _grouped([_cells(line, delimiter) for line in raw[skip : skip + 2]])):
+        layout = TextLayout(delimiter=delimiter, skip_rows=skip + 2, header=False, decimal=decimal)
+        return replace(open_text(str(path), layout), names=names)
     return open_text(str(path), TextLayout(delimiter=delimiter, skip_rows=skip, header=header, decimal=decimal))
+
+
+def _grouped(rows: list[list[str]]) -> tuple[str, ...]:
+    """Return the names of columns under two header rows, groups over axes and units; none where the second is another row."""
+    if len(rows) < 2 or len(rows[0]) != len(rows[1]) or "" not in rows[0]:
+        return ()
+    of_axes = all(cell == "" or re.fullmatch("(?i)[wxyz]", cell) or is_unit(cell) for cell in rows[1])
+    named = [k for k, cell in enumerate(rows[0]) if cell]
+    groups = [next((rows[0][k] for k in reversed(named) if k <= at), "") for at in range(len(rows[0]))]
+    return tuple(f"{group} {cell}".strip() for group, cell in zip(groups, rows[1], strict=True)) if of_axes else ()
 
 
 def foreign_kind(text: Text) -> str | None:
@@ -288,9 +304,6 @@ def foreign_kind(text: Text) -> str | None:
     for pattern, what in ((_FORCE, "a force plate's table"), (_PLACE, "a table of positions")):
         if any(pattern.search(name) for name in names):
             return f"{what} ({shown}, ...), not a recording of an inertial sensor"
-    if sum(bool(_QUATERNION.match(name)) for name in names) >= 4:
-        quaternion = ", ".join(f'"{name}"' for name in names if _QUATERNION.match(name))
-        return f"a table of orientations; read it as a reference with quaternion=({quaternion})"
     lines = text.head.decode("utf-8", "replace").splitlines()
     first = lines[text.skip : text.skip + 2]  # one may be of units
     rows = [_cells(line, text.layout.delimiter, text.layout.decimal) for line in first]
@@ -302,6 +315,51 @@ def foreign_kind(text: Text) -> str | None:
     if triples and all(_is_magnetic(name) for triple in triples for name in triple):
         return f"a magnetometer's table ({shown}), without gyroscope or accelerometer"
     return None
+
+
+def quaternion_of_names(names: tuple[str, ...]) -> tuple[str, ...] | None:
+    """Return the names of four columns w, x, y, z of one orientation; numbered ones are taken in their order, w first."""
+    parts: dict[str, dict[str, str]] = {}
+    for name in names:
+        if (found := _QUATERNION.match(name.strip())) and _TURNS.search(found["stem"]):
+            parts.setdefault(found["stem"], {})[found["part"].lower()] = name
+    fours = (
+        tuple(held[part] for part in order)
+        for held in parts.values()
+        for order in ("wxyz", "0123")
+        if {*order} <= held.keys()
+    )
+    return next(fours, None)
+
+
+def reference_map(text: Text, names: tuple[str, ...]) -> tuple[str, ...]:
+    """Return an example of the map that a table of orientations needs, none where it holds none or a gyroscope too."""
+    four, readings = quaternion_of_names(names), partial(_readings, text, {})
+    gyro = any(label is not None and label.channel == "gyro" for label in map(label_of, names))
+    length = np.linalg.norm(readings(list(four)), axis=1) if four and not gyro else np.empty(0)
+    if not four or not len(length) or abs(float(np.median(length)) - 1.0) > NEARLY_UNIT:
+        return ()
+    clock = next((name for name in names if _NAMED["time"].match(name.strip())), None)
+    columns = f"quaternion = {_quoted(four)}"
+    if clock is None:
+        lines = [f"columns = {{ {columns} }}", f"sample_rate_hz = {_stated_rate(text, ())}"]
+    else:
+        keys, unit = {"time": _quoted(clock)}, _unit_of("time", clock)
+        unit, why = proposed_units(readings, keys, {"time": unit}).get("time", (unit, ""))
+        lines = [f"columns = {{ time = {_quoted(clock)}, {columns} }}", f"units = {{ time = {_quoted(unit)} }}"]
+        lines[1] += f"  # proposed: time by {why}" * bool(why)
+    layout = ", ".join(f"{key} = {json.dumps(value)}" for key, value in stated_layout(text.layout).items())
+    return (*lines, *([f"layout = {{ {layout} }}"] if layout else []))
+
+
+def stated_layout(layout: TextLayout) -> dict[str, Any]:
+    """Return what of a layout is not usual."""
+    usual = TextLayout()
+    return {
+        key: held
+        for key in ("delimiter", "decimal", "header", "skip_rows")
+        if (held := getattr(layout, key)) != getattr(usual, key)
+    }
 
 
 def _is_magnetic(name: str) -> bool:
@@ -327,7 +385,8 @@ def example_map(names: tuple[str, ...], text: Text | None, arrays: Arrays) -> tu
     below = [] if text is None else text.head.decode("utf-8", "replace").splitlines()[text.skip : text.skip + 1]
     cells = [] if text is None or not below else _cells(below[0], text.layout.delimiter, text.layout.decimal)
     row = {} if text is None else dict(zip(text.names, cells, strict=False))
-    several = _by_position(text) if text is not None and not text.layout.header else [_by_name(names, text, arrays)]
+    nameless = text is not None and not text.layout.header and names[-1].isdecimal()
+    several = _by_position(text) if text is not None and nameless else [_by_name(names, text, arrays)]
     held = []
     for keys in several:  # gravity tells which three are the accelerometer
         known = {channel: _unit_of(channel, value) for channel, value in keys.items()}
@@ -335,6 +394,11 @@ def example_map(names: tuple[str, ...], text: Text | None, arrays: Arrays) -> tu
             known["time"] = "date"
         held.append((keys, known, proposed_units(readings, keys, known)))
     keys, known, proposed = max(held, key=lambda item: len(item[2]) * ("accel" in item[2]))
+    if text is not None and not text.layout.header and not nameless:  # under two header rows, which a map passes over
+        keys = {
+            channel: json.dumps([names.index(str(name)) for name in _listed(value)]) for channel, value in keys.items()
+        }
+        keys |= {channel: keys[channel].strip("[]") for channel in ("time", "temp") if channel in keys}
     columns = ", ".join(f"{channel} = {value}" for channel, value in keys.items())
     known |= {channel: unit for channel, (unit, _) in proposed.items()}
     units = ", ".join(f'{channel} = "{unit}"' for channel, unit in known.items())
@@ -342,14 +406,10 @@ def example_map(names: tuple[str, ...], text: Text | None, arrays: Arrays) -> tu
     lines = [f"columns = {{ {columns} }}", f"units = {{ {units} }}" + f"  # proposed: {why}" * bool(why)]
     lines += [] if "time" in keys else [f"sample_rate_hz = {_stated_rate(text, arrays)}"]
     if text is not None:
-        layout = text.layout
-        lines += [] if layout.delimiter == "," else [f"delimiter = {json.dumps(layout.delimiter)}"]
-        lines += [] if layout.decimal == "." else [f"decimal = {json.dumps(layout.decimal)}"]
-        lines += [] if layout.header else ["header = false"]
-        lines += [f"skip_rows = {layout.skip_rows}"] if layout.skip_rows else []
+        lines += [f"{key} = {json.dumps(held)}" for key, held in stated_layout(text.layout).items()]
         mapped = [row.get(str(column), "") for value in keys.values() for column in _listed(value)]
         words = any(not is_number(cell, empty=True) and not is_date(cell) for cell in mapped)
-        lines += ["drop_bad_rows = true  # the row of units"] if words and layout.header else []
+        lines += ["drop_bad_rows = true  # the row of units"] if words and text.layout.header else []
     return tuple(lines)
 
 
@@ -674,6 +734,9 @@ def _needs(path: Path, name: str, settings: ReadSettings) -> Description | None:
         return _reference(path, name)
     if is_native(names):
         return None
+    if text is not None and (poses := reference_map(text, names)):
+        what = "a table of orientations, to be read as a reference; needs a map"
+        return replace(_not_read(path, name, names, what), example=poses)
     foreign = None if text is None else foreign_kind(text)
     if foreign is not None:
         return _not_read(path, name, names, foreign)
@@ -687,7 +750,7 @@ def _needs(path: Path, name: str, settings: ReadSettings) -> Description | None:
     example = example_map(names, text, arrays)
     what = f"{len(names)} arrays or columns"
     if text is not None:
-        what = f"a table of {len(names)} columns" + ("" if text.layout.header else " without names")
+        what = f"a table of {len(names)} columns" + " without names" * names[-1].isdecimal()
     shown = tuple(f"{key} {array.shape}" for key, array in arrays) or names
     needed = f"{what}; needs a map with the true units, for example {', '.join(example)}"
     return replace(_not_read(path, name, shown, needed), example=example)

@@ -45,7 +45,7 @@ def map_of(
                 f"{found.path}: wanted the sample rate of a table without time, got none; add `sample_rate_hz`"
             )
         lines.append(f"sample_rate_hz = {sample_rate_hz:g}")
-    stated = next(line for line in found.example if line.startswith("units"))
+    stated = next((line for line in found.example if line.startswith("units")), "units = {}")
     proposed, given = tomllib.loads(stated)["units"], {k: u for k, u in (units or {}).items() if u is not None}
     why = {key: _why(key, unit, stated) for key, unit in proposed.items()}
     proposed |= {key: unit for key, unit in given.items() if key in proposed}
@@ -57,7 +57,7 @@ def map_of(
     text = [f"# How {Path(found.path).name} is read; the keys are in docs/files.md. Check each unit."]
     text += [f"# {key}: {unit}, {why[key]}" for key, unit in proposed.items()]
     shown = ", ".join(f"{key} = {json.dumps(unit)}" for key, unit in proposed.items())
-    return "\n".join([*text, lines[0], f"units = {{ {shown} }}", *lines[1:]]) + "\n"
+    return "\n".join([*text, lines[0], *([f"units = {{ {shown} }}"] if shown else []), *lines[1:]]) + "\n"
 
 
 def _why(key: str, unit: str, line: str) -> str:

@@ -22,11 +22,12 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal, get_args
+from typing import Annotated, Literal, get_args
 
 import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray
+from undrift.base.codec import Key, stored
 from undrift.errors import FileFormatError, InputError
 from undrift.files import read_bytes, write_whole
 from undrift.frames import quaternion_conjugate, quaternion_product, rotate
@@ -205,20 +206,23 @@ POSITION = ("pos_x_m", "pos_y_m", "pos_z_m")
 NEARLY_UNIT = 0.01  # devices round, and some scale: such quaternions are made unit, others are refused
 
 
+@stored()
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReferenceMap:
-    """Where poses are in a foreign file."""
+    """Where poses are in a foreign file; in TOML with ``columns``, ``units`` and ``layout`` as tables."""
 
     # Columns w, x, y, z, in this order, wherever they stand in the file
-    quaternion: tuple[Column, Column, Column, Column] = QUATERNION
-    time: Column | None = None  # Time column; without it ``sample_rate_hz`` is required
-    position: tuple[Column, Column, Column] | None = None  # Columns x, y, z
-    moving: Column | None = None  # Column that is 1 in motion
-    time_unit: str = ""  # Units; needed where the columns are named
-    position_unit: str = ""
+    quaternion: Annotated[tuple[Column, Column, Column, Column], Key("columns.quaternion")] = QUATERNION
+    # Time column; without it ``sample_rate_hz`` is required
+    time: Annotated[Column | None, Key("columns.time")] = None
+    position: Annotated[tuple[Column, Column, Column] | None, Key("columns.position")] = None  # Columns x, y, z
+    moving: Annotated[Column | None, Key("columns.moving")] = None  # Column that is 1 in motion
+    time_unit: Annotated[str, Key("units.time")] = ""  # Units; needed where the columns are named
+    position_unit: Annotated[str, Key("units.position")] = ""
     sample_rate_hz: float | None = None  # Hz, where there is no time column
     # "body_to_level" as undrift has it, or "level_to_body" for the inverse
     turns: Literal["body_to_level", "level_to_body"] = "body_to_level"
+    repair_time: bool = False  # Leave out rows whose time does not go forward
     layout: TextLayout = field(default_factory=TextLayout)  # For text files
 
     def __post_init__(self) -> None:
@@ -315,12 +319,14 @@ def _poses(table: RawTable, columns: ReferenceMap, path: Path) -> Reference:
         time: FloatArray = np.arange(len(table)) / (columns.sample_rate_hz or np.nan)
     else:
         time = table.numbers(columns.time) * si_factor(columns.time_unit, "time")
+    ahead = np.maximum.accumulate(time)
+    keep = np.concatenate(([True], time[1:] > ahead[:-1])) if columns.repair_time else slice(None)
     try:
         return Reference(
-            time=time,
-            q_nb=quat if columns.turns == "body_to_level" else quaternion_conjugate(quat),
-            position=None if columns.position is None else read(columns.position) * length,
-            moving=None if columns.moving is None else table.numbers(columns.moving),
+            time=time[keep],
+            q_nb=(quat if columns.turns == "body_to_level" else quaternion_conjugate(quat))[keep],
+            position=None if columns.position is None else read(columns.position)[keep] * length,
+            moving=None if columns.moving is None else table.numbers(columns.moving)[keep],
             name=path.name,
         )
     except InputError as error:

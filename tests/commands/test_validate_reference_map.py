@@ -1,0 +1,50 @@
+"""Recordings with references under names of their own are read by commands alone: info writes both maps, validate takes them."""
+
+import pytest
+
+from testkit.data import data_path, show
+
+CHAIN, ROBOT, PENDULUM = "chain_with_optics", "robot_arm_reference", "pendulum_with_optics"
+
+
+@pytest.mark.parametrize(
+    ("recording", "reference", "stated", "raw_deg"),
+    [
+        ((CHAIN, "seg2_trial1_imu.csv.gz"), (CHAIN, "seg2_trial1_optics.csv.gz"), (), (40.0, 50.0)),
+        (
+            (ROBOT, "circle-100_carpus_imu.csv.gz"),
+            (ROBOT, "circle-100_carpus_robot.csv.gz"),
+            ("--sample-rate-hz", "125", "--gyro-unit", "rad/s"),
+            (1.0, 3.0),
+        ),
+    ],
+    ids=["chain", "robot"],
+)
+def test_both_maps_are_proposed_and_validate_takes_them(undrift, tmp_path, recording, reference, stated, raw_deg):
+    own, true = (data_path(*parts) for parts in (recording, reference))
+    undrift.good("info", own, *stated, "--write-map", tmp_path / "own.toml")
+    described = undrift.good("info", true).out
+    assert "a table of orientations, to be read as a reference" in described
+    assert "--reference-map map.toml" in described
+    undrift.good("info", true, "--write-map", tmp_path / "true.toml")
+    words = ("validate", own, "--map", tmp_path / "own.toml", "--reference", true, "--offset", "none")
+    answer = undrift(*words, "--reference-map", tmp_path / "true.toml", "--max-lag-s", "1300", "--json")
+    assert answer.code == 0, answer
+    (trial,) = answer.json()["trials"]
+    low, high = raw_deg  # SOURCE.md: 48.0 deg over the whole trial, 1.4 to 2.4 deg
+    show(f"{recording[1]}: end error of raw readings, deg", trial["end_total_deg"], f"{low:g}-{high:g}")
+    assert low < trial["end_total_deg"] < high
+
+
+def test_columns_under_two_header_rows_are_named_by_both(undrift, tmp_path):
+    path = data_path(PENDULUM, "Pendulum_Test02a_Trial1_Segment_1.csv.gz")
+    found = undrift.good("info", path, "--json").json()
+    assert found["columns"][:3] == ["Time s", "Vicon Orientation W", "Vicon Orientation X"]
+    assert found["map"][0] == "columns = { time = 0, gyro = [8, 9, 10], accel = [5, 6, 7] }"
+    undrift.good("info", path, "--write-map", tmp_path / "map.toml")
+    refused = undrift("info", path, "--map", tmp_path / "map.toml")
+    assert (refused.code, "repair_time" in refused.err) == (2, True)  # its clock is rounded to 1 ms and stands still
+    with (tmp_path / "map.toml").open("a") as file:
+        file.write("repair_time = true\n")
+    read = undrift.good("info", path, "--map", tmp_path / "map.toml", "--json").json()
+    assert read["rows"] > 15_000
