@@ -9,6 +9,7 @@ import pytest
 
 from testkit.data import data_path
 from undrift.errors import FileFormatError, InputError
+from undrift.files import LIMITS
 from undrift.io.columns import ColumnMap, ReadSettings, TextLayout
 from undrift.io.formats import detect, read_counted, read_markers, read_record, read_reference
 from undrift.io.inspect import describe
@@ -584,6 +585,47 @@ def test_the_folder_of_a_phone_is_one_recording(tmp_path):
         "m/s2",
     )
     assert read.notes[-1] == "TotalAcceleration.csv interpolated onto the time stamps of Gyroscope.csv"
+
+
+def zipped(folder, path, inside=""):
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as held:
+        for file in sorted(folder.glob("*.csv")):
+            held.write(file, f"{inside}{file.name}")
+        held.writestr(f"{inside}meta/device.csv", "property,value\n")
+    return path
+
+
+@pytest.mark.parametrize("inside", ["", "2026-11-27_10-00-00/"])
+def test_the_zip_of_a_phone_reads_as_its_folder(tmp_path, inside):
+    whole = read_counted(phone(tmp_path))
+    read = read_counted(zipped(tmp_path, tmp_path / "walk.zip", inside))
+    assert detect(tmp_path / "walk.zip") == "phone_zip"
+    assert read.notes == whole.notes
+    for name in ("time", "gyro", "accel"):
+        np.testing.assert_array_equal(getattr(read.record, name), getattr(whole.record, name))
+
+
+def test_what_is_wrong_in_the_zip_of_a_phone_is_said_of_the_zip(tmp_path):
+    path = zipped(phone(tmp_path, shift=60.0), tmp_path / "walk.zip")
+    with pytest.raises(
+        FileFormatError, match=r"walk.zip: wanted Gyroscope.csv and TotalAcceleration.csv of the same time"
+    ):
+        read_record(path)
+    content = bytearray(path.read_bytes())
+    content[60:90] = bytes(30)
+    path.write_bytes(content)
+    with pytest.raises(FileFormatError, match="wanted a sound zip file, got a damaged"):
+        read_record(path)
+
+
+def test_a_zip_that_unpacks_to_more_than_memory_is_refused_before_it_does(tmp_path, monkeypatch):
+    path = zipped(phone(tmp_path), tmp_path / "walk.zip")
+    with zipfile.ZipFile(path, "a", zipfile.ZIP_DEFLATED) as held, held.open("Metadata.csv", "w") as member:
+        for _ in range(64):
+            member.write(bytes(1 << 20))
+    monkeypatch.setattr(LIMITS, "memory_gb", 0.5)
+    with pytest.raises(FileFormatError, match=r"walk.zip: wanted a file that reads within 0.5 GB of memory"):
+        read_record(path)
 
 
 def test_phyphox_in_a_folder_reads_as_well(tmp_path):

@@ -219,6 +219,11 @@ FORMATS: dict[str, Format] = {
     ),
     **{name: _format_of(dialect) for name, dialect in makers.DIALECTS.items()},
     "phone": Format(lambda path, head: not head and makers.is_phone(path), record=makers.read_phone, honours=_EXPORT),
+    "phone_zip": Format(
+        lambda path, head: head.startswith(b"PK\x03\x04") and makers.is_phone_zip(path),
+        record=makers.read_phone_zip,
+        honours=_EXPORT,
+    ),
     "bids_motion": Format(
         lambda path, _: "_motion.tsv" in path.name and makers.is_bids(path, positions=False),
         record=makers.read_bids_motion,

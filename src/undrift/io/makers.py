@@ -32,16 +32,18 @@ Temperature that comes in a file of its own, at its own rate, is interpolated on
 import csv
 import json
 import re
+import zipfile
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from pathlib import Path
+from pathlib import Path, PurePosixPath
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 
 from undrift.arrays import FloatArray
 from undrift.errors import FileFormatError, InputError
-from undrift.files import read_bytes, read_tree
+from undrift.files import LIMITS, read_bytes, read_tree
 from undrift.io.columns import (
     AXES,
     READ_SETTINGS,
@@ -53,7 +55,7 @@ from undrift.io.columns import (
     build_record,
     in_seconds,
 )
-from undrift.io.containers import chosen
+from undrift.io.containers import chosen, sound
 from undrift.io.labelled import (
     Label,
     Sheet,
@@ -256,6 +258,29 @@ def read_phone(path: Path, _: ColumnMap | None, settings: ReadSettings) -> ReadR
     notes = [f"{other} interpolated onto the time stamps of {name}"]
     record = replace(part, accel=values, accel_unit=accel.accel_unit)
     return replace(found, record=record, notes=tuple(dict.fromkeys((*found.notes, *held.notes, *notes))))
+
+
+def is_phone_zip(path: Path) -> bool:
+    """Tell the zip that an app of a phone exports by the files in it."""
+    with zipfile.ZipFile(path) as held:
+        names = {PurePosixPath(name).name for name in held.namelist()}
+    return not (names.isdisjoint(_PHONE_GYRO) or names.isdisjoint(_PHONE_ACCEL))
+
+
+def read_phone_zip(path: Path, _: ColumnMap | None, settings: ReadSettings) -> ReadResult:
+    """Read the zip that an app of a phone exports, as the folder in it."""
+    wanted = (*_PHONE_GYRO, *_PHONE_ACCEL, "Metadata.csv")
+    with sound(path, "zip"), zipfile.ZipFile(path) as held, TemporaryDirectory() as folder:
+        for item in held.infolist():
+            name = PurePosixPath(item.filename).name
+            if name in wanted and not LIMITS.holds(item.file_size):  # zipfile unpacks no more than is stated
+                raise FileFormatError(LIMITS.over(path))
+            if name in wanted:
+                (Path(folder) / name).write_bytes(held.read(item))
+        try:
+            return read_phone(Path(folder), None, settings)
+        except InputError as error:
+            raise type(error)(str(error).replace(folder, str(path)), **error.numbers) from error
 
 
 # ---- Delsys Trigno
