@@ -27,6 +27,8 @@ def test_both_maps_are_proposed_and_validate_takes_them(undrift, tmp_path, recor
     assert "a table of orientations, to be read as a reference" in described
     assert "--reference-map map.toml" in described
     undrift.good("info", true, "--write-map", tmp_path / "true.toml")
+    seen = undrift.good("info", true, "--map", tmp_path / "true.toml", "--json").json()
+    assert (seen["kind"], seen["rows"] > 1000) == ("reference", True)
     words = ("validate", own, "--map", tmp_path / "own.toml", "--reference", true, "--offset", "none")
     answer = undrift(*words, "--reference-map", tmp_path / "true.toml", "--max-lag-s", "1300", "--json")
     assert answer.code == 0, answer
@@ -48,3 +50,24 @@ def test_columns_under_two_header_rows_are_named_by_both(undrift, tmp_path):
         file.write("repair_time = true\n")
     read = undrift.good("info", path, "--map", tmp_path / "map.toml", "--json").json()
     assert read["rows"] > 15_000
+
+
+def test_a_map_of_readings_is_no_map_of_a_reference(undrift, tmp_path):
+    (tmp_path / "map.toml").write_text(
+        'columns = { time = "t", gyro = ["x", "y", "z"] }\nunits = { time = "s", gyro = "dps" }\n'
+    )
+    own, true = (data_path(CHAIN, f"seg2_trial1_{one}.csv.gz") for one in ("imu", "optics"))
+    undrift.good("info", own, "--write-map", tmp_path / "own.toml")
+    words = (
+        "validate",
+        own,
+        "--map",
+        tmp_path / "own.toml",
+        "--reference",
+        true,
+        "--reference-map",
+        tmp_path / "map.toml",
+    )
+    refused = undrift(*words)
+    assert refused.code == 2
+    assert "map.toml: wanted a map of orientations, got none" in refused.err

@@ -92,7 +92,8 @@ def info(
         Picture to write of a recording or session, with stills, faces, turns, gaps and saturation: .svg, .png or .pdf.
     """
     from undrift.correction.consistency import find_disagreement
-    from undrift.io.inspect import describe
+    from undrift.io.inspect import describe, describe_poses
+    from undrift.io.reference import read_reference_map
     from undrift.io.store import findings_json, read_calibration, verdict_json
 
     check_figure(figure, reads=(file, opening.column_map))
@@ -101,8 +102,12 @@ def info(
             raise InputError(f"`figure`: wanted a recording or a session, got the folder {file}; name one of its files")
         return _folder(file)
     proposal.check(figure, reads=(file, opening.column_map))
-    columns, settings = opening.how(file)
-    found = describe(file, columns, settings=settings, up=reference_up)
+    poses = None if opening.column_map is None else read_reference_map(opening.column_map)
+    if poses is not None:
+        found, opening = describe_poses(file, poses), replace(opening, column_map=None)
+    else:
+        columns, settings = opening.how(file)
+        found = describe(file, columns, settings=settings, up=reference_up)
     if proposal.write_map is not None:
         return _write_map(found, proposal.write_map, proposal, opening)
     found = _set_points(found, opening)
@@ -165,7 +170,7 @@ def _write_map(found: "Description", path: Path, proposal: Proposal, opening: Op
         data=made | {"map": lines, "complete": complete},
         sections=(Section(title="Map", text=tuple(lines)),),
         written=(path,),
-        next=("info", found.path, "--map", path) if complete and not of_poses(found) else (),
+        next=("info", found.path, "--map", path) if complete else (),
     )
 
 

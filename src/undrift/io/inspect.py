@@ -42,7 +42,7 @@ from undrift.io.log import log_sheet, log_text
 from undrift.io.makers import apdm_sensors
 from undrift.io.mocap import Markers, Up
 from undrift.io.parquet import parquet_names
-from undrift.io.reference import NEARLY_UNIT, native_reference
+from undrift.io.reference import NEARLY_UNIT, ReferenceMap, native_reference
 from undrift.io.session import read_map, read_session
 from undrift.io.text import MARK, Text, open_text, parse_text
 from undrift.record import Record, Reference, Session
@@ -761,10 +761,15 @@ def _not_read(path: Path, name: str, columns: tuple[str, ...], what: str, *, mis
     return Description(path=str(path), kind="table", format=name, summary=what, columns=columns, findings=findings)
 
 
-def _reference(path: Path, name: str) -> Description:
+def describe_poses(path: Path, columns: ReferenceMap) -> Description:
+    """Return what a table of orientations holds by its map."""
+    return _reference(path, format_of(path)[0], columns)
+
+
+def _reference(path: Path, name: str, columns: ReferenceMap | None = None) -> Description:
     names: tuple[str, ...] = ()
     try:
-        reference = read_reference(path)
+        reference = read_reference(path, columns)
     except InputError as error:
         held = error.numbers.get("names")
         if error.numbers.get("missing") == "sample_rate_hz":

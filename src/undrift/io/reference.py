@@ -27,7 +27,7 @@ from typing import Annotated, Literal, get_args
 import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray
-from undrift.base.codec import Key, stored
+from undrift.base.codec import Key, read, stored, toml_of
 from undrift.errors import FileFormatError, InputError
 from undrift.files import read_bytes, write_whole
 from undrift.frames import quaternion_conjugate, quaternion_product, rotate
@@ -239,6 +239,12 @@ class ReferenceMap:
         """Return all mapped columns."""
         singles = [() if column is None else (column,) for column in (self.time, self.moving)]
         return (*singles[0], *self.quaternion, *(self.position or ()), *singles[1])
+
+
+def read_reference_map(path: Path) -> ReferenceMap | None:
+    """Read a map of orientations; None where it is one of readings."""
+    columns = toml_of(path)[0].get("columns")
+    return read(ReferenceMap, path) if isinstance(columns, dict) and "quaternion" in columns else None
 
 
 def read_text_poses(path: Path, columns: ReferenceMap | None = None) -> Reference:

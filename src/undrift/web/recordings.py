@@ -192,8 +192,8 @@ class Recordings:
 
 
 def _optics(stored: StoredFile, reference: StoredFile, markers: str, up: str) -> tuple[object, ...]:
-    other = None if reference is stored else reference.path
-    return stored.path, *stored.options(), *stated(reference=other, markers=markers, reference_up=up)
+    other, by = (None, None) if reference is stored else (reference.path, reference.map)
+    return stored.path, *stored.options(), *stated(reference=other, reference_map=by, markers=markers, reference_up=up)
 
 
 # ---- The page
