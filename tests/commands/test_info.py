@@ -69,7 +69,7 @@ def test_every_public_file_and_folder_is_told(undrift, name):
     assert text.startswith(f"{path}: {told['kind']}")
     assert len(text.splitlines()) >= 2
     if told["kind"] == "table" and "needs a map" in told["summary"]:
-        assert "--map map.toml" in text
+        assert ("--reference-map map.toml" if "orientations" in told["summary"] else "--map map.toml") in text
 
 
 def test_a_recording_of_broad_in_full(undrift):

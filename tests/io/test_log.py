@@ -1,5 +1,7 @@
 """Logs of serial ports: forty shapes that firmware prints are read right, or with the one question that they leave open."""
 
+import json
+
 import numpy as np
 import pytest
 
@@ -94,6 +96,13 @@ def test_what_is_no_log_is_none(text: str, tmp_path):
     path = tmp_path / "other.txt"
     path.write_text(text)
     assert format_of(path)[0] != "log"
+
+
+def test_json_over_many_lines_is_no_log(tmp_path):
+    written = json.dumps({f"axis {k}": {"mean": 0.1 * k, "size": 2.0} for k in range(30)}, indent=1)
+    for name in ("part.json", "part.txt"):
+        (tmp_path / name).write_text(written)
+        assert format_of(tmp_path / name)[0] == "json"
 
 
 def test_lines_that_are_lost_are_counted_and_a_last_line_without_end_is_left_out():

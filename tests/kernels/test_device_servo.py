@@ -120,7 +120,8 @@ def test_a_runaway_is_bounded_by_the_supply():
     axis.change(motor_on=True, encoder_good=False, error_limit=math.inf)
     axis.values[k.MODE], axis.values[k.TARGET] = k.JOG, 10_000.0
     axis.advance(5.0)
-    assert 300.0 < axis.values[k.RATE] <= servo.supply_voltage / servo.torque_constant + 1e-6
+    fastest = servo.supply_voltage / servo.torque_constant  # where the motor's own voltage is all of the supply
+    assert 0.95 * fastest < axis.values[k.RATE] <= fastest + 1e-6
 
 
 def test_a_gauss_markov_process_has_the_bits_of_a_filter_and_goes_on_from_its_state() -> None:

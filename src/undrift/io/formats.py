@@ -259,14 +259,14 @@ FORMATS: dict[str, Format] = {
         instead="a zip archive or an Excel workbook; unpack it and name the folder, or save the sheet as CSV",
         generic=True,
     ),
+    "json": Format(_is_json, instead="JSON, not a recording", generic=True),
+    "toml": Format(lambda path, _: _suffix(path) == ".toml", instead="settings, not a recording", generic=True),
     "log": Format(_foreign(is_log), record=read_log, honours=_TABLE, generic=True),
     "binary": Format(
         lambda _, head: b"\0" in head,
         instead="binary data of an unknown kind; export it to CSV, MAT or npz",
         generic=True,
     ),
-    "json": Format(_is_json, instead="JSON, not a recording", generic=True),
-    "toml": Format(lambda path, _: _suffix(path) == ".toml", instead="settings, not a recording", generic=True),
     "labelled": Format(
         _foreign(is_labelled), record=read_labelled, reference=read_text_poses, honours=_EXPORT, generic=True
     ),
