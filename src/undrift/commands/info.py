@@ -92,8 +92,6 @@ def info(
         Picture to write of a recording or session, with stills, faces, turns, gaps and saturation: .svg, .png or .pdf.
     """
     from undrift.correction.consistency import find_disagreement
-    from undrift.io.inspect import describe, describe_poses
-    from undrift.io.reference import read_reference_map
     from undrift.io.store import findings_json, read_calibration, verdict_json
 
     check_figure(figure, reads=(file, opening.column_map))
@@ -102,12 +100,7 @@ def info(
             raise InputError(f"`figure`: wanted a recording or a session, got the folder {file}; name one of its files")
         return _folder(file)
     proposal.check(figure, reads=(file, opening.column_map))
-    poses = None if opening.column_map is None else read_reference_map(opening.column_map)
-    if poses is not None:
-        found, opening = describe_poses(file, poses), replace(opening, column_map=None)
-    else:
-        columns, settings = opening.how(file)
-        found = describe(file, columns, settings=settings, up=reference_up)
+    found, opening = _described(file, opening, reference_up)
     if proposal.write_map is not None:
         return _write_map(found, proposal.write_map, proposal, opening)
     found = _set_points(found, opening)
@@ -142,6 +135,18 @@ def info(
         written=() if figure is None else (figure,),
         next=_next(found, len(stills), opening),
     )
+
+
+def _described(file: Path, opening: Opening, up: Up) -> "tuple[Description, Opening]":
+    """Return what a file holds, by a map of readings or one of orientations, which is then done with."""
+    from undrift.io.inspect import describe, describe_poses
+    from undrift.io.reference import read_reference_map
+
+    poses = None if opening.column_map is None else read_reference_map(opening.column_map)
+    if poses is not None:
+        return describe_poses(file, poses), replace(opening, column_map=None)
+    columns, settings = opening.how(file)
+    return describe(file, columns, settings=settings, up=up), opening
 
 
 def _write_map(found: "Description", path: Path, proposal: Proposal, opening: Opening) -> Summary:
