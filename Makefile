@@ -10,14 +10,13 @@ demo: $(VENV)/.base
 	$(BIN)/undrift demo --out demo
 
 announce:
-	@echo "make test: about 6,800 tests, 23 minutes on two cores. On a new machine Python packages, gcc, chromium and PostgreSQL"
+	@echo "make test: about 7,000 tests, 17 minutes on two cores. On a new machine Python packages, gcc, chromium and PostgreSQL"
 	@echo "are installed first, some minutes, and kernels are compiled once."
 
 export OPENBLAS_NUM_THREADS = 1  # the matrices are small, threads cost more than they save
 unexport PYTHONDONTWRITEBYTECODE  # the suite starts many processes: each would compile all of undrift and of its tests
 
-# What computes, then side by side what waits for sockets and processes, and the browser: tests/testkit/pools.py. Emulated machines and
-# pages answer late beside processes that compute.
+# Side by side: what computes, what waits for sockets and processes, and the browser: tests/testkit/pools.py.
 CORES := $(shell nproc 2>/dev/null || echo 2)
 PYTEST = $(BIN)/python -m pytest tests --ignore=tests/house --dist loadscope
 COMPUTE = --tx $(CORES)*popen//env:TEST_POOL=compute
@@ -34,8 +33,7 @@ test: announce $(INSTALLED)
 	  DEBIAN_FRONTEND=noninteractive apt-get install -qq -y --no-install-recommends -o Dpkg::Options::=--force-confold postgresql; } || \
 	  echo "no PostgreSQL: the registry is tested on SQLite alone"
 	@echo "collecting the tests, up to a minute; then a dot for each, and the share done at the end of a line"
-	@failed=0; for group in "$(COMPUTE)" "$(WAIT) $(BROWSER)"; do \
-	  echo "$(PYTEST) $$group"; $(PYTEST) $$group --durations=12 || failed=1; done; exit $$failed
+	$(PYTEST) $(COMPUTE) $(WAIT) $(BROWSER) --durations=12
 
 # The bench in a browser alone: pages, wizards, the rate-table run, the emergency stop. Screenshots: build/screens.
 test-browser: $(INSTALLED)

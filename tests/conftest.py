@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 from hypothesis import settings
 
-from testkit.pools import Pools, of_another_pool, write_durations
+from testkit.pools import Pools, of_another_pool, take_what_is_left, write_durations
 from testkit.remembered import put_everywhere, remembered, run_folder
 
 os.environ["UNDRIFT_REGISTRY"] = os.path.join(os.sep, "nowhere", "registry.sqlite")  # never that of a person
@@ -32,6 +32,10 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Pools:
     return Pools(config, log)
+
+
+def pytest_configure() -> None:
+    take_what_is_left()
 
 
 def pytest_ignore_collect(collection_path: Path) -> bool | None:

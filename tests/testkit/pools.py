@@ -2,7 +2,8 @@
 
 A process says by the environment which pool it is of: ``pytest --dist loadscope --tx 2*popen//env:TEST_POOL=compute ...``, as the
 Makefile does. Without, every process is of one pool. Modules of ``FOLDERS`` and those marked ``waits`` at their heads sleep or wait
-for sockets most of the time, so that more of them than the machine has cores may run; those in a browser keep it open.
+for sockets most of the time, so that more of them than the machine has cores may run; those in a browser keep it open. All run at
+once: processes that compute take what the others leave of the processor, or emulated machines and pages would answer late.
 
 What is handed out is a module, whose tests share fixtures, or a single test that takes ``ALONE_S`` or more of itself.
 tests/durations.json has what each took; `make durations` writes it anew. Order is all that hangs on it.
@@ -31,6 +32,12 @@ def pool_of(path: Path) -> str:
     if path.parent.name in FOLDERS:
         return FOLDERS[path.parent.name]
     return "wait" if "pytestmark = pytest.mark.waits" in path.read_text() else "compute"
+
+
+def take_what_is_left() -> None:
+    """Let this process, where it is one that computes, run on what all others leave of the processor; Linux alone knows how."""
+    if os.environ.get(POOL) == "compute" and hasattr(os, "SCHED_IDLE"):
+        os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
 
 
 def of_another_pool(path: Path) -> bool:
