@@ -273,14 +273,13 @@ def _table_1(outcome: "StudyOutcome") -> Section:
             rest = ("", "", "") if note.place is None else _protocol(task.surface, note.place)[4:]
             mark = " *" if note.row.erratum else ""
             rows.append((f"… the note{mark}", *four, *rest, f"{note.row.p_value:.3f}, its own"))
-    errata = {task.note.row.erratum for task in outcome.tasks if task.note and task.note.row.erratum}
-    text.append(
-        "p is the least of the four parameters', after Holm, the others at the optimum. In the note's rows it is as printed; the "
-        "note does not define its test."
-    )
+    text.append("p is the least of the four parameters', after Holm, the others at the optimum.")
+    of_note = [task.note for task in outcome.tasks if task.note]
+    text += ["In the note's rows it is as printed; the note does not define its test."] * bool(of_note)
+    text += sorted({f"* {note.row.erratum}" for note in of_note if note.row.erratum})
     return Section(
         title="Table 1: optimised parameters",
-        text=(*text, *(f"* {erratum}" for erratum in sorted(errata))),
+        text=tuple(text),
         columns=("task", *_PROTOCOL, "p"),
         rows=tuple(rows),
     )
