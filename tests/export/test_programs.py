@@ -15,7 +15,7 @@ from undrift.correction.correct import correct
 from undrift.errors import FileFormatError, InputError
 from undrift.export.programs import decompose, export_fusion, export_imucal, export_ros, import_imucal, number
 from undrift.io.store import read_calibration, write_calibration
-from undrift.model import NoiseModel
+from undrift.model import MATRIX_NAMES, OFFSET_NAMES, NoiseModel
 
 DEG = np.pi / 180.0
 # what Fusion declares, in a few lines of our own: the matrix as present headers have it, and as older ones had it
@@ -210,6 +210,36 @@ def test_ros_parameters_correct_as_the_corrector_does():
     assert "static table" in " ".join(exported.not_carried)
     only = parameters(export_ros(device(accel=None, drift=None)).text)
     assert "SM" not in only
+
+
+def test_ros_covariances_are_those_of_drawn_calibrations_and_of_noise_for_each_hz():
+    rng = np.random.default_rng(3)
+    three = np.array([1e-4, 2e-4, 3e-4])
+    noise = NoiseModel(
+        angle_random_walk=three, bias_instability=three, rate_random_walk=three,
+        velocity_random_walk=2 * three, accel_bias_instability=three, accel_random_walk=three,
+    )  # fmt: skip
+    made = device(drift=None, noise=noise)
+    root = rng.normal(size=(12, 12))
+    size = np.concatenate((np.full(9, 1e-3 * np.abs(made.accel.matrix).max()), np.full(3, 2.0)))
+    accel = replace(
+        made.accel,
+        parameters=(*MATRIX_NAMES, *OFFSET_NAMES),
+        covariance=size[:, None] * (root @ root.T) * size,
+        budget=None,
+    )
+    held = parameters(export_ros(replace(made, accel=accel)).text)
+    draws, true = rng.multivariate_normal(np.zeros(12), accel.covariance, 40_000), rng.normal(size=(40_000, 3))
+    true *= 9.80665 / np.linalg.norm(true, axis=1, keepdims=True)
+    readings = true @ np.linalg.inv(accel.matrix).T  # less the offset
+    errors = np.einsum("nij,nj->ni", draws[:, :9].reshape(-1, 3, 3), readings) - draws[:, 9:] @ accel.matrix.T
+    found = np.reshape(held["linear_acceleration_covariance"], (3, 3))
+    np.testing.assert_allclose(found, errors.T @ errors / len(errors), atol=0.03 * np.trace(found))
+    np.testing.assert_allclose(
+        np.reshape(held["linear_acceleration_covariance_per_hz"], (3, 3)), np.diag((2 * three) ** 2)
+    )
+    np.testing.assert_allclose(np.reshape(held["angular_velocity_covariance_per_hz"], (3, 3)), np.diag(three**2))
+    assert len(held["angular_velocity_covariance"]) == 9
 
 
 @pytest.mark.parametrize(

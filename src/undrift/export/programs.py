@@ -27,6 +27,7 @@ rad/s^2/sqrt(Hz), m/s^2/sqrt(Hz) and m/s^3/sqrt(Hz) ("IMU Noise Model", wiki of 
 import json
 import math
 import re
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -356,6 +357,7 @@ def export_ros(calibration: Calibration, *, temp_c: float | None = None) -> Expo
     lines = [
         "# accel = accel_matrix (raw - accel_offset), m/s2",
         "# gyro = gyro_matrix (raw - gyro_offset) - gyro_g_sensitivity accel, rad/s",
+        "# covariances of sensor_msgs/Imu: NAME_covariance + NAME_covariance_per_hz x sampling rate in Hz; rates at rest",
         "/**:",
         "  ros__parameters:",
         f"    device: {json.dumps(calibration.device)}",
@@ -381,8 +383,42 @@ def export_ros(calibration: Calibration, *, temp_c: float | None = None) -> Expo
         }
         known = {name: float(np.nanmax(axes)) for name, axes in densities.items() if np.isfinite(axes).any()}
         lines += [f"    {name}: {number(worst)}" for name, worst in known.items()]
+    lines += _covariances(calibration)
     notes = (*pair.notes, finding("export.keys_of_node", "info"))
     return Exported(text="\n".join(lines) + "\n", **texts_of(losses(calibration, CARRIED_ROS), notes))
+
+
+def _covariances(calibration: Calibration) -> Iterator[str]:
+    """Yield those of sensor_msgs/Imu, nine elements each: of the calibration, and of white noise for each Hz of sampling.
+
+    ::
+
+        angular_velocity        M C_oo M^T                                                      at rest
+        linear_acceleration     M C_oo M^T + sum_kl C(m_ik, m_jl) (g^2 / 3) (K K^T)_kl          K = M^-1, mean over all poses
+        for each Hz             diag(N^2)                                                       N, unit/sqrt(Hz)
+    """
+    noise = calibration.noise
+    triads = (
+        ("angular_velocity", calibration.gyro, None if noise is None else noise.angle_random_walk, 0.0),
+        (
+            "linear_acceleration",
+            calibration.accel,
+            None if noise is None else noise.velocity_random_walk,
+            STANDARD_GRAVITY,
+        ),
+    )
+    for name, triad, density, felt in triads:
+        if triad is None:
+            continue
+        at = [triad.parameters.index(one) for one in (*MATRIX_NAMES, *OFFSET_NAMES)]
+        held = triad.covariance[np.ix_(at, at)]
+        inverse = np.linalg.inv(triad.matrix)
+        rows = held[:9, :9].reshape(3, 3, 3, 3)  # C(m_ik, m_jl)
+        whole = triad.matrix @ held[9:, 9:] @ triad.matrix.T
+        whole += np.einsum("ikjl,kl->ij", rows, felt**2 / 3.0 * inverse @ inverse.T)
+        yield _list(f"{name}_covariance", whole)
+        if density is not None and np.isfinite(density).all():
+            yield _list(f"{name}_covariance_per_hz", np.diag(density**2))
 
 
 KALIBR = (
