@@ -386,6 +386,19 @@ def tagged(m: Motion) -> str:
     return lines(m, lambda k, t, w, f, c: f"IMU,{six(f)},{six(w)}")
 
 
+@shape("a word before the numbers, rates first, temperature last", "rate")
+def tagged_rates_first(m: Motion) -> str:
+    return lines(m, lambda k, t, w, f, c: f"data: {six(w / DEGREE, 2)}, {six(f / G)}, {c:.2f}")
+
+
+@shape("a stamp, a counter and codes", "scale")
+def stamped_counter(m: Motion) -> str:
+    def line(k, t, w, f, c):
+        return f"{of_day(t)} -> #{k % 256} {' '.join(map(str, [*codes(f, LSB_G), *codes(w, LSB_DPS)]))}"
+
+    return lines(m, line)
+
+
 @shape("ROS echo of sensor_msgs/Imu: blocks of yaml")
 def ros_echo(m: Motion) -> str:
     def line(k, t, w, f, c):

@@ -514,14 +514,20 @@ def _bids(path: Path) -> tuple[Sheet, list[dict[str, str]]]:
 
 _SET_POINT = re.compile(rb"^[ \t]*([A-Za-z_]\w*):[ \t]*(?=[-+.\d,]|nan)(.*?)[ \t,]*\r?$", re.MULTILINE | re.IGNORECASE)
 
+_MOST_SET_POINTS = 100  # lines of 8 KiB: readings are many
+
 
 def is_set_points(head: bytes) -> bool:
-    """Tell whether most lines are one word, a colon and numbers."""
+    """Tell whether most lines are one word, a colon and numbers, and few enough that each may be a mean; else it is a log."""
     lines = [line for line in head.splitlines()[:64] if line.strip()]
     rows = [(m.group(1), m.group(2)) for line in lines if (m := _SET_POINT.match(line))]
     numbers = [row for _, row in rows if row.count(b",") >= 2 and re.fullmatch(rb"[-+.\deE, \tnaNA]*", row)]
     return (
-        b"\0" not in head and len(numbers) >= 2 and len(numbers) > 0.5 * len(lines) and len({w for w, _ in rows}) == 1
+        b"\0" not in head
+        and len(head.splitlines()) <= _MOST_SET_POINTS
+        and len(numbers) >= 2
+        and len(numbers) > 0.5 * len(lines)
+        and len({w for w, _ in rows}) == 1
     )
 
 

@@ -1,0 +1,363 @@
+"""Guesses for a person, never for a reader: what a foreign table might be, and the map that it may need.
+
+Names state channel and unit, or the readings suggest them: gravity is the length that three axes keep, a quaternion has length 1, a
+counter counts. What nothing shows is "?".
+"""
+
+import json
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from functools import partial
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from undrift.arrays import FloatArray
+from undrift.errors import InputError
+from undrift.files import read_bytes
+from undrift.io.arrays import Arrays
+from undrift.io.columns import Column, TextLayout, is_date, is_number
+from undrift.io.labelled import is_unit, label_of, marks_of
+from undrift.io.reference import NEARLY_UNIT
+from undrift.io.text import MARK, Text, open_text, parse_text
+
+_FORCE = re.compile(r"GRF|(?<![A-Za-z])COP|FREEMOMENT|^[FM][xyz]\[")
+_PLACE = re.compile(r"^(COG|.*[._](ankle|knee|hip))[._ ][xyz]$", re.IGNORECASE)
+_QUATERNION = re.compile(
+    r"(?i)^(?P<stem>.*?)(?P<part>[wxyz]|[0-3])\]?( element)?$"
+)  # w, qw, q0, seg2_quat_w, QUATERNION_0
+_TURNS = re.compile(r"(?i)^$|quat|^q[_.\[]*$|[_. ]q[_.\[]*$|orient|rotat")  # what stands before w, x, y, z
+_UNITS = {  # what a name may state of its unit; "?" where it states none, which a reader refuses
+    "time": (
+        ("us", r"\(?\bus\b|_us\b|micros"),
+        ("ms", r"\bms\b|_ms\b|millis"),
+        ("ns", r"\bns\b|_ns\b|nanos"),
+        ("s", r"\bs\b|_s\b|sec"),
+    ),
+    "gyro": (("rad/s", r"rad[_/ ]?s"), ("dps", r"dps|deg[_/ ]?s"), ("count", r"raw|count|lsb")),
+    "accel": (("m/s2", r"m[_/]?s\^?2"), ("mg", r"\bmg\b|_mg\b"), ("g", r"\(g\)|_g\b"), ("count", r"raw|count|lsb")),
+    "temp": (("degC", r"deg ?c|celsius|degrees c"), ("count", r"raw|count|lsb")),
+}
+_NO_SENSOR = re.compile(r"quat|euler|pos|vel|force|moment|angle|roll|pitch|yaw|mat\[", re.IGNORECASE)
+# What |a| at rest may be in each unit; an integer sensor of +-2 to +-16 g reads 1,000 to 20,000 counts and more
+_AT_REST = {"g": (0.8, 1.25), "m/s2": (7.8, 12.3), "mg": (800.0, 1250.0), "count": (1250.0, 1e7)}
+_STEP = {"s": (2e-4, 0.2), "ms": (0.2, 200.0), "us": (200.0, 2e5), "ns": (2e5, 2e8)}  # between samples, 5 Hz to 5 kHz
+# The largest rate: 36 rad/s were more than the 2000 deg/s that gyroscopes reach. Below, noise tells: at rest it is 0.03 to
+# 0.3 deg/s, or 0.0005 to 0.005 rad/s
+_RATE, _SPREAD_RAD_S = {"rad/s": (1.0, 36.0), "dps": (36.0, 4500.0)}, 0.01
+_COUNTS = 200.0  # whole numbers beyond this are an integer sensor's
+_TEMP_C = (-30.0, 90.0)
+_STATED_RATE = re.compile(
+    r"(?i)^\W*(?:fs|sampl\w*[ _]?(?:rate|freq\w*)|output ?rate|rate)\b[^\d\n]{0,12}(\d+(?:\.\d+)?)"
+)
+_STATED_NAME = re.compile(r"(?i)(^|[._])(fs|sampl\w*_?(rate|freq\w*)(_hz)?)$")
+_OF_GYRO = re.compile(r"(?i)^(?!.*(acc|imu)).*(gyr|angular)")  # the name of a file of one sensor
+_NAMED = {
+    "time": re.compile(
+        r"(?i)(time|ts?|timestamp|millis|micros|zeit|tempo|temps|tiempo|tijd)([ _\[(].*)?$|时间|時間|時刻"
+    ),
+    "temp": re.compile(r"(?i)(board |die )?(temp(?!o\b|s\b)|tmp$|thermo|温度)"),
+}
+_LIKELY = {
+    "gyro": re.compile(r"^(g|gyr|gyro|gyroscope|w|omega|rot)[ _.]?([xyz])\b", re.IGNORECASE),
+    "accel": re.compile(r"^(a|acc|accel|accelerometer)[ _.]?([xyz])\b", re.IGNORECASE),
+}
+
+
+def sniff(path: object) -> Text:
+    """Open a text table with the delimiter, header and skipped lines that most of it suggests."""
+    head = read_bytes(str(path), 1 << 16)
+    raw = head.decode("utf-8", "replace").splitlines()[:64]
+    if head.startswith(MARK) and len(raw) > 1:  # undrift's own first line, which open_text passes over by itself
+        raw = raw[1:]
+    at = [k for k, line in enumerate(raw) if line.strip()]
+    lines = [raw[k] for k in at]
+    body = lines[len(lines) // 2 :] or lines
+    delimiter, decimal = marks_of(lines)
+    width = max(len(_cells(line, delimiter)) for line in body)
+    skip = next((k for k, line in zip(at, lines, strict=True) if len(_cells(line, delimiter)) == width), 0)
+    header = not all(is_number(cell, empty=True) or is_date(cell) for cell in _cells(raw[skip], delimiter, decimal))
+    if header and (names := _grouped([_cells(line, delimiter) for line in raw[skip : skip + 2]])):
+        layout = TextLayout(delimiter=delimiter, skip_rows=skip + 2, header=False, decimal=decimal)
+        return replace(open_text(str(path), layout), names=names)
+    return open_text(str(path), TextLayout(delimiter=delimiter, skip_rows=skip, header=header, decimal=decimal))
+
+
+def _grouped(rows: list[list[str]]) -> tuple[str, ...]:
+    """Return the names of columns under two header rows, groups over axes and units; none where the second is another row."""
+    if len(rows) < 2 or len(rows[0]) != len(rows[1]) or "" not in rows[0]:
+        return ()
+    of_axes = all(cell == "" or re.fullmatch("(?i)[wxyz]", cell) or is_unit(cell) for cell in rows[1])
+    named = [k for k, cell in enumerate(rows[0]) if cell]
+    groups = [next((rows[0][k] for k in reversed(named) if k <= at), "") for at in range(len(rows[0]))]
+    return tuple(f"{group} {cell}".strip() for group, cell in zip(groups, rows[1], strict=True)) if of_axes else ()
+
+
+def foreign_kind(text: Text) -> str | None:
+    """Name a table that is no recording of an inertial sensor."""
+    names = [name for name in text.names if name.strip()]
+    shown = ", ".join(names[:4])
+    for pattern, what in ((_FORCE, "a force plate's table"), (_PLACE, "a table of positions")):
+        if any(pattern.search(name) for name in names):
+            return f"{what} ({shown}, ...), not a recording of an inertial sensor"
+    lines = text.head.decode("utf-8", "replace").splitlines()
+    first = lines[text.skip : text.skip + 2]  # one may be of units
+    rows = [_cells(line, text.layout.delimiter, text.layout.decimal) for line in first]
+    if rows and all(sum(is_number(cell, empty=True) for cell in row) < 0.5 * len(row) for row in rows):
+        return f"a table of text ({len(names)} columns: {shown}, ...), not a recording"
+    triples = triples_of(text.names)
+    if text.layout.header and not triples:
+        return f"a table without three axes ({', '.join(names[:8])}), not a recording of an inertial sensor"
+    if triples and all(_is_magnetic(name) for triple in triples for name in triple):
+        return f"a magnetometer's table ({shown}), without gyroscope or accelerometer"
+    return None
+
+
+def quaternion_of_names(names: tuple[str, ...]) -> tuple[str, ...] | None:
+    """Return the names of four columns w, x, y, z of one orientation; numbered ones are taken in their order, w first."""
+    parts: dict[str, dict[str, str]] = {}
+    for name in names:
+        if (found := _QUATERNION.match(name.strip())) and _TURNS.search(found["stem"]):
+            parts.setdefault(found["stem"], {})[found["part"].lower()] = name
+    fours = (
+        tuple(held[part] for part in order)
+        for held in parts.values()
+        for order in ("wxyz", "0123")
+        if {*order} <= held.keys()
+    )
+    return next(fours, None)
+
+
+def reference_map(text: Text, names: tuple[str, ...]) -> tuple[str, ...]:
+    """Return an example of the map that a table of orientations needs, none where it holds none or a gyroscope too."""
+    four, readings = quaternion_of_names(names), partial(_readings, text, {})
+    gyro = any(label is not None and label.channel == "gyro" for label in map(label_of, names))
+    length = np.linalg.norm(readings(list(four)), axis=1) if four and not gyro else np.empty(0)
+    if not four or not len(length) or abs(float(np.median(length)) - 1.0) > NEARLY_UNIT:
+        return ()
+    clock = next((name for name in names if _NAMED["time"].match(name.strip())), None)
+    columns = f"quaternion = {_quoted(four)}"
+    if clock is None:
+        lines = [f"columns = {{ {columns} }}", f"sample_rate_hz = {_stated_rate(text, ())}"]
+    else:
+        keys, unit = {"time": _quoted(clock)}, _unit_of("time", clock)
+        unit, why = proposed_units(readings, keys, {"time": unit}).get("time", (unit, ""))
+        lines = [f"columns = {{ time = {_quoted(clock)}, {columns} }}", f"units = {{ time = {_quoted(unit)} }}"]
+        lines[1] += f"  # proposed: time by {why}" * bool(why)
+    layout = ", ".join(f"{key} = {json.dumps(value)}" for key, value in stated_layout(text.layout).items())
+    return (*lines, *([f"layout = {{ {layout} }}"] if layout else []))
+
+
+def stated_layout(layout: TextLayout) -> dict[str, Any]:
+    """Return what of a layout is not usual."""
+    usual = TextLayout()
+    return {
+        key: held
+        for key in ("delimiter", "decimal", "header", "skip_rows")
+        if (held := getattr(layout, key)) != getattr(usual, key)
+    }
+
+
+def _is_magnetic(name: str) -> bool:
+    label = label_of(name)
+    return re.search(r"a\.u\.|uT|gauss|\(G\)", name) is not None or (label is not None and label.channel == "mag")
+
+
+def triples_of(names: tuple[str, ...]) -> tuple[tuple[str, str, str], ...]:
+    """Return names that differ only in an x, y, z: three axes of one quantity."""
+    held, found = set(names), []
+    for name in names:
+        for match in re.finditer("[xX]", name):
+            at, (y, z) = match.start(), ("yz" if match.group() == "x" else "YZ")
+            triple = (name, f"{name[:at]}{y}{name[at + 1 :]}", f"{name[:at]}{z}{name[at + 1 :]}")
+            if triple[1] in held and triple[2] in held:
+                found.append(triple)
+    return tuple(found)
+
+
+def example_map(names: tuple[str, ...], text: Text | None, arrays: Arrays) -> tuple[str, ...]:
+    """Return an example of the map that a table needs; a unit that nothing states or suggests is "?", for a person to fill in."""
+    readings = partial(_readings, text, dict(arrays))
+    below = [] if text is None else text.head.decode("utf-8", "replace").splitlines()[text.skip : text.skip + 1]
+    cells = [] if text is None or not below else _cells(below[0], text.layout.delimiter, text.layout.decimal)
+    row = {} if text is None else dict(zip(text.names, cells, strict=False))
+    nameless = text is not None and not text.layout.header and names[-1].isdecimal()
+    several = _by_position(text) if text is not None and nameless else [_by_name(names, text, arrays)]
+    held = []
+    for keys in several:  # gravity tells which three are the accelerometer
+        known = {channel: _unit_of(channel, value) for channel, value in keys.items()}
+        if known.get("time") == "?" and is_date(row.get(str(_listed(keys["time"])[0]), "")):
+            known["time"] = "date"
+        held.append((keys, known, proposed_units(readings, keys, known)))
+    # of several: the accelerometer reads gravity, whose length keeps as well as in any, and most units can be proposed
+    felt = {k: _unsteady(readings, one[0]) for k, one in enumerate(held) if "accel" in one[2]}
+    near = [held[k] for k, unsteady in felt.items() if unsteady <= 2.0 * min(felt.values())]
+    keys, known, proposed = max(near or held[:1], key=lambda one: len(one[2]))
+    if text is not None and not text.layout.header and not nameless:  # under two header rows, which a map passes over
+        keys = {
+            channel: json.dumps([names.index(str(name)) for name in _listed(value)]) for channel, value in keys.items()
+        }
+        keys |= {channel: keys[channel].strip("[]") for channel in ("time", "temp") if channel in keys}
+    columns = ", ".join(f"{channel} = {value}" for channel, value in keys.items())
+    known |= {channel: unit for channel, (unit, _) in proposed.items()}
+    units = ", ".join(f'{channel} = "{unit}"' for channel, unit in known.items())
+    why = "; ".join(f"{channel} by {why}" for channel, (_, why) in proposed.items())
+    lines = [f"columns = {{ {columns} }}", f"units = {{ {units} }}" + f"  # proposed: {why}" * bool(why)]
+    lines += [] if "time" in keys else [f"sample_rate_hz = {_stated_rate(text, arrays)}"]
+    if text is not None:
+        lines += [f"{key} = {json.dumps(held)}" for key, held in stated_layout(text.layout).items()]
+        mapped = [row.get(str(column), "") for value in keys.values() for column in _listed(value)]
+        words = any(not is_number(cell, empty=True) and not is_date(cell) for cell in mapped)
+        lines += ["drop_bad_rows = true  # the row of units"] if words and text.layout.header else []
+    return tuple(lines)
+
+
+def _by_name(names: tuple[str, ...], text: Text | None, arrays: Arrays) -> dict[str, str]:
+    """Return the columns of each channel, as a map writes them."""
+    keys: dict[str, str] = {}
+    triples = {triple[0]: _quoted(triple) for triple in triples_of(names)}
+    threes = {name: _quoted(name) for name, array in arrays if array.ndim == 2 and array.shape[1] == 3}
+    quoted = threes or triples
+    labels = {name: label_of(name) for name in quoted}
+    bare = [name for name, label in labels.items() if label is None and not _NO_SENSOR.search(name)] * (not threes)
+    of_gyro = text is not None and _OF_GYRO.search(text.path.name) is not None
+    for channel, others in (("gyro", bare if of_gyro else []), ("accel", [] if of_gyro else bare)):
+        named = [name for name, label in labels.items() if label is not None and label.channel == channel]
+        first = _likely(channel, tuple(quoted if threes else named)) or next(iter([*named, *others]), None)
+        if first is not None:
+            keys[channel] = quoted[first]
+    for channel, pattern in _NAMED.items():
+        name = next((n for n in names if pattern.match(n.strip().rpartition(".")[2])), None)
+        if name is not None:
+            keys = {channel: _quoted(name), **keys} if channel == "time" else {**keys, channel: _quoted(name)}
+    return keys or {"gyro": '["gx", "gy", "gz"]', "accel": '["ax", "ay", "az"]'}
+
+
+def _quoted(columns: object) -> str:
+    return json.dumps(columns, ensure_ascii=False)
+
+
+def _listed(value: str) -> list[Column]:
+    columns = json.loads(value)
+    return columns if isinstance(columns, list) else [columns]
+
+
+def proposed_units(
+    readings: Callable[[list[Column]], FloatArray], keys: dict[str, str], known: dict[str, str]
+) -> dict[str, tuple[str, str]]:
+    """Return units of channels that no name states, and the figure that suggests each: never more than a proposal."""
+    held = {channel: readings(_listed(keys[channel])) for channel in keys if known[channel] == "?"}
+    held = {channel: values for channel, values in held.items() if len(values) > 1}
+    found: dict[str, tuple[str, str]] = {}
+
+    def propose(channel: str, value: float, ranges: dict[str, tuple[float, float]], what: str) -> None:
+        unit = next((unit for unit, (low, high) in ranges.items() if low <= value < high), None)
+        if unit is not None:
+            found[channel] = (unit, f"{what} {value:.4g}")
+
+    if "accel" in held and held["accel"].shape[1] == 3:
+        propose("accel", float(np.median(np.linalg.norm(held["accel"], axis=1))), _AT_REST, "the median |a|")
+    if "gyro" in held:
+        largest, whole = float(np.abs(held["gyro"]).max()), np.array_equal(held["gyro"], np.round(held["gyro"]))
+        if whole and (largest > _COUNTS or found.get("accel", ("", ""))[0] == "count"):
+            found["gyro"] = ("count", f"whole numbers up to {largest:.4g}")
+        elif not whole and (largest >= _RATE["dps"][0] or _least_spread(held["gyro"]) < _SPREAD_RAD_S):
+            propose("gyro", largest, _RATE, "the largest rate")
+    if "time" in held and (step := float(np.median(np.diff(held["time"][:, 0])))) != 1.0:  # of a counter, or 1 ms
+        propose("time", step, _STEP, "the median step")
+    if "temp" in held and not np.array_equal(held["temp"], np.round(held["temp"])):
+        propose("temp", float(np.median(held["temp"])), {"degC": _TEMP_C}, "the median")
+    return found
+
+
+def _least_spread(values: FloatArray) -> float:
+    """Return the standard deviation of the quietest 100 samples in a row, the mean of the axes."""
+    count = len(values) // 100
+    if count == 0:
+        return float("inf")
+    return float(values[: 100 * count].reshape(count, 100, -1).std(axis=1).mean(axis=1).min())
+
+
+def _stated_rate(text: Text | None, arrays: Arrays) -> str:
+    """Return the sample rate that a line before the header or an array of one number states, "?" where none does."""
+    for name, array in arrays:
+        if array.size == 1 and _STATED_NAME.search(name) and np.ravel(array)[0] > 0:
+            return f"{float(np.ravel(array)[0]):g}  # by {name}"
+    for line in [] if text is None else text.head.decode("utf-8", "replace").splitlines()[: text.layout.skip_rows]:
+        if found := _STATED_RATE.search(line):
+            return f"{float(found.group(1)):g}  # by the line {json.dumps(line.strip()[:40])}"
+    return "?"
+
+
+def _readings(text: Text | None, arrays: dict[str, Any], columns: list[Column]) -> FloatArray:
+    """Return columns of the first MiB of text, or of an array, (N, K) without gaps; none where there are none."""
+    values = arrays.get(str(columns[0]))
+    if text is not None:
+        whole = text.content is None and len(text.head) < 1 << 20
+        head = text.head if whole else text.head[: text.head.rfind(b"\n") + 1]
+        try:
+            rows = replace(text, content=head, layout=replace(text.layout, drop_bad_rows=True))
+            table = parse_text(rows, tuple(columns))
+            values = np.stack([table.numbers(column) for column in columns], axis=1)
+        except InputError:
+            values = None
+    if values is None or values.dtype.kind not in "fiu" or values.ndim > 2 or not values.size:
+        return np.empty((0, 1))
+    values = np.asarray(values, dtype=np.float64).reshape(len(values), -1)
+    return values[np.isfinite(values).all(axis=1)]
+
+
+def _unit_of(channel: str, names: str) -> str:
+    stated = [label_of(name) for name in re.findall(r'"([^"]*)"', names)]
+    if stated and stated[0] is not None and stated[0].unit and stated[0].gain == 1.0 and stated[0].channel == channel:
+        return stated[0].unit
+    return next((unit for unit, stated in _UNITS[channel] if re.search(stated, names, re.IGNORECASE)), "?")
+
+
+def _unsteady(readings: Callable[[list[Column]], FloatArray], keys: Mapping[str, str]) -> float:
+    """Return how far the length of the accelerometer's readings departs from its median, relative to it."""
+    length = np.linalg.norm(readings(_listed(keys["accel"])), axis=1) if "accel" in keys else np.empty(0)
+    middle = float(np.median(length)) if len(length) else 0.0
+    return float(np.median(np.abs(length - middle))) / middle if middle > 0.0 else float("inf")
+
+
+def _counts(values: FloatArray) -> bool:
+    """Tell whether a column counts rows: whole numbers, each one more than the last but where they begin anew."""
+    steps = np.diff(values[:, 0])
+    return len(steps) > 1 and bool(np.mean(steps == 1.0) > 0.9)
+
+
+def _by_position(text: Text) -> list[dict[str, str]]:
+    """Return what a table without names may hold: a growing first column is time, one counts, another odd one is temperature."""
+    width = len(text.names)
+    lines = [line for line in text.head.decode("utf-8", "replace").splitlines()[text.skip :] if line.strip()][:8]
+    first = [_cells(line, text.layout.delimiter, text.layout.decimal)[0] for line in lines]
+    numbers = [float(cell) for cell in first if cell and is_number(cell, empty=True)]
+    grows = (all(b > a for a, b in pairwise(numbers)) and len(numbers) > 1) or all(map(is_date, first))
+    counters = [k for k in range(grows, width) if _counts(_readings(text, {}, [k]))]
+    clock = {"time": 0} if grows else {}
+    left = [k for k in range(grows, width) if k not in counters]
+    odd = [clock | {"temp": left[0]}, clock | {"temp": left[-1]}] if len(left) % 3 == 1 else [clock]
+    found = []
+    for keys in odd:
+        free = [k for k in left if k not in keys.values()]
+        threes = [str(free[k : k + 3]) for k in (0, 3) if k + 3 <= len(free)]
+        named = ("gyro",) if _OF_GYRO.search(text.path.name) else ("accel", "gyro")
+        for order in (named, named[::-1])[: len(threes)]:
+            channels = dict(zip(order, threes, strict=False))
+            found.append(
+                {channel: str(k) for channel, k in keys.items()} | {c: channels[c] for c in named if c in channels}
+            )
+    return found or [{}]
+
+
+def _likely(channel: str, names: tuple[str, ...]) -> str | None:
+    stem = "gyr" if channel == "gyro" else "acc"
+    return next((name for name in names if stem in name.lower() or _LIKELY[channel].match(name.strip())), None)
+
+
+def _cells(line: str, delimiter: str, decimal: str = ".") -> list[str]:
+    line = line.replace(decimal, ".")
+    return line.split() if delimiter == " " else line.split(delimiter)
