@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 from axe_playwright_python.sync_playwright import Axe
-from playwright.sync_api import BrowserContext, Page
+from playwright.sync_api import BrowserContext, Page, expect
 
 from testkit.bench import BenchServer, bench_process
 from undrift.commands.bench.guides import GAP, named
@@ -16,6 +16,7 @@ from undrift.commands.bench.guides import GAP, named
 CHROMIUM = shutil.which("chromium")
 SCREENS = os.environ.get("UNDRIFT_SCREENS")  # a folder for pictures of the pages; `make test-browser` names one
 WAIT_MS = 20_000
+expect.set_options(timeout=WAIT_MS)  # a page beside a busy machine answers late
 CAPTURE_MS = 40_000  # a face takes 12 s: a move of 2, a window, settling and a countdown of 6
 # rests and turns of guided captures, six times as fast; `make test-long` has them in real time
 quick_and_real_time = pytest.mark.parametrize("practice_speed", [6.0, pytest.param(1.0, marks=pytest.mark.long)])
