@@ -12,6 +12,7 @@ tests/durations.json has what each took; `make durations` writes it anew. Order 
 import json
 import os
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -37,7 +38,8 @@ def pool_of(path: Path) -> str:
 def take_what_is_left() -> None:
     """Let this process, where it is one that computes, run on what all others leave of the processor; Linux alone knows how."""
     if os.environ.get(POOL) == "compute" and hasattr(os, "SCHED_IDLE"):
-        os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
+        with suppress(OSError):  # a container may forbid it
+            os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
 
 
 def of_another_pool(path: Path) -> bool:
