@@ -54,6 +54,8 @@ class Widths:
         for module in pkgutil.iter_modules(cli.__path__):  # one that is imported within would keep what is put here
             importlib.import_module(f"{cli.__name__}.{module.name}")
         with pytest.MonkeyPatch.context() as patch:
+            if common.SAID_EVERY_S >= 1.0:  # its thread would write to whichever place is shown on just then
+                patch.setattr(common, "SAID_EVERY_S", 3600.0)
             for function in (common.say, common.show_table, common.show_verdict):
                 put_everywhere(patch, function, self._on_all(function), within=cli.__name__)
             yield
