@@ -240,6 +240,17 @@ def test_ros_covariances_are_those_of_drawn_calibrations_and_of_noise_for_each_h
     )
     np.testing.assert_allclose(np.reshape(held["angular_velocity_covariance_per_hz"], (3, 3)), np.diag(three**2))
     assert len(held["angular_velocity_covariance"]) == 9
+    in_g = replace(accel, unit_out="g", matrix=accel.matrix / 9.80665, covariance=by_g(accel.covariance))
+    same = parameters(export_ros(replace(made, accel=in_g)).text)
+    np.testing.assert_allclose(same["linear_acceleration_covariance"], np.ravel(found), rtol=1e-9)
+    unknown = replace(accel, covariance=np.full((12, 12), np.nan))
+    assert "linear_acceleration_covariance" not in parameters(export_ros(replace(made, accel=unknown)).text)
+
+
+def by_g(covariance):
+    """Return the covariance of a matrix in g and the same offset, of one in m/s2."""
+    factor = np.concatenate((np.full(9, 1.0 / 9.80665), np.ones(3)))
+    return factor[:, None] * covariance * factor
 
 
 @pytest.mark.parametrize(

@@ -398,25 +398,22 @@ def _covariances(calibration: Calibration) -> Iterator[str]:
         for each Hz             diag(N^2)                                                       N, unit/sqrt(Hz)
     """
     noise = calibration.noise
-    triads = (
-        ("angular_velocity", calibration.gyro, None if noise is None else noise.angle_random_walk, 0.0),
-        (
-            "linear_acceleration",
-            calibration.accel,
-            None if noise is None else noise.velocity_random_walk,
-            STANDARD_GRAVITY,
-        ),
-    )
-    for name, triad, density, felt in triads:
-        if triad is None:
+    densities = (None, None) if noise is None else (noise.angle_random_walk, noise.velocity_random_walk)
+    for triad, name, density in zip(
+        calibration.triads, ("angular_velocity", "linear_acceleration"), densities, strict=True
+    ):
+        model = triad.model
+        if model is None:
             continue
-        at = [triad.parameters.index(one) for one in (*MATRIX_NAMES, *OFFSET_NAMES)]
-        held = triad.covariance[np.ix_(at, at)]
-        inverse = np.linalg.inv(triad.matrix)
+        at = [model.parameters.index(one) for one in (*MATRIX_NAMES, *OFFSET_NAMES)]
+        held = model.covariance[np.ix_(at, at)]
+        felt = STANDARD_GRAVITY / triad.si if triad.quantity == "accel" else 0.0
+        inverse = np.linalg.inv(model.matrix)
         rows = held[:9, :9].reshape(3, 3, 3, 3)  # C(m_ik, m_jl)
-        whole = triad.matrix @ held[9:, 9:] @ triad.matrix.T
-        whole += np.einsum("ikjl,kl->ij", rows, felt**2 / 3.0 * inverse @ inverse.T)
-        yield _list(f"{name}_covariance", whole)
+        whole = model.matrix @ held[9:, 9:] @ model.matrix.T
+        whole = triad.si**2 * (whole + np.einsum("ikjl,kl->ij", rows, felt**2 / 3.0 * inverse @ inverse.T))
+        if np.isfinite(whole).all():  # an imported calibration states none
+            yield _list(f"{name}_covariance", whole)
         if density is not None and np.isfinite(density).all():
             yield _list(f"{name}_covariance_per_hz", np.diag(density**2))
 
