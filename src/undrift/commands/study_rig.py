@@ -72,7 +72,8 @@ def rig_sections(outcome: "StudyOutcome", folder: Path) -> tuple[Section, ...]:
         lines.append(f"On the rate table, {plain_words(key)}: {total}.")
         if inclined := [pose for pose in protocol.faces if " " in pose]:
             lines.append(
-                f"The file has level faces alone. By hand, {protocol.face_s:g} s in each: {', '.join(inclined)}."
+                f"File and commands have the level faces alone; no command takes inclined poses yet ({', '.join(inclined)}). The "
+                "errors stated above are with them."
             )
         lines.append(f"undrift rig run {shlex.quote(str(path))} {addresses} `output` {session}")
         lines.append(f"undrift calibrate {session} `output` {key}.json")
