@@ -8,10 +8,11 @@ import pytest
 from testkit.firmware import Motion, Shape, motion, shapes
 from undrift.errors import InputError
 from undrift.io.columns import ReadResult, ReadSettings
-from undrift.io.formats import format_of, read_counted
+from undrift.io.formats import format_of, read_counted, read_reference
 from undrift.io.inspect import describe
 from undrift.io.log import find_readings, names_of
 from undrift.io.proposal import map_of
+from undrift.io.reference import read_reference_map
 from undrift.io.session import read_map
 from undrift.units import si_factor
 
@@ -149,3 +150,26 @@ def test_a_clock_goes_on_past_midnight():
 )
 def test_words_around_numbers_name_them(shape, names):
     assert names_of(shape) == names
+
+
+def test_readings_of_a_length_near_one_in_columns_without_names_are_no_orientations(tmp_path):
+    rng = np.random.default_rng(0)
+    rows = np.hstack((rng.normal((0.0, 0.0, 1.0), 0.002, (200, 3)), rng.normal(0.0, 0.002, (200, 3))))
+    for before in ("", "IMU,"):
+        path = tmp_path / "still.txt"
+        path.write_text("".join(before + ",".join(f"{x:.4f}" for x in row) + "\n" for row in rows))
+        assert describe(path).example[0] == "columns = { accel = [0, 1, 2], gyro = [3, 4, 5] }"
+
+
+def test_a_log_of_orientations_is_a_reference_by_the_map_that_is_proposed(tmp_path):
+    half = 0.5 * np.linspace(0.0, 1.0, 50)
+    path, where = tmp_path / "quat.log", tmp_path / "map.toml"
+    path.write_text(
+        "".join(f"t:{10 * k},qw:{np.cos(a):.6f},qx:{np.sin(a):.6f},qy:0.0,qz:0.0\n" for k, a in enumerate(half))
+    )
+    where.write_text(map_of(describe(path)))
+    columns = read_reference_map(where)
+    assert columns is not None
+    reference = read_reference(path, columns)
+    np.testing.assert_allclose(reference.q_nb[:, 0], np.cos(half), atol=1e-6)
+    assert reference.sample_rate_hz == pytest.approx(100.0)

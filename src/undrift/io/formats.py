@@ -24,11 +24,12 @@ from undrift.io.arrays import hdf5_names, mat_arrays, mat_names, npz_arrays, rea
 from undrift.io.clock import fit_clock
 from undrift.io.columns import READ_SETTINGS, ColumnMap, ReadResult, ReadSettings, is_date, is_native, is_number
 from undrift.io.labelled import is_labelled, read_labelled
-from undrift.io.log import is_log, read_log
+from undrift.io.log import is_log, log_text, read_log
 from undrift.io.mocap import Markers, Up, is_c3d, pose_from_cluster, read_broad, read_c3d, read_trc
 from undrift.io.parquet import CHUNK_ROWS, iter_parquet, read_parquet
 from undrift.io.reference import (
     ReferenceMap,
+    poses_in,
     read_array_poses,
     read_parquet_poses,
     read_qtm_bodies,
@@ -261,7 +262,13 @@ FORMATS: dict[str, Format] = {
     ),
     "json": Format(_is_json, instead="JSON, not a recording", generic=True),
     "toml": Format(lambda path, _: _suffix(path) == ".toml", instead="settings, not a recording", generic=True),
-    "log": Format(_foreign(is_log), record=read_log, honours=_TABLE, generic=True),
+    "log": Format(
+        _foreign(is_log),
+        record=read_log,
+        reference=lambda path, columns: poses_in(log_text(path), columns),
+        honours=_TABLE,
+        generic=True,
+    ),
     "binary": Format(
         lambda _, head: b"\0" in head,
         instead="binary data of an unknown kind; export it to CSV, MAT or npz",

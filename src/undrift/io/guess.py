@@ -119,7 +119,8 @@ def quaternion_of_names(names: tuple[str, ...]) -> tuple[str, ...] | None:
     """Return the names of four columns w, x, y, z of one orientation; numbered ones are taken in their order, w first."""
     parts: dict[str, dict[str, str]] = {}
     for name in names:
-        if (found := _QUATERNION.match(name.strip())) and _TURNS.search(found["stem"]):
+        found = None if name.strip().isdecimal() else _QUATERNION.match(name.strip())  # positions are no names
+        if found and _TURNS.search(found["stem"]):
             parts.setdefault(found["stem"], {})[found["part"].lower()] = name
     fours = (
         tuple(held[part] for part in order)

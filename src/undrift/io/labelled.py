@@ -235,7 +235,7 @@ _KIND = tuple(
         ("mag", r"magn|^mag|[ _.]mag|compass|^m[ _.]*$"),
         ("accel", r"acc|ac[eé]l|beschleunigung|versnelling|specific.?force|加速度|^(ac?|gF)[ _.]*$"),
         ("temp", r"temp(?!o\b|s\b)|^tmp$|thermo|温度"),
-        ("time", r"^(ts?|zeit|tempo|temps|tiempo|tijd|millis|micros)\b|time|seconds_elapsed|时间|時間|時刻"),
+        ("time", r"^(ts?|zeit|tempo|temps|tiempo|tijd|millis|micros)\s*$|time|seconds_elapsed|时间|時間|時刻"),
     )
 )
 _NATIVE = {"dps": "dps", "rad_s": "rad/s", "m_s2": "m/s2"} | {unit: unit for unit in ("g", "mg", "ut", "s", "ms", "us")}

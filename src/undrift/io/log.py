@@ -15,7 +15,7 @@ import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import reduce
+from functools import lru_cache, reduce
 from itertools import chain, groupby, pairwise
 from operator import itemgetter, xor
 from pathlib import Path
@@ -251,10 +251,15 @@ def is_log(path: Path, head: bytes) -> bool:
 
 def read_readings(path: Path) -> SerialLog:
     """Return the readings of a log; in a box where it may take too much memory."""
-    log = find_readings(read_bytes(path)) if LIMITS.holds(path.stat().st_size) else _boxed_readings(path)
+    log = _readings_of(path, path.stat().st_size, path.stat().st_mtime_ns)
     if log is None:
         raise InputError(f"{path}: wanted lines of one shape with numbers, got none; log only what the readings print")
     return log
+
+
+@lru_cache(maxsize=1)  # a file is described, searched for labels and read
+def _readings_of(path: Path, size: int, _: int) -> SerialLog | None:
+    return find_readings(read_bytes(path)) if LIMITS.holds(size) else _boxed_readings(path)
 
 
 @boxed()

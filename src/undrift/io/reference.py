@@ -36,7 +36,7 @@ from undrift.io.columns import Column, RawTable, TextLayout, is_number
 from undrift.io.labelled import Sheet, as_utf8
 from undrift.io.mocap import Markers, Up, fit_cluster, level_from, markers_of
 from undrift.io.parquet import read_parquet_table
-from undrift.io.text import open_text, parse_text, write_rows
+from undrift.io.text import Text, open_text, parse_text, write_rows
 from undrift.record import Reference
 from undrift.units import si_factor
 
@@ -249,9 +249,13 @@ def read_reference_map(path: Path) -> ReferenceMap | None:
 
 def read_text_poses(path: Path, columns: ReferenceMap | None = None) -> Reference:
     """Read poses from a text table."""
-    text = open_text(path, None if columns is None else columns.layout)
-    columns = columns or _native_map(path, text.names)
-    return _poses(parse_text(text, columns.wanted()), columns, path)
+    return poses_in(open_text(path, None if columns is None else columns.layout), columns)
+
+
+def poses_in(text: Text, columns: ReferenceMap | None) -> Reference:
+    """Return the poses of a text table that is open."""
+    columns = columns or _native_map(text.path, text.names)
+    return _poses(parse_text(text, columns.wanted()), columns, text.path)
 
 
 def read_parquet_poses(path: Path, columns: ReferenceMap | None = None) -> Reference:
@@ -325,8 +329,13 @@ def _poses(table: RawTable, columns: ReferenceMap, path: Path) -> Reference:
         time: FloatArray = np.arange(len(table)) / (columns.sample_rate_hz or np.nan)
     else:
         time = table.numbers(columns.time) * si_factor(columns.time_unit, "time")
-    ahead = np.maximum.accumulate(time)
-    keep = np.concatenate(([True], time[1:] > ahead[:-1])) if columns.repair_time else slice(None)
+    forward = np.concatenate(([True], time[1:] > np.maximum.accumulate(time)[:-1]))
+    keep = forward if columns.repair_time else np.ones(len(time), dtype=np.bool_)
+    if keep.mean() < 0.5:
+        raise InputError(
+            f"{path}: time column {columns.time!r}: wanted time that mostly goes forward, got {int((~keep).sum())} of {len(time)} "
+            "rows to leave out; check that this is the time column"
+        )
     try:
         return Reference(
             time=time[keep],
