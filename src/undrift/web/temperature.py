@@ -1,7 +1,6 @@
 """The page Temperature: rests at set-points of a chamber, or one rest during a warm-up: curve, soak, what is left; then the fit."""
 
 import asyncio
-import math
 import time
 from collections.abc import Sequence
 from functools import partial
@@ -38,7 +37,8 @@ class WarmUpRecording:
         source = self._bench.source
         if source is None:
             raise InputError("warm-up: wanted a device that sends, got none; connect it first")
-        if math.isnan(source.status().temp_c):
+        # by what it states to send: a first reading may still be on its way
+        if "temp" not in source.recorder.source.description.measured:
             raise InputError("warm-up: wanted a device with a thermometer, got none; use a chamber with one")
         job = self._bench.new_job(source.name)
         source.write_to(job.folder / "warm_up.parquet")
