@@ -87,12 +87,34 @@ def test_a_random_order_is_the_seeds_and_holds_the_same_rates():
     assert [d.turn_rate for d in first] != sorted(d.turn_rate for d in first)
 
 
+def followed_s(change_c, c_per_min, lag_s, limit_c_per_min, *, step_s=0.1):
+    """Heat a board step by step until it changes by less than the limit."""
+    air, board, time_s = 0.0, 0.0, 0.0
+    while air < change_c or 60.0 * (air - board) / lag_s > limit_c_per_min:
+        air = min(air + c_per_min / 60.0 * step_s, change_c)
+        board += (air - board) / lag_s * step_s
+        time_s += step_s
+    return time_s
+
+
+@pytest.mark.parametrize(("lag_s", "change_c"), [(60.0, 12.0), (600.0, 2.0), (600.0, 27.0), (1500.0, 15.0)])
+def test_a_soak_is_forecast_by_how_fast_the_board_follows(lag_s, change_c):
+    protocol = replace(SMALL, temperatures_c=(25.0 + change_c,), board_lag_s=lag_s)
+    soak = next(step for step in programme_of(protocol).steps if isinstance(step, Soak))
+    assert soak.duration_s == pytest.approx(followed_s(change_c, 2.0, lag_s, 0.1) + 460.0, abs=1.0)
+
+
+def test_a_board_without_a_lag_takes_as_long_as_the_air():
+    soak = programme_of(replace(SMALL, temperatures_c=(45.0,), board_lag_s=0.0)).steps[1]
+    assert soak.duration_s == pytest.approx(600.0 + 460.0)
+
+
 def test_every_temperature_is_soaked_at_in_each_mounting():
     heated = programme_of(replace(SMALL, temperatures_c=(20.0, 40.0)), ProgrammeSettings(room_c=25.0))
     soaks = [step for step in heated.steps if isinstance(step, Soak)]
     assert [soak.temp_c for soak in soaks] == [20.0, 40.0] * 3
-    assert soaks[0].duration_s == pytest.approx(150.0 + 1200.0)
-    assert soaks[1].duration_s == pytest.approx(600.0 + 1200.0)
+    assert soaks[0].duration_s == pytest.approx(followed_s(5.0, 2.0, 600.0, 0.1) + 460.0, abs=1.0)
+    assert soaks[1].duration_s == pytest.approx(followed_s(20.0, 2.0, 600.0, 0.1) + 460.0, abs=1.0)
     assert all(dwell.temp_c in (20.0, 40.0) for dwell in heated.dwells)
     assert len(heated.dwells) == 2 * len(programme_of(SMALL).dwells)
 
@@ -102,7 +124,7 @@ NOTES_SOAKS = replace(SIT_TO_STAND, dwell_s=2.0, temperatures_c=(18.0, 30.0, 45.
 
 @pytest.mark.parametrize(
     ("at", "mountings", "soaks", "minutes"),
-    [("every", 6, 30, 946.2), ("first", 6, 18, 532.7), ("room", 9, 15, 474.2)],
+    [("every", 6, 30, 1296.9), ("first", 6, 18, 665.3), ("room", 9, 15, 643.8)],
 )
 def test_faces_at_few_temperatures_save_soaks(at, mountings, soaks, minutes):
     programme = programme_of(replace(NOTES_SOAKS, faces_at=at))

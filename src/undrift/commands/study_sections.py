@@ -203,8 +203,8 @@ def _answer(outcome: "StudyOutcome") -> Section:
     who = "devices (of the people or motion that was recorded)" if recorded else "subjects and devices"
     text = (
         f"{how} Errors are means over {who} that had no part in the choice. Each rate is turned both ways.",
-        f"Minutes count {ProgrammeSettings().soak_s / 60.0:.0f} min for the device to follow the chamber at each set-point. A "
-        "board in its box can take twice that.",
+        f"Minutes of a soak: the chamber changes by {ProgrammeSettings().heating_c_per_min:g} K/min, the board follows with a time "
+        f"constant of {study.bench.board_lag_s:g} s (board_lag_s), and the temperature must hold still.",
         *(f"{_name(task)}{words}." for task in outcome.tasks if (words := _further(task.surface, task.to_use[0]))),
         "Below, omega_m and omega_M are the least and greatest rate of the table, d is the step between rates.",
     )

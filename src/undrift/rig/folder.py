@@ -194,7 +194,12 @@ def room(path: Path) -> Iterator[None]:
 # ---- folder
 
 FORMAT = 2  # 1: checksums that do not go on from the line before, and a session.toml without any
-LATER = {"damping": DAMPING, "faces_at": "every", "heated_axis": None}  # of Protocol: what runs of before did
+LATER = {
+    "damping": DAMPING,
+    "faces_at": "every",
+    "heated_axis": None,
+    "board_lag_s": 600.0,
+}  # of Protocol: what runs of before did
 JOURNAL, PIECES, ASIDE, PROTOCOL, SESSION = "journal.jsonl", "pieces", "aside", "protocol.toml", "session.toml"
 
 

@@ -110,10 +110,12 @@ class Protocol:
     heated_axis: Annotated[TurnAxis | None, Key("temperatures.axis", later=True)] = None
     # A set-point counts as reached below this slope, K/min
     soak_c_per_min: Annotated[float, Key("temperatures.soak_c_per_min")] = 0.1
+    # With which the device follows the chamber, s: only for the forecast; 600 of a board in its box, 60 of a bare one in moving air
+    board_lag_s: Annotated[float, Key("temperatures.board_lag_s", later=True)] = 600.0
 
     def __post_init__(self) -> None:
         least_of = {"turn_rest_s": 0.5, "face_s": 0.0, "bracket_s": 0.0, "cutoff_hz": 1e-3, "soak_c_per_min": 1e-6}
-        least_of |= {"damping": 1e-3}
+        least_of |= {"damping": 1e-3, "board_lag_s": 0.0}
         for name, least in least_of.items():
             if not least <= getattr(self, name) < np.inf:
                 raise InputError(f"protocol: wanted {name} of {least:g} or more, got {getattr(self, name):g}")
@@ -218,7 +220,8 @@ class ProgrammeSettings:
     mount_s: float = 30.0  # How long a person takes to mount the device, s: only for the forecast
     room_c: float = 25.0  # Temperature of the chamber at the start, degC: only for the forecast
     heating_c_per_min: float = 2.0  # Slope of the chamber, K/min: only for the forecast
-    soak_s: float = 1200.0  # How long the device takes to follow to 0.1 K/min, s: only for the forecast
+    # How long the air takes to settle (160 s of the emulated chamber) and the temperature to hold still, s: only for the forecast
+    settle_s: float = 160.0 + 300.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -350,7 +353,7 @@ def programme_of(protocol: Protocol, settings: ProgrammeSettings = ProgrammeSett
         steps.append(Mount(up=up, duration_s=settings.mount_s))
         for temp_c, with_face, turns in visits:
             if temp_c is not None:
-                seconds = 60.0 * abs(temp_c - before_c) / settings.heating_c_per_min + soak_time(protocol, settings)
+                seconds = soak_time(protocol, abs(temp_c - before_c), settings)
                 steps.append(Soak(temp_c=temp_c, slope_c_per_min=protocol.soak_c_per_min, duration_s=seconds))
                 before_c = temp_c
             if with_face:
@@ -395,13 +398,16 @@ def _mountings(protocol: Protocol, turned: tuple[MountedFace, ...]) -> Iterator[
         yield up, [visit for visit in visits if visit[1] or visit[2]]
 
 
-def soak_time(protocol: Protocol, settings: ProgrammeSettings) -> float:
-    """Return how long a device takes to follow the chamber until it changes as slowly as is asked, s.
+def soak_time(protocol: Protocol, change_c: float, settings: ProgrammeSettings) -> float:
+    """Return how long a device takes to a set-point ``change_c`` away, until it changes as slowly as is asked, s.
 
-    It follows with one time constant, of which ``soak_s`` states the time to 0.1 K/min: t ~ ln(heating slope / asked slope).
+    The chamber's air changes by r K/min for h = change / r; the device follows with one time constant tau. It then changes by
+    r (1 - exp(-h / tau)), and tau ln(r (1 - exp(-h / tau)) / limit) later by the limit.
     """
-    heating = max(settings.heating_c_per_min, 1.01 * max(protocol.soak_c_per_min, 0.1))
-    return settings.soak_s * math.log(heating / protocol.soak_c_per_min) / math.log(heating / 0.1)
+    slope, lag_s = settings.heating_c_per_min, protocol.board_lag_s
+    heating_s = 60.0 * change_c / slope
+    left = slope if lag_s == 0.0 else -slope * math.expm1(-heating_s / lag_s)
+    return heating_s + lag_s * math.log(max(left / protocol.soak_c_per_min, 1.0)) + settings.settle_s
 
 
 def _block(

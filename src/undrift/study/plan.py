@@ -697,7 +697,7 @@ def read_study(path: str | Path) -> Study:
             text = json.dumps(device_json(read_device(worn)), sort_keys=True)  # in one spelling
             given |= {"device": Path(head.device).stem, "worn": text}
         entries, kinds = (
-            [(_task_of(entry, folder), entry.category) for entry in held.task],
+            [(_task_of(entry, folder, given["bench"].board_lag_s), entry.category) for entry in held.task],
             (*CATEGORIES, *held.category),
         )
         crossed = (_performed_by(task, (own,) if own else categories, kinds) for task, own in entries)
@@ -709,7 +709,7 @@ def read_study(path: str | Path) -> Study:
         raise FileFormatError(f"{path}: {error}") from error
 
 
-def _task_of(entry: TaskEntry, folder: Path) -> StudyTask:
+def _task_of(entry: TaskEntry, folder: Path, board_lag_s: float) -> StudyTask:
     base, space = entry.protocol, entry.space
     if entry.motion is not None and entry.category:
         raise InputError(
@@ -722,7 +722,7 @@ def _task_of(entry: TaskEntry, folder: Path) -> StudyTask:
     return StudyTask(
         name=entry.name,
         space=_space(*(getattr(space, name) for name in OF_NOTE), **further),
-        base=Protocol(name=entry.name, temperatures_c=base.set_points_c, **kept),
+        base=Protocol(name=entry.name, temperatures_c=base.set_points_c, board_lag_s=board_lag_s, **kept),
         motion=motion,
         poses=space.poses or POSES,
     )

@@ -56,7 +56,7 @@ SET_POINTS_C = (18.0, 31.0, 38.0, 45.0)  # the worn board is at 37.5; the bench 
 THERMOMETER_LAG_S = 5.0  # in the chamber's moving air
 AIR = emulator.AirSettings(ramp_c_per_min=600.0, period_s=8.0, damping=0.8, board_lag_s=4.0)
 SOAK = SoakSettings(slope_c_per_min=0.5, window_s=20.0)
-SOAK_S = 25.0  # forecast of a soak: overshoot, then the window
+SETTLE_S = 35.0  # forecast of the air: overshoot, then the window
 CRYSTAL = ClockSettings(memory_s=1e5, rate_tolerance=1e-4)  # the board samples by a crystal, whatever the host does
 PATIENCE_S = 10.0  # the longest wait for table, chamber and device: a busy computer runs them late, host s
 ATTEMPTS = 4  # a computer that is too busy loses an answer, or takes readings later than they are due; the run resumes
@@ -81,7 +81,7 @@ class BenchPlan:
     @property
     def programmes(self) -> tuple[Programme, Programme]:
         """Both written out, with a forecast for this chamber."""
-        settings = ProgrammeSettings(mount_s=0.5, heating_c_per_min=AIR.ramp_c_per_min, soak_s=SOAK_S)
+        settings = ProgrammeSettings(mount_s=0.5, heating_c_per_min=AIR.ramp_c_per_min, settle_s=SETTLE_S)
         return programme_of(self.bench, settings), programme_of(self.thermal, settings)
 
 
@@ -109,6 +109,7 @@ def bench_plan(*, quick: bool = False) -> BenchPlan:
         turn_rate_step=45.0 * RADIAN_PER_DEGREE,
         temperatures_c=SET_POINTS_C[1:3] if quick else SET_POINTS_C,
         soak_c_per_min=0.5,
+        board_lag_s=AIR.board_lag_s,
     )
     least = (45.0 if quick else 15.0) * RADIAN_PER_DEGREE
     room = replace(few, name="bench", faces=FACES, bracket_s=seconds, temperatures_c=())
