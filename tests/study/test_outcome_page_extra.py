@@ -4,7 +4,8 @@ from dataclasses import fields
 
 import numpy as np
 
-from undrift.commands.study_sections import design_sections, real_sections
+from undrift.commands.study_figures import real_sections
+from undrift.commands.study_sections import design_sections
 from undrift.findings import finding
 from undrift.study.claims import rival_sections
 from undrift.study.judge import cohort_of, other_study

@@ -78,6 +78,8 @@ def test_the_effect_that_hides_a_parameter_is_named() -> None:
     assert first.text.startswith("What the error is made of: 0.")
     assert (second.code, second.level) == ("study.covered", "warn")
     assert "it decides the error without gyroscope offset (best to worst 0." in second.text
+    # a parameter that decides over all protocols is not said to be hidden about one of them
+    assert [each.code for each in split_findings((found,), {found.parameter})] == ["study.error_split"]
 
 
 def test_a_parameter_that_does_nothing_is_hidden_by_nothing() -> None:

@@ -208,6 +208,11 @@ def interval(ends: Sequence[float], form: str = ".3f") -> str:
     return f"{ends[0]:{form}} to {ends[1]:{form}}"
 
 
+def with_interval(value: float, ends: Sequence[float], form: str = ".3f") -> str:
+    """Return a value with its interval."""
+    return f"{value:{form}} [{interval(ends, form)}]"
+
+
 def plain_words(name: str) -> str:
     """Return a name of the code as words."""
     return name.replace("_", " ")

@@ -4,25 +4,32 @@
 recordings is folded. Rows are those of study/outcome.py; pictures are drawn by report/figures.py.
 """
 
-from collections.abc import Sequence
 from dataclasses import replace
 from itertools import cycle
 from typing import TYPE_CHECKING
 
 from undrift.base.codec import tree_of
-from undrift.base.summary import Cells, Section, figure_of, interval, number, plain_words, rows_section, table_section
+from undrift.base.summary import (
+    Cells,
+    Section,
+    figure_of,
+    interval,
+    plain_words,
+    rows_section,
+    table_section,
+    with_interval,
+)
+from undrift.commands.study_figures import figure3_effects, figure3_section, note_flows, real_sections, task_words
 from undrift.rig.programme import ProgrammeSettings
 from undrift.sim.motion.tasks import CATEGORIES
 from undrift.study.claims import claims_section, rival_sections
 from undrift.study.judge import needed_text
-from undrift.study.space import COMPARED_NAMES, HEADINGS, OF_NOTE
+from undrift.study.space import HEADINGS, OF_NOTE
 
 if TYPE_CHECKING:
-    from undrift.study.figure3 import DrawnRow, Figure3
     from undrift.study.judge import NoteValue, ParameterEffect
     from undrift.study.outcome import EffectPower, StudyOutcome, TaskOutcome
     from undrift.study.plan import Objective, Timing
-    from undrift.study.real import CohortComparison, Pairwise, RealErrors, RealOutcome, Worn, WornRow
     from undrift.study.run import TaskSurface
     from undrift.study.search import DesignRow, Halving, Round
     from undrift.study.statistics import Decision
@@ -30,10 +37,6 @@ if TYPE_CHECKING:
 NOTE = (
     'The note, here and below: D. Giansanti et al., "Guidelines for calibration and drift compensation of a wearable device with '
     'rate-gyroscopes and accelerometers", EMBC 2007.'
-)
-SLOPE_OF_THE_NOTE = (
-    "The preset's slope over temperature was inferred from the note's own Figure 3: the size of the error without compensation "
-    "confirms nothing, only what each compensation leaves of it."
 )
 LEAST_P = 1e-4
 ASSUMED = ("level_1", "level_3", "level_4")  # categories of which the note has no number
@@ -86,7 +89,7 @@ def sections_of(outcome: "StudyOutcome") -> tuple[Section, ...]:
             Section(title=f"{plain_words(each.task)}: categories", findings=(each.finding,))
             for each in outcome.categories
         ),
-        _figure3(outcome),
+        figure3_section(outcome),
         *real_sections(outcome.real),
         *(replace(section, folded=True) for section in _details(outcome)),
         Section(title="How the study was made", text=(text, *_people(outcome)), folded=True),
@@ -121,16 +124,11 @@ def _details(outcome: "StudyOutcome") -> tuple[Section, ...]:
         _bench(outcome),
         *(section for task in outcome.tasks for section in _task_sections(outcome, task)),
         _tests(outcome),
-        *_flows(),
-        _figure3_effects(outcome),
+        *note_flows(),
+        figure3_effects(outcome),
         *design_sections(outcome.designs),
         *rival_sections(outcome),
     )
-
-
-def _with(value: float, ends: Sequence[float], form: str = ".3f") -> str:
-    """Return a value with its interval."""
-    return f"{value:{form}} [{interval(ends, form)}]"
 
 
 def _p(p: float) -> str:
@@ -139,14 +137,7 @@ def _p(p: float) -> str:
 
 
 def _name(task: "TaskOutcome") -> str:
-    return _task_words(task.surface.task)
-
-
-def _task_words(key: str) -> str:
-    """Return a task and the category of its subjects in words."""
-    name, _, category = key.partition("-")
-    label = next((held.label for kind, held in CATEGORIES.items() if kind == category), plain_words(category))
-    return f"{plain_words(name)}, {label}" if label else plain_words(name)
+    return task_words(task.surface.task)
 
 
 def _rates_of(surface: "TaskSurface", place: int) -> str:
@@ -261,7 +252,7 @@ def _table_1(outcome: "StudyOutcome") -> Section:
         text.append(
             f"{_name(task)}: of {len(task.surface.cutoff_hz)} protocols {found.equivalent.sum()} are equivalent to the optimum "
             f"within {found.margin_deg:g} deg, {found.worse.sum()} are worse, {found.undecided.sum()} not decidable. Error of the "
-            f"optimum by subjects that did not choose it, deg: {_with(found.honest_error_deg, found.honest_interval_deg)}."
+            f"optimum by subjects that did not choose it, deg: {with_interval(found.honest_error_deg, found.honest_interval_deg)}."
         )
         further = _further(task.surface, found.best)
         rows.append((f"{_name(task)}: optimum{further}", *_protocol(task.surface, found.best), _p(found.p_value)))
@@ -361,7 +352,7 @@ def _decision_cells(found: "Decision") -> dict[str, str]:
     return {
         "difference (deg)": f"{found.difference:.3f}",
         "95 % interval": interval(found.interval),
-        "dz": _with(found.cohen_dz, found.dz_interval, ".2f") if found.sd > 0.0 else "–",
+        "dz": with_interval(found.cohen_dz, found.dz_interval, ".2f") if found.sd > 0.0 else "–",
         "p of better": _p(found.p_better),
         "p of equivalent": _p(found.p_equivalent),
         "verdict": found.verdict,
@@ -381,10 +372,12 @@ def _note_analysis(outcome: "StudyOutcome") -> Section:
                 "the note's p": f"{note.row.p_value:.3f}" if note else "",
                 "one-way F (degrees of freedom)": f"{one.f:.2f} ({one.dof[0]:.0f}, {one.dof[1]:.0f})",
                 "its p": _p(one.p_value),
-                "eta² [95 %]": _with(one.eta_squared, one.eta_squared_interval),
+                "eta² [95 %]": with_interval(one.eta_squared, one.eta_squared_interval),
                 "repeated measures F": f"{repeated.f:.2f} (epsilon {repeated.sphericity.greenhouse_geisser:.3f})",
                 "p, corrected": _p(repeated.p_value),
-                "partial eta² [95 %]": _with(repeated.partial_eta_squared, repeated.partial_eta_squared_interval),
+                "partial eta² [95 %]": with_interval(
+                    repeated.partial_eta_squared, repeated.partial_eta_squared_interval
+                ),
                 "least p of a parameter, after Holm": _p(task.optimum.p_value),
             }
         )
@@ -530,7 +523,7 @@ def _effect_row(effect: "ParameterEffect", power: "EffectPower | None") -> dict[
         "test": f"none: {effect.untested.detail}" if effect.untested else named,
         "F (degrees of freedom)": f"{test.f:.2f} ({test.dof[0]:.0f}, {test.dof[1]:.0f})" if test else "",
         "p after Holm": _p(effect.p_holm) if test else "",
-        "partial eta² [95 %]": _with(test.partial_eta_squared, test.partial_eta_squared_interval, ".2f")
+        "partial eta² [95 %]": with_interval(test.partial_eta_squared, test.partial_eta_squared_interval, ".2f")
         if test
         else "",
         "power": f"{power.power:.2f}" if power else "",
@@ -651,7 +644,7 @@ def design_sections(rows: "tuple[DesignRow, ...]") -> tuple[Section, ...]:
         return ()
     highest = max(row.degree for row in rows)
     cells: Cells[DesignRow] = (
-        ("task", lambda row: _task_words(row.task)),
+        ("task", lambda row: task_words(row.task)),
         ("curve", lambda row: _curve(row.degree)),
         ("set", lambda row: f"{row.grid} grid" if row.criterion == "uniform" else f"{row.criterion}-optimal"),
         ("time at rates of an axis (deg/s)", _rates),
@@ -676,7 +669,7 @@ def _meaning(best: "DesignRow", rows: "tuple[DesignRow, ...]") -> str:
     own = (best.task, best.degree, "uniform")
     even = next(row for row in rows if (row.task, row.degree, row.criterion) == own)
     text = (
-        f"{_task_words(best.task)}, {_curve(best.degree)}: the I-optimal set reaches the error of {best.grid} grid in "
+        f"{task_words(best.task)}, {_curve(best.degree)}: the I-optimal set reaches the error of {best.grid} grid in "
         f"{100.0 * best.i_efficiency_uniform:.0f} % of its dwelling time"
     )
     if best.error_dps is not None and even.error_dps is not None:
@@ -696,204 +689,3 @@ def _rates(row: "DesignRow") -> str:
 
 def _curve(degree: int) -> str:
     return {1: "line", 3: "cubic"}.get(degree, f"degree {degree}")
-
-
-# ---- real recordings
-
-
-def real_sections(real: "RealOutcome | None") -> tuple[Section, ...]:
-    """Return the sections on real recordings."""
-    if real is None:
-        return ()
-    return (
-        _trials(real.errors),
-        _compared("Real recordings: captured people and the cohort", real.motions),
-        *((_worn(real.worn),) if real.worn else ()),
-        _compared("Real recordings: stance on a force plate and the cohort's sway", real.sways),
-        Section(title="Real recordings: what is not there", findings=real.lacks),
-    )
-
-
-def _trials(levels: "tuple[RealErrors, ...]") -> Section:
-    if not levels:
-        return Section(title="")
-    heads = {
-        "rmse_total_deg": "total rms (deg)",
-        "rmse_inclination_deg": "inclination rms",
-        "max_abs_pitch_deg": "largest pitch error",
-        "end_total_deg": "total at the end",
-    }
-    named = [(trial.recording, level, trial.figures) for level in levels for trial in level.trials]
-    rows = tuple(
-        (name, level.level, level.rounding, *(number(getattr(figures, key)) for key in heads))
-        for name, level, figures in (*named, *(("median", level, level.median) for level in levels))
-    )
-    rounding = (
-        "Converters that truncate leave half a step as an offset. Rounding undone: the half step is corrected at all three "
-        "levels; left in: at none. Compare levels with the same treatment alone."
-    )
-    if levels[0].rounding == "none found":
-        rounding = "The codes of no recording show how the converter rounds: no correction."
-    return Section(
-        title="Real recordings: devices worn beside optics",
-        text=(
-            "none: no offset removed; rest: less the mean rate of the first rest; calibrated: a gyroscope fit to the other trials "
-            "of the same device, without the one that is judged.",
-            rounding,
-            *(
-                _agreement(f"{each.level}, rounding {each.rounding}", each.agreement)
-                for each in levels
-                if each.agreement
-            ),
-        ),
-        columns=("recording", "level", "converter's rounding", *heads.values()),
-        rows=rows,
-    )
-
-
-def _agreement(level: str, held: "Pairwise") -> str:
-    limits, icc = held.limits, held.icc
-    return (
-        f"{level}: {held.quantity}: bias {limits.bias:.2f}, limits of agreement {limits.limits[0]:.2f} to "
-        f"{limits.limits[1]:.2f} ({limits.count} trials); ICC(2,1) {icc.value:.4f} [{icc.interval[0]:.4f}, "
-        f"{icc.interval[1]:.4f}]."
-    )
-
-
-def _compared(title: str, rows: "tuple[CohortComparison, ...]") -> Section:
-    cells: Cells[CohortComparison] = (
-        ("trial", lambda row: row.trial),
-        ("task", lambda row: _task_words(row.task)),
-        ("measure", lambda row: f"{row.measure} ({row.unit})"),
-        ("real", lambda row: number(row.real)),
-        ("cohort's median", lambda row: f"{row.median:.2f}"),
-        ("cohort's 95 %", lambda row: f"{row.low:.2f} to {row.high:.2f}"),
-        ("inside", lambda row: "" if row.real != row.real else "yes" if row.inside else "no"),
-    )
-    notes = dict.fromkeys(f"{row.trial}: {row.note}." for row in rows if row.note)
-    text = ("Other people than the cohort: nothing is paired, a figure is within the cohort's 95 % or not.", *notes)
-    return table_section(title, rows, cells, text=text if rows else ())
-
-
-def _worn(worn: "Worn") -> Section:
-    cells: Cells[WornRow] = (
-        ("trial", lambda row: row.trial),
-        ("compensation", lambda row: row.level),
-        ("rms (deg)", lambda row: f"{row.error_rms_deg:.2f}"),
-        ("max (deg)", lambda row: f"{row.error_max_deg:.2f}"),
-        ("lean, optics (deg)", lambda row: f"{row.lean_optics_deg:.1f}"),
-        ("lean, device (deg)", lambda row: f"{row.lean_device_deg:.1f}"),
-        ("length (s)", lambda row: f"{row.length_s:.1f}"),
-        ("saturated (%)", lambda row: f"{100.0 * row.saturated:.1f}"),
-    )
-    text = (
-        "Pitch of the simulated device against the optics: without compensation, static alone, static and dynamic.",
-        *(_agreement(level, held) for level, held in worn.agreement),
-    )
-    return table_section(
-        "Real recordings: the simulated device worn in the captured motions", worn.rows, cells, text=text
-    )
-
-
-# ---- Figures 1 to 3
-
-
-def _flows() -> tuple[Section, ...]:
-    """Return Figures 1 and 2."""
-    text = (
-        "In black the steps of the note's text, in blue the functions that do them here. Numbers of blocks stand where its text "
-        "has them; block 1 is not in it.",
-    )
-    titles = ("Figure 1: how the parameters are optimised", "Figure 2: how the drift is compensated")
-    drawings = (figure_of(f"note:draw_figure{k}") for k in (1, 2))
-    return tuple(Section(title=title, text=text, pictures=(one,)) for title, one in zip(titles, drawings, strict=True))
-
-
-def _figure3(outcome: "StudyOutcome") -> Section:
-    title, found, drawn = "Figure 3: sit-to-stand, simulated and actual device", outcome.figure3, outcome.figure3_drawn
-    if found is None:
-        return Section(title=title, findings=(outcome.figure3_missing,) if outcome.figure3_missing else ())
-    twin = None if outcome.real is None else outcome.real.figure3
-    rows = [
-        {"compensation": name}
-        | _columns("", found, k)
-        | (_drawn_columns(drawn[k]) if drawn else {})
-        | (_columns("twin of a real device: ", twin, k) if twin else {})
-        for k, name in enumerate(COMPARED_NAMES)
-    ]
-    text = (*_words(found, drawn), *((_twin_words(twin),) if twin else ()))
-    return rows_section(
-        title, rows, text=text, pictures=(figure_of("note:draw_figure3", found, COMPARED_NAMES, drawn, twin),)
-    )
-
-
-def _columns(of: str, found: "Figure3", k: int) -> dict[str, str]:
-    """Return the cells of one compensation for one pair of devices."""
-    return {
-        f"{of}simulated: largest, rms (deg)": f"{found.simulated_max_deg[k]:.2f}, {found.simulated_rms_deg[k]:.2f}",
-        f"{of}actual: largest, rms (deg)": f"{found.actual_max_deg[k]:.2f}, {found.actual_rms_deg[k]:.2f}",
-        f"{of}largest difference (deg)": f"{found.simulated_actual_max_deg[k]:.2f}",
-        f"{of}correlation": f"{found.correlation[k]:.2f}",
-    }
-
-
-def _drawn_columns(row: "DrawnRow") -> dict[str, str]:
-    """Return the cells of one compensation over drawn units."""
-    low, middle, high = row.simulated_deg
-    apart = row.apart_deg
-    return {
-        f"{row.units} drawn units, simulated: median (quartiles)": f"{middle:.2f} ({low:.2f} to {high:.2f})",
-        "actual: median (quartiles)": f"{row.median_deg:.2f} ({row.lower_deg:.2f} to {row.upper_deg:.2f})",
-        "difference: median (quartiles)": f"{apart[1]:.2f} ({apart[0]:.2f} to {apart[2]:.2f})",
-        "within 0.15 deg": f"{row.within} of {row.units}",
-        "correlation over time [95 %]": _with(row.correlation, row.correlation_interval, ".2f"),
-        "of the largest errors over units [95 %]": _with(row.largest_correlation, row.largest_interval, ".2f"),
-    }
-
-
-def _words(found: "Figure3", drawn: "tuple[DrawnRow, ...]") -> tuple[str, ...]:
-    text = [
-        f"Board {found.excursion_k:g} K above the bench. Compensation removes {found.decrease_deg:.2f} deg of the actual "
-        "device's largest error (the note: more than 3.2). With both tables the two errors differ by at most "
-        f"{found.simulated_actual_max_deg[2]:.2f} deg (the note: 0.15) and have a correlation coefficient of "
-        f"{found.correlation[2]:.2f}, without tables {found.correlation[0]:.2f} (the note: a correlation, no coefficient).",
-        "The actual device is the simulated one with hysteresis, thermometer lag, integral non-linearity of the converter and "
-        "g-sensitivity, which the study's model lacks. Noise is drawn anew for each: where it is most of an error, the correlation "
-        "falls although both errors are small.",
-        "A rest before the motion re-zeroes the offset without a chamber and leaves "
-        f"{found.actual_max_deg[3]:.2f} deg of the actual device's {found.actual_max_deg[0]:.2f}: scale and dynamic drift, "
-        f"which no rest shows. Both tables leave {found.actual_max_deg[2]:.2f} deg, with the rest "
-        f"{found.actual_max_deg[4]:.2f} deg. "
-        "Recommended: tables, and the offset at that rest subtracted.",
-    ]
-    if drawn:
-        text.append(
-            f"Drawn units: {drawn[0].units} units of the kind's spread, each calibrated and worn by a person of its own, simulated "
-            "and actual. Correlation over time: of the two errors of a unit, mean over the units by Fisher's z. "
-            f"{SLOPE_OF_THE_NOTE}"
-        )
-    return tuple(text)
-
-
-def _twin_words(twin: "Figure3") -> str:
-    return (
-        "Twin of a real device: matrix, offset, noise and codes were found beside optics, offsets over temperature in a recording "
-        "at rest of this device or of another of its kind. Simulated is the typical unit of the kind, from its data sheet, which "
-        "does not know the sign of a unit's drift. With both tables the errors differ by at most "
-        f"{twin.simulated_actual_max_deg[2]:.2f} "
-        "deg. Not in the twin: dynamic drift, scale over temperature, hysteresis, flicker, lag of the thermometer."
-    )
-
-
-def _figure3_effects(outcome: "StudyOutcome") -> Section:
-    rows = [
-        {"effect": plain_words(row.effect)}
-        | {f"{name} (deg)": f"{v:.2f}" for name, v in zip(COMPARED_NAMES, row.simulated_actual_max_deg, strict=True)}
-        | {"largest error, both tables (deg)": f"{row.full_max_deg:.2f}"}
-        for row in outcome.figure3_effects
-    ]
-    text = (
-        "The actual device's effects one at a time: largest difference between the two errors at each level of compensation, and "
-        "the largest error with both tables. Noise alone is another recording of the same model.",
-    )
-    return rows_section("Figure 3: simulated against actual, effect by effect", rows, text=text)

@@ -13,7 +13,7 @@ The forecast gives the time of each stage on this machine before anything runs. 
 measured by a unit of each task; the rest costs about the same whatever the study is, as timed on one of two busy processors.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -101,8 +101,8 @@ class ErrorBreakdown:
         )
 
 
-def split_findings(splits: tuple[ErrorBreakdown, ...]) -> tuple[Finding, ...]:
-    """Say what the error of an optimum is made of, and what hides each parameter."""
+def split_findings(splits: tuple[ErrorBreakdown, ...], deciding: Collection[str] = ()) -> tuple[Finding, ...]:
+    """Say what the error of an optimum is made of, and what hides each parameter but those that decide it over all protocols."""
     if not splits:
         return ()
     first = splits[0]  # all are about one protocol
@@ -115,7 +115,8 @@ def split_findings(splits: tuple[ErrorBreakdown, ...]) -> tuple[Finding, ...]:
         rms_deg=first.rms_deg,
         together_percent=100.0 * first.together,
     )
-    return (made_of, *(split.finding for split in splits if split.finding is not None))
+    hidden = (split.finding for split in splits if split.parameter not in deciding)
+    return (made_of, *(each for each in hidden if each is not None))
 
 
 def split_error(
@@ -437,7 +438,9 @@ class TaskOutcome:
         """What a person should know of this task."""
         note = () if self.note is None else self.note.findings
         target = () if self.target is None else (self.target.finding,)
-        return (*target, *_findings(self), *split_findings(self.splits), *untried_findings(self.untried), *note)
+        deciding = {each.name for each in self.optimum.effects if each.judged and each.judged.verdict == "better"}
+        split = split_findings(self.splits, deciding)
+        return (*target, *_findings(self), *split, *untried_findings(self.untried), *note)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
