@@ -152,10 +152,9 @@ def figure3_section(outcome: "StudyOutcome") -> Section:
     title, found, drawn = "Figure 3: sit-to-stand, simulated and actual device", outcome.figure3, outcome.figure3_drawn
     if found is None:
         missing = outcome.figure3_missing
-        failed = (
-            missing is not None and missing.code != "study.no_sit_to_stand"
-        )  # a study without one does not speak of it
-        return Section(title=title, findings=(missing,)) if failed else Section(title="")
+        if missing is None or missing.code == "study.no_sit_to_stand":  # such a study does not speak of the figure
+            return Section(title="")
+        return Section(title=title, findings=(missing,))
     twin = None if outcome.real is None else outcome.real.figure3
     rows = [
         {"compensation": name}
