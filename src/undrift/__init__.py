@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from undrift.commands.noise import noise as noise
     from undrift.commands.simulate import simulate as simulate
     from undrift.commands.study import study as study
+    from undrift.commands.sync import sync as sync
     from undrift.commands.twin import twin as twin
     from undrift.commands.validate import Validated as Validated
     from undrift.commands.validate import validate as validate

@@ -12,6 +12,7 @@ its time stamp. Where each sample holds over the interval before it, as in strap
 """
 
 from dataclasses import dataclass, replace
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -252,6 +253,7 @@ def _drawn_to(
 # ---- lag to a fraction of a sample
 
 _STEPS = 12  # Gauss-Newton steps at most; the last ones move the lag by less than a microsecond
+AVERAGE_S = 0.05  # s, of rates that are compared
 _BLOCK_S = 0.5  # residuals this far apart count as independent
 
 
@@ -261,7 +263,7 @@ class LagSettings:
 
     longest_lag_s: float = 5.0  # Half-width of the search, s
     # Both sides are averaged over this long, s. Longer takes more pose noise away and blurs fast motion
-    average_s: float = 0.05
+    average_s: float = AVERAGE_S
     # Between the rates after alignment; less means that the two did not see the same motion
     least_correlation: float = 0.7
 
@@ -327,46 +329,317 @@ def _averaged(rates: PoseRates, average_s: float) -> PoseRates:
     return PoseRates(start=start, stop=stop, rate=turn[whole] / (stop - start)[:, None], valid=whole[whole])
 
 
-def _aligned(integral: RunningIntegral, wanted: PoseRates, lag: float) -> tuple[Lag | None, float]:
-    """Fit A and c at a lag; return them with the step of the lag that reduces the residual most."""
-    mean, inside = integral.mean(wanted.start + lag, wanted.stop + lag)
-    if inside.sum() < 30:
-        return None, 0.0
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Regression:
+    """Averaged rates of the reference on those of the readings, at some alignment; M of the K averages have both."""
+
+    start: FloatArray  # (M,), of the averages, s
+    u: FloatArray  # (M, 3), readings less ``centre_u``
+    residual: FloatArray  # (M, A), rad/s
+    slope: FloatArray  # (M, A), change of the fitted rates with the readings' time, rad/s2
+    power: float  # Sum of squares of the reference's rates about ``centre_w``
+    matrix: FloatArray  # (3, A)
+    centre_u: FloatArray
+    centre_w: FloatArray
+
+    @property
+    def unexplained(self) -> float:
+        """Sum of squares of the residuals."""
+        return float((self.residual**2).sum())
+
+    @property
+    def correlation(self) -> float:
+        """Multiple correlation of the rates."""
+        return float(np.sqrt(max(0.0, 1.0 - self.unexplained / self.power)))
+
+    def cleared(self, slope: FloatArray) -> FloatArray:
+        """Return a column of the design, cleared of what A and c could explain."""
+        slope = slope - slope.mean(axis=0)
+        return slope - self.u @ np.linalg.lstsq(self.u, slope, rcond=_THREE_AXES)[0]
+
+
+def _regressed(
+    integral: RunningIntegral, wanted: PoseRates, start: FloatArray, stop: FloatArray, least: int
+) -> Regression | None:
+    """Fit A and c where the averages lie at start and stop of the readings; None for fewer than the least, or at rest."""
+    mean, inside = integral.mean(start, stop)
+    if inside.sum() < least:
+        return None
     width = 0.25 * float(np.median(wanted.stop - wanted.start))
-    late, early = (integral.mean(wanted.start + lag + by, wanted.stop + lag + by) for by in (width, -width))
+    late, early = (integral.mean(start + by, stop + by) for by in (width, -width))
     inside &= late[1] & early[1]
     u, w = mean[inside], wanted.rate[inside]
     slope = (late[0][inside] - early[0][inside]) / (2.0 * width)
     centre_u, centre_w = u.mean(axis=0), w.mean(axis=0)
-    rcond = _ONE_AXIS if w.shape[1] == 1 else _THREE_AXES
-    a = np.linalg.lstsq(u - centre_u, w - centre_w, rcond=rcond)[0]
-    residual = w - centre_w - (u - centre_u) @ a
-    power, unexplained = float(((w - centre_w) ** 2).sum()), float((residual**2).sum())
-    if not power > 0.0:
+    u, w = u - centre_u, w - centre_w
+    a = np.linalg.lstsq(u, w, rcond=_ONE_AXIS if w.shape[1] == 1 else _THREE_AXES)[0]
+    fit = Regression(
+        start=wanted.start[inside], u=u, residual=w - u @ a, slope=slope @ a, power=float((w**2).sum()), matrix=a,
+        centre_u=centre_u, centre_w=centre_w,
+    )  # fmt: skip
+    return fit if fit.power > 0.0 else None
+
+
+def _aligned(integral: RunningIntegral, wanted: PoseRates, lag: float) -> tuple[Lag | None, float]:
+    """Fit A and c at a lag; return them with the step of the lag that reduces the residual most."""
+    fit = _regressed(integral, wanted, wanted.start + lag, wanted.stop + lag, 30)
+    if fit is None:
         return None, 0.0
-    step, uncertainty = _lag_step(slope @ a, u - centre_u, residual, wanted.start[inside])
+    step, uncertainty = _lag_step(fit)
     return Lag(
         seconds=lag,
         standard_uncertainty=uncertainty,
         correlation_before=0.0,
-        correlation_after=float(np.sqrt(max(0.0, 1.0 - unexplained / power))),
-        matrix=a.T,
-        constant=centre_w - a.T @ centre_u,
-        residual_rms=float(np.sqrt(unexplained / residual.size)),
+        correlation_after=fit.correlation,
+        matrix=fit.matrix.T,
+        constant=fit.centre_w - fit.matrix.T @ fit.centre_u,
+        residual_rms=float(np.sqrt(fit.unexplained / fit.residual.size)),
     ), step
 
 
-def _lag_step(slope: FloatArray, u: FloatArray, residual: FloatArray, t: FloatArray) -> tuple[float, float]:
-    # The column of the lag, cleared of what A and c could explain; one equation is left: step = sum(s r) / sum(s s).
-    slope = slope - slope.mean(axis=0)
-    clear = slope - u @ np.linalg.lstsq(u, slope, rcond=1e-6)[0]
+def _lag_step(fit: Regression) -> tuple[float, float]:
+    # The column of the lag, cleared; one equation is left: step = sum(s r) / sum(s s).
+    clear = fit.cleared(fit.slope)
     square = float((clear * clear).sum())
     if not square > 0.0:
         return 0.0, float("inf")
-    step = float((clear * residual).sum()) / square
-    score = (clear * (residual - step * clear)).sum(axis=1)
-    block: BoolArray = np.concatenate(([True], np.diff(np.floor(t / _BLOCK_S)) > 0.0))
+    step = float((clear * fit.residual).sum()) / square
+    score = (clear * (fit.residual - step * clear)).sum(axis=1)
+    block: BoolArray = np.concatenate(([True], np.diff(np.floor(fit.start / _BLOCK_S)) > 0.0))
     return step, float(np.sqrt((np.add.reduceat(score, np.flatnonzero(block)) ** 2).sum()) / square)
+
+
+# ---- recordings of several devices, and poses, on one clock
+#
+#     w(t) = A u(t + a + b (t - m)) + c          a: how late the other clock is at the moment m; b: its skew
+#
+# A and c free as above: neither mounting nor scale disturbs the clock. Both sides are drawn smoothly first, because a straight line
+# between slow samples is late by a part of one. The search correlates the lengths, of the whole and of the stretch that turns most;
+# from each peak Gauss-Newton on A, c, a and b goes from that stretch to longer and longer ones. A periodic motion has several such
+# lags: the best must leave clearly less than any other. Uncertainty: residuals of a block count as one number, since what two
+# places on a body do differently is no white noise, and a part of such motion may act as a delay of its own:
+#
+#     u^2(a) = scores of blocks + (DELAYED x rms of the residual that lasts over 0.1 s / rms of dw/dt)^2 + lags of parts^2
+
+Timed = TypeVar("Timed", bound="Record | Reference")
+FINE_S, LONGEST_DRAWN = 5e-3, 4.0  # s between readings drawn smoothly; a gap is longer than so many sampling intervals
+_PEAKS, _APART_S = 5, 0.25  # lags that are tried, of each search; nearer ones are one
+_STRETCH_S, _LONGER = 20.0, 3.0  # the first stretch, and how many times longer the next one is
+_QUARTZ, _LARGEST_SKEW = 1e-3, 0.03  # a skew before any motion shows it: its standard deviation [assumed]; what is none
+_BLOCKS, _LEAST_BLOCK_S, _LEAST_ROWS = 40, 1.0, 60
+# A sensor on foam is 2.7 and 3.4 ms late beside the fixed one, of 10 ms (chain_with_optics): 0.3
+DELAYED = 0.3
+# On one body 0.96 and 6 or more; half a period of a pendulum off 0.84 and 1.3, between joints of an arm 0.94 and 2 at most
+LEAST_SHARED, CLEARLY = 0.8, 3.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SharedMotion:
+    """How one recording's clock stands against another's, by the motion that both have seen."""
+
+    offset_s: float  # What the first clock stamps t has the stamp t + offset_s + skew (t - middle_s) on the other
+    skew: float  # Seconds a second by which the other clock runs fast
+    middle_s: float  # On the first clock
+    span_s: tuple[float, float]  # That both have seen, on the first clock
+    covariance: FloatArray  # (2, 2), of offset_s and skew
+    coverage_factor: float  # 95 %, Student's
+    correlation: float  # Multiple, of the rates
+    rival: float  # How many times more than the best lag the next best one leaves; infinite without one
+
+    @property
+    def shares(self) -> bool:
+        """Tell whether both share enough motion for a clock."""
+        return self.correlation >= LEAST_SHARED and self.rival >= CLEARLY
+
+    def happened(self, stamps: FloatArray) -> FloatArray:
+        """Return the first clock's times of the other's."""
+        return self.middle_s + (stamps - self.middle_s - self.offset_s) / (1.0 + self.skew)
+
+    def uncertainty_s(self, *times: float) -> float:
+        """Return the largest expanded uncertainty (95 %) at some times of the first clock, without any in all that is shared."""
+        rows = np.array([(1.0, time - self.middle_s) for time in times or self.span_s])
+        return self.coverage_factor * float(np.sqrt(np.einsum("ki,ij,kj->k", rows, self.covariance, rows).max()))
+
+
+def shared_motion(first: Record | Reference, other: Record | Reference) -> SharedMotion:
+    """Find how a recording's clock stands against another's; ask ``shares`` before it is used."""
+    (time, rate), (stamps, readings) = drawn_rates(first), drawn_rates(other)
+    zero, start = float(time[0]), float(stamps[0])
+    time, integral = time - zero, RunningIntegral(stamps - start, readings)
+    step = float(np.median(np.diff(time)))
+    seen: BoolArray = np.asarray(np.isfinite(rate).all(axis=1))
+    valid = seen[1:] & seen[:-1] & (np.diff(time) <= LONGEST_DRAWN * step)
+    whole = PoseRates(start=time[:-1], stop=time[1:], rate=np.nan_to_num(0.5 * (rate[1:] + rate[:-1])), valid=valid)
+    every = slice(None, None, max(1, round(0.5 * AVERAGE_S / step)))
+    rows = _some(_averaged(whole, AVERAGE_S), every)
+    fits = list[_ClockFit]()
+    for lag in _peaks(integral, readings, whole, rows) if len(rows.start) else ():
+        fit = _lengthened(integral, rows, lag)
+        if fit is not None and all(abs(fit.lag - one.lag) > _APART_S for one in fits):
+            fits.append(fit)
+    if not fits:
+        raise AlignmentError(
+            "clock: wanted two recordings that turn together for a while, got none; check that they belong together"
+        )
+    best, *others = sorted(fits, key=lambda fit: -fit.found.correlation)
+    covariance, factor = best.uncertainty()
+    span = float(best.found.start[0]), float(best.found.start[-1])
+    middle = 0.5 * sum(span)
+    moved = np.array(((1.0, middle - best.middle), (0.0, 1.0)))
+    return SharedMotion(
+        offset_s=best.lag + best.skew * (middle - best.middle) + start - zero,
+        skew=best.skew,
+        middle_s=middle + zero,
+        span_s=(span[0] + zero, span[1] + zero),
+        covariance=moved @ covariance @ moved.T,
+        coverage_factor=factor,
+        correlation=best.found.correlation,
+        rival=min((best.times_more(one) for one in others), default=np.inf),
+    )
+
+
+def with_gaps(source: Timed) -> Timed:
+    """Return a recording with a gap (NaN) at each sampling interval in which it has no row."""
+    step = np.diff(source.time)
+    usual = float(np.median(step))
+    lost = np.where(step > LONGEST_STEP * usual, np.rint(step / usual) - 1.0, 0.0).astype(np.int64)
+    if not lost.any():
+        return source
+    rows = np.arange(len(source.time)) + np.concatenate(([0], np.cumsum(lost)))
+    filled: dict[str, Any] = {"time": np.interp(np.arange(rows[-1] + 1), rows, source.time)}
+    for name in ("gyro", "accel", "temp_c", "mag_ut", "q_nb", "position", "moving"):
+        values = getattr(source, name, None)
+        if values is not None:
+            filled[name] = np.full((rows[-1] + 1, *values.shape[1:]), np.nan)
+            filled[name][rows] = values
+    return replace(source, **filled)
+
+
+def drawn_rates(source: Record | Reference) -> tuple[FloatArray, FloatArray]:
+    """Return times and rates of a recording, NaN in gaps, drawn smoothly where it is sampled more slowly."""
+    from scipy.interpolate import CubicSpline
+
+    time, rate = source.time, None if isinstance(source, Reference) else source.gyro
+    if isinstance(source, Reference):
+        rates = pose_rates(native_poses(source))
+        time, rate = 0.5 * (rates.start + rates.stop), np.where(rates.valid[:, None], rates.rate, np.nan)
+    if rate is None:
+        raise InputError("clock: wanted a record with a gyroscope, got none; map its columns")
+    seen: BoolArray = np.asarray(np.isfinite(rate).all(axis=1))
+    step = float(np.median(np.diff(time)))
+    if step <= FINE_S or seen.sum() < 4:
+        return time, np.where(seen[:, None], rate, np.nan)
+    time, rate = time[seen], rate[seen]
+    fine = np.arange(time[0], time[-1], FINE_S)
+    before = np.searchsorted(time[1:-1], fine, side="right")
+    gap = np.diff(time)[before] > LONGEST_DRAWN * step
+    return fine, np.where(gap[:, None], np.nan, CubicSpline(time, rate)(fine))
+
+
+def _some(rates: PoseRates, rows: slice | BoolArray | IntArray) -> PoseRates:
+    return PoseRates(start=rates.start[rows], stop=rates.stop[rows], rate=rates.rate[rows], valid=rates.valid[rows])
+
+
+def _most_moving(rates: PoseRates) -> float:
+    """Return the start of the stretch that turns most."""
+    energy = np.cumsum((rates.rate**2).sum(axis=1))
+    stop = np.minimum(np.searchsorted(rates.start, rates.start + _STRETCH_S), len(energy) - 1)
+    return float(rates.start[np.argmax(energy[stop] - energy)])
+
+
+def _peaks(integral: RunningIntegral, readings: FloatArray, whole: PoseRates, rows: PoseRates) -> list[float]:
+    """Return the lags at which the lengths correlate best: of the whole, and of the stretch that turns most."""
+    lags, start = list[float](), _most_moving(rows)
+    for part in (whole, _some(whole, (whole.start >= start) & (whole.start < start + _STRETCH_S))):
+        longest = max(float(integral.time[-1]), float(whole.stop[-1]))
+        shifts, correlation, _ = lag_correlation(integral.time, readings, part, longest)
+        correlation = np.nan_to_num(correlation, nan=-np.inf)
+        for _ in range(_PEAKS):
+            peak = int(np.argmax(correlation))
+            if correlation[peak] > 0.0:
+                lags.append(float(shifts[peak]))
+            correlation[np.abs(shifts - shifts[peak]) < _APART_S] = -np.inf
+    return lags
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _ClockFit:
+    """Lag and skew about a moment, and the regression there."""
+
+    lag: float
+    skew: float
+    middle: float
+    found: Regression
+    columns: FloatArray  # (2, M, A), of lag and skew in the design
+    inverse: FloatArray  # (2, 2), of the normal matrix, a skew's usual size in it, times the variance of the residual
+    step: FloatArray  # (2,), of lag and skew that reduces the residual most
+
+    def times_more(self, other: "_ClockFit") -> float:
+        """Return how many times more another fit leaves, where both see the same."""
+        _, own, of_other = np.intersect1d(self.found.start, other.found.start, return_indices=True)
+        pair = ((self.found, own), (other.found, of_other))
+        best, more = (float((fit.residual[rows] ** 2).sum()) for fit, rows in pair)
+        if len(own) < _LEAST_ROWS:
+            best, more = (fit.unexplained / fit.power for fit, _ in pair)
+        return more / max(best, 1e-300)
+
+    def uncertainty(self) -> tuple[FloatArray, float]:
+        """Return the covariance of lag and skew, and Student's factor for 95 %."""
+        from scipy.stats import t as student
+
+        fit, span = self.found, float(np.ptp(self.found.start))
+        block = ((fit.start - fit.start[0]) / max(_LEAST_BLOCK_S, span / _BLOCKS)).astype(np.int64)
+        score = np.stack([np.bincount(block, (one * fit.residual).sum(axis=1)) for one in self.columns])
+        shown = np.bincount(block, (self.columns[0] ** 2).sum(axis=1))
+        count = float(shown.sum() ** 2 / (shown**2).sum())  # blocks as large as most, by what they show of the lag
+        spread = count / max(count - 2.0, 0.5) * score @ score.T
+        spread[1, 1] += (fit.unexplained / fit.residual.size / _QUARTZ) ** 2
+        lasting = abs(float((fit.residual[4:] * fit.residual[:-4]).sum(axis=1).mean()))
+        delayed = DELAYED**2 * lasting / float((fit.slope**2).sum(axis=1).mean())
+        part = np.arange(len(shown)) * _PARTS // len(shown)
+        weight = np.maximum(np.bincount(part, shown), 0.25 * shown.sum() / _PARTS)  # at rest nothing is seen
+        late = np.bincount(part, score[0]) / weight
+        own = np.sqrt(np.bincount(part, (score[0] - shown * late[part]) ** 2)) / weight
+        unsteady = 2.0 * max(
+            0.0, float((np.abs(late) - 3.0 * own).max())
+        )  # rows were lost, or the skew changes: twice at its edge
+        covariance = self.inverse @ spread @ self.inverse + np.diag((delayed + unsteady**2, 0.0))
+        return covariance, float(student.ppf(0.975, max(1.0, count - 2.0)))
+
+
+def _fit_clock(integral: RunningIntegral, rows: PoseRates, lag: float, skew: float, middle: float) -> _ClockFit | None:
+    start, stop = (at + lag + skew * (at - middle) for at in (rows.start, rows.stop))
+    found = _regressed(integral, rows, start, stop, _LEAST_ROWS)
+    if found is None:
+        return None
+    slope, variance = found.slope, found.unexplained / found.residual.size
+    columns = np.stack([found.cleared(one) for one in (slope, slope * (found.start - middle)[:, None])])
+    before = np.array((0.0, variance / _QUARTZ**2))
+    normal = np.einsum("ika,jka->ij", columns, columns) + np.diag(before)
+    inverse = np.linalg.pinv(normal, rcond=1e-12, hermitian=True)
+    step = inverse @ (np.einsum("ika,ka->i", columns, found.residual) - before * skew)
+    return _ClockFit(lag=lag, skew=skew, middle=middle, found=found, columns=columns, inverse=inverse, step=step)
+
+
+def _lengthened(integral: RunningIntegral, rows: PoseRates, lag: float) -> _ClockFit | None:
+    """Fit lag and skew to the stretch that turns most, then to longer and longer ones; None where none is found."""
+    rows = _some(rows, (rows.start + lag >= integral.time[0]) & (rows.stop + lag <= integral.time[-1]))
+    if len(rows.start) < _LEAST_ROWS:
+        return None
+    middle, length, skew, fit = _most_moving(rows) + 0.5 * _STRETCH_S, _STRETCH_S, 0.0, None
+    while length < 2.0 * _LONGER * (rows.stop[-1] - rows.start[0]):
+        part = _some(rows, np.abs(rows.start - middle) <= 0.5 * length)
+        limit = AVERAGE_S * np.array((1.0, 2.0 / length))  # the linear model reaches about so far
+        for _ in range(_STEPS):
+            fit = _fit_clock(integral, part, lag, skew, middle)
+            if fit is None or abs(skew) > _LARGEST_SKEW:
+                break
+            step = np.clip(fit.step, -limit, limit)
+            if (np.abs(step) < 1e-6 * limit).all():
+                break
+            lag, skew = lag + float(step[0]), skew + float(step[1])
+        length *= _LONGER
+    return fit if abs(skew) <= _LARGEST_SKEW else None
 
 
 # ---- two clocks that do not run alike, and files that were filled up
@@ -387,7 +660,7 @@ def in_step(
     there = (rates.start + lag.seconds >= record.time[0]) & (rates.stop + lag.seconds <= record.time[-1])
     span_s = float(np.ptp(rates.start[there])) if there.any() else 0.0
     for rows in np.array_split(np.flatnonzero(there), _PARTS) if span_s > _PARTS * _LEAST_PART_S else ():
-        some = PoseRates(start=rates.start[rows], stop=rates.stop[rows], rate=rates.rate[rows], valid=rates.valid[rows])
+        some = _some(rates, rows)
         try:
             of_part = lag_of(record.time, np.asarray(record.gyro), some, settings, near=lag.seconds)
         except AlignmentError:  # it lies still, or is not seen

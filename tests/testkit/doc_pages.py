@@ -26,6 +26,7 @@ from pathlib import Path
 import numpy as np
 
 import undrift
+from testkit.hand_turns import Device, make_recording
 from undrift.cli.app import _standard, _with_limits, command_line, run
 from undrift.io.reference import write_reference
 from undrift.sim.device.model import DeviceModel, read_device
@@ -191,6 +192,13 @@ def _turned(path: Path) -> None:
     undrift.write_record(replace(record, gyro=gyro, accel=accel, gyro_unit="rad/s", accel_unit="m/s2"), path)
 
 
+def _worn(path: Path) -> None:
+    """Make one of two recordings of a motion, on a clock of its own."""
+    record, _ = make_recording(np.random.default_rng(3), Device(noise=2e-3), turn_s=20.0)
+    late_s = 3.0 * (path.name == "thigh.csv")
+    undrift.write_record(replace(record, time=record.time + late_s), path)
+
+
 def _optics(path: Path) -> None:
     device, rng = _device()
     write_reference(undrift.simulate_trial("sit_to_stand", device, rng=rng).reference, path)
@@ -263,6 +271,8 @@ FILES: dict[str, Callable[[Path], None]] = {
     "logger.csv": _logger,
     "walk.csv": _walk,
     "turned.csv": _turned,
+    "pelvis.csv": _worn,
+    "thigh.csv": _worn,
     "optics.csv": _optics,
     "warm_up.csv": _warm_up,
     "rest.csv": _rest,

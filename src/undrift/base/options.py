@@ -8,6 +8,7 @@ from collections.abc import Callable
 from dataclasses import field, is_dataclass
 from functools import wraps
 from inspect import signature
+from itertools import chain
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeAlias, TypeVar, cast, get_type_hints
 
@@ -44,7 +45,8 @@ def verb(function: Callable[..., Value]) -> Callable[..., Value]:
                 kinds = get_type_hints(hint)
                 own = {key: _as(kinds[key], stated.pop(key)) for key in kinds.keys() & stated.keys()}
                 stated |= {name: cast(Any, hint)(**own)} if own else {}
-        call = signature(function).bind(*given, **stated)
+        each = (one if isinstance(one, list | tuple) else (one,) for one in given)  # of one list as of several names
+        call = signature(function).bind(*chain.from_iterable(each), **stated)
         call.arguments.update({name: _as(hints[name], value) for name, value in call.arguments.items()})
         return function(*call.args, **call.kwargs)
 

@@ -20,7 +20,7 @@ from typing import Literal
 
 import numpy as np
 
-from undrift import sync
+import undrift.sync as sync
 from undrift.arrays import BoolArray, FloatArray
 from undrift.calibration.adc import restored_gyro
 from undrift.calibration.reference_windows import (

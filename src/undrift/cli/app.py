@@ -31,6 +31,7 @@ COMMANDS = {  # one line of 80 columns each
     "drift": "Tuning tables over temperature, from soaks, ramps or a warm-up.",
     "learn": "Update the tables by the rests of daily recordings; no chamber.",
     "correct": "Turn raw recordings into rad/s and m/s2.",
+    "sync": "Recordings of several devices, and optics, on one clock.",
     "orient": "Orientation by strapdown or a filter: inclination, pitch.",
     "validate": "Compare with an optical reference, in degrees.",
     "twin": "Fit the device model to a real device, and predict other motions.",

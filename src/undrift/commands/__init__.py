@@ -23,7 +23,7 @@ from typing import Any, TypeAlias
 # Each a function in the module of its name
 VERBS = (
     "calibrate", "certificate", "correct", "demo", "drift", "export", "info", "learn", "noise", "orient", "simulate", "study",
-    "twin", "validate",
+    "sync", "twin", "validate",
 )  # fmt: skip
 GROUPS = {  # of commands in one module: the function of each
     "data": {"list": "list_sets", "fetch": "fetch"},

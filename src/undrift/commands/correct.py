@@ -168,7 +168,7 @@ def correct(
             "`still_start_s`, `still_stop_s`: wanted `offset` rest or motion beside them, got none; add it"
         )
     model, calibration = registered.read(calibration, records, opening)
-    targets = _targets(records, output, (calibration, opening.column_map))
+    targets = targets_of(records, output, (calibration, opening.column_map))
     folder = targets[0].parent
     opening = opening.like(model, calibration)
     made = not folder.exists()
@@ -238,7 +238,7 @@ def _correct_all(
     return tuple(replace(done[k], record=record, output=targets[k]) for k, record in enumerate(records))
 
 
-def _targets(records: tuple[Path, ...], output: Path, read: tuple[Path | None, ...]) -> list[Path]:
+def targets_of(records: tuple[Path, ...], output: Path, read: tuple[Path | None, ...]) -> list[Path]:
     """Return the file that each recording is written to."""
     from undrift.io.write import RECORD_WRITERS, files_of
 

@@ -457,16 +457,20 @@ class Optics:
                 f"{command}: wanted one reference for each recording, got {len(paths)} for {len(records)}; "
                 "say `reference` once for each, in the same order"
             )
+        read = [opening.read(record) for record in records] if session is None else session.records
+        return list(zip(read, self.read(paths), strict=True))
+
+    def read(self, paths: tuple[Path, ...]) -> "list[Reference]":
+        """Read references as the options say."""
         from undrift.io.reference import read_reference_map
 
-        labels, up = labels_of(self.markers), self.reference_up
+        labels = labels_of(self.markers)
         columns = None if self.reference_map is None else read_reference_map(self.reference_map)
         if self.reference_map is not None and columns is None:
             raise InputError(
                 f"{self.reference_map}: wanted a map of orientations, got none; state columns = {{ quaternion = [w, x, y, z] }}"
             )
-        read = [opening.read(record) for record in records] if session is None else session.records
-        return [(record, _poses(path, columns, labels, up)) for record, path in zip(read, paths, strict=True)]
+        return [_poses(path, columns, labels, self.reference_up) for path in paths]
 
 
 def _poses(path: Path, columns: "ReferenceMap | None", labels: tuple[str, ...] | None, up: Up) -> "Reference":

@@ -430,6 +430,23 @@ def draw_record(record: "Record") -> "Figure":
     return figure
 
 
+def draw_synced(courses: Sequence[tuple[str, FloatArray, FloatArray]]) -> "Figure":
+    """Draw the size of the rates of recordings on one clock: all of it, and the two seconds in which the first turns most."""
+    figure, (whole, near) = new_figure(2, height=1.9, share_x=False)
+    sizes = [(name, time, np.linalg.norm(rate, axis=1)) for name, time, rate in courses]
+    centre = sizes[0][1][np.nanargmax(sizes[0][2])]
+    for k, (name, time, size) in enumerate(sizes):
+        style, size = compared_style(k % len(COMPARED_COLOURS)) | {"marker": ""}, size / np.sqrt(np.nanmean(size**2))
+        whole.plot(*envelope(time, size), label=name, linewidth=0.7, **style)
+        part = np.abs(time - centre) <= 1.0
+        near.plot(time[part], size[part], linewidth=1.1, **style)
+    near.set_xlabel("time on the clock of the first (s)")
+    for panel in (whole, near):
+        panel.set_ylabel("rate / its rms")
+    legend_above(whole)
+    return figure
+
+
 def draw_orientation(found: "Orientation") -> "Figure":
     """Draw inclination, pitch and heading over time, the rest shaded."""
     named = (("inclination", found.inclination), ("pitch", found.pitch), ("heading", found.heading))
