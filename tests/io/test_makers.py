@@ -1,6 +1,7 @@
 """Makers' text exports: the real files with the figures of their SOURCE.md; formats without one, by their documents."""
 
 import json
+import struct
 import zipfile
 from dataclasses import replace
 
@@ -13,6 +14,7 @@ from undrift.files import LIMITS
 from undrift.io.columns import ColumnMap, ReadSettings, TextLayout
 from undrift.io.formats import detect, read_counted, read_markers, read_record, read_reference
 from undrift.io.inspect import describe
+from undrift.io.session import session_from_files
 
 
 def maker(*parts):
@@ -665,3 +667,91 @@ def test_the_map_of_set_points_is_proposed_line_by_line(tmp_path):
         "sample_rate_hz = ?",
     )
     assert describe(maker("xdf", "minimal.xdf")).example[0] == 'columns = { time = "time_s", gyro = [0, 1, 2] }'
+
+
+def gravity_rows(count=9, *, up=9.8, step=0.01, digits=4):
+    return [(k * step, f"{0.01 * k:.{digits}f}", "0.0000", f"{up:.4f}") for k in range(count)]
+
+
+PHYSICS_TOOLBOX = (
+    "time,gFx,gFy,gFz,ax,ay,az,wx,wy,wz,p,Bx,By,Bz,Azimuth,"  # a session of several sensors, as its users publish it
+)
+
+
+@pytest.mark.parametrize(
+    "stamp", [lambda t: f"{t:.3f}", lambda t: f"23:59:{59.95 + t:06.3f}" if t < 0.05 else f"00:00:{t - 0.05:06.3f}"]
+)
+def test_physics_toolbox_is_read_by_its_meter_with_gravity(tmp_path, stamp):
+    rows = [f"{stamp(t)},{x},{y},1.0,0.1,0.2,0.3,0.5,0,-0.5,1013,20,0,-40,7," for t, x, y, _ in gravity_rows()]
+    (tmp_path / "walk.csv").write_text("\n".join((PHYSICS_TOOLBOX, *rows)) + "\n")
+    read = read_counted(tmp_path / "walk.csv")
+    record = read.record
+    np.testing.assert_allclose(np.diff(record.time), 0.01, atol=1e-9)  # times of day go on past midnight
+    assert (record.accel_unit, record.gyro_unit, record.mag_ut[0].tolist()) == ("g", "rad/s", [20.0, 0.0, -40.0])
+    assert record.accel[:, 2].tolist() == [1.0] * 9
+    assert record.gyro[0].tolist() == [0.5, 0.0, -0.5]
+    assert "'ax' left out: gravity is removed in it" in read.notes
+    assert any("sign of acceleration not stated" in note for note in read.notes)
+
+
+def test_the_linear_accelerometer_of_physics_toolbox_is_refused(tmp_path):
+    rows = [f"{t};{x};{y};0,1;0,1".replace(".", ",") for t, x, y, _ in gravity_rows()]
+    (tmp_path / "walk.csv").write_text("\n".join(("time;ax;ay;az;aT", *rows)) + "\n")
+    with pytest.raises(FileFormatError, match="wanted accelerometer readings with gravity, got 'ax'"):
+        read_record(tmp_path / "walk.csv")
+
+
+@pytest.mark.parametrize(("clock", "zero"), [("relative_time", 0), ("timestamp", 1_700_000_000_000)])
+def test_arduino_science_journal_is_read_in_ms(tmp_path, clock, zero):
+    rows = [f"{zero + round(1000 * t)},{x},{y},{z},{'40.2' if t else ''}" for t, x, y, z in gravity_rows()]
+    (tmp_path / "walk.csv").write_text("\n".join((f"{clock},AccX,AccY,AccZ,DecibelSource", *rows)) + "\n")
+    record = read_record(tmp_path / "walk.csv")
+    np.testing.assert_allclose(record.time, np.arange(9) / 100)
+    assert (record.accel_unit, record.accel[0].tolist(), record.gyro) == ("m/s2", [0.0, 0.0, 9.8], None)
+
+
+def matlab(folder, later_s=0.0):
+    for name, shift, up in (("Acceleration", later_s, 9.8), ("AngularVelocity", 0.0, 0.0)):
+        rows = [f"27-Nov-2026 10:00:{t + shift:06.3f},{x},{y},{z}" for t, x, y, z in gravity_rows(40, up=up)]
+        (folder / f"{name}.csv").write_text("\n".join(("Timestamp,X,Y,Z", *rows)) + "\n")
+    return folder
+
+
+def test_two_timetables_of_matlab_mobile_are_one_recording_by_their_dates(tmp_path):
+    read = read_counted(matlab(tmp_path, later_s=0.1))
+    np.testing.assert_allclose(
+        read.record.time[0], 0.1
+    )  # the accelerometer begins later: each counts from its own first date
+    np.testing.assert_allclose(read.record.accel[:, 0], read.record.gyro[:, 0] - 0.1, atol=1e-9)
+    assert (read.record.gyro_unit, read.record.accel_unit) == ("rad/s", "m/s2")
+    (tmp_path / "Acceleration.csv").rename(tmp_path / "other.csv")
+    with pytest.raises(FileFormatError, match="wanted Acceleration or AngularVelocity in the name of a file of MATLAB"):
+        read_record(tmp_path / "other.csv")
+
+
+def element(kind, data):
+    return struct.pack("<II", kind, len(data)) + data + b"\0" * (-len(data) % 8)
+
+
+def test_timetables_in_a_mat_file_are_refused_with_their_mend(tmp_path):
+    def timetable(name):  # as the format's documents have objects: flags, name, system, class, a reference of uint32
+        reference = element(6, struct.pack("<II", 13, 0)) + element(5, struct.pack("<ii", 6, 1)) + element(1, b"")
+        reference += element(6, struct.pack("<6I", 0xDD000000, 2, 1, 1, 1, 1))
+        words = element(1, name) + element(1, b"MCOS") + element(1, b"timetable")
+        return element(14, element(6, struct.pack("<II", 17, 0)) + words + element(14, reference))
+
+    head = b"MATLAB 5.0 MAT-file".ljust(124) + struct.pack("<HH", 0x0100, 0x4D49)
+    path = tmp_path / "sensorlog.mat"
+    path.write_bytes(head + timetable(b"Acceleration") + timetable(b"AngularVelocity"))
+    with pytest.raises(FileFormatError, match="wanted arrays, got objects of MATLAB, such as the timetables of MATLAB"):
+        read_record(path)
+
+
+def test_gyroscope_and_accelerometer_of_a_phone_given_together_are_one_recording(tmp_path):
+    folder = phone(tmp_path)
+    whole = read_record(folder)
+    session = session_from_files([folder / "TotalAcceleration.csv", folder / "Gyroscope.csv"])  # in any order
+    (record,) = session.records
+    for name in ("time", "gyro", "accel"):
+        np.testing.assert_array_equal(getattr(record, name), getattr(whole, name))
+    assert [name for name, _ in session.inputs] == ["TotalAcceleration.csv", "Gyroscope.csv"]

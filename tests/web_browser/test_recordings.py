@@ -247,3 +247,51 @@ def test_what_is_no_recording_gets_one_line_and_is_not_kept(
     shoot(page, "recordings-refused")
     kept = [path.name for path in (bench_server.folder / "uploads").rglob("*") if path.is_file()]
     assert kept == ["noise.parquet"]
+
+
+FOLDER = """(drop) => {
+  const heads = (kind) => ["x", "y", "z"].map((axis) => `"${kind[0]} ${axis} (${kind[1]})"`);
+  const file = (name, kind, value) => new File([['"Time (s)"', ...heads(kind)].join(",") + "\\n"
+    + Array.from({length: 60}, (_, k) => `${k / 50},0,0,${value}`).join("\\n") + "\\n"], name);
+  const held = [file("Gyroscope.csv", ["Gyroscope", "rad/s"], 0), file("Accelerometer.csv", ["Acceleration", "m/s^2"], 9.8),
+    new File(["x"], "notes.md")];
+  const entries = held.map((one) => ({ isFile: true, file: (found) => found(one) })), parts = [entries, []];
+  const folder = { isDirectory: true, name: "walk", createReader: () => ({ readEntries: (found) => found(parts.shift()) }) };
+  benchDropped(drop, [{ webkitGetAsEntry: () => folder, getAsFile: () => null }]);
+}"""
+
+
+def phone_files(folder: Path) -> list[Path]:
+    """Write what phyphox exports."""
+    for name, kind, unit, up in (
+        ("Gyroscope", "Gyroscope", "rad/s", 0),
+        ("Accelerometer", "Acceleration", "m/s^2", 9.8),
+    ):
+        head = ",".join(['"Time (s)"', *(f'"{kind} {x} ({unit})"' for x in "xyz")])
+        rows = (f"{k / 50},0,0,{up}" for k in range(60))
+        (folder / f"{name}.csv").write_text("\n".join((head, *rows)) + "\n")
+    return [folder / "Accelerometer.csv", folder / "Gyroscope.csv"]
+
+
+def test_files_of_a_phone_chosen_together_are_one_recording_and_others_are_two(
+    open_page: Callable[..., Page], tmp_path: Path
+) -> None:
+    page = open_page("/recordings")
+    page.set_default_timeout(COMMAND_MS)
+    accel, gyro = phone_files(tmp_path)
+    page.get_by_label("Choose files").set_input_files([gyro, accel])
+    files = page.locator(".bench-list button")
+    expect(files).to_have_text(["Accelerometer, Gyroscope"], timeout=COMMAND_MS)
+    expect(page.locator(".bench-main")).to_contain_text("60 samples at 50 Hz", timeout=COMMAND_MS)
+    shoot(page, "recordings-phone")
+    assert faults_of(page) == []
+    page.get_by_label("Choose files").set_input_files([accel.rename(tmp_path / "again.csv"), gyro])
+    expect(files).to_have_text(["Accelerometer, Gyroscope", "again.csv", "Gyroscope.csv"], timeout=COMMAND_MS)
+
+
+def test_a_folder_can_be_dropped(open_page: Callable[..., Page]) -> None:
+    page = open_page("/recordings")
+    page.set_default_timeout(COMMAND_MS)
+    page.locator(".drop").evaluate(FOLDER)
+    expect(page.locator(".bench-list button")).to_have_text(["walk"], timeout=COMMAND_MS)
+    expect(page.locator(".bench-main")).to_contain_text("60 samples at 50 Hz", timeout=COMMAND_MS)

@@ -7,6 +7,7 @@ Arrays of other lengths (a second clock, settings) are left out of the table.
 
 import hashlib
 import json
+import warnings
 import zipfile
 import zlib
 from collections.abc import Iterator, Mapping
@@ -137,11 +138,19 @@ def mat_arrays(path: str | Path) -> Arrays:
 def _load_mat(path: Path) -> dict[str, Any]:
     library = load("pymatreader", path)
     try:
-        return dict(library.read_mat(str(path)))
+        with warnings.catch_warnings(action="ignore"):
+            held = dict(library.read_mat(str(path)))
     except Exception as error:
         raise FileFormatError(
             f"{path}: wanted a MAT file, got something else or a damaged one; {first_line(error)}"
         ) from error
+    objects = held.pop("None", None)  # objects of classes, which no reader of the file takes apart
+    if objects is not None and not _flat("", held):
+        raise FileFormatError(
+            f"{path}: wanted arrays, got objects of MATLAB, such as the timetables of MATLAB Mobile; write each as text there, "
+            'writetimetable(Acceleration, "Acceleration.csv") and AngularVelocity alike, and give both files'
+        )
+    return held
 
 
 @boxed("scipy.io")

@@ -357,18 +357,20 @@ class RawTable:
         return int(index if self.rows is None else self.rows[index]) + 1
 
 
-_DATE = re.compile(  # 2026-01-31 12:00:00.250, 2026/1/31T12:00:00:250, with or without a time zone
-    r"(\d{4})[-/.](\d\d?)[-/.](\d\d?)[ T_](\d\d?):(\d\d):(\d\d)(?:[.,:](\d{1,9}))? *(?:Z|[-+]\d\d:?\d\d)?"
+_DATE = re.compile(  # 2026-01-31 12:00:00.250, 2026/1/31T12:00:00:250, with or without a time zone; 31-Jan-2026 12:00:00; 12:00:00
+    r"(?:(\d{4})[-/.](\d\d?)[-/.](\d\d?)[ T_]|(\d\d?)-([A-Z][a-z]{2})-(\d{4}) )?"
+    r"(\d\d?):(\d\d):(\d\d)(?:[.,:](\d{1,9}))? *(?:Z|[-+]\d\d:?\d\d)?"
 )
+_MONTHS = ("Jan", "Feb", "Mar", "Apr", "May", "Jun", "Jul", "Aug", "Sep", "Oct", "Nov", "Dec")
 
 
 def is_date(cell: str) -> bool:
-    """Tell whether a cell is a date with a time of day, year first."""
+    """Tell whether a cell is a time of day, with a date or without; year first, or the month by its name."""
     return _DATE.fullmatch(cell.strip().strip('"')) is not None
 
 
 def in_seconds(table: RawTable, column: Column) -> RawTable:
-    """Return the table with a column of dates as s from the first; years first, time zones passed over."""
+    """Return the table with a column of dates as s from the first; time zones passed over, times of day go on past midnight."""
     at = table.position(column)
     values = table.columns[at]
     if not isinstance(values, np.ndarray):  # bytes that are no UTF-8 are named below
@@ -381,18 +383,35 @@ def in_seconds(table: RawTable, column: Column) -> RawTable:
                 f"{table.source}: column {table.names[at]!r}: wanted dates such as 2026-01-31 12:00:00.250, got "
                 f"{str(_text(values[bad]))[:40]!r} in data row {table.row(bad)}; repair the file, or state another unit of time"
             )
-        parts = [hit.groups(default="0") for hit in hits if hit]
         try:
-            values = np.array(
-                [f"{y}-{m:0>2}-{d:0>2}T{h:0>2}:{n}:{s}.{f:0<9}" for y, m, d, h, n, s, f in parts], dtype="M8[ns]"
-            )
+            values = np.array([_iso(hit) for hit in hits if hit], dtype="M8[ns]")
         except ValueError as error:
             raise FileFormatError(
                 f"{table.source}: column {table.names[at]!r}: wanted dates, got none ({error}); repair the file"
             ) from error
+        if not any(hit and (hit[1] or hit[6]) for hit in hits):
+            midnights = np.concatenate(([0], np.cumsum(np.diff(values) < np.timedelta64(-12, "h"))))
+            values = values + midnights * np.timedelta64(1, "D")
     steps = (values - values[0]).astype("m8[ns]") if len(values) else np.empty(0, dtype="m8[ns]")
     seconds = np.where(np.isnat(steps), np.nan, steps.astype(np.int64) * 1e-9)
     return replace(table, columns=(*table.columns[:at], seconds, *table.columns[at + 1 :]))
+
+
+def date_of(cell: str) -> np.datetime64:
+    """Return a date; the first of 1970 where a cell is none."""
+    hit = _DATE.fullmatch(cell.strip())
+    return np.datetime64(0 if hit is None else _iso(hit), "ns")
+
+
+def _iso(hit: re.Match[str]) -> str:
+    """Return a date as ISO 8601 has it; a time of day without one is of 1970."""
+    y, m, d, day, month, year, hour, minute, second, part = hit.groups(default="")
+    if month and month not in _MONTHS:
+        raise ValueError(f"no month {month!r}")
+    date = (
+        f"{year}-{_MONTHS.index(month) + 1:0>2}-{day:0>2}" if month else f"{y}-{m:0>2}-{d:0>2}" if y else "1970-01-01"
+    )
+    return f"{date}T{hour:0>2}:{minute}:{second}.{part:0<9}"
 
 
 def _text(cell: Any) -> Any:

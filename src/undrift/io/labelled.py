@@ -232,7 +232,7 @@ _KIND = tuple(
             r"gyr|gir[oó]|angular.?(velocity|rate|speed)|(velocit\w+|velocidade?|vitesse) ang(ular|olare|ulaire)|"
             r"turn.?rate|rotation.?rate|omega|drehrate|winkelgeschw|hoeksnelheid|角速度|陀螺|ジャイロ|^(gy|[gw])[ _.]*$",
         ),
-        ("mag", r"magn|^mag|[ _.]mag|compass|^m[ _.]*$"),
+        ("mag", r"magn|^mag|[ _.]mag|compass|^[bm][ _.]*$"),
         ("accel", r"acc|ac[eé]l|beschleunigung|versnelling|specific.?force|加速度|^(ac?|gF)[ _.]*$"),
         ("temp", r"temp(?!o\b|s\b)|^tmp$|thermo|温度"),
         ("time", r"^(ts?|zeit|tempo|temps|tiempo|tijd|millis|micros)\s*$|time|seconds_elapsed|时间|時間|時刻"),
@@ -243,7 +243,7 @@ _SUFFIX = re.compile(rf"(?i)_({'|'.join(_NATIVE)})$")
 _AXIS = (
     re.compile(r"(?i)(?<![a-z])([xyz])(?![a-z])"),
     re.compile(r"(?<=[a-z])([XYZ])(?![A-Za-z])"),
-    re.compile(r"(?i)^(?:a|w|g|gF|m|acc|accel|gyr|gyro|mag)_?([xyz])$"),
+    re.compile(r"(?i)^(?:a|w|g|gF|b|m|acc|accel|gyr|gyro|mag)_?([xyz])$"),
 )
 _WORDS = re.compile(  # of a name that do not tell sensors apart
     r"(?i)^(acc\w*|gyr\w*|mag\w*|sensor|angular|velocity|rate|magnetic|field|un|cal|raw|noraxon|myomotion|segments|[agwm]|gf|"
@@ -321,7 +321,7 @@ def labelled(sheet: Sheet, assumed: Mapping[str, str] | None = None) -> Sheet:
     clocks = [k for k, label in enumerate(labels) if label and label.channel == "time"]
     first = _cells(sheet.rows.split(b"\n", 1)[0].decode("utf-8", "replace"), sheet.layout.delimiter)
     dated = [k for k in clocks if k < len(first) and is_date(first[k])]
-    if dated and not any(label.unit for k in clocks if (label := labels[k])):
+    if dated and not any(label.unit for k in clocks if k not in dated and (label := labels[k])):
         labels = tuple(
             label._replace(unit="date") if label and k == dated[0] else label for k, label in enumerate(labels)
         )

@@ -11,6 +11,8 @@ ActiGraph     GT9X Link: ten lines, then Timestamp and g, deg/s, uT, degC
 Sensor Logger the file's name says which sensor; Accelerometer.csv has gravity removed; a folder holds one file a sensor. On iOS
               acceleration is the opposite of specific force unless Metadata.csv says that units and frames are standardised
 SensorLog     iOS: g, the opposite of specific force. (phyphox turns the sign of iOS itself.)
+Physics Toolbox  gF in g, w in rad/s; ax, ay, az are the linear accelerometer, without gravity. Arduino Science Journal: ms, m/s2
+MATLAB Mobile Timestamp,X,Y,Z, one timetable a file, named by the file
 BIDS-motion   *_motion.tsv without header; *_channels.tsv and *_motion.json beside it
 set-points    "BIN_DATA: 5, -10.1, 21652, ...": columns without names, read through a map by position
 
@@ -33,7 +35,7 @@ import csv
 import json
 import re
 import zipfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePosixPath
 from tempfile import TemporaryDirectory
@@ -53,6 +55,7 @@ from undrift.io.columns import (
     TempFile,
     TextLayout,
     build_record,
+    date_of,
     in_seconds,
 )
 from undrift.io.containers import chosen, sound
@@ -198,6 +201,34 @@ def _of_ios(path: Path) -> bool | None:
     return ios and stated.get("standardisation") != "true" if android or ios else None
 
 
+def _signed_by_rests(sheet: Sheet, _: ReadSettings) -> Sheet:
+    accel = any(label and label.channel == "accel" for label in sheet.labels)
+    return replace(sheet, notes=(*sheet.notes, _NO_SIGN)) if accel else sheet
+
+
+def _without_linear(sheet: Sheet, _: ReadSettings) -> Sheet:
+    """Label the linear accelerometer of Physics Toolbox, ax to az, as one without gravity."""
+    labels = [
+        x and x._replace(channel="free") if re.fullmatch("a[xyz]", name) else x
+        for name, x in zip(sheet.names, sheet.labels, strict=True)
+    ]
+    return replace(sheet, labels=tuple(labels))
+
+
+def _matlab_labels(sheet: Sheet, _: ReadSettings) -> Sheet:
+    """Label one timetable of MATLAB Mobile by the name of its file."""
+    kinds = {"angularvelocity": "Gyroscope", "acceleration": "Acceleration", "magneticfield": "Magnetometer"}
+    stem = re.sub(r"[^a-z]", "", sheet.path.stem.lower())
+    kind = next((kind for key, kind in kinds.items() if key in stem), None)
+    if kind is None:
+        raise FileFormatError(
+            f"{sheet.path}: wanted Acceleration or AngularVelocity in the name of a file of MATLAB Mobile, got another; name it so"
+        )
+    names = (sheet.names[0], *(f"{kind} {axis}" for axis in "XYZ"))
+    sheet = replace(sheet, names=names, notes=())
+    return with_manual(sheet, "MATLAB Mobile", {"accel": "m/s2", "gyro": "rad/s", "mag": "uT"})
+
+
 def _one_gyroscope(sheet: Sheet, _: ReadSettings) -> Sheet:
     """Leave the fused one of two gyroscopes of SensorLog out: the raw one is read."""
     fused = "motionRotationRate" if sheet.position("^gyroRotation") is not None else None
@@ -222,8 +253,8 @@ def _in_g(sheet: Sheet, _: ReadSettings) -> Sheet:
 
 # ---- the folder of a phone: a file for each sensor, all on one clock
 
-_PHONE_GYRO = ("Gyroscope.csv", "GyroscopeUncalibrated.csv")
-_PHONE_ACCEL = ("TotalAcceleration.csv", "AccelerometerUncalibrated.csv", "Accelerometer.csv")
+_PHONE_GYRO = ("Gyroscope.csv", "GyroscopeUncalibrated.csv", "AngularVelocity.csv")
+_PHONE_ACCEL = ("TotalAcceleration.csv", "AccelerometerUncalibrated.csv", "Accelerometer.csv", "Acceleration.csv")
 
 
 def is_phone(path: Path) -> bool:
@@ -231,30 +262,48 @@ def is_phone(path: Path) -> bool:
     return all(any((path / name).is_file() for name in names) for names in (_PHONE_GYRO, _PHONE_ACCEL))
 
 
+def phone_pair(files: Sequence[Path]) -> tuple[Path, Path] | None:
+    """Return gyroscope and accelerometer of two files of a phone that lie side by side; None where the names are others."""
+    order = sorted(files, key=lambda file: file.name not in _PHONE_GYRO)
+    if len(order) != 2 or order[0].parent != order[1].parent:
+        return None
+    return (order[0], order[1]) if order[0].name in _PHONE_GYRO and order[1].name in _PHONE_ACCEL else None
+
+
 def read_phone(path: Path, _: ColumnMap | None, settings: ReadSettings) -> ReadResult:
+    """Read the folder of a phone."""
+    gyro, accel = (next(path / name for name in n if (path / name).is_file()) for n in (_PHONE_GYRO, _PHONE_ACCEL))
+    return read_phone_pair(gyro, accel, settings)
+
+
+def read_phone_pair(gyro_file: Path, accel_file: Path, settings: ReadSettings) -> ReadResult:
     """Read gyroscope and accelerometer of a phone; the latter is interpolated onto the time stamps of the former."""
 
-    def one(names: tuple[str, ...]) -> tuple[str, ReadResult]:
-        name = next(name for name in names if (path / name).is_file())
-        sheet = open_sheet(path / name)
-        labels = _sensor_logger_labels if sheet.names[:2] == ("time", "seconds_elapsed") else labelled
-        return name, read_sheet(labels(sheet), settings)
+    def one(file: Path) -> tuple[ReadResult, np.datetime64]:
+        sheet = open_sheet(file)
+        own = {"time,seconds_elapsed": "sensor_logger", "Timestamp,X": "matlab_mobile"}.get(",".join(sheet.names[:2]))
+        began = date_of(
+            sheet.rows[:64].split(b",", 1)[0].decode("utf-8", "replace")
+        )  # dates are counted from the first
+        return DIALECTS[own].read(file, None, settings) if own else read_sheet(labelled(sheet), settings), began
 
-    (name, found), notes = one(_PHONE_GYRO), list[str]()
+    path, name, other = gyro_file.parent, gyro_file.name, accel_file.name
+    found, began = one(gyro_file)
     try:
-        other, held = one(_PHONE_ACCEL)
+        held, later = one(accel_file)
     except FileFormatError as error:  # without gravity: it is left out
         return replace(found, notes=(*found.notes, str(error).removeprefix(f"{path}/")))
     gyro, accel = found.record, held.record
     if accel.accel is None or gyro.gyro is None:
         raise FileFormatError(f"{path}: wanted a gyroscope in {name} and an accelerometer in {other}, got others")
-    inside = np.flatnonzero((gyro.time >= accel.time[0]) & (gyro.time <= accel.time[-1]))
+    accel_time = accel.time + (later - began) / np.timedelta64(10**9, "ns")
+    inside = np.flatnonzero((gyro.time >= accel_time[0]) & (gyro.time <= accel_time[-1]))
     if len(inside) < 2:
         raise FileFormatError(
             f"{path}: wanted {name} and {other} of the same time, got two times apart; read one of them"
         )
     part = gyro.part(int(inside[0]), int(inside[-1]) + 1)
-    values = np.stack([np.interp(part.time, accel.time, column) for column in accel.accel.T], axis=1)
+    values = np.stack([np.interp(part.time, accel_time, column) for column in accel.accel.T], axis=1)
     notes = [f"{other} interpolated onto the time stamps of {name}"]
     record = replace(part, accel=values, accel_unit=accel.accel_unit)
     return replace(found, record=record, notes=tuple(dict.fromkeys((*found.notes, *held.notes, *notes))))
@@ -785,6 +834,23 @@ DIALECTS: dict[str, Dialect] = {
         head=rb"accelerometerAcceleration[XYZ]\(G\)|gyroRotation[XYZ]\(rad/s\)",
         opposite=True,
         finish=(_one_gyroscope,),
+    ),
+    "physics_toolbox": Dialect(  # the g-force meter holds gravity, the linear accelerometer does not; time in s or of the day
+        head=rb"\Atime[,;](gFx[,;]gFy|ax[,;]ay[,;]az[,;](aT|wx|gFx))",
+        maker="Physics Toolbox",
+        units={"time": "s", "accel": "g", "gyro": "rad/s", "mag": "uT"},
+        finish=(_without_linear, _signed_by_rests),
+    ),
+    "science_journal": Dialect(
+        head=rb"\A(relative_time|timestamp),.*\bAcc[XYZ]\b",
+        maker="Arduino Science Journal",
+        units={"time": "ms", "accel": "m/s2", "gyro": "dps"},
+        finish=(_signed_by_rests,),
+    ),
+    "matlab_mobile": Dialect(  # timetables that writetimetable writes; the file's name says which
+        head=rb"\ATimestamp,X,Y,Z\r?\n",
+        maker="MATLAB Mobile",
+        finish=(_matlab_labels, _signed_by_rests),
     ),
     "mobgap": Dialect(
         head=rb"\Asamples,acc_x,acc_y,acc_z,gyr_x",

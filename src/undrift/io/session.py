@@ -61,6 +61,7 @@ from undrift.files import checked_file, sha256_of, unwritten, write_together
 from undrift.io.box import one_box
 from undrift.io.columns import ChannelScale, Clock, ColumnMap, Gaps, ReadSettings, TempFile, TextLayout, Trim
 from undrift.io.formats import read_record
+from undrift.io.makers import phone_pair, read_phone_pair
 from undrift.io.parquet import write_parquet
 from undrift.io.text import open_text, parse_text
 from undrift.model import AXES
@@ -477,10 +478,12 @@ def session_from_files(
 ) -> Session:
     """Return a session of bare recordings: nothing is stated in them, standard gravity is assumed where none is.
 
-    With a map of several tables of columns, as many files side by side make one recording.
+    With a map of several tables of columns, as many files side by side make one recording; gyroscope and accelerometer of a phone
+    do without.
     """
     entry = entry_of(file_map)
     width = max(1, len(entry.columns)) if isinstance(entry.columns, list) else 1
+    width = 2 if phone_pair(list(map(Path, files))) and not entry.columns else width
     if not files or len(files) % width:
         wanted = "one recording or more" if width == 1 else f"{width} files for each recording, as the map has tables"
         raise InputError(f"session: wanted {wanted}, got {len(files)}; name them")
@@ -632,6 +635,8 @@ def _read_recording(folder: Path, names: list[str], entry: RecordingEntry, clock
         )
     settings = _settings(entry, folder)
     settings = settings if clock is None else replace(settings, clock=clock)
+    if not maps and (pair := phone_pair([folder / name for name in names])):
+        return read_phone_pair(*pair, settings).record
     records = tuple(
         read_record(folder / name, columns, settings=settings if k == 0 else replace(settings, temp_file=None))
         for k, (name, columns) in enumerate(zip(names, maps or (None,) * len(names), strict=True))

@@ -1,6 +1,7 @@
 """The page Recordings: drop a file; its map is proposed, it is calibrated, corrected, oriented, validated; take the results."""
 
-from collections.abc import Mapping
+import secrets
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -108,6 +109,18 @@ class Recordings:
         if stored.kind == "calibration":
             self.bench.calibration = path
         return stored
+
+    async def add_together(self, paths: Sequence[Path]) -> None:
+        """Take up files that lie in one folder: as one recording where they are one, as those of a phone; else each by itself."""
+        folder = paths[0].parent
+        outcome = await self.bench.command("info", folder)
+        if outcome.done and outcome.answer.get("kind") == "recording":
+            await self.add(folder)
+            return
+        for path in paths:
+            place = folder.parent.with_name(secrets.token_hex(6))  # one folder a file: results lie beside it
+            place.mkdir()
+            await self.add(path.rename(place / path.name))
 
     async def look(self, stored: StoredFile) -> None:
         """Ask what a file holds; draw it where it is a recording."""
@@ -218,12 +231,13 @@ def _state(bench: "Bench") -> object:
 def _drop(bench: "Bench") -> None:
     """Add the place to drop files on, which is a file chooser too."""
     with ui.element("label").classes("drop bench-file") as drop:
-        parts.text("span", "Drop files here, or choose them: ")
+        parts.text("span", "Drop files or a folder here, or choose files: ")
         chooser = ui.element("input").props('type="file" multiple aria-label="Choose files"')
     status = parts.status_line("")
     js = "(event) => { event.preventDefault(); benchUpload(event.currentTarget, %s); }"
     chooser.on("change", js_handler=js % "event.target.files")
-    drop.on("drop", js_handler=js % "event.dataTransfer.files")
+    dropped = "(event) => { event.preventDefault(); benchDropped(event.currentTarget, event.dataTransfer.items); }"
+    drop.on("drop", js_handler=dropped)
     drop.on("dragover", js_handler="(event) => { event.preventDefault(); event.currentTarget.classList.add('over'); }")
     drop.on("dragleave", js_handler="(event) => event.currentTarget.classList.remove('over')")
 
@@ -236,7 +250,8 @@ def _drop(bench: "Bench") -> None:
             parts.set_text(status, str(detail["error"]))
             return
         parts.set_text(status, f"Reading {detail['name']} ...")
-        await bench.recordings.add(bench.inside(str(detail["file"])))
+        files = [bench.inside(str(file)) for file in detail.get("files", (detail.get("file"),))]
+        await (bench.recordings.add_together(files) if len(files) > 1 else bench.recordings.add(files[0]))
         parts.set_text(status, "")
 
     for element in (chooser, drop):

@@ -15,6 +15,7 @@ from undrift.errors import InputError
 KEPT = frozenset(" ._-+=,@()")  # of a name, beside the letters, marks and digits of any script
 LONGEST = 200  # bytes of a name in UTF-8: a file system takes 255, and results add to it
 ENDING = re.compile(r"(\.[A-Za-z0-9]{1,8})?\.gz$|\.[A-Za-z0-9]{1,8}$|$", re.I)
+GROUP = re.compile(r"\d{1,20}")
 RESERVED = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\.|$)", re.I)  # names that Windows gives to devices
 _NAMES = (
     "csv txt tsv parquet json toml mat h5 hdf5 c3d trc xdf ulg bag db3 "
@@ -24,7 +25,10 @@ ENDINGS = tuple(f".{name}" for name in _NAMES.split())  # of recordings, referen
 
 
 async def receive_upload(request: Request, folder: Path, largest_mb: float) -> Path:
-    """Store the body of ``POST /upload?name=walk.csv``; return the file. InputError where it is refused, and nothing is kept."""
+    """Store the body of ``POST /upload?name=walk.csv``; return the file. InputError where it is refused, and nothing is kept.
+
+    Files that come together, with ``group=NUMBER`` and ``folder=walk``, lie in one folder of that name.
+    """
     name = safe_name(request.query_params.get("name", ""), "recording")
     if Path(name).suffix.lower() not in ENDINGS:
         raise InputError(
@@ -34,9 +38,18 @@ async def receive_upload(request: Request, folder: Path, largest_mb: float) -> P
     stated = request.headers.get("content-length", "")
     if stated.isdigit() and int(stated) > largest:
         raise InputError(_too_large(name, largest_mb))
-    place = folder / secrets.token_hex(6)  # one folder a file: names may repeat
-    place.mkdir()
+    group, together = request.query_params.get("group", ""), request.query_params.get("folder", "")
+    if group and not GROUP.fullmatch(group):
+        raise InputError(
+            "upload: wanted a number of up to 20 digits for a group, got something else; send the files again"
+        )
+    place = (
+        folder / group / safe_name(together, "files") if group else folder / secrets.token_hex(6)
+    )  # names may repeat
     path, arriving, came = place / name, place / "sent.part", 0
+    if path.exists():
+        raise InputError(f"upload: wanted each file of a folder once, got {name} again; rename one of them")
+    place.mkdir(parents=bool(group), exist_ok=bool(group))
     try:
         with arriving.open("xb") as file:
             async for piece in request.stream():
@@ -49,7 +62,8 @@ async def receive_upload(request: Request, folder: Path, largest_mb: float) -> P
         arriving.replace(path)
     except BaseException as error:
         arriving.unlink(missing_ok=True)
-        place.rmdir()
+        if not any(place.iterdir()):
+            place.rmdir()
         if isinstance(error, ClientDisconnect):
             raise InputError(f"upload: wanted the whole of {name}, got {came} bytes; send it again") from error
         raise

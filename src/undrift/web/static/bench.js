@@ -15,17 +15,41 @@ document.addEventListener("keydown", (event) => {
   if (event.key === "Escape" && form && form.checkVisibility()) form.requestSubmit();
 }, true);
 
-// Send files to the bench, one after the other; what becomes of each is told to the element as an event.
-async function benchUpload(element, files) {
+// The files of a folder that was dropped, without those of its folders.
+async function filesIn(folder) {
+  const reader = folder.createReader(), files = [];
+  for (;;) {  // a browser hands out at most a hundred at a time
+    const some = await new Promise((found, failed) => reader.readEntries(found, failed));
+    if (!some.length) return files;
+    for (const entry of some.filter((one) => one.isFile)) files.push(await new Promise((found, failed) => entry.file(found, failed)));
+  }
+}
+
+// Send what was dropped to the bench, files together and each folder: what becomes of them, the element hears as an event.
+async function benchDropped(element, items) {
+  const entries = Array.from(items, (item) => item.webkitGetAsEntry()), files = Array.from(items, (item) => item.getAsFile());
+  const folders = entries.filter((entry) => entry && entry.isDirectory);  // asked before the first wait: then the list is empty
+  await benchUpload(element, files.filter((file, k) => file && !(entries[k] && entries[k].isDirectory)));
+  for (const folder of folders) await benchUpload(element, await filesIn(folder), folder.name);
+}
+
+// Send files to the bench, one after the other; several that come together may be one recording.
+async function benchUpload(element, files, folder = "") {
+  const together = folder || files.length > 1, group = together ? crypto.getRandomValues(new Uint32Array(2)).join("") : "";
+  const name = folder || Array.from(files, (file) => file.name.split(".")[0]).sort().slice(0, 2).join(", "), arrived = [];
   for (const file of files) {
     element.dispatchEvent(new CustomEvent("sending", { detail: { name: file.name } }));
     let answer;
     try {
-      const response = await fetch("/upload?name=" + encodeURIComponent(file.name), { method: "POST", body: file });
+      const asked = new URLSearchParams(together ? { name: file.name, group, folder: name } : { name: file.name });
+      const response = await fetch("/upload?" + asked, { method: "POST", body: file });
       answer = await response.json();
     } catch (error) {
       answer = { error: "upload: the file did not arrive; send it again" };
     }
-    element.dispatchEvent(new CustomEvent("sent", { detail: { name: file.name, ...answer } }));
+    if (together && answer.file) arrived.push(answer.file);
+    else if (!(folder && answer.error)) element.dispatchEvent(new CustomEvent("sent", { detail: { name: file.name, ...answer } }));
   }
+  const detail = arrived.length ? { name, files: arrived } : { name, error: `upload: wanted recordings in ${name}, got none; choose files` };
+  if (arrived.length || folder) element.dispatchEvent(new CustomEvent("sent", { detail }));
 }
