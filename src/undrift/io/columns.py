@@ -404,14 +404,14 @@ def date_of(cell: str) -> np.datetime64:
 
 
 def _iso(hit: re.Match[str]) -> str:
-    """Return a date as ISO 8601 has it; a time of day without one is of 1970."""
-    y, m, d, day, month, year, hour, minute, second, part = hit.groups(default="")
+    """Return a date as ISO 8601 has it; a time of day without one stands for the first day of 1970."""
+    y, m, d, day, month, year, hour, minute, second, fraction = hit.groups(default="")
     if month and month not in _MONTHS:
         raise ValueError(f"no month {month!r}")
     date = (
         f"{year}-{_MONTHS.index(month) + 1:0>2}-{day:0>2}" if month else f"{y}-{m:0>2}-{d:0>2}" if y else "1970-01-01"
     )
-    return f"{date}T{hour:0>2}:{minute}:{second}.{part:0<9}"
+    return f"{date}T{hour:0>2}:{minute}:{second}.{fraction:0<9}"
 
 
 def _text(cell: Any) -> Any:

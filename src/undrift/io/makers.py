@@ -282,13 +282,13 @@ def read_phone_pair(gyro_file: Path, accel_file: Path, settings: ReadSettings) -
     def one(file: Path) -> tuple[ReadResult, np.datetime64]:
         sheet = open_sheet(file)
         own = {"time,seconds_elapsed": "sensor_logger", "Timestamp,X": "matlab_mobile"}.get(",".join(sheet.names[:2]))
-        began = date_of(
+        start = date_of(
             sheet.rows[:64].split(b",", 1)[0].decode("utf-8", "replace")
         )  # dates are counted from the first
-        return DIALECTS[own].read(file, None, settings) if own else read_sheet(labelled(sheet), settings), began
+        return DIALECTS[own].read(file, None, settings) if own else read_sheet(labelled(sheet), settings), start
 
     path, name, other = gyro_file.parent, gyro_file.name, accel_file.name
-    found, began = one(gyro_file)
+    found, start = one(gyro_file)
     try:
         held, later = one(accel_file)
     except FileFormatError as error:  # without gravity: it is left out
@@ -296,7 +296,7 @@ def read_phone_pair(gyro_file: Path, accel_file: Path, settings: ReadSettings) -
     gyro, accel = found.record, held.record
     if accel.accel is None or gyro.gyro is None:
         raise FileFormatError(f"{path}: wanted a gyroscope in {name} and an accelerometer in {other}, got others")
-    accel_time = accel.time + (later - began) / np.timedelta64(10**9, "ns")
+    accel_time = accel.time + (later - start) / np.timedelta64(10**9, "ns")
     inside = np.flatnonzero((gyro.time >= accel_time[0]) & (gyro.time <= accel_time[-1]))
     if len(inside) < 2:
         raise FileFormatError(
