@@ -13,7 +13,8 @@ from testkit.data import show
 from testkit.full_calibration import STEPS, device, record, tables
 from undrift.correction.correct import correct
 from undrift.errors import FileFormatError, InputError
-from undrift.export.programs import decompose, export_fusion, export_imucal, export_ros, import_imucal, number
+from undrift.export.programs import decompose, export_fusion, export_imucal, export_ros, number
+from undrift.io.foreign import import_imucal
 from undrift.io.store import read_calibration, write_calibration
 from undrift.model import MATRIX_NAMES, OFFSET_NAMES, NoiseModel
 
@@ -148,8 +149,8 @@ def test_an_imported_calibration_says_that_its_uncertainty_is_not_known(tmp_path
     assert np.isnan(made.gyro.covariance).all()
     assert np.isnan(made.accel.standard_uncertainty).all()
     assert made.verdict.status == "marginal"
-    assert [(f.code, f.level) for f in made.verdict.findings] == [("imucal.uncertainty", "warn")]
-    assert "no uncertainties: they are NaN" in made.verdict.reasons[0]
+    assert [(f.code, f.level) for f in made.verdict.findings] == [("imported.uncertainty", "warn")]
+    assert "a calibration of imucal states none" in made.verdict.reasons[0]
     write_calibration(made, tmp_path / "c.json")
     read = read_calibration(tmp_path / "c.json")
     assert np.isnan(read.gyro.covariance).all()

@@ -249,7 +249,8 @@ def texts_of(value: Any, *levels: str) -> list[str]:
 
 # ---- judging
 
-LONGEST_S = 20.0  # A command that takes longer than this on a recording of minutes hangs
+LONGEST_S = 20.0  # Of processor time: a command that takes longer than this on a recording of minutes hangs
+WAITED = 20.0  # times that, of a busy computer's clock: a command that waits for nothing hangs too
 
 
 class TooLong(BaseException):
@@ -263,13 +264,16 @@ def limited(seconds: float) -> Iterator[None]:
     def stop(*_: object) -> None:
         raise TooLong
 
-    before = signal.signal(signal.SIGALRM, stop)
-    signal.setitimer(signal.ITIMER_REAL, seconds)
+    clocks = {signal.SIGPROF: (signal.ITIMER_PROF, seconds), signal.SIGALRM: (signal.ITIMER_REAL, WAITED * seconds)}
+    before = {name: signal.signal(name, stop) for name in clocks}
+    for timer, limit_s in clocks.values():
+        signal.setitimer(timer, limit_s)
     try:
         yield
     finally:
-        signal.setitimer(signal.ITIMER_REAL, 0.0)
-        signal.signal(signal.SIGALRM, before)
+        for name, (timer, _) in clocks.items():
+            signal.setitimer(timer, 0.0)
+            signal.signal(name, before[name])
 
 
 @cache

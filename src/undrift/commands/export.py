@@ -1,6 +1,5 @@
 """``undrift export``: what firmware and other programs read."""
 
-import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -9,12 +8,12 @@ from cyclopts import Parameter
 from undrift.base.options import Output, verb
 from undrift.base.summary import Section, Summary, figure_of, rows_section
 from undrift.commands.files import check_output
-from undrift.errors import FileFormatError, InputError
+from undrift.errors import InputError
 from undrift.export import ExportOptions, find_target
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
 if TYPE_CHECKING:
-    from undrift.model import Calibration
+    pass
 
 BUILD = {"table_bytes": "tables (bytes)", "flash_bytes": "flash (bytes, estimated)", "cycles": "cycles (estimated)"}
 
@@ -43,7 +42,7 @@ def export(
         Options that some targets take.
     """
     from undrift.files import write_together
-    from undrift.io.store import findings_json, verdict_json
+    from undrift.io.store import findings_json, read_calibration, verdict_json
 
     if options.fixed and options.double:
         raise InputError("export: wanted `fixed` or `double`, got both; the source holds both, name the default")
@@ -51,7 +50,7 @@ def export(
     files = (output, *(output.with_suffix(ending) for ending in chosen.more))
     for path, endings in zip(files, (chosen.endings, *((ending,) for ending in chosen.more)), strict=True):
         check_output(path, endings=endings, reads=(calibration,))
-    model = _read(calibration)
+    model = read_calibration(calibration)
     exported = chosen.write(model, options, output.name)
     write_together(dict(zip(files, (exported.text, *exported.more), strict=True)))
     lost = len(exported.not_carried)
@@ -77,23 +76,6 @@ def export(
         written=files,
         failed=model.verdict.status == "bad",
     )
-
-
-def _read(path: Path) -> "Calibration":
-    """Read a calibration of this package or of imucal."""
-    from undrift.export.programs import import_imucal
-    from undrift.io.store import read_calibration
-
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, ValueError):
-        text = ""  # read_calibration reports what is wrong
-    if not re.search(r'"cal_type"\s*:', text):
-        return read_calibration(path)
-    try:
-        return import_imucal(text, device=path.stem)
-    except FileFormatError as error:
-        raise FileFormatError(f"{path}: {error}") from error
 
 
 def _builds(figures: Any) -> tuple[Section, ...]:

@@ -29,6 +29,7 @@ from undrift.io.columns import (
     is_native,
     native_columns,
 )
+from undrift.io.foreign import program_of
 from undrift.io.formats import Format, format_of, read_counted, read_markers, read_reference
 from undrift.io.guess import example_map, foreign_kind, reference_map, sniff, triples_of
 from undrift.io.labelled import states_units
@@ -272,6 +273,9 @@ def describe(
 ) -> Description:
     """Return what a file holds."""
     path, settings = Path(path), settings or READ_SETTINGS
+    if program := program_of(path):
+        summary = f"calibration of {program}: constants without uncertainty"
+        return Description(path=str(path), kind="calibration", format=program, summary=summary)
     name, entry = format_of(path)
     if entry.markers is not None:
         return _markers(path, name, up)

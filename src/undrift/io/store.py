@@ -12,6 +12,7 @@ from typing import Any
 from undrift.base import codec
 from undrift.files import write_whole
 from undrift.findings import Finding
+from undrift.io.foreign import program_of, read_foreign
 from undrift.io.session import KeptEntry, file_map_of
 from undrift.model import Calibration, Verdict
 from undrift.record import FileMap
@@ -65,7 +66,7 @@ def read_calibration(path: Path | str) -> Calibration:
     Parameters
     ----------
     path : path
-        calibration.json.
+        calibration.json; or what another program or a device holds (io/foreign.py): constants without uncertainty.
 
     Returns
     -------
@@ -77,6 +78,8 @@ def read_calibration(path: Path | str) -> Calibration:
     FileFormatError
         No such file, not JSON, another kind or version, a key that is missing, unknown, or of another shape.
     """
+    if program := program_of(Path(path)):
+        return read_foreign(Path(path), program)
     return calibration_of(codec.json_of(Path(path), Calibration), str(path))
 
 
