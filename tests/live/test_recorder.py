@@ -182,3 +182,14 @@ def test_readings_gather_where_that_is_asked_and_none_is_lost():
     assert blocks[0.05] < 0.6 * blocks[0.0]
     with pytest.raises(InputError, match=r"wanted gather_s from 0 to 0.2 s, got 1.0; readings would pile up"):
         RecorderSettings(gather_s=1.0)
+
+
+def test_what_came_before_a_link_was_lost_is_returned_before_the_loss_is_raised():
+    recorder, clock = on_virtual_clock(paced(20), hang_up=True)
+    with recorder:
+        clock.wait(1.0)
+        record = recorder.since()
+        assert record is not None
+        np.testing.assert_array_equal(record.gyro[:, 0], np.arange(20.0))
+        with pytest.raises(LinkError, match="got a lost link"):
+            recorder.since(record.time[-1])

@@ -27,6 +27,7 @@ import numpy as np
 
 import undrift
 from testkit.hand_turns import Device, make_recording
+from testkit.printing_board import sketch_line
 from undrift.cli.app import _standard, _with_limits, command_line, run
 from undrift.io.reference import write_reference
 from undrift.sim.device.model import DeviceModel, read_device
@@ -176,6 +177,15 @@ def _logger(path: Path) -> None:
     np.savetxt(path, rows, "%.6f", ",", header="Time,Gx,Gy,Gz,Ax,Ay,Az", comments="")
 
 
+def _monitor(path: Path) -> None:
+    """Make the text that a serial monitor saves of a board with a sketch of docs/firmware-logger."""
+    device, rng = _device()
+    record = undrift.simulate_session("ferraris", device, rng=rng, labelled=False).records[0]
+    rows = zip(np.round(1e6 * record.time).astype(int).tolist(), record.gyro, record.accel, strict=True)
+    lines = (sketch_line(k, time_us, gyro, accel, 25.0) for k, (time_us, gyro, accel) in enumerate(rows))
+    path.write_bytes(b"ets Jul 29 2019 12:21:46\r\nrst:0x1 (POWERON_RESET)\r\n" + b"".join(lines))
+
+
 def _walk(path: Path) -> None:
     device, rng = _device()
     undrift.write_record(undrift.simulate_trial("sit_to_stand", device, rng=rng).record, path)
@@ -269,6 +279,7 @@ FILES: dict[str, Callable[[Path], None]] = {
     "poses.csv": _bare("multi_position"),
     "turns.csv": _bare("ferraris"),
     "logger.csv": _logger,
+    "monitor.txt": _monitor,
     "walk.csv": _walk,
     "turned.csv": _turned,
     "pelvis.csv": _worn,

@@ -134,13 +134,16 @@ class Recorder:
         raise InputError(f"readings: wanted two or more in {stop - start:.3f} s, got {count}; dwell longer")
 
     def since(self, device_time: float = -np.inf) -> Record | None:
-        """Return what has come later than a device time, without waiting; None while that is less than two readings."""
+        """Return what has come later than a device time, without waiting; None while that is less than two readings.
+        A failure is raised once all that came before it was returned."""
         with self._news:
-            self.check()
             blocks = list(itertools.takewhile(lambda block: block.time[-1] > device_time, reversed(self._ring)))[::-1]
         times, values = _joined(blocks)
         later = times > device_time
-        return self.source.description.record(times[later], values[later]) if int(later.sum()) >= 2 else None
+        if int(later.sum()) >= 2:
+            return self.source.description.record(times[later], values[later])
+        self.check()
+        return None
 
     def latest(self) -> str:
         """Return the newest reading in words."""

@@ -123,3 +123,13 @@ def test_what_cannot_be_captured_is_refused(guide):
     guide.update(record, 0.0)
     with pytest.raises(InputError, match=r"capture: wanted readings in m/s2, got g; begin a new session"):
         guide.update(replace(record, accel_unit="g", time=record.time + 1.0), 1.0)
+
+
+def test_one_reading_behind_a_gap_is_no_rest_and_no_error(tmp_path):
+    rng = np.random.default_rng(2)
+    accel, gyro = rng.normal((0.0, 0.0, 9.81), 0.01, (201, 3)), rng.normal(0.0, 0.001, (201, 3))
+    accel[150:200] = gyro[150:200] = np.nan  # lost on the way
+    capture = Capture(tmp_path / "session")
+    capture.take(Record(time=np.arange(201) / 100.0, gyro=gyro, accel=accel), 0.0)
+    assert capture.tail(3.0) is None
+    assert capture.rest() is None

@@ -365,6 +365,8 @@ def _without_lost(record: Record) -> Record | None:
     if len(at) == len(record) or len(at) < 2:
         return record if len(at) else None
     at = at[max(np.flatnonzero(np.diff(record.time[at]) > _longest_s(record)), default=-1) + 1 :]
+    if len(at) < 2:
+        return None
     gyro, accel = np.asarray(record.gyro)[at], np.asarray(record.accel)[at]
     return replace(record, time=record.time[at], gyro=gyro, accel=accel, temp_c=None, mag_ut=None)
 

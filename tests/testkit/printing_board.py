@@ -1,0 +1,82 @@
+"""A board that prints readings to a serial port as the sketches of docs/firmware-logger do: firmware behind a pseudo-terminal."""
+
+import contextlib
+import os
+import termios
+import threading
+import time
+import tty
+from collections.abc import Callable
+
+import numpy as np
+
+GYRO_LSB_PER_DPS, ACCEL_LSB_PER_G = 131.0, 16384.0  # of an MPU-6050 at +-250 deg/s and +-2 g
+BAUDS = {getattr(termios, f"B{baud}"): baud for baud in (9600, 38400, 57600, 115200, 230400, 460800, 921600)}
+
+
+def sketch_line(k: int, time_us: int, gyro: np.ndarray, accel: np.ndarray, temp_c: float) -> bytes:
+    """Return a line of the shape that needs no map."""
+    g, a = (",".join(str(round(value)) for value in triad) for triad in (gyro, accel))
+    seconds, micros = divmod(time_us, 1_000_000)
+    return (
+        f"count:{k},time(s):{seconds}.{micros:06d},gyro(count):{g},accel(count):{a},temp(C):{temp_c:.2f}\r\n".encode()
+    )
+
+
+def resting_line(k: int, rate: float = 100.0) -> bytes:
+    """Return reading k of a board that lies still."""
+    rng = np.random.default_rng(k)
+    gyro, accel = np.array([120.0, -60.0, 30.0]) + rng.normal(0.0, 4.0, 3), np.array([150.0, -90.0, 16300.0])
+    return sketch_line(k, round(k * 1e6 / rate), gyro, accel + rng.normal(0.0, 30.0, 3), 25.0 + 1e-4 * k)
+
+
+class PrintingBoard:
+    """A board; a context manager. ``write`` is what its firmware prints; ``print_lines`` prints at a rate until closed."""
+
+    def __init__(self, baud: int | None = None) -> None:
+        self._near, self._far = os.openpty()
+        tty.setraw(self._far)
+        os.set_blocking(self._near, False)
+        self.port, self._baud, self.silent = os.ttyname(self._far), baud, False
+        self._end, self._lock = threading.Event(), threading.Lock()
+        self._thread: threading.Thread | None = None
+
+    def __enter__(self) -> "PrintingBoard":
+        return self
+
+    def __exit__(self, *failure: object) -> None:
+        self._end.set()
+        if self._thread is not None:
+            self._thread.join(10)
+        self.unplug()
+
+    def write(self, data: bytes) -> None:
+        """Print; garbage where the other side reads at another baud rate, nothing where nobody reads."""
+        with self._lock, contextlib.suppress(BlockingIOError):
+            if self._near < 0 or self.silent:
+                return
+            if self._baud is not None and BAUDS.get(termios.tcgetattr(self._near)[5]) != self._baud:
+                data = bytes((byte * 37 + 128) & 0xFF | 0x80 for byte in data)
+            os.write(self._near, data)
+
+    def print_lines(self, line: Callable[[int], bytes] = resting_line, rate: float = 100.0) -> "PrintingBoard":
+        """Print reading after reading from now on."""
+
+        def run() -> None:
+            start, k = time.monotonic(), 0
+            while not self._end.wait(0.01):
+                while k < (time.monotonic() - start) * rate:
+                    self.write(line(k))
+                    k += 1
+
+        self._thread = threading.Thread(target=run)
+        self._thread.start()
+        return self
+
+    def unplug(self) -> None:
+        """Pull the cable."""
+        with self._lock:
+            if self._near >= 0:
+                os.close(self._near)
+                os.close(self._far)
+                self._near = -1
