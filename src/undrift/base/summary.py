@@ -251,6 +251,13 @@ def plain(value: object) -> Plain:
     return str(value)
 
 
+def findings_of(value: Mapping[str, object]) -> list[object]:
+    """Return the findings of the parts of an answer: of its trials, or tasks."""
+    lists = [held for held in value.values() if isinstance(held, list)]
+    parts = [part for held in lists for part in held if isinstance(part, Mapping)]
+    return [item for part in parts for item in part.get("findings", ())]
+
+
 def as_html(summary: Summary) -> str:
     """Return a summary as a part of a notebook: answer, tables, verdict with its first findings."""
     parts = [f"<h4>{escape(summary.title)}</h4><p>{escape(summary.answer)}</p>"]

@@ -13,9 +13,9 @@ import sys
 import textwrap
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, nullcontext, suppress
-from dataclasses import fields, is_dataclass, replace
+from dataclasses import replace
 from importlib import import_module
 from itertools import zip_longest
 from pathlib import Path
@@ -25,11 +25,11 @@ from cyclopts import App, Parameter
 
 from undrift import __version__
 from undrift.base.options import WRITTEN, Details, Json, Report
-from undrift.base.summary import Result, plain, spoken
+from undrift.base.summary import Result, findings_of, plain, spoken
 from undrift.cli import examples
 from undrift.cli.app import COMMANDS
 from undrift.commands import GROUPS, VERBS, Progress, Screen
-from undrift.commands.files import check_report, origin_of
+from undrift.commands.files import check_report, files_in, origin_of
 from undrift.findings import SHOWN_FIRST, Finding, Verdict, most_consequential_first
 
 if TYPE_CHECKING:
@@ -216,20 +216,13 @@ def write_json(value: Mapping[str, object], command: str, *, error: Mapping[str,
     """
     kind = KINDS.get(command, "undrift." + (command.replace(" ", "_") or "call"))
     verdict = value.get("verdict")
-    findings = value.get("findings", verdict.get("findings") if isinstance(verdict, Mapping) else _of_parts(value))
+    findings = value.get("findings", verdict.get("findings") if isinstance(verdict, Mapping) else findings_of(value))
     own = {key: item for key, item in value.items() if key not in ENVELOPE}
     head = {"kind": value.get("kind", kind), "format": value.get("format", 1), "version": __version__}
     rest = {"verdict": verdict, "findings": findings, "result": None if error else own, "error": error}
     text = json.dumps(plain(head | own | rest), ensure_ascii=False, allow_nan=False)
     # A document is that of its file, to the letter.
     sys.stdout.write((text if "document" in own else spoken(text)) + "\n")
-
-
-def _of_parts(value: Mapping[str, object]) -> list[object]:
-    """Return the findings of the parts of an answer: of its trials, or tasks."""
-    lists = [held for held in value.values() if isinstance(held, list)]
-    parts = [part for held in lists for part in held if isinstance(part, Mapping)]
-    return [item for part in parts for item in part.get("findings", ())]
 
 
 def show_verdict(verdict: "Verdict", *, details: bool) -> None:
@@ -302,7 +295,7 @@ def command_of(name: str, verb: Callable[..., Result]) -> Callable[..., int]:
     read = [one.name for one in kept if WRITTEN not in getattr(one.annotation, "__metadata__", ())]
 
     def command(*words: Any, report: Path | None = None, details: bool = False, json: bool = False, **more: Any) -> int:
-        files = tuple(dict.fromkeys(_files((*words, *(more.get(key) for key in read)))))
+        files = tuple(dict.fromkeys(files_in((*words, *(more.get(key) for key in read)))))
         check_report(report, reads=files)
         origin = None if report is None else origin_of(*files)  # before the work, which may write over what it reads
         with ExitStack() as stack:
@@ -336,16 +329,3 @@ def command_of(name: str, verb: Callable[..., Result]) -> Callable[..., int]:
     command.__annotations__ = {one.name: one.annotation for one in (*kept, *added)}
     command.__signature__ = inspect.Signature([*kept, *added])  # type: ignore[attr-defined]
     return command
-
-
-def _files(value: object) -> Iterator[Path]:
-    """Yield the files among the values of options, those of settings too."""
-    if isinstance(value, Path):
-        yield value
-    elif isinstance(value, tuple):
-        for one in value:
-            yield from _files(one)
-    elif is_dataclass(value):
-        for one in fields(value):
-            if WRITTEN not in getattr(one.type, "__metadata__", ()):
-                yield from _files(getattr(value, one.name))

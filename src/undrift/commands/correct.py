@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal, cast
 from undrift.base.options import Files, Output, verb
 from undrift.base.summary import Drawing, Result, Section, Summary, at
 from undrift.commands import Progress, part_of, silent
+from undrift.commands.batch import of_folder
 from undrift.commands.files import (
     NamedRest,
     Opening,
@@ -126,6 +127,7 @@ def draw_corrected(path: Path) -> Any:
 
 
 @verb
+@of_folder(".parquet")
 def correct(
     *records: Files,
     calibration: Path | None = None,
@@ -144,7 +146,7 @@ def correct(
     Parameters
     ----------
     records : Path
-        One or more recordings of the calibrated device.
+        One or more recordings of the calibrated device, or a folder of them.
     calibration : Path or None
         calibration.json of the device.
     output : Path

@@ -9,14 +9,14 @@ import re
 import shlex
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, fields, is_dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from undrift.base.options import Flag, Policy, Up, options, stated, verb
+from undrift.base.options import WRITTEN, Flag, Policy, Up, options, stated, verb
 from undrift.base.summary import CALLED, PICTURES, Origin, plain
 from undrift.errors import InputError
 
@@ -333,12 +333,12 @@ def _recorded(session: "Session", path: Path) -> "Session":
     return session
 
 
-def _is_recording(folder: Path) -> bool:
-    """Tell whether a folder is a recording of a device that records into one."""
+def _is_recording(path: Path) -> bool:
+    """Tell whether a file, or a folder of a device that records into one, is a recording."""
     from undrift.io.formats import format_of
 
     try:
-        return format_of(folder)[1].record is not None
+        return format_of(path)[1].record is not None
     except InputError:
         return False
 
@@ -627,6 +627,19 @@ def _holds(read: Path, target: Path) -> bool:
     else:
         names = [file.name for file in read.iterdir()]  # of a device that records into a folder
     return any((read / name).exists() and target.samefile(read / name) for name in names)
+
+
+def files_in(value: object) -> Iterator[Path]:
+    """Yield the files among the values of options, those of settings too."""
+    if isinstance(value, Path):
+        yield value
+    elif isinstance(value, tuple):
+        for one in value:
+            yield from files_in(one)
+    elif is_dataclass(value):
+        for one in fields(value):
+            if WRITTEN not in getattr(one.type, "__metadata__", ()):
+                yield from files_in(getattr(value, one.name))
 
 
 def save_json(path: Path, value: object) -> None:

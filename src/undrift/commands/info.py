@@ -1,13 +1,14 @@
 """``undrift info``: what a file or folder holds: rates, units, spans, gaps, stills, problems, and the map it needs."""
 
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from undrift.base.options import Picture, Up, options, verb
+from undrift.base.options import OptionalOutput, Picture, Up, options, verb
 from undrift.base.summary import Drawing, Section, Summary, at, figure_of
+from undrift.commands import Progress, silent
+from undrift.commands.batch import of_folder
 from undrift.commands.files import Opening, Rests, check_figure, check_output, name_of
 from undrift.errors import InputError
 from undrift.units import RADIAN_PER_DEGREE
@@ -70,6 +71,7 @@ POSES = 9  # still phases of a recording that may calibrate a device
 
 
 @verb
+@of_folder(None, alone=("figure", "write_map"))
 def info(
     file: Path,
     /,
@@ -79,6 +81,8 @@ def info(
     proposal: Proposal = Proposal(),
     rests: Rests = Rests(),
     figure: Picture = None,
+    output: OptionalOutput = None,
+    progress: Progress = silent,
 ) -> Summary:
     """What a recording, session, calibration, reference or device holds: rates, units, spans, gaps, stills found.
 
@@ -90,15 +94,16 @@ def info(
         The map to write for a table with foreign columns.
     figure : Path or None
         Picture to write of a recording or session, with stills, faces, turns, gaps and saturation: .svg, .png or .pdf.
+    output : Path or None
+        Of a folder: where the table of its files is written, as summary.csv, .parquet, .html and .json.
     """
     from undrift.correction.consistency import find_disagreement
     from undrift.io.store import findings_json, read_calibration, verdict_json
 
     check_figure(figure, reads=(file, opening.column_map))
-    if _is_plain_folder(file):
-        if figure is not None:
-            raise InputError(f"`figure`: wanted a recording or a session, got the folder {file}; name one of its files")
-        return _folder(file)
+    if output is not None:
+        raise InputError(f"output: wanted a folder of recordings for a table, got {file}; leave `output` out")
+    progress(f"reading {file.name}", 0.0)
     proposal.check(figure, reads=(file, opening.column_map))
     found, opening = _described(file, opening, reference_up)
     if proposal.write_map is not None:
@@ -235,53 +240,6 @@ def _effects(file: Path) -> dict[str, list[str]]:
     triads = {"gyro": device.gyro, "accel": device.accel}
     effects = {name: [*effects_of(triad), f"reading in {triad.unit}"] for name, triad in triads.items()}
     return effects | {"source": [device.source_tag]}
-
-
-# ---- A folder that is neither a session nor a recording: one line for each file in it
-
-
-def _is_plain_folder(path: Path) -> bool:
-    from undrift.io.formats import detect
-
-    if not path.is_dir():
-        return False
-    try:
-        detect(path)
-    except InputError:
-        return True
-    return False
-
-
-def _folder(path: Path) -> Summary:
-    """Return name, kind and summary of each entry; kind "damaged" where it cannot be read, with the reason."""
-    from undrift.io.box import one_box
-    from undrift.io.inspect import describe
-
-    files = []
-    with one_box():
-        for entry in sorted(entry for entry in path.iterdir() if not entry.name.startswith(".")):
-            if _is_plain_folder(entry):
-                files.append((entry.name, "folder", "not looked into"))
-                continue
-            try:
-                found = describe(entry)
-                files.append((entry.name, found.kind, found.summary))
-            except InputError as error:
-                files.append((entry.name, "damaged", str(error)))
-    if not files:
-        raise InputError(f"{path}: wanted a recording or a folder of recordings, got an empty folder; check the path")
-    kinds = Counter(kind for _, kind, _ in files)
-    summary = f"{len(files)} entries: " + ", ".join(f"{count} {kind}" for kind, count in sorted(kinds.items()))
-    head = {"kind": "folder", "format": "folder", "rows": None, "sample_rate_hz": None, "duration_s": None}
-    rest = {"columns": [], "units": {}, "gaps": 0, "temp_c": None, "stills": [], "findings": [], "summary": summary}
-    named = [{"name": name, "kind": kind, "summary": text} for name, kind, text in files]
-    lines = (f"{name}: {kind}, {text}" for name, kind, text in files)
-    return Summary(
-        title=f"What {path.name} holds",
-        answer=f"{path}: folder, {summary}",
-        data=head | rest | {"problems": [text for _, kind, text in files if kind == "damaged"], "files": named},
-        sections=(Section(title="Entries", text=(*lines, "name one of them to see more")),),
-    )
 
 
 # ---- A recording or session: still phases, and what a person sees

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from undrift.base.options import Flag, Output, Side, verb
 from undrift.base.summary import Result, Section, Summary, figure_of, number
+from undrift.commands import Progress, silent
+from undrift.commands.batch import of_folder
 from undrift.commands.files import NamedRest, Opening, TableUse, check_output, check_physical, named_columns
 
 if TYPE_CHECKING:
@@ -67,6 +69,7 @@ class Oriented(Result):
 
 
 @verb
+@of_folder(".parquet")
 def orient(
     record: Path,
     /,
@@ -83,13 +86,14 @@ def orient(
     body: str = "sensor",
     applying: TableUse = TableUse(),
     opening: Opening = Opening(),
+    progress: Progress = silent,
 ) -> Oriented:
     """Initial tilt, then strapdown or a filter: quaternions, inclination, heading, sagittal pitch.
 
     Parameters
     ----------
     record : Path
-        A corrected recording, or a raw one with its calibration.
+        A corrected recording, or a raw one with its calibration; or a folder of them, with one of output.
     output : Path
         Time, quaternion and angles as .parquet, .csv, .csv.gz or .mat; quaternions as .sto (OpenSense) or
         sub-.._task-.._tracksys-.._motion.tsv (BIDS).
@@ -122,7 +126,9 @@ def orient(
     reads = (record, calibration, opening.column_map)
     check_output(output, endings=tuple(ORIENTATION_WRITERS), reads=reads, beside=files_of(output)[1:])
     model = None if calibration is None else read_calibration(calibration)
+    progress(f"reading {record.name}", 0.0)
     readings = opening.like(model, calibration).read(record)
+    progress("integrating", 0.4)
     settings = OrientSettings(
         method=method, magnetometer=magnetometer, offset=offset, heading=math.radians(heading_deg), forward=forward, up=up,
     )  # fmt: skip

@@ -79,7 +79,7 @@ class SyncedFile:
             "offset (s)": f"{row['offset_s']:.4f}" if synced else "0" if first else "unknown",
             "skew (ppm)": f"{row['skew_ppm']:.0f} +- {row['skew_expanded_uncertainty_ppm']:.0f}" if synced else "–",
             "within (ms)": f"{1e3 * self.uncertainty_s:.2f}" if synced else "–",
-            "correlation": "–" if first else f"{row['correlation']:.4f}",
+            "corr.": "–" if first else f"{row['correlation']:.4f}",
             "from, to (s)": f"{start:.1f}, {stop:.1f}" if self.found else "–",
             "gaps": str(row["gaps"]),
         }

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from undrift.base.options import Files, Flag, OptionalOutput, Side, options, verb
 from undrift.base.summary import Origin, Result, Section, Summary, at, figure_of, interval, number, rows_section
 from undrift.commands import Progress, part_of, silent
+from undrift.commands.batch import is_plain_folder, of_folder
 from undrift.commands.files import (
     Opening,
     Optics,
@@ -206,7 +207,20 @@ class Comparing:
         return tasks if all(tasks) else (), people if all(people) else ()
 
 
+def _with_reference(record: Path, stated: dict[str, Any]) -> dict[str, Any]:
+    """Return what is stated of one recording of a folder: its reference is that of its name in the folder of references."""
+    optics = stated.get("optics", Optics())
+    if len(optics.reference) == 1 and is_plain_folder(optics.reference[0]):
+        folder = optics.reference[0]
+        same = [path for path in sorted(folder.iterdir()) if name_of(path) == name_of(record)]
+        if len(same) != 1:
+            raise InputError(f"{record}: wanted one reference of its name in {folder}, got {len(same)}; name it so")
+        return stated | {"optics": replace(optics, reference=(same[0],))}
+    return stated
+
+
 @verb
+@of_folder("", _with_reference, alone=("calibrate_from",))
 def validate(
     *records: Files,
     optics: Optics = Optics(),
@@ -231,7 +245,8 @@ def validate(
     Parameters
     ----------
     records : Path
-        One or more recordings, or one folder with session.toml.
+        One or more recordings, one folder with session.toml, or a folder of recordings, each judged by itself, whose references
+        have their names in a folder.
     optics : Optics
         The reference of each recording.
     place : Place

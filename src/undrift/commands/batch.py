@@ -1,0 +1,276 @@
+"""A folder given to a command that takes a recording: the command on each of its files, and one table at the end.
+
+A file that fails is a row with its error, and the others go on. The folder of output holds ``summary.json``, written anew after
+each file, and at the end ``summary.csv``, ``summary.parquet`` and ``summary.html``. A second call does what is missing: a row
+stands as long as its recording, the values and files of the options and the version are the same, and its output is there.
+"""
+
+import csv
+import hashlib
+import io
+import json
+from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from dataclasses import asdict, dataclass, field, fields, is_dataclass
+from functools import wraps
+from pathlib import Path
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+from undrift import __version__
+from undrift.base.summary import Result, Section, Summary, at, findings_of, plain
+from undrift.commands import Progress, part_of, silent
+from undrift.commands.files import Opening, check_folder, files_in, name_of, origin_of, save_json
+from undrift.errors import InputError, UndriftError
+
+if TYPE_CHECKING:
+    from undrift.record import Record
+
+HEADS = {"name": "file", "verdict": "verdict", "sample_rate_hz": "rate (Hz)", "gaps": "gaps"}
+LEVELS = {"bad": "fail", "marginal": "warn"}  # of the finding that makes a verdict
+FOLDER = {"kind": "folder", "format": "folder", "gaps": 0} | dict.fromkeys(
+    ("rows", "sample_rate_hz", "duration_s", "temp_c")
+)
+Row: TypeAlias = dict[str, Any]
+EMPTY: Row = dict.fromkeys(("name", "kind", "summary", "verdict", "worst_finding", "error", "key"), "") | dict.fromkeys(
+    ("sample_rate_hz", "gaps", "output")
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class CountedOpening(Opening):
+    """How to read a recording, and what has been read of it."""
+
+    seen: Row = field(default_factory=dict)
+
+    def record(self, path: Path) -> "Record":
+        """Read one file."""
+        return self._saw(super().record(path))
+
+    def chunks(self, path: Path) -> "Iterator[Record]":
+        """Read one file in chunks."""
+        yield from map(self._saw, super().chunks(path))
+
+    def _saw(self, record: "Record") -> "Record":
+        from undrift.io.inspect import gaps_of
+
+        if self.seen.get("until_s", -float("inf")) < record.time[0]:  # not read before
+            self.seen.setdefault("sample_rate_hz", record.sample_rate_hz)
+            self.seen["gaps"] = self.seen.get("gaps", 0) + gaps_of(record)
+            self.seen["until_s"] = float(record.time[-1])
+        return record
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class FolderTable(Result):
+    """What a command came to on each file of a folder."""
+
+    command: str
+    folder: Path
+    rows: tuple[Row, ...]
+    standing: int  # Rows of an earlier call
+    output: Path | None
+    others: tuple[str, ...]  # Entries that are no recordings
+
+    def summary(self) -> Summary:
+        """Return the table: a row a file, and what is worst of each."""
+        errors = [row["error"] for row in self.rows if row["error"]]
+        kinds = sorted(Counter(row["kind"] for row in self.rows).items())
+        named = f"{len(self.rows)} entries: " + ", ".join(f"{number} {kind}" for kind, number in kinds)
+        before = f" ({self.standing} of them before)" if self.standing else ""
+        done = f"{len(self.rows) - len(errors)} of {len(self.rows)} done{before}, {len(errors)} with an error"
+        info = self.command == "info"
+        texts = [(row["error"] or row["worst_finding"]).partition(", for example")[0] for row in self.rows]
+        shown = (text or info * row["summary"] for text, row in zip(texts, self.rows, strict=True))
+        lines = [f"{row['name']}: {text}" for row, text in zip(self.rows, shown, strict=True) if text]
+        lines += [f"no recordings: {', '.join(self.others)}"] if self.others else []
+        cells = tuple(tuple(_cell(row[key]) for key in HEADS) for row in self.rows)
+        ends = ("csv", "parquet", "html", "json")
+        listed = [{key: value for key, value in row.items() if key != "key"} for row in self.rows]
+        data: Row = FOLDER | {"columns": [], "units": {}, "stills": [], "findings": []} if info else {}
+        data |= {"folder": str(self.folder), "summary": named, "problems": errors, "standing": self.standing}
+        return Summary(
+            title=f"{self.command}: {self.folder.resolve().name}",
+            answer=f"{self.folder}: folder, {named if info else done}",
+            data=data | {"files": listed, "output": self.output and str(self.output)},
+            sections=(
+                Section(title="Files", columns=tuple(HEADS.values()), rows=cells, text=tuple(lines), on="terminal"),
+                Section(
+                    title="Files",
+                    columns=(*HEADS.values(), "worst finding, or error"),
+                    rows=tuple((*row, text) for row, text in zip(cells, texts, strict=True)),
+                    words=True,
+                    on="page",
+                ),
+            ),
+            written=() if self.output is None else tuple(self.output / f"summary.{end}" for end in ends),
+            failed=bool(errors) and not info,
+        )
+
+
+def of_folder(
+    ending: str | None, settle: Callable[[Path, Row], Row] = lambda _, stated: stated, *, alone: tuple[str, ...] = ()
+) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Let a command take a folder of recordings in place of one: what it writes is NAME and the ending there; None writes nothing.
+
+    ``settle`` returns what is stated of one file, of what is stated of all; ``alone`` names options of one recording.
+    """
+
+    def of(function: Callable[..., Any]) -> Callable[..., Any]:
+        @wraps(function)
+        def called(*given: Any, **stated: Any) -> Any:
+            if len(given) != 1 or not is_plain_folder(given[0]):
+                return function(*given, **stated)
+            for name in alone:
+                if any(getattr(one, name, None) for one in (SimpleNamespace(**stated), *stated.values())):
+                    raise InputError(
+                        f"`{name}`: wanted a recording or a session, got the folder {given[0]}; name its files"
+                    )
+            output, progress = stated.pop("output", None), stated.pop("progress", silent)
+            job = _Job(function=function, ending=ending, settle=settle, stated=stated, output=output)
+            return job.run(given[0], progress)
+
+        return called
+
+    return of
+
+
+def is_plain_folder(path: Path) -> bool:
+    """Tell whether a folder is neither a session nor a recording."""
+    from undrift.io.formats import detect
+
+    with suppress(InputError):
+        return path.is_dir() and not detect(path)
+    return path.is_dir()
+
+
+def _may_be_recording(path: Path) -> bool:
+    """Tell whether a file or folder is a recording, or damaged."""
+    from undrift.io.formats import format_of
+
+    with suppress(InputError):
+        return format_of(path)[1].record is not None
+    return path.is_file()
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Job:
+    """A command, and what is stated of all files."""
+
+    function: Callable[..., Any]
+    ending: str | None
+    settle: Callable[[Path, Row], Row]
+    stated: Row
+    output: Path | None
+
+    def run(self, folder: Path, progress: Progress) -> FolderTable:
+        """Call the command on each file of a folder, or take the row that an earlier call made."""
+        from undrift.io.box import one_box
+
+        command, output = self.function.__name__, self.output
+        check_folder(output)
+        if output is not None and (output.suffix or output.resolve() == folder.resolve()):
+            raise InputError(f"output: wanted a folder other than {folder}, got {output}; name it so")
+        entries = sorted(entry for entry in folder.iterdir() if not entry.name.startswith("."))
+        files = [entry for entry in entries if command == "info" or _may_be_recording(entry)]
+        if not files:
+            got = f"{len(entries)} entries that are none" if entries else "an empty folder"
+            raise InputError(f"{folder}: wanted a recording or a folder of recordings, got {got}; check the path")
+        earlier, rows, names = dict[str, Row](), list[Row](), Counter(map(name_of, files))
+        if output is not None:
+            output.mkdir(exist_ok=True)
+            with suppress(OSError, ValueError, KeyError, TypeError):
+                earlier = {
+                    row["name"]: EMPTY | row for row in json.loads((output / "summary.json").read_bytes())["rows"]
+                }
+        with one_box():
+            for k, file in enumerate(files):
+                progress(file.name, k / len(files))
+                name = name_of(file) if names[name_of(file)] == 1 else file.name
+                part = part_of(progress, k / len(files), (k + 1) / len(files))
+                rows.append(self.row(file, name, earlier.get(file.name, EMPTY), part))
+                if output is not None:
+                    save_json(output / "summary.json", {"kind": "undrift.batch", "command": command, "rows": rows})
+        standing = sum(row is earlier.get(row["name"]) for row in rows)
+        others = tuple(entry.name for entry in entries if entry not in files)
+        table = FolderTable(
+            command=command, folder=folder, rows=tuple(rows), standing=standing, output=output, others=others
+        )
+        if output is not None:
+            _write(table, output)
+        return table
+
+    def row(self, file: Path, name: str, earlier: Row, progress: Progress) -> Row:
+        """Return what the command comes to on a file; its error, where it fails."""
+        row, command = EMPTY | {"name": file.name, "kind": "recording"}, self.function.__name__
+        if is_plain_folder(file):
+            return row | {"kind": "folder", "summary": "not looked into"}
+        try:
+            stated = self.settle(file, dict(self.stated))
+            row["key"] = _key(command, file, stated)
+            if self.output is not None and self.ending is not None:
+                stated["output"] = self.output / (name + self.ending)
+                row["output"] = str(stated["output"])
+            same = all(earlier[key] == row[key] for key in ("key", "output", "error"))
+            if same and (row["output"] is None or Path(row["output"]).exists()):
+                return earlier
+            opening = stated.get("opening", Opening())
+            watched = CountedOpening(**{one.name: getattr(opening, one.name) for one in fields(opening)})
+            summary = self.function(file, **stated | {"opening": watched, "progress": progress}).summary()
+        except (UndriftError, OSError) as error:
+            kind = "damaged" if command == "info" else row["kind"]
+            return row | {
+                "kind": kind,
+                "verdict": "error",
+                "error": str(error).removeprefix(f"{file}: "),
+                "output": None,
+            }
+        seen = watched.seen | (summary.data if command == "info" else {})
+        row |= _judged(summary) | {key: plain(seen[key]) for key in ("kind", "sample_rate_hz", "gaps") if key in seen}
+        none = {"verdict": ""} if row["kind"] in ("text", "settings") else {}
+        return row | none if row["sample_rate_hz"] else row | none | {"gaps": None}
+
+
+def _key(command: str, file: Path, stated: Row) -> str:
+    """Return the hash of what a row follows from: recording, options and their files, version."""
+    values = {
+        name: asdict(one) if is_dataclass(one) and not isinstance(one, type) else one for name, one in stated.items()
+    }
+    read = origin_of(file, *files_in(tuple(stated.values()))).inputs
+    return hashlib.sha256(json.dumps([__version__, command, plain(values), read]).encode()).hexdigest()
+
+
+def _judged(summary: Summary) -> Row:
+    """Return verdict, worst finding and answer of a summary."""
+    data, status = summary.data, "" if summary.verdict is None else summary.verdict.status
+    found = [*(data.get("findings") or ()), *findings_of(data)]
+    found += [
+        {"level": "warn", "text": text} for part in data.get("recordings", ()) for text in part.get("warnings", ())
+    ]
+    by_level = {name: [one["text"] for one in found if one["level"] == level] for name, level in LEVELS.items()}
+    verdict = next((name for name in LEVELS if by_level[name] or status == name), "good")
+    worst = next((text for texts in by_level.values() for text in texts), "")
+    return {"verdict": verdict, "worst_finding": worst, "summary": str(data.get("summary") or summary.answer)}
+
+
+def _cell(value: object) -> str:
+    return "" if value is None else f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+def _write(table: FolderTable, folder: Path) -> None:
+    """Write the table as CSV, Parquet and a page."""
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    from undrift.files import write_whole
+
+    columns = (*HEADS, "worst_finding", "error", "summary", "output")
+    rows, text, buffer = [{key: row[key] for key in columns} for row in table.rows], io.StringIO(), io.BytesIO()
+    writer = csv.DictWriter(text, columns, lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    write_whole(folder / "summary.csv", text.getvalue())
+    parquet.write_table(pa.Table.from_pylist(rows), buffer)
+    write_whole(folder / "summary.parquet", buffer.getvalue())
+    at("undrift.report.page:write_page")(folder / "summary.html", table.summary(), origin_of(table.folder))

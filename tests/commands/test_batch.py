@@ -1,0 +1,183 @@
+"""A folder in place of a recording: the command on each file, one table, and a second call that does what is missing."""
+
+import csv
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+import undrift as package
+from testkit.command_line import contents
+from testkit.data import data_path
+from undrift.commands import batch
+from undrift.io.formats import read_record, write_record
+from undrift.record import Record
+
+NAMES = ["gap.csv", "torn.parquet", "walk.parquet"]
+
+
+@pytest.fixture
+def folder(bench, tmp_path):
+    """Two recordings of the bench's device, one with gaps, a damaged one, and what is none."""
+    made = tmp_path / "in"
+    made.mkdir()
+    shutil.copy(bench / "trial.parquet", made / "walk.parquet")
+    record = read_record(bench / "trial.parquet").between(0.0, 20.0)
+    gyro = np.array(record.gyro)
+    gyro[100:107] = np.nan
+    write_record(Record(time=record.time, gyro=gyro, accel=record.accel, temp_c=record.temp_c, gyro_unit=record.gyro_unit,
+                        accel_unit=record.accel_unit), made / "gap.csv")  # fmt: skip
+    (made / "torn.parquet").write_bytes((bench / "trial.parquet").read_bytes()[:500])
+    (made / "README.md").write_text("# Trials\n")
+    (made / "sub").mkdir()
+    return made
+
+
+def rows_of(out: Path) -> dict[str, dict[str, str]]:
+    with (out / "summary.csv").open(newline="", encoding="utf-8") as file:
+        return {row["name"]: row for row in csv.DictReader(file)}
+
+
+def test_correct_goes_on_after_an_error_and_ends_with_one_table(undrift, bench, folder, tmp_path):
+    words = ("correct", folder, "--calibration", bench / "calibration.json", "--gaps", "keep", "-o", tmp_path / "out")
+    answer = undrift(*words)
+    assert (answer.code, answer.err) == (1, "")
+    assert "folder, 2 of 3 done, 1 with an error" in answer.out
+    assert "no recordings: README.md, sub" in answer.out
+    rows = rows_of(tmp_path / "out")
+    assert list(rows) == NAMES
+    assert (rows["torn.parquet"]["verdict"], "torn.parquet" in rows["torn.parquet"]["error"]) == ("error", False)
+    assert (rows["gap.csv"]["gaps"], rows["walk.parquet"]["gaps"]) == ("7", "0")
+    record = read_record(folder / "walk.parquet")
+    assert float(rows["walk.parquet"]["sample_rate_hz"]) == pytest.approx(record.sample_rate_hz)
+    assert len(read_record(tmp_path / "out" / "walk.parquet")) == len(record)
+    assert not (tmp_path / "out" / "torn.parquet").exists()
+    assert pq.read_table(tmp_path / "out" / "summary.parquet").column("name").to_pylist() == NAMES
+    assert "torn.parquet" in (tmp_path / "out" / "summary.html").read_text()
+    told = undrift(*words, "--json").json()
+    assert [(file["name"], file["verdict"]) for file in told["files"]] == [
+        (name, row["verdict"]) for name, row in rows.items()
+    ]
+    assert told["standing"] == 2
+
+
+def test_a_second_call_does_what_is_missing_what_changed_and_what_failed(undrift, bench, folder, tmp_path, monkeypatch):
+    done = []
+    row = batch._Job.row
+
+    def watched(self, file, name, earlier, progress):
+        made = row(self, file, name, earlier, progress)
+        done.extend([file.name] if made is not earlier else [])
+        return made
+
+    monkeypatch.setattr(batch._Job, "row", watched)
+    out = tmp_path / "out"
+    words = ("orient", folder, "--calibration", bench / "calibration.json", "--gaps", "keep", "-o", out)
+
+    def second(*more):
+        done.clear()
+        undrift(*words, *more)
+        return list(done)
+
+    assert second() == NAMES
+    assert second() == [name for name in NAMES if rows_of(out)[name]["error"]]
+    shutil.copy(bench / "trial.parquet", folder / "torn.parquet")  # mended
+    assert "torn.parquet" in second()
+    assert rows_of(out)["torn.parquet"]["error"] == ""
+    (out / "walk.parquet").unlink()
+    assert "walk.parquet" in second()
+    assert "walk.parquet" not in second()
+    assert {"torn.parquet", "walk.parquet"} <= set(second("--heading-deg", "10"))
+    record = read_record(folder / "walk.parquet")
+    write_record(record.between(0.0, 0.5 * record.duration_s), folder / "walk.parquet")
+    assert "walk.parquet" in second("--heading-deg", "10")
+    calibration = json.loads((bench / "calibration.json").read_text())
+    (tmp_path / "other.json").write_text(json.dumps(calibration) + "\n")
+    again = ("orient", folder, "--calibration", tmp_path / "other.json", "--gaps", "keep", "--heading-deg", "10")
+    done.clear()
+    undrift(*again, "-o", out)
+    assert "walk.parquet" in done  # other bytes of the calibration
+
+
+def test_what_an_interrupted_call_did_stands(undrift, bench, folder, tmp_path, monkeypatch):
+    row = batch._Job.row
+
+    def stopped(self, file, name, earlier, progress):
+        if file.name == "walk.parquet":
+            raise KeyboardInterrupt
+        return row(self, file, name, earlier, progress)
+
+    words = ("correct", folder, "--calibration", bench / "calibration.json", "--gaps", "keep", "-o", tmp_path / "out")
+    with monkeypatch.context() as patch:
+        patch.setattr(batch._Job, "row", stopped)
+        assert undrift(*words).code == 130
+    held = json.loads((tmp_path / "out" / "summary.json").read_text())
+    assert [one["name"] for one in held["rows"]] == NAMES[:2]
+    assert undrift(*words, "--json").json()["standing"] == 1
+
+
+def test_validate_takes_the_reference_of_a_recordings_name_from_a_folder(undrift, bench, tmp_path):
+    (tmp_path / "in").mkdir()
+    (tmp_path / "optics").mkdir()
+    for name in ("a", "b"):
+        shutil.copy(bench / "trial.parquet", tmp_path / "in" / f"{name}.parquet")
+    shutil.copy(bench / "reference.parquet", tmp_path / "optics" / "a.parquet")
+    optics = ("--reference", tmp_path / "optics")
+    answer = undrift(
+        "validate", tmp_path / "in", "--calibration", bench / "calibration.json", *optics, "-o", tmp_path / "out"
+    )
+    assert answer.code == 1
+    assert "b.parquet: wanted one reference of its name" in answer.out
+    rows = rows_of(tmp_path / "out")
+    assert rows["a.parquet"]["error"] == ""
+    assert "deg rms in total" in rows["a.parquet"]["summary"]
+    assert {"report.html", "validation.json"} <= set(contents(tmp_path / "out" / "a"))
+
+
+def test_info_lists_every_entry_and_writes_its_table_where_it_is_asked_to(undrift, folder, tmp_path):
+    answer = undrift.good("info", folder, "-o", tmp_path / "out")
+    assert (
+        "folder, 5 entries: 2 damaged, 1 folder, 1 recording, 1 text" in answer.out
+    )  # gaps are refused unless they are stated
+    rows = rows_of(tmp_path / "out")
+    assert {"README.md", "sub", *NAMES} <= rows.keys()
+    assert rows["torn.parquet"]["verdict"] == "error"
+    assert (rows["README.md"]["verdict"], rows["walk.parquet"]["verdict"]) == ("", "good")
+    assert (rows["README.md"]["gaps"], rows["sub"]["summary"]) == ("", "not looked into")
+    again = undrift.good("info", folder, "-o", tmp_path / "out", "--json").json()
+    assert again["standing"] >= 2
+
+
+def test_given_folders_end_with_a_table(undrift, tmp_path):
+    told = undrift.good("validate", data_path("broad", "SOURCE.md").parent, "-o", tmp_path / "out", "--json").json()
+    assert [file["error"] for file in told["files"]] == [""] * 8
+    assert {round(file["sample_rate_hz"], 1) for file in told["files"]} == {285.7}
+
+
+def test_python_gets_rows(bench, folder, tmp_path):
+    found = package.commands.correct(
+        folder, calibration=bench / "calibration.json", gaps="keep", output=tmp_path / "out"
+    )
+    assert [row["name"] for row in found.rows] == NAMES
+    assert "2 of 3 done" in repr(found)
+
+
+def test_what_a_folder_refuses(undrift, bench, folder, tmp_path):
+    words = ("correct", folder, "--calibration", bench / "calibration.json")
+    assert "wanted a folder other than" in undrift.refused(*words, "-o", folder)
+    assert "wanted a folder other than" in undrift.refused(*words, "-o", tmp_path / "out.csv")
+    (tmp_path / "empty").mkdir()
+    assert "got an empty folder" in undrift.refused("orient", tmp_path / "empty", "-o", tmp_path / "out")
+    assert "got 2 entries that are none" in undrift.refused("orient", tmp_path, "-o", tmp_path / "out")
+    for more in (
+        ("info", "--figure", "a.svg"),
+        ("info", "--write-map", "map.toml"),
+        ("validate", "--calibrate-from", "reference"),
+    ):
+        assert f"{more[1]}: wanted a recording or a session, got the folder" in undrift.refused(
+            more[0], folder, *more[1:]
+        )
+    assert "leave --output out" in undrift.refused("info", folder / "walk.parquet", "-o", tmp_path / "out")
