@@ -181,3 +181,12 @@ def test_what_a_folder_refuses(undrift, bench, folder, tmp_path):
             more[0], folder, *more[1:]
         )
     assert "leave --output out" in undrift.refused("info", folder / "walk.parquet", "-o", tmp_path / "out")
+
+
+def test_an_error_that_nobody_foresaw_is_a_row_too(undrift, folder, monkeypatch):
+    from undrift.commands import info as module
+
+    monkeypatch.setattr(module, "_stills", lambda *_: [].pop())
+    answer = undrift.good("info", folder, "--json").json()
+    rows = {row["name"]: row["error"] for row in answer["files"]}
+    assert rows["walk.parquet"] == "IndexError: pop from empty list"

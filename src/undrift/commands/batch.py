@@ -218,14 +218,10 @@ class _Job:
             opening = stated.get("opening", Opening())
             watched = CountedOpening(**{one.name: getattr(opening, one.name) for one in fields(opening)})
             summary = self.function(file, **stated | {"opening": watched, "progress": progress}).summary()
-        except (UndriftError, OSError) as error:
+        except (UndriftError, OSError, ValueError, ArithmeticError, LookupError, TypeError, MemoryError) as error:
+            text = str(error) if isinstance(error, UndriftError | OSError) else f"{type(error).__name__}: {error}"
             kind = "damaged" if command == "info" else row["kind"]
-            return row | {
-                "kind": kind,
-                "verdict": "error",
-                "error": str(error).removeprefix(f"{file}: "),
-                "output": None,
-            }
+            return row | {"kind": kind, "verdict": "error", "error": text.removeprefix(f"{file}: "), "output": None}
         seen = watched.seen | (summary.data if command == "info" else {})
         row |= _judged(summary) | {key: plain(seen[key]) for key in ("kind", "sample_rate_hz", "gaps") if key in seen}
         none = {"verdict": ""} if row["kind"] in ("text", "settings") else {}
