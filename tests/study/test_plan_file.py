@@ -20,7 +20,7 @@ from undrift.sim.device.model import write_device
 from undrift.sim.device.presets import preset
 from undrift.sim.motion.tasks import draw_task
 from undrift.study import judge
-from undrift.study.case import device_of, make_case
+from undrift.study.case import device_of, make_case, session_of
 from undrift.study.judge import find_optimum
 from undrift.study.plan import (
     NOTE_BENCH,
@@ -273,3 +273,38 @@ def test_the_example_of_the_page_is_one_and_its_defaults_are_the_notes() -> None
 def test_two_tasks_of_one_name_are_refused(tmp_path: Path) -> None:
     with pytest.raises(FileFormatError, match="wanted another name for each task"):
         read_study(written(tmp_path, TEXT + TEXT[TEXT.index("[[task]]") :]))
+
+
+PLACES = """
+[[task]]
+name = "step"
+[task.space]
+cutoff_hz = [11.1]
+turn_rate_step_dps = [20.0]
+turn_rate_min_dps = [10.0]
+turn_rate_max_dps = [50.0]
+places = [[], [18.0, 45.0], [18.0, 30.0, 60.0]]
+"""
+
+
+def test_lists_of_set_points_are_tried_as_they_are(tmp_path):
+    (tmp_path / "study.toml").write_text(PLACES)
+    study = read_study(tmp_path / "study.toml")
+    (task,) = study.tasks
+    points = task.space.points()
+    protocols = [task.protocol_of(point) for point in points]
+    assert [one.temperatures_c for one in protocols] == [(), (18.0, 45.0), (18.0, 30.0, 60.0)]
+    minutes = [session_of(one).length_s[0] / 60.0 for one in protocols]
+    assert minutes == sorted(minutes)
+    assert minutes[2] > 1.4 * minutes[1] > 10.0 * minutes[0]
+    for old, new, wanted in (
+        (
+            "places",
+            "set_points = [1, 2]\nplaces",
+            "places: wanted lists of set-points, or set_points and warmest_c, got both",
+        ),
+        ("[18.0, 45.0]", "[45.0, 18.0]", "wanted rising temperatures"),
+    ):
+        (tmp_path / "study.toml").write_text(PLACES.replace(old, new))
+        with pytest.raises(FileFormatError, match=wanted):
+            read_study(tmp_path / "study.toml")

@@ -109,6 +109,8 @@ def _people(outcome: "StudyOutcome") -> tuple[str, ...]:
         *(f"{one.people} recorded people, {sum(len(one.of(k)) for k in range(one.people))} recordings: one person's are averaged."
           for one in motions if one.others),
         *(f"Poses of the accelerometers, {k}: {', '.join(poses)}." for each in sets for k, poses in enumerate(each, 1)),
+        *(f"Set-points, {k}: {', '.join(f'{c:g}' for c in listed) or 'room temperature'}{' degC' * bool(listed)}."
+          for each in {task.places: None for task in study.tasks} for k, listed in enumerate(each, 1)),
     )  # fmt: skip
 
 

@@ -613,7 +613,17 @@ def errors_with(
 
 def alike(task: StudyTask, points: FloatArray) -> list[IntArray]:
     """Return the places of the candidates that are simulated and fitted at once: alike in all but rates, dwells and rests."""
-    names = ("faces", "poses", "face_s", "set_points", "warmest_c", "soak_c_per_min", "static_step_c", "dynamic_step_c")
+    names = (
+        "faces",
+        "poses",
+        "face_s",
+        "places",
+        "set_points",
+        "warmest_c",
+        "soak_c_per_min",
+        "static_step_c",
+        "dynamic_step_c",
+    )
     columns = [k for k, name in enumerate(task.space.names) if name in names]
     group = np.unique(points[:, columns], axis=0, return_inverse=True)[1].ravel() if columns else np.zeros(len(points))
     return [np.flatnonzero(group == each) for each in np.unique(group)]

@@ -137,6 +137,9 @@ class StudyTask:
     motion: OwnMotion | None = None  # Performed in place of the library's task
     category: str = DEFAULT  # Of the subjects who perform it
     poses: tuple[tuple[str, ...], ...] = POSES  # Sets in which the accelerometers are read, to choose from by number
+    places: tuple[
+        tuple[float, ...], ...
+    ] = ()  # Lists of set-points, degC, likewise; an empty one stays at room temperature
 
     @property
     def key(self) -> str:
@@ -156,6 +159,10 @@ class StudyTask:
             raise InputError(
                 "poses: wanted sets of four poses or more, each pose once, and numbers of these sets, got others"
             )
+        if self.places and {"set_points", "warmest_c"} & set(self.space.names):
+            raise InputError("places: wanted lists of set-points, or set_points and warmest_c, got both; leave one out")
+        for temps_c in self.places:
+            replace(self.base, temperatures_c=temps_c)  # refuses what does not rise
         if self.motion is None and self.name not in get_args(TaskName):
             raise InputError(
                 f"task: wanted one of {', '.join(get_args(TaskName))}, got '{self.name}'; name one, or give a motion of your own"
@@ -176,6 +183,8 @@ class StudyTask:
             given["faces"] = self.poses[int(values["poses"]) - 1]
         if "order" in values:
             given["order"] = "random" if values["order"] == 2.0 else "alternating"
+        if "places" in values:
+            return replace(self.base, **given, temperatures_c=self.places[int(values["places"]) - 1])
         count, warmest_c = (
             int(values.get("set_points", len(stated))),
             values.get("warmest_c", stated[-1] if stated else 0.0),
@@ -596,6 +605,8 @@ class SpaceEntry:
     faces: MoreValues = ()  # How many: 6, or 5 without -z
     # In place of faces: sets of poses, each a list of faces ("+z") and inclined ones ("+z 45 +x": +z up, 45 deg toward +x)
     poses: tuple[tuple[str, ...], ...] = ()
+    # Lists of set-points in place of the protocol's, degC, rising; an empty one stays at room temperature
+    places: tuple[tuple[float, ...], ...] = ()
     # How many, evenly from the protocol's first to its last; 1 stays at room temperature
     set_points: MoreValues = ()
     warmest_c: MoreValues = ()  # The last of them; the protocol's where not given
@@ -717,7 +728,7 @@ def _task_of(entry: TaskEntry, folder: Path, board_lag_s: float) -> StudyTask:
         )
     motion = None if entry.motion is None else _own_motion(entry.motion, folder)
     further: dict[str, Any] = {name: getattr(space, name) for name in FURTHER}
-    further["poses"] = tuple(map(float, range(1, len(space.poses) + 1)))
+    further |= {name: tuple(map(float, range(1, len(further[name]) + 1))) for name in ("poses", "places")}
     kept: dict[str, Any] = {name: getattr(base, name) for name in ("dwell_s", "bracket_s", "face_s", "grid")}
     return StudyTask(
         name=entry.name,
@@ -725,6 +736,7 @@ def _task_of(entry: TaskEntry, folder: Path, board_lag_s: float) -> StudyTask:
         base=Protocol(name=entry.name, temperatures_c=base.set_points_c, board_lag_s=board_lag_s, **kept),
         motion=motion,
         poses=space.poses or POSES,
+        places=space.places,
     )
 
 

@@ -40,6 +40,7 @@ FURTHER: dict[str, Kind] = {
     "face_s": Kind("rest on a face (s)", 0.1),
     "faces": Kind("faces", 5, 6, whole=True),  # five leave out -z
     "poses": Kind("poses (number of the set)", 1, whole=True),  # of the plan's sets: faces, inclined ones, any number
+    "places": Kind("set-points (number of the list)", 1, whole=True),  # of the plan's lists of temperatures
     "set_points": Kind("set-points", 1, whole=True),  # evenly from the plan's first to the warmest; 1: room temperature
     "warmest_c": Kind("warmest set-point (degC)", -40.0, 150.0),  # the plan's last where not given
     "soak_c_per_min": Kind("slope at the end of a soak (K/min)", 0.005, 1.0),
