@@ -11,7 +11,7 @@ from hypothesis import given
 from testkit.strategies import assert_same, few, one_line, records
 from undrift.errors import FileFormatError, InputError
 from undrift.io.columns import ChannelScale, ColumnMap, ReadSettings, TextLayout
-from undrift.io.text import read_csv, write_csv
+from undrift.io.text import Appender, read_csv, write_csv
 from undrift.record import Record
 
 XYZ = ColumnMap(time="t", time_unit="s", accel=("x", "y", "z"), accel_unit="g")
@@ -368,3 +368,22 @@ def test_a_folder_that_is_not_there_cannot_be_written_to(tmp_path):
     record = Record(time=[0.0, 1.0], gyro=np.zeros((2, 3)))
     with pytest.raises(InputError, match="wanted a folder to write to, got No such file"):
         write_csv(record, tmp_path / "none" / "r.csv")
+
+
+def test_an_appended_table_is_whole_after_each_piece_and_never_written_over(tmp_path):
+    rng = np.random.default_rng(4)
+    record = Record(
+        time=np.arange(30) / 10.0, gyro=rng.normal(size=(30, 3)), accel=rng.normal(size=(30, 3)), gyro_unit="dps"
+    )
+    path = tmp_path / "a.csv"
+    with Appender(path) as file:
+        assert not path.exists()
+        for start in (0, 7, 19):
+            file.write(record.part(start, {0: 7, 7: 19, 19: 30}[start]))
+            assert len(read_csv(path).record) == {0: 7, 7: 19, 19: 30}[start]
+    made = read_csv(path).record
+    np.testing.assert_array_equal(made.gyro, record.gyro)
+    np.testing.assert_array_equal(made.accel, record.accel)
+    with Appender(path) as again, pytest.raises(InputError, match="File exists"):
+        again.write(record)
+    assert len(read_csv(path).record) == 30

@@ -50,7 +50,7 @@ def test_readings_become_a_record_in_the_units_stated():
         ({"rate": 1.0, "channels": (*SIX, "x")}, r"wanted channels out of count, -, .* got 'x'"),
         ({"rate": 1.0, "channels": (*SIX, "temp", "temp")}, r"each once, got 'temp'"),
         ({"rate": 1.0, "gyro_unit": "m"}, r"unit of rate: wanted one of"),
-        ({"rate": 1.0, "format": "xml"}, r"wanted format line or frame, got 'xml'"),
+        ({"rate": 1.0, "format": "xml"}, r"wanted format line, frame or log, got 'xml'"),
         ({"rate": 1.0, "checksum": "md5"}, r"wanted checksum none, xor, sum, crc16, crc32, got 'md5'"),
         ({"rate": 1.0, "counter_bits": 64}, r"wanted counter_bits 0 to 53 and a tick of 0 or more, got 64 and 0"),
     ],

@@ -25,6 +25,7 @@ INTERRUPTED, STOPPED = 130, "stopped; nothing was left half written"
 STOPS = ("SIGINT", "SIGTERM", "SIGHUP")
 ABOUT = "Calibrate a wearable inertial sensor, compensate its drift, and prove what that is worth in degrees."
 COMMANDS = {  # one line of 80 columns each
+    "record": "What a device sends, to a file; a guide to its calibration.",
     "info": "What a recording, session, calibration, reference or device holds.",
     "calibrate": "Fit what a session allows, with verdict and findings.",
     "session": "Write a session.toml of what bare recordings hold; --json.",

@@ -229,7 +229,7 @@ class ReadSettings:
     sample_rate_hz: float | None = None  # Hz, for a file without a time column (undrift's own names, x-IMU)
     sensor: str | None = None  # Which sensor, stream or topic, in a file of several
     # "raise" or "keep", overruling a map; None: as the map states, and without one gaps are refused except in
-    # Parquet that undrift wrote
+    # files that undrift wrote, a CSV by the one beside it
     gaps: Gaps | None = None
     # For a text or Parquet table with undrift's own names: leave out rows whose time does not go forward
     repair_time: bool = False

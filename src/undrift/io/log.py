@@ -13,7 +13,7 @@ A number takes its name from the word before it, its unit from the word behind i
 
 import re
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, reduce
 from itertools import chain, groupby, pairwise
@@ -77,25 +77,35 @@ class SerialLog:
 # ---- from text to lines to readings
 
 
-def lines_of(content: bytes) -> Iterator[LogLine]:
-    """Yield the lines that hold numbers; the last only where it ends."""
-    text = as_utf8(content).decode("utf-8", "replace")
-    heading, day, before = "", 0.0, 0.0
-    for raw in text[: text.rfind("\n") + 1].splitlines():
+class LineReader:
+    """Takes lines one by one: a heading belongs to the lines under it, and the clock of a day goes on past midnight."""
+
+    def __init__(self) -> None:
+        self._heading, self._day, self._before = "", 0.0, 0.0
+
+    def take(self, raw: str) -> LogLine | None:
+        """Return a line that holds numbers, taken apart."""
         stamp, line = _stamp(_UNSEEN.sub("", raw).strip())
         if stamp is not None:
-            day += _DAY_S * (stamp + day < before - 0.5 * _DAY_S)  # past midnight
-            before = stamp = stamp + day
+            self._day += _DAY_S * (stamp + self._day < self._before - 0.5 * _DAY_S)  # past midnight
+            self._before = stamp = stamp + self._day
         if checked := _CHECKED.fullmatch(line):
             sound = reduce(xor, checked.group(1).encode()) == int(checked.group(2), 16)
             line = checked.group(1) if sound else f"damaged {line}"
         line = _DECIMAL_COMMA.sub(r'"\1.\2"', line)
         cells = _NUMBER.split(line)
         if len(cells) > 1:
-            shape = (heading, *(" ".join(cell.split()) for cell in cells))
-            yield LogLine(shape, tuple(_NUMBER.findall(line)), stamp)
-        elif line.endswith(":") or line.startswith("---"):
-            heading = line.rstrip(":-")
+            shape = (self._heading, *(" ".join(cell.split()) for cell in cells))
+            return LogLine(shape, tuple(_NUMBER.findall(line)), stamp)
+        if line.endswith(":") or line.startswith("---"):
+            self._heading = line.rstrip(":-")
+        return None
+
+
+def lines_of(content: bytes) -> Iterator[LogLine]:
+    """Yield the lines that hold numbers; the last only where it ends."""
+    text, reader = as_utf8(content).decode("utf-8", "replace"), LineReader()
+    yield from filter(None, map(reader.take, text[: text.rfind("\n") + 1].splitlines()))
 
 
 def _stamp(line: str) -> tuple[float | None, str]:
@@ -108,16 +118,20 @@ def _stamp(line: str) -> tuple[float | None, str]:
     return None, line
 
 
+def cycle_of(lines: Sequence[LogLine]) -> list[tuple[str, ...]]:
+    """Return the shapes that come again and again, in turn; none where there are too few or too many."""
+    counts = Counter(line.shape for line in lines)
+    most = max(counts.values(), default=0)
+    frequent = [line.shape for line in lines if counts[line.shape] >= _SHARE * most]
+    cycle = list(dict.fromkeys(frequent[: 4 * _MOST_LINES]))
+    return cycle if most >= _LEAST and len(cycle) <= _MOST_LINES else []
+
+
 def find_readings(content: bytes) -> SerialLog | None:
     """Return the readings of a log; None where no shape of a line comes again and again."""
     every = list(lines_of(content))
-    counts = Counter(line.shape for line in every)
-    most = max(counts.values(), default=0)
-    frequent = [line for line in every if counts[line.shape] >= _SHARE * most]
-    cycle = list(dict.fromkeys(line.shape for line in frequent[: 4 * _MOST_LINES]))  # shapes in turn
-    if most < _LEAST or len(cycle) > _MOST_LINES:
-        return None
-    readings = list(_readings(frequent, cycle))
+    cycle = cycle_of(every)
+    readings = list(readings_in(every, cycle))
     if len(readings) < _LEAST:
         return None
     names = names_of(*cycle)
@@ -137,10 +151,10 @@ def find_readings(content: bytes) -> SerialLog | None:
     return SerialLog(named, "".join(",".join(row) + "\n" for row in rows).encode(), before, lost, plain)
 
 
-def _readings(lines: Sequence[LogLine], cycle: Sequence[tuple[str, ...]]) -> Iterator[list[LogLine]]:
-    """Yield the lines of each whole reading: every shape of the cycle in turn."""
+def readings_in(lines: Iterable[LogLine], cycle: Sequence[tuple[str, ...]]) -> Iterator[list[LogLine]]:
+    """Yield the lines of each whole reading: every shape of the cycle in turn; others in between are left out."""
     reading: list[LogLine] = []
-    for line in lines:
+    for line in (line for line in lines if line.shape in cycle):
         if line.shape != cycle[len(reading)]:
             reading = []
         if line.shape == cycle[len(reading)]:

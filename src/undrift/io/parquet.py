@@ -91,6 +91,8 @@ def write_parquet(record: Record, path: str | Path) -> None:
 class ParquetWriter:
     """Write a record chunk by chunk. The file appears under its name only when the with block ends well."""
 
+    write_every_s = 10.0  # of the record, where it comes live
+
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
         self._part = self.path.with_name(self.path.name + ".part")

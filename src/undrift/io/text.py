@@ -9,19 +9,21 @@ Earlier versions wrote a first line instead, which still reads::
 """
 
 import csv
+import io
 import json
+import os
 import re
 from collections.abc import Mapping, Sequence
-from contextlib import nullcontext
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, Self, TypeAlias
 
 import numpy as np
 
 from undrift.arrays import FloatArray
 from undrift.errors import FileFormatError
-from undrift.files import LIMITS, checked_file, is_gzip, read_bytes, read_tree, write_together
+from undrift.files import LIMITS, checked_file, is_gzip, read_bytes, read_tree, unwritten, write_together
 from undrift.io.box import boxed
 from undrift.io.columns import (
     FORMAT,
@@ -60,7 +62,7 @@ def read_csv(path: str | Path, columns: ColumnMap | None = None, settings: ReadS
             wanted = "'# undrift record; frame=...; state=...; device=...' in line 1"
             columns = stated(columns, marked, f"{path}: wanted {wanted}, got {text.mark[:60]!r}")
         else:
-            columns = _read_sidecar(Path(path), text.names, columns)
+            columns = _read_sidecar(Path(path), text.names, columns, settings)
     return build_record(parse_text(text, columns.numeric()), columns)
 
 
@@ -91,7 +93,7 @@ def statement_of(record: Record, path: Path, names: Sequence[str]) -> dict[str, 
     }
 
 
-def _read_sidecar(path: Path, names: Sequence[str], columns: ColumnMap) -> ColumnMap:
+def _read_sidecar(path: Path, names: Sequence[str], columns: ColumnMap, settings: ReadSettings) -> ColumnMap:
     """Return the map with what the file beside a table of undrift states; unchanged where there is none of undrift."""
     beside = sidecar_of(path)
     if not beside.is_file():
@@ -114,6 +116,7 @@ def _read_sidecar(path: Path, names: Sequence[str], columns: ColumnMap) -> Colum
             f"{beside}: wanted the columns of {path.name} ({', '.join(names)}), got {', '.join(held.get('columns', ()))}; "
             "it belongs to another table: move it away"
         )
+    columns = replace(columns, gaps=settings.gaps or "keep")  # undrift wrote it: an empty cell is a gap
     return stated(columns, held, f"{beside}: wanted frame, state and device of a recording, got others")
 
 
@@ -124,9 +127,7 @@ def write_rows(
     import pyarrow as pa
     from pyarrow import csv as arrow_csv
 
-    table = pa.table(
-        [pa.array(np.ascontiguousarray(column), from_pandas=True) for column in columns], names=list(names)
-    )
+    table = _table_of(names, columns)
 
     def write(part: Path) -> None:
         packs = path.suffix == ".gz"
@@ -138,6 +139,55 @@ def write_rows(
             arrow_csv.write_csv(table, sink, arrow_csv.WriteOptions(include_header=False, quoting_style="none"))
 
     write_together({**(beside or {}), path: write}, table.nbytes)
+
+
+def _table_of(names: Sequence[str], columns: Sequence[FloatArray]) -> Any:
+    import pyarrow as pa
+
+    return pa.table([pa.array(np.ascontiguousarray(column), from_pandas=True) for column in columns], names=list(names))
+
+
+class Appender:
+    """Writes lines piece by piece into a new file that is whole after each, whatever ends it."""
+
+    write_every_s = 1.0  # of a record, where it comes live
+
+    def __init__(self, path: Path) -> None:
+        self.path, self._sink = path, -1
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._sink >= 0:
+            os.close(self._sink)
+            self._sink = -1
+
+    def append(self, content: bytes) -> None:
+        """Append lines and bring them to the disk; where they do not fit, those that do are kept."""
+        start = done = 0
+        try:
+            if self._sink < 0:
+                flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0)
+                self._sink = os.open(self.path, flags, 0o666)
+            start = os.fstat(self._sink).st_size
+            while done < len(content):
+                done += os.write(self._sink, content[done:])
+            os.fsync(self._sink)
+        except OSError as error:
+            with suppress(OSError):  # of a file that was not opened, too
+                os.ftruncate(self._sink, start + content.rfind(b"\n", 0, done) + 1)
+            raise unwritten(self.path, error, len(content) - done) from error
+
+    def write(self, record: Record) -> None:
+        """Append a chunk of a record, with undrift's own column names."""
+        from pyarrow import csv as arrow_csv
+
+        (names, columns), buffer = native_columns(record), io.BytesIO()
+        buffer.write(b"" if self._sink >= 0 else f"{','.join(names)}\n".encode())
+        options = arrow_csv.WriteOptions(include_header=False, quoting_style="none")
+        arrow_csv.write_csv(_table_of(names, columns), buffer, options)
+        self.append(buffer.getvalue())
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

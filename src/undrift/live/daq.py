@@ -72,7 +72,7 @@ class DaqSource(ByteSource):
 
     def _poll(self, wait_s: float) -> FloatArray:
         try:
-            volts = self._port.receive(wait_s)
+            volts = self.port.receive(wait_s)
         except OSError as error:
             raise LinkError(f"{self.name}: wanted readings, got '{error}'; read more often, or reconnect") from error
         count = self._next + np.arange(len(volts))

@@ -20,6 +20,7 @@ import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray, Shape, freeze
 from undrift.base.codec import stored, toml_of, value_of
+from undrift.base.summary import at
 from undrift.errors import InputError, check_positive
 from undrift.record import Record
 from undrift.units import canonical_unit
@@ -46,7 +47,7 @@ CHECKSUMS = {
 
 # ---- StreamDescription: what a device sends: which channels in which order, in which units, how it is framed.
 
-Framing = Literal["line", "frame"]
+Framing = Literal["line", "frame", "log"]
 COUNTER, IGNORED = "count", "-"
 TRIADS = ("gyro", "accel", "mag")
 MEASURED = (*(f"{triad}_{axis}" for triad in TRIADS for axis in "xyz"), "temp")
@@ -69,8 +70,8 @@ class StreamDescription:
     temp_zero: float = 0.0
     tick: float = 0.0  # Device seconds a step of the counter; 0 for a counter of readings
     counter_bits: int = 0  # Width of the counter; 0 for one that never wraps
-    format: Framing = "line"  # line (text) or frame (binary)
-    separator: str = ","  # Between the numbers of a line
+    format: Framing = "line"  # line (numbers alone), frame (binary) or log (any text of io/log.py)
+    separator: str = ","  # Between the numbers of a line; of a log, the words before the first number of a reading
     checksum: str = "none"  # none, xor, sum, crc16 or crc32: behind a line as ``*hex``, behind a frame as bytes
     sync: str = "aa55"  # First bytes of a frame, hex
     # Fields of a frame as Python's struct writes them, one for each channel, little (<) or big (>) end first
@@ -85,7 +86,7 @@ class StreamDescription:
         object.__setattr__(self, "gyro_unit", canonical_unit(self.gyro_unit, "rate"))
         object.__setattr__(self, "accel_unit", canonical_unit(self.accel_unit, "accel"))
         if self.format not in get_args(Framing):
-            raise InputError(f"stream: wanted format line or frame, got '{self.format}'; name one of them")
+            raise InputError(f"stream: wanted format line, frame or log, got '{self.format}'; name one of them")
         if self.checksum not in CHECKSUMS:
             raise InputError(f"stream: wanted checksum {', '.join(CHECKSUMS)}, got '{self.checksum}'; name one of them")
         if not 0 <= self.counter_bits <= 53 or self.tick < 0.0:
@@ -416,6 +417,11 @@ def finite(rows: FloatArray) -> FloatArray:
     return np.asarray(rows[~np.isinf(rows).any(axis=1)])
 
 
+DECODERS = {"line": LineDecoder, "frame": FrameDecoder}
+LOG = "undrift.live.log:LogDecoder"  # loaded where it is asked for: it reads as io/log.py does, which the simulator must not
+
+
 def decoder_for(description: StreamDescription) -> Decoder:
     """Return the decoder of a stream."""
-    return LineDecoder(description) if description.format == "line" else FrameDecoder(description)
+    decoder: Decoder = (DECODERS.get(description.format) or at(LOG))(description)
+    return decoder

@@ -142,7 +142,7 @@ class SerialPort:
     datagrams = False
 
     def __init__(self, place: str, baud: int, hardware_handshake: bool = False) -> None:
-        serial = package_of("serial", "pyserial", "serial port")
+        serial, self.baud = package_of("serial", "pyserial", "serial port"), baud
         self._port = serial.serial_for_url(place, baudrate=baud, write_timeout=WRITE_S, rtscts=hardware_handshake)
 
     def receive(self, wait_s: float) -> bytes:
@@ -154,6 +154,11 @@ class SerialPort:
         first: bytes = self._port.read(1)
         waiting = self._port.in_waiting if first else 0
         return first + bytes(self._port.read(waiting)) if waiting else first
+
+    def set_baud(self, baud: int) -> None:
+        """Read at another rate from now on, without what came before."""
+        self._port.baudrate = self.baud = baud
+        self._port.reset_input_buffer()
 
     def write(self, data: bytes) -> None:
         """Send all of it or raise OSError."""
@@ -250,6 +255,13 @@ def host_and_port(place: str) -> tuple[str, int]:
     return parts.hostname or "", port if parts.path in ("", "/") else 0
 
 
+def serial_ports() -> list[tuple[str, str]]:
+    """Return the serial ports of this computer, and what is behind each; those of USB first."""
+    ports = package_of("serial.tools.list_ports", "pyserial", "serial port").comports()
+    found = sorted(ports, key=lambda port: (port.vid is None, port.device))
+    return [(port.device, port.description if port.vid is not None else "built in") for port in found]
+
+
 def package_of(module: str, package: str, who: str, extra: str = "live") -> Any:
     """Import an optional package, or say what to install."""
     try:
@@ -271,8 +283,8 @@ class ByteSource:
         self, name: str, description: StreamDescription, connect: Callable[[], Any], clock: Clock = HOST
     ) -> None:
         self.name, self.description, self.errors = name, description, 0
-        self._connect, self._clock = connect, clock
-        self._port: Any = None
+        self._connect, self.clock = connect, clock
+        self.port: Any = None
         self._came = 0  # bytes of this read
         self._decoder = decoder_for(description)
 
@@ -281,7 +293,7 @@ class ByteSource:
         self.close()
         self._decoder = decoder_for(self.description)
         try:
-            self._port = self._connect()
+            self.port = self._connect()
         except InputError:  # the address is wrong, and says how
             raise
         except (OSError, ValueError) as error:
@@ -290,9 +302,9 @@ class ByteSource:
 
     def read(self, deadline_s: float) -> Chunk:
         """Return what has come."""
-        if self._port is None:
+        if self.port is None:
             raise LinkError(f"{self.name}: wanted an open {self.way}, got a closed one; open it first")
-        now = self._clock.now
+        now = self.clock.now
         last, self._came = now() + deadline_s, 0
         while True:
             rows = self._poll(min(max(last - now(), 0.0), POLL_S))
@@ -308,19 +320,24 @@ class ByteSource:
 
     def close(self) -> None:
         """Let go of the port; harmless when called again."""
-        if self._port is not None:
-            getattr(self._port, self.ending)()
-            self._port = None
+        if self.port is not None:
+            getattr(self.port, self.ending)()
+            self.port = None
+
+    def receive(self, wait_s: float) -> bytes:
+        """Return bytes as they come, b"" where none came in time."""
+        try:
+            data: bytes = self.port.receive(wait_s)
+        except (OSError, EOFError) as error:
+            raise LinkError(f"{self.name}: wanted readings, got a lost link: {reason_of(error)}; reconnect") from error
+        return data
 
     def _poll(self, wait_s: float) -> FloatArray:
         """Return the readings that a short wait completes, (N, K)."""
-        try:
-            data = self._port.receive(wait_s)
-        except (OSError, EOFError) as error:
-            raise LinkError(f"{self.name}: wanted readings, got a lost link: {reason_of(error)}; reconnect") from error
+        data = self.receive(wait_s)
         self._came += len(data)
         garbled = self._decoder.errors
-        rows = self._decoder.feed(data, whole=self._port.datagrams) if data else np.empty((0, 0))
+        rows = self._decoder.feed(data, whole=self.port.datagrams) if data else np.empty((0, 0))
         self.errors += self._decoder.errors - garbled
         return rows
 
@@ -345,7 +362,7 @@ class LslSource(ByteSource):
 
     def _poll(self, wait_s: float) -> FloatArray:
         try:
-            samples, stamps = self._port.pull_chunk(timeout=wait_s)
+            samples, stamps = self.port.pull_chunk(timeout=wait_s)
         except (RuntimeError, OSError) as error:  # pylsl's LostError is a RuntimeError
             raise LinkError(
                 f"{self.name}: wanted readings, got a lost stream: {error}; start the sender again"

@@ -113,7 +113,7 @@ def test_what_is_no_address_and_who_is_not_there_are_refused(source: LiveDevice)
 def test_a_file_holds_all_that_came_while_it_was_open(
     source: LiveDevice, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    monkeypatch.setattr("undrift.commands.bench.source.WRITE_EVERY_S", 0.5)
+    monkeypatch.setattr("undrift.io.parquet.ParquetWriter.write_every_s", 0.5)
     eventually(lambda: seconds(source) > 0.2, "readings")
     path = tmp_path / "live.parquet"
     source.write_to(path)
@@ -135,7 +135,7 @@ def test_a_file_holds_all_that_came_while_it_was_open(
 def test_a_full_disk_ends_the_file_with_a_reason_and_the_readings_go_on(
     source: LiveDevice, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    monkeypatch.setattr("undrift.commands.bench.source.WRITE_EVERY_S", 0.3)
+    monkeypatch.setattr("undrift.io.parquet.ParquetWriter.write_every_s", 0.3)
     write, calls = ParquetWriter.write, []
 
     def fill(self: ParquetWriter, record: Record) -> None:

@@ -1,4 +1,4 @@
-"""Guides: what a person is asked to do, step by step, in the captures by hand: six faces at rest, then whole turns about each axis.
+"""Guides: what a person is asked to do, step by step, in the captures by hand: six faces and whole turns, or poses of any kind.
 
 A guide is fed the newest readings. It says what to do next, judges what the device does, and captures a step that was done well.
 Any step may be done in any order, or again: what was captured stays until there is another. A gap in the readings over 0.1 s, a
@@ -20,6 +20,7 @@ from typing import cast
 
 import numpy as np
 
+from undrift.arrays import FloatArray
 from undrift.commands.bench.capture import (
     COUNTDOWN_S,
     SETTLE_S,
@@ -44,7 +45,8 @@ FULL_TURN = 2.0 * math.pi
 NEAR = 0.15  # of a whole turn, relative: an uncalibrated gyroscope reads it within that
 LIKE = 0.3  # readings of turns in counts differ by less than this, relative
 SAME_POSE = math.cos(15.0 * RADIAN_PER_DEGREE)
-REST_S = 3.0  # before a turn and after it
+REST_S = 3.0  # before a turn and after it, and of a pose
+POSES, NEW_POSE = 15, math.cos(25.0 * RADIAN_PER_DEGREE)
 SHARP = StillSettings(
     window_s=0.25, smooth_s=0.05, min_duration_s=0.25, threshold_floors=8.0
 )  # how near a rest comes to a turn
@@ -148,6 +150,38 @@ class SixFaces(Guide):
 
 def _turn(face: str | None) -> str:
     return "All six faces are captured." if face is None else f"Turn {face} up."
+
+
+class Poses(Guide):
+    """Rests in poses of any kind that differ from each other, as many as accelerometers need."""
+
+    step, order = "pose", tuple(str(k + 1) for k in range(POSES))
+
+    def __init__(self, capture: Capture) -> None:
+        super().__init__(capture)
+        self._ups, self._done = list[FloatArray](), dict[str, CapturedSpan]()
+
+    @property
+    def done(self) -> Mapping[str, CapturedSpan]:
+        """What is captured, by its number."""
+        return self._done
+
+    def _judged(self, rest: Rest | None) -> Light:
+        if self.complete:
+            return Light(state="captured", text=f"All {POSES} poses are captured.")
+        if rest is None:
+            return Light(state="moving", text="Moving. Hold it still in another pose, on a support if you can.")
+        up, _ = self.capture.up(rest)
+        if up is None:
+            return Light(state="unknown face", text=UNKNOWN)
+        if any(float(up @ known) > NEW_POSE for known in self._ups):
+            return Light(state="captured", text="This pose is captured. Tilt it by 30 deg or more, any way.")
+        if rest.duration_s < REST_S:
+            return Light(state="settling", text="Still. Do not touch it.", left_s=REST_S - rest.duration_s)
+        self._ups.append(up)
+        span = CapturedSpan(stretch=self.capture.stretch, start_s=rest.start_s, stop_s=rest.stop_s)
+        self._done = {**self._done, str(len(self._ups)): span}
+        return Light(state="captured", text="Captured. Tilt it by 30 deg or more, any way.")
 
 
 @dataclass(frozen=True, slots=True)

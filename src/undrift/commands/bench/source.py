@@ -20,6 +20,7 @@ from undrift.correction.correct import Corrector
 from undrift.errors import InputError, UndriftError
 from undrift.io.parquet import ParquetWriter
 from undrift.io.store import read_calibration
+from undrift.io.text import Appender
 from undrift.live.recorder import Recorder, RecorderSettings
 from undrift.live.transports import source_at
 from undrift.model import Calibration
@@ -33,7 +34,6 @@ GATHER_S = 0.04  # host s for which readings are left to gather
 SILENCE_S, RETRY_S = 2.0, 1.0
 STALE_S = 1.0  # host time without readings after which the newest ones are no longer "now"
 RATE_OVER_S = 5.0  # host s over which the sample rate is counted
-WRITE_EVERY_S = 10.0  # device s in a piece of the file
 STOP_S = 20.0
 
 
@@ -71,8 +71,8 @@ class Status:
 class LiveDevice:
     """One device, from `start` to `stop`."""
 
-    def __init__(self, address: str) -> None:
-        self.address = address
+    def __init__(self, address: str, silence_s: float = SILENCE_S) -> None:
+        self.address, self._silence_s = address, silence_s  # the latter: longest host time without readings
         self.recorder = self._fresh()  # of the present connection; refuses an address that is none
         self.name = self.recorder.source.description.device or self.recorder.source.name
         self.error = ""
@@ -90,7 +90,7 @@ class LiveDevice:
         self._orient = OrientStream()
         self.axes: tuple[Face, Face] = "+x", "+z"  # forward and up on the upright segment: they define the pitch
         self._correction = self._notes = ""
-        self._writer: ParquetWriter | None = None
+        self._writer: ParquetWriter | Appender | None = None
         self._unwritten: list[Record] = []
         self._file_start, self._file_error = math.nan, ""
 
@@ -117,6 +117,8 @@ class LiveDevice:
         self._stopping.set()
         if self._thread is not None:
             self._thread.join(STOP_S)
+            with suppress(UndriftError):  # what came since its last look
+                self._take()
         self.recorder.stop()
         return self.stop_writing()
 
@@ -185,11 +187,12 @@ class LiveDevice:
         self.axes = forward, up
 
     def write_to(self, path: Path) -> None:
-        """Write the raw readings from now on to a Parquet file, which appears when the writing is stopped."""
+        """Write the raw readings from now on, to a CSV that grows or a Parquet file that appears when the writing is stopped."""
         with self._file_lock:
             if self._writer is not None:
                 raise InputError(f"record: wanted to start, got {self._writer.path.name} still open; stop it first")
-            self._writer, self._unwritten, self._file_error = ParquetWriter(path), [], ""
+            writer = Appender(path) if path.suffix == ".csv" else ParquetWriter(path)
+            self._writer, self._unwritten, self._file_error = writer, [], ""
             self._file_start = max(self._last, 0.0)
 
     def stop_writing(self) -> Path | None:
@@ -207,7 +210,7 @@ class LiveDevice:
             return writer.path if writer.path.exists() else None
 
     def _fresh(self) -> Recorder:
-        settings = RecorderSettings(silence_s=SILENCE_S, keep_s=KEEP_S, gather_s=GATHER_S)
+        settings = RecorderSettings(silence_s=self._silence_s, keep_s=KEEP_S, gather_s=GATHER_S)
         return Recorder(source_at(self.address), settings)
 
     def _tally(self) -> FloatArray:
@@ -284,7 +287,7 @@ class LiveDevice:
             if self._writer is None:
                 return
             self._unwritten.append(raw)
-            if raw.time[-1] - self._unwritten[0].time[0] < WRITE_EVERY_S:
+            if raw.time[-1] - self._unwritten[0].time[0] < self._writer.write_every_s:
                 return
             held, self._unwritten = self._unwritten, []
             try:

@@ -1,0 +1,372 @@
+"""``undrift record``: what a device sends, to a file; with a guide through the poses of a calibration, which follows.
+
+Readings are appended to a CSV that is whole after each second, whatever ends the recording: Ctrl-C, a cable, a full disk, a power
+cut. The file that was asked for is made of it at the end. What a device prints is found by listening (``live/log.py``).
+"""
+
+import math
+import signal
+import threading
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal, TypeAlias
+
+from undrift.base.options import OptionalOutput, verb
+from undrift.base.summary import Section, Summary
+from undrift.commands import Screen
+from undrift.commands.files import Place, check_output
+from undrift.errors import InputError, LinkError, UndriftError
+
+if TYPE_CHECKING:
+    from undrift.commands.bench.guides import Guide
+    from undrift.commands.bench.source import Status
+    from undrift.live.transports import Source
+    from undrift.record import Record
+
+LOOK_S = 0.2  # between two looks at the device, host s
+LOG_S = 5.0  # of the recording between two lines where there is no terminal
+FIRST_S, LOST_S = (
+    6.0,
+    10.0,
+)  # host s to wait for the first reading (a board may start anew), and for a device that was lost
+CLOCK_S = 10.0  # of a recording that shows the rate of a device without time better than listening did
+PAUSE_S = 1.0  # host s without readings that are not mentioned
+RATE_S = 2.0  # of a recording after which its rate is shown
+NOW_S, MOST_S = 0.5, 100.0  # of readings whose mean is shown; of those that a guide takes at once
+LINES = (".log", ".txt")  # as they come
+FORMATS = (".parquet", ".csv", ".csv.gz", ".mat", "_motion.tsv", *LINES)
+HOW = {
+    "face": "Faces: lay it on each of its six faces, on a level table, and let go. Each is captured by itself, in any order.",
+    "turn": "Turns: lay it along a straight edge. Turn it once on the table, as seen from above, back to the edge, and let go.",
+    "pose": "Poses: lay or lean it in 15 poses of any kind, 30 deg apart, and let go. Each is captured by itself.",
+}
+Guides: TypeAlias = "Sequence[Guide]"
+
+
+@verb
+def record(
+    address: str | None = None,
+    /,
+    *,
+    output: OptionalOutput = None,
+    port: str | None = None,
+    ble: str | None = None,
+    lsl: str | None = None,
+    udp: str | None = None,
+    guide: Literal["six-faces", "turns", "poses"] | None = None,
+    duration_s: float = math.inf,
+    place: Place = Place(),
+    screen: Screen = Screen(),
+) -> Summary:
+    """Record what a device sends until Ctrl-C; without device and file, list the serial ports.
+
+    Parameters
+    ----------
+    address : str or None
+        A serial port, or another address (docs/live.md): tcp://host:port. What lines of text hold is found by listening.
+    output : Path or None
+        File to write: .parquet, .csv, .csv.gz, .mat or BIDS; as .log or .txt the lines of the device, a stamp before each.
+    port : str or None
+        Serial port, as /dev/ttyUSB0 or COM3; its baud rate is found.
+    ble : str or None
+        Bluetooth device and its characteristic: ID?characteristic=UUID
+    lsl : str or None
+        Stream of the Lab Streaming Layer, and what it holds: NAME?channels=...&rate=100
+    udp : str or None
+        Port of this computer to which the device sends.
+    guide : str or None
+        Leads through the poses of a calibration, which follows: six-faces (accelerometers), turns (the faces, then turns by
+        hand: both sensors) or poses (15 of any kind, held still).
+    duration_s : float
+        Longest time to record, s.
+    """
+    ways = {"serial://": port, "ble:": ble, "lsl:": lsl, "udp://:": udp, "": address}
+    named = [f"{kind}{value}" for kind, value in ways.items() if value is not None]
+    if not named and output is None:
+        return _ports()
+    where = _address(named)
+    if output is None:
+        raise InputError(f"record: wanted a file to write, got none; say `output` walk.parquet to record {where}")
+    check_output(output, endings=FORMATS)
+    folder = output.with_name(output.name.partition(".")[0])
+    calibration = folder.with_name(f"{folder.name}.json")
+    for path in (output, *((folder, calibration) if guide else ())):
+        if path.exists():
+            raise InputError(f"{path}: wanted a new name, got one that exists; no recording is written over")
+    if output.suffix in LINES:
+        if guide is not None:
+            raise InputError(f"`guide`: wanted a file of readings, got {output}, of lines; say `output` walk.parquet")
+        return _record_lines(where, output, duration_s, screen)
+    recording = _Recording(where, output, screen)
+    guides = _guides(guide, folder, place)
+    screen.say(*(HOW[one.step] for one in guides))
+    whole, status = recording.run(guides, duration_s)
+    made = recording.summary(whole, status)
+    if guides and all(one.complete for one in guides):
+        own = _calibrated(guides, output, calibration, place)
+        sections = (Section(title="Recording", text=(made.answer,)), *own.sections)
+        notes, written = (*made.notes, *own.notes), (output, *own.written)
+        return replace(own, data={**own.data, "recording": made.data}, sections=sections, notes=notes, written=written)
+    done = ", ".join(f"{len(one.done)} of {len(one.order)} {one.step}s" for one in guides)
+    left = (f"the guide was left at {done}: nothing was calibrated",) if guides else ()
+    return replace(made, notes=(*made.notes, *left))
+
+
+def _address(named: list[str]) -> str:
+    """Return the address of the one device that is named, or of the only port."""
+    from undrift.live.transports import serial_ports
+
+    found = named or [f"serial://{name}" for name, _ in serial_ports()]
+    if len(found) != 1:
+        raise InputError(f"record: wanted one device, got {len(found)} ({', '.join(found)}); name it, as `port` NAME")
+    return f"serial://{found[0]}" if found[0].startswith("/") or found[0].upper().startswith("COM") else found[0]
+
+
+def _ports() -> Summary:
+    from undrift.live.transports import serial_ports
+
+    ports = serial_ports()
+    none = "No serial port was found: connect the device, or name another way."
+    return Summary(
+        title="Serial ports",
+        answer=f"Serial ports: {len(ports)}." if ports else none,
+        data={"ports": [{"port": name, "device": text} for name, text in ports]},
+        sections=(Section(title="Serial ports", columns=("port", "device"), rows=tuple(ports), words=True),),
+        next=("record", "--port", ports[0][0], "-o", "walk.parquet") if ports else (),
+    )
+
+
+def _record_lines(where: str, output: Path, duration_s: float, screen: Screen) -> Summary:
+    """Write the lines of a device as they come, the time since the first before each."""
+    from undrift.io.text import Appender
+    from undrift.live.log import ANY, BYTE_WAYS, listen
+    from undrift.live.transports import POLL_S, ByteSource, source_at
+
+    source = source_at(where, ANY)
+    if where.partition(":")[0] not in BYTE_WAYS or not isinstance(source, ByteSource):
+        raise InputError(f"{where}: wanted a device that prints lines, got another way; say `output` walk.parquet")
+    screen.over(f"Listening to {where} ...")
+    ended, count, stamp, rest = "stopped", 0, 0.0, b""
+    try:
+        with Appender(output) as file:
+            pieces = list(listen(source)[0])
+            began = pieces[0][0]
+            screen.over("")
+            screen.say(f"Recording the lines of {source.name}. Ctrl-C ends it.")
+            while source.clock.now() - began < duration_s:
+                text = list[bytes]()
+                for arrived, data in pieces:
+                    *lines, rest = (rest + data).split(b"\n")
+                    for line in lines:
+                        stamp = max(arrived - began, stamp + 1e-6)
+                        text.append(b"[%12.6f] %s\n" % (stamp, line.rstrip(b"\r")))
+                file.append(b"".join(text))
+                count += len(text)
+                screen.over(f"{stamp:7.1f} s   {count} lines", step=int(stamp / LOG_S))
+                data = source.receive(POLL_S)
+                pieces = [(source.clock.now(), data)] if data else []
+            ended = "time"
+    except KeyboardInterrupt:
+        ended = "stopped"
+    except UndriftError as error:  # a cable, a full disk
+        if count:
+            raise type(error)(f"{error} (the {count} lines until then are in {output})") from error
+        raise
+    finally:
+        screen.over("")
+        source.close()
+    return Summary(
+        title=f"Lines of {source.name}",
+        answer=f"{count} lines recorded in {stamp:.1f} s.",
+        data={"address": where, "output": str(output), "ended": ended, "seconds": stamp, "lines": count},
+        written=(output,),
+        next=("info", output),
+    )
+
+
+@contextmanager
+def undisturbed() -> Iterator[None]:
+    """Finish a file whatever is typed: a second Ctrl-C is not heard."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+class _Recording:
+    """One recording, from the first look at the device to the file."""
+
+    def __init__(self, address: str, output: Path, screen: Screen) -> None:
+        from undrift.commands.bench.source import LiveDevice
+        from undrift.live.log import described_address
+
+        screen.over(f"Listening to {address} ...")
+        self.address, self.notes = described_address(address)
+        self.listened, self.shown = self.address != address, ""
+        self.source, self.screen, self.output, self.ended = LiveDevice(self.address, FIRST_S), screen, output, "stopped"
+        self.began = datetime.now(UTC).isoformat(timespec="milliseconds")
+        self.file = output if output.name.endswith(".csv") else output.with_name(f"{output.name}.csv")
+        screen.over("")
+        notes = (f"  note: {note}" for note in self.notes)
+        screen.say(f"Recording {_about(self.source.recorder.source)}. Ctrl-C ends it.", *notes)
+
+    def run(self, guides: Guides, duration_s: float) -> "tuple[Record, Status]":
+        """Record until it ends, and make the file; what ends it early is raised, and says what there is."""
+        self.source.write_to(self.file)
+        try:
+            self.source.start()
+            self.ended = self._watch(guides, duration_s)
+        except KeyboardInterrupt:
+            self.ended = "stopped"
+        finally:
+            self.screen.over(self.shown, last=True)
+            status, full = self.source.status(), ""
+            with undisturbed():
+                try:
+                    self.source.stop()
+                except InputError as error:
+                    full = str(error)
+        full = full or status.file_error
+        try:
+            with undisturbed():
+                whole, where, failed = self._made(full)
+        except UndriftError as error:
+            got = full or f"{self.source.name}: wanted readings, got none or one before it was stopped; try again"
+            raise InputError(got) from error
+        kept = f"the {whole.duration_s:.1f} s until then are in {where}"
+        if failed:
+            raise InputError(f"{failed} ({kept})")
+        if self.ended == "lost":
+            raise LinkError(f"{status.error} ({kept})")
+        return whole, status
+
+    def summary(self, whole: "Record", status: "Status") -> Summary:
+        """Return how long and how complete a recording is."""
+        lost, garbled, rate_hz = status.lost, status.garbled, whole.sample_rate_hz
+        data = {"address": self.address, "output": str(self.output), "ended": self.ended, "seconds": whole.duration_s}
+        return Summary(
+            title=f"Recording {self.output.name}",
+            answer=f"{whole.duration_s:.1f} s recorded at {rate_hz:.5g} Hz: {lost} of {status.readings + lost} readings lost, "
+            f"{garbled} damaged ones left out.",
+            data=data | {"sample_rate_hz": rate_hz, "readings": len(whole), "lost": lost, "garbled": garbled},
+            sections=(Section(title="Address", text=(f"address: {self.address}",), folded=True),),
+            notes=self.notes,
+            written=(self.output,),
+            next=("info", self.output),
+        )
+
+    def _made(self, full: str) -> "tuple[Record, Path, str]":
+        """Return all readings, the file that holds them, and why it is not the one that was asked for."""
+        from undrift.io.columns import ReadSettings
+        from undrift.io.formats import read_record
+        from undrift.io.write import write_record_as
+
+        description, timeline = self.source.recorder.source.description, self.source.recorder.timeline
+        whole = replace(read_record(self.file, settings=ReadSettings(gaps="keep")), device=description.device)
+        # A rate that was found in seconds is better known now, by this computer's clock
+        if (
+            self.listened
+            and not description.tick
+            and whole.duration_s > CLOCK_S
+            and (clock := timeline.clock()).settled
+        ):
+            whole = replace(whole, time=whole.time * clock.rate * description.clock_speed)
+        try:
+            if not full:
+                write_record_as(whole, self.output, {"address": self.address, "began": self.began})
+        except InputError as error:
+            full = str(error)
+        if full:
+            return whole, self.file, full
+        if self.file != self.output:
+            self.file.unlink()
+        return whole, self.output, ""
+
+    def _watch(self, guides: Guides, duration_s: float) -> str:
+        """Show what comes, and what a guide asks for, until the end; return what ended it."""
+        source, heard, texts = self.source, time.monotonic(), list[str]()
+        while True:
+            time.sleep(LOOK_S)
+            now, status = time.monotonic(), source.status()
+            newest = source.recent(min((now - heard + 1.0) * source.speed, MOST_S))
+            heard = heard if newest is None else now
+            if newest is None and now - heard < PAUSE_S and not status.file_error:
+                continue
+            guide = next((one for one in guides if not one.complete), None)
+            if guide is not None:
+                guide.update(newest, now, source)
+                texts += [guide.light.text] if texts[-1:] != [guide.light.text] else []
+            step = len(texts) if guides else int(status.file_s / LOG_S)
+            self.shown = "\n".join((*_asked(guide), _line(status, newest)))
+            self.screen.over(self.shown, step=step)
+            if now - heard > LOST_S:
+                return "lost"
+            if guides and guide is None:
+                return "guide"
+            if status.file_error or status.file_s >= duration_s:
+                return "time"
+
+
+def _about(source: "Source") -> str:
+    """Return what a device sends, in words."""
+    sent, triads = source.description, {name.partition("_")[0] for name in source.description.measured}
+    units = {"gyro": sent.gyro_unit, "accel": sent.accel_unit, "mag": "uT", "temp": "degC"}
+    channels = ", ".join(f"{name} in {unit}" for name, unit in units.items() if name in triads)
+    return f"{source.name}: {channels}, {sent.rate:g} Hz"
+
+
+def _line(status: "Status", newest: "Record | None") -> str:
+    """Return how the recording is doing, in a line."""
+    import numpy as np
+
+    if newest is None:
+        return f"{status.file_s:7.1f} s   no readings: {status.error or 'waiting for the device'}"
+    rate = f"{status.sample_rate_hz:.1f}" if status.file_s > RATE_S else "-"
+    cells = [f"{status.file_s:7.1f} s", f"{rate:>5} Hz", f"{status.lost} lost"]
+    if newest.accel is not None:
+        accel = newest.accel[newest.time > newest.time[-1] - NOW_S]
+        length, whole = np.nanmean(np.linalg.norm(accel, axis=1)), newest.accel_unit in ("count", "mg")
+        cells.append(f"|a| {length:{'.0f' if whole else '.4g'}} {newest.accel_unit}")
+    cells += [f"{status.temp_c:.1f} degC"] if math.isfinite(status.temp_c) else []
+    return "   ".join(cells)
+
+
+# ---- guides
+
+
+def _guides(name: str | None, folder: Path, place: Place) -> Guides:
+    """Return the guides of a calibration by hand, which share what they capture."""
+    from undrift.commands.bench.capture import Capture
+    from undrift.commands.bench.guides import Poses, SixFaces, Turns
+
+    gravity, how = place.gravity()
+    capture = Capture(folder, place.serial, gravity_m_s2=None if how == "standard" else gravity)
+    kinds = {"six-faces": (SixFaces,), "turns": (SixFaces, Turns), "poses": (Poses,)}
+    return [kind(capture) for kind in kinds.get(name or "", ())]
+
+
+def _asked(guide: "Guide | None") -> Iterator[str]:
+    """Yield what a guide asks for: how far it is, and what to do now."""
+    if guide is not None:
+        left = "" if guide.light.left_s is None else f" {guide.light.left_s:.0f} s"
+        yield f"{guide.step.capitalize()}s: {len(guide.done)} of {len(guide.order)}"
+        yield f"{guide.light.text}{left}"
+
+
+def _calibrated(guides: Guides, output: Path, calibration: Path, place: Place) -> Summary:
+    """Calibrate by the faces and turns that guides captured, or by the poses in the recording."""
+    from undrift.commands.calibrate import calibrate
+
+    capture = guides[0].capture
+    if guides[0].step == "pose":
+        return calibrate(output, output=calibration, place=place).summary()
+    capture.save()
+    return calibrate(capture.folder, output=calibration).summary()

@@ -1,0 +1,388 @@
+"""undrift record: what a device sends is in the file, whatever ends the recording; a guide leads to a calibration."""
+
+import json
+import math
+import re
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import undrift as package
+from testkit.data import show
+from testkit.disk import preloaded
+from testkit.hand_held import Tremor, hand_held_log
+from testkit.printing_board import ACCEL_LSB_PER_G, GYRO_LSB_PER_DPS, PrintingBoard, resting_line, sketch_line
+from testkit.talking_device import TalkingDevice
+from testkit.waiting import eventually
+from undrift.commands import Screen
+from undrift.commands import record as recording
+from undrift.io.columns import ReadSettings
+from undrift.io.formats import read_record
+from undrift.io.session import read_session
+from undrift.io.store import read_calibration
+from undrift.live import transports
+from undrift.record import Face
+from undrift.sim.device.truth import true_calibration
+from undrift.sim.rig.hand_held import HandHeld, start_hand_held
+from undrift.sim.rig.stream import StreamSettings
+
+pytestmark = pytest.mark.waits
+SPEED = 10.0
+MAIN = """
+import signal
+signal.signal(signal.SIGINT, signal.default_int_handler)  # whatever the shell of the tests ignores
+from undrift.cli.app import main
+main()
+"""
+
+
+@pytest.fixture
+def board() -> Iterator[PrintingBoard]:
+    with PrintingBoard() as made:
+        yield made.print_lines()
+
+
+def kept(path: Path):
+    return read_record(path, settings=ReadSettings(gaps="keep"))
+
+
+# ---- From a port to a file
+
+
+def test_a_board_is_recorded_without_a_word_about_it(undrift, tmp_path, board):
+    path = tmp_path / "walk.parquet"
+    answer = undrift("record", "--port", board.port, "-o", path, "--duration-s", "3")
+    assert answer.code == 0, answer
+    lines = answer.err.splitlines()
+    assert (
+        lines[0]
+        == f"Recording serial:{board.port}: gyro in count, accel in count, temp in degC, 100 Hz. Ctrl-C ends it."
+    )
+    assert re.fullmatch(r" +\d\.\d s +(-|\d+\.\d) Hz   0 lost   \|a\| 16\d\d\d count   25\.\d degC", lines[1]), lines
+    assert re.match(r"3\.\d s recorded at 100 Hz: 0 of 3\d\d readings lost, 0 damaged ones left out\.\n", answer.out)
+    assert answer.out.endswith(f"Wrote {path}\nNext: undrift info {path}\n")
+    assert [one.name for one in tmp_path.iterdir()] == ["walk.parquet"]
+    made = read_record(path)
+    np.testing.assert_allclose(made.time, 0.01 * np.arange(len(made)), atol=1e-9)
+    numbers = (re.findall(rb"gyro\(count\):(-?\d+),(-?\d+),(-?\d+)", resting_line(k))[0] for k in range(3000))
+    sent = np.array([[int(word) for word in three] for three in numbers])
+    at = next(k for k in range(len(sent)) if (sent[k : k + 9] == made.gyro[:9]).all())
+    np.testing.assert_array_equal(made.gyro, sent[at : at + len(made)])
+    assert (made.gyro_unit, made.accel_unit) == ("count", "count")
+    assert "recording (parquet)" in undrift.good("info", path).out
+
+
+def test_an_address_that_was_found_is_stated_and_may_be_given_back(undrift, tmp_path, board):
+    words = ("--duration-s", "1.5", "--json")
+    first = undrift("record", board.port, "-o", tmp_path / "a.csv", *words).json()
+    assert first["ended"] == "time"
+    assert first["lost"] == first["garbled"] == 0
+    assert "format=log" in first["address"]
+    assert "baud=115200" in first["address"]
+    stated = json.loads((tmp_path / "a.csv.json").read_text())
+    assert stated["provenance"]["address"] == first["address"]
+    again = undrift("record", first["address"], "-o", tmp_path / "b.csv", *words).json()
+    assert again["address"] == first["address"]
+    assert read_record(tmp_path / "b.csv").gyro_unit == "count"
+
+
+def test_the_baud_rate_is_found(tmp_path):
+    with PrintingBoard(baud=57_600) as board:
+        board.print_lines()
+        made = recording(board.port, output=tmp_path / "a.csv", duration_s=1.0)
+    assert "baud=57600" in made.data["address"]
+    assert made.data["garbled"] == 0
+
+
+def test_ports_are_listed_and_the_only_one_is_taken(undrift, tmp_path, monkeypatch, board):
+    ports = [("/dev/ttyACM0", "Arduino Uno"), ("/dev/ttyUSB1", "CP2102 USB to UART")]
+    monkeypatch.setattr(transports, "serial_ports", lambda: ports)
+    out = undrift.good("record").out
+    assert "Serial ports: 2." in out
+    assert re.search(r"/dev/ttyACM0 +Arduino Uno", out)
+    assert out.endswith("Next: undrift record --port /dev/ttyACM0 -o walk.parquet\n")
+    assert "got 2 (serial:///dev/ttyACM0, serial:///dev/ttyUSB1); name it, as --port NAME" in undrift.refused(
+        "record", "-o", tmp_path / "a.csv"
+    )
+    monkeypatch.setattr(transports, "serial_ports", lambda: [(board.port, "a board")])
+    assert undrift("record", "-o", tmp_path / "a.csv", "--duration-s", "1").code == 0
+    monkeypatch.setattr(transports, "serial_ports", list)
+    assert "No serial port was found" in undrift.good("record").out
+
+
+def test_a_way_with_a_description_is_recorded_as_described(tmp_path):
+    with TalkingDevice() as device:
+        made = package.record(device.address, output=tmp_path / "a.csv", duration_s=1.0)
+    assert made.data["address"] == device.address
+    assert read_record(tmp_path / "a.csv").device == "talker"
+
+
+@pytest.mark.parametrize(
+    ("words", "wanted"),
+    [
+        (
+            ("--port", "/dev/ttyX"),
+            "wanted a file to write, got none; say --output walk.parquet to record serial:///dev/ttyX",
+        ),
+        (("--port", "x", "--udp", "5000", "-o", "a.csv"), "wanted one device, got 2 (serial://x, udp://:5000)"),
+        (
+            ("--port", "x", "-o", "a.xls"),
+            "wanted a name ending in .parquet, .csv, .csv.gz, .mat, _motion.tsv, .log or .txt",
+        ),
+        (("tcp://h:1", "-o", "old.csv"), "wanted a new name, got one that exists; no recording is written over"),
+        (("pigeon:x", "-o", "a.csv"), "wanted one of tcp:..."),
+    ],
+)
+def test_what_cannot_be_recorded_is_refused(undrift, tmp_path, words, wanted):
+    (tmp_path / "old.csv").write_text("earlier")
+    placed = [tmp_path / word if word.endswith((".csv", ".xls")) else word for word in words]
+    assert wanted in undrift.refused("record", *placed)
+
+
+# ---- What ends it
+
+
+def test_a_cable_that_is_pulled_is_one_line_and_costs_nothing(undrift, tmp_path, monkeypatch, board):
+    import undrift.commands.record as module
+
+    monkeypatch.setattr(sys.modules[module.__name__], "LOST_S", 2.0)
+    threading.Timer(6.0, board.unplug).start()
+    answer = undrift("record", board.port, "-o", tmp_path / "a.parquet", "--json")
+    assert answer.code == 3, answer
+    error = answer.json()["error"]
+    assert error["kind"] == "LinkError"
+    assert answer.err.splitlines()[-1] == f"undrift: {error['text']}"
+    assert re.search(r"\(the \d\.\d s until then are in .*a\.parquet\)", error["text"]), error
+    made = read_record(tmp_path / "a.parquet")
+    assert made.duration_s > 1.0
+    np.testing.assert_allclose(np.diff(made.time), 0.01, atol=1e-9)
+    assert [one.name for one in tmp_path.iterdir()] == ["a.parquet"]
+
+
+def test_a_silence_is_a_gap_and_the_recording_goes_on(tmp_path):
+    with PrintingBoard() as board:
+        board.print_lines()
+        threading.Timer(6.0, setattr, (board, "silent", True)).start()
+        threading.Timer(6.6, setattr, (board, "silent", False)).start()
+        made = recording(board.port, output=tmp_path / "a.csv", duration_s=5.0)
+    whole = kept(tmp_path / "a.csv")
+    assert 40 < np.isnan(whole.gyro[:, 0]).sum() < 90
+    assert made.data["lost"] == np.isnan(whole.gyro[:, 0]).sum()
+
+
+@pytest.mark.parametrize("ending", [".parquet", ".csv"])
+def test_ctrl_c_ends_it_and_the_file_is_whole(tmp_path, board, ending):
+    call = [sys.executable, "-c", MAIN, "record", "--port", board.port, "-o", f"a{ending}", "--json"]
+    with subprocess.Popen(call, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as child:
+        growing = tmp_path / ("a.csv" if ending == ".csv" else "a.parquet.csv")
+        eventually(lambda: growing.exists() and growing.read_bytes().count(b"\n") > 100, "readings in the file")
+        assert read_record(growing).sample_rate_hz == pytest.approx(100.0, rel=1e-6)  # whole at any time
+        for _ in range(2):  # a hasty one
+            child.send_signal(signal.SIGINT)
+        out, err = child.communicate(timeout=60)
+    assert child.returncode == 0, err
+    printed = json.loads(out)
+    assert printed["ended"] == "stopped"
+    assert len(read_record(tmp_path / f"a{ending}")) == printed["readings"] > 100
+    assert sorted(one.name for one in tmp_path.iterdir()) == [f"a{ending}"] + ["a.csv.json"] * (ending == ".csv")
+
+
+FULL = """
+import sys, tempfile
+from pathlib import Path
+import numpy as np
+from testkit.disk import full_after
+from testkit.talking_device import TalkingDevice
+from undrift.commands.record import record
+from undrift.errors import InputError
+from undrift.io.formats import read_record
+
+n, rows, step, ending = 0, [], int(sys.argv[1]), sys.argv[2]
+with TalkingDevice(1000.0) as device:
+    address = device.address.replace("rate=1000", "rate=100") + "&clock_speed=10"
+    while True:
+        with tempfile.TemporaryDirectory() as folder:
+            path, text = Path(folder, "a" + ending), None
+            with full_after(Path(folder), n, stays=n % 2 == 0) as calls:
+                try:
+                    record(address, output=path, duration_s=15.0)
+                except InputError as error:
+                    text = str(error)
+            if calls[0] <= n:
+                break
+            left = [one for one in Path(folder).glob("a*") if one.suffix != ".json" and one.stat().st_size > 200]
+            rows.append(len(read_record(left[0])) if left else 0)
+            if text is None:  # it went another way round
+                assert left == [path], (n, left)
+            else:
+                assert "make room" in text and chr(10) not in text, (n, text)
+                assert not left or text.endswith(f"until then are in {left[0]})"), (n, left, text)
+            if left:
+                np.testing.assert_allclose(np.diff(read_record(left[0]).time), 0.01, atol=1e-9)
+        n += step
+print(rows)
+assert (np.diff(rows) > -200).all() and rows[0] == 0 and rows[-1] > 1400, rows  # of 1500 and what comes until it ends
+"""
+
+
+@pytest.mark.parametrize("ending", [".csv", ".parquet"])
+def test_a_disk_that_is_full_at_any_write_leaves_what_was_recorded(ending):
+    words = [sys.executable, "-c", FULL, "7", ending]
+    done = subprocess.run(words, env=preloaded(), capture_output=True, text=True, timeout=300.0, check=False)
+    show(f"record to {ending}, rows left at each 7th call that takes room", done.stdout)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+# ---- A guide
+
+
+class Operator(Screen):
+    """Reads the screen and does what it asks for, with an emulated device in its hands."""
+
+    def __init__(self, hands: HandHeld) -> None:
+        self.hands, self.said = hands, list[str]()
+
+    def say(self, *lines: str) -> None:
+        self.said += lines
+
+    def over(self, line: str, *, step: int | None = None, last: bool = False) -> None:
+        if self.said[-1:] != [line.rpartition("\n")[0]]:
+            self.said.append(line.rpartition("\n")[0])
+        if self.hands.moving:
+            return
+        if found := re.search(r"(?:Turn|Lay it with) ([+-][xyz]) up", line):
+            self._lay(found[1])
+        elif found := re.search(r"Turn it once (counter-)?clockwise", line):
+            self.hands.turn(self.hands.face[1], math.copysign(2.0 * math.pi, 1.0 if found[1] else -1.0))
+
+    def _lay(self, face: Face) -> None:
+        if face != self.hands.face:
+            self.hands.lay(face)
+
+
+@pytest.fixture
+def held() -> Iterator[tuple[PrintingBoard, Operator]]:
+    hands = start_hand_held(seed=3, stream=StreamSettings(seed=3), speed=SPEED)
+    with PrintingBoard() as board:
+        hands.stream._send = lambda counts, rows: board.write(
+            b"".join(
+                sketch_line(int(k), round(k * 1e4), row[:3], row[3:6], row[6])
+                for k, row in zip(counts, rows, strict=True)
+            )
+        )
+        yield board, Operator(hands)
+        hands.close()
+
+
+def test_from_a_port_to_a_verdict(tmp_path, held, monkeypatch):
+    board, operator = held
+    monkeypatch.setattr(sys.modules["undrift.commands.record"], "LOOK_S", 0.05)
+    began = time.monotonic()
+    address, path = f"{board.port}?clock_speed={SPEED:g}", tmp_path / "bench.parquet"
+    made = recording(address, output=path, guide="turns", gravity_m_s2=9.80665, screen=operator)
+    took_s = time.monotonic() - began
+    seconds = made.data["recording"]["seconds"]
+    listened_s = took_s - seconds / SPEED
+    command = "undrift record --port PORT -o bench.parquet --guide turns"
+    show(
+        "from a port to a verdict",
+        f"1 command ({command}), {seconds:.0f} s of the device and {listened_s:.1f} s beside",
+    )
+    assert seconds < 240.0
+    assert made.verdict is not None
+    assert made.verdict.status in ("good", "marginal"), made.verdict
+    assert made.data["gyro"]["method"]
+    assert made.data["recording"]["ended"] == "guide"
+    session = read_session(tmp_path / "bench")
+    assert len([still for still in session.stills if still.face]) == 6
+    assert len(session.turns) == 6
+    assert {one.name for one in tmp_path.iterdir()} == {"bench", "bench.json", "bench.parquet"}
+    assert operator.said[1].startswith("Recording serial:")
+    assert [one.split(":")[0] for one in operator.said[2:4]] == ["Faces", "Turns"]  # how it is done
+    assert operator.said[4].startswith("Faces: 0 of 6\n"), operator.said[:6]
+    assert "Faces: 1 of 6\n+z is captured. Turn +x up." in operator.said
+    assert operator.said[-2] == "Turns: 6 of 6\nCaptured: about z, clockwise. All turns are captured."
+    calibration = read_calibration(tmp_path / "bench.json")
+    assert calibration.device == ""  # no name was printed
+    true = true_calibration(operator.hands.device, temp_c=25.0)
+    for found, wanted in ((calibration.accel, true.accel), (calibration.gyro, true.gyro)):
+        np.testing.assert_allclose(np.diag(found.matrix), np.diag(wanted.matrix), rtol=0.01)
+
+
+def test_poses_of_any_kind_calibrate_from_the_recording(tmp_path, monkeypatch):
+    monkeypatch.setattr(sys.modules["undrift.commands.record"], "LOOK_S", 0.05)
+    steady = Tremor(rate_dps=0.02, sway_deg=0.005, accel=0.002)
+    log, _ = hand_held_log(np.random.default_rng(5), steady, poses=28, hold_s=(6.0, 8.0))
+    gyro, accel = np.degrees(log.gyro) * GYRO_LSB_PER_DPS, np.asarray(log.accel) / 9.81 * ACCEL_LSB_PER_G
+
+    def line(k: int) -> bytes:
+        at = min(k, len(log) - 1)
+        return b"" if k % 997 == 5 else sketch_line(k, k * 10_000, gyro[at], accel[at], 25.0)
+
+    with PrintingBoard() as board:
+        board.print_lines(line, rate=100.0 * SPEED)
+        address = f"{board.port}?clock_speed={SPEED:g}"
+        made = recording(address, output=tmp_path / "p.csv", guide="poses", gravity_m_s2=9.81)
+    assert made.data["recording"]["ended"] == "guide"
+    assert made.data["recording"]["lost"] > 5
+    scale = np.diag(read_calibration(tmp_path / "p.json").accel.matrix) * ACCEL_LSB_PER_G / 9.81
+    np.testing.assert_allclose(scale, 1.0, rtol=0.01)
+
+
+def test_a_guide_that_is_left_keeps_the_recording_and_says_so(tmp_path, held, monkeypatch):
+    board, operator = held
+    stop = iter([None] * 12)
+
+    def sleep(seconds: float) -> None:
+        if next(stop, "over") == "over":
+            raise KeyboardInterrupt
+        time.sleep(seconds)
+
+    clock = type("Clock", (), {"sleep": sleep, "monotonic": time.monotonic})
+    monkeypatch.setattr(sys.modules["undrift.commands.record"], "time", clock)
+    made = recording(
+        f"{board.port}?clock_speed={SPEED:g}", output=tmp_path / "b.csv", guide="six-faces", screen=operator
+    )
+    assert made.data["ended"] == "stopped"
+    assert re.fullmatch(r"the guide was left at \d of 6 faces: nothing was calibrated", made.notes[-1])
+    assert {one.name for one in tmp_path.iterdir()} == {"b.csv", "b.csv.json"}
+
+
+# ---- Lines as they come
+
+
+def test_lines_without_names_are_recorded_with_stamps_that_info_reads(undrift, tmp_path):
+    with PrintingBoard() as board:
+        board.print_lines(lambda k: b"%d %d %d %d %d %d\r\n" % (k % 7, 3, 16384 - k % 5, 12, k % 3, 40))
+        why = undrift.refused("record", board.port, "-o", tmp_path / "a.parquet")
+        assert "wanted lines of numbers with names, got '" in why
+        assert "or record its lines as they come: --output walk.log" in why
+        path = tmp_path / "a.log"
+        answer = undrift("record", board.port, "-o", path, "--duration-s", "5", "--json")
+        assert answer.code == 0, answer
+        assert answer.json()["lines"] == path.read_bytes().count(b"\n") > 450
+        assert answer.err.splitlines()[0] == f"Recording the lines of serial:{board.port}. Ctrl-C ends it."
+        threading.Timer(5.0, board.unplug).start()
+        cut = undrift("record", board.port, "-o", tmp_path / "b.log")
+    assert cut.code == 3
+    count = (tmp_path / "b.log").read_bytes().count(b"\n")
+    assert f"(the {count} lines until then are in {tmp_path / 'b.log'})" in cut.err
+    assert count > 100
+    undrift.good("info", path, "--write-map", tmp_path / "map.toml")
+    about = undrift.good("info", path, "--map", tmp_path / "map.toml", "--clock", "regular", "--json").json()
+    assert about["sample_rate_hz"] == pytest.approx(100.0, rel=0.01)
+    assert about["units"] == {"time": "s", "accel": "count", "gyro": "count"}
+
+
+def test_a_guide_wants_readings(undrift, tmp_path):
+    assert "wanted a file of readings, got" in undrift.refused(
+        "record", "tcp://h:1", "--guide", "poses", "-o", tmp_path / "a.txt"
+    )
+    assert "wanted a device that prints lines" in undrift.refused("record", "lsl:x?rate=9", "-o", tmp_path / "a.log")
