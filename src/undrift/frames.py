@@ -2,6 +2,7 @@
 
     s  sensor axes as etched            b  device case             t  rate table
     m  optical body (markers)           n  level, z up
+    a  segment of a body: x forward, y left, z up, upright
 
 ``R_bs`` maps a vector from s to b; ``q_nb`` is its quaternion (b to n), scalar first (w, x, y, z). A gyroscope reads the
 rate of b against n, seen in b. An accelerometer reads specific force: at rest the axis that points up reads +g.

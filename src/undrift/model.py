@@ -29,6 +29,7 @@ from undrift.findings import Finding as Finding
 from undrift.findings import Status as Status
 from undrift.findings import Verdict as Verdict
 from undrift.findings import level_of as level_of
+from undrift.frames import quaternion_product
 from undrift.record import Axis, FileMap
 from undrift.units import Quantity, si_factor
 
@@ -445,6 +446,33 @@ class NoiseModel:
         freeze(self)
 
 
+@stored()
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class BodyMounting:
+    """How a device is worn: from case axes b to the segment's axes a, x forward, y left, z up when the wearer stands upright."""
+
+    place: str  # On the body: lower-back, thigh, shank, wrist, foot
+    matrix: Annotated[FloatArray, Shape(3, 3)]  # R_ab: its rows are forward, left and up, seen in b
+    covariance: Annotated[FloatArray, Shape(3, 3)]  # Of a small rotation about the axes a, rad^2
+    basis: str  # What showed it
+
+    def __post_init__(self) -> None:
+        freeze(self)
+        if not np.allclose(self.matrix @ self.matrix.T, np.eye(3), atol=1e-6) or np.linalg.det(self.matrix) < 0.0:
+            raise InputError("mounting: wanted a rotation from case to body axes, got another matrix; find it anew")
+
+    @property
+    def uncertainty(self) -> float:
+        """Standard uncertainty of the rotation, all axes together, rad."""
+        return float(np.sqrt(np.trace(self.covariance)))
+
+    def of_body(self, q_nb: FloatArray) -> FloatArray:
+        """Return the orientations of the segment, a to n, by those of the device's case. q_nb (..., 4) -> (..., 4)."""
+        from scipy.spatial.transform import Rotation
+
+        return quaternion_product(q_nb, Rotation.from_matrix(self.matrix.T).as_quat(scalar_first=True))
+
+
 @stored(whole=True)
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Provenance:
@@ -537,6 +565,8 @@ class Calibration(Shown):
         How the recordings of the device are read, where they needed a map.
     magnetometer : Magnetometer or None
         None where it was not fitted: its readings are then carried along as they are.
+    mounting : BodyMounting or None
+        How the device is worn; None where that was not found.
 
     Examples
     --------
@@ -559,6 +589,7 @@ class Calibration(Shown):
     provenance: Provenance = Provenance()
     file_map: Annotated[FileMap | None, LATER] = None
     magnetometer: Annotated[Magnetometer | None, LATER] = None
+    mounting: Annotated[BodyMounting | None, LATER] = None
 
     @property
     def accel_in_use(self) -> int:

@@ -52,7 +52,7 @@ from undrift.correction.rest import (
 from undrift.errors import InputError
 from undrift.findings import Finding, finding
 from undrift.frames import quaternion_conjugate, quaternion_product, rotate
-from undrift.model import AXES, TriadModel
+from undrift.model import AXES, BodyMounting, TriadModel
 from undrift.record import FACES, Face, Record, Still
 from undrift.segments import StillSettings, find_still, unpadded
 from undrift.sync import padding
@@ -347,6 +347,8 @@ class OrientSettings:
         Heading at the still phase, rad; with a magnetometer it is that of the field.
     forward, up : str
         Device axes that point forward and up on the upright segment; they define the pitch.
+    mounting : BodyMounting or None
+        How the device is worn: orientation and angles are then those of the segment, and the axes above are the segment's.
     """
 
     offset: Literal["none", "rest", "still", "motion"] = "none"
@@ -355,6 +357,7 @@ class OrientSettings:
     heading: float = 0.0
     forward: Face = "+x"
     up: Face = "+z"
+    mounting: BodyMounting | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -485,7 +488,7 @@ def orient_unchecked(
 ) -> Orientation:
     """Find the orientation of a record whose columns are known to be right."""
     whole = record.in_si()
-    _check_whole(whole)
+    check_whole(whole)
     _check_field(whole, settings)
     rates = np.asarray((record := unpadded(whole)).gyro)
     if still is not None:
@@ -514,12 +517,12 @@ def orient_unchecked(
         uncertainty = _offset_uncertainty(rates, rests, means, offsets, gyro_model)
     gyro, anchor = rates - offsets, 0 if still is None else still.stop - 1
     if settings.method == "vqf":
-        q, of_field = _filtered(record, gyro, uncertainty, magnetometer=settings.magnetometer)
+        q, of_field = filtered(record, gyro, uncertainty, magnetometer=settings.magnetometer)
         q, findings = q if of_field else _levelled_at(q, anchor, tilt.q_nb), findings + of_field
     else:
         q = _both_ways(gyro, record.time, tilt.q_nb, anchor)
         findings += (_expected_drift(record.time, anchor, uncertainty, settings.offset, rested=still is not None),)
-    at_rest = None if still is None else slice(still.start, still.stop)
+    q, at_rest = _of_segment(q, settings, anchor), None if still is None else slice(still.start, still.stop)
     findings += () if still is None else _moved_at_rest(record, still)
     findings += check_pitch_axes(q, at_rest, settings.forward, settings.up)
     return Orientation(
@@ -536,6 +539,15 @@ def orient_unchecked(
         offset_uncertainty=uncertainty,
         findings=findings,
     )
+
+
+def _of_segment(q_nb: FloatArray, settings: OrientSettings, anchor: int) -> FloatArray:
+    """Return the orientations of the segment that wears the device, where a mounting is stated, at the stated heading."""
+    if settings.mounting is None:
+        return q_nb
+    q = settings.mounting.of_body(q_nb)
+    half = 0.0 if settings.magnetometer else 0.5 * (settings.heading - float(heading_of(q[anchor])))
+    return quaternion_product(np.array([math.cos(half), 0.0, 0.0, math.sin(half)]), q)
 
 
 def _rests(record: Record, named: Still | None, offset: str) -> tuple[Still, ...]:
@@ -625,7 +637,7 @@ def _expected_drift(time: FloatArray, anchor: int, uncertainty: float, offset: s
 # ---- filter
 
 
-def _filtered(
+def filtered(
     record: Record, gyro: FloatArray, uncertainty: float, *, magnetometer: bool
 ) -> tuple[FloatArray, tuple[Finding, ...]]:
     """Return the orientation by VQF over the whole record, offline, (N, 4), and what it says of the field.
@@ -686,7 +698,7 @@ def _check_field(record: Record, settings: OrientSettings) -> None:
 _MOST_RATE = 4000.0 * RADIAN_PER_DEGREE  # rad/s: the widest range of gyroscopes that are worn
 
 
-def _check_whole(record: Record) -> None:
+def check_whole(record: Record) -> None:
     """Raise where readings are missing for longer than a motion can be bridged, or where an axis is dead."""
     time, gyro = record.time, record.gyro
     if gyro is None:

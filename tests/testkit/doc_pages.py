@@ -28,6 +28,7 @@ import numpy as np
 import undrift
 from testkit.hand_turns import Device, make_recording
 from testkit.printing_board import sketch_line
+from testkit.walking import hinge, walk
 from undrift.cli.app import _standard, _with_limits, command_line, run
 from undrift.io.reference import write_reference
 from undrift.sim.device.model import DeviceModel, read_device
@@ -36,7 +37,7 @@ from undrift.sim.device.truth import true_calibration
 from undrift.sim.motion.bench import BenchKind, BenchSettings
 from undrift.sim.motion.tasks import draw_task
 from undrift.sim.thermal import BENCH, ThermalSettings
-from undrift.units import STANDARD_GRAVITY
+from undrift.units import STANDARD_GRAVITY, si_factor
 
 SAMPLE = "undrift data fetch sample"  # the one line that says where the data of the pages come from
 BLOCK = re.compile(r"((?:^<!--[^\n]*-->\n)*)^```(sh|python|toml|csv|text)\n(.*?)^```$", re.M | re.S)
@@ -191,6 +192,23 @@ def _walk(path: Path) -> None:
     undrift.write_record(undrift.simulate_trial("sit_to_stand", device, rng=rng).record, path)
 
 
+def _straight(path: Path) -> None:
+    device, rng = _device()
+    true, record = true_calibration(device, temp_c=25.0), walk(rng)
+    raw = {}
+    for name, quantity, of in (("gyro", "rate", true.gyro), ("accel", "accel", true.accel)):
+        values = getattr(record, name) / si_factor(of.unit_out, quantity)
+        raw |= {name: values @ of.forward_matrix.T + of.offset, f"{name}_unit": of.unit_in}
+    undrift.write_record(replace(record, temp_c=np.full(len(record), 25.0), device=device.serial, **raw), path)
+
+
+def _of_joint(segment: int) -> Callable[[Path], None]:
+    def write(path: Path) -> None:
+        undrift.write_record(hinge(np.random.default_rng(0))[0][segment], path)
+
+    return write
+
+
 def _turned(path: Path) -> None:
     device, rng = _device()
     motion = draw_task("free", rng=rng).at(np.arange(3600) / 50.0, STANDARD_GRAVITY)
@@ -281,6 +299,9 @@ FILES: dict[str, Callable[[Path], None]] = {
     "logger.csv": _logger,
     "monitor.txt": _monitor,
     "walk.csv": _walk,
+    "straight.csv": _straight,
+    "upper.csv": _of_joint(0),
+    "lower.csv": _of_joint(1),
     "turned.csv": _turned,
     "pelvis.csv": _worn,
     "thigh.csv": _worn,

@@ -22,7 +22,8 @@ from typing import Any, TypeAlias
 
 # Each a function in the module of its name
 VERBS = (
-    "calibrate", "certificate", "correct", "demo", "drift", "export", "info", "learn", "noise", "orient", "record", "simulate",
+    "calibrate", "certificate", "correct", "demo", "drift", "export", "info", "learn", "mount", "noise", "orient", "record",
+    "simulate",
     "study", "sync", "twin", "validate",
 )  # fmt: skip
 GROUPS = {  # of commands in one module: the function of each

@@ -24,9 +24,10 @@ if TYPE_CHECKING:
     import numpy as np
 
     from undrift.correction.rest import Stretch
+    from undrift.findings import Finding
     from undrift.io.columns import ColumnMap, ReadSettings
     from undrift.io.reference import ReferenceMap
-    from undrift.model import Calibration
+    from undrift.model import BodyMounting, Calibration
     from undrift.record import FileMap, GravitySource, Kind, Record, Reference, Session
     from undrift.segments import StillSettings
     from undrift.sim.device.model import DeviceModel
@@ -386,6 +387,26 @@ def check_physical(record: "Record", path: Path) -> None:
                 f"{path}: wanted physical units, or the calibration of the device, got {name} in {unit}; "
                 "say `calibration` calibration.json"
             )
+
+
+def corrected(
+    readings: "Record", path: Path, model: "Calibration | None", applying: TableUse
+) -> "tuple[Record, tuple[Finding, ...], tuple[str, ...]]":
+    """Return the readings by their calibration, if there is one, what speaks against them, and notes."""
+    from undrift.correction.correct import correct_checked
+    from undrift.correction.coverage import find_beyond
+
+    if model is None:
+        check_physical(readings, path)
+        return readings, (), ()
+    done = correct_checked(readings, model, policy=applying.policy, power_on_s=applying.power_on_s)
+    beyond = (item for one in find_beyond(done.record, model) for item in one.findings)
+    return done.record, (*(one for one in done.findings if one.level == "warn"), *beyond), done.notes
+
+
+def worn_by(model: "Calibration | None", forward: str | None, up: str | None) -> "BodyMounting | None":
+    """Return the mounting that a calibration keeps; None where sides of the device are stated in its place."""
+    return None if model is None or forward or up else model.mounting
 
 
 def calibrated_part(record: "Record", model: "Calibration") -> "tuple[Record, tuple[str, ...]]":

@@ -9,14 +9,16 @@ from undrift.base.options import Flag, Output, Side, verb
 from undrift.base.summary import Result, Section, Summary, figure_of, number
 from undrift.commands import Progress, silent
 from undrift.commands.batch import of_folder
-from undrift.commands.files import NamedRest, Opening, TableUse, check_output, check_physical, named_columns
+from undrift.commands.files import NamedRest, Opening, TableUse, check_output, corrected, named_columns, worn_by
 
 if TYPE_CHECKING:
     from undrift.arrays import FloatArray
     from undrift.findings import Finding
     from undrift.model import Calibration
     from undrift.orientation import Orientation
-    from undrift.record import Record, Still
+    from undrift.record import Still
+
+_SHOWN = ("correct.motion_offset", "orient.north", "orient.mounting")  # on a terminal, though no warnings
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -44,13 +46,13 @@ class Oriented(Result):
             "pitch: {:.2f} to {:.2f} deg".format(*data["pitch_deg"]),
         )
         # A page shows all findings
-        offset = tuple(one.text for one in found.findings if one.code in ("correct.motion_offset", "orient.north"))
+        offset = tuple(one.text for one in found.findings if one.code in _SHOWN)
         heads, files = ("angle", "least (deg)", "median (deg)", "greatest (deg)"), f"{self.record} -> {self.output}"
         sections = [
             Section(title="Files", text=(f"{files}: {len(found.time)} samples",), on="terminal"),
             Section(title="Angles", columns=heads, rows=rows, on="page"),
             Section(title="How it was found", text=lines),
-            Section(title="Offset and north", text=offset, on="terminal"),
+            Section(title="Offset, north and mounting", text=offset, on="terminal"),
         ]
         if self.calibration is not None:
             verdict = self.calibration.verdict
@@ -81,8 +83,8 @@ def orient(
     offset: Literal["none", "rest", "still", "motion"] = "none",
     named: NamedRest = NamedRest(),
     heading_deg: float = 0.0,
-    forward: Side = "+x",
-    up: Side = "+z",
+    forward: Side | None = None,
+    up: Side | None = None,
     body: str = "sensor",
     applying: TableUse = TableUse(),
     opening: Opening = Opening(),
@@ -109,9 +111,10 @@ def orient(
         between them; "motion" starts from that rest, where there is one, and adds what gravity shows while the device moves.
     heading_deg : float
         Heading at the still phase, deg; a magnetometer gives its own.
-    forward : str
-        Device axis that points forward on the upright segment: with up it defines the pitch.
-    up : str
+    forward : str or None
+        Device axis that points forward on the upright segment: with up it defines the pitch. Without both they are +x and +z, or
+        of the segment that wears the device, by the calibration's mounting: then orientation and angles are the segment's.
+    up : str or None
         Device axis that points up on the upright segment.
     body : str
         Name of the body in .sto and BIDS, of the OpenSim model: pelvis heads the column pelvis_imu.
@@ -130,12 +133,16 @@ def orient(
     readings = opening.like(model, calibration).read(record)
     progress("integrating", 0.4)
     settings = OrientSettings(
-        method=method, magnetometer=magnetometer, offset=offset, heading=math.radians(heading_deg), forward=forward, up=up,
+        method=method, magnetometer=magnetometer, offset=offset, heading=math.radians(heading_deg), forward=forward or "+x",
+        up=up or "+z", mounting=worn_by(model, forward, up),
     )  # fmt: skip
     with named_columns(record):
-        readings, earlier, notes = _corrected(readings, record, model, applying)
+        readings, earlier, notes = corrected(readings, record, model, applying)
         if magnetometer and model is not None and model.magnetometer is None:
             earlier += (finding("orient.field", "warn"),)
+        if worn := settings.mounting:
+            degrees = math.degrees(worn.uncertainty)
+            earlier += (finding("orient.mounting", "info", place=worn.place, degrees=degrees, basis=worn.basis),)
         rest = named_rest(readings, named.stretch)
         found = find(readings, rest, settings, gyro_model=None if model is None else model.gyro)
     found = replace(found, findings=tuple({one.text: one for one in (*earlier, *found.findings)}.values()))
@@ -143,21 +150,6 @@ def orient(
     return Oriented(
         record=record, output=output, method=method, orientation=found, calibration=model, earlier=earlier, notes=notes
     )
-
-
-def _corrected(
-    readings: "Record", path: Path, model: "Calibration | None", applying: TableUse
-) -> "tuple[Record, tuple[Finding, ...], tuple[str, ...]]":
-    """Return the readings by their calibration, if there is one, what speaks against them, and notes."""
-    from undrift.correction.correct import correct_checked
-    from undrift.correction.coverage import find_beyond
-
-    if model is None:
-        check_physical(readings, path)
-        return readings, (), ()
-    done = correct_checked(readings, model, policy=applying.policy, power_on_s=applying.power_on_s)
-    beyond = (item for one in find_beyond(done.record, model) for item in one.findings)
-    return done.record, (*(one for one in done.findings if one.level == "warn"), *beyond), done.notes
 
 
 def _data(found: "Orientation") -> dict[str, Any]:

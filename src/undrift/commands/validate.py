@@ -27,6 +27,7 @@ from undrift.commands.files import (
     origin_of,
     recordings_of,
     save_json,
+    worn_by,
 )
 from undrift.errors import InputError
 from undrift.findings import Verdict, told_apart
@@ -231,8 +232,8 @@ def validate(
     mounting: Literal["each", "one"] | None = None,
     offset: Literal["none", "rest", "motion"] | None = None,
     adc: Literal["auto", "none"] = "auto",
-    forward: Side = "+x",
-    up: Side = "+z",
+    forward: Side | None = None,
+    up: Side | None = None,
     applying: TableUse = TableUse(),
     max_lag_s: float = 5.0,
     comparing: Comparing = Comparing(),
@@ -266,9 +267,10 @@ def validate(
     adc : str
         "auto" corrects the quantisation of the codes where it shows and, in a fit to references, where that lowers the error on
         recordings that a fit has not seen: by two recordings or more, the held-out one apart. "none" leaves them.
-    forward : str
-        Body axis that points forward on the upright segment: with --up it defines the pitch.
-    up : str
+    forward : str or None
+        Body axis that points forward on the upright segment: with --up it defines the pitch. Without both they are +x and +z, and
+        the readings are turned by the calibration's mounting, if there is one.
+    up : str or None
         Body axis that points up on the upright segment.
     applying : TableUse
         How the tables of the calibration are applied.
@@ -292,12 +294,12 @@ def validate(
     comparing.check()
     check_folder(output)
     chosen = offset or ("none" if calibration or calibrate_from else "rest")
+    model = None if calibration is None else read_calibration(calibration)
     settings = TrialSettings(
-        offset=chosen, adc=adc, forward=forward, up=up, power_on_s=applying.power_on_s, policy=applying.policy,
-        lag=LagSettings(longest_lag_s=max_lag_s),
+        offset=chosen, adc=adc, forward=forward or "+x", up=up or "+z", mounting=worn_by(model, forward, up),
+        power_on_s=applying.power_on_s, policy=applying.policy, lag=LagSettings(longest_lag_s=max_lag_s),
     )  # fmt: skip
     progress("reading", 0.0)
-    model = None if calibration is None else read_calibration(calibration)
     records, session = recordings_of(records, opening, place)
     pairs = optics.pairs(records, opening.like(model, calibration), command="validate", session=session)
     fit = ReferenceSettings(mounting=mounting or (session and session.mounting) or "each") if calibrate_from else None
@@ -624,7 +626,8 @@ def method_section(method: Validated) -> Section:
         "ADC's rounding": _adc(method),
         "start": f"tilt from the specific force, heading from the reference, both over the last {settings.rest_s:g} s of rest or "
         f"less; from {settings.lead_s:g} s before the motion the gyroscope alone; without a rest from the reference's first second",
-        "pitch": f"in the body's plane of {settings.forward} (forward) and {settings.up} (up)",
+        "pitch": f"in the body's plane of {settings.forward} (forward) and {settings.up} (up)"
+        + (", readings turned by the calibration's mounting" if settings.mounting else ""),
         "lag": f"searched up to {settings.lag.longest_lag_s:g} s either way; one up to {settings.undo_lag_above_s * 1e3:g} ms is "
         "the sensor's own and stays in the figures, a longer one is removed",
         "mounting": _ALIGNED[settings.align].format(above_deg=settings.align_above / RADIAN_PER_DEGREE),

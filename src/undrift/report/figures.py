@@ -461,6 +461,16 @@ def draw_orientation(found: "Orientation") -> "Figure":
     return figure
 
 
+def draw_angle(time: FloatArray, angle_deg: FloatArray, shaded_s: tuple[float, float] | None, label: str) -> "Figure":
+    """Draw an angle over time (N,), the posture that is zero shaded."""
+    figure, (axes,) = new_figure(1, height=2.2)
+    axes.plot(*envelope(time, angle_deg), color=DEVICE)
+    if shaded_s is not None:
+        axes.axvspan(*shaded_s, color=SHADE, zorder=0)
+    axes.set(xlabel="time (s)", ylabel=label)
+    return figure
+
+
 def draw_bars(names: Sequence[str], values: Mapping[str, Sequence[float]], *, title: str, label: str) -> "Figure":
     """Draw a group of bars for each name, a bar for each row of values (n,)."""
     figure, (axes,) = new_figure(1, height=0.5 + 0.18 * len(names) * (len(values) + 1))

@@ -38,7 +38,7 @@ from undrift.drift.observe import nominal_triad
 from undrift.errors import AlignmentError, InputError
 from undrift.findings import Finding, finding
 from undrift.frames import quaternion_conjugate, quaternion_of, quaternion_product, rotation_vector
-from undrift.model import AdcModel, Calibration, TriadModel
+from undrift.model import AdcModel, BodyMounting, Calibration, TriadModel
 from undrift.orientation import (
     check_gaps,
     check_pitch_axes,
@@ -336,6 +336,8 @@ class TrialSettings:
         or filters and is undone, s. Both root-mean-square totals are reported.
     forward, up : str
         Axes of the body that span its sagittal plane.
+    mounting : BodyMounting or None
+        How the device is worn: its readings are turned to the segment's axes before they are compared.
     power_on_s : float or None
         Time since power-on at the first sample, s; None where it is not known: then no warm-up is subtracted.
     temp_history : str, sequence of float or None
@@ -359,6 +361,7 @@ class TrialSettings:
     undo_lag_above_s: float = 0.01
     forward: Face = "+x"
     up: Face = "+z"
+    mounting: BodyMounting | None = None
     power_on_s: float | None = None
     temp_history: TempHistory | None = None
     policy: Policy = "raise"
@@ -499,13 +502,13 @@ def validate_trial(
     gaps, poses = _gaps(done), native_poses(reference)
     done, lag, of_clocks = _in_step(done, poses, gaps, settings)
     poses, reference = (seen_poses(done, each, lag) for each in (poses, reference))
-    findings += (*of_clocks, *check_reference(done, poses, lag.seconds))
+    findings += (*of_clocks, *check_reference(_worn(done, settings), poses, lag.seconds))
     motion = find_motion(done, reference, lag_s=lag.seconds)
     before = gaps[done.time < motion.start_s - settings.lead_s]  # after the rest, a gap is refused
     if before.any():
         findings += (finding("validate.gaps_before", "warn", gaps=int(before.sum()), samples=len(before)),)
     done, rest_offset, more = _re_zeroed(done, motion, settings, None if calibration is None else calibration.gyro)
-    done, mounting = _aligned(done, poses, lag, settings)
+    done, mounting = _aligned(_worn(done, settings), poses, lag, settings)
     shift_s = lag.seconds - 0.5 / done.sample_rate_hz  # strapdown holds each reading over the step before its stamp
     track, of_start = _track(done, (reference, poses), motion, shift_s, settings)
     undone = max(abs(lag.seconds), abs(shift_s)) > settings.undo_lag_above_s
@@ -597,6 +600,7 @@ def _expected(
     still = still[np.isfinite(still).all(axis=1)]
     variance = np.array([mean_variance(axis) for axis in still.T]) if len(still) > 1 else np.zeros(3)
     applied = np.eye(3) if mounting is None or not mounting.applied else mounting.alignment.rotation
+    applied = applied if settings.mounting is None else applied @ settings.mounting.matrix
     offset_covariance, offset_prior = np.diag(variance), np.zeros(3)
     if subtracted is not None and not isinstance(subtracted, RestOffset):
         offset_covariance = applied @ subtracted.covariance.mean(axis=0) @ applied.T
@@ -766,5 +770,13 @@ def _aligned(record: Record, poses: Reference, lag: Lag, settings: TrialSettings
         return record, None  # turning about one axis alone does not show the mounting; it is taken as stated
     if settings.align == "auto" and alignment.angle <= settings.align_above:
         return record, Mounting(alignment=alignment, applied=False)
-    gyro, accel = (x if x is None else x @ alignment.rotation.T for x in (record.gyro, record.accel))
-    return replace(record, gyro=gyro, accel=accel), Mounting(alignment=alignment, applied=True)
+    return _turned(record, alignment.rotation), Mounting(alignment=alignment, applied=True)
+
+
+def _worn(record: Record, settings: TrialSettings) -> Record:
+    return record if settings.mounting is None else _turned(record, settings.mounting.matrix)
+
+
+def _turned(record: Record, rotation: FloatArray) -> Record:
+    gyro, accel = (x if x is None else x @ rotation.T for x in (record.gyro, record.accel))
+    return replace(record, gyro=gyro, accel=accel)

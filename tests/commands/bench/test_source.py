@@ -20,7 +20,8 @@ from undrift import calibrate, correct, random_device, read_record, simulate_ses
 from undrift.commands.bench.source import LiveDevice
 from undrift.errors import InputError, LinkError
 from undrift.io.parquet import ParquetWriter
-from undrift.orientation import OrientStream
+from undrift.model import BodyMounting
+from undrift.orientation import OrientStream, sagittal_pitch
 from undrift.record import Record, joined
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.rig.emulator import EmulatedBench, EmulatedBenchSettings
@@ -231,6 +232,21 @@ def test_corrected_signals_and_orientation_are_those_of_the_batch(device: Device
         q = np.vstack([one.q_nb for one in held])
         np.testing.assert_allclose(q, stream.push(whole), rtol=0, atol=1e-12)  # roundings of a renewed start
         assert np.isfinite(q[-1]).all()
+
+
+def test_the_pitch_is_that_of_the_segment_by_the_mounting_until_sides_are_set(source: LiveDevice, device: DeviceModel):
+    calibration = calibrate(simulate_session("bench", device, rng=np.random.default_rng(1)))
+    gyro, accel = replace(calibration.gyro, unit_in="dps"), replace(calibration.accel, unit_in="m/s2")
+    angle = np.radians(30.0)
+    matrix = np.array([[np.cos(angle), 0.0, np.sin(angle)], [0.0, 1.0, 0.0], [-np.sin(angle), 0.0, np.cos(angle)]])
+    worn = BodyMounting(place="thigh", matrix=matrix, covariance=np.eye(3) * 1e-4, basis="stated")
+    source.set_calibration(replace(calibration, gyro=gyro, accel=accel, adc=None, mounting=worn))
+    assert source.mounting is worn
+    eventually(lambda: "pitch of the thigh" in source.status().notes, "a note")
+    known = [one for one in source.updates() if one.q_nb is not None and "thigh" in source.status().notes][-1]
+    np.testing.assert_array_equal(known.pitch, sagittal_pitch(worn.of_body(known.q_nb)))
+    source.set_axes("+x", "+z")
+    assert source.mounting is None
 
 
 def test_a_calibration_of_another_unit_leaves_the_raw_readings_and_says_why(source: LiveDevice, device: DeviceModel):

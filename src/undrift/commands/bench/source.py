@@ -23,7 +23,7 @@ from undrift.io.store import read_calibration
 from undrift.io.text import Appender
 from undrift.live.recorder import Recorder, RecorderSettings
 from undrift.live.transports import source_at
-from undrift.model import Calibration
+from undrift.model import BodyMounting, Calibration
 from undrift.orientation import OrientStream, sagittal_pitch
 from undrift.record import Face, Record, joined
 from undrift.units import is_physical
@@ -88,6 +88,7 @@ class LiveDevice:
         self.calibration_file: Path | None = None  # where it came from
         self._corrector: Corrector | None = None
         self._orient = OrientStream()
+        self.mounting: BodyMounting | None = None  # of the calibration; sides that are set overrule it
         self.axes: tuple[Face, Face] = "+x", "+z"  # forward and up on the upright segment: they define the pitch
         self._correction = self._notes = ""
         self._writer: ParquetWriter | Appender | None = None
@@ -169,6 +170,7 @@ class LiveDevice:
         corrector = None if calibration is None else Corrector(calibration, "hold")
         with self._lock:
             self.calibration, self._corrector = calibration, corrector
+            self.mounting = None if calibration is None else calibration.mounting
             self._correction = self._notes = ""
             self._orient = OrientStream()
 
@@ -184,7 +186,7 @@ class LiveDevice:
     def set_axes(self, forward: Face, up: Face) -> None:
         """Count the pitch about other axes from now on."""
         sagittal_pitch(np.array([1.0, 0.0, 0.0, 0.0]), forward=forward, up=up)  # refuses what are no two axes
-        self.axes = forward, up
+        self.axes, self.mounting = (forward, up), None
 
     def write_to(self, path: Path) -> None:
         """Write the raw readings from now on, to a CSV that grows or a Parquet file that appears when the writing is stopped."""
@@ -253,7 +255,10 @@ class LiveDevice:
         raw = came if not self._start else replace(came, time=came.time + self._start)
         corrected, (forward, up) = self._corrected(raw), self.axes
         q = _oriented(self._orient, corrected or raw)
-        pitch = None if q is None else sagittal_pitch(q, forward=forward, up=up)
+        if q is None or (worn := self.mounting) is None:
+            pitch = None if q is None else sagittal_pitch(q, forward=forward, up=up)
+        else:
+            pitch = sagittal_pitch(worn.of_body(q))
         with self._lock:
             now = time.monotonic()
             self._heard, self._last, self._number = now, float(raw.time[-1]), self._number + 1
@@ -275,6 +280,8 @@ class LiveDevice:
             done = corrector.push_checked(raw)
             other = (one.text for one in done.findings if one.code == "correct.device")
             words, notes = "\n".join((*corrector.warnings, *other)), "\n".join(done.notes)
+            if worn := self.mounting:
+                notes = f"{notes}\npitch of the {worn.place} by the calibration's mounting".lstrip()
         except UndriftError as error:  # another device, or another unit: not its calibration
             words = str(error)
         with self._lock:

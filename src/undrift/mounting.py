@@ -1,0 +1,406 @@
+"""Mounting: how a device is worn, from its case axes b to the axes a of the segment that wears it.
+
+Axes a: x forward, y left, z up, when the wearer stands upright. ``R_ab`` maps b to a: its rows are forward, left and up seen in b.
+
+``up``       the vertical seen in b while the wearer stands still: the mean over the longest such stretch
+``forward``  by walking: as a person leaves a posture, or takes one, the horizontal acceleration summed from rest is the velocity,
+             and its mean over a stride points forward. Strides that go on show it at the low back. A body that rises over its leg
+             slows down, and speeds up as it falls: with horizontal acceleration a_h and vertical speed v, 0.7 to 5 Hz, ::
+
+                 -sum a_h v                       points forward; what left and right steps do sideways cancels
+
+             By a named movement: the vertical seen in b leaves ``up`` to the back of a segment that leans forward.
+
+Each comes in pieces (postures, strides, repetitions), whose scatter is the uncertainty of their mean; what all pieces share,
+because people are no machines, is added (``STANCE``, ``CUES``). Cues are averaged by their variances.
+
+A hinge joins two segments that wear a device each. Its axis is j1 in one and j2 in the other; what turns across it is the same for
+both, so that for all samples [1]_ ::
+
+    |w1 x j1| = |w2 x j2|
+
+The inclination of each device comes from its own filter; their headings differ by the angle about the vertical that brings j1 and
+j2 to one direction, which changes slowly. So tied, the second device turns against the first about j alone: that shows both axes
+anew where all motion is about the joint, and the equation above does not; the angle of the joint is that turn.
+
+.. [1] T. Seel, J. Raisch, T. Schauer, "IMU-based joint angle measurement for gait analysis", Sensors 14, 6891-6909, 2014.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import product
+from typing import Literal
+
+import numpy as np
+
+from undrift.arrays import BoolArray, FloatArray, runs
+from undrift.correction.consistency import check_triads
+from undrift.errors import InputError
+from undrift.findings import Finding, Verdict, finding
+from undrift.frames import quaternion_conjugate, quaternion_product, rotate
+from undrift.model import BodyMounting
+from undrift.orientation import check_whole, filtered, initial_tilt, integrate_strapdown, shortest_rotation_up
+from undrift.record import Record, Still
+from undrift.segments import unpadded
+from undrift.units import RADIAN_PER_DEGREE as DEG
+
+Worn = Literal["lower-back", "thigh", "shank", "foot", "wrist"]
+Posture = Literal["standing", "sitting"]
+Movement = Literal["walk", "bow", "squat", "raise"]
+Joint = Literal["knee", "elbow"]
+Span = tuple[float, float]
+
+
+# Whether the segment's upper end goes forward (1) or back (-1): a bow of the trunk, a squat, a straight limb raised forward
+LEANS: dict[Movement, dict[Worn, float]] = {
+    "bow": {"lower-back": 1.0},
+    "squat": {"lower-back": 1.0, "thigh": -1.0, "shank": 1.0},
+    "raise": {"thigh": -1.0, "shank": -1.0, "foot": -1.0, "wrist": -1.0},
+}
+# Standard uncertainty of an upright posture about the segment's x and y, as a person takes it again, rad: standing, as quiet stance
+# sways (an older person's, rms); sitting, and the mean over walking in place of a posture [assumed]
+STANCE = {"standing": (0.6 * DEG, 0.9 * DEG), "sitting": (3.0 * DEG, 3.0 * DEG), "walking": (5.0 * DEG, 5.0 * DEG)}
+# How far pieces of a cue scatter as a rule, and what all of them share, rad: as simulated people have it, rounded up (those of
+# tests/testkit/walking.py); and how many it takes
+CUES = {
+    "walks from or to a posture": (1.5 * DEG, 0.7 * DEG, 1),
+    "pairs of strides": (10.0 * DEG, 6.0 * DEG, 3),
+    "repetitions": (3.0 * DEG, 2.0 * DEG, 2),
+}
+HINGE = 8.0 * DEG  # how far a joint is from a hinge: knees on film, and elbows alike [assumed]
+FLEXES = {"knee": 1.0, "elbow": -1.0}  # the way that the lower segment turns about left
+WARN, HINGE_WARN = 5.0 * DEG, 15.0 * DEG  # of a whole mounting, of the axis of a hinge
+OFFSET = 0.5 * DEG  # rad/s, that gyroscopes have before the filter
+POSTURE_S, PIECE_S, END_S = 3.0, 2.2, (1.2, 2.4)  # a posture, two strides, the stride beside a posture, s
+BOUT_S, LEAST_S = 15.0, 10.0  # the longest walk that is integrated whole, what two recordings have in common, s
+_BAND_HZ, _SLOW_HZ, _HINGE_HZ, _HEADING_HZ = (0.7, 5.0), 0.5, 8.0, 0.05  # of steps, their size, rates, headings
+_QUIET, _STEPS = 0.3, 0.6  # m/s2, rms of the vertical acceleration over two seconds, in postures and in steps
+_SWAYS, _TURNS = 4.0 * DEG, 20.0 * DEG  # rad/s: the vertical turns faster in no posture; no straight walk
+_LEANT, _NEAR = 10.0 * DEG, 20.0 * DEG  # of a movement at least; of an upright posture from the mean over walking
+_CLEAR, _APART = 4.0, 9.0  # a direction in its uncertainties; squared differences of cues over their variances
+_DRAWN, _PARTS = 4, 8  # pieces that the usual spread counts for; of a recording, each left out in turn
+_NEAR_HINGE = 0.35  # rad, how far a hinge is from what its segments turn most about, as a rule [assumed]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class MountFit:
+    """How a device is worn, as far as the recordings show it."""
+
+    mounting: BodyMounting | None  # None where an element is not shown
+    basis: tuple[str, ...]  # What showed up, and forward
+    verdict: Verdict
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class HingeFit:
+    """The axis of a joint in two devices, and its angle over time."""
+
+    joint: Joint
+    axes: FloatArray  # (2, 3), j1 in the first device, j2 in the second
+    uncertainty: float  # of each direction, standard, rad
+    time: FloatArray  # (N,), s, the first recording's clock
+    angle: FloatArray  # (N,), rad; flexion is positive
+    angle_uncertainty: float  # rad
+    straight_s: Span | None  # The posture that is taken as straight, angle 0; None: by the mountings
+    verdict: Verdict
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Seen:
+    """What one recording shows, N samples in b."""
+
+    record: Record  # In SI units
+    gyro: FloatArray  # (N, 3), rad/s
+    force: FloatArray  # (N, 3), m/s2
+    q_nb: FloatArray  # (N, 4)
+    up: FloatArray  # (N, 3), the vertical
+    drive: FloatArray  # (N, 3), minus horizontal acceleration times vertical speed
+    quiet: BoolArray  # (N,)
+    walk: BoolArray  # (N,)
+
+
+def _look(record: Record) -> _Seen:
+    """Return vertical, steps and postures of a recording, by a filter that tracks the inclination."""
+    from scipy.signal import butter, sosfiltfilt
+
+    check_whole(record := unpadded(record.in_si()))
+    check_triads(record)
+    if record.accel is None or np.isnan(record.accel).any():
+        raise InputError(
+            "mount: wanted accelerometer readings without gaps, got none or gaps; map them, or take another stretch"
+        )
+    rate, gyro, force = record.sample_rate_hz, np.asarray(record.gyro), np.asarray(record.accel)
+    q_nb, _ = filtered(record, gyro, OFFSET, magnetometer=False)
+    up = rotate(quaternion_conjugate(q_nb), np.array([0.0, 0.0, 1.0]))
+    band, slow = butter(2, _BAND_HZ, "bandpass", fs=rate, output="sos"), butter(2, _SLOW_HZ, fs=rate, output="sos")
+    rise = (force * up).sum(axis=1)
+    push, rise = (sosfiltfilt(band, one, axis=0) for one in (force - rise[:, None] * up, rise))
+    size = np.sqrt(np.maximum(sosfiltfilt(slow, rise**2), 0.0))
+    half = max(1, round(0.25 * rate))
+    turned = np.pad(np.linalg.norm(up[2 * half :] - up[: -2 * half], axis=1) * rate / (2 * half), half, mode="edge")
+    spin = sosfiltfilt(slow, (gyro * up).sum(axis=1))
+    return _Seen(
+        record=record, gyro=gyro, force=force, q_nb=q_nb, up=up,
+        drive=-push * sosfiltfilt(band, np.cumsum(rise) / rate)[:, None],
+        quiet=(turned < _SWAYS) & (size < _QUIET), walk=(size > _STEPS) & (np.abs(spin) < _TURNS),
+    )  # fmt: skip
+
+
+def find_mounting(
+    records: Sequence[Record], place: Worn, posture: Posture = "standing", movement: Movement = "walk", named: Span | None = None
+) -> MountFit:  # fmt: skip
+    """Find how a device is worn from recordings of one wearing; ``named`` is the posture in the first, s, else it is found."""
+    if movement != "walk" and place not in LEANS[movement]:
+        others = " or ".join(("walk", *(one for one in LEANS if place in LEANS[one])))
+        raise InputError(f"mount: wanted a movement of the {place}, {others}, got {movement}; name one of them")
+    seen = [_look(one) for one in records]
+    up, tilt, findings, basis = _up(seen, posture, named)
+    if up is None:
+        return MountFit(mounting=None, basis=(), verdict=Verdict.of(*findings))
+    forward, heading, more, way = _forward(seen, up, place, movement)
+    if forward is None:
+        return MountFit(mounting=None, basis=(basis,), verdict=Verdict.of(*findings, *more))
+    matrix, covariance = np.stack((forward, np.cross(up, forward), up)), np.diag((*tilt, heading))
+    worn = BodyMounting(place=place, matrix=matrix, covariance=covariance, basis=f"{basis}; {way}")
+    if worn.uncertainty > WARN:
+        more += (finding("mount.uncertain", "warn", degrees=worn.uncertainty / DEG, limit=WARN / DEG),)
+    return MountFit(mounting=worn, basis=(basis, way), verdict=Verdict.of(*findings, *more))
+
+
+def _still_at(record: Record, span: Span) -> Still:
+    start, stop = record.time.searchsorted(span)
+    return Still(start=int(start), stop=max(int(stop), int(start) + 1))
+
+
+def _up(
+    seen: Sequence[_Seen], posture: Posture, named: Span | None
+) -> tuple[FloatArray | None, Span, tuple[Finding, ...], str]:
+    """Return the vertical of the upright segment in b, the variances about its x and y, findings, and what showed it."""
+    steps = np.concatenate([one.up[one.walk] for one in seen])
+    walked_s = sum(float(one.walk.sum()) / one.record.sample_rate_hz for one in seen)
+    mean = steps.mean(axis=0) / np.linalg.norm(steps.mean(axis=0)) if walked_s > POSTURE_S else None
+    upright, others = [], 0
+    for one in seen[:1] if named else seen:
+        least, time = POSTURE_S * one.record.sample_rate_hz, one.record.time
+        stills = [Still(start=int(a), stop=int(b)) for a, b in runs(one.quiet) if b - a >= least]
+        for still in [_still_at(one.record, named)] if named else stills:
+            tilt, (start, stop) = initial_tilt(one.record, still), time[[still.start, still.stop - 1]].tolist()
+            up = tilt.specific_force / np.linalg.norm(tilt.specific_force)
+            if mean is None or named or posture == "sitting" or up @ mean > np.cos(_NEAR):
+                upright.append((stop - start, start, up, tilt.inclination_uncertainty**2 / 2.0))
+            others += 1
+    if upright:
+        length, start, up, variance = max(upright, key=lambda one: one[0])
+        x, y = (variance + one**2 for one in STANCE[posture])
+        return up, (x, y), (), f"up by {posture} from {start:.1f} to {start + length:.1f} s"
+    if mean is None:
+        return None, (0.0, 0.0), (finding("mount.no_up", "fail", least_s=POSTURE_S),), ""
+    x, y = STANCE["walking"]
+    shown = finding("mount.no_stance", "warn", least_s=POSTURE_S, other=others, degrees=x / DEG)
+    return mean, (x**2, y**2), (shown,), f"up by the mean over {walked_s:.0f} s of walking"
+
+
+def _forward(
+    seen: Sequence[_Seen], up: FloatArray, place: Worn, movement: Movement
+) -> tuple[FloatArray | None, float, tuple[Finding, ...], str]:
+    """Return forward in b, level, the variance of its heading, findings, and what showed it."""
+    if movement == "walk":
+        strides = [one.drive[k].mean(axis=0) for one in seen for k in _strides(one)] if place == "lower-back" else []
+        pieces = {
+            "walks from or to a posture": [way for one in seen for way in _bouts(one)],
+            "pairs of strides": strides,
+        }
+    else:
+        gone = [(one.up[a:b].mean(axis=0), b - a) for one in seen for a, b in runs(one.up @ up < np.cos(_LEANT))]
+        least = 0.3 * seen[0].record.sample_rate_hz
+        pieces = {"repetitions": [-LEANS[movement][place] * way for way, count in gone if count > least]}
+    shown, level = [], np.eye(3) - np.outer(up, up)
+    for name, ways in pieces.items():
+        spread, shared, fewest = CUES[name]
+        if len(ways) >= fewest:
+            forward, scatter, clear = _direction(np.array(ways) @ level, up, spread)
+            shown += [(forward, 1.0 / (scatter**2 + shared**2), f"{len(ways)} {name}")] * (clear > _CLEAR)
+    if not shown:
+        count = max(map(len, pieces.values()))
+        return None, 0.0, (finding("mount.no_forward", "fail", count=count, place=place, movement=movement),), ""
+    total, what = sum(weight for _, weight, _ in shown), "forward by " + " and ".join(what for _, _, what in shown)
+    forward = np.sum([weight * way for way, weight, _ in shown], axis=0)
+    forward /= np.linalg.norm(forward)
+    off = [float(np.arctan2(np.cross(forward, way) @ up, forward @ way)) for way, _, _ in shown]
+    chi = sum(weight * angle**2 for (_, weight, _), angle in zip(shown, off, strict=True))
+    if chi <= _APART:
+        return forward, 1.0 / total, (), what
+    return forward, chi / total, (finding("mount.apart", "warn", degrees=(max(off) - min(off)) / DEG, cues=what),), what
+
+
+def _direction(pieces: FloatArray, up: FloatArray, spread: float) -> tuple[FloatArray, float, float]:
+    """Return the direction of the mean of pieces (K, 3), less weight to those far off, its standard uncertainty, and how clear."""
+    middle, weight, count = pieces.mean(axis=0), np.ones(len(pieces)), len(pieces)
+    for _ in range(50):
+        apart = np.linalg.norm(pieces - middle, axis=1)
+        weight = 1.0 / np.maximum(apart, float(np.median(apart)) + 1e-12)
+        weight /= weight.sum()
+        middle = weight @ pieces
+    length = max(float(np.linalg.norm(middle)), 1e-12)
+    forward, off = middle / length, (pieces - middle) / length * (count * weight)[:, None]
+    along, across = (
+        float(np.sqrt((((off @ way) ** 2).sum() + _DRAWN * spread**2) / (count - 1 + _DRAWN) / count))
+        for way in (forward, np.cross(up, forward))
+    )
+    return forward, across, 1.0 / max(along, across)
+
+
+def _strides(one: _Seen) -> list[slice]:
+    size = round(PIECE_S * one.record.sample_rate_hz)
+    return [slice(k, k + size) for a, b in runs(one.walk) for k in range(a, b - size + 1, size)]
+
+
+def _bouts(one: _Seen) -> list[FloatArray]:
+    """Return the mean velocity of each walk between two postures, or of the stride beside one, (3,) in b, m/s."""
+    time, rate, speeds = one.record.time, one.record.sample_rate_hz, []
+    rests = [(int(a), int(b)) for a, b in runs(one.quiet) if b - a > rate]
+    if not rests:
+        return []
+    (early, late), edge = (round(rate * span) for span in END_S), round(0.3 * rate)
+    # Gravity at both ends of the rests shows how the body swayed there: what else gyroscopes read there is their offset
+    ups = {at: one.force[at - edge : at + edge].mean(axis=0) for a, b in rests for at in (a + edge, b - edge)}
+    size = float(np.mean([np.linalg.norm(up) for up in ups.values()]))
+    sway = np.sum([np.cross(ups[b - edge], ups[a + edge]) for a, b in rests], axis=0) / size**2
+    inner = np.concatenate([one.gyro[a + edge : b - edge] for a, b in rests])
+    gyro = one.gyro - inner.mean(axis=0) + sway * rate / len(inner)
+    starts, stops = [b - edge for _, b in rests], [a + edge for a, _ in rests]
+    whole = [(at, to) for at, to in zip(starts, stops[1:], strict=False) if to - at < BOUT_S * rate]
+    spans = [*whole, *((at, at + late) for at in starts if at not in dict(whole))]
+    spans += [(at, at - late) for at in stops if at not in dict(whole).values()]
+    for at, to in spans:
+        way, closed = 1 if to > at else -1, (at, to) in whole
+        rows = np.arange(at, to, way)
+        middle = rows[early : -early if closed else None]
+        if rows.min() < 0 or rows.max() + 1 >= len(time) or len(middle) < early or one.walk[middle].mean() < 0.9:
+            continue
+        q = integrate_strapdown(way * gyro[rows + (way < 0)], way * time[rows], shortest_rotation_up(ups[at]))
+        speed = np.cumsum(rotate(q, one.force[rows]) - [0.0, 0.0, size], axis=0) * way / rate
+        speed -= np.linspace(0.0, 1.0, len(rows))[:, None] * speed[-1] * closed  # it ends at rest
+        seen_b = rotate(quaternion_conjugate(q), speed * [1.0, 1.0, 0.0])
+        speeds.append(seen_b.mean(axis=0) if closed else seen_b[early:].mean(axis=0))
+    return speeds
+
+
+# ---- A hinge between two segments
+
+
+def fit_hinge(
+    first: Record, second: Record, joint: Joint, worn: tuple[BodyMounting, BodyMounting] | None = None, named: Span | None = None
+) -> HingeFit:  # fmt: skip
+    """Find a hinge's axis in the devices above and below it, and its angle, from any motion on one clock.
+
+    Mountings of both devices say which way their axes point, and where the joint is straight; else the devices are taken as worn
+    alike, and a posture as straight: the one that is named, s, or the longest.
+    """
+    start, stop = max(first.time[0], second.time[0]), min(first.time[-1], second.time[-1])
+    if not stop - start > LEAST_S:
+        wanted = f"two recordings on one clock with {LEAST_S:g} s in common"
+        raise InputError(f"mount: wanted {wanted}, got {max(stop - start, 0.0):.3g} s; record both at once")
+    upper, lower = first.in_si().between(start, stop), second.in_si()
+    gyro, accel = (
+        np.stack([np.interp(upper.time, lower.time, column) for column in np.asarray(values).T], axis=1)
+        for values in (lower.gyro, lower.accel)
+    )
+    seen = _look(upper), _look(Record(time=upper.time, gyro=gyro, accel=accel))
+    axes = _rough_hinge([one.gyro for one in seen], upper.sample_rate_hz)
+    if worn is not None:
+        axes *= np.sign([[axis @ one.matrix[1]] for axis, one in zip(axes, worn, strict=True)]) * FLEXES[joint]
+    axes[1] *= np.sign(axes[0] @ axes[1]) if worn is None else 1.0
+    for _ in range(3):
+        q, axes, spread = _tied(seen, axes)
+    lines = np.cross(axes, np.roll(axes, 1, axis=1)) if worn is None else np.array([one.matrix[0] for one in worn])
+    lines = lines - (lines * axes).sum(axis=1)[:, None] * axes
+    turned = rotate(q, lines[1])
+    angle = np.unwrap(np.arctan2(turned @ np.cross(axes[0], lines[0]), turned @ lines[0]))
+    apart = np.subtract(*(np.arcsin(one.up @ axis) for one, axis in zip(seen, axes, strict=True)))
+    if worn is None:
+        straight, findings = _straight(seen, named, angle)
+        straight_s: Span | None = (float(upper.time[straight.start]), float(upper.time[straight.stop - 1]))
+        angle = angle - angle[straight.start : straight.stop].mean()
+        way, zero = (-1.0 if angle.mean() < 0.0 else 1.0), 2.0 * STANCE["standing"][1] ** 2  # it flexes one way
+        angle, axes = way * angle, way * axes
+        findings += (finding("mount.hinge_side", "warn", joint=joint),)
+    else:
+        straight_s, findings, zero = None, (), float(sum(one.covariance[1, 1] for one in worn))
+    if (error := float(np.hypot(spread, HINGE))) > HINGE_WARN:
+        findings += (finding("mount.hinge", "warn", degrees=error / DEG, joint=joint, limit=HINGE_WARN / DEG),)
+    return HingeFit(
+        joint=joint, axes=axes, uncertainty=error, time=upper.time, angle=angle, straight_s=straight_s,
+        angle_uncertainty=float(np.sqrt(apart.var() + zero)), verdict=Verdict.of(*findings),
+    )  # fmt: skip
+
+
+def _rough_hinge(rates: Sequence[FloatArray], sample_rate_hz: float) -> FloatArray:
+    """Return j1 and j2, (2, 3), from the rates of both segments, (N, 3) each: least squares of the constraint."""
+    from scipy.optimize import least_squares
+    from scipy.signal import butter, sosfiltfilt
+
+    slow = butter(2, min(_HINGE_HZ, 0.4 * sample_rate_hz), fs=sample_rate_hz, output="sos")
+    every = max(1, round(sample_rate_hz / (4.0 * _HINGE_HZ)))
+    w = [sosfiltfilt(slow, one - one.mean(axis=0), axis=0)[::every] for one in rates]
+    frames = [np.linalg.eigh(one.T @ one)[1] for one in w]  # the last column: what it turns most about
+
+    def ways(x: FloatArray) -> FloatArray:
+        axes = [frame[:, 2] + frame[:, :2] @ part for frame, part in zip(frames, np.split(x, 2), strict=True)]
+        return np.array([axis / np.linalg.norm(axis) for axis in axes])
+
+    def rows(x: FloatArray) -> FloatArray:
+        across = [np.linalg.norm(np.cross(one, axis), axis=1) for one, axis in zip(w, ways(x), strict=True)]
+        return np.append((across[0] - across[1]) / 0.1, x / _NEAR_HINGE)
+
+    begins = [np.array(one) for one in product((0.0, 2.0), repeat=4)]
+    fits = [least_squares(rows, x, loss="soft_l1", max_nfev=40) for x in begins]
+    return ways(min(fits, key=lambda one: float(one.cost)).x)
+
+
+def _tied(seen: tuple[_Seen, _Seen], axes: FloatArray) -> tuple[FloatArray, FloatArray, float]:
+    """Return q_12 (N, 4), the headings of both tied, the axes of the hinge, and the standard uncertainty of each, rad.
+
+    Headings near those that bring the axes to one direction are tried: tied right, the devices turn least across one axis.
+    """
+    from scipy.signal import butter, sosfiltfilt
+
+    rate, (first, second) = seen[0].record.sample_rate_hz, seen
+    level = [rotate(one.q_nb, axis) @ [1.0, 1j, 0.0] for one, axis in zip(seen, axes, strict=True)]
+    between = (level[0] * level[1].conj()).view(float).reshape(-1, 2)
+    between = sosfiltfilt(butter(2, _HEADING_HZ, fs=rate, output="sos"), between, axis=0)
+    heading = np.arctan2(between[:, 1], between[:, 0])
+    slow = butter(2, min(_HINGE_HZ, 0.4 * rate), fs=rate, output="sos")
+    rates = [sosfiltfilt(slow, one.gyro, axis=0) for one in seen]
+
+    def against(shift: float) -> tuple[FloatArray, FloatArray]:
+        """Return q_12, and the rate of the second device against the first, in the first."""
+        half = 0.5 * (heading + shift)
+        turn = np.stack((np.cos(half), 0.0 * half, 0.0 * half, np.sin(half)), axis=1)
+        q = quaternion_product(quaternion_conjugate(first.q_nb), quaternion_product(turn, second.q_nb))
+        apart = rotate(q, rates[1]) - rates[0]
+        return q, apart - apart.mean(axis=0)
+
+    shifts = np.linspace(-0.8, 0.8, 33)
+    squares = np.array([[part.T @ part for part in np.array_split(against(x)[1], _PARTS)] for x in shifts])
+    whole = squares.sum(axis=1, keepdims=True)  # and with each part left out in turn
+    across = np.linalg.eigvalsh(np.concatenate((whole, whole - squares), axis=1))[..., :2].sum(axis=-1)
+    best = np.clip(across.argmin(axis=0), 1, len(shifts) - 2)
+    below, at, above = (across[best + k, np.arange(_PARTS + 1)] for k in (-1, 0, 1))
+    lean = np.clip((below - above) / (below - 2.0 * at + above), -1.0, 1.0)
+    shift = shifts[best] + 0.5 * (shifts[1] - shifts[0]) * lean
+    q, apart = against(float(shift[0]))
+    new = np.array([np.linalg.eigh(one.T @ one)[1][:, -1] for one in (apart, rotate(quaternion_conjugate(q), apart))])
+    new *= np.sign((new * axes).sum(axis=1))[:, None]
+    return q, new, float(np.sqrt((_PARTS - 1) * shift[1:].var()))  # jackknife; an axis errs by less than the heading
+
+
+def _straight(seen: tuple[_Seen, _Seen], named: Span | None, angle: FloatArray) -> tuple[Still, tuple[Finding, ...]]:
+    """Return the straight posture: named, the longest of both segments, or else the end that the joint flexes from."""
+    least, quiet = seen[0].record.sample_rate_hz, seen[0].quiet & seen[1].quiet
+    both = [Still(start=int(a), stop=int(b)) for a, b in runs(quiet) if b - a >= least]
+    if named or both:
+        return _still_at(seen[0].record, named) if named else max(both, key=lambda one: one.stop - one.start), ()
+    way = 1.0 if angle.mean() > np.median(angle) else -1.0
+    at = int(np.argsort(way * angle)[len(angle) // 50])
+    return Still(start=at, stop=at + 1), (finding("mount.straight", "warn"),)

@@ -1,0 +1,169 @@
+"""undrift mount: the mounting kept in the calibration and used by orient and validate; the angle of a joint as a file."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from testkit.walking import hinge, misplaced, walk
+from undrift.frames import quaternion_conjugate, quaternion_product, rotation
+from undrift.io.formats import read_record, read_reference, write_record
+from undrift.io.reference import write_reference
+from undrift.io.store import read_calibration, write_calibration
+from undrift.model import BodyMounting, Calibration, TriadModel
+from undrift.record import Reference
+
+Q_AB = misplaced(np.random.default_rng(1), 20.0, np.array([0.0, 1.0, 0.0, 0.0]))  # upside down, and 20 deg off
+
+
+def perfect(unit):
+    """Return the model of sensors that read right."""
+    return TriadModel(
+        method="stated", unit_in=unit, unit_out=unit, matrix=np.eye(3), offset=np.zeros(3), covariance=np.zeros((12, 12)),
+        rms_residual=0.0, count=12, rank=12, condition=1.0, valid_range=(-40.0, 40.0),
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def worn(tmp_path_factory):
+    """Return a folder with a walk, bare.json, and worn.json as mount writes it."""
+    folder = tmp_path_factory.mktemp("worn")
+    write_record(walk(np.random.default_rng(2), q_ab=Q_AB, bouts=3), folder / "walk.parquet")
+    calibration = Calibration(
+        device="", reference_temp_c=np.nan, gravity_m_s2=9.80665, gyro=perfect("rad/s"), accel=perfect("m/s2")
+    )
+    write_calibration(calibration, folder / "bare.json")
+    return folder
+
+
+def mounted(undrift, worn):
+    """Return the answer of mount, which wrote worn.json."""
+    words = ("--worn", "lower-back", "--calibration", worn / "bare.json", "-o", worn / "worn.json")
+    return undrift.good("mount", worn / "walk.parquet", *words)
+
+
+def test_the_mounting_is_kept_in_the_calibration_and_said_in_words(undrift, worn):
+    said = mounted(undrift, worn).out
+    assert "Lower-back: side" in said
+    assert "Upside down" in said
+    assert "left and right swapped" in said
+    kept = read_calibration(worn / "worn.json").mounting
+    off = Rotation.from_matrix(kept.matrix @ rotation(Q_AB).as_matrix().T).magnitude()
+    assert off < 3.0 * kept.uncertainty
+    assert np.degrees(kept.uncertainty) < 2.5
+    answer = undrift.good("mount", worn / "walk.parquet", "--worn", "lower-back", "--json").json()
+    np.testing.assert_allclose(answer["mounting"]["matrix"], kept.matrix)
+    assert answer["uncertainty"].keys() == {"roll_deg", "pitch_deg", "heading_deg"}
+
+
+def test_orient_gives_the_segment_by_the_mounting_unless_sides_are_stated(undrift, worn, tmp_path):
+    mounted(undrift, worn)
+    made = {}
+    for name, words in {
+        "body": ("worn.json",), "case": ("bare.json",), "stated": ("worn.json", "--forward", "+x", "--up", "-z"),
+    }.items():  # fmt: skip
+        words = ("--calibration", worn / words[0], *words[1:], "-o", tmp_path / f"{name}.csv", "--method", "vqf")
+        said = undrift.good("orient", worn / "walk.parquet", *words).out
+        assert ("by the calibration's mounting" in said) == (name == "body")
+        made[name] = read_reference(tmp_path / f"{name}.csv")
+    kept = read_calibration(worn / "worn.json").mounting
+    turn = quaternion_product(made["body"].q_nb, quaternion_conjugate(kept.of_body(made["case"].q_nb)))
+    np.testing.assert_allclose(turn[:, 1:3], 0.0, atol=1e-6)  # about the vertical alone: the heading is the segment's
+    np.testing.assert_allclose(made["stated"].q_nb, made["case"].q_nb, atol=1e-9)
+    pitch = np.genfromtxt(tmp_path / "body.csv", delimiter=",", names=True)["pitch_deg"]
+    assert abs(np.median(pitch[20:300])) < 4.0  # the wearer stands upright
+
+
+def test_validate_compares_the_segment_by_the_mounting(undrift, worn, tmp_path):
+    record, q_ab = read_record(worn / "walk.parquet"), Q_AB
+    mounted(undrift, worn)
+    words = ("--calibration", worn / "bare.json", "--method", "vqf", "-o", tmp_path / "o.csv")
+    undrift.good("orient", worn / "walk.parquet", *words)
+    case = read_reference(tmp_path / "o.csv")
+    true = BodyMounting(place="lower-back", matrix=rotation(q_ab).as_matrix(), covariance=np.eye(3), basis="")
+    reference = Reference(time=record.time, q_nb=true.of_body(case.q_nb), position=None, name="segment")
+    write_reference(reference, tmp_path / "segment.csv")
+    call = ("validate", worn / "walk.parquet", "--reference", tmp_path / "segment.csv", "--offset", "motion", "--json")
+    page = ("-o", tmp_path / "out")
+    by_mounting = undrift(*call, "--calibration", worn / "worn.json", *page).json()["trials"][0]
+    assert by_mounting["rmse_pitch_deg"] < 3.0
+    assert by_mounting["rmse_inclination_deg"] < 4.0
+    assert "readings turned by the calibration&#39;s mounting" in (tmp_path / "out" / "report.html").read_text()
+    assert "left in" in (tmp_path / "out" / "report.html").read_text()  # 5 deg or less are left to be removed
+
+
+def test_what_is_not_shown_writes_nothing_and_fails(undrift, worn, tmp_path):
+    write_record(read_record(worn / "walk.parquet").between(0.0, 3.9), tmp_path / "stand.parquet")
+    words = ("--worn", "lower-back", "--calibration", worn / "bare.json", "-o", tmp_path / "no.json")
+    answer = undrift("mount", tmp_path / "stand.parquet", *words)
+    assert answer.code == 1
+    assert "Forward is not shown by walk at the lower-back" in answer.out
+    assert not (tmp_path / "no.json").exists()
+
+
+def test_a_device_put_on_otherwise_than_before_is_warned_of(undrift, worn, tmp_path):
+    mounted(undrift, worn)
+    model = read_calibration(worn / "worn.json")
+    turned = replace(model.mounting, matrix=np.diag([-1.0, -1.0, 1.0]) @ model.mounting.matrix)
+    write_calibration(replace(model, mounting=turned), tmp_path / "before.json")
+    words = ("--worn", "lower-back", "--calibration", tmp_path / "before.json")
+    said = undrift.good("mount", worn / "walk.parquet", *words).out
+    assert "Left and right swapped, front and back swapped: worn" in said
+    assert "No mounting was written" in said
+
+
+@pytest.mark.parametrize(
+    ("words", "wanted"),
+    [
+        (
+            (),
+            r"wanted `?(--)?worn`? and recordings of one device, or .*joint.*, got 1 recordings, 0 calibrations, worn nowhere",
+        ),
+        (("--worn", "thigh", "-o", "no.json"), "wanted a calibration to add the mounting to, got none"),
+        (("--worn", "thigh", "-o", "no.csv"), r"wanted a name ending in \.json"),
+        (("--worn", "foot", "--movement", "bow"), "wanted a movement of the foot, walk or raise, got bow"),
+    ],
+)
+def test_a_call_that_does_not_fit_is_refused_in_a_line(undrift, worn, words, wanted):
+    assert re.search(wanted, undrift.refused("mount", worn / "walk.parquet", *words))
+
+
+def test_the_angle_of_a_joint_is_written_and_drawn(undrift, tmp_path):
+    records, _, angle = hinge(np.random.default_rng(0))
+    for name, record in zip(("thigh", "shank"), records, strict=True):
+        write_record(record, tmp_path / f"{name}.parquet")
+    words = (tmp_path / "thigh.parquet", tmp_path / "shank.parquet", "--joint", "knee")
+    answer = undrift.good("mount", *words, "-o", tmp_path / "knee.csv", "--report", tmp_path / "knee.html", "--json")
+    data = answer.json()
+    written = np.loadtxt(tmp_path / "knee.csv", delimiter=",", skiprows=1)
+    assert np.abs(written[:, 1] - np.degrees(angle[: len(written)])).mean() < 1.0
+    assert data["angle_deg"] == pytest.approx([written[:, 1].min(), written[:, 1].max()], abs=1e-3)
+    assert "flexion of the knee (deg)" in (tmp_path / "knee.html").read_text()
+    assert [one["code"] for one in data["verdict"]["findings"]] == ["mount.hinge_side"]
+
+
+def test_mountings_of_both_devices_say_which_way_the_joint_flexes(undrift, tmp_path):
+    records, true, _ = hinge(np.random.default_rng(3), axes=(0.0, 1.0, 0.0))
+    for name, record, axis in zip(("thigh", "shank"), records, true, strict=True):
+        write_record(record, tmp_path / f"{name}.parquet")
+        left = axis  # the segments' left, seen in each device
+        up = record.accel[:200].mean(axis=0)
+        up = up - (up @ left) * left
+        up /= np.linalg.norm(up)
+        matrix = np.stack((np.cross(left, up), left, up))
+        mounting = BodyMounting(place=name, matrix=matrix, covariance=np.eye(3) * 1e-4, basis="stated")
+        calibration = Calibration(
+            device="", reference_temp_c=np.nan, gravity_m_s2=9.80665, gyro=perfect("rad/s"), accel=perfect("m/s2"),
+            mounting=mounting,
+        )  # fmt: skip
+        write_calibration(calibration, tmp_path / f"{name}.json")
+    words = (tmp_path / "thigh.parquet", tmp_path / "shank.parquet", "--joint", "knee")
+    kept = ("--calibration", tmp_path / "thigh.json", "--calibration", tmp_path / "shank.json")
+    data = undrift.good("mount", *words, *kept, "--json").json()
+    assert data["verdict"]["findings"] == []
+    assert data["straight_s"] is None
+    low, high = data["angle_deg"]
+    assert -3.0 < low < 3.0
+    assert 60.0 < high < 110.0
