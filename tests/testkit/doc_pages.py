@@ -19,6 +19,7 @@ import io
 import re
 import shlex
 import tomllib
+import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -187,6 +188,22 @@ def _monitor(path: Path) -> None:
     path.write_bytes(b"ets Jul 29 2019 12:21:46\r\nrst:0x1 (POWERON_RESET)\r\n" + b"".join(lines))
 
 
+def _phone(path: Path) -> None:
+    """Make the zip that phyphox exports of six faces and three turns, as a phone reads them: with a unit, not yet calibrated."""
+    device, rng = _device()
+    true = true_calibration(device, temp_c=25.0)
+    record = undrift.simulate_session("ferraris", device, rng=rng, labelled=False).records[0]
+    with zipfile.ZipFile(path, "w") as held:
+        for name, head, unit, raw, of in (
+            ("Gyroscope", "Gyroscope", "rad/s", record.gyro, true.gyro),
+            ("Accelerometer", "Acceleration", "m/s^2", record.accel, true.accel),
+        ):
+            table = np.column_stack((record.time, np.asarray(raw) * np.trace(of.matrix) / 3.0))
+            names = ['"Time (s)"', *(f'"{head} {axis} ({unit})"' for axis in "xyz")]
+            rows = (",".join(f"{x:.9E}" for x in row) for row in table.tolist())
+            held.writestr(f"{name}.csv", "\n".join((",".join(names), *rows, "")))
+
+
 def _walk(path: Path) -> None:
     device, rng = _device()
     undrift.write_record(undrift.simulate_trial("sit_to_stand", device, rng=rng).record, path)
@@ -298,6 +315,7 @@ FILES: dict[str, Callable[[Path], None]] = {
     "turns.csv": _bare("ferraris"),
     "logger.csv": _logger,
     "monitor.txt": _monitor,
+    "phone.zip": _phone,
     "walk.csv": _walk,
     "straight.csv": _straight,
     "upper.csv": _of_joint(0),
