@@ -295,7 +295,6 @@ def test_from_a_port_to_a_verdict(tmp_path, held, monkeypatch):
         "from a port to a verdict",
         f"1 command ({command}), {seconds:.0f} s of the device and {listened_s:.1f} s beside",
     )
-    assert seconds < 240.0
     assert made.verdict is not None
     assert made.verdict.status in ("good", "marginal"), made.verdict
     assert made.data["gyro"]["method"]

@@ -46,8 +46,8 @@ def test_scale_of_three_axes_by_one_mounting_lies_within_what_is_stated(cross, c
 
 def test_a_skew_mounting_takes_a_third_of_the_plain_sessions_minutes():
     plain, skew = minutes()
-    assert round(plain, 1) == 474.2
-    assert round(skew, 1) == 150.0
+    assert round(plain, 1) == 643.8
+    assert round(skew, 1) == 198.8
 
 
 def test_the_axis_is_found_as_it_was_mounted_and_rates_follow_it():

@@ -373,6 +373,7 @@ def test_the_schema_names_every_key_that_is_written() -> None:
         *calibration_json(example()),
         "file_map",
         "magnetometer",
+        "mounting",
     }  # these where there is one
     assert schema["additionalProperties"] is False
     assert set(schema["$defs"]["TriadModel"]["required"]) == set(calibration_json(example())["accel"])

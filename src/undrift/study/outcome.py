@@ -595,9 +595,6 @@ def _judge(
     halving: search.Halving | None,
 ) -> TaskOutcome:
     row = TABLE_1.get(cast("TaskName", surface.task)) if study.of_note else None
-    note = None if row is None else judge.compare_with_note(surface, optimum, row, study)
-    if note is not None and note.place is None and halving is None:
-        note = None  # a study without the note's protocol says nothing of it
     least, stopping = _stopping(study, surface, optimum)
     one_way, repeated = judge.analyses_of(surface, study)
     return TaskOutcome(
@@ -611,7 +608,7 @@ def _judge(
         stopping_of=least,
         one_way=one_way,
         repeated=repeated,
-        note=note,
+        note=row if row is None else judge.compare_with_note(surface, optimum, row, study),
         splits=splits,
         untried=(*task.space.untried(), *_too_long(study, surface if halving is None else halving.every)),
         halving=halving,
