@@ -65,6 +65,27 @@ def test_offsets_of_a_table_are_those_of_the_temperature_that_the_parameters_nam
     )  # a cubic
 
 
+def test_a_board_of_several_sensors_names_the_one_that_was_taken(tmp_path):
+    more = (
+        export_px4(in_si()).text
+        + "1\t1\tCAL_ACC1_XOFF\t0.3\t9\n1\t1\tCAL_GYRO2_ZOFF\t0.01\t9\n1\t1\tCAL_ACC3_XOFF\t0.0\t9\n"
+    )
+    back = read(tmp_path, more)
+    assert codes(back) == ["imported.uncertainty", "imported.sensor"]
+    assert "first of 3 sensors" in back.verdict.findings[1].text
+    assert codes(read(tmp_path, export_ardupilot(in_si()).text + "INS_ACC2OFFS_Y,0.2\n"))[1:] == ["imported.sensor"]
+
+
+def test_offsets_whose_temperature_is_not_known_are_refused(tmp_path):
+    for text, got in (
+        ("TC_G_ENABLE,1\nCAL_GYRO0_XOFF,0.1\n", "wanted TC_G0_TREF, where the offsets hold, got none"),
+        ("INS_TCAL1_ENABLE,1\nINS_GYR1_CALTEMP,-300\nINS_GYROFFS_X,0.1\n", "wanted INS_GYR1_CALTEMP.*got -300 degC"),
+    ):
+        (tmp_path / "p.param").write_text(text)
+        with pytest.raises(FileFormatError, match=got):
+            read_calibration(tmp_path / "p.param")
+
+
 def test_printed_parameters_of_a_shell_are_read(tmp_path):
     shell = (
         "Symbols: x = used, + = saved\nx + CAL_ACC0_XOFF [110,402] : 0.2500\nx + CAL_ACC0_ZSCALE [118,410] : 1.0100\n"

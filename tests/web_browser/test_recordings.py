@@ -295,3 +295,14 @@ def test_a_folder_can_be_dropped(open_page: Callable[..., Page]) -> None:
     page.locator(".drop").evaluate(FOLDER)
     expect(page.locator(".bench-list button")).to_have_text(["walk"], timeout=COMMAND_MS)
     expect(page.locator(".bench-main")).to_contain_text("60 samples at 50 Hz", timeout=COMMAND_MS)
+
+
+def test_parameters_of_an_autopilot_are_a_calibration(
+    bench_server: BenchServer, open_page: Callable[..., Page], tmp_path: Path
+) -> None:
+    page = open_page("/recordings")
+    (tmp_path / "quad.params").write_text("1\t1\tCAL_ACC0_XOFF\t0.1\t9\n1\t1\tCAL_GYRO0_ZOFF\t0.01\t9\n")
+    page.get_by_label("Choose files").set_input_files(tmp_path / "quad.params")
+    expect(page.locator(".bench-main")).to_contain_text(
+        "Recordings are corrected with this calibration", timeout=COMMAND_MS
+    )

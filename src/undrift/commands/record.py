@@ -29,10 +29,7 @@ if TYPE_CHECKING:
 
 LOOK_S = 0.2  # between two looks at the device, host s
 LOG_S = 5.0  # of the recording between two lines where there is no terminal
-FIRST_S, LOST_S = (
-    6.0,
-    10.0,
-)  # host s to wait for the first reading (a board may start anew), and for a device that was lost
+FIRST_S, LOST_S = 6.0, 10.0  # host s for the first reading (a board may start anew), and for a device that was lost
 CLOCK_S = 10.0  # of a recording that shows the rate of a device without time better than listening did
 PAUSE_S = 1.0  # host s without readings that are not mentioned
 RATE_S = 2.0  # of a recording after which its rate is shown

@@ -178,14 +178,31 @@ def _three(values: Mapping[str, float], name: str, axes: str = "XYZ", default: f
     return np.array([values.get(name.format(axis), default) for axis in axes])
 
 
+COLDEST_C, WARMEST_C = -100.0, 200.0  # of electronics
+OTHERS = {
+    "PX4": r"CAL_(?:ACC|GYRO)([1-3])_[XYZ]OFF",
+    "ArduPilot": r"INS_(?:ACC|GYR)([2-9])OFFS_[XYZ]",
+}  # further sensors
+
+
 def _autopilot(
-    program: str, accel: tuple[FloatArray, FloatArray], gyro: FloatArray, device: str, temp_c: float | None
-) -> Calibration:
-    """Return the calibration of (offset, scale) of accelerometers and the offset of gyroscopes; temp_c where tables are on."""
-    warm = () if temp_c is None else (finding("imported.temperature", "warn", program=program, temp_c=temp_c),)
+    program: str, device: str, values: Mapping[str, float], accel: tuple[FloatArray, FloatArray], gyro: FloatArray, warm: str
+) -> Calibration:  # fmt: skip
+    """Return the calibration of (offset, scale) of accelerometers and the offset of gyroscopes; ``warm`` names the temperature."""
+    temp_c, notes = values.get(warm, math.nan), list[Finding]()
+    if warm and not COLDEST_C < temp_c < WARMEST_C:  # ArduPilot has -300 until it was calibrated
+        got = f"{temp_c:g} degC" if warm in values else "none"
+        raise FileFormatError(
+            f"wanted {warm}, where the offsets hold, got {got}; save all parameters of a calibrated board"
+        )
+    if warm:
+        notes.append(finding("imported.temperature", "warn", program=program, temp_c=temp_c))
+    hits = (re.fullmatch(OTHERS[program], name) for name, value in values.items() if value)
+    if others := {hit[1] for hit in hits if hit}:
+        notes.append(finding("imported.sensor", "warn", program=program, sensors=1 + len(others)))
     gyros = _model(program, np.eye(3), gyro, "rad/s", "rad/s")
     accels = _model(program, np.diag(accel[1]), accel[0], "m/s2", "m/s2")
-    return _calibration(program, device, gyros, accels, *warm, temp_c=math.nan if temp_c is None else temp_c)
+    return _calibration(program, device, gyros, accels, *notes, temp_c=temp_c)
 
 
 def _px4(content: bytes, device: str) -> Calibration:
@@ -193,16 +210,16 @@ def _px4(content: bytes, device: str) -> Calibration:
     warm_g, warm_a = (bool(values.get(f"TC_{letter}_ENABLE")) for letter in "GA")
     gyro = _three(values, "CAL_GYRO0_{}OFF") + warm_g * _three(values, "TC_G0_X0_{}", "012")
     accel = _three(values, "CAL_ACC0_{}OFF") + warm_a * _three(values, "TC_A0_X0_{}", "012")
-    temp_c = values.get("TC_G0_TREF" if warm_g else "TC_A0_TREF", math.nan) if warm_g or warm_a else None
-    return _autopilot("PX4", (accel, _three(values, "CAL_ACC0_{}SCALE", default=1.0)), gyro, device, temp_c)
+    warm = "TC_G0_TREF" if warm_g else "TC_A0_TREF" if warm_a else ""
+    return _autopilot("PX4", device, values, (accel, _three(values, "CAL_ACC0_{}SCALE", default=1.0)), gyro, warm)
 
 
 def _ardupilot(content: bytes, device: str) -> Calibration:
     values = _parameters(content.decode("utf-8", "replace"))
-    warm = bool(values.get("INS_TCAL1_ENABLE"))
-    temp_c = values.get("INS_GYR1_CALTEMP", values.get("INS_ACC1_CALTEMP", math.nan)) if warm else None
     accel = _three(values, "INS_ACCOFFS_{}"), _three(values, "INS_ACCSCAL_{}", default=1.0)
-    return _autopilot("ArduPilot", accel, _three(values, "INS_GYROFFS_{}"), device, temp_c)
+    warm = "INS_GYR1_CALTEMP" if "INS_GYR1_CALTEMP" in values else "INS_ACC1_CALTEMP"
+    warm = warm if values.get("INS_TCAL1_ENABLE") else ""
+    return _autopilot("ArduPilot", device, values, accel, _three(values, "INS_GYROFFS_{}"), warm)
 
 
 # ---- x-io: Fusion in C, settings of an x-IMU3

@@ -161,6 +161,8 @@ class StudyTask:
             )
         if self.places and {"set_points", "warmest_c"} & set(self.space.names):
             raise InputError("places: wanted lists of set-points, or set_points and warmest_c, got both; leave one out")
+        if max(dict(self.space.further).get("places", (0.0,))) > len(self.places):
+            raise InputError(f"places: wanted numbers of the plan's lists, got {len(self.places)} lists; give more")
         for temps_c in self.places:
             replace(self.base, temperatures_c=temps_c)  # refuses what does not rise
         if self.motion is None and self.name not in get_args(TaskName):

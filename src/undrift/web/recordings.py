@@ -121,6 +121,8 @@ class Recordings:
             place = folder.parent.with_name(secrets.token_hex(6))  # one folder a file: results lie beside it
             place.mkdir()
             await self.add(path.rename(place / path.name))
+        folder.rmdir()
+        folder.parent.rmdir()
 
     async def look(self, stored: StoredFile) -> None:
         """Ask what a file holds; draw it where it is a recording."""

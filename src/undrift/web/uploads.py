@@ -19,7 +19,7 @@ GROUP = re.compile(r"\d{1,20}")
 RESERVED = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\.|$)", re.I)  # names that Windows gives to devices
 _NAMES = (
     "csv txt tsv parquet json toml mat h5 hdf5 c3d trc xdf ulg bag db3 "
-    "mcap bin log gz zip bwx cwa gt3x mvnx edf npz sto data mot xlsx"
+    "mcap bin log gz zip bwx cwa gt3x mvnx edf npz sto data mot xlsx param params parm h"
 )
 ENDINGS = tuple(f".{name}" for name in _NAMES.split())  # of recordings, references, maps and calibrations
 
