@@ -46,7 +46,7 @@ def mounted(undrift, worn):
 
 def test_the_mounting_is_kept_in_the_calibration_and_said_in_words(undrift, worn):
     said = mounted(undrift, worn).out
-    assert "Lower-back: side" in said
+    assert "Lower back: side" in said
     assert "Upside down" in said
     assert "left and right swapped" in said
     kept = read_calibration(worn / "worn.json").mounting

@@ -109,12 +109,12 @@ def _mount_summary(
     )
     if output is not None and model is not None:
         write_calibration(replace(model, mounting=worn), output)
-    axes = ("body", "device x, y, z", "side", "off it (deg)", "turn", "uncertainty (deg)")
+    axes = ("body", "device x, y, z", "side", "angle to it (deg)", "turn", "uncertainty (deg)")
     data |= {"output": output and str(output), "uncertainty": {f"{turn}_deg": one for turn, one in turns.items()}}
     return replace(
         about,
-        answer=f"{worn.place.capitalize()}: side {sides[0][0]} of the device points forward and {sides[2][0]} up, each up to its "
-        f"angle in the table; standard uncertainty {uncertain:.1f} deg.",
+        answer=f"{worn.place.capitalize().replace('-', ' ')}: side {sides[0][0]} of the device points forward and {sides[2][0]} up, but for "
+        f"the angles in the table; standard uncertainty {uncertain:.1f} deg.",
         data=data | {"verdict": verdict_json(verdict)},
         sections=(Section(title="Body axes in the device", columns=axes, rows=rows), basis),
         verdict=verdict,

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from undrift.record import Record, Reference
     from undrift.sync import SharedMotion
 
+LEAST_MS = 0.01  # that is shown: copies of one recording agree to the last bit
 CERTAIN_S = 1e-3  # a larger expanded uncertainty is a finding
 TEXT = (
     "offset: its stamp less that of the first clock, in the middle of what both have seen; within: at most there, 95 %"
@@ -104,7 +105,7 @@ class Synced(Result):
         first, *others = self.files
         synced = [file for file in self.files if file.found]
         verdict = Verdict.of(*(item for file in others for item in file.findings))
-        most_ms = 1e3 * max(file.uncertainty_s for file in synced)
+        most_ms = max(LEAST_MS, 1e3 * max(file.uncertainty_s for file in synced))
         within = f", within {most_ms:.2g} ms (95 %)" if len(synced) > 1 else ""
         through = (f"{file.path.name}: by the motion of {file.through}" for file in synced if file.through)
         return Summary(
