@@ -113,8 +113,8 @@ def _mount_summary(
     data |= {"output": output and str(output), "uncertainty": {f"{turn}_deg": one for turn, one in turns.items()}}
     return replace(
         about,
-        answer=f"{worn.place.capitalize().replace('-', ' ')}: side {sides[0][0]} of the device points forward and {sides[2][0]} up, but for "
-        f"the angles in the table; standard uncertainty {uncertain:.1f} deg.",
+        answer=f"{worn.place.capitalize().replace('-', ' ')}: side {sides[0][0]} of the device points forward and {sides[2][0]} "
+        f"up, but for the angles in the table; standard uncertainty {uncertain:.1f} deg.",
         data=data | {"verdict": verdict_json(verdict)},
         sections=(Section(title="Body axes in the device", columns=axes, rows=rows), basis),
         verdict=verdict,
