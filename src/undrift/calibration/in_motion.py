@@ -7,9 +7,10 @@
 
 Nothing else is asked: no rest, no rig, no optics. Where a recording rests, its offset is the mean there, within what it moves by
 afterwards. Elements of M and A are near those of the identity, each kind within a size that the device itself widens: what the
-motion did not show keeps that prior, and is named with the movement that would show it. How both triads lie to each other is seen,
-how they lie in the case is not: axes are those that the readings have, within the prior. A magnetic field, corrected beforehand
-(calibration/magnetometer.py), is a second direction that R must keep: it shows turns about the vertical.
+motion did not show keeps that prior, and is named with the movement that would show it. Readings in counts have a nominal scale and
+zero first (nominal.py), of which the prior knows nothing. How both triads lie to each other is seen, how they lie in the case is
+not: axes are those that the readings have, within the prior. A magnetic field, corrected beforehand (calibration/magnetometer.py),
+is a second direction that R must keep: it shows turns about the vertical.
 
 Gauss-Newton, from short stretches of a recording, over which the first rates err little, to long ones.
 """
@@ -23,14 +24,15 @@ import numpy as np
 from undrift.arrays import FloatArray, bridged
 from undrift.calibration.element_prior import ELEMENTS, KINDS, PUBLISHED, ElementPrior, by_kinds
 from undrift.calibration.magnetometer import FieldFit
+from undrift.calibration.nominal import Nominal, in_nominal_units, nominal_scales
 from undrift.errors import Implausible, InputError, NotObservable
 from undrift.findings import Finding, finding
 from undrift.fit.carried import MEAN_S, CarriedMeans
 from undrift.fit.least_squares import TriadFit, triad_fit
-from undrift.model import MATRIX_NAMES, OFFSET_NAMES, Verdict
+from undrift.model import MATRIX_NAMES, OFFSET_NAMES, TriadModel, Verdict
 from undrift.record import Record
 from undrift.segments import StillSettings, find_still
-from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical, si_factor
+from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, Quantity, is_physical, si_factor
 
 LEAST_S, LEAST_DPS = 20.0, 5.0  # of a recording, and rms of its rates less their mean
 BRIDGED_S = 0.05  # the longest gap over which a line is near enough to the readings [assumed]
@@ -41,6 +43,7 @@ MOVED, DAILY, RAW_RATE = 0.02 * RADIAN_PER_DEGREE, 0.1 * RADIAN_PER_DEGREE, 1.0 
 WIDENED = {"gyro": 1.5, "accel": 1.8}
 NOT_GRAVITY = 1.0  # m/s2, left in a mean over 5 s: people who walk leave 0.03, hands 0.1 [assumed]
 FAR = 0.05  # of a scale factor: data sheets state 3 % [assumed]
+ANY_SCALE, ANY_ZERO = 0.3, 3.0  # of a nominal scale and of a zero in m/s2, found from motion: no prior
 SHOWN = 0.7  # of the prior deviation, below which an element counts as seen
 FIELD_SIZE = 0.01  # of a corrected magnetic field: what its size may differ by in the means [assumed]
 _OF_GYRO = np.r_[:9, 21:24]
@@ -58,6 +61,16 @@ class InMotion:
     acceleration: FloatArray  # (R,), what is left of it in a mean over 5 s, rms, m/s2
     rested: tuple[bool, ...]  # (R,), whether a recording has a rest
     field: FieldFit | None = None  # Magnetometer, where it was asked for
+
+    @property
+    def units(self) -> tuple[float, float]:
+        """What a unit of reading is worth, rad/s and m/s2; of counts the mean of the axes."""
+        of_each: tuple[tuple[TriadModel, Quantity], ...] = ((self.gyro.model, "rate"), (self.accel.model, "accel"))
+        rate, force = (
+            si_factor(model.unit_in, of) if is_physical(model.unit_in) else float(np.trace(model.matrix)) / 3.0
+            for model, of in of_each
+        )
+        return rate, force
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -135,6 +148,7 @@ class _Model:
     usual: FloatArray  # (3,), gyroscopes' offset over its recordings
     prior: ElementPrior
     sizes: FloatArray  # (7,), deviation of each kind of element
+    sought: tuple[bool, bool]  # whether scale and zero of a triad are but nominal: of counts
 
     @property
     def deviation(self) -> FloatArray:
@@ -146,8 +160,18 @@ class _Model:
     @property
     def weight(self) -> FloatArray:
         """What is known of M, A and p before: information by kinds, (21, 21), of ``deviation``."""
-        known: FloatArray = ELEMENTS.T / np.repeat(self.sizes, 3) ** 2
-        return known
+        return np.asarray(ELEMENTS.T @ self._information)
+
+    @property
+    def _information(self) -> FloatArray:
+        information = np.diag(1.0 / np.repeat(self.sizes, 3) ** 2)
+        for first in np.flatnonzero(self.sought) * 6:  # what the three scale factors share says nothing
+            information[first : first + 3, first : first + 3] -= (
+                1.0 / self.sizes[first // 3] ** 2 - 1.0 / ANY_SCALE**2
+            ) / 3.0
+        if self.sought[1]:
+            information[18:, 18:] = np.eye(3) / ANY_ZERO**2
+        return information
 
     def move(self, step: FloatArray) -> None:
         """Take a step (24,) of M, A, p and the usual offset."""
@@ -156,7 +180,13 @@ class _Model:
 
     def widen(self, covariance: FloatArray) -> None:
         """Let the size of each kind of element follow this device: what it deviates by, and what is not known of that."""
-        self.sizes = self.prior.sizes(self.deviation**2 + by_kinds(covariance))
+        deviation = self.deviation
+        for first in np.flatnonzero(self.sought) * 6:
+            deviation[first : first + 3] -= deviation[first : first + 3].mean()
+        square = deviation**2 + by_kinds(covariance)
+        if self.sought[1]:
+            square[18:] = self.sizes[6] ** 2
+        self.sizes = self.prior.sizes(square)
 
 
 def fit_in_motion(
@@ -174,11 +204,13 @@ def fit_in_motion(
     Raises InputError for a triad that is missing, counts, gaps, short recordings or several units, NotObservable for a device that
     is not turned.
     """
-    units = _units(records, gravity_m_s2 if field else None)
+    scales = nominal_scales(_usable(records), gravity_m_s2)
+    units = _units([in_nominal_units(one, *scales) for one in records], gravity_m_s2 if field else None)
     rests = [one.rest.rate for one in units if one.rest is not None]
     model = _Model(
         gyro=np.eye(3), accel=np.eye(3), offset=np.zeros(3),
         usual=np.mean(rests, axis=0) if rests else np.zeros(3), prior=prior, sizes=prior.sizes(np.zeros((0, 21))),
+        sought=(scales[0].sought, scales[1].sought),
     )  # fmt: skip
     for one in units:
         one.offset = model.usual if one.rest is None else one.rest.rate
@@ -204,7 +236,7 @@ def fit_in_motion(
     wide[9:21] = WIDENED["accel"]
     freedom = 3.0 + np.array([one.as_from for one in prior.kinds])
     model.sizes = model.sizes * np.sqrt(freedom / (freedom - 2.0))  # Student's t: sizes are known from few elements
-    return _result(records, units, model, np.linalg.inv(_prior(model, units)[0] + shown / wide[:, None] / wide))
+    return _result(records, scales, units, model, np.linalg.inv(_prior(model, units)[0] + shown / wide[:, None] / wide))
 
 
 def without_gaps(record: Record) -> list[Record]:
@@ -221,26 +253,32 @@ def without_gaps(record: Record) -> list[Record]:
     return [replace(one, gyro=x[:, :3], accel=x[:, 3:]) for one, x in zip(parts, lines, strict=True)] or [record]
 
 
-def _units(records: Sequence[Record], field_size: float | None) -> list[_Unit]:
+def _usable(records: Sequence[Record]) -> Sequence[Record]:
+    """Return the recordings, each with both triads, in one unit of each, without gaps and long enough; InputError otherwise."""
     if not records:
         raise InputError("motion: wanted one recording or more, got none; name them")
     kinds = {(record.gyro_unit, record.accel_unit) for record in records}
-    if len(kinds) > 1 or not all(is_physical(unit) for pair in kinds for unit in pair):
+    if len(kinds) > 1:
         got = ", ".join(sorted({unit for pair in kinds for unit in pair}))
         raise InputError(
-            f"motion: wanted all recordings in one physical unit of each triad, got {got}; state the scale of their columns"
+            f"motion: wanted all recordings in one unit of each triad, got {got}; state the scale of their columns"
         )
-    units = []
     for number, record in enumerate(records):
         where = f"motion, recording {number + 1}"
         if record.gyro is None or record.accel is None:
             raise InputError(f"{where}: wanted gyroscopes and accelerometers, got one of them; map both")
-        gyro = np.asarray(record.gyro) * si_factor(record.gyro_unit, "rate")
-        accel = np.asarray(record.accel) * si_factor(record.accel_unit, "accel")
-        gaps = int((~np.isfinite(np.hstack((gyro, accel)))).any(axis=1).sum())
+        gaps = int((~np.isfinite(np.hstack((record.gyro, record.accel)))).any(axis=1).sum())
         if gaps or record.duration_s < LEAST_S:
             got = f"{gaps} gaps (NaN)" if gaps else f"{record.duration_s:.3g} s"
             raise InputError(f"{where}: wanted {LEAST_S:g} s or more without gaps, got {got}; cut it, or leave it out")
+    return records
+
+
+def _units(records: Sequence[Record], field_size: float | None) -> list[_Unit]:
+    """Return recordings in rad/s and m/s2 as units of the fit."""
+    units = []
+    for number, record in enumerate(records):
+        gyro, accel = np.asarray(record.gyro), np.asarray(record.accel)
         still = find_still(record, StillSettings()).stills or find_still(record).stills
         rest = _Rest.of(gyro[still[0].start : still[0].stop], record.sample_rate_hz) if still else None
         moving = np.ones(len(record))
@@ -286,15 +324,20 @@ def _prior(model: _Model, units: list[_Unit]) -> tuple[FloatArray, FloatArray]:
     return information, towards
 
 
-def _result(records: Sequence[Record], units: list[_Unit], model: _Model, covariance: FloatArray) -> InMotion:
+def _result(
+    records: Sequence[Record],
+    scales: tuple[Nominal, Nominal],
+    units: list[_Unit],
+    model: _Model,
+    covariance: FloatArray,
+) -> InMotion:
     """Return the model in the units of the readings, judged."""
     unit_gyro, unit_accel = records[0].gyro_unit, records[0].accel_unit
-    per_gyro, per_accel = si_factor(unit_gyro, "rate"), si_factor(unit_accel, "accel")
-    verdict = Verdict.of(*_judged(model, covariance))
+    verdict = Verdict.of(*_judged(model, covariance), *_scales_found(records[0], scales, model))
     fits, force = [], np.concatenate([each.left for one in units for _, each, _ in one.stretches])
-    for matrix, offset, rows, factor, unit, out in (
-        (model.gyro, model.usual, _OF_GYRO, per_gyro, unit_gyro, "rad/s"),
-        (model.accel, model.offset, np.r_[9:21], per_accel, unit_accel, "m/s2"),
+    for matrix, offset, rows, (factor, zero), unit, out in (
+        (model.gyro, model.usual, _OF_GYRO, (scales[0].scale, scales[0].zero), unit_gyro, "rad/s"),
+        (model.accel, model.offset, np.r_[9:21], (scales[1].scale, scales[1].zero), unit_accel, "m/s2"),
     ):
         scale = np.repeat((factor, 1.0 / factor), (9, 3))
         readings = [(one.rate - one.offset if out == "rad/s" else one.force - offset) @ matrix.T for one in units]
@@ -306,7 +349,7 @@ def _result(records: Sequence[Record], units: list[_Unit], model: _Model, covari
                 unit_in=unit,
                 unit_out=out,
                 matrix=factor * matrix,
-                offset=offset / factor,
+                offset=zero + offset / factor,
                 parameters=(*MATRIX_NAMES, *OFFSET_NAMES),
                 covariance=scale[:, None] * covariance[np.ix_(rows, rows)] * scale,
                 rank=12,
@@ -327,11 +370,22 @@ def _result(records: Sequence[Record], units: list[_Unit], model: _Model, covari
     return InMotion(
         gyro=fits[0],
         accel=fits[1],
-        offsets=np.array([np.mean([units[k].offset for k in places], axis=0) for places in of_each]) / per_gyro,
-        offset_uncertainty=np.array([spread[places].max(axis=0) for places in of_each]) / per_gyro,
+        offsets=np.array([np.mean([units[k].offset for k in places], axis=0) for places in of_each]) / scales[0].scale
+        + scales[0].zero,
+        offset_uncertainty=np.array([spread[places].max(axis=0) for places in of_each]) / scales[0].scale,
         acceleration=left,
         rested=tuple(units[places[0]].rest is not None for places in of_each),
     )
+
+
+def _scales_found(record: Record, scales: tuple[Nominal, Nominal], model: _Model) -> Iterator[Finding]:
+    """Yield what the motion says counts or volts are worth: data sheets state it, and may be compared."""
+    if scales[0].sought:
+        per_dps = RADIAN_PER_DEGREE / scales[0].scale * 3.0 / float(np.trace(model.gyro))
+        yield finding("motion.gyro_unit", "info", unit=record.gyro_unit, per_dps=per_dps)
+    if scales[1].sought:
+        per_g = STANDARD_GRAVITY / scales[1].scale * 3.0 / float(np.trace(model.accel))
+        yield finding("motion.accel_unit", "info", unit=record.accel_unit, per_g=per_g)
 
 
 def _judged(model: _Model, covariance: FloatArray) -> Iterator[Finding]:
@@ -352,8 +406,10 @@ def _judged(model: _Model, covariance: FloatArray) -> Iterator[Finding]:
             alike = [0.5 * float(np.sqrt(covariance[np.ix_(pair, pair)].sum())) for pair in pairs]
             if (most := 100.0 * max(*alike, *spread[scale])) > 0.2:
                 yield finding("reference.uncertainty", "warn", uncertainty_percent=most)
-    for triad, matrix in (("gyroscope", model.gyro), ("accelerometer", model.accel)):
-        if (most := float(np.abs(1.0 / np.diag(matrix) - 1.0).max())) > FAR:
+    for triad, matrix, sought in zip(
+        ("gyroscope", "accelerometer"), (model.gyro, model.accel), model.sought, strict=True
+    ):
+        if not sought and (most := float(np.abs(1.0 / np.diag(matrix) - 1.0).max())) > FAR:
             yield finding("motion.scale", "warn", triad=triad, percent=100.0 * most)
     yield finding("motion.case", "info", lean_deg=np.degrees(spread[:18][~_DIAGONAL].max()))
     after = np.sqrt(by_kinds(covariance).reshape(7, 3).mean(axis=1))

@@ -18,7 +18,7 @@ from undrift.arrays import FloatArray
 from undrift.calibration.element_prior import ELEMENTS
 from undrift.calibration.in_motion import InMotion
 from undrift.model import AXES, Calibration, TriadModel
-from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, si_factor
+from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
 ENOUGH_PERCENT = 0.5
 _PAIRS = ("y-z", "x-z", "x-y")
@@ -82,11 +82,11 @@ def elements_known(
 
 def _spreads(calibration: Calibration, fit: InMotion) -> Iterator[FloatArray]:
     """Yield standard uncertainties (3,) of each group; the gyroscopes' offset is that of the newest recording."""
-    per_dps = si_factor(fit.gyro.model.unit_in, "rate") / RADIAN_PER_DEGREE
+    per_rate, per_force = fit.units
     yield from _of_matrix(fit.gyro.model)
-    yield fit.offset_uncertainty[-1] * per_dps
+    yield fit.offset_uncertainty[-1] * per_rate / RADIAN_PER_DEGREE
     yield from _of_matrix(fit.accel.model)
-    yield fit.accel.model.standard_uncertainty[9:] * si_factor(fit.accel.model.unit_in, "accel")
+    yield fit.accel.model.standard_uncertainty[9:] * per_force
     if calibration.magnetometer is not None:
         spread = calibration.magnetometer.model.standard_uncertainty
         yield 100.0 * np.linalg.norm(spread[:9].reshape(3, 3), axis=1)

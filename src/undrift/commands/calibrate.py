@@ -25,7 +25,7 @@ from undrift.commands.files import Opening, Place, Rests, check_figure, check_ou
 from undrift.commands.live_motion import LiveMotion, collect, motion_fit
 from undrift.commands.register import Registration, registered_lines
 from undrift.errors import InputError
-from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, si_factor
+from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
 if TYPE_CHECKING:
     from undrift.arrays import FloatArray
@@ -242,7 +242,7 @@ def _motion_figures(calibrated: Calibrated, fit: "InMotion") -> list[dict[str, A
     """Return what motion showed of each recording: offset and its uncertainty, acceleration, and the magnetic field."""
     import numpy as np
 
-    per_dps = si_factor(fit.gyro.model.unit_in, "rate") / RADIAN_PER_DEGREE
+    per_dps = fit.units[0] / RADIAN_PER_DEGREE
     names = [name for name, _ in calibrated.session.inputs if not name.endswith(".toml")]
     named = names if len(names) == len(fit.offsets) else [f"recording {k + 1}" for k in range(len(fit.offsets))]
     rows = zip(
