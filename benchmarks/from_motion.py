@@ -8,7 +8,7 @@ heading: error of the heading over the movement, rms, deg, by VQF with a magneto
 motion of the other trials; the mean error in the five seconds before the movement is taken away, or nothing.
 tasks: pitch error, rms over the motion, deg, of three simulated devices, each calibrated by a bench session, on another day.
 There is no walking in ``sim``: ten minutes are ten ``free`` tasks in one recording, and a walk of sinusoids that is made here.
-times: 30 recordings of two minutes through the fit of both triads; the offset of one of them.
+times: 30 recordings of two minutes through the fit of both triads; 30 units of one with their magnetometer; the offset of one.
 """
 
 import sys
@@ -309,7 +309,7 @@ def print_tasks() -> None:
 
 
 def print_times() -> None:
-    """Print how long the fit of 30 recordings of two minutes takes, and the offset of one."""
+    """Print how long a fit of 30 recordings of two minutes takes, 30 units with a magnetometer, and the offset of a recording."""
     records = [trial(n)[0].between(0.0, 120.0) for numbers in DEVICES.values() for n in numbers] * 4
     fit_in_motion(records[:1])  # the compiler's time is not the estimator's
     start = perf_counter()
@@ -318,6 +318,11 @@ def print_times() -> None:
     print(
         f"fit_in_motion, 30 recordings of {records[0].duration_s:.0f} s at {records[0].sample_rate_hz:.0f} Hz: {took:.1f} s"
     )
+    calibrate_from_motion(records[:1], magnetometer=True)
+    start = perf_counter()
+    for record in records[:30]:
+        calibrate_from_motion([record], magnetometer=True)
+    print(f"calibrate_from_motion with a magnetometer, 30 units of one such recording: {perf_counter() - start:.1f} s")
     rest = find_rest_offset(records[0])
     for name, known in (("with its rest", rest), ("without", None)):
         find_motion_offset(records[0], known)
