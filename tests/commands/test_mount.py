@@ -7,23 +7,15 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from testkit.walking import hinge, misplaced, walk
+from testkit.walking import hinge, misplaced, perfect, perfect_calibration, walk
 from undrift.frames import quaternion_conjugate, quaternion_product, rotation
 from undrift.io.formats import read_record, read_reference, write_record
 from undrift.io.reference import write_reference
 from undrift.io.store import read_calibration, write_calibration
-from undrift.model import BodyMounting, Calibration, TriadModel
+from undrift.model import BodyMounting, Calibration
 from undrift.record import Reference
 
 Q_AB = misplaced(np.random.default_rng(1), 20.0, np.array([0.0, 1.0, 0.0, 0.0]))  # upside down, and 20 deg off
-
-
-def perfect(unit):
-    """Return the model of sensors that read right."""
-    return TriadModel(
-        method="stated", unit_in=unit, unit_out=unit, matrix=np.eye(3), offset=np.zeros(3), covariance=np.zeros((12, 12)),
-        rms_residual=0.0, count=12, rank=12, condition=1.0, valid_range=(-40.0, 40.0),
-    )  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -31,10 +23,7 @@ def worn(tmp_path_factory):
     """Return a folder with a walk, bare.json, and worn.json as mount writes it."""
     folder = tmp_path_factory.mktemp("worn")
     write_record(walk(np.random.default_rng(2), q_ab=Q_AB, bouts=3), folder / "walk.parquet")
-    calibration = Calibration(
-        device="", reference_temp_c=np.nan, gravity_m_s2=9.80665, gyro=perfect("rad/s"), accel=perfect("m/s2")
-    )
-    write_calibration(calibration, folder / "bare.json")
+    write_calibration(perfect_calibration(), folder / "bare.json")
     return folder
 
 
@@ -56,6 +45,8 @@ def test_the_mounting_is_kept_in_the_calibration_and_said_in_words(undrift, worn
     answer = undrift.good("mount", worn / "walk.parquet", "--worn", "lower-back", "--json").json()
     np.testing.assert_allclose(answer["mounting"]["matrix"], kept.matrix)
     assert answer["uncertainty"].keys() == {"roll_deg", "pitch_deg", "heading_deg"}
+    assert answer["sides"] == {"forward": "+x", "up": "-z"}
+    assert f"mounting: {answer['statement']}" in undrift.good("info", worn / "worn.json").out.replace("\n", " ")
 
 
 def test_orient_gives_the_segment_by_the_mounting_unless_sides_are_stated(undrift, worn, tmp_path):

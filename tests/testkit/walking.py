@@ -11,6 +11,7 @@ limb swings about the hip: forward within 0.38 of a stride, back within the rest
 import numpy as np
 
 from undrift.frames import quaternion_conjugate, quaternion_product, rotate
+from undrift.model import Calibration, TriadModel
 from undrift.record import Record
 from undrift.sim.motion.motion import turn_quaternion
 
@@ -151,3 +152,18 @@ def hinge(rng, *, duration_s=60.0, rate=100.0, axes=None):
         _record_of(t, q, force, rng, q_ab, 10, (0.0015, 0.02)) for q, q_ab in zip((upper, lower), turns, strict=True)
     ]
     return records, [rotate(quaternion_conjugate(q), axis) for q in turns], flexed[::10]
+
+
+def perfect(unit):
+    """Return the model of sensors that read right."""
+    return TriadModel(
+        method="stated", unit_in=unit, unit_out=unit, matrix=np.eye(3), offset=np.zeros(3), covariance=np.zeros((12, 12)),
+        rms_residual=0.0, count=12, rank=12, condition=1.0, valid_range=(-40.0, 40.0),
+    )  # fmt: skip
+
+
+def perfect_calibration():
+    """Return the calibration of a device whose sensors read right."""
+    return Calibration(
+        device="", reference_temp_c=np.nan, gravity_m_s2=9.80665, gyro=perfect("rad/s"), accel=perfect("m/s2")
+    )

@@ -103,7 +103,7 @@ def test_a_calibration_without_accelerometers_is_not_used_unasked(bench):
 
 def test_sides_that_were_chosen_define_the_pitch_of_orient_and_validate(bench):
     held, one = bench.recordings, StoredFile(path=bench.folder / "uploads" / "walk.csv")
-    held.sides.forward, held.sides.up = "-z", "+x"
+    held.wearing.forward, held.wearing.up = "-z", "+x"
     for work in (held.run(one, "orient"), held.validate(one, one, markers="", up=""), held.run(one, "correct")):
         asyncio.run(work)
     orient, validate, correct = bench.calls
@@ -111,6 +111,31 @@ def test_sides_that_were_chosen_define_the_pitch_of_orient_and_validate(bench):
         assert call[call.index("--forward") + 1] == "-z"
         assert call[call.index("--up") + 1] == "+x"
     assert "--forward" not in correct
+
+
+def test_a_mounting_that_is_found_is_kept_in_the_calibration_or_named_by_sides(bench):
+    held, one = bench.recordings, StoredFile(path=bench.folder / "uploads" / "walk.csv")
+    with pytest.raises(InputError, match="wanted the place where the device is worn, got none; choose it"):
+        asyncio.run(held.mount(one))
+    held.wearing.worn, held.wearing.movement = "shank", "squat"
+    found = {"statement": "Shank: side -z", "sides": {"forward": "-z", "up": "+x"}, "output": None}
+    bench.answer = CommandOutcome(code=0, answer=found)
+    asyncio.run(held.mount(one))
+    assert "-o" not in bench.calls[-1]
+    assert "--output" not in bench.calls[-1]
+    assert (held.wearing.forward, held.wearing.up, one.mounting) == ("-z", "+x", "Shank: side -z")
+    bench.calibration = bench.folder / "calibration.json"
+    bench.answer = CommandOutcome(code=0, answer=found | {"output": "uploads/walk-worn.json"})
+    asyncio.run(held.mount(one))
+    words = " ".join(bench.calls[-1])
+    assert "--worn shank --posture standing --movement squat --calibration" in words
+    assert bench.calibration == one.path.with_name("walk-worn.json")
+    asyncio.run(held.run(one, "orient"))
+    assert "--forward" not in bench.calls[-1]
+    assert str(bench.calibration) in bench.calls[-1]
+    bench.answer = CommandOutcome(code=1, answer={"output": None, "mounting": None})  # what shows forward is missing
+    asyncio.run(held.mount(one))
+    assert (one.mounting, bench.calibration) == ("", one.path.with_name("walk-worn.json"))
 
 
 def test_the_offset_that_was_chosen_is_subtracted_by_correct_orient_and_validate_alone(bench):

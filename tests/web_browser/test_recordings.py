@@ -1,6 +1,7 @@
 """The page Recordings: a file dropped, its map proposed, corrected, oriented, validated, downloaded."""
 
 import json
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -12,11 +13,19 @@ from playwright.sync_api import Page, expect
 import undrift
 from testkit.bench import BenchServer
 from testkit.data import DATA, needs_data
+from testkit.walking import misplaced, perfect_calibration, walk
 from undrift.io.parquet import write_parquet
 from undrift.units import gravity_at
 from web_browser.conftest import faults_of, shoot
 
 COMMAND_MS = 40_000
+
+
+def name_sides(page: Page, forward: str, up: str) -> None:
+    """Name the sides of the device by hand."""
+    page.get_by_text("Name the sides of the device").click()
+    page.get_by_label("Side that points forward").select_option(forward)
+    page.get_by_label("Side that points up").select_option(up)
 
 
 @needs_data
@@ -63,10 +72,9 @@ def test_a_recording_with_optics_is_oriented_and_validated(open_page: Callable[.
     page.set_default_timeout(COMMAND_MS)
     page.get_by_label("Choose files").set_input_files(DATA / "broad" / "35_disturbed_attached_magnet_4cm.hdf5")
     page.get_by_role("button", name="Validate").click()
-    wrong = "wanted a side that points forward and another that points up, got none and none"
+    wrong = "wanted the mounting, or a side that points forward and another that points up, got none and none"
     expect(page.locator(".bench-main")).to_contain_text(wrong)
-    page.get_by_label("Side that points forward").select_option("+x")
-    page.get_by_label("Side that points up").select_option("+z")
+    name_sides(page, "+x", "+z")
     drawing = page.get_by_role(
         "img", name="Device at the low back of a standing person: x points forward, y points left"
     )
@@ -105,13 +113,47 @@ def test_the_offset_that_motion_shows_is_subtracted_where_it_is_chosen(
         page.get_by_label("Choose files").set_input_files(tmp_path / name)
         page.get_by_role("heading", name=name).wait_for()
     page.get_by_label("Offset to subtract").select_option("motion")
-    page.get_by_label("Side that points forward").select_option("+x")
-    page.get_by_label("Side that points up").select_option("+z")
+    name_sides(page, "+x", "+z")
     for command in ("Correct", "Orient"):
         page.get_by_role("button", name=command, exact=True).click()
         noticed = page.get_by_role("list").filter(has_text="Offset found from the motion")
         expect(noticed).to_have_count(1 if command == "Correct" else 2, timeout=COMMAND_MS)
     shoot(page, "recordings-offset-390")
+    assert faults_of(page) == []
+
+
+@pytest.mark.parametrize("width", [1280, 390])
+def test_the_mounting_is_found_from_a_walk_and_used(open_page: Callable[..., Page], tmp_path: Path, width: int) -> None:
+    undrift.write_calibration(perfect_calibration(), tmp_path / "calibration.json")
+    turned = misplaced(np.random.default_rng(1), 20.0, np.array([0.0, 1.0, 0.0, 0.0]))  # upside down, and 20 deg off
+    write_parquet(walk(np.random.default_rng(2), q_ab=turned, bouts=3), tmp_path / "walk.parquet")
+    page = open_page("/recordings", width=width)
+    page.set_default_timeout(COMMAND_MS)
+    page.get_by_label("Choose files").set_input_files(tmp_path / "walk.parquet")
+    wearing = page.get_by_role("region", name="How it is worn")
+    wearing.get_by_role("button", name="Find the mounting").click()
+    expect(page.locator(".bench-main")).to_contain_text(
+        "wanted the place where the device is worn, got none; choose it"
+    )
+    wearing.get_by_label("Where it is worn").select_option("lower-back")
+    shoot(page, f"recordings-worn-{width}")
+    wearing.get_by_role("button", name="Find the mounting").click()
+    found = re.compile(
+        r"Lower back: side \+x of the device points forward \(18\.\d deg off\) and -z up \(18\.\d deg off\)"
+    )
+    expect(wearing).to_contain_text(found, timeout=COMMAND_MS)
+    expect(wearing).to_contain_text(re.compile(r"standard uncertainty 1\.\d deg"))
+    expect(wearing.get_by_label("Side that points forward")).to_have_value("+x")
+    assert faults_of(page) == []
+    page.get_by_label("Choose files").set_input_files(tmp_path / "calibration.json")
+    page.get_by_role("heading", name="calibration.json").wait_for()
+    page.get_by_role("button", name="walk.parquet").click()
+    wearing.get_by_role("button", name="Find the mounting").click()
+    expect(wearing).to_contain_text("Mounting of the calibration, used for the pitch", timeout=COMMAND_MS)
+    expect(wearing).to_contain_text(found)
+    page.get_by_role("button", name="Orient").click()
+    page.get_by_role("link", name="orient: report").wait_for()
+    shoot(page, f"recordings-mounted-{width}")
     assert faults_of(page) == []
 
 
@@ -148,8 +190,7 @@ def test_what_commands_notice_is_listed_with_its_action_in_names_without_paths(
     expect(noticed).to_contain_text("check that both belong together.", ignore_case=True)
     shoot(page, "recordings-noticed-1280")
     assert faults_of(page) == []
-    page.get_by_label("Side that points forward").select_option("-z")
-    page.get_by_label("Side that points up").select_option("+x")
+    name_sides(page, "-z", "+x")
     page.get_by_role("button", name="Orient").click()
     expect(page.get_by_role("heading", name="What orient noticed").or_(page.get_by_role("alert"))).not_to_have_count(
         0, timeout=COMMAND_MS
@@ -174,8 +215,7 @@ def test_a_wrong_sample_rate_is_refused_with_the_field_that_mends_it(open_page: 
     page.get_by_label("Choose files").set_input_files(DATA / "ferraris_nilspod" / "example_ferraris_session.csv")
     page.get_by_label("Samples per second, Hz").fill("204.8")  # it has 102.4
     page.get_by_role("button", name="Read the file").click()
-    page.get_by_label("Side that points forward").select_option("+z")
-    page.get_by_label("Side that points up").select_option("+x")
+    name_sides(page, "+z", "+x")
     page.get_by_role("button", name="Orient").click()
     rate = page.get_by_label("Samples per second, Hz")
     rate.wait_for()

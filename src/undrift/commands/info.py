@@ -10,6 +10,7 @@ from undrift.base.summary import Drawing, Section, Summary, at, figure_of
 from undrift.commands import Progress, silent
 from undrift.commands.batch import of_folder
 from undrift.commands.files import Opening, Rests, check_figure, check_output, name_of
+from undrift.commands.mount import sides_of
 from undrift.errors import InputError
 from undrift.units import RADIAN_PER_DEGREE
 
@@ -195,6 +196,8 @@ def _parts(held: "Calibration") -> "tuple[dict[str, list[str]], tuple[float, flo
         if model is not None and model.g_sensitivity is not None:
             lines[name].append("g-sensitivity")
     known = held.reference_temp_c == held.reference_temp_c  # not NaN
+    if held.mounting is not None:
+        lines["mounting"] = [sides_of(held.mounting)]
     lines["reference temperature"] = [f"{held.reference_temp_c:.2f} degC" if known else "not known"]
     if held.drift is None:
         return lines, None

@@ -3,7 +3,7 @@
 import math
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 
 from cyclopts import Parameter
 
@@ -18,16 +18,19 @@ if TYPE_CHECKING:
     from undrift.model import BodyMounting, Calibration, Verdict
     from undrift.mounting import HingeFit, MountFit
 
+Worn: TypeAlias = Literal["lower-back", "thigh", "shank", "foot", "wrist"]
+Posture: TypeAlias = Literal["standing", "sitting"]
+Movement: TypeAlias = Literal["walk", "bow", "squat", "raise"]
 NOT_WRITTEN = "No mounting was written: add a calibration, and -o calibration.json to keep it there"
 
 
 @verb
 def mount(
     *records: Files,
-    worn: Literal["lower-back", "thigh", "shank", "foot", "wrist"] | None = None,
+    worn: Worn | None = None,
     joint: Literal["knee", "elbow"] | None = None,
-    posture: Literal["standing", "sitting"] = "standing",
-    movement: Literal["walk", "bow", "squat", "raise"] = "walk",
+    posture: Posture = "standing",
+    movement: Movement = "walk",
     calibration: Annotated[tuple[Path, ...], Parameter(show_default=False)] = (),
     named: NamedRest = NamedRest(),
     output: OptionalOutput = None,
@@ -102,7 +105,7 @@ def _mount_summary(
     verdict = verdict.also(_turned(worn, None if model is None else model.mounting))
     degrees = [float(x) for x in worn.covariance.diagonal() ** 0.5 / RADIAN_PER_DEGREE]
     turns = dict(zip(("roll", "pitch", "heading"), degrees, strict=True))
-    sides, uncertain = [_nearest(way) for way in worn.matrix], worn.uncertainty / RADIAN_PER_DEGREE
+    sides = [_nearest(way) for way in worn.matrix]
     rows = tuple(
         (name, " ".join(f"{x:+.3f}" for x in way), side, f"{off:.1f}", turn, f"{turns[turn]:.2f}")
         for name, way, (side, off), turn in zip(("forward", "left", "up"), worn.matrix, sides, turns, strict=True)
@@ -111,10 +114,10 @@ def _mount_summary(
         write_calibration(replace(model, mounting=worn), output)
     axes = ("body", "device x, y, z", "side", "angle to it (deg)", "turn", "uncertainty (deg)")
     data |= {"output": output and str(output), "uncertainty": {f"{turn}_deg": one for turn, one in turns.items()}}
+    data |= {"sides": {"forward": sides[0][0], "up": sides[2][0]}, "statement": sides_of(worn)}
     return replace(
         about,
-        answer=f"{worn.place.capitalize().replace('-', ' ')}: side {sides[0][0]} of the device points forward and {sides[2][0]} "
-        f"up, but for the angles in the table; standard uncertainty {uncertain:.1f} deg.",
+        answer=f"{sides_of(worn)}.",
         data=data | {"verdict": verdict_json(verdict)},
         sections=(Section(title="Body axes in the device", columns=axes, rows=rows), basis),
         verdict=verdict,
@@ -122,6 +125,23 @@ def _mount_summary(
         after=() if output else (NOT_WRITTEN,),
         next=("orient", records[0], "--calibration", output, "-o", "angles.csv") if output else (),
     )
+
+
+def sides_of(worn: "BodyMounting") -> str:
+    """Return in a sentence which sides of the device point forward and up."""
+    (forward, ahead), _, (up, upright) = (_nearest(way) for way in worn.matrix)
+    return (
+        f"{worn.place.capitalize().replace('-', ' ')}: side {forward} of the device points forward ({ahead:.1f} deg off) and {up} "
+        f"up ({upright:.1f} deg off); standard uncertainty {worn.uncertainty / RADIAN_PER_DEGREE:.1f} deg"
+    )
+
+
+def mounting_of(calibration: Path | None) -> str:
+    """Return in a sentence the mounting that a calibration keeps; empty where it keeps none."""
+    from undrift.io.store import read_calibration
+
+    worn = None if calibration is None else read_calibration(calibration).mounting
+    return "" if worn is None else sides_of(worn)
 
 
 def _nearest(way: "FloatArray") -> tuple[str, float]:

@@ -5,11 +5,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, get_args
 
 from nicegui import ui
 
 from undrift.base.options import asked, stated
+from undrift.commands.mount import Movement, Posture, Worn, mounting_of
 from undrift.errors import InputError
 from undrift.record import FACES
 from undrift.web import parts
@@ -35,6 +36,7 @@ class StoredFile:
     picture: Path | None = None
     made: dict[str, Path] = field(default_factory=dict)  # label -> file
     remarks: dict[str, list[Remark]] = field(default_factory=dict)  # what each command noticed
+    mounting: str = ""  # that it showed, in a sentence
     error: str = ""
 
     @property
@@ -69,9 +71,12 @@ class StoredFile:
 
 
 @dataclass(slots=True, kw_only=True)
-class Sides:
-    """Of the device, on the upright segment: they define the pitch; "" is not chosen."""
+class WearingForm:
+    """Where the device is worn, and what shows its mounting; or its sides on the upright segment. "" is not chosen."""
 
+    worn: str = asked("--worn", options=("", *get_args(Worn)))
+    posture: str = asked("--posture", get_args(Posture)[0], options=get_args(Posture))
+    movement: str = asked("--movement", get_args(Movement)[0], options=get_args(Movement))
     forward: str = asked("--forward", options=("", *FACES))
     up: str = asked("--up", options=("", *FACES))
 
@@ -98,7 +103,7 @@ class Recordings:
         self.bench = bench
         self.files: list[StoredFile] = []
         self.chosen: StoredFile | None = None
-        self.sides, self.subtracted = Sides(), OffsetForm()
+        self.wearing, self.subtracted = WearingForm(), OffsetForm()
 
     async def add(self, path: Path) -> StoredFile:
         """Take up a file that has been stored, and ask what it holds."""
@@ -172,6 +177,23 @@ class Recordings:
         outcome = await self.bench.command(command, stored.path, *words, "-o", made, "--report", report)
         self._take(stored, command, outcome, [made, report])
 
+    async def mount(self, stored: StoredFile) -> None:
+        """Find how the device is worn: kept in a copy of the calibration, which is used then; without one, sides are chosen."""
+        form, calibration = self.wearing, self.bench.calibration
+        if not form.worn:
+            raise InputError("mounting: wanted the place where the device is worn, got none; choose it")
+        copy = stored.path.parent / f"{safe_name(stored.path.name.split('.')[0], 'recording')}-worn.json"
+        words = stated(worn=form.worn, posture=form.posture, movement=form.movement, calibration=calibration)
+        outcome = await self.bench.command(
+            "mount", stored.path, *stored.options(), *words, *stated(output=calibration and copy)
+        )
+        self._take(stored, "mount", outcome, [copy] if outcome.answer.get("output") else [])
+        stored.mounting = str(outcome.answer.get("statement") or "")
+        if stored.mounting and calibration:
+            self.bench.calibration, form.forward, form.up = copy, "", ""
+        elif stored.mounting:
+            form.forward, form.up = (outcome.answer["sides"][way] for way in ("forward", "up"))
+
     async def validate(self, stored: StoredFile, reference: StoredFile, *, markers: str, up: str) -> None:
         """Compare a recording with its optics, in degrees."""
         place = stored.path.parent / "validation"
@@ -194,7 +216,7 @@ class Recordings:
         return stated(calibration=self.bench.calibration, offset=self.subtracted.offset)
 
     def _sides(self) -> tuple[object, ...]:
-        return stated(forward=self.sides.forward, up=self.sides.up)
+        return stated(forward=self.wearing.forward, up=self.wearing.up)
 
     def _take(self, stored: StoredFile, command: str, outcome: CommandOutcome, files: list[Path]) -> None:
         stored.error, stored.remarks[command] = outcome.error, remarks_of(outcome.answer)
@@ -224,7 +246,7 @@ def page(bench: "Bench") -> None:
 
 def _state(bench: "Bench") -> object:
     files = tuple(
-        (one.path, one.kind, one.map, one.error, one.picture, len(one.made), str(one.remarks))
+        (one.path, one.kind, one.map, one.error, one.picture, len(one.made), str(one.remarks), one.mounting)
         for one in bench.recordings.files
     )
     return files, bench.recordings.chosen and bench.recordings.chosen.path, bench.calibration
@@ -362,8 +384,8 @@ def _actions(bench: "Bench", one: StoredFile) -> None:
     parts.form(recordings.subtracted, "offset")
     if bench.calibration is not None:
         parts.next_step("Correct", lambda: recordings.run(one, "correct"))
-    _sides_form(recordings)
-    parts.button("Orient", lambda: recordings.run(one, "orient") if _chosen(recordings, one) else None)
+    _wearing_form(bench, one)
+    parts.button("Orient", lambda: recordings.run(one, "orient") if _worn(recordings, one) else None)
     if recordings.references():
         _optics_form(recordings, one)
     with parts.folded("Calibrate from this recording") as more:
@@ -388,24 +410,46 @@ def _actions(bench: "Bench", one: StoredFile) -> None:
         parts.button("Calibrate from its motion", lambda: calibrate(motion=True))
 
 
-def _sides_form(recordings: Recordings) -> None:
-    """Ask how the device was worn, which defines the pitch; the drawing follows the choice."""
-    with parts.section("How it was worn", "worn"):
-        parts.picture(lambda: worn(recordings.sides.forward, recordings.sides.up))
-        with ui.element("div"):
+def _wearing_form(bench: "Bench", one: StoredFile) -> None:
+    """Say which mounting is used; offer to find it, or to name the sides, which the drawing follows."""
+    recordings, form, mounting = bench.recordings, bench.recordings.wearing, mounting_of(bench.calibration)
+    with parts.section("How it is worn"):
+        parts.text("h3", "How it is worn")
+        if mounting:
+            parts.text("p", f"Mounting of the calibration, used for the pitch unless sides are named: {mounting}.")
+        else:
+            why = "" if bench.calibration else " Without a calibration the nearest sides are taken."
+            parts.text("p", f"Where is the device worn? The pitch needs its mounting.{why}")
+            if one.mounting:
+                parts.text("p", f"{one.mounting}.")
+        with parts.folded("Find the mounting from this recording") as find:
+            if not mounting:
+                find.props("open")
             parts.text(
-                "p", "Which sides of the device point forward and up when the wearer stands? They define the pitch."
+                "p",
+                "Stand upright for 3 s, walk straight ahead for 8 s and halt, four times; or do one of the movements twice.",
             )
-            parts.form(recordings.sides, "forward", "up")
+            parts.form(form, "worn", "posture", "movement")
+            parts.button("Find the mounting", lambda: recordings.mount(one))
+        with parts.folded("Name the sides of the device") as sides:
+            if form.forward or form.up:
+                sides.props("open")
+            with ui.element("div").classes("worn"):
+                parts.picture(lambda: worn(form.forward, form.up))
+                with ui.element("div"):
+                    parts.text("p", "Which sides point forward and up when the wearer stands?")
+                    parts.form(form, "forward", "up")
 
 
-def _chosen(recordings: Recordings, one: StoredFile) -> bool:
-    """Return whether both sides are chosen; say so where they are not."""
-    forward, up = recordings.sides.forward, recordings.sides.up
-    wrong = not (forward and up) or forward[1] == up[1]
+def _worn(recordings: Recordings, one: StoredFile) -> bool:
+    """Return whether the mounting is known, by the calibration or by two sides; say so where it is not."""
+    forward, up = recordings.wearing.forward, recordings.wearing.up
+    sided = bool(forward and up) and forward[1] != up[1]
+    shown = sided or (not (forward or up) and bool(mounting_of(recordings.bench.calibration)))
     got = f"{forward or 'none'} and {up or 'none'}"
-    one.error = f"pitch: wanted a side that points forward and another that points up, got {got}" if wrong else ""
-    return not wrong
+    wrong = f"pitch: wanted the mounting, or a side that points forward and another that points up, got {got}; find it or name both"
+    one.error = "" if shown else wrong
+    return shown
 
 
 def _optics_form(recordings: Recordings, one: StoredFile) -> None:
@@ -425,7 +469,7 @@ def _optics_form(recordings: Recordings, one: StoredFile) -> None:
             parts.form(typed, "markers", "up")
 
         async def validate() -> None:
-            if _chosen(recordings, one):
+            if _worn(recordings, one):
                 await recordings.validate(one, found[chosen.value], markers=typed.markers.strip(), up=typed.up)
 
         async def calibrate() -> str | None:
