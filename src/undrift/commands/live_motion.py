@@ -15,7 +15,6 @@ from undrift.base.options import options
 from undrift.commands import Screen
 from undrift.commands.files import Place
 from undrift.errors import InputError, UndriftError
-from undrift.units import is_physical
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -101,11 +100,6 @@ class MotionWatch:
         self._number, self._heard, began = came[-1].number, time.monotonic(), time.monotonic()
         self._raw += [one.raw for one in came]
         whole = joined(self._raw)
-        if not (is_physical(whole.gyro_unit) and is_physical(whole.accel_unit)):
-            raise InputError(
-                f"motion: wanted physical units, got {whole.gyro_unit} and {whole.accel_unit}; state gyro_gain and accel_gain, "
-                "with their units, in the address"
-            )
         self.seconds, before = whole.duration_s, bool(self.elements) and all(one.enough for one in self.elements)
         try:
             session = Session(kind="calibration", records=(whole,), **self._about)
