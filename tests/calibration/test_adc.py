@@ -77,7 +77,6 @@ def test_the_model_keeps_only_what_is_certain():
         lsb=np.ones(3),
         rounding=None,
         ratio=np.full(3, np.nan),
-        ratio_uncertainty=np.full(3, np.nan),
         finding=known.finding,
     )
     model = adc_model(known, unknown)

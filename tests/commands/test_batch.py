@@ -46,7 +46,7 @@ def test_correct_goes_on_after_an_error_and_ends_with_one_table(undrift, bench, 
     answer = undrift(*words)
     assert (answer.code, answer.err) == (1, "")
     assert "folder, 2 of 3 done, 1 with an error" in answer.out
-    assert "no recordings: README.md, sub" in answer.out
+    assert "no recordings: README.md" in answer.out
     rows = rows_of(tmp_path / "out")
     assert list(rows) == NAMES
     assert (rows["torn.parquet"]["verdict"], "torn.parquet" in rows["torn.parquet"]["error"]) == ("error", False)
@@ -68,8 +68,8 @@ def test_a_second_call_does_what_is_missing_what_changed_and_what_failed(undrift
     done = []
     row = batch._Job.row
 
-    def watched(self, file, name, earlier, progress):
-        made = row(self, file, name, earlier, progress)
+    def watched(self, folder, file, name, earlier, progress):
+        made = row(self, folder, file, name, earlier, progress)
         done.extend([file.name] if made is not earlier else [])
         return made
 
@@ -105,10 +105,10 @@ def test_a_second_call_does_what_is_missing_what_changed_and_what_failed(undrift
 def test_what_an_interrupted_call_did_stands(undrift, bench, folder, tmp_path, monkeypatch):
     row = batch._Job.row
 
-    def stopped(self, file, name, earlier, progress):
+    def stopped(self, folder, file, name, earlier, progress):
         if file.name == "walk.parquet":
             raise KeyboardInterrupt
-        return row(self, file, name, earlier, progress)
+        return row(self, folder, file, name, earlier, progress)
 
     words = ("correct", folder, "--calibration", bench / "calibration.json", "--gaps", "keep", "-o", tmp_path / "out")
     with monkeypatch.context() as patch:
@@ -137,16 +137,59 @@ def test_validate_takes_the_reference_of_a_recordings_name_from_a_folder(undrift
     assert {"report.html", "validation.json"} <= set(contents(tmp_path / "out" / "a"))
 
 
+def test_folders_in_a_folder_are_looked_into_but_for_those_of_results_and_links_back(undrift, bench, folder, tmp_path):
+    for person in ("p1", "p2"):
+        (folder / "sub" / person).mkdir()
+        shutil.copy(bench / "trial.parquet", folder / "sub" / person / "walk.parquet")
+    (folder / "sub" / "back").symlink_to(folder)
+    out = folder / "results"
+    words = ("orient", folder, "--calibration", bench / "calibration.json", "--gaps", "keep", "-o")
+    assert "folder, 3 of 5 done, 2 with an error" in undrift(*words, out).out
+    rows = rows_of(out)
+    assert list(rows) == ["gap.csv", "sub/p1/walk.parquet", "sub/p2/walk.parquet", "torn.parquet", "walk.parquet"]
+    written = [path.relative_to(out).as_posix() for path in sorted(out.rglob("*.parquet"))]
+    assert written == ["sub/p1/walk.parquet", "sub/p2/walk.parquet", "summary.parquet", "walk.parquet"]
+    assert "3 of 5 done (3 of them before)" in undrift(*words, out).out
+    assert (
+        "3 of 5 done, 2 with an error" in undrift(*words, tmp_path / "others").out
+    )  # those of `out` are no recordings
+    undrift.good("correct", folder / "sub", *words[2:4], "-o", tmp_path / "corrected")
+    named = undrift.good("orient", tmp_path / "corrected", "-o", tmp_path / "angles").out
+    assert "2 of 2 done, 0 with an error" in named  # of what such a call wrote, where it is named
+    (tmp_path / "optics" / "sub" / "p1").mkdir(parents=True)
+    shutil.copy(bench / "reference.parquet", tmp_path / "optics" / "sub" / "p1" / "walk.parquet")
+    words = ("validate", folder / "sub", "--calibration", bench / "calibration.json", "--reference")
+    answer = undrift(*words, tmp_path / "optics" / "sub", "--json").json()
+    assert [bool(file["error"]) for file in answer["files"]] == [False, True]
+    assert "wanted one reference of its name in" in answer["files"][1]["error"]
+
+
+@pytest.mark.parametrize(
+    "content", [None, "{", "[]", '{"kind": "undrift.batch"}'], ids=["none", "torn", "a list", "another"]
+)
+def test_a_wrong_calibration_is_one_error_and_not_one_of_each_file(undrift, folder, tmp_path, content):
+    wrong = tmp_path / "wrong.json"
+    if content is not None:
+        wrong.write_text(content)
+    for command in ("orient", "validate", "correct"):
+        error = undrift.refused(command, folder, "--calibration", wrong, "-o", tmp_path / "out")
+        assert f"{wrong}: " in error
+        assert not list((tmp_path / "out").glob("*")) or not (tmp_path / "out").exists()
+
+
+def test_a_map_that_is_none_is_one_error(undrift, bench, folder, tmp_path):
+    words = ("orient", folder, "--calibration", bench / "calibration.json", "-o", tmp_path / "out")
+    assert "none.toml" in undrift.refused(*words, "--map", tmp_path / "none.toml")
+
+
 def test_info_lists_every_entry_and_writes_its_table_where_it_is_asked_to(undrift, folder, tmp_path):
     answer = undrift.good("info", folder, "-o", tmp_path / "out")
-    assert (
-        "folder, 5 entries: 2 damaged, 1 folder, 1 recording, 1 text" in answer.out
-    )  # gaps are refused unless they are stated
+    assert "folder, 4 entries: 2 damaged, 1 recording, 1 text" in answer.out  # gaps are refused unless they are stated
     rows = rows_of(tmp_path / "out")
-    assert {"README.md", "sub", *NAMES} <= rows.keys()
+    assert rows.keys() == {"README.md", *NAMES}
     assert rows["torn.parquet"]["verdict"] == "error"
     assert (rows["README.md"]["verdict"], rows["walk.parquet"]["verdict"]) == ("", "good")
-    assert (rows["README.md"]["gaps"], rows["sub"]["summary"]) == ("", "not looked into")
+    assert rows["README.md"]["gaps"] == ""
     again = undrift.good("info", folder, "-o", tmp_path / "out", "--json").json()
     assert again["standing"] >= 2
 
@@ -171,7 +214,8 @@ def test_what_a_folder_refuses(undrift, bench, folder, tmp_path):
     assert "wanted a folder other than" in undrift.refused(*words, "-o", tmp_path / "out.csv")
     (tmp_path / "empty").mkdir()
     assert "got an empty folder" in undrift.refused("orient", tmp_path / "empty", "-o", tmp_path / "out")
-    assert "got 2 entries that are none" in undrift.refused("orient", tmp_path, "-o", tmp_path / "out")
+    (tmp_path / "empty" / "SOURCE.md").write_text("# Trials\n")
+    assert "got 1 entries that are none" in undrift.refused("orient", tmp_path / "empty", "-o", tmp_path / "out")
     for more in (
         ("info", "--figure", "a.svg"),
         ("info", "--write-map", "map.toml"),

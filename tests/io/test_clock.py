@@ -62,7 +62,6 @@ def test_a_counter_shows_every_missing_sample_across_its_wraps(seed: int) -> Non
     assert found.sample_rate_hz * (1.0 + SLOW) == pytest.approx(RATE, rel=2e-5)  # 1 ms over 120 s, a hundred stretches
     steps = np.diff(found.time) * found.sample_rate_hz
     np.testing.assert_allclose(steps, lost + 1.0, rtol=1e-6)
-    assert found.largest_delay_s > 0.05
 
 
 def test_a_regular_recording_keeps_its_time_to_rounding_and_its_true_gaps() -> None:
@@ -80,7 +79,6 @@ def test_a_regular_recording_keeps_its_time_to_rounding_and_its_true_gaps() -> N
 def test_a_stall_that_drains_is_no_gap() -> None:
     made = stamped(3, lost_share=0.0, outages=0, stall_share=0.02)
     found = fit_clock(made.record.time)
-    assert found.largest_delay_s > 0.4  # held back for up to 0.6 s
     assert (found.missing, found.gaps) == (0, 0)
     assert found.sample_rate_hz * (1.0 + SLOW) == pytest.approx(RATE, rel=2e-5)
 

@@ -38,7 +38,6 @@ class AdcFinding:
     lsb: FloatArray | None  # (3,), step of each axis, unit of the readings; None where the readings lie on no grid
     rounding: Rounding | None  # toward_zero; nearest (which stands for floor too); None where not identifiable
     ratio: FloatArray  # (3,), count at code 0 over the expected one; NaN where too few samples are near zero
-    ratio_uncertainty: FloatArray  # (3,), scatter that ``ratio`` would have if it were 1
     finding: Finding  # The evidence, or why there is none
 
 
@@ -48,14 +47,14 @@ def identify_adc(values: FloatArray) -> AdcFinding:
     steps, phases = np.array([g[0] for g in grids]), np.array([g[1] for g in grids])
     if np.isnan(steps).any():
         why, nothing = finding("adc.no_grid", "info"), np.full(3, np.nan)
-        return AdcFinding(lsb=None, rounding=None, ratio=nothing, ratio_uncertainty=nothing, finding=why)
+        return AdcFinding(lsb=None, rounding=None, ratio=nothing, finding=why)
     counts = [
         _sweeping(column, step) if abs(phase) < 0.05 else np.zeros(2 * _SIDE + 1)
         for column, step, phase in zip(values.T, steps, phases, strict=True)
     ]
-    ratio, uncertainty = np.array([_zero_ratio(c) for c in counts]).T
+    ratio = np.array([_zero_ratio(c)[0] for c in counts])
     rounding, why = _judge(*_zero_ratio(np.sum(counts, axis=0)), phases, ratio)
-    return AdcFinding(lsb=steps, rounding=rounding, ratio=ratio, ratio_uncertainty=uncertainty, finding=why)
+    return AdcFinding(lsb=steps, rounding=rounding, ratio=ratio, finding=why)
 
 
 def identify_record_adc(*records: Record) -> AdcModel | None:

@@ -1,8 +1,10 @@
 """A folder given to a command that takes a recording: the command on each of its files, and one table at the end.
 
-A file that fails is a row with its error, and the others go on. The folder of output holds ``summary.json``, written anew after
-each file, and at the end ``summary.csv``, ``summary.parquet`` and ``summary.html``. A second call does what is missing: a row
-stands as long as its recording, the values and files of the options and the version are the same, and its output is there.
+A file that fails is a row with its error, and the others go on; what is wrong with a file that all share, as the calibration, ends
+the call. Folders in the folder are looked into, and outputs lie in folders of the same names. The folder of output holds
+``summary.json``, written anew after each file, and at the end ``summary.csv``, ``summary.parquet`` and ``summary.html``. A second
+call does what is missing: a row stands as long as its recording, the values and files of the options and the version are the same,
+and its output is there.
 """
 
 import csv
@@ -21,18 +23,20 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 from undrift import __version__
 from undrift.base.summary import Result, Section, Summary, at, findings_of, plain
 from undrift.commands import Progress, part_of, silent
-from undrift.commands.files import Opening, check_folder, files_in, name_of, origin_of, save_json
+from undrift.commands.files import Opening, check_folder, files_in, is_recording, name_of, origin_of, save_json
 from undrift.errors import InputError, UndriftError
 
 if TYPE_CHECKING:
     from undrift.record import Record
 
 HEADS = {"name": "file", "verdict": "verdict", "sample_rate_hz": "rate (Hz)", "gaps": "gaps"}
+ENDS = ("csv", "parquet", "html", "json")  # of the table
 LEVELS = {"bad": "fail", "marginal": "warn"}  # of the finding that makes a verdict
 FOLDER = {"kind": "folder", "format": "folder", "gaps": 0} | dict.fromkeys(
     ("rows", "sample_rate_hz", "duration_s", "temp_c")
 )
 Row: TypeAlias = dict[str, Any]
+Settle: TypeAlias = Callable[[Path, Path, Row], Row]
 EMPTY: Row = dict.fromkeys(("name", "kind", "summary", "verdict", "worst_finding", "error", "key"), "") | dict.fromkeys(
     ("sample_rate_hz", "gaps", "output")
 )
@@ -86,7 +90,6 @@ class FolderTable(Result):
         lines = [f"{row['name']}: {text}" for row, text in zip(self.rows, shown, strict=True) if text]
         lines += [f"no recordings: {', '.join(self.others)}"] if self.others else []
         cells = tuple(tuple(_cell(row[key]) for key in HEADS) for row in self.rows)
-        ends = ("csv", "parquet", "html", "json")
         listed = [{key: value for key, value in row.items() if key != "key"} for row in self.rows]
         data: Row = FOLDER | {"columns": [], "units": {}, "stills": [], "findings": []} if info else {}
         data |= {"folder": str(self.folder), "summary": named, "problems": errors, "standing": self.standing}
@@ -104,17 +107,18 @@ class FolderTable(Result):
                     on="page",
                 ),
             ),
-            written=() if self.output is None else tuple(self.output / f"summary.{end}" for end in ends),
+            written=() if self.output is None else tuple(self.output / f"summary.{end}" for end in ENDS),
             failed=bool(errors) and not info,
         )
 
 
 def of_folder(
-    ending: str | None, settle: Callable[[Path, Row], Row] = lambda _, stated: stated, *, alone: tuple[str, ...] = ()
+    ending: str | None, settle: Settle = lambda file, place, stated: stated, *, alone: tuple[str, ...] = ()
 ) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     """Let a command take a folder of recordings in place of one: what it writes is NAME and the ending there; None writes nothing.
 
-    ``settle`` returns what is stated of one file, of what is stated of all; ``alone`` names options of one recording.
+    ``settle`` returns what is stated of one file, by its place in the folder, of what is stated of all; ``alone`` names options of
+    one recording.
     """
 
     def of(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -145,13 +149,21 @@ def is_plain_folder(path: Path) -> bool:
     return path.is_dir()
 
 
-def _may_be_recording(path: Path) -> bool:
-    """Tell whether a file or folder is a recording, or damaged."""
-    from undrift.io.formats import format_of
+def _entries(folder: Path, output: Path | None) -> Iterator[Path]:
+    """Yield the entries of a folder and of those in it, but for hidden ones, what such a call wrote, and links that lead back."""
+    tables = {f"summary.{ending}" for ending in ENDS} if _has_table(folder) else set()
+    for entry in sorted(folder.iterdir()):
+        if entry.name.startswith(".") or entry.name in tables or entry.resolve() == output:
+            continue
+        if not is_plain_folder(entry):
+            yield entry
+        elif not folder.resolve().is_relative_to(entry.resolve()) and not _has_table(entry):
+            yield from _entries(entry, output)
 
-    with suppress(InputError):
-        return format_of(path)[1].record is not None
-    return path.is_file()
+
+def _has_table(folder: Path) -> bool:
+    table = folder / "summary.json"
+    return table.is_file() and b'"undrift.batch"' in table.read_bytes()[:40]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -160,7 +172,7 @@ class _Job:
 
     function: Callable[..., Any]
     ending: str | None
-    settle: Callable[[Path, Row], Row]
+    settle: Settle
     stated: Row
     output: Path | None
 
@@ -172,12 +184,14 @@ class _Job:
         check_folder(output)
         if output is not None and (output.suffix or output.resolve() == folder.resolve()):
             raise InputError(f"output: wanted a folder other than {folder}, got {output}; name it so")
-        entries = sorted(entry for entry in folder.iterdir() if not entry.name.startswith("."))
-        files = [entry for entry in entries if command == "info" or _may_be_recording(entry)]
+        entries = list(_entries(folder, output and output.resolve()))
+        files = [entry for entry in entries if command == "info" or is_recording(entry)]
         if not files:
             got = f"{len(entries)} entries that are none" if entries else "an empty folder"
             raise InputError(f"{folder}: wanted a recording or a folder of recordings, got {got}; check the path")
-        earlier, rows, names = dict[str, Row](), list[Row](), Counter(map(name_of, files))
+        places = [file.relative_to(folder) for file in files]
+        names = Counter(place.with_name(name_of(place)) for place in places)
+        earlier, rows, shared = dict[str, Row](), list[Row](), [*files_in(tuple(self.stated.values()))]
         if output is not None:
             output.mkdir(exist_ok=True)
             with suppress(OSError, ValueError, KeyError, TypeError):
@@ -185,15 +199,19 @@ class _Job:
                     row["name"]: EMPTY | row for row in json.loads((output / "summary.json").read_bytes())["rows"]
                 }
         with one_box():
-            for k, file in enumerate(files):
-                progress(file.name, k / len(files))
-                name = name_of(file) if names[name_of(file)] == 1 else file.name
+            for k, place in enumerate(places):
+                progress(str(place), k / len(files))
+                name = place.with_name(name_of(place))
+                name = name if names[name] == 1 else place
                 part = part_of(progress, k / len(files), (k + 1) / len(files))
-                rows.append(self.row(file, name, earlier.get(file.name, EMPTY), part))
+                rows.append(self.row(folder, place, name, earlier.get(place.as_posix(), EMPTY), part))
+                error = rows[-1]["error"]
+                if all(row["error"] for row in rows) and any(error.startswith(f"{path}: ") for path in shared):
+                    raise InputError(error)
                 if output is not None:
                     save_json(output / "summary.json", {"kind": "undrift.batch", "command": command, "rows": rows})
         standing = sum(row is earlier.get(row["name"]) for row in rows)
-        others = tuple(entry.name for entry in entries if entry not in files)
+        others = tuple(str(entry.relative_to(folder)) for entry in entries if entry not in files)
         table = FolderTable(
             command=command, folder=folder, rows=tuple(rows), standing=standing, output=output, others=others
         )
@@ -201,16 +219,19 @@ class _Job:
             _write(table, output)
         return table
 
-    def row(self, file: Path, name: str, earlier: Row, progress: Progress) -> Row:
-        """Return what the command comes to on a file; its error, where it fails."""
-        row, command = EMPTY | {"name": file.name, "kind": "recording"}, self.function.__name__
-        if is_plain_folder(file):
-            return row | {"kind": "folder", "summary": "not looked into"}
+    def row(self, folder: Path, place: Path, name: Path, earlier: Row, progress: Progress) -> Row:
+        """Return what the command comes to on a file of a folder, written by a name there; its error, where it fails."""
+        file, row, command = (
+            folder / place,
+            EMPTY | {"name": place.as_posix(), "kind": "recording"},
+            self.function.__name__,
+        )
         try:
-            stated = self.settle(file, dict(self.stated))
+            stated = self.settle(file, place, dict(self.stated))
             row["key"] = _key(command, file, stated)
             if self.output is not None and self.ending is not None:
-                stated["output"] = self.output / (name + self.ending)
+                stated["output"] = self.output / f"{name}{self.ending}"
+                stated["output"].parent.mkdir(parents=True, exist_ok=True)
                 row["output"] = str(stated["output"])
             same = all(earlier[key] == row[key] for key in ("key", "output", "error"))
             if same and (row["output"] is None or Path(row["output"]).exists()):

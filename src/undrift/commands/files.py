@@ -8,7 +8,7 @@ import json
 import re
 import shlex
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, fields, is_dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -257,7 +257,7 @@ def session_of(files: tuple[Path, ...], place: Place, opening: Opening, *, kind:
 
     stated = [file for file in files if (file / NAME).is_file() or file.name == NAME]
     if not stated:
-        bare = [file for file in files if file.is_dir() and not _is_recording(file)]
+        bare = [file for file in files if file.is_dir() and not is_recording(file)]
         if bare:  # says what a folder must hold
             read_session(bare[0])
         return _recorded(session_from_files(files, opening.file_map(), kind=kind, **asdict(place)), files[0])
@@ -334,14 +334,13 @@ def _recorded(session: "Session", path: Path) -> "Session":
     return session
 
 
-def _is_recording(path: Path) -> bool:
-    """Tell whether a file, or a folder of a device that records into one, is a recording."""
+def is_recording(path: Path) -> bool:
+    """Tell whether a file, or a folder of a device that records into one, is a recording, or a damaged file."""
     from undrift.io.formats import format_of
 
-    try:
+    with suppress(InputError):
         return format_of(path)[1].record is not None
-    except InputError:
-        return False
+    return path.is_file()
 
 
 def _files_of(folder: Path) -> list[list[str]]:

@@ -208,12 +208,12 @@ class Comparing:
         return tasks if all(tasks) else (), people if all(people) else ()
 
 
-def _with_reference(record: Path, stated: dict[str, Any]) -> dict[str, Any]:
+def _with_reference(record: Path, place: Path, stated: dict[str, Any]) -> dict[str, Any]:
     """Return what is stated of one recording of a folder: its reference is that of its name in the folder of references."""
     optics = stated.get("optics", Optics())
     if len(optics.reference) == 1 and is_plain_folder(optics.reference[0]):
-        folder = optics.reference[0]
-        same = [path for path in sorted(folder.iterdir()) if name_of(path) == name_of(record)]
+        folder = optics.reference[0] / place.parent
+        same = [path for path in sorted(folder.glob("*")) if name_of(path) == name_of(record)]
         if len(same) != 1:
             raise InputError(f"{record}: wanted one reference of its name in {folder}, got {len(same)}; name it so")
         return stated | {"optics": replace(optics, reference=(same[0],))}

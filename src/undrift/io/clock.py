@@ -37,7 +37,6 @@ class ClockFit:
     sample_rate_hz: float  # Of the device, by the host's clock
     offset_s: float  # Time of the first sample, s
     jitter_s: float  # 95 of 100 stamps come at most so much later than the promptest, s
-    largest_delay_s: float  # s
     gaps: int  # Stretches where samples are missing
     missing: int  # Samples in them
     counted: bool  # True where a counter shows them
@@ -87,7 +86,6 @@ def fit_clock(stamps: FloatArray, counter: FloatArray | None = None) -> ClockFit
         sample_rate_hz=1.0 / step,
         offset_s=float(stamps[0] + start),
         jitter_s=float(np.quantile(delay, 0.95)),
-        largest_delay_s=float(delay.max()),
         gaps=int((lost > 0).sum()),
         missing=int(lost.sum()),
         counted=counter is not None,
