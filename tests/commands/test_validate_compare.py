@@ -1,6 +1,7 @@
 """undrift validate with levels of correction: what a person reads, JSON, the page, Python, and what is refused."""
 
 import json
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -97,6 +98,35 @@ def test_one_trial_has_no_interval_and_no_verdict(undrift, trials):
     ]
     assert rest.split()[3] == "–"
     assert rest.rstrip().endswith("not decidable")
+
+
+def test_other_calibrations_stand_beside_the_own_one_with_the_paired_difference(undrift, trials, tmp_path):
+    (trials / "maker.params").write_text("1\t1\tCAL_ACC0_XOFF\t0.1\t9\n1\t1\tCAL_GYRO0_ZOFF\t0.004\t9\n")
+    own = package.read_calibration(trials / "calibration.json")
+    worse = replace(own, gyro=replace(own.gyro, offset=own.gyro.offset + np.array([0.0, 0.0, 12.0])))
+    package.write_calibration(worse, tmp_path / "older.json")
+    beside = ("--against", tmp_path / "older.json")
+    alone = undrift.good("validate", *words(trials), "--json").json()
+    answer = undrift.good("validate", *words(trials), *beside, "-o", tmp_path / "v")
+    told = json.loads((tmp_path / "v" / "validation.json").read_text())
+    assert [trial["rmse_total_deg"] for trial in told["trials"]] == [x["rmse_total_deg"] for x in alone["trials"]]
+    (other,) = told["against"]
+    assert other["calibration"] == "older.json"
+    apart = np.mean(other["rmse_total_deg"]) - alone["mean"]["rmse_total_deg"]
+    assert other["decision"]["difference"] == pytest.approx(apart)
+    assert (other["decision"]["verdict"], apart > 0.15) == ("better", True)
+    said = f"In total older.json leaves {other['mean']['rmse_total_deg']:.2g} deg, calibration.json "
+    for text in (answer.out.replace("\n", " "), (tmp_path / "v" / "report.html").read_text()):
+        assert said in text
+        assert "Calibrations side by side" in text
+    judged = package.validate(
+        trials / "a" / "trial.parquet", reference=trials / "a" / "reference.parquet", against=str(tmp_path / "older.json"),
+        calibration=trials / "calibration.json",
+    )  # fmt: skip
+    assert judged.rivals[0].decision is None  # one recording shows no scatter
+    assert judged.rivals[0].result.mean.rmse_total_deg == pytest.approx(other["rmse_total_deg"][0])
+    wrong = undrift.refused("validate", *words(trials), "--against", trials / "maker.params")  # readings are codes
+    assert f"{trials / 'maker.params'}: " in wrong
 
 
 def test_what_cannot_be_is_refused(undrift, trials, tmp_path):

@@ -9,7 +9,9 @@ import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from cyclopts import Parameter
 
 from undrift.base.options import Files, Flag, OptionalOutput, Side, options, verb
 from undrift.base.summary import Origin, Result, Section, Summary, at, figure_of, interval, number, rows_section
@@ -29,7 +31,7 @@ from undrift.commands.files import (
     save_json,
     worn_by,
 )
-from undrift.errors import InputError
+from undrift.errors import InputError, UndriftError
 from undrift.findings import Verdict, told_apart
 from undrift.units import RADIAN_PER_DEGREE
 
@@ -38,6 +40,7 @@ if TYPE_CHECKING:
     from undrift.model import Calibration
     from undrift.record import Record, Reference, Session
     from undrift.study.compare import LevelComparison
+    from undrift.study.statistics import Decision
     from undrift.validation.agreement import Coverage, Validation
     from undrift.validation.trial import Figures, Trial, TrialSettings
 
@@ -77,6 +80,23 @@ PITCH_DEFINED = (
 OPTICS_SEEN = "Optics seen: share of the motion in which the reference saw the body, where alone errors count;"
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RivalCalibration:
+    """Another calibration of the device, judged by the same recordings."""
+
+    source: str  # Its file
+    result: "Validation"
+    # Its total errors less those of the calibration that was validated, paired; None with fewer than three recordings
+    decision: "Decision | None"
+
+    @property
+    def data(self) -> dict[str, object]:
+        """What JSON has."""
+        mean, totals = asdict(self.result.mean), [trial.figures.rmse_total_deg for trial in self.result.trials]
+        decision = self.decision and asdict(self.decision)
+        return {"calibration": self.source, "rmse_total_deg": totals, "mean": mean, "decision": decision}
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class Validated(Result):
     """Recordings compared with their references, and how."""
@@ -92,6 +112,13 @@ class Validated(Result):
     settings: "TrialSettings"  # Offset, ADC, axes of the pitch, search of the lag
     output: Path | None = None
     compared: "LevelComparison | None" = None  # Levels of correction, where asked for
+    rivals: tuple[RivalCalibration, ...] = ()  # Other calibrations, where they are named
+
+    @property
+    def name(self) -> str:
+        """What the recordings were corrected by, in words."""
+        fitted = "the fit to the others" if self.leave_one_out else "the fit to these recordings"
+        return "no calibration" if self.calibration is None else self.source or fitted
 
     @property
     def gravity(self) -> dict[str, Any]:
@@ -113,6 +140,7 @@ class Validated(Result):
             | asked
             | self.gravity
             | ({"compared": asdict(self.compared)} if self.compared else {})
+            | ({"against": [one.data for one in self.rivals]} if self.rivals else {})
         )
 
     def summary(self) -> Summary:
@@ -132,6 +160,7 @@ class Validated(Result):
             data=self.data,
             pictures=(figure_of("figures:draw_compared", self), first) if self.compared else (first,),
             sections=(
+                *_rivals(self),
                 *_compared(self.compared),
                 errors_section(self),
                 trials_section(result.trials, means if many else ()),
@@ -161,7 +190,9 @@ class Comparing:
         Also judge the recordings at each level of correction: uncalibrated, constants, static tables, all tables, and the offset of
         the rest and of the motion subtracted; and the readings that the twin of the device predicts for the same motion.
     margin_deg : float
-        With --compare: smallest difference between two levels that matters, deg.
+        Smallest difference between two levels, or between two calibrations, that matters, deg.
+    against : Path
+        Other calibrations of the device, as the maker's or an older one: what each leaves on the same recordings.
     labels : Path or None
         With --compare: CSV table with columns recording (a file's name, or a pattern such as p1/*), task and person, or
         one of both; the statistics are over people.
@@ -169,11 +200,12 @@ class Comparing:
 
     compare: Flag = False
     margin_deg: float = NOTE_APART_DEG
+    against: Annotated[tuple[Path, ...], Parameter(show_default=False)] = ()
     labels: Path | None = None
 
     def check(self) -> None:
         """Refuse a margin that is none, and what says nothing without a comparison."""
-        if not self.compare and (self.labels or self.margin_deg != Comparing.margin_deg):
+        if not self.compare and (self.labels or (self.margin_deg != Comparing.margin_deg and not self.against)):
             raise InputError("validate: `labels` and `margin_deg` want `compare`; say both, or neither")
         if not 0.0 < self.margin_deg < math.inf:
             raise InputError(f"`margin_deg`: wanted more than 0 deg, got {self.margin_deg:g}; say what matters")
@@ -188,6 +220,27 @@ class Comparing:
         labels = (tuple(map(name_of, paths)), *self._known(paths))
         how: Any = {"settings": done.settings, "margin_deg": self.margin_deg, "progress": progress}
         return compare_levels(pairs, fitted or [done.calibration] * len(pairs), labels, **how)
+
+    def rivals(self, done: Validated, pairs: list[tuple["Record", "Reference"]]) -> tuple[RivalCalibration, ...]:
+        """Judge the other calibrations by the same recordings and settings."""
+        import numpy as np
+
+        from undrift.io.store import read_calibration
+        from undrift.study.compare import LEAST_SUBJECTS
+        from undrift.study.statistics import decide_between
+        from undrift.validation.agreement import validate_trials
+
+        rivals = list[RivalCalibration]()
+        for path in self.against:
+            try:
+                result = validate_trials(pairs, calibrations=(read_calibration(path),), settings=done.settings)
+            except UndriftError as error:
+                raise InputError(f"{path}: {str(error).removeprefix(f'{path}: ')}") from error
+            own, other = (np.array([x.figures.rmse_total_deg for x in one.trials]) for one in (done.result, result))
+            enough, tests = len(pairs) >= LEAST_SUBJECTS, len(self.against)
+            decision = decide_between(own, other, margin=self.margin_deg, tests=tests) if enough else None
+            rivals.append(RivalCalibration(source=path.name, result=result, decision=decision))
+        return tuple(rivals)
 
     def _known(self, paths: Sequence[Path]) -> tuple[tuple[str, ...], tuple[str, ...]]:
         """Return tasks and people of recordings, empty where no labels say so."""
@@ -309,9 +362,10 @@ def validate(
     validated = _judged(pairs, named, (calibration, model), settings, (leave_one_out, steps), fit, (place, session))
     if comparing.compare:
         validated = replace(validated, compared=comparing.of(validated, pairs, records, part_of(progress, JUDGED, 1.0)))
+    validated = replace(validated, rivals=comparing.rivals(validated, pairs))
     if output is None:
         return validated
-    return _write(validated, output, origin_of(*records, *optics.reference, calibration))
+    return _write(validated, output, origin_of(*records, *optics.reference, calibration, *comparing.against))
 
 
 def _check_asked(
@@ -452,6 +506,22 @@ def _judged(
 # ---- sections
 
 
+def _rivals(validated: Validated) -> tuple[Section, ...]:
+    """Return what each calibration leaves on the same recordings, and how the others differ from the validated one."""
+    if not validated.rivals:
+        return ()
+    rows, margin = list[tuple[str, ...]](), ""
+    for one in (None, *validated.rivals):
+        mean, judged = (one or validated).result.mean, one and one.decision
+        more = (number(judged.difference), interval(judged.interval, ".2f"), judged.verdict) if judged else ("–",) * 3
+        margin = f"; by a margin of {judged.margin:g} deg, at 5 %" if judged else margin
+        name = one.source if one else validated.name
+        rows.append((name, number(mean.rmse_total_deg), number(mean.rmse_inclination_deg), *more))
+    text = f"rms over the motion, mean over recordings; more: total, than with {validated.name}, paired, from three recordings on"
+    columns = ("calibration", "total (deg)", "inclination (deg)", "more (deg)", "95 %", f"{validated.name} is")
+    return (Section(title="Calibrations side by side", columns=columns, rows=tuple(rows), text=(text + margin,)),)
+
+
 def _compared(compared: "LevelComparison | None") -> tuple[Section, ...]:
     """Return the levels of correction: their errors, the twins' beside them, and those of each trial and task."""
     if compared is None:
@@ -509,9 +579,13 @@ def _answer(result: "Validation", method: Validated) -> str:
         done = method.settings.offset in removed and any(trial.rest for trial in result.trials)
         parts += [f"with {removed[method.settings.offset]}" if done else "uncorrected"]
     figures, over = result.median, f", median of {len(result.trials)} recordings" if len(result.trials) > 1 else ""
+    beside = [f"{one.source} leaves {one.result.median.rmse_total_deg:.2g} deg" for one in method.rivals]
+    beside = (
+        [f" In total {', '.join((*beside, f'{method.name} {figures.rmse_total_deg:.2g} deg'))}."] if beside else [""]
+    )
     return (
         f"Orientation is wrong by {figures.rmse_total_deg:.2g} deg rms in total and {figures.rmse_inclination_deg:.2g} deg in "
-        f"inclination over the motion{over}, {', '.join(parts)}."
+        f"inclination over the motion{over}, {', '.join(parts)}.{beside[0]}"
     )
 
 
