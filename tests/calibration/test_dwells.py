@@ -9,7 +9,7 @@ from benchmarks.erring_bench import rate_table as rate_bench
 from testkit.cramer_rao import white_device
 from testkit.findings import codes, only
 from undrift.calibration.calibrate import calibrate
-from undrift.calibration.dwells import Dwells, mountings, table_axes, table_term, uneven_rate
+from undrift.calibration.dwells import Dwells, block_means, mountings, table_axes, table_term, uneven_rate
 from undrift.calibration.observe import CalibrateSettings
 from undrift.errors import InputError
 from undrift.record import RateTable, Record, Still, Turn
@@ -402,3 +402,12 @@ def test_a_rate_that_jumps_about_leaves_white_noise_in_every_mean():
     # 0.003 of each of 12 blocks: 0.003 / sqrt(12) of the mean; all dwells of a sensor have one variance, that of 0.003 times
     # sqrt((1 + 1 / 4) / 2) of the larger rate, and 44 squares know it within a third
     assert sigma[::4] == pytest.approx(0.003 * (5.0 / 8.0) ** 0.5 / 12.0**0.5, rel=0.33)
+
+
+def test_dwells_that_are_too_short_to_show_gravity_are_calibrated_by_their_rates() -> None:
+    device, session = turned(dwell_s=0.5)
+    dwells = dwells_of(session, device)
+    felt = table_axes(dwells, RateTable(), true_accel(device), G)
+    assert np.isnan(felt.off).all()  # gravity is not seen: the axes are those stated, as well as a table is mounted
+    np.testing.assert_array_equal(felt.axis_b, np.eye(3)[dwells.own])
+    assert block_means(np.ones((30, 4)), 50).shape == (0, 4)

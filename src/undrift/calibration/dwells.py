@@ -114,7 +114,7 @@ def azimuths(dwells: Dwells, rows: list[int], line: FloatArray) -> list[FloatArr
 def block_means(values: FloatArray, size: int) -> FloatArray:
     """Return means (E, C) of whole blocks of values (N, C)."""
     count = len(values) // size
-    return np.asarray(values[: count * size].reshape(count, size, -1).mean(axis=1))
+    return np.asarray(values[: count * size].reshape(count, size, values.shape[1]).mean(axis=1))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
