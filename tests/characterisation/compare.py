@@ -59,7 +59,7 @@ ADDED: tuple[tuple[str, str], ...] = (
     ),  # the envelope of every answer in JSON; result repeats what stands beside it
     (".*", r"file_map\..*"),
     (".*", r"(.*\.)?budget(\..*)?"),
-    ("study_small", "categories"),
+    ("study_small", r"categories|prices\..*"),
     ("validate_.*", "gravity_(m_s2|source)"),  # of a fit to references
     ("validate_leave_one_out", r"(.*\.)?trials\[\d\]\.expected\.(end|rmse)_at_most_deg"),
     ("info_formats", r".*\.stills"),  # the search for stills adapts

@@ -14,7 +14,7 @@ from undrift.correction.correct import correct_whole
 from undrift.fit.least_squares import fit_paper
 from undrift.fit.smooth import not_a_knot
 from undrift.model import Calibration, DriftTables, DynamicDrift, StaticDrift
-from undrift.orientation import orient_unchecked, sagittal_pitch
+from undrift.orientation import OrientSettings, orient_unchecked, sagittal_pitch
 from undrift.record import Still
 from undrift.rig.programme import Protocol
 from undrift.sim.bench_errors import BenchErrors
@@ -146,6 +146,32 @@ def test_the_offset_of_the_rest_is_what_the_corrected_readings_show_before_the_m
         np.testing.assert_allclose(found[number, 3:], figures_of(error), rtol=1e-3)
         show("rms offline, deg, rest and none", found[number, 3] / DPS, drifting[number, 3] / DPS)
     assert (found[:, 3] < 0.7 * drifting[:, 3]).all()
+
+
+@pytest.mark.parametrize(("name", "long_enough"), [("posturography", True), ("sit_to_stand", False)])
+def test_the_offset_from_motion_is_that_of_orient_and_a_trial_below_20_s_keeps_the_rest(
+    name: str, long_enough: bool
+) -> None:
+    made = study((18.0, 36.0, 54.0), name)
+    task, protocols = made.tasks[0], candidates(made.tasks[0], 20.0)[:2]
+    case = make_case(made, task, 1, Setting(20.0))
+    sessions = joined([session_of(protocol) for protocol in protocols]).chosen(REST, RATE)
+    accel = faces_of(made, case.device, 1, session_of(protocols[0]).chosen(FACE))
+    readings = simulate_turns(made, task.base, case.device, 1, sessions)
+    fits = fit_as_the_note(sessions, readings, np.array([(p.turn_rate_max, p.turn_rate_step) for p in protocols]))
+    found, rested = (trial_errors(case, accel, fits, offset) for offset in ("motion", "rest"))
+    if not long_enough:
+        np.testing.assert_array_equal(found, rested)
+        return
+    for number in range(len(protocols)):
+        calibration = calibrated_slowly(sessions, readings, fits, number, accel)
+        done = correct_whole(case.record, calibration, policy="hold").record
+        still = Still(start=case.still[0], stop=case.still[1])
+        oriented = orient_unchecked(done, still, OrientSettings(offset="motion"))
+        error = (oriented.pitch - case.pitch)[slice(*case.moving)]
+        np.testing.assert_allclose(found[number, 3:], figures_of(error), rtol=1e-6)
+        show("rms offline, deg, motion and rest", found[number, 3] / DPS, rested[number, 3] / DPS)
+    assert (found[:, 3] < rested[:, 3]).all()
 
 
 def figures_of(error: np.ndarray) -> tuple[float, float, float]:

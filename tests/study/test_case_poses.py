@@ -96,8 +96,8 @@ def test_sets_of_a_plan_arrive_and_an_inclined_plane_is_an_instrument(tmp_path) 
     assert not any(surface.at_end(value, "poses") for value in (1.0, 2.0))  # sets have no order
     assert surface.at_end(1.0, "set_points") is False
     assert surface.at_end(2.0, "set_points") is True
-    assert needs_of(task, surface, 0) == ("rate table",)
-    assert needs_of(task, surface, 1) == ("rate table", "inclined plane", "chamber")
+    assert needs_of(task, surface, 0) == ("faces fixture", "rate table")
+    assert needs_of(task, surface, 1) == ("faces fixture", "inclined plane", "rate table", "chamber")
     for wrong, said in (('["+x up"]', r'got "\+x up"; write it so'), ('["+z 45 -z"]', r'got "\+z 45 -z"; write it so'),
                         ('["+x", "+y", "+z"]', "wanted sets of four poses or more"),
                         ('["+x", "+x", "+y", "+z"]', "each pose once")):  # fmt: skip

@@ -10,7 +10,7 @@ from testkit.surfaces import errors
 from undrift.study import judge
 from undrift.study.case import EFFECTS
 from undrift.study.judge import find_optimum
-from undrift.study.plan import Aim, StudyTask, note_study
+from undrift.study.plan import Aim, Prices, StudyTask, note_study
 from undrift.study.run import TaskSurface
 from undrift.study.statistics import mean_limits
 from undrift.study.target import REMEDIES, CheapestSession, choose, judge_target
@@ -72,7 +72,7 @@ def test_the_shortest_session_below_the_target_is_chosen_and_not_the_best(rng: n
     found = judged(skewed(means, rng), skewed(means, rng), minutes)
     assert (found.place, found.minutes, found.verdict) == (2, 6.0, "enough")
     text = found.finding.text
-    assert text.startswith("Enough for 1 deg: 6 min on the rate table, chamber: mean error below 0.")
+    assert text.startswith("Enough for 1 deg: 6 min; faces fixture, rate table, chamber: mean error below 0.")
     assert "95 % confidence, on 30 people and devices that had no part in the choice" in text
 
 
@@ -81,7 +81,26 @@ def test_of_sessions_as_long_the_one_without_a_chamber_then_the_one_with_less_er
 ) -> None:
     error = skewed([0.5, 0.6, 0.55], rng)
     found = judged(error, error, [10.1, 10.3, 9.8], set_points=[2.0, 1.0, 1.0])
-    assert (found.place, found.needs) == (2, ("rate table",))
+    assert (found.place, found.needs) == (2, ("faces fixture", "rate table"))
+
+
+def test_of_sessions_as_long_the_one_of_the_least_stated_price_is_chosen_and_the_verdict_has_it(
+    rng: np.random.Generator,
+) -> None:
+    error = skewed([0.5, 0.6], rng)
+    minutes, columns = [10.1, 9.8], {"set_points": [2.0, 1.0], "poses": [1.0, 6.0]}  # a chamber; inclined poses
+    assert judged(error, error, minutes, **columns).needs == ("faces fixture", "inclined plane", "rate table")
+    aim = replace(AIM, prices=Prices(inclined_plane=900.0, chamber=300.0, currency="CHF"))
+    found = judged(error, error, minutes, aim, **columns)
+    assert (found.place, found.price) == (0, 300.0)
+    assert "10 min; faces fixture, rate table, chamber, 300 CHF: mean" in found.finding.text
+
+
+def test_where_an_hour_has_a_price_a_longer_session_may_be_the_cheapest(rng: np.random.Generator) -> None:
+    error, columns = skewed([0.5, 0.6], rng), {"set_points": [1.0, 2.0]}
+    for hour, place in ((0.0, 1), (60.0, 0), (1200.0, 1)):  # 30 min without a chamber, 6 min with one
+        found = judged(error, error, [30.0, 6.0], replace(AIM, prices=Prices(chamber=300.0, hour=hour)), **columns)
+        assert (found.place, found.price) == (place, 300.0 * place + hour * found.minutes / 60.0)
 
 
 def test_what_no_protocol_reaches_names_what_stands_in_the_way_and_what_removes_it(rng: np.random.Generator) -> None:

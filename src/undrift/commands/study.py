@@ -73,8 +73,8 @@ class Choices:
     subjects : int or None
         Other number of subjects than the plan's.
     offset : str or None
-        Of the gyroscopes in a trial: "rest" takes off the mean of the rest before it; "none" does not, as in the note. The plan's
-        where not given, else "rest".
+        Of the gyroscopes in a trial: "rest" takes off the mean of the rest before it; "motion" what a trial of 20 s or more shows
+        from there on, as `orient` does; "none" nothing, as in the note. The plan's where not given, else "rest".
     target_deg : float or None
         Mean error that is good enough, deg: the cheapest session whose upper limit on other people and devices is below it.
     confidence : float or None
@@ -88,7 +88,7 @@ class Choices:
     categories: str | None = None
     candidates: int | None = None
     subjects: int | None = None
-    offset: Literal["rest", "none"] | None = None
+    offset: Literal["rest", "motion", "none"] | None = None
     target_deg: float | None = None
     confidence: float | None = None
     seed: int | None = None
@@ -216,6 +216,7 @@ def study_json(outcome: "StudyOutcome") -> dict[str, object]:
         **{key: getattr(held, key) for key in HEAD_KEYS},
         "bench": tree_of(held.bench) | {"chain_percent": 100.0 * held.chain_sd},
         "trial": tree_of(held.trial) if held.trial.on else None,
+        "prices": tree_of(held.prices),
         "runs": outcome.runs,
         "tasks": [_task_json(task) for task in outcome.tasks],
         "cohorts": [

@@ -76,9 +76,11 @@ def _answer_of(task: "TaskOutcome") -> str:
 def sections_of(outcome: "StudyOutcome") -> tuple[Section, ...]:
     """Return the sections of a study: the answer, the note's tables beside it, everything else folded."""
     study = outcome.study
+    offset = study.offset + " (of trials of 20 s or more)" * (study.offset == "motion")
     text = (
         f"{outcome.runs} calibration sessions simulated, fitted and judged: {study.subjects} subjects, device {study.device}, "
-        f"seed {study.seed}; {OBJECTIVES[study.objective]} of the sagittal pitch is minimised, {TIMINGS[study.timing]}."
+        f"seed {study.seed}, offset from {offset}; {OBJECTIVES[study.objective]} of the sagittal pitch is minimised, "
+        f"{TIMINGS[study.timing]}."
     )
     return (
         _answer(outcome),
@@ -186,11 +188,12 @@ def _answer(outcome: "StudyOutcome") -> Section:
             *cells,
             (f"for {study.target_deg:g} deg", lambda task: "" if task.target is None else task.target.verdict),
             ("upper limit (deg)", lambda task: f"{task.to_use[1].limits_deg[1]:.3f}"),
-            ("needs", lambda task: "" if task.target is None else ", ".join(task.target.needs)),
+            ("needs", lambda task: "" if task.target is None else task.target.needs_text),
         )
         how = (
             f"The cheapest session whose mean error is below {study.target_deg:g} deg with {100.0 * study.confidence:g} % "
-            "confidence; where none is, the best. Cheapest: the shortest to the minute, then what needs fewer instruments."
+            "confidence; where none is, the best. Cheapest: the shortest to the minute, then of the least price, then what "
+            "asks least of a laboratory; where an hour has a price, of the least price first."
         )
     recorded = any(task.motion is not None for task in study.tasks)
     who = "devices (of the people or motion that was recorded)" if recorded else "subjects and devices"
@@ -271,10 +274,7 @@ def _table_1(outcome: "StudyOutcome") -> Section:
     text += ["In the note's rows it is as printed; the note does not define its test."] * bool(of_note)
     text += sorted({f"* {note.row.erratum}" for note in of_note if note.row.erratum})
     return Section(
-        title="Table 1: optimised parameters",
-        text=tuple(text),
-        columns=("task", *_PROTOCOL, "p"),
-        rows=tuple(rows),
+        title="Table 1: optimised parameters", text=tuple(text), columns=("task", *_PROTOCOL, "p"), rows=tuple(rows)
     )
 
 

@@ -1,9 +1,10 @@
 """Kernels of the note's method over many sessions at once: its fit, and the pitch error that each calibration leaves in a trial.
 
 Of S sessions one after the other, N dwells: gyro (N, 3) mean readings, raw unit; rate (N,) read rate about the axis, rad/s; temp
-(N,) degC; axis, soak (N,); turning (N,) false at rest; first (S + 1,) where each begins. Tables as the correction takes them: line
-(S, 6 cells) offset over static_c, plane (S cells of both, 12) flat from plane_first on: error over dynamic_c and an even grid of
-2 half + 1 rates up to top, rad/s. matrix (S, 9) rad/s per raw unit, offset (S, 3) raw unit, good (S,).
+(N,) degC; axis (N,), 3 a skew one; soak (N,); turning (N,) false at rest; first (S + 1,) where each begins. Tables as the
+correction takes them: line (S, 6 cells) offset over static_c, plane (S cells of both, 12) flat from plane_first on: error over
+dynamic_c and an even grid of 2 half + 1 rates up to top, rad/s. matrix (S, 9) rad/s per raw unit, offset (S, 3) raw unit,
+good (S,).
 """
 
 import math
@@ -90,7 +91,7 @@ def matrix_by_eq6(
     # C = L S^T (S S^T)^-1 of one soak; false where the readings do not span three axes
     g, h = np.zeros((3, 3)), np.zeros((3, 3))
     for j in range(start, stop):
-        if turning[j] and soak[j] == home:
+        if turning[j] and soak[j] == home and axis[j] < 3:
             for p in range(3):
                 own = gyro[j, p] - offset[p]
                 h[axis[j], p] += rate[j] * own
@@ -115,12 +116,16 @@ def matrix_by_eq6(
 @njit(cache=True, fastmath={"contract"}, nogil=True, error_model="numpy")
 def left_over_rate(
     gyro: FloatArray, rate: FloatArray, axis: IntArray, turning: BoolArray, soak: IntArray, start: int, stop: int,
-    offsets: FloatArray, m: FloatArray, top: float, half: int, error: FloatArray,
+    skew_from: int, offsets: FloatArray, m: FloatArray, top: float, half: int, error: FloatArray,
 ) -> bool:  # fmt: skip
-    # error (K, 2 half + 1, 3): at each soak a spline through what is left over the measured rate; false where two are equal
+    # error (K, 2 half + 1, 3): at each soak a spline through what is left over the measured rate; false where two are equal.
+    # With a skew axis at that soak alone which is not -1; elsewhere each row of the matrix keeps its shape, and has the size that
+    # this axis reads there
     most = stop - start + 1
     x, y, s, c = np.empty(most), np.empty(most), np.empty(most), np.empty(most)
     for k in range(offsets.shape[0]):
+        if skew_from >= 0 and k != skew_from:
+            continue
         for i in range(3):
             n = 1
             x[0], y[0] = 0.0, 0.0
@@ -147,6 +152,19 @@ def left_over_rate(
                 while at < n - 2 and w > x[at + 1]:
                     at += 1
                 error[k, node, i] = value(x, y, s, at, w)
+    read = np.zeros((offsets.shape[0], 4))  # of the skew axis, by least squares: sums with the rate, of its square
+    for j in range(start, stop):
+        if skew_from >= 0 and turning[j] and axis[j] == 3:
+            read[soak[j], 3] += rate[j] * rate[j]
+            for i in range(3):
+                for p in range(3):
+                    read[soak[j], i] += rate[j] * m[3 * i + p] * (gyro[j, p] - offsets[soak[j], p])
+    for k in range(offsets.shape[0] if skew_from >= 0 else 0):
+        for i in range(3):
+            less = read[skew_from, i] / read[skew_from, 3] * read[k, 3] / read[k, i]
+            for node in range(2 * half + 1):
+                w = top * (node - half) / half
+                error[k, node, i] = w - less * (w - error[skew_from, node, i])
     return True
 
 
@@ -193,8 +211,9 @@ def fit_sessions(
         count = 2 * half[session] + 1
         error, table = np.empty((soaks, count, 3)), np.empty((count, 3, dynamic_c.size))
         if not left_over_rate(
-            gyro, rate, axis, turning, soak, start, stop, offsets, m, top[session], half[session], error
-        ):
+            gyro, rate, axis, turning, soak, start, stop, home if axis[start:stop].max() > 2 else -1, offsets, m, top[session],
+            half[session], error,
+        ):  # fmt: skip
             continue
         for node in range(count):
             for i in range(3):
@@ -215,20 +234,12 @@ def fit_sessions(
 
 
 @njit(cache=True, fastmath={"contract"}, nogil=True, error_model="numpy")
-def pitch_errors(
-    u: FloatArray, temp: FloatArray, rest: FloatArray, rest_temp: FloatArray, time: FloatArray, q0: FloatArray,
-    pitch: FloatArray, skip: int, last: int, in_plane: float, static_c: FloatArray, dynamic_c: FloatArray, top: FloatArray,
-    half: IntArray, plane_first: IntArray, matrix: FloatArray, offset: FloatArray, line: FloatArray, plane: FloatArray,
-    good: BoolArray, out: FloatArray,
+def corrected(
+    u: FloatArray, temp: FloatArray, static_c: FloatArray, dynamic_c: FloatArray, top: FloatArray, half: IntArray,
+    plane_first: IntArray, matrix: FloatArray, offset: FloatArray, line: FloatArray, plane: FloatArray, out: FloatArray,
 ) -> None:  # fmt: skip
-    # out (S, 3 V): for each of V true pitches, pitch (V, T) rad, the root-mean-square and the largest error over the samples
-    # from ``skip`` on, and the size of the median of the ``last`` ones, rad; NaN where a fit is not good.
-    # u flat (3 T,) readings from the instant of q0 (4,) on. rest (3,), rest_temp (1,): mean of a rest before, whose corrected
-    # rate is taken off; empty leaves it.
-    w, q, none = np.empty(u.size), np.empty(4 * time.size), np.empty(0)
-    h, g, end, still = np.zeros(3), np.zeros(9), np.empty((pitch.shape[0], last)), np.zeros(rest.size)
-    square, largest = np.empty((2, pitch.shape[0]))
-    count, ending = np.empty((2, pitch.shape[0]), np.int64)
+    # out (S, 3 T): rates, rad/s, that each calibration makes of readings u flat (3 T,), raw unit
+    none, h, g = np.empty(0), np.zeros(3), np.zeros(9)
     unused = Grid(none, 0.0, 0.0, 1)
     static, dynamic = unused, unused
     if static_c.size > 1:
@@ -236,19 +247,29 @@ def pitch_errors(
         dynamic = Grid(
             dynamic_c, dynamic_c[0], (dynamic_c.size - 1) / (dynamic_c[-1] - dynamic_c[0]), dynamic_c.size - 1
         )
+    for session in range(out.shape[0]):
+        rates = Grid(none, -top[session], half[session] / top[session], 2 * half[session])
+        error = plane[plane_first[session] : plane_first[session + 1]]
+        tables = Tables(line[session], static, none, unused, error, dynamic, rates)
+        tabulated(u, temp, none, out[session], matrix[session], offset[session], h, g, tables)
+
+
+@njit(cache=True, fastmath={"contract"}, nogil=True, error_model="numpy")
+def pitch_errors(
+    rate: FloatArray, time: FloatArray, q0: FloatArray, pitch: FloatArray, skip: int, last: int, in_plane: float,
+    good: BoolArray, out: FloatArray,
+) -> None:  # fmt: skip
+    # out (S, 3 V): for each of V true pitches, pitch (V, T) rad, the root-mean-square and the largest error over the samples
+    # from ``skip`` on, and the size of the median of the ``last`` ones, rad; NaN where a fit is not good.
+    # rate (S, 3 T), rad/s, from the instant of q0 (4,) on.
+    q, end = np.empty(4 * time.size), np.empty((pitch.shape[0], last))
+    square, largest = np.empty((2, pitch.shape[0]))
+    count, ending = np.empty((2, pitch.shape[0]), np.int64)
     for session in range(good.size):
         out[session] = np.nan
         if not good[session]:
             continue
-        rates = Grid(none, -top[session], half[session] / top[session], 2 * half[session])
-        error = plane[plane_first[session] : plane_first[session + 1]]
-        tables = Tables(line[session], static, none, unused, error, dynamic, rates)
-        tabulated(u, temp, none, w, matrix[session], offset[session], h, g, tables)
-        if rest.size > 0:
-            tabulated(rest, rest_temp, none, still, matrix[session], offset[session], h, g, tables)
-            for k in range(w.size):
-                w[k] -= still[k % 3]
-        strapdown(w, time, q0, q)
+        strapdown(rate[session], time, q0, q)
         square[:], largest[:], count[:], ending[:] = 0.0, 0.0, 0, 0
         for k in range(skip, time.size):
             qw, qx, qy, qz = q[4 * k], q[4 * k + 1], q[4 * k + 2], q[4 * k + 3]

@@ -40,6 +40,7 @@ import numpy as np
 from undrift.arrays import BoolArray, FloatArray, IntArray
 from undrift.calibration.six_face import FaceMeans, fit_six_face
 from undrift.correction.correct import correct_whole
+from undrift.correction.rest import LEAST_IN_MOTION_S, rest_offset
 from undrift.errors import AlignmentError, CalibrationError, InputError
 from undrift.fit.least_squares import fit_forward, triad_from_forward
 from undrift.model import Calibration, TriadModel
@@ -195,9 +196,8 @@ def subject_of(study: Study, number: int, category: str = DEFAULT) -> Subject:
 @lru_cache(maxsize=2)
 def device_of(study: Study, number: int) -> DeviceModel:
     """Return the device that a subject wears."""
-    if study.worn:
-        return device_from_json(json.loads(study.worn))
-    return random_device_of(study.device, seeded(study, "device", number))
+    own = json.loads(study.worn or "null")
+    return device_from_json(own) if own else random_device_of(study.device, seeded(study, "device", number))
 
 
 def typical_unit(study: Study) -> DeviceModel:
@@ -405,11 +405,10 @@ def faces_of(
     return triad_from_forward(forward, valid_range=limits, **names).model
 
 
-def bench_of(study: Study, number: int, soaks: int, keys: Sequence[int]) -> BenchDraws:
+def bench_of(study: Study, number: int, soaks: int, keys: Sequence[int], axes: int = 3) -> BenchDraws:
     """Return the draws of the bench that calibrates a subject's device, for rests (key 0) and for rates of given keys."""
-    return draw_bench(
-        seeded(study, "bench", number), [seeded(study, "turns", number, key) for key in keys], soaks=soaks
-    )
+    turns = [seeded(study, "turns", number, key) for key in keys]
+    return draw_bench(seeded(study, "bench", number), turns, soaks=soaks, axes=axes)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -424,15 +423,15 @@ class BenchReadings:
 def simulate_turns(study: Study, base: Protocol, device: DeviceModel, number: int, sessions: Sessions) -> BenchReadings:
     """Simulate the rests and rates of sessions, variants of one protocol, on the bench that calibrates a subject's device."""
     bench = study.bench if base.temperatures_c else replace(study.bench, soak_k=0.0, board_lag_s=0.0)  # no chamber
-    soaks = int(sessions.soak.max()) + 1
+    soaks, axes = int(sessions.soak.max()) + 1, max(int(sessions.axis.max()) + 1, 3)
     size = np.round(np.abs(sessions.rate) / KEY_STEP)
     keys = np.unique(size[size > 0.0])
     second = sessions.rate < 0.0
     second[1:] |= (sessions.kind[1:] == REST) & (sessions.kind[:-1] == RATE)  # the rest after the rates
     block = np.where(size > 0.0, np.searchsorted(keys, size) + 1, 0)
-    row = 6 * soaks * block + 2 * (soaks * sessions.axis + sessions.soak) + second
+    row = 2 * axes * soaks * block + 2 * (soaks * sessions.axis + sessions.soak) + second
     width = numbers_of_dwell(device.gyro)
-    draws, normals = _drawn(study, number, soaks, (0, *keys.astype(int).tolist()), width)
+    draws, normals = _drawn(study, number, soaks, (0, *keys.astype(int).tolist()), width, axes)
     dwells, rate = impose(sessions, bench, draws, row, soak_c_per_min=base.soak_c_per_min)
     return BenchReadings(
         gyro=mean_readings(device, "gyro", dwells, normals[:, :, :width], row),
@@ -442,10 +441,13 @@ def simulate_turns(study: Study, base: Protocol, device: DeviceModel, number: in
 
 
 @lru_cache(maxsize=16)  # the cut-off frequencies of a subject follow each other
-def _drawn(study: Study, number: int, soaks: int, keys: tuple[int, ...], width: int) -> tuple[BenchDraws, FloatArray]:
+def _drawn(
+    study: Study, number: int, soaks: int, keys: tuple[int, ...], width: int, axes: int
+) -> tuple[BenchDraws, FloatArray]:
     """Return the draws of bench and dwells, for rests (key 0) and for rates of given keys."""
-    blocks = [seeded(study, "dwells", number, key).standard_normal((6 * soaks, 3, width + 1)) for key in keys]
-    return bench_of(study, number, soaks, keys), np.concatenate(blocks)
+    shape = (2 * axes * soaks, 3, width + 1)
+    blocks = [seeded(study, "dwells", number, key).standard_normal(shape) for key in keys]
+    return bench_of(study, number, soaks, keys, axes), np.concatenate(blocks)
 
 
 # ---- the note's calibration of many sessions, and the trial with each
@@ -513,29 +515,43 @@ END_S = 0.5  # before the motion's end, whose median error is that of the end
 def trial_errors(case: Case, accel: TriadModel | None, fits: NoteFits, offset: OffsetRule) -> FloatArray:
     """Return the pitch errors with each calibration in the order of ``ERRORS``, (S, 6) rad; NaN without one.
 
-    With the offset of the rest, the mean corrected rate of the rest before the motion is taken off.
+    The mean corrected rate of the rest before the motion is taken off; or what the motion shows from that rest on, by the estimator
+    of ``orient``: it wants a trial of 20 s, a shorter one keeps the offset of the rest.
     """
-    from undrift.kernels.note import pitch_errors
+    from undrift.kernels.note import corrected, pitch_errors
 
-    rest = case.record.part(*case.still)
-    tilted = Calibration(device="", reference_temp_c=ROOM_TEMP_C, gravity_m_s2=STANDARD_GRAVITY, gyro=None, accel=accel)
-    level = correct_whole(replace(rest, gyro=None), tilted, policy="hold", threads=1).record
-    q0 = initial_tilt(level, Still(start=0, stop=len(rest))).q_nb
-    anchor, stop = case.still[1] - 1, case.moving[1]
-    gyro, out = case.record.gyro, np.full((len(fits.good), len(ERRORS)), np.nan)
-    if gyro is None or case.record.temp_c is None:
+    gyro, temp_c, out = case.record.gyro, case.record.temp_c, np.full((len(fits.good), len(ERRORS)), np.nan)
+    if gyro is None or temp_c is None:
         raise InputError("study: wanted rates and temperatures of the trial, got none")
-    rest_u, rest_c = np.empty(0), np.empty(0)
-    if offset == "rest":
-        rest_u, rest_c = (
-            gyro[slice(*case.still)].mean(axis=0),
-            case.record.temp_c[slice(*case.still)].mean(keepdims=True),
-        )
-    pitch, last = np.stack((case.pitch_now[anchor:stop], case.pitch[anchor:stop])), round(END_S * case.sample_rate_hz)
+
+    def rates_of(u: FloatArray, at_c: FloatArray) -> FloatArray:
+        rates = np.empty((len(fits.good), u.size))
+        corrected(
+            u.reshape(-1), at_c, fits.static_c, fits.dynamic_c, fits.top, fits.half, fits.plane_first, fits.matrix,
+            fits.offset, fits.line, fits.plane, rates,
+        )  # fmt: skip
+        return rates.reshape(len(rates), -1, 3)
+
+    still = Still(start=case.still[0], stop=case.still[1])
+    rest, moving = slice(*case.still), slice(case.still[1] - 1, case.moving[1])
+    tilted = Calibration(device="", reference_temp_c=ROOM_TEMP_C, gravity_m_s2=STANDARD_GRAVITY, gyro=None, accel=accel)
+    shown = offset == "motion" and case.record.duration_s >= LEAST_IN_MOTION_S
+    level = case.record if shown else case.record.part(*case.still)
+    level = correct_whole(replace(level, gyro=None), tilted, policy="hold", threads=1).record
+    rates = rates_of(gyro[moving], temp_c[moving])
+    if shown:
+        from undrift.correction.motion import find_motion_offset  # scipy and a kernel, for this alone
+
+        for each, whole in zip(rates, rates_of(gyro, temp_c), strict=True):
+            if np.isfinite(whole).all():
+                record = replace(level, gyro=whole, gyro_unit="rad/s")
+                each -= find_motion_offset(record, rest_offset(record, still)).at(record.time[moving])
+    elif offset != "none":
+        rates -= rates_of(gyro[rest].mean(axis=0), temp_c[rest].mean(keepdims=True))
+    pitch, last = np.stack((case.pitch_now[moving], case.pitch[moving])), round(END_S * case.sample_rate_hz)
     pitch_errors(
-        gyro[anchor:stop].reshape(-1), case.record.temp_c[anchor:stop], rest_u, rest_c, case.record.time[anchor:stop], q0,
-        pitch, case.moving[0] - anchor, last, IN_PLANE, fits.static_c, fits.dynamic_c, fits.top, fits.half,
-        fits.plane_first, fits.matrix, fits.offset, fits.line, fits.plane, fits.good, out,
+        rates.reshape(len(rates), -1), case.record.time[moving], initial_tilt(level, still).q_nb, pitch,
+        case.moving[0] - moving.start, last, IN_PLANE, fits.good, out,
     )  # fmt: skip
     return out
 
@@ -614,16 +630,9 @@ def errors_with(
 def alike(task: StudyTask, points: FloatArray) -> list[IntArray]:
     """Return the places of the candidates that are simulated and fitted at once: alike in all but rates, dwells and rests."""
     names = (
-        "faces",
-        "poses",
-        "face_s",
-        "places",
-        "set_points",
-        "warmest_c",
-        "soak_c_per_min",
-        "static_step_c",
+        "faces", "poses", "face_s", "places", "set_points", "warmest_c", "soak_c_per_min", "mounting", "static_step_c",
         "dynamic_step_c",
-    )
+    )  # fmt: skip
     columns = [k for k, name in enumerate(task.space.names) if name in names]
     group = np.unique(points[:, columns], axis=0, return_inverse=True)[1].ravel() if columns else np.zeros(len(points))
     return [np.flatnonzero(group == each) for each in np.unique(group)]

@@ -272,16 +272,9 @@ def points_of(task: StudyTask, surface: run.TaskSurface) -> FloatArray:
 # ---- forecast
 
 StageName = Literal[
-    "calibration sessions",
-    "the other cohort",
-    "what the error is made of",
-    "rates to dwell at",
-    "Figure 3",
-    "Figure 3, effect by effect",
-    "Figure 3, drawn units",
-    "rival methods",
-    "real recordings",
-]
+    "calibration sessions", "the other cohort", "what the error is made of", "rates to dwell at", "Figure 3",
+    "Figure 3, effect by effect", "Figure 3, drawn units", "rival methods", "real recordings",
+]  # fmt: skip
 POOL_S = 3.0  # workers start
 DESIGNS_S = 0.4  # a task
 FIGURE3_S = 3.0

@@ -78,8 +78,8 @@ Objective = Literal["rms", "maximum", "end"]  # Of the pitch error over the moti
 # The true pitch of the same instant, as who acts on the display needs it; or that of the instant which the readings belong to
 Timing = Literal["real time", "offline"]
 Search = Literal["grid", "halving", "cma"]
-# Of the gyroscopes in a trial: the mean of the rest before it is taken off, as for recordings; or not, as in the note
-OffsetRule = Literal["rest", "none"]
+# Of the gyroscopes in a trial, that is taken off: the mean of the rest before it, what the motion shows from there on, or nothing
+OffsetRule = Literal["rest", "motion", "none"]
 
 # Smallest difference that matters, deg. The note's Figure 3: a simulated and an actual device differ by 0.15 deg at most, which it
 # calls very low; a simulation shows nothing finer of real devices. An error that grows evenly to 0.15 deg has 0.15 / sqrt(3) rms.
@@ -185,15 +185,38 @@ class StudyTask:
             given["faces"] = self.poses[int(values["poses"]) - 1]
         if "order" in values:
             given["order"] = "random" if values["order"] == 2.0 else "alternating"
+        count, temps_c = int(values.get("set_points", len(stated))), stated
+        warmest_c = values.get("warmest_c", stated[-1] if stated else 0.0)
         if "places" in values:
-            return replace(self.base, **given, temperatures_c=self.places[int(values["places"]) - 1])
-        count, warmest_c = (
-            int(values.get("set_points", len(stated))),
-            values.get("warmest_c", stated[-1] if stated else 0.0),
-        )
-        if stated and (count, warmest_c) != (len(stated), stated[-1]):
-            given["temperatures_c"] = tuple(np.linspace(stated[0], warmest_c, count).tolist()) if count > 1 else ()
-        return replace(self.base, **given)
+            temps_c = self.places[int(values["places"]) - 1]
+        elif stated and (count, warmest_c) != (len(stated), stated[-1]):
+            temps_c = tuple(np.linspace(stated[0], warmest_c, count).tolist()) if count > 1 else ()
+        if values.get("mounting") == 2.0 and temps_c:
+            given |= {"heated_axis": "xyz", "faces_at": "room"}
+        return replace(self.base, **given, temperatures_c=temps_c)
+
+
+INSTRUMENTS = ("faces fixture", "inclined plane", "wedge", "rate table", "chamber")  # by what they ask of a laboratory
+
+
+@stored()
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Prices:
+    """What a laboratory pays, in one currency; 0 where it is at hand or nobody asks."""
+
+    faces_fixture: Annotated[float, Ge(0.0)] = 0.0  # A squared block on a plate
+    inclined_plane: Annotated[float, Ge(0.0)] = 0.0  # With an inclinometer
+    wedge: Annotated[float, Ge(0.0)] = 0.0  # That holds the device with (1, 1, 1) along the axis of the table
+    rate_table: Annotated[float, Ge(0.0)] = 0.0  # For the session, or to buy: state all alike
+    chamber: Annotated[float, Ge(0.0)] = 0.0  # Likewise
+    hour: Annotated[float, Ge(0.0)] = (
+        0.0  # Of a person at the rig; where given, the cheapest session is that of the least price
+    )
+    currency: str = "EUR"  # Of all of them
+
+    def of(self, needs: Sequence[str], minutes: float) -> float:
+        """Return the price of a session."""
+        return float(sum(getattr(self, name.replace(" ", "_")) for name in needs) + self.hour * minutes / 60.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -209,6 +232,7 @@ class Aim:
     # Mean error that is good enough, deg: the cheapest session whose upper limit on other subjects is below it is looked for
     target_deg: Positive | None = None
     confidence: Annotated[float, Ge(0.5), Lt(1.0)] = 0.95  # Of that limit, one-sided
+    prices: Prices = Prices()  # Of what a session needs
 
 
 AIM = Aim()
@@ -232,7 +256,8 @@ class Frame(Aim):
     seed: Annotated[int, Ge(0)] = 0  # Same seed, same bits
     # Tolerance of an amplifier's gain and null and of its converter's reference; 1 % parts are assumed
     chain_sd: Annotated[float, Ge(0.0), Key("chain_percent", unit=0.01)] = 0.01
-    offset: OffsetRule = "rest"  # Of the gyroscopes: that of the rest before a motion is taken off; none is the note's
+    # Of the gyroscopes: that of the rest before a motion is taken off; or what a motion of 20 s or more shows; none is the note's
+    offset: OffsetRule = "rest"
     bench: BenchErrors = NOTE_BENCH  # What the bench does wrong; the default is the preset's
 
 
@@ -380,6 +405,7 @@ BESIDE: dict[str, tuple[float, ...]] = {
     "warmest_c": (75.0, 45.0),
     "soak_c_per_min": (0.1, 0.3),
     "order": (1.0, 2.0),
+    "mounting": (1.0, 2.0),
 }
 
 
@@ -418,6 +444,10 @@ def _beside(space: Space, rates: Grid) -> Space:
         for dwell_s, bracket_s in product((2.0, 0.5), (6.0, 2.0))
     ]
     rows += [row(grid, set_points=1.0, dwell_s=dwell_s) for grid in grids[:3] for dwell_s in (2.0, 0.5)]
+    rows += [
+        row(rates, set_points=2.0, warmest_c=warmest_c, dwell_s=0.5, bracket_s=2.0, mounting=2.0)
+        for warmest_c in (75.0, 45.0)
+    ]
     return replace(space, further=tuple(BESIDE.items()), only=tuple(dict.fromkeys(rows)))
 
 
@@ -614,6 +644,7 @@ class SpaceEntry:
     warmest_c: MoreValues = ()  # The last of them; the protocol's where not given
     soak_c_per_min: MoreValues = ()  # Slope at which a soak ends
     order: MoreValues = ()  # Of the rates: 1 rising, 2 random
+    mounting: MoreValues = ()  # At set-points: 1 about each axis, 2 about (1, 1, 1) alone, after all axes at room temperature
     static_step_c: MoreValues = ()  # Between nodes of the static table, K
     dynamic_step_c: MoreValues = ()  # Of the dynamic table, K
 

@@ -177,7 +177,7 @@ class RunStore:
         held["bench"] = {name: held["bench"][name] for name in OF_TABLE}
         if study.search == "grid":  # all errors are kept, whatever is minimised
             del held["objective"], held["timing"]
-        for name in ("margin_deg", "target_deg", "confidence"):  # verdicts alone depend on them
+        for name in ("margin_deg", "target_deg", "confidence", "prices"):  # verdicts alone depend on them
             del held[name]
         if not study.trial.on:
             del held["trial"]

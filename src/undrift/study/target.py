@@ -6,12 +6,13 @@ the quantile of Student's distribution at the confidence c, one-sided::
     upper limit      U = m + t s / sqrt(S)
     reach            R = m + 2 t s / sqrt(S)     what the upper limit on as many other subjects is expected to keep below
 
-Of the protocols whose reach is below the target the one with the shortest session is chosen, to the minute; of those the one that
-needs fewer instruments, then that with the least error. It alone is then tried on the other cohort, whose people, devices and
-benches had no part in the choice: the session is enough where *their* upper limit is below the target, and every device was
-calibrated. Errors of people are skewed, and Student's upper limit is low for these: of 30 lognormal ones (0.4) below the true mean
-in 8 % at a confidence of 95 %. The reach makes up for it: a session that is not enough is hardly ever tried. People who were
-recorded have no other cohort: each is then judged with the session that all the others choose.
+Of the protocols whose reach is below the target the one with the shortest session is chosen, to the minute; of those the one of the
+least stated price, then what asks least of a laboratory (``plan.INSTRUMENTS``, by the dearest that is needed), then that with the
+least error. Where an hour at the rig has a price too, the price comes before the minutes. It alone is then tried on the other
+cohort, whose people, devices and benches had no part in the choice: the session is enough where *their* upper limit is below the
+target, and every device was calibrated. Errors of people are skewed, and Student's upper limit is low for these: of 30 lognormal
+ones (0.4) below the true mean in 8 % at a confidence of 95 %. The reach makes up for it: a session that is not enough is hardly
+ever tried. People who were recorded have no other cohort: each is then judged with the session that all the others choose.
 
 The chosen one may have the first or the last value that was tried of a parameter that decides the error, with more beyond it. Then
 the best session may lie outside what was tried, and the verdict is not "enough". Where nothing reaches the target, the error of the
@@ -26,7 +27,7 @@ import numpy as np
 from undrift.arrays import BoolArray, FloatArray
 from undrift.findings import Finding, finding
 from undrift.study.judge import SYMBOLS, Optimum, Tested, needed_text
-from undrift.study.plan import Aim, StudyTask
+from undrift.study.plan import INSTRUMENTS, Aim, StudyTask
 from undrift.study.run import TaskSurface
 from undrift.study.statistics import MOST_SUBJECTS, mean_limits
 
@@ -57,12 +58,19 @@ class CheapestSession:
     place: int  # Of the protocol that was tried on the other cohort: the chosen one, or the optimum where none reaches
     chosen: bool  # Whether one does reach on the subjects that choose
     minutes: float  # On the rig
-    needs: tuple[str, ...]  # Instruments
+    needs: tuple[str, ...]  # Of ``plan.INSTRUMENTS``
+    price: float  # Of these and the time, in the currency of the plan; 0 where none is stated
+    currency: str
     edges: tuple[str, ...]  # Deciding parameters of which it has the first or last value that was tried
     tested: Tested  # On the other cohort
     subjects_needed: int | None  # For a reach below the target, were the other cohort's figures true
     obstacle: tuple[str, float] | None  # Effect that stands in the way, and its share of the mean square
     verdict: TargetVerdict
+
+    @property
+    def needs_text(self) -> str:
+        """What is needed, with its price where one is stated."""
+        return ", ".join(self.needs) + (f", {self.price:.0f} {self.currency}" if self.price else "")
 
     @property
     def finding(self) -> Finding:
@@ -71,7 +79,7 @@ class CheapestSession:
         words = {"target_deg": self.target_deg, "upper_deg": upper, "confidence_percent": 100.0 * self.confidence}
         words |= {"minutes": self.minutes, "subjects": self.tested.subjects}
         if self.verdict == "enough":
-            return finding("study.enough", "info", needs=self.needs, **words)
+            return finding("study.enough", "info", needs=self.needs_text, **words)
         if self.verdict == "at the edge":
             return finding(
                 "study.enough_at_edge", "warn", parameters=tuple(SYMBOLS[name] for name in self.edges), **words
@@ -94,10 +102,13 @@ class CheapestSession:
 
 def needs_of(task: StudyTask, surface: TaskSurface, place: int) -> tuple[str, ...]:
     """Return the instruments that a protocol needs."""
-    count = surface.further["set_points"][place] if "set_points" in surface.further else len(task.base.temperatures_c)
-    chosen = task.poses[int(surface.further["poses"][place]) - 1] if "poses" in surface.further else ()
-    inclined = any(" " in pose for pose in chosen)
-    return ("rate table", *["inclined plane"] * inclined, *["chamber"] * bool(count > 1))
+    further = {name: int(values[place]) for name, values in surface.further.items()}
+    listed = task.places[further["places"] - 1] if "places" in further else task.base.temperatures_c
+    chamber = bool(listed) and further.get("set_points", 2) > 1
+    inclined = any(" " in pose for pose in (task.poses[further["poses"] - 1] if "poses" in further else ()))
+    needed = {"faces fixture": True, "inclined plane": inclined, "rate table": True, "chamber": chamber}
+    needed["wedge"] = chamber and further.get("mounting") == 2
+    return tuple(name for name in INSTRUMENTS if needed.get(name))
 
 
 def choose(task: StudyTask, surface: TaskSurface, optimum: Optimum, aim: Aim) -> int | None:
@@ -105,19 +116,20 @@ def choose(task: StudyTask, surface: TaskSurface, optimum: Optimum, aim: Aim) ->
     if aim.target_deg is None:
         return None
     usable: BoolArray = optimum.equivalent | optimum.worse | optimum.undecided
-    return _cheapest(task, surface, surface.aimed(aim), usable, aim.target_deg, aim.confidence)
+    return _cheapest(task, surface, surface.aimed(aim), usable, aim)
 
 
-def _cheapest(
-    task: StudyTask, surface: TaskSurface, error: FloatArray, usable: BoolArray, target_deg: float, confidence: float
-) -> int | None:
+def _cheapest(task: StudyTask, surface: TaskSurface, error: FloatArray, usable: BoolArray, aim: Aim) -> int | None:
     mean = error.mean(axis=0)
-    upper = np.array([mean_limits(column, confidence)[1] for column in error.T])
-    places = np.flatnonzero(usable & (2.0 * upper - mean <= target_deg))
+    upper = np.array([mean_limits(column, aim.confidence)[1] for column in error.T])
+    places = np.flatnonzero(usable & (2.0 * upper - mean <= (aim.target_deg or 0.0)))
     if not len(places):
         return None
-    count = np.array([len(needs_of(task, surface, int(place))) for place in places])
-    return int(places[np.lexsort((mean[places], count, np.round(surface.rig_minutes[places])))[0]])
+    needs, minutes = [needs_of(task, surface, int(place)) for place in places], surface.rig_minutes[places]
+    price = np.array([aim.prices.of(*each) for each in zip(needs, minutes, strict=True)])
+    asked = np.array([sum(2 ** INSTRUMENTS.index(name) for name in each) for each in needs])
+    first, then = (price, minutes.round()) if aim.prices.hour else (minutes.round(), price)
+    return int(places[np.lexsort((mean[places], asked, then, first))[0]])
 
 
 def leave_one_out(task: StudyTask, surface: TaskSurface, optimum: Optimum, aim: Aim, tested: Tested) -> Tested:
@@ -128,7 +140,7 @@ def leave_one_out(task: StudyTask, surface: TaskSurface, optimum: Optimum, aim: 
     error, places = surface.aimed(aim), []
     for person in range(len(error)):
         rest = np.delete(error, person, axis=0)
-        place = _cheapest(task, surface, rest, usable, aim.target_deg, aim.confidence)
+        place = _cheapest(task, surface, rest, usable, aim)
         places.append(int(np.argmin(np.where(usable, rest.mean(axis=0), np.inf))) if place is None else place)
     alone = error[np.arange(len(error)), places]
     return replace(tested, limits_deg=mean_limits(alone, aim.confidence))
@@ -161,7 +173,9 @@ def judge_target(
         place=place,
         chosen=chosen is not None,
         minutes=float(surface.rig_minutes[place]),
-        needs=needs_of(task, surface, place),
+        needs=(needs := needs_of(task, surface, place)),
+        price=aim.prices.of(needs, float(surface.rig_minutes[place])),
+        currency=aim.prices.currency,
         edges=edges,
         tested=tested,
         subjects_needed=_needed(tested, aim.target_deg),
