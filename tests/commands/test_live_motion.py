@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from testkit.guided_motion import guided_recording
+from testkit.printing_board import ACCEL_LSB_PER_G, GYRO_LSB_PER_DPS, PrintingBoard, sketch_line
 from testkit.talking_device import TalkingDevice
 from testkit.terminal import Terminal, on
 from testkit.waiting import eventually
@@ -59,6 +60,25 @@ def _quick(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 GRAVITY = ("--gravity-m-s2", "9.80665")
+
+
+def test_a_board_is_calibrated_without_a_word_about_it(undrift, tmp_path):
+    record, _ = guided_recording(0, 5)
+    gyro, accel = np.degrees(record.gyro) * GYRO_LSB_PER_DPS, np.asarray(record.accel) / 9.80665 * ACCEL_LSB_PER_G
+
+    def line(k: int) -> bytes:
+        k = min(k, len(gyro) - 1)
+        return sketch_line(k, 10_000 * k, gyro[k], accel[k], 25.0)
+
+    with PrintingBoard() as board:
+        board.print_lines(line)
+        answer = undrift("calibrate", "--live", board.port, "-o", tmp_path / "c.json", "--live-s", "4", "--json")
+    printed = answer.json()
+    made = read_record(tmp_path / "c.parquet")
+    assert (made.gyro_unit, made.accel_unit, round(made.sample_rate_hz)) == ("count", "count", 100)
+    assert made.duration_s > 3.0
+    assert answer.code == 2, "4 s are too short for a fit"
+    assert "wanted" in printed["error"]["text"]
 
 
 def test_collecting_stops_by_itself_and_the_calibration_is_that_of_the_readings(undrift, tmp_path, turned):

@@ -24,7 +24,9 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from testkit.disk import full_after, preloaded
+from testkit.talking_device import TalkingDevice
 
+LINE = 200  # bytes: a header and one reading
 GOOD, BAD = ("clear", "succeeds"), ("unclear", "crash", "half file", "lost", "apart", "scrap", "not again")
 
 
@@ -36,6 +38,7 @@ class Call:
     together: bool = False  # Its files belong together
     fresh: bool = False  # It refuses to write over an older result, or goes on with it
     slow: bool = False  # Fails at some of its calls only
+    live: bool = False  # What came until then stays, in a file that it names
 
 
 STUDY = """[study]
@@ -105,6 +108,8 @@ CALLS = {
     "registry trend": Call(
         "registry trend --serial {serial} --registry {b}/r.sqlite --figure {o}/t.svg --report {o}/t.html"
     ),
+    "record .csv": Call("record {device} -o {o}/x.csv --duration-s 5", fresh=True, live=True),
+    "record .parquet": Call("record {device} -o {o}/x.parquet --duration-s 5", fresh=True, live=True),
     "demo": Call("demo --quick -o {o}/demo", fresh=True, slow=True),
 }
 FEW = ("info --write-map", "correct .csv", "export c", "registry add")
@@ -203,11 +208,34 @@ def judge(
     )
 
 
-def swept(name: str, folder: Path, serial: str, *, few: bool) -> tuple[int, Counter[str], float]:
+def judge_recording(out: Path, answer: tuple[int, str]) -> str:
+    """Name what became of a recording: what is left must be whole up to its end, and be named."""
+    from undrift.io.formats import read_record
+
+    (code, err), left = answer, [path for path in out.iterdir() if path.suffix != ".json"]
+    last = (err.strip().splitlines() or [""])[-1]
+    if code == -1 or "Traceback" in err:
+        return "crash"
+    if len(left) > 1:
+        return "scrap"
+    try:
+        rows = [len(read_record(path)) for path in left if path.stat().st_size > LINE]
+    except ValueError:
+        return "half file"
+    if code == 0:
+        return "succeeds" if rows else "unclear"
+    return (
+        "clear"
+        if code == 2 and "make room" in last and all(str(path) in last for path in left[: len(rows)])
+        else "unclear"
+    )
+
+
+def swept(name: str, folder: Path, words_of: dict[str, str], *, few: bool) -> tuple[int, Counter[str], float]:
     """Return how many faults a command has room for, what became of it, and the seconds that it took."""
     call, disk = CALLS[name], folder / "disk"
     out = disk / "out"
-    words = [word.format(b=folder / "in", o=out, serial=serial) for word in call.words.split()]
+    words = [word.format(b=folder / "in", o=out, **words_of) for word in call.words.split()]
 
     def begin(held: dict[str, bytes]) -> None:
         shutil.rmtree(disk, ignore_errors=True)
@@ -236,8 +264,8 @@ def swept(name: str, folder: Path, serial: str, *, few: bool) -> tuple[int, Coun
                 if counted[0] <= n:
                     break
                 faults, n = faults + 1, n + (5 if few and n > 12 else 1 + n // 3 if call.slow else 1)
-                kind = judge(call, held, contents(out), sound, answer)
-                if kind == "clear" and call.fresh and not call.slow and called(words)[0] not in (0, 1):
+                kind = judge_recording(out, answer) if call.live else judge(call, held, contents(out), sound, answer)
+                if kind == "clear" and call.fresh and not (call.slow or call.live) and called(words)[0] not in (0, 1):
                     kind = "not again"
                 found[kind] += 1
                 if kind in BAD and (kind, answer[1]) not in shown:
@@ -263,11 +291,13 @@ def main() -> int:
     serial = make_inputs(folder / "in", soak="drift" in names)
     tempfile.tempdir = str(folder / "disk" / "tmp")
     total, rows = Counter[str](), []
-    for name in names:
-        faults, found, seconds = swept(name, folder, serial, few=given.few)
-        total += found
-        rows.append((name, faults, found, seconds))
-        print(f"{name}: {faults} faults, {dict(found)}, {seconds:.1f} s", flush=True)
+    with TalkingDevice(1000.0) as device:  # ten times as fast as it says
+        words = {"serial": serial, "device": device.address.replace("rate=1000", "rate=100") + "&clock_speed=10"}
+        for name in names:
+            faults, found, seconds = swept(name, folder, words, few=given.few)
+            total += found
+            rows.append((name, faults, found, seconds))
+            print(f"{name}: {faults} faults, {dict(found)}, {seconds:.1f} s", flush=True)
     kinds = (*GOOD, *BAD)
     print(f"{'command':20}{'faults':>8}" + "".join(f"{kind:>10}" for kind in kinds))
     for name, faults, found, _ in rows:

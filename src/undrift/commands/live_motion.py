@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 from undrift.base.options import options
 from undrift.commands import Screen
 from undrift.commands.files import Place
+from undrift.commands.record import address_of
 from undrift.errors import InputError, UndriftError
 
 if TYPE_CHECKING:
@@ -51,7 +52,8 @@ class LiveMotion:
     Parameters
     ----------
     live : str or None
-        Address of a device that is moved now, in place of recordings: tcp://host:port?... Readings are written beside the output.
+        A device that is moved now, in place of recordings: a serial port or another address, as in `record`; what lines of text
+        hold is found by listening. Readings are written beside the output.
     live_s : float
         With --live: longest time to collect, device s.
     enough_percent : float
@@ -141,12 +143,17 @@ def _bar(one: "ElementKnown") -> str:
 def collect(live: LiveMotion, output: Path | None, place: Place, fit: Fit, screen: Screen) -> dict[str, Any]:
     """Write what a device sends until each element is known well enough, the time is over, or Ctrl-C; say how it ended."""
     from undrift.commands.bench.source import LiveDevice
+    from undrift.live.log import described_address
 
     if live.live is None or output is None:
         return {}
     names = (output.with_name(f"{output.stem}{more}.parquet") for more in chain(("",), (f"-{k}" for k in count(2))))
     path = next(name for name in names if not name.exists())  # no recording is written over
-    source = LiveDevice(live.live)
+    screen.over(f"Listening to {live.live} ...")
+    address, notes = described_address(address_of([live.live]))
+    screen.over("")
+    screen.say(*(f"  note: {note}" for note in notes))
+    source = LiveDevice(address)
     try:
         source.start()
         watch = MotionWatch(source, path, fit, place, live.enough_percent)
@@ -164,4 +171,4 @@ def collect(live: LiveMotion, output: Path | None, place: Place, fit: Fit, scree
         raise InputError(f"`live`: wanted readings of {live.live}, got none before it was stopped; try again")
     screen.over("\n".join(watch.table()), last=True)
     screen.say(f"Wrote {file}")
-    return {"recording": str(file), "seconds": watch.seconds, "ended": ended}
+    return {"address": address, "recording": str(file), "seconds": watch.seconds, "ended": ended}

@@ -85,7 +85,7 @@ def record(
     named = [f"{kind}{value}" for kind, value in ways.items() if value is not None]
     if not named and output is None:
         return _ports()
-    where = _address(named)
+    where = address_of(named)
     if output is None:
         raise InputError(f"record: wanted a file to write, got none; say `output` walk.parquet to record {where}")
     check_output(output, endings=FORMATS)
@@ -113,7 +113,7 @@ def record(
     return replace(made, notes=(*made.notes, *left))
 
 
-def _address(named: list[str]) -> str:
+def address_of(named: list[str]) -> str:
     """Return the address of the one device that is named, or of the only port."""
     from undrift.live.transports import serial_ports
 

@@ -112,8 +112,8 @@ class ParquetWriter:
                 with _room(self.path, 0) if kind is None else suppress(OSError):
                     self._writer.close()
                     self._sink.close()
-            if kind is None and self._writer is not None:
-                self._part.replace(self.path)
+                    if kind is None:
+                        self._part.replace(self.path)
         finally:
             if self._sink is not None:  # a writer that fails leaves it open, and its room on the disk taken
                 with suppress(OSError):
