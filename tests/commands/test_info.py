@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from testkit.command_line import beyond_the_table, contents
-from testkit.data import DATA, data_path
+from testkit.data import DATA, data_path, needs_data
 from undrift.base.summary import plain
 from undrift.io.formats import write_record
 from undrift.record import Record
@@ -309,3 +309,18 @@ def test_python_gets_what_the_command_line_shows(undrift, bench):
     (bench / "again.parquet").unlink()
     assert (corrected.files[0].output, "\n" in repr(corrected)) == (bench / "again.parquet", False)
     assert "Recordings" in corrected._repr_html_()
+
+
+@needs_data
+def test_a_pendulum_with_orientations_beside_its_readings_is_read_by_commands_alone(undrift, tmp_path):
+    file = data_path("pendulum_with_optics", "Pendulum_Test02a_Trial1_Segment_1.csv.gz")
+    answer = undrift("info", file, "--write-map", tmp_path / "map.toml")
+    assert answer.code == 0
+    beside = tmp_path / "map-reference.toml"
+    for made in (tmp_path / "map.toml", beside):
+        made.write_text(made.read_text().replace("\nunits", "\nrepair_time = true\nunits", 1))
+    words = ("validate", file, "--map", tmp_path / "map.toml", "--reference", file, "--reference-map", beside)
+    assert "the axis of its laboratory that points up is -x" in undrift.refused(*words)
+    beside.write_text(beside.read_text() + 'up = "-x"\n')
+    (trial,) = undrift(*words, "--json").json()["trials"]
+    assert trial["rmse_inclination_deg"] < 60.0

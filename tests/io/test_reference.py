@@ -122,7 +122,9 @@ def test_a_map_in_toml_reads_a_table_of_foreign_names_and_repairs_its_time(tmp_p
     text = 'columns = { time = 0, quaternion = [1, 2, 3, 4] }\nunits = { time = "ms" }\n'
     text += 'layout = { delimiter = ";", header = false, skip_rows = 2 }\n'
     (tmp_path / "map.toml").write_text(text)
-    with pytest.raises(InputError, match="strictly increasing"):
+    with pytest.raises(
+        InputError, match="time that goes forward, got 1 rows that do not, first row 3; state repair_time = true"
+    ):
         read_reference(tmp_path / "optics.csv", read(ReferenceMap, tmp_path / "map.toml"))
     (tmp_path / "map.toml").write_text(text + "repair_time = true\n")
     back = read_reference(tmp_path / "optics.csv", read(ReferenceMap, tmp_path / "map.toml"))

@@ -6,6 +6,7 @@ counter counts. What nothing shows is "?".
 
 import json
 import re
+import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
@@ -47,6 +48,13 @@ _STEP = {"s": (2e-4, 0.2), "ms": (0.2, 200.0), "us": (200.0, 2e5), "ns": (2e5, 2
 # The largest rate: 36 rad/s were more than the 2000 deg/s that gyroscopes reach. Below, noise tells: at rest it is 0.03 to
 # 0.3 deg/s, or 0.0005 to 0.005 rad/s
 _RATE, _SPREAD_RAD_S = {"rad/s": (1.0, 36.0), "dps": (36.0, 4500.0)}, 0.01
+_NO_MARKER = re.compile(r"(?i)vel|force|moment|angle|euler|quat|\bacc|\bgyr|\bmag")
+_MARKER = re.compile(r"(?i)marker|mkr|traj|pos|^m?\d+[ _.]|^[lr](asi|psi|sho|kne|ank|hee|toe)")
+_LENGTHS = tuple((unit, re.compile(rf"(?i)[_ \[(]{unit}\b")) for unit in ("mm", "cm", "m"))
+_RIGID, _LEAST_FRAMES = (
+    0.03,
+    10,
+)  # range of distances over their size, of skin and of optics; frames that are enough [assumed]
 _COUNTS = 200.0  # whole numbers beyond this are an integer sensor's
 _TEMP_C = (-30.0, 90.0)
 _STATED_RATE = re.compile(
@@ -131,24 +139,85 @@ def quaternion_of_names(names: tuple[str, ...]) -> tuple[str, ...] | None:
     return next(fours, None)
 
 
-def reference_map(text: Text, names: tuple[str, ...]) -> tuple[str, ...]:
-    """Return an example of the map that a table of orientations needs, none where it holds none or a gyroscope too."""
+def reference_map(text: Text, names: tuple[str, ...], *, beside: bool = False) -> tuple[str, ...]:
+    """Return an example of the map that a table of orientations or markers needs; none where it holds none.
+
+    A table with a gyroscope holds readings first: its orientations are asked for with ``beside``.
+    """
     four, readings = quaternion_of_names(names), partial(_readings, text, {})
-    gyro = any(label is not None and label.channel == "gyro" for label in map(label_of, names))
-    length = np.linalg.norm(readings(list(four)), axis=1) if four and not gyro else np.empty(0)
-    if not four or not len(length) or abs(float(np.median(length)) - 1.0) > NEARLY_UNIT:
+    if any(label is not None and label.channel == "gyro" for label in map(label_of, names)) is not beside:
         return ()
-    clock = next((name for name in names if _NAMED["time"].match(name.strip())), None)
-    columns = f"quaternion = {_quoted(four)}"
-    if clock is None:
-        lines = [f"columns = {{ {columns} }}", f"sample_rate_hz = {_stated_rate(text, ())}"]
+    by_place = (
+        beside and not text.layout.header and not names[-1].isdecimal()
+    )  # under two header rows, which a map passes over
+
+    def where(columns: tuple[str, ...] | str) -> str:
+        if not by_place:
+            return _quoted(columns)
+        return json.dumps(names.index(columns) if isinstance(columns, str) else [names.index(one) for one in columns])
+
+    def read(columns: tuple[str, ...] | list[Column]) -> FloatArray:
+        return readings([names.index(str(one)) for one in columns] if by_place else list(columns))
+
+    units, why, more = dict[str, str](), dict[str, str](), list[str]()
+    length = np.linalg.norm(read(four), axis=1) if four else np.empty(0)
+    if four and len(length) and abs(float(np.median(length)) - 1.0) <= NEARLY_UNIT:
+        keys = {"quaternion": where(four)}
+    elif not beside and (cluster := _cluster(names, partial(_readings, text, {}, gaps=True))):
+        triples, units["markers"], apart = cluster
+        keys, more = (
+            {"markers": _quoted(triples)},
+            ['up = "?"  # x, y, z, -x, -y or -z: the axis of the laboratory that points up'],
+        )
+        why["markers"] = f"markers {apart:.3g} apart"
     else:
-        keys, unit = {"time": _quoted(clock)}, _unit_of("time", clock)
-        unit, why = proposed_units(readings, keys, {"time": unit}).get("time", (unit, ""))
-        lines = [f"columns = {{ time = {_quoted(clock)}, {columns} }}", f"units = {{ time = {_quoted(unit)} }}"]
-        lines[1] += f"  # proposed: time by {why}" * bool(why)
+        return ()
+    clock = next(
+        (name for name in names if _NAMED["time"].match(name.strip().split(" ")[0] if beside else name.strip())), None
+    )
+    if clock is None:
+        more.insert(0, f"sample_rate_hz = {_stated_rate(text, ())}")
+    else:
+        unit = _unit_of("time", clock)
+        units["time"], reason = proposed_units(read, {"time": _quoted(clock)}, {"time": unit}).get("time", (unit, ""))
+        keys, why = {"time": where(clock), **keys}, why | {"time": reason}
+    lines = [f"columns = {{ {', '.join(f'{key} = {value}' for key, value in keys.items())} }}"]
+    if units:
+        reasons = "; ".join(f"{key} by {reason}" for key, reason in why.items() if reason)
+        shown = ", ".join(f"{key} = {_quoted(unit)}" for key, unit in units.items())
+        lines.append(f"units = {{ {shown} }}" + f"  # proposed: {reasons}" * bool(reasons))
     layout = ", ".join(f"{key} = {json.dumps(value)}" for key, value in stated_layout(text.layout).items())
-    return (*lines, *([f"layout = {{ {layout} }}"] if layout else []))
+    return (*lines, *more, *([f"layout = {{ {layout} }}"] if layout else []))
+
+
+def _cluster(
+    names: tuple[str, ...], readings: Callable[[list[Column]], FloatArray]
+) -> tuple[tuple[tuple[str, str, str], ...], str, float] | None:
+    """Return the columns of most markers that keep their distances, the unit that these suggest, and their mean distance.
+
+    Such a set moves, or its names say that it is of markers: what accelerometers read at rest keeps its distances too.
+    """
+    triples = [one for one in triples_of(names) if label_of(one[0]) is None and not _NO_MARKER.search(one[0])]
+    points = readings([name for one in triples for name in one]) if len(triples) >= 3 else np.empty((0, 1))
+    if len(points) < _LEAST_FRAMES:
+        return None
+    points = points.reshape(len(points), -1, 3)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # a marker that is never seen
+        apart = np.linalg.norm(points[:, :, None] - points[:, None], axis=3)
+        usual, spread = np.nanmedian(apart, axis=0), np.subtract(*np.nanpercentile(apart, (95.0, 5.0), axis=0))
+        moved = np.nanmax(np.nanstd(points, axis=0), axis=1)
+    rigid = (spread < _RIGID * usual) & (usual > 0.0)
+    sets = [np.flatnonzero(rigid[:, k] | (np.arange(len(triples)) == k)) for k in range(len(triples))]
+    body = max(([k for k in one if rigid[k, one].sum() == len(one) - 1] for one in sets), key=len)
+    if len(body) < 3:
+        return None
+    of_body = tuple(triples[k] for k in body)
+    mean = float(usual[np.ix_(body, body)].sum()) / (len(body) * (len(body) - 1))
+    if not (moved[body] > 0.1 * mean).any() and not all(_MARKER.search(one[0]) for one in of_body):
+        return None
+    stated = next((unit for unit, pattern in _LENGTHS if pattern.search(of_body[0][0])), None)
+    return of_body, stated or ("m" if mean < 3.0 else "mm" if mean > 10.0 else "?"), mean
 
 
 def stated_layout(layout: TextLayout) -> dict[str, Any]:
@@ -292,8 +361,8 @@ def _stated_rate(text: Text | None, arrays: Arrays) -> str:
     return "?"
 
 
-def _readings(text: Text | None, arrays: dict[str, Any], columns: list[Column]) -> FloatArray:
-    """Return columns of the first MiB of text, or of an array, (N, K) without gaps; none where there are none."""
+def _readings(text: Text | None, arrays: dict[str, Any], columns: list[Column], *, gaps: bool = False) -> FloatArray:
+    """Return columns of the first MiB of text, or of an array, (N, K), rows with gaps left out; none where there are none."""
     values = arrays.get(str(columns[0]))
     if text is not None:
         whole = text.content is None and len(text.head) < 1 << 20
@@ -307,7 +376,7 @@ def _readings(text: Text | None, arrays: dict[str, Any], columns: list[Column]) 
     if values is None or values.dtype.kind not in "fiu" or values.ndim > 2 or not values.size:
         return np.empty((0, 1))
     values = np.asarray(values, dtype=np.float64).reshape(len(values), -1)
-    return values[np.isfinite(values).all(axis=1)]
+    return values if gaps else values[np.isfinite(values).all(axis=1)]
 
 
 def _unit_of(channel: str, names: str) -> str:

@@ -246,6 +246,7 @@ class Description:
     findings: tuple[Finding, ...] = ()
     # Lines of the map that a table of foreign names may need, "?" where a person must state the unit
     example: tuple[str, ...] = ()
+    beside: tuple[str, ...] = ()  # Of the map of orientations that stand beside readings
     # What was read: a session, or a recording as a session of one
     session: Session | None = field(default=None, repr=False)
 
@@ -410,7 +411,8 @@ def _needs(path: Path, name: str, settings: ReadSettings) -> Description | None:
     if is_native(names):
         return None
     if text is not None and (poses := reference_map(text, names)):
-        what = "a table of orientations, to be read as a reference; needs a map"
+        of = "markers" if "markers = " in poses[0] else "orientations"
+        what = f"a table of {of}, to be read as a reference; needs a map"
         return replace(_not_read(path, name, names, what), example=poses)
     foreign = None if text is None else foreign_kind(text)
     if foreign is not None:
@@ -428,7 +430,8 @@ def _needs(path: Path, name: str, settings: ReadSettings) -> Description | None:
         what = f"a table of {len(names)} columns" + " without names" * names[-1].isdecimal()
     shown = tuple(f"{key} {array.shape}" for key, array in arrays) or names
     needed = f"{what}; needs a map with the true units, for example {', '.join(example)}"
-    return replace(_not_read(path, name, shown, needed), example=example)
+    beside = () if text is None else reference_map(text, names, beside=True)
+    return replace(_not_read(path, name, shown, needed), example=example, beside=beside)
 
 
 def _not_read(path: Path, name: str, columns: tuple[str, ...], what: str, *, missing: str = "") -> Description:
@@ -455,7 +458,8 @@ def _reference(path: Path, name: str, columns: ReferenceMap | None = None) -> De
         reference = read_reference(path, labels=names[:1])
     seen = int(reference.valid.sum())
     more = f" of each of {len(names)} bodies ({', '.join(names)}); name one" if names else ""
-    more += f", {reference.name.removeprefix(path.name).strip()}" if name in ("xsens", "dot") else ""
+    of_reading = columns is not None or name in ("xsens", "dot")
+    more += f", {reference.name.removeprefix(path.name).strip()}" if of_reading else ""
     return Description(
         path=str(path),
         kind="reference",

@@ -20,7 +20,8 @@ laboratory; a lost body is zeros, NaN or empty cells.
 
 import re
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from itertools import chain
 from pathlib import Path
 from typing import Annotated, Literal, get_args
 
@@ -34,7 +35,7 @@ from undrift.frames import quaternion_conjugate, quaternion_product, rotate
 from undrift.io.arrays import Arrays, table_of_arrays
 from undrift.io.columns import Column, RawTable, TextLayout, is_number
 from undrift.io.labelled import Sheet, as_utf8
-from undrift.io.mocap import Markers, Up, fit_cluster, level_from, markers_of
+from undrift.io.mocap import Markers, Up, fit_cluster, level_from, markers_of, pose_from_cluster
 from undrift.io.parquet import read_parquet_table
 from undrift.io.text import Text, open_text, parse_text, write_rows
 from undrift.record import Reference
@@ -206,6 +207,13 @@ POSITION = ("pos_x_m", "pos_y_m", "pos_z_m")
 NEARLY_UNIT = 0.01  # devices round, and some scale: such quaternions are made unit, others are refused
 
 
+_HALF = 2.0**-0.5
+_LEVELLED = {  # quaternions that turn an axis of the laboratory up, to z
+    "x": (_HALF, 0.0, -_HALF, 0.0), "y": (_HALF, _HALF, 0.0, 0.0), "z": (1.0, 0.0, 0.0, 0.0),
+    "-x": (_HALF, 0.0, _HALF, 0.0), "-y": (_HALF, -_HALF, 0.0, 0.0), "-z": (0.0, 1.0, 0.0, 0.0),
+}  # fmt: skip
+
+
 @stored()
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReferenceMap:
@@ -216,12 +224,16 @@ class ReferenceMap:
     # Time column; without it ``sample_rate_hz`` is required
     time: Annotated[Column | None, Key("columns.time")] = None
     position: Annotated[tuple[Column, Column, Column] | None, Key("columns.position")] = None  # Columns x, y, z
+    # Columns x, y, z of three or more markers of one rigid body, in place of a quaternion
+    markers: Annotated[tuple[tuple[Column, Column, Column], ...], Key("columns.markers")] = ()
     moving: Annotated[Column | None, Key("columns.moving")] = None  # Column that is 1 in motion
     time_unit: Annotated[str, Key("units.time")] = ""  # Units; needed where the columns are named
     position_unit: Annotated[str, Key("units.position")] = ""
+    markers_unit: Annotated[str, Key("units.markers")] = ""
     sample_rate_hz: float | None = None  # Hz, where there is no time column
     # "body_to_level" as undrift has it, or "level_to_body" for the inverse
     turns: Literal["body_to_level", "level_to_body"] = "body_to_level"
+    up: str = "z"  # Axis of the laboratory that points up: x, y, z, -x, -y or -z
     repair_time: bool = False  # Leave out rows whose time does not go forward
     layout: TextLayout = field(default_factory=TextLayout)  # For text files
 
@@ -232,19 +244,25 @@ class ReferenceMap:
             )
         si_factor(self.time_unit if self.time is not None else "s", "time")
         si_factor(self.position_unit if self.position is not None else "m", "length")
+        si_factor(self.markers_unit if self.markers else "m", "length")
         if self.turns not in ("body_to_level", "level_to_body"):
             raise InputError(f"turns: wanted body_to_level or level_to_body, got {self.turns!r}")
+        if self.up not in _LEVELLED:
+            raise InputError(
+                f"up: wanted the axis of the laboratory that points up, one of {', '.join(_LEVELLED)}, got {self.up!r}"
+            )
 
     def wanted(self) -> tuple[Column, ...]:
         """Return all mapped columns."""
         singles = [() if column is None else (column,) for column in (self.time, self.moving)]
-        return (*singles[0], *self.quaternion, *(self.position or ()), *singles[1])
+        bodies = (*self.quaternion, *(self.position or ())) if not self.markers else chain.from_iterable(self.markers)
+        return (*singles[0], *bodies, *singles[1])
 
 
 def read_reference_map(path: Path) -> ReferenceMap | None:
     """Read a map of orientations; None where it is one of readings."""
     columns = toml_of(path)[0].get("columns")
-    return read(ReferenceMap, path) if isinstance(columns, dict) and "quaternion" in columns else None
+    return read(ReferenceMap, path) if isinstance(columns, dict) and {"quaternion", "markers"} & {*columns} else None
 
 
 def read_text_poses(path: Path, columns: ReferenceMap | None = None) -> Reference:
@@ -320,10 +338,6 @@ def _poses(table: RawTable, columns: ReferenceMap, path: Path) -> Reference:
         values[np.isnan(values).any(axis=1)] = np.nan
         return values
 
-    quat = read(columns.quaternion)
-    norm = np.linalg.norm(quat, axis=1)[:, None]
-    quat = np.where(np.abs(norm - 1.0) < NEARLY_UNIT, quat / np.where(norm > 0.0, norm, 1.0), quat)
-    length = si_factor(columns.position_unit, "length") if columns.position is not None else 1.0
     if columns.time is None:
         # ReferenceMap has checked that the rate is there
         time: FloatArray = np.arange(len(table)) / (columns.sample_rate_hz or np.nan)
@@ -336,13 +350,34 @@ def _poses(table: RawTable, columns: ReferenceMap, path: Path) -> Reference:
             f"{path}: time column {columns.time!r}: wanted time that mostly goes forward, got {int((~keep).sum())} of {len(time)} "
             "rows to leave out; check that this is the time column"
         )
+    if not (forward | np.isnan(time)).all() and not columns.repair_time:
+        raise InputError(
+            f"{path}: time column {columns.time!r}: wanted time that goes forward, got {int((~forward).sum())} rows that do not, "
+            f"first row {int(np.argmin(forward)) + 1}; state repair_time = true in the map if they may be left out"
+        )
+    moving = None if columns.moving is None else table.numbers(columns.moving)[keep]
+    lost = int((~keep).sum())
+    levelled = np.array(_LEVELLED[columns.up])
+    name = f"{path.name} ({lost} rows left out, whose time does not go forward)" if lost else path.name
     try:
+        if columns.markers:
+            points = np.stack([read(one)[keep] for one in columns.markers], axis=1)
+            points *= si_factor(columns.markers_unit, "length")
+            labels = tuple(str(one[0]) for one in columns.markers)
+            markers = markers_of(path, labels, rotate(levelled, points), time[keep], up="z")
+            poses = pose_from_cluster(markers, markers.labels)
+            return replace(poses, moving=moving, name=poses.name.replace(path.name, name))
+        quat = read(columns.quaternion)
+        norm = np.linalg.norm(quat, axis=1)[:, None]
+        quat = np.where(np.abs(norm - 1.0) < NEARLY_UNIT, quat / np.where(norm > 0.0, norm, 1.0), quat)
+        quat = (quat if columns.turns == "body_to_level" else quaternion_conjugate(quat))[keep]
+        length = si_factor(columns.position_unit, "length") if columns.position is not None else 1.0
         return Reference(
             time=time[keep],
-            q_nb=(quat if columns.turns == "body_to_level" else quaternion_conjugate(quat))[keep],
-            position=None if columns.position is None else read(columns.position)[keep] * length,
-            moving=None if columns.moving is None else table.numbers(columns.moving)[keep],
-            name=path.name,
+            q_nb=quat if columns.up == "z" else quaternion_product(levelled, quat),
+            position=None if columns.position is None else rotate(levelled, read(columns.position)[keep] * length),
+            moving=moving,
+            name=name,
         )
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
@@ -350,7 +385,7 @@ def _poses(table: RawTable, columns: ReferenceMap, path: Path) -> Reference:
 
 # ---- poses of named bodies: OpenSim and QTM
 
-_FROM_Y_UP = 2.0**-0.5 * np.array([1.0, 1.0, 0.0, 0.0])  # z up from y up, as level_from turns points
+_FROM_Y_UP = np.array(_LEVELLED["y"])  # as level_from turns points
 
 
 def name_of(path: Path, names: tuple[str, ...], name: str | None) -> str:

@@ -91,7 +91,8 @@ def _check_up(record: Record, poses: Reference, lag_s: float, rotation: FloatArr
     if axis == "-z":
         text = "acceleration has the opposite sign, or its laboratory is mirrored (left-handed) or upside down"
     if angle > CLEARLY:
-        raise _other(poses, text, "name the laboratory axis that points up, or correct the sign of the columns")
+        action = "name the axis of the laboratory that points up (`reference_up`, or up in the map of a table)"
+        raise _other(poses, text, f"{action}, or correct the sign of the columns")
     return (finding("validate.not_up", "warn", angle_deg=angle / RADIAN_PER_DEGREE, text=text),)
 
 
