@@ -173,3 +173,16 @@ def test_a_log_of_orientations_is_a_reference_by_the_map_that_is_proposed(tmp_pa
     reference = read_reference(path, columns)
     np.testing.assert_allclose(reference.q_nb[:, 0], np.cos(half), atol=1e-6)
     assert reference.sample_rate_hz == pytest.approx(100.0)
+
+
+def test_lines_of_json_are_a_log_by_any_name_and_a_document_is_none(tmp_path):
+    lines = [
+        json.dumps({"t_ms": 10 * k, "ax": 0.01, "ay": 0.02, "az": 9.81, "gx": 0.1, "gy": 0.2, "gz": 0.3})
+        for k in range(50)
+    ]
+    for name in ("log.json", "log.jsonl", "log.txt"):
+        (tmp_path / name).write_text("\n".join(lines) + "\n")
+        assert format_of(tmp_path / name)[0] == "log", name
+    (tmp_path / "one.json").write_text("{}\n")
+    (tmp_path / "whole.json").write_text('{"a": {"b": 1},\n"c": 2}\n')
+    assert {format_of(tmp_path / name)[0] for name in ("one.json", "whole.json")} == {"json"}

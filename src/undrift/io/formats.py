@@ -97,8 +97,11 @@ def _is_mat(path: Path, head: bytes) -> bool:
 
 
 def _is_json(path: Path, head: bytes) -> bool:
-    if _suffix(path) == ".json" or _line(head, 0).lstrip()[:1] not in ("{", "["):
-        return _suffix(path) == ".json"
+    lines = [line.strip() for line in head.splitlines()[:2]]
+    if _suffix(path) == ".json":  # lines of JSON, each an object, are a log by any name
+        return len(lines) < 2 or not all(line.startswith(b"{") and line.endswith(b"}") for line in lines)
+    if _line(head, 0).lstrip()[:1] not in ("{", "["):
+        return False
     try:
         json.loads(read_tree(path))
     except (ValueError, RecursionError):
