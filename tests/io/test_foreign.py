@@ -76,6 +76,71 @@ def test_a_board_of_several_sensors_names_the_one_that_was_taken(tmp_path):
     assert codes(read(tmp_path, export_ardupilot(in_si()).text + "INS_ACC2OFFS_Y,0.2\n"))[1:] == ["imported.sensor"]
 
 
+# Where the sensor's x, y and z point in the airframe: what the names of MAVLink's list say, turned by hand
+@pytest.mark.parametrize(
+    ("program", "number", "x", "y", "z"),
+    [
+        ("PX4", 2, "+y", "-x", "+z"),  # yaw 90
+        ("PX4", 8, "+x", "-y", "-z"),  # roll 180
+        ("PX4", 12, "-x", "+y", "-z"),  # pitch 180
+        ("PX4", 14, "-y", "-x", "-z"),  # roll 180, yaw 270
+        ("PX4", 18, "+y", "+z", "+x"),  # roll 90, yaw 90
+        ("PX4", 20, "+x", "-z", "+y"),  # roll 270
+        ("PX4", 24, "-z", "+y", "+x"),  # pitch 90
+        ("PX4", 28, "-z", "+x", "-y"),  # roll 90, pitch 90
+        ("PX4", 35, "+z", "+x", "+y"),  # roll 270, pitch 270
+        ("PX4", 36, "-y", "-z", "+x"),  # roll 90, pitch 180, yaw 90
+        ("PX4", 43, "-z", "-y", "-x"),  # pitch 90, yaw 180
+        ("ArduPilot", 2, "+y", "-x", "+z"),
+        ("ArduPilot", 37, "-y", "+z", "-x"),  # roll 90, yaw 270
+    ],
+)
+def test_the_rotation_of_the_sensor_turns_readings_to_the_airframe(tmp_path, program, number, x, y, z):
+    export, name = {
+        "PX4": (export_px4, "SENS_BOARD_ROT"), "ArduPilot": (export_ardupilot, "AHRS_ORIENTATION")
+    }[program]  # fmt: skip
+    plain = export(in_si()).text
+    row = f"1\t1\t{name}\t{number}\t6\n" if program == "PX4" else f"{name},{number}\n"
+    back, before = read(tmp_path, plain + row), read(tmp_path, plain)
+    axes = np.array([[(1.0 if way[0] == "+" else -1.0) * (way[1] == axis) for way in (x, y, z)] for axis in "xyz"])
+    np.testing.assert_allclose(back.accel.matrix, axes @ before.accel.matrix, atol=1e-12)
+    np.testing.assert_allclose(back.gyro.matrix, axes @ before.gyro.matrix, atol=1e-12)
+    np.testing.assert_array_equal(back.accel.offset, before.accel.offset)
+
+
+def test_an_external_sensor_has_a_rotation_of_its_own_and_the_board_is_levelled(tmp_path):
+    rows = "CAL_ACC0_XOFF,0.1\nCAL_ACC0_ROT,{}\nCAL_GYRO0_ROT,4\nSENS_BOARD_ROT,8\nSENS_BOARD_X_OFF,{}\n"
+    back = read(tmp_path, rows.format(-1, 0))  # -1: internal, as the board
+    np.testing.assert_allclose(back.accel.matrix, np.diag([1.0, -1.0, -1.0]), atol=1e-12)
+    np.testing.assert_allclose(back.gyro.matrix, np.diag([-1.0, -1.0, 1.0]), atol=1e-12)
+    back, sine = read(tmp_path, rows.format(0, 2.0)), np.sin(np.radians(2.0))
+    np.testing.assert_allclose(back.accel.matrix[1:, 1], [np.sqrt(1.0 - sine**2), sine])
+
+
+def test_turns_by_45_deg_come_in_order_and_all_are_rotations(tmp_path):
+    for number in (*range(38), 39, 40, *range(41, 48)):
+        turned = read(tmp_path, f"CAL_ACC0_XOFF,0.1\nSENS_BOARD_ROT,{number}\n").gyro.matrix
+        np.testing.assert_allclose(turned @ turned.T, np.eye(3), atol=1e-12)
+        assert np.linalg.det(turned) > 0.0
+        if number < 8:
+            np.testing.assert_allclose(
+                turned[:2, 0], [np.cos(number * np.pi / 4), np.sin(number * np.pi / 4)], atol=1e-12
+            )
+
+
+@pytest.mark.parametrize(
+    ("text", "name"),
+    [
+        ("CAL_ACC0_XOFF,0.1\nSENS_BOARD_ROT,38\n", "PX4 .* SENS_BOARD_ROT 38"),
+        ("CAL_ACC0_XOFF,0.1\nCAL_GYRO0_ROT,48\n", "PX4 .* CAL_GYRO0_ROT 48"),
+        ("INS_ACCOFFS_X,0.1\nAHRS_ORIENTATION,101\n", "ArduPilot .* AHRS_ORIENTATION 101"),
+    ],
+)
+def test_rotations_whose_angles_are_not_listed_are_refused_with_the_mend(tmp_path, text, name):
+    with pytest.raises(FileFormatError, match=name + "; set it to 0 in a copy of the file"):
+        read(tmp_path, text)
+
+
 def test_offsets_whose_temperature_is_not_known_are_refused(tmp_path):
     for text, got in (
         ("TC_G_ENABLE,1\nCAL_GYRO0_XOFF,0.1\n", "wanted TC_G0_TREF, where the offsets hold, got none"),

@@ -1,8 +1,9 @@
 """Calibrations that other programs and devices hold, as calibrations of this package: constants without uncertainty.
 
 imucal      JSON: a = (K_a R_a)^-1 (s - b_a), w = (K_g R_g)^-1 (s - b_g - K_ga a)
-PX4         parameters CAL_ACC0_XOFF ..: (raw - offset) scale, m/s2; CAL_GYRO0_XOFF ..: raw - offset, rad/s
-ArduPilot   parameters INS_ACCOFFS_X, INS_ACCSCAL_X, INS_GYROFFS_X: the same
+PX4         parameters CAL_ACC0_XOFF ..: R (raw - offset) scale, m/s2; CAL_GYRO0_XOFF ..: R (raw - offset), rad/s; R turns the
+            sensor's axes to the airframe's: CAL_ACC0_ROT of an external sensor, else SENS_BOARD_ROT; then SENS_BOARD_X_OFF ..
+ArduPilot   parameters INS_ACCOFFS_X, INS_ACCSCAL_X, INS_GYROFFS_X: the same, R by AHRS_ORIENTATION
 x-io        Fusion's constants in C, or settings of an x-IMU3 in JSON: misalignment diag(sensitivity) (raw - offset), g and deg/s
 Shimmer3    the dump of a device: (K R)^-1 (raw - b), m/s2 and deg/s, one set for each range
 
@@ -163,7 +164,7 @@ def _inverse(content: dict[str, Any], gains: str, axes: str) -> FloatArray:
 # ---- parameters of the autopilots
 
 _PARAMETER = re.compile(  # "CAL_ACC0_XOFF,0.1", "1 1 CAL_ACC0_XOFF 0.1 9", "x + CAL_ACC0_XOFF [110,402] : 0.1"
-    r"\b((?:CAL|TC|INS)_[A-Z0-9_]+)\b(?:[ \t]*\[[\d,]+\])?[ \t,:=]+([-+]?\d[\d.eE+-]*)"
+    r"\b((?:CAL|TC|INS|AHRS|SENS_BOARD)_[A-Z0-9_]+)\b(?:[ \t]*\[[\d,]+\])?[ \t,:=]+([-+]?\d[\d.eE+-]*)"
 )
 
 
@@ -176,6 +177,35 @@ def _parameters(text: str) -> dict[str, float]:
 
 def _three(values: Mapping[str, float], name: str, axes: str = "XYZ", default: float = 0.0) -> FloatArray:
     return np.array([values.get(name.format(axis), default) for axis in axes])
+
+
+# Roll, pitch and yaw of each rotation, deg, in the order of MAVLink's list (MAV_SENSOR_ORIENTATION)
+_BOTH = [(roll, 0, 45 * k) for roll, yaws in ((0, 8), (180, 8), (90, 4), (270, 4)) for k in range(yaws)] + [
+    (0, 90, 0), (0, 270, 0), (0, 180, 90), (0, 180, 270), (90, 90, 0), (180, 90, 0), (270, 90, 0), (90, 180, 0), (270, 180, 0),
+    (90, 270, 0), (180, 270, 0), (270, 270, 0), (90, 180, 90), (90, 0, 270), None, (0, 315, 0), (90, 315, 0),
+]  # fmt: skip
+ROTATIONS = {  # None: its angles are listed rounded
+    "PX4": [*_BOTH, (270, 0, 180), (270, 0, 270), (0, 90, 180), (0, 9, 180), (0, 45, 0), (270, 0, 225), (270, 0, 315)],
+    "ArduPilot": [*_BOTH, (0, 7, 0), (45, 0, 0), (315, 0, 0)],
+}
+STATED = {"PX4": ("CAL_{}0_ROT", "SENS_BOARD_ROT"), "ArduPilot": ("AHRS_ORIENTATION",)}
+
+
+def _turned(program: str, values: Mapping[str, float], triad: str) -> FloatArray:
+    """Return the rotation (3, 3) from the sensor's axes to the airframe's: R_z(yaw) R_y(pitch) R_x(roll)."""
+    from scipy.spatial.transform import Rotation
+
+    names = [name.format(triad) for name in STATED[program]]
+    name, number = next(((one, values[one]) for one in names if values.get(one, -1.0) >= 0.0), ("", 0.0))
+    angles = dict(enumerate(ROTATIONS[program])).get(int(number))
+    if angles is None:
+        raise FileFormatError(
+            f"wanted a rotation that {program} lists with its angles, got {name} {number:g}; set it to 0 in a copy of the file, "
+            "and turn the readings to the airframe's axes before"
+        )
+    level = Rotation.from_euler("xyz", _three(values, "SENS_BOARD_{}_OFF"), degrees=True)  # of PX4
+    matrix: FloatArray = (level * Rotation.from_euler("xyz", angles, degrees=True)).as_matrix()
+    return matrix
 
 
 COLDEST_C, WARMEST_C = -100.0, 200.0  # of electronics
@@ -200,8 +230,8 @@ def _autopilot(
     hits = (re.fullmatch(OTHERS[program], name) for name, value in values.items() if value)
     if others := {hit[1] for hit in hits if hit}:
         notes.append(finding("imported.sensor", "warn", program=program, sensors=1 + len(others)))
-    gyros = _model(program, np.eye(3), gyro, "rad/s", "rad/s")
-    accels = _model(program, np.diag(accel[1]), accel[0], "m/s2", "m/s2")
+    gyros = _model(program, _turned(program, values, "GYRO"), gyro, "rad/s", "rad/s")
+    accels = _model(program, _turned(program, values, "ACC") * accel[1], accel[0], "m/s2", "m/s2")
     return _calibration(program, device, gyros, accels, *notes, temp_c=temp_c)
 
 
