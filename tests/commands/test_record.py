@@ -23,6 +23,7 @@ from testkit.talking_device import TalkingDevice
 from testkit.waiting import eventually
 from undrift.commands import Screen
 from undrift.commands import record as recording
+from undrift.errors import LinkError
 from undrift.io.columns import ReadSettings
 from undrift.io.formats import read_record
 from undrift.io.session import read_session
@@ -104,17 +105,29 @@ def test_the_baud_rate_is_found(tmp_path):
 def test_ports_are_listed_and_the_only_one_is_taken(undrift, tmp_path, monkeypatch, board):
     ports = [("/dev/ttyACM0", "Arduino Uno"), ("/dev/ttyUSB1", "CP2102 USB to UART")]
     monkeypatch.setattr(transports, "serial_ports", lambda: ports)
+    monkeypatch.setattr(transports, "lsl_streams", lambda: [("wrist", "IMU, 6 channels, 100 Hz")])
+
+    def missing() -> None:
+        raise LinkError("Bluetooth: wanted the package bleak, got none; pip install undrift[live]")
+
+    monkeypatch.setattr(transports, "ble_devices", missing)
     out = undrift.good("record").out
-    assert "Serial ports: 2." in out
+    assert "Serial ports: 2, Bluetooth devices: 0, LSL streams: 1." in out
     assert re.search(r"/dev/ttyACM0 +Arduino Uno", out)
+    assert re.search(r"wrist +IMU, 6 channels, 100 Hz", out)
+    assert "  note: Bluetooth: wanted the package bleak, got none; pip install undrift[live]\n" in out
+    assert undrift.good("record", "--json").json()["lsl_streams"] == [
+        {"name": "wrist", "device": "IMU, 6 channels, 100 Hz"}
+    ]
     assert out.endswith("Next: undrift record --port /dev/ttyACM0 -o walk.parquet\n")
     assert "got 2 (serial:///dev/ttyACM0, serial:///dev/ttyUSB1); name it, as --port NAME" in undrift.refused(
         "record", "-o", tmp_path / "a.csv"
     )
     monkeypatch.setattr(transports, "serial_ports", lambda: [(board.port, "a board")])
     assert undrift("record", "-o", tmp_path / "a.csv", "--duration-s", "1").code == 0
-    monkeypatch.setattr(transports, "serial_ports", list)
-    assert "No serial port was found" in undrift.good("record").out
+    for way in ("serial_ports", "lsl_streams"):
+        monkeypatch.setattr(transports, way, list)
+    assert "Nothing was found that can be recorded" in undrift.good("record").out
 
 
 def test_a_way_with_a_description_is_recorded_as_described(tmp_path):

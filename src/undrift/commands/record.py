@@ -41,6 +41,9 @@ HOW = {
     "turn": "Turns: lay it along a straight edge. Turn it once on the table, as seen from above, back to the edge, and let go.",
     "pose": "Poses: lay or lean it in 15 poses of any kind, 30 deg apart, and let go. Each is captured by itself.",
 }
+LISTED = {  # what is looked for: in words, and what names one
+    "serial_ports": ("Serial ports", "port"), "ble_devices": ("Bluetooth devices", "id"), "lsl_streams": ("LSL streams", "name")
+}  # fmt: skip
 Guides: TypeAlias = "Sequence[Guide]"
 
 
@@ -59,7 +62,7 @@ def record(
     place: Place = Place(),
     screen: Screen = Screen(),
 ) -> Summary:
-    """Record what a device sends until Ctrl-C; without device and file, list the serial ports.
+    """Record what a device sends until Ctrl-C; without device and file, list serial ports, Bluetooth devices and LSL streams.
 
     Parameters
     ----------
@@ -84,7 +87,7 @@ def record(
     ways = {"serial://": port, "ble:": ble, "lsl:": lsl, "udp://:": udp, "": address}
     named = [f"{kind}{value}" for kind, value in ways.items() if value is not None]
     if not named and output is None:
-        return _ports()
+        return _senders(screen)
     where = address_of(named)
     if output is None:
         raise InputError(f"record: wanted a file to write, got none; say `output` walk.parquet to record {where}")
@@ -123,18 +126,31 @@ def address_of(named: list[str]) -> str:
     return f"serial://{found[0]}" if found[0].startswith("/") or found[0].upper().startswith("COM") else found[0]
 
 
-def _ports() -> Summary:
-    from undrift.live.transports import serial_ports
+def _senders(screen: Screen) -> Summary:
+    """List what can be recorded, and why a way could not be looked at."""
+    from undrift.live import transports
 
-    ports = serial_ports()
-    none = "No serial port was found: connect the device, or name another way."
+    screen.over("Looking for serial ports, Bluetooth devices and LSL streams ...")
+    listed, notes = dict[str, list[tuple[str, str]]](), list[str]()
+    for way in LISTED:
+        try:
+            listed[way] = getattr(transports, way)()
+        except LinkError as error:
+            listed[way], notes = [], [*notes, str(error)]
+    screen.over("")
+    counts = (f"{title}: {len(listed[way])}" for way, (title, _) in LISTED.items())
+    none = "Nothing was found that can be recorded: connect the device, or name its address."
     return Summary(
-        title="Serial ports",
-        answer=f"Serial ports: {len(ports)}." if ports else none,
-        data={"ports": [{"port": name, "device": text} for name, text in ports]},
-        sections=(Section(title="Serial ports", columns=("port", "device"), rows=tuple(ports), words=True),),
-        next=("record", "--port", ports[0][0], "-o", "walk.parquet") if ports else (),
-    )
+        title="What can be recorded",
+        answer=f"{', '.join(counts)}." if any(listed.values()) else none,
+        data={way: [{head: name, "device": text} for name, text in listed[way]] for way, (_, head) in LISTED.items()},
+        sections=tuple(
+            Section(title=title, columns=(head, "device"), rows=tuple(listed[way]), words=True)
+            for way, (title, head) in LISTED.items() if listed[way]
+        ),
+        notes=tuple(notes),
+        next=("record", "--port", listed["serial_ports"][0][0], "-o", "walk.parquet") if listed["serial_ports"] else (),
+    )  # fmt: skip
 
 
 def _record_lines(where: str, output: Path, duration_s: float, screen: Screen) -> Summary:

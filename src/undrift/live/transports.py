@@ -17,6 +17,7 @@ import socket
 import tempfile
 import threading
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Protocol
@@ -38,6 +39,9 @@ BAUD = 115_200
 BUFFER_BYTES = 1 << 22  # what the system keeps of datagrams while nobody looks
 MOST_WAITING = 100_000  # Bluetooth notifications
 RESOLVE_S = 5.0
+SCAN_S = 3.0  # for devices and streams that are listed
+QUIET = "[log]\nlevel = -2\n"
+LSL_FOLDERS = (".", "~/lsl_api", "/etc/lsl_api")  # of lsl_api.cfg, which a person wrote
 OFFLINE = "[multicast]\nResolveScope = machine\n[lab]\nKnownPeers = {127.0.0.1}\n"
 SOURCES = {  # kind -> the function that makes a source of an address
     kind: f"undrift.live.transports:{kind}_source" for kind in ("tcp", "udp", "serial", "lsl", "ble")
@@ -262,6 +266,28 @@ def serial_ports() -> list[tuple[str, str]]:
     return [(port.device, port.description if port.vid is not None else "built in") for port in found]
 
 
+def ble_devices() -> list[tuple[str, str]]:
+    """Return the Bluetooth devices within reach by their addresses, and what they call themselves; those with a name first."""
+    bleak = package_of("bleak", "bleak", "Bluetooth")
+    try:
+        with ThreadPoolExecutor(1) as pool:  # a notebook has a loop of its own
+            devices = pool.submit(asyncio.run, bleak.BleakScanner.discover(timeout=SCAN_S)).result()
+    except Exception as error:  # whatever the system's Bluetooth raises
+        raise LinkError(f"Bluetooth: wanted an adapter, got '{reason_of(error)}'; switch it on") from error
+    return sorted(
+        ((one.address, one.name or "no name") for one in devices), key=lambda one: (one[1] == "no name", one[1])
+    )
+
+
+def lsl_streams() -> list[tuple[str, str]]:
+    """Return the LSL streams in the network by their names, and what they hold."""
+    if not any(Path(folder, "lsl_api.cfg").expanduser().exists() for folder in LSL_FOLDERS):
+        configure_lsl(QUIET)
+    pylsl = package_of("pylsl", "pylsl", "LSL")
+    streams = ((one, one.nominal_srate()) for one in pylsl.resolve_streams(SCAN_S))
+    return [(one.name(), f"{one.type()}, {one.channel_count()} channels, {rate:g} Hz") for one, rate in streams]
+
+
 def package_of(module: str, package: str, who: str, extra: str = "live") -> Any:
     """Import an optional package, or say what to install."""
     try:
@@ -448,7 +474,7 @@ def lsl_source(address: Address) -> Source:
 
     def connect() -> Any:
         if offline == "yes":
-            stay_offline()
+            configure_lsl(OFFLINE)
         pylsl = package_of("pylsl", "pylsl", "lsl")
         found = pylsl.resolve_byprop("name", name, timeout=RESOLVE_S)
         if not found:
@@ -459,9 +485,9 @@ def lsl_source(address: Address) -> Source:
     return LslSource(f"lsl:{name}", address.describe("offline"), connect)
 
 
-def stay_offline() -> None:
-    """Tell the library, before its first use in this process, to look on this computer only; a stated configuration stays."""
+def configure_lsl(text: str) -> None:
+    """Configure the library before its first use in this process; a stated configuration stays."""
     if "LSLAPICFG" not in os.environ:
         path = Path(tempfile.gettempdir()) / f"undrift-lsl-{os.getpid()}.cfg"
-        path.write_text(OFFLINE, encoding="ascii")
+        path.write_text(text, encoding="ascii")
         os.environ["LSLAPICFG"] = str(path)
