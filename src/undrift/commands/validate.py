@@ -89,13 +89,6 @@ class RivalCalibration:
     # Its total errors less those of the calibration that was validated, paired; None with fewer than three recordings
     decision: "Decision | None"
 
-    @property
-    def data(self) -> dict[str, object]:
-        """What JSON has."""
-        mean, totals = asdict(self.result.mean), [trial.figures.rmse_total_deg for trial in self.result.trials]
-        decision = self.decision and asdict(self.decision)
-        return {"calibration": self.source, "rmse_total_deg": totals, "mean": mean, "decision": decision}
-
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class Validated(Result):
@@ -134,13 +127,18 @@ class Validated(Result):
         fitted = self.calibration is not None and not self.source
         named = {"calibration": "reference" if fitted else self.source or None, "offset": self.settings.offset}
         asked = {"adc": self.settings.adc, "leave_one_out": self.leave_one_out}
+        rivals = [
+            {"calibration": one.source, "decision": one.decision and asdict(one.decision)}
+            | _validation_json(one.result)
+            for one in self.rivals
+        ]
         return (
             _validation_json(self.result)
             | named
             | asked
             | self.gravity
             | ({"compared": asdict(self.compared)} if self.compared else {})
-            | ({"against": [one.data for one in self.rivals]} if self.rivals else {})
+            | ({"against": rivals} if rivals else {})
         )
 
     def summary(self) -> Summary:

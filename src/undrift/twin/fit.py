@@ -497,8 +497,6 @@ class WarmUpFit:
     range_c: tuple[float, float]  # Of the means, degC
     gyro_per_k: FloatArray  # (3, 3), coefficient of D, D^2, D^3 in a row each, rad/s per K to that power
     accel_per_k: FloatArray  # As above, m/s2
-    gyro_residual: FloatArray  # (3,), standard deviation of what is left, rad/s
-    accel_residual: FloatArray  # As above, m/s2
     thermometer: Thermometer  # Noise and step of its column
     reference_c: float  # T_ref, degC
 
@@ -526,13 +524,10 @@ def fit_warm_up(record: Record, *, reference_c: float) -> WarmUpFit:
         )
     design = np.vander(temp - reference_c, WARM_UP_DEGREE + 1, increasing=True)
     found, *_ = np.linalg.lstsq(design, means[:, 1:], rcond=None)
-    left = np.sqrt(np.square(means[:, 1:] - design @ found).sum(axis=0) / (len(means) - WARM_UP_DEGREE - 1))
     return WarmUpFit(
         range_c=(float(temp.min()), float(temp.max())),
         gyro_per_k=found[1:, :3],
         accel_per_k=found[1:, 3:],
-        gyro_residual=left[:3],
-        accel_residual=left[3:],
         thermometer=_thermometer(temp_c[np.isfinite(temp_c)]),
         reference_c=reference_c,
     )
