@@ -195,7 +195,7 @@ def _cluster(
 ) -> tuple[tuple[tuple[str, str, str], ...], str, float] | None:
     """Return the columns of most markers that keep their distances, the unit that these suggest, and their mean distance.
 
-    Such a set moves, or its names say that it is of markers: what accelerometers read at rest keeps its distances too.
+    Such a set moves, or its names are those of markers: what accelerometers read at rest keeps its distances too.
     """
     triples = [one for one in triples_of(names) if label_of(one[0]) is None and not _NO_MARKER.search(one[0])]
     points = readings([name for one in triples for name in one]) if len(triples) >= 3 else np.empty((0, 1))
