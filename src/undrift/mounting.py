@@ -35,10 +35,10 @@ import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray, runs
 from undrift.correction.consistency import check_triads
-from undrift.errors import InputError
+from undrift.errors import Implausible, InputError
 from undrift.findings import Finding, Verdict, finding
 from undrift.frames import quaternion_conjugate, quaternion_product, rotate
-from undrift.model import BodyMounting
+from undrift.model import AXES, BodyMounting
 from undrift.orientation import check_whole, filtered, initial_tilt, integrate_strapdown, shortest_rotation_up
 from undrift.record import Record, Still
 from undrift.segments import unpadded
@@ -78,6 +78,8 @@ _QUIET, _STEPS = 0.3, 0.6  # m/s2, rms of the vertical acceleration over two sec
 _SWAYS, _TURNS = 4.0 * DEG, 20.0 * DEG  # rad/s: the vertical turns faster in no posture; no straight walk
 _LEANT, _NEAR = 10.0 * DEG, 20.0 * DEG  # of a movement at least; of an upright posture from the mean over walking
 _CLEAR, _APART = 4.0, 9.0  # a direction in its uncertainties; squared differences of cues over their variances
+_SLIP, _CLEARLY = 15.0 * DEG, 4.0  # from the first half of the walks to the second; in its uncertainties [assumed]
+LEAST_HZ, MOST_HZ = 15.0, 5000.0  # of a recording: steps come twice a second
 _DRAWN, _PARTS = 4, 8  # pieces that the usual spread counts for; of a recording, each left out in turn
 _NEAR_HINGE = 0.35  # rad, how far a hinge is from what its segments turn most about, as a rule [assumed]
 
@@ -124,6 +126,11 @@ def _look(record: Record) -> _Seen:
     from scipy.signal import butter, sosfiltfilt
 
     check_whole(record := unpadded(record.in_si()))
+    if not LEAST_HZ <= record.sample_rate_hz <= MOST_HZ:
+        raise Implausible(
+            f"mount: wanted {LEAST_HZ:g} to {MOST_HZ:g} samples a second, got {record.sample_rate_hz:.3g}: milliseconds or "
+            "microseconds may be taken for s; state the unit of time or the sample rate"
+        )
     check_triads(record)
     if record.accel is None or np.isnan(record.accel).any():
         raise InputError(
@@ -162,6 +169,8 @@ def find_mounting(
         return MountFit(mounting=None, basis=(basis,), verdict=Verdict.of(*findings, *more))
     matrix, covariance = np.stack((forward, np.cross(up, forward), up)), np.diag((*tilt, heading))
     worn = BodyMounting(place=place, matrix=matrix, covariance=covariance, basis=f"{basis}; {way}")
+    ahead, upward = (f"{'+-'[int(way[k] < 0.0)]}{AXES[k]}" for way in matrix[::2] for k in [int(np.abs(way).argmax())])
+    more += (finding("mount.look", "info", forward=ahead, up=upward),)
     if worn.uncertainty > WARN:
         more += (finding("mount.uncertain", "warn", degrees=worn.uncertainty / DEG, limit=WARN / DEG),)
     return MountFit(mounting=worn, basis=(basis, way), verdict=Verdict.of(*findings, *more))
@@ -214,9 +223,11 @@ def _forward(
         gone = [(one.up[a:b].mean(axis=0), b - a) for one in seen for a, b in runs(one.up @ up < np.cos(_LEANT))]
         least = 0.3 * seen[0].record.sample_rate_hz
         pieces = {"repetitions": [-LEANS[movement][place] * way for way, count in gone if count > least]}
-    shown, level = [], np.eye(3) - np.outer(up, up)
+    shown, level, slips = [], np.eye(3) - np.outer(up, up), [0.0]
     for name, ways in pieces.items():
         spread, shared, fewest = CUES[name]
+        if len(ways) >= 2 * fewest:
+            slips.append(_slip(np.array(ways) @ level, up, spread))
         if len(ways) >= fewest:
             forward, scatter, clear = _direction(np.array(ways) @ level, up, spread)
             shown += [(forward, 1.0 / (scatter**2 + shared**2), f"{len(ways)} {name}")] * (clear > _CLEAR)
@@ -228,9 +239,20 @@ def _forward(
     forward /= np.linalg.norm(forward)
     off = [float(np.arctan2(np.cross(forward, way) @ up, forward @ way)) for way, _, _ in shown]
     chi = sum(weight * angle**2 for (_, weight, _), angle in zip(shown, off, strict=True))
-    if chi <= _APART:
-        return forward, 1.0 / total, (), what
-    return forward, chi / total, (finding("mount.apart", "warn", degrees=(max(off) - min(off)) / DEG, cues=what),), what
+    slip, findings = max(slips), tuple[Finding, ...]()
+    if slip > 0.0:
+        findings += (finding("mount.slipped", "warn", degrees=slip / DEG),)
+    if chi > _APART:
+        findings += (finding("mount.apart", "warn", degrees=(max(off) - min(off)) / DEG, cues=what),)
+    return forward, max(1.0, chi if chi > _APART else 0.0) / total + 0.25 * slip**2, findings, what
+
+
+def _slip(pieces: FloatArray, up: FloatArray, spread: float) -> float:
+    """Return by how much forward turned from the first half of the pieces to the second, rad; 0 where that may be their scatter."""
+    half = len(pieces) // 2
+    (first, a, _), (second, b, _) = (_direction(part, up, spread) for part in (pieces[:half], pieces[half:]))
+    turn = abs(float(np.arctan2(np.cross(first, second) @ up, first @ second)))
+    return turn if turn > max(_SLIP, _CLEARLY * float(np.hypot(a, b))) else 0.0
 
 
 def _direction(pieces: FloatArray, up: FloatArray, spread: float) -> tuple[FloatArray, float, float]:

@@ -52,6 +52,7 @@ class Case:
     call: Callable[["Case"], object] | None = None  # Of the Python interface
     page: Callable[["Case", Path, Bench], Any] | None = None  # What the page of the bench does; async
     mapped: bool = True  # False gives the files without a map
+    together: bool = False  # Gives the folder in which the recordings are
     later: Recording | None = None  # Read in the same way, and corrected by what was made; with its truth
     expected: undrift.Record | None = (
         None  # What a right correction, or reading, of the later one or the first one gives
@@ -142,7 +143,7 @@ def words_of(case: Case, folder: Path) -> list[object]:
         held += ["--reference", *written_references(case, folder)]
     made = {"calibrate": "made.json", "drift": "made.json", "correct": "made.parquet", "orient": "made.parquet"}
     made |= {"validate": "made", "session new": "made"}
-    held += ["-o", folder / made[case.route]] if case.route in made else []
+    held += ["-o", folder / ("made" if case.together else made[case.route])] if case.route in made else []
     if case.edit is not None:
         case.edit(folder)
     return [*(str(word).replace("{folder}", str(folder)) for word in held), "--json"]
@@ -153,11 +154,14 @@ def written(case: Case, folder: Path) -> tuple[list[Path], Path | None]:
     if case.session is not None:
         write_session(case.session, folder / "session")
         return [folder / "session"], None
+    place = folder / "recordings" if case.together else folder
+    place.mkdir(exist_ok=True)
     for number, one in enumerate(case.recordings):
-        one.write(folder, f"recording{number}.csv")
+        one.write(place, f"recording{number}.csv")
     mapped = folder / "map.toml"
     mapped.write_text(case.recordings[0].map_text())
     files = [folder / f"recording{number}.csv" for number in range(len(case.recordings))]
+    files = [place] if case.together else files
     return files, mapped if case.mapped else None
 
 
@@ -238,6 +242,8 @@ def texts_of(value: Any, *levels: str) -> list[str]:
     if isinstance(value, Mapping):
         if "level" in value and "text" in value:
             return [str(value["text"])] if value["level"] in wanted else []
+        if "worst_finding" in value:  # a row of a folder
+            return [] if levels else [text for text in (value["error"], value["worst_finding"]) if text]
         plain = [] if levels else [text for text in value.get("warnings") or () if isinstance(text, str)]
         return [*plain, *(text for key, item in value.items() if key != "warnings" for text in texts_of(item, *levels))]
     if is_dataclass(value) and not isinstance(value, type):

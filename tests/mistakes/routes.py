@@ -1,6 +1,7 @@
 """All mistakes."""
 
-from mistakes import bench, calls, pages, worn
+from mistakes import bench, calls, pages, several, worn
 
 WORN, BENCH, CALLS = worn.MISTAKES, bench.MISTAKES, (*calls.MISTAKES, *pages.MISTAKES)
-MISTAKES = (*WORN, *BENCH, *CALLS)
+SEVERAL = several.MISTAKES
+MISTAKES = (*WORN, *BENCH, *CALLS, *SEVERAL)

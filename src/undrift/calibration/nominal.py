@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from undrift.arrays import FloatArray
+from undrift.calibration.checks import cause_by_gravity
 from undrift.errors import Implausible, NotObservable
 from undrift.record import Record
 from undrift.units import Quantity, is_physical, si_factor
@@ -111,17 +112,13 @@ def _turning(records: Sequence[Record], accel: Nominal, gravity_m_s2: float) -> 
 
 def _mistaken(matrix: FloatArray, apart: float) -> Exception:
     """Return what is wrong where gyroscopes do not turn gravity as the accelerometers see it."""
-    largest = np.abs(matrix).argmax(axis=1)
-    others = np.sort(np.abs(matrix), axis=1)[:, 1]
-    names = [f"{'-' if row[k] < 0.0 else ''}{'xyz'[k]}" for row, k in zip(matrix, largest, strict=True)]
-    if (
-        names != ["x", "y", "z"]
-        and sorted(largest) == [0, 1, 2]
-        and (others < ALIKE * np.abs(matrix).max(axis=1)).all()
-    ):
+    order = np.sign(matrix) * (np.abs(matrix) == np.abs(matrix).max(axis=1, keepdims=True))
+    rest = np.abs(matrix - matrix * np.abs(order)).max(axis=1)
+    others = (order != np.eye(3)).any() and (np.abs(order).sum(axis=0) == 1.0).all()
+    if others and (rest < ALIKE * np.abs(matrix).max(axis=1)).all():
         return Implausible(
-            "motion: wanted gyroscopes and accelerometers along the same axes, got rates about x, y, z in the columns "
-            f"{', '.join(names)}; check order and signs of the columns"
+            "motion: wanted gyroscopes and accelerometers along the same axes, got others: "
+            f"{cause_by_gravity(order.T)}; correct the order or the sign of the columns"
         )
     return NotObservable(
         "motion: wanted rates that turn gravity alike on all axes, to find the scale of the gyroscopes, got scales that differ "

@@ -333,6 +333,8 @@ def check_device(
     rests = tuple(one for one in stills if one.stop <= len(record) and _whole(record, one))
     if not rests:
         return ()
+    if not np.isfinite(calibration.gravity_m_s2):  # parameters of other programs do not state it
+        calibration = replace(calibration, gravity_m_s2=STANDARD_GRAVITY)
     departure = _departure_k(record, calibration)
     usual = TemperatureSensitivity()
     residuals: dict[str, tuple[float, float]] = {}
@@ -350,7 +352,7 @@ def check_device(
         size = np.linalg.norm(means[name], axis=1) - (calibration.gravity_m_s2 if name == "accel" else 0.0)
         columns = [k for k, parameter in enumerate(model.parameters) if parameter.startswith("offset_")]
         offsets = model.matrix @ model.covariance[np.ix_(columns, columns)] @ model.matrix.T
-        fit = float(np.sqrt(np.trace(offsets))) * triad.si
+        fit = float(np.sqrt(np.nansum(np.diag(offsets)))) * triad.si  # constants of other programs state none
         residuals[name] = float(np.sqrt(np.mean(size**2))), math.hypot(fit, own, 0.0 if tabled else of_temp * departure)
     far = [name for name, (seen, expected) in residuals.items() if seen > FAR_SIGMAS * expected]
     accel_left = residuals.get("accel", (0.0, 0.0))[0]
