@@ -99,7 +99,7 @@ def stages_of(unit: Unit) -> list[float]:
     times.append(time.process_time())
     fits = fit_as_the_note(sessions, readings, np.array([(p.turn_rate_max, p.turn_rate_step) for p in protocols]))
     times.append(time.process_time())
-    trial_errors(case, accel, fits, study.offset)
+    trial_errors(case, [accel] * len(protocols), fits, study.offset)
     times.append(time.process_time())
     return [after - before for before, after in pairwise(times)]
 

@@ -112,7 +112,7 @@ def test_many_sessions_fitted_at_once_leave_the_errors_of_each_fitted_alone(temp
     sessions = every.chosen(REST, RATE)
     readings = simulate_turns(made, task.base, case.device, 1, sessions)
     fits = fit_as_the_note(sessions, readings, np.array([(p.turn_rate_max, p.turn_rate_step) for p in protocols]))
-    found = trial_errors(case, accel, fits, "none")
+    found = trial_errors(case, [accel] * len(fits.good), fits, "none")
     assert len(found) == len(protocols) >= 6
     for number in range(len(protocols)):
         calibration = calibrated_slowly(sessions, readings, fits, number, accel)
@@ -133,7 +133,7 @@ def test_the_offset_of_the_rest_is_what_the_corrected_readings_show_before_the_m
     accel = faces_of(made, case.device, 1, session_of(protocols[0]).chosen(FACE))
     readings = simulate_turns(made, task.base, case.device, 1, sessions)
     fits = fit_as_the_note(sessions, readings, np.array([(p.turn_rate_max, p.turn_rate_step) for p in protocols]))
-    found, drifting = (trial_errors(case, accel, fits, offset) for offset in ("rest", "none"))
+    found, drifting = (trial_errors(case, [accel] * len(fits.good), fits, offset) for offset in ("rest", "none"))
     for number in range(len(protocols)):
         corrected = correct_whole(
             case.record, calibrated_slowly(sessions, readings, fits, number, accel), policy="hold"
@@ -159,7 +159,7 @@ def test_the_offset_from_motion_is_that_of_orient_and_a_trial_below_20_s_keeps_t
     accel = faces_of(made, case.device, 1, session_of(protocols[0]).chosen(FACE))
     readings = simulate_turns(made, task.base, case.device, 1, sessions)
     fits = fit_as_the_note(sessions, readings, np.array([(p.turn_rate_max, p.turn_rate_step) for p in protocols]))
-    found, rested = (trial_errors(case, accel, fits, offset) for offset in ("motion", "rest"))
+    found, rested = (trial_errors(case, [accel] * len(fits.good), fits, offset) for offset in ("motion", "rest"))
     if not long_enough:
         np.testing.assert_array_equal(found, rested)
         return
@@ -191,14 +191,18 @@ def test_errors_are_counted_where_the_truth_is_known_and_not_round_the_circle() 
     calibration = calibrated_slowly(sessions, readings, fits, 0, accel)
     holed = case.pitch.copy()
     holed[case.moving[0] + 20 :: 3] = np.nan
-    (found,) = trial_errors(replace(case, pitch_now=holed, pitch=case.pitch + 2.0 * np.pi), accel, fits, "none")
+    (found,) = trial_errors(
+        replace(case, pitch_now=holed, pitch=case.pitch + 2.0 * np.pi), [accel] * len(fits.good), fits, "none"
+    )
     np.testing.assert_allclose(found[:3], figures_of(pitch_error(replace(case, pitch=holed), calibration)), rtol=1e-6)
     np.testing.assert_allclose(found[3:], figures_of(pitch_error(case, calibration)), rtol=1e-6)
     holed[case.moving[1] - 50 :] = np.nan
-    (ended,) = trial_errors(replace(case, pitch_now=holed), accel, fits, "none")
+    (ended,) = trial_errors(replace(case, pitch_now=holed), [accel] * len(fits.good), fits, "none")
     assert np.isnan(ended[2])
     assert np.isfinite(ended[:2]).all()
-    lost = trial_errors(replace(case, pitch_now=np.full_like(case.pitch, np.nan)), accel, fits, "none")[0]
+    lost = trial_errors(
+        replace(case, pitch_now=np.full_like(case.pitch, np.nan)), [accel] * len(fits.good), fits, "none"
+    )[0]
     assert np.isnan(lost[:3]).all()
 
 

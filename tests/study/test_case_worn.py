@@ -56,7 +56,7 @@ def test_soft_tissue_that_rings_chooses_a_cut_off_below_its_resonance(tmp_path) 
     assert "cutoff_hz" in optimum.deciding
     mean = surface.aimed(plan).mean(axis=0)
     assert mean[-1] > mean.min() + plan.margin_deg  # no filter to speak of is worse by more than what matters
-    ((split, *_),) = split_study(plan, (surface,), (optimum,), InProcess())
+    ((split, *_),), _ = split_study(plan, (surface,), (optimum,), InProcess())
     assert {"soft tissue", "impacts"} <= {term.effect for term in split.terms}
     assert "vibration" not in {term.effect for term in split.terms}
 
@@ -64,7 +64,7 @@ def test_soft_tissue_that_rings_chooses_a_cut_off_below_its_resonance(tmp_path) 
 def test_where_no_filter_is_tried_the_findings_say_that_tissue_and_impacts_make_the_error(tmp_path) -> None:  # type: ignore[no-untyped-def]
     plan = study(RINGING, cutoff_hz=(30.0, 45.0))
     surface, optimum = optimum_of(plan, tmp_path)
-    (splits,) = split_study(plan, (surface,), (optimum,), InProcess())
+    (splits,), _ = split_study(plan, (surface,), (optimum,), InProcess())
     first, second, *_ = splits[0].terms
     assert {first.effect, second.effect} == {"soft tissue", "impacts"}  # one makes the other: each takes nearly all
     assert min(first.share, second.share) > 0.5

@@ -223,7 +223,6 @@ def test_what_a_study_costs_is_told_by_stage_and_what_is_done_already_costs_noth
         "calibration sessions",
         "the other cohort",
         "what the error is made of",
-        "rates to dwell at",
         "rival methods",
     ]  # no sit-to-stand, no Figure 3
     assert stages[0].seconds > 0.0
@@ -232,7 +231,7 @@ def test_what_a_study_costs_is_told_by_stage_and_what_is_done_already_costs_noth
     names = [
         stage.name for stage in forecast(note_study(quick=True), tmp_path / "b", workers=1, rivals=True, real=None)
     ]
-    assert names[4:] == ["Figure 3", "Figure 3, effect by effect", "Figure 3, drawn units", "rival methods"]
+    assert names[3:] == ["Figure 3, effect by effect", "Figure 3, drawn units", "rival methods"]
 
 
 def test_values_without_a_protocol_are_named_and_so_are_those_whose_sessions_are_too_long() -> None:

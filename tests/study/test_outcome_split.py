@@ -192,7 +192,7 @@ def test_a_filter_decides_in_real_time_and_is_better_the_higher_its_cut_off(tmp_
     assert offline.deciding == ()
     assert offline.error_rms_deg < 0.2 * mean[1]
     assert units_without(study, study.tasks[0], surface, optimum)[0].without == EFFECTS[0]
-    ((split,),) = split_study(study, (surface,), (optimum,), InProcess())
+    ((split,),), _ = split_study(study, (surface,), (optimum,), InProcess())
     delay = next(term for term in split.terms if term.effect == "delay")
     assert delay.judged.verdict != "better"  # nothing else makes a cut-off worth choosing
     assert delay.span_deg < 0.2 * float(np.ptp(mean))
@@ -213,7 +213,7 @@ def test_a_bend_decides_by_the_greatest_rate_and_is_hidden_by_the_accelerometers
     drifting = replace(bent, worn=device(bend=0.05, accel_per_k=4e-3 * STANDARD_GRAVITY))
     surface, optimum = found_in(drifting, tmp_path / "drifting")
     assert optimum.deciding == ()
-    ((split,),) = split_study(drifting, (surface,), (optimum,), InProcess())
+    ((split,),), _ = split_study(drifting, (surface,), (optimum,), InProcess())
     assert split.parameter == "turn_rate_max_dps"
     assert [term.effect for term in split.covering] == ["accelerometer offset"]
     assert split.terms[0].effect == "accelerometer offset"

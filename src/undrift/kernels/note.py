@@ -261,7 +261,7 @@ def pitch_errors(
 ) -> None:  # fmt: skip
     # out (S, 3 V): for each of V true pitches, pitch (V, T) rad, the root-mean-square and the largest error over the samples
     # from ``skip`` on, and the size of the median of the ``last`` ones, rad; NaN where a fit is not good.
-    # rate (S, 3 T), rad/s, from the instant of q0 (4,) on.
+    # rate (S, 3 T), rad/s, from the instant of q0 (S, 4) on.
     q, end = np.empty(4 * time.size), np.empty((pitch.shape[0], last))
     square, largest = np.empty((2, pitch.shape[0]))
     count, ending = np.empty((2, pitch.shape[0]), np.int64)
@@ -269,7 +269,7 @@ def pitch_errors(
         out[session] = np.nan
         if not good[session]:
             continue
-        strapdown(rate[session], time, q0, q)
+        strapdown(rate[session], time, q0[session], q)
         square[:], largest[:], count[:], ending[:] = 0.0, 0.0, 0, 0
         for k in range(skip, time.size):
             qw, qx, qy, qz = q[4 * k], q[4 * k + 1], q[4 * k + 2], q[4 * k + 3]

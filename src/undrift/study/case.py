@@ -210,7 +210,7 @@ def perform(study: Study, task: StudyTask, number: int, trial: int = 0) -> tuple
     return _perform(study, task.name, task.category, task.motion and task.motion.of(number)[trial], number)
 
 
-@lru_cache(maxsize=2)  # units of one subject follow each other, whatever is tried on it
+@lru_cache(maxsize=64)  # a cohort in two tasks: each stage has the same again
 def _perform(
     study: Study, name: str, category: str, motion: OwnMotion | None, number: int
 ) -> tuple[Task | RecordedTask, Motion]:
@@ -243,10 +243,10 @@ def make_case(
         device = replace(device, sampling=replace(device.sampling, sample_rate_hz=rate_hz))
         record = _record_of(study, name, number, device, worn)
         motion = performed.at(record.time, STANDARD_GRAVITY)  # of the bone
-    elif without is None or not device.sampling.on_grid:
-        record = _record_of(study, name, number, device, motion)
-    else:
+    elif device.sampling.on_grid:
         record = filtered(_unfiltered(study, name, motion, number, setting.gain, without), device)
+    else:
+        record = _record_of(study, name, number, device, motion)
     if without == "delay" or study.trial.on:  # cross-correlation takes the delay of what rings for that of the body
         late_s = delay_of_pitch(device, rate_hz)
     else:
@@ -300,7 +300,7 @@ def _record_of(study: Study, task: str, number: int, device: DeviceModel, motion
 
 @lru_cache(maxsize=1)  # the cut-off frequencies of a subject follow each other
 def _unfiltered(
-    study: Study, task: str, motion: Motion, number: int, gain: float | None, without: EffectName
+    study: Study, task: str, motion: Motion, number: int, gain: float | None, without: EffectName | None
 ) -> Record:
     device = unit_of(study, number, Setting(1.0, gain), without)
     chains: Any = {name: replace(getattr(device, name), low_pass=None, adc=None) for name in ("gyro", "accel")}
@@ -512,7 +512,17 @@ def fit_as_the_note(
 END_S = 0.5  # before the motion's end, whose median error is that of the end
 
 
-def trial_errors(case: Case, accel: TriadModel | None, fits: NoteFits, offset: OffsetRule) -> FloatArray:
+@lru_cache(maxsize=32)  # sessions with the same faces follow each other
+def _levelled(case: Case, accel: TriadModel | None, stop: int) -> tuple[Record, FloatArray]:
+    """Return what calibrated accelerometers make of a trial up to a sample, and the tilt at its rest."""
+    constant = Calibration(
+        device="", reference_temp_c=ROOM_TEMP_C, gravity_m_s2=STANDARD_GRAVITY, gyro=None, accel=accel
+    )
+    level = correct_whole(replace(case.record.part(0, stop), gyro=None), constant, policy="hold", threads=1).record
+    return level, initial_tilt(level, Still(start=case.still[0], stop=case.still[1])).q_nb
+
+
+def trial_errors(case: Case, accels: Sequence[TriadModel | None], fits: NoteFits, offset: OffsetRule) -> FloatArray:
     """Return the pitch errors with each calibration in the order of ``ERRORS``, (S, 6) rad; NaN without one.
 
     The mean corrected rate of the rest before the motion is taken off; or what the motion shows from that rest on, by the estimator
@@ -534,15 +544,13 @@ def trial_errors(case: Case, accel: TriadModel | None, fits: NoteFits, offset: O
 
     still = Still(start=case.still[0], stop=case.still[1])
     rest, moving = slice(*case.still), slice(case.still[1] - 1, case.moving[1])
-    tilted = Calibration(device="", reference_temp_c=ROOM_TEMP_C, gravity_m_s2=STANDARD_GRAVITY, gyro=None, accel=accel)
     shown = offset == "motion" and case.record.duration_s >= LEAST_IN_MOTION_S
-    level = case.record if shown else case.record.part(*case.still)
-    level = correct_whole(replace(level, gyro=None), tilted, policy="hold", threads=1).record
+    levels = [_levelled(case, accel, len(gyro) if shown else case.still[1]) for accel in accels]
     rates = rates_of(gyro[moving], temp_c[moving])
     if shown:
         from undrift.correction.motion import find_motion_offset  # scipy and a kernel, for this alone
 
-        for each, whole in zip(rates, rates_of(gyro, temp_c), strict=True):
+        for (level, _), each, whole in zip(levels, rates, rates_of(gyro, temp_c), strict=True):
             if np.isfinite(whole).all():
                 record = replace(level, gyro=whole, gyro_unit="rad/s")
                 each -= find_motion_offset(record, rest_offset(record, still)).at(record.time[moving])
@@ -550,7 +558,7 @@ def trial_errors(case: Case, accel: TriadModel | None, fits: NoteFits, offset: O
         rates -= rates_of(gyro[rest].mean(axis=0), temp_c[rest].mean(keepdims=True))
     pitch, last = np.stack((case.pitch_now[moving], case.pitch[moving])), round(END_S * case.sample_rate_hz)
     pitch_errors(
-        rates.reshape(len(rates), -1), case.record.time[moving], initial_tilt(level, still).q_nb, pitch,
+        rates.reshape(len(rates), -1), case.record.time[moving], np.array([q0 for _, q0 in levels]), pitch,
         case.moving[0] - moving.start, last, IN_PLANE, fits.good, out,
     )  # fmt: skip
     return out
@@ -593,14 +601,11 @@ def run_unit(unit: Unit) -> dict[str, FloatArray]:
     points, trials = task.space.points_at(setting), len(task.motion.of(unit.subject)) if task.motion else 1
     cases = [make_case(unit.study, task, unit.subject, setting, unit.without, trial) for trial in range(trials)]
     runs = columns_of(task, points) | {name: np.full(len(points), np.nan) for name in COLUMNS[4:]}
+    models = dict[object, TriadModel | None]()
     for own in alike(task, points):
-        protocols = tuple(map(task.protocol_of, points[own]))
-        every = joined([session_of(protocol, setting.quality) for protocol in protocols])
-        runs["rig_minutes"][own] = every.length_s / 60.0
-        with suppress(CalibrationError):  # no protocol calibrates this device: no error to report, and not a zero
-            errors = errors_with(unit, cases, every, protocols, tables_of(task, points[own[0]]))
-            for name, column in zip(ERRORS, errors.T / RADIAN_PER_DEGREE, strict=True):
-                runs[name][own] = column
+        runs["rig_minutes"][own], errors = errors_with(unit, cases, points[own], models)
+        for name, column in zip(ERRORS, errors.T / RADIAN_PER_DEGREE, strict=True):
+            runs[name][own] = column
     return runs
 
 
@@ -611,28 +616,36 @@ def tables_of(task: StudyTask, point: FloatArray) -> tuple[float, float]:
 
 
 def errors_with(
-    unit: Unit, cases: Sequence[Case], every: Sessions, protocols: tuple[Protocol, ...], steps_c: tuple[float, float]
-) -> FloatArray:
-    """Calibrate a device in the sessions of protocols; return the pitch errors with each, means over its trials, (P, 6) rad."""
-    study, base, device = unit.study, protocols[0], cases[0].device
+    unit: Unit, cases: Sequence[Case], points: FloatArray, models: dict[object, TriadModel | None]
+) -> tuple[FloatArray, FloatArray]:
+    """Calibrate a device by candidates that are alike; return minutes (P,) and pitch errors, means over its trials, (P, 6) rad.
+
+    The accelerometers of the unit, by their faces, are kept in ``models``.
+    """
+    study, device, protocols = unit.study, cases[0].device, tuple(map(unit.task.protocol_of, points))
+    every = joined([session_of(protocol, unit.setting.quality) for protocol in protocols])
     if unit.without is not None:
         study = replace(study, bench=bench_without(study.bench, unit.without))
-    faces = session_of(base, unit.setting.quality).chosen(FACE)
-    accel = faces_of(study, device, unit.subject, faces, base.faces)
-    sessions = every.chosen(REST, RATE)
-    readings = simulate_turns(study, base, device, unit.subject, sessions)
+    # faces come first in every session, but among the rates of those that have a skew mounting
+    keys = [(each.faces, each.face_s, each.heated_axis and each) for each in protocols]
+    for key, protocol in zip(keys, protocols, strict=True):
+        if key not in models:
+            with suppress(CalibrationError):  # it cannot calibrate this device: no error to report, and not a zero
+                faces = session_of(protocol, unit.setting.quality).chosen(FACE)
+                models[key] = faces_of(study, device, unit.subject, faces, protocol.faces)
+    if not models:
+        return every.length_s / 60.0, np.full((len(keys), len(ERRORS)), np.nan)
+    sessions, accels = every.chosen(REST, RATE), [models.get(key, next(iter(models.values()))) for key in keys]
+    readings = simulate_turns(study, protocols[0], device, unit.subject, sessions)
     grids = np.array([(p.turn_rate_max, p.turn_rate_step) for p in protocols])
-    fits = fit_as_the_note(sessions, readings, grids, steps_c)
-    errors: FloatArray = np.mean([trial_errors(case, accel, fits, study.offset) for case in cases], axis=0)
-    return errors
+    fits = fit_as_the_note(sessions, readings, grids, tables_of(unit.task, points[0]))
+    fits.good[[key not in models for key in keys]] = False
+    return every.length_s / 60.0, np.mean([trial_errors(case, accels, fits, study.offset) for case in cases], axis=0)
 
 
 def alike(task: StudyTask, points: FloatArray) -> list[IntArray]:
-    """Return the places of the candidates that are simulated and fitted at once: alike in all but rates, dwells and rests."""
-    names = (
-        "faces", "poses", "face_s", "places", "set_points", "warmest_c", "soak_c_per_min", "mounting", "static_step_c",
-        "dynamic_step_c",
-    )  # fmt: skip
+    """Return the places of the candidates that are simulated and fitted at once: alike in set-points, mounting and tables."""
+    names = ("places", "set_points", "warmest_c", "soak_c_per_min", "mounting", "static_step_c", "dynamic_step_c")
     columns = [k for k, name in enumerate(task.space.names) if name in names]
     group = np.unique(points[:, columns], axis=0, return_inverse=True)[1].ravel() if columns else np.zeros(len(points))
     return [np.flatnonzero(group == each) for each in np.unique(group)]

@@ -13,9 +13,11 @@ The forecast gives the time of each stage on this machine before anything runs. 
 measured by a unit of each task; the rest costs about the same whatever the study is, as timed on one of two busy processors.
 """
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import chain
+from operator import call
 from pathlib import Path
 from time import perf_counter
 from typing import Any, Literal, NamedTuple, cast, get_args
@@ -195,9 +197,13 @@ def split_study(
     optima: tuple[judge.Optimum, ...],
     executor: run.Executor,
     *,
+    beside: Sequence[Callable[[], Any]] = (),
     advance: Callable[[int, int], None] = lambda done, total: None,
-) -> tuple[tuple[ErrorBreakdown, ...], ...]:
-    """Split the error of each task's optimum along its parameters; ``advance`` gets units done and units in all."""
+) -> tuple[tuple[tuple[ErrorBreakdown, ...], ...], list[Any]]:
+    """Split the error of each task's optimum along its parameters; return what other jobs gave that are done beside it too.
+
+    ``advance`` gets units done and units in all.
+    """
     held = list(zip(study.tasks, surfaces, optima, strict=True))
     units = [(k, unit) for k, each in enumerate(held) for unit in units_without(study, *each)]
     tables = [
@@ -209,16 +215,20 @@ def split_study(
         {tuple(point): place for place, point in enumerate(points_of(task, surface).tolist())}
         for task, surface, _ in held
     ]
-    advance(0, len(units))
-    for done, (number, runs) in enumerate(executor.run(run_unit, [unit for _, unit in units]), 1):
-        k, unit = units[number]
+    jobs: list[Callable[[], Any]] = [*beside, *(partial(run_unit, unit) for _, unit in units)]
+    others: list[Any] = [None] * len(beside)
+    advance(0, len(jobs))
+    for done, (number, runs) in enumerate(executor.run(cast("Callable[[Any], Any]", call), jobs), 1):
+        advance(done, len(jobs))
+        if number < len(beside):
+            others[number] = runs
+            continue
+        k, unit = units[number - len(beside)]
         if unit.without is not None:
             own = [places[k][tuple(point)] for point in unit.task.space.points().tolist()]
             tables[k][unit.without][rows[k][unit.subject], own] = runs[column_of(study.objective, study.timing)]
-        advance(done, len(units))
-    return tuple(
-        _split(study, surface, optimum, found) for (_, surface, optimum), found in zip(held, tables, strict=True)
-    )
+    rows_of = zip(held, tables, strict=True)
+    return tuple(_split(study, surface, optimum, found) for (_, surface, optimum), found in rows_of), others
 
 
 def _split(
@@ -272,8 +282,8 @@ def points_of(task: StudyTask, surface: run.TaskSurface) -> FloatArray:
 # ---- forecast
 
 StageName = Literal[
-    "calibration sessions", "the other cohort", "what the error is made of", "rates to dwell at", "Figure 3",
-    "Figure 3, effect by effect", "Figure 3, drawn units", "rival methods", "real recordings",
+    "calibration sessions", "the other cohort", "what the error is made of", "Figure 3, effect by effect",
+    "Figure 3, drawn units", "rival methods", "real recordings",
 ]  # fmt: skip
 POOL_S = 3.0  # workers start
 DESIGNS_S = 0.4  # a task
@@ -313,21 +323,20 @@ def forecast(study: Study, folder: Path, *, workers: int, rivals: bool, real: Re
     if searched:
         sessions *= max(1.0 - run.runs_held(folder) / search.count_runs(study), 0.0)
     figured, real_s = _has_figure3(study), 0.0
+    beside = DESIGNS_S * len(study.tasks) + FIGURE3_S * figured
     if real is not None:
         trials, rows = sum(len(device.pairs) for device in real.devices), len(real.captures) + len(real.stances)
         real_s = TRIAL_S * trials + WORN_S * bool(real.captures) + ROWS_S * rows + FIGURE3_S * bool(real.actual)
     stages = (
         Stage("calibration sessions", sessions / workers + (POOL_S if sessions and workers > 1 else 0.0)),
         Stage("the other cohort", cohort),
-        Stage("what the error is made of", split / workers + (POOL_S if workers > 1 else 0.0)),
-        Stage("rates to dwell at", DESIGNS_S * len(study.tasks)),
-        Stage("Figure 3", FIGURE3_S if figured else 0.0),
+        Stage("what the error is made of", (split + beside) / workers + (POOL_S if workers > 1 else 0.0)),
         Stage("Figure 3, effect by effect", EFFECTS_S if figured and rivals else 0.0),
         Stage("Figure 3, drawn units", DRAWN_UNITS * DRAWN_S / workers if figured and rivals else 0.0),
         Stage("rival methods", UNITS * RIVALS_S / workers if rivals else 0.0),
         Stage("real recordings", real_s),
     )
-    return tuple(stage for place, stage in enumerate(stages) if place < 4 or stage.seconds > 0.0)
+    return tuple(stage for place, stage in enumerate(stages) if place < 3 or stage.seconds > 0.0)
 
 
 def duration(seconds: float) -> str:
@@ -484,12 +493,11 @@ def judge_study(
     others, tested = judge.other_study(study), _on_others(study, surfaces, optima, chosen, folder / TESTING, executor)
     categories = judge.compare_categories(study, surfaces, optima, folder / TESTING)
     begin("what the error is made of")
-    splits = split_study(study, surfaces, optima, executor, advance=course.advance)
-    begin("rates to dwell at")
-    designs = tuple(row for held in zip(study.tasks, surfaces, optima, strict=True) for row in _designs(study, *held))
-    begin("Figure 3")
-    warmer = sum(study.excursion_k) / 2.0
-    figure, missing = _figure3_of(study, warmer)
+    warmer, tasks = sum(study.excursion_k) / 2.0, zip(study.tasks, surfaces, optima, strict=True)
+    jobs: list[Callable[[], Any]] = [partial(_figure3_of, study, warmer)]
+    jobs += [partial(_designs, study, *each) for each in tasks]
+    splits, rest = split_study(study, surfaces, optima, executor, beside=jobs, advance=course.advance)
+    (figure, missing), *designs = rest
     effects, drawn = tuple[EffectRow, ...](), tuple[DrawnRow, ...]()
     compared: Rivals | None = None
     rivals_missing: Finding | None = finding("study.rivals_not_asked", "info")
@@ -509,7 +517,7 @@ def judge_study(
         figure3_missing=missing,
         figure3_effects=effects,
         figure3_drawn=drawn,
-        designs=designs,
+        designs=tuple(chain.from_iterable(designs)),
         rivals=compared.rows if compared else (),
         rival_triads=compared.triads if compared else (),
         rivals_missing=rivals_missing,
