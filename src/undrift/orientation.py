@@ -515,13 +515,16 @@ def orient_unchecked(
     else:
         offsets = _offsets(record.time, rests, means, settings.offset, rests.index(still))
         uncertainty = _offset_uncertainty(rates, rests, means, offsets, gyro_model)
+    subtracted = record.offset_uncertainty if settings.offset == "none" else None  # before, by ``correct``
+    uncertainty = uncertainty if subtracted is None else min(uncertainty, subtracted)  # a rest shows no less here
     gyro, anchor = rates - offsets, 0 if still is None else still.stop - 1
     if settings.method == "vqf":
         q, of_field = filtered(record, gyro, uncertainty, magnetometer=settings.magnetometer)
         q, findings = q if of_field else _levelled_at(q, anchor, tilt.q_nb), findings + of_field
     else:
         q = _both_ways(gyro, record.time, tilt.q_nb, anchor)
-        findings += (_expected_drift(record.time, anchor, uncertainty, settings.offset, rested=still is not None),)
+        offset = settings.offset if subtracted is None else "motion"
+        findings += (_expected_drift(record.time, anchor, uncertainty, offset, rested=still is not None),)
     q, at_rest = _of_segment(q, settings, anchor), None if still is None else slice(still.start, still.stop)
     findings += () if still is None else _moved_at_rest(record, still)
     findings += check_pitch_axes(q, at_rest, settings.forward, settings.up)

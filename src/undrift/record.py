@@ -86,6 +86,8 @@ class Record(Shown):
         Serial number or name; "" when the file does not state it.
     accel_uncertainty : ForceUncertainty or None
         Of a corrected record: what its calibration knows of the accelerometers, for the uncertainty of a tilt.
+    offset_uncertainty : float or None
+        Of a corrected record from which an offset was subtracted: its standard uncertainty in motion, rad/s.
 
     Raises
     ------
@@ -111,6 +113,7 @@ class Record(Shown):
     state: State = "raw"
     device: str = ""
     accel_uncertainty: ForceUncertainty | None = None
+    offset_uncertainty: float | None = None
 
     def __post_init__(self) -> None:
         set_ = object.__setattr__

@@ -7,11 +7,14 @@ import pytest
 
 from testkit.command_line import beyond_the_table, contents, warm_between
 from testkit.data import data_path, show
+from undrift.calibration.calibrate import calibrate
 from undrift.correction.correct import correct
 from undrift.io.formats import read_record, read_reference, write_record
-from undrift.io.store import read_calibration
+from undrift.io.store import read_calibration, write_calibration
 from undrift.io.write import COLUMNS
 from undrift.orientation import orient
+from undrift.sim.device.presets import random_device
+from undrift.sim.sessions import simulate_session, simulate_trial
 
 
 def test_a_corrected_and_a_raw_recording_give_the_same_angles(undrift, bench, tmp_path):
@@ -262,3 +265,28 @@ def test_a_worn_recording_with_another_axis_up_is_warned_of_everywhere_until_the
     (item,) = (one for one in told["findings"] if one["code"] == "orient.pitch_axes")
     assert (item["level"], item["values"]["up"], item["values"]["forward"][0]) == ("warn", "+x", "+z")
     assert "Pitch by" not in undrift.good(*words, "--up", "+x", "--forward", "-z").out
+
+
+@pytest.fixture(scope="module")
+def turned(tmp_path_factory):
+    """Return a recording of a device in hands, and its calibration."""
+    folder = tmp_path_factory.mktemp("turned")
+    device = random_device(np.random.default_rng(4))
+    made = calibrate(simulate_session("bench", device, rng=np.random.default_rng(5)))
+    write_calibration(made, folder / "calibration.json")
+    write_record(simulate_trial("free", device, rng=np.random.default_rng(6)).record, folder / "raw.parquet")
+    return folder
+
+
+@pytest.mark.parametrize("choice", ["motion", "rest"])
+def test_a_file_keeps_how_well_its_subtracted_offset_is_known(undrift, turned, tmp_path, choice):
+    raw = (turned / "raw.parquet", "--calibration", turned / "calibration.json", "--offset", choice)
+    straight = undrift.good("orient", *raw, "-o", tmp_path / "a.parquet", "--json").json()["offset_uncertainty_dps"]
+    for name in ("made.parquet", "made.csv"):
+        undrift.good("correct", *raw, "-o", tmp_path / name)
+        answer = undrift.good("orient", tmp_path / name, "-o", tmp_path / "b.parquet", "--json").json()
+        stated = answer["offset_uncertainty_dps"]
+        show(f"{name}, {choice}: offset uncertain by, deg/s; of the raw recording", (stated, straight))
+        assert stated == pytest.approx(straight, rel=0.05)
+        (drift,) = (one for one in answer["findings"] if one["code"] == "orient.drift")
+        assert "rest" not in drift["action"]

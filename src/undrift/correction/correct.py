@@ -343,6 +343,7 @@ def re_zeroed(
     rate.flags.writeable = True
     in_pieces(subtract, len(rate), threads)
     rate.flags.writeable = False
+    object.__setattr__(done.record, "offset_uncertainty", remainder.uncertainty)
     return replace(done, rest=remainder, findings=(*done.findings, remainder.finding))
 
 

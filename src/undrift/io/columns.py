@@ -140,6 +140,7 @@ class ColumnMap:
     state: State = "raw"  # "raw" or "corrected"
     device: str = ""  # Serial number or name
     accel_uncertainty: ForceUncertainty | None = None  # Of a corrected recording, as undrift wrote it
+    offset_uncertainty: float | None = None  # rad/s, likewise
 
     def __post_init__(self) -> None:
         if self.gyro is None and self.accel is None:
@@ -273,18 +274,21 @@ def stated(columns: ColumnMap, held: Mapping[str, Any], otherwise: str) -> Colum
     frame, state, device = (held.get(key, "") for key in ("frame", "state", "device"))
     try:
         force = ForceUncertainty(**held["accel_uncertainty"]) if held.get("accel_uncertainty") else None
-    except (TypeError, InputError) as error:
+        rate = None if held.get("offset_uncertainty") is None else float(held["offset_uncertainty"])
+    except (TypeError, ValueError, InputError) as error:
         raise FileFormatError(f"{otherwise}; write the file anew") from error
     if frame not in frames or state not in states or not isinstance(device, str):
         raise FileFormatError(f"{otherwise}; write the file anew")
-    return replace(columns, frame=frames[frame], state=states[state], device=device, accel_uncertainty=force)
+    known: dict[str, Any] = {"accel_uncertainty": force, "offset_uncertainty": rate}
+    return replace(columns, frame=frames[frame], state=states[state], device=device, **known)
 
 
 def marks_of(record: Record) -> dict[str, Any]:
     """Return what undrift writes beside the columns of a record, for ``stated``."""
-    known = record.accel_uncertainty
-    marks = {"frame": record.frame, "state": record.state, "device": record.device}
-    return marks if known is None else marks | {"accel_uncertainty": known.as_json()}
+    marks: dict[str, Any] = {"frame": record.frame, "state": record.state, "device": record.device}
+    if record.accel_uncertainty is not None:
+        marks["accel_uncertainty"] = record.accel_uncertainty.as_json()
+    return marks if record.offset_uncertainty is None else marks | {"offset_uncertainty": record.offset_uncertainty}
 
 
 def is_native(names: Names) -> bool:
@@ -493,6 +497,7 @@ def build_record(table: RawTable, columns: ColumnMap) -> ReadResult:
         state=columns.state,
         device=columns.device,
         accel_uncertainty=columns.accel_uncertainty,
+        offset_uncertainty=columns.offset_uncertainty,
     )
     repaired = 0 if keep is None else int((~keep).sum())
     return ReadResult(record=record, dropped_rows=table.dropped, repaired_rows=repaired, clock=clock)
