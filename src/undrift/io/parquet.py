@@ -3,8 +3,8 @@
 The schema metadata holds one key, ``undrift``: ``{"kind": "undrift.record", "format": 1, "gyro_unit": "dps", "accel_unit": "g",
 "frame": "s", "state": "raw", "device": "MTi-1"}``; of a corrected record also what its calibration knows of the accelerometers
 (``accel_uncertainty``, as record.ForceUncertainty has it) and of an offset that was subtracted (``offset_uncertainty``, rad/s). A
-second key, ``undrift.crc32``, is the CRC-32 of the first and of the column names; each page carries its own, so that a changed byte is refused.
-Files of any size are read and written in chunks of
+second key, ``undrift.crc32``, is the CRC-32 of the first and of the column names; each page carries its own, so that a changed byte
+is refused. Files of any size are read and written in chunks of
 constant memory.
 """
 
