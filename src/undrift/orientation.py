@@ -514,17 +514,14 @@ def orient_unchecked(
         uncertainty = math.hypot(moved.uncertainty, float(np.linalg.norm(moved.rate.mean(axis=0))))
     else:
         offsets = _offsets(record.time, rests, means, settings.offset, rests.index(still))
-        uncertainty = _offset_uncertainty(rates, rests, means, offsets, gyro_model)
-    subtracted = record.offset_uncertainty if settings.offset == "none" else None  # before, by ``correct``
-    uncertainty = uncertainty if subtracted is None else min(uncertainty, subtracted)  # a rest shows no less here
+        uncertainty = _offset_uncertainty(record, rests, means, offsets, gyro_model)
     gyro, anchor = rates - offsets, 0 if still is None else still.stop - 1
     if settings.method == "vqf":
         q, of_field = filtered(record, gyro, uncertainty, magnetometer=settings.magnetometer)
         q, findings = q if of_field else _levelled_at(q, anchor, tilt.q_nb), findings + of_field
     else:
         q = _both_ways(gyro, record.time, tilt.q_nb, anchor)
-        offset = settings.offset if subtracted is None else "motion"
-        findings += (_expected_drift(record.time, anchor, uncertainty, offset, rested=still is not None),)
+        findings += (_expected_drift(record, anchor, uncertainty, settings.offset, rested=still is not None),)
     q, at_rest = _of_segment(q, settings, anchor), None if still is None else slice(still.start, still.stop)
     findings += () if still is None else _moved_at_rest(record, still)
     findings += check_pitch_axes(q, at_rest, settings.forward, settings.up)
@@ -586,9 +583,10 @@ def _offsets(time: FloatArray, rests: Sequence[Still], means: FloatArray, offset
 
 
 def _offset_uncertainty(
-    gyro: FloatArray, rests: Sequence[Still], means: FloatArray, offsets: FloatArray, model: TriadModel | None
+    record: Record, rests: Sequence[Still], means: FloatArray, offsets: FloatArray, model: TriadModel | None
 ) -> float:
     """Return the standard uncertainty of the rate's offset, all axes together: rad/s."""
+    gyro = np.asarray(record.gyro)
     left = [mean - offsets[(one.start + one.stop) // 2] for one, mean in zip(rests, means, strict=True)]
     worst = max(float(np.linalg.norm(one)) for one in left)
     if model is not None and not offsets.any():
@@ -600,7 +598,9 @@ def _offset_uncertainty(
     )
     unmoved = model is not None and model.method in IN_MOTION and model.moving_offset is None and not offsets.any()
     moving = 0.0 if unmoved else 1.0 - sum(one.stop - one.start for one in rests) / len(gyro)
-    return math.hypot(worst, math.sqrt(scatter), moved_by(model) * moving)
+    by_rests = math.hypot(worst, math.sqrt(scatter), moved_by(model) * moving)
+    known = record.offset_uncertainty  # of what ``correct`` subtracted
+    return by_rests if known is None or offsets.any() else min(by_rests, known)
 
 
 def _moved_at_rest(record: Record, still: Still) -> tuple[Finding, ...]:
@@ -622,9 +622,10 @@ def _moved_at_rest(record: Record, still: Still) -> tuple[Finding, ...]:
     return (finding("orient.rest_turns", "warn", how=how, **span),)
 
 
-def _expected_drift(time: FloatArray, anchor: int, uncertainty: float, offset: str, *, rested: bool) -> Finding:
+def _expected_drift(record: Record, anchor: int, uncertainty: float, offset: str, *, rested: bool) -> Finding:
     """Return the angle by which strapdown is off at the end that is farther from the rest, or from the first sample."""
-    tried = "rest" if offset == "none" and not rested else offset
+    time, tried = record.time, "rest" if offset == "none" and not rested else offset
+    tried = "motion" if offset == "none" and record.offset_uncertainty is not None else tried
     duration = max(float(time[-1] - time[anchor]), float(time[anchor] - time[0]))
     return finding(
         "orient.drift",

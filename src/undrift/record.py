@@ -74,10 +74,8 @@ class Record(Shown):
         Temperature at the sensor, degC.
     mag_ut : array, shape (N, 3), or None
         Magnetic field, uT. Carried along, not calibrated.
-    gyro_unit : str
-        rad/s, dps, count or v.
-    accel_unit : str
-        m/s2, g, mg, count or v.
+    gyro_unit, accel_unit : str
+        rad/s, dps, count or v; m/s2, g, mg, count or v.
     frame : str
         "s" for sensor axes, "b" for the device case.
     state : str
@@ -87,7 +85,7 @@ class Record(Shown):
     accel_uncertainty : ForceUncertainty or None
         Of a corrected record: what its calibration knows of the accelerometers, for the uncertainty of a tilt.
     offset_uncertainty : float or None
-        Of a corrected record from which an offset was subtracted: its standard uncertainty in motion, rad/s.
+        Of an offset that ``correct`` subtracted: standard uncertainty in motion, rad/s.
 
     Raises
     ------

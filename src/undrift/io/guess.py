@@ -255,16 +255,16 @@ def example_map(names: tuple[str, ...], text: Text | None, arrays: Arrays) -> tu
     row = {} if text is None else dict(zip(text.names, cells, strict=False))
     nameless = text is not None and not text.layout.header and names[-1].isdecimal()
     several = _by_position(text) if text is not None and nameless else [_by_name(names, text, arrays)]
-    held = []
+    tried = []
     for keys in several:  # gravity tells which three are the accelerometer
         known = {channel: _unit_of(channel, value) for channel, value in keys.items()}
         if known.get("time") == "?" and is_date(row.get(str(_listed(keys["time"])[0]), "")):
             known["time"] = "date"
-        held.append((keys, known, proposed_units(readings, keys, known)))
+        tried.append((keys, known, proposed_units(readings, keys, known)))
     # of several: the accelerometer reads gravity, whose length keeps as well as in any, and most units can be proposed
-    felt = {k: _unsteady(readings, one[0]) for k, one in enumerate(held) if "accel" in one[2]}
-    near = [held[k] for k, unsteady in felt.items() if unsteady <= 2.0 * min(felt.values())]
-    keys, known, proposed = max(near or held[:1], key=lambda one: len(one[2]))
+    felt = {k: _unsteady(readings, one[0]) for k, one in enumerate(tried) if "accel" in one[2]}
+    near = [tried[k] for k, unsteady in felt.items() if unsteady <= 2.0 * min(felt.values())]
+    keys, known, proposed = max(near or tried[:1], key=lambda one: len(one[2]))
     if text is not None and not text.layout.header and not nameless:  # under two header rows, which a map passes over
         keys = {
             channel: json.dumps([names.index(str(name)) for name in _listed(value)]) for channel, value in keys.items()
