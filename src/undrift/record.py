@@ -87,10 +87,7 @@ class Record(Shown):
     offset_uncertainty : float or None
         Of an offset that ``correct`` subtracted: standard uncertainty in motion, rad/s.
 
-    Raises
-    ------
-    InputError
-        Shapes that disagree, time that does not increase, a unit that is not one.
+    Raises InputError for shapes that disagree, time that does not increase, or a unit that is not one.
 
     Examples
     --------
