@@ -74,8 +74,10 @@ class Record(Shown):
         Temperature at the sensor, degC.
     mag_ut : array, shape (N, 3), or None
         Magnetic field, uT. Carried along, not calibrated.
-    gyro_unit, accel_unit : str
-        rad/s, dps, count or v; m/s2, g, mg, count or v.
+    gyro_unit : str
+        rad/s, dps, count or v.
+    accel_unit : str
+        m/s2, g, mg, count or v.
     frame : str
         "s" for sensor axes, "b" for the device case.
     state : str
@@ -85,9 +87,12 @@ class Record(Shown):
     accel_uncertainty : ForceUncertainty or None
         Of a corrected record: what its calibration knows of the accelerometers, for the uncertainty of a tilt.
     offset_uncertainty : float or None
-        Of an offset that ``correct`` subtracted: standard uncertainty in motion, rad/s.
+        Of a corrected record from which an offset was subtracted: its standard uncertainty in motion, rad/s.
 
-    Raises InputError for shapes that disagree, time that does not increase, or a unit that is not one.
+    Raises
+    ------
+    InputError
+        Shapes that disagree, time that does not increase, a unit that is not one.
 
     Examples
     --------
@@ -158,10 +163,8 @@ class Record(Shown):
             Rate readings in ``gyro_unit``.
         accel : array, shape (N, 3), or None
             Specific-force readings in ``accel_unit``.
-        gyro_unit : str
-            rad/s, dps, count or v; required with ``gyro``.
-        accel_unit : str
-            m/s2, g, mg, count or v; required with ``accel``.
+        gyro_unit, accel_unit : str
+            rad/s, dps, count or v; m/s2, g, mg, count or v; required with ``gyro`` and with ``accel``.
         time : array, shape (N,), or None
             s, strictly increasing; or else ``sample_rate_hz``.
         sample_rate_hz : float or None
