@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from testkit.data import show
 from testkit.full_calibration import device
 from undrift.drift.checks import static_verdict
 from undrift.drift.observe import RestBlocks
@@ -262,3 +263,23 @@ def test_the_notes_spline_has_what_the_set_points_share_from_pose_to_pose():
     assert (fit.table.gyro_uncertainty > 0.5 * 0.5 * 0.05).all()
     alone = fit_static(blocks(temp, line(temp, rng)), nodes=NODES, settings=StaticSettings(not_a_knot=True))
     assert (alone.table.gyro_uncertainty < 0.005).all()
+
+
+def test_a_face_that_was_mounted_anew_at_one_temperature_does_not_bend_the_accelerometers_table():
+    rng, temp, calibration = np.random.default_rng(2), np.linspace(20.0, 60.0, 80), device(unit="rad/s")
+
+    def lying(temp_c, number, force):
+        moved = 0.003 * (temp_c[:, None] - 40.0) * [1.0, 0.5, -1.0] + 1e-3 * rng.normal(size=(len(temp_c), 3))
+        accel = calibration.accel.offset + moved + calibration.accel.forward_matrix @ force
+        made = blocks(
+            temp_c, np.zeros((len(temp_c), 3)), accel=accel, time=1000.0 * number + 10.0 * np.arange(len(temp_c))
+        )
+        return replace(made, mounting=np.full(len(temp_c), number, np.int64))
+
+    level, off = np.array([0.0, 0.0, 9.81]), np.array([0.03, -0.02, 9.81])  # 0.2 deg off level
+    fits = [
+        fit_static(joined(*parts), nodes=NODES, calibration=calibration).table.accel_offset
+        for parts in ((lying(np.full(10, 36.0), 0, off), lying(temp, 1, level)), (lying(temp, 1, level),))
+    ]
+    show("difference that a face makes that was mounted anew, raw unit", float(np.abs(fits[0] - fits[1]).max()))
+    np.testing.assert_allclose(fits[0], fits[1], atol=2e-3)

@@ -103,6 +103,8 @@ class RestBlocks(StretchMeans):
     # (n, 3), standard deviation of what the converter's steps leave in the mean, raw unit: constant at one level
     gyro_step_error: FloatArray | None = None
     accel_step_error: FloatArray | None = None  # (n, 3), likewise
+    # (n,), as ``pose``, but a face that was mounted anew, after another one, has another number: it is not level as before
+    mounting: IntArray | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -128,14 +130,16 @@ def observe_rests(
         begins_s = session.begins_s
         steps = [(_record_step(record.gyro), _record_step(record.accel)) for record in session.records]
         stills = find_rests(session)
-        numbers = poses + _poses(session, stills)
-        poses = int(numbers.max()) + 1
-        for still, pose in zip(stills, numbers.tolist(), strict=True):
+        numbers = _poses(session, stills)
+        mountings = poses + np.append(0, np.cumsum(np.diff(numbers) != 0))
+        for still, pose, mounting in zip(stills, (poses + numbers).tolist(), mountings.tolist(), strict=True):
             k = still.recording
             begin_s, record = float(begins_s[k]), session.records[k]
-            parts.append(
-                rest_blocks(record, temps[k], still, steps[k], settings, begin_s=begin_s, session=number, pose=pose)
+            blocks = rest_blocks(
+                record, temps[k], still, steps[k], settings, begin_s=begin_s, session=number, pose=pose
             )
+            parts.append(replace(blocks, mounting=np.full(len(blocks), mounting, np.int64)))
+        poses = max(poses + int(numbers.max()), int(mountings.max())) + 1
     if not any(len(part) for part in parts):
         raise NotObservable(
             "rests: wanted stretches at rest with a known temperature, got none; leave the device still while its temperature "
@@ -450,7 +454,8 @@ def set_point_rests(session: Session, temps: Sequence[FloatArray], *, number: in
         parts.append(
             RestBlocks(
                 **columns,
-                pose=np.array([first_pose + _pose_among(shown, own) for own in columns["accel"]], np.int64),
+                pose=(pose := np.array([first_pose + _pose_among(shown, own) for own in columns["accel"]], np.int64)),
+                mounting=pose,
                 power_on_s=record.time[rows] - record.time[0],
                 ramp_c_per_min=np.zeros(count),
                 accel_variance=_readings(record, means, "accel")[1][rows],

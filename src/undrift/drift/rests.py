@@ -3,7 +3,7 @@
 Readings::
 
     gyroscopes       y = u - K (G a + Earth rate)      K = M^-1, a = M_a (u_a - o_a): g-sensitivity is no offset
-    accelerometers   y = u, of the one pose that has seen the widest range of temperature
+    accelerometers   y = u, of the one pose that has seen the widest range of temperature, and of one mounting if it has seen most
 
 Of the Earth rate only the part along the vertical is known without a heading, 7.29e-5 rad/s * sin(latitude); the rest,
 cos(latitude) in an unknown direction, goes into the uncertainty.
@@ -86,6 +86,7 @@ _HELD_C = 0.5  # a soak stays within this of its mean
 _LONG, _LEAST_SOAKS = 3.0, 5  # times as long as a stretch of a ramp; temperatures from which a log is one of soaks
 _MOST_GROUPS = 20  # groups of neighbouring cells that are left out in turn
 _APART_S = 60.0  # in one cell and pose: a later block belongs to another rest
+_MOST_OF_IT = 0.8  # of a pose's range, that one mounting has seen: the others are left out [assumed]
 _NONE = 1e-6  # singular value of shares: poses that no cell compares
 _ALIKE = 2.0  # degrees of freedom by which the axes of a triad are taken to be alike
 _CHANCE = 1e-3
@@ -143,12 +144,11 @@ def gyro_offsets(blocks: RestBlocks, calibration: Calibration | None, latitude_d
 
 
 def accel_offsets(blocks: RestBlocks, calibration: Calibration | None, accel_unit: str) -> Offsets | Finding:
-    """Return the accelerometers' readings in the pose with the widest range of temperature."""
+    """Return the accelerometers' readings in the pose with the widest range of temperature, of one mounting that saw most of it."""
     blocks = blocks.taken(np.isfinite(blocks.accel).all(axis=1))
     if not len(blocks):
         return finding("drift.accel_no_readings", "info")
-    poses = np.unique(blocks.pose)
-    spans = [float(np.ptp(blocks.temp_c[blocks.pose == pose])) for pose in poses]
+    poses, spans = _spans(blocks.temp_c, blocks.pose)
     force = specific_force(blocks, calibration)
     if force is None and is_physical(accel_unit):
         force = blocks.accel * si_factor(accel_unit, "accel")
@@ -159,6 +159,10 @@ def accel_offsets(blocks: RestBlocks, calibration: Calibration | None, accel_uni
             return finding("drift.accel_gravity", "warn", problem=str(error))
     chosen = blocks.taken(blocks.pose == poses[int(np.argmax(spans))])
     percent, span = 100.0 * UNKNOWN_SCALE_PER_K, max(spans)
+    if chosen.mounting is not None:  # mounted anew it is not as level as before: tilt would count as temperature
+        mountings, seen = _spans(chosen.temp_c, chosen.mounting)
+        if max(seen) >= _MOST_OF_IT * span:
+            chosen, span = chosen.taken(chosen.mounting == mountings[int(np.argmax(seen))]), max(seen)
     return Offsets(
         blocks=chosen,
         value=np.array(chosen.accel),
@@ -167,6 +171,12 @@ def accel_offsets(blocks: RestBlocks, calibration: Calibration | None, accel_uni
         common_variance=np.zeros(3),
         findings=(finding("drift.accel_one_pose", "info", poses=len(poses), span_c=span, percent_per_c=percent),),
     )
+
+
+def _spans(temp_c: FloatArray, number: IntArray) -> tuple[IntArray, list[float]]:
+    """Return the numbers there are, and the range of temperature of each, degC."""
+    each = np.unique(number)
+    return each, [float(np.ptp(temp_c[number == one])) for one in each]
 
 
 def known_variance(variance: FloatArray) -> FloatArray:
