@@ -266,7 +266,7 @@ def test_the_notes_spline_has_what_the_set_points_share_from_pose_to_pose():
 
 
 def test_a_face_that_was_mounted_anew_at_one_temperature_does_not_bend_the_accelerometers_table():
-    rng, temp, calibration = np.random.default_rng(2), np.linspace(20.0, 60.0, 80), device(unit="rad/s")
+    rng, temp, calibration = np.random.default_rng(2), np.repeat([20.0, 40.0, 60.0], 20), device(unit="rad/s")
 
     def lying(temp_c, number, force):
         moved = 0.003 * (temp_c[:, None] - 40.0) * [1.0, 0.5, -1.0] + 1e-3 * rng.normal(size=(len(temp_c), 3))
@@ -279,7 +279,7 @@ def test_a_face_that_was_mounted_anew_at_one_temperature_does_not_bend_the_accel
     level, off = np.array([0.0, 0.0, 9.81]), np.array([0.03, -0.02, 9.81])  # 0.2 deg off level
     fits = [
         fit_static(joined(*parts), nodes=NODES, calibration=calibration).table.accel_offset
-        for parts in ((lying(np.full(10, 36.0), 0, off), lying(temp, 1, level)), (lying(temp, 1, level),))
+        for parts in ((lying(np.full(10, 30.0), 0, off), lying(temp, 1, level)), (lying(temp, 1, level),))
     ]
     show("difference that a face makes that was mounted anew, raw unit", float(np.abs(fits[0] - fits[1]).max()))
     np.testing.assert_allclose(fits[0], fits[1], atol=2e-3)
