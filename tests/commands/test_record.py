@@ -241,7 +241,8 @@ with TalkingDevice(1000.0) as device:
                 np.testing.assert_allclose(np.diff(read_record(left[0]).time), 0.01, atol=1e-9)
         n += step
 print(rows)
-assert (np.diff(rows) > -200).all() and rows[0] == 0 and rows[-1] > 1400, rows  # of 1500 and what comes until it ends
+until = np.minimum(rows, 1500)  # a busy machine takes in more until it ends
+assert (np.diff(until) > -200).all() and rows[0] == 0 and rows[-1] > 1400, rows
 """
 
 

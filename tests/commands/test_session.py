@@ -64,7 +64,7 @@ def test_a_map_that_is_not_complete_says_what_to_put_and_a_file_that_needs_none_
         "t,gx,gy,gz\n" + "".join(f"{k / 100},{k % 3},{k % 5},{k % 7}\n" for k in range(300))
     )
     answer = undrift.good("info", tmp_path / "no.csv", "--write-map", tmp_path / "no.toml")
-    assert f"put the true unit where {tmp_path / 'no.toml'} has ?" in answer.out
+    assert f"put what is true where {tmp_path / 'no.toml'} has ?" in answer.out
     assert "Next:" not in answer.out
     before = contents(tmp_path)
     line = undrift.refused("info", data_path(*LOG), "--write-map", tmp_path / "rate.toml")

@@ -148,6 +148,7 @@ def test_the_mounting_is_found_from_a_walk_and_used(open_page: Callable[..., Pag
     page.get_by_label("Choose files").set_input_files(tmp_path / "calibration.json")
     page.get_by_role("heading", name="calibration.json").wait_for()
     page.get_by_role("button", name="walk.parquet").click()
+    expect(wearing).not_to_contain_text("Without a calibration")  # the page is drawn anew when it has one
     wearing.get_by_role("button", name="Find the mounting").click()
     expect(wearing).to_contain_text("Mounting of the calibration, used for the pitch", timeout=COMMAND_MS)
     expect(wearing).to_contain_text(found)

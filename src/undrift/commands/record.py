@@ -9,11 +9,10 @@ import signal
 import threading
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, TypeAlias
+from typing import TYPE_CHECKING, Literal, Self, TypeAlias
 
 from undrift.base.options import OptionalOutput, verb
 from undrift.base.summary import Section, Summary
@@ -201,17 +200,27 @@ def _record_lines(where: str, output: Path, duration_s: float, screen: Screen) -
     )
 
 
-@contextmanager
-def undisturbed() -> Iterator[None]:
-    """Finish a file whatever is typed: a second Ctrl-C is not heard."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
+class _CtrlC:
+    """The first Ctrl-C ends a recording; a second one, in haste, or one while the file is made, is not heard."""
+
+    def __init__(self) -> None:
+        self.deaf, self._before = False, signal.getsignal(signal.SIGINT)
+        alone = threading.current_thread() is threading.main_thread()
+        self._hears = alone and callable(self._before)  # not where it is ignored (nohup)
+
+    def __enter__(self) -> Self:
+        if self._hears:
+            signal.signal(signal.SIGINT, self._heard)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._hears:
+            signal.signal(signal.SIGINT, self._before)
+
+    def _heard(self, *_: object) -> None:
+        if not self.deaf:
+            self.deaf = True
+            raise KeyboardInterrupt
 
 
 class _Recording:
@@ -233,6 +242,10 @@ class _Recording:
 
     def run(self, guides: Guides, duration_s: float) -> "tuple[Record, Status]":
         """Record until it ends, and make the file; what ends it early is raised, and says what there is."""
+        with _CtrlC() as ctrl_c:
+            return self._run(guides, duration_s, ctrl_c)
+
+    def _run(self, guides: Guides, duration_s: float, ctrl_c: _CtrlC) -> "tuple[Record, Status]":
         self.source.write_to(self.file)
         try:
             self.source.start()
@@ -240,17 +253,16 @@ class _Recording:
         except KeyboardInterrupt:
             self.ended = "stopped"
         finally:
+            ctrl_c.deaf = True
             self.screen.over(self.shown, last=True)
             status, full = self.source.status(), ""
-            with undisturbed():
-                try:
-                    self.source.stop()
-                except InputError as error:
-                    full = str(error)
+            try:
+                self.source.stop()
+            except InputError as error:
+                full = str(error)
         full = full or status.file_error
         try:
-            with undisturbed():
-                whole, where, failed = self._made(full)
+            whole, where, failed = self._made(full)
         except UndriftError as error:
             got = full or f"{self.source.name}: wanted readings, got none or one before it was stopped; try again"
             raise InputError(got) from error
