@@ -22,7 +22,7 @@ from undrift.units import Quantity, is_physical, si_factor
 
 SMOOTHED_S = (0.15, 0.3, 0.6)  # Hann windows; a step is twice as long. The best one is taken [assumed]
 ALIKE = 0.3  # of the scale: what axes may seem to differ by, and cross-axis terms be; parts state 1 to 3 % [assumed]
-_WEIGHINGS = 4
+_WEIGHINGS, _LOOKED_AT_S = 4, 600.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,6 +41,7 @@ class Nominal:
 
 def nominal_scales(records: Sequence[Record], gravity_m_s2: float) -> tuple[Nominal, Nominal]:
     """Return scale and zero of the gyroscopes and of the accelerometers of one device, whose recordings have both and no gaps."""
+    records = [one.between(one.time[0], one.time[0] + _LOOKED_AT_S) for one in records]
     units: tuple[tuple[str, Quantity], ...] = ((records[0].gyro_unit, "rate"), (records[0].accel_unit, "accel"))
     gyro, accel = (
         Nominal(si_factor(unit, quantity), np.zeros(3), sought=False) if is_physical(unit) else None
@@ -82,7 +83,7 @@ def _sphere(points: FloatArray, gravity_m_s2: float) -> Nominal:
     middle, size = points.mean(axis=0), float(np.std(points)) or 1.0
     at = (points - middle) / size
     x, covariance = _weighed(np.column_stack((2.0 * at, np.ones(len(at))))[:, None], (at**2).sum(axis=1)[:, None])
-    radius = float(np.sqrt(x[3] + x[:3] @ x[:3]))
+    radius = float(np.sqrt(max(x[3] + x[:3] @ x[:3], 1e-12)))
     if np.sqrt(np.diag(covariance)[:3]).max() > 0.1 * radius or np.ptp(at, axis=0).min() < 0.6 * radius:
         raise NotObservable(
             "motion: wanted specific force along and against each axis, to find the scale of the accelerometers, got "
