@@ -41,8 +41,10 @@ def errors(place, seeds, movement="walk"):
     rows = []
     for seed in seeds:
         record, matrix = drawn(seed, place, movement)
-        found = find_mounting([record], place, movement=movement).mounting
+        fit = find_mounting([record], place, movement=movement)
+        found = fit.mounting
         assert found is not None, (place, seed)
+        assert "mount.slipped" not in [one.code for one in fit.verdict.findings], (place, seed)
         rows.append((off(found, matrix), np.sqrt(np.diag(found.covariance))))
     return np.array(rows).transpose(1, 0, 2)
 

@@ -60,6 +60,15 @@ def test_the_warm_up_has_the_slopes_of_its_ten_second_means(board: Record, warm_
         slope = np.polyfit(d, sum(np.outer(d ** (k + 1), row) for k, row in enumerate(per_k)), 1)[0] / unit
         show(f"{name}, line through the cubic", np.round(slope, 3).tolist(), known)
         np.testing.assert_allclose(slope, known, atol=atol)
+    # What a cubic leaves of the 10 s means, as SOURCE.md has it
+    held, block = board.in_si(), ((board.time - board.time[0]) // 10.0).astype(int)
+    assert held.gyro is not None
+    columns = np.column_stack((board.temp_c - CLIMATE.room_c, held.gyro))
+    means = np.array([columns[block == k].mean(axis=0) for k in range(block[-1])])
+    left = means[:, 1:] - sum(means[:, :1] ** (k + 1) * row for k, row in enumerate(warm_up.gyro_per_k))
+    spread = 1e3 * np.degrees(left.std(axis=0) * np.sqrt(len(left) / (len(left) - 4)))
+    show("left by the cubic, mdeg/s", spread.round(2).tolist())
+    np.testing.assert_allclose(spread, [5.3, 6.3, 4.6], atol=0.3)
 
 
 @pytest.mark.parametrize("device", first_and_long(DEVICES))

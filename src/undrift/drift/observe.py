@@ -451,10 +451,11 @@ def set_point_rests(session: Session, temps: Sequence[FloatArray], *, number: in
         rows = np.flatnonzero((means.rate_b == 0.0).all(axis=1) & np.isfinite(temp_c))
         columns = _columns(session, k, temp_c, rows, number)
         count = len(rows)
+        pose = np.array([first_pose + _pose_among(shown, own) for own in columns["accel"]], np.int64)
         parts.append(
             RestBlocks(
                 **columns,
-                pose=(pose := np.array([first_pose + _pose_among(shown, own) for own in columns["accel"]], np.int64)),
+                pose=pose,
                 mounting=pose,
                 power_on_s=record.time[rows] - record.time[0],
                 ramp_c_per_min=np.zeros(count),

@@ -7,6 +7,7 @@ Nothing is guessed: a foreign file needs a ColumnMap. A file with undrift's own 
 """
 
 import itertools
+import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -274,10 +275,11 @@ def stated(columns: ColumnMap, held: Mapping[str, Any], otherwise: str) -> Colum
     frame, state, device = (held.get(key, "") for key in ("frame", "state", "device"))
     try:
         force = ForceUncertainty(**held["accel_uncertainty"]) if held.get("accel_uncertainty") else None
-        rate = None if held.get("offset_uncertainty") is None else float(held["offset_uncertainty"])
-    except (TypeError, ValueError, InputError) as error:
+    except (TypeError, InputError) as error:
         raise FileFormatError(f"{otherwise}; write the file anew") from error
-    if frame not in frames or state not in states or not isinstance(device, str):
+    rate = held.get("offset_uncertainty")
+    known_rate = rate is None or (isinstance(rate, float) and 0.0 <= rate < math.inf)
+    if frame not in frames or state not in states or not isinstance(device, str) or not known_rate:
         raise FileFormatError(f"{otherwise}; write the file anew")
     known: dict[str, Any] = {"accel_uncertainty": force, "offset_uncertainty": rate}
     return replace(columns, frame=frames[frame], state=states[state], device=device, **known)

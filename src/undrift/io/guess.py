@@ -51,10 +51,8 @@ _RATE, _SPREAD_RAD_S = {"rad/s": (1.0, 36.0), "dps": (36.0, 4500.0)}, 0.01
 _NO_MARKER = re.compile(r"(?i)vel|force|moment|angle|euler|quat|\bacc|\bgyr|\bmag")
 _MARKER = re.compile(r"(?i)marker|mkr|traj|pos|^m?\d+[ _.]|^[lr](asi|psi|sho|kne|ank|hee|toe)")
 _LENGTHS = tuple((unit, re.compile(rf"(?i)[_ \[(]{unit}\b")) for unit in ("mm", "cm", "m"))
-_RIGID, _LEAST_FRAMES = (
-    0.03,
-    10,
-)  # range of distances over their size, of skin and of optics; frames that are enough [assumed]
+# Range of distances over their size, of skin and of optics; frames that are enough [assumed]
+_RIGID, _LEAST_FRAMES = 0.03, 10
 _COUNTS = 200.0  # whole numbers beyond this are an integer sensor's
 _TEMP_C = (-30.0, 90.0)
 _STATED_RATE = re.compile(
@@ -147,9 +145,8 @@ def reference_map(text: Text, names: tuple[str, ...], *, beside: bool = False) -
     four, readings = quaternion_of_names(names), partial(_readings, text, {})
     if any(label is not None and label.channel == "gyro" for label in map(label_of, names)) is not beside:
         return ()
-    by_place = (
-        beside and not text.layout.header and not names[-1].isdecimal()
-    )  # under two header rows, which a map passes over
+    # under two header rows, which a map passes over
+    by_place = beside and not text.layout.header and not names[-1].isdecimal()
 
     def where(columns: tuple[str, ...] | str) -> str:
         if not by_place:
@@ -164,12 +161,9 @@ def reference_map(text: Text, names: tuple[str, ...], *, beside: bool = False) -
     if four and len(length) and abs(float(np.median(length)) - 1.0) <= NEARLY_UNIT:
         keys = {"quaternion": where(four)}
     elif not beside and (cluster := _cluster(names, partial(_readings, text, {}, gaps=True))):
-        triples, units["markers"], apart = cluster
-        keys, more = (
-            {"markers": _quoted(triples)},
-            ['up = "?"  # x, y, z, -x, -y or -z: the axis of the laboratory that points up'],
-        )
-        why["markers"] = f"markers {apart:.3g} apart"
+        triples, units["markers"], why["markers"] = cluster
+        keys = {"markers": _quoted(triples)}
+        more = ['up = "?"  # x, y, z, -x, -y or -z: the axis of the laboratory that points up']
     else:
         return ()
     clock = next(
@@ -192,8 +186,8 @@ def reference_map(text: Text, names: tuple[str, ...], *, beside: bool = False) -
 
 def _cluster(
     names: tuple[str, ...], readings: Callable[[list[Column]], FloatArray]
-) -> tuple[tuple[tuple[str, str, str], ...], str, float] | None:
-    """Return the columns of most markers that keep their distances, the unit that these suggest, and their mean distance.
+) -> tuple[tuple[tuple[str, str, str], ...], str, str] | None:
+    """Return the columns of most markers that keep their distances, their unit, and what suggests it where no name states it.
 
     Such a set moves, or its names are those of markers: what accelerometers read at rest keeps its distances too.
     """
@@ -217,7 +211,8 @@ def _cluster(
     if not (moved[body] > 0.1 * mean).any() and not all(_MARKER.search(one[0]) for one in of_body):
         return None
     stated = next((unit for unit, pattern in _LENGTHS if pattern.search(of_body[0][0])), None)
-    return of_body, stated or ("m" if mean < 3.0 else "mm" if mean > 10.0 else "?"), mean
+    proposed = "m" if mean < 3.0 else "mm" if mean > 10.0 else "?"
+    return of_body, stated or proposed, "" if stated else f"their mean distance {mean:.3g}"
 
 
 def stated_layout(layout: TextLayout) -> dict[str, Any]:
