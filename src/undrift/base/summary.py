@@ -200,7 +200,7 @@ def rows_section(title: str, rows: Sequence[dict[str, str]], **more: Any) -> Sec
 
 def number(value: float, form: str = ".2f") -> str:
     """Return a figure, or a dash where there is none."""
-    return f"{value:{form}}" if math.isfinite(value) else "–"
+    return f"{value:{form.replace('.', 'z.', 1)}}" if math.isfinite(value) else "–"  # z: no zero below zero
 
 
 def interval(ends: Sequence[float], form: str = ".3f") -> str:

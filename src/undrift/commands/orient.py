@@ -2,11 +2,14 @@
 
 import math
 from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from undrift.base.options import Flag, Output, Side, verb
-from undrift.base.summary import Result, Section, Summary, figure_of, number
+from undrift import __version__
+from undrift.base.options import Flag, Output, Picture, Side, verb
+from undrift.base.summary import Result, Section, Summary, at, figure_of, number, today
 from undrift.commands import Progress, silent
 from undrift.commands.batch import of_folder
 from undrift.commands.files import NamedRest, Opening, TableUse, check_output, corrected, named_columns, worn_by
@@ -18,6 +21,8 @@ if TYPE_CHECKING:
     from undrift.orientation import Orientation
     from undrift.record import Still
 
+NORMAL_95 = 1.96  # standard uncertainties that hold 95 % of errors of one angle
+CLOCK_S = (1e9, 4e9)  # of seconds since 1970: a recording's time beyond says no date
 _SHOWN = ("correct.motion_offset", "orient.north", "orient.mounting")  # on a terminal, though no warnings
 
 
@@ -32,16 +37,55 @@ class Oriented(Result):
     calibration: "Calibration | None"
     earlier: "tuple[Finding, ...]"  # of the correction
     notes: tuple[str, ...]
+    pdf: Path | None = None
+
+    @property
+    def anchor(self) -> int:
+        """The sample from which rates are integrated: the last of the rest, or the first."""
+        return 0 if self.orientation.still is None else self.orientation.still.stop - 1
+
+    @cached_property
+    def band(self) -> "FloatArray | None":
+        """What 95 % of errors of the pitch are within at each sample, rad: tilt, offset since the rest, scale.
+        None of a filter, and where nothing is known of the accelerometers."""
+        import numpy as np
+
+        angles, gyro = self.orientation, None if self.calibration is None else self.calibration.gyro
+        if self.method != "strapdown" or angles.tilt.basis != "calibration":
+            return None
+        drift = angles.offset_uncertainty * np.abs(angles.time - angles.time[self.anchor])
+        scale = 0.0 if gyro is None else gyro.relative_uncertainty
+        parts = (
+            angles.tilt.expanded_uncertainty,
+            NORMAL_95 * drift,
+            NORMAL_95 * scale * (angles.pitch - angles.pitch[self.anchor]),
+        )
+        band: FloatArray = np.sqrt(sum(np.square(one) for one in parts))
+        return band
+
+    @property
+    def answer(self) -> str:
+        """How far the pitch goes, and how good it is at the end that is known least."""
+        import numpy as np
+
+        angles, (low, _, high) = self.orientation, _spread(self.orientation.pitch)
+        text = f"The sagittal pitch goes from {low:.1f} to {high:.1f} deg"
+        if self.band is None or not np.isfinite(self.band).any():
+            return f"{text}; tilt at the start: {angles.tilt.statement}."
+        worst, turn = int(np.nanargmax(self.band)), math.degrees(angles.tilt.expanded_uncertainty)
+        text += f"; after {abs(angles.time[worst] - angles.time[self.anchor]):.0f} s it is good to "
+        offset = f"offset within {NORMAL_95 * math.degrees(angles.offset_uncertainty):.2g} deg/s"
+        return f"{text}{math.degrees(self.band[worst]):.2g} deg (95 %): {offset}, gravity within {turn:.2g} deg."
 
     def summary(self) -> Summary:
         """Return angles, tilt and warnings."""
         found, data = self.orientation, _data(self.orientation)
         angles = (("inclination", found.inclination), ("pitch", found.pitch), ("heading", found.heading))
         rows = tuple((name, *(number(one) for one in _spread(angle))) for name, angle in angles)
-        low, _, high = _spread(found.pitch)
         lines = (
             "tilt from "
-            + ("the still phase {:.1f} to {:.1f} s".format(*data["still"]) if found.still else "gravity in motion"),
+            + ("the still phase {:.1f} to {:.1f} s".format(*data["still"]) if found.still else "gravity in motion")
+            + f": {found.tilt.statement}",
             "inclination: {:.2f} to {:.2f} deg".format(*data["inclination_deg"]),
             "pitch: {:.2f} to {:.2f} deg".format(*data["pitch_deg"]),
         )
@@ -61,23 +105,25 @@ class Oriented(Result):
         named = {"method": self.method, "recording": str(self.record), "output": str(self.output)}
         return Summary(
             title=f"Orientation of {self.record.name}",
-            answer=f"The sagittal pitch goes from {low:.1f} to {high:.1f} deg; tilt at the start: {found.tilt.statement}.",
+            answer=self.answer,
             data=data | named | {"notes": (*(one.text for one in self.earlier), *self.notes)},
-            pictures=(figure_of("figures:draw_orientation", found),),
+            pictures=(figure_of("figures:draw_orientation", found, self.band),),
             sections=tuple(sections),
             findings=found.findings,
             notes=self.notes,
+            written=(self.pdf,),
         )
 
 
 @verb
-@of_folder(".parquet")
+@of_folder(".parquet", alone=("pdf",))
 def orient(
     record: Path,
     /,
     *,
     output: Output,
     calibration: Path | None = None,
+    pdf: Picture = None,
     method: Literal["strapdown", "vqf"] = "strapdown",
     magnetometer: Flag = False,
     offset: Literal["none", "rest", "still", "motion"] = "none",
@@ -101,6 +147,8 @@ def orient(
         sub-.._task-.._tracksys-.._motion.tsv (BIDS).
     calibration : Path or None
         calibration.json of the device, for a raw recording.
+    pdf : Path or None
+        One page for a person's file to write, .pdf: angles over time with their band, verdict, calibration, device and date.
     method : str
         strapdown, or vqf: a filter that takes the inclination from the accelerometers and tracks the offset, over
         the whole recording.
@@ -127,6 +175,7 @@ def orient(
     from undrift.orientation import orient as find
 
     reads = (record, calibration, opening.column_map)
+    check_output(pdf, endings=(".pdf",), reads=reads)
     check_output(output, endings=tuple(ORIENTATION_WRITERS), reads=reads, beside=files_of(output)[1:])
     model = None if calibration is None else read_calibration(calibration)
     progress(f"reading {record.name}", 0.0)
@@ -147,9 +196,57 @@ def orient(
         found = find(readings, rest, settings, gyro_model=None if model is None else model.gyro)
     found = replace(found, findings=tuple({one.text: one for one in (*earlier, *found.findings)}.values()))
     write_orientation(found.time, found.q_nb, (found.inclination, found.heading, found.pitch), output, body=body)
-    return Oriented(
-        record=record, output=output, method=method, orientation=found, calibration=model, earlier=earlier, notes=notes
+    done = Oriented(
+        record=record, output=output, method=method, orientation=found, calibration=model, earlier=earlier, notes=notes, pdf=pdf,
+    )  # fmt: skip
+    if pdf is not None:
+        device = readings.device or ("" if model is None else model.device)
+        drawing = figure_of("figures:draw_orientation", found, done.band)
+        at("undrift.report.certificate:write_pdf")(pdf, "trial", trial_content(done, device), {"angles": drawing})
+    return done
+
+
+def trial_content(done: Oriented, device: str) -> dict[str, Any]:
+    """Return what the page of a trial sets: its answer, verdict, findings, rows of angles and of what it comes from."""
+    from undrift.findings import Verdict, most_consequential_first
+    from undrift.io.store import content_hash
+
+    angles, model = done.orientation, done.calibration
+    verdict, start_s = Verdict.of(*angles.findings), float(angles.time[0])
+    recorded = "not stated by the recording"
+    if CLOCK_S[0] < start_s < CLOCK_S[1]:
+        recorded = datetime.fromtimestamp(start_s, UTC).isoformat(timespec="seconds")
+    basis = (
+        "none given: as the recording came"
+        if model is None
+        else f"of {model.provenance.created[:10] or 'no stated date'}, "
     )
+    basis += "" if model is None else f"verdict {model.verdict.status}, sha256 {content_hash(model)}"
+    summary = done.summary()
+    (table,) = (one for one in summary.sections if one.title == "Angles")
+    how = {"strapdown": "rates integrated from the rest (strapdown)", "vqf": "filter VQF"}[done.method]
+    band = "95 % band: tilt at the rest, offset over the time since it, scale factor."
+    if done.band is None:
+        why = "The filter states" if done.method == "vqf" else "Accelerometers that are not calibrated state"
+        band = f"{why} no uncertainty of the angles in motion: no band is drawn."
+    return {
+        "title": done.record.name,
+        "answer": done.answer,
+        "band": band,
+        "verdict": verdict.status,
+        "findings": [one.text for one in most_consequential_first(angles.findings) if one.level != "info"],
+        "heads": list(table.columns),
+        "angles": [list(row) for row in table.rows],
+        "rows": [
+            ["Recording", f"{done.record.name}, {angles.time[-1] - start_s:.1f} s, {len(angles.time)} samples"],
+            ["Recorded", recorded],
+            ["Device", device or "without serial number"],
+            ["Calibration", basis],
+            ["Method", how],
+            ["Tilt at the start", angles.tilt.statement],
+            ["Page made", f"{today()}, undrift {__version__}"],
+        ],
+    }
 
 
 def _data(found: "Orientation") -> dict[str, Any]:

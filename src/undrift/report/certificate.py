@@ -1,7 +1,7 @@
 """What a certificate and a calibration's summary draw, and the certificate as a PDF."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from undrift.arrays import FloatArray
+from undrift.base.summary import Drawing
 from undrift.commands.certificate import COVERAGE, NAMES, certificate_content, drawings_of, stated
 from undrift.errors import InputError
 from undrift.files import write_whole
@@ -24,7 +25,12 @@ if TYPE_CHECKING:
 
 
 def write_certificate(calibration: Calibration, path: Path) -> None:
-    """Write the certificate of a calibration, the same bytes for the same calibration; fonts and date come with it."""
+    """Write the certificate of a calibration, the same bytes for the same calibration."""
+    write_pdf(path, "certificate", certificate_content(calibration), dict(drawings_of(calibration.drift)))
+
+
+def write_pdf(path: Path, template: str, content: Mapping[str, Any], drawings: Mapping[str, Drawing]) -> None:
+    """Write a template of typst, filled with its content and pictures, as a PDF; fonts come with it."""
     try:
         import typst
     except ModuleNotFoundError as error:
@@ -32,10 +38,10 @@ def write_certificate(calibration: Calibration, path: Path) -> None:
             f"{path}: wanted the package typst to write a PDF, got none; pip install 'undrift[pdf]'"
         ) from error
 
-    given = {"content": json.dumps(certificate_content(calibration))}
-    given |= {name: figures.svg_of(drawing.draw(), outlines=True) for name, drawing in drawings_of(calibration.drift)}
-    template = files("undrift.report").joinpath("certificate.typ").read_bytes()
-    write_whole(path, typst.compile(template, format="pdf", ignore_system_fonts=True, sys_inputs=given))
+    given = {"content": json.dumps(content)}
+    given |= {name: figures.svg_of(drawing.draw(), outlines=True) for name, drawing in drawings.items()}
+    text = files("undrift.report").joinpath(f"{template}.typ").read_bytes()
+    write_whole(path, typst.compile(text, format="pdf", ignore_system_fonts=True, sys_inputs=given))
 
 
 def draw_tables(drift: DriftTables) -> "Figure":

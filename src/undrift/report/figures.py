@@ -447,16 +447,22 @@ def draw_synced(courses: Sequence[tuple[str, FloatArray, FloatArray]]) -> "Figur
     return figure
 
 
-def draw_orientation(found: "Orientation") -> "Figure":
-    """Draw inclination, pitch and heading over time, the rest shaded."""
+def draw_orientation(found: "Orientation", band: FloatArray | None = None) -> "Figure":
+    """Draw inclination, pitch and heading over time, the rest shaded; with what 95 % of the pitch's errors are within, rad (N,)."""
     named = (("inclination", found.inclination), ("pitch", found.pitch), ("heading", found.heading))
-    figure, panels = new_figure(3, height=1.5)
-    for axes, (name, angle) in zip(panels, named, strict=True):
-        axes.plot(*envelope(found.time, _without_wraps(angle / RADIAN_PER_DEGREE)), color=DEVICE)
+    figure, panels = new_figure(3 if band is None else 4, height=1.5)
+    for axes, (name, angle) in zip(panels, named, strict=False):
+        axes.plot(*envelope(found.time, shown := _without_wraps(angle / RADIAN_PER_DEGREE)), color=DEVICE)
+        if name == "pitch" and band is not None:
+            few = slice(None, None, max(1, len(shown) // COLUMNS_DRAWN))  # a band is smooth but where the pitch is
+            low, high = (shown[few] + sign * band[few] / RADIAN_PER_DEGREE for sign in (-1.0, 1.0))
+            axes.fill_between(found.time[few], low, high, color=DEVICE, alpha=0.2, linewidth=0.0)
+            panels[-1].plot(found.time[few], band[few] / RADIAN_PER_DEGREE, color=ERROR)
+            panels[-1].set(ylabel="pitch, 95 %\nwithin (deg)", ylim=(0.0, None))
+        axes.set_ylabel(f"{name} (deg)")
         if found.still is not None:
             rest_s = (float(found.time[k]) for k in (found.still.start, found.still.stop - 1))
             axes.axvspan(*rest_s, color=SHADE, zorder=0)
-        axes.set_ylabel(f"{name} (deg)")
     panels[-1].set_xlabel("time (s)")
     return figure
 
