@@ -15,8 +15,8 @@ from undrift.errors import InputError
 from undrift.units import STANDARD_GRAVITY, gravity_at
 from undrift.web.bench import Bench, ServerSettings
 from undrift.web.commands import CommandOutcome
+from undrift.web.library import StoredFile
 from undrift.web.parts import page_words
-from undrift.web.recordings import StoredFile
 from undrift.web.start import Site, place_of, towns
 
 FITTED = {"accel": {}, "gyro": {}, "provenance": {"settings": {"gravity": "standard"}}}
@@ -86,23 +86,26 @@ def test_a_job_of_an_earlier_day_is_calibrated_by_the_words_it_was(bench):
     job = bench.new_job("A17")
     asyncio.run(bench.calibrate(job, bench.folder / "uploads" / "x" / "walk.csv", "--turn-deg", 360.0))
     (job.folder / "calibration.json").write_text(json.dumps(FITTED))
-    asyncio.run(bench.open_job(job.folder))
-    assert bench.job.words == ("uploads/x/walk.csv", "--turn-deg", "360.0")
+    shown = Bench(bench.settings).visit("tab").job
+    assert (shown.words, shown.serial, shown.answer) == (("uploads/x/walk.csv", "--turn-deg", "360.0"), "A17", FITTED)
 
 
 def test_a_calibration_without_accelerometers_is_not_used_unasked(bench):
     job = bench.new_job()
     bench.answer = CommandOutcome(code=0, answer={"gyro": {}, "accel": None})
-    asyncio.run(bench.calibrate(job, "walk.csv"))
+    (job.folder / "calibration.json").write_text("{}")
+    visit = bench.visit("tab")
+    asyncio.run(visit.calibrate(job, "walk.csv"))
     assert job.lacks == ("accelerometers",)
-    assert bench.calibration is None
+    assert visit.calibration is None
     bench.answer = CommandOutcome(code=0, answer=FITTED)
-    asyncio.run(bench.calibrate(job, "walk.csv"))
-    assert (job.lacks, bench.calibration) == ((), job.calibration)
+    asyncio.run(visit.calibrate(job, "walk.csv"))
+    assert (job.lacks, visit.calibration) == ((), job.folder / "calibration.json")
+    assert bench.visit("another tab").calibration is None
 
 
 def test_sides_that_were_chosen_define_the_pitch_of_orient_and_validate(bench):
-    held, one = bench.recordings, StoredFile(path=bench.folder / "uploads" / "walk.csv")
+    held, one = bench.visit("tab").recordings, StoredFile(path=bench.folder / "uploads" / "walk.csv")
     held.wearing.forward, held.wearing.up = "-z", "+x"
     for work in (held.run(one, "orient"), held.validate(one, one, markers="", up=""), held.run(one, "correct")):
         asyncio.run(work)
@@ -114,7 +117,7 @@ def test_sides_that_were_chosen_define_the_pitch_of_orient_and_validate(bench):
 
 
 def test_a_mounting_that_is_found_is_kept_in_the_calibration_or_named_by_sides(bench):
-    held, one = bench.recordings, StoredFile(path=bench.folder / "uploads" / "walk.csv")
+    held, one = bench.visit("tab").recordings, StoredFile(path=bench.folder / "uploads" / "walk.csv")
     with pytest.raises(InputError, match="wanted the place where the device is worn, got none; choose it"):
         asyncio.run(held.mount(one))
     held.wearing.worn, held.wearing.movement = "shank", "squat"
@@ -124,22 +127,22 @@ def test_a_mounting_that_is_found_is_kept_in_the_calibration_or_named_by_sides(b
     assert "-o" not in bench.calls[-1]
     assert "--output" not in bench.calls[-1]
     assert (held.wearing.forward, held.wearing.up, one.mounting) == ("-z", "+x", "Shank: side -z")
-    bench.calibration = bench.folder / "calibration.json"
+    held.visit.calibration = bench.folder / "calibration.json"
     bench.answer = CommandOutcome(code=0, answer=found | {"output": "uploads/walk-worn.json"})
     asyncio.run(held.mount(one))
     words = " ".join(bench.calls[-1])
     assert "--worn shank --posture standing --movement squat --calibration" in words
-    assert bench.calibration == one.path.with_name("walk-worn.json")
+    assert held.visit.calibration == one.path.with_name("walk-worn.json")
     asyncio.run(held.run(one, "orient"))
     assert "--forward" not in bench.calls[-1]
-    assert str(bench.calibration) in bench.calls[-1]
+    assert str(held.visit.calibration) in bench.calls[-1]
     bench.answer = CommandOutcome(code=1, answer={"output": None, "mounting": None})  # what shows forward is missing
     asyncio.run(held.mount(one))
-    assert (one.mounting, bench.calibration) == ("", one.path.with_name("walk-worn.json"))
+    assert (one.mounting, held.visit.calibration) == ("", one.path.with_name("walk-worn.json"))
 
 
 def test_the_offset_that_was_chosen_is_subtracted_by_correct_orient_and_validate_alone(bench):
-    held, one = bench.recordings, StoredFile(path=bench.folder / "uploads" / "walk.csv")
+    held, one = bench.visit("tab").recordings, StoredFile(path=bench.folder / "uploads" / "walk.csv")
     asyncio.run(held.run(one, "orient"))
     assert "--offset" not in bench.calls[-1]  # each command then does what it does by itself
     for chosen in get_args(get_type_hints(correct)["offset"]):
@@ -154,7 +157,7 @@ def test_the_offset_that_was_chosen_is_subtracted_by_correct_orient_and_validate
 
 
 def test_a_recording_is_calibrated_by_its_motion_where_that_is_chosen(bench):
-    held, one = bench.recordings, StoredFile(path=bench.folder / "uploads" / "walk.csv")
+    held, one = bench.visit("tab").recordings, StoredFile(path=bench.folder / "uploads" / "walk.csv")
     for motion in (False, True):
         asyncio.run(held.calibrate(one, turn_deg=360.0, serial="A17", motion=motion))
         call = [str(word) for word in bench.calls[-1]]
@@ -168,7 +171,7 @@ def test_a_rate_that_a_command_asks_for_can_be_stated_on_the_page(bench):
     one.error = "walk.csv: wanted 50 samples a second, got 100; say --sample-rate-hz 100"
     assert one.needs_rate
     assert page_words(one.error).endswith("say “Samples per second, Hz” 100")
-    asyncio.run(bench.recordings.state_rate(one, 100.0))
+    asyncio.run(bench.visit("tab").recordings.state_rate(one, 100.0))
     assert bench.calls[0][2:] == ["--map", "map.toml", "--sample-rate-hz", "100.0"]
     assert not one.needs_rate
 

@@ -42,7 +42,7 @@ def bench(tmp_path):
 def test_devices_come_the_most_urgent_first_and_a_refused_trend_says_why(bench):
     rows = [row("never", None), row("late", -3), row("fresh", 300), row("soon", 5)]
     bench.command = Answers(list={"devices": rows}, list_one={"entries": [ENTRY]}, trend_one=REFUSED)
-    held = bench.devices
+    held = bench.visit("tab").devices
     asyncio.run(held.load())
     assert [one["serial"] for one in held.rows] == ["late", "soon", "fresh", "never"]
     assert held.chosen is None
@@ -55,31 +55,31 @@ def test_devices_come_the_most_urgent_first_and_a_refused_trend_says_why(bench):
 
 def test_a_calibration_is_used_from_a_file_in_the_folder_of_the_bench(bench):
     bench.command = Answers(show={})
-    held = bench.devices
+    held = bench.visit("tab").devices
     asyncio.run(held.use(ENTRY))
     (call,) = bench.command.calls
     path = Path(call[call.index("-o") + 1])
     assert path.parent == bench.folder / "registry"  # whatever the serial number holds
     assert path.name.endswith("-3.json")
-    assert bench.calibration == path
+    assert bench.visit("tab").calibration == path
     assert held.is_used(ENTRY)
-    bench.calibration = bench.folder / "jobs" / "calibration.json"
+    bench.visit("tab").calibration = bench.folder / "jobs" / "calibration.json"
     assert not held.is_used(ENTRY)
 
 
 def test_what_a_command_refuses_is_shown_and_nothing_is_used(bench):
     bench.command = Answers(show=REFUSED, list=REFUSED)
-    asyncio.run(bench.devices.use(ENTRY))
-    assert bench.calibration is None
-    assert bench.devices.error == REFUSED.error
-    asyncio.run(bench.devices.load())
-    assert bench.devices.rows is None
+    asyncio.run(bench.visit("tab").devices.use(ENTRY))
+    assert bench.visit("tab").calibration is None
+    assert bench.visit("tab").devices.error == REFUSED.error
+    asyncio.run(bench.visit("tab").devices.load())
+    assert bench.visit("tab").devices.rows is None
 
 
 def test_a_registry_file_that_is_not_there_yet_has_no_devices(tmp_path):
     held = Bench(ServerSettings(folder=tmp_path / "bench", registry=str(tmp_path / "new.sqlite")))
-    asyncio.run(held.devices.load())
-    assert held.devices.rows == []
+    asyncio.run(held.visit("tab").devices.load())
+    assert held.visit("tab").devices.rows == []
     held.close()
 
 

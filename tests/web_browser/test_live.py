@@ -85,7 +85,7 @@ def test_a_calibration_of_the_bench_corrects_and_the_pitch_follows(
     folder.mkdir(parents=True)
     undrift.write_calibration(undrift.calibrate(session), folder / "calibration.json")
     page = connected(open_page)
-    page.get_by_label("Calibration").select_option("2026-01-01-000000-made/calibration.json")
+    page.get_by_label("Calibration").select_option("2026-01-01-000000-made")
     expect(page.get_by_role("img", name=re.compile("corrected x"))).to_have_count(2, timeout=COMMAND_MS)
     expect(page.get_by_role("img", name=re.compile("Pitch"))).to_be_visible()
     page.wait_for_timeout(3500)

@@ -61,7 +61,7 @@ def test_the_prior_of_the_part_and_the_magnetometer_are_options_of_the_page(
     page.get_by_label("Choose files").set_input_files(tmp_path / "part.json")
     expect(page.locator(".bench-main")).to_contain_text("prior of a part, learnt from 16 devices", timeout=COMMAND_MS)
     page.get_by_label("Choose files").set_input_files(tmp_path / "moved.parquet")
-    page.get_by_role("button", name="moved.parquet").click()
+    page.get_by_role("button", name="moved.parquet", exact=True).click()
     page.get_by_label("Prior of the part").select_option("part.json")
     page.get_by_label("calibrate it too").check()
     shoot(page, "recordings-motion")

@@ -18,6 +18,7 @@ def bench(
     token: str = "",
     registry: str | None = None,
     upload_mb: float = 500.0,
+    quota_gb: float = 20.0,
     practice_seed: int | None = None,
     practice_speed: float = 1.0,
     no_browser: Flag = False,
@@ -41,6 +42,8 @@ def bench(
         File or URL of the registry; the user's own where not given.
     upload_mb : float
         Largest file that the page Recordings takes, MB.
+    quota_gb : float
+        Largest folder that the bench fills, GB; what is larger is refused.
     practice_seed : int or None
         Draws the same practice device each time.
     practice_speed : float
@@ -53,21 +56,14 @@ def bench(
     except ImportError as error:
         raise InputError(f"bench: wanted nicegui, got none ({error.name}); pip install undrift[bench]") from error
     from undrift.files import data_folder
-    from undrift.web.access import LOOPBACK
     from undrift.web.bench import ServerSettings
 
-    if host not in LOOPBACK and not network:
-        raise InputError(
-            f"--host: wanted this computer (127.0.0.1), got {host}; add --network to let others in by a token"
-        )
-    if token and not network:
-        raise InputError("--token: wanted --network beside it, got it alone; this computer needs none")
-    if token and len(token) < 16:
-        raise InputError(f"--token: wanted 16 characters or more, got {len(token)}; leave it out for a fresh one")
+    _check_access(host, network, token)
     if not 0 <= port <= 65535:
         raise InputError(f"--port: wanted 0 to 65535, got {port}; 0 takes a free one")
-    if not upload_mb > 0.0:
-        raise InputError(f"--upload-mb: wanted more than 0, got {upload_mb:g}; state the largest file in MB")
+    for name, value, what in (("upload-mb", upload_mb, "file in MB"), ("quota-gb", quota_gb, "folder in GB")):
+        if not value > 0.0:
+            raise InputError(f"--{name}: wanted more than 0, got {value:g}; state the largest {what}")
     held = folder or data_folder() / "bench"
     settings = ServerSettings(
         folder=held.absolute(),
@@ -76,6 +72,7 @@ def bench(
         token=(token or secrets.token_urlsafe(24)) if network else None,
         registry=registry if registry is None or "://" in registry else str(Path(registry).absolute()),
         upload_mb=upload_mb,
+        quota_gb=quota_gb,
         practice_seed=practice_seed,
         practice_speed=practice_speed,
     )
@@ -93,3 +90,17 @@ def bench(
 
     serve(settings, ready)
     return 0
+
+
+def _check_access(host: str, network: bool, token: str) -> None:
+    """Refuse what would let other computers in by mistake."""
+    from undrift.web.access import LOOPBACK
+
+    if host not in LOOPBACK and not network:
+        raise InputError(
+            f"--host: wanted this computer (127.0.0.1), got {host}; add --network to let others in by a token"
+        )
+    if token and not network:
+        raise InputError("--token: wanted --network beside it, got it alone; this computer needs none")
+    if token and len(token) < 16:
+        raise InputError(f"--token: wanted 16 characters or more, got {len(token)}; leave it out for a fresh one")

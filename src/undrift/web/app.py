@@ -15,15 +15,17 @@ from starlette.responses import FileResponse, JSONResponse, PlainTextResponse, R
 from uvicorn.protocols.http.auto import AutoHTTPProtocol
 
 from undrift.errors import InputError, UndriftError
-from undrift.web import devices, guided, live, rate_table, recordings, result, start, temperature
+from undrift.web import devices, guided, live, parts, rate_table, recordings, result, start, temperature
 from undrift.web.access import Access, allowed
-from undrift.web.bench import Bench, ServerSettings
+from undrift.web.bench import Bench, ServerSettings, Visit
 from undrift.web.feed import STATIC, Feed
+from undrift.web.library import FolderLock
 from undrift.web.parts import texts
 from undrift.web.uploads import receive_upload
 
+CONNECTED_S = 60.0  # from a page to its socket
 FIRST_S = 10.0  # from a connection to its first request
-BUILT: dict[str, Callable[[Bench], None]] = {
+BUILT: dict[str, Callable[[Visit], None]] = {
     "/": start.page,
     "/six-faces": partial(guided.page, "Six faces"),
     "/turns": partial(guided.page, "Turns by hand"),
@@ -38,10 +40,18 @@ BUILT: dict[str, Callable[[Bench], None]] = {
 
 def serve(settings: ServerSettings, ready: Callable[[str], None]) -> None:
     """Serve the bench until Ctrl-C; the address is handed on as soon as it listens."""
-    bench = Bench(settings)
-    listener = listen(settings.host, settings.port)
+    lock = FolderLock(settings.folder)
+    try:
+        _serve(settings, ready, lock)
+    finally:
+        lock.close()
+
+
+def _serve(settings: ServerSettings, ready: Callable[[str], None], lock: FolderLock) -> None:
+    bench, listener = Bench(settings), listen(settings.host, settings.port)
     port = listener.getsockname()[1]
     host = f"[{settings.host}]" if ":" in settings.host else settings.host
+    lock.write(f"http://{host}:{port}/")
     address = f"http://{host}:{port}/" + (f"?token={settings.token}" if settings.token else "")
     config = uvicorn.Config(
         Access(application(bench, partial(ready, address)), settings.token),
@@ -115,6 +125,8 @@ def application(bench: Bench, ready: Callable[[], None]) -> FastAPI:
     @made.post("/upload")
     async def upload(request: Request) -> Response:
         try:
+            coming = request.headers.get("content-length", "0")
+            await asyncio.to_thread(bench.library.check_room, int(coming) if coming.isdigit() else 0)
             path = await receive_upload(request, bench.folder / "uploads", bench.settings.upload_mb)
         except UndriftError as error:
             return JSONResponse({"error": str(error)}, 400)
@@ -143,10 +155,22 @@ def application(bench: Bench, ready: Callable[[], None]) -> FastAPI:
 
 
 def _add_page(bench: Bench, path: str, name: str) -> None:
-    def build() -> None:
+    async def build(job: str = "") -> None:
         ui.add_head_html(
             '<link rel="stylesheet" href="/static/bench.css"><script src="/static/bench.js" defer></script>'
+            '<script src="/static/drawings.js" defer></script>'
         )
-        BUILT[path](bench)
+        client = ui.context.client
+        with parts.frame(bench, name):
+            main = ui.element("div")
+        try:
+            await client.connected(CONNECTED_S)
+        except TimeoutError:  # it looked at the page without a socket
+            return
+        bench.library.find_jobs()
+        visit = bench.visit(client.tab_id or "")
+        visit.shown = bench.job_in(bench.folder / "jobs" / job) or visit.shown
+        with main:
+            BUILT[path](visit)
 
     ui.page(path, title=f"{name} - undrift bench")(build)

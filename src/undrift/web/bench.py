@@ -4,6 +4,7 @@ A folder holds everything that the bench writes::
 
     jobs/2026-11-23-0915-SERIAL/    session.toml and readings, calibration.json, report.html, certificate.pdf
     uploads/                        files that were dropped on the page Recordings, and what was made of them
+    .lock                           locked while a bench is at work; the address at which it listens
     registry/                       calibrations, certificates and pictures that the page Devices asked for
 """
 
@@ -11,7 +12,7 @@ import asyncio
 import json
 import tomllib
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, replace
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -23,8 +24,9 @@ from undrift.errors import InputError, UndriftError
 from undrift.files import write_whole
 from undrift.web.commands import CommandOutcome, run_command
 from undrift.web.devices import Devices
-from undrift.web.live import MotionCalibration
-from undrift.web.rate_table import RateTablePage
+from undrift.web.library import Entry, Job, Library, read_object
+from undrift.web.live import MotionCalibration, MotionForm
+from undrift.web.rate_table import ProtocolForm, RateTablePage
 from undrift.web.recordings import Recordings
 from undrift.web.start import PRACTICE, Site
 from undrift.web.temperature import WarmUpRecording
@@ -34,8 +36,7 @@ if TYPE_CHECKING:
     from undrift.commands.bench.source import LiveDevice
 
 PLACE = "place.json"
-SENSORS = {"accel": "accelerometers", "gyro": "gyroscopes"}
-CALLED = "calibrate.json"  # the words that a job was calibrated by
+MOST_VISITS = 200  # tabs that are remembered
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -48,42 +49,9 @@ class ServerSettings:
     token: str | None = None  # wanted of every request; None: this computer alone
     registry: str | None = None  # None: the user's own
     upload_mb: float = 500.0  # Largest upload, 1e6 bytes
+    quota_gb: float = 20.0  # Largest folder, 1e9 bytes
     practice_seed: int | None = None  # of the practice device; None draws one
     practice_speed: float = 1.0  # of its clock, times real time
-
-
-@dataclass(slots=True, kw_only=True)
-class Job:
-    """One device being calibrated: its folder, and what has been captured for it."""
-
-    folder: Path
-    serial: str = ""
-    capture: Any = None  # web.guided, while its faces and turns are captured
-    calibration: Path | None = None
-    report: Path | None = None
-    certificate: Path | None = None
-    words: tuple[str, ...] = ()  # of the call of calibrate, for another try
-    answer: dict[str, Any] = field(default_factory=dict)  # of calibrate
-    later: list[dict[str, Any]] = field(default_factory=list)  # what the commands after it answered
-    registered: str = ""  # what the registry answered
-    error: str = ""  # of the last command
-
-    @property
-    def session(self) -> Path:
-        """Return the folder of its readings."""
-        return self.folder / "session"
-
-    @property
-    def lacks(self) -> tuple[str, ...]:
-        """Return the sensors that its calibration has no model of; those that were recorded, where the command says so."""
-        missing = [what for name, what in SENSORS.items() if self.answer.get(name) is None]
-        return tuple(self.answer.get("lacking", missing))
-
-    @property
-    def gravity_assumed(self) -> bool:
-        """Whether the accelerometers' scale stands on a gravity that nobody stated."""
-        settings = (self.answer.get("provenance") or {}).get("settings") or {}
-        return self.answer.get("accel") is not None and settings.get("gravity", "standard") == "standard"
 
 
 @dataclass(slots=True)
@@ -103,18 +71,23 @@ class Bench:
         self.source_error = ""
         self.connecting = ""  # the address that is being connected
         self.rig_run: RigRun | None = None
-        self.calibration: Path | None = None  # what Live and Recordings correct with
-        self.job: Job | None = None
+        self.job: Job | None = None  # of the device or the table that is at work
         self.working: list[Working] = []
-        self._practice = PracticeDevice()
-        self.recordings, self.devices = Recordings(self), Devices(self)
-        for name in ("jobs", "uploads"):
-            (self.folder / name).mkdir(parents=True, exist_ok=True)
+        self._practice, self.library = PracticeDevice(), Library(self.folder, settings.quota_gb)
         self.table = RateTablePage(self)
         if (run := self.table.take_up()) is not None:  # that an earlier bench left
-            self.rig_run, self.job = run, Job(folder=run.folder.parent, serial=run.order.serial)
+            self.rig_run, self.job = run, self.job_in(run.folder.parent)
         self.warm_up, self.motion = WarmUpRecording(self), MotionCalibration(self)
-        self.place = Site(**_held_in(self.folder / PLACE))
+        self.place = Site(**read_object(self.folder / PLACE))
+        self._visits: dict[str, Visit] = {}
+
+    def visit(self, tab: str) -> "Visit":
+        """Return what a tab of a browser has chosen and typed."""
+        visit = self._visits.pop(tab, None) or Visit(self)
+        self._visits[tab] = visit  # the last one
+        while len(self._visits) > MOST_VISITS:
+            del self._visits[next(iter(self._visits))]
+        return visit
 
     # ---- The device
 
@@ -143,7 +116,7 @@ class Bench:
         if source is not None:
             file = await asyncio.to_thread(source.stop)
             if file is not None:  # what was being recorded
-                await self.recordings.add(file)
+                self.library.file_at(file)
 
     @property
     def practice(self) -> Any:
@@ -171,47 +144,53 @@ class Bench:
         folder, k = self.folder / "jobs" / f"{stamp}-{named}", 1
         while folder.exists():
             folder, k = self.folder / "jobs" / f"{stamp}-{named}-{k}", k + 1
+        self.library.check_room()
         folder.mkdir(parents=True)
         self.job = Job(folder=folder, serial=serial)
+        self.job.save()
+        self.library.jobs.insert(0, self.job)
         return self.job
 
-    async def open_job(self, folder: Path, *later: dict[str, Any]) -> None:
-        """Take up a job of an earlier day: its calibration, report and certificate; and what commands answered."""
-        job = Job(folder=folder, calibration=folder / "calibration.json", later=[*later])
-        job.answer = await asyncio.to_thread(_held_in, folder / "calibration.json")
-        job.words = tuple(_held_in(folder / CALLED).get("words") or ())
-        for name, file in (("report", "report.html"), ("certificate", "certificate.pdf")):
-            if (folder / file).is_file():
-                setattr(job, name, folder / file)
-        self.job = job
+    def job_in(self, folder: Path) -> Job | None:
+        """Return the job of a folder; None where there is none."""
+        return next((job for job in self.library.jobs if job.folder == folder), None)
+
+    def delete(self, entry: Entry) -> None:
+        """Delete a file or a job that nothing uses now, and let go of it in every tab."""
+        file = None if self.source is None else self.source.status().file
+        busy = self.rig_run is not None and self.rig_run.may_move and entry.folder in self.rig_run.folder.parents
+        if self.working or busy or (file is not None and entry.folder in file.parents):
+            raise InputError(f"{entry.name}: wanted to delete it at rest, got work that goes on; wait for its end")
+        self.library.delete(entry)
+        self.job = None if self.job is entry else self.job
+        for visit in self._visits.values():
+            visit.forget(entry)
 
     async def calibrate(self, job: Job, *words: object) -> CommandOutcome:
-        """Run ``undrift calibrate`` for a job: a session, or recordings and options; the calibration is used from then on."""
+        """Run ``undrift calibrate`` for a job: a session, or recordings and options."""
         made, report = job.folder / "calibration.json", job.folder / "report.html"
         job.words = self._below(words)
-        write_whole(job.folder / CALLED, json.dumps({"words": job.words}) + "\n")
+        job.save()
         place = () if _states_gravity(self.folder / job.words[0]) else self.place.words()
         outcome = await self.command("calibrate", *words, *place, "-o", made, "--report", report)
         self._take(job, outcome)
         return outcome
 
-    async def fit_drift(self, job: Job, *words: object) -> CommandOutcome:
-        """Run ``undrift drift`` for a job, on top of the calibration that is used; the tables are used from then on."""
+    async def fit_drift(self, job: Job, known: Path | None, *words: object) -> CommandOutcome:
+        """Run ``undrift drift`` for a job, on top of a known calibration."""
         made, report = job.folder / "calibration.json", job.folder / "report.html"
-        known = stated(calibration=self.calibration)
-        (job.folder / CALLED).unlink(missing_ok=True)  # it is made by other words
-        job.words = ()
-        outcome = await self.command("drift", *words, *known, "-o", made, "--report", report)
+        job.words = ()  # it is made by other words
+        outcome = await self.command("drift", *words, *stated(calibration=known), "-o", made, "--report", report)
         self._take(job, outcome)
         return outcome
 
     def _take(self, job: Job, outcome: CommandOutcome) -> None:
         job.error = outcome.error
         if outcome.done:
-            job.calibration, job.report = job.folder / "calibration.json", job.folder / "report.html"
-            job.answer, job.later, job.certificate, job.registered = outcome.answer, [], None, ""
-            if "accelerometers" not in job.lacks:  # a person decides about one without
-                self.calibration = job.calibration
+            (job.folder / "certificate.pdf").unlink(missing_ok=True)  # it was another calibration's
+            job.answer, job.later, job.registered = outcome.answer, [], ""
+            job.look()
+        job.save()
 
     async def command(self, *words: object, folder: Path | None = None) -> CommandOutcome:
         """Run a command of undrift; pages show what it does while it runs."""
@@ -254,13 +233,46 @@ class Bench:
         self._practice.close()
 
 
-def _held_in(path: Path) -> dict[str, Any]:
-    """Return what a calibration file holds; nothing where it cannot be read."""
-    try:
-        held = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return {}
-    return held if isinstance(held, dict) else {}
+class Visit:
+    """What one tab of a browser has chosen and typed; files, jobs, the device and the table are those of the bench."""
+
+    def __init__(self, bench: Bench) -> None:
+        self.bench, self.library = bench, bench.library
+        self.calibration: Path | None = None  # that files are corrected with
+        self.corrected: tuple[object, object] = (None, None)  # device, and what this tab last corrected it with
+        self.shown: Job | None = None  # whose result was opened
+        self.renamed: Entry | None = None  # that is being given another name
+        self.new_name = ""
+        self.recordings, self.devices, self.motion = Recordings(self), Devices(self), MotionForm()
+        self.addresses, self.filled = replace(bench.table.addresses), 0  # the latter: how often by other than typing
+        self.rates, self.soaks = ProtocolForm(), ProtocolForm(name="temperature", axes=(), temperatures_c="20, 35, 50")
+        self.speed = "1"  # of the emulated table
+
+    @property
+    def job(self) -> Job | None:
+        """Return the job whose result is shown: the one that was opened, that is at work, or the newest."""
+        jobs = (self.shown, self.bench.job, *self.library.jobs)
+        return next((job.read() for job in jobs if job is not None and job.calibration is not None), self.bench.job)
+
+    async def calibrate(self, job: Job, *words: object) -> CommandOutcome:
+        """Calibrate for a job, and take the result."""
+        return self.take(job, await self.bench.calibrate(job, *words))
+
+    def take(self, job: Job, outcome: CommandOutcome) -> CommandOutcome:
+        """Show the result of a job, and correct with it from now on; a person decides about one without accelerometers."""
+        if outcome.done:
+            self.shown = job
+            if "accelerometers" not in job.lacks:
+                self.calibration = job.calibration
+        return outcome
+
+    def forget(self, entry: Entry) -> None:
+        """Let go of what was deleted."""
+        if self.calibration is not None and entry.folder in self.calibration.parents:
+            self.calibration = None
+        self.shown = None if self.shown is entry else self.shown
+        if self.recordings.chosen is entry:
+            self.recordings.chosen = None
 
 
 def _states_gravity(path: Path) -> bool:

@@ -14,7 +14,7 @@ from undrift.web import parts
 from undrift.web.uploads import safe_name
 
 if TYPE_CHECKING:
-    from undrift.web.bench import Bench
+    from undrift.web.bench import Visit
 
 FOLDER = "registry"  # of the bench: calibrations, certificates and pictures that were asked for
 ENDINGS = {"calibration": ".json", "certificate": ".pdf"}  # of the entries that are files
@@ -24,8 +24,8 @@ SOON_DAYS = 30
 class Devices:
     """The devices of the registry, and the one that is looked at."""
 
-    def __init__(self, bench: "Bench") -> None:
-        self.bench = bench
+    def __init__(self, visit: "Visit") -> None:
+        self.visit, self.bench = visit, visit.bench
         self.rows: list[dict[str, Any]] | None = None  # None: not asked yet
         self.serial = ""  # of the device that is looked at
         self.entries: list[dict[str, Any]] = []
@@ -77,12 +77,12 @@ class Devices:
         """Let Live and Recordings correct with a calibration."""
         path = await self.fetch(entry)
         if path is not None:
-            self.bench.calibration, self.used = path, int(entry["entry"])
+            self.visit.calibration, self.used = path, int(entry["entry"])
         self.changes += 1
 
     def is_used(self, entry: dict[str, Any]) -> bool:
         """Tell whether the bench corrects with this entry."""
-        calibration = self.bench.calibration
+        calibration = self.visit.calibration
         return self.used == entry["entry"] and calibration is not None and calibration.parent.name == FOLDER
 
     def _file(self, name: str) -> Path:
@@ -107,13 +107,12 @@ def _urgency(row: dict[str, Any]) -> tuple[int, float, str]:
 # ---- The page
 
 
-def page(bench: "Bench") -> None:
+def page(visit: "Visit") -> None:
     """Build the page."""
-    devices, client = bench.devices, ui.context.client
-    with parts.frame(bench, "Devices"):
-        parts.error_line(lambda: devices.error)
-        parts.redrawn(lambda: (devices.changes, bench.calibration), lambda: _shown(devices, client))
-        ui.timer(0.05, devices.load, once=True)
+    devices, client = visit.devices, ui.context.client
+    parts.error_line(lambda: devices.error)
+    parts.redrawn(lambda: (devices.changes, visit.calibration), lambda: _shown(devices, client))
+    ui.timer(0.05, devices.load, once=True)
 
 
 def _shown(devices: Devices, client: Any) -> None:
@@ -215,9 +214,7 @@ def _trend(devices: Devices) -> None:
         with parts.folded(f"{len(others)} more"), ui.element("ul"):
             for words in others:
                 parts.text("li", _sentence(words))
-    if devices.picture is not None and devices.picture.exists():
-        drawn = devices.picture.read_text(encoding="utf-8").partition("?>")[2]
-        ui.html(drawn, sanitize=False).classes("picture")
+    parts.picture(devices.picture)
     with parts.folded(f"Every parameter since {last['since']['made_at'][:10]}"):
         rows = [
             (

@@ -21,11 +21,11 @@ from undrift.commands.bench.guides import ORDER, REST_S, WAYS, Guide, SixFaces, 
 from undrift.errors import UndriftError
 from undrift.record import Face
 from undrift.web import parts
-from undrift.web.drawings import box, lamp, ring
 from undrift.web.start import connect_form
 
 if TYPE_CHECKING:
-    from undrift.web.bench import Bench, Job
+    from undrift.web.bench import Bench, Visit
+    from undrift.web.library import Job
 
 PERIOD_S = 0.2
 UNSEEN_S = 600.0  # host s without a page that looks, after which it pauses
@@ -74,9 +74,9 @@ class Guided:
         except UndriftError as error:
             self.error, self.capture.saved = str(error), False
 
-    async def calibrate(self) -> str | None:
+    async def calibrate(self, visit: "Visit") -> str | None:
         """Calibrate from what is captured; return the page of the result."""
-        outcome = await self._bench.calibrate(self._job, self._job.session)
+        outcome = await visit.calibrate(self._job, self._job.session)
         self.refused = outcome.error
         return "/result" if outcome.done else None
 
@@ -106,8 +106,9 @@ def begin_anew(bench: "Bench") -> None:
 # ---- The pages
 
 
-def page(title: str, bench: "Bench") -> None:
+def page(title: str, visit: "Visit") -> None:
     """Build one of the two pages, by its title."""
+    bench = visit.bench
     why, show = {
         "Six faces": ("Lay the device on each of its six faces. It calibrates the accelerometers.", _faces),
         "Turns by hand": ("Turn the device once about each axis. It calibrates the gyroscopes.", _turns),
@@ -119,18 +120,18 @@ def page(title: str, bench: "Bench") -> None:
             parts.text("p", f"{why} Connect it first.")
             connect_form(bench)
         else:
-            show(bench, guided)
+            show(visit, guided)
 
-    with parts.frame(bench, title):
-        parts.redrawn(lambda: (bench.source, None if bench.job is None else bench.job.capture), draw)
+    parts.redrawn(lambda: (bench.source, None if bench.job is None else bench.job.capture), draw)
 
 
-def _faces(bench: "Bench", guided: Guided) -> None:
+def _faces(visit: "Visit", guided: Guided) -> None:
+    bench = visit.bench
     guide = guided.faces
     _watched(bench, guided, guide)
     _guide_part(
         guide,
-        lambda: box(next((face for face in ORDER if face == guide.wanted), guide.light.face or "+z")),
+        lambda: [next((face for face in ORDER if face == guide.wanted), guide.light.face or "+z")],
         lambda: f"Turn {guide.wanted} up" if guide.wanted else "All six faces are captured",
         COUNTDOWN_S,
     )
@@ -149,7 +150,8 @@ def _after_faces(complete: bool) -> None:
         parts.text("p", "In any order. Lay the device down and let go; it is recorded automatically.", "soft")
 
 
-def _turns(bench: "Bench", guided: Guided) -> None:
+def _turns(visit: "Visit", guided: Guided) -> None:
+    bench = visit.bench
     if not guided.faces.complete:
         parts.text("p", f"The six faces come first: {len(guided.capture.faces)} of 6 are captured.")
         parts.next_step("Go to six faces", "/six-faces")
@@ -158,12 +160,12 @@ def _turns(bench: "Bench", guided: Guided) -> None:
     _watched(bench, guided, guide)
     _guide_part(
         guide,
-        lambda: box(UPS[guide.wanted[1]], guide.wanted[0]) if guide.wanted else box("+z"),
+        lambda: [UPS[guide.wanted[1]], guide.wanted[0]] if guide.wanted else ["+z"],
         lambda: asked(guide.wanted) if guide.wanted else "All turns are captured",
         REST_S,
     )
     parts.redrawn(
-        lambda: (guide.complete, guide.enough, bool(bench.working), guided.refused), lambda: _after_turns(bench, guided)
+        lambda: (guide.complete, guide.enough, bool(bench.working), guided.refused), lambda: _after_turns(visit, guided)
     )
     lays: Moves = [(f"{up} up", methodcaller("lay", up)) for up in UPS.values()]
     turns: Moves = [
@@ -176,17 +178,18 @@ def _turns(bench: "Bench", guided: Guided) -> None:
     _readings_part(bench)
 
 
-def _after_turns(bench: "Bench", guided: Guided) -> None:
+def _after_turns(visit: "Visit", guided: Guided) -> None:
+    bench = visit.bench
     if bench.working:
         parts.text("p", "Calibrating. The result opens when it is done.")
         return
-    parts.refused(bench, bench.job, guided.refused, partial(setattr, guided, "refused"))
+    parts.refused(visit, bench.job, guided.refused, partial(setattr, guided, "refused"))
     if guided.turns.complete:
-        parts.next_step("Calibrate", guided.calibrate)
+        parts.next_step("Calibrate", lambda: guided.calibrate(visit))
     else:
         parts.text("p", "Leave it at rest, turn it along an edge back to the mark, and leave it at rest again.", "soft")
         if guided.turns.enough:
-            parts.button("Calibrate with these turns", guided.calibrate)
+            parts.button("Calibrate with these turns", lambda: guided.calibrate(visit))
 
 
 # ---- What both show
@@ -198,7 +201,7 @@ def _watched(bench: "Bench", guided: Guided, guide: Guide) -> None:
     parts.error_line(lambda: guided.error)
 
 
-def _guide_part(guide: Guide, drawing: Callable[[], str], words: Callable[[], str], countdown_s: float) -> None:
+def _guide_part(guide: Guide, box: Callable[[], Sequence[str]], words: Callable[[], str], countdown_s: float) -> None:
     """Add what is asked for, as a drawing and in words, beside the light: shape, words, countdown; what changes is read out."""
 
     def spoken() -> str:
@@ -206,13 +209,13 @@ def _guide_part(guide: Guide, drawing: Callable[[], str], words: Callable[[], st
         return f"{left} seconds" if left in SAID_AT else ""
 
     with ui.element("div").classes("guide"):
-        parts.picture(drawing)
+        parts.drawing("box", box)
         with ui.element("div"):
             parts.text("p", words, "asked")
             with ui.element("div").classes("light"):
-                parts.picture(lambda: lamp(guide.light))
+                parts.drawing("lamp", lambda: [guide.light.state])
                 parts.status_line(lambda: guide.light.text, "light-words").props('aria-live="polite"')
-                parts.picture(lambda: ring(guide.light.left_s, countdown_s))
+                parts.drawing("ring", lambda: [guide.light.left_s, countdown_s])
             parts.text("p", spoken, "unseen").props('aria-live="polite"')
 
 

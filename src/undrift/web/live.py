@@ -5,10 +5,12 @@ A device may be calibrated from its motion there: ``MotionCalibration`` collects
 
 import asyncio
 import math
+from dataclasses import dataclass, replace
 from datetime import datetime
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from urllib.parse import quote
 
 from nicegui import ui
 
@@ -25,36 +27,39 @@ from undrift.web.start import connect_form
 from undrift.web.uploads import safe_name
 
 if TYPE_CHECKING:
-    from undrift.web.bench import Bench
+    from undrift.web.bench import Bench, Visit
 
 NONE = "none: raw readings"
 
 
-def page(bench: "Bench") -> None:
+def page(visit: "Visit") -> None:
     """Build the page."""
 
-    async def use() -> None:
-        source = bench.source
-        if source is not None and source.calibration_file != bench.calibration:
-            await asyncio.to_thread(source.use, bench.calibration)
+    bench, recordings = visit.bench, visit.recordings
+
+    async def use() -> None:  # one device, one correction: what a tab chose last holds for all that look
+        source, wanted = bench.source, (bench.source, visit.calibration)
+        if source is not None and visit.corrected != wanted:
+            if visit.calibration is not None or visit.corrected[0] is source:
+                await asyncio.to_thread(source.use, visit.calibration)
+            visit.corrected = wanted
 
     def label() -> str:
         return "Start recording" if bench.source is None or bench.source.status().file is None else "Stop recording"
 
-    with parts.frame(bench, "Live"):
-        parts.text("p", lambda: "" if bench.source is None else status_line(bench.source.status()), "live-status")
-        parts.error_line(lambda: " ".join(_wrong(bench)))
-        step = parts.next_step(label, lambda: start_or_stop(bench))
-        parts.shown_if(step, lambda: bench.source is not None and bench.motion.watch is None)
-        hint = parts.text("p", "Connect a device below. The practice device is a simulated sensor.")
-        parts.shown_if(hint, lambda: bench.source is None)
-        parts.redrawn(lambda: _remarks(bench), lambda: parts.remarks_list(_remarks(bench)))
-        parts.redrawn(lambda: bench.recordings.chosen and bench.recordings.chosen.path, lambda: _recorded(bench))
-        parts.shown_if(Panel(), lambda: bench.motion.watch is None)  # what to do next is at hand
-        _motion(bench)
-        parts.redrawn(lambda: _files(bench), lambda: _settings(bench))
-        connect_form(bench)
-        parts.bound(use)
+    parts.text("p", lambda: "" if bench.source is None else status_line(bench.source.status()), "live-status")
+    parts.error_line(lambda: " ".join(_wrong(bench)))
+    step = parts.next_step(label, lambda: start_or_stop(visit))
+    parts.shown_if(step, lambda: bench.source is not None and bench.motion.watch is None)
+    hint = parts.text("p", "Connect a device below. The practice device is a simulated sensor.")
+    parts.shown_if(hint, lambda: bench.source is None)
+    parts.redrawn(lambda: _remarks(bench), lambda: parts.remarks_list(_remarks(bench)))
+    parts.redrawn(lambda: recordings.chosen and recordings.chosen.path, lambda: _recorded(visit))
+    parts.shown_if(Panel(), lambda: bench.motion.watch is None)  # what to do next is at hand
+    _motion(visit)
+    parts.redrawn(lambda: _files(visit), lambda: _settings(visit))
+    connect_form(bench)
+    parts.bound(use)
 
 
 def status_line(status: Status) -> str:
@@ -90,33 +95,34 @@ def _remarks(bench: "Bench") -> list[Remark]:
     return [Remark(level=level, text=line) for level, words in lines.items() for line in words.splitlines()]
 
 
-async def start_or_stop(bench: "Bench") -> None:
+async def start_or_stop(visit: "Visit") -> None:
     """Begin a recording, or finish the one that is going on and add it to the page Recordings."""
-    source = bench.source
+    bench, source = visit.bench, visit.bench.source
     if source is None:
         return
     try:
         if source.status().file is None:
             await asyncio.to_thread(start_recording, bench, source)
         elif (path := await asyncio.to_thread(source.stop_writing)) is not None:
-            await bench.recordings.add(path)
+            await visit.recordings.add(path)
     except (UndriftError, OSError) as error:
         raise InputError(without_folders(str(error), bench.folder)) from error
 
 
-def _recorded(bench: "Bench") -> None:
+def _recorded(visit: "Visit") -> None:
     """Say where the last recording is."""
-    chosen = bench.recordings.chosen
+    chosen = visit.recordings.chosen
     if chosen is not None and chosen.path.name.startswith("live-"):
         with ui.element("p"):
             parts.text("span", f"Recorded: {chosen.path.name}. ")
-            ui.link("Download it", bench.link(chosen.path) + "?download=1")
+            ui.link("Download it", visit.bench.link(chosen.path) + "?download=1")
             parts.text("span", " or ")
             ui.link("correct it", "/recordings")
 
 
 def start_recording(bench: "Bench", source: LiveDevice) -> Path:
     """Begin a file of raw readings in a folder of its own among the recordings."""
+    bench.library.check_room()
     name = f"live-{datetime.now():%Y-%m-%d-%H%M%S}-{safe_name(source.name, 'device')}"
     folder = bench.folder / "uploads" / name
     folder.mkdir(parents=True, exist_ok=True)
@@ -124,26 +130,30 @@ def start_recording(bench: "Bench", source: LiveDevice) -> Path:
     return folder / f"{name}.parquet"
 
 
-def _files(bench: "Bench") -> tuple[Path, ...]:
-    """Return the calibrations of the bench, newest first."""
-    made = sorted(bench.folder.glob("jobs/*/calibration.json"), reverse=True)
-    sent = [one.path for one in bench.recordings.files if one.kind == "calibration"]
-    other = [] if bench.calibration is None else [bench.calibration]
-    return tuple(dict.fromkeys((*made, *sent, *other)))
+def _files(visit: "Visit") -> tuple[Path, ...]:
+    """Return the calibrations of the bench, newest first, and what is used."""
+    made = [job.calibration for job in visit.library.jobs] + [
+        one.path for one in visit.recordings.files if one.kind == "calibration"
+    ]
+    source = visit.bench.source
+    used = [visit.calibration, None if source is None else source.calibration_file]
+    return tuple(dict.fromkeys(path for path in (*made, *used) if path is not None))
 
 
-def _name(path: Path | None) -> str:
-    return NONE if path is None else f"{path.parent.name}/{path.name}"
-
-
-def _settings(bench: "Bench") -> None:
+def _settings(visit: "Visit") -> None:
     """Add the choice of a calibration, which another browser may change, and the axes of the pitch."""
-    paths = {_name(path): path for path in _files(bench)}
+    bench, paths = visit.bench, dict[str, Path]()
+    for path in _files(visit):
+        name = visit.library.name_of(path)
+        paths[name if name not in paths else f"{name} ({path.parent.name})"] = path
     axes: list[Face] = [*(("+x", "+z") if bench.source is None else bench.source.axes)]
 
-    def follow() -> None:
-        if chosen.value != (now := _name(bench.calibration)):
-            chosen.set(now)
+    def now() -> str:
+        used = visit.calibration if bench.source is None else bench.source.calibration_file
+        return next((name for name, path in paths.items() if path == used), NONE)
+
+    def keep(name: str) -> None:
+        visit.calibration, visit.corrected = paths.get(name), (bench.source, "another")
 
     def turn() -> None:
         if bench.source is None:
@@ -152,12 +162,7 @@ def _settings(bench: "Bench") -> None:
 
     parts.text("h2", "Correction and pitch")
     with parts.row():
-        chosen = parts.Field(
-            "Calibration",
-            _name(bench.calibration),
-            options=(NONE, *paths),
-            keep=lambda name: setattr(bench, "calibration", paths.get(name)),
-        )
+        chosen = parts.Field("Calibration", now(), options=(NONE, *paths), keep=keep)
         for k, way in enumerate(("forward", "up")):
             parts.Field(
                 f"Axis that points {way}",
@@ -166,34 +171,41 @@ def _settings(bench: "Bench") -> None:
                 keep=lambda axis, k=k: axes.__setitem__(k, axis),  # type: ignore[misc]
             )
         parts.button("Set axes", turn)
-    parts.bound(follow)
+    parts.bound(lambda: None if chosen.value == now() or visit.corrected[1] == "another" else chosen.set(now()))
 
 
 # ---- Calibration from motion
 
 
-class MotionCalibration:
-    """Calibrates the device that is connected while a person moves it; what it may use holds for recordings too."""
+@dataclass(slots=True, kw_only=True)
+class MotionForm:
+    """What calibration from motion may use, of the device or of a recording."""
 
-    def __init__(self, bench: "Bench") -> None:
-        self._bench, self.error, self.done = bench, "", False
-        self.watch: MotionWatch | None = None
-        self.prior: Path | None = None
-        self.magnetometer: tuple[str, ...] = ()
-        self._task: asyncio.Task[None] | None = None
+    prior: Path | None = None
+    magnetometer: tuple[str, ...] = ()
 
     def words(self) -> tuple[object, ...]:
         """Return the options of the command."""
         return "--from", "motion", *stated(prior=self.prior), *(("--magnetometer",) if self.magnetometer else ())
 
-    def start(self) -> None:
+
+class MotionCalibration:
+    """Calibrates the device that is connected while a person moves it."""
+
+    def __init__(self, bench: "Bench") -> None:
+        self._bench, self.error, self.done, self._form = bench, "", False, MotionForm()
+        self.watch: MotionWatch | None = None
+        self._task: asyncio.Task[None] | None = None
+
+    def start(self, form: MotionForm) -> None:
         """Begin to collect readings in a job of their own."""
+        self._form = replace(form)
         source, place = self._bench.source, Place(gravity_m_s2=self._bench.place.gravity_m_s2)
         if source is None:
             raise InputError("motion: wanted a device that sends, got none; connect it first")
         job, fit = (
             self._bench.new_job(source.name),
-            motion_fit(self.prior, identify_adc=False, magnetometer=bool(self.magnetometer)),
+            motion_fit(form.prior, identify_adc=False, magnetometer=bool(form.magnetometer)),
         )
         self.watch = MotionWatch(source, job.folder / "motion.parquet", fit, place, LiveMotion.enough_percent)
         self.error, self.done, self._task = "", False, asyncio.create_task(self._follow(self.watch))
@@ -205,7 +217,7 @@ class MotionCalibration:
         if path is None or job is None:
             self.error = "motion: wanted readings, got none; begin again"
             return None
-        self.error = (await self._bench.calibrate(job, path, "--gaps", "keep", *self.words())).error
+        self.error = (await self._bench.calibrate(job, path, "--gaps", "keep", *self._form.words())).error
         self.done = not self.error
         return "/result" if self.done else None
 
@@ -221,9 +233,9 @@ class MotionCalibration:
             await self.finish()
 
 
-def motion_controls(bench: "Bench") -> None:
+def motion_controls(visit: "Visit") -> None:
     """Ask what calibration from motion may use: the prior of a part, dropped on the page Recordings, and the magnetometer."""
-    motion, files = bench.motion, [one.path for one in bench.recordings.files if one.kind == "prior"]
+    motion, files = visit.motion, [one.path for one in visit.recordings.files if one.kind == "prior"]
     paths = {"published sizes": None} | {path.name: path for path in files}
     now = next(name for name, path in paths.items() if path == motion.prior)
     with parts.row("form"):
@@ -231,21 +243,26 @@ def motion_controls(bench: "Bench") -> None:
         parts.choices("Magnetometer", ("calibrate it too",), motion, "magnetometer")
 
 
-def _motion(bench: "Bench") -> None:
+def _motion(visit: "Visit") -> None:
     """Add what calibrates the device from its motion: how far each element is known, and what to do next."""
-    motion = bench.motion
+    bench, motion = visit.bench, visit.bench.motion
     with parts.section("Calibrate from motion"):
         parts.text("h2", "Calibrate from motion")
         parts.text("p", "Turn the device by hand as the page asks. It ends when every element is known well enough.")
-        parts.redrawn(lambda: len(bench.recordings.files), lambda: motion_controls(bench))
+        parts.redrawn(lambda: len(visit.recordings.files), lambda: motion_controls(visit))
         parts.button(
             lambda: "Start to calibrate" if motion.watch is None else "End and calibrate",
-            lambda: motion.start() if motion.watch is None else motion.finish(),
+            lambda: motion.start(visit.motion) if motion.watch is None else motion.finish(),
         )
         parts.status_line(lambda: "" if motion.watch is None else motion.watch.words.replace("\n", ". "), "asked")
         parts.error_line(lambda: motion.error)
-        parts.shown_if(ui.link("See the result", "/result"), lambda: motion.done)
+        parts.redrawn(lambda: motion.done and bench.job, lambda: _result_link(bench))
         parts.redrawn(lambda: motion.watch and motion.watch.elements, lambda: _known(motion.watch))
+
+
+def _result_link(bench: "Bench") -> None:
+    if bench.motion.done:
+        ui.link("See the result", "/result" + ("" if bench.job is None else f"?job={quote(bench.job.folder.name)}"))
 
 
 def _known(watch: MotionWatch | None) -> None:

@@ -23,7 +23,8 @@ from undrift.errors import UndriftError
 from undrift.web.commands import Remark
 
 if TYPE_CHECKING:
-    from undrift.web.bench import Bench, Job
+    from undrift.web.bench import Bench, Visit
+    from undrift.web.library import Job
 
 REFRESH_S = 0.25
 SHOWN_FIRST = 3  # remarks that are open, and every one that is no mere note
@@ -94,16 +95,17 @@ def set_prop(element: Any, name: str, value: object) -> None:
         element.update()
 
 
-def picture(svg: Callable[[], str], classes: str = "") -> Any:
-    """Add a drawing that is changed only where it is another one."""
-    made = ui.html("", sanitize=False).classes(classes)
-
-    def show() -> None:
-        if made.content != (drawn := svg()):
-            made.set_content(drawn)
-
-    bound(show)
+def drawing(kind: str, what: Callable[[], Sequence[object]], classes: str = "") -> Any:
+    """Add a drawing of a kind that static/drawings.js has, by what it shows; it is drawn anew where that changes."""
+    made = ui.element("undrift-drawing").props(f'kind="{kind}"').classes(classes)
+    bound(lambda: set_prop(made, "what", json.dumps(what())))
     return made
+
+
+def picture(path: Path | None) -> None:
+    """Add a figure that a command wrote."""
+    if path is not None and path.exists():
+        ui.html(path.read_text(encoding="utf-8").partition("?>")[2], sanitize=False).classes("picture")
 
 
 def shown_if(element: Any, true: Callable[[], bool]) -> Any:
@@ -112,7 +114,7 @@ def shown_if(element: Any, true: Callable[[], bool]) -> Any:
     return element
 
 
-def redrawn(state: Callable[[], object], draw: Callable[[], None]) -> None:
+def redrawn(state: Callable[[], object], draw: Callable[[], object]) -> None:
     """Add a part that is drawn anew whenever the state changes, in this browser or another."""
     seen, place = [state()], ui.element("div")
 
@@ -186,8 +188,10 @@ class Parts:
 # ---- Controls
 
 
-def button(label: Words, handler: Handler, classes: str = "", *, name: str = "", pressed: bool | None = None) -> Any:
-    """Add a plain button: label, what it does, what a screen reader calls it, whether it is the chosen one of several."""
+def button(
+    label: Words, handler: Handler, classes: str = "", *, name: str = "", pressed: bool | None = None, ask: str = ""
+) -> Any:
+    """Add a plain button: label, what it does, what a screen reader calls it, whether it is the chosen one, what is asked first."""
     made = text("button", label, classes).props('type="button"')
     if name:
         made.props["aria-label"] = name
@@ -211,7 +215,8 @@ def button(label: Words, handler: Handler, classes: str = "", *, name: str = "",
         await look(client)
 
     # the second click of a double click is ignored: it would undo the first
-    made.on("click", click, js_handler="(event) => { if (event.detail < 2) emit() }")
+    asked = f" && confirm({json.dumps(ask)})" if ask else ""
+    made.on("click", click, js_handler=f"(event) => {{ if (event.detail < 2{asked}) emit() }}")
     return made
 
 
@@ -356,7 +361,7 @@ def page_words(words: str) -> str:
     return words
 
 
-def refused(bench: "Bench", job: "Job | None", error: str, keep: Callable[[str], object] = bool) -> None:
+def refused(visit: "Visit", job: "Job | None", error: str, keep: Callable[[str], object] = bool) -> None:
     """Say what was refused; where gyroscopes, turns or rates spoilt a job's calibration, offer it without them."""
     error_line(error)
     of_gyro = re.search("gyro|turn|rotation|rate", error)
@@ -365,7 +370,7 @@ def refused(bench: "Bench", job: "Job | None", error: str, keep: Callable[[str],
 
     async def again() -> str | None:
         turns = job.words.index("--turn-deg") if "--turn-deg" in job.words else len(job.words)  # not used then
-        outcome = await bench.calibrate(job, *job.words[:turns], *job.words[turns + 2 :], "--gyro", "none")
+        outcome = await visit.calibrate(job, *job.words[:turns], *job.words[turns + 2 :], "--gyro", "none")
         keep(outcome.error)
         return "/result" if outcome.done else None
 

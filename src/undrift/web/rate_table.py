@@ -27,7 +27,7 @@ from undrift.web.commands import CommandOutcome
 
 if TYPE_CHECKING:
     from undrift.rig.programme import Forecast
-    from undrift.web.bench import Bench
+    from undrift.web.bench import Bench, Visit
 
 NEXT_STEPS = 4
 SPEEDS = ("1", "10", "20", "100")  # of the emulated table
@@ -100,11 +100,7 @@ class RateTablePage:
 
     def __init__(self, bench: "Bench") -> None:
         self._bench = bench
-        self.addresses = RunOrder()
-        self.filled = 0  # how often they were filled in by other than typing
-        self.rates = ProtocolForm()
-        self.soaks = ProtocolForm(name="temperature", axes=(), temperatures_c="20, 35, 50")
-        self.speed = "1"  # of the emulated table
+        self.addresses = RunOrder()  # of the last run: what a tab begins with
         self.busy = ""  # what is being started, in words
         self.error = ""
         self.emulated = EmulatedTable(bench.folder)
@@ -115,13 +111,13 @@ class RateTablePage:
         """Return the run that goes on, or the last one."""
         return self._bench.rig_run
 
-    async def use_emulated(self) -> None:
+    async def use_emulated(self, visit: "Visit") -> None:
         """Start the emulated table, chamber, device and operator, and fill in their addresses."""
-        await self._doing("Starting the emulated table", self._use_emulated)
+        await self._doing("Starting the emulated table", lambda: self._use_emulated(visit))
 
-    async def start(self, typed: ProtocolForm) -> None:
+    async def start(self, typed: ProtocolForm, addresses: RunOrder) -> None:
         """Start a run, in a job of its own."""
-        await self._doing("Starting the run", lambda: self._start(typed))
+        await self._doing("Starting the run", lambda: self._start(typed, addresses))
 
     async def go_on(self) -> None:
         """Continue a run that was paused or stopped, or that failed."""
@@ -144,26 +140,28 @@ class RateTablePage:
         if self.run is not None and not self.run.may_move:
             self._bench.rig_run, self._bench.job, self.error = None, None, ""
 
-    async def calibrate(self) -> str | None:
+    async def calibrate(self, visit: "Visit") -> str | None:
         """Calibrate from the run; return the page of the result."""
-        return await self._made(self._bench.calibrate)
+        return await self._made(visit, self._bench.calibrate)
 
-    async def fit_drift(self) -> str | None:
+    async def fit_drift(self, visit: "Visit") -> str | None:
         """Fit the drift over the temperatures of the run; return the page of the result."""
-        return await self._made(self._bench.fit_drift)
+        return await self._made(visit, self._bench.fit_drift, visit.calibration)
 
-    async def _made(self, make: Callable[..., Awaitable[CommandOutcome]]) -> str | None:
+    async def _made(
+        self, visit: "Visit", make: Callable[..., Awaitable[CommandOutcome]], *known: Path | None
+    ) -> str | None:
         if self.run is None:
             return None
         bench = self._bench
         job = bench.job or bench.new_job("" if bench.source is None else bench.source.name)
-        outcome = await make(job, self.run.folder, "--trust")  # the bench's own readings need no box
-        self.error = outcome.error
+        outcome = await make(job, *known, self.run.folder, "--trust")  # the bench's own readings need no box
+        self.error = visit.take(job, outcome).error
         return "/result" if outcome.done else None
 
-    async def forecast(self, typed: ProtocolForm) -> "Forecast | str":
-        """Return what a protocol takes, or what is wrong with it."""
-        wanted = typed.toml(), self.addresses.rig.strip() or "galil:"
+    async def forecast(self, typed: ProtocolForm, rig: str) -> "Forecast | str":
+        """Return what a protocol takes on a table, or what is wrong with it."""
+        wanted = typed.toml(), rig.strip() or "galil:"
         if wanted not in self._forecasts:
             try:
                 self._forecasts = {wanted: await asyncio.to_thread(typed.check, wanted[1])}
@@ -197,15 +195,15 @@ class RateTablePage:
         finally:
             self.busy = ""
 
-    async def _use_emulated(self) -> None:
-        self.emulated.words = ("--speed", self.speed)
+    async def _use_emulated(self, visit: "Visit") -> None:
+        self.emulated.words = ("--speed", visit.speed)
         for name, address in (await asyncio.to_thread(self.emulated.start)).items():
-            setattr(self.addresses, name, address)
-        self.filled += 1
+            setattr(visit.addresses, name, address)
+        visit.filled += 1
 
-    async def _start(self, typed: ProtocolForm) -> None:
+    async def _start(self, typed: ProtocolForm, addresses: RunOrder) -> None:
         bench, at_temperatures = self._bench, bool(typed.temperatures_c.strip())
-        order = replace(self.addresses, host=bench.settings.host)
+        order = replace(addresses, host=bench.settings.host)
         for name, typed_address in order.named().items():
             setattr(order, name, typed_address.strip())
         for wanted, what, why in (
@@ -223,6 +221,7 @@ class RateTablePage:
         job = bench.job
         if job is None or any(job.folder.iterdir()):
             job = bench.new_job(order.serial or "rate-table")
+        self.addresses = replace(order)
         order = order if at_temperatures else replace(order, chamber="")
         await self._launch(begin_run(job.session, typed.toml(), order))
 
@@ -237,57 +236,59 @@ class RateTablePage:
 # ---- The page
 
 
-def page(bench: "Bench") -> None:
+def page(visit: "Visit") -> None:
     """Build the page."""
-    with parts.frame(bench, "Rate table"):
-        parts.text("p", "The table turns the device at known rates about each axis, and rests on each face.")
-        parts.redrawn(lambda: run_state(bench), lambda: _part(bench))
+    parts.text("p", "The table turns the device at known rates about each axis, and rests on each face.")
+    parts.redrawn(lambda: run_state(visit), lambda: _part(visit))
 
 
-def run_state(bench: "Bench") -> tuple[object, ...]:
+def run_state(visit: "Visit") -> tuple[object, ...]:
     """Return what a page is drawn anew for."""
-    run = bench.rig_run
+    run = visit.bench.rig_run
     if run is None:
-        return ("none", bench.table.filled)
+        return ("none", visit.filled)
     view = run.view
     return (run.folder, view.state, view.question, view.error, view.confirmed, bool(view.steps), view.standby)
 
 
-def _part(bench: "Bench") -> None:
+def _part(visit: "Visit") -> None:
+    bench = visit.bench
     if bench.rig_run is None:
-        order_form(bench, bench.table.rates, chamber=False)
+        order_form(visit, visit.rates, chamber=False)
     else:
-        run_part(bench, bench.rig_run, lambda: _after(bench, bench.rig_run))
+        run_part(bench, bench.rig_run, lambda: _after(visit, bench.rig_run))
 
 
-def _after(bench: "Bench", run: RigRun | None) -> None:
+def _after(visit: "Visit", run: RigRun | None) -> None:
     """Add the next step after a complete run."""
     if run is not None and len(run.view.set_points()) > 1:
         parts.next_step("Fit the drift over temperature", "/temperature")
     else:
-        parts.next_step("Calibrate", bench.table.calibrate)
+        parts.next_step("Calibrate", lambda: visit.bench.table.calibrate(visit))
 
 
-def order_form(bench: "Bench", typed: ProtocolForm, *, chamber: bool) -> None:
+def order_form(visit: "Visit", typed: ProtocolForm, *, chamber: bool) -> None:
     """Add addresses, protocol, forecast and the start."""
-    table = bench.table
-    if not table.addresses.device and bench.source is not None:
-        table.addresses.device = bench.source.address
+    bench, table, addresses = visit.bench, visit.bench.table, visit.addresses
+    if not addresses.device and bench.source is not None:
+        addresses.device = bench.source.address
     with parts.section("Table"):
         parts.text("h2", "Table")
         with parts.row():
-            parts.disabled_if(parts.button("Use the emulated table", table.use_emulated), lambda: bool(table.busy))
+            parts.disabled_if(
+                parts.button("Use the emulated table", lambda: table.use_emulated(visit)), lambda: bool(table.busy)
+            )
             parts.Field(
                 "Speed of the emulated table",
-                table.speed,
+                visit.speed,
                 options=SPEEDS,
                 hint="times real time",
-                keep=lambda speed: setattr(table, "speed", speed),
+                keep=lambda speed: setattr(visit, "speed", speed),
             )
-        parts.form(table.addresses, "rig", "device", *(("chamber",) if chamber else ()), "serial")
+        parts.form(addresses, "rig", "device", *(("chamber",) if chamber else ()), "serial")
         by = "The emulated operator mounts the device."
         you = "You mount the device when this page asks for it; the motor is off then."
-        parts.text("p", by if table.addresses.operator else you, "soft")
+        parts.text("p", by if addresses.operator else you, "soft")
     with parts.section("Protocol"):
         parts.text("h2", "Protocol")
         parts.form(typed, *(("temperatures_c", "soak_c_per_min") if chamber else ()))
@@ -299,13 +300,13 @@ def order_form(bench: "Bench", typed: ProtocolForm, *, chamber: bool) -> None:
     found: list[Forecast | str] = [""]
 
     async def look() -> None:
-        found[:] = [await table.forecast(typed)]
+        found[:] = [await table.forecast(typed, addresses.rig)]
 
     parts.bound(look)
     parts.status_line(lambda: forecast_words(found[0]), "forecast")
     parts.error_line(lambda: found[0] if isinstance(found[0], str) else "")
     parts.error_line(lambda: table.error)
-    start = parts.next_step("Start", lambda: table.start(typed))
+    start = parts.next_step("Start", lambda: table.start(typed, addresses))
     parts.status_line(lambda: table.busy and f"{table.busy} ...")
     parts.disabled_if(start, lambda: isinstance(found[0], str) or bool(table.busy))
 

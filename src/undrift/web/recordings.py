@@ -2,7 +2,7 @@
 
 import secrets
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
@@ -13,61 +13,16 @@ from undrift.base.options import asked, stated
 from undrift.commands.mount import Movement, Posture, Worn, mounting_of
 from undrift.errors import InputError
 from undrift.record import FACES
-from undrift.web import parts
-from undrift.web.commands import CommandOutcome, Remark, remarks_of
-from undrift.web.drawings import worn
+from undrift.web import entries, parts
+from undrift.web.commands import CommandOutcome, remarks_of
+from undrift.web.library import StoredFile
 from undrift.web.live import motion_controls
 from undrift.web.uploads import safe_name
 
 if TYPE_CHECKING:
-    from undrift.web.bench import Bench
+    from undrift.web.bench import Visit
 
 UNITS = {"gyro": ("rad/s", "dps", "count", "v"), "accel": ("m/s2", "g", "mg", "count", "v")}
-
-
-@dataclass(slots=True, kw_only=True)
-class StoredFile:
-    """One file that was sent to the bench."""
-
-    path: Path
-    about: dict[str, Any] = field(default_factory=dict)  # what `info` says of it
-    map: Path | None = None
-    sample_rate_hz: float | None = None  # that a person stated, of a file without time
-    picture: Path | None = None
-    made: dict[str, Path] = field(default_factory=dict)  # label -> file
-    remarks: dict[str, list[Remark]] = field(default_factory=dict)  # what each command noticed
-    mounting: str = ""  # that it showed, in a sentence
-    error: str = ""
-
-    @property
-    def kind(self) -> str:
-        """Return what it is: recording, reference, calibration, table (that needs a map) ..."""
-        return str(self.about.get("kind", ""))
-
-    @property
-    def needs_map(self) -> bool:
-        """Return whether its columns and units must be confirmed."""
-        return self.kind == "table" and bool(self.about.get("map"))
-
-    @property
-    def needs_rate(self) -> bool:
-        """Return whether a command asked for its sample rate, or for another."""
-        return not self.needs_map and "--sample-rate-hz" in f"{self.error} {self.about.get('summary')}"
-
-    @property
-    def summary(self) -> str:
-        """Return in one line what it holds."""
-        if self.needs_rate and self.kind != "recording":
-            return "readings without time; state their sample rate"
-        if self.error and not self.about:
-            return self.error
-        if self.needs_map:
-            return f"a table of {len(self.about.get('columns') or ())} columns; confirm its units"
-        return str(self.about.get("summary") or self.kind or "not read yet")
-
-    def options(self) -> tuple[object, ...]:
-        """Return the options by which commands read it."""
-        return stated(map=self.map, sample_rate_hz=self.sample_rate_hz)
 
 
 @dataclass(slots=True, kw_only=True)
@@ -96,24 +51,46 @@ class MarkersForm:
     up: str = asked("--reference-up", options=("", "y", "z"))
 
 
-class Recordings:
-    """The files of a bench, and the commands that are run on them."""
+@dataclass(slots=True, kw_only=True)
+class SourceForm:
+    """What is typed of the readings in a file."""
 
-    def __init__(self, bench: "Bench") -> None:
-        self.bench = bench
-        self.files: list[StoredFile] = []
+    rate_hz: str = asked("Samples per second, Hz", kind="number")
+    turn_deg: str = asked("Angle of its turns, deg (empty: none)", kind="number")
+    serial: str = asked("Serial number")
+
+
+class Recordings:
+    """What a tab does with the files of the bench: which one it has chosen, and the commands that it runs on them."""
+
+    def __init__(self, visit: "Visit") -> None:
+        self.visit, self.bench = visit, visit.bench
         self.chosen: StoredFile | None = None
-        self.wearing, self.subtracted = WearingForm(), OffsetForm()
+        self.wearing, self.subtracted, self.optics, self.typed = (
+            WearingForm(),
+            OffsetForm(),
+            MarkersForm(),
+            SourceForm(),
+        )
+
+    @property
+    def files(self) -> list[StoredFile]:
+        """Return the files of the bench, the newest first."""
+        return self.bench.library.files
 
     async def add(self, path: Path) -> StoredFile:
         """Take up a file that has been stored, and ask what it holds."""
-        stored = StoredFile(path=path)
-        self.files.append(stored)
-        self.chosen = stored
-        await self.look(stored)
-        if stored.kind == "calibration":
-            self.bench.calibration = path
+        stored = self.bench.library.file_at(path)
+        await self.choose(stored)
         return stored
+
+    async def choose(self, stored: StoredFile) -> None:
+        """Look at a file from now on; a calibration is used."""
+        self.chosen, self.typed = stored, SourceForm()
+        if not stored.about:
+            await self.look(stored)
+        if stored.kind == "calibration":
+            self.visit.calibration = stored.path
 
     async def add_together(self, paths: Sequence[Path]) -> None:
         """Take up files that lie in one folder: as one recording where they are one, as those of a phone; else each by itself."""
@@ -139,6 +116,7 @@ class Recordings:
             drawing = stored.path.parent / "recording.svg"
             drawn = await self.bench.command("info", stored.path, *stored.options(), "--figure", drawing)
             stored.picture = drawing if drawn.done and drawing.exists() else None
+        stored.save()
 
     async def state_rate(self, stored: StoredFile, sample_rate_hz: float) -> None:
         """State the sample rate of a file without time."""
@@ -162,9 +140,9 @@ class Recordings:
         job = self.bench.new_job(serial or stored.path.stem)
         words = (
             *stated(turn_deg=None if motion else turn_deg, serial=serial),
-            *(self.bench.motion.words() if motion else ()),
+            *(self.visit.motion.words() if motion else ()),
         )
-        outcome = await self.bench.calibrate(job, stored.path, *stored.options(), *words)
+        outcome = await self.visit.calibrate(job, stored.path, *stored.options(), *words)
         stored.error = outcome.error
         return outcome.done
 
@@ -179,7 +157,7 @@ class Recordings:
 
     async def mount(self, stored: StoredFile) -> None:
         """Find how the device is worn: kept in a copy of the calibration, which is used then; without one, sides are chosen."""
-        form, calibration = self.wearing, self.bench.calibration
+        form, calibration = self.wearing, self.visit.calibration
         if not form.worn:
             raise InputError("mounting: wanted the place where the device is worn, got none; choose it")
         copy = stored.path.parent / f"{safe_name(stored.path.name.split('.')[0], 'recording')}-worn.json"
@@ -190,7 +168,7 @@ class Recordings:
         self._take(stored, "mount", outcome, [copy] if outcome.answer.get("output") else [])
         stored.mounting = str(outcome.answer.get("statement") or "")
         if stored.mounting and calibration:
-            self.bench.calibration, form.forward, form.up = copy, "", ""
+            self.visit.calibration, form.forward, form.up = copy, "", ""
         elif stored.mounting:
             form.forward, form.up = (outcome.answer["sides"][way] for way in ("forward", "up"))
 
@@ -208,12 +186,14 @@ class Recordings:
         outcome = await self.bench.command("validate", *words, "-o", job.folder)
         stored.error = outcome.error
         if outcome.done:
-            await self.bench.open_job(job.folder, outcome.answer)
-            self.bench.calibration = job.folder / "calibration.json"
+            job.look()
+            job.later = [outcome.answer]
+            job.save()
+            self.visit.shown, self.visit.calibration = job.read(), job.calibration
         return outcome.done
 
     def _calibrated(self) -> tuple[object, ...]:
-        return stated(calibration=self.bench.calibration, offset=self.subtracted.offset)
+        return stated(calibration=self.visit.calibration, offset=self.subtracted.offset)
 
     def _sides(self) -> tuple[object, ...]:
         return stated(forward=self.wearing.forward, up=self.wearing.up)
@@ -222,6 +202,7 @@ class Recordings:
         stored.error, stored.remarks[command] = outcome.error, remarks_of(outcome.answer)
         if outcome.done:
             stored.made |= {f"{command}: {'report' if path.suffix == '.html' else path.name}": path for path in files}
+        stored.save()
 
     def references(self) -> list[StoredFile]:
         """Return the files that hold optical poses."""
@@ -236,24 +217,27 @@ def _optics(stored: StoredFile, reference: StoredFile, markers: str, up: str) ->
 # ---- The page
 
 
-def page(bench: "Bench") -> None:
+def page(visit: "Visit") -> None:
     """Build the page."""
-    with parts.frame(bench, "Recordings"):
-        parts.text("p", "Drop a recording, its optical reference or a calibration. Files stay on this computer.")
-        _drop(bench)
-        parts.redrawn(lambda: _state(bench), lambda: _shown(bench))
+    recordings = visit.recordings
+    parts.text("p", "Drop a recording, its optical reference or a calibration. Files stay on this computer.")
+    _drop(visit)
+    entries.listing(visit, "Files", lambda: recordings.files, lambda: recordings.chosen, recordings.choose)
+    parts.redrawn(lambda: _state(visit), lambda: _file(visit, recordings.chosen))
 
 
-def _state(bench: "Bench") -> object:
-    files = tuple(
-        (one.path, one.kind, one.map, one.error, one.picture, len(one.made), str(one.remarks), one.mounting)
-        for one in bench.recordings.files
-    )
-    return files, bench.recordings.chosen and bench.recordings.chosen.path, bench.calibration
+def _state(visit: "Visit") -> object:
+    """Return what the part about a file is drawn anew for: nothing that another tab has chosen or typed."""
+    one, references = visit.recordings.chosen, [other.path for other in visit.recordings.references()]
+    if one is None:
+        return None
+    known = one.path, one.kind, one.map, one.error, len(one.made), str(one.remarks), one.mounting
+    return known, one.title, references, visit.calibration
 
 
-def _drop(bench: "Bench") -> None:
+def _drop(visit: "Visit") -> None:
     """Add the place to drop files on, which is a file chooser too."""
+    bench, recordings = visit.bench, visit.recordings
     with ui.element("label").classes("drop bench-file") as drop:
         parts.text("span", "Drop files or a folder here, or choose files: ")
         chooser = ui.element("input").props('type="file" multiple aria-label="Choose files"')
@@ -275,7 +259,7 @@ def _drop(bench: "Bench") -> None:
             return
         parts.set_text(status, f"Reading {detail['name']} ...")
         files = [bench.inside(str(file)) for file in detail.get("files", (detail.get("file"),))]
-        await (bench.recordings.add_together(files) if len(files) > 1 else bench.recordings.add(files[0]))
+        await (recordings.add_together(files) if len(files) > 1 else recordings.add(files[0]))
         parts.set_text(status, "")
 
     for element in (chooser, drop):
@@ -283,38 +267,26 @@ def _drop(bench: "Bench") -> None:
         element.on("sent", sent, ["detail"])
 
 
-def _shown(bench: "Bench") -> None:
-    recordings = bench.recordings
-    if recordings.files:
-        parts.text("h2", "Files")
-        with ui.element("ul").classes("bench-list"):
-            for one in recordings.files:
-                with ui.element("li"):
-                    choose = partial(setattr, recordings, "chosen", one)
-                    parts.button(one.path.name, choose, pressed=one is recordings.chosen)
-                    parts.text("span", f" {one.summary}", "soft")
-    if recordings.chosen is not None:
-        _file(bench, recordings.chosen)
-
-
-def _file(bench: "Bench", one: StoredFile) -> None:
+def _file(visit: "Visit", one: StoredFile | None) -> None:
     """Add what a file holds, what it needs, and what may be done with it."""
-    parts.text("h2", one.path.name)
+    bench = visit.bench
+    if one is None:
+        return
+    parts.text("h2", one.name)
     if one.needs_rate:
-        _rate_form(bench, one)
+        _rate_form(visit.recordings, one)
     else:
-        parts.refused(bench, bench.job, one.error, partial(setattr, one, "error"))
+        parts.refused(visit, bench.job, one.error, partial(setattr, one, "error"))
     if one.needs_map:
-        _map_form(bench.recordings, one)
+        _map_form(visit.recordings, one)
     elif one.kind == "calibration":
         parts.text("p", "Recordings are corrected with this calibration.")
     elif one.kind == "recording" or (one.about and not one.needs_rate):
         parts.text("p", one.summary)
         parts.remarks_list(one.remarks["info"])
     if one.kind == "recording":
-        if one.picture is not None:
-            ui.html(one.picture.read_text(encoding="utf-8").partition("?>")[2], sanitize=False).classes("picture")
-        _actions(bench, one)
+        parts.redrawn(lambda: one.picture, lambda: parts.picture(one.picture))  # it comes later
+        _actions(visit, one)
     for command, remarks in one.remarks.items():
         if remarks and command != "info":
             parts.text("h3", f"What {command} noticed")
@@ -335,16 +307,16 @@ def _stated_rate(rate: parts.Field) -> float:
     raise InputError(f"sample rate: wanted a number above 0, got '{rate.value}'; state the samples per second")
 
 
-def _rate_form(bench: "Bench", one: StoredFile) -> None:
+def _rate_form(recordings: Recordings, one: StoredFile) -> None:
     """Ask for the sample rate of a file without time."""
     if one.kind == "recording":
-        parts.refused(bench, None, one.error)
+        parts.error_line(one.error)
     else:
         parts.text(
             "p", "This file has no time column. The data sheet or the settings of the device state its sample rate."
         )
-    rate = parts.Field("Samples per second, Hz", kind="number")
-    parts.next_step("Read the file", lambda: bench.recordings.state_rate(one, _stated_rate(rate)))
+    rate = parts.form(recordings.typed, "rate_hz")["rate_hz"]
+    parts.next_step("Read the file", lambda: recordings.state_rate(one, _stated_rate(rate)))
 
 
 def _map_form(recordings: Recordings, one: StoredFile) -> None:
@@ -355,7 +327,7 @@ def _map_form(recordings: Recordings, one: StoredFile) -> None:
     wants_rate = any(line.startswith("sample_rate_hz") for line in lines)
     parts.text("h3", "Confirm")
     with parts.row():
-        rate = parts.Field("Samples per second, Hz", kind="number") if wants_rate else None
+        rate = parts.form(recordings.typed, "rate_hz")["rate_hz"] if wants_rate else None
         chosen: dict[str, parts.Field] = {}
         for name, label in (("gyro", "Unit of the gyroscopes"), ("accel", "Unit of the accelerometers")):
             if any(f"{name} =" in line for line in lines):
@@ -370,55 +342,53 @@ def _map_form(recordings: Recordings, one: StoredFile) -> None:
     parts.next_step("Read the file", write)
 
 
-def _actions(bench: "Bench", one: StoredFile) -> None:
-    recordings = bench.recordings
-    if bench.calibration is None:
+def _actions(visit: "Visit", one: StoredFile) -> None:
+    recordings, calibration = visit.recordings, visit.calibration
+    if calibration is None:
         parts.text("p", "No calibration chosen: drop a calibration.json, or calibrate from this recording.", "soft")
     else:
-        parts.text("p", f"Calibration: {bench.calibration.parent.name}/{bench.calibration.name}", "soft")
+        parts.text("p", f"Calibration: {visit.bench.library.name_of(calibration)}", "soft")
     parts.text(
         "p",
         "Gyroscopes keep an offset of each recording: none is subtracted, the mean of the first rest, or what gravity shows "
         "while the device moves, worn or in the hand, for 20 s or more.",
     )
     parts.form(recordings.subtracted, "offset")
-    if bench.calibration is not None:
+    if calibration is not None:
         parts.next_step("Correct", lambda: recordings.run(one, "correct"))
-    _wearing_form(bench, one)
+    _wearing_form(visit, one)
     parts.button("Orient", lambda: recordings.run(one, "orient") if _worn(recordings, one) else None)
     if recordings.references():
         _optics_form(recordings, one)
     with parts.folded("Calibrate from this recording") as more:
-        if bench.calibration is None:
+        if calibration is None:
             more.props("open")
         parts.text(
             "p",
             "It needs six faces or more, each at rest for some seconds; gyroscopes need full turns between rests too.",
         )
-        with parts.row():
-            turn = parts.Field("Angle of its turns, deg (empty: none)", kind="number")
-            serial = parts.Field("Serial number")
+        typed = parts.form(recordings.typed, "turn_deg", "serial")
 
         async def calibrate(*, motion: bool = False) -> str | None:
-            named = serial.value.strip()
-            done = await recordings.calibrate(one, turn_deg=turn.number(), serial=named, motion=motion)
+            turn_deg, named = typed["turn_deg"].number(), typed["serial"].value.strip()
+            done = await recordings.calibrate(one, turn_deg=turn_deg, serial=named, motion=motion)
             return "/result" if done else None
 
-        parts.button("Calibrate", calibrate, "next" if bench.calibration is None else "")
+        parts.button("Calibrate", calibrate, "next" if calibration is None else "")
         parts.text("p", "Or from motion alone: a minute in the hand, turned slowly about every axis; rests help.")
-        motion_controls(bench)
+        motion_controls(visit)
         parts.button("Calibrate from its motion", lambda: calibrate(motion=True))
 
 
-def _wearing_form(bench: "Bench", one: StoredFile) -> None:
+def _wearing_form(visit: "Visit", one: StoredFile) -> None:
     """Say which mounting is used; offer to find it, or to name the sides, which the drawing follows."""
-    recordings, form, mounting = bench.recordings, bench.recordings.wearing, mounting_of(bench.calibration)
+    recordings, form, mounting = visit.recordings, visit.recordings.wearing, mounting_of(visit.calibration)
     with parts.section("How it is worn"):
         parts.text("h3", "How it is worn")
         if mounting:
             parts.text("p", f"Mounting of the calibration, used for the pitch unless sides are named: {mounting}.")
         else:
-            why = "" if bench.calibration else " Without a calibration the nearest sides are taken."
+            why = "" if visit.calibration else " Without a calibration the nearest sides are taken."
             parts.text("p", f"Where is the device worn? The pitch needs its mounting.{why}")
             if one.mounting:
                 parts.text("p", f"{one.mounting}.")
@@ -435,7 +405,7 @@ def _wearing_form(bench: "Bench", one: StoredFile) -> None:
             if form.forward or form.up:
                 sides.props("open")
             with ui.element("div").classes("worn"):
-                parts.picture(lambda: worn(form.forward, form.up))
+                parts.drawing("worn", lambda: [form.forward, form.up])
                 with ui.element("div"):
                     parts.text("p", "Which sides point forward and up when the wearer stands?")
                     parts.form(form, "forward", "up")
@@ -445,7 +415,7 @@ def _worn(recordings: Recordings, one: StoredFile) -> bool:
     """Return whether the mounting is known, by the calibration or by two sides; say so where it is not."""
     forward, up = recordings.wearing.forward, recordings.wearing.up
     sided = bool(forward and up) and forward[1] != up[1]
-    shown = sided or (not (forward or up) and bool(mounting_of(recordings.bench.calibration)))
+    shown = sided or (not (forward or up) and bool(mounting_of(recordings.visit.calibration)))
     got = f"{forward or 'none'} and {up or 'none'}"
     wrong = f"pitch: wanted the mounting, or a side that points forward and another that points up, got {got}; find it or name both"
     one.error = "" if shown else wrong
@@ -457,7 +427,7 @@ def _optics_form(recordings: Recordings, one: StoredFile) -> None:
     found = {
         ("its own" if reference is one else reference.path.name): reference for reference in recordings.references()
     }
-    typed = MarkersForm()
+    typed = recordings.optics
     with parts.section("Optics"):
         parts.text("h3", "Compare with optics")
         with parts.row():

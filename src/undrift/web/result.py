@@ -7,44 +7,39 @@ from nicegui import ui
 
 from undrift.base.options import stated
 from undrift.errors import InputError
-from undrift.web import parts
+from undrift.web import entries, parts
 from undrift.web.commands import CommandOutcome, remarks_of
 from undrift.web.start import place_form
 
 if TYPE_CHECKING:
-    from undrift.web.bench import Bench, Job
+    from undrift.web.bench import Bench, Visit
+    from undrift.web.library import Job
 
 
-def page(bench: "Bench") -> None:
+def page(visit: "Visit") -> None:
     """Build the page."""
-    with parts.frame(bench, "Result"):
-        parts.redrawn(lambda: _state(bench), lambda: _shown(bench))
+    parts.redrawn(lambda: _state(visit), lambda: _shown(visit))
+    entries.listing(visit, "Results", lambda: visit.library.jobs, lambda: visit.job, partial(setattr, visit, "shown"))
 
 
-def _state(bench: "Bench") -> tuple[object, ...]:
-    job = bench.job
+def _state(visit: "Visit") -> tuple[object, ...]:
+    job = visit.job
     if job is None:
         return ()
-    return job.folder, id(job.answer), job.certificate, job.registered, job.error, len(job.later), bench.calibration
+    return job.folder, id(job.answer), job.certificate, job.registered, job.error, len(job.later), visit.calibration
 
 
-def _shown(bench: "Bench") -> None:
-    if bench.job is None or bench.job.calibration is None:
+def _shown(visit: "Visit") -> None:
+    job = visit.job
+    if job is None or job.calibration is None:
         parts.text("p", "No calibration yet. Record six faces, run the rate table, or open a recording.")
         parts.next_step("Choose what to record", "/")
     else:
-        _result(bench, bench.job)
-    now = None if bench.job is None else bench.job.folder
-    earlier = [path.parent for path in sorted(bench.folder.glob("jobs/*/calibration.json"), reverse=True)]
-    if earlier := [folder for folder in earlier if folder != now]:
-        parts.text("h2", "Earlier results")
-        with ui.element("ul"):
-            for folder in earlier[:20]:
-                with ui.element("li"):
-                    parts.button(f"Open {folder.name}", partial(bench.open_job, folder))
+        _result(visit, job)
 
 
-def _result(bench: "Bench", job: "Job") -> None:
+def _result(visit: "Visit", job: "Job") -> None:
+    bench = visit.bench
     status = (job.answer.get("verdict") or {}).get("status", "")
     with parts.section("Verdict", f"verdict {status}"):
         parts.text("h2", f"Verdict: {status or 'unknown'}")
@@ -55,20 +50,20 @@ def _result(bench: "Bench", job: "Job") -> None:
                 "p", f"It lacks the {lacks}: their readings stay uncorrected; in counts they are left out.", "lacks"
             )
         parts.remarks_list(remarks_of({**job.answer, "later": job.later}))
-    parts.refused(bench, job, job.error)
+    parts.refused(visit, job, job.error)
     if job.gravity_assumed and job.certificate is None:
-        _gravity(bench, job)
+        _gravity(visit, job)
     _step(bench, job)
     with parts.row():
         for label, path in (("Calibration", job.calibration), ("Certificate", job.certificate), ("Report", job.report)):
             if path is not None and path.exists():
                 ui.link(f"Download {label.lower()}", bench.link(path) + "?download=1")
-        if bench.calibration == job.calibration:
+        if visit.calibration == job.calibration:
             parts.text("p", "Live and Recordings use this calibration.", "soft")
         else:
             without = f", without {' and '.join(job.lacks)}" if job.lacks else ""
             parts.button(
-                f"Use it in Live and Recordings{without}", lambda: setattr(bench, "calibration", job.calibration)
+                f"Use it in Live and Recordings{without}", lambda: setattr(visit, "calibration", job.calibration)
             )
     if job.registered:
         parts.text("p", job.registered, "soft")
@@ -92,13 +87,13 @@ def _step(bench: "Bench", job: "Job") -> None:
         parts.next_step("Correct recordings", "/recordings")
 
 
-def _gravity(bench: "Bench", job: "Job") -> None:
+def _gravity(visit: "Visit", job: "Job") -> None:
     """Ask for gravity before the certificate: the scale of the accelerometers is known no better."""
 
     async def again() -> None:
-        if not bench.place.words():
+        if not visit.bench.place.words():
             raise InputError("gravity: wanted a town, a latitude or gravity itself, got none; fill one in")
-        await bench.calibrate(job, *job.words)
+        await visit.calibrate(job, *job.words)
 
     with parts.section("Gravity", "card"):
         parts.text("h2", "Where was it recorded?")
@@ -106,7 +101,7 @@ def _gravity(bench: "Bench", job: "Job") -> None:
             "p", "Nobody stated local gravity: the certificate carries 0.15 % for it, in the accelerometers' scale."
         )
         if job.words:
-            place_form(bench, "Calibrate with this gravity", again)
+            place_form(visit.bench, "Calibrate with this gravity", again)
         else:
             parts.text("p", "State the place on the page Start, then calibrate again.")
 
@@ -120,6 +115,7 @@ async def register(bench: "Bench", job: "Job", serial: str) -> None:
         (entry, *_) = outcome.answer["entries"]
         due = f", due {entry['due_at'][:10]}" if entry.get("due_at") else ""
         job.registered = f"Registered as entry {entry['entry']}{due}."
+        job.save()
 
 
 async def certify(bench: "Bench", job: "Job") -> None:
@@ -134,3 +130,4 @@ async def certify(bench: "Bench", job: "Job") -> None:
 
 def _heard(job: "Job", outcome: CommandOutcome) -> None:
     job.error, job.later = outcome.error, [*job.later, outcome.answer]
+    job.save()

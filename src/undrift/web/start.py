@@ -15,7 +15,7 @@ from undrift.units import STANDARD_GRAVITY, gravity_at
 from undrift.web import parts
 
 if TYPE_CHECKING:
-    from undrift.web.bench import Bench
+    from undrift.web.bench import Bench, Visit
 
 PRACTICE = "emulator"  # the address of the practice device
 ADDRESSES = "serial:///dev/ttyUSB0?baud=115200&..., tcp://host:port?..., udp://:port, lsl:name, ble:id"  # examples
@@ -134,25 +134,23 @@ def _connected(bench: "Bench") -> str:
 LINE = 'fill="none" stroke="currentColor" stroke-width="2.5" stroke-linejoin="round" stroke-linecap="round"'
 
 
-def page(bench: "Bench") -> None:
+def page(visit: "Visit") -> None:
     """Build the page."""
-    with parts.frame(bench, "Start"):
-        parts.text("p", "What do you have? Each option names the recording it needs.")
-        with ui.element("div").classes("cards"):
-            for way in parts.texts()["ways"]:  # one answer: the recording that is needed, and where it is made
-                with parts.section(way["have"], "card"):
-                    drawing = f'<path d="{way["drawing"].strip()}" {LINE}/>'
-                    ui.html(f'<svg viewBox="0 0 220 100" aria-hidden="true">{drawing}</svg>', sanitize=False)
-                    parts.text("h2", way["have"])
-                    parts.text("p", way["record"])
-                    parts.text("p", way["gives"], "soft")
-                    parts.next_step(way["next"], way["path"])
-        connect_form(bench)
-        with parts.section("Place"):
-            parts.text("h2", "Place")
-            parts.text(
-                "p", "It gives local gravity. Without it, standard gravity is assumed: up to 0.3 % error of scale."
-            )
-            place_form(bench, "Save")
-            saved = "Saved: {.gravity_m_s2:.4f} m/s2".format
-            parts.status_line(lambda: saved(bench.place) if bench.place.words() else "Not stated")
+    bench = visit.bench
+    parts.text("p", "What do you have? Each option names the recording it needs.")
+    with ui.element("div").classes("cards"):
+        for way in parts.texts()["ways"]:  # one answer: the recording that is needed, and where it is made
+            with parts.section(way["have"], "card"):
+                drawing = f'<path d="{way["drawing"].strip()}" {LINE}/>'
+                ui.html(f'<svg viewBox="0 0 220 100" aria-hidden="true">{drawing}</svg>', sanitize=False)
+                parts.text("h2", way["have"])
+                parts.text("p", way["record"])
+                parts.text("p", way["gives"], "soft")
+                parts.next_step(way["next"], way["path"])
+    connect_form(bench)
+    with parts.section("Place"):
+        parts.text("h2", "Place")
+        parts.text("p", "It gives local gravity. Without it, standard gravity is assumed: up to 0.3 % error of scale.")
+        place_form(bench, "Save")
+        saved = "Saved: {.gravity_m_s2:.4f} m/s2".format
+        parts.status_line(lambda: saved(bench.place) if bench.place.words() else "Not stated")

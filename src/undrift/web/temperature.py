@@ -14,10 +14,10 @@ from undrift.web.start import connect_form
 
 if TYPE_CHECKING:
     from undrift.commands.bench.source import LiveDevice
-    from undrift.web.bench import Bench, Job
+    from undrift.web.bench import Bench, Visit
+    from undrift.web.library import Job
 
 LOOK_S = 0.5  # between two looks at what came
-WIDTH, HEIGHT, LEFT, BOTTOM = 640, 240, 56, 34
 DRAWN = 300  # points of a curve
 
 
@@ -46,7 +46,7 @@ class WarmUpRecording:
         self.job, self.error, self.recording = job, "", True
         self._task = asyncio.create_task(self._follow(source))
 
-    async def finish(self) -> str | None:
+    async def finish(self, visit: "Visit") -> str | None:
         """End the recording and fit the drift over its temperatures; return the page of the result."""
         source, job = self._bench.source, self.job
         self.recording = False
@@ -57,8 +57,8 @@ class WarmUpRecording:
         if path is None:
             self.error = "warm-up: wanted readings, got none; record again"
             return None
-        outcome = await self._bench.fit_drift(job, path, "--warm-up")
-        self.error = outcome.error
+        outcome = await self._bench.fit_drift(job, visit.calibration, path, "--warm-up")
+        self.error = visit.take(job, outcome).error
         return "/result" if outcome.done else None
 
     async def _follow(self, source: "LiveDevice") -> None:
@@ -75,27 +75,27 @@ class WarmUpRecording:
 # ---- The page
 
 
-def page(bench: "Bench") -> None:
+def page(visit: "Visit") -> None:
     """Build the page."""
-    with parts.frame(bench, "Temperature"):
-        parts.text("p", "The device rests at known temperatures, so that its drift can be fitted and corrected.")
-        parts.redrawn(lambda: (run_state(bench), bench.warm_up.recording), lambda: _part(bench))
+    parts.text("p", "The device rests at known temperatures, so that its drift can be fitted and corrected.")
+    parts.redrawn(lambda: (run_state(visit), visit.bench.warm_up.recording), lambda: _part(visit))
 
 
-def _part(bench: "Bench") -> None:
+def _part(visit: "Visit") -> None:
+    bench = visit.bench
     run, warm_up = bench.rig_run, bench.warm_up
     if warm_up.recording:
         parts.text("h2", "Recording a warm-up")
         parts.text("p", "Leave the device at rest. The recording continues when this page is closed.")
         course = warm_up.course
         parts.status_line(lambda: steadiness_words(course.slope_c_per_min, course.limit, course.stable_since), "soak")
-        parts.picture(lambda: curve_svg(course.curve), "curve")
-        parts.text("p", _corrected(bench), "soft")
+        parts.drawing("lines", lambda: curve(course.curve), "curve")
+        parts.text("p", _corrected(visit), "soft")
         parts.error_line(lambda: warm_up.error)
-        parts.next_step("End and fit the drift", warm_up.finish)
+        parts.next_step("End and fit the drift", lambda: warm_up.finish(visit))
     elif run is None or (run.view.steps and not run.view.set_points() and not run.may_move):
         parts.text("h2", "With a chamber")
-        order_form(bench, bench.table.soaks, chamber=True)
+        order_form(visit, visit.soaks, chamber=True)
         parts.text("h2", "Without a chamber")
         parts.text("p", "Switch the cold device on, leave it at rest, and record until its temperature is stable.")
         connect_form(bench)
@@ -105,23 +105,23 @@ def _part(bench: "Bench") -> None:
         parts.text("p", "A run at room temperature is in progress.")
         parts.next_step("Open the rate table", "/rate-table")
     else:
-        run_part(bench, run, lambda: _fit(bench))
+        run_part(bench, run, lambda: _fit(visit))
         parts.status_line(lambda: soak_words(run.view), "soak")
-        parts.picture(lambda: curve_svg(run.view.curve, run.view.speed), "curve")
+        parts.drawing("lines", lambda: curve(run.view.curve, run.view.speed), "curve")
         _set_points(run)
 
 
-def _fit(bench: "Bench") -> None:
-    parts.text("p", _corrected(bench), "soft")
-    parts.next_step("Fit the drift", bench.table.fit_drift)
+def _fit(visit: "Visit") -> None:
+    parts.text("p", _corrected(visit), "soft")
+    parts.next_step("Fit the drift", lambda: visit.bench.table.fit_drift(visit))
 
 
-def _corrected(bench: "Bench") -> str:
-    if bench.calibration is None:
+def _corrected(visit: "Visit") -> str:
+    if visit.calibration is None:
         return (
             "No calibration is chosen: a device that sends counts needs one from the rate table, at room temperature."
         )
-    return f"The tables are added to the calibration {bench.calibration.parent.name}."
+    return f"The tables are added to the calibration {visit.library.name_of(visit.calibration)}."
 
 
 def _set_points(run: RigRun) -> None:
@@ -170,38 +170,9 @@ def _clock(since: float) -> str:
     return time.strftime("%H:%M:%S", time.localtime(since))
 
 
-def curve_svg(points: Sequence[Point], speed: float = 1.0) -> str:
-    """Draw the temperatures of air and device over the table's minutes; the device is the solid line."""
+def curve(points: Sequence[Point], speed: float = 1.0) -> list[object]:
+    """Return the temperatures of device and air over the table's minutes, as a drawing takes them."""
     points = points[:: max(1, len(points) // DRAWN)]
-    known = [temp for point in points for temp in (point.air_c, point.device_c) if temp is not None]
-    if len(points) < 2 or not known:
-        return ""
-    start, low, high = points[0].time, min(known) - 0.5, max(known) + 0.5
-    span = max(points[-1].time - start, 1e-3)
-    at_x = partial(_scaled, low=0.0, high=span, first=LEFT, last=WIDTH - 10)
-    at_y = partial(_scaled, low=low, high=high, first=HEIGHT - BOTTOM, last=10)
-    lines = []
-    for name, dashes in (("air_c", "6 5"), ("device_c", "none")):
-        held = [(at_x(p.time - start), at_y(temp)) for p in points if (temp := getattr(p, name)) is not None]
-        path = " ".join(f"{x:.1f},{y:.1f}" for x, y in held)
-        lines.append(
-            f'<polyline points="{path}" fill="none" stroke="currentColor" stroke-width="2" stroke-dasharray="{dashes}"/>'
-        )
-    ticks = "".join(
-        f'<text x="{LEFT - 8}" y="{at_y(value) + 5:.1f}" text-anchor="end">{value:.1f}</text>' for value in (low, high)
-    ) + "".join(
-        f'<text x="{at_x(value):.1f}" y="{HEIGHT - 12}" text-anchor="{end}">{value * speed / 60.0:.1f} min</text>'
-        for value, end in ((0.0, "start"), (span, "end"))
-    )
-    frame_ = f'<path d="M{LEFT} 10 V{HEIGHT - BOTTOM} H{WIDTH - 10}" fill="none" stroke="currentColor" opacity=".4"/>'
-    now = next((f"{p.device_c:.2f} degC" for p in reversed(points) if p.device_c is not None), "not read")
-    label = f"Temperature over time: from {min(known):.1f} to {max(known):.1f} degC; device now {now}"
-    return (
-        f'<svg viewBox="0 0 {WIDTH} {HEIGHT}" role="img" aria-label="{label}" font-size="14" fill="currentColor">'
-        f"{frame_}{''.join(lines)}{ticks}</svg>"
-        f"<p class='soft'>Temperature, degC: device solid, air of the chamber dashed. Device: {now}.</p>"
-    )
-
-
-def _scaled(value: float, *, low: float, high: float, first: float, last: float) -> float:
-    return first + (value - low) / (high - low) * (last - first)
+    over = [(p, round((p.time - points[0].time) * speed / 60.0, 3)) for p in points]
+    device, air = ([(minutes, getattr(p, name)) for p, minutes in over] for name in ("device_c", "air_c"))
+    return ["Temperature", "°C", "min", [("device", "none", device), ("air of the chamber", "6 5", air)]]

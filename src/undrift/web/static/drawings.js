@@ -1,0 +1,126 @@
+// Drawings of the pages, as SVG: <undrift-drawing kind="box" what='["+z", "+"]'> is drawn anew when one of both changes.
+const HALF = [62, 44, 22];  // of the box along x, y and z
+const FILLS = { z: 0.06, x: 0.14, y: 0.24 };  // of the three sides that are seen, by how they are lit
+const SHAPES = {  // of the light: the colour is never the only sign
+  "no readings": ["bad", '<path d="M12 12 L36 36 M36 12 L12 36" stroke="C" stroke-width="6"/>'],
+  moving: ["ink", '<path d="M6 16 h30 l-8 -8 M42 32 h-30 l8 8" stroke="C" stroke-width="5"/>'],
+  settling: ["marginal", '<path d="M24 6 a18 18 0 0 1 0 36 z" fill="C"/><path d="M24 6 a18 18 0 0 0 0 36" stroke="C" stroke-width="4"/>'],
+  still: ["good", '<circle cx="24" cy="24" r="19" fill="C"/>'],
+  captured: ["good", '<path d="M8 26 l11 11 l21 -26" stroke="C" stroke-width="7"/>'],
+  "wrong face": ["marginal", '<path d="M10 24 a14 14 0 1 1 6 12 M16 44 v-9 h9" stroke="C" stroke-width="5"/>'],
+  tilted: ["marginal", '<path d="M5 40 h38 M8 38 L40 22" stroke="C" stroke-width="5"/>'],
+  "unknown face": ["marginal", '<path d="M16 16 a8 8 0 1 1 9 9 v6 M25 39 v2" stroke="C" stroke-width="5"/>'],
+};
+const STANDING =  // a person who stands and faces right, seen from the right; the device is at the low back
+  '<circle cx="-62" cy="-88" r="13"/><path d="M-62 -75 C-74 -50 -66 -30 -72 -8 L-60 38 L-66 88 h22 M-62 -70 q14 26 8 48 l14 16"/>' +
+  '<path d="M-50 -90 l6 3" /><rect x="-83" y="-28" width="9" height="18" fill="currentColor"/>' +
+  '<path d="M-70 -19 L22 -8" stroke-dasharray="3 5"/>';
+const BODY = { forward: [1, 0], left: [0.5, -0.5], up: [0, -1] };  // on the screen; left is away from the viewer
+const OTHER = { forward: "back", left: "right", up: "down" };
+
+const path = (points) => "M" + points.map(([x, y]) => `${x.toFixed(1)} ${y.toFixed(1)}`).join(" L");
+const picture = (box, words, width, drawn) => `<svg class="device" viewBox="${box}" role="img" aria-label="${words}"><g fill="none"
+  stroke="currentColor" stroke-width="${width}" stroke-linejoin="round" stroke-linecap="round">${drawn}</g></svg>`;
+const arrowhead = ([x0, y0], [x1, y1], length, spread) => {
+  const angle = Math.atan2(y1 - y0, x1 - x0);
+  return [spread, -spread].map((s) => [x1 - length * Math.cos(angle + s), y1 - length * Math.sin(angle + s)]);
+};
+
+// A vector of the box as it stands with a face up: z up, the other axes follow round.
+function standing(face, v) {
+  const k = "xyz".indexOf(face[1]), [a, b, up] = [v[(k + 1) % 3], v[(k + 2) % 3], v[k]];
+  return face[0] === "+" ? [a, b, up] : [a, -b, -up];
+}
+// Where a point is drawn: seen from the front, the right and above.
+const onScreen = ([x, y, z]) => [0.87 * (y - x), 0.38 * (x + y) - 0.9 * z];
+
+function box(face, turn = "") {
+  const drawn = [];
+  for (const axis of Object.keys(FILLS)) for (const sign of [1, -1]) {
+    const k = "xyz".indexOf(axis), normal = [0, 0, 0];
+    normal[k] = sign;
+    const seen = standing(face, normal), top = seen[2] > 0.5;
+    if (Math.max(...seen) < 0.5) continue;  // on the far side
+    const corners = [[1, 1], [1, -1], [-1, -1], [-1, 1]].map(([one, other]) => {
+      const corner = [0, 0, 0];
+      [corner[k], corner[(k + 1) % 3], corner[(k + 2) % 3]] = [sign, one, other];
+      return onScreen(standing(face, corner.map((part, i) => part * HALF[i])));
+    });
+    const [x, y] = [0, 1].map((i) => corners.reduce((sum, corner) => sum + corner[i], 0) / 4);
+    drawn.push(`<path d="${path(corners)} Z" fill="currentColor" fill-opacity="${FILLS[top ? "z" : seen[0] > 0.5 ? "x" : "y"]}"/>`);
+    drawn.push(`<text x="${x.toFixed(1)}" y="${(y + (top ? 9 : 6)).toFixed(1)}" class="${top ? "top" : "side"}">${sign > 0 ? "+" : "-"}${axis}</text>`);
+  }
+  const height = -0.9 * HALF["xyz".indexOf(face[1])];
+  if (turn) {  // an arrow round the axis that is up; counter-clockwise, seen from above, for +
+    const way = turn === "+" ? 1 : -1;
+    const points = Array.from({ length: 49 }, (_, k) => 0.1 * (k - 24)).map((a) => [58 * Math.sin(way * a), height - 34 + 19 * Math.cos(way * a)]);
+    const [one, other] = arrowhead(points[45], points[48], 15, 0.55);
+    for (const line of [points, [one, points[48], other]]) drawn.push(`<path class="act" d="${path(line)}" stroke-width="5"/>`);
+  } else drawn.push(`<path class="act" d="M0 ${(height - 22).toFixed(1)} v-34 m-9 11 l9 -11 l9 11" stroke-width="5"/>`);
+  const turned = turn ? `, turned ${turn === "+" ? "counter-clockwise" : "clockwise"} seen from above` : "";
+  return picture("-115 -125 230 210", `Box with ${face} up${turned}`, 2, drawn.join(""));
+}
+
+// Where each axis of a right-handed device points; none where the two sides do not show it.
+function ways(forward, up) {
+  if (!forward || !up || forward[1] === up[1]) return [];
+  const k = "xyz".indexOf(up[1]), m = "xyz".indexOf(forward[1]);
+  const sign = (up[0] === forward[0] ? 1 : -1) * ((m - k + 3) % 3 === 1 ? 1 : -1);  // left = up x forward
+  const sides = { [forward[1]]: ["forward", forward[0] === "+" ? 1 : -1], [up[1]]: ["up", up[0] === "+" ? 1 : -1], ["xyz"[3 - k - m]]: ["left", sign] };
+  return Object.entries(sides).sort();
+}
+
+// A standing person with the device, and where its axes point by the sides that point forward and up.
+function worn(forward, up) {
+  const drawn = [STANDING, '<path d="M25 -15 L43 -15 L43 25 L25 25 Z" fill="currentColor" fill-opacity="0.14"/>'], words = [], [x0, y0] = [34, 5];
+  for (const [axis, [way, sign]] of ways(forward, up)) {
+    const [dx, dy] = BODY[way].map((part) => sign * 52 * part), tip = [x0 + dx, y0 + dy], [one, other] = arrowhead([x0, y0], tip, 11, 0.5);
+    drawn.push(`<path class="act" d="${path([[x0, y0], tip])} ${path([one, tip, other])}"/>`);
+    drawn.push(`<text x="${(x0 + 1.28 * dx).toFixed(0)}" y="${(y0 + 1.28 * dy + 6).toFixed(0)}">${axis}</text>`);
+    words.push(`${axis} points ${sign > 0 ? way : OTHER[way]}`);
+  }
+  return picture("-115 -108 230 205", `Device at the low back of a standing person${words.length ? ": " : ""}${words.join(", ")}`, 2.5, drawn.join(""));
+}
+
+function lamp(state) {
+  const [colour, shape] = SHAPES[state];
+  return `<svg class="lamp" viewBox="0 0 48 48" aria-hidden="true">${shape.replaceAll("C", `var(--${colour})`)}</svg>`;
+}
+
+// The countdown as a ring that closes, with the seconds left; nothing in its place where nothing counts down.
+function ring(left, whole) {
+  if (left === null) return '<svg class="ring" viewBox="0 0 100 100" aria-hidden="true"></svg>';
+  const share = Math.min(Math.max(1 - left / whole, 0), 1), around = 2 * Math.PI * 40, circle = '<circle cx="50" cy="50" r="40"';
+  return `<svg class="ring" viewBox="0 0 100 100" aria-hidden="true">${circle}/>${circle} class="gone"
+    stroke-dasharray="${(around * share).toFixed(1)} ${around.toFixed(1)}"/><text x="50" y="63">${Math.ceil(left)}</text></svg>`;
+}
+
+// Lines over time, each [name, dashes, [[time, value or null], ...]]: frame, least and greatest, what is newest in words.
+function lines(title, unit, timeUnit, all) {
+  const [width, height, left, bottom] = [640, 240, 64, 34], points = all.flatMap(([, , line]) => line).filter(([, value]) => value !== null);
+  if (points.length < 2) return "";
+  const values = points.map(([, value]) => value), times = points.map(([time]) => time);
+  const low = Math.min(...values), high = Math.max(...values), edge = 0.05 * (high - low) || 0.5, start = Math.min(...times), span = Math.max(Math.max(...times) - start, 1e-3);
+  const x = (time) => left + (time - start) / span * (width - 10 - left), y = (value) => height - bottom - (value - low + edge) / (high - low + 2 * edge) * (height - bottom - 10);
+  const drawn = all.map(([, dashes, line]) => line.filter(([, value]) => value !== null)
+    .map(([time, value]) => `${x(time).toFixed(1)},${y(value).toFixed(1)}`).join(" ")).map((each, k) =>
+    `<polyline points="${each}" fill="none" stroke="currentColor" stroke-width="2" stroke-dasharray="${all[k][1]}"/>`);
+  const tick = (at, down, words, anchor) => `<text x="${at.toFixed(1)}" y="${down.toFixed(1)}" text-anchor="${anchor}">${words}</text>`;
+  const digits = high - low < 20 ? 1 : 0, ticks = [low, high].map((value) => tick(left - 8, y(value) + 5, value.toFixed(digits), "end"));
+  ticks.push(tick(left, height - 12, `${start.toFixed(1)} ${timeUnit}`, "start"), tick(width - 10, height - 12, `${(start + span).toFixed(1)} ${timeUnit}`, "end"));
+  const newest = all.map(([name, dashes, line]) => [name, dashes, line.findLast(([, value]) => value !== null)]).filter(([, , last]) => last);
+  const now = newest.map(([name, dashes, [, value]]) => `${name} (${dashes === "none" ? "solid" : "dashed"}) ${value.toFixed(2)}`).join(", ");
+  return `<svg viewBox="0 0 ${width} ${height}" role="img" aria-label="${title} from ${low.toFixed(1)} to ${high.toFixed(1)} ${unit}; now ${now} ${unit}"
+    font-size="14" fill="currentColor"><path d="M${left} 10 V${height - bottom} H${width - 10}" fill="none" stroke="currentColor" opacity=".4"/>${drawn.join("")}
+    ${ticks.join("")}</svg><p class="soft">${title}, ${unit}: ${now}.</p>`;
+}
+
+const DRAWINGS = { box, worn, lamp, ring, lines };
+customElements.define("undrift-drawing", class extends HTMLElement {
+  static observedAttributes = ["kind", "what"];
+  connectedCallback() { this.attributeChangedCallback(); }
+  attributeChangedCallback() {
+    const what = this.getAttribute("what");
+    if (this.getAttribute("kind") && what) this.innerHTML = DRAWINGS[this.getAttribute("kind")](...JSON.parse(what));
+  }
+});

@@ -1,0 +1,121 @@
+"""The drawings of the pages: well formed, the right face on top, and a right-handed box whichever way it stands."""
+
+import re
+from typing import get_args
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from playwright.sync_api import Page
+
+from undrift.commands.bench.capture import State
+from undrift.record import FACES
+from undrift.sim.motion.motion import unit_vector
+from undrift.web.feed import STATIC
+
+SVG = "{http://www.w3.org/2000/svg}"
+
+
+@pytest.fixture
+def draw(page: Page):
+    """Return what draws a kind of drawing, as the text of its SVG."""
+    page.set_content("<undrift-drawing></undrift-drawing>")
+    page.add_script_tag(path=STATIC / "drawings.js")
+
+    def make(kind, *what):
+        return page.locator("undrift-drawing").evaluate(
+            """(element, [kind, what]) => {
+                element.setAttribute("kind", kind); element.setAttribute("what", JSON.stringify(what)); return element.innerHTML;
+            }""",
+            [kind, what],
+        )
+
+    return make
+
+
+def parsed(svg):
+    return ElementTree.fromstring(svg.replace("<svg ", '<svg xmlns="http://www.w3.org/2000/svg" ', 1))
+
+
+@pytest.mark.parametrize("face", FACES)
+def test_three_sides_of_a_right_handed_box_are_seen_the_wanted_one_on_top(draw, face):
+    drawn = parsed(draw("box", face))
+    names = {text.text: (float(text.get("x")), float(text.get("y"))) for text in drawn.iter(f"{SVG}text")}
+    assert drawn.get("aria-label") == f"Box with {face} up"
+    (top,) = [text.text for text in drawn.iter(f"{SVG}text") if text.get("class") == "top"]
+    assert top == face
+    assert len(names) == 3
+    # Seen from outside, the names of three sides that meet in a corner follow each other counter-clockwise as right-handed axes do
+    left, right = sorted((name for name in names if name != face), key=lambda name: names[name][0])
+    assert names[face][1] < min(names[left][1], names[right][1])
+    assert np.cross(unit_vector(left), unit_vector(right)) == pytest.approx(unit_vector(face))
+
+
+@pytest.mark.parametrize(("turn", "words"), [("+", "counter-clockwise"), ("-", "clockwise")])
+def test_the_arrow_goes_round_the_way_the_words_say(draw, turn, words):
+    svg = draw("box", "+z", turn)
+    assert parsed(svg).get("aria-label") == f"Box with +z up, turned {words} seen from above"
+    points = np.array(re.findall(r"(-?[\d.]+) (-?[\d.]+)", re.search(r'class="act" d="([^"]*)"', svg)[1]), float)
+    front = points[np.argsort(points[:, 1])[-1]]  # the lowest point is the nearest one
+    after = points[np.argsort(points[:, 1])[-1] + 3]
+    assert (after[0] > front[0]) == (turn == "+")  # seen from above, counter-clockwise goes to the right in front
+
+
+@pytest.mark.parametrize("up", FACES)
+def test_a_worn_device_is_drawn_with_right_handed_axes(draw, up):
+    for forward in FACES:
+        judge_axes(draw, forward, up)
+
+
+def judge_axes(draw, forward, up):
+    """Judge the axes of one way to wear a device."""
+    drawn = parsed(draw("worn", forward, up))
+    label = drawn.get("aria-label")
+    names = [text.text for text in drawn.iter(f"{SVG}text")]
+    if forward[1] == up[1]:
+        assert names == []
+        return
+    assert names == ["x", "y", "z"]
+    body = {
+        "forward": (1, 0, 0),
+        "back": (-1, 0, 0),
+        "left": (0, 1, 0),
+        "right": (0, -1, 0),
+        "up": (0, 0, 1),
+        "down": (0, 0, -1),
+    }
+    x, y, z = (body[re.search(rf"{axis} points (\w+)", label)[1]] for axis in "xyz")
+    assert np.cross(x, y).tolist() == list(z)
+    for side, way in ((forward, (1, 0, 0)), (up, (0, 0, 1))):
+        assert np.dot(unit_vector(side), np.array([x, y, z]) @ np.array(way)) == 1
+
+
+def test_every_light_has_a_shape_of_its_own_and_is_green_only_where_all_is_well(draw):
+    shapes = {state: draw("lamp", state) for state in get_args(State)}
+    assert [state for state, svg in shapes.items() if "--good" in svg] == ["still", "captured"]
+    wrong = ("settling", "wrong face", "tilted", "unknown face")
+    assert [state for state, svg in shapes.items() if "--marginal" in svg] == [
+        state for state in shapes if state in wrong
+    ]
+    assert all(parsed(svg).get("aria-hidden") == "true" for svg in shapes.values())
+    assert len({re.sub(r"var\([^)]*\)", "", svg) for svg in shapes.values()}) == len(shapes)
+
+
+def test_the_ring_closes_and_shows_whole_seconds(draw):
+    gone = [float(re.search(r'stroke-dasharray="([\d.]+)', draw("ring", left, 6.0))[1]) for left in (6.0, 3.0, 0.0)]
+    assert gone == pytest.approx([0.0, 125.7, 251.3], abs=0.1)
+    assert parsed(draw("ring", 2.1, 6.0)).find(f"{SVG}text").text == "3"
+    assert parsed(draw("ring", None, 6.0)).find(f"{SVG}text") is None
+
+
+def test_lines_are_drawn_with_gaps_and_their_newest_values_are_in_words(draw):
+    assert draw("lines", "Temperature", "°C", "min", [["device", "none", [[0.0, 20.0]]]]) == ""
+    air, device = [[0.0, None], [1.0, None]], [[0.0, 20.0], [1.0, None], [2.0, 24.5]]
+    drawn = draw("lines", "Temperature", "°C", "min", [["device", "none", device], ["air", "6 5", air]])
+    svg = parsed(drawn.partition("<p class")[0])
+    assert svg.get("aria-label") == "Temperature from 20.0 to 24.5 °C; now device (solid) 24.50 °C"
+    (line, empty) = svg.iter(f"{SVG}polyline")
+    (x0, y0), (x1, y1) = (point.split(",") for point in line.get("points").split())
+    assert float(x0) < float(x1)
+    assert float(y0) > float(y1)
+    assert empty.get("points") == ""

@@ -1,0 +1,107 @@
+"""Whose is what: tabs choose and type for themselves; files and jobs outlive a bench that is killed; names, deletion, a quota."""
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from playwright.sync_api import BrowserContext, Page, expect
+
+import undrift
+from testkit.bench import BenchServer, bench_process
+from undrift.io.parquet import write_parquet
+from web_browser.conftest import faults_of, shoot
+from web_browser.test_recordings import COMMAND_MS, phone_files
+
+
+def test_two_tabs_choose_and_type_for_themselves(open_page: Callable[..., Page], tmp_path: Path) -> None:
+    rng = np.random.default_rng(5)
+    device = undrift.random_device(rng)
+    undrift.write_calibration(
+        undrift.calibrate(undrift.simulate_session("bench", device, rng=rng)), tmp_path / "calibration.json"
+    )
+    write_parquet(undrift.simulate_trial("posturography", device, rng=rng).record, tmp_path / "stance.parquet")
+    first = open_page("/recordings")
+    first.get_by_label("Choose files").set_input_files(tmp_path / "stance.parquet")
+    serial = first.get_by_label("Serial number")
+    serial.press_sequentially("A1", timeout=COMMAND_MS)
+    second = open_page("/recordings", width=390)
+    second.get_by_label("Choose files").set_input_files(tmp_path / "calibration.json")
+    expect(second.locator(".bench-main")).to_contain_text("Recordings are corrected with this", timeout=COMMAND_MS)
+    expect(first.locator(".bench-list .choose")).to_have_text(["calibration.json", "stance.parquet"])
+    serial.press_sequentially("7")  # the caret is where it was
+    expect(serial).to_have_value("A17")
+    expect(first.locator(".bench-main")).to_contain_text("No calibration chosen")
+    expect(first.get_by_role("button", name="Correct", exact=True)).to_have_count(0)
+    second.get_by_role("button", name="stance.parquet", exact=True).click()
+    expect(second.get_by_role("button", name="Correct", exact=True)).to_be_visible()
+    expect(first.get_by_role("heading", name="stance.parquet")).to_be_visible()
+    first.reload()
+    expect(serial).to_have_value("A17")
+    first.close()
+    assert faults_of(second) == []
+
+
+def test_files_and_jobs_outlive_a_bench_that_is_killed(
+    tmp_path: Path, new_context: Callable[..., BrowserContext]
+) -> None:
+    (tmp_path / "sent").mkdir()
+    names = ["walk.parquet", "Accelerometer, Gyroscope"]
+    rng = np.random.default_rng(3)
+    session = undrift.simulate_session("six_face", undrift.random_device(rng), rng=rng)
+    write_parquet(session.records[0], tmp_path / "walk.parquet")
+
+    def opened(server: BenchServer, path: str) -> Page:
+        page = new_context(viewport={"width": 1280, "height": 800}).new_page()
+        page.set_default_timeout(COMMAND_MS)
+        page.goto(server.address + path)
+        return page
+
+    with bench_process(tmp_path / "bench") as server:
+        page = opened(server, "recordings")
+        page.get_by_label("Choose files").set_input_files(phone_files(tmp_path / "sent"))
+        expect(page.locator(".bench-main")).to_contain_text("60 samples at 50 Hz", timeout=COMMAND_MS)
+        page.get_by_label("Choose files").set_input_files(tmp_path / "walk.parquet")
+        page.get_by_role("heading", name="walk.parquet").wait_for()
+        page.get_by_label("Serial number").fill("A17")
+        page.get_by_role("button", name="Calibrate", exact=True).click()
+        page.wait_for_url("**/result")
+        page.get_by_role("heading", name="Verdict:").wait_for()
+        server.process.kill()
+        server.process.join()
+    began = time.monotonic()
+    with bench_process(tmp_path / "bench") as server:
+        page = opened(server, "recordings")
+        files = page.locator(".bench-list .choose")
+        expect(files).to_have_text(names)
+        print(f"\n2 of 2 files are listed again {time.monotonic() - began:.1f} s after the restart")
+        expect(page.locator(".bench-list li").nth(1)).to_contain_text("60 samples at 50 Hz")
+        page.get_by_role("button", name="Rename walk.parquet").click()
+        page.get_by_label("Name", exact=True).fill("Six faces of imu3")
+        page.get_by_role("button", name="Save the name").click()
+        expect(files.first).to_have_text("Six faces of imu3")
+        files.first.click()
+        expect(page.get_by_role("heading", name="Six faces of imu3")).to_be_visible()
+        shoot(page, "recordings-listed-1280")
+        assert faults_of(page) == []
+        page.once("dialog", lambda dialog: dialog.dismiss())
+        page.get_by_role("button", name="Delete Six faces of imu3").click()
+        expect(files).to_have_count(2)
+        page.once("dialog", lambda dialog: dialog.accept())
+        page.get_by_role("button", name="Delete Six faces of imu3").click()
+        expect(files).to_have_text(names[1:])
+        expect(page.get_by_role("heading", name="Six faces of imu3")).to_have_count(0)
+        page.goto(server.address + "result")
+        expect(page.get_by_role("heading", name="Verdict:")).to_be_visible()
+        expect(page.locator(".bench-list li")).to_contain_text("calibrated")
+        shoot(page, "result-listed-1280")
+        assert faults_of(page) == []
+
+
+def test_a_full_folder_refuses_a_file_in_one_line(tmp_path: Path, new_context: Callable[..., BrowserContext]) -> None:
+    with bench_process(tmp_path / "bench", "--quota-gb", "0.00001") as server:
+        page = new_context().new_page()
+        page.goto(server.address + "recordings")
+        (tmp_path / "walk.csv").write_text("1,2,3\n" * 5000)
+        page.get_by_label("Choose files").set_input_files(tmp_path / "walk.csv")
+        expect(page.locator(".bench-main")).to_contain_text("wanted at most 1e-05 GB in it, got 3e-05 GB; delete files")
