@@ -138,10 +138,17 @@ def by_vqf(
     model = None if calibration is None else calibration.gyro
     field = calibration is not None and calibration.magnetometer is not None
     track = orient(done, None, OrientSettings(method="vqf", offset=offset, magnetometer=field), gyro_model=model)
-    poses, settings = seen_poses(done, reference, judged.lag), TrialSettings()
+    return end_errors(judged, done, reference, track.time, track.q_nb)
+
+
+def end_errors(
+    judged: Trial, record: Record, reference: Reference, time: FloatArray, q_nb: FloatArray
+) -> tuple[float, float]:
+    """Return the end error of a program's orientations of a record, as `by_vqf` has it."""
+    poses, settings = seen_poses(record, reference, judged.lag), TrialSettings()
     lag_s = judged.lag.seconds * judged.lag_undone
-    shift_s = (judged.lag.seconds - 0.5 / done.sample_rate_hz) * judged.lag_undone
-    q = orientation_at(track.time, track.q_nb, poses.time + shift_s)
+    shift_s = (judged.lag.seconds - 0.5 / record.sample_rate_hz) * judged.lag_undone
+    q = orientation_at(time, q_nb, poses.time + shift_s)
     start_s, stop_s = judged.motion.start_s - lag_s, judged.motion.stop_s - lag_s
     seen = poses.valid & np.isfinite(q).all(axis=1)
     before = seen & (poses.time >= start_s - settings.rest_s) & (poses.time < start_s - settings.lead_s)

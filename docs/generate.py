@@ -20,7 +20,7 @@ import undrift
 
 DOCS = Path(__file__).parent
 PACKAGE = Path(undrift.__file__).parent
-DRAWN = ("tutorial", "note_figure3", "drift_table")  # figures/*.py whose pictures are from simulated data
+DRAWN = ("tutorial", "note_figure3", "drift_table", "comparison")  # figures/*.py that need no recordings
 
 
 def write_all(folder: Path) -> None:
@@ -28,6 +28,7 @@ def write_all(folder: Path) -> None:
     folder.mkdir(exist_ok=True)
     pages = {"findings.md": findings(), "keys.md": keys(), "presets.md": presets(), "api.md": api(), **commands()}
     pages["watch.md"] = watch()
+    pages["comparison.md"] = comparison()
     for name, text in pages.items():
         path = folder / name
         if not path.exists() or path.read_text(encoding="utf-8") != text:
@@ -43,6 +44,57 @@ def draw_all(folder: Path) -> None:
         path.write_text(
             re.sub(r' [dxy]="[^"]*"', lambda part: re.sub(r"(\.\d\d)\d+", r"\1", part[0]), text), encoding="utf-8"
         )
+
+
+# ---- the open comparison
+
+
+def comparison() -> str:
+    """Return the tables of comparison.json, which ``python -m benchmarks.public`` writes."""
+    found = json.loads((DOCS / "comparison.json").read_text(encoding="utf-8"))
+    parts = [
+        "# Side by side on public data\n\n"
+        f"Methods of calibration and orientation on recordings that anybody can have; made on {found['made']} by "
+        "`python -m benchmarks.public`\n([how](../developers.md)). Every method is judged on readings that its fit did not see. "
+        "Brackets: 95 % interval of the mean\nover the recordings, by Student's t; where recordings share a device, or are axes "
+        "of one, it is too narrow.\n\n"
+        "![End error of each trial by each calibration and filter](../pictures/comparison.svg)\n"
+    ]
+    for table in found["tables"]:
+        unit, rows = table["unit"], table["rows"]
+        programs = list(dict.fromkeys(row["program"] for row in rows))
+        parts.append(
+            f"## {table['title']}\n\n{table['what']} Recordings: {', '.join(table['recordings'])}. Source: {table['source']}.\n"
+        )
+        if programs == [""]:
+            cells = [
+                (row["method"], _mean(row), ", ".join(f"{x:.3g}" for x in row["values"]), row["tuned"]) for row in rows
+            ]
+            parts.append(_table(("method", f"mean, {unit}", f"each, {unit}", "settings chosen on"), cells))
+            continue
+        methods = {row["method"]: {} for row in rows}
+        for row in rows:
+            methods[row["method"]][row["program"]] = _mean(row)
+        cells = [(method, *(each.get(name, "–") for name in programs)) for method, each in methods.items()]
+        parts.append(f"Mean in {unit}, by calibration and by what made the orientation:\n")
+        parts.append(_table(("calibration", *programs), cells))
+        chosen = {row["method"].split(",")[0]: row["tuned"] for row in rows if row["program"] == "strapdown"}
+        parts.append(
+            "Settings chosen on: "
+            + "; ".join(f"{name}: {on}" for name, on in chosen.items())
+            + ". Filters of other programs "
+            "have their own defaults. Each trial's error is in `docs/comparison.json`.\n"
+        )
+    return "\n".join(parts)
+
+
+def _mean(row: dict[str, object]) -> str:
+    return f"{row['mean']:.2g}" + ("" if row["low"] is None else f" [{row['low']:.2g}, {row['high']:.2g}]")
+
+
+def _table(heads: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
+    lines = [heads, ("---",) * len(heads), *rows]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines) + "\n"
 
 
 # ---- commands

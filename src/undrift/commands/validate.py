@@ -31,6 +31,7 @@ from undrift.commands.files import (
     save_json,
     worn_by,
 )
+from undrift.commands.people import of_people
 from undrift.errors import InputError, UndriftError
 from undrift.findings import Verdict, told_apart
 from undrift.units import RADIAN_PER_DEGREE
@@ -194,12 +195,16 @@ class Comparing:
     labels : Path or None
         With --compare: CSV table with columns recording (a file's name, or a pattern such as p1/*), task and person, or
         one of both; the statistics are over people.
+    study : bool
+        The folder holds trials.csv, a row a recording with its person, task, device and reference: each pipeline from readings as
+        they come to calibrated with tables, by gyroscopes alone and by VQF, over people, by task and by device.
     """
 
     compare: Flag = False
     margin_deg: float = NOTE_APART_DEG
     against: Annotated[tuple[Path, ...], Parameter(show_default=False)] = ()
     labels: Path | None = None
+    study: Flag = False
 
     def check(self) -> None:
         """Refuse a margin that is none, and what says nothing without a comparison."""
@@ -272,6 +277,7 @@ def _with_reference(record: Path, place: Path, stated: dict[str, Any]) -> dict[s
 
 
 @verb
+@of_people
 @of_folder("", _with_reference, alone=("calibrate_from",))
 def validate(
     *records: Files,

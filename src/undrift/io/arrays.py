@@ -83,7 +83,7 @@ def read_npz(path: str | Path, columns: ColumnMap | None = None, settings: ReadS
 @boxed("pymatreader")
 def read_mat(path: str | Path, columns: ColumnMap | None = None, settings: ReadSettings = READ_SETTINGS) -> ReadResult:
     """Read a record from a MATLAB .mat file, version 5 to 7.3; one that undrift wrote states frame, state and device."""
-    held = _load_mat(checked_file(path))
+    held = mat_tree(checked_file(path))
     arrays = tuple(_flat("", held))
     if columns is None and isinstance(held.get("undrift"), str):
         columns = native_map(tuple(name for name, _ in arrays), settings, source=str(path))
@@ -132,10 +132,11 @@ def npz_arrays(path: str | Path) -> Arrays:
 @boxed("pymatreader")
 def mat_arrays(path: str | Path) -> Arrays:
     """Return the numeric arrays of a MAT file, structs laid flat."""
-    return tuple(_flat("", _load_mat(checked_file(path))))
+    return tuple(_flat("", mat_tree(checked_file(path))))
 
 
-def _load_mat(path: Path) -> dict[str, Any]:
+def mat_tree(path: Path) -> dict[str, Any]:
+    """Return what a MAT file holds, structs as dicts and cells as lists, for readers in a box."""
     library = load("pymatreader", path)
     try:
         with warnings.catch_warnings(action="ignore"):

@@ -23,6 +23,7 @@ from undrift.io import containers, makers
 from undrift.io.arrays import hdf5_names, mat_arrays, mat_names, npz_arrays, read_mat, read_npz
 from undrift.io.clock import fit_clock
 from undrift.io.columns import READ_SETTINGS, ColumnMap, ReadResult, ReadSettings, is_date, is_native, is_number
+from undrift.io.kiel import is_kiel, read_kiel_imu, read_kiel_markers
 from undrift.io.labelled import is_labelled, read_labelled
 from undrift.io.log import is_log, log_text, read_log
 from undrift.io.mocap import Markers, Up, is_c3d, pose_from_cluster, read_broad, read_c3d, read_trc
@@ -178,6 +179,10 @@ FORMATS: dict[str, Format] = {
         lambda _, head: head.startswith(b"MATLAB") and containers.is_mobilised(head),
         record=containers.read_mobilised,
         honours=_STREAMS,
+    ),
+    "kiel_imu": Format(lambda path, head: is_kiel(path, head, "imu_location"), record=read_kiel_imu, honours=_STREAMS),
+    "kiel_markers": Format(
+        lambda path, head: is_kiel(path, head, "marker_location"), markers=read_kiel_markers, instead=_MARKERS
     ),
     "mat": Format(
         _is_mat, record=read_mat, reference=lambda p, c: read_array_poses(mat_arrays(p), p, c), honours=_ARRAYS

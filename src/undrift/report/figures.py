@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 
     from undrift.calibration.noise import NoiseFit
     from undrift.calibration.pieces import Piece
+    from undrift.commands.people import StudyOfPeople
     from undrift.commands.validate import Validated
     from undrift.orientation import Orientation
     from undrift.rig.folder import RecordedDwell
@@ -725,6 +726,31 @@ def draw_compared(validated: "Validated") -> "Figure":
     panel.errorbar(mean, np.arange(len(rows)), xerr=ends, **style)
     panel.set_yticks(range(len(rows)), [row.level for row in rows])
     panel.set(xlabel="error (deg)", xscale="log", ylim=(len(rows) - 0.5, -0.5))
+    legend_above(panel)
+    return figure
+
+
+def draw_people(found: "StudyOfPeople") -> "Figure":
+    """Draw the error of each trial by each pipeline, by gyroscopes alone and by the filter, and the mean over people, 95 %."""
+    study = found.study
+    names = list(dict.fromkeys(group.pipeline for group in study.groups if group.trials))
+    figure, (panel,) = new_figure(1, height=0.8 + 0.5 * len(names))
+    entitle(figure, f"Each pipeline: {study.quantity} error, rms over the motion")
+    for method, name, shift, colour in (("strapdown", "gyroscopes", -0.18, DEVICE), ("vqf", "VQF", 0.18, LIMIT)):
+        every = [one for one in study.errors if one.method == method and one.pipeline in names]
+        values = np.array([getattr(one, f"{study.quantity}_deg") for one in every])
+        at = np.arange(len(names)) + shift
+        panel.plot(
+            values.ravel(), np.repeat(at, values.shape[1]), "o", color=colour, markersize=3.0, alpha=0.5, label=name
+        )
+        groups = [g for g in study.groups if g.of == "all" and g.method == method and g.pipeline in names]
+        mean, ends = np.array([g.mean_deg for g in groups]), np.array([g.interval_deg for g in groups]).T
+        reach = np.nan_to_num(np.abs(ends - mean))
+        reach[0] = np.minimum(reach[0], 0.9 * mean)  # an axis of logarithms has no zero
+        style: Any = {"fmt": "|", "color": OPTICS, "capsize": 2.0, "markersize": 9.0}
+        panel.errorbar(mean, at, xerr=reach, label="mean over people, 95 %" if method == "vqf" else None, **style)
+    panel.set_yticks(range(len(names)), [textwrap.fill(name, 24) for name in names])
+    panel.set(xlabel="error (deg)", xscale="log", ylim=(len(names) - 0.5, -0.5))
     legend_above(panel)
     return figure
 

@@ -317,30 +317,10 @@ def validate_leave_one_out(
     InputError
         Fewer than two recordings; and all that ``leave_one_out`` and ``validate_trial`` raise.
     """
-    records, references = [pair[0] for pair in pairs], [pair[1] for pair in pairs]
-    _check_different(records)
-    adc = device_adc(records) if settings.adc == "auto" else None
-    fits = leave_one_out(
-        records,
-        references,
-        settings=fit_settings,
-        adc=adc,
-        lag_settings=settings.lag,
-        progress=lambda what, share: progress(what, _FITS * share),
+    calibrations, fits = calibrations_by_others(
+        pairs, settings=settings, fit_settings=fit_settings, progress=lambda what, share: progress(what, _FITS * share)
     )
     progress("integrating each recording by the fit to the others", _FITS)
-    calibrations = [
-        Calibration(
-            device=record.device,
-            reference_temp_c=float("nan"),
-            gravity_m_s2=STANDARD_GRAVITY,
-            gyro=h.model,
-            accel=None if record.accel is None else turned_like(h.model, record.accel_unit),
-            adc=adc,
-            verdict=h.fit.triad.verdict,
-        )
-        for record, h in zip(records, fits, strict=True)
-    ]
     of_each = replace(settings, offset="motion" if settings.offset == "motion" else "none")
     if fit_settings.mounting == "each":
         of_each = replace(of_each, align_above=min(settings.align_above, MOUNTING_ABOVE))
@@ -356,6 +336,35 @@ def validate_leave_one_out(
         more = (item for item in (h.extrapolation, apart) if item)
         trials.append(replace(trial, findings=(*trial.findings, *more)))
     return replace(summed(tuple(trials)), held_out=fits)
+
+
+def calibrations_by_others(
+    pairs: Sequence[Pair],
+    *,
+    settings: TrialSettings = TRIAL_SETTINGS,
+    fit_settings: ReferenceSettings = REFERENCE_SETTINGS,
+    progress: Callable[[str, float], None] = lambda what, share: None,
+) -> tuple[tuple[Calibration, ...], tuple[HeldOut, ...]]:
+    """Return the calibration of each recording by the others' references, its offset that of its own rest, and the fits."""
+    records, references = [pair[0] for pair in pairs], [pair[1] for pair in pairs]
+    _check_different(records)
+    adc = device_adc(records) if settings.adc == "auto" else None
+    fits = leave_one_out(
+        records, references, settings=fit_settings, adc=adc, lag_settings=settings.lag, progress=progress
+    )
+    calibrations = (
+        Calibration(
+            device=record.device,
+            reference_temp_c=float("nan"),
+            gravity_m_s2=STANDARD_GRAVITY,
+            gyro=h.model,
+            accel=None if record.accel is None else turned_like(h.model, record.accel_unit),
+            adc=adc,
+            verdict=h.fit.triad.verdict,
+        )
+        for record, h in zip(records, fits, strict=True)
+    )
+    return tuple(calibrations), fits
 
 
 def _check_different(records: Sequence[Record]) -> None:

@@ -37,11 +37,20 @@ from undrift.drift.hysteresis import TempHistory
 from undrift.drift.observe import nominal_triad
 from undrift.errors import AlignmentError, InputError
 from undrift.findings import Finding, finding
-from undrift.frames import quaternion_conjugate, quaternion_of, quaternion_product, rotation_vector
+from undrift.frames import (
+    cross,
+    quaternion_conjugate,
+    quaternion_of,
+    quaternion_product,
+    rotate,
+    rotation,
+    rotation_vector,
+)
 from undrift.model import AdcModel, BodyMounting, Calibration, TriadModel
 from undrift.orientation import (
     check_gaps,
     check_pitch_axes,
+    filtered,
     heading_of,
     inclination_of,
     initial_tilt,
@@ -104,6 +113,7 @@ def track_from_rest(
     return time, integrate_strapdown(record.gyro[first:], time, start)
 
 
+FILTER_OFFSET = 0.5 * RADIAN_PER_DEGREE  # of the rates that a filter starts with, rad/s: VQF's own
 START_S = 1.0  # over which the reference gives the start of a recording that begins in motion
 
 
@@ -123,6 +133,27 @@ def track_from_reference(
     seen: BoolArray = np.asarray(np.isfinite(start).all(axis=1))
     seen &= reference.time < reference.time[int(np.argmax(seen))] + START_S
     return time, integrate_strapdown(gyro, time, _mean_of(start[seen]))
+
+
+def track_filtered(
+    record: Record, reference: Reference, motion: MotionSpan, shift_s: float, settings: "TrialSettings"
+) -> tuple[FloatArray, FloatArray]:
+    """Run the filter over the whole record; its heading is the reference's before the motion, or over its first second there."""
+    q, _ = filtered(record, np.asarray(record.gyro), FILTER_OFFSET, magnetometer=False)
+    apart = quaternion_product(
+        reference.q_nb, quaternion_conjugate(orientation_at(record.time, q, reference.time + shift_s))
+    )
+    start_s, stop_s = motion.start_s - shift_s, motion.start_s - shift_s + START_S
+    if motion.rested:
+        start_s, stop_s = start_s - settings.rest_s, start_s - settings.lead_s
+    seen = np.isfinite(apart).all(axis=1) & (reference.time >= start_s) & (reference.time < stop_s)
+    if not seen.any():
+        raise AlignmentError(
+            f"validate: wanted the reference to see the body from {start_s:.1f} s to {stop_s:.1f} s, got no pose there; heading "
+            "needs one"
+        )
+    turn = np.array([1.0, 0.0, 0.0, 1.0]) * _mean_of(apart[seen])
+    return record.time, quaternion_product(turn / np.linalg.norm(turn), q)
 
 
 def _mean_pose(reference: Reference, start_s: float, stop_s: float) -> FloatArray:
@@ -176,6 +207,40 @@ def align_rates(record: Record, reference: Reference, *, lag_s: float) -> Alignm
     residual = w - u @ rotation.T
     return Alignment(
         rotation=rotation, angle=float(np.arccos(cosine)), residual_rms=float(np.sqrt((residual**2).mean()))
+    )
+
+
+def align_level(
+    record: Record, reference: Reference, motion: MotionSpan, *, lag_s: float, settings: "TrialSettings"
+) -> Alignment:
+    """Find how the device sits on a body by the vertical that both see at rest; turning about one level axis is enough.
+
+    R = R(g, angle) R1, with R1 the shortest rotation from the mean force f to the vertical g of the body; of the rates u = R1 w and
+    those of the body v  angle = atan2(sum g . (u x v), sum u . v - (u . g)(v . g)).
+    """
+    start_s, stop_s = motion.start_s - settings.rest_s, motion.start_s - settings.lead_s
+    seen = reference.valid & (reference.time >= start_s - lag_s) & (reference.time < stop_s - lag_s)
+    at_rest = (record.time >= start_s) & (record.time < stop_s)
+    if not motion.rested or record.accel is None or not seen.any() or not np.isfinite(record.accel[at_rest]).any():
+        raise AlignmentError(
+            "alignment: wanted the vertical of both at rest before the motion, got none; begin with a rest"
+        )
+    vertical = rotate(quaternion_conjugate(reference.q_nb[seen]), np.array([0.0, 0.0, 1.0])).mean(axis=0)
+    force = np.nanmean(record.accel[at_rest], axis=0)
+    g, f = (x / np.linalg.norm(x) for x in (vertical, force))
+    to_body = quaternion_product(quaternion_conjugate(shortest_rotation_up(g)), shortest_rotation_up(f))
+    w, v = common_rates(record, native_poses(reference), lag_s)
+    u = rotate(to_body, w)
+    across, along = float((cross(u, v) @ g).sum()), float((u * v).sum() - ((u @ g) * (v @ g)).sum())
+    if math.hypot(across, along) < _LEAST_SPREAD * float((v * v).sum()):
+        raise AlignmentError("alignment: wanted turning about a level axis, got none; bend or turn over once")
+    angle = math.atan2(across, along)
+    turned = quaternion_product(quaternion_of(angle * g), to_body)
+    residual = v - rotate(turned, w)
+    return Alignment(
+        rotation=rotation(turned).as_matrix(),
+        angle=2.0 * math.acos(min(abs(float(turned[0])), 1.0)),
+        residual_rms=float(np.sqrt((residual**2).mean())),
     )
 
 
@@ -304,7 +369,7 @@ def degrees(angle: float) -> float:
 
 OffsetChoice = Literal["none", "rest", "motion"]
 Adc = Literal["auto", "none"]
-Align = Literal["auto", "none", "rates"]
+Align = Literal["auto", "none", "rates", "level"]
 
 
 LAG_SETTINGS = LagSettings()
@@ -324,7 +389,8 @@ class TrialSettings:
         "none" leaves the codes as they are.
     align : str
         Rotation between device case and the reference's body, from rates: "rates" always, "none" never, "auto" where it
-        exceeds ``align_above``.
+        exceeds ``align_above``. "level" takes it from gravity at rest and rates about the vertical, always: for a body whose axes
+        mean nothing, as a cluster of markers.
     rest_s : float
         Rest before the motion that gives tilt and heading, s.
     lead_s : float
@@ -350,6 +416,8 @@ class TrialSettings:
         Rotation above which "auto" removes it, rad.
     prior : ErrorPrior
         What the error to expect of a calibration takes from other recordings and devices.
+    method : str
+        "strapdown", or "vqf": a filter with accelerometers over the whole record, offline; it states no error to expect.
     """
 
     offset: OffsetChoice = "none"
@@ -368,6 +436,7 @@ class TrialSettings:
     lag: LagSettings = LAG_SETTINGS
     align_above: float = 5.0 * RADIAN_PER_DEGREE
     prior: ErrorPrior = ERROR_PRIOR
+    method: Literal["strapdown", "vqf"] = "strapdown"
 
 
 TRIAL_SETTINGS = TrialSettings()
@@ -508,7 +577,7 @@ def validate_trial(
     if before.any():
         findings += (finding("validate.gaps_before", "warn", gaps=int(before.sum()), samples=len(before)),)
     done, rest_offset, more = _re_zeroed(done, motion, settings, None if calibration is None else calibration.gyro)
-    done, mounting = _aligned(_worn(done, settings), poses, lag, settings)
+    done, mounting = _aligned(_worn(done, settings), poses, (lag, motion), settings)
     shift_s = lag.seconds - 0.5 / done.sample_rate_hz  # strapdown holds each reading over the step before its stamp
     track, of_start = _track(done, (reference, poses), motion, shift_s, settings)
     undone = max(abs(lag.seconds), abs(shift_s)) > settings.undo_lag_above_s
@@ -555,6 +624,8 @@ def _track(
 ) -> tuple[tuple[FloatArray, FloatArray], tuple[Finding, ...]]:
     """Return time and orientation from the rest on, or, without one, from the poses (second of both), and that it is so."""
     reference, poses = references
+    if settings.method == "vqf":
+        return track_filtered(record, reference, motion, shift_s, settings), ()
     if motion.rested:
         how = {"rest_s": settings.rest_s, "lead_s": settings.lead_s}
         return track_from_rest(record, reference, motion, shift_s=shift_s, **how), ()
@@ -587,7 +658,7 @@ def _expected(
 ) -> Expected | None:
     """Return the errors to expect of a corrected recording; None where no covariance of the gyroscopes is known."""
     model = None if calibration is None else calibration.gyro
-    if calibration is None or model is None or not model.covariance[:9, :9].any():
+    if calibration is None or model is None or settings.method == "vqf" or not model.covariance[:9, :9].any():
         return None
     if source is None:
         in_motion = (model.method in IN_MOTION and judged.rest is None) or model.moving_offset is not None
@@ -759,9 +830,15 @@ def _re_zeroed(
     return replace(record, gyro=np.asarray(record.gyro) - remainder.at(record.time)), remainder, more
 
 
-def _aligned(record: Record, poses: Reference, lag: Lag, settings: TrialSettings) -> tuple[Record, Mounting | None]:
+def _aligned(
+    record: Record, poses: Reference, seen: tuple[Lag, MotionSpan], settings: TrialSettings
+) -> tuple[Record, Mounting | None]:
+    lag, motion = seen
     if settings.align == "none":
         return record, None
+    if settings.align == "level":
+        alignment = align_level(record, poses, motion, lag_s=lag.seconds, settings=settings)
+        return _turned(record, alignment.rotation), Mounting(alignment=alignment, applied=True)
     try:
         alignment = align_rates(record, poses, lag_s=lag.seconds)
     except AlignmentError:

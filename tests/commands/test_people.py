@@ -1,0 +1,75 @@
+"""``undrift validate --study`` on files in the layout of Kiel's set, three people in two tasks."""
+
+import json
+import re
+
+import pytest
+
+from study.test_people import FULL, worn
+from testkit.kiel import CLUSTER, write_kiel
+from undrift.cli.app import run
+from undrift.io.store import write_calibration
+
+HEADS = "recording,reference,person,task,device,sensor,markers,calibration"
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("kiel")
+    write_calibration(FULL, folder / "a.json")
+    rows = [HEADS]
+    for person in range(3):
+        for task, name in (("sit_to_stand", "chairrise"), ("step", "step")):
+            files = write_kiel(folder, f"pp00{person + 1}", name, *worn(person, task))
+            rows.append(f'{files[0]},{files[1]},pp00{person + 1},{name},A,pelvis,"{",".join(CLUSTER)}",a.json')
+    (folder / "trials.csv").write_text("\n".join(rows) + "\n")
+    return folder
+
+
+def test_people_by_tasks_from_files_of_the_set_to_a_page(folder, tmp_path, capsys):
+    assert run(["validate", "--study", str(folder), "-o", str(tmp_path / "out"), "--json"]) == 0
+    answer = json.loads(capsys.readouterr().out)
+    assert [trial["person"] for trial in answer["trials"]] == ["pp001", "pp001", "pp002", "pp002", "pp003", "pp003"]
+    by_name = {(group["of"], group["pipeline"], group["method"]): group for group in answer["groups"]}
+    assert by_name["all", "calibrated", "strapdown"]["mean_deg"] < 0.3
+    assert by_name["all", "calibrated", "strapdown"]["people"] == 3
+    assert {group["of"] for group in answer["groups"]} == {"all", "chairrise", "step"}
+    assert "6 recordings of 3 people in 2 tasks with 1 inertial sensors" in answer["methods"]
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert "Methods, to cite" in page
+    assert "Bland and Altman" in page
+    assert json.loads((tmp_path / "out" / "study.json").read_text())["measure"] == answer["measure"]
+
+
+@pytest.mark.parametrize(
+    ("changed", "refused"),
+    [
+        (("person,", "who,"), "wanted columns recording, person, task, device, and of"),
+        (("pp002,chairrise", ",chairrise"), r"wanted person in line 4, got none; fill it in"),
+        (("imu_step.mat", "imu_walk.mat"), r"pp001/imu/imu_walk.mat: .*wanted"),
+        ((",pelvis,", ",foot,"), r"wanted sensor 'foot', got a file with head, pelvis; name one of them"),
+    ],
+)
+def test_a_table_that_does_not_fit_is_one_line_and_nothing_is_written(folder, tmp_path, capsys, changed, refused):
+    table = folder / "trials.csv"
+    text = table.read_text()
+    table.write_text(text.replace(*changed, 1))
+    try:
+        assert run(["validate", "--study", str(folder), "-o", str(tmp_path / "out")]) == 2
+    finally:
+        table.write_text(text)
+    said = capsys.readouterr().err
+    assert re.search(refused, said), said
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_study_of_files_or_without_a_table_is_refused(folder, tmp_path, capsys):
+    files = [str(path) for path in sorted(folder.glob("data/pp001/imu/*.mat"))]
+    assert run(["validate", "--study", *files]) == 2
+    assert "wanted one folder with trials.csv for a study, got 2 paths" in capsys.readouterr().err
+    assert run(["validate", "--study", str(tmp_path)]) == 2
+    assert (
+        "write a row a recording with columns recording, person, task, device and reference" in capsys.readouterr().err
+    )
+    assert run(["validate", "--study", str(folder), "--calibration", str(folder / "a.json")]) == 2
+    assert "--calibration and --study together say two things" in capsys.readouterr().err
