@@ -42,7 +42,7 @@ def read_kiel_imu(path: Path, _: ColumnMap | None, settings: ReadSettings) -> Re
     """Read one sensor, named by where it is worn."""
     data, places = _struct(path, "imu_location", ("acc", "gyro"))
     k = places.index(chosen(path, "sensor", places, settings.sensor))
-    found = {
+    channels = {
         channel: (values[:, :, k], unit)
         for channel, name, unit in (("accel", "acc", "g"), ("gyro", "gyro", "dps"))
         if (values := data[name]).shape[1] == 3
@@ -50,7 +50,7 @@ def read_kiel_imu(path: Path, _: ColumnMap | None, settings: ReadSettings) -> Re
     rate_hz = float(data["fs"])
     notes = ["acc in g and gyro in deg/s as the set's description has them; magn left out (no unit)"]
     time = np.arange(len(data["acc"])) / rate_hz
-    return build(path, time, found, settings, notes, device=places[k], sample_rate_hz=rate_hz)
+    return build(path, time, channels, settings, notes, device=places[k], sample_rate_hz=rate_hz)
 
 
 @boxed("pymatreader")

@@ -151,12 +151,12 @@ def _calibrations(trials: Sequence[PersonTrial], settings: TrialSettings) -> dic
         else:
             constants = _or_why(device, pairs, lambda those: calibrations_by_others(those, settings=settings)[0])
         tables: list[Made] = [one if one and one.drift else "no calibration with tables is stated" for one in given]
-        found: tuple[tuple[Source, Sequence[Made]], ...] = (
+        kinds: tuple[tuple[Source, Sequence[Made]], ...] = (
             ("constants", constants),
             ("tables", tables),
             ("motion", _or_why(device, pairs, _by_motion)),
         )
-        for source, each in found:
+        for source, each in kinds:
             for k, one in zip(rows, each, strict=True):
                 sources[source][k] = one
     best = (
