@@ -26,13 +26,29 @@ DRAWN = ("tutorial", "note_figure3", "drift_table", "comparison")  # figures/*.p
 def write_all(folder: Path) -> None:
     """Write every generated page."""
     folder.mkdir(exist_ok=True)
-    pages = {"findings.md": findings(), "keys.md": keys(), "presets.md": presets(), "api.md": api(), **commands()}
+    pages = {"presets.md": presets(), **commands()}
+    for name, text in (("findings", findings()), ("keys", keys()), ("api", api())):
+        pages |= in_pages(name, text)
     pages["watch.md"] = watch()
     pages["comparison.md"] = comparison()
     for name, text in pages.items():
         path = folder / name
         if not path.exists() or path.read_text(encoding="utf-8") != text:
             path.write_text(text, encoding="utf-8")
+
+
+def in_pages(name: str, text: str) -> dict[str, str]:
+    """Return a page a section, and one that lists them; "name-section.md"."""
+    head, *sections = re.split(r"^(?=## )", text, flags=re.M)
+    pages, links = {}, []
+    for section in sections:
+        title = section.partition("\n")[0].removeprefix("## ")
+        place = f"{name}-{re.sub('[^a-z0-9]+', '-', title.lower()).strip('-')}"
+        pages[f"{place}.md"] = re.sub("^(#+) ", lambda mark: mark[1][1:] + " ", section, flags=re.M)
+        links.append((title, place))
+    shown = "\n".join(f"- [{title}]({place}.md)" for title, place in links)
+    toc = "\n".join(place for _, place in links)
+    return pages | {f"{name}.md": f"{head.strip()}\n\n{shown}\n\n```{{toctree}}\n:hidden:\n{toc}\n```\n"}
 
 
 def draw_all(folder: Path) -> None:

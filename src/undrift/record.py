@@ -575,7 +575,7 @@ class Turn:
 
 @dataclass(frozen=True, slots=True)
 class FileMap:
-    """How the files of a device are read: the keys of a map, as docs/files.md has them."""
+    """How the files of a device are read: the keys of a map, as docs/maps.md has them."""
 
     text: str  # One JSON object
 

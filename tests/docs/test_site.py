@@ -56,18 +56,23 @@ def test_nothing_is_loaded_from_elsewhere(site: Path) -> None:
         assert outside == [], picture.name
 
 
+def pages_of(site: Path, name: str) -> str:
+    """Return a reference that is a page a section."""
+    return "".join(path.read_text(encoding="utf-8") for path in sorted((site / "_generated").glob(f"{name}*.html")))
+
+
 def test_each_command_option_and_finding_is_in_the_site(site: Path) -> None:
     for name in COMMANDS:
         assert f"undrift {name}" in (site / "_generated" / f"command-{name}.html").read_text(encoding="utf-8")
     assert "--table-level-deg" in (site / "_generated" / "command-calibrate.html").read_text(encoding="utf-8")
-    findings = (site / "_generated" / "findings.html").read_text(encoding="utf-8")
+    findings = pages_of(site, "findings")
     assert [code for code in catalogue() if f">{code}<" not in findings] == []
 
 
 def test_each_exported_name_key_and_preset_is_in_the_site(site: Path) -> None:
-    api = (site / "_generated" / "api.html").read_text(encoding="utf-8")
+    api = pages_of(site, "api")
     assert [name for name in undrift.__all__ if f'id="undrift.{name}"' not in api] == []
-    keys = (site / "_generated" / "keys.html").read_text(encoding="utf-8")
+    keys = pages_of(site, "keys")
     for key in ("turn_rate_step_dps", "gyro_hysteresis", "mount_tilt_deg", "set_points_c", "encoder_lines"):
         assert f">{key}<" in keys
     presets = (site / "_generated" / "presets.html").read_text(encoding="utf-8")

@@ -148,7 +148,7 @@ def study(
         Leave out the other ways to calibrate, which the note's Discussion names, 12 units of about 10 s, and Figure 3 effect by
         effect, about 9 s, and its 30 drawn units, 5 s each on one processor. --quick implies it.
     real : Path or None
-        real.toml: real recordings to judge too. See docs/study.md.
+        real.toml: real recordings to judge too. See docs/study-results.md.
     """
     from undrift.commands.study_rig import write_protocols
     from undrift.study.outcome import StudyProgress, forecast, judge_study

@@ -54,7 +54,7 @@ def map_of(
     # gravity is a better witness than the size of the readings
     if by_size and (turned := _turned(found, lines, proposed)):
         proposed["gyro"], why["gyro"] = turned
-    text = [f"# How {Path(found.path).name} is read; the keys are in docs/files.md. Check each unit."]
+    text = [f"# How {Path(found.path).name} is read; the keys are in docs/maps.md. Check each unit."]
     text += [f"# {key}: {unit}, {why[key]}" for key, unit in proposed.items()]
     shown = ", ".join(f"{key} = {json.dumps(unit)}" for key, unit in proposed.items())
     return "\n".join([*text, lines[0], *([f"units = {{ {shown} }}"] if shown else []), *lines[1:]]) + "\n"

@@ -1,4 +1,4 @@
-"""Real recordings judged as the study judges simulated ones; real.toml names them (docs/study.md shows one).
+"""Real recordings judged as the study judges simulated ones; real.toml names them (docs/study-results.md shows one).
 
 Trials beside optics (BROAD, or any recording with its poses) at three levels: none, no offset removed; rest, less the mean rate
 of the first rest; calibrated, a gyroscope fit to the other trials of the same device. A truncating converter leaves half a step
