@@ -259,7 +259,7 @@ def test_a_report_page_shows_matrices_and_verdict(undrift, bench, tmp_path):
     page = tmp_path / "c.html"
     assert f"Wrote {page}" in undrift.good("calibrate", bench / "session", "--report", page).out
     text = page.read_text()
-    for part in ("<h2>Gyroscopes: rate-table/affine", "scale factor (count per rad/s)", "gravity 9.8"):
+    for part in ("<h3>Gyroscopes: rate-table/affine", "scale factor (count per rad/s)", "gravity 9.8"):
         assert part in text
     assert "wanted a name ending in .html" in undrift.refused(
         "calibrate", bench / "session", "--report", tmp_path / "c.pdf"

@@ -25,7 +25,8 @@ def test_one_recording_is_corrected_into_a_file_of_any_ending(undrift, bench, tm
     np.testing.assert_allclose(made.gyro, known.gyro, atol=1e-12, rtol=0.0)  # rad/s, rounding alone
     lines = answer.out.splitlines()
     answer_of_page = f"{len(known)} samples are in rad/s and m/s2, none outside the temperatures of the calibration."
-    assert (lines[0], lines[-1]) == (answer_of_page, f"Wrote {tmp_path / name}")
+    assert (lines[0], lines[-2]) == (answer_of_page, f"Wrote {tmp_path / name}")
+    assert lines[-1] == f"Next: undrift orient {tmp_path / name} -o {tmp_path / 'angles.csv'}"
     assert " ".join(next(line for line in lines if "trial.parquet" in line).split()) == (
         f"trial.parquet {name} {len(known)} 0 0 0"
     )

@@ -157,13 +157,16 @@ def test_a_calibration_is_headed_by_the_uncertainty_of_its_certificate_and_resid
     text = (pages / "calibrate.html").read_text()
     answer = unescape(re.search(r'<p class="answer">(.*?)</p>', text)[1])
     rows = certificate_content(read_calibration(pages / "c.json"))["triads"]
+    zero = max((row[4].split()[0] for row in rows[0]["results"] if row[0].startswith("offset")), key=float)
+    assert f"; offset at rest {zero} deg/s, gravity within " in answer
+    assert re.match(r"After 60 s the pitch is good to [\d.]+ deg; ", answer)
     for triad in rows:  # the largest U of each block of its results, in the same digits
-        said = re.search(rf"{triad['title'].lower()} up to ([^;]*)", answer)[1]
+        said = re.search(rf"{triad['title'].lower()} up to ([^;]*)", unescape(text))[1]
         for unit in ("mg", "deg/s", "%"):
             of_unit = [row[4].split() for row in triad["results"] if row[4].partition(" ")[2] == unit]
             assert not of_unit or f"{max((one[0] for one in of_unit), key=float)} {unit} of" in said
     assert "reproduce" not in answer
-    section = text[text.index("<h2>Residuals of the fit") :]
+    section = text[text.index("<h3>Residuals of the fit") :]
     assert section.index("gravity to") < section.index("<svg") < section.index("Residual of each pose and dwell")
 
 

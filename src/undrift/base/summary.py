@@ -99,7 +99,7 @@ class Section:
     rows: tuple[tuple[str, ...], ...] = ()  # Cells
     pictures: tuple[Drawing | str, ...] = ()  # To be drawn, or SVG elements
     words: bool = False  # Cells hold words rather than figures: aligned at the left
-    folded: bool = False  # Among the details: at the end of a page, and on a terminal on request
+    folded: bool | Literal["page"] = False  # Among the details: at the end of a page, and on a terminal on request
     on: Literal["both", "page", "terminal"] = "both"
 
 

@@ -20,12 +20,12 @@ from undrift.base.options import Flag, OptionalOutput, Picture, options, verb
 from undrift.base.summary import Drawing, Result, Section, Summary, at, concise, figure_of, number
 from undrift.calibration.settings import AccelFit, Fitting, GyroFit, Sensitivity, Table
 from undrift.commands import Progress, Screen, silent
-from undrift.commands.certificate import departures_words, uncertainty_sentence
+from undrift.commands.certificate import answer_sentence, departures_words, uncertainty_section
 from undrift.commands.files import Opening, Place, Rests, check_figure, check_output, name_of, recording_of, session_of
 from undrift.commands.live_motion import LiveMotion, collect, motion_fit
 from undrift.commands.register import Registration, registered_lines
 from undrift.errors import InputError
-from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
+from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical, si_factor
 
 if TYPE_CHECKING:
     from undrift.arrays import FloatArray
@@ -102,6 +102,7 @@ class Calibrated(Result):
         return replace(
             shown,
             data=calibration_json(made) | {"lacking": lacking} | more,
+            pictures=shown.pictures if self.seen is None else (figure_of("certificate:draw_rests", self),),
             page=lambda: judged_sections(self) if self.in_motion is None else (),
             written=(self.figure, output),
             after=tuple(after),
@@ -283,15 +284,17 @@ def _field_section(figures: list[dict[str, Any]]) -> Section:
 
 def calibration_summary(made: "Calibration") -> Summary:
     """Return what a calibration holds, however it was made: uncertainty, origin, matrices and offsets."""
+    pictures = (figure_of("certificate:draw_calibration", made),)
     ideal = (*(departures_words(name, triad) for name, triad in _triads(made)), BARS)
     return Summary(
         title=f"Calibration of {made.device or 'a device'}",
-        answer=uncertainty_sentence(made),
-        pictures=(figure_of("certificate:draw_calibration", made),),
+        answer=answer_sentence(made),
+        pictures=pictures,
         sections=(
             Section(title="What was calibrated", text=tuple(_origin(made))),
-            Section(title="Matrix and offsets: the picture above", text=ideal, on="page"),
-            *calibration_sections(made),
+            uncertainty_section(made),
+            Section(title="Matrix and offsets: departures", text=ideal, pictures=pictures, folded=True, on="page"),
+            *(replace(one, folded="page") for one in calibration_sections(made)),
         ),
         verdict=made.verdict,
         failed=made.verdict.status == "bad",
@@ -441,6 +444,32 @@ def leverages(judged: Sequence[CorrectedPiece], made: "Calibration") -> "FloatAr
     return np.mean(shares, axis=0) if shares else np.full(len(judged), np.nan)
 
 
+def rests_of(calibrated: Calibrated) -> "tuple[FloatArray, FloatArray]":
+    """Return |a|, m/s2, and |w|, deg/s, in the mean of each rest that was used, raw and corrected: (n, 2) each, NaN without.
+
+    Raw: in the unit of the readings; counts and volts by the mean scale factor and the mean offset of the three axes.
+    """
+    import numpy as np
+
+    session, made = calibrated.session, calibrated.calibration
+    judged = judge_pieces(session, calibrated.pieces, calibrated.settings, made)[1]
+    sizes = list[list[list[float]]]()
+    for name, per in (("accel", 1.0), ("gyro", 1.0 / RADIAN_PER_DEGREE)):
+        triad, rows = getattr(made, name), list[list[float]]()
+        for one in (one for one in judged if one.piece.kind == "still" and triad is not None):
+            raw = np.nanmean(
+                getattr(session.records[one.piece.recording], name)[one.piece.start : one.piece.stop], axis=0
+            )
+            if is_physical(triad.unit_in):
+                raw = raw * si_factor(triad.unit_in, "rate" if name == "gyro" else "accel")
+            else:
+                raw = (raw - triad.offset.mean()) / triad.scale_factor.mean()
+            rows.append([per * float(np.linalg.norm(each)) for each in (raw, getattr(one, name))])
+        sizes.append(rows)
+    accel, gyro = (np.reshape(rows, (-1, 2)) for rows in sizes)
+    return accel, gyro
+
+
 def residuals(judged: Sequence[CorrectedPiece], made: "Calibration") -> tuple["FloatArray", "FloatArray"]:
     """Return |a| - g of each pose, mg, and rate errors of each dwell, deg/s (n, 3)."""
     import numpy as np
@@ -462,11 +491,11 @@ def judged_sections(calibrated: Calibrated) -> Iterator[Section]:
     if parts:
         text = f"The fit reproduces {' and '.join(parts)}. {RESIDUALS}"
         drawing = figure_of("certificate:draw_residuals", poses, dwells)
-        yield Section(title="Residuals of the fit", text=(text,), pictures=(drawing,))
+        yield Section(title="Residuals of the fit", text=(text,), pictures=(drawing,), folded=True)
     if made.accel is not None:
         text = "Shaded: the stills that were used. Turns and handling lie between them."
         drawing = figure_of("certificate:draw_norm", records, judged, made.gravity_m_s2)
-        yield Section(title="Specific force over the session", text=(text,), pictures=(drawing,))
+        yield Section(title="Specific force over the session", text=(text,), pictures=(drawing,), folded=True)
     yield _contributions(calibrated, judged)
 
 
@@ -489,4 +518,4 @@ def _contributions(calibrated: Calibrated, judged: Sequence[CorrectedPiece]) -> 
         rows.append((name, *map(str, counted), number(100.0 * float(shares[here].sum()), ".1f")))
     heads = ("recording", "samples", "of them used", "stills used", "turns used", "pieces left out", "information (%)")
     title = "What each recording contributed"
-    return Section(title=title, text=(INFORMATION,), columns=heads, rows=tuple(rows))
+    return Section(title=title, text=(INFORMATION,), columns=heads, rows=tuple(rows), folded=True)

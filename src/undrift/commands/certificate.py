@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from undrift import __version__
 from undrift.base.options import Output, verb
-from undrift.base.summary import Drawing, Result, Summary, at, figure_of
+from undrift.base.summary import Drawing, Result, Section, Summary, at, figure_of
 from undrift.calibration.settings import FITS
 from undrift.commands.files import check_output
 from undrift.commands.register import Registration, registered_lines
@@ -28,6 +28,11 @@ if TYPE_CHECKING:
     from undrift.arrays import FloatArray
     from undrift.model import Calibration, DriftTables, TriadModel
 
+ANSWERED_S, MG_PER_PERCENT = 60.0, 10.0  # of the answer; of a scale factor at one g
+ANSWERED = (
+    "The pitch after 60 s: tilt by gravity, the offset, and what it changes by from rest to motion (0.02 deg/s an axis, assumed, "
+    "where no fit shows it). A turn adds the scale factor's share, heat and age of the device theirs."
+)
 COVERAGE, ENOUGH, STUDENT_TAIL = 2.0, 50.0, 0.97725  # k; degrees of freedom from which it holds; quantile of 95.45 %
 
 # Row of the budget, how it is evaluated (GUM 4.2, 4.3), and which triads have it
@@ -71,9 +76,10 @@ class Certified(Result):
         kept = {"registered": self.registered} if self.registered else {}
         return Summary(
             title=f"Certificate of {model.device or 'a device'}",
-            answer=uncertainty_sentence(model),
+            answer=answer_sentence(model),
             data=named | kept | {"verdict": verdict_json(model.verdict)},
             pictures=(figure_of("certificate:draw_calibration", model),),
+            sections=(uncertainty_section(model),),
             verdict=model.verdict,
             written=(self.output,),
             after=registered_lines(self.registered),
@@ -101,6 +107,46 @@ def certificate(calibration: Path, /, *, output: Output, registering: Registrati
     registering.check(model.device)
     at("undrift.report.certificate:write_certificate")(model, output)
     return Certified(calibration=model, output=output, registered=registering.add(calibration, output))
+
+
+def answer_sentence(calibration: "Calibration") -> str:
+    """Return what the calibration is worth in a sentence, at 95 % on the worst axis: pitch after a minute, offset and gravity."""
+    import numpy as np
+
+    from undrift.correction.rest import IN_MOTION, moved_by
+
+    worst = dict[tuple[str, str], float]()  # expanded uncertainty by triad and block: mg or deg/s, and per cent
+    for name in ("accel", "gyro"):
+        if (triad := getattr(calibration, name)) is not None:
+            table, (per, _) = stated(triad, gravity_uncertainty(calibration, name)), _units(name, triad)
+            for block in ("scale", "cross", "offset"):
+                expanded = np.abs(per[block] * table.expanded[table.of_block(block)])
+                worst[name, block] = float(expanded.max(initial=0.0))
+    drift, zero = (worst.get((name, "offset"), 0.0) for name in ("gyro", "accel"))
+    gravity, level = (
+        math.hypot(zero, MG_PER_PERCENT * worst.get(("accel", block), 0.0)) for block in ("scale", "cross")
+    )
+    gyro = calibration.gyro
+    still = gyro is None or (
+        gyro.method in IN_MOTION and gyro.moving_offset is None
+    )  # then the offset is that in motion
+    moved = 0.0 if still else COVERAGE * moved_by(gyro) / math.sqrt(3.0) / RADIAN_PER_DEGREE
+    pitch = math.hypot(ANSWERED_S * drift, ANSWERED_S * moved, level / 1e3 / RADIAN_PER_DEGREE)
+    size, where = two_digits, "at the temperature of the calibration, 95 %"
+    if not math.isfinite(pitch + gravity) or not drift + gravity:
+        return "How well the calibration is known is not stated."
+    if not drift:
+        return f"Gravity is within {size(gravity)} mg ({where})."
+    if not gravity:
+        known = f"offset at rest {size(drift)} deg/s"
+        return f"After {ANSWERED_S:g} s the pitch drifts by {size(pitch)} deg at most ({where}): {known}."
+    known = f"offset at rest {size(drift)} deg/s, gravity within {size(gravity)} mg"
+    return f"After {ANSWERED_S:g} s the pitch is good to {size(pitch)} deg; {known} ({where})."
+
+
+def uncertainty_section(calibration: "Calibration") -> Section:
+    """Return the expanded uncertainty of each kind of parameter, and what the answer is made of."""
+    return Section(title="Expanded uncertainty", text=(uncertainty_sentence(calibration), ANSWERED))
 
 
 def uncertainty_sentence(calibration: "Calibration") -> str:

@@ -1,6 +1,6 @@
 """``undrift correct``: many recordings, any size, constant memory."""
 
-from contextlib import nullcontext
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -82,6 +82,18 @@ class CorrectedFiles(Result):
     model: "Calibration"
     files: tuple[CorrectedFile, ...]
 
+    @property
+    def _next(self) -> tuple[object, ...]:
+        """What a corrected recording is for, where its beginning is whole."""
+        from undrift.io.formats import iter_record
+        from undrift.orientation import check_whole
+
+        output = self.files[0].output
+        with suppress(InputError):
+            check_whole(next(iter_record(output)))
+            return ("orient", output, "-o", output.with_name("angles.csv"))
+        return ()
+
     def summary(self) -> Summary:
         """Return how much of each recording the calibration covers, with warnings and notes."""
         rows, several, verdict = [file.row() for file in self.files], len(self.files) > 1, self.model.verdict
@@ -116,6 +128,7 @@ class CorrectedFiles(Result):
                 Section(title=f"Calibration, verdict: {verdict.status}", findings=verdict.findings, folded=True),
             ),
             written=tuple(file.output for file in self.files),
+            next=() if several or self.model.gyro is None else self._next,
         )
 
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from undrift.arrays import FloatArray
 from undrift.base.summary import Drawing
+from undrift.commands.calibrate import rests_of
 from undrift.commands.certificate import COVERAGE, NAMES, certificate_content, drawings_of, stated
 from undrift.errors import InputError
 from undrift.files import write_whole
@@ -20,7 +21,7 @@ from undrift.units import is_physical, si_factor
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from undrift.commands.calibrate import CorrectedPiece
+    from undrift.commands.calibrate import Calibrated, CorrectedPiece
     from undrift.record import Record
 
 
@@ -101,6 +102,23 @@ def draw_calibration(calibration: Calibration) -> "Figure":
         offset.set_ylabel(f"{name} offset\n({triad.unit_in})")
     figures.entitle(figure, "Matrix as departures from ideal, and offsets")
     figures.legend_above(panels[0])
+    return figure
+
+
+def draw_rests(calibrated: "Calibrated") -> "Figure":
+    """Draw |a| and |w| of each rest that a calibration used, raw beside corrected, with gravity and zero."""
+    shown = [("|a| (m/s2)", "local gravity", calibrated.calibration.gravity_m_s2), ("|w| (deg/s)", "at rest", 0.0)]
+    panels = [(sizes, *words) for sizes, words in zip(rests_of(calibrated), shown, strict=True) if len(sizes)]
+    figure, axes = figures.new_figure(max(1, len(panels)), height=1.9, share_x=False)
+    figures.entitle(figure, "Each rest, raw and corrected")
+    for panel, (sizes, label, ideal, value) in zip(axes, panels, strict=False):
+        place = np.arange(1, len(sizes) + 1)
+        panel.vlines(place, sizes.min(axis=1), sizes.max(axis=1), color=figures.LIMIT, linewidth=0.6)
+        panel.plot(place, sizes[:, 0], "s", color=figures.ERROR, markersize=4.0, label="raw")
+        panel.plot(place, sizes[:, 1], "o", color=figures.DEVICE, markersize=4.0, label="corrected")
+        panel.axhline(value, color=figures.OPTICS, linewidth=0.6, linestyle="--", label=ideal)
+        panel.set(ylabel=label, xlabel="rest, in order of time")
+        figures.legend_above(panel)
     return figure
 
 
