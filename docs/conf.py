@@ -32,7 +32,7 @@ html_show_sourcelink = False
 html_show_sphinx = False
 html_show_copyright = False
 smartquotes = False  # an option keeps its two hyphens
-html_extra_path = ["calibration.schema.json", "first_calibration.ipynb"]
+html_extra_path = ["calibration.schema.json", *(path.name for path in HERE.glob("*.ipynb"))]
 html_theme_options = {"navigation_with_keys": False}
 suppress_warnings = ["myst.xref_missing_file_ext"]
 

@@ -634,6 +634,8 @@ class Calibration(Shown):
             f"verdict  {self.verdict.status}, {count} finding{'' if count == 1 else 's'}",
         ))  # fmt: skip
 
+    __str__ = __repr__
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Triad:

@@ -36,7 +36,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray, bridged, frozen, runs
-from undrift.base.summary import Shown
+from undrift.base.summary import Shown, at
 from undrift.correction.consistency import check_triads
 from undrift.correction.rest import (
     FEWEST,
@@ -59,6 +59,7 @@ from undrift.sync import padding
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, si_factor
 
 if TYPE_CHECKING:
+    import pandas as pd
     from scipy.spatial.transform import Rotation
 
 # ---- Initial tilt
@@ -427,6 +428,12 @@ class Orientation(Shown):
         from scipy.spatial.transform import Rotation
 
         return Rotation.from_quat(self.q_nb, scalar_first=True)
+
+    def to_frame(self) -> "pd.DataFrame":
+        """Return the orientation as a pandas DataFrame: time_s, q_w to q_z, and the angles in deg, as `orient` writes them."""
+        angles = self.inclination, self.heading, self.pitch
+        frame: pd.DataFrame = at("undrift.io.dataframes:orientation_frame")(self.time, self.q_nb, angles)
+        return frame
 
 
 def orient(

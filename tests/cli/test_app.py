@@ -13,6 +13,11 @@ from undrift.cli import app as program
 from undrift.errors import InputError, LimitError, NotObservable, RigFault
 
 
+def errors_in(said):
+    """Return what is not progress, which a busy computer has time to show."""
+    return "".join(line for line in said.splitlines(keepends=True) if " s so far, " not in line)
+
+
 def process(*words, **more):
     call = [sys.executable, "-m", "undrift", *map(str, words)]
     return subprocess.run(call, capture_output=True, text=True, timeout=120, check=False, **more)
@@ -139,10 +144,10 @@ def test_main_exits_with_the_code(undrift, monkeypatch):
 def test_as_a_process_results_go_to_stdout_and_errors_to_stderr(tmp_path):
     path = data_path("broad", "02_undisturbed_slow_rotation_B.hdf5")
     done = process("info", path, "--json")
-    assert (done.returncode, done.stderr) == (0, "")
+    assert (done.returncode, errors_in(done.stderr)) == (0, "")
     assert json.loads(done.stdout)["rows"] == 53240
     done = process("orient", path, "-o", "angles.csv", cwd=tmp_path)
-    assert (done.returncode, done.stderr) == (0, "")
+    assert (done.returncode, errors_in(done.stderr)) == (0, "")
     assert [p.name for p in tmp_path.iterdir()] == ["angles.csv"]
     done = process("correct", path, "--calibration", "none.json", "-o", "c.parquet", cwd=tmp_path)
     assert (done.returncode, done.stdout) == (2, "")

@@ -176,6 +176,12 @@ class Shown:
         """Return the rows of the table: what, and its value with unit."""
         return {}
 
+    def __str__(self) -> str:
+        if place := SUMMARISED_BY.get(type(self).__name__):
+            made: Summary = at(place)(self)
+            return f"{made.title}: {made.answer}" + (f"\nverdict {made.verdict.status}" if made.verdict else "")
+        return "\n".join([type(self).__name__, *(f"  {name}: {value}" for name, value in self._rows().items())])
+
     def _repr_html_(self) -> str:
         if place := SUMMARISED_BY.get(type(self).__name__):
             return as_html(at(place)(self))

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from undrift.arrays import FloatArray
 from undrift.errors import InputError
 from undrift.io.columns import (
     AXES,
@@ -20,7 +21,9 @@ from undrift.io.columns import (
     native_map,
     stated,
 )
+from undrift.io.write import COLUMNS
 from undrift.record import Record
+from undrift.units import RADIAN_PER_DEGREE
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -89,14 +92,22 @@ def _columns_of(frame: Any) -> tuple[dict[str, Any], Any, dict[str, Any]]:
 
 def frame_of(record: Record) -> "pd.DataFrame":
     """Return a record as a frame."""
+    frame = _frame(*native_columns(record))
+    frame.attrs["undrift"] = marks_of(record)
+    return frame
+
+
+def orientation_frame(time: FloatArray, q_nb: FloatArray, angles: Sequence[FloatArray]) -> "pd.DataFrame":
+    """Return orientations over time as a frame, with the columns of their files: three angles (N,) rad."""
+    return _frame(COLUMNS, (time, *q_nb.T, *(angle / RADIAN_PER_DEGREE for angle in angles)))
+
+
+def _frame(names: Sequence[str], columns: Sequence[FloatArray]) -> "pd.DataFrame":
     try:
         import pandas as pd
     except ImportError as error:
         raise InputError("to_frame: wanted pandas, got none; pip install pandas") from error
-    names, columns = native_columns(record)
-    frame = pd.DataFrame(dict(zip(names, columns, strict=True)))
-    frame.attrs["undrift"] = marks_of(record)
-    return frame
+    return pd.DataFrame(dict(zip(names, columns, strict=True)))
 
 
 def _is_clock(index: Any) -> bool:
