@@ -267,7 +267,7 @@ def findings_of(value: Mapping[str, object]) -> list[object]:
 def as_html(summary: Summary) -> str:
     """Return a summary as a part of a notebook: answer, tables, verdict with its first findings."""
     parts = [f"<h4>{escape(summary.title)}</h4><p>{escape(summary.answer)}</p>"]
-    for section in (one for one in summary.sections if not one.folded and one.on != "page"):
+    for section in (one for one in summary.sections if one.folded is not True and one.on != "page"):
         head = "".join(f"<th>{escape(name)}</th>" for name in section.columns)
         body = ("<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>" for row in section.rows)
         if section.rows:
