@@ -14,9 +14,11 @@ import pytest
 
 from testkit.command_line import contents
 from testkit.pages import browser, faults_of, seen_in
+from testkit.pdf_text import pages_of
 from testkit.pictures import cut_texts
 from testkit.remembered import folder_made_once, run_folder
 from undrift.base.summary import Section
+from undrift.commands.demo import PAGES
 from undrift.errors import LinkError, RigTimeout
 from undrift.io import store as store_module
 from undrift.io.formats import read_record, read_reference
@@ -31,7 +33,7 @@ from undrift.study.virtual_bench import Check, bench_device, bench_plan, record_
 
 pytestmark = pytest.mark.waits
 CODE = "from undrift.cli.app import main; main(['demo', '--quick', '--json', '--out', {!r}])"
-FILES = {"trial.parquet", "reference.parquet", "calibration.json", "corrected.parquet", "report.html", "summary.json"}
+FILES = {"trial.parquet", "reference.parquet", "calibration.json", "corrected.parquet", *PAGES, "summary.json"}
 
 
 @pytest.fixture(scope="module")
@@ -67,6 +69,21 @@ def test_the_bench_finds_the_hidden_parameters_and_the_tables_take_the_pitch_err
         assert word in named
 
 
+def test_its_report_is_six_printed_pages_at_most_and_names_the_pages_behind_it(quick):
+    out, _ = quick
+    with browser() as held:
+        for name in PAGES:
+            assert seen_in(held, out / name, judged=()) == []
+        tab = held.new_page()
+        tab.goto((out / "report.html").resolve().as_uri())
+        tab.emulate_media(media="print")
+        (out.parent / "report.pdf").write_bytes(tab.pdf(format="A4"))
+        tab.close()
+    assert 1 <= pages_of(out.parent / "report.pdf") <= 6
+    text = (out / "report.html").read_text()
+    assert all(name in text for name in PAGES[1:])
+
+
 def test_it_says_on_stderr_what_it_does_and_how_long_it_will_take(quick):
     # a computer that is too busy loses an answer: the run resumes, slower, with a line that says so
     lines = [line for line in quick[1].stderr.splitlines() if "; resuming, attempt " not in line]
@@ -93,9 +110,15 @@ def test_the_page_opens_with_the_errors_of_all_rivals_over_the_course_that_it_dr
     assert cut_texts(figure) == []
     courses = {line.get_label(): line for line in figure.axes[1].lines[:5]}
     named = ("constant calibration", "offset re-zeroed at a rest", "all tables", "all tables, re-zeroed at a rest")
-    drawn = [np.abs(courses[name].get_ydata()).max() for name in named]
+    shade = figure.axes[1].patches[0].get_extents().transformed(figure.axes[1].transData.inverted())
+    low, high = shade.intervalx  # of the motion, shaded in every panel
+    assert [len(axes.patches) for axes in figure.axes] == [1, 1, 1]
+    assert figure.axes[2].get_ylim() == (-0.3, 0.3)
+    times = {name: np.asarray(courses[name].get_xdata()) for name in named}
+    seen = {name: (low - 1e-6 <= at) & (at <= high + 1e-6) for name, at in times.items()}
+    drawn = [np.nanmax(np.abs(np.asarray(courses[name].get_ydata())[seen[name]])) for name in named]
     assert stated == pytest.approx(drawn, abs=0.0051)  # two digits are printed
-    assert np.ptp(courses["all tables"].get_xdata()) == pytest.approx(span, abs=0.1)
+    assert high - low == pytest.approx(span, abs=0.1)
     assert "re-zeroed at a rest" in answer
     assert stated[2] < 0.2 * stated[0]
     assert page.index('class="answer"') < page.index("<svg") < page.index('class="verdict')
@@ -118,7 +141,7 @@ def test_what_it_writes_reads_back_and_leaves_no_scraps(quick):
     apart = np.abs(measured[:, None] - set_points)  # by the device's own thermometer, trimmed to 2 K
     assert apart.min(axis=1).max() < 2.0
     assert len(np.unique(apart.argmin(axis=1))) == len(set_points)
-    page = (out / "report.html").read_text()
+    page = "".join((out / name).read_text() for name in PAGES)
     assert page.count("<svg") >= 7
     for title in ("Compared with the hidden truth", "The virtual bench", "Rates that the encoder showed", "Table 1"):
         assert re.search(f"<h[23]>{title}", page)
@@ -222,6 +245,8 @@ def test_a_failed_check_ends_with_one(undrift, tmp_path, monkeypatch):
     monkeypatch.setattr(demo, "_studied", lambda *_: None)
     monkeypatch.setattr(demo, "_worn", lambda _: Section(title="worn"))
     monkeypatch.setattr(demo, "_details", lambda *_: ())
+    monkeypatch.setattr(demo, "_behind", lambda *_: ())
+    monkeypatch.setattr(demo, "_more", lambda _: Section(title="more"))
     answer = undrift("demo", "--quick", "--out", tmp_path / "d")
     assert answer.code == 1
     assert "1 of 1 FAIL." in answer.out

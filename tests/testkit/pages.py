@@ -22,8 +22,14 @@ _MEASURED = """() => {
            least: Math.min(99, ...[...document.querySelectorAll('svg text, svg tspan')].map(scale)) };
 }"""
 _CUT = """() => {
+  const broken = cell => [...cell.childNodes].filter(n => n.nodeType === 3).some(node =>
+    [...node.data.matchAll(/[A-Za-z0-9.]+/g)].some(word => {
+      const range = document.createRange();
+      range.setStart(node, word.index); range.setEnd(node, word.index + word[0].length);
+      return new Set([...range.getClientRects()].map(r => Math.round(r.top))).size > 1; }));
   const wide = document.documentElement.clientWidth + 1, all = q => [...document.querySelectorAll(q)];
   return [...all('svg, table, p, dd').filter(e => e.getBoundingClientRect().right > wide).map(e => e.tagName),
+          ...all('th, td').filter(broken).map(e => 'a word of "' + e.textContent + '"'),
           ...all('details').filter(d => d.lastElementChild.getBoundingClientRect().height < 2).map(() => 'folded')];
 }"""
 

@@ -7,7 +7,7 @@ nothing that fits or corrects knows the truth. The truth serves the checks at th
 import json
 import math
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Annotated
 from undrift.base.options import WRITTEN, Flag, verb
 from undrift.base.summary import Cells, Section, Summary, at, figure_of, plain_words, plus_minus, table_section
 from undrift.commands import Progress, silent
+from undrift.commands.calibrate import calibration_sections
 from undrift.commands.files import check_folder, origin_of, save_json
 from undrift.errors import InputError
 from undrift.units import RADIAN_PER_DEGREE
@@ -30,7 +31,8 @@ if TYPE_CHECKING:
 
 SEED = 2007
 RUNS = ("bench", "thermal", "study")  # folders of an earlier demo
-FILES = ("calibration.json", "trial.parquet", "reference.parquet", "corrected.parquet", "report.html")
+PAGES = ("report.html", "tables.html", "study.html")  # what to look at, and all that stands behind it
+FILES = ("calibration.json", "trial.parquet", "reference.parquet", "corrected.parquet", *PAGES)
 STUDY_HOST_S = {False: 18.0, True: 3.0}  # forecasts, host s
 REST_HOST_S = {False: 6.0, True: 3.0}
 
@@ -42,7 +44,8 @@ def demo(*, out: Annotated[Path, WRITTEN] = Path("demo"), quick: Flag = False, p
     Parameters
     ----------
     out : Path
-        Folder for the runs, calibration.json, the corrected trial, the study, report.html and summary.json.
+        Folder for the runs, calibration.json, the corrected trial, the study, summary.json and pages: report.html, which two
+        others stand behind, tables.html and study.html.
     quick : bool
         Fewer rates, set-points and subjects: 20 seconds in place of 90.
     """
@@ -64,7 +67,8 @@ def demo(*, out: Annotated[Path, WRITTEN] = Path("demo"), quick: Flag = False, p
     tell("report", 0.5 * REST_HOST_S[quick])
     shown = _summary(out, (run, fit, trials), compare_with_truth(fit, trials, device), study)
     origin = origin_of(out / "trial.parquet", out / "reference.parquet", out / "calibration.json")
-    at("undrift.report.page:write_page")(out / "report.html", shown, origin)
+    for name, page in zip(PAGES, (shown, *_behind(fit, study, out)), strict=False):
+        at("undrift.report.page:write_page")(out / name, page, origin)
     save_json(out / "summary.json", shown.data)
     return shown
 
@@ -147,36 +151,39 @@ def _summary(
         pictures=(figure_of("figures:draw_levels", trials),),
         verdict=fit.drift.verdict,
         findings=tuple(item for trial in trials for item in trial.findings),
-        sections=(_worn(trials), _checks(checks), *_details(run, fit, trials, study)),
+        sections=(_worn(trials), _checks(checks), *_details(run, fit, trials), _more(study)),
         written=(out,),
         after=(f"look at {out / 'report.html'}",),
         failed=not all(check.passed for check in checks),
     )
 
 
-def _details(
-    run: "BenchRun", fit: "BenchFit", trials: tuple["Trial", ...], study: "StudyOutcome"
-) -> tuple[Section, ...]:
-    from undrift.commands.calibrate import calibration_sections
-    from undrift.commands.drift import drift_sections
-    from undrift.commands.study_sections import sections_of
+def _details(run: "BenchRun", fit: "BenchFit", trials: tuple["Trial", ...]) -> Iterator[Section]:
     from undrift.commands.validate import trials_section
 
-    lead = (
-        f"Which calibration protocol is enough for a task? {study.runs} simulated calibrations for "
-        f"{', '.join(plain_words(task.name) for task in study.study.tasks)} and {study.study.subjects} subjects; undrift study "
-        "`preset` note does all of it."
+    for section in (trials_section(trials), _bench(run), _rates(run), *calibration_sections(fit.constant)):
+        yield replace(section, folded=True)
+
+
+def _behind(fit: "BenchFit", study: "StudyOutcome", out: Path) -> tuple[Summary, ...]:
+    """Return the pages behind the report: tables over temperature, and the study."""
+    from undrift.commands.drift import drift_summary
+    from undrift.commands.study import Studied
+
+    return drift_summary(fit.drift), Studied(outcome=study, output=out / "study").summary()
+
+
+def _more(study: "StudyOutcome") -> Section:
+    """Say what the pages beside this one hold."""
+    tasks = ", ".join(plain_words(task.name) for task in study.study.tasks)
+    return Section(
+        title="Tables over temperature, and a reduced study",
+        text=(
+            "The page tables.html has the tables over temperature, with their residuals and the verdict.",
+            f"The page study.html asks which calibration protocol is enough for a task, by {study.runs} simulated calibrations for "
+            f"{tasks} and {study.study.subjects} subjects; undrift study `preset` note does all of it.",
+        ),
     )
-    sections = (
-        trials_section(trials),
-        _bench(run),
-        _rates(run),
-        *calibration_sections(fit.constant),
-        *(replace(section, title=f"Over temperature: {section.title}") for section in drift_sections(fit.drift)),
-        Section(title="A reduced study", text=(lead,)),
-        *sections_of(study),
-    )
-    return tuple(replace(section, folded=True) for section in sections)
 
 
 def _checks(checks: tuple["Check", ...]) -> Section:

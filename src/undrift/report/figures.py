@@ -557,18 +557,27 @@ def compared_style(k: int) -> dict[str, Any]:
 
 
 def draw_levels(trials: Sequence["Trial"]) -> "Figure":
-    """Draw the pitch of the demo's worn trial, and its error at each level of correction, over the motion."""
-    figure, (angle, error) = new_figure(2)
-    seen = trials[0].moving > 0.0
-    angle.plot(*envelope(trials[0].time[seen], trials[0].reference_pitch[seen] / RADIAN_PER_DEGREE), color=OPTICS)
+    """Draw the pitch of the demo's worn trial, and its error at each level of correction, large and small: the motion shaded."""
+    figure, (angle, error, small) = new_figure(3, height=1.7)
+    angle.plot(*envelope(trials[0].time, trials[0].reference_pitch / RADIAN_PER_DEGREE), color=OPTICS)
     angle.set_ylabel("pitch (deg)")
-    entitle(figure, "Pitch over the motion of a sit-to-stand by the optics, and its error at each level of correction")
+    entitle(
+        figure,
+        "Pitch of a sit-to-stand by the optics, and its error at each level of correction; shaded: the motion",
+    )
     for k, trial in enumerate(trials):
-        moving = trial.moving > 0.0
-        course = envelope(trial.time[moving], trial.error.pitch[moving] / RADIAN_PER_DEGREE)
-        error.plot(*course, label=trial.recording, **compared_style(k))
-    error.axhline(0.0, color=OPTICS, linewidth=0.6)
-    error.set(xlabel="time (s)", ylabel="error (deg)")
+        for panel in (error, small):
+            course = envelope(trial.time, trial.error.pitch / RADIAN_PER_DEGREE)
+            panel.plot(*course, label=trial.recording, **compared_style(k))
+    for panel in (angle, error, small):
+        for start, stop in runs(trials[0].moving > 0.0):
+            panel.axvspan(
+                float(trials[0].time[start]), float(trials[0].time[stop - 1]), color=SHADE, linewidth=0.0, zorder=0
+            )
+    for panel in (error, small):
+        panel.axhline(0.0, color=OPTICS, linewidth=0.6)
+        panel.set_ylabel("error (deg)")
+    small.set(xlabel="time (s)", ylim=(-0.3, 0.3), ylabel="error, to\n0.3 deg (deg)")
     legend_above(error)
     return figure
 
