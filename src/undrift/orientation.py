@@ -649,11 +649,12 @@ def _expected_drift(record: Record, anchor: int, uncertainty: float, offset: str
 
 
 def filtered(
-    record: Record, gyro: FloatArray, uncertainty: float, *, magnetometer: bool
+    record: Record, gyro: FloatArray, uncertainty: float, *, magnetometer: bool, acc_s: float = 3.0
 ) -> tuple[FloatArray, tuple[Finding, ...]]:
     """Return the orientation by VQF over the whole record, offline, (N, 4), and what it says of the field.
 
-    Heading from its start, or where it takes a magnetometer from magnetic east, x of n.
+    Heading from its start, or where it takes a magnetometer from magnetic east, x of n; ``acc_s`` is the time constant by which the
+    inclination follows the accelerometers.
     """
     from vqf import offlineVQF
 
@@ -676,7 +677,7 @@ def filtered(
     sigma = max(uncertainty / RADIAN_PER_DEGREE, LEAST_BIAS_SIGMA_DPS)  # VQF's own unit, deg/s
     step = step if uneven else float(time[-1] - time[0]) / len(steps)
     gyr, acc, *mag = (np.ascontiguousarray(part) for part in np.split(values, range(3, values.shape[1], 3), axis=1))
-    out = offlineVQF(gyr, acc, mag[0] if mag else None, step, {"biasSigmaInit": sigma})
+    out = offlineVQF(gyr, acc, mag[0] if mag else None, step, {"biasSigmaInit": sigma, "tauAcc": acc_s})
     q: FloatArray = out["quat9D" if mag else "quat6D"]
     findings: tuple[Finding, ...] = ()
     if mag:

@@ -317,6 +317,7 @@ FILES: dict[str, Callable[[Path], None]] = {
     "monitor.txt": _monitor,
     "phone.zip": _phone,
     "walk.csv": _walk,
+    "chair.csv": _walk,
     "straight.csv": _straight,
     "upper.csv": _of_joint(0),
     "lower.csv": _of_joint(1),

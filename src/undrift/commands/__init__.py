@@ -22,9 +22,8 @@ from typing import Any, TypeAlias
 
 # Each a function in the module of its name
 VERBS = (
-    "calibrate", "certificate", "correct", "demo", "drift", "export", "info", "learn", "mount", "noise", "orient", "record",
-    "simulate",
-    "study", "sync", "twin", "validate",
+    "calibrate", "certificate", "correct", "demo", "drift", "export", "info", "learn", "measure", "mount", "noise", "orient",
+    "record", "simulate", "study", "sync", "twin", "validate",
 )  # fmt: skip
 GROUPS = {  # of commands in one module: the function of each
     "data": {"list": "list_sets", "fetch": "fetch"},

@@ -251,7 +251,7 @@ def force_uncertainty(calibration: Calibration, unit: str) -> ForceUncertainty |
     model = triad.model
     if model is None or not np.isfinite(model.covariance).all() or not model.covariance.any():
         return None
-    matrix, covariance = model.matrix * triad.si, _of_error(model)
+    matrix, covariance = model.matrix * triad.si, error_covariance(model, "accel")
     spans = [np.full(2, calibration.reference_temp_c)] * 2
     if triad.offsets is not None:  # in the place of the constant
         u = triad.offsets.uncertainty
@@ -275,15 +275,15 @@ def force_uncertainty(calibration: Calibration, unit: str) -> ForceUncertainty |
     )
 
 
-def _of_error(model: TriadModel) -> FloatArray:
-    """Return the covariance (12, 12) of E row by row and of d, m/s2."""
+def error_covariance(model: TriadModel, quantity: Quantity) -> FloatArray:
+    """Return the covariance (12, 12) of E row by row and of d, SI, of a corrected reading's error E x + d."""
     inverse, jacobian = np.linalg.inv(model.matrix), np.zeros((12, len(model.parameters)))
     for column, name in enumerate(model.parameters):
         kind, _, axes = name.partition("_")
         if kind == "m":
             jacobian[3 * "xyz".index(axes[0]) :, column][:3] = inverse["xyz".index(axes[1])]
         elif kind == "offset":
-            jacobian[9:, column] = -model.matrix[:, "xyz".index(axes)] * si_factor(model.unit_out, "accel")
+            jacobian[9:, column] = -model.matrix[:, "xyz".index(axes)] * si_factor(model.unit_out, quantity)
     return np.asarray(jacobian @ model.covariance @ jacobian.T)
 
 

@@ -24,7 +24,7 @@ from undrift.arrays import FloatArray, frozen
 from undrift.errors import InputError
 from undrift.findings import Finding, finding
 from undrift.model import MOVING_NAMES, TriadModel
-from undrift.record import Record, Still, joined
+from undrift.record import ForceUncertainty, Record, Still, joined
 from undrift.segments import StillSettings, find_still, unpadded
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, si_factor
 
@@ -273,15 +273,26 @@ def force_covariances(record: Record, still: Still, force: FloatArray) -> dict[s
         return covariances
     temp_c = np.nan if record.temp_c is None else float(np.mean(record.temp_c[still.start : still.stop]))
     felt = np.hstack((np.kron(np.eye(3), mean), np.eye(3)))  # (3, 12): E f + d
-    offset, scale = error.per_k * [_beyond(temp_c, span) for span in (error.offset_temp_c, error.matrix_temp_c)]
+    offset, scale = by_temperature(error, temp_c)
     noise = force.var(axis=0) / np.maximum(error.step, 1e-12) ** 2
     steady = np.exp(-2.0 * np.pi**2 * np.maximum(noise - 0.25, 0.0))  # what dither leaves of the rounding
     return covariances | {
         "calibration": felt @ error.covariance @ felt.T,
         "temperature": np.diag(offset**2 + (scale * mean) ** 2),
-        "ageing": np.eye(3) * (TURN_ON**2 + AGEING**2 * _years_since(error.calibrated)),
+        "ageing": np.eye(3) * ageing(error.calibrated) ** 2,
         "codes": np.diag((error.step * steady) ** 2 / 12.0),
     }
+
+
+def by_temperature(error: ForceUncertainty, temp_c: float) -> tuple[float, float]:
+    """Return the standard uncertainty of offset, m/s2, and of scale factor at a temperature beyond those of tables or constants."""
+    offset, scale = error.per_k * [_beyond(temp_c, span) for span in (error.offset_temp_c, error.matrix_temp_c)]
+    return float(offset), float(scale)
+
+
+def ageing(calibrated: str) -> float:
+    """Return the standard uncertainty of an accelerometer's offset by the date of its calibration, ISO 8601, m/s2."""
+    return math.hypot(TURN_ON, AGEING * math.sqrt(_years_since(calibrated)))
 
 
 def _beyond(temp_c: float, span: FloatArray) -> float:

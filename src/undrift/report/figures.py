@@ -468,6 +468,28 @@ def draw_orientation(found: "Orientation", band: FloatArray | None = None) -> "F
     return figure
 
 
+def draw_measured(
+    time: FloatArray, courses: Mapping[str, FloatArray], events: Sequence[tuple[float, float, str]]
+) -> "Figure":
+    """Draw courses (N,) of a task over time by their labels; events, by onset and duration (s), shaded."""
+    figure, panels = new_figure(len(courses), height=1.6)
+    colours = {"sit-to-stand": DEVICE, "stand-to-sit": ERROR, "turn": LIMIT, "rise": DEVICE}
+    shade: Any = {"alpha": 0.18, "linewidth": 0.0, "zorder": 0}
+    for axes, (label, values) in zip(panels, courses.items(), strict=True):
+        axes.plot(*envelope(time, values), color=DEVICE)
+        axes.set_ylabel(label)
+        for onset, duration, name in events:
+            if name in colours:
+                axes.axvspan(onset, onset + duration, color=colours[name], label=name, **shade)
+            elif duration == 0.0:
+                axes.axvline(onset, color=OPTICS, linewidth=0.8, linestyle=":", label=name)
+    panels[-1].set_xlabel("time (s)")
+    once = {label: handle for handle, label in zip(*panels[0].get_legend_handles_labels(), strict=True)}
+    if once:
+        legend_outside(figure, [*once.values()], [*once])
+    return figure
+
+
 def draw_angle(time: FloatArray, angle_deg: FloatArray, shaded_s: tuple[float, float] | None, label: str) -> "Figure":
     """Draw an angle over time (N,), the posture that is zero shaded."""
     figure, (axes,) = new_figure(1, height=2.2)

@@ -1,0 +1,92 @@
+"""Which task is measured how: a task returns values and events, or says in one line why the recording does not show it.
+
+A value's name ends in its unit (``UNITS``). It has an entry for each repetition, or one alone.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Literal, TypeAlias, get_args
+
+from undrift.arrays import FloatArray
+from undrift.errors import InputError
+from undrift.measures.worn import Course
+
+TaskName = Literal["sit-to-stand", "5xSTS", "standing"]
+TASKS: tuple[TaskName, ...] = get_args(TaskName)
+UNITS = {  # longest first: the end of a name, the unit, and the factor from SI
+    "_m2_s4": "m2/s4",
+    "_m_s2": "m/s2",
+    "_m_s": "m/s",
+    "_deg2": "deg2",
+    "_per_min": "1/min",
+    "_percent": "%",
+    "_dps": "deg/s",
+    "_deg": "deg",
+    "_hz": "Hz",
+    "_s": "s",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """A stretch of a recording, as BIDS has it."""
+
+    onset: float  # s since the first sample
+    duration: float  # s
+    trial_type: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TaskResult:
+    """What a recording shows of a task."""
+
+    values: Mapping[str, FloatArray]  # by name: (K,) a repetition each, or (1,)
+    events: tuple[Event, ...]
+    missing: tuple[tuple[str, str], ...] = ()  # measures that are left out, and why
+
+
+TaskMeasure: TypeAlias = Callable[[Course], TaskResult]
+
+
+def measure_of(task: TaskName) -> TaskMeasure:
+    """Return the function that measures a task."""
+    from undrift.measures import rising, standing
+
+    functions: dict[TaskName, TaskMeasure] = {
+        "sit-to-stand": rising.sit_to_stand,
+        "5xSTS": rising.five_times,
+        "standing": standing.sway,
+    }
+    return functions[task]
+
+
+def unit_of(name: str) -> tuple[str, str]:
+    """Return the words and the unit of a measure's name."""
+    ending = next(end for end in UNITS if name.endswith(end))
+    return name.removesuffix(ending).replace("_", " "), UNITS[ending]
+
+
+def is_time(name: str) -> bool:
+    """Tell whether a measure is a time, by its unit."""
+    return unit_of(name)[1] == "s"
+
+
+def not_shown(task: str, wanted: str, got: str, advice: str) -> InputError:
+    """Return the refusal of a recording that does not show a task."""
+    return InputError(f"{task}: wanted {wanted}, got {got}; {advice}")
+
+
+TYPES = {  # of events, for people
+    "sit-to-stand": "The trunk flexes, the seat is left, the trunk extends: from first to last motion of the trunk",
+    "5xSTS": "Five times sit-to-stand: from the first motion to the fifth time upright",
+    "flexion": "Trunk flexion: from the first motion to the greatest forward pitch",
+    "seat-off": "The seat is left: greatest upward acceleration of the rise",
+    "extension": "Trunk extension: from the greatest forward pitch to the last motion",
+    "stand-to-sit": "Sitting down: from first to last motion of the trunk",
+    "standing": "Quiet stance",
+    "turn": "Turn about the vertical",
+    "tug": "Timed up and go: from the first motion out of the chair to the last into it",
+    "walking": "Steps straight ahead",
+    "rise": "The body rises a step",
+    "initial contact": "A foot comes down",
+}

@@ -1,0 +1,150 @@
+"""undrift measure: measures of a task with their uncertainty, from files, folders and Python."""
+
+import csv
+import json
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import undrift
+from undrift.commands.measure import DECIMALS, FIRST
+from undrift.io.formats import read_record, write_record
+from undrift.io.store import read_calibration, write_calibration
+from undrift.measures.tasks import TASKS, TYPES, UNITS
+from undrift.model import BodyMounting
+from undrift.sim.device.presets import random_device
+from undrift.sim.sessions import simulate_trial
+
+WORN = BodyMounting(place="lower-back", matrix=np.eye(3), covariance=np.radians(1.0) ** 2 * np.eye(3), basis="posture")
+
+
+@pytest.fixture
+def worn(bench, tmp_path):
+    """The calibration of the bench with a mounting."""
+    path = tmp_path / "worn.json"
+    write_calibration(replace(read_calibration(bench / "calibration.json"), mounting=WORN), path)
+    return path
+
+
+def test_a_raw_and_a_corrected_recording_give_the_same_measures(undrift, bench, tmp_path, worn):
+    undrift.good("correct", bench / "trial.parquet", "--calibration", worn, "-o", tmp_path / "c.parquet")
+    words = ("--task", "sit-to-stand", "--json")
+    raw = undrift.good("measure", bench / "trial.parquet", "--calibration", worn, *words).json()
+    corrected = undrift.good("measure", tmp_path / "c.parquet", "--mounting", worn, *words).json()
+    assert raw["measures"].keys() == corrected["measures"].keys()
+    for name, one in raw["measures"].items():
+        for key, value in one.items():
+            assert any(key.endswith(end) for end in UNITS)
+            if key.startswith(("values", "mean")):
+                assert value == pytest.approx(corrected["measures"][name][key], rel=1e-6)
+    peak = raw["measures"]["peak_trunk_pitch_deg"]
+    parts = peak["uncertainty_parts_deg"]
+    assert next(iter(parts)) == "mounting"
+    assert parts["mounting"] == pytest.approx(1.0, abs=0.02)  # 1 deg about the lateral axis turns the pitch by it
+    assert peak["standard_uncertainty_deg"] == pytest.approx(np.linalg.norm(list(parts.values())))
+
+
+def test_the_answer_states_the_peak_with_what_its_uncertainty_is_made_of(undrift, bench, worn):
+    shown = undrift.good("measure", bench / "trial.parquet", "--calibration", worn, "--task", "sit-to-stand")
+    first = shown.out.splitlines()[0]
+    assert first.startswith("sit-to-stand: duration ")
+    assert " deg +- 1.0 (1.0 mounting" in first
+    assert "smallest change" in shown.out
+    in_python = undrift_measure(bench / "trial.parquet", calibration=worn)
+    assert in_python.summary().answer == first
+    assert [one.code for one in in_python.findings if one.code == "measure.limit_mounting"]
+
+
+def undrift_measure(path, **stated):
+    return undrift.measure(str(path), task="sit-to-stand", **stated)
+
+
+def test_events_are_a_table_of_bids_with_the_meaning_of_its_columns(undrift, bench, tmp_path, worn):
+    out = tmp_path / "sub-01_task-chair_events.tsv"
+    undrift.good("measure", bench / "trial.parquet", "--calibration", worn, "--task", "sit-to-stand", "-o", out)
+    rows = list(csv.DictReader(out.read_text().splitlines(), delimiter="\t"))
+    described = json.loads(out.with_suffix(".json").read_text())
+    assert list(rows[0]) == list(described) == ["onset", "duration", "trial_type"]
+    assert {row["trial_type"] for row in rows} == {"sit-to-stand", "flexion", "seat-off", "extension"}
+    assert described["trial_type"]["Levels"].keys() == {row["trial_type"] for row in rows}
+    onsets = [float(row["onset"]) for row in rows]
+    assert onsets == sorted(onsets)
+    whole, flexion, extension = (
+        next(r for r in rows if r["trial_type"] == k) for k in ("sit-to-stand", "flexion", "extension")
+    )
+    assert float(flexion["duration"]) + float(extension["duration"]) == pytest.approx(
+        float(whole["duration"]), abs=2e-4
+    )
+
+
+def test_eyes_closed_stand_beside_eyes_open(undrift, tmp_path, worn):
+    device = random_device(np.random.default_rng(3))
+    for k, name in enumerate(("open", "closed")):
+        trial = simulate_trial("posturography", device, rng=np.random.default_rng(k))
+        write_record(replace(trial.record, **_in_si(trial.record)), tmp_path / f"{name}.parquet")
+    opened, closed = tmp_path / "open.parquet", tmp_path / "closed.parquet"
+    words = ("measure", opened, "--task", "standing", "--up", "+z", "--eyes-closed")
+    shown = undrift.good(*words, closed, "--json").json()
+    assert shown["eyes_closed"].keys() == shown["measures"].keys()
+    same = undrift.good(*words, opened)
+    assert "1.00 +-" in same.out
+
+
+def _in_si(record):
+    """Readings of a device without errors, as its counts are none here."""
+    known = record if record.gyro_unit == "rad/s" else undrift.correct(record, _nominal(record))
+    return {"gyro": known.gyro, "accel": known.accel, "gyro_unit": "rad/s", "accel_unit": "m/s2", "state": "corrected"}
+
+
+def _nominal(record):
+    device = random_device(np.random.default_rng(3))
+    return undrift.calibrate(undrift.simulate_session("bench", device, rng=np.random.default_rng(4)))
+
+
+def test_a_folder_gives_a_table(undrift, bench, tmp_path, worn):
+    folder = tmp_path / "chairs"
+    folder.mkdir()
+    for name in ("a", "b"):
+        write_record(read_record(bench / "trial.parquet"), folder / f"{name}.parquet")
+    out = tmp_path / "events"
+    undrift.good("measure", folder, "--calibration", worn, "--task", "sit-to-stand", "-o", out)
+    assert {path.name for path in out.iterdir()} >= {"a_events.tsv", "b_events.json", "summary.csv"}
+
+
+@pytest.mark.parametrize(
+    ("words", "text"),
+    [
+        (("--task", "standing"), "standing: wanted 10 s or more of quiet stance"),
+        (("--task", "5xSTS"), "5xSTS: wanted five rises from a seat, got 1; record all five"),
+        (("--task", "sit-to-stand", "--up", "+x", "--forward", "-z"), "points up on average, got one"),
+        (("--task", "sit-to-stand", "--up", "+z", "--forward", "-z"), "wanted two axes of the device"),
+        (("--task", "sit-to-stand", "--eyes-closed", "a.csv"), "wanted eyes_closed with the task standing alone"),
+        (("--task", "sit-to-stand", "--mounting", "{calibration}"), "wanted a calibration that keeps a mounting"),
+    ],
+)
+def test_what_a_recording_does_not_show_is_refused(undrift, bench, words, text):
+    words = [one.format(calibration=bench / "calibration.json") for one in words]
+    assert text in undrift.refused("measure", bench / "corrected.parquet", *words)
+
+
+def test_a_minute_is_measured_in_two_seconds(worn):
+    device = random_device(np.random.default_rng(3))
+    record = simulate_trial("posturography", device, rng=np.random.default_rng(1)).record
+    record = replace(record, **_in_si(record))
+    from undrift.measures.standing import sway
+    from undrift.measures.uncertainty import instrument, take
+
+    take(instrument(record, None, WORN), sway)  # compiled, imported
+    began = time.process_time()
+    take(instrument(record, None, WORN), sway)
+    taken_s = time.process_time() - began
+    print(f"  {record.duration_s:.0f} s of stance measured in {taken_s:.2f} s of a processor   (limit 2)")
+    assert taken_s < 2.0
+
+
+def test_every_task_has_an_answer_every_unit_decimals_and_every_event_a_meaning():
+    assert FIRST.keys() >= set(TASKS)
+    assert set(UNITS.values()) <= DECIMALS.keys()
+    assert all(text for text in TYPES.values())
