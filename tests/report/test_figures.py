@@ -203,3 +203,12 @@ def test_what_is_cut_is_noticed():
     axes.set_title(LONG, loc="left")
     axes.set(xlim=(0.0, 1.0), xticks=[0.5, 3.0])  # a tick beyond the limits is not drawn, and not cut
     assert [text.split("'")[1] for text in cut_texts(figure)] == [LONG]
+
+
+def test_a_name_stands_once_in_a_legend() -> None:
+    figure, (panel,) = new_figure(1, height=2.0)
+    for k in range(24):
+        panel.plot([k, k + 1], [1.0, 1.0], label="mean of a still")
+    panel.plot([0, 24], [0.0, 0.0], label="local gravity")
+    legend_above(panel)
+    assert [text.get_text() for text in panel.get_legend().get_texts()] == ["mean of a still", "local gravity"]

@@ -158,7 +158,7 @@ def draw_norm(records: Sequence["Record"], judged: Sequence["CorrectedPiece"], g
             if one.piece.recording == number_ and one.piece.kind == "still":
                 ends = float(time[one.piece.start]), float(time[one.piece.stop - 1])
                 panel.axvspan(*ends, facecolor=figures.SHADE, linewidth=0.0, zorder=0)
-                panel.plot(ends, [np.linalg.norm(one.accel)] * 2, label=None if start else "mean of a still", **bar)
+                panel.plot(ends, [np.linalg.norm(one.accel)] * 2, label="mean of a still", **bar)
         start = float(time[-1]) + 1.0 / record.sample_rate_hz
     panel.axhline(gravity_m_s2, color=figures.OPTICS, linewidth=0.6, linestyle="--", label="local gravity")
     where = "time, recordings one after the other (s)" if len(records) > 1 else "time (s)"

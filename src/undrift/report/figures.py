@@ -151,8 +151,11 @@ def entitle(figure: "Figure", title: str) -> None:
 
 
 def legend_above(axes: "Axes") -> None:
-    """Write a legend between the panel and what is above it, in as many columns as fit."""
+    """Write a legend between the panel and what is above it, each name once, in as many columns as fit."""
     handles, names = axes.get_legend_handles_labels()
+    once = dict(zip(reversed(names), reversed(handles), strict=True))
+    names = [*reversed(once)]
+    handles = [once[name] for name in names]
     across = axes.get_subplotspec().get_gridspec().ncols if axes.get_subplotspec() else 1  # type: ignore[union-attr]
     room_pt = 72.0 * axes.figure.bbox.width / axes.figure.dpi / across - _LABELS_PT
     where: Any = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0), "borderaxespad": 0.2, "frameon": False}
