@@ -206,7 +206,7 @@ def test_what_is_cut_is_noticed():
 
 
 def test_a_name_stands_once_in_a_legend() -> None:
-    figure, (panel,) = new_figure(1, height=2.0)
+    _, (panel,) = new_figure(1, height=2.0)
     for k in range(24):
         panel.plot([k, k + 1], [1.0, 1.0], label="mean of a still")
     panel.plot([0, 24], [0.0, 0.0], label="local gravity")
