@@ -480,6 +480,12 @@ class Optics:
         read = [opening.read(record) for record in records] if session is None else session.records
         return list(zip(read, self.read(paths), strict=True))
 
+    def of_cluster(self) -> bool:
+        """Tell whether the poses are those of a cluster of markers, whose axes mean nothing."""
+        from undrift.io.formats import format_of
+
+        return self.markers is not None and any(format_of(path)[1].markers for path in self.reference)
+
     def read(self, paths: tuple[Path, ...]) -> "list[Reference]":
         """Read references as the options say."""
         from undrift.io.reference import read_reference_map

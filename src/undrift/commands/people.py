@@ -278,4 +278,4 @@ def _trial(folder: Path, row: dict[str, str], opening: Opening) -> "PersonTrial"
     except UndriftError as error:
         raise InputError(f"{folder / TABLE}, {row['recording']}: {error}") from error
     about = {name: row[name] for name in NEEDED}
-    return PersonTrial(**about, pair=pair, calibration=model, cluster=bool(row["markers"]))
+    return PersonTrial(**about, pair=pair, calibration=model, cluster=optics.of_cluster())

@@ -63,6 +63,7 @@ _ALIGNED = {
     "{above_deg:g} deg",
     "rates": "the rotation between the device's case and the reference's body, from their rates, is removed",
     "none": "the device's case is assumed to be the reference's body",
+    "level": "the rotation between the device's case and the markers, by the vertical at rest and their rates, is removed",
 }
 COLUMNS = (
     ("rmse_total_deg", "total rmse (deg)"),
@@ -355,6 +356,7 @@ def validate(
     settings = TrialSettings(
         offset=chosen, adc=adc, forward=forward or "+x", up=up or "+z", mounting=worn_by(model, forward, up),
         power_on_s=applying.power_on_s, policy=applying.policy, lag=LagSettings(longest_lag_s=max_lag_s),
+        align="level" if optics.of_cluster() and not calibrate_from else "auto",
     )  # fmt: skip
     progress("reading", 0.0)
     records, session = recordings_of(records, opening, place)

@@ -21,6 +21,7 @@ References
 
 import math
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -389,8 +390,8 @@ class TrialSettings:
         "none" leaves the codes as they are.
     align : str
         Rotation between device case and the reference's body, from rates: "rates" always, "none" never, "auto" where it
-        exceeds ``align_above``. "level" takes it from gravity at rest and rates about the vertical, always: for a body whose axes
-        mean nothing, as a cluster of markers.
+        exceeds ``align_above``. "level" takes it from gravity at rest and rates about the vertical, always, or where the recording
+        does not begin at rest from rates: for a body whose axes mean nothing, as a cluster of markers.
     rest_s : float
         Rest before the motion that gives tilt and heading, s.
     lead_s : float
@@ -837,8 +838,9 @@ def _aligned(
     if settings.align == "none":
         return record, None
     if settings.align == "level":
-        alignment = align_level(record, poses, motion, lag_s=lag.seconds, settings=settings)
-        return _turned(record, alignment.rotation), Mounting(alignment=alignment, applied=True)
+        with suppress(AlignmentError):
+            alignment = align_level(record, poses, motion, lag_s=lag.seconds, settings=settings)
+            return _turned(record, alignment.rotation), Mounting(alignment=alignment, applied=True)
     try:
         alignment = align_rates(record, poses, lag_s=lag.seconds)
     except AlignmentError:
