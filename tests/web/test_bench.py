@@ -10,14 +10,14 @@ import pytest
 
 pytest.importorskip("nicegui")
 
+from undrift.commands.bench.library import StoredFile
 from undrift.commands.correct import correct
 from undrift.errors import InputError
 from undrift.units import STANDARD_GRAVITY, gravity_at
 from undrift.web.bench import Bench, ServerSettings
 from undrift.web.commands import CommandOutcome
-from undrift.web.library import StoredFile
 from undrift.web.parts import page_words
-from undrift.web.start import Site, place_of, towns
+from undrift.web.place import Site, place_of, towns
 
 FITTED = {"accel": {}, "gyro": {}, "provenance": {"settings": {"gravity": "standard"}}}
 
@@ -158,8 +158,11 @@ def test_the_offset_that_was_chosen_is_subtracted_by_correct_orient_and_validate
 
 def test_a_recording_is_calibrated_by_its_motion_where_that_is_chosen(bench):
     held, one = bench.visit("tab").recordings, StoredFile(path=bench.folder / "uploads" / "walk.csv")
+    with pytest.raises(InputError, match="serial number: wanted the one on the device, got none; type it"):
+        asyncio.run(held.calibrate(one, turn_deg=None))
+    held.visit.device.serial = "A17"
     for motion in (False, True):
-        asyncio.run(held.calibrate(one, turn_deg=360.0, serial="A17", motion=motion))
+        asyncio.run(held.calibrate(one, turn_deg=360.0, motion=motion))
         call = [str(word) for word in bench.calls[-1]]
         assert ("--from" in call, "--turn-deg" in call) == (motion, not motion)
         assert call[call.index("--serial") + 1] == "A17"
@@ -167,7 +170,7 @@ def test_a_recording_is_calibrated_by_its_motion_where_that_is_chosen(bench):
 
 
 def test_a_rate_that_a_command_asks_for_can_be_stated_on_the_page(bench):
-    one = StoredFile(path=Path("walk.csv"), about={"kind": "recording"}, map=Path("map.toml"))
+    one = StoredFile(path=bench.folder / "no" / "walk.csv", about={"kind": "recording"}, map=Path("map.toml"))
     one.error = "walk.csv: wanted 50 samples a second, got 100; say --sample-rate-hz 100"
     assert one.needs_rate
     assert page_words(one.error).endswith("say “Samples per second, Hz” 100")

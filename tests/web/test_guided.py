@@ -9,7 +9,7 @@ from undrift.io.session import read_session
 from undrift.web import guided as module
 from undrift.web.bench import Bench, ServerSettings
 from undrift.web.guided import UNSEEN_S, begin_anew, guided_of
-from undrift.web.start import place_of
+from undrift.web.place import place_of
 
 
 class Fed:

@@ -30,7 +30,7 @@ def look(client):
 
 def click(client, button):
     (listener,) = button._event_listeners.values()
-    asyncio.run(listener.handler())
+    asyncio.run(listener.handler(None))
 
 
 def words(client):

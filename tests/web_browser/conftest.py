@@ -70,6 +70,17 @@ def open_page(bench_server: BenchServer, new_context: Callable[..., BrowserConte
     return make
 
 
+def step(page: Page, name: str) -> None:
+    """Go to a step of the device by its rail."""
+    page.get_by_role("navigation", name="Stages").get_by_role("link", name=name).click()
+    page.get_by_role("heading", level=1, name=name).wait_for()
+
+
+def state_serial(page: Page, serial: str = "A17") -> None:
+    """State the serial number, which is required."""
+    page.get_by_label("Serial number", exact=False).first.fill(serial)
+
+
 def shoot(page: Page, name: str) -> None:
     """Keep a screenshot of the whole page, where they are wanted."""
     if SCREENS:

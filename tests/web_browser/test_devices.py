@@ -53,7 +53,7 @@ def filled(bench_server: BenchServer, known: undrift.Calibration, tmp_path: Path
 def test_a_device_is_chosen_its_trend_read_and_its_calibration_used_and_downloaded(
     filled: BenchServer, open_page: Callable[..., Page]
 ) -> None:
-    page = open_page("/devices")
+    page = open_page("/registry")
     page.set_default_timeout(COMMAND_MS)
     rows = page.get_by_role("region", name="Devices, the most urgent first").locator("tbody tr")
     expect(rows).to_have_count(3, timeout=COMMAND_MS)
@@ -73,11 +73,11 @@ def test_a_device_is_chosen_its_trend_read_and_its_calibration_used_and_download
     held = json.loads(download.value.path().read_text())
     assert (held["kind"], held["device"]) == ("undrift.calibration", "A17")
     page.get_by_role("button", name="Use this calibration").click()
-    expect(main).to_contain_text("Live and Recordings use entry 3.", timeout=COMMAND_MS)
+    expect(main).to_contain_text("Files and live readings use entry 3.", timeout=COMMAND_MS)
     expect(page.get_by_role("link", name="Correct recordings")).to_be_visible()
     page.get_by_role("button", name="Use entry 2").click()
     expect(page.get_by_role("button", name="Use this calibration")).to_be_visible(timeout=COMMAND_MS)
-    other = open_page("/devices")  # a second browser looks at what it likes
+    other = open_page("/registry")  # a second browser looks at what it likes
     expect(other.get_by_role("button", name="Show late")).to_be_visible(timeout=COMMAND_MS)
     page.get_by_text("Every parameter since").click()
     assert faults_of(page) == []
@@ -86,7 +86,7 @@ def test_a_device_is_chosen_its_trend_read_and_its_calibration_used_and_download
 def test_by_keyboard_on_a_narrow_screen_and_an_odd_name_is_text(
     filled: BenchServer, open_page: Callable[..., Page]
 ) -> None:
-    page = open_page("/devices", width=390)
+    page = open_page("/registry", width=390)
     odd = page.get_by_role("button", name=ODD)
     odd.wait_for(timeout=COMMAND_MS)
     odd.focus()
@@ -101,6 +101,6 @@ def test_by_keyboard_on_a_narrow_screen_and_an_odd_name_is_text(
 
 
 def test_an_empty_registry_leads_to_the_first_calibration(open_page: Callable[..., Page]) -> None:
-    page = open_page("/devices")
+    page = open_page("/registry")
     expect(page.get_by_role("link", name="Calibrate a device")).to_be_visible(timeout=COMMAND_MS)
     expect(page.locator(".bench-main")).to_contain_text("No device is registered yet.")

@@ -11,7 +11,7 @@ from testkit.guided_motion import guided_recording
 from undrift.base.codec import write
 from undrift.calibration.element_prior import ElementPrior, KindSize
 from undrift.io.parquet import write_parquet
-from web_browser.conftest import BenchServer, faults_of, shoot
+from web_browser.conftest import BenchServer, faults_of, shoot, state_serial, step
 
 from commands.test_live_motion import TurnedTalker  # isort: skip
 
@@ -56,12 +56,14 @@ def test_the_prior_of_the_part_and_the_magnetometer_are_options_of_the_page(
     write_parquet(record, tmp_path / "moved.parquet")
     prior = ElementPrior(source="16 devices of a part", devices=16, gyro_scale=KindSize(size=0.002, as_from=54.0))
     write(prior, tmp_path / "part.json")
-    page = open_page("/recordings", width=390)
+    page = open_page("/check", width=390)
     page.set_default_timeout(COMMAND_MS)
     page.get_by_label("Choose files").set_input_files(tmp_path / "part.json")
     expect(page.locator(".bench-main")).to_contain_text("prior of a part, learnt from 16 devices", timeout=COMMAND_MS)
     page.get_by_label("Choose files").set_input_files(tmp_path / "moved.parquet")
-    page.get_by_role("button", name="moved.parquet", exact=True).click()
+    page.get_by_role("heading", name="moved.parquet").wait_for()
+    step(page, "Calibrate")
+    state_serial(page)
     page.get_by_label("Prior of the part").select_option("part.json")
     page.get_by_label("calibrate it too").check()
     shoot(page, "recordings-motion")
@@ -71,6 +73,6 @@ def test_the_prior_of_the_part_and_the_magnetometer_are_options_of_the_page(
     )
     page.get_by_label("calibrate it too").uncheck()
     page.get_by_role("button", name="Calibrate from its motion").click()
-    page.wait_for_url("**/result")
+    page.wait_for_url("**/calibrate")
     (made,) = bench_server.folder.glob("jobs/*/calibration.json")
     assert json.loads(made.read_text())["provenance"]["settings"]["prior"] == "16 devices of a part"

@@ -53,7 +53,7 @@ def test_from_start_to_certificate_with_the_pointer_and_the_gravity(
         again += turn_until_captured(page, way, lambda name=f"{way[1]} {seen}": hand.click(name)) - 1
     spans["turns"] = time.monotonic() - began
     hand.click("Calibrate")
-    page.wait_for_url("**/result", timeout=COMMAND_MS)
+    page.wait_for_url("**/calibrate", timeout=COMMAND_MS)
     verdict = page.get_by_role("heading", name="Verdict:")
     expect(verdict).to_have_text("Verdict: marginal")
     expect(page.get_by_role("region", name="Verdict")).to_contain_text("Warning: Local gravity assumed")

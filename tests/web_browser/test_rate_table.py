@@ -79,6 +79,10 @@ def test_a_whole_run_is_mounted_watched_reloaded_closed_and_ends_in_the_true_cal
     expect(page.locator(".bench-main")).to_contain_text(
         re.compile(r"step \d+ of 36: [+-]\d+ deg/s about x"), timeout=RUN_MS
     )
+    trace = page.get_by_role("img", name=re.compile("Turn rate of the device, scaled from .* measured .* commanded"))
+    expect(trace).to_be_visible(timeout=RUN_MS)
+    expect(page.get_by_role("img", name=re.compile(r"Box with \+x up"))).to_be_visible()
+    expect(page.get_by_text("look how it is mounted")).to_have_count(0)
     shoot(page, "rate-table-running")
     assert faults_of(page) == []
     page.reload()
@@ -101,7 +105,7 @@ def test_a_whole_run_is_mounted_watched_reloaded_closed_and_ends_in_the_true_cal
     page = open_page("/rate-table")
     mount(page, bench, 3)
     page.get_by_role("button", name="Calibrate").click(timeout=RUN_MS)
-    page.wait_for_url("**/result", timeout=RUN_MS)
+    page.wait_for_url("**/calibrate", timeout=RUN_MS)
     expect(page.get_by_role("heading", name="Verdict:")).to_be_visible()
     shoot(page, "rate-table-result")
     (made,) = bench_server.folder.glob("jobs/*/calibration.json")
@@ -191,8 +195,8 @@ def test_temperatures_of_the_emulated_chamber_fill_a_table_and_end_in_a_fit(open
     page.get_by_label("Step").fill("60")
     page.get_by_role("button", name="Start").click()
     page.get_by_role("button", name="Calibrate").click()
-    page.wait_for_url("**/result")
-    page.goto(page.url.replace("result", "rate-table"))
+    page.wait_for_url("**/calibrate")
+    page.goto(page.url.replace("calibrate", "rate-table"))
     page.get_by_role("button", name="New run").click()
     page.goto(page.url.replace("rate-table", "temperature"))
     page.get_by_label("Temperatures, degC").fill("25, 30")
@@ -202,7 +206,7 @@ def test_temperatures_of_the_emulated_chamber_fill_a_table_and_end_in_a_fit(open
     shoot(page, "temperature-form")
     page.get_by_role("button", name="Start").click()
     expect(page.locator(".soak")).to_contain_text("Soaking at 30 degC:", timeout=RUN_MS)
-    expect(page.locator("svg[role=img]")).to_be_visible()
+    expect(page.get_by_role("img", name="Temperature from")).to_be_visible()
     rows = page.locator("tbody tr")
     expect(rows).to_have_text(["25 degC1 of 1done", "30 degC0 of 1left"])
     shoot(page, "temperature-soaking")
@@ -211,7 +215,7 @@ def test_temperatures_of_the_emulated_chamber_fill_a_table_and_end_in_a_fit(open
     expect(rows).to_have_text(["25 degC1 of 1done", "30 degC1 of 1done"])
     shoot(page, "temperature-done")
     page.get_by_role("button", name="Fit the drift").click()
-    page.wait_for_url("**/result")
+    page.wait_for_url("**/calibrate")
     expect(page.get_by_role("heading", name="Verdict:")).to_be_visible()
     shoot(page, "temperature-result")
 

@@ -16,7 +16,7 @@ from testkit.data import DATA, needs_data
 from testkit.walking import misplaced, perfect_calibration, walk
 from undrift.io.parquet import write_parquet
 from undrift.units import gravity_at
-from web_browser.conftest import faults_of, shoot
+from web_browser.conftest import faults_of, shoot, state_serial, step
 
 COMMAND_MS = 40_000
 
@@ -32,16 +32,20 @@ def name_sides(page: Page, forward: str, up: str) -> None:
 def test_a_table_is_mapped_calibrated_and_corrected_without_a_command_line(
     bench_server: BenchServer, open_page: Callable[..., Page]
 ) -> None:
-    page = open_page("/recordings")
+    page = open_page("/check")
     page.set_default_timeout(COMMAND_MS)
     page.get_by_label("Choose files").set_input_files(DATA / "ferraris_nilspod" / "example_ferraris_session.csv")
     page.get_by_label("Samples per second, Hz").fill("102.4")
     shoot(page, "recordings-map")
     page.get_by_role("button", name="Read the file").click()
+    page.get_by_role("link", name="Calibrate from it").click()
     page.get_by_label("Angle of its turns, deg").fill("360")
     shoot(page, "recordings-read")
     page.get_by_role("button", name="Calibrate", exact=True).click()
-    page.wait_for_url("**/result")
+    expect(page.locator(".bench-main")).to_contain_text("serial number: wanted the one on the device, got none")
+    state_serial(page)
+    page.get_by_role("button", name="Calibrate", exact=True).click()
+    page.wait_for_url("**/calibrate")
     verdict = page.get_by_role("heading", name="Verdict:")
     expect(verdict).to_have_text("Verdict: marginal")
     gravity = page.get_by_role("region", name="Gravity")
@@ -58,7 +62,7 @@ def test_a_table_is_mapped_calibrated_and_corrected_without_a_command_line(
     assert made_by["gravity_m_s2"] == pytest.approx(gravity_at(59.9, 20.0))
     assert made_by["provenance"]["settings"]["gravity"] == "latitude and height"
     assert str(bench_server.folder) not in made.with_name("report.html").read_text()
-    page.goto(bench_server.address + "recordings")
+    page.goto(bench_server.address + "use")
     page.get_by_role("button", name="Correct").click()
     with page.expect_download() as download:
         page.get_by_role("link", name="correct: example_ferraris_session-corrected.parquet").click()
@@ -68,9 +72,11 @@ def test_a_table_is_mapped_calibrated_and_corrected_without_a_command_line(
 
 @needs_data
 def test_a_recording_with_optics_is_oriented_and_validated(open_page: Callable[..., Page]) -> None:
-    page = open_page("/recordings", width=390)
+    page = open_page("/check", width=390)
     page.set_default_timeout(COMMAND_MS)
     page.get_by_label("Choose files").set_input_files(DATA / "broad" / "35_disturbed_attached_magnet_4cm.hdf5")
+    page.get_by_role("heading", name="35_disturbed").wait_for()
+    step(page, "Use")
     page.get_by_role("button", name="Validate").click()
     wrong = "wanted the mounting, or a side that points forward and another that points up, got none and none"
     expect(page.locator(".bench-main")).to_contain_text(wrong)
@@ -90,7 +96,7 @@ def test_a_recording_with_optics_is_oriented_and_validated(open_page: Callable[.
     page.mouse.move(0, 0)
     assert faults_of(page) == []
     page.get_by_role("button", name="Calibrate by these optics").click()
-    page.wait_for_url("**/result")
+    page.wait_for_url("**/calibrate")
     expect(page.get_by_role("heading", name="Verdict:")).to_be_visible()
     shoot(page, "result-by-optics-390")
     page.get_by_label("Serial number of the device").fill("BROAD D")
@@ -107,11 +113,12 @@ def test_the_offset_that_motion_shows_is_subtracted_where_it_is_chosen(
         undrift.calibrate(undrift.simulate_session("bench", device, rng=rng)), tmp_path / "calibration.json"
     )
     write_parquet(undrift.simulate_trial("posturography", device, rng=rng).record, tmp_path / "stance.parquet")
-    page = open_page("/recordings", width=390)
+    page = open_page("/check", width=390)
     page.set_default_timeout(COMMAND_MS)
     for name in ("calibration.json", "stance.parquet"):
         page.get_by_label("Choose files").set_input_files(tmp_path / name)
         page.get_by_role("heading", name=name).wait_for()
+    step(page, "Use")
     page.get_by_label("Offset to subtract").select_option("motion")
     name_sides(page, "+x", "+z")
     for command in ("Correct", "Orient"):
@@ -127,9 +134,11 @@ def test_the_mounting_is_found_from_a_walk_and_used(open_page: Callable[..., Pag
     undrift.write_calibration(perfect_calibration(), tmp_path / "calibration.json")
     turned = misplaced(np.random.default_rng(1), 20.0, np.array([0.0, 1.0, 0.0, 0.0]))  # upside down, and 20 deg off
     write_parquet(walk(np.random.default_rng(2), q_ab=turned, bouts=3), tmp_path / "walk.parquet")
-    page = open_page("/recordings", width=width)
+    page = open_page("/check", width=width)
     page.set_default_timeout(COMMAND_MS)
     page.get_by_label("Choose files").set_input_files(tmp_path / "walk.parquet")
+    page.get_by_role("heading", name="walk.parquet").wait_for()
+    step(page, "Use")
     wearing = page.get_by_role("region", name="How it is worn")
     wearing.get_by_role("button", name="Find the mounting").click()
     expect(page.locator(".bench-main")).to_contain_text(
@@ -145,8 +154,10 @@ def test_the_mounting_is_found_from_a_walk_and_used(open_page: Callable[..., Pag
     expect(wearing).to_contain_text(re.compile(r"standard uncertainty 1\.\d deg"))
     expect(wearing.get_by_label("Side that points forward")).to_have_value("+x")
     assert faults_of(page) == []
+    step(page, "Check")
     page.get_by_label("Choose files").set_input_files(tmp_path / "calibration.json")
     page.get_by_role("heading", name="calibration.json").wait_for()
+    step(page, "Use")
     page.get_by_role("button", name="walk.parquet", exact=True).click()
     expect(wearing).not_to_contain_text("Without a calibration")  # the page is drawn anew when it has one
     wearing.get_by_role("button", name="Find the mounting").click()
@@ -160,7 +171,7 @@ def test_the_mounting_is_found_from_a_walk_and_used(open_page: Callable[..., Pag
 
 @needs_data
 def test_a_file_without_time_is_read_at_the_rate_that_is_stated(open_page: Callable[..., Page]) -> None:
-    page = open_page("/recordings")
+    page = open_page("/check")
     page.get_by_label("Choose files").set_input_files(DATA / "worn_lowback" / "HA_001_Test11.csv.gz")
     rate = page.get_by_label("Samples per second, Hz")
     rate.fill("0", timeout=COMMAND_MS)
@@ -180,11 +191,12 @@ def test_what_commands_notice_is_listed_with_its_action_in_names_without_paths(
     undrift.write_calibration(made, tmp_path / "Gerät A.json")
     (faces,) = undrift.simulate_session("six_face", device, rng=rng).records
     write_parquet(replace(faces, device="another"), tmp_path / "走路.parquet")
-    page = open_page("/recordings", width=1280)
+    page = open_page("/check", width=1280)
     page.set_default_timeout(COMMAND_MS)
     for name in ("Gerät A.json", "走路.parquet"):
         page.get_by_label("Choose files").set_input_files(tmp_path / name)
         page.get_by_role("heading", name=name).wait_for()
+    step(page, "Use")
     page.get_by_role("button", name="Correct", exact=True).click()
     noticed = page.get_by_role("list").filter(has_text="Recording and calibration name different devices")
     expect(noticed).to_contain_text("recording another, calibration SIM-", timeout=COMMAND_MS)
@@ -211,11 +223,13 @@ def test_what_commands_notice_is_listed_with_its_action_in_names_without_paths(
 
 @needs_data
 def test_a_wrong_sample_rate_is_refused_with_the_field_that_mends_it(open_page: Callable[..., Page]) -> None:
-    page = open_page("/recordings", width=390)
+    page = open_page("/check", width=390)
     page.set_default_timeout(COMMAND_MS)
     page.get_by_label("Choose files").set_input_files(DATA / "ferraris_nilspod" / "example_ferraris_session.csv")
     page.get_by_label("Samples per second, Hz").fill("204.8")  # it has 102.4
     page.get_by_role("button", name="Read the file").click()
+    page.get_by_role("link", name="Calibrate from it").wait_for()
+    step(page, "Use")
     name_sides(page, "+z", "+x")
     page.get_by_role("button", name="Orient").click()
     rate = page.get_by_label("Samples per second, Hz")
@@ -242,18 +256,20 @@ def test_a_wrong_sample_rate_is_refused_with_the_field_that_mends_it(open_page: 
 def test_a_refused_calibration_is_tried_with_the_accelerometers_alone_and_says_what_it_lacks(
     open_page: Callable[..., Page],
 ) -> None:
-    page = open_page("/recordings", width=390)
+    page = open_page("/check", width=390)
     page.set_default_timeout(COMMAND_MS)
     page.get_by_label("Choose files").set_input_files(DATA / "ferraris_nilspod" / "example_ferraris_session.csv")
     page.get_by_label("Samples per second, Hz").fill("102.4")
     page.get_by_role("button", name="Read the file").click()
+    page.get_by_role("link", name="Calibrate from it").click()
+    state_serial(page)
     page.get_by_label("Angle of its turns, deg").fill("-360")
     page.get_by_role("button", name="Calibrate", exact=True).click()
     alone = page.get_by_role("button", name="Calibrate the accelerometers alone")
     alone.wait_for()
     shoot(page, "recordings-alone-390")
     alone.click()
-    page.wait_for_url("**/result")
+    page.wait_for_url("**/calibrate")
     expect(page.get_by_role("heading", name="Verdict:")).to_be_visible()
 
 
@@ -264,11 +280,11 @@ def test_a_calibration_that_lacks_a_sensor_says_so_where_it_is_offered(
     made = undrift.calibrate(undrift.simulate_session("bench", undrift.random_device(rng), rng=rng))
     (bench_server.folder / "jobs" / "earlier").mkdir()
     undrift.write_calibration(replace(made, accel=None), bench_server.folder / "jobs" / "earlier" / "calibration.json")
-    page = open_page("/result", width=390)
+    page = open_page("/calibrate", width=390)
     page.get_by_role("button", name="earlier", exact=True).click()
     expect(page.get_by_role("region", name="Verdict")).to_contain_text("It lacks the accelerometers")
-    page.get_by_role("button", name="Use it in Live and Recordings, without accelerometers").click()
-    expect(page.locator(".bench-main")).to_contain_text("Live and Recordings use this calibration.")
+    page.get_by_role("button", name="Use it for files and live readings, without accelerometers").click()
+    expect(page.locator(".bench-main")).to_contain_text("Files of this tab are corrected with this calibration.")
     shoot(page, "result-lacks-390")
     assert faults_of(page) == []
 
@@ -276,7 +292,7 @@ def test_a_calibration_that_lacks_a_sensor_says_so_where_it_is_offered(
 def test_what_is_no_recording_gets_one_line_and_is_not_kept(
     bench_server: BenchServer, open_page: Callable[..., Page], tmp_path: Path
 ) -> None:
-    page = open_page("/recordings")
+    page = open_page("/check")
     for name, content, words in (
         ("virus.exe", b"MZ", "wanted a recording"),
         ("empty.csv", b"", "got an empty file"),
@@ -317,7 +333,7 @@ def phone_files(folder: Path) -> list[Path]:
 def test_files_of_a_phone_chosen_together_are_one_recording_and_others_are_two(
     open_page: Callable[..., Page], tmp_path: Path
 ) -> None:
-    page = open_page("/recordings")
+    page = open_page("/check")
     page.set_default_timeout(COMMAND_MS)
     accel, gyro = phone_files(tmp_path)
     page.get_by_label("Choose files").set_input_files([gyro, accel])
@@ -331,7 +347,7 @@ def test_files_of_a_phone_chosen_together_are_one_recording_and_others_are_two(
 
 
 def test_a_folder_can_be_dropped(open_page: Callable[..., Page]) -> None:
-    page = open_page("/recordings")
+    page = open_page("/check")
     page.set_default_timeout(COMMAND_MS)
     page.locator(".drop").evaluate(FOLDER)
     expect(page.locator(".bench-list .choose")).to_have_text(["walk"], timeout=COMMAND_MS)
@@ -341,7 +357,7 @@ def test_a_folder_can_be_dropped(open_page: Callable[..., Page]) -> None:
 def test_parameters_of_an_autopilot_are_a_calibration(
     bench_server: BenchServer, open_page: Callable[..., Page], tmp_path: Path
 ) -> None:
-    page = open_page("/recordings")
+    page = open_page("/check")
     (tmp_path / "quad.params").write_text("1\t1\tCAL_ACC0_XOFF\t0.1\t9\n1\t1\tCAL_GYRO0_ZOFF\t0.01\t9\n")
     page.get_by_label("Choose files").set_input_files(tmp_path / "quad.params")
     expect(page.locator(".bench-main")).to_contain_text(

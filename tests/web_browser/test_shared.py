@@ -10,7 +10,7 @@ from playwright.sync_api import BrowserContext, Page, expect
 import undrift
 from testkit.bench import BenchServer, bench_process
 from undrift.io.parquet import write_parquet
-from web_browser.conftest import faults_of, shoot
+from web_browser.conftest import faults_of, shoot, state_serial, step
 from web_browser.test_recordings import COMMAND_MS, phone_files
 
 
@@ -21,23 +21,28 @@ def test_two_tabs_choose_and_type_for_themselves(open_page: Callable[..., Page],
         undrift.calibrate(undrift.simulate_session("bench", device, rng=rng)), tmp_path / "calibration.json"
     )
     write_parquet(undrift.simulate_trial("posturography", device, rng=rng).record, tmp_path / "stance.parquet")
-    first = open_page("/recordings")
+    first = open_page("/check")
     first.get_by_label("Choose files").set_input_files(tmp_path / "stance.parquet")
-    serial = first.get_by_label("Serial number")
-    serial.press_sequentially("A1", timeout=COMMAND_MS)
-    second = open_page("/recordings", width=390)
+    first.get_by_role("link", name="Calibrate from it").click(timeout=COMMAND_MS)
+    angle = first.get_by_label("Angle of its turns, deg")
+    angle.press_sequentially("36")
+    second = open_page("/check", width=390)
     second.get_by_label("Choose files").set_input_files(tmp_path / "calibration.json")
     expect(second.locator(".bench-main")).to_contain_text("Recordings are corrected with this", timeout=COMMAND_MS)
-    expect(first.locator(".bench-list .choose")).to_have_text(["calibration.json", "stance.parquet"])
-    serial.press_sequentially("7")  # the caret is where it was
-    expect(serial).to_have_value("A17")
-    expect(first.locator(".bench-main")).to_contain_text("No calibration chosen")
-    expect(first.get_by_role("button", name="Correct", exact=True)).to_have_count(0)
+    angle.press("End")
+    angle.press_sequentially("0")
+    expect(angle).to_have_value("360")
+    expect(first.get_by_role("navigation", name="Stages")).to_contain_text("no calibration")
+    expect(second.get_by_role("navigation", name="Stages")).to_contain_text("calibration chosen")
+    step(second, "Use")
     second.get_by_role("button", name="stance.parquet", exact=True).click()
     expect(second.get_by_role("button", name="Correct", exact=True)).to_be_visible()
-    expect(first.get_by_role("heading", name="stance.parquet")).to_be_visible()
+    expect(first.get_by_role("heading", name="Calibrate from stance.parquet")).to_be_visible()
     first.reload()
-    expect(serial).to_have_value("A17")
+    expect(angle).to_have_value("360")
+    step(first, "Use")
+    expect(first.locator(".bench-list .choose")).to_have_text(["calibration.json", "stance.parquet"])
+    expect(first.locator(".bench-main")).to_contain_text("No calibration chosen")
     first.close()
     assert faults_of(second) == []
 
@@ -63,9 +68,10 @@ def test_files_and_jobs_outlive_a_bench_that_is_killed(
         expect(page.locator(".bench-main")).to_contain_text("60 samples at 50 Hz", timeout=COMMAND_MS)
         page.get_by_label("Choose files").set_input_files(tmp_path / "walk.parquet")
         page.get_by_role("heading", name="walk.parquet").wait_for()
-        page.get_by_label("Serial number").fill("A17")
+        step(page, "Calibrate")
+        state_serial(page)
         page.get_by_role("button", name="Calibrate", exact=True).click()
-        page.wait_for_url("**/result")
+        page.wait_for_url("**/calibrate")
         page.get_by_role("heading", name="Verdict:").wait_for()
         server.process.kill()
         server.process.join()
@@ -91,7 +97,7 @@ def test_files_and_jobs_outlive_a_bench_that_is_killed(
         page.get_by_role("button", name="Delete Six faces of imu3").click()
         expect(files).to_have_text(names[1:])
         expect(page.get_by_role("heading", name="Six faces of imu3")).to_have_count(0)
-        page.goto(server.address + "result")
+        page.goto(server.address + "calibrate")
         expect(page.get_by_role("heading", name="Verdict:")).to_be_visible()
         expect(page.locator(".bench-list li")).to_contain_text("calibrated")
         shoot(page, "result-listed-1280")
@@ -101,7 +107,7 @@ def test_files_and_jobs_outlive_a_bench_that_is_killed(
 def test_a_full_folder_refuses_a_file_in_one_line(tmp_path: Path, new_context: Callable[..., BrowserContext]) -> None:
     with bench_process(tmp_path / "bench", "--quota-gb", "0.00001") as server:
         page = new_context().new_page()
-        page.goto(server.address + "recordings")
+        page.goto(server.address + "check")
         (tmp_path / "walk.csv").write_text("1,2,3\n" * 5000)
         page.get_by_label("Choose files").set_input_files(tmp_path / "walk.csv")
         expect(page.locator(".bench-main")).to_contain_text("wanted at most 1e-05 GB in it, got 3e-05 GB; delete files")

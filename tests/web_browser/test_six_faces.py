@@ -78,7 +78,7 @@ def test_six_faces_and_turns_by_keyboard_end_in_the_hidden_calibration(
             faults += faults_of(page)
     shoot(page, "turns-complete-1200")
     press(page, "Calibrate")
-    page.wait_for_url("**/result", timeout=90_000)
+    page.wait_for_url("**/calibrate", timeout=90_000)
     page.get_by_text("Verdict:").wait_for()
     shoot(page, "result-of-turns-1200")
     print(f"\nsix faces {faces_s:.0f} s, with turns and calibration {time.monotonic() - began:.0f} s, by keyboard")

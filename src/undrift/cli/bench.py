@@ -1,8 +1,13 @@
 """``undrift bench``: the guided bench in a browser."""
 
 import secrets
+import socket
 import sys
+from contextlib import suppress
+from importlib import import_module
+from io import StringIO
 from pathlib import Path
+from urllib.parse import urlsplit
 
 from undrift.base.options import Flag, Json
 from undrift.cli.common import say, write_json
@@ -41,7 +46,7 @@ def bench(
     registry : str or None
         File or URL of the registry; the user's own where not given.
     upload_mb : float
-        Largest file that the page Recordings takes, MB.
+        Largest file that is taken, MB.
     quota_gb : float
         Largest folder that the bench fills, GB; what is larger is refused.
     practice_seed : int or None
@@ -81,7 +86,10 @@ def bench(
         if json:
             write_json({"address": address, "folder": str(settings.folder)}, "bench")
         else:
-            say(f"undrift bench: {address}", f"It writes to {settings.folder}. Ctrl-C ends it.")
+            opened = addresses_of(address) if network else [address]
+            say(*(f"undrift bench: {one}" for one in opened), f"It writes to {settings.folder}. Ctrl-C ends it.")
+            if network and (code := code_of(opened[0])):
+                say(code)
         sys.stdout.flush()
         if not no_browser:
             import webbrowser
@@ -104,3 +112,28 @@ def _check_access(host: str, network: bool, token: str) -> None:
         raise InputError("--token: wanted --network beside it, got it alone; this computer needs none")
     if token and len(token) < 16:
         raise InputError(f"--token: wanted 16 characters or more, got {len(token)}; leave it out for a fresh one")
+
+
+def addresses_of(address: str) -> list[str]:
+    """Return addresses that other computers can open, where the bench listens at every one of this computer."""
+    host = urlsplit(address).hostname or ""
+    if host not in ("0.0.0.0", "::"):
+        return [address]
+    family, outside = (socket.AF_INET6, "2001:db8::1") if host == "::" else (socket.AF_INET, "192.0.2.1")
+    known = {str(one[4][0]).partition("%")[0]: None for one in socket.getaddrinfo(socket.gethostname(), None, family)}
+    with suppress(OSError), socket.socket(family, socket.SOCK_DGRAM) as way:
+        way.connect((outside, 9))  # nothing is sent: the system says which address it would take
+        known = {str(way.getsockname()[0]): None, **known}
+    others = [f"[{one}]" if ":" in one else one for one in known if not one.startswith(("127.", "::1", "fe80"))]
+    return [address.replace(f"[{host}]" if ":" in host else host, one) for one in others] or [address]
+
+
+def code_of(address: str) -> str:
+    """Return an address as a QR code of blocks; "" where the package that draws it is not there."""
+    try:
+        segno = import_module("segno")
+    except ImportError:
+        return ""
+    text = StringIO()
+    segno.make(address, error="l").terminal(text, compact=True, border=2)
+    return text.getvalue()

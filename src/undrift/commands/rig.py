@@ -3,7 +3,11 @@
 A run shows where it is, and asks its operator, on a ``Screen``. An emulated bench goes on until it is closed.
 """
 
+import math
+import os
+import signal
 import threading
+import time
 from contextlib import ExitStack, suppress
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -369,6 +373,7 @@ def emulate(
     pty: Flag = False,
     save_device: Annotated[Path | None, WRITTEN] = None,
     seed: int = 0,
+    idle_s: float = math.inf,
 ) -> Emulated | Summary:
     """Emulate a table, a chamber, a device and an operator on loopback ports; print their addresses and go on until Ctrl-C.
 
@@ -403,6 +408,8 @@ def emulate(
         Write the device there, as device.json: the truth that a calibration should find.
     seed : int
         Of every random draw.
+    idle_s : float
+        End so long after the last client of the table has left, or after the program that started this one, s.
     """
     import numpy as np
 
@@ -439,11 +446,23 @@ def emulate(
         addresses = {"rig": table.rig_address, "device": table.device_address}
         addresses |= {"chamber": table.chamber_address, "operator": table.hands_address}
         addresses |= {} if table.pty_address is None else {"pty": table.pty_address}
+        threading.Thread(target=_end_when_idle, args=(table, idle_s), name="idle", daemon=True).start()
         for one in faults:
             threading.Thread(target=table.break_as, args=(one,), name=one.name, daemon=True).start()
     if save_device is not None:
         write_device(bench.device, save_device)
     return Emulated(bench=bench, addresses=addresses)
+
+
+def _end_when_idle(table: "EmulatedBench", idle_s: float) -> None:
+    """End this process, as Ctrl-C does, so long after the last client of its table, or the process that started it, is gone."""
+    parent, last, used = os.getppid(), time.monotonic(), False
+    while time.monotonic() - last < idle_s:
+        time.sleep(min(0.5, 0.2 * idle_s))
+        used = used or table.rig.clients > 0
+        if table.rig.clients or not (used or os.getppid() != parent):
+            last = time.monotonic()
+    os.kill(os.getpid(), signal.SIGTERM)
 
 
 @verb

@@ -594,7 +594,7 @@ class ProgressFile:
         """Write what is going to be done."""
         steps = [
             {"kind": type(step).__name__.lower(), "text": str(step), "seconds": step.duration_s}
-            | {name: getattr(step, name, None) for name in ("up", "temp_c", "slope_c_per_min")}
+            | {name: getattr(step, name, None) for name in ("up", "temp_c", "slope_c_per_min", "axis", "turn_rate")}
             for step in programme.steps
         ]
         self._write("plan", pid=os.getpid(), speed=speed, steps=steps, done=sorted(done))

@@ -6,9 +6,9 @@ process of its own, with ``--json``, and shows what it answered, findings and al
 
     app.py           the server: pages, files, uploads, the emergency stop; access.py, uploads.py: who and what may come in
     bench.py         what all pages share: the device, the job, the work; and what each tab of a browser has chosen and typed
-    library.py       files and jobs of the folder, which outlive a bench that is killed; entries.py lists them
+    device.py        the page of all devices, the rail and the first step of one; entries.py lists files, jobs and devices
     parts.py         what pages are made of: texts bound to the state, one timer a page, forms made from dataclasses, buttons
-    start.py result.py live.py recordings.py devices.py rate_table.py temperature.py    pages, each with the state behind it
+    place.py result.py live.py recordings.py devices.py rate_table.py temperature.py    pages, each with the state behind it
     guided.py        the pages Six faces and Turns by hand
     feed.py          readings, correction and pitch of the connected device, to the plots of any browser
 

@@ -5,6 +5,7 @@ import contextlib
 import socket
 from collections.abc import AsyncIterator, Callable
 from functools import partial
+from typing import IO
 
 import uvicorn
 from fastapi import FastAPI
@@ -14,44 +15,45 @@ from starlette.requests import Request
 from starlette.responses import FileResponse, JSONResponse, PlainTextResponse, RedirectResponse, Response
 from uvicorn.protocols.http.auto import AutoHTTPProtocol
 
+from undrift.commands.bench.library import lock_folder
 from undrift.errors import InputError, UndriftError
-from undrift.web import devices, guided, live, parts, rate_table, recordings, result, start, temperature
+from undrift.web import device, devices, guided, live, parts, rate_table, recordings, temperature
 from undrift.web.access import Access, allowed
 from undrift.web.bench import Bench, ServerSettings, Visit
 from undrift.web.feed import STATIC, Feed
-from undrift.web.library import FolderLock
 from undrift.web.parts import texts
 from undrift.web.uploads import receive_upload
 
 CONNECTED_S = 60.0  # from a page to its socket
 FIRST_S = 10.0  # from a connection to its first request
 BUILT: dict[str, Callable[[Visit], None]] = {
-    "/": start.page,
+    "/": device.home,
+    "/readings": device.page,
     "/six-faces": partial(guided.page, "Six faces"),
     "/turns": partial(guided.page, "Turns by hand"),
     "/rate-table": rate_table.page,
     "/temperature": temperature.page,
-    "/result": result.page,
     "/live": live.page,
-    "/recordings": recordings.page,
-    "/devices": devices.page,
+    "/check": recordings.check_page,
+    "/calibrate": recordings.calibrate_page,
+    "/use": recordings.use_page,
+    "/registry": devices.page,
 }
+MOVED = {"/recordings": "/check", "/result": "/calibrate", "/devices": "/registry"}  # addresses of earlier versions
 
 
 def serve(settings: ServerSettings, ready: Callable[[str], None]) -> None:
     """Serve the bench until Ctrl-C; the address is handed on as soon as it listens."""
-    lock = FolderLock(settings.folder)
-    try:
+    with lock_folder(settings.folder) as lock:
         _serve(settings, ready, lock)
-    finally:
-        lock.close()
 
 
-def _serve(settings: ServerSettings, ready: Callable[[str], None], lock: FolderLock) -> None:
+def _serve(settings: ServerSettings, ready: Callable[[str], None], lock: IO[str]) -> None:
     bench, listener = Bench(settings), listen(settings.host, settings.port)
     port = listener.getsockname()[1]
     host = f"[{settings.host}]" if ":" in settings.host else settings.host
-    lock.write(f"http://{host}:{port}/")
+    lock.write(f"http://{host}:{port}/\n")
+    lock.flush()
     address = f"http://{host}:{port}/" + (f"?token={settings.token}" if settings.token else "")
     config = uvicorn.Config(
         Access(application(bench, partial(ready, address)), settings.token),
@@ -140,6 +142,8 @@ def application(bench: Bench, ready: Callable[[], None]) -> FastAPI:
 
     Feed(lambda: bench.source, lambda socket: allowed(socket, bench.settings.token)).add_to(made)
     pages_app.add_static_files("/static", STATIC)
+    for old, new in MOVED.items():
+        made.add_api_route(old, partial(_moved, new))
     for path, name in texts()["pages"].items():
         _add_page(bench, path, name)
     ui.run_with(
@@ -154,22 +158,34 @@ def application(bench: Bench, ready: Callable[[], None]) -> FastAPI:
     return made
 
 
+def _moved(new: str, request: Request) -> Response:
+    return RedirectResponse(new + (f"?{request.url.query}" if request.url.query else ""))
+
+
 def _add_page(bench: Bench, path: str, name: str) -> None:
-    async def build(job: str = "") -> None:
+    async def build(job: str = "", key: str = "") -> None:
         ui.add_head_html(
             '<link rel="stylesheet" href="/static/bench.css"><script src="/static/bench.js" defer></script>'
             '<script src="/static/drawings.js" defer></script>'
         )
         client = ui.context.client
-        with parts.frame(bench, name):
-            main = ui.element("div")
+        rail, main = parts.frame(bench, name)
         try:
             await client.connected(CONNECTED_S)
         except TimeoutError:  # it looked at the page without a socket
             return
         bench.library.find_jobs()
         visit = bench.visit(client.tab_id or "")
-        visit.shown = bench.job_in(bench.folder / "jobs" / job) or visit.shown
+        opened, home = bench.job_in(bench.folder / "jobs" / job), path in ("/", "/registry")
+        key = key or (opened.device if opened else visit.key)
+        every = bench.library.devices
+        visit.enter(
+            None if home else next((one for one in every if one.folder.name == key), every[0] if every else None)
+        )
+        visit.shown, visit.at_home = opened or visit.shown, home
+        if not home:
+            with rail:
+                device.rail(visit, path)
         with main:
             BUILT[path](visit)
 

@@ -3,32 +3,34 @@
 A folder holds everything that the bench writes::
 
     jobs/2026-11-23-0915-SERIAL/    session.toml and readings, calibration.json, report.html, certificate.pdf
-    uploads/                        files that were dropped on the page Recordings, and what was made of them
+    uploads/                        files that were dropped on the page Check, and what was made of them
     .lock                           locked while a bench is at work; the address at which it listens
-    registry/                       calibrations, certificates and pictures that the page Devices asked for
+    registry/                       calibrations, certificates and pictures that the page Registry asked for
 """
 
 import asyncio
 import json
+import time
 import tomllib
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
 from undrift.base.options import stated
+from undrift.commands.bench.library import Entry, Job, KnownDevice, Library, read_object
 from undrift.commands.bench.rig_run import PracticeDevice, RigRun
 from undrift.errors import InputError, UndriftError
 from undrift.files import write_whole
 from undrift.web.commands import CommandOutcome, run_command
 from undrift.web.devices import Devices
-from undrift.web.library import Entry, Job, Library, read_object
 from undrift.web.live import MotionCalibration, MotionForm
+from undrift.web.parts import PRACTICE
+from undrift.web.place import Site
 from undrift.web.rate_table import ProtocolForm, RateTablePage
 from undrift.web.recordings import Recordings
-from undrift.web.start import PRACTICE, Site
 from undrift.web.temperature import WarmUpRecording
 from undrift.web.uploads import safe_name
 
@@ -60,6 +62,17 @@ class Working:
 
     what: str
     line: str = ""
+    began: float = field(default_factory=time.monotonic)
+    task: asyncio.Task[CommandOutcome] | None = None
+
+    def words(self) -> str:
+        """Say what is done, for how long, and its last line."""
+        return f"Working: {self.what}, {time.monotonic() - self.began:.0f} s. {self.line}"
+
+    def cancel(self) -> None:
+        """End it; what it was to write is not there."""
+        if self.task is not None:
+            self.task.cancel()
 
 
 class Bench:
@@ -72,6 +85,7 @@ class Bench:
         self.connecting = ""  # the address that is being connected
         self.rig_run: RigRun | None = None
         self.job: Job | None = None  # of the device or the table that is at work
+        self.device = ""  # whose readings come: name of its folder
         self.working: list[Working] = []
         self._practice, self.library = PracticeDevice(), Library(self.folder, settings.quota_gb)
         self.table = RateTablePage(self)
@@ -93,13 +107,13 @@ class Bench:
 
     async def connect(self, address: str) -> None:
         """Connect a device in place of the one before; what goes wrong stands in ``source_error``."""
-        from undrift.commands.bench.source import LiveDevice
+        from undrift.commands.bench.source import LiveDevice, listened
 
         await self.disconnect()
         self.source_error, self.connecting = "", address
 
         def opened() -> LiveDevice:
-            source = LiveDevice(self._address_of(address))
+            source = LiveDevice(listened(self._address_of(address)))
             source.start()
             return source
 
@@ -116,7 +130,7 @@ class Bench:
         if source is not None:
             file = await asyncio.to_thread(source.stop)
             if file is not None:  # what was being recorded
-                self.library.file_at(file)
+                self.library.file_at(file, self.device)
 
     @property
     def practice(self) -> Any:
@@ -138,7 +152,7 @@ class Bench:
         self.place = place
         write_whole(self.folder / PLACE, json.dumps(asdict(place)) + "\n")
 
-    def new_job(self, serial: str = "") -> Job:
+    def new_job(self, serial: str = "", device: str = "") -> Job:
         """Begin with another device: a new folder."""
         stamp, named = datetime.now().strftime("%Y-%m-%d-%H%M%S"), safe_name(serial, "device")
         folder, k = self.folder / "jobs" / f"{stamp}-{named}", 1
@@ -146,7 +160,7 @@ class Bench:
             folder, k = self.folder / "jobs" / f"{stamp}-{named}-{k}", k + 1
         self.library.check_room()
         folder.mkdir(parents=True)
-        self.job = Job(folder=folder, serial=serial)
+        self.job = Job(folder=folder, serial=serial, device=device or self.device)
         self.job.save()
         self.library.jobs.insert(0, self.job)
         return self.job
@@ -200,9 +214,12 @@ class Bench:
         def heard(line: str) -> None:
             now.line = line
 
+        now.task = asyncio.create_task(run_command(self._below(words), folder or self.folder, heard))
         try:
-            return await run_command(self._below(words), folder or self.folder, heard)
+            await asyncio.wait([now.task])
+            return CommandOutcome(code=2, error=f"{now.what}: cancelled") if now.task.cancelled() else now.task.result()
         finally:
+            now.cancel()
             self.working.remove(now)
 
     def _below(self, words: Sequence[object]) -> tuple[str, ...]:
@@ -218,7 +235,7 @@ class Bench:
         except (OSError, ValueError, RuntimeError):  # too long, a NUL, a ring of links
             held = False
         if not held:
-            raise InputError("bench: wanted a file that it wrote, got another; choose one on the page Recordings")
+            raise InputError("bench: wanted a file that it wrote, got another; choose one on the page Check")
         return path
 
     def link(self, path: Path) -> str:
@@ -238,21 +255,58 @@ class Visit:
 
     def __init__(self, bench: Bench) -> None:
         self.bench, self.library = bench, bench.library
+        self.key, self.at_home = "", True  # of the device's folder; whether it shows the page of all devices
+        self.address, self.ways = "", dict[str, Any]()  # typed; what was found that can be connected
         self.calibration: Path | None = None  # that files are corrected with
         self.corrected: tuple[object, object] = (None, None)  # device, and what this tab last corrected it with
         self.shown: Job | None = None  # whose result was opened
-        self.renamed: Entry | None = None  # that is being given another name
-        self.new_name = ""
         self.recordings, self.devices, self.motion = Recordings(self), Devices(self), MotionForm()
         self.addresses, self.filled = replace(bench.table.addresses), 0  # the latter: how often by other than typing
         self.rates, self.soaks = ProtocolForm(), ProtocolForm(name="temperature", axes=(), temperatures_c="20, 35, 50")
         self.speed = "1"  # of the emulated table
 
     @property
+    def device(self) -> KnownDevice | None:
+        """Return the device whose pages this tab shows."""
+        return next((one for one in self.library.devices if one.folder.name == self.key), None)
+
+    def enter(self, device: KnownDevice | None) -> KnownDevice | None:
+        """Go to the pages of a device: its files, and the calibration that was made last."""
+        key = "" if device is None else device.folder.name
+        if key != self.key:
+            self.key, self.shown, self.recordings.chosen = key, None, None
+            self.calibration = next((job.calibration for job in self.jobs if device and job.calibration), None)
+        return device
+
+    def begun(self) -> KnownDevice:
+        """Return the device whose pages this tab shows, a new one where there is none."""
+        if (device := self.device) is None:
+            device = self.library.new_device()
+            self.key = device.folder.name
+        return device
+
+    async def connect(self, address: str) -> str | None:
+        """Connect the device by an address; its serial number is what it states."""
+        device = self.begun()
+        self.bench.device = self.key
+        await self.bench.connect(address)
+        if (source := self.bench.source) is None:
+            return None
+        if (stated := source.recorder.source.description.device) and not device.serial:
+            device.serial = stated
+            device.save()
+        return "/readings" if self.at_home else None
+
+    @property
+    def jobs(self) -> list[Job]:
+        """Return the jobs of the device, the newest first, and those of no device."""
+        return [job for job in self.library.jobs if job.device in (self.key, "")]
+
+    @property
     def job(self) -> Job | None:
-        """Return the job whose result is shown: the one that was opened, that is at work, or the newest."""
-        jobs = (self.shown, self.bench.job, *self.library.jobs)
-        return next((job.read() for job in jobs if job is not None and job.calibration is not None), self.bench.job)
+        """Return the job whose result is shown: the one that was opened, or the newest of the device."""
+        jobs = (self.shown, *self.jobs)
+        return next((job.read() for job in jobs if job is not None and job.calibration is not None), None)
 
     async def calibrate(self, job: Job, *words: object) -> CommandOutcome:
         """Calibrate for a job, and take the result."""

@@ -15,6 +15,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, cast
 
+from undrift.commands.bench.library import Remark
+
 LONGEST_S = 3600.0
 LARGEST_LINE = 1 << 26  # bytes: an envelope is one line
 LEVELS = ("fail", "warn", "info")
@@ -33,15 +35,6 @@ class CommandOutcome:
     def done(self) -> bool:
         """Return whether there is a result."""
         return self.code in (0, 1)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Remark:
-    """Something that a command noticed."""
-
-    level: str  # fail, warn or info
-    text: str
-    action: str = ""  # what to do about it; may be empty
 
 
 def remarks_of(answer: Mapping[str, Any]) -> list[Remark]:

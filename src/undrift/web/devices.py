@@ -1,4 +1,4 @@
-"""The page Devices: which are known to the registry, what is due, what each one's calibrations were, and how it changed.
+"""The page Registry: which are known to the registry, what is due, what each one's calibrations were, and how it changed.
 
 It shows what the commands ``undrift registry`` answer; the files that they wrote for it stand in a folder of the bench.
 """
@@ -74,7 +74,7 @@ class Devices:
         return None if answer is None else path
 
     async def use(self, entry: dict[str, Any]) -> None:
-        """Let Live and Recordings correct with a calibration."""
+        """Correct files and live readings with a calibration."""
         path = await self.fetch(entry)
         if path is not None:
             self.visit.calibration, self.used = path, int(entry["entry"])
@@ -120,7 +120,7 @@ def _shown(devices: Devices, client: Any) -> None:
         parts.text("p", "Loading ...", "soft")
         return
     if not devices.rows:
-        parts.text("p", "No device is registered yet. Calibrate one, then register it on the page Result.")
+        parts.text("p", "No device is registered yet. Calibrate one, then register it on the page Calibrate.")
         parts.next_step("Calibrate a device", "/")
         return
     heads = ("device", "state", "calibrated", "due", "entries")
@@ -162,8 +162,8 @@ def _device(devices: Devices, row: dict[str, Any], client: Any) -> None:
     if calibration is None or (row.get("days_left") or 0) < 0:
         parts.next_step("Calibrate it", "/")
     elif devices.is_used(calibration):
-        parts.status_line(f"Live and Recordings use entry {calibration['entry']}.", "")
-        parts.next_step("Correct recordings", "/recordings")
+        parts.status_line(f"Files and live readings use entry {calibration['entry']}.", "")
+        parts.next_step("Correct recordings", "/use")
     else:
         parts.next_step("Use this calibration", partial(devices.use, calibration))
     _trend(devices)

@@ -1,18 +1,16 @@
-"""Lists of files and jobs, the newest first: each is chosen by a click, renamed, or deleted after a question."""
+"""Lists of files and jobs, the newest first, each chosen, renamed or deleted by a click; and the place where files are dropped."""
 
+import json
 from collections.abc import Callable, Sequence
-from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from nicegui import ui
 
+from undrift.commands.bench.library import came_words
 from undrift.web import parts
-from undrift.web.library import Entry, came_words
 
 if TYPE_CHECKING:
     from undrift.web.bench import Visit
-
-SHOWN = 20  # of a list that is not folded
 
 
 def listing(
@@ -22,46 +20,62 @@ def listing(
     chosen: Callable[[], Any],
     choose: Callable[[Any], Any],
 ) -> None:
-    """Add a list that follows what the bench holds; nothing else of the page is drawn anew for it."""
+    """Add a list that follows what the bench holds; static/drawings.js draws it, and nothing else of the page anew."""
+    made, state = ui.element("undrift-list").props(f'label="{title}"'), list[object]()
 
-    def draw() -> None:
-        if entries := every():
-            parts.text("h2", title)
-            with ui.element("ul").classes("bench-list"):
-                for one in entries[:SHOWN]:
-                    _row(visit, one, chosen(), choose)
-            if len(entries) > SHOWN:
-                with parts.folded(f"{len(entries) - SHOWN} more"), ui.element("ul").classes("bench-list"):
-                    for one in entries[SHOWN:]:
-                        _row(visit, one, chosen(), choose)
+    def show() -> None:
+        now = (
+            [(e.folder.name, e.title, e.summary if e is chosen() else "", e.error) for e in every()],
+            chosen() and chosen().folder,
+        )
+        if state != [now]:
+            state[:] = [now]
+            rows = [(e.folder.name, e.name, f"{e.summary} ({came_words(e)})", e is chosen()) for e in every()]
+            parts.set_prop(made, "what", json.dumps(rows))
 
-    def state() -> object:
-        known = [
-            (one.folder, one.title, getattr(one, "kind", None), one.error, getattr(one, "calibration", None))
-            for one in every()
-        ]
-        return known, chosen() and chosen().folder, visit.renamed and visit.renamed.folder
+    def on(kind: str, act: Callable[[Any, str], Any]) -> None:
+        def handle(event: Any) -> Any:
+            key, name = event.args["detail"]["key"], event.args["detail"]["name"]
+            return next((act(e, name) for e in every() if e.folder.name == key), None)
 
-    parts.redrawn(state, draw)
+        made.on(kind, parts.acted(handle), ["detail"])
+
+    on("choose", lambda entry, _: choose(entry))
+    on("rename", visit.library.rename)
+    on("remove", lambda entry, _: visit.bench.delete(entry))
+    parts.bound(show)
 
 
-def _row(visit: "Visit", one: Entry, chosen: Entry | None, choose: Callable[[Any], Any]) -> None:
-    def rename() -> None:
-        visit.library.rename(one, visit.new_name)
-        visit.renamed = None
+def drop(visit: "Visit", then: str = "") -> None:
+    """Add the place to drop files on, which is a file chooser too; then comes a page, if one is named."""
+    client = ui.context.client
+    bench, recordings = visit.bench, visit.recordings
+    with ui.element("label").classes("drop bench-file") as drop:
+        parts.text("span", "Drop files or a folder here, or choose files: ")
+        chooser = ui.element("input").props('type="file" multiple aria-label="Choose files"')
+    status = parts.status_line("")
+    js = "(event) => { event.preventDefault(); benchUpload(event.currentTarget, %s); }"
+    chooser.on("change", js_handler=js % "event.target.files")
+    dropped = "(event) => { event.preventDefault(); benchDropped(event.currentTarget, event.dataTransfer.items); }"
+    drop.on("drop", js_handler=dropped)
+    drop.on("dragover", js_handler="(event) => { event.preventDefault(); event.currentTarget.classList.add('over'); }")
+    drop.on("dragleave", js_handler="(event) => event.currentTarget.classList.remove('over')")
 
-    with ui.element("li"):
-        parts.button(one.name, partial(choose, one), "choose", pressed=one is chosen)
-        parts.text("span", f"{one.summary} ({came_words(one)})", "soft")
-        if visit.renamed is one:
-            parts.Field("Name", visit.new_name, keep=partial(setattr, visit, "new_name"))
-            parts.button("Save the name", rename)
-            parts.button("Cancel", partial(setattr, visit, "renamed", None))
+    def sending(event: Any) -> None:
+        parts.set_text(status, f"Sending {event.args['detail']['name']} ...")
+
+    async def sent(event: Any) -> None:
+        detail = event.args["detail"]
+        if detail.get("error"):
+            parts.set_text(status, str(detail["error"]))
             return
+        parts.set_text(status, f"Reading {detail['name']} ...")
+        files = [bench.inside(str(file)) for file in detail.get("files", (detail.get("file"),))]
+        await (recordings.add_together(files) if len(files) > 1 else recordings.add(files[0]))
+        parts.set_text(status, "")
+        if then:
+            client.open(then)
 
-        def begin() -> None:
-            visit.renamed, visit.new_name = one, one.name
-
-        parts.button("Rename", begin, name=f"Rename {one.name}")
-        ask = f"Delete {one.name} and what was made of it? This cannot be undone."
-        parts.button("Delete", partial(visit.bench.delete, one), name=f"Delete {one.name}", ask=ask)
+    for element in (chooser, drop):
+        element.on("sending", sending, ["detail"])
+        element.on("sent", sent, ["detail"])

@@ -15,17 +15,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from nicegui import background_tasks, ui
 
-from undrift.arrays import FloatArray
 from undrift.commands.bench.capture import COUNTDOWN_S, Capture
 from undrift.commands.bench.guides import ORDER, REST_S, WAYS, Guide, SixFaces, Turns, asked, named
 from undrift.errors import UndriftError
 from undrift.record import Face
 from undrift.web import parts
-from undrift.web.start import connect_form
+from undrift.web.device import connect_form
 
 if TYPE_CHECKING:
+    from undrift.commands.bench.library import Job
     from undrift.web.bench import Bench, Visit
-    from undrift.web.library import Job
 
 PERIOD_S = 0.2
 UNSEEN_S = 600.0  # host s without a page that looks, after which it pauses
@@ -78,7 +77,7 @@ class Guided:
         """Calibrate from what is captured; return the page of the result."""
         outcome = await visit.calibrate(self._job, self._job.session)
         self.refused = outcome.error
-        return "/result" if outcome.done else None
+        return "/calibrate" if outcome.done else None
 
 
 def guided_of(bench: "Bench") -> Guided | None:
@@ -118,7 +117,7 @@ def page(title: str, visit: "Visit") -> None:
         guided = guided_of(bench)
         if guided is None:
             parts.text("p", f"{why} Connect it first.")
-            connect_form(bench)
+            connect_form(visit)
         else:
             show(visit, guided)
 
@@ -242,27 +241,17 @@ def _progress_part(title: str, guide: Guide, names: dict[str, str]) -> None:
 
 def _readings_part(bench: "Bench") -> None:
     """Add the newest readings as numbers, means of 0.2 s in the device's own units."""
-    means: dict[str, tuple[FloatArray | None, str]] = {}
 
-    def read() -> None:
-        record = None if bench.source is None else bench.source.recent(0.2)
+    def means() -> list[object]:
+        record, rows = None if bench.source is None else bench.source.recent(0.2), list[object]()
         for name, kind in (("Accelerometer", "accel"), ("Gyroscope", "gyro")):
-            values, unit = (None, "") if record is None else (getattr(record, kind), getattr(record, f"{kind}_unit"))
-            means[name] = (
-                None if values is None or np.isnan(values).all(axis=0).any() else np.nanmean(values, axis=0),
-                unit,
-            )
+            values = None if record is None else getattr(record, kind)
+            if values is not None:
+                values = None if np.isnan(values).all(axis=0).any() else np.nanmean(values, axis=0).tolist()
+            rows.append((name, values, getattr(record, f"{kind}_unit", "")))
+        return rows
 
-    def cell(name: str, axis: int) -> str:
-        mean = means[name][0]
-        return f"{'xyz'[axis]} -" if mean is None else f"{'xyz'[axis]} {mean[axis]:.4g}"
-
-    parts.bound(read)
-    rows = [
-        [(name, "head"), *(partial(cell, name, k) for k in range(3)), partial(lambda name: means[name][1], name)]
-        for name in means
-    ]
-    parts.table("Readings now", (), rows, region="readings")
+    parts.drawing("readings", means, "readings")
 
 
 def _practice_part(bench: "Bench", rows: dict[str, Moves]) -> None:

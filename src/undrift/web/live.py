@@ -7,23 +7,23 @@ import asyncio
 import math
 from dataclasses import dataclass, replace
 from datetime import datetime
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 from urllib.parse import quote
 
 from nicegui import ui
 
 from undrift.base.options import stated
+from undrift.commands.bench.library import Remark
 from undrift.commands.bench.source import LiveDevice, Status
 from undrift.commands.files import Place
 from undrift.commands.live_motion import LiveMotion, MotionWatch, motion_fit
 from undrift.errors import InputError, UndriftError
 from undrift.record import FACES, Face
 from undrift.web import parts
-from undrift.web.commands import Remark, without_folders
+from undrift.web.commands import without_folders
+from undrift.web.device import connect_form
 from undrift.web.feed import Panel
-from undrift.web.start import connect_form
 from undrift.web.uploads import safe_name
 
 if TYPE_CHECKING:
@@ -58,7 +58,7 @@ def page(visit: "Visit") -> None:
     parts.shown_if(Panel(), lambda: bench.motion.watch is None)  # what to do next is at hand
     _motion(visit)
     parts.redrawn(lambda: _files(visit), lambda: _settings(visit))
-    connect_form(bench)
+    connect_form(visit)
     parts.bound(use)
 
 
@@ -96,7 +96,7 @@ def _remarks(bench: "Bench") -> list[Remark]:
 
 
 async def start_or_stop(visit: "Visit") -> None:
-    """Begin a recording, or finish the one that is going on and add it to the page Recordings."""
+    """Begin a recording, or finish the one that is going on and add it to the files."""
     bench, source = visit.bench, visit.bench.source
     if source is None:
         return
@@ -117,7 +117,7 @@ def _recorded(visit: "Visit") -> None:
             parts.text("span", f"Recorded: {chosen.path.name}. ")
             ui.link("Download it", visit.bench.link(chosen.path) + "?download=1")
             parts.text("span", " or ")
-            ui.link("correct it", "/recordings")
+            ui.link("correct it", "/use")
 
 
 def start_recording(bench: "Bench", source: LiveDevice) -> Path:
@@ -219,7 +219,7 @@ class MotionCalibration:
             return None
         self.error = (await self._bench.calibrate(job, path, "--gaps", "keep", *self._form.words())).error
         self.done = not self.error
-        return "/result" if self.done else None
+        return "/calibrate" if self.done else None
 
     async def _follow(self, watch: MotionWatch) -> None:
         while watch is self.watch and not (watch.enough or watch.lost):
@@ -234,7 +234,7 @@ class MotionCalibration:
 
 
 def motion_controls(visit: "Visit") -> None:
-    """Ask what calibration from motion may use: the prior of a part, dropped on the page Recordings, and the magnetometer."""
+    """Ask what calibration from motion may use: the prior of a part, dropped on the page Check, and the magnetometer."""
     motion, files = visit.motion, [one.path for one in visit.recordings.files if one.kind == "prior"]
     paths = {"published sizes": None} | {path.name: path for path in files}
     now = next(name for name, path in paths.items() if path == motion.prior)
@@ -257,30 +257,20 @@ def _motion(visit: "Visit") -> None:
         parts.status_line(lambda: "" if motion.watch is None else motion.watch.words.replace("\n", ". "), "asked")
         parts.error_line(lambda: motion.error)
         parts.redrawn(lambda: motion.done and bench.job, lambda: _result_link(bench))
-        parts.redrawn(lambda: motion.watch and motion.watch.elements, lambda: _known(motion.watch))
+        parts.drawing("bars", lambda: _known(motion.watch))
 
 
 def _result_link(bench: "Bench") -> None:
     if bench.motion.done:
-        ui.link("See the result", "/result" + ("" if bench.job is None else f"?job={quote(bench.job.folder.name)}"))
+        ui.link("See the result", "/calibrate" + ("" if bench.job is None else f"?job={quote(bench.job.folder.name)}"))
 
 
-def _known(watch: MotionWatch | None) -> None:
+def _known(watch: MotionWatch | None) -> list[object]:
     elements = () if watch is None else watch.elements
-    groups = [elements[k : k + 3] for k in range(0, len(elements), 3)]
-    if groups:
-        rows = [
-            [
-                (f"{three[0].name}, {three[0].wanted:.2g} {three[0].unit}", "head"),
-                *(parts.Parts(partial(_bar, one)) for one in three),
-            ]
-            for three in groups
-        ]
-        parts.table("Known to, 95 %; a full bar is enough", ("Element, wanted", "", "", ""), rows)
-
-
-def _bar(one: Any) -> None:
-    share = min(1.0, one.wanted / one.uncertainty)
-    parts.text("span", f"{one.axis} {one.uncertainty:.2g}", "good" if one.enough else "").style("white-space: nowrap")
-    bar = ui.element("progress").classes("bar").props(f"max=1 value={share:.2f}")
-    bar.props["aria-label"] = f"{one.name} {one.axis}"
+    return [
+        (
+            f"{first.name}, {first.wanted:.2g} {first.unit}",
+            [(e.axis, f"{e.uncertainty:.2g}", min(1.0, e.wanted / e.uncertainty), e.name) for e in elements[k : k + 3]],
+        )
+        for k, first in list(enumerate(elements))[::3]
+    ]

@@ -7,6 +7,7 @@ button, and returns the page that comes next, if there is one. Forms are made fr
 
 import json
 import re
+import time
 import tomllib
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -19,14 +20,15 @@ from typing import TYPE_CHECKING, Any
 from nicegui import Client, ui
 
 from undrift.base.summary import spoken
+from undrift.commands.bench.library import Remark
 from undrift.errors import UndriftError
-from undrift.web.commands import Remark
 
 if TYPE_CHECKING:
+    from undrift.commands.bench.library import Job
     from undrift.web.bench import Bench, Visit
-    from undrift.web.library import Job
 
-REFRESH_S = 0.25
+REFRESH_S, CANCEL_S = 0.25, 2.0  # the latter: of work that can be cancelled
+PRACTICE = "emulator"  # the address of the practice device
 SHOWN_FIRST = 3  # remarks that are open, and every one that is no mere note
 
 Words = str | Callable[[], str]  # Of a part: as they are, or as the state has them now
@@ -188,35 +190,37 @@ class Parts:
 # ---- Controls
 
 
-def button(
-    label: Words, handler: Handler, classes: str = "", *, name: str = "", pressed: bool | None = None, ask: str = ""
-) -> Any:
-    """Add a plain button: label, what it does, what a screen reader calls it, whether it is the chosen one, what is asked first."""
-    made = text("button", label, classes).props('type="button"')
-    if name:
-        made.props["aria-label"] = name
-    if pressed is not None:
-        made.props["aria-pressed"] = str(pressed).lower()
+def acted(handler: Callable[[Any], Any]) -> Callable[..., Any]:
+    """Return what runs a handler of an event: it shows here what is refused, opens the page that comes next, and looks."""
     client, place, refusals = ui.context.client, ui.context.slot.parent, list[Any]()
 
-    async def click() -> None:
+    async def act(event: Any) -> None:
         while refusals:
             refusals.pop().delete()
         try:
-            went = handler()
+            went = handler(event)
             went = await went if isawaitable(went) else went
         except UndriftError as error:
             went = None
             if not place.is_deleted:
                 with place:
-                    refusals.append(text("p", str(error), "bench-error", role="alert"))
+                    refusals.append(text("p", page_words(str(error)), "bench-error", role="alert"))
         if isinstance(went, str):
             client.open(went)  # of the client: the button may be drawn anew by then
         await look(client)
 
+    return act
+
+
+def button(label: Words, handler: Handler, classes: str = "", *, name: str = "", pressed: bool | None = None) -> Any:
+    """Add a plain button: label, what it does, what a screen reader calls it, whether it is the chosen one of several."""
+    made = text("button", label, classes).props('type="button"')
+    if name:
+        made.props["aria-label"] = name
+    if pressed is not None:
+        made.props["aria-pressed"] = str(pressed).lower()
     # the second click of a double click is ignored: it would undo the first
-    asked = f" && confirm({json.dumps(ask)})" if ask else ""
-    made.on("click", click, js_handler=f"(event) => {{ if (event.detail < 2{asked}) emit() }}")
+    made.on("click", acted(lambda _: handler()), js_handler="(event) => { if (event.detail < 2) emit() }")
     return made
 
 
@@ -372,7 +376,7 @@ def refused(visit: "Visit", job: "Job | None", error: str, keep: Callable[[str],
         turns = job.words.index("--turn-deg") if "--turn-deg" in job.words else len(job.words)  # not used then
         outcome = await visit.calibrate(job, *job.words[:turns], *job.words[turns + 2 :], "--gyro", "none")
         keep(outcome.error)
-        return "/result" if outcome.done else None
+        return "/calibrate" if outcome.done else None
 
     button(texts()["controls"]["--gyro none"], again)
 
@@ -380,23 +384,27 @@ def refused(visit: "Visit", job: "Job | None", error: str, keep: Callable[[str],
 # ---- What every page has: heading, navigation, what is connected, the emergency stop
 
 
-@contextmanager
-def frame(bench: "Bench", title: str) -> Iterator[None]:
-    """Build a page around what the block adds, with the one timer of what is bound."""
+def frame(bench: "Bench", title: str) -> tuple[Any, Any]:
+    """Build a page with the one timer of what is bound; return the places of its rail and of its parts."""
     with ui.element("header").classes("bench-head"):
         ui.link("undrift bench", "/").classes("bench-name")
         with ui.element("nav").props('aria-label="Pages"'):
-            for path, name in texts()["pages"].items():
-                link = ui.link(name, path)
+            for path in ("/", "/registry"):
+                link = ui.link(name := texts()["pages"][path], path)
                 if name == title:
                     link.props('aria-current="page"')
         status_line(lambda: device_line(bench), "bench-device")
         _stop_button(bench)
+    rail = ui.element("nav").classes("rail").props('aria-label="Stages"')
     with ui.element("div").classes("bench-main"):
         text("h1", title)
-        yield
-        status_line(lambda: _work(bench), "bench-work")
+        main = ui.element("div")
+        with row("bench-work"):
+            status_line(lambda: bench.working[-1].words() if bench.working else "")
+            cancel = button("Cancel", lambda: bench.working[-1].cancel() if bench.working else None)
+            shown_if(cancel, lambda: bool(bench.working) and time.monotonic() - bench.working[-1].began > CANCEL_S)
     ui.timer(REFRESH_S, partial(look, ui.context.client))
+    return rail, main
 
 
 def device_line(bench: "Bench") -> str:
@@ -406,11 +414,6 @@ def device_line(bench: "Bench") -> str:
     if bench.source is None:
         return (bench.source_error and f"No device: {bench.source_error}") or "No device connected"
     return f"Device: {bench.source.name}" + (f" ({bench.source.error})" if bench.source.error else "")
-
-
-def _work(bench: "Bench") -> str:
-    now = bench.working[-1] if bench.working else None
-    return "" if now is None else f"Working: {now.what}. {now.line}"
 
 
 def _stop_button(bench: "Bench") -> None:

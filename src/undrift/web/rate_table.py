@@ -157,7 +157,7 @@ class RateTablePage:
         job = bench.job or bench.new_job("" if bench.source is None else bench.source.name)
         outcome = await make(job, *known, self.run.folder, "--trust")  # the bench's own readings need no box
         self.error = visit.take(job, outcome).error
-        return "/result" if outcome.done else None
+        return "/calibrate" if outcome.done else None
 
     async def forecast(self, typed: ProtocolForm, rig: str) -> "Forecast | str":
         """Return what a protocol takes on a table, or what is wrong with it."""
@@ -213,6 +213,8 @@ class RateTablePage:
         ):
             if not wanted:
                 raise InputError(f"rate table: wanted the address of {what}{why}, got none; fill it in")
+        if order.rig == self.emulated.addresses.get("rig") and not self.emulated.is_there():
+            raise InputError("emulated table: wanted it at work, got it ended after its last run; use it anew")
         await asyncio.to_thread(typed.check, order.rig)
         if self.run is not None and self.run.may_move:
             raise InputError("rate table: wanted a table at rest, got a run that goes on; wait for it, or pause it")
@@ -336,6 +338,12 @@ def run_part(bench: "Bench", run: RigRun, after: Callable[[], None]) -> None:
         if view.question is not None:
             _question(bench, *view.question)
         _progress(run)
+        parts.error_line(lambda: view.wrong if run.may_move else "")
+        with ui.element("div").classes("worn"):
+            parts.drawing("box", lambda: run.view.pose if run.view.pose[0] else ["+z"])
+            parts.drawing(
+                "lines", lambda: ["Turn rate of the device, scaled", "deg/s", "min", run.view.trace()], "curve"
+            )
         if run.may_move:
             with parts.row():
                 if view.state == "running":

@@ -1,21 +1,21 @@
-"""The page Recordings: drop a file; its map is proposed, it is calibrated, corrected, oriented, validated; take the results."""
+"""Files on the pages Check, Calibrate and Use: maps are proposed; recordings are calibrated, corrected, oriented, validated."""
 
 import secrets
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, get_args
+from typing import TYPE_CHECKING, get_args
 
 from nicegui import ui
 
 from undrift.base.options import asked, stated
+from undrift.commands.bench.library import StoredFile
 from undrift.commands.mount import Movement, Posture, Worn, mounting_of
 from undrift.errors import InputError
 from undrift.record import FACES
-from undrift.web import entries, parts
+from undrift.web import device, entries, parts, result
 from undrift.web.commands import CommandOutcome, remarks_of
-from undrift.web.library import StoredFile
 from undrift.web.live import motion_controls
 from undrift.web.uploads import safe_name
 
@@ -57,7 +57,6 @@ class SourceForm:
 
     rate_hz: str = asked("Samples per second, Hz", kind="number")
     turn_deg: str = asked("Angle of its turns, deg (empty: none)", kind="number")
-    serial: str = asked("Serial number")
 
 
 class Recordings:
@@ -80,8 +79,12 @@ class Recordings:
 
     async def add(self, path: Path) -> StoredFile:
         """Take up a file that has been stored, and ask what it holds."""
-        stored = self.bench.library.file_at(path)
+        device = self.visit.begun()
+        stored = self.bench.library.file_at(path, self.visit.key)
         await self.choose(stored)
+        if (stated := str(stored.about.get("device") or "")) and stored.kind == "recording" and not device.serial:
+            device.serial = stated
+            device.save()
         return stored
 
     async def choose(self, stored: StoredFile) -> None:
@@ -112,6 +115,7 @@ class Recordings:
         stored.about, stored.error = (outcome.answer if outcome.done else {}), outcome.error
         noticed = [one for one in remarks_of(stored.about) if one.text != stored.about.get("summary")]
         stored.remarks = {"info": noticed}
+        stored.save()
         if stored.kind == "recording":
             drawing = stored.path.parent / "recording.svg"
             drawn = await self.bench.command("info", stored.path, *stored.options(), "--figure", drawing)
@@ -135,9 +139,11 @@ class Recordings:
             stored.map = stored.made["map"] = path
             await self.look(stored)
 
-    async def calibrate(self, stored: StoredFile, *, turn_deg: float | None, serial: str, motion: bool = False) -> bool:
+    async def calibrate(self, stored: StoredFile, *, turn_deg: float | None, motion: bool = False) -> bool:
         """Calibrate from the rests and turns of a recording, or from its motion; the result is the bench's job."""
-        job = self.bench.new_job(serial or stored.path.stem)
+        if not (serial := self.visit.begun().serial):
+            raise InputError("serial number: wanted the one on the device, got none; type it, or a name of your own")
+        job = self.bench.new_job(serial, self.visit.key)
         words = (
             *stated(turn_deg=None if motion else turn_deg, serial=serial),
             *(self.visit.motion.words() if motion else ()),
@@ -181,7 +187,7 @@ class Recordings:
 
     async def calibrate_by(self, stored: StoredFile, reference: StoredFile, *, markers: str, up: str) -> bool:
         """Calibrate from a recording and its optics; the result is the bench's job."""
-        job = self.bench.new_job(stored.path.stem)
+        job = self.bench.new_job(stored.path.stem, self.visit.key)
         words = *_optics(stored, reference, markers, up), "--calibrate-from", "reference", *self.bench.place.words()
         outcome = await self.bench.command("validate", *words, "-o", job.folder)
         stored.error = outcome.error
@@ -217,13 +223,36 @@ def _optics(stored: StoredFile, reference: StoredFile, markers: str, up: str) ->
 # ---- The page
 
 
-def page(visit: "Visit") -> None:
-    """Build the page."""
+def check_page(visit: "Visit") -> None:
+    """Build the page that shows what files hold, and asks what they do not say."""
     recordings = visit.recordings
     parts.text("p", "Drop a recording, its optical reference or a calibration. Files stay on this computer.")
-    _drop(visit)
-    entries.listing(visit, "Files", lambda: recordings.files, lambda: recordings.chosen, recordings.choose)
-    parts.redrawn(lambda: _state(visit), lambda: _file(visit, recordings.chosen))
+    entries.drop(visit)
+    _listed(visit)
+    parts.redrawn(lambda: _state(visit), lambda: _checked(visit, recordings.chosen))
+
+
+def calibrate_page(visit: "Visit") -> None:
+    """Build the page that calibrates from a recording, and shows results."""
+    parts.redrawn(lambda: _state(visit), lambda: _calibration(visit, visit.recordings.chosen))
+    result.page(visit)
+
+
+def use_page(visit: "Visit") -> None:
+    """Build the page that corrects and orients recordings."""
+    with ui.element("p"):
+        parts.text("span", "What the device sends now is corrected on the page ")
+        ui.link("Live", "/live")
+    _listed(visit)
+    parts.redrawn(lambda: _state(visit), lambda: _used(visit, visit.recordings.chosen))
+
+
+def _listed(visit: "Visit") -> None:
+    """List the files of the device, and those of others below a fold."""
+    recordings = visit.recordings
+    for title, of_it in (("Files", True), ("Files of other devices", False)):
+        every = partial(lambda of_it: [one for one in recordings.files if (one.device == visit.key) == of_it], of_it)
+        entries.listing(visit, title, every, lambda: recordings.chosen, recordings.choose)
 
 
 def _state(visit: "Visit") -> object:
@@ -235,48 +264,15 @@ def _state(visit: "Visit") -> object:
     return known, one.title, references, visit.calibration
 
 
-def _drop(visit: "Visit") -> None:
-    """Add the place to drop files on, which is a file chooser too."""
-    bench, recordings = visit.bench, visit.recordings
-    with ui.element("label").classes("drop bench-file") as drop:
-        parts.text("span", "Drop files or a folder here, or choose files: ")
-        chooser = ui.element("input").props('type="file" multiple aria-label="Choose files"')
-    status = parts.status_line("")
-    js = "(event) => { event.preventDefault(); benchUpload(event.currentTarget, %s); }"
-    chooser.on("change", js_handler=js % "event.target.files")
-    dropped = "(event) => { event.preventDefault(); benchDropped(event.currentTarget, event.dataTransfer.items); }"
-    drop.on("drop", js_handler=dropped)
-    drop.on("dragover", js_handler="(event) => { event.preventDefault(); event.currentTarget.classList.add('over'); }")
-    drop.on("dragleave", js_handler="(event) => event.currentTarget.classList.remove('over')")
-
-    def sending(event: Any) -> None:
-        parts.set_text(status, f"Sending {event.args['detail']['name']} ...")
-
-    async def sent(event: Any) -> None:
-        detail = event.args["detail"]
-        if detail.get("error"):
-            parts.set_text(status, str(detail["error"]))
-            return
-        parts.set_text(status, f"Reading {detail['name']} ...")
-        files = [bench.inside(str(file)) for file in detail.get("files", (detail.get("file"),))]
-        await (recordings.add_together(files) if len(files) > 1 else recordings.add(files[0]))
-        parts.set_text(status, "")
-
-    for element in (chooser, drop):
-        element.on("sending", sending, ["detail"])
-        element.on("sent", sent, ["detail"])
-
-
-def _file(visit: "Visit", one: StoredFile | None) -> None:
-    """Add what a file holds, what it needs, and what may be done with it."""
-    bench = visit.bench
+def _checked(visit: "Visit", one: StoredFile | None) -> None:
+    """Add what a file holds, and what it needs."""
     if one is None:
         return
     parts.text("h2", one.name)
     if one.needs_rate:
         _rate_form(visit.recordings, one)
     else:
-        parts.refused(visit, bench.job, one.error, partial(setattr, one, "error"))
+        parts.error_line(one.error)
     if one.needs_map:
         _map_form(visit.recordings, one)
     elif one.kind == "calibration":
@@ -285,8 +281,22 @@ def _file(visit: "Visit", one: StoredFile | None) -> None:
         parts.text("p", one.summary)
         parts.remarks_list(one.remarks["info"])
     if one.kind == "recording":
+        parts.next_step(*(("Use it", "/use") if visit.calibration else ("Calibrate from it", "/calibrate")))
         parts.redrawn(lambda: one.picture, lambda: parts.picture(one.picture))  # it comes later
-        _actions(visit, one)
+
+
+def _used(visit: "Visit", one: StoredFile | None) -> None:
+    """Add what may be done with a recording, and what was made of it."""
+    if one is None or one.kind != "recording":
+        parts.text("p", "Choose a recording of this list, or drop one.")
+        parts.next_step("Check files", "/check")
+        return
+    parts.text("h2", one.name)
+    if one.needs_rate:
+        _rate_form(visit.recordings, one)
+    else:
+        parts.error_line(one.error)
+    _actions(visit, one)
     for command, remarks in one.remarks.items():
         if remarks and command != "info":
             parts.text("h3", f"What {command} noticed")
@@ -297,7 +307,7 @@ def _file(visit: "Visit", one: StoredFile | None) -> None:
             for label, path in one.made.items():
                 opened = path.suffix in (".html", ".svg")
                 with ui.element("li"):
-                    ui.link(label, bench.link(path) + ("" if opened else "?download=1"), new_tab=opened)
+                    ui.link(label, visit.bench.link(path) + ("" if opened else "?download=1"), new_tab=opened)
 
 
 def _stated_rate(rate: parts.Field) -> float:
@@ -345,7 +355,7 @@ def _map_form(recordings: Recordings, one: StoredFile) -> None:
 def _actions(visit: "Visit", one: StoredFile) -> None:
     recordings, calibration = visit.recordings, visit.calibration
     if calibration is None:
-        parts.text("p", "No calibration chosen: drop a calibration.json, or calibrate from this recording.", "soft")
+        parts.text("p", "No calibration chosen: drop one on the page Check, or calibrate the device.", "soft")
     else:
         parts.text("p", f"Calibration: {visit.bench.library.name_of(calibration)}", "soft")
     parts.text(
@@ -360,21 +370,28 @@ def _actions(visit: "Visit", one: StoredFile) -> None:
     parts.button("Orient", lambda: recordings.run(one, "orient") if _worn(recordings, one) else None)
     if recordings.references():
         _optics_form(recordings, one)
-    with parts.folded("Calibrate from this recording") as more:
-        if calibration is None:
-            more.props("open")
+
+
+def _calibration(visit: "Visit", one: StoredFile | None) -> None:
+    """Add what calibrates the device from the recording that is chosen."""
+    if one is None or one.kind != "recording":
+        return
+    recordings = visit.recordings
+    with parts.section("Calibrate from a recording"):
+        parts.text("h2", f"Calibrate from {one.name}")
+        parts.refused(visit, visit.bench.job, one.error, partial(setattr, one, "error"))
         parts.text(
             "p",
             "It needs six faces or more, each at rest for some seconds; gyroscopes need full turns between rests too.",
         )
-        typed = parts.form(recordings.typed, "turn_deg", "serial")
+        device.identity(visit)
+        typed = parts.form(recordings.typed, "turn_deg")
 
         async def calibrate(*, motion: bool = False) -> str | None:
-            turn_deg, named = typed["turn_deg"].number(), typed["serial"].value.strip()
-            done = await recordings.calibrate(one, turn_deg=turn_deg, serial=named, motion=motion)
-            return "/result" if done else None
+            done = await recordings.calibrate(one, turn_deg=typed["turn_deg"].number(), motion=motion)
+            return "/calibrate" if done else None
 
-        parts.button("Calibrate", calibrate, "next" if calibration is None else "")
+        parts.button("Calibrate", calibrate, "next" if visit.job is None else "")
         parts.text("p", "Or from motion alone: a minute in the hand, turned slowly about every axis; rests help.")
         motion_controls(visit)
         parts.button("Calibrate from its motion", lambda: calibrate(motion=True))
@@ -445,7 +462,7 @@ def _optics_form(recordings: Recordings, one: StoredFile) -> None:
         async def calibrate() -> str | None:
             reference, markers = found[chosen.value], typed.markers.strip()
             done = await recordings.calibrate_by(one, reference, markers=markers, up=typed.up)
-            return "/result" if done else None
+            return "/calibrate" if done else None
 
         with parts.row():
             parts.button("Validate", validate)

@@ -1,4 +1,4 @@
-"""The page Result: verdict and findings of a calibration, its report, its certificate, and its entry in the registry."""
+"""Results, on the page Calibrate: verdict and findings, the report, the certificate, and the entry in the registry."""
 
 from functools import partial
 from typing import TYPE_CHECKING
@@ -9,17 +9,17 @@ from undrift.base.options import stated
 from undrift.errors import InputError
 from undrift.web import entries, parts
 from undrift.web.commands import CommandOutcome, remarks_of
-from undrift.web.start import place_form
+from undrift.web.place import place_form
 
 if TYPE_CHECKING:
+    from undrift.commands.bench.library import Job
     from undrift.web.bench import Bench, Visit
-    from undrift.web.library import Job
 
 
 def page(visit: "Visit") -> None:
     """Build the page."""
     parts.redrawn(lambda: _state(visit), lambda: _shown(visit))
-    entries.listing(visit, "Results", lambda: visit.library.jobs, lambda: visit.job, partial(setattr, visit, "shown"))
+    entries.listing(visit, "Results", lambda: visit.jobs, lambda: visit.job, partial(setattr, visit, "shown"))
 
 
 def _state(visit: "Visit") -> tuple[object, ...]:
@@ -32,8 +32,8 @@ def _state(visit: "Visit") -> tuple[object, ...]:
 def _shown(visit: "Visit") -> None:
     job = visit.job
     if job is None or job.calibration is None:
-        parts.text("p", "No calibration yet. Record six faces, run the rate table, or open a recording.")
-        parts.next_step("Choose what to record", "/")
+        parts.text("p", "No calibration of this device yet. Record six faces, run the rate table, or drop a recording.")
+        parts.next_step("Get readings", "/readings")
     else:
         _result(visit, job)
 
@@ -59,11 +59,11 @@ def _result(visit: "Visit", job: "Job") -> None:
             if path is not None and path.exists():
                 ui.link(f"Download {label.lower()}", bench.link(path) + "?download=1")
         if visit.calibration == job.calibration:
-            parts.text("p", "Live and Recordings use this calibration.", "soft")
+            parts.text("p", "Files of this tab are corrected with this calibration.", "soft")
         else:
             without = f", without {' and '.join(job.lacks)}" if job.lacks else ""
             parts.button(
-                f"Use it in Live and Recordings{without}", lambda: setattr(visit, "calibration", job.calibration)
+                f"Use it for files and live readings{without}", lambda: setattr(visit, "calibration", job.calibration)
             )
     if job.registered:
         parts.text("p", job.registered, "soft")
@@ -84,7 +84,7 @@ def _step(bench: "Bench", job: "Job") -> None:
         unstated = ", gravity not stated" if job.gravity_assumed else ""
         parts.next_step(f"Make the certificate{unstated}", lambda: certify(bench, job))
     else:
-        parts.next_step("Correct recordings", "/recordings")
+        parts.next_step("Correct recordings", "/use")
 
 
 def _gravity(visit: "Visit", job: "Job") -> None:
@@ -103,7 +103,7 @@ def _gravity(visit: "Visit", job: "Job") -> None:
         if job.words:
             place_form(visit.bench, "Calibrate with this gravity", again)
         else:
-            parts.text("p", "State the place on the page Start, then calibrate again.")
+            parts.text("p", "State the place on the first page, then calibrate again.")
 
 
 async def register(bench: "Bench", job: "Job", serial: str) -> None:

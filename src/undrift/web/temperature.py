@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING
 from undrift.commands.bench.rig_run import Point, RigRun, TempCourse, View
 from undrift.errors import InputError
 from undrift.web import parts
+from undrift.web.device import connect_form
 from undrift.web.rate_table import order_form, run_part, run_state
-from undrift.web.start import connect_form
 
 if TYPE_CHECKING:
+    from undrift.commands.bench.library import Job
     from undrift.commands.bench.source import LiveDevice
     from undrift.web.bench import Bench, Visit
-    from undrift.web.library import Job
 
 LOOK_S = 0.5  # between two looks at what came
 DRAWN = 300  # points of a curve
@@ -59,7 +59,7 @@ class WarmUpRecording:
             return None
         outcome = await self._bench.fit_drift(job, visit.calibration, path, "--warm-up")
         self.error = visit.take(job, outcome).error
-        return "/result" if outcome.done else None
+        return "/calibrate" if outcome.done else None
 
     async def _follow(self, source: "LiveDevice") -> None:
         last = max((update.number for update in source.updates()), default=0)
@@ -98,7 +98,7 @@ def _part(visit: "Visit") -> None:
         order_form(visit, visit.soaks, chamber=True)
         parts.text("h2", "Without a chamber")
         parts.text("p", "Switch the cold device on, leave it at rest, and record until its temperature is stable.")
-        connect_form(bench)
+        connect_form(visit)
         parts.error_line(lambda: warm_up.error)
         parts.button("Record a warm-up", warm_up.start)
     elif run.view.steps and not run.view.set_points():

@@ -1,14 +1,18 @@
 """Runs as the bench starts them: followed, asked, paused and continued, found again; whatever dies, the table is at rest."""
 
 import json
+import math
 import os
 import signal
+import socket
+import subprocess
 import sys
 import time
 
 import numpy as np
 import pytest
 
+from testkit.waiting import eventually
 from testkit.web_run import SHORT, at_end, emulated_bench, ended_at_last, is_dwelling, new_run, order_of, wait
 from undrift.commands.bench.rig_run import EmulatedTable, RigRun, RunOrder, View, begin_run, command_of, find_run
 from undrift.commands.bench.supervisor import Supervisor
@@ -174,15 +178,68 @@ def test_a_view_knows_the_temperatures_that_are_done_and_since_when_one_is_stead
     assert (view.curve[0].time, view.curve[-1].time) == (2.0, 6000.0)
 
 
+def test_a_view_compares_the_turn_that_is_read_with_the_one_that_is_commanded():
+    view, dps = View(), math.pi / 180.0
+    steps = [
+        {"kind": "dwell", "text": "rest", "up": "-x", "axis": "x", "turn_rate": 0.0, "seconds": 6.0, "temp_c": None}
+    ]
+    steps += [{**steps[0], "turn_rate": rate * dps} for rate in (30.0, -60.0)]
+    view.take({"event": "started", "time": 1.0, "pid": 1, "standby": ""})
+    view.take({"event": "plan", "time": 1.0, "steps": steps, "done": [], "speed": 1.0})
+
+    def read(number, x, y, z):
+        live = f"count 7  gyro_x {x}  gyro_y {y}  gyro_z {z}"
+        known = {"left_s": 9.0, "slope_c_per_min": None, "air_c": None, "device_c": None}
+        phase = "dwelling" if number else "resting"
+        view.take({"event": "at", "time": 60.0 * number, "phase": phase, "number": number, "live": live, **known})
+        return view.wrong
+
+    assert read(0, 100.0, 5.0, 5.0) == ""
+    assert read(1, 100.0, 5.0, 425.0) == "The table turns about x, z of the device reads most: look how it is mounted."
+    assert (
+        read(1, -320.0, 5.0, 5.0) == "The device reads the turn about x in the opposite sense: look how it is mounted."
+    )
+    view.rates.clear()
+    assert (read(1, 520.0, 5.0, 5.0), view.pose) == ("", ("-x", "-"))  # seen from above, on its other side
+    assert (read(2, -740.0, 5.0, 5.0), view.pose) == ("", ("-x", "+"))
+    (_, _, measured), (_, _, commanded) = view.trace()
+    np.testing.assert_allclose(commanded, [[0.0, 30.0], [1.0, -60.0]])
+    np.testing.assert_allclose(measured, commanded)
+
+
+def test_an_emulator_ends_after_its_last_client_and_after_the_program_that_started_it(tmp_path):
+    words, place = (
+        [sys.executable, "-m", "undrift", "rig", "emulate", "--json", "--idle-s", "1"],
+        tmp_path / "emulator.json",
+    )
+    place.touch()
+    parent = f"import subprocess; subprocess.Popen({words!r}, stdout=open('emulator.json', 'w')).wait()"
+    starter = subprocess.Popen([sys.executable, "-c", parent], cwd=tmp_path)
+    try:
+        eventually(lambda: place.read_text().strip(), "it listens")
+        port = int(json.loads(place.read_text())["rig"].split(":")[3].partition("?")[0])
+        with socket.create_connection(("127.0.0.1", port)):
+            time.sleep(3.0)
+            assert starter.poll() is None  # it has a client
+        assert starter.wait(60.0) == 0
+    finally:
+        starter.kill()  # without it the emulator ends too
+
+
 def test_the_emulated_table_is_found_by_the_next_bench(tmp_path):
     table = EmulatedTable(tmp_path, ("--speed", "20"))
     try:
         addresses = table.start()
         assert set(addresses) == {"rig", "device", "chamber", "operator"}
-        after = EmulatedTable(tmp_path)
+        after = EmulatedTable(tmp_path, ("--speed", "20"))
         assert after.start() == addresses
         after.close()  # it is not its own
         assert after.is_there()
+        after.words = ("--speed", "10")  # another speed is another table
+        assert after.start() != addresses
+        assert "speed=10" in after.start()["device"]
+        addresses = after.start()
+        after.close()
     finally:
         table.close()
     assert not table.is_there()

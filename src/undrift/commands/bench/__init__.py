@@ -8,6 +8,7 @@ captured faces and turns, the folder of a run. Pages (web/) show what stands her
     guides.py       what a person is asked to do, step by step: six faces, then whole turns about each axis
     rig_run.py      a run on the rate table: started in a process of its own, followed, paused, continued, stopped
     supervisor.py   the process beside it that stops the table
+    library.py      devices, files and jobs of the folder, which outlive a bench that is killed
 
 Frames: readings are in the device's axes; which face is up and which way a turn went is stated of them (``+z`` up; ``+x`` is a turn
 about x, counter-clockwise seen with x up). Units: raw readings keep the device's; corrected ones are rad/s and m/s2, pitch is rad,

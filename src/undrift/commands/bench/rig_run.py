@@ -40,6 +40,7 @@ from undrift.rig.chamber import LOOKS, SoakSettings, Steadiness, mean_temp
 from undrift.rig.folder import JOURNAL
 from undrift.rig.run import ProgressReader
 from undrift.rig.watch import Standby, stop_now
+from undrift.units import RADIAN_PER_DEGREE
 
 if TYPE_CHECKING:
     from undrift.sim.rig.hand_held import HandHeld
@@ -150,7 +151,12 @@ class View:
     slope_c_per_min: float | None = None
     stable_since: float | None = None  # s since 1970, of the set-point that was reached last
     curve: list[Point] = field(default_factory=list)
+    rates: list[tuple[float, float, float]] = field(
+        default_factory=list
+    )  # s since 1970, commanded deg/s, read about that axis
+    wrong: str = ""  # what the readings of a turn show that was not commanded
     pid: int | None = None  # of the command
+    _rest: list[float] = field(default_factory=list)  # gyroscopes at the last rest
 
     @property
     def step(self) -> str:
@@ -174,6 +180,49 @@ class View:
             if step["kind"] == "dwell" and step["temp_c"] is not None:
                 found.setdefault(step["temp_c"], []).append(number)
         return [(temp_c, len(self.done & set(numbers)), len(numbers)) for temp_c, numbers in sorted(found.items())]
+
+    @property
+    def pose(self) -> tuple[str, str]:
+        """Return the side of the device that is up, and the sense of the turn about it; "" for neither."""
+        step = self.steps[self.number] if self.number < len(self.steps) else {}
+        rate = (step.get("turn_rate") or 0.0) * (1.0 if (up := str(step.get("up") or "")).startswith("+") else -1.0)
+        return up, "+" if rate > 0.0 else "-" if rate < 0.0 else ""
+
+    def trace(self) -> list[list[object]]:
+        """Return commanded and measured turn rates over minutes, the latter in units of the former by its own slope."""
+        points = self.rates[:: max(1, len(self.rates) // 300)]
+        squares = sum(rate * rate for _, rate, _ in points)
+        gain = sum(rate * reading for _, rate, reading in points) / squares if squares else 0.0
+        over = [
+            ((time - points[0][0]) * self.speed / 60.0, rate, reading / (gain or math.nan))
+            for time, rate, reading in points
+        ]
+        measured = [[at, reading] for at, _, reading in over if math.isfinite(reading)]
+        return [["measured", "none", measured], ["commanded", "6 5", [[at, rate] for at, rate, _ in over]]]
+
+    def _measure(self, now: float, step: dict[str, Any], live: str) -> None:
+        """Compare what the gyroscopes read, less the last rest, with the turn that is commanded."""
+        words = live.split()
+        read = dict(zip(words[::2], words[1::2], strict=False))
+        if not {"gyro_x", "gyro_y", "gyro_z"} <= read.keys():
+            return
+        gyro = [float(read[f"gyro_{axis}"]) for axis in "xyz"]
+        if not (rate := step.get("turn_rate")):
+            self._rest = gyro
+            return
+        shown = [reading - rest for reading, rest in zip(gyro, self._rest or [0.0] * 3, strict=True)]
+        about, largest = "xyz".index(step["axis"]), max(range(3), key=lambda k: abs(shown[k]))
+        if largest != about:
+            self.wrong = f"The table turns about {step['axis']}, {'xyz'[largest]} of the device reads most: look how it is mounted."
+        elif shown[about] * rate < 0.0:
+            self.wrong = (
+                f"The device reads the turn about {step['axis']} in the opposite sense: look how it is mounted."
+            )
+        else:
+            self.wrong = ""
+        self.rates.append((now, rate / RADIAN_PER_DEGREE, shown[about]))
+        if len(self.rates) > CURVE:
+            del self.rates[1::2]
 
     def take(self, entry: dict[str, Any]) -> None:
         """Take a line of the progress file."""
@@ -202,6 +251,8 @@ class View:
         before, self.phase, self.number = self.phase, entry["phase"], entry["number"]
         self.left_s, self.live, self.slope_c_per_min = entry["left_s"], entry["live"], entry["slope_c_per_min"]
         soaking = self.phase in ("soaking", "setting")
+        if self.phase in ("dwelling", "resting") and self.live and self.number < len(self.steps):
+            self._measure(entry["time"], self.steps[self.number], self.live)
         if before == "soaking" and not soaking:
             self.stable_since = entry["time"]
         elif soaking:
@@ -432,18 +483,24 @@ class EmulatedTable:
 
     def start(self) -> dict[str, str]:
         """Start it, or find the one that an earlier bench left; return its addresses."""
+        started = self._place.with_suffix(".words")
+        if self.is_there() and (pid := started.read_text().partition(" "))[2] != " ".join(self.words):
+            os.kill(int(pid[0]), signal.SIGTERM)  # it has another speed
+            while self.is_there():
+                time.sleep(0.05)
         if self.addresses and self.is_there():
             return self.addresses
         if not self.is_there():
             with self._place.open("wb") as out:
                 take_lock(out.fileno())  # its process inherits the lock with its stdout
                 self._process = subprocess.Popen(
-                    [sys.executable, "-m", "undrift", "rig", "emulate", "--json", *self.words],
+                    [sys.executable, "-m", "undrift", "rig", "emulate", "--json", "--idle-s", "60", *self.words],
                     stdin=subprocess.DEVNULL,
                     stdout=out,
                     stderr=subprocess.DEVNULL,
                     start_new_session=True,
                 )
+            write_whole(started, f"{self._process.pid} {' '.join(self.words)}")
         last = time.monotonic() + START_S
         while time.monotonic() < last and self.is_there():
             with contextlib.suppress(ValueError, OSError):

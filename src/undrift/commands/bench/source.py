@@ -21,6 +21,7 @@ from undrift.errors import InputError, UndriftError
 from undrift.io.parquet import ParquetWriter
 from undrift.io.store import read_calibration
 from undrift.io.text import Appender
+from undrift.live.log import described_address
 from undrift.live.recorder import Recorder, RecorderSettings
 from undrift.live.transports import source_at
 from undrift.model import BodyMounting, Calibration
@@ -66,6 +67,11 @@ class Status:
     file: Path | None  # What is being written
     file_error: str  # Why the last file ended early; "" where it did not
     file_s: float  # How much of it there is, device s
+
+
+def listened(address: str) -> str:
+    """Return an address that says what the device sends, found by listening where it does not."""
+    return described_address(address)[0]
 
 
 class LiveDevice:

@@ -246,6 +246,11 @@ class Served(Closed):
                 self._broken.discard(name)
         self._server.settle()
 
+    @property
+    def clients(self) -> int:
+        """How many are connected."""
+        return len(self._server._clients) if isinstance(self._server, Server) else 0
+
     def close(self) -> None:
         """Close every socket and end the thread; harmless when called again."""
         self._server.close()

@@ -33,20 +33,38 @@ async function benchDropped(element, items) {
   for (const folder of folders) await benchUpload(element, await filesIn(folder), folder.name);
 }
 
+// Send one file: after two seconds with per cent, and a button that cancels it; return the answer.
+function benchSend(place, file, element) {
+  const request = new XMLHttpRequest(), shown = document.createElement("div"), cancel = document.createElement("button"), began = performance.now();
+  const bar = document.createElement("progress"), answered = (error) => ({ error });
+  Object.assign(cancel, { type: "button", textContent: "Cancel" });
+  cancel.addEventListener("click", () => request.abort());
+  bar.setAttribute("aria-label", `Sent of ${file.name}`);
+  shown.className = "row";
+  request.upload.addEventListener("progress", ({ loaded, total }) => {
+    if (performance.now() - began < 2000) return;
+    if (!shown.isConnected) element.parentElement.append(shown);
+    Object.assign(bar, { max: total, value: loaded });
+    shown.replaceChildren(bar, `${Math.floor(100 * loaded / total)} % of ${file.name} `, cancel);
+  });
+  return new Promise((found) => {
+    const end = (answer) => { shown.remove(); found(answer); };
+    request.addEventListener("load", () => { try { end(JSON.parse(request.responseText)); } catch { end(answered("upload: the bench refused the file; load the page again")); } });
+    request.addEventListener("error", () => end(answered("upload: the file did not arrive; send it again")));
+    request.addEventListener("abort", () => end(answered(`upload: ${file.name} was cancelled`)));
+    request.open("POST", place);
+    request.send(file);
+  });
+}
+
 // Send files to the bench, one after the other; several that come together may be one recording.
 async function benchUpload(element, files, folder = "") {
   const together = folder || files.length > 1, group = together ? crypto.getRandomValues(new Uint32Array(2)).join("") : "";
   const name = folder || Array.from(files, (file) => file.name.split(".")[0]).sort().slice(0, 2).join(", "), arrived = [];
   for (const file of files) {
     element.dispatchEvent(new CustomEvent("sending", { detail: { name: file.name } }));
-    let answer;
-    try {
-      const asked = new URLSearchParams(together ? { name: file.name, group, folder: name } : { name: file.name });
-      const response = await fetch("/upload?" + asked, { method: "POST", body: file });
-      answer = await response.json();
-    } catch (error) {
-      answer = { error: "upload: the file did not arrive; send it again" };
-    }
+    const asked = new URLSearchParams(together ? { name: file.name, group, folder: name } : { name: file.name });
+    const answer = await benchSend("/upload?" + asked, file, element);
     if (together && answer.file) arrived.push(answer.file);
     else if (!(folder && answer.error)) element.dispatchEvent(new CustomEvent("sent", { detail: { name: file.name, ...answer } }));
   }

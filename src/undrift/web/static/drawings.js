@@ -115,7 +115,19 @@ function lines(title, unit, timeUnit, all) {
     ${ticks.join("")}</svg><p class="soft">${title}, ${unit}: ${now}.</p>`;
 }
 
-const DRAWINGS = { box, worn, lamp, ring, lines };
+const plain = (words) => String(words).replace(/[&<>"]/g, (c) => `&#${c.charCodeAt(0)};`);
+const table = (caption, head, rows) => `<div class="scroll" tabindex="0" role="region" aria-label="${caption}"><table><caption>${caption}</caption>${head}<tbody>${
+  rows.map(([name, cells]) => `<tr><th scope="row">${plain(name)}</th>${cells.map((cell) => `<td>${cell}</td>`).join("")}</tr>`).join("")}</tbody></table></div>`;
+
+// Means of three axes with their unit, each [name, values or null, unit].
+const readings = (...rows) => table("Readings now", "", rows.map(([name, values, unit]) =>
+  [name, [..."xyz"].map((axis, k) => `${axis} ${values ? Number(values[k].toPrecision(4)) : "-"}`).concat(plain(unit))]));
+
+// How well elements are known, each [what is wanted, [[axis, known to, share of the bar, name], ...]].
+const bars = (...rows) => rows.length ? table("Known to, 95 %; a full bar is enough", "", rows.map(([wanted, three]) => [wanted, three.map(([axis, known, share, name]) =>
+  `<span class="nowrap${share < 1 ? "" : " good"}">${axis} ${known}</span><progress class="bar" max="1" value="${share}" aria-label="${plain(name)} ${axis}"></progress>`)])) : "";
+
+const DRAWINGS = { box, worn, lamp, ring, lines, readings, bars };
 customElements.define("undrift-drawing", class extends HTMLElement {
   static observedAttributes = ["kind", "what"];
   connectedCallback() { this.attributeChangedCallback(); }
@@ -123,4 +135,54 @@ customElements.define("undrift-drawing", class extends HTMLElement {
     const what = this.getAttribute("what");
     if (this.getAttribute("kind") && what) this.innerHTML = DRAWINGS[this.getAttribute("kind")](...JSON.parse(what));
   }
+});
+
+// A list of files, jobs or devices, each [key, name, about, chosen]: it sends "choose", "rename" and "remove" with the key and a name. A
+// name that is being typed stays when the list changes; it is drawn anew behind it.
+customElements.define("undrift-list", class extends HTMLElement {
+  static observedAttributes = ["what"];
+  attributeChangedCallback() { if (!this.querySelector("input")) this.draw(); }
+  draw() {
+    const rows = JSON.parse(this.getAttribute("what") || "[]"), shown = 20;
+    this.replaceChildren();
+    if (!rows.length) return;
+    const heading = document.createElement("h2"), more = document.createElement("details"), summary = document.createElement("summary");
+    heading.textContent = this.getAttribute("label");
+    summary.textContent = `${rows.length - shown} more`;
+    this.append(heading, this.rows(rows.slice(0, shown)));
+    if (rows.length > shown) more.append(summary, this.rows(rows.slice(shown))), this.append(more);
+  }
+  rows(rows) {
+    const list = document.createElement("ul");
+    list.className = "bench-list";
+    for (const [key, name, about, chosen] of rows) {
+      const item = document.createElement("li"), words = document.createElement("span");
+      Object.assign(words, { className: "soft", textContent: about });
+      const choose = this.button(name, () => this.send("choose", key));
+      choose.className = "choose";
+      choose.setAttribute("aria-pressed", String(chosen));
+      const remove = () => { if (confirm(`Delete ${name} and what was made of it? This cannot be undone.`)) this.send("remove", key); };
+      item.append(choose, words, this.button("Rename", () => this.ask(item, key, name), `Rename ${name}`), this.button("Delete", remove, `Delete ${name}`));
+      list.append(item);
+    }
+    return list;
+  }
+  ask(item, key, name) {
+    const label = document.createElement("label"), input = document.createElement("input");
+    input.value = name;
+    label.className = "bench-field";
+    label.append("Name", input);
+    const end = (save) => { const typed = input.value; this.draw(); if (save) this.send("rename", key, typed); };
+    input.addEventListener("keydown", (event) => { if (event.key === "Enter" || event.key === "Escape") event.stopPropagation(), end(event.key === "Enter"); });
+    item.replaceChildren(label, this.button("Save the name", () => end(true)), this.button("Cancel", () => end(false)));
+    input.select();
+  }
+  button(words, act, name) {
+    const button = document.createElement("button");
+    Object.assign(button, { type: "button", textContent: words });
+    if (name) button.setAttribute("aria-label", name);
+    button.addEventListener("click", act);
+    return button;
+  }
+  send(kind, key, name = "") { this.dispatchEvent(new CustomEvent(kind, { detail: { key, name } })); }
 });

@@ -1,4 +1,4 @@
-"""What the folder of a bench holds: files that were sent, and jobs; newest first, by the names that people give them.
+"""What the folder of a bench holds: devices, files that were sent, and jobs; newest first, by the names that people give them.
 
 Each stands in a folder of its own with a file ABOUT that describes it, written whole: a bench that is killed loses none of them.
 What has no such file is listed by its own name. A folder has one bench at a time, which locks LOCK and writes its address there.
@@ -7,29 +7,80 @@ What has no such file is listed by its own name. A folder has one bench at a tim
 import json
 import os
 import shutil
-from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field
 from datetime import datetime
 from pathlib import Path
-from typing import Any
+from typing import IO, Any, ClassVar
 
 from undrift.base.options import stated
 from undrift.errors import InputError
 from undrift.files import take_lock, write_whole
-from undrift.web.commands import Remark
 
 ABOUT, LOCK = ".bench.json", ".lock"  # no upload is called so
 FILES = {"calibration": "calibration.json", "report": "report.html", "certificate": "certificate.pdf"}  # of a job
 SENSORS = {"accel": "accelerometers", "gyro": "gyroscopes"}
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Remark:
+    """Something that a command noticed."""
+
+    level: str  # fail, warn or info
+    text: str
+    action: str = ""  # what to do about it; may be empty
+
+
 @dataclass(slots=True, kw_only=True)
-class StoredFile:
+class KnownDevice:
+    """One device: what files and jobs belong to; it has a serial number, and a name that people give it."""
+
+    SAVED: ClassVar[tuple[str, ...]] = ("device", "title", "serial")
+    folder: Path
+    device: str = ""  # whose it is: name of the folder of a device; "" where nobody stated it
+    title: str = ""  # given by a person
+    serial: str = ""  # "" until somebody states it, or the device does
+    error: str = ""  # of the last command
+
+    @property
+    def name(self) -> str:
+        """Return what it is called."""
+        return self.title or self.serial or "New device"
+
+    @property
+    def summary(self) -> str:
+        """Return in one line what it is."""
+        return f"serial number {self.serial}" if self.serial else "no serial number yet"
+
+    def save(self) -> None:
+        """Write what is known of it into its folder, unless that was deleted."""
+        if self.folder.is_dir():
+            known = {name: getattr(self, name) for name in self.SAVED}
+            write_whole(self.folder / ABOUT, json.dumps(known, default=self._plain) + "\n")
+
+    def _plain(self, value: Any) -> object:
+        return value.relative_to(self.folder).as_posix() if isinstance(value, Path) else asdict(value)
+
+
+@dataclass(slots=True, kw_only=True)
+class StoredFile(KnownDevice):
     """One file that was sent to the bench, or a folder of them that is one recording."""
 
+    SAVED = (
+        "device",
+        "title",
+        "error",
+        "path",
+        "about",
+        "map",
+        "sample_rate_hz",
+        "picture",
+        "made",
+        "remarks",
+        "mounting",
+    )
+    folder: Path = Path()  # that of the file, with what was made of it
     path: Path
-    title: str = ""  # given by a person; "" is the file's own
     about: dict[str, Any] = field(default_factory=dict)  # what `info` says of it
     map: Path | None = None
     sample_rate_hz: float | None = None  # that a person stated, of a file without time
@@ -37,12 +88,9 @@ class StoredFile:
     made: dict[str, Path] = field(default_factory=dict)  # label -> file
     remarks: dict[str, list[Remark]] = field(default_factory=dict)  # what each command noticed
     mounting: str = ""  # that it showed, in a sentence
-    error: str = ""
 
-    @property
-    def folder(self) -> Path:
-        """Return the folder that it stands in, with what was made of it."""
-        return self.path.parent
+    def __post_init__(self) -> None:
+        self.folder = self.path.parent
 
     @property
     def name(self) -> str:
@@ -79,20 +127,12 @@ class StoredFile:
         """Return the options by which commands read it."""
         return stated(map=self.map, sample_rate_hz=self.sample_rate_hz)
 
-    def save(self) -> None:
-        """Write what is known of it beside it."""
-        if self.folder.is_dir():
-            known = json.dumps(asdict(self), default=lambda path: path.relative_to(self.folder).as_posix())
-            write_whole(self.folder / ABOUT, known + "\n")
-
 
 @dataclass(slots=True, kw_only=True)
-class Job:
+class Job(KnownDevice):
     """One device being calibrated: its folder, and what has been captured for it."""
 
-    folder: Path
-    title: str = ""  # given by a person; "" is the folder's name
-    serial: str = ""
+    SAVED = ("device", "title", "serial", "words", "later", "registered")
     capture: Any = None  # web.guided, while its faces and turns are captured
     calibration: Path | None = None
     report: Path | None = None
@@ -101,7 +141,6 @@ class Job:
     answer: dict[str, Any] = field(default_factory=dict)  # of calibrate
     later: list[dict[str, Any]] = field(default_factory=list)  # what the commands after it answered
     registered: str = ""  # what the registry answered
-    error: str = ""  # of the last command
 
     @property
     def name(self) -> str:
@@ -131,16 +170,11 @@ class Job:
         settings = (self.answer.get("provenance") or {}).get("settings") or {}
         return self.answer.get("accel") is not None and settings.get("gravity", "standard") == "standard"
 
-    def save(self) -> None:
-        """Write what is known of it into its folder."""
-        if self.folder.is_dir():
-            known = {name: getattr(self, name) for name in ("title", "serial", "words", "later", "registered")}
-            write_whole(self.folder / ABOUT, json.dumps(known) + "\n")
-
-    def look(self) -> None:
+    def look(self) -> "Job":
         """Take up what its folder holds: calibration, report, certificate."""
         for name, file in FILES.items():
             setattr(self, name, self.folder / file if (self.folder / file).is_file() else None)
+        return self
 
     def read(self) -> "Job":
         """Read the calibration that its folder holds, unless it is known."""
@@ -148,17 +182,18 @@ class Job:
         return self
 
 
-Entry = StoredFile | Job
+Entry = KnownDevice  # or a file, or a job
 
 
 class Library:
-    """The files and jobs of one folder, and how much room there is; made once, at the start of a bench."""
+    """The devices, files and jobs of one folder, and how much room there is; made once, at the start of a bench."""
 
     def __init__(self, folder: Path, quota_gb: float) -> None:
         self.folder, self.quota_gb = folder, quota_gb
-        for name in ("jobs", "uploads"):
-            (folder / name).mkdir(parents=True, exist_ok=True)
-        self.files = [made for place in _newest(folder / "uploads") if (made := _file_in(place)) is not None]
+        self.devices = [
+            KnownDevice(folder=place, **read_object(place / ABOUT)) for place in _newest(folder / "devices")
+        ]
+        self.files = [stored for place in _newest(folder / "uploads") if (stored := _file_in(place)) is not None]
         self.jobs: list[Job] = []
         self.find_jobs()
 
@@ -167,11 +202,19 @@ class Library:
         known = {job.folder: job for job in self.jobs}
         self.jobs = [known.get(place) or _job_in(place) for place in _newest(self.folder / "jobs")]
 
-    def file_at(self, path: Path) -> StoredFile:
+    def new_device(self) -> KnownDevice:
+        """Begin with another device."""
+        device = KnownDevice(folder=self.folder / "devices" / f"{datetime.now():%Y-%m-%d-%H%M%S-%f}")
+        device.folder.mkdir()
+        device.save()
+        self.devices.insert(0, device)
+        return device
+
+    def file_at(self, path: Path, device: str = "") -> StoredFile:
         """Return what stands at a path: known already, or new, before all others."""
         stored = next((one for one in self.files if one.path == path), None)
         if stored is None:
-            self.files.insert(0, stored := StoredFile(path=path))
+            self.files.insert(0, stored := StoredFile(path=path, device=device))
             stored.save()
         return stored
 
@@ -182,62 +225,64 @@ class Library:
         return name if name and path.name == "calibration.json" else f"{name}: {path.name}".removeprefix(": ")
 
     def rename(self, entry: Entry, title: str) -> None:
-        """Call a file or a job otherwise; "" gives its own name back."""
+        """Call something otherwise; "" gives its own name back."""
         entry.title = " ".join(title.split())[:80]
         entry.save()
 
     def delete(self, entry: Entry) -> None:
-        """Delete a file or a job, with what was made of it."""
+        """Delete a file or a job with what was made of it, or a device without its files."""
         shutil.rmtree(entry.folder)
-        self.files = [one for one in self.files if one is not entry]
-        self.jobs = [one for one in self.jobs if one is not entry]
+        every: list[list[Any]] = [self.devices, self.files, self.jobs]
+        for entries in every:
+            entries[:] = [one for one in entries if one is not entry]
 
     def check_room(self, more: float = 0.0) -> None:
         """Refuse what is larger than the room that is left, bytes."""
-        used = sum(size_of(self.folder))
-        if used + more > 1e9 * self.quota_gb:
+        if (used := size_of(self.folder) + more) > 1e9 * self.quota_gb:
             raise InputError(
-                f"folder of the bench: wanted at most {self.quota_gb:g} GB in it, got {(used + more) / 1e9:.3g} GB; "
+                f"folder of the bench: wanted at most {self.quota_gb:g} GB in it, got {used / 1e9:.3g} GB; "
                 "delete files or jobs that are no longer needed"
             )
 
 
-def size_of(folder: Path) -> Iterator[int]:
-    """Yield the size of each file below a folder, bytes."""
+def size_of(folder: Path) -> int:
+    """Return the size of all files below a folder, bytes."""
+    total = 0
     for place, _, names in os.walk(folder):
         for name in names:
             with suppress(OSError):  # deleted meanwhile
-                yield (Path(place) / name).stat().st_size
+                total += (Path(place) / name).stat().st_size
+    return total
 
 
 def read_object(path: Path) -> dict[str, Any]:
     """Return what a file of JSON holds; nothing where it cannot be read."""
     try:
-        held = json.loads(path.read_text(encoding="utf-8"))
+        value = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return {}
-    return held if isinstance(held, dict) else {}
+    return value if isinstance(value, dict) else {}
+
+
+def came_words(entry: Entry) -> str:
+    """Say when something came, and how large it is with what was made of it."""
+    if not entry.folder.is_dir():
+        return ""
+    return f"{datetime.fromtimestamp(_came(entry.folder)):%Y-%m-%d %H:%M}, {size_of(entry.folder) / 1e6:.3g} MB"
 
 
 def _newest(folder: Path) -> list[Path]:
-    """Return the folders in a folder, the newest first; half a file that was being sent or written is deleted."""
-    for part in (*folder.glob("*/*.part"), *folder.glob("*/*/*.part"), *folder.glob("*/.undrift-*")):
-        if part.is_file():
-            part.unlink(missing_ok=True)
+    """Return the folders in a folder, made where it is not there, the newest first; half a file that was being sent is deleted."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for part in folder.glob("*/**/sent.part"):
+        part.unlink()
     places = [place for place in folder.iterdir() if place.is_dir()]
     return sorted(places, key=lambda place: (_came(place), place.name), reverse=True)
 
 
 def _came(place: Path) -> float:
     """Return when the first file of a folder came, s since 1970."""
-    return min((path.stat().st_mtime for path in place.iterdir() if path.name != ABOUT), default=0.0)
-
-
-def came_words(entry: Entry) -> str:
-    """Say when a file or a job came, and how large it is with what was made of it."""
-    if not entry.folder.is_dir():
-        return ""
-    return f"{datetime.fromtimestamp(_came(entry.folder)):%Y-%m-%d %H:%M}, {sum(size_of(entry.folder)) / 1e6:.3g} MB"
+    return min((path.stat().st_mtime for path in place.iterdir() if path.name != ABOUT), default=place.stat().st_mtime)
 
 
 def _file_in(place: Path) -> StoredFile | None:
@@ -249,45 +294,30 @@ def _file_in(place: Path) -> StoredFile | None:
         stored = StoredFile(**{**about, **paths, "made": made, "remarks": remarks})
         if stored.path.exists():
             return stored
-    arrived = [path for path in place.iterdir() if not path.name.startswith(".")]
-    if not arrived:
-        shutil.rmtree(place, ignore_errors=True)
-        return None
-    return StoredFile(path=min(arrived, key=lambda path: path.stat().st_mtime))
+    if arrived := [path for path in place.iterdir() if not path.name.startswith(".")]:
+        return StoredFile(path=min(arrived, key=lambda path: path.stat().st_mtime))
+    shutil.rmtree(place, ignore_errors=True)
+    return None
 
 
 def _job_in(folder: Path) -> Job:
-    names = {one.name for one in fields(Job)}
-    job = Job(
-        **{"folder": folder, **{key: value for key, value in read_object(folder / ABOUT).items() if key in names}}
-    )
-    job.words = tuple(job.words or read_object(folder / "calibrate.json").get("words") or ())  # older benches wrote it
-    job.look()
-    return job
+    about = {key: value for key, value in read_object(folder / ABOUT).items() if key in Job.SAVED}
+    words = about.get("words") or read_object(folder / "calibrate.json").get("words") or ()  # older benches wrote that
+    return Job(folder=folder, **{**about, "words": tuple(words)}).look()
 
 
-class FolderLock:
-    """The lock of a folder, until it is closed; the system opens it where the bench is killed."""
-
-    def __init__(self, folder: Path) -> None:
-        folder.mkdir(parents=True, exist_ok=True)
-        self._file = (folder / LOCK).open("a+", encoding="utf-8")
-        try:
-            take_lock(self._file.fileno())
-        except OSError as error:
-            self._file.seek(0)
-            other = self._file.read().strip()
-            self._file.close()
-            raise InputError(
-                f"bench: wanted {folder} for itself, got it in use by the bench at {other}; open that, or name another folder"
-            ) from error
-
-    def write(self, address: str) -> None:
-        """State where the bench that has the folder listens."""
-        self._file.truncate(0)
-        self._file.write(address + "\n")
-        self._file.flush()
-
-    def close(self) -> None:
-        """Open the lock."""
-        self._file.close()
+def lock_folder(folder: Path) -> IO[str]:
+    """Lock a folder until the file is closed, or its process killed; where another bench has it, its address is stated."""
+    folder.mkdir(parents=True, exist_ok=True)
+    lock = (folder / LOCK).open("a+", encoding="utf-8")
+    try:
+        take_lock(lock.fileno())
+    except OSError as error:
+        lock.seek(0)
+        other = lock.read().strip()
+        lock.close()
+        raise InputError(
+            f"bench: wanted {folder} for itself, got it in use by the bench at {other}; open that, or name another folder"
+        ) from error
+    lock.truncate(0)
+    return lock

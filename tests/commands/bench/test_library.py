@@ -10,10 +10,10 @@ import pytest
 
 pytest.importorskip("nicegui")
 
+from undrift.commands.bench.library import ABOUT, Library, Remark, came_words, lock_folder
 from undrift.errors import InputError
 from undrift.web.bench import Bench, ServerSettings
-from undrift.web.commands import CommandOutcome, Remark
-from undrift.web.library import ABOUT, FolderLock, Library, came_words
+from undrift.web.commands import CommandOutcome
 
 
 def stored(library, name, came_s, content="x"):
@@ -114,8 +114,9 @@ def test_what_a_tab_chooses_and_types_is_its_own_and_is_there_when_it_comes_back
 
 
 def test_a_folder_has_one_bench_and_the_second_is_shown_the_first(tmp_path):
-    lock = FolderLock(tmp_path)
+    lock = lock_folder(tmp_path)
     lock.write("http://127.0.0.1:8765/")
+    lock.flush()
     held = [sys.executable, "-m", "undrift", "bench", "--port", "0", "--no-browser", "--folder", str(tmp_path)]
     refused = subprocess.run([*held, "--json"], capture_output=True, text=True, check=False)
     assert refused.returncode == 2
@@ -123,4 +124,4 @@ def test_a_folder_has_one_bench_and_the_second_is_shown_the_first(tmp_path):
     assert text.startswith("bench: wanted ")
     assert text.endswith("in use by the bench at http://127.0.0.1:8765/; open that, or name another folder")
     lock.close()
-    FolderLock(tmp_path).close()
+    lock_folder(tmp_path).close()

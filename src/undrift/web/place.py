@@ -1,13 +1,11 @@
-"""The page Start: what do you have? Each answer leads to the recording it needs. The device is connected, the place stated."""
+"""Where the bench stands: gravity follows from a town, a latitude, or is stated itself."""
 
 import csv
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-
-from nicegui import ui
 
 from undrift.base.options import asked, stated
 from undrift.errors import InputError
@@ -15,12 +13,7 @@ from undrift.units import STANDARD_GRAVITY, gravity_at
 from undrift.web import parts
 
 if TYPE_CHECKING:
-    from undrift.web.bench import Bench, Visit
-
-PRACTICE = "emulator"  # the address of the practice device
-ADDRESSES = "serial:///dev/ttyUSB0?baud=115200&..., tcp://host:port?..., udp://:port, lsl:name, ble:id"  # examples
-
-# ---- Where the bench stands
+    from undrift.web.bench import Bench
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -102,55 +95,3 @@ def place_form(bench: "Bench", label: str, then: Callable[[], Any] = bool) -> No
         return then()
 
     parts.button(label, keep)
-
-
-# ---- The device
-
-
-def connect_form(bench: "Bench") -> None:
-    """Add the form that connects a device, and say what is connected."""
-    with parts.section("Device"):
-        parts.text("h2", "Device")
-        parts.text("p", lambda: _connected(bench))
-        with parts.row():
-            address = parts.Field("Address of the device", hint=ADDRESSES)
-            parts.button("Connect", lambda: bench.connect(address.value))
-            parts.button("Use the practice device", partial(bench.connect, PRACTICE))
-            parts.button("Disconnect", bench.disconnect)
-        parts.error_line(lambda: bench.source_error)
-
-
-def _connected(bench: "Bench") -> str:
-    if bench.connecting:
-        return f"Connecting {bench.connecting} ..."
-    if bench.source is not None:
-        return f"Connected: {bench.source.name}"
-    return "None connected. Connect yours, or try the practice device, a simulated sensor that you turn with buttons."
-
-
-# ---- The page
-
-
-LINE = 'fill="none" stroke="currentColor" stroke-width="2.5" stroke-linejoin="round" stroke-linecap="round"'
-
-
-def page(visit: "Visit") -> None:
-    """Build the page."""
-    bench = visit.bench
-    parts.text("p", "What do you have? Each option names the recording it needs.")
-    with ui.element("div").classes("cards"):
-        for way in parts.texts()["ways"]:  # one answer: the recording that is needed, and where it is made
-            with parts.section(way["have"], "card"):
-                drawing = f'<path d="{way["drawing"].strip()}" {LINE}/>'
-                ui.html(f'<svg viewBox="0 0 220 100" aria-hidden="true">{drawing}</svg>', sanitize=False)
-                parts.text("h2", way["have"])
-                parts.text("p", way["record"])
-                parts.text("p", way["gives"], "soft")
-                parts.next_step(way["next"], way["path"])
-    connect_form(bench)
-    with parts.section("Place"):
-        parts.text("h2", "Place")
-        parts.text("p", "It gives local gravity. Without it, standard gravity is assumed: up to 0.3 % error of scale.")
-        place_form(bench, "Save")
-        saved = "Saved: {.gravity_m_s2:.4f} m/s2".format
-        parts.status_line(lambda: saved(bench.place) if bench.place.words() else "Not stated")

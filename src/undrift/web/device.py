@@ -1,0 +1,161 @@
+"""Pages of a device: which one it is, ways to get its readings, and the rail Get readings > Check > Calibrate > Use."""
+
+from functools import partial
+from typing import TYPE_CHECKING
+
+from nicegui import ui
+
+from undrift.web import entries, parts
+from undrift.web.place import place_form
+
+if TYPE_CHECKING:
+    from undrift.commands.bench.library import KnownDevice
+    from undrift.web.bench import Visit
+
+LINE = 'fill="none" stroke="currentColor" stroke-width="2.5" stroke-linejoin="round" stroke-linecap="round"'
+STEPS = {  # what a step is called, and its pages, the first one before all
+    "Get readings": ("/readings", "/six-faces", "/turns", "/rate-table", "/temperature", "/live"),
+    "Check": ("/check",),
+    "Calibrate": ("/calibrate",),
+    "Use": ("/use",),
+}
+
+
+def rail(visit: "Visit", path: str) -> None:
+    """Add the device and its steps, each with its state."""
+    parts.text("strong", lambda: "New device" if visit.device is None else visit.device.name, "rail-device")
+    with ui.element("ol"):
+        for number, (step, pages) in enumerate(STEPS.items(), 1):
+            with ui.element("li"), ui.link("", f"{pages[0]}?key={visit.key}") as link:
+                parts.text("span", f"{number} {step}")
+                parts.text("span", partial(_state, visit, step), "rail-state")
+            if path in pages:
+                link.props('aria-current="step"')
+
+
+def _state(visit: "Visit", step: str) -> str:
+    bench, one, job = visit.bench, visit.recordings.chosen, visit.job
+    if step == "Get readings":
+        count = sum(file.device == visit.key and file.kind == "recording" for file in visit.library.files)
+        live = bench.source is not None and bench.device == visit.key
+        return "receiving" if live else f"{count} recording{'' if count == 1 else 's'}" if count else "none yet"
+    if step == "Check":
+        if one is None:
+            return "no file chosen"
+        return "to confirm" if one.needs_map or one.needs_rate else one.kind or ("refused" if one.error else "reading")
+    if step == "Calibrate":
+        return "not yet" if job is None else (job.answer.get("verdict") or {}).get("status") or "done"
+    return "no calibration" if visit.calibration is None else "calibration chosen"
+
+
+# ---- The pages
+
+
+def home(visit: "Visit") -> None:
+    """Build the page of all devices; a new one begins with its first readings."""
+
+    def enter(device: "KnownDevice") -> str:
+        visit.enter(device)
+        return f"/readings?key={device.folder.name}"
+
+    entries.listing(visit, "Your devices", lambda: visit.library.devices, lambda: None, enter)
+    parts.text("h2", "A new device")
+    _cards(visit)
+    with parts.section("Place"):
+        parts.text("h2", "Place")
+        parts.text("p", "It gives local gravity. Without it, standard gravity is assumed: up to 0.3 % error of scale.")
+        place_form(visit.bench, "Save")
+        place = visit.bench
+        saved = "Saved: {.gravity_m_s2:.4f} m/s2".format
+        parts.status_line(lambda: saved(place.place) if place.place.words() else "Not stated")
+
+
+def page(visit: "Visit") -> None:
+    """Build the page of the first step: which device it is, and its readings."""
+    identity(visit)
+    _cards(visit)
+    parts.text("h2", "Record with the bench")
+    with ui.element("div").classes("cards"):
+        for way in parts.texts()["ways"]:  # what is at hand, the recording that it takes, and where it is made
+            with parts.section(way["have"], "card"):
+                drawing = f'<path d="{way["drawing"].strip()}" {LINE}/>'
+                ui.html(f'<svg viewBox="0 0 220 100" aria-hidden="true">{drawing}</svg>', sanitize=False)
+                parts.text("h3", way["have"])
+                parts.text("p", way["record"])
+                parts.text("p", way["gives"], "soft")
+                parts.next_step(way["next"], way["path"])
+
+
+def identity(visit: "Visit") -> None:
+    """Ask for name and serial number of the device; they are kept as they are typed."""
+    device = visit.device
+
+    def keep(name: str, value: str) -> None:
+        device = visit.begun()
+        setattr(device, name, value.strip())
+        device.save()
+
+    with parts.row("form"):
+        parts.Field(
+            "Serial number", device.serial if device else "", hint="required to calibrate", keep=partial(keep, "serial")
+        )
+        parts.Field(
+            "Name", device.title if device else "", hint="such as: imu3, phone of room 2", keep=partial(keep, "title")
+        )
+
+
+def _cards(visit: "Visit") -> None:
+    """Add the three ways to readings: files, a device that sends, the practice device."""
+    with ui.element("div").classes("cards"):
+        with parts.section("Drop files", "card"):
+            parts.text("h3", "Drop files")
+            parts.text("p", "A log, a phone's ZIP or a maker's export, and the optics beside it.")
+            entries.drop(visit, "/check")
+        with parts.section("Connect live", "card"):
+            parts.text("h3", "Connect live")
+            connect_form(visit, practice=False)
+        with parts.section("Practice device", "card"):
+            parts.text("h3", "Practice device")
+            parts.text("p", "A simulated sensor that you turn with buttons.")
+            parts.button("Use the practice device", partial(visit.connect, parts.PRACTICE))
+
+
+def connect_form(visit: "Visit", *, practice: bool = True) -> None:
+    """Add what connects a device: those that are found, presets, an address; and say what is connected."""
+    bench = visit.bench
+
+    async def search() -> None:
+        visit.ways = (await bench.command("record")).answer
+
+    def preset(name: str) -> None:
+        visit.address = parts.texts()["presets"].get(name, "")
+        address.set(visit.address)
+
+    with parts.section("Device"):
+        parts.status_line(lambda: parts.device_line(bench), "")
+        parts.button("Look for devices", search)
+        parts.redrawn(lambda: visit.ways, lambda: _found(visit))
+        parts.Field("Kind of device", options=("", *parts.texts()["presets"]), keep=preset)
+        address = parts.Field("Address of the device", visit.address, keep=partial(setattr, visit, "address"))
+        with parts.row():
+            parts.button("Connect", lambda: visit.connect(visit.address))
+            if practice:
+                parts.button("Use the practice device", partial(visit.connect, parts.PRACTICE))
+            parts.shown_if(parts.button("Disconnect", bench.disconnect), lambda: bench.source is not None)
+        parts.error_line(lambda: bench.source_error)
+
+
+def _found(visit: "Visit") -> None:
+    """List what was found; a click connects it."""
+    ways = {"serial_ports": "serial://", "ble_devices": "ble:", "lsl_streams": "lsl:"}
+    senders = [
+        (kind + next(iter(one.values())), one["device"])
+        for way, kind in ways.items()
+        for one in visit.ways.get(way, ())
+    ]
+    for address, about in senders:
+        parts.button(f"{address.partition(':')[2].lstrip('/')}: {about}", partial(visit.connect, address))
+    if visit.ways and not senders:
+        parts.text("p", "Nothing was found: connect the device, switch it on, and look again.", "soft")
+    for note in visit.ways.get("notes", ()):
+        parts.text("p", str(note), "soft")
