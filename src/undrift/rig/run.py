@@ -587,7 +587,7 @@ class ProgressFile:
 
     def __init__(self, path: Path) -> None:
         self._path, self._questions = path, 0
-        self._shown: tuple[str, int] | None = None
+        self._shown: tuple[str, int, bool] | None = None
         self._at = 0.0
 
     def plan(self, programme: Programme, done: frozenset[int], speed: float) -> None:
@@ -600,8 +600,8 @@ class ProgressFile:
         self._write("plan", pid=os.getpid(), speed=speed, steps=steps, done=sorted(done))
 
     def __call__(self, progress: Progress) -> None:
-        """Write where the run is: each phase of each step, and each half second within."""
-        shown, now = (progress.phase, progress.number), time.monotonic()
+        """Write where the run is: each phase of each step, its first reading, and each half second within."""
+        shown, now = (progress.phase, progress.number, bool(progress.live)), time.monotonic()
         if shown != self._shown or now - self._at >= EVERY_S:
             self._shown, self._at = shown, now
             fields = asdict(progress)
