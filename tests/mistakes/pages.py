@@ -20,52 +20,52 @@ from mistakes.planting import (
 from mistakes.sound import poses, trial
 from undrift.frames import quaternion_conjugate
 from undrift.io.store import write_calibration
-from undrift.web.bench import Bench
+from undrift.web.bench import Visit
+from undrift.web.place import Site
 from undrift.web.recordings import StoredFile
-from undrift.web.start import Site
 
 # ---- what a page does
 
 
-async def _dropped(case: Case, folder: Path, bench: Bench) -> StoredFile:
+async def _dropped(case: Case, folder: Path, visit: Visit) -> StoredFile:
     """Drop the calibration and the file, and confirm the map that is proposed."""
     if case.calibration is not None:
         write_calibration(case.calibration, folder / "calibration.json")
-        await bench.recordings.add(folder / "calibration.json")
+        await visit.recordings.add(folder / "calibration.json")
     one = case.recordings[0].plain()
-    held = await bench.recordings.add(one.write(folder, "recording0.csv"))
+    held = await visit.recordings.add(one.write(folder, "recording0.csv"))
     if held.needs_map:
         units = {"gyro": one.units["gyro"], "accel": one.units["accel"]}
-        await bench.recordings.write_map(held, sample_rate_hz=one.sample_rate_hz, units=units)
+        await visit.recordings.write_map(held, sample_rate_hz=one.sample_rate_hz, units=units)
     return held
 
 
-async def _pressed(case: Case, folder: Path, bench: Bench) -> None:
-    held = await _dropped(case, folder, bench)
+async def _pressed(case: Case, folder: Path, visit: Visit) -> None:
+    held = await _dropped(case, folder, visit)
     if not held.error:
-        await bench.recordings.run(held, case.route.split()[1])
+        await visit.recordings.run(held, case.route.split()[1])
 
 
-async def _validated(case: Case, folder: Path, bench: Bench) -> None:
-    held = await _dropped(case, folder, bench)
+async def _validated(case: Case, folder: Path, visit: Visit) -> None:
+    held = await _dropped(case, folder, visit)
     (path,) = written_references(case, folder)
-    reference = await bench.recordings.add(path)
+    reference = await visit.recordings.add(path)
     markers, up = (*case.words, "", "")[:2]
     if not held.error:
-        await bench.recordings.validate(held, reference, markers=str(markers), up=str(up))
+        await visit.recordings.validate(held, reference, markers=str(markers), up=str(up))
 
 
-async def _calibrated(case: Case, folder: Path, bench: Bench) -> None:
+async def _calibrated(case: Case, folder: Path, visit: Visit) -> None:
     latitude_deg, turn_deg = (None if word is None else float(str(word)) for word in (*case.words, None)[:2])
-    bench.set_place(Site(latitude_deg=latitude_deg))
-    held = await _dropped(case, folder, bench)
+    visit.bench.set_place(Site(latitude_deg=latitude_deg))
+    held = await _dropped(case, folder, visit)
     if not held.error:
-        await bench.recordings.calibrate(held, turn_deg=turn_deg, serial="A1")
+        await visit.recordings.calibrate(held, turn_deg=turn_deg)
 
 
 def _made(told: Told, ending: str) -> Path:
-    bench = told.answer
-    return next(path for one in bench.recordings.files for path in one.made.values() if path.name.endswith(ending))
+    visit = told.answer
+    return next(path for one in visit.recordings.files for path in one.made.values() if path.name.endswith(ending))
 
 
 def corrected_error(case: Case, _: Path, told: Told) -> Wrong:
@@ -89,7 +89,7 @@ def reported_error(_: Case, __: Path, told: Told) -> Wrong:
 def later_error(case: Case, _: Path, told: Told) -> Wrong:
     """Return the error of a later recording, read in the same way."""
     assert case.later is not None
-    made = undrift.read_calibration(told.answer.calibration)
+    made = undrift.read_calibration(told.answer.bench.job.calibration)
     return record_error(undrift.correct(case.later.record(), made), case.expected)
 
 

@@ -223,15 +223,17 @@ async def _page(case: Case, folder: Path) -> Told:
     before, bench_module.run_command = bench_module.run_command, in_process
     bench = Bench(ServerSettings(folder=folder / "bench"))
     try:
-        await case.page(case, folder, bench)
+        visit = bench.visit("tab")
+        visit.begun().serial = "A1"
+        await case.page(case, folder, visit)
     finally:
         bench_module.run_command = before
         bench.close()
-    errors = [one.error for one in bench.recordings.files if one.error]
+    errors = [one.error for one in visit.recordings.files if one.error]
     errors += [bench.job.error] if bench.job is not None and bench.job.error else []
-    shown = tuple(dict.fromkeys(texts_of([bench.recordings.files, bench.job])))
-    notes = tuple(texts_of([bench.recordings.files, bench.job], "info"))
-    return Told(2 if errors else 0, " | ".join(errors), shown, notes, bench)
+    shown = tuple(dict.fromkeys(texts_of([visit.recordings.files, bench.job])))
+    notes = tuple(texts_of([visit.recordings.files, bench.job], "info"))
+    return Told(2 if errors else 0, " | ".join(errors), shown, notes, visit)
 
 
 def texts_of(value: Any, *levels: str) -> list[str]:
