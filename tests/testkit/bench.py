@@ -99,7 +99,10 @@ class _ForkedCommand:
 @contextmanager
 def bench_process(folder: Path, *words: str) -> Iterator[BenchServer]:
     """Run ``undrift bench`` on a free loopback port until the end of the block; its log stands beside the folder."""
-    called = ["--port", "0", "--no-browser", "--json", "--folder", str(folder), *words]
+    token = (
+        [] if {"--token", "--network"} & {*words} else ["--token", "none"]
+    )  # pages and requests of tests name plain addresses
+    called = ["--port", "0", "--no-browser", "--json", "--folder", str(folder), *token, *words]
     log = folder.parent / f"{folder.name}.log"
     near, far = FORKS.Pipe(duplex=False)
     process = FORKS.Process(target=_serve, args=(called, environment_of(folder), log, far))

@@ -1,6 +1,7 @@
 """Who may use the bench."""
 
 import http.client
+import webbrowser
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -8,6 +9,8 @@ from typing import Any
 import pytest
 
 from testkit.bench import bench_process
+from undrift.cli.app import run
+from undrift.web import app
 from undrift.web.access import refused
 
 TOKEN = "a-token-of-sixteen"
@@ -56,8 +59,28 @@ def test_with_a_token_every_request_carries_it(query: str, cookie: str, passes: 
     assert (refused(scope(query=query, host="192.168.1.4", cookie=cookie), TOKEN) == "") is passes
 
 
-def test_a_bench_for_the_network_answers_nobody_without_its_token(tmp_path: Path) -> None:
-    with bench_process(tmp_path / "bench", "--network", "--token", TOKEN) as server:
+def test_a_fresh_token_is_in_the_address_that_is_printed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    addresses, served = list[str](), list[str | None]()
+
+    def serve(settings: Any, ready: Any) -> None:
+        served.append(settings.token)
+        ready(f"http://127.0.0.1:1/?token={settings.token}")
+
+    monkeypatch.setattr(app, "serve", serve)
+    monkeypatch.setattr(webbrowser, "open", addresses.append)
+    for _ in range(2):
+        assert run(["bench", "--folder", str(tmp_path / "b")]) == 0
+    assert len(set(served)) == 2
+    assert all(token is not None and len(token) >= 32 for token in served)
+    assert [address.partition("=")[2] for address in addresses] == served
+
+
+@pytest.mark.parametrize("words", [("--network", "--token", TOKEN), ("--token", TOKEN)])
+def test_a_bench_answers_nobody_without_its_token_on_this_computer_and_on_the_network(
+    tmp_path: Path, words: tuple[str, ...]
+) -> None:
+    with bench_process(tmp_path / "bench", *words) as server:
+        assert server.address == f"http://127.0.0.1:{server.port}/?token={TOKEN}"
 
         def asked(path: str, method: str = "GET", **headers: str) -> tuple[int, http.client.HTTPMessage, bytes]:
             with closing(http.client.HTTPConnection("127.0.0.1", server.port, timeout=10.0)) as connection:
@@ -77,8 +100,12 @@ def test_a_bench_for_the_network_answers_nobody_without_its_token(tmp_path: Path
         status, headers, _ = asked(f"/?token={TOKEN}")
         assert (status, headers["location"]) == (303, "/")
         cookie = str(headers["set-cookie"])
+        assert cookie.startswith(f"undrift_token_{server.port}=")  # of this bench, beside that of another port
         assert "HttpOnly" in cookie
         assert "samesite=strict" in cookie.lower()
         status, headers, _ = asked("/", cookie=cookie.partition(";")[0])
         assert status == 200
-        assert "frame-ancestors 'self'" in headers["content-security-policy"]
+        policy = headers["content-security-policy"]
+        assert "frame-ancestors 'self'" in policy
+        own = f"127.0.0.1:{server.port}"
+        assert f"connect-src 'self' ws://{own} wss://{own} http://127.0.0.1:*;" in policy

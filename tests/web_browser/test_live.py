@@ -198,14 +198,14 @@ def test_the_feed_wants_the_token_of_the_pages(tmp_path: Path) -> None:
         for query, headers in (
             ("", {}),
             ("&token=another-token", {}),
-            ("", {"Cookie": "undrift_token=another-token"}),
+            ("", {"Cookie": f"undrift_token_{server.port}=another-token"}),
             (f"&token={token}", {"Origin": "http://elsewhere.example"}),
         ):
             with pytest.raises(InvalidStatus, match="403"), connect(address + query, additional_headers=headers):
                 pass
         for query, headers in (
             (f"&token={token}", {}),
-            ("", {"Cookie": f"undrift_token={token}", "Origin": f"http://{host}"}),
+            ("", {"Cookie": f"undrift_token_{server.port}={token}", "Origin": f"http://{host}"}),
         ):
             with connect(address + query, additional_headers=headers) as browser:
                 assert json.loads(browser.recv(timeout=20))["source"] is None

@@ -40,9 +40,10 @@ def bench(
     port : int
         0 takes a free one.
     network : bool
-        Allow an address that other computers reach; a token is then wanted of each.
+        Allow an address that other computers reach.
     token : str
-        With --network: the token, 16 characters or more; a fresh one is printed where not given.
+        What every browser must know, 16 characters or more; a fresh one is in the address that is printed and opened where not
+        given. none, on a computer without other users, asks for none.
     registry : str or None
         File or URL of the registry; the user's own where not given.
     upload_mb : float
@@ -74,7 +75,7 @@ def bench(
         folder=held.absolute(),
         host=host,
         port=port,
-        token=(token or secrets.token_urlsafe(24)) if network else None,
+        token=None if token == "none" else token or secrets.token_urlsafe(24),
         registry=registry if registry is None or "://" in registry else str(Path(registry).absolute()),
         upload_mb=upload_mb,
         quota_gb=quota_gb,
@@ -108,9 +109,7 @@ def _check_access(host: str, network: bool, token: str) -> None:
         raise InputError(
             f"--host: wanted this computer (127.0.0.1), got {host}; add --network to let others in by a token"
         )
-    if token and not network:
-        raise InputError("--token: wanted --network beside it, got it alone; this computer needs none")
-    if token and len(token) < 16:
+    if token and (network or token != "none") and len(token) < 16:
         raise InputError(f"--token: wanted 16 characters or more, got {len(token)}; leave it out for a fresh one")
 
 

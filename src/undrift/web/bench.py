@@ -48,7 +48,7 @@ class ServerSettings:
     folder: Path  # of everything that it writes
     host: str = "127.0.0.1"
     port: int = 8765  # 0 takes a free one
-    token: str | None = None  # wanted of every request; None: this computer alone
+    token: str | None = None  # wanted of every request; None: of nobody on this computer
     registry: str | None = None  # None: the user's own
     upload_mb: float = 500.0  # Largest upload, 1e6 bytes
     quota_gb: float = 20.0  # Largest folder, 1e9 bytes
