@@ -20,9 +20,8 @@ COOKIE = "undrift_token"
 LOOPBACK = ("localhost", "127.0.0.1", "::1")
 SAFE = ("GET", "HEAD", "OPTIONS")
 HEADERS = {  # of every answer: nothing from elsewhere, in nobody else's frame; a stop goes to another port of the same HOST
-    "Content-Security-Policy": "default-src 'self' data: blob:; script-src 'self' 'unsafe-inline' 'unsafe-eval'; "
-    "style-src 'self' 'unsafe-inline'; connect-src 'self' ws://HOST:PORT wss://HOST:PORT http://HOST:*; "
-    "frame-ancestors 'self'; form-action 'self'",
+    "Content-Security-Policy": "default-src 'self' data: blob:; script-src 'self' 'unsafe-inline' 'unsafe-eval'; style-src 'self' "
+    "'unsafe-inline'; connect-src 'self' ws://OWN wss://OWN http://HOST:*; frame-ancestors 'self'; form-action 'self'",
     "X-Content-Type-Options": "nosniff",
     "Referrer-Policy": "no-referrer",
 }
@@ -49,22 +48,14 @@ class Access:
         query = parse_qs(scope.get("query_string", b"").decode("latin-1"))
         if self._token is not None and scope["type"] == "http" and scope["method"] == "GET" and "token" in query:
             response = RedirectResponse(scope["path"] or "/", 303)  # the token does not stay in the address
-            response.set_cookie(
-                _cookie_of(Headers(scope=scope).get("host", "")), self._token, httponly=True, samesite="strict"
-            )
+            response.set_cookie(_cookie_of(Headers(scope=scope)), self._token, httponly=True, samesite="strict")
             await response(scope, receive, send)
             return
 
         async def with_headers(message: Message) -> None:
             if message["type"] == "http.response.start":
-                (host, port) = (part(Headers(scope=scope).get("host", "")) for part in (_name, _port))
-                host = f"[{host}]" if ":" in host else host if re.fullmatch(r"[\w.-]+", host) else "127.0.0.1"
                 held = {name.decode("latin-1").lower() for name, _ in message.get("headers", ())}
-                new = {
-                    k.lower(): v.replace("HOST", host).replace(":PORT", port and f":{port}")
-                    for k, v in HEADERS.items()
-                    if k.lower() not in held
-                }
+                new = {k.lower(): _for_host(v, scope) for k, v in HEADERS.items() if k.lower() not in held}
                 added = [(k.encode(), v.encode()) for k, v in new.items()]
                 message = {**message, "headers": [*message.get("headers", ()), *added]}
             await send(message)
@@ -99,13 +90,14 @@ def _name(host: str) -> str:
         return ""
 
 
-def _port(host: str) -> str:
-    return found[1] if (found := re.search(r":(\d{1,5})$", host)) else ""
+def _for_host(policy: str, scope: Scope) -> str:
+    found = re.fullmatch(r"(([\w.-]+|\[[\w:.]+\])(:\d{1,5})?)", Headers(scope=scope).get("host", ""))
+    return policy.replace("OWN", found[1] if found else "127.0.0.1").replace("HOST", found[2] if found else "127.0.0.1")
 
 
-def _cookie_of(host: str) -> str:
-    """Return the name of the cookie: a browser sends those of all ports of a host to each."""
-    return f"{COOKIE}_{port}" if (port := _port(host)) else COOKIE
+def _cookie_of(headers: Mapping[str, str]) -> str:
+    """Return the name of the cookie, by the port: a browser sends those of all ports of a host to each."""
+    return f"{COOKIE}_{found[1]}" if (found := re.search(r":(\d{1,5})$", headers.get("host", ""))) else COOKIE
 
 
 def _given(scope: Scope, headers: Mapping[str, str]) -> str:
@@ -113,7 +105,7 @@ def _given(scope: Scope, headers: Mapping[str, str]) -> str:
     if "token" in query:
         return str(query["token"][0])
     try:
-        held = SimpleCookie(headers.get("cookie", "")).get(_cookie_of(headers.get("host", "")))
+        held = SimpleCookie(headers.get("cookie", "")).get(_cookie_of(headers))
     except CookieError:
         held = None
     return str(held.value) if held is not None else ""
