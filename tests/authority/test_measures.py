@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 
 from testkit.data import data_path, show
-from testkit.worn_captures import G, captured, errors, times, true_course, worn_device
+from testkit.worn_captures import RATE_HZ, G, captured, errors, times, true_course, worn_device
 from undrift.io.mocap import read_trc
 from undrift.measures.rising import sit_to_stand
 from undrift.measures.worn import follow
+from undrift.sim.motion.tasks import draw_task
 
 DEVICES = {"STS1": range(30), "STSAsym1": range(30, 60)}
 CHAIRS = {"STS1": "STS1.trc.gz", "STSAsym1": "STSAsym1.trc.gz"}
@@ -91,3 +92,26 @@ def test_events_agree_with_the_optics(name):
     # The seat-off misses the limit of its median: the greatest acceleration comes after the hips have begun to rise.
     assert np.median(error[:, [0, 2]], axis=0).max() < 0.10
     assert np.percentile(error, 95) < 0.25
+
+
+def test_intervals_of_stance_measures_cover_the_truth_of_simulated_people():
+    """Errors of the path are at the edge of its intervals: what noise adds to it is extrapolated."""
+    found = {}
+    for seed in range(8):
+        task = draw_task("posturography", rng=np.random.default_rng([6, seed]))
+        motion = task.at(np.arange(int(task.duration_s * RATE_HZ)) / RATE_HZ, G)
+        for name, (error, uncertainty) in errors(motion, "standing", [200 + seed]).items():
+            found.setdefault(name, []).append((abs(float(error[0, 0])), float(uncertainty[0, 0])))
+    inside = []
+    for name, rows in found.items():
+        error, uncertainty = np.array(rows).T
+        inside.append(error < 1.96 * uncertainty)
+        show(
+            f"{name}: largest error; median u; covered",
+            f"{error.max():.3g}, {np.median(uncertainty):.3g}, {inside[-1].sum()} of 8",
+        )
+        assert inside[-1].mean() >= 0.5
+    share = 100.0 * np.concatenate(inside).mean()
+    show("covered by 95 % intervals, all measures, %", f"{share:.1f}", "88 to 100, eight people")
+    assert share >= 88.0
+    assert np.array(found["rms_pitch_deg"])[:, 0].max() < 0.02

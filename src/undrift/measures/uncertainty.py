@@ -5,7 +5,9 @@ again with each change; to first order::
 
     u^2(y) = sum over sources of  sum_k (y(theta + e_k) - y(theta))^2
 
-``noise``        draws of white noise of the size that the readings have, K of them, each weighted by 1 / sqrt(K)
+``noise``        white noise of the size that the readings have, added anew: the scatter of a measure over K draws, and its bias by
+                 simulation and extrapolation (Cook and Stefanski 1994), 3 d_1 - d_2, d_m its mean change with m times the power,
+                 each draw with both signs
 ``mounting``     a turn of the segment's axes about each axis: the mounting's covariance
 ``calibration``  E and d of w + E w + d, and of f, by the covariance of the fit (correction/plan.error_covariance)
 ``offset``       the gyroscopes' offset left at this moment, by a rest or since the calibration; ageing of the accelerometers'
@@ -25,7 +27,6 @@ That is the instrument alone: how a person varies from day to day comes on top.
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 
@@ -42,7 +43,7 @@ from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 SOURCES = ("noise", "mounting", "calibration", "offset", "temperature", "motion", "sampling")
 SHARED = ("calibration",)  # by two visits with one calibration
 COVERAGE = 1.96
-DRAWS = 12  # of noise: u of it is known to 20 %
+DRAWS = 6  # of noise, each with both signs so that what is linear leaves no bias: u of it is known to 30 %
 # Where nothing is known of them [assumed]: sides of a device by hand; an accelerometer's offset, for 0.3 deg; scale of a gyroscope;
 # offset of a gyroscope since its last calibration, each axis
 BY_HAND = 5.0 * RADIAN_PER_DEGREE
@@ -61,9 +62,17 @@ class Instrument:
     """A worn device: its readings, and what is uncertain of them."""
 
     worn: WornReadings
-    changes: tuple[tuple[str, float, Change], ...]  # source, weight, and what it changes
+    changes: tuple[tuple[str, Change], ...]  # source, and what it changes
+    left: tuple[FloatArray, FloatArray]  # (3,), rad/s: of the gyroscopes' offset, in motion and where the person stands
+    noise: tuple[FloatArray, FloatArray]  # (2, 3), of a reading, rad/s and m/s2: in motion, and where the person stands
+    seeds: tuple[int, ...]  # of its draws
     assumed: tuple[str, ...]  # what is not stated, and assumed
     place: str  # on the body
+
+    def all_changes(self, *, stands: bool) -> tuple[tuple[str, Change], ...]:
+        """Return what changes a measure but noise, of a person who stands or moves."""
+        offsets = (("offset", _erring("gyro", _offset(size, k))) for k, size in enumerate(self.left[stands]))
+        return (*self.changes, *offsets)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -113,7 +122,7 @@ def instrument(record: Record, model: Calibration | None, mounting: BodyMounting
     )
     covariance = worn_as.covariance if not assumed else BY_HAND**2 * np.eye(3)
     worn = wear(record, worn_as)
-    changes = [("mounting", 1.0, _turned(turn)) for turn in _columns(covariance)]
+    changes = [("mounting", _turned(turn)) for turn in _columns(covariance)]
     gyro = None if model is None or model.gyro is None else error_covariance(model.gyro, "rate")
     if gyro is None or not np.isfinite(gyro).all() or not gyro.any():
         assumed.append("gyroscope calibration")
@@ -123,6 +132,7 @@ def instrument(record: Record, model: Calibration | None, mounting: BodyMounting
     rest = known_rest_offset(record)
     if rest is not None and record.offset_uncertainty is None:
         worn, left = replace(worn, gyro=worn.gyro - rest.rate), rest.uncertainty / math.sqrt(3.0) * np.ones(3)
+        standing = np.sqrt(np.diag(rest.covariance))
     elif record.offset_uncertainty is not None:
         left = record.offset_uncertainty / math.sqrt(3.0) * np.ones(3)
     else:
@@ -130,57 +140,79 @@ def instrument(record: Record, model: Calibration | None, mounting: BodyMounting
         moved = moved_by(None if model is None else model.gyro) ** 2 / 3.0
         left = np.sqrt(np.diag(offset_covariance) + GYRO_OFFSET**2 + moved)
     worn = replace(worn, offset_uncertainty=float(np.linalg.norm(left)))
-    changes += [("calibration", 1.0, _erring("gyro", one)) for one in _columns(gyro)]
-    changes += [("offset", 1.0, _erring("gyro", _offset(size, k))) for k, size in enumerate(left)]
+    changes += [("calibration", _erring("gyro", one)) for one in _columns(gyro)]
     force_error = record.accel_uncertainty
     if force_error is None:
         assumed.append("accelerometer calibration")
-        changes += [("calibration", 1.0, _erring("accel", _offset(ACCEL_OFFSET, k))) for k in range(3)]
+        changes += [("calibration", _erring("accel", _offset(ACCEL_OFFSET, k))) for k in range(3)]
     else:
-        changes += [("calibration", 1.0, _erring("accel", one)) for one in _columns(force_error.covariance)]
+        changes += [("calibration", _erring("accel", one)) for one in _columns(force_error.covariance)]
         offset_k, scale_k = by_temperature(
             force_error, np.nan if record.temp_c is None else float(np.nanmean(record.temp_c))
         )
-        changes += [("temperature", 1.0, _erring("accel", _offset(offset_k, k))) for k in range(3) if offset_k]
-        changes += [("temperature", 1.0, _erring("accel", _scale(scale_k, k))) for k in range(3) if scale_k]
+        changes += [("temperature", _erring("accel", _offset(offset_k, k))) for k in range(3) if offset_k]
+        changes += [("temperature", _erring("accel", _scale(scale_k, k))) for k in range(3) if scale_k]
     size = ageing("" if force_error is None else force_error.calibrated)
-    changes += [("offset", 1.0, _erring("accel", _offset(size, k))) for k in range(3)]
-    changes.append(("motion", 1.0, lambda one: replace(one, acc_s=0.5 * ACC_S)))
-    changes += _noises(worn, model, np.random.default_rng(seed))
-    return Instrument(worn=worn, changes=tuple(changes), assumed=tuple(assumed), place=worn_as.place)
+    changes += [("offset", _erring("accel", _offset(size, k))) for k in range(3)]
+    changes.append(("motion", lambda one: replace(one, acc_s=0.5 * ACC_S)))
+    seeds = np.random.default_rng(seed).integers(2**32, size=DRAWS).tolist()
+    return Instrument(
+        worn=worn,
+        changes=tuple(changes),
+        left=(left, left if rest is None or record.offset_uncertainty is not None else standing),
+        noise=(_noise_of(worn, model, np.min), _noise_of(worn, model, np.median)),
+        seeds=tuple(seeds),
+        assumed=tuple(assumed),
+        place=worn_as.place,
+    )
 
 
 def take(device: Instrument, task: TaskMeasure) -> tuple[TaskResult, tuple[Measure, ...]]:
     """Return what a recording shows of a task, each measure with its uncertainty; a measure that a change undoes is left out."""
-    shown = task(follow(device.worn))
-    columns: dict[str, list[FloatArray]] = {name: [] for name in shown.values}
+    from undrift.measures.standing import sway
+
+    # A bias that the filter tracks wanders by more than a person who stands; a constant one moves the mean of an angle alone
+    stands = task is sway
+    worn = replace(device.worn, offset_uncertainty=0.0) if stands else device.worn
+    shown = task(follow(worn))
     undone: dict[str, str] = {}
-    for source, weight, change in device.changes:
+
+    def moved(source: str, change: Change) -> dict[str, FloatArray]:
+        """Return how each measure changes."""
         try:
-            again: Mapping[str, FloatArray] = task(follow(change(device.worn))).values
+            again: Mapping[str, FloatArray] = task(follow(change(worn))).values
         except InputError:
             again = {}
-        for name, value in shown.values.items():
-            other = again.get(name)
-            if other is None or other.shape != value.shape:
-                undone.setdefault(
-                    name, f"the uncertainty of {source} decides whether it is seen: its own cannot be stated"
-                )
-            else:
-                columns[name].append(weight * (other - value))
-    sources = (*(source for source, _, _ in device.changes), "sampling")
-    between = SAMPLING * follow(device.worn).step
-    measures = tuple(
-        Measure(
-            name=name,
-            values=value,
-            columns=np.array([*columns[name], between * is_time(name) + 0.0 * value]),
-            sources=sources,
-        )
-        for name, value in shown.values.items()
-        if name not in undone
-    )
-    return replace(shown, missing=(*shown.missing, *undone.items())), measures
+        same = {
+            name: again[name] - value
+            for name, value in shown.values.items()
+            if np.shape(again.get(name)) == value.shape
+        }
+        for name in shown.values.keys() - same.keys():
+            text = f"the uncertainty of {source} decides whether it is seen: its own cannot be stated"
+            undone.setdefault(name, text)
+        return same
+
+    changes = device.all_changes(stands=stands)
+    every = [moved(source, change) for source, change in changes]
+    draws = [
+        [
+            moved("noise", noisy(device, seed, sign * math.sqrt(power), stands=stands))
+            for seed in device.seeds
+            for sign in (1, -1)
+        ]
+        for power in (1.0, 2.0)
+    ]
+    sources = (*(source for source, _ in changes), "noise", "noise", "sampling")
+    between, measures = SAMPLING * follow(worn).step, list[Measure]()
+    for name, value in shown.values.items():
+        if name in undone:
+            continue
+        once, twice = (np.array([one[name] for one in each]) for each in draws)
+        noise = once.std(axis=0), 3.0 * once.mean(axis=0) - twice.mean(axis=0)
+        columns = np.array([*(one[name] for one in every), *noise, between * is_time(name) + 0.0 * value])
+        measures.append(Measure(name=name, values=value, columns=columns, sources=sources))
+    return replace(shown, missing=(*shown.missing, *undone.items())), tuple(measures)
 
 
 def _columns(covariance: FloatArray) -> list[FloatArray]:
@@ -218,32 +250,35 @@ def _scale(size: float, axis: int) -> FloatArray:
     return np.asarray(size * np.eye(12)[4 * axis])
 
 
-def _noises(worn: WornReadings, model: Calibration | None, rng: np.random.Generator) -> list[tuple[str, float, Change]]:
-    """Return draws of white noise of each triad: as the calibration has it, else as the quietest second of the readings."""
+def _noise_of(worn: WornReadings, model: Calibration | None, second_of: Callable[..., FloatArray]) -> FloatArray:
+    """Return white noise of a reading (2, 3), rad/s and m/s2: by the calibration, else by third differences of a second.
+
+    Motion is in these too, though it is smooth: then the quietest second; of a person who stands the usual one.
+    """
     rate_hz = (len(worn.time) - 1) / float(worn.time[-1] - worn.time[0])
-    noise, sizes = None if model is None else model.noise, []
+    noise, sizes = None if model is None else model.noise, list[FloatArray]()
     for readings, density in (
         (worn.gyro, None if noise is None else noise.angle_random_walk),
         (worn.accel, None if noise is None else noise.velocity_random_walk),
     ):
         second = max(round(rate_hz), 8)
-        steps = np.diff(readings, 3, axis=0)[
-            : (len(readings) - 3) // second * second
-        ]  # third differences: motion is smooth
-        quiet = np.sqrt((steps.reshape(-1, second, 3) ** 2).mean(axis=1).min(axis=0) / 20.0)
+        steps = np.diff(readings, 3, axis=0)
+        steps = steps[: len(steps) // second * second].reshape(-1, second, 3)
+        shown = np.sqrt(second_of((steps**2).mean(axis=1), axis=0) / 20.0)
         stated = np.full(3, np.nan) if density is None else np.asarray(density) * math.sqrt(rate_hz)
-        sizes.append(np.where(np.isfinite(stated), stated, quiet))
+        sizes.append(np.where(np.isfinite(stated), stated, shown))
+    return np.stack(sizes)
 
-    def noisy(seed: int, one: WornReadings) -> WornReadings:
+
+def noisy(device: Instrument, seed: int, times: float, *, stands: bool) -> Change:
+    """Return the change by a draw of noise, some times its size, of a person who stands or moves."""
+
+    def changed(one: WornReadings) -> WornReadings:
         draw, shape = np.random.default_rng(seed), one.gyro.shape
-        return replace(
-            one,
-            gyro=one.gyro + sizes[0] * draw.normal(size=shape),
-            accel=one.accel + sizes[1] * draw.normal(size=shape),
-        )
+        gyro, accel = (times * size * draw.normal(size=shape) for size in device.noise[stands])
+        return replace(one, gyro=one.gyro + gyro, accel=one.accel + accel)
 
-    seeds = rng.integers(2**32, size=DRAWS).tolist()
-    return [("noise", 1.0 / math.sqrt(DRAWS), partial(noisy, seed)) for seed in seeds]
+    return changed
 
 
 def ratio(first: Measure, second: Measure) -> tuple[float, float]:
