@@ -171,7 +171,7 @@ def take(device: Instrument, task: TaskMeasure) -> tuple[TaskResult, tuple[Measu
     """Return what a recording shows of a task, each measure with its uncertainty; a measure that a change undoes is left out."""
     from undrift.measures.standing import sway
 
-    # A bias that the filter tracks wanders by more than a person who stands; a constant one moves the mean of an angle alone
+    # A bias that the filter tracks drifts by more than a person who stands; a constant one moves the mean of an angle alone
     stands = task is sway
     worn = replace(device.worn, offset_uncertainty=0.0) if stands else device.worn
     shown = task(follow(worn))
@@ -183,10 +183,10 @@ def take(device: Instrument, task: TaskMeasure) -> tuple[TaskResult, tuple[Measu
             again: Mapping[str, FloatArray] = task(follow(change(worn))).values
         except InputError:
             again = {}
-        same = {
+        same: dict[str, FloatArray] = {
             name: again[name] - value
             for name, value in shown.values.items()
-            if np.shape(again.get(name)) == value.shape
+            if name in again and again[name].shape == value.shape
         }
         for name in shown.values.keys() - same.keys():
             text = f"the uncertainty of {source} decides whether it is seen: its own cannot be stated"
