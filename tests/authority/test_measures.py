@@ -8,6 +8,7 @@ and 0.10 s for 95 %, events 0.10 s and 0.25 s from optics; intervals of 95 % cov
 import numpy as np
 import pytest
 
+import undrift
 from testkit.data import data_path, show
 from testkit.worn_captures import RATE_HZ, G, captured, errors, times, true_course, worn_device
 from undrift.io.mocap import read_trc
@@ -115,3 +116,10 @@ def test_intervals_of_stance_measures_cover_the_truth_of_simulated_people():
     show("covered by 95 % intervals, all measures, %", f"{share:.1f}", "88 to 100, eight people")
     assert share >= 88.0
     assert np.array(found["rms_pitch_deg"])[:, 0].max() < 0.02
+
+
+@pytest.mark.parametrize(("forward", "named"), [("+z", False), ("-z", True)])
+def test_a_back_side_that_is_stated_as_forward_is_named_on_a_worn_recording(forward, named):
+    path = data_path("worn_lowback", "HA_001_Test11.csv.gz")
+    found = undrift.measure(str(path), task="sit-to-stand", forward=forward, up="+x", sample_rate_hz=100.0)
+    assert ("measure.sides" in {one.code for one in found.findings}) is named

@@ -230,6 +230,8 @@ def _findings(
     from undrift.findings import finding
 
     texts = [finding("measure.assumed", "warn", what=device.assumed)] if device.assumed else []
+    peak = next((one.mean for one in measures if one.name == "peak_trunk_pitch_deg"), 0.0)
+    texts += [finding("measure.sides", "warn", pitch_deg=peak)] if peak < 0.0 else []
     for one in (one for one in measures if one.name in first):
         source, part = next(iter(one.parts.items()))
         words = {"measure": _words(one), "part": part, "whole": one.uncertainty, "unit": _unit(one)}
