@@ -152,6 +152,7 @@ _EXPORT = frozenset({"sample_rate_hz", "sensor", "gaps", "repair_time", "drop_ba
 _STREAMS = frozenset({"sensor", "gaps", "repair_time"})
 _BLOCKS = frozenset({"gaps", "repair_time", "drop_bad_rows"})
 _MARKERS = "marker trajectories; read them as a reference (labels of one rigid cluster, and which axis is up)"
+_MAT = (b"MATLAB", _HDF5)
 _BAGS = (b"#ROSBAG V2.0", b"SQLite format 3\0", b"\x89MCAP0\r\n")
 
 
@@ -180,9 +181,15 @@ FORMATS: dict[str, Format] = {
         record=containers.read_mobilised,
         honours=_STREAMS,
     ),
-    "kiel_imu": Format(lambda path, head: is_kiel(path, head, "imu_location"), record=read_kiel_imu, honours=_STREAMS),
+    "kiel_imu": Format(
+        lambda path, head: head.startswith(_MAT) and is_kiel(path, head, "imu_location"),
+        record=read_kiel_imu,
+        honours=_STREAMS,
+    ),
     "kiel_markers": Format(
-        lambda path, head: is_kiel(path, head, "marker_location"), markers=read_kiel_markers, instead=_MARKERS
+        lambda path, head: head.startswith(_MAT) and is_kiel(path, head, "marker_location"),
+        markers=read_kiel_markers,
+        instead=_MARKERS,
     ),
     "mat": Format(
         _is_mat, record=read_mat, reference=lambda p, c: read_array_poses(mat_arrays(p), p, c), honours=_ARRAYS
