@@ -26,8 +26,7 @@ def performed(name, seed):
 def test_linear_propagation_agrees_with_monte_carlo(task, measured):
     device, rng = worn_device(performed(task, 4), 7), np.random.default_rng(1)
     _, stated = take(device, measured)
-    drawn, stands = [], measured is sway
-    start = replace(device.worn, offset_uncertainty=0.0) if stands else device.worn
+    drawn, stands, start = [], measured is sway, device.readings(measured)
     for seed in range(DRAWN):
         worn = start
         for source, change in device.all_changes(stands=stands):

@@ -30,17 +30,11 @@ DECIMALS = {
     "m2/s4": 5,
     "m/s": 4,
     "deg2": 2,
-    "1/min": 1,
-    "%": 1,
-    "m": 3,
 }
 FIRST = {  # measures that the answer names
     "sit-to-stand": ("duration_s", "peak_trunk_pitch_deg"),
     "5xSTS": ("five_times_duration_s", "peak_trunk_pitch_deg"),
     "standing": ("rms_m_s2", "rms_pitch_deg"),
-    "tug": ("tug_duration_s", "turn_angle_deg"),
-    "step": ("rise_duration_s", "trunk_pitch_range_deg"),
-    "walk": ("stride_duration_s", "cadence_per_min"),
 }
 SPREAD = 0.1  # of the whole: parts below it are not named
 
@@ -97,11 +91,9 @@ class Measured(Result):
         from undrift.units import RADIAN_PER_DEGREE
 
         course, events = self.course, [(one.onset, one.duration, one.trial_type) for one in self.shown.events]
-        second = {
-            "standing": ("roll (deg)", course.roll / RADIAN_PER_DEGREE),
-            "tug": ("turning (deg/s)", course.turning / RADIAN_PER_DEGREE),
-            "walk": ("upward acceleration\n(m/s2)", course.up),
-        }.get(self.task, ("upward velocity\n(m/s)", course.velocity))
+        second = ("upward velocity\n(m/s)", course.velocity)
+        if self.task == "standing":
+            second = ("roll (deg)", course.roll / RADIAN_PER_DEGREE)
         courses = {"trunk pitch (deg)": course.pitch / RADIAN_PER_DEGREE, second[0]: second[1]}
         return figure_of("figures:draw_measured", course.time, courses, events)
 
@@ -162,7 +154,6 @@ def measure(
     from undrift.io.store import read_calibration
     from undrift.measures.tasks import measure_of
     from undrift.measures.uncertainty import instrument, take
-    from undrift.measures.worn import follow
 
     reads = (record, eyes_closed, mounting, calibration, opening.column_map)
     check_output(
@@ -175,22 +166,23 @@ def measure(
     model = None if calibration is None else read_calibration(calibration)
     calibrated = model if mounting is None else read_calibration(mounting)
     worn = _worn(calibrated, mounting, forward, up)
-    task_measure, devices, earlier = measure_of(task), [], list["Finding"]()
-    notes: tuple[str, ...] = ()
+    task_measure, devices = measure_of(task), list["Instrument"]()
+    earlier, notes = list["Finding"](), list[str]()
     for path in (record, eyes_closed) if eyes_closed else (record,):
         progress(f"measuring {path.name}", 0.2)
         with named_columns(path):
-            readings, against, notes = corrected(opening.like(model, calibration).read(path), path, model, applying)
+            readings, against, remarks = corrected(opening.like(model, calibration).read(path), path, model, applying)
             devices.append(instrument(readings, calibrated, worn))
         earlier += against
+        notes += remarks
     taken = [take(device, task_measure) for device in devices]
     shown, measures = taken[0]
     if output is not None:
         _write_events(shown.events, output)
     return Measured(
-        record=record, task=task, output=output, device=devices[0], course=follow(devices[0].worn), shown=shown,
+        record=record, task=task, output=output, device=devices[0], course=devices[0].course(task_measure), shown=shown,
         measures=measures, closed=taken[1][1] if eyes_closed else (),
-        findings=(*earlier, *_findings(devices[0], shown, measures, FIRST[task])), notes=notes,
+        findings=(*earlier, *_findings(devices, shown, measures, FIRST[task])), notes=tuple(dict.fromkeys(notes)),
     )  # fmt: skip
 
 
@@ -224,12 +216,13 @@ def _worn(
 
 
 def _findings(
-    device: "Instrument", shown: "TaskResult", measures: "tuple[Measure, ...]", first: tuple[str, ...]
+    devices: "list[Instrument]", shown: "TaskResult", measures: "tuple[Measure, ...]", first: tuple[str, ...]
 ) -> "tuple[Finding, ...]":
     """Return what is assumed, what limits the first measures and would halve it, and what is left out."""
     from undrift.findings import finding
 
-    texts = [finding("measure.assumed", "warn", what=device.assumed)] if device.assumed else []
+    assumed = tuple(dict.fromkeys(what for one in devices for what in one.assumed))
+    texts = [finding("measure.assumed", "warn", what=assumed)] if assumed else []
     peak = next((one.mean for one in measures if one.name == "peak_trunk_pitch_deg"), 0.0)
     texts += [finding("measure.sides", "warn", pitch_deg=peak)] if peak < 0.0 else []
     for one in (one for one in measures if one.name in first):

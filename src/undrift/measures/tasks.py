@@ -18,8 +18,6 @@ UNITS = {  # longest first: the end of a name, the unit, and the factor from SI
     "_m_s2": "m/s2",
     "_m_s": "m/s",
     "_deg2": "deg2",
-    "_per_min": "1/min",
-    "_percent": "%",
     "_dps": "deg/s",
     "_deg": "deg",
     "_hz": "Hz",
@@ -84,9 +82,4 @@ TYPES = {  # of events, for people
     "extension": "Trunk extension: from the greatest forward pitch to the last motion",
     "stand-to-sit": "Sitting down: from first to last motion of the trunk",
     "standing": "Quiet stance",
-    "turn": "Turn about the vertical",
-    "tug": "Timed up and go: from the first motion out of the chair to the last into it",
-    "walking": "Steps straight ahead",
-    "rise": "The body rises a step",
-    "initial contact": "A foot comes down",
 }

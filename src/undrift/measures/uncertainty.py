@@ -35,7 +35,7 @@ from undrift.correction.plan import error_covariance
 from undrift.correction.rest import ageing, by_temperature, known_rest_offset, moved_by
 from undrift.errors import InputError
 from undrift.measures.tasks import TaskMeasure, TaskResult, is_time
-from undrift.measures.worn import ACC_S, WornReadings, follow, wear
+from undrift.measures.worn import ACC_S, Course, WornReadings, follow, wear
 from undrift.model import BodyMounting, Calibration
 from undrift.record import Record
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
@@ -73,6 +73,17 @@ class Instrument:
         """Return what changes a measure but noise, of a person who stands or moves."""
         offsets = (("offset", _erring("gyro", _offset(size, k))) for k, size in enumerate(self.left[stands]))
         return (*self.changes, *offsets)
+
+    def readings(self, task: TaskMeasure) -> WornReadings:
+        """Return the readings as a task takes them: a person who stands keeps the offset that the rest shows.
+
+        A bias that the filter tracks drifts by more than such a person; a constant one moves the mean of an angle alone.
+        """
+        return replace(self.worn, offset_uncertainty=0.0) if stands_in(task) else self.worn
+
+    def course(self, task: TaskMeasure) -> Course:
+        """Return the course that a task is measured on."""
+        return follow(self.readings(task))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -147,9 +158,8 @@ def instrument(record: Record, model: Calibration | None, mounting: BodyMounting
         changes += [("calibration", _erring("accel", _offset(ACCEL_OFFSET, k))) for k in range(3)]
     else:
         changes += [("calibration", _erring("accel", one)) for one in _columns(force_error.covariance)]
-        offset_k, scale_k = by_temperature(
-            force_error, np.nan if record.temp_c is None else float(np.nanmean(record.temp_c))
-        )
+        seen_c = np.empty(0) if record.temp_c is None else record.temp_c[np.isfinite(record.temp_c)]
+        offset_k, scale_k = by_temperature(force_error, float(seen_c.mean()) if len(seen_c) else np.nan)
         changes += [("temperature", _erring("accel", _offset(offset_k, k))) for k in range(3) if offset_k]
         changes += [("temperature", _erring("accel", _scale(scale_k, k))) for k in range(3) if scale_k]
     size = ageing("" if force_error is None else force_error.calibrated)
@@ -169,12 +179,9 @@ def instrument(record: Record, model: Calibration | None, mounting: BodyMounting
 
 def take(device: Instrument, task: TaskMeasure) -> tuple[TaskResult, tuple[Measure, ...]]:
     """Return what a recording shows of a task, each measure with its uncertainty; a measure that a change undoes is left out."""
-    from undrift.measures.standing import sway
-
-    # A bias that the filter tracks drifts by more than a person who stands; a constant one moves the mean of an angle alone
-    stands = task is sway
-    worn = replace(device.worn, offset_uncertainty=0.0) if stands else device.worn
-    shown = task(follow(worn))
+    stands, worn = stands_in(task), device.readings(task)
+    course = follow(worn)
+    shown = task(course)
     undone: dict[str, str] = {}
 
     def moved(source: str, change: Change) -> dict[str, FloatArray]:
@@ -204,7 +211,7 @@ def take(device: Instrument, task: TaskMeasure) -> tuple[TaskResult, tuple[Measu
         for power in (1.0, 2.0)
     ]
     sources = (*(source for source, _ in changes), "noise", "noise", "sampling")
-    between, measures = SAMPLING * follow(worn).step, list[Measure]()
+    between, measures = SAMPLING * course.step, list[Measure]()
     for name, value in shown.values.items():
         if name in undone:
             continue
@@ -213,6 +220,13 @@ def take(device: Instrument, task: TaskMeasure) -> tuple[TaskResult, tuple[Measu
         columns = np.array([*(one[name] for one in every), *noise, between * is_time(name) + 0.0 * value])
         measures.append(Measure(name=name, values=value, columns=columns, sources=sources))
     return replace(shown, missing=(*shown.missing, *undone.items())), tuple(measures)
+
+
+def stands_in(task: TaskMeasure) -> bool:
+    """Tell whether the person stands still."""
+    from undrift.measures.standing import sway
+
+    return task is sway
 
 
 def _columns(covariance: FloatArray) -> list[FloatArray]:
