@@ -47,6 +47,11 @@ def test_people_by_tasks_from_files_of_the_set_to_a_page(folder, tmp_path, capsy
         (("person,", "who,"), "wanted columns recording, person, task, device, and of"),
         (("pp002,chairrise", ",chairrise"), r"wanted person in line 4, got none; fill it in"),
         (("imu_step.mat", "imu_walk.mat"), r"pp001/imu/imu_walk.mat: .*wanted"),
+        (("a.json\n", "\n"), r"wanted a calibration in every row of device A or in none, got 5 of 6"),
+        (
+            ("pp001/imu/imu_step.mat", "pp001/imu/imu_chairrise.mat"),
+            r"wanted each recording once, got .*chairrise.mat in several",
+        ),
         ((",pelvis,", ",foot,"), r"wanted sensor 'foot', got a file with head, pelvis; name one of them"),
     ],
 )
@@ -71,5 +76,9 @@ def test_a_study_of_files_or_without_a_table_is_refused(folder, tmp_path, capsys
     assert (
         "write a row a recording with columns recording, person, task, device and reference" in capsys.readouterr().err
     )
+    assert run(["validate", "--study", str(folder), "--compare"]) == 2
+    assert "--study judges every pipeline; leave --compare" in capsys.readouterr().err
+    assert run(["validate", "--study", str(folder), "--margin-deg", "0"]) == 2
+    assert "wanted more than 0 deg" in capsys.readouterr().err
     assert run(["validate", "--study", str(folder), "--calibration", str(folder / "a.json")]) == 2
     assert "--calibration and --study together say two things" in capsys.readouterr().err

@@ -8,6 +8,7 @@ import pytest
 
 from testkit.data import show
 from undrift.errors import InputError
+from undrift.model import BodyMounting
 from undrift.sim.device.effects import Offset, Scale, WhiteNoise
 from undrift.sim.device.model import DeviceModel, SensorChain
 from undrift.sim.device.truth import true_calibration, true_tables
@@ -118,3 +119,19 @@ def test_no_trial_that_can_be_judged_is_refused():
     one = replace(trial(1, "sit_to_stand"), pair=(asleep, reference))
     with pytest.raises(InputError, match="wanted one trial or more that can be judged, got none: "):
         study_people([one], margin_deg=0.15)
+
+
+def test_a_unit_that_is_wrong_is_named_and_a_mounting_is_applied():
+    one = trial(1, "sit_to_stand", calibration=None)
+    record, reference = one.pair
+    in_radians = replace(one, pair=(replace(record, gyro_unit="rad/s"), reference))
+    with pytest.raises(InputError, match=r"none: 1 sit_to_stand: wanted rates in the unit that is stated, got 56"):
+        study_people([in_radians], margin_deg=0.15)
+    quarter = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # worn with its y forward
+    turned = replace(record, gyro=record.gyro @ quarter, accel=record.accel @ quarter)
+    worn_so = BodyMounting(place="lower-back", matrix=quarter, covariance=np.zeros((3, 3)), basis="stated")
+    plain, worn_as = (
+        study_people([each], margin_deg=0.15).errors[2].pitch_deg
+        for each in (replace(one, calibration=None), replace(one, pair=(turned, reference), mounting=worn_so))
+    )
+    np.testing.assert_allclose(worn_as, plain, rtol=1e-6)

@@ -1,4 +1,4 @@
-"""``undrift validate --study FOLDER``: people, tasks and devices beside optics, by each pipeline, as a paper reports it.
+"""A study by ``undrift validate``: people, tasks and devices beside optics, by each pipeline, as a paper reports it.
 
 The folder holds ``trials.csv``, a row a recording. Columns: recording, person, task and device; reference, where the recording does
 not hold its own; and where they are needed calibration, map, sensor, reference_map, reference_up and markers, as the options have
@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, cast
 from undrift import __version__
 from undrift.base.summary import Result, Section, Summary, at, figure_of, interval, number, plain
 from undrift.commands import Progress, part_of, silent
-from undrift.commands.files import Opening, Optics, check_folder, origin_of, save_json
+from undrift.commands.files import Opening, Optics, check_folder, origin_of, save_json, worn_by
 from undrift.errors import InputError, UndriftError
 from undrift.files import read_bytes
 
@@ -57,27 +57,31 @@ class StudyOfPeople(Result):
                 methods,
                 self._trials(),
             ),
+            findings=tuple({item.text: item for one in study.errors for item in one.findings}.values()),
             written=() if self.output is None else (self.output / "study.json", self.output / "report.html"),
         )
 
     @property
     def data(self) -> dict[str, Any]:
         """What JSON has, and study.json."""
+        from undrift.io.store import findings_json
+
         study = self.study
         trials = [{name: getattr(one, name) for name in NEEDED} for one in study.trials]
-        errors = [asdict(one) for one in study.errors]
+        errors = [asdict(replace(one, findings=())) | {"findings": findings_json(one.findings)} for one in study.errors]
         about = {"quantity": study.quantity, "measure": study.measure, "margin_deg": study.margin_deg}
         groups = [asdict(one) for one in study.groups]
         return about | {"trials": trials, "groups": groups, "errors": errors, "methods": self.methods()}
 
     def _answer(self) -> str:
         study, every = self.study, [group for group in self.study.groups if group.of == "all" and group.trials]
-        raw, best = every[0], min(every, key=lambda group: group.mean_deg)
+        raw, whole = every[0], [group for group in every if group.trials == max(one.trials for one in every)]
+        best = min(whole, key=lambda group: group.mean_deg)
         ends = f"{max(best.interval_deg[0], 0.0):.2f} to {best.interval_deg[1]:.2f}"  # an error is 0 at least
         spread = "" if best.people < 2 else f" [95 % {ends}]"
         return (
-            f"{_named(best)}: {study.quantity} error {best.mean_deg:.2f} deg{spread}, {_named(raw)} {raw.mean_deg:.2f}; "
-            f"{best.people} people, {best.trials} trials"
+            f"least of {len(whole)} pipelines, {_named(best)}: {study.quantity} error {best.mean_deg:.2f} deg{spread}, "
+            f"{_named(raw)} {raw.mean_deg:.2f}; {best.people} people, {best.trials} trials"
         )
 
     def _errors(self, name: str) -> Section:
@@ -217,13 +221,13 @@ def _study(given: tuple[Any, ...], stated: dict[str, Any]) -> StudyOfPeople:
     settings = TrialSettings(
         lag=lag, forward=stated.get("forward") or "+x", up=stated.get("up") or "+z", adc=stated.get("adc", "auto")
     )
-    folder = cast("Path", given[0])
-    rows = list(_rows(folder / TABLE))
-    trials = list["PersonTrial"]()
+    folder, comparing = cast("Path", given[0]), stated["comparing"]
+    comparing.check()
+    rows, trials = list(_rows(folder / TABLE)), list["PersonTrial"]()
+    _check_rows(folder / TABLE, rows)
     for k, row in enumerate(rows):
         progress(f"reading {row['recording']}", 0.3 * k / len(rows))
-        trials.append(_trial(folder, row, stated.get("opening", Opening())))
-    comparing = stated["comparing"]
+        trials.append(_trial(folder, row, stated))
     study = study_people(
         trials, margin_deg=comparing.margin_deg, settings=settings, progress=part_of(progress, 0.3, 1.0)
     )
@@ -259,7 +263,21 @@ def _rows(table: Path) -> Iterator[dict[str, str]]:
         raise InputError(f"{table}: wanted a row for each recording, got none; add them")
 
 
-def _trial(folder: Path, row: dict[str, str], opening: Opening) -> "PersonTrial":
+def _check_rows(table: Path, rows: list[dict[str, str]]) -> None:
+    """Refuse a recording that stands twice, which would correct itself, and a device that is calibrated in some rows alone."""
+    names = [(row["recording"], row["sensor"]) for row in rows]
+    if twice := sorted({name for name, _ in names if names.count((name, _)) > 1}):
+        raise InputError(f"{table}: wanted each recording once, got {twice[0]} in several rows; leave one")
+    for device in dict.fromkeys(row["device"] for row in rows):
+        calibrated = [bool(row["calibration"]) for row in rows if row["device"] == device]
+        if any(calibrated) and not all(calibrated):
+            raise InputError(
+                f"{table}: wanted a calibration in every row of device {device} or in none, got {sum(calibrated)} of "
+                f"{len(calibrated)}; fill it in"
+            )
+
+
+def _trial(folder: Path, row: dict[str, str], stated: dict[str, Any]) -> "PersonTrial":
     """Read one row's recording, reference and calibration."""
     from undrift.io.store import read_calibration
     from undrift.study.people import PersonTrial
@@ -272,10 +290,12 @@ def _trial(folder: Path, row: dict[str, str], opening: Opening) -> "PersonTrial"
         reference_up=cast("Any", row["reference_up"] or None),
     )  # fmt: skip
     model = read_calibration(paths["calibration"]) if paths["calibration"] else None
+    opening: Opening = stated.get("opening", Opening())
     how = replace(opening, column_map=paths["map"] or opening.column_map, sensor=row["sensor"] or opening.sensor)
     try:
         (pair,) = optics.pairs((recording,), how.like(model, paths["calibration"]), command="validate")
     except UndriftError as error:
         raise InputError(f"{folder / TABLE}, {row['recording']}: {error}") from error
     about = {name: row[name] for name in NEEDED}
-    return PersonTrial(**about, pair=pair, calibration=model, cluster=optics.of_cluster())
+    worn = worn_by(model, stated.get("forward"), stated.get("up"))
+    return PersonTrial(**about, pair=pair, calibration=model, cluster=optics.of_cluster(), mounting=worn)

@@ -208,8 +208,12 @@ class Comparing:
     study: Flag = False
 
     def check(self) -> None:
-        """Refuse a margin that is none, and what says nothing without a comparison."""
-        if not self.compare and (self.labels or (self.margin_deg != Comparing.margin_deg and not self.against)):
+        """Refuse a margin that is none, and what says nothing without a comparison, or beside a study."""
+        if self.study and (self.compare or self.against or self.labels):
+            raise InputError("validate: `study` judges every pipeline; leave `compare`, `against` and `labels` out")
+        if not (self.compare or self.study) and (
+            self.labels or (self.margin_deg != Comparing.margin_deg and not self.against)
+        ):
             raise InputError("validate: `labels` and `margin_deg` want `compare`; say both, or neither")
         if not 0.0 < self.margin_deg < math.inf:
             raise InputError(f"`margin_deg`: wanted more than 0 deg, got {self.margin_deg:g}; say what matters")
@@ -436,18 +440,6 @@ def _validation_json(result: "Validation") -> dict[str, object]:
     }
 
 
-def _check_scale(trial: "Trial") -> None:
-    """Refuse a device with over twice or under half the rate of its reference: degrees for radians, most likely."""
-    import numpy as np
-
-    times = 1.0 / float(np.linalg.norm(trial.lag.matrix, ord=2))  # the matrix maps readings to the reference's rate
-    if not 0.5 < times < 2.0:
-        raise InputError(
-            f"{trial.recording}: wanted rates in the unit that is stated, got {times:.3g} times those of the reference; check the "
-            "unit and the scale of the gyroscope"
-        )
-
-
 def _judged(
     pairs: list[tuple["Record", "Reference"]],
     named: tuple[tuple[Path, ...], tuple[Path, ...]],
@@ -461,7 +453,7 @@ def _judged(
     from undrift.calibration.calibrate import calibrate_to_references
     from undrift.correction.consistency import check_triads
     from undrift.validation.agreement import MOUNTING_ABOVE, validate_leave_one_out, validate_trials
-    from undrift.validation.trial import check_poses
+    from undrift.validation.trial import check_poses, check_scale
 
     (paths, references), (calibration, model), (leave_one_out, progress) = named, read, how
     records, held, names = [pair[0] for pair in pairs], [pair[1] for pair in pairs], [name_of(path) for path in paths]
@@ -491,7 +483,7 @@ def _judged(
         else validate_trials(pairs, calibrations=(model,), settings=settings, names=names, progress=progress)
     )
     for trial in result.trials:
-        _check_scale(trial)
+        check_scale(trial)
     if result.held_out and fit is not None and fit.mounting == "each":
         settings = replace(settings, align_above=min(settings.align_above, MOUNTING_ABOVE))
     verdict = Verdict() if model is None or result.held_out else model.verdict

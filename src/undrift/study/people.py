@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from undrift.arrays import BoolArray, FloatArray
 from undrift.calibration.calibrate import calibrate_from_motion
 from undrift.errors import InputError, UndriftError
-from undrift.model import Calibration
+from undrift.findings import Finding
+from undrift.model import BodyMounting, Calibration
 from undrift.study.statistics import Decision, decide_between, mean_interval
 from undrift.units import RADIAN_PER_DEGREE
 from undrift.validation.agreement import (
@@ -28,7 +29,7 @@ from undrift.validation.agreement import (
     calibrations_by_others,
     intraclass_correlation,
 )
-from undrift.validation.trial import OffsetChoice, Trial, TrialSettings, validate_trial
+from undrift.validation.trial import OffsetChoice, Trial, TrialSettings, check_scale, validate_trial
 
 LEAST = 3  # people, or trials, of a verdict or an agreement
 Source: TypeAlias = Literal["none", "constants", "tables", "best", "motion"]
@@ -57,6 +58,7 @@ class PersonTrial:
     pair: Pair
     calibration: Calibration | None = None  # Of the device; None takes its other recordings
     cluster: bool = False  # The reference is a cluster of markers, whose axes mean nothing: levelled at rest
+    mounting: BodyMounting | None = None  # How the device is worn: its readings are turned to the segment's axes
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -70,6 +72,7 @@ class PipelineErrors:
     pitch_deg: FloatArray
     end_deg: FloatArray  # After the motion
     measure: FloatArray  # (T, 2), by the sensor and by the optics, deg
+    findings: tuple[Finding, ...]  # That warn or fail, of its trials
     missing: str  # In how many trials, and why; empty where all have it
 
 
@@ -85,9 +88,8 @@ class Group:
     mean_deg: float  # Of the judged error over people
     interval_deg: tuple[float, float]  # 95 %
     median_deg: float  # Over trials
-    decision: (
-        Decision | None
-    )  # Error of the same method as read less this one's, over people; None with fewer than three
+    # Error of the same method as read less this one's, over people; None with fewer than three
+    decision: Decision | None
     limits: BlandAltman | None  # Sensor less optics, over trials; None with fewer than three
     icc: IntraclassCorrelation | None  # ICC(2,1) of sensor and optics over trials
     equivalence: Decision | None  # Sensor against optics over people
@@ -187,12 +189,14 @@ def _or_why(
 def _judged(trial: PersonTrial, by: Made, settings: TrialSettings) -> Trial | str:
     if isinstance(by, str):
         return by
-    settings = replace(settings, align="level") if trial.cluster else settings
+    settings = replace(settings, mounting=trial.mounting, align="level" if trial.cluster else settings.align)
     method = by.gyro.method if by and by.gyro else ""
     if method.startswith("reference") and trial.calibration is None and settings.offset == "rest":
         settings = replace(settings, offset="none")  # a fit to the others has the offset of this recording's rest
     try:
-        return validate_trial(*trial.pair, calibration=by, settings=settings, name=trial.recording)
+        judged = validate_trial(*trial.pair, calibration=by, settings=settings, name=trial.recording)
+        check_scale(judged)
+        return judged
     except UndriftError as error:
         return str(error)
 
@@ -217,6 +221,7 @@ def _errors(pipeline: str, method: Method, each: list[Trial | str], *, by_pitch:
         measure=np.array(
             [_measure(one, by_pitch=by_pitch) if isinstance(one, Trial) else (np.nan, np.nan) for one in each]
         ),
+        findings=tuple(item for one in each if isinstance(one, Trial) for item in one.findings if item.level != "info"),
         missing=f"missing in {len(reasons)} of {len(each)} trials: {reasons[0]}" if reasons else "",
     )
 

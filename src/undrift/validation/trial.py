@@ -620,17 +620,30 @@ def validate_trial(
     return replace(judged, expected=_expected(judged, done, track, late, calibration, settings, source))
 
 
+def check_scale(trial: Trial) -> None:
+    """Refuse a device with over twice or under half the rate of its reference: degrees for radians, most likely."""
+    times = 1.0 / float(np.linalg.norm(trial.lag.matrix, ord=2))  # the matrix maps readings to the reference's rate
+    if not 0.5 < times < 2.0:
+        raise InputError(
+            f"{trial.recording}: wanted rates in the unit that is stated, got {times:.3g} times those of the reference; check the "
+            "unit and the scale of the gyroscope"
+        )
+
+
 def _track(
     record: Record, references: tuple[Reference, Reference], motion: MotionSpan, shift_s: float, settings: TrialSettings
 ) -> tuple[tuple[FloatArray, FloatArray], tuple[Finding, ...]]:
     """Return time and orientation from the rest on, or, without one, from the poses (second of both), and that it is so."""
     reference, poses = references
     if settings.method == "vqf":
-        return track_filtered(record, reference, motion, shift_s, settings), ()
-    if motion.rested:
+        track = track_filtered(record, reference, motion, shift_s, settings)
+    elif motion.rested:
         how = {"rest_s": settings.rest_s, "lead_s": settings.lead_s}
-        return track_from_rest(record, reference, motion, shift_s=shift_s, **how), ()
-    track = track_from_reference(record, poses, motion, shift_s=shift_s)
+        track = track_from_rest(record, reference, motion, shift_s=shift_s, **how)
+    else:
+        track = track_from_reference(record, poses, motion, shift_s=shift_s)
+    if motion.rested:
+        return track, ()
     return track, (finding("validate.no_rest", "info", start_s=float(track[0][0]), over_s=START_S),)
 
 
