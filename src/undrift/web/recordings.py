@@ -264,15 +264,20 @@ def _state(visit: "Visit") -> object:
     return known, one.title, references, visit.calibration
 
 
-def _checked(visit: "Visit", one: StoredFile | None) -> None:
-    """Add what a file holds, and what it needs."""
-    if one is None:
-        return
+def _headed(visit: "Visit", one: StoredFile) -> None:
+    """Add the name of a file, and what is wrong with it or missing."""
     parts.text("h2", one.name)
     if one.needs_rate:
         _rate_form(visit.recordings, one)
     else:
         parts.error_line(one.error)
+
+
+def _checked(visit: "Visit", one: StoredFile | None) -> None:
+    """Add what a file holds, and what it needs."""
+    if one is None:
+        return
+    _headed(visit, one)
     if one.needs_map:
         _map_form(visit.recordings, one)
     elif one.kind == "calibration":
@@ -291,11 +296,7 @@ def _used(visit: "Visit", one: StoredFile | None) -> None:
         parts.text("p", "Choose a recording of this list, or drop one.")
         parts.next_step("Check files", "/check")
         return
-    parts.text("h2", one.name)
-    if one.needs_rate:
-        _rate_form(visit.recordings, one)
-    else:
-        parts.error_line(one.error)
+    _headed(visit, one)
     _actions(visit, one)
     for command, remarks in one.remarks.items():
         if remarks and command != "info":

@@ -125,3 +125,11 @@ def test_a_folder_has_one_bench_and_the_second_is_shown_the_first(tmp_path):
     assert text.endswith("in use by the bench at http://127.0.0.1:8765/; open that, or name another folder")
     lock.close()
     lock_folder(tmp_path).close()
+
+
+def test_a_device_that_another_version_described_is_listed_with_what_is_understood(tmp_path):
+    place = tmp_path / "devices" / "one"
+    place.mkdir(parents=True)
+    (place / ".bench.json").write_text('{"title": "imu3", "serial": 7, "colour": "red"}')
+    (device,) = Library(tmp_path, 1.0).devices
+    assert (device.name, device.serial) == ("imu3", "")

@@ -207,6 +207,19 @@ def test_a_view_compares_the_turn_that_is_read_with_the_one_that_is_commanded():
     np.testing.assert_allclose(measured, commanded)
 
 
+@pytest.mark.parametrize(("axis", "rate_dps"), [("xyz", 30.0), ("x", 1.0)])
+def test_a_skew_mounting_and_a_slow_turn_are_not_judged_by_one_reading(axis, rate_dps):
+    view = View()
+    step = {"kind": "dwell", "text": "turn", "up": f"+{axis}", "axis": axis, "turn_rate": math.radians(rate_dps)}
+    steps = [{**step, "seconds": 6.0, "temp_c": None}]
+    view.take({"event": "started", "time": 1.0, "pid": 1, "standby": ""})
+    view.take({"event": "plan", "time": 1.0, "steps": steps, "done": [], "speed": 1.0})
+    known = {"left_s": 9.0, "slope_c_per_min": None, "air_c": None, "device_c": None}
+    live = "gyro_x 10.0 gyro_y 300.0 gyro_z -300.0"
+    view.take({"event": "at", "time": 2.0, "phase": "dwelling", "number": 0, "live": live, **known})
+    assert view.wrong == ""
+
+
 def test_an_emulator_ends_after_its_last_client_and_after_the_program_that_started_it(tmp_path):
     words, place = (
         [sys.executable, "-m", "undrift", "rig", "emulate", "--json", "--idle-s", "1"],

@@ -190,9 +190,7 @@ class Library:
 
     def __init__(self, folder: Path, quota_gb: float) -> None:
         self.folder, self.quota_gb = folder, quota_gb
-        self.devices = [
-            KnownDevice(folder=place, **read_object(place / ABOUT)) for place in _newest(folder / "devices")
-        ]
+        self.devices = [KnownDevice(folder=place, **_words_in(place)) for place in _newest(folder / "devices")]
         self.files = [stored for place in _newest(folder / "uploads") if (stored := _file_in(place)) is not None]
         self.jobs: list[Job] = []
         self.find_jobs()
@@ -278,6 +276,12 @@ def _newest(folder: Path) -> list[Path]:
         part.unlink()
     places = [place for place in folder.iterdir() if place.is_dir()]
     return sorted(places, key=lambda place: (_came(place), place.name), reverse=True)
+
+
+def _words_in(place: Path) -> dict[str, str]:
+    """Return what the folder of a device says of it: of another version, or touched by hand, what is understood."""
+    known = read_object(place / ABOUT)
+    return {name: value for name, value in known.items() if name in KnownDevice.SAVED and isinstance(value, str)}
 
 
 def _came(place: Path) -> float:

@@ -35,6 +35,7 @@ from urllib.parse import urlencode
 from undrift.base.options import asked, stated
 from undrift.errors import InputError, RigFault
 from undrift.files import take_lock, write_whole
+from undrift.model import AXES
 from undrift.record import Record, joined
 from undrift.rig.chamber import LOOKS, SoakSettings, Steadiness, mean_temp
 from undrift.rig.folder import JOURNAL
@@ -51,6 +52,7 @@ ANSWER, LOG = "answer.json", "run.log"
 START_S = 30.0  # that a supervisor is waited for
 ANSWER_S = 2.0  # that it may take to answer
 FOLLOW_S = 0.1  # between two looks at what is new
+LEAST_JUDGED = 5.0 * RADIAN_PER_DEGREE  # rad/s of a turn: below it one reading may be noise [assumed]
 CURVE = 2000  # points that are kept of a temperature curve
 
 State = Literal["starting", "running", "pausing", "paused", "stopping", "stopped", "failed", "done"]
@@ -211,15 +213,16 @@ class View:
             self._rest = gyro
             return
         shown = [reading - rest for reading, rest in zip(gyro, self._rest or [0.0] * 3, strict=True)]
-        about, largest = "xyz".index(step["axis"]), max(range(3), key=lambda k: abs(shown[k]))
-        if largest != about:
-            self.wrong = f"The table turns about {step['axis']}, {'xyz'[largest]} of the device reads most: look how it is mounted."
-        elif shown[about] * rate < 0.0:
+        if step["axis"] not in AXES:  # a skew mounting turns all three
+            return
+        about, largest = AXES.index(step["axis"]), max(range(3), key=lambda k: abs(shown[k]))
+        self.wrong = ""
+        if abs(rate) >= LEAST_JUDGED and abs(shown[largest]) > 2.0 * abs(shown[about]):
+            self.wrong = f"The table turns about {step['axis']}, {AXES[largest]} of the device reads most: look how it is mounted."
+        elif abs(rate) >= LEAST_JUDGED and shown[about] * rate < 0.0:
             self.wrong = (
                 f"The device reads the turn about {step['axis']} in the opposite sense: look how it is mounted."
             )
-        else:
-            self.wrong = ""
         self.rates.append((now, rate / RADIAN_PER_DEGREE, shown[about]))
         if len(self.rates) > CURVE:
             del self.rates[1::2]
@@ -483,10 +486,11 @@ class EmulatedTable:
 
     def start(self) -> dict[str, str]:
         """Start it, or find the one that an earlier bench left; return its addresses."""
-        started = self._place.with_suffix(".words")
-        if self.is_there() and (pid := started.read_text().partition(" "))[2] != " ".join(self.words):
-            os.kill(int(pid[0]), signal.SIGTERM)  # it has another speed
-            while self.is_there():
+        started, last = self._place.with_suffix(".words"), time.monotonic() + START_S
+        pid, _, words = started.read_text().partition(" ") if started.is_file() else ("", "", "")
+        if self.is_there() and pid.isdigit() and words != " ".join(self.words):
+            os.kill(int(pid), signal.SIGTERM)  # it has another speed
+            while self.is_there() and time.monotonic() < last:
                 time.sleep(0.05)
         if self.addresses and self.is_there():
             return self.addresses
