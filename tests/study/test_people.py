@@ -135,3 +135,13 @@ def test_a_unit_that_is_wrong_is_named_and_a_mounting_is_applied():
         for each in (replace(one, calibration=None), replace(one, pair=(turned, reference), mounting=worn_so))
     )
     np.testing.assert_allclose(worn_as, plain, rtol=1e-6)
+
+
+def test_what_a_trial_warns_of_is_kept_with_its_recording():
+    one = trial(1, "sit_to_stand", calibration=None)
+    record, reference = one.pair
+    holes = np.array(record.gyro)
+    holes[100:103] = np.nan
+    study = study_people([replace(one, pair=(replace(record, gyro=holes), reference))], margin_deg=0.15)
+    named = [(recording, item.code) for recording, item in study.errors[0].findings]
+    assert ("1 sit_to_stand", "validate.gaps_before") in named

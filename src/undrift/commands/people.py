@@ -51,13 +51,13 @@ class StudyOfPeople(Result):
             pictures=(figure_of("figures:draw_people", self),),
             sections=(
                 every,
+                *((warnings,) if (warnings := self._warnings()).text else ()),
                 replace(self._agreement(["all"]), on="terminal"),
                 *(replace(part, on="page") for part in parts),
                 replace(self._agreement(names), on="page"),
                 methods,
                 self._trials(),
             ),
-            findings=tuple({item.text: item for one in study.errors for item in one.findings}.values()),
             written=() if self.output is None else (self.output / "study.json", self.output / "report.html"),
         )
 
@@ -68,7 +68,11 @@ class StudyOfPeople(Result):
 
         study = self.study
         trials = [{name: getattr(one, name) for name in NEEDED} for one in study.trials]
-        errors = [asdict(replace(one, findings=())) | {"findings": findings_json(one.findings)} for one in study.errors]
+        errors = list[dict[str, Any]]()
+        for one in study.errors:
+            words = findings_json([item for _, item in one.findings])
+            named = [{"recording": of[0], **each} for of, each in zip(one.findings, words, strict=True)]
+            errors.append(asdict(replace(one, findings=())) | {"findings": named})
         about = {"quantity": study.quantity, "measure": study.measure, "margin_deg": study.margin_deg}
         groups = [asdict(one) for one in study.groups]
         return about | {"trials": trials, "groups": groups, "errors": errors, "methods": self.methods()}
@@ -105,6 +109,15 @@ class StudyOfPeople(Result):
         )
         title = "All trials" if name == "all" else name[0].upper() + name[1:]
         return Section(title=title, columns=heads, rows=tuple(rows), text=text)
+
+    def _warnings(self) -> Section:
+        """Return what the trials warn of, once for each recording, with the first pipeline that does."""
+        seen = dict[tuple[str, str], str]()
+        for one in self.study.errors:
+            for recording, item in one.findings:
+                text = f"{Path(recording).name}, {one.pipeline}: {item.text}"
+                seen.setdefault((recording, item.code), text)
+        return Section(title="Warnings", text=tuple(seen.values()))
 
     def _agreement(self, names: list[str]) -> Section:
         """Return the agreement with the optics of each pipeline in each group."""

@@ -72,7 +72,7 @@ class PipelineErrors:
     pitch_deg: FloatArray
     end_deg: FloatArray  # After the motion
     measure: FloatArray  # (T, 2), by the sensor and by the optics, deg
-    findings: tuple[Finding, ...]  # That warn or fail, of its trials
+    findings: tuple[tuple[str, Finding], ...]  # That warn or fail, each with its recording
     missing: str  # In how many trials, and why; empty where all have it
 
 
@@ -221,7 +221,13 @@ def _errors(pipeline: str, method: Method, each: list[Trial | str], *, by_pitch:
         measure=np.array(
             [_measure(one, by_pitch=by_pitch) if isinstance(one, Trial) else (np.nan, np.nan) for one in each]
         ),
-        findings=tuple(item for one in each if isinstance(one, Trial) for item in one.findings if item.level != "info"),
+        findings=tuple(
+            (one.recording, item)
+            for one in each
+            if isinstance(one, Trial)
+            for item in one.findings
+            if item.level != "info"
+        ),
         missing=f"missing in {len(reasons)} of {len(each)} trials: {reasons[0]}" if reasons else "",
     )
 
