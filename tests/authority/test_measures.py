@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 
 import undrift
+from testkit import planted
 from testkit.data import data_path, show
 from testkit.worn_captures import RATE_HZ, G, captured, errors, times, true_course, worn_device
+from undrift.commands.files import Opening
 from undrift.io.mocap import read_trc
 from undrift.measures.rising import sit_to_stand
 from undrift.measures.worn import follow
@@ -123,3 +125,85 @@ def test_a_back_side_that_is_stated_as_forward_is_named_on_a_worn_recording(forw
     path = data_path("worn_lowback", "HA_001_Test11.csv.gz")
     found = undrift.measure(str(path), task="sit-to-stand", forward=forward, up="+x", sample_rate_hz=100.0)
     assert ("measure.sides" in {one.code for one in found.findings}) is named
+
+
+def mobilised(test, trial):
+    """A person who walks: measures of the device at the low back, and contacts by the optics (n,), s."""
+    from scipy.io import loadmat
+
+    path = data_path("makers", "mobilised_mat", "data_lab_HA001.mat")
+    result = undrift.measure(
+        str(path), task="walk", forward="+z", up="+x", opening=Opening(sensor=f"TimeMeasure1.{test}.{trial}.LowerBack")
+    )
+    bouts = loadmat(path, simplify_cells=True)["data"]["TimeMeasure1"][test][trial]["Standards"]["Stereophoto"][
+        "MicroWB"
+    ]
+    bouts = bouts if isinstance(bouts, list | np.ndarray) else [bouts]
+    return result, [np.asarray(one["InitialContact_Event"]) for one in bouts]
+
+
+def test_steps_of_a_worn_recording_agree_with_the_optics():
+    """Mobilise-D example, HA001, 2026-07-23: two walks of 5 m, stereophotogrammetry of the feet.
+
+    The person walks on beyond the field of the cameras: steps are compared where both have them. Limits were set after a look at
+    the contacts, before the durations were seen.
+    """
+    late, steps = [], []
+    for trial in ("Trial1", "Trial2"):
+        result, (optics,) = mobilised("Test5", trial)
+        onsets = np.array([one.onset for one in result.shown.events if one.trial_type == "initial contact"])
+        ours = onsets[np.abs(onsets[:, None] - optics).argmin(axis=0)]
+        assert len(np.unique(ours)) == len(optics)  # each contact is found
+        assert len(onsets) - len(optics) <= 1
+        late += (ours - optics).tolist()
+        steps += (np.diff(ours) - np.diff(optics)).tolist()
+        cadence, seen = (60.0 / np.diff(one).mean() for one in (ours, optics))
+        show(f"walk {trial}: cadence per min, ours and optics", f"{cadence:.1f}, {seen:.1f}", 3)
+        assert abs(cadence - seen) < 3.0
+    error = np.abs(np.array(steps))
+    show("contact late, median, largest, s", f"{np.median(late):.3f}, {max(late):.3f}", "0.10, 0.15")
+    show(
+        "step durations, median and 95 % of errors, s",
+        f"{np.median(error):.3f}, {np.percentile(error, 95):.3f}",
+        "0.02, 0.10",
+    )
+    assert abs(np.median(late)) < 0.10
+    assert np.abs(late).max() < 0.15
+    assert np.median(error) < 0.02
+    assert np.percentile(error, 95) < 0.10
+
+
+def test_a_recording_of_a_morning_in_a_flat_has_walks_in_it_where_the_optics_have_them():
+    result, bouts = mobilised("Test11", "Trial1")
+    walks = [(one.onset, one.onset + one.duration) for one in result.shown.events if one.trial_type == "walking"]
+    inside = [any(a < bout[-1] and b > bout[0] for bout in bouts) for a, b in walks]
+    show("bouts of walking, of them where the optics see one", f"{len(walks)}, {sum(inside)}")
+    assert len(walks) >= 3
+    assert sum(inside) >= len(walks) - 1
+
+
+COVERED = "90 to 98, few people: 88 to 100"
+
+
+def coverage(task, motions):
+    """Print errors beside uncertainties of planted people, a device each; return the share of intervals that hold the truth."""
+    rows = {}
+    for seed, motion in enumerate(motions):
+        for name, (error, uncertainty) in errors(motion, task, [400 + seed]).items():
+            rows.setdefault(name, []).append((np.abs(error).ravel(), uncertainty.ravel()))
+    inside = []
+    for name, row in rows.items():
+        error, uncertainty = (np.concatenate(one) for one in zip(*row, strict=True))
+        inside.append(error < 1.96 * uncertainty)
+        show(
+            f"{task}, {name}: 95 % of |error|; median u; covered",
+            f"{np.percentile(error, 95):.3g}; {np.median(uncertainty):.3g}; {inside[-1].sum()} of {len(inside[-1])}",
+        )
+    share = 100.0 * np.concatenate(inside).mean()
+    show(f"{task}: covered by 95 % intervals, all measures, %", f"{share:.1f}", COVERED)
+    return share
+
+
+def test_intervals_of_walking_measures_cover_the_truth_of_planted_people():
+    share = coverage("walk", [planted.walk(np.random.default_rng([34, 100 + k])).motion for k in range(12)])
+    assert 88.0 <= share <= 100.0

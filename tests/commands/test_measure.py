@@ -9,12 +9,14 @@ import numpy as np
 import pytest
 
 import undrift
+from testkit import planted
 from undrift.commands.measure import DECIMALS, FIRST
 from undrift.io.formats import read_record, write_record
 from undrift.io.store import read_calibration, write_calibration
 from undrift.measures.tasks import TASKS, TYPES, UNITS
 from undrift.model import BodyMounting
 from undrift.sim.device.presets import random_device
+from undrift.sim.device.simulate import simulate_device
 from undrift.sim.sessions import simulate_trial
 
 WORN = BodyMounting(place="lower-back", matrix=np.eye(3), covariance=np.radians(1.0) ** 2 * np.eye(3), basis="posture")
@@ -113,10 +115,45 @@ def test_a_folder_gives_a_table(undrift, bench, tmp_path, worn):
     assert {path.name for path in out.iterdir()} >= {"a_events.tsv", "b_events.json", "summary.csv"}
 
 
+@pytest.fixture
+def strides(tmp_path):
+    """A corrected recording of a planted walk."""
+    motion = planted.walk(np.random.default_rng([34, 4])).motion
+    record = simulate_device(random_device(np.random.default_rng(3)), motion, rng=np.random.default_rng(1)).record
+    path = tmp_path / "walk.parquet"
+    write_record(replace(record, **_in_si(record)), path)
+    return path
+
+
+def test_a_walk_has_its_cadence_its_strides_its_contacts_as_events_and_its_page(undrift, tmp_path, strides):
+    out, page = tmp_path / "walk_events.tsv", tmp_path / "walk.html"
+    shown = undrift.good(
+        "measure", strides, "--task", "walk", "--up", "+z", "--forward", "+x", "-o", out, "--report", page, "--json"
+    ).json()
+    assert shown["strides"] == 20
+    assert shown["measures"]["cadence_per_min"]["mean_per_min"] == pytest.approx(
+        60.0 / shown["measures"]["step_duration_s"]["mean_s"]
+    )
+    rows = list(csv.DictReader(out.read_text().splitlines(), delimiter="\t"))
+    assert [row["trial_type"] for row in rows].count("initial contact") == 24
+    assert "measure.few_strides" in {one["code"] for one in shown["findings"]}
+    text = undrift.good("measure", strides, "--task", "walk", "--up", "+z", "--forward", "+x").out
+    assert text.startswith("walk, 20 strides: cadence ")
+    assert "steps/min +-" in text.splitlines()[0]
+    assert "upward acceleration" in page.read_text()
+    assert "no rise" not in undrift.refused(
+        "measure", strides, "--task", "sit-to-stand", "--up", "+z", "--forward", "+x"
+    )
+
+
 @pytest.mark.parametrize(
     ("words", "text"),
     [
         (("--task", "standing"), "standing: wanted 10 s or more of quiet stance"),
+        (
+            ("--task", "walk"),
+            "walk: wanted 8 steps or more in a row, alike, without turn or bow, got 1 in a row at most; record",
+        ),
         (("--task", "5xSTS"), "5xSTS: wanted five rises from a seat, got 1; record all five"),
         (("--task", "sit-to-stand", "--up", "+x", "--forward", "-z"), "points up on average, got one"),
         (("--task", "sit-to-stand", "--up", "+z", "--forward", "-z"), "wanted two axes of the device"),

@@ -54,6 +54,7 @@ def true_course(motion: Motion) -> Course:
         pitch=np.arctan2(-z[:, 0], z[:, 2]),
         roll=np.arctan2(z[:, 1], z[:, 2]),
         rate=smooth(motion.rate_b, SMOOTH_HZ, RATE_HZ),
+        turning=smooth((motion.rate_b * z).sum(axis=1), SMOOTH_HZ, RATE_HZ),
         up=up,
         velocity=smooth(fall, DRIFT_HZ, RATE_HZ, order=2, kind="highpass"),
         force=motion.force_b,

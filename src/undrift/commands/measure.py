@@ -30,12 +30,16 @@ DECIMALS = {
     "m2/s4": 5,
     "m/s": 4,
     "deg2": 2,
+    "steps/min": 1,
+    "%": 1,
 }
 FIRST = {  # measures that the answer names
     "sit-to-stand": ("duration_s", "peak_trunk_pitch_deg"),
     "5xSTS": ("five_times_duration_s", "peak_trunk_pitch_deg"),
     "standing": ("rms_m_s2", "rms_pitch_deg"),
+    "walk": ("cadence_per_min", "stride_duration_s"),
 }
+ENOUGH_STRIDES = 50  # for a spread known to 10 %
 SPREAD = 0.1  # of the whole: parts below it are not named
 
 
@@ -61,6 +65,7 @@ class Measured(Result):
         whole = "; ".join(f"{_words(one)} {statement(one)}" for one in first)
         count = max(len(one.values) for one in self.measures) if self.measures else 0
         times = f", {count} times" if count > 1 and self.task != "5xSTS" else ""
+        times = f", {self.shown.strides} strides" if self.shown.strides else times
         heads = (
             "measure",
             "mean",
@@ -91,9 +96,10 @@ class Measured(Result):
         from undrift.units import RADIAN_PER_DEGREE
 
         course, events = self.course, [(one.onset, one.duration, one.trial_type) for one in self.shown.events]
-        second = ("upward velocity\n(m/s)", course.velocity)
-        if self.task == "standing":
-            second = ("roll (deg)", course.roll / RADIAN_PER_DEGREE)
+        second = {
+            "standing": ("roll (deg)", course.roll / RADIAN_PER_DEGREE),
+            "walk": ("upward acceleration\n(m/s2)", course.up),
+        }.get(self.task, ("upward velocity\n(m/s)", course.velocity))
         courses = {"trunk pitch (deg)": course.pitch / RADIAN_PER_DEGREE, second[0]: second[1]}
         return figure_of("figures:draw_measured", course.time, courses, events)
 
@@ -104,7 +110,7 @@ class Measured(Result):
             "recording": str(self.record), "task": self.task, "output": self.output and str(self.output),
             "place": self.device.place, "measures": {one.name: _json(one) for one in self.measures},
             "eyes_closed": {one.name: _json(one) for one in self.closed} or None,
-            "left_out": dict(self.shown.missing), "assumed": self.device.assumed,
+            "left_out": dict(self.shown.missing), "strides": self.shown.strides or None, "assumed": self.device.assumed,
             "events": [
                 {"onset_s": one.onset, "duration_s": one.duration, "trial_type": one.trial_type} for one in self.shown.events
             ],
@@ -118,7 +124,7 @@ def measure(
     record: Path,
     /,
     *,
-    task: Literal["sit-to-stand", "5xSTS", "standing"],
+    task: Literal["sit-to-stand", "5xSTS", "standing", "walk"],
     eyes_closed: Path | None = None,
     mounting: Path | None = None,
     calibration: Path | None = None,
@@ -136,7 +142,8 @@ def measure(
     record : Path
         A corrected recording of the task, or a raw one with its calibration; or a folder of them, with one of output.
     task : str
-        sit-to-stand, every rise from a seat; 5xSTS, five of them as fast as possible; standing, quiet stance.
+        sit-to-stand, every rise from a seat; 5xSTS, five of them as fast as possible; standing, quiet stance; walk, steps
+        straight ahead.
     eyes_closed : Path or None
         With standing: the same person's stance with eyes closed, compared with the recording.
     mounting : Path or None
@@ -236,6 +243,9 @@ def _findings(
             }[source], "info", **words,
         )  # fmt: skip
         texts.append(limit)
+    if 0 < (count := shown.strides) < ENOUGH_STRIDES:
+        spread = 100.0 / math.sqrt(2.0 * (count - 1))
+        texts.append(finding("measure.few_strides", "info", count=count, percent=spread, enough=ENOUGH_STRIDES))
     texts += [finding("measure.left_out", "info", measure=name, reason=reason) for name, reason in shown.missing]
     return tuple(texts)
 

@@ -31,6 +31,7 @@ MOST_LEAN = (
     6.0 * RADIAN_PER_DEGREE
 )  # rms of pitch and roll about their means, each: stance on foam, eyes closed, has 2 at most
 MOST_ACCELERATION = 0.8  # m/s2 rms, level; foam, eyes closed, has 0.13, slow walking 1
+MOST_UPWARD = 0.4  # m/s2 rms; foam, eyes closed, has 0.12, walking 0.8 or more
 
 
 def sway(course: Course) -> TaskResult:
@@ -40,12 +41,13 @@ def sway(course: Course) -> TaskResult:
     level = smooth(_levelled(course.force), CUTOFF_HZ, rate_hz)
     level = level - level.mean(axis=0)
     lean, push = np.std(angles, axis=0).max(), np.sqrt((level**2).sum(axis=1).mean())
-    if length < LEAST_S or lean > MOST_LEAN or push > MOST_ACCELERATION:
+    upward = float(course.up.std())
+    if length < LEAST_S or lean > MOST_LEAN or push > MOST_ACCELERATION or upward > MOST_UPWARD:
         raise not_shown(
             "standing",
             f"{LEAST_S:g} s or more of quiet stance, angles within {MOST_LEAN / RADIAN_PER_DEGREE:g} deg rms and accelerations "
-            f"within {MOST_ACCELERATION:g} m/s2 rms",
-            f"{length:.3g} s, {lean / RADIAN_PER_DEGREE:.2g} deg and {push:.2g} m/s2",
+            f"within {MOST_ACCELERATION:g} m/s2 rms level and {MOST_UPWARD:g} upward",
+            f"{length:.3g} s, {lean / RADIAN_PER_DEGREE:.2g} deg, {push:.2g} and {upward:.2g} m/s2",
             "name the recording of the stance alone",
         )
     degrees = smooth((angles - angles.mean(axis=0)) / RADIAN_PER_DEGREE, CUTOFF_HZ, rate_hz)

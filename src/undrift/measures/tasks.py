@@ -4,19 +4,21 @@ A value's name ends in its unit (``UNITS``). It has an entry for each repetition
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal, TypeAlias, get_args
 
 from undrift.arrays import FloatArray
 from undrift.errors import InputError
 from undrift.measures.worn import Course
 
-TaskName = Literal["sit-to-stand", "5xSTS", "standing"]
+TaskName = Literal["sit-to-stand", "5xSTS", "standing", "walk"]
 TASKS: tuple[TaskName, ...] = get_args(TaskName)
 UNITS = {  # longest first: the end of a name, the unit, and the factor from SI
     "_m2_s4": "m2/s4",
     "_m_s2": "m/s2",
     "_m_s": "m/s",
+    "_per_min": "steps/min",
+    "_percent": "%",
     "_deg2": "deg2",
     "_dps": "deg/s",
     "_deg": "deg",
@@ -41,6 +43,8 @@ class TaskResult:
     values: Mapping[str, FloatArray]  # by name: (K,) a repetition each, or (1,)
     events: tuple[Event, ...]
     missing: tuple[tuple[str, str], ...] = ()  # measures that are left out, and why
+    by_time: Mapping[str, float] = field(default_factory=dict)  # change of a measure, in its unit, by 1 s of its times
+    strides: int = 0  # that a value is the mean or spread of, where they are strides
 
 
 TaskMeasure: TypeAlias = Callable[[Course], TaskResult]
@@ -48,12 +52,13 @@ TaskMeasure: TypeAlias = Callable[[Course], TaskResult]
 
 def measure_of(task: TaskName) -> TaskMeasure:
     """Return the function that measures a task."""
-    from undrift.measures import rising, standing
+    from undrift.measures import rising, standing, walking
 
     functions: dict[TaskName, TaskMeasure] = {
         "sit-to-stand": rising.sit_to_stand,
         "5xSTS": rising.five_times,
         "standing": standing.sway,
+        "walk": walking.walk,
     }
     return functions[task]
 
@@ -82,4 +87,6 @@ TYPES = {  # of events, for people
     "extension": "Trunk extension: from the greatest forward pitch to the last motion",
     "stand-to-sit": "Sitting down: from first to last motion of the trunk",
     "standing": "Quiet stance",
+    "walking": "Steps in a row: from the first contact to the last",
+    "initial contact": "A foot comes down: greatest upward acceleration of the smoothed course, a little after the first touch",
 }

@@ -217,7 +217,9 @@ def take(device: Instrument, task: TaskMeasure) -> tuple[TaskResult, tuple[Measu
             continue
         once, twice = (np.array([one[name] for one in each]) for each in draws)
         noise = once.std(axis=0), 3.0 * once.mean(axis=0) - twice.mean(axis=0)
-        columns = np.array([*(one[name] for one in every), *noise, between * is_time(name) + 0.0 * value])
+        columns = np.array(
+            [*(one[name] for one in every), *noise, between * shown.by_time.get(name, is_time(name)) + 0.0 * value]
+        )
         measures.append(Measure(name=name, values=value, columns=columns, sources=sources))
     return replace(shown, missing=(*shown.missing, *undone.items())), tuple(measures)
 

@@ -3,7 +3,7 @@
 The readings are turned to the segment's axes, w_a = R_ab w_b, f_a = R_ab f_b, and VQF (offline, 6D) [1]_ gives q_na. Its
 inclination follows the accelerometers with the time constant ``acc_s``. With u the vertical seen in a, and g the mean of f_a . u::
 
-    pitch = atan2(-u_x, u_z)      roll = atan2(u_y, u_z)      up = f_a . u - g
+    pitch = atan2(-u_x, u_z)      roll = atan2(u_y, u_z)      turning = w_a . u      up = f_a . u - g
 
     v = highpass(integral of up)          upward velocity, 0.1 Hz in both directions: a slow error of ``up`` does not sum up
 
@@ -55,6 +55,7 @@ class Course:
     pitch: FloatArray  # forward lean, rad
     roll: FloatArray  # to the right, rad
     rate: FloatArray  # (N, 3), axes a, low-pass, rad/s: rate[:, 1] flexes the trunk
+    turning: FloatArray  # about the vertical, to the left, low-pass, rad/s
     up: FloatArray  # upward acceleration, low-pass, m/s2
     velocity: FloatArray  # upward, m/s
     force: FloatArray  # (N, 3), specific force, axes a, m/s2
@@ -116,6 +117,7 @@ def follow(worn: WornReadings) -> Course:
         pitch=np.arctan2(-vertical[:, 0], vertical[:, 2]),
         roll=np.arctan2(vertical[:, 1], vertical[:, 2]),
         rate=smooth(middle, SMOOTH_HZ, rate_hz),
+        turning=smooth((middle * vertical).sum(axis=1), SMOOTH_HZ, rate_hz),
         up=up,
         velocity=smooth(fall, DRIFT_HZ, rate_hz, order=2, kind="highpass"),
         force=force,

@@ -1,0 +1,81 @@
+"""People who walk, step up, or stand up and go, with a device at the low back: motions whose events are planted.
+
+Angles and the way of the device are closed forms on a fine grid, differentiated there; no equation of the estimator and none of the
+library's tasks. Walking is a pendulum upside down: the trunk is lowest, and pushed up most, when a foot has come down::
+
+    k(t)   a smooth course through the contacts: 0, 1, 2, ... at t_0, t_1, ...
+    up     -h cos(2 pi k) + h_2 sin(4 pi k)         left   w sin(pi k)          pitch, roll, yaw: waves of k, and the turns
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from testkit.walking import GRAVITY, _smooth_rise, _sway, orientation
+from undrift.frames import quaternion_conjugate, quaternion_product, rotate
+from undrift.sim.motion.motion import Motion, mean_rate
+
+DEGREE = np.pi / 180.0
+FINE, RATE_HZ = 1000, 100
+
+
+@dataclass
+class Planted:
+    """A motion, and when what happens in it."""
+
+    motion: Motion
+    contacts: np.ndarray  # s
+    turns: list  # (start, stop, angle): s, s, rad to the left
+
+
+def motion_of(t, roll, pitch, yaw, position):
+    """Return the motion, sampled, of angles (N,) and a way (N, 3) on the fine grid."""
+    q = orientation(roll, pitch, yaw)
+    push = np.gradient(np.gradient(position, t, axis=0), t, axis=0) + np.array([0.0, 0.0, GRAVITY])
+    turn = quaternion_product(quaternion_conjugate(q[:-2]), q[2:])
+    rate = turn[:, 1:] * np.sign(turn[:, :1]) * FINE  # of two steps: half the angle's sine, twice the time
+    rate = np.vstack((rate[:1], rate, rate[-1:]))
+    rows = slice(4, -4, FINE // RATE_HZ)
+    force = rotate(quaternion_conjugate(q), push)[rows]
+    return Motion(
+        time=t[rows], q_nb=q[rows], rate_b=rate[rows], mean_rate_b=mean_rate(t[rows], q[rows], rate[rows][0]), force_b=force,
+        gravity_m_s2=GRAVITY, moving=np.ones(len(force)),
+    )  # fmt: skip
+
+
+def walked(rng, t, contacts):
+    """Return angles (N, 3) and way (N, 3) of walking ahead, yaw 0, by contacts: what a person's steps do to the trunk."""
+    padded = np.concatenate((contacts[:1] - np.diff(contacts[:2]), contacts, contacts[-1:] + np.diff(contacts[-2:])))
+    k = CubicSpline(padded, np.arange(-1, len(contacts) + 1.0))(np.clip(t, padded[0], padded[-1]))
+    on = _smooth_rise(t, padded[0], contacts[0] - padded[0]) - _smooth_rise(t, contacts[-1], padded[-1] - contacts[-1])
+    height, side = rng.uniform(0.010, 0.022), rng.uniform(0.015, 0.03)
+    late = rng.normal(0.0, 0.3, 4)
+    up = -height * np.cos(2.0 * np.pi * k) + rng.uniform(0.0, 0.15) * height * np.sin(4.0 * np.pi * k)
+    angles = np.stack(
+        (
+            rng.uniform(1.0, 4.0) * DEGREE * np.sin(np.pi * k + late[0]),
+            (3.0 + rng.uniform(0.7, 2.0) * np.cos(2.0 * np.pi * k + late[1])) * DEGREE,
+            rng.uniform(2.0, 6.0) * DEGREE * np.sin(np.pi * k + late[2]),
+        ),
+        axis=1,
+    )
+    speed = rng.uniform(0.45, 0.7) * np.gradient(k, t) * (1.0 + 0.15 * np.cos(2.0 * np.pi * k + late[3]))
+    way = np.stack((np.cumsum(on * speed) / FINE, side * on * np.sin(np.pi * k), on * up), axis=1)
+    return angles * on[:, None], way
+
+
+def contacts_of(rng, start, count, duration=None):
+    """Return instants of steps: a person's own duration, each a little different, the legs too."""
+    duration = rng.uniform(0.45, 0.75) if duration is None else duration
+    uneven = rng.normal(0.0, 0.03) * (-1.0) ** np.arange(count - 1)
+    return start + np.concatenate(([0.0], np.cumsum(duration * (1.0 + uneven + rng.normal(0.0, 0.025, count - 1)))))
+
+
+def walk(rng, count=24):
+    """Return a person who stands, walks ahead, stands."""
+    contacts = contacts_of(rng, 4.5, count)
+    t = np.arange(round((contacts[-1] + 4.0) * FINE)) / FINE
+    angles, way = walked(rng, t, contacts)
+    angles = angles + np.stack([_sway(rng, t, size * DEGREE) for size in (0.3, 0.4, 0.5)], axis=1)
+    return Planted(motion_of(t, *angles.T, way), contacts, [])
