@@ -47,7 +47,7 @@ durations: $(INSTALLED)
 
 # The same Monte Carlo runs with larger cohorts.
 test-long: $(INSTALLED)
-	$(BIN)/python -m pytest tests -m long -n 2 --durations=12
+	$(BIN)/python -m pytest tests -m long --timeout=0 -n 2 --durations=12
 
 # Linters, types, layers and house rules at once; each is printed as it ends.
 check: $(INSTALLED)

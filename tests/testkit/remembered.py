@@ -34,7 +34,10 @@ def locked(path: Path) -> Iterator[None]:
     """Let one process at a time into the block."""
     with path.with_name(f"{path.name}.lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
-        yield
+        try:
+            yield
+        finally:
+            fcntl.flock(lock, fcntl.LOCK_UN)  # a process that was forked meanwhile keeps the file open
 
 
 def remembered(function: Callable[..., T], folder: Path) -> Callable[..., T]:

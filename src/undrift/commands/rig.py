@@ -446,7 +446,8 @@ def emulate(
         addresses = {"rig": table.rig_address, "device": table.device_address}
         addresses |= {"chamber": table.chamber_address, "operator": table.hands_address}
         addresses |= {} if table.pty_address is None else {"pty": table.pty_address}
-        threading.Thread(target=_end_when_idle, args=(table, idle_s), name="idle", daemon=True).start()
+        if math.isfinite(idle_s):
+            threading.Thread(target=_end_when_idle, args=(table, idle_s), name="idle", daemon=True).start()
         for one in faults:
             threading.Thread(target=table.break_as, args=(one,), name=one.name, daemon=True).start()
     if save_device is not None:
