@@ -54,6 +54,9 @@ turn_rate_max_dps = [50.0]
 [task.protocol]
 dwell_s = 1.0
 """
+TRIALS = """recording,reference,person,task,device,calibration
+trial.parquet,reference.parquet,1,sit_to_stand,A,calibration.json
+"""
 BIDS = "sub-01_task-walk_tracksys-imu_motion.tsv"
 CORRECT, ORIENT = (
     "correct {b}/trial.parquet --calibration {b}/calibration.json -o {o}/",
@@ -91,6 +94,13 @@ CALLS = {
     ),
     "export imucal": Call("export {b}/calibration.json --target imucal -o {o}/x.json"),
     "export ros": Call("export {b}/calibration.json --target ros -o {o}/x.yaml"),
+    "orient --pdf": Call(ORIENT + "x.csv --report {o}/r.html --pdf {o}/trial.pdf", slow=True),
+    "measure": Call(
+        "measure {b}/trial.parquet --calibration {b}/worn.json --task sit-to-stand -o {o}/x_events.tsv", together=True
+    ),
+    "mount": Call("mount {b}/walk.parquet --worn lower-back --calibration {b}/perfect.json -o {o}/worn.json"),
+    "sync": Call("sync {b}/trial.parquet {b}/corrected.parquet -o {o}/synced", fresh=True, together=True),
+    "validate --study": Call("validate --study {b}/people -o {o}/people", fresh=True, slow=True),
     "certificate": Call("certificate {b}/calibration.json -o {o}/c.pdf"),
     "noise": Call("noise {b}/rest.parquet -o {o}/imu.yaml --figure {o}/allan.svg --report {o}/r.html", slow=True),
     "simulate task": Call(
@@ -122,9 +132,11 @@ def make_inputs(folder: Path, *, soak: bool) -> str:
     from testkit.bench_and_commands import make_bench
     from testkit.command_line import at_rest
     from testkit.data import data_path
+    from testkit.walking import perfect_calibration, walk
     from undrift.cli.app import run
     from undrift.io.formats import read_record, write_record
     from undrift.io.store import read_calibration, write_calibration
+    from undrift.model import BodyMounting
     from undrift.sim.daily_use import DailyUseSettings, draw_day, simulate_daily_use
     from undrift.sim.device.presets import preset, random_device_of
     from undrift.sim.device.truth import true_calibration
@@ -149,6 +161,14 @@ def make_inputs(folder: Path, *, soak: bool) -> str:
     write_calibration(replace(first, gyro=replace(first.gyro, offset=1.01 * first.gyro.offset)), folder / "second.json")
     (folder / "broad.hdf5").symlink_to(data_path("broad", "32_disturbed_attached_magnet_1cm.hdf5"))
     soaks = [f"simulate thermal_soak --device mpu6050 --sample-rate-hz 5 -o {folder}/soak"] * soak
+    worn = BodyMounting(place="lower-back", matrix=np.eye(3), covariance=3e-4 * np.eye(3), basis="posture")
+    write_calibration(replace(first, mounting=worn), folder / "worn.json")
+    (folder / "people").mkdir()
+    for name in ("trial.parquet", "reference.parquet", "calibration.json"):
+        shutil.copy(folder / name, folder / "people")
+    (folder / "people" / "trials.csv").write_text(TRIALS)
+    write_record(walk(rng, q_ab=np.array([1.0, 0.0, 0.0, 0.0]), bouts=3), folder / "walk.parquet")
+    write_calibration(perfect_calibration(), folder / "perfect.json")
     for words in (
         *soaks,
         f"registry add {folder}/calibration.json {folder}/second.json --registry {folder}/r.sqlite",
