@@ -27,8 +27,8 @@ def pytest_ignore_collect(collection_path):
 """
 
 
-def _run(folder: Path, *words: str) -> str:
-    """Run a small suite of four modules of nine tests; each test writes its process and its pool beside it."""
+def _run(folder: Path, *words: str, code: int = 0) -> str:
+    """Run a small suite of four modules of nine tests, or more; each test writes its process and its pool beside it."""
     (folder / "web_browser").mkdir()
     for name, head in SUITE.items():
         text = f"import os\n{head}" + "\n".join(f"def test_{i}():\n{LINE.format(i)}" for i in range(9))
@@ -38,7 +38,7 @@ def _run(folder: Path, *words: str) -> str:
     called = [sys.executable, "-m", "pytest", "-q", "--dist", "loadscope", *words]
     environment = {name: value for name, value in os.environ.items() if not name.startswith(("PYTEST_", POOL))}
     done = subprocess.run(called, cwd=folder, env=environment, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stdout
+    assert done.returncode == code, done.stdout
     return done.stdout
 
 
@@ -61,6 +61,16 @@ def test_each_pool_runs_its_own_modules_and_all_are_run(tmp_path):
     for name, pool in wanted.items():
         assert {own for _, own, _ in _ran(tmp_path, name)} == {pool}
         assert sorted(int(number) for _, _, number in _ran(tmp_path, name)) == list(range(9))
+
+
+def test_a_test_that_ends_its_process_fails_and_one_that_hangs_too_and_all_others_are_run(tmp_path):
+    ends = "import os, pytest, time\n@pytest.mark.parametrize('n', range(9))\ndef test_it(n):\n    "
+    (tmp_path / "test_ends.py").write_text(f"{ends}n == 3 and os._exit(1)\n")
+    (tmp_path / "test_hangs.py").write_text(f"{ends}while n == 8: time.sleep(0.01)\n")
+    shown = _run(tmp_path, "--tx", "2*popen", "--timeout", "5", code=1)
+    assert "2 failed, 52 passed" in shown
+    assert "crashed while running 'test_ends.py::test_it[3]'" in shown
+    assert "test_hangs.py::test_it[8] - Failed: Timeout" in shown
 
 
 def test_what_is_alone_in_the_list_of_durations_takes_long():

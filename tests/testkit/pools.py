@@ -95,6 +95,19 @@ class Pools(LoadScopeScheduling):
         for node in self.nodes * 2:
             self._reschedule(node)
 
+    def remove_node(self, node: WorkerController) -> str | None:
+        """Forget a process; return the test in which it crashed, which is not run again, and hand out what else it had."""
+        rest = {piece: tests for piece, tests in self.assigned_work.pop(node).items() if not all(tests.values())}
+        if not rest:
+            return None
+        piece = next(iter(rest))
+        crashed = next(test for test, done in rest[piece].items() if not done)
+        rest[piece][crashed] = True
+        self.workqueue.update({piece: tests for piece, tests in rest.items() if not all(tests.values())})
+        for other in self.nodes:
+            self._reschedule(other)
+        return crashed
+
     def _reschedule(self, node: WorkerController) -> None:
         if node.shutting_down:
             return
