@@ -446,8 +446,7 @@ def emulate(
         addresses = {"rig": table.rig_address, "device": table.device_address}
         addresses |= {"chamber": table.chamber_address, "operator": table.hands_address}
         addresses |= {} if table.pty_address is None else {"pty": table.pty_address}
-        if math.isfinite(idle_s):
-            threading.Thread(target=_end_when_idle, args=(table, idle_s), name="idle", daemon=True).start()
+        threading.Thread(target=_end_when_idle, args=(table, idle_s), name="idle", daemon=True).start()
         for one in faults:
             threading.Thread(target=table.break_as, args=(one,), name=one.name, daemon=True).start()
     if save_device is not None:
@@ -457,6 +456,8 @@ def emulate(
 
 def _end_when_idle(table: "EmulatedBench", idle_s: float) -> None:
     """End this process, as Ctrl-C does, so long after the last client of its table, or the process that started it, is gone."""
+    if math.isinf(idle_s):
+        return
     parent, last, used = os.getppid(), time.monotonic(), False
     while time.monotonic() - last < idle_s:
         time.sleep(min(0.5, 0.2 * idle_s))
