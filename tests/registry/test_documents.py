@@ -13,13 +13,13 @@ import undrift
 from testkit.full_calibration import device as calibrated
 from testkit.full_calibration import tables
 from testkit.plain_triad import plain_triad
+from undrift.base.summary import months_after
 from undrift.errors import InputError, RegistryError
 from undrift.io.store import calibration_json, content_hash, write_calibration
 from undrift.model import Provenance
 from undrift.registry.documents import (
     Stated,
     candidates,
-    months_after,
     new_entries,
     of_calibration,
     pdf_of,

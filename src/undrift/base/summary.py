@@ -9,6 +9,7 @@ figures are drawn by their place when a renderer asks for them (``at``), so that
     commands/<verb>.py  ->  Summary  ->  cli/common.show | report/page.write_page | data as JSON | as_html, in a notebook
 """
 
+import calendar
 import importlib
 import math
 import os
@@ -40,6 +41,7 @@ SUMMARISED_BY = {  # values that a notebook shows as the command does that makes
 NOTHING_WRITTEN = "No tables were written: add -o calibration.json to keep them"
 PICTURES = (".svg", ".png", ".pdf")  # endings of figures
 CALLED: ContextVar[tuple[str, ...]] = ContextVar("CALLED", default=())  # the words of the command line, if it called
+_SIGNED_ZERO = re.compile(r"(?<![\w.+/-])-(0(?:\.0+)?)(?![\w.])")  # as a small negative value is rounded
 _ARGUMENT = re.compile(r"`([a-z]\w*)`")  # in the texts of findings and errors
 OPTIONS = {"longest_lag_s": "max_lag_s", "column_map": "map"}  # where it is not the argument's name
 Item = TypeVar("Item")
@@ -51,6 +53,11 @@ def spoken(text: str, *, called: bool = False) -> str:
     """Return a text with the arguments that it names, such as `gravity_m_s2`, as options, if the command line called."""
     by_name = _ARGUMENT.sub(lambda m: "--" + OPTIONS.get(m[1], m[1]).replace("_", "-"), text)
     return by_name if called or CALLED.get() else text
+
+
+def without_signed_zeros(text: str) -> str:
+    """Return a text in which no zero has a sign: 0.000 for -0.000."""
+    return _SIGNED_ZERO.sub(r"\1", text)
 
 
 class Picture(Protocol):
@@ -102,6 +109,10 @@ class Section:
     folded: bool | Literal["page"] = False  # Among the details: at the end of a page, and on a terminal on request
     on: Literal["both", "page", "terminal"] = "both"
 
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "text", tuple(map(without_signed_zeros, self.text)))
+        object.__setattr__(self, "rows", tuple(tuple(map(without_signed_zeros, row)) for row in self.rows))
+
 
 class Result(ABC):
     """What a command returns: values that show their summary, one line as text and tables in a notebook."""
@@ -141,6 +152,10 @@ class Summary(Result):
     next: tuple[object, ...] = ()  # Words of the command that follows
     failed: bool = False  # The verdict is so bad that a script must stop
 
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "answer", without_signed_zeros(self.answer))
+        object.__setattr__(self, "notes", tuple(map(without_signed_zeros, self.notes)))
+
     def summary(self) -> "Summary":
         """Return itself."""
         return self
@@ -151,6 +166,13 @@ def today() -> str:
     stated = os.environ.get("SOURCE_DATE_EPOCH", "")
     made = datetime.fromtimestamp(int(stated), UTC) if stated.isdigit() else datetime.now(UTC)
     return made.isoformat(timespec="seconds")
+
+
+def months_after(when: datetime, months: int) -> datetime:
+    """Return the same day some months later, or the last of a shorter month."""
+    years, month = divmod(when.month - 1 + months, 12)
+    year = when.year + years
+    return when.replace(year=year, month=month + 1, day=min(when.day, calendar.monthrange(year, month + 1)[1]))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -249,7 +271,7 @@ def plain(value: object) -> Plain:
     if hasattr(value, "tolist"):  # arrays and numbers of numpy
         return plain(value.tolist())
     if isinstance(value, float):
-        return value if math.isfinite(value) else None
+        return value + 0.0 if math.isfinite(value) else None  # no -0.0
     if value is None or isinstance(value, str | int):
         return value
     if isinstance(value, Sequence | set | frozenset):

@@ -5,6 +5,11 @@
     U   = k u                k = 2, below 50 degrees of freedom Student's t for 95.45 %
 
 Scale factors and cross-axis terms are elements of the correction matrix, shares of a budget in per cent of its mean diagonal.
+
+A limit L is kept, where one is given, by the readings before correction: e departure from nominal, largest over the axes::
+
+    guard     within  |e| + U <= L     outside  |e| - U > L     between them neither is stated
+    simple    within  |e| <= L         outside  otherwise
 """
 
 import math
@@ -12,14 +17,17 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from cyclopts import Parameter
 
 from undrift import __version__
-from undrift.base.options import Output, verb
-from undrift.base.summary import Drawing, Result, Section, Summary, at, figure_of
+from undrift.base.options import Output, options, verb
+from undrift.base.summary import Drawing, Result, Section, Summary, at, figure_of, months_after, rows_section
 from undrift.calibration.settings import FITS
+from undrift.commands.data_sheet import PART, SHOWN, Specification, nominal_of, sheet_words
 from undrift.commands.files import check_output
-from undrift.commands.register import Registration, registered_lines
+from undrift.commands.register import Registration, ValidMonths, registered_lines
 from undrift.errors import InputError
 from undrift.findings import most_consequential_first
 from undrift.units import INHABITED_GRAVITY, RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical, si_factor
@@ -57,6 +65,20 @@ BLOCKS = {
     "moving": "offset in motion less that at rest", "code": "offset of codes",
 }  # fmt: skip
 OFFSETS = {"gyro": "zero-rate output", "accel": "zero-g offset"}
+LONGEST = 200  # characters of what is stated
+LABELS = {
+    "number": "Certificate number", "laboratory": "Laboratory", "customer": "Customer", "operator": "Calibrated by",
+    "due_date": "Due date", "ambient_temp_c": "Ambient temperature", "ambient_humidity_percent": "Relative humidity",
+}  # fmt: skip
+SIGNED = ("Date of issue", "Authorised by", "Signature")  # by hand always
+JUDGED = ("quantity", "largest departure", "U", "limit", "unit", "result")
+DECISIONS = ("within", "outside", "neither stated")
+RULES = {
+    "guard": "within, where departure and U together keep the limit; outside, where the departure less U exceeds it; between them "
+    "neither is stated (guard band of U, ILAC-G8:09/2019)",
+    "simple": "within, where the departure keeps the limit, whatever U; near the limit every second statement may be wrong "
+    "(simple acceptance, ILAC-G8:09/2019)",
+}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -66,20 +88,29 @@ class Certified(Result):
     calibration: "Calibration"
     output: Path
     registered: list[dict[str, Any]]
+    content: dict[str, Any]  # of the certificate
 
     def summary(self) -> Summary:
         """Return the largest expanded uncertainties, and each of them as the certificate has it."""
-        from undrift.io.store import content_hash, verdict_json
+        from undrift.io.store import verdict_json
 
-        model, content = self.calibration, certificate_content(self.calibration)
-        named = {"file": str(self.output), "content_sha256": content_hash(model), "triads": content["triads"]}
+        model, content = self.calibration, self.content
+        named = {"file": str(self.output), "content_sha256": content["hash"]}
+        named |= {key: content[key] for key in ("statement", "conformity", "triads")}
+        fields, judged = [*content["head"], *content["ambient"]], content["conformity"]
+        blank = ", ".join(label.lower() for label, text in fields if not text)
+        lines = (*(f"{label}: {text}" for label, text in fields if text), f"Lines to fill in by hand: {blank}.")
         kept = {"registered": self.registered} if self.registered else {}
         return Summary(
             title=f"Certificate of {model.device or 'a device'}",
             answer=answer_sentence(model),
             data=named | kept | {"verdict": verdict_json(model.verdict)},
             pictures=(figure_of("certificate:draw_calibration", model),),
-            sections=(uncertainty_section(model),),
+            sections=(
+                uncertainty_section(model),
+                rows_section("Statement of conformity", judged["rows"], text=tuple(judged["text"])),
+                Section(title="What the laboratory states", text=lines),
+            ),
             verdict=model.verdict,
             written=(self.output,),
             after=registered_lines(self.registered),
@@ -87,11 +118,85 @@ class Certified(Result):
         )
 
 
+@options
+@dataclass(frozen=True, kw_only=True)
+class Statement:
+    """What the laboratory states, as ISO/IEC 17025 asks for; the certificate has a line to fill in by hand for the rest.
+
+    Parameters
+    ----------
+    number : str
+        Number of the certificate.
+    laboratory : str
+        Name and address of the laboratory.
+    customer : str
+        Name and address of the customer.
+    operator : str
+        Who calibrated.
+    ambient_temp_c : str
+        Temperature of the room, degC: 22.5 or LOW:HIGH.
+    ambient_humidity_percent : str
+        Relative humidity of the room, %: 45 or LOW:HIGH.
+    decision_rule : str or None
+        With limits: guard leaves U between a device and its limit, and is the default; simple leaves none.
+    """
+
+    number: str = ""
+    laboratory: str = ""
+    customer: str = ""
+    operator: str = ""
+    valid_months: ValidMonths = None
+    ambient_temp_c: Annotated[str, Parameter(allow_leading_hyphen=True)] = ""
+    ambient_humidity_percent: str = ""
+    decision_rule: Literal["guard", "simple"] | None = None
+
+    def entries(self, created: str) -> dict[str, str]:
+        """Return what is stated by name, empty where it is not; ``created`` is the time of the calibration."""
+        for name in ("number", "laboratory", "customer", "operator"):
+            if not (text := getattr(self, name)).isprintable() or len(text) > LONGEST:
+                raise InputError(
+                    f"`{name}`: wanted one line of at most {LONGEST} characters, got {text[:20]!r}...; shorten it"
+                )
+        due, months = "", self.valid_months
+        if months is not None:
+            if not (1 <= months <= 1200 and _day(created)):
+                got = f"{months} of a calibration from '{created or 'no date'}'"
+                raise InputError(
+                    f"`valid_months`: wanted 1 to 1200 months from a date, got {got}; leave it to be filled in"
+                )
+            due = months_after(datetime.fromisoformat(created), months).date().isoformat()
+        texts = {name: getattr(self, name).strip() for name in ("number", "laboratory", "customer", "operator")}
+        temp = _stretch("ambient_temp_c", self.ambient_temp_c, (-100.0, 200.0), " °C")
+        humidity = _stretch("ambient_humidity_percent", self.ambient_humidity_percent, (0.0, 100.0), " %")
+        return texts | {"due_date": due, "ambient_temp_c": temp, "ambient_humidity_percent": humidity}
+
+
+def _stretch(option: str, text: str, limits: tuple[float, float], unit: str) -> str:
+    """Return a value or its two ends LOW:HIGH with the unit, as they were stated; empty where nothing was."""
+    try:
+        ends = [float(end) for end in text.split(":")] if text else []
+    except ValueError:
+        ends = [math.nan]
+    if len(ends) > 2 or ends != sorted(ends) or not all(limits[0] <= end <= limits[1] for end in ends):
+        raise InputError(
+            f"`{option}`: wanted a value or LOW:HIGH from {limits[0]:g} to {limits[1]:g}{unit}, got '{text}'; for example 21:23"
+        )
+    return " to ".join(f"{end:g}{unit}" for end in ends)
+
+
 @verb
-def certificate(calibration: Path, /, *, output: Output, registering: Registration = Registration()) -> Certified:
+def certificate(
+    calibration: Path,
+    /,
+    *,
+    output: Output,
+    statement: Statement = Statement(),
+    specification: Specification = Specification(),
+    registering: Registration = Registration(),
+) -> Certified:
     """Write a calibration certificate: results with expanded uncertainty, budget by source, traceability, limits.
 
-    The same calibration gives the same file, byte for byte.
+    The same calibration and statements give the same file, byte for byte. What is not stated is a line to fill in by hand.
 
     Parameters
     ----------
@@ -104,9 +209,11 @@ def certificate(calibration: Path, /, *, output: Output, registering: Registrati
 
     check_output(output, endings=(".pdf",), reads=(calibration,))
     model = read_calibration(calibration)
+    content = certificate_content(model, statement, specification)
     registering.check(model.device)
-    at("undrift.report.certificate:write_certificate")(model, output)
-    return Certified(calibration=model, output=output, registered=registering.add(calibration, output))
+    at("undrift.report.certificate:write_certificate")(model, output, content)
+    registered = registering.add(calibration, output, valid_months=statement.valid_months)
+    return Certified(calibration=model, output=output, registered=registered, content=content)
 
 
 def answer_sentence(calibration: "Calibration") -> str:
@@ -233,7 +340,9 @@ def coverage_factors(freedom: "FloatArray") -> "FloatArray":
     return np.where(freedom >= ENOUGH, COVERAGE, stdtrit(np.minimum(freedom, 1e6), STUDENT_TAIL))
 
 
-def certificate_content(calibration: "Calibration") -> dict[str, Any]:
+def certificate_content(
+    calibration: "Calibration", statement: Statement = Statement(), specification: Specification = Specification()
+) -> dict[str, Any]:
     """Return what the template sets: texts, rows of tables, names of pictures."""
     import numpy as np
 
@@ -248,7 +357,13 @@ def certificate_content(calibration: "Calibration") -> dict[str, Any]:
                 f"certificate: wanted a covariance of the {NAMES[name].lower()}, got none; calibrate from recordings by undrift"
             )
     made = calibration.provenance
+    entries = statement.entries(made.created)
+    rows = [(label, entries[name]) for name, label in LABELS.items()]
     return {
+        "statement": {name: text or None for name, text in entries.items()},
+        "head": [*rows[:5], *((label, "") for label in SIGNED)],
+        "ambient": rows[5:],
+        "conformity": conformity(calibration, specification, statement.decision_rule),
         "device": calibration.device or "without serial number",
         "hash": content_hash(calibration),
         "date": made.created[:10] or "not stated",
@@ -304,15 +419,65 @@ def _procedure(calibration: "Calibration", triads: "Mapping[str, TriadModel]") -
     for name, triad in triads.items():
         method, _, mode = triad.method.partition("/")
         fit = f"{_words(method)}; {mode or 'default'} fit of {triad.count} equations"
-        rms, unit, factor = triad.rms_residual, *_shown(name)
+        rms, unit, factor = triad.rms_residual, *SHOWN[name]
         yield NAMES[name], f"{fit}, rank {triad.rank}, residual {rms * factor:.3g} {unit} rms"
     if calibration.adc is not None:
         yield "ADC", f"gyroscopes {calibration.adc.gyro_rounding}, accelerometers {calibration.adc.accel_rounding}"
 
 
-def _shown(name: str) -> tuple[str, float]:
-    """Return the unit of corrected values that people read, and how many of it are one SI unit."""
-    return ("deg/s", 1.0 / RADIAN_PER_DEGREE) if name == "gyro" else ("mg", 1e3 / STANDARD_GRAVITY)
+# ---- departures before correction, and limits
+
+
+def departures(name: str, triad: "TriadModel", part: str, gravity: float = 0.0) -> "dict[str, FloatArray]":
+    """Return how far the readings depart from nominal, and U, (2, P) by block, in the units of the budget; NaN where not known."""
+    import numpy as np
+
+    table, (per, _), nominal = stated(triad, gravity), _units(name, triad), nominal_of(name, triad, part)
+    values = {
+        "scale": 100.0 * (triad.scale_factor / nominal - 1.0),
+        "cross": (100.0 * triad.matrix / np.diag(triad.matrix).mean())[~np.eye(3, dtype=bool)],
+        "offset": triad.offset / triad.scale_factor * SHOWN[name][1] + 0.0 * nominal,
+    }
+    expanded = {block: np.abs(per[block] * table.expanded[table.of_block(block)]) for block in values}
+    return {
+        block: np.stack((value, expanded[block] if len(expanded[block]) else 0.0 * value))
+        for block, value in values.items()
+    }
+
+
+def conformity(calibration: "Calibration", specification: Specification, rule: str | None) -> dict[str, Any]:
+    """Return rows and text of the statement of conformity; no rows where no limit is given."""
+    part, rows = specification.kind or calibration.provenance.text(PART), list[dict[str, str]]()
+    for name, triad in ((one, getattr(calibration, one)) for one in NAMES):
+        blocks = {} if triad is None else departures(name, triad, part, gravity_uncertainty(calibration, name))
+        for block, (value, expanded) in blocks.items():
+            if (limit := specification.of(name, block)) is None:
+                continue
+            worst, result = int((abs(value) + expanded).argmax()), _decided(value, expanded, limit, rule)
+            decided = result in DECISIONS
+            figures = rounded(float(value[worst]), float(expanded[worst])) if decided else ("–", "–")
+            label = f"{NAMES[name]}: {OFFSETS[name] if block == 'offset' else BLOCKS[block]}"
+            cells = (label, *figures, f"{limit:g}", _units(name, triad)[1][block], result)
+            rows.append(dict(zip(JUDGED, cells, strict=True)))
+    if not rows and rule is not None:
+        raise InputError("`decision_rule`: wanted a limit to decide by, got none; state `kind` or a limit")
+    source = f"{sheet_words(specification.kind)}, but for those stated" if specification.kind else "stated"
+    text = (
+        f"Decision rule: {RULES[rule or 'guard']}.",
+        f"Departures are the largest of the readings from nominal, before correction. Limits: {source}.",
+    )
+    return {"rule": (rule or "guard") if rows else None, "rows": rows, "text": list(text) if rows else []}
+
+
+def _decided(value: "FloatArray", expanded: "FloatArray", limit: float, rule: str | None) -> str:
+    """Return what is stated of departures (P,) with their U; see the module."""
+    if not abs(value).max() < math.inf:
+        return "nominal unknown"
+    if not expanded.all():
+        return "not calibrated"
+    margin = 0.0 * expanded if rule == "simple" else expanded
+    within, outside = (abs(value) + margin <= limit).all(), (abs(value) - margin > limit).any()
+    return DECISIONS[0] if within else DECISIONS[1] if outside else DECISIONS[2]
 
 
 # ---- results and budget of one triad
@@ -323,7 +488,7 @@ def _units(name: str, triad: "TriadModel") -> tuple[dict[str, float], dict[str, 
     import numpy as np
 
     scale = float(np.diag(triad.matrix).mean())
-    unit, factor = _shown(name)
+    unit, factor = SHOWN[name]
     per = {
         "scale": 100.0 / scale,
         "cross": 100.0 / scale,
@@ -364,6 +529,7 @@ def _triad(name: str, triad: "TriadModel", gravity: float) -> dict[str, Any]:
         "blocks": [f"{labels[block]} ({units[block]})" for block in blocks],
         "budget": [*_budget_rows(name, made, blocks, per)],
         "shares": _share_rows(made, per, units),
+        "si": triad.unit_out,
         "student": bool((made.coverage > COVERAGE).any()),
     }
 
@@ -371,9 +537,9 @@ def _triad(name: str, triad: "TriadModel", gravity: float) -> dict[str, Any]:
 def _result(
     name: str, triad: "TriadModel", made: ParameterTable, n: int, per: Mapping[str, float], units: Mapping[str, str]
 ) -> list[str]:
-    """Return quantity, value with its unit, U, U in the units of the budget, k."""
+    """Return quantity, value with its unit, U, U in the units of the budget, k, and the value in SI units."""
     block, parameter = block_of(made.names[n]), made.names[n]
-    unit_in, (shown_unit, per_si) = triad.unit_in, _shown(name)
+    unit_in, (shown_unit, per_si) = triad.unit_in, SHOWN[name]
     unit, factor = unit_in, 1.0
     if block in ("g", "moving"):
         unit, factor = units[block], per[block]
@@ -383,9 +549,13 @@ def _result(
             unit, factor = "1", 1.0 / si_factor(unit_in, "rate" if name == "gyro" else "accel")
     value, expanded = made.value[n] * factor, made.expanded[n] * abs(factor)
     shown, less = rounded(value, expanded)
-    held = not expanded > 0.0
-    relative = "–" if held else f"{two_digits(made.expanded[n] * abs(per[block]))} {units[block]}"
-    return [parameter, shown, unit, "held" if held else less, relative, "–" if held else f"{made.coverage[n]:.2f}"]
+    fixed = not expanded > 0.0
+    relative = "–" if fixed else f"{two_digits(made.expanded[n] * abs(per[block]))} {units[block]}"
+    coverage, scale = "–" if fixed else f"{made.coverage[n]:.2f}", 1.0
+    if block in ("offset", "code"):
+        scale = abs(per[block]) / per_si
+    si = "–" if unit == "1" else rounded(made.value[n] * scale, made.expanded[n] * scale)[0]
+    return [parameter, shown, unit, "held" if fixed else less, relative, coverage, si]
 
 
 def rounded(value: float, uncertainty: float) -> tuple[str, str]:
@@ -486,7 +656,7 @@ def _limits(calibration: "Calibration", triads: "Mapping[str, TriadModel]") -> I
     if calibration.magnetometer is not None:
         yield "The magnetometer is not part of this certificate."
     for name, triad in triads.items():
-        low, high = (value * (1.0 if name == "accel" else _shown(name)[1]) for value in triad.valid_range)
+        low, high = (value * (1.0 if name == "accel" else SHOWN[name][1]) for value in triad.valid_range)
         unit = "m/s²" if name == "accel" else "deg/s"
         if high > low:
             yield f"{NAMES[name]}: calibrated from {low:.4g} to {high:.4g} {unit}, at steady values; not covered beyond."

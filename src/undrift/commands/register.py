@@ -1,7 +1,7 @@
 """What commands share of the registry: where it is, a result that is added to it, a calibration that it knows."""
 
 import shlex
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
@@ -22,6 +22,10 @@ Where: TypeAlias = Annotated[
         name="--registry",
         help="File of the registry, or postgresql://user@host/database; UNDRIFT_REGISTRY, else the file of this user, by default.",
     ),
+]
+ValidMonths: TypeAlias = Annotated[
+    int | None,
+    Parameter(help="Months after which a calibration is due again; a laboratory agrees on them with its customer."),
 ]
 
 
@@ -49,13 +53,17 @@ class Registration:
                 "`register`: wanted the serial number of the device, got none; say `serial` S, or state it in the session"
             )
 
-    def add(self, *results: "Path | Calibration", source: Path | None = None) -> list[dict[str, Any]]:
+    def add(
+        self, *results: "Path | Calibration", source: Path | None = None, valid_months: int | None = None
+    ) -> list[dict[str, Any]]:
         """Add files, folders or a calibration that is written to `source`; return what became of them, as JSON has it."""
         if not self.register:
             return []
         from undrift.registry.documents import Stated, new_entries, of_calibration
 
         stated = Stated(note="by undrift " + shlex.join(CALLED.get()[:1]))
+        if valid_months is not None:
+            stated = replace(stated, valid_months=valid_months)
         named = str(source.resolve()) if source else "undrift " + shlex.join(CALLED.get())
         models = [of_calibration(one, stated, source=named) for one in results if not isinstance(one, Path)]
         paths = [one for one in results if isinstance(one, Path)]

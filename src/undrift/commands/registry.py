@@ -11,7 +11,7 @@ from cyclopts import Parameter
 from undrift.base.options import Files, OptionalOutput, Picture, options, verb
 from undrift.base.summary import Cells, Result, Section, Summary, figure_of, table_section
 from undrift.commands.files import check_figure, check_output, save_json, stated_date, temperatures
-from undrift.commands.register import Where, entry_json, open_place, registered_lines
+from undrift.commands.register import ValidMonths, Where, entry_json, open_place, registered_lines
 from undrift.errors import InputError, UndriftError
 
 if TYPE_CHECKING:
@@ -43,14 +43,12 @@ class About:
     ----------
     serial : str or None
         Serial number of the device, where a file states none.
-    valid_months : int
-        Months after which a calibration is due again.
     station : str or None
         Name of this station; UNDRIFT_STATION, else the name of the computer, by default.
     """
 
     serial: str | None = None
-    valid_months: int = 12
+    valid_months: ValidMonths = 12
     station: str | None = None
 
 
@@ -367,9 +365,9 @@ def import_folder(folder: Path, /, *, about: About = About(), where: Where = Non
 def _stated(about: About) -> "Stated":
     from undrift.registry.documents import Stated
 
-    if not 1 <= about.valid_months <= 1200:
+    if not 1 <= (months := about.valid_months or 0) <= 1200:
         raise InputError(f"`valid_months`: wanted 1 to 1200 months, got {about.valid_months}; 12 is the default")
-    return Stated(serial=about.serial, valid_months=about.valid_months)
+    return Stated(serial=about.serial, valid_months=months)
 
 
 def _write(entry: "Entry", output: Path | None) -> None:

@@ -5,7 +5,6 @@ names the calibration it states by a content hash, and takes serial number, date
 """
 
 import base64
-import calendar
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -15,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from undrift.base.summary import months_after
 from undrift.correction.correct import REFERENCE_SPAN_C
 from undrift.errors import InputError, RegistryError
 from undrift.files import read_bytes, sha256_of
@@ -88,13 +88,6 @@ def valid_temperatures(model: Calibration) -> tuple[float, float] | None:
         return float(static.temp_c[0]), float(static.temp_c[-1])
     at = model.reference_temp_c
     return None if np.isnan(at) else (at - REFERENCE_SPAN_C, at + REFERENCE_SPAN_C)
-
-
-def months_after(when: datetime, months: int) -> datetime:
-    """Return the same day some months later, or the last of a shorter month."""
-    years, month = divmod(when.month - 1 + months, 12)
-    year = when.year + years
-    return when.replace(year=year, month=month + 1, day=min(when.day, calendar.monthrange(year, month + 1)[1]))
 
 
 def _of_certificate(path: Path, stated: Stated, made: dict[str, NewEntry], registry: Registry) -> NewEntry:

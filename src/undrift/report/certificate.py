@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from undrift.arrays import FloatArray
-from undrift.base.summary import Drawing
+from undrift.base.summary import Drawing, without_signed_zeros
 from undrift.commands.calibrate import rests_of
 from undrift.commands.certificate import COVERAGE, NAMES, certificate_content, drawings_of, stated
 from undrift.errors import InputError
@@ -25,9 +25,10 @@ if TYPE_CHECKING:
     from undrift.record import Record
 
 
-def write_certificate(calibration: Calibration, path: Path) -> None:
-    """Write the certificate of a calibration, the same bytes for the same calibration."""
-    write_pdf(path, "certificate", certificate_content(calibration), dict(drawings_of(calibration.drift)))
+def write_certificate(calibration: Calibration, path: Path, content: Mapping[str, Any] | None = None) -> None:
+    """Write the certificate of a calibration, the same bytes for the same calibration and content."""
+    drawings = dict(drawings_of(calibration.drift))
+    write_pdf(path, "certificate", content or certificate_content(calibration), drawings)
 
 
 def write_pdf(path: Path, template: str, content: Mapping[str, Any], drawings: Mapping[str, Drawing]) -> None:
@@ -39,7 +40,7 @@ def write_pdf(path: Path, template: str, content: Mapping[str, Any], drawings: M
             f"{path}: wanted the package typst to write a PDF, got none; pip install 'undrift[pdf]'"
         ) from error
 
-    given = {"content": json.dumps(content)}
+    given = {"content": without_signed_zeros(json.dumps(content))}
     given |= {name: figures.svg_of(drawing.draw(), outlines=True) for name, drawing in drawings.items()}
     text = files("undrift.report").joinpath(f"{template}.typ").read_bytes()
     write_whole(path, typst.compile(text, format="pdf", ignore_system_fonts=True, sys_inputs=given))
