@@ -13,9 +13,12 @@ from testkit import planted
 from testkit.data import data_path, show
 from testkit.worn_captures import RATE_HZ, G, captured, errors, times, true_course, worn_device
 from undrift.commands.files import Opening
+from undrift.frames import rotate
 from undrift.io.mocap import read_trc
 from undrift.measures.rising import sit_to_stand
+from undrift.measures.tasks import measure_of
 from undrift.measures.worn import follow
+from undrift.sim.motion.motion import Motion
 from undrift.sim.motion.tasks import draw_task
 
 DEVICES = {"STS1": range(30), "STSAsym1": range(30, 60)}
@@ -207,3 +210,53 @@ def coverage(task, motions):
 def test_intervals_of_walking_measures_cover_the_truth_of_planted_people():
     share = coverage("walk", [planted.walk(np.random.default_rng([34, 100 + k])).motion for k in range(12)])
     assert 88.0 <= share <= 100.0
+
+
+def stair_motion():
+    """The captured ascent of four stairs, which begins and ends at the steps: a stance put before and behind, and its optics."""
+    spline = captured("mocap_stair_up", "markers_StairUp3.trc.gz")
+    moved = spline.at(times(spline), G)
+    pad = round(2.0 * RATE_HZ)
+
+    def around(x, first, last):
+        return np.concatenate((np.repeat(first[None], pad, axis=0), x, np.repeat(last[None], pad, axis=0)))
+
+    q, none = around(moved.q_nb, moved.q_nb[0], moved.q_nb[-1]), np.zeros(3)
+    still = rotate(q[[0, -1]] * [1.0, -1.0, -1.0, -1.0], np.array([0.0, 0.0, G]))
+    time = np.arange(len(q)) / RATE_HZ
+    motion = Motion(
+        time=time, q_nb=q, rate_b=around(moved.rate_b, none, none), mean_rate_b=around(moved.mean_rate_b, none, none),
+        force_b=around(moved.force_b, *still), gravity_m_s2=G, moving=np.ones(len(q)),
+    )  # fmt: skip
+    return motion, 2.0 + times(spline) - times(spline)[0], spline.position(times(spline))[:, 2]
+
+
+def test_lifts_on_stairs_agree_with_the_height_of_the_pelvis_by_optics():
+    motion, time, height = stair_motion()
+    ours = [(one.onset, one.onset + one.duration) for one in measure_of("step")(true_course(motion)).events]
+    velocity, edges = np.gradient(height, time), []
+    for start, stop in ours:
+        k = int(np.argmax(np.where((time > start) & (time < stop), velocity, -9.0)))
+        low = 0.1 * velocity[k]
+        a, b = k, k
+        while a > 0 and velocity[a] > low:
+            a -= 1
+        while b < len(time) - 1 and velocity[b] > low:
+            b += 1
+        edges.append((time[a], time[b]))
+    error = np.abs(np.array(ours) - np.array(edges))
+    show("lifts on stairs, seen and climbed", f"{len(ours)}", "4")
+    show(
+        "start and end against optics, median and largest, s",
+        f"{np.median(error):.3f}, {error.max():.3f}",
+        "0.10, 0.25",
+    )
+    assert len(ours) == 4
+    assert np.median(error) < 0.10
+    assert error.max() < 0.25
+
+
+def test_intervals_of_step_measures_cover_the_truth_of_planted_people_and_of_a_captured_one():
+    people = [planted.step_up(np.random.default_rng([35, 200 + k]), count=1)[0].motion for k in range(30)]
+    assert 88.0 <= coverage("step", people) <= 100.0
+    assert 88.0 <= coverage("step", [stair_motion()[0]] * 12) <= 100.0

@@ -146,6 +146,22 @@ def test_a_walk_has_its_cadence_its_strides_its_contacts_as_events_and_its_page(
     )
 
 
+def test_a_step_has_its_rise_its_pitch_and_its_events(undrift, tmp_path):
+    motion = planted.step_up(np.random.default_rng([35, 4]), count=2)[0].motion
+    record = simulate_device(random_device(np.random.default_rng(3)), motion, rng=np.random.default_rng(1)).record
+    path, out = tmp_path / "step.parquet", tmp_path / "step_events.tsv"
+    write_record(replace(record, **_in_si(record)), path)
+    words = ("measure", path, "--task", "step", "--up", "+z", "--forward", "+x")
+    text = undrift.good(*words, "-o", out).out
+    assert text.startswith("step, 2 times: rise duration ")
+    assert "peak trunk pitch" in text.splitlines()[0]
+    assert [row["trial_type"] for row in csv.DictReader(out.read_text().splitlines(), delimiter="\t")] == [
+        "rise",
+        "rise",
+    ]
+    assert "walk: wanted 8 steps" in undrift.refused("measure", path, "--task", "walk", "--up", "+z", "--forward", "+x")
+
+
 @pytest.mark.parametrize(
     ("words", "text"),
     [
@@ -154,6 +170,7 @@ def test_a_walk_has_its_cadence_its_strides_its_contacts_as_events_and_its_page(
             ("--task", "walk"),
             "walk: wanted 8 steps or more in a row, alike, without turn or bow, got 1 in a row at most; record",
         ),
+        (("--task", "step"), "step: wanted a rise of 0.08 to 0.27 m, got a rise of 0."),
         (("--task", "5xSTS"), "5xSTS: wanted five rises from a seat, got 1; record all five"),
         (("--task", "sit-to-stand", "--up", "+x", "--forward", "-z"), "points up on average, got one"),
         (("--task", "sit-to-stand", "--up", "+z", "--forward", "-z"), "wanted two axes of the device"),

@@ -79,3 +79,26 @@ def walk(rng, count=24):
     angles, way = walked(rng, t, contacts)
     angles = angles + np.stack([_sway(rng, t, size * DEGREE) for size in (0.3, 0.4, 0.5)], axis=1)
     return Planted(motion_of(t, *angles.T, way), contacts, [])
+
+
+def step_up(rng, count=3, *, pause=3.0, height=None):
+    """Return a person who rises one step after another, with a stance between or none; and start, duration, height of each lift."""
+    duration, height = rng.uniform(0.6, 1.2), rng.uniform(0.12, 0.22) if height is None else height
+    starts = 5.0 + (duration + pause) * np.arange(count) + rng.uniform(-0.05, 0.05, count) * pause
+    t = np.arange(round((starts[-1] + duration + 5.0) * FINE)) / FINE
+    lean, shift = rng.uniform(5.0, 16.0) * DEGREE, rng.uniform(2.0, 7.0) * DEGREE
+    pitch, roll, up, ahead, yaw = (
+        _sway(rng, t, size) for size in (0.3 * DEGREE, 0.3 * DEGREE, 0.0, 0.002, 0.3 * DEGREE)
+    )
+    for k, start in enumerate(starts):
+        before = start - 0.4 * duration
+        pitch = pitch + lean * (
+            _smooth_rise(t, before, 0.7 * duration) - _smooth_rise(t, start + 0.3 * duration, 0.8 * duration)
+        )
+        roll = roll + (-1) ** k * shift * (
+            _smooth_rise(t, before, 0.5 * duration) - _smooth_rise(t, start + 0.1, 0.6 * duration)
+        )
+        up = up + height * _smooth_rise(t, start, duration)
+        ahead = ahead + 0.28 * _smooth_rise(t, before, 1.3 * duration)
+    way = np.stack((ahead, 0.02 * np.sin(roll), up), axis=1)
+    return Planted(motion_of(t, roll, pitch, yaw, way), starts, []), duration, height

@@ -32,11 +32,13 @@ DECIMALS = {
     "deg2": 2,
     "steps/min": 1,
     "%": 1,
+    "m": 2,
 }
 FIRST = {  # measures that the answer names
     "sit-to-stand": ("duration_s", "peak_trunk_pitch_deg"),
     "5xSTS": ("five_times_duration_s", "peak_trunk_pitch_deg"),
     "standing": ("rms_m_s2", "rms_pitch_deg"),
+    "step": ("rise_duration_s", "peak_trunk_pitch_deg"),
     "walk": ("cadence_per_min", "stride_duration_s"),
 }
 ENOUGH_STRIDES = 50  # for a spread known to 10 %
@@ -124,7 +126,7 @@ def measure(
     record: Path,
     /,
     *,
-    task: Literal["sit-to-stand", "5xSTS", "standing", "walk"],
+    task: Literal["sit-to-stand", "5xSTS", "standing", "walk", "step"],
     eyes_closed: Path | None = None,
     mounting: Path | None = None,
     calibration: Path | None = None,
@@ -143,7 +145,7 @@ def measure(
         A corrected recording of the task, or a raw one with its calibration; or a folder of them, with one of output.
     task : str
         sit-to-stand, every rise from a seat; 5xSTS, five of them as fast as possible; standing, quiet stance; walk, steps
-        straight ahead.
+        straight ahead; step, rising a step or stairs.
     eyes_closed : Path or None
         With standing: the same person's stance with eyes closed, compared with the recording.
     mounting : Path or None

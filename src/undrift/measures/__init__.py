@@ -4,6 +4,7 @@
     tasks         which function measures which task; what a task returns: values, events
     rising        sit-to-stand, five times sit-to-stand
     standing      sway of quiet stance
+    stepping      rising a step, or stairs
     walking       steps, strides and their spread
     uncertainty   from what is uncertain of the readings to what is uncertain of a measure, and the smallest change between visits
 

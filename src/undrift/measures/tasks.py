@@ -11,7 +11,7 @@ from undrift.arrays import FloatArray
 from undrift.errors import InputError
 from undrift.measures.worn import Course
 
-TaskName = Literal["sit-to-stand", "5xSTS", "standing", "walk"]
+TaskName = Literal["sit-to-stand", "5xSTS", "standing", "walk", "step"]
 TASKS: tuple[TaskName, ...] = get_args(TaskName)
 UNITS = {  # longest first: the end of a name, the unit, and the factor from SI
     "_m2_s4": "m2/s4",
@@ -24,6 +24,7 @@ UNITS = {  # longest first: the end of a name, the unit, and the factor from SI
     "_deg": "deg",
     "_hz": "Hz",
     "_s": "s",
+    "_m": "m",
 }
 
 
@@ -52,13 +53,14 @@ TaskMeasure: TypeAlias = Callable[[Course], TaskResult]
 
 def measure_of(task: TaskName) -> TaskMeasure:
     """Return the function that measures a task."""
-    from undrift.measures import rising, standing, walking
+    from undrift.measures import rising, standing, stepping, walking
 
     functions: dict[TaskName, TaskMeasure] = {
         "sit-to-stand": rising.sit_to_stand,
         "5xSTS": rising.five_times,
         "standing": standing.sway,
         "walk": walking.walk,
+        "step": stepping.step,
     }
     return functions[task]
 
@@ -87,6 +89,7 @@ TYPES = {  # of events, for people
     "extension": "Trunk extension: from the greatest forward pitch to the last motion",
     "stand-to-sit": "Sitting down: from first to last motion of the trunk",
     "standing": "Quiet stance",
+    "rise": "The body is lifted onto a step: upward velocity above a tenth of its peak",
     "walking": "Steps in a row: from the first contact to the last",
     "initial contact": "A foot comes down: greatest upward acceleration of the smoothed course, a little after the first touch",
 }
